@@ -1,0 +1,25 @@
+"""Fixtures that several test files share."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+
+@pytest.fixture
+def benchmark_data() -> Callable[[str], Path]:
+    """Return a function from a name such as ``cmu/test.npz`` to its path; it skips where the data is absent."""
+
+    def find(name: str) -> Path:
+        root = os.environ.get("UPLIFT_DATA")
+        if not root:
+            pytest.skip("UPLIFT_DATA is not set: no benchmark data")
+        path = Path(root) / name
+        if not path.exists():
+            pytest.skip(f"no {name} in UPLIFT_DATA={root}")
+        return path
+
+    return find

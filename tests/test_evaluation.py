@@ -1,0 +1,293 @@
+"""One prediction against one truth: the figures of the single protocols, grouped, honest about gaps."""
+
+from __future__ import annotations
+
+import csv
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from uplift import metrics
+from uplift.data.container import PoseData
+from uplift.errors import UserError
+from uplift.evaluation import GivenPoses, evaluate, flat_depth
+from uplift.evaluation_scores import previous_frames
+from uplift.protocols import PROTOCOLS
+from uplift.skeleton import Skeleton, load_skeleton
+
+SHIPPED = load_skeleton(Path(__file__).parents[1] / "skeletons" / "h36m17.yaml")
+NOSE = {"front": (("thorax",), ("nose",)), "left": (("rshoulder",), ("lshoulder",))}
+HUMAN = replace(SHIPPED, facing=NOSE)
+ROOT = HUMAN.root_index
+PAPER = ["Directions", "Discussion", "Eating", "Greeting", "Phoning", "Photo", "Posing", "Purchases"]
+PAPER += ["Sitting", "SittingDown", "Smoking", "Waiting", "WalkDog", "Walking", "WalkTogether"]
+
+
+def some_truth(frames: int = 90, unit: str = "mm") -> PoseData:
+    """Return noise of a body's size: three subjects, two actions, six clips of every third frame."""
+    rng = np.random.default_rng(11)
+    pose = rng.normal(size=(frames, 17, 3)) * 300
+    pose -= pose[:, ROOT, None]
+    number = np.arange(frames)
+    identity = {
+        "subject": np.array(["S1", "S2", "S3"])[number // 30],
+        "action": np.array(["walk", "sit"])[(number % 4 == 0).astype(int)],
+        "sequence": np.array(["a", "b"])[number // 15 % 2],
+        "frame": number % 15 * 3,
+    }
+    return PoseData(
+        keypoints=pose[..., :2].astype(np.float32),
+        confidence=np.ones((frames, 17), np.float32),
+        joint_names=HUMAN.joints,
+        pose=pose.astype(np.float32),
+        unit=unit,
+        identity=identity,
+        tilt_deg=rng.normal(size=frames),
+    )
+
+
+def guess(truth: PoseData, unit: str = "relative", **more) -> GivenPoses:
+    noise = np.random.default_rng(2).normal(size=truth.pose.shape) * 100
+    return GivenPoses((truth.pose + noise) / (1 if unit == "mm" else 300), truth.joint_names, unit, **more)
+
+
+def test_overall_is_what_the_single_protocols_say():
+    truth = some_truth()
+    given = guess(truth, tilt_deg=np.full(90, 2.0))
+    pose, target = given.pose, truth.pose.astype(float)
+    scaled = pose * ((pose * target).sum((1, 2)) / (pose**2).sum((1, 2)))[:, None, None]
+    previous = previous_frames(truth.identity)
+    expected = {
+        "mpjpe_gt_scale": metrics.mpjpe_gt_scale(pose, target, ROOT),
+        "mpjpe_gt_scale_best_of_flip": metrics.mpjpe_gt_scale_best_of_flip(pose, target, ROOT),
+        "n_mpjpe": metrics.n_mpjpe(pose, target),
+        "n_mpjpe_best_of_flip": metrics.n_mpjpe_best_of_flip(pose, target),
+        "n_mpjpe_norm": metrics.n_mpjpe_norm(pose, target),
+        "p_mpjpe": metrics.p_mpjpe(pose, target),
+        "p_mpjpe_best_of_flip": metrics.p_mpjpe_best_of_flip(pose, target),
+        "p_mpjpe_reflect": metrics.p_mpjpe_reflect(pose, target),
+        "pck@150": metrics.pck(scaled, target),
+        "auc": metrics.auc(scaled, target),
+        "pck_z@150": metrics.pck_z(scaled, target),
+        "stress": metrics.stress(scaled, target),
+        "mpjve": metrics.mpjve(scaled, target, previous),
+        "facing": metrics.facing(pose, target),
+        "facing_sign": metrics.facing_sign(pose, HUMAN),
+    }
+    found = evaluate(given, truth, HUMAN)
+    for name, values in expected.items():
+        assert found.overall[name] == pytest.approx(np.nanmean(values), rel=1e-6), name
+    assert found.overall["elevation_deg"] == pytest.approx(np.median(np.abs(2 - truth.tilt_deg)))
+    lengths = metrics.bone_lengths(scaled, HUMAN)
+    assert found.overall["bone_cv"] == pytest.approx(metrics.bone_cv(lengths, np.arange(90) // 30), rel=1e-5)
+    leftover = {name for name in found.overall if not name.endswith("_action_mean")} - set(expected)
+    assert leftover == {"elevation_deg", "bone_cv", "symmetry"}
+
+
+def test_groups_and_joints_derive_from_the_same_numbers():
+    truth = some_truth()
+    found = evaluate(guess(truth), truth, HUMAN)
+    values = metrics.p_mpjpe(guess(truth).pose, truth.pose)
+    by_action = {name: values[truth.identity["action"] == name].mean() for name in ("sit", "walk")}
+    assert {name: of["p_mpjpe"] for name, of in found.per_action.items()} == pytest.approx(by_action)
+    assert found.overall["p_mpjpe_action_mean"] == pytest.approx(np.mean(list(by_action.values())))
+    assert found.overall["p_mpjpe_action_mean"] != pytest.approx(found.overall["p_mpjpe"], rel=1e-9)
+    assert list(found.per_subject) == ["S1", "S2", "S3"]
+    assert np.mean([of["n_mpjpe"] for of in found.per_subject.values()]) == pytest.approx(
+        found.overall["n_mpjpe"]
+    )
+    for name in ("p_mpjpe", "mpjpe_gt_scale", "pck@150", "p_mpjpe_best_of_flip"):
+        mean = np.mean([of[name] for of in found.per_joint.values()])
+        assert mean == pytest.approx(found.overall[name])
+    assert found.per_joint["hip"]["mpjpe_gt_scale"] > 0 and list(found.per_joint) == list(HUMAN.joints)
+
+
+def test_metric_error_needs_a_metric_prediction_and_pck_needs_mm():
+    truth = some_truth()
+    metric = evaluate(guess(truth, "mm"), truth, HUMAN)
+    assert metric.overall["mpjpe"] == pytest.approx(metrics.mpjpe(guess(truth, "mm").pose, truth.pose).mean())
+    assert metric.overall["pck@150"] == pytest.approx(metrics.pck(guess(truth, "mm").pose, truth.pose).mean())
+    assert any("the metric pose (mm)" in note for note in metric.notes)
+    relative = evaluate(guess(truth), truth, HUMAN)
+    assert "mpjpe" not in relative.overall and any("n_mpjpe scale" in note for note in relative.notes)
+    other = evaluate(guess(truth), some_truth(unit="relative"), HUMAN)
+    assert not any(name.startswith(("pck", "auc", "mpjpe_action")) for name in other.overall)
+    assert other.overall["p_mpjpe"] == pytest.approx(relative.overall["p_mpjpe"])
+
+
+def test_joints_are_matched_by_name():
+    truth = some_truth()
+    given = guess(truth)
+    order = np.random.default_rng(0).permutation(17)
+    names = (*(HUMAN.joints[j] for j in order), "tail")
+    pose = np.concatenate([given.pose[:, order], np.full((90, 1, 3), 5.0)], 1)
+    found = evaluate(replace(given, pose=pose, joint_names=names), truth, HUMAN)
+    assert found.overall == pytest.approx(evaluate(given, truth, HUMAN).overall)
+    assert any("tail" in note for note in found.notes)
+
+
+def test_joints_missing_in_2d_count_apart():
+    truth = some_truth()
+    given = guess(truth)
+    unseen = np.random.default_rng(4).random((90, 17)) < 0.2
+    unseen[:2, 1:] = True
+    spoilt = given.pose.copy()
+    spoilt[unseen] *= 4
+    found = evaluate(replace(given, pose=spoilt), replace(truth, confidence=1.0 - unseen), HUMAN)
+    weight = 1.0 - unseen[2:]
+    expected = metrics.p_mpjpe(given.pose[2:], truth.pose[2:], weight)
+    assert found.frames == 88 and found.overall["p_mpjpe"] == pytest.approx(expected.mean())
+    errors = metrics.joint_errors("p_mpjpe", spoilt[2:], truth.pose[2:], ROOT, weight)
+    missing = metrics.frame_mean(errors, unseen[2:].astype(float))
+    assert found.overall["p_mpjpe_missing"] == pytest.approx(np.nanmean(missing))
+    assert found.overall["p_mpjpe_missing"] > found.overall["p_mpjpe"]
+
+
+def test_unknown_truth_and_unknown_prediction_are_left_out_and_told():
+    truth = some_truth()
+    given = guess(truth)
+    truth.pose[:, 4], given.pose[:30, 9], given.pose[5] = np.nan, np.inf, np.nan
+    found = evaluate(given, truth, HUMAN)
+    assert found.frames == 89 and found.overall["coverage"] == pytest.approx(1 - (29 + 16) / (90 * 16))
+    assert np.isfinite(list(found.overall.values())).all() and found.per_joint["lhip"] == {}
+    assert any("left out" in note for note in found.notes)
+
+
+@pytest.mark.parametrize("fill", [0.0, 3.7, 1e-35])
+def test_a_prediction_without_extent_gives_numbers_and_plain_json(fill):
+    truth = some_truth()
+    given = GivenPoses(np.full((90, 17, 3), fill, np.float32), truth.joint_names, "mm")
+    found = evaluate(given, truth, HUMAN)
+    json.loads(json.dumps(found.to_dict(), allow_nan=False))
+    assert found.overall["p_mpjpe"] > 100 and found.overall["facing_sign"] == 0
+
+
+def test_root_of_the_prediction_is_not_moved():
+    truth = some_truth()
+    deep = truth.pose + np.array([0, 0, 100], np.float32)
+    found = evaluate(GivenPoses(deep, truth.joint_names), truth, HUMAN)
+    assert found.overall["mpjpe_gt_scale"] == pytest.approx(100) and found.overall["p_mpjpe"] < 1e-3
+    assert any("off the origin" in note for note in found.notes)
+
+
+def test_wrong_predictions_are_refused_in_words():
+    truth = some_truth()
+    given = guess(truth, source="mine.npz")
+    names = ("hipp", *HUMAN.joints[1:])
+    with pytest.raises(UserError, match=r"mine.npz: lacks 1 of the 17 joints .* hip\. It has hipp instead"):
+        evaluate(replace(given, joint_names=names), truth, HUMAN)
+    with pytest.raises(UserError, match=r"shape \(80, 17, 3\), expected \(90, 17, 3\)"):
+        evaluate(replace(given, pose=given.pose[:80]), truth, HUMAN)
+    with pytest.raises(UserError, match="no 'pose'"):
+        evaluate(given, truth.without_truth(), HUMAN)
+    with pytest.raises(UserError, match=r"'frame' is not .* row 0 has 1, expected 0"):
+        evaluate(replace(given, identity={"frame": truth.identity["frame"] + 1}), truth, HUMAN)
+    with pytest.raises(UserError, match="nothing to compare"):
+        evaluate(replace(given, pose=given.pose * np.nan), truth, HUMAN)
+
+
+def test_previous_frames_stay_in_the_clip_and_do_not_cross_gaps():
+    identity = {
+        "sequence": np.array(["b", "a", "a", "a", "b", "a", "b"]),
+        "camera": np.array([0, 0, 0, 0, 0, 1, 0]),
+        "frame": np.array([9, 6, 0, 3, 6, 9, 0]),
+    }
+    assert previous_frames(identity).tolist() == [4, 3, -1, 2, -1, -1, -1]
+    assert previous_frames({**identity, "frame": np.array([9, 6, 0, 3, 3, 9, 0])})[[0, 4]].tolist() == [-1, 6]
+    assert previous_frames({key: identity[key] for key in ("sequence", "camera")}) is None
+    assert previous_frames({"sequence": np.array(["a", "a"]), "frame": np.array([4, 4])}) is None
+    assert previous_frames({"sequence": np.array(["a", "b"]), "frame": np.array([1, 2])}) is None
+
+
+def test_chunks_change_nothing(monkeypatch):
+    truth = some_truth()
+    whole = evaluate(guess(truth), truth, HUMAN)
+    monkeypatch.setattr("uplift.evaluation_scores._CHUNK", 7)
+    parts = evaluate(guess(truth), truth, HUMAN)
+    assert parts.overall == pytest.approx(whole.overall)
+    assert parts.per_joint["nose"] == pytest.approx(whole.per_joint["nose"])
+
+
+def test_skeleton_without_facing_has_no_handedness():
+    truth = some_truth()
+    found = evaluate(guess(truth), truth, replace(HUMAN, facing={}, mirror=()))
+    assert "facing_sign" not in found.overall and "symmetry" not in found.overall
+    assert found.overall["facing"] == pytest.approx(evaluate(guess(truth), truth, HUMAN).overall["facing"])
+
+
+def test_table_has_the_papers_columns_in_order():
+    truth = some_truth()
+    truth.identity["action"] = np.array(sorted(PAPER) * 6)
+    table = evaluate(guess(truth), truth, HUMAN, data="h36m").table()
+    head = next(line for line in table.splitlines() if line.startswith("per action"))
+    paper = (
+        "Direct. Discuss Eating Greet Phone Photo Pose Purch. Sitting SittingD Smoke Wait WalkD Walk WalkT"
+    )
+    assert head.split()[2:] == [*paper.split(), "Avg"]
+    row = next(line for line in table.splitlines() if line.startswith("p_mpjpe ") and len(line.split()) == 17)
+    assert float(row.split()[-1]) == pytest.approx(
+        np.mean([float(cell) for cell in row.split()[1:-1]]), abs=0.1
+    )
+
+
+def test_table_of_many_actions_says_where_the_rest_is():
+    truth = some_truth()
+    truth.identity["action"] = np.array([f"action number {place % 45}" for place in range(90)])
+    table = evaluate(guess(truth), truth, HUMAN).table()
+    assert "25 more actions" in table and table.count("action number") == 20
+    assert all(len(line) < 120 and line == line.rstrip() for line in table.splitlines())
+
+
+def test_csv_holds_every_figure(tmp_path):
+    truth = some_truth()
+    found = evaluate(guess(truth), truth, HUMAN)
+    found.write_csv(tmp_path / "evaluation.csv")
+    with (tmp_path / "evaluation.csv").open(newline="", encoding="utf-8") as file:
+        rows = list(csv.DictReader(file))
+    assert {
+        row["protocol"]: float(row["value"]) for row in rows if row["group"] == "overall"
+    } == found.overall
+    joints = [row for row in rows if row["group"] == "joint" and row["name"] == "nose"]
+    assert {row["protocol"]: float(row["value"]) for row in joints} == found.per_joint["nose"]
+    assert next(row for row in rows if row["protocol"] == "p_mpjpe")["unit"] == "mm"
+
+
+def test_every_figure_has_a_name_in_the_list_of_protocols():
+    truth = some_truth()
+    truth.confidence[:, 3] = 0
+    found = evaluate(guess(truth, "mm", tilt_deg=truth.tilt_deg), truth, HUMAN)
+    bases = {name.removesuffix("_action_mean").removesuffix("_missing") for name in found.overall}
+    assert bases == set(PROTOCOLS) - {"coverage"}
+
+
+def read_truth(path: Path, skeleton: Skeleton) -> PoseData:
+    with np.load(path, allow_pickle=False) as file:
+        keys = ("subject", "action", "sequence", "camera", "frame")
+        return PoseData(
+            keypoints=file["keypoints"],
+            confidence=np.ones(file["keypoints"].shape[:2], np.float32),
+            joint_names=tuple(file["joint_names"]),
+            pose=file["pose"],
+            identity={key: file[key] for key in keys},
+            tilt_deg=file["tilt_deg"],
+        )
+
+
+def test_real_motion_capture_has_the_known_floor(benchmark_data):
+    truth = read_truth(benchmark_data("cmu/test.npz"), HUMAN)
+    flat = flat_depth(truth.keypoints, truth.joint_names.index("hip"))
+    found = evaluate(GivenPoses(flat, truth.joint_names), truth, HUMAN)
+    assert found.overall["mpjpe_gt_scale"] == pytest.approx(135, abs=1)
+    assert found.overall["p_mpjpe"] == pytest.approx(108, abs=1)
+    itself = evaluate(GivenPoses(truth.pose, truth.joint_names, "mm"), truth, HUMAN)
+    assert itself.overall["facing"] == 1 and itself.overall["p_mpjpe"] < 1e-2
+    assert itself.overall["facing_sign"] == pytest.approx(0.975, abs=5e-4)
+    assert itself.overall["mpjpe"] == itself.overall["mpjve"] == 0
+    assert itself.overall["bone_cv"] < 0.02
+    part = truth.select(np.arange(0, len(truth), 5))
+    mirrored = evaluate(GivenPoses(metrics.flip_depth(part.pose), part.joint_names), part, HUMAN)
+    assert mirrored.overall["p_mpjpe"] > 70 and mirrored.overall["p_mpjpe_reflect"] < 1e-2
+    assert mirrored.overall["facing"] < 0.01 and mirrored.overall["facing_sign"] < 0.05

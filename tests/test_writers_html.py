@@ -1,0 +1,166 @@
+"""The page: what it embeds, what it escapes, what it leaves out."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import array_shapes, arrays
+from writers_samples import figure, prediction
+
+from uplift.errors import UserError
+from uplift.skeleton import Skeleton
+from uplift.writers import write
+from uplift.writers.charts import curve_charts
+from uplift.writers.clips import arrange, choose
+from uplift.writers.html import page_text, read_html
+from uplift.writers.packing import pack, unpack
+from uplift.skeleton.sides import CENTRE, LEFT, RIGHT, joint_sides
+
+_NASTY = "</script><script>alert(1)</script><b>\"it's\" & {{data}} <!--"
+
+
+@given(
+    arrays(np.float32, array_shapes(min_dims=2, max_dims=3, max_side=9), elements=st.floats(-1e4, 1e4, width=32)),
+    st.floats(1e-3, 1.0),
+)
+@settings(deadline=None, derandomize=True, max_examples=60)
+def test_packing_is_exact_to_half_a_step(values: np.ndarray, finest: float) -> None:
+    text, layout = pack({"a": (values, finest), "b": (-values, finest)})
+    found = unpack(text, layout)
+    step = layout[0]["step"]
+    assert step <= max(finest, np.ptp(values) / 65532) * (1 + 1e-9)
+    np.testing.assert_allclose(found["a"], values, atol=step * 0.5001)
+    np.testing.assert_allclose(found["b"], -values, atol=step * 0.5001)
+
+
+def test_packing_keeps_zero_and_absence() -> None:
+    values = np.array([[0.0, np.nan], [np.inf, 7.3]])
+    found = unpack(*pack({"a": (values, 0.01)}))["a"]
+    assert found[0, 0] == 0 and np.isnan(found[0, 1]) and np.isnan(found[1, 0])
+
+
+def test_page_gives_back_the_poses(tmp_path: Path) -> None:
+    sample = prediction(frames=40, truth=True, spread=True)
+    write(sample, tmp_path / "page.html")
+    data = read_html(tmp_path / "page.html")
+    steps = np.abs(sample.pose).max() / 4096
+    np.testing.assert_allclose(data["arrays"]["pose"], sample.pose, atol=steps)
+    np.testing.assert_allclose(data["arrays"]["truth"], sample.truth, atol=2 * steps)
+    np.testing.assert_allclose(data["arrays"]["keypoints"], sample.keypoints, atol=0.05)
+    level = np.einsum("fik,fjk->fji", data["arrays"]["level"], data["arrays"]["pose"])
+    np.testing.assert_allclose(level, sample.level_pose, atol=4 * steps)
+    assert tuple(data["joints"]) == sample.joint_names and data["unit"] == "mm"
+
+
+def test_truth_of_another_size_is_drawn_at_the_size_of_the_pose(tmp_path: Path) -> None:
+    sample = prediction(frames=5)
+    sample.unit, sample.truth = "relative", sample.pose * 7
+    write(sample, tmp_path / "page.html")
+    data = read_html(tmp_path / "page.html")
+    np.testing.assert_allclose(data["arrays"]["truth"], sample.pose, atol=0.5)
+    np.testing.assert_allclose(data["arrays"]["error"], 0, atol=1e-6)
+    assert "not metric" in (tmp_path / "page.html").read_text()
+
+
+def test_individuals_stand_apart_as_in_the_image(tmp_path: Path) -> None:
+    write(prediction(frames=30, individuals=3), tmp_path / "page.html")
+    data = read_html(tmp_path / "page.html")
+    across = [data["arrays"]["place"][data["arrays"]["individual"] == one, 0].mean() for one in range(3)]
+    np.testing.assert_allclose(np.diff(across), 200 / 0.2, rtol=0.05)
+    assert data["clips"][0]["individuals"] == ["animal 0", "animal 1", "animal 2"]
+
+
+def test_page_needs_nothing_from_outside() -> None:
+    text = page_text(prediction(frames=3, truth=True), curves={"loss": [(0, 1.0), (1, 0.5)]})
+    assert "http://" not in text and "https://" not in text
+    assert not re.search(r"<link|<img|<iframe|@import|url\(|\bsrc=|\bfetch\(|XMLHttp|WebSocket|eval\(", text)
+    assert "default-src 'none'" in text
+
+
+def test_text_from_the_data_stays_text(tmp_path: Path) -> None:
+    skeleton = Skeleton(_NASTY, (_NASTY, "tip"), _NASTY, ((_NASTY, "tip"),))
+    sample = prediction(frames=2, joints=2)
+    sample.skeleton, sample.joint_names = skeleton, skeleton.joints
+    sample.title = sample.source = _NASTY
+    sample.identity = {"sequence": np.array([_NASTY, "other"])}
+    options = {"sections": [(_NASTY, [(_NASTY, 1.0)], (_NASTY, _NASTY))], "curves": {_NASTY: [(0, 1), (1, 2)]}, "notes": [_NASTY]}
+    write(sample, tmp_path / "page.html", **options)
+    text = (tmp_path / "page.html").read_text()
+    assert text.count("<script") == text.count("</script>") == 2
+    assert '<b>"' not in text and "<!--" not in text
+    assert read_html(tmp_path / "page.html")["clips"][0]["name"] == _NASTY
+
+
+def test_not_a_number_never_reaches_the_page(tmp_path: Path) -> None:
+    sample = prediction(frames=4, truth=True, spread=True)
+    sample.pose[1, 2], sample.level_pose[1, 2], sample.keypoints[2] = np.nan, np.inf, np.nan
+    sample.truth[3], sample.confidence[0, 0], sample.spread[2, 1] = np.nan, np.nan, np.nan
+    write(sample, tmp_path / "page.html", sections=[("t", [("x", float("nan"))])], curves={"c": [(0, np.nan), (1, 1.0)]})
+    found = read_html(tmp_path / "page.html")["arrays"]
+    assert np.isnan(found["pose"][1, 2]).all() and np.isfinite(found["pose"]).sum() == found["pose"].size - 3
+    assert (found["confidence"][2] == 0).all() and found["confidence"][0, 0] == 0
+    assert np.isnan(found["error"][3]) and np.isfinite(found["error"][:3]).all()
+    assert "NaN" not in re.sub(r"<script>.*?</script>", "", (tmp_path / "page.html").read_text(), flags=re.S)
+
+
+def test_thousand_frames_of_three_are_small() -> None:
+    assert len(page_text(prediction(frames=1000, individuals=3, spread=True))) < 700_000
+
+
+def test_empty_prediction_is_refused() -> None:
+    with pytest.raises(UserError, match="no frame"):
+        page_text(prediction(frames=0))
+
+
+def test_a_file_that_is_no_page_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "other.html").write_text("<p>hello</p>")
+    with pytest.raises(UserError, match="not a page"):
+        read_html(tmp_path / "other.html")
+
+
+def test_page_says_what_it_left_out(tmp_path: Path) -> None:
+    identity = {"sequence": np.repeat([f"clip{n:02d}" for n in range(20)], 50)}
+    write(prediction(frames=1000, identity=identity), tmp_path / "page.html", frames=200)
+    data = read_html(tmp_path / "page.html")
+    assert [clip["name"] for clip in data["clips"]] == ["clip00", "clip06", "clip13", "clip19"]
+    assert "200 of 1,000 frames (4 of 20 clips" in (tmp_path / "page.html").read_text()
+
+
+@given(
+    st.lists(st.tuples(st.integers(0, 3), st.integers(0, 2), st.integers(0, 9)), max_size=60, min_size=1),
+    st.booleans(), st.integers(1, 40),
+)  # fmt: skip
+@settings(deadline=None, derandomize=True, max_examples=80)
+def test_every_row_is_in_one_clip_once(rows: list, several: bool, limit: int) -> None:
+    sequence, instance, frame = (np.array(column) for column in zip(*rows, strict=True))
+    identity = {"sequence": sequence, "frame": frame} | ({"instance": instance} if several else {})
+    clips = arrange(identity, len(rows))
+    assert sorted(row for clip in clips for row in clip.rows) == list(range(len(rows)))
+    for clip in clips:
+        assert len(set(sequence[clip.rows])) == 1
+        assert set(clip.moment) == set(range(len(clip.frames)))
+        assert frame[clip.rows].tolist() == [clip.frames[m] for m in clip.moment]
+    chosen = choose(clips, limit, limit)
+    assert chosen and sum(len(clip.frames) for clip in chosen) <= limit
+
+
+def test_sides_come_from_names_then_from_facing_then_from_order() -> None:
+    def sides(mirror: tuple, facing: dict | None = None) -> list[int]:
+        names = tuple(name for pair in mirror for name in pair) + ("mid",)
+        return joint_sides(Skeleton("s", names, "mid", (), mirror=mirror, facing=facing or {}), names)
+
+    assert joint_sides(figure(), figure().joints) == [CENTRE] * 3 + [LEFT, RIGHT] * 2
+    assert sides((("HipL", "HipR"), ("R_toe", "L_toe"))) == [LEFT, RIGHT, RIGHT, LEFT, CENTRE]
+    assert sides((("right_ear", "left_ear"), ("a", "b"))) == [RIGHT, LEFT, RIGHT, LEFT, CENTRE]
+    assert sides((("a", "b"), ("c", "d")), {"left": (("d",), ("c",))}) == [LEFT, RIGHT, LEFT, RIGHT, CENTRE]
+
+
+def test_charts_survive_flat_single_and_long_curves() -> None:
+    curves = {"flat": [(0, 1.0), (9, 1.0)], "one": [(5, 2.0)], "long": [(n, n % 7) for n in range(9000)], "none": []}
+    text = curve_charts(curves)
+    assert text.count("<svg") == 3 and "nan" not in text and len(text) < 20_000

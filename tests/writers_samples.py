@@ -1,0 +1,60 @@
+"""Predictions for the tests of the writers: a walking stick figure seen from a tilted camera."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from uplift.prediction import Prediction
+from uplift.skeleton import Skeleton
+
+__all__ = ["chain", "figure", "prediction", "tilted"]
+
+_REST = {
+    "hip": (0, 0, 0), "neck": (0, -500, 0), "head": (0, -700, -40),
+    "lhand": (350, -250, -60), "rhand": (-350, -250, 60), "lfoot": (120, 850, 0), "rfoot": (-120, 850, 0),
+}  # fmt: skip
+
+
+def figure() -> Skeleton:
+    """Return a skeleton of seven joints with gravity."""
+    bones = (("hip", "neck"), ("neck", "head"), ("neck", "lhand"), ("neck", "rhand"), ("hip", "lfoot"), ("hip", "rfoot"))
+    return Skeleton(
+        "figure", tuple(_REST), "hip", bones, mirror=(("rhand", "lhand"), ("rfoot", "lfoot")), gravity=True
+    )
+
+
+def chain(joints: int) -> Skeleton:
+    """Return a skeleton of many joints in one line, without gravity."""
+    names = tuple(f"point_{n}" for n in range(joints))
+    return Skeleton("chain", names, names[0], tuple(zip(names, names[1:], strict=False)), gravity=False)
+
+
+def tilted(tilt_deg: np.ndarray) -> np.ndarray:
+    """Return rotations (frames 3 3) about x."""
+    cos, sin, one, zero = np.cos(a := np.radians(tilt_deg)), np.sin(a), np.ones_like(a), np.zeros_like(a)
+    return np.stack([one, zero, zero, zero, cos, -sin, zero, sin, cos], -1).reshape(-1, 3, 3)
+
+
+def prediction(
+    frames: int, individuals: int = 1, joints: int = 0, tilt: bool = True, spread: bool = False, truth: bool = False, **more
+) -> Prediction:
+    """Return ``frames`` frames of each individual; ``joints`` > 0 takes a chain in the place of the figure."""
+    skeleton, random = (chain(joints) if joints else figure()), np.random.default_rng(3)
+    rest = np.cumsum(random.normal(size=(joints, 3)) * 20, 0) if joints else np.array(list(_REST.values()), float)
+    rest = rest - rest[0]
+    rows, time = frames * individuals, np.tile(np.arange(frames), individuals)
+    sway = np.sin(time / 5)[:, None, None] * random.normal(size=rest.shape) * 60
+    level = (rest + sway) - (rest + sway)[:, :1]
+    angle = random.normal(8, 3, rows) if tilt else np.zeros(rows)
+    pose = np.einsum("fki,fjk->fji", tilted(angle), level)
+    who = np.repeat(np.arange(individuals), frames)
+    keypoints = pose[..., :2] * 0.2 + [320, 240] + (who[:, None] - (individuals - 1) / 2)[..., None] * [200, 0]
+    values = {
+        "tilt_deg": angle if tilt else None,
+        "identity": {"frame": time * 3, "instance": np.array([f"animal {n}" for n in who])} if individuals > 1 else {},
+        "spread": np.full(pose.shape[:2], 30.0) if spread else None,
+        "truth": pose * 1.1 + random.normal(size=pose.shape) * 20 if truth else None,
+        "fps": 30.0, "image_size": (640, 480), "source": "sample.npz", "title": "Sample",
+    }  # fmt: skip
+    ones = np.ones(pose.shape[:2])
+    return Prediction(pose, level, "mm", keypoints, ones, skeleton.joints, skeleton, **{**values, **more})

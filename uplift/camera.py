@@ -1,0 +1,68 @@
+"""Two cameras: orthographic (Kudo et al. 2018) and perspective at a chosen distance."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from uplift.errors import UserError, did_you_mean
+
+__all__ = ["Camera", "Orthographic", "Perspective", "build_camera"]
+
+
+@dataclass(frozen=True)
+class Orthographic:
+    """Parallel rays: x and y of the pose are those of the keypoints."""
+
+    def unproject(
+        self, keypoints: Float[Tensor, "frames joints 2"], depth: Float[Tensor, "frames joints"]
+    ) -> Float[Tensor, "frames joints 3"]:
+        """Return the pose that ``keypoints`` at ``depth`` are the projection of."""
+        return torch.cat([keypoints, depth.unsqueeze(-1)], -1)
+
+    def project(self, pose: Float[Tensor, "frames joints 3"]) -> Float[Tensor, "frames joints 2"]:
+        """Return the 2D keypoints of ``pose``."""
+        return pose[..., :2]
+
+
+@dataclass(frozen=True)
+class Perspective:
+    """A pinhole at ``distance`` from the root, in units of the body's mean 2D radius.
+
+    At the root's depth one unit of the pose is one unit of the keypoints, so focal length and
+    distance are one number (ElePose, Wandt et al. 2022, uses 10).
+    """
+
+    distance: float = 10.0
+
+    def unproject(
+        self, keypoints: Float[Tensor, "frames joints 2"], depth: Float[Tensor, "frames joints"]
+    ) -> Float[Tensor, "frames joints 3"]:
+        """Return the pose that ``keypoints`` at ``depth`` are the projection of."""
+        z = depth.unsqueeze(-1)
+        return torch.cat([keypoints * self._ratio(z), z], -1)
+
+    def project(self, pose: Float[Tensor, "frames joints 3"]) -> Float[Tensor, "frames joints 2"]:
+        """Return the 2D keypoints of ``pose``."""
+        return pose[..., :2] / self._ratio(pose[..., 2:])
+
+    def _ratio(self, z: Tensor) -> Tensor:
+        # A point at or behind the pinhole has no image: hold it at a tenth of the distance.
+        return (1 + z / self.distance).clamp_min(0.1)
+
+
+Camera = Orthographic | Perspective
+
+
+def build_camera(name: str, distance: float) -> Camera:
+    """Return the camera called ``orthographic`` or ``perspective``."""
+    if name == "orthographic":
+        return Orthographic()
+    if name == "perspective":
+        if not distance > 1:
+            raise UserError(f"lifter.distance={distance}: expected more than 1 body radius.")
+        return Perspective(distance)
+    raise UserError(f"lifter.camera={name!r} is unknown.{did_you_mean(name, ('orthographic', 'perspective'))}")

@@ -1,0 +1,253 @@
+# PYTHON_ARGCOMPLETE_OK
+"""The command line: ``uplift VERB key=value ...``. Heavy imports wait for the verb that needs them."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Callable, Sequence
+
+from uplift import __version__
+from uplift.errors import UserError
+
+__all__ = ["main"]
+
+_VERBS = {
+    "fit": "train a lifter: fit task=NAME, or fit skeleton=NAME data.train=FILE; also resume=RUN",
+    "evaluate": "every protocol: evaluate run=RUN [data.test=FILE], or evaluate poses=FILE data.test=FILE",
+    "predict": "lift keypoints: predict run=RUN input=FILE output=FILE.html|.npz",
+    "simulate": "made-up bodies with exact poses: simulate skeleton=NAME output=FILE.npz [frames=20000 seed=0]",
+    "compare": "runs side by side: compare RUN RUN ...",
+    "tasks": "list the tasks and whether their data is present",
+    "skeletons": "list the shipped skeletons",
+    "skeleton": "skeleton check FILE [output=FILE.png]; skeleton new FILE",
+}
+_EXAMPLES = """examples:
+  uplift fit task=demo                                  no data needed: a minute or two, then a page to look at
+  uplift fit task=cmu trainer.max_time=00:04:00         any setting as key=value
+  uplift fit skeleton=beetle.yaml data.train=beetle.npz your own data
+  uplift evaluate run=runs/cmu/last
+  uplift predict run=runs/cmu/last input=keypoints.npz output=poses.html
+"""
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run one command; returns the exit status: 0, 2 for a user's mistake, 1 for ours, 130 for Ctrl-C."""
+    parser = _parser()
+    given = parser.parse_args(arguments)
+    if given.verb is None:
+        parser.print_help()
+        return 0
+    try:
+        _RUN[given.verb](given.settings)
+    except UserError as error:
+        print(f"uplift: {error}", file=sys.stderr)
+        return 2
+    except KeyboardInterrupt:
+        print("\nuplift: interrupted", file=sys.stderr)
+        return 130
+    except BrokenPipeError:
+        return 1
+    except MemoryError:
+        print("uplift: out of memory. Use fewer frames (data.select.fraction) or smaller batches.", file=sys.stderr)
+        return 1
+    except OSError as error:
+        where = f" ({error.filename})" if error.filename else ""
+        print(f"uplift: {error.strerror or error}{where}. What was saved before is whole.", file=sys.stderr)
+        return 1
+    return 0
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="uplift",
+        description="Lift 2D keypoints of anything to 3D, learning from 2D alone.",
+        epilog=_EXAMPLES,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("--version", action="version", version=f"uplift {__version__}")
+    verbs = parser.add_subparsers(dest="verb", metavar="VERB")
+    for verb, text in _VERBS.items():
+        sub = verbs.add_parser(verb, help=text, description=text)
+        words = sub.add_argument("settings", nargs="*", metavar="key=value" if verb != "compare" else "RUN")
+        words.completer = _complete(verb)  # type: ignore[attr-defined]
+    try:
+        import argcomplete
+
+        argcomplete.autocomplete(parser)
+    except ImportError:
+        pass
+    return parser
+
+
+def _complete(verb: str) -> Callable[..., list[str]]:
+    def complete(prefix: str, **rest: object) -> list[str]:
+        from uplift.paths import shipped_names
+        from uplift.task import setting_names
+
+        if verb == "skeleton":
+            return ["check", "new"]
+        known = {key: [""] for key in _KEYS.get(verb, ())}
+        if verb == "fit":
+            known |= {name: [""] for name in setting_names()} | {"resume": [""]}
+            known["task"] = [name for name in shipped_names("tasks") if name != "default"]
+        known["skeleton"] = shipped_names("skeletons")
+        return [f"{key}={value}" for key, values in known.items() for value in values]
+
+    return complete
+
+
+_KEYS = {
+    "evaluate": ("run", "poses", "data.test", "skeleton"),
+    "predict": ("run", "input", "output"),
+    "simulate": ("skeleton", "output", "frames", "seed", "noise_px", "missing"),
+}
+
+
+def _keyed(verb: str, words: Sequence[str], needed: Sequence[str]) -> dict[str, str]:
+    """Return the ``key=value`` words as a dict, refusing what the verb does not take."""
+    from uplift.errors import did_you_mean
+
+    found: dict[str, str] = {}
+    for word in words:
+        key, equals, value = word.partition("=")
+        if not equals or key not in _KEYS[verb]:
+            raise UserError(f"{verb}: '{word}' is not one of its settings.{did_you_mean(key, _KEYS[verb])}")
+        if not value:
+            raise UserError(f"{verb}: '{key}=' has no value.")
+        found[key] = value
+    for key in needed:
+        if key not in found:
+            raise UserError(f"{verb} needs {key}=... ({_VERBS[verb]})")
+    return found
+
+
+def _fit(words: Sequence[str]) -> None:
+    task, seeds, resume, overrides = None, ["0"], None, []
+    for word in words:
+        key, _, value = word.partition("=")
+        if key == "task":
+            task = value
+        elif key == "resume":
+            resume = value
+        elif key == "seed" and "," in value:
+            seeds = [seed.strip() for seed in value.split(",") if seed.strip()]
+        else:
+            overrides.append(word)
+    from uplift.task import load_settings
+
+    if resume is None:
+        load_settings(task, overrides)  # a typo answers before torch is imported
+    from uplift.training.budget import Interrupted
+    from uplift.verbs.compare import spread
+    from uplift.verbs.fit import fit
+
+    runs = []
+    try:
+        for seed in seeds:
+            more = [] if len(seeds) == 1 else [f"seed={seed}"]
+            runs.append(fit(task, *overrides, *more, resume=resume))
+    except Interrupted as stopped:
+        print(f"\nstopped and saved. Go on with: uplift fit resume={stopped}", file=sys.stderr)
+        raise KeyboardInterrupt from stopped
+    if len(runs) > 1:
+        print(f"\n{spread(runs)}")
+
+
+def _evaluate(words: Sequence[str]) -> None:
+    keys = _keyed("evaluate", words, ())
+    if ("run" in keys) == ("poses" in keys):
+        raise UserError(f"evaluate takes run=RUN or poses=FILE. ({_VERBS['evaluate']})")
+    from uplift.verbs.evaluate import evaluate, evaluate_poses
+
+    if "run" in keys:
+        if "skeleton" in keys:
+            raise UserError("evaluate run=...: the run knows its skeleton; skeleton= goes with poses=.")
+        print(evaluate(keys["run"], keys.get("data.test")).table())
+        from uplift.run import RunFolder
+
+        folder = RunFolder.open(keys["run"]).path
+        print(f"\nwrote {folder}/evaluation.json and evaluation.csv (older ones: evaluations/)")
+        print(f"next: uplift compare {folder} OTHER_RUN")
+        return
+    if "data.test" not in keys:
+        raise UserError("evaluate poses=FILE needs data.test=FILE with the true poses.")
+    print(evaluate_poses(keys["poses"], keys["data.test"], keys.get("skeleton")).table())
+
+
+def _predict(words: Sequence[str]) -> None:
+    keys = _keyed("predict", words, ("run", "input", "output"))
+    from uplift.verbs.predict import predict
+
+    found = predict(keys["run"], keys["input"], keys["output"])
+    print(f"lifted {len(found):,} frames of {found.skeleton.name}, unit {found.unit}")
+    print(f"wrote {keys['output']}")
+    if keys["output"].endswith(".html"):
+        print(f"look: open {keys['output']} in a browser")
+
+
+def _simulate(words: Sequence[str]) -> None:
+    keys = _keyed("simulate", words, ("skeleton", "output"))
+    numbers = {}
+    for key in ("frames", "seed", "noise_px", "missing"):
+        if key in keys:
+            kind = int if key in ("frames", "seed") else float
+            try:
+                numbers[key] = kind(keys[key])
+            except ValueError:
+                raise UserError(f"simulate: {key}={keys[key]!r}, expected a number.") from None
+    from uplift.verbs.simulate import simulate
+
+    data = simulate(keys["skeleton"], keys["output"], **numbers)  # type: ignore[arg-type]
+    print(f"simulated {len(data):,} frames of {keys['skeleton']}\nwrote {keys['output']}")
+    print(f"next: uplift fit skeleton={keys['skeleton']} data.train={keys['output']}")
+
+
+def _compare(words: Sequence[str]) -> None:
+    from uplift.verbs.compare import compare
+
+    print(compare(words))
+
+
+def _tasks(words: Sequence[str]) -> None:
+    from uplift.verbs.listing import list_tasks
+
+    _refuse(words, "tasks")
+    print(list_tasks())
+
+
+def _skeletons(words: Sequence[str]) -> None:
+    from uplift.verbs.listing import list_skeletons
+
+    _refuse(words, "skeletons")
+    print(list_skeletons())
+
+
+def _skeleton(words: Sequence[str]) -> None:
+    from uplift.verbs.skeleton import check_skeleton_file, new_skeleton_file
+
+    verbs = {"check": check_skeleton_file, "new": new_skeleton_file}
+    if not words or words[0] not in verbs:
+        raise UserError("skeleton: expected `uplift skeleton check FILE [output=FILE.png]` or `uplift skeleton new FILE`.")
+    for line in verbs[words[0]](list(words[1:])):
+        print(line)
+
+
+def _refuse(words: Sequence[str], verb: str) -> None:
+    if words:
+        raise UserError(f"{verb} takes no settings, found '{words[0]}'.")
+
+
+_RUN = {
+    "fit": _fit,
+    "evaluate": _evaluate,
+    "predict": _predict,
+    "simulate": _simulate,
+    "compare": _compare,
+    "tasks": _tasks,
+    "skeletons": _skeletons,
+    "skeleton": _skeleton,
+}
+
+if __name__ == "__main__":
+    sys.exit(main())

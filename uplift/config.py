@@ -1,0 +1,129 @@
+"""Every setting with its default and unit; a task file or ``key=value`` overrides them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any, Optional
+
+__all__ = [
+    "ChoiceSettings",
+    "DataSettings",
+    "LifterSettings",
+    "Settings",
+    "StageSettings",
+    "StudentSettings",
+    "TrainerSettings",
+    "ViewSettings",
+]
+
+# OmegaConf reads these annotations at run time, where "X | None" of a string is not resolved.
+
+
+@dataclass
+class ChoiceSettings:
+    """Which frames: all that match every key given. Values are compared as text."""
+
+    subject: list[str] = field(default_factory=list)
+    action: list[str] = field(default_factory=list)
+    sequence: list[str] = field(default_factory=list)
+    camera: list[str] = field(default_factory=list)
+    fraction: Optional[float] = None  # share of the frames left, as whole clips in seeded order
+
+
+@dataclass
+class DataSettings:
+    """Where the 2D keypoints come from."""
+
+    name: str = ""  # of the data set; its folder is $UPLIFT_DATA/<name>, else data/<name>
+    root: Optional[str] = None  # the folder of the set's own files, in place of the above
+    train: Optional[str] = None  # file of training keypoints
+    test: Optional[str] = None  # file to evaluate on after the fit
+    simulate: int = 0  # frames to simulate instead of reading a file
+    get: str = ""  # how to get the files, for the message when they are not there
+    select: ChoiceSettings = field(default_factory=ChoiceSettings)  # training frames to use
+    hold_out: ChoiceSettings = field(default_factory=ChoiceSettings)  # training frames kept for the test instead
+
+
+@dataclass
+class LifterSettings:
+    """The network and the geometry around it."""
+
+    network: str = "residual"  # kudo, residual, or file.py:Class
+    options: dict[str, Any] = field(default_factory=dict)  # of the network
+    camera: str = "perspective"  # or orthographic
+    distance: float = 10.0  # of the perspective camera, in mean 2D radii of the body
+    tilt: str = "predicted"  # camera tilt: predicted (per pose), learned (one for all), level
+    radius: str = "all"  # joints the normalising mean runs over: all, or without_root
+    root_free: bool = False  # leave the root's own depth in
+    confidence_input: bool = True  # the network sees confidence beside the keypoints
+    fill: bool = True  # the network says where missing joints are
+    both_ways: bool = True  # predict as the mean over the keypoints and their mirror image
+
+
+@dataclass
+class ViewSettings:
+    """How lifted poses are turned. Without gravity views are uniform on SO(3)."""
+
+    azimuth_deg: tuple[float, float] = (-180.0, 180.0)  # range about gravity
+    elevation: str = "batch"  # tilt of new views: batch (another pose's), normal (batch mean and sd), same
+    renormalise: bool = True  # bring views to mean radius 1, as real keypoints are
+    count_root: bool = True  # set from lifter.radius
+
+
+@dataclass
+class StageSettings:
+    """One stage of training and its optimiser."""
+
+    share: float = 1.0  # of the budget of the whole fit; 0 leaves the stage out
+    batch_size: int = 512
+    learning_rate: float = 5e-4
+    prior_learning_rate: Optional[float] = None  # of the priors' own parameters; the same if unset
+    beta1: float = 0.5
+    beta2: float = 0.999
+    weight_decay: float = 0.0  # L2, in Adam's gradient
+    decay_from: float = 0.6  # share of the stage after which the rate falls to 2 % (half a cosine)
+    average: Optional[float] = 0.999  # decay of the averaged weights; none if unset
+    mirror: bool = True  # show each frame mirrored half the time
+    hide: float = 0.0  # share of known joints hidden from the network in each step
+
+
+@dataclass
+class StudentSettings(StageSettings):
+    """The second stage: learn from the teacher's own poses, turned everywhere."""
+
+    share: float = 0.0
+
+
+@dataclass
+class TrainerSettings:
+    """How long, on what, and what is kept."""
+
+    max_time: Optional[str] = "00:10:00"  # hours:minutes:seconds of training; schedules stretch to it
+    max_steps: Optional[int] = None  # optimiser steps of the whole fit
+    max_epochs: Optional[float] = None  # the same in passes over the training frames
+    checkpoint_every: float = 60.0  # seconds between checkpoints
+    checkpoint_steps: Optional[int] = None  # optimiser steps between checkpoints, in place of seconds
+    log_every: int = 50  # steps between rows of metrics.csv
+    threads: Optional[int] = None  # of the CPU; the machine's cores if unset
+    accelerator: str = "auto"  # the rest goes to Lightning's Trainer as it is
+    devices: str = "auto"
+    precision: str = "32-true"
+    logger: Optional[str] = None  # beside metrics.csv: tensorboard, wandb
+
+
+@dataclass
+class Settings:
+    """All settings of a fit."""
+
+    task: str = ""  # name of the task file
+    description: str = ""
+    skeleton: str = ""  # a shipped name, or a YAML file
+    seed: int = 0
+    init: Optional[str] = None  # run whose weights to start from
+    data: DataSettings = field(default_factory=DataSettings)
+    lifter: LifterSettings = field(default_factory=LifterSettings)
+    views: ViewSettings = field(default_factory=ViewSettings)
+    priors: dict[str, Any] = field(default_factory=dict)  # name: {use, weight, the prior's own options}
+    teacher: StageSettings = field(default_factory=StageSettings)
+    student: StudentSettings = field(default_factory=StudentSettings)
+    trainer: TrainerSettings = field(default_factory=TrainerSettings)

@@ -1,0 +1,1 @@
+"""The data container, its checks, splits and tensors."""

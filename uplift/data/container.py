@@ -1,0 +1,102 @@
+"""The one container of 2D keypoints and what is known beside them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, fields, replace
+
+import numpy as np
+
+from uplift.errors import UserError
+
+__all__ = ["IDENTITY_KEYS", "PoseData"]
+
+IDENTITY_KEYS = ("subject", "action", "sequence", "camera", "frame", "instance")
+
+
+@dataclass
+class PoseData:
+    """Frames of 2D keypoints; poses where they are known.
+
+    Missing joints have confidence 0 and keypoint 0 once `uplift.data.clean.clean` has run; a
+    reader may leave NaN. The truth (`pose`, `root`, `tilt_deg`) is never an input of training
+    from 2D alone.
+    """
+
+    keypoints: np.ndarray
+    """(frames joints 2) float32, pixels, x right, y down."""
+    confidence: np.ndarray
+    """(frames joints) float32, 0..1, 0 = missing."""
+    joint_names: tuple[str, ...]
+    pose: np.ndarray | None = None
+    """(frames joints 3), camera frame, relative to the root joint, in `unit`."""
+    root: np.ndarray | None = None
+    """(frames 3), the root joint in the camera frame, in `unit`."""
+    unit: str = "mm"
+    identity: dict[str, np.ndarray] = field(default_factory=dict)
+    """Any of `IDENTITY_KEYS`, (frames,) each; one sequence seen by one camera is a clip."""
+    fps: float | None = None
+    image_size: tuple[int, int] | None = None
+    focal_px: float | None = None
+    tilt_deg: np.ndarray | None = None
+    """(frames,), down-tilt of the camera: gravity is (0, cos, sin) in the camera frame."""
+    root_filled: np.ndarray | None = None
+    """(frames,) bool: the root was missing and was filled from its neighbours."""
+    source: str = ""
+
+    def __post_init__(self) -> None:
+        self.joint_names = tuple(str(name) for name in self.joint_names)
+        frames, joints = self.keypoints.shape[:2]
+        expected = {
+            "keypoints": (frames, joints, 2),
+            "confidence": (frames, joints),
+            "pose": (frames, joints, 3),
+            "root": (frames, 3),
+            "tilt_deg": (frames,),
+            "root_filled": (frames,),
+        }
+        for name, shape in expected.items():
+            value = getattr(self, name)
+            if value is not None and value.shape != shape:
+                raise UserError(f"{self._where()}'{name}' has shape {value.shape}, expected {shape}.")
+        if len(self.joint_names) != joints:
+            raise UserError(
+                f"{self._where()}{len(self.joint_names)} joint names for {joints} joints in 'keypoints'."
+            )
+        for name, value in self.identity.items():
+            if value.shape != (frames,):
+                raise UserError(f"{self._where()}'{name}' has shape {value.shape}, expected {(frames,)}.")
+
+    def _where(self) -> str:
+        return f"{self.source}: " if self.source else ""
+
+    def __len__(self) -> int:
+        return len(self.keypoints)
+
+    def select(self, rows: np.ndarray) -> PoseData:
+        """Return the frames that ``rows`` (a mask or indices) picks, everything else unchanged."""
+        changed = {
+            item.name: getattr(self, item.name)[rows]
+            for item in fields(self)
+            if item.name in ("keypoints", "confidence", "pose", "root", "tilt_deg", "root_filled")
+            and getattr(self, item.name) is not None
+        }
+        return replace(self, **changed, identity={key: value[rows] for key, value in self.identity.items()})
+
+    def without_truth(self) -> PoseData:
+        """Return the same frames with everything that came from 3D taken out."""
+        return replace(self, pose=None, root=None, tilt_deg=None)
+
+    def clips(self) -> np.ndarray:
+        """Return (frames,) clip numbers: frames of one subject, sequence, camera and instance.
+
+        Frames without a ``sequence`` are clips of their own: nothing says that neighbours in the
+        file are neighbours in time.
+        """
+        if "sequence" not in self.identity:
+            return np.arange(len(self))
+        keys = [self.identity[k] for k in ("subject", "sequence", "camera", "instance") if k in self.identity]
+        clip = np.zeros(len(self), np.int64)
+        for key in keys:
+            _, code = np.unique(key, return_inverse=True)
+            _, clip = np.unique(clip * (code.max(initial=0) + 1) + code, return_inverse=True)
+        return clip

@@ -1,0 +1,136 @@
+"""From settings to cleaned `PoseData` in the skeleton's joints: find, read, match, clean, split."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from uplift.config import DataSettings, Settings
+from uplift.data.clean import clean
+from uplift.data.container import PoseData
+from uplift.data.split import chosen_rows
+from uplift.errors import UserError
+from uplift.skeleton.matching import build_joints, build_pose
+from uplift.paths import data_root
+from uplift.readers import read
+from uplift.skeleton import Skeleton
+
+__all__ = ["Loaded", "find_data", "in_joints_of", "load_data", "load_file"]
+
+
+@dataclass(frozen=True)
+class Loaded:
+    """What a fit trains on and is evaluated on, and what was noticed on the way."""
+
+    train: PoseData
+    test: PoseData | None
+    notes: list[str]
+
+
+def load_data(settings: Settings, skeleton: Skeleton) -> Loaded:
+    """Return the training and test frames that ``settings.data`` names.
+
+    Raises:
+        UserError: a file that is missing or wrong, other joints, no frames left.
+    """
+    chosen = settings.data
+    if chosen.simulate:
+        train, test = _simulated(settings, skeleton)
+    else:
+        train = load_file(find_data(settings, "train"), skeleton)
+        test = load_file(find_data(settings, "test"), skeleton) if chosen.test else None
+    held_out = _wanted(chosen.hold_out)
+    if held_out:
+        if test is not None:
+            raise UserError("data.test and data.hold_out are both set: the test frames come from one of them.")
+        mask = chosen_rows(train, held_out, settings.seed)
+        if mask.all():
+            raise UserError(f"data.hold_out={held_out} leaves no frame to train on.")
+        test, train = train.select(mask), train.select(~mask)
+    wanted = _wanted(chosen.select)
+    if wanted:
+        train = train.select(chosen_rows(train, wanted, settings.seed))
+    notes = [f"train: {len(train):,} frames from {train.source}"]
+    train, report = clean(train, skeleton)
+    notes += report.lines()
+    if test is not None:
+        test, report = clean(test, skeleton)
+        notes += [f"test: {len(test):,} frames from {test.source}", *report.lines()]
+    return Loaded(train, test, notes)
+
+
+def _wanted(choice) -> dict:
+    return {key: value for key, value in vars(choice).items() if value not in (None, [])}
+
+
+def _simulated(settings: Settings, skeleton: Skeleton) -> tuple[PoseData, PoseData]:
+    from uplift.simulate import simulate
+
+    frames = settings.data.simulate
+    train = replace(simulate(skeleton, frames, seed=settings.seed), source=f"simulated {skeleton.name}")
+    # Other bodies, motions and cameras than any training seed's.
+    test = simulate(skeleton, max(200, frames // 10), seed=settings.seed + 2**31)
+    return train, replace(test, source=f"simulated {skeleton.name}, other bodies")
+
+
+def find_data(settings: Settings, which: str) -> Path:
+    """Return the path of the ``train`` or ``test`` file; a UserError that says how to get it where it is not."""
+    data = settings.data
+    name = getattr(data, which)
+    if not name:
+        raise UserError(
+            "No training data: set data.train=FILE (with skeleton=...), or a task that names its own (`uplift tasks`). "
+            "`uplift fit task=demo` needs no data."
+        )
+    path = Path(name) if Path(name).is_absolute() else data_root(data.name, data.root) / name
+    if path.exists():
+        return path
+    raise UserError(missing_data(settings.task, data, path))
+
+
+def missing_data(task: str, data: DataSettings, path: Path) -> str:
+    """Return the message for a file that is not there."""
+    lines = [f"No file {path.absolute()}" + (f", which task '{task}' needs." if task else ".")]
+    if data.get:
+        lines.append(f"Get it: {data.get.strip()}")
+    if data.name and not Path(data.name).is_absolute():
+        lines.append(
+            f"Put it there, or say where it is: data.root=FOLDER, or UPLIFT_DATA=FOLDER with a subfolder {data.name}/."
+        )
+    lines.append("`uplift fit task=demo` runs without any data.")
+    return "\n".join(lines)
+
+
+def load_file(path: str | Path, skeleton: Skeleton) -> PoseData:
+    """Read a keypoint file and bring it into the joints of ``skeleton``, matched by name."""
+    return in_joints_of(read(path), skeleton)
+
+
+def in_joints_of(data: PoseData, skeleton: Skeleton) -> PoseData:
+    """Return ``data`` with the skeleton's joints in its order, poses relative to its root.
+
+    Raises:
+        UserError: the joints do not fit the skeleton.
+    """
+    try:
+        keypoints, confidence, _ = build_joints(data.keypoints, data.confidence, data.joint_names, skeleton)
+        pose = None if data.pose is None else build_pose(data.pose, data.joint_names, skeleton)
+    except UserError as error:
+        raise UserError(f"{data.source}: {error}" if data.source else str(error)) from None
+    root = data.root
+    if pose is not None:
+        shift = pose[:, skeleton.root_index]
+        root = None if root is None else (root + np.nan_to_num(shift)).astype(np.float32)
+        pose = (pose - shift[:, None]).astype(np.float32)
+    return replace(
+        data,
+        keypoints=keypoints.astype(np.float32),
+        confidence=confidence.astype(np.float32),
+        joint_names=skeleton.joints,
+        pose=pose,
+        root=root,
+    )
+
+

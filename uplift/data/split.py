@@ -1,0 +1,72 @@
+"""Choose frames by subject, action, sequence, camera, or a fraction of the clips."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from uplift.data.container import PoseData
+from uplift.errors import UserError, did_you_mean
+
+__all__ = ["chosen_clips", "chosen_rows"]
+
+_BY = ("subject", "action", "sequence", "camera")
+
+
+def chosen_rows(data: PoseData, choice: Mapping[str, Sequence[str] | float | None], seed: int = 0) -> np.ndarray:
+    """Return a (frames,) mask of the frames that ``choice`` names.
+
+    ``choice`` maps any of subject, action, sequence, camera to the values wanted (compared as
+    text; all given keys must hold), and ``fraction`` to a share of the frames that are left,
+    taken as whole clips in seeded order.
+
+    Raises:
+        UserError: the file has no such key, or no frame has such a value.
+    """
+    where = data.source or "the data"
+    mask = np.ones(len(data), bool)
+    for key in _BY:
+        wanted = choice.get(key)
+        if not wanted:
+            continue
+        if key not in data.identity:
+            have = ", ".join(sorted(data.identity)) or "none"
+            raise UserError(f"{where}: cannot choose by {key}: the file has no '{key}' (identity keys: {have}).")
+        values = data.identity[key].astype(str)
+        for value in wanted:  # type: ignore[union-attr]
+            if not (values == str(value)).any():
+                raise UserError(
+                    f"{where}: no frame with {key} '{value}'.{did_you_mean(str(value), np.unique(values))}"
+                )
+        mask &= np.isin(values, [str(value) for value in wanted])  # type: ignore[union-attr]
+    fraction = choice.get("fraction")
+    if fraction is not None and fraction != 1:
+        rows = np.flatnonzero(mask)
+        mask[:] = False
+        mask[rows[chosen_clips(data.clips()[rows], float(fraction), seed)]] = True  # type: ignore[arg-type]
+    if not mask.any():
+        raise UserError(f"{where}: no frame is left after choosing {dict(choice)}.")
+    return mask
+
+
+def chosen_clips(clip: np.ndarray, fraction: float, seed: int) -> np.ndarray:
+    """Return a (frames,) mask of whole clips in seeded order, the last cut to reach ``fraction``.
+
+    The same clips and seed always give the same mask, and a larger fraction contains a smaller
+    one.
+
+    Raises:
+        UserError: a fraction outside (0, 1], or one that leaves no frame.
+    """
+    if not 0 < fraction <= 1:
+        raise UserError(f"A fraction of {fraction} was asked for, expected more than 0 and at most 1.")
+    wanted = round(fraction * len(clip))
+    if wanted == 0:
+        raise UserError(f"A fraction of {fraction} of {len(clip):,} frames is less than one frame.")
+    names, code = np.unique(clip, return_inverse=True)
+    rank = np.random.default_rng(seed).permutation(len(names))[code]
+    order = np.argsort(rank, kind="stable")
+    mask = np.zeros(len(clip), bool)
+    mask[order[:wanted]] = True
+    return mask

@@ -1,0 +1,77 @@
+"""The whole training set as tensors on one device: indexed, never loaded again."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields, replace
+
+import torch
+from jaxtyping import Float, Int
+from torch import Tensor
+
+from uplift.data.container import PoseData
+from uplift.pose import normalise
+from uplift.skeleton import Skeleton
+
+__all__ = ["Batch", "TrainingSet"]
+
+
+@dataclass(frozen=True)
+class TrainingSet:
+    """Normalised keypoints of every training frame. Nothing in it came from 3D but `labels`."""
+
+    skeleton: Skeleton
+    keypoints: Float[Tensor, "frames joints 2"]
+    """About the root, mean radius 1; missing joints are 0."""
+    confidence: Float[Tensor, "frames joints"]
+    """0..1; 0 = missing."""
+    scale: Float[Tensor, " frames"]
+    """Pixels per unit."""
+    clip: Int[Tensor, " frames"]
+    """Frames with one number follow each other in time, in the order of the file."""
+    labels: Float[Tensor, "frames joints 3"] | None = None
+    """True poses in units, NaN where unlabelled; None in training from 2D alone."""
+
+    @classmethod
+    def of(cls, data: PoseData, skeleton: Skeleton, *, count_root: bool = True) -> TrainingSet:
+        """Return the training set of cleaned ``data``; its `pose`, `root` and `tilt_deg` are not looked at."""
+        keypoints, confidence = torch.from_numpy(data.keypoints), torch.from_numpy(data.confidence)
+        normal = normalise(keypoints, confidence, skeleton.root_index, count_root=count_root)
+        return cls(skeleton, normal.keypoints, confidence, normal.scale_px, torch.from_numpy(data.clips()))
+
+    def __len__(self) -> int:
+        return len(self.keypoints)
+
+    def to(self, device: torch.device | str) -> TrainingSet:
+        """Return the same set on ``device``."""
+        moved = {f.name: getattr(self, f.name) for f in fields(self) if f.name != "skeleton"}
+        return replace(self, **{k: None if v is None else v.to(device) for k, v in moved.items()})
+
+    def draw(self, rows: Int[Tensor, " batch"]) -> Batch:
+        """Return the frames of ``rows``."""
+        labels = None if self.labels is None else self.labels[rows]
+        return Batch(self.keypoints[rows], self.confidence[rows], self.scale[rows], labels)
+
+
+@dataclass(frozen=True)
+class Batch:
+    """Some frames of a `TrainingSet`."""
+
+    keypoints: Float[Tensor, "batch joints 2"]
+    confidence: Float[Tensor, "batch joints"]
+    scale: Float[Tensor, " batch"]
+    labels: Float[Tensor, "batch joints 3"] | None = None
+
+    def __len__(self) -> int:
+        return len(self.keypoints)
+
+    def mirrored(self, which: Tensor, permutation: Tensor) -> Batch:
+        """Return the batch with the frames of the mask ``which`` seen in a mirror."""
+
+        def swap(value: Tensor) -> Tensor:
+            flipped = value[:, permutation]
+            if value.ndim == 3:
+                flipped = torch.cat([-flipped[..., :1], flipped[..., 1:]], -1)
+            return torch.where(which.view(-1, *[1] * (value.ndim - 1)), flipped, value)
+
+        labels = None if self.labels is None else swap(self.labels)
+        return Batch(swap(self.keypoints), swap(self.confidence), self.scale, labels)

@@ -1,0 +1,29 @@
+"""The one error that means "the user can mend this", and the nearest-name hint that goes into it."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterable
+
+__all__ = ["UserError", "did_you_mean"]
+
+
+class UserError(Exception):
+    """A mistake in what the user gave: a file, a setting, a name.
+
+    The message says what was found, what was expected, where, and what to do. The command line
+    prints it without a traceback and exits with status 2.
+    """
+
+
+def did_you_mean(found: str, valid: Iterable[str]) -> str:
+    """Return a hint such as ``" Did you mean 'rknee'?"``, or the valid names where none is near."""
+    names = [str(name) for name in valid]
+    by_folded = {name.casefold(): name for name in names}
+    near = difflib.get_close_matches(str(found).casefold(), by_folded, n=1, cutoff=0.6)
+    if near:
+        return f" Did you mean '{by_folded[near[0]]}'?"
+    if not names:
+        return ""
+    shown = ", ".join(names[:30]) + (", ..." if len(names) > 30 else "")
+    return f" Valid: {shown}."

@@ -1,0 +1,153 @@
+"""All protocols of one prediction against one truth: overall, per action, per subject and per joint."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+import numpy as np
+from jaxtyping import Float
+
+from .evaluation_match import match_poses
+from .evaluation_report import Evaluation
+from .evaluation_scores import Matched, Scores, score
+from .metrics import elevation_deg
+from .plausibility import bone_cv, bone_lengths, facing_sign, has_handedness
+from .protocols import ACTION_MEAN, is_error, protocol_order
+from uplift.skeleton import Skeleton
+
+if TYPE_CHECKING:
+    from .data.container import PoseData
+    from .prediction import Prediction
+
+__all__ = ["Evaluation", "GivenPoses", "evaluate", "flat_depth"]
+
+
+@dataclass(frozen=True)
+class GivenPoses:
+    """Anybody's 3D poses: camera frame, relative to the root, in the frames' order of the truth."""
+
+    pose: Float[np.ndarray, "frames joints 3"]
+    joint_names: tuple[str, ...]
+    unit: str = "relative"
+    """``mm`` (or whatever the truth's is) for a metric pose; ``px`` or ``relative`` for one without scale."""
+    tilt_deg: Float[np.ndarray, " frames"] | None = None
+    """The camera's estimated down-tilt."""
+    identity: Mapping[str, np.ndarray] = field(default_factory=dict)
+    """Checked against the truth's where both have a key."""
+    source: str = ""
+
+
+def flat_depth(
+    keypoints: Float[np.ndarray, "frames joints 2"], root: int
+) -> Float[np.ndarray, "frames joints 3"]:
+    """Return the observed 2D relative to the root with z = 0: the error that any lifter must beat."""
+    centred = keypoints - keypoints[:, root, None]
+    return np.concatenate([centred, np.zeros_like(centred[..., :1])], -1)
+
+
+def evaluate(
+    prediction: GivenPoses | Prediction, truth: PoseData, skeleton: Skeleton, data: str = ""
+) -> Evaluation:
+    """Return every protocol that the data allows, over the joints of ``skeleton``, matched by name.
+
+    A joint counts where it was visible in 2D (confidence above 0) and both poses know it; the error
+    of joints that the prediction filled in is reported beside it as ``*_missing``. Frames with fewer
+    than three joints that count are left out. ``data`` names the truth in the report.
+
+    Raises:
+        UserError: no truth, other joints, other frames, or nothing left to compare.
+    """
+    matched, kept, notes = match_poses(prediction, truth, skeleton)
+    scores = score(matched)
+    if prediction.tilt_deg is not None and truth.tilt_deg is not None:
+        scores.frames["elevation_deg"] = elevation_deg(prediction.tilt_deg, truth.tilt_deg)[kept]
+    actions, subjects = (_groups(truth.identity, key, kept) for key in ("action", "subject"))
+    per_action = _per_group(scores, *actions)
+    return Evaluation(
+        data=data or truth.source,
+        overall=_overall(scores, per_action, subjects[1], matched.coverage),
+        per_action=per_action,
+        per_joint=_per_joint(scores, skeleton),
+        per_subject=_per_group(scores, *subjects),
+        unit=truth.unit,
+        frames=len(matched.pose),
+        action_frames={name: int((actions[1] == place).sum()) for place, name in enumerate(actions[0])},
+        notes=[*notes, *_truth_notes(matched, scores, subjects[1])],
+    )
+
+
+def _groups(identity: Mapping[str, np.ndarray], key: str, kept: np.ndarray) -> tuple[list[str], np.ndarray]:
+    """Return the names of the groups and each kept frame's group; no names and one group without the key."""
+    if key not in identity:
+        return [], np.zeros(int(kept.sum()), np.int64)
+    names, code = np.unique(np.asarray(identity[key])[kept], return_inverse=True)
+    return [str(name) for name in names], code
+
+
+def _per_group(scores: Scores, names: list[str], code: np.ndarray) -> dict[str, dict[str, float]]:
+    """Return the mean of every protocol in each group (the median of elevation_deg), where it has values."""
+    groups: dict[str, dict[str, float]] = {name: {} for name in names}
+    for protocol in sorted(scores.frames, key=protocol_order):
+        values = scores.frames[protocol]
+        known = np.isfinite(values)
+        count = np.bincount(code[known], minlength=len(names))
+        if protocol == "elevation_deg":
+            figures = [np.median(values[known & (code == g)]) if count[g] else 0.0 for g in range(len(names))]
+        else:
+            figures = np.bincount(code[known], values[known], minlength=len(names)) / np.maximum(count, 1)
+        for place, name in enumerate(names):
+            if count[place]:
+                groups[name][protocol] = float(figures[place])
+    return groups
+
+
+def _overall(
+    scores: Scores, per_action: dict[str, dict[str, float]], subject: np.ndarray, coverage: float
+) -> dict[str, float]:
+    """Return the means over frames, the means of action means beside them, and what is not per frame."""
+    overall = _per_group(scores, ["all"], np.zeros(len(subject), np.int64))["all"]
+    for name in [name for name in overall if is_error(name)]:
+        of_actions = [values[name] for values in per_action.values() if name in values]
+        if of_actions:
+            overall[name + ACTION_MEAN] = float(np.mean(of_actions))
+    steady = bone_cv(scores.lengths, subject)
+    if np.isfinite(steady):
+        overall["bone_cv"] = steady
+    if coverage < 1:
+        overall["coverage"] = coverage
+    return {name: overall[name] for name in sorted(overall, key=protocol_order)}
+
+
+def _per_joint(scores: Scores, skeleton: Skeleton) -> dict[str, dict[str, float]]:
+    """Return each joint's mean of every protocol that has one value a joint."""
+    return {
+        joint: {
+            name: float(scores.joints[name][place])
+            for name in sorted(scores.joints, key=protocol_order)
+            if np.isfinite(scores.joints[name][place])
+        }
+        for place, joint in enumerate(skeleton.joints)
+    }
+
+
+def _truth_notes(matched: Matched, scores: Scores, subject: np.ndarray) -> list[str]:
+    """Return what the truth itself scores where that is not perfect, and why protocols are absent."""
+    notes = []
+    truth = np.where((matched.weight > 0)[..., None], matched.truth, np.nan)
+    lengths = bone_lengths(truth, matched.skeleton)
+    if has_handedness(matched.skeleton):
+        signs = facing_sign(truth, matched.skeleton)
+        if np.isfinite(signs).any():
+            notes.append(f"facing_sign of the truth itself: {np.nanmean(signs):.3f}")
+    else:
+        notes.append(f"no facing_sign: skeleton '{matched.skeleton.name}' gives no handedness")
+    steady = bone_cv(lengths, subject)
+    if np.isfinite(steady):
+        notes.append(f"bone_cv of the truth itself: {steady:.4f}")
+    if matched.previous is None:
+        notes.append("no mpjve: sequence, camera and frame do not tell which frame follows which")
+    if not np.isfinite(scores.frames.get("mpjve", np.zeros(1))).any():
+        notes.append("no mpjve: no two frames that are compared follow each other")
+    return notes

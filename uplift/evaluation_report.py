@@ -1,0 +1,164 @@
+"""What an evaluation found, and how it is told: as plain data, as CSV, as a table for the terminal."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from .protocols import ACTION_MEAN, protocol_kind, protocol_meaning, protocol_unit
+
+__all__ = ["Evaluation"]
+
+_PAPER_COLUMNS = {
+    "Direct.": ("directions", "direction"),
+    "Discuss": ("discussion", "discuss"),
+    "Eating": ("eating",),
+    "Greet": ("greeting", "greet"),
+    "Phone": ("phoning", "phone"),
+    "Photo": ("photo", "takingphoto"),
+    "Pose": ("posing", "pose"),
+    "Purch.": ("purchases", "purchase"),
+    "Sitting": ("sitting",),
+    "SittingD": ("sittingdown", "sittingd"),
+    "Smoke": ("smoking", "smoke"),
+    "Wait": ("waiting", "wait"),
+    "WalkD": ("walkdog", "walkingdog", "walkd"),
+    "Walk": ("walking", "walk"),
+    "WalkT": ("walktogether", "walkingtogether", "walkt"),
+}
+_HEADLINE = ("mpjpe", "mpjpe_gt_scale", "n_mpjpe", "p_mpjpe", "pck@150", "facing")
+_MAX_ROWS = 20
+
+
+@dataclass(frozen=True)
+class Evaluation:
+    """The protocols of one prediction against one truth; lengths in ``unit``, shares from 0 to 1."""
+
+    data: str
+    overall: dict[str, float]
+    per_action: dict[str, dict[str, float]]
+    per_joint: dict[str, dict[str, float]]
+    per_subject: dict[str, dict[str, float]]
+    unit: str
+    frames: int
+    action_frames: dict[str, int] = field(default_factory=dict)
+    notes: list[str] = field(default_factory=list)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return plain data for evaluation.json; protocols that do not apply are absent."""
+        return {
+            "data": self.data,
+            "unit": self.unit,
+            "frames": self.frames,
+            "overall": self.overall,
+            "per_action": self.per_action,
+            "per_joint": self.per_joint,
+            "per_subject": self.per_subject,
+            "notes": self.notes,
+        }
+
+    def write_csv(self, path: str | Path) -> None:
+        """Write one figure a row: group (overall, action, subject, joint), name, protocol, value, unit."""
+        with Path(path).open("w", newline="", encoding="utf-8") as file:
+            writer = csv.writer(file)
+            writer.writerow(["group", "name", "protocol", "value", "unit"])
+            for group, name, protocol, value in self._figures():
+                writer.writerow([group, name, protocol, repr(value), protocol_unit(protocol, self.unit)])
+
+    def _figures(self) -> Iterator[tuple[str, str, str, float]]:
+        parts = {"action": self.per_action, "subject": self.per_subject, "joint": self.per_joint}
+        yield from (("overall", "", protocol, value) for protocol, value in self.overall.items())
+        for group, members in parts.items():
+            for name, values in members.items():
+                yield from ((group, name, protocol, value) for protocol, value in values.items())
+
+    def table(self) -> str:
+        """Return all of it as aligned plain text for the terminal."""
+        parts = [f"{self.data or 'evaluation'}: {self.frames:,} frames", self._overall_table()]
+        if self.per_action:
+            parts.append(self._action_table())
+        parts += [self._joint_table(), "\n".join(f"- {note}" for note in self.notes)]
+        return "\n\n".join(part for part in parts if part)
+
+    def _overall_table(self) -> str:
+        means = any(name.endswith(ACTION_MEAN) for name in self.overall)
+        head = ["protocol", "value", *(["mean of actions"] if means else []), "unit", "meaning"]
+        rows = []
+        for name in (name for name in self.overall if not name.endswith(ACTION_MEAN)):
+            of_actions = self.overall.get(name + ACTION_MEAN)
+            mean = ["" if of_actions is None else _figure(name, of_actions)] if means else []
+            figures = [_figure(name, self.overall[name]), *mean]
+            rows.append([name, *figures, protocol_unit(name, self.unit), protocol_meaning(name)])
+        return _columns([head, *rows], left=(0, len(head) - 2, len(head) - 1))
+
+    def _action_table(self) -> str:
+        paper = _paper_order(list(self.per_action))
+        names = [name for name in _HEADLINE if any(name in values for values in self.per_action.values())]
+        if paper:
+            head = ["per action", *paper, "Avg"]
+            cells = {name: [self._cell(action, name) for action in paper.values()] for name in names}
+            return _columns([head, *([name, *cells[name], self._mean(name)] for name in names)])
+        shown = list(self.per_action)
+        if len(shown) > _MAX_ROWS:
+            largest = sorted(shown, key=lambda action: -self.action_frames.get(action, 0))[:_MAX_ROWS]
+            shown = sorted(largest)
+        head = ["per action", "frames", *names]
+        counts = {action: f"{self.action_frames.get(action, 0):,}" for action in shown}
+        rows = [
+            [_short(action), counts[action], *(self._cell(action, name) for name in names)]
+            for action in shown
+        ]
+        rows.append(["mean of all actions", f"{self.frames:,}", *(self._mean(name) for name in names)])
+        more = len(self.per_action) - len(shown)
+        rest = f"\n({more} more actions, with fewer frames: in the JSON and CSV files)" if more else ""
+        return _columns([head, *rows]) + rest
+
+    def _cell(self, action: str, name: str) -> str:
+        values = self.per_action[action]
+        return _figure(name, values[name]) if name in values else "-"
+
+    def _mean(self, name: str) -> str:
+        values = [of[name] for of in self.per_action.values() if name in of]
+        return _figure(name, sum(values) / len(values))
+
+    def _joint_table(self) -> str:
+        names = [name for name in _HEADLINE if any(name in values for values in self.per_joint.values())]
+        rows = [
+            [joint, *(_figure(name, values[name]) if name in values else "-" for name in names)]
+            for joint, values in self.per_joint.items()
+        ]
+        return _columns([["per joint", *names], *rows])
+
+
+def _paper_order(actions: list[str]) -> dict[str, str] | None:
+    """Return the paper's column -> our action, in its order; None where an action is not the paper's."""
+    plain = {
+        "".join(letter for letter in action.casefold() if letter.isalpha()): action for action in actions
+    }
+    found = {
+        column: plain[name] for column, known in _PAPER_COLUMNS.items() for name in known if name in plain
+    }
+    return found if len(found) == len(actions) and len(plain) == len(actions) else None
+
+
+def _figure(name: str, value: float) -> str:
+    return f"{value:.3f}" if protocol_kind(name) == "share" else f"{value:.1f}"
+
+
+def _short(text: str, limit: int = 32) -> str:
+    return text if len(text) <= limit else text[: limit - 1] + "…"
+
+
+def _columns(rows: list[list[str]], left: tuple[int, ...] = (0,)) -> str:
+    """Return rows as aligned text: the ``left`` columns to the left, the others to the right."""
+    widths = [max(len(row[place]) for row in rows) for place in range(len(rows[0]))]
+    lines = []
+    for row in rows:
+        cells = (
+            c.ljust(w) if i in left else c.rjust(w) for i, (c, w) in enumerate(zip(row, widths, strict=True))
+        )
+        lines.append("  ".join(cells).rstrip())
+    return "\n".join(lines)

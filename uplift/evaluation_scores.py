@@ -1,0 +1,181 @@
+"""Every protocol of one prediction against one truth, per frame and per joint, chunk by chunk."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from .alignment import ALIGNED_ERRORS, align
+from .metrics import flip_depth, frame_mean, joint_errors, mpjve, not_flipped, share_above, stress
+from .plausibility import bone_lengths, facing_sign, has_handedness, mirrored_bones, symmetry
+from .protocols import MISSING
+from uplift.skeleton import Skeleton
+
+__all__ = ["FLIPPED_ERRORS", "Matched", "Scores", "previous_frames", "score"]
+
+FLIPPED_ERRORS = ("mpjpe_gt_scale", "n_mpjpe", "p_mpjpe")
+"""The errors that have a ``*_best_of_flip``."""
+
+_CHUNK = 8192
+_CLIP_KEYS = ("subject", "sequence", "camera", "instance")
+
+
+@dataclass(frozen=True)
+class Matched:
+    """A prediction and its truth over the same frames, in the skeleton's order of joints."""
+
+    pose: Float[np.ndarray, "frames joints 3"]
+    truth: Float[np.ndarray, "frames joints 3"]
+    weight: Float[np.ndarray, "frames joints"]
+    """1 for joints that were visible in 2D and are known in both poses, else 0."""
+    unseen: Float[np.ndarray, "frames joints"]
+    """1 for joints that were missing in 2D and are known in both poses, else 0."""
+    skeleton: Skeleton
+    metric: bool
+    """The prediction is in the truth's unit of length."""
+    in_mm: bool
+    previous: Int[np.ndarray, " frames"] | None = None
+    """The row of the frame before in the clip, or -1; None where clips are not known."""
+    coverage: float = 1.0
+    """The share of the joints known in 2D and in the truth that the prediction has, over all frames."""
+
+    def rows(self, rows: Int[np.ndarray, " rows"]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return pose and truth in double precision and the weight of some rows."""
+        return self.pose[rows].astype(np.float64), self.truth[rows].astype(np.float64), self.weight[rows]
+
+
+@dataclass
+class Scores:
+    """What `score` measured; names are those of the protocols."""
+
+    frames: dict[str, Float[np.ndarray, " frames"]] = field(default_factory=dict)
+    """Per frame, NaN where a protocol does not apply."""
+    joints: dict[str, Float[np.ndarray, " joints"]] = field(default_factory=dict)
+    """Mean over the frames in which the joint counts, NaN where it never does."""
+    lengths: Float[np.ndarray, "frames bones"] = field(default_factory=lambda: np.empty((0, 0)))
+    """Bone lengths at the metric or `n_mpjpe` scale."""
+
+
+def score(matched: Matched) -> Scores:
+    """Return every protocol the data allows; memory stays that of one chunk beside the results."""
+    frames: dict[str, list[np.ndarray]] = {}
+    sums: dict[str, np.ndarray] = {}
+    lengths = []
+    total = len(matched.pose)
+    for start in range(0, total, _CHUNK):
+        rows = np.arange(start, min(start + _CHUNK, total))
+        by_joint, by_frame, bones = _score_rows(matched, rows)
+        weight = matched.weight[rows]
+        for name, values in by_joint.items():
+            sums[name] = sums.get(name, 0.0) + np.where(weight > 0, values, 0).sum(0)
+            by_frame[name] = frame_mean(values, weight)
+        for name in (name for name in ("mpjpe", *FLIPPED_ERRORS) if name in by_joint):
+            by_frame[name + MISSING] = frame_mean(by_joint[name], matched.unseen[rows])
+        for name, values in by_frame.items():
+            frames.setdefault(name, []).append(values)
+        lengths.append(bones.astype(np.float32))
+    often = matched.weight.sum(0)
+    often[often == 0] = np.nan
+    return Scores(
+        frames={name: np.concatenate(parts) for name, parts in frames.items()},
+        joints={name: part / often for name, part in sums.items()},
+        lengths=np.concatenate(lengths),
+    )
+
+
+def _score_rows(matched: Matched, rows: np.ndarray):
+    """Return what is measured per joint, what per frame, and the bone lengths, of some rows."""
+    pose, truth, weight = matched.rows(rows)
+    by_joint, facing = _errors(matched, pose, truth, weight)
+    scaled = align(_scale_of(matched), pose, truth, matched.skeleton.root_index, weight)
+    if matched.in_mm:
+        by_joint["pck@150"] = (by_joint[_scale_of(matched)] < 150.0).astype(np.float64)
+        by_joint["auc"] = share_above(by_joint[_scale_of(matched)])
+        by_joint["pck_z@150"] = (np.abs(scaled - truth)[..., 2] < 150.0).astype(np.float64)
+    by_frame = {"stress": stress(scaled, truth, weight), "facing": facing}
+    if matched.previous is not None:
+        by_frame["mpjve"] = _velocity_error(matched, rows)
+    seen = np.where((weight > 0)[..., None], scaled, np.nan)
+    if has_handedness(matched.skeleton):
+        known = np.where((weight > 0)[..., None], pose, np.nan)
+        by_frame["facing_sign"] = facing_sign(known, matched.skeleton)
+    lengths = bone_lengths(seen, matched.skeleton)
+    pairs = mirrored_bones(matched.skeleton)
+    if len(pairs):
+        by_frame["symmetry"] = symmetry(lengths, pairs)
+    return by_joint, by_frame, lengths
+
+
+def _scale_of(matched: Matched) -> str:
+    return "mpjpe" if matched.metric else "n_mpjpe"
+
+
+def _errors(matched: Matched, pose, truth, weight) -> tuple[dict[str, np.ndarray], np.ndarray]:
+    """Return the joint errors of every alignment, and `facing`, which shares two of them."""
+    root = matched.skeleton.root_index
+    names = [name for name in ALIGNED_ERRORS if matched.metric or name != "mpjpe"]
+    errors = {name: joint_errors(name, pose, truth, root, weight) for name in names}
+    flipped = flip_depth(pose)
+    facing = np.empty(0)
+    for name in FLIPPED_ERRORS:
+        other = joint_errors(name, flipped, truth, root, weight)
+        kept_mean, other_mean = frame_mean(errors[name], weight), frame_mean(other, weight)
+        errors[f"{name}_best_of_flip"] = np.where((other_mean < kept_mean)[:, None], other, errors[name])
+        if name == "p_mpjpe":
+            facing = not_flipped(kept_mean, other_mean)
+    return errors, facing
+
+
+def _velocity_error(matched: Matched, rows: np.ndarray) -> np.ndarray:
+    """Return `mpjve` of some rows; frames before them may lie in another chunk, so they are aligned again."""
+    assert matched.previous is not None
+    values = np.full(len(rows), np.nan)
+    later = np.flatnonzero(matched.previous[rows] >= 0)
+    count = len(later)
+    if count:
+        pose, truth, weight = matched.rows(np.concatenate([rows[later], matched.previous[rows[later]]]))
+        scaled = align(_scale_of(matched), pose, truth, matched.skeleton.root_index, weight)
+        previous = np.concatenate([np.arange(count) + count, np.full(count, -1)])
+        values[later] = mpjve(scaled, truth, previous, weight)[:count]
+    return values
+
+
+def previous_frames(identity: Mapping[str, np.ndarray]) -> Int[np.ndarray, " frames"] | None:
+    """Return the row of the frame before each in its clip, -1 without one; None where clips are not known.
+
+    A clip is one sequence of one subject seen by one camera. Its step is the most common difference
+    of its ``frame`` numbers; across a gap there is no previous frame. None without ``sequence`` or
+    ``frame``, where a frame number occurs twice in a clip (then something that tells clips apart,
+    such as ``camera``, is missing), and where no two frames follow each other.
+    """
+    if "sequence" not in identity or "frame" not in identity:
+        return None
+    frame = np.asarray(identity["frame"])
+    if frame.dtype.kind not in "iuf":
+        return None
+    clip = np.zeros(len(frame), np.int64)
+    for key in (key for key in _CLIP_KEYS if key in identity):
+        _, code = np.unique(identity[key], return_inverse=True)
+        _, clip = np.unique(clip * (code.max(initial=0) + 1) + code, return_inverse=True)
+    order = np.lexsort((frame, clip))
+    same = clip[order][1:] == clip[order][:-1]
+    step = frame[order][1:].astype(np.float64) - frame[order][:-1]
+    if not same.any() or (step[same] <= 0).any():
+        return None
+    usual = _usual_step(clip[order][1:][same], step[same], int(clip.max()) + 1)
+    follows = same & (step == usual[clip[order][1:]])
+    previous = np.full(len(frame), -1, np.int64)
+    previous[order[1:][follows]] = order[:-1][follows]
+    return previous
+
+
+def _usual_step(clip: np.ndarray, step: np.ndarray, clips: int) -> np.ndarray:
+    """Return each clip's most common step, the smaller of equals; NaN for a clip of one frame."""
+    pairs, count = np.unique(np.stack([clip, step], 1), axis=0, return_counts=True)
+    order = np.lexsort((-pairs[:, 1], count, pairs[:, 0]))
+    usual = np.full(clips, np.nan)
+    usual[pairs[order, 0].astype(np.int64)] = pairs[order, 1]
+    return usual

@@ -1,0 +1,98 @@
+"""What a prior sees of one training step: the lifted poses, the views they are turned to, the labels."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import torch
+from jaxtyping import Bool, Float
+from torch import Tensor
+
+from uplift.lifter import Lifted, Lifter
+from uplift.pose import renormalise
+from uplift.skeleton import Skeleton
+from uplift.views import level, turn
+
+__all__ = ["Lift"]
+
+
+@dataclass(frozen=True)
+class Lift:
+    """A batch of lifted poses, one view each. Lengths are in units of the mean 2D radius.
+
+    `pose`, `level_pose`, `turned` and `seen` carry gradients to the lifter.
+    """
+
+    skeleton: Skeleton
+    keypoints: Float[Tensor, "batch joints 2"]
+    """The real, normalised 2D keypoints; missing joints are 0."""
+    confidence: Float[Tensor, "batch joints"]
+    """0..1; 0 = missing. What the data says, whatever was hidden from the network."""
+    hidden: Bool[Tensor, "batch joints"]
+    """Joints that are known but were hidden from the network in this step."""
+    pose: Float[Tensor, "batch joints 3"]
+    """The lifted pose: camera frame (x right, y down, z away), relative to the root."""
+    tilt: Float[Tensor, " batch"]
+    """Down-tilt of the camera, radians, as the lifter sees it."""
+    lifted_keypoints: Float[Tensor, "batch joints 2"]
+    """What `pose` projects to: `keypoints`, with missing and hidden joints as the lifter fills them in."""
+    view: Float[Tensor, "batch 3 3"]
+    """The rotation from the camera frame to the frame of a new, random camera."""
+    scale: Float[Tensor, " batch"]
+    """Pixels per unit."""
+    labels: Float[Tensor, "batch joints 3"] | None
+    """True poses in the same units, NaN where a joint or a frame has none; None in 2D-only training."""
+    lifter: Lifter
+    renormalise_views: bool = True
+    count_root: bool = True
+
+    @cached_property
+    def level_pose(self) -> Float[Tensor, "batch joints 3"]:
+        """The pose with the estimated tilt undone: y is gravity. The pose itself without gravity."""
+        return turn(self.pose, level(self.tilt)) if self.skeleton.gravity else self.pose
+
+    @cached_property
+    def turned(self) -> Float[Tensor, "batch joints 3"]:
+        """The pose in the new camera's frame."""
+        return turn(self.pose, self.view)
+
+    @cached_property
+    def seen(self) -> Float[Tensor, "batch joints 2"]:
+        """The turned pose's 2D keypoints, normalised as real ones are; missing joints included."""
+        return self._seen[0]
+
+    @cached_property
+    def turned_seen(self) -> Float[Tensor, "batch joints 3"]:
+        """The turned pose in the units of `seen`, relative to its root: what lifting `seen` should give."""
+        turned = self.turned
+        return turned / self._seen[1][:, None, None]
+
+    @cached_property
+    def _seen(self) -> tuple[Tensor, Tensor]:
+        root = self.skeleton.root_index
+        projected = self.lifter.camera.project(self.turned)
+        if not self.renormalise_views:
+            return projected, projected.new_ones(len(projected))
+        weight = self.confidence
+        seen = renormalise(projected, weight, root, count_root=self.count_root)
+        centred = projected - projected[:, root : root + 1]
+        # seen = centred / scale, so the scale is the ratio of any two lengths.
+        scale = centred.square().sum((1, 2)).sqrt() / seen.square().sum((1, 2)).sqrt().clamp_min(1e-8)
+        return seen, scale.clamp_min(1e-6)
+
+    @cached_property
+    def visible(self) -> Float[Tensor, "batch joints"]:
+        """1 where the data has the joint, 0 where it is missing."""
+        return (self.confidence > 0).to(self.confidence.dtype)
+
+    @cached_property
+    def relifted(self) -> Lifted:
+        """The turned view lifted again, by the same lifter, with the same joints missing."""
+        return self.lifter(self.seen * self.visible.unsqueeze(-1), self.confidence)
+
+    @staticmethod
+    def mean(value: Tensor, weight: Tensor) -> Tensor:
+        """Return the mean of ``value`` over the batch and more, weighted; 0 if nothing weighs."""
+        weight = weight.expand_as(value)
+        return (value * weight).sum() / weight.sum().clamp_min(torch.finfo(value.dtype).tiny)

@@ -1,0 +1,106 @@
+"""The lifter: normalised 2D keypoints and confidence in, depth and the camera's tilt out."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import torch
+from jaxtyping import Float
+from torch import Tensor, nn
+
+from uplift.camera import Camera
+from uplift.pose import mirror
+from uplift.skeleton import Skeleton
+
+__all__ = ["Lifted", "Lifter"]
+
+
+class Lifted(NamedTuple):
+    """What the lifter says of a batch of keypoints."""
+
+    pose: Float[Tensor, "batch joints 3"]
+    """Camera frame, relative to the root, in units of the mean 2D radius."""
+    tilt: Float[Tensor, " batch"]
+    """Down-tilt of the camera, radians; 0 where the skeleton has no gravity or the camera is taken as level."""
+    keypoints: Float[Tensor, "batch joints 2"]
+    """The keypoints that `pose` projects to: those given, with missing joints filled in."""
+
+
+class Lifter(nn.Module):
+    """A network and the geometry around it.
+
+    ``tilt`` is ``predicted`` (one per pose), ``learned`` (one for all) or ``level``. With ``fill`` the
+    network also says where missing joints are; without, they stay at the root. With ``root_free``
+    the root's own depth is not subtracted, as in the code of Kudo et al. 2018.
+    """
+
+    mirror_permutation: Tensor
+
+    def __init__(
+        self,
+        skeleton: Skeleton,
+        network: nn.Module,
+        camera: Camera,
+        *,
+        tilt: str = "predicted",
+        confidence_input: bool = True,
+        fill: bool = True,
+        root_free: bool = False,
+    ):
+        super().__init__()
+        self.skeleton = skeleton
+        self.network = network
+        self.camera = camera
+        self.tilt = tilt if skeleton.gravity else "level"
+        self.confidence_input = confidence_input
+        self.fill = fill
+        self.root_free = root_free
+        if self.tilt == "learned":
+            self.common_tilt = nn.Parameter(torch.zeros(()))
+        permutation = torch.as_tensor(skeleton.mirror_permutation.copy())
+        self.register_buffer("mirror_permutation", permutation, persistent=False)
+
+    @staticmethod
+    def sizes(joints: int, *, tilt: str, confidence_input: bool, fill: bool) -> tuple[int, int]:
+        """Return how many numbers the network takes and gives for a skeleton of ``joints``."""
+        return joints * (3 if confidence_input else 2), joints * (3 if fill else 1) + (tilt == "predicted")
+
+    def forward(
+        self, keypoints: Float[Tensor, "batch joints 2"], confidence: Float[Tensor, "batch joints"]
+    ) -> Lifted:
+        """Lift normalised keypoints; a joint of confidence 0 is ignored wherever it is."""
+        joints = len(self.skeleton.joints)
+        visible = (confidence > 0).unsqueeze(-1)
+        keypoints = keypoints * visible
+        features = keypoints.flatten(1)
+        if self.confidence_input:
+            features = torch.cat([features, confidence], 1)
+        output = self.network(features)
+        depth = output[:, :joints]
+        if not self.root_free:
+            depth = depth - depth[:, self.skeleton.root_index, None]
+        if self.fill:
+            guessed = output[:, joints : 3 * joints].reshape(-1, joints, 2)
+            keypoints = torch.where(visible, keypoints, guessed)
+        return Lifted(self.camera.unproject(keypoints, depth), self._tilt(output), keypoints)
+
+    def _tilt(self, output: Tensor) -> Tensor:
+        if self.tilt == "predicted":
+            # Bounded to +-90 degrees, and slow to start: tilts begin near level.
+            return (torch.pi / 2) * torch.tanh(0.5 * output[:, -1])
+        if self.tilt == "learned":
+            return self.common_tilt.expand(len(output))
+        return output.new_zeros(len(output))
+
+    def lift_both_ways(
+        self, keypoints: Float[Tensor, "batch joints 2"], confidence: Float[Tensor, "batch joints"]
+    ) -> Lifted:
+        """Lift the keypoints and their mirror image and average the two (after Pavllo et al. 2019)."""
+        swap = self.mirror_permutation
+        straight = self(keypoints, confidence)
+        mirrored = self(mirror(keypoints, swap), confidence[:, swap])
+        depth = (straight.pose[..., 2] + mirrored.pose[:, swap, 2]) / 2
+        filled = (straight.keypoints + mirror(mirrored.keypoints, swap)) / 2
+        return Lifted(
+            self.camera.unproject(filled, depth), (straight.tilt + mirrored.tilt) / 2, filled
+        )

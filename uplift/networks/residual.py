@@ -1,0 +1,33 @@
+"""A residual multilayer perceptron: the default lifter and critic."""
+
+from __future__ import annotations
+
+from jaxtyping import Float
+from torch import Tensor, nn
+from torch.nn.functional import leaky_relu
+
+__all__ = ["ResidualNetwork"]
+
+
+class ResidualNetwork(nn.Module):
+    """One linear layer in, ``blocks`` residual pairs, one linear layer out (after Martinez et al. 2017).
+
+    No batch normalisation: statistics of a batch of turned poses are not those of real ones.
+    """
+
+    def __init__(self, inputs: int, outputs: int, *, units: int = 512, blocks: int = 2, slope: float = 0.2):
+        super().__init__()
+        self.enter = nn.Linear(inputs, units)
+        self.blocks = nn.ModuleList(
+            nn.ModuleList([nn.Linear(units, units), nn.Linear(units, units)]) for _ in range(blocks)
+        )
+        self.leave = nn.Linear(units, outputs)
+        self.slope = slope
+
+    def forward(self, features: Float[Tensor, "batch inputs"]) -> Float[Tensor, "batch outputs"]:
+        """Return the last layer's values, without activation."""
+        hidden = leaky_relu(self.enter(features), self.slope)
+        for first, second in self.blocks:  # type: ignore[misc]
+            inner = leaky_relu(first(hidden), self.slope)
+            hidden = hidden + leaky_relu(second(inner), self.slope)
+        return self.leave(hidden)

@@ -1,0 +1,90 @@
+"""Turn ``name``, ``file.py:Class`` or ``package.module:Class`` plus options into an object."""
+
+from __future__ import annotations
+
+import importlib
+import importlib.util
+import inspect
+import sys
+from collections.abc import Mapping
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+from uplift.errors import UserError, did_you_mean
+
+__all__ = ["build", "find_class", "options_of"]
+
+
+def build(use: str, builtin: Mapping[str, str], options: Mapping[str, Any], where: str, **given: Any) -> Any:
+    """Return an instance of the class that ``use`` names, with ``given`` and the user's ``options``.
+
+    Raises:
+        UserError: no such name, file or class, an option that the class does not take, or one of
+            its arguments that has no default and was not given.
+    """
+    found = find_class(use, builtin, where)
+    allowed = options_of(found, skip=tuple(given))
+    if allowed is not None:
+        for name in options:
+            if name not in allowed:
+                raise UserError(f"{where}.{name}: '{use}' takes no such option.{did_you_mean(name, allowed)}")
+        for name, default in allowed.items():
+            if default is inspect.Parameter.empty and name not in options:
+                raise UserError(f"{where}: '{use}' needs the option '{name}': set {where}.{name}=...")
+    return found(**given, **options)
+
+
+def find_class(use: str, builtin: Mapping[str, str], where: str) -> type:
+    """Return the class that ``use`` names: a built-in, or ``file.py:Class``, or ``package.module:Class``.
+
+    Raises:
+        UserError: it is none of these.
+    """
+    target = builtin.get(use, use)
+    if ":" not in target:
+        raise UserError(
+            f"{where}.use={use!r}: no such built-in.{did_you_mean(use, builtin)} "
+            "Your own is named file.py:Class or package.module:Class."
+        )
+    module_name, _, class_name = target.rpartition(":")
+    module = _load_file(module_name, where) if module_name.endswith(".py") else _load_module(module_name, where)
+    found = getattr(module, class_name, None)
+    if not isinstance(found, type):
+        classes = [name for name, value in vars(module).items() if isinstance(value, type)]
+        raise UserError(f"{where}.use={use!r}: no class '{class_name}' there.{did_you_mean(class_name, classes)}")
+    return found
+
+
+def options_of(found: type, skip: tuple[str, ...] = ()) -> dict[str, Any] | None:
+    """Return the options that ``found`` takes with their defaults; None if it takes any (``**kwargs``)."""
+    parameters = inspect.signature(found).parameters
+    if any(p.kind is p.VAR_KEYWORD for p in parameters.values()):
+        return None
+    return {name: p.default for name, p in parameters.items() if name not in skip}
+
+
+def _load_file(name: str, where: str) -> ModuleType:
+    path = Path(name).expanduser().absolute()
+    if not path.is_file():
+        raise UserError(f"{where}.use: no file {path}.")
+    key = f"uplift_user_{abs(hash(str(path)))}_{path.stem}"
+    if key in sys.modules:
+        return sys.modules[key]
+    spec = importlib.util.spec_from_file_location(key, path)
+    assert spec is not None and spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[key] = module
+    try:
+        spec.loader.exec_module(module)
+    except Exception as error:
+        del sys.modules[key]
+        raise UserError(f"{where}.use: {path} does not run: {type(error).__name__}: {error}") from error
+    return module
+
+
+def _load_module(name: str, where: str) -> ModuleType:
+    try:
+        return importlib.import_module(name)
+    except ImportError as error:
+        raise UserError(f"{where}.use: cannot import '{name}': {error}") from error

@@ -1,0 +1,84 @@
+"""What a lifter hands over: poses with the keypoints they came from and the identity of every frame."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+import numpy as np
+from jaxtyping import Float, Int
+
+if TYPE_CHECKING:
+    from uplift.skeleton import Skeleton
+
+__all__ = ["UNITS", "Prediction"]
+
+UNITS = ("mm", "px", "relative")
+
+
+@dataclass
+class Prediction:
+    """Poses of one skeleton, frame by frame, with what was known about each frame.
+
+    ``pose`` is in the camera frame (x right, y down, z away), relative to the root; ``level_pose``
+    is the same pose with the estimated tilt undone. ``spread`` is the uncertainty of the depth in
+    ``unit``. ``truth`` is relative to the root, camera frame, in ``truth_unit``. Raises ValueError
+    where the arrays do not fit together.
+    """
+
+    pose: Float[np.ndarray, "frames joints 3"]
+    level_pose: Float[np.ndarray, "frames joints 3"]
+    unit: str
+    keypoints: Float[np.ndarray, "frames joints 2"]
+    confidence: Float[np.ndarray, "frames joints"]
+    joint_names: tuple[str, ...]
+    skeleton: Skeleton
+    tilt_deg: Float[np.ndarray, " frames"] | None = None
+    identity: dict[str, np.ndarray] = field(default_factory=dict)
+    fps: float | None = None
+    image_size: tuple[int, int] | None = None
+    truth: Float[np.ndarray, "frames joints 3"] | None = None
+    truth_unit: str = "mm"
+    spread: Float[np.ndarray, "frames joints"] | None = None
+    source: str = ""
+    title: str = ""
+
+    def __post_init__(self) -> None:
+        """Check shapes, unit and names."""
+        self.joint_names = tuple(str(name) for name in self.joint_names)
+        for name, shape in self._shapes().items():
+            found = getattr(self, name)
+            if found is not None and np.shape(found) != shape:
+                raise ValueError(f"prediction: {name} has shape {np.shape(found)}, expected {shape}")
+        for name, values in self.identity.items():
+            if np.shape(values) != (len(self),):
+                raise ValueError(f"prediction: identity '{name}' has shape {np.shape(values)}, expected ({len(self)},)")
+        for unit in (self.unit, self.truth_unit):
+            if unit not in UNITS:
+                raise ValueError(f"prediction: unit '{unit}' is not one of {', '.join(UNITS)}")
+        unknown = {name for bone in self.skeleton.bones for name in bone} - set(self.joint_names)
+        if unknown:
+            raise ValueError(f"prediction: bones name joints that are not there: {', '.join(sorted(unknown))}")
+
+    def __len__(self) -> int:
+        """Return the number of frames."""
+        return len(self.pose)
+
+    @property
+    def bone_indices(self) -> Int[np.ndarray, "bones 2"]:
+        """Return parent and child of every bone as indices into ``joint_names``."""
+        where = {name: index for index, name in enumerate(self.joint_names)}
+        pairs = [(where[parent], where[child]) for parent, child in self.skeleton.bones]
+        return np.array(pairs, dtype=np.int64).reshape(-1, 2)
+
+    def _shapes(self) -> dict[str, tuple[int, ...]]:
+        frames, joints = np.shape(self.pose)[0], len(self.joint_names)
+        return {
+            "pose": (frames, joints, 3),
+            "level_pose": (frames, joints, 3),
+            "keypoints": (frames, joints, 2),
+            "confidence": (frames, joints),
+            "tilt_deg": (frames,),
+            "truth": (frames, joints, 3),
+            "spread": (frames, joints),
+        }

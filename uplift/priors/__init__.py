@@ -1,0 +1,50 @@
+"""Priors, one per file; `build_priors` makes those that a task names."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from uplift.errors import UserError
+from uplift.plugins import build
+from uplift.priors.base import Prior
+from uplift.skeleton import Skeleton
+
+__all__ = ["PRIORS", "Prior", "build_priors"]
+
+PRIORS = {
+    "bones": "uplift.priors.bones:Bones",
+    "consistency": "uplift.priors.consistency:Consistency",
+    "critic": "uplift.priors.critic:Critic",
+    "fill": "uplift.priors.fill:Fill",
+    "handedness": "uplift.priors.handedness:Handedness",
+    "labelled": "uplift.priors.labelled:Labelled",
+    "symmetry": "uplift.priors.symmetry:Symmetry",
+}
+
+
+def build_priors(
+    specs: Mapping[str, Mapping[str, Any]], skeleton: Skeleton
+) -> tuple[dict[str, Prior], dict[str, float]]:
+    """Return the priors that ``specs`` names and their weights; weight 0 leaves one out.
+
+    Raises:
+        UserError: an unknown prior or option, a weight that is no number, a class that is no Prior.
+    """
+    priors: dict[str, Prior] = {}
+    weights: dict[str, float] = {}
+    for name, spec in specs.items():
+        where = f"priors.{name}"
+        options = dict(spec)
+        use, weight = options.pop("use", name), options.pop("weight", 1.0)
+        if isinstance(weight, bool) or not isinstance(weight, (int, float)) or not 0 <= weight < float("inf"):
+            raise UserError(f"{where}.weight={weight!r}: expected a number of at least 0.")
+        if weight == 0:
+            continue
+        prior = build(str(use), PRIORS, options, where, skeleton=skeleton)
+        if not isinstance(prior, Prior):
+            raise UserError(f"{where}.use={use!r}: {type(prior).__name__} is not a subclass of uplift.Prior.")
+        if not hasattr(prior, "skeleton"):
+            raise UserError(f"{where}: {type(prior).__name__}.__init__ must call super().__init__(skeleton).")
+        priors[name], weights[name] = prior, float(weight)
+    return priors, weights

@@ -1,0 +1,71 @@
+"""The 2018 discriminator: turned views should not be told from real keypoints."""
+
+from __future__ import annotations
+
+from torch import Tensor
+from torch.nn.functional import softplus
+
+from uplift.errors import UserError, did_you_mean
+from uplift.lift import Lift
+from uplift.networks import build_network
+from uplift.priors.base import Prior
+from uplift.skeleton import Skeleton
+
+__all__ = ["Critic"]
+
+
+class Critic(Prior):
+    """A network that tells real keypoints from turned views (Kudo et al. 2018, 3.1 and 4.2).
+
+    ``objective`` is ``minimax``, log(1 - D) as printed, or ``non_saturating``, -log D as in the
+    authors' code. ``gate`` is (low, high): with an accuracy below low the lifter is not updated,
+    above high the critic is not; None updates both always. ``network`` and what follows are the
+    network's family and options.
+    """
+
+    def __init__(
+        self,
+        skeleton: Skeleton,
+        *,
+        objective: str = "non_saturating",
+        gate: tuple[float, float] | None = None,
+        network: str = "residual",
+        units: int = 256,
+        **options: float,
+    ):
+        super().__init__(skeleton)
+        objectives = ("minimax", "non_saturating")
+        if objective not in objectives:
+            raise UserError(f"priors.critic.objective={objective!r}.{did_you_mean(objective, objectives)}")
+        if gate is not None and not (len(gate) == 2 and 0 <= gate[0] < gate[1] <= 1):
+            raise UserError(f"priors.critic.gate={gate!r}: expected two accuracies, low and high, between 0 and 1.")
+        self.objective = objective
+        self.gate = gate
+        self.accuracy = 0.5
+        self.network = build_network(network, 2 * len(skeleton.joints), 1, {"units": units, **options})
+
+    def judge(self, keypoints: Tensor) -> Tensor:
+        """Return (batch,) logits: above 0 where the keypoints look real."""
+        return self.network(keypoints.flatten(1))[:, 0]
+
+    def loss(self, lift: Lift) -> Tensor:
+        """Return how far the turned views are from passing for real."""
+        logits = self.judge(lift.seen * lift.visible.unsqueeze(-1))
+        return -softplus(logits) if self.objective == "minimax" else softplus(-logits)
+
+    def own_loss(self, real: Tensor, seen: Tensor) -> Tensor:
+        """Return the cross-entropy of telling ``real`` from ``seen``."""
+        on_real, on_seen = self.judge(real), self.judge(seen)
+        self._gate(on_real, on_seen)
+        return softplus(-on_real).mean() + softplus(on_seen).mean()
+
+    def _gate(self, on_real: Tensor, on_seen: Tensor) -> None:
+        right = (on_real > 0).sum() + (on_seen < 0).sum()
+        self.accuracy = float(right) / (2 * len(on_real))
+        if self.gate is not None:
+            self.gate_lifter = self.accuracy < self.gate[0]
+            self.gate_itself = self.accuracy > self.gate[1]
+
+    def metrics(self, lift: Lift) -> dict[str, float]:
+        """Return the accuracy on the batch: 0.5 where nothing can be told apart."""
+        return {"accuracy": self.accuracy}

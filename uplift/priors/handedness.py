@@ -1,0 +1,116 @@
+"""The orientation prior: left is on the left of forward, which rules out the depth-mirrored pose."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from uplift.errors import UserError, did_you_mean
+from uplift.lift import Lift
+from uplift.priors.base import Prior
+from uplift.skeleton import Skeleton
+
+__all__ = ["Handedness", "handedness"]
+
+_TINY = 1e-6
+
+
+def handedness(
+    up: Float[Tensor, "*batch 3"], front: Float[Tensor, "*batch 3"], left: Float[Tensor, "*batch 3"], *, planar: bool
+) -> Float[Tensor, "*batch"]:
+    """Return the sine between front and left about ``up``: (up x front) . left, by the lengths.
+
+    Positive for a true body in a frame with x right, y down, z away, negative for its mirror
+    image (Kudo et al. 2018, 3.4, sign turned for our frame). ``planar`` divides by the lengths in
+    the plane normal to ``up``, as their code does; otherwise by the full lengths, as in print.
+    Coincident joints give 0, with a finite gradient.
+    """
+    triple = (torch.cross(up, front, dim=-1) * left).sum(-1)
+    if planar:
+        front = front - (front * up).sum(-1, keepdim=True) * up / up.square().sum(-1, keepdim=True).clamp_min(_TINY)
+        left = left - (left * up).sum(-1, keepdim=True) * up / up.square().sum(-1, keepdim=True).clamp_min(_TINY)
+    lengths = (up.square().sum(-1) * front.square().sum(-1) * left.square().sum(-1) + _TINY**2).sqrt()
+    return triple / lengths
+
+
+class Handedness(Prior):
+    """Hinge on `handedness` of the skeleton's facing directions.
+
+    ``front`` and ``left`` replace the skeleton's own, as ``[from, to]``. ``frame`` is where up is:
+    ``level`` with the estimated tilt undone, or ``camera``. A skeleton that gives ``up`` itself
+    needs neither. ``margin`` asks for a sine of at least that much.
+    """
+
+    def __init__(
+        self,
+        skeleton: Skeleton,
+        *,
+        front: Sequence | None = None,
+        left: Sequence | None = None,
+        planar: bool = True,
+        frame: str = "level",
+        margin: float = 0.0,
+    ):
+        super().__init__(skeleton)
+        if frame not in ("level", "camera"):
+            raise UserError(f"priors.handedness.frame={frame!r}.{did_you_mean(frame, ('level', 'camera'))}")
+        given = {"front": front, "left": left}
+        self.directions = dict(skeleton.facing)
+        for name, value in given.items():
+            if value is not None:
+                self.directions[name] = _direction(value, skeleton, f"priors.handedness.{name}")
+        missing = [name for name in ("front", "left") if name not in self.directions]
+        if "up" not in self.directions and not skeleton.gravity:
+            missing.append("up")
+        if missing:
+            raise UserError(
+                f"The handedness prior needs `facing:` with {', '.join(missing)} in skeleton '{skeleton.name}': "
+                "without it a pose and its depth-mirrored image cannot be told apart."
+            )
+        self.planar, self.frame, self.margin = planar, frame, margin
+        for name, (start, end) in self.directions.items():
+            for side, joints in (("from", start), ("to", end)):
+                row = torch.zeros(len(skeleton.joints))
+                row[[skeleton.index(joint) for joint in joints]] = 1
+                self.register_buffer(f"{name}_{side}", row, persistent=False)
+
+    def value(self, pose: Tensor, level_pose: Tensor, visible: Tensor) -> tuple[Tensor, Tensor]:
+        """Return each frame's handedness and whether all its ends have a visible joint (0 or 1)."""
+        body = level_pose if self.frame == "level" else pose
+        known = torch.ones_like(visible[:, 0])
+        found = {}
+        for name in self.directions:
+            ends = []
+            for side in ("from", "to"):
+                weight = visible * getattr(self, f"{name}_{side}")
+                total = weight.sum(1, keepdim=True)
+                known = known * (total[:, 0] > 0)
+                ends.append((body * weight.unsqueeze(-1)).sum(1) / total.clamp_min(1))
+            found[name] = ends[1] - ends[0]
+        up = found.get("up")
+        if up is None:
+            up = body.new_tensor([0.0, -1.0, 0.0]).expand(len(body), 3)
+        return handedness(up, found["front"], found["left"], planar=self.planar), known
+
+    def loss(self, lift: Lift) -> Tensor:
+        """Return max(0, margin - handedness) averaged over the frames that show it."""
+        value, known = self.value(lift.pose, lift.level_pose, lift.visible)
+        return Lift.mean((self.margin - value).clamp_min(0), known)
+
+    def metrics(self, lift: Lift) -> dict[str, float]:
+        """Return the share of frames whose handedness is right."""
+        value, known = self.value(lift.pose.detach(), lift.level_pose.detach(), lift.visible)
+        return {"facing_sign": float(Lift.mean((value > 0).float(), known))}
+
+
+def _direction(value: Sequence, skeleton: Skeleton, where: str) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    if isinstance(value, str) or len(value) != 2:
+        raise UserError(f"{where}={value!r}: expected [from, to], each a joint or a list of joints.")
+    ends = tuple((end,) if isinstance(end, str) else tuple(end) for end in value)
+    for joint in ends[0] + ends[1]:
+        if joint not in skeleton.joints:
+            raise UserError(f"{where}: no joint '{joint}' in '{skeleton.name}'.{did_you_mean(joint, skeleton.joints)}")
+    return ends[0], ends[1]

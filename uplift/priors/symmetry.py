@@ -1,0 +1,55 @@
+"""The left and the right bone of a pair are equally long."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from uplift.errors import UserError
+from uplift.lift import Lift
+from uplift.pose import bone_lengths
+from uplift.priors.base import Prior
+from uplift.skeleton import Skeleton
+
+__all__ = ["Symmetry", "mirrored_bones"]
+
+
+def mirrored_bones(skeleton: Skeleton) -> list[tuple[tuple[int, int], tuple[int, int]]]:
+    """Return the pairs of bones, as joint indices, that are each other's mirror image."""
+    swap = skeleton.mirror_permutation
+    bones = [(int(a), int(b)) for a, b in skeleton.bone_indices]
+    pairs = []
+    for first in bones:
+        image = (int(swap[first[0]]), int(swap[first[1]]))
+        second = next((bone for bone in bones if set(bone) == set(image)), None)
+        if second is not None and set(second) != set(first) and (second, first) not in pairs:
+            pairs.append((first, second))
+    return pairs
+
+
+class Symmetry(Prior):
+    """Squared difference of mirrored bones, as a share of the body's mean bone length.
+
+    A soft prior: real limbs of one person differ by a few percent.
+    """
+
+    left: Tensor
+    right: Tensor
+
+    def __init__(self, skeleton: Skeleton):
+        super().__init__(skeleton)
+        pairs = mirrored_bones(skeleton)
+        if not pairs:
+            raise UserError(
+                f"The symmetry prior needs mirrored bones, and skeleton '{skeleton.name}' has none: "
+                "give it `mirror:` pairs, or set priors.symmetry.weight=0."
+            )
+        self.register_buffer("left", torch.tensor([a for a, _ in pairs]), persistent=False)
+        self.register_buffer("right", torch.tensor([b for _, b in pairs]), persistent=False)
+
+    def loss(self, lift: Lift) -> Tensor:
+        """Return the weighted mean over pairs and frames."""
+        left, right = bone_lengths(lift.pose, self.left), bone_lengths(lift.pose, self.right)
+        size = ((left + right) / 2).mean(1, keepdim=True).clamp_min(1e-6)
+        seen = lift.visible[:, self.left].prod(-1) * lift.visible[:, self.right].prod(-1)
+        return Lift.mean(((left - right) / size).square(), seen)

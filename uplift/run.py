@@ -1,0 +1,146 @@
+"""The folder a fit writes: resolved settings, what it ran on, weights, metrics, report."""
+
+from __future__ import annotations
+
+import datetime
+import json
+import os
+import platform
+import subprocess
+import sys
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+from uplift.config import Settings
+from uplift.errors import UserError, did_you_mean
+from uplift.task import load_settings, save_settings
+from uplift.saving import replacing
+
+__all__ = ["RunFolder"]
+
+
+class RunFolder:
+    """A run on disk. `create` makes a new one, `open` finds one that is there."""
+
+    def __init__(self, path: Path):
+        self.path = path
+
+    @classmethod
+    def create(cls, settings: Settings, command: str) -> RunFolder:
+        """Make ``runs/<task>/<time>/`` in the current folder and point ``last`` to it."""
+        base = Path("runs") / (settings.task or Path(settings.skeleton).stem or "own")
+        stamp = datetime.datetime.now().strftime("%Y-%m-%d_%H-%M-%S")
+        for attempt in range(1000):
+            path = base / (stamp if not attempt else f"{stamp}_{attempt + 1}")
+            try:
+                path.mkdir(parents=True)
+                break
+            except FileExistsError:
+                continue
+        run = cls(path)
+        save_settings(settings, run.config)
+        with replacing(path / "run.json") as file:
+            file.write(json.dumps(_facts(settings, command), indent=2).encode())
+        run.checkpoints.mkdir()
+        _link_last(base / "last", path.name)
+        return run
+
+    @classmethod
+    def open(cls, path: str | Path) -> RunFolder:
+        """Return the run in ``path``, or that of a task's ``last``.
+
+        Raises:
+            UserError: there is no run, with those that are near.
+        """
+        path = Path(path)
+        run = cls(path.resolve() if path.exists() else path)
+        if run.config.is_file():
+            return run
+        if (path / "last" / "config.yaml").is_file():
+            return cls((path / "last").resolve())
+        if path.exists():
+            raise UserError(f"{path} is not a run: it has no config.yaml. `uplift fit` writes runs/<task>/<time>.")
+        found = [str(p) for p in Path("runs").glob("*/*") if (p / "config.yaml").is_file()]
+        raise UserError(
+            f"No run {path}." + (did_you_mean(str(path), found) if found else " There are no runs here yet: `uplift fit task=demo`.")
+        )
+
+    @property
+    def config(self) -> Path:
+        """The resolved settings."""
+        return self.path / "config.yaml"
+
+    @property
+    def checkpoints(self) -> Path:
+        """Where each stage's training state is kept."""
+        return self.path / "checkpoints"
+
+    @property
+    def weights(self) -> Path:
+        """The lifter, on its own."""
+        return self.path / "lifter.pt"
+
+    def settings(self) -> Settings:
+        """Return the settings the run was made with."""
+        settings = load_settings(str(self.config))
+        settings.task = self.facts().get("task", "")
+        return settings
+
+    def facts(self) -> dict[str, Any]:
+        """Return run.json: command, versions, seed, git state, machine."""
+        try:
+            return json.loads((self.path / "run.json").read_text())
+        except (OSError, json.JSONDecodeError) as error:
+            raise UserError(f"{self.path / 'run.json'} cannot be read: {error}") from error
+
+    def evaluation(self) -> dict[str, Any] | None:
+        """Return evaluation.json, None where the run was not evaluated."""
+        path = self.path / "evaluation.json"
+        return json.loads(path.read_text()) if path.is_file() else None
+
+
+def _link_last(link: Path, target: str) -> None:
+    temporary = link.with_name(f".last.{os.getpid()}")
+    try:
+        temporary.symlink_to(target, target_is_directory=True)
+        os.replace(temporary, link)
+    except OSError:  # a file system without links: a folder's name in a text file is no help to `run=.../last`
+        temporary.unlink(missing_ok=True)
+
+
+def _facts(settings: Settings, command: str) -> dict[str, Any]:
+    packages = ("uplift3d", "torch", "lightning", "numpy", "scikit-image", "trimesh", "omegaconf")
+    return {
+        "task": settings.task,
+        "command": command,
+        "seed": settings.seed,
+        "started": datetime.datetime.now().astimezone().isoformat(timespec="seconds"),
+        "versions": {name: _version(name) for name in packages},
+        "python": sys.version.split()[0],
+        "platform": platform.platform(),
+        "cores": os.cpu_count(),
+        "git": _git(),
+    }
+
+
+def _version(name: str) -> str | None:
+    try:
+        return metadata.version(name)
+    except metadata.PackageNotFoundError:
+        return None
+
+
+def _git() -> dict[str, Any] | None:
+    """Return the commit that the package runs from and whether it was changed; None outside git."""
+    where = Path(__file__).resolve().parent
+
+    def ask(*words: str) -> str:
+        return subprocess.run(
+            ["git", "-C", str(where), *words], capture_output=True, text=True, check=True, timeout=10
+        ).stdout.strip()
+
+    try:
+        return {"commit": ask("rev-parse", "HEAD"), "changed": bool(ask("status", "--porcelain", "-uno"))}
+    except (OSError, subprocess.SubprocessError):
+        return None

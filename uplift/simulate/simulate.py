@@ -1,0 +1,170 @@
+"""Simulate an articulated body in front of random cameras: exact 3D and its 2D, from no data at all."""
+
+from __future__ import annotations
+
+import numpy as np
+from jaxtyping import Float
+
+from uplift.data.container import PoseData
+from uplift.errors import UserError
+from uplift.simulate.body import Body, rest_positions
+from uplift.simulate.cameras import FOCAL_PX, IMAGE_SIZE, Cameras, project, random_cameras
+from uplift.simulate.human import LAYOUT, human_body
+from uplift.simulate.human_motion import human_motion
+from uplift.simulate.kinematics import forward_kinematics
+from uplift.simulate.motion import Motion
+from uplift.simulate.own_body import leaders, own_body
+from uplift.simulate.own_motion import own_motion
+from uplift.skeleton import Skeleton
+
+__all__ = ["build_body", "rest_pose", "simulate"]
+
+_ASYMMETRY = 0.008
+"""Left and right bones of one person differ by about 1 % (Auerbach & Ruff 2006, J. Human Evolution 50)."""
+
+
+def simulate(
+    skeleton: Skeleton,
+    frames: int = 20000,
+    seed: int = 0,
+    *,
+    subjects: int | None = None,
+    clip_seconds: float = 3.0,
+    fps: float = 10.0,
+    tilt_deg: tuple[float, float] = (8.0, 5.0),
+    distance: tuple[float, float] = (3.0, 6.0),
+    noise_px: float = 0.0,
+    missing: float = 0.0,
+    mode: str | list[str] = "all",
+) -> PoseData:
+    """Return ``frames`` frames of random bodies in random motion before random cameras.
+
+    Clips last ``clip_seconds``, one camera and one subject each (by default a subject every three
+    clips). ``tilt_deg`` is mean and standard deviation of the down-tilt, ``distance`` the range of
+    camera distances in body heights (farther where a clip needs it to stay in the picture), ``mode`` ``all``
+    or a list of motions, ``noise_px`` and ``missing`` the noise of the keypoints and the share of
+    joints left out. Raises UserError for a skeleton without a body or a setting out of range.
+    """
+    _check(frames, subjects, clip_seconds, fps, tilt_deg, distance, noise_px, missing)
+    body = build_body(skeleton)
+    rng = np.random.default_rng(seed)
+    length = min(frames, max(1, round(clip_seconds * fps)))
+    clips = -(-frames // length)
+    subject = np.sort(rng.integers(subjects, size=clips)) if subjects else np.arange(clips) // 3
+    offsets, height = _random_bodies(rng, body, int(subject.max()) + 1)
+    motion = _move(rng, skeleton, body, clips, np.arange(length) / fps, mode)
+    cameras = random_cameras(rng, clips, skeleton.gravity, tilt_deg, distance)
+    points = _place(body, offsets[subject], motion, skeleton.gravity)
+    joints = np.einsum("jp,ctpk->ctjk", body.joints, points)
+    seen = _into_camera(joints, cameras) * height[subject, None, None, None]
+    return _pack(rng, skeleton, body, seen, cameras, motion, subject, frames, fps, noise_px, missing)
+
+
+def build_body(skeleton: Skeleton) -> Body:
+    """Return the body of a skeleton: the human one where it names it, else its own; raises UserError."""
+    return human_body(skeleton) if LAYOUT in skeleton.sources else own_body(skeleton)
+
+
+def rest_pose(skeleton: Skeleton) -> Float[np.ndarray, "joints 3"]:
+    """Return the mean body in its rest pose, relative to the root, facing the camera, in body heights."""
+    body = build_body(skeleton)
+    joints = body.joints @ rest_positions(body.parents, body.offsets)
+    return joints - joints[skeleton.root_index]
+
+
+def _check(frames, subjects, clip_seconds, fps, tilt_deg, distance, noise_px, missing) -> None:
+    rules = {
+        "frames": (frames, frames >= 1, "at least 1"),
+        "subjects": (subjects, subjects is None or subjects >= 1, "at least 1"),
+        "clip_seconds": (clip_seconds, clip_seconds > 0, "above 0"),
+        "fps": (fps, fps > 0, "above 0"),
+        "tilt_deg": (tilt_deg, len(tilt_deg) == 2 and tilt_deg[1] >= 0, "mean and standard deviation"),
+        "distance": (distance, len(distance) == 2 and 1.5 <= distance[0] <= distance[1], "nearest and farthest, 1.5 or more"),
+        "noise_px": (noise_px, noise_px >= 0, "0 or more"),
+        "missing": (missing, 0 <= missing < 1, "a share from 0 to below 1"),
+    }  # fmt: skip
+    for name, (value, right, expected) in rules.items():
+        if not right:
+            raise UserError(f"simulate: {name}={value}, expected {expected}.")
+
+
+def _random_bodies(rng: np.random.Generator, body: Body, count: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return bone offsets (bodies points 3) in mean body heights, and each body's height in its unit."""
+    kinds, group = np.unique(body.groups, return_inverse=True)
+    factor = 1 + body.spread * rng.normal(size=(count, len(kinds))).clip(-2.5, 2.5)
+    factor = factor[:, group]
+    stretch = np.ones((count, 1, 3))
+    if body.scaled_axes.any():
+        stretch = np.where(body.scaled_axes, 1 + 0.15 * rng.normal(size=(count, 1, 3)).clip(-2, 2), 1.0)
+    else:
+        factor = factor * (1 + _ASYMMETRY * rng.normal(size=factor.shape).clip(-3, 3))
+    mean, deviation = body.height
+    return body.offsets * factor[..., None] * stretch, mean + deviation * rng.normal(size=count).clip(-2.5, 2.5)
+
+
+def _move(rng, skeleton: Skeleton, body: Body, clips: int, time_s: np.ndarray, mode: str | list[str]) -> Motion:
+    if LAYOUT in skeleton.sources:
+        return human_motion(rng, body, clips, time_s, mode)
+    return own_motion(rng, body, clips, time_s, mode, skeleton.gravity, leaders(skeleton))
+
+
+def _place(
+    body: Body, offsets: Float[np.ndarray, "clips points 3"], motion: Motion, gravity: bool
+) -> Float[np.ndarray, "clips frames points 3"]:
+    """Return the points in the world: lowest one on the floor (plus lift), the clip about the origin."""
+    clips, frames, _ = motion.angles_deg.shape
+    angles = motion.angles_deg.reshape(clips * frames, -1)
+    points = forward_kinematics(body, np.repeat(offsets, frames, 0), angles)
+    points = points.reshape(clips, frames, *offsets.shape[1:])
+    if gravity:
+        points[..., 1] -= points[..., 1].max(-1, keepdims=True) + motion.lift[..., None]
+        points[..., 0] += motion.travel[..., :1]
+        points[..., 2] += motion.travel[..., 1:]
+    middle = (points.min((1, 2)) + points.max((1, 2))) / 2
+    return points - middle[:, None, None]
+
+
+def _into_camera(
+    points: Float[np.ndarray, "clips frames joints 3"], cameras: Cameras
+) -> Float[np.ndarray, "clips frames joints 3"]:
+    """Return points in the camera frame, the camera far enough away to keep every point in the picture."""
+    turned = np.einsum("cij,ctpj->ctpi", cameras.rotation, points)
+    widest = np.abs(turned[..., :2]).max((1, 2, 3))
+    nearest = turned[..., 2].min((1, 2))
+    distance = np.maximum(cameras.distance, widest / 0.35 - nearest)
+    turned[..., :2] += (cameras.aim * distance[:, None])[:, None, None]
+    turned[..., 2] += distance[:, None, None]
+    return turned
+
+
+def _pack(
+    rng, skeleton: Skeleton, body: Body, seen: np.ndarray, cameras: Cameras, motion: Motion, subject: np.ndarray,
+    frames: int, fps: float, noise_px: float, missing: float,
+) -> PoseData:  # fmt: skip
+    clips, length = seen.shape[:2]
+    clip = np.repeat(np.arange(clips), length)[:frames]
+    flat = seen.reshape(clips * length, *seen.shape[2:])[:frames]
+    keypoints = project(flat) + noise_px * rng.normal(size=(*flat.shape[:2], 2))
+    confidence = (rng.uniform(size=flat.shape[:2]) >= missing).astype(np.float32)
+    keypoints[confidence == 0] = 0
+    root = flat[:, skeleton.root_index]
+    return PoseData(
+        keypoints=keypoints.astype(np.float32),
+        confidence=confidence,
+        joint_names=skeleton.joints,
+        pose=(flat - root[:, None]).astype(np.float32),
+        root=root.astype(np.float32),
+        unit=body.unit,
+        identity={
+            "subject": np.char.add("S", (subject[clip] + 1).astype(str)),
+            "action": motion.actions[clip],
+            "sequence": np.char.zfill(clip.astype(str), 6),
+            "camera": np.zeros(frames, np.int8),
+            "frame": np.tile(np.arange(length, dtype=np.int32), clips)[:frames],
+        },
+        fps=float(fps),
+        image_size=IMAGE_SIZE,
+        focal_px=FOCAL_PX,
+        tilt_deg=None if cameras.tilt_deg is None else cameras.tilt_deg[clip].astype(np.float32),
+        source=f"simulated {skeleton.name}",
+    )

@@ -1,0 +1,199 @@
+"""A skeleton: the names, bones, mirror pairs and directions that make sense of an array of joints."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from uplift.errors import UserError, did_you_mean
+from uplift.paths import shipped, shipped_names
+from uplift.skeleton.checks import BODY_KEYS, check_skeleton
+from uplift.yaml_file import read_yaml
+
+__all__ = ["Skeleton", "load_skeleton"]
+
+Direction = tuple[tuple[str, ...], tuple[str, ...]]
+
+
+@dataclass(frozen=True)
+class Skeleton:
+    """Joints by name and what is known of them; `load_skeleton` and `from_dict` check what they build."""
+
+    name: str
+    joints: tuple[str, ...]
+    root: str
+    bones: tuple[tuple[str, str], ...]
+    mirror: tuple[tuple[str, str], ...] = ()
+    facing: dict[str, Direction] = field(default_factory=dict)
+    gravity: bool = True
+    rigid: bool = False
+    sources: dict[str, dict[str, tuple[str, ...]]] = field(default_factory=dict)
+    body: dict[str, Any] = field(default_factory=dict)
+    midpoints: dict[str, tuple[str, ...]] = field(default_factory=dict)
+    loops: bool = False
+    description: str = ""
+
+    def __hash__(self) -> int:
+        return hash((self.name, self.joints, self.root, self.bones))
+
+    def index(self, name: str) -> int:
+        """Return the place of joint ``name``; raises UserError with the nearest name where there is none."""
+        try:
+            return self._places[name]
+        except KeyError:
+            raise UserError(
+                f"Skeleton '{self.name}' has no joint '{name}'.{did_you_mean(name, self.joints)}"
+            ) from None
+
+    @cached_property
+    def _places(self) -> dict[str, int]:
+        return {joint: place for place, joint in enumerate(self.joints)}
+
+    @cached_property
+    def root_index(self) -> int:
+        """The place of the root joint."""
+        return self.index(self.root)
+
+    @cached_property
+    def bone_indices(self) -> Int[np.ndarray, "bones 2"]:
+        """Places of (parent, child), one row a bone."""
+        return _read_only(
+            np.array([[self.index(end) for end in bone] for bone in self.bones], dtype=np.int64)
+        )
+
+    @cached_property
+    def mirror_permutation(self) -> Int[np.ndarray, " joints"]:
+        """For each joint the place of its mirror partner; its own where it has none."""
+        places = np.arange(len(self.joints))
+        for one, other in self.mirror:
+            places[[self.index(one), self.index(other)]] = self.index(other), self.index(one)
+        return _read_only(places)
+
+    @cached_property
+    def parents(self) -> dict[str, str | None]:
+        """The parent of each joint in the tree found breadth first from the root; None for the root."""
+        return tree_parents(self.joints, self.bones, self.root)
+
+    @cached_property
+    def directions(self) -> tuple[str, ...]:
+        """The facing directions this skeleton spells out, of front, left and up."""
+        return tuple(self.facing)
+
+    def facing_matrix(self, direction: str) -> Float[np.ndarray, " joints"]:
+        """Return weights with ``weights @ pose`` = the vector of ``direction`` (front, left or up).
+
+        +1/n for the joints it points to, -1/n for those it comes from. Raises UserError where the
+        skeleton does not give the direction.
+        """
+        if direction not in self.facing:
+            raise UserError(
+                f"Skeleton '{self.name}' gives no facing direction '{direction}'."
+                + did_you_mean(direction, self.facing)
+            )
+        weights = np.zeros(len(self.joints))
+        for sign, end in zip((-1.0, 1.0), self.facing[direction], strict=True):
+            for joint in end:
+                weights[self.index(joint)] += sign / len(end)
+        return weights
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return plain data in the form of the YAML file; `from_dict` turns it back."""
+        data: dict[str, Any] = {"name": self.name, "description": self.description}
+        data |= {"joints": list(self.joints), "root": self.root, "bones": [list(bone) for bone in self.bones]}
+        data |= {"loops": self.loops, "mirror": [list(pair) for pair in self.mirror]}
+        data["facing"] = {name: [list(start), list(end)] for name, (start, end) in self.facing.items()}
+        data |= {"gravity": self.gravity, "rigid": self.rigid}
+        data["midpoints"] = {joint: list(parts) for joint, parts in self.midpoints.items()}
+        data["from"] = {
+            layout: {joint: list(parts) for joint, parts in joints.items()}
+            for layout, joints in self.sources.items()
+        }
+        return data | {key: self.body[key] for key in BODY_KEYS if key in self.body}
+
+    @classmethod
+    def from_dict(cls, data: object) -> Skeleton:
+        """Return the skeleton of plain data, checked as a file is; raises UserError."""
+        named = f"skeleton {data['name']!r}" if isinstance(data, Mapping) and "name" in data else "skeleton"
+        return _from_checked(check_skeleton(data, lambda path: named))
+
+
+def load_skeleton(name_or_path: str | Path) -> Skeleton:
+    """Return a shipped skeleton by its name, or that of a YAML file; raises UserError with file and line."""
+    path = _skeleton_path(name_or_path)
+    data, where = read_yaml(path, "skeleton")
+    if isinstance(data, dict):
+        data.setdefault("name", path.stem)
+    return _from_checked(check_skeleton(data, where))
+
+
+def _skeleton_path(name_or_path: str | Path) -> Path:
+    text = str(name_or_path)
+    names = shipped_names("skeletons")
+    if text in names:
+        return shipped("skeletons") / f"{text}.yaml"
+    path = Path(text).expanduser()
+    if path.suffix.lower() in (".yaml", ".yml") or len(path.parts) != 1 or path.is_file():
+        return path
+    beside = path.with_name(path.name + ".yaml")
+    if path.name and beside.is_file():
+        raise UserError(f"There is no skeleton named '{text}', but a file {beside}. Write skeleton={beside}.")
+    raise UserError(
+        f"There is no skeleton named '{text}': expected a shipped name or the path of a YAML file."
+        + did_you_mean(text, names)
+    )
+
+
+def tree_parents(
+    joints: tuple[str, ...], bones: tuple[tuple[str, str], ...], root: str
+) -> dict[str, str | None]:
+    """Return the parent of every joint that bones connect to ``root``, found breadth first."""
+    neighbours: dict[str, list[str]] = {joint: [] for joint in joints}
+    for one, other in bones:
+        neighbours[one].append(other)
+        neighbours[other].append(one)
+    parents: dict[str, str | None] = {root: None}
+    queue = deque([root])
+    while queue:
+        joint = queue.popleft()
+        for other in neighbours[joint]:
+            if other not in parents:
+                parents[other] = joint
+                queue.append(other)
+    return parents
+
+
+def _from_checked(data: dict[str, Any]) -> Skeleton:
+    """Return the skeleton of checked data, its bones turned to (parent, child)."""
+    joints = tuple(data["joints"])
+    bones = tuple((one, other) for one, other in data["bones"])
+    parents = tree_parents(joints, bones, data["root"])
+    return Skeleton(
+        name=data["name"],
+        joints=joints,
+        root=data["root"],
+        bones=tuple((other, one) if parents[one] == other else (one, other) for one, other in bones),
+        mirror=tuple((one, other) for one, other in data["mirror"]),
+        facing={name: (tuple(start), tuple(end)) for name, (start, end) in data["facing"].items()},
+        gravity=data["gravity"],
+        rigid=data["rigid"],
+        sources={
+            layout: {joint: tuple(parts) for joint, parts in joints_of.items()}
+            for layout, joints_of in data["from"].items()
+        },
+        body={key: data[key] for key in BODY_KEYS if key in data},
+        midpoints={joint: tuple(parts) for joint, parts in data["midpoints"].items()},
+        loops=data["loops"],
+        description=data["description"],
+    )
+
+
+def _read_only(array: np.ndarray) -> np.ndarray:
+    array.setflags(write=False)
+    return array

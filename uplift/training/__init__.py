@@ -1,0 +1,1 @@
+"""Lightning modules that train a lifter, and what watches over them."""

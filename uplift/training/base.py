@@ -1,0 +1,127 @@
+"""What every way of training a lifter shares: streams, schedule, optimiser, averaged weights."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from typing import Any
+
+import lightning as L
+import torch
+from torch import Tensor, nn
+from torch.optim.swa_utils import AveragedModel, get_ema_multi_avg_fn
+from torch.utils.data import DataLoader, IterableDataset
+
+from uplift.config import StageSettings
+from uplift.data.tensors import TrainingSet
+from uplift.lifter import Lifter
+
+__all__ = ["LifterTraining", "stream_seed"]
+
+
+def stream_seed(seed: int, rank: int, step: int) -> int:
+    """Return the seed of one step's random stream: another for every seed, rank and step.
+
+    Streams that are a function of the step need no saved state: a resumed fit draws what an
+    unbroken one would have drawn, and no two ranks draw the same.
+    """
+    mixed = 0x9E3779B97F4A7C15
+    for part in (seed, rank, step):
+        mixed = (mixed ^ (part & 0xFFFFFFFFFFFFFFFF)) * 0xBF58476D1CE4E5B9 & 0xFFFFFFFFFFFFFFFF
+        mixed ^= mixed >> 29
+    return mixed >> 1
+
+
+class _Steps(IterableDataset):
+    """An endless count: the data are already on the device, a step draws its own rows."""
+
+    def __iter__(self) -> Iterator[int]:
+        step = 0
+        while True:
+            yield step
+            step += 1
+
+
+class LifterTraining(L.LightningModule):
+    """Train ``lifter`` with automatic optimisation: one optimiser, one backward a step.
+
+    A subclass writes `objective`. ``self.final`` is the lifter to use afterwards: its averaged
+    weights where `StageSettings.average` is set.
+    """
+
+    def __init__(self, lifter: Lifter, data: TrainingSet, settings: StageSettings, seed: int):
+        super().__init__()
+        self.lifter = lifter
+        self.settings = settings
+        self.seed = seed
+        self.data = data
+        self.done = 0.0
+        """Share of the stage that is over, 0..1; `uplift.training.budget.Budget` keeps it."""
+        self.averaged = (
+            AveragedModel(lifter, multi_avg_fn=get_ema_multi_avg_fn(settings.average)) if settings.average else None
+        )
+
+    @property
+    def final(self) -> Lifter:
+        """The lifter to evaluate and predict with."""
+        return self.lifter if self.averaged is None else self.averaged.module  # type: ignore[return-value]
+
+    def objective(self, rows: Tensor) -> tuple[Tensor, dict[str, float | Tensor]]:
+        """Return the loss of the frames ``rows`` and the numbers to log."""
+        raise NotImplementedError
+
+    def parameter_groups(self) -> list[dict[str, Any]]:
+        """Return the optimiser's groups; the first is the lifter's."""
+        return [{"params": list(self.lifter.parameters()), "lr": self.settings.learning_rate, "name": "lifter"}]
+
+    def gated_parameters(self) -> Iterator[nn.Parameter]:
+        """Return the parameters that this step must leave as they are."""
+        return iter(())
+
+    def train_dataloader(self) -> DataLoader:
+        """Return an endless count of steps."""
+        return DataLoader(_Steps(), batch_size=None)
+
+    def on_fit_start(self) -> None:
+        """Put the whole data set where the model is."""
+        self.data = self.data.to(self.device)
+
+    def configure_optimizers(self) -> torch.optim.Optimizer:
+        """Return one Adam over all groups; a group keeps its own peak rate for the schedule."""
+        groups = self.parameter_groups()
+        for group in groups:
+            group["peak"] = group["lr"]
+        s = self.settings
+        # The fused kernel needs floating-point parameters of one device type, which ours are.
+        return torch.optim.Adam(groups, betas=(s.beta1, s.beta2), weight_decay=s.weight_decay, fused=True)
+
+    def on_train_batch_start(self, batch: int, batch_idx: int) -> None:
+        """Set the learning rate for the share of the stage that is over."""
+        factor = self.schedule(self.done)
+        for group in self.optimizers().param_groups:  # type: ignore[union-attr]
+            group["lr"] = group["peak"] * factor
+
+    def schedule(self, done: float) -> float:
+        """Return the learning rate's factor: constant up to `decay_from`, then a half cosine down to 2 %."""
+        if self.settings.decay_from >= 1:
+            return 1.0
+        over = max(0.0, (done - self.settings.decay_from) / (1 - self.settings.decay_from))
+        return 0.02 + 0.98 * 0.5 * (1 + math.cos(math.pi * min(1.0, over)))
+
+    def training_step(self, batch: int, batch_idx: int) -> Tensor:
+        """Draw rows from this step's own stream and return their loss."""
+        torch.manual_seed(stream_seed(self.seed, self.global_rank, self.global_step))
+        rows = torch.randint(len(self.data), (self.settings.batch_size,), device=self.device)
+        loss, logged = self.objective(rows)
+        self.logged = logged
+        return loss
+
+    def on_before_optimizer_step(self, optimizer: torch.optim.Optimizer) -> None:
+        """Take the gradients of gated parameters away: Adam skips them, momentum and decay included."""
+        for parameter in self.gated_parameters():
+            parameter.grad = None
+
+    def on_train_batch_end(self, outputs: Any, batch: int, batch_idx: int) -> None:
+        """Average the weights."""
+        if self.averaged is not None:
+            self.averaged.update_parameters(self.lifter)

@@ -1,0 +1,66 @@
+"""The verb compare: runs side by side, and the spread over seeds."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from pathlib import Path
+
+from uplift.errors import UserError
+from uplift.run import RunFolder
+
+__all__ = ["compare", "spread"]
+
+_SHOWN = (
+    "p_mpjpe", "n_mpjpe", "mpjpe_gt_scale", "mpjpe", "p_mpjpe_reflect", "pck@150", "auc", "mpjve",
+    "facing", "facing_sign", "elevation_deg", "bone_cv", "symmetry",
+)  # fmt: skip
+
+
+def compare(runs: Sequence[str | Path]) -> str:
+    """Return a table with a row for each protocol and a column for each run.
+
+    Raises:
+        UserError: fewer than two runs, one that was never evaluated, or other test data.
+    """
+    if len(runs) < 2:
+        raise UserError("compare needs two runs or more: uplift compare runs/a/last runs/b/last")
+    folders = [RunFolder.open(run) for run in runs]
+    found = [(folder, folder.evaluation()) for folder in folders]
+    for folder, evaluation in found:
+        if evaluation is None:
+            raise UserError(f"{folder.path} was not evaluated: uplift evaluate run={folder.path} data.test=FILE")
+    evaluations = [e for _, e in found if e is not None]
+    names = [_label(f.path) for f in folders]
+    lines = [f"[{i + 1}] {name}  seed {f.facts().get('seed')}" for i, (name, f) in enumerate(zip(names, folders, strict=True))]
+    tested = {e["data"] for e in evaluations}
+    if len(tested) > 1:
+        lines.append("Not the same test data: " + "; ".join(f"[{i + 1}] {e['data']}" for i, e in enumerate(evaluations)))
+    else:
+        lines.append(f"test data: {tested.pop()}")
+    lines += ["", f"{'protocol':<18}" + "".join(f"{f'[{i + 1}]':>10}" for i in range(len(runs)))]
+    for name in _SHOWN:
+        values = [e["overall"].get(name) for e in evaluations]
+        if any(value is not None for value in values):
+            lines.append(f"{name:<18}" + "".join(f"{v:10.3f}" if v is not None else f"{'-':>10}" for v in values))
+    return "\n".join(lines)
+
+
+def spread(runs: Sequence[RunFolder]) -> str:
+    """Return mean and standard deviation over the runs' seeds, a row for each protocol."""
+    evaluations = [e for e in (run.evaluation() for run in runs) if e is not None]
+    if not evaluations:
+        return "No run was evaluated: no mean to give."
+    seeds = ", ".join(str(run.facts().get("seed")) for run in runs)
+    lines = [f"seeds {seeds}: mean and standard deviation", f"{'protocol':<18}{'mean':>10}{'sd':>9}"]
+    for name in _SHOWN:
+        values = [e["overall"][name] for e in evaluations if name in e["overall"]]
+        if len(values) == len(evaluations):
+            mean = sum(values) / len(values)
+            sd = math.sqrt(sum((v - mean) ** 2 for v in values) / max(1, len(values) - 1))
+            lines.append(f"{name:<18}{mean:10.3f}{sd:9.3f}")
+    return "\n".join(lines)
+
+
+def _label(path: Path) -> str:
+    return "/".join(path.parts[-2:])

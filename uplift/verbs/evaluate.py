@@ -1,0 +1,127 @@
+"""The verb evaluate: every protocol for a run, or for anybody's poses."""
+
+from __future__ import annotations
+
+import datetime
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from uplift.data.clean import clean
+from uplift.data.container import PoseData
+from uplift.data.load import find_data, load_data, load_file
+from uplift.errors import UserError
+from uplift.evaluation import Evaluation, GivenPoses
+from uplift.evaluation import evaluate as score
+from uplift.skeleton.matching import match_joints
+from uplift.paths import shipped_names
+from uplift.readers.npz import read_arrays
+from uplift.run import RunFolder
+from uplift.skeleton import Skeleton, load_skeleton
+from uplift.saving import replacing
+
+if TYPE_CHECKING:
+    from uplift.model import Model
+
+__all__ = ["evaluate", "evaluate_model", "evaluate_poses", "save_evaluation"]
+
+
+def evaluate(run: str | Path, test: str | Path | None = None) -> Evaluation:
+    """Evaluate a run on ``test``, or on its own test frames, and write evaluation.json into the run.
+
+    Raises:
+        UserError: no such run, no truth to compare with.
+    """
+    from uplift.model import load
+
+    folder = RunFolder.open(run)
+    model = load(folder.path)
+    truth, name = _test_frames(folder, model.skeleton, test)
+    result = evaluate_model(model, truth, name)
+    save_evaluation(result, folder)
+    return result
+
+
+def _test_frames(folder: RunFolder, skeleton: Skeleton, test: str | Path | None) -> tuple[PoseData, str]:
+    if test is not None:
+        data, _ = clean(load_file(test, skeleton), skeleton)
+        return data, str(test)
+    settings = folder.settings()
+    chosen = settings.data
+    if chosen.test and not chosen.simulate:
+        path = find_data(settings, "test")
+        data, _ = clean(load_file(path, skeleton), skeleton)
+        return data, str(path)
+    data = load_data(settings, skeleton).test
+    if data is None:
+        raise UserError(f"{folder.path} has no test frames of its own: give data.test=FILE.")
+    return data, data.source
+
+
+def evaluate_model(model: Model, truth: PoseData, name: str) -> Evaluation:
+    """Return every protocol of ``model`` on cleaned frames with poses."""
+    if truth.pose is None:
+        raise UserError(f"{name}: holds no 'pose' (frames, joints, 3) to compare with, only keypoints.")
+    return score(model.predict(truth), truth, model.skeleton, name)
+
+
+def evaluate_poses(poses: str | Path, test: str | Path, skeleton: str | None = None) -> Evaluation:
+    """Evaluate poses that came from anywhere: an npz with `pose` and `joint_names`, rows as in ``test``.
+
+    Raises:
+        UserError: not such a file, other joints or other frames than the truth.
+    """
+    arrays = read_arrays(poses)
+    for key in ("pose", "joint_names"):
+        if key not in arrays:
+            raise UserError(f"{poses}: no array '{key}' (found: {', '.join(sorted(arrays))}).")
+    names = tuple(str(name) for name in arrays["joint_names"])
+    chosen = load_skeleton(skeleton) if skeleton else _skeleton_of(names, str(poses))
+    pose = arrays["pose"]
+    if pose.ndim != 3 or pose.shape[1:] != (len(names), 3) or pose.dtype.kind not in "fiu":
+        raise UserError(f"{poses}: 'pose' is {pose.dtype} of shape {pose.shape}, expected numbers (frames, {len(names)}, 3).")
+    given = GivenPoses(
+        pose=pose.astype(np.float64),
+        joint_names=names,
+        unit=str(arrays["unit"]) if "unit" in arrays else "relative",
+        tilt_deg=arrays.get("tilt_deg"),
+        identity={k: arrays[k] for k in ("subject", "action", "sequence", "camera", "frame") if k in arrays},
+        source=str(poses),
+    )
+    truth, _ = clean(load_file(test, chosen), chosen, drop=False)
+    if truth.pose is None:
+        raise UserError(f"{test}: holds no 'pose' (frames, joints, 3) to compare with.")
+    return score(given, truth, chosen, str(test))
+
+
+def _skeleton_of(names: tuple[str, ...], where: str) -> Skeleton:
+    """Return the shipped skeleton with exactly these joints."""
+    for name in shipped_names("skeletons"):
+        skeleton = load_skeleton(name)
+        if set(skeleton.joints) == set(names):
+            return skeleton
+    for name in shipped_names("skeletons"):
+        skeleton = load_skeleton(name)
+        try:
+            match_joints(names, skeleton)
+        except UserError:
+            continue
+        raise UserError(f"{where}: joints are not exactly a shipped skeleton's; they fit '{name}': say skeleton={name}.")
+    raise UserError(f"{where}: its joints are no shipped skeleton's ({', '.join(names[:8])}, ...): say skeleton=FILE.yaml.")
+
+
+def save_evaluation(result: Evaluation, folder: RunFolder) -> None:
+    """Write evaluation.json (always the newest), its CSV, and a dated copy under evaluations/."""
+    text = json.dumps(result.to_dict(), indent=1).encode()
+    older = folder.path / "evaluations"
+    older.mkdir(exist_ok=True)
+    stamp = datetime.datetime.now().strftime("%Y-%m-%d_%H-%M-%S")
+    number = 1
+    while (older / f"{stamp}_{number}.json").exists():
+        number += 1
+    for path in (older / f"{stamp}_{number}.json", folder.path / "evaluation.json"):
+        with replacing(path) as file:
+            file.write(text)
+    result.write_csv(folder.path / "evaluation.csv")

@@ -1,0 +1,140 @@
+"""The verb fit: from settings to a run folder with a trained lifter, its errors and a page."""
+
+from __future__ import annotations
+
+import shlex
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+import torch
+
+from uplift.config import Settings
+from uplift.data.load import Loaded, load_data
+from uplift.data.tensors import TrainingSet
+from uplift.errors import UserError
+from uplift.lifter import Lifter
+from uplift.model import Model, build_lifter, load
+from uplift.priors import build_priors
+from uplift.run import RunFolder
+from uplift.skeleton import Skeleton, load_skeleton
+from uplift.task import load_settings
+from uplift.training.adversarial import AdversarialTraining
+from uplift.training.base import LifterTraining
+from uplift.training.stages import run_stage, stage_budgets
+from uplift.training.student import StudentTraining, lift_all
+from uplift.training.watch import blame
+
+__all__ = ["fit", "fit_settings"]
+
+
+def fit(task: str | None = None, *overrides: str, resume: str | Path | None = None) -> RunFolder:
+    """Train a lifter and return its run folder; the Python face of ``uplift fit``.
+
+    ``overrides`` are ``key=value`` texts. With ``resume`` an interrupted run goes on with the
+    settings it was started with.
+
+    Raises:
+        UserError: anything wrong with settings, data or skeleton.
+        uplift.training.budget.Interrupted: Ctrl-C; the run can be resumed.
+    """
+    if resume is not None:
+        if task or overrides:
+            raise UserError("resume=RUN goes on with the run's own settings: give it no others. For others start from init=RUN.")
+        run = RunFolder.open(resume)
+        return fit_settings(run.settings(), run)
+    settings = load_settings(task, overrides)
+    return fit_settings(settings)
+
+
+def fit_settings(settings: Settings, run: RunFolder | None = None) -> RunFolder:
+    """Train as ``settings`` say, in a new run folder or going on in ``run``."""
+    skeleton = _skeleton(settings)
+    loaded = load_data(settings, skeleton)
+    modules = _Stages(settings, skeleton, loaded)
+    if run is None:
+        run = RunFolder.create(settings, shlex.join(["uplift", *sys.argv[1:]]))
+    _say([f"uplift fit: {settings.task or 'own data'}, skeleton {skeleton.name}, seed {settings.seed}", *loaded.notes,
+          f"run: {run.path}"])  # fmt: skip
+    if settings.trainer.threads:
+        torch.set_num_threads(settings.trainer.threads)
+    lifter = modules.train(run)
+    model = Model(lifter.cpu().eval(), skeleton, settings.lifter)
+    model.save(run.weights)
+    from uplift.verbs.reporting import report
+
+    report(run, model, settings, loaded, modules.spent)
+    return run
+
+
+class _Stages:
+    """Builds each stage out of what the one before it left."""
+
+    def __init__(self, settings: Settings, skeleton: Skeleton, loaded: Loaded):
+        self.settings, self.skeleton = settings, skeleton
+        count_root = settings.lifter.radius == "all"
+        self.data = TrainingSet.of(loaded.train, skeleton, count_root=count_root)
+        shares = [settings.teacher.share, settings.student.share]
+        self.budgets = stage_budgets(settings.trainer, shares, len(self.data), settings.teacher.batch_size)
+        self.spent: dict[str, float] = {}
+        torch.manual_seed(settings.seed)
+        self.priors, self.weights = build_priors(settings.priors, skeleton)
+        if not self.priors:
+            raise UserError("No prior is on: nothing would train the lifter. Set priors.NAME.use and priors.NAME.weight.")
+        self.first = build_lifter(settings.lifter, skeleton)
+        if settings.init:
+            _start_from(self.first, settings.init)
+
+    def train(self, run: RunFolder) -> Lifter:
+        """Return the lifter after the last stage."""
+        teacher = self._teacher()
+        self._run("teacher", teacher, 0, run)
+        final = teacher.final
+        if self.settings.student.share > 0:
+            final = self._run("student", self._student(final), 1, run).final
+        return final
+
+    def _run(self, name: str, module: LifterTraining, place: int, run: RunFolder) -> LifterTraining:
+        clock = run_stage(name, module, self.settings.trainer, self.budgets[place], run.path)
+        self.spent[name] = clock.spent
+        return module
+
+    def _teacher(self) -> AdversarialTraining:
+        settings = self.settings
+        for name, prior in self.priors.items():
+            with blame(name, prior, "prepare"):
+                prior.prepare(self.data)
+        return AdversarialTraining(
+            self.first, self.data, settings.teacher, settings.views, self.priors, self.weights, settings.seed
+        )
+
+    def _student(self, teacher: Lifter) -> StudentTraining:
+        torch.manual_seed(self.settings.seed + 1)
+        fresh = build_lifter(self.settings.lifter, self.skeleton)
+        poses = lift_all(teacher, self.data)
+        return StudentTraining(fresh, poses, self.settings.student, self.settings.views, self.settings.seed + 1)
+
+
+def _skeleton(settings: Settings) -> Skeleton:
+    if not settings.skeleton:
+        raise UserError("No skeleton: set skeleton=NAME (`uplift skeletons` lists them) or skeleton=FILE.yaml.")
+    return load_skeleton(settings.skeleton)
+
+
+def _start_from(lifter: Lifter, run: str) -> None:
+    """Load the weights of another run's lifter."""
+    other = load(run)
+    if other.skeleton.joints != lifter.skeleton.joints:
+        raise UserError(
+            f"init={run} was trained on skeleton '{other.skeleton.name}' ({len(other.skeleton.joints)} joints), "
+            f"this fit is for '{lifter.skeleton.name}' ({len(lifter.skeleton.joints)} joints)."
+        )
+    try:
+        lifter.load_state_dict(other.lifter.state_dict())
+    except RuntimeError as error:
+        raise UserError(f"init={run} has another network: {str(error).splitlines()[0]}") from error
+
+
+def _say(lines: Sequence[str]) -> None:
+    for line in lines:
+        print(line, flush=True)

@@ -1,0 +1,34 @@
+"""The verb predict: keypoints in, poses out, in the format of the output's ending."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from uplift.data.clean import clean
+from uplift.data.load import load_file
+from uplift.errors import UserError
+from uplift.model import load
+from uplift.prediction import Prediction
+from uplift.writers import write, writer_for
+
+__all__ = ["predict"]
+
+
+def predict(run: str | Path, input: str | Path, output: str | Path | None = None) -> Prediction:
+    """Lift the keypoints of ``input`` with the model of ``run`` and write them to ``output``, if given.
+
+    Raises:
+        UserError: no such run or input, joints that do not fit the model's skeleton, an output that
+            exists already or has an unknown ending.
+    """
+    if output is not None:
+        writer_for(output)
+        if Path(output).exists():
+            raise UserError(f"{output} exists already and is not overwritten: remove it or choose another name.")
+    model = load(run)
+    data = load_file(input, model.skeleton)
+    clean(data, model.skeleton)  # refuses a file with nothing to lift, before any work
+    prediction = model.predict(data, title=Path(input).stem)
+    if output is not None:
+        write(prediction, output)
+    return prediction

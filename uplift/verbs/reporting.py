@@ -1,0 +1,122 @@
+"""What a fit leaves to read: evaluation, report.md, page.html, and the lines at its end."""
+
+from __future__ import annotations
+
+from uplift.config import Settings
+from uplift.data.load import Loaded
+from uplift.verbs.evaluate import evaluate_model, save_evaluation
+from uplift.evaluation import Evaluation, GivenPoses, flat_depth
+from uplift.evaluation import evaluate as score
+from uplift.model import Model
+from uplift.run import RunFolder
+from uplift.training.progress import read_metrics
+from uplift.saving import replacing
+from uplift.writers.html import write_html
+
+__all__ = ["given_lines", "report"]
+
+_HEADLINES = ("p_mpjpe", "n_mpjpe", "mpjpe_gt_scale", "facing", "facing_sign", "elevation_deg")
+
+
+def report(run: RunFolder, model: Model, settings: Settings, loaded: Loaded, spent: dict[str, float]) -> None:
+    """Evaluate where there are test poses, write report.md and page.html, and print what comes next."""
+    data = loaded.test if loaded.test is not None else loaded.train.without_truth()
+    evaluation = flat = None
+    if loaded.test is not None and loaded.test.pose is not None:
+        evaluation = evaluate_model(model, loaded.test, loaded.test.source)
+        save_evaluation(evaluation, run)
+        floor = GivenPoses(flat_depth(data.keypoints, model.skeleton.root_index), model.skeleton.joints)
+        flat = score(floor, loaded.test, model.skeleton)
+    given = given_lines(settings)
+    text = _markdown(run, settings, loaded, spent, given, evaluation, flat)
+    with replacing(run.path / "report.md") as file:
+        file.write(text.encode())
+    title = f"{settings.task or 'own data'}: {model.skeleton.name}"
+    sections = [("Errors", _rows(evaluation, flat))] if evaluation and flat else []
+    write_html(
+        model.predict(data.select(_some_rows(data)), title=title),
+        run.path / "page.html",
+        sections=sections,
+        curves=_curves(run),
+        notes=given,
+    )
+    _print_end(run, evaluation, flat, spent)
+
+
+def given_lines(settings: Settings) -> list[str]:
+    """Return what the fit was given, a sentence each: the answer to "did it see 3D?"."""
+    weights = {n: float(s.get("weight", 1)) for n, s in settings.priors.items()}
+    on = [name for name, weight in weights.items() if weight > 0]
+    lines = ["Learned from 2D keypoints alone: no pose, depth, bone length or camera tilt of the data was used."]
+    if settings.init:
+        lines = [f"Started from the weights of {settings.init}; see that run for what it learned from."]
+    if settings.data.simulate:
+        lines.append("The keypoints are simulated.")
+    described = ", ".join(f"{name} {weights[name]:g}" for name in on)
+    lines.append(f"Priors (weight): {described}.")
+    return lines
+
+
+def _some_rows(data, most: int = 1500):
+    """Return rows of whole clips, spread over the file, for the page."""
+    import numpy as np
+
+    clips = data.clips()
+    names, first = np.unique(clips, return_index=True)
+    names = names[np.argsort(first)]
+    counts = np.bincount(clips)[names]
+    step = max(1, int(np.ceil(len(names) * counts.mean() / most)))
+    picked = names[::step]
+    rows = np.flatnonzero(np.isin(clips, picked))
+    return rows[:most]
+
+
+def _rows(evaluation: Evaluation, flat: Evaluation) -> list[list[object]]:
+    rows: list[list[object]] = [["protocol", "this run", "flat depth"]]
+    for name in _HEADLINES:
+        if name in evaluation.overall:
+            floor = flat.overall.get(name)
+            rows.append([name, evaluation.overall[name], floor if floor is not None else ""])
+    return rows
+
+
+def _curves(run: RunFolder) -> dict[str, list[tuple[float, float]]]:
+    curves: dict[str, list[tuple[float, float]]] = {}
+    for stage, step, name, value in read_metrics(run.path / "metrics.csv"):
+        curves.setdefault(f"{stage}: {name}", []).append((float(step), float(value)))
+    return curves
+
+
+def _markdown(run, settings, loaded, spent, given, evaluation, flat) -> str:
+    facts = run.facts()
+    lines = [f"# {settings.task or 'own data'}", "", settings.description.strip(), ""]
+    lines += ["```", facts["command"], "```", ""]
+    lines += [f"- {note}" for note in [*loaded.notes, *given]]
+    lines += [f"- {stage}: {seconds:.0f} s of training" for stage, seconds in spent.items()]
+    lines += [f"- seed {settings.seed}, {facts['cores']} cores, torch {facts['versions']['torch']}", ""]
+    if evaluation is not None:
+        lines += ["## Errors", "", "| protocol | this run | flat depth |", "|---|---|---|"]
+        for name, value, floor in _rows(evaluation, flat)[1:]:
+            shown = f"{floor:.4g}" if isinstance(floor, float) else ""
+            lines.append(f"| `{name}` | {value:.4g} | {shown} |")
+        lines += ["", "Flat depth is the observed 2D with every depth 0: what any lifter must beat.", ""]
+        lines += ["```", evaluation.table(), "```", ""]
+    return "\n".join(lines) + "\n"
+
+
+def _print_end(run: RunFolder, evaluation: Evaluation | None, flat: Evaluation | None, spent: dict[str, float]) -> None:
+    print(f"\ntrained for {sum(spent.values()):.0f} s")
+    if evaluation is not None and flat is not None:
+        print(f"\n{evaluation.data}: {evaluation.frames:,} frames, unit {evaluation.unit}\n")
+        print(f"{'protocol':<18}{'this run':>10}{'flat depth':>12}")
+        for name, value, floor in _rows(evaluation, flat)[1:]:
+            shown = f"{floor:12.3f}" if isinstance(floor, float) else ""
+            print(f"{name!s:<18}{value:10.3f}{shown}")
+    else:
+        print("No test poses: nothing to evaluate. `uplift evaluate run=... data.test=FILE` does, on frames with truth.")
+    last = run.path.parent / "last"
+    shown = last if last.exists() else run.path
+    print(f"\nwrote {run.path}/: lifter.pt, report.md, page.html" + (", evaluation.json" if evaluation else ""))
+    print(f"look: open {run.path / 'page.html'} in a browser")
+    print(f"next: uplift evaluate run={shown}")
+    print(f"      uplift predict run={shown} input=KEYPOINTS.npz output=poses.html")

@@ -1,0 +1,155 @@
+"""The data a page carries: chosen clips, names, and the packed arrays."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from uplift.errors import UserError
+from uplift.prediction import Prediction
+from uplift.writers.clips import Clip, arrange, choose
+from uplift.writers.packing import pack
+from uplift.skeleton.sides import bone_sides, joint_sides
+from uplift.writers.staging import level_rotations, matched_truth, places, scaled_error
+
+__all__ = ["page_data"]
+
+_ROWS_PER_MOMENT = 3
+_STEPS_PER_SIZE = 4096
+
+
+def page_data(prediction: Prediction, moments: int) -> dict[str, Any]:
+    """Return what the page's script reads, and ``facts`` and ``remarks`` for its text.
+
+    At most ``moments`` moments and three rows for each, whole clips evenly chosen. Raises UserError
+    where there is no frame.
+    """
+    if not len(prediction):
+        raise UserError("there is no frame to show on a page: the prediction is empty. Check the input file.")
+    clips = arrange(prediction.identity, len(prediction))
+    chosen = choose(clips, max(1, moments), _ROWS_PER_MOMENT * max(1, moments))
+    rows = np.concatenate([clip.rows for clip in chosen])
+    arrays, departure = _arrays(prediction, chosen, rows)
+    packed, layout = pack(arrays)
+    bones = prediction.bone_indices.tolist()
+    sides = joint_sides(prediction.skeleton, prediction.joint_names)
+    return {
+        "unit": prediction.unit,
+        "truthUnit": prediction.truth_unit,
+        "joints": list(prediction.joint_names),
+        "root": prediction.joint_names.index(prediction.skeleton.root),
+        "bones": bones,
+        "jointSides": sides,
+        "boneSides": bone_sides(sides, bones),
+        "gravity": bool(prediction.skeleton.gravity),
+        "fps": _positive(prediction.fps),
+        "imageSize": [int(side) for side in prediction.image_size] if prediction.image_size is not None else None,
+        "clips": _described(chosen),
+        "layout": layout,
+        "packed": packed,
+        "facts": _facts(prediction, clips),
+        "remarks": _remarks(prediction, clips, chosen, departure),
+    }
+
+
+def _arrays(
+    prediction: Prediction, chosen: list[Clip], rows: np.ndarray
+) -> tuple[dict[str, tuple[np.ndarray, float]], float]:
+    pose = np.asarray(prediction.pose, np.float64)[rows]
+    points = np.asarray(prediction.keypoints, np.float64)[rows]
+    confidence = np.nan_to_num(np.asarray(prediction.confidence, np.float64)[rows])
+    confidence[~np.isfinite(points).all(-1)] = 0
+    confidence = np.where(confidence > 0, np.maximum(confidence, 1 / 255), 0)
+    rotation, departure = level_rotations(pose, np.asarray(prediction.level_pose, np.float64)[rows])
+    points = np.where(confidence[..., None] > 0, points, np.nan)
+    fine = _size(pose) / _STEPS_PER_SIZE
+    fine_px = _size(points - np.nan_to_num(points).mean((0, 1))) / _STEPS_PER_SIZE
+    arrays = {
+        "moment": (_stacked(chosen, "moment"), 1.0),
+        "individual": (_stacked(chosen, "individual"), 1.0),
+        "pose": (pose, fine),
+        "keypoints": (points, fine_px),
+        "confidence": (confidence, 1 / 255),
+        "level": (rotation, 1 / _STEPS_PER_SIZE),
+    }
+    if any(len(clip.individual_names) > 1 for clip in chosen):
+        arrays["place"] = (_places(chosen, pose, points, confidence > 0), fine)
+    if prediction.spread is not None:
+        arrays["spread"] = (np.asarray(prediction.spread, np.float64)[rows], fine)
+    if prediction.truth is not None:
+        truth = np.asarray(prediction.truth, np.float64)[rows]
+        same = prediction.unit == prediction.truth_unit == "mm"
+        error = scaled_error(pose, truth)
+        arrays["truth"] = (truth if same else matched_truth(pose, truth), fine)
+        arrays["error"] = (error, _size(truth) / _STEPS_PER_SIZE / 4)
+    return arrays, departure
+
+
+def _places(chosen: list[Clip], pose: np.ndarray, points: np.ndarray, seen: np.ndarray) -> np.ndarray:
+    ends = np.cumsum([len(clip.rows) for clip in chosen])[:-1]
+    parts = zip(*(np.split(array, ends) for array in (pose, points, seen)), strict=True)
+    return np.concatenate([places(*part) for part in parts])
+
+
+def _stacked(chosen: list[Clip], name: str) -> np.ndarray:
+    return np.concatenate([getattr(clip, name) for clip in chosen])
+
+
+def _size(values: np.ndarray) -> float:
+    """Return the median over frames of the farthest joint's distance; 1 where there is none."""
+    far = np.nan_to_num(np.linalg.norm(np.nan_to_num(values, posinf=0, neginf=0), axis=-1)).max(1, initial=0)
+    size = float(np.median(far)) if far.size else 0.0
+    return size if size > 0 else 1.0
+
+
+def _positive(fps: float | None) -> float | None:
+    return float(fps) if fps is not None and np.isfinite(fps) and fps > 0 else None
+
+
+def _described(chosen: list[Clip]) -> list[dict[str, Any]]:
+    return [
+        {"name": clip.name, "rows": len(clip.rows), "individuals": clip.individual_names, "frames": clip.frames}
+        for clip in chosen
+    ]
+
+
+def _facts(prediction: Prediction, clips: list[Clip]) -> list[str]:
+    count = sum(len(clip.frames) for clip in clips)
+    people = max((len(clip.individual_names) for clip in clips), default=1)
+    facts = [
+        prediction.source if prediction.title else "",
+        prediction.skeleton.name,
+        f"{len(prediction.joint_names)} joints",
+        _counted(count, "frame"),
+        _counted(len(clips), "clip") if len(clips) > 1 else "",
+        f"up to {people} individuals at once" if people > 1 else "",
+        f"{_positive(prediction.fps):g} fps" if _positive(prediction.fps) else "",
+    ]
+    return [fact for fact in facts if fact]
+
+
+def _remarks(prediction: Prediction, clips: list[Clip], chosen: list[Clip], departure: float) -> list[str]:
+    total, shown = (sum(len(clip.frames) for clip in some) for some in (clips, chosen))
+    remarks = []
+    if shown < total:
+        remarks.append(
+            f"This page shows {shown:,} of {total:,} frames ({len(chosen):,} of {len(clips):,} clips, evenly chosen); "
+            f"{total - shown:,} were left out to keep it small."
+        )
+    if any(len(clip.individual_names) > 1 for clip in chosen):
+        remarks.append("Individuals stand side by side as in the image; the depth between them is not estimated.")
+    if prediction.unit != "mm":
+        remarks.append("The scale is not metric: lengths can be compared with each other, not with a ruler.")
+        if prediction.truth is not None:
+            remarks.append("The truth is drawn at the size of each prediction.")
+    if departure > 0.02:
+        remarks.append(
+            "The level view turns each pose as a whole; the level poses of the data differ from that "
+            f"by up to {departure:.0%} of the pose's size."
+        )
+    return remarks
+
+
+def _counted(count: int, noun: str) -> str:
+    return f"{count:,} {noun}" if count == 1 else f"{count:,} {noun}s"
