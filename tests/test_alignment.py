@@ -6,10 +6,9 @@ import numpy as np
 import pytest
 import roma
 import torch
-from skimage.transform import SimilarityTransform
 
-from uplift.alignment import ALIGNED_ERRORS, align, least_squares_scale, norm_scale, procrustes, xy_scale
 from uplift.errors import UserError
+from uplift.evaluation.alignment import ALIGNED_ERRORS, align, least_squares_scale, norm_scale, procrustes, xy_scale
 
 JOINTS = 9
 
@@ -44,13 +43,10 @@ def mean_error(pose: np.ndarray, truth: np.ndarray) -> np.ndarray:
 
 @pytest.mark.parametrize("kind", [kind for kind in KINDS if kind != "nearly on a line"])
 def test_procrustes_is_that_of_skimage(kind):
+    transform = pytest.importorskip("skimage.transform").SimilarityTransform
     pose, truth = poses(kind)
-    expected = np.stack([_skimage(x, y) for x, y in zip(pose, truth, strict=True)])
+    expected = np.stack([transform.from_estimate(x, y)(x) for x, y in zip(pose, truth, strict=True)])
     assert np.allclose(procrustes(pose, truth), expected, rtol=1e-7, atol=1e-6)
-
-
-def _skimage(pose: np.ndarray, truth: np.ndarray) -> np.ndarray:
-    return SimilarityTransform.from_estimate(pose, truth)(pose)
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -59,9 +55,7 @@ def test_procrustes_is_that_of_roma(kind):
     x, y = torch.from_numpy(pose), torch.from_numpy(truth)
     turn, shift, scale = roma.rigid_points_registration(x, y, compute_scaling=True)
     expected = scale[:, None, None] * (x @ turn.transpose(1, 2)) + shift[:, None]
-    assert np.allclose(
-        mean_error(procrustes(pose, truth), truth), mean_error(expected.numpy(), truth), rtol=1e-6
-    )
+    assert np.allclose(mean_error(procrustes(pose, truth), truth), mean_error(expected.numpy(), truth), rtol=1e-6)
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -107,9 +101,7 @@ def test_scales_are_those_of_a_loop():
     ):
         seen = [j for j in range(JOINTS) if w[j]]
         others = [j for j in seen if j != 4]
-        assert np.isclose(
-            xy, sum(np.hypot(*y[j, :2]) for j in others) / sum(np.hypot(*x[j, :2]) for j in others)
-        )
+        assert np.isclose(xy, sum(np.hypot(*y[j, :2]) for j in others) / sum(np.hypot(*x[j, :2]) for j in others))
         assert np.isclose(least, sum(x[j] @ y[j] for j in seen) / sum(x[j] @ x[j] for j in seen))
         assert np.isclose(norm, np.linalg.norm(y[seen]) / np.linalg.norm(x[seen]))
 

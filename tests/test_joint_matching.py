@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 from jaxtyping import jaxtyped
 
 from uplift.errors import UserError
-from uplift.skeleton.matching import build_joints, build_pose, match_joints
 from uplift.skeleton import Skeleton, load_skeleton
+from uplift.skeleton.matching import build_joints, build_pose, match_joints
 
 COCO = load_skeleton("coco17").joints[:17]
 MPII_17_SLOTS = (

@@ -14,9 +14,9 @@ from beartype import beartype
 from jaxtyping import TypeCheckError, jaxtyped
 from scipy.linalg import orthogonal_procrustes
 
-from uplift import metrics
-from uplift.alignment import counted
-from uplift.plausibility import facing_sign, has_handedness, mirrored_bones
+from uplift.evaluation import metrics
+from uplift.evaluation.alignment import counted
+from uplift.evaluation.plausibility import facing_sign, has_handedness, mirrored_bones
 from uplift.skeleton import Skeleton
 
 ROOT = 2
@@ -111,15 +111,11 @@ def test_shares_and_stress_are_those_of_a_loop():
     for frame, (x, y, w) in enumerate(zip(pose, truth, weight, strict=True)):
         seen = [joint for joint in range(6) if w[joint]]
         off = [math.dist(x[j], y[j]) for j in seen]
-        pairs = [
-            abs(math.dist(x[i], x[j]) - math.dist(y[i], y[j])) for i, j in itertools.combinations(seen, 2)
-        ]
+        pairs = [abs(math.dist(x[i], x[j]) - math.dist(y[i], y[j])) for i, j in itertools.combinations(seen, 2)]
         curve = [sum(e < t for e in off) / len(off) for t in range(0, 151, 5)]
         assert found["pck"][frame] == pytest.approx(curve[-1])
         assert found["auc"][frame] == pytest.approx(sum(curve) / 31)
-        assert found["pck_z"][frame] == pytest.approx(
-            sum(abs(x[j, 2] - y[j, 2]) < 150 for j in seen) / len(seen)
-        )
+        assert found["pck_z"][frame] == pytest.approx(sum(abs(x[j, 2] - y[j, 2]) < 150 for j in seen) / len(seen))
         assert found["stress"][frame] == pytest.approx(sum(pairs) / len(pairs))
         kept, flipped = (slow_error("p_mpjpe", p, y, seen) for p in (x, x * [1, 1, -1]))
         assert found["facing"][frame] == (kept <= flipped)
@@ -131,12 +127,8 @@ def test_mpjve_is_that_of_a_loop_and_needs_a_frame_before():
     found = metrics.mpjve(pose, truth, previous, weight)
     for frame, before in enumerate(previous):
         seen = [j for j in range(6) if weight[frame, j] and weight[before, j]]
-        steps = [
-            math.dist(pose[frame, j] - pose[before, j], truth[frame, j] - truth[before, j]) for j in seen
-        ]
-        assert (
-            math.isnan(found[frame]) if before < 0 else found[frame] == pytest.approx(sum(steps) / len(steps))
-        )
+        steps = [math.dist(pose[frame, j] - pose[before, j], truth[frame, j] - truth[before, j]) for j in seen]
+        assert math.isnan(found[frame]) if before < 0 else found[frame] == pytest.approx(sum(steps) / len(steps))
 
 
 @pytest.mark.parametrize("name", SCALED)
@@ -153,7 +145,8 @@ def test_a_mirrored_pose_costs_unless_the_name_says_otherwise():
         assert (metrics.p_mpjpe(mirrored, truth) > 20).all()
         assert np.allclose(metrics.p_mpjpe_reflect(mirrored, truth), 0, atol=1e-8)
     flipped = metrics.flip_depth(truth)
-    assert metrics.facing(truth, truth).all() and not metrics.facing(flipped, truth).any()
+    assert metrics.facing(truth, truth).all()
+    assert not metrics.facing(flipped, truth).any()
     assert np.allclose(metrics.p_mpjpe_best_of_flip(flipped, truth), 0, atol=1e-8)
     assert np.allclose(metrics.n_mpjpe_best_of_flip(flipped, truth), 0, atol=1e-8)
 
@@ -208,7 +201,8 @@ def test_unknown_joints_do_not_count_and_empty_frames_are_nan():
     weight = counted(pose, truth)
     for metric in (*ERRORS.values(), *OTHERS.values()):
         values = metric(pose, truth)
-        assert np.isnan(values[2]) and np.isfinite(np.delete(values, 2)).all()
+        assert np.isnan(values[2])
+        assert np.isfinite(np.delete(values, 2)).all()
         assert np.allclose(values, metric(pose, truth, weight=weight), equal_nan=True)
 
 

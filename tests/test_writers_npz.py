@@ -12,8 +12,8 @@ from writers_samples import figure, prediction
 
 from uplift.errors import UserError
 from uplift.prediction import Prediction
-from uplift.writers import WRITERS, write
 from uplift.saving import replacing
+from uplift.writers import WRITERS, write
 
 
 @pytest.fixture

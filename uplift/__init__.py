@@ -6,17 +6,17 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from uplift.verbs.compare import compare
     from uplift.data.container import PoseData
     from uplift.errors import UserError
-    from uplift.verbs.evaluate import evaluate, evaluate_poses
     from uplift.lift import Lift
     from uplift.model import Model, load
-    from uplift.verbs.predict import predict
     from uplift.priors.base import Prior
-    from uplift.verbs.simulate import simulate
     from uplift.skeleton import Skeleton, load_skeleton
+    from uplift.verbs.compare import compare
+    from uplift.verbs.evaluate import evaluate, evaluate_poses
     from uplift.verbs.fit import fit
+    from uplift.verbs.predict import predict
+    from uplift.verbs.simulate import simulate
 
 __all__ = [
     "Lift", "Model", "PoseData", "Prior", "Skeleton", "UserError", "compare", "evaluate", "evaluate_poses", "fit",

@@ -1,4 +1,4 @@
-"""Two cameras: orthographic (Kudo et al. 2018) and perspective at a chosen distance."""
+"""Two cameras: orthographic (Kudo et al. 2018) and perspective at each body's own distance."""
 
 from __future__ import annotations
 
@@ -15,54 +15,61 @@ __all__ = ["Camera", "Orthographic", "Perspective", "build_camera"]
 
 @dataclass(frozen=True)
 class Orthographic:
-    """Parallel rays: x and y of the pose are those of the keypoints."""
+    """Parallel rays: x and y of the pose are those of the keypoints; ``distance`` does not matter."""
 
     def unproject(
-        self, keypoints: Float[Tensor, "frames joints 2"], depth: Float[Tensor, "frames joints"]
+        self,
+        keypoints: Float[Tensor, "frames joints 2"],
+        depth: Float[Tensor, "frames joints"],
+        distance: Float[Tensor, " frames"],
     ) -> Float[Tensor, "frames joints 3"]:
         """Return the pose that ``keypoints`` at ``depth`` are the projection of."""
         return torch.cat([keypoints, depth.unsqueeze(-1)], -1)
 
-    def project(self, pose: Float[Tensor, "frames joints 3"]) -> Float[Tensor, "frames joints 2"]:
+    def project(
+        self, pose: Float[Tensor, "frames joints 3"], distance: Float[Tensor, " frames"]
+    ) -> Float[Tensor, "frames joints 2"]:
         """Return the 2D keypoints of ``pose``."""
         return pose[..., :2]
 
 
 @dataclass(frozen=True)
 class Perspective:
-    """A pinhole at ``distance`` from the root, in units of the body's mean 2D radius.
+    """A pinhole that looks at the root from ``distance``, in units of the body's mean 2D radius.
 
     At the root's depth one unit of the pose is one unit of the keypoints, so focal length and
-    distance are one number (ElePose, Wandt et al. 2022, uses 10).
+    distance are one number: focal length over mean radius, both in pixels, where the camera is
+    known, else a guess (ElePose, Wandt et al. 2022, uses 10).
     """
 
-    distance: float = 10.0
-
     def unproject(
-        self, keypoints: Float[Tensor, "frames joints 2"], depth: Float[Tensor, "frames joints"]
+        self,
+        keypoints: Float[Tensor, "frames joints 2"],
+        depth: Float[Tensor, "frames joints"],
+        distance: Float[Tensor, " frames"],
     ) -> Float[Tensor, "frames joints 3"]:
         """Return the pose that ``keypoints`` at ``depth`` are the projection of."""
         z = depth.unsqueeze(-1)
-        return torch.cat([keypoints * self._ratio(z), z], -1)
+        return torch.cat([keypoints * _ratio(z, distance), z], -1)
 
-    def project(self, pose: Float[Tensor, "frames joints 3"]) -> Float[Tensor, "frames joints 2"]:
+    def project(
+        self, pose: Float[Tensor, "frames joints 3"], distance: Float[Tensor, " frames"]
+    ) -> Float[Tensor, "frames joints 2"]:
         """Return the 2D keypoints of ``pose``."""
-        return pose[..., :2] / self._ratio(pose[..., 2:])
+        return pose[..., :2] / _ratio(pose[..., 2:], distance)
 
-    def _ratio(self, z: Tensor) -> Tensor:
-        # A point at or behind the pinhole has no image: hold it at a tenth of the distance.
-        return (1 + z / self.distance).clamp_min(0.1)
+
+def _ratio(z: Tensor, distance: Tensor) -> Tensor:
+    # A point at or behind the pinhole has no image: hold it at a tenth of the distance.
+    return (1 + z / distance[:, None, None]).clamp_min(0.1)
 
 
 Camera = Orthographic | Perspective
 
 
-def build_camera(name: str, distance: float) -> Camera:
+def build_camera(name: str) -> Camera:
     """Return the camera called ``orthographic`` or ``perspective``."""
-    if name == "orthographic":
-        return Orthographic()
-    if name == "perspective":
-        if not distance > 1:
-            raise UserError(f"lifter.distance={distance}: expected more than 1 body radius.")
-        return Perspective(distance)
-    raise UserError(f"lifter.camera={name!r} is unknown.{did_you_mean(name, ('orthographic', 'perspective'))}")
+    cameras = {"orthographic": Orthographic, "perspective": Perspective}
+    if name not in cameras:
+        raise UserError(f"lifter.camera={name!r} is unknown.{did_you_mean(name, cameras)}")
+    return cameras[name]()

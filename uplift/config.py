@@ -51,7 +51,8 @@ class LifterSettings:
     network: str = "residual"  # kudo, residual, or file.py:Class
     options: dict[str, Any] = field(default_factory=dict)  # of the network
     camera: str = "perspective"  # or orthographic
-    distance: float = 10.0  # of the perspective camera, in mean 2D radii of the body
+    intrinsics: str = "auto"  # auto: use the file's focal_px and image_size where it has them; off: never
+    distance: float = 10.0  # of the perspective camera without intrinsics, in mean 2D radii of the body
     tilt: str = "predicted"  # camera tilt: predicted (per pose), learned (one for all), level
     radius: str = "all"  # joints the normalising mean runs over: all, or without_root
     root_free: bool = False  # leave the root's own depth in

@@ -10,7 +10,7 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from uplift.lifter import Lifted, Lifter
-from uplift.pose import renormalise
+from uplift.normalise import renormalise
 from uplift.skeleton import Skeleton
 from uplift.views import level, turn
 
@@ -41,6 +41,8 @@ class Lift:
     """The rotation from the camera frame to the frame of a new, random camera."""
     scale: Float[Tensor, " batch"]
     """Pixels per unit."""
+    distance: Float[Tensor, " batch"]
+    """Of the camera to the root, in units; the new camera is as far."""
     labels: Float[Tensor, "batch joints 3"] | None
     """True poses in the same units, NaN where a joint or a frame has none; None in 2D-only training."""
     lifter: Lifter
@@ -63,23 +65,17 @@ class Lift:
         return self._seen[0]
 
     @cached_property
-    def turned_seen(self) -> Float[Tensor, "batch joints 3"]:
-        """The turned pose in the units of `seen`, relative to its root: what lifting `seen` should give."""
-        turned = self.turned
-        return turned / self._seen[1][:, None, None]
+    def seen_scale(self) -> Float[Tensor, " batch"]:
+        """Units of `turned` per unit of `seen`: the radius that `seen` was divided by."""
+        return self._seen[1]
 
     @cached_property
     def _seen(self) -> tuple[Tensor, Tensor]:
-        root = self.skeleton.root_index
-        projected = self.lifter.camera.project(self.turned)
+        projected = self.lifter.camera.project(self.turned, self.distance)
         if not self.renormalise_views:
             return projected, projected.new_ones(len(projected))
-        weight = self.confidence
-        seen = renormalise(projected, weight, root, count_root=self.count_root)
-        centred = projected - projected[:, root : root + 1]
-        # seen = centred / scale, so the scale is the ratio of any two lengths.
-        scale = centred.square().sum((1, 2)).sqrt() / seen.square().sum((1, 2)).sqrt().clamp_min(1e-8)
-        return seen, scale.clamp_min(1e-6)
+        root = self.skeleton.root_index
+        return renormalise(projected, self.confidence, root, count_root=self.count_root)
 
     @cached_property
     def visible(self) -> Float[Tensor, "batch joints"]:
@@ -89,7 +85,8 @@ class Lift:
     @cached_property
     def relifted(self) -> Lifted:
         """The turned view lifted again, by the same lifter, with the same joints missing."""
-        return self.lifter(self.seen * self.visible.unsqueeze(-1), self.confidence)
+        keypoints = self.seen * self.visible.unsqueeze(-1)
+        return self.lifter(keypoints, self.confidence, self.distance / self.seen_scale)
 
     @staticmethod
     def mean(value: Tensor, weight: Tensor) -> Tensor:

@@ -66,7 +66,10 @@ class Lifter(nn.Module):
         return joints * (3 if confidence_input else 2), joints * (3 if fill else 1) + (tilt == "predicted")
 
     def forward(
-        self, keypoints: Float[Tensor, "batch joints 2"], confidence: Float[Tensor, "batch joints"]
+        self,
+        keypoints: Float[Tensor, "batch joints 2"],
+        confidence: Float[Tensor, "batch joints"],
+        distance: Float[Tensor, " batch"],
     ) -> Lifted:
         """Lift normalised keypoints; a joint of confidence 0 is ignored wherever it is."""
         joints = len(self.skeleton.joints)
@@ -82,7 +85,7 @@ class Lifter(nn.Module):
         if self.fill:
             guessed = output[:, joints : 3 * joints].reshape(-1, joints, 2)
             keypoints = torch.where(visible, keypoints, guessed)
-        return Lifted(self.camera.unproject(keypoints, depth), self._tilt(output), keypoints)
+        return Lifted(self.camera.unproject(keypoints, depth, distance), self._tilt(output), keypoints)
 
     def _tilt(self, output: Tensor) -> Tensor:
         if self.tilt == "predicted":
@@ -93,14 +96,17 @@ class Lifter(nn.Module):
         return output.new_zeros(len(output))
 
     def lift_both_ways(
-        self, keypoints: Float[Tensor, "batch joints 2"], confidence: Float[Tensor, "batch joints"]
+        self,
+        keypoints: Float[Tensor, "batch joints 2"],
+        confidence: Float[Tensor, "batch joints"],
+        distance: Float[Tensor, " batch"],
     ) -> Lifted:
         """Lift the keypoints and their mirror image and average the two (after Pavllo et al. 2019)."""
         swap = self.mirror_permutation
-        straight = self(keypoints, confidence)
-        mirrored = self(mirror(keypoints, swap), confidence[:, swap])
+        straight = self(keypoints, confidence, distance)
+        mirrored = self(mirror(keypoints, swap), confidence[:, swap], distance)
         depth = (straight.pose[..., 2] + mirrored.pose[:, swap, 2]) / 2
         filled = (straight.keypoints + mirror(mirrored.keypoints, swap)) / 2
         return Lifted(
-            self.camera.unproject(filled, depth), (straight.tilt + mirrored.tilt) / 2, filled
+            self.camera.unproject(filled, depth, distance), (straight.tilt + mirrored.tilt) / 2, filled
         )

@@ -19,13 +19,13 @@ from uplift.data.container import PoseData
 from uplift.errors import UserError
 from uplift.lifter import Lifter
 from uplift.networks import build_network
-from uplift.pose import normalise
+from uplift.normalise import Intrinsics, normalise
 from uplift.prediction import Prediction
 from uplift.skeleton import Skeleton
 from uplift.training.checkpoint import read_torch, save_torch
 from uplift.views import level, turn
 
-__all__ = ["Model", "build_lifter", "load"]
+__all__ = ["Model", "build_lifter", "intrinsics_of", "load"]
 
 _FORMAT = 1
 _CHUNK = 8192
@@ -41,12 +41,21 @@ def build_lifter(settings: LifterSettings, skeleton: Skeleton) -> Lifter:
     return Lifter(
         skeleton,
         network,
-        build_camera(settings.camera, settings.distance),
+        build_camera(settings.camera),
         tilt=tilt,
         confidence_input=settings.confidence_input,
         fill=settings.fill,
         root_free=settings.root_free,
     )
+
+
+def intrinsics_of(data: PoseData, settings: LifterSettings) -> Intrinsics | None:
+    """Return the camera that ``data`` knows and the settings let be used, None otherwise."""
+    if settings.intrinsics == "off" or settings.camera == "orthographic":
+        return None
+    if data.focal_px is None or data.centre_px is None:
+        return None
+    return Intrinsics(data.focal_px, data.centre_px)
 
 
 @dataclass
@@ -91,6 +100,7 @@ class Model:
         stay rows.
         """
         data, _ = clean(data, self.skeleton, drop=False)
+        intrinsics = intrinsics_of(data, self.settings)
         device = next(self.lifter.parameters()).device
         poses, levels, tilts = [], [], []
         with torch.inference_mode():
@@ -98,7 +108,7 @@ class Model:
                 rows = slice(start, start + _CHUNK)
                 keypoints = torch.from_numpy(data.keypoints[rows]).to(device)
                 confidence = torch.from_numpy(data.confidence[rows]).to(device)
-                pose, tilt = self._lift(keypoints, confidence)
+                pose, tilt = self._lift(keypoints, confidence, intrinsics)
                 poses.append(pose.cpu())
                 levels.append(turn(pose, level(tilt)).cpu() if self.skeleton.gravity else pose.cpu())
                 tilts.append(tilt.cpu())
@@ -124,14 +134,29 @@ class Model:
         )
 
     def _lift(
-        self, keypoints: Float[Tensor, "frames joints 2"], confidence: Float[Tensor, "frames joints"]
+        self,
+        keypoints: Float[Tensor, "frames joints 2"],
+        confidence: Float[Tensor, "frames joints"],
+        intrinsics: Intrinsics | None,
     ) -> tuple[Tensor, Tensor]:
-        """Return poses in pixels and tilts in radians."""
-        count_root = self.settings.radius == "all"
-        normal = normalise(keypoints, confidence, self.skeleton.root_index, count_root=count_root)
+        """Return poses in pixels and tilts in radians, both of the real camera."""
+        normal = normalise(
+            keypoints,
+            confidence,
+            self.skeleton.root_index,
+            count_root=self.settings.radius == "all",
+            intrinsics=intrinsics,
+            distance=self.settings.distance,
+        )
         lift = self.lifter.lift_both_ways if self.settings.both_ways else self.lifter
-        lifted = lift(normal.keypoints, confidence)
-        return lifted.pose * normal.scale_px[:, None, None], lifted.tilt
+        lifted = lift(normal.keypoints, confidence, normal.distance)
+        pose, tilt = lifted.pose * normal.scale_px[:, None, None], lifted.tilt
+        if normal.rotation is not None:
+            pose = turn(pose, normal.rotation.mT)
+            gravity = torch.stack([torch.zeros_like(tilt), tilt.cos(), tilt.sin()], -1)
+            gravity = turn(gravity[:, None], normal.rotation.mT)[:, 0]
+            tilt = torch.atan2(gravity[:, 2], gravity[:, :2].norm(dim=-1))
+        return pose, tilt
 
     def save(self, path: Path) -> None:
         """Write the model to one file of tensors and plain data."""

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Int
 
 if TYPE_CHECKING:
     from uplift.skeleton import Skeleton
@@ -26,20 +26,20 @@ class Prediction:
     where the arrays do not fit together.
     """
 
-    pose: Float[np.ndarray, "frames joints 3"]
-    level_pose: Float[np.ndarray, "frames joints 3"]
+    pose: np.ndarray  # (frames, joints, 3)
+    level_pose: np.ndarray  # (frames, joints, 3)
     unit: str
-    keypoints: Float[np.ndarray, "frames joints 2"]
-    confidence: Float[np.ndarray, "frames joints"]
+    keypoints: np.ndarray  # (frames, joints, 2)
+    confidence: np.ndarray  # (frames, joints)
     joint_names: tuple[str, ...]
     skeleton: Skeleton
-    tilt_deg: Float[np.ndarray, " frames"] | None = None
+    tilt_deg: np.ndarray | None = None  # (frames)
     identity: dict[str, np.ndarray] = field(default_factory=dict)
     fps: float | None = None
     image_size: tuple[int, int] | None = None
-    truth: Float[np.ndarray, "frames joints 3"] | None = None
+    truth: np.ndarray | None = None  # (frames, joints, 3)
     truth_unit: str = "mm"
-    spread: Float[np.ndarray, "frames joints"] | None = None
+    spread: np.ndarray | None = None  # (frames, joints)
     source: str = ""
     title: str = ""
 

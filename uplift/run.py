@@ -14,8 +14,8 @@ from typing import Any
 
 from uplift.config import Settings
 from uplift.errors import UserError, did_you_mean
-from uplift.task import load_settings, save_settings
 from uplift.saving import replacing
+from uplift.task import load_settings, save_settings
 
 __all__ = ["RunFolder"]
 

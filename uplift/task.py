@@ -116,7 +116,7 @@ def _parse_override(override: str) -> tuple[list[str], Any]:
         value = yaml.safe_load(text) if text else None
     except yaml.YAMLError:
         value = text
-    if not isinstance(value, (str, int, float, bool, list, dict, type(None))) or ":" in text and text[:1].isdigit():
+    if not isinstance(value, (str, int, float, bool, list, dict, type(None))) or (":" in text and text[:1].isdigit()):
         value = text  # YAML 1.1 reads 00:10:00 as a number of base 60
     return key.split("."), value
 
@@ -204,6 +204,8 @@ def _check(settings: Settings) -> None:
     _one_of("lifter.tilt", settings.lifter.tilt, ("predicted", "learned", "level"))
     _one_of("lifter.radius", settings.lifter.radius, ("all", "without_root"))
     _one_of("lifter.camera", settings.lifter.camera, ("orthographic", "perspective"))
+    _one_of("lifter.intrinsics", settings.lifter.intrinsics, ("auto", "off"))
+    _in_range("lifter.distance", settings.lifter.distance, 2, 1e4)
     _one_of("views.elevation", settings.views.elevation, ("batch", "normal", "same"))
     settings.views.count_root = settings.lifter.radius == "all"
     for name, stage in (("teacher", settings.teacher), ("student", settings.student)):

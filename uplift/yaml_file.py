@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import yaml
 
 from uplift.errors import UserError
-from uplift.skeleton.checker import Where
 
-__all__ = ["read_yaml"]
+__all__ = ["Where", "read_yaml"]
+
+Where = Callable[[tuple], str]
+"""Names the file and line of a part, such as ``("bones", 3)``."""
 
 MAX_BYTES = 1_000_000
 MAX_DEPTH = 20

@@ -86,6 +86,11 @@ class PoseData:
         """Return the same frames with everything that came from 3D taken out."""
         return replace(self, pose=None, root=None, tilt_deg=None)
 
+    @property
+    def centre_px(self) -> tuple[float, float] | None:
+        """The middle of the image, taken as the pixel of the optical axis; None without an image size."""
+        return None if self.image_size is None else (self.image_size[0] / 2, self.image_size[1] / 2)
+
     def clips(self) -> np.ndarray:
         """Return (frames,) clip numbers: frames of one subject, sequence, camera and instance.
 

@@ -12,10 +12,10 @@ from uplift.data.clean import clean
 from uplift.data.container import PoseData
 from uplift.data.split import chosen_rows
 from uplift.errors import UserError
-from uplift.skeleton.matching import build_joints, build_pose
 from uplift.paths import data_root
 from uplift.readers import read
 from uplift.skeleton import Skeleton
+from uplift.skeleton.matching import build_joints, build_pose
 
 __all__ = ["Loaded", "find_data", "in_joints_of", "load_data", "load_file"]
 

@@ -9,7 +9,7 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from uplift.data.container import PoseData
-from uplift.pose import normalise
+from uplift.normalise import Intrinsics, normalise
 from uplift.skeleton import Skeleton
 
 __all__ = ["Batch", "TrainingSet"]
@@ -26,17 +26,35 @@ class TrainingSet:
     """0..1; 0 = missing."""
     scale: Float[Tensor, " frames"]
     """Pixels per unit."""
+    distance: Float[Tensor, " frames"]
+    """Of the camera to the root, in units: known from intrinsics, else one guess for all."""
     clip: Int[Tensor, " frames"]
     """Frames with one number follow each other in time, in the order of the file."""
     labels: Float[Tensor, "frames joints 3"] | None = None
     """True poses in units, NaN where unlabelled; None in training from 2D alone."""
 
     @classmethod
-    def of(cls, data: PoseData, skeleton: Skeleton, *, count_root: bool = True) -> TrainingSet:
+    def of(
+        cls,
+        data: PoseData,
+        skeleton: Skeleton,
+        *,
+        count_root: bool = True,
+        intrinsics: Intrinsics | None = None,
+        distance: float = 10.0,
+    ) -> TrainingSet:
         """Return the training set of cleaned ``data``; its `pose`, `root` and `tilt_deg` are not looked at."""
         keypoints, confidence = torch.from_numpy(data.keypoints), torch.from_numpy(data.confidence)
-        normal = normalise(keypoints, confidence, skeleton.root_index, count_root=count_root)
-        return cls(skeleton, normal.keypoints, confidence, normal.scale_px, torch.from_numpy(data.clips()))
+        normal = normalise(
+            keypoints,
+            confidence,
+            skeleton.root_index,
+            count_root=count_root,
+            intrinsics=intrinsics,
+            distance=distance,
+        )
+        clip = torch.from_numpy(data.clips())
+        return cls(skeleton, normal.keypoints, confidence, normal.scale_px, normal.distance, clip)
 
     def __len__(self) -> int:
         return len(self.keypoints)
@@ -49,7 +67,7 @@ class TrainingSet:
     def draw(self, rows: Int[Tensor, " batch"]) -> Batch:
         """Return the frames of ``rows``."""
         labels = None if self.labels is None else self.labels[rows]
-        return Batch(self.keypoints[rows], self.confidence[rows], self.scale[rows], labels)
+        return Batch(self.keypoints[rows], self.confidence[rows], self.scale[rows], self.distance[rows], labels)
 
 
 @dataclass(frozen=True)
@@ -59,6 +77,7 @@ class Batch:
     keypoints: Float[Tensor, "batch joints 2"]
     confidence: Float[Tensor, "batch joints"]
     scale: Float[Tensor, " batch"]
+    distance: Float[Tensor, " batch"]
     labels: Float[Tensor, "batch joints 3"] | None = None
 
     def __len__(self) -> int:
@@ -74,4 +93,4 @@ class Batch:
             return torch.where(which.view(-1, *[1] * (value.ndim - 1)), flipped, value)
 
         labels = None if self.labels is None else swap(self.labels)
-        return Batch(swap(self.keypoints), swap(self.confidence), self.scale, labels)
+        return replace(self, keypoints=swap(self.keypoints), confidence=swap(self.confidence), labels=labels)

@@ -25,7 +25,8 @@ class Consistency(Prior):
 
     def loss(self, lift: Lift) -> Tensor:
         """Return the mean joint error in 3D plus ``back`` times that of the keypoints after turning back."""
-        target = lift.turned_seen
+        scale = lift.seen_scale[:, None, None]
+        target = lift.turned / scale
         if self.detach:
             target = target.detach()
         again = lift.relifted.pose
@@ -33,13 +34,10 @@ class Consistency(Prior):
         error = _distance(again - again[:, root, None], target - target[:, root, None])
         total = Lift.mean(error, lift.visible)
         if self.back:
-            # seen and pose differ by the view's scale: compare after bringing both to radius 1.
-            returned = turn(again, lift.view.mT)
-            projected = lift.lifter.camera.project(returned)
+            # In units of the first lift again, so that turning back ends where it began.
+            returned = turn(again * scale, lift.view.mT)
+            projected = lift.lifter.camera.project(returned, lift.distance)
             projected = projected - projected[:, root, None]
-            size = (projected.square().sum(-1) + 1e-12).sqrt()
-            size = (size * lift.visible).sum(1) / lift.visible.sum(1).clamp_min(1)
-            projected = projected / size.clamp_min(1e-3)[:, None, None]
             total = total + self.back * Lift.mean(_distance(projected, lift.keypoints), lift.visible)
         return total
 

@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from typing import NoReturn
 
 from uplift.errors import UserError, did_you_mean
+from uplift.yaml_file import Where
 
-__all__ = ["Checker", "Where", "named"]
+__all__ = ["Checker", "named"]
 
 MAX_JOINTS = 1000
-
-Where = Callable[[tuple], str]
-"""Turns the path of a part, such as ``("bones", 3)``, into where it stands: ``beetle.yaml, line 12``."""
 
 
 class Checker:

@@ -6,8 +6,9 @@ from typing import Any
 
 from uplift.errors import UserError, did_you_mean
 from uplift.skeleton.body_checks import BODY_KEYS, check_body
-from uplift.skeleton.checker import Checker, Where, named
+from uplift.skeleton.checker import Checker, named
 from uplift.skeleton.facing_checks import check_facing
+from uplift.yaml_file import Where
 
 __all__ = ["BODY_KEYS", "check_skeleton"]
 

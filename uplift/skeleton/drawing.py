@@ -6,7 +6,7 @@ import textwrap
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Real
 from PIL import Image, ImageDraw, ImageFont
 
 from uplift.errors import UserError
@@ -159,7 +159,7 @@ def _freest(
     size: Float[np.ndarray, " 2"],
     points: Float[np.ndarray, "points 2"],
     boxes: Float[np.ndarray, "boxes 4"],
-    picture: Float[np.ndarray, " 2"],
+    picture: Real[np.ndarray, " 2"],
 ) -> Float[np.ndarray, " 4"]:
     """Return the box (x0 y0 x1 y1) beside ``at`` that covers the fewest points and boxes."""
     best, best_cost = None, np.inf

@@ -101,7 +101,7 @@ def make_lift(lifter: Lifter, batch: Batch, views: ViewSettings, hide: float = 0
     if hide:
         hidden = (torch.rand_like(batch.confidence) < hide) & (batch.confidence > 0)
         hidden[:, lifter.skeleton.root_index] = False
-    lifted = lifter(batch.keypoints, batch.confidence.masked_fill(hidden, 0))
+    lifted = lifter(batch.keypoints, batch.confidence.masked_fill(hidden, 0), batch.distance)
     return Lift(
         skeleton=lifter.skeleton,
         keypoints=batch.keypoints,
@@ -112,6 +112,7 @@ def make_lift(lifter: Lifter, batch: Batch, views: ViewSettings, hide: float = 0
         lifted_keypoints=lifted.keypoints,
         view=draw_views(lifted, views, lifter.skeleton.gravity),
         scale=batch.scale,
+        distance=batch.distance,
         labels=batch.labels,
         lifter=lifter,
         renormalise_views=views.renormalise,

@@ -10,8 +10,8 @@ import lightning as L
 import torch
 
 from uplift.errors import UserError
-from uplift.training.base import LifterTraining
 from uplift.saving import replacing
+from uplift.training.base import LifterTraining
 
 __all__ = ["Checkpoints", "check_checkpoint", "read_torch", "save_torch"]
 

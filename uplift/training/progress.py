@@ -33,7 +33,7 @@ class Progress(L.Callback):
         live = self.stream.isatty()
         tenth = int(module.done * 10)
         now = time.monotonic()
-        if live and now - self._shown < 0.5 and not trainer.should_stop or not live and tenth == self._tenth:
+        if (live and now - self._shown < 0.5 and not trainer.should_stop) or (not live and tenth == self._tenth):
             return
         self._tenth, self._shown = tenth, now
         for name, value in module.logged.items():

@@ -11,7 +11,8 @@ from torch import Tensor
 from uplift.config import StudentSettings, ViewSettings
 from uplift.data.tensors import TrainingSet
 from uplift.lifter import Lifter
-from uplift.pose import mirror, renormalise
+from uplift.normalise import renormalise
+from uplift.pose import mirror
 from uplift.skeleton import Skeleton
 from uplift.training.base import LifterTraining
 from uplift.views import level, random_rotations, turn, views_about_gravity
@@ -28,13 +29,16 @@ class PseudoPoses:
     """Level frame where there is gravity, in units of the mean 2D radius."""
     tilt: Float[Tensor, " frames"]
     """The camera tilt the teacher found, radians."""
+    distance: Float[Tensor, " frames"]
+    """Of the camera to the root, in units."""
 
     def __len__(self) -> int:
         return len(self.pose)
 
     def to(self, device: torch.device | str) -> PseudoPoses:
         """Return the same poses on ``device``."""
-        return PseudoPoses(self.skeleton, self.pose.to(device), self.tilt.to(device))
+        moved = (self.pose.to(device), self.tilt.to(device), self.distance.to(device))
+        return PseudoPoses(self.skeleton, *moved)
 
 
 @torch.no_grad()
@@ -44,11 +48,13 @@ def lift_all(lifter: Lifter, data: TrainingSet, chunk: int = 8192) -> PseudoPose
     poses, tilts = [], []
     for start in range(0, len(data), chunk):
         rows = slice(start, start + chunk)
-        lifted = lifter.lift_both_ways(data.keypoints[rows].to(device), data.confidence[rows].to(device))
+        lifted = lifter.lift_both_ways(
+            data.keypoints[rows].to(device), data.confidence[rows].to(device), data.distance[rows].to(device)
+        )
         pose = turn(lifted.pose, level(lifted.tilt)) if data.skeleton.gravity else lifted.pose
         poses.append(pose)
         tilts.append(lifted.tilt)
-    return PseudoPoses(data.skeleton, torch.cat(poses), torch.cat(tilts))
+    return PseudoPoses(data.skeleton, torch.cat(poses), torch.cat(tilts), data.distance.to(device))
 
 
 class StudentTraining(LifterTraining):
@@ -82,16 +88,18 @@ class StudentTraining(LifterTraining):
         else:
             tilt = None
             pose = turn(pose, random_rotations(count, device))
-        projected = lifter.camera.project(pose)
+        distance = self.data.distance[rows]
+        projected = lifter.camera.project(pose, distance)
         confidence = projected.new_ones(projected.shape[:2])
-        keypoints = renormalise(projected, confidence, skeleton.root_index, count_root=self.views.count_root)
-        ratio = (keypoints.square().sum((1, 2)) / projected.square().sum((1, 2))).sqrt()
-        target = pose * ratio[:, None, None]
+        keypoints, radius = renormalise(
+            projected, confidence, skeleton.root_index, count_root=self.views.count_root
+        )
+        target = pose / radius[:, None, None]
         if self.settings.hide:
             hidden = torch.rand_like(confidence) < self.settings.hide * 2 * torch.rand(count, 1, device=device)
             hidden[:, skeleton.root_index] = False
             confidence = confidence.masked_fill(hidden, 0)
-        lifted = lifter(keypoints, confidence)
+        lifted = lifter(keypoints, confidence, distance / radius)
         loss = ((lifted.pose - target).square().sum(-1) + 1e-12).sqrt().mean()
         logged: dict[str, float | Tensor] = {"pose": loss.detach()}
         if tilt is not None and lifter.tilt == "predicted":

@@ -15,12 +15,12 @@ from uplift.data.load import find_data, load_data, load_file
 from uplift.errors import UserError
 from uplift.evaluation import Evaluation, GivenPoses
 from uplift.evaluation import evaluate as score
-from uplift.skeleton.matching import match_joints
 from uplift.paths import shipped_names
 from uplift.readers.npz import read_arrays
 from uplift.run import RunFolder
-from uplift.skeleton import Skeleton, load_skeleton
 from uplift.saving import replacing
+from uplift.skeleton import Skeleton, load_skeleton
+from uplift.skeleton.matching import match_joints
 
 if TYPE_CHECKING:
     from uplift.model import Model

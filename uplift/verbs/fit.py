@@ -14,7 +14,7 @@ from uplift.data.load import Loaded, load_data
 from uplift.data.tensors import TrainingSet
 from uplift.errors import UserError
 from uplift.lifter import Lifter
-from uplift.model import Model, build_lifter, load
+from uplift.model import Model, build_lifter, intrinsics_of, load
 from uplift.priors import build_priors
 from uplift.run import RunFolder
 from uplift.skeleton import Skeleton, load_skeleton
@@ -72,8 +72,13 @@ class _Stages:
 
     def __init__(self, settings: Settings, skeleton: Skeleton, loaded: Loaded):
         self.settings, self.skeleton = settings, skeleton
-        count_root = settings.lifter.radius == "all"
-        self.data = TrainingSet.of(loaded.train, skeleton, count_root=count_root)
+        self.data = TrainingSet.of(
+            loaded.train,
+            skeleton,
+            count_root=settings.lifter.radius == "all",
+            intrinsics=intrinsics_of(loaded.train, settings.lifter),
+            distance=settings.lifter.distance,
+        )
         shares = [settings.teacher.share, settings.student.share]
         self.budgets = stage_budgets(settings.trainer, shares, len(self.data), settings.teacher.batch_size)
         self.spent: dict[str, float] = {}

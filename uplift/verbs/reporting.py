@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from uplift.config import Settings
 from uplift.data.load import Loaded
-from uplift.verbs.evaluate import evaluate_model, save_evaluation
 from uplift.evaluation import Evaluation, GivenPoses, flat_depth
 from uplift.evaluation import evaluate as score
 from uplift.model import Model
 from uplift.run import RunFolder
-from uplift.training.progress import read_metrics
 from uplift.saving import replacing
+from uplift.training.progress import read_metrics
+from uplift.verbs.evaluate import evaluate_model, save_evaluation
 from uplift.writers.html import write_html
 
 __all__ = ["given_lines", "report"]

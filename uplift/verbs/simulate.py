@@ -22,8 +22,8 @@ def simulate(
     Raises:
         UserError: a skeleton without proportions, an output that exists or is no .npz.
     """
-    from uplift.writers.keypoints import write_keypoints
     from uplift.simulator import simulate as run
+    from uplift.writers.keypoints import write_keypoints
 
     if output is not None:
         output = Path(output)

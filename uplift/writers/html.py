@@ -17,8 +17,8 @@ from uplift.errors import UserError
 from uplift.prediction import Prediction
 from uplift.saving import replacing
 from uplift.writers.charts import Curve, curve_charts, number_text
-from uplift.writers.page_data import page_data
 from uplift.writers.packing import unpack
+from uplift.writers.page_data import page_data
 
 __all__ = ["page_text", "read_html", "write_html"]
 

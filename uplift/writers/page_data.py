@@ -8,9 +8,9 @@ import numpy as np
 
 from uplift.errors import UserError
 from uplift.prediction import Prediction
+from uplift.skeleton.sides import bone_sides, joint_sides
 from uplift.writers.clips import Clip, arrange, choose
 from uplift.writers.packing import pack
-from uplift.skeleton.sides import bone_sides, joint_sides
 from uplift.writers.staging import level_rotations, matched_truth, places, scaled_error
 
 __all__ = ["page_data"]

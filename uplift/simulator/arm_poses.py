@@ -7,9 +7,9 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Bool, Float
 
-from uplift.simulate.body import Body
-from uplift.simulate.kinematics import forward_kinematics
-from uplift.simulate.postures import ARMS
+from uplift.simulator.body import Body
+from uplift.simulator.kinematics import forward_kinematics
+from uplift.simulator.postures import ARMS
 
 __all__ = ["ArmPoses"]
 

@@ -2,11 +2,10 @@
 
 A skeleton's YAML gives one in either of two ways.
 
-A person in any layout stands on the simulator's own human body (`uplift.simulate.human`), by a
-``from:`` entry like those for other layouts; a list is a mean::
+A person in any layout stands on the simulator's own human body (`uplift.simulator.human`), which
+brings lengths, limits and motion; a list is a mean::
 
-    from:
-      human: {hip: pelvis, rknee: right_knee, thorax: [left_shoulder, right_shoulder]}
+    limits: {hip: {human: pelvis}, rknee: {human: right_knee}, neck: {human: [left_shoulder, right_shoulder]}}
 
 Anything else spells out its own body. The rest frame is that of a body facing the camera: x its
 left, y down, z behind it; lengths are shares of the body height (or of any other body unit)::
@@ -21,8 +20,8 @@ left, y down, z behind it; lengths are shares of the body height (or of any othe
 A limit belongs to the joint that bends and moves everything beyond it. Flexion swings the bone
 beyond it forward (a bone that points forward: up), abduction away from the midline (on the
 midline: to the left), rotation turns it about itself, inward (on the midline: to the left). A
-joint without limits takes those of its mirror partner, else `DEFAULT_LIMITS`; the order of the
-rotations is flexion, abduction, rotation.
+joint without limits takes those of its mirror partner, else `DEFAULT_LIMITS` (the root: none); the
+order of the rotations is flexion, abduction, rotation.
 """
 
 from __future__ import annotations

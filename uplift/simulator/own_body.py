@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float
 
 from uplift.errors import UserError, did_you_mean
-from uplift.simulate.body import DEFAULT_LIMITS, ROOT_ANGLES, Body, angle_axes, joint_weights, rest_positions
+from uplift.simulator.body import DEFAULT_LIMITS, ROOT_ANGLES, Body, angle_axes, joint_weights, rest_positions
 from uplift.skeleton import Skeleton
 
 __all__ = ["own_body"]
@@ -73,7 +73,7 @@ def _check_complete(skeleton: Skeleton) -> None:
     for key, example in (("proportions", "0.2"), ("rest", "[0.3, 1, 0]")):
         given = skeleton.body.get(key, {})
         missing = [j for j in skeleton.joints if j != skeleton.root and j not in given and j not in skeleton.midpoints]
-        missing = [joint for joint in missing if not (_partners(skeleton).get(joint) in given)]
+        missing = [joint for joint in missing if _partners(skeleton).get(joint) not in given]
         if not missing:
             continue
         meaning = "length of the bone to its parent, in body heights" if key == "proportions" else (
@@ -82,8 +82,8 @@ def _check_complete(skeleton: Skeleton) -> None:
         shown = ", ".join(missing[:5]) + (f" and {len(missing) - 5} more" if len(missing) > 5 else "")
         raise UserError(
             f"Skeleton '{skeleton.name}' cannot be simulated: '{key}' lacks {shown}. Add to its YAML "
-            f"'{key}: {{{missing[0]}: {example}, ...}}' ({meaning}), or for a person 'from: {{human: "
-            f"{{{skeleton.root}: pelvis, ...}}}}'."
+            f"'{key}: {{{missing[0]}: {example}, ...}}' ({meaning}), or for a person 'limits: "
+            f"{{{skeleton.root}: {{human: pelvis}}, ...}}'."
         )
 
 
@@ -145,7 +145,8 @@ def _all_limits(skeleton: Skeleton) -> dict[str, dict[str, tuple[float, float]]]
     given = skeleton.body.get("limits", {})
     partner = _partners(skeleton)
     read = {joint: _read_limits(skeleton, joint, entry) for joint, entry in given.items()}
-    return {j: read.get(j, read.get(partner.get(j, j), DEFAULT_LIMITS)) for j in skeleton.joints}
+    default = {joint: DEFAULT_LIMITS for joint in skeleton.joints} | {skeleton.root: {}}
+    return {j: read.get(j, read.get(partner.get(j, j), default[j])) for j in skeleton.joints}
 
 
 def _read_limits(skeleton: Skeleton, joint: str, entry: Any) -> dict[str, tuple[float, float]]:

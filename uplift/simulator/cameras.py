@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from uplift.simulate.kinematics import rotation_about
+from uplift.simulator.kinematics import rotation_about
 
 __all__ = ["CENTRE_PX", "FOCAL_PX", "IMAGE_SIZE", "Cameras", "project", "random_cameras", "random_rotations"]
 

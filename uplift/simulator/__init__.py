@@ -2,6 +2,6 @@
 
 from __future__ import annotations
 
-from uplift.simulate.simulate import build_body, rest_pose, simulate
+from uplift.simulator.simulate import build_body, rest_pose, simulate
 
 __all__ = ["build_body", "rest_pose", "simulate"]

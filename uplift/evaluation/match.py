@@ -7,16 +7,16 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from .alignment import counted, length
 from uplift.errors import UserError
-from .evaluation_scores import Matched, previous_frames
-from .protocols import MISSING
+from uplift.evaluation.alignment import counted, length
+from uplift.evaluation.protocols import MISSING
+from uplift.evaluation.scores import Matched, previous_frames
 from uplift.skeleton import Skeleton
 
 if TYPE_CHECKING:
-    from .data.container import PoseData
-    from .evaluation import GivenPoses
-    from .prediction import Prediction
+    from uplift.data.container import PoseData
+    from uplift.evaluation import GivenPoses
+    from uplift.prediction import Prediction
 
 __all__ = ["match_poses"]
 
@@ -66,9 +66,7 @@ def match_poses(
 def _check_frames(prediction: GivenPoses | Prediction, truth: PoseData, names: tuple[str, str]) -> np.ndarray:
     """Return the truth's pose; raises UserError where there is none or the frames are others."""
     if truth.pose is None:
-        raise UserError(
-            f"{names[1]}: no 'pose' in it, so nothing to evaluate against. Give a file that has one."
-        )
+        raise UserError(f"{names[1]}: no 'pose' in it, so nothing to evaluate against. Give a file that has one.")
     expected = (len(truth.pose), len(prediction.joint_names), 3)
     if np.shape(prediction.pose) != expected:
         raise UserError(
@@ -92,9 +90,7 @@ def _pick(given: Sequence[str], skeleton: Skeleton, name: str) -> tuple[list[int
         )
     twice = [joint for joint in skeleton.joints if given.count(joint) > 1]
     if twice:
-        raise UserError(
-            f"{name}: joint '{twice[0]}' is there {given.count(twice[0])} times; names must differ."
-        )
+        raise UserError(f"{name}: joint '{twice[0]}' is there {given.count(twice[0])} times; names must differ.")
     note = f"left out, as skeleton '{skeleton.name}' does not have them: {', '.join(extra)} of {name}"
     return [given.index(joint) for joint in skeleton.joints], [note] if extra else []
 
@@ -122,9 +118,7 @@ def _check_identity(
 def _notes(matched: Matched, total: int, unit: str) -> list[str]:
     """Return what a reader must know to compare these figures with others."""
     skeleton = matched.skeleton
-    notes = [
-        f"{len(skeleton.joints)} joints, root '{skeleton.root}' included; overall is the mean over frames"
-    ]
+    notes = [f"{len(skeleton.joints)} joints, root '{skeleton.root}' included; overall is the mean over frames"]
     left = total - len(matched.pose)
     if left:
         notes.append(f"{left:,} of {total:,} frames left out: fewer than {_MIN_JOINTS} joints to compare")
@@ -134,9 +128,7 @@ def _notes(matched: Matched, total: int, unit: str) -> list[str]:
     if not matched.in_mm:
         notes.append(f"no pck and auc: the truth's unit is '{unit}', not mm")
     if matched.coverage < 1:
-        notes.append(
-            f"the prediction has {matched.coverage:.2%} of the joints it should; no mean has the others"
-        )
+        notes.append(f"the prediction has {matched.coverage:.2%} of the joints it should; no mean has the others")
     unseen = int(matched.unseen.sum())
     if unseen:
         notes.append(f"{unseen:,} joints that were missing in 2D are in no mean but *{MISSING}")
@@ -152,12 +144,8 @@ def _pose_notes(matched: Matched) -> list[str]:
     away = distance[:, root].sum() / max(int(some[:, root].sum()), 1)
     notes = []
     if away > 1e-3 * radius:
-        notes.append(
-            f"the predicted root is {away / radius:.1%} of the mean radius off the origin; not re-centred"
-        )
+        notes.append(f"the predicted root is {away / radius:.1%} of the mean radius off the origin; not re-centred")
     flat = int((np.where(some, np.abs(matched.pose[..., 2]), 0).max(1) <= 1e-9 * radius).sum())
     if flat:
-        notes.append(
-            f"{flat:,} predicted frames are flat (z = 0): their depth flip ties, which facing counts as right"
-        )
+        notes.append(f"{flat:,} predicted frames are flat (z = 0): their depth flip ties, which facing counts as right")
     return notes

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Float, Int
 
-from .alignment import length
+from uplift.evaluation.alignment import length
 from uplift.skeleton import Skeleton
 
 __all__ = ["bone_cv", "bone_lengths", "facing_sign", "has_handedness", "mirrored_bones", "symmetry"]

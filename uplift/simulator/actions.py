@@ -18,7 +18,7 @@ class Action:
     arms: tuple[str, ...]
     """``swing`` swings them with the steps."""
     cycle: str = ""
-    """One of `uplift.simulate.gait.CYCLES`."""
+    """One of `uplift.simulator.gait.CYCLES`."""
     tempo: float = 1.0
     """Time between postures against the usual one."""
     turn_deg_s: float = 15.0

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from .protocols import ACTION_MEAN, protocol_kind, protocol_meaning, protocol_unit
+from uplift.evaluation.protocols import ACTION_MEAN, protocol_kind, protocol_meaning, protocol_unit
 
 __all__ = ["Evaluation"]
 
@@ -107,10 +107,7 @@ class Evaluation:
             shown = sorted(largest)
         head = ["per action", "frames", *names]
         counts = {action: f"{self.action_frames.get(action, 0):,}" for action in shown}
-        rows = [
-            [_short(action), counts[action], *(self._cell(action, name) for name in names)]
-            for action in shown
-        ]
+        rows = [[_short(action), counts[action], *(self._cell(action, name) for name in names)] for action in shown]
         rows.append(["mean of all actions", f"{self.frames:,}", *(self._mean(name) for name in names)])
         more = len(self.per_action) - len(shown)
         rest = f"\n({more} more actions, with fewer frames: in the JSON and CSV files)" if more else ""
@@ -135,12 +132,8 @@ class Evaluation:
 
 def _paper_order(actions: list[str]) -> dict[str, str] | None:
     """Return the paper's column -> our action, in its order; None where an action is not the paper's."""
-    plain = {
-        "".join(letter for letter in action.casefold() if letter.isalpha()): action for action in actions
-    }
-    found = {
-        column: plain[name] for column, known in _PAPER_COLUMNS.items() for name in known if name in plain
-    }
+    plain = {"".join(letter for letter in action.casefold() if letter.isalpha()): action for action in actions}
+    found = {column: plain[name] for column, known in _PAPER_COLUMNS.items() for name in known if name in plain}
     return found if len(found) == len(actions) and len(plain) == len(actions) else None
 
 
@@ -157,8 +150,6 @@ def _columns(rows: list[list[str]], left: tuple[int, ...] = (0,)) -> str:
     widths = [max(len(row[place]) for row in rows) for place in range(len(rows[0]))]
     lines = []
     for row in rows:
-        cells = (
-            c.ljust(w) if i in left else c.rjust(w) for i, (c, w) in enumerate(zip(row, widths, strict=True))
-        )
+        cells = (c.ljust(w) if i in left else c.rjust(w) for i, (c, w) in enumerate(zip(row, widths, strict=True)))
         lines.append("  ".join(cells).rstrip())
     return "\n".join(lines)

@@ -8,10 +8,10 @@ from dataclasses import dataclass, field
 import numpy as np
 from jaxtyping import Float, Int
 
-from .alignment import ALIGNED_ERRORS, align
-from .metrics import flip_depth, frame_mean, joint_errors, mpjve, not_flipped, share_above, stress
-from .plausibility import bone_lengths, facing_sign, has_handedness, mirrored_bones, symmetry
-from .protocols import MISSING
+from uplift.evaluation.alignment import ALIGNED_ERRORS, align
+from uplift.evaluation.metrics import flip_depth, frame_mean, joint_errors, mpjve, not_flipped, share_above, stress
+from uplift.evaluation.plausibility import bone_lengths, facing_sign, has_handedness, mirrored_bones, symmetry
+from uplift.evaluation.protocols import MISSING
 from uplift.skeleton import Skeleton
 
 __all__ = ["FLIPPED_ERRORS", "Matched", "Scores", "previous_frames", "score"]

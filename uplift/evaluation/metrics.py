@@ -12,8 +12,8 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from .alignment import align, clean_pair, counted, length
-from .plausibility import bone_cv, bone_lengths, facing_sign, symmetry
+from uplift.evaluation.alignment import align, clean_pair, counted, length
+from uplift.evaluation.plausibility import bone_cv, bone_lengths, facing_sign, symmetry
 
 __all__ = [
     "auc",
@@ -52,9 +52,7 @@ PerJoint = Float[np.ndarray, "frames joints"]
 PerFrame = Float[np.ndarray, " frames"]
 
 
-def joint_errors(
-    protocol: str, pose: Poses, truth: Poses, root: int, weight: Weights | None = None
-) -> PerJoint:
+def joint_errors(protocol: str, pose: Poses, truth: Poses, root: int, weight: Weights | None = None) -> PerJoint:
     """Return each joint's distance to the truth, aligned as ``protocol`` says; NaN where unknown."""
     return length(align(protocol, pose, truth, root, weight) - truth)
 
@@ -100,9 +98,7 @@ def p_mpjpe_reflect(pose: Poses, truth: Poses, weight: Weights | None = None) ->
     return _mean_error("p_mpjpe_reflect", pose, truth, 0, weight)
 
 
-def mpjpe_gt_scale_best_of_flip(
-    pose: Poses, truth: Poses, root: int, weight: Weights | None = None
-) -> PerFrame:
+def mpjpe_gt_scale_best_of_flip(pose: Poses, truth: Poses, root: int, weight: Weights | None = None) -> PerFrame:
     """Return the smaller `mpjpe_gt_scale` of the pose and its depth flip (the 2018 Kudo validation)."""
     return np.minimum(*(mpjpe_gt_scale(x, truth, root, weight) for x in (pose, flip_depth(pose))))
 
@@ -160,9 +156,7 @@ def stress(pose: Poses, truth: Poses, weight: Weights | None = None) -> PerFrame
     return np.divide(total, pairs, out=np.full(len(pose), np.nan), where=pairs > 0)
 
 
-def mpjve(
-    pose: Poses, truth: Poses, previous: Int[np.ndarray, " frames"], weight: Weights | None = None
-) -> PerFrame:
+def mpjve(pose: Poses, truth: Poses, previous: Int[np.ndarray, " frames"], weight: Weights | None = None) -> PerFrame:
     """Return the mean joint error of the step from the previous frame (VideoPose3D); NaN without one.
 
     ``previous`` is, for each frame, the row of the one before it in its clip, or -1.
@@ -173,9 +167,7 @@ def mpjve(
     return frame_mean(length(off - off[previous]), both)
 
 
-def elevation_deg(
-    tilt_deg: Float[np.ndarray, " frames"], truth_deg: Float[np.ndarray, " frames"]
-) -> PerFrame:
+def elevation_deg(tilt_deg: Float[np.ndarray, " frames"], truth_deg: Float[np.ndarray, " frames"]) -> PerFrame:
     """Return the absolute error of the camera's tilt; its median is the protocol's figure."""
     return np.abs(np.asarray(tilt_deg, np.float64) - truth_deg)
 

@@ -1,7 +1,7 @@
 """Human postures as ranges of angles: what legs, trunk and arms do in everyday, sport and dance poses.
 
-Ranges lie within the published ranges of motion of `uplift.simulate.human`; between them the moves
-of `uplift.simulate.curves.minimum_jerk_path` lead. Angles in degrees.
+Ranges lie within the published ranges of motion of `uplift.simulator.human`; between them the moves
+of `uplift.simulator.curves.minimum_jerk_path` lead. Angles in degrees.
 """
 
 from __future__ import annotations

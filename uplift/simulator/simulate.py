@@ -7,14 +7,14 @@ from jaxtyping import Float
 
 from uplift.data.container import PoseData
 from uplift.errors import UserError
-from uplift.simulate.body import Body, rest_positions
-from uplift.simulate.cameras import FOCAL_PX, IMAGE_SIZE, Cameras, project, random_cameras
-from uplift.simulate.human import LAYOUT, human_body
-from uplift.simulate.human_motion import human_motion
-from uplift.simulate.kinematics import forward_kinematics
-from uplift.simulate.motion import Motion
-from uplift.simulate.own_body import leaders, own_body
-from uplift.simulate.own_motion import own_motion
+from uplift.simulator.body import Body, rest_positions
+from uplift.simulator.cameras import FOCAL_PX, IMAGE_SIZE, Cameras, project, random_cameras
+from uplift.simulator.human import human_body, is_human
+from uplift.simulator.human_motion import human_motion
+from uplift.simulator.kinematics import forward_kinematics
+from uplift.simulator.motion import Motion
+from uplift.simulator.own_body import leaders, own_body
+from uplift.simulator.own_motion import own_motion
 from uplift.skeleton import Skeleton
 
 __all__ = ["build_body", "rest_pose", "simulate"]
@@ -62,7 +62,7 @@ def simulate(
 
 def build_body(skeleton: Skeleton) -> Body:
     """Return the body of a skeleton: the human one where it names it, else its own; raises UserError."""
-    return human_body(skeleton) if LAYOUT in skeleton.sources else own_body(skeleton)
+    return human_body(skeleton) if is_human(skeleton) else own_body(skeleton)
 
 
 def rest_pose(skeleton: Skeleton) -> Float[np.ndarray, "joints 3"]:
@@ -103,7 +103,7 @@ def _random_bodies(rng: np.random.Generator, body: Body, count: int) -> tuple[np
 
 
 def _move(rng, skeleton: Skeleton, body: Body, clips: int, time_s: np.ndarray, mode: str | list[str]) -> Motion:
-    if LAYOUT in skeleton.sources:
+    if is_human(skeleton):
         return human_motion(rng, body, clips, time_s, mode)
     return own_motion(rng, body, clips, time_s, mode, skeleton.gravity, leaders(skeleton))
 

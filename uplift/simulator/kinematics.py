@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Float
 
-from uplift.simulate.body import Body
+from uplift.simulator.body import Body
 
 __all__ = ["forward_kinematics", "rotation_about"]
 

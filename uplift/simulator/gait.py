@@ -13,7 +13,7 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Float
 
-from uplift.simulate.curves import periodic_curve
+from uplift.simulator.curves import periodic_curve
 
 __all__ = ["CYCLES", "arm_swing", "leg_cycle", "pelvis_cycle"]
 

@@ -5,13 +5,13 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Float
 
-from uplift.simulate.actions import ACTIONS, Action
-from uplift.simulate.arm_poses import ArmPoses
-from uplift.simulate.body import Body
-from uplift.simulate.curves import key_times, minimum_jerk_path, smooth_noise
-from uplift.simulate.gait import arm_swing, leg_cycle, pelvis_cycle
-from uplift.simulate.motion import Motion, choose_actions
-from uplift.simulate.postures import LEGS, TRUNK
+from uplift.simulator.actions import ACTIONS, Action
+from uplift.simulator.arm_poses import ArmPoses
+from uplift.simulator.body import Body
+from uplift.simulator.curves import key_times, minimum_jerk_path, smooth_noise
+from uplift.simulator.gait import arm_swing, leg_cycle, pelvis_cycle
+from uplift.simulator.motion import Motion, choose_actions
+from uplift.simulator.postures import LEGS, TRUNK
 
 __all__ = ["human_motion"]
 

@@ -60,9 +60,7 @@ def counted(pose: Poses, truth: Poses, weight: Weights | None = None) -> Weights
     return np.where(finite & (np.asarray(weight) > 0), weight, 0.0).astype(np.float64)
 
 
-def xy_scale(
-    pose: Poses, truth: Poses, root: int, weight: Weights | None = None
-) -> Float[np.ndarray, " frames"]:
+def xy_scale(pose: Poses, truth: Poses, root: int, weight: Weights | None = None) -> Float[np.ndarray, " frames"]:
     """Return the mean of |truth_xy| over the joints without the root, divided by the same of ``pose``.
 
     Neither is re-centred. 0 where the prediction has no extent in xy. Source: the evaluation script
@@ -74,9 +72,7 @@ def xy_scale(
     return _ratio(*((w * length(points[..., :2])).sum(1) for points in (y, x)))
 
 
-def least_squares_scale(
-    pose: Poses, truth: Poses, weight: Weights | None = None
-) -> Float[np.ndarray, " frames"]:
+def least_squares_scale(pose: Poses, truth: Poses, weight: Weights | None = None) -> Float[np.ndarray, " frames"]:
     """Return <pose, truth> / <pose, pose>, the scale of least squared error; 0 for a pose of zeros.
 
     Negative where that lowers the error. Source: N-MPJPE, Rhodin et al., CVPR 2018.
@@ -116,9 +112,7 @@ def procrustes(pose: Poses, truth: Poses, weight: Weights | None = None, *, refl
     return (known - centre_x) @ turn + centre_y
 
 
-def clean_pair(
-    pose: Poses, truth: Poses, weight: Weights | None = None
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def clean_pair(pose: Poses, truth: Poses, weight: Weights | None = None) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return both poses in double precision with zeros where nothing counts, and the weights."""
     weight = counted(pose, truth, weight)
     pose, truth = np.asarray(pose, np.float64), np.asarray(truth, np.float64)

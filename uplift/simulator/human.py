@@ -19,13 +19,14 @@ from __future__ import annotations
 
 import numpy as np
 
-from uplift.simulate.body import ROOT_ANGLES, Body, joint_weights
+from uplift.errors import UserError
+from uplift.simulator.body import ROOT_ANGLES, Body, joint_weights
 from uplift.skeleton import Skeleton
 
-__all__ = ["LAYOUT", "human_body"]
+__all__ = ["KEY", "human_body", "is_human"]
 
-LAYOUT = "human"
-"""The name under ``from:`` that stands for this body."""
+KEY = "human"
+"""The key of a joint's limits that puts it on this body."""
 
 # point: (parent, group of lengths, x left, y down, z behind); "left_" points have a right twin.
 _POINTS = {
@@ -86,6 +87,11 @@ _STATURE_MM = (1692.0, 92.0)
 _SPREAD = 0.035
 
 
+def is_human(skeleton: Skeleton) -> bool:
+    """Tell whether the skeleton puts its joints on the human body."""
+    return any(isinstance(entry, dict) and KEY in entry for entry in skeleton.body.get("limits", {}).values())
+
+
 def human_body(skeleton: Skeleton) -> Body:
     """Return the human body with the joints of ``skeleton`` on it; raises UserError where one has no place."""
     table = dict(_both_sides(_POINTS))
@@ -113,11 +119,32 @@ def human_body(skeleton: Skeleton) -> Body:
         low_deg=limits[:, 0],
         high_deg=limits[:, 1],
         steps=tuple((points.index(point), names.index(name), axis) for name, point, axis in steps),
-        joints=joint_weights(skeleton, skeleton.sources[LAYOUT], points, f"from: {LAYOUT}"),
+        joints=joint_weights(skeleton, _places(skeleton), points, "limits"),
         scaled_axes=np.zeros(3, bool),
         height=_STATURE_MM,
         unit="mm",
     )
+
+
+def _places(skeleton: Skeleton) -> dict[str, tuple[str, ...]]:
+    """Return the points of the body that each joint is the mean of."""
+    places: dict[str, tuple[str, ...]] = {}
+    for joint, entry in skeleton.body["limits"].items():
+        point = entry.get(KEY) if isinstance(entry, dict) else None
+        names = point if isinstance(point, list) else [point]
+        if not isinstance(entry, dict) or set(entry) != {KEY} or not all(isinstance(name, str) for name in names):
+            raise UserError(
+                f"Skeleton '{skeleton.name}', limits of '{joint}': found {entry!r}; other joints are on the human "
+                f"body, so expected {{{KEY}: a point of it, or a list of points}}."
+            )
+        places[joint] = tuple(names)
+    unused = [key for key in ("proportions", "rest") if skeleton.body.get(key)]
+    if unused:
+        raise UserError(
+            f"Skeleton '{skeleton.name}': found '{unused[0]}' beside limits that put joints on the human body, which "
+            f"brings its own. Remove '{unused[0]}', or the '{KEY}:' places."
+        )
+    return places
 
 
 def _both_sides(table: dict):

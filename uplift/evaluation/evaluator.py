@@ -9,17 +9,17 @@ from typing import TYPE_CHECKING
 import numpy as np
 from jaxtyping import Float
 
-from .evaluation_match import match_poses
-from .evaluation_report import Evaluation
-from .evaluation_scores import Matched, Scores, score
-from .metrics import elevation_deg
-from .plausibility import bone_cv, bone_lengths, facing_sign, has_handedness
-from .protocols import ACTION_MEAN, is_error, protocol_order
+from uplift.evaluation.match import match_poses
+from uplift.evaluation.metrics import elevation_deg
+from uplift.evaluation.plausibility import bone_cv, bone_lengths, facing_sign, has_handedness
+from uplift.evaluation.protocols import ACTION_MEAN, is_error, protocol_order
+from uplift.evaluation.report import Evaluation
+from uplift.evaluation.scores import Matched, Scores, score
 from uplift.skeleton import Skeleton
 
 if TYPE_CHECKING:
-    from .data.container import PoseData
-    from .prediction import Prediction
+    from uplift.data.container import PoseData
+    from uplift.prediction import Prediction
 
 __all__ = ["Evaluation", "GivenPoses", "evaluate", "flat_depth"]
 
@@ -39,17 +39,13 @@ class GivenPoses:
     source: str = ""
 
 
-def flat_depth(
-    keypoints: Float[np.ndarray, "frames joints 2"], root: int
-) -> Float[np.ndarray, "frames joints 3"]:
+def flat_depth(keypoints: Float[np.ndarray, "frames joints 2"], root: int) -> Float[np.ndarray, "frames joints 3"]:
     """Return the observed 2D relative to the root with z = 0: the error that any lifter must beat."""
     centred = keypoints - keypoints[:, root, None]
     return np.concatenate([centred, np.zeros_like(centred[..., :1])], -1)
 
 
-def evaluate(
-    prediction: GivenPoses | Prediction, truth: PoseData, skeleton: Skeleton, data: str = ""
-) -> Evaluation:
+def evaluate(prediction: GivenPoses | Prediction, truth: PoseData, skeleton: Skeleton, data: str = "") -> Evaluation:
     """Return every protocol that the data allows, over the joints of ``skeleton``, matched by name.
 
     A joint counts where it was visible in 2D (confidence above 0) and both poses know it; the error

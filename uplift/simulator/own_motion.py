@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Float
 
-from uplift.simulate.body import Body, rest_positions
-from uplift.simulate.curves import smooth_noise
-from uplift.simulate.motion import Motion, choose_actions
+from uplift.simulator.body import Body, rest_positions
+from uplift.simulator.curves import smooth_noise
+from uplift.simulator.motion import Motion, choose_actions
 
 __all__ = ["MOTIONS", "find_legs", "own_motion"]
 

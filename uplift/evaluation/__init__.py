@@ -1,0 +1,8 @@
+"""Every evaluation protocol by its name, from one prediction and one truth."""
+
+from __future__ import annotations
+
+from uplift.evaluation.evaluator import GivenPoses, evaluate, flat_depth
+from uplift.evaluation.report import Evaluation
+
+__all__ = ["Evaluation", "GivenPoses", "evaluate", "flat_depth"]

@@ -1,0 +1,97 @@
+"""From pixels to the model's units, and back: root-centred keypoints of mean radius 1."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from uplift.pose import mean_radius
+
+__all__ = ["Intrinsics", "Normalised", "normalise", "renormalise"]
+
+
+@dataclass(frozen=True)
+class Intrinsics:
+    """What is known of the camera: focal length and the optical axis' pixel."""
+
+    focal_px: float
+    centre_px: tuple[float, float]
+
+
+@dataclass(frozen=True)
+class Normalised:
+    """2D keypoints about their root at mean radius 1, and the way back to pixels and the camera."""
+
+    keypoints: Float[Tensor, "frames joints 2"]
+    """Root at 0, mean distance of the visible joints to it 1; missing joints are 0."""
+    scale_px: Float[Tensor, " frames"]
+    """Pixels per unit."""
+    distance: Float[Tensor, " frames"]
+    """Of the camera to the root, in units."""
+    rotation: Float[Tensor, "frames 3 3"] | None
+    """From the camera frame to that of a camera turned to look at the root; None where that is not known."""
+
+
+def normalise(
+    keypoints: Float[Tensor, "frames joints 2"],
+    confidence: Float[Tensor, "frames joints"],
+    root: int,
+    *,
+    count_root: bool = True,
+    intrinsics: Intrinsics | None = None,
+    distance: float = 10.0,
+) -> Normalised:
+    """Centre 2D keypoints on the root and divide by their mean distance to it (Kudo et al. 2018, 3.3).
+
+    Distances are weighted by confidence, so a joint that is missing does not count and a doubtful
+    one counts little. ``count_root`` says whether the root, at distance 0, is one of the joints
+    the mean runs over: yes in the paper, no in its authors' code. With ``intrinsics`` the camera is
+    first turned to look straight at the root, which undoes the distortion of a body seen far from
+    the image's centre, and ``distance``, the guess for all, gives way to the true one.
+    """
+    rotation = None
+    if intrinsics is not None:
+        keypoints, rotation = _look_at_root(keypoints, root, intrinsics)
+    seen = (keypoints - keypoints[:, root, None]) * (confidence > 0).unsqueeze(-1)
+    scale = mean_radius(seen, confidence, root, count_root=count_root)
+    far = torch.full_like(scale, distance) if intrinsics is None else intrinsics.focal_px / scale
+    return Normalised(seen / scale[:, None, None], scale, far.clamp(2.0, 1e4), rotation)
+
+
+def _look_at_root(keypoints: Tensor, root: int, intrinsics: Intrinsics) -> tuple[Tensor, Tensor]:
+    """Return the keypoints as a camera turned to the root sees them, in pixels, and its rotation."""
+    centre = keypoints.new_tensor(intrinsics.centre_px)
+    rays = torch.cat([(keypoints - centre) / intrinsics.focal_px, torch.ones_like(keypoints[..., :1])], -1)
+    rotation = _least_rotation_to_z(rays[:, root])
+    turned = rays @ rotation.mT
+    return turned[..., :2] / turned[..., 2:].clamp_min(0.05) * intrinsics.focal_px, rotation
+
+
+def _least_rotation_to_z(ray: Float[Tensor, "frames 3"]) -> Float[Tensor, "frames 3 3"]:
+    """Return the smallest rotations that take each ray to the optical axis (Rodrigues' formula)."""
+    x, y, z = torch.nn.functional.normalize(ray, dim=-1).unbind(-1)
+    zero = torch.zeros_like(x)
+    # The cross product of the ray with the axis is (y, -x, 0).
+    rows = [zero, zero, -x, zero, zero, -y, x, y, zero]
+    skew = torch.stack(rows, -1).reshape(-1, 3, 3)
+    return torch.eye(3, dtype=ray.dtype, device=ray.device) + skew + skew @ skew / (1 + z)[:, None, None]
+
+
+def renormalise(
+    keypoints: Float[Tensor, "frames joints 2"],
+    confidence: Float[Tensor, "frames joints"],
+    root: int,
+    *,
+    count_root: bool = True,
+) -> tuple[Float[Tensor, "frames joints 2"], Float[Tensor, " frames"]]:
+    """Bring a turned, projected pose to the root and mean radius 1, as real keypoints are.
+
+    Returns the keypoints and the radius they were divided by. Without it a discriminator tells
+    turned poses by their radius alone.
+    """
+    centred = keypoints - keypoints[:, root : root + 1]
+    radius = mean_radius(centred, confidence, root, count_root=count_root)
+    return centred / radius[:, None, None], radius
