@@ -49,7 +49,9 @@ class Browser:
     def call(self, method: str, session: str | None = None, **arguments: Any) -> dict[str, Any]:
         """Return the answer to one command; events that come meanwhile are kept."""
         self._last += 1
-        message = {"id": self._last, "method": method, "params": arguments} | ({"sessionId": session} if session else {})
+        message = {"id": self._last, "method": method, "params": arguments} | (
+            {"sessionId": session} if session else {}
+        )
         os.write(self._write, json.dumps(message).encode() + b"\0")
         while (answer := self._next()).get("id") != self._last:
             self.events.append(answer)
@@ -149,8 +151,12 @@ class Page:
             if event.get("sessionId") != self._session:
                 continue
             method, about = event["method"], event["params"]
-            if method == "Network.requestWillBeSent" and not (about["type"] == "Document" and about["request"]["url"].startswith("file:")):
+            if method == "Network.requestWillBeSent" and not (
+                about["type"] == "Document" and about["request"]["url"].startswith("file:")
+            ):
                 found.append(f"request {about['request']['url']}")
-            if method == "Runtime.exceptionThrown" or (method == "Log.entryAdded" and about["entry"]["level"] == "error"):
+            if method == "Runtime.exceptionThrown" or (
+                method == "Log.entryAdded" and about["entry"]["level"] == "error"
+            ):
                 found.append(json.dumps(about))
         return found

@@ -14,7 +14,9 @@ from writers_samples import prediction
 from uplift.prediction import Prediction
 from uplift.writers import write
 
-pytestmark = pytest.mark.skipif(BROWSER is None, reason="no Chromium on this machine (Debian: apt-get install chromium)")
+pytestmark = pytest.mark.skipif(
+    BROWSER is None, reason="no Chromium on this machine (Debian: apt-get install chromium)"
+)
 
 Open = Callable[..., Page]
 
@@ -94,7 +96,12 @@ def test_it_tells_the_joint_and_switches_what_is_drawn(show: Open) -> None:
     page = show(_two_clips())
     page.key(" ")
     drawn = [page.ink("deep")[1]]
-    for name, setting, value in (("l", "level", False), ("t", "truth", False), ("u", "spread", True), ("n", "names", True)):
+    for name, setting, value in (
+        ("l", "level", False),
+        ("t", "truth", False),
+        ("u", "spread", True),
+        ("n", "names", True),
+    ):
         assert page.key(name)[setting] is value
         drawn.append(page.ink("deep")[1])
     assert len(set(drawn)) == len(drawn)
@@ -112,9 +119,13 @@ def test_it_follows_the_scheme_and_narrow_windows(show: Open) -> None:
     page = show(_two_clips(), width=400, height=800, prefers_color_scheme="dark")
     assert page.run("document.documentElement.dataset.theme") == "dark"
     assert page.run("document.documentElement.scrollWidth") <= 400
-    boxes = page.run("['deep', 'flat', 'play'].map((id) => { const b = document.getElementById(id).getBoundingClientRect(); return [b.top, b.right]; })")
+    boxes = page.run(
+        "['deep', 'flat', 'play'].map((id) => { const b = document.getElementById(id).getBoundingClientRect(); return [b.top, b.right]; })"
+    )
     assert boxes[0][0] < boxes[1][0] < boxes[2][0] and all(right <= 400 for _, right in boxes)
-    assert page.run("document.getElementById('deep').width") == 2 * round(page.run("document.getElementById('deep').clientWidth"))
+    assert page.run("document.getElementById('deep').width") == 2 * round(
+        page.run("document.getElementById('deep').clientWidth")
+    )
     assert page.troubles() == []
 
 

@@ -21,7 +21,7 @@ from uplift.writers.clips import arrange, choose
 from uplift.writers.html import page_text, read_html
 from uplift.writers.packing import pack, unpack
 
-_NASTY = "</script><script>alert(1)</script><b>\"it's\" & {{data}} <!--"
+_NASTY = '</script><script>alert(1)</script><b>"it\'s" & {{data}} <!--'
 
 
 @given(
@@ -88,7 +88,11 @@ def test_text_from_the_data_stays_text(tmp_path: Path) -> None:
     sample.skeleton, sample.joint_names = skeleton, skeleton.joints
     sample.title = sample.source = _NASTY
     sample.identity = {"sequence": np.array([_NASTY, "other"])}
-    options = {"sections": [(_NASTY, [(_NASTY, 1.0)], (_NASTY, _NASTY))], "curves": {_NASTY: [(0, 1), (1, 2)]}, "notes": [_NASTY]}
+    options = {
+        "sections": [(_NASTY, [(_NASTY, 1.0)], (_NASTY, _NASTY))],
+        "curves": {_NASTY: [(0, 1), (1, 2)]},
+        "notes": [_NASTY],
+    }
     write(sample, tmp_path / "page.html", **options)
     text = (tmp_path / "page.html").read_text()
     assert text.count("<script") == text.count("</script>") == 2
@@ -100,7 +104,9 @@ def test_not_a_number_never_reaches_the_page(tmp_path: Path) -> None:
     sample = prediction(frames=4, truth=True, spread=True)
     sample.pose[1, 2], sample.level_pose[1, 2], sample.keypoints[2] = np.nan, np.inf, np.nan
     sample.truth[3], sample.confidence[0, 0], sample.spread[2, 1] = np.nan, np.nan, np.nan
-    write(sample, tmp_path / "page.html", sections=[("t", [("x", float("nan"))])], curves={"c": [(0, np.nan), (1, 1.0)]})
+    write(
+        sample, tmp_path / "page.html", sections=[("t", [("x", float("nan"))])], curves={"c": [(0, np.nan), (1, 1.0)]}
+    )
     found = read_html(tmp_path / "page.html")["arrays"]
     assert np.isnan(found["pose"][1, 2]).all() and np.isfinite(found["pose"]).sum() == found["pose"].size - 3
     assert (found["confidence"][2] == 0).all() and found["confidence"][0, 0] == 0
@@ -151,13 +157,20 @@ def test_every_row_is_in_one_clip_once(rows: list, several: bool, limit: int) ->
 
 def test_sides_come_from_names_then_from_facing_then_from_order() -> None:
     def sides(mirror: tuple, facing: dict | None = None) -> list[int]:
-        names = tuple(name for pair in mirror for name in pair) + ("mid",)
+        names = (*(name for pair in mirror for name in pair), "mid")
         return joint_sides(Skeleton("s", names, "mid", (), mirror=mirror, facing=facing or {}), names)
 
     assert joint_sides(figure(), figure().joints) == [CENTRE] * 3 + [LEFT, RIGHT] * 2
     assert sides((("HipL", "HipR"), ("R_toe", "L_toe"))) == [LEFT, RIGHT, RIGHT, LEFT, CENTRE]
     assert sides((("right_ear", "left_ear"), ("a", "b"))) == [RIGHT, LEFT, RIGHT, LEFT, CENTRE]
     assert sides((("a", "b"), ("c", "d")), {"left": (("d",), ("c",))}) == [LEFT, RIGHT, LEFT, RIGHT, CENTRE]
+
+
+def test_a_row_of_titles_becomes_the_header() -> None:
+    numbers = [["protocol", "this run", "flat"], ["p_mpjpe", 61.25, 121.0], ["facing", np.float32(0.9871), ""]]
+    text = page_text(prediction(frames=1), sections=[("Errors", numbers), ("Settings", [("task", "cmu"), ("seed", 0)])])
+    assert text.count("<thead>") == 1 and '<th scope="row">protocol</th>' in text.split("</thead>")[0]
+    assert "<td>61.2</td>" in text and "<td>0.987</td>" in text and '<th scope="row">task</th><td>cmu</td>' in text
 
 
 def test_charts_survive_flat_single_and_long_curves() -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 
 from uplift.prediction import Prediction
@@ -17,16 +19,21 @@ _REST = {
 
 def figure() -> Skeleton:
     """Return a skeleton of seven joints with gravity."""
-    bones = (("hip", "neck"), ("neck", "head"), ("neck", "lhand"), ("neck", "rhand"), ("hip", "lfoot"), ("hip", "rfoot"))
-    return Skeleton(
-        "figure", tuple(_REST), "hip", bones, mirror=(("rhand", "lhand"), ("rfoot", "lfoot")), gravity=True
+    bones = (
+        ("hip", "neck"),
+        ("neck", "head"),
+        ("neck", "lhand"),
+        ("neck", "rhand"),
+        ("hip", "lfoot"),
+        ("hip", "rfoot"),
     )
+    return Skeleton("figure", tuple(_REST), "hip", bones, mirror=(("rhand", "lhand"), ("rfoot", "lfoot")), gravity=True)
 
 
 def chain(joints: int) -> Skeleton:
     """Return a skeleton of many joints in one line, without gravity."""
     names = tuple(f"point_{n}" for n in range(joints))
-    return Skeleton("chain", names, names[0], tuple(zip(names, names[1:], strict=False)), gravity=False)
+    return Skeleton("chain", names, names[0], tuple(pairwise(names)), gravity=False)
 
 
 def tilted(tilt_deg: np.ndarray) -> np.ndarray:
@@ -36,7 +43,13 @@ def tilted(tilt_deg: np.ndarray) -> np.ndarray:
 
 
 def prediction(
-    frames: int, individuals: int = 1, joints: int = 0, tilt: bool = True, spread: bool = False, truth: bool = False, **more
+    frames: int,
+    individuals: int = 1,
+    joints: int = 0,
+    tilt: bool = True,
+    spread: bool = False,
+    truth: bool = False,
+    **more,
 ) -> Prediction:
     """Return ``frames`` frames of each individual; ``joints`` > 0 takes a chain in the place of the figure."""
     skeleton, random = (chain(joints) if joints else figure()), np.random.default_rng(3)
@@ -52,7 +65,7 @@ def prediction(
     values = {
         "tilt_deg": angle if tilt else None,
         "identity": {"frame": time * 3, "instance": np.array([f"animal {n}" for n in who])} if individuals > 1 else {},
-        "spread": np.full(pose.shape[:2], 30.0) if spread else None,
+        "spread": np.full(pose.shape[:2], 150.0) if spread else None,
         "truth": pose * 1.1 + random.normal(size=pose.shape) * 20 if truth else None,
         "fps": 30.0, "image_size": (640, 480), "source": "sample.npz", "title": "Sample",
     }  # fmt: skip

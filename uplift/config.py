@@ -39,6 +39,7 @@ class DataSettings:
     train: Optional[str] = None  # file of training keypoints
     test: Optional[str] = None  # file to evaluate on after the fit
     simulate: int = 0  # frames to simulate instead of reading a file
+    unit: Optional[str] = None  # of poses and roots in the files, where they do not say: mm, relative
     get: str = ""  # how to get the files, for the message when they are not there
     select: ChoiceSettings = field(default_factory=ChoiceSettings)  # training frames to use
     hold_out: ChoiceSettings = field(default_factory=ChoiceSettings)  # training frames kept for the test instead
@@ -54,7 +55,7 @@ class LifterSettings:
     intrinsics: str = "auto"  # auto: use the file's focal_px and image_size where it has them; off: never
     distance: float = 10.0  # of the perspective camera without intrinsics, in mean 2D radii of the body
     tilt: str = "predicted"  # camera tilt: predicted (per pose), learned (one for all), level
-    radius: str = "all"  # joints the normalising mean runs over: all, or without_root
+    radius: str = "without_root"  # joints the normalising mean runs over: all, or without_root
     root_free: bool = False  # leave the root's own depth in
     confidence_input: bool = True  # the network sees confidence beside the keypoints
     fill: bool = True  # the network says where missing joints are
@@ -80,12 +81,14 @@ class StageSettings:
     learning_rate: float = 5e-4
     prior_learning_rate: Optional[float] = None  # of the priors' own parameters; the same if unset
     beta1: float = 0.5
-    beta2: float = 0.999
+    beta2: float = 0.99
     weight_decay: float = 0.0  # L2, in Adam's gradient
     decay_from: float = 0.6  # share of the stage after which the rate falls to 2 % (half a cosine)
     average: Optional[float] = 0.999  # decay of the averaged weights; none if unset
+    warm_up: float = 0.0  # share of the stage over which the rate rises from 0
     mirror: bool = True  # show each frame mirrored half the time
     hide: float = 0.0  # share of known joints hidden from the network in each step
+    same_real: bool = False  # adversarial priors see the batch's own keypoints as real, not another draw
 
 
 @dataclass
@@ -93,6 +96,13 @@ class StudentSettings(StageSettings):
     """The second stage: learn from the teacher's own poses, turned everywhere."""
 
     share: float = 0.0
+    learning_rate: float = 1e-3
+    beta1: float = 0.9
+    beta2: float = 0.99
+    warm_up: float = 0.05
+    decay_from: float = 0.0
+    mix: float = 0.7  # share of poses that take limbs of others
+    mix_limb: float = 0.4  # chance of each limb of such a pose
 
 
 @dataclass

@@ -204,6 +204,8 @@ def _check(settings: Settings) -> None:
     _one_of("lifter.tilt", settings.lifter.tilt, ("predicted", "learned", "level"))
     _one_of("lifter.radius", settings.lifter.radius, ("all", "without_root"))
     _one_of("lifter.camera", settings.lifter.camera, ("orthographic", "perspective"))
+    if settings.data.unit is not None:
+        _one_of("data.unit", settings.data.unit, ("mm", "relative"))
     _one_of("lifter.intrinsics", settings.lifter.intrinsics, ("auto", "off"))
     _in_range("lifter.distance", settings.lifter.distance, 2, 1e4)
     _one_of("views.elevation", settings.views.elevation, ("batch", "normal", "same"))

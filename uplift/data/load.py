@@ -17,7 +17,7 @@ from uplift.readers import read
 from uplift.skeleton import Skeleton
 from uplift.skeleton.matching import build_joints, build_pose
 
-__all__ = ["Loaded", "find_data", "in_joints_of", "load_data", "load_file"]
+__all__ = ["Loaded", "find_data", "in_joints_of", "load_data", "load_file", "load_split"]
 
 
 @dataclass(frozen=True)
@@ -39,8 +39,8 @@ def load_data(settings: Settings, skeleton: Skeleton) -> Loaded:
     if chosen.simulate:
         train, test = _simulated(settings, skeleton)
     else:
-        train = load_file(find_data(settings, "train"), skeleton)
-        test = load_file(find_data(settings, "test"), skeleton) if chosen.test else None
+        train = load_split(settings, "train", skeleton)
+        test = load_split(settings, "test", skeleton) if chosen.test else None
     held_out = _wanted(chosen.hold_out)
     if held_out:
         if test is not None:
@@ -73,6 +73,12 @@ def _simulated(settings: Settings, skeleton: Skeleton) -> tuple[PoseData, PoseDa
     # Other bodies, motions and cameras than any training seed's.
     test = simulate(skeleton, max(200, frames // 10), seed=settings.seed + 2**31)
     return train, replace(test, source=f"simulated {skeleton.name}, other bodies")
+
+
+def load_split(settings: Settings, which: str, skeleton: Skeleton) -> PoseData:
+    """Return the ``train`` or ``test`` file of ``settings`` in the skeleton's joints, not cleaned."""
+    data = load_file(find_data(settings, which), skeleton)
+    return replace(data, unit=settings.data.unit) if settings.data.unit else data
 
 
 def find_data(settings: Settings, which: str) -> Path:

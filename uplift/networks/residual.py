@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 from torch.nn.functional import leaky_relu
@@ -15,7 +16,7 @@ class ResidualNetwork(nn.Module):
     No batch normalisation: statistics of a batch of turned poses are not those of real ones.
     """
 
-    def __init__(self, inputs: int, outputs: int, *, units: int = 512, blocks: int = 2, slope: float = 0.2):
+    def __init__(self, inputs: int, outputs: int, *, units: int = 256, blocks: int = 2, slope: float = 0.2):
         super().__init__()
         self.enter = nn.Linear(inputs, units)
         self.blocks = nn.ModuleList(
@@ -23,6 +24,8 @@ class ResidualNetwork(nn.Module):
         )
         self.leave = nn.Linear(units, outputs)
         self.slope = slope
+        with torch.no_grad():
+            self.leave.weight.mul_(0.1)  # start near a flat pose and an undecided critic
 
     def forward(self, features: Float[Tensor, "batch inputs"]) -> Float[Tensor, "batch outputs"]:
         """Return the last layer's values, without activation."""

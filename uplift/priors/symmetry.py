@@ -28,7 +28,7 @@ def mirrored_bones(skeleton: Skeleton) -> list[tuple[tuple[int, int], tuple[int,
 
 
 class Symmetry(Prior):
-    """Squared difference of mirrored bones, as a share of the body's mean bone length.
+    """Difference of mirrored bones, as a share of the body's mean bone length.
 
     A soft prior: real limbs of one person differ by a few percent.
     """
@@ -52,4 +52,4 @@ class Symmetry(Prior):
         left, right = bone_lengths(lift.pose, self.left), bone_lengths(lift.pose, self.right)
         size = ((left + right) / 2).mean(1, keepdim=True).clamp_min(1e-6)
         seen = lift.visible[:, self.left].prod(-1) * lift.visible[:, self.right].prod(-1)
-        return Lift.mean(((left - right) / size).square(), seen)
+        return Lift.mean((left - right).abs() / size, seen)

@@ -34,7 +34,7 @@ from jaxtyping import Bool, Float, Int
 from uplift.errors import UserError, did_you_mean
 from uplift.skeleton import Skeleton
 
-__all__ = ["DEFAULT_LIMITS", "ROOT_ANGLES", "Body", "angle_axes", "rest_positions"]
+__all__ = ["DEFAULT_LIMITS", "ROOT_ANGLES", "Body", "angle_axes", "joint_weights", "rest_positions"]
 
 DEFAULT_LIMITS = {"flexion": (-25.0, 25.0), "abduction": (-15.0, 15.0), "rotation": (-10.0, 10.0)}
 """Degrees, where a skeleton gives no limits."""
@@ -99,8 +99,9 @@ def angle_axes(
     flexion = np.cross(along, _FRONT if abs(along @ _FRONT) < 0.9 else _UP)
     abduction = np.cross(along, left) if abs(along @ left) < 0.9 else np.cross(along, _UP)
     axes = {"flexion": flexion, "abduction": abduction}
-    unit = {name: tuple(float(v) for v in axis / np.linalg.norm(axis)) for name, axis in axes.items()}
-    return unit | {"rotation": tuple(float(v) for v in side * along * np.sign(along @ -_UP or 1.0))}
+    axes = {name: axis / np.linalg.norm(axis) for name, axis in axes.items()}
+    axes["rotation"] = side * along * np.sign(along @ -_UP or 1.0)
+    return {name: (float(axis[0]), float(axis[1]), float(axis[2])) for name, axis in axes.items()}
 
 
 def joint_weights(

@@ -17,6 +17,9 @@ a bent knee), Norkin & White, "Measurement of Joint Motion" (shoulder, elbow, wr
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from typing import Any
+
 import numpy as np
 
 from uplift.errors import UserError
@@ -131,13 +134,13 @@ def _places(skeleton: Skeleton) -> dict[str, tuple[str, ...]]:
     places: dict[str, tuple[str, ...]] = {}
     for joint, entry in skeleton.body["limits"].items():
         point = entry.get(KEY) if isinstance(entry, dict) else None
-        names = point if isinstance(point, list) else [point]
-        if not isinstance(entry, dict) or set(entry) != {KEY} or not all(isinstance(name, str) for name in names):
+        names = tuple(str(name) for name in point) if isinstance(point, list) else (str(point),)
+        if point is None or set(entry) != {KEY}:
             raise UserError(
                 f"Skeleton '{skeleton.name}', limits of '{joint}': found {entry!r}; other joints are on the human "
                 f"body, so expected {{{KEY}: a point of it, or a list of points}}."
             )
-        places[joint] = tuple(names)
+        places[joint] = names
     unused = [key for key in ("proportions", "rest") if skeleton.body.get(key)]
     if unused:
         raise UserError(
@@ -147,7 +150,7 @@ def _places(skeleton: Skeleton) -> dict[str, tuple[str, ...]]:
     return places
 
 
-def _both_sides(table: dict):
+def _both_sides(table: dict[str, Any]) -> Iterator[tuple[str, Any]]:
     """Yield the entries of a table, each left point followed by its right twin."""
     for point, entry in table.items():
         yield point, entry

@@ -49,8 +49,9 @@ def _act(
     trunk = minimum_jerk_path(time_s, moves, _trunk_keys(rng, action.trunk, clips, keys))
     arms = _paths(time_s, moves, arm_poses.keys(rng, [a for a in action.arms if a != "swing"] or ["hang"], clips, keys))
     if action.cycle:
-        legs, arms, speed = _stepping(rng, action, time_s, trunk, arms)
+        legs, arms, speed, sway = _stepping(rng, action, time_s, trunk, arms)
         direction = np.radians(heading)
+        heading = heading + sway
         velocity = speed[..., None] * np.stack([np.sin(direction), -np.cos(direction)], -1)
         motion.travel += np.cumsum(velocity, 1) * (time_s[1] - time_s[0] if len(time_s) > 1 else 0)
     else:
@@ -117,8 +118,8 @@ def _grounded(legs: np.ndarray) -> np.ndarray:
 
 def _stepping(
     rng: np.random.Generator, action: Action, time_s: np.ndarray, trunk: np.ndarray, arms: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return legs, arms and forward speed (heights/s) of a step cycle; adds the pelvis's part to the trunk."""
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Return legs, arms, forward speed (heights/s) and the pelvis's turn (deg) of a step cycle; moves the trunk with it."""
     clips = len(trunk)
     rate = rng.uniform(*_STRIDES_HZ[action.cycle], (clips, 1)) * np.where(rng.uniform(size=(clips, 1)) < 0.08, -1, 1)
     phase = rng.uniform(0, 1, (clips, 1)) + rate * time_s + 0.02 * smooth_noise(rng, time_s, clips, 1)[..., 0]
@@ -138,7 +139,7 @@ def _stepping(
     trunk[..., 1] += 4 * drop
     trunk[..., 3] -= 4 * drop
     trunk[..., 4] += 5 * against
-    return legs, arms, rate * stride * _STRIDE_HEIGHTS[action.cycle]
+    return legs, arms, rate * stride * _STRIDE_HEIGHTS[action.cycle], 4.5 * turn
 
 
 def _lift(time_s: np.ndarray, moves: tuple[np.ndarray, np.ndarray], airborne: np.ndarray) -> np.ndarray:

@@ -11,7 +11,7 @@ from uplift.errors import UserError, did_you_mean
 from uplift.simulator.body import DEFAULT_LIMITS, ROOT_ANGLES, Body, angle_axes, joint_weights, rest_positions
 from uplift.skeleton import Skeleton
 
-__all__ = ["own_body"]
+__all__ = ["leaders", "own_body"]
 
 _SPREAD = 0.06
 
@@ -145,7 +145,7 @@ def _all_limits(skeleton: Skeleton) -> dict[str, dict[str, tuple[float, float]]]
     given = skeleton.body.get("limits", {})
     partner = _partners(skeleton)
     read = {joint: _read_limits(skeleton, joint, entry) for joint, entry in given.items()}
-    default = {joint: DEFAULT_LIMITS for joint in skeleton.joints} | {skeleton.root: {}}
+    default = dict.fromkeys(skeleton.joints, DEFAULT_LIMITS) | {skeleton.root: {}}
     return {j: read.get(j, read.get(partner.get(j, j), default[j])) for j in skeleton.joints}
 
 

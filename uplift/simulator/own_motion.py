@@ -5,14 +5,15 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Float
 
-from uplift.simulator.body import Body, rest_positions
+from uplift.simulator.body import ROOT_ANGLES, Body
 from uplift.simulator.curves import smooth_noise
+from uplift.simulator.legs import find_legs, leg_phases
 from uplift.simulator.motion import Motion, choose_actions
 
-__all__ = ["MOTIONS", "find_legs", "own_motion"]
+__all__ = ["MOTIONS", "own_motion"]
 
 MOTIONS = {"walk": 0.3, "trot": 0.25, "idle": 0.2, "explore": 0.25}
-"""Motions of a body with legs and gravity, with their shares; every other body has only ``explore``."""
+"""Motions of a body with legs and gravity, with their shares. Every other body has only ``explore``, a rigid one ``turn``."""
 
 
 def own_motion(
@@ -25,8 +26,9 @@ def own_motion(
     follows: dict[str, str],
 ) -> Motion:
     """Return the joint angles of ``clips`` clips of a body that is not a person."""
-    legs = find_legs(body) if gravity else []
-    shares = MOTIONS if len(legs) >= 2 else {"explore": 1.0}
+    rigid = len(body.angles) == len(ROOT_ANGLES)
+    legs = find_legs(body) if gravity and not rigid else []
+    shares = MOTIONS if len(legs) >= 2 else {"turn": 1.0} if rigid else {"explore": 1.0}
     motion = Motion.empty(clips, len(time_s), len(body.angles))
     motion.actions = choose_actions(rng, shares, clips, mode)
     reach = np.select([motion.actions == "explore", motion.actions == "idle"], [0.9 if not legs else 0.75, 0.35], 0.4)
@@ -35,7 +37,7 @@ def own_motion(
         rows = np.flatnonzero(motion.actions == gait)
         if len(rows):
             motion.angles_deg[rows], motion.travel[rows] = _step(rng, body, legs, time_s, motion.angles_deg[rows], gait)
-    _turn(rng, body, motion, time_s, gravity)
+    _turn(rng, body, motion, time_s, 0.0 if rigid and gravity else 0.25 if gravity else 1.0, gravity)
     motion.angles_deg = motion.angles_deg.clip(body.low_deg, body.high_deg)
     return motion
 
@@ -71,35 +73,6 @@ def _chains(body: Body) -> np.ndarray:
     return np.array([chain[body.points.index(name.rsplit(" ", 1)[0])] for name in body.angles])
 
 
-def find_legs(body: Body) -> list[list[int]]:
-    """Return legs as chains of points from hip to foot: limbs whose ends rest near the floor."""
-    rest = rest_positions(body.parents, body.offsets)
-    height = np.ptp(rest[:, 1]) or 1.0
-    legs = []
-    for point in range(len(body.points)):
-        if (body.parents == point).any() or rest[point, 1] < rest[:, 1].max() - 0.15 * height:
-            continue
-        leg = [point]
-        while (parent := int(body.parents[leg[0]])) > 0 and abs(rest[parent, 0]) > 1e-6:
-            leg.insert(0, parent)
-        if len(leg) > 1 and rest[point, 1] - rest[leg[0], 1] > 0.2 * height:
-            legs.append(leg)
-    return legs
-
-
-def _phases(body: Body, legs: list[list[int]], gait: str) -> np.ndarray:
-    """Return each leg's place in the cycle: left and right opposed, rows opposed (trot, tripod) or a quarter behind.
-
-    Walk is the lateral sequence, hind foot before fore foot of one side; trot moves diagonal pairs
-    (Hildebrand 1965, Science 150); alternating rows give insects their tripod gait.
-    """
-    rest = rest_positions(body.parents, body.offsets)
-    hips = np.array([rest[leg[0]] for leg in legs])
-    rows = np.unique(np.round(hips[:, 2] / (np.ptp(rest, 0).max() * 0.1 + 1e-9)), return_inverse=True)[1]
-    lag = 0.25 if gait == "walk" and rows.max() == 1 else 0.5
-    return 0.5 * (hips[:, 0] < 0) + lag * (rows.max() - rows)
-
-
 def _step(
     rng: np.random.Generator, body: Body, legs: list[list[int]], time_s: np.ndarray, angles: np.ndarray, gait: str
 ) -> tuple[np.ndarray, np.ndarray]:
@@ -108,7 +81,7 @@ def _step(
     rate = rng.uniform(0.7, 1.3, (clips, 1)) if gait == "walk" else rng.uniform(1.4, 2.4, (clips, 1))
     size = rng.uniform(0.5, 1.1, (clips, 1))
     start = rng.uniform(0, 1, (clips, 1))
-    for leg, lag in zip(legs, _phases(body, legs, gait), strict=True):
+    for leg, lag in zip(legs, leg_phases(body, legs, gait), strict=True):
         phase = 2 * np.pi * (start + rate * time_s - lag)
         swing = np.maximum(np.sin(phase), 0) ** 2
         for depth, point in enumerate(leg[:-1]):
@@ -128,16 +101,17 @@ def _step(
     return angles, np.stack([np.zeros_like(way), -way], -1)
 
 
-def _turn(rng: np.random.Generator, body: Body, motion: Motion, time_s: np.ndarray, gravity: bool) -> None:
-    """Turn whole bodies: a heading that drifts; slightly pitched and rolled. The camera does the rest."""
+def _turn(
+    rng: np.random.Generator, body: Body, motion: Motion, time_s: np.ndarray, sway: float, gravity: bool
+) -> None:
+    """Turn whole bodies: a heading that drifts, pitched and rolled by ``sway``. The camera does the rest."""
     clips = len(motion.actions)
     root = body.points[0]
     heading = rng.uniform(0, 360, (clips, 1)) if gravity else np.zeros((clips, 1))
     drift = 12 * smooth_noise(rng, time_s, clips, 3, 0.25)
     motion.angles_deg[..., body.angles.index(f"{root} turn")] = heading + 1.5 * drift[..., 0]
-    steady = 0.25 if gravity else 1.0
-    motion.angles_deg[..., body.angles.index(f"{root} pitch")] = steady * drift[..., 1]
-    motion.angles_deg[..., body.angles.index(f"{root} roll")] = steady * drift[..., 2]
+    motion.angles_deg[..., body.angles.index(f"{root} pitch")] = sway * drift[..., 1]
+    motion.angles_deg[..., body.angles.index(f"{root} roll")] = sway * drift[..., 2]
     angle = np.radians(heading)[..., None]
     x, z = motion.travel[..., :1], motion.travel[..., 1:]
     motion.travel = np.concatenate([x * np.cos(angle) - z * np.sin(angle), x * np.sin(angle) + z * np.cos(angle)], -1)

@@ -9,6 +9,7 @@ from uplift.data.container import PoseData
 from uplift.errors import UserError
 from uplift.simulator.body import Body, rest_positions
 from uplift.simulator.cameras import FOCAL_PX, IMAGE_SIZE, Cameras, project, random_cameras
+from uplift.simulator.ground import level_feet, on_floor, on_stage
 from uplift.simulator.human import human_body, is_human
 from uplift.simulator.human_motion import human_motion
 from uplift.simulator.kinematics import forward_kinematics
@@ -111,15 +112,14 @@ def _move(rng, skeleton: Skeleton, body: Body, clips: int, time_s: np.ndarray, m
 def _place(
     body: Body, offsets: Float[np.ndarray, "clips points 3"], motion: Motion, gravity: bool
 ) -> Float[np.ndarray, "clips frames points 3"]:
-    """Return the points in the world: lowest one on the floor (plus lift), the clip about the origin."""
+    """Return the points in the world, the clip about the origin; on the floor where there is gravity."""
     clips, frames, _ = motion.angles_deg.shape
     angles = motion.angles_deg.reshape(clips * frames, -1)
     points = forward_kinematics(body, np.repeat(offsets, frames, 0), angles)
     points = points.reshape(clips, frames, *offsets.shape[1:])
     if gravity:
-        points[..., 1] -= points[..., 1].max(-1, keepdims=True) + motion.lift[..., None]
-        points[..., 0] += motion.travel[..., :1]
-        points[..., 2] += motion.travel[..., 1:]
+        points = on_floor(level_feet(body, points), motion.lift)
+        points[..., [0, 2]] += on_stage(motion.travel)[:, :, None]
     middle = (points.min((1, 2)) + points.max((1, 2))) / 2
     return points - middle[:, None, None]
 
@@ -131,7 +131,7 @@ def _into_camera(
     turned = np.einsum("cij,ctpj->ctpi", cameras.rotation, points)
     widest = np.abs(turned[..., :2]).max((1, 2, 3))
     nearest = turned[..., 2].min((1, 2))
-    distance = np.maximum(cameras.distance, widest / 0.35 - nearest)
+    distance = np.maximum(cameras.distance, widest / 0.37 - nearest)
     turned[..., :2] += (cameras.aim * distance[:, None])[:, None, None]
     turned[..., 2] += distance[:, None, None]
     return turned

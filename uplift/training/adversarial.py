@@ -55,27 +55,33 @@ class AdversarialTraining(LifterTraining):
                 groups.append({"params": parameters, "lr": rate, "name": name})
         return groups
 
-    def objective(self, rows: Tensor) -> tuple[Tensor, dict[str, float | Tensor]]:
-        """Return the weighted sum of all terms for the frames ``rows``."""
-        batch = self.data.draw(rows)
-        if self.settings.mirror:
-            which = torch.rand(len(batch), device=rows.device) < 0.5
-            batch = batch.mirrored(which, self.lifter.mirror_permutation)
+    def objective(self) -> tuple[Tensor, dict[str, float | Tensor]]:
+        """Return the weighted sum of all terms for one batch."""
+        batch = self._batch()
         lift = make_lift(self.lifter, batch, self.views, self.settings.hide)
         total, logged = lift.pose.new_zeros(()), {}
         with _held_still([self.priors[name] for name in self.adversarial]):
-            for name, prior in self.priors.items():
+            for name in self.priors:
                 term = self.watch.loss(name, lift, self.global_step)
                 total = total + self.weights[name] * term
                 logged[name] = term.detach()
+        real = batch if self.settings.same_real else self._batch()
         visible = lift.visible.unsqueeze(-1)
         for name in self.adversarial:
-            own = self.watch.own_loss(name, batch.keypoints * visible, lift.seen.detach() * visible)
+            own = self.watch.own_loss(name, real.keypoints, lift.seen.detach() * visible)
             if own is not None:
                 total = total + own
                 logged[f"{name}_own"] = own.detach()
         self.last_lift = lift
         return total, logged
+
+    def _batch(self) -> Batch:
+        """Return a random batch, half of it mirrored."""
+        batch = self.data.draw(self.draw(self.settings.batch_size))
+        if not self.settings.mirror:
+            return batch
+        which = torch.rand(len(batch), device=self.device) < 0.5
+        return batch.mirrored(which, self.lifter.mirror_permutation)
 
     def gated_parameters(self) -> Iterator[nn.Parameter]:
         """Return the lifter's parameters or a prior's where a prior asked for it in this step."""

@@ -9,7 +9,7 @@ from typing import Any
 import lightning as L
 import torch
 from torch import Tensor, nn
-from torch.optim.swa_utils import AveragedModel, get_ema_multi_avg_fn
+from torch.optim.swa_utils import AveragedModel
 from torch.utils.data import DataLoader, IterableDataset
 
 from uplift.config import StageSettings
@@ -30,6 +30,16 @@ def stream_seed(seed: int, rank: int, step: int) -> int:
         mixed = (mixed ^ (part & 0xFFFFFFFFFFFFFFFF)) * 0xBF58476D1CE4E5B9 & 0xFFFFFFFFFFFFFFFF
         mixed ^= mixed >> 29
     return mixed >> 1
+
+
+def _average(decay: float):
+    """Return the averaging rule: exponential, with a shorter memory over the first steps."""
+
+    def update(averaged: list[Tensor], current: list[Tensor], count: Tensor) -> None:
+        so_far = float(count)
+        torch._foreach_lerp_(averaged, current, 1 - min(decay, (1 + so_far) / (10 + so_far)))
+
+    return torch.no_grad()(update)
 
 
 class _Steps(IterableDataset):
@@ -57,18 +67,20 @@ class LifterTraining(L.LightningModule):
         self.data = data
         self.done = 0.0
         """Share of the stage that is over, 0..1; `uplift.training.budget.Budget` keeps it."""
-        self.averaged = (
-            AveragedModel(lifter, multi_avg_fn=get_ema_multi_avg_fn(settings.average)) if settings.average else None
-        )
+        self.averaged = AveragedModel(lifter, multi_avg_fn=_average(settings.average)) if settings.average else None
 
     @property
     def final(self) -> Lifter:
         """The lifter to evaluate and predict with."""
         return self.lifter if self.averaged is None else self.averaged.module  # type: ignore[return-value]
 
-    def objective(self, rows: Tensor) -> tuple[Tensor, dict[str, float | Tensor]]:
-        """Return the loss of the frames ``rows`` and the numbers to log."""
+    def objective(self) -> tuple[Tensor, dict[str, float | Tensor]]:
+        """Return the loss of one random batch and the numbers to log."""
         raise NotImplementedError
+
+    def draw(self, count: int) -> Tensor:
+        """Return ``count`` random frame numbers."""
+        return torch.randint(len(self.data), (count,), device=self.device)
 
     def parameter_groups(self) -> list[dict[str, Any]]:
         """Return the optimiser's groups; the first is the lifter's."""
@@ -102,17 +114,17 @@ class LifterTraining(L.LightningModule):
             group["lr"] = group["peak"] * factor
 
     def schedule(self, done: float) -> float:
-        """Return the learning rate's factor: constant up to `decay_from`, then a half cosine down to 2 %."""
+        """Return the learning rate's factor: warm up, constant to `decay_from`, half a cosine down to 2 %."""
+        warm = min(1.0, (done + 1e-3) / self.settings.warm_up) if self.settings.warm_up else 1.0
         if self.settings.decay_from >= 1:
-            return 1.0
+            return warm
         over = max(0.0, (done - self.settings.decay_from) / (1 - self.settings.decay_from))
-        return 0.02 + 0.98 * 0.5 * (1 + math.cos(math.pi * min(1.0, over)))
+        return warm * (0.02 + 0.98 * 0.5 * (1 + math.cos(math.pi * min(1.0, over))))
 
     def training_step(self, batch: int, batch_idx: int) -> Tensor:
-        """Draw rows from this step's own stream and return their loss."""
+        """Start this step's own stream and return the loss of a batch drawn from it."""
         torch.manual_seed(stream_seed(self.seed, self.global_rank, self.global_step))
-        rows = torch.randint(len(self.data), (self.settings.batch_size,), device=self.device)
-        loss, logged = self.objective(rows)
+        loss, logged = self.objective()
         self.logged = logged
         return loss
 

@@ -83,8 +83,8 @@ def run_stage(
         return clock
     saver = Checkpoints(path, seconds=settings.checkpoint_every, steps=settings.checkpoint_steps)
     callbacks = [clock, Progress(name, clock), MetricsFile(folder / "metrics.csv", name, settings.log_every), saver]
-    trainer = _trainer(settings, callbacks, folder)
     with clock, _quiet():
+        trainer = _trainer(settings, callbacks, folder)
         trainer.fit(module, ckpt_path=str(path) if resume else None, weights_only=True)
     if clock.interrupted and module.done < 1:
         raise Interrupted(folder)
@@ -130,7 +130,8 @@ class _quiet:
     """Keep Lightning from telling what our own lines say better."""
 
     def __enter__(self) -> None:
-        self._levels = {n: logging.getLogger(n).level for n in ("lightning", "lightning.pytorch", "lightning.fabric")}
+        names = [n for n in logging.root.manager.loggerDict if n.split(".")[0] in ("lightning", "lightning_fabric")]
+        self._levels = {name: logging.getLogger(name).level for name in names}
         for name in self._levels:
             logging.getLogger(name).setLevel(logging.ERROR)
         self._caught = warnings.catch_warnings()

@@ -1,11 +1,11 @@
-"""The second stage: a fresh lifter learns from the teacher's own poses, turned everywhere."""
+"""The second stage: a fresh lifter learns from the teacher's own poses, mixed and turned everywhere."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from torch import Tensor
 
 from uplift.config import StudentSettings, ViewSettings
@@ -14,10 +14,13 @@ from uplift.lifter import Lifter
 from uplift.normalise import renormalise
 from uplift.pose import mirror
 from uplift.skeleton import Skeleton
-from uplift.training.base import LifterTraining
+from uplift.training.base import LifterTraining, stream_seed
+from uplift.training.mixing import LimbMixer
 from uplift.views import level, random_rotations, turn, views_about_gravity
 
 __all__ = ["PseudoPoses", "StudentTraining", "lift_all"]
+
+_BATCHES_AT_ONCE = 16
 
 
 @dataclass(frozen=True)
@@ -31,37 +34,55 @@ class PseudoPoses:
     """The camera tilt the teacher found, radians."""
     distance: Float[Tensor, " frames"]
     """Of the camera to the root, in units."""
+    known: Bool[Tensor, "frames joints"]
+    """Joints that the data has; the others are the teacher's guesses and teach nothing."""
 
     def __len__(self) -> int:
         return len(self.pose)
 
     def to(self, device: torch.device | str) -> PseudoPoses:
         """Return the same poses on ``device``."""
-        moved = (self.pose.to(device), self.tilt.to(device), self.distance.to(device))
-        return PseudoPoses(self.skeleton, *moved)
+        return PseudoPoses(
+            self.skeleton, *(getattr(self, f.name).to(device) for f in fields(self) if f.name != "skeleton")
+        )
 
 
 @torch.no_grad()
 def lift_all(lifter: Lifter, data: TrainingSet, chunk: int = 8192) -> PseudoPoses:
     """Return every training frame lifted by ``lifter``, averaged with its mirror image."""
     device = next(lifter.parameters()).device
+    data = data.to(device)
     poses, tilts = [], []
     for start in range(0, len(data), chunk):
         rows = slice(start, start + chunk)
-        lifted = lifter.lift_both_ways(
-            data.keypoints[rows].to(device), data.confidence[rows].to(device), data.distance[rows].to(device)
-        )
-        pose = turn(lifted.pose, level(lifted.tilt)) if data.skeleton.gravity else lifted.pose
-        poses.append(pose)
+        lifted = lifter.lift_both_ways(data.keypoints[rows], data.confidence[rows], data.distance[rows])
+        poses.append(turn(lifted.pose, level(lifted.tilt)) if data.skeleton.gravity else lifted.pose)
         tilts.append(lifted.tilt)
-    return PseudoPoses(data.skeleton, torch.cat(poses), torch.cat(tilts), data.distance.to(device))
+    known = data.confidence > 0
+    return PseudoPoses(data.skeleton, torch.cat(poses), torch.cat(tilts), data.distance, known)
+
+
+@dataclass(frozen=True)
+class _Views:
+    """Turned views to learn from: what the network sees, and what it should say."""
+
+    keypoints: Tensor
+    known: Tensor
+    pose: Tensor
+    tilt: Tensor
+    distance: Tensor
+
+    def part(self, place: int, size: int) -> _Views:
+        rows = slice(place * size, (place + 1) * size)
+        return _Views(*(getattr(self, f.name)[rows] for f in fields(self)))
 
 
 class StudentTraining(LifterTraining):
     """Lift random turned views of the teacher's poses back to those poses.
 
-    The teacher saw each pose from one side; the student sees it from everywhere, and generalises
-    better for it. Nothing enters but what the teacher made of 2D keypoints.
+    The teacher saw each pose from one side, with the limbs it came with; the student sees it from
+    everywhere, with the limbs of others, and generalises better for it. Nothing enters but what the
+    teacher made of 2D keypoints.
     """
 
     data: PseudoPoses  # type: ignore[assignment]
@@ -72,38 +93,73 @@ class StudentTraining(LifterTraining):
     ):
         super().__init__(lifter, data, settings, seed)  # type: ignore[arg-type]
         self.views = views
+        self._made: tuple[int, _Views] | None = None
 
-    def objective(self, rows: Tensor) -> tuple[Tensor, dict[str, float | Tensor]]:
-        """Return the mean joint distance to the turned poses, and what else the lifter can know."""
+    def on_fit_start(self) -> None:
+        """Put the poses where the model is and take them apart into limbs."""
+        super().on_fit_start()
+        mixes = self.settings.mix > 0 and not self.data.skeleton.rigid
+        self.mixer = LimbMixer(self.data.pose, self.data.skeleton) if mixes else None
+
+    def objective(self) -> tuple[Tensor, dict[str, float | Tensor]]:
+        """Return the mean depth error over the known joints, and what else the lifter can know."""
+        views = self._batch()
         skeleton, lifter = self.data.skeleton, self.lifter
-        pose = self.data.pose[rows]
-        count, device = len(rows), rows.device
+        hidden = ~views.known
+        if self.settings.hide:
+            share = self.settings.hide * 2 * torch.rand(len(hidden), 1, device=hidden.device)
+            hidden = hidden | (torch.rand(hidden.shape, device=hidden.device) < share)
+            hidden[:, skeleton.root_index] = False
+        lifted = lifter(views.keypoints, (~hidden).float(), views.distance)
+        weight = views.known.float()
+        error = (lifted.pose[..., 2] - views.pose[..., 2]).abs()
+        loss = (error * weight).sum() / weight.sum().clamp_min(1)
+        logged: dict[str, float | Tensor] = {"depth": loss.detach()}
+        if lifter.fill and self.settings.hide:
+            filled = (lifted.keypoints - views.keypoints).abs().sum(-1) * (hidden & views.known)
+            filled = filled.sum() / (hidden & views.known).sum().clamp_min(1)
+            loss = loss + self.settings.hide * filled
+            logged["fill"] = filled.detach()
+        if lifter.tilt == "predicted":
+            tilt = (lifted.tilt - views.tilt).abs().mean()
+            loss = loss + 0.1 * tilt
+            logged["tilt"] = tilt.detach()
+        return loss, logged
+
+    def _batch(self) -> _Views:
+        """Return this step's views. They are made many batches at once: one batch alone is all overhead."""
+        size = self.settings.batch_size
+        chunk, place = divmod(self.global_step, _BATCHES_AT_ONCE)
+        if self._made is None or self._made[0] != chunk:
+            # The chunk has a stream of its own, so that a resumed fit makes the same one again.
+            torch.manual_seed(stream_seed(self.seed + 1, self.global_rank, chunk))
+            with torch.no_grad():
+                self._made = (chunk, self._make(size * _BATCHES_AT_ONCE))
+            torch.manual_seed(stream_seed(self.seed, self.global_rank, self.global_step))
+        return self._made[1].part(place, size)
+
+    def _make(self, count: int) -> _Views:
+        """Mix, mirror and turn ``count`` poses, and project them."""
+        data, skeleton = self.data, self.data.skeleton
+        rows = self.draw(count)
+        if self.mixer is None:
+            pose, known = data.pose[rows], data.known[rows]
+        else:
+            pose, known = self.mixer(rows, data.known, share=self.settings.mix, limb=self.settings.mix_limb)
         if self.settings.mirror:
-            flip = torch.rand(count, 1, 1, device=device) < 0.5
-            pose = torch.where(flip, mirror(pose, lifter.mirror_permutation), pose)
+            swap = self.lifter.mirror_permutation
+            flip = torch.rand(count, device=rows.device) < 0.5
+            pose = torch.where(flip[:, None, None], mirror(pose, swap), pose)
+            known = torch.where(flip[:, None], known[:, swap], known)
+        tilt = data.tilt[self.draw(count)]
         if skeleton.gravity:
-            azimuth = 2 * torch.pi * torch.rand(count, device=device)
-            tilt = self.data.tilt[torch.randint(len(self.data), (count,), device=device)]
+            azimuth = 2 * torch.pi * torch.rand(count, device=rows.device)
             pose = turn(pose, views_about_gravity(torch.zeros_like(tilt), azimuth, tilt))
         else:
-            tilt = None
-            pose = turn(pose, random_rotations(count, device))
-        distance = self.data.distance[rows]
-        projected = lifter.camera.project(pose, distance)
-        confidence = projected.new_ones(projected.shape[:2])
+            pose = turn(pose, random_rotations(count, rows.device))
+        distance = data.distance[rows]
+        projected = self.lifter.camera.project(pose, distance)
         keypoints, radius = renormalise(
-            projected, confidence, skeleton.root_index, count_root=self.views.count_root
+            projected, known.float(), skeleton.root_index, count_root=self.views.count_root
         )
-        target = pose / radius[:, None, None]
-        if self.settings.hide:
-            hidden = torch.rand_like(confidence) < self.settings.hide * 2 * torch.rand(count, 1, device=device)
-            hidden[:, skeleton.root_index] = False
-            confidence = confidence.masked_fill(hidden, 0)
-        lifted = lifter(keypoints, confidence, distance / radius)
-        loss = ((lifted.pose - target).square().sum(-1) + 1e-12).sqrt().mean()
-        logged: dict[str, float | Tensor] = {"pose": loss.detach()}
-        if tilt is not None and lifter.tilt == "predicted":
-            error = (lifted.tilt - tilt).abs().mean()
-            loss = loss + 0.3 * error
-            logged["tilt"] = error.detach()
-        return loss, logged
+        return _Views(keypoints, known, pose / radius[:, None, None], tilt, distance / radius)

@@ -11,7 +11,7 @@ import numpy as np
 
 from uplift.data.clean import clean
 from uplift.data.container import PoseData
-from uplift.data.load import find_data, load_data, load_file
+from uplift.data.load import load_data, load_file, load_split
 from uplift.errors import UserError
 from uplift.evaluation import Evaluation, GivenPoses
 from uplift.evaluation import evaluate as score
@@ -51,9 +51,8 @@ def _test_frames(folder: RunFolder, skeleton: Skeleton, test: str | Path | None)
     settings = folder.settings()
     chosen = settings.data
     if chosen.test and not chosen.simulate:
-        path = find_data(settings, "test")
-        data, _ = clean(load_file(path, skeleton), skeleton)
-        return data, str(path)
+        data, _ = clean(load_split(settings, "test", skeleton), skeleton)
+        return data, data.source
     data = load_data(settings, skeleton).test
     if data is None:
         raise UserError(f"{folder.path} has no test frames of its own: give data.test=FILE.")

@@ -46,7 +46,8 @@ def page_text(
 ) -> str:
     """Return the page with at most ``frames`` moments of whole clips, tables, curves and notes.
 
-    ``sections`` are (title, rows) or (title, rows, header). ``curves`` are name -> (step, value) points, one small chart each.
+    ``sections`` are (title, rows) or (title, rows, header); without a header, a first row of three
+    or more texts above rows that each hold a number is taken for one. ``curves`` are name -> (step, value) points, one small chart each.
     """
     data = page_data(prediction, frames)
     title = prediction.title or prediction.source or "Poses"
@@ -57,7 +58,7 @@ def page_text(
         "title": escape(title),
         "subtitle": " · ".join(f"<span>{escape(fact)}</span>" for fact in data.pop("facts")),
         "style": style,
-        "report": "".join(_table(*section) for section in sections) + _curves(curves or {}),
+        "report": "".join(_table(section) for section in sections) + _curves(curves or {}),
         "notes": "".join(f"<li>{escape(note)}</li>" for note in [*data.pop("remarks"), *notes]),
         "data": json.dumps(data, ensure_ascii=True, allow_nan=False, separators=(",", ":")).replace("<", "\\u003c"),
         "script": script,
@@ -84,7 +85,10 @@ def _hash(text: str) -> str:
     return f"'sha256-{base64.b64encode(hashlib.sha256(text.encode('utf-8')).digest()).decode('ascii')}'"
 
 
-def _table(title: str, rows: Rows, header: Sequence[object] = ()) -> str:
+def _table(section: Section) -> str:
+    title, rows, header = section if len(section) == 3 else (*section, ())
+    if not header and _has_header(rows):
+        header, rows = rows[0], rows[1:]
     head = f"<thead>{_row(header, 'th')}</thead>" if header else ""
     body = "".join(_row(row, "td") for row in rows)
     broad = " broad" if max(map(len, rows), default=0) > 6 else ""
@@ -92,6 +96,11 @@ def _table(title: str, rows: Rows, header: Sequence[object] = ()) -> str:
         f'<section class="card{broad}"><h2>{escape(title)}</h2><div class="wide"><table>{head}'
         f"<tbody>{body}</tbody></table></div></section>"
     )
+
+
+def _has_header(rows: Rows) -> bool:
+    texts = [all(isinstance(cell, str) for cell in row) for row in rows]
+    return len(rows) > 1 and len(rows[0]) > 2 and texts[0] and not any(texts[1:])
 
 
 def _row(cells: Sequence[object], tag: str) -> str:

@@ -7,7 +7,8 @@ const state = { clip: 0, moment: 0, playing: false, speed: 1, level: true, truth
 const kept = { arrays: null, clips: [], size: null, bounds: null, errors: null, figures: [], colours: null, due: false, hover: null, painted: 0 };
 
 const clipNow = () => kept.clips[state.clip];
-const tidy = (v) => (Math.abs(v) >= 100 || v === 0 ? v.toFixed(0) : Math.abs(v) >= 10 ? v.toFixed(1) : v.toFixed(3));
+// A tenth of a mm or px is all that lengths can carry; numbers without a unit keep three figures.
+const tidy = (v) => (meta.unit !== 'relative' ? Number(v.toFixed(Math.abs(v) < 100 ? 1 : 0)).toString() : Math.abs(v) >= 100 || v === 0 ? v.toFixed(0) : Math.abs(v) >= 10 ? v.toFixed(1) : v.toFixed(3));
 
 function figureOf(row) {
   const A = kept.arrays, world = new Float64Array(3 * J), shift = placeRow(A, row, 'pose', state.level, world);
