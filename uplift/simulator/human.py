@@ -103,7 +103,8 @@ def human_body(skeleton: Skeleton) -> Body:
     steps = [(f"pelvis {name}", "pelvis", axis) for name, axis in ROOT_ANGLES.items()]
     for point, entries in _both_sides(_ANGLES):
         for name, (axis, low, high) in entries.items():
-            mirrored = (axis[0], -axis[1], -axis[2]) if point.startswith("right_") else axis
+            side = -1.0 if point.startswith("right_") else 1.0
+            mirrored = (float(axis[0]), side * axis[1], side * axis[2])
             of = point.partition("_")[0] + "_" + name[1:] if name.startswith("-clavicle") else f"{point} {name.lstrip('-')}"
             steps.append((of, point, mirrored))
             if not name.startswith("-"):
