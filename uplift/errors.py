@@ -5,7 +5,7 @@ from __future__ import annotations
 import difflib
 from collections.abc import Iterable
 
-__all__ = ["UserError", "did_you_mean"]
+__all__ = ["NotForThisSkeleton", "UserError", "did_you_mean"]
 
 
 class UserError(Exception):
@@ -14,6 +14,10 @@ class UserError(Exception):
     The message says what was found, what was expected, where, and what to do. The command line
     prints it without a traceback and exits with status 2.
     """
+
+
+class NotForThisSkeleton(UserError):
+    """A prior cannot judge this skeleton; one that is on ``if_possible`` is then left out."""
 
 
 def did_you_mean(found: str, valid: Iterable[str]) -> str:

@@ -101,9 +101,14 @@ class Lifter(nn.Module):
         confidence: Float[Tensor, "batch joints"],
         distance: Float[Tensor, " batch"],
     ) -> Lifted:
-        """Lift the keypoints and their mirror image and average the two (after Pavllo et al. 2019)."""
-        swap = self.mirror_permutation
+        """Lift the keypoints and their mirror image and average the two (after Pavllo et al. 2019).
+
+        A skeleton without mirror pairs has no mirror image: it is lifted as it is.
+        """
         straight = self(keypoints, confidence, distance)
+        if not self.skeleton.mirror:
+            return straight
+        swap = self.mirror_permutation
         mirrored = self(mirror(keypoints, swap), confidence[:, swap], distance)
         depth = (straight.pose[..., 2] + mirrored.pose[:, swap, 2]) / 2
         filled = (straight.keypoints + mirror(mirrored.keypoints, swap)) / 2

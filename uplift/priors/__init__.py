@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from uplift.errors import UserError
+from uplift.errors import NotForThisSkeleton, UserError
 from uplift.plugins import build
 from uplift.priors.base import Prior
 from uplift.skeleton import Skeleton
@@ -25,26 +25,37 @@ PRIORS = {
 
 def build_priors(
     specs: Mapping[str, Mapping[str, Any]], skeleton: Skeleton
-) -> tuple[dict[str, Prior], dict[str, float]]:
-    """Return the priors that ``specs`` names and their weights; weight 0 leaves one out.
+) -> tuple[dict[str, Prior], dict[str, float], list[str]]:
+    """Return the priors that ``specs`` names, their weights, and a note for each that was left out.
+
+    Weight 0 leaves a prior out; so does ``if_possible: true`` where the skeleton does not have what
+    the prior needs.
 
     Raises:
         UserError: an unknown prior or option, a weight that is no number, a class that is no Prior.
     """
     priors: dict[str, Prior] = {}
     weights: dict[str, float] = {}
+    notes: list[str] = []
     for name, spec in specs.items():
         where = f"priors.{name}"
         options = dict(spec)
         use, weight = options.pop("use", name), options.pop("weight", 1.0)
+        if_possible = options.pop("if_possible", False)
         if isinstance(weight, bool) or not isinstance(weight, (int, float)) or not 0 <= weight < float("inf"):
             raise UserError(f"{where}.weight={weight!r}: expected a number of at least 0.")
         if weight == 0:
             continue
-        prior = build(str(use), PRIORS, options, where, skeleton=skeleton)
+        try:
+            prior = build(str(use), PRIORS, options, where, skeleton=skeleton)
+        except NotForThisSkeleton as error:
+            if not if_possible:
+                raise
+            notes.append(f"without the {name} prior: {error}")
+            continue
         if not isinstance(prior, Prior):
             raise UserError(f"{where}.use={use!r}: {type(prior).__name__} is not a subclass of uplift.Prior.")
         if not hasattr(prior, "skeleton"):
             raise UserError(f"{where}: {type(prior).__name__}.__init__ must call super().__init__(skeleton).")
         priors[name], weights[name] = prior, float(weight)
-    return priors, weights
+    return priors, weights, notes

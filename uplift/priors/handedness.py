@@ -8,7 +8,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from uplift.errors import UserError, did_you_mean
+from uplift.errors import NotForThisSkeleton, UserError, did_you_mean
 from uplift.lift import Lift
 from uplift.priors.base import Prior
 from uplift.skeleton import Skeleton
@@ -66,9 +66,9 @@ class Handedness(Prior):
         if "up" not in self.directions and not skeleton.gravity:
             missing.append("up")
         if missing:
-            raise UserError(
-                f"The handedness prior needs `facing:` with {', '.join(missing)} in skeleton '{skeleton.name}': "
-                "without it a pose and its depth-mirrored image cannot be told apart."
+            raise NotForThisSkeleton(
+                f"skeleton '{skeleton.name}' gives no facing direction {', '.join(missing)}, and without it a pose and "
+                "its depth-mirrored image cannot be told apart (give it `facing:`, or set priors.handedness.weight=0)."
             )
         self.planar, self.frame, self.margin = planar, frame, margin
         for name, (start, end) in self.directions.items():

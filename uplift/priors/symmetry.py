@@ -5,7 +5,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from uplift.errors import UserError
+from uplift.errors import NotForThisSkeleton
 from uplift.lift import Lift
 from uplift.pose import bone_lengths
 from uplift.priors.base import Prior
@@ -40,9 +40,9 @@ class Symmetry(Prior):
         super().__init__(skeleton)
         pairs = mirrored_bones(skeleton)
         if not pairs:
-            raise UserError(
-                f"The symmetry prior needs mirrored bones, and skeleton '{skeleton.name}' has none: "
-                "give it `mirror:` pairs, or set priors.symmetry.weight=0."
+            raise NotForThisSkeleton(
+                f"skeleton '{skeleton.name}' has no mirrored bones (give it `mirror:` pairs, or set "
+                "priors.symmetry.weight=0)."
             )
         self.register_buffer("left", torch.tensor([a for a, _ in pairs]), persistent=False)
         self.register_buffer("right", torch.tensor([b for _, b in pairs]), persistent=False)

@@ -43,7 +43,7 @@ def smooth_noise(
 
 
 def periodic_curve(
-    points: tuple[float, ...], phase: Float[np.ndarray, "*frames"], harmonics: int = 6
+    points: tuple[int, ...] | tuple[float, ...], phase: Float[np.ndarray, "*frames"], harmonics: int = 6
 ) -> Float[np.ndarray, "*frames"]:
     """Return the Fourier curve through evenly spaced ``points`` of one cycle at ``phase`` (cycles)."""
     spectrum = np.fft.rfft(points) / len(points)

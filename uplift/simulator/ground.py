@@ -38,8 +38,8 @@ def level_feet(
     hips = np.array([rest[leg[0], 2] for leg in legs])
     if not len(hips) or np.ptp(hips) < 0.3 * np.ptp(rest, axis=0).max():
         return points
-    middle = (hips.min() + hips.max()) / 2
-    fore, hind = ([leg[-1] for leg, z in zip(legs, hips, strict=True) if (z < middle) == front] for front in (True, False))
+    share = (hips - hips.min()) / np.ptp(hips)
+    fore, hind = ([legs[row][-1] for row in np.flatnonzero(rows)] for rows in (share < 0.3, share > 0.7))
     lowest = [points[..., feet, 1].max(-1) for feet in (fore, hind)]
     way = points[..., fore, :].mean(-2) - points[..., hind, :].mean(-2)
     length = np.linalg.norm(way[..., [0, 2]], axis=-1)

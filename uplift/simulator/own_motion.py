@@ -47,8 +47,8 @@ def _wander(
 ) -> np.ndarray:
     """Return angles that wander smoothly over the limits; joints of a chain go partly together."""
     chains = _chains(body)
-    curve = smooth_noise(rng, time_s, clips, max(chains) + 2, 0.35)
-    offset = rng.normal(0, 1.0, (clips, 1, max(chains) + 2))
+    curve = smooth_noise(rng, time_s, clips, int(max(chains)) + 2, 0.35)
+    offset = rng.normal(0, 1.0, (clips, 1, int(max(chains)) + 2))
     shared = (curve + offset)[..., 1:][..., chains] + 0.7 * (curve + offset)[..., :1]
     own = smooth_noise(rng, time_s, clips, len(body.angles), 0.5) + rng.normal(0, 1.0, (clips, 1, len(body.angles)))
     bending = np.array([name.endswith("flexion") for name in body.angles])

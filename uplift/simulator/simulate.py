@@ -7,7 +7,7 @@ from jaxtyping import Float
 
 from uplift.data.container import PoseData
 from uplift.errors import UserError
-from uplift.simulator.body import Body, rest_positions
+from uplift.simulator.body import Body
 from uplift.simulator.cameras import FOCAL_PX, IMAGE_SIZE, Cameras, project, random_cameras
 from uplift.simulator.ground import level_feet, on_floor, on_stage
 from uplift.simulator.human import human_body, is_human
@@ -69,7 +69,8 @@ def build_body(skeleton: Skeleton) -> Body:
 def rest_pose(skeleton: Skeleton) -> Float[np.ndarray, "joints 3"]:
     """Return the mean body in its rest pose, relative to the root, facing the camera, in body heights."""
     body = build_body(skeleton)
-    joints = body.joints @ rest_positions(body.parents, body.offsets)
+    angles = np.zeros(len(body.angles)).clip(body.low_deg, body.high_deg)
+    joints = body.joints @ forward_kinematics(body, body.offsets[None], angles[None])[0]
     return joints - joints[skeleton.root_index]
 
 

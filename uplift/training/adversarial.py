@@ -78,7 +78,7 @@ class AdversarialTraining(LifterTraining):
     def _batch(self) -> Batch:
         """Return a random batch, half of it mirrored."""
         batch = self.data.draw(self.draw(self.settings.batch_size))
-        if not self.settings.mirror:
+        if not self.mirrors:
             return batch
         which = torch.rand(len(batch), device=self.device) < 0.5
         return batch.mirrored(which, self.lifter.mirror_permutation)

@@ -70,6 +70,11 @@ class LifterTraining(L.LightningModule):
         self.averaged = AveragedModel(lifter, multi_avg_fn=_average(settings.average)) if settings.average else None
 
     @property
+    def mirrors(self) -> bool:
+        """Whether poses are shown mirrored half the time: not those of a skeleton without mirror pairs."""
+        return self.settings.mirror and bool(self.lifter.skeleton.mirror)
+
+    @property
     def final(self) -> Lifter:
         """The lifter to evaluate and predict with."""
         return self.lifter if self.averaged is None else self.averaged.module  # type: ignore[return-value]

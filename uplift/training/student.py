@@ -146,7 +146,7 @@ class StudentTraining(LifterTraining):
             pose, known = data.pose[rows], data.known[rows]
         else:
             pose, known = self.mixer(rows, data.known, share=self.settings.mix, limb=self.settings.mix_limb)
-        if self.settings.mirror:
+        if self.mirrors:
             swap = self.lifter.mirror_permutation
             flip = torch.rand(count, device=rows.device) < 0.5
             pose = torch.where(flip[:, None, None], mirror(pose, swap), pose)

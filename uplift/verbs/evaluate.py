@@ -16,7 +16,8 @@ from uplift.errors import UserError
 from uplift.evaluation import Evaluation, GivenPoses
 from uplift.evaluation import evaluate as score
 from uplift.paths import shipped_names
-from uplift.readers.npz import read_arrays
+from uplift.readers.archive import read_arrays
+from uplift.readers.npz import joint_names_of, unit_of
 from uplift.run import RunFolder
 from uplift.saving import replacing
 from uplift.skeleton import Skeleton, load_skeleton
@@ -26,6 +27,8 @@ if TYPE_CHECKING:
     from uplift.model import Model
 
 __all__ = ["evaluate", "evaluate_model", "evaluate_poses", "save_evaluation"]
+
+_IDENTITY = ("subject", "action", "sequence", "camera", "frame")
 
 
 def evaluate(run: str | Path, test: str | Path | None = None) -> Evaluation:
@@ -72,21 +75,24 @@ def evaluate_poses(poses: str | Path, test: str | Path, skeleton: str | None = N
     Raises:
         UserError: not such a file, other joints or other frames than the truth.
     """
-    arrays = read_arrays(poses)
+    arrays = read_arrays(poses, ("pose", "joint_names", "unit", "tilt_deg", *_IDENTITY))
     for key in ("pose", "joint_names"):
         if key not in arrays:
-            raise UserError(f"{poses}: no array '{key}' (found: {', '.join(sorted(arrays))}).")
-    names = tuple(str(name) for name in arrays["joint_names"])
+            raise UserError(f"{poses}: no array '{key}' (found: {', '.join(sorted(arrays)) or 'none that is needed'}).")
+    names = joint_names_of(str(poses), arrays)
     chosen = load_skeleton(skeleton) if skeleton else _skeleton_of(names, str(poses))
     pose = arrays["pose"]
     if pose.ndim != 3 or pose.shape[1:] != (len(names), 3) or pose.dtype.kind not in "fiu":
         raise UserError(f"{poses}: 'pose' is {pose.dtype} of shape {pose.shape}, expected numbers (frames, {len(names)}, 3).")
+    tilt = arrays.get("tilt_deg")
+    if tilt is not None and (tilt.shape != pose.shape[:1] or tilt.dtype.kind not in "fiu"):
+        raise UserError(f"{poses}: 'tilt_deg' is {tilt.dtype} of shape {tilt.shape}, expected numbers ({len(pose)},).")
     given = GivenPoses(
         pose=pose.astype(np.float64),
         joint_names=names,
-        unit=str(arrays["unit"]) if "unit" in arrays else "relative",
-        tilt_deg=arrays.get("tilt_deg"),
-        identity={k: arrays[k] for k in ("subject", "action", "sequence", "camera", "frame") if k in arrays},
+        unit=unit_of(str(poses), arrays, "relative"),
+        tilt_deg=tilt,
+        identity={key: arrays[key] for key in _IDENTITY if key in arrays},
         source=str(poses),
     )
     truth, _ = clean(load_file(test, chosen), chosen, drop=False)

@@ -55,7 +55,7 @@ def fit_settings(settings: Settings, run: RunFolder | None = None) -> RunFolder:
     if run is None:
         run = RunFolder.create(settings, shlex.join(["uplift", *sys.argv[1:]]))
     _say([f"uplift fit: {settings.task or 'own data'}, skeleton {skeleton.name}, seed {settings.seed}", *loaded.notes,
-          f"run: {run.path}"])  # fmt: skip
+          *modules.notes, f"run: {run.path}"])  # fmt: skip
     if settings.trainer.threads:
         torch.set_num_threads(settings.trainer.threads)
     lifter = modules.train(run)
@@ -83,7 +83,9 @@ class _Stages:
         self.budgets = stage_budgets(settings.trainer, shares, len(self.data), settings.teacher.batch_size)
         self.spent: dict[str, float] = {}
         torch.manual_seed(settings.seed)
-        self.priors, self.weights = build_priors(settings.priors, skeleton)
+        self.priors, self.weights, self.notes = build_priors(settings.priors, skeleton)
+        if not skeleton.mirror:
+            self.notes.append(f"no mirroring: skeleton '{skeleton.name}' has no `mirror:` pairs")
         if not self.priors:
             raise UserError("No prior is on: nothing would train the lifter. Set priors.NAME.use and priors.NAME.weight.")
         self.first = build_lifter(settings.lifter, skeleton)

@@ -1,0 +1,92 @@
+"""What the tests of the method share: training sets, lifters and lifts of random bodies."""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+
+import numpy as np
+import torch
+from bodies import body_arrays
+from torch import Tensor
+
+from uplift.config import LifterSettings, ViewSettings
+from uplift.data.container import PoseData
+from uplift.data.tensors import TrainingSet
+from uplift.lift import Lift
+from uplift.lifter import Lifter
+from uplift.model import build_lifter
+from uplift.skeleton import Skeleton, load_skeleton
+from uplift.training.adversarial import make_lift
+
+H36M = load_skeleton("h36m17")
+
+
+@contextmanager
+def doubles() -> Iterator[None]:
+    """Compute in float64, so that values can be compared to twelve digits."""
+    before = torch.get_default_dtype()
+    torch.set_default_dtype(torch.float64)
+    try:
+        yield
+    finally:
+        torch.set_default_dtype(before)
+
+
+def bodies(frames: int = 12, seed: int = 0, skeleton: Skeleton = H36M, missing: float = 0.0) -> PoseData:
+    """Return random bodies of ``skeleton`` in the default float type; the root is never missing."""
+    kind = torch.zeros(()).numpy().dtype
+    arrays = body_arrays(frames, seed, skeleton.name)
+    rng = np.random.default_rng(seed + 1)
+    confidence = (rng.random(arrays["keypoints"].shape[:2]) >= missing).astype(kind)
+    confidence[:, skeleton.root_index] = 1
+    keypoints = arrays["keypoints"].astype(kind) * (confidence[..., None] > 0)
+    pose = arrays["pose"].astype(kind)
+    return PoseData(keypoints, confidence, skeleton.joints, pose=pose, root=arrays["root"].astype(kind))
+
+
+def training_set(frames: int = 12, seed: int = 0, skeleton: Skeleton = H36M, **rest) -> TrainingSet:
+    """Return the training set of `bodies`."""
+    return TrainingSet.of(bodies(frames, seed, skeleton, rest.pop("missing", 0.0)), skeleton, **rest)
+
+
+def small_lifter(skeleton: Skeleton = H36M, seed: int = 0, **settings) -> Lifter:
+    """Return a small lifter whose depths are far from flat."""
+    torch.manual_seed(seed)
+    lifter = build_lifter(LifterSettings(options={"units": 16, "blocks": 1}, **settings), skeleton)
+    with torch.no_grad():
+        for parameter in lifter.network.leave.parameters():
+            parameter.mul_(20)
+    return lifter
+
+
+def lift_of(lifter: Lifter, data: TrainingSet, seed: int = 0, hide: float = 0.0, **views) -> Lift:
+    """Return one lift of all frames of ``data``."""
+    torch.manual_seed(seed)
+    return make_lift(lifter, data.draw(torch.arange(len(data))), ViewSettings(**views), hide)
+
+
+def lift_of_pose(pose: Tensor, skeleton: Skeleton = H36M, confidence: Tensor | None = None, seed: int = 0) -> Lift:
+    """Return a lift whose pose is ``pose`` itself, seen by a level perspective camera."""
+    lifter = small_lifter(skeleton, tilt="level")
+    confidence = torch.ones(pose.shape[:2]) if confidence is None else confidence
+    distance = torch.full((len(pose),), 10.0)
+    keypoints = lifter.camera.project(pose.detach(), distance) * (confidence > 0).unsqueeze(-1)
+    data = TrainingSet(skeleton, keypoints, confidence, torch.ones(len(pose)), distance, torch.arange(len(pose)))
+    return replace(lift_of(lifter, data, seed), pose=pose, tilt=torch.zeros(len(pose)))
+
+
+def true_pose(data: PoseData) -> Tensor:
+    """Return the true poses at a mean 3D radius of 1."""
+    assert data.pose is not None
+    pose = torch.from_numpy(data.pose)
+    return pose / pose.norm(dim=-1).mean(1)[:, None, None]
+
+
+def permuted(skeleton: Skeleton, order: np.ndarray) -> Skeleton:
+    """Return the skeleton with its joints listed in another order."""
+    plain = copy.deepcopy(skeleton.to_dict())
+    plain["joints"] = [skeleton.joints[i] for i in order]
+    return Skeleton.from_dict(plain)
