@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +23,11 @@ QUICK = (
 
 def body_arrays(frames: int = 60, seed: int = 0, skeleton: str = "h36m17") -> dict[str, Any]:
     """Return the arrays of a data file: random poses of the skeleton's tree with exact projections."""
+    return {name: value.copy() for name, value in _arrays(frames, seed, skeleton).items()}
+
+
+@lru_cache
+def _arrays(frames: int, seed: int, skeleton: str) -> dict[str, Any]:
     rng = np.random.default_rng(seed)
     tree = load_skeleton(skeleton)
     pose = np.zeros((frames, len(tree.joints), 3))

@@ -162,7 +162,7 @@ def build(preset: str, *more: str) -> tuple[AdversarialTraining, Settings, np.nd
     settings = load_settings(preset, ["lifter.options.units=24", "priors.critic.units=20", *more])
     data = bodies(40)
     torch.manual_seed(1)
-    priors, weights = build_priors(settings.priors, H36M)
+    priors, weights, _ = build_priors(settings.priors, H36M)
     lifter = build_lifter(settings.lifter, H36M)
     with torch.no_grad():  # far enough from 0 that every term has a say
         for net in (lifter.network, priors["critic"].network):
@@ -201,11 +201,11 @@ class Beside(L.Callback):
         self.accuracies.append(expected["accuracy"])
         assert module.priors["critic"].accuracy == pytest.approx(expected["accuracy"])
         for name in ("critic", "handedness", "critic_own"):
-            assert float(module.logged[name]) == pytest.approx(expected[name], rel=1e-5, abs=1e-9), name
+            assert float(module.logged[name]) == pytest.approx(expected[name], rel=1e-9, abs=1e-12), name
         assert expected["handedness"] > 0
         for net, formula in ((module.lifter.network, self.paper.g), (module.priors["critic"].network, self.paper.d)):
             for parameter, value in zip(net.parameters(), formula.p, strict=True):
-                np.testing.assert_allclose(parameter.detach().numpy(), value, rtol=0, atol=2e-8)
+                np.testing.assert_allclose(parameter.detach().numpy(), value, rtol=0, atol=1e-10)
         after = snapshot(module)
         assert same(self.before["critic"], after["critic"]) == (expected["accuracy"] > 0.9)
         assert same(self.before["lifter"], after["lifter"]) == (expected["accuracy"] < 0.1)
@@ -228,7 +228,7 @@ def separate(module, paper: Paper, sign: int) -> None:
     """Make the depths huge and the critic's logit ``sign`` (2 - mean |x|), in both computations."""
     with torch.no_grad():
         for p in list(module.lifter.network.parameters())[-2:]:
-            p.mul_(100)
+            p.mul_(15)
         w1, b1, w2, b2, w3, b3, w4, b4 = module.priors["critic"].network.parameters()
         for p in (w1, b1, w2, b2, w3, b3, w4, b4):
             p.zero_()
@@ -295,7 +295,7 @@ def test_initial_weights(preset, std):
         weights = [p for p in net.parameters() if p.ndim == 2]
         assert [tuple(w.shape) for w in weights] == [(1024, 2 * N), (1024, 1024), (1024, 1024), (outputs, 1024)]
         for w in weights:
-            assert float(w.std()) == pytest.approx(std, rel=0.08)
+            assert float(w.detach().std()) == pytest.approx(std, rel=0.08)
         assert all(not p.any() for p in net.parameters() if p.ndim == 1)
 
 

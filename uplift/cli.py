@@ -82,8 +82,8 @@ def _parser() -> argparse.ArgumentParser:
 
 def _complete(verb: str) -> Callable[..., list[str]]:
     def complete(prefix: str, **rest: object) -> list[str]:
+        from uplift.overrides import setting_names
         from uplift.paths import shipped_names
-        from uplift.task import setting_names
 
         if verb == "skeleton":
             return ["check", "new"]

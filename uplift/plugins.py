@@ -24,6 +24,7 @@ def build(use: str, builtin: Mapping[str, str], options: Mapping[str, Any], wher
             its arguments that has no default and was not given.
     """
     found = find_class(use, builtin, where)
+    _check_kinds(found, options, where)
     allowed = options_of(found, skip=tuple(given))
     if allowed is not None:
         for name in options:
@@ -33,6 +34,17 @@ def build(use: str, builtin: Mapping[str, str], options: Mapping[str, Any], wher
             if default is inspect.Parameter.empty and name not in options:
                 raise UserError(f"{where}: '{use}' needs the option '{name}': set {where}.{name}=...")
     return found(**given, **options)
+
+
+def _check_kinds(found: type, options: Mapping[str, Any], where: str) -> None:
+    """Refuse an option whose kind is not that of its default: text for a number, a number for text."""
+    kinds = {bool: ("true or false", (bool,)), int: ("a number", (int, float)), float: ("a number", (int, float))}
+    kinds[str] = ("text", (str,))
+    for name, parameter in inspect.signature(found).parameters.items():
+        expected, kind = kinds.get(type(parameter.default), ("", ()))
+        value = options.get(name, parameter.default)
+        if expected and (not isinstance(value, kind) or (isinstance(value, bool) and kind != (bool,))):
+            raise UserError(f"{where}.{name}={value!r}: expected {expected}, such as {parameter.default!r}.")
 
 
 def find_class(use: str, builtin: Mapping[str, str], where: str) -> type:

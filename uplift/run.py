@@ -31,13 +31,14 @@ class RunFolder:
         """Make ``runs/<task>/<time>/`` in the current folder and point ``last`` to it."""
         base = Path("runs") / (settings.task or Path(settings.skeleton).stem or "own")
         stamp = datetime.datetime.now().strftime("%Y-%m-%d_%H-%M-%S")
-        for attempt in range(1000):
-            path = base / (stamp if not attempt else f"{stamp}_{attempt + 1}")
+        path, attempt = base / stamp, 1
+        while True:
             try:
                 path.mkdir(parents=True)
                 break
             except FileExistsError:
-                continue
+                attempt += 1
+                path = base / f"{stamp}_{attempt}"
         run = cls(path)
         save_settings(settings, run.config)
         with replacing(path / "run.json") as file:

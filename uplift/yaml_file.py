@@ -11,7 +11,7 @@ import yaml
 
 from uplift.errors import UserError
 
-__all__ = ["Where", "read_yaml"]
+__all__ = ["Where", "read_value", "read_yaml"]
 
 Where = Callable[[tuple], str]
 """Names the file and line of a part, such as ``("bones", 3)``."""
@@ -62,6 +62,29 @@ class _Loader(yaml.SafeLoader):
 _Loader.add_implicit_resolver(
     _TAG + "float", re.compile(r"^[-+]?(?:\d+\.?\d*|\.\d+)[eE][-+]?\d+$"), list("-+.0123456789")
 )
+
+# YAML 1.1 reads 1:00:00 as a number of base 60 and 017 as one of base 8: a duration and a name to us.
+_NO_NUMBER = re.compile(r"[-+]?(\d+:|0\d)")
+
+
+def read_value(text: str) -> Any:
+    """Return the plain data of one value, such as ``0.1`` or ``[hip, nose]``; ``text`` where it is no YAML.
+
+    Raises:
+        UserError: tags, aliases, or deep nesting.
+    """
+    loader = None
+    try:
+        loader = _Loader(text)
+        node = loader.get_single_node()
+        return None if node is None else _plain(node, loader, (), {})
+    except _Refused as refused:
+        raise UserError(f"'{text[:60]}': found {refused}.") from None
+    except yaml.YAMLError:
+        return text
+    finally:
+        if loader is not None:
+            loader.dispose()
 
 
 def read_yaml(path: Path, kind: str) -> tuple[Any, Where]:
@@ -149,7 +172,7 @@ def _plain(node: Any, loader: _Loader, part: tuple, lines: dict[tuple, int]) -> 
         return [_plain(child, loader, (*part, place), lines) for place, child in enumerate(node.value)]
     if isinstance(node, yaml.MappingNode):
         return _plain_mapping(node, loader, part, lines)
-    if node.tag in (_TAG + "str", _TAG + "timestamp", "!"):
+    if node.tag in (_TAG + "str", _TAG + "timestamp", "!") or _NO_NUMBER.match(node.value):
         return node.value
     try:
         return loader.construct_object(node)

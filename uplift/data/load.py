@@ -66,7 +66,7 @@ def _wanted(choice) -> dict:
 
 
 def _simulated(settings: Settings, skeleton: Skeleton) -> tuple[PoseData, PoseData]:
-    from uplift.simulate import simulate
+    from uplift.simulator import simulate
 
     frames = settings.data.simulate
     train = replace(simulate(skeleton, frames, seed=settings.seed), source=f"simulated {skeleton.name}")
@@ -90,7 +90,7 @@ def find_data(settings: Settings, which: str) -> Path:
             "No training data: set data.train=FILE (with skeleton=...), or a task that names its own (`uplift tasks`). "
             "`uplift fit task=demo` needs no data."
         )
-    path = Path(name) if Path(name).is_absolute() else data_root(data.name, data.root) / name
+    path = (data_root(data.name, data.root) / name).absolute()
     if path.exists():
         return path
     raise UserError(missing_data(settings.task, data, path))
@@ -98,7 +98,7 @@ def find_data(settings: Settings, which: str) -> Path:
 
 def missing_data(task: str, data: DataSettings, path: Path) -> str:
     """Return the message for a file that is not there."""
-    lines = [f"No file {path.absolute()}" + (f", which task '{task}' needs." if task else ".")]
+    lines = [f"No file {path}" + (f", which task '{task}' needs." if task else ".")]
     if data.get:
         lines.append(f"Get it: {data.get.strip()}")
     if data.name and not Path(data.name).is_absolute():

@@ -44,9 +44,13 @@ def chosen_rows(data: PoseData, choice: Mapping[str, Sequence[str] | float | Non
     if fraction is not None and fraction != 1:
         rows = np.flatnonzero(mask)
         mask[:] = False
-        mask[rows[chosen_clips(data.clips()[rows], float(fraction), seed)]] = True  # type: ignore[arg-type]
+        try:
+            mask[rows[chosen_clips(data.clips()[rows], float(fraction), seed)]] = True  # type: ignore[arg-type]
+        except UserError as error:
+            raise UserError(f"{where}: {error}") from None
     if not mask.any():
-        raise UserError(f"{where}: no frame is left after choosing {dict(choice)}.")
+        shown = ", ".join(f"{key}={value}" for key, value in choice.items())
+        raise UserError(f"{where}: no frame is left after choosing {shown}.")
     return mask
 
 

@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from typing import Any
+
 from torch import nn
 
+from uplift.errors import UserError, did_you_mean
 from uplift.plugins import build
 
 __all__ = ["build_network"]
@@ -14,8 +18,22 @@ NETWORKS = {
 }
 
 
-def build_network(use: str, inputs: int, outputs: int, options: dict) -> nn.Module:
-    """Return the network ``use`` (a name, or ``file.py:Class``) from ``inputs`` to ``outputs`` numbers."""
-    network = build(use, NETWORKS, options, "lifter", inputs=inputs, outputs=outputs)
-    assert isinstance(network, nn.Module)
+def build_network(
+    use: str, inputs: int, outputs: int, options: Mapping[str, Any], where: str = "lifter.options"
+) -> nn.Module:
+    """Return the network ``use`` (a name, or ``file.py:Class``) from ``inputs`` to ``outputs`` numbers.
+
+    Raises:
+        UserError: no such network or option (a setting below ``where``), sizes that no network can have.
+    """
+    setting = f"{where.removesuffix('.options')}.network={use!r}"
+    if use not in NETWORKS and ":" not in use:
+        raise UserError(f"{setting}: no such network.{did_you_mean(use, NETWORKS)} Your own is named file.py:Class.")
+    for name in ("units", "blocks"):
+        size = options.get(name, 1)
+        if isinstance(size, bool) or not isinstance(size, int) or not 1 <= size <= 1 << 20:
+            raise UserError(f"{where}.{name}={size!r}: expected a whole number of at least 1.")
+    network = build(use, NETWORKS, options, where, inputs=inputs, outputs=outputs)
+    if not isinstance(network, nn.Module):
+        raise UserError(f"{setting}: {type(network).__name__} is no torch.nn.Module.")
     return network

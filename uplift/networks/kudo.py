@@ -19,11 +19,10 @@ class KudoNetwork(nn.Module):
 
     def __init__(self, inputs: int, outputs: int, *, units: int = 1024, slope: float = 0.2, std: float = 0.14):
         super().__init__()
-        self.layers = nn.ModuleList(
-            [nn.Linear(inputs, units), nn.Linear(units, units), nn.Linear(units, units), nn.Linear(units, outputs)]
-        )
+        layers = [nn.Linear(inputs, units), nn.Linear(units, units), nn.Linear(units, units), nn.Linear(units, outputs)]
+        self.layers = nn.ModuleList(layers)
         self.slope = slope
-        for layer in self.layers:
+        for layer in layers:
             nn.init.normal_(layer.weight, std=std)
             nn.init.zeros_(layer.bias)
 

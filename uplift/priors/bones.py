@@ -32,9 +32,11 @@ class Bones(Prior):
         """Return the mean over bones of the variance of each bone's share."""
         lengths = bone_lengths(lift.pose, self.bones)
         weight = lift.visible[:, self.bones[:, 0]] * lift.visible[:, self.bones[:, 1]]
-        mean_length = (lengths * weight).sum(1, keepdim=True) / weight.sum(1, keepdim=True).clamp_min(1)
-        share = lengths / mean_length.clamp_min(1e-6)
         count = weight.sum(0).clamp_min(1)
+        usual = (lengths.detach() * weight).sum(0) / count
+        # Of the bones that a frame shows: it is not larger for showing only the long ones.
+        size = (lengths * weight).sum(1) / (usual * weight).sum(1).clamp_min(1e-6)
+        share = lengths / (size * usual.mean()).clamp_min(1e-6).unsqueeze(1)
         mean = (share * weight).sum(0) / count
         variance = ((share - mean).square() * weight).sum(0) / count
         if self.slack:

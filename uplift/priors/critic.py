@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from typing import Any
+
 from torch import Tensor
 from torch.nn.functional import softplus
 
@@ -28,21 +31,19 @@ class Critic(Prior):
         skeleton: Skeleton,
         *,
         objective: str = "non_saturating",
-        gate: tuple[float, float] | None = None,
+        gate: Sequence[float] | None = None,
         network: str = "residual",
         units: int = 256,
-        **options: float,
+        **options: Any,
     ):
         super().__init__(skeleton)
         objectives = ("minimax", "non_saturating")
         if objective not in objectives:
             raise UserError(f"priors.critic.objective={objective!r}.{did_you_mean(objective, objectives)}")
-        if gate is not None and not (len(gate) == 2 and 0 <= gate[0] < gate[1] <= 1):
-            raise UserError(f"priors.critic.gate={gate!r}: expected two accuracies, low and high, between 0 and 1.")
         self.objective = objective
-        self.gate = gate
+        self.gate = None if gate is None else _accuracies(gate)
         self.accuracy = 0.5
-        self.network = build_network(network, 2 * len(skeleton.joints), 1, {"units": units, **options})
+        self.network = build_network(network, 2 * len(skeleton.joints), 1, {"units": units, **options}, "priors.critic")
 
     def judge(self, keypoints: Tensor) -> Tensor:
         """Return (batch,) logits: above 0 where the keypoints look real."""
@@ -69,3 +70,13 @@ class Critic(Prior):
     def metrics(self, lift: Lift) -> dict[str, float]:
         """Return the accuracy on the batch: 0.5 where nothing can be told apart."""
         return {"accuracy": self.accuracy}
+
+
+def _accuracies(gate: Any) -> tuple[float, float]:
+    try:
+        low, high = (float(value) for value in gate)
+        if 0 <= low < high <= 1:
+            return low, high
+    except (TypeError, ValueError):
+        pass
+    raise UserError(f"priors.critic.gate={gate!r}: expected two accuracies, low and high, between 0 and 1.")

@@ -15,7 +15,8 @@ from uplift.skeleton import Skeleton
 
 __all__ = ["Handedness", "handedness"]
 
-_TINY = 1e-6
+_SHORT = 1e-3
+"""In units of the mean 2D radius: a direction shorter than this fades to a handedness of 0."""
 
 
 def handedness(
@@ -26,14 +27,21 @@ def handedness(
     Positive for a true body in a frame with x right, y down, z away, negative for its mirror
     image (Kudo et al. 2018, 3.4, sign turned for our frame). ``planar`` divides by the lengths in
     the plane normal to ``up``, as their code does; otherwise by the full lengths, as in print.
-    Coincident joints give 0, with a finite gradient.
+    Coincident joints give 0, with a gradient that is finite and no larger than a thousand.
     """
     triple = (torch.cross(up, front, dim=-1) * left).sum(-1)
     if planar:
-        front = front - (front * up).sum(-1, keepdim=True) * up / up.square().sum(-1, keepdim=True).clamp_min(_TINY)
-        left = left - (left * up).sum(-1, keepdim=True) * up / up.square().sum(-1, keepdim=True).clamp_min(_TINY)
-    lengths = (up.square().sum(-1) * front.square().sum(-1) * left.square().sum(-1) + _TINY**2).sqrt()
-    return triple / lengths
+        front, left = _normal_part(front, up), _normal_part(left, up)
+    return triple / (_length(up) * _length(front) * _length(left))
+
+
+def _normal_part(vector: Tensor, up: Tensor) -> Tensor:
+    share = (vector * up).sum(-1, keepdim=True) / up.square().sum(-1, keepdim=True).clamp_min(_SHORT**2)
+    return vector - share * up
+
+
+def _length(vector: Tensor) -> Tensor:
+    return vector.square().sum(-1).clamp_min(_SHORT**2).sqrt()
 
 
 class Handedness(Prior):
@@ -107,10 +115,14 @@ class Handedness(Prior):
 
 
 def _direction(value: Sequence, skeleton: Skeleton, where: str) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    if isinstance(value, str) or len(value) != 2:
+    if not isinstance(value, (list, tuple)) or len(value) != 2 or not all(_is_end(end) for end in value):
         raise UserError(f"{where}={value!r}: expected [from, to], each a joint or a list of joints.")
     ends = tuple((end,) if isinstance(end, str) else tuple(end) for end in value)
     for joint in ends[0] + ends[1]:
         if joint not in skeleton.joints:
             raise UserError(f"{where}: no joint '{joint}' in '{skeleton.name}'.{did_you_mean(joint, skeleton.joints)}")
     return ends[0], ends[1]
+
+
+def _is_end(value: object) -> bool:
+    return isinstance(value, str) or (isinstance(value, (list, tuple)) and len(value) > 0)

@@ -50,6 +50,6 @@ class Symmetry(Prior):
     def loss(self, lift: Lift) -> Tensor:
         """Return the weighted mean over pairs and frames."""
         left, right = bone_lengths(lift.pose, self.left), bone_lengths(lift.pose, self.right)
-        size = ((left + right) / 2).mean(1, keepdim=True).clamp_min(1e-6)
         seen = lift.visible[:, self.left].prod(-1) * lift.visible[:, self.right].prod(-1)
-        return Lift.mean((left - right).abs() / size, seen)
+        size = ((left + right) / 2 * seen).sum(1, keepdim=True) / seen.sum(1, keepdim=True).clamp_min(1)
+        return Lift.mean((left - right).abs() / size.clamp_min(1e-6), seen)

@@ -31,7 +31,7 @@ def own_motion(
     shares = MOTIONS if len(legs) >= 2 else {"turn": 1.0} if rigid else {"explore": 1.0}
     motion = Motion.empty(clips, len(time_s), len(body.angles))
     motion.actions = choose_actions(rng, shares, clips, mode)
-    reach = np.select([motion.actions == "explore", motion.actions == "idle"], [0.9 if not legs else 0.75, 0.35], 0.4)
+    reach = np.select([motion.actions == "explore", motion.actions == "idle"], [0.9 if not legs else 0.6, 0.35], 0.4)
     motion.angles_deg = _wander(rng, body, clips, time_s, follows) * reach[:, None, None]
     for gait in ("walk", "trot"):
         rows = np.flatnonzero(motion.actions == gait)

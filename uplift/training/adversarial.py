@@ -91,7 +91,7 @@ class AdversarialTraining(LifterTraining):
             if prior.gate_lifter:
                 yield from self.lifter.parameters()
 
-    def prior_metrics(self) -> dict[str, float]:
+    def more_metrics(self) -> dict[str, float]:
         """Return what the priors want logged of the last step."""
         with torch.no_grad():
             return {

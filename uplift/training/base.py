@@ -35,7 +35,7 @@ def stream_seed(seed: int, rank: int, step: int) -> int:
 def _average(decay: float):
     """Return the averaging rule: exponential, with a shorter memory over the first steps."""
 
-    def update(averaged: list[Tensor], current: list[Tensor], count: Tensor) -> None:
+    def update(averaged: Any, current: Any, count: Tensor | int) -> None:
         so_far = float(count)
         torch._foreach_lerp_(averaged, current, 1 - min(decay, (1 + so_far) / (10 + so_far)))
 
@@ -82,6 +82,10 @@ class LifterTraining(L.LightningModule):
     def objective(self) -> tuple[Tensor, dict[str, float | Tensor]]:
         """Return the loss of one random batch and the numbers to log."""
         raise NotImplementedError
+
+    def more_metrics(self) -> dict[str, float]:
+        """Return what else is worth logging of the last step; only asked for when a row is written."""
+        return {}
 
     def draw(self, count: int) -> Tensor:
         """Return ``count`` random frame numbers."""

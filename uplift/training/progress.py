@@ -77,8 +77,7 @@ class MetricsFile(L.Callback):
         if not trainer.is_global_zero or trainer.global_step % self.every:
             return
         values: dict[str, float | Tensor] = dict(module.logged)
-        if hasattr(module, "prior_metrics"):
-            values |= module.prior_metrics()
+        values |= module.more_metrics()
         with open(self.path, "a", newline="") as file:
             writer = csv.writer(file)
             for name, value in values.items():

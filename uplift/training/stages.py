@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-import re
 import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -13,6 +12,7 @@ import lightning as L
 
 from uplift.config import TrainerSettings
 from uplift.errors import UserError
+from uplift.limits import seconds_of
 from uplift.training.base import LifterTraining
 from uplift.training.budget import Budget, Interrupted
 from uplift.training.checkpoint import Checkpoints, check_checkpoint, read_torch
@@ -49,17 +49,6 @@ def stage_budgets(
         )
         for i, share in enumerate(shares)
     ]
-
-
-def seconds_of(text: str) -> float:
-    """Return the seconds of ``hours:minutes:seconds`` (or ``days:hours:minutes:seconds``)."""
-    if not re.fullmatch(r"(\d+:){2,3}\d+(\.\d+)?", text):
-        raise UserError(f"trainer.max_time={text!r}: expected hours:minutes:seconds, such as 00:10:00.")
-    parts = [float(part) for part in text.split(":")]
-    seconds = sum(part * unit for part, unit in zip(reversed(parts), (1, 60, 3600, 86400), strict=False))
-    if seconds <= 0:
-        raise UserError(f"trainer.max_time={text!r}: no time to train in.")
-    return seconds
 
 
 def run_stage(

@@ -1,0 +1,101 @@
+"""Splits: by identity and by fraction, in whole clips, the same every time."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from bodies import body_arrays
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from uplift.data.container import PoseData
+from uplift.data.split import chosen_clips, chosen_rows
+from uplift.errors import UserError
+
+
+def data(frames: int = 60) -> PoseData:
+    arrays = body_arrays(frames)
+    identity = {key: arrays[key] for key in ("subject", "action", "sequence", "camera", "frame")}
+    sure = np.ones((frames, 17), np.float32)
+    return PoseData(arrays["keypoints"], sure, tuple(arrays["joint_names"]), identity=identity, source="a.npz")
+
+
+def test_all_keys_given_must_hold() -> None:
+    chosen = data().select(chosen_rows(data(), {"subject": ["S1", "S3"], "action": ["sit down"]}))
+    assert set(chosen.identity["subject"]) == {"S1", "S3"}
+    assert set(chosen.identity["action"]) == {"sit down"}
+    assert len(chosen) == 20
+
+
+def test_numbers_are_chosen_by_their_text() -> None:
+    assert chosen_rows(data(), {"camera": ["0"]}).all()
+    assert chosen_rows(data(), {"sequence": ["clip00"]}).sum() == 10
+
+
+@pytest.mark.parametrize(
+    ("choice", "says"),
+    [
+        ({"subject": ["s2"]}, "no frame with subject 's2'. Did you mean 'S2'?"),
+        ({"camera": ["1"]}, "no frame with camera '1'"),
+        ({"subject": ["S1"], "sequence": ["clip05"]}, "no frame is left"),
+        ({"fraction": 0.0}, "expected more than 0 and at most 1"),
+        ({"fraction": 1.5}, "expected more than 0 and at most 1"),
+        ({"fraction": float("nan")}, "expected more than 0 and at most 1"),
+        ({"fraction": 0.001}, "less than one frame"),
+    ],
+)
+def test_a_choice_that_cannot_be_met(choice: dict, says: str) -> None:
+    with pytest.raises(UserError) as caught:
+        chosen_rows(data(), choice)
+    assert says in str(caught.value)
+    assert "a.npz" in str(caught.value)
+
+
+def test_a_key_the_file_does_not_have() -> None:
+    bare = data()
+    bare.identity = {"frame": bare.identity["frame"]}
+    with pytest.raises(UserError, match=r"has no 'subject' \(identity keys: frame\)"):
+        chosen_rows(bare, {"subject": ["S1"]})
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    sizes=st.lists(st.integers(1, 9), min_size=1, max_size=12),
+    fraction=st.floats(0.01, 1),
+    more=st.floats(0, 1),
+    seed=st.integers(0, 99),
+)
+def test_a_fraction_is_whole_clips_but_the_last_and_larger_ones_contain_smaller(sizes, fraction, more, seed) -> None:
+    clip = np.repeat(np.arange(len(sizes)), sizes)
+    wanted = round(fraction * len(clip))
+    if not wanted:
+        with pytest.raises(UserError):
+            chosen_clips(clip, fraction, seed)
+        return
+    mask = chosen_clips(clip, fraction, seed)
+    assert mask.sum() == wanted
+    np.testing.assert_array_equal(mask, chosen_clips(clip, fraction, seed))
+    shares = [mask[clip == name].mean() for name in range(len(sizes))]
+    assert sum(0 < share < 1 for share in shares) <= 1
+    larger = chosen_clips(clip, min(1.0, fraction + more), seed)
+    assert (larger | ~mask).all()
+
+
+def test_another_seed_chooses_other_clips() -> None:
+    clip = np.repeat(np.arange(50), 4)
+    assert (chosen_clips(clip, 0.3, 0) != chosen_clips(clip, 0.3, 1)).any()
+
+
+def test_a_fraction_counts_after_the_other_keys() -> None:
+    mask = chosen_rows(data(), {"subject": ["S2"], "fraction": 0.5})
+    assert mask.sum() == 10
+    assert set(data().identity["subject"][mask]) == {"S2"}
+
+
+def test_clips_are_one_subject_sequence_camera_and_instance() -> None:
+    assert len(set(data().clips())) == 6
+    two = data()
+    two.identity["camera"] = np.arange(60) % 2
+    assert len(set(two.clips())) == 12
+    del two.identity["sequence"]
+    assert len(set(two.clips())) == 60

@@ -1,0 +1,121 @@
+"""The lifter: depth relative to the root, mirror images, missing joints, tilts."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+from lifts import H36M, doubles, small_lifter, training_set
+from torch import Tensor, nn
+
+from uplift.camera import build_camera
+from uplift.config import LifterSettings
+from uplift.lifter import Lifted, Lifter
+from uplift.model import build_lifter
+from uplift.pose import mirror
+from uplift.skeleton import load_skeleton
+
+
+@pytest.fixture(autouse=True)
+def _double():
+    with doubles():
+        yield
+
+
+def _lift(lifter: Lifter, data, *, both_ways: bool = False) -> Lifted:
+    call = lifter.lift_both_ways if both_ways else lifter
+    return call(data.keypoints, data.confidence, data.distance)
+
+
+@pytest.mark.parametrize("camera", ["orthographic", "perspective"])
+@pytest.mark.parametrize("missing", [0.0, 0.3])
+def test_the_pose_projects_to_the_keypoints(camera, missing):
+    lifter, data = small_lifter(camera=camera), training_set(missing=missing)
+    lifted = _lift(lifter, data)
+    seen = lifter.camera.project(lifted.pose, data.distance)
+    torch.testing.assert_close(seen, lifted.keypoints, rtol=0, atol=1e-12)
+    there = data.confidence > 0
+    torch.testing.assert_close(seen[there], data.keypoints[there], rtol=0, atol=1e-12)
+    assert not lifted.pose[:, H36M.root_index].any()
+    assert lifted.pose[..., 2].std() > 0.1
+
+
+def test_root_free_leaves_the_depth_of_the_root():
+    data = training_set()
+    lifter = small_lifter(camera="orthographic", root_free=True)
+    bound = small_lifter(camera="orthographic")
+    free, fixed = _lift(lifter, data).pose, _lift(bound, data).pose
+    assert free[:, H36M.root_index, 2].abs().min() > 0
+    torch.testing.assert_close(free - free[:, [H36M.root_index]], fixed)
+
+
+@pytest.mark.parametrize("both_ways", [False, True])
+def test_missing_joints_have_no_influence(both_ways):
+    """Whatever coordinates a joint of confidence 0 has, everything comes out the same."""
+    lifter, data = small_lifter(), training_set(missing=0.4)
+    there = data.confidence[..., None] > 0
+    moved = torch.where(there, data.keypoints, torch.randn_like(data.keypoints) * 50)
+    call = lifter.lift_both_ways if both_ways else lifter
+    for one, other in zip(_lift(lifter, data, both_ways=both_ways), call(moved, data.confidence, data.distance), strict=True):
+        assert torch.equal(one, other)
+
+
+def test_without_filling_missing_joints_stay_at_the_root():
+    data = training_set(missing=0.4)
+    gone = data.confidence == 0
+    assert not _lift(small_lifter(fill=False), data).keypoints[gone].any()
+    assert _lift(small_lifter(), data).keypoints[gone].abs().min() > 0
+
+
+@pytest.mark.parametrize("camera", ["orthographic", "perspective"])
+def test_both_ways_is_mirror_equivariant(camera):
+    lifter, data = small_lifter(camera=camera), training_set(missing=0.3)
+    swap = lifter.mirror_permutation
+    straight = _lift(lifter, data, both_ways=True)
+    mirrored = lifter.lift_both_ways(mirror(data.keypoints, swap), data.confidence[:, swap], data.distance)
+    torch.testing.assert_close(mirrored.pose, mirror(straight.pose, swap), rtol=0, atol=1e-13)
+    torch.testing.assert_close(mirrored.keypoints, mirror(straight.keypoints, swap), rtol=0, atol=1e-13)
+    torch.testing.assert_close(mirrored.tilt, straight.tilt, rtol=0, atol=1e-13)
+    assert (straight.pose - _lift(lifter, data).pose).abs().max() > 0.01, "the network alone is not equivariant"
+
+
+class Symmetric(nn.Module):
+    """Depths that are the same seen in a mirror: of y and the squares of x."""
+
+    def forward(self, features: Tensor) -> Tensor:
+        x, y = features[:, 0 : 2 * len(H36M.joints) : 2], features[:, 1 : 2 * len(H36M.joints) : 2]
+        return torch.sin(3 * y) + x.square() * (1 + y)
+
+
+def test_mirror_commutes_with_a_lifter_that_is_equivariant():
+    lifter = Lifter(H36M, Symmetric(), build_camera("perspective"), tilt="level", confidence_input=False, fill=False)
+    data, swap = training_set(), lifter.mirror_permutation
+    once, twice = _lift(lifter, data), _lift(lifter, data, both_ways=True)
+    mirrored = lifter(mirror(data.keypoints, swap), data.confidence, data.distance)
+    torch.testing.assert_close(mirrored.pose, mirror(once.pose, swap))
+    torch.testing.assert_close(twice.pose, once.pose)
+
+
+def test_without_mirror_pairs_there_is_no_mirror_image():
+    """A mirrored right hand is a left hand: the network never saw one."""
+    hand = load_skeleton("hand21")
+    lifter, data = small_lifter(hand), training_set(skeleton=hand)
+    for one, other in zip(_lift(lifter, data), _lift(lifter, data, both_ways=True), strict=True):
+        assert torch.equal(one, other)
+
+
+def test_tilts():
+    data = training_set(30)
+    assert _lift(small_lifter(tilt="predicted"), data).tilt.std() > 0
+    learned = small_lifter(tilt="learned")
+    with torch.no_grad():
+        learned.common_tilt.fill_(0.2)
+    assert (_lift(learned, data).tilt == 0.2).all()
+    assert not _lift(small_lifter(tilt="level"), data).tilt.any()
+    hand = load_skeleton("hand21")
+    assert not _lift(small_lifter(hand, tilt="predicted"), training_set(skeleton=hand)).tilt.any(), "no gravity, no tilt"
+
+
+def test_fresh_lifters_start_near_a_level_camera():
+    torch.manual_seed(0)
+    lifter = build_lifter(LifterSettings(), H36M)
+    assert _lift(lifter, training_set(50)).tilt.abs().max() < 0.1

@@ -1,0 +1,92 @@
+"""What settings may be, beyond their types: choices, ranges, contradictions."""
+
+from __future__ import annotations
+
+import re
+
+from uplift.config import Settings, TrainerSettings
+from uplift.errors import UserError, did_you_mean
+
+__all__ = ["check_settings", "seconds_of"]
+
+_STAGE_RANGES = {
+    "share": (0, 1e6),
+    "batch_size": (2, 1 << 20),
+    "learning_rate": (1e-12, 10),
+    "prior_learning_rate": (1e-12, 10),
+    "weight_decay": (0, 10),
+    "beta1": (0, 0.99999),
+    "beta2": (0, 0.9999999),
+    "average": (0, 0.999999),
+    "decay_from": (0, 1),
+    "warm_up": (0, 1),
+    "hide": (0, 0.9),
+    "mix": (0, 1),
+    "mix_limb": (0, 1),
+}
+_TRAINER_RANGES = {
+    "max_steps": (1, 10**12),
+    "max_epochs": (1e-9, 1e9),
+    "threads": (1, 1024),
+    "checkpoint_steps": (1, 10**12),
+    "checkpoint_every": (0, 1e9),
+    "log_every": (1, 10**9),
+}
+
+
+def check_settings(settings: Settings) -> None:
+    """Refuse what types cannot: unknown choices, numbers out of range, contradictions. Raises UserError."""
+    _one_of("lifter.tilt", settings.lifter.tilt, ("predicted", "learned", "level"))
+    _one_of("lifter.radius", settings.lifter.radius, ("all", "without_root"))
+    _one_of("lifter.camera", settings.lifter.camera, ("orthographic", "perspective"))
+    if settings.data.unit is not None:
+        _one_of("data.unit", settings.data.unit, ("mm", "relative"))
+    _one_of("lifter.intrinsics", settings.lifter.intrinsics, ("auto", "off"))
+    _in_range("lifter.distance", settings.lifter.distance, 2, 1e4)
+    _one_of("views.elevation", settings.views.elevation, ("batch", "normal", "same"))
+    for end in settings.views.azimuth_deg:
+        _in_range("views.azimuth_deg", end, -360, 360)
+    settings.views.count_root = settings.lifter.radius == "all"
+    for name, stage in (("teacher", settings.teacher), ("student", settings.student)):
+        for key, (low, high) in _STAGE_RANGES.items():
+            value = getattr(stage, key, None)
+            if value is not None:
+                _in_range(f"{name}.{key}", value, low, high)
+    if settings.teacher.share <= 0:
+        raise UserError("teacher.share is 0: the first stage cannot be left out.")
+    _check_trainer(settings.trainer)
+    _in_range("data.simulate", settings.data.simulate, 0, 10**8)
+    if not 0 <= settings.seed < 2**31:
+        raise UserError(f"seed={settings.seed}: expected a whole number from 0 to {2**31 - 1}.")
+
+
+def _check_trainer(trainer: TrainerSettings) -> None:
+    if trainer.max_time is None and trainer.max_steps is None and trainer.max_epochs is None:
+        raise UserError("Set one of trainer.max_time, trainer.max_steps, trainer.max_epochs: the fit would never end.")
+    if trainer.max_time is not None:
+        seconds_of(trainer.max_time)
+    for key, (low, high) in _TRAINER_RANGES.items():
+        value = getattr(trainer, key)
+        if value is not None:
+            _in_range(f"trainer.{key}", value, low, high)
+
+
+def _one_of(name: str, value: str, valid: tuple[str, ...]) -> None:
+    if value not in valid:
+        raise UserError(f"{name}={value!r}: expected one of {', '.join(valid)}.{did_you_mean(value, valid)}")
+
+
+def _in_range(name: str, value: float | int, low: float | int, high: float | int) -> None:
+    if not low <= value <= high:
+        raise UserError(f"{name}={value}: expected a number from {low:g} to {high:g}.")
+
+
+def seconds_of(text: str) -> float:
+    """Return the seconds of ``hours:minutes:seconds`` (or ``days:hours:minutes:seconds``)."""
+    if not re.fullmatch(r"(\d+:){2,3}\d+(\.\d+)?", text):
+        raise UserError(f"trainer.max_time={text!r}: expected hours:minutes:seconds, such as 00:10:00.")
+    parts = [float(part) for part in text.split(":")]
+    seconds = sum(part * unit for part, unit in zip(reversed(parts), (1, 60, 3600, 86400), strict=False))
+    if seconds <= 0:
+        raise UserError(f"trainer.max_time={text!r}: no time to train in.")
+    return seconds
