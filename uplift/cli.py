@@ -228,7 +228,9 @@ def _skeleton(words: Sequence[str]) -> None:
 
     verbs = {"check": check_skeleton_file, "new": new_skeleton_file}
     if not words or words[0] not in verbs:
-        raise UserError("skeleton: expected `uplift skeleton check FILE [output=FILE.png]` or `uplift skeleton new FILE`.")
+        raise UserError(
+            "skeleton: expected `uplift skeleton check FILE [output=FILE.png]` or `uplift skeleton new FILE`."
+        )
     for line in verbs[words[0]](list(words[1:])):
         print(line)
 

@@ -92,6 +92,17 @@ class StageSettings:
 
 
 @dataclass
+class RefineSettings:
+    """How a clip's lifted poses are mended together before a student learns from them."""
+
+    iterations: int = 80  # of gradient descent; 0 leaves the poses as they were lifted
+    rate: float = 0.02  # first step size, in mean 2D radii of the body
+    bones: float = 8.0  # weight of constant bone lengths over a clip
+    smooth: float = 3.0  # weight of little acceleration
+    near: float = 0.1  # weight of the lifted depths
+
+
+@dataclass
 class StudentSettings(StageSettings):
     """The second stage: learn from the teacher's own poses, turned everywhere."""
 
@@ -101,6 +112,10 @@ class StudentSettings(StageSettings):
     beta2: float = 0.99
     warm_up: float = 0.05
     decay_from: float = 0.0
+    rounds: list[float] = field(default_factory=lambda: [0.35, 0.65])  # share of the stage for each round
+    network: Optional[str] = None  # the student's, where it is not lifter.network
+    options: dict[str, Any] = field(default_factory=dict)  # of that network, over lifter.options
+    refine: RefineSettings = field(default_factory=RefineSettings)
     mix: float = 0.7  # share of poses that take limbs of others
     mix_limb: float = 0.4  # chance of each limb of such a pose
 

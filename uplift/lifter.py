@@ -112,6 +112,4 @@ class Lifter(nn.Module):
         mirrored = self(mirror(keypoints, swap), confidence[:, swap], distance)
         depth = (straight.pose[..., 2] + mirrored.pose[:, swap, 2]) / 2
         filled = (straight.keypoints + mirror(mirrored.keypoints, swap)) / 2
-        return Lifted(
-            self.camera.unproject(filled, depth, distance), (straight.tilt + mirrored.tilt) / 2, filled
-        )
+        return Lifted(self.camera.unproject(filled, depth, distance), (straight.tilt + mirrored.tilt) / 2, filled)

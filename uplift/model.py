@@ -82,7 +82,9 @@ class Model:
         array = array[None] if single else array
         joints = len(self.skeleton.joints)
         if array.ndim != 3 or array.shape[1:] != (joints, 2):
-            raise UserError(f"keypoints of shape {array.shape}, expected (frames, {joints}, 2): {self.skeleton.joints}.")
+            raise UserError(
+                f"keypoints of shape {array.shape}, expected (frames, {joints}, 2): {self.skeleton.joints}."
+            )
         if confidence is None:
             sure = np.ones(array.shape[:2], np.float32)
         else:

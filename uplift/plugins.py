@@ -6,34 +6,70 @@ import importlib
 import importlib.util
 import inspect
 import sys
+import traceback
 from collections.abc import Mapping
 from pathlib import Path
 from types import ModuleType
-from typing import Any
+from typing import Any, TypeVar
 
 from uplift.errors import UserError, did_you_mean
 
 __all__ = ["build", "find_class", "options_of"]
 
+Kind = TypeVar("Kind")
 
-def build(use: str, builtin: Mapping[str, str], options: Mapping[str, Any], where: str, **given: Any) -> Any:
-    """Return an instance of the class that ``use`` names, with ``given`` and the user's ``options``.
+
+def build(
+    use: str, builtin: Mapping[str, str], options: Mapping[str, Any], where: str, kind: type[Kind], **given: Any
+) -> Kind:
+    """Return an instance of the class that ``use`` names, a subclass of ``kind``, with ``given`` and the user's ``options``.
 
     Raises:
-        UserError: no such name, file or class, an option that the class does not take, or one of
-            its arguments that has no default and was not given.
+        UserError: no such name, file or class, no subclass of ``kind``, an option that the class does
+            not take or that is of another kind than its default, an argument without a default that
+            was not given, or an ``__init__`` of the user's own that fails.
     """
     found = find_class(use, builtin, where)
+    if not issubclass(found, kind):
+        raise UserError(f"{where}: '{use}' is no subclass of {_public_name(kind)}.")
+    parameters = inspect.signature(found).parameters
+    for name in given:
+        if name not in parameters and options_of(found) is not None:
+            raise UserError(f"{where}: {found.__name__}.__init__ must take an argument called '{name}'.")
     _check_kinds(found, options, where)
     allowed = options_of(found, skip=tuple(given))
     if allowed is not None:
         for name in options:
             if name not in allowed:
                 raise UserError(f"{where}.{name}: '{use}' takes no such option.{did_you_mean(name, allowed)}")
-        for name, default in allowed.items():
-            if default is inspect.Parameter.empty and name not in options:
-                raise UserError(f"{where}: '{use}' needs the option '{name}': set {where}.{name}=...")
-    return found(**given, **options)
+    for name, parameter in parameters.items():
+        if name not in options and name not in given and _is_required(parameter):
+            raise UserError(f"{where}: '{use}' needs the option '{name}': set {where}.{name}=...")
+    try:
+        return found(**given, **options)
+    except UserError:
+        raise
+    except Exception as error:
+        if found.__module__.startswith("uplift."):
+            raise
+        last = traceback.extract_tb(error.__traceback__)[-1]
+        raise UserError(
+            f"{where}: {found.__name__}.__init__ failed in {last.filename}, line {last.lineno}: "
+            f"{type(error).__name__}: {error}"
+        ) from error
+
+
+def _is_required(parameter: inspect.Parameter) -> bool:
+    return parameter.default is parameter.empty and parameter.kind not in (
+        parameter.VAR_KEYWORD,
+        parameter.VAR_POSITIONAL,
+    )
+
+
+def _public_name(kind: type) -> str:
+    return (
+        f"{kind.__module__.partition('.')[0]}.{'nn.' if kind.__module__.startswith('torch.nn') else ''}{kind.__name__}"
+    )
 
 
 def _check_kinds(found: type, options: Mapping[str, Any], where: str) -> None:

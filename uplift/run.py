@@ -64,7 +64,8 @@ class RunFolder:
             raise UserError(f"{path} is not a run: it has no config.yaml. `uplift fit` writes runs/<task>/<time>.")
         found = [str(p) for p in Path("runs").glob("*/*") if (p / "config.yaml").is_file()]
         raise UserError(
-            f"No run {path}." + (did_you_mean(str(path), found) if found else " There are no runs here yet: `uplift fit task=demo`.")
+            f"No run {path}."
+            + (did_you_mean(str(path), found) if found else " There are no runs here yet: `uplift fit task=demo`.")
         )
 
     @property

@@ -52,7 +52,9 @@ def task_path(task: str) -> Path:
     if path.suffix in (".yaml", ".yml") or len(path.parts) > 1:
         raise UserError(f"No task file {path} (looked in {path.absolute().parent}).")
     names = [name for name in shipped_names("tasks") if name != "default"]
-    raise UserError(f"No task '{task}'.{did_you_mean(task, names)} `uplift tasks` lists them; a file of your own ends in .yaml.")
+    raise UserError(
+        f"No task '{task}'.{did_you_mean(task, names)} `uplift tasks` lists them; a file of your own ends in .yaml."
+    )
 
 
 def read_task(path: Path, depth: int = 0) -> dict[str, Any]:

@@ -65,8 +65,6 @@ def random_rotations(count: int, device: torch.device | str = "cpu") -> Float[Te
     return torch.stack(rows, -1).reshape(count, 3, 3)
 
 
-def turn(
-    pose: Float[Tensor, "batch joints 3"], view: Float[Tensor, "batch 3 3"]
-) -> Float[Tensor, "batch joints 3"]:
+def turn(pose: Float[Tensor, "batch joints 3"], view: Float[Tensor, "batch 3 3"]) -> Float[Tensor, "batch joints 3"]:
     """Return ``pose`` seen from ``view``: every joint multiplied by its frame's rotation."""
     return pose @ view.mT

@@ -46,9 +46,7 @@ class _Loader(yaml.SafeLoader):
             raise _Refused(f"values nested more than {MAX_DEPTH} deep", event.start_mark.line)
         tag = getattr(event, "tag", None)
         if tag not in (None, "!") and tag.removeprefix(_TAG) not in _PLAIN:
-            raise _Refused(
-                f"the YAML tag '{tag}'; only plain text, numbers, lists and mappings", event.start_mark.line
-            )
+            raise _Refused(f"the YAML tag '{tag}'; only plain text, numbers, lists and mappings", event.start_mark.line)
         self.values += 1
         if self.values > MAX_VALUES:
             raise _Refused(f"more than {MAX_VALUES:,} values", event.start_mark.line)
@@ -104,9 +102,7 @@ def read_yaml(path: Path, kind: str) -> tuple[Any, Where]:
             raise UserError(f"{path}, line 1: the file is empty; expected a {kind} in YAML.")
         data = _plain(node, loader, (), lines)
     except _Refused as refused:
-        raise UserError(
-            f"{path}, line {refused.line + 1}: found {refused}. A {kind} file holds plain YAML."
-        ) from None
+        raise UserError(f"{path}, line {refused.line + 1}: found {refused}. A {kind} file holds plain YAML.") from None
     except yaml.MarkedYAMLError as error:
         mark = error.problem_mark or error.context_mark
         line = mark.line + 1 if mark else 1
@@ -115,9 +111,7 @@ def read_yaml(path: Path, kind: str) -> tuple[Any, Where]:
         ) from None
     except yaml.reader.ReaderError as error:
         line = text.count("\n", 0, error.position) + 1
-        raise UserError(
-            f"{path}, line {line}: not a text file: found a control character ({error.reason})."
-        ) from None
+        raise UserError(f"{path}, line {line}: not a text file: found a control character ({error.reason}).") from None
     finally:
         if loader is not None:
             loader.dispose()
@@ -155,9 +149,7 @@ def _read_text(path: Path, kind: str) -> str:
         raise UserError(f"{path}: cannot be read ({error.strerror}).") from None
     if len(raw) > MAX_BYTES:
         size_mb = path.stat().st_size / 1e6
-        raise UserError(
-            f"{path}: {size_mb:.1f} MB is too large for a {kind} (at most {MAX_BYTES / 1e6:.0f} MB)."
-        )
+        raise UserError(f"{path}: {size_mb:.1f} MB is too large for a {kind} (at most {MAX_BYTES / 1e6:.0f} MB).")
     try:
         return raw.decode("utf-8-sig")
     except UnicodeDecodeError as error:

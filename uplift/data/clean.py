@@ -35,7 +35,9 @@ class CleanReport:
         """Return the findings worth telling, one sentence each; none when all was whole."""
         found = []
         if self.too_few:
-            found.append(f"{self.too_few:,} of {self.frames:,} frames dropped: fewer than {_MIN_VISIBLE} visible joints")
+            found.append(
+                f"{self.too_few:,} of {self.frames:,} frames dropped: fewer than {_MIN_VISIBLE} visible joints"
+            )
         if self.all_equal:
             found.append(f"{self.all_equal:,} of {self.frames:,} frames dropped: all visible joints in one point")
         if self.missing_joints:

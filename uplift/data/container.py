@@ -59,9 +59,7 @@ class PoseData:
             if value is not None and value.shape != shape:
                 raise UserError(f"{self._where()}'{name}' has shape {value.shape}, expected {shape}.")
         if len(self.joint_names) != joints:
-            raise UserError(
-                f"{self._where()}{len(self.joint_names)} joint names for {joints} joints in 'keypoints'."
-            )
+            raise UserError(f"{self._where()}{len(self.joint_names)} joint names for {joints} joints in 'keypoints'.")
         for name, value in self.identity.items():
             if value.shape != (frames,):
                 raise UserError(f"{self._where()}'{name}' has shape {value.shape}, expected {(frames,)}.")
@@ -98,10 +96,28 @@ class PoseData:
         file are neighbours in time.
         """
         if "sequence" not in self.identity:
-            return np.arange(len(self))
+            return np.arange(len(self), dtype=np.int64)
         keys = [self.identity[k] for k in ("subject", "sequence", "camera", "instance") if k in self.identity]
         clip = np.zeros(len(self), np.int64)
         for key in keys:
             _, code = np.unique(key, return_inverse=True)
             _, clip = np.unique(clip * (code.max(initial=0) + 1) + code, return_inverse=True)
         return clip
+
+    def follows(self) -> np.ndarray:
+        """Return (frames,) bool: the frame is the next of its clip after the one before it in the file.
+
+        The step between neighbours is the most common one of the file; a larger one is a gap.
+        Without ``frame`` numbers the rows of a clip are taken as neighbours in time.
+        """
+        clip = self.clips()
+        same = np.zeros(len(self), bool)
+        same[1:] = clip[1:] == clip[:-1]
+        if "frame" not in self.identity or not same.any():
+            return same
+        step = np.zeros(len(self))
+        step[1:] = np.diff(self.identity["frame"].astype(np.float64))
+        steps, count = np.unique(step[same & (step > 0)], return_counts=True)
+        if not len(steps):
+            return np.zeros(len(self), bool)
+        return same & (step > 0) & (step <= 1.01 * steps[count.argmax()])

@@ -138,5 +138,3 @@ def in_joints_of(data: PoseData, skeleton: Skeleton) -> PoseData:
         pose=pose,
         root=root,
     )
-
-

@@ -36,9 +36,7 @@ def chosen_rows(data: PoseData, choice: Mapping[str, Sequence[str] | float | Non
         values = data.identity[key].astype(str)
         for value in wanted:  # type: ignore[union-attr]
             if not (values == str(value)).any():
-                raise UserError(
-                    f"{where}: no frame with {key} '{value}'.{did_you_mean(str(value), np.unique(values))}"
-                )
+                raise UserError(f"{where}: no frame with {key} '{value}'.{did_you_mean(str(value), np.unique(values))}")
         mask &= np.isin(values, [str(value) for value in wanted])  # type: ignore[union-attr]
     fraction = choice.get("fraction")
     if fraction is not None and fraction != 1:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, fields, replace
 
 import torch
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from uplift.data.container import PoseData
@@ -29,7 +29,11 @@ class TrainingSet:
     distance: Float[Tensor, " frames"]
     """Of the camera to the root, in units: known from intrinsics, else one guess for all."""
     clip: Int[Tensor, " frames"]
-    """Frames with one number follow each other in time, in the order of the file."""
+    """Frames of one clip have one number, from 0 without gaps."""
+    follows: Bool[Tensor, " frames"]
+    """Whether a frame is the next in time to the one before it in the file."""
+    rotation: Float[Tensor, "frames 3 3"] | None = None
+    """From the real camera's frame to that of one turned to look at the root; None without intrinsics."""
     labels: Float[Tensor, "frames joints 3"] | None = None
     """True poses in units, NaN where unlabelled; None in training from 2D alone."""
 
@@ -53,8 +57,16 @@ class TrainingSet:
             intrinsics=intrinsics,
             distance=distance,
         )
-        clip = torch.from_numpy(data.clips())
-        return cls(skeleton, normal.keypoints, confidence, normal.scale_px, normal.distance, clip)
+        return cls(
+            skeleton=skeleton,
+            keypoints=normal.keypoints,
+            confidence=confidence,
+            scale=normal.scale_px,
+            distance=normal.distance,
+            clip=torch.from_numpy(data.clips()),
+            follows=torch.from_numpy(data.follows()),
+            rotation=normal.rotation,
+        )
 
     def __len__(self) -> int:
         return len(self.keypoints)

@@ -26,14 +26,11 @@ def build_network(
     Raises:
         UserError: no such network or option (a setting below ``where``), sizes that no network can have.
     """
-    setting = f"{where.removesuffix('.options')}.network={use!r}"
     if use not in NETWORKS and ":" not in use:
+        setting = f"{where.removesuffix('.options')}.network={use!r}"
         raise UserError(f"{setting}: no such network.{did_you_mean(use, NETWORKS)} Your own is named file.py:Class.")
     for name in ("units", "blocks"):
         size = options.get(name, 1)
         if isinstance(size, bool) or not isinstance(size, int) or not 1 <= size <= 1 << 20:
             raise UserError(f"{where}.{name}={size!r}: expected a whole number of at least 1.")
-    network = build(use, NETWORKS, options, where, inputs=inputs, outputs=outputs)
-    if not isinstance(network, nn.Module):
-        raise UserError(f"{setting}: {type(network).__name__} is no torch.nn.Module.")
-    return network
+    return build(use, NETWORKS, options, where, nn.Module, inputs=inputs, outputs=outputs)

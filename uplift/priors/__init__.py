@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import inspect
-import traceback
 from collections.abc import Mapping
 from typing import Any
 
 from uplift.errors import NotForThisSkeleton, UserError
-from uplift.plugins import build, find_class
+from uplift.plugins import build
 from uplift.priors.base import Prior
 from uplift.skeleton import Skeleton
 
@@ -60,23 +58,7 @@ def build_priors(
 
 
 def _build(use: str, options: Mapping[str, Any], where: str, skeleton: Skeleton) -> Prior:
-    """Return one prior; what goes wrong in a user's own ``__init__`` is told with file and line."""
-    kind = find_class(use, PRIORS, where)
-    if not issubclass(kind, Prior):
-        raise UserError(f"{where}.use={use!r}: {kind.__name__} is not a subclass of uplift.Prior.")
-    if "skeleton" not in inspect.signature(kind).parameters:
-        raise UserError(f"{where}: expected {kind.__name__}.__init__(self, skeleton, ...), with `skeleton` by that name.")
-    try:
-        prior = build(use, PRIORS, options, where, skeleton=skeleton)
-    except UserError:
-        raise
-    except Exception as error:
-        # A parameter set before super().__init__() ends here as well.
-        last = traceback.extract_tb(error.__traceback__)[-1]
-        raise UserError(
-            f"{where}: {kind.__name__}.__init__ failed in {last.filename}, line {last.lineno}: "
-            f"{type(error).__name__}: {error}"
-        ) from error
+    prior = build(use, PRIORS, options, where, Prior, skeleton=skeleton)
     if "_parameters" not in vars(prior) or not hasattr(prior, "skeleton"):
-        raise UserError(f"{where}: {kind.__name__}.__init__ must call super().__init__(skeleton) first.")
+        raise UserError(f"{where}: {type(prior).__name__}.__init__ must call super().__init__(skeleton) first.")
     return prior

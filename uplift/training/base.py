@@ -13,7 +13,6 @@ from torch.optim.swa_utils import AveragedModel
 from torch.utils.data import DataLoader, IterableDataset
 
 from uplift.config import StageSettings
-from uplift.data.tensors import TrainingSet
 from uplift.lifter import Lifter
 
 __all__ = ["LifterTraining", "stream_seed"]
@@ -59,7 +58,7 @@ class LifterTraining(L.LightningModule):
     weights where `StageSettings.average` is set.
     """
 
-    def __init__(self, lifter: Lifter, data: TrainingSet, settings: StageSettings, seed: int):
+    def __init__(self, lifter: Lifter, data: Any, settings: StageSettings, seed: int):
         super().__init__()
         self.lifter = lifter
         self.settings = settings
@@ -142,7 +141,8 @@ class LifterTraining(L.LightningModule):
         for parameter in self.gated_parameters():
             parameter.grad = None
 
-    def on_train_batch_end(self, outputs: Any, batch: int, batch_idx: int) -> None:
-        """Average the weights."""
+    def optimizer_step(self, *arguments: Any, **options: Any) -> None:
+        """Take the step and average the weights: at once, so that a checkpoint of this step has both."""
+        super().optimizer_step(*arguments, **options)
         if self.averaged is not None:
             self.averaged.update_parameters(self.lifter)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import signal
+import threading
 import time
 from typing import Any
 
@@ -21,17 +22,18 @@ class Interrupted(Exception):
 class Budget(L.Callback):
     """Keeps `LifterTraining.done` from 0 to 1 and stops there; time goes on counting after a resume.
 
-    Ctrl-C ends the stage after the step under way; a second one at once.
+    Ctrl-C or a SIGTERM ends the stage after the step under way; a second one at once.
     """
 
-    def __init__(self, *, steps: int | None, seconds: float | None):
+    def __init__(self, *, steps: int | None, seconds: float | None, spent: float = 0.0):
         self.steps, self.seconds = steps, seconds
-        self.spent = 0.0
+        self.spent = spent
         self.first_step_s: float | None = None
         self.interrupted = False
 
     def on_train_start(self, trainer: L.Trainer, module: LifterTraining) -> None:  # type: ignore[override]
         """Start the clock where a resumed stage left it."""
+        self._catch(signal.SIGTERM)  # here, as Lightning has just put its own in place
         self._before = self.spent
         self._start = time.monotonic()
         self._update(trainer, module)
@@ -69,17 +71,22 @@ class Budget(L.Callback):
         self.spent = float(state["spent"])
 
     def __enter__(self) -> Budget:
-        def ask(number: int, frame: object) -> None:
-            if self.interrupted:
-                raise KeyboardInterrupt
-            self.interrupted = True
-
-        try:
-            self._handler = signal.signal(signal.SIGINT, ask)
-        except ValueError:  # not in the main thread: the caller's Ctrl-C is theirs
-            self._handler = None
+        self._handlers = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+        self._catch(signal.SIGINT)
         return self
 
     def __exit__(self, *error: object) -> None:
-        if self._handler is not None:
-            signal.signal(signal.SIGINT, self._handler)
+        for number, handler in self._handlers.items():
+            if handler is not None and threading.current_thread() is threading.main_thread():
+                signal.signal(number, handler)
+
+    def _catch(self, number: int) -> None:
+        """Note the signal when it comes, instead of what it does otherwise."""
+
+        def ask(number: int, frame: object) -> None:
+            if self.interrupted:
+                raise SystemExit(130)  # Lightning turns a KeyboardInterrupt into an exit with status 1
+            self.interrupted = True
+
+        if threading.current_thread() is threading.main_thread():  # elsewhere signals are the caller's
+            signal.signal(number, ask)

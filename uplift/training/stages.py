@@ -29,9 +29,7 @@ class StageBudget:
     seconds: float | None
 
 
-def stage_budgets(
-    trainer: TrainerSettings, shares: Sequence[float], frames: int, batch_size: int
-) -> list[StageBudget]:
+def stage_budgets(trainer: TrainerSettings, shares: Sequence[float], frames: int, batch_size: int) -> list[StageBudget]:
     """Split the fit's steps and time over its stages by their shares."""
     total = sum(shares)
     steps = trainer.max_steps
@@ -57,15 +55,18 @@ def run_stage(
     settings: TrainerSettings,
     budget: StageBudget,
     folder: Path,
+    before: float = 0.0,
 ) -> Budget:
     """Train ``module`` for its budget, or what is left of it where ``folder`` has a checkpoint of it.
+
+    ``before`` are seconds of the budget that are spent already.
 
     Raises:
         Interrupted: after Ctrl-C, with everything saved.
         UserError: a checkpoint that does not fit, settings that Lightning refuses.
     """
     path = folder / "checkpoints" / f"{name}.ckpt"
-    clock = Budget(steps=budget.steps, seconds=budget.seconds)
+    clock = Budget(steps=budget.steps, seconds=budget.seconds, spent=min(before, 0.5 * (budget.seconds or 0)))
     resume = path.is_file()
     if resume and check_checkpoint(path, module) >= 1:
         module.load_state_dict(read_torch(path, "checkpoint")["state_dict"])
@@ -75,7 +76,7 @@ def run_stage(
     with clock, _quiet():
         trainer = _trainer(settings, callbacks, folder)
         trainer.fit(module, ckpt_path=str(path) if resume else None, weights_only=True)
-    if clock.interrupted and module.done < 1:
+    if clock.interrupted:
         raise Interrupted(folder)
     return clock
 
@@ -108,7 +109,9 @@ def _logger(name: str | None, folder: Path):
 
     kinds = {"tensorboard": "TensorBoardLogger", "wandb": "WandbLogger"}
     if name not in kinds:
-        raise UserError(f"trainer.logger={name!r}: expected one of {', '.join(kinds)}, or none (metrics.csv is always written).")
+        raise UserError(
+            f"trainer.logger={name!r}: expected one of {', '.join(kinds)}, or none (metrics.csv is always written)."
+        )
     try:
         return getattr(loggers, kinds[name])(save_dir=str(folder), name=name)
     except ModuleNotFoundError as error:

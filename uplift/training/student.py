@@ -8,7 +8,7 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from uplift.config import StudentSettings, ViewSettings
+from uplift.config import RefineSettings, StudentSettings, ViewSettings
 from uplift.data.tensors import TrainingSet
 from uplift.lifter import Lifter
 from uplift.normalise import renormalise
@@ -16,6 +16,7 @@ from uplift.pose import mirror
 from uplift.skeleton import Skeleton
 from uplift.training.base import LifterTraining, stream_seed
 from uplift.training.mixing import LimbMixer
+from uplift.training.refine import refine_depth, steady_tilt
 from uplift.views import level, random_rotations, turn, views_about_gravity
 
 __all__ = ["PseudoPoses", "StudentTraining", "lift_all"]
@@ -48,18 +49,22 @@ class PseudoPoses:
 
 
 @torch.no_grad()
-def lift_all(lifter: Lifter, data: TrainingSet, chunk: int = 8192) -> PseudoPoses:
-    """Return every training frame lifted by ``lifter``, averaged with its mirror image."""
+def lift_all(lifter: Lifter, data: TrainingSet, refine: RefineSettings, chunk: int = 8192) -> PseudoPoses:
+    """Return every training frame lifted by ``lifter``, averaged with its mirror image and refined by clip."""
     device = next(lifter.parameters()).device
     data = data.to(device)
-    poses, tilts = [], []
+    parts = []
     for start in range(0, len(data), chunk):
         rows = slice(start, start + chunk)
-        lifted = lifter.lift_both_ways(data.keypoints[rows], data.confidence[rows], data.distance[rows])
-        poses.append(turn(lifted.pose, level(lifted.tilt)) if data.skeleton.gravity else lifted.pose)
-        tilts.append(lifted.tilt)
-    known = data.confidence > 0
-    return PseudoPoses(data.skeleton, torch.cat(poses), torch.cat(tilts), data.distance, known)
+        parts.append(lifter.lift_both_ways(data.keypoints[rows], data.confidence[rows], data.distance[rows]))
+    pose, tilt, keypoints = (torch.cat(values) for values in zip(*parts, strict=True))
+    if refine.iterations:
+        depth = refine_depth(data, keypoints, pose[..., 2], lifter.camera, refine)
+        pose = lifter.camera.unproject(keypoints, depth, data.distance)
+        tilt = steady_tilt(data, tilt)
+    if data.skeleton.gravity:
+        pose = turn(pose, level(tilt))
+    return PseudoPoses(data.skeleton, pose, tilt, data.distance, data.confidence > 0)
 
 
 @dataclass(frozen=True)
@@ -88,9 +93,7 @@ class StudentTraining(LifterTraining):
     data: PseudoPoses  # type: ignore[assignment]
     settings: StudentSettings
 
-    def __init__(
-        self, lifter: Lifter, data: PseudoPoses, settings: StudentSettings, views: ViewSettings, seed: int
-    ):
+    def __init__(self, lifter: Lifter, data: PseudoPoses, settings: StudentSettings, views: ViewSettings, seed: int):
         super().__init__(lifter, data, settings, seed)  # type: ignore[arg-type]
         self.views = views
         self._made: tuple[int, _Views] | None = None
@@ -159,7 +162,5 @@ class StudentTraining(LifterTraining):
             pose = turn(pose, random_rotations(count, rows.device))
         distance = data.distance[rows]
         projected = self.lifter.camera.project(pose, distance)
-        keypoints, radius = renormalise(
-            projected, known.float(), skeleton.root_index, count_root=self.views.count_root
-        )
+        keypoints, radius = renormalise(projected, known.float(), skeleton.root_index, count_root=self.views.count_root)
         return _Views(keypoints, known, pose / radius[:, None, None], tilt, distance / radius)

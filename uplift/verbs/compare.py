@@ -32,10 +32,15 @@ def compare(runs: Sequence[str | Path]) -> str:
             raise UserError(f"{folder.path} was not evaluated: uplift evaluate run={folder.path} data.test=FILE")
     evaluations = [e for _, e in found if e is not None]
     names = [_label(f.path) for f in folders]
-    lines = [f"[{i + 1}] {name}  seed {f.facts().get('seed')}" for i, (name, f) in enumerate(zip(names, folders, strict=True))]
+    lines = [
+        f"[{i + 1}] {name}  seed {f.facts().get('seed')}"
+        for i, (name, f) in enumerate(zip(names, folders, strict=True))
+    ]
     tested = {e["data"] for e in evaluations}
     if len(tested) > 1:
-        lines.append("Not the same test data: " + "; ".join(f"[{i + 1}] {e['data']}" for i, e in enumerate(evaluations)))
+        lines.append(
+            "Not the same test data: " + "; ".join(f"[{i + 1}] {e['data']}" for i, e in enumerate(evaluations))
+        )
     else:
         lines.append(f"test data: {tested.pop()}")
     lines += ["", f"{'protocol':<18}" + "".join(f"{f'[{i + 1}]':>10}" for i in range(len(runs)))]

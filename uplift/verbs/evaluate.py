@@ -83,7 +83,9 @@ def evaluate_poses(poses: str | Path, test: str | Path, skeleton: str | None = N
     chosen = load_skeleton(skeleton) if skeleton else _skeleton_of(names, str(poses))
     pose = arrays["pose"]
     if pose.ndim != 3 or pose.shape[1:] != (len(names), 3) or pose.dtype.kind not in "fiu":
-        raise UserError(f"{poses}: 'pose' is {pose.dtype} of shape {pose.shape}, expected numbers (frames, {len(names)}, 3).")
+        raise UserError(
+            f"{poses}: 'pose' is {pose.dtype} of shape {pose.shape}, expected numbers (frames, {len(names)}, 3)."
+        )
     tilt = arrays.get("tilt_deg")
     if tilt is not None and (tilt.shape != pose.shape[:1] or tilt.dtype.kind not in "fiu"):
         raise UserError(f"{poses}: 'tilt_deg' is {tilt.dtype} of shape {tilt.shape}, expected numbers ({len(pose)},).")
@@ -113,8 +115,12 @@ def _skeleton_of(names: tuple[str, ...], where: str) -> Skeleton:
             match_joints(names, skeleton)
         except UserError:
             continue
-        raise UserError(f"{where}: joints are not exactly a shipped skeleton's; they fit '{name}': say skeleton={name}.")
-    raise UserError(f"{where}: its joints are no shipped skeleton's ({', '.join(names[:8])}, ...): say skeleton=FILE.yaml.")
+        raise UserError(
+            f"{where}: joints are not exactly a shipped skeleton's; they fit '{name}': say skeleton={name}."
+        )
+    raise UserError(
+        f"{where}: its joints are no shipped skeleton's ({', '.join(names[:8])}, ...): say skeleton=FILE.yaml."
+    )
 
 
 def save_evaluation(result: Evaluation, folder: RunFolder) -> None:

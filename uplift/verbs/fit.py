@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import dataclasses
 import shlex
 import sys
+import time
 from collections.abc import Sequence
 from pathlib import Path
 
 import torch
 
-from uplift.config import Settings
+from uplift.config import LifterSettings, Settings
 from uplift.data.load import Loaded, load_data
 from uplift.data.tensors import TrainingSet
 from uplift.errors import UserError
@@ -40,7 +42,9 @@ def fit(task: str | None = None, *overrides: str, resume: str | Path | None = No
     """
     if resume is not None:
         if task or overrides:
-            raise UserError("resume=RUN goes on with the run's own settings: give it no others. For others start from init=RUN.")
+            raise UserError(
+                "resume=RUN goes on with the run's own settings: give it no others. For others start from init=RUN."
+            )
         run = RunFolder.open(resume)
         return fit_settings(run.settings(), run)
     settings = load_settings(task, overrides)
@@ -58,8 +62,7 @@ def fit_settings(settings: Settings, run: RunFolder | None = None) -> RunFolder:
           *modules.notes, f"run: {run.path}"])  # fmt: skip
     if settings.trainer.threads:
         torch.set_num_threads(settings.trainer.threads)
-    lifter = modules.train(run)
-    model = Model(lifter.cpu().eval(), skeleton, settings.lifter)
+    model = modules.train(run)
     model.save(run.weights)
     from uplift.verbs.reporting import report
 
@@ -79,7 +82,8 @@ class _Stages:
             intrinsics=intrinsics_of(loaded.train, settings.lifter),
             distance=settings.lifter.distance,
         )
-        shares = [settings.teacher.share, settings.student.share]
+        self.rounds = settings.student.rounds if settings.student.share > 0 else []
+        shares = [settings.teacher.share, *(settings.student.share * r / sum(self.rounds) for r in self.rounds)]
         self.budgets = stage_budgets(settings.trainer, shares, len(self.data), settings.teacher.batch_size)
         self.spent: dict[str, float] = {}
         torch.manual_seed(settings.seed)
@@ -87,24 +91,32 @@ class _Stages:
         if not skeleton.mirror:
             self.notes.append(f"no mirroring: skeleton '{skeleton.name}' has no `mirror:` pairs")
         if not self.priors:
-            raise UserError("No prior is on: nothing would train the lifter. Set priors.NAME.use and priors.NAME.weight.")
+            raise UserError(
+                "No prior is on: nothing would train the lifter. Set priors.NAME.use and priors.NAME.weight."
+            )
         self.first = build_lifter(settings.lifter, skeleton)
         if settings.init:
             _start_from(self.first, settings.init)
 
-    def train(self, run: RunFolder) -> Lifter:
-        """Return the lifter after the last stage."""
-        teacher = self._teacher()
-        self._run("teacher", teacher, 0, run)
-        final = teacher.final
-        if self.settings.student.share > 0:
-            final = self._run("student", self._student(final), 1, run).final
-        return final
+    def train(self, run: RunFolder) -> Model:
+        """Return the model after the last stage."""
+        settings = self.settings
+        lifter, chosen = self._run("teacher", self._teacher(), 0, run), settings.lifter
+        for number in range(1, len(self.rounds) + 1):
+            start = time.monotonic()
+            poses = lift_all(lifter, self.data, settings.student.refine)
+            chosen = student_settings(settings)
+            torch.manual_seed(settings.seed + number)
+            fresh = build_lifter(chosen, self.skeleton)
+            student = StudentTraining(fresh, poses, settings.student, settings.views, settings.seed + number)
+            lifter = self._run(f"student_{number}", student, number, run, time.monotonic() - start)
+        return Model(lifter.cpu().eval(), self.skeleton, chosen)
 
-    def _run(self, name: str, module: LifterTraining, place: int, run: RunFolder) -> LifterTraining:
-        clock = run_stage(name, module, self.settings.trainer, self.budgets[place], run.path)
+    def _run(self, name: str, module: LifterTraining, place: int, run: RunFolder, before: float = 0.0) -> Lifter:
+        """Train one stage and return its lifter; ``before`` are the seconds of the budget its data took."""
+        clock = run_stage(name, module, self.settings.trainer, self.budgets[place], run.path, before)
         self.spent[name] = clock.spent
-        return module
+        return module.final
 
     def _teacher(self) -> AdversarialTraining:
         settings = self.settings
@@ -115,11 +127,14 @@ class _Stages:
             self.first, self.data, settings.teacher, settings.views, self.priors, self.weights, settings.seed
         )
 
-    def _student(self, teacher: Lifter) -> StudentTraining:
-        torch.manual_seed(self.settings.seed + 1)
-        fresh = build_lifter(self.settings.lifter, self.skeleton)
-        poses = lift_all(teacher, self.data)
-        return StudentTraining(fresh, poses, self.settings.student, self.settings.views, self.settings.seed + 1)
+
+def student_settings(settings: Settings) -> LifterSettings:
+    """Return the lifter settings of the student: the teacher's, with a network of its own where it has one."""
+    student = settings.student
+    options = settings.lifter.options if student.network is None else {}
+    return dataclasses.replace(
+        settings.lifter, network=student.network or settings.lifter.network, options={**options, **student.options}
+    )
 
 
 def _skeleton(settings: Settings) -> Skeleton:

@@ -37,4 +37,6 @@ def list_skeletons() -> str:
         skeleton = load_skeleton(name)
         views = "gravity" if skeleton.gravity else "no gravity"
         lines.append(f"{name:<18} {len(skeleton.joints):>3} joints  {views:<10}  {skeleton.description}")
-    return "\n".join([*lines, "", "uplift skeleton check NAME|FILE draws one; uplift skeleton new FILE starts your own"])
+    return "\n".join(
+        [*lines, "", "uplift skeleton check NAME|FILE draws one; uplift skeleton new FILE starts your own"]
+    )

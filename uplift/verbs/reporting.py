@@ -113,7 +113,9 @@ def _print_end(run: RunFolder, evaluation: Evaluation | None, flat: Evaluation |
             shown = f"{floor:12.3f}" if isinstance(floor, float) else ""
             print(f"{name!s:<18}{value:10.3f}{shown}")
     else:
-        print("No test poses: nothing to evaluate. `uplift evaluate run=... data.test=FILE` does, on frames with truth.")
+        print(
+            "No test poses: nothing to evaluate. `uplift evaluate run=... data.test=FILE` does, on frames with truth."
+        )
     last = run.path.parent / "last"
     shown = last if last.exists() else run.path
     print(f"\nwrote {run.path}/: lifter.pt, report.md, page.html" + (", evaluation.json" if evaluation else ""))

@@ -13,7 +13,12 @@ __all__ = ["simulate"]
 
 
 def simulate(
-    skeleton: str | Path | Skeleton, output: str | Path | None = None, *, frames: int = 20000, seed: int = 0, **options: Any
+    skeleton: str | Path | Skeleton,
+    output: str | Path | None = None,
+    *,
+    frames: int = 20000,
+    seed: int = 0,
+    **options: Any,
 ) -> PoseData:
     """Simulate ``frames`` frames of ``skeleton`` and write them to ``output`` (.npz), if given.
 
