@@ -74,7 +74,10 @@ def lift_of_pose(pose: Tensor, skeleton: Skeleton = H36M, confidence: Tensor | N
     confidence = torch.ones(pose.shape[:2]) if confidence is None else confidence
     distance = torch.full((len(pose),), 10.0)
     keypoints = lifter.camera.project(pose.detach(), distance) * (confidence > 0).unsqueeze(-1)
-    data = TrainingSet(skeleton, keypoints, confidence, torch.ones(len(pose)), distance, torch.arange(len(pose)))
+    data = replace(
+        training_set(len(pose), skeleton=skeleton),
+        keypoints=keypoints, confidence=confidence, scale=torch.ones(len(pose)), distance=distance,
+    )  # fmt: skip
     return replace(lift_of(lifter, data, seed), pose=pose, tilt=torch.zeros(len(pose)))
 
 

@@ -19,7 +19,6 @@ from uplift.skeleton import load_skeleton
 
 FLIP = torch.tensor([1.0, 1.0, -1.0])
 PAPER = {"front": ["thorax", "nose"], "left": ["rshoulder", "lshoulder"], "frame": "camera"}
-UP = torch.tensor([0.0, -1.0, 0.0])
 
 
 @pytest.fixture(autouse=True)
@@ -57,12 +56,13 @@ def test_a_body_costs_nothing_and_its_depth_mirror_does(options, turned_deg):
 @settings(max_examples=25, deadline=None)
 def test_planar_is_the_sine_of_the_angle_on_the_ground(seed):
     with doubles():
+        up = torch.tensor([0.0, -1.0, 0.0])
         front, left = torch.from_numpy(np.random.default_rng(seed).normal(size=(2, 3)))
         beta = math.atan2(float(left[2]), float(left[0])) - math.atan2(float(front[2]), float(front[0]))
-        assert float(handedness(UP, front, left, planar=True)) == pytest.approx(math.sin(beta), abs=1e-9)
+        assert float(handedness(up, front, left, planar=True)) == pytest.approx(math.sin(beta), abs=1e-9)
         cross = float(front[0] * left[2] - front[2] * left[0])
         expected = cross / float(front.norm() * left.norm())
-        assert float(handedness(UP, front, left, planar=False)) == pytest.approx(expected, abs=1e-9)
+        assert float(handedness(up, front, left, planar=False)) == pytest.approx(expected, abs=1e-9)
 
 
 @given(seed=st.integers(0, 2**31 - 1))
@@ -163,7 +163,7 @@ def _true_values(path, options, frame_tilt: bool) -> np.ndarray:
         tilt = np.radians(file["tilt_deg"].astype(float))
     level_pose = pose
     if frame_tilt:
-        level_pose = pose @ torch.from_numpy(Rotation.from_euler("x", -tilt).as_matrix()).mT
+        level_pose = pose @ torch.from_numpy(Rotation.from_euler("x", -tilt[:, None]).as_matrix()).mT
     value, known = Handedness(H36M, **options).value(pose, level_pose, torch.ones(pose.shape[:2]))
     assert known.all()
     return value.numpy()

@@ -13,19 +13,21 @@ import pytest
 import torch
 from bodies import own_data, refusal, status_of, write_body
 
-TWO_STAGES = ("trainer.max_steps=20", "trainer.checkpoint_steps=3")  # 8 of the teacher's, 12 of the student's
-ONE_STAGE = (*TWO_STAGES, "student.share=0")
+STEPS = ("trainer.max_steps=20", "trainer.checkpoint_steps=3")
+ONE_STAGE = (*STEPS, "student.share=0")
+# 8 steps of the teacher's, 4 of the first student's, 8 of the second's.
+STAGES = (*STEPS, "teacher.share=0.4", "student.share=0.6", "student.rounds=1,2")
 SCENARIOS = {
-    "early": (TWO_STAGES, "teacher", 2, "kill"),
-    "teacher": (TWO_STAGES, "teacher", 7, "kill"),
-    "student": (TWO_STAGES, "student", 5, "kill"),
+    "early": (STAGES, "teacher", 2, "kill"),
+    "teacher": (STAGES, "teacher", 7, "kill"),
+    "student": (STAGES, "student_1", 2, "kill"),
     "one_stage": (ONE_STAGE, "teacher", 10, "kill"),
-    "while_saving": (TWO_STAGES, "student", 8, "kill_while_saving"),
-    "interrupted": (TWO_STAGES, "teacher", 5, "interrupt"),
-    "interrupted_between": (TWO_STAGES, "teacher", 8, "interrupt"),
-    "interrupted_at_the_end": (TWO_STAGES, "student", 12, "interrupt"),
-    "terminated": (TWO_STAGES, "student", 4, "terminate"),
-    "full_disk": (TWO_STAGES, "student", 4, "fill_disk"),
+    "while_saving": (STAGES, "student_2", 5, "kill_while_saving"),
+    "interrupted": (STAGES, "teacher", 5, "interrupt"),
+    "interrupted_between": (STAGES, "teacher", 8, "interrupt"),
+    "interrupted_at_the_end": (STAGES, "student_2", 8, "interrupt"),
+    "terminated": (STAGES, "student_2", 2, "terminate"),
+    "full_disk": (STAGES, "student_2", 4, "fill_disk"),
 }
 
 
@@ -66,7 +68,7 @@ def unbroken(tmp_path_factory: pytest.TempPathFactory, broken: dict) -> dict[tup
     """Return the run folder of an unbroken fit for each of the two kinds of settings."""
     runs = {}
     data = next(iter(broken.values()))[0].parent / "a.npz"
-    for settings in (TWO_STAGES, ONE_STAGE):
+    for settings in (STAGES, ONE_STAGE):
         folder = tmp_path_factory.mktemp("unbroken")
         with pytest.MonkeyPatch.context() as patch:
             patch.chdir(folder)
@@ -118,13 +120,13 @@ def test_a_full_disk_leaves_the_last_good_checkpoint_and_nothing_half_written(br
     assert "Traceback" not in text
     assert text.splitlines()[-1].startswith("uplift: File too large")
     run = the_run(folder)
-    assert (run / "checkpoints" / "student.ckpt").read_bytes() == (folder / "good_student.ckpt").read_bytes()
+    assert (run / "checkpoints" / "student_2.ckpt").read_bytes() == (folder / "good_student_2.ckpt").read_bytes()
     assert not list(run.rglob("*.part"))
     assert not (run / "lifter.pt").exists()
 
 
 def test_resuming_a_finished_run_changes_no_weights(unbroken: dict, tmp_path: Path) -> None:
-    whole = unbroken[TWO_STAGES]
+    whole = unbroken[STAGES]
     run = tmp_path / "run"
     shutil.copytree(whole, run)
     assert status_of("fit", f"resume={run}") == 0
@@ -134,10 +136,10 @@ def test_resuming_a_finished_run_changes_no_weights(unbroken: dict, tmp_path: Pa
 
 def test_without_lifter_a_finished_run_gets_it_back(unbroken: dict, tmp_path: Path) -> None:
     run = tmp_path / "run"
-    shutil.copytree(unbroken[TWO_STAGES], run)
+    shutil.copytree(unbroken[STAGES], run)
     (run / "lifter.pt").unlink()
     assert status_of("fit", f"resume={run}") == 0
-    assert same_weights(run, unbroken[TWO_STAGES])
+    assert same_weights(run, unbroken[STAGES])
 
 
 def test_seeds_decide_the_weights(unbroken: dict, broken: dict, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -145,9 +147,9 @@ def test_seeds_decide_the_weights(unbroken: dict, broken: dict, tmp_path: Path, 
     for name, seed in (("same", 0), ("other", 1)):
         (tmp_path / name).mkdir()
         monkeypatch.chdir(tmp_path / name)
-        assert status_of("fit", *own_data(data), *TWO_STAGES, f"seed={seed}") == 0
-    assert same_weights(the_run(tmp_path / "same"), unbroken[TWO_STAGES])
-    assert not same_weights(the_run(tmp_path / "other"), unbroken[TWO_STAGES])
+        assert status_of("fit", *own_data(data), *STAGES, f"seed={seed}") == 0
+    assert same_weights(the_run(tmp_path / "same"), unbroken[STAGES])
+    assert not same_weights(the_run(tmp_path / "other"), unbroken[STAGES])
 
 
 def test_what_cannot_be_resumed_is_refused(

@@ -123,21 +123,26 @@ def _keyed(verb: str, words: Sequence[str], needed: Sequence[str]) -> dict[str, 
 
 
 def _fit(words: Sequence[str]) -> None:
-    task, seeds, resume, overrides = None, ["0"], None, []
+    task, resume = None, None
+    seeds: list[list[str]] = [[]]
+    overrides: list[str] = []
     for word in words:
         key, _, value = word.partition("=")
+        if key in ("task", "resume") and not value:
+            raise UserError(f"fit: '{word}' names nothing. Expected {key}={key.upper().replace('RESUME', 'RUN')}.")
         if key == "task":
             task = value
         elif key == "resume":
             resume = value
         elif key == "seed" and "," in value:
-            seeds = [seed.strip() for seed in value.split(",") if seed.strip()]
+            seeds = [[f"seed={seed.strip()}"] for seed in value.split(",")]
         else:
             overrides.append(word)
     from uplift.task import load_settings
 
     if resume is None:
-        load_settings(task, overrides)  # a typo answers before torch is imported
+        for seed in seeds:  # a typo answers before torch is imported and before the first of several fits
+            load_settings(task, [*overrides, *seed])
     from uplift.training.budget import Interrupted
     from uplift.verbs.compare import spread
     from uplift.verbs.fit import fit
@@ -145,8 +150,7 @@ def _fit(words: Sequence[str]) -> None:
     runs = []
     try:
         for seed in seeds:
-            more = [] if len(seeds) == 1 else [f"seed={seed}"]
-            runs.append(fit(task, *overrides, *more, resume=resume))
+            runs.append(fit(task, *overrides, *seed, resume=resume))
     except Interrupted as stopped:
         print(f"\nstopped and saved. Go on with: uplift fit resume={stopped}", file=sys.stderr)
         raise KeyboardInterrupt from stopped

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Any
 
+import torch
 from torch import Tensor
 from torch.nn.functional import softplus
 
@@ -31,7 +31,7 @@ class Critic(Prior):
         skeleton: Skeleton,
         *,
         objective: str = "non_saturating",
-        gate: Sequence[float] | None = None,
+        gate: Any = None,
         network: str = "residual",
         units: int = 256,
         **options: Any,
@@ -62,7 +62,12 @@ class Critic(Prior):
 
     def _gate(self, on_real: Tensor, on_seen: Tensor) -> None:
         right = (on_real > 0).sum() + (on_seen < 0).sum()
-        self.accuracy = float(right) / (2 * len(on_real))
+        share = right / (2 * len(on_real))
+        if torch.distributed.is_available() and torch.distributed.is_initialized():
+            # All ranks open and close the gates together, or their weights drift apart.
+            torch.distributed.all_reduce(share)
+            share = share / torch.distributed.get_world_size()
+        self.accuracy = float(share)
         if self.gate is not None:
             self.gate_lifter = self.accuracy < self.gate[0]
             self.gate_itself = self.accuracy > self.gate[1]

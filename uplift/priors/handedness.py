@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from typing import Any
 
 import torch
 from jaxtyping import Float
@@ -56,8 +56,8 @@ class Handedness(Prior):
         self,
         skeleton: Skeleton,
         *,
-        front: Sequence | None = None,
-        left: Sequence | None = None,
+        front: Any = None,
+        left: Any = None,
         planar: bool = True,
         frame: str = "level",
         margin: float = 0.0,
@@ -114,7 +114,7 @@ class Handedness(Prior):
         return {"facing_sign": float(Lift.mean((value > 0).float(), known))}
 
 
-def _direction(value: Sequence, skeleton: Skeleton, where: str) -> tuple[tuple[str, ...], tuple[str, ...]]:
+def _direction(value: Any, skeleton: Skeleton, where: str) -> tuple[tuple[str, ...], tuple[str, ...]]:
     if not isinstance(value, (list, tuple)) or len(value) != 2 or not all(_is_end(end) for end in value):
         raise UserError(f"{where}={value!r}: expected [from, to], each a joint or a list of joints.")
     ends = tuple((end,) if isinstance(end, str) else tuple(end) for end in value)

@@ -66,7 +66,11 @@ class LifterTraining(L.LightningModule):
         self.data = data
         self.done = 0.0
         """Share of the stage that is over, 0..1; `uplift.training.budget.Budget` keeps it."""
-        self.averaged = AveragedModel(lifter, multi_avg_fn=_average(settings.average)) if settings.average else None
+        self.averaged = None
+        if settings.average:
+            self.averaged = AveragedModel(lifter, multi_avg_fn=_average(settings.average))
+            # Nothing trains them, and ranks must not wait for their gradients.
+            self.averaged.requires_grad_(False)
 
     @property
     def mirrors(self) -> bool:

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import dataclasses
+import os
 import shlex
 import sys
 import time
-from collections.abc import Sequence
 from pathlib import Path
 
 import torch
+from lightning.pytorch.utilities.rank_zero import rank_zero_only
 
 from uplift.config import LifterSettings, Settings
 from uplift.data.load import Loaded, load_data
@@ -26,8 +27,11 @@ from uplift.training.base import LifterTraining
 from uplift.training.stages import run_stage, stage_budgets
 from uplift.training.student import StudentTraining, lift_all
 from uplift.training.watch import blame
+from uplift.verbs.reporting import report
 
 __all__ = ["fit", "fit_settings"]
+
+_RUN_VARIABLE = "UPLIFT_RUN_OF_THIS_FIT"
 
 
 def fit(task: str | None = None, *overrides: str, resume: str | Path | None = None) -> RunFolder:
@@ -53,20 +57,30 @@ def fit(task: str | None = None, *overrides: str, resume: str | Path | None = No
 
 def fit_settings(settings: Settings, run: RunFolder | None = None) -> RunFolder:
     """Train as ``settings`` say, in a new run folder or going on in ``run``."""
-    skeleton = _skeleton(settings)
-    loaded = load_data(settings, skeleton)
-    modules = _Stages(settings, skeleton, loaded)
-    if run is None:
-        run = RunFolder.create(settings, shlex.join(["uplift", *sys.argv[1:]]))
-    _say([f"uplift fit: {settings.task or 'own data'}, skeleton {skeleton.name}, seed {settings.seed}", *loaded.notes,
-          *modules.notes, f"run: {run.path}"])  # fmt: skip
     if settings.trainer.threads:
         torch.set_num_threads(settings.trainer.threads)
-    model = modules.train(run)
-    model.save(run.weights)
-    from uplift.verbs.reporting import report
+    skeleton = _skeleton(settings)
+    loaded = load_data(settings, skeleton)
+    stages = _Stages(settings, skeleton, loaded)
+    run = _run_of_all_ranks(run, settings)
+    if rank_zero_only.rank == 0:
+        print(f"uplift fit: {settings.task or 'own data'}, skeleton {skeleton.name}, seed {settings.seed}")
+        print("\n".join([*loaded.notes, *stages.notes, f"run: {run.path}"]), flush=True)
+    model = stages.train(run)
+    if rank_zero_only.rank == 0:
+        model.save(run.weights)
+        report(run, model, settings, loaded, stages.spent)
+    return run
 
-    report(run, model, settings, loaded, modules.spent)
+
+def _run_of_all_ranks(run: RunFolder | None, settings: Settings) -> RunFolder:
+    """Return one folder for all processes: Lightning starts this command again for every further rank."""
+    if rank_zero_only.rank != 0 and _RUN_VARIABLE in os.environ:
+        return RunFolder.open(os.environ[_RUN_VARIABLE])
+    if run is None:
+        words = sys.argv[1:] if Path(sys.argv[0]).stem in ("uplift", "cli") else [f"({Path(sys.argv[0]).name})"]
+        run = RunFolder.create(settings, shlex.join(["uplift", *words]))
+    os.environ[_RUN_VARIABLE] = str(run.path.absolute())
     return run
 
 
@@ -155,8 +169,3 @@ def _start_from(lifter: Lifter, run: str) -> None:
         lifter.load_state_dict(other.lifter.state_dict())
     except RuntimeError as error:
         raise UserError(f"init={run} has another network: {str(error).splitlines()[0]}") from error
-
-
-def _say(lines: Sequence[str]) -> None:
-    for line in lines:
-        print(line, flush=True)

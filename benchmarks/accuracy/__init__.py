@@ -1,0 +1,1 @@
+"""Recipes side by side: the same data, split, time budget and machine."""

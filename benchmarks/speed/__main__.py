@@ -1,0 +1,261 @@
+"""Measure speed as ratios within one run; absolute seconds belong to the machine they were read on."""
+
+from __future__ import annotations
+
+import json
+import resource
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import torch
+from torch.utils.flop_counter import FlopCounterMode
+
+from benchmarks.machine import ROOT, facts
+from uplift.config import LifterSettings, TrainerSettings
+from uplift.data.container import PoseData
+from uplift.data.tensors import TrainingSet
+from uplift.model import Model, build_lifter
+from uplift.priors import build_priors
+from uplift.simulator import simulate
+from uplift.skeleton import load_skeleton
+from uplift.task import load_settings
+from uplift.training.adversarial import AdversarialTraining
+from uplift.training.base import LifterTraining
+from uplift.training.stages import StageBudget, run_stage
+from uplift.training.student import StudentTraining, lift_all
+from uplift.verbs.fit import student_settings
+
+_ROUNDS = 5
+
+
+def main() -> int:
+    """Measure everything, print it and write benchmarks/results/speed.json."""
+    skeleton = load_skeleton("h36m17")
+    data = simulate(skeleton, 20_000, seed=0)
+    rows: dict[str, object] = {}
+    for task in ("kudo2018_code", "default"):
+        for batch in (16, 1024):
+            rows[f"train {task}, batch {batch}"] = training(task, batch, data)
+    rows["predict, default student"] = prediction(data)
+    rows["command line"] = command_line()
+    rows["a million poses"] = million(data)
+    result = {"command": "python -m benchmarks.speed", **facts(), "threads": torch.get_num_threads(), "rows": rows}
+    path = ROOT / "benchmarks" / "results" / "speed.json"
+    path.write_text(json.dumps(result, indent=1) + "\n")
+    print(json.dumps(rows, indent=1))
+    print(f"wrote {path}")
+    return 0
+
+
+def peak() -> float:
+    """Return the matrix-product peak of all threads, FLOP/s: the best of many products of two sizes."""
+    best = 0.0
+    for size in (1024, 2048):
+        left, right = torch.randn(size, size), torch.randn(size, size)
+        for _ in range(6):
+            start = time.perf_counter()
+            torch.mm(left, right)
+            best = max(best, 2 * size**3 / (time.perf_counter() - start))
+    return best
+
+
+def training(task: str, batch: int, data: PoseData) -> dict[str, object]:
+    """Return how near one training step comes to the peak, with Lightning and without."""
+    module = _teacher(task, batch, data)
+    found: dict[str, object] = {"teacher": _steps(lambda: _teacher(task, batch, data), module)}
+    if task == "default":
+        found["student"] = _steps(lambda: _student(batch, data), _student(batch, data))
+    return found
+
+
+def _steps(make: Callable[[], LifterTraining], module: LifterTraining) -> dict[str, float]:
+    flops = _flops(module)
+    count = 200 if module.settings.batch_size < 100 else 60
+    ratios, overheads, with_trainer = [], [], []
+    for _ in range(_ROUNDS):
+        top = peak()
+        bare = _bare_loop(make(), count)
+        whole = _trainer_loop(make(), count)
+        ratios.append(flops / whole / top)
+        overheads.append(whole / bare - 1)
+        with_trainer.append(whole)
+    return {
+        "of_peak": float(np.median(ratios)),
+        "trainer_overhead": float(np.median(overheads)),
+        "ms_per_step": 1e3 * float(np.median(with_trainer)),
+        "mflop_per_step": flops / 1e6,
+    }
+
+
+def _flops(module: LifterTraining) -> float:
+    """Return the matrix-product FLOPs of one step, forward and backward."""
+    optimizer = _ready(module)
+    _one_step(module, optimizer, 0)
+    with FlopCounterMode(display=False) as counter:
+        module.objective()[0].backward()
+    return float(counter.get_total_flops())
+
+
+def _ready(module: LifterTraining) -> torch.optim.Optimizer:
+    """Prepare a module for steps without a trainer."""
+    if isinstance(module, StudentTraining):
+        module.on_fit_start()
+    type(module).global_step = property(lambda self: self.__dict__.get("_count", 0))  # type: ignore[assignment]
+    type(module).global_rank = 0  # type: ignore[assignment]
+    return module.configure_optimizers()
+
+
+def _one_step(module: LifterTraining, optimizer: torch.optim.Optimizer, count: int) -> None:
+    module.__dict__["_count"] = count
+    loss = module.training_step(count, count)
+    optimizer.zero_grad()
+    loss.backward()
+    module.on_before_optimizer_step(optimizer)
+    optimizer.step()
+    module.on_train_batch_end(None, count, count)
+
+
+def _bare_loop(module: LifterTraining, count: int) -> float:
+    """Return seconds a step of the same work in a plain loop."""
+    kept = {name: type(module).__dict__.get(name) for name in ("global_step", "global_rank")}
+    try:
+        optimizer = _ready(module)
+        for step in range(16):
+            _one_step(module, optimizer, step)
+        start = time.perf_counter()
+        for step in range(16, 16 + count):
+            _one_step(module, optimizer, step)
+        return (time.perf_counter() - start) / count
+    finally:
+        for name, value in kept.items():
+            if value is None and name in type(module).__dict__:
+                delattr(type(module), name)
+
+
+def _trainer_loop(module: LifterTraining, count: int) -> float:
+    """Return seconds a step of a whole stage: Lightning, progress, metrics."""
+    for name in ("global_step", "global_rank"):
+        if name in type(module).__dict__:
+            delattr(type(module), name)
+    with tempfile.TemporaryDirectory() as folder:
+        (Path(folder) / "checkpoints").mkdir()
+        settings = TrainerSettings(checkpoint_every=1e9)
+        marks: list[float] = []
+        hook = module.on_train_batch_end
+
+        def mark(*words: object) -> None:
+            hook(*words)  # type: ignore[arg-type]
+            marks.append(time.perf_counter())
+
+        module.on_train_batch_end = mark  # type: ignore[method-assign]
+        stderr, sys.stderr = sys.stderr, open("/dev/null", "w")
+        try:
+            run_stage("bench", module, settings, StageBudget(16 + count, None), Path(folder))
+        finally:
+            sys.stderr.close()
+            sys.stderr = stderr
+    return (marks[-1] - marks[15]) / count
+
+
+def _training_set(data: PoseData, count_root: bool) -> TrainingSet:
+    return TrainingSet.of(data, load_skeleton("h36m17"), count_root=count_root)
+
+
+def _teacher(task: str, batch: int, data: PoseData) -> AdversarialTraining:
+    settings = load_settings(task, [f"teacher.batch_size={batch}", "skeleton=h36m17"])
+    skeleton = load_skeleton("h36m17")
+    torch.manual_seed(0)
+    priors, weights, _ = build_priors(settings.priors, skeleton)
+    lifter = build_lifter(settings.lifter, skeleton)
+    training_set = _training_set(data, settings.views.count_root)
+    return AdversarialTraining(lifter, training_set, settings.teacher, settings.views, priors, weights, 0)
+
+
+def _student(batch: int, data: PoseData) -> StudentTraining:
+    settings = load_settings(None, [f"student.batch_size={batch}", "skeleton=h36m17", "student.refine.iterations=0"])
+    skeleton = load_skeleton("h36m17")
+    torch.manual_seed(0)
+    teacher = build_lifter(settings.lifter, skeleton)
+    poses = lift_all(teacher, _training_set(data, settings.views.count_root), settings.student.refine)
+    fresh = build_lifter(student_settings(settings), skeleton)
+    return StudentTraining(fresh, poses, settings.student, settings.views, 0)
+
+
+def _model() -> Model:
+    settings = load_settings(None, ["skeleton=h36m17"])
+    chosen: LifterSettings = student_settings(settings)
+    skeleton = load_skeleton("h36m17")
+    return Model(build_lifter(chosen, skeleton).eval(), skeleton, chosen)
+
+
+def prediction(data: PoseData) -> dict[str, float]:
+    """Return poses a second through `Model.predict`, and their matrix products against the peak."""
+    model = _model()
+    many = data.select(np.arange(200_000) % len(data))
+    with FlopCounterMode(display=False) as counter:
+        model.predict(data.select(np.arange(1000)))
+    flops = counter.get_total_flops() / 1000
+    rates, ratios = [], []
+    for _ in range(_ROUNDS):
+        top = peak()
+        start = time.perf_counter()
+        model.predict(many)
+        rate = len(many) / (time.perf_counter() - start)
+        rates.append(rate)
+        ratios.append(rate * flops / top)
+    return {"poses_per_second": float(np.median(rates)), "of_peak": float(np.median(ratios))}
+
+
+def command_line() -> dict[str, float]:
+    """Return the seconds of ``uplift --help``, and from ``fit`` to its first step."""
+    helps = []
+    for _ in range(_ROUNDS):
+        start = time.perf_counter()
+        subprocess.run([sys.executable, "-m", "uplift.cli", "--help"], check=True, capture_output=True)
+        helps.append(time.perf_counter() - start)
+    firsts = []
+    for _ in range(3):
+        with tempfile.TemporaryDirectory() as folder:
+            start = time.perf_counter()
+            words = ["fit", "task=demo", "data.simulate=5000", "trainer.max_steps=3", "trainer.max_time=null"]
+            process = subprocess.Popen(
+                [sys.executable, "-m", "uplift.cli", *words], cwd=folder, stderr=subprocess.PIPE, stdout=subprocess.DEVNULL
+            )
+            assert process.stderr is not None
+            for line in process.stderr:
+                if b"step 1 " in line:
+                    firsts.append(time.perf_counter() - start)
+                    break
+            process.kill()
+            process.wait()
+    return {"help_s": float(np.median(helps)), "fit_to_first_step_s": float(np.median(firsts))}
+
+
+def million(data: PoseData) -> dict[str, float]:
+    """Return the memory that a million poses take as a training set, beyond their arrays, and when predicted."""
+    before = _resident()
+    many = data.select(np.arange(1_000_000) % len(data))
+    arrays = _resident()
+    training_set = _training_set(many, False)
+    after = _resident()
+    _model().predict(many)
+    top = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
+    return {
+        "arrays_gb": (arrays - before) / 1e9,
+        "training_set_gb": (after - arrays) / 1e9,
+        "peak_predicting_gb": (top - before) / 1e9,
+        "frames": float(len(training_set)),
+    }
+
+
+def _resident() -> int:
+    return int(Path("/proc/self/statm").read_text().split()[1]) * 4096
+
+
+if __name__ == "__main__":
+    sys.exit(main())
