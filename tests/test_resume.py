@@ -16,7 +16,7 @@ from bodies import own_data, refusal, status_of, write_body
 STEPS = ("trainer.max_steps=20", "trainer.checkpoint_steps=3")
 ONE_STAGE = (*STEPS, "student.share=0")
 # 8 steps of the teacher's, 4 of the first student's, 8 of the second's.
-STAGES = (*STEPS, "teacher.share=0.4", "student.share=0.6", "student.rounds=1,2")
+STAGES = (*STEPS, "student.rounds=1,2")
 SCENARIOS = {
     "early": (STAGES, "teacher", 2, "kill"),
     "teacher": (STAGES, "teacher", 7, "kill"),

@@ -24,6 +24,13 @@ _STAGE_RANGES = {
     "mix": (0, 1),
     "mix_limb": (0, 1),
 }
+_REFINE_RANGES = {
+    "iterations": (0, 1e5),
+    "rate": (0, 10),
+    "bones": (0, 1e6),
+    "smooth": (0, 1e6),
+    "near": (0, 1e6),
+}
 _TRAINER_RANGES = {
     "max_steps": (1, 10**12),
     "max_epochs": (1e-9, 1e9),
@@ -52,6 +59,13 @@ def check_settings(settings: Settings) -> None:
             value = getattr(stage, key, None)
             if value is not None:
                 _in_range(f"{name}.{key}", value, low, high)
+    student = settings.student
+    for key, (low, high) in _REFINE_RANGES.items():
+        _in_range(f"student.refine.{key}", getattr(student.refine, key), low, high)
+    for share in student.rounds:
+        _in_range("student.rounds", share, 1e-6, 1e6)
+    if student.share > 0 and not student.rounds:
+        raise UserError("student.rounds is empty: give a share for each round, or student.share=0 for no student.")
     if settings.teacher.share <= 0:
         raise UserError("teacher.share is 0: the first stage cannot be left out.")
     _check_trainer(settings.trainer)

@@ -52,7 +52,8 @@ def build(
     except Exception as error:
         if found.__module__.startswith("uplift."):
             raise
-        last = traceback.extract_tb(error.__traceback__)[-1]
+        trace = traceback.extract_tb(error.__traceback__)
+        last = next((f for f in reversed(trace) if "site-packages" not in f.filename), trace[-1])
         raise UserError(
             f"{where}: {found.__name__}.__init__ failed in {last.filename}, line {last.lineno}: "
             f"{type(error).__name__}: {error}"
@@ -125,7 +126,7 @@ def _load_file(name: str, where: str) -> ModuleType:
     sys.modules[key] = module
     try:
         spec.loader.exec_module(module)
-    except Exception as error:
+    except (Exception, SystemExit) as error:
         del sys.modules[key]
         raise UserError(f"{where}.use: {path} does not run: {type(error).__name__}: {error}") from error
     return module

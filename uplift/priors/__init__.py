@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
+from torch import nn
+
 from uplift.errors import NotForThisSkeleton, UserError
 from uplift.plugins import build
 from uplift.priors.base import Prior
@@ -39,6 +41,8 @@ def build_priors(
     notes: list[str] = []
     for name, spec in specs.items():
         where = f"priors.{name}"
+        if not name.isidentifier() or hasattr(nn.ModuleDict, name):
+            raise UserError(f"{where}: '{name}' cannot be a prior's name. Choose another word: letters, digits and _.")
         options = dict(spec)
         use, weight = options.pop("use", name), options.pop("weight", 1.0)
         if_possible = options.pop("if_possible", False)

@@ -94,11 +94,8 @@ class AdversarialTraining(LifterTraining):
     def more_metrics(self) -> dict[str, float]:
         """Return what the priors want logged of the last step."""
         with torch.no_grad():
-            return {
-                f"{name}_{key}": float(value)
-                for name, prior in self.priors.items()
-                for key, value in prior.metrics(self.last_lift).items()  # type: ignore[operator]
-            }
+            found = [self.watch.metrics(name, self.last_lift) for name in self.priors]
+        return {key: value for one in found for key, value in one.items()}
 
 
 def make_lift(lifter: Lifter, batch: Batch, views: ViewSettings, hide: float = 0.0) -> Lift:

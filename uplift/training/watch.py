@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 import traceback
 from collections.abc import Mapping
 from pathlib import Path
@@ -42,7 +43,9 @@ class PriorWatch:
                 f"priors.{name}: loss(lift) returned {found}, expected one number (shape ()) or one a frame "
                 f"(shape ({len(lift.pose)},))."
             )
-        value = value.mean()
+        if value.is_complex():
+            raise UserError(f"priors.{name}: loss(lift) returned {value.dtype}, expected real numbers.")
+        value = value.mean() if value.is_floating_point() else value.float().mean()
         self._check(name, value, step)
         return value
 
@@ -60,6 +63,13 @@ class PriorWatch:
             )
         return own
 
+    def metrics(self, name: str, lift: Lift) -> dict[str, float]:
+        """Return what the prior wants logged, under its name."""
+        prior = self.priors[name]
+        with blame(name, prior, "metrics"):
+            found = prior.metrics(lift)
+            return {f"{name}_{key}": float(value) for key, value in found.items()}
+
     def _check(self, name: str, value: Tensor, step: int) -> None:
         if name not in self.connected:
             self.calls[name] += 1
@@ -73,7 +83,7 @@ class PriorWatch:
                 )
         if value.device.type == "cpu" and not bool(torch.isfinite(value)):
             raise UserError(
-                f"priors.{name}: loss is {float(value)} at step {step}. Look for a division by 0, a square root or "
+                f"priors.{name}: loss is {value.item()} at step {step}. Look for a division by 0, a square root or "
                 "a norm of 0 (add a small number), or a learning rate that is too high."
             )
 
@@ -90,13 +100,18 @@ class blame:
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: object) -> None:
         if not isinstance(error, Exception) or isinstance(error, UserError):
             return
+        if type(self.prior).__module__.startswith("uplift."):
+            return
         frames = traceback.extract_tb(error.__traceback__)
         own = [f for f in frames if _PACKAGE not in Path(f.filename).resolve().parents]
-        user_file = type(self.prior).__module__.startswith("uplift.")
-        if user_file or not own:
-            return
-        place = next((f for f in own if "site-packages" not in f.filename), own[0])
+        place = next((f for f in own if "site-packages" not in f.filename), None)
+        # A hook with other arguments, or one that returns what cannot be read, fails in our frames alone.
+        where = f"{place.filename}, line {place.lineno}" if place else f"{_file_of(self.prior)}"
         raise UserError(
-            f"priors.{self.name}: {self.hook} failed in {place.filename}, line {place.lineno}: "
-            f"{type(error).__name__}: {error}"
+            f"priors.{self.name}: {self.hook} failed in {where}: {type(error).__name__}: {error}"
         ) from error
+
+
+def _file_of(prior: Prior) -> str:
+    module = sys.modules.get(type(prior).__module__)
+    return f"{type(prior).__name__} of {getattr(module, '__file__', None) or type(prior).__module__}"

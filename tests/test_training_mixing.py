@@ -1,0 +1,78 @@
+"""Properties of limb mixing."""
+
+from __future__ import annotations
+
+import torch
+
+from uplift.simulator import simulate
+from uplift.skeleton import load_skeleton
+from uplift.training.mixing import LimbMixer
+
+SKELETON = load_skeleton("h36m17")
+
+
+def poses(frames: int = 200) -> torch.Tensor:
+    return torch.from_numpy(simulate(SKELETON, frames, seed=3).pose).float() / 300
+
+
+def known(frames: int = 200) -> torch.Tensor:
+    return torch.ones(frames, 17, dtype=torch.bool)
+
+
+def lengths(pose: torch.Tensor) -> torch.Tensor:
+    bones = torch.as_tensor(SKELETON.bone_indices.copy())
+    return (pose[:, bones[:, 1]] - pose[:, bones[:, 0]]).norm(dim=-1)
+
+
+def test_without_sharing_poses_come_back():
+    pose = poses()
+    rows = torch.arange(200)
+    mixed, sure = LimbMixer(pose, SKELETON)(rows, known(), share=0.0, limb=1.0)
+    torch.testing.assert_close(mixed, pose - pose[:, :1], atol=1e-5, rtol=1e-5)
+    assert sure.all()
+
+
+def test_the_receiver_keeps_its_bone_lengths():
+    pose = poses()
+    torch.manual_seed(0)
+    mixed, _ = LimbMixer(pose, SKELETON)(torch.arange(200), known(), share=1.0, limb=0.5)
+    torch.testing.assert_close(lengths(mixed), lengths(pose), atol=1e-4, rtol=1e-4)
+    assert (mixed - pose + pose[:, :1]).abs().amax((1, 2)).gt(0.05).float().mean() > 0.9
+
+
+def test_mixing_turns_with_the_body():
+    """Turning every pose turns every mixed pose: a limb keeps its angles to the body it hangs on."""
+    pose = poses()
+    turn = torch.linalg.qr(torch.randn(3, 3, generator=torch.Generator().manual_seed(1)))[0]
+    turn = turn * torch.linalg.det(turn)
+    rows = torch.arange(200)
+    mixed = []
+    for given in (pose, pose @ turn.T):
+        mixer = LimbMixer(given, SKELETON)
+        torch.manual_seed(5)
+        mixed.append(mixer(rows, known(), share=1.0, limb=0.5)[0])
+    difference = (mixed[0] @ turn.T - mixed[1]).norm(dim=-1)
+    assert difference.median() < 1e-3
+
+
+def test_a_limb_that_was_not_seen_is_not_known_on_its_new_body():
+    pose = poses()
+    seen = known()
+    wrist = SKELETON.index("lwrist")
+    seen[100:, wrist] = False
+    torch.manual_seed(0)
+    _, sure = LimbMixer(pose, SKELETON)(torch.arange(100), seen[:100], share=1.0, limb=1.0)
+    assert sure.all()
+    torch.manual_seed(0)
+    _, sure = LimbMixer(pose, SKELETON)(torch.arange(200), seen, share=1.0, limb=1.0)
+    assert not sure[100:, wrist].any()
+    assert not sure[:100, wrist].all()
+
+
+def test_closed_loops_and_chains_without_branches_do_not_break():
+    for name in ("rat23", "chair10", "hand21"):
+        skeleton = load_skeleton(name)
+        pose = torch.from_numpy(simulate(skeleton, 50, seed=0).pose).float()
+        sure = torch.ones(50, len(skeleton.joints), dtype=torch.bool)
+        mixed, _ = LimbMixer(pose, skeleton)(torch.arange(50), sure, share=1.0, limb=0.5)
+        assert mixed.isfinite().all()
