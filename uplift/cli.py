@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import argparse
+import errno
 import sys
 from collections.abc import Callable, Sequence
 
@@ -22,6 +23,8 @@ _VERBS = {
     "skeletons": "list the shipped skeletons",
     "skeleton": "skeleton check FILE [output=FILE.png]; skeleton new FILE",
 }
+# What the user can mend by naming another place; a full disk is none of these.
+_MENDABLE = (errno.EACCES, errno.EPERM, errno.EROFS, errno.ENAMETOOLONG, errno.ENOTDIR, errno.EISDIR, errno.ELOOP)
 _EXAMPLES = """examples:
   uplift fit task=demo                                  no data needed: a minute or two, then a page to look at
   uplift fit task=cmu trainer.max_time=00:04:00         any setting as key=value
@@ -53,8 +56,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return 1
     except OSError as error:
         where = f" ({error.filename})" if error.filename else ""
-        print(f"uplift: {error.strerror or error}{where}. What was saved before is whole.", file=sys.stderr)
-        return 1
+        mine = error.errno in _MENDABLE
+        rest = "" if mine else " What was saved before is whole."
+        print(f"uplift: {error.strerror or error}{where}.{rest}", file=sys.stderr)
+        return 2 if mine else 1
     return 0
 
 

@@ -8,12 +8,14 @@ import os
 import platform
 import subprocess
 import sys
+from dataclasses import replace
 from importlib import metadata
 from pathlib import Path
 from typing import Any
 
 from uplift.config import Settings
 from uplift.errors import UserError, did_you_mean
+from uplift.paths import data_root
 from uplift.saving import replacing
 from uplift.task import load_settings, save_settings
 
@@ -31,15 +33,23 @@ class RunFolder:
         """Make ``runs/<task>/<time>/`` in the current folder and point ``last`` to it."""
         base = Path("runs") / (settings.task or Path(settings.skeleton).stem or "own")
         stamp = datetime.datetime.now().strftime("%Y-%m-%d_%H-%M-%S")
+        try:
+            base.mkdir(parents=True, exist_ok=True)
+        except (FileExistsError, NotADirectoryError) as error:
+            raise UserError(f"Cannot make the folder {base.absolute()}: something else is in its place.") from error
         path, attempt = base / stamp, 1
         while True:
             try:
-                path.mkdir(parents=True)
+                path.mkdir()
                 break
             except FileExistsError:
                 attempt += 1
                 path = base / f"{stamp}_{attempt}"
         run = cls(path)
+        if settings.data.train and not settings.data.root:
+            # The run finds its data again from any folder, whatever UPLIFT_DATA is then.
+            root = str(data_root(settings.data.name, None).absolute())
+            settings = replace(settings, data=replace(settings.data, root=root))
         save_settings(settings, run.config)
         with replacing(path / "run.json") as file:
             file.write(json.dumps(_facts(settings, command), indent=2).encode())
@@ -92,14 +102,29 @@ class RunFolder:
     def facts(self) -> dict[str, Any]:
         """Return run.json: command, versions, seed, git state, machine."""
         try:
-            return json.loads((self.path / "run.json").read_text())
-        except (OSError, json.JSONDecodeError) as error:
-            raise UserError(f"{self.path / 'run.json'} cannot be read: {error}") from error
+            return _mapping(self.path / "run.json")
+        except OSError as error:
+            raise UserError(f"{self.path / 'run.json'} cannot be read: {error.strerror}.") from error
 
     def evaluation(self) -> dict[str, Any] | None:
         """Return evaluation.json, None where the run was not evaluated."""
         path = self.path / "evaluation.json"
-        return json.loads(path.read_text()) if path.is_file() else None
+        if not path.is_file():
+            return None
+        found = _mapping(path)
+        if not isinstance(found.get("overall"), dict) or "data" not in found:
+            raise UserError(f"{path} is no evaluation: no 'data' and 'overall'. `uplift evaluate run=...` writes it anew.")
+        return found
+
+
+def _mapping(path: Path) -> dict[str, Any]:
+    try:
+        found = json.loads(path.read_bytes())
+    except ValueError as error:  # no JSON, or no text at all
+        raise UserError(f"{path} is no whole JSON file: {error}.") from error
+    if not isinstance(found, dict):
+        raise UserError(f"{path} holds {type(found).__name__}, expected what a fit or an evaluation writes.")
+    return found
 
 
 def _link_last(link: Path, target: str) -> None:

@@ -67,12 +67,22 @@ def read_task(path: Path, depth: int = 0) -> dict[str, Any]:
     if parent is not None:
         if depth >= _MAX_EXTENDS:
             raise UserError(f"{where(('extends',))}: more than {_MAX_EXTENDS} tasks extend one another: a circle?")
-        beside = path.parent / str(parent)
-        found = beside if beside.suffix in (".yaml", ".yml") and beside.is_file() else task_path(str(parent))
-        base = read_task(found, depth + 1)
+        base = read_task(_parent_path(parent, path.parent, where(("extends",))), depth + 1)
     _check_keys(data, Settings, (), where)
     _bind_paths(data, path.parent)
     return _merge(base, data)
+
+
+def _parent_path(parent: Any, folder: Path, where: str) -> Path:
+    if not isinstance(parent, str):
+        raise UserError(f"{where}: 'extends' is {parent!r}, expected one task or file.")
+    beside = folder / parent
+    if beside.suffix in (".yaml", ".yml") and beside.is_file():
+        return beside
+    try:
+        return task_path(parent)
+    except UserError as error:
+        raise UserError(f"{where}: extends: {error}") from None
 
 
 def _bind_paths(data: dict[str, Any], folder: Path) -> None:
@@ -107,11 +117,12 @@ def _check_keys(data: dict[str, Any], kind: type, above: tuple[str, ...], where:
             valid = [".".join((*above, name)) for name in hints]
             full = ".".join((*above, key))
             raise UserError(f"{where((*above, key))}: unknown setting '{full}'.{did_you_mean(full, valid)}")
-        if dataclasses.is_dataclass(hints[key]):
-            if not isinstance(value, dict):
-                raise UserError(
-                    f"{where((*above, key))}: '{'.'.join((*above, key))}' is {value!r}, expected settings below it."
-                )
+        is_group = dataclasses.is_dataclass(hints[key])
+        if (is_group or typing.get_origin(hints[key]) is dict) and not isinstance(value, dict):
+            raise UserError(
+                f"{where((*above, key))}: '{'.'.join((*above, key))}' is {value!r}, expected settings below it."
+            )
+        if is_group:
             _check_keys(value, hints[key], (*above, key), where)  # type: ignore[arg-type]
 
 
@@ -119,6 +130,7 @@ def _typed(merged: dict[str, Any]) -> Settings:
     from omegaconf import OmegaConf
     from omegaconf.errors import OmegaConfBaseException
 
+    _check_tuples(merged, Settings)
     try:
         config = OmegaConf.merge(OmegaConf.structured(Settings), OmegaConf.create(_escape(merged)))
         settings = OmegaConf.to_object(config)
@@ -131,6 +143,26 @@ def _typed(merged: dict[str, Any]) -> Settings:
         if not isinstance(spec, dict):
             raise UserError(f"priors.{name} is {spec!r}, expected settings: use, weight and its own options.")
     return settings
+
+
+def _check_tuples(data: dict[str, Any], kind: type, above: str = "") -> None:
+    """Refuse what is not as many numbers as its setting holds; OmegaConf does, but without saying which."""
+    for key, hint in typing.get_type_hints(kind).items():
+        value = data.get(key)
+        if dataclasses.is_dataclass(hint) and isinstance(value, dict):
+            _check_tuples(value, hint, f"{above}{key}.")  # type: ignore[arg-type]
+        elif typing.get_origin(hint) is tuple and key in data:
+            count = len(typing.get_args(hint))
+            if not isinstance(value, (list, tuple)) or len(value) != count or not all(map(_is_number, value)):
+                raise UserError(f"{above}{key}={value!r}: expected {count} numbers, as a,b.")
+
+
+def _is_number(value: Any) -> bool:
+    try:
+        float(value)
+    except (TypeError, ValueError):
+        return False
+    return True
 
 
 def _escape(value: Any) -> Any:

@@ -94,13 +94,23 @@ def evaluate_poses(poses: str | Path, test: str | Path, skeleton: str | None = N
         joint_names=names,
         unit=unit_of(str(poses), arrays, "relative"),
         tilt_deg=tilt,
-        identity={key: arrays[key] for key in _IDENTITY if key in arrays},
+        identity=_identity(str(poses), arrays, len(pose)),
         source=str(poses),
     )
     truth, _ = clean(load_file(test, chosen), chosen, drop=False)
     if truth.pose is None:
         raise UserError(f"{test}: holds no 'pose' (frames, joints, 3) to compare with.")
     return score(given, truth, chosen, str(test))
+
+
+def _identity(where: str, arrays: dict[str, np.ndarray], frames: int) -> dict[str, np.ndarray]:
+    found = {}
+    for key in _IDENTITY:
+        if key in arrays:
+            found[key] = np.repeat(arrays[key], frames) if arrays[key].ndim == 0 else arrays[key]
+            if found[key].shape != (frames,):
+                raise UserError(f"{where}: '{key}' has shape {found[key].shape}, expected ({frames},).")
+    return found
 
 
 def _skeleton_of(names: tuple[str, ...], where: str) -> Skeleton:

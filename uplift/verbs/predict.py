@@ -25,6 +25,8 @@ def predict(run: str | Path, input: str | Path, output: str | Path | None = None
         writer_for(output)
         if Path(output).exists():
             raise UserError(f"{output} exists already and is not overwritten: remove it or choose another name.")
+        if not Path(output).absolute().parent.is_dir():
+            raise UserError(f"output={output}: no folder {Path(output).absolute().parent}. Create it first.")
     model = load(run)
     data = load_file(input, model.skeleton)
     clean(data, model.skeleton)  # refuses a file with nothing to lift, before any work

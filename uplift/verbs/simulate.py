@@ -36,6 +36,8 @@ def simulate(
             raise UserError(f"output={output}: simulated data is written as .npz.")
         if output.exists():
             raise UserError(f"{output} exists already and is not overwritten: remove it or choose another name.")
+        if not output.absolute().parent.is_dir():
+            raise UserError(f"output={output}: no folder {output.absolute().parent}. Create it first.")
     if frames < 1:
         raise UserError(f"frames={frames}: expected at least 1.")
     chosen = skeleton if isinstance(skeleton, Skeleton) else load_skeleton(skeleton)

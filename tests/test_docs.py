@@ -1,0 +1,266 @@
+"""The documents: every name they should have, every link, command and example that they give."""
+
+from __future__ import annotations
+
+import re
+import shlex
+from dataclasses import fields
+from pathlib import Path
+
+import pytest
+import yaml
+from bodies import QUICK, status_of
+
+import uplift
+from uplift.cli import _KEYS, _RUN
+from uplift.config import Settings
+from uplift.data.tensors import TrainingSet
+from uplift.evaluation.protocols import PROTOCOLS
+from uplift.overrides import put_override, setting_names
+from uplift.paths import shipped_names
+from uplift.plugins import find_class, options_of
+from uplift.priors import PRIORS
+from uplift.readers import read
+from uplift.skeleton import load_skeleton
+from uplift.task import load_settings
+
+ROOT = Path(__file__).resolve().parent.parent
+PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
+SMALL = (*QUICK, "data.simulate=200")
+
+_FENCE = re.compile(r"^```(\w*)\n(.*?)^```$", re.M | re.S)
+
+
+def _blocks(page: Path, language: str) -> list[str]:
+    return [text for kind, text in _FENCE.findall(page.read_text()) if kind == language]
+
+
+def _prose(page: Path) -> str:
+    return _FENCE.sub("", page.read_text())
+
+
+def _commands(page: Path) -> list[str]:
+    """Return the `uplift ...` commands of the page's plain blocks and of its code spans."""
+    lines = [line for block in _blocks(page, "") for line in block.splitlines()]
+    lines += [span for span in re.findall(r"`([^`\n]+)`", _prose(page)) if "..." not in span]
+    found = [re.sub(r"\s+#.*", "", line).strip() for line in lines]
+    found = [re.sub(r"^(\w+=\S+\s+|\S*/)(?=\S*uplift)", "", line) for line in found]
+    return [line for line in found if re.match(r"uplift \w", line)]
+
+
+def _files(page: Path, language: str) -> dict[str, str]:
+    """Return the page's blocks that are whole files: those that begin with ``# NAME.ending``."""
+    named = [(re.match(r"# (\w+\.\w+)\n", block), block) for block in _blocks(page, language)]
+    return {match[1]: block for match, block in named if match}
+
+
+ALL_TEXT = "\n".join(page.read_text() for page in PAGES)
+COMMANDS = [(page.name, command) for page in PAGES for command in _commands(page)]
+LINKS = [
+    (page, link)
+    for page in PAGES
+    for link in re.findall(r"\]\(([^)\s]+)\)", _prose(page))
+    if not link.startswith(("http:", "https:"))
+]
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        *setting_names(),
+        *(f"{name}" for name in shipped_names("tasks")),
+        *shipped_names("skeletons"),
+        *PRIORS,
+        *PROTOCOLS,
+    ],
+)
+def test_every_name_is_documented(name: str) -> None:
+    assert f"`{name}`" in ALL_TEXT
+
+
+def test_no_setting_is_documented_that_is_not_there() -> None:
+    groups = {name.split(".")[0] for name in setting_names() if "." in name} - {"priors"}
+    spans = re.findall(r"`((?:%s)\.[\w.]+)[`=]" % "|".join(groups), ALL_TEXT)
+    known = set(setting_names())
+    known |= {name.rpartition(".")[0] for name in known}
+    known |= {f"data.{field.name}" for field in fields(TrainingSet)}  # what `prepare(data)` is given
+    ours = {name for name in spans if not name.startswith(("lifter.options.", "lifter.pt", "student.options."))}
+    assert len(ours) > 50
+    assert ours <= known
+
+
+def test_the_defaults_in_the_tables_are_those_of_the_code() -> None:
+    rows = re.findall(r"^\| ((?:`[\w.]+` ?)+) \| ((?:`[^`]+` ?)+) \|", (ROOT / "docs/tasks-and-settings.md").read_text(), re.M)
+    told: dict[str, str] = {}
+    for names, values in rows:
+        names, values = re.findall("`([^`]+)`", names), re.findall("`([^`]+)`", values)
+        if names[0] in setting_names():
+            assert len(names) == len(values), names
+            told |= dict(zip(names, values, strict=True))
+    assert set(told) == set(setting_names())
+    for name, text in told.items():
+        value: object = Settings()
+        for key in name.split("."):
+            value = getattr(value, key)
+        expected = list(value) if isinstance(value, tuple) else value
+        found = text if isinstance(value, str) and value else yaml.safe_load(text)
+        assert found == expected, name
+
+
+@pytest.mark.parametrize(("page", "link"), LINKS, ids=[f"{page.name}:{link}" for page, link in LINKS])
+def test_links_lead_somewhere(page: Path, link: str) -> None:
+    if link == "docs/pictures/page.png":
+        pytest.skip("the picture is made from a run")
+    file, _, anchor = link.partition("#")
+    target = page.parent / file if file else page
+    assert target.is_file()
+    if anchor:
+        titles = re.findall(r"^#+ (.+)$", _prose(target), re.M)
+        assert anchor in {re.sub(r"[^\w\- ]", "", title.lower()).replace(" ", "-") for title in titles}
+
+
+@pytest.mark.parametrize(("page", "command"), COMMANDS, ids=[f"{page}:{command}"[:90] for page, command in COMMANDS])
+def test_commands_parse(page: str, command: str) -> None:
+    verb, *words = shlex.split(command)[1:]
+    assert verb in _RUN
+    if verb == "skeleton":
+        assert words[0] in ("check", "new")
+    elif verb in _KEYS:
+        assert {word.partition("=")[0] for word in words} <= set(_KEYS[verb])
+    elif verb == "fit":
+        for word in words:
+            _check_fit_word(word)
+    else:
+        assert verb == "compare" or not words
+
+
+def _check_fit_word(word: str) -> None:
+    key, _, value = word.partition("=")
+    if key == "task":
+        assert value in (*shipped_names("tasks"), "NAME") or value.endswith(".yaml")
+    elif key not in ("resume", "seed"):
+        put_override({}, word)
+    path = key.split(".")
+    if path[0] == "priors" and path[1] in PRIORS and path[2] not in ("use", "weight", "if_possible"):
+        allowed = options_of(find_class(path[1], PRIORS, ""))
+        assert allowed is None or path[2] in allowed
+
+
+def test_every_verb_and_its_keys_are_documented() -> None:
+    page = (ROOT / "docs/tasks-and-settings.md").read_text()
+    for verb in _RUN:
+        assert f"`{verb}`" in page or f"uplift {verb}" in page
+    for verb, keys in _KEYS.items():
+        row = next(line for line in page.splitlines() if line.startswith(f"| `{verb}`"))
+        for key in keys:
+            assert f"`{key}=`" in row
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_python_and_yaml_parse(page: Path) -> None:
+    for block in _blocks(page, "python"):
+        compile(block, page.name, "exec")
+        for name in re.findall(r"\buplift\.(\w+)", block):
+            assert name in uplift.__all__
+    for block in _blocks(page, "yaml"):
+        assert isinstance(yaml.safe_load(block), dict)
+
+
+def test_every_public_name_is_documented() -> None:
+    page = (ROOT / "docs/python-api.md").read_text()
+    assert [name for name in uplift.__all__ if f"uplift.{name}" not in page] == []
+
+
+def test_the_beetle_of_the_skeleton_page(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    page = ROOT / "docs/skeletons.md"
+    monkeypatch.chdir(tmp_path)
+    Path("beetle.yaml").write_text(_files(page, "yaml")["beetle.yaml"])
+    assert set(load_skeleton("beetle.yaml").facing) == {"front", "left", "up"}
+    # The page's other blocks are parts of the same file.
+    of_beetle = [b for b in _blocks(page, "yaml") if "head:" in b]
+    Path("whole.yaml").write_text("".join([_files(page, "yaml")["beetle.yaml"], *of_beetle]))
+    beetle = load_skeleton("whole.yaml")
+    assert set(beetle.body) == {"rest", "proportions", "limits"}
+    assert "my_tracker" not in beetle.sources or beetle.sources["my_tracker"]["head"] == ("Head",)
+    assert len(uplift.simulate(beetle, frames=20)) == 20
+
+
+def test_every_key_of_a_skeleton_is_documented() -> None:
+    page = (ROOT / "docs/skeletons.md").read_text()
+    for key in load_skeleton("h36m17").to_dict():
+        assert f"| `{key}`" in page or f"`{key}`, " in page or f", `{key}`" in page
+
+
+def test_the_arrays_of_the_data_page(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    from uplift.readers.npz import _KNOWN
+
+    page = ROOT / "docs/your-data.md"
+    monkeypatch.chdir(tmp_path)
+    exec(_files(page, "python")["write_beetle.py"], {})
+    assert read("beetle.npz").joint_names == ("head", "thorax", "abdomen_tip")
+    text = page.read_text()
+    assert [name for name in _KNOWN if f"`{name}`" not in text] == ["spread"]  # nothing writes it yet
+
+
+def test_the_task_of_the_settings_page(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    files = _files(ROOT / "docs/tasks-and-settings.md", "yaml")
+    Path("beetle_task.yaml").write_text(files["beetle_task.yaml"])
+    settings = load_settings("beetle_task.yaml")
+    assert settings.skeleton == str(tmp_path / "beetle.yaml")
+    assert settings.data.hold_out.subject == ["S4"]
+    assert settings.priors["critic"]["weight"] == 1
+    assert settings.student.share > 0
+
+
+EXAMPLES = [
+    (page, name, command)
+    for page in (ROOT / "README.md", ROOT / "docs/priors.md")
+    for name in _files(page, "python")
+    for command in _commands(page)
+    if f".use={name}:" in command
+]
+
+
+def test_every_example_of_a_prior_has_its_command() -> None:
+    assert {name for _, name, _ in EXAMPLES} == {"my_priors.py", "ground.py", "subspace.py", "limbs.py"}
+
+
+@pytest.mark.parametrize(("page", "name", "command"), EXAMPLES, ids=[name for _, name, _ in EXAMPLES])
+def test_priors_run_as_they_are_printed(
+    page: Path, name: str, command: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path(name).write_text(_files(page, "python")[name])
+    words = [word for word in shlex.split(command)[1:] if not word.startswith("task=")]
+    quick = ["task=demo", "student.share=0", "trainer.log_every=1"]
+    assert status_of(words[0], *SMALL, *quick, *words[1:]) == 0
+    prior = command.split("priors.")[1].split(".")[0]
+    rows = [line.split(",") for line in Path("runs/demo/last/metrics.csv").read_text().splitlines()[1:]]
+    values = [float(row[3]) for row in rows if row[2] == prior]
+    assert len(values) == 10
+    assert max(values) > 0
+    if name == "limbs.py":
+        assert {"limbs_own", "limbs_accuracy"} <= {row[2] for row in rows}
+
+
+def test_the_python_page_runs_from_top_to_bottom(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys) -> None:
+    monkeypatch.chdir(tmp_path)
+    fit = uplift.fit
+    monkeypatch.setattr(uplift, "fit", lambda task, *words, **more: fit(task, *words, *SMALL, **more))
+    session: dict[str, object] = {}
+    for block in _blocks(ROOT / "docs/python-api.md", "python"):
+        exec(block, session)
+    assert session["pose"].shape == (300, 17, 3)  # type: ignore[attr-defined]
+    assert session["one"].shape == (17, 3)  # type: ignore[attr-defined]
+    assert "Did you mean 'h36m17'" in capsys.readouterr().out
+    assert Path("poses.npz").is_file()
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_pages_are_plain(page: Path) -> None:
+    text = page.read_text()
+    assert text.startswith("# ")
+    assert text.endswith("\n")
+    assert not re.search(r"[\U0001F000-\U0001FAFF✅❌⚠]|/work/|/tmp/", text)
+    assert page.name in ("README.md", "index.md") or f"({page.name})" in (ROOT / "docs/index.md").read_text()

@@ -1,0 +1,135 @@
+"""The run folder: what is in it, how it is found, and that nothing of a user's is overwritten."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+from bodies import own_data, refusal, status_of, write_body
+
+from uplift.errors import UserError
+from uplift.run import RunFolder
+from uplift.task import load_settings
+
+
+@pytest.fixture(autouse=True)
+def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.delenv("UPLIFT_DATA", raising=False)
+    return tmp_path
+
+
+def made(task: str = "demo", *overrides: str) -> RunFolder:
+    return RunFolder.create(load_settings(task, overrides), f"uplift fit task={task}")
+
+
+def test_what_a_run_was_made_with(here: Path) -> None:
+    run = made("demo", "seed=3", "trainer.max_steps=5")
+    assert run.path.parent == Path("runs/demo")
+    facts = run.facts()
+    assert (facts["task"], facts["seed"], facts["command"]) == ("demo", 3, "uplift fit task=demo")
+    assert facts["versions"]["torch"]
+    assert facts["cores"] >= 1
+    settings = run.settings()
+    assert (settings.task, settings.seed, settings.trainer.max_steps) == ("demo", 3, 5)
+    assert (here / "runs/demo/last").resolve() == (here / run.path)
+
+
+def test_two_runs_in_one_second_are_two_runs(here: Path) -> None:
+    paths = {made().path for _ in range(4)}
+    assert len(paths) == 4
+    assert (here / "runs/demo/last").resolve().name == max(paths, key=lambda p: (len(p.name), p.name)).name
+
+
+def test_a_run_is_found_by_its_path_and_by_last(here: Path) -> None:
+    run = made()
+    for name in (run.path, here / run.path, "runs/demo/last", "runs/demo"):
+        assert RunFolder.open(name).path == here / run.path
+
+
+def test_a_run_finds_its_data_from_any_folder(here: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    from uplift.data.load import find_data
+
+    (here / "sets" / "cmu").mkdir(parents=True)
+    for name in ("train.npz", "test.npz"):
+        write_body(here / "sets" / "cmu" / name)
+    monkeypatch.setenv("UPLIFT_DATA", "sets")
+    run = RunFolder.open(made("cmu").path)
+    (here / "elsewhere").mkdir()
+    monkeypatch.chdir(here / "elsewhere")
+    monkeypatch.delenv("UPLIFT_DATA")
+    assert find_data(run.settings(), "test") == here / "sets/cmu/test.npz"
+
+
+def test_no_such_run(here: Path) -> None:
+    with pytest.raises(UserError, match="There are no runs here yet"):
+        RunFolder.open("runs/demo/last")
+    made()
+    with pytest.raises(UserError, match="No run runs/demo/lost"):
+        RunFolder.open("runs/demo/lost")
+    (here / "stuff").mkdir()
+    with pytest.raises(UserError, match="stuff is not a run: it has no config.yaml"):
+        RunFolder.open("stuff")
+    write_body(here / "a.npz")
+    with pytest.raises(UserError, match="is not a run"):
+        RunFolder.open("a.npz")
+
+
+@pytest.mark.parametrize("content", [b"", b"{", b"[1]", b"\xff\xfe", b"3"])
+def test_damaged_facts_and_evaluations_are_named(content: bytes) -> None:
+    run = made()
+    for name, read in (("run.json", run.facts), ("evaluation.json", run.evaluation)):
+        (run.path / name).write_bytes(content)
+        with pytest.raises(UserError, match=name):
+            read()
+
+
+def test_an_evaluation_without_its_parts_is_named() -> None:
+    run = made()
+    assert run.evaluation() is None
+    (run.path / "evaluation.json").write_text(json.dumps({"overall": {}}))
+    with pytest.raises(UserError, match="is no evaluation"):
+        run.evaluation()
+
+
+@pytest.mark.parametrize("place", ["runs", "runs/demo"])
+def test_something_else_in_the_place_of_the_runs(here: Path, place: str) -> None:
+    (here / place).parent.mkdir(exist_ok=True)
+    (here / place).write_text("mine")
+    with pytest.raises(UserError, match="something else is in its place"):
+        made()
+    assert (here / place).read_text() == "mine"
+    (here / place).unlink()
+    (here / place).symlink_to("nowhere")
+    with pytest.raises(UserError, match="something else is in its place"):
+        made()
+
+
+def test_a_folder_called_last_is_left_alone(here: Path) -> None:
+    (here / "runs/demo/last").mkdir(parents=True)
+    (here / "runs/demo/last/mine.txt").write_text("mine")
+    run = made()
+    assert (here / "runs/demo/last/mine.txt").read_text() == "mine"
+    assert not list((here / "runs/demo").glob(".last*"))
+    assert run.config.is_file()
+
+
+def test_a_run_folder_that_cannot_be_written(here: Path, monkeypatch: pytest.MonkeyPatch, capsys) -> None:
+    """As root every folder can be written, so the system's refusal is played back."""
+
+    def refuse(self: Path, *rest: object, **options: object) -> None:
+        raise PermissionError(13, "Permission denied", str(self))
+
+    words = own_data(here / "a.npz")
+    monkeypatch.setattr(Path, "mkdir", refuse)
+    message = refusal(capsys, "fit", *words)
+    assert "Permission denied (runs" in message
+
+
+def test_the_end_of_a_fit_names_a_run_that_is_there(here: Path, capsys: pytest.CaptureFixture) -> None:
+    (here / "runs/h36m17/last").mkdir(parents=True)
+    assert status_of("fit", *own_data(here / "a.npz"), "student.share=0", "trainer.max_steps=1") == 0
+    printed = capsys.readouterr().out
+    (run,) = [path for path in Path("runs/h36m17").iterdir() if path.name != "last"]
+    assert f"uplift predict run={run} " in printed
