@@ -40,7 +40,7 @@ def test_the_bodies_of_the_clips_are_steady(clips):
     lengths = bone_lengths(pose, torch.as_tensor(SKELETON.bone_indices.copy()))
     share = lengths / lengths.mean(1, keepdim=True)
     for clip in range(int(training_set.clip.max()) + 1):
-        assert (share[training_set.clip == clip].std(0) < 0.03).all()
+        assert (share[training_set.clip == clip].std(0) < 0.1).all()
 
 
 def test_noisy_depths_come_nearer_to_the_truth(clips):

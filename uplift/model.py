@@ -23,7 +23,7 @@ from uplift.normalise import Intrinsics, normalise
 from uplift.prediction import Prediction
 from uplift.skeleton import Skeleton
 from uplift.training.checkpoint import read_torch, save_torch
-from uplift.views import level, turn
+from uplift.views import least_rotation, turn
 
 __all__ = ["Model", "build_lifter", "intrinsics_of", "load"]
 
@@ -110,10 +110,10 @@ class Model:
                 rows = slice(start, start + _CHUNK)
                 keypoints = torch.from_numpy(data.keypoints[rows]).to(device)
                 confidence = torch.from_numpy(data.confidence[rows]).to(device)
-                pose, tilt = self._lift(keypoints, confidence, intrinsics)
+                pose, gravity = self._lift(keypoints, confidence, intrinsics)
                 poses.append(pose.cpu())
-                levels.append(turn(pose, level(tilt)).cpu() if self.skeleton.gravity else pose.cpu())
-                tilts.append(tilt.cpu())
+                levels.append(_levelled(pose, gravity).cpu() if self.skeleton.gravity else pose.cpu())
+                tilts.append(torch.asin(gravity[:, 2].clamp(-1, 1)).cpu())
         pose, level_pose = (torch.cat(parts).numpy() for parts in (poses, levels))
         blank = (data.confidence > 0).sum(1) == 0
         pose[blank], level_pose[blank] = np.nan, np.nan
@@ -141,7 +141,7 @@ class Model:
         confidence: Float[Tensor, "frames joints"],
         intrinsics: Intrinsics | None,
     ) -> tuple[Tensor, Tensor]:
-        """Return poses in pixels and tilts in radians, both of the real camera."""
+        """Return poses in pixels and the direction of gravity (frames 3), both in the real camera's frame."""
         normal = normalise(
             keypoints,
             confidence,
@@ -153,12 +153,11 @@ class Model:
         lift = self.lifter.lift_both_ways if self.settings.both_ways else self.lifter
         lifted = lift(normal.keypoints, confidence, normal.distance)
         pose, tilt = lifted.pose * normal.scale_px[:, None, None], lifted.tilt
+        gravity = torch.stack([torch.zeros_like(tilt), tilt.cos(), tilt.sin()], -1)
         if normal.rotation is not None:
             pose = turn(pose, normal.rotation.mT)
-            gravity = torch.stack([torch.zeros_like(tilt), tilt.cos(), tilt.sin()], -1)
             gravity = turn(gravity[:, None], normal.rotation.mT)[:, 0]
-            tilt = torch.atan2(gravity[:, 2], gravity[:, :2].norm(dim=-1))
-        return pose, tilt
+        return pose, gravity
 
     def save(self, path: Path) -> None:
         """Write the model to one file of tensors and plain data."""
@@ -191,6 +190,11 @@ class Model:
         except (KeyError, TypeError, RuntimeError, AttributeError) as error:
             raise UserError(f"{path} is no whole lifter: {str(error).splitlines()[0]}") from error
         return cls(lifter.eval(), skeleton, settings)
+
+
+def _levelled(pose: Tensor, gravity: Tensor) -> Tensor:
+    """Return poses turned the least way that brings gravity to y: roll is undone with the tilt."""
+    return turn(pose, least_rotation(gravity, gravity.new_tensor([0.0, 1.0, 0.0])))
 
 
 def load(run: str | Path) -> Model:

@@ -9,6 +9,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from uplift.pose import mean_radius
+from uplift.views import least_rotation
 
 __all__ = ["Intrinsics", "Normalised", "normalise", "renormalise"]
 
@@ -65,19 +66,9 @@ def _look_at_root(keypoints: Tensor, root: int, intrinsics: Intrinsics) -> tuple
     """Return the keypoints as a camera turned to the root sees them, in pixels, and its rotation."""
     centre = keypoints.new_tensor(intrinsics.centre_px)
     rays = torch.cat([(keypoints - centre) / intrinsics.focal_px, torch.ones_like(keypoints[..., :1])], -1)
-    rotation = _least_rotation_to_z(rays[:, root])
+    rotation = least_rotation(rays[:, root], keypoints.new_tensor([0.0, 0.0, 1.0]))
     turned = rays @ rotation.mT
     return turned[..., :2] / turned[..., 2:].clamp_min(0.05) * intrinsics.focal_px, rotation
-
-
-def _least_rotation_to_z(ray: Float[Tensor, "frames 3"]) -> Float[Tensor, "frames 3 3"]:
-    """Return the smallest rotations that take each ray to the optical axis (Rodrigues' formula)."""
-    x, y, z = torch.nn.functional.normalize(ray, dim=-1).unbind(-1)
-    zero = torch.zeros_like(x)
-    # The cross product of the ray with the axis is (y, -x, 0).
-    rows = [zero, zero, -x, zero, zero, -y, x, y, zero]
-    skew = torch.stack(rows, -1).reshape(-1, 3, 3)
-    return torch.eye(3, dtype=ray.dtype, device=ray.device) + skew + skew @ skew / (1 + z)[:, None, None]
 
 
 def renormalise(

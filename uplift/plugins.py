@@ -135,5 +135,5 @@ def _load_file(name: str, where: str) -> ModuleType:
 def _load_module(name: str, where: str) -> ModuleType:
     try:
         return importlib.import_module(name)
-    except ImportError as error:
-        raise UserError(f"{where}.use: cannot import '{name}': {error}") from error
+    except (Exception, SystemExit) as error:  # whatever a module of the user's raises while it is imported
+        raise UserError(f"{where}.use: cannot import '{name}': {type(error).__name__}: {error}") from error

@@ -8,7 +8,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-__all__ = ["about_x", "about_y", "level", "random_rotations", "turn", "views_about_gravity"]
+__all__ = ["about_x", "about_y", "least_rotation", "level", "random_rotations", "turn", "views_about_gravity"]
 
 
 def about_x(angle: Float[Tensor, " batch"]) -> Float[Tensor, "batch 3 3"]:
@@ -38,6 +38,21 @@ def level(tilt: Float[Tensor, " batch"]) -> Float[Tensor, "batch 3 3"]:
     A camera tilted down by ``tilt`` radians sees gravity at (0, cos, sin).
     """
     return about_x(-tilt)
+
+
+def least_rotation(start: Float[Tensor, "batch 3"], end: Float[Tensor, " 3"]) -> Float[Tensor, "batch 3 3"]:
+    """Return the smallest rotations that take each ``start`` to the direction ``end`` (Rodrigues' formula).
+
+    The two must not point exactly away from each other: there the rotation is not defined.
+    """
+    start = torch.nn.functional.normalize(start, dim=-1)
+    end = torch.nn.functional.normalize(end, dim=-1).expand_as(start)
+    x, y, z = torch.linalg.cross(start, end).unbind(-1)
+    zero = torch.zeros_like(x)
+    skew = torch.stack([zero, -z, y, z, zero, -x, -y, x, zero], -1).reshape(-1, 3, 3)
+    cosine = (start * end).sum(-1)
+    identity = torch.eye(3, dtype=start.dtype, device=start.device)
+    return identity + skew + skew @ skew / (1 + cosine).clamp_min(1e-6)[:, None, None]
 
 
 def views_about_gravity(

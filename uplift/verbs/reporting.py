@@ -117,7 +117,7 @@ def _print_end(run: RunFolder, evaluation: Evaluation | None, flat: Evaluation |
             "No test poses: nothing to evaluate. `uplift evaluate run=... data.test=FILE` does, on frames with truth."
         )
     last = run.path.parent / "last"
-    shown = last if last.exists() else run.path
+    shown = last if last.is_symlink() and last.resolve() == run.path.resolve() else run.path
     print(f"\nwrote {run.path}/: lifter.pt, report.md, page.html" + (", evaluation.json" if evaluation else ""))
     print(f"look: open {run.path / 'page.html'} in a browser")
     print(f"next: uplift evaluate run={shown}")

@@ -1,0 +1,268 @@
+"""The command line as a stranger meets it: help at once, words checked, nothing overwritten, any folder."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from bodies import QUICK, body_arrays, own_data, refusal, status_of, write_body
+
+from uplift import __version__
+from uplift.cli import main
+
+HEAVY = ("torch", "lightning", "numpy", "omegaconf", "yaml", "skimage")
+
+
+@pytest.fixture(autouse=True)
+def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.delenv("UPLIFT_DATA", raising=False)
+    return tmp_path
+
+
+@pytest.fixture(scope="module")
+def fitted(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return a folder with a.npz, b.npz, and two evaluated runs."""
+    folder = tmp_path_factory.mktemp("fitted")
+    write_body(folder / "b.npz", seed=1)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(folder)
+        assert status_of("fit", *own_data(folder / "a.npz"), "data.test=b.npz", "seed=0,1") == 0
+    return folder
+
+
+def the_runs(folder: Path) -> list[Path]:
+    return sorted(path for path in (folder / "runs/h36m17").iterdir() if path.name != "last")
+
+
+@pytest.mark.parametrize("words", [[], ["--help"], ["--version"], ["fit", "--help"]])
+def test_help_loads_nothing_heavy(words: list[str]) -> None:
+    script = (
+        f"import sys\nfrom uplift.cli import main\ntry:\n    main({words!r})\nexcept SystemExit as stop:\n"
+        f"    assert not stop.code\nassert not set(sys.modules) & set({HEAVY!r})"
+    )
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, timeout=60)
+    assert done.returncode == 0, done.stderr
+    assert "usage: uplift" in done.stdout or __version__ in done.stdout
+
+
+def test_a_typo_is_answered_before_torch_is_loaded() -> None:
+    script = "import sys\nfrom uplift.cli import main\nassert main(['fit', 'task=cmuu']) == 2\nassert 'torch' not in sys.modules"
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, timeout=60)
+    assert done.returncode == 0, done.stderr
+    assert done.stderr == refusal_text("cmuu")
+
+
+def refusal_text(task: str) -> str:
+    return f"uplift: No task '{task}'. Did you mean 'cmu'? `uplift tasks` lists them; a file of your own ends in .yaml.\n"
+
+
+@pytest.mark.parametrize("words", [["fitt"], ["fit", "--task", "cmu"], ["skeleton", "--x"]])
+def test_an_unknown_verb_or_flag_ends_with_status_2(words: list[str], capsys: pytest.CaptureFixture) -> None:
+    assert status_of(*words) == 2
+    assert "error:" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("words", "says"),
+    [
+        (["fit", "task="], "names nothing"),
+        (["fit", "resume"], "names nothing"),
+        (["fit", "demo"], "Did you mean task=demo?"),
+        (["fit", "skeleton=h36m17", "seed=0,x"], "seed"),
+        (["fit", "skeleton=h36m17", "seed=0,,1"], "seed"),
+        (["fit", "skeleton=h36m17", "seed=0,-1"], "seed=-1"),
+        (["fit", "data.train=a.npz"], "No skeleton: set skeleton=NAME"),
+        (["fit", "skeleton=h36m18", "data.train=a.npz"], "Did you mean 'h36m17'"),
+        (["fit", "skeleton=none.yaml", "data.train=a.npz"], "none.yaml"),
+        (["evaluate"], "evaluate takes run=RUN or poses=FILE"),
+        (["evaluate", "run=x", "poses=y"], "evaluate takes run=RUN or poses=FILE"),
+        (["evaluate", "ran=x"], "Did you mean 'run'?"),
+        (["evaluate", "run="], "'run=' has no value"),
+        (["evaluate", "poses=x.npz"], "needs data.test=FILE"),
+        (["evaluate", "run=x", "skeleton=h36m17"], "the run knows its skeleton"),
+        (["evaluate", "run=runs/none"], "No run runs/none"),
+        (["predict", "run=x"], "predict needs input="),
+        (["predict", "run=x", "input=a.npz", "output=a"], "has no extension"),
+        (["predict", "run=x", "input=a.npz", "output=a.htm"], "Did you mean '.html'?"),
+        (["predict", "run=x", "input=a.npz", "output=none/a.npz"], "no folder"),
+        (["predict", "run=none", "input=a.npz", "output=b.npz"], "No run none"),
+        (["simulate", "skeleton=h36m17"], "simulate needs output="),
+        (["simulate", "skeleton=h36m17", "output=a.csv"], "written as .npz"),
+        (["simulate", "skeleton=h36m17", "output=a.npz", "frames=many"], "frames='many', expected a number"),
+        (["simulate", "skeleton=h36m17", "output=a.npz", "frames=0"], "frames=0"),
+        (["simulate", "skeleton=h36m17", "output=a.npz", "seed=-1"], "seed"),
+        (["simulate", "skeleton=h36m17", "output=a.npz", "missing=2"], "missing"),
+        (["simulate", "skeleton=h36m17", "output=none/a.npz"], "no folder"),
+        (["simulate", "skeletons=h36m17", "output=a.npz"], "Did you mean 'skeleton'?"),
+        (["compare", "runs/x"], "compare needs two runs"),
+        (["compare", "runs/x", "runs/y"], "No run runs/x"),
+        (["tasks", "x"], "tasks takes no settings"),
+        (["skeletons", "x"], "skeletons takes no settings"),
+        (["skeleton"], "expected `uplift skeleton check FILE"),
+        (["skeleton", "chek", "x"], "expected `uplift skeleton check FILE"),
+        (["skeleton", "check"], "takes one FILE"),
+        (["skeleton", "check", "h36m17", "outptu=a.png"], "output"),
+        (["skeleton", "check", "none.yaml"], "none.yaml"),
+        (["skeleton", "check", "h36m17", "output=a.jpg"], "the drawing is a .png"),
+        (["skeleton", "check", "h36m17", "output=none/a.png"], "none"),
+        (["skeleton", "new"], "takes one FILE"),
+        (["skeleton", "new", "none/a.yaml"], "No folder none"),
+    ],
+)
+def test_wrong_words_are_refused(words: list[str], says: str, capsys: pytest.CaptureFixture, here: Path) -> None:
+    assert says in refusal(capsys, *words)
+    assert not list(here.iterdir())
+
+
+def test_tasks_and_skeletons_are_listed(capsys: pytest.CaptureFixture, here: Path, monkeypatch) -> None:
+    assert main(["tasks"]) == 0
+    listed = capsys.readouterr().out
+    assert re.search(r"^demo +no data needed", listed, re.M)
+    assert re.search(r"^cmu +data missing", listed, re.M)
+    (here / "sets" / "cmu").mkdir(parents=True)
+    write_body(here / "sets" / "cmu" / "train.npz", 4)
+    monkeypatch.setenv("UPLIFT_DATA", str(here / "sets"))
+    assert main(["tasks"]) == 0
+    assert re.search(r"^cmu +data present", capsys.readouterr().out, re.M)
+    assert main(["skeletons"]) == 0
+    assert re.search(r"^h36m17 +17 joints", capsys.readouterr().out, re.M)
+
+
+def test_several_seeds_are_several_runs_with_mean_and_spread(fitted: Path) -> None:
+    runs = the_runs(fitted)
+    assert len(runs) == 2
+    assert {(run / "run.json").read_text().split('"seed": ')[1][0] for run in runs} == {"0", "1"}
+
+
+def test_compare_puts_runs_side_by_side(fitted: Path, capsys: pytest.CaptureFixture) -> None:
+    first, second = the_runs(fitted)
+    assert main(["compare", str(first), str(second)]) == 0
+    table = capsys.readouterr().out
+    assert f"test data: {fitted / 'b.npz'}" in table
+    assert "seed 0" in table
+    assert "seed 1" in table
+    assert re.search(r"^p_mpjpe +\d+\.\d+ +\d+\.\d+$", table, re.M)
+    (first / "evaluation.json").rename(first / "kept.json")
+    assert "was not evaluated" in refusal(capsys, "compare", str(first), str(second))
+    (first / "evaluation.json").write_text("{}")
+    assert "is no evaluation" in refusal(capsys, "compare", str(first), str(second))
+    (first / "kept.json").rename(first / "evaluation.json")
+
+
+def test_evaluate_of_a_run_is_what_the_fit_said(fitted: Path, capsys: pytest.CaptureFixture) -> None:
+    run = the_runs(fitted)[0]
+    before = (run / "evaluation.json").read_text()
+    older = len(list((run / "evaluations").iterdir()))
+    assert main(["evaluate", f"run={run}"]) == 0
+    assert "p_mpjpe" in capsys.readouterr().out
+    assert (run / "evaluation.json").read_text() == before
+    assert len(list((run / "evaluations").iterdir())) == older + 1
+    assert main(["evaluate", f"run={run}", f"data.test={fitted / 'a.npz'}"]) == 0
+    assert str(fitted / "a.npz") in (run / "evaluation.json").read_text()
+
+
+def test_evaluate_of_predicted_poses_is_that_of_the_run(fitted: Path, here: Path, capsys) -> None:
+    run, poses = the_runs(fitted)[1], here / "poses.npz"
+    assert main(["predict", f"run={run}", f"input={fitted / 'b.npz'}", f"output={poses}"]) == 0
+    capsys.readouterr()
+    assert main(["evaluate", f"poses={poses}", f"data.test={fitted / 'b.npz'}"]) == 0
+    figure = re.search(r"p_mpjpe\s+([\d.]+)", capsys.readouterr().out).group(1)
+    assert f'"p_mpjpe": {figure[:-1]}' in (run / "evaluation.json").read_text()
+    assert not list(here.glob("runs"))
+
+
+@pytest.mark.parametrize("name", ["poses.npz", "poses.html"])
+def test_nothing_is_overwritten_by_predict(fitted: Path, here: Path, name: str, capsys) -> None:
+    words = ["predict", f"run={the_runs(fitted)[0]}", f"input={fitted / 'b.npz'}", f"output={name}"]
+    (here / name).write_text("mine")
+    assert "is not overwritten" in refusal(capsys, *words)
+    assert (here / name).read_text() == "mine"
+    (here / name).unlink()
+    assert main(words) == 0
+    assert (here / name).stat().st_size > 1000
+
+
+def test_nothing_is_overwritten_by_simulate(here: Path, capsys: pytest.CaptureFixture) -> None:
+    words = ["simulate", "skeleton=h36m17", "output=a.npz", "frames=20"]
+    assert main(words) == 0
+    made = (here / "a.npz").read_bytes()
+    assert "is not overwritten" in refusal(capsys, *words)
+    assert (here / "a.npz").read_bytes() == made
+    assert main(["fit", "skeleton=h36m17", "data.train=a.npz", *QUICK, "trainer.max_steps=2"]) == 0
+
+
+def test_nothing_is_overwritten_by_skeleton(here: Path, capsys: pytest.CaptureFixture) -> None:
+    assert main(["skeleton", "new", "beetle"]) == 0
+    text = (here / "beetle.yaml").read_text()
+    for name in ("beetle", "beetle.yaml"):
+        assert "is not overwritten" in refusal(capsys, "skeleton", "new", name)
+    assert (here / "beetle.yaml").read_text() == text
+    assert main(["skeleton", "check", "beetle.yaml"]) == 0
+    assert main(["skeleton", "check", "beetle.yaml"]) == 0
+    assert len(list(here.glob("*.png"))) == 2
+    (here / "a.png").write_text("mine")
+    assert "is not overwritten" in refusal(capsys, "skeleton", "check", "beetle.yaml", "output=a.png")
+    assert (here / "a.png").read_text() == "mine"
+
+
+def test_unliftable_frames_keep_their_rows(fitted: Path, here: Path, capsys: pytest.CaptureFixture) -> None:
+    keypoints = body_arrays(9)["keypoints"]
+    keypoints[2, 1:] = np.nan
+    keypoints[5] = 40
+    write_body(here / "a.npz", 9, keypoints=keypoints)
+    for name in ("poses.npz", "poses.html"):
+        assert main(["predict", f"run={the_runs(fitted)[0]}", "input=a.npz", f"output={name}"]) == 0
+    assert "2 of 9 frames" in capsys.readouterr().out
+    with np.load("poses.npz") as found:
+        blank = np.isnan(found["pose"]).all((1, 2))
+        np.testing.assert_array_equal(np.flatnonzero(blank), [2, 5])
+        assert np.isfinite(found["pose"][~blank]).all()
+        assert list(found["sequence"]) == list(body_arrays(9)["sequence"])
+
+
+def test_a_fit_tells_what_it_dropped_and_filled(here: Path, capsys: pytest.CaptureFixture) -> None:
+    confidence = np.full((60, 17), 0.03, np.float32)
+    confidence[:6, 2:] = 0
+    confidence[6:9, 0] = 0
+    words = own_data(here / "a.npz", confidence=confidence)
+    assert main(["fit", *words, "trainer.max_steps=3"]) == 0
+    printed = capsys.readouterr().out
+    assert "6 of 60 frames dropped: fewer than 3 visible joints" in printed
+    assert "3 frames had no root joint: filled from its visible neighbours" in printed
+    assert "6 of 60 frames dropped" in (here / "runs/h36m17/last/report.md").read_text()
+
+
+def test_the_demo_needs_no_data(here: Path, capsys: pytest.CaptureFixture) -> None:
+    words = ["task=demo", "data.simulate=200", *QUICK, "trainer.max_steps=3"]
+    assert main(["fit", *words]) == 0
+    assert "p_mpjpe" in capsys.readouterr().out
+    assert (here / "runs/demo/last/page.html").is_file()
+
+
+@pytest.mark.parametrize(
+    ("error", "status", "says"),
+    [
+        (OSError(28, "No space left on device", "a.npz"), 1, "No space left on device (a.npz). What was saved"),
+        (OSError(5, "Input/output error"), 1, "Input/output error. What was saved before is whole."),
+        (PermissionError(13, "Permission denied", "a.npz"), 2, "Permission denied (a.npz).\n"),
+        (OSError(30, "Read-only file system", "a.npz"), 2, "Read-only file system (a.npz).\n"),
+        (MemoryError(), 1, "out of memory"),
+        (KeyboardInterrupt(), 130, "interrupted"),
+    ],
+)
+def test_statuses(error: BaseException, status: int, says: str, monkeypatch, capsys) -> None:
+    def fail(words: list[str]) -> None:
+        raise error
+
+    monkeypatch.setitem(sys.modules["uplift.cli"]._RUN, "tasks", fail)
+    assert main(["tasks"]) == status
+    assert f"uplift: {says}" in capsys.readouterr().err
+
+
+def test_a_name_that_is_too_long_is_the_users_mistake(capsys: pytest.CaptureFixture) -> None:
+    assert "File name too long" in refusal(capsys, "fit", "skeleton=h36m17", f"data.train={'a' * 300}.npz")
