@@ -185,9 +185,12 @@ class Model:
         try:
             skeleton = Skeleton.from_dict(state["skeleton"])
             settings = LifterSettings(**state["lifter"])
+            _refuse_nearby_code(settings.network)
             lifter = build_lifter(settings, skeleton)
             lifter.load_state_dict(state["state"])
-        except (KeyError, TypeError, RuntimeError, AttributeError) as error:
+        except UserError as error:
+            raise UserError(f"{path}: {error}") from error
+        except (KeyError, TypeError, ValueError, RuntimeError, AttributeError) as error:
             raise UserError(f"{path} is no whole lifter: {str(error).splitlines()[0]}") from error
         return cls(lifter.eval(), skeleton, settings)
 
@@ -195,6 +198,17 @@ class Model:
 def _levelled(pose: Tensor, gravity: Tensor) -> Tensor:
     """Return poses turned the least way that brings gravity to y: roll is undone with the tilt."""
     return turn(pose, least_rotation(gravity, gravity.new_tensor([0.0, 1.0, 0.0])))
+
+
+def _refuse_nearby_code(network: str) -> None:
+    """Refuse a network whose file is named relative to wherever the reader happens to be.
+
+    A fit names the file of a network of one's own in full. A relative name did not come from a fit,
+    and would run what came in the same archive.
+    """
+    file, colon, _ = str(network).rpartition(":")
+    if colon and file.endswith(".py") and not Path(file).is_absolute():
+        raise UserError(f"names the network '{network}' without its folder: not opened, as it would run that file.")
 
 
 def load(run: str | Path) -> Model:

@@ -28,7 +28,7 @@ def replacing(path: str | Path) -> Iterator[BinaryIO]:
         raise UserError(f"cannot write {path}: it exists and is not an ordinary file. Choose another name.")
     temporary = target.with_name(f".{target.name[:80]}.{secrets.token_hex(4)}.part")
     try:
-        handle = open(temporary, "xb")
+        handle = open(temporary, "xb")  # noqa: SIM115 (closed below, before the file is moved)
     except PermissionError as error:
         raise UserError(f"cannot write {path}: no permission to create files in {target.parent}.") from error
     try:

@@ -56,17 +56,17 @@ def clean(data: PoseData, skeleton: Skeleton, *, drop: bool = True) -> tuple[Pos
     frames that cannot be lifted stay, with every confidence 0, so that an output keeps its rows.
 
     Raises:
-        UserError: no frame is left, or no number in the whole file is finite.
+        UserError: no frame is left, or no keypoint in the whole file is visible.
     """
     where = f"{data.source}: " if data.source else ""
     if len(data) == 0:
         raise UserError(f"{where}no frames in the file.")
     confidence = np.clip(np.nan_to_num(data.confidence, nan=0.0, posinf=1.0, neginf=0.0), 0, 1)
     finite = np.isfinite(data.keypoints).all(-1) & (np.abs(np.nan_to_num(data.keypoints)) < 1e7).all(-1)
-    if not finite.any():
-        raise UserError(f"{where}every keypoint is NaN or infinite: nothing to learn from.")
     confidence = np.where(finite, confidence, 0).astype(np.float32)
     visible = confidence > 0
+    if not visible.any():
+        raise UserError(f"{where}no keypoint in {len(data):,} frames is visible: all are NaN, infinite or of confidence 0.")
     keypoints = np.where(visible[..., None], data.keypoints, 0).astype(np.float32)
     too_few = visible.sum(1) < _MIN_VISIBLE
     all_equal = ~too_few & (_extent(keypoints, visible) <= 1e-6 * (1 + np.abs(keypoints).max((1, 2))))

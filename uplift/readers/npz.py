@@ -35,6 +35,7 @@ def read_npz(path: str | Path) -> PoseData:
                 "least 'keypoints' (frames, joints, 2) in pixels and 'joint_names' (joints,)."
             )
     keypoints = _numbers(where, arrays, "keypoints", (None, None, 2))
+    assert keypoints is not None  # it is one of the needed
     frames, joints = keypoints.shape[:2]
     return PoseData(
         keypoints=keypoints,
@@ -81,7 +82,7 @@ def _confidence(where: str, arrays: dict, shape: tuple[int, int]) -> np.ndarray:
     return confidence
 
 
-def _numbers(where: str, arrays: dict, name: str, shape: tuple[int | None, ...]):
+def _numbers(where: str, arrays: dict, name: str, shape: tuple[int | None, ...]) -> np.ndarray | None:
     """Return ``arrays[name]`` as float32 after checking type and shape, None where absent."""
     if name not in arrays:
         return None

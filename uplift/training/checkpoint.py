@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+import warnings
 from pathlib import Path
 from typing import Any
 
@@ -62,7 +63,9 @@ def read_torch(path: Path, kind: str) -> dict[str, Any]:
     if not path.is_file():
         raise UserError(f"No {kind} {path}.")
     try:
-        state = torch.load(path, map_location="cpu", weights_only=True)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # a file that is no checkpoint makes torch think aloud
+            state = torch.load(path, map_location="cpu", weights_only=True)
     except Exception as error:  # torch raises a dozen kinds for a file that is not one of its own
         reason = str(error).strip().splitlines()[0][:200] if str(error) else type(error).__name__
         raise UserError(

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import lightning as L
+from lightning.fabric.utilities.exceptions import MisconfigurationException
 
 from uplift.config import TrainerSettings
 from uplift.errors import UserError
@@ -98,8 +99,11 @@ def _trainer(settings: TrainerSettings, callbacks: list[L.Callback], folder: Pat
             use_distributed_sampler=False,
             default_root_dir=folder,
         )
-    except (ValueError, RuntimeError) as error:  # Lightning's MisconfigurationException is a RuntimeError
-        raise UserError(f"Lightning refuses these trainer settings: {error}") from error
+    except (ValueError, TypeError, RuntimeError, MisconfigurationException) as error:
+        raise UserError(
+            f"Lightning refuses trainer.accelerator={settings.accelerator}, trainer.devices={settings.devices}, "
+            f"trainer.precision={settings.precision}: {error}"
+        ) from error
 
 
 def _logger(name: str | None, folder: Path):

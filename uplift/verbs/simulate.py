@@ -38,6 +38,8 @@ def simulate(
             raise UserError(f"{output} exists already and is not overwritten: remove it or choose another name.")
         if not output.absolute().parent.is_dir():
             raise UserError(f"output={output}: no folder {output.absolute().parent}. Create it first.")
+    if seed < 0:
+        raise UserError(f"seed={seed}: expected a whole number of at least 0.")
     if frames < 1:
         raise UserError(f"frames={frames}: expected at least 1.")
     chosen = skeleton if isinstance(skeleton, Skeleton) else load_skeleton(skeleton)
