@@ -80,7 +80,7 @@ def test_every_name_is_documented(name: str) -> None:
 
 def test_no_setting_is_documented_that_is_not_there() -> None:
     groups = {name.split(".")[0] for name in setting_names() if "." in name} - {"priors"}
-    spans = re.findall(r"`((?:%s)\.[\w.]+)[`=]" % "|".join(groups), ALL_TEXT)
+    spans = re.findall(rf"`((?:{'|'.join(groups)})\.[\w.]+)[`=]", ALL_TEXT)
     known = set(setting_names())
     known |= {name.rpartition(".")[0] for name in known}
     known |= {f"data.{field.name}" for field in fields(TrainingSet)}  # what `prepare(data)` is given
@@ -90,7 +90,9 @@ def test_no_setting_is_documented_that_is_not_there() -> None:
 
 
 def test_the_defaults_in_the_tables_are_those_of_the_code() -> None:
-    rows = re.findall(r"^\| ((?:`[\w.]+` ?)+) \| ((?:`[^`]+` ?)+) \|", (ROOT / "docs/tasks-and-settings.md").read_text(), re.M)
+    rows = re.findall(
+        r"^\| ((?:`[\w.]+` ?)+) \| ((?:`[^`]+` ?)+) \|", (ROOT / "docs/tasks-and-settings.md").read_text(), re.M
+    )
     told: dict[str, str] = {}
     for names, values in rows:
         names, values = re.findall("`([^`]+)`", names), re.findall("`([^`]+)`", values)

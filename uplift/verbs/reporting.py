@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import numpy as np
+
 from uplift.config import Settings
+from uplift.data.container import PoseData
 from uplift.data.load import Loaded
 from uplift.evaluation import Evaluation, GivenPoses, flat_depth
 from uplift.evaluation import evaluate as score
-from uplift.model import Model
+from uplift.model import Model, intrinsics_of
 from uplift.run import RunFolder
 from uplift.saving import replacing
 from uplift.training.progress import read_metrics
@@ -27,7 +30,7 @@ def report(run: RunFolder, model: Model, settings: Settings, loaded: Loaded, spe
         save_evaluation(evaluation, run)
         floor = GivenPoses(flat_depth(data.keypoints, model.skeleton.root_index), model.skeleton.joints)
         flat = score(floor, loaded.test, model.skeleton)
-    given = given_lines(settings)
+    given = given_lines(settings, loaded.train)
     text = _markdown(run, settings, loaded, spent, given, evaluation, flat)
     with replacing(run.path / "report.md") as file:
         file.write(text.encode())
@@ -43,24 +46,27 @@ def report(run: RunFolder, model: Model, settings: Settings, loaded: Loaded, spe
     _print_end(run, evaluation, flat, spent)
 
 
-def given_lines(settings: Settings) -> list[str]:
+def given_lines(settings: Settings, train: PoseData) -> list[str]:
     """Return what the fit was given, a sentence each: the answer to "did it see 3D?"."""
-    weights = {n: float(s.get("weight", 1)) for n, s in settings.priors.items()}
-    on = [name for name, weight in weights.items() if weight > 0]
-    lines = ["Learned from 2D keypoints alone: no pose, depth, bone length or camera tilt of the data was used."]
+    specs = {n: s for n, s in settings.priors.items() if float(s.get("weight", 1)) > 0}
+    lines = ["Learned from 2D keypoints alone: no pose, root depth or camera tilt of the data was looked at."]
     if settings.init:
         lines = [f"Started from the weights of {settings.init}; see that run for what it learned from."]
     if settings.data.simulate:
-        lines.append("The keypoints are simulated.")
-    described = ", ".join(f"{name} {weights[name]:g}" for name in on)
-    lines.append(f"Priors (weight): {described}.")
+        lines.append("The keypoints are simulated: bodies and motions from published anthropometry and ranges of motion.")
+    if intrinsics_of(train, settings.lifter) is not None:
+        lines.append("The camera's focal length and image centre, from the file, were used.")
+    if settings.student.share and settings.student.refine.iterations and len(np.unique(train.clips())) < len(train):
+        lines.append("Which frames make a clip was used: one body and a smooth motion in each.")
+    lines.append("Priors (weight): " + ", ".join(f"{n} {float(s.get('weight', 1)):g}" for n, s in specs.items()) + ".")
+    for name, spec in specs.items():
+        if ":" in str(spec.get("use", name)):
+            lines.append(f"Prior {name} is the user's own ({spec['use']}): what it reads is for its author to say.")
     return lines
 
 
-def _some_rows(data, most: int = 1500):
+def _some_rows(data: PoseData, most: int = 1500) -> np.ndarray:
     """Return rows of whole clips, spread over the file, for the page."""
-    import numpy as np
-
     clips = data.clips()
     names, first = np.unique(clips, return_index=True)
     names = names[np.argsort(first)]
