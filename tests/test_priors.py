@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from lifts import H36M, bodies, doubles, lift_of, lift_of_pose, permuted, small_lifter, training_set, true_pose
 from torch import Tensor, nn
 
-from uplift.config import StageSettings, ViewSettings
+from uplift.config import TeacherSettings, ViewSettings
 from uplift.errors import UserError
 from uplift.lift import Lift
 from uplift.lifter import Lifted
@@ -248,7 +248,7 @@ def test_labelled_is_the_distance_to_the_labels():
     labels[3:] = torch.nan
     expected = (lift.pose - labels).norm(dim=-1)[:3].mean()
     torch.testing.assert_close(Labelled(H36M).loss(replace(lift, labels=labels)), expected)
-    with pytest.raises(UserError, match=r"data\.labelled"):
+    with pytest.raises(UserError, match=r"priors\.labelled\.weight=0"):
         Labelled(H36M).loss(replace(lift, labels=None))
 
 
@@ -367,7 +367,7 @@ def _training(skeleton, specs, frames: int = 16) -> AdversarialTraining:
     torch.manual_seed(0)
     priors, weights, _ = build_priors(specs, skeleton)
     return AdversarialTraining(
-        small_lifter(skeleton), training_set(frames, skeleton=skeleton, missing=0.1), StageSettings(batch_size=frames),
+        small_lifter(skeleton), training_set(frames, skeleton=skeleton, missing=0.1), TeacherSettings(batch_size=frames),
         ViewSettings(), priors, weights, seed=0,
     )  # fmt: skip
 

@@ -21,7 +21,20 @@ def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 def made(task: str = "demo", *overrides: str) -> RunFolder:
-    return RunFolder.create(load_settings(task, overrides), f"uplift fit task={task}")
+    run = RunFolder.create(load_settings(task, overrides), f"uplift fit task={task}")
+    run.link_last()
+    return run
+
+
+def test_a_run_that_kept_nothing_is_removed_and_last_stays(here: Path) -> None:
+    kept = made()
+    (kept.checkpoints / "teacher.ckpt").write_bytes(b"x")
+    empty = RunFolder.create(load_settings("demo"), "uplift fit task=demo")
+    assert (here / "runs/demo/last").resolve() == here / kept.path
+    empty.discard_if_empty()
+    kept.discard_if_empty()
+    assert not empty.path.exists()
+    assert kept.path.exists()
 
 
 def test_what_a_run_was_made_with(here: Path) -> None:

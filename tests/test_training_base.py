@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from lifts import H36M, small_lifter, training_set
 
-from uplift.config import StageSettings, ViewSettings
+from uplift.config import TeacherSettings, ViewSettings
 from uplift.priors.base import Prior
 from uplift.priors.bones import Bones
 from uplift.priors.critic import Critic
@@ -48,7 +48,7 @@ def _module(seed: int = 0, priors=None, **given) -> AdversarialTraining:
     priors = {"bones": Bones(H36M), "critic": Critic(H36M, units=8, blocks=1)} if priors is None else priors
     chosen = {"batch_size": 8, "learning_rate": 1e-2, "decay_from": 1.0, "average": None, **given}
     return AdversarialTraining(
-        small_lifter(), training_set(40), StageSettings(**chosen), ViewSettings(), priors, dict.fromkeys(priors, 1.0), 0
+        small_lifter(), training_set(40), TeacherSettings(**chosen), ViewSettings(), priors, dict.fromkeys(priors, 1.0), 0
     )
 
 
@@ -118,13 +118,13 @@ def test_ranks_draw_different_frames(monkeypatch):
 def test_schedule(done, start, warm):
     """Constant, then half a cosine down to 2 %; at the beginning a rise over ``warm_up``."""
     module = _SCHEDULED
-    module.settings = StageSettings(decay_from=start, warm_up=0.0)
+    module.settings = TeacherSettings(decay_from=start, warm_up=0.0)
     expected = 1.0 if done <= start else 0.51 + 0.49 * math.cos(math.pi * (done - start) / (1 - start))
     assert module.schedule(done) == pytest.approx(expected)
     assert module.schedule(1.0) == pytest.approx(0.02)
-    module.settings = StageSettings(decay_from=1.0, warm_up=0.0)
+    module.settings = TeacherSettings(decay_from=1.0, warm_up=0.0)
     assert module.schedule(done) == 1
-    module.settings = StageSettings(decay_from=1.0, warm_up=warm)
+    module.settings = TeacherSettings(decay_from=1.0, warm_up=warm)
     assert 0 < module.schedule(0.0) <= 0.11
     assert module.schedule(done) == pytest.approx(min(1.0, (done + 1e-3) / warm))
 

@@ -145,17 +145,18 @@ def _fit(words: Sequence[str]) -> None:
             overrides.append(word)
     from uplift.task import load_settings
 
-    if resume is None:
-        for seed in seeds:  # a typo answers before torch is imported and before the first of several fits
-            load_settings(task, [*overrides, *seed])
+    # A typo answers before torch is imported, and before the first of several fits.
+    wanted = [] if resume else [load_settings(task, [*overrides, *seed]) for seed in seeds]
     from uplift.training.budget import Interrupted
     from uplift.verbs.compare import spread
-    from uplift.verbs.fit import fit
+    from uplift.verbs.fit import fit, fit_settings
 
     runs = []
     try:
-        for seed in seeds:
-            runs.append(fit(task, *overrides, *seed, resume=resume))
+        if resume:
+            fit(task, *overrides, *seeds[0], resume=resume)
+        for settings in wanted:
+            runs.append(fit_settings(settings))
     except Interrupted as stopped:
         print(f"\nstopped and saved. Go on with: uplift fit resume={stopped}", file=sys.stderr)
         raise KeyboardInterrupt from stopped

@@ -12,6 +12,7 @@ __all__ = [
     "Settings",
     "StageSettings",
     "StudentSettings",
+    "TeacherSettings",
     "TrainerSettings",
     "ViewSettings",
 ]
@@ -39,7 +40,7 @@ class DataSettings:
     train: Optional[str] = None  # file of training keypoints
     test: Optional[str] = None  # file to evaluate on after the fit
     simulate: int = 0  # frames to simulate instead of reading a file
-    unit: Optional[str] = None  # of poses and roots in the files, where they do not say: mm, relative
+    unit: Optional[str] = None  # of poses and roots in the files, whatever they say: mm, relative
     get: str = ""  # how to get the files, for the message when they are not there
     select: ChoiceSettings = field(default_factory=ChoiceSettings)  # training frames to use
     hold_out: ChoiceSettings = field(default_factory=ChoiceSettings)  # training frames kept for the test instead
@@ -79,7 +80,6 @@ class StageSettings:
     share: float = 1.0  # of the budget of the whole fit; 0 leaves the stage out
     batch_size: int = 512
     learning_rate: float = 5e-4
-    prior_learning_rate: Optional[float] = None  # of the priors' own parameters; the same if unset
     beta1: float = 0.5
     beta2: float = 0.99
     weight_decay: float = 0.0  # L2, in Adam's gradient
@@ -88,6 +88,13 @@ class StageSettings:
     warm_up: float = 0.0  # share of the stage over which the rate rises from 0
     mirror: bool = True  # show each frame mirrored half the time
     hide: float = 0.0  # share of known joints hidden from the network in each step
+
+
+@dataclass
+class TeacherSettings(StageSettings):
+    """The first stage: priors judge lifted poses and their turned views."""
+
+    prior_learning_rate: Optional[float] = None  # of the priors' own parameters; the same if unset
     same_real: bool = False  # adversarial priors see the batch's own keypoints as real, not another draw
 
 
@@ -150,6 +157,6 @@ class Settings:
     lifter: LifterSettings = field(default_factory=LifterSettings)
     views: ViewSettings = field(default_factory=ViewSettings)
     priors: dict[str, Any] = field(default_factory=dict)  # name: {use, weight, the prior's own options}
-    teacher: StageSettings = field(default_factory=StageSettings)
+    teacher: TeacherSettings = field(default_factory=TeacherSettings)
     student: StudentSettings = field(default_factory=StudentSettings)
     trainer: TrainerSettings = field(default_factory=TrainerSettings)

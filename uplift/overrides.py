@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 import typing
 from pathlib import Path
 from typing import Any
@@ -12,7 +13,13 @@ from uplift.errors import UserError, did_you_mean
 from uplift.paths import shipped_names
 from uplift.yaml_file import read_value
 
-__all__ = ["put_override", "setting_names"]
+__all__ = ["hints_of", "put_override", "setting_names"]
+
+
+@functools.cache
+def hints_of(kind: type) -> dict[str, Any]:
+    """Return the types of a dataclass's fields; reading them from their text takes long, so once."""
+    return typing.get_type_hints(kind)
 
 
 def put_override(data: dict[str, Any], override: str) -> None:
@@ -47,7 +54,7 @@ def _hint(keys: list[str], override: str) -> Any:
             if typing.get_origin(hint) is dict or hint is Any:
                 return Any
             raise UserError(f"'{override}': '{'.'.join(keys[:depth])}' is one setting, with none below it.")
-        hints = typing.get_type_hints(hint)
+        hints = hints_of(hint)
         if key not in hints:
             near = did_you_mean(full, setting_names() if depth else [*hints, "resume"])
             raise UserError(f"Unknown setting '{full}' in '{override}'.{near}")
@@ -88,7 +95,7 @@ def setting_names(below: str = "") -> list[str]:
 
     def walk(kind: type, prefix: str) -> list[str]:
         names = []
-        for name, hint in typing.get_type_hints(kind).items():
+        for name, hint in hints_of(kind).items():
             names += walk(hint, f"{prefix}{name}.") if dataclasses.is_dataclass(hint) else [f"{prefix}{name}"]  # type: ignore[arg-type]
         return names
 

@@ -6,6 +6,7 @@ import datetime
 import json
 import os
 import platform
+import shutil
 import subprocess
 import sys
 from dataclasses import replace
@@ -30,7 +31,7 @@ class RunFolder:
 
     @classmethod
     def create(cls, settings: Settings, command: str) -> RunFolder:
-        """Make ``runs/<task>/<time>/`` in the current folder and point ``last`` to it."""
+        """Make ``runs/<task>/<time>/`` in the current folder."""
         base = Path("runs") / (settings.task or Path(settings.skeleton).stem or "own")
         stamp = datetime.datetime.now().strftime("%Y-%m-%d_%H-%M-%S")
         try:
@@ -54,8 +55,16 @@ class RunFolder:
         with replacing(path / "run.json") as file:
             file.write(json.dumps(_facts(settings, command), indent=2).encode())
         run.checkpoints.mkdir()
-        _link_last(base / "last", path.name)
         return run
+
+    def link_last(self) -> None:
+        """Point the task's ``last`` to this run: it has something to go on from."""
+        _link_last(self.path.parent / "last", self.path.name)
+
+    def discard_if_empty(self) -> None:
+        """Remove a run that ended before it kept any weights."""
+        if not any(self.checkpoints.glob("*.ckpt")) and not self.weights.exists():
+            shutil.rmtree(self.path, ignore_errors=True)
 
     @classmethod
     def open(cls, path: str | Path) -> RunFolder:

@@ -13,7 +13,7 @@ import yaml
 from uplift.config import Settings
 from uplift.errors import UserError, did_you_mean
 from uplift.limits import check_settings
-from uplift.overrides import put_override
+from uplift.overrides import hints_of, put_override
 from uplift.paths import shipped, shipped_names
 from uplift.yaml_file import read_yaml
 
@@ -38,6 +38,8 @@ def load_settings(task: str | None = None, overrides: Sequence[str] = (), defaul
     for override in overrides:
         put_override(merged, override)
     settings = _typed(merged)
+    if task and not settings.data.name and settings.data.root is None:
+        settings.data.root = str(path.parent.absolute())  # a task file of one's own names files beside it
     check_settings(settings)
     return settings
 
@@ -111,7 +113,7 @@ def _merge(base: dict[str, Any], top: dict[str, Any]) -> dict[str, Any]:
 
 
 def _check_keys(data: dict[str, Any], kind: type, above: tuple[str, ...], where: Callable[[tuple], str]) -> None:
-    hints = typing.get_type_hints(kind)
+    hints = hints_of(kind)
     for key, value in data.items():
         if key not in hints:
             valid = [".".join((*above, name)) for name in hints]
@@ -147,7 +149,7 @@ def _typed(merged: dict[str, Any]) -> Settings:
 
 def _check_tuples(data: dict[str, Any], kind: type, above: str = "") -> None:
     """Refuse what is not as many numbers as its setting holds; OmegaConf does, but without saying which."""
-    for key, hint in typing.get_type_hints(kind).items():
+    for key, hint in hints_of(kind).items():
         value = data.get(key)
         if dataclasses.is_dataclass(hint) and isinstance(value, dict):
             _check_tuples(value, hint, f"{above}{key}.")  # type: ignore[arg-type]

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
+import os
 import resource
 import subprocess
 import sys
@@ -153,12 +155,8 @@ def _trainer_loop(module: LifterTraining, count: int) -> float:
             marks.append(time.perf_counter())
 
         module.on_train_batch_end = mark  # type: ignore[method-assign]
-        stderr, sys.stderr = sys.stderr, open("/dev/null", "w")
-        try:
+        with open(os.devnull, "w") as nowhere, contextlib.redirect_stderr(nowhere):
             run_stage("bench", module, settings, StageBudget(16 + count, None), Path(folder))
-        finally:
-            sys.stderr.close()
-            sys.stderr = stderr
     return (marks[-1] - marks[15]) / count
 
 

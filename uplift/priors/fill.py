@@ -11,7 +11,7 @@ __all__ = ["Fill"]
 
 
 class Fill(Prior):
-    """Distance, in 2D, of the filled-in joints to the keypoints that were hidden (`lifter.hide`)."""
+    """Distance, in 2D, of the filled-in joints to the keypoints that were hidden (`teacher.hide`)."""
 
     def loss(self, lift: Lift) -> Tensor:
         """Return the confidence-weighted mean distance over the joints hidden in this step."""

@@ -9,7 +9,7 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
-from uplift.config import StageSettings, ViewSettings
+from uplift.config import TeacherSettings, ViewSettings
 from uplift.data.tensors import Batch, TrainingSet
 from uplift.lift import Lift
 from uplift.lifter import Lifted, Lifter
@@ -28,11 +28,13 @@ class AdversarialTraining(LifterTraining):
     detached views. All of it is one backward.
     """
 
+    settings: TeacherSettings
+
     def __init__(
         self,
         lifter: Lifter,
         data: TrainingSet,
-        settings: StageSettings,
+        settings: TeacherSettings,
         views: ViewSettings,
         priors: Mapping[str, Prior],
         weights: Mapping[str, float],

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 import warnings
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -20,8 +21,10 @@ __all__ = ["Checkpoints", "check_checkpoint", "read_torch", "save_torch"]
 class Checkpoints(L.Callback):
     """Save the stage to ``path`` every ``seconds`` or ``steps`` and at its end, whole or not at all."""
 
-    def __init__(self, path: Path, *, seconds: float, steps: int | None):
-        self.path, self.seconds, self.steps = path, seconds, steps
+    def __init__(
+        self, path: Path, *, seconds: float, steps: int | None, on_save: Callable[[], None] | None = None
+    ):
+        self.path, self.seconds, self.steps, self.on_save = path, seconds, steps, on_save
         self._last = time.monotonic()
 
     def on_train_batch_end(self, trainer: L.Trainer, module: LifterTraining, *rest: Any) -> None:  # type: ignore[override]
@@ -39,6 +42,8 @@ class Checkpoints(L.Callback):
         state["done"] = module.done
         if trainer.is_global_zero:
             save_torch(state, self.path)
+            if self.on_save:
+                self.on_save()
         self._last = time.monotonic()
 
 

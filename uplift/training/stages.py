@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 import warnings
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -57,10 +57,11 @@ def run_stage(
     budget: StageBudget,
     folder: Path,
     before: float = 0.0,
+    on_save: Callable[[], None] | None = None,
 ) -> Budget:
     """Train ``module`` for its budget, or what is left of it where ``folder`` has a checkpoint of it.
 
-    ``before`` are seconds of the budget that are spent already.
+    ``before`` are seconds of the budget that are spent already; ``on_save`` is called after each checkpoint.
 
     Raises:
         Interrupted: after Ctrl-C, with everything saved.
@@ -72,7 +73,7 @@ def run_stage(
     if resume and check_checkpoint(path, module) >= 1:
         module.load_state_dict(read_torch(path, "checkpoint")["state_dict"])
         return clock
-    saver = Checkpoints(path, seconds=settings.checkpoint_every, steps=settings.checkpoint_steps)
+    saver = Checkpoints(path, seconds=settings.checkpoint_every, steps=settings.checkpoint_steps, on_save=on_save)
     callbacks = [clock, Progress(name, clock), MetricsFile(folder / "metrics.csv", name, settings.log_every), saver]
     with clock, _quiet():
         trainer = _trainer(settings, callbacks, folder)

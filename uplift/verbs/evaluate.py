@@ -48,10 +48,11 @@ def evaluate(run: str | Path, test: str | Path | None = None) -> Evaluation:
 
 
 def _test_frames(folder: RunFolder, skeleton: Skeleton, test: str | Path | None) -> tuple[PoseData, str]:
-    if test is not None:
-        data, _ = clean(load_file(test, skeleton), skeleton)
-        return data, str(test)
     settings = folder.settings()
+    if test is not None:
+        settings.data.test = str(Path(test).absolute())
+        data, _ = clean(load_split(settings, "test", skeleton), skeleton)
+        return data, str(test)
     chosen = settings.data
     if chosen.test and not chosen.simulate:
         data, _ = clean(load_split(settings, "test", skeleton), skeleton)

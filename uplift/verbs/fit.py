@@ -66,9 +66,14 @@ def fit_settings(settings: Settings, run: RunFolder | None = None) -> RunFolder:
     if rank_zero_only.rank == 0:
         print(f"uplift fit: {settings.task or 'own data'}, skeleton {skeleton.name}, seed {settings.seed}")
         print("\n".join([*loaded.notes, *stages.notes, f"run: {run.path}"]), flush=True)
-    model = stages.train(run)
+    try:
+        model = stages.train(run)
+    except BaseException:
+        run.discard_if_empty()
+        raise
     if rank_zero_only.rank == 0:
         model.save(run.weights)
+        run.link_last()
         report(run, model, settings, loaded, stages.spent)
     return run
 
@@ -128,7 +133,7 @@ class _Stages:
 
     def _run(self, name: str, module: LifterTraining, place: int, run: RunFolder, before: float = 0.0) -> Lifter:
         """Train one stage and return its lifter; ``before`` are the seconds of the budget its data took."""
-        clock = run_stage(name, module, self.settings.trainer, self.budgets[place], run.path, before)
+        clock = run_stage(name, module, self.settings.trainer, self.budgets[place], run.path, before, run.link_last)
         self.spent[name] = clock.spent
         return module.final
 
