@@ -104,9 +104,7 @@ def test_mpii_data_fits(benchmark_data):
     assert np.allclose(keypoints[:, names.index("head_middle")], middle, atol=1.0)
 
 
-@pytest.mark.parametrize(
-    "layout", ["coco17", "openpose25", "halpe26", "mediapipe33", "mpii16", "mpi_inf_3dhp28"]
-)
+@pytest.mark.parametrize("layout", ["coco17", "openpose25", "halpe26", "mediapipe33", "mpii16", "mpi_inf_3dhp28"])
 def test_layouts_of_h36m17_name_joints_that_exist(layout):
     """Every name a `from:` map uses is a joint of the shipped skeleton of that name."""
     used = {part for parts in load_skeleton("h36m17").sources[layout].values() for part in parts}
@@ -115,9 +113,7 @@ def test_layouts_of_h36m17_name_joints_that_exist(layout):
     assert set(how.parts) == set(load_skeleton("h36m17").sources[layout])
 
 
-@pytest.mark.parametrize(
-    "layout", ["coco17", "openpose25", "halpe26", "mediapipe33", "mpii16", "mpi_inf_3dhp28"]
-)
+@pytest.mark.parametrize("layout", ["coco17", "openpose25", "halpe26", "mediapipe33", "mpii16", "mpi_inf_3dhp28"])
 def test_left_stays_left(layout):
     """Mirroring before or after a `from:` map comes to the same."""
     ours, theirs = load_skeleton("h36m17"), load_skeleton(layout)
@@ -147,9 +143,7 @@ def test_tracker_names_fit():
     media_pipe = [joint.upper() for joint in load_skeleton("mediapipe33").joints[:33]]
     assert match_joints(media_pipe, load_skeleton("mediapipe33")).missing == ()
     assert match_joints(load_skeleton("halpe26").joints, load_skeleton("coco17")).layout is None
-    assert (
-        match_joints(load_skeleton("mpi_inf_3dhp28").joints, load_skeleton("mpi_inf_3dhp17")).layout is None
-    )
+    assert match_joints(load_skeleton("mpi_inf_3dhp28").joints, load_skeleton("mpi_inf_3dhp17")).layout is None
 
 
 def test_pose_is_built_alike_with_nan_for_what_cannot_be():

@@ -55,7 +55,9 @@ def test_missing_joints_have_no_influence(both_ways):
     there = data.confidence[..., None] > 0
     moved = torch.where(there, data.keypoints, torch.randn_like(data.keypoints) * 50)
     call = lifter.lift_both_ways if both_ways else lifter
-    for one, other in zip(_lift(lifter, data, both_ways=both_ways), call(moved, data.confidence, data.distance), strict=True):
+    for one, other in zip(
+        _lift(lifter, data, both_ways=both_ways), call(moved, data.confidence, data.distance), strict=True
+    ):
         assert torch.equal(one, other)
 
 
@@ -112,7 +114,9 @@ def test_tilts():
     assert (_lift(learned, data).tilt == 0.2).all()
     assert not _lift(small_lifter(tilt="level"), data).tilt.any()
     hand = load_skeleton("hand21")
-    assert not _lift(small_lifter(hand, tilt="predicted"), training_set(skeleton=hand)).tilt.any(), "no gravity, no tilt"
+    assert not _lift(small_lifter(hand, tilt="predicted"), training_set(skeleton=hand)).tilt.any(), (
+        "no gravity, no tilt"
+    )
 
 
 def test_fresh_lifters_start_near_a_level_camera():

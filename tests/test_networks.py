@@ -46,7 +46,10 @@ def test_every_parameter_has_a_part(use):
 
 
 def test_residual_depth():
-    count = {b: sum(p.numel() for p in build_network("residual", 6, 3, {"units": 8, "blocks": b}).parameters()) for b in (1, 3)}
+    count = {
+        b: sum(p.numel() for p in build_network("residual", 6, 3, {"units": 8, "blocks": b}).parameters())
+        for b in (1, 3)
+    }
     assert count[3] - count[1] == 2 * 2 * (8 * 8 + 8)
 
 

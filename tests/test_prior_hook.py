@@ -25,7 +25,7 @@ class FlatGround(uplift.Prior):
         both = lift.confidence[:, self.feet].prod(1)
         return both * (right - left - self.height).square()
 '''
-ALL_HOOKS = '''\
+ALL_HOOKS = """\
 import torch
 import uplift
 
@@ -53,7 +53,7 @@ class Everything(uplift.Prior):
 
     def metrics(self, lift):
         return {"prepared": self.prepared, "factor": self.factor}
-'''
+"""
 
 
 @pytest.fixture
@@ -162,10 +162,17 @@ def test_mistakes_are_told_in_one_error(work, capsys, mistake):
 
 
 def test_a_satisfied_hinge_is_no_mistake(work):
-    _prior_file(work, BODY + "    def loss(self, lift):\n        return (lift.pose.norm(dim=-1).mean(1) - 1e6).clamp_min(0)\n")
-    assert status_of("fit", *own_data(work / "bodies.npz"), "priors.mine.use=my_priors.py:Mine", "priors.mine.weight=1") == 0
+    _prior_file(
+        work, BODY + "    def loss(self, lift):\n        return (lift.pose.norm(dim=-1).mean(1) - 1e6).clamp_min(0)\n"
+    )
+    assert (
+        status_of("fit", *own_data(work / "bodies.npz"), "priors.mine.use=my_priors.py:Mine", "priors.mine.weight=1")
+        == 0
+    )
 
 
 def test_missing_file(work, capsys):
-    assert status_of("fit", *own_data(work / "bodies.npz"), "priors.mine.use=nowhere.py:Mine", "priors.mine.weight=1") == 2
+    assert (
+        status_of("fit", *own_data(work / "bodies.npz"), "priors.mine.use=nowhere.py:Mine", "priors.mine.weight=1") == 2
+    )
     assert "no file" in capsys.readouterr().err

@@ -90,7 +90,10 @@ def test_missing_joints_have_no_influence(name):
 def test_coincident_joints_are_finite(name, place):
     pose = torch.full((4, 17, 3), place, requires_grad=True)
     lift = replace(
-        lift_of_pose(pose), labels=pose.detach(), lifted_keypoints=pose[..., :2], hidden=torch.ones(4, 17, dtype=torch.bool)
+        lift_of_pose(pose),
+        labels=pose.detach(),
+        lifted_keypoints=pose[..., :2],
+        hidden=torch.ones(4, 17, dtype=torch.bool),
     )
     prior = _prior(name)
     loss = prior.loss(lift).mean()
@@ -163,7 +166,9 @@ def test_bones_is_0_for_one_body_in_any_pose(seed, missing):
 
 def test_bones_is_the_variance_of_shares():
     pose = torch.randn(8, 17, 3)
-    lengths = np.linalg.norm(pose.numpy()[:, H36M.bone_indices[:, 0]] - pose.numpy()[:, H36M.bone_indices[:, 1]], axis=-1)
+    lengths = np.linalg.norm(
+        pose.numpy()[:, H36M.bone_indices[:, 0]] - pose.numpy()[:, H36M.bone_indices[:, 1]], axis=-1
+    )
     share = lengths / lengths.mean(1, keepdims=True)
     found = Bones(H36M).loss(lift_of_pose(pose))
     assert float(found) == pytest.approx(share.var(0).mean(), rel=1e-5)
@@ -319,7 +324,7 @@ def test_both_gates_keep_still_at_their_very_bounds():
     nn.init.ones_(critic.network.weight)
     for wrong, accuracy in ((2, 0.9), (18, 0.1)):
         seen = -torch.ones(10, 17, 2)
-        seen[:min(wrong, 10)] = 1
+        seen[: min(wrong, 10)] = 1
         real = torch.ones(10, 17, 2)
         real[: max(0, wrong - 10)] = -1
         critic.own_loss(real, seen)

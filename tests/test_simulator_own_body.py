@@ -65,7 +65,9 @@ def test_mirrored_angles_give_the_mirrored_pose():
             partner = body.angles.index(name.replace("_l ", "_r "))
             angles[:, place] = angles[:, partner] = rng.uniform(-30, 30, 5)
     points = forward_kinematics(body, np.repeat(body.offsets[None], 5, 0), angles)
-    swapped = [body.points.index(p[:-1] + {"l": "r", "r": "l"}[p[-1]] if p[-2:] in ("_l", "_r") else p) for p in body.points]
+    swapped = [
+        body.points.index(p[:-1] + {"l": "r", "r": "l"}[p[-1]] if p[-2:] in ("_l", "_r") else p) for p in body.points
+    ]
     np.testing.assert_allclose(points, points[:, swapped] * [-1, 1, 1], atol=1e-9)
 
 
@@ -134,6 +136,10 @@ def test_a_wrong_body_is_told_what_to_do(changes, words):
 def test_a_wrong_place_on_the_human_body():
     data = {"name": "two", "joints": ["a", "b", "c"], "root": "a", "bones": [["a", "b"], ["b", "c"]]}
     with pytest.raises(UserError, match=r"no point 'left_nee'.*Did you mean 'left_knee'"):
-        build_body(Skeleton.from_dict(data | {"limits": {j: {"human": p} for j, p in zip("abc", ("pelvis", "nose", "left_nee"), strict=True)}}))
+        build_body(
+            Skeleton.from_dict(
+                data | {"limits": {j: {"human": p} for j, p in zip("abc", ("pelvis", "nose", "left_nee"), strict=True)}}
+            )
+        )
     with pytest.raises(UserError, match="found nothing for joint 'b'"):
         build_body(Skeleton.from_dict(data | {"limits": {"a": {"human": "pelvis"}}}))

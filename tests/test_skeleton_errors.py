@@ -186,9 +186,7 @@ def test_numbers_with_an_exponent_are_numbers(tmp_path):
 @example(9, "<<: {a: b}\n", 0)
 def test_any_damage_gives_one_clear_error_or_a_skeleton(tmp_path_factory, at, text, cut):
     whole = "\n".join(LINES)
-    file = written(
-        tmp_path_factory.getbasetemp(), (whole[:at] + text + whole[at + cut :]).encode("utf-8", "replace")
-    )
+    file = written(tmp_path_factory.getbasetemp(), (whole[:at] + text + whole[at + cut :]).encode("utf-8", "replace"))
     try:
         load_skeleton(file)
     except UserError as error:

@@ -133,7 +133,10 @@ def test_durations_need_no_quotes_in_a_task_file(here: Path) -> None:
         ("extends: other.yaml\n", "No task file"),
         ("extends: [cmu]\n", "line 1: 'extends' is ['cmu'], expected one task or file"),
         ("traner: {max_steps: 3}\n", "line 1: unknown setting 'traner'. Did you mean 'trainer'?"),
-        ("seed: 1\ntrainer:\n  max_step: 3\n", "line 3: unknown setting 'trainer.max_step'. Did you mean 'trainer.max_steps'?"),
+        (
+            "seed: 1\ntrainer:\n  max_step: 3\n",
+            "line 3: unknown setting 'trainer.max_step'. Did you mean 'trainer.max_steps'?",
+        ),
         ("trainer: 5\n", "'trainer' is 5, expected settings below it"),
         ("trainer:\n", "'trainer' is None, expected settings below it"),
         ("seed: many\n", "seed"),

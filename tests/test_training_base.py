@@ -48,7 +48,13 @@ def _module(seed: int = 0, priors=None, **given) -> AdversarialTraining:
     priors = {"bones": Bones(H36M), "critic": Critic(H36M, units=8, blocks=1)} if priors is None else priors
     chosen = {"batch_size": 8, "learning_rate": 1e-2, "decay_from": 1.0, "average": None, **given}
     return AdversarialTraining(
-        small_lifter(), training_set(40), TeacherSettings(**chosen), ViewSettings(), priors, dict.fromkeys(priors, 1.0), 0
+        small_lifter(),
+        training_set(40),
+        TeacherSettings(**chosen),
+        ViewSettings(),
+        priors,
+        dict.fromkeys(priors, 1.0),
+        0,
     )
 
 

@@ -193,7 +193,9 @@ def _predict(words: Sequence[str]) -> None:
     blank = int((found.pose != found.pose).all((1, 2)).sum())
     print(f"lifted {len(found) - blank:,} frames of {found.skeleton.name}, unit {found.unit}")
     if blank:
-        print(f"{blank:,} of {len(found):,} frames cannot be lifted (too few joints, or all in one point): their rows are NaN")
+        print(
+            f"{blank:,} of {len(found):,} frames cannot be lifted (too few joints, or all in one point): their rows are NaN"
+        )
     print(f"wrote {keys['output']}")
     if keys["output"].endswith(".html"):
         print(f"look: open {keys['output']} in a browser")

@@ -137,7 +137,7 @@ class TrainerSettings:
     checkpoint_every: float = 60.0  # seconds between checkpoints
     checkpoint_steps: Optional[int] = None  # optimiser steps between checkpoints, in place of seconds
     log_every: int = 50  # steps between rows of metrics.csv
-    threads: Optional[int] = None  # of the CPU; the machine's cores if unset
+    threads: Optional[int] = None  # of the CPU; unset: all, or one where a crowded machine makes that faster
     accelerator: str = "auto"  # the rest goes to Lightning's Trainer as it is
     devices: str = "auto"
     precision: str = "32-true"

@@ -122,7 +122,9 @@ class RunFolder:
             return None
         found = _mapping(path)
         if not isinstance(found.get("overall"), dict) or "data" not in found:
-            raise UserError(f"{path} is no evaluation: no 'data' and 'overall'. `uplift evaluate run=...` writes it anew.")
+            raise UserError(
+                f"{path} is no evaluation: no 'data' and 'overall'. `uplift evaluate run=...` writes it anew."
+            )
         return found
 
 

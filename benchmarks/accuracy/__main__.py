@@ -72,7 +72,14 @@ def run_cell(table: str, fit: str, words: str, minutes: float, seed: int, test: 
             commands.append(f"uplift evaluate run=RUN data.test=$UPLIFT_DATA/{test}")
         evaluation = json.loads((run / "evaluation.json").read_text())
         sizes = {"lifter_bytes": (run / "lifter.pt").stat().st_size}
-    result = {"commands": commands, "seed": seed, "minutes": minutes, **facts(), **sizes, "overall": evaluation["overall"]}
+    result = {
+        "commands": commands,
+        "seed": seed,
+        "minutes": minutes,
+        **facts(),
+        **sizes,
+        "overall": evaluation["overall"],
+    }
     path.parent.mkdir(parents=True, exist_ok=True)
     path.write_text(json.dumps(result, indent=1) + "\n")
 

@@ -222,7 +222,10 @@ def command_line() -> dict[str, float]:
             start = time.perf_counter()
             words = ["fit", "task=demo", "data.simulate=5000", "trainer.max_steps=3", "trainer.max_time=null"]
             process = subprocess.Popen(
-                [sys.executable, "-m", "uplift.cli", *words], cwd=folder, stderr=subprocess.PIPE, stdout=subprocess.DEVNULL
+                [sys.executable, "-m", "uplift.cli", *words],
+                cwd=folder,
+                stderr=subprocess.PIPE,
+                stdout=subprocess.DEVNULL,
             )
             assert process.stderr is not None
             for line in process.stderr:

@@ -66,7 +66,9 @@ def clean(data: PoseData, skeleton: Skeleton, *, drop: bool = True) -> tuple[Pos
     confidence = np.where(finite, confidence, 0).astype(np.float32)
     visible = confidence > 0
     if not visible.any():
-        raise UserError(f"{where}no keypoint in {len(data):,} frames is visible: all are NaN, infinite or of confidence 0.")
+        raise UserError(
+            f"{where}no keypoint in {len(data):,} frames is visible: all are NaN, infinite or of confidence 0."
+        )
     keypoints = np.where(visible[..., None], data.keypoints, 0).astype(np.float32)
     too_few = visible.sum(1) < _MIN_VISIBLE
     all_equal = ~too_few & (_extent(keypoints, visible) <= 1e-6 * (1 + np.abs(keypoints).max((1, 2))))

@@ -23,9 +23,7 @@ class Labelled(Prior):
     def loss(self, lift: Lift) -> Tensor:
         """Return the mean over the joints of the labelled frames in the batch."""
         if lift.labels is None:
-            raise UserError(
-                "The labelled prior is on, but no frame is labelled: set priors.labelled.weight=0."
-            )
+            raise UserError("The labelled prior is on, but no frame is labelled: set priors.labelled.weight=0.")
         known = lift.labels.isfinite().all(-1)
         difference = lift.pose - lift.labels.nan_to_num()
         distance = (difference.square().sum(-1) + 1e-12).sqrt()

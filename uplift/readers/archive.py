@@ -64,11 +64,7 @@ def _check_sizes(path: Path, archive: zipfile.ZipFile, names: Collection[str] | 
         with archive.open(member) as file:
             try:
                 version = np.lib.format.read_magic(file)
-                read = (
-                    np.lib.format.read_array_header_1_0
-                    if version == (1, 0)
-                    else np.lib.format.read_array_header_2_0
-                )
+                read = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
                 shape, _, dtype = read(file, max_header_size=_MAX_HEADER_BYTES)
             except ValueError as error:
                 raise UserError(f"{path}: array '{member.filename}' is damaged: {error}") from error

@@ -90,9 +90,7 @@ def _numbers(where: str, arrays: dict, name: str, shape: tuple[int | None, ...])
     wanted = "(" + ", ".join("any" if n is None else str(n) for n in shape) + ("," if len(shape) == 1 else "") + ")"
     if array.dtype.kind not in "fiub":
         raise UserError(f"{where}: '{name}' is {array.dtype}, expected numbers of shape {wanted}.")
-    if array.ndim != len(shape) or any(
-        n is not None and n != m for n, m in zip(shape, array.shape, strict=True)
-    ):
+    if array.ndim != len(shape) or any(n is not None and n != m for n, m in zip(shape, array.shape, strict=True)):
         raise UserError(f"{where}: '{name}' has shape {array.shape}, expected {wanted}.")
     with np.errstate(over="ignore"):
         return array.astype(np.float32)

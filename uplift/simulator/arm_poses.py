@@ -14,7 +14,14 @@ from uplift.simulator.postures import ARMS
 __all__ = ["ArmPoses"]
 
 _DRAWN = 500
-_ANGLES = ("shoulder plane", "shoulder elevation", "shoulder rotation", "elbow flexion", "elbow pronation", "wrist flexion")
+_ANGLES = (
+    "shoulder plane",
+    "shoulder elevation",
+    "shoulder rotation",
+    "elbow flexion",
+    "elbow pronation",
+    "wrist flexion",
+)
 # Half breadth, height and depth of chest and head, shares of stature (ANSUR II: chest breadth 0.165,
 # chest depth 0.14, head breadth 0.088, head length 0.113).
 _SOLIDS = (((0.0, -0.15, 0.0), (0.082, 0.20, 0.066)), ((0.0, -0.415, -0.015), (0.05, 0.075, 0.06)))

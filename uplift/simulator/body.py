@@ -87,9 +87,7 @@ def rest_positions(
     return positions
 
 
-def angle_axes(
-    direction: Float[np.ndarray, " 3"], side: float
-) -> dict[str, tuple[float, float, float]]:
+def angle_axes(direction: Float[np.ndarray, " 3"], side: float) -> dict[str, tuple[float, float, float]]:
     """Return the axes of flexion, abduction and rotation of a bone along ``direction`` in the rest frame.
 
     ``side`` is +1 for the body's left and its midline, -1 for its right.

@@ -105,7 +105,11 @@ def human_body(skeleton: Skeleton) -> Body:
         for name, (axis, low, high) in entries.items():
             side = -1.0 if point.startswith("right_") else 1.0
             mirrored = (float(axis[0]), side * axis[1], side * axis[2])
-            of = point.partition("_")[0] + "_" + name[1:] if name.startswith("-clavicle") else f"{point} {name.lstrip('-')}"
+            of = (
+                point.partition("_")[0] + "_" + name[1:]
+                if name.startswith("-clavicle")
+                else f"{point} {name.lstrip('-')}"
+            )
             steps.append((of, point, mirrored))
             if not name.startswith("-"):
                 angles[f"{point} {name}"] = (low, high)

@@ -44,7 +44,9 @@ def _act(
     moves = _scaled(key_times(rng, clips, time_s[-1] / action.tempo + 0.1), action.tempo)
     keys = moves[0].shape[1]
     motion = Motion.empty(clips, len(time_s), len(body.angles))
-    heading = np.cumsum(_heading_speed(rng, action, clips, time_s), 1) * (time_s[1] - time_s[0] if len(time_s) > 1 else 0)
+    heading = np.cumsum(_heading_speed(rng, action, clips, time_s), 1) * (
+        time_s[1] - time_s[0] if len(time_s) > 1 else 0
+    )
     heading += rng.uniform(0, 360, (clips, 1))
     trunk = minimum_jerk_path(time_s, moves, _trunk_keys(rng, action.trunk, clips, keys))
     arms = _paths(time_s, moves, arm_poses.keys(rng, [a for a in action.arms if a != "swing"] or ["hang"], clips, keys))

@@ -76,8 +76,10 @@ def _check_complete(skeleton: Skeleton) -> None:
         missing = [joint for joint in missing if _partners(skeleton).get(joint) not in given]
         if not missing:
             continue
-        meaning = "length of the bone to its parent, in body heights" if key == "proportions" else (
-            "direction from its parent in the rest pose: x the body's left, y down, z behind"
+        meaning = (
+            "length of the bone to its parent, in body heights"
+            if key == "proportions"
+            else ("direction from its parent in the rest pose: x the body's left, y down, z behind")
         )
         shown = ", ".join(missing[:5]) + (f" and {len(missing) - 5} more" if len(missing) > 5 else "")
         raise UserError(
@@ -122,9 +124,7 @@ def _beyond(point: int, parents: np.ndarray, offsets: np.ndarray) -> np.ndarray 
     return mean if np.linalg.norm(mean) > 1e-6 else np.array([0.0, 1.0, 0.0])
 
 
-def _side(
-    skeleton: Skeleton, joint: str, order: tuple[str, ...], parents: np.ndarray, offsets: np.ndarray
-) -> float:
+def _side(skeleton: Skeleton, joint: str, order: tuple[str, ...], parents: np.ndarray, offsets: np.ndarray) -> float:
     """Return -1 for a joint of a mirror pair that lies to the right of its partner, else +1."""
     partner = _partners(skeleton).get(joint)
     if partner is None:

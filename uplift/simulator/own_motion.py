@@ -101,9 +101,7 @@ def _step(
     return angles, np.stack([np.zeros_like(way), -way], -1)
 
 
-def _turn(
-    rng: np.random.Generator, body: Body, motion: Motion, time_s: np.ndarray, sway: float, gravity: bool
-) -> None:
+def _turn(rng: np.random.Generator, body: Body, motion: Motion, time_s: np.ndarray, sway: float, gravity: bool) -> None:
     """Turn whole bodies: a heading that drifts, pitched and rolled by ``sway``. The camera does the rest."""
     clips = len(motion.actions)
     root = body.points[0]

@@ -46,9 +46,7 @@ class Checker:
         for place, joint in enumerate(joints):
             self.is_text(joint, ("joints", place))
             if joint in first:
-                self.fail(
-                    ("joints", place), f"found joint '{joint}' twice; every joint has a name of its own."
-                )
+                self.fail(("joints", place), f"found joint '{joint}' twice; every joint has a name of its own.")
             first[joint] = place
 
     def is_joint(self, joint: object, joints: Iterable[str], part: tuple) -> None:
@@ -71,9 +69,7 @@ class Checker:
             for end, joint in enumerate(pair):
                 self.is_joint(joint, joints, (*part, end))
             if pair[0] == pair[1]:
-                self.fail(
-                    part, f"found '{pair[0]}' paired with itself in '{key}'; expected two different joints."
-                )
+                self.fail(part, f"found '{pair[0]}' paired with itself in '{key}'; expected two different joints.")
 
     def parts(self, parts: object, part: tuple, joints: Iterable[str] | None = None) -> list[str]:
         """Return one name or a list of different names (a mean) as a list; of ``joints`` where given."""
@@ -92,9 +88,7 @@ class Checker:
                 self.fail((*part, place), f"found '{name}' twice in one mean in '{_path(part)}'.")
         return [str(name) for name in parts]
 
-    def map_of_parts(
-        self, value: object, joints: list[str], part: tuple, own: bool = False
-    ) -> dict[str, list[str]]:
+    def map_of_parts(self, value: object, joints: list[str], part: tuple, own: bool = False) -> dict[str, list[str]]:
         """Return a mapping of our joints to lists of parts; with ``own`` the parts are joints of ours too."""
         self.is_kind(value, dict, "a mapping of joint: name, or joint: [name, name]", part)
         assert isinstance(value, dict)
@@ -104,9 +98,7 @@ class Checker:
             found[joint] = self.parts(parts, (*part, joint), joints if own else None)
             for name in found[joint] if own else ():
                 if name in value:
-                    self.fail(
-                        (*part, joint), f"found midpoint '{joint}' made of '{name}', itself a midpoint."
-                    )
+                    self.fail((*part, joint), f"found midpoint '{joint}' made of '{name}', itself a midpoint.")
         if not found and not own:
             self.fail(part, f"found nothing in '{_path(part)}'; expected joint: name.")
         return found

@@ -41,8 +41,7 @@ def check_skeleton(data: object, where: Where) -> dict[str, Any]:
     skeleton["midpoints"] = check.map_of_parts(skeleton["midpoints"], joints, ("midpoints",), own=True)
     check.is_kind(skeleton["from"], dict, "a mapping of layouts", ("from",))
     skeleton["from"] = {
-        layout: check.map_of_parts(parts, joints, ("from", layout))
-        for layout, parts in skeleton["from"].items()
+        layout: check.map_of_parts(parts, joints, ("from", layout)) for layout, parts in skeleton["from"].items()
     }
     skeleton["facing"] = check_facing(skeleton, check)
     check_body(skeleton, check)
@@ -52,9 +51,7 @@ def check_skeleton(data: object, where: Where) -> dict[str, Any]:
 def _check_keys(data: object, where: Where) -> dict[str, Any]:
     if not isinstance(data, dict):
         found = named(data)
-        raise UserError(
-            f"{where(())}: found {found}; expected a skeleton, a mapping with joints, root and bones."
-        )
+        raise UserError(f"{where(())}: found {found}; expected a skeleton, a mapping with joints, root and bones.")
     for key in data:
         if key not in _KEYS:
             raise UserError(f"{where((key,))}: found the unknown key '{key}'.{did_you_mean(key, _KEYS)}")
@@ -93,9 +90,7 @@ def _check_forest(skeleton: dict[str, Any], check: Checker) -> None:
         group[find(one)] = find(other)
     for place, joint in enumerate(joints):
         if find(joint) != find(skeleton["root"]):
-            check.fail(
-                ("joints", place), f"no bones lead from the root '{skeleton['root']}' to joint '{joint}'."
-            )
+            check.fail(("joints", place), f"no bones lead from the root '{skeleton['root']}' to joint '{joint}'.")
 
 
 def _check_mirror(skeleton: dict[str, Any], check: Checker) -> None:

@@ -48,9 +48,7 @@ class Skeleton:
         try:
             return self._places[name]
         except KeyError:
-            raise UserError(
-                f"Skeleton '{self.name}' has no joint '{name}'.{did_you_mean(name, self.joints)}"
-            ) from None
+            raise UserError(f"Skeleton '{self.name}' has no joint '{name}'.{did_you_mean(name, self.joints)}") from None
 
     @cached_property
     def _places(self) -> dict[str, int]:
@@ -64,9 +62,7 @@ class Skeleton:
     @cached_property
     def bone_indices(self) -> Int[np.ndarray, "bones 2"]:
         """Places of (parent, child), one row a bone."""
-        return _read_only(
-            np.array([[self.index(end) for end in bone] for bone in self.bones], dtype=np.int64)
-        )
+        return _read_only(np.array([[self.index(end) for end in bone] for bone in self.bones], dtype=np.int64))
 
     @cached_property
     def mirror_permutation(self) -> Int[np.ndarray, " joints"]:
@@ -112,8 +108,7 @@ class Skeleton:
         data |= {"gravity": self.gravity, "rigid": self.rigid}
         data["midpoints"] = {joint: list(parts) for joint, parts in self.midpoints.items()}
         data["from"] = {
-            layout: {joint: list(parts) for joint, parts in joints.items()}
-            for layout, joints in self.sources.items()
+            layout: {joint: list(parts) for joint, parts in joints.items()} for layout, joints in self.sources.items()
         }
         return data | {key: self.body[key] for key in BODY_KEYS if key in self.body}
 
@@ -150,9 +145,7 @@ def _skeleton_path(name_or_path: str | Path) -> Path:
     )
 
 
-def tree_parents(
-    joints: tuple[str, ...], bones: tuple[tuple[str, str], ...], root: str
-) -> dict[str, str | None]:
+def tree_parents(joints: tuple[str, ...], bones: tuple[tuple[str, str], ...], root: str) -> dict[str, str | None]:
     """Return the parent of every joint that bones connect to ``root``, found breadth first."""
     neighbours: dict[str, list[str]] = {joint: [] for joint in joints}
     for one, other in bones:

@@ -43,9 +43,7 @@ def draw_skeleton(skeleton: Skeleton, path: str | Path) -> None:
     picture.save(Path(path))
 
 
-def _arrows(
-    skeleton: Skeleton, place: Float[np.ndarray, "joints 2"]
-) -> dict[str, tuple[np.ndarray, np.ndarray]]:
+def _arrows(skeleton: Skeleton, place: Float[np.ndarray, "joints 2"]) -> dict[str, tuple[np.ndarray, np.ndarray]]:
     """Return start and stop of the directions that lie in the picture.
 
     Two that fall on one line do not both: the shorter points into the page or out of it.
@@ -74,9 +72,7 @@ def _fit(place: Float[np.ndarray, "joints 2"]) -> Float[np.ndarray, "joints 2"]:
 
 def _text_lines(skeleton: Skeleton, drawn: set[str]) -> list[tuple[str, str]]:
     """Return the lines of text above the picture, each with its colour."""
-    title = (
-        f"{skeleton.name}: {len(skeleton.joints)} joints, {len(skeleton.bones)} bones, root {skeleton.root}"
-    )
+    title = f"{skeleton.name}: {len(skeleton.joints)} joints, {len(skeleton.bones)} bones, root {skeleton.root}"
     title += "" if skeleton.gravity else ", no gravity"
     title += ", rigid" if skeleton.rigid else ""
     lines = [(title, "#000000")]
@@ -116,9 +112,7 @@ class _Picture:
 
     def joint(self, place: np.ndarray, colour: str, root: bool) -> None:
         x, y = self.at(place)
-        for radius, fill in (
-            ((11, "#000000"), (8, "white"), (6, colour)) if root else ((7, "white"), (5, colour))
-        ):
+        for radius, fill in ((11, "#000000"), (8, "white"), (6, colour)) if root else ((7, "white"), (5, colour)):
             r = radius * _SHARPEN
             self.draw.ellipse([x - r, y - r, x + r, y + r], fill=fill)
 

@@ -150,9 +150,7 @@ def _with_midpoints(places: dict[str, list[int]], skeleton: Skeleton) -> dict[st
     return places | made
 
 
-def _describe(
-    names: list[str], skeleton: Skeleton, layout: str | None, places: dict[str, list[int]]
-) -> JointMatch:
+def _describe(names: list[str], skeleton: Skeleton, layout: str | None, places: dict[str, list[int]]) -> JointMatch:
     used = {place for joint in places.values() for place in joint}
     return JointMatch(
         skeleton=skeleton.name,

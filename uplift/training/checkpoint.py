@@ -21,9 +21,7 @@ __all__ = ["Checkpoints", "check_checkpoint", "read_torch", "save_torch"]
 class Checkpoints(L.Callback):
     """Save the stage to ``path`` every ``seconds`` or ``steps`` and at its end, whole or not at all."""
 
-    def __init__(
-        self, path: Path, *, seconds: float, steps: int | None, on_save: Callable[[], None] | None = None
-    ):
+    def __init__(self, path: Path, *, seconds: float, steps: int | None, on_save: Callable[[], None] | None = None):
         self.path, self.seconds, self.steps, self.on_save = path, seconds, steps, on_save
         self._last = time.monotonic()
 

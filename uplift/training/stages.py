@@ -18,6 +18,7 @@ from uplift.training.base import LifterTraining
 from uplift.training.budget import Budget, Interrupted
 from uplift.training.checkpoint import Checkpoints, check_checkpoint, read_torch
 from uplift.training.progress import MetricsFile, Progress
+from uplift.training.threads import Threads
 
 __all__ = ["StageBudget", "run_stage", "stage_budgets"]
 
@@ -74,7 +75,14 @@ def run_stage(
         module.load_state_dict(read_torch(path, "checkpoint")["state_dict"])
         return clock
     saver = Checkpoints(path, seconds=settings.checkpoint_every, steps=settings.checkpoint_steps, on_save=on_save)
-    callbacks = [clock, Progress(name, clock), MetricsFile(folder / "metrics.csv", name, settings.log_every), saver]
+    callbacks: list[L.Callback] = [
+        clock,
+        Progress(name, clock),
+        MetricsFile(folder / "metrics.csv", name, settings.log_every),
+        saver,
+    ]
+    if settings.threads is None and budget.steps is None:
+        callbacks.append(Threads())
     with clock, _quiet():
         trainer = _trainer(settings, callbacks, folder)
         trainer.fit(module, ckpt_path=str(path) if resume else None, weights_only=True)

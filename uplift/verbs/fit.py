@@ -24,6 +24,7 @@ from uplift.skeleton import Skeleton, load_skeleton
 from uplift.task import load_settings
 from uplift.training.adversarial import AdversarialTraining
 from uplift.training.base import LifterTraining
+from uplift.training.budget import Interrupted
 from uplift.training.stages import run_stage, stage_budgets
 from uplift.training.student import StudentTraining, lift_all
 from uplift.training.watch import blame
@@ -61,13 +62,15 @@ def fit_settings(settings: Settings, run: RunFolder | None = None) -> RunFolder:
         torch.set_num_threads(settings.trainer.threads)
     skeleton = _skeleton(settings)
     loaded = load_data(settings, skeleton)
-    stages = _Stages(settings, skeleton, loaded)
+    stages = _Stages(settings, skeleton, loaded, run)
     run = _run_of_all_ranks(run, settings)
     if rank_zero_only.rank == 0:
         print(f"uplift fit: {settings.task or 'own data'}, skeleton {skeleton.name}, seed {settings.seed}")
         print("\n".join([*loaded.notes, *stages.notes, f"run: {run.path}"]), flush=True)
     try:
         model = stages.train(run)
+    except KeyboardInterrupt:  # between stages, where nothing watches for it; checkpoints are whole
+        raise Interrupted(run.path) from None
     except BaseException:
         run.discard_if_empty()
         raise
@@ -92,7 +95,7 @@ def _run_of_all_ranks(run: RunFolder | None, settings: Settings) -> RunFolder:
 class _Stages:
     """Builds each stage out of what the one before it left."""
 
-    def __init__(self, settings: Settings, skeleton: Skeleton, loaded: Loaded):
+    def __init__(self, settings: Settings, skeleton: Skeleton, loaded: Loaded, run: RunFolder | None):
         self.settings, self.skeleton = settings, skeleton
         self.data = TrainingSet.of(
             loaded.train,
@@ -114,7 +117,7 @@ class _Stages:
                 "No prior is on: nothing would train the lifter. Set priors.NAME.use and priors.NAME.weight."
             )
         self.first = build_lifter(settings.lifter, skeleton)
-        if settings.init:
+        if settings.init and not (run and (run.checkpoints / "teacher.ckpt").is_file()):
             _start_from(self.first, settings.init)
 
     def train(self, run: RunFolder) -> Model:

@@ -53,7 +53,9 @@ def given_lines(settings: Settings, train: PoseData) -> list[str]:
     if settings.init:
         lines = [f"Started from the weights of {settings.init}; see that run for what it learned from."]
     if settings.data.simulate:
-        lines.append("The keypoints are simulated: bodies and motions from published anthropometry and ranges of motion.")
+        lines.append(
+            "The keypoints are simulated: bodies and motions from published anthropometry and ranges of motion."
+        )
     if intrinsics_of(train, settings.lifter) is not None:
         lines.append("The camera's focal length and image centre, from the file, were used.")
     if settings.student.share and settings.student.refine.iterations and len(np.unique(train.clips())) < len(train):
