@@ -11,9 +11,9 @@ from uplift.data.container import PoseData
 from uplift.errors import UserError
 from uplift.skeleton import Skeleton
 
-__all__ = ["CleanReport", "clean", "joint_neighbours"]
+__all__ = ["MIN_VISIBLE", "CleanReport", "clean", "joint_neighbours"]
 
-_MIN_VISIBLE = 3
+MIN_VISIBLE = 3
 
 
 @dataclass(frozen=True)
@@ -35,9 +35,7 @@ class CleanReport:
         """Return the findings worth telling, one sentence each; none when all was whole."""
         found = []
         if self.too_few:
-            found.append(
-                f"{self.too_few:,} of {self.frames:,} frames dropped: fewer than {_MIN_VISIBLE} visible joints"
-            )
+            found.append(f"{self.too_few:,} of {self.frames:,} frames dropped: fewer than {MIN_VISIBLE} visible joints")
         if self.all_equal:
             found.append(f"{self.all_equal:,} of {self.frames:,} frames dropped: all visible joints in one point")
         if self.missing_joints:
@@ -70,12 +68,12 @@ def clean(data: PoseData, skeleton: Skeleton, *, drop: bool = True) -> tuple[Pos
             f"{where}no keypoint in {len(data):,} frames is visible: all are NaN, infinite or of confidence 0."
         )
     keypoints = np.where(visible[..., None], data.keypoints, 0).astype(np.float32)
-    too_few = visible.sum(1) < _MIN_VISIBLE
+    too_few = visible.sum(1) < MIN_VISIBLE
     all_equal = ~too_few & (_extent(keypoints, visible) <= 1e-6 * (1 + np.abs(keypoints).max((1, 2))))
     bad = too_few | all_equal
     if bad.all():
         raise UserError(
-            f"{where}none of {len(data):,} frames can be used: {too_few.sum():,} have fewer than {_MIN_VISIBLE} "
+            f"{where}none of {len(data):,} frames can be used: {too_few.sum():,} have fewer than {MIN_VISIBLE} "
             f"visible joints, {all_equal.sum():,} have all joints in one point."
         )
     confidence[bad] = 0

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import torch
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float, Int
 from torch import Tensor
 from torch.nn.functional import normalize
 
@@ -70,16 +70,16 @@ class LimbMixer:
     def __call__(
         self,
         rows: Int[Tensor, " batch"],
-        known: Bool[Tensor, "frames joints"],
+        confidence: Float[Tensor, "frames joints"],
         *,
         share: float,
         limb: float,
-    ) -> tuple[Float[Tensor, "batch joints 3"], Bool[Tensor, "batch joints"]]:
-        """Return the poses of ``rows`` with limbs of others of the batch, and which of their joints are known.
+    ) -> tuple[Float[Tensor, "batch joints 3"], Float[Tensor, "batch joints"]]:
+        """Return the poses of ``rows`` with limbs of others of the batch, and each joint's confidence.
 
         ``share`` of the poses take part, and each of their limbs is swapped with probability ``limb``.
         """
-        bones, frames, sure = self._bones[rows], self._frames[rows], known[rows]
+        bones, frames, sure = self._bones[rows], self._frames[rows], confidence[rows]
         count = len(rows)
         taking = torch.rand(count, device=rows.device) < share
         for part in self._limbs:
@@ -90,7 +90,9 @@ class LimbMixer:
             given = self._bones[givers[:, None], part.bones] @ rotation.mT
             lengths = self._lengths[rows[takers][:, None], part.bones] / self._lengths[givers[:, None], part.bones]
             bones[at, part.bones] = given * lengths
-            sure[at, part.joints] = known[givers[:, None], part.joints] & known[rows[takers][:, None], part.joints]
+            # Missing on either body is missing: a limb that was not seen has no length to give it.
+            seen = confidence[rows[takers][:, None], part.joints] > 0
+            sure[at, part.joints] = confidence[givers[:, None], part.joints] * seen
             for inner in part.inner:
                 frames[takers, inner] = rotation @ self._frames[givers, inner]
         return self._path @ bones, sure

@@ -5,10 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass, fields
 
 import torch
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 from torch import Tensor
 
 from uplift.config import RefineSettings, StudentSettings, ViewSettings
+from uplift.data.clean import MIN_VISIBLE
 from uplift.data.tensors import TrainingSet
 from uplift.lifter import Lifter
 from uplift.normalise import renormalise
@@ -35,8 +36,8 @@ class PseudoPoses:
     """The camera tilt the teacher found, radians."""
     distance: Float[Tensor, " frames"]
     """Of the camera to the root, in units."""
-    known: Bool[Tensor, "frames joints"]
-    """Joints that the data has; the others are the teacher's guesses and teach nothing."""
+    confidence: Float[Tensor, "frames joints"]
+    """Of the data; where it is 0 the joint is the teacher's guess and teaches nothing."""
 
     def __len__(self) -> int:
         return len(self.pose)
@@ -64,7 +65,7 @@ def lift_all(lifter: Lifter, data: TrainingSet, refine: RefineSettings, chunk: i
         tilt = steady_tilt(data, tilt)
     if data.skeleton.gravity:
         pose = turn(pose, level(tilt))
-    return PseudoPoses(data.skeleton, pose, tilt, data.distance, data.confidence > 0)
+    return PseudoPoses(data.skeleton, pose, tilt, data.distance, data.confidence)
 
 
 @dataclass(frozen=True)
@@ -72,7 +73,10 @@ class _Views:
     """Turned views to learn from: what the network sees, and what it should say."""
 
     keypoints: Tensor
-    known: Tensor
+    confidence: Tensor
+    """Of the poses they came from; 0 where there is nothing to learn."""
+    shown: Tensor
+    """The same with hidden joints at 0: what the network sees."""
     pose: Tensor
     tilt: Tensor
     distance: Tensor
@@ -106,21 +110,15 @@ class StudentTraining(LifterTraining):
 
     def objective(self) -> tuple[Tensor, dict[str, float | Tensor]]:
         """Return the mean depth error over the known joints, and what else the lifter can know."""
-        views = self._batch()
-        skeleton, lifter = self.data.skeleton, self.lifter
-        hidden = ~views.known
-        if self.settings.hide:
-            share = self.settings.hide * 2 * torch.rand(len(hidden), 1, device=hidden.device)
-            hidden = hidden | (torch.rand(hidden.shape, device=hidden.device) < share)
-            hidden[:, skeleton.root_index] = False
-        lifted = lifter(views.keypoints, (~hidden).float(), views.distance)
-        weight = views.known.float()
+        views, lifter = self._batch(), self.lifter
+        lifted = lifter(views.keypoints, views.shown, views.distance)
         error = (lifted.pose[..., 2] - views.pose[..., 2]).abs()
-        loss = (error * weight).sum() / weight.sum().clamp_min(1)
+        loss = (error * views.confidence).sum() / views.confidence.sum().clamp_min(1)
         logged: dict[str, float | Tensor] = {"depth": loss.detach()}
         if lifter.fill and self.settings.hide:
-            filled = (lifted.keypoints - views.keypoints).abs().sum(-1) * (hidden & views.known)
-            filled = filled.sum() / (hidden & views.known).sum().clamp_min(1)
+            hidden = views.confidence * (views.shown == 0)
+            filled = (lifted.keypoints - views.keypoints).abs().sum(-1) * hidden
+            filled = filled.sum() / hidden.sum().clamp_min(1)
             loss = loss + self.settings.hide * filled
             logged["fill"] = filled.detach()
         if lifter.tilt == "predicted":
@@ -146,14 +144,14 @@ class StudentTraining(LifterTraining):
         data, skeleton = self.data, self.data.skeleton
         rows = self.draw(count)
         if self.mixer is None:
-            pose, known = data.pose[rows], data.known[rows]
+            pose, sure = data.pose[rows], data.confidence[rows]
         else:
-            pose, known = self.mixer(rows, data.known, share=self.settings.mix, limb=self.settings.mix_limb)
+            pose, sure = self.mixer(rows, data.confidence, share=self.settings.mix, limb=self.settings.mix_limb)
         if self.mirrors:
             swap = self.lifter.mirror_permutation
             flip = torch.rand(count, device=rows.device) < 0.5
             pose = torch.where(flip[:, None, None], mirror(pose, swap), pose)
-            known = torch.where(flip[:, None], known[:, swap], known)
+            sure = torch.where(flip[:, None], sure[:, swap], sure)
         tilt = data.tilt[self.draw(count)]
         if skeleton.gravity:
             azimuth = 2 * torch.pi * torch.rand(count, device=rows.device)
@@ -162,5 +160,20 @@ class StudentTraining(LifterTraining):
             pose = turn(pose, random_rotations(count, rows.device))
         distance = data.distance[rows]
         projected = self.lifter.camera.project(pose, distance)
-        keypoints, radius = renormalise(projected, known.float(), skeleton.root_index, count_root=self.views.count_root)
-        return _Views(keypoints, known, pose / radius[:, None, None], tilt, distance / radius)
+        shown = self._hide(sure)
+        few = ((shown > 0).sum(1, keepdim=True)) < MIN_VISIBLE
+        # The radius is that of the joints that are shown, as it will be of those that are seen. Where too few
+        # are left to tell a size, the view teaches nothing.
+        scaled_by = torch.where(few, torch.ones_like(shown), shown)
+        sure = sure.masked_fill(few, 0)
+        keypoints, radius = renormalise(projected, scaled_by, skeleton.root_index, count_root=self.views.count_root)
+        return _Views(keypoints, sure, shown, pose / radius[:, None, None], tilt, distance / radius)
+
+    def _hide(self, confidence: Tensor) -> Tensor:
+        """Return the confidence with a random share of each pose's joints at 0, the root never."""
+        if not self.settings.hide:
+            return confidence
+        share = self.settings.hide * 2 * torch.rand(len(confidence), 1, device=confidence.device)
+        hidden = torch.rand(confidence.shape, device=confidence.device) < share
+        hidden[:, self.data.skeleton.root_index] = False
+        return confidence.masked_fill(hidden, 0)
