@@ -50,7 +50,7 @@ def page_text(
     or more texts above rows that each hold a number is taken for one. ``curves`` are name -> (step, value) points, one small chart each.
     """
     data = page_data(prediction, frames)
-    title = prediction.title or prediction.source or "Poses"
+    title = prediction.title or Path(prediction.source).name or "Poses"
     script = "(() => {\n'use strict';\n" + "\n".join(_part(name) for name in _SCRIPTS) + "})();\n"
     style = _part("page.css")
     parts = {

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -118,7 +119,7 @@ def _facts(prediction: Prediction, clips: list[Clip]) -> list[str]:
     count = sum(len(clip.frames) for clip in clips)
     people = max((len(clip.individual_names) for clip in clips), default=1)
     facts = [
-        prediction.source if prediction.title else "",
+        _short(prediction.source) if prediction.title else "",
         prediction.skeleton.name,
         f"{len(prediction.joint_names)} joints",
         _counted(count, "frame"),
@@ -153,3 +154,8 @@ def _remarks(prediction: Prediction, clips: list[Clip], chosen: list[Clip], depa
 
 def _counted(count: int, noun: str) -> str:
     return f"{count:,} {noun}" if count == 1 else f"{count:,} {noun}s"
+
+
+def _short(source: str) -> str:
+    """Return the last two parts of a path: a page that is handed on need not tell where its maker keeps data."""
+    return "/".join(Path(source).parts[-2:])
