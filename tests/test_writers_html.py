@@ -33,7 +33,7 @@ def test_packing_is_exact_to_half_a_step(values: np.ndarray, finest: float) -> N
     text, layout = pack({"a": (values, finest), "b": (-values, finest)})
     found = unpack(text, layout)
     step = layout[0]["step"]
-    assert step <= max(finest, np.ptp(values) / 65532) * (1 + 1e-9)
+    assert step <= max(finest, np.ptp(values) / 65532) * (1 + 1e-6)
     np.testing.assert_allclose(found["a"], values, atol=step * 0.5001)
     np.testing.assert_allclose(found["b"], -values, atol=step * 0.5001)
 

@@ -10,7 +10,7 @@ from uplift.skeleton.sides import CENTRE, LEFT, joint_sides
 
 __all__ = ["rest_pose", "skeleton_layout"]
 
-_AZIMUTHS_DEG = (0, 30, 55, 75)
+_AZIMUTHS_DEG = (0.0, 30.0, 55.0, 75.0)
 _LOW_WORDS = ("foot", "toe", "ankle", "heel", "paw", "hoof", "tars", "claw", "leg", "tail")
 _ROUNDS = 300
 
@@ -61,7 +61,7 @@ def _clearest_view(pose: Float[np.ndarray, "joints 3"]) -> Float[np.ndarray, "jo
         return float(np.minimum(apart.min(1), 0.1 * np.ptp(view, axis=0).max()).mean() / np.ptp(pose))
 
     rooms = [room(seen(azimuth)) for azimuth in _AZIMUTHS_DEG]
-    best = _AZIMUTHS_DEG[int(np.argmax(rooms))] if rooms[0] < 0.7 * max(rooms) else 0
+    best = _AZIMUTHS_DEG[int(np.argmax(rooms))] if rooms[0] < 0.7 * max(rooms) else 0.0
     return seen(best)
 
 
