@@ -32,7 +32,7 @@ from uplift.training.stages import StageBudget, run_stage
 from uplift.training.student import StudentTraining, lift_all
 from uplift.verbs.fit import student_settings
 
-_ROUNDS = 5
+_ROUNDS = 3
 
 
 def main() -> int:
@@ -77,7 +77,7 @@ def training(task: str, batch: int, data: PoseData) -> dict[str, object]:
 
 def _steps(make: Callable[[], LifterTraining], module: LifterTraining) -> dict[str, float]:
     flops = _flops(module)
-    count = 200 if module.settings.batch_size < 100 else 60
+    count = 100 if module.settings.batch_size < 100 else 10
     ratios, overheads, with_trainer = [], [], []
     for _ in range(_ROUNDS):
         top = peak()
@@ -194,7 +194,7 @@ def _model() -> Model:
 def prediction(data: PoseData) -> dict[str, float]:
     """Return poses a second through `Model.predict`, and their matrix products against the peak."""
     model = _model()
-    many = data.select(np.arange(200_000) % len(data))
+    many = data.select(np.arange(100_000) % len(data))
     with FlopCounterMode(display=False) as counter:
         model.predict(data.select(np.arange(1000)))
     flops = counter.get_total_flops() / 1000
