@@ -18,7 +18,7 @@ from uplift.data.load import load_file
 from uplift.errors import UserError
 from uplift.saving import replacing
 from uplift.skeleton import load_skeleton
-from uplift.training.checkpoint import read_torch, save_torch
+from uplift.torch_file import read_torch, save_torch
 from uplift.writers.keypoints import write_keypoints
 
 

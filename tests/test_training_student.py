@@ -7,6 +7,7 @@ from dataclasses import replace
 import pytest
 import torch
 
+from uplift.camera import Perspective
 from uplift.config import LifterSettings, StudentSettings, ViewSettings
 from uplift.data.clean import clean
 from uplift.data.tensors import TrainingSet
@@ -14,9 +15,12 @@ from uplift.model import build_lifter
 from uplift.pose import mean_radius
 from uplift.simulator import simulate
 from uplift.skeleton import load_skeleton
-from uplift.training.student import PseudoPoses, StudentTraining
+from uplift.training.pseudo import PseudoPoses
+from uplift.training.shown import ShownViews, ViewMaker
+from uplift.training.student import StudentTraining
 
 SKELETON = load_skeleton("h36m17")
+ROOT = SKELETON.root_index
 
 
 @pytest.fixture(scope="module")
@@ -24,51 +28,88 @@ def poses() -> PseudoPoses:
     data, _ = clean(simulate(SKELETON, 300, seed=6), SKELETON)
     training_set = TrainingSet.of(data, SKELETON, count_root=False)
     pose = torch.from_numpy(data.pose) / 300
-    return PseudoPoses(SKELETON, pose, torch.full((300,), 0.1), training_set.distance, training_set.confidence)
+    gravity = torch.tensor([[0.0, 0.995, 0.0998]]).expand(300, 3)
+    return PseudoPoses(SKELETON, pose, gravity, training_set.distance, training_set.confidence)
 
 
-def training(poses: PseudoPoses, **settings: float) -> StudentTraining:
+def views_of(poses: PseudoPoses, count: int, **settings: float) -> ShownViews:
     torch.manual_seed(0)
-    lifter = build_lifter(LifterSettings(options={"units": 16}), SKELETON)
-    module = StudentTraining(lifter, poses, StudentSettings(**settings), ViewSettings(count_root=False), 0)
+    return ViewMaker(poses, Perspective(), StudentSettings(**settings), count_root=False)(count)
+
+
+def training(poses: PseudoPoses, lifter: LifterSettings | None = None, **settings: float) -> StudentTraining:
+    torch.manual_seed(0)
+    made = build_lifter(lifter or LifterSettings(options={"units": 16}), poses.skeleton)
+    module = StudentTraining(made, poses, StudentSettings(**settings), ViewSettings(count_root=False), 0)
     module.on_fit_start()
+    module.maker = ViewMaker(poses, module.lifter.camera, module.settings, count_root=False)
     return module
 
 
 def test_views_are_projections_of_their_targets(poses):
-    views = training(poses, hide=0.2)._make(200)
-    z = views.pose[..., 2:]
-    projected = views.pose[..., :2] / (1 + z / views.distance[:, None, None])
+    views = views_of(poses, 200, occlude=0.5)
+    projected = Perspective().project(views.pose, views.distance)
     torch.testing.assert_close(views.keypoints, projected, atol=1e-5, rtol=1e-5)
+    torch.testing.assert_close(views.given, views.keypoints)
 
 
 def test_the_radius_is_that_of_the_joints_that_are_shown(poses):
-    views = training(poses, hide=0.3)._make(200)
+    views = views_of(poses, 200, occlude=0.8)
     assert (views.shown == 0).any()
-    radius = mean_radius(views.keypoints, views.shown, SKELETON.root_index, count_root=False)
+    radius = mean_radius(views.given, views.shown, ROOT, count_root=False)
     torch.testing.assert_close(radius, torch.ones(200), atol=1e-5, rtol=1e-5)
 
 
-def test_the_share_of_hidden_joints(poses):
-    views = training(poses, hide=0.15)._make(4000)
-    assert (views.shown[:, 1:] == 0).float().mean() == pytest.approx(0.15, abs=0.01)
-    assert (views.shown[:, SKELETON.root_index] > 0).all()
-    assert (training(poses, hide=0.0)._make(50).shown == 1).all()
+def test_a_share_of_the_views_is_occluded_and_never_the_root(poses):
+    views = views_of(poses, 4000, occlude=0.4)
+    assert (views.shown[:, ROOT] > 0).all()
+    # A few of the views that take part happen to lose no joint at all.
+    assert (views.shown == 0).any(1).float().mean() == pytest.approx(0.37, abs=0.04)
+    assert (views_of(poses, 50, occlude=0.0).shown == 1).all()
+
+
+def test_whole_limbs_go_missing(poses):
+    hidden = views_of(poses, 4000, occlude=1.0, mirror=False).shown == 0
+    arm = [SKELETON.index(joint) for joint in ("rshoulder", "relbow", "rwrist")]
+    others = [joint for joint in range(len(SKELETON.joints)) if joint not in arm]
+    assert (hidden[:, arm].all(1) & ~hidden[:, others].any(1)).sum() > 50
 
 
 def test_confidence_reaches_the_network_as_it_is(poses):
     doubtful = replace(poses, confidence=torch.full_like(poses.confidence, 0.4))
-    assert (training(doubtful, hide=0.0)._make(50).shown == 0.4).all()
+    assert (views_of(doubtful, 50).shown == 0.4).all()
+
+
+def test_noise_comes_with_the_confidence_of_its_frame(poses):
+    torch.manual_seed(1)
+    confidence = torch.rand_like(poses.confidence) * 0.8 + 0.1
+    noise = (confidence * 0.01).unsqueeze(-1).expand(-1, -1, 2).clone()
+    views = views_of(replace(poses, confidence=confidence, noise=noise), 300)
+    # What the network sees is off by the noise, less that of the root, in units of the radius that is shown.
+    off = (views.given - views.keypoints)[..., 0]
+    expected = 0.01 * (views.shown - views.shown[:, [ROOT]])
+    scale = (off * expected).sum(1, keepdim=True) / expected.square().sum(1, keepdim=True)
+    torch.testing.assert_close(off, expected * scale, atol=1e-4, rtol=1e-3)
+    assert scale.min() > 0
 
 
 def test_frames_with_too_few_joints_teach_nothing_and_stay_finite(poses):
     confidence = torch.zeros_like(poses.confidence)
     confidence[:, :2] = 1
-    module = training(replace(poses, confidence=confidence), hide=0.1)
-    views = module._make(100)
-    assert (views.confidence == 0).all()
+    views = views_of(replace(poses, confidence=confidence), 100, occlude=0.4)
+    assert (views.sure == 0).all()
     assert views.pose.isfinite().all()
     assert views.pose.abs().max() < 50
+
+
+def test_gravity_in_the_views_is_that_of_the_data(poses):
+    """A camera that looks aside rolls a little; the views have that roll, and the tilt is what is asked for."""
+    rolled = torch.nn.functional.normalize(torch.tensor([[0.2, 0.9, 0.3]]), dim=-1).expand(300, 3)
+    standing = replace(poses, pose=poses.pose * 0 + torch.linspace(0, 1, 17)[:, None] * torch.tensor([0.0, 1, 0]))
+    views = views_of(replace(standing, gravity=rolled), 50, mix=0.0)
+    upright = torch.nn.functional.normalize(views.pose[:, -1], dim=-1)
+    torch.testing.assert_close(upright, rolled[:50], atol=1e-5, rtol=1e-5)
+    torch.testing.assert_close(views.tilt, rolled[:50, 2].asin())
 
 
 def test_missing_joints_have_no_say_in_the_loss(poses):
@@ -79,11 +120,16 @@ def test_missing_joints_have_no_say_in_the_loss(poses):
     for wrong in (0.0, 9.0):
         pose = poses.pose.clone()
         pose[:, wrist] += wrong
-        module = training(replace(poses, pose=pose, confidence=confidence), hide=0.0, mix=0.0)
-        module.mixer = None
-        torch.manual_seed(3)
-        views = module._make(64)
-        lifted = module.lifter(views.keypoints, views.shown, views.distance)
-        error = (lifted.pose[..., 2] - views.pose[..., 2]).abs() * views.confidence
-        losses.append(error.sum() / views.confidence.sum())
+        module = training(replace(poses, pose=pose, confidence=confidence), occlude=0.0, mix=0.0, mirror=False)
+        losses.append(module.objective()[1]["depth"])
     torch.testing.assert_close(losses[0], losses[1])
+
+
+def test_every_output_of_the_network_learns(poses):
+    noisy = replace(poses, noise=torch.randn(300, 17, 2) * 0.02)
+    module = training(noisy, LifterSettings(options={"units": 16}, denoise=True), occlude=0.4)
+    module.objective()[0].backward()
+    gradient = module.lifter.network.leave.weight.grad
+    silent = (gradient.abs().sum(1) == 0).nonzero()[:, 0].tolist()
+    # Only the root's spread has nothing to say: its depth is 0.
+    assert silent == [3 * 17 + ROOT]

@@ -103,8 +103,8 @@ def _complete(verb: str) -> Callable[..., list[str]]:
 
 
 _KEYS = {
-    "evaluate": ("run", "poses", "data.test", "skeleton"),
-    "predict": ("run", "input", "output"),
+    "evaluate": ("run", "poses", "data.test", "skeleton", "refine"),
+    "predict": ("run", "input", "output", "refine"),
     "simulate": ("skeleton", "output", "frames", "seed", "noise_px", "missing"),
 }
 
@@ -125,6 +125,14 @@ def _keyed(verb: str, words: Sequence[str], needed: Sequence[str]) -> dict[str, 
         if key not in found:
             raise UserError(f"{verb} needs {key}=... ({_VERBS[verb]})")
     return found
+
+
+def _is_on(verb: str, keys: dict[str, str], key: str) -> bool:
+    """Return whether ``key`` is on, as it is where it is not given."""
+    value = keys.get(key, "on")
+    if value not in ("on", "off"):
+        raise UserError(f"{verb}: {key}={value!r}, expected on or off.")
+    return value == "on"
 
 
 def _fit(words: Sequence[str]) -> None:
@@ -173,13 +181,16 @@ def _evaluate(words: Sequence[str]) -> None:
     if "run" in keys:
         if "skeleton" in keys:
             raise UserError("evaluate run=...: the run knows its skeleton; skeleton= goes with poses=.")
-        print(evaluate(keys["run"], keys.get("data.test")).table())
+        refine = _is_on("evaluate", keys, "refine")
+        print(evaluate(keys["run"], keys.get("data.test"), refine=refine).table())
         from uplift.run import RunFolder
 
         folder = RunFolder.open(keys["run"]).path
         print(f"\nwrote {folder}/evaluation.json and evaluation.csv (older ones: evaluations/)")
         print(f"next: uplift compare {folder} OTHER_RUN")
         return
+    if "refine" in keys:
+        raise UserError("evaluate poses=FILE takes the poses as they are: refine= goes with run=.")
     if "data.test" not in keys:
         raise UserError("evaluate poses=FILE needs data.test=FILE with the true poses.")
     print(evaluate_poses(keys["poses"], keys["data.test"], keys.get("skeleton")).table())
@@ -189,7 +200,7 @@ def _predict(words: Sequence[str]) -> None:
     keys = _keyed("predict", words, ("run", "input", "output"))
     from uplift.verbs.predict import predict
 
-    found = predict(keys["run"], keys["input"], keys["output"])
+    found = predict(keys["run"], keys["input"], keys["output"], refine=_is_on("predict", keys, "refine"))
     blank = int((found.pose != found.pose).all((1, 2)).sum())
     print(f"lifted {len(found) - blank:,} frames of {found.skeleton.name}, unit {found.unit}")
     if blank:

@@ -47,6 +47,18 @@ class DataSettings:
 
 
 @dataclass
+class RefineSettings:
+    """How the lifted poses of a clip are mended together."""
+
+    iterations: int = 80  # of gradient descent; 0 leaves the poses as they were lifted
+    rate: float = 0.02  # first step size, in mean 2D radii of the body
+    bones: float = 8.0  # weight of constant bone lengths over a clip
+    smooth: float = 2.0  # weight of little acceleration
+    near: float = 0.2  # weight of the lifted depths
+    seen: float = 100.0  # weight of doubtful keypoints; those of confidence 1 do not move
+
+
+@dataclass
 class LifterSettings:
     """The network and the geometry around it."""
 
@@ -60,7 +72,10 @@ class LifterSettings:
     root_free: bool = False  # leave the root's own depth in
     confidence_input: bool = True  # the network sees confidence beside the keypoints
     fill: bool = True  # the network says where missing joints are
+    spread: bool = True  # and how far off each depth may be: learned by the student
+    denoise: Optional[bool] = None  # it moves seen joints too; unset: where refined clips show that they are noisy
     both_ways: bool = True  # predict as the mean over the keypoints and their mirror image
+    refine: RefineSettings = field(default_factory=lambda: RefineSettings(smooth=1.0, near=0.5))  # of predicted clips
 
 
 @dataclass
@@ -87,26 +102,15 @@ class StageSettings:
     average: Optional[float] = 0.999  # decay of the averaged weights; none if unset
     warm_up: float = 0.0  # share of the stage over which the rate rises from 0
     mirror: bool = True  # show each frame mirrored half the time
-    hide: float = 0.0  # share of known joints hidden from the network in each step
 
 
 @dataclass
 class TeacherSettings(StageSettings):
     """The first stage: priors judge lifted poses and their turned views."""
 
+    hide: float = 0.0  # share of known joints hidden from the network in each step
     prior_learning_rate: Optional[float] = None  # of the priors' own parameters; the same if unset
     same_real: bool = False  # adversarial priors see the batch's own keypoints as real, not another draw
-
-
-@dataclass
-class RefineSettings:
-    """How a clip's lifted poses are mended together before a student learns from them."""
-
-    iterations: int = 80  # of gradient descent; 0 leaves the poses as they were lifted
-    rate: float = 0.02  # first step size, in mean 2D radii of the body
-    bones: float = 8.0  # weight of constant bone lengths over a clip
-    smooth: float = 3.0  # weight of little acceleration
-    near: float = 0.1  # weight of the lifted depths
 
 
 @dataclass
@@ -122,6 +126,9 @@ class StudentSettings(StageSettings):
     rounds: list[float] = field(default_factory=lambda: [0.35, 0.65])  # share of the stage for each round
     network: Optional[str] = None  # the student's, where it is not lifter.network
     options: dict[str, Any] = field(default_factory=dict)  # of that network, over lifter.options
+    last_options: dict[str, Any] = field(default_factory=dict)  # over these, in the last round
+    occlude: float = 0.0  # share of views in which joints are hidden: some of them, or a whole limb
+    noise: bool = True  # add to the views what refinement found wrong in the keypoints
     refine: RefineSettings = field(default_factory=RefineSettings)
     mix: float = 0.7  # share of poses that take limbs of others
     mix_limb: float = 0.4  # chance of each limb of such a pose

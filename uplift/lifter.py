@@ -14,6 +14,8 @@ from uplift.skeleton import Skeleton
 
 __all__ = ["Lifted", "Lifter"]
 
+_LOG_SPREAD = (-5.0, 2.0)
+
 
 class Lifted(NamedTuple):
     """What the lifter says of a batch of keypoints."""
@@ -24,17 +26,21 @@ class Lifted(NamedTuple):
     """Down-tilt of the camera, radians; 0 where the skeleton has no gravity or the camera is taken as level."""
     keypoints: Float[Tensor, "batch joints 2"]
     """The keypoints that `pose` projects to: those given, with missing joints filled in."""
+    spread: Float[Tensor, "batch joints"] | None = None
+    """The absolute error to expect of each depth, in units; None where the lifter was not taught it."""
 
 
 class Lifter(nn.Module):
     """A network and the geometry around it.
 
     ``tilt`` is ``predicted`` (one per pose), ``learned`` (one for all) or ``level``. With ``fill`` the
-    network also says where missing joints are; without, they stay at the root. With ``root_free``
-    the root's own depth is not subtracted, as in the code of Kudo et al. 2018.
+    network also says where missing joints are; without, they stay at the root. With ``denoise`` it
+    also moves the joints that were seen, and with ``spread`` it says how far off each depth may be.
+    With ``root_free`` the root's own depth is not subtracted, as in the code of Kudo et al. 2018.
     """
 
     mirror_permutation: Tensor
+    root_place: Tensor
 
     def __init__(
         self,
@@ -45,6 +51,8 @@ class Lifter(nn.Module):
         tilt: str = "predicted",
         confidence_input: bool = True,
         fill: bool = True,
+        denoise: bool = False,
+        spread: bool = False,
         root_free: bool = False,
     ):
         super().__init__()
@@ -54,16 +62,20 @@ class Lifter(nn.Module):
         self.tilt = tilt if skeleton.gravity else "level"
         self.confidence_input = confidence_input
         self.fill = fill
+        self.denoise = denoise and fill
+        self.spread = spread
         self.root_free = root_free
         if self.tilt == "learned":
             self.common_tilt = nn.Parameter(torch.zeros(()))
         permutation = torch.as_tensor(skeleton.mirror_permutation.copy())
         self.register_buffer("mirror_permutation", permutation, persistent=False)
+        self.register_buffer("root_place", torch.tensor([skeleton.root_index]), persistent=False)
 
     @staticmethod
-    def sizes(joints: int, *, tilt: str, confidence_input: bool, fill: bool) -> tuple[int, int]:
+    def sizes(joints: int, *, tilt: str, confidence_input: bool, fill: bool, spread: bool) -> tuple[int, int]:
         """Return how many numbers the network takes and gives for a skeleton of ``joints``."""
-        return joints * (3 if confidence_input else 2), joints * (3 if fill else 1) + (tilt == "predicted")
+        outputs = joints * (1 + 2 * fill + spread) + (tilt == "predicted")
+        return joints * (3 if confidence_input else 2), outputs
 
     def forward(
         self,
@@ -84,8 +96,17 @@ class Lifter(nn.Module):
             depth = depth - depth[:, self.skeleton.root_index, None]
         if self.fill:
             guessed = output[:, joints : 3 * joints].reshape(-1, joints, 2)
-            keypoints = torch.where(visible, keypoints, guessed)
-        return Lifted(self.camera.unproject(keypoints, depth, distance), self._tilt(output), keypoints)
+            if self.denoise:
+                # The root is where everything else is measured from; missing joints are 0 in the input.
+                keypoints = keypoints + guessed - guessed[:, self.skeleton.root_index, None]
+            else:
+                keypoints = torch.where(visible, keypoints, guessed)
+        spread = None
+        if self.spread:
+            first = joints * (1 + 2 * self.fill)
+            spread = output[:, first : first + joints].clamp(*_LOG_SPREAD).exp()
+            spread = spread.index_fill(1, self.root_place, 0.0)
+        return Lifted(self.camera.unproject(keypoints, depth, distance), self._tilt(output), keypoints, spread)
 
     def _tilt(self, output: Tensor) -> Tensor:
         if self.tilt == "predicted":
@@ -103,13 +124,17 @@ class Lifter(nn.Module):
     ) -> Lifted:
         """Lift the keypoints and their mirror image and average the two (after Pavllo et al. 2019).
 
-        A skeleton without mirror pairs has no mirror image: it is lifted as it is.
+        A skeleton that has no mirror image is lifted as it is.
         """
         straight = self(keypoints, confidence, distance)
-        if not self.skeleton.mirror:
+        if not self.skeleton.has_mirror_image:
             return straight
         swap = self.mirror_permutation
         mirrored = self(mirror(keypoints, swap), confidence[:, swap], distance)
         depth = (straight.pose[..., 2] + mirrored.pose[:, swap, 2]) / 2
         filled = (straight.keypoints + mirror(mirrored.keypoints, swap)) / 2
-        return Lifted(self.camera.unproject(filled, depth, distance), (straight.tilt + mirrored.tilt) / 2, filled)
+        spread = None
+        if straight.spread is not None and mirrored.spread is not None:
+            spread = (straight.spread + mirrored.spread[:, swap]) / 2
+        pose = self.camera.unproject(filled, depth, distance)
+        return Lifted(pose, (straight.tilt + mirrored.tilt) / 2, filled, spread)

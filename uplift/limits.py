@@ -21,6 +21,7 @@ _STAGE_RANGES = {
     "decay_from": (0, 1),
     "warm_up": (0, 1),
     "hide": (0, 0.9),
+    "occlude": (0, 1),
     "mix": (0, 1),
     "mix_limb": (0, 1),
 }
@@ -30,6 +31,7 @@ _REFINE_RANGES = {
     "bones": (0, 1e6),
     "smooth": (0, 1e6),
     "near": (0, 1e6),
+    "seen": (1e-6, 1e6),
 }
 _TRAINER_RANGES = {
     "max_steps": (1, 10**12),
@@ -60,8 +62,9 @@ def check_settings(settings: Settings) -> None:
             if value is not None:
                 _in_range(f"{name}.{key}", value, low, high)
     student = settings.student
-    for key, (low, high) in _REFINE_RANGES.items():
-        _in_range(f"student.refine.{key}", getattr(student.refine, key), low, high)
+    for name, refine in (("lifter", settings.lifter.refine), ("student", student.refine)):
+        for key, (low, high) in _REFINE_RANGES.items():
+            _in_range(f"{name}.refine.{key}", getattr(refine, key), low, high)
     for share in student.rounds:
         _in_range("student.rounds", share, 1e-6, 1e6)
     if student.share > 0 and not student.rounds:

@@ -9,33 +9,38 @@ from typing import Any
 
 import numpy as np
 import torch
-from jaxtyping import Float
 from torch import Tensor
 
 from uplift.camera import build_camera
-from uplift.config import LifterSettings
+from uplift.config import LifterSettings, RefineSettings
 from uplift.data.clean import clean
 from uplift.data.container import PoseData
+from uplift.data.tensors import TrainingSet
 from uplift.errors import UserError
-from uplift.lifter import Lifter
+from uplift.gravity import gravity_of, real_tilt
+from uplift.lifter import Lifted, Lifter
+from uplift.lifting import lift_frames, refine_lifted
 from uplift.networks import build_network
-from uplift.normalise import Intrinsics, normalise
+from uplift.normalise import Intrinsics
 from uplift.prediction import Prediction
 from uplift.skeleton import Skeleton
-from uplift.training.checkpoint import read_torch, save_torch
+from uplift.torch_file import read_torch, save_torch
 from uplift.views import least_rotation, turn
 
 __all__ = ["Model", "build_lifter", "intrinsics_of", "load"]
 
-_FORMAT = 1
-_CHUNK = 8192
+_FORMAT = 2
 
 
 def build_lifter(settings: LifterSettings, skeleton: Skeleton) -> Lifter:
     """Return an untrained lifter for ``skeleton``."""
     tilt = settings.tilt if skeleton.gravity else "level"
     inputs, outputs = Lifter.sizes(
-        len(skeleton.joints), tilt=tilt, confidence_input=settings.confidence_input, fill=settings.fill
+        len(skeleton.joints),
+        tilt=tilt,
+        confidence_input=settings.confidence_input,
+        fill=settings.fill,
+        spread=settings.spread,
     )
     network = build_network(settings.network, inputs, outputs, settings.options)
     return Lifter(
@@ -45,6 +50,8 @@ def build_lifter(settings: LifterSettings, skeleton: Skeleton) -> Lifter:
         tilt=tilt,
         confidence_input=settings.confidence_input,
         fill=settings.fill,
+        denoise=bool(settings.denoise),
+        spread=settings.spread,
         root_free=settings.root_free,
     )
 
@@ -95,69 +102,54 @@ class Model:
         pose = pose[0] if single else pose
         return torch.from_numpy(pose).to(keypoints.device) if is_tensor else pose
 
-    def predict(self, data: PoseData, title: str = "") -> Prediction:
+    def predict(self, data: PoseData, title: str = "", *, refine: bool = True) -> Prediction:
         """Return the poses of every frame of ``data``, which has the skeleton's joints in its order.
 
         Frames that cannot be lifted (fewer than three visible joints) come out as NaN, so that rows
-        stay rows.
+        stay rows. Where the data says which frames make a clip, they are lifted together unless
+        ``refine`` is off: one body, one camera tilt and a smooth
+        motion in each (`uplift.refine`, as `lifter.refine` says). Keypoints go in as pixels and the poses come out as such.
         """
         data, _ = clean(data, self.skeleton, drop=False)
-        intrinsics = intrinsics_of(data, self.settings)
-        device = next(self.lifter.parameters()).device
-        poses, levels, tilts = [], [], []
-        with torch.inference_mode():
-            for start in range(0, len(data), _CHUNK):
-                rows = slice(start, start + _CHUNK)
-                keypoints = torch.from_numpy(data.keypoints[rows]).to(device)
-                confidence = torch.from_numpy(data.confidence[rows]).to(device)
-                pose, gravity = self._lift(keypoints, confidence, intrinsics)
-                poses.append(pose.cpu())
-                levels.append(_levelled(pose, gravity).cpu() if self.skeleton.gravity else pose.cpu())
-                tilts.append(torch.asin(gravity[:, 2].clamp(-1, 1)).cpu())
-        pose, level_pose = (torch.cat(parts).numpy() for parts in (poses, levels))
-        blank = (data.confidence > 0).sum(1) == 0
+        frames = TrainingSet.of(
+            data,
+            self.skeleton,
+            count_root=self.settings.radius == "all",
+            intrinsics=intrinsics_of(data, self.settings),
+            distance=self.settings.distance,
+        ).to(next(self.lifter.parameters()).device)
+        lifted = lift_frames(self.lifter, frames, both_ways=self.settings.both_ways)
+        if self.refines(data, refine):
+            lifted = refine_lifted(lifted, frames, self.lifter.camera, self.settings.refine)
+        pose, gravity = _in_pixels(lifted, frames)
+        level_pose = _levelled(pose, gravity) if self.skeleton.gravity else pose
+        blank = (frames.confidence > 0).sum(1) == 0
         pose[blank], level_pose[blank] = np.nan, np.nan
+        spread = None if lifted.spread is None else lifted.spread * frames.scale[:, None]
         return Prediction(
-            pose=pose,
-            level_pose=level_pose,
+            pose=pose.cpu().numpy(),
+            level_pose=level_pose.cpu().numpy(),
             unit="px",
             keypoints=data.keypoints,
             confidence=data.confidence,
             joint_names=self.skeleton.joints,
             skeleton=self.skeleton,
-            tilt_deg=np.degrees(torch.cat(tilts).numpy()) if self.skeleton.gravity else None,
+            tilt_deg=gravity[:, 2].clamp(-1, 1).asin().rad2deg().cpu().numpy() if self.skeleton.gravity else None,
             identity=data.identity,
             fps=data.fps,
             image_size=data.image_size,
             truth=data.pose,
             truth_unit=data.unit,
+            spread=None if spread is None else spread.cpu().numpy(),
             source=data.source,
             title=title,
         )
 
-    def _lift(
-        self,
-        keypoints: Float[Tensor, "frames joints 2"],
-        confidence: Float[Tensor, "frames joints"],
-        intrinsics: Intrinsics | None,
-    ) -> tuple[Tensor, Tensor]:
-        """Return poses in pixels and the direction of gravity (frames 3), both in the real camera's frame."""
-        normal = normalise(
-            keypoints,
-            confidence,
-            self.skeleton.root_index,
-            count_root=self.settings.radius == "all",
-            intrinsics=intrinsics,
-            distance=self.settings.distance,
-        )
-        lift = self.lifter.lift_both_ways if self.settings.both_ways else self.lifter
-        lifted = lift(normal.keypoints, confidence, normal.distance)
-        pose, tilt = lifted.pose * normal.scale_px[:, None, None], lifted.tilt
-        gravity = torch.stack([torch.zeros_like(tilt), tilt.cos(), tilt.sin()], -1)
-        if normal.rotation is not None:
-            pose = turn(pose, normal.rotation.mT)
-            gravity = turn(gravity[:, None], normal.rotation.mT)[:, 0]
-        return pose, gravity
+    def refines(self, data: PoseData, refine: bool = True) -> bool:
+        """Return whether `predict` lifts frames of ``data`` together: it is on, and there are clips."""
+        clips = data.clips()
+        wanted = refine and self.settings.refine.iterations > 0
+        return wanted and int(clips.max(initial=-1)) + 1 < len(clips)
 
     def save(self, path: Path) -> None:
         """Write the model to one file of tensors and plain data."""
@@ -184,7 +176,7 @@ class Model:
             )
         try:
             skeleton = Skeleton.from_dict(state["skeleton"])
-            settings = LifterSettings(**state["lifter"])
+            settings = LifterSettings(**{**state["lifter"], "refine": RefineSettings(**state["lifter"]["refine"])})
             _refuse_nearby_code(settings.network)
             lifter = build_lifter(settings, skeleton)
             lifter.load_state_dict(state["state"])
@@ -193,6 +185,14 @@ class Model:
         except (KeyError, TypeError, ValueError, RuntimeError, AttributeError) as error:
             raise UserError(f"{path} is no whole lifter: {str(error).splitlines()[0]}") from error
         return cls(lifter.eval(), skeleton, settings)
+
+
+def _in_pixels(lifted: Lifted, frames: TrainingSet) -> tuple[Tensor, Tensor]:
+    """Return poses in pixels and the direction of gravity (frames 3), both in the real camera's frame."""
+    pose = lifted.pose * frames.scale[:, None, None]
+    if frames.rotation is not None:
+        pose = turn(pose, frames.rotation.mT)
+    return pose, gravity_of(real_tilt(lifted.tilt, frames.rotation), None)
 
 
 def _levelled(pose: Tensor, gravity: Tensor) -> Tensor:

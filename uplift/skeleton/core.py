@@ -72,6 +72,15 @@ class Skeleton:
             places[[self.index(one), self.index(other)]] = self.index(other), self.index(one)
         return _read_only(places)
 
+    @property
+    def has_mirror_image(self) -> bool:
+        """Whether a pose seen in a mirror is a pose again: there are pairs, and the root is on the mirror's plane.
+
+        A root with a partner changes places with it, and what was centred on the one would be centred
+        on the other.
+        """
+        return bool(self.mirror) and int(self.mirror_permutation[self.root_index]) == self.root_index
+
     @cached_property
     def parents(self) -> dict[str, str | None]:
         """The parent of each joint in the tree found breadth first from the root; None for the root."""

@@ -74,8 +74,8 @@ class LifterTraining(L.LightningModule):
 
     @property
     def mirrors(self) -> bool:
-        """Whether poses are shown mirrored half the time: not those of a skeleton without mirror pairs."""
-        return self.settings.mirror and bool(self.lifter.skeleton.mirror)
+        """Whether poses are shown mirrored half the time: not those of a skeleton that has no mirror image."""
+        return self.settings.mirror and self.lifter.skeleton.has_mirror_image
 
     @property
     def final(self) -> Lifter:

@@ -14,9 +14,10 @@ from lightning.fabric.utilities.exceptions import MisconfigurationException
 from uplift.config import TrainerSettings
 from uplift.errors import UserError
 from uplift.limits import seconds_of
+from uplift.torch_file import read_torch
 from uplift.training.base import LifterTraining
 from uplift.training.budget import Budget, Interrupted
-from uplift.training.checkpoint import Checkpoints, check_checkpoint, read_torch
+from uplift.training.checkpoint import Checkpoints, check_checkpoint
 from uplift.training.progress import MetricsFile, Progress
 from uplift.training.threads import Threads
 

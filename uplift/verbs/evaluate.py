@@ -31,8 +31,10 @@ __all__ = ["evaluate", "evaluate_model", "evaluate_poses", "save_evaluation"]
 _IDENTITY = ("subject", "action", "sequence", "camera", "frame")
 
 
-def evaluate(run: str | Path, test: str | Path | None = None) -> Evaluation:
+def evaluate(run: str | Path, test: str | Path | None = None, *, refine: bool = True) -> Evaluation:
     """Evaluate a run on ``test``, or on its own test frames, and write evaluation.json into the run.
+
+    The frames of a clip are lifted together unless ``refine`` is off.
 
     Raises:
         UserError: no such run, no truth to compare with.
@@ -42,7 +44,7 @@ def evaluate(run: str | Path, test: str | Path | None = None) -> Evaluation:
     folder = RunFolder.open(run)
     model = load(folder.path)
     truth, name = _test_frames(folder, model.skeleton, test)
-    result = evaluate_model(model, truth, name)
+    result = evaluate_model(model, truth, name, refine=refine)
     save_evaluation(result, folder)
     return result
 
@@ -63,11 +65,14 @@ def _test_frames(folder: RunFolder, skeleton: Skeleton, test: str | Path | None)
     return data, data.source
 
 
-def evaluate_model(model: Model, truth: PoseData, name: str) -> Evaluation:
+def evaluate_model(model: Model, truth: PoseData, name: str, *, refine: bool = True) -> Evaluation:
     """Return every protocol of ``model`` on cleaned frames with poses."""
     if truth.pose is None:
         raise UserError(f"{name}: holds no 'pose' (frames, joints, 3) to compare with, only keypoints.")
-    return score(model.predict(truth), truth, model.skeleton, name)
+    result = score(model.predict(truth, refine=refine), truth, model.skeleton, name)
+    if model.refines(truth, refine):
+        result.notes.append("the frames of each clip were lifted together (refine=off: each on its own)")
+    return result
 
 
 def evaluate_poses(poses: str | Path, test: str | Path, skeleton: str | None = None) -> Evaluation:

@@ -25,8 +25,9 @@ from uplift.task import load_settings
 from uplift.training.adversarial import AdversarialTraining
 from uplift.training.base import LifterTraining
 from uplift.training.budget import Interrupted
+from uplift.training.pseudo import PseudoPoses, lift_all
 from uplift.training.stages import run_stage, stage_budgets
-from uplift.training.student import StudentTraining, lift_all
+from uplift.training.student import StudentTraining
 from uplift.training.watch import blame
 from uplift.verbs.reporting import report
 
@@ -110,24 +111,28 @@ class _Stages:
         self.spent: dict[str, float] = {}
         torch.manual_seed(settings.seed)
         self.priors, self.weights, self.notes = build_priors(settings.priors, skeleton)
-        if not skeleton.mirror:
-            self.notes.append(f"no mirroring: skeleton '{skeleton.name}' has no `mirror:` pairs")
+        if not skeleton.has_mirror_image:
+            why = f"its root '{skeleton.root}' is one of a pair" if skeleton.mirror else "it has no `mirror:` pairs"
+            self.notes.append(f"no mirroring of skeleton '{skeleton.name}': {why}")
         if not self.priors:
             raise UserError(
                 "No prior is on: nothing would train the lifter. Set priors.NAME.use and priors.NAME.weight."
             )
-        self.first = build_lifter(settings.lifter, skeleton)
+        # What only a student learns, a teacher has no outputs for.
+        alone = dataclasses.replace(settings.lifter, spread=False, denoise=False)
+        self.first = build_lifter(alone, skeleton)
         if settings.init and not (run and (run.checkpoints / "teacher.ckpt").is_file()):
             _start_from(self.first, settings.init)
 
     def train(self, run: RunFolder) -> Model:
         """Return the model after the last stage."""
         settings = self.settings
-        lifter, chosen = self._run("teacher", self._teacher(), 0, run), settings.lifter
+        lifter = self._run("teacher", self._teacher(), 0, run)
+        chosen = dataclasses.replace(settings.lifter, spread=False, denoise=False)
         for number in range(1, len(self.rounds) + 1):
             start = time.monotonic()
             poses = lift_all(lifter, self.data, settings.student.refine)
-            chosen = student_settings(settings)
+            chosen = student_settings(settings, poses, last=number == len(self.rounds))
             torch.manual_seed(settings.seed + number)
             fresh = build_lifter(chosen, self.skeleton)
             student = StudentTraining(fresh, poses, settings.student, settings.views, settings.seed + number)
@@ -150,12 +155,15 @@ class _Stages:
         )
 
 
-def student_settings(settings: Settings) -> LifterSettings:
-    """Return the lifter settings of the student: the teacher's, with a network of its own where it has one."""
-    student = settings.student
-    options = settings.lifter.options if student.network is None else {}
+def student_settings(settings: Settings, poses: PseudoPoses, *, last: bool) -> LifterSettings:
+    """Return the lifter settings of a student of ``poses``: the teacher's, with what only students have."""
+    student, lifter = settings.student, settings.lifter
+    options = lifter.options if student.network is None else {}
     return dataclasses.replace(
-        settings.lifter, network=student.network or settings.lifter.network, options={**options, **student.options}
+        lifter,
+        network=student.network or lifter.network,
+        options={**options, **student.options, **(student.last_options if last else {})},
+        denoise=poses.noise is not None if lifter.denoise is None else lifter.denoise,
     )
 
 

@@ -14,8 +14,10 @@ from uplift.writers import write, writer_for
 __all__ = ["predict"]
 
 
-def predict(run: str | Path, input: str | Path, output: str | Path | None = None) -> Prediction:
+def predict(run: str | Path, input: str | Path, output: str | Path | None = None, *, refine: bool = True) -> Prediction:
     """Lift the keypoints of ``input`` with the model of ``run`` and write them to ``output``, if given.
+
+    The frames of a clip are lifted together unless ``refine`` is off.
 
     Raises:
         UserError: no such run or input, joints that do not fit the model's skeleton, an output that
@@ -30,7 +32,7 @@ def predict(run: str | Path, input: str | Path, output: str | Path | None = None
     model = load(run)
     data = load_file(input, model.skeleton)
     clean(data, model.skeleton)  # refuses a file with nothing to lift, before any work
-    prediction = model.predict(data, title=Path(input).stem)
+    prediction = model.predict(data, title=Path(input).stem, refine=refine)
     if output is not None:
         write(prediction, output)
     return prediction

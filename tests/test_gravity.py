@@ -1,0 +1,50 @@
+"""Gravity: one tilt for two cameras, the upright of bodies, medians of clips."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+
+from uplift.gravity import body_tilt, clip_median, gravity_of, real_tilt
+from uplift.views import about_x, about_y, least_rotation, turn
+
+
+def _turned_cameras(count: int) -> torch.Tensor:
+    """Return rotations of cameras that look aside, as one does that looks at a root off the image's centre."""
+    rays = torch.cat([0.5 * torch.randn(count, 2), torch.ones(count, 1)], 1)
+    return least_rotation(rays, torch.tensor([0.0, 0.0, 1.0]))
+
+
+def test_the_tilt_of_a_turned_camera_gives_that_of_the_real_one():
+    torch.manual_seed(0)
+    tilt, rotation = torch.rand(500) - 0.3, _turned_cameras(500)
+    seen = gravity_of(tilt, rotation)[:, 2].asin()
+    torch.testing.assert_close(real_tilt(seen, rotation), tilt, atol=1e-4, rtol=1e-4)
+    assert (seen - tilt).abs().mean() > 0.1, "the two cameras differ"
+    assert torch.equal(real_tilt(tilt, None), tilt)
+
+
+def test_gravity_is_down_in_a_level_camera():
+    torch.testing.assert_close(gravity_of(torch.zeros(1), None), torch.tensor([[0.0, 1.0, 0.0]]))
+    turned = turn(torch.tensor([[[0.0, 1.0, 0.0]]]), about_x(torch.tensor([0.3])))[:, 0]
+    torch.testing.assert_close(gravity_of(torch.tensor([0.3]), None), turned)
+
+
+@pytest.mark.parametrize("tilts", [(0.0, 0.7), (0.5, 0.5)])
+def test_bodies_tell_the_tilt(tilts):
+    """Bodies that mostly stand, seen from all around: their upright is the world's, whatever joints are where."""
+    torch.manual_seed(0)
+    body = torch.randn(12, 3)
+    shape = body + 0.15 * torch.randn(3000, 12, 3)
+    lean = about_x(0.1 * torch.randn(3000)) @ about_y(2 * torch.pi * torch.rand(3000))
+    tilt = tilts[0] + (tilts[1] - tilts[0]) * torch.rand(3000)
+    found, trust = body_tilt(turn(shape, about_x(tilt) @ lean))
+    assert (found - tilt).abs().median() < 0.08
+    assert (trust > 0).all()
+
+
+def test_the_median_of_a_clip():
+    clip = torch.tensor([1, 0, 0, 1, 0, 2])
+    value = torch.tensor([5.0, 1.0, 9.0, 7.0, 2.0, 4.0])
+    median = clip_median(value, torch.tensor([1.0, 1, 1, 3, 1, 1]), clip)
+    assert median.tolist() == [7, 2, 2, 7, 2, 4]

@@ -1,0 +1,141 @@
+"""Turned views of poses for a student: mixed, mirrored, seen from anywhere, partly hidden, noisy."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from uplift.camera import Camera
+from uplift.config import StudentSettings
+from uplift.data.clean import MIN_VISIBLE
+from uplift.normalise import renormalise
+from uplift.pose import mirror
+from uplift.skeleton import Skeleton
+from uplift.training.mixing import LimbMixer
+from uplift.training.pseudo import PseudoPoses
+from uplift.views import about_y, least_rotation, random_rotations, turn
+
+__all__ = ["ShownViews", "ViewMaker"]
+
+_LIMB_SHARE = 0.3
+_MOST_HIDDEN = 0.5
+
+
+@dataclass(frozen=True)
+class ShownViews:
+    """Turned views to learn from: what the network sees, and what it should say. Units of the shown radius."""
+
+    given: Float[Tensor, "views joints 2"]
+    """What the network sees: with noise, about the root as it is seen."""
+    shown: Float[Tensor, "views joints"]
+    """Confidence with it, hidden joints at 0."""
+    keypoints: Float[Tensor, "views joints 2"]
+    """Without noise, about the true root."""
+    pose: Float[Tensor, "views joints 3"]
+    tilt: Float[Tensor, " views"]
+    distance: Float[Tensor, " views"]
+    sure: Float[Tensor, "views joints"]
+    """Of the poses they came from; 0 where there is nothing to learn."""
+
+    def part(self, place: int, size: int) -> ShownViews:
+        """Return the views of one batch of ``size``."""
+        rows = slice(place * size, (place + 1) * size)
+        return ShownViews(*(getattr(self, f.name)[rows] for f in fields(self)))
+
+
+class ViewMaker:
+    """Makes random views of ``poses``; its random numbers are torch's."""
+
+    def __init__(self, poses: PseudoPoses, camera: Camera, settings: StudentSettings, *, count_root: bool):
+        self.poses, self.camera, self.settings, self.count_root = poses, camera, settings, count_root
+        skeleton, device = poses.skeleton, poses.pose.device
+        self.mirrors = settings.mirror and skeleton.has_mirror_image
+        self.swap = torch.as_tensor(skeleton.mirror_permutation.copy(), device=device)
+        self.limbs = _limbs(skeleton).to(device)
+        mixes = settings.mix > 0 and not skeleton.rigid
+        self.mixer = LimbMixer(poses.pose, skeleton) if mixes else None
+
+    def __call__(self, count: int) -> ShownViews:
+        """Return ``count`` views."""
+        poses, root = self.poses, self.poses.skeleton.root_index
+        rows = self._draw(count)
+        pose, sure = self._mixed(rows)
+        pose, gravity = self._turned(pose)
+        distance = poses.distance[rows]
+        projected = self.camera.project(pose, distance)
+        seen, shown = projected, sure
+        if poses.noise is not None:
+            # Error and confidence of one real frame belong together.
+            other = self._draw(count)
+            seen = projected + poses.noise[other]
+            shown = poses.confidence[other] * (sure > 0)
+        shown = self._hide(shown)
+        few = ((shown > 0).sum(1, keepdim=True)) < MIN_VISIBLE
+        # The radius is that of the joints that are shown, as it will be of those that are seen. Where too few
+        # are left to tell a size, the view teaches nothing.
+        sure = sure.masked_fill(few, 0)
+        counted = torch.where(few, torch.ones_like(shown), shown)
+        given, radius = renormalise(seen, counted, root, count_root=self.count_root)
+        exact = (projected - projected[:, root, None]) / radius[:, None, None]
+        tilt = torch.asin(gravity[:, 2].clamp(-1, 1))
+        return ShownViews(given, shown, exact, pose / radius[:, None, None], tilt, distance / radius, sure)
+
+    def _draw(self, count: int) -> Tensor:
+        return torch.randint(len(self.poses), (count,), device=self.poses.pose.device)
+
+    def _mixed(self, rows: Tensor) -> tuple[Tensor, Tensor]:
+        """Return the poses of ``rows`` with limbs of others, half of them mirrored, and their confidence."""
+        poses, settings = self.poses, self.settings
+        if self.mixer is None:
+            pose, sure = poses.pose[rows], poses.confidence[rows]
+        else:
+            pose, sure = self.mixer(rows, poses.confidence, share=settings.mix, limb=settings.mix_limb)
+        if self.mirrors:
+            flip = torch.rand(len(rows), device=rows.device) < 0.5
+            pose = torch.where(flip[:, None, None], mirror(pose, self.swap), pose)
+            sure = torch.where(flip[:, None], sure[:, self.swap], sure)
+        return pose, sure
+
+    def _turned(self, pose: Tensor) -> tuple[Tensor, Tensor]:
+        """Return the level poses in the frames of random cameras, and gravity there."""
+        count, device = len(pose), pose.device
+        gravity = self.poses.gravity[self._draw(count)]
+        if not self.poses.skeleton.gravity:
+            return turn(pose, random_rotations(count, device)), gravity
+        azimuth = 2 * torch.pi * torch.rand(count, device=device)
+        down = gravity.new_tensor([0.0, 1.0, 0.0])
+        return turn(pose, least_rotation(gravity, down).mT @ about_y(azimuth)), gravity
+
+    def _hide(self, confidence: Tensor) -> Tensor:
+        """Return the confidence with joints of some views at 0: a random share of them, or a limb; the root never."""
+        if not self.settings.occlude:
+            return confidence
+        count, device = len(confidence), confidence.device
+        share = _MOST_HIDDEN * torch.rand(count, 1, device=device)
+        hidden = torch.rand(confidence.shape, device=device) < share
+        if len(self.limbs):
+            limb = self.limbs[torch.randint(len(self.limbs), (count,), device=device)]
+            hidden = torch.where(torch.rand(count, 1, device=device) < _LIMB_SHARE, limb, hidden)
+        hidden &= torch.rand(count, 1, device=device) < self.settings.occlude
+        hidden[:, self.poses.skeleton.root_index] = False
+        return confidence.masked_fill(hidden, 0)
+
+
+def _limbs(skeleton: Skeleton) -> Tensor:
+    """Return (limbs joints) bool: every joint with all below it, where that is no more than a third of the body."""
+    parents = skeleton.parents
+    found = set()
+    for top in skeleton.joints:
+        limb = set()
+        for joint in skeleton.joints:
+            above: str | None = joint
+            while above is not None and above != top:
+                above = parents[above]
+            if above == top:
+                limb.add(joint)
+        if 2 <= len(limb) <= len(skeleton.joints) / 3:
+            found.add(tuple(joint in limb for joint in skeleton.joints))
+    return torch.tensor(sorted(found), dtype=torch.bool).reshape(-1, len(skeleton.joints))
