@@ -49,7 +49,7 @@ def a_world(seconds: float = 1.5) -> dict[str, np.ndarray]:
         "subject": np.array(subject),
         "action": np.array(["walk"] * len(subject)),
         "sequence": np.array(sequence),
-        "fps": np.float32(30),
+        "fps": np.asarray(30, np.float32),
     }
 
 
@@ -103,7 +103,7 @@ def test_camera_axes_are_a_rotation_without_roll() -> None:
 
 def test_rig_files_are_data_files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "cmu").mkdir()
-    np.savez(tmp_path / "cmu" / "world.npz", **a_world())
+    np.savez(tmp_path / "cmu" / "world.npz", **a_world())  # type: ignore[arg-type]
     monkeypatch.setenv("UPLIFT_DATA", str(tmp_path))
     monkeypatch.setenv("UPLIFT_BENCHMARK_CACHE", str(tmp_path / "cache"))
     built = build_rigs(tmp_path / "one")

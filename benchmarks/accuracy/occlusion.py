@@ -74,32 +74,35 @@ def write_occluded(test: str | Path, folder: str | Path, root: str = "hip", seed
     return written
 
 
-def growth(run: str | Path, test: str | Path, occluded: str | Path) -> dict[str, float]:
+def growth(run: str | Path, test: str | Path, occluded: str | Path, *, refine: bool | None = None) -> dict[str, float]:
     """Return what it costs a run's model to see ``occluded`` in place of ``test``: the same frames with joints hidden.
 
     ``p_mpjpe`` and ``n_mpjpe`` are means over the joints visible in ``occluded`` and aligned on those
     alone; ``*_complete`` the same with everything visible, over the same joints; ``*_growth`` is their
     ratio. ``*_missing`` is the error of the hidden joints, ``*_missing_complete`` of the same joints
-    where nothing was hidden. Raises UserError where the two files are not of the same frames.
+    where nothing was hidden. ``refine`` as in `uplift.predict`. Raises UserError where the two files
+    are not of the same frames.
     """
     from uplift.data.load import load_file
     from uplift.model import load
 
     model = load(run)
     whole, other = (load_file(path, model.skeleton) for path in (test, occluded))
-    return _growth(model, whole, other, model.predict(whole))
+    return _growth(whole, other, *(_predict(model, data, refine) for data in (whole, other)))
 
 
-def _growth(model: Model, whole: PoseData, occluded: PoseData, seen_whole: Prediction) -> dict[str, float]:
+def _predict(model: Model, data: PoseData, refine: bool | None) -> Prediction:
+    return model.predict(data) if refine is None else model.predict(data, refine=refine)
+
+
+def _growth(whole: PoseData, occluded: PoseData, of_whole: Prediction, of_occluded: Prediction) -> dict[str, float]:
     from uplift.evaluation import evaluate
 
     if len(whole) != len(occluded):
         raise UserError(f"{occluded.source}: {len(occluded):,} frames, but {len(whole):,} in {whole.source}.")
     # Not cleaned: a root that was filled from its neighbours counts as hidden, not as visible.
     truth = replace(whole, confidence=np.where(occluded.confidence > 0, whole.confidence, 0))
-    complete, hidden = (
-        evaluate(prediction, truth, model.skeleton) for prediction in (seen_whole, model.predict(occluded))
-    )
+    complete, hidden = (evaluate(found, truth, found.skeleton) for found in (of_whole, of_occluded))
     if complete.frames != hidden.frames:
         raise UserError(f"{occluded.source}: {complete.frames - hidden.frames:,} frames cannot be lifted any more.")
     found: dict[str, float] = {"frames": hidden.frames, "hidden": float((truth.confidence == 0).mean())}
@@ -112,18 +115,20 @@ def _growth(model: Model, whole: PoseData, occluded: PoseData, seen_whole: Predi
     return found
 
 
-def occlusion_table(run: str | Path, test: str | Path, seed: int = 0) -> dict[str, dict[str, float]]:
+def occlusion_table(
+    run: str | Path, test: str | Path, seed: int = 0, *, refine: bool | None = None
+) -> dict[str, dict[str, float]]:
     """Return `growth` for each set of `hidden_joints` of the file ``test``."""
     from uplift.data.load import load_file
     from uplift.model import load
 
     model = load(run)
     whole = load_file(test, model.skeleton)
-    seen_whole = model.predict(whole)
+    of_whole = _predict(model, whole, refine)
     with tempfile.TemporaryDirectory() as folder:
         written = write_occluded(test, folder, _root_in(test, model.skeleton), seed)
         others = ((name, load_file(path, model.skeleton)) for name, path in written.items())
-        return {name: _growth(model, whole, other, seen_whole) for name, other in others}
+        return {name: _growth(whole, other, of_whole, _predict(model, other, refine)) for name, other in others}
 
 
 def _root_in(test: str | Path, skeleton: Skeleton) -> str:
@@ -152,10 +157,12 @@ def main() -> int:
     parser.add_argument("run", metavar="RUN")
     parser.add_argument("test", metavar="TEST.npz")
     parser.add_argument("--seed", type=int, default=0, help="of the joints hidden at random")
+    parser.add_argument("--refine", choices=("on", "off"), help="lift the frames of a clip together; as the run says")
     parser.add_argument("--json", metavar="FILE", help="write the figures here")
     given = parser.parse_args()
     try:
-        table = occlusion_table(given.run, given.test, given.seed)
+        refine = None if given.refine is None else given.refine == "on"
+        table = occlusion_table(given.run, given.test, given.seed, refine=refine)
         if given.json:
             with replacing(given.json) as file:
                 file.write((json.dumps(table, indent=1) + "\n").encode())

@@ -71,9 +71,9 @@ def film(world: dict[str, np.ndarray], rig: Rig, split: str) -> dict[str, np.nda
         "keypoints": found.pop("keypoints").astype(np.float32),
         "joint_names": world["joint_names"],
         **found,
-        "fps": np.float32(world["fps"] / _STEP),
+        "fps": np.asarray(world["fps"] / _STEP, np.float32),
         "image_size": np.array(IMAGE_PX),
-        "focal_px": np.float32(FOCAL_PX),
+        "focal_px": np.asarray(FOCAL_PX, np.float32),
     }
 
 

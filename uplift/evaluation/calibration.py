@@ -50,10 +50,10 @@ def coverage_of(error: Float[np.ndarray, " joints"], scale: Float[np.ndarray, " 
 def rank_correlation(one: Float[np.ndarray, " joints"], other: Float[np.ndarray, " joints"]) -> float | None:
     """Return Spearman's correlation over at most a million evenly picked pairs; None where one is constant."""
     step = -(-len(one) // _MOST_RANKED)
-    ranks = [_ranks(values[::step]) for values in (one, other)]
-    if any(np.ptp(rank) == 0 for rank in ranks):
+    ranks = np.stack([_ranks(values[::step]) for values in (one, other)])
+    if (np.ptp(ranks, axis=1) == 0).any():
         return None
-    return float(np.corrcoef(*ranks)[0, 1])
+    return float(np.corrcoef(ranks)[0, 1])
 
 
 def _ranks(values: np.ndarray) -> np.ndarray:
