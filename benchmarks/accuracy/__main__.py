@@ -3,134 +3,87 @@
 from __future__ import annotations
 
 import argparse
-import json
 import os
 import queue
-import shlex
-import subprocess
 import sys
-import tempfile
+from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
+from typing import Any
 
 import yaml
 
-from benchmarks.machine import ROOT, facts
+from benchmarks.accuracy.cells import Cell, cells_of
+from benchmarks.accuracy.show import markdown, sheets_of, text
+from benchmarks.accuracy.work import CellFailed, fill_in, run_cell
+from uplift.errors import UserError
 
-_HERE = Path(__file__).resolve().parent
-_RESULTS = ROOT / "benchmarks" / "results" / "accuracy"
-_SHOWN = ("p_mpjpe", "mpjpe_gt_scale", "n_mpjpe", "facing", "elevation_deg")
+_TABLES = Path(__file__).resolve().parent / "cells.yaml"
 
 
-def main() -> int:
-    """Run the tables named on the command line, all without names, and print them."""
-    tables = yaml.safe_load((_HERE / "cells.yaml").read_text())
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the tables named on the command line, all without names, and print them; 1 where a cell failed."""
+    tables: dict[str, dict[str, Any]] = yaml.safe_load(_TABLES.read_text())
     parser = argparse.ArgumentParser(prog="python -m benchmarks.accuracy", description=__doc__)
     parser.add_argument("tables", nargs="*", help=f"of {', '.join(tables)}; all without a name")
+    parser.add_argument("--only", nargs="+", metavar="FIT", help="of the tables' fits; all without a name")
     parser.add_argument("--minutes", type=float, help="in place of the tables' own, for a quick look")
     parser.add_argument("--jobs", type=int, default=1, help="fits side by side, each on its own share of the cores")
     parser.add_argument("--print", action="store_true", help="print what is there and run nothing")
-    given = parser.parse_args()
+    parser.add_argument("--markdown", action="store_true", help="print tables for a document")
+    given = parser.parse_args(arguments)
     unknown = set(given.tables) - set(tables)
     if unknown:
         parser.error(f"no table {', '.join(sorted(unknown))}; there are {', '.join(tables)}")
-    for name in given.tables or tables:
-        table = tables[name]
-        cells = [
-            (fit, minutes, seed)
-            for minutes in ([given.minutes] if given.minutes else table["minutes"])
-            for seed in table["seeds"]
-            for fit in table["fits"]
-        ]
+    if not 1 <= given.jobs <= len(os.sched_getaffinity(0)):
+        parser.error(f"--jobs {given.jobs}: expected 1 to {len(os.sched_getaffinity(0))}, a core each at least")
+    chosen = {name: cells_of(name, tables[name], given.minutes) for name in given.tables or tables}
+    missing = set(given.only or ()) - {cell.fit.name for cells in chosen.values() for cell in cells}
+    if missing:
+        parser.error(f"no fit {', '.join(sorted(missing))} in {', '.join(chosen)}")
+    failed = 0
+    for name, cells in chosen.items():
         if not given.print:
-            run_cells(name, table, cells, given.jobs)
-        print(show(name, cells))
-    return 0
+            failed += run_cells([cell for cell in cells if not given.only or cell.fit.name in given.only], given.jobs)
+        show = markdown if given.markdown else text
+        print("\n".join(show(sheet) for sheet in sheets_of(name, tables[name], cells)), flush=True)
+    if failed:
+        print(f"\n{failed} cells failed; the same command tries them again", file=sys.stderr)
+    return 1 if failed else 0
 
 
-def cell_path(table: str, fit: str, minutes: float, seed: int) -> Path:
-    """Return where a cell's result is kept."""
-    return _RESULTS / table / f"{fit}_{minutes:g}min_seed{seed}.json"
-
-
-def run_cells(name: str, table: dict, cells: list[tuple[str, float, int]], jobs: int) -> None:
-    """Run the cells that are not there yet, ``jobs`` at a time; each job has its own cores."""
+def run_cells(cells: Sequence[Cell], jobs: int) -> int:
+    """Run the cells that are not there yet, ``jobs`` at a time, each job on its own cores; return how many failed."""
     cores = sorted(os.sched_getaffinity(0))
     shares: queue.Queue[set[int]] = queue.Queue()
     for job in range(jobs):
         shares.put(set(cores[job::jobs]))
 
-    def run(cell: tuple[str, float, int]) -> None:
-        fit, minutes, seed = cell
-        path = cell_path(name, fit, minutes, seed)
-        if path.is_file():
-            print(f"kept {path.relative_to(ROOT)}", flush=True)
-            return
+    def run(cell: Cell) -> bool:
+        if cell.path.is_file():
+            print(f"kept {cell.path.name}", flush=True)
+            return True
         mine = shares.get()
         try:
-            run_cell(name, fit, table["fits"][fit], minutes, seed, table.get("test"), mine)
+            print(f"run {cell.path.name}", flush=True)
+            run_cell(cell, mine)
+        except (CellFailed, UserError) as error:
+            print(f"\n{cell.table}, {cell.fit.name}: {error}\n", file=sys.stderr, flush=True)
+            return False
         finally:
             shares.put(mine)
+        return True
 
+    _prepare([cell for cell in cells if not cell.path.is_file()])
     with ThreadPoolExecutor(jobs) as pool:
-        list(pool.map(run, cells))
+        return sum(not done for done in pool.map(run, cells))
 
 
-def run_cell(table: str, fit: str, words: str, minutes: float, seed: int, test: str | None, cores: set[int]) -> None:
-    """Fit and evaluate one cell on ``cores``."""
-    seconds = round(60 * minutes)
-    clock = f"{seconds // 3600:02d}:{seconds // 60 % 60:02d}:{seconds % 60:02d}"
-    command = ["uplift", "fit", *shlex.split(words), f"trainer.max_time={clock}", f"seed={seed}"]
-    print(f"\n{table}: {shlex.join(command)}", flush=True)
-    python = [sys.executable, "-m", "uplift.cli"]
-    environment = {**os.environ, "OMP_NUM_THREADS": str(len(cores))}
-
-    def work(more: list[str], folder: str) -> None:
-        subprocess.run(
-            [*python, *more], cwd=folder, check=True, env=environment, stdout=subprocess.DEVNULL,
-            stderr=subprocess.DEVNULL, preexec_fn=lambda: os.sched_setaffinity(0, cores),
-        )  # fmt: skip
-
-    with tempfile.TemporaryDirectory() as folder:
-        work(command[1:], folder)
-        run = next(Path(folder).glob("runs/*/last")).resolve()
-        commands = [shlex.join(command)]
-        if test:
-            file = Path(os.environ["UPLIFT_DATA"]).resolve() / test
-            work(["evaluate", f"run={run}", f"data.test={file}"], folder)
-            commands.append(f"uplift evaluate run=RUN data.test=$UPLIFT_DATA/{test}")
-        evaluation = json.loads((run / "evaluation.json").read_text())
-        sizes = {"lifter_bytes": (run / "lifter.pt").stat().st_size}
-    result = {
-        "commands": commands,
-        "seed": seed,
-        "minutes": minutes,
-        **facts(),
-        **sizes,
-        "overall": evaluation["overall"],
-    }
-    path = cell_path(table, fit, minutes, seed)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_text(json.dumps(result, indent=1) + "\n")
-
-
-def show(table: str, cells: list[tuple[str, float, int]]) -> str:
-    """Return the table: a row for each recipe and time, the mean over its seeds and their spread."""
-    lines = [f"\n{table}", f"{'recipe':<18}{'minutes':>8}{'seeds':>6}" + "".join(f"{name:>20}" for name in _SHOWN)]
-    for fit, minutes in dict.fromkeys((fit, minutes) for fit, minutes, _ in cells):
-        seeds = [seed for f, m, seed in cells if (f, m) == (fit, minutes)]
-        found = [cell_path(table, fit, minutes, seed) for seed in seeds]
-        overall = [json.loads(path.read_text())["overall"] for path in found if path.is_file()]
-        texts = [_mean([o[name] for o in overall if name in o]) for name in _SHOWN]
-        lines.append(f"{fit:<18}{minutes:>8g}{len(overall):>6}" + "".join(f"{text:>20}" for text in texts))
-    return "\n".join(lines)
-
-
-def _mean(values: list[float]) -> str:
-    if not values:
-        return "-"
-    mean = sum(values) / len(values)
-    return f"{mean:.3f}" + (f" ({min(values):.3f}-{max(values):.3f})" if len(values) > 1 else "")
+def _prepare(cells: Sequence[Cell]) -> None:
+    """Build the rigs once, before several jobs would at the same time."""
+    words = [cell.fit.command for cell in cells] + [t.data for cell in cells for t in cell.fit.tests.values()]
+    if any("{rigs}" in word for word in words):
+        print(f"rigs: {fill_in('{rigs}')}", flush=True)
 
 
 if __name__ == "__main__":

@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from jaxtyping import Float
 
+from uplift.errors import UserError
+from uplift.evaluation.calibration import calibrate
 from uplift.evaluation.match import match_poses
 from uplift.evaluation.metrics import elevation_deg
 from uplift.evaluation.plausibility import bone_cv, bone_lengths, facing_sign, has_handedness
@@ -37,6 +39,8 @@ class GivenPoses:
     identity: Mapping[str, np.ndarray] = field(default_factory=dict)
     """Checked against the truth's where both have a key."""
     source: str = ""
+    spread: np.ndarray | None = None
+    """(frames joints), the expected absolute error of each depth (a Laplace scale), in the pose's unit."""
 
 
 def flat_depth(keypoints: Float[np.ndarray, "frames joints 2"], root: int) -> Float[np.ndarray, "frames joints 3"]:
@@ -50,7 +54,8 @@ def evaluate(prediction: GivenPoses | Prediction, truth: PoseData, skeleton: Ske
 
     A joint counts where it was visible in 2D (confidence above 0) and both poses know it; the error
     of joints that the prediction filled in is reported beside it as ``*_missing``. Frames with fewer
-    than three joints that count are left out. ``data`` names the truth in the report.
+    than three joints that count are left out. A prediction with a spread is told how well it is
+    calibrated. ``data`` names the truth in the report.
 
     Raises:
         UserError: no truth, other joints, other frames, or nothing left to compare.
@@ -59,6 +64,7 @@ def evaluate(prediction: GivenPoses | Prediction, truth: PoseData, skeleton: Ske
     scores = score(matched)
     if prediction.tilt_deg is not None and truth.tilt_deg is not None:
         scores.frames["elevation_deg"] = elevation_deg(prediction.tilt_deg, truth.tilt_deg)[kept]
+    spread = _spread_of(prediction, skeleton)
     actions, subjects = (_groups(truth.identity, key, kept) for key in ("action", "subject"))
     per_action = _per_group(scores, *actions)
     return Evaluation(
@@ -71,7 +77,22 @@ def evaluate(prediction: GivenPoses | Prediction, truth: PoseData, skeleton: Ske
         frames=len(matched.pose),
         action_frames={name: int((actions[1] == place).sum()) for place, name in enumerate(actions[0])},
         notes=[*notes, *_truth_notes(matched, scores, subjects[1])],
+        calibration=None if spread is None else calibrate(matched, spread[kept]),
     )
+
+
+def _spread_of(prediction: GivenPoses | Prediction, skeleton: Skeleton) -> np.ndarray | None:
+    """Return the prediction's spread in the skeleton's order of joints; raises UserError for one that cannot be."""
+    if prediction.spread is None:
+        return None
+    spread, names = np.asarray(prediction.spread), [str(name) for name in prediction.joint_names]
+    where = prediction.source or "the prediction"
+    expected = (len(prediction.pose), len(names))
+    if spread.shape != expected:
+        raise UserError(f"{where}: 'spread' has shape {spread.shape}, expected {expected}: (frames joints).")
+    if (spread < 0).any():
+        raise UserError(f"{where}: 'spread' goes down to {np.nanmin(spread):g}, expected an error of 0 or more.")
+    return spread[:, [names.index(joint) for joint in skeleton.joints]]
 
 
 def _groups(identity: Mapping[str, np.ndarray], key: str, kept: np.ndarray) -> tuple[list[str], np.ndarray]:

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from uplift.evaluation.protocols import ACTION_MEAN, protocol_kind, protocol_meaning, protocol_unit
+from uplift.evaluation.protocols import ACTION_MEAN, MISSING, protocol_kind, protocol_meaning, protocol_unit
 
 __all__ = ["Evaluation"]
 
@@ -46,6 +46,8 @@ class Evaluation:
     frames: int
     action_frames: dict[str, int] = field(default_factory=dict)
     notes: list[str] = field(default_factory=list)
+    calibration: dict[str, Any] | None = None
+    """What `calibrate` found; None for a prediction without a spread."""
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain data for evaluation.json; protocols that do not apply are absent."""
@@ -57,16 +59,21 @@ class Evaluation:
             "per_action": self.per_action,
             "per_joint": self.per_joint,
             "per_subject": self.per_subject,
+            **({"calibration": self.calibration} if self.calibration else {}),
             "notes": self.notes,
         }
 
     def write_csv(self, path: str | Path) -> None:
-        """Write one figure a row: group (overall, action, subject, joint), name, protocol, value, unit."""
+        """Write one figure a row: group (overall, action, subject, joint, calibration), name, protocol, value, unit."""
         with Path(path).open("w", newline="", encoding="utf-8") as file:
             writer = csv.writer(file)
             writer.writerow(["group", "name", "protocol", "value", "unit"])
             for group, name, protocol, value in self._figures():
                 writer.writerow([group, name, protocol, repr(value), protocol_unit(protocol, self.unit)])
+            for name, found in (self.calibration or {}).items():
+                for protocol, value in found.items() if isinstance(found, dict) else [(name, found)]:
+                    of = name if isinstance(found, dict) else ""
+                    writer.writerow(["calibration", of, protocol, repr(value), ""])
 
     def _figures(self) -> Iterator[tuple[str, str, str, float]]:
         parts = {"action": self.per_action, "subject": self.per_subject, "joint": self.per_joint}
@@ -80,7 +87,7 @@ class Evaluation:
         parts = [f"{self.data or 'evaluation'}: {self.frames:,} frames", self._overall_table()]
         if self.per_action:
             parts.append(self._action_table())
-        parts += [self._joint_table(), "\n".join(f"- {note}" for note in self.notes)]
+        parts += [self._joint_table(), self._calibration_table(), "\n".join(f"- {note}" for note in self.notes)]
         return "\n\n".join(part for part in parts if part)
 
     def _overall_table(self) -> str:
@@ -128,6 +135,20 @@ class Evaluation:
             for joint, values in self.per_joint.items()
         ]
         return _columns([["per joint", *names], *rows])
+
+    def _calibration_table(self) -> str:
+        """Return the shares of depth errors inside the intervals that the spread gives; nothing without one."""
+        found = self.calibration or {}
+        groups = [(name, ending) for name, ending in (("visible", ""), ("missing", MISSING)) if name in found]
+        if not groups:
+            return ""
+        rows = []
+        for name, ending in groups:
+            others = [found.get(f"{figure}{ending}") for figure in ("spread_error", "rank_correlation")]
+            shown = [*found[name].values(), *others]
+            rows.append([f"joints {name}", *("-" if value is None else f"{value:.3f}" for value in shown)])
+        head = ["depth errors inside the interval of", *found[groups[0][0]], "spread_error", "rank_correlation"]
+        return _columns([head, *rows])
 
 
 def _paper_order(actions: list[str]) -> dict[str, str] | None:

@@ -1,0 +1,172 @@
+"""Run one cell: train or compute, evaluate, and keep what was found with the commands that found it."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import shlex
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from benchmarks.accuracy.cells import Cell, Target, place
+from benchmarks.accuracy.rigs import cached_rigs
+from benchmarks.machine import ROOT, facts
+
+__all__ = ["CellFailed", "fill_in", "run_cell"]
+
+HERE = Path(__file__).resolve().parent
+
+_SCORE = "import json, sys, uplift; print(json.dumps(uplift.evaluate_poses(*sys.argv[1:]).to_dict()))"
+
+
+class CellFailed(Exception):
+    """A command of a cell ended with an error; the message has the end of what it said."""
+
+
+def fill_in(text: str, *, shown: bool = False) -> str:
+    """Return ``text`` with its placeholders filled in; ``shown`` for readers, in place of this machine's folders."""
+    known = {"{data}": "$UPLIFT_DATA", "{rigs}": "$UPLIFT_BENCHMARK_CACHE", "{here}": "benchmarks/accuracy"}
+    for placeholder, name in known.items():
+        if placeholder in text:
+            text = text.replace(placeholder, name if shown else str(_folder(placeholder)))
+    return text
+
+
+def _folder(placeholder: str) -> Path:
+    if placeholder == "{here}":
+        return HERE
+    if placeholder == "{rigs}":
+        return cached_rigs().resolve()
+    if not os.environ.get("UPLIFT_DATA"):
+        raise CellFailed("UPLIFT_DATA is not set: it names the folder of the data sets")
+    return Path(os.environ["UPLIFT_DATA"]).resolve()
+
+
+def run_cell(cell: Cell, cores: set[int]) -> None:
+    """Run one cell on ``cores`` and keep its result.
+
+    Raises:
+        CellFailed: one of its commands did.
+    """
+    _check_words(cell)
+    with tempfile.TemporaryDirectory() as folder:
+        work = _Work(cell, Path(folder), cores)
+        found = work.floor() if cell.fit.floor else work.fit()
+    kept = {"commands": work.commands, "seed": cell.seed, "minutes": cell.minutes, **facts(), **found}
+    cell.path.parent.mkdir(parents=True, exist_ok=True)
+    cell.path.write_text(json.dumps(kept, indent=1) + "\n")
+
+
+def _check_words(cell: Cell) -> None:
+    """Refuse words that `uplift evaluate` does not know before anything is trained."""
+    from uplift.cli import _KEYS
+
+    for name, test in cell.fit.tests.items():
+        unknown = [word for word in shlex.split(test.words) if word.partition("=")[0] not in _KEYS["evaluate"]]
+        if unknown:
+            raise CellFailed(f"test {name}: `uplift evaluate` takes no {', '.join(unknown)}")
+
+
+class _Work:
+    """Runs the commands of one cell in a folder of its own and keeps them as a reader would type them."""
+
+    def __init__(self, cell: Cell, folder: Path, cores: set[int]):
+        self.cell, self.folder, self.cores = cell, folder, cores
+        self.commands: list[str] = []
+
+    def fit(self) -> dict[str, Any]:
+        """Train and evaluate; return what the cell's file holds beside the machine's facts."""
+        cell, words = self.cell, shlex.split(self.cell.fit.command)
+        words += [f"trainer.max_time={_clock(cell.minutes or 0)}", f"seed={cell.seed}"]
+        start = time.monotonic()
+        self._run(words if cell.fit.python else ["-m", "uplift.cli", "fit", *words])
+        wall = time.monotonic() - start
+        run = next(iter(self.folder.glob("runs/*/last")), None)
+        if run is None:
+            raise CellFailed(f"{self.commands[-1]}: left no runs/*/last")
+        run = run.resolve()
+        if cell.fit.test:
+            self._evaluate(run, Target(cell.fit.test))
+        found = _evaluation_of(run)
+        result: dict[str, Any] = {
+            "lifter_bytes": (run / "lifter.pt").stat().st_size,
+            "train_seconds": _trained(run),
+            "wall_seconds": round(wall, 1),
+            **{key: found[key] for key in ("overall", "calibration") if key in found},
+        }
+        if cell.fit.occlusion:  # before other tests: it looks at the file that `overall` is about
+            result["occlusion"] = self._occlusion(run, cell.fit.test)
+        if cell.fit.tests:
+            result["tests"] = {name: self._evaluate(run, test) for name, test in cell.fit.tests.items()}
+        return result
+
+    def floor(self) -> dict[str, Any]:
+        """Compute and evaluate a floor."""
+        fit, poses = self.cell.fit, "OUT.npz"
+        train, test = place(fit.train), str(fit.test)
+        self._run(["-m", "benchmarks.accuracy.floors", str(fit.floor), train, test, poses, f"skeleton={fit.skeleton}"])
+        text = self._run(["-c", _SCORE, poses, test, fit.skeleton], shown=False)
+        self.commands.append(
+            fill_in(f"uplift evaluate poses={poses} data.test={test} skeleton={fit.skeleton}", shown=True)
+        )
+        return {"overall": json.loads(text)["overall"]}
+
+    def _evaluate(self, run: Path, test: Target) -> dict[str, float]:
+        words = [f"data.test={test.data}", *shlex.split(test.words)]
+        self._run(["-m", "uplift.cli", "evaluate", f"run={run}", *words], run=run)
+        return _evaluation_of(run)["overall"]
+
+    def _occlusion(self, run: Path, test: str | None) -> dict[str, dict[str, float]]:
+        from uplift.data.load import find_data
+        from uplift.run import RunFolder
+
+        file = test or str(find_data(RunFolder(run).settings(), "test"))
+        shown = test or "TEST.npz"
+        self._run(["-m", "benchmarks.accuracy.occlusion", str(run), file, "--json", "occlusion.json"], shown=False)
+        self.commands.append(f"python -m benchmarks.accuracy.occlusion RUN {fill_in(shown, shown=True)}")
+        return json.loads((self.folder / "occlusion.json").read_text())
+
+    def _run(self, words: Sequence[str], *, run: Path | None = None, shown: bool = True) -> str:
+        """Run python with ``words``, note the command, and return what it printed."""
+        if shown:
+            told = " ".join(_quoted(word) for word in ["python", *words]).replace("python -m uplift.cli", "uplift")
+            self.commands.append(fill_in(told.replace(str(run), "RUN") if run else told, shown=True))
+        environment = {**os.environ, "OMP_NUM_THREADS": str(len(self.cores))}
+        environment["PYTHONPATH"] = os.pathsep.join(filter(None, [str(ROOT), os.environ.get("PYTHONPATH")]))
+        done = subprocess.run(
+            [sys.executable, *map(fill_in, words)], cwd=self.folder, env=environment, capture_output=True, text=True,
+            preexec_fn=lambda: os.sched_setaffinity(0, self.cores),
+        )  # fmt: skip
+        if done.returncode:
+            said = "\n".join((done.stdout + done.stderr).strip().splitlines()[-12:])
+            raise CellFailed(f"{shlex.join(words)} ended with status {done.returncode}:\n{said}")
+        return done.stdout
+
+
+def _quoted(word: str) -> str:
+    return f'"{word}"' if re.search(r"[\s*()\[\]]", word) else word
+
+
+def _clock(minutes: float) -> str:
+    seconds = round(60 * minutes)
+    return f"{seconds // 3600:02d}:{seconds // 60 % 60:02d}:{seconds % 60:02d}"
+
+
+def _evaluation_of(run: Path) -> dict[str, Any]:
+    path = run / "evaluation.json"
+    if not path.is_file():
+        raise CellFailed(f"{run}: was not evaluated: the fit had no test frames with poses")
+    return json.loads(path.read_text())
+
+
+def _trained(run: Path) -> float | None:
+    """Return the seconds of all stages as the run's report has them, None where it has none."""
+    report = run / "report.md"
+    found = re.findall(r"^- \w+: (\d+) s of training$", report.read_text(), re.M) if report.is_file() else []
+    return float(sum(map(int, found))) if found else None
