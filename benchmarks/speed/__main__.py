@@ -28,8 +28,9 @@ from uplift.skeleton import load_skeleton
 from uplift.task import load_settings
 from uplift.training.adversarial import AdversarialTraining
 from uplift.training.base import LifterTraining
+from uplift.training.pseudo import lift_all
 from uplift.training.stages import StageBudget, run_stage
-from uplift.training.student import StudentTraining, lift_all
+from uplift.training.student import StudentTraining
 from uplift.verbs.fit import student_settings
 
 _ROUNDS = 3
@@ -180,13 +181,13 @@ def _student(batch: int, data: PoseData) -> StudentTraining:
     torch.manual_seed(0)
     teacher = build_lifter(settings.lifter, skeleton)
     poses = lift_all(teacher, _training_set(data, settings.views.count_root), settings.student.refine)
-    fresh = build_lifter(student_settings(settings), skeleton)
+    fresh = build_lifter(student_settings(settings, noisy=False, last=True), skeleton)
     return StudentTraining(fresh, poses, settings.student, settings.views, 0)
 
 
 def _model() -> Model:
     settings = load_settings(None, ["skeleton=h36m17"])
-    chosen: LifterSettings = student_settings(settings)
+    chosen: LifterSettings = student_settings(settings, noisy=False, last=True)
     skeleton = load_skeleton("h36m17")
     return Model(build_lifter(chosen, skeleton).eval(), skeleton, chosen)
 

@@ -67,7 +67,7 @@ class ViewMaker:
         distance = poses.distance[rows]
         projected = self.camera.project(pose, distance)
         seen, shown = projected, sure
-        if poses.noise is not None:
+        if poses.noise is not None and self.settings.noise:
             # Error and confidence of one real frame belong together.
             other = self._draw(count)
             seen = projected + poses.noise[other]

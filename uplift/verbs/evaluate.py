@@ -81,7 +81,7 @@ def evaluate_poses(poses: str | Path, test: str | Path, skeleton: str | None = N
     Raises:
         UserError: not such a file, other joints or other frames than the truth.
     """
-    arrays = read_arrays(poses, ("pose", "joint_names", "unit", "tilt_deg", *_IDENTITY))
+    arrays = read_arrays(poses, ("pose", "joint_names", "unit", "tilt_deg", "spread", *_IDENTITY))
     for key in ("pose", "joint_names"):
         if key not in arrays:
             raise UserError(f"{poses}: no array '{key}' (found: {', '.join(sorted(arrays)) or 'none that is needed'}).")
@@ -95,11 +95,17 @@ def evaluate_poses(poses: str | Path, test: str | Path, skeleton: str | None = N
     tilt = arrays.get("tilt_deg")
     if tilt is not None and (tilt.shape != pose.shape[:1] or tilt.dtype.kind not in "fiu"):
         raise UserError(f"{poses}: 'tilt_deg' is {tilt.dtype} of shape {tilt.shape}, expected numbers ({len(pose)},).")
+    spread = arrays.get("spread")
+    if spread is not None and (spread.shape != pose.shape[:2] or spread.dtype.kind not in "fiu"):
+        raise UserError(
+            f"{poses}: 'spread' is {spread.dtype} of shape {spread.shape}, expected numbers {pose.shape[:2]}."
+        )
     given = GivenPoses(
         pose=pose.astype(np.float64),
         joint_names=names,
         unit=unit_of(str(poses), arrays, "relative"),
         tilt_deg=tilt,
+        spread=spread,
         identity=_identity(str(poses), arrays, len(pose)),
         source=str(poses),
     )

@@ -25,7 +25,7 @@ from uplift.task import load_settings
 from uplift.training.adversarial import AdversarialTraining
 from uplift.training.base import LifterTraining
 from uplift.training.budget import Interrupted
-from uplift.training.pseudo import PseudoPoses, lift_all
+from uplift.training.pseudo import lift_all
 from uplift.training.stages import run_stage, stage_budgets
 from uplift.training.student import StudentTraining
 from uplift.training.watch import blame
@@ -132,7 +132,7 @@ class _Stages:
         for number in range(1, len(self.rounds) + 1):
             start = time.monotonic()
             poses = lift_all(lifter, self.data, settings.student.refine)
-            chosen = student_settings(settings, poses, last=number == len(self.rounds))
+            chosen = student_settings(settings, noisy=poses.noise is not None, last=number == len(self.rounds))
             torch.manual_seed(settings.seed + number)
             fresh = build_lifter(chosen, self.skeleton)
             student = StudentTraining(fresh, poses, settings.student, settings.views, settings.seed + number)
@@ -155,15 +155,18 @@ class _Stages:
         )
 
 
-def student_settings(settings: Settings, poses: PseudoPoses, *, last: bool) -> LifterSettings:
-    """Return the lifter settings of a student of ``poses``: the teacher's, with what only students have."""
+def student_settings(settings: Settings, *, noisy: bool, last: bool) -> LifterSettings:
+    """Return the lifter settings of a student: the teacher's, with what only students have.
+
+    ``noisy`` says whether its poses tell that the keypoints are, ``last`` whether it is the last student.
+    """
     student, lifter = settings.student, settings.lifter
     options = lifter.options if student.network is None else {}
     return dataclasses.replace(
         lifter,
         network=student.network or lifter.network,
         options={**options, **student.options, **(student.last_options if last else {})},
-        denoise=poses.noise is not None if lifter.denoise is None else lifter.denoise,
+        denoise=noisy if lifter.denoise is None else lifter.denoise,
     )
 
 
