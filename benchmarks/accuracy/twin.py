@@ -10,6 +10,7 @@ from __future__ import annotations
 import shlex
 import sys
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import torch
@@ -85,9 +86,9 @@ def load_labelled(settings: Settings, skeleton: Skeleton) -> Loaded:
         UserError: neither file has poses, or their rows differ.
     """
     loaded = load_data(settings, skeleton)
-    train, name = loaded.train, settings.data.train or ""
-    if train.pose is None and "_detected" in name:
-        exact = replace(settings.data, train=name.replace("_detected", ""))
+    train, file = loaded.train, Path(settings.data.train or "")
+    if train.pose is None and file.stem.endswith("_detected"):
+        exact = replace(settings.data, train=str(file.with_stem(file.stem.removesuffix("_detected"))))
         true = load_data(replace(settings, data=exact), skeleton).train
         same = len(true) == len(train) and all(
             key in true.identity and np.array_equal(values, true.identity[key])
