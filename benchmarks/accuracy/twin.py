@@ -88,7 +88,7 @@ def load_labelled(settings: Settings, skeleton: Skeleton) -> Loaded:
     loaded = load_data(settings, skeleton)
     train, file = loaded.train, Path(settings.data.train or "")
     if train.pose is None and file.stem.endswith("_detected"):
-        exact = replace(settings.data, train=str(file.with_stem(file.stem.removesuffix("_detected"))))
+        exact = replace(settings.data, train=str(file.with_stem(file.stem.removesuffix("_detected"))), test=None)
         true = load_data(replace(settings, data=exact), skeleton).train
         same = len(true) == len(train) and all(
             key in true.identity and np.array_equal(values, true.identity[key])
