@@ -1,0 +1,26 @@
+"""Pairwise deformation: two poses differ after lifting their turned views again as they did before."""
+
+from __future__ import annotations
+
+import uplift
+from uplift.views import turn
+
+__all__ = ["Pairwise"]
+
+
+class Pairwise(uplift.Prior):
+    """Distance between a pair's difference before and after turning, lifting again and turning back.
+
+    After Wandt et al. 2022, ElePose, 3.4 (L_def): what the two poses of a pair have in common drops out,
+    what deforms one against the other stays. Neighbours in the batch, which are random frames, make pairs.
+    """
+
+    def loss(self, lift):
+        """Return the mean over pairs of the norm of the change over all joints."""
+        again = turn(lift.relifted.pose * lift.seen_scale[:, None, None], lift.view.mT)
+        root = self.skeleton.root_index
+        change = (lift.pose - lift.pose[:, root, None]) - (again - again[:, root, None])
+        pairs = len(change) // 2 * 2
+        seen = lift.visible[0:pairs:2] * lift.visible[1:pairs:2]
+        off = (change[0:pairs:2] - change[1:pairs:2]).square().sum(-1) * seen
+        return (off.sum(1) + 1e-12).sqrt().mean()
