@@ -16,6 +16,7 @@ FOCAL_PX, CENTRE_PX, DISTANCE_MM = 1145.0, 500.0, 5000.0
 # Small and quick, yet every part of a fit with both of its stages runs.
 QUICK = (
     "lifter.options.units=16", "lifter.options.blocks=1", "priors.critic.units=16", "priors.critic.blocks=1",
+    "priors.flow.steps=3", "priors.flow.units=8",
     "teacher.batch_size=16", "student.batch_size=16", "student.rounds=1", "student.refine.iterations=2",
     "teacher.share=0.4", "student.share=0.6", "trainer.max_time=null",
     "trainer.max_steps=10", "trainer.log_every=2", "trainer.threads=1",

@@ -20,8 +20,9 @@ import torch
 
 import uplift.verbs.fit
 import uplift.verbs.reporting  # noqa: F401
+from uplift import torch_file
 from uplift.cli import main
-from uplift.training import checkpoint, progress
+from uplift.training import progress
 
 SMALL_DISK_BYTES = 20_000
 
@@ -46,7 +47,7 @@ def fill_disk() -> None:
 
 
 def kill_while_saving() -> None:
-    whole = checkpoint.torch.save
+    whole = torch_file.torch.save
 
     def half(state: Any, file: Any) -> None:
         whole(state, file)
@@ -54,7 +55,7 @@ def kill_while_saving() -> None:
         file.flush()
         kill()
 
-    checkpoint.torch.save = half
+    torch_file.torch.save = half
 
 
 EVENTS = {f.__name__: f for f in (kill, interrupt, terminate, fill_disk, kill_while_saving)}

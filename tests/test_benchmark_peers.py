@@ -1,4 +1,4 @@
-"""The peers of the accuracy benchmark: flow, losses and networks of their recipes, the twin, the floors."""
+"""The peers of the accuracy benchmark: losses and networks of their recipes, the twin, the floors."""
 
 from __future__ import annotations
 
@@ -11,16 +11,13 @@ import numpy as np
 import pytest
 import torch
 from bodies import body_arrays, status_of
-from lifts import H36M, bodies, doubles, lift_of, lift_of_pose, small_lifter, training_set, true_pose
-from torch.func import jacrev, vmap
+from lifts import H36M, bodies, lift_of_pose, training_set, true_pose
 
 from uplift.errors import UserError
-from uplift.lifter import Lifted
 from uplift.model import build_lifter, load
 from uplift.plugins import find_class
 from uplift.simulator import simulate
 from uplift.task import load_settings
-from uplift.views import turn
 
 ROOT = Path(__file__).resolve().parent.parent
 sys.path.insert(0, str(ROOT))
@@ -34,84 +31,6 @@ TASKS = ("elepose", "links")
 def peer(name: str, file: str) -> type:
     """Return the class ``name`` of a peer's file."""
     return find_class(f"{PEERS / file}.py:{name}", {}, "peers")
-
-
-def crooked_flow(size: int):
-    """Return a flow whose blocks are far from the identity."""
-    torch.manual_seed(1)
-    flow = peer("Flow", "flow")(size, blocks=3, units=8)
-    for parameter in flow.parameters():
-        torch.nn.init.normal_(parameter, std=0.6)
-    return flow
-
-
-@pytest.mark.parametrize("size", [2, 7, 26])
-def test_a_flow_goes_there_and_back(size):
-    with doubles():
-        flow, x = crooked_flow(size), torch.randn(5, size)
-        z, _ = flow(x)
-        assert (z - x).abs().max() > 0.1
-        torch.testing.assert_close(flow.inverse(z), x)
-
-
-@pytest.mark.parametrize("size", [2, 7])
-def test_a_flows_volume_is_that_of_its_jacobian(size):
-    with doubles():
-        flow, x = crooked_flow(size), torch.randn(4, size)
-        jacobian = vmap(jacrev(lambda one: flow(one[None])[0][0]))(x)
-        torch.testing.assert_close(flow(x)[1], torch.linalg.slogdet(jacobian).logabsdet)
-
-
-def test_a_fitted_flow_is_less_surprised_at_real_keypoints_than_at_others():
-    data = training_set(200)
-    prior = peer("FlowPrior", "flow")(H36M, axes=10, units=16, steps=150, batch_size=64)
-    prior.prepare(data)
-    real = lift_of(small_lifter(), data)
-    others = replace(real, pose=real.pose * torch.tensor([1.0, 1.0, 4.0]))
-    assert prior.loss(real).isfinite().all() and bool(prior.fitted)
-    assert not any(parameter.requires_grad for parameter in prior.parameters())
-    flat = (data.keypoints[:, prior.joints].flatten(1) - prior.mean) @ prior.whiten
-    assert prior.flow.surprise(flat).mean() < prior.loss(others).mean()
-
-
-def test_a_flow_looks_at_its_own_joints_only():
-    data = training_set(60)
-    prior = peer("FlowPrior", "flow")(H36M, joints=["lknee", "hip", "lankle"], steps=2, units=8)
-    prior.prepare(data)
-    lift = lift_of(small_lifter(), data, renormalise=False)  # the radius of a view runs over all joints
-    lift.pose.retain_grad()
-    prior.loss(lift).sum().backward()
-    assert lift.pose.grad is not None
-    moved = {H36M.joints[j] for j in lift.pose.grad.abs().sum((0, 2)).nonzero()[:, 0].tolist()}
-    assert moved == {"lknee", "lankle"}
-
-
-def perfect(lift):
-    """Return the lift whose turned views are lifted back to exactly what they were seen of."""
-    lift.__dict__["relifted"] = Lifted(lift.turned / lift.seen_scale[:, None, None], lift.tilt, lift.seen)
-    return lift
-
-
-def test_pairwise_deformation_is_0_for_a_perfect_lifter():
-    with doubles():
-        lift = perfect(lift_of_pose(true_pose(bodies(9))))
-        pairwise = peer("Pairwise", "pairwise")(H36M)
-        assert float(pairwise.loss(lift)) < 1e-5
-        bent = lift.relifted.pose.clone()
-        bent[0, 3] += 0.5
-        lift.__dict__["relifted"] = lift.relifted._replace(pose=bent)
-        expected = 0.5 * 3**0.5 * float(lift.seen_scale[0]) / 4  # one of four pairs
-        assert float(pairwise.loss(lift)) == pytest.approx(expected, abs=1e-5)
-
-
-def test_what_a_pair_has_in_common_is_no_deformation():
-    with doubles():
-        lift = perfect(lift_of_pose(true_pose(bodies(2))))
-        shared = turn(torch.randn(1, 17, 3).expand(2, -1, -1), lift.view)
-        shared = shared - shared[:, H36M.root_index, None]
-        moved = lift.relifted.pose + shared / lift.seen_scale[:, None, None]
-        lift.__dict__["relifted"] = lift.relifted._replace(pose=moved)
-        assert float(peer("Pairwise", "pairwise")(H36M).loss(lift)) < 1e-5
 
 
 def test_bone_ratios_are_0_for_a_body_of_those_ratios_at_any_size():

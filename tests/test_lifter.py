@@ -80,6 +80,35 @@ def test_both_ways_is_mirror_equivariant(camera):
     assert (straight.pose - _lift(lifter, data).pose).abs().max() > 0.01, "the network alone is not equivariant"
 
 
+def test_a_missing_root_is_where_the_lifter_says_it_is():
+    """The others were measured from a stand-in; in the output they are measured from the root again."""
+    lifter, data = small_lifter(), training_set()
+    confidence = data.confidence.clone()
+    confidence[:, H36M.root_index] = 0
+    lifted = lifter(data.keypoints, confidence, data.distance)
+    moved = lifted.keypoints - data.keypoints
+    others = [joint for joint in range(len(H36M.joints)) if joint != H36M.root_index]
+    assert not lifted.keypoints[:, H36M.root_index].any()
+    torch.testing.assert_close(moved[:, others], moved[:, others[:1]].expand(-1, len(others), 2))
+    assert moved[:, others].abs().min() > 0
+
+
+def test_a_lifter_that_denoises_moves_what_it_sees():
+    lifter, data = small_lifter(denoise=True), training_set()
+    moved = _lift(lifter, data).keypoints - data.keypoints
+    assert moved.abs().mean() > 0.01
+    assert not moved[:, H36M.root_index].any()
+
+
+@pytest.mark.parametrize("both_ways", [False, True])
+def test_the_spread_is_positive_and_the_root_has_none(both_ways):
+    spread = _lift(small_lifter(), training_set(), both_ways=both_ways).spread
+    assert spread is not None
+    assert not spread[:, H36M.root_index].any()
+    assert (spread.sum(1) > 0).all()
+    assert _lift(small_lifter(spread=False), training_set()).spread is None
+
+
 class Symmetric(nn.Module):
     """Depths that are the same seen in a mirror: of y and the squares of x."""
 

@@ -12,7 +12,7 @@ import uplift
 from uplift.paths import shipped_names
 
 TINY = (
-    "lifter.options.units=16", "student.options.units=16", "priors.critic.units=16", "teacher.batch_size=16",
+    "lifter.options.units=16", "student.options.units=16", "priors.flow.steps=3", "teacher.batch_size=16",
     "student.batch_size=16", "student.refine.iterations=2", "trainer.max_time=null", "trainer.max_steps=9",
     "trainer.threads=1",
 )  # fmt: skip

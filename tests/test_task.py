@@ -109,12 +109,12 @@ def test_paths_of_a_task_file_are_relative_to_it(here: Path, monkeypatch: pytest
 
 
 def test_extends_chains_and_merges(here: Path) -> None:
-    (here / "a.yaml").write_text("extends: cmu\nteacher: {share: 0.5}\npriors: {critic: {weight: 2}}\n")
-    (here / "b.yaml").write_text("extends: a.yaml\npriors: {critic: {units: 64}, bones: {weight: 0}}\n")
+    (here / "a.yaml").write_text("extends: cmu\nteacher: {share: 0.5}\npriors: {flow: {weight: 2}}\n")
+    (here / "b.yaml").write_text("extends: a.yaml\npriors: {flow: {units: 64}, bones: {weight: 0}}\n")
     settings, cmu = load_settings("b.yaml"), load_settings("cmu")
     assert settings.data == cmu.data
     assert settings.teacher.share == 0.5
-    assert settings.priors["critic"] == {**cmu.priors["critic"], "weight": 2, "units": 64}
+    assert settings.priors["flow"] == {**cmu.priors["flow"], "weight": 2, "units": 64}
     assert settings.priors["bones"]["weight"] == 0
 
 
@@ -216,8 +216,8 @@ def test_a_circle_of_two(here: Path) -> None:
         ("seed=1.5", "seed"),
         ("seed=", "seed"),
         ("priors=3", "priors"),
-        ("priors.critic=3", "priors.critic is 3, expected settings"),
-        ("priors.critic.weight.x=3", "'weight' is not a group of settings"),
+        ("priors.flow=3", "priors.flow is 3, expected settings"),
+        ("priors.flow.weight.x=3", "'weight' is not a group of settings"),
         ("priors.x.y=!!python/object/apply:os.getcwd []", "YAML tag"),
         ("priors.x.y=" + "[" * 200, "nested more than"),
         ("priors.x.y=&a [*a]", "alias"),

@@ -50,8 +50,8 @@ class DataSettings:
 class RefineSettings:
     """How the lifted poses of a clip are mended together."""
 
-    iterations: int = 80  # of gradient descent; 0 leaves the poses as they were lifted
-    rate: float = 0.02  # first step size, in mean 2D radii of the body
+    iterations: int = 50  # of gradient descent; 0 leaves the poses as they were lifted
+    rate: float = 0.03  # first step size, in mean 2D radii of the body
     bones: float = 8.0  # weight of constant bone lengths over a clip
     smooth: float = 2.0  # weight of little acceleration
     near: float = 0.2  # weight of the lifted depths
@@ -130,6 +130,7 @@ class StudentSettings(StageSettings):
     occlude: float = 0.0  # share of views in which joints are hidden: some of them, or a whole limb
     noise: bool = True  # add to the views what refinement found wrong in the keypoints
     refine: RefineSettings = field(default_factory=RefineSettings)
+    frames: int = 60_000  # most that are lifted and refined for a round, whole clips at random
     mix: float = 0.7  # share of poses that take limbs of others
     mix_limb: float = 0.4  # chance of each limb of such a pose
 

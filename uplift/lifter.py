@@ -96,11 +96,10 @@ class Lifter(nn.Module):
             depth = depth - depth[:, self.skeleton.root_index, None]
         if self.fill:
             guessed = output[:, joints : 3 * joints].reshape(-1, joints, 2)
-            if self.denoise:
-                # The root is where everything else is measured from; missing joints are 0 in the input.
-                keypoints = keypoints + guessed - guessed[:, self.skeleton.root_index, None]
-            else:
-                keypoints = torch.where(visible, keypoints, guessed)
+            # Missing joints are 0 in the input.
+            keypoints = keypoints + guessed if self.denoise else torch.where(visible, keypoints, guessed)
+            # A missing root was measured from where its neighbours are; now everything is from where it is.
+            keypoints = keypoints - keypoints[:, self.skeleton.root_index, None]
         spread = None
         if self.spread:
             first = joints * (1 + 2 * self.fill)

@@ -22,6 +22,7 @@ _STAGE_RANGES = {
     "warm_up": (0, 1),
     "hide": (0, 0.9),
     "occlude": (0, 1),
+    "frames": (1, 10**12),
     "mix": (0, 1),
     "mix_limb": (0, 1),
 }

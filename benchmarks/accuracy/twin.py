@@ -35,6 +35,7 @@ from uplift.views import least_rotation, turn
 
 __all__ = ["gravity_in_camera", "gravity_of_recurring_poses", "load_labelled", "train_twin", "true_poses"]
 
+_NOISY = 1e-3  # mean distance, units, from which keypoints are not the poses' own
 _MOST_ROLL = 1e-4  # mean squared component of gravity along the image's x: 0.6 degrees
 
 
@@ -57,7 +58,7 @@ def train_twin(settings: Settings) -> RunFolder:
     skeleton = load_skeleton(settings.skeleton)
     loaded = load_labelled(settings, skeleton)
     poses, note = true_poses(settings, skeleton, loaded.train)
-    chosen = student_settings(settings)
+    chosen = student_settings(settings, noisy=poses.noise is not None, last=True)
     torch.manual_seed(settings.seed + 1)
     training = StudentTraining(
         build_lifter(chosen, skeleton), poses, settings.student, settings.views, settings.seed + 1
@@ -105,8 +106,8 @@ def load_labelled(settings: Settings, skeleton: Skeleton) -> Loaded:
 def true_poses(settings: Settings, skeleton: Skeleton, train: PoseData) -> tuple[PseudoPoses, str]:
     """Return the frames as a teacher would lift them whose depths are true, and where gravity came from.
 
-    The keypoints stay as they were seen: on noisy ones the student of a recipe sees their noise too. A
-    joint that was not seen has its true place.
+    What the keypoints are off from them is the noise that the student is shown. A joint that was not
+    seen has its true place.
     """
     assert train.pose is not None
     data = TrainingSet.of(
@@ -121,14 +122,18 @@ def true_poses(settings: Settings, skeleton: Skeleton, train: PoseData) -> tuple
         pose, down = turn(pose, data.rotation), turn(down[:, None], data.rotation)[:, 0]
     seen = data.confidence > 0
     pose = pose * _units(data, pose, (seen & known).unsqueeze(-1), train.root)[:, None, None]
-    camera = build_camera(settings.lifter.camera)
-    keypoints = torch.where(seen.unsqueeze(-1), data.keypoints, camera.project(pose, data.distance))
-    pose = camera.unproject(keypoints, pose[..., 2], data.distance)
+    noise = data.keypoints - build_camera(settings.lifter.camera).project(pose, data.distance)
+    noise = noise * (seen & known).unsqueeze(-1)
     if skeleton.gravity:
         pose = turn(pose, least_rotation(down, pose.new_tensor([0.0, 1.0, 0.0])))
     sure = torch.where(seen, data.confidence, torch.ones_like(data.confidence)) * known
     return PseudoPoses(
-        skeleton=skeleton, pose=pose, tilt=torch.asin(down[:, 2].clamp(-1, 1)), distance=data.distance, confidence=sure
+        skeleton=skeleton,
+        pose=pose,
+        gravity=down,
+        distance=data.distance,
+        confidence=sure,
+        noise=noise if noise.norm(dim=-1).mean() > _NOISY else None,
     ), note
 
 

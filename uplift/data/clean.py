@@ -49,8 +49,9 @@ def clean(data: PoseData, skeleton: Skeleton, *, drop: bool = True) -> tuple[Pos
     """Return ``data`` with finite keypoints, confidence 0 where missing, and a root in every frame.
 
     ``data`` has the skeleton's joints in the skeleton's order. NaN, infinite and confidence 0 mean
-    missing. A missing root becomes the mean of its nearest visible neighbours over the bones and is
-    flagged in `PoseData.root_filled`; its confidence is the least of theirs. With ``drop`` off,
+    missing. A missing root is put at the mean of its nearest visible neighbours over the bones, for
+    the others to be measured from, and flagged in `PoseData.root_filled`; its confidence stays 0, and
+    the lifter says where it really is. With ``drop`` off,
     frames that cannot be lifted stay, with every confidence 0, so that an output keeps its rows.
 
     Raises:
@@ -78,7 +79,7 @@ def clean(data: PoseData, skeleton: Skeleton, *, drop: bool = True) -> tuple[Pos
         )
     confidence[bad] = 0
     keypoints[bad] = 0
-    keypoints, confidence, filled = _fill_root(keypoints, confidence, skeleton)
+    keypoints, filled = _fill_root(keypoints, confidence, skeleton)
     data = replace(data, keypoints=keypoints, confidence=confidence, root_filled=filled)
     if drop and bad.any():
         data = data.select(~bad)
@@ -113,7 +114,8 @@ def joint_neighbours(skeleton: Skeleton) -> list[Sequence[int]]:
     return rings
 
 
-def _fill_root(keypoints: np.ndarray, confidence: np.ndarray, skeleton: Skeleton):
+def _fill_root(keypoints: np.ndarray, confidence: np.ndarray, skeleton: Skeleton) -> tuple[np.ndarray, np.ndarray]:
+    """Return the keypoints with missing roots at the mean of their neighbours, and which those are."""
     root = skeleton.root_index
     missing = (confidence[:, root] == 0) & (confidence > 0).any(1)
     filled = missing.copy()
@@ -124,7 +126,5 @@ def _fill_root(keypoints: np.ndarray, confidence: np.ndarray, skeleton: Skeleton
         use = missing & weight.any((1, 2))
         mean = (keypoints[:, ring] * weight).sum(1) / np.maximum(weight.sum(1), 1)
         keypoints[use, root] = mean[use]
-        least = np.where(weight[..., 0], confidence[:, ring], 1).min(1)
-        confidence[use, root] = least[use]
         missing &= ~use
-    return keypoints, confidence, filled
+    return keypoints, filled

@@ -40,7 +40,7 @@ class PoseData:
     tilt_deg: np.ndarray | None = None
     """(frames,), down-tilt of the camera: gravity is (0, cos, sin) in the camera frame."""
     root_filled: np.ndarray | None = None
-    """(frames,) bool: the root was missing and was filled from its neighbours."""
+    """(frames,) bool: the root was missing; its keypoint is the mean of its neighbours, its confidence 0."""
     source: str = ""
 
     def __post_init__(self) -> None:

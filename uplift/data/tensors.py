@@ -76,6 +76,21 @@ class TrainingSet:
         moved = {f.name: getattr(self, f.name) for f in fields(self) if f.name != "skeleton"}
         return replace(self, **{k: None if v is None else v.to(device) for k, v in moved.items()})
 
+    def some(self, most: int, seed: int) -> TrainingSet:
+        """Return about ``most`` frames, whole clips in seeded order; the set itself if it has no more."""
+        if len(self) <= most:
+            return self
+        counts = torch.bincount(self.clip)
+        order = torch.randperm(len(counts), generator=torch.Generator().manual_seed(seed)).to(self.clip.device)
+        # The first clip stays whatever its length, so that something does.
+        kept = torch.zeros_like(counts, dtype=torch.bool)
+        kept[order[: max(1, int((counts[order].cumsum(0) <= most).sum()))]] = True
+        rows = kept[self.clip]
+        chosen = {f.name: getattr(self, f.name) for f in fields(self) if f.name != "skeleton"}
+        chosen = {name: None if value is None else value[rows] for name, value in chosen.items()}
+        chosen["clip"] = torch.unique(chosen["clip"], return_inverse=True)[1]
+        return replace(self, **chosen)
+
     def draw(self, rows: Int[Tensor, " batch"]) -> Batch:
         """Return the frames of ``rows``."""
         labels = None if self.labels is None else self.labels[rows]

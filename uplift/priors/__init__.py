@@ -19,8 +19,10 @@ PRIORS = {
     "consistency": "uplift.priors.consistency:Consistency",
     "critic": "uplift.priors.critic:Critic",
     "fill": "uplift.priors.fill:Fill",
+    "flow": "uplift.priors.flow:Flow",
     "handedness": "uplift.priors.handedness:Handedness",
     "labelled": "uplift.priors.labelled:Labelled",
+    "pairwise": "uplift.priors.pairwise:Pairwise",
     "symmetry": "uplift.priors.symmetry:Symmetry",
 }
 

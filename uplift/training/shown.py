@@ -10,7 +10,7 @@ from torch import Tensor
 
 from uplift.camera import Camera
 from uplift.config import StudentSettings
-from uplift.data.clean import MIN_VISIBLE
+from uplift.data.clean import MIN_VISIBLE, joint_neighbours
 from uplift.normalise import renormalise
 from uplift.pose import mirror
 from uplift.skeleton import Skeleton
@@ -54,6 +54,7 @@ class ViewMaker:
         skeleton, device = poses.skeleton, poses.pose.device
         self.mirrors = settings.mirror and skeleton.has_mirror_image
         self.swap = torch.as_tensor(skeleton.mirror_permutation.copy(), device=device)
+        self.rings = [list(ring) for ring in joint_neighbours(skeleton)]
         self.limbs = _limbs(skeleton).to(device)
         mixes = settings.mix > 0 and not skeleton.rigid
         self.mixer = LimbMixer(poses.pose, skeleton) if mixes else None
@@ -66,7 +67,7 @@ class ViewMaker:
         pose, gravity = self._turned(pose)
         distance = poses.distance[rows]
         projected = self.camera.project(pose, distance)
-        seen, shown = projected, sure
+        seen, shown = projected.clone(), sure
         if poses.noise is not None and self.settings.noise:
             # Error and confidence of one real frame belong together.
             other = self._draw(count)
@@ -78,6 +79,7 @@ class ViewMaker:
         # are left to tell a size, the view teaches nothing.
         sure = sure.masked_fill(few, 0)
         counted = torch.where(few, torch.ones_like(shown), shown)
+        seen[:, root] = _stand_in(seen, shown, root, self.rings)
         given, radius = renormalise(seen, counted, root, count_root=self.count_root)
         exact = (projected - projected[:, root, None]) / radius[:, None, None]
         tilt = torch.asin(gravity[:, 2].clamp(-1, 1))
@@ -110,7 +112,7 @@ class ViewMaker:
         return turn(pose, least_rotation(gravity, down).mT @ about_y(azimuth)), gravity
 
     def _hide(self, confidence: Tensor) -> Tensor:
-        """Return the confidence with joints of some views at 0: a random share of them, or a limb; the root never."""
+        """Return the confidence with joints of some views at 0: a random share of them, or a limb."""
         if not self.settings.occlude:
             return confidence
         count, device = len(confidence), confidence.device
@@ -120,8 +122,19 @@ class ViewMaker:
             limb = self.limbs[torch.randint(len(self.limbs), (count,), device=device)]
             hidden = torch.where(torch.rand(count, 1, device=device) < _LIMB_SHARE, limb, hidden)
         hidden &= torch.rand(count, 1, device=device) < self.settings.occlude
-        hidden[:, self.poses.skeleton.root_index] = False
         return confidence.masked_fill(hidden, 0)
+
+
+def _stand_in(keypoints: Tensor, shown: Tensor, root: int, rings: list[list[int]]) -> Tensor:
+    """Return what a missing root is measured from: the mean of its nearest shown neighbours, as `clean` has it."""
+    origin, missing = keypoints[:, root], shown[:, root] == 0
+    for ring in rings:
+        weight = (shown[:, ring] > 0).to(keypoints.dtype).unsqueeze(-1)
+        mean = (keypoints[:, ring] * weight).sum(1) / weight.sum(1).clamp_min(1)
+        use = missing & (weight.sum((1, 2)) > 0)
+        origin = torch.where(use[:, None], mean, origin)
+        missing = missing & ~use
+    return origin
 
 
 def _limbs(skeleton: Skeleton) -> Tensor:

@@ -48,8 +48,10 @@ class StudentTraining(LifterTraining):
         loss = (error * views.sure).sum() / known
         logged: dict[str, float | Tensor] = {"depth": loss.detach()}
         if lifter.denoise or (lifter.fill and self.settings.occlude):
-            # Joints that the lifter leaves where they were seen have no say in it.
-            moves = views.sure if lifter.denoise else views.sure * (views.shown == 0)
+            # Joints that the lifter leaves where they were seen have no say in it, unless the root was not.
+            hidden = views.shown == 0
+            moved = hidden | hidden[:, self.data.skeleton.root_index, None]
+            moves = views.sure if lifter.denoise else views.sure * moved
             off = ((lifted.keypoints - views.keypoints).abs().sum(-1) * moves).sum()
             loss = loss + off / known
             logged["fill"] = off.detach() / moves.sum().clamp_min(1)

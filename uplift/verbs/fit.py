@@ -127,11 +127,14 @@ class _Stages:
     def train(self, run: RunFolder) -> Model:
         """Return the model after the last stage."""
         settings = self.settings
-        lifter = self._run("teacher", self._teacher(), 0, run)
+        start = time.monotonic()
+        teacher = self._teacher()
+        lifter = self._run("teacher", teacher, 0, run, time.monotonic() - start)
         chosen = dataclasses.replace(settings.lifter, spread=False, denoise=False)
         for number in range(1, len(self.rounds) + 1):
             start = time.monotonic()
-            poses = lift_all(lifter, self.data, settings.student.refine)
+            chosen_frames = self.data.some(settings.student.frames, settings.seed + number)
+            poses = lift_all(lifter, chosen_frames, settings.student.refine)
             chosen = student_settings(settings, noisy=poses.noise is not None, last=number == len(self.rounds))
             torch.manual_seed(settings.seed + number)
             fresh = build_lifter(chosen, self.skeleton)

@@ -2,20 +2,24 @@
 
 from __future__ import annotations
 
-import uplift
+from torch import Tensor
+
+from uplift.lift import Lift
+from uplift.priors.base import Prior
 from uplift.views import turn
 
 __all__ = ["Pairwise"]
 
 
-class Pairwise(uplift.Prior):
+class Pairwise(Prior):
     """Distance between a pair's difference before and after turning, lifting again and turning back.
 
-    After Wandt et al. 2022, ElePose, 3.4 (L_def): what the two poses of a pair have in common drops out,
-    what deforms one against the other stays. Neighbours in the batch, which are random frames, make pairs.
+    After ElePose (Wandt et al. 2022, 3.4, L_def): what the two poses of a pair have in common drops
+    out, what deforms one against the other stays. Neighbours in the batch, which are random frames,
+    make pairs.
     """
 
-    def loss(self, lift):
+    def loss(self, lift: Lift) -> Tensor:
         """Return the mean over pairs of the norm of the change over all joints."""
         again = turn(lift.relifted.pose * lift.seen_scale[:, None, None], lift.view.mT)
         root = self.skeleton.root_index

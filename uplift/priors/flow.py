@@ -1,0 +1,99 @@
+"""How likely is a turned view, by a normalising flow that was fitted to the real keypoints first?"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import torch
+from torch import Tensor, nn
+
+from uplift.data.tensors import TrainingSet
+from uplift.lift import Lift
+from uplift.networks.coupling import CouplingFlow
+from uplift.pose import mirror
+from uplift.priors.base import Prior
+from uplift.priors.gaps import fill_gaps
+from uplift.skeleton import Skeleton
+
+__all__ = ["Flow"]
+
+
+class Flow(Prior):
+    """Negative log-likelihood of the turned view, in nats, under a frozen flow (ElePose, Wandt et al. 2022, 3.2).
+
+    Before the first step the flow is fitted to the real keypoints, in ``steps`` of Adam: ``blocks``
+    affine coupling blocks of ``units`` on ``axes`` principal components, whitened. Normalised
+    keypoints lie on a surface, their mean radius is 1, on which a density has no bound: ``noise``,
+    in units, is added to them. Missing joints are drawn from what the seen ones leave open.
+    ``joints`` names the joints it looks at; all if empty.
+    """
+
+    mean: Tensor
+    whiten: Tensor
+    usual: Tensor
+    places: Tensor
+
+    def __init__(
+        self,
+        skeleton: Skeleton,
+        *,
+        joints: Sequence[str] = (),
+        axes: int = 26,
+        blocks: int = 8,
+        units: int = 64,
+        noise: float = 0.05,
+        steps: int = 1000,
+        batch_size: int = 512,
+        learning_rate: float = 2e-3,
+    ):
+        super().__init__(skeleton)
+        places = [skeleton.index(name) for name in (joints or skeleton.joints) if name != skeleton.root]
+        size = min(axes, 2 * len(places))
+        self.noise, self.steps, self.batch_size, self.learning_rate = noise, steps, batch_size, learning_rate
+        self.register_buffer("places", torch.tensor(places), persistent=False)
+        self.register_buffer("mean", torch.zeros(2 * len(places)))
+        self.register_buffer("whiten", torch.zeros(2 * len(places), size))
+        self.register_buffer("usual", torch.zeros(()))
+        self.flow = CouplingFlow(size, blocks=blocks, units=units).requires_grad_(False)
+
+    def prepare(self, data: TrainingSet) -> None:
+        """Fit the flow to the training keypoints, mirrored ones beside them, and freeze it."""
+        real = fill_gaps(data.keypoints, data.confidence)
+        if self.skeleton.has_mirror_image:
+            swap = torch.as_tensor(self.skeleton.mirror_permutation.copy(), device=real.device)
+            real = torch.cat([real, mirror(real, swap)])
+        real = real[:, self.places].flatten(1)
+        self.mean.copy_(real.mean(0))
+        offset = real - self.mean
+        variance, axes = torch.linalg.eigh(offset.mT @ offset / len(offset))
+        size = self.whiten.shape[1]
+        self.whiten.copy_(axes[:, -size:] / (variance[-size:].clamp_min(0) + self.noise**2).sqrt())
+        with torch.enable_grad():
+            self._fit(real)
+
+    def _fit(self, real: Tensor) -> None:
+        self.flow.requires_grad_(True)
+        adam = torch.optim.Adam(self.flow.parameters(), lr=self.learning_rate)
+        for step in range(self.steps):
+            for group in adam.param_groups:
+                group["lr"] = self.learning_rate * (0.02 + 0.49 * (1 + math.cos(math.pi * step / self.steps)))
+            rows = torch.randint(len(real), (self.batch_size,), device=real.device)
+            seen = real[rows] + self.noise * torch.randn(self.batch_size, real.shape[1], device=real.device)
+            loss = self.flow.surprise((seen - self.mean) @ self.whiten).mean()
+            adam.zero_grad()
+            loss.backward()
+            nn.utils.clip_grad_norm_(self.flow.parameters(), 5.0)
+            adam.step()
+        self.flow.requires_grad_(False)
+        self.flow.zero_grad()
+        some = real[:: max(1, len(real) // 5000)]
+        self.usual.copy_(self.flow.surprise((some - self.mean) @ self.whiten).detach().median())
+
+    def loss(self, lift: Lift) -> Tensor:
+        """Return the surprise at each turned view, beyond that at real keypoints as its logarithm."""
+        seen = lift.seen[:, self.places].flatten(1)
+        surprise = self.flow.surprise((seen - self.mean) @ self.whiten) - self.usual
+        # A flow knows nothing of what is far from its data and is steep there: no view may outweigh the rest.
+        width = float(self.whiten.shape[1])
+        return torch.where(surprise > 0, width * torch.log1p(surprise.clamp_min(0) / width), surprise)

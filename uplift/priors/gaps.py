@@ -1,0 +1,57 @@
+"""Put something likely where keypoints are missing, so that a density can be fitted to whole frames."""
+
+from __future__ import annotations
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+__all__ = ["fill_gaps"]
+
+_ROUNDS = 12
+_SAMPLE = 10_000
+_CHUNK = 8192
+_UNKNOWN = 1e4
+
+
+def fill_gaps(
+    keypoints: Float[Tensor, "frames joints 2"], confidence: Float[Tensor, "frames joints"]
+) -> Float[Tensor, "frames joints 2"]:
+    """Return ``keypoints`` with missing joints drawn from a Gaussian given the ones that are seen.
+
+    Its mean and covariance are those of the data, found by going back and forth between filling and
+    measuring (expectation and maximisation, Dempster et al. 1977).
+    """
+    seen = (confidence > 0).repeat_interleave(2, 1)
+    flat = keypoints.flatten(1)
+    if bool(seen.all()):
+        return keypoints
+    # A sample is enough to measure by.
+    some = torch.randperm(len(flat), device=flat.device)[:_SAMPLE]
+    weight = seen.to(flat.dtype)
+    mean = (flat * weight).sum(0) / weight.sum(0).clamp_min(1)
+    filled = torch.where(seen, flat, mean)[some]
+    covariance = _covariance(filled)
+    for _ in range(_ROUNDS):
+        filled = _draw(flat[some], seen[some], mean, covariance)
+        mean, covariance = filled.mean(0), _covariance(filled)
+    return _draw(flat, seen, mean, covariance).reshape(keypoints.shape)
+
+
+def _covariance(filled: Tensor) -> Tensor:
+    offset = filled - filled.mean(0)
+    return offset.mT @ offset / len(offset) + 1e-4 * torch.eye(offset.shape[1], device=offset.device)
+
+
+def _draw(flat: Tensor, seen: Tensor, mean: Tensor, covariance: Tensor) -> Tensor:
+    """Return missing values drawn given the seen ones: a draw of everything, moved by how far it was off."""
+    root = torch.linalg.cholesky(covariance)
+    filled = flat.clone()
+    for start in range(0, len(flat), _CHUNK):
+        rows = slice(start, start + _CHUNK)
+        drawn = torch.randn_like(flat[rows]) @ root.mT
+        off = torch.where(seen[rows], flat[rows] - mean - drawn, 0.0)
+        noise = torch.where(seen[rows], 1e-5, _UNKNOWN)
+        moved = torch.linalg.solve(covariance + torch.diag_embed(noise), off) @ covariance
+        filled[rows] = torch.where(seen[rows], flat[rows], mean + drawn + moved)
+    return filled
