@@ -55,6 +55,7 @@ def training_set(frames: int = 12, seed: int = 0, skeleton: Skeleton = H36M, **r
 def small_lifter(skeleton: Skeleton = H36M, seed: int = 0, **settings) -> Lifter:
     """Return a small lifter whose depths are far from flat."""
     torch.manual_seed(seed)
+    settings.setdefault("spread", False)
     lifter = build_lifter(LifterSettings(options={"units": 16, "blocks": 1}, **settings), skeleton)
     with torch.no_grad():
         for parameter in lifter.network.leave.parameters():
