@@ -165,7 +165,10 @@ def test_a_file_that_does_not_run_is_refused(here: Path, capsys: pytest.CaptureF
 
 
 def test_no_prior_on_is_refused(here: Path, capsys: pytest.CaptureFixture) -> None:
-    off = [f"priors.{name}.weight=0" for name in ("critic", "flow", "consistency", "pairwise", "handedness", "bones", "symmetry")]
+    off = [
+        f"priors.{name}.weight=0"
+        for name in ("critic", "flow", "consistency", "pairwise", "handedness", "bones", "symmetry")
+    ]
     assert "No prior is on" in refusal(capsys, "fit", "skeleton=h36m17", "data.train=a.npz", *QUICK, *off)
 
 

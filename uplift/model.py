@@ -11,6 +11,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from uplift.bridging import bridge_gaps
 from uplift.camera import build_camera
 from uplift.config import LifterSettings, RefineSettings
 from uplift.data.clean import clean
@@ -108,22 +109,19 @@ class Model:
         Frames that cannot be lifted (fewer than three visible joints) come out as NaN, so that rows
         stay rows. Where the data says which frames make a clip, they are lifted together unless
         ``refine`` is off: one body, one camera tilt and a smooth
-        motion in each (`uplift.refine`, as `lifter.refine` says). Keypoints go in as pixels and the poses come out as such.
+        motion in each (`uplift.refine`, as `lifter.refine` says), and joints that go missing for a frame or two are
+        put where the frames around say before all is lifted once more (`uplift.bridging`).
         """
         data, _ = clean(data, self.skeleton, drop=False)
-        frames = TrainingSet.of(
-            data,
-            self.skeleton,
-            count_root=self.settings.radius == "all",
-            intrinsics=intrinsics_of(data, self.settings),
-            distance=self.settings.distance,
-        ).to(next(self.lifter.parameters()).device)
-        lifted = lift_frames(self.lifter, frames, both_ways=self.settings.both_ways)
-        if self.refines(data, refine):
-            lifted = refine_lifted(lifted, frames, self.lifter.camera, self.settings.refine)
+        refine = self.refines(data, refine)
+        frames, lifted = self._lift(data, refine)
+        if refine:
+            whole = bridge_gaps(data, frames, lifted, intrinsics_of(data, self.settings))
+            if whole is not None:  # with fewer gaps, all that is seen is lifted better
+                frames, lifted = self._lift(whole, refine)
         pose, gravity = _in_pixels(lifted, frames)
         level_pose = _levelled(pose, gravity) if self.skeleton.gravity else pose
-        blank = (frames.confidence > 0).sum(1) == 0
+        blank = torch.from_numpy((data.confidence > 0).sum(1) == 0).to(pose.device)
         pose[blank], level_pose[blank] = np.nan, np.nan
         spread = None if lifted.spread is None else lifted.spread * frames.scale[:, None]
         return Prediction(
@@ -144,6 +142,20 @@ class Model:
             source=data.source,
             title=title,
         )
+
+    def _lift(self, data: PoseData, refine: bool) -> tuple[TrainingSet, Lifted]:
+        """Return cleaned ``data`` in the model's units and its poses, mended by clip where ``refine``."""
+        frames = TrainingSet.of(
+            data,
+            self.skeleton,
+            count_root=self.settings.radius == "all",
+            intrinsics=intrinsics_of(data, self.settings),
+            distance=self.settings.distance,
+        ).to(next(self.lifter.parameters()).device)
+        lifted = lift_frames(self.lifter, frames, both_ways=self.settings.both_ways)
+        if refine:
+            lifted = refine_lifted(lifted, frames, self.lifter.camera, self.settings.refine)
+        return frames, lifted
 
     def refines(self, data: PoseData, refine: bool = True) -> bool:
         """Return whether `predict` lifts frames of ``data`` together: it is on, and there are clips."""
