@@ -28,3 +28,11 @@ def benchmark_data() -> Callable[[str], Path]:
         return path
 
     return find
+
+
+@pytest.fixture
+def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Return the empty folder that the test runs in, without benchmark data."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.delenv("UPLIFT_DATA", raising=False)
+    return tmp_path

@@ -17,11 +17,7 @@ from uplift.cli import main
 HEAVY = ("torch", "lightning", "numpy", "omegaconf", "yaml", "skimage")
 
 
-@pytest.fixture(autouse=True)
-def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.delenv("UPLIFT_DATA", raising=False)
-    return tmp_path
+pytestmark = pytest.mark.usefixtures("here")
 
 
 @pytest.fixture(scope="module")

@@ -73,7 +73,9 @@ def run_stage(
     clock = Budget(steps=budget.steps, seconds=budget.seconds, spent=min(before, 0.5 * (budget.seconds or 0)))
     resume = path.is_file()
     if resume and check_checkpoint(path, module) >= 1:
-        module.load_state_dict(read_torch(path, "checkpoint")["state_dict"])
+        state = read_torch(path, "checkpoint")
+        module.load_state_dict(state["state_dict"])
+        clock.load_state_dict(state["callbacks"][clock.state_key])
         return clock
     saver = Checkpoints(path, seconds=settings.checkpoint_every, steps=settings.checkpoint_steps, on_save=on_save)
     callbacks: list[L.Callback] = [
