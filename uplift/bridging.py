@@ -12,6 +12,7 @@ from torch import Tensor
 from uplift.data.container import PoseData
 from uplift.data.tensors import TrainingSet
 from uplift.lifter import Lifted
+from uplift.lifting import as_measured
 from uplift.normalise import Intrinsics
 
 __all__ = ["bridge_gaps", "bridged_joints"]
@@ -49,10 +50,7 @@ def _pixels(
     data: PoseData, frames: TrainingSet, lifted: Lifted, intrinsics: Intrinsics | None
 ) -> Float[Tensor, "frames joints 2"]:
     """Return where the lifted joints are in the image."""
-    # A missing root was measured from a stand-in: the joints that are seen tell how far off that was.
-    seen = (frames.confidence > 0).unsqueeze(-1)
-    moved = ((frames.keypoints - lifted.keypoints) * seen).sum(1, keepdim=True) / seen.sum(1, keepdim=True).clamp_min(1)
-    keypoints = lifted.keypoints + moved
+    keypoints = as_measured(frames, lifted.keypoints)
     if intrinsics is None or frames.rotation is None:
         origin = torch.from_numpy(data.keypoints[:, [frames.skeleton.root_index]]).to(keypoints)
         return origin + keypoints * frames.scale[:, None, None]

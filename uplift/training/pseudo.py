@@ -12,7 +12,7 @@ from uplift.config import RefineSettings
 from uplift.data.tensors import TrainingSet
 from uplift.gravity import body_tilt, clip_median, gravity_of, real_tilt
 from uplift.lifter import Lifter
-from uplift.lifting import lift_frames
+from uplift.lifting import as_measured, lift_frames
 from uplift.refine import has_clips, refine_clips
 from uplift.skeleton import Skeleton
 from uplift.views import least_rotation, turn
@@ -55,8 +55,9 @@ def lift_all(lifter: Lifter, data: TrainingSet, refine: RefineSettings) -> Pseud
     lifted = lift_frames(lifter, data)
     pose, noise = lifted.pose, None
     if refine.iterations and has_clips(data):
-        pose = refine_clips(data, lifted.keypoints, pose[..., 2], lifter.camera, refine)
-        noise = (data.keypoints - lifter.camera.project(pose, data.distance)) * (data.confidence > 0).unsqueeze(-1)
+        pose = refine_clips(data, as_measured(data, lifted.keypoints), pose[..., 2], lifter.camera, refine)
+        noise = data.keypoints - as_measured(data, lifter.camera.project(pose, data.distance))
+        noise = noise * (data.confidence > 0).unsqueeze(-1)
         noise = noise if noise.norm(dim=-1).mean() > _NOISY else None
     gravity = gravity_of(_tilts(lifter, data, pose, lifted.tilt), data.rotation)
     if data.skeleton.gravity:
