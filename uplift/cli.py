@@ -127,11 +127,11 @@ def _keyed(verb: str, words: Sequence[str], needed: Sequence[str]) -> dict[str, 
     return found
 
 
-def _is_on(verb: str, keys: dict[str, str], key: str) -> bool:
-    """Return whether ``key`` is on, as it is where it is not given."""
-    value = keys.get(key, "on")
+def _refines(verb: str, keys: dict[str, str]) -> bool:
+    """Return whether ``refine`` is on, as it is where it is not given."""
+    value = keys.get("refine", "on")
     if value not in ("on", "off"):
-        raise UserError(f"{verb}: {key}={value!r}, expected on or off.")
+        raise UserError(f"{verb}: refine={value!r}, expected on or off.")
     return value == "on"
 
 
@@ -181,7 +181,7 @@ def _evaluate(words: Sequence[str]) -> None:
     if "run" in keys:
         if "skeleton" in keys:
             raise UserError("evaluate run=...: the run knows its skeleton; skeleton= goes with poses=.")
-        refine = _is_on("evaluate", keys, "refine")
+        refine = _refines("evaluate", keys)
         print(evaluate(keys["run"], keys.get("data.test"), refine=refine).table())
         from uplift.run import RunFolder
 
@@ -200,7 +200,7 @@ def _predict(words: Sequence[str]) -> None:
     keys = _keyed("predict", words, ("run", "input", "output"))
     from uplift.verbs.predict import predict
 
-    found = predict(keys["run"], keys["input"], keys["output"], refine=_is_on("predict", keys, "refine"))
+    found = predict(keys["run"], keys["input"], keys["output"], refine=_refines("predict", keys))
     blank = int((found.pose != found.pose).all((1, 2)).sum())
     print(f"lifted {len(found) - blank:,} frames of {found.skeleton.name}, unit {found.unit}")
     if blank:

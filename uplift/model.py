@@ -28,7 +28,7 @@ from uplift.skeleton import Skeleton
 from uplift.torch_file import read_torch, save_torch
 from uplift.views import least_rotation, turn
 
-__all__ = ["Model", "build_lifter", "intrinsics_of", "load"]
+__all__ = ["Model", "build_lifter", "frames_of", "intrinsics_of", "load"]
 
 _FORMAT = 2
 
@@ -64,6 +64,17 @@ def intrinsics_of(data: PoseData, settings: LifterSettings) -> Intrinsics | None
     if data.focal_px is None or data.centre_px is None:
         return None
     return Intrinsics(data.focal_px, data.centre_px)
+
+
+def frames_of(data: PoseData, skeleton: Skeleton, settings: LifterSettings) -> TrainingSet:
+    """Return cleaned ``data`` in the units and the camera that ``settings`` say."""
+    return TrainingSet.of(
+        data,
+        skeleton,
+        count_root=settings.radius == "all",
+        intrinsics=intrinsics_of(data, settings),
+        distance=settings.distance,
+    )
 
 
 @dataclass
@@ -108,9 +119,9 @@ class Model:
 
         Frames that cannot be lifted (fewer than three visible joints) come out as NaN, so that rows
         stay rows. Where the data says which frames make a clip, they are lifted together unless
-        ``refine`` is off: one body, one camera tilt and a smooth
-        motion in each (`uplift.refine`, as `lifter.refine` says), and joints that go missing for a frame or two are
-        put where the frames around say before all is lifted once more (`uplift.bridging`).
+        ``refine`` is off: one body, one camera tilt and a smooth motion in each (`uplift.refine`, as
+        `lifter.refine` says), and joints that go missing for a frame or two are put where the frames
+        around say before all is lifted once more (`uplift.bridging`).
         """
         data, _ = clean(data, self.skeleton, drop=False)
         refine = self.refines(data, refine)
@@ -145,13 +156,7 @@ class Model:
 
     def _lift(self, data: PoseData, refine: bool) -> tuple[TrainingSet, Lifted]:
         """Return cleaned ``data`` in the model's units and its poses, mended by clip where ``refine``."""
-        frames = TrainingSet.of(
-            data,
-            self.skeleton,
-            count_root=self.settings.radius == "all",
-            intrinsics=intrinsics_of(data, self.settings),
-            distance=self.settings.distance,
-        ).to(next(self.lifter.parameters()).device)
+        frames = frames_of(data, self.skeleton, self.settings).to(next(self.lifter.parameters()).device)
         lifted = lift_frames(self.lifter, frames, both_ways=self.settings.both_ways)
         if refine:
             lifted = refine_lifted(lifted, frames, self.lifter.camera, self.settings.refine)

@@ -23,7 +23,7 @@ from uplift.data.container import PoseData
 from uplift.data.load import Loaded, load_data
 from uplift.data.tensors import TrainingSet
 from uplift.errors import UserError
-from uplift.model import Model, build_lifter, intrinsics_of
+from uplift.model import Model, build_lifter, frames_of
 from uplift.run import RunFolder
 from uplift.skeleton import Skeleton, load_skeleton
 from uplift.task import load_settings
@@ -110,10 +110,7 @@ def true_poses(settings: Settings, skeleton: Skeleton, train: PoseData) -> tuple
     seen has its true place.
     """
     assert train.pose is not None
-    data = TrainingSet.of(
-        train, skeleton, count_root=settings.lifter.radius == "all",
-        intrinsics=intrinsics_of(train, settings.lifter), distance=settings.lifter.distance,
-    )  # fmt: skip
+    data = frames_of(train, skeleton, settings.lifter)
     known = torch.from_numpy(np.isfinite(train.pose).all(-1))
     pose = torch.from_numpy(np.nan_to_num(train.pose))
     gravity, note = gravity_in_camera(train, skeleton)

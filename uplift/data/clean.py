@@ -51,8 +51,8 @@ def clean(data: PoseData, skeleton: Skeleton, *, drop: bool = True) -> tuple[Pos
     ``data`` has the skeleton's joints in the skeleton's order. NaN, infinite and confidence 0 mean
     missing. A missing root is put at the mean of its nearest visible neighbours over the bones, for
     the others to be measured from, and flagged in `PoseData.root_filled`; its confidence stays 0, and
-    the lifter says where it really is. With ``drop`` off,
-    frames that cannot be lifted stay, with every confidence 0, so that an output keeps its rows.
+    the lifter says where it really is. With ``drop`` off, frames that cannot be lifted stay, with
+    every confidence 0, so that an output keeps its rows.
 
     Raises:
         UserError: no frame is left, or no keypoint in the whole file is visible.

@@ -14,10 +14,9 @@ from lightning.pytorch.utilities.rank_zero import rank_zero_only
 
 from uplift.config import LifterSettings, Settings
 from uplift.data.load import Loaded, load_data
-from uplift.data.tensors import TrainingSet
 from uplift.errors import UserError
 from uplift.lifter import Lifter
-from uplift.model import Model, build_lifter, intrinsics_of, load
+from uplift.model import Model, build_lifter, frames_of, load
 from uplift.priors import build_priors
 from uplift.run import RunFolder
 from uplift.skeleton import Skeleton, load_skeleton
@@ -98,13 +97,7 @@ class _Stages:
 
     def __init__(self, settings: Settings, skeleton: Skeleton, loaded: Loaded, run: RunFolder | None):
         self.settings, self.skeleton = settings, skeleton
-        self.data = TrainingSet.of(
-            loaded.train,
-            skeleton,
-            count_root=settings.lifter.radius == "all",
-            intrinsics=intrinsics_of(loaded.train, settings.lifter),
-            distance=settings.lifter.distance,
-        )
+        self.data = frames_of(loaded.train, skeleton, settings.lifter)
         self.rounds = settings.student.rounds if settings.student.share > 0 else []
         shares = [settings.teacher.share, *(settings.student.share * r / sum(self.rounds) for r in self.rounds)]
         self.budgets = stage_budgets(settings.trainer, shares, len(self.data), settings.teacher.batch_size)
@@ -135,7 +128,9 @@ class _Stages:
             start = time.monotonic()
             chosen_frames = self.data.some(settings.student.frames, settings.seed + number)
             poses = lift_all(lifter, chosen_frames, settings.student.refine)
-            chosen = student_settings(settings, noisy=poses.noise is not None, last=number == len(self.rounds))
+            chosen = student_settings(
+                settings, noisy=poses.noise is not None and settings.student.noise, last=number == len(self.rounds)
+            )
             torch.manual_seed(settings.seed + number)
             fresh = build_lifter(chosen, self.skeleton)
             student = StudentTraining(fresh, poses, settings.student, settings.views, settings.seed + number)
