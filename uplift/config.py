@@ -37,8 +37,10 @@ class DataSettings:
 
     name: str = ""  # of the data set; its folder is $UPLIFT_DATA/<name>, else data/<name>
     root: Optional[str] = None  # the folder of the set's own files, in place of the above
-    train: Optional[str] = None  # file of training keypoints
-    test: Optional[str] = None  # file to evaluate on after the fit
+    use: Optional[str] = None  # reader of a published data set: h36m, mpii, ..., or file.py:Class; unset: files
+    options: dict[str, Any] = field(default_factory=dict)  # of that reader
+    train: Optional[str] = None  # file of training keypoints, or the set's split
+    test: Optional[str] = None  # file to evaluate on after the fit, or the set's split
     simulate: int = 0  # frames to simulate instead of reading a file
     unit: Optional[str] = None  # of poses and roots in the files, whatever they say: mm, relative
     get: str = ""  # how to get the files, for the message when they are not there

@@ -28,7 +28,7 @@ from uplift.skeleton import Skeleton
 from uplift.torch_file import read_torch, save_torch
 from uplift.views import least_rotation, turn
 
-__all__ = ["Model", "build_lifter", "frames_of", "intrinsics_of", "load"]
+__all__ = ["Model", "as_seen", "build_lifter", "frames_of", "intrinsics_of", "load"]
 
 _FORMAT = 2
 
@@ -66,8 +66,15 @@ def intrinsics_of(data: PoseData, settings: LifterSettings) -> Intrinsics | None
     return Intrinsics(data.focal_px, data.centre_px)
 
 
+def as_seen(data: PoseData, settings: LifterSettings) -> PoseData:
+    """Return ``data`` as the lifter is to see it: through one ideal camera where its lenses are known and may be used."""
+    use = settings.intrinsics != "off" and settings.camera != "orthographic"
+    return data.straightened() if use else data
+
+
 def frames_of(data: PoseData, skeleton: Skeleton, settings: LifterSettings) -> TrainingSet:
     """Return cleaned ``data`` in the units and the camera that ``settings`` say."""
+    data = as_seen(data, settings)
     return TrainingSet.of(
         data,
         skeleton,
@@ -125,9 +132,10 @@ class Model:
         """
         data, _ = clean(data, self.skeleton, drop=False)
         refine = self.refines(data, refine)
-        frames, lifted = self._lift(data, refine)
+        seen = as_seen(data, self.settings)
+        frames, lifted = self._lift(seen, refine)
         if refine:
-            whole = bridge_gaps(data, frames, lifted, intrinsics_of(data, self.settings))
+            whole = bridge_gaps(seen, frames, lifted, intrinsics_of(seen, self.settings))
             if whole is not None:  # with fewer gaps, all that is seen is lifted better
                 frames, lifted = self._lift(whole, refine)
         pose, gravity = _in_pixels(lifted, frames)

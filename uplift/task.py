@@ -88,7 +88,7 @@ def _parent_path(parent: Any, folder: Path, where: str) -> Path:
 
 
 def _bind_paths(data: dict[str, Any], folder: Path) -> None:
-    """Make what a task file names relative to itself absolute: skeleton, data.root, files of priors and networks."""
+    """Make what a task file names relative to itself absolute: skeleton, data.root, files of priors, networks and data sets."""
     skeleton = data.get("skeleton")
     if isinstance(skeleton, str) and skeleton.endswith((".yaml", ".yml")):
         data["skeleton"] = str((folder / skeleton).absolute())
@@ -96,7 +96,11 @@ def _bind_paths(data: dict[str, Any], folder: Path) -> None:
     if isinstance(root, str) and root:
         data["data"]["root"] = str((folder / Path(root).expanduser()).absolute())
     specs = [spec for spec in (data.get("priors") or {}).values() if isinstance(spec, dict)]
-    for holder, key in [*((spec, "use") for spec in specs), (data.get("lifter") or {}, "network")]:
+    for holder, key in [
+        *((spec, "use") for spec in specs),
+        (data.get("lifter") or {}, "network"),
+        (data.get("data") or {}, "use"),
+    ]:
         file, colon, name = str(holder.get(key, "")).rpartition(":")
         if colon and file.endswith(".py"):
             holder[key] = f"{(folder / file).absolute()}:{name}"

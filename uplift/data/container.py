@@ -7,10 +7,18 @@ from dataclasses import dataclass, field, fields, replace
 import numpy as np
 
 from uplift.errors import UserError
+from uplift.lens import Lens
 
-__all__ = ["IDENTITY_KEYS", "PoseData"]
+__all__ = ["IDENTITY_KEYS", "PoseData", "codes_of"]
 
-IDENTITY_KEYS = ("subject", "action", "sequence", "camera", "frame", "instance")
+IDENTITY_KEYS = ("subject", "action", "sequence", "camera", "frame", "instance", "image")
+
+
+def codes_of(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return what ``np.unique(values, return_inverse=True)`` does, quickly where equal values stand together."""
+    starts = np.flatnonzero(np.concatenate([[True], values[1:] != values[:-1]])) if len(values) else np.zeros(0, int)
+    names, code = np.unique(values[starts], return_inverse=True)
+    return names, np.repeat(code, np.diff(np.append(starts, len(values))))
 
 
 @dataclass
@@ -42,6 +50,10 @@ class PoseData:
     root_filled: np.ndarray | None = None
     """(frames,) bool: the root was missing; its keypoint is the mean of its neighbours, its confidence 0."""
     source: str = ""
+    lenses: tuple[Lens, ...] = ()
+    """The cameras, where more is known of them than `focal_px` and `image_size`."""
+    lens: np.ndarray | None = None
+    """(frames,) integers: which of `lenses` saw the frame; None without lenses."""
 
     def __post_init__(self) -> None:
         self.joint_names = tuple(str(name) for name in self.joint_names)
@@ -53,6 +65,7 @@ class PoseData:
             "root": (frames, 3),
             "tilt_deg": (frames,),
             "root_filled": (frames,),
+            "lens": (frames,),
         }
         for name, shape in expected.items():
             value = getattr(self, name)
@@ -75,7 +88,7 @@ class PoseData:
         changed = {
             item.name: getattr(self, item.name)[rows]
             for item in fields(self)
-            if item.name in ("keypoints", "confidence", "pose", "root", "tilt_deg", "root_filled")
+            if item.name in ("keypoints", "confidence", "pose", "root", "tilt_deg", "root_filled", "lens")
             and getattr(self, item.name) is not None
         }
         return replace(self, **changed, identity={key: value[rows] for key, value in self.identity.items()})
@@ -89,6 +102,22 @@ class PoseData:
         """The middle of the image, taken as the pixel of the optical axis; None without an image size."""
         return None if self.image_size is None else (self.image_size[0] / 2, self.image_size[1] / 2)
 
+    def straightened(self) -> PoseData:
+        """Return the frames as one ideal camera without distortion sees them; the same where no lenses are known."""
+        if self.lens is None:
+            return self
+        focal_px = float(np.mean([lens.focal_px for lens in self.lenses]))
+        size = self.lenses[0].image_size or (1000, 1000)
+        straight = np.empty_like(self.keypoints)
+        for place, lens in enumerate(self.lenses):
+            rows = self.lens == place
+            straight[rows] = lens.rays(self.keypoints[rows]) * np.float32(focal_px) + np.array(size, np.float32) / 2
+        seen = (self.confidence > 0)[..., None]
+        if self.root_filled is not None:  # the stand-in of a missing root is measured from, too
+            seen = seen | (self.root_filled[:, None] & (self.keypoints != 0).any(-1))[..., None]
+        straight = np.where(seen, straight, 0).astype(np.float32)
+        return replace(self, keypoints=straight, focal_px=focal_px, image_size=size, lenses=(), lens=None)
+
     def clips(self) -> np.ndarray:
         """Return (frames,) clip numbers: frames of one subject, sequence, camera and instance.
 
@@ -100,8 +129,8 @@ class PoseData:
         keys = [self.identity[k] for k in ("subject", "sequence", "camera", "instance") if k in self.identity]
         clip = np.zeros(len(self), np.int64)
         for key in keys:
-            _, code = np.unique(key, return_inverse=True)
-            _, clip = np.unique(clip * (code.max(initial=0) + 1) + code, return_inverse=True)
+            _, code = codes_of(key)
+            _, clip = codes_of(clip * (code.max(initial=0) + 1) + code)
         return clip
 
     def follows(self) -> np.ndarray:

@@ -11,13 +11,14 @@ from uplift.config import DataSettings, Settings
 from uplift.data.clean import clean
 from uplift.data.container import PoseData
 from uplift.data.split import chosen_rows
+from uplift.datasets import DataSet, data_set, read_cached
 from uplift.errors import UserError
 from uplift.paths import data_root
 from uplift.readers import read
 from uplift.skeleton import Skeleton
 from uplift.skeleton.matching import build_joints, build_pose
 
-__all__ = ["Loaded", "find_data", "in_joints_of", "load_data", "load_file", "load_split"]
+__all__ = ["Loaded", "find_data", "in_joints_of", "load_data", "load_file", "load_split", "set_of"]
 
 
 @dataclass(frozen=True)
@@ -76,9 +77,39 @@ def _simulated(settings: Settings, skeleton: Skeleton) -> tuple[PoseData, PoseDa
 
 
 def load_split(settings: Settings, which: str, skeleton: Skeleton) -> PoseData:
-    """Return the ``train`` or ``test`` file of ``settings`` in the skeleton's joints, not cleaned."""
-    data = load_file(find_data(settings, which), skeleton)
+    """Return the ``train`` or ``test`` frames of ``settings`` in the skeleton's joints, not cleaned."""
+    source = set_of(settings, which)
+    if source is None:
+        data = load_file(find_data(settings, which), skeleton)
+    else:
+        data = in_joints_of(read_cached(source, Path(getattr(settings.data, which)).name), skeleton)
     return replace(data, unit=settings.data.unit) if settings.data.unit else data
+
+
+def set_of(settings: Settings, which: str) -> DataSet | None:
+    """Return the published data set that the ``train`` or ``test`` frames are a split of; None where they are a file.
+
+    Raises:
+        UserError: no such set, or files of it that are missing, with where they come from.
+    """
+    chosen = settings.data
+    split = getattr(chosen, which)
+    if not chosen.use or not split:
+        return None
+    folder = data_root(chosen.name, chosen.root).absolute()
+    source = data_set(chosen.use, folder, chosen.options)
+    if Path(split).is_absolute():  # a file in place of the split; a split named on the command line was made a path
+        if Path(split).exists() or Path(split).name not in source.splits:
+            return None
+        split = Path(split).name
+    source.check_split(split)
+    missing = source.missing(split)
+    if missing:
+        lines = [f"{source.title}: {len(missing)} file(s) missing in {folder}" + _needed_by(settings.task)]
+        lines += [f"  {file.path.name}: {file.what}" for file in missing]
+        lines += [source.about.strip(), *_places(chosen), _NO_DATA_NEEDED]
+        raise UserError("\n".join(lines))
+    return source
 
 
 def find_data(settings: Settings, which: str) -> Path:
@@ -98,15 +129,25 @@ def find_data(settings: Settings, which: str) -> Path:
 
 def missing_data(task: str, data: DataSettings, path: Path) -> str:
     """Return the message for a file that is not there."""
-    lines = [f"No file {path}" + (f", which task '{task}' needs." if task else ".")]
+    lines = [f"No file {path}" + (_needed_by(task) or ".")]
     if data.get:
         lines.append(f"Get it: {data.get.strip()}")
-    if data.name and not Path(data.name).is_absolute():
-        lines.append(
-            f"Put it there, or say where it is: data.root=FOLDER, or UPLIFT_DATA=FOLDER with a subfolder {data.name}/."
-        )
-    lines.append("`uplift fit task=demo` runs without any data.")
-    return "\n".join(lines)
+    return "\n".join([*lines, *_places(data), _NO_DATA_NEEDED])
+
+
+_NO_DATA_NEEDED = (
+    "`uplift fit task=semi_cmu` runs on data that is free for all, `uplift fit task=demo` without any data."
+)
+
+
+def _needed_by(task: str) -> str:
+    return f", which task '{task}' needs." if task else ""
+
+
+def _places(data: DataSettings) -> list[str]:
+    if not data.name or Path(data.name).is_absolute():
+        return []
+    return [f"Put it there, or say where it is: data.root=FOLDER, or UPLIFT_DATA=FOLDER with a subfolder {data.name}/."]
 
 
 def load_file(path: str | Path, skeleton: Skeleton) -> PoseData:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from uplift.data.load import find_data
+from uplift.data.load import find_data, set_of
 from uplift.errors import UserError
 from uplift.paths import shipped_names
 from uplift.skeleton import load_skeleton
@@ -22,7 +22,8 @@ def list_tasks() -> str:
             state = "no data needed"
         else:
             try:
-                find_data(settings, "train")
+                if set_of(settings, "train") is None:
+                    find_data(settings, "train")
                 state = "data present"
             except UserError:
                 state = "data missing"

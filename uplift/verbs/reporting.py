@@ -9,7 +9,7 @@ from uplift.data.container import PoseData
 from uplift.data.load import Loaded
 from uplift.evaluation import Evaluation, GivenPoses, flat_depth
 from uplift.evaluation import evaluate as score
-from uplift.model import Model, intrinsics_of
+from uplift.model import Model, as_seen, intrinsics_of
 from uplift.run import RunFolder
 from uplift.saving import replacing
 from uplift.training.progress import read_metrics
@@ -56,7 +56,7 @@ def given_lines(settings: Settings, train: PoseData) -> list[str]:
         lines.append(
             "The keypoints are simulated: bodies and motions from published anthropometry and ranges of motion."
         )
-    if intrinsics_of(train, settings.lifter) is not None:
+    if intrinsics_of(as_seen(train, settings.lifter), settings.lifter) is not None:
         lines.append("The camera's focal length and image centre, from the file, were used.")
     if settings.student.share and settings.student.refine.iterations and len(np.unique(train.clips())) < len(train):
         lines.append("Which frames make a clip was used: one body and a smooth motion in each.")
