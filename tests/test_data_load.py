@@ -73,35 +73,35 @@ def test_no_training_data_named(here: Path, capsys: pytest.CaptureFixture) -> No
 
 def test_choosing_and_holding_out(here: Path) -> None:
     write_body(here / "a.npz")
-    found = loaded("data.train=a.npz", "data.select.subject=S1,S2", "data.select.action=walk")
+    found = loaded("data.train=a.npz", "data.select.subjects=S1,S2", "data.select.actions=walk")
     assert (len(found.train), found.test) == (20, None)
-    found = loaded("data.train=a.npz", "data.hold_out.subject=S3", "data.select.fraction=0.5")
+    found = loaded("data.train=a.npz", "data.hold_out.subjects=S3", "data.select.fraction=0.5")
     assert (len(found.train), len(found.test)) == (20, 20)
     assert set(found.test.identity["subject"]) == {"S3"}
     assert "S3" not in found.train.identity["subject"]
     found = loaded("data.train=a.npz", "data.hold_out.fraction=0.25")
     assert (len(found.train), len(found.test)) == (45, 15)
-    found = loaded("data.train=a.npz", "data.select.sequence=clip01", "data.select.camera=0")
+    found = loaded("data.train=a.npz", "data.select.sequences=clip01", "data.select.cameras=0")
     assert set(found.train.identity["sequence"]) == {"clip01"}
 
 
 def test_names_that_look_like_numbers_stay_names(here: Path) -> None:
     write_body(here / "a.npz", subject=np.array([f"{row * 3 // 60 + 1:02d}" for row in range(60)]))
-    assert len(loaded("data.train=a.npz", "data.select.subject=01").train) == 20
-    assert len(loaded("data.train=a.npz", "data.select.subject=01,03").train) == 40
+    assert len(loaded("data.train=a.npz", "data.select.subjects=01").train) == 20
+    assert len(loaded("data.train=a.npz", "data.select.subjects=01,03").train) == 40
     write_body(here / "b.npz", action=np.array(["yes" if row < 20 else "1e3" for row in range(60)]))
-    assert len(loaded("data.train=b.npz", "data.select.action=yes").train) == 20
-    assert len(loaded("data.train=b.npz", "data.select.action=1e3").train) == 40
+    assert len(loaded("data.train=b.npz", "data.select.actions=yes").train) == 20
+    assert len(loaded("data.train=b.npz", "data.select.actions=1e3").train) == 40
 
 
 def test_contradictory_choices(here: Path) -> None:
     write_body(here / "a.npz")
     with pytest.raises(UserError, match=r"data.test and data.hold_out are both set"):
-        loaded("data.train=a.npz", "data.test=a.npz", "data.hold_out.subject=S1")
+        loaded("data.train=a.npz", "data.test=a.npz", "data.hold_out.subjects=S1")
     with pytest.raises(UserError, match="leaves no frame to train on"):
-        loaded("data.train=a.npz", "data.hold_out.subject=S1,S2,S3")
+        loaded("data.train=a.npz", "data.hold_out.subjects=S1,S2,S3")
     with pytest.raises(UserError, match="Did you mean 'S2'"):
-        loaded("data.train=a.npz", "data.hold_out.subject=S22")
+        loaded("data.train=a.npz", "data.hold_out.subjects=S22")
 
 
 def test_joints_are_matched_by_name(here: Path) -> None:

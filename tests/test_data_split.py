@@ -21,23 +21,23 @@ def data(frames: int = 60) -> PoseData:
 
 
 def test_all_keys_given_must_hold() -> None:
-    chosen = data().select(chosen_rows(data(), {"subject": ["S1", "S3"], "action": ["sit down"]}))
+    chosen = data().select(chosen_rows(data(), {"subjects": ["S1", "S3"], "actions": ["sit down"]}))
     assert set(chosen.identity["subject"]) == {"S1", "S3"}
     assert set(chosen.identity["action"]) == {"sit down"}
     assert len(chosen) == 20
 
 
 def test_numbers_are_chosen_by_their_text() -> None:
-    assert chosen_rows(data(), {"camera": ["0"]}).all()
-    assert chosen_rows(data(), {"sequence": ["clip00"]}).sum() == 10
+    assert chosen_rows(data(), {"cameras": ["0"]}).all()
+    assert chosen_rows(data(), {"sequences": ["clip00"]}).sum() == 10
 
 
 @pytest.mark.parametrize(
     ("choice", "says"),
     [
-        ({"subject": ["s2"]}, "no frame with subject 's2'. Did you mean 'S2'?"),
-        ({"camera": ["1"]}, "no frame with camera '1'"),
-        ({"subject": ["S1"], "sequence": ["clip05"]}, "no frame is left"),
+        ({"subjects": ["s2"]}, "no frame with subject 's2'. Did you mean 'S2'?"),
+        ({"cameras": ["1"]}, "no frame with camera '1'"),
+        ({"subjects": ["S1"], "sequences": ["clip05"]}, "no frame is left"),
         ({"fraction": 0.0}, "expected more than 0 and at most 1"),
         ({"fraction": 1.5}, "expected more than 0 and at most 1"),
         ({"fraction": float("nan")}, "expected more than 0 and at most 1"),
@@ -55,7 +55,7 @@ def test_a_key_the_file_does_not_have() -> None:
     bare = data()
     bare.identity = {"frame": bare.identity["frame"]}
     with pytest.raises(UserError, match=r"has no 'subject' \(identity keys: frame\)"):
-        chosen_rows(bare, {"subject": ["S1"]})
+        chosen_rows(bare, {"subjects": ["S1"]})
 
 
 @settings(max_examples=60, deadline=None)
@@ -87,7 +87,7 @@ def test_another_seed_chooses_other_clips() -> None:
 
 
 def test_a_fraction_counts_after_the_other_keys() -> None:
-    mask = chosen_rows(data(), {"subject": ["S2"], "fraction": 0.5})
+    mask = chosen_rows(data(), {"subjects": ["S2"], "fraction": 0.5})
     assert mask.sum() == 10
     assert set(data().identity["subject"][mask]) == {"S2"}
 

@@ -210,7 +210,7 @@ def test_the_task_of_the_settings_page(tmp_path: Path, monkeypatch: pytest.Monke
     Path("beetle_task.yaml").write_text(files["beetle_task.yaml"])
     settings = load_settings("beetle_task.yaml")
     assert settings.skeleton == str(tmp_path / "beetle.yaml")
-    assert settings.data.hold_out.subject == ["S4"]
+    assert settings.data.hold_out.subjects == ["S4"]
     assert settings.priors["flow"]["weight"] == 1
     assert settings.student.share > 0
 

@@ -57,11 +57,11 @@ def test_saved_settings_are_a_task_with_the_same_settings(name: str, here: Path)
         ("trainer.devices=1", lambda s: s.trainer.devices == "1"),
         ("trainer.precision=32", lambda s: s.trainer.precision == "32"),
         ("data.name=007", lambda s: s.data.name == "007"),
-        ("data.select.subject=S1,S2", lambda s: s.data.select.subject == ["S1", "S2"]),
-        ("data.select.subject=[S1, 'S2']", lambda s: s.data.select.subject == ["S1", "S2"]),
-        ("data.select.subject=01", lambda s: s.data.select.subject == ["01"]),
-        ("data.select.action=sit down,yes", lambda s: s.data.select.action == ["sit down", "yes"]),
-        ("data.select.subject=", lambda s: s.data.select.subject == []),
+        ("data.select.subjects=S1,S2", lambda s: s.data.select.subjects == ["S1", "S2"]),
+        ("data.select.subjects=[S1, 'S2']", lambda s: s.data.select.subjects == ["S1", "S2"]),
+        ("data.select.subjects=01", lambda s: s.data.select.subjects == ["01"]),
+        ("data.select.actions=sit down,yes", lambda s: s.data.select.actions == ["sit down", "yes"]),
+        ("data.select.subjects=", lambda s: s.data.select.subjects == []),
         ("data.select.fraction=0.2", lambda s: s.data.select.fraction == 0.2),
         ("views.azimuth_deg=-90,90", lambda s: tuple(s.views.azimuth_deg) == (-90, 90)),
         ("views.azimuth_deg=[-90, 90]", lambda s: tuple(s.views.azimuth_deg) == (-90, 90)),
@@ -122,7 +122,7 @@ def test_durations_need_no_quotes_in_a_task_file(here: Path) -> None:
     (here / "a.yaml").write_text("trainer: {max_time: 1:30:00}\ndata: {select: {subject: [01, 017]}}\n")
     settings = load_settings("a.yaml")
     assert settings.trainer.max_time == "1:30:00"
-    assert settings.data.select.subject == ["01", "017"]
+    assert settings.data.select.subjects == ["01", "017"]
 
 
 @pytest.mark.parametrize(
@@ -209,7 +209,7 @@ def test_a_circle_of_two(here: Path) -> None:
         ("lifter.distance=1", "lifter.distance=1"),
         ("lifter.options=3", "lifter.options"),
         ("data.simulate=-1", "data.simulate=-1"),
-        ("data.select.subject=[S1", "a bracket is missing"),
+        ("data.select.subjects=[S1", "a bracket is missing"),
         ("data.select=S1", "'data.select' holds settings"),
         ("data.select.fraction=half", "data.select.fraction"),
         ("seed=-1", "seed=-1: expected a whole number from 0"),
@@ -237,7 +237,7 @@ def test_no_such_task() -> None:
 def test_every_setting_is_named_and_known() -> None:
     names = setting_names()
     assert "trainer.max_time" in names
-    assert "data.select.subject" in names
+    assert "data.select.subjects" in names
     assert len(names) == len(set(names))
     assert all(name.startswith("views.") for name in setting_names("views."))
 

@@ -8,6 +8,7 @@ from typing import Any, Optional
 __all__ = [
     "ChoiceSettings",
     "DataSettings",
+    "LabelledSettings",
     "LifterSettings",
     "Settings",
     "StageSettings",
@@ -24,11 +25,20 @@ __all__ = [
 class ChoiceSettings:
     """Which frames: all that match every key given. Values are compared as text."""
 
-    subject: list[str] = field(default_factory=list)
-    action: list[str] = field(default_factory=list)
-    sequence: list[str] = field(default_factory=list)
-    camera: list[str] = field(default_factory=list)
+    subjects: list[str] = field(default_factory=list)
+    actions: list[str] = field(default_factory=list)
+    sequences: list[str] = field(default_factory=list)
+    cameras: list[str] = field(default_factory=list)
     fraction: Optional[float] = None  # share of the frames left, as whole clips in seeded order
+
+
+@dataclass
+class LabelledSettings(ChoiceSettings):
+    """Which training frames may be learned from with their true pose; none unless something here is set."""
+
+    file: Optional[str] = None  # of other frames with poses: FILE, or SET:SPLIT of a published set
+    only: bool = False  # leave all other frames out: supervised training
+    share: Optional[float] = 0.25  # of every batch; unset: as many as there are among the frames
 
 
 @dataclass
@@ -46,6 +56,7 @@ class DataSettings:
     get: str = ""  # how to get the files, for the message when they are not there
     select: ChoiceSettings = field(default_factory=ChoiceSettings)  # training frames to use
     hold_out: ChoiceSettings = field(default_factory=ChoiceSettings)  # training frames kept for the test instead
+    labelled: LabelledSettings = field(default_factory=LabelledSettings)  # training frames whose truth may be used
 
 
 @dataclass

@@ -46,6 +46,10 @@ class Lift:
     labels: Float[Tensor, "batch joints 3"] | None
     """True poses in the same units, NaN where a joint or a frame has none; None in 2D-only training."""
     lifter: Lifter
+    label_unit: Float[Tensor, " batch"] | None = None
+    """Of the labels' own unit (mm) in one unit of the model, NaN where unlabelled."""
+    label_tilt: Float[Tensor, " batch"] | None = None
+    """True tilt of the camera, radians, as `tilt`; NaN where that is not known."""
     renormalise_views: bool = True
     count_root: bool = True
 

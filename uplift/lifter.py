@@ -9,7 +9,7 @@ from jaxtyping import Float
 from torch import Tensor, nn
 
 from uplift.camera import Camera
-from uplift.pose import mirror
+from uplift.pose import bone_lengths, mirror
 from uplift.skeleton import Skeleton
 
 __all__ = ["Lifted", "Lifter"]
@@ -41,6 +41,9 @@ class Lifter(nn.Module):
 
     mirror_permutation: Tensor
     root_place: Tensor
+    bones: Tensor
+    bone_mm: Tensor
+    """(bones,) mean lengths of labelled bodies, mm, NaN where unknown: they make a pose's scale known."""
 
     def __init__(
         self,
@@ -67,6 +70,8 @@ class Lifter(nn.Module):
         self.root_free = root_free
         if self.tilt == "learned":
             self.common_tilt = nn.Parameter(torch.zeros(()))
+        self.register_buffer("bone_mm", torch.full((len(skeleton.bones),), torch.nan))
+        self.register_buffer("bones", torch.as_tensor(skeleton.bone_indices.copy()), persistent=False)
         permutation = torch.as_tensor(skeleton.mirror_permutation.copy())
         self.register_buffer("mirror_permutation", permutation, persistent=False)
         self.register_buffer("root_place", torch.tensor([skeleton.root_index]), persistent=False)
@@ -114,6 +119,14 @@ class Lifter(nn.Module):
         if self.tilt == "learned":
             return self.common_tilt.expand(len(output))
         return output.new_zeros(len(output))
+
+    def unit_mm(self, pose: Float[Tensor, "batch joints 3"]) -> Float[Tensor, " batch"] | None:
+        """Return how many mm one unit of each pose is, for a body as large as the labelled ones; None without any."""
+        known = self.bone_mm.isfinite()
+        if not known.any():
+            return None
+        lengths = bone_lengths(pose, self.bones[known])
+        return self.bone_mm[known].sum() / lengths.sum(1).clamp_min(1e-6)
 
     def lift_both_ways(
         self,

@@ -66,6 +66,8 @@ def check_settings(settings: Settings) -> None:
     for name, refine in (("lifter", settings.lifter.refine), ("student", student.refine)):
         for key, (low, high) in _REFINE_RANGES.items():
             _in_range(f"{name}.refine.{key}", getattr(refine, key), low, high)
+    if settings.data.labelled.share is not None:
+        _in_range("data.labelled.share", settings.data.labelled.share, 0.001, 0.999)
     for share in student.rounds:
         _in_range("student.rounds", share, 1e-6, 1e6)
     if student.share > 0 and not student.rounds:

@@ -30,7 +30,8 @@ from uplift.views import least_rotation, turn
 
 __all__ = ["Model", "as_seen", "build_lifter", "frames_of", "intrinsics_of", "load"]
 
-_FORMAT = 2
+_FORMAT = 3
+_READABLE = (2, 3)  # 2: before bodies had a size
 
 
 def build_lifter(settings: LifterSettings, skeleton: Skeleton) -> Lifter:
@@ -139,14 +140,17 @@ class Model:
             if whole is not None:  # with fewer gaps, all that is seen is lifted better
                 frames, lifted = self._lift(whole, refine)
         pose, gravity = _in_pixels(lifted, frames)
+        unit_mm = self.lifter.unit_mm(lifted.pose)
+        per_unit = frames.scale if unit_mm is None else unit_mm
+        pose = pose * (per_unit / frames.scale)[:, None, None]
         level_pose = _levelled(pose, gravity) if self.skeleton.gravity else pose
         blank = torch.from_numpy((data.confidence > 0).sum(1) == 0).to(pose.device)
         pose[blank], level_pose[blank] = np.nan, np.nan
-        spread = None if lifted.spread is None else lifted.spread * frames.scale[:, None]
+        spread = None if lifted.spread is None else lifted.spread * per_unit[:, None]
         return Prediction(
             pose=pose.cpu().numpy(),
             level_pose=level_pose.cpu().numpy(),
-            unit="px",
+            unit="px" if unit_mm is None else "mm",
             keypoints=data.keypoints,
             confidence=data.confidence,
             joint_names=self.skeleton.joints,
@@ -194,7 +198,7 @@ class Model:
             UserError: not such a file, damaged, or inconsistent.
         """
         state = read_torch(path, "lifter")
-        if state.get("uplift_format") != _FORMAT:
+        if state.get("uplift_format") not in _READABLE:
             raise UserError(
                 f"{path} is no lifter of this version: uplift_format is {state.get('uplift_format')!r}, "
                 f"expected {_FORMAT}. Fit again, or use the version that wrote it."
@@ -204,7 +208,7 @@ class Model:
             settings = LifterSettings(**{**state["lifter"], "refine": RefineSettings(**state["lifter"]["refine"])})
             _refuse_nearby_code(settings.network)
             lifter = build_lifter(settings, skeleton)
-            lifter.load_state_dict(state["state"])
+            lifter.load_state_dict({"bone_mm": lifter.bone_mm, **state["state"]})
         except UserError as error:
             raise UserError(f"{path}: {error}") from error
         except (KeyError, TypeError, ValueError, RuntimeError, AttributeError) as error:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import functools
+import re
 import typing
 from pathlib import Path
 from typing import Any
@@ -81,6 +82,8 @@ def _from_here(keys: list[str], value: Any) -> Any:
     if not isinstance(value, str) or not value:
         return value
     if name in ("data.train", "data.test", "data.root", "init"):
+        return str(Path(value).expanduser().absolute())
+    if name == "data.labelled.file" and not re.fullmatch(r"\w+:\w+", value):  # SET:SPLIT is no path
         return str(Path(value).expanduser().absolute())
     if name == "skeleton" and value.endswith((".yaml", ".yml")):
         return str(Path(value).expanduser().absolute())

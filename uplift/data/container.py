@@ -49,6 +49,8 @@ class PoseData:
     """(frames,), down-tilt of the camera: gravity is (0, cos, sin) in the camera frame."""
     root_filled: np.ndarray | None = None
     """(frames,) bool: the root was missing; its keypoint is the mean of its neighbours, its confidence 0."""
+    labelled: np.ndarray | None = None
+    """(frames,) bool: frames whose pose training may learn from; None: no frame's."""
     source: str = ""
     lenses: tuple[Lens, ...] = ()
     """The cameras, where more is known of them than `focal_px` and `image_size`."""
@@ -66,6 +68,7 @@ class PoseData:
             "tilt_deg": (frames,),
             "root_filled": (frames,),
             "lens": (frames,),
+            "labelled": (frames,),
         }
         for name, shape in expected.items():
             value = getattr(self, name)
@@ -88,14 +91,14 @@ class PoseData:
         changed = {
             item.name: getattr(self, item.name)[rows]
             for item in fields(self)
-            if item.name in ("keypoints", "confidence", "pose", "root", "tilt_deg", "root_filled", "lens")
+            if item.name in ("keypoints", "confidence", "pose", "root", "tilt_deg", "root_filled", "lens", "labelled")
             and getattr(self, item.name) is not None
         }
         return replace(self, **changed, identity={key: value[rows] for key, value in self.identity.items()})
 
     def without_truth(self) -> PoseData:
         """Return the same frames with everything that came from 3D taken out."""
-        return replace(self, pose=None, root=None, tilt_deg=None)
+        return replace(self, pose=None, root=None, tilt_deg=None, labelled=None)
 
     @property
     def centre_px(self) -> tuple[float, float] | None:

@@ -7,18 +7,18 @@ from pathlib import Path
 
 import numpy as np
 
-from uplift.config import DataSettings, Settings
+from uplift.config import ChoiceSettings, DataSettings, Settings
 from uplift.data.clean import clean
 from uplift.data.container import PoseData
-from uplift.data.split import chosen_rows
-from uplift.datasets import DataSet, data_set, read_cached
+from uplift.data.split import CHOOSE_BY, chosen_rows
+from uplift.datasets import DATA_SETS, DataSet, data_set, read_cached
 from uplift.errors import UserError
 from uplift.paths import data_root
 from uplift.readers import read
 from uplift.skeleton import Skeleton
 from uplift.skeleton.matching import build_joints, build_pose
 
-__all__ = ["Loaded", "find_data", "in_joints_of", "load_data", "load_file", "load_split", "set_of"]
+__all__ = ["Loaded", "find_data", "in_joints_of", "load_data", "load_file", "load_split", "set_of", "with_labels"]
 
 
 @dataclass(frozen=True)
@@ -26,8 +26,16 @@ class Loaded:
     """What a fit trains on and is evaluated on, and what was noticed on the way."""
 
     train: PoseData
+    """Its `labelled` says which poses may be learned from."""
     test: PoseData | None
     notes: list[str]
+    more: PoseData | None = None
+    """Labelled frames of another file, to train on beside them."""
+
+    @property
+    def unit(self) -> str:
+        """The unit of the poses that training may learn from."""
+        return self.train.unit if self.more is None else self.more.unit
 
 
 def load_data(settings: Settings, skeleton: Skeleton) -> Loaded:
@@ -53,17 +61,62 @@ def load_data(settings: Settings, skeleton: Skeleton) -> Loaded:
     wanted = _wanted(chosen.select)
     if wanted:
         train = train.select(chosen_rows(train, wanted, settings.seed))
-    notes = [f"train: {len(train):,} frames from {train.source}"]
-    train, report = clean(train, skeleton)
-    notes += report.lines()
-    if test is not None:
-        test, report = clean(test, skeleton)
-        notes += [f"test: {len(test):,} frames from {test.source}", *report.lines()]
-    return Loaded(train, test, notes)
+    train, more = with_labels(settings, train, skeleton)
+    notes: list[str] = []
+    train = _cleaned("train", train, skeleton, notes)
+    more = None if more is None else _cleaned("labelled", more, skeleton, notes)
+    test = None if test is None else _cleaned("test", test, skeleton, notes)
+    return Loaded(train, test, notes, more)
 
 
-def _wanted(choice) -> dict:
-    return {key: value for key, value in vars(choice).items() if value not in (None, [])}
+def _cleaned(which: str, data: PoseData, skeleton: Skeleton, notes: list[str]) -> PoseData:
+    data, report = clean(data, skeleton)
+    notes += [f"{which}: {len(data):,} frames from {data.source}", *report.lines()]
+    return data
+
+
+def _wanted(choice: ChoiceSettings) -> dict:
+    found = {key: getattr(choice, key) for key in (*CHOOSE_BY, "fraction")}
+    return {key: value for key, value in found.items() if value not in (None, [])}
+
+
+def with_labels(settings: Settings, train: PoseData, skeleton: Skeleton) -> tuple[PoseData, PoseData | None]:
+    """Return the training frames with `PoseData.labelled` as ``data.labelled`` says, and labelled frames of another file.
+
+    With ``data.labelled.only`` the first are the labelled ones alone. The same frames and seed always
+    give the same labels.
+
+    Raises:
+        UserError: no such frames, or frames without poses.
+    """
+    chosen = settings.data.labelled
+    wanted = _wanted(chosen)
+    if not wanted and chosen.file is None:
+        if chosen.only:
+            raise UserError(
+                "data.labelled.only is on, but no frame is labelled: set data.labelled.fraction (1 for all)."
+            )
+        return train, None
+    source = train if chosen.file is None else _labelled_file(settings, skeleton)
+    if source.pose is None:
+        raise UserError(f"{source.source}: holds no 'pose' to learn from: data.labelled needs frames with poses.")
+    rows = chosen_rows(source, wanted, settings.seed)
+    if chosen.file is None:
+        train = replace(train, labelled=rows)
+        return (train.select(rows) if chosen.only else train), None
+    more = replace(source, labelled=rows).select(rows)
+    return (more, None) if chosen.only else (train, more)
+
+
+def _labelled_file(settings: Settings, skeleton: Skeleton) -> PoseData:
+    """Return the frames of ``data.labelled.file``: a file, or SET:SPLIT of a published set in its own folder."""
+    named = str(settings.data.labelled.file)
+    use, colon, split = named.partition(":")
+    if colon and use in DATA_SETS:
+        data = replace(settings.data, name=use, root=None, use=use, options={}, train=split, unit=None)
+        return load_split(replace(settings, data=data), "train", skeleton)
+    data = replace(settings.data, use=None, train=named)
+    return load_split(replace(settings, data=data), "train", skeleton)
 
 
 def _simulated(settings: Settings, skeleton: Skeleton) -> tuple[PoseData, PoseData]:

@@ -9,15 +9,16 @@ import numpy as np
 from uplift.data.container import PoseData
 from uplift.errors import UserError, did_you_mean
 
-__all__ = ["chosen_clips", "chosen_rows"]
+__all__ = ["CHOOSE_BY", "chosen_clips", "chosen_rows"]
 
-_BY = ("subject", "action", "sequence", "camera")
+CHOOSE_BY = {"subjects": "subject", "actions": "action", "sequences": "sequence", "cameras": "camera"}
+"""What frames are chosen by, and the identity it is compared with."""
 
 
 def chosen_rows(data: PoseData, choice: Mapping[str, Sequence[str] | float | None], seed: int = 0) -> np.ndarray:
     """Return a (frames,) mask of the frames that ``choice`` names.
 
-    ``choice`` maps any of subject, action, sequence, camera to the values wanted (compared as
+    ``choice`` maps any of subjects, actions, sequences, cameras to the values wanted (compared as
     text; all given keys must hold), and ``fraction`` to a share of the frames that are left,
     taken as whole clips in seeded order.
 
@@ -26,8 +27,8 @@ def chosen_rows(data: PoseData, choice: Mapping[str, Sequence[str] | float | Non
     """
     where = data.source or "the data"
     mask = np.ones(len(data), bool)
-    for key in _BY:
-        wanted = choice.get(key)
+    for name, key in CHOOSE_BY.items():
+        wanted = choice.get(name)
         if not wanted:
             continue
         if key not in data.identity:

@@ -36,6 +36,10 @@ class TrainingSet:
     """From the real camera's frame to that of one turned to look at the root; None without intrinsics."""
     labels: Float[Tensor, "frames joints 3"] | None = None
     """True poses in units, NaN where unlabelled; None in training from 2D alone."""
+    label_unit: Float[Tensor, " frames"] | None = None
+    """Of the labels' own unit (mm) in one unit, NaN where unlabelled."""
+    label_tilt: Float[Tensor, " frames"] | None = None
+    """True tilt, radians, of the camera that looks at the root; NaN where that is not known."""
 
     @classmethod
     def of(
@@ -76,8 +80,15 @@ class TrainingSet:
         moved = {f.name: getattr(self, f.name) for f in fields(self) if f.name != "skeleton"}
         return replace(self, **{k: None if v is None else v.to(device) for k, v in moved.items()})
 
+    def part(self, rows: Tensor) -> TrainingSet:
+        """Return the frames of ``rows``, a mask or indices; clips are numbered anew."""
+        chosen = {f.name: getattr(self, f.name) for f in fields(self) if f.name != "skeleton"}
+        chosen = {name: None if value is None else value[rows] for name, value in chosen.items()}
+        chosen["clip"] = torch.unique(chosen["clip"], return_inverse=True)[1]
+        return replace(self, **chosen)
+
     def some(self, most: int, seed: int) -> TrainingSet:
-        """Return about ``most`` frames, whole clips in seeded order; the set itself if it has no more."""
+        """Return about ``most`` frames, whole clips in seeded order and all that are labelled; the set itself if it has no more."""
         if len(self) <= most:
             return self
         counts = torch.bincount(self.clip)
@@ -85,16 +96,26 @@ class TrainingSet:
         # The first clip stays whatever its length, so that something does.
         kept = torch.zeros_like(counts, dtype=torch.bool)
         kept[order[: max(1, int((counts[order].cumsum(0) <= most).sum()))]] = True
-        rows = kept[self.clip]
-        chosen = {f.name: getattr(self, f.name) for f in fields(self) if f.name != "skeleton"}
-        chosen = {name: None if value is None else value[rows] for name, value in chosen.items()}
-        chosen["clip"] = torch.unique(chosen["clip"], return_inverse=True)[1]
-        return replace(self, **chosen)
+        kept[self.clip[self.labelled]] = True
+        return self.part(kept[self.clip])
+
+    @property
+    def labelled(self) -> Bool[Tensor, " frames"]:
+        """Which frames have a true pose."""
+        if self.labels is None:
+            return torch.zeros_like(self.follows)
+        return self.labels.isfinite().all(-1).any(-1)
 
     def draw(self, rows: Int[Tensor, " batch"]) -> Batch:
         """Return the frames of ``rows``."""
-        labels = None if self.labels is None else self.labels[rows]
-        return Batch(self.keypoints[rows], self.confidence[rows], self.scale[rows], self.distance[rows], labels)
+        told = {name: getattr(self, name) for name in ("labels", "label_unit", "label_tilt")}
+        return Batch(
+            self.keypoints[rows],
+            self.confidence[rows],
+            self.scale[rows],
+            self.distance[rows],
+            **{name: None if value is None else value[rows] for name, value in told.items()},
+        )
 
 
 @dataclass(frozen=True)
@@ -106,6 +127,8 @@ class Batch:
     scale: Float[Tensor, " batch"]
     distance: Float[Tensor, " batch"]
     labels: Float[Tensor, "batch joints 3"] | None = None
+    label_unit: Float[Tensor, " batch"] | None = None
+    label_tilt: Float[Tensor, " batch"] | None = None
 
     def __len__(self) -> int:
         return len(self.keypoints)

@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+import warnings
 from typing import Any
 
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from uplift.data.tensors import TrainingSet
 from uplift.errors import NotForThisSkeleton, UserError, did_you_mean
 from uplift.lift import Lift
 from uplift.priors.base import Prior
 from uplift.skeleton import Skeleton
+from uplift.views import level, turn
 
 __all__ = ["Handedness", "handedness"]
 
@@ -49,8 +52,12 @@ class Handedness(Prior):
 
     ``front`` and ``left`` replace the skeleton's own, as ``[from, to]``. ``frame`` is where up is:
     ``level`` with the estimated tilt undone, or ``camera``. A skeleton that gives ``up`` itself
-    needs neither. ``margin`` asks for a sine of at least that much.
+    needs neither. ``margin`` asks for a sine of at least that much. Where frames are labelled and
+    ``labels`` is on, they have the last word: directions that most labelled poses contradict are
+    taken the other way round, with a warning.
     """
+
+    sign: Tensor
 
     def __init__(
         self,
@@ -61,6 +68,7 @@ class Handedness(Prior):
         planar: bool = True,
         frame: str = "level",
         margin: float = 0.0,
+        labels: bool = True,
     ):
         super().__init__(skeleton)
         if frame not in ("level", "camera"):
@@ -78,12 +86,32 @@ class Handedness(Prior):
                 f"skeleton '{skeleton.name}' gives no facing direction {', '.join(missing)}, and without it a pose and "
                 "its depth-mirrored image cannot be told apart (give it `facing:`, or set priors.handedness.weight=0)."
             )
-        self.planar, self.frame, self.margin = planar, frame, margin
+        self.planar, self.frame, self.margin, self.labels = planar, frame, margin, labels
+        self.register_buffer("sign", torch.ones(()))
         for name, (start, end) in self.directions.items():
             for side, joints in (("from", start), ("to", end)):
                 row = torch.zeros(len(skeleton.joints))
                 row[[skeleton.index(joint) for joint in joints]] = 1
                 self.register_buffer(f"{name}_{side}", row, persistent=False)
+
+    def prepare(self, data: TrainingSet) -> None:
+        """Hold the directions against the labelled poses, where there are any."""
+        if not self.labels or data.labels is None:
+            return
+        pose = data.labels[data.labelled]
+        known = pose.isfinite().all(-1).to(pose.dtype)
+        pose = pose.nan_to_num()
+        tilt = (
+            torch.zeros_like(pose[:, 0, 0]) if data.label_tilt is None else data.label_tilt[data.labelled].nan_to_num()
+        )
+        value, told = self.value(pose, turn(pose, level(tilt)) if self.skeleton.gravity else pose, known)
+        if told.any() and float(Lift.mean((value > 0).float(), told)) < 0.5:
+            self.sign.neg_()
+            warnings.warn(
+                f"the facing directions of skeleton '{self.skeleton.name}' are contradicted by most labelled poses and "
+                "are taken the other way round: mend its `facing:` (uplift skeleton check).",
+                stacklevel=2,
+            )
 
     def value(self, pose: Tensor, level_pose: Tensor, visible: Tensor) -> tuple[Tensor, Tensor]:
         """Return each frame's handedness and whether all its ends have a visible joint (0 or 1)."""
@@ -101,7 +129,7 @@ class Handedness(Prior):
         up = found.get("up")
         if up is None:
             up = body.new_tensor([0.0, -1.0, 0.0]).expand(len(body), 3)
-        return handedness(up, found["front"], found["left"], planar=self.planar), known
+        return self.sign * handedness(up, found["front"], found["left"], planar=self.planar), known
 
     def loss(self, lift: Lift) -> Tensor:
         """Return max(0, margin - handedness) averaged over the frames that show it."""

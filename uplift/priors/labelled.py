@@ -2,29 +2,68 @@
 
 from __future__ import annotations
 
+import torch
 from torch import Tensor
 
 from uplift.data.tensors import TrainingSet
 from uplift.errors import UserError
 from uplift.lift import Lift
 from uplift.priors.base import Prior
+from uplift.skeleton import Skeleton
 
 __all__ = ["Labelled"]
 
 
 class Labelled(Prior):
-    """Mean joint distance to the labels, in units of the mean 2D radius (the semi-supervised term of 5.2)."""
+    """Mean joint distance to the labels (the semi-supervised term of Kudo et al. 2018, 5.2).
+
+    Errors are taken in the labels' own unit, mm where they have one, so that a body seen small counts
+    as much as one seen large, and divided by what one unit of the model is on average, so that the
+    weight means the same for every skeleton. ``elevation`` is the weight of the camera's tilt, in
+    radians, where the labels tell it; 0 leaves it to the other priors.
+    """
+
+    usual_unit: Tensor
+
+    def __init__(self, skeleton: Skeleton, *, elevation: float = 1.0):
+        super().__init__(skeleton)
+        self.elevation = elevation
+        self.register_buffer("usual_unit", torch.ones(()))
 
     def prepare(self, data: TrainingSet) -> None:
-        """Refuse data without labels."""
-        if data.labels is None:
-            raise UserError("The labelled prior is on, but no frame is labelled: set priors.labelled.weight=0.")
+        """Measure what one unit is in mm, on average; refuse data without labels."""
+        if not bool(data.labelled.any()):
+            raise UserError(_NO_LABELS)
+        if data.label_unit is not None:
+            self.usual_unit = data.label_unit[data.labelled].mean()
+
+    def distances(self, lift: Lift) -> tuple[Tensor, Tensor]:
+        """Return each joint's distance to its label in the label's unit (0 without), and whether it has one."""
+        if lift.labels is None:
+            raise UserError(_NO_LABELS)
+        known = lift.labels.isfinite().all(-1)
+        distance = ((lift.pose - lift.labels.nan_to_num()).square().sum(-1) + 1e-12).sqrt()
+        if lift.label_unit is not None:
+            distance = distance * lift.label_unit.nan_to_num().unsqueeze(-1)
+        return distance, known
 
     def loss(self, lift: Lift) -> Tensor:
-        """Return the mean over the joints of the labelled frames in the batch."""
-        if lift.labels is None:
-            raise UserError("The labelled prior is on, but no frame is labelled: set priors.labelled.weight=0.")
-        known = lift.labels.isfinite().all(-1)
-        difference = lift.pose - lift.labels.nan_to_num()
-        distance = (difference.square().sum(-1) + 1e-12).sqrt()
-        return Lift.mean(distance, known.to(distance.dtype))
+        """Return the mean over the joints of the labelled frames in the batch, and their tilt's error."""
+        distance, known = self.distances(lift)
+        loss = Lift.mean(distance, known.to(distance.dtype)) / self.usual_unit
+        if self.elevation and lift.label_tilt is not None:
+            told = lift.label_tilt.isfinite()
+            off = (lift.tilt - lift.label_tilt.nan_to_num()).abs()
+            loss = loss + self.elevation * Lift.mean(off, told.to(off.dtype))
+        return loss
+
+    def metrics(self, lift: Lift) -> dict[str, float]:
+        """Return the mean error of the labelled frames in the labels' own unit, before any alignment."""
+        distance, known = self.distances(lift)
+        return {"labelled_error": float(Lift.mean(distance, known.to(distance.dtype)))}
+
+
+_NO_LABELS = (
+    "The labelled prior is on, but no frame is labelled: choose some (data.labelled.fraction=0.1), or set "
+    "priors.labelled.weight=0."
+)

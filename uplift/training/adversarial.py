@@ -15,6 +15,7 @@ from uplift.lift import Lift
 from uplift.lifter import Lifted, Lifter
 from uplift.priors.base import Prior
 from uplift.training.base import LifterTraining
+from uplift.training.rows import Rows
 from uplift.training.watch import PriorWatch
 from uplift.views import random_rotations, views_about_gravity
 
@@ -39,8 +40,10 @@ class AdversarialTraining(LifterTraining):
         priors: Mapping[str, Prior],
         weights: Mapping[str, float],
         seed: int,
+        labelled_share: float | None = None,
     ):
         super().__init__(lifter, data, settings, seed)
+        self.labelled_share = labelled_share
         self.views = views
         self.priors = nn.ModuleDict(priors)
         self.weights = dict(weights)
@@ -56,6 +59,15 @@ class AdversarialTraining(LifterTraining):
                 rate = self.settings.prior_learning_rate or self.settings.learning_rate
                 groups.append({"params": parameters, "lr": rate, "name": name})
         return groups
+
+    def on_fit_start(self) -> None:
+        """Put the frames where the model is and tell the labelled ones apart."""
+        super().on_fit_start()
+        self.rows = Rows(self.data.labelled, self.labelled_share)
+
+    def draw(self, count: int) -> Tensor:
+        """Return ``count`` random frame numbers, of which the set share is labelled."""
+        return self.rows(count)
 
     def objective(self) -> tuple[Tensor, dict[str, float | Tensor]]:
         """Return the weighted sum of all terms for one batch."""
@@ -119,6 +131,8 @@ def make_lift(lifter: Lifter, batch: Batch, views: ViewSettings, hide: float = 0
         scale=batch.scale,
         distance=batch.distance,
         labels=batch.labels,
+        label_unit=batch.label_unit,
+        label_tilt=batch.label_tilt,
         lifter=lifter,
         renormalise_views=views.renormalise,
         count_root=views.count_root,

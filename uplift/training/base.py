@@ -90,10 +90,6 @@ class LifterTraining(L.LightningModule):
         """Return what else is worth logging of the last step; only asked for when a row is written."""
         return {}
 
-    def draw(self, count: int) -> Tensor:
-        """Return ``count`` random frame numbers."""
-        return torch.randint(len(self.data), (count,), device=self.device)
-
     def parameter_groups(self) -> list[dict[str, Any]]:
         """Return the optimiser's groups; the first is the lifter's."""
         return [{"params": list(self.lifter.parameters()), "lr": self.settings.learning_rate, "name": "lifter"}]

@@ -16,6 +16,7 @@ from uplift.pose import mirror
 from uplift.skeleton import Skeleton
 from uplift.training.mixing import LimbMixer
 from uplift.training.pseudo import PseudoPoses
+from uplift.training.rows import Rows
 from uplift.views import about_y, least_rotation, random_rotations, turn
 
 __all__ = ["ShownViews", "ViewMaker"]
@@ -49,8 +50,17 @@ class ShownViews:
 class ViewMaker:
     """Makes random views of ``poses``; its random numbers are torch's."""
 
-    def __init__(self, poses: PseudoPoses, camera: Camera, settings: StudentSettings, *, count_root: bool):
+    def __init__(
+        self,
+        poses: PseudoPoses,
+        camera: Camera,
+        settings: StudentSettings,
+        *,
+        count_root: bool,
+        labelled_share: float | None = None,
+    ):
         self.poses, self.camera, self.settings, self.count_root = poses, camera, settings, count_root
+        self.rows = Rows(poses.which_labelled, labelled_share)
         skeleton, device = poses.skeleton, poses.pose.device
         self.mirrors = settings.mirror and skeleton.has_mirror_image
         self.swap = torch.as_tensor(skeleton.mirror_permutation.copy(), device=device)
@@ -62,7 +72,7 @@ class ViewMaker:
     def __call__(self, count: int) -> ShownViews:
         """Return ``count`` views."""
         poses, root = self.poses, self.poses.skeleton.root_index
-        rows = self._draw(count)
+        rows = self.rows(count)
         pose, sure = self._mixed(rows)
         pose, gravity = self._turned(pose)
         distance = poses.distance[rows]

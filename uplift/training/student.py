@@ -29,15 +29,30 @@ class StudentTraining(LifterTraining):
     data: PseudoPoses  # type: ignore[assignment]
     settings: StudentSettings
 
-    def __init__(self, lifter: Lifter, data: PseudoPoses, settings: StudentSettings, views: ViewSettings, seed: int):
+    def __init__(
+        self,
+        lifter: Lifter,
+        data: PseudoPoses,
+        settings: StudentSettings,
+        views: ViewSettings,
+        seed: int,
+        labelled_share: float | None = None,
+    ):
         super().__init__(lifter, data, settings, seed)  # type: ignore[arg-type]
+        self.labelled_share = labelled_share
         self.views = views
         self._made: tuple[int, ShownViews] | None = None
 
     def on_fit_start(self) -> None:
         """Put the poses where the model is and take them apart into limbs."""
         super().on_fit_start()
-        self.maker = ViewMaker(self.data, self.lifter.camera, self.settings, count_root=self.views.count_root)
+        self.maker = ViewMaker(
+            self.data,
+            self.lifter.camera,
+            self.settings,
+            count_root=self.views.count_root,
+            labelled_share=self.labelled_share,
+        )
 
     def objective(self) -> tuple[Tensor, dict[str, float | Tensor]]:
         """Return the mean depth error over the known joints, and what else the lifter can know."""

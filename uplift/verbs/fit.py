@@ -8,12 +8,15 @@ import shlex
 import sys
 import time
 from pathlib import Path
+from typing import Any
 
 import torch
 from lightning.pytorch.utilities.rank_zero import rank_zero_only
 
 from uplift.config import LifterSettings, Settings
+from uplift.data.labels import joined, mean_bones, with_labels
 from uplift.data.load import Loaded, load_data
+from uplift.data.tensors import TrainingSet
 from uplift.errors import UserError
 from uplift.lifter import Lifter
 from uplift.model import Model, build_lifter, frames_of, load
@@ -24,7 +27,7 @@ from uplift.task import load_settings
 from uplift.training.adversarial import AdversarialTraining
 from uplift.training.base import LifterTraining
 from uplift.training.budget import Interrupted
-from uplift.training.pseudo import lift_all
+from uplift.training.pseudo import PseudoPoses, lift_all, true_poses
 from uplift.training.stages import run_stage, stage_budgets
 from uplift.training.student import StudentTraining
 from uplift.training.watch import blame
@@ -97,13 +100,18 @@ class _Stages:
 
     def __init__(self, settings: Settings, skeleton: Skeleton, loaded: Loaded, run: RunFolder | None):
         self.settings, self.skeleton = settings, skeleton
-        self.data = frames_of(loaded.train, skeleton, settings.lifter)
+        self.data = training_frames(loaded, skeleton, settings)
+        self.supervised = bool(self.data.labelled.all())
+        self.bone_mm = mean_bones(self.data) if loaded.unit == "mm" else None
         self.rounds = settings.student.rounds if settings.student.share > 0 else []
-        shares = [settings.teacher.share, *(settings.student.share * r / sum(self.rounds) for r in self.rounds)]
+        if self.supervised:  # nothing to lift: one student has all the time
+            self.rounds = [1.0]
+        first = 0.0 if self.supervised else settings.teacher.share
+        shares = [first, *((settings.student.share or 1.0) * r / sum(self.rounds) for r in self.rounds)]
         self.budgets = stage_budgets(settings.trainer, shares, len(self.data), settings.teacher.batch_size)
         self.spent: dict[str, float] = {}
         torch.manual_seed(settings.seed)
-        self.priors, self.weights, self.notes = build_priors(settings.priors, skeleton)
+        self.priors, self.weights, self.notes = build_priors(_useful(settings.priors, self.data), skeleton)
         if not skeleton.has_mirror_image:
             why = f"its root '{skeleton.root}' is one of a pair" if skeleton.mirror else "it has no `mirror:` pairs"
             self.notes.append(f"no mirroring of skeleton '{skeleton.name}': {why}")
@@ -113,7 +121,7 @@ class _Stages:
             )
         # What only a student learns, a teacher has no outputs for.
         alone = dataclasses.replace(settings.lifter, spread=False, denoise=False)
-        self.first = build_lifter(alone, skeleton)
+        self.first = self._lifter(alone)
         if settings.init and not (run and (run.checkpoints / "teacher.ckpt").is_file()):
             _start_from(self.first, settings.init)
 
@@ -121,21 +129,40 @@ class _Stages:
         """Return the model after the last stage."""
         settings = self.settings
         start = time.monotonic()
-        teacher = self._teacher()
-        lifter = self._run("teacher", teacher, 0, run, time.monotonic() - start)
-        chosen = dataclasses.replace(settings.lifter, spread=False, denoise=False)
+        lifter, chosen = self.first, dataclasses.replace(settings.lifter, spread=False, denoise=False)
+        if not self.supervised:
+            lifter = self._run("teacher", self._teacher(), 0, run, time.monotonic() - start)
         for number in range(1, len(self.rounds) + 1):
             start = time.monotonic()
-            chosen_frames = self.data.some(settings.student.frames, settings.seed + number)
-            poses = lift_all(lifter, chosen_frames, settings.student.refine)
+            poses = self._poses(lifter, number)
             chosen = student_settings(
                 settings, noisy=poses.noise is not None and settings.student.noise, last=number == len(self.rounds)
             )
             torch.manual_seed(settings.seed + number)
-            fresh = build_lifter(chosen, self.skeleton)
-            student = StudentTraining(fresh, poses, settings.student, settings.views, settings.seed + number)
+            student = StudentTraining(
+                self._lifter(chosen),
+                poses,
+                settings.student,
+                settings.views,
+                settings.seed + number,
+                settings.data.labelled.share,
+            )
             lifter = self._run(f"student_{number}", student, number, run, time.monotonic() - start)
         return Model(lifter.cpu().eval(), self.skeleton, chosen)
+
+    def _poses(self, lifter: Lifter, number: int) -> PseudoPoses:
+        """Return what a student learns from: the truth where all of it is known, else what ``lifter`` makes of the frames."""
+        student = self.settings.student
+        if self.supervised:
+            return true_poses(self.data, self.first.camera, tilted=lifter.tilt != "level")
+        return lift_all(lifter, self.data.some(student.frames, self.settings.seed + number), student.refine)
+
+    def _lifter(self, chosen: LifterSettings) -> Lifter:
+        """Return an untrained lifter that knows how large the labelled bodies are."""
+        lifter = build_lifter(chosen, self.skeleton)
+        if self.bone_mm is not None:
+            lifter.bone_mm.copy_(self.bone_mm)
+        return lifter
 
     def _run(self, name: str, module: LifterTraining, place: int, run: RunFolder, before: float = 0.0) -> Lifter:
         """Train one stage and return its lifter; ``before`` are the seconds of the budget its data took."""
@@ -149,8 +176,30 @@ class _Stages:
             with blame(name, prior, "prepare"):
                 prior.prepare(self.data)
         return AdversarialTraining(
-            self.first, self.data, settings.teacher, settings.views, self.priors, self.weights, settings.seed
+            self.first,
+            self.data,
+            settings.teacher,
+            settings.views,
+            self.priors,
+            self.weights,
+            settings.seed,
+            settings.data.labelled.share,
         )
+
+
+def training_frames(loaded: Loaded, skeleton: Skeleton, settings: Settings) -> TrainingSet:
+    """Return the training frames of all files in the model's units, with those labels that may be used."""
+    frames = with_labels(frames_of(loaded.train, skeleton, settings.lifter), loaded.train)
+    if loaded.more is None:
+        return frames
+    return joined(frames, with_labels(frames_of(loaded.more, skeleton, settings.lifter), loaded.more))
+
+
+def _useful(priors: dict[str, Any], data: TrainingSet) -> dict[str, Any]:
+    """Return the priors without those for labels that are on ``if_possible`` where no frame has one."""
+    if bool(data.labelled.any()):
+        return priors
+    return {n: spec for n, spec in priors.items() if not (n == "labelled" and spec.get("if_possible"))}
 
 
 def student_settings(settings: Settings, *, noisy: bool, last: bool) -> LifterSettings:
