@@ -43,7 +43,7 @@ class Lifter(nn.Module):
     root_place: Tensor
     bones: Tensor
     bone_mm: Tensor
-    """(bones,) mean lengths of labelled bodies, mm, NaN where unknown: they make a pose's scale known."""
+    """(bones,) mean lengths of labelled bodies, mm, 0 where unknown: they make a pose's scale known."""
 
     def __init__(
         self,
@@ -70,7 +70,7 @@ class Lifter(nn.Module):
         self.root_free = root_free
         if self.tilt == "learned":
             self.common_tilt = nn.Parameter(torch.zeros(()))
-        self.register_buffer("bone_mm", torch.full((len(skeleton.bones),), torch.nan))
+        self.register_buffer("bone_mm", torch.zeros(len(skeleton.bones)))
         self.register_buffer("bones", torch.as_tensor(skeleton.bone_indices.copy()), persistent=False)
         permutation = torch.as_tensor(skeleton.mirror_permutation.copy())
         self.register_buffer("mirror_permutation", permutation, persistent=False)
@@ -122,7 +122,7 @@ class Lifter(nn.Module):
 
     def unit_mm(self, pose: Float[Tensor, "batch joints 3"]) -> Float[Tensor, " batch"] | None:
         """Return how many mm one unit of each pose is, for a body as large as the labelled ones; None without any."""
-        known = self.bone_mm.isfinite()
+        known = self.bone_mm > 0
         if not known.any():
             return None
         lengths = bone_lengths(pose, self.bones[known])

@@ -60,7 +60,7 @@ class Labelled(Prior):
     def metrics(self, lift: Lift) -> dict[str, float]:
         """Return the mean error of the labelled frames in the labels' own unit, before any alignment."""
         distance, known = self.distances(lift)
-        return {"labelled_error": float(Lift.mean(distance, known.to(distance.dtype)))}
+        return {"labelled_error": float(Lift.mean(distance.detach(), known.to(distance.dtype)))}
 
 
 _NO_LABELS = (

@@ -44,6 +44,7 @@ class AdversarialTraining(LifterTraining):
     ):
         super().__init__(lifter, data, settings, seed)
         self.labelled_share = labelled_share
+        self.rows = Rows(data.labelled, labelled_share)
         self.views = views
         self.priors = nn.ModuleDict(priors)
         self.weights = dict(weights)
@@ -61,7 +62,7 @@ class AdversarialTraining(LifterTraining):
         return groups
 
     def on_fit_start(self) -> None:
-        """Put the frames where the model is and tell the labelled ones apart."""
+        """Put the frames, and which of them are labelled, where the model is."""
         super().on_fit_start()
         self.rows = Rows(self.data.labelled, self.labelled_share)
 

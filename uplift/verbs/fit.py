@@ -161,7 +161,7 @@ class _Stages:
         """Return an untrained lifter that knows how large the labelled bodies are."""
         lifter = build_lifter(chosen, self.skeleton)
         if self.bone_mm is not None:
-            lifter.bone_mm.copy_(self.bone_mm)
+            lifter.bone_mm.copy_(self.bone_mm.nan_to_num())
         return lifter
 
     def _run(self, name: str, module: LifterTraining, place: int, run: RunFolder, before: float = 0.0) -> Lifter:

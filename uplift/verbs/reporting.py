@@ -18,7 +18,7 @@ from uplift.writers.html import write_html
 
 __all__ = ["given_lines", "report"]
 
-_HEADLINES = ("p_mpjpe", "n_mpjpe", "mpjpe_gt_scale", "facing", "facing_sign", "elevation_deg")
+_HEADLINES = ("mpjpe", "p_mpjpe", "n_mpjpe", "mpjpe_gt_scale", "facing", "facing_sign", "elevation_deg")
 
 
 def report(run: RunFolder, model: Model, settings: Settings, loaded: Loaded, spent: dict[str, float]) -> None:
@@ -30,7 +30,7 @@ def report(run: RunFolder, model: Model, settings: Settings, loaded: Loaded, spe
         save_evaluation(evaluation, run)
         floor = GivenPoses(flat_depth(data.keypoints, model.skeleton.root_index), model.skeleton.joints)
         flat = score(floor, loaded.test, model.skeleton)
-    given = given_lines(settings, loaded.train)
+    given = given_lines(settings, loaded)
     text = _markdown(run, settings, loaded, spent, given, evaluation, flat)
     with replacing(run.path / "report.md") as file:
         file.write(text.encode())
@@ -46,18 +46,26 @@ def report(run: RunFolder, model: Model, settings: Settings, loaded: Loaded, spe
     _print_end(run, evaluation, flat, spent)
 
 
-def given_lines(settings: Settings, train: PoseData) -> list[str]:
+def given_lines(settings: Settings, loaded: Loaded) -> list[str]:
     """Return what the fit was given, a sentence each: the answer to "did it see 3D?"."""
     specs = {n: s for n, s in settings.priors.items() if float(s.get("weight", 1)) > 0}
     lines = ["Learned from 2D keypoints alone: no pose, root depth or camera tilt of the data was looked at."]
+    labelled = [data for data in (loaded.train, loaded.more) if data is not None and data.labelled is not None]
+    if labelled:
+        count, total = sum(int(data.labelled.sum()) for data in labelled), len(loaded.train) + len(loaded.more or ())
+        lines = [
+            f"Learned from the true poses, root positions and camera tilts of {count:,} labelled frames of {total:,}; "
+            "of the others from 2D keypoints alone."
+        ]
     if settings.init:
         lines = [f"Started from the weights of {settings.init}; see that run for what it learned from."]
     if settings.data.simulate:
         lines.append(
             "The keypoints are simulated: bodies and motions from published anthropometry and ranges of motion."
         )
-    if intrinsics_of(as_seen(train, settings.lifter), settings.lifter) is not None:
+    if intrinsics_of(as_seen(loaded.train, settings.lifter), settings.lifter) is not None:
         lines.append("The camera's focal length and image centre, from the file, were used.")
+    train = loaded.train
     if settings.student.share and settings.student.refine.iterations and len(np.unique(train.clips())) < len(train):
         lines.append("Which frames make a clip was used: one body and a smooth motion in each.")
     lines.append("Priors (weight): " + ", ".join(f"{n} {float(s.get('weight', 1)):g}" for n, s in specs.items()) + ".")

@@ -1,0 +1,157 @@
+"""Labels in the model's units: they agree with their keypoints, stay in mm, and join other files."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from bodies import body_arrays, refusal, write_body
+from lifts import H36M, bodies
+
+from uplift.camera import build_camera
+from uplift.config import LifterSettings
+from uplift.data.container import PoseData
+from uplift.data.labels import joined, mean_bones, with_labels
+from uplift.data.load import load_data
+from uplift.data.tensors import TrainingSet
+from uplift.model import frames_of
+from uplift.task import load_settings
+
+
+def seen_bodies(**changes) -> PoseData:
+    """Return bodies seen by a known camera, all labelled."""
+    data = replace(bodies(40), focal_px=1145.0, image_size=(1000, 1000), labelled=np.ones(40, bool))
+    return replace(data, tilt_deg=body_arrays(40)["tilt_deg"], **changes)
+
+
+def labelled_frames(data: PoseData, **settings) -> TrainingSet:
+    return with_labels(frames_of(data, H36M, LifterSettings(**settings)), data)
+
+
+def test_a_label_projects_to_its_keypoints() -> None:
+    frames = labelled_frames(seen_bodies())
+    projected = build_camera("perspective").project(frames.labels, frames.distance)
+    torch.testing.assert_close(projected, frames.keypoints, atol=2e-4, rtol=0)
+
+
+def test_a_label_in_its_own_unit_is_the_pose() -> None:
+    data = seen_bodies()
+    frames = labelled_frames(data)
+    lengths = (frames.labels * frames.label_unit[:, None, None]).norm(dim=-1)
+    torch.testing.assert_close(lengths, torch.from_numpy(data.pose).norm(dim=-1), rtol=1e-4, atol=1e-2)
+
+
+def test_without_a_known_camera_the_label_has_the_scale_of_its_keypoints() -> None:
+    frames = labelled_frames(seen_bodies(), intrinsics="off")
+    assert frames.rotation is None
+    flat, seen = frames.labels[..., :2], frames.keypoints
+    best = (flat * seen).sum((1, 2)) / flat.square().sum((1, 2))
+    torch.testing.assert_close(best, torch.ones(40), rtol=1e-4, atol=1e-4)
+
+
+def test_only_labelled_frames_and_known_joints_have_a_label() -> None:
+    data = seen_bodies()
+    data.labelled[::2] = False
+    data.pose[1, 3] = np.nan
+    frames = labelled_frames(data)
+    assert not frames.labelled[::2].any()
+    assert frames.labelled[1::2].all()
+    assert frames.labels[1, 3].isnan().all()
+    assert frames.labels[1, 4].isfinite().all()
+    assert frames.label_tilt[::2].isnan().all()
+    assert with_labels(frames, replace(data, labelled=None)) is frames
+
+
+def test_mean_bones_are_those_of_the_labelled_bodies_in_mm() -> None:
+    data = seen_bodies()
+    data.labelled[20:] = False
+    start, end = H36M.bone_indices.T
+    expected = np.linalg.norm(data.pose[:20, end] - data.pose[:20, start], axis=-1).mean(0)
+    np.testing.assert_allclose(mean_bones(labelled_frames(data)).numpy(), expected, rtol=1e-4)
+    assert mean_bones(labelled_frames(replace(data, labelled=None))) is None
+
+
+def test_joined_keeps_both_and_mixes_no_clips() -> None:
+    plain = replace(bodies(10), identity={"sequence": np.repeat(["a", "b"], 5)})
+    one = frames_of(plain, H36M, LifterSettings())
+    other = labelled_frames(seen_bodies())
+    both = joined(one, other)
+    assert len(both) == 50
+    assert both.labelled.tolist() == [False] * 10 + [True] * 40
+    assert not set(both.clip[:10].tolist()) & set(both.clip[10:].tolist())
+    torch.testing.assert_close(both.rotation[:10], torch.eye(3).expand(10, 3, 3))
+    torch.testing.assert_close(both.rotation[10:], other.rotation)
+    torch.testing.assert_close(both.part(both.labelled).labels, other.labels)
+
+
+def chosen(here: Path, *words: str, task: str | None = None) -> PoseData:
+    return load_data(load_settings(task, [f"data.train={here / 'a.npz'}", *words]), H36M).train
+
+
+def test_labels_are_whole_clips_in_seeded_order_the_last_cut(here: Path) -> None:
+    write_body(here / "a.npz")
+    for fraction, frames in ((0.1, 6), (0.5, 30), (1.0, 60)):
+        found = chosen(here, f"data.labelled.fraction={fraction}")
+        assert int(found.labelled.sum()) == frames
+        of_clip = np.bincount(found.clips()[found.labelled], minlength=6)
+        assert sorted(of_clip)[::-1][: frames // 10] == [10] * (frames // 10)
+    smaller, larger = (chosen(here, f"data.labelled.fraction={f}").labelled for f in (0.1, 0.5))
+    assert not (smaller & ~larger).any()
+
+
+def test_the_same_seed_labels_the_same_frames_in_every_task(here: Path) -> None:
+    write_body(here / "a.npz")
+    words = ("data.labelled.fraction=0.25", "data.test=null")
+    semi = chosen(here, *words, task="semi_cmu")
+    alone = chosen(here, *words, task="supervised_cmu")
+    assert len(alone) == 15
+    np.testing.assert_array_equal(semi.keypoints[semi.labelled], alone.keypoints)
+    other = chosen(here, *words, "seed=1", task="semi_cmu")
+    assert (other.labelled != semi.labelled).any()
+
+
+def test_subjects_and_actions_choose_before_the_fraction(here: Path) -> None:
+    write_body(here / "a.npz")
+    found = chosen(here, "data.labelled.subjects=S1", "data.labelled.fraction=0.5")
+    assert int(found.labelled.sum()) == 10
+    assert set(found.identity["subject"][found.labelled]) == {"S1"}
+    found = chosen(here, "data.labelled.actions=sit down")
+    assert set(found.identity["action"][found.labelled]) == {"sit down"}
+    assert set(found.identity["action"][~found.labelled]) == {"walk"}
+
+
+def test_labelled_frames_of_another_file_and_layout(here: Path) -> None:
+    write_body(here / "a.npz", pose=None, root=None, tilt_deg=None)
+    write_body(here / "b.npz", frames=20, seed=3, skeleton="mpii16")
+    loaded = load_data(load_settings(None, [f"data.train={here / 'a.npz'}", "data.labelled.file=b.npz"]), H36M)
+    assert loaded.train.labelled is None
+    assert len(loaded.more) == 20
+    assert loaded.more.labelled.all()
+    nose, wrist = H36M.index("nose"), H36M.index("lwrist")
+    assert np.isnan(loaded.more.pose[:, nose]).all()  # mpii16 has none
+    assert np.isfinite(loaded.more.pose[:, wrist]).all()
+
+
+@pytest.mark.parametrize(
+    ("words", "says"),
+    [
+        (["data.labelled.only=true"], "data.labelled.fraction"),
+        (["data.labelled.fraction=2"], "expected more than 0 and at most 1"),
+        (["data.labelled.subjects=S9"], "no frame with subject 'S9'"),
+        (["data.labelled.subject=S1"], "Did you mean 'data.labelled.subjects'?"),
+        (["data.labelled.file=nowhere.npz"], "No file"),
+        (["data.labelled.share=1.5", "data.labelled.fraction=0.5"], "data.labelled.share=1.5"),
+    ],
+)
+def test_labels_that_cannot_be_had(here: Path, capsys, words: list[str], says: str) -> None:
+    write_body(here / "a.npz")
+    assert says in refusal(capsys, "fit", "skeleton=h36m17", "data.train=a.npz", *words)
+
+
+def test_labels_without_poses_are_refused(here: Path, capsys) -> None:
+    write_body(here / "a.npz", pose=None)
+    words = ("fit", "skeleton=h36m17", "data.train=a.npz", "data.labelled.fraction=0.5")
+    assert "holds no 'pose'" in refusal(capsys, *words)
