@@ -144,6 +144,7 @@ class StudentSettings(StageSettings):
     noise: bool = True  # add to the views what refinement found wrong in the keypoints
     refine: RefineSettings = field(default_factory=RefineSettings)
     frames: int = 60_000  # most that are lifted and refined for a round, whole clips at random
+    turn: bool = True  # show poses from everywhere; off: each from where it was seen
     mix: float = 0.7  # share of poses that take limbs of others
     mix_limb: float = 0.4  # chance of each limb of such a pose
 

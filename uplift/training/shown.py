@@ -74,7 +74,7 @@ class ViewMaker:
         poses, root = self.poses, self.poses.skeleton.root_index
         rows = self.rows(count)
         pose, sure = self._mixed(rows)
-        pose, gravity = self._turned(pose)
+        pose, gravity = self._turned(pose, rows)
         distance = poses.distance[rows]
         projected = self.camera.project(pose, distance)
         seen, shown = projected.clone(), sure
@@ -111,14 +111,17 @@ class ViewMaker:
             sure = torch.where(flip[:, None], sure[:, self.swap], sure)
         return pose, sure
 
-    def _turned(self, pose: Tensor) -> tuple[Tensor, Tensor]:
-        """Return the level poses in the frames of random cameras, and gravity there."""
+    def _turned(self, pose: Tensor, rows: Tensor) -> tuple[Tensor, Tensor]:
+        """Return the level poses of ``rows`` in the frames of random cameras, or their own, and gravity there."""
         count, device = len(pose), pose.device
+        down = pose.new_tensor([0.0, 1.0, 0.0])
+        if not self.settings.turn:
+            gravity = self.poses.gravity[rows]
+            return (turn(pose, least_rotation(gravity, down).mT) if self.poses.skeleton.gravity else pose), gravity
         gravity = self.poses.gravity[self._draw(count)]
         if not self.poses.skeleton.gravity:
             return turn(pose, random_rotations(count, device)), gravity
         azimuth = 2 * torch.pi * torch.rand(count, device=device)
-        down = gravity.new_tensor([0.0, 1.0, 0.0])
         return turn(pose, least_rotation(gravity, down).mT @ about_y(azimuth)), gravity
 
     def _hide(self, confidence: Tensor) -> Tensor:
