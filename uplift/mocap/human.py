@@ -44,10 +44,11 @@ class Layout:
     """Where it has children at its own place, the thorax bone was dropped."""
     palm: str = ""
     """Where it is at its parent's place, the wrist bone was dropped."""
-    rest_frame: bool = False
-    """Whether the conversion puts a rest pose before the first frame."""
+    rest_frames: int = 0
+    """How many frames the conversion spends on a rest pose before the motion, and on the way out of it."""
     eyes: bool = False
     """Whether the head is known by its eyes and has no end."""
+    head: str = "Head"
 
     def mirrored(self, name: str) -> str:
         """Return the right side's name for a left joint's."""
@@ -65,7 +66,7 @@ class Layout:
 
     def needed(self) -> list[str]:
         """Return every name of the file that is used."""
-        names = [*self.sides().values(), *self.spine, *self.thorax, "head" if self.head == "head" else self.head]
+        names = [*self.sides().values(), *self.spine, *self.thorax, self.head]
         if self.palm:
             names += [self.palm, self.mirrored(self.palm)]
         if self.chest:
@@ -73,8 +74,6 @@ class Layout:
         if self.eyes:
             names += ["leftEye", "rightEye"]
         return list(dict.fromkeys(names))
-
-    head: str = "Head"
 
 
 LAYOUTS = (
@@ -96,7 +95,7 @@ LAYOUTS = (
         thorax=("Neck",),
         chest="Spine1",
         palm="LeftFingerBase",
-        rest_frame=True,
+        rest_frames=1,
     ),
     Layout(
         "cgspeed's conversion for 3ds Max",
@@ -107,7 +106,7 @@ LAYOUTS = (
         thorax=("lowerneck",),
         chest="Chest2",
         palm="lhand",
-        rest_frame=True,
+        rest_frames=1,
     ),
     Layout(
         "the conversion for Poser and DAZ Studio",
@@ -116,7 +115,7 @@ LAYOUTS = (
         (("l", "r"),),
         spine=("abdomen", "chest"),
         thorax=("lCollar", "rCollar"),
-        rest_frame=True,
+        rest_frames=4,
         eyes=True,
         head="head",
     ),
