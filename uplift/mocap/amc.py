@@ -11,7 +11,8 @@ import numpy as np
 from jaxtyping import Float
 
 from uplift.errors import UserError
-from uplift.mocap.asf import AsfSkeleton, Bone
+from uplift.mocap.asf import AsfSkeleton
+from uplift.mocap.bone import Bone
 from uplift.mocap.figure import Figure
 from uplift.mocap.text import fault, read_lines, shown
 

@@ -6,51 +6,21 @@ its own, which ``axis`` gives in the world's frame of the rest pose; directions 
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float
 
 from uplift.errors import UserError
-from uplift.mocap.figure import Tree, turns
+from uplift.mocap.bone import Bone
+from uplift.mocap.figure import Tree
 from uplift.mocap.text import fault, numbers, read_lines, shown
 
-__all__ = ["AsfSkeleton", "Bone", "read_asf"]
+__all__ = ["AsfSkeleton", "read_asf"]
 
 _INCH_MM = 25.4
 _ANGLES = ("rx", "ry", "rz")
 _ROOT = {"tx", "ty", "tz", *_ANGLES}
-
-
-@dataclass
-class Bone:
-    """A bone of an ASF file, angles in degrees, lengths in the file's unit."""
-
-    name: str = ""
-    line: int = 0
-    direction: list[float] = field(default_factory=list)
-    length: float = float("nan")
-    axis: list[float] = field(default_factory=lambda: [0.0, 0.0, 0.0])
-    order: str = "xyz"
-    dof: list[str] = field(default_factory=list)
-
-    @property
-    def frame(self) -> Float[np.ndarray, "3 3"]:
-        """The bone's own axes in the rest pose."""
-        return _turned_in(np.array([self.axis]), self.order)[0]
-
-    def turned(self, degrees: Float[np.ndarray, "frames angles"]) -> Float[np.ndarray, "frames 3 3"]:
-        """Return the rotations of the bone in its parent's frame for angles in the order of `dof`."""
-        full = np.zeros((len(degrees), 3))
-        for column, name in enumerate(self.dof):
-            full[:, self.order.index(name[1])] = degrees[:, column]
-        return self.frame @ _turned_in(full, self.order) @ self.frame.T
-
-
-def _turned_in(degrees: np.ndarray, order: str) -> np.ndarray:
-    # "XYZ" is first about X, then about the world's Y, then its Z: about the turned axes that is Z, Y, X.
-    return turns(degrees[:, ::-1], order[::-1])
 
 
 @dataclass
@@ -110,7 +80,9 @@ def _sections(path: Path, lines: list[bytes]) -> dict[str, list[tuple[int, list[
             rows = sections.setdefault(words[0].decode("ascii", "replace").lower(), [])
             words = words[1:]
         elif rows is None:
-            raise fault(path, number, f"found {shown(line)}, expected an Acclaim skeleton (:version, :units, :root ...).")
+            raise fault(
+                path, number, f"found {shown(line)}, expected an Acclaim skeleton (:version, :units, :root ...)."
+            )
         if words:
             rows.append((number, words))
     return sections
@@ -136,7 +108,9 @@ def _root(path: Path, rows: list[tuple[int, list[bytes]]]) -> tuple[Bone, list[f
         if key.lower() == b"order":
             root.dof = [word.decode("ascii", "replace").lower() for word in words]
             if sorted(root.dof) != sorted(_ROOT):
-                raise fault(path, number, f"order is {shown(b' '.join(words))}, expected TX TY TZ RX RY RZ in any order.")
+                raise fault(
+                    path, number, f"order is {shown(b' '.join(words))}, expected TX TY TZ RX RY RZ in any order."
+                )
         elif key.lower() == b"axis":
             root.order = _order(path, number, words[:1])
         elif key.lower() == b"position":

@@ -36,6 +36,9 @@ class BvhFile:
     def figure(self, first: int, step: int, tree: Tree | None = None) -> Figure:
         """Return every ``step``-th frame from frame ``first`` on, of ``tree`` in place of the file's own.
 
+        The root is where its position channels say; positions of other joints, which some programs
+        write beside the offsets, are not used.
+
         Raises:
             UserError: a frame with too few or too many values, or with something that is no number.
         """
@@ -162,7 +165,9 @@ class _Hierarchy:
         elif key == b"}" and open_joints:
             open_joints.pop()
         elif key != b"{":
-            raise fault(self.path, line, f"found {shown(b' '.join(words))}, expected JOINT, OFFSET, CHANNELS or End Site.")
+            raise fault(
+                self.path, line, f"found {shown(b' '.join(words))}, expected JOINT, OFFSET, CHANNELS or End Site."
+            )
 
     def _add(self, line: int, name: str, parent: int) -> None:
         if name in self.names:

@@ -13,7 +13,8 @@ from uplift.errors import UserError
 from uplift.mocap.amc import read_amc
 from uplift.mocap.asf import AsfSkeleton, read_asf
 from uplift.mocap.bvh import open_bvh
-from uplift.mocap.human import human_joints, layout_of, mended, unit_of
+from uplift.mocap.human import human_joints, mended, unit_of
+from uplift.mocap.layouts import layout_of
 from uplift.mocap.trials import Trial
 
 __all__ = ["Clip", "Rates", "read_clip"]

@@ -47,7 +47,9 @@ def tested(clips: Sequence[Clip], chosen: Sequence[str], seed: int) -> tuple[set
         frames[name] = frames.get(name, 0) + len(clip.joints)
     order = np.random.default_rng(seed).permutation(list(frames))[: len(frames) - 1].tolist()
     before = np.cumsum([0, *(frames[name] for name in order)])[:-1]
-    picked = [name for name, sum_before in zip(order, before, strict=True) if sum_before < _TEST_SHARE * sum(frames.values())]
+    picked = [
+        name for name, sum_before in zip(order, before, strict=True) if sum_before < _TEST_SHARE * sum(frames.values())
+    ]
     found = {clip.sequence for clip in clips if {clip.subject, clip.sequence} & set(picked)}
     if by_subject:
         return found, f"test: {', '.join(picked)} (subjects drawn with seed={seed}; others: test=S5,S16)"

@@ -72,9 +72,7 @@ def _read(trials: list[Trial], rates: Rates, unit_mm: float | None, clips: list[
     yield f"read {frames:,} frames at {rates.fps:g} a second, {frames / rates.fps / 60:.1f} minutes"
 
 
-def _write(
-    path: Path, clips: list[Clip], rig: Rig, fps: float, seed: int, actions: dict[str, str] | None
-) -> str:
+def _write(path: Path, clips: list[Clip], rig: Rig, fps: float, seed: int, actions: dict[str, str] | None) -> str:
     from uplift.writers.keypoints import write_keypoints
 
     data = filmed(clips, rig, fps, seed, actions)
