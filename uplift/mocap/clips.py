@@ -36,7 +36,7 @@ class Rates:
         """Return which frames to keep; raises UserError where ``fps`` does not divide the rate."""
         rate = self.own.get(trial.sequence, self.own.get(trial.subject, rate))
         step = round(rate / self.fps)
-        if step < 1 or abs(rate / self.fps - step) > 0.01 * step:
+        if step < 1 or abs(rate / self.fps - step) > 0.001 * step:
             near = rate / max(1, step)
             raise UserError(
                 f"{trial.path}: {rate:.4g} frames a second cannot be thinned out to fps={self.fps:g}. "

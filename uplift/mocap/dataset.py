@@ -13,13 +13,13 @@ from uplift.mocap.clips import Clip
 from uplift.mocap.human import JOINTS
 from uplift.mocap.rigs import Rig, film
 
-__all__ = ["filmed", "tested"]
+__all__ = ["chosen_test", "filmed"]
 
 _TEST_SHARE = 0.15
 _BASE_FPS = 120
 
 
-def tested(clips: Sequence[Clip], chosen: Sequence[str], seed: int) -> tuple[set[str], str]:
+def chosen_test(clips: Sequence[Clip], chosen: Sequence[str], seed: int) -> tuple[set[str], str]:
     """Return the sequences of the test file and how they were chosen.
 
     ``chosen`` names subjects or sequences; without it whole subjects are drawn until they have 15 % of

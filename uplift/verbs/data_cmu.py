@@ -9,7 +9,7 @@ from pathlib import Path
 
 from uplift.errors import UserError, did_you_mean
 from uplift.mocap.clips import Clip, Rates, read_clip
-from uplift.mocap.dataset import filmed, tested
+from uplift.mocap.dataset import chosen_test, filmed
 from uplift.mocap.index import read_index
 from uplift.mocap.rigs import Rig
 from uplift.mocap.trials import Trial, find_trials
@@ -36,8 +36,8 @@ def make_cmu_files(words: list[str]) -> Iterator[str]:
     """
     folder, keys = _settings(words)
     rates, rig = _rates(keys), _rig(keys)
-    seed = int(_number(keys, "seed", 0, least=0, whole=True))
-    unit_mm = _number(keys, "unit_mm", 0, above=0) if "unit_mm" in keys else None
+    seed = int(_number(keys, "seed", 0.0, least=0.0, whole=True))
+    unit_mm = _number(keys, "unit_mm", 0.0, above=0.0) if "unit_mm" in keys else None
     output = _output(keys)
     trials, notes = find_trials(folder, _listed(keys, "skip"))
     unknown = set(rates.own) - {trial.subject for trial in trials} - {trial.sequence for trial in trials}
@@ -51,7 +51,7 @@ def make_cmu_files(words: list[str]) -> Iterator[str]:
         yield f"actions from {index}"
     clips: list[Clip] = []
     yield from _read(trials, rates, unit_mm, clips)
-    chosen, how = tested(clips, _listed(keys, "test"), seed)
+    chosen, how = chosen_test(clips, _listed(keys, "test"), seed)
     yield how
     _make_folder(output)
     for name in ("train", "test"):
@@ -126,11 +126,11 @@ def _rig(keys: dict[str, str]) -> Rig:
     if len(size) != 2 or not all(part.isdigit() and 0 < int(part) <= 100_000 for part in size):
         raise UserError(f"data cmu: image_size={keys['image_size']!r}, expected width x height in px, as 1000x1000.")
     return Rig(
-        cameras=int(_number(keys, "cameras", Rig.cameras, least=1, most=100, whole=True)),
-        tilt_deg=_number(keys, "tilt", Rig.tilt_deg, least=-60, most=60),
-        tilt_sd_deg=_number(keys, "tilt_sd", Rig.tilt_sd_deg, least=0, most=30),
-        distance_m=_number(keys, "distance", Rig.distance_m, least=1, most=1000),
-        focal_px=_number(keys, "focal_px", Rig.focal_px, above=0, most=1e6),
+        cameras=int(_number(keys, "cameras", float(Rig.cameras), least=1.0, most=100.0, whole=True)),
+        tilt_deg=_number(keys, "tilt", Rig.tilt_deg, least=-60.0, most=60.0),
+        tilt_sd_deg=_number(keys, "tilt_sd", Rig.tilt_sd_deg, least=0.0, most=30.0),
+        distance_m=_number(keys, "distance", Rig.distance_m, least=1.0, most=1000.0),
+        focal_px=_number(keys, "focal_px", Rig.focal_px, above=0.0, most=1e6),
         image_size=(int(size[0]), int(size[1])),
     )
 
@@ -139,12 +139,12 @@ def _rates(keys: dict[str, str]) -> Rates:
     amc, own = Rates.amc, {}
     for part in _listed(keys, "rate"):
         name, colon, value = part.rpartition(":")
-        rate = _number({"rate": value}, "rate", 0, above=0, most=10_000)
+        rate = _number({"rate": value}, "rate", 0.0, above=0.0, most=10_000.0)
         if colon:
             own[name] = rate
         else:
             amc = rate
-    return Rates(fps=_number(keys, "fps", Rates.fps, above=0, most=1000), amc=amc, own=own)
+    return Rates(fps=_number(keys, "fps", Rates.fps, above=0.0, most=1000.0), amc=amc, own=own)
 
 
 def _listed(keys: dict[str, str], key: str) -> list[str]:
