@@ -14,7 +14,7 @@ from uplift.errors import UserError
 from uplift.mocap.asf import AsfSkeleton
 from uplift.mocap.bone import Bone
 from uplift.mocap.figure import Figure
-from uplift.mocap.text import fault, read_lines, shown
+from uplift.mocap.text import MOST, fault, read_lines, shown
 
 __all__ = ["read_amc"]
 
@@ -122,7 +122,7 @@ class _Block:
                 if len(words) != place or texts(words) != expected:
                     raise ValueError
                 row = np.array(list(map(float, take(words))))
-                if not np.isfinite(row).all():
+                if not (np.abs(row) < MOST).all():
                     raise ValueError
             except ValueError:
                 raise self._bad_line(frame * size + 1, names) from None
@@ -135,7 +135,7 @@ class _Block:
             words, width = self.lines[place].split(), self.widths[name]
             try:
                 right = words[0] == name.encode() and len(words) == width + 1
-                right = right and bool(np.isfinite([float(word) for word in words[1:]]).all())
+                right = right and all(abs(float(word)) < MOST for word in words[1:])
             except (ValueError, IndexError):
                 right = False
             if not right:

@@ -20,10 +20,10 @@ __all__ = ["AsfSkeleton", "read_asf"]
 
 _INCH_MM = 25.4
 _ANGLES = ("rx", "ry", "rz")
-_ROOT = {"tx", "ty", "tz", *_ANGLES}
+_ROOT = ["tx", "ty", "tz", *_ANGLES]
 
 
-@dataclass
+@dataclass(frozen=True)
 class AsfSkeleton:
     """The bones of an ASF file, parents first, and how the root moves."""
 
@@ -58,15 +58,9 @@ def read_asf(path: Path) -> AsfSkeleton:
     if not units.get("degrees", 1):
         for bone in ordered:
             bone.axis = np.rad2deg(bone.axis).tolist()
-    return AsfSkeleton(
-        path=path,
-        bones=ordered,
-        tree=_tree(ordered, parents),
-        unit_mm=_INCH_MM / units.get("length", 1.0),
-        degrees=bool(units.get("degrees", 1)),
-        root=root,
-        position=position,
-    )
+    degrees = bool(units.get("degrees", 1))
+    unit_mm = _INCH_MM / units.get("length", 1.0)
+    return AsfSkeleton(path, ordered, _tree(ordered, parents), unit_mm, degrees, root, position)
 
 
 def _sections(path: Path, lines: list[bytes]) -> dict[str, list[tuple[int, list[bytes]]]]:
@@ -103,7 +97,7 @@ def _units(path: Path, rows: list[tuple[int, list[bytes]]]) -> dict[str, float]:
 
 
 def _root(path: Path, rows: list[tuple[int, list[bytes]]]) -> tuple[Bone, list[float]]:
-    root, position = Bone("root", dof=["tx", "ty", "tz", *_ANGLES]), [0.0, 0.0, 0.0]
+    root, position = Bone("root", dof=_ROOT), [0.0, 0.0, 0.0]
     for number, (key, *words) in rows:
         if key.lower() == b"order":
             root.dof = [word.decode("ascii", "replace").lower() for word in words]

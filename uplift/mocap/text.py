@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-import math
 from pathlib import Path
 
 from uplift.errors import UserError
 
-__all__ = ["fault", "numbers", "read_lines", "shown"]
+__all__ = ["MOST", "fault", "numbers", "read_lines", "shown"]
+
+MOST = 1e9
+"""No length or angle of a motion is as large."""
 
 
 def read_lines(path: Path, what: str) -> list[bytes]:
@@ -44,6 +46,6 @@ def numbers(path: Path, line: int, words: list[bytes], count: int, what: str) ->
         found = [float(word) for word in words[:count]]
     except ValueError:
         found = []
-    if len(found) != count or not all(map(math.isfinite, found)):
+    if len(found) != count or not all(abs(number) < MOST for number in found):
         raise fault(path, line, f"{what} is {shown(b' '.join(words))}, expected {count} number{'s' * (count > 1)}.")
     return found

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from uplift.errors import UserError, did_you_mean
@@ -45,7 +45,7 @@ def make_cmu_files(words: list[str]) -> Iterator[str]:
         raise UserError(f"rate={sorted(unknown)[0]}:...: no such subject or motion in {folder}.")
     index = _index(folder, keys)
     actions = read_index(index) if index else None
-    yield f"{len(trials):,} motions of {len({trial.subject for trial in trials}):,} subjects in {folder}"
+    yield f"{_people(trials)} in {folder}"
     yield from notes
     if index:
         yield f"actions from {index}"
@@ -77,8 +77,12 @@ def _write(path: Path, clips: list[Clip], rig: Rig, fps: float, seed: int, actio
 
     data = filmed(clips, rig, fps, seed, actions)
     write_keypoints(data, path)
-    subjects = len({clip.subject for clip in clips})
-    return f"wrote {path}: {len(data):,} rows ({len(clips):,} motions of {subjects:,} subjects, {rig.cameras} cameras)"
+    return f"wrote {path}: {len(data):,} rows ({_people(clips)}, {rig.cameras} camera{'s' * (rig.cameras > 1)})"
+
+
+def _people(motions: Sequence[Trial] | Sequence[Clip]) -> str:
+    subjects = len({motion.subject for motion in motions})
+    return f"{len(motions):,} motion{'s' * (len(motions) > 1)} of {subjects:,} subject{'s' * (subjects > 1)}"
 
 
 def _settings(words: list[str]) -> tuple[Path, dict[str, str]]:
