@@ -34,7 +34,9 @@ CC BY 4.0; the images, not read here, are Flickr's under their own terms. Put pe
 person_keypoints_val2017.json into the folder, or into annotations/ below it (data.options.year=2014 for those of 2014)."""
     splits = ("train", "val")
 
-    def __init__(self, folder: Path, year: int = 2017, min_keypoints: int = 8, torso: bool = True, occluded: float = 0.5):
+    def __init__(
+        self, folder: Path, year: int = 2017, min_keypoints: int = 8, torso: bool = True, occluded: float = 0.5
+    ):
         super().__init__(folder)
         self.year = int(year)
         self.min_keypoints = int(min_keypoints)
@@ -130,14 +132,18 @@ class _People:
             )
         if not isinstance(joints, list) or tuple(joints) != COCO_JOINTS:
             shown = ", ".join(map(str, joints[:5])) if isinstance(joints, list) else repr(joints)
-            raise UserError(f"{self.path}: the keypoints of 'person' are {shown}, ...; expected COCO's {len(COCO_JOINTS)}.")
+            raise UserError(
+                f"{self.path}: the keypoints of 'person' are {shown}, ...; expected COCO's {len(COCO_JOINTS)}."
+            )
         self.people.add(number)
 
     def finish(self, names: dict[int, str], occluded: float, least: int, torso: bool) -> PoseData:
         """Return the people that are annotated well enough, as `PoseData`."""
         if not self.people:
             found = ", ".join(self.others[:5]) or "none"
-            raise UserError(f"{self.path}: no category 'person' in it (found: {found}). Expected person_keypoints_*.json.")
+            raise UserError(
+                f"{self.path}: no category 'person' in it (found: {found}). Expected person_keypoints_*.json."
+            )
         for said in (self.wrong[person] for person in self.people if person in self.wrong):
             raise UserError(f"{said}, expected {self.flat.shape[1]}: x, y, v of {len(COCO_JOINTS)} joints.")
         category, image, number = self.numbers[: self.count].T
@@ -170,7 +176,9 @@ class _People:
     def _images(self, image: np.ndarray, names: dict[int, str]) -> np.ndarray:
         missing = [int(number) for number in np.unique(image) if int(number) not in names]
         if missing:
-            raise UserError(f"{self.path}: annotations name image {missing[0]}, which is not among its images: cut short?")
+            raise UserError(
+                f"{self.path}: annotations name image {missing[0]}, which is not among its images: cut short?"
+            )
         return np.array([names[int(number)] for number in image])
 
 

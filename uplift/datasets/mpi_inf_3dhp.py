@@ -8,9 +8,16 @@ import numpy as np
 
 from uplift.data.container import PoseData
 from uplift.datasets.base import DataSet, WantedFile
-from uplift.datasets.mpi_inf_3dhp_cameras import Camera, best_lens, camera_numbers, read_calibration, reprojection_px
-from uplift.datasets.mpi_inf_3dhp_cameras import test_cameras as cameras_of_test
+from uplift.datasets.mpi_inf_3dhp_cameras import (
+    Camera,
+    best_lens,
+    camera_numbers,
+    published_cameras,
+    read_calibration,
+    reprojection_px,
+)
 from uplift.datasets.mpi_inf_3dhp_files import ACTIVITIES, TEST_JOINTS, TRAIN_JOINTS, Sequence, read_test, read_train
+from uplift.datasets.mpi_inf_3dhp_rows import Rows
 from uplift.errors import UserError, did_you_mean
 from uplift.lens import Lens
 
@@ -46,9 +53,7 @@ TS1/annot_data.mat ... TS6/annot_data.mat beside them or in mpi_inf_3dhp_test_se
 data.options.subjects=S1,S2 reads some of them."""
     splits = ("train", "test")
 
-    def __init__(
-        self, folder: Path, cameras: str = "chest", universal: bool = True, fps: int = 25, subjects: str = ""
-    ):
+    def __init__(self, folder: Path, cameras: str = "chest", universal: bool = True, fps: int = 25, subjects: str = ""):
         super().__init__(folder)
         self.cameras = cameras
         self.universal = universal
@@ -99,7 +104,7 @@ data.options.subjects=S1,S2 reads some of them."""
         cameras = camera_numbers(self.cameras)
         subjects = self._subjects("train")
         most = sum(-(-count * self.fps // rate) for name in subjects for count, rate in _SEQUENCES[name])
-        rows = _Rows(most * len(cameras), TRAIN_JOINTS)
+        rows = Rows(most * len(cameras), TRAIN_JOINTS)
         for subject in subjects:
             for place, (count, rate) in enumerate(_SEQUENCES[subject]):
                 name = f"Seq{place + 1}"
@@ -107,7 +112,7 @@ data.options.subjects=S1,S2 reads some of them."""
                 step = rate // self.fps
                 for camera, sequence in read_train(path, cameras, self.universal).items():
                     _check_camera(path, known[camera].lens, camera, sequence)
-                    thin = Sequence(*(a if a is None else a[:count:step] for a in vars(sequence).values()))
+                    thin = sequence.rows(slice(0, count, step))
                     frames = np.arange(len(thin.seen))
                     rows.add(thin, known[camera], frames, {"subject": subject, "sequence": name, "camera": camera})
         data = rows.finish()
@@ -129,12 +134,12 @@ data.options.subjects=S1,S2 reads some of them."""
             path = self._place("test", f"{subject}/annot_data.mat")
             sequence, frames, activity = read_test(path, self.universal)
             number = int(subject[2:])
-            camera, off = best_lens(cameras_of_test(number), sequence.points, sequence.seen)
+            camera, off = best_lens(published_cameras(number), sequence.points, sequence.seen)
             if off > _FAR_PX:
                 raise UserError(_apart(path, off))
             identity = {"subject": subject, "sequence": subject, "camera": int(number > 4)}
             found.append((sequence, camera, frames, {**identity, "action": np.array(ACTIVITIES)[activity - 1]}))
-        rows = _Rows(sum(len(sequence.seen) for sequence, *_ in found), TEST_JOINTS)
+        rows = Rows(sum(len(sequence.seen) for sequence, *_ in found), TEST_JOINTS)
         for each in found:
             rows.add(*each)
         return rows.finish()
@@ -151,67 +156,3 @@ def _apart(path: Path, off: float) -> str:
         f"{path}: 'annot3' lies {off:,.0f} px from 'annot2' when seen by the known camera: damaged, or arrays of "
         "different sequences?"
     )
-
-
-class _Rows:
-    """Room for all frames of a split, filled sequence by sequence."""
-
-    def __init__(self, most: int, joints: tuple[str, ...]):
-        self.joints = joints
-        self.used = 0
-        self.keypoints = np.empty((most, len(joints), 2), np.float32)
-        self.pose = np.empty((most, len(joints), 3), np.float32)
-        self.root = np.empty((most, 3), np.float32)
-        self.tilt_deg = np.empty(most, np.float32)
-        self.lens = np.empty(most, np.int16)
-        self.frame = np.empty(most, np.int32)
-        self.lenses: list[Lens] = []
-        self.parts: list[tuple[int, dict]] = []
-
-    def add(self, sequence: Sequence, camera: Camera, frames: np.ndarray, identity: dict) -> None:
-        """Put the frames of one sequence seen by one camera behind the others."""
-        here = slice(self.used, self.used + len(sequence.seen))
-        pelvis = self.joints.index("pelvis")
-        if camera.lens not in self.lenses:
-            self.lenses.append(camera.lens)
-        self.keypoints[here] = sequence.seen
-        root = sequence.points[:, pelvis]
-        if sequence.universal is None:
-            self.pose[here] = sequence.points - root[:, None]
-            self.root[here] = root
-        else:
-            # The universal pose is not where the camera saw it; at this root it projects to what was seen.
-            self.pose[here] = sequence.universal - sequence.universal[:, pelvis, None]
-            self.root[here] = root * _scale(sequence.points - root[:, None], self.pose[here])
-        self.tilt_deg[here] = camera.tilt_deg
-        self.lens[here] = self.lenses.index(camera.lens)
-        self.frame[here] = frames
-        self.parts.append((len(sequence.seen), identity))
-        self.used = here.stop
-
-    def finish(self) -> PoseData:
-        """Return what was filled."""
-        here = slice(0, self.used)
-        keys = list(self.parts[0][1])
-        values = {key: [np.broadcast_to(part[key], count) for count, part in self.parts] for key in keys}
-        known = np.isfinite(self.keypoints[here]).all(-1)
-        self.keypoints[here][~known] = 0
-        return PoseData(
-            keypoints=self.keypoints[here],
-            confidence=known.astype(np.float32),
-            joint_names=self.joints,
-            pose=self.pose[here],
-            root=self.root[here],
-            tilt_deg=self.tilt_deg[here],
-            identity={**{key: np.concatenate(parts) for key, parts in values.items()}, "frame": self.frame[here]},
-            lenses=tuple(self.lenses),
-            lens=self.lens[here],
-        )
-
-
-def _scale(measured: np.ndarray, universal: np.ndarray) -> float:
-    """Return how much larger the universal body is, one number a sequence (least squares)."""
-    known = np.isfinite(measured) & np.isfinite(universal)
-    measured, universal = np.where(known, measured, 0), np.where(known, universal, 0)
-    size = float((measured * measured).sum())
-    return float((measured * universal).sum()) / size if size else 1.0

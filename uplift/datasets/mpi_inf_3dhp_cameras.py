@@ -11,7 +11,15 @@ from jaxtyping import Float
 from uplift.errors import UserError
 from uplift.lens import Lens
 
-__all__ = ["CAMERA_SETS", "Camera", "best_lens", "camera_numbers", "read_calibration", "reprojection_px", "test_cameras"]
+__all__ = [
+    "CAMERA_SETS",
+    "Camera",
+    "best_lens",
+    "camera_numbers",
+    "published_cameras",
+    "read_calibration",
+    "reprojection_px",
+]
 
 CAMERA_SETS = {
     "chest": (0, 2, 4, 7, 8),
@@ -79,7 +87,9 @@ def _camera(path: Path, block: dict[str, tuple[int, str]]) -> tuple[int, Camera]
     outside = np.reshape(_numbers(path, block, "extrinsic", 16), (4, 4))
     turn = outside[:3, :3]
     if min(inside[0, 0], inside[1, 1]) <= 0 or np.abs(turn @ turn.T - np.eye(3)).max() > 0.01:
-        raise UserError(f"{path}, line {block['name'][0]}: camera {name:g} has no focal length or no rotation: damaged?")
+        raise UserError(
+            f"{path}, line {block['name'][0]}: camera {name:g} has no focal length or no rotation: damaged?"
+        )
     lens = Lens(
         focal_px=(float(inside[0, 0]), float(inside[1, 1])),
         centre_px=(float(inside[0, 2]), float(inside[1, 2])),
@@ -104,7 +114,9 @@ def down_tilt_deg(gravity: np.ndarray) -> float:
     return float(np.degrees(np.arctan2(gravity[2], gravity[1])))
 
 
-def _test_camera(focal_mm, aspect, offset_mm, sensor_mm, size, up, right, radial=(0.0, 0.0, 0.0), tangential=(0.0, 0.0)):
+def _test_camera(
+    focal_mm, aspect, offset_mm, sensor_mm, size, up, right, radial=(0.0, 0.0, 0.0), tangential=(0.0, 0.0)
+):
     per_mm = np.array(size) / np.array(sensor_mm) * (1, aspect)
     centre = (np.array(sensor_mm) / 2 + offset_mm) * per_mm
     lens = Lens(tuple(focal_mm * per_mm), tuple(centre), radial, tangential, size)
@@ -112,7 +124,7 @@ def _test_camera(focal_mm, aspect, offset_mm, sensor_mm, size, up, right, radial
     return Camera(lens, down_tilt_deg(-turn[:, 1]))
 
 
-def test_cameras(number: int) -> list[Camera]:
+def published_cameras(number: int) -> list[Camera]:
     """Return what the camera of TS1..TS6 may be: as published, and for TS5 and TS6 also without its distortion.
 
     The figures are those of the calibration files that come with the test set, in mm on the sensor.

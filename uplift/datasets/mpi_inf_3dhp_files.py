@@ -24,7 +24,7 @@ TEST_JOINTS = (
     "right_hip", "right_knee", "right_ankle", "left_hip", "left_knee", "left_ankle", "pelvis", "spine", "head",
 )  # fmt: skip
 ACTIVITIES = (
-    "Standing/Walking", "Exercising", "Sitting", "Reaching/Crouching", "On the Floor", "Sports", "Miscellaneous",
+    "Standing/Walking", "Exercising", "Sitting", "Reaching/Crouching", "On The Floor", "Sports", "Miscellaneous",
 )  # fmt: skip
 """Of the test set, in the order of their numbers from 1."""
 
@@ -40,6 +40,10 @@ class Sequence:
     universal: np.ndarray | None
     """(frames joints 3) mm: the same scaled to a universal height; None where it was not asked for."""
 
+    def rows(self, rows: slice | np.ndarray) -> Sequence:
+        """Return some of its frames."""
+        return Sequence(self.seen[rows], self.points[rows], None if self.universal is None else self.universal[rows])
+
 
 def read_train(path: Path, cameras: Collection[int], universal: bool) -> dict[int, Sequence]:
     """Return what each of ``cameras`` saw, from an annot.mat of 28 joints.
@@ -48,10 +52,9 @@ def read_train(path: Path, cameras: Collection[int], universal: bool) -> dict[in
         UserError: a file that is damaged or another one, a camera that it does not have.
     """
     names = _names(universal)
-    found = load_mat(path, [*names, "cameras", "frames"], cells=cameras)
+    found = load_mat(path, [*names, "cameras"], cells=cameras)
     _check_names(path, names, found, "annot.mat of a training sequence")
     numbers = np.asarray(found.get("cameras", np.arange(14))).ravel()
-    frames = found.get("frames")
     sequences = {}
     for camera in sorted(cameras):
         place = np.flatnonzero(numbers == camera)
@@ -59,7 +62,7 @@ def read_train(path: Path, cameras: Collection[int], universal: bool) -> dict[in
             shown = ", ".join(f"{number:g}" for number in numbers)
             raise UserError(f"{path} has no camera {camera} (found: {shown}).")
         arrays = {name: _cell(path, name, found[name], int(place[0])) for name in names}
-        sequences[camera] = _sequence(path, arrays, f"camera {camera}", None if frames is None else np.size(frames))
+        sequences[camera] = _sequence(path, arrays, f"camera {camera}")
     return sequences
 
 
@@ -73,7 +76,7 @@ def read_test(path: Path, universal: bool) -> tuple[Sequence, np.ndarray, np.nda
     found = load_mat(path, names)
     _check_names(path, names, found, "annot_data.mat of a test sequence")
     arrays = {name: _of_frames(path, name, found[name]) for name in _names(universal)}
-    sequence = _sequence(path, arrays, "the test sequence", None)
+    sequence = _sequence(path, arrays, "the test sequence")
     flags, activity = (np.asarray(found[name]).ravel() for name in names[-2:])
     frames = len(sequence.seen)
     for name, values in (("valid_frame", flags), ("activity_annotation", activity)):
@@ -84,9 +87,10 @@ def read_test(path: Path, universal: bool) -> tuple[Sequence, np.ndarray, np.nda
         raise UserError(f"{path}: no frame of it is marked valid.")
     activity = activity[valid]
     if not np.isin(activity, np.arange(1, len(ACTIVITIES) + 1)).all():
-        raise UserError(f"{path}: 'activity_annotation' goes from {activity.min():g} to {activity.max():g}, expected 1 to 7.")
-    kept = {name: None if array is None else array[valid] for name, array in vars(sequence).items()}
-    return Sequence(**kept), valid, activity.astype(np.int64)
+        raise UserError(
+            f"{path}: 'activity_annotation' goes from {activity.min():g} to {activity.max():g}, expected 1 to 7."
+        )
+    return sequence.rows(valid), valid, activity.astype(np.int64)
 
 
 def _names(universal: bool) -> list[str]:
@@ -121,17 +125,15 @@ def _of_frames(path: Path, name: str, array: np.ndarray | list[np.ndarray]) -> n
     """Return (frames joints axes) of an array that MATLAB has as (axes, joints, 1, frames)."""
     axes = 2 if name == "annot2" else 3
     shape = () if isinstance(array, list) else array.shape
-    if len(shape) not in (3, 4) or shape[:2] != (axes, len(TEST_JOINTS)) or 1 not in (*shape[2:-1], 1):
+    if len(shape) not in (3, 4) or shape[:2] != (axes, len(TEST_JOINTS)) or (len(shape) == 4 and shape[2] != 1):
         found = "a cell array" if isinstance(array, list) else f"of shape {shape}"
         raise UserError(f"{path}: '{name}' is {found}, expected ({axes}, {len(TEST_JOINTS)}, 1, frames).")
     assert isinstance(array, np.ndarray)
     return np.ascontiguousarray(array.reshape(axes, len(TEST_JOINTS), -1).transpose(2, 1, 0))
 
 
-def _sequence(path: Path, arrays: dict[str, np.ndarray], where: str, frames: int | None) -> Sequence:
+def _sequence(path: Path, arrays: dict[str, np.ndarray], where: str) -> Sequence:
     counts = {name: len(array) for name, array in arrays.items()}
-    if frames is not None:
-        counts["frames"] = frames
     if len(set(counts.values())) != 1:
         shown = ", ".join(f"{name} {count:,}" for name, count in counts.items())
         raise UserError(f"{path}: {where} has arrays of different lengths: {shown}. Damaged, or of different files?")

@@ -5,11 +5,10 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
-
 from uplift.data.container import PoseData
 from uplift.datasets.base import DataSet, WantedFile
-from uplift.datasets.mpii_files import AUTHORS_JOINTS, person_in_image, read_json, read_mat, read_npy
+from uplift.datasets.mpii_files import AUTHORS_JOINTS, person_in_image, read_json, read_npy
+from uplift.datasets.mpii_mat import read_mat
 from uplift.errors import UserError
 from uplift.readers.npz import read_npz
 
@@ -77,7 +76,9 @@ def _single_images(data: PoseData) -> PoseData:
     """Return the frames with image names as `image`: people in one image are no clip."""
     missing = [name for name in AUTHORS_JOINTS if name != "head_middle" and name not in data.joint_names]
     if missing:
-        raise UserError(f"{data.source}: no joint {missing[0]!r} in it, expected MPII's 16: {', '.join(AUTHORS_JOINTS)}.")
+        raise UserError(
+            f"{data.source}: no joint {missing[0]!r} in it, expected MPII's 16: {', '.join(AUTHORS_JOINTS)}."
+        )
     identity = dict(data.identity)
     if "image" not in identity and "sequence" in identity:
         identity["image"] = identity.pop("sequence")
