@@ -96,8 +96,9 @@ data.options.subjects=S1,S2 reads some of them."""
         self.check_split(split)
         data = self._read_test() if split == "test" else self._read_train()
         poses = "univ_annot3" if self.universal else "annot3"
-        seen = f", cameras {self.cameras}, {self.fps} frames a second" if split == "train" else ", valid frames"
-        data.source = f"{self.title} {split} in {self.folder} ({', '.join(self._subjects(split))}{seen}, {poses})"
+        seen = f"cameras {self.cameras}, {self.fps} frames a second" if split == "train" else "valid frames"
+        who = f"{', '.join(self._subjects(split))}, " if self.subjects else ""
+        data.source = f"{self.title} {split} in {self.folder} ({who}{seen}, {poses})"
         return data
 
     def _read_train(self) -> PoseData:
