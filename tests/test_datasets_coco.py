@@ -7,14 +7,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from bodies import refusal
 
-from uplift.data.load import in_joints_of
+from uplift.data.load import in_joints_of, load_data
 from uplift.datasets.coco import COCO_JOINTS, Coco
 from uplift.datasets.coco_json import JsonText, records
 from uplift.errors import UserError
 from uplift.simulator import simulate
 from uplift.skeleton import load_skeleton
+from uplift.task import load_settings
 
 SKELETON = load_skeleton("coco17")
 NAME = "person_keypoints_val2017.json"
@@ -183,14 +183,25 @@ def test_records_are_those_of_json(tmp_path: Path, flat: np.ndarray) -> None:
     assert list(JsonText(path).records("x")) == [{}, {}]
 
 
-def test_options_and_missing_files(tmp_path: Path, here: Path, capsys: pytest.CaptureFixture) -> None:
+def test_options_and_missing_files(tmp_path: Path, here: Path) -> None:
     assert Coco(tmp_path, year=2014).missing("train")[0].path.name == "person_keypoints_train2014.json"
     for options, said in (({"occluded": 1.5}, "occluded=1.5"), ({"min_keypoints": 0}, "expected 1 to 17")):
         with pytest.raises(UserError, match=said):
             Coco(tmp_path, **options)
-    message = refusal(capsys, "fit", "task=coco")
+    with pytest.raises(UserError) as error:
+        load_data(load_settings("coco"), SKELETON)
     for part in ("person_keypoints_train2017.json", "cocodataset.org", str(here / "data/coco")):
-        assert part in message
+        assert part in str(error.value)
+
+
+def test_the_task_loads_it(here: Path, flat: np.ndarray, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("UPLIFT_CACHE", str(here / "cache"))
+    write(here / "data/coco", annotations(flat), "person_keypoints_train2017.json")
+    for _ in range(2):  # from the file, and from the cache
+        found = load_data(load_settings("coco"), SKELETON)
+        assert len(found.train) == 6
+        assert found.test is None
+        assert (found.train.confidence == 1).all()
 
 
 def test_real_files(benchmark_data, tmp_path: Path) -> None:

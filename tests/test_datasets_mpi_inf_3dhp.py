@@ -20,12 +20,13 @@ from mpi_inf_3dhp_files import (
     write_train,
 )  # fmt: skip
 
-from uplift.data.load import in_joints_of
+from uplift.data.load import in_joints_of, load_data
 from uplift.datasets import read_cached
-from uplift.datasets.mpi_inf_3dhp import MpiInf3dhp
+from uplift.datasets.mpi_inf_3dhp import _SEQUENCES, MpiInf3dhp
 from uplift.datasets.mpi_inf_3dhp_files import ACTIVITIES
 from uplift.errors import UserError
 from uplift.skeleton import load_skeleton
+from uplift.task import load_settings
 
 
 def projected(data) -> np.ndarray:
@@ -146,6 +147,35 @@ def test_a_camera_that_is_not_the_published_one_is_found_from_the_points(tmp_pat
     data = MpiInf3dhp(tmp_path / "other", subjects="TS1").read("test")
     assert np.abs(projected(data) - data.keypoints).max() < 0.02
     assert data.lenses[0].focal_px[0] == pytest.approx(1500.172 * 1.02, abs=0.05)
+
+
+def test_another_test_sequence_is_no_camera_to_fit(tmp_path: Path) -> None:
+    write_test(tmp_path, 1)
+    write_test(tmp_path, 6).replace(tmp_path / "TS1/annot_data.mat")
+    assert "another sequence's file?" in refused(tmp_path, "test")
+
+
+def test_annotations_behind_the_last_image_are_left_out(train: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(_SEQUENCES, "S1", ((10, 25), (11, 50)))
+    data = MpiInf3dhp(train, cameras="0,2", subjects="S1").read("train")
+    assert len(data) == 2 * (10 + 6)
+    assert data.identity["frame"].tolist() == 2 * list(range(10)) + 2 * list(range(6))
+
+
+def test_the_task_loads_both_splits(here: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("UPLIFT_CACHE", str(here / "cache"))
+    folder = here / "data/mpi_inf_3dhp"
+    for subject in range(1, 9):
+        write_train(folder, f"S{subject}", frames=4)
+    for number in range(1, 7):
+        write_test(folder, number)
+    settings = load_settings("mpi_inf_3dhp")
+    found = load_data(settings, load_skeleton(settings.skeleton))
+    assert len(found.train) == 5 * (10 * 4 + 6 * 2)
+    assert found.train.joint_names == found.test.joint_names == TEST_JOINTS
+    assert sorted(set(found.test.identity["action"])) == sorted(ACTIVITIES)
+    straight = found.test.straightened()
+    assert straight.keypoints.shape == (84, 17, 2)
 
 
 def test_it_is_cached(train: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -8,10 +8,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from bodies import refusal
 from scipy.io import savemat
 
-from uplift.data.load import in_joints_of
+from uplift.data.load import in_joints_of, load_data
 from uplift.datasets.mpii import Mpii
 from uplift.datasets.mpii_files import AUTHORS_JOINTS, MPII_JOINTS, person_in_image
 from uplift.errors import UserError
@@ -138,6 +137,7 @@ def test_the_authors_poses(tmp_path: Path, points: np.ndarray, flat: bool) -> No
     assert data.identity["image"].tolist() == IMAGES
     (tmp_path / "mpii_image_name.txt").write_text("one.jpg\n")
     assert "names 1 images for 4 people" in refused(tmp_path)
+    assert [file.path.name for file in Mpii(tmp_path).files("train")] == ["mpii_poses.npy", "mpii_image_name.txt"]
 
 
 def test_people_in_one_image_are_no_clip(tmp_path: Path, points: np.ndarray) -> None:
@@ -255,10 +255,11 @@ class Runs:
         return Path.touch, (self.path,)
 
 
-def test_the_task_says_what_is_missing(here: Path, capsys: pytest.CaptureFixture) -> None:
-    message = refusal(capsys, "fit", "task=mpii")
+def test_the_task_says_what_is_missing(here: Path) -> None:
+    with pytest.raises(UserError) as error:
+        load_data(load_settings("mpii"), SKELETON)
     for part in (MAT, "mpii.npz", "human-pose.mpi-inf.mpg.de", str(here / "data/mpii")):
-        assert part in message
+        assert part in str(error.value)
 
 
 def test_the_authors_data_are_single_images(benchmark_data) -> None:

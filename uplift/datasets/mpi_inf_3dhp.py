@@ -9,6 +9,7 @@ import numpy as np
 from uplift.data.container import PoseData
 from uplift.datasets.base import DataSet, WantedFile
 from uplift.datasets.mpi_inf_3dhp_cameras import (
+    FAR_PX,
     Camera,
     best_lens,
     camera_numbers,
@@ -39,7 +40,6 @@ _FOLDERS = {
     "train": ("", "train", "mpi_inf_3dhp"),
     "test": ("", "mpi_inf_3dhp_test_set", "test", "mpi_inf_3dhp_test_set/mpi_inf_3dhp_test_set"),
 }
-_FAR_PX = 50.0
 
 
 class MpiInf3dhp(DataSet):
@@ -136,7 +136,7 @@ data.options.subjects=S1,S2 reads some of them."""
             sequence, frames, activity = read_test(path, self.universal)
             number = int(subject[2:])
             camera, off = best_lens(published_cameras(number), sequence.points, sequence.seen)
-            if off > _FAR_PX:
+            if off > FAR_PX:
                 raise UserError(_apart(path, off))
             identity = {"subject": subject, "sequence": subject, "camera": int(number > 4)}
             found.append((sequence, camera, frames, {**identity, "action": np.array(ACTIVITIES)[activity - 1]}))
@@ -148,12 +148,12 @@ data.options.subjects=S1,S2 reads some of them."""
 
 def _check_camera(path: Path, lens: Lens, camera: int, sequence: Sequence) -> None:
     off = reprojection_px(lens, sequence.points, sequence.seen)
-    if off > _FAR_PX:
+    if off > FAR_PX:
         raise UserError(f"camera.calibration beside {_apart(path, off)} (camera {camera})")
 
 
 def _apart(path: Path, off: float) -> str:
     return (
         f"{path}: 'annot3' lies {off:,.0f} px from 'annot2' when seen by the known camera: damaged, or arrays of "
-        "different sequences?"
+        "different sequences, or another sequence's file?"
     )

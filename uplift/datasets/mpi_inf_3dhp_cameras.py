@@ -13,6 +13,7 @@ from uplift.lens import Lens
 
 __all__ = [
     "CAMERA_SETS",
+    "FAR_PX",
     "Camera",
     "best_lens",
     "camera_numbers",
@@ -33,6 +34,8 @@ CAMERA_SETS = {
 _HEADER = "Skeletool Camera Calibration File"
 _SAMPLE = 4000
 _CLOSE_PX = 2.0
+FAR_PX = 50.0
+"""Farther than this from what was seen, points were not seen by that camera."""
 
 
 @dataclass(frozen=True)
@@ -140,7 +143,7 @@ def published_cameras(number: int) -> list[Camera]:
         8.770747185, 0.993236423, (-0.104908645, 0.104899704), (10, 5.625), (1920, 1080),
         (0.025272345, 0.995038509, 0.096227370), (-0.939647257, -0.009210289, 0.342020929),
     )  # fmt: skip
-    # OpenCV's p2, p1: its terms 2 p1 x y and 2 p2 x x are twice what `Lens` has, here by half a pixel at most.
+    # OpenCV's p2, p1: its terms 2 p1 x y and 2 p2 x x are twice what `Lens` has, here by less than a pixel.
     bent = _test_camera(*outdoors, (-0.276859611, 0.131125256, -0.049318332), (-0.001149441, -0.000360494))
     return [bent, _test_camera(*outdoors)]
 
@@ -150,11 +153,11 @@ def best_lens(
 ) -> tuple[Camera, float]:
     """Return the camera that projects ``points`` nearest to ``seen``, and by how many pixels it is off.
 
-    Where none of ``cameras`` is within two pixels, a pinhole fitted to the points is tried, too.
+    Where none of ``cameras`` is within two pixels, but one is near, a pinhole fitted to the points is tried, too.
     """
     found = [(reprojection_px(camera.lens, points, seen), camera) for camera in cameras]
     error, best = min(found, key=lambda pair: pair[0])
-    if error <= _CLOSE_PX:
+    if not _CLOSE_PX < error <= FAR_PX:
         return best, error
     fitted = Camera(_fit(points, seen, best.lens.image_size), best.tilt_deg)
     fitted_error = reprojection_px(fitted.lens, points, seen)

@@ -44,7 +44,10 @@ data.options.file=NAME chooses where several are there."""
 
     def files(self, split: str) -> list[WantedFile]:
         self.check_split(split)
-        return [WantedFile(self._file(split), _what(split))]
+        path = self._file(split)
+        names = path.with_name("mpii_image_name.txt")
+        extra = [WantedFile(names, "names of images")] if path.suffix == ".npy" and names.is_file() else []
+        return [WantedFile(path, _what(split)), *extra]
 
     def read(self, split: str) -> PoseData:
         path = self._file(split)
