@@ -171,7 +171,7 @@ def test_the_task_loads_both_splits(here: Path, monkeypatch: pytest.MonkeyPatch)
         write_test(folder, number)
     settings = load_settings("mpi_inf_3dhp")
     found = load_data(settings, load_skeleton(settings.skeleton))
-    assert len(found.train) == 5 * (10 * 4 + 6 * 2)
+    assert len(found.train) == 5 * (11 * 4 + 5 * 2)  # 5 of 16 sequences have 50 frames a second
     assert found.train.joint_names == found.test.joint_names == TEST_JOINTS
     assert sorted(set(found.test.identity["action"])) == sorted(ACTIVITIES)
     straight = found.test.straightened()
