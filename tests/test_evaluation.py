@@ -234,6 +234,82 @@ def test_table_has_the_papers_columns_in_order():
     assert float(row.split()[-1]) == pytest.approx(np.mean([float(cell) for cell in row.split()[1:-1]]), abs=0.1)
 
 
+ACTIVITIES = [
+    "Standing/Walking",
+    "Exercising",
+    "Sitting",
+    "Reaching/Crouching",
+    "On The Floor",
+    "Sports",
+    "Miscellaneous",
+]
+
+
+def official_figures(pose: np.ndarray, target: np.ndarray, action: np.ndarray) -> dict[str, tuple[float, float]]:
+    """Return PCK and AUC of each activity and of all frames as the test set's own script counts them.
+
+    Joint by joint (its groups are weighted by their joints), errors strictly below 0, 5, ..., 150 mm.
+    """
+    error = np.linalg.norm(pose - target, axis=-1)[:, :14]
+    found = {}
+    for name in (*ACTIVITIES, "all"):
+        chosen = error[(action == name) | (name == "all")]
+        curve = [sum((chosen[:, joint] < limit).mean() for joint in range(14)) / 14 for limit in range(0, 151, 5)]
+        found[name] = curve[-1], sum(curve) / 31
+    return found
+
+
+def test_mpi_inf_3dhp_as_its_own_script_counts():
+    joints = load_skeleton("mpi_inf_3dhp17")
+    rng = np.random.default_rng(5)
+    target = rng.normal(size=(140, 17, 3)) * 300
+    target -= target[:, 14, None]
+    pose = target + rng.normal(size=target.shape) * rng.uniform(20, 120, (140, 1, 1))
+    pose[:, 14] = 0
+    pose[:2, 0] = target[:2, 0] + [[150, 0, 0], [149.9, 0, 0]]  # at the threshold is not below it
+    # As many frames of an activity as the test set has unevenly: the mean of activities is not that of frames.
+    action = np.repeat(ACTIVITIES, [40, 30, 25, 20, 10, 10, 5])
+    truth = PoseData(
+        keypoints=target[..., :2].astype(np.float32),
+        confidence=np.ones((140, 17), np.float32),
+        joint_names=joints.joints,
+        pose=target,
+        identity={"action": action},
+    )
+    found = evaluate(GivenPoses(pose, joints.joints, "mm"), truth, joints)
+    expected = official_figures(pose, target, action)
+    for name, figures in {**found.per_action, "all": found.overall}.items():
+        assert (figures["pck14@150"], figures["auc14"]) == pytest.approx(expected[name]), name
+    assert found.overall["pck14@150"] < found.overall["pck@150"]  # the root counts there, and is always right
+    lines = found.table().splitlines()
+    head = next(line for line in lines if line.startswith("per action"))
+    assert head.split()[2:] == [
+        "Stand/Walk",
+        "Exercise",
+        "Sit",
+        "Reach/Crouch",
+        "Floor",
+        "Sports",
+        "Misc",
+        "Avg",
+        "All",
+    ]
+    row = next(line for line in lines if line.startswith("auc14 ") and len(line.split()) == 10)
+    means = [expected[name][1] for name in ACTIVITIES]
+    assert row.split()[1:] == [f"{value:.3f}" for value in (*means, np.mean(means), expected["all"][1])]
+    assert next(line for line in lines if line.startswith("frames ")).split()[1:] == [
+        "40",
+        "30",
+        "25",
+        "20",
+        "10",
+        "10",
+        "5",
+        "140",
+    ]
+    assert all(len(line) < 120 for line in lines)
+
+
 def test_table_of_many_actions_says_where_the_rest_is():
     truth = some_truth()
     truth.identity["action"] = np.array([f"action number {place % 45}" for place in range(90)])
@@ -260,7 +336,7 @@ def test_every_figure_has_a_name_in_the_list_of_protocols():
     truth.confidence[:, 3] = 0
     found = evaluate(guess(truth, "mm", tilt_deg=truth.tilt_deg), truth, HUMAN)
     bases = {name.removesuffix("_action_mean").removesuffix("_missing") for name in found.overall}
-    assert bases == set(PROTOCOLS) - {"coverage"}
+    assert bases == set(PROTOCOLS) - {"coverage", "pck14@150", "auc14"}
 
 
 def read_truth(path: Path, skeleton: Skeleton) -> PoseData:

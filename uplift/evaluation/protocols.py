@@ -4,6 +4,7 @@ from __future__ import annotations
 
 __all__ = [
     "ACTION_MEAN",
+    "JOINTS_14",
     "MISSING",
     "PROTOCOLS",
     "is_error",
@@ -25,6 +26,8 @@ PROTOCOLS = {
     "p_mpjpe_best_of_flip": ("error", "p_mpjpe, the better of z and -z"),
     "pck@150": ("share", "joints within 150 mm"),
     "auc": ("share", "mean PCK over 0..150 mm"),
+    "pck14@150": ("share", "pck@150 over the 14 joints of MPI-INF-3DHP's script"),
+    "auc14": ("share", "auc over these 14 joints"),
     "pck_z@150": ("share", "joints within 150 mm in depth alone"),
     "mpjve": ("per frame", "error of the step from frame to frame"),
     "stress": ("length", "difference of all pairwise joint distances"),
@@ -41,6 +44,12 @@ ACTION_MEAN = "_action_mean"
 """Ending of a frame error's mean of action means."""
 MISSING = "_missing"
 """Ending of the error of joints that were missing in 2D and that the prediction filled in."""
+
+JOINTS_14 = (
+    "head_top", "neck", "right_shoulder", "right_elbow", "right_wrist", "left_shoulder", "left_elbow", "left_wrist",
+    "right_hip", "right_knee", "right_ankle", "left_hip", "left_knee", "left_ankle",
+)  # fmt: skip
+"""What MPI-INF-3DHP's own script counts: not the pelvis (the root), nor spine and head."""
 
 _SUFFIXES = {ACTION_MEAN: ", mean of action means", MISSING: ", joints missing in 2D"}
 

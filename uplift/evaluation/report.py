@@ -8,28 +8,13 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from uplift.evaluation.papers import are_activities, paper_order
 from uplift.evaluation.protocols import ACTION_MEAN, MISSING, protocol_kind, protocol_meaning, protocol_unit
 
 __all__ = ["Evaluation"]
 
-_PAPER_COLUMNS = {
-    "Direct.": ("directions", "direction"),
-    "Discuss": ("discussion", "discuss"),
-    "Eating": ("eating",),
-    "Greet": ("greeting", "greet"),
-    "Phone": ("phoning", "phone"),
-    "Photo": ("photo", "takingphoto"),
-    "Pose": ("posing", "pose"),
-    "Purch.": ("purchases", "purchase"),
-    "Sitting": ("sitting",),
-    "SittingD": ("sittingdown", "sittingd"),
-    "Smoke": ("smoking", "smoke"),
-    "Wait": ("waiting", "wait"),
-    "WalkD": ("walkdog", "walkingdog", "walkd"),
-    "Walk": ("walking", "walk"),
-    "WalkT": ("walktogether", "walkingtogether", "walkt"),
-}
 _HEADLINE = ("mpjpe", "mpjpe_gt_scale", "n_mpjpe", "p_mpjpe", "pck@150", "facing")
+_ACTIVITY_HEADLINE = (*_HEADLINE[:-1], "auc", "pck14@150", "auc14", "facing")
 _MAX_ROWS = 20
 
 
@@ -102,12 +87,12 @@ class Evaluation:
         return _columns([head, *rows], left=(0, len(head) - 2, len(head) - 1))
 
     def _action_table(self) -> str:
-        paper = _paper_order(list(self.per_action))
-        names = [name for name in _HEADLINE if any(name in values for values in self.per_action.values())]
+        paper = paper_order(list(self.per_action))
+        activities = paper is not None and are_activities(paper)
+        shown = _ACTIVITY_HEADLINE if activities else _HEADLINE
+        names = [name for name in shown if any(name in values for values in self.per_action.values())]
         if paper:
-            head = ["per action", *paper, "Avg"]
-            cells = {name: [self._cell(action, name) for action in paper.values()] for name in names}
-            return _columns([head, *([name, *cells[name], self._mean(name)] for name in names)])
+            return self._paper_table(paper, names, activities)
         shown = list(self.per_action)
         if len(shown) > _MAX_ROWS:
             largest = sorted(shown, key=lambda action: -self.action_frames.get(action, 0))[:_MAX_ROWS]
@@ -119,6 +104,18 @@ class Evaluation:
         more = len(self.per_action) - len(shown)
         rest = f"\n({more} more actions, with fewer frames: in the JSON and CSV files)" if more else ""
         return _columns([head, *rows]) + rest
+
+    def _paper_table(self, paper: dict[str, str], names: list[str], activities: bool) -> str:
+        """Return a column for each action and their mean; of activities also all frames, as MPI-INF-3DHP reports."""
+        rows = [["per action", *paper, "Avg", *(["All"] if activities else [])]]
+        for name in names:
+            cells = [self._cell(action, name) for action in paper.values()]
+            rows.append([name, *cells, self._mean(name), *([_figure(name, self.overall[name])] if activities else [])])
+        if activities:
+            rows.append(
+                ["frames", *(f"{self.action_frames.get(a, 0):,}" for a in paper.values()), "", f"{self.frames:,}"]
+            )
+        return _columns(rows)
 
     def _cell(self, action: str, name: str) -> str:
         values = self.per_action[action]
@@ -149,13 +146,6 @@ class Evaluation:
             rows.append([f"joints {name}", *("-" if value is None else f"{value:.3f}" for value in shown)])
         head = ["depth errors inside the interval of", *found[groups[0][0]], "spread_error", "rank_correlation"]
         return _columns([head, *rows])
-
-
-def _paper_order(actions: list[str]) -> dict[str, str] | None:
-    """Return the paper's column -> our action, in its order; None where an action is not the paper's."""
-    plain = {"".join(letter for letter in action.casefold() if letter.isalpha()): action for action in actions}
-    found = {column: plain[name] for column, known in _PAPER_COLUMNS.items() for name in known if name in plain}
-    return found if len(found) == len(actions) and len(plain) == len(actions) else None
 
 
 def _figure(name: str, value: float) -> str:

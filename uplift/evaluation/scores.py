@@ -11,7 +11,7 @@ from jaxtyping import Float, Int
 from uplift.evaluation.alignment import ALIGNED_ERRORS, align
 from uplift.evaluation.metrics import flip_depth, frame_mean, joint_errors, mpjve, not_flipped, share_above, stress
 from uplift.evaluation.plausibility import bone_lengths, facing_sign, has_handedness, mirrored_bones, symmetry
-from uplift.evaluation.protocols import MISSING
+from uplift.evaluation.protocols import JOINTS_14, MISSING
 from uplift.skeleton import Skeleton
 
 __all__ = ["FLIPPED_ERRORS", "Matched", "Scores", "previous_frames", "score"]
@@ -96,6 +96,10 @@ def _score_rows(matched: Matched, rows: np.ndarray):
         by_joint["auc"] = share_above(by_joint[_scale_of(matched)])
         by_joint["pck_z@150"] = (np.abs(scaled - truth)[..., 2] < 150.0).astype(np.float64)
     by_frame = {"stress": stress(scaled, truth, weight), "facing": facing}
+    if matched.in_mm and set(JOINTS_14) <= set(matched.skeleton.joints):
+        places = [matched.skeleton.index(joint) for joint in JOINTS_14]
+        for name, found in (("pck14@150", "pck@150"), ("auc14", "auc")):
+            by_frame[name] = frame_mean(by_joint[found][:, places], weight[:, places])
     if matched.previous is not None:
         by_frame["mpjve"] = _velocity_error(matched, rows)
     seen = np.where((weight > 0)[..., None], scaled, np.nan)

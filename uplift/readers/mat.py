@@ -1,0 +1,139 @@
+"""Read arrays and cell arrays of numbers from a MATLAB file of either generation, v5/v7 or v7.3 (HDF5)."""
+
+from __future__ import annotations
+
+import os
+import struct
+import zlib
+from collections.abc import Collection
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from uplift.errors import UserError
+
+__all__ = ["is_hdf5", "load_mat", "load_mat5"]
+
+_HDF5 = b"\x89HDF\r\n\x1a\n"
+_DAMAGE = (
+    ValueError, TypeError, KeyError, IndexError, AttributeError, OSError, EOFError, MemoryError, OverflowError,
+    NotImplementedError, RuntimeError, struct.error, zlib.error,
+)  # fmt: skip
+
+
+def load_mat(
+    path: Path, names: Collection[str], cells: Collection[int] | None = None
+) -> dict[str, np.ndarray | list[np.ndarray]]:
+    """Return those of ``names`` that the file has, arrays in MATLAB's order of axes, cell arrays as lists.
+
+    With ``cells`` only those places of a cell array need to be read; others may come out empty.
+
+    Raises:
+        UserError: no MATLAB file, a damaged one, or a variable that is not made of numbers.
+    """
+    if not is_hdf5(path):
+        found = load_mat5(path, names)
+        return {name: _plain(path, name, value) for name, value in found.items()}
+    try:
+        import h5py
+    except ImportError:
+        raise UserError(f'{path} is a MATLAB v7.3 file; reading it needs h5py: pip install "uplift3d[mat]".') from None
+    try:
+        with h5py.File(path, "r") as file:
+            return {name: _from_hdf5(path, file, name, cells) for name in names if name in file}
+    except _DAMAGE as error:
+        raise _damaged(path, error) from error
+
+
+def is_hdf5(path: Path) -> bool:
+    """Return whether a MATLAB file is of the v7.3 generation.
+
+    Raises:
+        UserError: no such file, or an empty one.
+    """
+    if not path.is_file():
+        raise UserError(f"No file {path} (looked in {path.absolute().parent}).")
+    with path.open("rb") as file:
+        start = file.read(520)
+    if not start:
+        raise UserError(f"{path} is empty (0 bytes), expected a MATLAB .mat file.")
+    return _HDF5 in (start[:8], start[512:])
+
+
+def load_mat5(path: Path, names: Collection[str]) -> dict[str, Any]:
+    """Return those of ``names`` that a v5/v7 file has, as scipy reads them.
+
+    Raises:
+        UserError: no MATLAB file of that generation, or a damaged one.
+    """
+    try:
+        from scipy.io import loadmat, whosmat
+        from scipy.io.matlab import MatReadError
+    except ImportError:
+        raise UserError(f'{path}: reading MATLAB files needs scipy: pip install "uplift3d[mat]".') from None
+    if is_hdf5(path):
+        raise UserError(f"{path} is a MATLAB v7.3 file, expected one of an older generation: save it with '-v7'.")
+    try:
+        held = [(name, shape) for name, shape, _ in whosmat(path)]
+        for name, shape in held:
+            _check_size(path, name, shape, 8)
+        wanted = [name for name in names if name in dict(held)]
+        found = loadmat(path, variable_names=wanted, verify_compressed_data_integrity=True) if wanted else {}
+    except (*_DAMAGE, MatReadError) as error:
+        raise _damaged(path, error) from error
+    return {name: found[name] for name in wanted if name in found}
+
+
+def _damaged(path: Path, error: Exception) -> UserError:
+    if isinstance(error, UserError):
+        return error
+    said = " ".join(str(error).split())[:200] or type(error).__name__
+    return UserError(f"{path} cannot be read as a MATLAB file: truncated, damaged, or another format? ({said})")
+
+
+def _plain(path: Path, name: str, value: np.ndarray) -> np.ndarray | list[np.ndarray]:
+    if value.dtype.kind == "O":
+        return [_numbers(path, name, np.asarray(cell)) for cell in value.ravel("F")]
+    return _numbers(path, name, value)
+
+
+def _numbers(path: Path, name: str, value: np.ndarray) -> np.ndarray:
+    if value.dtype.kind not in "fiub":
+        raise UserError(f"{path}: '{name}' is no array of numbers (found {value.dtype.name}).")
+    return value
+
+
+def _from_hdf5(path: Path, file: Any, name: str, cells: Collection[int] | None) -> np.ndarray | list[np.ndarray]:
+    import h5py
+
+    if not isinstance(file.get(name, getlink=True), h5py.HardLink):
+        raise UserError(f"{path}: '{name}' is a link to elsewhere, expected an array.")
+    item = file[name]
+    if not isinstance(item, h5py.Dataset):
+        raise UserError(f"{path}: '{name}' is a struct, expected an array or a cell array.")
+    if h5py.check_ref_dtype(item.dtype) is None:
+        return _array(path, name, item)
+    _check_size(path, name, item.shape, 8)
+    places = item[()].T.ravel("F")
+    return [
+        _array(path, name, file[place]) if cells is None or number in cells else np.empty((0, 0))
+        for number, place in enumerate(places)
+    ]
+
+
+def _array(path: Path, name: str, item: Any) -> np.ndarray:
+    """Return a dataset of numbers with MATLAB's order of axes, which HDF5 stores the other way round."""
+    if item.dtype.kind not in "fiub" or item.external or item.is_virtual:
+        raise UserError(f"{path}: '{name}' is no plain array of numbers (found {item.dtype}).")
+    _check_size(path, name, item.shape, item.dtype.itemsize)
+    if item.attrs.get("MATLAB_empty", 0):
+        return np.empty((0, 0))
+    return item[()].T
+
+
+def _check_size(path: Path, name: str, shape: tuple[int, ...], itemsize: int) -> None:
+    claimed = int(np.prod([int(n) for n in shape], dtype=object)) * itemsize
+    memory = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
+    if claimed > memory // 2:
+        raise UserError(f"{path}: '{name}' would take {claimed / 1e9:.1f} GB, more than half of this machine's memory.")
