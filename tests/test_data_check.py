@@ -136,6 +136,18 @@ def test_a_set_before_and_after_it_is_cached(beetles: Path) -> None:
     assert told("task=beetles.yaml", "data.options.noise=2").count("not read before") == 2
 
 
+def test_labelled_frames_of_another_file(beetles: Path, here: Path, capsys) -> None:
+    words = ["task=beetles.yaml", "data.labelled.file=labels.npz"]
+    assert status_of("data", "check", *words) == 2
+    text = capsys.readouterr().out
+    assert f"labelled: {here / 'labels.npz'}\n  MISSING  labels.npz" in text
+    write_body(here / "labels.npz", 7)
+    assert status_of("data", "check", *words) == 0
+    text = capsys.readouterr().out
+    assert re.search(r"labelled: .*labels.npz\n  present  labels.npz, .*\n  to load: 7 frames of 17 joints", text)
+    assert text.endswith("next: uplift fit task=beetles.yaml data.labelled.file=labels.npz\n")
+
+
 def test_a_set_with_files_missing(beetles: Path, capsys) -> None:
     (beetles / "poses.bin").unlink()
     assert status_of("data", "check", "task=beetles.yaml") == 2
