@@ -127,6 +127,10 @@ def test_commands_parse(page: str, command: str) -> None:
     assert verb in _RUN
     if verb == "skeleton":
         assert words[0] in ("check", "new")
+    elif verb == "data":
+        assert words[0] in ("check", "cmu")
+        for word in words[1:] if words[0] == "check" else ():
+            _check_fit_word(word)
     elif verb in _KEYS:
         assert {word.partition("=")[0] for word in words} <= set(_KEYS[verb])
     elif verb == "fit":

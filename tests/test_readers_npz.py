@@ -234,3 +234,17 @@ def test_wrong_places(tmp_path: Path) -> None:
         read(tmp_path / "none.npz")
     with pytest.raises(UserError, match=r"unknown format '.csv'"):
         read(tmp_path / "a.csv")
+
+
+def test_people_in_one_photo_are_no_clip(tmp_path: Path) -> None:
+    names = np.array(["a.jpg", "a.jpg", "B.PNG"])
+    arrays = {"keypoints": np.ones((3, 4, 2)), "joint_names": [*"abcd"], "sequence": names}
+    np.savez(tmp_path / "a.npz", **arrays)
+    data = read_npz(tmp_path / "a.npz")
+    assert list(data.identity) == ["image"]
+    assert data.identity["image"].tolist() == names.tolist()
+    assert data.clips().tolist() == [0, 1, 2]
+    np.savez(tmp_path / "b.npz", **arrays, frame=np.array([0, 1, 0]))
+    assert len(set(read_npz(tmp_path / "b.npz").clips())) == 2
+    np.savez(tmp_path / "c.npz", **{**arrays, "sequence": np.array(["a.jpg", "a.jpg", "walk"])})
+    assert len(set(read_npz(tmp_path / "c.npz").clips())) == 2

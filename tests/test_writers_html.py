@@ -155,6 +155,16 @@ def test_every_row_is_in_one_clip_once(rows: list, several: bool, limit: int) ->
     assert chosen and sum(len(clip.frames) for clip in chosen) <= limit
 
 
+def test_photos_are_clips_and_frames_of_a_film_are_not() -> None:
+    image = np.array(["a.jpg", "b.jpg", "a.jpg"])
+    assert [(clip.name, clip.rows.tolist()) for clip in arrange({"image": image}, 3)] == [
+        ("a.jpg", [0, 2]),
+        ("b.jpg", [1]),
+    ]
+    assert len(arrange({"image": image, "sequence": np.array(["walk"] * 3)}, 3)) == 1
+    assert len(arrange({"image": image, "frame": np.arange(3)}, 3)) == 1
+
+
 def test_sides_come_from_names_then_from_facing_then_from_order() -> None:
     def sides(mirror: tuple, facing: dict | None = None) -> list[int]:
         names = (*(name for pair in mirror for name in pair), "mid")

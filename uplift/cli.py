@@ -16,9 +16,10 @@ __all__ = ["main"]
 _VERBS = {
     "fit": "train a lifter: fit task=NAME, or fit skeleton=NAME data.train=FILE; also resume=RUN",
     "evaluate": "every protocol: evaluate run=RUN [data.test=FILE], or evaluate poses=FILE data.test=FILE",
-    "predict": "lift keypoints: predict run=RUN input=FILE output=FILE.html|.npz",
+    "predict": "lift keypoints: predict run=RUN input=FILE|SET:SPLIT output=FILE.html|.npz [page=gallery]",
     "simulate": "made-up bodies with exact poses: simulate skeleton=NAME output=FILE.npz [frames=20000 seed=0]",
     "compare": "runs side by side: compare RUN RUN ...",
+    "data": "data check task=NAME [data.root=FOLDER]: what is there and what is missing; data cmu FOLDER",
     "tasks": "list the tasks and whether their data is present",
     "skeletons": "list the shipped skeletons",
     "skeleton": "skeleton check FILE [output=FILE.png]; skeleton new FILE",
@@ -27,22 +28,24 @@ _VERBS = {
 _MENDABLE = (errno.EACCES, errno.EPERM, errno.EROFS, errno.ENAMETOOLONG, errno.ENOTDIR, errno.EISDIR, errno.ELOOP)
 _EXAMPLES = """examples:
   uplift fit task=demo                                  no data needed: a minute or two, then a page to look at
+  uplift data check task=cmu                            what is there, what is missing, where it comes from
   uplift fit task=cmu trainer.max_time=00:04:00         any setting as key=value
   uplift fit skeleton=beetle.yaml data.train=beetle.npz your own data
   uplift evaluate run=runs/cmu/last
   uplift predict run=runs/cmu/last input=keypoints.npz output=poses.html
+  uplift predict run=runs/mpii/last input=mpii:train output=gallery.html page=gallery
 """
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run one command; returns the exit status: 0, 2 for a user's mistake, 1 for ours, 130 for Ctrl-C."""
+    """Run one command; returns the exit status: 0, 2 for a user's mistake or missing data, 1 for ours, 130 for Ctrl-C."""
     parser = _parser()
     given = parser.parse_args(arguments)
     if given.verb is None:
         parser.print_help()
         return 0
     try:
-        _RUN[given.verb](given.settings)
+        return _RUN[given.verb](given.settings) or 0
     except UserError as error:
         print(f"uplift: {error}", file=sys.stderr)
         return 2
@@ -60,7 +63,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
         rest = "" if mine else " What was saved before is whole."
         print(f"uplift: {error.strerror or error}{where}.{rest}", file=sys.stderr)
         return 2 if mine else 1
-    return 0
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -92,6 +94,8 @@ def _complete(verb: str) -> Callable[..., list[str]]:
 
         if verb == "skeleton":
             return ["check", "new"]
+        if verb == "data":
+            return ["check", "cmu", *(f"task={name}" for name in shipped_names("tasks")), "data.root="]
         known = {key: [""] for key in _KEYS.get(verb, ())}
         if verb == "fit":
             known |= {name: [""] for name in setting_names()} | {"resume": [""]}
@@ -104,7 +108,7 @@ def _complete(verb: str) -> Callable[..., list[str]]:
 
 _KEYS = {
     "evaluate": ("run", "poses", "data.test", "skeleton", "refine"),
-    "predict": ("run", "input", "output", "refine"),
+    "predict": ("run", "input", "output", "refine", "page", "frames", "seed", "images", "data.name", "data.root"),
     "simulate": ("skeleton", "output", "frames", "seed", "noise_px", "missing"),
 }
 
@@ -116,7 +120,8 @@ def _keyed(verb: str, words: Sequence[str], needed: Sequence[str]) -> dict[str, 
     found: dict[str, str] = {}
     for word in words:
         key, equals, value = word.partition("=")
-        if not equals or key not in _KEYS[verb]:
+        option = verb == "predict" and key.startswith("data.options.")
+        if not equals or (key not in _KEYS[verb] and not option):
             raise UserError(f"{verb}: '{word}' is not one of its settings.{did_you_mean(key, _KEYS[verb])}")
         if not value:
             raise UserError(f"{verb}: '{key}=' has no value.")
@@ -200,7 +205,17 @@ def _predict(words: Sequence[str]) -> None:
     keys = _keyed("predict", words, ("run", "input", "output"))
     from uplift.verbs.predict import predict
 
-    found = predict(keys["run"], keys["input"], keys["output"], refine=_refines("predict", keys))
+    of_page = {"images": keys["images"]} if "images" in keys else {}
+    of_page |= {key: _whole("predict", key, keys[key]) for key in ("frames", "seed") if key in keys}
+    found = predict(
+        keys["run"],
+        keys["input"],
+        keys["output"],
+        *(f"{key}={value}" for key, value in keys.items() if key.startswith("data.")),
+        refine=_refines("predict", keys),
+        page=keys.get("page"),
+        **of_page,
+    )
     blank = int((found.pose != found.pose).all((1, 2)).sum())
     print(f"lifted {len(found) - blank:,} frames of {found.skeleton.name}, unit {found.unit}")
     if blank:
@@ -210,6 +225,13 @@ def _predict(words: Sequence[str]) -> None:
     print(f"wrote {keys['output']}")
     if keys["output"].endswith(".html"):
         print(f"look: open {keys['output']} in a browser")
+
+
+def _whole(verb: str, key: str, text: str) -> int:
+    try:
+        return int(text)
+    except ValueError:
+        raise UserError(f"{verb}: {key}={text!r}, expected a whole number.") from None
 
 
 def _simulate(words: Sequence[str]) -> None:
@@ -261,17 +283,34 @@ def _skeleton(words: Sequence[str]) -> None:
         print(line)
 
 
+def _data(words: Sequence[str]) -> int:
+    if words and words[0] == "check":
+        from uplift.verbs.data_check import check_data
+
+        lines, complete = check_data(list(words[1:]))
+    elif words and words[0] == "cmu":
+        from uplift.verbs.data_cmu import make_cmu_files
+
+        lines, complete = make_cmu_files(list(words[1:])), True
+    else:
+        raise UserError("data: expected `uplift data check task=NAME` or `uplift data cmu FOLDER`.")
+    for line in lines:
+        print(line)
+    return 0 if complete else 2
+
+
 def _refuse(words: Sequence[str], verb: str) -> None:
     if words:
         raise UserError(f"{verb} takes no settings, found '{words[0]}'.")
 
 
-_RUN = {
+_RUN: dict[str, Callable[[Sequence[str]], int | None]] = {
     "fit": _fit,
     "evaluate": _evaluate,
     "predict": _predict,
     "simulate": _simulate,
     "compare": _compare,
+    "data": _data,
     "tasks": _tasks,
     "skeletons": _skeletons,
     "skeleton": _skeleton,

@@ -7,9 +7,10 @@ from pathlib import Path
 
 import numpy as np
 
-from uplift.config import ChoiceSettings, DataSettings, Settings
+from uplift.config import ChoiceSettings, Settings
 from uplift.data.clean import clean
 from uplift.data.container import PoseData
+from uplift.data.missing import missing_file, missing_files
 from uplift.data.split import CHOOSE_BY, chosen_rows
 from uplift.datasets import DATA_SETS, DataSet, data_set, read_cached
 from uplift.errors import UserError
@@ -18,7 +19,18 @@ from uplift.readers import read
 from uplift.skeleton import Skeleton
 from uplift.skeleton.matching import build_joints, build_pose
 
-__all__ = ["Loaded", "find_data", "in_joints_of", "load_data", "load_file", "load_split", "set_of", "with_labels"]
+__all__ = [
+    "Loaded",
+    "find_data",
+    "in_joints_of",
+    "load_data",
+    "load_file",
+    "load_split",
+    "named_set",
+    "of_labelled",
+    "set_of",
+    "with_labels",
+]
 
 
 @dataclass(frozen=True)
@@ -97,7 +109,7 @@ def with_labels(settings: Settings, train: PoseData, skeleton: Skeleton) -> tupl
                 "data.labelled.only is on, but no frame is labelled: set data.labelled.fraction (1 for all)."
             )
         return train, None
-    source = train if chosen.file is None else _labelled_file(settings, skeleton)
+    source = train if chosen.file is None else load_split(of_labelled(settings), "train", skeleton)
     if source.pose is None:
         raise UserError(f"{source.source}: holds no 'pose' to learn from: data.labelled needs frames with poses.")
     rows = chosen_rows(source, wanted, settings.seed)
@@ -108,15 +120,15 @@ def with_labels(settings: Settings, train: PoseData, skeleton: Skeleton) -> tupl
     return (more, None) if chosen.only else (train, more)
 
 
-def _labelled_file(settings: Settings, skeleton: Skeleton) -> PoseData:
-    """Return the frames of ``data.labelled.file``: a file, or SET:SPLIT of a published set in its own folder."""
+def of_labelled(settings: Settings) -> Settings:
+    """Return settings whose ``train`` frames are those of ``data.labelled.file``: a file, or SET:SPLIT in the set's own folder."""
     named = str(settings.data.labelled.file)
     use, colon, split = named.partition(":")
     if colon and use in DATA_SETS:
         data = replace(settings.data, name=use, root=None, use=use, options={}, train=split, unit=None)
-        return load_split(replace(settings, data=data), "train", skeleton)
-    data = replace(settings.data, use=None, train=named)
-    return load_split(replace(settings, data=data), "train", skeleton)
+    else:
+        data = replace(settings.data, use=None, train=named)
+    return replace(settings, data=data)
 
 
 def _simulated(settings: Settings, skeleton: Skeleton) -> tuple[PoseData, PoseData]:
@@ -145,6 +157,22 @@ def set_of(settings: Settings, which: str) -> DataSet | None:
     Raises:
         UserError: no such set, or files of it that are missing, with where they come from.
     """
+    found = named_set(settings, which)
+    if found is None:
+        return None
+    source, split = found
+    missing = source.missing(split)
+    if missing:
+        raise UserError(missing_files(settings, source, missing))
+    return source
+
+
+def named_set(settings: Settings, which: str) -> tuple[DataSet, str] | None:
+    """Return the published data set of the ``train`` or ``test`` frames and their split, whether its files are there or not.
+
+    Raises:
+        UserError: no such set, an option or a split that it does not have.
+    """
     chosen = settings.data
     split = getattr(chosen, which)
     if not chosen.use or not split:
@@ -156,13 +184,7 @@ def set_of(settings: Settings, which: str) -> DataSet | None:
             return None
         split = Path(split).name
     source.check_split(split)
-    missing = source.missing(split)
-    if missing:
-        lines = [f"{source.title}: {len(missing)} file(s) missing in {folder}" + _needed_by(settings.task)]
-        lines += [f"  {file.path.name}: {file.what}" for file in missing]
-        lines += [source.about.strip(), *_places(chosen), _NO_DATA_NEEDED]
-        raise UserError("\n".join(lines))
-    return source
+    return source, split
 
 
 def find_data(settings: Settings, which: str) -> Path:
@@ -177,30 +199,7 @@ def find_data(settings: Settings, which: str) -> Path:
     path = (data_root(data.name, data.root) / name).absolute()
     if path.exists():
         return path
-    raise UserError(missing_data(settings.task, data, path))
-
-
-def missing_data(task: str, data: DataSettings, path: Path) -> str:
-    """Return the message for a file that is not there."""
-    lines = [f"No file {path}" + (_needed_by(task) or ".")]
-    if data.get:
-        lines.append(f"Get it: {data.get.strip()}")
-    return "\n".join([*lines, *_places(data), _NO_DATA_NEEDED])
-
-
-_NO_DATA_NEEDED = (
-    "`uplift fit task=semi_cmu` runs on data that is free for all, `uplift fit task=demo` without any data."
-)
-
-
-def _needed_by(task: str) -> str:
-    return f", which task '{task}' needs." if task else ""
-
-
-def _places(data: DataSettings) -> list[str]:
-    if not data.name or Path(data.name).is_absolute():
-        return []
-    return [f"Put it there, or say where it is: data.root=FOLDER, or UPLIFT_DATA=FOLDER with a subfolder {data.name}/."]
+    raise UserError(missing_file(settings.task, data, path))
 
 
 def load_file(path: str | Path, skeleton: Skeleton) -> PoseData:

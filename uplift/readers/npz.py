@@ -17,6 +17,7 @@ _KNOWN = {
     "keypoints", "confidence", "joint_names", "pose", "root", "unit", "fps", "image_size", "focal_px",
     "bones", "tilt_deg", "level_pose", "spread", "skeleton", *IDENTITY_KEYS,
 }  # fmt: skip
+_PHOTO_ENDINGS = (".jpg", ".jpeg", ".png", ".bmp", ".webp", ".tif", ".tiff")
 _MOST_CONFIDENT = 2.0  # heat maps peak a little over 1, and COCO marks visible joints with 2
 
 
@@ -44,7 +45,7 @@ def read_npz(path: str | Path) -> PoseData:
         pose=_numbers(where, arrays, "pose", (frames, joints, 3)),
         root=_numbers(where, arrays, "root", (frames, 3)),
         unit=unit_of(where, arrays, "mm"),
-        identity={key: _identity(where, arrays, key, frames) for key in IDENTITY_KEYS if key in arrays},
+        identity=_photos({key: _identity(where, arrays, key, frames) for key in IDENTITY_KEYS if key in arrays}),
         fps=_scalar(where, arrays, "fps"),
         image_size=_image_size(where, arrays),
         focal_px=_scalar(where, arrays, "focal_px"),
@@ -103,6 +104,19 @@ def _identity(where: str, arrays: dict, name: str, frames: int) -> np.ndarray:
     if array.shape != (frames,):
         raise UserError(f"{where}: '{name}' has shape {array.shape}, expected ({frames},) as 'keypoints' has frames.")
     return array
+
+
+def _photos(identity: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """Return sequences that are named as photos are, and have no frame numbers, as `image`.
+
+    The people in one photo are no clip of one body.
+    """
+    names = identity.get("sequence")
+    if names is None or names.dtype.kind != "U" or not len(names) or {"frame", "image"} & set(identity):
+        return identity
+    if not all(name.lower().endswith(_PHOTO_ENDINGS) for name in names.tolist()):
+        return identity
+    return {"image" if key == "sequence" else key: values for key, values in identity.items()}
 
 
 def _scalar(where: str, arrays: dict, name: str) -> float | None:

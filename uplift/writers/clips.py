@@ -40,6 +40,8 @@ def arrange(identity: dict[str, np.ndarray], rows: int) -> list[Clip]:
     instance = next((key for key in _INSTANCE_KEYS if key in identity), None)
     # A subject may be what tells individuals apart, and then it does not part clips.
     keys = [key for key in _CLIP_KEYS if key in identity and not (instance and key == "subject")]
+    if "image" in identity and not {"sequence", "frame"} & set(identity):
+        keys.append("image")  # photos, not the frames of a film
     labels = [np.asarray(identity[key]).astype(str) for key in keys]
     codes = _codes(labels, rows)
     order = np.argsort(codes, kind="stable")

@@ -1,0 +1,159 @@
+"""The verb data check: which files a task needs, which are there, and what they cost to load."""
+
+from __future__ import annotations
+
+import shlex
+import zipfile
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from uplift.config import Settings
+from uplift.data.load import find_data, named_set, of_labelled
+from uplift.data.missing import how_to_get
+from uplift.datasets import DataSet
+from uplift.datasets.cache import cached_facts
+from uplift.errors import UserError
+from uplift.paths import data_root
+from uplift.readers.headers import contents_of, memory_of
+from uplift.skeleton import Skeleton, load_skeleton
+from uplift.skeleton.matching import build_joints
+from uplift.task import load_settings
+
+__all__ = ["check_data"]
+
+_SIMULATED = {"keypoints", "pose", "root", "tilt_deg"}
+
+
+def check_data(words: Sequence[str]) -> tuple[list[str], bool]:
+    """Return what to say of a task's data, and whether a fit has all that it needs.
+
+    Raises:
+        UserError: no such task, set, option or split; no data named.
+    """
+    tasks = [word.partition("=")[2] for word in words if word.partition("=")[0] == "task"]
+    overrides = [word for word in words if word.partition("=")[0] != "task"]
+    if tasks and not tasks[-1]:
+        raise UserError("data check: 'task=' names nothing. Expected task=NAME.")
+    settings = load_settings(tasks[-1] if tasks else None, overrides)
+    report = _Report(settings)
+    if settings.data.simulate:
+        report.simulated(settings.data.simulate)
+    else:
+        report.part("train", settings, "train")
+        if settings.data.test:
+            report.part("test", settings, "test")
+    if settings.data.labelled.file:
+        report.part("labelled", of_labelled(settings), "train")
+    return report.ended(shlex.join(words)), not report.missing and not report.wrong
+
+
+class _Report:
+    """The lines, filled part by part."""
+
+    def __init__(self, settings: Settings):
+        self.skeleton: Skeleton | None = load_skeleton(settings.skeleton) if settings.skeleton else None
+        self.lines = [f"{settings.task or 'own data'}: {settings.description.strip().splitlines()[0]}"]
+        self.missing: dict[str, None] = {}
+        """How to get what is not there."""
+        self.wrong = False
+        self.folder: Path | None = None
+
+    def simulated(self, frames: int) -> None:
+        """Say that nothing is needed."""
+        joints = len(self.skeleton.joints) if self.skeleton else 0
+        cost = f"; {_size(memory_of(_SIMULATED, frames, joints))} in memory" if joints else ""
+        self.lines.append(f"train, test: simulated when the fit starts, {frames:,} frames: no files needed{cost}")
+
+    def part(self, title: str, settings: Settings, which: str) -> None:
+        """Say what is there of the ``train`` or ``test`` frames of ``settings``."""
+        found = named_set(settings, which)
+        folder = data_root(settings.data.name, settings.data.root).absolute()
+        if settings.data.name and folder != self.folder:
+            self.lines.append(f"folder: {folder}" + ("" if folder.is_dir() else " (not there)"))
+            self.folder = folder
+        if not (self._file(title, settings, which) if found is None else self._set(title, *found)):
+            self.missing.setdefault(how_to_get(settings, found[0] if found else None))
+
+    def _set(self, title: str, source: DataSet, split: str) -> bool:
+        """Say what is there of a split; returns whether it is all there."""
+        self.lines.append(f"{title}: {source.title or type(source).__name__}, split '{split}'")
+        files = source.files(split)
+        for file in files:
+            self._line(file.path, file.what, file.present)
+        if source.missing(split):
+            return False
+        facts = cached_facts(source, split) if source.cached else None
+        if facts:
+            about = f"{facts['frames']:,} frames of {facts['joints']} joints, {_size(facts['bytes'])} in memory"
+            self.lines.append(f"  to load: {about}, from the cache")
+            return True
+        first = "not read before; the first fit reads the files and keeps the arrays"
+        size = _size(sum(_unpacked(file.path) for file in files))
+        self.lines.append(
+            f"  to load: {first if source.cached else 'read anew'}; the files hold {size}, an estimate of the memory"
+        )
+        return True
+
+    def _file(self, title: str, settings: Settings, which: str) -> bool:
+        """Say what is there of a file of keypoints; returns whether it is there."""
+        name = getattr(settings.data, which)
+        if not name:
+            find_data(settings, which)  # says what to set
+        path = (data_root(settings.data.name, settings.data.root) / name).absolute()
+        self.lines.append(f"{title}: {path.name if path.parent == self.folder else path}")
+        self._line(path, "", path.is_file())
+        if not path.is_file():
+            return False
+        try:
+            self.lines.append(f"  to load: {self._cost(path)}")
+        except UserError as error:
+            self.wrong = True
+            self.lines.append(f"  WRONG    {error}")
+        return True
+
+    def _cost(self, path: Path) -> str:
+        """Return frames, joints and memory; raises UserError for a file that a fit would refuse."""
+        found = contents_of(path)
+        joints = len(found.joint_names)
+        if self.skeleton is not None:
+            blank = np.zeros((1, joints, 2), np.float32), np.ones((1, joints), np.float32)
+            try:
+                build_joints(*blank, found.joint_names, self.skeleton)
+            except UserError as error:
+                raise UserError(f"{path}: {error}") from None
+        poses = "with" if found.has_pose else "no"
+        return f"{found.frames:,} frames of {joints} joints, {poses} poses, {_size(found.memory)} in memory"
+
+    def _line(self, path: Path, what: str, present: bool) -> None:
+        if present:
+            self.lines.append(f"  present  {path.name}, {_size(path.stat().st_size)}")
+        else:
+            self.lines.append(f"  MISSING  {path.name}" + (f": {what}" if what else ""))
+
+    def ended(self, words: str) -> list[str]:
+        """Return all lines, with where missing files come from and what to do next."""
+        for told in self.missing:
+            self.lines += ["", *told.splitlines()]
+        if self.missing or self.wrong:
+            what = "put them there" if self.missing else "mend or replace what is wrong"
+            return [*self.lines, "", f"next: {what}, then uplift data check {words}"]
+        return [*self.lines, "", f"next: uplift fit {words}"]
+
+
+def _unpacked(path: Path) -> int:
+    """Return the bytes of a file; of an archive, those of what is packed in it."""
+    if zipfile.is_zipfile(path):
+        with zipfile.ZipFile(path) as archive:
+            return sum(member.file_size for member in archive.infolist())
+    return path.stat().st_size
+
+
+def _size(count: int) -> str:
+    value = float(count)
+    for unit in ("bytes", "kB", "MB"):
+        if value < 999.5:
+            return f"{value:.0f} {unit}" if value >= 9.95 or unit == "bytes" else f"{value:.1f} {unit}"
+        value /= 1000
+    return f"{value:.1f} GB"
