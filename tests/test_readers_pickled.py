@@ -161,6 +161,7 @@ HUGE = [
     b"cnumpy\nndarray\n(I1000000000000\ntR.",
     b"cbuiltins\nbytearray\n(I1000000000000\ntR.",
     b"cnumpy\ndtype\n(S'V2000000000'\ntR.",
+    b"\x80\x02}" + b"K\x01" + b"\x85" * 1_000_000 + b"K\x01s.",  # a key that takes a million calls to hash
     b"\x82\x01.", b"\x80\x02cbuiltins\nlist\n}X\x01\x00\x00\x00aK\x01sb.", b"Pxyz\n.", b"", b".", b"0",
 ]  # fmt: skip
 

@@ -2,24 +2,23 @@
 
 from __future__ import annotations
 
-import collections
 import os
 import pickle
 import struct
 import zipfile
 import zlib
-from collections.abc import Callable, Collection
+from collections.abc import Collection
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 
 from uplift.errors import UserError
+from uplift.readers.unpickler import Dtype, Source, Unpickler, array_of
 
 __all__ = ["load_object_npz", "load_pickle"]
 
 _MAX_HEADER_BYTES = 10_000
-_KINDS = "biufcSUO"
 # Whatever a damaged or hostile stream makes the unpickler stumble over.
 _DAMAGE = (
     pickle.UnpicklingError, EOFError, ValueError, IndexError, KeyError, AttributeError, TypeError, AssertionError,
@@ -40,7 +39,7 @@ def load_pickle(path: str | Path) -> Any:
     _check_size(path, path.stat().st_size)
     try:
         with path.open("rb") as file:
-            return _Unpickler(_Source(file, path.stat().st_size), str(path)).load()
+            return Unpickler(Source(file, path.stat().st_size), str(path)).load()
     except _DAMAGE as error:
         raise UserError(f"{path} is not a whole pickle file ({_said(error)}): truncated, or another format?") from error
 
@@ -95,179 +94,8 @@ def _read_member(path: Path, archive: zipfile.ZipFile, member: zipfile.ZipInfo) 
         shape, by_column, dtype = read(file, max_header_size=_MAX_HEADER_BYTES)
         left = member.file_size - file.tell()
         if dtype.hasobject:
-            array = _Unpickler(_Source(file, left), f"{path}, array '{member.filename.removesuffix('.npy')}'").load()
+            array = Unpickler(Source(file, left), f"{path}, array '{member.filename.removesuffix('.npy')}'").load()
             if not isinstance(array, np.ndarray) or array.shape != shape:
                 raise ValueError(f"'{member.filename}' is not the array that its header announces")
             return array.item() if array.dtype == object and array.ndim == 0 else array
-        return _frombuffer(file.read(left), _Kind(dtype), shape, "F" if by_column else "C")
-
-
-class _Source:
-    """A stream that says at once when more is asked of it than it has."""
-
-    def __init__(self, file: Any, size: int):
-        self._file, self._left = file, size
-
-    def read(self, size: int) -> bytes:
-        if size < 0 or size > self._left:
-            raise EOFError(f"{size:,} bytes announced, {self._left:,} there")
-        self._left -= size
-        return self._file.read(size)
-
-    def readline(self) -> bytes:
-        line = self._file.readline(self._left)
-        self._left -= len(line)
-        return line
-
-    def readinto(self, buffer: Any) -> int:
-        buffer[:] = self.read(len(buffer))
-        return len(buffer)
-
-
-class _Kind:
-    """Stands for a dtype, of which a pickle first says the kind and later the byte order."""
-
-    def __init__(self, dtype: np.dtype):
-        if dtype.kind not in _KINDS or dtype.names is not None or dtype.subdtype is not None:
-            raise ValueError(f"an array of {dtype}, expected numbers, text or objects")
-        self.dtype = dtype
-
-    def order(self, state: Any) -> None:
-        if not isinstance(state, tuple) or len(state) < 5 or state[1] not in ("<", ">", "=", "|"):
-            raise ValueError("a dtype without a byte order")
-        if any(part is not None for part in state[2:5]):
-            raise ValueError("an array of records, expected numbers, text or objects")
-        self.dtype = self.dtype.newbyteorder(state[1]) if state[1] in "<>" else self.dtype
-
-
-class _Marker:
-    """Stands for the class ndarray, which a pickle names and never calls."""
-
-
-_NDARRAY = _Marker()
-
-
-def _reconstruct(kind: Any, _shape: Any = (0,), _dtype: Any = b"b") -> np.ndarray:
-    if kind is not _NDARRAY:
-        raise ValueError("a subclass of ndarray, expected ndarray")
-    return np.empty(0, np.int8)
-
-
-def _dtype(name: Any, _align: Any = False, _copy: Any = True) -> _Kind:
-    if not isinstance(name, str) or len(name) > 12 or "," in name:
-        raise ValueError(f"a dtype named {str(name)[:40]!r}")
-    return _Kind(np.dtype(name))
-
-
-def _scalar(kind: Any, raw: Any) -> Any:
-    return _frombuffer(raw, kind, (1,), "C")[0]
-
-
-def _frombuffer(raw: Any, kind: Any, shape: Any, order: Any, axes: Any = None) -> np.ndarray:
-    if not isinstance(kind, _Kind) or kind.dtype.hasobject or order not in ("C", "F", "K"):
-        raise ValueError("a buffer that is no array of numbers or text")
-    raw = raw.encode("latin1") if isinstance(raw, str) else raw
-    _check_array(kind, shape, raw)
-    array = np.frombuffer(raw, kind.dtype).reshape(shape, order="F" if order == "F" else "C")
-    return array if axes is None else array.transpose(axes)
-
-
-def _check_array(kind: Any, shape: Any, raw: Any) -> None:
-    """Refuse a shape that is not the length of ``raw``: a list of objects, or bytes."""
-    if not isinstance(shape, tuple) or len(shape) > 32 or any(type(n) is not int or n < 0 for n in shape):
-        raise ValueError(f"an array of shape {str(shape)[:60]}")
-    if not isinstance(kind, _Kind) or not kind.dtype.itemsize:
-        raise ValueError("an array without a dtype")
-    size = 1 if kind.dtype.hasobject else kind.dtype.itemsize
-    claimed = int(np.prod(shape, dtype=object)) * size
-    if not isinstance(raw, list if size != kind.dtype.itemsize else (bytes, bytearray, str)) or len(raw) != claimed:
-        what = "objects" if kind.dtype.hasobject else "bytes"
-        raise ValueError(f"an array that claims {claimed:,} {what} does not hold as many")
-
-
-def _encode(text: Any, encoding: Any = "latin1") -> bytes:
-    if not isinstance(text, str) or encoding not in ("latin1", "latin-1"):
-        raise ValueError("bytes in an unknown encoding")
-    return text.encode("latin1")
-
-
-def _no_bytes() -> bytes:
-    return b""
-
-
-def _default_dict(*_factory: Any) -> dict:
-    return {}
-
-
-_NUMPY: dict[str, Any] = {
-    "multiarray._reconstruct": _reconstruct,
-    "multiarray.scalar": _scalar,
-    "numeric._frombuffer": _frombuffer,
-}
-_ADMITTED: dict[str, Any] = {
-    "numpy.ndarray": _NDARRAY,
-    "numpy.dtype": _dtype,
-    **{f"numpy.{core}.{name}": found for core in ("core", "_core") for name, found in _NUMPY.items()},
-    "_codecs.encode": _encode,
-    "collections.OrderedDict": collections.OrderedDict,
-    "collections.defaultdict": _default_dict,
-    **{
-        f"{module}.{kind.__name__}": kind
-        for module in ("builtins", "__builtin__")
-        for kind in (dict, list, tuple, set, frozenset, complex)
-    },
-    "builtins.bytes": _no_bytes,
-    "__builtin__.bytes": _no_bytes,
-}
-
-
-_Python: Any = pickle._Unpickler
-
-
-class _Unpickler(_Python):
-    """The unpickler in Python: what it takes on a file's word can be seen and overridden."""
-
-    dispatch: ClassVar[dict[int, Callable[..., None]]] = dict(_Python.dispatch)
-
-    def __init__(self, source: _Source, where: str):
-        super().__init__(source, encoding="latin1")
-        self._where = where
-
-    def find_class(self, module: str, name: str) -> Any:
-        """Return our own stand-in for what an array is made with; refuse everything else."""
-        wanted = f"{module}.{name}"
-        if wanted not in _ADMITTED:
-            raise UserError(
-                f"{self._where} wants to import '{wanted[:100]}', expected only NumPy arrays, lists, dicts, numbers and "
-                "text. Such a file can run any code when it is opened, so it is not opened further: get it from "
-                "where it was first published, or save its arrays anew with np.savez."
-            )
-        return _ADMITTED[wanted]
-
-    def load_build(self) -> None:
-        """Give an array or a dtype its state; nothing else here has any."""
-        state = self.stack.pop()
-        built = self.stack[-1]
-        if isinstance(built, _Kind):
-            built.order(state)
-            return
-        if type(built) is not np.ndarray or built.size or not isinstance(state, tuple) or len(state) != 5:
-            raise ValueError(f"a state for a {type(built).__name__}")
-        _, shape, kind, by_column, raw = state
-        _check_array(kind, shape, raw)
-        reopened: Any = built
-        reopened.__setstate__((1, shape, kind.dtype, bool(by_column), raw))
-
-    def load_bytearray8(self) -> None:
-        """Read before memory is taken."""
-        (size,) = struct.unpack("<Q", self.read(8))
-        self.append(bytearray(self.read(size)))
-
-    def load_ext(self) -> None:
-        """Refuse codes that stand for imports."""
-        raise pickle.UnpicklingError("an extension code")
-
-    dispatch[pickle.BUILD[0]] = load_build
-    dispatch[pickle.BYTEARRAY8[0]] = load_bytearray8
-    for _code in (pickle.EXT1, pickle.EXT2, pickle.EXT4):
-        dispatch[_code[0]] = load_ext
+        return array_of(file.read(left), Dtype(dtype), shape, "F" if by_column else "C")
