@@ -28,7 +28,7 @@ def write_full_size(
     """
     folder.mkdir(parents=True, exist_ok=True)
     rng = np.random.default_rng(0)
-    motion = _standing(simulate(load_skeleton("h36m17"), 20_000, fps=50, clip_seconds=20.0))
+    motion = _standing(simulate(load_skeleton("h36m17"), 20_000, fps=50.0, clip_seconds=20.0))
     each = frames // (len(SUBJECTS) * len(ACTIONS) * 2)
     metres: dict[str, dict[str, np.ndarray]] = {}
     seen: dict[str, dict[str, list[np.ndarray]]] = {}

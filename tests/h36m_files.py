@@ -24,7 +24,7 @@ def world(frames: int = 11, seed: int = 0) -> World:
     """Return (frames, 32, 3) mm in the room by subject and sequence: two sequences an action, a bit longer each."""
     names = [name for action in ACTIONS for name in (action, f"{action} 1")]
     poses = standing(
-        simulate(load_skeleton("h36m17"), 7 * 30 * (frames + 6), seed, fps=50, clip_seconds=(frames + 6) / 50)
+        simulate(load_skeleton("h36m17"), 7 * 30 * (frames + 6), seed, fps=50.0, clip_seconds=(frames + 6) / 50)
     )
     poses = poses.reshape(7, 30, frames + 6, 32, 3)
     return {

@@ -20,8 +20,9 @@ _MORE_FRAMES = (50, 0.2)
 """2D and 3D of one clip may differ by a second or a fifth at the end; by more they are not of one clip."""
 _BODY_MM = (250.0, 1500.0)
 """From hip to top of the head, in the median over frames."""
-_OFF_PX = {"gt": 20.0, "projected": np.inf}
+_OFF_PX = {"gt": 5.0}
 _OFF_DETECTED_PX = 100.0
+"""The keypoints may be as far from the projected pose, in the median over joints, then over a subject's clips."""
 
 
 def assemble(clips: Sequence[Clip], step: int, keypoints: str, source: str) -> PoseData:
@@ -32,14 +33,15 @@ def assemble(clips: Sequence[Clip], step: int, keypoints: str, source: str) -> P
     """
     filled = _Arrays(sum(-(-clip.frames // step) for clip in clips))
     lenses: dict[Lens, int] = {}
-    counts, off = [], defaultdict(list)
+    counts, checks = [], defaultdict(list)
     for clip in clips:
         pose = clip.positions(step)
         counts.append(filled.add(clip, pose, step, lenses.setdefault(clip.camera.lens, len(lenses))))
-        off[clip.subject].append((filled.off_px(clip), clip))
-    _check_size(filled, source)
-    for of_one in off.values():
-        _check_fit(of_one, _OFF_PX.get(keypoints, _OFF_DETECTED_PX))
+        checks[clip.subject].append((clip, filled.length_mm(), filled.off_px(clip)))
+    if not filled.at:
+        raise UserError(f"{source}: no frame in the files.")
+    for of_one in checks.values():
+        _check_subject(of_one, _OFF_PX.get(keypoints, _OFF_DETECTED_PX))
     return filled.data(clips, np.array(counts), step, tuple(lenses), source)
 
 
@@ -70,12 +72,22 @@ class _Arrays:
             self.confidence[rows] = 1
         else:
             _into_joints(seen[: len(pose)], clip.layout, self.keypoints[rows], self.confidence[rows])
+        if not (pose[..., 2] > 0).all():
+            raise UserError(
+                f"{clip.where}: not every joint is a number in front of the camera: other coordinates than these files have?"
+            )
         self.root[rows] = pose[:, 0]
         np.subtract(pose, pose[:, :1], out=self.pose[rows])
         self.lens[rows] = lens
         self.frame[rows] = np.arange(len(pose), dtype=np.int32) * step
         self.start, self.at = self.at, self.at + len(pose)
         return len(pose)
+
+    def length_mm(self) -> float:
+        """Return how far it is from hip to the top of the head in the clip's middle frame."""
+        if self.start == self.at:
+            return np.nan
+        return float(np.linalg.norm(self.pose[(self.start + self.at) // 2, JOINTS.index("headtop")]))
 
     def off_px(self, clip: Clip) -> float:
         """Return how far the keypoints of the clip's middle frame are from its projected pose."""
@@ -138,25 +150,18 @@ def _check_lengths(clip: Clip, frames: int, seen: int) -> None:
         )
 
 
-def _check_size(filled: _Arrays, source: str) -> None:
-    """Refuse bodies of another size than people have: another unit, or other joints."""
-    if not filled.at:
-        raise UserError(f"{source}: no frame in the files.")
-    top = filled.pose[: filled.at : max(1, filled.at // 1000), JOINTS.index("headtop")]
-    length = float(np.median(np.linalg.norm(top, axis=-1)))
+def _check_subject(checks: list[tuple[Clip, float, float]], most_px: float) -> None:
+    """Refuse a body of another size than people have, and keypoints that are not where the cameras see the pose."""
+    clip = checks[0][0]
+    length = float(np.nanmedian([length for _, length, _ in checks]))
     if not _BODY_MM[0] < length < _BODY_MM[1]:
         raise UserError(
-            f"{source}: from hip to head it is {length:.3g} mm in the median, expected {_BODY_MM[0]:.0f} to "
-            f"{_BODY_MM[1]:.0f}: another unit than these files have, or another order of joints?"
+            f"{clip.where}: from hip to head {clip.subject} measures {length:.3g} mm in the median, expected "
+            f"{_BODY_MM[0]:.0f} to {_BODY_MM[1]:.0f}: another unit than these files have, or another order of joints?"
         )
-
-
-def _check_fit(off: list[tuple[float, Clip]], most: float) -> None:
-    """Refuse a subject whose keypoints are not where its cameras see its pose."""
-    median = float(np.median([distance for distance, _ in off]))
-    if not median < most and np.isfinite(most):
-        subject = off[0][1].subject
+    off_px = float(np.median([off for _, _, off in checks]))
+    if not off_px < most_px:
         raise UserError(
-            f"{off[0][1].where}: the keypoints of {subject} are {median:.0f} px off the projected 3D in the median, "
-            f"expected less than {most:.0f}: 2D and 3D of different subjects, sequences or cameras?"
+            f"{clip.where}: the keypoints of {clip.subject} are {off_px:.0f} px off the projected 3D in the median, "
+            f"expected less than {most_px:.0f}: 2D and 3D of different subjects, sequences or cameras?"
         )

@@ -103,7 +103,7 @@ def published(subject: str, camera: str, *, swapped: bool = False) -> Camera:
     """Return the camera as it stood for ``subject``.
 
     The set's own projection, and Martinez', multiply p1 with y and p2 with x; VideoPose3D's, which made its
-    ground truth, has them the other way round (``swapped``): some hundredths of a pixel.
+    ground truth, has them the other way round (``swapped``): some tenths of a pixel.
     """
     focal_px, centre_px, radial, (p1, p2), size = _LENSES[camera]
     stand = np.array(_STANDS[subject][CAMERAS.index(camera)])

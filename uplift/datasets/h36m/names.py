@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from uplift.errors import UserError, did_you_mean
 
-__all__ = ["ACTIONS", "JOINTS", "LAYOUTS", "OF_32", "SUBJECTS", "is_corrupt", "sequence_name"]
+__all__ = ["ACTIONS", "HOURGLASS_JOINTS", "JOINTS", "LAYOUTS", "OF_32", "SUBJECTS", "is_corrupt", "sequence_name"]
 
 SUBJECTS = {"train": ("S1", "S5", "S6", "S7", "S8"), "test": ("S9", "S11")}
 
@@ -25,7 +25,7 @@ JOINTS = (
 OF_32 = (0, 1, 2, 3, 6, 7, 8, 12, 13, 14, 15, 17, 18, 19, 25, 26, 27)
 """Which of the 32 joints of the motion capture these are: the others do not move, or are there twice."""
 
-_HOURGLASS = (
+HOURGLASS_JOINTS = (
     "rankle", "rknee", "rhip", "lhip", "lknee", "lankle", "hip", "spine", "thorax", "headtop",
     "rwrist", "relbow", "rshoulder", "lshoulder", "lelbow", "lwrist",
 )  # fmt: skip
@@ -37,9 +37,9 @@ def _places(joints: tuple[str, ...]) -> dict[str, tuple[int, ...]]:
 
 LAYOUTS: dict[str, dict[str, tuple[int, ...]]] = {
     "h36m": _places(JOINTS),
-    "hourglass": _places(_HOURGLASS),
+    "hourglass": _places(HOURGLASS_JOINTS),
     # Trained on MPII: there place 7 is the thorax and 8 the neck, and nothing marks the spine.
-    "hourglass_mpii": {**_places(_HOURGLASS), "thorax": (7,), "spine": (6, 7)},
+    "hourglass_mpii": {**_places(HOURGLASS_JOINTS), "thorax": (7,), "spine": (6, 7)},
     "coco": {
         "hip": (11, 12), "rhip": (12,), "rknee": (14,), "rankle": (16,), "lhip": (11,), "lknee": (13,),
         "lankle": (15,), "spine": (5, 6, 11, 12), "thorax": (5, 6), "nose": (0,), "lshoulder": (5,),
