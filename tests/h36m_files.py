@@ -211,15 +211,16 @@ def write_cdf(
                     write_one_cdf(folder / subject / "MyPoseFeatures/D3_Positions_mono" / end, seen)
 
 
-def write_one_cdf(path: Path, points: np.ndarray) -> None:
+def write_one_cdf(path: Path, points: np.ndarray, majority: str = "column_major") -> None:
     from cdflib.cdfwrite import CDF
 
     values = points.reshape(1, len(points), -1).astype(np.float32)
+    stored = values if majority == "row_major" else values.transpose(0, 2, 1).reshape(values.shape)  # as MATLAB's are
     path.unlink(missing_ok=True)
-    file = CDF(path, {"Majority": "row_major"})
+    file = CDF(path, {"Majority": majority})
     file.write_var(
         {"Variable": "Pose", "Data_Type": 44, "Num_Elements": 1, "Rec_Vary": True, "Dim_Sizes": list(values.shape[1:]),
          "Var_Type": "zVariable", "Compress": 6},
-        var_data=values,
+        var_data=stored,
     )  # fmt: skip
     file.close()

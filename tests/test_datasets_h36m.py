@@ -551,3 +551,37 @@ def test_the_published_cameras_stand_about_the_room():
             assert np.allclose(stands.rotation, written.rotation(subject, camera), atol=1e-9)
             seen = stands.see(np.array([[0.0, 0.0, 900.0]]))
             assert 3500 < seen[0, 2] < 6500 and (np.abs(stands.lens.project(seen) - 500) < 200).all()
+
+
+@pytest.mark.parametrize("kind", [np.float32, np.float64])
+@pytest.mark.parametrize("camera", CAMERAS)
+def test_the_lenses_are_undone(camera, kind):
+    lens = published("S1", camera).lens
+    across, down = np.meshgrid(np.linspace(-0.42, 0.42, 15), np.linspace(-0.42, 0.42, 11))
+    rays = np.stack([across, down], -1).astype(kind)
+    seen = lens.project(np.concatenate([rays, np.ones_like(rays[..., :1])], -1))
+    assert seen.dtype == kind and seen.shape == rays.shape
+    assert np.abs(lens.rays(seen) - rays).max() < (1e-6 if kind == np.float32 else 1e-9)
+    assert lens.rays(seen[:0]).shape == (0, 15, 2)
+    many = np.repeat(seen[3, :1], 100_000, 0)  # more than a block
+    assert np.allclose(lens.rays(many), rays[3, 0], atol=1e-6)
+
+
+@pytest.mark.parametrize("majority", ["row_major", "column_major"])
+def test_cdf_of_either_majority(tmp_path, majority):
+    pytest.importorskip("cdflib")
+    from uplift.datasets.h36m.cdf import _read
+
+    points = np.random.default_rng(0).normal(size=(7, 32, 3)).astype(np.float32)
+    written.write_one_cdf(tmp_path / "a.cdf", points, majority)
+    assert np.array_equal(_read(tmp_path / "a.cdf", 3), points)
+
+
+def test_files_of_full_size_are_as_the_real_ones(tmp_path):
+    from benchmarks.h36m_files import write_full_size
+
+    write_full_size(tmp_path, 7 * 30 * 20, keypoints=("gt", "cpn"), compress=False)
+    data = Human36M(tmp_path, fps=50).read("train")
+    assert np.abs(reprojected(data) - data.keypoints).max() < 0.002
+    assert 0.9 < len(data) / (5 * 30 * 20 * 4) < 1.1
+    assert 2 < np.std(reprojected(data) - Human36M(tmp_path, "cpn", 50).read("train").keypoints) < 4

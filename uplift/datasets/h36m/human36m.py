@@ -49,9 +49,9 @@ class Human36M(DataSet):
             raise UserError(f"data.options.keypoints={keypoints!r}.{did_you_mean(keypoints, (*_KINDS, 'detected'))}")
         if source not in (*_FAMILIES, "auto"):
             raise UserError(f"data.options.source={source!r}.{did_you_mean(source, (*_FAMILIES, 'auto'))}")
-        if not isinstance(fps, int) or fps < 1 or RATE % fps:
+        if fps < 1 or RATE % fps:
             raise UserError(f"data.options.fps={fps!r}: Human3.6M has {RATE} frames a second, set a divisor of it.")
-        self.keypoints, self.fps, self.source, self.partial = keypoints, fps, source, partial
+        self.keypoints, self.fps, self.source, self.partial = keypoints, int(fps), source, partial
 
     def files(self, split: str) -> list[WantedFile]:
         """Return the files of ``split``, of the kind that was asked for or is there."""
