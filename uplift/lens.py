@@ -10,6 +10,7 @@ from jaxtyping import Float
 __all__ = ["Lens"]
 
 _ITERATIONS = 12
+_BLOCK = 1 << 15  # points whose intermediate values stay in the processor's cache
 
 
 @dataclass(frozen=True)
@@ -38,8 +39,9 @@ class Lens:
         """Return the pixels of points in the camera frame (x right, y down, z away; any unit)."""
         rays = points[..., :2] / points[..., 2:]
         if self.bends:
-            factor, shift = self._distortion(rays)
-            rays = rays * factor + shift
+            x, y = rays[..., 0], rays[..., 1]
+            factor, shift = self._distortion(x, y)
+            rays = np.stack([x * factor + shift[0], y * factor + shift[1]], -1)
         return rays * np.asarray(self.focal_px, rays.dtype) + np.asarray(self.centre_px, rays.dtype)
 
     def rays(self, keypoints: Float[np.ndarray, "*shape 2"]) -> Float[np.ndarray, "*shape 2"]:
@@ -47,15 +49,28 @@ class Lens:
         seen = (keypoints - np.asarray(self.centre_px, keypoints.dtype)) / np.asarray(self.focal_px, keypoints.dtype)
         if not self.bends:
             return seen
-        rays = seen
-        for _ in range(_ITERATIONS):  # a fixed point: real lenses shrink the error tenfold each time
-            factor, shift = self._distortion(rays)
-            rays = (seen - shift) / np.maximum(factor, 0.2)
+        rays = np.empty_like(seen)
+        flat, straight = seen.reshape(-1, 2), rays.reshape(-1, 2)
+        for start in range(0, len(flat), _BLOCK):
+            rows = slice(start, start + _BLOCK)
+            straight[rows, 0], straight[rows, 1] = self._straight(flat[rows, 0].copy(), flat[rows, 1].copy())
         return rays
 
-    def _distortion(self, rays: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        square = (rays * rays).sum(-1, keepdims=True)
+    def _straight(self, seen_x: np.ndarray, seen_y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return x and y of the rays that are seen at x and y: a fixed point of the distortion."""
+        x, y = seen_x, seen_y
+        enough = 4 * np.finfo(x.dtype).eps
+        for _ in range(_ITERATIONS):  # real lenses shrink the error tenfold each time
+            factor, shift = self._distortion(x, y)
+            np.maximum(factor, 0.2, out=factor)
+            last, x, y = (x, y), (seen_x - shift[0]) / factor, (seen_y - shift[1]) / factor
+            if np.abs(x - last[0]).max() < enough and np.abs(y - last[1]).max() < enough:
+                break
+        return x, y
+
+    def _distortion(self, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, tuple[np.ndarray, np.ndarray]]:
+        """Return what rays are multiplied by, and what is added to x and y."""
+        square = x * x + y * y
         k1, k2, k3 = self.radial
-        bend = np.asarray(self.tangential, rays.dtype)
-        factor = 1 + square * (k1 + square * (k2 + square * k3)) + (rays * bend).sum(-1, keepdims=True)
-        return factor, bend * square
+        a, b = self.tangential
+        return 1 + square * (k1 + square * (k2 + square * k3)) + a * x + b * y, (a * square, b * square)

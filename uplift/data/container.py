@@ -115,10 +115,12 @@ class PoseData:
         for place, lens in enumerate(self.lenses):
             rows = self.lens == place
             straight[rows] = lens.rays(self.keypoints[rows]) * np.float32(focal_px) + np.array(size, np.float32) / 2
-        seen = (self.confidence > 0)[..., None]
-        if self.root_filled is not None:  # the stand-in of a missing root is measured from, too
-            seen = seen | (self.root_filled[:, None] & (self.keypoints != 0).any(-1))[..., None]
-        straight = np.where(seen, straight, 0).astype(np.float32)
+        seen = self.confidence > 0
+        if self.root_filled is not None and self.root_filled.any():  # what stands in for a root is measured from, too
+            seen = seen | (self.root_filled[:, None] & (self.keypoints != 0).any(-1))
+        if not seen.all():
+            straight[~seen] = 0
+        straight = straight.astype(np.float32, copy=False)
         return replace(self, keypoints=straight, focal_px=focal_px, image_size=size, lenses=(), lens=None)
 
     def clips(self) -> np.ndarray:

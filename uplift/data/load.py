@@ -213,21 +213,28 @@ def in_joints_of(data: PoseData, skeleton: Skeleton) -> PoseData:
     Raises:
         UserError: the joints do not fit the skeleton.
     """
-    try:
-        keypoints, confidence, _ = build_joints(data.keypoints, data.confidence, data.joint_names, skeleton)
-        pose = None if data.pose is None else build_pose(data.pose, data.joint_names, skeleton)
-    except UserError as error:
-        raise UserError(f"{data.source}: {error}" if data.source else str(error)) from None
+    keypoints, confidence, pose = data.keypoints, data.confidence, data.pose
+    if data.joint_names != skeleton.joints or not _whole(data):  # a full-size data set is not copied for nothing
+        try:
+            keypoints, confidence, _ = build_joints(keypoints, confidence, data.joint_names, skeleton)
+            pose = None if pose is None else build_pose(pose, data.joint_names, skeleton)
+        except UserError as error:
+            raise UserError(f"{data.source}: {error}" if data.source else str(error)) from None
     root = data.root
-    if pose is not None:
+    if pose is not None and pose[:, skeleton.root_index].any():
         shift = pose[:, skeleton.root_index]
         root = None if root is None else (root + np.nan_to_num(shift)).astype(np.float32)
-        pose = (pose - shift[:, None]).astype(np.float32)
+        pose = pose - shift[:, None]
     return replace(
         data,
-        keypoints=keypoints.astype(np.float32),
-        confidence=confidence.astype(np.float32),
+        keypoints=keypoints.astype(np.float32, copy=False),
+        confidence=confidence.astype(np.float32, copy=False),
         joint_names=skeleton.joints,
-        pose=pose,
+        pose=None if pose is None else pose.astype(np.float32, copy=False),
         root=root,
     )
+
+
+def _whole(data: PoseData) -> bool:
+    """Return whether every keypoint is there."""
+    return bool((data.confidence > 0).all() and np.isfinite(data.keypoints).all())

@@ -10,6 +10,8 @@ from uplift.datasets import DataSet, WantedFile
 
 __all__ = ["how_to_get", "missing_file", "missing_files"]
 
+_MOST_NAMED = 6
+
 
 def missing_file(task: str, data: DataSettings, path: Path) -> str:
     """Return the message for a file that is not there."""
@@ -31,10 +33,16 @@ def how_to_get(settings: Settings, source: DataSet | None) -> str:
 def _named(settings: Settings, source: DataSet, missing: Sequence[WantedFile]) -> str:
     needed = f", which task '{settings.task}' needs" if settings.task else ""
     count = f"{len(missing)} file is" if len(missing) == 1 else f"{len(missing)} files are"
-    names = [file.path.name for file in missing]
+    shown = missing[:_MOST_NAMED]
+    names = [_within(file.path, source.folder) for file in shown]
     wide = max(map(len, names))
     lines = [f"{source.title or type(source).__name__}{needed}: {count} not in {source.folder}"]
-    return "\n".join([*lines, *(f"  {name:<{wide}}  {file.what}" for name, file in zip(names, missing, strict=True))])
+    lines += [f"  {name:<{wide}}  {file.what}" for name, file in zip(names, shown, strict=True)]
+    return "\n".join(lines + [f"  and {len(missing) - len(shown)} more"] * (len(missing) > len(shown)))
+
+
+def _within(path: Path, folder: Path) -> str:
+    return str(path.relative_to(folder)) if path.is_relative_to(folder) else str(path)
 
 
 def _get(data: DataSettings) -> list[str]:

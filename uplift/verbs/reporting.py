@@ -50,9 +50,9 @@ def given_lines(settings: Settings, loaded: Loaded) -> list[str]:
     """Return what the fit was given, a sentence each: the answer to "did it see 3D?"."""
     specs = {n: s for n, s in settings.priors.items() if float(s.get("weight", 1)) > 0}
     lines = ["Learned from 2D keypoints alone: no pose, root depth or camera tilt of the data was looked at."]
-    labelled = [data for data in (loaded.train, loaded.more) if data is not None and data.labelled is not None]
-    if labelled:
-        count, total = sum(int(data.labelled.sum()) for data in labelled), len(loaded.train) + len(loaded.more or ())
+    labels = [data.labelled for data in (loaded.train, loaded.more) if data is not None and data.labelled is not None]
+    if labels:
+        count, total = sum(int(which.sum()) for which in labels), len(loaded.train) + len(loaded.more or ())
         lines = [
             f"Learned from the true poses, root positions and camera tilts of {count:,} labelled frames of {total:,}; "
             "of the others from 2D keypoints alone."
