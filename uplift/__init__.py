@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from uplift.data.container import PoseData
+    from uplift.datasets.base import DataSet, WantedFile
     from uplift.errors import UserError
     from uplift.lift import Lift
     from uplift.model import Model, load
@@ -19,19 +20,21 @@ if TYPE_CHECKING:
     from uplift.verbs.simulate import simulate
 
 __all__ = [
-    "Lift", "Model", "PoseData", "Prior", "Skeleton", "UserError", "compare", "evaluate", "evaluate_poses", "fit",
+    "DataSet", "Lift", "Model", "PoseData", "Prior", "Skeleton", "UserError", "WantedFile", "compare", "evaluate", "evaluate_poses", "fit",
     "load", "load_skeleton", "predict", "simulate",
 ]  # fmt: skip
 __version__ = "0.1.0"
 
 # Loaded when first used: `import uplift` takes no torch, and `uplift --help` answers at once.
 _HOMES = {
+    "DataSet": "uplift.datasets.base",
     "Lift": "uplift.lift",
     "Model": "uplift.model",
     "PoseData": "uplift.data.container",
     "Prior": "uplift.priors.base",
     "Skeleton": "uplift.skeleton",
     "UserError": "uplift.errors",
+    "WantedFile": "uplift.datasets.base",
     "compare": "uplift.verbs.compare",
     "evaluate": "uplift.verbs.evaluate",
     "evaluate_poses": "uplift.verbs.evaluate",

@@ -9,17 +9,21 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
-from uplift.config import TeacherSettings, ViewSettings
+from uplift.config import StudentSettings, TeacherSettings, ViewSettings
 from uplift.data.tensors import Batch, TrainingSet
 from uplift.lift import Lift
 from uplift.lifter import Lifted, Lifter
 from uplift.priors.base import Prior
 from uplift.training.base import LifterTraining
+from uplift.training.pseudo import PseudoPoses
 from uplift.training.rows import Rows
+from uplift.training.shown import ViewMaker
 from uplift.training.watch import PriorWatch
 from uplift.views import random_rotations, views_about_gravity
 
 __all__ = ["AdversarialTraining", "draw_views", "make_lift"]
+
+_TILT_WEIGHT = 0.1
 
 
 class AdversarialTraining(LifterTraining):
@@ -41,8 +45,11 @@ class AdversarialTraining(LifterTraining):
         weights: Mapping[str, float],
         seed: int,
         labelled_share: float | None = None,
+        truth: PseudoPoses | None = None,
     ):
         super().__init__(lifter, data, settings, seed)
+        self.truth = truth
+        self.maker: ViewMaker | None = None
         self.labelled_share = labelled_share
         self.rows = Rows(data.labelled, labelled_share)
         self.views = views
@@ -65,6 +72,9 @@ class AdversarialTraining(LifterTraining):
         """Put the frames, and which of them are labelled, where the model is."""
         super().on_fit_start()
         self.rows = Rows(self.data.labelled, self.labelled_share)
+        if self.truth is not None and "labelled" in self.priors:
+            truth = self.truth.to(self.device)
+            self.maker = ViewMaker(truth, self.lifter.camera, StudentSettings(), count_root=self.views.count_root)
 
     def draw(self, count: int) -> Tensor:
         """Return ``count`` random frame numbers, of which the set share is labelled."""
@@ -87,8 +97,26 @@ class AdversarialTraining(LifterTraining):
             if own is not None:
                 total = total + own
                 logged[f"{name}_own"] = own.detach()
+        if self.maker is not None:
+            term = self._on_true_views(self.maker)
+            total = total + self.weights["labelled"] * term
+            logged["labelled_views"] = term.detach()
         self.last_lift = lift
         return total, logged
+
+    def _on_true_views(self, maker: ViewMaker) -> Tensor:
+        """Return the error of the lifter on true poses with limbs of one another, seen from everywhere.
+
+        Few labelled frames are seen from few sides; what is known of them is known from all.
+        """
+        with torch.no_grad():
+            views = maker(self.settings.batch_size)
+        lifted = self.lifter(views.given, views.shown, views.distance)
+        error = (lifted.pose[..., 2] - views.pose[..., 2]).abs()
+        loss = (error * views.sure).sum() / views.sure.sum().clamp_min(1)
+        if self.lifter.tilt == "predicted":
+            loss = loss + _TILT_WEIGHT * (lifted.tilt - views.tilt).abs().mean()
+        return loss
 
     def _batch(self) -> Batch:
         """Return a random batch, half of it mirrored."""

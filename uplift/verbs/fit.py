@@ -184,7 +184,15 @@ class _Stages:
             self.weights,
             settings.seed,
             settings.data.labelled.share,
+            self._truth(),
         )
+
+    def _truth(self) -> PseudoPoses | None:
+        """Return the labelled frames as poses to show from everywhere; None without any."""
+        labelled = self.data.labelled
+        if not bool(labelled.any()):
+            return None
+        return true_poses(self.data.part(labelled), self.first.camera, tilted=self.first.tilt != "level")
 
 
 def training_frames(loaded: Loaded, skeleton: Skeleton, settings: Settings) -> TrainingSet:
