@@ -11,10 +11,10 @@ import numpy as np
 
 from uplift.datasets.base import WantedFile
 from uplift.datasets.h36m.cameras import CAMERAS, Camera
-from uplift.datasets.h36m.names import ACTIONS, OF_32, SUBJECTS, is_corrupt, sequence_name
+from uplift.datasets.h36m.names import ACTIONS, OF_32, is_corrupt, sequence_name
 from uplift.errors import UserError
 
-__all__ = ["Clip", "Family", "in_order", "in_room", "points_of", "table_of"]
+__all__ = ["Clip", "Family", "in_order", "in_room", "playable", "points_of", "table_of"]
 
 
 @dataclass(frozen=True)
@@ -134,8 +134,3 @@ def in_order(
 def playable(subject: str, sequence: str) -> list[str]:
     """Return the cameras that saw a sequence, but for the corrupt video."""
     return [camera for camera in CAMERAS if not is_corrupt(subject, sequence, camera)]
-
-
-def subjects_of(split: str) -> tuple[str, ...]:
-    """Return the subjects of a split."""
-    return SUBJECTS[split]

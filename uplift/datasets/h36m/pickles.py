@@ -67,16 +67,16 @@ class Pickles(Family):
                 for camera_id, camera in stood.items():
                     if (subject, action, camera_id) == ("S11", "Directions", CAMERAS[0]):
                         continue
-                    look = None
-                    if looks is not None:
-                        at = f"{self.folder / self.files_of['sh']}, '{subject}'"
-                        views = table_of(table_of(looks, at, [sequence])[sequence], f"{at}, '{sequence}'", [camera_id])
-                        look = _look(views[camera_id], f"{at}, '{sequence}', '{camera_id}'")
-                    clips.append(
-                        Clip(subject, action, sequence, camera_id, camera, f"{where}, '{name}', camera {camera_id}",
-                             len(points), in_room(points, camera), look)
-                    )  # fmt: skip
+                    look = None if looks is None else self._look(looks, subject, sequence, camera_id)
+                    at = f"{where}, '{name}', camera {camera_id}"
+                    positions = in_room(points, camera)
+                    clips.append(Clip(subject, action, sequence, camera_id, camera, at, len(points), positions, look))
         return clips
+
+    def _look(self, looks: dict[str, Any], subject: str, sequence: str, camera_id: str):
+        where = f"{self.folder / self.files_of['sh']}, '{subject}'"
+        views = table_of(table_of(looks, where, [sequence])[sequence], f"{where}, '{sequence}'", [camera_id])
+        return _look(views[camera_id], f"{where}, '{sequence}', '{camera_id}'")
 
     def _by_sequence(self, looks: Any, subject: str) -> dict[str, Any]:
         where = f"{self.folder / self.files_of['sh']}, '{subject}'"

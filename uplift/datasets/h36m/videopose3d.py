@@ -10,7 +10,7 @@ import numpy as np
 from uplift.datasets.base import WantedFile
 from uplift.datasets.h36m.cameras import CAMERAS, published
 from uplift.datasets.h36m.clips import Clip, Family, in_order, in_room, points_of, table_of
-from uplift.datasets.h36m.names import LAYOUTS, SUBJECTS
+from uplift.datasets.h36m.names import SUBJECTS
 from uplift.errors import UserError
 from uplift.readers.pickled import load_object_npz
 
@@ -84,7 +84,7 @@ class VideoPose3D(Family):
             if views is not None and views[number] is None:
                 continue
             camera = published(subject, camera_id, swapped=self.keypoints == "gt")
-            look = None if views is None else _look(views[number], len(LAYOUTS[layout]), layout, where, camera_id)
+            look = None if views is None else _look(views[number], layout, where, camera_id)
             clips.append(
                 Clip(subject, action, sequence, camera_id, camera, f"{where}, camera {camera_id}",
                      len(points), in_room(points, camera, _MM), look, layout)
@@ -127,7 +127,7 @@ def _views(sequences: Any, name: str, where: str) -> list[Any]:
     return list(views)
 
 
-def _look(view: Any, joints: int, layout: str, where: str, camera_id: str):
+def _look(view: Any, layout: str, where: str, camera_id: str):
     count = 16 if layout.startswith("hourglass") else 17
     array = points_of(view, f"the 2D of {where}, camera {camera_id}", (count,), (2, 3))
     return lambda: array
