@@ -84,7 +84,11 @@ def test_no_setting_is_documented_that_is_not_there() -> None:
     known = set(setting_names())
     known |= {name.rpartition(".")[0] for name in known}
     known |= {f"data.{field.name}" for field in fields(TrainingSet)}  # what `prepare(data)` is given
-    ours = {name for name in spans if not name.startswith(("lifter.options.", "lifter.pt", "student.options.", "data.options."))}
+    ours = {
+        name
+        for name in spans
+        if not name.startswith(("lifter.options.", "lifter.pt", "student.options.", "data.options."))
+    }
     assert len(ours) > 50
     assert ours <= known
 

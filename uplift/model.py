@@ -94,7 +94,9 @@ class Model:
     settings: LifterSettings
 
     def __call__(self, keypoints: Any, confidence: Any = None) -> Any:
-        """Return poses (frames joints 3) in pixels of keypoints (frames joints 2) in pixels.
+        """Return poses (frames joints 3) of keypoints (frames joints 2) in pixels.
+
+        In pixels as well; in mm where labelled frames told how large bodies are.
 
         Joints in the order of ``self.skeleton.joints``; NaN or confidence 0 means missing. One frame
         (joints 2) gives one pose. Arrays give arrays, tensors give tensors. Camera frame: x right,

@@ -19,7 +19,8 @@ class Labelled(Prior):
 
     Errors are taken in the labels' own unit, mm where they have one, so that a body seen small counts
     as much as one seen large, and divided by what one unit of the model is on average, so that the
-    weight means the same for every skeleton. ``elevation`` is the weight of the camera's tilt, in
+    weight means the same for every skeleton. The mean runs over the whole batch, unlabelled frames
+    counting 0: a labelled frame has the same say among few and among many. ``elevation`` is the weight of the camera's tilt, in
     radians, where the labels tell it; 0 leaves it to the other priors.
     """
 
@@ -48,13 +49,13 @@ class Labelled(Prior):
         return distance, known
 
     def loss(self, lift: Lift) -> Tensor:
-        """Return the mean over the joints of the labelled frames in the batch, and their tilt's error."""
+        """Return each frame's mean over its labelled joints, and its tilt's error; 0 where it has no label."""
         distance, known = self.distances(lift)
-        loss = Lift.mean(distance, known.to(distance.dtype)) / self.usual_unit
+        weight = known.to(distance.dtype)
+        loss = (distance * weight).sum(1) / weight.sum(1).clamp_min(1) / self.usual_unit
         if self.elevation and lift.label_tilt is not None:
             told = lift.label_tilt.isfinite()
-            off = (lift.tilt - lift.label_tilt.nan_to_num()).abs()
-            loss = loss + self.elevation * Lift.mean(off, told.to(off.dtype))
+            loss = loss + self.elevation * (lift.tilt - lift.label_tilt.nan_to_num()).abs() * told
         return loss
 
     def metrics(self, lift: Lift) -> dict[str, float]:

@@ -98,7 +98,7 @@ class AdversarialTraining(LifterTraining):
                 total = total + own
                 logged[f"{name}_own"] = own.detach()
         if self.maker is not None:
-            term = self._on_true_views(self.maker)
+            term = self.rows.share * self._on_true_views(self.maker)
             total = total + self.weights["labelled"] * term
             logged["labelled_views"] = term.detach()
         self.last_lift = lift

@@ -8,26 +8,31 @@ from torch import Tensor
 
 __all__ = ["Rows"]
 
+_MOST_OFTEN = 25
+
 
 class Rows:
     """Draws frame numbers, ``share`` of them from the labelled frames.
 
-    All frames alike where ``share`` is None, or where all or none are labelled: then there is nothing
-    to balance.
+    A labelled frame comes at most 25 times as often as another: the few that there may be would be
+    learned by heart. All frames alike where ``share`` is None, or where all or none are labelled: then
+    there is nothing to balance. ``share`` is what came out of it.
     """
 
     def __init__(self, labelled: Bool[Tensor, " frames"], share: float | None):
         self.frames = len(labelled)
         self.device = labelled.device
-        self.share = share
         self.parts = (labelled.nonzero()[:, 0], (~labelled).nonzero()[:, 0])
+        natural = len(self.parts[0]) / max(1, len(labelled))
+        self.balanced = share is not None and 0 < natural < 1
+        self.share = min(share, _MOST_OFTEN * natural) if self.balanced and share is not None else natural
 
     def __call__(self, count: int) -> Int[Tensor, " count"]:
         """Return ``count`` random frame numbers, in random order."""
         labelled, rest = self.parts
-        if self.share is None or not len(labelled) or not len(rest):
+        if not self.balanced:
             return torch.randint(self.frames, (count,), device=self.device)
-        first = round(self.share * count)
+        first = max(1, round(self.share * count))
         drawn = [
             part[torch.randint(len(part), (size,), device=self.device)]
             for part, size in ((labelled, first), (rest, count - first))
