@@ -52,13 +52,30 @@ class Cell:
     fit: Fit
     minutes: float | None
     seed: int | None
+    steps: int | None = None
+    """In place of minutes: the same training on any machine, however crowded."""
 
     @property
     def path(self) -> Path:
         """Where the result is kept."""
-        if self.minutes is None:
+        if self.seed is None:
             return RESULTS / self.table / f"{self.fit.name}.json"
-        return RESULTS / self.table / f"{self.fit.name}_{self.minutes:g}min_seed{self.seed}.json"
+        return RESULTS / self.table / f"{self.fit.name}_{self.spent}_seed{self.seed}.json"
+
+    @property
+    def spent(self) -> str:
+        """How long it trains: minutes, or a number of steps."""
+        if self.seed is None:
+            return "-"
+        return f"{self.minutes:g}min" if self.steps is None else f"{self.steps}steps"
+
+    @property
+    def budget(self) -> list[str]:
+        """The words of `uplift fit` that say so."""
+        if self.steps is not None:  # one thread: the figures of fits side by side are then those of each alone
+            return ["trainer.max_time=null", f"trainer.max_steps={self.steps}", "trainer.threads=1"]
+        seconds = round(60 * (self.minutes or 0))
+        return [f"trainer.max_time={seconds // 3600:02d}:{seconds // 60 % 60:02d}:{seconds % 60:02d}"]
 
     def result(self) -> dict[str, Any] | None:
         """Return what was found, None where the cell has not run."""
@@ -107,9 +124,11 @@ def place(data: str) -> str:
 def cells_of(name: str, table: dict[str, Any], minutes: float | None = None) -> list[Cell]:
     """Return the cells of a table, at ``minutes`` in place of its own; a floor comes once."""
     cells = []
-    for spent in [minutes] if minutes else table["minutes"]:
+    by_steps = "steps" in table and not minutes
+    for spent in [minutes] if minutes else table["steps" if by_steps else "minutes"]:
         for seed in table["seeds"]:
             for key, entry in table["fits"].items():
                 fit = read_fit(key, entry, table)
-                cells.append(Cell(name, fit, None, None) if fit.floor else Cell(name, fit, spent, seed))
+                trained = Cell(name, fit, None, seed, spent) if by_steps else Cell(name, fit, spent, seed)
+                cells.append(Cell(name, fit, None, None) if fit.floor else trained)
     return list({cell.path: cell for cell in cells}.values())

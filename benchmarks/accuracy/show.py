@@ -26,7 +26,7 @@ class Sheet:
     rows: list[list[str]]
 
 
-Results = dict[tuple[str, float | None], list[dict[str, Any]]]
+Results = dict[tuple[str, str], list[dict[str, Any]]]
 """What the seeds of each fit, at each time, found."""
 
 
@@ -39,21 +39,25 @@ def sheets_of(name: str, table: dict[str, Any], cells: Sequence[Cell]) -> list[S
     found: Results = {}
     for cell in cells:
         result = cell.result()
-        found.setdefault((cell.fit.name, cell.minutes), []).extend([result] if result else [])
+        found.setdefault((cell.fit.name, cell.spent), []).extend([result] if result else [])
     protocol = table.get("ratio", "p_mpjpe")
-    rows = [row for key in found for row in _error_rows(key, found, cells, protocol)]
-    head = ["recipe", "minutes", "seeds", *SHOWN]
+    metric = any("mpjpe" in result["overall"] for results in found.values() for result in results)
+    shown = ("mpjpe",) * metric + SHOWN
+    rows = [row for key in found for row in _error_rows(key, found, cells, protocol, shown)]
+    head = ["recipe", "trained", "seeds", *shown]
     if any(cell.fit.reference for cell in cells):
         head.append(f"{protocol} ratio")
     sheets = [Sheet(name, head, [row[: len(head)] for row in rows]), _occlusion(name, found), _calibration(name, found)]
     return [sheet for sheet in sheets if sheet.rows]
 
 
-def _error_rows(key: tuple[str, float | None], found: Results, cells: Sequence[Cell], protocol: str) -> list[list[str]]:
+def _error_rows(
+    key: tuple[str, str], found: Results, cells: Sequence[Cell], protocol: str, shown: Sequence[str]
+) -> list[list[str]]:
     """Return the row of a fit and those of its further tests."""
-    (name, minutes), results = key, found[key]
+    (name, spent), results = key, found[key]
     fit = next(cell.fit for cell in cells if cell.fit.name == name)
-    against = found.get((fit.reference or "", minutes)) or found.get((fit.reference or "", None)) or []
+    against = found.get((fit.reference or "", spent)) or found.get((fit.reference or "", "-")) or []
     floor = _average([r["overall"].get(protocol) for r in against])
     overalls = {name: [r["overall"] for r in results]}
     for test in fit.tests:
@@ -62,15 +66,15 @@ def _error_rows(key: tuple[str, float | None], found: Results, cells: Sequence[C
     for label, overall in overalls.items():
         mine = _average([o.get(protocol) for o in overall])
         ratio = "-" if not floor or mine is None else f"{mine / floor:.3f}"
-        figures = [_mean([o.get(shown) for o in overall]) for shown in SHOWN]
-        rows.append([label, "-" if minutes is None else f"{minutes:g}", str(len(overall)), *figures, ratio])
+        figures = [_mean([o.get(name) for o in overall]) for name in shown]
+        rows.append([label, spent, str(len(overall)), *figures, ratio])
     return rows
 
 
 def _occlusion(name: str, found: Results) -> Sheet:
-    head = ["recipe", "minutes", "hidden", *(f"{error} {column}" for error in _OCCLUSION for column in _ENDINGS)]
+    head = ["recipe", "trained", "hidden", *(f"{error} {column}" for error in _OCCLUSION for column in _ENDINGS)]
     rows = []
-    for (fit, minutes), results in found.items():
+    for (fit, spent), results in found.items():
         tables = [r["occlusion"] for r in results if "occlusion" in r]
         for hidden in dict.fromkeys(key for table in tables for key in table):
             values = [
@@ -78,13 +82,13 @@ def _occlusion(name: str, found: Results) -> Sheet:
                 for error in _OCCLUSION
                 for ending in _ENDINGS.values()
             ]
-            rows.append([fit, f"{minutes:g}", hidden, *values])
+            rows.append([fit, spent, hidden, *values])
     return Sheet(f"{name}: joints that stay visible, and those that were hidden", head, rows)
 
 
 def _calibration(name: str, found: Results) -> Sheet:
     rows, shares = [], {}
-    for (fit, minutes), results in found.items():
+    for (fit, spent), results in found.items():
         curves = [r["calibration"] for r in results if r.get("calibration")]
         for group, ending in (("visible", ""), ("missing", "_missing")):
             some = [curve for curve in curves if group in curve]
@@ -92,8 +96,8 @@ def _calibration(name: str, found: Results) -> Sheet:
                 shares = some[0][group]
                 values = [_mean([curve[group][share] for curve in some]) for share in shares]
                 values += [_mean([c.get(f"{of}{ending}") for c in some]) for of in ("spread_error", "rank_correlation")]
-                rows.append([fit, f"{minutes:g}", group, *values])
-    head = ["recipe", "minutes", "joints", *shares, "spread_error", "rank_correlation"]
+                rows.append([fit, spent, group, *values])
+    head = ["recipe", "trained", "joints", *shares, "spread_error", "rank_correlation"]
     return Sheet(f"{name}: share of depth errors inside the interval of", head, rows)
 
 

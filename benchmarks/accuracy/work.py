@@ -58,7 +58,14 @@ def run_cell(cell: Cell, cores: set[int]) -> None:
     with tempfile.TemporaryDirectory() as folder:
         work = _Work(cell, Path(folder), cores)
         found = work.floor() if cell.fit.floor else work.fit()
-    kept = {"commands": work.commands, "seed": cell.seed, "minutes": cell.minutes, **facts(), **found}
+    kept = {
+        "commands": work.commands,
+        "seed": cell.seed,
+        "minutes": cell.minutes,
+        "steps": cell.steps,
+        **facts(),
+        **found,
+    }
     cell.path.parent.mkdir(parents=True, exist_ok=True)
     cell.path.write_text(json.dumps(kept, indent=1) + "\n")
 
@@ -83,7 +90,7 @@ class _Work:
     def fit(self) -> dict[str, Any]:
         """Train and evaluate; return what the cell's file holds beside the machine's facts."""
         cell, words = self.cell, shlex.split(self.cell.fit.command)
-        words += [f"trainer.max_time={_clock(cell.minutes or 0)}", f"seed={cell.seed}"]
+        words += [*cell.budget, f"seed={cell.seed}"]
         start = time.monotonic()
         self._run(words if cell.fit.python else ["-m", "uplift.cli", "fit", *words])
         wall = time.monotonic() - start
@@ -151,11 +158,6 @@ class _Work:
 
 def _quoted(word: str) -> str:
     return f'"{word}"' if re.search(r"[\s*()\[\]]", word) else word
-
-
-def _clock(minutes: float) -> str:
-    seconds = round(60 * minutes)
-    return f"{seconds // 3600:02d}:{seconds // 60 % 60:02d}:{seconds % 60:02d}"
 
 
 def _evaluation_of(run: Path) -> dict[str, Any]:
