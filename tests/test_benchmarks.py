@@ -234,7 +234,7 @@ def test_kept_results_are_shown() -> None:
     folder = cells.RESULTS / "peers"
     known = [json.loads((folder / f"{name}_4min_seed0.json").read_text()) for name in ("kudo2018_code", "cmu")]
     kudo, cmu = (result["overall"]["p_mpjpe"] for result in known)
-    row = next(row for row in sheet.rows if row[:2] == ["cmu", "4"])
+    row = next(row for row in sheet.rows if row[:2] == ["cmu", "4min"])
     assert row[2:4] == ["1", f"{cmu:.3f}"]
     assert row[-1] == f"{cmu / kudo:.3f}"
     assert len({len(line) for line in markdown(sheet).splitlines()[3:] for line in [line.split("|")]}) == 1
@@ -252,12 +252,12 @@ def test_seeds_are_averaged_with_their_spread(tmp_path: Path, monkeypatch: pytes
         cell.path.write_text(json.dumps({"overall": {"p_mpjpe": value}, **more}))
     errors, occlusion, calibration = sheets_of("t", {}, found)
     ours, other, theirs = errors.rows
-    assert ours[:4] == ["ours", "1", "2", "12.000 (10.000-14.000)"]
-    assert other[:4] == ["ours, on other", "1", "2", "24.000 (20.000-28.000)"]
+    assert ours[:4] == ["ours", "1min", "2", "12.000 (10.000-14.000)"]
+    assert other[:4] == ["ours, on other", "1min", "2", "24.000 (20.000-28.000)"]
     assert theirs[3] == "25.000 (20.000-30.000)"
     assert [row[-1] for row in errors.rows] == ["0.480", "0.960", "-"]
     assert occlusion.rows[0][2:6] == ["no_arm", "-", "12.000 (10.000-14.000)", "1.100 (1.100-1.100)"]
-    assert calibration.rows == [["ours", "1", "visible", "0.400 (0.400-0.400)", "0.100 (0.100-0.100)", "-"]]
+    assert calibration.rows == [["ours", "1min", "visible", "0.400 (0.400-0.400)", "0.100 (0.100-0.100)", "-"]]
     assert all(sheet.title in text(sheet) for sheet in (errors, occlusion, calibration))
 
 
@@ -326,7 +326,7 @@ def test_a_cell_from_the_fit_to_its_result(
     other.unlink()
     before = capsys.readouterr().out
     assert runner.main(["t", "--markdown"]) == 0  # kept: nothing is left to train on
-    assert "| own, on other | 0.1 | 1 |" in capsys.readouterr().out
+    assert "| own, on other | 0.1min | 1 |" in capsys.readouterr().out
     assert "own, on other" in before
 
 
