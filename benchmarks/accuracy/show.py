@@ -41,8 +41,7 @@ def sheets_of(name: str, table: dict[str, Any], cells: Sequence[Cell]) -> list[S
         result = cell.result()
         found.setdefault((cell.fit.name, cell.spent), []).extend([result] if result else [])
     protocol = table.get("ratio", "p_mpjpe")
-    metric = any("mpjpe" in result["overall"] for results in found.values() for result in results)
-    shown = ("mpjpe",) * metric + SHOWN
+    shown = SHOWN if protocol in SHOWN else (protocol, *SHOWN)
     rows = [row for key in found for row in _error_rows(key, found, cells, protocol, shown)]
     head = ["recipe", "trained", "seeds", *shown]
     if any(cell.fit.reference for cell in cells):
