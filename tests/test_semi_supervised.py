@@ -14,11 +14,14 @@ from test_data_labels import labelled_frames, seen_bodies
 import uplift
 from uplift.camera import build_camera
 from uplift.config import RefineSettings
+from uplift.data.load import load_data
 from uplift.priors.bones import Bones
 from uplift.priors.handedness import Handedness
 from uplift.priors.labelled import Labelled
+from uplift.task import load_settings
 from uplift.training.pseudo import lift_all, true_poses
 from uplift.training.rows import Rows
+from uplift.verbs.fit import _go_on, _Stages
 
 
 def fitted(folder: Path, *words: str, **changes) -> tuple[dict[str, torch.Tensor], str]:
@@ -178,3 +181,31 @@ def test_labels_have_the_last_word_on_handedness() -> None:
     assert float((told > 0).float().mean()) >= 0.5
     assert (float(prior.sign) == 1) == right
     assert prior.loss(lift).isfinite()
+
+
+def stages(tmp_path: Path, *words: str) -> _Stages:
+    """Return the stages of a quick fit, not trained."""
+    write_body(tmp_path / "a.npz")
+    settings = load_settings(None, ["skeleton=h36m17", f"data.train={tmp_path / 'a.npz'}", *QUICK, *words])
+    return _Stages(settings, H36M, load_data(settings, H36M), None)
+
+
+def test_labels_take_the_place_of_the_teachers_time(tmp_path: Path) -> None:
+    def steps(*words: str) -> list[int | None]:
+        return [budget.steps for budget in stages(tmp_path, "trainer.max_steps=1000", *words).budgets]
+
+    assert steps() == [400, 600]
+    assert steps("data.labelled.fraction=0.1") == [143, 857]  # three quarters of a batch: 0.4 * 0.25 against 0.6
+    assert steps("data.labelled.fraction=0.1", "data.labelled.share=null") == [375, 625]
+    assert steps("data.labelled.fraction=1")[1] == 1000
+
+
+def test_a_warm_round_starts_where_the_last_one_ended() -> None:
+    last, fresh = small_lifter(seed=1), small_lifter(seed=2)
+    assert not same(dict(last.state_dict()), dict(fresh.state_dict()))
+    _go_on(fresh, last)
+    assert same(dict(last.state_dict()), dict(fresh.state_dict()))
+    wider = small_lifter(seed=3, spread=True)
+    before = {key: value.clone() for key, value in wider.state_dict().items()}
+    _go_on(wider, last)
+    assert same(before, dict(wider.state_dict()))

@@ -38,7 +38,7 @@ class LabelledSettings(ChoiceSettings):
 
     file: Optional[str] = None  # of other frames with poses: FILE, or SET:SPLIT of a published set
     only: bool = False  # leave all other frames out: supervised training
-    share: Optional[float] = 0.25  # of every batch; unset: as many as there are among the frames
+    share: Optional[float] = 0.75  # most of a batch that is labelled; unset: as many as there are among the frames
 
 
 @dataclass
@@ -140,6 +140,7 @@ class StudentSettings(StageSettings):
     network: Optional[str] = None  # the student's, where it is not lifter.network
     options: dict[str, Any] = field(default_factory=dict)  # of that network, over lifter.options
     last_options: dict[str, Any] = field(default_factory=dict)  # over these, in the last round
+    warm: bool = False  # a round goes on with the last round's weights where its network is the same
     occlude: float = 0.0  # share of views in which joints are hidden: some of them, or a whole limb
     noise: bool = True  # add to the views what refinement found wrong in the keypoints
     refine: RefineSettings = field(default_factory=RefineSettings)

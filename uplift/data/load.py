@@ -76,6 +76,8 @@ def load_data(settings: Settings, skeleton: Skeleton) -> Loaded:
     train, more = with_labels(settings, train, skeleton)
     notes: list[str] = []
     train = _cleaned("train", train, skeleton, notes)
+    if train.labelled is not None:
+        notes.append(f"labelled: {int(train.labelled.sum()):,} of these frames, in 3D")
     more = None if more is None else _cleaned("labelled", more, skeleton, notes)
     test = None if test is None else _cleaned("test", test, skeleton, notes)
     return Loaded(train, test, notes, more)

@@ -28,6 +28,7 @@ from uplift.training.adversarial import AdversarialTraining
 from uplift.training.base import LifterTraining
 from uplift.training.budget import Interrupted
 from uplift.training.pseudo import PseudoPoses, lift_all, true_poses
+from uplift.training.rows import Rows
 from uplift.training.stages import run_stage, stage_budgets
 from uplift.training.student import StudentTraining
 from uplift.training.watch import blame
@@ -106,7 +107,9 @@ class _Stages:
         self.rounds = settings.student.rounds if settings.student.share > 0 else []
         if self.supervised:  # nothing to lift: one student has all the time
             self.rounds = [1.0]
-        first = 0.0 if self.supervised else settings.teacher.share
+        # Labels take the place of the teacher: what they say of a batch, it need not find out.
+        labelled = Rows(self.data.labelled, settings.data.labelled.share).share if self.data.labels is not None else 0.0
+        first = settings.teacher.share * (1 - labelled)
         shares = [first, *((settings.student.share or 1.0) * r / sum(self.rounds) for r in self.rounds)]
         self.budgets = stage_budgets(settings.trainer, shares, len(self.data), settings.teacher.batch_size)
         self.spent: dict[str, float] = {}
@@ -139,8 +142,11 @@ class _Stages:
                 settings, noisy=poses.noise is not None and settings.student.noise, last=number == len(self.rounds)
             )
             torch.manual_seed(settings.seed + number)
+            fresh = self._lifter(chosen)
+            if settings.student.warm and number > 1:
+                _go_on(fresh, lifter)
             student = StudentTraining(
-                self._lifter(chosen),
+                fresh,
                 poses,
                 settings.student,
                 settings.views,
@@ -201,6 +207,13 @@ def training_frames(loaded: Loaded, skeleton: Skeleton, settings: Settings) -> T
     if loaded.more is None:
         return frames
     return joined(frames, with_labels(frames_of(loaded.more, skeleton, settings.lifter), loaded.more))
+
+
+def _go_on(fresh: Lifter, last: Lifter) -> None:
+    """Give a new round's lifter the weights of the last round's, where the networks are alike."""
+    shapes = [[(key, value.shape) for key, value in lifter.state_dict().items()] for lifter in (fresh, last)]
+    if shapes[0] == shapes[1]:
+        fresh.load_state_dict(last.state_dict())
 
 
 def _useful(priors: dict[str, Any], data: TrainingSet) -> dict[str, Any]:
