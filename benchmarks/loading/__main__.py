@@ -96,6 +96,7 @@ def sheet_of(found: dict[str, Any]) -> Sheet:
     first, second, trained = found["first"], found["from_cache"], found["training"]
     rows = [
         ["load, s", f"{first['load_s']:.1f}", f"{second['load_s']:.1f}"],
+        ["of it the processor, s", f"{first['load_cpu_s']:.1f}", f"{second['load_cpu_s']:.1f}"],
         ["peak memory of loading, GB", f"{first['load_peak_gb']:.2f}", f"{second['load_peak_gb']:.2f}"],
         ["its arrays, GB", f"{first['arrays_gb']:.2f}", f"{second['arrays_gb']:.2f}"],
         ["training set, s", f"{first['training_set_s']:.1f}", f"{second['training_set_s']:.1f}"],

@@ -131,11 +131,11 @@ def _activities(groups: Sequence[Sequence[Mapping[str, Any]]]) -> list[Sheet]:
         first, overall = group[0], [result["overall"] for result in group]
         trained = [result.get("train", {}).get("overall", {}).get("pck_z@150") for result in group]
         shares = [_mean(_percent([of.get(name) for of in overall]), "{:.1f}") for name in ("pck_z@150", *_SHARES)]
-        rows.append([_name(first | {"fps": None}).strip(), first["uses"], _seeds(group),
+        rows.append([_name({**first, "fps": None}).strip(), first["uses"], _seeds(group),
                      _mean(_percent(trained), "{:.1f}"), *shares, _range(_percent([of.get("pck@150") for of in overall]))])  # fmt: skip
         for protocol in ("pck@150", "auc"):
             cells = [_mean(_percent([_of_action(r, a, protocol) for r in group]), "{:.1f}") for a in _ACTIVITIES]
-            detail.append([_name(first | {"fps": None}).strip(), protocol, *cells,
+            detail.append([_name({**first, "fps": None}).strip(), protocol, *cells,
                            _mean(_percent([of.get(protocol) for of in overall]), "{:.1f}")])  # fmt: skip
     title = TABLES["3dhp"].title
     return [
