@@ -11,11 +11,13 @@ import numpy as np
 import pytest
 from bodies import QUICK
 
+import uplift
 from benchmarks.paper_tables import __main__ as tables
 from benchmarks.paper_tables import recipes, show
 from benchmarks.paper_tables.published import COLUMNS, PUBLISHED
 from benchmarks.paper_tables.recipes import TABLES, Recipe, place_of, uses_of
 from uplift.task import load_settings
+from uplift.training.budget import Interrupted
 
 KUDO = ("lifter.options.units=16", "priors.critic.units=16", "trainer.max_epochs=null", "trainer.max_steps=10",
         "trainer.threads=1")  # fmt: skip
@@ -65,11 +67,11 @@ def test_published_rows_are_whole(table):
 
 
 def test_table_1_end_to_end(place, capsys):
-    assert tables.main(["table1", "task=h36m", *QUICK, "--seeds", "0", "1", "--markdown"]) == 0
+    assert tables.main(["table1", "task=h36m", *QUICK, "--seeds", "0,1", "--markdown"]) == 0
     printed = capsys.readouterr().out
     head = rows_of(printed)[0]
     assert head[4:20] == [*COLUMNS, "Avg"]
-    assert ["Kudo et al. 2018", "GT", "2D", "-", "125.0"] == next(r for r in rows_of(printed) if r[0][:4] == "Kudo")[:5]
+    assert next(r for r in rows_of(printed) if r[0][:4] == "Kudo")[:5] == ["Kudo et al. 2018", "GT", "2D", "-", "125.0"]
     [row, more] = ours(printed, "h36m, 10steps")
     assert row[1:4] == ["GT", "2D, lenses", "0,1"]
     files = sorted((place / "results" / "table1").glob("*.json"))
@@ -84,7 +86,7 @@ def test_table_1_end_to_end(place, capsys):
     assert float(row[19]) == pytest.approx(np.mean([float(cell) for cell in row[4:19]]), abs=0.1)
     runs = sorted(Path("runs/h36m").glob("2*"))
 
-    assert tables.main(["table1", "task=h36m", *QUICK, "--seeds", "0", "1"]) == 0  # nothing is fitted twice
+    assert tables.main(["table1", "task=h36m", *QUICK, "--seeds", "0,1"]) == 0  # nothing is fitted twice
     assert "kept" in capsys.readouterr().out and sorted(Path("runs/h36m").glob("2*")) == runs
     assert tables.main([f"run={runs[0]}", f"run={runs[1]}", "--markdown"]) == 0  # and a run is its own fit
     assert ours(capsys.readouterr().out, "h36m, 10steps") == [row, more]
@@ -113,6 +115,24 @@ def test_labels_are_told(place, capsys):
     assert sections.index("w/ 3D dataset") < sections.index(row.strip()) < sections.index("w/o 3D dataset")
 
 
+def test_a_table_without_data_does_not_stop_the_others(place, data, capsys):
+    words = ["data.root=" + str(data / "h36m"), "task=kudo2018_code", *KUDO, "--seeds", "3", "--markdown"]
+    assert tables.main(["table1", *words]) == 0  # kept from before: another folder is the same fit
+    assert tables.main(["3dhp", *[word for word in words if word[:4] != "task"], *QUICK]) == 2
+    told = capsys.readouterr()
+    assert "kept kudo2018_code" in told.out and "no 3dhp" in told.err
+
+
+def test_an_interrupted_table_says_so(monkeypatch, capsys):
+    def stop(*_):
+        raise Interrupted(Path("runs/h36m/now"))
+
+    monkeypatch.setattr(tables, "_missing", lambda _: {})
+    monkeypatch.setattr(uplift, "fit", stop)
+    assert tables.main(["table1"]) == 130
+    assert "goes on" in capsys.readouterr().err
+
+
 def test_the_3dhp_figure(place, capsys):
     assert tables.main(["3dhp", *QUICK, "--seeds", "0", "--markdown"]) == 0
     printed = capsys.readouterr().out
@@ -137,6 +157,9 @@ def test_without_data_it_says_what_is_missing(tmp_path, monkeypatch, capsys):
         assert tables.main([word]) == 2
         told = capsys.readouterr()
         assert missing in told.err and "UPLIFT_DATA=FOLDER" in told.err and len(told.err.splitlines()) < 20
+    assert tables.main([]) == 2  # one whole message, a line for each other table
+    told = capsys.readouterr().err
+    assert told.count("UPLIFT_DATA=FOLDER") == 1 and "no table1: Human3.6M" in told and "no 3dhp: MPI" in told
     assert not (tmp_path / "runs").exists()
     assert tables.main(["--print"]) == 0  # the published rows need none
     assert "130.9" in capsys.readouterr().out

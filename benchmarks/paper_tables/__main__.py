@@ -21,7 +21,8 @@ __all__ = ["main"]
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Fit or take what was asked for and print the tables; 2 where data is missing or a word is wrong."""
-    given = _parser().parse_args(arguments)
+    given = _parser().parse_intermixed_args(arguments)
+    missing: dict[str, UserError] = {}
     try:
         chosen = _chosen(given.words)
         if given.print:
@@ -29,7 +30,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         elif chosen.runs:
             shown = _taken(chosen)
         else:
-            shown = _fitted(chosen, given.seeds)
+            recipes = _recipes(chosen, given.seeds)
+            missing = _missing(recipes)
+            shown = _fitted([recipe for recipe in recipes if recipe.table not in missing])
         show = markdown if given.markdown else text
         for table, places in shown.items():
             results = [read_result(place) for place in dict.fromkeys(places)]
@@ -38,7 +41,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except UserError as error:
         print(f"paper_tables: {error}", file=sys.stderr)
         return 2
-    return 0
+    except KeyboardInterrupt:
+        print("\npaper_tables: interrupted; the same command goes on with the next fit", file=sys.stderr)
+        return 130
+    for number, (table, error) in enumerate(missing.items()):  # one whole message, of the others what is not there
+        told = str(error) if not number else str(error).splitlines()[0]
+        print(f"paper_tables: no {table}: {told}", file=sys.stderr)
+    return 2 if missing else 0
 
 
 class _Words:
@@ -80,20 +89,36 @@ def _taken(chosen: _Words) -> dict[str, list[Path]]:
     return shown
 
 
-def _fitted(chosen: _Words, seeds: Sequence[int]) -> dict[str, list[Path]]:
-    recipes = [
+def _recipes(chosen: _Words, seeds: Sequence[int]) -> list[Recipe]:
+    return [
         Recipe.of(table, task, chosen.more, seed)
         for table in chosen.tables or TABLES
         for seed in seeds
         for task in chosen.tasks or TABLES[table].tasks
     ]
-    for recipe in recipes:  # before anything is trained
-        if not place_of(recipe.table, recipe.settings()).is_file():
-            need_data(recipe)
+
+
+def _missing(recipes: Sequence[Recipe]) -> dict[str, UserError]:
+    """Return the tables whose data is not there, and what is missing; before anything is trained."""
+    found: dict[str, UserError] = {}
+    for recipe in recipes:
+        if recipe.table not in found and not place_of(recipe.table, recipe.settings()).is_file():
+            try:
+                need_data(recipe)
+            except UserError as error:
+                found[recipe.table] = error
+    return found
+
+
+def _fitted(recipes: Sequence[Recipe]) -> dict[str, list[Path]]:
     shown: dict[str, list[Path]] = {}
     for recipe in recipes:
         shown.setdefault(recipe.table, []).append(fit_recipe(recipe))
     return shown
+
+
+def _seeds(text: str) -> list[int]:
+    return [int(part) for part in text.split(",")]
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -103,7 +128,7 @@ def _parser() -> argparse.ArgumentParser:
         help=f"{', '.join(TABLES)} (all without a name); task=NAME to fit in place of the table's own; run=RUN, fitted "
         "already; settings of the fits, such as data.root=FOLDER or trainer.max_time=00:30:00",
     )  # fmt: skip
-    parser.add_argument("--seeds", nargs="+", type=int, default=[0, 1, 2], help="0 1 2 without it")
+    parser.add_argument("--seeds", type=_seeds, default=[0, 1, 2], metavar="N,N,...", help="0,1,2 without it")
     parser.add_argument("--print", action="store_true", help="print all that is kept and run nothing")
     parser.add_argument("--markdown", action="store_true", help="print tables for a document")
     return parser

@@ -28,7 +28,7 @@ _NOTES = {
         "mm, mean over the joints, the cameras and the frames of an action; Avg is the mean of the 15 actions.",
         "Ours and Kudo et al.: mpjpe_gt_scale, each pose brought to the truth's size on the image plane, without any "
         "alignment. The other published rows have a size of their own (learned from 3D): they compare with 'mpjpe'.",
-        "Test S9, S11; training S1, S5, S6, S7, S8; 17 joints. Kudo et al. took 10 frames/s, others mostly 50.",
+        "Test S9, S11; training S1, S5, S6, S7, S8; 17 joints. Ours at 10 frames/s, as the authors' code has it; others mostly 50.",
         *_COMMON,
     ),
     "mpi_inf_3dhp": (

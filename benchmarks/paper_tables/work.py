@@ -35,15 +35,23 @@ def need_data(recipe: Recipe) -> None:
 
 
 def fit_recipe(recipe: Recipe) -> Path:
-    """Fit the recipe into ./runs unless its result is kept, and return the file of the result."""
+    """Fit the recipe into ./runs unless its result is kept, and return the file of the result.
+
+    Raises:
+        KeyboardInterrupt: Ctrl-C in the middle of training, too.
+    """
     import uplift
+    from uplift.training.budget import Interrupted
 
     place = place_of(recipe.table, recipe.settings())
     if place.is_file():
         print(f"kept {place.name}", flush=True)
         return place
     print(f"run {recipe.command}", flush=True)
-    run = uplift.fit(recipe.task, *recipe.words, f"seed={recipe.seed}")
+    try:
+        run = uplift.fit(recipe.task, *recipe.words, f"seed={recipe.seed}")
+    except Interrupted:
+        raise KeyboardInterrupt from None
     return _keep(run, recipe.table, recipe.command)
 
 
