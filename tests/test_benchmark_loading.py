@@ -13,7 +13,8 @@ from benchmarks.h36m_files import write_full_size
 from benchmarks.loading import __main__ as loading
 from benchmarks.loading import training
 from benchmarks.loading.measure import settings_of
-from uplift.data.load import load_data
+from uplift.data.clean import clean
+from uplift.data.load import load_data, load_split
 from uplift.skeleton import load_skeleton
 
 
@@ -101,3 +102,25 @@ def test_steps_draw_other_rows_each_time(full, monkeypatch, tmp_path):
     training._run_of(module)(2)
     assert not torch.equal(drawn[0], drawn[-1])
     assert any(not torch.equal(a, b) for a, b in zip(before, module.lifter.parameters(), strict=True))
+
+
+def test_what_is_done_in_blocks_is_done_alike(full, monkeypatch, tmp_path):
+    monkeypatch.setenv("UPLIFT_CACHE", str(tmp_path))
+    settings, skeleton = settings_of(full), load_skeleton("h36m17")
+    for _ in range(2):  # what is changed in memory stays out of the cache
+        loaded = load_split(settings, "test", skeleton)
+        first = loaded.keypoints[0].copy()
+        assert first.any()
+        loaded.keypoints[0] = 0
+    data = loaded.select(np.arange(5000) % len(loaded))
+    rng = np.random.default_rng(0)
+    data.keypoints[rng.random(data.confidence.shape) < 0.2] = np.nan
+    data.confidence[-3:] = 0
+    whole, report = clean(data, skeleton, drop=False)
+    parts = [clean(data.select(rows), skeleton, drop=False) for rows in np.array_split(np.arange(5000), 3)]
+    assert np.array_equal(whole.keypoints, np.concatenate([part.keypoints for part, _ in parts]))
+    assert np.array_equal(whole.confidence, np.concatenate([part.confidence for part, _ in parts]))
+    assert report.missing_joints == sum(of.missing_joints for _, of in parts) > 0
+    assert report.too_few == sum(of.too_few for _, of in parts) >= 3
+    order = rng.permutation(5000)  # lenses in runs, and mixed
+    assert np.array_equal(whole.select(order).straightened().keypoints, whole.straightened().keypoints[order])
