@@ -46,14 +46,15 @@ class Lens:
 
     def rays(self, keypoints: Float[np.ndarray, "*shape 2"]) -> Float[np.ndarray, "*shape 2"]:
         """Return x/z and y/z of what is seen at ``keypoints`` (pixels), the distortion undone."""
-        seen = (keypoints - np.asarray(self.centre_px, keypoints.dtype)) / np.asarray(self.focal_px, keypoints.dtype)
-        if not self.bends:
-            return seen
-        rays = np.empty_like(seen)
-        flat, straight = seen.reshape(-1, 2), rays.reshape(-1, 2)
+        rays = np.empty_like(keypoints)
+        flat, straight = keypoints.reshape(-1, 2), rays.reshape(-1, 2)
+        focal, centre = np.asarray(self.focal_px, rays.dtype), np.asarray(self.centre_px, rays.dtype)
         for start in range(0, len(flat), _BLOCK):
             rows = slice(start, start + _BLOCK)
-            straight[rows, 0], straight[rows, 1] = self._straight(flat[rows, 0].copy(), flat[rows, 1].copy())
+            x, y = (flat[rows, axis] - centre[axis] for axis in (0, 1))
+            x /= focal[0]
+            y /= focal[1]
+            straight[rows, 0], straight[rows, 1] = self._straight(x, y) if self.bends else (x, y)
         return rays
 
     def _straight(self, seen_x: np.ndarray, seen_y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

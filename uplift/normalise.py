@@ -64,10 +64,10 @@ def normalise(
 
 def _look_at_root(keypoints: Tensor, root: int, intrinsics: Intrinsics) -> tuple[Tensor, Tensor]:
     """Return the keypoints as a camera turned to the root sees them, in pixels, and its rotation."""
-    centre = keypoints.new_tensor(intrinsics.centre_px)
-    rays = torch.cat([(keypoints - centre) / intrinsics.focal_px, torch.ones_like(keypoints[..., :1])], -1)
-    rotation = least_rotation(rays[:, root], keypoints.new_tensor([0.0, 0.0, 1.0]))
-    turned = rays @ rotation.mT
+    rays = (keypoints - keypoints.new_tensor(intrinsics.centre_px)) / intrinsics.focal_px
+    ahead = torch.cat([rays[:, root], torch.ones_like(rays[:, root, :1])], -1)
+    rotation = least_rotation(ahead, keypoints.new_tensor([0.0, 0.0, 1.0]))
+    turned = torch.baddbmm(rotation[:, None, :, 2], rays, rotation[..., :2].mT)  # of x, y, 1
     return turned[..., :2] / turned[..., 2:].clamp_min(0.05) * intrinsics.focal_px, rotation
 
 

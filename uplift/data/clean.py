@@ -14,6 +14,7 @@ from uplift.skeleton import Skeleton
 __all__ = ["MIN_VISIBLE", "CleanReport", "clean", "joint_neighbours"]
 
 MIN_VISIBLE = 3
+_BLOCK = 4096
 
 
 @dataclass(frozen=True)
@@ -60,20 +61,12 @@ def clean(data: PoseData, skeleton: Skeleton, *, drop: bool = True) -> tuple[Pos
     where = f"{data.source}: " if data.source else ""
     if len(data) == 0:
         raise UserError(f"{where}no frames in the file.")
-    confidence = np.fmin(np.fmax(data.confidence, 0), 1).astype(np.float32)  # NaN is 0
-    finite = np.abs(data.keypoints) < 1e7  # which NaN is not, either
-    visible = finite[..., 0] & finite[..., 1] & (confidence > 0)
-    if not visible.any():
+    keypoints, confidence, seen, extent, largest = _examine(data.keypoints, data.confidence)
+    if not seen.any():
         raise UserError(
             f"{where}no keypoint in {len(data):,} frames is visible: all are NaN, infinite or of confidence 0."
         )
-    keypoints = data.keypoints.astype(np.float32)
-    if not visible.all():
-        keypoints[~visible] = 0
-        confidence[~visible] = 0
-    seen = _count(visible)
     too_few = seen < MIN_VISIBLE
-    extent, largest = _extent(keypoints, visible)
     all_equal = ~too_few & (extent <= 1e-6 * (1 + largest))
     bad = too_few | all_equal
     if bad.all():
@@ -91,32 +84,43 @@ def clean(data: PoseData, skeleton: Skeleton, *, drop: bool = True) -> tuple[Pos
         frames=len(bad),
         too_few=int(too_few.sum()),
         all_equal=int(all_equal.sum()),
-        missing_joints=int((visible.shape[1] - seen[~bad]).sum()),
+        missing_joints=int((keypoints.shape[1] - seen[~bad]).sum()),
         roots_filled=int(filled[~bad].sum()),
     )
     return data, report
 
 
-def _count(visible: np.ndarray) -> np.ndarray:
-    """Return (frames,) how many joints are visible: joint by joint, as NumPy is slow over a short last axis."""
-    count = np.zeros(len(visible), np.int64)
-    for joint in range(visible.shape[1]):
-        count += visible[:, joint]
-    return count
+def _examine(
+    keypoints: np.ndarray, confidence: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Return both with what is missing as 0, and (frames,) how many joints are visible, the larger side of the box
+    around them, px, and its farthest coordinate.
 
-
-def _extent(keypoints: np.ndarray, visible: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return (frames,) the larger side, px, of the box around each frame's visible joints, and its farthest coordinate."""
-    low = np.full((len(keypoints), 2), np.inf, np.float32)
-    high = -low
-    for joint in range(keypoints.shape[1]):
-        seen = True if visible[:, joint].all() else visible[:, joint, None]
-        np.minimum(low, keypoints[:, joint], out=low, where=seen)
-        np.maximum(high, keypoints[:, joint], out=high, where=seen)
-    some = high[:, 0] >= low[:, 0]
-    low[~some] = high[~some] = 0
-    side, largest = high - low, np.maximum(np.abs(low), np.abs(high))
-    return np.maximum(side[:, 0], side[:, 1]), np.maximum(largest[:, 0], largest[:, 1])
+    Block by block, with the frames last: NumPy is slow over a short last axis and over what the caches do not hold.
+    """
+    frames = len(keypoints)
+    points, sure = np.empty(keypoints.shape, np.float32), np.empty(confidence.shape, np.float32)
+    seen = np.empty(frames, np.int64)
+    extent, largest = np.empty(frames, np.float32), np.empty(frames, np.float32)
+    for start in range(0, frames, _BLOCK):
+        rows = slice(start, start + _BLOCK)
+        trust = np.fmin(np.fmax(np.ascontiguousarray(confidence[rows].T), 0), 1)  # NaN is 0
+        place = np.ascontiguousarray(keypoints[rows].transpose(1, 2, 0), np.float32)
+        finite = np.abs(place) < 1e7  # which NaN is not, either
+        visible = finite[:, 0] & finite[:, 1] & (trust > 0)
+        seen[rows] = visible.sum(0)
+        points[rows], sure[rows] = keypoints[rows], trust.T
+        low, high = place, place
+        if not visible.all():
+            points[rows][~visible.T] = 0
+            sure[rows][~visible.T] = 0
+            low, high = (np.where(visible[:, None], place, far) for far in (np.float32(np.inf), np.float32(-np.inf)))
+        low, high = low.min(0), high.max(0)
+        none = seen[rows] == 0
+        low[:, none] = high[:, none] = 0
+        extent[rows] = (high - low).max(0)
+        largest[rows] = np.maximum(np.abs(low), np.abs(high)).max(0)
+    return points, sure, seen, extent, largest
 
 
 def joint_neighbours(skeleton: Skeleton) -> list[Sequence[int]]:

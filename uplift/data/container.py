@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, field, fields, replace
 
 import numpy as np
@@ -19,6 +20,15 @@ def codes_of(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     starts = np.flatnonzero(np.concatenate([[True], values[1:] != values[:-1]])) if len(values) else np.zeros(0, int)
     names, code = np.unique(values[starts], return_inverse=True)
     return names, np.repeat(code, np.diff(np.append(starts, len(values))))
+
+
+def _runs_of(codes: np.ndarray) -> Iterator[tuple[int, slice | np.ndarray]]:
+    """Yield each code with its rows: as slices where equal codes stand together, which copy nothing."""
+    starts = np.flatnonzero(np.diff(codes, prepend=codes[:1] - 1))
+    if 16 * len(starts) > len(codes):
+        yield from ((int(code), np.flatnonzero(codes == code)) for code in np.unique(codes))
+        return
+    yield from ((int(codes[a]), slice(a, b)) for a, b in zip(starts, np.append(starts[1:], len(codes)), strict=True))
 
 
 @dataclass
@@ -112,9 +122,9 @@ class PoseData:
         focal_px = float(np.mean([lens.focal_px for lens in self.lenses]))
         size = self.lenses[0].image_size or (1000, 1000)
         straight = np.empty_like(self.keypoints)
-        for place, lens in enumerate(self.lenses):
-            rows = self.lens == place
-            straight[rows] = lens.rays(self.keypoints[rows]) * np.float32(focal_px) + np.array(size, np.float32) / 2
+        middle = np.array(size, np.float32) / 2
+        for place, rows in _runs_of(self.lens):
+            straight[rows] = self.lenses[place].rays(self.keypoints[rows]) * np.float32(focal_px) + middle
         seen = self.confidence > 0
         if self.root_filled is not None and self.root_filled.any():  # what stands in for a root is measured from, too
             seen = seen | (self.root_filled[:, None] & (self.keypoints != 0).any(-1))

@@ -133,12 +133,12 @@ def _save_runs(folder: Path, key: str, values: np.ndarray) -> None:
 
 def _load(place: Path) -> PoseData:
     facts = json.loads((place / "facts.json").read_text())
-    arrays = {name: np.load(place / f"{name}.npy") for name in _ARRAYS if (place / f"{name}.npy").is_file()}
+    arrays = {name: _mapped(place / f"{name}.npy") for name in _ARRAYS if (place / f"{name}.npy").is_file()}
     identity = {}
     for key in facts["identity"]:
         plain = place / f"identity_{key}.npy"
         if plain.is_file():
-            identity[key] = np.load(plain)
+            identity[key] = _mapped(plain)
             continue
         with np.load(place / f"identity_{key}.npz") as runs:
             identity[key] = np.repeat(runs["names"][runs["code"]], runs["count"])
@@ -153,6 +153,11 @@ def _load(place: Path) -> PoseData:
         source=facts["source"],
         lenses=tuple(_lens(lens) for lens in facts["lenses"]),
     )
+
+
+def _mapped(path: Path) -> np.ndarray:
+    """Return an array that is read as it is used, and whose changes stay in memory."""
+    return np.asarray(np.load(path, mmap_mode="c"))
 
 
 def _lens(facts: dict[str, Any]) -> Lens:

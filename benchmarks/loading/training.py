@@ -1,0 +1,111 @@
+"""Steps a second of the default recipe on the whole set and on 20,000 frames of it, in turns in one process."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+
+from benchmarks.loading.measure import settings_of
+from uplift.config import Settings
+from uplift.data.load import load_data
+from uplift.data.tensors import TrainingSet
+from uplift.model import build_lifter
+from uplift.priors import build_priors
+from uplift.skeleton import load_skeleton
+from uplift.training.adversarial import AdversarialTraining
+from uplift.training.base import LifterTraining
+from uplift.training.pseudo import PseudoPoses, lift_all
+from uplift.training.student import StudentTraining
+from uplift.verbs.fit import student_settings, training_frames
+
+__all__ = ["SMALL", "train"]
+
+SMALL = 20_000
+"""Frames of the small set: its arrays are still larger than the processor's caches."""
+_WARM_UP, _STEPS, _TURNS = 16, 32, 8  # a student makes 16 batches at once
+
+
+def train(folder: str | Path) -> dict[str, Any]:
+    """Return for teacher and student the steps a second on each set, one thread, and the median ratio of the turns."""
+    torch.set_num_threads(1)
+    settings = settings_of(folder, "priors.flow.steps=20")
+    skeleton = load_skeleton(settings.skeleton)
+    loaded = load_data(settings, skeleton)
+    whole = training_frames(loaded, skeleton, settings)
+    small = whole.part(torch.arange(min(SMALL, len(whole))))
+    found: dict[str, Any] = {"threads": 1, "frames": len(whole), "small_frames": len(small)}
+    found["teacher"] = _compare(_teacher(settings, whole), _teacher(settings, small))
+    poses = [_poses(settings, frames) for frames in (whole, small)]
+    found["student"] = {
+        **_compare(*(_student(settings, of) for of in poses)),
+        "frames": len(poses[0]),
+    }
+    return found
+
+
+def _compare(large: LifterTraining, small: LifterTraining) -> dict[str, float]:
+    """Return the speed on both sets; they take turns, so that what else the machine does slows both alike."""
+    runs = [_run_of(large), _run_of(small)]
+    for run in runs:
+        run(_WARM_UP)
+    seconds = np.empty((_TURNS, 2))
+    for turn in range(_TURNS):
+        for which in (0, 1) if turn % 2 else (1, 0):
+            seconds[turn, which] = runs[which](_STEPS)
+    return {
+        "steps_per_s": float(_STEPS / np.median(seconds[:, 0])),
+        "small_steps_per_s": float(_STEPS / np.median(seconds[:, 1])),
+        "ratio": float(np.median(seconds[:, 1] / seconds[:, 0])),
+    }
+
+
+def _run_of(module: LifterTraining) -> Callable[[int], float]:
+    """Return a function that takes some steps, as a trainer would, and returns their seconds."""
+    kind = type(module)
+    module.__class__ = type(kind.__name__, (kind,), {"global_step": property(lambda self: self.__dict__["steps"])})
+    module.__dict__["steps"] = 0
+    module.on_fit_start()
+    optimizer = module.configure_optimizers()
+
+    def run(count: int) -> float:
+        start = time.perf_counter()
+        for _ in range(count):
+            loss = module.training_step(module.global_step, module.global_step)
+            optimizer.zero_grad()
+            loss.backward()
+            module.on_before_optimizer_step(optimizer)
+            optimizer.step()
+            if module.averaged is not None:
+                module.averaged.update_parameters(module.lifter)
+            module.__dict__["steps"] += 1
+        return time.perf_counter() - start
+
+    return run
+
+
+def _teacher(settings: Settings, frames: TrainingSet) -> AdversarialTraining:
+    torch.manual_seed(0)
+    wanted = {name: spec for name, spec in settings.priors.items() if name != "labelled"}  # no frame is
+    priors, weights, _ = build_priors(wanted, frames.skeleton)
+    for prior in priors.values():
+        prior.prepare(frames)
+    lifter = build_lifter(settings.lifter, frames.skeleton)
+    return AdversarialTraining(lifter, frames, settings.teacher, settings.views, priors, weights, 0)
+
+
+def _poses(settings: Settings, frames: TrainingSet) -> PseudoPoses:
+    """Return what an untrained teacher makes of the frames, not mended: as many as a student learns from."""
+    lifter = build_lifter(settings.lifter, frames.skeleton)
+    settings.student.refine.iterations = 0
+    return lift_all(lifter, frames.some(settings.student.frames, 1), settings.student.refine)
+
+
+def _student(settings: Settings, poses: PseudoPoses) -> StudentTraining:
+    torch.manual_seed(1)
+    chosen = student_settings(settings, noisy=False, last=True)
+    return StudentTraining(build_lifter(chosen, poses.skeleton), poses, settings.student, settings.views, 0)
