@@ -533,7 +533,7 @@ def test_a_task_reads_it_and_the_cache_gives_the_same(there, tmp_path, monkeypat
 def test_without_files_it_is_said_what_to_get(here, capsys):
     message = refusal(capsys, "fit", "task=h36m")
     for part in (
-        "Human3.6M: 1 file(s) missing",
+        "1 file is not in",
         POSES,
         "registration",
         "docs/data-h36m.md",
