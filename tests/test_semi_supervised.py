@@ -20,8 +20,8 @@ from uplift.priors.handedness import Handedness
 from uplift.priors.labelled import Labelled
 from uplift.task import load_settings
 from uplift.training.pseudo import lift_all, true_poses
+from uplift.training.recipe import Recipe, _go_on
 from uplift.training.rows import Rows
-from uplift.verbs.fit import _go_on, _Stages
 
 
 def fitted(folder: Path, *words: str, **changes) -> tuple[dict[str, torch.Tensor], str]:
@@ -183,11 +183,11 @@ def test_labels_have_the_last_word_on_handedness() -> None:
     assert prior.loss(lift).isfinite()
 
 
-def stages(tmp_path: Path, *words: str) -> _Stages:
+def stages(tmp_path: Path, *words: str) -> Recipe:
     """Return the stages of a quick fit, not trained."""
     write_body(tmp_path / "a.npz")
     settings = load_settings(None, ["skeleton=h36m17", f"data.train={tmp_path / 'a.npz'}", *QUICK, *words])
-    return _Stages(settings, H36M, load_data(settings, H36M), None)
+    return Recipe(settings, H36M, load_data(settings, H36M), None)
 
 
 def test_labels_take_the_place_of_the_teachers_time(tmp_path: Path) -> None:

@@ -27,10 +27,10 @@ from uplift.model import Model, build_lifter, frames_of
 from uplift.run import RunFolder
 from uplift.skeleton import Skeleton, load_skeleton
 from uplift.task import load_settings
+from uplift.training.recipe import student_settings
 from uplift.training.stages import run_stage, stage_budgets
 from uplift.training.student import PseudoPoses, StudentTraining
 from uplift.verbs.evaluate import evaluate_model, save_evaluation
-from uplift.verbs.fit import student_settings
 from uplift.views import least_rotation, turn
 
 __all__ = ["gravity_in_camera", "gravity_of_recurring_poses", "load_labelled", "train_twin", "true_poses"]

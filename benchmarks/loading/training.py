@@ -20,8 +20,8 @@ from uplift.skeleton import load_skeleton
 from uplift.training.adversarial import AdversarialTraining
 from uplift.training.base import LifterTraining
 from uplift.training.pseudo import PseudoPoses, lift_all
+from uplift.training.recipe import student_settings, training_frames
 from uplift.training.student import StudentTraining
-from uplift.verbs.fit import student_settings, training_frames
 
 __all__ = ["SMALL", "train"]
 

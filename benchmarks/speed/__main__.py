@@ -29,9 +29,9 @@ from uplift.task import load_settings
 from uplift.training.adversarial import AdversarialTraining
 from uplift.training.base import LifterTraining
 from uplift.training.pseudo import lift_all
+from uplift.training.recipe import student_settings
 from uplift.training.stages import StageBudget, run_stage
 from uplift.training.student import StudentTraining
-from uplift.verbs.fit import student_settings
 
 _ROUNDS = 3
 
