@@ -38,7 +38,7 @@ class LabelledSettings(ChoiceSettings):
 
     file: Optional[str] = None  # of other frames with poses: FILE, or SET:SPLIT of a published set
     only: bool = False  # leave all other frames out: supervised training
-    share: Optional[float] = 0.75  # most of a batch that is labelled; unset: as many as there are among the frames
+    share: Optional[float] = 0.9  # most of a batch that is labelled; unset: as many as there are among the frames
 
 
 @dataclass
