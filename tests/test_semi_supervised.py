@@ -209,3 +209,16 @@ def test_a_warm_round_starts_where_the_last_one_ended() -> None:
     before = {key: value.clone() for key, value in wider.state_dict().items()}
     _go_on(wider, last)
     assert same(before, dict(wider.state_dict()))
+
+
+def test_a_fit_goes_on_from_a_run_and_keeps_its_own_labels_sizes(tmp_path: Path) -> None:
+    first, _ = fitted(tmp_path / "first", "data.labelled.fraction=1")
+    run = tmp_path / "first" / "runs" / "h36m17" / "last"
+    arrays = body_arrays()
+    larger = {name: 2 * arrays[name] for name in ("pose", "root")}
+    words = ("data.labelled.fraction=1", f"init={run}", "student.learning_rate=1e-9", "student.average=null")
+    second, _ = fitted(tmp_path / "second", *words, **larger)
+    torch.testing.assert_close(second["bone_mm"], 2 * first["bone_mm"], rtol=1e-4, atol=1e-3)
+    weights = [key for key in first if key.startswith("network") and key.endswith("weight")]
+    for key in weights:
+        torch.testing.assert_close(second[key], first[key], rtol=1e-3, atol=1e-4)

@@ -20,8 +20,8 @@ class Labelled(Prior):
     Errors are taken in the labels' own unit, mm where they have one, so that a body seen small counts
     as much as one seen large, and divided by what one unit of the model is on average, so that the
     weight means the same for every skeleton. The mean runs over the whole batch, unlabelled frames
-    counting 0: a labelled frame has the same say among few and among many. ``elevation`` is the weight of the camera's tilt, in
-    radians, where the labels tell it; 0 leaves it to the other priors.
+    counting 0: a labelled frame has the same say among few and among many. ``elevation`` is the weight
+    of the camera's tilt, in radians, where the labels tell it; 0 leaves it to the other priors.
     """
 
     usual_unit: Tensor

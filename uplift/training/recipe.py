@@ -58,7 +58,7 @@ class Recipe:
         # What only a student learns, a teacher has no outputs for.
         alone = dataclasses.replace(settings.lifter, spread=False, denoise=False)
         self.first = self._lifter(alone)
-        if settings.init and not (run and (run.checkpoints / "teacher.ckpt").is_file()):
+        if settings.init and not self.supervised and not (run and (run.checkpoints / "teacher.ckpt").is_file()):
             _start_from(self.first, settings.init)
 
     def train(self, run: RunFolder) -> Model:
@@ -78,6 +78,8 @@ class Recipe:
             fresh = self._lifter(chosen)
             if settings.student.warm and number > 1:
                 _go_on(fresh, lifter)
+            if self.supervised and settings.init:  # there is no teacher to start from it
+                _start_from(fresh, settings.init)
             student = StudentTraining(
                 fresh,
                 poses,
@@ -172,8 +174,8 @@ def student_settings(settings: Settings, *, noisy: bool, last: bool) -> LifterSe
 
 
 def _start_from(lifter: Lifter, run: str) -> None:
-    """Load the weights of another run's lifter."""
-    other = load(run)
+    """Load the weights of another run's lifter; labels of this fit still say how large bodies are."""
+    other, told = load(run), lifter.bone_mm.clone()
     if other.skeleton.joints != lifter.skeleton.joints:
         raise UserError(
             f"init={run} was trained on skeleton '{other.skeleton.name}' ({len(other.skeleton.joints)} joints), "
@@ -183,3 +185,5 @@ def _start_from(lifter: Lifter, run: str) -> None:
         lifter.load_state_dict(other.lifter.state_dict())
     except RuntimeError as error:
         raise UserError(f"init={run} has another network: {str(error).splitlines()[0]}") from error
+    if told.any():
+        lifter.bone_mm.copy_(told)
