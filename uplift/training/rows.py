@@ -8,13 +8,13 @@ from torch import Tensor
 
 __all__ = ["Rows"]
 
-_MOST_OFTEN = 50
+_MOST_OFTEN = 25
 
 
 class Rows:
     """Draws frame numbers, ``share`` of them from the labelled frames.
 
-    A labelled frame comes at most 50 times as often as another: the few that there may be would be
+    A labelled frame comes at most 25 times as often as another: the few that there may be would be
     learned by heart. All frames alike where ``share`` is None, or where all or none are labelled: then
     there is nothing to balance. ``share`` is what came out of it.
     """
