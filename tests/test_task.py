@@ -119,7 +119,7 @@ def test_extends_chains_and_merges(here: Path) -> None:
 
 
 def test_durations_need_no_quotes_in_a_task_file(here: Path) -> None:
-    (here / "a.yaml").write_text("trainer: {max_time: 1:30:00}\ndata: {select: {subject: [01, 017]}}\n")
+    (here / "a.yaml").write_text("trainer: {max_time: 1:30:00}\ndata: {select: {subjects: [01, 017]}}\n")
     settings = load_settings("a.yaml")
     assert settings.trainer.max_time == "1:30:00"
     assert settings.data.select.subjects == ["01", "017"]
@@ -263,7 +263,7 @@ def test_max_time_is_read(text: str, seconds: float) -> None:
 def test_yaml_tags_never_run(payload: str, as_file: bool, here: Path, capsys: pytest.CaptureFixture) -> None:
     marker = here / "marker"
     text = payload.format(path=marker)
-    (here / "a.yaml").write_text(f"seed: 1\ndata:\n  select:\n    subject:\n    - {text}\n")
+    (here / "a.yaml").write_text(f"seed: 1\ndata:\n  select:\n    subjects:\n    - {text}\n")
     word = "task=a.yaml" if as_file else f"priors.ground.height={text}"
     message = refusal(capsys, "fit", word)
     assert "YAML tag" in message
@@ -276,3 +276,10 @@ def test_a_task_file_is_plain_data(here: Path) -> None:
     save_settings(settings, here / "a.yaml")
     assert yaml.safe_load((here / "a.yaml").read_text())["skeleton"] == "h36m17"
     assert read_task(here / "a.yaml")["data"]["name"] == "cmu"
+
+
+def test_a_run_of_version_0_1_is_still_read(here: Path) -> None:
+    (here / "config.yaml").write_text("data: {select: {subject: [S1], camera: []}, hold_out: {action: [walk]}}\n")
+    settings = load_settings("config.yaml")
+    assert settings.data.select.subjects == ["S1"]
+    assert settings.data.hold_out.actions == ["walk"]

@@ -70,9 +70,20 @@ def read_task(path: Path, depth: int = 0) -> dict[str, Any]:
         if depth >= _MAX_EXTENDS:
             raise UserError(f"{where(('extends',))}: more than {_MAX_EXTENDS} tasks extend one another: a circle?")
         base = read_task(_parent_path(parent, path.parent, where(("extends",))), depth + 1)
+    _bring_up_to_date(data)
     _check_keys(data, Settings, (), where)
     _bind_paths(data, path.parent)
     return _merge(base, data)
+
+
+def _bring_up_to_date(data: dict[str, Any]) -> None:
+    """Give settings that runs of version 0.1 wrote under other names their new ones."""
+    chosen = data.get("data")
+    for group in ("select", "hold_out"):
+        choice = chosen.get(group) if isinstance(chosen, dict) else None
+        for old in ("subject", "action", "sequence", "camera"):
+            if isinstance(choice, dict) and old in choice:
+                choice.setdefault(f"{old}s", choice.pop(old))
 
 
 def _parent_path(parent: Any, folder: Path, where: str) -> Path:
