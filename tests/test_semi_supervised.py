@@ -198,6 +198,7 @@ def test_labels_take_the_place_of_the_teachers_time(tmp_path: Path) -> None:
     assert steps("data.labelled.fraction=0.1") == [62, 938]  # nine tenths of a batch: 0.4 * 0.1 against 0.6
     assert steps("data.labelled.fraction=0.1", "data.labelled.share=null") == [375, 625]
     assert steps("data.labelled.fraction=1")[1] == 1000
+    assert "no teacher" in stages(tmp_path, "data.labelled.fraction=1").notes[0]
 
 
 def test_a_warm_round_starts_where_the_last_one_ended() -> None:

@@ -48,6 +48,8 @@ class Recipe:
         self.spent: dict[str, float] = {}
         torch.manual_seed(settings.seed)
         self.priors, self.weights, self.notes = build_priors(_useful(settings.priors, self.data), skeleton)
+        if self.supervised:
+            self.notes.append("every frame is labelled: there is no teacher, and the priors have no say")
         if not skeleton.has_mirror_image:
             why = f"its root '{skeleton.root}' is one of a pair" if skeleton.mirror else "it has no `mirror:` pairs"
             self.notes.append(f"no mirroring of skeleton '{skeleton.name}': {why}")
