@@ -46,7 +46,7 @@ def train(tmp_path_factory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def test_set(tmp_path_factory) -> Path:
+def official(tmp_path_factory) -> Path:
     folder = tmp_path_factory.mktemp("test")
     for number in range(1, 7):
         write_test(folder / "mpi_inf_3dhp_test_set", number, modern=number % 2 == 0, bent=number == 5)
@@ -100,11 +100,11 @@ def test_lenses_and_tilt_are_those_of_the_calibration(train: Path) -> None:
     assert 1.5 < tilt < 2.5
 
 
-def test_the_28_joints_become_the_17_of_the_test_set_by_name(train: Path, test_set: Path) -> None:
+def test_the_28_joints_become_the_17_of_the_test_set_by_name(train: Path, official: Path) -> None:
     target = load_skeleton("mpi_inf_3dhp17")
     for data in (
         MpiInf3dhp(train, subjects="S1").read("train"),
-        MpiInf3dhp(test_set).read("test"),
+        MpiInf3dhp(official).read("test"),
     ):
         built = in_joints_of(data, target)
         places = [data.joint_names.index(joint) for joint in target.joints]
@@ -113,8 +113,8 @@ def test_the_28_joints_become_the_17_of_the_test_set_by_name(train: Path, test_s
 
 
 @pytest.mark.parametrize("universal", [True, False])
-def test_test_frames_project_to_what_was_seen(test_set: Path, universal: bool) -> None:
-    data = MpiInf3dhp(test_set, universal=universal).read("test")
+def test_test_frames_project_to_what_was_seen(official: Path, universal: bool) -> None:
+    data = MpiInf3dhp(official, universal=universal).read("test")
     assert data.joint_names == TEST_JOINTS
     assert len(data) == 6 * 14
     assert np.abs(projected(data) - data.keypoints).max() < 0.02
