@@ -12,7 +12,7 @@ from uplift.lens import Lens
 
 __all__ = ["IDENTITY_KEYS", "PoseData", "codes_of"]
 
-IDENTITY_KEYS = ("subject", "action", "sequence", "camera", "frame", "instance", "image")
+IDENTITY_KEYS = ("subject", "action", "sequence", "camera", "frame", "instance", "image", "category")
 
 
 def codes_of(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -66,6 +66,12 @@ class PoseData:
     """The cameras, where more is known of them than `focal_px` and `image_size`."""
     lens: np.ndarray | None = None
     """(frames,) integers: which of `lenses` saw the frame; None without lenses."""
+    bones: tuple[tuple[str, str], ...] = ()
+    """Lines between joints, by name, where the file has them; training goes by the skeleton's."""
+    mirror: tuple[tuple[str, str], ...] = ()
+    """Pairs of partners, by name, where the file has them."""
+    notes: tuple[str, ...] = ()
+    """What the reader assumed or left out, one sentence each."""
 
     def __post_init__(self) -> None:
         self.joint_names = tuple(str(name) for name in self.joint_names)

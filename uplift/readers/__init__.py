@@ -1,24 +1,87 @@
-"""One keypoint file format per file; `read` picks the one that fits."""
+"""One keypoint file format per file; `read` tells which it is and reads it."""
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
+
 from uplift.data.container import PoseData
-from uplift.errors import UserError
+from uplift.errors import UserError, did_you_mean
+from uplift.readers.base import Format, Peek, ReadOptions
+from uplift.readers.formats import FORMATS, format_named
 
-__all__ = ["read"]
+__all__ = ["ReadOptions", "guess_format", "read"]
+
+_NOT_KEYPOINTS = {
+    (".mp4", ".avi", ".mov", ".mkv", ".webm"): "a video. Run a tracker on it first, and give its output",
+    (".jpg", ".jpeg", ".png", ".bmp", ".tif", ".tiff", ".webp"): "a picture. Run a tracker on it first, and give its output",
+    (".trc", ".c3d"): "3D marker data, no 2D keypoints; it can be no input of a lifter",
+    (".bvh", ".asf", ".amc"): "3D motion capture; `uplift data cmu` makes keypoints of it",
+    (".glb", ".gltf", ".obj", ".ply", ".stl"): "a 3D model, no keypoints",
+    (".pt", ".pth", ".ckpt", ".onnx", ".safetensors"): "the weights of a network, no keypoints",
+}  # fmt: skip
 
 
-def read(path: str | Path) -> PoseData:
-    """Read a keypoint file into a `PoseData`; the ending says which format it is.
+def read(path: str | Path, options: ReadOptions | None = None) -> PoseData:
+    """Read a file or folder of keypoints, in the format that it is found or said to be in.
+
+    `PoseData.notes` say which format that was, and what was assumed.
 
     Raises:
-        UserError: no such file, an unknown ending, or a file that is not what its ending says.
+        UserError: no such file, no known format, or a file that is not what it looks like.
     """
+    options = options or ReadOptions()
     path = Path(path)
-    if path.suffix.lower() != ".npz":
-        raise UserError(f"{path}: unknown format '{path.suffix}'. Readable: .npz (docs/your-data.md).")
-    from uplift.readers.npz import read_npz
+    found = guess_format(path) if options.format is None else _named(path, options.format)
+    data = found.read(path, options)
+    if found.name != "npz":  # the layout of this project needs no word
+        told = f"read as {found.title}" + ("" if options.format else f" (guessed; format={found.name})")
+        data = replace(data, notes=(told, *data.notes))
+    return _as_told(replace(data, source=data.source or str(path)), options)
 
-    return read_npz(path)
+
+def guess_format(path: str | Path) -> Format:
+    """Return the first format that the file or folder looks like.
+
+    Raises:
+        UserError: no such file, an empty one, or one of no known format.
+    """
+    peek = Peek(path)
+    for name in FORMATS:
+        if format_named(name).fits(peek):
+            return format_named(name)
+    known = f"Known formats: {', '.join(FORMATS)} (docs/trackers.md); format=NAME says which it is."
+    for endings, what in _NOT_KEYPOINTS.items():
+        if peek.ending in endings:
+            raise UserError(f"{path} is {what}. {known}")
+    if peek.is_hdf5 and not peek.hdf5_names:
+        raise UserError(
+            f'{path} is HDF5 and cannot be looked into: damaged, or h5py is missing (pip install "uplift3d[trackers]").'
+        )
+    what = "folder" if peek.is_folder else "file"
+    shown = sorted(p.name for p in peek.path.iterdir())[:5] if peek.is_folder else [peek.text[:60] or peek.start[:16]]
+    raise UserError(
+        f"{path} is a {what} of no known format (it begins {', '.join(map(repr, shown)) or 'empty'}). {known}"
+    )
+
+
+def _named(path: Path, name: str) -> Format:
+    if name not in FORMATS:
+        raise UserError(f"format={name}: no such format.{did_you_mean(name, FORMATS)} Known: {', '.join(FORMATS)}.")
+    Peek(path)
+    return format_named(name)
+
+
+def _as_told(data: PoseData, options: ReadOptions) -> PoseData:
+    """Return ``data`` with what the user says of it in place of what the file says."""
+    told = {name: getattr(options, name) for name in ("image_size", "fps", "focal_px")}
+    data = replace(data, **{name: value for name, value in told.items() if value is not None})
+    if options.min_confidence > 0:
+        weak = (data.confidence > 0) & ~(data.confidence >= options.min_confidence)
+        data = replace(data, confidence=np.where(weak, np.float32(0), data.confidence))
+        if weak.any():
+            said = f"{int(weak.sum()):,} keypoints of confidence below {options.min_confidence:g} are taken as missing"
+            data = replace(data, notes=(*data.notes, said))
+    return data

@@ -10,8 +10,9 @@ from uplift.data.container import IDENTITY_KEYS, PoseData
 from uplift.errors import UserError
 from uplift.prediction import UNITS
 from uplift.readers.archive import read_arrays
+from uplift.readers.base import Format, Peek, ReadOptions
 
-__all__ = ["joint_names_of", "read_npz", "unit_of"]
+__all__ = ["FORMAT", "joint_names_of", "read_npz", "unit_of"]
 
 _KNOWN = {
     "keypoints", "confidence", "joint_names", "pose", "root", "unit", "fps", "image_size", "focal_px",
@@ -137,3 +138,14 @@ def _image_size(where: str, arrays: dict) -> tuple[int, int] | None:
     if array.shape != (2,) or array.dtype.kind not in "fiu" or not (np.isfinite(array) & (array > 0)).all():
         raise UserError(f"{where}: 'image_size' is {array!r}, expected two positive numbers (width, height) in px.")
     return int(array[0]), int(array[1])
+
+
+def _fits(peek: Peek) -> bool:
+    return peek.ending == ".npz"  # the last to be asked: whatever is wrong with it is told in full
+
+
+def _read(path: Path, options: ReadOptions) -> PoseData:
+    return read_npz(path)
+
+
+FORMAT = Format("npz", "uplift's own npz", _fits, _read)

@@ -1,0 +1,23 @@
+"""All formats that keypoints come in, the most telling first: the first that fits a file reads it."""
+
+from __future__ import annotations
+
+from functools import cache
+from importlib import import_module
+
+from uplift.readers.base import Format
+
+__all__ = ["FORMATS", "format_named"]
+
+FORMATS: dict[str, str] = {
+    # JSON, folders of it, and labels in text files
+    # tables, HDF5, and npz files of others
+    "npz": "uplift.readers.npz",
+}
+"""Name of a format -> the module whose ``FORMAT`` it is."""
+
+
+@cache
+def format_named(name: str) -> Format:
+    """Return a format of `FORMATS`."""
+    return import_module(FORMATS[name]).FORMAT
