@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -20,10 +20,11 @@ UNITS = ("mm", "px", "relative")
 class Prediction:
     """Poses of one skeleton, frame by frame, with what was known about each frame.
 
-    ``pose`` is in the camera frame (x right, y down, z away), relative to the root; ``level_pose``
-    is the same pose with the estimated tilt undone. ``spread`` is the uncertainty of the depth in
-    ``unit``. ``truth`` is relative to the root, camera frame, in ``truth_unit``. Raises ValueError
-    where the arrays do not fit together.
+    ``pose`` is relative to the root in ``axes``: of the camera (x right, y down, z away) unless it was
+    turned to others; ``level_pose`` is the pose of the camera's axes with the estimated tilt undone.
+    ``root`` is where the root joint is, in ``unit`` and ``axes``, where that is known. ``spread`` is the
+    uncertainty of the depth in ``unit``, ``filled`` says which joints were not seen. ``truth`` is relative
+    to the root, camera frame, in ``truth_unit``. Raises ValueError where the arrays do not fit together.
     """
 
     pose: np.ndarray  # (frames, joints, 3)
@@ -40,6 +41,9 @@ class Prediction:
     truth: np.ndarray | None = None  # (frames, joints, 3)
     truth_unit: str = "mm"
     spread: np.ndarray | None = None  # (frames, joints)
+    root: np.ndarray | None = None  # (frames, 3)
+    filled: np.ndarray | None = None  # (frames, joints), bool
+    axes: str = "camera"
     source: str = ""
     title: str = ""
 
@@ -65,6 +69,17 @@ class Prediction:
         return len(self.pose)
 
     @property
+    def points(self) -> np.ndarray:
+        """Return (frames, joints, 3): the joints where they are, or relative to the root where that has no known place."""
+        return self.pose if self.root is None else self.pose + self.root[:, None]
+
+    def select(self, rows: np.ndarray) -> Prediction:
+        """Return the frames that ``rows`` (a mask or indices) picks, everything else unchanged."""
+        arrays = {name: getattr(self, name) for name in self._shapes()}
+        picked = {name: value[rows] for name, value in arrays.items() if value is not None}
+        return replace(self, **picked, identity={key: np.asarray(value)[rows] for key, value in self.identity.items()})
+
+    @property
     def bone_indices(self) -> Int[np.ndarray, "bones 2"]:
         """Return parent and child of every bone as indices into ``joint_names``."""
         where = {name: index for index, name in enumerate(self.joint_names)}
@@ -81,4 +96,6 @@ class Prediction:
             "tilt_deg": (frames,),
             "truth": (frames, joints, 3),
             "spread": (frames, joints),
+            "root": (frames, 3),
+            "filled": (frames, joints),
         }
