@@ -10,9 +10,9 @@ import numpy as np
 from uplift.errors import UserError
 from uplift.prediction import Prediction
 from uplift.skeleton.sides import bone_sides, joint_sides
-from uplift.writers.clips import Clip, arrange, choose
+from uplift.writers.clips import Clip, arrange, choose, photos
 from uplift.writers.packing import pack
-from uplift.writers.staging import level_rotations, matched_truth, places, scaled_error
+from uplift.writers.staging import beside, level_rotations, matched_truth, scaled_error, standing
 
 __all__ = ["page_data"]
 
@@ -24,10 +24,15 @@ def page_data(prediction: Prediction, moments: int) -> dict[str, Any]:
     """Return what the page's script reads, and ``facts`` and ``remarks`` for its text.
 
     At most ``moments`` moments and three rows for each, whole clips evenly chosen. Raises UserError
-    where there is no frame.
+    where there is no frame, or where the poses were turned to other axes than the camera's.
     """
     if not len(prediction):
         raise UserError("there is no frame to show on a page: the prediction is empty. Check the input file.")
+    if prediction.axes != "camera":
+        raise UserError(
+            f"a page shows poses as the camera sees them; these were turned to the axes '{prediction.axes}'. "
+            "Leave axes out for a page."
+        )
     clips = arrange(prediction.identity, len(prediction))
     chosen = choose(clips, max(1, moments), _ROWS_PER_MOMENT * max(1, moments))
     rows = np.concatenate([clip.rows for clip in chosen])
@@ -43,6 +48,8 @@ def page_data(prediction: Prediction, moments: int) -> dict[str, Any]:
         "bones": bones,
         "jointSides": sides,
         "boneSides": bone_sides(sides, bones),
+        "rooted": prediction.root is not None,
+        "noun": "photo" if photos(prediction.identity) else "clip",
         "gravity": bool(prediction.skeleton.gravity),
         "fps": _positive(prediction.fps),
         "imageSize": [int(side) for side in prediction.image_size] if prediction.image_size is not None else None,
@@ -72,10 +79,19 @@ def _arrays(
         "pose": (pose, fine),
         "keypoints": (points, fine_px),
         "confidence": (confidence, 1 / 255),
+        "filled": (confidence <= 0 if prediction.filled is None else np.asarray(prediction.filled, bool)[rows], 1.0),
         "level": (rotation, 1 / _STEPS_PER_SIZE),
     }
-    if any(len(clip.individual_names) > 1 for clip in chosen):
-        arrays["place"] = (_places(chosen, pose, points, confidence > 0), fine)
+    if prediction.root is not None:
+        root = np.asarray(prediction.root, np.float64)[rows]
+        stood = [standing(root[part], rotation[part], clip) for part, clip in _parts(chosen)]
+    elif any(len(clip.individual_names) > 1 for clip in chosen):
+        stood = [beside(pose[part], points[part], confidence[part] > 0) for part, _ in _parts(chosen)]
+    else:
+        stood = []
+    if stood:
+        place, level_place = map(np.concatenate, zip(*stood, strict=True))
+        arrays |= {"place": (place, fine), "levelPlace": (level_place, fine)}
     if prediction.spread is not None:
         arrays["spread"] = (np.asarray(prediction.spread, np.float64)[rows], fine)
     if prediction.truth is not None:
@@ -87,10 +103,9 @@ def _arrays(
     return arrays, departure
 
 
-def _places(chosen: list[Clip], pose: np.ndarray, points: np.ndarray, seen: np.ndarray) -> np.ndarray:
-    ends = np.cumsum([len(clip.rows) for clip in chosen])[:-1]
-    parts = zip(*(np.split(array, ends) for array in (pose, points, seen)), strict=True)
-    return np.concatenate([places(*part) for part in parts])
+def _parts(chosen: list[Clip]) -> list[tuple[slice, Clip]]:
+    ends = np.cumsum([len(clip.rows) for clip in chosen]).tolist()
+    return [(slice(end - len(clip.rows), end), clip) for end, clip in zip(ends, chosen, strict=True)]
 
 
 def _stacked(chosen: list[Clip], name: str) -> np.ndarray:
@@ -138,8 +153,11 @@ def _remarks(prediction: Prediction, clips: list[Clip], chosen: list[Clip], depa
             f"This page shows {shown:,} of {total:,} frames ({len(chosen):,} of {len(clips):,} clips, evenly chosen); "
             f"{total - shown:,} were left out to keep it small."
         )
-    if any(len(clip.individual_names) > 1 for clip in chosen):
+    if prediction.root is None and any(len(clip.individual_names) > 1 for clip in chosen):
         remarks.append("Individuals stand side by side as in the image; the depth between them is not estimated.")
+    if prediction.root is not None and not np.isfinite(prediction.root).all():
+        lost = int((~np.isfinite(prediction.root)).any(-1).sum())
+        remarks.append(f"{_counted(lost, 'pose')} without a known place are drawn between the places before and after.")
     if prediction.unit != "mm":
         remarks.append("The scale is not metric: lengths can be compared with each other, not with a ruler.")
         if prediction.truth is not None:
