@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 from pathlib import Path
 
@@ -13,6 +14,7 @@ from hypothesis.extra.numpy import array_shapes, arrays
 from writers_samples import figure, prediction
 
 from uplift.errors import UserError
+from uplift.prediction import Prediction
 from uplift.skeleton import Skeleton
 from uplift.skeleton.sides import CENTRE, LEFT, RIGHT, joint_sides
 from uplift.writers import write
@@ -22,6 +24,18 @@ from uplift.writers.html import page_text, read_html
 from uplift.writers.packing import pack, unpack
 
 _NASTY = '</script><script>alert(1)</script><b>"it\'s" & {{data}} <!--'
+
+
+def _arrays(sample: Prediction) -> dict[str, np.ndarray]:
+    found = re.search(r'id="data">(.*?)</script>', page_text(sample), re.S)
+    assert found is not None
+    data = json.loads(found[1])
+    return unpack(data["packed"], data["layout"])
+
+
+def _mean_level(found: dict[str, np.ndarray]) -> np.ndarray:
+    u, _, vt = np.linalg.svd(found["level"].mean(0))
+    return u @ vt
 
 
 @given(
@@ -75,6 +89,55 @@ def test_individuals_stand_apart_as_in_the_image(tmp_path: Path) -> None:
     assert data["clips"][0]["individuals"] == ["animal 0", "animal 1", "animal 2"]
 
 
+def test_known_places_are_kept_and_levelled_as_one() -> None:
+    sample = prediction(frames=60, individuals=2, rooted=True)
+    assert sample.root is not None
+    found = _arrays(sample)
+    np.testing.assert_allclose(found["place"], sample.root, atol=0.5)
+    np.testing.assert_allclose(found["levelPlace"] @ _mean_level(found), found["place"], atol=2)
+    # Every pose has its own tilt; the floor that they stand on is one, and even.
+    pose = np.einsum("fik,fjk->fji", found["level"], found["pose"])
+    lowest = (pose + found["levelPlace"][:, None])[..., 1].max(1)
+    assert np.ptp(lowest) < 5
+    np.testing.assert_allclose(np.diff(found["levelPlace"][:60, 0]), 10, atol=1)
+
+
+def test_a_lost_place_lies_between_its_neighbours(tmp_path: Path) -> None:
+    sample = prediction(frames=60, individuals=2, rooted=True)
+    assert sample.root is not None
+    whole = sample.root.copy()
+    sample.root[[0, 20, 21, 80]] = np.nan
+    write(sample, tmp_path / "page.html")
+    found = read_html(tmp_path / "page.html")["arrays"]["place"]
+    np.testing.assert_allclose(
+        found[[20, 21]], whole[[19]] + np.array([[1], [2]]) / 3 * (whole[22] - whole[19]), atol=0.5
+    )
+    np.testing.assert_allclose(found[0], whole[1], atol=0.5)
+    assert "4 poses without a known place" in (tmp_path / "page.html").read_text()
+
+
+def test_filled_joints_are_told_or_those_without_confidence() -> None:
+    sample = prediction(frames=4)
+    sample.confidence[:, 2] = 0
+    assert (_arrays(sample)["filled"].nonzero()[1] == 2).all()
+    sample.filled = np.zeros(sample.confidence.shape, bool)
+    sample.filled[1, 5] = True
+    assert np.argwhere(_arrays(sample)["filled"]).tolist() == [[1, 5]]
+
+
+def test_other_axes_are_refused() -> None:
+    sample = prediction(frames=1)
+    sample.axes = "y-up"
+    with pytest.raises(UserError, match="axes 'y-up'"):
+        page_text(sample)
+
+
+def test_photos_are_counted_as_such() -> None:
+    sample = prediction(frames=3, identity={"image": np.array(["a.jpg", "b.jpg", "c.jpg"])})
+    text = page_text(sample)
+    assert "3 photos" in text and "3 frames" not in text and "3 clips" not in text
+
+
 def test_page_needs_nothing_from_outside() -> None:
     text = page_text(prediction(frames=3, truth=True), curves={"loss": [(0, 1.0), (1, 0.5)]})
     assert "http://" not in text and "https://" not in text
@@ -115,7 +178,7 @@ def test_not_a_number_never_reaches_the_page(tmp_path: Path) -> None:
 
 
 def test_thousand_frames_of_three_are_small() -> None:
-    assert len(page_text(prediction(frames=1000, individuals=3, spread=True))) < 700_000
+    assert len(page_text(prediction(frames=1000, individuals=3, spread=True, rooted=True))) < 700_000
 
 
 def test_empty_prediction_is_refused() -> None:

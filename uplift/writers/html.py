@@ -27,7 +27,17 @@ Section = tuple[str, Rows] | tuple[str, Rows, Sequence[object]]
 
 _PAGE = Path(__file__).resolve().parent / "page"
 _SCRIPTS = (
-    *("decode.js", "colours.js", "scene.js", "figures.js", "floor.js", "draw3d.js", "labels.js", "draw2d.js", "strip.js"),
+    *(
+        "decode.js",
+        "colours.js",
+        "scene.js",
+        "figures.js",
+        "floor.js",
+        "draw3d.js",
+        "labels.js",
+        "draw2d.js",
+        "strip.js",
+    ),
     *("state.js", "motion.js", "keys.js", "pointer.js", "clips.js", "controls.js"),
 )
 

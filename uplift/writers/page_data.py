@@ -131,14 +131,14 @@ def _described(chosen: list[Clip]) -> list[dict[str, Any]]:
 
 
 def _facts(prediction: Prediction, clips: list[Clip]) -> list[str]:
-    count = sum(len(clip.frames) for clip in clips)
+    count, stills = sum(len(clip.frames) for clip in clips), photos(prediction.identity)
     people = max((len(clip.individual_names) for clip in clips), default=1)
     facts = [
         _short(prediction.source) if prediction.title else "",
         prediction.skeleton.name,
         f"{len(prediction.joint_names)} joints",
-        _counted(count, "frame"),
-        _counted(len(clips), "clip") if len(clips) > 1 else "",
+        "" if stills else _counted(count, "frame"),
+        _counted(len(clips), "photo" if stills else "clip") if len(clips) > 1 or stills else "",
         f"up to {people} individuals at once" if people > 1 else "",
         f"{_positive(prediction.fps):g} fps" if _positive(prediction.fps) else "",
     ]

@@ -12,10 +12,28 @@ function palette() {
     return `rgb(${rgb(read(name)).map((c, a) => Math.round(c + (paper[a] - c) * mix)).join()})`;
   });
   return { paper: read('paper'), ink: read('ink'), soft: read('soft'), faint: read('faint'), floor: read('floor'),
-    truth: ramp('truth'), sides: SIDES.map(ramp), people: Array.from({ length: PEOPLE }, (_, k) => ramp('p' + k)) };
+    truth: ramp('truth'), hues: [...SIDES, ...Array.from({ length: PEOPLE }, (_, k) => 'p' + k)].map(ramp) };
 }
 
 function shade(ramp, depth) { return ramp[Math.min(LEVELS - 1, Math.max(0, Math.round(((depth + 1) / 2) * (LEVELS - 1))))]; }
 
-// The ramp of a part of a figure: its side's, or its individual's.
-function rampOf(figure, side) { return state.tint ? kept.colours.people[figure.who % PEOPLE] : kept.colours.sides[side]; }
+// The ramp of a part of a figure: its own, or its individual's.
+function rampOf(figure, hue) { return kept.colours.hues[state.tint ? SIDES.length + (figure.who % PEOPLE) : hue]; }
+
+// Sides colour a body; where there are none, every branch from the root has a colour of its own.
+function huesOf() {
+  if (meta.jointSides.some(Boolean)) return { joints: meta.jointSides, bones: meta.boneSides };
+  const joints = meta.joints.map(() => 0), bones = meta.bones.map(() => 0), queue = [meta.root], met = new Set(queue);
+  let branches = 0;
+  for (const from of queue) {
+    meta.bones.forEach(([a, b], n) => {
+      const to = a === from ? b : b === from ? a : -1;
+      if (to < 0 || met.has(to)) return;
+      met.add(to); queue.push(to);
+      joints[to] = bones[n] = joints[from] || SIDES.length + (branches++ % PEOPLE);
+    });
+  }
+  return { joints, bones };
+}
+
+const HUES = huesOf();

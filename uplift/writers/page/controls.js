@@ -78,6 +78,6 @@ async function start() {
 window.uplift = {
   state: () => ({ ...state, frames: clipNow().frames.length, clips: kept.clips.length, figures: kept.figures.length, painted: kept.painted, drawMs: kept.drawMs,
     hover: kept.hover && meta.joints[kept.hover.joint], roots: kept.figures.map((figure) => [...figure.shift]), floor: kept.size.floor }),
-  draw: (moment) => { state.moment = moment; draw(); },
+  draw: (change) => { Object.assign(state, change); draw(); },
 };
 start().catch((error) => { byId('deep-note').textContent = `This browser could not show the poses (${error.message}); one from 2023 or later can.`; document.documentElement.dataset.ready = 'failed'; });

@@ -56,14 +56,14 @@ function drawFlat(ctx, figure) {
     const [a, b] = meta.bones[n];
     if (Number.isNaN(flat[2 * a] + flat[2 * b])) continue;
     ctx.lineWidth = flatWidths[n];
-    ctx.strokeStyle = rampOf(figure, meta.boneSides[n])[0];
+    ctx.strokeStyle = rampOf(figure, HUES.bones[n])[0];
     ctx.globalAlpha = 0.85 * tone(Math.min(sureOf(figure, a), sureOf(figure, b)));
     line(ctx, flat[2 * a], flat[2 * a + 1], flat[2 * b], flat[2 * b + 1]);
   }
   for (let j = 0; j < J; j++) {
     if (Number.isNaN(flat[2 * j]) || (flatRadii[j] < 1.4 && kept.boned[j])) continue;
     ctx.globalAlpha = tone(sureOf(figure, j));
-    ctx.fillStyle = rampOf(figure, meta.jointSides[j])[0];
+    ctx.fillStyle = rampOf(figure, HUES.joints[j])[0];
     disc(ctx, flat[2 * j], flat[2 * j + 1], 1.4 * flatRadii[j]);
   }
   ctx.globalAlpha = 1;
@@ -74,9 +74,6 @@ function draw2d(ctx, width, height, see) {
   ctx.lineCap = 'butt';
   drawImageFrame(ctx, see, kept.colours);
   thickness(kept.bounds.lengths, see.scale, 3.5, kept.flatWidths, kept.flatRadii);
-  for (const figure of kept.figures) {
-    drawFlat(ctx, figure);
-    const top = topOf(figure.flat, 2);
-    if (figure.name && top >= 0) drawLabel(ctx, figure.name, figure.flat[2 * top], figure.flat[2 * top + 1] - 16, kept.colours);
-  }
+  for (const figure of kept.figures) drawFlat(ctx, figure);
+  drawTitles(ctx, kept.figures, 'flat', 2, 16, kept.colours);
 }

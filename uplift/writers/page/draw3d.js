@@ -6,10 +6,22 @@ const sorted = { starts: new Int32Array(BINS + 1), bins: new Int16Array(0), orde
 const EACH = 2 * B + J;
 
 function depthOf(figure, k) {
-  if (k >= 2 * B) return figure.points[4 * (k - 2 * B) + 2] - 0.06;
+  if (k >= 2 * B) return figure.front[k - 2 * B];
   if (k >= B && !figure.hasTruth) return NaN;
   const points = k < B ? figure.points : figure.truth, bone = meta.bones[k < B ? k : k - B];
   return (points[4 * bone[0] + 2] + points[4 * bone[1] + 2]) / 2;
+}
+
+// Joints lie in front of the bones that they join.
+function findFronts(figure) {
+  const { front, points } = figure;
+  for (let j = 0; j < J; j++) front[j] = points[4 * j + 2];
+  for (let n = 0; n < B; n++) {
+    const depth = depthOf(figure, n), [a, b] = meta.bones[n];
+    if (depth < front[a]) front[a] = depth;
+    if (depth < front[b]) front[b] = depth;
+  }
+  for (let j = 0; j < J; j++) front[j] -= 0.02;
 }
 
 // Orders everything far to near by counting, so that figures hide one another rightly.
@@ -17,6 +29,7 @@ function sortByDepth(figures) {
   const total = figures.length * EACH, { starts } = sorted;
   if (sorted.order.length < total) { sorted.order = new Int32Array(total); sorted.bins = new Int16Array(total); }
   starts.fill(0);
+  for (const figure of figures) findFronts(figure);
   for (let id = 0; id < total; id++) {
     const depth = depthOf(figures[(id / EACH) | 0], id % EACH);
     const bin = Number.isNaN(depth) ? -1 : Math.max(0, Math.min(BINS - 1, Math.round(((1 - depth) / 2.1) * (BINS - 1))));
@@ -37,10 +50,10 @@ function drawBone(ctx, figure, n, colours) {
   const width = kept.boneWidths[n] * (1 - 0.3 * depth) * P[4 * a + 3], dashed = filledAt(figure, a) || filledAt(figure, b);
   // A rim parts a bone from what it hides; on thin bones it would not be seen.
   if (!dashed && width > 2.4) {
-    ctx.strokeStyle = colours.paper; ctx.lineWidth = width + 3;
+    ctx.strokeStyle = colours.paper; ctx.lineWidth = width + Math.min(3, 0.6 * width);
     line(ctx, P[4 * a], P[4 * a + 1], P[4 * b], P[4 * b + 1]);
   }
-  ctx.strokeStyle = shade(rampOf(figure, meta.boneSides[n]), depth);
+  ctx.strokeStyle = shade(rampOf(figure, HUES.bones[n]), depth);
   ctx.lineWidth = dashed ? Math.max(1, width * 0.5) : width;
   if (dashed) ctx.setLineDash(DASH);
   line(ctx, P[4 * a], P[4 * a + 1], P[4 * b], P[4 * b + 1]);
@@ -58,7 +71,7 @@ function drawJoint(ctx, figure, j, colours) {
   const P = figure.points, x = P[4 * j], y = P[4 * j + 1], filled = filledAt(figure, j);
   const radius = kept.jointRadii[j] * (1 - 0.18 * P[4 * j + 2]) * P[4 * j + 3];
   if (!filled && radius < 1.6 && kept.boned[j]) return;
-  const tone = shade(rampOf(figure, meta.jointSides[j]), P[4 * j + 2]);
+  const tone = shade(rampOf(figure, HUES.joints[j]), P[4 * j + 2]);
   ctx.fillStyle = filled ? tone : colours.paper;
   disc(ctx, x, y, radius + 0.8);
   ctx.fillStyle = filled ? colours.paper : tone;
@@ -70,12 +83,12 @@ function drawSpread(ctx, look, figure, all, colours) {
   const [dx, dy, dz] = figure.away, W = figure.world;
   ctx.lineWidth = 1.5;
   ctx.globalAlpha = 0.5;
-  for (let side = 0; side < SIDES.length; side++) {
-    ctx.strokeStyle = rampOf(figure, side)[3];
+  for (let hue = 0; hue < colours.hues.length; hue++) {
+    ctx.strokeStyle = rampOf(figure, hue)[3];
     ctx.beginPath();
     for (let j = 0; j < J; j++) {
       const s = spreadOf(figure, j), k = 3 * j;
-      if (meta.jointSides[j] !== side || !(s > 0) || Number.isNaN(W[k]) || !(all || filledAt(figure, j))) continue;
+      if (HUES.joints[j] !== hue || !(s > 0) || Number.isNaN(W[k]) || !(all || filledAt(figure, j))) continue;
       look(W[k] - s * dx, W[k + 1] - s * dy, W[k + 2] - s * dz, edge);
       look(W[k] + s * dx, W[k + 1] + s * dy, W[k + 2] + s * dz, edge, 4);
       drawBar(ctx, edge[0], edge[1], edge[4], edge[5]);
@@ -97,14 +110,11 @@ const DASH = [5, 4], SOLID = [];
 
 function draw3d(ctx, width, height, look) {
   const { figures, size, colours } = kept;
-  ctx.clearRect(0, 0, width, height);
+  if (floored()) drawGround(ctx, width, height, look);
+  else ctx.clearRect(0, 0, width, height);
   ctx.lineCap = 'butt'; ctx.lineJoin = 'round';
   thickness(size.lengths, look.scale, 5.5, kept.boneWidths, kept.jointRadii);
-  if (floored()) {
-    drawFloor(ctx, look, size, colours);
-    if (kept.trails && state.placed) for (const figure of figures) drawTrail(ctx, look, kept.trails[figure.who], size, state.tint ? rampOf(figure, 0)[2] : colours.soft);
-    for (const figure of figures) drawShadow(ctx, look, figure, size, colours);
-  }
+  if (floored()) for (const figure of figures) drawShadow(ctx, look, figure, size, colours);
   if (kept.arrays.spread) for (const figure of figures) drawSpread(ctx, look, figure, state.spread, colours);
   sortByDepth(figures);
   for (let n = 0; n < sorted.count; n++) {
@@ -114,9 +124,6 @@ function draw3d(ctx, width, height, look) {
     else drawJoint(ctx, figure, k - 2 * B, colours);
   }
   drawAxes(ctx, state, height, colours);
-  for (const figure of figures) {
-    if (state.names) drawNames(ctx, figure.points, width, colours);
-    const top = topOf(figure.points, 4);
-    if (figure.name && top >= 0) drawLabel(ctx, figure.name, figure.points[4 * top], figure.points[4 * top + 1] - 18, colours);
-  }
+  if (state.names) for (const figure of figures) drawNames(ctx, figure.points, width, colours);
+  drawTitles(ctx, figures, 'points', 4, 18, colours);
 }

@@ -4,8 +4,8 @@ const pool = [];
 
 function newFigure() {
   const floats = (size) => new Float64Array(size);
-  return { row: 0, who: 0, name: '', world: floats(3 * J), points: floats(4 * J), truthWorld: floats(3 * J), truth: floats(4 * J),
-    hasTruth: false, flat: floats(2 * J), ground: floats(4 * J), shift: floats(3), away: floats(3) };
+  return { row: 0, who: 0, name: '', wide: null, world: floats(3 * J), points: floats(4 * J), truthWorld: floats(3 * J), truth: floats(4 * J),
+    hasTruth: false, flat: floats(2 * J), ground: floats(4 * J), front: floats(J), shift: floats(3), away: floats(3) };
 }
 
 const sureOf = (figure, j) => Math.min(1, value(kept.arrays.confidence, figure.row * J + j));
@@ -20,7 +20,8 @@ function fillFigures(look, see) {
     const who = value(A.individual, row);
     if (kept.hidden.has(clip.individuals[who])) continue;
     const figure = (pool[kept.figures.length] ??= newFigure());
-    figure.row = row; figure.who = who; figure.name = clip.individuals[who];
+    figure.row = row; figure.who = who;
+    if (figure.name !== clip.individuals[who]) { figure.name = clip.individuals[who]; figure.wide = null; }
     const lowest = poseRow(A, row, 'pose', state.level, figure.world);
     rootOf(A, row, who, lowest, figure.shift);
     moveBy(figure.world, figure.shift);

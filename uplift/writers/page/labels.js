@@ -23,6 +23,26 @@ function drawLabel(ctx, text, x, y, colours, align = 'center') {
   ctx.strokeText(text, x, y); ctx.fillText(text, x, y);
 }
 
+// The name of each individual over its highest joint, moved up where it would cover another.
+const titles = { count: 0, x: new Float64Array(64), y: new Float64Array(64), wide: new Float64Array(64) };
+
+function drawTitles(ctx, figures, field, stride, above, colours) {
+  titles.count = 0;
+  ctx.font = 12 + FONT;
+  for (const figure of figures) {
+    const top = topOf(figure[field], stride), n = titles.count;
+    if (!figure.name || top < 0 || n >= titles.x.length) continue;
+    const wide = (figure.wide ??= ctx.measureText(figure.name).width);
+    titles.x[n] = figure[field][stride * top]; titles.y[n] = figure[field][stride * top + 1] - above; titles.wide[n] = wide;
+    for (let other = 0; other < n; other++) {
+      const apart = Math.abs(titles.x[other] - titles.x[n]) > (titles.wide[other] + wide) / 2 + 4;
+      if (!apart && Math.abs(titles.y[other] - titles.y[n]) < 14) { titles.y[n] = titles.y[other] - 14; other = -1; }
+    }
+    titles.count++;
+    drawLabel(ctx, figure.name, titles.x[n], titles.y[n], colours);
+  }
+}
+
 // Names near to far; one that would cover another is left out.
 function drawNames(ctx, points, width, colours) {
   const taken = [], order = meta.joints.map((_, j) => j).filter((j) => !Number.isNaN(points[4 * j]));

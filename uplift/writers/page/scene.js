@@ -56,7 +56,7 @@ function lineUp(A, clip) {
 
 // Centre, half sizes, floor and mean lengths of bones of a clip; a stray row does not stretch it.
 function measure(A, clip) {
-  const low = [[], [], []], high = [[], [], []], buffer = new Float64Array(3 * J), shift = new Float64Array(3);
+  const low = [[], [], []], high = [[], [], []], rows = [], buffer = new Float64Array(3 * J), shift = new Float64Array(3);
   const lengths = new Float64Array(B), counts = new Float64Array(B);
   for (const row of sampled(clip)) {
     const lowest = poseRow(A, row, 'pose', state.level, buffer);
@@ -71,12 +71,15 @@ function measure(A, clip) {
       const line = buffer.filter((v, k) => k % 3 === a && v === v);
       low[a].push(Math.min(...line)); high[a].push(Math.max(...line));
     }
+    rows.push([low[0].at(-1), high[0].at(-1), low[2].at(-1), high[2].at(-1)]);
   }
   const at = (list, share) => (list.length ? list.sort((a, b) => a - b)[Math.round(share * (list.length - 1))] : 0);
   const from = low.map((list) => at(list, 0.01)), to = high.map((list) => at(list, 0.99));
-  const half = from.map((v, a) => (to[a] - v) / 2), radius = Math.max(Math.hypot(...half), 1e-6);
-  return { centre: from.map((v, a) => (v + to[a]) / 2), half, radius, floor: to[1], lengths: lengths.map((sum, n) => sum / (counts[n] || 1)),
-    wide: Math.max(Math.hypot(half[0], half[2]), radius * 0.3), tall: Math.max(half[1], radius * 0.3) };
+  const half = from.map((v, a) => (to[a] - v) / 2), radius = Math.max(Math.hypot(...half), 1e-6), centre = from.map((v, a) => (v + to[a]) / 2);
+  // Turned about its middle, a scene is as wide as its farthest row is away.
+  const reach = rows.map((row) => Math.max(...[0, 1].map((x) => Math.max(...[2, 3].map((z) => Math.hypot(row[x] - centre[0], row[z] - centre[2]))))));
+  return { centre, half, radius, floor: to[1], lengths: lengths.map((sum, n) => sum / (counts[n] || 1)),
+    wide: Math.max(at(reach, 0.99), radius * 0.3), tall: Math.max(half[1], radius * 0.3) };
 }
 
 // A function that writes screen x, y, depth (-1 near .. 1 far) and magnification of a world point into out[at...].

@@ -88,6 +88,7 @@ function openClip(index) {
   kept.strip = stripOf(kept.arrays, clipNow());
   kept.trails = meta.rooted && clipNow().frames.length > 1 ? trailsOf(kept.arrays, clipNow()) : null;
   kept.stripDue = true;
+  byId('transport').classList.toggle('bare', !kept.strip);
   measureClip();
   byId('scrub').max = (kept.stills ? kept.clips.length : clipNow().frames.length) - 1;
   byId('scrub').disabled = byId('play').disabled = byId('scrub').max < 1;

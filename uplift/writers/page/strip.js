@@ -1,7 +1,8 @@
 // The strip over the scrub bar: one number per moment, drawn once per clip; a mark moves over it.
+// What starts at zero is an area; what does not is a line from its least to its largest.
 const length = (v, unit) => tidy(v) + (unit === 'relative' ? '' : ' ' + unit);
 const STRIPS = [
-  { array: 'error', tell: (v) => `error at the best scale (n_mpjpe): ${length(v, meta.truthUnit)}` },
+  { array: 'error', fromZero: true, tell: (v) => `error at the best scale (n_mpjpe): ${length(v, meta.truthUnit)}` },
   { array: 'confidence', tell: (v) => `confidence of the 2D joints: ${v.toFixed(2)} on average` },
   { array: 'spread', tell: (v) => `uncertainty of the depth: ± ${length(v, meta.unit)} on average` },
 ];
@@ -23,7 +24,7 @@ function stripOf(A, clip) {
   for (const strip of STRIPS.filter((one) => A[one.array])) {
     const values = meanOf(A[strip.array], clip.moments), known = values.filter((v) => v >= 0);
     const low = known.reduce((a, b) => Math.min(a, b), Infinity), high = known.reduce((a, b) => Math.max(a, b), 0);
-    if (high - low > 0.01 * high) return { ...strip, values, high };
+    if (high - low > 0.01 * high) return { ...strip, values, high, low: strip.fromZero ? 0 : low };
   }
   return null;
 }
@@ -31,10 +32,13 @@ function stripOf(A, clip) {
 function drawStrip(ctx, width, height, strip, colours) {
   ctx.clearRect(0, 0, width, height);
   if (!strip) return;
-  const { values, high } = strip, inset = 8, span = width - 2 * inset;
-  ctx.fillStyle = colours.faint;
-  ctx.beginPath(); ctx.moveTo(inset, height);
-  values.forEach((v, k) => ctx.lineTo(inset + (k / (values.length - 1)) * span, height - (v >= 0 ? v / high : 0) * (height - 3)));
+  const { values, low, high, fromZero } = strip, inset = 8, span = width - 2 * inset;
+  ctx.fillStyle = ctx.strokeStyle = fromZero ? colours.faint : colours.soft;
+  ctx.lineWidth = 1; ctx.lineJoin = 'round';
+  ctx.beginPath();
+  if (fromZero) ctx.moveTo(inset, height);
+  values.forEach((v, k) => ctx.lineTo(inset + (k / (values.length - 1)) * span, height - 2 - (v >= low ? (v - low) / (high - low) : 0) * (height - 4)));
+  if (!fromZero) { ctx.stroke(); return; }
   ctx.lineTo(width - inset, height); ctx.fill();
 }
 
