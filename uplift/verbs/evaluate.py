@@ -17,6 +17,7 @@ from uplift.evaluation import Evaluation, GivenPoses
 from uplift.evaluation import evaluate as score
 from uplift.paths import shipped_names
 from uplift.readers.archive import read_arrays
+from uplift.readers.files import absolute
 from uplift.readers.npz import joint_names_of, unit_of
 from uplift.run import RunFolder
 from uplift.saving import replacing
@@ -52,7 +53,8 @@ def evaluate(run: str | Path, test: str | Path | None = None, *, refine: bool = 
 def _test_frames(folder: RunFolder, skeleton: Skeleton, test: str | Path | None) -> tuple[PoseData, str]:
     settings = folder.settings()
     if test is not None:
-        settings.data.test = str(Path(test).absolute())
+        settings.data.test = absolute(str(test))
+        settings.data.format = settings.data.layout = None  # what is tested on may come from elsewhere
         data, _ = clean(load_split(settings, "test", skeleton), skeleton)
         return data, str(test)
     chosen = settings.data
