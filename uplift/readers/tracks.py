@@ -67,12 +67,18 @@ class _Bodies:
         return {row: one for row, one in pairs if cost[row, one] <= _FAR}
 
     def apart(self, one: np.ndarray, other: np.ndarray) -> np.ndarray:
-        """Return mean distances, row by row, of the joints that both show, in sizes; far where they share none."""
+        """Return mean distances, row by row, of the joints that both show, else of their middles, in sizes."""
         both = self.seen[one] & self.seen[other]
         gap = np.where(both[..., None], self.keypoints[one] - self.keypoints[other], 0)
         mean = np.linalg.norm(gap, axis=-1).sum(-1) / np.maximum(both.sum(-1), 1)
-        mean = mean / np.maximum(self.size[one], self.size[other])
-        return np.where(both.any(-1), np.minimum(mean, 10 * _FAR), 10 * _FAR)
+        none = ~both.any(-1)
+        if none.any():
+            mean[none] = np.linalg.norm(self._middle(one[none]) - self._middle(other[none]), axis=-1)
+        return np.minimum(mean / np.maximum(self.size[one], self.size[other]), 10 * _FAR)
+
+    def _middle(self, rows: np.ndarray) -> np.ndarray:
+        weight = self.seen[rows][..., None]
+        return np.where(weight, self.keypoints[rows], 0).sum(1) / np.maximum(weight.sum(1), 1)
 
 
 def _sizes(keypoints: np.ndarray, seen: np.ndarray) -> np.ndarray:
