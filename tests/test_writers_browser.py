@@ -185,7 +185,7 @@ def test_filled_joints_are_hollow_and_show_their_uncertainty(show: Open) -> None
     drawn.add(page.ink("deep")[1])
     page.run(_TAP.format(joint="rhand"))
     text = page.run("document.getElementById('tip').textContent")
-    assert text.startswith("rhand") and "depth ± 150 mm" in text and "not seen in 2D, filled in" in text
+    assert text.startswith("rhand") and "place ± 150 mm" in text and "not seen in 2D, filled in" in text
     assert page.troubles() == []
     sample.spread = None
     drawn.add(show(sample, **calm).ink("deep")[1])

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from uplift.axes import rotations_to
 from uplift.errors import UserError
 from uplift.prediction import Prediction
 from uplift.skeleton.sides import bone_sides, joint_sides
@@ -28,7 +29,7 @@ def page_data(prediction: Prediction, moments: int) -> dict[str, Any]:
     """
     if not len(prediction):
         raise UserError("there is no frame to show on a page: the prediction is empty. Check the input file.")
-    if prediction.axes != "camera":
+    if prediction.axes not in ("camera", "opencv"):
         raise UserError(
             f"a page shows poses as the camera sees them; these were turned to the axes '{prediction.axes}'. "
             "Leave axes out for a page."
@@ -84,7 +85,8 @@ def _arrays(
     }
     if prediction.root is not None:
         root = np.asarray(prediction.root, np.float64)[rows]
-        stood = [standing(root[part], rotation[part], clip) for part, clip in _parts(chosen)]
+        level = rotations_to(prediction, "level")[rows]
+        stood = [standing(root[part], level[part], clip) for part, clip in _parts(chosen)]
     elif any(len(clip.individual_names) > 1 for clip in chosen):
         stood = [beside(pose[part], points[part], confidence[part] > 0) for part, _ in _parts(chosen)]
     else:
@@ -167,7 +169,7 @@ def _remarks(prediction: Prediction, clips: list[Clip], chosen: list[Clip], depa
             "The level view turns each pose as a whole; the level poses of the data differ from that "
             f"by up to {departure:.0%} of the pose's size."
         )
-    return remarks
+    return [*remarks, *prediction.notes]
 
 
 def _counted(count: int, noun: str) -> str:

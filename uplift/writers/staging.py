@@ -47,9 +47,8 @@ def standing(
 ) -> tuple[Float[np.ndarray, "frames 3"], Float[np.ndarray, "frames 3"]]:
     """Return where the roots of a clip are in the axes of the camera, and in level ones.
 
-    A camera stands still during a clip, so that all roots are levelled by the mean rotation: far from the camera
-    a degree of tilt more or less would move them by much. A place that is not known lies between those before
-    and after it.
+    ``level`` is one rotation for all of a clip, whose camera stands still: far from the camera a degree of tilt
+    more or less would move a root by much. A place that is not known lies between those before and after it.
     """
     place = np.where(np.isfinite(root).all(-1, keepdims=True), root, np.nan)
     for one in range(len(clip.individual_names)):
@@ -58,8 +57,7 @@ def standing(
         for axis in range(3):
             found = np.interp(clip.moment[rows], clip.moment[known], place[known, axis]) if len(known) else 0.0
             place[rows, axis] = found
-    u, _, vt = np.linalg.svd(level.mean(0))
-    return place, place @ (u @ vt).T
+    return place, np.einsum("fik,fk->fi", level, place)
 
 
 def beside(

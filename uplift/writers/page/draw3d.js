@@ -78,8 +78,20 @@ function drawJoint(ctx, figure, j, colours) {
   disc(ctx, x, y, filled ? Math.max(radius - 0.6, 0.8) : radius);
 }
 
-// Bars along the depth of the camera, of all joints or of those that were filled in.
+// A joint that was filled in may be anywhere in a ball; the depth of one that was seen has a bar, on demand.
 function drawSpread(ctx, look, figure, all, colours) {
+  for (let j = 0; j < J; j++) {
+    const radius = filledAt(figure, j) ? spreadOf(figure, j) * look.scale * figure.points[4 * j + 3] : NaN;
+    if (!(radius > 0)) continue;
+    ctx.globalAlpha = 0.16;
+    ctx.fillStyle = rampOf(figure, HUES.joints[j])[2];
+    disc(ctx, figure.points[4 * j], figure.points[4 * j + 1], radius);
+  }
+  if (all) drawBars(ctx, look, figure, colours);
+  ctx.globalAlpha = 1;
+}
+
+function drawBars(ctx, look, figure, colours) {
   const [dx, dy, dz] = figure.away, W = figure.world;
   ctx.lineWidth = 1.5;
   ctx.globalAlpha = 0.5;
@@ -88,14 +100,13 @@ function drawSpread(ctx, look, figure, all, colours) {
     ctx.beginPath();
     for (let j = 0; j < J; j++) {
       const s = spreadOf(figure, j), k = 3 * j;
-      if (HUES.joints[j] !== hue || !(s > 0) || Number.isNaN(W[k]) || !(all || filledAt(figure, j))) continue;
+      if (HUES.joints[j] !== hue || !(s > 0) || Number.isNaN(W[k]) || filledAt(figure, j)) continue;
       look(W[k] - s * dx, W[k + 1] - s * dy, W[k + 2] - s * dz, edge);
       look(W[k] + s * dx, W[k + 1] + s * dy, W[k + 2] + s * dz, edge, 4);
       drawBar(ctx, edge[0], edge[1], edge[4], edge[5]);
     }
     ctx.stroke();
   }
-  ctx.globalAlpha = 1;
 }
 
 // A line with a tick across each of its ends.
