@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -33,7 +34,7 @@ def browser(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Browser]:
 def show(browser: Browser, tmp_path: Path) -> Open:
     """Return a function that writes a prediction's page and opens it."""
 
-    def opened(sample: Prediction, **more: object) -> Page:
+    def opened(sample: Prediction, **more: Any) -> Page:
         write(sample, tmp_path / "page.html")
         return Page(browser, tmp_path / "page.html", **more)
 

@@ -59,6 +59,7 @@ def test_page_gives_back_the_poses(tmp_path: Path) -> None:
     data = read_html(tmp_path / "page.html")
     steps = np.abs(sample.pose).max() / 4096
     np.testing.assert_allclose(data["arrays"]["pose"], sample.pose, atol=steps)
+    assert sample.truth is not None
     np.testing.assert_allclose(data["arrays"]["truth"], sample.truth, atol=2 * steps)
     np.testing.assert_allclose(data["arrays"]["keypoints"], sample.keypoints, atol=0.05)
     level = np.einsum("fik,fjk->fji", data["arrays"]["level"], data["arrays"]["pose"])
@@ -164,6 +165,7 @@ def test_text_from_the_data_stays_text(tmp_path: Path) -> None:
 def test_not_a_number_never_reaches_the_page(tmp_path: Path) -> None:
     sample = prediction(frames=4, truth=True, spread=True)
     sample.pose[1, 2], sample.level_pose[1, 2], sample.keypoints[2] = np.nan, np.inf, np.nan
+    assert sample.truth is not None and sample.spread is not None
     sample.truth[3], sample.confidence[0, 0], sample.spread[2, 1] = np.nan, np.nan, np.nan
     write(
         sample, tmp_path / "page.html", sections=[("t", [("x", float("nan"))])], curves={"c": [(0, np.nan), (1, 1.0)]}

@@ -78,7 +78,7 @@ function drawJoint(ctx, figure, j, colours) {
   disc(ctx, x, y, filled ? Math.max(radius - 0.6, 0.8) : radius);
 }
 
-// A joint that was filled in may be anywhere in a ball; the depth of one that was seen has a bar, on demand.
+// A joint that was filled in has a ball as large as its expected error; the depth of one that was seen has a bar, on demand.
 function drawSpread(ctx, look, figure, all, colours) {
   for (let j = 0; j < J; j++) {
     const radius = filledAt(figure, j) ? spreadOf(figure, j) * look.scale * figure.points[4 * j + 3] : NaN;

@@ -24,6 +24,7 @@ addEventListener('keydown', (event) => {
   const action = KEYS[event.key.length === 1 ? event.key.toLowerCase() : event.key];
   if (!action || event.ctrlKey || event.metaKey || event.altKey || event.target.matches?.('select, input[type=search]')) return;
   if (event.key === ' ' && event.target.matches?.('button')) return;
+  if (event.key.startsWith('Page') && kept.clips.length < 2) return; // it scrolls
   event.preventDefault();
   action(event.shiftKey ? 10 : 1);
 });

@@ -59,7 +59,7 @@ function drawNames(ctx, points, width, colours) {
 function drawHover(deep, flat) {
   const figure = kept.figures.find((one) => one.who === kept.hover.who), j = kept.hover.joint;
   if (!figure) return;
-  byId('tip').textContent = describe(figure, j);
+  write('tip', describe(figure, j));
   for (const [ctx, x, y] of [[deep, figure.points[4 * j], figure.points[4 * j + 1]], [flat, figure.flat[2 * j], figure.flat[2 * j + 1]]]) {
     if (Number.isNaN(x)) continue;
     ctx.strokeStyle = kept.colours.ink; ctx.lineWidth = 2;

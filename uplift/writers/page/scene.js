@@ -55,6 +55,7 @@ function lineUp(A, clip) {
 }
 
 // Centre, half sizes, floor and mean lengths of bones of a clip; a stray row does not stretch it.
+// The floor is where most lowest joints are: places are not sure to the centimetre.
 function measure(A, clip) {
   const low = [[], [], []], high = [[], [], []], rows = [], buffer = new Float64Array(3 * J), shift = new Float64Array(3);
   const lengths = new Float64Array(B), counts = new Float64Array(B);
@@ -78,7 +79,7 @@ function measure(A, clip) {
   const half = from.map((v, a) => (to[a] - v) / 2), radius = Math.max(Math.hypot(...half), 1e-6), centre = from.map((v, a) => (v + to[a]) / 2);
   // Turned about its middle, a scene is as wide as its farthest row is away.
   const reach = rows.map((row) => Math.max(...[0, 1].map((x) => Math.max(...[2, 3].map((z) => Math.hypot(row[x] - centre[0], row[z] - centre[2]))))));
-  return { centre, half, radius, floor: to[1], lengths: lengths.map((sum, n) => sum / (counts[n] || 1)),
+  return { centre, half, radius, floor: at(high[1], 0.8), lengths: lengths.map((sum, n) => sum / (counts[n] || 1)),
     wide: Math.max(at(reach, 0.99), radius * 0.3), tall: Math.max(half[1], radius * 0.3) };
 }
 

@@ -56,6 +56,7 @@ function tell() {
   byId('scrub').value = kept.stills ? state.clip : state.moment;
   write('clock', kept.stills ? `${meta.noun} ${state.clip + 1} of ${kept.clips.length}`
     : `frame ${clip.frames[state.moment]} · ${(state.moment / rate).toFixed(1)} of ${(last / rate).toFixed(1)} s`);
+  byId('scrub').setAttribute('aria-valuetext', kept.stills ? clip.name : `frame ${clip.frames[state.moment]}`);
   let unseen = 0;
   for (const figure of kept.figures) for (let j = 0; j < J; j++) if (filledAt(figure, j)) unseen++;
   const size = meta.imageSize ? `${meta.imageSize[0]} × ${meta.imageSize[1]} px` : 'pixels';

@@ -3,8 +3,8 @@
 const length = (v, unit) => tidy(v) + (unit === 'relative' ? '' : ' ' + unit);
 const STRIPS = [
   { array: 'error', fromZero: true, tell: (v) => `error at the best scale (n_mpjpe): ${length(v, meta.truthUnit)}` },
-  { array: 'confidence', tell: (v) => `confidence of the 2D joints: ${v.toFixed(2)} on average` },
-  { array: 'spread', tell: (v) => `uncertainty: ± ${length(v, meta.unit)} on average` },
+  { array: 'confidence', tell: (v) => `mean 2D confidence ${v.toFixed(2)}` },
+  { array: 'spread', tell: (v) => `mean uncertainty ± ${length(v, meta.unit)}` },
 ];
 
 // The mean over individuals and joints of an array at each moment, NaN where nothing is known.
