@@ -152,6 +152,7 @@ def test_it_draws_unusual_data(case: str, show: Open) -> None:
         sample.confidence[:], sample.keypoints[:], sample.pose[1] = 0, 0, np.nan
     page = show(sample)
     assert page.state()["figures"] == (6 if case == "crowd" else 1)
+    assert page.run("document.body.innerText.includes('As in the image')") is (case == "crowd")
     assert page.ink("deep")[0] > 1500
     assert page.ink("flat")[0] > 500
     assert page.troubles() == []

@@ -51,6 +51,7 @@ function offer(arrays) {
   const { filled, level } = arrays;
   byId('frame-box').hidden = level.codes.every((_, k) => Math.abs(value(level, k) - (k % 9 % 4 ? 0 : 1)) < 1e-3);
   byId('place-box').hidden = !arrays.place;
+  if (!meta.rooted) document.querySelector('[data-placed="1"]').textContent = 'As in the image';
   byId('legend-missing').hidden = filled.codes.every((_, k) => value(filled, k) < 0.5);
   byId('legend-spread').hidden = !arrays.spread || byId('legend-missing').hidden;
   for (const name of ['truth', 'spread']) document.querySelector(`[data-toggle=${name}]`).hidden = !arrays[name];
