@@ -46,7 +46,7 @@ def nearest_rotation(matrix: Float[np.ndarray, "*frames 3 3"]) -> Float[np.ndarr
 def _mean_shape(ways: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
     """Return mean directions; those of the fullest frame for a bone that points everywhere."""
     stacked = np.stack(list(ways.values()), 1)
-    known: np.ndarray = np.isfinite(stacked).all(-1)
+    known = np.isfinite(stacked.sum(-1))
     first = int(np.argmax(known.sum(1)))
     shape = np.where(known[first][:, None], stacked[first], 0)
     whole, count = np.nan_to_num(stacked), np.maximum(known.sum(0), 1)[:, None]

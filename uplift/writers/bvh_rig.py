@@ -58,7 +58,7 @@ def turn_onto(
     frame: Float[np.ndarray, "frames 3 3"],
 ) -> Float[np.ndarray, "frames 3 3"]:
     """Return rotations that bring ``rest`` onto ``ways``, what these leave open as ``frame`` has it."""
-    known: np.ndarray = np.isfinite(ways).all(-1)
+    known = np.isfinite(np.sum(ways, axis=-1))
     wanted = np.einsum("fki,kj->fij", np.where(known[..., None], ways, 0), rest)
     trust = known.all(1).astype(float)
     if len(rest) == 1:
