@@ -13,7 +13,7 @@ from uplift.errors import UserError
 from uplift.prediction import Prediction
 from uplift.saving import replacing
 from uplift.writers.bvh_rig import Rig, fit_rig
-from uplift.writers.moving import frame_rate, known_points, one_clip, seen_at, steps
+from uplift.writers.moving import frame_rate, held, known_points, one_clip, seen_at, steps
 
 __all__ = ["BvhFit", "euler_zxy", "write_bvh"]
 
@@ -65,7 +65,7 @@ def write_bvh(prediction: Prediction, path: str | Path, fps: int | float | None 
     rows = clip.rows[seen_at(when, np.arange(count, dtype=float))]
     pose = known_points(prediction.pose[rows])
     place = (
-        np.zeros((count, 3)) if prediction.root is None else _held(known_points(prediction.root[rows][:, None])[:, 0])
+        np.zeros((count, 3)) if prediction.root is None else held(known_points(prediction.root[rows][:, None])[:, 0])
     )
     rig = fit_rig(prediction, pose)
     with replacing(path) as handle:
@@ -95,15 +95,6 @@ def _nearest(angles: np.ndarray, before: np.ndarray) -> np.ndarray:
     other = np.array([angles[0] + np.pi, np.pi - angles[1], angles[2] + np.pi])
     both = [way + 2 * np.pi * np.round((before - way) / (2 * np.pi)) for way in (angles, other)]
     return min(both, key=lambda way: float(np.abs(way - before).sum()))
-
-
-def _held(values: Float[np.ndarray, "frames 3"]) -> Float[np.ndarray, "frames 3"]:
-    """Return values with NaN replaced by what was last known, at the start by what is known first."""
-    known = np.isfinite(values).all(1)
-    if not known.any():
-        return np.zeros_like(values)
-    last = np.maximum.accumulate(np.where(known, np.arange(len(values)), -1))
-    return values[np.where(last < 0, int(np.argmax(known)), last)]
 
 
 def _text(rig: Rig, place: np.ndarray, scale: float, rate: float) -> str:

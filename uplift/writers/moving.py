@@ -76,6 +76,15 @@ def known_points(pose: Float[np.ndarray, "frames joints 3"]) -> Float[np.ndarray
     return pose
 
 
+def held(values: Float[np.ndarray, "frames 3"]) -> Float[np.ndarray, "frames 3"]:
+    """Return values with NaN replaced by what was last known, at the start by what is known first, 0 without any."""
+    known = np.isfinite(values).all(1)
+    if not known.any():
+        return np.zeros_like(values)
+    last = np.maximum.accumulate(np.where(known, np.arange(len(values)), -1))
+    return values[np.where(last < 0, int(np.argmax(known)), last)]
+
+
 def from_y_down(axes: str) -> Float[np.ndarray, "3 3"]:
     """Return the rotation from axes with x right, y down and z away to those of a name of `uplift.axes`."""
     return np.array(_FROM_Y_DOWN.get(axes, np.eye(3)), float)
