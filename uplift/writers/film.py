@@ -85,6 +85,9 @@ def _write_mp4(
         command = [program, "-y", "-loglevel", "error", "-f", "rawvideo", "-pix_fmt", "rgb24"]
         command += ["-s", f"{size[0]}x{size[1]}", "-r", f"{rate:.6f}", "-i", "-", "-an", "-c:v", "libx264"]
         command += ["-preset", "veryfast", "-crf", str(_MP4_QUALITY), "-pix_fmt", "yuv420p", "-movflags", "+faststart"]
+        # Without these, players guess the colours' matrix by the size of the picture.
+        command += ["-vf", "scale=out_color_matrix=bt709:out_range=tv", "-color_range", "tv", "-colorspace", "bt709"]
+        command += ["-color_primaries", "bt709", "-color_trc", "bt709"]
         with subprocess.Popen([*command, str(film)], stdin=subprocess.PIPE, stdout=said, stderr=said) as process:
             assert process.stdin is not None
             try:
@@ -106,11 +109,11 @@ def _write_mp4(
 
 def _ffmpeg(path: str | Path) -> str:
     """Return the ffmpeg of the package imageio-ffmpeg; raises UserError where there is none."""
-    help_ = "Install it with: pip install 'uplift3d[video]'. A .gif needs nothing more."
+    hint = 'pip install "uplift3d[video]". A .gif needs nothing more.'
     try:
         from imageio_ffmpeg import get_ffmpeg_exe
     except ImportError:
-        raise UserError(f"cannot write {path}: an .mp4 needs the package imageio-ffmpeg. {help_}") from None
+        raise UserError(f"cannot write {path}: an .mp4 needs imageio-ffmpeg: {hint}") from None
     try:
         return get_ffmpeg_exe()
     except RuntimeError as error:

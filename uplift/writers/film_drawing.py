@@ -89,9 +89,9 @@ class FilmDrawing:
             for (start, end), side in zip(scene.bones, scene.bone_sides, strict=True):
                 if np.isfinite(points[[start, end]]).all():
                     pale = bool(unsure[start] or unsure[end])
-                    canvas.line(points[start], points[end], 3 if pale else 4.5, _tone(side, -1, pale))
+                    canvas.line(points[start], points[end], 3 if pale else 4.5, _tone(side, -1.0, pale))
             for joint in np.flatnonzero(np.isfinite(points[:, 0])).tolist():
-                canvas.dot(points[joint], 5.5, _tone(scene.joint_sides[joint], -1, bool(unsure[joint])), rim=CARD)
+                canvas.dot(points[joint], 5.5, _tone(scene.joint_sides[joint], -1.0, bool(unsure[joint])), rim=CARD)
             self._name(canvas, who, points)
         self._map(canvas, moment)
         canvas.text((16, 20), "keypoints", 15, SOFT, "lm")
@@ -117,7 +117,7 @@ class FilmDrawing:
         if scene.floor:
             self._floor(canvas, moment)
             for points in scene.points[moment]:
-                self._shadow(canvas, self._seen(canvas, points * [1.0, 0.0, 1.0], moment))
+                _shadow(canvas, self._seen(canvas, points * [1.0, 0.0, 1.0], moment), scene.bones)
         parts, figures = [], [self._seen(canvas, points, moment) for points in scene.points[moment]]
         for points, unsure in zip(figures, scene.unsure[moment], strict=True):
             front = points[:, 2] - 0.15
@@ -153,13 +153,6 @@ class FilmDrawing:
                 if strength > 0.02:
                     canvas.line(start, end, 1.2, mixed(FLOOR, CARD, 1 - min(1.0, 1.3 * float(strength))))
 
-    def _shadow(self, canvas: Canvas, points: np.ndarray) -> None:
-        for start, end in self.scene.bones:
-            if np.isfinite(points[[start, end], 0]).all():
-                canvas.line(points[start], points[end], 6, SHADOW)
-                for joint in (start, end):
-                    canvas.dot(points[joint], 2.9, SHADOW)
-
     def _seen(
         self, canvas: Canvas, points: Float[np.ndarray, "points 3"], moment: int
     ) -> Float[np.ndarray, "points 4"]:
@@ -173,7 +166,7 @@ class FilmDrawing:
         near = eye / np.maximum(eye + depth, _NEAREST * eye)
         scale = min(0.44 * canvas.wide / scene.wide, 0.41 * canvas.high / scene.tall)
         across, along = canvas.wide / 2 + aside * near * scale, canvas.high / 2 + 10 + down * near * scale
-        return np.stack([across, along, np.clip(depth / scene.radius, -1, 1), near], 1)
+        return np.stack([across, along, np.clip(depth / scene.radius, -1.0, 1), near], 1)
 
     def _name(self, canvas: Canvas, who: int, points: np.ndarray) -> None:
         known = points[np.isfinite(points[:, 0])]
@@ -190,6 +183,14 @@ def _stroke(canvas: Canvas, start: np.ndarray, end: np.ndarray | None, side: int
     if not pale:
         canvas.line(start, end, thick + 3.5, CARD)
     canvas.line(start, end, 0.7 * thick if pale else thick, tone)
+
+
+def _shadow(canvas: Canvas, points: np.ndarray, bones: list[tuple[int, int]]) -> None:
+    for bone in bones:
+        if np.isfinite(points[list(bone), 0]).all():
+            canvas.line(points[bone[0]], points[bone[1]], 6, SHADOW)
+            for joint in bone:
+                canvas.dot(points[joint], 2.9, SHADOW)
 
 
 def _tone(side: int, depth: float, pale: bool) -> Colour:

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Bool, Float
 
-from uplift.axes import AXES, in_axes
+from uplift.axes import in_axes
 from uplift.prediction import Prediction
 from uplift.skeleton.sides import bone_sides, joint_sides
 from uplift.writers.clips import Clip
@@ -110,7 +110,7 @@ def _levelled(prediction: Prediction) -> Prediction:
     """Return the prediction with y down and level."""
     if prediction.axes in ("camera", "opencv"):
         return in_axes(prediction, "level")
-    turn = from_y_down(prediction.axes) if prediction.axes in AXES else np.eye(3)
+    turn = from_y_down(prediction.axes)
     root = None if prediction.root is None else prediction.root @ turn
     return replace(prediction, pose=prediction.pose @ turn, root=root, axes="level")
 
