@@ -138,7 +138,7 @@ class FilmDrawing:
     def _floor(self, canvas: Canvas, moment: int) -> None:
         """Draw squares that stand still in the world and fade away from where the camera looks."""
         scene = self.scene
-        step = _grid_step(scene.radius)
+        step = scene.square
         reach = int(np.ceil(1.6 * max(scene.wide, scene.tall) / step))
         middle = np.round(scene.centre[moment] / step)
         n, k = np.meshgrid(np.arange(-reach, reach + 1), np.arange(-reach, reach), indexing="ij")
@@ -195,9 +195,3 @@ def _shadow(canvas: Canvas, points: np.ndarray, bones: list[tuple[int, int]]) ->
 
 def _tone(side: int, depth: float, pale: bool) -> Colour:
     return mixed(SIDES[side], CARD, _PALE if pale else 0.6 * ((depth + 1) / 2) ** 1.4)
-
-
-def _grid_step(radius: float) -> float:
-    """Return a round length near a third of the scene, so that squares can be counted."""
-    power = 10.0 ** np.floor(np.log10(radius / 3.0))
-    return float(power * next(k for k in (1, 2, 5, 10) if k * power >= radius / 3.0 * 0.99))

@@ -43,6 +43,8 @@ class FilmScene:
     tall: float
     """How far they reach up and down."""
     floor: bool
+    square: float
+    """The side of the floor's squares."""
     bones: list[tuple[int, int]]
     joint_sides: list[int]
     bone_sides: list[int]
@@ -71,6 +73,7 @@ def film_scene(prediction: Prediction, clip: Clip, rate: float) -> FilmScene:
     centre, flat_centre = _followed(points, rate), _followed(keypoints, rate)
     centre[:, 1] = np.median(centre[:, 1])
     away, flat_away = points - centre[:, None, None], keypoints - flat_centre[:, None, None]
+    radius = _most(np.linalg.norm(away, axis=-1))
     bones = prediction.bone_indices.tolist()
     sides = joint_sides(prediction.skeleton, prediction.joint_names)
     return FilmScene(
@@ -82,10 +85,11 @@ def film_scene(prediction: Prediction, clip: Clip, rate: float) -> FilmScene:
         unsure=_stacked(clip, unsure.astype(float)) > 0,
         centre=centre,
         turn_deg=turns_deg(len(clip.frames), rate),
-        radius=_most(np.linalg.norm(away, axis=-1)),
+        radius=radius,
         wide=_most(np.linalg.norm(away[..., ::2], axis=-1)),
         tall=_most(np.abs(away[..., 1])),
         floor=floor,
+        square=_round_length(radius / 3),
         bones=[(start, end) for start, end in bones],
         joint_sides=sides,
         bone_sides=bone_sides(sides, bones),
@@ -166,3 +170,9 @@ def _followed(points: np.ndarray, rate: float) -> Float[np.ndarray, "moments axe
 def _most(distances: np.ndarray) -> float:
     known = distances[np.isfinite(distances)]
     return max(float(np.percentile(known, _MOST)) * 1.1, 1e-6) if len(known) else 1.0
+
+
+def _round_length(about: float) -> float:
+    """Return 1, 2 or 5 times a power of ten, so that squares can be counted."""
+    power = 10.0 ** np.floor(np.log10(about))
+    return float(power * next(k for k in (1, 2, 5, 10) if k * power >= about * 0.99))
