@@ -12,6 +12,7 @@ __all__ = ["FORMATS", "format_named"]
 FORMATS: dict[str, str] = {
     # JSON, folders of it, and labels in text files
     # tables, HDF5, and npz files of others
+    "deeplabcut": "uplift.readers.deeplabcut",
     "npz": "uplift.readers.npz",
 }
 """Name of a format -> the module whose ``FORMAT`` it is."""
