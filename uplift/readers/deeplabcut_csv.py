@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -34,15 +35,14 @@ def read_deeplabcut_csv(path: Path) -> PoseData:
             f"({', '.join(LEVELS[1])} for several individuals)."
         )
     rows = len(levels)
-    header, separator = header_of(path, peek.start, rows)
+    header, _ = header_of(path, rows)
     indices = next((at for at in range(1, len(header[0])) if any(row[at] for row in header)), len(header[0]))
     layout = layout_of(path, list(zip(*(row[indices:] for row in header), strict=True)))
-    below, _ = header_of(path, peek.start, rows + 1)  # a row below the header may name the index, and holds no numbers
-    rows += not any(below[-1][indices:])
-    if len([line for line in peek.lines if line.strip()]) <= rows and len(peek.start) < 65_536:
-        raise UserError(f"{path}: no row with numbers below the header.")
-    first, _ = header_of(path, peek.start, rows + 1)
-    by_image = indices > 1 or not _is_number(first[-1][0])
+    below = header_of(path, rows + 1)[0][-1]
+    if not any(below[indices:]):  # the name of the index, or an image without labels: no keypoints either way
+        rows += 1
+        below = header_of(path, rows + 1)[0][-1]
+    by_image = indices > 1 or not _is_number(below[0])
     table = Table.read(
         path,
         rows,
@@ -56,9 +56,13 @@ def read_deeplabcut_csv(path: Path) -> PoseData:
 
 def _levels(peek: Peek) -> tuple[str, ...] | None:
     """Return the rows of the header; None where it is none of DeepLabCut."""
-    lines = [line for line in peek.lines[:12] if line.strip()]
-    heads = tuple(line.replace(";", ",").replace("\t", ",").split(",", 1)[0].strip(' "') for line in lines[:4])
-    return next((levels for levels in LEVELS if heads[: len(levels)] == levels), None)
+    lines = [line for line in peek.text.splitlines()[:12] if line.strip()][:4]
+    heads = tuple(re.split("[,;\t]", line, maxsplit=1)[0].strip(' "') for line in lines)
+    for levels in LEVELS:
+        # Many individuals make rows so long that the first look does not reach the last of the header.
+        if heads[: len(levels)] == levels or (len(heads) > 1 and heads == levels[: len(heads)]):
+            return levels
+    return None
 
 
 def _is_number(text: str) -> bool:

@@ -18,6 +18,7 @@ __all__ = ["Column", "Table", "header_of"]
 
 _CHUNK = 1 << 18
 _START = 1 << 16
+_LONGEST_HEADER = 1 << 24
 _LONGEST_LINE = 1 << 26
 _IN_QUOTES = 0x1F  # what stands for a separator inside quotes until the cells are cut
 
@@ -61,24 +62,23 @@ class Table:
         cls, path: Path, rows: int, numbers: Sequence[int], exact: Sequence[int] = (), words: Sequence[int] = ()
     ) -> Table:
         """Read the file below ``rows`` header lines: ``numbers``, ``exact`` and ``words`` are places of columns."""
+        header, separator = header_of(path, rows)
+        _check_memory(path, len(numbers))
+        table = cls(path, header, separator, words={place: Column() for place in words})
+        taken = _Taken(table, list(numbers), list(exact))
         with path.open("rb") as file:
-            start = file.read(_START)
-            header, separator = header_of(path, start, rows)
-            _check_memory(path, len(numbers))
-            table = cls(path, header, separator, words={place: Column() for place in words})
-            taken = _Taken(table, list(numbers), list(exact))
-            file.seek(0)
             for first_line, chunk in _chunks(path, file, rows):
                 taken.add(first_line, chunk)
         return taken.finished()
 
 
-def header_of(path: Path, start: bytes, rows: int) -> tuple[list[list[str]], str]:
-    """Return the cells of the first lines, without spaces around them, and the separator: comma, semicolon or tab."""
-    lines = _decoded(start).splitlines()
-    lines = [line for line in lines if line.strip()][:rows]
-    if len(lines) < rows:
-        raise UserError(f"{path}: {len(lines)} lines, expected a header of {rows} and rows below it.")
+def header_of(path: Path, rows: int) -> tuple[list[list[str]], str]:
+    """Return the cells of the first lines, without spaces around them, and the separator: comma, semicolon or tab.
+
+    Raises:
+        UserError: no text, fewer lines, or rows of different lengths.
+    """
+    lines = _first_lines(path, rows)
     separator = max(",;\t", key=lambda sign: (lines[0].count(sign), sign == ","))
     try:
         cells = [[cell.strip() for cell in row] for row in csv.reader(lines, delimiter=separator)]
@@ -86,8 +86,22 @@ def header_of(path: Path, start: bytes, rows: int) -> tuple[list[list[str]], str
         raise UserError(f"{path}: the header cannot be read: {error}.") from None
     if any(len(row) != len(cells[0]) for row in cells):
         lengths = ", ".join(str(len(row)) for row in cells)
-        raise UserError(f"{path}: header rows of {lengths} cells, expected as many in each.")
+        raise UserError(f"{path}: its first rows have {lengths} cells, expected as many in each.")
     return cells, separator
+
+
+def _first_lines(path: Path, rows: int) -> list[str]:
+    """Return the first lines that are not blank."""
+    with path.open("rb") as file:
+        start, lines = b"", []
+        while len(start) <= _LONGEST_HEADER and len(lines) <= rows and (block := file.read(_START)):
+            start += block
+            lines = [line for line in _decoded(start).splitlines() if line.strip()]
+    if "\0" in "".join(lines[:rows]):
+        raise UserError(f"{path} is no text, expected a table.")
+    if len(lines) < rows:
+        raise UserError(f"{path}: {len(lines)} lines, expected a header of {rows} and rows below it.")
+    return lines[:rows]
 
 
 def _decoded(text: bytes) -> str:

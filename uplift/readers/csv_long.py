@@ -1,0 +1,96 @@
+"""Read tables with one row for each joint of each frame."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from uplift.data.container import PoseData, codes_of
+from uplift.errors import UserError
+from uplift.readers.csv_columns import Columns
+from uplift.readers.csv_identity import combined, identity_of, told_apart
+from uplift.readers.csv_wide import as_scores
+from uplift.readers.rows import confidence_of, rows_of
+from uplift.readers.table import Table
+
+__all__ = ["read_long"]
+
+Renamed = Callable[[Sequence[str]], Sequence[str]]
+
+
+def read_long(path: Path, columns: Columns, renamed: Renamed, notes: tuple[str, ...] = ()) -> PoseData:
+    """Read a table of the ``columns``; ``renamed`` makes joint names of what the file has.
+
+    Raises:
+        UserError: a joint twice in one frame; as `Table.read`, `identity_of`, `told_apart` and `rows_of`.
+    """
+    assert columns.name is not None
+    joint = columns.joints[""]
+    places = [place for place in (joint.x, joint.y, joint.score) if place is not None]
+    exact = [place for place in (columns.frame, columns.time, *columns.size.values()) if place is not None]
+    table = Table.read(path, 1, places, exact, [columns.name, *columns.identity.values()])
+    found = identity_of(table, columns)
+    keys = [found.values[key] for key in found.values if key not in ("action", "category")]
+    group, first = _in_order(combined(keys, len(table)))
+    names, of = _joints(table, columns.name)
+    place = group * len(names) + of
+    if len(place) > 1 and np.bincount(place).max() > 1:
+        _say_twice(table, place, names, of, found.values.get("frame"))
+    values = np.full((len(first) * len(names), len(places)), np.nan, np.float32)
+    values[place] = table.numbers
+    values = values.reshape(len(first), len(names), -1)
+    keypoints = np.ascontiguousarray(values[..., :2])
+    scores = as_scores(values[..., 2] if joint.score is not None else None, [joint])
+    found.values = {key: value[first] for key, value in found.values.items()}
+    told_apart(found, keypoints, confidence_of(path, keypoints, scores), table, table.lines[first])
+    return rows_of(
+        path,
+        keypoints[:, None],
+        None if scores is None else scores[:, None],
+        tuple(renamed(names)),
+        found.values,
+        fps=found.fps,
+        image_size=found.image_size,
+        notes=(*notes, *found.notes),
+    )
+
+
+def _in_order(code: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return (rows,) numbers of the codes by first appearance, and the row of each first appearance."""
+    starts = np.flatnonzero(np.diff(code, prepend=-1))  # equal codes mostly stand together
+    kinds, at = np.unique(code[starts], return_index=True)
+    first = starts[at]
+    order = np.argsort(first, kind="stable")
+    rank = np.empty(len(kinds), np.int64)
+    rank[order] = np.arange(len(kinds))
+    _, place = codes_of(code)
+    return rank[place], first[order]
+
+
+def _joints(table: Table, column: int) -> tuple[list[str], np.ndarray]:
+    """Return joint names in the file's order, numbers in their own, and (rows,) which is whose."""
+    words = table.words[column]
+    names = words.names
+    if "" in names:
+        line = table.lines[int(np.argmax(words.codes == names.index("")))]
+        raise UserError(f"{table.path}, line {line}: no name of a joint.")
+    if all(re.fullmatch(r"\d{1,9}", name) for name in names):
+        order = sorted(range(len(names)), key=lambda at: int(names[at]))
+        rank = np.empty(len(names), np.int64)
+        rank[order] = np.arange(len(names))
+        return [names[at] for at in order], rank[words.codes]
+    return names, words.codes.astype(np.int64)
+
+
+def _say_twice(table: Table, place: np.ndarray, names: list[str], of: np.ndarray, frame: np.ndarray | None) -> None:
+    order = np.argsort(place, kind="stable")
+    at = int(np.flatnonzero(np.diff(place[order]) == 0)[0])
+    one, two = int(order[at]), int(order[at + 1])
+    where = "" if frame is None else f" of frame {frame[two]}"
+    raise UserError(
+        f"{table.path}, line {table.lines[two]}: '{names[of[two]]}'{where} is there twice (first on line "
+        f"{table.lines[one]}). Several bodies need a column 'individual' that tells them apart, frames one 'frame'."
+    )
