@@ -9,7 +9,7 @@ import numpy as np
 from uplift.data.container import codes_of
 from uplift.errors import UserError
 from uplift.readers.csv_columns import Columns
-from uplift.readers.rows import frame_numbers
+from uplift.readers.table_rows import frame_numbers
 from uplift.readers.table import Table
 from uplift.readers.tracks import link_bodies
 

@@ -13,7 +13,7 @@ from uplift.errors import UserError
 from uplift.readers.csv_columns import Columns
 from uplift.readers.csv_identity import combined, identity_of, told_apart
 from uplift.readers.csv_wide import as_scores
-from uplift.readers.rows import confidence_of, rows_of
+from uplift.readers.table_rows import confidence_of, rows_of
 from uplift.readers.table import Table
 
 __all__ = ["read_long"]

@@ -9,7 +9,7 @@ import numpy as np
 from uplift.data.container import PoseData
 from uplift.readers.csv_columns import Columns, Joint
 from uplift.readers.csv_identity import identity_of, told_apart
-from uplift.readers.rows import confidence_of, rows_of
+from uplift.readers.table_rows import confidence_of, rows_of
 from uplift.readers.table import Table
 
 __all__ = ["as_scores", "read_wide"]

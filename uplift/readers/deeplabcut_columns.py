@@ -11,7 +11,7 @@ import numpy as np
 
 from uplift.data.container import PoseData
 from uplift.errors import UserError, did_you_mean
-from uplift.readers.rows import frame_numbers, rows_of
+from uplift.readers.table_rows import frame_numbers, rows_of
 
 __all__ = ["LEVELS", "Layout", "layout_of", "pose_data"]
 
