@@ -81,6 +81,8 @@ def _from_here(keys: list[str], value: Any) -> Any:
     name = ".".join(keys)
     if not isinstance(value, str) or not value:
         return value
+    if name in ("data.train", "data.test") and not Path(value).exists():
+        return ",".join(str(Path(part).expanduser().absolute()) for part in value.split(",") if part)
     if name in ("data.train", "data.test", "data.root", "init"):
         return str(Path(value).expanduser().absolute())
     if name == "data.labelled.file" and not re.fullmatch(r"\w+:\w+", value):  # SET:SPLIT is no path
