@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -11,11 +12,11 @@ from uplift.errors import UserError
 from uplift.readers.base import Format, Peek, ReadOptions
 from uplift.readers.csv_columns import Columns, columns_of, is_nameless
 from uplift.readers.csv_long import read_long
-from uplift.readers.csv_wide import read_wide
+from uplift.readers.csv_wide import Named, read_wide
+from uplift.readers.layouts import names_for
 from uplift.readers.table import header_of
-from uplift.skeleton import load_skeleton
 
-__all__ = ["FORMAT", "columns_in"]
+__all__ = ["FORMAT", "check", "columns_in", "read_columns"]
 
 
 def columns_in(peek: Peek) -> Columns | None:
@@ -39,9 +40,7 @@ def _read(path: Path, options: ReadOptions) -> PoseData:
     columns = columns_in(Peek(path))
     if columns is None:
         shown = ", ".join(header_of(path, 1)[0][0])[:120]
-        raise UserError(
-            f"{path} has the columns {shown}; expected NAME_x and NAME_y of each joint, or joint, x and y."
-        )
+        raise UserError(f"{path} has the columns {shown}; expected NAME_x and NAME_y of each joint, or joint, x and y.")
     check(path, columns)
     deep = next((name for name, joint in columns.joints.items() if joint.z is not None), None)
     if deep is not None:
@@ -50,14 +49,21 @@ def _read(path: Path, options: ReadOptions) -> PoseData:
             f"{path}: {what} x, y and z: 3D points, no 2D keypoints. Give the tracker's 2D output; for landmarks of "
             "MediaPipe, whose z is left out, say format=mediapipe."
         )
-    notes = left_out(columns)
+    return read_columns(path, columns, lambda names: _named(path, names, options))
+
+
+def read_columns(path: Path, columns: Columns, named: Named) -> PoseData:
+    """Read a csv of the ``columns``, wide or long; ``named`` makes joint names, and notes, of what the file has.
+
+    Raises:
+        UserError: as `read_wide` and `read_long`.
+    """
     if columns.name is not None:
-        return read_long(path, columns, lambda names: _named(path, names, options), notes)
-    names = _named(path, list(columns.joints), options)
-    if names != list(columns.joints) or (is_nameless(names) and not options.layout):
-        notes = (*notes, *_unnamed(names, options))
-    columns = replace(columns, joints=dict(zip(names, columns.joints.values(), strict=True)))
-    return read_wide(path, columns, notes)
+        return read_long(path, columns, named, left_out(columns))
+    if is_nameless(list(columns.joints)):
+        joints = dict(sorted(columns.joints.items(), key=lambda one: int(re.sub(r"\D", "", one[0]))))
+        columns = replace(columns, joints=joints)
+    return read_wide(path, columns, named, left_out(columns))
 
 
 def check(path: Path, columns: Columns) -> None:
@@ -66,13 +72,8 @@ def check(path: Path, columns: Columns) -> None:
         raise UserError(f"{path}: the column '{columns.twice[0]}' is there twice; joint names must differ.")
 
 
-def _named(path: Path, names: Sequence[str], options: ReadOptions) -> list[str]:
-    """Return names of the layout that the user gives for joints that are numbers only."""
-    if not is_nameless(names):
-        return list(names)
-    if options.layout is None:
-        return [f"keypoint_{name}" if name.isdigit() else name for name in names]
-    return layout_names(path, options.layout, len(names))
+def _named(path: Path, names: Sequence[str], options: ReadOptions) -> tuple[Sequence[str], Sequence[str]]:
+    return names_for(path, len(names), {}, options) if is_nameless(names) else (names, ())
 
 
 FORMAT = Format("csv", "plain csv", lambda peek: columns_in(peek) is not None, _read)

@@ -24,7 +24,9 @@ _FRAME = (
     "frame", "frames", "frame_number", "frame_no", "frame_nr", "frame_num", "frame_id", "frame_idx", "frame_index",
     "framenumber", "frameindex", "frameid", "fnum",
 )  # fmt: skip
-_TIME = re.compile(r"(time|times|timestamp|timestamps|t|seconds|sec|milliseconds)(_?(s|sec|seconds|ms|milliseconds|us))?")
+_TIME = re.compile(
+    r"(time|times|timestamp|timestamps|t|seconds|sec|milliseconds)(_?(s|sec|seconds|ms|milliseconds|us))?"
+)
 _JOINT = (
     "joint", "joint_name", "keypoint", "keypoint_name", "bodypart", "bodyparts", "body_part", "landmark",
     "landmark_name", "node", "node_name", "marker", "marker_name", "part", "part_name", "point", "name",

@@ -6,14 +6,13 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from uplift.data.container import codes_of
 from uplift.errors import UserError
 from uplift.readers.csv_columns import Columns
-from uplift.readers.table_rows import frame_numbers
 from uplift.readers.table import Table
+from uplift.readers.table_rows import by_appearance, frame_numbers
 from uplift.readers.tracks import link_bodies
 
-__all__ = ["Identity", "combined", "identity_of", "told_apart"]
+__all__ = ["Identity", "identity_of", "told_apart"]
 
 _SECONDS = {"ms": 1e-3, "milliseconds": 1e-3, "us": 1e-6, "s": 1.0, "sec": 1.0, "seconds": 1.0}
 _UNEVEN = 0.1
@@ -50,15 +49,6 @@ def identity_of(table: Table, columns: Columns) -> Identity:
     return found
 
 
-def combined(parts: list[np.ndarray], rows: int) -> np.ndarray:
-    """Return (rows,) numbers that are equal where all of ``parts`` are."""
-    code = np.zeros(rows, np.int64)
-    for part in parts:
-        _, one = codes_of(part)
-        _, code = codes_of(code * (one.max(initial=0) + 1) + one)
-    return code
-
-
 def told_apart(
     found: Identity, keypoints: np.ndarray, confidence: np.ndarray, table: Table, lines: np.ndarray | None
 ) -> None:
@@ -70,13 +60,13 @@ def told_apart(
     values, rows = found.values, len(keypoints)
     if "frame" not in values and "sequence" in values:
         keys = [values[key] for key in ("subject", "sequence", "camera", "instance") if key in values]
-        values["frame"] = _counted(combined(keys, rows))
+        values["frame"] = _counted(by_appearance(keys, rows)[0])
         found.notes.append("no frame numbers: rows are taken as neighbours in time")
     if "sequence" not in values:
         return
     clip = [values[key] for key in ("subject", "action", "sequence", "camera", "image", "instance") if key in values]
-    code = combined(clip, rows)
-    both = combined([code, values["frame"]], rows)
+    code = by_appearance(clip, rows)[0]
+    both = by_appearance([code, values["frame"]], rows)[0]
     if np.bincount(both).max(initial=0) <= 1:
         return
     if "instance" in values:
@@ -106,7 +96,7 @@ def _add_time(found: Identity, time: np.ndarray, head: str) -> None:
     """Find the rate, and frame numbers where there are none, in times that go up evenly."""
     values = found.values
     keys = [values[key] for key in ("subject", "sequence", "camera", "instance") if key in values]
-    clip = combined(keys, len(time))
+    clip = by_appearance(keys, len(time))[0]
     order = np.lexsort((time, clip))
     step = np.diff(time[order])
     frames = np.diff(values["frame"][order]).astype(np.float64) if "frame" in values else np.ones(len(step))
@@ -144,7 +134,9 @@ def _size(table: Table, sides: list[np.ndarray]) -> tuple[int, int] | None:
     """Return width and height where all rows have the same."""
     for side in sides:
         if not (np.isfinite(side) & (side >= 1) & (side < 1e6)).all():
-            raise UserError(f"{table.path}: image width and height go from {side.min():g} to {side.max():g}, expected px.")
+            raise UserError(
+                f"{table.path}: image width and height go from {side.min():g} to {side.max():g}, expected px."
+            )
     if any((side != side[0]).any() for side in sides):
         return None
     return int(sides[0][0]), int(sides[1][0])

@@ -3,26 +3,24 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
 
-from uplift.data.container import PoseData, codes_of
+from uplift.data.container import PoseData
 from uplift.errors import UserError
 from uplift.readers.csv_columns import Columns
-from uplift.readers.csv_identity import combined, identity_of, told_apart
-from uplift.readers.csv_wide import as_scores
-from uplift.readers.table_rows import confidence_of, rows_of
+from uplift.readers.csv_identity import identity_of, told_apart
+from uplift.readers.csv_wide import Named
+from uplift.readers.rows import seen_by_flag
 from uplift.readers.table import Table
+from uplift.readers.table_rows import by_appearance, confidence_of, rows_of
 
 __all__ = ["read_long"]
 
-Renamed = Callable[[Sequence[str]], Sequence[str]]
 
-
-def read_long(path: Path, columns: Columns, renamed: Renamed, notes: tuple[str, ...] = ()) -> PoseData:
-    """Read a table of the ``columns``; ``renamed`` makes joint names of what the file has.
+def read_long(path: Path, columns: Columns, named: Named, notes: tuple[str, ...] = ()) -> PoseData:
+    """Read a table of the ``columns``; ``notes`` come first in those of the result.
 
     Raises:
         UserError: a joint twice in one frame; as `Table.read`, `identity_of`, `told_apart` and `rows_of`.
@@ -34,7 +32,7 @@ def read_long(path: Path, columns: Columns, renamed: Renamed, notes: tuple[str, 
     table = Table.read(path, 1, places, exact, [columns.name, *columns.identity.values()])
     found = identity_of(table, columns)
     keys = [found.values[key] for key in found.values if key not in ("action", "category")]
-    group, first = _in_order(combined(keys, len(table)))
+    group, first = by_appearance(keys, len(table))
     names, of = _joints(table, columns.name)
     place = group * len(names) + of
     if len(place) > 1 and np.bincount(place).max() > 1:
@@ -43,31 +41,22 @@ def read_long(path: Path, columns: Columns, renamed: Renamed, notes: tuple[str, 
     values[place] = table.numbers
     values = values.reshape(len(first), len(names), -1)
     keypoints = np.ascontiguousarray(values[..., :2])
-    scores = as_scores(values[..., 2] if joint.score is not None else None, [joint])
+    scores = values[..., 2] if joint.score is not None else None
+    if scores is not None and joint.visibility:
+        scores = seen_by_flag(scores, found.notes)
     found.values = {key: value[first] for key, value in found.values.items()}
     told_apart(found, keypoints, confidence_of(path, keypoints, scores), table, table.lines[first])
+    joints, told = named(names)
     return rows_of(
         path,
         keypoints[:, None],
         None if scores is None else scores[:, None],
-        tuple(renamed(names)),
+        tuple(joints),
         found.values,
         fps=found.fps,
         image_size=found.image_size,
-        notes=(*notes, *found.notes),
+        notes=(*notes, *told, *found.notes),
     )
-
-
-def _in_order(code: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return (rows,) numbers of the codes by first appearance, and the row of each first appearance."""
-    starts = np.flatnonzero(np.diff(code, prepend=-1))  # equal codes mostly stand together
-    kinds, at = np.unique(code[starts], return_index=True)
-    first = starts[at]
-    order = np.argsort(first, kind="stable")
-    rank = np.empty(len(kinds), np.int64)
-    rank[order] = np.arange(len(kinds))
-    _, place = codes_of(code)
-    return rank[place], first[order]
 
 
 def _joints(table: Table, column: int) -> tuple[list[str], np.ndarray]:

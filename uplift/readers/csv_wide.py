@@ -2,20 +2,25 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
 
 from uplift.data.container import PoseData
-from uplift.readers.csv_columns import Columns, Joint
+from uplift.readers.csv_columns import Columns
 from uplift.readers.csv_identity import identity_of, told_apart
-from uplift.readers.table_rows import confidence_of, rows_of
+from uplift.readers.rows import seen_by_flag
 from uplift.readers.table import Table
+from uplift.readers.table_rows import confidence_of, rows_of
 
-__all__ = ["as_scores", "read_wide"]
+__all__ = ["Named", "read_wide"]
+
+Named = Callable[[Sequence[str]], tuple[Sequence[str], Sequence[str]]]
+"""Makes joint names of those that a file has, and notes that say how."""
 
 
-def read_wide(path: Path, columns: Columns, notes: tuple[str, ...] = ()) -> PoseData:
+def read_wide(path: Path, columns: Columns, named: Named, notes: tuple[str, ...] = ()) -> PoseData:
     """Read a table of the ``columns``; ``notes`` come first in those of the result.
 
     Raises:
@@ -34,9 +39,10 @@ def read_wide(path: Path, columns: Columns, notes: tuple[str, ...] = ()) -> Pose
     if extra:  # joints without a score are as sure as they are there
         scores = np.ones(keypoints.shape[:2], np.float32)
         scores[:, [at for at, joint in enumerate(joints) if joint.score is not None]] = table.numbers[:, len(places) :]
-    scores = as_scores(scores, joints)
     found = identity_of(table, columns)
-    names = tuple(columns.joints)
+    if scores is not None and all(joint.visibility for joint in joints):
+        scores = seen_by_flag(scores, found.notes)
+    names, told = named(list(columns.joints))
     told_apart(found, keypoints, confidence_of(path, keypoints, scores), table, table.lines)
     return rows_of(
         path,
@@ -46,14 +52,5 @@ def read_wide(path: Path, columns: Columns, notes: tuple[str, ...] = ()) -> Pose
         found.values,
         fps=found.fps,
         image_size=found.image_size,
-        notes=(*notes, *found.notes),
+        notes=(*notes, *told, *found.notes),
     )
-
-
-def as_scores(scores: np.ndarray | None, joints: list[Joint]) -> np.ndarray | None:
-    """Return COCO's visibility (2 visible, 1 hidden but labelled, 0 missing) as scores, others as they are."""
-    if scores is None or not all(joint.visibility for joint in joints):
-        return scores
-    if scores.max(initial=0, where=~np.isnan(scores)) == 2 and np.isin(scores[~np.isnan(scores)], (0, 1, 2)).all():
-        return scores / 2
-    return scores

@@ -8,10 +8,10 @@ from pathlib import Path
 
 import numpy as np
 
-from uplift.data.container import PoseData
+from uplift.data.container import PoseData, codes_of
 from uplift.errors import UserError
 
-__all__ = ["check_names", "frame_numbers", "rows_of"]
+__all__ = ["by_appearance", "check_names", "confidence_of", "frame_numbers", "rows_of"]
 
 _FARTHEST_PX = 1e7
 _MOST_CONFIDENT = 2.0  # heat maps peak a little over 1
@@ -38,25 +38,53 @@ def rows_of(
     """
     check_names(path, names, "joint")
     check_names(path, bodies, "individual")
-    confidence = _confidence(path, keypoints, scores)
+    confidence = confidence_of(path, keypoints, scores)
     _check_distance(path, keypoints, confidence, names)
     seen = (confidence > 0).any(-1)
     if not seen.any():
         raise UserError(f"{path}: no visible joint in any of {len(keypoints):,} frames.")
-    frame, body = np.nonzero(seen)
-    whole = len(frame) == seen.size
-    rows = {key: values if whole and seen.shape[1] == 1 else values[frame] for key, values in identity.items()}
+    body, frame = np.nonzero(seen.T)  # one body after the other: its frames stand together
+    rows = {key: values[frame] for key, values in identity.items()}
     if len(bodies):
         rows["instance"] = np.array(bodies, np.str_)[body]
-    joints = len(names)
+    order = _clips_together(rows)
+    if order is not None:
+        frame, body = frame[order], body[order]
+        rows = {key: values[order] for key, values in rows.items()}
+    whole = seen.shape[1] == 1 and len(frame) == seen.size and order is None
     return PoseData(
-        keypoints=keypoints.reshape(-1, joints, 2) if whole else keypoints[frame, body],
-        confidence=confidence.reshape(-1, joints) if whole else confidence[frame, body],
+        keypoints=keypoints[:, 0] if whole else keypoints[frame, body],
+        confidence=confidence[:, 0] if whole else confidence[frame, body],
         joint_names=tuple(names),
         identity=rows,
         source=str(path),
         **known,  # type: ignore[arg-type]
     )
+
+
+def _clips_together(rows: dict[str, np.ndarray]) -> np.ndarray | None:
+    """Return the order in which the rows of each clip, clips by first appearance, go up in time; None for as it is."""
+    if "frame" not in rows or "sequence" not in rows:
+        return None
+    count = len(rows["frame"])
+    parts = [rows[key] for key in ("subject", "sequence", "camera", "instance") if key in rows]
+    order = np.lexsort((rows["frame"], by_appearance(parts, count)[0]))
+    return None if (np.diff(order) == 1).all() else order
+
+
+def by_appearance(parts: Sequence[np.ndarray], rows: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return (rows,) numbers, equal where all of ``parts`` are, by first appearance, and the row of each of those."""
+    code = np.zeros(rows, np.int64)
+    for part in parts:
+        _, one = codes_of(part)
+        _, code = codes_of(code * (one.max(initial=0) + 1) + one)
+    starts = np.flatnonzero(np.diff(code, prepend=-1))  # equal rows mostly stand together
+    kinds, at = np.unique(code[starts], return_index=True)
+    first = starts[at]
+    order = np.argsort(first, kind="stable")
+    rank = np.empty(len(kinds), np.int64)
+    rank[order] = np.arange(len(kinds))
+    return rank[code], first[order]
 
 
 def check_names(path: Path, names: Sequence[str], what: str) -> None:
@@ -90,7 +118,8 @@ def _place(path: Path, lines: np.ndarray | None, row: int) -> str:
     return f"{path}, row {row}" if lines is None else f"{path}, line {lines[row]}"
 
 
-def _confidence(path: Path, keypoints: np.ndarray, scores: np.ndarray | None) -> np.ndarray:
+def confidence_of(path: Path, keypoints: np.ndarray, scores: np.ndarray | None) -> np.ndarray:
+    """Return how sure each keypoint is, 0..1, 0 where it is missing. Raises UserError for scores that are no shares."""
     finite = ~np.isnan(keypoints).any(-1)
     if scores is None:
         return (finite & (keypoints != 0).any(-1)).astype(np.float32)
