@@ -12,7 +12,7 @@ from uplift.errors import UserError
 from uplift.readers.base import Format, Peek, ReadOptions
 from uplift.readers.csv_columns import Columns, columns_of, is_nameless
 from uplift.readers.csv_long import read_long
-from uplift.readers.csv_wide import Named, read_wide
+from uplift.readers.csv_wide import Named, Rated, read_wide
 from uplift.readers.layouts import names_for
 from uplift.readers.table import header_of
 
@@ -52,18 +52,18 @@ def _read(path: Path, options: ReadOptions) -> PoseData:
     return read_columns(path, columns, lambda names: _named(path, names, options))
 
 
-def read_columns(path: Path, columns: Columns, named: Named) -> PoseData:
-    """Read a csv of the ``columns``, wide or long; ``named`` makes joint names, and notes, of what the file has.
+def read_columns(path: Path, columns: Columns, named: Named, rated: Rated | None = None) -> PoseData:
+    """Read a csv of the ``columns``, wide or long; ``named`` makes joint names, and notes, of what the file has, ``rated`` scores.
 
     Raises:
         UserError: as `read_wide` and `read_long`.
     """
     if columns.name is not None:
-        return read_long(path, columns, named, left_out(columns))
+        return read_long(path, columns, named, left_out(columns), rated)
     if is_nameless(list(columns.joints)):
         joints = dict(sorted(columns.joints.items(), key=lambda one: int(re.sub(r"\D", "", one[0]))))
         columns = replace(columns, joints=joints)
-    return read_wide(path, columns, named, left_out(columns))
+    return read_wide(path, columns, named, left_out(columns), rated)
 
 
 def check(path: Path, columns: Columns) -> None:

@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
 
 import numpy as np
 
+from uplift.data.container import PoseData
 from uplift.errors import UserError
 from uplift.readers.csv_columns import Columns
 from uplift.readers.table import Table
-from uplift.readers.table_rows import by_appearance, frame_numbers
+from uplift.readers.table_rows import by_appearance, confidence_of, frame_numbers, rows_of
 from uplift.readers.tracks import link_bodies
 
-__all__ = ["Identity", "identity_of", "told_apart"]
+__all__ = ["Identity", "bodies_of", "identity_of"]
 
 _SECONDS = {"ms": 1e-3, "milliseconds": 1e-3, "us": 1e-6, "s": 1.0, "sec": 1.0, "seconds": 1.0}
 _UNEVEN = 0.1
@@ -49,14 +52,41 @@ def identity_of(table: Table, columns: Columns) -> Identity:
     return found
 
 
-def told_apart(
-    found: Identity, keypoints: np.ndarray, confidence: np.ndarray, table: Table, lines: np.ndarray | None
-) -> None:
-    """Number the frames where they have no numbers, and the bodies where one frame has several without names.
+def bodies_of(
+    path: Path,
+    found: Identity,
+    keypoints: np.ndarray,
+    scores: np.ndarray | None,
+    names: Sequence[str],
+    notes: Sequence[str] = (),
+    lines: np.ndarray | None = None,
+) -> PoseData:
+    """Return (rows joints 2) keypoints of one body a row; ``lines`` of the file are for errors.
+
+    Frames without numbers are counted, and where one frame has several bodies without names, they
+    are told apart by where they are.
 
     Raises:
-        UserError: one body twice in one frame.
+        UserError: one body twice in one frame; as `rows_of`.
     """
+    confidence = confidence_of(path, keypoints, scores)
+    _told_apart(path, found, keypoints, confidence, lines)
+    return rows_of(
+        path,
+        keypoints[:, None],
+        None if scores is None else scores[:, None],
+        names,
+        found.values,
+        fps=found.fps,
+        image_size=found.image_size,
+        notes=(*notes, *found.notes),
+    )
+
+
+def _told_apart(
+    path: Path, found: Identity, keypoints: np.ndarray, confidence: np.ndarray, lines: np.ndarray | None
+) -> None:
+    """Number the frames where they have no numbers, and the bodies where one frame has several without names."""
     values, rows = found.values, len(keypoints)
     if "frame" not in values and "sequence" in values:
         keys = [values[key] for key in ("subject", "sequence", "camera", "instance") if key in values]
@@ -72,11 +102,11 @@ def told_apart(
     if "instance" in values:
         order = np.argsort(both, kind="stable")
         row = int(order[np.flatnonzero(np.diff(both[order]) == 0)[0] + 1])
-        where = f"{table.path}, line {lines[row]}" if lines is not None else f"{table.path}"
+        where = f"{path}, line {lines[row]}" if lines is not None else f"{path}"
         raise UserError(f"{where}: '{values['instance'][row]}' is in frame {values['frame'][row]} twice.")
     body = np.zeros(rows, np.int64)
-    for one in np.unique(code):
-        of_one = np.flatnonzero(code == one)
+    order = np.argsort(code, kind="stable")
+    for of_one in np.split(order, np.flatnonzero(np.diff(code[order])) + 1):
         body[of_one] = link_bodies(keypoints[of_one], confidence[of_one], values["frame"][of_one])
     values["instance"] = body.astype(np.str_)
     found.notes.append("frames show several bodies without names: told apart by where they are from frame to frame")

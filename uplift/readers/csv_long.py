@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -10,20 +11,22 @@ import numpy as np
 from uplift.data.container import PoseData
 from uplift.errors import UserError
 from uplift.readers.csv_columns import Columns
-from uplift.readers.csv_identity import identity_of, told_apart
-from uplift.readers.csv_wide import Named
+from uplift.readers.csv_identity import bodies_of, identity_of
+from uplift.readers.csv_wide import Named, Rated
 from uplift.readers.rows import seen_by_flag
 from uplift.readers.table import Table
-from uplift.readers.table_rows import by_appearance, confidence_of, rows_of
+from uplift.readers.table_rows import by_appearance
 
 __all__ = ["read_long"]
 
 
-def read_long(path: Path, columns: Columns, named: Named, notes: tuple[str, ...] = ()) -> PoseData:
+def read_long(
+    path: Path, columns: Columns, named: Named, notes: Sequence[str] = (), rated: Rated | None = None
+) -> PoseData:
     """Read a table of the ``columns``; ``notes`` come first in those of the result.
 
     Raises:
-        UserError: a joint twice in one frame; as `Table.read`, `identity_of`, `told_apart` and `rows_of`.
+        UserError: a joint twice in one frame; as `Table.read`, `identity_of` and `bodies_of`.
     """
     assert columns.name is not None
     joint = columns.joints[""]
@@ -44,19 +47,11 @@ def read_long(path: Path, columns: Columns, named: Named, notes: tuple[str, ...]
     scores = values[..., 2] if joint.score is not None else None
     if scores is not None and joint.visibility:
         scores = seen_by_flag(scores, found.notes)
+    if rated is not None:
+        scores = rated(scores, keypoints)
     found.values = {key: value[first] for key, value in found.values.items()}
-    told_apart(found, keypoints, confidence_of(path, keypoints, scores), table, table.lines[first])
     joints, told = named(names)
-    return rows_of(
-        path,
-        keypoints[:, None],
-        None if scores is None else scores[:, None],
-        tuple(joints),
-        found.values,
-        fps=found.fps,
-        image_size=found.image_size,
-        notes=(*notes, *told, *found.notes),
-    )
+    return bodies_of(path, found, keypoints, scores, joints, (*notes, *told), table.lines[first])
 
 
 def _joints(table: Table, column: int) -> tuple[list[str], np.ndarray]:

@@ -9,22 +9,25 @@ import numpy as np
 
 from uplift.data.container import PoseData
 from uplift.readers.csv_columns import Columns
-from uplift.readers.csv_identity import identity_of, told_apart
+from uplift.readers.csv_identity import bodies_of, identity_of
 from uplift.readers.rows import seen_by_flag
 from uplift.readers.table import Table
-from uplift.readers.table_rows import confidence_of, rows_of
 
-__all__ = ["Named", "read_wide"]
+__all__ = ["Named", "Rated", "read_wide"]
 
 Named = Callable[[Sequence[str]], tuple[Sequence[str], Sequence[str]]]
 """Makes joint names of those that a file has, and notes that say how."""
+Rated = Callable[[np.ndarray | None, np.ndarray], np.ndarray | None]
+"""Changes the scores (rows joints) of keypoints (rows joints 2) before they are taken as confidence."""
 
 
-def read_wide(path: Path, columns: Columns, named: Named, notes: tuple[str, ...] = ()) -> PoseData:
+def read_wide(
+    path: Path, columns: Columns, named: Named, notes: Sequence[str] = (), rated: Rated | None = None
+) -> PoseData:
     """Read a table of the ``columns``; ``notes`` come first in those of the result.
 
     Raises:
-        UserError: as `Table.read`, `identity_of`, `told_apart` and `rows_of`.
+        UserError: as `Table.read`, `identity_of` and `bodies_of`.
     """
     joints = list(columns.joints.values())
     scored = all(joint.score is not None for joint in joints)
@@ -42,15 +45,7 @@ def read_wide(path: Path, columns: Columns, named: Named, notes: tuple[str, ...]
     found = identity_of(table, columns)
     if scores is not None and all(joint.visibility for joint in joints):
         scores = seen_by_flag(scores, found.notes)
+    if rated is not None:
+        scores = rated(scores, keypoints)
     names, told = named(list(columns.joints))
-    told_apart(found, keypoints, confidence_of(path, keypoints, scores), table, table.lines)
-    return rows_of(
-        path,
-        keypoints[:, None],
-        None if scores is None else scores[:, None],
-        names,
-        found.values,
-        fps=found.fps,
-        image_size=found.image_size,
-        notes=(*notes, *told, *found.notes),
-    )
+    return bodies_of(path, found, keypoints, scores, names, (*notes, *told), table.lines)

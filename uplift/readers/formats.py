@@ -23,6 +23,7 @@ FORMATS: dict[str, str] = {
     "ultralytics": "uplift.readers.ultralytics",
     # tables, HDF5, and npz files of others
     "deeplabcut": "uplift.readers.deeplabcut",
+    "mediapipe": "uplift.readers.mediapipe",
     "csv": "uplift.readers.csv",
     "npz": "uplift.readers.npz",
 }
