@@ -24,6 +24,7 @@ FORMATS: dict[str, str] = {
     # tables, HDF5, and npz files of others
     "deeplabcut": "uplift.readers.deeplabcut",
     "mediapipe": "uplift.readers.mediapipe",
+    "videopose3d": "uplift.readers.videopose3d",
     "csv": "uplift.readers.csv",
     "npz": "uplift.readers.npz",
 }
