@@ -33,13 +33,18 @@ _JOINT = (
     "joint_id", "joint_index", "joint_idx", "keypoint_id", "keypoint_index", "keypoint_idx",
     "landmark_id", "landmark_index", "landmark_idx", "landmark_number", "node_id",
 )  # fmt: skip
-_SIZE = {"image_width": "width", "image_height": "height", "frame_width": "width", "frame_height": "height"}
+_FACTS = {
+    "image_width": "width", "image_height": "height", "frame_width": "width", "frame_height": "height",
+    "fps": "fps", "frame_rate": "fps",
+}  # fmt: skip
 _SCORE = "confidence|conf|c|likelihood|score|prob|probability|p|visibility|vis|v"
 _WORD = rf"(?P<what>x|y|z|{_SCORE})(?:_?(?:px|pixels?|coord|coordinate|pos))?"
 _SUFFIX = re.compile(rf"(?P<name>.*\S)\s*[-_./:(\[ ]\s*{_WORD}\s*[)\]]?", re.IGNORECASE)
 _PREFIX = re.compile(rf"{_WORD}\s*(?:[-_./:(\[ ]\s*(?P<name>\S.*?)|(?P<number>\d+))\s*[)\]]?", re.IGNORECASE)
 _ALONE = re.compile(rf"(?:(?:pos|coord|px|pixel)_?)?{_WORD}", re.IGNORECASE)
 _NUMBERED = re.compile(r"(?:(?:keypoint|kpt|kp|joint|landmark|point|marker|part|node|p|j)[_ ]?)?\d+", re.IGNORECASE)
+_SEEN = {"_u_px": "_x", "_v_px": "_y"}
+_PREDICTED = re.compile(r"_u_px$|_v_px$|(?<!_)_[xyz]$")
 _BOX = ("bbox", "box", "bounding_box", "bb")
 
 
@@ -66,8 +71,8 @@ class Columns:
     identity: dict[str, int] = field(default_factory=dict)
     frame: int | None = None
     time: int | None = None
-    size: dict[str, int] = field(default_factory=dict)
-    """``width`` and ``height`` of the image."""
+    facts: dict[str, int] = field(default_factory=dict)
+    """``width`` and ``height`` of the image, and ``fps``."""
     twice: list[str] = field(default_factory=list)
     """Names of columns that another one of the same joint has already."""
     others: tuple[str, ...] = ()
@@ -77,6 +82,8 @@ class Columns:
 def columns_of(header: Sequence[str]) -> Columns | None:
     """Return what the columns hold; None where they hold no keypoints."""
     found = Columns({})
+    if any(head.endswith("_u_px") for head in header):  # our own predictions: beside the poses, what was seen
+        header = [_PREDICTED.sub(lambda end: _SEEN.get(end[0], ""), head) for head in header]
     free: list[int] = []
     joint: dict[str, int] = {}
     for place, head in enumerate(header):
@@ -88,8 +95,8 @@ def columns_of(header: Sequence[str]) -> Columns | None:
             found.frame = place
         elif _TIME.fullmatch(key) and found.time is None:
             found.time = place
-        elif key in _SIZE:
-            found.size[_SIZE[key]] = place
+        elif key in _FACTS:
+            found.facts[_FACTS[key]] = place
         elif key in _JOINT:
             joint[key] = place
         else:
@@ -111,7 +118,7 @@ def columns_of(header: Sequence[str]) -> Columns | None:
     if found.frame is None and header[0].strip() in ("", "Unnamed: 0"):
         found.frame = 0
     used = {place for one in found.joints.values() for place in (one.x, one.y, one.z, one.score)}
-    used |= {found.name, found.frame, found.time, *found.identity.values(), *found.size.values()}
+    used |= {found.name, found.frame, found.time, *found.identity.values(), *found.facts.values()}
     found.others = tuple(head for place, head in enumerate(header) if place not in used and head)
     return found
 

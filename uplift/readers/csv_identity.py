@@ -36,7 +36,7 @@ def identity_of(table: Table, columns: Columns) -> Identity:
     """Return what the columns beside the keypoints say of the rows.
 
     Raises:
-        UserError: frame numbers that are none, or a size that is none.
+        UserError: frame numbers, an image size or a rate that are none.
     """
     values = {role: table.words[place].values() for role, place in columns.identity.items()}
     found = Identity({role: text for role, text in values.items() if (text != "").any()})
@@ -45,10 +45,13 @@ def identity_of(table: Table, columns: Columns) -> Identity:
     frame = None if columns.frame is None else frame_numbers(table.path, table.exact[columns.frame], table.lines)
     if frame is not None:
         found.values["frame"] = frame
+    facts = {what: _one(table, place) for what, place in columns.facts.items()}
+    found.fps = facts.get("fps")
+    width, height = facts.get("width"), facts.get("height")
+    if width and height:
+        found.image_size = int(width), int(height)
     if columns.time is not None:
         _add_time(found, table.exact[columns.time], table.header[-1][columns.time])
-    if {"width", "height"} <= set(columns.size):
-        found.image_size = _size(table, [table.exact[columns.size[side]] for side in ("width", "height")])
     return found
 
 
@@ -141,7 +144,7 @@ def _add_time(found: Identity, time: np.ndarray, head: str) -> None:
     unit, told = _unit(head, usual)
     # Over the whole clip, where rounding of single times no longer counts.
     rate = frames[next_].sum() / step[next_].sum() / unit
-    found.fps = float(f"{rate:.9g}")
+    found.fps = found.fps or float(f"{rate:.9g}")
     if not told:
         name = {1.0: "seconds", 1e-3: "milliseconds", 1e-6: "microseconds"}[unit]
         found.notes.append(f"times in '{head}' are taken as {name}: {found.fps:g} frames a second")
@@ -160,13 +163,10 @@ def _unit(head: str, step: float) -> tuple[float, bool]:
     return (1.0 if step < 1 else 1e-3 if step < 1000 else 1e-6), False
 
 
-def _size(table: Table, sides: list[np.ndarray]) -> tuple[int, int] | None:
-    """Return width and height where all rows have the same."""
-    for side in sides:
-        if not (np.isfinite(side) & (side >= 1) & (side < 1e6)).all():
-            raise UserError(
-                f"{table.path}: image width and height go from {side.min():g} to {side.max():g}, expected px."
-            )
-    if any((side != side[0]).any() for side in sides):
-        return None
-    return int(sides[0][0]), int(sides[1][0])
+def _one(table: Table, column: int) -> float | None:
+    """Return the number that all rows have; None where they differ."""
+    values = table.exact[column]
+    if not (np.isfinite(values) & (values > 0) & (values < 1e6)).all():
+        head = table.header[-1][column]
+        raise UserError(f"{table.path}: '{head}' goes from {values.min():g} to {values.max():g}, expected one number.")
+    return float(values[0]) if (values == values[0]).all() else None

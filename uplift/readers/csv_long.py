@@ -31,7 +31,7 @@ def read_long(
     assert columns.name is not None
     joint = columns.joints[""]
     places = [place for place in (joint.x, joint.y, joint.score) if place is not None]
-    exact = [place for place in (columns.frame, columns.time, *columns.size.values()) if place is not None]
+    exact = [place for place in (columns.frame, columns.time, *columns.facts.values()) if place is not None]
     table = Table.read(path, 1, places, exact, [columns.name, *columns.identity.values()])
     found = identity_of(table, columns)
     keys = [found.values[key] for key in found.values if key not in ("action", "category")]

@@ -11,7 +11,7 @@ from uplift.data.container import PoseData
 from uplift.errors import UserError
 from uplift.readers.base import Peek
 from uplift.readers.deeplabcut_columns import LEVELS, layout_of, pose_data
-from uplift.readers.table import Table, header_of
+from uplift.readers.table import Table, first_lines, header_of
 
 __all__ = ["looks_like_deeplabcut_csv", "read_deeplabcut_csv"]
 
@@ -56,11 +56,14 @@ def read_deeplabcut_csv(path: Path) -> PoseData:
 
 def _levels(peek: Peek) -> tuple[str, ...] | None:
     """Return the rows of the header; None where it is none of DeepLabCut."""
-    lines = [line for line in peek.text.splitlines()[:12] if line.strip()][:4]
-    heads = tuple(re.split("[,;\t]", line, maxsplit=1)[0].strip(' "') for line in lines)
+    if not peek.text.lstrip('\r\n "').startswith(LEVELS[0][0]):
+        return None
     for levels in LEVELS:
-        # Many individuals make rows so long that the first look does not reach the last of the header.
-        if heads[: len(levels)] == levels or (len(heads) > 1 and heads == levels[: len(heads)]):
+        try:
+            lines = first_lines(peek.path, len(levels))
+        except (UserError, OSError):
+            return None
+        if tuple(re.split("[,;\t]", line, maxsplit=1)[0].strip(' "') for line in lines) == levels:
             return levels
     return None
 

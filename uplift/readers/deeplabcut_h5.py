@@ -25,7 +25,7 @@ __all__ = ["looks_like_deeplabcut_h5", "read_deeplabcut_h5"]
 _KEYS = ("df_with_missing", "tracks")
 _MOST_PACKED = 1100  # zlib makes data a thousandth at best
 _DAMAGE = (
-    OSError, RuntimeError, ValueError, KeyError, TypeError, IndexError, AttributeError, MemoryError, OverflowError,
+    OSError, RuntimeError, ValueError, LookupError, TypeError, AttributeError, MemoryError, OverflowError,
     NotImplementedError, EOFError, ArithmeticError, ImportError, pickle.UnpicklingError, struct.error,
 )  # fmt: skip
 
@@ -64,7 +64,7 @@ def read_deeplabcut_h5(path: Path) -> PoseData:
             "with individuals for several."
         )
     layout = layout_of(path, columns)
-    with np.errstate(over="ignore"):
+    with np.errstate(over="ignore", invalid="ignore"):
         used = np.ascontiguousarray(numbers[:, layout.columns], np.float32)
     return pose_data(path, layout, used, index)
 

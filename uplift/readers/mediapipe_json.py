@@ -129,7 +129,7 @@ class _Read:
                 raise UserError(f"{where}: landmark '{name}' is {mark!r:.60}, expected numbers x and y.")
             rows.append(values)
             self.deep |= "z" in mark if isinstance(mark, dict) else len(mark) > 2
-        with np.errstate(over="ignore"):
+        with np.errstate(over="ignore", invalid="ignore"):
             self.rows.append(np.array(rows, np.float64).astype(np.float32))
 
 

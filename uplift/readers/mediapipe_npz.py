@@ -76,7 +76,7 @@ def _landmarks(path: Path, name: str, array: np.ndarray) -> np.ndarray:
     array = array[:, None] if array.ndim == 3 else array
     if array.ndim != 4 or array.shape[3] not in (2, 3, 4, 5) or not array.size:
         raise UserError(f"{path}: '{name}' has shape {array.shape}, expected (frames, landmarks, 2 to 5).")
-    with np.errstate(over="ignore"):
+    with np.errstate(over="ignore", invalid="ignore"):
         return array.astype(np.float32)
 
 

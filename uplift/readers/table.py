@@ -14,7 +14,7 @@ import numpy as np
 from uplift.errors import UserError
 from uplift.readers.decimals import PADDING, parse_numbers
 
-__all__ = ["Column", "Table", "header_of"]
+__all__ = ["Column", "Table", "first_lines", "header_of"]
 
 _CHUNK = 1 << 18
 _START = 1 << 16
@@ -78,7 +78,7 @@ def header_of(path: Path, rows: int) -> tuple[list[list[str]], str]:
     Raises:
         UserError: no text, fewer lines, or rows of different lengths.
     """
-    lines = _first_lines(path, rows)
+    lines = first_lines(path, rows)
     separator = max(",;\t", key=lambda sign: (lines[0].count(sign), sign == ","))
     try:
         cells = [[cell.strip() for cell in row] for row in csv.reader(lines, delimiter=separator)]
@@ -90,8 +90,12 @@ def header_of(path: Path, rows: int) -> tuple[list[list[str]], str]:
     return cells, separator
 
 
-def _first_lines(path: Path, rows: int) -> list[str]:
-    """Return the first lines that are not blank."""
+def first_lines(path: Path, rows: int) -> list[str]:
+    """Return the first lines that are not blank, however long they are.
+
+    Raises:
+        UserError: no text, or fewer lines.
+    """
     with path.open("rb") as file:
         start, lines = b"", []
         while len(start) <= _LONGEST_HEADER and len(lines) <= rows and (block := file.read(_START)):
@@ -215,7 +219,7 @@ class _Taken:
         if not self.point:
             # A comma can only be a decimal point where it parts no columns, and then there is no full stop.
             self.point = ord(",") if self.separator != ord(",") and not self._has_stop(text, starts, ends) else ord(".")
-        with np.errstate(over="ignore"):
+        with np.errstate(over="ignore", invalid="ignore"):
             numbers = self._parsed(text, starts[:, : self.count], ends[:, : self.count], lines, self.places)
             self.numbers.append(numbers.astype(np.float32))
         self.doubles.append(self._parsed(text, starts[:, self.count :], ends[:, self.count :], lines, self.exact))

@@ -115,7 +115,7 @@ def _keypoints(view: Any, where: str) -> np.ndarray:
         raise UserError(f"{where}: {shown}, expected numbers (frames, joints, 2).")
     if not view.shape[1]:
         raise UserError(f"{where}: no joints.")
-    with np.errstate(over="ignore"):
+    with np.errstate(over="ignore", invalid="ignore"):
         return view.astype(np.float32)
 
 
