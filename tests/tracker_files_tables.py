@@ -9,13 +9,10 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
+from uplift.skeleton import load_skeleton
+
 SCORER = "DLC_resnet50_testJan1shuffle1_1000"
-POSE33 = (
-    "NOSE LEFT_EYE_INNER LEFT_EYE LEFT_EYE_OUTER RIGHT_EYE_INNER RIGHT_EYE RIGHT_EYE_OUTER LEFT_EAR RIGHT_EAR "
-    "MOUTH_LEFT MOUTH_RIGHT LEFT_SHOULDER RIGHT_SHOULDER LEFT_ELBOW RIGHT_ELBOW LEFT_WRIST RIGHT_WRIST LEFT_PINKY "
-    "RIGHT_PINKY LEFT_INDEX RIGHT_INDEX LEFT_THUMB RIGHT_THUMB LEFT_HIP RIGHT_HIP LEFT_KNEE RIGHT_KNEE LEFT_ANKLE "
-    "RIGHT_ANKLE LEFT_HEEL RIGHT_HEEL LEFT_FOOT_INDEX RIGHT_FOOT_INDEX"
-).split()
+POSE33 = tuple(joint.upper() for joint in load_skeleton("mediapipe33").joints if joint not in ("pelvis", "neck"))
 COCO_METADATA = {
     "layout_name": "coco",
     "num_joints": 17,
@@ -61,10 +58,10 @@ def mediapipe_long(path: Path, values: np.ndarray, head: str = "frame_number,lan
 
 def mediapipe_wide(path: Path, values: np.ndarray, *, named: bool) -> Path:
     """Write a row per frame: x1, y1, z1, v1, ... or NOSE_x, NOSE_y, ..."""
-    names = [[f"{name}_{what}" for what in ("x", "y", "z", "visibility")] for name in POSE33]
+    names = [f"{name}_{what}" for name in POSE33 for what in ("x", "y", "z", "visibility")]
     if not named:
-        names = [[f"{what}{number + 1}" for what in "xyzv"] for number in range(values.shape[1])]
-    lines = [",".join(sum(names, []))] + [",".join(map(repr, row)) for row in values.reshape(len(values), -1).tolist()]
+        names = [f"{what}{number + 1}" for number in range(values.shape[1]) for what in "xyzv"]
+    lines = [",".join(names)] + [",".join(map(repr, row)) for row in values.reshape(len(values), -1).tolist()]
     path.write_text("\n".join(lines) + "\n")
     return path
 
