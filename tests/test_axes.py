@@ -95,10 +95,12 @@ def test_frames_of_unrelated_images_are_levelled_one_by_one() -> None:
 def test_a_clip_has_one_rotation_and_a_straight_walk_stays_straight() -> None:
     sample = prediction(frames=30, individuals=2)
     sample.root = np.linspace([0, 0, 3000], [1000, 50, 5000], 60)
-    assert np.ptp(sample.tilt_deg) > 3
+    assert sample.tilt_deg is not None and np.ptp(sample.tilt_deg) > 3
     rotation = rotations_to(sample, "opensim")
     assert np.ptp(rotation, axis=0).max() == 0
-    np.testing.assert_allclose(np.diff(in_axes(sample, "opensim").root, n=2, axis=0), 0, atol=1e-8)
+    path = in_axes(sample, "opensim").root
+    assert path is not None
+    np.testing.assert_allclose(np.diff(path, n=2, axis=0), 0, atol=1e-8)
     tilt = np.degrees(np.arctan2(rotation[0, 1, 2], rotation[0, 1, 1]))
     assert abs(abs(180 - abs(tilt)) - np.median(sample.tilt_deg)) < 0.2
 

@@ -75,11 +75,12 @@ def _gravities(prediction: Prediction) -> Float[np.ndarray, "frames 3"]:
     """
     from uplift.writers.staging import level_rotations  # here: the writers import this module
 
-    known = np.isfinite(prediction.pose).all(-1) & np.isfinite(prediction.level_pose).all(-1)
+    known = np.asarray(np.isfinite(prediction.pose).all(-1) & np.isfinite(prediction.level_pose).all(-1))
     pose = np.where(known[..., None], prediction.pose, 0.0)
     levelled = np.where(known[..., None], prediction.level_pose, 0.0)
     size = np.abs(pose).max((1, 2), initial=0)
-    tilt = np.full(len(prediction), np.nan) if prediction.tilt_deg is None else np.radians(prediction.tilt_deg)
+    told = np.full(len(prediction), np.nan) if prediction.tilt_deg is None else prediction.tilt_deg
+    tilt = np.radians(told)
     gravity = np.stack([np.zeros(len(tilt)), np.cos(tilt), np.sin(tilt)], -1)
     gap = np.abs(np.einsum("fji,fi->fj", pose, gravity) - levelled[..., 1]).max(1, initial=0)
     differs = ~(gap <= _AGREES * size)

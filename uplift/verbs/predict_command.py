@@ -8,6 +8,8 @@ from typing import Any
 
 import numpy as np
 
+from uplift.data.container import PoseData
+from uplift.evaluation.plausibility import bone_cv, bone_lengths
 from uplift.prediction import Prediction
 from uplift.verbs.predict import predict
 from uplift.words import PREDICT_KEYS, SIZE_KEYS, keyed, number, one_of, read_options, whole
@@ -42,6 +44,21 @@ def predict_command(words: Sequence[str]) -> None:
         print(line)
 
 
+def _motion(found: Prediction) -> list[str]:
+    """Return how much bones vary over each clip, where there are clips."""
+    clips = PoseData(found.keypoints, found.confidence, found.joint_names, identity=dict(found.identity)).clips()
+    if not len(clips) or clips.max() + 1 == len(clips):
+        return []
+    lengths = bone_lengths(found.pose, found.skeleton)
+    lengths = lengths / np.maximum(lengths.sum(1, keepdims=True), 1e-9) if found.unit != "mm" else lengths
+    varies = bone_cv(lengths, np.unique(clips, return_inverse=True)[1])
+    return (
+        [f"bones vary by {varies:.1%} over a clip (bone_cv); bones=constant makes them the same"]
+        if varies > 1e-4
+        else []
+    )
+
+
 def _told(found: Prediction, written: Sequence[Path]) -> list[str]:
     """Return what to say of a prediction and its files."""
     lines = [*found.notes]
@@ -56,6 +73,7 @@ def _told(found: Prediction, written: Sequence[Path]) -> list[str]:
         lines.append(f"{share.mean():.1%} of joints were not seen and are filled in (`filled`)" if share.size else "")
     if found.root is not None and np.isfinite(found.root).any():
         lines.append(f"placed: the camera is {np.nanmedian(found.root[:, 2]) / 1000:.2f} m away (median)")
+    lines += _motion(found)
     if found.unit == "px":
         lines.append("for millimetres give height_mm=, or bone=JOINT,JOINT bone_mm= (docs/output.md)")
     shown = [str(path) for path in written[:5]] + [f"and {len(written) - 5} more"] * (len(written) > 5)

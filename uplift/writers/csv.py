@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from itertools import chain
+import math
 from pathlib import Path
 
 import numpy as np
 
 from uplift.prediction import Prediction
 from uplift.saving import replacing
-from uplift.writers.plain import NUMBER, filled_in, plain, row_numbers, seen_keypoints
+from uplift.writers.plain import NUMBER, filled_in, numbers, parts, plain, seen_keypoints
 
 __all__ = ["write_csv"]
 
@@ -22,45 +22,49 @@ def write_csv(prediction: Prediction, path: str | Path) -> None:
     are the keypoint as it was seen; ``NAME_spread`` and ``NAME_filled`` (0 or 1) are there where they are
     known. What is missing is an empty cell. Raises ValueError where two columns would have one name.
     """
-    facts = {
-        "unit": prediction.unit,
-        "axes": prediction.axes,
-        "origin": "root" if prediction.root is None else "camera",
-    }
-    if prediction.fps is not None:
-        facts["fps"] = "%.7g" % prediction.fps
-    numbers, columns = _columns(prediction)
-    names = [*prediction.identity, *facts, *columns]
-    twice = {name for name in names if names.count(name) > 1} if len(set(names)) < len(names) else set()
-    if twice:
-        raise ValueError(f"prediction: several columns would be called {', '.join(sorted(twice))}")
-    template = ",".join(columns.values()) + "\n"
+    facts = _facts(prediction)
+    columns = _columns(prediction)
+    names = [*prediction.identity, *facts, *(name for name, _ in columns)]
+    if len(set(names)) < len(names):
+        twice = sorted({name for name in names if names.count(name) > 1})
+        raise ValueError(f"prediction: several columns would be called {', '.join(twice)}")
+    template = ",".join(style for _, style in columns) + "\n"
     known = ",".join(map(_cell, facts.values())) + ","
-    keys = [[_cell(value) for value in plain(values)] for values in prediction.identity.values()]
-    labels = zip(*keys, strict=True) if keys else ((),) * len(prediction)
     with replacing(path) as handle:
         handle.write(_bytes(",".join(map(_cell, names)) + "\n"))
-        for label, row in zip(labels, row_numbers(*numbers), strict=True):
-            handle.write(_bytes(",".join((*label, known)) + filled_in(template, row, "")))
+        for part in parts(prediction):
+            keys = [[_cell(value) for value in plain(values)] for values in part.identity.values()]
+            labels = zip(*keys, strict=True) if keys else ((),) * len(part)
+            for label, row in zip(labels, numbers(*_arrays(part)), strict=True):
+                handle.write(_bytes(",".join((*label, known)) + filled_in(template, row, "")))
 
 
-def _columns(prediction: Prediction) -> tuple[list[np.ndarray], dict[str, str]]:
-    """Return the arrays of numbers and, by the name of each column, how its numbers are written."""
-    per_joint: dict[str, tuple[np.ndarray | None, str]] = {}
-    for place, axis in enumerate("xyz"):
-        per_joint[axis] = prediction.points[..., place], NUMBER["place"]
-    for place, axis in enumerate(("u_px", "v_px")):
-        per_joint[axis] = seen_keypoints(prediction)[..., place], NUMBER["px"]
-    per_joint["confidence"] = prediction.confidence, NUMBER["share"]
-    per_joint["spread"] = prediction.spread, NUMBER["px"]
-    per_joint["filled"] = prediction.filled, "%d"
-    known = {key: (values, style) for key, (values, style) in per_joint.items() if values is not None}
-    table = np.stack([np.asarray(values, np.float64) for values, _ in known.values()], -1)
-    named = ([(f"{name}_{key}", style) for key, (_, style) in known.items()] for name in prediction.joint_names)
-    names = list(chain.from_iterable(named))
-    if prediction.tilt_deg is None:
-        return [table], _unlike(names)
-    return [prediction.tilt_deg, table], _unlike([("tilt_deg", NUMBER["px"]), *names])
+def _facts(prediction: Prediction) -> dict[str, str]:
+    """Return what is the same in every row."""
+    origin = "root" if prediction.root is None else "camera"
+    facts = {"unit": prediction.unit, "axes": prediction.axes, "origin": origin}
+    known = prediction.fps is not None and math.isfinite(prediction.fps)
+    return {**facts, "fps": f"{prediction.fps:.7g}"} if known else facts
+
+
+def _columns(prediction: Prediction) -> list[tuple[str, str]]:
+    """Return the name of each column of numbers and how its numbers are written, in the order of `_arrays`."""
+    place, px, share = NUMBER["place"], NUMBER["px"], NUMBER["share"]
+    joint = {"x": place, "y": place, "z": place, "u_px": px, "v_px": px, "confidence": share}
+    if prediction.spread is not None:
+        joint["spread"] = px
+    if prediction.filled is not None:
+        joint["filled"] = "%d"
+    columns = [(f"{name}_{key}", style) for name in prediction.joint_names for key, style in joint.items()]
+    return columns if prediction.tilt_deg is None else [("tilt_deg", px), *columns]
+
+
+def _arrays(prediction: Prediction) -> list[np.ndarray]:
+    """Return the numbers of each frame (frames ...)."""
+    optional = [values[..., None] for values in (prediction.spread, prediction.filled) if values is not None]
+    of_joints = [prediction.points, seen_keypoints(prediction), prediction.confidence[..., None], *optional]
+    table = np.concatenate(of_joints, -1)
+    return [table] if prediction.tilt_deg is None else [prediction.tilt_deg, table]
 
 
 def _cell(value: object) -> str:

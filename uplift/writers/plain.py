@@ -11,11 +11,11 @@ from jaxtyping import Float
 
 from uplift.prediction import Prediction
 
-__all__ = ["NUMBER", "filled_in", "plain", "row_numbers", "seen_keypoints"]
+__all__ = ["NUMBER", "filled_in", "numbers", "parts", "plain", "seen_keypoints"]
 
 NUMBER = {"place": "%.7g", "px": "%.6g", "share": "%.4g"}
 """How numbers are rounded: places to the seven digits of a 32-bit number, pixels to six, confidence to four."""
-_ROWS = 4096
+_ROWS = 256
 
 
 def plain(values: np.ndarray) -> list[Any]:
@@ -37,16 +37,20 @@ def seen_keypoints(prediction: Prediction) -> Float[np.ndarray, "frames joints 2
     return np.where(seen[..., None], prediction.keypoints, np.nan)
 
 
-def row_numbers(*columns: np.ndarray) -> Iterator[tuple[float, ...]]:
-    """Yield the numbers of each frame out of arrays (frames ...), in their order; what is not finite is NaN."""
-    for start in range(0, len(columns[0]), _ROWS):
-        parts = [column[start : start + _ROWS] for column in columns]
-        rows = np.concatenate([part.reshape(len(part), -1).astype(np.float64) for part in parts], 1)
-        rows = np.where(np.isfinite(rows), rows, np.nan) + 0.0  # + 0.0: -0 is written 0
-        yield from map(tuple, rows.tolist())
+def parts(prediction: Prediction) -> Iterator[Prediction]:
+    """Yield the frames in parts small enough to be held as text."""
+    for start in range(0, len(prediction), _ROWS):
+        yield prediction.select(np.arange(start, min(start + _ROWS, len(prediction))))
 
 
-def filled_in(template: str, numbers: tuple[float, ...], missing: str) -> str:
-    """Return ``template`` with the numbers in their places, ``missing`` where one is NaN."""
-    text = template % numbers
+def numbers(*columns: np.ndarray) -> list[tuple[float, ...]]:
+    """Return the numbers of each frame out of arrays (frames ...), in their order; what is not finite is NaN."""
+    rows = np.concatenate([column.reshape(len(column), -1).astype(np.float64) for column in columns], 1)
+    rows = np.where(np.isfinite(rows), rows, np.nan) + 0.0  # + 0.0: -0 is written 0
+    return list(map(tuple, rows.tolist()))
+
+
+def filled_in(template: str, row: tuple[float, ...], missing: str) -> str:
+    """Return ``template`` with the numbers of ``row`` in their places, ``missing`` where one is NaN."""
+    text = template % row
     return text.replace("nan", missing) if "nan" in text else text
