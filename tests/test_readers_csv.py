@@ -226,5 +226,5 @@ def test_chunks_join_without_a_seam(tmp_path: Path, monkeypatch: pytest.MonkeyPa
     values = values_of(500)
     path = written(tmp_path / "a.csv", wide(values).replace("\n", "\r\n"))
     for size in (1, 7, 1000):
-        monkeypatch.setattr("uplift.readers.table._CHUNK", size)
+        monkeypatch.setattr("uplift.readers.table_lines._CHUNK", size)
         check(read(path), values)

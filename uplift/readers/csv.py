@@ -14,7 +14,7 @@ from uplift.readers.csv_columns import Columns, columns_of, is_nameless
 from uplift.readers.csv_long import read_long
 from uplift.readers.csv_wide import Named, Rated, read_wide
 from uplift.readers.layouts import names_for
-from uplift.readers.table import header_of
+from uplift.readers.table_lines import header_of
 
 __all__ = ["FORMAT", "check", "columns_in", "read_columns"]
 

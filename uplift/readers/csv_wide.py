@@ -32,8 +32,9 @@ def read_wide(
     joints = list(columns.joints.values())
     scored = all(joint.score is not None for joint in joints)
     some = any(joint.score is not None for joint in joints)
-    places = [place for joint in joints for place in (joint.x, joint.y, *((joint.score,) if scored else ()))]
-    extra = [joint.score for joint in joints if joint.score is not None] if some and not scored else []
+    parts = [(joint.x, joint.y, joint.score if scored else None) for joint in joints]
+    places = [place for one in parts for place in one if place is not None]
+    extra: list[int] = [joint.score for joint in joints if joint.score is not None] if some and not scored else []
     exact = [place for place in (columns.frame, columns.time, *columns.facts.values()) if place is not None]
     table = Table.read(path, 1, [*places, *extra], exact, list(columns.identity.values()))
     values = table.numbers[:, : len(places)].reshape(len(table), len(joints), -1)

@@ -11,7 +11,8 @@ from uplift.data.container import PoseData
 from uplift.errors import UserError
 from uplift.readers.base import Peek
 from uplift.readers.deeplabcut_columns import LEVELS, layout_of, pose_data
-from uplift.readers.table import Table, first_lines, header_of
+from uplift.readers.table import Table
+from uplift.readers.table_lines import first_lines, header_of
 
 __all__ = ["looks_like_deeplabcut_csv", "read_deeplabcut_csv"]
 

@@ -53,7 +53,7 @@ def read_deeplabcut_h5(path: Path) -> PoseData:
         raise need("h5py", "trackers", path) from None
     try:
         with h5py.File(path, "r") as file:
-            group = file[_key(path, _tables(file))]
+            group: Any = file[_key(path, _tables(file))]
             columns, numbers, index = _appendable(path, group) if "table" in group else _fixed(path, group)
     except _DAMAGE as error:
         said = " ".join(str(error).split())[:200] or type(error).__name__

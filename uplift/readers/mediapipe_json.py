@@ -15,26 +15,19 @@ from uplift.errors import UserError
 from uplift.readers.base import Peek, ReadOptions
 from uplift.readers.csv_identity import Identity, bodies_of
 from uplift.readers.json_file import items
-from uplift.readers.mediapipe_landmarks import COUNTS, NO_DEPTH, landmark_names, placed, without_flags
+from uplift.readers.mediapipe_bodies import bodies_in, is_list_of_marks, is_number, plain_key, values_of
+from uplift.readers.mediapipe_landmarks import NO_DEPTH, landmark_names, placed, without_flags
 from uplift.readers.table_rows import frame_numbers
 
 __all__ = ["looks_like_mediapipe_json", "read_mediapipe_json"]
 
-_BODIES = (
-    "poselandmarks", "posenormalizedlandmarks", "landmarks", "landmark", "normalizedlandmarks", "keypoints", "pose",
-    "poses", "people", "persons", "results", "handlandmarks", "multihandlandmarks", "facelandmarks", "data",
-    "poseworldlandmarks", "worldlandmarks",
-)  # fmt: skip
-"""Keys that lead to landmarks, the image's before the world's."""
 _FRAMES = ("frames", "data", "results", "landmarks", "poselandmarks", "poses", "sequence", "predictions")
 _NUMBER = ("frame", "framenumber", "frameindex", "frameidx", "frameid", "index")
-_SCORES = ("visibility", "score", "confidence")
 _TOLD = {
     "fps": "fps", "framerate": "fps", "width": "width", "height": "height", "imagewidth": "width",
     "imageheight": "height", "videowidth": "width", "videoheight": "height", "framewidth": "width",
     "frameheight": "height",
 }  # fmt: skip
-_DEEPEST = 6
 
 
 def looks_like_mediapipe_json(peek: Peek) -> bool:
@@ -78,19 +71,19 @@ class _Read:
             for inner, one in value.items():
                 if not isinstance(one, dict | list):
                     self.tell(inner, one)
-        elif key == "imagesize" and isinstance(value, list) and len(value) == 2:
+        elif plain_key(key) in ("imagesize", "resolution") and isinstance(value, list) and len(value) == 2:
             self.tell("width", value[0])
             self.tell("height", value[1])
-        elif _plain(key) in _TOLD and _is_number(value) and 0 < value < 1e6:
-            self.told[_TOLD[_plain(key)]] = float(value)
+        elif plain_key(key) in _TOLD and is_number(value) and 0 < value < 1e6:
+            self.told[_TOLD[plain_key(key)]] = float(value)
 
     def add(self, place: int, number: float | None, frame: Any) -> None:
         """Take the bodies of a frame; ``place`` counts frames."""
         if isinstance(frame, dict):
-            keys = {_plain(key): key for key in frame}
+            keys = {plain_key(key): key for key in frame}
             own = next((frame[keys[key]] for key in _NUMBER if key in keys), None)
-            number = float(own) if _is_number(own) else number
-        for body in _bodies(frame, self._where(place), 0):
+            number = float(own) if is_number(own) else number
+        for body in bodies_in(frame, self._where(place), 0):
             self._add_body(body, self._where(place))
             self.frame.append(float(place) if number is None else number)
 
@@ -124,7 +117,7 @@ class _Read:
             )
         rows = []
         for name, mark in body:
-            values = _values(mark)
+            values = values_of(mark)
             if values is None:
                 raise UserError(f"{where}: landmark '{name}' is {mark!r:.60}, expected numbers x and y.")
             rows.append(values)
@@ -140,7 +133,7 @@ def _frames(path: Path, read: _Read) -> Iterator[tuple[int, float | None, Any]]:
         at = text.at
         first = text.value()
         text.at = at
-        if first and _is_list_of_marks(first):  # one frame, or one image
+        if first and is_list_of_marks(first):  # one frame, or one image
             yield 0, None, first
             return
         for place, frame in enumerate(items(text, "the file")):
@@ -151,9 +144,9 @@ def _frames(path: Path, read: _Read) -> Iterator[tuple[int, float | None, Any]]:
     rest: dict[str, Any] = {}
     done = False
     for key in text.members():
-        if not done and _plain(key) in _FRAMES and text.next_sign() == "[":
+        if not done and plain_key(key) in _FRAMES and text.next_sign() == "[":
             kept = list(items(text, f"'{key}'"))
-            if not _is_list_of_marks(kept):
+            if not is_list_of_marks(kept):
                 yield from ((place, None, frame) for place, frame in enumerate(kept))
                 done = bool(kept)
                 continue
@@ -168,84 +161,5 @@ def _frames(path: Path, read: _Read) -> Iterator[tuple[int, float | None, Any]]:
     if rest and all(numbers):  # frames by their number
         yield from ((at, float(one[1]), rest[one[0]]) for at, one in enumerate(numbers) if one)
     else:
-        nested = next((v for k, v in rest.items() if _plain(k) in _FRAMES and isinstance(v, dict)), None)
+        nested = next((v for k, v in rest.items() if plain_key(k) in _FRAMES and isinstance(v, dict)), None)
         yield 0, None, nested if nested is not None else rest
-
-
-def _bodies(value: Any, where: str, depth: int) -> Iterator[list[tuple[str, Any]]]:
-    """Yield the bodies in whatever lists and objects stand around their landmarks, as (name, landmark) each."""
-    if depth > _DEEPEST:
-        raise UserError(f"{where}: lists in lists, deeper than any landmarks are.")
-    if value is None or value == [] or value == {}:
-        return
-    if isinstance(value, list):
-        flat = _split(value)
-        if flat is not None:
-            value = flat
-        if _is_list_of_marks(value):
-            yield [(_name(mark, place), mark) for place, mark in enumerate(value)]
-            return
-        for one in value:
-            yield from _bodies(one, where, depth + 1)
-        return
-    if isinstance(value, dict):
-        keys = {_plain(key): key for key in value}
-        known = next((keys[key] for key in _BODIES if key in keys and value[keys[key]]), None)
-        if known is not None:
-            yield from _bodies(value[known], where, depth + 1)
-            return
-        marks = {key: mark for key, mark in value.items() if _is_mark(mark)}
-        if marks:
-            yield list(marks.items())
-        elif not any(key in keys for key in _BODIES):
-            raise UserError(f"{where}: no landmarks among {', '.join(map(repr, list(value)[:6]))}.")
-        return
-    raise UserError(f"{where}: {value!r:.60}, expected landmarks.")
-
-
-def _split(value: list[Any]) -> list[list[Any]] | None:
-    """Return the landmarks of a list of bare numbers; None for any other list."""
-    if len(value) < 42 or not all(_is_number(one) for one in value):
-        return None
-    width = next((n for n in (4, 3, 2, 5) if len(value) % n == 0 and len(value) // n in COUNTS), None)
-    return None if width is None else [value[at : at + width] for at in range(0, len(value), width)]
-
-
-def _is_list_of_marks(value: Any) -> bool:
-    return isinstance(value, list) and bool(value) and _is_mark(value[0])
-
-
-def _is_mark(value: Any) -> bool:
-    if isinstance(value, dict):
-        return "x" in value and "y" in value
-    return isinstance(value, list) and 2 <= len(value) <= 5 and all(_is_number(n) or n is None for n in value)
-
-
-def _name(mark: Any, place: int) -> str:
-    if isinstance(mark, dict):
-        name = next((mark[key] for key in ("name", "part", "landmark", "landmark_name", "label") if key in mark), None)
-        if isinstance(name, str) and name:
-            return name
-    return str(place)
-
-
-def _values(mark: Any) -> tuple[float, float, float] | None:
-    """Return x, y and visibility, NaN for what is null or not there; None where they are no numbers."""
-    if isinstance(mark, dict):
-        found = [mark.get("x"), mark.get("y"), next((mark[key] for key in _SCORES if key in mark), None)]
-    elif isinstance(mark, list) and 2 <= len(mark) <= 5:
-        found = [mark[0], mark[1], mark[3] if len(mark) > 3 else None]
-    else:
-        return None
-    if not all(one is None or _is_number(one) for one in found):
-        return None
-    x, y, score = (np.nan if one is None else min(max(float(one), -1e300), 1e300) for one in found)
-    return x, y, score
-
-
-def _is_number(value: Any) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) < 1e308
-
-
-def _plain(key: str) -> str:
-    return re.sub(r"[^a-z]", "", key.casefold())

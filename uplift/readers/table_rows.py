@@ -40,7 +40,7 @@ def rows_of(
     check_names(path, bodies, "individual")
     confidence = confidence_of(path, keypoints, scores)
     _check_distance(path, keypoints, confidence, names)
-    seen = (confidence > 0).any(-1)
+    seen: np.ndarray = np.any(confidence > 0, axis=-1)
     if not seen.any():
         raise UserError(f"{path}: no visible joint in any of {len(keypoints):,} frames.")
     body, frame = np.nonzero(seen.T)  # one body after the other: its frames stand together

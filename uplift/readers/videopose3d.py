@@ -162,7 +162,7 @@ def _size(sizes: Any, videos: set[str]) -> tuple[int, int] | None:
     found = set()
     for video in videos:
         one = sizes.get(video) if isinstance(sizes, dict) else None
-        sides = [one.get("w"), one.get("h")] if isinstance(one, dict) else []
+        sides: list[Any] = [one.get("w"), one.get("h")] if isinstance(one, dict) else []
         if len(sides) != 2 or not all(isinstance(n, int | float | np.number) and 1 <= n < 1e6 for n in sides):
             return None
         found.add((int(sides[0]), int(sides[1])))
