@@ -1,0 +1,207 @@
+"""Read a project or predictions of SLEAP (.slp): tables of frames, instances and points.
+
+The tables are read here and not by sleap-io, which makes an object of every instance: it takes
+70 times as long, and is what the tests hold this reader against.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from uplift.data.container import PoseData
+from uplift.errors import UserError
+from uplift.readers.base import Format, Peek, ReadOptions
+from uplift.readers.hdf5 import Hdf5, open_hdf5
+from uplift.readers.sleap_h5 import known_scores
+from uplift.readers.sleap_parts import Body, bodies_of, tracks_of, videos_of
+from uplift.readers.tidy import pairs_of, same_or_none, visible_only
+from uplift.readers.tracks import link_bodies
+
+__all__ = ["FORMAT"]
+
+_USER, _PREDICTED = 0, 1
+_CENTRED_PIXELS, _TOO_NEW = 1.1, 3.0
+"""Format numbers: since when (0, 0) is the middle of the first pixel and no longer its corner; what is not known yet."""
+_MOST_JOINTS = 2000
+
+
+def _read(path: Path, options: ReadOptions) -> PoseData:
+    with open_hdf5(path, "a SLEAP project") as file:
+        format_id = file.attribute("metadata", "format_id")
+        format_id = float(format_id) if isinstance(format_id, (int, float, np.number)) else 0.0
+        if not format_id < _TOO_NEW:
+            raise UserError(f"{path} has SLEAP's format {format_id:g}, expected one before {_TOO_NEW:g}.")
+        bodies, tracks, videos = bodies_of(file), tracks_of(file), videos_of(file)
+        rows, notes = _without_replaced(_rows(file, len(bodies), len(tracks)))
+        names, keypoints, confidence, told = _points(file, rows, bodies, 0.5 if format_id < _CENTRED_PIXELS else 0.0)
+    kept = _first_of_each(rows, (confidence > 0).any(-1))
+    if not len(kept):
+        raise UserError(f"{path}: no visible keypoint in {len(rows['track']):,} instances.")
+    if len(kept) < (confidence > 0).any(-1).sum():
+        notes.append("of instances of one track in one frame only the first is taken")
+    rows = {name: column[kept] for name, column in rows.items()}
+    keypoints, confidence = keypoints[kept], confidence[kept]
+    unknown = sorted(set(np.unique(rows["video"]).tolist()) - set(videos))
+    if unknown and videos:
+        raise UserError(f"{path}: frames are of video {unknown[0]}, expected one of {sorted(videos)}.")
+    used, place = np.unique(rows["video"], return_inverse=True)
+    seen_in = [videos[int(number)] for number in used] if videos else []
+    identity = {"frame": rows["frame"], "sequence": np.array([v.name for v in seen_in] or [path.stem])[place]}
+    instance, linked = _instances(keypoints, confidence, rows, tracks)
+    if instance is not None:
+        identity["instance"] = instance
+    of_bodies = [bodies[number] for number in np.unique(rows["skeleton"])]
+    if len(of_bodies) > 1:
+        identity["category"] = np.array([body.name for body in bodies])[rows["skeleton"]]
+    return PoseData(
+        keypoints=keypoints,
+        confidence=confidence,
+        joint_names=names,
+        identity=identity,
+        image_size=same_or_none(video.image_size for video in seen_in),
+        fps=same_or_none(video.fps for video in seen_in),
+        bones=tuple(dict.fromkeys(bone for body in of_bodies for bone in body.bones)),
+        mirror=pairs_of(pair for body in of_bodies for pair in body.mirror),
+        notes=(*notes, *told, *linked),
+    )
+
+
+def _rows(file: Hdf5, bodies: int, tracks: int) -> dict[str, np.ndarray]:
+    """Return columns of whole numbers, a row for each instance that a frame has."""
+    frames = _whole(file, "frames", ("video", "frame_idx", "instance_id_start", "instance_id_end"))
+    columns = ("instance_id", "instance_type", "skeleton", "track", "from_predicted", "point_id_start", "point_id_end")
+    instances = _whole(file, "instances", columns)
+    start, count = frames["instance_id_start"], frames["instance_id_end"] - frames["instance_id_start"]
+    there = len(instances["track"])
+    if ((start < 0) | (count < 0) | (start + count > there)).any() or count.sum() > there:
+        raise UserError(f"{file.path}: 'frames' names instances that are not among the {there:,} of 'instances'.")
+    which = np.repeat(start - np.append(0, np.cumsum(count)[:-1]), count) + np.arange(count.sum())
+    rows = {name: column[which] for name, column in instances.items()}
+    rows["video"], rows["frame"] = np.repeat(frames["video"], count), np.repeat(frames["frame_idx"], count)
+    for name, low, high in (
+        ("instance_type", _USER, _PREDICTED + 1),
+        ("skeleton", 0, bodies),
+        ("track", -1, tracks),
+        ("frame", 0, 2**40),
+    ):
+        if len(rows[name]) and (rows[name].min() < low or rows[name].max() >= high):
+            raise UserError(
+                f"{file.path}: column '{name}' goes from {rows[name].min()} to {rows[name].max()}, "
+                f"expected {low} to {high - 1}."
+            )
+    return rows
+
+
+def _whole(file: Hdf5, name: str, columns: tuple[str, ...]) -> dict[str, np.ndarray]:
+    found = file.table(name, columns)
+    for column, values in found.items():
+        if values.dtype.kind == "f":
+            right = np.isfinite(values) & (np.abs(values) < 2**53) & (values == np.rint(values))
+        else:
+            right = values <= 2**62
+        if not right.all():
+            raise UserError(f"{file.path}: column '{column}' of '{name}' holds {values[~right][0]!r}, no count.")
+        found[column] = values.astype(np.int64)
+    return found
+
+
+def _keys(rows: dict[str, np.ndarray]) -> np.ndarray:
+    """Return (rows,) numbers, the same for rows of one video, frame and track."""
+    key = np.zeros(len(rows["track"]), np.int64)
+    for name in ("video", "frame", "track"):
+        code = np.unique(rows[name], return_inverse=True)[1]
+        key = np.unique(key * (code.max(initial=0) + 1) + code, return_inverse=True)[1]
+    return key
+
+
+def _without_replaced(rows: dict[str, np.ndarray]) -> tuple[dict[str, np.ndarray], list[str]]:
+    """Return the rows without predictions that a labelled instance stands for, and a note where there were any."""
+    user, tracked = rows["instance_type"] == _USER, rows["track"] >= 0
+    key = _keys(rows)
+    replaced = np.isin(rows["instance_id"], rows["from_predicted"][user & (rows["from_predicted"] >= 0)])
+    replaced |= tracked & np.isin(key, key[user & tracked])
+    replaced &= ~user
+    told = f"{int(replaced.sum()):,} predicted instances are left out, as labelled ones stand in their place"
+    return {name: column[~replaced] for name, column in rows.items()}, [told] if replaced.any() else []
+
+
+def _first_of_each(rows: dict[str, np.ndarray], seen: np.ndarray) -> np.ndarray:
+    """Return the indices of rows in which something is seen, one for each video, frame and track."""
+    where = np.flatnonzero(seen)
+    key = _keys({name: rows[name][where] for name in ("video", "frame", "track")})
+    first = np.zeros(len(where), bool)
+    first[np.unique(key, return_index=True)[1]] = True
+    return where[first | (rows["track"][where] < 0)]
+
+
+def _points(
+    file: Hdf5, rows: dict[str, np.ndarray], bodies: list[Body], shift_px: float
+) -> tuple[tuple[str, ...], np.ndarray, np.ndarray, tuple[str, ...]]:
+    """Return joint names, keypoints, confidence, and what was assumed of scores."""
+    used = np.unique(rows["skeleton"]).tolist()
+    names = list(dict.fromkeys(node for body in used for node in bodies[body].nodes))
+    if len(names) > _MOST_JOINTS:
+        raise UserError(f"{file.path}: {len(names):,} nodes, expected {_MOST_JOINTS:,} at most.")
+    keypoints = np.full((len(rows["track"]), len(names), 2), np.nan, np.float32)
+    score = np.zeros(keypoints.shape[:2], np.float32)
+    told: tuple[str, ...] = ()
+    for kind, table in ((_USER, "points"), (_PREDICTED, "pred_points")):
+        of_kind = rows["instance_type"] == kind
+        if not of_kind.any():
+            continue
+        points = file.table(table, ("x", "y", "visible", *(("score",) if kind == _PREDICTED else ())))
+        for number in np.unique(rows["skeleton"][of_kind]).tolist():
+            mine = np.flatnonzero(of_kind & (rows["skeleton"] == number))
+            place = _places(file, table, rows, mine, len(bodies[number].nodes), len(points["x"]))
+            columns = np.array([names.index(node) for node in bodies[number].nodes])
+            xy = np.stack([points["x"][place], points["y"][place]], -1) - shift_px
+            there = points["visible"][place].astype(bool) & np.isfinite(xy).all(-1)
+            known = np.ones(there.shape, np.float32)
+            if kind == _PREDICTED:
+                with np.errstate(over="ignore"):
+                    known, told = known_scores(points["score"][place].astype(np.float32), there)
+            with np.errstate(over="ignore"):
+                keypoints[mine[:, None], columns] = xy
+            score[mine[:, None], columns] = np.where(there, known, 0)
+    return tuple(names), *visible_only(keypoints, score), told
+
+
+def _places(file: Hdf5, table: str, rows: dict, mine: np.ndarray, nodes: int, there: int) -> np.ndarray:
+    """Return (rows, nodes) places of the points of instances in their table."""
+    start, end = rows["point_id_start"][mine], rows["point_id_end"][mine]
+    if (end - start != nodes).any():
+        wrong = int((end - start)[end - start != nodes][0])
+        raise UserError(f"{file.path}: an instance has {wrong} points, its skeleton {nodes} nodes.")
+    if ((start < 0) | (end > there)).any() or len(mine) * nodes > there:
+        raise UserError(f"{file.path}: 'instances' names points that are not among the {there:,} of '{table}'.")
+    return start[:, None] + np.arange(nodes)
+
+
+def _instances(
+    keypoints: np.ndarray, confidence: np.ndarray, rows: dict[str, np.ndarray], tracks: list[str]
+) -> tuple[np.ndarray | None, tuple[str, ...]]:
+    """Return (rows,) names of individuals: of their tracks, or linked by place where they have none."""
+    free = np.flatnonzero(rows["track"] < 0)
+    if not len(free):
+        return np.array(tracks)[rows["track"]], ()
+    alone = len(np.unique(_keys(rows)[free])) == len(free)
+    if alone and len(free) == len(rows["track"]):
+        return None, ()
+    body = np.zeros(len(free), np.int64)
+    if not alone:
+        for video in np.unique(rows["video"][free]):
+            mine = rows["video"][free] == video
+            body[mine] = link_bodies(keypoints[free[mine]], confidence[free[mine]], rows["frame"][free[mine]])
+    names = np.array([*tracks, ""])[rows["track"]].astype(object)
+    prefix = "untracked " if len(free) < len(names) else ""
+    names[free] = [f"{prefix}{number}" for number in body.tolist()]
+    return names.astype(str), () if alone else ("individuals without a track are linked by place",)
+
+
+def _fits(peek: Peek) -> bool:
+    return {"frames", "instances", "metadata"} <= set(peek.hdf5_names)
+
+
+FORMAT = Format("sleap_slp", "a project of SLEAP", _fits, _read)
