@@ -12,6 +12,10 @@ __all__ = ["FORMATS", "format_named"]
 FORMATS: dict[str, str] = {
     # JSON, folders of it, and labels in text files
     # tables, HDF5, and npz files of others
+    "sleap_slp": "uplift.readers.sleap_slp",
+    "sleap_h5": "uplift.readers.sleap_h5",
+    "nwb": "uplift.readers.nwb",
+    "jabs": "uplift.readers.jabs",
     "npz": "uplift.readers.npz",
 }
 """Name of a format -> the module whose ``FORMAT`` it is."""

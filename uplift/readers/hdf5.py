@@ -67,6 +67,10 @@ def from_json(path: Path, where: str, text: str) -> Any:
         raise UserError(f"{path}: {where} is no valid JSON ({error}): damaged file?") from error
 
 
+class _Elsewhere(UserError):
+    """A link to another file."""
+
+
 def _told(method: Callable) -> Callable:
     """Wrap a method so that whatever h5py makes of a damaged file ends as one clear error."""
 
@@ -97,6 +101,23 @@ class Hdf5:
     def has(self, name: str) -> bool:
         """Return whether there is a group or an array of this name."""
         return self._find(name) is not None
+
+    @_told
+    def is_group(self, name: str) -> bool:
+        """Return whether there is a group of this name in this very file."""
+        try:
+            return hasattr(self._find(name), "keys")
+        except _Elsewhere:
+            return False
+
+    @_told
+    def is_elsewhere(self, name: str) -> bool:
+        """Return whether a name is a link to another file."""
+        try:
+            self._find(name)
+        except _Elsewhere:
+            return True
+        return False
 
     @_told
     def names(self, group: str = "") -> list[str]:
@@ -154,6 +175,11 @@ class Hdf5:
             raise UserError(f"{self.path}: '{name}' holds {item.dtype}, expected text.")
         return [_clean(value) for value in np.ravel(item.asstr(errors="replace")[()]).tolist()]
 
+    def text(self, name: str) -> str:
+        """Return the first text of an array; empty where there is none."""
+        found = self.texts(name) if self.has(name) else []
+        return found[0] if found else ""
+
     @_told
     def attribute(self, name: str, key: str) -> Any:
         """Return an attribute as text, number or array; None where there is none."""
@@ -171,6 +197,8 @@ class Hdf5:
             value = value.ravel()[0]
         if isinstance(value, np.ndarray) and value.dtype == np.uint8:  # text as bytes
             value = value.tobytes()
+        if isinstance(value, np.generic):
+            value = value.item()
         return _clean(value) if isinstance(value, (str, bytes)) else value
 
     def _find(self, name: str, hops: int = 0) -> Any:
@@ -192,7 +220,7 @@ class Hdf5:
                 elif isinstance(link, h5py.HardLink):
                     found = place[part]
                 else:
-                    raise UserError(f"{self.path}: '{walked}' is a link to elsewhere, which is never followed.")
+                    raise _Elsewhere(f"{self.path}: '{walked}' is a link to elsewhere, which is never followed.")
                 if not isinstance(found, h5py.Group):
                     place = found
                     continue

@@ -33,7 +33,7 @@ def _read(path: Path, options: ReadOptions) -> PoseData:
         if not len(frame):
             raise UserError(f"{path}: no visible keypoint in {points.shape[0]:,} frames of {points.shape[1]:,} tracks.")
         tracks, of_tracks = _track_names(file, points.shape[1])
-        video = video_name(_text(file, "video_path")) or video_name(path.stem)
+        video = video_name(file.text("video_path")) or video_name(path.stem)
         identity = {"frame": frame, "sequence": np.full(len(frame), video)}
         if tracks:
             identity["instance"] = np.array(tracks)[track]
@@ -143,11 +143,6 @@ def _image_size(file: Hdf5) -> tuple[int, int] | None:
     if isinstance(shape, list) and len(shape) == 4 and all(isinstance(n, int) and n > 0 for n in shape[1:3]):
         return shape[2], shape[1]
     return None
-
-
-def _text(file: Hdf5, name: str) -> str:
-    found = file.texts(name) if file.has(name) else []
-    return found[0] if found else ""
 
 
 def _fits(peek: Peek) -> bool:

@@ -52,7 +52,9 @@ def bodies_of(file: Hdf5) -> list[Body]:
         names = [_clean(node["name"]) for node in metadata["nodes"]]
         bodies = [_body(skeleton.get("nx_graph", skeleton), names) for skeleton in metadata["skeletons"]]
     except _WRONG as error:
-        raise UserError(f"{file.path}: the skeletons in the metadata are not as SLEAP writes them ({error!r}).") from error
+        raise UserError(
+            f"{file.path}: the skeletons in the metadata are not as SLEAP writes them ({error!r})."
+        ) from error
     for body in bodies:
         if not body.nodes or len(set(body.nodes)) != len(body.nodes):
             raise UserError(f"{file.path}: skeleton '{body.name}' has nodes {body.nodes!r}, expected each name once.")

@@ -1,7 +1,7 @@
 """Read a project or predictions of SLEAP (.slp): tables of frames, instances and points.
 
-The tables are read here and not by sleap-io, which makes an object of every instance: it takes
-70 times as long, and is what the tests hold this reader against.
+The tables are read here and not by sleap-io, which makes an object of every instance and so takes
+ten times as long, 80 s for a million; it is what the tests hold this reader against.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from uplift.errors import UserError
 from uplift.readers.base import Format, Peek, ReadOptions
 from uplift.readers.hdf5 import Hdf5, open_hdf5
 from uplift.readers.sleap_h5 import known_scores
-from uplift.readers.sleap_parts import Body, bodies_of, tracks_of, videos_of
+from uplift.readers.sleap_parts import Body, Video, bodies_of, tracks_of, videos_of
 from uplift.readers.tidy import pairs_of, same_or_none, visible_only
 from uplift.readers.tracks import link_bodies
 
@@ -29,43 +29,53 @@ _MOST_JOINTS = 2000
 
 def _read(path: Path, options: ReadOptions) -> PoseData:
     with open_hdf5(path, "a SLEAP project") as file:
-        format_id = file.attribute("metadata", "format_id")
-        format_id = float(format_id) if isinstance(format_id, (int, float, np.number)) else 0.0
-        if not format_id < _TOO_NEW:
-            raise UserError(f"{path} has SLEAP's format {format_id:g}, expected one before {_TOO_NEW:g}.")
+        shift_px = _shift_px(file)
         bodies, tracks, videos = bodies_of(file), tracks_of(file), videos_of(file)
         rows, notes = _without_replaced(_rows(file, len(bodies), len(tracks)))
-        names, keypoints, confidence, told = _points(file, rows, bodies, 0.5 if format_id < _CENTRED_PIXELS else 0.0)
-    kept = _first_of_each(rows, (confidence > 0).any(-1))
+        names, keypoints, confidence, told = _points(file, rows, bodies, shift_px)
+    seen = (confidence > 0).any(-1)
+    kept = _first_of_each(rows, seen)
     if not len(kept):
-        raise UserError(f"{path}: no visible keypoint in {len(rows['track']):,} instances.")
-    if len(kept) < (confidence > 0).any(-1).sum():
+        raise UserError(f"{path}: no visible keypoint in {len(seen):,} instances.")
+    if len(kept) < seen.sum():
         notes.append("of instances of one track in one frame only the first is taken")
     rows = {name: column[kept] for name, column in rows.items()}
     keypoints, confidence = keypoints[kept], confidence[kept]
-    unknown = sorted(set(np.unique(rows["video"]).tolist()) - set(videos))
-    if unknown and videos:
-        raise UserError(f"{path}: frames are of video {unknown[0]}, expected one of {sorted(videos)}.")
-    used, place = np.unique(rows["video"], return_inverse=True)
-    seen_in = [videos[int(number)] for number in used] if videos else []
-    identity = {"frame": rows["frame"], "sequence": np.array([v.name for v in seen_in] or [path.stem])[place]}
+    seen_in, sequence = _videos(path, rows["video"], videos)
     instance, linked = _instances(keypoints, confidence, rows, tracks)
-    if instance is not None:
-        identity["instance"] = instance
     of_bodies = [bodies[number] for number in np.unique(rows["skeleton"])]
-    if len(of_bodies) > 1:
-        identity["category"] = np.array([body.name for body in bodies])[rows["skeleton"]]
+    category = np.array([body.name for body in bodies])[rows["skeleton"]] if len(of_bodies) > 1 else None
+    identity = {"frame": rows["frame"], "sequence": sequence, "instance": instance, "category": category}
     return PoseData(
         keypoints=keypoints,
         confidence=confidence,
         joint_names=names,
-        identity=identity,
+        identity={key: values for key, values in identity.items() if values is not None},
         image_size=same_or_none(video.image_size for video in seen_in),
         fps=same_or_none(video.fps for video in seen_in),
         bones=tuple(dict.fromkeys(bone for body in of_bodies for bone in body.bones)),
         mirror=pairs_of(pair for body in of_bodies for pair in body.mirror),
         notes=(*notes, *told, *linked),
     )
+
+
+def _shift_px(file: Hdf5) -> float:
+    """Return what is to be taken off coordinates; raises UserError for a format that is too new."""
+    said = file.attribute("metadata", "format_id")
+    number = float(said) if isinstance(said, (int, float)) else 0.0
+    if not number < _TOO_NEW:
+        raise UserError(f"{file.path} has SLEAP's format {number:g}, expected one before {_TOO_NEW:g}.")
+    return 0.5 if number < _CENTRED_PIXELS else 0.0
+
+
+def _videos(path: Path, number: np.ndarray, videos: dict[int, Video]) -> tuple[list[Video], np.ndarray]:
+    """Return the videos that rows are of, and (rows,) their names."""
+    used, place = np.unique(number, return_inverse=True)
+    unknown = sorted(set(used.tolist()) - set(videos))
+    if unknown and videos:
+        raise UserError(f"{path}: frames are of video {unknown[0]}, expected one of {sorted(videos)}.")
+    found = [videos[one] for one in used.tolist()] if videos else []
+    return found, np.array([video.name for video in found] or [f"{path.stem} {one}" for one in used])[place]
 
 
 def _rows(file: Hdf5, bodies: int, tracks: int) -> dict[str, np.ndarray]:
@@ -128,12 +138,13 @@ def _without_replaced(rows: dict[str, np.ndarray]) -> tuple[dict[str, np.ndarray
 
 
 def _first_of_each(rows: dict[str, np.ndarray], seen: np.ndarray) -> np.ndarray:
-    """Return the indices of rows in which something is seen, one for each video, frame and track."""
+    """Return the indices, in the order of time, of rows that show something, one for each video, frame and track."""
     where = np.flatnonzero(seen)
     key = _keys({name: rows[name][where] for name in ("video", "frame", "track")})
     first = np.zeros(len(where), bool)
     first[np.unique(key, return_index=True)[1]] = True
-    return where[first | (rows["track"][where] < 0)]
+    where = where[first | (rows["track"][where] < 0)]
+    return where[np.lexsort((rows["frame"][where], rows["video"][where]))]
 
 
 def _points(
