@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 from collections.abc import Callable, Collection, Iterator
 from contextlib import contextmanager
 from functools import wraps
@@ -14,6 +13,7 @@ import numpy as np
 
 from uplift.errors import UserError
 from uplift.readers.base import need
+from uplift.readers.hdf5_own import Elsewhere, OwnParts
 
 __all__ = ["Hdf5", "from_json", "open_hdf5"]
 
@@ -22,12 +22,7 @@ _DAMAGE = (
     ValueError, TypeError, KeyError, IndexError, AttributeError, OSError, EOFError, MemoryError, OverflowError,
     NotImplementedError, RuntimeError, SystemError,
 )  # fmt: skip
-_MOST_LINKS = 8
 _MOST_ATTRIBUTE_BYTES = 2**26
-_SMALL = 2**26
-"""Arrays of fewer bytes are taken without asking how many bytes stand behind them."""
-_MOST_PACKED = 1100
-"""Deflate, the filter of these files, packs 1032 bytes into one at most."""
 
 
 @contextmanager
@@ -67,10 +62,6 @@ def from_json(path: Path, where: str, text: str) -> Any:
         raise UserError(f"{path}: {where} is no valid JSON ({error}): damaged file?") from error
 
 
-class _Elsewhere(UserError):
-    """A link to another file."""
-
-
 def _told(method: Callable) -> Callable:
     """Wrap a method so that whatever h5py makes of a damaged file ends as one clear error."""
 
@@ -94,48 +85,47 @@ class Hdf5:
 
     def __init__(self, path: Path, what: str, file: Any):
         self.path, self.what = path, what
-        self._file = file
-        self._groups: dict[str, Any] = {}
+        self._own = OwnParts(path, what, file)
 
     @_told
     def has(self, name: str) -> bool:
         """Return whether there is a group or an array of this name."""
-        return self._find(name) is not None
+        return self._own.find(name) is not None
 
     @_told
     def is_group(self, name: str) -> bool:
         """Return whether there is a group of this name in this very file."""
         try:
-            return hasattr(self._find(name), "keys")
-        except _Elsewhere:
+            return hasattr(self._own.find(name), "keys")
+        except Elsewhere:
             return False
 
     @_told
     def is_elsewhere(self, name: str) -> bool:
         """Return whether a name is a link to another file."""
         try:
-            self._find(name)
-        except _Elsewhere:
+            self._own.find(name)
+        except Elsewhere:
             return True
         return False
 
     @_told
     def names(self, group: str = "") -> list[str]:
         """Return the names in a group, sorted; none where there is no such group."""
-        found = self._find(group)
+        found = self._own.find(group)
         return sorted(found.keys()) if hasattr(found, "keys") else []
 
     @_told
     def place(self, name: str) -> int:
         """Return a number that is the same for two names of one thing."""
-        import h5py
+        from h5py import h5o
 
-        return int(h5py.h5o.get_info(self._find(name).id).addr)
+        return int(h5o.get_info(self._own.find(name).id).addr)
 
     @_told
     def array(self, name: str) -> np.ndarray:
         """Return an array of numbers; raises UserError where there is none, or one that is larger than it can be."""
-        item = self._dataset(name)
+        item = self._own.dataset(name)
         if item.dtype.kind not in "fiub":
             raise UserError(f"{self.path}: '{name}' is no array of numbers (found {item.dtype}).")
         return np.asarray(item[()])
@@ -143,7 +133,7 @@ class Hdf5:
     @_told
     def table(self, name: str, columns: Collection[str]) -> dict[str, np.ndarray]:
         """Return columns of numbers (rows,) of a table; raises UserError where one is missing."""
-        item = self._dataset(name)
+        item = self._own.dataset(name)
         named = item.dtype.names
         if named is None and "field_names" in item.attrs:  # as h5wasm writes tables: one array of numbers
             named = from_json(self.path, f"'field_names' of '{name}'", str(self.attribute(name, "field_names")))
@@ -168,7 +158,7 @@ class Hdf5:
         """Return the texts of an array, in its order; raises UserError where it holds something else."""
         import h5py
 
-        item = self._dataset(name)
+        item = self._own.dataset(name)
         if not item.size:  # an empty list of text is often stored as one of numbers
             return []
         if h5py.check_string_dtype(item.dtype) is None:
@@ -185,7 +175,7 @@ class Hdf5:
         """Return an attribute as text, number or array; None where there is none."""
         import h5py
 
-        found = self._find(name)
+        found = self._own.find(name)
         if found is None or key not in found.attrs:
             return None
         if found.attrs.get_id(key).get_storage_size() > _MOST_ATTRIBUTE_BYTES:
@@ -200,54 +190,6 @@ class Hdf5:
         if isinstance(value, np.generic):
             value = value.item()
         return _clean(value) if isinstance(value, (str, bytes)) else value
-
-    def _find(self, name: str, hops: int = 0) -> Any:
-        """Return a group or dataset of this very file, None where there is none."""
-        import h5py
-
-        place, walked = self._file, ""
-        for part in name.strip("/").split("/"):
-            if part in ("", "."):
-                continue
-            walked = f"{walked}/{part}"
-            if walked not in self._groups:
-                link = place.get(part, getlink=True) if isinstance(place, h5py.Group) else None
-                if link is None:
-                    return None
-                if isinstance(link, h5py.SoftLink) and hops < _MOST_LINKS:
-                    target = link.path if link.path.startswith("/") else f"{place.name}/{link.path}"
-                    found = self._find(target, hops + 1)
-                elif isinstance(link, h5py.HardLink):
-                    found = place[part]
-                else:
-                    raise _Elsewhere(f"{self.path}: '{walked}' is a link to elsewhere, which is never followed.")
-                if not isinstance(found, h5py.Group):
-                    place = found
-                    continue
-                self._groups[walked] = found
-            place = self._groups[walked]
-        return place
-
-    def _dataset(self, name: str) -> Any:
-        """Return a dataset whose bytes are in the file, and no more of them than there can be."""
-        import h5py
-
-        item = self._find(name)
-        if not isinstance(item, h5py.Dataset):
-            raise UserError(f"{self.path}: no array '{name}', expected in {self.what}.")
-        if item.shape is None or item.external or item.is_virtual:
-            raise UserError(f"{self.path}: '{name}' is an array without values of its own, which is never followed.")
-        memory = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
-        claimed = int(np.prod([int(n) for n in item.shape], dtype=object)) * item.dtype.itemsize
-        chunk = int(np.prod([int(n) for n in item.chunks or ()], dtype=object)) * item.dtype.itemsize
-        if claimed > memory // 2:
-            raise UserError(
-                f"{self.path}: '{name}' would take {claimed / 1e9:.1f} GB, more than half of this machine's memory."
-            )
-        stored = item.id.get_storage_size()
-        if claimed > max(_SMALL, _MOST_PACKED * stored) or chunk > max(4 * _SMALL, 2 * claimed):
-            raise UserError(f"{self.path}: '{name}' claims {claimed:,} bytes but holds {stored:,}: damaged file.")
-        return item
 
 
 def _clean(text: str | bytes) -> str:

@@ -36,21 +36,19 @@ def _read(path: Path, options: ReadOptions) -> PoseData:
                 f"{path}: 'poseest/points' has shape {stored.shape} and 'poseest/confidence' {score.shape}, expected "
                 f"(frames, {len(JOINTS)}, 2) or (frames, mice, {len(JOINTS)}, 2), and the same without the last."
             )
-        names = None
-        if stored.ndim == 4:
-            there, names = _mice(file, stored.shape[:2])
+        if stored.ndim == 3:
+            stored, score, number = stored[:, None], score[:, None], None
+        else:
+            there, number = _mice(file, stored.shape[:2])
             score = np.where(there[..., None], score, 0)
-    alone = stored.ndim == 3
-    points, confidence = visible_only(
-        stored[:, None, :, ::-1] if alone else stored[..., ::-1], score[:, None] if alone else score
-    )
-    frame, mouse = np.nonzero((confidence > 0).any(-1))
+    points, confidence = visible_only(stored[..., ::-1], score)
+    frame, mouse = np.nonzero(np.any(confidence > 0, axis=-1))
     if not len(frame):
         raise UserError(f"{path}: no visible keypoint in {len(stored):,} frames.")
     video = re.sub(r"_pose_est(_v\d+)?$", "", path.stem)
     identity = {"frame": frame, "sequence": np.full(len(frame), video)}
-    if names is not None:
-        identity["instance"] = names[frame, mouse].astype(str)
+    if number is not None:
+        identity["instance"] = number[frame, mouse].astype(str)
     return PoseData(
         keypoints=points[frame, mouse],
         confidence=confidence[frame, mouse],
@@ -65,16 +63,16 @@ def _read(path: Path, options: ReadOptions) -> PoseData:
 def _mice(file: Hdf5, shape: tuple[int, ...]) -> tuple[np.ndarray, np.ndarray]:
     """Return (frames, mice) which entries are filled, and the numbers of their mice.
 
-    Version 3 counts the entries of a frame and numbers tracks; later ones number mice by how they
-    look, 0 for an entry that is none.
+    From version 4 on mice are numbered by how they look, 0 for an entry that is none; version 3
+    counts the entries of a frame, and numbers tracks.
     """
-    version = file.attribute("poseest", "version")
-    version = int(np.ravel(version)[0]) if version is not None and np.size(version) and np.isreal(version).all() else 0
-    later = version > 3 or (version == 0 and file.has("poseest/instance_embed_id"))
+    later = file.has("poseest/instance_embed_id")
     name = "poseest/instance_embed_id" if later else "poseest/instance_track_id"
     number = file.array(name)
     if number.shape != shape or number.dtype.kind not in "iu":
-        raise UserError(f"{file.path}: '{name}' is {number.dtype} of shape {number.shape}, expected counts of {shape}.")
+        raise UserError(
+            f"{file.path}: '{name}' is {number.dtype} of shape {number.shape}, expected whole numbers of shape {shape}."
+        )
     if later:
         return number > 0, number
     count = file.array("poseest/instance_count")

@@ -146,7 +146,7 @@ def _part(one: _Container, frames: list[np.ndarray], names: list[str]) -> dict:
         rows, column = np.searchsorted(own, frame), names.index(series.name)
         keypoints[rows, column], score[rows, column] = series.points, series.score
     points, confidence = visible_only(keypoints, score)
-    seen = (confidence > 0).any(-1)
+    seen = np.any(confidence > 0, axis=-1)
     return {"keypoints": points[seen], "confidence": confidence[seen], "frame": own[seen]}
 
 

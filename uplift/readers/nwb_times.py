@@ -13,8 +13,8 @@ _EXACT = 1e-3
 
 
 def frame_numbers(
-    stamps: Float[np.ndarray, "stamps"],  # noqa: F821
-) -> tuple[Int[np.ndarray, "stamps"], float | None, bool]:  # noqa: F821
+    stamps: Float[np.ndarray, "stamps"],
+) -> tuple[Int[np.ndarray, "stamps"], float | None, bool]:
     """Return (stamps,) frame numbers of rising time stamps, their step in seconds, and whether they are even.
 
     A wait of several steps is a gap of as many frames. Where the first stamp is a whole number of

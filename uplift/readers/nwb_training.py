@@ -89,7 +89,7 @@ class _Labels:
             columns = [self.names.index(node) for node in nodes]
             keypoints[row, columns], score[row, columns] = points, seen
         points, confidence = visible_only(keypoints, score)
-        rows = np.flatnonzero((confidence > 0).any(-1))
+        rows = np.flatnonzero(np.any(confidence > 0, axis=-1))
         if not len(rows):
             raise UserError(f"{self.file.path}: no visible keypoint in the training frames.")
         points, confidence = points[rows], confidence[rows]

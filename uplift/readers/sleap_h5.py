@@ -29,7 +29,7 @@ def _read(path: Path, options: ReadOptions) -> PoseData:
         points = stored.transpose([order.index(axis) for axis in _AXES]).astype(np.float32, copy=False)
         score, told = _scores(file, order, points)
         keypoints, confidence = visible_only(points, score)
-        frame, track = np.nonzero((confidence > 0).any(-1))
+        frame, track = np.nonzero(np.any(confidence > 0, axis=-1))
         if not len(frame):
             raise UserError(f"{path}: no visible keypoint in {points.shape[0]:,} frames of {points.shape[1]:,} tracks.")
         tracks, of_tracks = _track_names(file, points.shape[1])
@@ -73,7 +73,7 @@ def _scores(file: Hdf5, order: tuple[str, ...], points: np.ndarray) -> tuple[np.
             f"{file.path}: 'point_scores' has shape {stored.shape} (frame, track, node), "
             f"expected {points.shape[:-1]} as 'tracks'."
         )
-    return known_scores(stored, np.isfinite(points).all(-1))
+    return known_scores(stored, np.all(np.isfinite(points), axis=-1))
 
 
 def _order(file: Hdf5, shape: tuple[int, ...], nodes: int) -> tuple[str, ...]:

@@ -74,7 +74,8 @@ def _body(graph: dict[str, Any], names: list[str]) -> Body:
             kind = int(said["py/reduce"][1]["py/tuple"][0])
             kinds[len(kinds) + 1] = kind
         else:
-            kind = kinds.get(said["py/id"], said["py/id"])
+            back = int(said["py/id"])
+            kind = kinds.get(back, back)
         ends[kind].append((name_of[int(link["source"])], name_of[int(link["target"])]))
     title = _clean(graph.get("graph", {}).get("name") or "")
     return Body(title, tuple(name_of[n] for n in ids), tuple(dict.fromkeys(ends[_BONE])), pairs_of(ends[_MIRROR]))

@@ -33,7 +33,7 @@ def _read(path: Path, options: ReadOptions) -> PoseData:
         bodies, tracks, videos = bodies_of(file), tracks_of(file), videos_of(file)
         rows, notes = _without_replaced(_rows(file, len(bodies), len(tracks)))
         names, keypoints, confidence, told = _points(file, rows, bodies, shift_px)
-    seen = (confidence > 0).any(-1)
+    seen = np.any(confidence > 0, axis=-1)
     kept = _first_of_each(rows, seen)
     if not len(kept):
         raise UserError(f"{path}: no visible keypoint in {len(seen):,} instances.")

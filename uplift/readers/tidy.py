@@ -15,8 +15,8 @@ _T = TypeVar("_T")
 
 
 def visible_only(
-    keypoints: Num[np.ndarray, "*rows 2"], score: Num[np.ndarray, "*rows"]
-) -> tuple[Float32[np.ndarray, "*rows 2"], Float32[np.ndarray, "*rows"]]:
+    keypoints: Num[np.ndarray, "... 2"], score: Num[np.ndarray, "..."]
+) -> tuple[Float32[np.ndarray, "... 2"], Float32[np.ndarray, "..."]]:
     """Return keypoints with NaN, and confidence 0..1 with 0, where a coordinate is no number or the score is not over 0.
 
     Scores over 1 are clipped: heat maps peak a little over it.
