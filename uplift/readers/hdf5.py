@@ -118,9 +118,7 @@ class Hdf5:
     @_told
     def place(self, name: str) -> int:
         """Return a number that is the same for two names of one thing."""
-        from h5py import h5o
-
-        return int(h5o.get_info(self._own.find(name).id).addr)
+        return hash(self._own.find(name).id)
 
     @_told
     def array(self, name: str) -> np.ndarray:

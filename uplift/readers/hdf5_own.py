@@ -49,7 +49,7 @@ class OwnParts:
             if isinstance(link, h5py.SoftLink) and hops < _MOST_LINKS:
                 place = self.find(link.path if link.path.startswith("/") else f"{place.name}/{link.path}", hops + 1)
             elif isinstance(link, h5py.HardLink):
-                place = place[part]
+                place = place[part]  # type: ignore[index]
             else:
                 raise Elsewhere(f"{self.path}: '{walked}' is a link to elsewhere, which is never followed.")
             if isinstance(place, h5py.Group):

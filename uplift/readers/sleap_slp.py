@@ -16,12 +16,12 @@ from uplift.readers.base import Format, Peek, ReadOptions
 from uplift.readers.hdf5 import Hdf5, open_hdf5
 from uplift.readers.sleap_h5 import known_scores
 from uplift.readers.sleap_parts import Body, Video, bodies_of, tracks_of, videos_of
+from uplift.readers.sleap_rows import PREDICTED, USER, first_of_each, keys_of, rows_of, without_replaced
 from uplift.readers.tidy import pairs_of, same_or_none, visible_only
 from uplift.readers.tracks import link_bodies
 
 __all__ = ["FORMAT"]
 
-_USER, _PREDICTED = 0, 1
 _CENTRED_PIXELS, _TOO_NEW = 1.1, 3.0
 """Format numbers: since when (0, 0) is the middle of the first pixel and no longer its corner; what is not known yet."""
 _MOST_JOINTS = 2000
@@ -31,10 +31,10 @@ def _read(path: Path, options: ReadOptions) -> PoseData:
     with open_hdf5(path, "a SLEAP project") as file:
         shift_px = _shift_px(file)
         bodies, tracks, videos = bodies_of(file), tracks_of(file), videos_of(file)
-        rows, notes = _without_replaced(_rows(file, len(bodies), len(tracks)))
+        rows, notes = without_replaced(rows_of(file, len(bodies), len(tracks)))
         names, keypoints, confidence, told = _points(file, rows, bodies, shift_px)
     seen = np.any(confidence > 0, axis=-1)
-    kept = _first_of_each(rows, seen)
+    kept = first_of_each(rows, seen)
     if not len(kept):
         raise UserError(f"{path}: no visible keypoint in {len(seen):,} instances.")
     if len(kept) < seen.sum():
@@ -78,75 +78,6 @@ def _videos(path: Path, number: np.ndarray, videos: dict[int, Video]) -> tuple[l
     return found, np.array([video.name for video in found] or [f"{path.stem} {one}" for one in used])[place]
 
 
-def _rows(file: Hdf5, bodies: int, tracks: int) -> dict[str, np.ndarray]:
-    """Return columns of whole numbers, a row for each instance that a frame has."""
-    frames = _whole(file, "frames", ("video", "frame_idx", "instance_id_start", "instance_id_end"))
-    columns = ("instance_id", "instance_type", "skeleton", "track", "from_predicted", "point_id_start", "point_id_end")
-    instances = _whole(file, "instances", columns)
-    start, count = frames["instance_id_start"], frames["instance_id_end"] - frames["instance_id_start"]
-    there = len(instances["track"])
-    if ((start < 0) | (count < 0) | (start + count > there)).any() or count.sum() > there:
-        raise UserError(f"{file.path}: 'frames' names instances that are not among the {there:,} of 'instances'.")
-    which = np.repeat(start - np.append(0, np.cumsum(count)[:-1]), count) + np.arange(count.sum())
-    rows = {name: column[which] for name, column in instances.items()}
-    rows["video"], rows["frame"] = np.repeat(frames["video"], count), np.repeat(frames["frame_idx"], count)
-    for name, low, high in (
-        ("instance_type", _USER, _PREDICTED + 1),
-        ("skeleton", 0, bodies),
-        ("track", -1, tracks),
-        ("frame", 0, 2**40),
-    ):
-        if len(rows[name]) and (rows[name].min() < low or rows[name].max() >= high):
-            raise UserError(
-                f"{file.path}: column '{name}' goes from {rows[name].min()} to {rows[name].max()}, "
-                f"expected {low} to {high - 1}."
-            )
-    return rows
-
-
-def _whole(file: Hdf5, name: str, columns: tuple[str, ...]) -> dict[str, np.ndarray]:
-    found = file.table(name, columns)
-    for column, values in found.items():
-        if values.dtype.kind == "f":
-            right = np.isfinite(values) & (np.abs(values) < 2**53) & (values == np.rint(values))
-        else:
-            right = values <= 2**62
-        if not right.all():
-            raise UserError(f"{file.path}: column '{column}' of '{name}' holds {values[~right][0]!r}, no count.")
-        found[column] = values.astype(np.int64)
-    return found
-
-
-def _keys(rows: dict[str, np.ndarray]) -> np.ndarray:
-    """Return (rows,) numbers, the same for rows of one video, frame and track."""
-    key = np.zeros(len(rows["track"]), np.int64)
-    for name in ("video", "frame", "track"):
-        code = np.unique(rows[name], return_inverse=True)[1]
-        key = np.unique(key * (code.max(initial=0) + 1) + code, return_inverse=True)[1]
-    return key
-
-
-def _without_replaced(rows: dict[str, np.ndarray]) -> tuple[dict[str, np.ndarray], list[str]]:
-    """Return the rows without predictions that a labelled instance stands for, and a note where there were any."""
-    user, tracked = rows["instance_type"] == _USER, rows["track"] >= 0
-    key = _keys(rows)
-    replaced = np.isin(rows["instance_id"], rows["from_predicted"][user & (rows["from_predicted"] >= 0)])
-    replaced |= tracked & np.isin(key, key[user & tracked])
-    replaced &= ~user
-    told = f"{int(replaced.sum()):,} predicted instances are left out, as labelled ones stand in their place"
-    return {name: column[~replaced] for name, column in rows.items()}, [told] if replaced.any() else []
-
-
-def _first_of_each(rows: dict[str, np.ndarray], seen: np.ndarray) -> np.ndarray:
-    """Return the indices, in the order of time, of rows that show something, one for each video, frame and track."""
-    where = np.flatnonzero(seen)
-    key = _keys({name: rows[name][where] for name in ("video", "frame", "track")})
-    first = np.zeros(len(where), bool)
-    first[np.unique(key, return_index=True)[1]] = True
-    where = where[first | (rows["track"][where] < 0)]
-    return where[np.lexsort((rows["frame"][where], rows["video"][where]))]
-
-
 def _points(
     file: Hdf5, rows: dict[str, np.ndarray], bodies: list[Body], shift_px: float
 ) -> tuple[tuple[str, ...], np.ndarray, np.ndarray, tuple[str, ...]]:
@@ -158,11 +89,11 @@ def _points(
     keypoints = np.full((len(rows["track"]), len(names), 2), np.nan, np.float32)
     score = np.zeros(keypoints.shape[:2], np.float32)
     told: tuple[str, ...] = ()
-    for kind, table in ((_USER, "points"), (_PREDICTED, "pred_points")):
+    for kind, table in ((USER, "points"), (PREDICTED, "pred_points")):
         of_kind = rows["instance_type"] == kind
         if not of_kind.any():
             continue
-        points = file.table(table, ("x", "y", "visible", *(("score",) if kind == _PREDICTED else ())))
+        points = file.table(table, ("x", "y", "visible", *(("score",) if kind == PREDICTED else ())))
         for number in np.unique(rows["skeleton"][of_kind]).tolist():
             mine = np.flatnonzero(of_kind & (rows["skeleton"] == number))
             place = _places(file, table, rows, mine, len(bodies[number].nodes), len(points["x"]))
@@ -170,7 +101,7 @@ def _points(
             xy = np.stack([points["x"][place], points["y"][place]], -1) - shift_px
             there = points["visible"][place].astype(bool) & np.isfinite(xy).all(-1)
             known = np.ones(there.shape, np.float32)
-            if kind == _PREDICTED:
+            if kind == PREDICTED:
                 with np.errstate(over="ignore"):
                     known, told = known_scores(points["score"][place].astype(np.float32), there)
             with np.errstate(over="ignore"):
@@ -197,7 +128,7 @@ def _instances(
     free = np.flatnonzero(rows["track"] < 0)
     if not len(free):
         return np.array(tracks)[rows["track"]], ()
-    alone = len(np.unique(_keys(rows)[free])) == len(free)
+    alone = len(np.unique(keys_of(rows)[free])) == len(free)
     if alone and len(free) == len(rows["track"]):
         return None, ()
     body = np.zeros(len(free), np.int64)
