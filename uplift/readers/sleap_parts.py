@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import re
+from collections import Counter
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from uplift.errors import UserError
 from uplift.readers.hdf5 import Hdf5, from_json
@@ -92,23 +95,35 @@ def tracks_of(file: Hdf5) -> list[str]:
 
 
 def videos_of(file: Hdf5) -> dict[int, Video]:
-    """Return the videos by the numbers that frames give them, their names made distinct."""
+    """Return the videos by the numbers that frames give them, their names made distinct.
+
+    Frames number videos by their place, or, of a project with pictures inside, by those groups.
+    """
     said = file.texts("videos_json") if file.has("videos_json") else []
     entries = [from_json(file.path, f"entry {place} of 'videos_json'", text) for place, text in enumerate(said)]
     cropped = file.has("video_crops")  # then the file's size is not that of the picture that was tracked
+    used = np.unique(file.table("frames", ("video",))["video"]).tolist()
+    by_place = used == list(range(len(entries)))
+    found = {}
     try:
-        paths = [_source(file, entry) for entry in entries]
-        names = [video_name(path) for path in paths]
-        longer = ["/".join(re.split(r"[\\/]", path)[-2:-1] + [name]) for path, name in zip(paths, names, strict=True)]
-        names = distinct(long if names.count(name) > 1 else name for name, long in zip(names, longer, strict=True))
-        found = {}
+        names = _names([_source(file, entry) for entry in entries])
         for place, (entry, name) in enumerate(zip(entries, names, strict=True)):
             inside = re.match(r"video(\d{1,9})/", str(entry["backend"].get("dataset") or ""))
             size, fps = _shown(entry["backend"])
-            found[int(inside[1]) if inside else place] = Video(name, None if cropped else size, fps)
+            found[int(inside[1]) if inside and not by_place else place] = Video(name, None if cropped else size, fps)
     except _WRONG as error:
         raise UserError(f"{file.path}: 'videos_json' is not as SLEAP writes it ({error!r}).") from error
     return found
+
+
+def _names(paths: list[str]) -> list[str]:
+    """Return a name for each video, with its folder where several videos have one name."""
+    names = [video_name(path) for path in paths]
+    count = Counter(names)
+    folders = [re.split(r"[\\/]", path)[-2:-1] for path in paths]
+    return distinct(
+        "/".join([*folder, name]) if count[name] > 1 else name for name, folder in zip(names, folders, strict=True)
+    )
 
 
 def _source(file: Hdf5, entry: dict[str, Any]) -> str:

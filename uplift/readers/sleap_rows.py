@@ -47,7 +47,9 @@ def _whole(file: Hdf5, name: str, columns: tuple[str, ...]) -> dict[str, np.ndar
         else:
             right = values <= 2**62
         if not right.all():
-            raise UserError(f"{file.path}: column '{column}' of '{name}' holds {values[~right][0]!r}, no count.")
+            raise UserError(
+                f"{file.path}: column '{column}' of '{name}' holds {values[~right][0]}, expected whole numbers."
+            )
         found[column] = values.astype(np.int64)
     return found
 
