@@ -34,8 +34,11 @@ def open_hdf5(path: Path, what: str) -> Iterator[Hdf5]:
     """
     if path.is_dir():
         raise UserError(f"{path} is a folder, expected {what} (HDF5).")
-    with path.open("rb") as file:
-        start = file.read(len(_START))
+    try:
+        with path.open("rb") as file:
+            start = file.read(len(_START))
+    except OSError as error:
+        raise UserError(f"{path} cannot be opened: {error.strerror or error}.") from error
     if start != _START:
         raise UserError(f"{path} is no HDF5 file (it begins {start!r}), expected {what}.")
     try:

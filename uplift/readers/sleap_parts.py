@@ -129,8 +129,9 @@ def _names(paths: list[str]) -> list[str]:
 def _source(file: Hdf5, entry: dict[str, Any]) -> str:
     """Return the path of a video; of one whose pictures are inside the project, that of the video they come from."""
     backend = entry["backend"]
-    if backend.get("filenames"):
-        first = str(backend["filenames"][0])
+    pictures = backend.get("filenames") or backend.get("filename")
+    if isinstance(pictures, list) and pictures:
+        first = str(pictures[0])
         folder = re.split(r"[\\/]", first)[:-1]
         return _clean("/".join(folder) if folder and folder[-1] not in ("", ".", "..") else first)
     path = str(backend.get("filename") or entry.get("filename") or ".")
