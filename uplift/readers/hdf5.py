@@ -13,6 +13,7 @@ import numpy as np
 
 from uplift.errors import UserError
 from uplift.readers.base import need
+from uplift.readers.hdf5_heaps import heaps_are_sound
 from uplift.readers.hdf5_own import Elsewhere, OwnParts
 
 __all__ = ["Hdf5", "from_json", "open_hdf5"]
@@ -45,6 +46,8 @@ def open_hdf5(path: Path, what: str) -> Iterator[Hdf5]:
         import h5py
     except ImportError:
         raise need("h5py", "trackers", path) from None
+    if not heaps_are_sound(path):
+        raise _damaged(path, what, ValueError("a text is longer than the room that it has"))
     try:
         file = h5py.File(path, "r", locking=False)
     except _DAMAGE as error:

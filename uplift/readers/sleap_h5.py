@@ -10,7 +10,7 @@ from uplift.data.container import PoseData
 from uplift.errors import UserError
 from uplift.readers.base import Format, Peek, ReadOptions
 from uplift.readers.hdf5 import Hdf5, from_json, open_hdf5
-from uplift.readers.tidy import distinct, pairs_of, video_name, visible_only
+from uplift.readers.tidy import as_float32, distinct, pairs_of, video_name, visible_only
 
 __all__ = ["FORMAT", "known_scores"]
 
@@ -26,7 +26,7 @@ def _read(path: Path, options: ReadOptions) -> PoseData:
             raise UserError(f"{path}: 'node_names' holds {names!r}, expected the names of the nodes, each once.")
         stored = file.array("tracks")
         order = _order(file, stored.shape, len(names))
-        points = stored.transpose([order.index(axis) for axis in _AXES]).astype(np.float32, copy=False)
+        points = as_float32(stored).transpose([order.index(axis) for axis in _AXES])
         score, told = _scores(file, order, points)
         keypoints, confidence = visible_only(points, score)
         frame, track = np.nonzero(np.any(confidence > 0, axis=-1))
@@ -64,7 +64,7 @@ def _scores(file: Hdf5, order: tuple[str, ...], points: np.ndarray) -> tuple[np.
     """Return (frames, tracks, nodes) scores."""
     if not file.has("point_scores"):
         return np.ones(points.shape[:-1], np.float32), ("no point_scores: every point that is there counts as sure",)
-    stored = file.array("point_scores").astype(np.float32)
+    stored = as_float32(file.array("point_scores"))
     own = _said_order(file, "point_scores") or tuple(axis for axis in order if axis != "xy")
     if sorted(own) == sorted(_AXES[:3]) and stored.ndim == 3:
         stored = stored.transpose([own.index(axis) for axis in _AXES[:3]])

@@ -17,7 +17,7 @@ from uplift.readers.hdf5 import Hdf5, open_hdf5
 from uplift.readers.sleap_h5 import known_scores
 from uplift.readers.sleap_parts import Body, Video, bodies_of, tracks_of, videos_of
 from uplift.readers.sleap_rows import PREDICTED, USER, first_of_each, keys_of, rows_of, without_replaced
-from uplift.readers.tidy import pairs_of, same_or_none, visible_only
+from uplift.readers.tidy import as_float32, pairs_of, same_or_none, visible_only
 from uplift.readers.tracks import link_bodies
 
 __all__ = ["FORMAT"]
@@ -102,10 +102,8 @@ def _points(
             there = points["visible"][place].astype(bool) & np.isfinite(xy).all(-1)
             known = np.ones(there.shape, np.float32)
             if kind == PREDICTED:
-                with np.errstate(over="ignore"):
-                    known, told = known_scores(points["score"][place].astype(np.float32), there)
-            with np.errstate(over="ignore"):
-                keypoints[mine[:, None], columns] = xy
+                known, told = known_scores(as_float32(points["score"])[place], there)
+            keypoints[mine[:, None], columns] = as_float32(xy)
             score[mine[:, None], columns] = np.where(there, known, 0)
     return tuple(names), *visible_only(keypoints, score), told
 

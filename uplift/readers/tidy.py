@@ -9,7 +9,7 @@ from typing import TypeVar
 import numpy as np
 from jaxtyping import Float32, Num
 
-__all__ = ["distinct", "pairs_of", "same_or_none", "video_name", "visible_only"]
+__all__ = ["as_float32", "distinct", "pairs_of", "same_or_none", "video_name", "visible_only"]
 
 _T = TypeVar("_T")
 
@@ -21,11 +21,16 @@ def visible_only(
 
     Scores over 1 are clipped: heat maps peak a little over it.
     """
-    with np.errstate(over="ignore", invalid="ignore"):
-        keypoints, score = keypoints.astype(np.float32), score.astype(np.float32)
-        seen = np.isfinite(keypoints).all(-1) & (score > 0)
-    keypoints[~seen] = np.nan
+    score = as_float32(score)
+    seen = np.isfinite(as_float32(keypoints)).all(-1) & (score > 0)
+    keypoints = np.where(seen[..., None], as_float32(keypoints), np.float32(np.nan))
     return keypoints, np.where(seen, np.minimum(score, np.float32(1)), np.float32(0))
+
+
+def as_float32(values: Num[np.ndarray, "..."]) -> Float32[np.ndarray, "..."]:
+    """Return numbers as float32; those too large for it are infinite."""
+    with np.errstate(over="ignore"):
+        return values.astype(np.float32, copy=False)
 
 
 def video_name(path: str) -> str:
