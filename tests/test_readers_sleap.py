@@ -112,7 +112,7 @@ def labels():
     sio = pytest.importorskip("sleap_io")
     skeleton = sio.Skeleton(list(NODES), edges=[("neck", "nose"), ("neck", "tail")], symmetries=[("nose", "tail")])
     tracks = [sio.Track("him"), sio.Track("her")]
-    videos = [sio.Video(filename="films/one.mp4"), sio.Video(filename=["stills/000.png", "stills/001.png"])]
+    videos = [sio.Video(filename="films/one.mp4"), sio.Video(filename="films/two.avi")]
     random, frames = np.random.default_rng(0), []
     for video in videos:
         for number in range(4):
@@ -135,7 +135,7 @@ def test_what_sleap_io_writes_as_project(labels, tmp_path) -> None:
     labels.save(str(tmp_path / "a.slp"))
     data = read(tmp_path / "a.slp")
     assert_as_sleap_io(data, tmp_path / "a.slp")
-    assert set(data.identity["sequence"]) == {"one", "stills"} and set(data.identity["instance"]) == {"him", "her"}
+    assert set(data.identity["sequence"]) == {"one", "two"} and set(data.identity["instance"]) == {"him", "her"}
     assert "4 predicted instances are left out" in " ".join(data.notes)
     predicted = labels[0].instances[1]
     x, y, score = at(data, "nose", sequence="one", frame=0, instance="her")
