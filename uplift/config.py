@@ -49,8 +49,14 @@ class DataSettings:
     root: Optional[str] = None  # the folder of the set's own files, in place of the above
     use: Optional[str] = None  # reader of a published data set: h36m, mpii, ..., or file.py:Class; unset: files
     options: dict[str, Any] = field(default_factory=dict)  # of that reader
-    train: Optional[str] = None  # file of training keypoints, or the set's split
-    test: Optional[str] = None  # file to evaluate on after the fit, or the set's split
+    train: Optional[str] = None  # file of training keypoints, several with commas or *, or the set's split
+    test: Optional[str] = None  # the same, to evaluate on after the fit
+    format: Optional[str] = None  # of the files: deeplabcut, openpose, ...; unset: guessed
+    layout: Optional[str] = None  # skeleton whose joints name the keypoints of files without names
+    image_size: Optional[str] = None  # of files that do not say it: 1920x1080
+    fps: Optional[float] = None  # frames a second, of files that do not say it
+    focal_px: Optional[float] = None  # focal length of the camera in pixels, where it is known
+    min_confidence: float = 0.0  # keypoints of less confidence count as missing
     simulate: int = 0  # frames to simulate instead of reading a file
     unit: Optional[str] = None  # of poses and roots in the files, whatever they say: mm, relative
     get: str = ""  # how to get the files, for the message when they are not there
@@ -85,7 +91,7 @@ class LifterSettings:
     root_free: bool = False  # leave the root's own depth in
     confidence_input: bool = True  # the network sees confidence beside the keypoints
     fill: bool = True  # the network says where missing joints are
-    spread: bool = True  # and how far off each depth may be: learned by the student
+    spread: bool = True  # and how far off each depth may be, or the place of a hidden joint: learned by the student
     denoise: Optional[bool] = None  # it moves seen joints too; unset: where refined clips show that they are noisy
     both_ways: bool = True  # predict as the mean over the keypoints and their mirror image
     refine: RefineSettings = field(default_factory=lambda: RefineSettings(smooth=1.0, near=0.5))  # of predicted clips

@@ -7,15 +7,18 @@ from pathlib import Path
 
 import numpy as np
 
-from uplift.config import ChoiceSettings, Settings
+from uplift.config import ChoiceSettings, DataSettings, Settings
 from uplift.data.clean import clean
 from uplift.data.container import PoseData
+from uplift.data.joining import join_data
 from uplift.data.missing import missing_file, missing_files
 from uplift.data.split import CHOOSE_BY, chosen_rows
 from uplift.datasets import DATA_SETS, DataSet, data_set, read_cached
 from uplift.errors import UserError
 from uplift.paths import data_root
-from uplift.readers import read
+from uplift.readers import ReadOptions, as_told, read
+from uplift.readers.base import size_of
+from uplift.readers.files import files_of
 from uplift.skeleton import Skeleton
 from uplift.skeleton.matching import build_joints, build_pose
 
@@ -28,6 +31,7 @@ __all__ = [
     "load_split",
     "named_set",
     "of_labelled",
+    "read_options",
     "set_of",
     "with_labels",
 ]
@@ -85,7 +89,8 @@ def load_data(settings: Settings, skeleton: Skeleton) -> Loaded:
 
 def _cleaned(which: str, data: PoseData, skeleton: Skeleton, notes: list[str]) -> PoseData:
     data, report = clean(data, skeleton)
-    notes += [f"{which}: {len(data):,} frames from {data.source}", *report.lines()]
+    notes += [f"{which}: {len(data):,} frames from {data.source}", *(f"{which}: {note}" for note in data.notes)]
+    notes += report.lines()
     return data
 
 
@@ -147,10 +152,19 @@ def load_split(settings: Settings, which: str, skeleton: Skeleton) -> PoseData:
     """Return the ``train`` or ``test`` frames of ``settings`` in the skeleton's joints, not cleaned."""
     source = set_of(settings, which)
     if source is None:
-        data = load_file(find_data(settings, which), skeleton)
+        data = load_file(find_data(settings, which), skeleton, read_options(settings.data))
     else:
         data = in_joints_of(read_cached(source, Path(getattr(settings.data, which)).name), skeleton)
+        data = as_told(data, _of_set(read_options(settings.data)))
     return replace(data, unit=settings.data.unit) if settings.data.unit else data
+
+
+def _of_set(options: ReadOptions) -> ReadOptions:
+    """Return what may be said of a published set, which knows its own files."""
+    for name in options.set_names():
+        if name != "min_confidence":
+            raise UserError(f"data.{name} goes with files; a published set (data.use) knows its own.")
+    return options
 
 
 def set_of(settings: Settings, which: str) -> DataSet | None:
@@ -198,15 +212,36 @@ def find_data(settings: Settings, which: str) -> Path:
             "No training data: set data.train=FILE (with skeleton=...), or a task that names its own (`uplift tasks`). "
             "`uplift fit task=demo` needs no data."
         )
-    path = (data_root(data.name, data.root) / name).absolute()
+    folder = data_root(data.name, data.root)
+    path = (folder / name).absolute()
     if path.exists():
         return path
-    raise UserError(missing_file(settings.task, data, path))
+    several = ",".join(str((folder / part).absolute()) for part in str(name).split(",") if part)
+    if not any(sign in several for sign in ",*?["):
+        raise UserError(missing_file(settings.task, data, path))
+    files_of(several)  # says which is missing
+    return Path(several)
 
 
-def load_file(path: str | Path, skeleton: Skeleton) -> PoseData:
-    """Read a keypoint file and bring it into the joints of ``skeleton``, matched by name."""
-    return in_joints_of(read(path), skeleton)
+def load_file(path: str | Path, skeleton: Skeleton, options: ReadOptions | None = None) -> PoseData:
+    """Read keypoint files (one, several with commas, or a pattern) into the joints of ``skeleton``, matched by name."""
+    return join_data([in_joints_of(read(one, options), skeleton) for one in files_of(path)])
+
+
+def read_options(data: DataSettings) -> ReadOptions:
+    """Return what settings say of the files.
+
+    Raises:
+        UserError: an image size that is none, numbers that cannot be.
+    """
+    return ReadOptions(
+        format=data.format,
+        layout=data.layout,
+        image_size=None if data.image_size is None else size_of(data.image_size, "data.image_size"),
+        fps=data.fps,
+        focal_px=data.focal_px,
+        min_confidence=data.min_confidence,
+    )
 
 
 def in_joints_of(data: PoseData, skeleton: Skeleton) -> PoseData:
@@ -215,10 +250,11 @@ def in_joints_of(data: PoseData, skeleton: Skeleton) -> PoseData:
     Raises:
         UserError: the joints do not fit the skeleton.
     """
-    keypoints, confidence, pose = data.keypoints, data.confidence, data.pose
+    keypoints, confidence, pose, notes = data.keypoints, data.confidence, data.pose, data.notes
     if data.joint_names != skeleton.joints or not _whole(data):  # a full-size data set is not copied for nothing
         try:
-            keypoints, confidence, _ = build_joints(keypoints, confidence, data.joint_names, skeleton)
+            keypoints, confidence, match = build_joints(keypoints, confidence, data.joint_names, skeleton)
+            notes = (*notes, str(match)) if match.layout is not None or match.missing else notes
             pose = None if pose is None else build_pose(pose, data.joint_names, skeleton)
         except UserError as error:
             raise UserError(f"{data.source}: {error}" if data.source else str(error)) from None
@@ -234,6 +270,9 @@ def in_joints_of(data: PoseData, skeleton: Skeleton) -> PoseData:
         joint_names=skeleton.joints,
         pose=None if pose is None else pose.astype(np.float32, copy=False),
         root=root,
+        bones=(),
+        mirror=(),
+        notes=notes,
     )
 
 

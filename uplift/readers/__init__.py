@@ -12,7 +12,7 @@ from uplift.errors import UserError, did_you_mean
 from uplift.readers.base import Format, Peek, ReadOptions
 from uplift.readers.formats import FORMATS, format_named
 
-__all__ = ["ReadOptions", "guess_format", "read"]
+__all__ = ["ReadOptions", "as_told", "guess_format", "read"]
 
 _NOT_KEYPOINTS = {
     (".mp4", ".avi", ".mov", ".mkv", ".webm"): "a video. Run a tracker on it first, and give its output",
@@ -39,7 +39,7 @@ def read(path: str | Path, options: ReadOptions | None = None) -> PoseData:
     if found.name != "npz":  # the layout of this project needs no word
         told = f"read as {found.title}" + ("" if options.format else f" (guessed; format={found.name})")
         data = replace(data, notes=(told, *data.notes))
-    return _as_told(replace(data, source=data.source or str(path)), options)
+    return as_told(replace(data, source=data.source or str(path)), options)
 
 
 def guess_format(path: str | Path) -> Format:
@@ -74,7 +74,7 @@ def _named(path: Path, name: str) -> Format:
     return format_named(name)
 
 
-def _as_told(data: PoseData, options: ReadOptions) -> PoseData:
+def as_told(data: PoseData, options: ReadOptions) -> PoseData:
     """Return ``data`` with what the user says of it in place of what the file says."""
     told = {name: getattr(options, name) for name in ("image_size", "fps", "focal_px")}
     data = replace(data, **{name: value for name, value in told.items() if value is not None})

@@ -6,14 +6,14 @@ import json
 import re
 import zipfile
 from collections.abc import Callable
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, fields
 from functools import cached_property
 from pathlib import Path
 
 from uplift.data.container import PoseData
 from uplift.errors import UserError
 
-__all__ = ["Format", "Peek", "ReadOptions", "need"]
+__all__ = ["Format", "Peek", "ReadOptions", "need", "size_of"]
 
 _START = 65_536
 _HDF5 = b"\x89HDF\r\n\x1a\n"
@@ -36,13 +36,18 @@ class ReadOptions:
     min_confidence: float = 0.0
     """Keypoints of less confidence count as missing."""
 
+    def __post_init__(self) -> None:
+        """Refuse what cannot be."""
+        for name in ("fps", "focal_px"):
+            value = getattr(self, name)
+            if value is not None and not (0 < value < 1e9):
+                raise UserError(f"{name}={value}: expected a positive number.")
+        if not 0 <= self.min_confidence <= 1:
+            raise UserError(f"min_confidence={self.min_confidence}: expected a share from 0 to 1.")
+
     def set_names(self) -> list[str]:
         """Return the names of the options that differ from their defaults."""
         return [item.name for item in fields(self) if getattr(self, item.name) != item.default]
-
-    def only(self, **changed: object) -> ReadOptions:
-        """Return the same options with some changed."""
-        return replace(self, **changed)  # type: ignore[arg-type]
 
 
 class Peek:
@@ -136,6 +141,18 @@ class Format:
     """Whether a file looks like this format; quick, and never an exception whatever the content."""
     read: Callable[[Path, ReadOptions], PoseData]
     """Reads a whole file; raises UserError for one that is not of this format, or damaged."""
+
+
+def size_of(text: str, name: str = "image_size") -> tuple[int, int]:
+    """Return width and height of a text such as 1920x1080.
+
+    Raises:
+        UserError: another text.
+    """
+    found = re.fullmatch(r"\s*[(\[]?\s*(\d{1,6})\s*[x,]\s*(\d{1,6})\s*[)\]]?\s*", str(text))
+    if not found or not all(int(side) for side in found.groups()):
+        raise UserError(f"{name}={text!r}: expected width and height in pixels, such as 1920x1080.")
+    return int(found[1]), int(found[2])
 
 
 def need(package: str, extra: str, path: Path) -> UserError:
