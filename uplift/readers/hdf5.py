@@ -127,6 +127,11 @@ class Hdf5:
         return hash(self._own.find(name).id)
 
     @_told
+    def own_name(self, name: str) -> str:
+        """Return the name of what a link leads to, without its groups."""
+        return _clean(str(self._own.find(name).name).rsplit("/", 1)[-1])
+
+    @_told
     def array(self, name: str) -> np.ndarray:
         """Return an array of numbers; raises UserError where there is none, or one that is larger than it can be."""
         item = self._own.dataset(name)

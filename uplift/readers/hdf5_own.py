@@ -46,7 +46,9 @@ class OwnParts:
             link = place.get(part, getlink=True) if isinstance(place, h5py.Group) else None
             if link is None:
                 return None
-            if isinstance(link, h5py.SoftLink) and hops < _MOST_LINKS:
+            if isinstance(link, h5py.SoftLink):
+                if hops == _MOST_LINKS:
+                    raise UserError(f"{self.path}: '{walked}' is a link that leads round in circles.")
                 place = self.find(link.path if link.path.startswith("/") else f"{place.name}/{link.path}", hops + 1)
             elif isinstance(link, h5py.HardLink):
                 place = place[part]  # type: ignore[index]

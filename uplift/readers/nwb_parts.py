@@ -156,7 +156,7 @@ def video_of(file: Hdf5, place: str) -> Video:
         named, sizes = [f"{place}/original_videos", f"{place}/labeled_videos"], f"{place}/dimensions"
     path = next((text for text in map(file.text, named) if text), "")
     camera = linked(file, place, "Device", "CalibratedCamera")
-    return Video(video_name(path), camera.rsplit("/", 1)[1] if camera else "", _size(file, sizes))
+    return Video(video_name(path), file.own_name(camera) if camera else "", _size(file, sizes))
 
 
 def _size(file: Hdf5, name: str) -> tuple[int, int] | None:
