@@ -26,6 +26,10 @@ FORMATS: dict[str, str] = {
     "mediapipe": "uplift.readers.mediapipe",
     "videopose3d": "uplift.readers.videopose3d",
     "csv": "uplift.readers.csv",
+    "sleap_slp": "uplift.readers.sleap_slp",
+    "sleap_h5": "uplift.readers.sleap_h5",
+    "nwb": "uplift.readers.nwb",
+    "jabs": "uplift.readers.jabs",
     "npz": "uplift.readers.npz",
 }
 """Name of a format -> the module whose ``FORMAT`` it is."""
