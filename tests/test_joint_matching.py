@@ -124,21 +124,6 @@ def test_left_stays_left(layout):
     assert np.allclose(one[:, ours.mirror_permutation], other, atol=1e-4)
 
 
-@pytest.mark.parametrize("name", ["mpii16", "coco17", "openpose25", "halpe26", "mpi_inf_3dhp17"])
-def test_maps_between_shipped_layouts_use_their_names(name):
-    skeleton = load_skeleton(name)
-    for layout in set(skeleton.sources) & {
-        "h36m17",
-        "mpii16",
-        "coco17",
-        "openpose25",
-        "halpe26",
-        "mpi_inf_3dhp28",
-    }:
-        used = {part for parts in skeleton.sources[layout].values() for part in parts}
-        assert used <= set(load_skeleton(layout).joints), layout
-
-
 def test_tracker_names_fit():
     media_pipe = [joint.upper() for joint in load_skeleton("mediapipe33").joints[:33]]
     assert match_joints(media_pipe, load_skeleton("mediapipe33")).missing == ()
