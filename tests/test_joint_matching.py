@@ -179,6 +179,32 @@ def test_capitals_that_leave_a_choice_are_refused():
         match_joints(["AB", "Ab", "b", "c"], Skeleton.from_dict(data))
 
 
+@pytest.mark.parametrize("sign", [" ", "-", "", "_ "])
+def test_blanks_and_dashes_are_ignored_last(sign):
+    names = [joint.replace("_", sign).title() for joint in COCO]
+    how = match_joints(names, load_skeleton("coco17"))
+    assert how.parts["left_eye"] == (names[1],) and not how.missing
+    assert match_joints(names, load_skeleton("h36m17")).layout == "coco17"
+
+
+def test_blanks_that_leave_a_choice_are_refused():
+    data = {"joints": ["a_11", "b", "c"], "root": "b", "bones": [["a_11", "b"], ["b", "c"]]}
+    with pytest.raises(UserError, match="missing 'a_11'"):
+        match_joints(["a1_1", "a 11", "b", "c"], Skeleton.from_dict(data))
+    two = {"joints": ["a", "b", "c"], "root": "b", "bones": [["a", "b"], ["b", "c"]]}
+    two |= {"from": {"x": {"a": "p_11", "b": "p_1_1", "c": "q"}}}
+    with pytest.raises(UserError, match="do not fit"):
+        match_joints(["p-11", "q"], Skeleton.from_dict(two))
+
+
+def test_no_two_joints_are_made_of_one_name_alone():
+    data = {"joints": ["a", "b", "c"], "root": "b", "bones": [["a", "b"], ["b", "c"]]}
+    with pytest.raises(UserError, match="both 'a' and 'c' are made of 'x' alone"):
+        match_joints(["x", "y"], Skeleton.from_dict(data | {"from": {"t": {"a": "x", "b": "y", "c": "x"}}}))
+    shared = Skeleton.from_dict(data | {"from": {"t": {"a": "x", "b": ["x", "y"], "c": "y"}}})
+    assert match_joints(["x", "y"], shared).layout == "t"
+
+
 def test_shapes_as_annotated():
     beartype = pytest.importorskip("beartype").beartype
     keypoints, confidence = random_joints(COCO)
