@@ -15,7 +15,7 @@ from uplift.skeleton import Skeleton, load_skeleton
 from uplift.skeleton.template import skeleton_template
 
 SHIPPED = {
-    "h36m17": (17, "hip"), "mpii16": (16, "hip"), "coco17": (17 + 2, "pelvis"), "openpose25": (25, "MidHip"),
+    "h36m17": (17, "hip"), "mpii16": (16, "hip"), "coco17": (17 + 2, "pelvis"), "openpose25": (25, "MidHip"), "openpose25b": (25 + 2, "MidHip"),
     "halpe26": (26, "hip"), "mediapipe33": (33 + 2, "pelvis"), "mpi_inf_3dhp28": (28, "pelvis"),
     "mpi_inf_3dhp17": (17, "pelvis"), "hand21": (21, "wrist"), "quadruped28": (28, "croup"),
     "rat23": (23, "SpineL"), "chair10": (10, "back_top_R"),

@@ -17,7 +17,7 @@ from uplift.skeleton.matching import build_pose, match_joints
 load_skeleton = cache(load)
 NAMES = shipped_names("skeletons")
 MAPS = [(name, layout) for name in NAMES for layout in load_skeleton(name).sources if layout in NAMES]
-BODIES = ("coco17", "halpe26", "openpose25", "mediapipe33", "coco_wholebody133")
+BODIES = ("coco17", "halpe26", "openpose25", "openpose25b", "mediapipe33", "coco_wholebody133")
 PEOPLE = (*BODIES, "h36m17", "mpii16")
 HANDS = ("hand21", "freihand21", "interhand21")
 
@@ -61,14 +61,36 @@ def test_no_map_makes_two_joints_of_one(name, layout):
 @pytest.mark.parametrize("layout", PEOPLE)
 @pytest.mark.parametrize("name", BODIES)
 def test_people_of_every_layout_fit_every_other(name, layout):
-    if name == "coco_wholebody133" and layout in ("h36m17", "mpii16"):
-        pytest.skip("twelve joints of 133 are no whole body")
+    if name in ("coco_wholebody133", "openpose25b") and layout in ("h36m17", "mpii16"):
+        pytest.skip("no map: few joints of many")
     skeleton = load_skeleton(name)
     how = match_joints(in_file(load_skeleton(layout)), skeleton)
     for limb in ("shoulder", "elbow", "wrist", "hip", "knee", "ankle"):
         made = [joint for joint in how.parts if joint.casefold().endswith(limb)]
         assert len([joint for joint in made if joint not in ("hip", "MidHip")]) == 2, limb
     assert skeleton.root in how.parts
+
+
+@pytest.mark.parametrize("name", BODIES)
+def test_a_file_of_openpose_is_never_taken_for_another_of_its_models(name):
+    body_25 = load_skeleton("openpose25").joints
+    expected = {"openpose25": None, "openpose25b": "openpose25"}.get(name, "openpose25")
+    assert match_joints(body_25, load_skeleton(name)).layout == expected
+    coco_model = [joint for joint in body_25[:19] if joint != "MidHip"]
+    if name in ("coco17", "halpe26", "openpose25", "mediapipe33"):
+        how = match_joints(coco_model, load_skeleton(name))
+        assert how.layout == "openpose18" and load_skeleton(name).root in how.parts
+
+
+@pytest.mark.parametrize("parts", ["body", "hands", "face"])
+def test_hands_and_face_of_openpose_make_a_whole_body(parts):
+    whole = load_skeleton("coco_wholebody133")
+    more = [joint for joint in whole.joints if joint not in load_skeleton("openpose25").sources["coco_wholebody133"]]
+    hands = [j for j in more if j.endswith(("hand_root", "1", "2", "3", "4")) and j.startswith(("left_", "right_"))]
+    face = [f"face-{number}" for number in range(70)]
+    names = [*load_skeleton("openpose25").joints, *(hands if parts != "body" else ()), *(face if parts == "face" else ())]
+    made = {"body": 25, "hands": 25 + 42, "face": 25 + 42 + 68}[parts]
+    assert len(match_joints(names, whole).parts) == made
 
 
 @pytest.mark.parametrize("layout", HANDS)
@@ -106,7 +128,7 @@ def test_the_rest_pose_has_its_left_on_the_left(name):
     ("folder", "name", "share"),
     [("hand", name, 0.99) for name in HANDS]
     + [("quadruped", "ap10k17", 0.99)]
-    + [("cmu", name, 0.99) for name in BODIES if name != "coco_wholebody133"],
+    + [("cmu", name, 0.99) for name in BODIES if name not in ("coco_wholebody133", "openpose25b")],
 )
 def test_directions_hold_in_true_poses_of_other_layouts(folder, name, share, benchmark_data):
     skeleton = load_skeleton(name)

@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterator, Sequence
 import numpy as np
 from jaxtyping import Bool, Float, Shaped
 
-__all__ = ["apart", "joining_bones", "seen_in"]
+__all__ = ["apart", "joining_bones", "seen_in", "stretched"]
 
 Bone = tuple[str, str]
 
@@ -68,12 +68,36 @@ def joining_bones(
     middle = [place for place in range(len(names)) if across[place] == place]
     found: list[tuple[int, int]] = []
     if not middle:  # nothing but pairs: one of them holds the sides together
-        first = min(range(len(names)), key=lambda place: float(score[place, across[place]]))
+        held = [place for place in range(len(names)) if group.of(place) == group.of(int(across[place]))]
+        first = min(held or range(len(names)), key=lambda place: float(score[place, across[place]]))
         middle = [first]
         found += group.joined((first, int(across[first])))
     found += _grown(score, middle, across, group, lambda place: across[place] == place)
     found += _grown(score, range(len(names)), across, group, lambda place: True)
     return [(names[one], names[other]) for one, other in found]
+
+
+def stretched(
+    keypoints: Shaped[np.ndarray, "frames joints 2"],
+    visible: Bool[np.ndarray, "frames joints"],
+    bones: Sequence[tuple[int, int]],
+) -> float:
+    """Return how many times as long as need be the bones are: their mean over that of the shortest lines that join
+    the joints. 1 to 1.6 where the names are right, 2 or more where joints were given each other's; NaN where nothing is seen.
+    """
+    seen = np.flatnonzero(visible.any(0))
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", RuntimeWarning)
+        mean = np.nanmean(_distances(*_some_rows(keypoints[:, seen], visible[:, seen])), axis=0)
+    at = {int(place): number for number, place in enumerate(seen)}
+    ours = [mean[at[one], at[other]] for one, other in bones if one in at and other in at]
+    ours = [length for length in ours if np.isfinite(length)]
+    if not ours or len(seen) < 3:
+        return float("nan")
+    names = [str(number) for number in range(len(seen))]
+    score = np.where(np.isfinite(mean), mean, np.inf)
+    least = [mean[int(one), int(other)] for one, other in joining_bones(score, names)]
+    return float(np.mean(ours) / max(np.nanmean(least), 1e-9))
 
 
 def _grown(
