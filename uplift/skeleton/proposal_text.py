@@ -174,7 +174,7 @@ def _rest(skeleton: Skeleton) -> str:
             "# rigid: true    # one shape that does not bend (a chair)",
             "",
             "# The true length of one bone, for poses in mm.",
-            f"# size: {{bone: [{quoted(one)}, {quoted(other)}], mm: 10}}",
+            f"# size: {{along: [{quoted(one)}, {quoted(other)}], mm: 10}}",
         ]
     )
 
