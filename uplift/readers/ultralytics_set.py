@@ -1,0 +1,291 @@
+"""What stands around Ultralytics' label files: their folder, data.yaml, pictures, and what a row's numbers are."""
+
+from __future__ import annotations
+
+import heapq
+import os
+import warnings
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from uplift.errors import UserError
+from uplift.readers.base import ReadOptions
+from uplift.readers.json_file import in_order
+from uplift.readers.layouts import COCO, names_for
+from uplift.yaml_file import read_yaml
+
+__all__ = ["Labels", "RowLayout", "describe", "first_labels", "label_files", "picture_sizes", "row_layout"]
+
+_NO_LABELS = ("classes.txt", "labels.txt", "notes.txt")
+_PICTURES = (".jpg", ".jpeg", ".png", ".bmp", ".webp", ".tif", ".tiff")
+_LEVELS = 3
+
+
+def label_files(path: Path) -> list[Path]:
+    """Return a file itself, or the label files of a folder, or of labels/ in it, with their numbers in order.
+
+    Raises:
+        UserError: none there.
+    """
+    if not path.is_dir():
+        return [path]
+    for folder in (path, path / "labels"):
+        found = [folder / name for name in _label_names(folder)]
+        if found:
+            return sorted(found, key=lambda one: in_order(one.name))
+    raise UserError(f"{path} has no *.txt in it, nor in labels/ below it.")
+
+
+def first_labels(path: Path, most: int) -> list[Path]:
+    """Return the first label files, by name, of a folder or of labels/ in it; never an exception."""
+    for folder in (path, path / "labels"):
+        try:
+            found = heapq.nsmallest(most, _label_names(folder))
+        except OSError:
+            continue
+        if found:
+            return [folder / name for name in found]
+    return []
+
+
+def _label_names(folder: Path) -> Iterator[str]:
+    for one in os.scandir(folder) if folder.is_dir() else []:
+        name = one.name.lower()
+        if name.endswith(".txt") and name not in _NO_LABELS and not name.startswith((".", "readme")) and one.is_file():
+            yield one.name
+
+
+@dataclass
+class Labels:
+    """The rows of all label files."""
+
+    file: list[int] = field(default_factory=list)
+    line: list[int] = field(default_factory=list)
+    length: np.ndarray = field(default_factory=lambda: np.empty(0, int))
+    """(rows,) numbers in a row."""
+    values: np.ndarray = field(default_factory=lambda: np.empty((0, 0), np.float32))
+    """(rows, longest), NaN behind the end of a row."""
+    boxes: np.ndarray = field(default_factory=lambda: np.empty((0, 5), np.float32))
+    """(rows, 5): class, centre and size."""
+
+
+@dataclass
+class RowLayout:
+    """What the numbers of a row are."""
+
+    count: int
+    values: np.ndarray
+    """(rows, keypoints, 2 or 3)."""
+    predicted: bool
+    """Whether a network made them, not a person."""
+    track: np.ndarray | None
+    """(rows,) text, empty where a row has none."""
+
+
+def row_layout(path: Path, labels: Labels, told: Description, options: ReadOptions, notes: list[str]) -> RowLayout:
+    """Return how the rows divide: as data.yaml says, or so that keypoints lie in their boxes.
+
+    Raises:
+        UserError: no division fits, or not that of data.yaml.
+    """
+    shortest, longest = int(labels.length.min()), int(labels.length.max())
+    if told.shape is not None:
+        count, size = told.shape
+        if not 0 <= shortest - 5 - count * size <= longest - 5 - count * size <= 2:
+            raise UserError(
+                f"{path}: rows have {shortest} numbers, but {told.path} says kpt_shape [{count}, {size}]: expected "
+                f"{5 + count * size}, and up to two more (confidence, track)."
+            )
+    else:
+        count, size = _divided(path, labels, shortest, longest)
+        parts = "x, y, v" if size == 3 else "x, y"
+        notes.append(
+            f"no data.yaml with kpt_shape beside the labels or above: rows of {shortest} numbers are read as {count} "
+            f"keypoints of {parts}"
+        )
+    end = 5 + count * size
+    values = labels.values[:, 5:end].reshape(len(labels.values), count, size)
+    flags = size == 2 or bool(np.isin(values[..., 2], (0, 1, 2)).all())
+    return RowLayout(count, values, longest > end or not flags, _tracks(labels.values[:, end:]))
+
+
+def _divided(path: Path, labels: Labels, shortest: int, longest: int) -> tuple[int, int]:
+    """Return the number of keypoints and of their numbers for which most keypoints lie in their boxes."""
+    best: tuple[float, int, int] = (0.0, 0, 0)
+    for extra in (0, 1, 2):
+        for size in (3, 2):
+            count, rest = divmod(shortest - 5 - extra, size)
+            if rest or count < 1 or longest - 5 - count * size > 2:
+                continue
+            inside = _share_inside(labels, count, size)
+            if inside > best[0] + 0.02:
+                best = (inside, count, size)
+    if best[0] < 0.5:
+        raise UserError(
+            f"{path}: rows of {shortest} numbers do not divide into keypoints that lie in their boxes (outlines of "
+            "objects?). Put the data.yaml with kpt_shape beside the labels or above them."
+        )
+    return best[1], best[2]
+
+
+def _share_inside(labels: Labels, count: int, size: int) -> float:
+    values = labels.values[:10_000, 5 : 5 + count * size].reshape(-1, count, size)
+    if size == 3 and not ((values[..., 2] >= 0) & ((values[..., 2] <= 1) | (values[..., 2] == 2))).all():
+        return 0.0
+    centre, side = labels.boxes[:10_000, None, 1:3], labels.boxes[:10_000, None, 3:5]
+    inside = (np.abs(values[..., :2] - centre) <= 0.6 * side + 0.01).all(-1)
+    given = (values[..., :2] != 0).any(-1)
+    return float(inside[given].mean()) if given.any() else 0.0
+
+
+def _tracks(extra: np.ndarray) -> np.ndarray | None:
+    """Return the tracks among the up to two columns behind the keypoints; the other is the box's confidence."""
+    if extra.shape[1] == 0:
+        return None
+    last = extra[:, -1]
+    known = np.isfinite(last)
+    if not known.any() or (last[known] != np.floor(last[known])).any() or (last[known] < 0).any():
+        return None
+    return np.where(known, np.where(known, last, 0).astype(np.int64).astype(str), "")
+
+
+@dataclass
+class Description:
+    """What data.yaml says of the labels."""
+
+    path: Path | None = None
+    shape: tuple[int, int] | None = None
+    classes: dict[int, str] = field(default_factory=dict)
+    partners: list[Any] = field(default_factory=list)
+    names: tuple[str, ...] | None = None
+
+    def names_of(self, path: Path, count: int, options: ReadOptions, notes: list[str]) -> tuple[str, ...]:
+        """Return the names of the keypoints; raises UserError where data.yaml has another number of them."""
+        if self.names is None or options.layout is not None:
+            names, told = names_for(path, count, {17: COCO[17]}, options)
+            notes += told
+            return names
+        if len(self.names) != count:
+            raise UserError(f"{self.path}: kpt_names are {len(self.names)}, the labels have {count} keypoints.")
+        return self.names
+
+    def mirror(self, names: tuple[str, ...]) -> tuple[tuple[str, str], ...]:
+        """Return the pairs that flip_idx swaps."""
+        other = self.partners
+        if len(other) != len(names) or not all(type(place) is int and 0 <= place < len(names) for place in other):
+            return ()
+        return tuple((names[a], names[b]) for a, b in enumerate(other) if a < b and other[b] == a)
+
+    def categories(self, classes: np.ndarray) -> np.ndarray | None:
+        """Return (rows,) names of classes where there are several; None otherwise."""
+        found = np.unique(classes)
+        if len(found) < 2 and len(self.classes) < 2:
+            return None
+        names = np.array([self.classes.get(int(one), str(int(one))) for one in found])
+        return names[np.searchsorted(found, classes)]
+
+
+def describe(folder: Path) -> Description:
+    """Return what the data.yaml of a folder of labels says, which stands beside it or up to two folders above.
+
+    Raises:
+        UserError: a data.yaml that has kpt_shape and is damaged.
+    """
+    here = folder.absolute()
+    for place in [here, *here.parents][:_LEVELS]:
+        for path in sorted([*place.glob("*.yaml"), *place.glob("*.yml")]):
+            if _mentions_shape(path):
+                return _description(path)
+    return Description()
+
+
+def _mentions_shape(path: Path) -> bool:
+    try:
+        return path.is_file() and path.stat().st_size < 1_000_000 and b"kpt_shape" in path.read_bytes()
+    except OSError:
+        return False
+
+
+def _description(path: Path) -> Description:
+    data, _ = read_yaml(path, "description of labels (data.yaml)")
+    data = data if isinstance(data, dict) else {}
+    shape = data.get("kpt_shape")
+    if not (
+        isinstance(shape, list) and len(shape) == 2 and all(type(n) is int for n in shape)
+        and 0 < shape[0] < 100_000 and shape[1] in (2, 3)
+    ):  # fmt: skip
+        raise UserError(f"{path}: kpt_shape is {shape!r:.60}, expected [keypoints, 2 or 3].")
+    classes, flip, names = data.get("names"), data.get("flip_idx"), data.get("kpt_names")
+    if isinstance(names, dict):
+        names = next(iter(names.values()), None)
+    return Description(
+        path=path,
+        shape=(shape[0], shape[1]),
+        classes={n: str(name) for n, name in _numbered(classes).items()},
+        partners=flip if isinstance(flip, list) else [],
+        names=tuple(map(str, names)) if isinstance(names, list) and names else None,
+    )
+
+
+def _numbered(names: Any) -> dict[int, Any]:
+    if isinstance(names, dict):
+        return {key: value for key, value in names.items() if type(key) is int}
+    return dict(enumerate(names)) if isinstance(names, list) else {}
+
+
+def picture_sizes(
+    path: Path, files: list[Path], rows: list[int], options: ReadOptions, notes: list[str]
+) -> tuple[dict[str, str], np.ndarray | None]:
+    """Return the picture's name of each label file, and (rows, 2) sizes in px; None where they are not known.
+
+    Pictures are looked for beside the labels, and in images/ where the labels are in labels/.
+    """
+    folder = files[0].absolute().parent
+    places = [folder, folder.parent / "images"]
+    parts = list(folder.parts)
+    if "labels" in parts:
+        last = len(parts) - 1 - parts[::-1].index("labels")
+        places.append(Path(*parts[:last], "images", *parts[last + 1 :]))
+    found: dict[str, Path] = {}
+    for place in dict.fromkeys(places):
+        for one in place.iterdir() if place.is_dir() else []:
+            if one.suffix.lower() in _PICTURES:
+                found.setdefault(one.stem, one)
+    names = {file.stem: found[file.stem].name for file in files if file.stem in found}
+    if options.image_size is not None:
+        return names, np.tile(np.array(options.image_size, np.float32), (len(rows), 1))
+    if not names:
+        return names, None
+    used = sorted(set(rows))
+    known = {row: _size(found[files[row].stem]) for row in used if files[row].stem in found}
+    sizes = set(known.values())
+    without = [row for row in used if row not in known]
+    if without and len(sizes) != 1:
+        raise UserError(
+            f"{files[without[0]]} has no picture beside it or in images/ to tell its size, and the others differ. "
+            "Say image_size=WIDTHxHEIGHT."
+        )
+    if without:
+        notes.append(f"{len(without):,} labels have no picture: their size is taken to be that of the others")
+    other = next(iter(sizes))
+    return names, np.array([known.get(row, other) for row in rows], np.float32)
+
+
+def _size(picture: Path) -> tuple[int, int]:
+    """Return width and height of a picture from its header."""
+    from PIL import Image
+
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # of large pictures: nothing is decoded
+            with Image.open(picture) as opened:
+                return opened.size
+    except (OSError, ValueError, SyntaxError, Image.DecompressionBombError) as error:
+        raise UserError(
+            f"{picture} cannot be read as a picture, for the size of its labels: {error!s:.100}. Say "
+            "image_size=WIDTHxHEIGHT."
+        ) from None
