@@ -11,8 +11,9 @@ import numpy as np
 from uplift.data.container import PoseData
 from uplift.errors import UserError
 from uplift.readers.base import Format, Peek, ReadOptions
-from uplift.readers.json_file import Numbers, entries, first_json, is_text, json_files, load_json, members, shown
+from uplift.readers.json_file import entries, first_json, is_text, json_files, load_json, members, shown
 from uplift.readers.layouts import ALPHAPOSE, names_for
+from uplift.readers.number_lists import Numbers
 from uplift.readers.rows import pose_data, video_names
 
 __all__ = ["FORMAT"]

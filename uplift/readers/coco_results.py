@@ -9,8 +9,9 @@ import numpy as np
 from uplift.data.container import PoseData
 from uplift.errors import UserError
 from uplift.readers.base import Format, Peek, ReadOptions
-from uplift.readers.json_file import Numbers, entries, shown
+from uplift.readers.json_file import entries, shown
 from uplift.readers.layouts import COCO, names_for
+from uplift.readers.number_lists import Numbers
 from uplift.readers.rows import pose_data, seen_by_flag
 
 __all__ = ["FORMAT"]

@@ -9,8 +9,9 @@ import numpy as np
 from uplift.data.container import PoseData
 from uplift.errors import UserError
 from uplift.readers.base import Format, Peek, ReadOptions
-from uplift.readers.json_file import Numbers, first_json, json_files, members, shown, whole
+from uplift.readers.json_file import first_json, json_files, members, shown, whole
 from uplift.readers.layouts import KINETICS, names_for
+from uplift.readers.number_lists import Numbers
 from uplift.readers.rows import pose_data, to_pixels
 
 __all__ = ["FORMAT"]

@@ -11,8 +11,9 @@ import numpy as np
 from uplift.data.container import PoseData
 from uplift.errors import UserError
 from uplift.readers.base import Format, Peek, ReadOptions
-from uplift.readers.json_file import Numbers, first_json, json_files, load_json, shown
+from uplift.readers.json_file import first_json, json_files, load_json, shown
 from uplift.readers.layouts import HANDS, OPENPOSE, OPENPOSE_FACE70, names_for, numbered
+from uplift.readers.number_lists import Numbers
 from uplift.readers.rows import pose_data, split_names
 
 __all__ = ["FORMAT"]

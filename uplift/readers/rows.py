@@ -48,11 +48,11 @@ def pose_data(
     if twice:
         raise UserError(f"{path} names '{shorten(twice[0])}' twice among its keypoints; names must differ.")
     confidence = np.clip(np.nan_to_num(confidence, nan=0, posinf=0, neginf=0), 0, 1).astype(np.float32, copy=False)
-    finite = np.isfinite(keypoints).all(-1)
+    finite = np.all(np.isfinite(keypoints), axis=-1)
     if not finite.all():
         confidence = np.where(finite, confidence, np.float32(0))
         keypoints = np.where(finite[..., None], keypoints, np.float32(np.nan))
-    seen = (confidence > 0).any(1)
+    seen = np.any(confidence > 0, axis=1)
     if not seen.any():
         raise UserError(f"{path} has no visible keypoint in it ({len(seen):,} bodies, {len(names)} keypoints each).")
     if not seen.all():
@@ -84,8 +84,8 @@ def _clips(
     times, time = codes_of(frame)
     places, place = codes_of(video * len(times) + time)
     several = len(places) < len(frame)
-    track = identity.get("instance")
-    nameless = np.ones(len(frame), bool) if track is None else track == ""
+    track = identity.get("instance", np.full(len(frame), ""))
+    nameless = track == ""
     if not nameless.all():
         tracks, who = codes_of(track)
         own = (place * len(tracks) + who)[~nameless]

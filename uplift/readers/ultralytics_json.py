@@ -11,8 +11,9 @@ from uplift.data.container import PoseData
 from uplift.datasets.coco_json import JsonText
 from uplift.errors import UserError
 from uplift.readers.base import Format, Peek, ReadOptions
-from uplift.readers.json_file import Numbers, first_json, is_text, items, json_files, shown
+from uplift.readers.json_file import first_json, is_text, items, json_files, shown
 from uplift.readers.layouts import COCO, names_for
+from uplift.readers.number_lists import Numbers
 from uplift.readers.rows import frames_or_images, pose_data, to_pixels
 
 __all__ = ["FORMAT"]

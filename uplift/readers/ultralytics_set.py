@@ -1,4 +1,4 @@
-"""What stands around Ultralytics' label files: their folder, data.yaml, pictures, and what a row's numbers are."""
+"""What stands around Ultralytics' label files: their folder, data.yaml, and the pictures."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from uplift.readers.json_file import in_order
 from uplift.readers.layouts import COCO, names_for
 from uplift.yaml_file import read_yaml
 
-__all__ = ["Labels", "RowLayout", "describe", "first_labels", "label_files", "picture_sizes", "row_layout"]
+__all__ = ["Description", "describe", "first_labels", "label_files", "picture_sizes"]
 
 _NO_LABELS = ("classes.txt", "labels.txt", "notes.txt")
 _PICTURES = (".jpg", ".jpeg", ".png", ".bmp", ".webp", ".tif", ".tiff")
@@ -57,100 +57,6 @@ def _label_names(folder: Path) -> Iterator[str]:
         name = one.name.lower()
         if name.endswith(".txt") and name not in _NO_LABELS and not name.startswith((".", "readme")) and one.is_file():
             yield one.name
-
-
-@dataclass
-class Labels:
-    """The rows of all label files."""
-
-    file: list[int] = field(default_factory=list)
-    line: list[int] = field(default_factory=list)
-    length: np.ndarray = field(default_factory=lambda: np.empty(0, int))
-    """(rows,) numbers in a row."""
-    values: np.ndarray = field(default_factory=lambda: np.empty((0, 0), np.float32))
-    """(rows, longest), NaN behind the end of a row."""
-    boxes: np.ndarray = field(default_factory=lambda: np.empty((0, 5), np.float32))
-    """(rows, 5): class, centre and size."""
-
-
-@dataclass
-class RowLayout:
-    """What the numbers of a row are."""
-
-    count: int
-    values: np.ndarray
-    """(rows, keypoints, 2 or 3)."""
-    predicted: bool
-    """Whether a network made them, not a person."""
-    track: np.ndarray | None
-    """(rows,) text, empty where a row has none."""
-
-
-def row_layout(path: Path, labels: Labels, told: Description, options: ReadOptions, notes: list[str]) -> RowLayout:
-    """Return how the rows divide: as data.yaml says, or so that keypoints lie in their boxes.
-
-    Raises:
-        UserError: no division fits, or not that of data.yaml.
-    """
-    shortest, longest = int(labels.length.min()), int(labels.length.max())
-    if told.shape is not None:
-        count, size = told.shape
-        if not 0 <= shortest - 5 - count * size <= longest - 5 - count * size <= 2:
-            raise UserError(
-                f"{path}: rows have {shortest} numbers, but {told.path} says kpt_shape [{count}, {size}]: expected "
-                f"{5 + count * size}, and up to two more (confidence, track)."
-            )
-    else:
-        count, size = _divided(path, labels, shortest, longest)
-        parts = "x, y, v" if size == 3 else "x, y"
-        notes.append(
-            f"no data.yaml with kpt_shape beside the labels or above: rows of {shortest} numbers are read as {count} "
-            f"keypoints of {parts}"
-        )
-    end = 5 + count * size
-    values = labels.values[:, 5:end].reshape(len(labels.values), count, size)
-    flags = size == 2 or bool(np.isin(values[..., 2], (0, 1, 2)).all())
-    return RowLayout(count, values, longest > end or not flags, _tracks(labels.values[:, end:]))
-
-
-def _divided(path: Path, labels: Labels, shortest: int, longest: int) -> tuple[int, int]:
-    """Return the number of keypoints and of their numbers for which most keypoints lie in their boxes."""
-    best: tuple[float, int, int] = (0.0, 0, 0)
-    for extra in (0, 1, 2):
-        for size in (3, 2):
-            count, rest = divmod(shortest - 5 - extra, size)
-            if rest or count < 1 or longest - 5 - count * size > 2:
-                continue
-            inside = _share_inside(labels, count, size)
-            if inside > best[0] + 0.02:
-                best = (inside, count, size)
-    if best[0] < 0.5:
-        raise UserError(
-            f"{path}: rows of {shortest} numbers do not divide into keypoints that lie in their boxes (outlines of "
-            "objects?). Put the data.yaml with kpt_shape beside the labels or above them."
-        )
-    return best[1], best[2]
-
-
-def _share_inside(labels: Labels, count: int, size: int) -> float:
-    values = labels.values[:10_000, 5 : 5 + count * size].reshape(-1, count, size)
-    if size == 3 and not ((values[..., 2] >= 0) & ((values[..., 2] <= 1) | (values[..., 2] == 2))).all():
-        return 0.0
-    centre, side = labels.boxes[:10_000, None, 1:3], labels.boxes[:10_000, None, 3:5]
-    inside = (np.abs(values[..., :2] - centre) <= 0.6 * side + 0.01).all(-1)
-    given = (values[..., :2] != 0).any(-1)
-    return float(inside[given].mean()) if given.any() else 0.0
-
-
-def _tracks(extra: np.ndarray) -> np.ndarray | None:
-    """Return the tracks among the up to two columns behind the keypoints; the other is the box's confidence."""
-    if extra.shape[1] == 0:
-        return None
-    last = extra[:, -1]
-    known = np.isfinite(last)
-    if not known.any() or (last[known] != np.floor(last[known])).any() or (last[known] < 0).any():
-        return None
-    return np.where(known, np.where(known, last, 0).astype(np.int64).astype(str), "")
 
 
 @dataclass
