@@ -91,7 +91,7 @@ def test_an_unknown_verb_or_flag_ends_with_status_2(words: list[str], capsys: py
         (["predict", "run=none", "input=a.npz", "output=b.npz"], "No run none"),
         (["simulate", "skeleton=h36m17"], "simulate needs output="),
         (["simulate", "skeleton=h36m17", "output=a.csv"], "written as .npz"),
-        (["simulate", "skeleton=h36m17", "output=a.npz", "frames=many"], "frames='many', expected a number"),
+        (["simulate", "skeleton=h36m17", "output=a.npz", "frames=many"], "frames='many', expected a whole number"),
         (["simulate", "skeleton=h36m17", "output=a.npz", "frames=0"], "frames=0"),
         (["simulate", "skeleton=h36m17", "output=a.npz", "seed=-1"], "seed"),
         (["simulate", "skeleton=h36m17", "output=a.npz", "missing=2"], "missing"),

@@ -10,13 +10,14 @@ from collections.abc import Callable, Sequence
 
 from uplift import __version__
 from uplift.errors import UserError
+from uplift.words import PREDICT_KEYS, keyed, number, one_of, whole
 
 __all__ = ["main"]
 
 _VERBS = {
     "fit": "train a lifter: fit task=NAME, or fit skeleton=NAME data.train=FILE; also resume=RUN",
     "evaluate": "every protocol: evaluate run=RUN [data.test=FILE], or evaluate poses=FILE data.test=FILE",
-    "predict": "lift keypoints: predict run=RUN input=FILE|SET:SPLIT output=FILE.html|.npz [page=gallery]",
+    "predict": "lift keypoints: predict run=RUN input=FILE|FOLDER|SET:SPLIT output=FILE.html|.npz|.csv|.trc|.bvh|...",
     "simulate": "made-up bodies with exact poses: simulate skeleton=NAME output=FILE.npz [frames=20000 seed=0]",
     "compare": "runs side by side: compare RUN RUN ...",
     "data": "data check task=NAME [data.root=FOLDER]: what is there and what is missing; data cmu FOLDER",
@@ -108,36 +109,9 @@ def _complete(verb: str) -> Callable[..., list[str]]:
 
 _KEYS = {
     "evaluate": ("run", "poses", "data.test", "skeleton", "refine"),
-    "predict": ("run", "input", "output", "refine", "page", "frames", "seed", "images", "data.name", "data.root"),
+    "predict": PREDICT_KEYS,
     "simulate": ("skeleton", "output", "frames", "seed", "noise_px", "missing"),
 }
-
-
-def _keyed(verb: str, words: Sequence[str], needed: Sequence[str]) -> dict[str, str]:
-    """Return the ``key=value`` words as a dict, refusing what the verb does not take."""
-    from uplift.errors import did_you_mean
-
-    found: dict[str, str] = {}
-    for word in words:
-        key, equals, value = word.partition("=")
-        option = verb == "predict" and key.startswith("data.options.")
-        if not equals or (key not in _KEYS[verb] and not option):
-            raise UserError(f"{verb}: '{word}' is not one of its settings.{did_you_mean(key, _KEYS[verb])}")
-        if not value:
-            raise UserError(f"{verb}: '{key}=' has no value.")
-        found[key] = value
-    for key in needed:
-        if key not in found:
-            raise UserError(f"{verb} needs {key}=... ({_VERBS[verb]})")
-    return found
-
-
-def _refines(verb: str, keys: dict[str, str]) -> bool:
-    """Return whether ``refine`` is on, as it is where it is not given."""
-    value = keys.get("refine", "on")
-    if value not in ("on", "off"):
-        raise UserError(f"{verb}: refine={value!r}, expected on or off.")
-    return value == "on"
 
 
 def _fit(words: Sequence[str]) -> None:
@@ -178,7 +152,7 @@ def _fit(words: Sequence[str]) -> None:
 
 
 def _evaluate(words: Sequence[str]) -> None:
-    keys = _keyed("evaluate", words, ())
+    keys = keyed("evaluate", words, _KEYS["evaluate"])
     if ("run" in keys) == ("poses" in keys):
         raise UserError(f"evaluate takes run=RUN or poses=FILE. ({_VERBS['evaluate']})")
     from uplift.verbs.evaluate import evaluate, evaluate_poses
@@ -186,7 +160,7 @@ def _evaluate(words: Sequence[str]) -> None:
     if "run" in keys:
         if "skeleton" in keys:
             raise UserError("evaluate run=...: the run knows its skeleton; skeleton= goes with poses=.")
-        refine = _refines("evaluate", keys)
+        refine = one_of("evaluate", keys, "refine", ("on", "off"), "on") == "on"
         print(evaluate(keys["run"], keys.get("data.test"), refine=refine).table())
         from uplift.run import RunFolder
 
@@ -202,48 +176,16 @@ def _evaluate(words: Sequence[str]) -> None:
 
 
 def _predict(words: Sequence[str]) -> None:
-    keys = _keyed("predict", words, ("run", "input", "output"))
-    from uplift.verbs.predict import predict
+    from uplift.verbs.predict_command import predict_command
 
-    of_page = {"images": keys["images"]} if "images" in keys else {}
-    of_page |= {key: _whole("predict", key, keys[key]) for key in ("frames", "seed") if key in keys}
-    found = predict(
-        keys["run"],
-        keys["input"],
-        keys["output"],
-        *(f"{key}={value}" for key, value in keys.items() if key.startswith("data.")),
-        refine=_refines("predict", keys),
-        page=keys.get("page"),
-        **of_page,
-    )
-    blank = int((found.pose != found.pose).all((1, 2)).sum())
-    print(f"lifted {len(found) - blank:,} frames of {found.skeleton.name}, unit {found.unit}")
-    if blank:
-        print(
-            f"{blank:,} of {len(found):,} frames cannot be lifted (too few joints, or all in one point): their rows are NaN"
-        )
-    print(f"wrote {keys['output']}")
-    if keys["output"].endswith(".html"):
-        print(f"look: open {keys['output']} in a browser")
-
-
-def _whole(verb: str, key: str, text: str) -> int:
-    try:
-        return int(text)
-    except ValueError:
-        raise UserError(f"{verb}: {key}={text!r}, expected a whole number.") from None
+    predict_command(words)
 
 
 def _simulate(words: Sequence[str]) -> None:
-    keys = _keyed("simulate", words, ("skeleton", "output"))
-    numbers = {}
-    for key in ("frames", "seed", "noise_px", "missing"):
-        if key in keys:
-            kind = int if key in ("frames", "seed") else float
-            try:
-                numbers[key] = kind(keys[key])
-            except ValueError:
-                raise UserError(f"simulate: {key}={keys[key]!r}, expected a number.") from None
+    keys = keyed("simulate", words, _KEYS["simulate"], ("skeleton", "output"))
+    found = {key: whole("simulate", keys, key) for key in ("frames", "seed")}
+    found |= {key: number("simulate", keys, key) for key in ("noise_px", "missing")}
+    numbers = {key: value for key, value in found.items() if value is not None}
     from uplift.verbs.simulate import simulate
 
     data = simulate(keys["skeleton"], keys["output"], **numbers)  # type: ignore[arg-type]

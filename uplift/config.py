@@ -91,7 +91,7 @@ class LifterSettings:
     root_free: bool = False  # leave the root's own depth in
     confidence_input: bool = True  # the network sees confidence beside the keypoints
     fill: bool = True  # the network says where missing joints are
-    spread: bool = True  # and how far off each depth may be: learned by the student
+    spread: bool = True  # and how far off each depth may be, or the place of a hidden joint: learned by the student
     denoise: Optional[bool] = None  # it moves seen joints too; unset: where refined clips show that they are noisy
     both_ways: bool = True  # predict as the mean over the keypoints and their mirror image
     refine: RefineSettings = field(default_factory=lambda: RefineSettings(smooth=1.0, near=0.5))  # of predicted clips

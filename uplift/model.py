@@ -11,22 +11,19 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from uplift.bridging import bridge_gaps
 from uplift.camera import build_camera
 from uplift.config import LifterSettings, RefineSettings
-from uplift.data.clean import clean
 from uplift.data.container import PoseData
 from uplift.data.tensors import TrainingSet
 from uplift.errors import UserError
-from uplift.gravity import gravity_of, real_tilt
-from uplift.lifter import Lifted, Lifter
-from uplift.lifting import lift_frames, refine_lifted
+from uplift.lifter import Lifter
 from uplift.networks import build_network
 from uplift.normalise import Intrinsics
+from uplift.predicting import predict_poses
 from uplift.prediction import Prediction
+from uplift.sizing import Size
 from uplift.skeleton import Skeleton
 from uplift.torch_file import read_torch, save_torch
-from uplift.views import least_rotation, turn
 
 __all__ = ["Model", "as_seen", "build_lifter", "frames_of", "intrinsics_of", "load"]
 
@@ -124,7 +121,15 @@ class Model:
         pose = pose[0] if single else pose
         return torch.from_numpy(pose).to(keypoints.device) if is_tensor else pose
 
-    def predict(self, data: PoseData, title: str = "", *, refine: bool = True) -> Prediction:
+    def predict(
+        self,
+        data: PoseData,
+        title: str = "",
+        *,
+        refine: bool = True,
+        size: Size | None = None,
+        constant_bones: bool = False,
+    ) -> Prediction:
         """Return the poses of every frame of ``data``, which has the skeleton's joints in its order.
 
         Frames that cannot be lifted (fewer than three visible joints) come out as NaN, so that rows
@@ -132,49 +137,15 @@ class Model:
         ``refine`` is off: one body, one camera tilt and a smooth motion in each (`uplift.refine`, as
         `lifter.refine` says), and joints that go missing for a frame or two are put where the frames
         around say before all is lifted once more (`uplift.bridging`).
-        """
-        data, _ = clean(data, self.skeleton, drop=False)
-        refine = self.refines(data, refine)
-        seen = as_seen(data, self.settings)
-        frames, lifted = self._lift(seen, refine)
-        if refine:
-            whole = bridge_gaps(seen, frames, lifted, intrinsics_of(seen, self.settings))
-            if whole is not None:  # with fewer gaps, all that is seen is lifted better
-                frames, lifted = self._lift(whole, refine)
-        pose, gravity = _in_pixels(lifted, frames)
-        unit_mm = self.lifter.unit_mm(lifted.pose)
-        per_unit = frames.scale if unit_mm is None else unit_mm
-        pose = pose * (per_unit / frames.scale)[:, None, None]
-        level_pose = _levelled(pose, gravity) if self.skeleton.gravity else pose
-        blank = torch.from_numpy((data.confidence > 0).sum(1) == 0).to(pose.device)
-        pose[blank], level_pose[blank] = np.nan, np.nan
-        spread = None if lifted.spread is None else lifted.spread * per_unit[:, None]
-        return Prediction(
-            pose=pose.cpu().numpy(),
-            level_pose=level_pose.cpu().numpy(),
-            unit="px" if unit_mm is None else "mm",
-            keypoints=data.keypoints,
-            confidence=data.confidence,
-            joint_names=self.skeleton.joints,
-            skeleton=self.skeleton,
-            tilt_deg=gravity[:, 2].clamp(-1, 1).asin().rad2deg().cpu().numpy() if self.skeleton.gravity else None,
-            identity=data.identity,
-            fps=data.fps,
-            image_size=data.image_size,
-            truth=data.pose,
-            truth_unit=data.unit,
-            spread=None if spread is None else spread.cpu().numpy(),
-            source=data.source,
-            title=title,
-        )
 
-    def _lift(self, data: PoseData, refine: bool) -> tuple[TrainingSet, Lifted]:
-        """Return cleaned ``data`` in the model's units and its poses, mended by clip where ``refine``."""
-        frames = frames_of(data, self.skeleton, self.settings).to(next(self.lifter.parameters()).device)
-        lifted = lift_frames(self.lifter, frames, both_ways=self.settings.both_ways)
-        if refine:
-            lifted = refine_lifted(lifted, frames, self.lifter.camera, self.settings.refine)
-        return frames, lifted
+        In mm with a ``size`` (else by the skeleton's, else by labelled bodies), and then with the
+        place of the root where the camera is known; in pixels otherwise. ``constant_bones`` gives
+        each body one length of every bone.
+
+        Raises:
+            UserError: a size that does not tell, bones that close loops and are to be constant.
+        """
+        return predict_poses(self, data, title, refine=refine, size=size, constant_bones=constant_bones)
 
     def refines(self, data: PoseData, refine: bool = True) -> bool:
         """Return whether `predict` lifts frames of ``data`` together: it is on, and there are clips."""
@@ -216,19 +187,6 @@ class Model:
         except (KeyError, TypeError, ValueError, RuntimeError, AttributeError) as error:
             raise UserError(f"{path} is no whole lifter: {str(error).splitlines()[0]}") from error
         return cls(lifter.eval(), skeleton, settings)
-
-
-def _in_pixels(lifted: Lifted, frames: TrainingSet) -> tuple[Tensor, Tensor]:
-    """Return poses in pixels and the direction of gravity (frames 3), both in the real camera's frame."""
-    pose = lifted.pose * frames.scale[:, None, None]
-    if frames.rotation is not None:
-        pose = turn(pose, frames.rotation.mT)
-    return pose, gravity_of(real_tilt(lifted.tilt, frames.rotation), None)
-
-
-def _levelled(pose: Tensor, gravity: Tensor) -> Tensor:
-    """Return poses turned the least way that brings gravity to y: roll is undone with the tilt."""
-    return turn(pose, least_rotation(gravity, gravity.new_tensor([0.0, 1.0, 0.0])))
 
 
 def _refuse_nearby_code(network: str) -> None:

@@ -12,6 +12,7 @@ from typing import Any
 from uplift.config import Settings
 from uplift.errors import UserError, did_you_mean
 from uplift.paths import shipped_names
+from uplift.readers.files import absolute
 from uplift.yaml_file import read_value
 
 __all__ = ["hints_of", "put_override", "setting_names"]
@@ -81,9 +82,9 @@ def _from_here(keys: list[str], value: Any) -> Any:
     name = ".".join(keys)
     if not isinstance(value, str) or not value:
         return value
-    if name in ("data.train", "data.test") and not Path(value).exists():
-        return ",".join(str(Path(part).expanduser().absolute()) for part in value.split(",") if part)
-    if name in ("data.train", "data.test", "data.root", "init"):
+    if name in ("data.train", "data.test"):
+        return absolute(value)
+    if name in ("data.root", "init"):
         return str(Path(value).expanduser().absolute())
     if name == "data.labelled.file" and not re.fullmatch(r"\w+:\w+", value):  # SET:SPLIT is no path
         return str(Path(value).expanduser().absolute())

@@ -46,6 +46,7 @@ class Prediction:
     axes: str = "camera"
     source: str = ""
     title: str = ""
+    notes: tuple[str, ...] = ()  # what the reader assumed
 
     def __post_init__(self) -> None:
         """Check shapes, unit and names."""

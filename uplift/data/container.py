@@ -139,6 +139,25 @@ class PoseData:
         straight = straight.astype(np.float32, copy=False)
         return replace(self, keypoints=straight, focal_px=focal_px, image_size=size, lenses=(), lens=None)
 
+    def rays(self) -> np.ndarray | None:
+        """Return (frames joints 2) keypoints as x/z and y/z of the camera's frame; None where the camera is not known."""
+        if self.lens is not None:
+            straight = self.straightened()
+            return None if straight is self else straight.rays()
+        if self.focal_px is None or self.centre_px is None:
+            return None
+        return (self.keypoints - np.array(self.centre_px, np.float32)) / np.float32(self.focal_px)
+
+    def in_order(self) -> np.ndarray:
+        """Return the rows with the frames of each clip together and in time, clips as they first come."""
+        rows = np.arange(len(self))
+        if "sequence" not in self.identity:
+            return rows
+        clip = self.clips()
+        _, first, code = np.unique(clip, return_index=True, return_inverse=True)
+        when = self.identity["frame"].astype(np.float64) if "frame" in self.identity else rows
+        return np.lexsort((rows, when, first[code]))
+
     def clips(self) -> np.ndarray:
         """Return (frames,) clip numbers: frames of one subject, sequence, camera and instance.
 

@@ -143,7 +143,7 @@ def _load(place: Path) -> PoseData:
         with np.load(place / f"identity_{key}.npz") as runs:
             identity[key] = np.repeat(runs["names"][runs["code"]], runs["count"])
     return PoseData(
-        **arrays,
+        **arrays,  # type: ignore[arg-type]
         joint_names=tuple(facts["joint_names"]),
         unit=facts["unit"],
         identity=identity,

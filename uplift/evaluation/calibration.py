@@ -23,7 +23,8 @@ _MOST_RANKED = 1_000_000
 def calibrate(matched: Matched, spread: Float[np.ndarray, "frames joints"]) -> dict[str, Any] | None:
     """Return the calibration curve of ``spread``, the scale b of a Laplace distribution of each depth.
 
-    ``spread`` is in the unit of the matched pose, row by row and joint by joint. Both are brought to
+    ``spread`` is in the unit of the matched pose, row by row and joint by joint; of a joint that was
+    missing in 2D it is the scale of its whole error, for nothing says where it is in the image. Both are brought to
     the truth's scale as for `n_mpjpe`; a metric pose stays as it is. ``visible`` and ``missing`` (the
     joints that were missing in 2D) hold, for each nominal share q, the share of depth errors within
     -b ln(1 - q), the root left out. ``spread_error`` is the mean difference of the two,
@@ -32,7 +33,7 @@ def calibrate(matched: Matched, spread: Float[np.ndarray, "frames joints"]) -> d
     """
     found: dict[str, Any] = {}
     for group, ending, weight in (("visible", "", matched.weight), ("missing", MISSING, matched.unseen)):
-        error, scale = _depth_errors(matched, spread, weight)
+        error, scale = _errors(matched, spread, weight, whole=group == "missing")
         if len(error):
             found[group] = coverage_of(error, scale)
             found[f"spread_error{ending}"] = float(np.mean([abs(float(q) - s) for q, s in found[group].items()]))
@@ -62,10 +63,10 @@ def _ranks(values: np.ndarray) -> np.ndarray:
     return (np.cumsum(count) - (count - 1) / 2)[place]
 
 
-def _depth_errors(
-    matched: Matched, spread: np.ndarray, weight: Float[np.ndarray, "frames joints"]
+def _errors(
+    matched: Matched, spread: np.ndarray, weight: Float[np.ndarray, "frames joints"], *, whole: bool
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return the absolute depth errors of the joints that ``weight`` counts and their spreads, in the truth's unit."""
+    """Return the depth errors of the joints that ``weight`` counts, or their ``whole`` ones, and their spreads, in the truth's unit."""
     errors, scales = [np.empty(0, np.float32)], [np.empty(0, np.float32)]
     for start in range(0, len(matched.pose), _CHUNK):
         rows = np.arange(start, min(start + _CHUNK, len(matched.pose)))
@@ -73,7 +74,9 @@ def _depth_errors(
         factor = np.ones(len(rows)) if matched.metric else least_squares_scale(pose, truth, seen)
         mine = spread[rows].astype(np.float64) * np.abs(factor)[:, None]
         counts = _counts(weight[rows], mine, matched.skeleton.root_index)
-        errors.append(np.abs(pose[..., 2] * factor[:, None] - truth[..., 2])[counts].astype(np.float32))
+        off = pose * factor[:, None, None] - truth
+        size = np.linalg.norm(off, axis=-1) if whole else np.abs(off[..., 2])
+        errors.append(size[counts].astype(np.float32))
         scales.append(mine[counts].astype(np.float32))
     return np.concatenate(errors), np.concatenate(scales)
 

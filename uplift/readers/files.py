@@ -7,7 +7,7 @@ from pathlib import Path
 
 from uplift.errors import UserError
 
-__all__ = ["files_of"]
+__all__ = ["absolute", "files_of"]
 
 
 def files_of(path: str | Path) -> list[Path]:
@@ -32,3 +32,10 @@ def files_of(path: str | Path) -> list[Path]:
         where = missing[0] if missing else Path(path)
         raise UserError(f"No file {where} (looked in {where.absolute().parent}).")
     return list(dict.fromkeys(found))
+
+
+def absolute(path: str) -> str:
+    """Return the same files with each path from the root of the file system."""
+    if Path(path).expanduser().exists():
+        return str(Path(path).expanduser().absolute())
+    return ",".join(str(Path(part).expanduser().absolute()) for part in path.split(",") if part)

@@ -1,4 +1,4 @@
-"""What an npz of keypoints holds, out of its headers alone: nothing is loaded but the joint names."""
+"""What a file of keypoints holds: of an npz out of its headers alone, nothing loaded but the joint names."""
 
 from __future__ import annotations
 
@@ -8,8 +8,9 @@ from pathlib import Path
 
 import numpy as np
 
-from uplift.data.container import IDENTITY_KEYS
+from uplift.data.container import IDENTITY_KEYS, PoseData
 from uplift.errors import UserError
+from uplift.readers import ReadOptions, guess_format, read
 from uplift.readers.archive import read_arrays
 from uplift.readers.npz import joint_names_of
 
@@ -21,7 +22,7 @@ _PER_FRAME = {"root": 3, "tilt_deg": 1}
 
 @dataclass(frozen=True)
 class Contents:
-    """What `uplift.readers.npz.read_npz` would make of a file."""
+    """What a reader would make of a file."""
 
     frames: int
     joint_names: tuple[str, ...]
@@ -30,14 +31,18 @@ class Contents:
     """Bytes of the arrays."""
 
 
-def contents_of(path: Path) -> Contents:
-    """Return what the npz at ``path`` holds.
+def contents_of(path: Path, options: ReadOptions | None = None) -> Contents:
+    """Return what the file at ``path`` holds: out of the headers of an npz of this project, of others by reading them.
 
     Raises:
-        UserError: it is not whole, or not of the documented layout.
+        UserError: it is not whole, or of no known format.
     """
-    if path.suffix.lower() != ".npz":
-        raise UserError(f"{path}: unknown format '{path.suffix}'. Readable: .npz (docs/your-data.md).")
+    options = options or ReadOptions()
+    if (options.format or guess_format(path).name) != "npz":
+        data = read(path, options)
+        arrays = {name for name in ("pose", "root", "tilt_deg") if getattr(data, name) is not None}
+        memory = memory_of(arrays, len(data), len(data.joint_names))
+        return Contents(len(data), data.joint_names, data.pose is not None, memory + _bytes(data))
     small = read_arrays(path, ("joint_names",))  # also holds every header against the bytes that are there
     shapes, stored = _headers(path)
     shape = shapes.get("keypoints", ())
@@ -49,6 +54,10 @@ def contents_of(path: Path) -> Contents:
         raise UserError(f"{path}: {len(names)} joint names for {joints} joints in 'keypoints'.")
     identity = sum(stored[key] for key in IDENTITY_KEYS if key in stored)
     return Contents(frames, names, "pose" in shapes, memory_of(set(shapes), frames, joints) + identity)
+
+
+def _bytes(data: PoseData) -> int:
+    return sum(values.nbytes for values in data.identity.values())
 
 
 def memory_of(arrays: set[str], frames: int, joints: int) -> int:

@@ -12,11 +12,11 @@ from uplift.prediction import UNITS
 from uplift.readers.archive import read_arrays
 from uplift.readers.base import Format, Peek, ReadOptions
 
-__all__ = ["FORMAT", "joint_names_of", "read_npz", "unit_of"]
+__all__ = ["FORMAT", "joint_names_of", "read_npz", "refuse_other_axes", "unit_of"]
 
 _KNOWN = {
     "keypoints", "confidence", "joint_names", "pose", "root", "unit", "fps", "image_size", "focal_px",
-    "bones", "tilt_deg", "level_pose", "spread", "skeleton", *IDENTITY_KEYS,
+    "bones", "tilt_deg", "level_pose", "spread", "filled", "axes", "skeleton", *IDENTITY_KEYS,
 }  # fmt: skip
 _PHOTO_ENDINGS = (".jpg", ".jpeg", ".png", ".bmp", ".webp", ".tif", ".tiff")
 _MOST_CONFIDENT = 2.0  # heat maps peak a little over 1, and COCO marks visible joints with 2
@@ -36,6 +36,7 @@ def read_npz(path: str | Path) -> PoseData:
                 f"{where}: no array '{needed}' (found: {', '.join(sorted(arrays)) or 'nothing'}). Expected at "
                 "least 'keypoints' (frames, joints, 2) in pixels and 'joint_names' (joints,)."
             )
+    refuse_other_axes(where, arrays)
     keypoints = _numbers(where, arrays, "keypoints", (None, None, 2))
     assert keypoints is not None  # it is one of the needed
     frames, joints = keypoints.shape[:2]
@@ -61,6 +62,13 @@ def joint_names_of(where: str, arrays: dict[str, np.ndarray]) -> tuple[str, ...]
     if names.ndim != 1 or names.dtype.kind not in "US":
         raise UserError(f"{where}: 'joint_names' is {names.dtype} of shape {names.shape}, expected text (joints,).")
     return tuple(n.decode(errors="replace") if isinstance(n, bytes) else str(n) for n in names)
+
+
+def refuse_other_axes(where: str, arrays: dict[str, np.ndarray]) -> None:
+    """Raise UserError for poses that are not in the camera's axes (`uplift.axes`)."""
+    axes = str(arrays["axes"].reshape(-1)[0]) if "axes" in arrays and arrays["axes"].size else "camera"
+    if axes not in ("camera", "opencv"):
+        raise UserError(f"{where}: its poses are in the axes '{axes}', expected the camera's: predict without axes=.")
 
 
 def unit_of(where: str, arrays: dict[str, np.ndarray], default: str) -> str:

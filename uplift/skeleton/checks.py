@@ -8,6 +8,7 @@ from uplift.errors import UserError, did_you_mean
 from uplift.skeleton.body_checks import BODY_KEYS, check_body
 from uplift.skeleton.checker import Checker, named
 from uplift.skeleton.facing_checks import check_facing
+from uplift.skeleton.size_checks import check_size
 from uplift.yaml_file import Where
 
 __all__ = ["BODY_KEYS", "check_skeleton"]
@@ -15,7 +16,7 @@ __all__ = ["BODY_KEYS", "check_skeleton"]
 _REQUIRED = ("joints", "root", "bones")
 _DEFAULTS: dict[str, Any] = {
     "description": "", "loops": False, "mirror": [], "facing": {}, "gravity": True, "rigid": False,
-    "midpoints": {}, "from": {},
+    "midpoints": {}, "from": {}, "size": {},
 }  # fmt: skip
 _KEYS = ("name", *_REQUIRED, *_DEFAULTS, *BODY_KEYS)
 
@@ -43,6 +44,7 @@ def check_skeleton(data: object, where: Where) -> dict[str, Any]:
     skeleton["from"] = {
         layout: check.map_of_parts(parts, joints, ("from", layout)) for layout, parts in skeleton["from"].items()
     }
+    skeleton["size"] = check_size(skeleton["size"], joints, check)
     skeleton["facing"] = check_facing(skeleton, check)
     check_body(skeleton, check)
     return skeleton

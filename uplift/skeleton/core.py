@@ -37,6 +37,7 @@ class Skeleton:
     sources: dict[str, dict[str, tuple[str, ...]]] = field(default_factory=dict)
     body: dict[str, Any] = field(default_factory=dict)
     midpoints: dict[str, tuple[str, ...]] = field(default_factory=dict)
+    size: dict[str, Any] = field(default_factory=dict)
     loops: bool = False
     description: str = ""
 
@@ -119,6 +120,7 @@ class Skeleton:
         data["from"] = {
             layout: {joint: list(parts) for joint, parts in joints.items()} for layout, joints in self.sources.items()
         }
+        data["size"] = dict(self.size)
         return data | {key: self.body[key] for key in BODY_KEYS if key in self.body}
 
     @classmethod
@@ -191,6 +193,7 @@ def _from_checked(data: dict[str, Any]) -> Skeleton:
         },
         body={key: data[key] for key in BODY_KEYS if key in data},
         midpoints={joint: tuple(parts) for joint, parts in data["midpoints"].items()},
+        size=data["size"],
         loops=data["loops"],
         description=data["description"],
     )

@@ -71,9 +71,11 @@ class StudentTraining(LifterTraining):
             loss = loss + off / known
             logged["fill"] = off.detach() / moves.sum().clamp_min(1)
         if lifted.spread is not None:
-            # Laplace: its scale is the mean absolute error. The depths do not learn from it.
+            # Laplace: its scale is the mean absolute error, of a hidden joint that of its whole place. Poses do not learn from it.
             scale = lifted.spread.clamp_min(1e-6)
-            surprise = (error.detach() / scale + scale.log()) * views.sure * (lifted.spread > 0)
+            away = (lifted.pose - views.pose).detach().norm(dim=-1)
+            off = torch.where(views.shown == 0, away, error.detach())
+            surprise = (off / scale + scale.log()) * views.sure * (lifted.spread > 0)
             loss = loss + _SPREAD_WEIGHT * surprise.sum() / known
             logged["spread"] = lifted.spread.detach().mean()
         if lifter.tilt == "predicted":

@@ -10,12 +10,14 @@ from pathlib import Path
 import numpy as np
 
 from uplift.config import Settings
-from uplift.data.load import find_data, named_set, of_labelled
+from uplift.data.load import find_data, named_set, of_labelled, read_options
 from uplift.data.missing import how_to_get
 from uplift.datasets import DataSet
 from uplift.datasets.cache import cached_facts
 from uplift.errors import UserError
 from uplift.paths import data_root
+from uplift.readers import ReadOptions
+from uplift.readers.files import files_of
 from uplift.readers.headers import contents_of, memory_of
 from uplift.skeleton import Skeleton, load_skeleton
 from uplift.skeleton.matching import build_joints
@@ -101,21 +103,28 @@ class _Report:
         name = getattr(settings.data, which)
         if not name:
             find_data(settings, which)  # says what to set
-        path = (data_root(settings.data.name, settings.data.root) / name).absolute()
-        self.lines.append(f"{title}: {path.name if path.parent == self.folder else path}")
-        self._line(path, "", path.is_file())
-        if not path.is_file():
-            return False
+        folder = data_root(settings.data.name, settings.data.root)
         try:
-            self.lines.append(f"  to load: {self._cost(path)}")
-        except UserError as error:
-            self.wrong = True
-            self.lines.append(f"  WRONG    {error}")
+            paths = files_of(find_data(settings, which))
+        except UserError:
+            paths = [(folder / part).absolute() for part in str(name).split(",") if part]
+        alone = paths[0].name if paths[0].parent == self.folder else str(paths[0])
+        self.lines.append(f"{title}: {alone if len(paths) == 1 else f'{len(paths)} files'}")
+        for path in paths:
+            self._line(path, "", path.exists())
+        if not all(path.exists() for path in paths):
+            return False
+        for path in paths:
+            try:
+                self.lines.append(f"  to load: {self._cost(path, read_options(settings.data))}")
+            except UserError as error:
+                self.wrong = True
+                self.lines.append(f"  WRONG    {error}")
         return True
 
-    def _cost(self, path: Path) -> str:
+    def _cost(self, path: Path, options: ReadOptions) -> str:
         """Return frames, joints and memory; raises UserError for a file that a fit would refuse."""
-        found = contents_of(path)
+        found = contents_of(path, options)
         joints = len(found.joint_names)
         if self.skeleton is not None:
             blank = np.zeros((1, joints, 2), np.float32), np.ones((1, joints), np.float32)
@@ -128,7 +137,8 @@ class _Report:
 
     def _line(self, path: Path, what: str, present: bool) -> None:
         if present:
-            self.lines.append(f"  present  {path.name}, {_size(path.stat().st_size)}")
+            held = "a folder" if path.is_dir() else _size(path.stat().st_size)
+            self.lines.append(f"  present  {path.name}, {held}")
         else:
             self.lines.append(f"  MISSING  {path.name}" + (f": {what}" if what else ""))
 

@@ -17,7 +17,8 @@ from uplift.evaluation import Evaluation, GivenPoses
 from uplift.evaluation import evaluate as score
 from uplift.paths import shipped_names
 from uplift.readers.archive import read_arrays
-from uplift.readers.npz import joint_names_of, unit_of
+from uplift.readers.files import absolute
+from uplift.readers.npz import joint_names_of, refuse_other_axes, unit_of
 from uplift.run import RunFolder
 from uplift.saving import replacing
 from uplift.skeleton import Skeleton, load_skeleton
@@ -52,7 +53,8 @@ def evaluate(run: str | Path, test: str | Path | None = None, *, refine: bool = 
 def _test_frames(folder: RunFolder, skeleton: Skeleton, test: str | Path | None) -> tuple[PoseData, str]:
     settings = folder.settings()
     if test is not None:
-        settings.data.test = str(Path(test).absolute())
+        settings.data.test = absolute(str(test))
+        settings.data.format = settings.data.layout = None  # what is tested on may come from elsewhere
         data, _ = clean(load_split(settings, "test", skeleton), skeleton)
         return data, str(test)
     chosen = settings.data
@@ -81,7 +83,8 @@ def evaluate_poses(poses: str | Path, test: str | Path, skeleton: str | None = N
     Raises:
         UserError: not such a file, other joints or other frames than the truth.
     """
-    arrays = read_arrays(poses, ("pose", "joint_names", "unit", "tilt_deg", "spread", *_IDENTITY))
+    arrays = read_arrays(poses, ("pose", "joint_names", "unit", "tilt_deg", "spread", "axes", *_IDENTITY))
+    refuse_other_axes(str(poses), arrays)
     for key in ("pose", "joint_names"):
         if key not in arrays:
             raise UserError(f"{poses}: no array '{key}' (found: {', '.join(sorted(arrays)) or 'none that is needed'}).")

@@ -19,7 +19,7 @@ def write_npz(prediction: Prediction, path: str | Path) -> None:
     """Write keypoints, poses, unit, tilt, names, bones and identity; the same poses give the same bytes.
 
     ``pose`` and ``level_pose`` (frames joints 3) are in ``unit``, relative to the root; ``bones``
-    (bones 2) indexes ``joint_names``. The truth is not written: ``pose`` is the prediction.
+    (bones 2) indexes ``joint_names``; ``root`` (frames 3) is its place where that is known. The truth is not written: ``pose`` is the prediction.
     """
     arrays = _arrays(prediction)
     with replacing(path) as handle, zipfile.ZipFile(handle, "w") as archive:
@@ -45,10 +45,13 @@ def _arrays(prediction: Prediction) -> dict[str, np.ndarray]:
         "unit": np.asarray(prediction.unit),
         "bones": prediction.bone_indices,
         "skeleton": np.asarray(prediction.skeleton.name),
+        "axes": np.asarray(prediction.axes),
     }
     optional = {
         "tilt_deg": (prediction.tilt_deg, np.float32),
         "spread": (prediction.spread, np.float32),
+        "root": (prediction.root, np.float32),
+        "filled": (prediction.filled, np.bool_),
         "fps": (prediction.fps, np.float32),
         "image_size": (prediction.image_size, np.int64),
     }
