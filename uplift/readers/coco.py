@@ -12,7 +12,7 @@ from uplift.data.container import PoseData
 from uplift.errors import UserError
 from uplift.readers.base import Format, Peek, ReadOptions
 from uplift.readers.coco_records import Category, Image, category_of, common_size, image_of, lines_of, plain, text_of
-from uplift.readers.json_file import members, shown, whole
+from uplift.readers.json_file import is_text, members, shown, whole
 from uplift.readers.layouts import COCO, WHOLEBODY133, names_for
 from uplift.readers.number_lists import Numbers
 from uplift.readers.rows import pose_data, seen_by_flag
@@ -64,7 +64,7 @@ class _Annotations:
     def video(self, record: dict[str, Any]) -> None:
         """Take one video of a file of videos."""
         number, name = record.get("id"), record.get("name", record.get("file_name"))
-        if isinstance(number, int | str) and istext_of(name):
+        if isinstance(number, int | str) and is_text(name):
             self.videos[str(number)] = str(name)
 
     def category(self, record: dict[str, Any]) -> None:

@@ -45,7 +45,7 @@ def link_bodies(
         if len(known) == len(rows) == 1 and _distances(keypoints, seen, size, rows, [last[known[0]]])[0, 0] > _FAR:
             pairs = []
         given = dict(pairs)
-        for place, row in enumerate(rows):
+        for place, row in enumerate(rows.tolist()):
             if place in given:
                 body[row] = known[given[place]]
             else:
