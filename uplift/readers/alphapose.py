@@ -59,7 +59,7 @@ def _bodies(path: Path) -> Iterator[tuple[str, Any, str, str]]:
                 where = f"{file}: entry {count}"
                 yield _image(record.get("image_id"), where), record.get("keypoints"), _track(record, where), where
         elif path.is_dir() or "bodies" in first.json_keys:
-            yield from _people(load_json(file), file.name, str(file))
+            yield from _people(load_json(file), file.stem, str(file))
         else:
             for image, value in members(file):
                 yield from _people(value.value(), image, f"{file}: {image:.60}")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import heapq
 import os
+import re
 import warnings
 from collections.abc import Iterator
 from dataclasses import dataclass, field
@@ -14,9 +15,8 @@ import numpy as np
 
 from uplift.errors import UserError
 from uplift.readers.base import ReadOptions
-from uplift.readers.json_file import in_order
+from uplift.readers.json_file import in_order, is_text, shown
 from uplift.readers.layouts import COCO, names_for
-from uplift.yaml_file import read_yaml
 
 __all__ = ["Description", "describe", "first_labels", "label_files", "picture_sizes"]
 
@@ -66,7 +66,7 @@ class Description:
     path: Path | None = None
     shape: tuple[int, int] | None = None
     classes: dict[int, str] = field(default_factory=dict)
-    partners: list[Any] = field(default_factory=list)
+    partners: list[int] = field(default_factory=list)
     names: tuple[str, ...] | None = None
 
     def names_of(self, path: Path, count: int, options: ReadOptions, notes: list[str]) -> tuple[str, ...]:
@@ -82,7 +82,7 @@ class Description:
     def mirror(self, names: tuple[str, ...]) -> tuple[tuple[str, str], ...]:
         """Return the pairs that flip_idx swaps."""
         other = self.partners
-        if len(other) != len(names) or not all(type(place) is int and 0 <= place < len(names) for place in other):
+        if len(other) != len(names) or not all(place < len(names) for place in other):
             return ()
         return tuple((names[a], names[b]) for a, b in enumerate(other) if a < b and other[b] == a)
 
@@ -117,30 +117,46 @@ def _mentions_shape(path: Path) -> bool:
 
 
 def _description(path: Path) -> Description:
-    data, _ = read_yaml(path, "description of labels (data.yaml)")
-    data = data if isinstance(data, dict) else {}
-    shape = data.get("kpt_shape")
-    if not (
-        isinstance(shape, list) and len(shape) == 2 and all(type(n) is int for n in shape)
-        and 0 < shape[0] < 100_000 and shape[1] in (2, 3)
-    ):  # fmt: skip
-        raise UserError(f"{path}: kpt_shape is {shape!r:.60}, expected [keypoints, 2 or 3].")
-    classes, flip, names = data.get("names"), data.get("flip_idx"), data.get("kpt_names")
-    if isinstance(names, dict):
+    data = _plain_yaml(path)
+    shape = _whole_numbers(data.get("kpt_shape"))
+    if len(shape) != 2 or not 0 < shape[0] < 100_000 or shape[1] not in (2, 3):
+        raise UserError(f"{path}: kpt_shape is {shown(data.get('kpt_shape'))}, expected [keypoints, 2 or 3].")
+    classes, names = data.get("names"), data.get("kpt_names")
+    if isinstance(names, dict):  # by class
         names = next(iter(names.values()), None)
+    if isinstance(classes, list):
+        classes = {str(number): name for number, name in enumerate(classes)}
+    classes = classes if isinstance(classes, dict) else {}
     return Description(
         path=path,
         shape=(shape[0], shape[1]),
-        classes={n: str(name) for n, name in _numbered(classes).items()},
-        partners=flip if isinstance(flip, list) else [],
-        names=tuple(map(str, names)) if isinstance(names, list) and names else None,
+        classes={int(n): str(name) for n, name in classes.items() if is_text(name) and re.fullmatch("[0-9]{1,6}", n)},
+        partners=_whole_numbers(data.get("flip_idx")),
+        names=tuple(names) if isinstance(names, list) and names and all(map(is_text, names)) else None,
     )
 
 
-def _numbered(names: Any) -> dict[int, Any]:
-    if isinstance(names, dict):
-        return {key: value for key, value in names.items() if type(key) is int}
-    return dict(enumerate(names)) if isinstance(names, list) else {}
+def _plain_yaml(path: Path) -> dict[str, Any]:
+    """Return the mapping in a YAML file, all values as text: nothing is built, and nothing merged."""
+    import yaml
+
+    try:
+        data = yaml.load(path.read_text(encoding="utf-8-sig"), yaml.BaseLoader)
+    except (yaml.YAMLError, OSError, UnicodeDecodeError, RecursionError) as error:
+        said = " ".join(str(error).split())[:160]
+        raise UserError(f"{path} mentions kpt_shape and cannot be read as YAML: {said}") from None
+    except (TypeError, ValueError):
+        raise UserError(f"{path} mentions kpt_shape and is no plain YAML: a key that is no text.") from None
+    if not isinstance(data, dict) or not all(isinstance(key, str) for key in data):
+        raise UserError(f"{path} mentions kpt_shape and is no mapping, expected Ultralytics' description of labels.")
+    return data
+
+
+def _whole_numbers(values: Any) -> list[int]:
+    """Return a list of whole numbers; nothing where it is none."""
+    if not isinstance(values, list) or not all(isinstance(v, str) and re.fullmatch("[0-9]{1,9}", v) for v in values):
+        return []
+    return [int(value) for value in values]
 
 
 def picture_sizes(
