@@ -164,7 +164,7 @@ def test_other_files_are_refused(tmp_path: Path) -> None:
     describe(tmp_path / "data.yaml", 12)
     assert "rows have 56 numbers, but" in refused(folder)
     describe(tmp_path / "data.yaml", 17, size=5)
-    assert "kpt_shape is ['17', '5']" in refused(folder)
+    assert "kpt_shape is [17, 5]" in refused(folder)
     (tmp_path / "data.yaml").unlink()
 
     def second(text: str) -> str:

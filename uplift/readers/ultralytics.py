@@ -9,9 +9,10 @@ import numpy as np
 from uplift.data.container import PoseData
 from uplift.errors import UserError
 from uplift.readers.base import Format, Peek, ReadOptions
+from uplift.readers.pictures import picture_sizes
 from uplift.readers.rows import SHARES_NOTE, pose_data, seen_by_flag, video_names
-from uplift.readers.ultralytics_rows import read_rows, row_layout
-from uplift.readers.ultralytics_set import describe, first_labels, label_files, picture_sizes
+from uplift.readers.ultralytics_rows import Labels, RowLayout, read_rows, row_layout
+from uplift.readers.ultralytics_set import describe, first_labels, label_files
 
 __all__ = ["FORMAT"]
 
@@ -61,21 +62,11 @@ def _read(path: Path, options: ReadOptions) -> PoseData:
         confidence = np.where((shares == 0).all(-1), np.float32(0), confidence)  # predictions blank weak ones so
     else:
         confidence = (shares != 0).any(-1).astype(np.float32)
-    predicted = layout.predicted
-    stems = [file.stem for file in files]
-    pictures, sizes = picture_sizes(path, files, labels.file, options, notes)
+    pictures, sizes = picture_sizes(files, labels.file, options, notes)
     keypoints = shares if sizes is None else shares * sizes[:, None].astype(np.float32)
     if sizes is None:
         notes.append(SHARES_NOTE)
-    video = video_names(stems, path.absolute().stem) if predicted and len(files) > 1 else None
-    if video is not None:
-        sequence, frame = np.array(video[0]), np.array(video[1], np.int64)
-        identity = {"sequence": sequence[labels.file], "frame": frame[labels.file]}
-        if layout.track is not None:
-            identity["instance"] = layout.track
-    else:
-        image = np.array([pictures.get(stem, stem) for stem in stems])[labels.file]
-        identity = {"image": image, "instance": np.array(labels.line).astype(str)}
+    identity = _identity(path, files, labels, layout, pictures)
     classes = told.categories(labels.boxes[:, 0])
     if classes is not None:
         identity["category"] = classes
@@ -83,6 +74,20 @@ def _read(path: Path, options: ReadOptions) -> PoseData:
     size = (int(sizes[0, 0]), int(sizes[0, 1])) if sizes is not None and same else None
     mirror = told.mirror(names)
     return pose_data(path, names, keypoints, confidence, identity, notes=notes, image_size=size, mirror=mirror)
+
+
+def _identity(
+    path: Path, files: list[Path], labels: Labels, layout: RowLayout, pictures: dict[str, str]
+) -> dict[str, np.ndarray]:
+    """Return sequence, frame and track of predictions that are numbered as a video's frames; images otherwise."""
+    stems = [file.stem for file in files]
+    video = video_names(stems, path.absolute().stem) if layout.predicted and len(files) > 1 else None
+    if video is None:
+        image = np.array([pictures.get(stem, stem) for stem in stems])[labels.file]
+        return {"image": image, "instance": np.array(labels.line).astype(str)}
+    sequence, frame = np.array(video[0]), np.array(video[1], np.int64)
+    identity = {"sequence": sequence[labels.file], "frame": frame[labels.file]}
+    return identity if layout.track is None else {**identity, "instance": layout.track}
 
 
 FORMAT = Format("ultralytics", "Ultralytics labels", _fits, _read)

@@ -1,11 +1,10 @@
-"""What stands around Ultralytics' label files: their folder, data.yaml, and the pictures."""
+"""What stands around Ultralytics' label files: their folder and data.yaml."""
 
 from __future__ import annotations
 
 import heapq
 import os
 import re
-import warnings
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -18,10 +17,9 @@ from uplift.readers.base import ReadOptions
 from uplift.readers.json_file import in_order, is_text, shown
 from uplift.readers.layouts import COCO, names_for
 
-__all__ = ["Description", "describe", "first_labels", "label_files", "picture_sizes"]
+__all__ = ["Description", "describe", "first_labels", "label_files"]
 
 _NO_LABELS = ("classes.txt", "labels.txt", "notes.txt")
-_PICTURES = (".jpg", ".jpeg", ".png", ".bmp", ".webp", ".tif", ".tiff")
 _LEVELS = 3
 
 
@@ -120,7 +118,7 @@ def _description(path: Path) -> Description:
     data = _plain_yaml(path)
     shape = _whole_numbers(data.get("kpt_shape"))
     if len(shape) != 2 or not 0 < shape[0] < 100_000 or shape[1] not in (2, 3):
-        raise UserError(f"{path}: kpt_shape is {shown(data.get('kpt_shape'))}, expected [keypoints, 2 or 3].")
+        raise UserError(f"{path}: kpt_shape is {shown(shape or data.get('kpt_shape'))}, expected [keypoints, 2 or 3].")
     classes, names = data.get("names"), data.get("kpt_names")
     if isinstance(names, dict):  # by class
         names = next(iter(names.values()), None)
@@ -157,57 +155,3 @@ def _whole_numbers(values: Any) -> list[int]:
     if not isinstance(values, list) or not all(isinstance(v, str) and re.fullmatch("[0-9]{1,9}", v) for v in values):
         return []
     return [int(value) for value in values]
-
-
-def picture_sizes(
-    path: Path, files: list[Path], rows: list[int], options: ReadOptions, notes: list[str]
-) -> tuple[dict[str, str], np.ndarray | None]:
-    """Return the picture's name of each label file, and (rows, 2) sizes in px; None where they are not known.
-
-    Pictures are looked for beside the labels, and in images/ where the labels are in labels/.
-    """
-    folder = files[0].absolute().parent
-    places = [folder, folder.parent / "images"]
-    parts = list(folder.parts)
-    if "labels" in parts:
-        last = len(parts) - 1 - parts[::-1].index("labels")
-        places.append(Path(*parts[:last], "images", *parts[last + 1 :]))
-    found: dict[str, Path] = {}
-    for place in dict.fromkeys(places):
-        for one in place.iterdir() if place.is_dir() else []:
-            if one.suffix.lower() in _PICTURES:
-                found.setdefault(one.stem, one)
-    names = {file.stem: found[file.stem].name for file in files if file.stem in found}
-    if options.image_size is not None:
-        return names, np.tile(np.array(options.image_size, np.float32), (len(rows), 1))
-    if not names:
-        return names, None
-    used = sorted(set(rows))
-    known = {row: _size(found[files[row].stem]) for row in used if files[row].stem in found}
-    sizes = set(known.values())
-    without = [row for row in used if row not in known]
-    if without and len(sizes) != 1:
-        raise UserError(
-            f"{files[without[0]]} has no picture beside it or in images/ to tell its size, and the others differ. "
-            "Say image_size=WIDTHxHEIGHT."
-        )
-    if without:
-        notes.append(f"{len(without):,} labels have no picture: their size is taken to be that of the others")
-    other = next(iter(sizes))
-    return names, np.array([known.get(row, other) for row in rows], np.float32)
-
-
-def _size(picture: Path) -> tuple[int, int]:
-    """Return width and height of a picture from its header."""
-    from PIL import Image
-
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # of large pictures: nothing is decoded
-            with Image.open(picture) as opened:
-                return opened.size
-    except (OSError, ValueError, SyntaxError, Image.DecompressionBombError) as error:
-        raise UserError(
-            f"{picture} cannot be read as a picture, for the size of its labels: {error!s:.100}. Say "
-            "image_size=WIDTHxHEIGHT."
-        ) from None
