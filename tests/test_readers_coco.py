@@ -86,6 +86,12 @@ def test_any_joints_of_any_category(tmp_path: Path, flat: np.ndarray) -> None:
     assert data.identity["category"].tolist() == ["fly"] * 4 + ["wasp"] + ["fly"] * 2
 
 
+def test_categories_without_keypoints_do_not_count(tmp_path: Path, flat: np.ndarray) -> None:
+    content = coco_annotations(flat)
+    content["categories"].insert(0, {"id": 0, "name": "people", "supercategory": "none"})
+    assert "category" not in read_back(tmp_path / "a.json", content).identity
+
+
 def test_the_layout_with_most_annotations_is_read(tmp_path: Path, flat: np.ndarray) -> None:
     content, other = coco_annotations(flat), coco_annotations(flat[:2, :5], tuple("abcde"), "chair", start=50)
     for key in ("images", "annotations", "categories"):

@@ -16,6 +16,7 @@ from uplift.readers.layouts import ALPHAPOSE, names_for
 from uplift.readers.number_lists import Numbers
 from uplift.readers.pictures import PICTURES
 from uplift.readers.rows import pose_data, video_names
+from uplift.readers.texts import texts
 
 __all__ = ["FORMAT"]
 
@@ -99,9 +100,9 @@ def _identity(path: Path, images: list[str], tracks: list[str]) -> dict[str, np.
     stems = [name[: -len(Path(name).suffix)] if name.lower().endswith(PICTURES) else name for name in images]
     video = video_names(stems, path.stem)
     if video is None:
-        return {"image": np.array(images), "instance": np.arange(len(images)).astype(str)}
-    found = {"sequence": np.array(video[0]), "frame": np.array(video[1], np.int64)}
-    return {**found, "instance": np.array(tracks)} if any(tracks) else found
+        return {"image": texts(path, images), "instance": np.arange(len(images)).astype(str)}
+    found = {"sequence": texts(path, video[0]), "frame": np.array(video[1], np.int64)}
+    return {**found, "instance": texts(path, tracks)} if any(tracks) else found
 
 
 FORMAT = Format("alphapose", "AlphaPose results", _fits, _read)

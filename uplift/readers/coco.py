@@ -16,6 +16,7 @@ from uplift.readers.json_file import is_text, members, shown, whole
 from uplift.readers.layouts import COCO, WHOLEBODY133, names_for
 from uplift.readers.number_lists import Numbers
 from uplift.readers.rows import pose_data, seen_by_flag
+from uplift.readers.texts import texts
 
 __all__ = ["FORMAT"]
 
@@ -58,7 +59,7 @@ class _Annotations:
 
     def image(self, record: dict[str, Any]) -> None:
         """Take one image."""
-        number, image = image_of(record, f"{self.path}: image {shown(record.get('id', len(self.images)))}")
+        number, image = image_of(record, f"{self.path}: image {len(self.images)}")
         self.images[number] = image
 
     def video(self, record: dict[str, Any]) -> None:
@@ -83,15 +84,8 @@ class _Annotations:
         if values is None:
             self.kinds.update(list(record)[:20])
             return
-        where = f"{self.path}: annotation {shown(number)}"
-        if "foot_kpts" in record or "lefthand_kpts" in record:
-            table = Numbers("keypoints")
-            values = [value for part in ("keypoints", *_PARTS) for value in table.flat(record.get(part), where)]
-        if isinstance(values, list) and values and isinstance(values[0], list):  # triples in place of a flat list
-            values = Numbers("keypoints").flat(values, where)
-        if not isinstance(values, list) or len(values) % 3:
-            said = f"{len(values)} numbers" if isinstance(values, list) else shown(values)
-            raise UserError(f"{where} has {said} in 'keypoints', expected x, y, v of each keypoint.")
+        where = f"{self.path}: annotation {number if type(number) is int else shown(number)}"
+        values = _flat(record, where)
         count = len(values) // 3
         if count not in self.tables:
             self.tables[count], self.rows[count] = Numbers("keypoints"), []
@@ -121,7 +115,7 @@ class _Annotations:
             joints,
             values[..., :2],
             confidence,
-            {**self._identity(images, rows), **self._classes(rows)},
+            {**self._identity(images, rows), **self._classes(rows, joints)},
             notes=notes,
             bones=() if known is None else lines_of(known, joints, notes),
             image_size=common_size(images),
@@ -180,21 +174,36 @@ class _Annotations:
         if all(image.video is not None and image.frame is not None for image in images):
             frames = [whole(image.frame, f"{self.path}: image '{image.name:.60}'", "frame_id") for image in images]
             found = {
-                "sequence": np.array([self.videos.get(str(image.video), str(image.video)) for image in images]),
+                "sequence": texts(self.path, [self.videos.get(str(i.video), str(i.video)) for i in images]),
                 "frame": np.array(frames, np.int64),
             }
-            tracks = np.array([row[3] or "" for row in rows])
+            tracks = texts(self.path, [row[3] or "" for row in rows])
             return {**found, "instance": tracks} if (tracks != "").any() else found
         return {
-            "image": np.array([image.name for image in images]),
-            "instance": np.array([row[4] for row in rows]),
+            "image": texts(self.path, [image.name for image in images]),
+            "instance": texts(self.path, [row[4] for row in rows]),
         }
 
-    def _classes(self, rows: list[tuple]) -> dict[str, np.ndarray]:
-        if len(self.categories) < 2:
+    def _classes(self, rows: list[tuple], joints: tuple[str, ...]) -> dict[str, np.ndarray]:
+        """Return the categories where there are several of this layout, whether or not they occur."""
+        alike = {number for number, category in self.categories.items() if category.joints == joints}
+        if len(alike | {row[2] for row in rows}) < 2:
             return {}
         names = {number: category.name for number, category in self.categories.items()}
-        return {"category": np.array([names.get(row[2], str(row[2])) for row in rows])}
+        return {"category": texts(self.path, [names.get(row[2], str(row[2])) for row in rows])}
+
+
+def _flat(record: dict[str, Any], where: str) -> list[Any]:
+    """Return x, y, v of all keypoints of an annotation; those of a whole body stand in five lists."""
+    table, values = Numbers("keypoints"), record["keypoints"]
+    if "foot_kpts" in record or "lefthand_kpts" in record:
+        values = [value for part in ("keypoints", *_PARTS) for value in table.flat(record.get(part), where)]
+    if isinstance(values, list) and values and isinstance(values[0], list):  # triples in place of a flat list
+        values = table.flat(values, where)
+    if not isinstance(values, list) or len(values) % 3:
+        said = f"{len(values)} numbers" if isinstance(values, list) else shown(values)
+        raise UserError(f"{where} has {said} in 'keypoints', expected x, y, v of each keypoint.")
+    return values
 
 
 FORMAT = Format("coco", "COCO annotations", _fits, _read)

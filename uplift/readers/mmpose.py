@@ -76,9 +76,9 @@ def _read(path: Path, options: ReadOptions) -> PoseData:
             "predictions, [x, y] each."
         )
     keypoints = found.keypoints.array(found.scores.width or 0, 2)
-    meta = _Meta(path, found.meta, keypoints.shape[1])
+    meta = _Meta(path, found.meta if options.layout is None else None, keypoints.shape[1])
     names, notes = meta.names, ()
-    if names is None or options.layout is not None:
+    if names is None:
         names, notes = names_for(path, keypoints.shape[1], MMPOSE, options)
     identity = frames_or_images(path, [file.stem for file in files], found.file, found.frame, found.track)
     known = {"bones": meta.pairs("skeleton_links", names), "mirror": meta.mirror(names)}

@@ -13,6 +13,7 @@ from uplift.readers.json_file import entries, is_text, shown
 from uplift.readers.layouts import MPII16, names_for
 from uplift.readers.number_lists import Numbers
 from uplift.readers.rows import pose_data
+from uplift.readers.texts import texts
 
 __all__ = ["FORMAT"]
 
@@ -40,7 +41,7 @@ def _read(path: Path, options: ReadOptions) -> PoseData:
         )
     names, notes = names_for(path, count, {16: ("MPII", MPII16)}, options)
     confidence = (visible.array() > 0).astype(np.float32)
-    identity = {"image": np.array(images), "instance": np.arange(len(images)).astype(str)}
+    identity = {"image": texts(path, images), "instance": np.arange(len(images)).astype(str)}
     return pose_data(path, names, joints.array(count, 2), confidence, identity, notes=notes)
 
 

@@ -22,17 +22,7 @@ def picture_sizes(
 
     Pictures are looked for beside the labels, and in images/ where the labels are in labels/.
     """
-    folder = files[0].absolute().parent
-    places = [folder, folder.parent / "images"]
-    parts = list(folder.parts)
-    if "labels" in parts:
-        last = len(parts) - 1 - parts[::-1].index("labels")
-        places.append(Path(*parts[:last], "images", *parts[last + 1 :]))
-    found: dict[str, Path] = {}
-    for place in dict.fromkeys(places):
-        for one in place.iterdir() if place.is_dir() else []:
-            if one.suffix.lower() in PICTURES:
-                found.setdefault(one.stem, one)
+    found = _pictures(files[0].absolute().parent)
     names = {file.stem: found[file.stem].name for file in files if file.stem in found}
     if options.image_size is not None:
         return names, np.tile(np.array(options.image_size, np.float32), (len(rows), 1))
@@ -51,6 +41,21 @@ def picture_sizes(
         notes.append(f"{len(without):,} labels have no picture: their size is taken to be that of the others")
     other = next(iter(sizes))
     return names, np.array([known.get(row, other) for row in rows], np.float32)
+
+
+def _pictures(folder: Path) -> dict[str, Path]:
+    """Return the pictures that belong to a folder of labels, by their names without ending."""
+    places = [folder, folder.parent / "images"]
+    parts = list(folder.parts)
+    if "labels" in parts:
+        last = len(parts) - 1 - parts[::-1].index("labels")
+        places.append(Path(*parts[:last], "images", *parts[last + 1 :]))
+    found: dict[str, Path] = {}
+    for place in dict.fromkeys(places):
+        for one in place.iterdir() if place.is_dir() else []:
+            if one.suffix.lower() in PICTURES:
+                found.setdefault(one.stem, one)
+    return found
 
 
 def _size(picture: Path) -> tuple[int, int]:

@@ -13,6 +13,7 @@ from jaxtyping import Float
 from uplift.data.container import PoseData, codes_of
 from uplift.errors import UserError
 from uplift.readers.base import ReadOptions
+from uplift.readers.texts import texts
 from uplift.readers.tracks import link_bodies
 
 __all__ = ["SHARES_NOTE", "frames_or_images", "pose_data", "seen_by_flag", "split_names", "to_pixels", "video_names"]
@@ -46,12 +47,8 @@ def pose_data(
     """
     twice = [name for name, count in Counter(names).items() if count > 1]
     if twice:
-        raise UserError(f"{path} names '{shorten(twice[0])}' twice among its keypoints; names must differ.")
-    confidence = np.clip(np.nan_to_num(confidence, nan=0, posinf=0, neginf=0), 0, 1).astype(np.float32, copy=False)
-    finite = np.all(np.isfinite(keypoints), axis=-1)
-    if not finite.all():
-        confidence = np.where(finite, confidence, np.float32(0))
-        keypoints = np.where(finite[..., None], keypoints, np.float32(np.nan))
+        raise UserError(f"{path} names '{twice[0]:.60}' twice among its keypoints; names must differ.")
+    keypoints, confidence = _honest(keypoints, confidence)
     seen = np.any(confidence > 0, axis=1)
     if not seen.any():
         raise UserError(f"{path} has no visible keypoint in it ({len(seen):,} bodies, {len(names)} keypoints each).")
@@ -73,6 +70,15 @@ def pose_data(
         source=str(path),
         **known,  # type: ignore[arg-type]
     )
+
+
+def _honest(keypoints: np.ndarray, confidence: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return keypoints that are numbers or NaN, and a confidence of 0 to 1 that is 0 where they are NaN."""
+    confidence = np.clip(np.nan_to_num(confidence, nan=0, posinf=0, neginf=0), 0, 1).astype(np.float32, copy=False)
+    finite = np.all(np.isfinite(keypoints), axis=-1)
+    if finite.all():
+        return keypoints, confidence
+    return np.where(finite[..., None], keypoints, np.float32(np.nan)), np.where(finite, confidence, np.float32(0))
 
 
 def _clips(
@@ -181,7 +187,7 @@ def frames_or_images(
     ``frame`` is None for bodies of an image; images of a folder that are numbered as a video's frames
     are one. ``file`` is the place of each body's file in ``stems``.
     """
-    known = {"instance": np.array(track)} if any(track) else {}
+    known = {"instance": texts(path, track)} if any(track) else {}
     if all(number is not None for number in frame):
         return {"sequence": np.array(stems)[file], "frame": np.array(frame, np.int64), **known}
     video = video_names(stems, path.absolute().stem) if len(stems) > 1 else None
@@ -189,8 +195,3 @@ def frames_or_images(
         sequences, frames = np.array(video[0]), np.array(video[1], np.int64)
         return {"sequence": sequences[file], "frame": frames[file], **known}
     return {"image": np.array(stems)[file], "instance": np.arange(len(file)).astype(str)}
-
-
-def shorten(text: object) -> str:
-    """Return text for an error, at most 60 characters of it."""
-    return f"{text!s:.60}"

@@ -109,50 +109,60 @@ def _tracks(extra: np.ndarray) -> np.ndarray | None:
 
 
 def read_rows(path: Path, files: list[Path]) -> Labels:
-    """Return the rows of all files; they may differ in what follows the keypoints."""
-    by_length: dict[int, Numbers] = {}
-    order: list[tuple[int, int]] = []
+    """Return the rows of all files; they may differ in what follows the keypoints.
+
+    Raises:
+        UserError: text that is no row of a label, or rows with different numbers of keypoints.
+    """
     labels = Labels()
+    by_length: dict[int, Numbers] = {}
+    lengths: list[int] = []
     for number, file in enumerate(files):
         for line, text in enumerate(_text(file).splitlines()):
-            cells = text.split()
-            if not cells:
-                continue
-            where = f"{file}, line {line + 1}"
-            try:
-                values = list(map(float, cells))
-            except ValueError:
-                raise UserError(f"{where}: {text[:40]!r} are not numbers, expected class, box, keypoints.") from None
-            if len(values) < 7:
-                raise UserError(f"{where} has {len(values)} numbers: no keypoints after class and box, only an object?")
-            table = by_length.setdefault(len(values), Numbers("keypoints"))
-            order.append((len(values), table.rows))
-            table.add(values, where)
-            labels.file.append(number)
-            labels.line.append(line)
-    if not order:
+            if text.strip():
+                where = f"{file}, line {line + 1}"
+                values = _numbers(text, where)
+                by_length.setdefault(len(values), Numbers("keypoints")).add(values, where)
+                lengths.append(len(values))
+                labels.file.append(number)
+                labels.line.append(line)
+    if not lengths:
         raise UserError(f"{path}: all {len(files):,} label files are empty.")
-    lengths = sorted(by_length)
-    if lengths[-1] - lengths[0] > 2:
+    labels.length = np.array(lengths)
+    if max(by_length) - min(by_length) > 2:
         few = min(by_length, key=lambda length: by_length[length].rows)
-        first = next(n for n, (length, _) in enumerate(order) if length == few)
+        others = ", ".join(str(length) for length in sorted(by_length)[:10] if length != few)
         raise UserError(
-            f"{files[labels.file[first]]}, line {labels.line[first] + 1} has {few} numbers, other rows "
-            f"{', '.join(str(n) for n in lengths if n != few)}. Expected the same keypoints in every row."
+            f"{_place(files, labels, labels.length == few)} has {few} numbers, other rows {others}. Expected the "
+            "same keypoints in every row."
         )
-    labels.length = np.array([length for length, _ in order])
-    labels.values = np.full((len(order), lengths[-1]), np.nan, np.float32)
+    labels.values = np.full((len(lengths), max(by_length)), np.nan, np.float32)
     for length, table in by_length.items():
         labels.values[labels.length == length, :length] = table.array()
-    box = labels.values[:, :5]
-    wrong = np.flatnonzero(~np.isfinite(box).all(1) | (box[:, 0] < 0) | (box[:, 0] != np.floor(box[:, 0])))
-    if len(wrong):
+    labels.boxes = labels.values[:, :5]
+    kind = labels.boxes[:, 0]
+    wrong = ~np.all(np.isfinite(labels.boxes), axis=1) | (kind < 0) | (kind != np.floor(kind))
+    if wrong.any():
         raise UserError(
-            f"{files[labels.file[wrong[0]]]}, line {labels.line[wrong[0]] + 1} begins {box[wrong[0]].tolist()}, "
-            "expected a class (a whole number from 0 up) and a box of four shares of the image."
+            f"{_place(files, labels, wrong)} begins {labels.boxes[wrong][0].tolist()}, expected a class (a whole "
+            "number from 0 up) and a box of four shares of the image."
         )
-    labels.boxes = box
     return labels
+
+
+def _place(files: list[Path], labels: Labels, rows: np.ndarray) -> str:
+    first = int(np.flatnonzero(rows)[0])
+    return f"{files[labels.file[first]]}, line {labels.line[first] + 1}"
+
+
+def _numbers(text: str, where: str) -> list[float]:
+    try:
+        values = list(map(float, text.split()))
+    except ValueError:
+        raise UserError(f"{where}: {text[:40]!r} are not numbers, expected class, box, keypoints.") from None
+    if len(values) < 7:
+        raise UserError(f"{where} has {len(values)} numbers: no keypoints after class and box, only an object?")
+    return values
 
 
 def _text(file: Path) -> str:

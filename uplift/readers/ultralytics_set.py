@@ -128,7 +128,9 @@ def _description(path: Path) -> Description:
     return Description(
         path=path,
         shape=(shape[0], shape[1]),
-        classes={int(n): str(name) for n, name in classes.items() if is_text(name) and re.fullmatch("[0-9]{1,6}", n)},
+        classes={
+            int(n): str(name)[:200] for n, name in classes.items() if is_text(name) and re.fullmatch("[0-9]{1,6}", n)
+        },
         partners=_whole_numbers(data.get("flip_idx")),
         names=tuple(names) if isinstance(names, list) and names and all(map(is_text, names)) else None,
     )
