@@ -1,0 +1,152 @@
+"""Predictions: rows stay rows, sizes and places, steady bones; and what the command says and writes."""
+
+from __future__ import annotations
+
+import csv
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from bodies import body_arrays
+from test_cli import refusal
+
+from uplift.cli import main
+from uplift.config import LifterSettings
+from uplift.data.container import PoseData
+from uplift.model import Model, build_lifter
+from uplift.simulator import simulate
+from uplift.sizing import KnownLength
+from uplift.skeleton import Skeleton, load_skeleton
+
+SKELETON = load_skeleton("h36m17")
+SIZE = KnownLength(("rhip", "rknee"), 430.0)
+
+
+@pytest.fixture(scope="module")
+def model() -> Model:
+    torch.manual_seed(0)
+    settings = LifterSettings(options={"units": 16, "blocks": 1})
+    return Model(build_lifter(settings, SKELETON).eval(), SKELETON, settings)
+
+
+@pytest.fixture(scope="module")
+def film() -> PoseData:
+    """Two bodies in one film, their rows one frame after the other."""
+    data = simulate(SKELETON, 120, seed=4)
+    rows = np.arange(120)
+    identity = {"sequence": np.full(120, "film"), "frame": rows // 2, "instance": np.array(["a", "b"])[rows % 2]}
+    return replace(data.without_truth(), identity=identity)
+
+
+def bone(pose: np.ndarray, one: str, other: str) -> np.ndarray:
+    return np.linalg.norm(pose[:, SKELETON.index(one)] - pose[:, SKELETON.index(other)], axis=-1)
+
+
+def test_the_order_of_rows_changes_nothing(model: Model, film: PoseData):
+    straight = model.predict(film)
+    order = np.random.default_rng(0).permutation(len(film))
+    mixed = model.predict(film.select(order))
+    np.testing.assert_allclose(mixed.pose, straight.pose[order], rtol=1e-3, atol=1e-2)
+    assert mixed.identity["frame"].tolist() == film.identity["frame"][order].tolist()
+
+
+def test_a_clip_is_mended_as_if_it_were_alone_whatever_stands_between_its_frames(model: Model, film: PoseData):
+    both, plain = model.predict(film), model.predict(film, refine=False)
+    alone = model.predict(film.select(film.identity["instance"] == "a"))
+    # Not to the digit: what bones usually are is told by all bodies of a file.
+    assert np.abs(alone.pose - both.pose[::2]).mean() < 0.05 * np.abs(both.pose - plain.pose).mean()
+
+
+def test_a_size_gives_millimetres_and_a_place(model: Model, film: PoseData):
+    pixels, metric = model.predict(film), model.predict(film, size=SIZE)
+    assert (pixels.unit, metric.unit) == ("px", "mm")
+    assert pixels.root is None and metric.root is not None
+    both = (bone(metric.pose, "rhip", "rknee") + bone(metric.pose, "lhip", "lknee")) / 2
+    assert np.median(both) == pytest.approx(430, rel=0.02)
+    ratio = metric.pose[:, 1:] / pixels.pose[:, 1:]
+    assert np.allclose(ratio, ratio[:, :1, :1], rtol=1e-3)  # a scale for each frame and nothing else
+    assert metric.spread is not None and pixels.spread is not None
+    np.testing.assert_allclose(metric.spread[:, 1] / pixels.spread[:, 1], ratio[:, 0, 0], rtol=1e-3)
+    seen = metric.points[..., :2] / metric.points[..., 2:] * film.focal_px + np.array(film.centre_px)
+    assert np.median(np.linalg.norm(seen - film.keypoints, axis=-1)) < 2
+
+
+def test_without_a_known_camera_there_is_no_place(model: Model, film: PoseData):
+    assert model.predict(replace(film, focal_px=None), size=SIZE).root is None
+
+
+def test_the_size_of_the_skeleton_file_needs_no_word(film: PoseData):
+    own = Skeleton.from_dict({**SKELETON.to_dict(), "size": {"along": ["rhip", "rknee"], "mm": 12.0}})
+    torch.manual_seed(0)
+    settings = LifterSettings(options={"units": 16, "blocks": 1})
+    metric = Model(build_lifter(settings, own).eval(), own, settings).predict(film)
+    assert metric.unit == "mm"
+    assert np.median(bone(metric.pose, "rhip", "rknee")) == pytest.approx(12, rel=0.1)
+
+
+def test_constant_bones(model: Model, film: PoseData):
+    steady = model.predict(film, size=SIZE, constant_bones=True)
+    for who in "ab":
+        thigh = bone(steady.pose, "rhip", "rknee")[film.identity["instance"] == who]
+        assert np.ptp(thigh) < 0.01
+    assert np.ptp(bone(model.predict(film, size=SIZE).pose, "rhip", "rknee")) > 1
+
+
+def test_joints_that_were_not_seen_are_told(model: Model, film: PoseData):
+    gone = film.confidence.copy()
+    gone[::3, 4] = 0
+    found = model.predict(replace(film, confidence=gone))
+    assert found.filled is not None
+    np.testing.assert_array_equal(found.filled, gone == 0)
+    assert np.isfinite(found.pose).all()
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory: pytest.TempPathFactory, model: Model) -> Path:
+    path = tmp_path_factory.mktemp("run") / "lifter.pt"
+    model.save(path)
+    return path
+
+
+def test_the_command_writes_what_is_asked_for(run: Path, here: Path, capsys: pytest.CaptureFixture):
+    np.savez(here / "film.npz", **body_arrays(40))
+    words = ["predict", f"run={run}", "input=film.npz"]
+    assert main([*words, "output=a.csv", "bone=rhip,rknee", "bone_mm=430", "axes=blender", "bones=constant"]) == 0
+    said = capsys.readouterr().out
+    assert "unit mm" in said and "placed: the camera is" in said and "wrote a.csv" in said
+    with (here / "a.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    assert len(rows) == 40 and {row["axes"] for row in rows} == {"blender"}
+    assert main([*words, "output=b.trc", "bone=rhip,rknee", "bone_mm=430"]) == 0
+    said = capsys.readouterr().out
+    written = sorted(path.name for path in here.glob("b_*.trc"))
+    assert len(written) > 1 and f"wrote {written[0]}" in said
+    assert "exists already" in refusal(capsys, *words, "output=b.trc", "bone=rhip,rknee", "bone_mm=430")
+    assert main([*words, "output=c.npz", "axes=opensim"]) == 0
+    capsys.readouterr()
+    assert "in the axes 'opensim'" in refusal(capsys, "evaluate", "poses=c.npz", "data.test=film.npz")
+
+
+@pytest.mark.parametrize(
+    ("words", "says"),
+    [
+        (["axes=blendr"], "Did you mean 'blender'"),
+        (["bones=steady"], "free or constant"),
+        (["bone=rhip,rknee"], "go together"),
+        (["height_mm=tall"], "expected a number"),
+        (["image_size=big"], "1920x1080"),
+        (["fps=-3"], "positive number"),
+        (["min_confidence=7"], "share from 0 to 1"),
+        (["format=deplabcut"], "no such format"),
+        (["min_confidence=1", "hight_mm=3"], "Did you mean 'height_mm'"),
+        (["output=a.trc"], "mm"),
+        (["output=a.html", "axes=blender"], "a page turns poses itself"),
+    ],
+)
+def test_wrong_words(words: list[str], says: str, run: Path, here: Path, capsys: pytest.CaptureFixture):
+    np.savez(here / "film.npz", **body_arrays(20))
+    output = [] if any(word.startswith("output=") for word in words) else ["output=a.npz"]
+    assert says in refusal(capsys, "predict", f"run={run}", "input=film.npz", *output, *words)
+    assert [path.name for path in here.iterdir()] == ["film.npz"]
