@@ -22,6 +22,14 @@ FORMATS: dict[str, str] = {
     "ultralytics_json": "uplift.readers.ultralytics_json",
     "ultralytics": "uplift.readers.ultralytics",
     # tables, HDF5, and npz files of others
+    "deeplabcut": "uplift.readers.deeplabcut",
+    "mediapipe": "uplift.readers.mediapipe",
+    "videopose3d": "uplift.readers.videopose3d",
+    "csv": "uplift.readers.csv",
+    "sleap_slp": "uplift.readers.sleap_slp",
+    "sleap_h5": "uplift.readers.sleap_h5",
+    "nwb": "uplift.readers.nwb",
+    "jabs": "uplift.readers.jabs",
     "npz": "uplift.readers.npz",
 }
 """Name of a format -> the module whose ``FORMAT`` it is."""
