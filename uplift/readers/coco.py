@@ -12,7 +12,7 @@ from uplift.data.container import PoseData
 from uplift.errors import UserError
 from uplift.readers.base import Format, Peek, ReadOptions
 from uplift.readers.coco_records import Category, Image, category_of, common_size, image_of, lines_of, plain, text_of
-from uplift.readers.json_file import is_text, members, shown, whole
+from uplift.readers.json_file import is_text, members, objects, shown, whole
 from uplift.readers.layouts import COCO, WHOLEBODY133, names_for
 from uplift.readers.number_lists import Numbers
 from uplift.readers.rows import pose_data, seen_by_flag
@@ -36,7 +36,7 @@ def _read(path: Path, options: ReadOptions) -> PoseData:
         if take is None and not (key == "videos" and text.next_sign() == "["):
             text.value()
             continue
-        for record in text.records(f"'{key}'"):
+        for record in objects(text, f"'{key}'"):
             (take or found.video)(record)
     return found.finish(options)
 

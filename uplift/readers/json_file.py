@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import heapq
+import json
 import os
 import re
 import reprlib
@@ -23,11 +24,13 @@ __all__ = [
     "json_files",
     "load_json",
     "members",
+    "objects",
     "shown",
     "whole",
 ]
 
 _TRIES = 100
+_SCAN = json.JSONDecoder().raw_decode
 
 
 def json_files(path: Path) -> list[Path]:
@@ -103,8 +106,19 @@ def entries(path: Path, what: str) -> Iterator[tuple[int, dict[str, Any]]]:
         UserError: damaged, no list, or an entry that is no object.
     """
     text = JsonText(path)
-    yield from enumerate(text.records(what))
-    _end(text)
+    yield from enumerate(objects(text, what))
+
+
+def objects(text: JsonText, what: str) -> Iterator[dict[str, Any]]:
+    """Yield each object of the list that stands next in a text, as `JsonText.records` does, in less time.
+
+    Raises:
+        UserError: damaged, no list, or an entry that is no object.
+    """
+    for count, value in enumerate(items(text, what)):
+        if type(value) is not dict:
+            raise UserError(f"{text.path}: entry {count} of {what} is {shown(value)}, expected an object.")
+        yield value
 
 
 def items(text: JsonText, what: str) -> Iterator[Any]:
@@ -113,18 +127,27 @@ def items(text: JsonText, what: str) -> Iterator[Any]:
     Raises:
         UserError: damaged, or no list.
     """
+    outermost = text.next_sign() == "[" and text.at < 1000 and not text.text[: text.at].strip()
     if text.next_sign() != "[":
         raise UserError(f"{text.path}: {what} is no list.")
     text.at += 1
     more = text.next_sign() != "]"
+    whole_text = text.text
     while more:
-        yield text.value()
+        try:
+            value, text.at = _SCAN(whole_text, text.at)
+        except (ValueError, RecursionError):
+            value = text.value()  # after spaces; or tells what is wrong
+        yield value
+        if whole_text.startswith(", ", text.at):  # as most write it
+            text.at += 2
+            continue
         more = text.next_sign() == ","
         if not more and text.next_sign() != "]":
             raise UserError(f"{text.path} is no whole JSON file: damaged or cut short at character {text.at:,}.")
         text.at += more
     text.at += 1
-    if text.text[:1000].lstrip().startswith("["):
+    if outermost:
         _end(text)
 
 

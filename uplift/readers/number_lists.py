@@ -57,7 +57,7 @@ class Numbers:
         if type(values) is list and values and type(values[0]) is list:
             parts = set(map(type, values)) == {list} and len(set(map(len, values))) == 1
             flat = list(chain.from_iterable(values)) if parts else None
-        if type(flat) is not list or not _KINDS.issuperset(map(type, flat)):
+        if type(flat) is not list or not set(map(type, flat)) <= _KINDS:
             raise UserError(f"{where}: '{self.what}' is {shown(values)}, expected a list of numbers.")
         return flat
 
