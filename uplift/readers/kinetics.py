@@ -9,8 +9,9 @@ import numpy as np
 from uplift.data.container import PoseData
 from uplift.errors import UserError
 from uplift.readers.base import Format, Peek, ReadOptions
-from uplift.readers.json_file import Numbers, first_json, json_files, members, shown, whole
+from uplift.readers.json_file import first_json, json_files, members, objects, shown, whole
 from uplift.readers.layouts import KINETICS, names_for
+from uplift.readers.number_lists import Numbers
 from uplift.readers.rows import pose_data, to_pixels
 
 __all__ = ["FORMAT"]
@@ -55,7 +56,7 @@ def _read_file(file: Path, poses: Numbers, scores: Numbers, frames: list[int]) -
             text.value()
             continue
         known = True
-        for count, record in enumerate(text.records("'data'")):
+        for count, record in enumerate(objects(text, "'data'")):
             where = f"{file}: entry {count}"
             frame = whole(record.get("frame_index"), where, "frame_index")
             skeletons = record.get("skeleton")
