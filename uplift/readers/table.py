@@ -92,9 +92,8 @@ class _Taken:
         self.lines.append(lines)
         self._add_numbers(text, starts[:, self.places], ends[:, self.places], lines)
         for place, known in self.known.items():
-            pairs = zip(starts[:, place].tolist(), ends[:, place].tolist(), strict=True)
-            cells = [chunk[a - PADDING : b - PADDING] for a, b in pairs]
-            codes = [known.setdefault(cell, len(known)) for cell in cells]
+            pairs = zip((starts[:, place] - PADDING).tolist(), (ends[:, place] - PADDING).tolist(), strict=True)
+            codes = [known.setdefault(chunk[a:b], len(known)) for a, b in pairs]
             self.codes[place].append(np.array(codes, np.int32))
 
     def finished(self) -> Table:
