@@ -127,7 +127,7 @@ class _Taken:
             keep = np.repeat(~blank, count)
             starts, ends, lines = starts[keep], ends[keep], lines[~blank]
         starts, ends = starts.reshape(-1, self.width), ends.reshape(-1, self.width)
-        full = (starts < ends).any(1)
+        full = ends[:, -1] - starts[:, 0] >= self.width  # more in it than separators
         return (starts, ends, lines) if full.all() else (starts[full], ends[full], lines[full])
 
     def _add_numbers(self, text: np.ndarray, starts: np.ndarray, ends: np.ndarray, lines: np.ndarray) -> None:
