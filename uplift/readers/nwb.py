@@ -15,6 +15,7 @@ from uplift.data.container import PoseData
 from uplift.errors import UserError
 from uplift.readers.base import Format, Peek, ReadOptions
 from uplift.readers.hdf5 import open_hdf5
+from uplift.readers.hdf5_own import check_room
 from uplift.readers.nwb_parts import Series, Video, groups_of, nodes_and_bones, series_of, video_of
 from uplift.readers.nwb_times import frame_numbers
 from uplift.readers.nwb_training import read_training
@@ -78,6 +79,7 @@ def _data(path: Path, containers: list[_Container], notes: list[str]) -> PoseDat
         notes += told
         for one, frames in zip(mine, numbers, strict=True):
             label = one.name.removeprefix("track=") if len(mine) > 1 or one.name.startswith("track=") else ""
+            check_room(path, f"'{one.place}'", 32 * len(names) * len(np.unique(np.concatenate(frames))))
             parts.append(_part(one, frames, names) | {"sequence": sequence, "camera": camera, "instance": label})
     if not any(len(part["frame"]) for part in parts):
         raise UserError(f"{path}: no visible keypoint in {len(containers)} pose estimates.")
