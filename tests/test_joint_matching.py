@@ -124,21 +124,6 @@ def test_left_stays_left(layout):
     assert np.allclose(one[:, ours.mirror_permutation], other, atol=1e-4)
 
 
-@pytest.mark.parametrize("name", ["mpii16", "coco17", "openpose25", "halpe26", "mpi_inf_3dhp17"])
-def test_maps_between_shipped_layouts_use_their_names(name):
-    skeleton = load_skeleton(name)
-    for layout in set(skeleton.sources) & {
-        "h36m17",
-        "mpii16",
-        "coco17",
-        "openpose25",
-        "halpe26",
-        "mpi_inf_3dhp28",
-    }:
-        used = {part for parts in skeleton.sources[layout].values() for part in parts}
-        assert used <= set(load_skeleton(layout).joints), layout
-
-
 def test_tracker_names_fit():
     media_pipe = [joint.upper() for joint in load_skeleton("mediapipe33").joints[:33]]
     assert match_joints(media_pipe, load_skeleton("mediapipe33")).missing == ()
@@ -192,6 +177,32 @@ def test_capitals_that_leave_a_choice_are_refused():
     data = {"joints": ["ab", "b", "c"], "root": "b", "bones": [["ab", "b"], ["b", "c"]]}
     with pytest.raises(UserError, match="missing 'ab'"):
         match_joints(["AB", "Ab", "b", "c"], Skeleton.from_dict(data))
+
+
+@pytest.mark.parametrize("sign", [" ", "-", "", "_ "])
+def test_blanks_and_dashes_are_ignored_last(sign):
+    names = [joint.replace("_", sign).title() for joint in COCO]
+    how = match_joints(names, load_skeleton("coco17"))
+    assert how.parts["left_eye"] == (names[1],) and not how.missing
+    assert match_joints(names, load_skeleton("h36m17")).layout == "coco17"
+
+
+def test_blanks_that_leave_a_choice_are_refused():
+    data = {"joints": ["a_11", "b", "c"], "root": "b", "bones": [["a_11", "b"], ["b", "c"]]}
+    with pytest.raises(UserError, match="missing 'a_11'"):
+        match_joints(["a1_1", "a 11", "b", "c"], Skeleton.from_dict(data))
+    two = {"joints": ["a", "b", "c"], "root": "b", "bones": [["a", "b"], ["b", "c"]]}
+    two |= {"from": {"x": {"a": "p_11", "b": "p_1_1", "c": "q"}}}
+    with pytest.raises(UserError, match="do not fit"):
+        match_joints(["p-11", "q"], Skeleton.from_dict(two))
+
+
+def test_no_two_joints_are_made_of_one_name_alone():
+    data = {"joints": ["a", "b", "c"], "root": "b", "bones": [["a", "b"], ["b", "c"]]}
+    with pytest.raises(UserError, match="both 'a' and 'c' are made of 'x' alone"):
+        match_joints(["x", "y"], Skeleton.from_dict(data | {"from": {"t": {"a": "x", "b": "y", "c": "x"}}}))
+    shared = Skeleton.from_dict(data | {"from": {"t": {"a": "x", "b": ["x", "y"], "c": "y"}}})
+    assert match_joints(["x", "y"], shared).layout == "t"
 
 
 def test_shapes_as_annotated():

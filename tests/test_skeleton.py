@@ -15,10 +15,14 @@ from uplift.skeleton import Skeleton, load_skeleton
 from uplift.skeleton.template import skeleton_template
 
 SHIPPED = {
-    "h36m17": (17, "hip"), "mpii16": (16, "hip"), "coco17": (17 + 2, "pelvis"), "openpose25": (25, "MidHip"),
+    "h36m17": (17, "hip"), "mpii16": (16, "hip"), "coco17": (17 + 2, "pelvis"), "openpose25": (25, "MidHip"), "openpose25b": (25 + 2, "MidHip"),
     "halpe26": (26, "hip"), "mediapipe33": (33 + 2, "pelvis"), "mpi_inf_3dhp28": (28, "pelvis"),
     "mpi_inf_3dhp17": (17, "pelvis"), "hand21": (21, "wrist"), "quadruped28": (28, "croup"),
     "rat23": (23, "SpineL"), "chair10": (10, "back_top_R"),
+    "ap10k17": (17, "neck"), "animal3d26": (26, "neck"), "coco_wholebody133": (133 + 2, "pelvis"),
+    "freihand21": (21, "wrist"), "interhand21": (21, "wrist"), "face68": (68, "face-30"),
+    "fly38": (38 + 1, "thorax"), "fly32": (32, "thorax"), "fly13": (13, "thorax"),
+    "car12": (12 + 1, "roof"), "pascal_chair10": (10 + 1, "seat"),
 }  # fmt: skip
 
 DATA = {"cmu": "h36m17", "quadruped": "quadruped28", "rat": "rat23", "hand": "hand21", "chair": "chair10"}
@@ -30,7 +34,7 @@ def skeleton(request: pytest.FixtureRequest) -> Skeleton:
 
 
 def test_all_are_shipped():
-    assert set(SHIPPED) <= set(shipped_names("skeletons"))
+    assert set(SHIPPED) == set(shipped_names("skeletons"))
 
 
 def test_size_and_root(skeleton):

@@ -23,7 +23,8 @@ _VERBS = {
     "data": "data check task=NAME [data.root=FOLDER]: what is there and what is missing; data cmu FOLDER",
     "tasks": "list the tasks and whether their data is present",
     "skeletons": "list the shipped skeletons",
-    "skeleton": "skeleton check FILE [output=FILE.png]; skeleton new FILE",
+    "skeleton": "skeleton check FILE [output=FILE.png]; skeleton new FILE [--from TRACKER_FILE]; "
+    "skeleton map TRACKER_FILE skeleton=NAME",
 }
 # What the user can mend by naming another place; a full disk is none of these.
 _MENDABLE = (errno.EACCES, errno.EPERM, errno.EROFS, errno.ENAMETOOLONG, errno.ENOTDIR, errno.EISDIR, errno.ELOOP)
@@ -41,7 +42,7 @@ _EXAMPLES = """examples:
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run one command; returns the exit status: 0, 2 for a user's mistake or missing data, 1 for ours, 130 for Ctrl-C."""
     parser = _parser()
-    given = parser.parse_args(arguments)
+    given = parser.parse_args(_folded(arguments))
     if given.verb is None:
         parser.print_help()
         return 0
@@ -64,6 +65,17 @@ def main(arguments: Sequence[str] | None = None) -> int:
         rest = "" if mine else " What was saved before is whole."
         print(f"uplift: {error.strerror or error}{where}.{rest}", file=sys.stderr)
         return 2 if mine else 1
+
+
+def _folded(arguments: Sequence[str] | None) -> list[str]:
+    """Return the words with ``--from FILE`` of skeleton new as ``from=FILE``: argparse takes no words after an option."""
+    words = list(sys.argv[1:] if arguments is None else arguments)
+    if words[:1] == ["skeleton"]:
+        words = [f"from={word[7:]}" if word.startswith("--from=") else word for word in words]
+        while "--from" in words:
+            at = words.index("--from")
+            words[at : at + 2] = [f"from={''.join(words[at + 1 : at + 2])}"]
+    return words
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -94,7 +106,14 @@ def _complete(verb: str) -> Callable[..., list[str]]:
         from uplift.paths import shipped_names
 
         if verb == "skeleton":
-            return ["check", "new"]
+            names = (f"skeleton={name}" for name in shipped_names("skeletons"))
+            return [
+                "check",
+                "new",
+                "map",
+                *names,
+                *(f"{key}=" for key in ("from", "root", "gravity", "format", "layout")),
+            ]
         if verb == "data":
             return ["check", "cmu", *(f"task={name}" for name in shipped_names("tasks")), "data.root="]
         known = {key: [""] for key in _KEYS.get(verb, ())}
@@ -213,16 +232,24 @@ def _skeletons(words: Sequence[str]) -> None:
     print(list_skeletons())
 
 
-def _skeleton(words: Sequence[str]) -> None:
+def _skeleton(words: Sequence[str]) -> int:
     from uplift.verbs.skeleton import check_skeleton_file, new_skeleton_file
 
-    verbs = {"check": check_skeleton_file, "new": new_skeleton_file}
-    if not words or words[0] not in verbs:
+    fits = True
+    if words and words[0] == "map":
+        from uplift.verbs.skeleton_map import map_joints
+
+        lines, fits = map_joints(list(words[1:]))
+    elif words and words[0] in ("check", "new"):
+        lines = (check_skeleton_file if words[0] == "check" else new_skeleton_file)(list(words[1:]))
+    else:
         raise UserError(
-            "skeleton: expected `uplift skeleton check FILE [output=FILE.png]` or `uplift skeleton new FILE`."
+            "skeleton: expected `uplift skeleton check FILE [output=FILE.png]`, `uplift skeleton new FILE "
+            "[--from TRACKER_FILE]` or `uplift skeleton map TRACKER_FILE skeleton=NAME`."
         )
-    for line in verbs[words[0]](list(words[1:])):
+    for line in lines:
         print(line)
+    return 0 if fits else 2
 
 
 def _data(words: Sequence[str]) -> int:

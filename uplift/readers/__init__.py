@@ -55,7 +55,7 @@ def guess_format(path: str | Path) -> Format:
     known = f"Known formats: {', '.join(FORMATS)} (docs/trackers.md); format=NAME says which it is."
     for endings, what in _NOT_KEYPOINTS.items():
         if peek.ending in endings:
-            raise UserError(f"{path} is {what}. {known}")
+            raise UserError(f"{path} is {what}.")
     if peek.is_hdf5 and not peek.hdf5_names:
         raise UserError(
             f'{path} is HDF5 and cannot be looked into: damaged, or h5py is missing (pip install "uplift3d[trackers]").'

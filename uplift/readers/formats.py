@@ -11,7 +11,21 @@ __all__ = ["FORMATS", "format_named"]
 
 FORMATS: dict[str, str] = {
     # JSON, folders of it, and labels in text files
+    "coco": "uplift.readers.coco",
+    "openpose": "uplift.readers.openpose",
+    "mmpose": "uplift.readers.mmpose",
+    "kinetics_skeleton": "uplift.readers.kinetics",
+    "alphapose": "uplift.readers.alphapose",
+    "coco_results": "uplift.readers.coco_results",
+    "mpii_json": "uplift.readers.mpii_json",
+    "alphatracker": "uplift.readers.alphatracker",
+    "ultralytics_json": "uplift.readers.ultralytics_json",
+    "ultralytics": "uplift.readers.ultralytics",
     # tables, HDF5, and npz files of others
+    "deeplabcut": "uplift.readers.deeplabcut",
+    "mediapipe": "uplift.readers.mediapipe",
+    "videopose3d": "uplift.readers.videopose3d",
+    "csv": "uplift.readers.csv",
     "sleap_slp": "uplift.readers.sleap_slp",
     "sleap_h5": "uplift.readers.sleap_h5",
     "nwb": "uplift.readers.nwb",

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -44,15 +45,15 @@ def match_joints(names: Sequence[str], skeleton: Skeleton) -> JointMatch:
     """Return how to build the skeleton's joints out of ``names``.
 
     By name first, then by the layout of the skeleton's ``from:`` that makes the most joints; each
-    first with names as they are, then with capitals ignored. Midpoints the file lacks are made of
-    their parts. Raises UserError that lists what is missing where neither works, or where a name
-    comes twice.
+    first with names as they are, then with capitals ignored, then with blanks, dashes and
+    underscores too. Midpoints the file lacks are made of their parts. Raises UserError that lists
+    what is missing where neither works, or where a name comes twice.
     """
     names = [str(name) for name in names]
     twice = [name for name, count in Counter(names).items() if count > 1]
     if twice:
         raise UserError(f"found joint '{twice[0]}' {Counter(names)[twice[0]]} times; names must differ.")
-    for find in (_exactly(names), _without_case(names)):
+    for find in _finders(names):
         found = [(None, _by_name(skeleton, find))]
         found += [(layout, _from_layout(skeleton, layout, find)) for layout in skeleton.sources]
         fitting = [(layout, places) for layout, places in found if places is not None]
@@ -107,24 +108,25 @@ def build_pose(
     return built
 
 
-def _exactly(names: list[str]) -> Find:
-    return {name: place for place, name in enumerate(names)}.get
+def _finders(names: list[str]) -> list[Find]:
+    """Return how to find names: as they are, then with capitals, then with blanks, dashes and underscores ignored."""
+    letters = lambda name: re.sub(r"[\s_-]+", "", name).casefold()  # noqa: E731
+    return [_found_by(names, fold) for fold in (str, str.casefold, letters)]
 
 
-def _without_case(names: list[str]) -> Find:
-    """Find names as they are, else the only one that differs by capitals alone."""
+def _found_by(names: list[str], fold: Callable[[str], str]) -> Find:
+    """Find names as they are, else the only one that ``fold`` makes the same."""
     exact = {name: place for place, name in enumerate(names)}
-    count = Counter(name.casefold() for name in names)
-    folded = {name.casefold(): place for name, place in exact.items() if count[name.casefold()] == 1}
-    return lambda name: exact.get(name, folded.get(name.casefold()))
+    count = Counter(fold(name) for name in names)
+    folded = {fold(name): place for name, place in exact.items() if count[fold(name)] == 1}
+    return lambda name: exact.get(name, folded.get(fold(name)))
 
 
 def _by_name(skeleton: Skeleton, find: Find) -> dict[str, list[int]] | None:
     """Return joint to places where every joint but midpoints is found, None otherwise."""
     found = {joint: place for joint in skeleton.joints if (place := find(joint)) is not None}
-    if any(joint not in found and joint not in skeleton.midpoints for joint in skeleton.joints):
-        return None
-    if len(set(found.values())) < len(found):
+    lacking = any(joint not in found and joint not in skeleton.midpoints for joint in skeleton.joints)
+    if lacking or len(set(found.values())) < len(found):
         return None
     return _with_midpoints({joint: [place] for joint, place in found.items()}, skeleton)
 
@@ -132,11 +134,20 @@ def _by_name(skeleton: Skeleton, find: Find) -> dict[str, list[int]] | None:
 def _from_layout(skeleton: Skeleton, layout: str, find: Find) -> dict[str, list[int]] | None:
     """Return joint to places where every name the layout uses is found, None otherwise."""
     places: dict[str, list[int]] = {}
+    at: dict[int, str] = {}
+    alone: dict[int, str] = {}
     for joint, parts in skeleton.sources[layout].items():
-        found = [place for part in parts if (place := find(part)) is not None]
-        if len(found) < len(parts):
-            return None
-        places[joint] = found
+        places[joint] = []
+        for part in parts:
+            place = find(part)
+            if place is None or at.setdefault(place, part) != part:  # two names for one joint of the file
+                return None
+            places[joint].append(place)
+        if len(parts) == 1 and alone.setdefault(places[joint][0], joint) != joint:
+            raise UserError(
+                f"skeleton '{skeleton.name}', from: {layout}: both '{alone[places[joint][0]]}' and '{joint}' are made of "
+                f"'{parts[0]}' alone. A name goes into one joint, or into means: take one of them out."
+            )
     return _with_midpoints(places, skeleton)
 
 
@@ -161,28 +172,27 @@ def _describe(names: list[str], skeleton: Skeleton, layout: str | None, places: 
     )
 
 
-def _places(match: JointMatch, names: Sequence[str], skeleton: Skeleton) -> list[tuple[int, list[int]]]:
-    at = {str(name): place for place, name in enumerate(names)}
-    return [(skeleton.index(joint), [at[part] for part in parts]) for joint, parts in match.parts.items()]
-
-
 def _check_count(array: np.ndarray, names: Sequence[str]) -> None:
     if array.ndim != 3 or array.shape[1] != len(names):
         raise UserError(f"found an array of shape {array.shape} for {len(names)} joint names.")
 
 
+def _places(match: JointMatch, names: Sequence[str], skeleton: Skeleton) -> list[tuple[int, list[int]]]:
+    at = {str(name): place for place, name in enumerate(names)}
+    return [(skeleton.index(joint), [at[part] for part in parts]) for joint, parts in match.parts.items()]
+
+
 def _refusal(names: list[str], skeleton: Skeleton) -> str:
     """Say what is missing, what was found, the nearest names, and the layouts that were tried."""
-    find = _without_case(names)
+    find = _finders(names)[-1]
     missing = [joint for joint in skeleton.joints if find(joint) is None and joint not in skeleton.midpoints]
-    hints = [f"'{joint}'" + (near if (near := did_you_mean(joint, names)).startswith(" Did") else "")
-             for joint in missing[:6]]  # fmt: skip
+    near = {joint: did_you_mean(joint, names) for joint in missing[:6]}
+    hints = [f"'{joint}'" + (hint if hint.startswith(" Did") else "") for joint, hint in near.items()]
     more = f" and {len(missing) - 6} more" if len(missing) > 6 else ""
     text = f"the joints do not fit skeleton '{skeleton.name}': missing {', '.join(hints)}{more}."
     text += f" Found: {', '.join(names[:40])}{', ...' if len(names) > 40 else ''}."
     for layout, joints in skeleton.sources.items():
-        lacking = [part for parts in joints.values() for part in parts if find(part) is None]
-        lacking = list(dict.fromkeys(lacking))
+        lacking = list(dict.fromkeys(part for parts in joints.values() for part in parts if find(part) is None))
         shown = ", ".join(lacking[:3]) + (f" and {len(lacking) - 3} more" if len(lacking) > 3 else "")
         text += f" Not {layout} either: no {shown}."
     return text + " Choose the skeleton the file was made with, or add a `from:` map to the skeleton's YAML."

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-__all__ = ["skeleton_template"]
+import re
+
+__all__ = ["quoted", "skeleton_template"]
 
 _TEMPLATE = """\
 # A skeleton: the joints of what you track, and what is known about them.
@@ -72,11 +74,11 @@ midpoints:
 
 def skeleton_template(name: str) -> str:
     """Return the text of a complete, commented skeleton called ``name``, for the user to rewrite."""
-    return _TEMPLATE.format(name=_quoted(name), file=f"{name}.yaml")
+    return _TEMPLATE.format(name=quoted(name), file=f"{name}.yaml")
 
 
-def _quoted(name: str) -> str:
-    """Return the name as YAML text that cannot be read as anything else."""
-    plain = name.replace("_", "").isalnum() and name.isascii() and name[:1].isalpha()
+def quoted(name: str) -> str:
+    """Return a name as YAML text that cannot be read as anything else, inside a list too."""
+    plain = re.fullmatch(r"[A-Za-z_](?:[\w.+ -]*[\w.+-])?", name, re.ASCII)
     reserved = name.casefold() in ("true", "false", "yes", "no", "on", "off", "null", "y", "n")
     return name if plain and not reserved else "'" + name.replace("'", "''") + "'"

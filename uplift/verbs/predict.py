@@ -35,7 +35,7 @@ def predict(
     reading: ReadOptions | None = None,
     axes: str | None = None,
     page: str | None = None,
-    written: list[Path] | None = None,
+    written: dict[Path, str] | None = None,
     **options: Any,
 ) -> Prediction:
     """Lift the keypoints of ``input`` with the model of ``run`` and write them to ``output``, if given.
@@ -45,7 +45,7 @@ def predict(
     ``overrides`` such as a fit takes; ``reading`` is what the files do not say. The frames of a clip are lifted
     together unless ``refine`` is off. ``size`` are arguments of `uplift.sizing.size_from`. ``axes`` are those of
     `uplift.axes`, those usual for the format where not given. ``page`` is the kind of an .html, ``viewer`` or
-    ``gallery``, and ``options`` are those of its writer. The paths of the files written are added to ``written``.
+    ``gallery``, and ``options`` are those of its writer. The files written, with a word on each, are added to ``written``.
 
     Raises:
         UserError: no such run or input, joints that do not fit the model's skeleton, an output that
@@ -62,9 +62,9 @@ def predict(
     title = Path(str(input).split(",")[0]).stem
     prediction = model.predict(data, title=title, refine=refine, size=known, constant_bones=constant_bones)
     if output is not None:
-        paths = write(prediction, output, page, axes, **options)
+        files = write(prediction, output, page, axes, **options)
         if written is not None:
-            written += paths
+            written |= files
     return prediction if axes is None else in_axes(prediction, axes)
 
 

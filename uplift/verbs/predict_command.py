@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -25,7 +25,7 @@ def predict_command(words: Sequence[str]) -> None:
     size = {key: number("predict", keys, key) for key in SIZE_KEYS if key in keys and key != "bone"}
     if "bone" in keys:
         size["bone"] = tuple(name.strip() for name in keys["bone"].split(","))  # type: ignore[assignment]
-    written: list[Path] = []
+    written: dict[Path, str] = {}
     found = predict(
         keys["run"],
         keys["input"],
@@ -59,7 +59,7 @@ def _motion(found: Prediction) -> list[str]:
     )
 
 
-def _told(found: Prediction, written: Sequence[Path]) -> list[str]:
+def _told(found: Prediction, written: Mapping[Path, str]) -> list[str]:
     """Return what to say of a prediction and its files."""
     lines = [*found.notes]
     blank = int((found.pose != found.pose).all((1, 2)).sum())
@@ -76,8 +76,7 @@ def _told(found: Prediction, written: Sequence[Path]) -> list[str]:
     lines += _motion(found)
     if found.unit == "px":
         lines.append("for millimetres give height_mm=, or bone=JOINT,JOINT bone_mm= (docs/output.md)")
-    shown = [str(path) for path in written[:5]] + [f"and {len(written) - 5} more"] * (len(written) > 5)
-    lines += [f"wrote {name}" for name in shown]
-    if any(path.suffix.lower() == ".html" for path in written):
-        lines.append(f"look: open {written[0]} in a browser")
+    shown = [f"wrote {path}" + (f": {word}" if word else "") for path, word in list(written.items())[:5]]
+    lines += shown + [f"and {len(written) - 5} more"] * (len(written) > 5)
+    lines += [f"look: open {path} in a browser" for path in written if path.suffix.lower() == ".html"]
     return [line for line in lines if line]

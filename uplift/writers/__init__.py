@@ -28,10 +28,10 @@ class Writer:
     holds: str = "all"
     """What one file holds: ``all`` rows, one ``clip``, or one ``body`` of one clip."""
 
-    def __call__(self, prediction: Prediction, path: str | Path, **options: Any) -> None:
-        """Write what one file holds."""
+    def __call__(self, prediction: Prediction, path: str | Path, **options: Any) -> str:
+        """Write what one file holds; returns what there is to say of it, mostly nothing."""
         module, _, name = self.where.partition(":")
-        getattr(import_module(module), name)(prediction, path, **options)
+        return str(getattr(import_module(module), name)(prediction, path, **options) or "")
 
 
 WRITERS = {
@@ -74,8 +74,8 @@ def writer_for(path: str | Path, page: str | None = None) -> Writer:
 
 def write(
     prediction: Prediction, path: str | Path, page: str | None = None, axes: str | None = None, **options: Any
-) -> list[Path]:
-    """Write ``prediction`` in the format of the extension of ``path``; return the files that were written.
+) -> dict[Path, str]:
+    """Write ``prediction`` in the format of the extension of ``path``; return the files that were written and a word on each.
 
     ``axes`` are those of `uplift.axes`, the format's usual ones where not given; ``page`` is the kind of an
     ``.html``, one of `PAGES`; options go to the writer. A format that holds one clip or one body gets a
@@ -90,6 +90,7 @@ def write(
     turned = in_axes(prediction, axes) if axes != prediction.axes else prediction
     parts = parts_of(turned, writer.holds)
     paths = paths_of(path, [name for name, _ in parts])
-    for part, (_, rows) in zip(paths, parts, strict=True):
-        writer(turned if rows is None else turned.select(rows), part, **options)
-    return paths
+    return {
+        part: writer(turned if rows is None else turned.select(rows), part, **options)
+        for part, (_, rows) in zip(paths, parts, strict=True)
+    }

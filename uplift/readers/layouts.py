@@ -1,0 +1,111 @@
+"""Names of keypoints by their number, for files of trackers that write none."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+
+from uplift.datasets.coco import COCO_JOINTS
+from uplift.errors import UserError
+from uplift.readers.base import ReadOptions
+
+__all__ = [
+    "ALPHAPOSE", "COCO", "FACE68", "HAND21", "KINETICS", "MMPOSE", "MPII16", "OPENPOSE", "OPENPOSE_FACE70",
+    "WHOLEBODY133", "names_for", "numbered",
+]  # fmt: skip
+
+HALPE26 = (
+    *COCO_JOINTS, "head", "neck", "hip", "left_big_toe", "right_big_toe", "left_small_toe", "right_small_toe",
+    "left_heel", "right_heel",
+)  # fmt: skip
+FEET6 = ("left_big_toe", "left_small_toe", "left_heel", "right_big_toe", "right_small_toe", "right_heel")
+FACE68 = tuple(f"face-{number}" for number in range(68))
+OPENPOSE_FACE70 = tuple(f"face-{number}" for number in range(70))
+_FINGERS = ("thumb", "forefinger", "middle_finger", "ring_finger", "pinky_finger")
+HANDS = {
+    side: (f"{side}_hand_root", *(f"{side}_{finger}{number}" for finger in _FINGERS for number in (1, 2, 3, 4)))
+    for side in ("left", "right")
+}
+"""The two hands, 21 keypoints each, by the names that MMPose gives those of COCO-WholeBody."""
+HAND21 = (
+    "wrist", "thumb_cmc", "thumb_mcp", "thumb_ip", "thumb_tip", "index_mcp", "index_pip", "index_dip", "index_tip",
+    "middle_mcp", "middle_pip", "middle_dip", "middle_tip", "ring_mcp", "ring_pip", "ring_dip", "ring_tip",
+    "little_mcp", "little_pip", "little_dip", "little_tip",
+)  # fmt: skip
+WHOLEBODY133 = (*COCO_JOINTS, *FEET6, *FACE68, *HANDS["left"], *HANDS["right"])
+HALPE136 = (*HALPE26, *FACE68, *HANDS["left"], *HANDS["right"])
+HALPE68 = (*HALPE26, *HANDS["left"], *HANDS["right"])
+OPENPOSE25 = (
+    "Nose", "Neck", "RShoulder", "RElbow", "RWrist", "LShoulder", "LElbow", "LWrist", "MidHip", "RHip", "RKnee",
+    "RAnkle", "LHip", "LKnee", "LAnkle", "REye", "LEye", "REar", "LEar", "LBigToe", "LSmallToe", "LHeel", "RBigToe",
+    "RSmallToe", "RHeel",
+)  # fmt: skip
+OPENPOSE18 = tuple(name for name in OPENPOSE25[:19] if name != "MidHip")
+OPENPOSE15 = (
+    "Head", "Neck", "RShoulder", "RElbow", "RWrist", "LShoulder", "LElbow", "LWrist", "RHip", "RKnee", "RAnkle",
+    "LHip", "LKnee", "LAnkle", "Chest",
+)  # fmt: skip
+MPII16 = (
+    "rankle", "rknee", "rhip", "lhip", "lknee", "lankle", "hip", "thorax", "upper_neck", "headtop", "rwrist",
+    "relbow", "rshoulder", "lshoulder", "lelbow", "lwrist",
+)  # fmt: skip
+
+Layouts = Mapping[int, tuple[str, tuple[str, ...]]]
+"""Number of keypoints -> what the layout is called, and its names."""
+
+_COCO17 = ("COCO", COCO_JOINTS)
+_WHOLEBODY = ("COCO-WholeBody", WHOLEBODY133)
+_HAND = ("a hand", HAND21)
+COCO: Layouts = {17: _COCO17, 26: ("Halpe", HALPE26), 133: _WHOLEBODY}
+ALPHAPOSE: Layouts = {
+    **COCO,
+    18: ("OpenPose's 18", OPENPOSE18),
+    21: _HAND,
+    68: ("Halpe without a face", HALPE68),
+    136: ("Halpe", HALPE136),
+}
+MMPOSE: Layouts = {**COCO, 16: ("MPII", MPII16), 21: _HAND}
+OPENPOSE: Layouts = {
+    25: ("OpenPose's BODY_25", OPENPOSE25),
+    18: ("OpenPose's COCO model", OPENPOSE18),
+    15: ("OpenPose's MPI model", OPENPOSE15),
+}
+KINETICS: Layouts = {17: _COCO17, 18: ("OpenPose's COCO model", OPENPOSE18)}
+
+
+def numbered(count: int) -> tuple[str, ...]:
+    """Return ``keypoint_0`` and so on, for keypoints of which nothing is known."""
+    return tuple(f"keypoint_{number}" for number in range(count))
+
+
+def names_for(
+    path: Path, count: int, layouts: Layouts, options: ReadOptions
+) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Return the names of ``count`` keypoints that a file does not name, and the notes that say so.
+
+    Raises:
+        UserError: the layout that the user names does not have that many.
+    """
+    if options.layout is not None:
+        return _told(path, count, options.layout), ()
+    if count in layouts:
+        what, names = layouts[count]
+        return names, (f"keypoints have no names in the file: {count} of them are taken as {what}",)
+    note = (
+        f"keypoints have no names in the file, and {count} are no known layout: named keypoint_0 to "
+        f"keypoint_{count - 1}; say layout=SKELETON, or use a skeleton with these names"
+    )
+    return numbered(count), (note,)
+
+
+def _told(path: Path, count: int, layout: str) -> tuple[str, ...]:
+    from uplift.skeleton import load_skeleton
+
+    skeleton = load_skeleton(layout)
+    for names in (skeleton.joints, tuple(joint for joint in skeleton.joints if joint not in skeleton.midpoints)):
+        if len(names) == count:
+            return names[:count]
+    raise UserError(
+        f"{path} has {count} keypoints; layout={layout} has {len(skeleton.joints) - len(skeleton.midpoints)} joints "
+        "that are not midpoints. Expected a skeleton whose joints are the file's keypoints, in its order."
+    )

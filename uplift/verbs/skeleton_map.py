@@ -1,0 +1,126 @@
+"""The verb skeleton map: which joint of a tracker's file goes where, before anything is lifted."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from uplift.data.clean import MIN_VISIBLE, clean
+from uplift.data.container import PoseData
+from uplift.data.load import in_joints_of
+from uplift.errors import UserError
+from uplift.paths import shipped, shipped_names
+from uplift.readers import read
+from uplift.skeleton import Skeleton, load_skeleton
+from uplift.skeleton.matching import JointMatch, match_joints
+from uplift.skeleton.proposal_names import guess_parts
+from uplift.skeleton.template import quoted
+from uplift.verbs.skeleton import READING, keyed_words, reading
+
+__all__ = ["map_joints"]
+
+
+def map_joints(words: list[str]) -> tuple[list[str], bool]:
+    """Return what to say of how a file's joints make a skeleton's, and whether the file can be lifted.
+
+    Raises:
+        UserError: no such file or skeleton, or one that cannot be read.
+    """
+    names, keyed = keyed_words("map", words, ("skeleton", *READING))
+    if len(names) != 1 or "skeleton" not in keyed:
+        raise UserError("skeleton map takes one FILE or FOLDER and skeleton=NAME or skeleton=FILE.yaml.")
+    skeleton = load_skeleton(keyed["skeleton"])
+    data = read(names[0], reading(keyed))
+    lines = [f"{names[0]}: {_counts(data)}", *(f"  {note}" for note in data.notes), ""]
+    try:
+        match = match_joints(data.joint_names, skeleton)
+    except UserError as error:
+        return [*lines, f"it cannot be lifted as {skeleton.name}: {error}", *_help(data, skeleton)], False
+    built = in_joints_of(data, skeleton)
+    how = "by name" if match.layout is None else f"by its layout '{match.layout}'"
+    lines += [f"{skeleton.name}, {how}:", *_table(match, skeleton, built)]
+    if match.unused:
+        lines.append(f"  unused: {', '.join(match.unused)}")
+    said, fits = _verdict(match, skeleton, built)
+    return [*lines, "", said], fits
+
+
+def _counts(data: PoseData) -> str:
+    """Return how many frames, individuals and joints a file has."""
+    who = data.identity.get("instance")
+    frames = f"{len(data):,} frames"
+    if who is not None and len(np.unique(who)) > 1:
+        frames = f"{len(data):,} frames of {len(np.unique(who)):,} individuals"
+    kinds = np.unique(data.identity["category"]).tolist() if "category" in data.identity else []
+    shown = f" ({', '.join(map(str, kinds[:6]))}{', ...' if len(kinds) > 6 else ''})" if kinds else ""
+    return f"{frames}{shown}, {len(data.joint_names)} joints"
+
+
+def _table(match: JointMatch, skeleton: Skeleton, built: PoseData) -> list[str]:
+    """Return a line for each joint: what it is made of, how often and how surely it is seen."""
+    seen = built.confidence > 0
+    rows = []
+    for place, joint in enumerate(skeleton.joints):
+        parts = match.parts.get(joint)
+        if parts is None:
+            rows.append((joint, "MISSING", ""))
+            continue
+        made = parts[0] if len(parts) == 1 else f"mean of {', '.join(dict.fromkeys(parts))}"
+        sure = f", confidence {built.confidence[seen[:, place], place].mean():.2f}" if seen[:, place].any() else ""
+        rows.append((joint, made, f"seen in {_percent(seen[:, place])} of frames{sure}"))
+    wide = [max(len(row[column]) for row in rows) for column in (0, 1)]
+    return [f"  {joint:<{wide[0]}} <- {made:<{min(wide[1], 44)}}  {how}".rstrip() for joint, made, how in rows]
+
+
+def _percent(flags: np.ndarray) -> str:
+    """Return a share as per cent, 100 and 0 kept for all and none."""
+    share = float(flags.mean()) if len(flags) else 0.0
+    return f"{share if share in (0, 1) else min(max(share, 0.001), 0.999):6.1%}"
+
+
+def _verdict(match: JointMatch, skeleton: Skeleton, built: PoseData) -> tuple[str, bool]:
+    try:
+        _, report = clean(built, skeleton, drop=False)
+    except UserError as error:
+        return f"it cannot be lifted: {error}", False
+    good = report.frames - report.too_few - report.all_equal
+    text = f"it can be lifted: {good:,} of {report.frames:,} frames show {MIN_VISIBLE} joints or more"
+    hidden = [joint for joint, seen in zip(skeleton.joints, (built.confidence > 0).any(0), strict=True) if not seen]
+    if hidden:
+        which = ", ".join(hidden) if len(hidden) <= 6 else f"{len(hidden)} of {len(skeleton.joints)} joints"
+        text += f"; hidden in all of them, so guessed: {which}"
+    if len(hidden) > len(skeleton.joints) / 2:
+        text += ". A skeleton with fewer joints suits this file better"
+    return text, True
+
+
+def _help(data: PoseData, skeleton: Skeleton) -> list[str]:
+    """Return which shipped skeletons fit, and a `from:` block of guesses, in comments."""
+    lines = [""]
+    fitting = [name for name in shipped_names("skeletons") if name != skeleton.name and _fits(data, name)]
+    if fitting:
+        lines += [f"shipped skeletons that fit the file: {', '.join(fitting)}", ""]
+    guesses = guess_parts(skeleton, data.joint_names)
+    if not guesses:
+        return [
+            *lines,
+            "no names are alike. If nobody named the joints, layout=SKELETON gives them its names, in order.",
+        ]
+    of_ours = skeleton.name in shipped_names("skeletons")
+    where = f"a copy of {shipped('skeletons') / skeleton.name}.yaml" if of_ours else "the skeleton's file"
+    lines.append(f"# Guesses by name; nothing of it is applied. Keep what is right, without the #, in {where}:")
+    lines += ["# from:", "#   my_tracker:"]
+    for joint in skeleton.joints:
+        if joint in guesses:
+            parts = [quoted(name) for name in guesses[joint]]
+            lines.append(f"#     {quoted(joint)}: {parts[0] if len(parts) == 1 else '[' + ', '.join(parts) + ']'}")
+        elif joint not in skeleton.midpoints:
+            lines.append(f"#     # {quoted(joint)}: nothing is alike")
+    return lines
+
+
+def _fits(data: PoseData, name: str) -> bool:
+    try:
+        match = match_joints(data.joint_names, load_skeleton(name))
+    except UserError:
+        return False
+    return len(match.missing) <= len(match.parts)
