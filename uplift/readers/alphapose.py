@@ -45,7 +45,7 @@ def _read(path: Path, options: ReadOptions) -> PoseData:
     if not numbers.width or numbers.width % 3:
         raise UserError(f"{path} has {numbers.width} numbers in 'keypoints', expected x, y, score of each.")
     values = numbers.array(numbers.width // 3, 3)
-    names, notes = names_for(path, values.shape[1], ALPHAPOSE, options)
+    names, notes = names_for(path, values.shape[1], ALPHAPOSE, options, values)
     identity = _identity(path, images, tracks)
     return pose_data(path, names, values[..., :2], values[..., 2], identity, notes=notes)
 

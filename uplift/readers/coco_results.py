@@ -41,7 +41,7 @@ def _read(path: Path, options: ReadOptions) -> PoseData:
     if numbers.width is None or not numbers.width or numbers.width % 3:
         raise UserError(f"{path}: entry 0 has {numbers.width} numbers in 'keypoints', expected x, y, score of each.")
     values = numbers.array(numbers.width // 3, 3)
-    names, told = names_for(path, values.shape[1], COCO, options)
+    names, told = names_for(path, values.shape[1], COCO, options, values)
     notes = list(told)
     confidence = seen_by_flag(values[..., 2], notes)
     identity = {"image": texts(path, images), "instance": np.arange(len(images)).astype(str)}

@@ -39,7 +39,7 @@ def _read(path: Path, options: ReadOptions) -> PoseData:
     if poses.width != 2 * count:
         raise UserError(f"{path}: 'pose' has {poses.width} numbers and 'score' {count}, expected x, y for each score.")
     keypoints, confidence = poses.array(count, 2), scores.array()
-    names, told = names_for(path, count, KINETICS, options)
+    names, told = names_for(path, count, KINETICS, options, keypoints)
     notes = list(told)
     shares = bool((np.nan_to_num(np.abs(keypoints), posinf=2) <= 1).all())
     if shares:

@@ -9,7 +9,7 @@ from jaxtyping import Float
 
 __all__ = ["bone_share", "likely_layout"]
 
-_CLEARLY = 0.8
+_CLEARLY = 0.65
 """Another layout than the usual is taken where its bones are this much of the usual one's."""
 _MOST_ROWS = 500
 

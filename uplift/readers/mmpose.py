@@ -79,7 +79,7 @@ def _read(path: Path, options: ReadOptions) -> PoseData:
     meta = _Meta(path, found.meta if options.layout is None else None, keypoints.shape[1])
     names, notes = meta.names, ()
     if names is None:
-        names, notes = names_for(path, keypoints.shape[1], MMPOSE, options)
+        names, notes = names_for(path, keypoints.shape[1], MMPOSE, options, keypoints)
     identity = frames_or_images(path, [file.stem for file in files], found.file, found.frame, found.track)
     known = {"bones": meta.pairs("skeleton_links", names), "mirror": meta.mirror(names)}
     return pose_data(path, names, keypoints, found.scores.array(), identity, notes=notes, **known)

@@ -104,7 +104,7 @@ def _joined(
             raise UserError(f"{path}: '{numbers.what}' has {numbers.width} numbers, expected x, y, score of each.")
         count = numbers.width // 3
         if part == "pose":
-            own, told = names_for(path, count, OPENPOSE, options)
+            own, told = names_for(path, count, OPENPOSE, options, numbers.array(count, 3))
             notes += told
         else:
             own = _NAMES[part] if len(_NAMES[part]) == count else tuple(f"{part}_{name}" for name in numbered(count))

@@ -72,7 +72,7 @@ def _read(path: Path, options: ReadOptions) -> PoseData:
     if not found.file:
         raise UserError(f"{path} holds nobody, expected results of Ultralytics.")
     keypoints = np.stack([found.x.array(), found.y.array()], -1)
-    names, told = names_for(path, keypoints.shape[1], {17: COCO[17]}, options)
+    names, told = names_for(path, keypoints.shape[1], {17: COCO[17]}, options, keypoints)
     notes = list(told)
     blank = (keypoints == 0).all(-1)  # what weak keypoints are set to
     confidence = np.where(blank, np.float32(0), found.seen.array())
