@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from uplift.data.clean import MIN_VISIBLE, clean
@@ -12,11 +14,14 @@ from uplift.paths import shipped, shipped_names
 from uplift.readers import read
 from uplift.skeleton import Skeleton, load_skeleton
 from uplift.skeleton.matching import JointMatch, match_joints
+from uplift.skeleton.proposal_bones import seen_in, stretched
 from uplift.skeleton.proposal_names import guess_parts
 from uplift.skeleton.template import quoted
 from uplift.verbs.skeleton import READING, keyed_words, reading
 
 __all__ = ["map_joints"]
+
+_TOO_LONG, _LIKELY = 1.9, 1.5  # see `stretched`
 
 
 def map_joints(words: list[str]) -> tuple[list[str], bool]:
@@ -40,7 +45,7 @@ def map_joints(words: list[str]) -> tuple[list[str], bool]:
     lines += [f"{skeleton.name}, {how}:", *_table(match, skeleton, built)]
     if match.unused:
         lines.append(f"  unused: {', '.join(match.unused)}")
-    said, fits = _verdict(match, skeleton, built)
+    said, fits = _verdict(data, skeleton, built)
     return [*lines, "", said], fits
 
 
@@ -77,20 +82,41 @@ def _percent(flags: np.ndarray) -> str:
     return f"{share if share in (0, 1) else min(max(share, 0.001), 0.999):6.1%}"
 
 
-def _verdict(match: JointMatch, skeleton: Skeleton, built: PoseData) -> tuple[str, bool]:
+def _verdict(data: PoseData, skeleton: Skeleton, built: PoseData) -> tuple[str, bool]:
     try:
         _, report = clean(built, skeleton, drop=False)
     except UserError as error:
         return f"it cannot be lifted: {error}", False
+    long = stretched(built.keypoints, seen_in(built.keypoints, built.confidence), skeleton.bone_indices.tolist())
+    if long > _TOO_LONG:
+        return f"it should not be lifted: {_wrong_order(long, data, skeleton)}", False
     good = report.frames - report.too_few - report.all_equal
     text = f"it can be lifted: {good:,} of {report.frames:,} frames show {MIN_VISIBLE} joints or more"
-    hidden = [joint for joint, seen in zip(skeleton.joints, (built.confidence > 0).any(0), strict=True) if not seen]
+    shown = np.asarray((built.confidence > 0).any(0))
+    hidden = [joint for joint, seen in zip(skeleton.joints, shown.tolist(), strict=True) if not seen]
     if hidden:
         which = ", ".join(hidden) if len(hidden) <= 6 else f"{len(hidden)} of {len(skeleton.joints)} joints"
         text += f"; hidden in all of them, so guessed: {which}"
     if len(hidden) > len(skeleton.joints) / 2:
         text += ". A skeleton with fewer joints suits this file better"
     return text, True
+
+
+def _wrong_order(long: float, data: PoseData, skeleton: Skeleton) -> str:
+    """Say that joints have each other's names, and which layouts with as many keypoints the order fits."""
+    text = (
+        f"its bones are {long:.1f} times as long as the shortest lines that join these joints (1 to 1.6 where the "
+        "names are right). Joints have the names of others: another layout, or another order"
+    )
+    fitting = []
+    for name in shipped_names("skeletons"):
+        other = load_skeleton(name)
+        names = [joint for joint in other.joints if joint not in other.midpoints]
+        if len(names) == len(data.joint_names):
+            built = in_joints_of(replace(data, joint_names=tuple(names), pose=None), other)
+            shown = seen_in(built.keypoints, built.confidence)
+            fitting += [name] * (stretched(built.keypoints, shown, other.bone_indices.tolist()) < _LIKELY)
+    return text + (f". In their order they look like layout={' or layout='.join(fitting)}" if fitting else "")
 
 
 def _help(data: PoseData, skeleton: Skeleton) -> list[str]:
