@@ -158,8 +158,8 @@ def test_where_every_joint_has_a_partner_the_root_is_made():
     assert found.root == "middle" and set(found.midpoints) == {"middle"}
     assert set(found.midpoints["middle"]) in [set(pair) for pair in found.mirror]
     assert not found.loops and len(found.bones) == 10
-    paws = tracked(load_skeleton("chair10"), 40).select(np.arange(40))
-    paws = replace(paws, **_only(paws, 4), joint_names=("paw1LH", "paw2LF", "paw3RF", "paw4RH"))
+    paws = tracked(load_skeleton("chair10"), 40)
+    paws = replace(paws, **_only(paws, 4) | {"joint_names": ("paw1LH", "paw2LF", "paw3RF", "paw4RH")})
     found = propose(paws, "x").skeleton
     assert len(found.bones) == 4 and not found.loops
     across = {one: other for pair in found.mirror for one, other in (pair, pair[::-1])}

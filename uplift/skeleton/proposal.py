@@ -18,7 +18,6 @@ __all__ = ["Proposal", "propose"]
 _SEEN_WELL = 0.8  # of the joint seen most
 _SELDOM = 0.5  # of the frames
 _NEAR = 0.5  # of the spread of the joints about their middle
-_FAR_NEARER = 0.6  # of the way of the best joint
 
 Pair = tuple[str, str]
 
@@ -59,7 +58,7 @@ def propose(data: PoseData, name: str, root: str | None = None, gravity: bool = 
     score = apart(data.keypoints[:, shown], visible[:, shown], names)
     known = _known_bones(data.bones, names)
     pairs = _pairs(data, names)
-    start = root or _best_root(names, pairs, data.keypoints[:, shown], visible[:, shown])
+    start = root or _best_root(names, pairs, data.keypoints[:, shown], visible[:, shown], score)
     plan = {**_joined(name, names, pairs, known, score, start), "gravity": gravity}
     skeleton, unmirrored = _checked(plan, pairs)
     return Proposal(
@@ -143,10 +142,13 @@ def _through(new: str, pair: Pair, bones: list[Bone], known: list[Bone]) -> list
     return [(new, pair[0]), (new, pair[1]), *((joint, new) for joint in between[:1]), *kept]
 
 
-def _best_root(names: list[str], pairs: list[Pair], keypoints: np.ndarray, visible: np.ndarray) -> str | Pair:
+def _best_root(
+    names: list[str], pairs: list[Pair], keypoints: np.ndarray, visible: np.ndarray, score: np.ndarray
+) -> str | Pair:
     """Return the joint nearest the middle of the body of those seen well: on the midline, where there are pairs.
 
-    A pair, for the point between its joints, where no joint is near and that one is, or where every joint has a partner.
+    A pair, for the point between its joints, where every joint has a partner, or where that point is nearer than
+    any joint and the pair as good as stiff (hips, not elbows).
     """
     paired = {joint for pair in pairs for joint in pair}
     singles = [(joint,) for joint in names if joint not in paired]
@@ -156,8 +158,9 @@ def _best_root(names: list[str], pairs: list[Pair], keypoints: np.ndarray, visib
         places = [names.index(joint) for joint in group]
         well = visible[:, places].all(1).mean() >= _SEEN_WELL * share.max()
         far = _off_centre(keypoints, visible, places) + (0 if well else 10)
+        far += 2 * min(float(score[places[0], places[1]]), 10) if len(places) == 2 else 0
         best[len(group)] = min(best.get(len(group), (np.inf, group)), (far, group), key=lambda found: found[0])
-    if 1 in best and (2 not in best or best[1][0] < _NEAR or best[2][0] > _FAR_NEARER * best[1][0]):
+    if 1 in best and (2 not in best or best[1][0] < max(_NEAR, best[2][0])):
         return best[1][1][0]
     one, other = best[2][1]
     return one, other
@@ -165,13 +168,13 @@ def _best_root(names: list[str], pairs: list[Pair], keypoints: np.ndarray, visib
 
 def _off_centre(keypoints: np.ndarray, visible: np.ndarray, places: list[int]) -> float:
     """Return how far the mean of some joints is from that of all visible ones, in their spread."""
-    rows = visible[:, places].all(1)
+    rows = np.flatnonzero(visible[:, places].all(1))
     seen = visible[rows][..., None]
     points = np.where(seen, keypoints[rows].astype(np.float64), 0)
     centre = points.sum(1) / seen.sum(1)
     spread = np.sqrt((np.where(seen, points - centre[:, None], 0) ** 2).sum((1, 2)) / seen.sum((1, 2)))
     away = np.linalg.norm(points[:, places].mean(1) - centre, axis=-1)
-    return float(np.mean(away / np.maximum(spread, 1e-9))) if len(rows) and rows.any() else 9.0
+    return float(np.mean(away / np.maximum(spread, 1e-9))) if len(rows) else 9.0
 
 
 def _new_name(name: str, names: list[str]) -> str:
