@@ -88,7 +88,7 @@ def test_joints_with_the_names_of_others_are_noticed(told):
     body_25, body_25b = load_skeleton("openpose25"), load_skeleton("openpose25b")
     place = 100 * skeleton_layout(body_25b)[:25] + np.random.default_rng(0).normal(300, 5, (10, 25, 2))
     data = PoseData(place.astype(np.float32), np.ones((10, 25), np.float32), body_25.joints)
-    for skeleton in ("openpose25", "h36m17"):
+    for skeleton in ("openpose25", "h36m17", "coco17", "mpii16"):
         text, fits = told(data, f"skeleton={skeleton}")
         assert not fits and re.search(r"it should not be lifted: its bones are [2-6]\.\d times as long", text)
         assert text.endswith("In their order they look like layout=openpose25b")

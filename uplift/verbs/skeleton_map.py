@@ -87,7 +87,7 @@ def _verdict(data: PoseData, skeleton: Skeleton, built: PoseData) -> tuple[str, 
         _, report = clean(built, skeleton, drop=False)
     except UserError as error:
         return f"it cannot be lifted: {error}", False
-    long = stretched(built.keypoints, seen_in(built.keypoints, built.confidence), skeleton.bone_indices.tolist())
+    long = max(_stretch(built, skeleton), *(_stretch(data, other) for other in _of_these_names(data)), 0)
     if long > _TOO_LONG:
         return f"it should not be lifted: {_wrong_order(long, data, skeleton)}", False
     good = report.frames - report.too_few - report.all_equal
@@ -108,21 +108,37 @@ def _wrong_order(long: float, data: PoseData, skeleton: Skeleton) -> str:
         f"its bones are {long:.1f} times as long as the shortest lines that join these joints (1 to 1.6 where the "
         "names are right). Joints have the names of others: another layout, or another order"
     )
-    fitting = []
-    for name in shipped_names("skeletons"):
-        other = load_skeleton(name)
-        names = [joint for joint in other.joints if joint not in other.midpoints]
-        if len(names) == len(data.joint_names):
-            built = in_joints_of(replace(data, joint_names=tuple(names), pose=None), other)
-            shown = seen_in(built.keypoints, built.confidence)
-            fitting += [name] * (stretched(built.keypoints, shown, other.bone_indices.tolist()) < _LIKELY)
+    fitting = [
+        other.name
+        for other, names in _shipped()
+        if len(names) == len(data.joint_names)
+        and _stretch(replace(data, joint_names=names, pose=None), other) < _LIKELY
+    ]
     return text + (f". In their order they look like layout={' or layout='.join(fitting)}" if fitting else "")
+
+
+def _stretch(data: PoseData, skeleton: Skeleton) -> float:
+    """Return how far the bones of the skeleton are stretched in a file that fits it; 0 where nothing is seen."""
+    built = in_joints_of(data, skeleton)
+    visible = seen_in(built.keypoints, built.confidence)
+    return float(np.nan_to_num(stretched(built.keypoints, visible, skeleton.bone_indices.tolist())))
+
+
+def _of_these_names(data: PoseData) -> list[Skeleton]:
+    """Return the shipped skeletons whose files hold just the names of this one: they know the most bones of it."""
+    return [other for other, names in _shipped() if set(names) == set(data.joint_names)]
+
+
+def _shipped() -> list[tuple[Skeleton, tuple[str, ...]]]:
+    """Return all shipped skeletons, each with the names that a file of it holds."""
+    found = [load_skeleton(name) for name in shipped_names("skeletons")]
+    return [(one, tuple(joint for joint in one.joints if joint not in one.midpoints)) for one in found]
 
 
 def _help(data: PoseData, skeleton: Skeleton) -> list[str]:
     """Return which shipped skeletons fit, and a `from:` block of guesses, in comments."""
     lines = [""]
-    fitting = [name for name in shipped_names("skeletons") if name != skeleton.name and _fits(data, name)]
+    fitting = [other.name for other, _ in _shipped() if other.name != skeleton.name and _fits(data, other)]
     if fitting:
         lines += [f"shipped skeletons that fit the file: {', '.join(fitting)}", ""]
     guesses = guess_parts(skeleton, data.joint_names)
@@ -144,9 +160,9 @@ def _help(data: PoseData, skeleton: Skeleton) -> list[str]:
     return lines
 
 
-def _fits(data: PoseData, name: str) -> bool:
+def _fits(data: PoseData, skeleton: Skeleton) -> bool:
     try:
-        match = match_joints(data.joint_names, load_skeleton(name))
+        match = match_joints(data.joint_names, skeleton)
     except UserError:
         return False
     return len(match.missing) <= len(match.parts)
