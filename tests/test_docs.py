@@ -130,7 +130,7 @@ def test_commands_parse(page: str, command: str) -> None:
     verb, *words = shlex.split(command)[1:]
     assert verb in _RUN
     if verb == "skeleton":
-        assert words[0] in ("check", "new")
+        assert words[0] in ("check", "new", "map")
     elif verb == "data":
         assert words[0] in ("check", "cmu")
         for word in words[1:] if words[0] == "check" else ():

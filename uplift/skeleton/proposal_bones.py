@@ -80,7 +80,7 @@ def joining_bones(
 def stretched(
     keypoints: Shaped[np.ndarray, "frames joints 2"],
     visible: Bool[np.ndarray, "frames joints"],
-    bones: Sequence[tuple[int, int]],
+    bones: Sequence[Sequence[int]],
 ) -> float:
     """Return how many times as long as need be the bones are: their mean over that of the shortest lines that join
     the joints. 1 to 1.6 where the names are right, 2 or more where joints were given each other's; NaN where nothing is seen.
