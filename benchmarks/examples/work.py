@@ -18,7 +18,7 @@ from benchmarks.examples.files import write_files
 from benchmarks.machine import ROOT, facts
 from uplift.saving import replacing
 
-__all__ = ["RESULTS", "key_of", "kept_results", "run_example"]
+__all__ = ["RESULTS", "kept_results", "key_of", "run_example"]
 
 RESULTS = ROOT / "benchmarks" / "results" / "examples.json"
 
