@@ -35,7 +35,12 @@ def _arrays(frames: int, seed: int, skeleton: str) -> dict[str, Any]:
     pose = np.zeros((frames, len(tree.joints), 3))
     for parent, child in _from_the_root(tree):
         length = 150 + 200 * ((tree.index(child) * 37) % 11) / 11
-        step = rng.normal(size=(frames, 3)) + [0, 1.0, 0]
+        # Ten frames make a clip, in which a limb swings about one direction.
+        step = (
+            rng.normal(size=(-(-frames // 10), 3)).repeat(10, 0)[:frames]
+            + [0, 1.0, 0]
+            + rng.normal(0, 0.15, (frames, 3))
+        )
         pose[:, tree.index(child)] = pose[:, tree.index(parent)] + length * step / np.linalg.norm(
             step, axis=1, keepdims=True
         )

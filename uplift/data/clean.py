@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from uplift.data.container import PoseData
+from uplift.data.films import JUMP, jump_of
 from uplift.errors import UserError
 from uplift.skeleton import Skeleton
 
@@ -31,6 +32,8 @@ class CleanReport:
     """Joints without a keypoint in the frames that stay."""
     roots_filled: int
     """Frames that stay whose root was missing and was filled from its neighbours."""
+    jump: float = 0.0
+    """How far joints mostly move between neighbours in time, in sizes of the body (`uplift.data.films`)."""
 
     def lines(self) -> list[str]:
         """Return the findings worth telling, one sentence each; none when all was whole."""
@@ -43,6 +46,11 @@ class CleanReport:
             found.append(f"{self.missing_joints:,} joints are missing (NaN or confidence 0)")
         if self.roots_filled:
             found.append(f"{self.roots_filled:,} frames had no root joint: filled from its visible neighbours")
+        if self.jump > JUMP:
+            found.append(
+                f"frames of one sequence jump (by {self.jump:.1f} of the body's size from one to the next): they are no "
+                "film of one camera, and each is taken on its own"
+            )
         return found
 
 
@@ -52,7 +60,7 @@ def clean(data: PoseData, skeleton: Skeleton, *, drop: bool = True) -> tuple[Pos
     ``data`` has the skeleton's joints in the skeleton's order. NaN, infinite and confidence 0 mean
     missing. A missing root is put at the mean of its nearest visible neighbours over the bones, for
     the others to be measured from, and flagged in `PoseData.root_filled`; its confidence stays 0, and
-    the lifter says where it really is. With ``drop`` off, frames that cannot be lifted stay, with
+    the lifter says where it really is. Sequences whose frames jump are `PoseData.stills`. With ``drop`` off, frames that cannot be lifted stay, with
     every confidence 0, so that an output keeps its rows.
 
     Raises:
@@ -78,6 +86,8 @@ def clean(data: PoseData, skeleton: Skeleton, *, drop: bool = True) -> tuple[Pos
     keypoints[bad] = 0
     keypoints, filled = _fill_root(keypoints, confidence, skeleton)
     data = replace(data, keypoints=keypoints, confidence=confidence, root_filled=filled)
+    jump = 0.0 if "sequence" not in data.identity or data.stills else jump_of(data)
+    data = replace(data, stills=data.stills or jump > JUMP)
     if drop and bad.any():
         data = data.select(~bad)
     report = CleanReport(
@@ -86,6 +96,7 @@ def clean(data: PoseData, skeleton: Skeleton, *, drop: bool = True) -> tuple[Pos
         all_equal=int(all_equal.sum()),
         missing_joints=int((keypoints.shape[1] - seen[~bad]).sum()),
         roots_filled=int(filled[~bad].sum()),
+        jump=jump,
     )
     return data, report
 

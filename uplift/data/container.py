@@ -61,6 +61,8 @@ class PoseData:
     """(frames,) bool: the root was missing; its keypoint is the mean of its neighbours, its confidence 0."""
     labelled: np.ndarray | None = None
     """(frames,) bool: frames whose pose training may learn from; None: no frame's."""
+    stills: bool = False
+    """Frames of a sequence do not follow one another as those of a film do: each is a clip of its own."""
     source: str = ""
     lenses: tuple[Lens, ...] = ()
     """The cameras, where more is known of them than `focal_px` and `image_size`."""
@@ -102,7 +104,7 @@ class PoseData:
     def __len__(self) -> int:
         return len(self.keypoints)
 
-    def select(self, rows: np.ndarray) -> PoseData:
+    def select(self, rows: np.ndarray | slice) -> PoseData:
         """Return the frames that ``rows`` (a mask or indices) picks, everything else unchanged."""
         changed = {
             item.name: getattr(self, item.name)[rows]
@@ -151,7 +153,7 @@ class PoseData:
     def in_order(self) -> np.ndarray:
         """Return the rows with the frames of each clip together and in time, clips as they first come."""
         rows = np.arange(len(self))
-        if "sequence" not in self.identity:
+        if "sequence" not in self.identity or self.stills:
             return rows
         clip = self.clips()
         _, first, code = np.unique(clip, return_index=True, return_inverse=True)
@@ -161,10 +163,10 @@ class PoseData:
     def clips(self) -> np.ndarray:
         """Return (frames,) clip numbers: frames of one subject, sequence, camera and instance.
 
-        Frames without a ``sequence`` are clips of their own: nothing says that neighbours in the
-        file are neighbours in time.
+        Frames without a ``sequence``, and `stills`, are clips of their own: nothing says that
+        neighbours in the file are neighbours in time.
         """
-        if "sequence" not in self.identity:
+        if "sequence" not in self.identity or self.stills:
             return np.arange(len(self), dtype=np.int64)
         keys = [self.identity[k] for k in ("subject", "sequence", "camera", "instance") if k in self.identity]
         clip = np.zeros(len(self), np.int64)

@@ -1,0 +1,63 @@
+"""Whether the frames of a sequence are a film."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from bodies import body_arrays
+
+from uplift.data.clean import clean
+from uplift.data.container import PoseData
+from uplift.data.films import JUMP, jump_of
+from uplift.simulator import simulate
+from uplift.skeleton import load_skeleton
+
+
+@pytest.mark.parametrize("name", ["h36m17", "quadruped28", "hand21", "chair10"])
+def test_films_are_films_whatever_the_order_of_rows(name: str):
+    data = simulate(load_skeleton(name), 1000, seed=1)
+    assert 0 < jump_of(data) < JUMP / 2
+    mixed = data.select(np.random.default_rng(0).permutation(1000))
+    assert jump_of(mixed) == pytest.approx(jump_of(data), rel=0.1)
+    assert not clean(data, load_skeleton(name))[0].stills
+
+
+@pytest.mark.parametrize("numbered", [True, False])
+def test_views_of_cameras_of_their_own_are_none(numbered: bool):
+    arrays = {key: value[::10] if np.ndim(value) else value for key, value in body_arrays(2000).items()}
+    arrays["sequence"] = np.repeat(["one", "other"], 100)  # every frame another pose
+    arrays["frame"] = np.arange(200) % 100
+    arrays["joint_names"] = load_skeleton("h36m17").joints
+    identity = {"sequence": arrays["sequence"]} | ({"frame": arrays["frame"]} if numbered else {})
+    data = PoseData(
+        arrays["keypoints"], np.ones((200, 17), np.float32), tuple(arrays["joint_names"]), identity=identity
+    )
+    assert jump_of(data) > 2 * JUMP
+    cleaned, report = clean(data, load_skeleton("h36m17"))
+    assert cleaned.stills and len(np.unique(cleaned.clips())) == 200 and not cleaned.follows().any()
+    assert "jump" in report.lines()[-1]
+    assert "sequence" in cleaned.identity  # the output keeps its rows' names
+
+
+def test_a_body_that_moves_through_the_image_does_not_jump():
+    data = simulate(load_skeleton("h36m17"), 300, seed=2)
+    shift = np.random.default_rng(0).uniform(-500, 500, (300, 1, 2)).astype(np.float32)
+    assert jump_of(replace(data, keypoints=data.keypoints + shift)) == pytest.approx(jump_of(data), rel=1e-3)
+
+
+def test_nothing_to_compare_is_no_jump():
+    data = simulate(load_skeleton("h36m17"), 30, seed=2)
+    assert jump_of(replace(data, identity={})) == 0
+    assert jump_of(replace(data, confidence=np.zeros_like(data.confidence))) == 0
+
+
+@pytest.mark.parametrize(
+    ("name", "film"), [("cmu/test.npz", True), ("quadruped/test.npz", False), ("hand/test.npz", False)]
+)
+def test_real_sets(name: str, film: bool, benchmark_data):
+    from uplift.readers import read
+
+    data = read(benchmark_data(name))
+    assert (jump_of(data) < JUMP / 2) if film else (jump_of(data) > 2 * JUMP)
