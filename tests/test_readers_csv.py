@@ -140,6 +140,38 @@ def test_bodies_without_names_are_told_apart(tmp_path: Path):
     assert any("told apart" in note for note in data.notes)
 
 
+def test_some_bodies_without_a_track(tmp_path: Path):
+    rows = [
+        f"{n},{track},{x},{10 + n},{x + 30},{40 + n}"
+        for n in range(4)
+        for track, x in (("t1", 10), ("", 300), ("", 700))
+    ]
+    data = read(written(tmp_path / "a.csv", "frame,track,nose_x,nose_y,tail_x,tail_y\n" + "\n".join(rows)))
+    assert list(dict.fromkeys(data.identity["instance"])) == ["t1", "untracked 0", "untracked 1"]
+    assert [np.ptp(data.keypoints[data.identity["instance"] == who, 0, 0]) for who in ("t1", "untracked 0")] == [0, 0]
+
+
+def test_frames_that_count_anew_in_each_action_are_clips(tmp_path: Path):
+    rows = [f"{action},{n},{n},2" for action in ("walk", "run") for n in range(3)]
+    data = read(written(tmp_path / "a.csv", "action,frame,nose_x,nose_y\n" + "\n".join(rows)))
+    assert data.identity["sequence"].tolist() == ["a walk"] * 3 + ["a run"] * 3
+    assert data.keypoints[:, 0, 0].tolist() == [0, 1, 2, 0, 1, 2]
+    assert "instance" not in data.identity
+
+
+def test_a_file_larger_than_the_memory_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    path = written(tmp_path / "a.csv", wide(values_of()))
+    monkeypatch.setattr("uplift.readers.table_lines.os.sysconf", lambda name: 10)
+    with pytest.raises(UserError, match="more than half of this machine's memory"):
+        read(path)
+
+
+def test_a_folder_is_no_table(tmp_path: Path):
+    for name in ("csv", "deeplabcut", "mediapipe", "videopose3d"):
+        with pytest.raises(UserError, match=tmp_path.name):
+            read(tmp_path, ReadOptions(format=name))
+
+
 def test_joints_that_are_numbers(tmp_path: Path):
     head = ",".join(f"x{n},y{n},v{n}" for n in range(1, 18))
     row = ",".join(f"{n},{n + 1},{n % 3}" for n in range(1, 18))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from tracker_files_hdf5 import damage, write_jabs
+from tracker_files_hdf5 import outcomes, write_jabs
 
 from uplift.errors import UserError
 from uplift.readers import ReadOptions, guess_format, read
@@ -93,15 +93,6 @@ def test_confidence_over_one_is_clipped(tmp_path) -> None:
 
 
 def test_damaged_files_are_refused_or_read(tmp_path) -> None:
-    whole, hurt = write_jabs(tmp_path / "whole.h5", *made(9)).read_bytes(), tmp_path / "hurt.h5"
-    refused = 0
-    for seed in range(120):
-        hurt.write_bytes(damage(whole, seed))
-        try:
-            data = read(hurt, ReadOptions(format="jabs"))
-        except UserError as error:
-            refused += 1
-            assert str(hurt) in str(error)
-        else:
-            assert (data.confidence > 0).any(-1).all() and data.confidence.max() <= 1
-    assert 30 <= refused < 120
+    whole = write_jabs(tmp_path / "whole.h5", *made(9))
+    found = outcomes(whole, lambda path: read(path, ReadOptions(format="jabs")), 48)
+    assert not found["wrong"] and found["refused"] >= 14 and found["read"] >= 5 and found["lost"] <= 3

@@ -95,6 +95,14 @@ def test_the_real_file_is_of_the_world(benchmark_data):
     np.testing.assert_array_equal(sized.keypoints, data.keypoints)  # metres are no shares of an image
 
 
+def test_frames_of_the_world_only(tmp_path: Path):
+    marks = mediapipe_marks(landmarks())
+    data = read(write_json(tmp_path / "a.json", {"fps": 30, "pose_world_landmarks": marks}))
+    assert data.identity["frame"].tolist() == list(range(7))
+    both = read(write_json(tmp_path / "b.json", {"pose_world_landmarks": marks[::-1], "pose_landmarks": marks}))
+    np.testing.assert_array_equal(both.keypoints, data.keypoints)
+
+
 def test_pixels_stay_pixels(tmp_path: Path):
     values = landmarks() * [640, 480, 1, 1]
     data = read(mediapipe_wide(tmp_path / "a.csv", values, named=True), SIZE)

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from tracker_files_hdf5 import NODES, damage, some_points, write_nwb
+from tracker_files_hdf5 import NODES, outcomes, some_points, write_nwb
 
 from uplift.data.container import PoseData
 from uplift.errors import UserError
@@ -308,19 +308,9 @@ def test_files_without_poses_and_links_to_others(tmp_path) -> None:
 
 def test_damaged_files_are_refused_or_read(tmp_path) -> None:
     two = {f"behavior/{name}": body("nose", "neck", original_videos=["a.mp4"]) for name in ("a", "b")}
-    whole, hurt = write_nwb(tmp_path / "whole.nwb", two).read_bytes(), tmp_path / "hurt.nwb"
-    refused = 0
-    for seed in range(60):
-        hurt.write_bytes(damage(whole, seed))
-        try:
-            data = read(hurt, ReadOptions(format="nwb"))
-        except UserError as error:
-            refused += 1
-            assert str(hurt) in str(error)
-        else:
-            assert np.isfinite(data.keypoints[data.confidence > 0]).all()
-            assert (data.confidence > 0).any(-1).all() and data.confidence.max() <= 1
-    assert 10 <= refused < 60
+    whole = write_nwb(tmp_path / "whole.nwb", two)
+    found = outcomes(whole, lambda path: read(path, ReadOptions(format="nwb")), 48)
+    assert not found["wrong"] and found["refused"] >= 14 and found["read"] >= 5 and found["lost"] <= 3
 
 
 def test_a_size_that_sends_the_library_round_in_circles_is_refused(tmp_path: Path) -> None:

@@ -12,8 +12,8 @@ import pytest
 from tracker_files_hdf5 import (
     ANALYSIS_ORDERS,
     NODES,
-    damage,
     instance,
+    outcomes,
     skeleton_json,
     some_points,
     write_analysis,
@@ -401,25 +401,15 @@ def test_no_memory_is_taken_on_the_word_of_a_file(tmp_path) -> None:
 
 @pytest.mark.parametrize("kind", ["slp", "h5"])
 def test_damaged_files_are_refused_or_read(tmp_path, kind) -> None:
-    whole, hurt = tmp_path / f"whole.{kind}", tmp_path / f"hurt.{kind}"
+    whole = tmp_path / f"whole.{kind}"
     if kind == "slp":
         frames = [(0, n, [instance(some_points(3), track=0), instance(some_points(3), kind=1)]) for n in range(3)]
         write_slp(whole, frames, tracks=("a",))
     else:
         write_analysis(whole, some_points(5, 2, 3), np.ones((5, 2, 3)))
     assert guess_format(whole).name == f"sleap_{kind}"
-    refused = 0
-    for seed in range(120):
-        hurt.write_bytes(damage(whole.read_bytes(), seed))
-        try:
-            data = read(hurt, ReadOptions(format=f"sleap_{kind}"))
-        except UserError as error:
-            refused += 1
-            assert str(hurt) in str(error)
-        else:
-            assert np.isfinite(data.keypoints[data.confidence > 0]).all()
-            assert (data.confidence > 0).any(-1).all() and data.confidence.max() <= 1
-    assert 30 <= refused < 120
+    found = outcomes(whole, lambda path: read(path, ReadOptions(format=f"sleap_{kind}")), 48)
+    assert not found["wrong"] and found["refused"] >= 14 and found["read"] >= 5 and found["lost"] <= 3
 
 
 @pytest.mark.parametrize("content", [b"", b"no HDF5", b"\x89HDF\r\n\x1a\n" + b"\0" * 600])

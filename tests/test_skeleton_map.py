@@ -11,9 +11,13 @@ import yaml
 
 from uplift.cli import main
 from uplift.data.container import PoseData
+from uplift.data.load import in_joints_of
 from uplift.errors import UserError
+from uplift.readers import read
 from uplift.skeleton import load_skeleton
+from uplift.skeleton.layout import skeleton_layout
 from uplift.skeleton.matching import match_joints
+from uplift.skeleton.proposal_bones import seen_in, stretched
 from uplift.skeleton.proposal_names import guess_parts
 from uplift.verbs import skeleton_map
 from uplift.verbs.skeleton_map import map_joints
@@ -22,8 +26,10 @@ COCO = load_skeleton("coco17").joints[:17]
 
 
 def people(names=COCO, frames=10, **more) -> PoseData:
+    """Return a standing person by COCO's keypoints in order, or as many of them as there are names."""
     rng = np.random.default_rng(0)
-    keypoints = rng.normal(300, 80, (frames, len(names), 2)).astype(np.float32)
+    place = 100 * skeleton_layout(load_skeleton("coco17"))[: len(names)]
+    keypoints = (place + rng.normal(300, 5, (frames, len(names), 2))).astype(np.float32)
     return PoseData(keypoints, np.full((frames, len(names)), 0.5, np.float32), tuple(names), **more)
 
 
@@ -75,6 +81,37 @@ def test_what_is_mostly_hidden_is_advised_against(told):
     text, fits = told(people(), "skeleton=coco_wholebody133")
     assert fits and "hidden in all of them, so guessed: 116 of 135 joints" in text
     assert "A skeleton with fewer joints suits this file better" in text
+
+
+def test_joints_with_the_names_of_others_are_noticed(told):
+    """As many keypoints as a layout has, in another order: OpenPose's BODY_25 and BODY_25B."""
+    body_25, body_25b = load_skeleton("openpose25"), load_skeleton("openpose25b")
+    place = 100 * skeleton_layout(body_25b)[:25] + np.random.default_rng(0).normal(300, 5, (10, 25, 2))
+    data = PoseData(place.astype(np.float32), np.ones((10, 25), np.float32), body_25.joints)
+    for skeleton in ("openpose25", "h36m17", "coco17", "mpii16"):
+        text, fits = told(data, f"skeleton={skeleton}")
+        assert not fits and re.search(r"it should not be lifted: its bones are [2-6]\.\d times as long", text)
+        assert text.endswith("In their order they look like layout=openpose25b")
+    text, fits = told(replace(data, joint_names=body_25b.joints[:25]), "skeleton=h36m17")
+    assert fits and "it can be lifted" in text
+
+
+@pytest.mark.parametrize(
+    ("file", "name"),
+    [("cmu/test.npz", "h36m17"), ("quadruped/test.npz", "quadruped28"), ("rat/test.npz", "rat23"),
+     ("hand/test.npz", "hand21"), ("chair/test.npz", "chair10"), ("mpii/mpii.npz", "mpii16")],
+)  # fmt: skip
+def test_real_bodies_by_their_names_are_not_stretched(file, name, benchmark_data):
+    skeleton = load_skeleton(name)
+    data = read(benchmark_data(file))
+    data = in_joints_of(data.select(np.linspace(0, len(data) - 1, 300).astype(int)), skeleton)
+    visible = seen_in(data.keypoints, data.confidence)
+    bones = skeleton.bone_indices.tolist()
+    assert 1 <= stretched(data.keypoints, visible, bones) < 1.6
+    if len(skeleton.joints) > 12:  # few joints are near each other in any order
+        for seed in range(5):
+            order = np.random.default_rng(seed).permutation(len(skeleton.joints))
+            assert stretched(data.keypoints[:, order], visible, bones) > 1.9
 
 
 def test_a_file_that_shows_nothing_cannot_be_lifted(told):

@@ -17,6 +17,7 @@ from uplift.errors import UserError
 from uplift.paths import shipped_names
 from uplift.readers import read
 from uplift.skeleton import Skeleton, load_skeleton
+from uplift.skeleton.layout import skeleton_layout
 from uplift.skeleton.proposal import propose
 from uplift.skeleton.proposal_bones import apart, joining_bones, seen_in
 from uplift.skeleton.proposal_names import mirror_pairs
@@ -157,6 +158,22 @@ def test_where_every_joint_has_a_partner_the_root_is_made():
     assert found.root == "middle" and set(found.midpoints) == {"middle"}
     assert set(found.midpoints["middle"]) in [set(pair) for pair in found.mirror]
     assert not found.loops and len(found.bones) == 10
+    paws = tracked(load_skeleton("chair10"), 40)
+    paws = replace(paws, **_only(paws, 4) | {"joint_names": ("paw1LH", "paw2LF", "paw3RF", "paw4RH")})
+    found = propose(paws, "x").skeleton
+    assert len(found.bones) == 4 and not found.loops
+    across = {one: other for pair in found.mirror for one, other in (pair, pair[::-1])}
+    assert {frozenset(across.get(end, end) for end in bone) for bone in found.bones} == bones_of(found)
+
+
+def test_where_no_joint_is_near_the_middle_the_root_is_made():
+    """COCO: the nose is the one joint on the midline, and it is at the end of the body."""
+    coco = load_skeleton("coco17")
+    place = 100 * skeleton_layout(coco)[:17] + np.random.default_rng(0).normal(300, 5, (50, 17, 2))
+    data = PoseData(place.astype(np.float32), np.ones((50, 17), np.float32), coco.joints[:17])
+    found = propose(data, "x").skeleton
+    assert set(found.midpoints[found.root]) in ({"left_hip", "right_hip"}, {"left_shoulder", "right_shoulder"})
+    assert propose(data, "x", root="nose").skeleton.root == "nose"
 
 
 def test_joints_never_seen_are_left_out():

@@ -88,7 +88,11 @@ def test_hands_and_face_of_openpose_make_a_whole_body(parts):
     more = [joint for joint in whole.joints if joint not in load_skeleton("openpose25").sources["coco_wholebody133"]]
     hands = [j for j in more if j.endswith(("hand_root", "1", "2", "3", "4")) and j.startswith(("left_", "right_"))]
     face = [f"face-{number}" for number in range(70)]
-    names = [*load_skeleton("openpose25").joints, *(hands if parts != "body" else ()), *(face if parts == "face" else ())]
+    names = [
+        *load_skeleton("openpose25").joints,
+        *(hands if parts != "body" else ()),
+        *(face if parts == "face" else ()),
+    ]
     made = {"body": 25, "hands": 25 + 42, "face": 25 + 42 + 68}[parts]
     assert len(match_joints(names, whole).parts) == made
 

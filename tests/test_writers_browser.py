@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -33,7 +34,7 @@ def browser(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Browser]:
 def show(browser: Browser, tmp_path: Path) -> Open:
     """Return a function that writes a prediction's page and opens it."""
 
-    def opened(sample: Prediction, **more: object) -> Page:
+    def opened(sample: Prediction, **more: Any) -> Page:
         write(sample, tmp_path / "page.html")
         return Page(browser, tmp_path / "page.html", **more)
 
@@ -116,13 +117,17 @@ def test_it_tells_the_joint_and_switches_what_is_drawn(show: Open) -> None:
 
 
 def test_it_follows_the_scheme_and_narrow_windows(show: Open) -> None:
-    page = show(_two_clips(), width=400, height=800, prefers_color_scheme="dark")
+    page = show(_two_clips(), width=360, height=740, prefers_color_scheme="dark")
     assert page.run("document.documentElement.dataset.theme") == "dark"
-    assert page.run("document.documentElement.scrollWidth") <= 400
+    assert page.run("document.documentElement.scrollWidth") <= 360
+    outside = "[...document.querySelectorAll('button, select, input')].filter((e) => e.getBoundingClientRect().right > 360).length"
+    assert page.run(outside) == 0
     boxes = page.run(
         "['deep', 'flat', 'play'].map((id) => { const b = document.getElementById(id).getBoundingClientRect(); return [b.top, b.right]; })"
     )
-    assert boxes[0][0] < boxes[1][0] < boxes[2][0] and all(right <= 400 for _, right in boxes)
+    # The buttons of the clock are next to what they move.
+    assert boxes[0][0] < boxes[2][0] < boxes[1][0] and all(right <= 360 for _, right in boxes)
+    assert boxes[2][0] < 740
     assert page.run("document.getElementById('deep').width") == 2 * round(
         page.run("document.getElementById('deep').clientWidth")
     )
@@ -147,19 +152,119 @@ def test_it_draws_unusual_data(case: str, show: Open) -> None:
         sample.confidence[:], sample.keypoints[:], sample.pose[1] = 0, 0, np.nan
     page = show(sample)
     assert page.state()["figures"] == (6 if case == "crowd" else 1)
+    assert page.run("document.body.innerText.includes('As in the image')") is (case == "crowd")
     assert page.ink("deep")[0] > 1500
     assert page.ink("flat")[0] > 500
     assert page.troubles() == []
 
 
+def test_individuals_stand_where_they_are_or_in_place(show: Open) -> None:
+    page = show(prediction(frames=40, individuals=3, rooted=True, spread=True))
+    page.key(" ")
+    first, last = page.key("Home"), page.key("End")
+    roots = np.array([first["roots"], last["roots"]])
+    np.testing.assert_allclose(roots[1, :, 0] - roots[0, :, 0], 390, atol=3)
+    np.testing.assert_allclose(np.diff(roots[0, :, 0]), 2000, atol=3)
+    drawn = page.ink("deep")
+    page.key("p")
+    slots = [page.key(name)["roots"] for name in ("Home", "End")]
+    np.testing.assert_array_equal(np.array(slots)[0, :, 0], np.array(slots)[1, :, 0])
+    assert page.ink("deep")[1] != drawn[1]
+    page.run("document.querySelector('#people button').click()")
+    assert page.state()["figures"] == 2
+    page.run("document.querySelector('#people button').click()")
+    before = page.ink("flat")[1]
+    assert page.key("c")["tint"] and page.ink("flat")[1] != before and page.state()["figures"] == 3
+    assert page.troubles() == []
+
+
+def test_filled_joints_are_hollow_and_show_their_uncertainty(show: Open) -> None:
+    sample, calm = prediction(frames=2, spread=True), {"prefers_reduced_motion": "reduce"}
+    drawn = {show(sample, **calm).ink("deep")[1]}
+    sample.filled = np.zeros(sample.confidence.shape, bool)
+    sample.filled[:, 4] = True
+    page = show(sample, **calm)
+    drawn.add(page.ink("deep")[1])
+    page.run(_TAP.format(joint="rhand"))
+    text = page.run("document.getElementById('tip').textContent")
+    assert text.startswith("rhand") and "place ± 150 mm" in text and "not seen in 2D, filled in" in text
+    assert page.troubles() == []
+    sample.spread = None
+    drawn.add(show(sample, **calm).ink("deep")[1])
+    assert len(drawn) == 3
+
+
+# A finger on the canvas, point after point, until the tip tells of the joint.
+_TAP = (
+    "{{ const deep = document.getElementById('deep'), box = deep.getBoundingClientRect(), tip = document.getElementById('tip');"
+    "for (let x = box.left; x < box.right; x += 8) for (let y = box.top; y < box.bottom && !tip.textContent.startsWith('{joint}'); y += 8)"
+    "for (const kind of ['pointerdown', 'pointerup'])"
+    "deep.dispatchEvent(new PointerEvent(kind, {{clientX: x, clientY: y, pointerId: 7, pointerType: 'touch', bubbles: true}})); }}"
+)
+
+
+def test_fingers_turn_zoom_and_scrub(show: Open) -> None:
+    page = show(_two_clips(), prefers_reduced_motion="reduce")
+    page.call("Emulation.setTouchEmulationEnabled", enabled=True, maxTouchPoints=2)
+    home, (x, y) = page.state(), page.middle("deep")
+
+    def touch(kind: str, *points: tuple[float, float]) -> None:
+        at = [{"x": px, "y": py, "id": n} for n, (px, py) in enumerate(points)]
+        page.call("Input.dispatchTouchEvent", type=kind, touchPoints=at)
+
+    touch("touchStart", (x, y))
+    touch("touchMove", (x + 50, y))
+    touch("touchEnd")
+    assert page.state()["yaw"] == pytest.approx(home["yaw"] - 0.4) and page.state()["zoom"] == 1
+    touch("touchStart", (x - 20, y), (x + 20, y))
+    touch("touchMove", (x - 40, y), (x + 40, y))
+    touch("touchEnd")
+    assert page.state()["zoom"] == pytest.approx(2, rel=0.05)
+    x, y = page.middle("scrub")
+    touch("touchStart", (x, y))
+    touch("touchEnd")
+    assert page.state()["moment"] in (29, 30)
+    assert page.troubles() == []
+
+
+def test_keys_zoom_turn_and_change_speed(show: Open) -> None:
+    page = show(_two_clips(), prefers_reduced_motion="reduce")
+    home = page.state()
+    assert page.key("+")["zoom"] == pytest.approx(1.2) and page.key("-")["zoom"] == pytest.approx(1)
+    assert page.key("a")["yaw"] > home["yaw"] and page.key("w")["pitch"] > home["pitch"]
+    assert page.key(".")["speed"] == 2 and page.key(",")["speed"] == 1 and page.key(",")["speed"] == 0.5
+    assert page.key("PageDown")["clip"] == 1 == page.key("PageDown")["clip"] and page.key("PageUp")["clip"] == 0
+    assert page.troubles() == []
+
+
+def test_photos_are_stepped_through_and_found_by_name(show: Open) -> None:
+    names = np.array([f"{animal}_{n}.jpg" for animal in ("cat", "dog") for n in range(10)])
+    page = show(prediction(frames=20, identity={"image": names}, fps=None))
+    assert {"clips": 20, "frames": 1, "playing": False}.items() <= page.state().items()
+    drawn = page.ink("deep")[1]
+    assert page.key("ArrowRight")["clip"] == 1 and page.ink("deep")[1] != drawn
+    assert page.key("End")["clip"] == 19 and page.key("Home")["clip"] == 0
+    assert page.run("document.getElementById('clock').textContent") == "photo 1 of 20"
+    assert page.run("document.getElementById('play').hidden")
+    page.run("{ const f = document.getElementById('find'); f.value = 'dog'; f.dispatchEvent(new Event('input')); }")
+    assert page.state()["clip"] == 10 and page.run("document.getElementById('clip').options.length") == 10
+    assert page.key("End")["clip"] == 19 and page.key("Home")["clip"] == 10
+    assert page.troubles() == []
+
+
 def test_a_thousand_frames_of_three_play_on_time(show: Open) -> None:
-    page = show(prediction(frames=1000, individuals=3, fps=50.0))
+    page = show(prediction(frames=1000, individuals=3, fps=50.0, rooted=True, spread=True))
     start, before = time.monotonic(), page.state()
     page.until("uplift.state().moment > 80", 10)
     took, after = time.monotonic() - start, page.state()
     shown = (after["painted"] - before["painted"]) / (after["moment"] - before["moment"])
     # 50 a second is asked for; a busy machine may drop drawings, not fall behind the clock by half.
     assert took < 2 * 80 / 50 and shown > 0.3
+    page.key(" ")
+    times = page.run(
+        "Array.from({length: 60}, (_, n) => { uplift.draw({moment: 9 * n}); return uplift.state().drawMs; })"
+    )
+    assert np.median(times) < 8
 
 
 def test_a_hostile_title_runs_nothing(show: Open) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 from pathlib import Path
 
@@ -13,6 +14,7 @@ from hypothesis.extra.numpy import array_shapes, arrays
 from writers_samples import figure, prediction
 
 from uplift.errors import UserError
+from uplift.prediction import Prediction
 from uplift.skeleton import Skeleton
 from uplift.skeleton.sides import CENTRE, LEFT, RIGHT, joint_sides
 from uplift.writers import write
@@ -22,6 +24,13 @@ from uplift.writers.html import page_text, read_html
 from uplift.writers.packing import pack, unpack
 
 _NASTY = '</script><script>alert(1)</script><b>"it\'s" & {{data}} <!--'
+
+
+def _arrays(sample: Prediction) -> dict[str, np.ndarray]:
+    found = re.search(r'id="data">(.*?)</script>', page_text(sample), re.S)
+    assert found is not None
+    data = json.loads(found[1])
+    return unpack(data["packed"], data["layout"])
 
 
 @given(
@@ -50,6 +59,7 @@ def test_page_gives_back_the_poses(tmp_path: Path) -> None:
     data = read_html(tmp_path / "page.html")
     steps = np.abs(sample.pose).max() / 4096
     np.testing.assert_allclose(data["arrays"]["pose"], sample.pose, atol=steps)
+    assert sample.truth is not None
     np.testing.assert_allclose(data["arrays"]["truth"], sample.truth, atol=2 * steps)
     np.testing.assert_allclose(data["arrays"]["keypoints"], sample.keypoints, atol=0.05)
     level = np.einsum("fik,fjk->fji", data["arrays"]["level"], data["arrays"]["pose"])
@@ -73,6 +83,58 @@ def test_individuals_stand_apart_as_in_the_image(tmp_path: Path) -> None:
     across = [data["arrays"]["place"][data["arrays"]["individual"] == one, 0].mean() for one in range(3)]
     np.testing.assert_allclose(np.diff(across), 200 / 0.2, rtol=0.05)
     assert data["clips"][0]["individuals"] == ["animal 0", "animal 1", "animal 2"]
+
+
+def test_known_places_are_kept_and_levelled_as_one() -> None:
+    sample = prediction(frames=60, individuals=2, rooted=True)
+    assert sample.root is not None
+    found = _arrays(sample)
+    np.testing.assert_allclose(found["place"], sample.root, atol=0.5)
+    # One turn takes all places from the camera's axes to level ones.
+    u, _, vt = np.linalg.svd(found["place"].T @ found["levelPlace"])
+    assert np.linalg.det(u @ vt) > 0
+    np.testing.assert_allclose(found["place"] @ u @ vt, found["levelPlace"], atol=2)
+    # Every pose has its own tilt; the floor that they stand on is one, and even.
+    pose = np.einsum("fik,fjk->fji", found["level"], found["pose"])
+    lowest = (pose + found["levelPlace"][:, None])[..., 1].max(1)
+    assert np.ptp(lowest) < 5
+    np.testing.assert_allclose(np.diff(found["levelPlace"][:60, 0]), 10, atol=1)
+
+
+def test_a_lost_place_lies_between_its_neighbours(tmp_path: Path) -> None:
+    sample = prediction(frames=60, individuals=2, rooted=True)
+    assert sample.root is not None
+    whole = sample.root.copy()
+    sample.root[[0, 20, 21, 80]] = np.nan
+    write(sample, tmp_path / "page.html")
+    found = read_html(tmp_path / "page.html")["arrays"]["place"]
+    np.testing.assert_allclose(
+        found[[20, 21]], whole[[19]] + np.array([[1], [2]]) / 3 * (whole[22] - whole[19]), atol=0.5
+    )
+    np.testing.assert_allclose(found[0], whole[1], atol=0.5)
+    assert "4 poses without a known place" in (tmp_path / "page.html").read_text()
+
+
+def test_filled_joints_are_told_or_those_without_confidence() -> None:
+    sample = prediction(frames=4)
+    sample.confidence[:, 2] = 0
+    assert (_arrays(sample)["filled"].nonzero()[1] == 2).all()
+    sample.filled = np.zeros(sample.confidence.shape, bool)
+    sample.filled[1, 5] = True
+    assert np.argwhere(_arrays(sample)["filled"]).tolist() == [[1, 5]]
+
+
+def test_other_axes_are_refused() -> None:
+    sample = prediction(frames=1)
+    sample.axes = "blender"
+    with pytest.raises(UserError, match="axes 'blender'"):
+        page_text(sample)
+
+
+def test_photos_are_counted_as_such() -> None:
+    sample = prediction(frames=3, identity={"image": np.array(["a.jpg", "b.jpg", "c.jpg"])})
+    text = page_text(sample)
+    assert "3 photos" in text and "3 frames" not in text and "3 clips" not in text
 
 
 def test_page_needs_nothing_from_outside() -> None:
@@ -103,6 +165,7 @@ def test_text_from_the_data_stays_text(tmp_path: Path) -> None:
 def test_not_a_number_never_reaches_the_page(tmp_path: Path) -> None:
     sample = prediction(frames=4, truth=True, spread=True)
     sample.pose[1, 2], sample.level_pose[1, 2], sample.keypoints[2] = np.nan, np.inf, np.nan
+    assert sample.truth is not None and sample.spread is not None
     sample.truth[3], sample.confidence[0, 0], sample.spread[2, 1] = np.nan, np.nan, np.nan
     write(
         sample, tmp_path / "page.html", sections=[("t", [("x", float("nan"))])], curves={"c": [(0, np.nan), (1, 1.0)]}
@@ -115,7 +178,7 @@ def test_not_a_number_never_reaches_the_page(tmp_path: Path) -> None:
 
 
 def test_thousand_frames_of_three_are_small() -> None:
-    assert len(page_text(prediction(frames=1000, individuals=3, spread=True))) < 700_000
+    assert len(page_text(prediction(frames=1000, individuals=3, spread=True, rooted=True))) < 700_000
 
 
 def test_empty_prediction_is_refused() -> None:

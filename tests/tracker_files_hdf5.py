@@ -2,12 +2,21 @@
 
 from __future__ import annotations
 
+import faulthandler
 import json
+import os
+import signal
+import traceback
+from collections import Counter
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import h5py
 import numpy as np
+
+from uplift.data.container import PoseData
+from uplift.errors import UserError
 
 NODES = ("nose", "neck", "tail")
 ANALYSIS_ORDERS = {
@@ -198,3 +207,37 @@ def damage(content: bytes, seed: int) -> bytes:
     for place in random.integers(8, len(content), random.choice([1, 4, 64])):
         changed[place] = random.integers(256)
     return bytes(changed)
+
+
+def outcomes(whole: Path, read: Callable[[Path], PoseData], seeds: int) -> Counter[str]:
+    """Count what comes of reading damaged copies of a file: read, refused, wrong (a bug), or lost.
+
+    Each is read in a process of its own: text of variable length with a wrong place or length sends
+    the HDF5 library itself round in circles, or out of its memory; such a copy is lost.
+    """
+    found: Counter[str] = Counter()
+    hurt = whole.with_name(f"hurt{whole.suffix}")
+    for seed in range(seeds):
+        hurt.write_bytes(damage(whole.read_bytes(), seed))
+        child = os.fork()
+        if not child:
+            os._exit(_outcome(hurt, read))
+        status = os.waitpid(child, 0)[1]
+        found["lost" if os.WIFSIGNALED(status) else ("read", "refused", "wrong")[os.WEXITSTATUS(status)]] += 1
+    return found
+
+
+def _outcome(path: Path, read: Callable[[Path], PoseData]) -> int:
+    signal.signal(signal.SIGALRM, signal.SIG_DFL)
+    signal.alarm(5)
+    faulthandler.disable()
+    try:
+        data = read(path)
+    except UserError as error:
+        return 1 if str(path) in str(error) else 2
+    except BaseException:
+        traceback.print_exc()
+        return 2
+    seen = data.confidence > 0
+    sound = np.isfinite(data.keypoints[seen]).all() and seen.any(-1).all() and data.confidence.max() <= 1
+    return 0 if sound else 2

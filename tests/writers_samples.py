@@ -49,9 +49,13 @@ def prediction(
     tilt: bool = True,
     spread: bool = False,
     truth: bool = False,
+    rooted: bool = False,
     **more,
 ) -> Prediction:
-    """Return ``frames`` frames of each individual; ``joints`` > 0 takes a chain in the place of the figure."""
+    """Return ``frames`` frames of each individual; ``joints`` > 0 takes a chain in the place of the figure.
+
+    With ``rooted`` they walk to the right, 2 m apart, feet on one floor, seen by a camera tilted by 8 degrees.
+    """
     skeleton, random = (chain(joints) if joints else figure()), np.random.default_rng(3)
     rest = np.cumsum(random.normal(size=(joints, 3)) * 20, 0) if joints else np.array(list(_REST.values()), float)
     rest = rest - rest[0]
@@ -62,7 +66,9 @@ def prediction(
     pose = np.einsum("fki,fjk->fji", tilted(angle), level)
     who = np.repeat(np.arange(individuals), frames)
     keypoints = pose[..., :2] * 0.2 + [320, 240] + (who[:, None] - (individuals - 1) / 2)[..., None] * [200, 0]
+    walk = np.stack([2000.0 * who + 10 * time, 600 - level[..., 1].max(1), np.full(rows, 5000.0)], -1)
     values = {
+        "root": walk @ tilted(np.array([8.0]))[0] if rooted else None,
         "tilt_deg": angle if tilt else None,
         "identity": {"frame": time * 3, "instance": np.array([f"animal {n}" for n in who])} if individuals > 1 else {},
         "spread": np.full(pose.shape[:2], 150.0) if spread else None,

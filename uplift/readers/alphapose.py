@@ -11,13 +11,14 @@ import numpy as np
 from uplift.data.container import PoseData
 from uplift.errors import UserError
 from uplift.readers.base import Format, Peek, ReadOptions
-from uplift.readers.json_file import Numbers, entries, first_json, is_text, json_files, load_json, members, shown
+from uplift.readers.json_file import entries, first_json, is_text, json_files, load_json, members, shown
 from uplift.readers.layouts import ALPHAPOSE, names_for
+from uplift.readers.number_lists import Numbers
+from uplift.readers.pictures import PICTURES
 from uplift.readers.rows import pose_data, video_names
+from uplift.readers.texts import texts
 
 __all__ = ["FORMAT"]
-
-_PICTURES = (".jpg", ".jpeg", ".png", ".bmp", ".webp", ".tif", ".tiff")
 
 
 def _fits(peek: Peek) -> bool:
@@ -26,7 +27,7 @@ def _fits(peek: Peek) -> bool:
         return first is not None and "bodies" in first.json_keys
     keys = set(peek.json_keys)
     if peek.json_sign == "{":
-        return "bodies" in keys or (bool(keys) and all(key.lower().endswith(_PICTURES) for key in peek.json_keys))
+        return "bodies" in keys or (bool(keys) and all(key.lower().endswith(PICTURES) for key in peek.json_keys))
     named = peek.text.replace(" ", "").replace("\n", "").find('"image_id":"') >= 0
     return peek.json_sign == "[" and {"image_id", "keypoints"} <= keys and (named or bool(keys & {"idx", "box"}))
 
@@ -44,7 +45,7 @@ def _read(path: Path, options: ReadOptions) -> PoseData:
     if not numbers.width or numbers.width % 3:
         raise UserError(f"{path} has {numbers.width} numbers in 'keypoints', expected x, y, score of each.")
     values = numbers.array(numbers.width // 3, 3)
-    names, notes = names_for(path, values.shape[1], ALPHAPOSE, options)
+    names, notes = names_for(path, values.shape[1], ALPHAPOSE, options, values)
     identity = _identity(path, images, tracks)
     return pose_data(path, names, values[..., :2], values[..., 2], identity, notes=notes)
 
@@ -58,7 +59,7 @@ def _bodies(path: Path) -> Iterator[tuple[str, Any, str, str]]:
                 where = f"{file}: entry {count}"
                 yield _image(record.get("image_id"), where), record.get("keypoints"), _track(record, where), where
         elif path.is_dir() or "bodies" in first.json_keys:
-            yield from _people(load_json(file), file.name, str(file))
+            yield from _people(load_json(file), file.stem, str(file))
         else:
             for image, value in members(file):
                 yield from _people(value.value(), image, f"{file}: {image:.60}")
@@ -96,12 +97,12 @@ def _track(record: dict[str, Any], where: str) -> str:
 
 def _identity(path: Path, images: list[str], tracks: list[str]) -> dict[str, np.ndarray]:
     """Return sequence, frame and track where the images are those of a video; image and entry otherwise."""
-    stems = [name[: -len(Path(name).suffix)] if name.lower().endswith(_PICTURES) else name for name in images]
+    stems = [name[: -len(Path(name).suffix)] if name.lower().endswith(PICTURES) else name for name in images]
     video = video_names(stems, path.stem)
     if video is None:
-        return {"image": np.array(images), "instance": np.arange(len(images)).astype(str)}
-    found = {"sequence": np.array(video[0]), "frame": np.array(video[1], np.int64)}
-    return {**found, "instance": np.array(tracks)} if any(tracks) else found
+        return {"image": texts(path, images), "instance": np.arange(len(images)).astype(str)}
+    found = {"sequence": texts(path, video[0]), "frame": np.array(video[1], np.int64)}
+    return {**found, "instance": texts(path, tracks)} if any(tracks) else found
 
 
 FORMAT = Format("alphapose", "AlphaPose results", _fits, _read)

@@ -10,9 +10,11 @@ import numpy as np
 from uplift.data.container import PoseData
 from uplift.errors import UserError
 from uplift.readers.base import Format, Peek, ReadOptions
-from uplift.readers.json_file import Numbers, entries, is_text, shown
+from uplift.readers.json_file import entries, is_text, shown
 from uplift.readers.layouts import names_for
+from uplift.readers.number_lists import Numbers
 from uplift.readers.rows import pose_data
+from uplift.readers.texts import texts
 
 __all__ = ["FORMAT"]
 
@@ -44,8 +46,8 @@ def _read(path: Path, options: ReadOptions) -> PoseData:
     else:
         names = tuple(f"point_{number}" for number in range(keypoints.shape[1]))
         notes = ("points have no names in the file: named point_0 and so on, in the file's order",)
-    confidence = np.isfinite(keypoints).all(-1).astype(np.float32)
-    identity = {"image": np.array(images), "instance": np.array(numbers)}
+    confidence = np.all(np.isfinite(keypoints), axis=-1).astype(np.float32)
+    identity = {"image": texts(path, images), "instance": np.array(numbers)}
     return pose_data(path, names, keypoints, confidence, identity, notes=notes)
 
 

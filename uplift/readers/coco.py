@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections import Counter
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -12,9 +11,12 @@ import numpy as np
 from uplift.data.container import PoseData
 from uplift.errors import UserError
 from uplift.readers.base import Format, Peek, ReadOptions
-from uplift.readers.json_file import Numbers, is_text, members, shown, whole
+from uplift.readers.coco_records import Category, Image, category_of, common_size, image_of, lines_of, plain, text_of
+from uplift.readers.json_file import is_text, members, objects, shown, whole
 from uplift.readers.layouts import COCO, WHOLEBODY133, names_for
+from uplift.readers.number_lists import Numbers
 from uplift.readers.rows import pose_data, seen_by_flag
+from uplift.readers.texts import texts
 
 __all__ = ["FORMAT"]
 
@@ -34,25 +36,9 @@ def _read(path: Path, options: ReadOptions) -> PoseData:
         if take is None and not (key == "videos" and text.next_sign() == "["):
             text.value()
             continue
-        for record in text.records(f"'{key}'"):
+        for record in objects(text, f"'{key}'"):
             (take or found.video)(record)
     return found.finish(options)
-
-
-@dataclass
-class _Image:
-    name: str
-    size: tuple[int, int] | None
-    video: str | None
-    frame: Any
-
-
-@dataclass
-class _Category:
-    name: str
-    joints: tuple[str, ...] | None
-    """None: the category has no keypoints."""
-    edges: list[Any]
 
 
 class _Annotations:
@@ -60,8 +46,8 @@ class _Annotations:
 
     def __init__(self, path: Path):
         self.path = path
-        self.images: dict[Any, _Image] = {}
-        self.categories: dict[Any, _Category] = {}
+        self.images: dict[Any, Image] = {}
+        self.categories: dict[Any, Category] = {}
         self.videos: dict[Any, str] = {}
         self.tables: dict[int, Numbers] = {}
         """Number of keypoints -> their x, y, v."""
@@ -73,12 +59,8 @@ class _Annotations:
 
     def image(self, record: dict[str, Any]) -> None:
         """Take one image."""
-        where = f"{self.path}: image {shown(record.get('id', len(self.images)))}"
-        number, name = _plain(record.get("id"), where, "id"), record.get("file_name", record.get("id"))
-        video = record.get("video_id", record.get("vid_id"))
-        sides = [record.get(side) for side in ("width", "height")]
-        size = (sides[0], sides[1]) if all(type(side) is int and 0 < side < 10**6 for side in sides) else None
-        self.images[number] = _Image(str(_plain(name, where, "file_name")), size, _text(video), record.get("frame_id"))
+        number, image = image_of(record, f"{self.path}: image {len(self.images)}")
+        self.images[number] = image
 
     def video(self, record: dict[str, Any]) -> None:
         """Take one video of a file of videos."""
@@ -89,13 +71,8 @@ class _Annotations:
     def category(self, record: dict[str, Any]) -> None:
         """Take one category."""
         where = f"{self.path}: category {shown(record.get('name', record.get('id')))}"
-        joints, edges = record.get("keypoints"), record.get("skeleton")
-        if joints is not None and not (isinstance(joints, list) and all(is_text(joint) for joint in joints)):
-            raise UserError(f"{where} has keypoints {shown(joints)}, expected a list of names.")
-        number = _plain(record.get("id"), where, "id")
-        kept = tuple(joints) if joints else None
-        edges = edges if isinstance(edges, list) else []
-        self.categories[number] = _Category(str(record.get("name", number)), kept, edges)
+        number, category = category_of(record, where)
+        self.categories[number] = category
 
     def annotation(self, record: dict[str, Any]) -> None:
         """Take one annotation, unless it is a crowd or has no keypoints."""
@@ -107,23 +84,16 @@ class _Annotations:
         if values is None:
             self.kinds.update(list(record)[:20])
             return
-        where = f"{self.path}: annotation {shown(number)}"
-        if "foot_kpts" in record or "lefthand_kpts" in record:
-            table = Numbers("keypoints")
-            values = [value for part in ("keypoints", *_PARTS) for value in table.flat(record.get(part), where)]
-        if isinstance(values, list) and values and isinstance(values[0], list):  # triples in place of a flat list
-            values = Numbers("keypoints").flat(values, where)
-        if not isinstance(values, list) or len(values) % 3:
-            said = f"{len(values)} numbers" if isinstance(values, list) else shown(values)
-            raise UserError(f"{where} has {said} in 'keypoints', expected x, y, v of each keypoint.")
+        where = f"{self.path}: annotation {number if type(number) is int else shown(number)}"
+        values = _flat(record, where)
         count = len(values) // 3
         if count not in self.tables:
             self.tables[count], self.rows[count] = Numbers("keypoints"), []
         self.tables[count].add(values, where)
-        image = _plain(record.get("image_id"), where, "image_id")
+        image = plain(record.get("image_id"), where, "image_id")
         category = record.get("category_id")
-        category = None if category is None else _plain(category, where, "category_id")
-        track = _text(record.get("track_id", record.get("instance_id")))
+        category = None if category is None else plain(category, where, "category_id")
+        track = text_of(record.get("track_id", record.get("instance_id")))
         self.rows[count].append((self.seen, image, category, track, str(number)))
 
     def finish(self, options: ReadOptions) -> PoseData:
@@ -139,15 +109,16 @@ class _Annotations:
         values = self.tables[count].array(count, 3)[kept]
         confidence = seen_by_flag(values[..., 2], notes)
         images = self._images(rows)
+        known = self.categories.get(rows[0][2], next(iter(self.categories.values()), None))
         return pose_data(
             self.path,
             joints,
             values[..., :2],
             confidence,
-            {**self._identity(images, rows), **self._classes(rows)},
+            {**self._identity(images, rows), **self._classes(rows, joints)},
             notes=notes,
-            bones=self._bones(rows, joints, notes),
-            image_size=_common_size(images),
+            bones=() if known is None else lines_of(known, joints, notes),
+            image_size=common_size(images),
         )
 
     def _instead(self) -> str:
@@ -187,9 +158,9 @@ class _Annotations:
             f"{len(known.joints)}. Expected x, y, v of each."
         )
 
-    def _images(self, rows: list[tuple]) -> list[_Image]:
+    def _images(self, rows: list[tuple]) -> list[Image]:
         if not self.images:
-            return [_Image(str(row[1]), None, None, None) for row in rows]
+            return [Image(str(row[1]), None, None, None) for row in rows]
         missing = next((row for row in rows if row[1] not in self.images), None)
         if missing is not None:
             raise UserError(
@@ -198,58 +169,41 @@ class _Annotations:
             )
         return [self.images[row[1]] for row in rows]
 
-    def _identity(self, images: list[_Image], rows: list[tuple]) -> dict[str, np.ndarray]:
+    def _identity(self, images: list[Image], rows: list[tuple]) -> dict[str, np.ndarray]:
         """Return sequence, frame and track where the file is of videos; image and annotation otherwise."""
         if all(image.video is not None and image.frame is not None for image in images):
             frames = [whole(image.frame, f"{self.path}: image '{image.name:.60}'", "frame_id") for image in images]
             found = {
-                "sequence": np.array([self.videos.get(str(image.video), str(image.video)) for image in images]),
+                "sequence": texts(self.path, [self.videos.get(str(i.video), str(i.video)) for i in images]),
                 "frame": np.array(frames, np.int64),
             }
-            tracks = np.array([row[3] or "" for row in rows])
+            tracks = texts(self.path, [row[3] or "" for row in rows])
             return {**found, "instance": tracks} if (tracks != "").any() else found
         return {
-            "image": np.array([image.name for image in images]),
-            "instance": np.array([row[4] for row in rows]),
+            "image": texts(self.path, [image.name for image in images]),
+            "instance": texts(self.path, [row[4] for row in rows]),
         }
 
-    def _classes(self, rows: list[tuple]) -> dict[str, np.ndarray]:
-        if len(self.categories) < 2:
+    def _classes(self, rows: list[tuple], joints: tuple[str, ...]) -> dict[str, np.ndarray]:
+        """Return the categories where there are several of this layout, whether or not they occur."""
+        alike = {number for number, category in self.categories.items() if category.joints == joints}
+        if len(alike | {row[2] for row in rows}) < 2:
             return {}
         names = {number: category.name for number, category in self.categories.items()}
-        return {"category": np.array([names.get(row[2], str(row[2])) for row in rows])}
-
-    def _bones(self, rows: list[tuple], joints: tuple[str, ...], notes: list[str]) -> tuple[tuple[str, str], ...]:
-        """Return the lines of the first category that has some; its places count from 1."""
-        known = self.categories.get(rows[0][2], next(iter(self.categories.values()), None))
-        if known is None or not known.edges:
-            return ()
-        good = [
-            edge
-            for edge in known.edges
-            if isinstance(edge, list)
-            and len(edge) == 2
-            and all(type(place) is int and 1 <= place <= len(joints) for place in edge)
-        ]
-        if len(good) < len(known.edges):
-            notes.append(f"{len(known.edges) - len(good)} lines of the file's skeleton name no keypoint: left out")
-        return tuple((joints[a - 1], joints[b - 1]) for a, b in good)
+        return {"category": texts(self.path, [names.get(row[2], str(row[2])) for row in rows])}
 
 
-def _common_size(images: list[_Image]) -> tuple[int, int] | None:
-    sizes = {image.size for image in images}
-    return sizes.pop() if len(sizes) == 1 else None
-
-
-def _plain(value: Any, where: str, what: str) -> Any:
-    """Return a number or name as it is; raises UserError for lists, nothing and the like."""
-    if isinstance(value, bool) or not isinstance(value, int | str):
-        raise UserError(f"{where}: '{what}' is {shown(value)}, expected a number or a name.")
-    return value
-
-
-def _text(value: Any) -> str | None:
-    return str(value) if isinstance(value, int | str) and not isinstance(value, bool) and value != "" else None
+def _flat(record: dict[str, Any], where: str) -> list[Any]:
+    """Return x, y, v of all keypoints of an annotation; those of a whole body stand in five lists."""
+    table, values = Numbers("keypoints"), record["keypoints"]
+    if "foot_kpts" in record or "lefthand_kpts" in record:
+        values = [value for part in ("keypoints", *_PARTS) for value in table.flat(record.get(part), where)]
+    if isinstance(values, list) and values and isinstance(values[0], list):  # triples in place of a flat list
+        values = table.flat(values, where)
+    if not isinstance(values, list) or len(values) % 3:
+        said = f"{len(values)} numbers" if isinstance(values, list) else shown(values)
+        raise UserError(f"{where} has {said} in 'keypoints', expected x, y, v of each keypoint.")
+    return values
 
 
 FORMAT = Format("coco", "COCO annotations", _fits, _read)

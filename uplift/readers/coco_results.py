@@ -9,9 +9,11 @@ import numpy as np
 from uplift.data.container import PoseData
 from uplift.errors import UserError
 from uplift.readers.base import Format, Peek, ReadOptions
-from uplift.readers.json_file import Numbers, entries, shown
+from uplift.readers.json_file import entries, shown
 from uplift.readers.layouts import COCO, names_for
+from uplift.readers.number_lists import Numbers
 from uplift.readers.rows import pose_data, seen_by_flag
+from uplift.readers.texts import texts
 
 __all__ = ["FORMAT"]
 
@@ -39,12 +41,12 @@ def _read(path: Path, options: ReadOptions) -> PoseData:
     if numbers.width is None or not numbers.width or numbers.width % 3:
         raise UserError(f"{path}: entry 0 has {numbers.width} numbers in 'keypoints', expected x, y, score of each.")
     values = numbers.array(numbers.width // 3, 3)
-    names, told = names_for(path, values.shape[1], COCO, options)
+    names, told = names_for(path, values.shape[1], COCO, options, values)
     notes = list(told)
     confidence = seen_by_flag(values[..., 2], notes)
-    identity = {"image": np.array(images), "instance": np.arange(len(images)).astype(str)}
+    identity = {"image": texts(path, images), "instance": np.arange(len(images)).astype(str)}
     if len(set(categories)) > 1:
-        identity["category"] = np.array(categories)
+        identity["category"] = texts(path, categories)
     return pose_data(path, names, values[..., :2], confidence, identity, notes=notes)
 
 

@@ -37,7 +37,10 @@ def left_out(columns: Columns) -> tuple[str, ...]:
 
 
 def _read(path: Path, options: ReadOptions) -> PoseData:
-    columns = columns_in(Peek(path))
+    peek = Peek(path)
+    columns = columns_in(peek)
+    if peek.is_folder:
+        raise UserError(f"{path} is a folder, expected a csv file.")
     if columns is None:
         shown = ", ".join(header_of(path, 1)[0][0])[:120]
         raise UserError(f"{path} has the columns {shown}; expected NAME_x and NAME_y of each joint, or joint, x and y.")

@@ -18,6 +18,7 @@ from uplift.readers.tracks import link_bodies
 __all__ = ["Identity", "bodies_of", "identity_of"]
 
 _SECONDS = {"ms": 1e-3, "milliseconds": 1e-3, "us": 1e-6, "s": 1.0, "sec": 1.0, "seconds": 1.0}
+_CLIP = ("subject", "sequence", "camera", "instance")
 _UNEVEN = 0.1
 """Steps of time that differ by more than this share of the usual one make the rate unknown."""
 
@@ -92,26 +93,50 @@ def _told_apart(
     """Number the frames where they have no numbers, and the bodies where one frame has several without names."""
     values, rows = found.values, len(keypoints)
     if "frame" not in values and "sequence" in values:
-        keys = [values[key] for key in ("subject", "sequence", "camera", "instance") if key in values]
+        keys = [values[key] for key in _CLIP if key in values]
         values["frame"] = _counted(by_appearance(keys, rows)[0])
         found.notes.append("no frame numbers: rows are taken as neighbours in time")
     if "sequence" not in values:
         return
-    clip = [values[key] for key in ("subject", "action", "sequence", "camera", "image", "instance") if key in values]
-    code = by_appearance(clip, rows)[0]
-    both = by_appearance([code, values["frame"]], rows)[0]
-    if np.bincount(both).max(initial=0) <= 1:
+    if _again(values, rows) is not None and "action" in values:  # frames that count from 0 in each action
+        joined = np.char.add(np.char.add(values["sequence"], " "), values["action"])
+        if _again({**values, "sequence": joined}, rows) is None:
+            values["sequence"] = joined
+    nameless = values.get("instance", np.full(rows, "")) == ""
+    again = _again(values, rows)
+    if again is None:
         return
-    if "instance" in values:
-        order = np.argsort(both, kind="stable")
-        row = int(order[np.flatnonzero(np.diff(both[order]) == 0)[0] + 1])
-        where = f"{path}, line {lines[row]}" if lines is not None else f"{path}"
-        raise UserError(f"{where}: '{values['instance'][row]}' is in frame {values['frame'][row]} twice.")
-    body = np.zeros(rows, np.int64)
-    order = np.argsort(code, kind="stable")
-    for of_one in np.split(order, np.flatnonzero(np.diff(code[order])) + 1):
-        body[of_one] = link_bodies(keypoints[of_one], confidence[of_one], values["frame"][of_one])
-    values["instance"] = body.astype(np.str_)
+    if "instance" in values and not nameless[again]:
+        where = f"{path}, line {lines[again]}" if lines is not None else f"{path}"
+        raise UserError(f"{where}: '{values['instance'][again]}' is in frame {values['frame'][again]} twice.")
+    _link(found, keypoints, confidence, nameless)
+
+
+def _again(values: dict[str, np.ndarray], rows: int) -> int | None:
+    """Return a row whose frame another row of its clip has already; None where there is none."""
+    both = by_appearance([values[key] for key in (*_CLIP, "frame", "image") if key in values], rows)[0]
+    if np.bincount(both).max(initial=0) <= 1:
+        return None
+    order = np.argsort(both, kind="stable")
+    again = order[np.flatnonzero(np.diff(both[order]) == 0) + 1]
+    named = again[values["instance"][again] != ""] if "instance" in values else again[:0]
+    return int(named.min() if len(named) else again.min())
+
+
+def _link(found: Identity, keypoints: np.ndarray, confidence: np.ndarray, nameless: np.ndarray) -> None:
+    """Name the bodies that have no name by where they are from frame to frame."""
+    values = found.values
+    some = np.flatnonzero(nameless)
+    clip = by_appearance([values[key][some] for key in _CLIP[:3] if key in values], len(some))[0]
+    order = np.argsort(clip, kind="stable")
+    body = np.zeros(len(nameless), np.int64)
+    for part in np.split(order, np.flatnonzero(np.diff(clip[order])) + 1):
+        rows = some[part]
+        body[rows] = link_bodies(keypoints[rows], confidence[rows], values["frame"][rows])
+    named = body.astype(np.str_)
+    if not nameless.all():
+        named = np.where(nameless, np.char.add("untracked ", named), values["instance"])
+    values["instance"] = named
     found.notes.append("frames show several bodies without names: told apart by where they are from frame to frame")
 
 
@@ -128,7 +153,7 @@ def _counted(code: np.ndarray) -> np.ndarray:
 def _add_time(found: Identity, time: np.ndarray, head: str) -> None:
     """Find the rate, and frame numbers where there are none, in times that go up evenly."""
     values = found.values
-    keys = [values[key] for key in ("subject", "sequence", "camera", "instance") if key in values]
+    keys = [values[key] for key in _CLIP if key in values]
     clip = by_appearance(keys, len(time))[0]
     order = np.lexsort((time, clip))
     step = np.diff(time[order])

@@ -10,13 +10,23 @@ import numpy as np
 
 from uplift.errors import UserError
 
-__all__ = ["Elsewhere", "OwnParts"]
+__all__ = ["Elsewhere", "OwnParts", "check_room"]
 
 _MOST_LINKS = 8
 _SMALL = 2**26
 """Arrays of fewer bytes are taken without asking how many bytes stand behind them."""
 _MOST_PACKED = 1100
 """Deflate, the filter of these files, packs 1032 bytes into one at most."""
+
+
+def check_room(path: Path, what: str, wanted_bytes: int) -> None:
+    """Raise UserError where something would take more than half of this machine's memory."""
+    memory = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
+    if wanted_bytes > memory // 2:
+        raise UserError(
+            f"{path}: {what} would take {wanted_bytes / 1e9:.1f} GB, more than half of this machine's memory "
+            f"({memory / 1e9:.1f} GB)."
+        )
 
 
 class Elsewhere(UserError):
@@ -30,6 +40,7 @@ class OwnParts:
         self.path, self.what = path, what
         self._file = file
         self._groups: dict[str, Any] = {}
+        self._taken = 0
 
     def find(self, name: str, hops: int = 0) -> Any:
         """Return a group or dataset, None where there is none; raises `Elsewhere` where it is a link to another file."""
@@ -67,14 +78,11 @@ class OwnParts:
             raise UserError(f"{self.path}: no array '{name}', expected in {self.what}.")
         if item.shape is None or item.external or item.is_virtual:
             raise UserError(f"{self.path}: '{name}' has no values of its own, and others are never followed.")
-        memory = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
         claimed, stored = _bytes(item.shape, item.dtype), item.id.get_storage_size()
         if claimed > max(_SMALL, _MOST_PACKED * stored) or _bytes(item.chunks or (), item.dtype) > 4 * _SMALL + claimed:
             raise UserError(f"{self.path}: '{name}' claims {claimed:,} bytes but holds {stored:,}: damaged file.")
-        if claimed > memory // 2:
-            raise UserError(
-                f"{self.path}: '{name}' would take {claimed / 1e9:.1f} GB, more than half of this machine's memory."
-            )
+        self._taken += claimed
+        check_room(self.path, f"'{name}'" if self._taken == claimed else f"all up to '{name}'", self._taken)
         return item
 
 

@@ -1,24 +1,21 @@
-"""What the readers of JSON share: files of a folder, entries one at a time, and lists of numbers as one array."""
+"""What the readers of JSON share: the files of a folder, and their entries one at a time."""
 
 from __future__ import annotations
 
 import heapq
+import json
 import os
 import re
 import reprlib
 from collections.abc import Iterator
-from itertools import chain
 from pathlib import Path
 from typing import Any
-
-import numpy as np
 
 from uplift.datasets.coco_json import JsonText
 from uplift.errors import UserError
 from uplift.readers.base import Peek
 
 __all__ = [
-    "Numbers",
     "entries",
     "first_json",
     "in_order",
@@ -27,13 +24,13 @@ __all__ = [
     "json_files",
     "load_json",
     "members",
+    "objects",
     "shown",
     "whole",
 ]
 
-_BLOCK = 4096
-_KINDS = {int, float, type(None)}
 _TRIES = 100
+_SCAN = json.JSONDecoder().raw_decode
 
 
 def json_files(path: Path) -> list[Path]:
@@ -109,8 +106,19 @@ def entries(path: Path, what: str) -> Iterator[tuple[int, dict[str, Any]]]:
         UserError: damaged, no list, or an entry that is no object.
     """
     text = JsonText(path)
-    yield from enumerate(text.records(what))
-    _end(text)
+    yield from enumerate(objects(text, what))
+
+
+def objects(text: JsonText, what: str) -> Iterator[dict[str, Any]]:
+    """Yield each object of the list that stands next in a text, as `JsonText.records` does, in less time.
+
+    Raises:
+        UserError: damaged, no list, or an entry that is no object.
+    """
+    for count, value in enumerate(items(text, what)):
+        if type(value) is not dict:
+            raise UserError(f"{text.path}: entry {count} of {what} is {shown(value)}, expected an object.")
+        yield value
 
 
 def items(text: JsonText, what: str) -> Iterator[Any]:
@@ -119,18 +127,27 @@ def items(text: JsonText, what: str) -> Iterator[Any]:
     Raises:
         UserError: damaged, or no list.
     """
+    outermost = text.next_sign() == "[" and text.at < 1000 and not text.text[: text.at].strip()
     if text.next_sign() != "[":
         raise UserError(f"{text.path}: {what} is no list.")
     text.at += 1
     more = text.next_sign() != "]"
+    whole_text = text.text
     while more:
-        yield text.value()
+        try:
+            value, text.at = _SCAN(whole_text, text.at)
+        except (ValueError, RecursionError):
+            value = text.value()  # after spaces; or tells what is wrong
+        yield value
+        if whole_text.startswith(", ", text.at):  # as most write it
+            text.at += 2
+            continue
         more = text.next_sign() == ","
         if not more and text.next_sign() != "]":
             raise UserError(f"{text.path} is no whole JSON file: damaged or cut short at character {text.at:,}.")
         text.at += more
     text.at += 1
-    if text.text[:1000].lstrip().startswith("["):
+    if outermost:
         _end(text)
 
 
@@ -162,78 +179,6 @@ def whole(value: Any, where: str, what: str) -> int:
     if isinstance(number, bool) or not isinstance(number, int) or not 0 <= number < 2**53:
         raise UserError(f"{where}: '{what}' is {shown(value)}, expected a whole number from 0 up.")
     return number
-
-
-class Numbers:
-    """Lists of numbers, one a row and all of one length, that become one float32 array.
-
-    ``what`` names them in errors. Lists may hold lists, which are taken one after the other.
-    """
-
-    def __init__(self, what: str):
-        self.what = what
-        self.rows = 0
-        self.width: int | None = None
-        self._first = ""
-        self._waiting: list[Any] = []
-        self._places: list[str] = []
-        self._blocks: list[np.ndarray] = []
-
-    def add(self, values: Any, where: str) -> None:
-        """Take the next row; ``where`` names it in errors.
-
-        Raises:
-            UserError: no list of numbers, or not as long as the rows before it.
-        """
-        flat = self.flat(values, where)
-        if len(flat) != self.width:
-            if self.width is not None:
-                raise UserError(
-                    f"{where}: '{self.what}' has {len(flat)} numbers, but {self.width} in {self._first}. "
-                    "Expected the same keypoints everywhere."
-                )
-            self.width, self._first = len(flat), where
-        self._waiting.extend(flat)
-        self._places.append(where)
-        self.rows += 1
-        if len(self._places) >= _BLOCK:
-            self._flush()
-
-    def flat(self, values: Any, where: str) -> list[Any]:
-        """Return numbers, or lists of them, as one list; raises UserError for anything else."""
-        flat = values
-        if type(values) is list and values and type(values[0]) is list:
-            parts = set(map(type, values)) == {list} and len(set(map(len, values))) == 1
-            flat = list(chain.from_iterable(values)) if parts else None
-        if type(flat) is not list or not _KINDS.issuperset(map(type, flat)):
-            raise UserError(f"{where}: '{self.what}' is {shown(values)}, expected a list of numbers.")
-        return flat
-
-    def _flush(self) -> None:
-        width = self.width or 0
-        try:
-            block = np.array(self._waiting, np.float64)
-        except OverflowError:
-            wrong = next(n for n, value in enumerate(self._waiting) if _too_large(value))
-            where = self._places[wrong // max(width, 1)]
-            raise UserError(f"{where}: '{self.what}' holds a number of more digits than any pixel has.") from None
-        with np.errstate(over="ignore"):
-            self._blocks.append(block.reshape(len(self._places), width).astype(np.float32))
-        self._waiting, self._places = [], []
-
-    def array(self, *shape: int) -> np.ndarray:
-        """Return all rows, (rows, *shape); with no shape (rows, numbers)."""
-        self._flush()
-        self._blocks = [np.concatenate(self._blocks)]
-        return self._blocks[0].reshape(self.rows, *(shape or (self.width or 0,)))
-
-
-def _too_large(value: Any) -> bool:
-    try:
-        float(value or 0)
-    except OverflowError:
-        return True
-    return False
 
 
 def in_order(name: str) -> list[tuple[int, int, str]]:

@@ -9,8 +9,9 @@ import numpy as np
 from uplift.data.container import PoseData
 from uplift.errors import UserError
 from uplift.readers.base import Format, Peek, ReadOptions
-from uplift.readers.json_file import Numbers, first_json, json_files, members, shown, whole
+from uplift.readers.json_file import first_json, json_files, members, objects, shown, whole
 from uplift.readers.layouts import KINETICS, names_for
+from uplift.readers.number_lists import Numbers
 from uplift.readers.rows import pose_data, to_pixels
 
 __all__ = ["FORMAT"]
@@ -38,7 +39,7 @@ def _read(path: Path, options: ReadOptions) -> PoseData:
     if poses.width != 2 * count:
         raise UserError(f"{path}: 'pose' has {poses.width} numbers and 'score' {count}, expected x, y for each score.")
     keypoints, confidence = poses.array(count, 2), scores.array()
-    names, told = names_for(path, count, KINETICS, options)
+    names, told = names_for(path, count, KINETICS, options, keypoints)
     notes = list(told)
     shares = bool((np.nan_to_num(np.abs(keypoints), posinf=2) <= 1).all())
     if shares:
@@ -55,7 +56,7 @@ def _read_file(file: Path, poses: Numbers, scores: Numbers, frames: list[int]) -
             text.value()
             continue
         known = True
-        for count, record in enumerate(text.records("'data'")):
+        for count, record in enumerate(objects(text, "'data'")):
             where = f"{file}: entry {count}"
             frame = whole(record.get("frame_index"), where, "frame_index")
             skeletons = record.get("skeleton")

@@ -5,9 +5,12 @@ from __future__ import annotations
 from collections.abc import Mapping
 from pathlib import Path
 
+import numpy as np
+
 from uplift.datasets.coco import COCO_JOINTS
 from uplift.errors import UserError
 from uplift.readers.base import ReadOptions
+from uplift.readers.likely_layout import likely_layout
 
 __all__ = [
     "ALPHAPOSE", "COCO", "FACE68", "HAND21", "KINETICS", "MMPOSE", "MPII16", "OPENPOSE", "OPENPOSE_FACE70",
@@ -78,10 +81,22 @@ def numbered(count: int) -> tuple[str, ...]:
     return tuple(f"keypoint_{number}" for number in range(count))
 
 
+SHIPPED: dict[int, tuple[tuple[str, str], ...]] = {
+    25: (("OpenPose's BODY_25", "openpose25"), ("OpenPose's BODY_25B", "openpose25b")),
+    17: (("COCO", "coco17"), ("Human3.6M", "h36m17"), ("AP-10K", "ap10k17"), ("MPI-INF-3DHP", "mpi_inf_3dhp17")),
+    26: (("Halpe", "halpe26"), ("Animal3D", "animal3d26")),
+    21: (("a hand", "hand21"), ("InterHand2.6M", "interhand21")),
+}
+"""Number of keypoints -> the layouts that have so many, the usual one first, and their shipped skeletons."""
+
+
 def names_for(
-    path: Path, count: int, layouts: Layouts, options: ReadOptions
+    path: Path, count: int, layouts: Layouts, options: ReadOptions, points: np.ndarray | None = None
 ) -> tuple[tuple[str, ...], tuple[str, ...]]:
     """Return the names of ``count`` keypoints that a file does not name, and the notes that say so.
+
+    With ``points`` (rows count 2, or 3 with a score) another layout of as many keypoints than the usual is
+    taken where its bones are clearly shorter (`uplift.readers.likely_layout`).
 
     Raises:
         UserError: the layout that the user names does not have that many.
@@ -90,12 +105,37 @@ def names_for(
         return _told(path, count, options.layout), ()
     if count in layouts:
         what, names = layouts[count]
+        shipped = SHIPPED.get(count, ())
+        if points is not None and shipped and shipped[0][0] == what:
+            other = _likely(points, names, shipped)
+            if other:
+                note = (
+                    f"keypoints have no names in the file: {count} of them are taken as {shipped[other][0]}, not as "
+                    f"{what}, whose bones would be far too long (layout={shipped[0][1]} overrules)"
+                )
+                return _names_of(shipped[other][1]), (note,)
         return names, (f"keypoints have no names in the file: {count} of them are taken as {what}",)
     note = (
         f"keypoints have no names in the file, and {count} are no known layout: named keypoint_0 to "
         f"keypoint_{count - 1}; say layout=SKELETON, or use a skeleton with these names"
     )
     return numbered(count), (note,)
+
+
+def _likely(points: np.ndarray, names: tuple[str, ...], shipped: tuple[tuple[str, str], ...]) -> int:
+    """Return which of the ``shipped`` layouts the points are in; ``names`` are those of the first."""
+    seen = np.isfinite(points).all(-1) & (points[..., :2] != 0).any(-1)
+    score = np.where(seen, points[..., 2] if points.shape[-1] > 2 else 1, 0)
+    found = [names, *(_names_of(skeleton) for _, skeleton in shipped[1:])]
+    layouts = [(skeleton, own) for (_, skeleton), own in zip(shipped, found, strict=True)]
+    return likely_layout(points[..., :2].astype(np.float32), score.astype(np.float32), layouts)
+
+
+def _names_of(skeleton: str) -> tuple[str, ...]:
+    from uplift.skeleton import load_skeleton
+
+    shipped = load_skeleton(skeleton)
+    return tuple(joint for joint in shipped.joints if joint not in shipped.midpoints)
 
 
 def _told(path: Path, count: int, layout: str) -> tuple[str, ...]:

@@ -157,6 +157,10 @@ def _frames(path: Path, read: _Read) -> Iterator[tuple[int, float | None, Any]]:
         rest[key] = value
     if done:
         return
+    world = next((v for k, v in rest.items() if "world" in plain_key(k) and isinstance(v, list)), None)
+    if world and not is_list_of_marks(world):
+        yield from ((place, None, frame) for place, frame in enumerate(world))
+        return
     numbers = [re.fullmatch(r"(?:frame)?[ _]?(\d{1,15})", key, re.IGNORECASE) for key in rest]
     if rest and all(numbers):  # frames by their number
         yield from ((at, float(one[1]), rest[one[0]]) for at, one in enumerate(numbers) if one)

@@ -10,8 +10,9 @@ from uplift.data.container import PoseData
 from uplift.datasets.coco_json import JsonText
 from uplift.errors import UserError
 from uplift.readers.base import Format, Peek, ReadOptions
-from uplift.readers.json_file import Numbers, first_json, is_text, items, json_files, members, shown, whole
+from uplift.readers.json_file import first_json, is_text, items, json_files, members, shown, whole
 from uplift.readers.layouts import MMPOSE, names_for
+from uplift.readers.number_lists import Numbers
 from uplift.readers.rows import frames_or_images, pose_data
 
 __all__ = ["FORMAT"]
@@ -75,10 +76,10 @@ def _read(path: Path, options: ReadOptions) -> PoseData:
             "predictions, [x, y] each."
         )
     keypoints = found.keypoints.array(found.scores.width or 0, 2)
-    meta = _Meta(path, found.meta, keypoints.shape[1])
+    meta = _Meta(path, found.meta if options.layout is None else None, keypoints.shape[1])
     names, notes = meta.names, ()
-    if names is None or options.layout is not None:
-        names, notes = names_for(path, keypoints.shape[1], MMPOSE, options)
+    if names is None:
+        names, notes = names_for(path, keypoints.shape[1], MMPOSE, options, keypoints)
     identity = frames_or_images(path, [file.stem for file in files], found.file, found.frame, found.track)
     known = {"bones": meta.pairs("skeleton_links", names), "mirror": meta.mirror(names)}
     return pose_data(path, names, keypoints, found.scores.array(), identity, notes=notes, **known)
@@ -182,9 +183,8 @@ class _Meta:
                 if type(b) is int and a < b < len(names) and partner[b] == a
             ]  # fmt: skip
             pairs = tuple((names[a], names[b]) for a, b in swaps)
-        return tuple(
-            dict.fromkeys(pair if names.index(pair[0]) < names.index(pair[1]) else pair[::-1] for pair in pairs)
-        )
+        place = {name: number for number, name in enumerate(names)}
+        return tuple(dict.fromkeys((a, b) if place[a] < place[b] else (b, a) for a, b in pairs))
 
 
 FORMAT = Format("mmpose", "MMPose predictions", _fits, _read)

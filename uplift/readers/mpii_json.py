@@ -9,9 +9,11 @@ import numpy as np
 from uplift.data.container import PoseData
 from uplift.errors import UserError
 from uplift.readers.base import Format, Peek, ReadOptions
-from uplift.readers.json_file import Numbers, entries, is_text, shown
+from uplift.readers.json_file import entries, is_text, shown
 from uplift.readers.layouts import MPII16, names_for
+from uplift.readers.number_lists import Numbers
 from uplift.readers.rows import pose_data
+from uplift.readers.texts import texts
 
 __all__ = ["FORMAT"]
 
@@ -39,7 +41,7 @@ def _read(path: Path, options: ReadOptions) -> PoseData:
         )
     names, notes = names_for(path, count, {16: ("MPII", MPII16)}, options)
     confidence = (visible.array() > 0).astype(np.float32)
-    identity = {"image": np.array(images), "instance": np.arange(len(images)).astype(str)}
+    identity = {"image": texts(path, images), "instance": np.arange(len(images)).astype(str)}
     return pose_data(path, names, joints.array(count, 2), confidence, identity, notes=notes)
 
 

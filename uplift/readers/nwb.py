@@ -15,10 +15,11 @@ from uplift.data.container import PoseData
 from uplift.errors import UserError
 from uplift.readers.base import Format, Peek, ReadOptions
 from uplift.readers.hdf5 import open_hdf5
+from uplift.readers.hdf5_own import check_room
 from uplift.readers.nwb_parts import Series, Video, groups_of, nodes_and_bones, series_of, video_of
 from uplift.readers.nwb_times import frame_numbers
 from uplift.readers.nwb_training import read_training
-from uplift.readers.tidy import distinct, same_or_none, visible_only
+from uplift.readers.tidy import as_float32, distinct, same_or_none, visible_only
 
 __all__ = ["FORMAT"]
 
@@ -78,7 +79,7 @@ def _data(path: Path, containers: list[_Container], notes: list[str]) -> PoseDat
         notes += told
         for one, frames in zip(mine, numbers, strict=True):
             label = one.name.removeprefix("track=") if len(mine) > 1 or one.name.startswith("track=") else ""
-            parts.append(_part(one, frames, names) | {"sequence": sequence, "camera": camera, "instance": label})
+            parts.append(_part(path, one, frames, names) | {"sequence": sequence, "camera": camera, "instance": label})
     if not any(len(part["frame"]) for part in parts):
         raise UserError(f"{path}: no visible keypoint in {len(containers)} pose estimates.")
     step = same_or_none(steps)
@@ -122,29 +123,59 @@ def _sequences(path: Path, containers: list[_Container]) -> list[str]:
 def _numbers(path: Path, containers: list[_Container]) -> tuple[list[list[np.ndarray]], float | None, list[str]]:
     """Return the frame numbers of each series of each body in one video, the step between frames (s), and notes."""
     every = [series for one in containers for series in one.series]
-    if all(series.in_order for series in every):
-        union = np.unique(np.concatenate([series.stamps for series in every]))
-        frames, step, even = frame_numbers(union)
-        found = [[frames[np.searchsorted(union, series.stamps)] for series in one.series] for one in containers]
-        return found, step, [] if even else ["time stamps are uneven: frames are counted one after another"]
-    lengths = sorted({len(series.stamps) for series in every})
-    if len(lengths) > 1:
-        raise UserError(
-            f"{path}: '{containers[0].place}' has time stamps that do not rise, and series of "
-            f"{' and '.join(map(str, lengths))} samples: which of them are of one frame cannot be told."
-        )
-    found = [[np.arange(lengths[0]) for _ in one.series] for one in containers]
-    return found, None, ["time stamps do not rise: frames are the places of samples"]
+    stamps, place = _different([series.stamps for series in every])
+    step, notes = None, []
+    if all(map(_rises, stamps)):
+        union = stamps[0] if len(stamps) == 1 else np.unique(np.concatenate(stamps))
+        numbers, step, even = frame_numbers(union)
+        frames = [numbers if one is union else numbers[np.searchsorted(union, one)] for one in stamps]
+        if not even:
+            notes.append("time stamps are uneven: frames are counted one after another")
+    else:
+        lengths = sorted({len(one) for one in stamps})
+        if len(lengths) > 1:
+            raise UserError(
+                f"{path}: '{containers[0].place}' has time stamps that do not rise, and series of "
+                f"{' and '.join(map(str, lengths))} samples: which of them are of one frame cannot be told."
+            )
+        frames = [np.arange(lengths[0])] * len(stamps)
+        notes.append("time stamps do not rise: frames are the places of samples")
+    of_series = iter(frames[number] for number in place)
+    return [[next(of_series) for _ in one.series] for one in containers], step, notes
 
 
-def _part(one: _Container, frames: list[np.ndarray], names: list[str]) -> dict:
+def _different(arrays: list[np.ndarray]) -> tuple[list[np.ndarray], list[int]]:
+    """Return the arrays without those that equal another, and which of them each is: series often share their stamps."""
+    found: list[np.ndarray] = []
+    known: dict[tuple[int, int], int] = {}
+    place = []
+    for array in arrays:
+        key = (len(array), hash(array.tobytes()))
+        same = known.setdefault(key, len(found))
+        if same < len(found) and not np.array_equal(found[same], array):  # alike, but not equal
+            same = len(found)
+        if same == len(found):
+            found.append(array)
+        place.append(same)
+    return found, place
+
+
+def _rises(stamps: np.ndarray) -> bool:
+    return bool(np.isfinite(stamps).all() and (np.diff(stamps) > 0).all())
+
+
+def _part(path: Path, one: _Container, frames: list[np.ndarray], names: list[str]) -> dict:
     """Return the rows of one body in which a keypoint is visible."""
-    own = np.unique(np.concatenate(frames))
-    keypoints = np.full((len(own), len(names), 2), np.nan)
-    score = np.zeros((len(own), len(names)))
-    for series, frame in zip(one.series, frames, strict=True):
-        rows, column = np.searchsorted(own, frame), names.index(series.name)
-        keypoints[rows, column], score[rows, column] = series.points, series.score
+    different, place = _different(frames)
+    own = different[0] if len(different) == 1 else np.unique(np.concatenate(different))
+    rows = [slice(None) if frame is own else np.searchsorted(own, frame) for frame in different]
+    check_room(path, f"'{one.place}'", 32 * len(names) * len(own))
+    keypoints = np.full((len(own), len(names), 2), np.nan, np.float32)
+    score = np.zeros((len(own), len(names)), np.float32)
+    for series, number in zip(one.series, place, strict=True):
+        column = names.index(series.name)
+        keypoints[rows[number], column] = as_float32(series.points)
+        score[rows[number], column] = as_float32(series.score)
     points, confidence = visible_only(keypoints, score)
     seen = np.any(confidence > 0, axis=-1)
     return {"keypoints": points[seen], "confidence": confidence[seen], "frame": own[seen]}

@@ -32,11 +32,6 @@ class Series:
     stamps: np.ndarray
     """(samples,) seconds."""
 
-    @property
-    def in_order(self) -> bool:
-        """Whether the time stamps rise."""
-        return bool(np.isfinite(self.stamps).all() and (np.diff(self.stamps) > 0).all())
-
 
 @dataclass(frozen=True)
 class Video:

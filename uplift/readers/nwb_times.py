@@ -28,7 +28,8 @@ def frame_numbers(
     waits = np.diff(stamps)
     step = float(np.sort(waits)[(len(waits) - 1) // 2])
     for _ in range(2):  # the second time by the mean step, which jitter moves less
-        counts = np.rint(np.minimum(waits / step, 2**40))
+        with np.errstate(over="ignore"):
+            counts = np.rint(np.minimum(waits / step, 2**40))
         if (counts < 1).any() or counts.sum() >= 2**40:
             return np.arange(len(stamps), dtype=np.int64), None, False
         step = float((stamps[-1] - stamps[0]) / counts.sum())

@@ -7,6 +7,7 @@ import numpy as np
 from uplift.data.container import PoseData
 from uplift.errors import UserError
 from uplift.readers.hdf5 import Hdf5
+from uplift.readers.hdf5_own import check_room
 from uplift.readers.nwb_parts import linked, skeleton_of
 from uplift.readers.tidy import video_name, visible_only
 from uplift.readers.tracks import link_bodies
@@ -83,6 +84,7 @@ class _Labels:
 
     def data(self) -> PoseData:
         """Return the instances as rows."""
+        check_room(self.file.path, "the labels", 64 * len(self.found) * len(self.names))
         keypoints = np.full((len(self.found), len(self.names), 2), np.nan)
         score = np.zeros(keypoints.shape[:2])
         for row, (nodes, points, seen) in enumerate(self.found):

@@ -11,9 +11,11 @@ import numpy as np
 from uplift.data.container import PoseData
 from uplift.errors import UserError
 from uplift.readers.base import Format, Peek, ReadOptions
-from uplift.readers.json_file import Numbers, first_json, json_files, load_json, shown
+from uplift.readers.json_file import first_json, json_files, load_json, shown
 from uplift.readers.layouts import HANDS, OPENPOSE, OPENPOSE_FACE70, names_for, numbered
+from uplift.readers.number_lists import Numbers
 from uplift.readers.rows import pose_data, split_names
+from uplift.readers.texts import texts
 
 __all__ = ["FORMAT"]
 
@@ -102,7 +104,7 @@ def _joined(
             raise UserError(f"{path}: '{numbers.what}' has {numbers.width} numbers, expected x, y, score of each.")
         count = numbers.width // 3
         if part == "pose":
-            own, told = names_for(path, count, OPENPOSE, options)
+            own, told = names_for(path, count, OPENPOSE, options, numbers.array(count, 3))
             notes += told
         else:
             own = _NAMES[part] if len(_NAMES[part]) == count else tuple(f"{part}_{name}" for name in numbered(count))
@@ -126,7 +128,7 @@ def _identity(path: Path, files: list[Path], file_of: list[int], tracks: list[st
         return {"image": image, "instance": np.arange(len(image)).astype(str)}
     sequence = np.array([name or path.absolute().stem for name in found[0]])[file_of]
     identity = {"sequence": sequence, "frame": np.array(found[1], np.int64)[file_of]}
-    return {**identity, "instance": np.array(tracks)} if any(tracks) else identity
+    return {**identity, "instance": texts(path, tracks)} if any(tracks) else identity
 
 
 FORMAT = Format("openpose", "OpenPose JSON", _fits, _read)

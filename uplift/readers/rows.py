@@ -13,6 +13,7 @@ from jaxtyping import Float
 from uplift.data.container import PoseData, codes_of
 from uplift.errors import UserError
 from uplift.readers.base import ReadOptions
+from uplift.readers.texts import texts
 from uplift.readers.tracks import link_bodies
 
 __all__ = ["SHARES_NOTE", "frames_or_images", "pose_data", "seen_by_flag", "split_names", "to_pixels", "video_names"]
@@ -46,13 +47,9 @@ def pose_data(
     """
     twice = [name for name, count in Counter(names).items() if count > 1]
     if twice:
-        raise UserError(f"{path} names '{shorten(twice[0])}' twice among its keypoints; names must differ.")
-    confidence = np.clip(np.nan_to_num(confidence, nan=0, posinf=0, neginf=0), 0, 1).astype(np.float32, copy=False)
-    finite = np.isfinite(keypoints).all(-1)
-    if not finite.all():
-        confidence = np.where(finite, confidence, np.float32(0))
-        keypoints = np.where(finite[..., None], keypoints, np.float32(np.nan))
-    seen = (confidence > 0).any(1)
+        raise UserError(f"{path} names '{twice[0]:.60}' twice among its keypoints; names must differ.")
+    keypoints, confidence = _honest(keypoints, confidence)
+    seen = np.any(confidence > 0, axis=1)
     if not seen.any():
         raise UserError(f"{path} has no visible keypoint in it ({len(seen):,} bodies, {len(names)} keypoints each).")
     if not seen.all():
@@ -75,6 +72,15 @@ def pose_data(
     )
 
 
+def _honest(keypoints: np.ndarray, confidence: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return keypoints that are numbers or NaN, and a confidence of 0 to 1 that is 0 where they are NaN."""
+    confidence = np.clip(np.nan_to_num(confidence, nan=0, posinf=0, neginf=0), 0, 1).astype(np.float32, copy=False)
+    finite = np.all(np.isfinite(keypoints), axis=-1)
+    if finite.all():
+        return keypoints, confidence
+    return np.where(finite[..., None], keypoints, np.float32(np.nan)), np.where(finite, confidence, np.float32(0))
+
+
 def _clips(
     keypoints: np.ndarray, confidence: np.ndarray, identity: dict[str, np.ndarray], notes: list[str]
 ) -> tuple[dict[str, np.ndarray], np.ndarray | None]:
@@ -84,8 +90,8 @@ def _clips(
     times, time = codes_of(frame)
     places, place = codes_of(video * len(times) + time)
     several = len(places) < len(frame)
-    track = identity.get("instance")
-    nameless = np.ones(len(frame), bool) if track is None else track == ""
+    track = identity.get("instance", np.full(len(frame), ""))
+    nameless = track == ""
     if not nameless.all():
         tracks, who = codes_of(track)
         own = (place * len(tracks) + who)[~nameless]
@@ -181,7 +187,7 @@ def frames_or_images(
     ``frame`` is None for bodies of an image; images of a folder that are numbered as a video's frames
     are one. ``file`` is the place of each body's file in ``stems``.
     """
-    known = {"instance": np.array(track)} if any(track) else {}
+    known = {"instance": texts(path, track)} if any(track) else {}
     if all(number is not None for number in frame):
         return {"sequence": np.array(stems)[file], "frame": np.array(frame, np.int64), **known}
     video = video_names(stems, path.absolute().stem) if len(stems) > 1 else None
@@ -189,8 +195,3 @@ def frames_or_images(
         sequences, frames = np.array(video[0]), np.array(video[1], np.int64)
         return {"sequence": sequences[file], "frame": frames[file], **known}
     return {"image": np.array(stems)[file], "instance": np.arange(len(file)).astype(str)}
-
-
-def shorten(text: object) -> str:
-    """Return text for an error, at most 60 characters of it."""
-    return f"{text!s:.60}"

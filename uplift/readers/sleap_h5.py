@@ -126,7 +126,8 @@ def _bones(file: Hdf5, names: list[str]) -> tuple[tuple[str, str], ...]:
         pairs = list(zip(ends[::2], ends[1::2], strict=False))
     else:
         pairs = []
-    return tuple((a, b) for a, b in pairs if a in names and b in names)
+    known = set(names)
+    return tuple((a, b) for a, b in pairs if a in known and b in known)
 
 
 def _mirror(file: Hdf5, names: list[str]) -> tuple[tuple[str, str], ...]:

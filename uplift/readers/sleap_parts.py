@@ -18,7 +18,7 @@ __all__ = ["Body", "Video", "bodies_of", "tracks_of", "videos_of"]
 
 _BONE, _MIRROR = 1, 2
 """Kinds of links between nodes, as SLEAP numbers them."""
-_WRONG = (KeyError, IndexError, TypeError, ValueError, AttributeError)
+_WRONG = (KeyError, IndexError, TypeError, ValueError, AttributeError, OverflowError, RecursionError)
 
 
 @dataclass(frozen=True)

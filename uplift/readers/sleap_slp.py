@@ -14,6 +14,7 @@ from uplift.data.container import PoseData
 from uplift.errors import UserError
 from uplift.readers.base import Format, Peek, ReadOptions
 from uplift.readers.hdf5 import Hdf5, open_hdf5
+from uplift.readers.hdf5_own import check_room
 from uplift.readers.sleap_h5 import known_scores
 from uplift.readers.sleap_parts import Body, Video, bodies_of, tracks_of, videos_of
 from uplift.readers.sleap_rows import PREDICTED, USER, first_of_each, keys_of, rows_of, without_replaced
@@ -24,7 +25,6 @@ __all__ = ["FORMAT"]
 
 _CENTRED_PIXELS, _TOO_NEW = 1.1, 3.0
 """Format numbers: since when (0, 0) is the middle of the first pixel and no longer its corner; what is not known yet."""
-_MOST_JOINTS = 2000
 
 
 def _read(path: Path, options: ReadOptions) -> PoseData:
@@ -84,8 +84,7 @@ def _points(
     """Return joint names, keypoints, confidence, and what was assumed of scores."""
     used = np.unique(rows["skeleton"]).tolist()
     names = list(dict.fromkeys(node for body in used for node in bodies[body].nodes))
-    if len(names) > _MOST_JOINTS:
-        raise UserError(f"{file.path}: {len(names):,} nodes, expected {_MOST_JOINTS:,} at most.")
+    check_room(file.path, f"points of {len(names):,} nodes", 64 * len(rows["track"]) * len(names))
     keypoints = np.full((len(rows["track"]), len(names), 2), np.nan, np.float32)
     score = np.zeros(keypoints.shape[:2], np.float32)
     told: tuple[str, ...] = ()

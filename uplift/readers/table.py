@@ -92,9 +92,8 @@ class _Taken:
         self.lines.append(lines)
         self._add_numbers(text, starts[:, self.places], ends[:, self.places], lines)
         for place, known in self.known.items():
-            pairs = zip(starts[:, place].tolist(), ends[:, place].tolist(), strict=True)
-            cells = [chunk[a - PADDING : b - PADDING] for a, b in pairs]
-            codes = [known.setdefault(cell, len(known)) for cell in cells]
+            pairs = zip((starts[:, place] - PADDING).tolist(), (ends[:, place] - PADDING).tolist(), strict=True)
+            codes = [known.setdefault(chunk[a:b], len(known)) for a, b in pairs]
             self.codes[place].append(np.array(codes, np.int32))
 
     def finished(self) -> Table:
@@ -128,7 +127,7 @@ class _Taken:
             keep = np.repeat(~blank, count)
             starts, ends, lines = starts[keep], ends[keep], lines[~blank]
         starts, ends = starts.reshape(-1, self.width), ends.reshape(-1, self.width)
-        full = (starts < ends).any(1)
+        full = ends[:, -1] - starts[:, 0] >= self.width  # more in it than separators
         return (starts, ends, lines) if full.all() else (starts[full], ends[full], lines[full])
 
     def _add_numbers(self, text: np.ndarray, starts: np.ndarray, ends: np.ndarray, lines: np.ndarray) -> None:

@@ -12,7 +12,7 @@ from uplift.errors import UserError
 
 __all__ = ["check_memory", "chunks", "decoded", "first_lines", "header_of"]
 
-_CHUNK = 1 << 18  # so that what is made of one stays near the processor
+_CHUNK = 1 << 17  # so that what is made of one stays near the processor
 _START = 1 << 16
 _LONGEST_HEADER = 1 << 24
 _LONGEST_LINE = 1 << 26

@@ -9,9 +9,10 @@ import numpy as np
 from uplift.data.container import PoseData
 from uplift.errors import UserError
 from uplift.readers.base import Format, Peek, ReadOptions
-from uplift.readers.json_file import Numbers
+from uplift.readers.pictures import picture_sizes
 from uplift.readers.rows import SHARES_NOTE, pose_data, seen_by_flag, video_names
-from uplift.readers.ultralytics_set import Labels, describe, first_labels, label_files, picture_sizes, row_layout
+from uplift.readers.ultralytics_rows import Labels, RowLayout, read_rows, row_layout
+from uplift.readers.ultralytics_set import describe, first_labels, label_files
 
 __all__ = ["FORMAT"]
 
@@ -50,10 +51,10 @@ def _read(path: Path, options: ReadOptions) -> PoseData:
         shown = ", ".join(map(str, folders)) or "train/labels"
         raise UserError(f"{path} describes a data set and holds no keypoints. Give a folder of its labels: {shown}.")
     files = label_files(path)
-    labels = _rows(path, files)
+    labels = read_rows(path, files)
     told = describe(path if path.is_dir() else path.parent)
     notes: list[str] = []
-    layout = row_layout(path, labels, told, options, notes)
+    layout = row_layout(path, labels, told, notes)
     names = told.names_of(path, layout.count, options, notes)
     shares = layout.values[..., :2]
     if layout.values.shape[2] == 3:
@@ -61,21 +62,11 @@ def _read(path: Path, options: ReadOptions) -> PoseData:
         confidence = np.where((shares == 0).all(-1), np.float32(0), confidence)  # predictions blank weak ones so
     else:
         confidence = (shares != 0).any(-1).astype(np.float32)
-    predicted = layout.predicted
-    stems = [file.stem for file in files]
-    pictures, sizes = picture_sizes(path, files, labels.file, options, notes)
+    pictures, sizes = picture_sizes(files, labels.file, options, notes)
     keypoints = shares if sizes is None else shares * sizes[:, None].astype(np.float32)
     if sizes is None:
         notes.append(SHARES_NOTE)
-    video = video_names(stems, path.absolute().stem) if predicted and len(files) > 1 else None
-    if video is not None:
-        sequence, frame = np.array(video[0]), np.array(video[1], np.int64)
-        identity = {"sequence": sequence[labels.file], "frame": frame[labels.file]}
-        if layout.track is not None:
-            identity["instance"] = layout.track
-    else:
-        image = np.array([pictures.get(stem, stem) for stem in stems])[labels.file]
-        identity = {"image": image, "instance": np.array(labels.line).astype(str)}
+    identity = _identity(path, files, labels, layout, pictures)
     classes = told.categories(labels.boxes[:, 0])
     if classes is not None:
         identity["category"] = classes
@@ -85,58 +76,18 @@ def _read(path: Path, options: ReadOptions) -> PoseData:
     return pose_data(path, names, keypoints, confidence, identity, notes=notes, image_size=size, mirror=mirror)
 
 
-def _rows(path: Path, files: list[Path]) -> Labels:
-    """Return the rows of all files; they may differ in what follows the keypoints."""
-    by_length: dict[int, Numbers] = {}
-    order: list[tuple[int, int]] = []
-    labels = Labels()
-    for number, file in enumerate(files):
-        for line, text in enumerate(_text(file).splitlines()):
-            cells = text.split()
-            if not cells:
-                continue
-            where = f"{file}, line {line + 1}"
-            try:
-                values = list(map(float, cells))
-            except ValueError:
-                raise UserError(f"{where}: {text[:40]!r} are not numbers, expected class, box, keypoints.") from None
-            if len(values) < 7:
-                raise UserError(f"{where} has {len(values)} numbers: no keypoints after class and box, only an object?")
-            table = by_length.setdefault(len(values), Numbers("keypoints"))
-            order.append((len(values), table.rows))
-            table.add(values, where)
-            labels.file.append(number)
-            labels.line.append(line)
-    if not order:
-        raise UserError(f"{path}: all {len(files):,} label files are empty.")
-    lengths = sorted(by_length)
-    if lengths[-1] - lengths[0] > 2:
-        few = min(by_length, key=lambda length: by_length[length].rows)
-        first = next(n for n, (length, _) in enumerate(order) if length == few)
-        raise UserError(
-            f"{files[labels.file[first]]}, line {labels.line[first] + 1} has {few} numbers, other rows "
-            f"{', '.join(str(n) for n in lengths if n != few)}. Expected the same keypoints in every row."
-        )
-    labels.length = np.array([length for length, _ in order])
-    labels.values = np.full((len(order), lengths[-1]), np.nan, np.float32)
-    for length, table in by_length.items():
-        labels.values[labels.length == length, :length] = table.array()
-    box = labels.values[:, :5]
-    wrong = np.flatnonzero(~np.isfinite(box).all(1) | (box[:, 0] < 0) | (box[:, 0] != np.floor(box[:, 0])))
-    if len(wrong):
-        raise UserError(
-            f"{files[labels.file[wrong[0]]]}, line {labels.line[wrong[0]] + 1} begins {box[wrong[0]].tolist()}, "
-            "expected a class (a whole number from 0 up) and a box of four shares of the image."
-        )
-    labels.boxes = box
-    return labels
-
-
-def _text(file: Path) -> str:
-    try:
-        return file.read_text(encoding="utf-8-sig")
-    except (OSError, UnicodeDecodeError) as error:
-        raise UserError(f"{file} cannot be read as text: {error}") from None
+def _identity(
+    path: Path, files: list[Path], labels: Labels, layout: RowLayout, pictures: dict[str, str]
+) -> dict[str, np.ndarray]:
+    """Return sequence, frame and track of predictions that are numbered as a video's frames; images otherwise."""
+    stems = [file.stem for file in files]
+    video = video_names(stems, path.absolute().stem) if layout.predicted and len(files) > 1 else None
+    if video is None:
+        image = np.array([pictures.get(stem, stem) for stem in stems])[labels.file]
+        return {"image": image, "instance": np.array(labels.line).astype(str)}
+    sequence, frame = np.array(video[0]), np.array(video[1], np.int64)
+    identity = {"sequence": sequence[labels.file], "frame": frame[labels.file]}
+    return identity if layout.track is None else {**identity, "instance": layout.track}
 
 
 FORMAT = Format("ultralytics", "Ultralytics labels", _fits, _read)

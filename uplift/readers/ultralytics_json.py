@@ -11,9 +11,11 @@ from uplift.data.container import PoseData
 from uplift.datasets.coco_json import JsonText
 from uplift.errors import UserError
 from uplift.readers.base import Format, Peek, ReadOptions
-from uplift.readers.json_file import Numbers, first_json, is_text, items, json_files, shown
+from uplift.readers.json_file import first_json, is_text, items, json_files, shown
 from uplift.readers.layouts import COCO, names_for
+from uplift.readers.number_lists import Numbers
 from uplift.readers.rows import frames_or_images, pose_data, to_pixels
+from uplift.readers.texts import texts
 
 __all__ = ["FORMAT"]
 
@@ -70,7 +72,7 @@ def _read(path: Path, options: ReadOptions) -> PoseData:
     if not found.file:
         raise UserError(f"{path} holds nobody, expected results of Ultralytics.")
     keypoints = np.stack([found.x.array(), found.y.array()], -1)
-    names, told = names_for(path, keypoints.shape[1], {17: COCO[17]}, options)
+    names, told = names_for(path, keypoints.shape[1], {17: COCO[17]}, options, keypoints)
     notes = list(told)
     blank = (keypoints == 0).all(-1)  # what weak keypoints are set to
     confidence = np.where(blank, np.float32(0), found.seen.array())
@@ -78,7 +80,7 @@ def _read(path: Path, options: ReadOptions) -> PoseData:
         keypoints = to_pixels(keypoints, options, notes)
     identity = frames_or_images(path, [file.stem for file in files], found.file, found.frame, found.track)
     if len(set(found.category)) > 1:
-        identity["category"] = np.array(found.category)
+        identity["category"] = texts(path, found.category)
     return pose_data(path, names, keypoints, confidence, identity, notes=notes)
 
 

@@ -1,10 +1,10 @@
-"""What stands around Ultralytics' label files: their folder, data.yaml, pictures, and what a row's numbers are."""
+"""What stands around Ultralytics' label files: their folder and data.yaml."""
 
 from __future__ import annotations
 
 import heapq
 import os
-import warnings
+import re
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -14,14 +14,12 @@ import numpy as np
 
 from uplift.errors import UserError
 from uplift.readers.base import ReadOptions
-from uplift.readers.json_file import in_order
+from uplift.readers.json_file import in_order, is_text, shown
 from uplift.readers.layouts import COCO, names_for
-from uplift.yaml_file import read_yaml
 
-__all__ = ["Labels", "RowLayout", "describe", "first_labels", "label_files", "picture_sizes", "row_layout"]
+__all__ = ["Description", "describe", "first_labels", "label_files"]
 
 _NO_LABELS = ("classes.txt", "labels.txt", "notes.txt")
-_PICTURES = (".jpg", ".jpeg", ".png", ".bmp", ".webp", ".tif", ".tiff")
 _LEVELS = 3
 
 
@@ -60,107 +58,13 @@ def _label_names(folder: Path) -> Iterator[str]:
 
 
 @dataclass
-class Labels:
-    """The rows of all label files."""
-
-    file: list[int] = field(default_factory=list)
-    line: list[int] = field(default_factory=list)
-    length: np.ndarray = field(default_factory=lambda: np.empty(0, int))
-    """(rows,) numbers in a row."""
-    values: np.ndarray = field(default_factory=lambda: np.empty((0, 0), np.float32))
-    """(rows, longest), NaN behind the end of a row."""
-    boxes: np.ndarray = field(default_factory=lambda: np.empty((0, 5), np.float32))
-    """(rows, 5): class, centre and size."""
-
-
-@dataclass
-class RowLayout:
-    """What the numbers of a row are."""
-
-    count: int
-    values: np.ndarray
-    """(rows, keypoints, 2 or 3)."""
-    predicted: bool
-    """Whether a network made them, not a person."""
-    track: np.ndarray | None
-    """(rows,) text, empty where a row has none."""
-
-
-def row_layout(path: Path, labels: Labels, told: Description, options: ReadOptions, notes: list[str]) -> RowLayout:
-    """Return how the rows divide: as data.yaml says, or so that keypoints lie in their boxes.
-
-    Raises:
-        UserError: no division fits, or not that of data.yaml.
-    """
-    shortest, longest = int(labels.length.min()), int(labels.length.max())
-    if told.shape is not None:
-        count, size = told.shape
-        if not 0 <= shortest - 5 - count * size <= longest - 5 - count * size <= 2:
-            raise UserError(
-                f"{path}: rows have {shortest} numbers, but {told.path} says kpt_shape [{count}, {size}]: expected "
-                f"{5 + count * size}, and up to two more (confidence, track)."
-            )
-    else:
-        count, size = _divided(path, labels, shortest, longest)
-        parts = "x, y, v" if size == 3 else "x, y"
-        notes.append(
-            f"no data.yaml with kpt_shape beside the labels or above: rows of {shortest} numbers are read as {count} "
-            f"keypoints of {parts}"
-        )
-    end = 5 + count * size
-    values = labels.values[:, 5:end].reshape(len(labels.values), count, size)
-    flags = size == 2 or bool(np.isin(values[..., 2], (0, 1, 2)).all())
-    return RowLayout(count, values, longest > end or not flags, _tracks(labels.values[:, end:]))
-
-
-def _divided(path: Path, labels: Labels, shortest: int, longest: int) -> tuple[int, int]:
-    """Return the number of keypoints and of their numbers for which most keypoints lie in their boxes."""
-    best: tuple[float, int, int] = (0.0, 0, 0)
-    for extra in (0, 1, 2):
-        for size in (3, 2):
-            count, rest = divmod(shortest - 5 - extra, size)
-            if rest or count < 1 or longest - 5 - count * size > 2:
-                continue
-            inside = _share_inside(labels, count, size)
-            if inside > best[0] + 0.02:
-                best = (inside, count, size)
-    if best[0] < 0.5:
-        raise UserError(
-            f"{path}: rows of {shortest} numbers do not divide into keypoints that lie in their boxes (outlines of "
-            "objects?). Put the data.yaml with kpt_shape beside the labels or above them."
-        )
-    return best[1], best[2]
-
-
-def _share_inside(labels: Labels, count: int, size: int) -> float:
-    values = labels.values[:10_000, 5 : 5 + count * size].reshape(-1, count, size)
-    if size == 3 and not ((values[..., 2] >= 0) & ((values[..., 2] <= 1) | (values[..., 2] == 2))).all():
-        return 0.0
-    centre, side = labels.boxes[:10_000, None, 1:3], labels.boxes[:10_000, None, 3:5]
-    inside = (np.abs(values[..., :2] - centre) <= 0.6 * side + 0.01).all(-1)
-    given = (values[..., :2] != 0).any(-1)
-    return float(inside[given].mean()) if given.any() else 0.0
-
-
-def _tracks(extra: np.ndarray) -> np.ndarray | None:
-    """Return the tracks among the up to two columns behind the keypoints; the other is the box's confidence."""
-    if extra.shape[1] == 0:
-        return None
-    last = extra[:, -1]
-    known = np.isfinite(last)
-    if not known.any() or (last[known] != np.floor(last[known])).any() or (last[known] < 0).any():
-        return None
-    return np.where(known, np.where(known, last, 0).astype(np.int64).astype(str), "")
-
-
-@dataclass
 class Description:
     """What data.yaml says of the labels."""
 
     path: Path | None = None
     shape: tuple[int, int] | None = None
     classes: dict[int, str] = field(default_factory=dict)
-    partners: list[Any] = field(default_factory=list)
+    partners: list[int] = field(default_factory=list)
     names: tuple[str, ...] | None = None
 
     def names_of(self, path: Path, count: int, options: ReadOptions, notes: list[str]) -> tuple[str, ...]:
@@ -176,7 +80,7 @@ class Description:
     def mirror(self, names: tuple[str, ...]) -> tuple[tuple[str, str], ...]:
         """Return the pairs that flip_idx swaps."""
         other = self.partners
-        if len(other) != len(names) or not all(type(place) is int and 0 <= place < len(names) for place in other):
+        if len(other) != len(names) or not all(place < len(names) for place in other):
             return ()
         return tuple((names[a], names[b]) for a, b in enumerate(other) if a < b and other[b] == a)
 
@@ -211,81 +115,45 @@ def _mentions_shape(path: Path) -> bool:
 
 
 def _description(path: Path) -> Description:
-    data, _ = read_yaml(path, "description of labels (data.yaml)")
-    data = data if isinstance(data, dict) else {}
-    shape = data.get("kpt_shape")
-    if not (
-        isinstance(shape, list) and len(shape) == 2 and all(type(n) is int for n in shape)
-        and 0 < shape[0] < 100_000 and shape[1] in (2, 3)
-    ):  # fmt: skip
-        raise UserError(f"{path}: kpt_shape is {shape!r:.60}, expected [keypoints, 2 or 3].")
-    classes, flip, names = data.get("names"), data.get("flip_idx"), data.get("kpt_names")
-    if isinstance(names, dict):
+    data = _plain_yaml(path)
+    shape = _whole_numbers(data.get("kpt_shape"))
+    if len(shape) != 2 or not 0 < shape[0] < 100_000 or shape[1] not in (2, 3):
+        raise UserError(f"{path}: kpt_shape is {shown(shape or data.get('kpt_shape'))}, expected [keypoints, 2 or 3].")
+    classes, names = data.get("names"), data.get("kpt_names")
+    if isinstance(names, dict):  # by class
         names = next(iter(names.values()), None)
+    if isinstance(classes, list):
+        classes = {str(number): name for number, name in enumerate(classes)}
+    classes = classes if isinstance(classes, dict) else {}
     return Description(
         path=path,
         shape=(shape[0], shape[1]),
-        classes={n: str(name) for n, name in _numbered(classes).items()},
-        partners=flip if isinstance(flip, list) else [],
-        names=tuple(map(str, names)) if isinstance(names, list) and names else None,
+        classes={
+            int(n): str(name)[:200] for n, name in classes.items() if is_text(name) and re.fullmatch("[0-9]{1,6}", n)
+        },
+        partners=_whole_numbers(data.get("flip_idx")),
+        names=tuple(names) if isinstance(names, list) and names and all(map(is_text, names)) else None,
     )
 
 
-def _numbered(names: Any) -> dict[int, Any]:
-    if isinstance(names, dict):
-        return {key: value for key, value in names.items() if type(key) is int}
-    return dict(enumerate(names)) if isinstance(names, list) else {}
-
-
-def picture_sizes(
-    path: Path, files: list[Path], rows: list[int], options: ReadOptions, notes: list[str]
-) -> tuple[dict[str, str], np.ndarray | None]:
-    """Return the picture's name of each label file, and (rows, 2) sizes in px; None where they are not known.
-
-    Pictures are looked for beside the labels, and in images/ where the labels are in labels/.
-    """
-    folder = files[0].absolute().parent
-    places = [folder, folder.parent / "images"]
-    parts = list(folder.parts)
-    if "labels" in parts:
-        last = len(parts) - 1 - parts[::-1].index("labels")
-        places.append(Path(*parts[:last], "images", *parts[last + 1 :]))
-    found: dict[str, Path] = {}
-    for place in dict.fromkeys(places):
-        for one in place.iterdir() if place.is_dir() else []:
-            if one.suffix.lower() in _PICTURES:
-                found.setdefault(one.stem, one)
-    names = {file.stem: found[file.stem].name for file in files if file.stem in found}
-    if options.image_size is not None:
-        return names, np.tile(np.array(options.image_size, np.float32), (len(rows), 1))
-    if not names:
-        return names, None
-    used = sorted(set(rows))
-    known = {row: _size(found[files[row].stem]) for row in used if files[row].stem in found}
-    sizes = set(known.values())
-    without = [row for row in used if row not in known]
-    if without and len(sizes) != 1:
-        raise UserError(
-            f"{files[without[0]]} has no picture beside it or in images/ to tell its size, and the others differ. "
-            "Say image_size=WIDTHxHEIGHT."
-        )
-    if without:
-        notes.append(f"{len(without):,} labels have no picture: their size is taken to be that of the others")
-    other = next(iter(sizes))
-    return names, np.array([known.get(row, other) for row in rows], np.float32)
-
-
-def _size(picture: Path) -> tuple[int, int]:
-    """Return width and height of a picture from its header."""
-    from PIL import Image
+def _plain_yaml(path: Path) -> dict[str, Any]:
+    """Return the mapping in a YAML file, all values as text: nothing is built, and nothing merged."""
+    import yaml
 
     try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # of large pictures: nothing is decoded
-            with Image.open(picture) as opened:
-                return opened.size
-    except (OSError, ValueError, SyntaxError, Image.DecompressionBombError) as error:
-        raise UserError(
-            f"{picture} cannot be read as a picture, for the size of its labels: {error!s:.100}. Say "
-            "image_size=WIDTHxHEIGHT."
-        ) from None
+        data = yaml.load(path.read_text(encoding="utf-8-sig"), yaml.BaseLoader)
+    except (yaml.YAMLError, OSError, UnicodeDecodeError, RecursionError) as error:
+        said = " ".join(str(error).split())[:160]
+        raise UserError(f"{path} mentions kpt_shape and cannot be read as YAML: {said}") from None
+    except (TypeError, ValueError):
+        raise UserError(f"{path} mentions kpt_shape and is no plain YAML: a key that is no text.") from None
+    if not isinstance(data, dict) or not all(isinstance(key, str) for key in data):
+        raise UserError(f"{path} mentions kpt_shape and is no mapping, expected Ultralytics' description of labels.")
+    return data
+
+
+def _whole_numbers(values: Any) -> list[int]:
+    """Return a list of whole numbers; nothing where it is none."""
+    if not isinstance(values, list) or not all(isinstance(v, str) and re.fullmatch("[0-9]{1,9}", v) for v in values):
+        return []
+    return [int(value) for value in values]

@@ -17,6 +17,9 @@ __all__ = ["Proposal", "propose"]
 
 _SEEN_WELL = 0.8  # of the joint seen most
 _SELDOM = 0.5  # of the frames
+_NEAR = 0.5  # of the spread of the joints about their middle
+
+Pair = tuple[str, str]
 
 
 @dataclass(frozen=True)
@@ -38,9 +41,8 @@ def propose(data: PoseData, name: str, root: str | None = None, gravity: bool = 
     """Return a skeleton called ``name`` for the joints of ``data``.
 
     Joints in the file's order. Partners from the file, else by name. Bones from the file; what those
-    leave apart is joined by distance (`joining_bones`). The root is ``root``, else the most central of
-    the joints on the midline that are seen well; where all joints are paired, the middle of the most
-    central pair.
+    leave apart is joined by distance (`joining_bones`). The root is ``root``, else the joint on the
+    midline nearest the middle of those that are seen well, or a midpoint of a pair that is far nearer.
 
     Raises:
         UserError: fewer than three joints that are ever visible, names that are no joint names, no such root.
@@ -56,7 +58,8 @@ def propose(data: PoseData, name: str, root: str | None = None, gravity: bool = 
     score = apart(data.keypoints[:, shown], visible[:, shown], names)
     known = _known_bones(data.bones, names)
     pairs = _pairs(data, names)
-    plan = _joined(name, names, pairs, known, score, share[shown], root, gravity)
+    start = root or _best_root(names, pairs, data.keypoints[:, shown], visible[:, shown], score)
+    plan = {**_joined(name, names, pairs, known, score, start), "gravity": gravity}
     skeleton, unmirrored = _checked(plan, pairs)
     return Proposal(
         skeleton,
@@ -97,11 +100,11 @@ def _known_bones(bones: tuple[Bone, ...], names: list[str]) -> list[Bone]:
     return list(found.values())
 
 
-def _pairs(data: PoseData, names: list[str]) -> list[tuple[str, str]]:
+def _pairs(data: PoseData, names: list[str]) -> list[Pair]:
     """Return partners (right, left): the file's, and of the other joints those by name."""
     by_name = mirror_pairs(names)
     order = {frozenset(pair): pair for pair in by_name}
-    found: list[tuple[str, str]] = []
+    found: list[Pair] = []
     used: set[str] = set()
     for one, other in (*data.mirror, *by_name):
         if one != other and {one, other} <= set(names) and not {one, other} & used:
@@ -111,37 +114,67 @@ def _pairs(data: PoseData, names: list[str]) -> list[tuple[str, str]]:
 
 
 def _joined(
-    name: str,
-    names: list[str],
-    pairs: list[tuple[str, str]],
-    known: list[Bone],
-    score: np.ndarray,
-    share: np.ndarray,
-    root: str | None,
-    gravity: bool,
+    name: str, names: list[str], pairs: list[Pair], known: list[Bone], score: np.ndarray, root: str | Pair
 ) -> dict[str, Any]:
     """Return the plain data of a skeleton: joints, root and the bones that join them."""
-    central = np.minimum(score, score.max(where=np.isfinite(score), initial=1.0)).mean(1)
-    paired = {joint for pair in pairs for joint in pair}
-    middle = [place for place, joint in enumerate(names) if joint not in paired]
-    bridge = None
-    if not middle:  # nothing but pairs: the sides hang together at the most central one
-        bridge = min(pairs, key=lambda pair: sum(central[names.index(joint)] for joint in pair))
-    bones = [*known, *joining_bones(score, names, pairs, [*known, *([bridge] if bridge else [])])]
-    plan: dict[str, Any] = {"name": name, "joints": list(names), "gravity": gravity}
-    plan["mirror"] = [list(pair) for pair in pairs]
-    if root is None and bridge:
+    plan: dict[str, Any] = {"name": name, "joints": list(names), "mirror": [list(pair) for pair in pairs]}
+    made = root if isinstance(root, tuple) else None
+    bridge = [made] if made and 2 * len(pairs) == len(names) else []
+    bones = [*known, *bridge, *joining_bones(score, names, pairs, [*known, *bridge])]
+    if made is None:
+        plan["root"] = root
+    else:
         plan["root"] = new = _new_name("middle", names)
         plan["joints"].append(new)
-        plan["midpoints"] = {new: list(bridge)}
-        bones = [(new, bridge[0]), (new, bridge[1]), *(bone for bone in bones if set(bone) != set(bridge))]
-    else:
-        bones += [bridge] if bridge and set(bridge) not in map(set, bones) else []
-        good = [place for place in middle if share[place] >= _SEEN_WELL * share.max()]
-        best = min(good, key=lambda place: central[place]) if good else max(middle, default=0, key=lambda p: share[p])
-        plan["root"] = root or names[best]
+        plan["midpoints"] = {new: list(made)}
+        bones = _through(new, made, bones, known)
     plan |= {"bones": [list(bone) for bone in bones], "loops": len(bones) > len(plan["joints"]) - 1}
     return plan
+
+
+def _through(new: str, pair: Pair, bones: list[Bone], known: list[Bone]) -> list[Bone]:
+    """Return the bones with those to the middle of a pair, in place of guessed ones that hold the pair together."""
+    guessed = {frozenset(bone) for bone in bones} - {frozenset(bone) for bone in known}
+    joints = {joint for bone in bones for joint in bone} - set(pair)
+    between = [joint for joint in joints if all(frozenset((joint, end)) in guessed for end in pair)]
+    away = {frozenset(pair)} | {frozenset((joint, end)) for joint in between[:1] for end in pair}
+    kept = [bone for bone in bones if frozenset(bone) not in away]
+    return [(new, pair[0]), (new, pair[1]), *((joint, new) for joint in between[:1]), *kept]
+
+
+def _best_root(
+    names: list[str], pairs: list[Pair], keypoints: np.ndarray, visible: np.ndarray, score: np.ndarray
+) -> str | Pair:
+    """Return the joint nearest the middle of the body of those seen well: on the midline, where there are pairs.
+
+    A pair, for the point between its joints, where every joint has a partner, or where that point is nearer than
+    any joint and the pair as good as stiff (hips, not elbows).
+    """
+    paired = {joint for pair in pairs for joint in pair}
+    singles = [(joint,) for joint in names if joint not in paired]
+    share = visible.mean(0)
+    best: dict[int, tuple[float, tuple[str, ...]]] = {}
+    for group in [*singles, *pairs]:
+        places = [names.index(joint) for joint in group]
+        well = visible[:, places].all(1).mean() >= _SEEN_WELL * share.max()
+        far = _off_centre(keypoints, visible, places) + (0 if well else 10)
+        far += 2 * min(float(score[places[0], places[1]]), 10) if len(places) == 2 else 0
+        best[len(group)] = min(best.get(len(group), (np.inf, group)), (far, group), key=lambda found: found[0])
+    if 1 in best and (2 not in best or best[1][0] < max(_NEAR, best[2][0])):
+        return best[1][1][0]
+    one, other = best[2][1]
+    return one, other
+
+
+def _off_centre(keypoints: np.ndarray, visible: np.ndarray, places: list[int]) -> float:
+    """Return how far the mean of some joints is from that of all visible ones, in their spread."""
+    rows = np.flatnonzero(visible[:, places].all(1))
+    seen = visible[rows][..., None]
+    points = np.where(seen, keypoints[rows].astype(np.float64), 0)
+    centre = points.sum(1) / seen.sum(1)
+    spread = np.sqrt((np.where(seen, points - centre[:, None], 0) ** 2).sum((1, 2)) / seen.sum((1, 2)))
+    away = np.linalg.norm(points[:, places].mean(1) - centre, axis=-1)
+    return float(np.mean(away / np.maximum(spread, 1e-9))) if len(rows) else 9.0
 
 
 def _new_name(name: str, names: list[str]) -> str:
@@ -150,7 +183,7 @@ def _new_name(name: str, names: list[str]) -> str:
     return name
 
 
-def _checked(plan: dict[str, Any], pairs: list[tuple[str, str]]) -> tuple[Skeleton, tuple[Bone, ...]]:
+def _checked(plan: dict[str, Any], pairs: list[Pair]) -> tuple[Skeleton, tuple[Bone, ...]]:
     """Return the skeleton, without partners where the file's bones do not allow them."""
     try:
         return Skeleton.from_dict(plan), ()

@@ -18,6 +18,7 @@ Ends = tuple[tuple[str, ...], tuple[str, ...]]
 _WIDTH = 108
 _FRONT = ("nose", "snout", "beak", "muzzle", "head", "neck")
 _REAR = ("tailbase", "tail", "rump", "croup", "sacrum", "abdomen", "stinger", "body", "thorax")
+_ACROSS = ("wing", "antenna")  # they may lie on the other side
 _FEET = ("toe", "paw", "foot", "claw", "hoof", "tarsus", "tip", "ankle", "leg")
 
 
@@ -49,7 +50,7 @@ def facing_guess(skeleton: Skeleton) -> dict[str, Ends]:
     """
     sided = [pair for pair in mirror_pairs(skeleton.joints) if set(pair) in map(set, skeleton.mirror)]
     near = {joint: place for place, joint in enumerate(skeleton.parents)}
-    sided = sorted(sided, key=lambda pair: near[pair[0]])
+    sided = sorted(sided, key=lambda pair: (any(word in pair[0].lower() for word in _ACROSS), near[pair[0]]))
     if not sided:
         return {}
     found: dict[str, Ends] = {}
@@ -110,7 +111,7 @@ def _root(skeleton: Skeleton) -> str:
         return f"{text}\nroot: {quoted(skeleton.root)}"
     parts = ", ".join(map(quoted, skeleton.midpoints[skeleton.root]))
     return (
-        f"# Poses are measured from the root. Every joint has a partner, so it is made: the middle of a pair.\n"
+        f"# Poses are measured from the root. No joint is near the middle, so it is made: the middle of a pair.\n"
         f"root: {skeleton.root}\nmidpoints:\n  {skeleton.root}: [{parts}]"
     )
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from uplift.data.clean import MIN_VISIBLE, clean
@@ -12,11 +14,14 @@ from uplift.paths import shipped, shipped_names
 from uplift.readers import read
 from uplift.skeleton import Skeleton, load_skeleton
 from uplift.skeleton.matching import JointMatch, match_joints
+from uplift.skeleton.proposal_bones import TOO_LONG, stretch_of
 from uplift.skeleton.proposal_names import guess_parts
 from uplift.skeleton.template import quoted
 from uplift.verbs.skeleton import READING, keyed_words, reading
 
 __all__ = ["map_joints"]
+
+_LIKELY = 1.5  # see `stretched`
 
 
 def map_joints(words: list[str]) -> tuple[list[str], bool]:
@@ -40,7 +45,7 @@ def map_joints(words: list[str]) -> tuple[list[str], bool]:
     lines += [f"{skeleton.name}, {how}:", *_table(match, skeleton, built)]
     if match.unused:
         lines.append(f"  unused: {', '.join(match.unused)}")
-    said, fits = _verdict(match, skeleton, built)
+    said, fits = _verdict(data, skeleton, built)
     return [*lines, "", said], fits
 
 
@@ -77,14 +82,18 @@ def _percent(flags: np.ndarray) -> str:
     return f"{share if share in (0, 1) else min(max(share, 0.001), 0.999):6.1%}"
 
 
-def _verdict(match: JointMatch, skeleton: Skeleton, built: PoseData) -> tuple[str, bool]:
+def _verdict(data: PoseData, skeleton: Skeleton, built: PoseData) -> tuple[str, bool]:
     try:
         _, report = clean(built, skeleton, drop=False)
     except UserError as error:
         return f"it cannot be lifted: {error}", False
+    long = max(_stretch(built, skeleton), *(_stretch(data, other) for other in _of_these_names(data)), 0)
+    if long > TOO_LONG:
+        return f"it should not be lifted: {_wrong_order(long, data, skeleton)}", False
     good = report.frames - report.too_few - report.all_equal
     text = f"it can be lifted: {good:,} of {report.frames:,} frames show {MIN_VISIBLE} joints or more"
-    hidden = [joint for joint, seen in zip(skeleton.joints, (built.confidence > 0).any(0), strict=True) if not seen]
+    shown = np.asarray((built.confidence > 0).any(0))
+    hidden = [joint for joint, seen in zip(skeleton.joints, shown.tolist(), strict=True) if not seen]
     if hidden:
         which = ", ".join(hidden) if len(hidden) <= 6 else f"{len(hidden)} of {len(skeleton.joints)} joints"
         text += f"; hidden in all of them, so guessed: {which}"
@@ -93,10 +102,42 @@ def _verdict(match: JointMatch, skeleton: Skeleton, built: PoseData) -> tuple[st
     return text, True
 
 
+def _wrong_order(long: float, data: PoseData, skeleton: Skeleton) -> str:
+    """Say that joints have each other's names, and which layouts with as many keypoints the order fits."""
+    text = (
+        f"its bones are {long:.1f} times as long as the shortest lines that join these joints (1 to 1.6 where the "
+        "names are right). Joints have the names of others: another layout, or another order"
+    )
+    fitting = [
+        other.name
+        for other, names in _shipped()
+        if len(names) == len(data.joint_names)
+        and _stretch(replace(data, joint_names=names, pose=None), other) < _LIKELY
+    ]
+    return text + (f". In their order they look like layout={' or layout='.join(fitting)}" if fitting else "")
+
+
+def _stretch(data: PoseData, skeleton: Skeleton) -> float:
+    """Return how far the bones of the skeleton are stretched in a file that fits it; 0 where nothing is seen."""
+    built = in_joints_of(data, skeleton)
+    return stretch_of(built.keypoints, built.confidence, skeleton)
+
+
+def _of_these_names(data: PoseData) -> list[Skeleton]:
+    """Return the shipped skeletons whose files hold just the names of this one: they know the most bones of it."""
+    return [other for other, names in _shipped() if set(names) == set(data.joint_names)]
+
+
+def _shipped() -> list[tuple[Skeleton, tuple[str, ...]]]:
+    """Return all shipped skeletons, each with the names that a file of it holds."""
+    found = [load_skeleton(name) for name in shipped_names("skeletons")]
+    return [(one, tuple(joint for joint in one.joints if joint not in one.midpoints)) for one in found]
+
+
 def _help(data: PoseData, skeleton: Skeleton) -> list[str]:
     """Return which shipped skeletons fit, and a `from:` block of guesses, in comments."""
     lines = [""]
-    fitting = [name for name in shipped_names("skeletons") if name != skeleton.name and _fits(data, name)]
+    fitting = [other.name for other, _ in _shipped() if other.name != skeleton.name and _fits(data, other)]
     if fitting:
         lines += [f"shipped skeletons that fit the file: {', '.join(fitting)}", ""]
     guesses = guess_parts(skeleton, data.joint_names)
@@ -118,9 +159,9 @@ def _help(data: PoseData, skeleton: Skeleton) -> list[str]:
     return lines
 
 
-def _fits(data: PoseData, name: str) -> bool:
+def _fits(data: PoseData, skeleton: Skeleton) -> bool:
     try:
-        match = match_joints(data.joint_names, load_skeleton(name))
+        match = match_joints(data.joint_names, skeleton)
     except UserError:
         return False
     return len(match.missing) <= len(match.parts)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-__all__ = ["Clip", "arrange", "choose"]
+__all__ = ["Clip", "arrange", "choose", "photos"]
 
 _CLIP_KEYS = ("subject", "action", "sequence", "camera")
 _INSTANCE_KEYS = ("instance", "individual", "track")
@@ -40,8 +40,8 @@ def arrange(identity: dict[str, np.ndarray], rows: int) -> list[Clip]:
     instance = next((key for key in _INSTANCE_KEYS if key in identity), None)
     # A subject may be what tells individuals apart, and then it does not part clips.
     keys = [key for key in _CLIP_KEYS if key in identity and not (instance and key == "subject")]
-    if "image" in identity and not {"sequence", "frame"} & set(identity):
-        keys.append("image")  # photos, not the frames of a film
+    if photos(identity):
+        keys.append("image")
     labels = [np.asarray(identity[key]).astype(str) for key in keys]
     codes = _codes(labels, rows)
     order = np.argsort(codes, kind="stable")
@@ -49,6 +49,11 @@ def arrange(identity: dict[str, np.ndarray], rows: int) -> list[Clip]:
     names = _names(labels, groups)
     who = np.asarray(identity[instance]).astype(str) if instance else None
     return [_clip(name, group, identity.get("frame"), who) for name, group in zip(names, groups, strict=True)]
+
+
+def photos(identity: dict[str, np.ndarray]) -> bool:
+    """Return whether the rows are seen in photos, not in the frames of a film."""
+    return "image" in identity and not {"sequence", "frame"} & set(identity)
 
 
 def choose(clips: Sequence[Clip], moments: int, rows: int) -> list[Clip]:

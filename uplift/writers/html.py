@@ -26,7 +26,20 @@ Rows = Sequence[Sequence[object]]
 Section = tuple[str, Rows] | tuple[str, Rows, Sequence[object]]
 
 _PAGE = Path(__file__).resolve().parent / "page"
-_SCRIPTS = ("decode.js", "scene.js", "draw3d.js", "draw2d.js", "state.js", "controls.js")
+_SCRIPTS = (
+    *(
+        "decode.js",
+        "colours.js",
+        "scene.js",
+        "figures.js",
+        "floor.js",
+        "draw3d.js",
+        "labels.js",
+        "draw2d.js",
+        "strip.js",
+    ),
+    *("state.js", "motion.js", "keys.js", "pointer.js", "clips.js", "controls.js"),
+)
 
 
 def write_html(prediction: Prediction, path: str | Path, **options: Any) -> None:
@@ -58,6 +71,7 @@ def page_text(
         "title": escape(title),
         "subtitle": " · ".join(f"<span>{escape(fact)}</span>" for fact in data.pop("facts")),
         "style": style,
+        "noun": str(data["noun"]),
         "report": "".join(_table(section) for section in sections) + _curves(curves or {}),
         "notes": "".join(f"<li>{escape(note)}</li>" for note in [*data.pop("remarks"), *notes]),
         "data": json.dumps(data, ensure_ascii=True, allow_nan=False, separators=(",", ":")).replace("<", "\\u003c"),

@@ -41,7 +41,7 @@ def pack(arrays: dict[str, tuple[np.ndarray, float]]) -> tuple[str, list[dict[st
         changes = np.diff(rows, axis=0, prepend=np.zeros((1, rows.shape[1]), np.uint16))
         planes += [(changes & 0xFF).astype(np.uint8).T.tobytes(), (changes >> 8).astype(np.uint8).T.tobytes()]
         described.append({"name": name, "shape": list(np.shape(values)), "step": step, "offset": offset})
-    return base64.b64encode(zlib.compress(b"".join(planes), 9)).decode("ascii"), described
+    return base64.b64encode(zlib.compress(b"".join(planes), 6)).decode("ascii"), described
 
 
 def unpack(text: str, described: list[dict[str, Any]]) -> dict[str, np.ndarray]:

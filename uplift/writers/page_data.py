@@ -7,12 +7,13 @@ from typing import Any
 
 import numpy as np
 
+from uplift.axes import rotations_to
 from uplift.errors import UserError
 from uplift.prediction import Prediction
 from uplift.skeleton.sides import bone_sides, joint_sides
-from uplift.writers.clips import Clip, arrange, choose
+from uplift.writers.clips import Clip, arrange, choose, photos
 from uplift.writers.packing import pack
-from uplift.writers.staging import level_rotations, matched_truth, places, scaled_error
+from uplift.writers.staging import beside, level_rotations, matched_truth, scaled_error, standing
 
 __all__ = ["page_data"]
 
@@ -24,10 +25,15 @@ def page_data(prediction: Prediction, moments: int) -> dict[str, Any]:
     """Return what the page's script reads, and ``facts`` and ``remarks`` for its text.
 
     At most ``moments`` moments and three rows for each, whole clips evenly chosen. Raises UserError
-    where there is no frame.
+    where there is no frame, or where the poses were turned to other axes than the camera's.
     """
     if not len(prediction):
         raise UserError("there is no frame to show on a page: the prediction is empty. Check the input file.")
+    if prediction.axes not in ("camera", "opencv"):
+        raise UserError(
+            f"a page shows poses as the camera sees them; these were turned to the axes '{prediction.axes}'. "
+            "Leave axes out for a page."
+        )
     clips = arrange(prediction.identity, len(prediction))
     chosen = choose(clips, max(1, moments), _ROWS_PER_MOMENT * max(1, moments))
     rows = np.concatenate([clip.rows for clip in chosen])
@@ -43,6 +49,8 @@ def page_data(prediction: Prediction, moments: int) -> dict[str, Any]:
         "bones": bones,
         "jointSides": sides,
         "boneSides": bone_sides(sides, bones),
+        "rooted": prediction.root is not None,
+        "noun": "photo" if photos(prediction.identity) else "clip",
         "gravity": bool(prediction.skeleton.gravity),
         "fps": _positive(prediction.fps),
         "imageSize": [int(side) for side in prediction.image_size] if prediction.image_size is not None else None,
@@ -72,10 +80,20 @@ def _arrays(
         "pose": (pose, fine),
         "keypoints": (points, fine_px),
         "confidence": (confidence, 1 / 255),
+        "filled": (confidence <= 0 if prediction.filled is None else np.asarray(prediction.filled, bool)[rows], 1.0),
         "level": (rotation, 1 / _STEPS_PER_SIZE),
     }
-    if any(len(clip.individual_names) > 1 for clip in chosen):
-        arrays["place"] = (_places(chosen, pose, points, confidence > 0), fine)
+    if prediction.root is not None:
+        root = np.asarray(prediction.root, np.float64)[rows]
+        level = rotations_to(prediction, "level")[rows]
+        stood = [standing(root[part], level[part], clip) for part, clip in _parts(chosen)]
+    elif any(len(clip.individual_names) > 1 for clip in chosen):
+        stood = [beside(pose[part], points[part], confidence[part] > 0) for part, _ in _parts(chosen)]
+    else:
+        stood = []
+    if stood:
+        place, level_place = map(np.concatenate, zip(*stood, strict=True))
+        arrays |= {"place": (place, fine), "levelPlace": (level_place, fine)}
     if prediction.spread is not None:
         arrays["spread"] = (np.asarray(prediction.spread, np.float64)[rows], fine)
     if prediction.truth is not None:
@@ -87,10 +105,9 @@ def _arrays(
     return arrays, departure
 
 
-def _places(chosen: list[Clip], pose: np.ndarray, points: np.ndarray, seen: np.ndarray) -> np.ndarray:
-    ends = np.cumsum([len(clip.rows) for clip in chosen])[:-1]
-    parts = zip(*(np.split(array, ends) for array in (pose, points, seen)), strict=True)
-    return np.concatenate([places(*part) for part in parts])
+def _parts(chosen: list[Clip]) -> list[tuple[slice, Clip]]:
+    ends = np.cumsum([len(clip.rows) for clip in chosen]).tolist()
+    return [(slice(end - len(clip.rows), end), clip) for end, clip in zip(ends, chosen, strict=True)]
 
 
 def _stacked(chosen: list[Clip], name: str) -> np.ndarray:
@@ -116,14 +133,14 @@ def _described(chosen: list[Clip]) -> list[dict[str, Any]]:
 
 
 def _facts(prediction: Prediction, clips: list[Clip]) -> list[str]:
-    count = sum(len(clip.frames) for clip in clips)
+    count, stills = sum(len(clip.frames) for clip in clips), photos(prediction.identity)
     people = max((len(clip.individual_names) for clip in clips), default=1)
     facts = [
         _short(prediction.source) if prediction.title else "",
         prediction.skeleton.name,
         f"{len(prediction.joint_names)} joints",
-        _counted(count, "frame"),
-        _counted(len(clips), "clip") if len(clips) > 1 else "",
+        "" if stills else _counted(count, "frame"),
+        _counted(len(clips), "photo" if stills else "clip") if len(clips) > 1 or stills else "",
         f"up to {people} individuals at once" if people > 1 else "",
         f"{_positive(prediction.fps):g} fps" if _positive(prediction.fps) else "",
     ]
@@ -138,8 +155,11 @@ def _remarks(prediction: Prediction, clips: list[Clip], chosen: list[Clip], depa
             f"This page shows {shown:,} of {total:,} frames ({len(chosen):,} of {len(clips):,} clips, evenly chosen); "
             f"{total - shown:,} were left out to keep it small."
         )
-    if any(len(clip.individual_names) > 1 for clip in chosen):
+    if prediction.root is None and any(len(clip.individual_names) > 1 for clip in chosen):
         remarks.append("Individuals stand side by side as in the image; the depth between them is not estimated.")
+    if prediction.root is not None and not np.isfinite(prediction.root).all():
+        lost = int((~np.isfinite(prediction.root)).any(-1).sum())
+        remarks.append(f"{_counted(lost, 'pose')} without a known place are drawn between the places before and after.")
     if prediction.unit != "mm":
         remarks.append("The scale is not metric: lengths can be compared with each other, not with a ruler.")
         if prediction.truth is not None:
@@ -149,7 +169,7 @@ def _remarks(prediction: Prediction, clips: list[Clip], chosen: list[Clip], depa
             "The level view turns each pose as a whole; the level poses of the data differ from that "
             f"by up to {departure:.0%} of the pose's size."
         )
-    return remarks
+    return [*remarks, *prediction.notes]
 
 
 def _counted(count: int, noun: str) -> str:

@@ -1,11 +1,13 @@
-"""What a page needs besides the poses: level rotations, truth at the pose's size, places side by side."""
+"""What a page needs besides the poses: level rotations, truth at the pose's size, places of the roots."""
 
 from __future__ import annotations
 
 import numpy as np
 from jaxtyping import Bool, Float
 
-__all__ = ["level_rotations", "matched_truth", "places", "scaled_error"]
+from uplift.writers.clips import Clip
+
+__all__ = ["beside", "level_rotations", "matched_truth", "scaled_error", "standing"]
 
 
 def level_rotations(
@@ -40,12 +42,30 @@ def scaled_error(
     return np.where(known.any(1), mean, np.nan)
 
 
-def places(
+def standing(
+    root: Float[np.ndarray, "frames 3"], level: Float[np.ndarray, "frames 3 3"], clip: Clip
+) -> tuple[Float[np.ndarray, "frames 3"], Float[np.ndarray, "frames 3"]]:
+    """Return where the roots of a clip are in the axes of the camera, and in level ones.
+
+    ``level`` is one rotation for all of a clip, whose camera stands still: far from the camera a degree of tilt
+    more or less would move a root by much. A place that is not known lies between those before and after it.
+    """
+    place = np.where(np.isfinite(root).all(-1, keepdims=True), root, np.nan)
+    for one in range(len(clip.individual_names)):
+        rows = np.flatnonzero(clip.individual == one)
+        known = rows[np.isfinite(place[rows, 0])]
+        for axis in range(3):
+            found = np.interp(clip.moment[rows], clip.moment[known], place[known, axis]) if len(known) else 0.0
+            place[rows, axis] = found
+    return place, np.einsum("fik,fk->fi", level, place)
+
+
+def beside(
     pose: Float[np.ndarray, "frames joints 3"],
     keypoints: Float[np.ndarray, "frames joints 2"],
     seen: Bool[np.ndarray, "frames joints"],
-) -> Float[np.ndarray, "frames 2"]:
-    """Return where each pose's root stands across the image, in the pose's unit, centred on their median.
+) -> tuple[Float[np.ndarray, "frames 3"], Float[np.ndarray, "frames 3"]]:
+    """Return where the roots stand across the image, in the pose's unit, centred on their median; on the floor where level.
 
     Weak perspective with one scale for all: for drawing several individuals side by side.
     """
@@ -60,7 +80,8 @@ def places(
     scale = np.median(size_3d[usable] / size_px[usable]) if usable.any() else 0.0
     place = point_mean * scale - flat_mean
     anchor = np.median(place[usable], axis=0) if usable.any() else 0.0
-    return np.where(usable[:, None], place - anchor, 0.0)
+    place = np.pad(np.where(usable[:, None], place - anchor, 0.0), ((0, 0), (0, 1)))
+    return place, place * [1.0, 0.0, 0.0]
 
 
 def _scale(moved: np.ndarray, fixed: np.ndarray) -> np.ndarray:

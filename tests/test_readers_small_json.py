@@ -1,0 +1,152 @@
+"""Kinetics skeletons, MPII's JSON, and AlphaTracker's labels."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from tracker_files_json import alphatracker, kinetics, mpii, people, write_json
+
+from uplift.datasets.coco import COCO_JOINTS
+from uplift.errors import UserError
+from uplift.readers import ReadOptions, guess_format, read
+from uplift.readers.layouts import MPII16, OPENPOSE18
+
+
+def same(data, values: np.ndarray) -> None:
+    np.testing.assert_array_equal(data.keypoints, values[..., :2].astype(np.float32))
+    np.testing.assert_array_equal(data.confidence, values[..., 2].astype(np.float32))
+
+
+def refused(path: Path, content, format: str) -> str:
+    write_json(path, content)
+    with pytest.raises(UserError) as error:
+        read(path, ReadOptions(format=format))
+    return str(error.value)
+
+
+@pytest.mark.parametrize(("names", "flat"), [(COCO_JOINTS, False), (COCO_JOINTS, True), (OPENPOSE18, True)])
+def test_kinetics_comes_back(tmp_path: Path, names: tuple[str, ...], flat: bool) -> None:
+    values = people(6, len(names))
+    frames = [[one] for one in values]
+    path = write_json(tmp_path / "abc.json", kinetics([*frames[:3], [], *frames[3:]], flat))
+    assert guess_format(path).name == "kinetics_skeleton"
+    data = read(path)
+    same(data, values)
+    assert data.joint_names == names
+    assert data.identity["frame"].tolist() == [1, 2, 3, 5, 6, 7]
+    assert set(data.identity["sequence"]) == {"abc"}
+    assert "instance" not in data.identity
+
+
+def test_kinetics_in_shares_and_in_a_folder(tmp_path: Path) -> None:
+    values = people(2, 18, size=1.0)
+    values[..., :2] = np.minimum(values[..., :2], 0.999)
+    for name in ("a", "b"):
+        write_json(tmp_path / f"all/{name}.json", kinetics([[values[0], values[1]]] * 3))
+    assert guess_format(tmp_path / "all").name == "kinetics_skeleton"
+    data = read(tmp_path / "all")
+    assert len(data) == 12
+    assert len(set(data.clips())) == 4
+    assert any("shares of the image" in note for note in data.notes)
+    larger = read(tmp_path / "all", ReadOptions(image_size=(340, 256)))
+    np.testing.assert_allclose(larger.keypoints, data.keypoints * np.float32([340, 256]), rtol=1e-6)
+
+
+def test_wrong_kinetics_is_refused(tmp_path: Path) -> None:
+    def changed(**changes) -> str:
+        content = kinetics([[one] for one in people(3, 18)])
+        content["data"][1].update(changes)
+        return refused(tmp_path / "a.json", content, "kinetics_skeleton")
+
+    assert "entry 1: 'frame_index' is -3" in changed(frame_index=-3)
+    assert "entry 1: 'frame_index' is None" in changed(frame_index=None)
+    assert "entry 1 has skeleton None" in changed(skeleton=None)
+    assert "skeleton 0: 'pose' has 4 numbers, but 36" in changed(skeleton=[{"pose": [1, 2, 3, 4], "score": [1, 1]}])
+    assert "skeleton 0: 'score' is None" in changed(skeleton=[{"pose": [1, 2] * 18}])
+    assert "has no 'data'" in refused(tmp_path / "a.json", {"label": "x"}, "kinetics_skeleton")
+    assert "no skeleton in any frame" in refused(tmp_path / "a.json", kinetics([[], []]), "kinetics_skeleton")
+
+
+def test_real_kinetics(benchmark_data) -> None:
+    path = benchmark_data("trackers/kinetics_skeleton/baseball.json")
+    assert guess_format(path).name == "kinetics_skeleton"
+    data = read(path)
+    assert data.keypoints.shape == (277, 17, 2)
+    assert data.identity["frame"].tolist() == list(range(1, 278))
+    np.testing.assert_array_equal(data.keypoints[0, 0], np.float32([567.273, 358.638]))
+    np.testing.assert_array_equal(data.keypoints[276, 16], np.float32([515.221, 788.464]))
+    assert data.confidence[0, 0] == np.float32(0.951)
+    assert data.confidence[276, 16] == np.float32(0.882)
+
+
+def test_mpii_comes_back(tmp_path: Path) -> None:
+    values = people(5, 16)
+    path = write_json(tmp_path / "a.json", mpii(values))
+    assert guess_format(path).name == "mpii_json"
+    data = read(path)
+    seen = values[..., 2] > 0
+    np.testing.assert_array_equal(data.keypoints[seen], values[seen][:, :2].astype(np.float32))
+    np.testing.assert_array_equal(data.confidence, seen)
+    assert data.joint_names == MPII16
+    assert data.identity["image"].tolist() == [f"{n:09d}.jpg" for n in range(5)]
+    assert "frame" not in data.identity
+
+
+def test_wrong_mpii_is_refused(tmp_path: Path) -> None:
+    content = mpii(people(3, 16))
+    content[1]["joints_vis"].pop()
+    assert "entry 1: 'joints_vis' has 15 numbers" in refused(tmp_path / "a.json", content, "mpii_json")
+    content[1].pop("joints")
+    assert "entry 1: 'joints' is None" in refused(tmp_path / "a.json", content, "mpii_json")
+    content[1]["image"] = 5
+    assert "entry 1 has image 5" in refused(tmp_path / "a.json", content, "mpii_json")
+    assert "empty list" in refused(tmp_path / "a.json", [], "mpii_json")
+
+
+def test_real_mpii(benchmark_data) -> None:
+    path = benchmark_data("trackers/mpii/test_mpii.json")
+    assert guess_format(path).name == "mpii_json"
+    data = read(path)
+    assert len(data) == 5
+    assert data.identity["image"][[0, 4]].tolist() == ["005808361.jpg", "060754485.jpg"]
+    np.testing.assert_array_equal(data.keypoints[0, 0], [804, 711])
+    assert data.confidence[0, 0] == 1
+    np.testing.assert_array_equal(data.keypoints[4, 9], np.float32([591.3663, 117.4341]))
+    assert data.joint_names[9] == "headtop"
+
+
+def test_alphatracker_comes_back(tmp_path: Path) -> None:
+    values = people(4, 3)[..., :2]
+    path = write_json(tmp_path / "a.json", alphatracker([[values[0], values[1]], [], [values[2], values[3]]]))
+    assert guess_format(path).name == "alphatracker"
+    data = read(path)
+    np.testing.assert_array_equal(data.keypoints, values.astype(np.float32))
+    assert (data.confidence == 1).all()
+    assert data.joint_names == ("point_0", "point_1", "point_2")
+    assert data.identity["image"].tolist() == ["i0.png", "i0.png", "i2.png", "i2.png"]
+    assert data.identity["instance"].tolist() == ["0", "1", "0", "1"]
+
+
+def test_wrong_alphatracker_is_refused(tmp_path: Path) -> None:
+    values = people(2, 3)[..., :2]
+    content = alphatracker([[values[0]], [values[1]]])
+    content[1]["annotations"].pop()
+    assert "image 1, animal 0: 'points' has 4 numbers" in refused(tmp_path / "a.json", content, "alphatracker")
+    content[1]["annotations"] = content[1]["annotations"][1:]
+    assert "a point before the first 'Face'" in refused(tmp_path / "a.json", content, "alphatracker")
+    content[1]["annotations"] = [{"class": "tail"}]
+    assert "expected a 'Face' or a 'point'" in refused(tmp_path / "a.json", content, "alphatracker")
+    content[1]["filename"] = None
+    assert "image 1 has filename None" in refused(tmp_path / "a.json", content, "alphatracker")
+    assert "no animal with points" in refused(tmp_path / "a.json", alphatracker([[]]), "alphatracker")
+
+
+def test_real_alphatracker(benchmark_data) -> None:
+    path = benchmark_data("trackers/alphatracker/at_testdata.json")
+    assert guess_format(path).name == "alphatracker"
+    data = read(path)
+    assert data.keypoints.shape == (8, 3, 2)
+    assert data.identity["image"][0] == "img000.png"
+    np.testing.assert_array_equal(data.keypoints[0], [[1, 2], [1, 3], [1, 4]])
