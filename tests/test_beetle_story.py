@@ -153,7 +153,7 @@ def test_the_proposal_is_wrong_where_the_page_says(story: Story) -> None:
     assert not proposed.facing
     wrong = set(map(frozenset, proposed.bones)) - set(map(frozenset, corrected.bones))
     assert wrong == {
-        frozenset((f"{leg}_hip_{side}", f"middle_hip_{side}")) for leg in ("front", "hind") for side in "lr"
+        frozenset((f"hind_hip_{side}", f"{joint}_{side}")) for joint in ("middle_hip", "middle_knee") for side in "lr"
     }
 
 
