@@ -7,6 +7,7 @@ import argparse
 import errno
 import sys
 from collections.abc import Callable, Sequence
+from pathlib import Path
 
 from uplift import __version__
 from uplift.errors import UserError
@@ -18,7 +19,7 @@ _VERBS = {
     "fit": "train a lifter: fit task=NAME, or fit skeleton=NAME data.train=FILE; also resume=RUN",
     "evaluate": "every protocol: evaluate run=RUN [data.test=FILE], or evaluate poses=FILE data.test=FILE",
     "predict": "lift keypoints: predict run=RUN input=FILE|FOLDER|SET:SPLIT output=FILE.html|.npz|.csv|.trc|.bvh|...",
-    "simulate": "made-up bodies with exact poses: simulate skeleton=NAME output=FILE.npz [frames=20000 seed=0]",
+    "simulate": "made-up bodies with exact poses: simulate skeleton=NAME output=FILE.npz|.csv [frames=20000 seed=0]",
     "compare": "runs side by side: compare RUN RUN ...",
     "data": "data check task=NAME [data.root=FOLDER]: what is there and what is missing; data cmu FOLDER",
     "tasks": "list the tasks and whether their data is present",
@@ -129,7 +130,7 @@ def _complete(verb: str) -> Callable[..., list[str]]:
 _KEYS = {
     "evaluate": ("run", "poses", "data.test", "skeleton", "refine"),
     "predict": PREDICT_KEYS,
-    "simulate": ("skeleton", "output", "frames", "seed", "noise_px", "missing"),
+    "simulate": ("skeleton", "output", "frames", "seed", "clip_seconds", "noise_px", "missing", "tracker"),
 }
 
 
@@ -203,13 +204,18 @@ def _predict(words: Sequence[str]) -> None:
 def _simulate(words: Sequence[str]) -> None:
     keys = keyed("simulate", words, _KEYS["simulate"], ("skeleton", "output"))
     found = {key: whole("simulate", keys, key) for key in ("frames", "seed")}
-    found |= {key: number("simulate", keys, key) for key in ("noise_px", "missing")}
-    numbers = {key: value for key, value in found.items() if value is not None}
+    found |= {key: number("simulate", keys, key) for key in ("clip_seconds", "noise_px", "missing")}
+    told = {key: value for key, value in (found | {"tracker": keys.get("tracker")}).items() if value is not None}
     from uplift.verbs.simulate import simulate
 
-    data = simulate(keys["skeleton"], keys["output"], **numbers)  # type: ignore[arg-type]
-    print(f"simulated {len(data):,} frames of {keys['skeleton']}\nwrote {keys['output']}")
-    print(f"next: uplift fit skeleton={keys['skeleton']} data.train={keys['output']}")
+    written: list[Path] = []
+    data = simulate(keys["skeleton"], keys["output"], written=written, **told)  # type: ignore[arg-type]
+    output = Path(keys["output"])
+    several = len(written) > 1
+    files = f"{len(written)} files, {written[0]} to {written[-1].name}" if several else output
+    train = f"'{output.with_name(f'{output.stem}_*{output.suffix}')}'" if several else output
+    print(f"simulated {len(data):,} frames of {keys['skeleton']}\nwrote {files}")
+    print(f"next: uplift fit skeleton={keys['skeleton']} data.train={train}")
 
 
 def _compare(words: Sequence[str]) -> None:
