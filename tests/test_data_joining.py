@@ -60,6 +60,12 @@ def test_poses_of_other_units_are_not_joined():
     assert np.isnan(half.pose[4:]).all() and (half.pose[:4] == 0).all()
 
 
+def test_notes_that_differ_in_numbers_are_told_once():
+    notes = [("read as csv", "3 of 7 are weak"), ("read as csv", "5 of 70 are weak"), ("read as csv",)]
+    joined = join_data([part(f"{n}.csv", notes=told) for n, told in enumerate(notes)])
+    assert joined.notes == ("read as csv", "3 of 7 are weak (the like in 2 of 3 files)")
+
+
 def test_one_file_is_itself():
     one = part("a.csv")
     assert join_data([one]) is one

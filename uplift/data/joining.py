@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -27,7 +28,7 @@ def join_data(parts: Sequence[PoseData]) -> PoseData:
     if len(parts) == 1:
         return parts[0]
     first = parts[0]
-    notes = list(dict.fromkeys(note for part in parts for note in part.notes))
+    notes = _common_notes(parts)
     units = {part.unit for part in parts if part.pose is not None}
     if len(units) > 1:
         raise UserError(f"{_files(parts)}: poses in {' and '.join(sorted(units))}; files must agree to be joined.")
@@ -50,6 +51,17 @@ def join_data(parts: Sequence[PoseData]) -> PoseData:
         notes=tuple(notes),
         **common,
     )
+
+
+def _common_notes(parts: Sequence[PoseData]) -> list[str]:
+    """Return the notes of all parts; of those that differ in their numbers alone the first, with how many they are."""
+    alike: dict[str, list[str]] = {}
+    for note in (note for part in parts for note in part.notes):
+        alike.setdefault(re.sub(r"\d[\d,.]*", "#", note), []).append(note)
+    return [
+        notes[0] if len(set(notes)) == 1 else f"{notes[0]} (the like in {len(notes)} of {len(parts)} files)"
+        for notes in alike.values()
+    ]
 
 
 def _files(parts: Sequence[PoseData]) -> str:
