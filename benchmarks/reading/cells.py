@@ -44,7 +44,7 @@ class Cell:
 
 CELLS = (
     Cell("coco", "coco", "coco.json", "json_files:coco", 2, yardstick="json"),
-    Cell("openpose", "openpose", "openpose", "json_files:openpose", 2, 25, 2 * FOLDER_FILES, "json"),
+    Cell("openpose", "openpose", "openpose", "folders:openpose", 2, 25, 2 * FOLDER_FILES, "json"),
     Cell("mmpose", "mmpose", "mmpose.json", "json_files:mmpose", yardstick="json"),
     Cell("mmpose, 2 tracks", "mmpose", "mmpose_tracked.json", "json_files:mmpose_tracked", 2, yardstick="json"),
     Cell("mmpose, 2 unnamed", "mmpose", "mmpose_unnamed.json", "json_files:mmpose", 2, yardstick="json"),
@@ -55,7 +55,7 @@ CELLS = (
     Cell("mpii_json", "mpii_json", "mpii.json", "json_files:mpii", joints=16, yardstick="json"),
     Cell("alphatracker", "alphatracker", "alphatracker.json", "json_files:alphatracker", 2, yardstick="json"),
     Cell("ultralytics_json", "ultralytics_json", "ultralytics.json", "json_files:ultralytics_json", yardstick="json"),
-    Cell("ultralytics", "ultralytics", "ultralytics", "json_files:ultralytics", most=FOLDER_FILES),
+    Cell("ultralytics", "ultralytics", "ultralytics", "folders:ultralytics", most=FOLDER_FILES),
     Cell("deeplabcut csv", "deeplabcut", "walkDLC_one.csv", "table_files:deeplabcut_csv", yardstick="pandas"),
     Cell("deeplabcut csv, 2", "deeplabcut", "walkDLC_two.csv", "table_files:deeplabcut_csv", 2, yardstick="pandas"),
     Cell("deeplabcut h5", "deeplabcut", "walkDLC.h5", "table_files:deeplabcut_h5", yardstick="pandas h5"),

@@ -16,7 +16,9 @@ def _json(path: Path) -> object:
 def _pandas(path: Path) -> object:
     import pandas as pd
 
-    return pd.read_csv(path, header=[0, 1, 2] if "DLC_one" in path.name else [0, 1, 2, 3] if "DLC_two" in path.name else 0)
+    return pd.read_csv(
+        path, header=[0, 1, 2] if "DLC_one" in path.name else [0, 1, 2, 3] if "DLC_two" in path.name else 0
+    )
 
 
 def _pandas_h5(path: Path) -> object:
@@ -26,9 +28,9 @@ def _pandas_h5(path: Path) -> object:
 
 
 def _sleap_io(path: Path) -> object:
-    import sleap_io
+    from sleap_io.io.main import load_slp
 
-    return sleap_io.load_slp(str(path), open_videos=False).numpy()
+    return load_slp(str(path), open_videos=False).numpy()
 
 
 YARDSTICKS: dict[str, Callable[[Path], object]] = {
