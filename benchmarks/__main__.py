@@ -2,6 +2,7 @@
 
 print(
     """python -m benchmarks.accuracy [NAME ...]   errors of recipes side by side; finished cells are kept
+python -m benchmarks.examples [--only X]   the files of docs/examples.md on real sets, beside flat depth
 python -m benchmarks.speed                 training and prediction against the machine's own peak
 python -m benchmarks.loading               a data set of Human3.6M's size: loading, memory, training
 python -m benchmarks.reading               a million bodies read in each format, predictions written in each

@@ -9,6 +9,9 @@ from pathlib import Path
 import pytest
 from hypothesis import settings
 
+if "PYTEST_XDIST_WORKER" in os.environ:
+    os.environ.setdefault("OMP_NUM_THREADS", "1")  # a thread a core: more only wait for each other
+
 # The same examples every time: a suite that fails says why twice in a row.
 settings.register_profile("steady", derandomize=True, deadline=None)
 settings.load_profile("steady")

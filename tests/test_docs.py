@@ -274,3 +274,12 @@ def test_pages_are_plain(page: Path) -> None:
     assert text.endswith("\n")
     assert not re.search(r"[\U0001F000-\U0001FAFF✅❌⚠]|/work/|/tmp/", text)
     assert page.name in ("README.md", "index.md") or f"({page.name})" in (ROOT / "docs/index.md").read_text()
+
+
+def test_every_format_is_documented() -> None:
+    from uplift.readers.formats import FORMATS
+    from uplift.writers import WRITERS
+
+    trackers, output = ((ROOT / "docs" / name).read_text() for name in ("trackers.md", "output.md"))
+    assert [name for name in FORMATS if f"| `{name}` |" not in trackers] == []
+    assert [ending for ending in WRITERS if f"`{ending}`" not in output] == []

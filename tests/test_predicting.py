@@ -15,10 +15,14 @@ from test_cli import refusal
 from uplift.cli import main
 from uplift.config import LifterSettings
 from uplift.data.container import PoseData
+from uplift.data.load import load_file
 from uplift.model import Model, build_lifter
+from uplift.readers import ReadOptions
 from uplift.simulator import simulate
 from uplift.sizing import KnownLength
 from uplift.skeleton import Skeleton, load_skeleton
+from uplift.writers.deeplabcut_csv import write_deeplabcut_csv
+from uplift.writers.keypoints_csv import write_keypoints_csv
 
 SKELETON = load_skeleton("h36m17")
 SIZE = KnownLength(("rhip", "rknee"), 430.0)
@@ -150,3 +154,30 @@ def test_wrong_words(words: list[str], says: str, run: Path, here: Path, capsys:
     output = [] if any(word.startswith("output=") for word in words) else ["output=a.npz"]
     assert says in refusal(capsys, "predict", f"run={run}", "input=film.npz", *output, *words)
     assert [path.name for path in here.iterdir()] == ["film.npz"]
+
+
+@pytest.mark.parametrize("writer", [write_keypoints_csv, write_deeplabcut_csv])
+def test_the_same_keypoints_in_another_format_give_the_same_poses(writer, model: Model, film: PoseData, tmp_path: Path):
+    writer(film, tmp_path / "film.csv")
+    read = load_file(tmp_path / "film.csv", SKELETON, ReadOptions(focal_px=film.focal_px, image_size=film.image_size))
+    found, wanted = model.predict(read), model.predict(film)
+    place = {
+        (int(f), str(i)): row
+        for row, (f, i) in enumerate(zip(film.identity["frame"], film.identity["instance"], strict=True))
+    }
+    rows = [place[int(f), str(i)] for f, i in zip(read.identity["frame"], read.identity["instance"], strict=True)]
+    assert sorted(rows) == list(range(len(film)))
+    np.testing.assert_allclose(found.pose, wanted.pose[rows], rtol=1e-3, atol=0.05)
+
+
+def test_joints_with_the_names_of_others_are_doubted(
+    here: Path, model: Model, run: Path, capsys: pytest.CaptureFixture
+):
+    arrays = body_arrays(40)
+    arrays["keypoints"] = simulate(SKELETON, 40, seed=1).keypoints
+    np.savez(here / "right.npz", **arrays)
+    arrays["keypoints"] = np.roll(arrays["keypoints"], 5, axis=1)
+    np.savez(here / "wrong.npz", **arrays)
+    for name, doubted in (("right", False), ("wrong", True)):
+        assert main(["predict", f"run={run}", f"input={name}.npz", f"output={name}_poses.npz"]) == 0
+        assert ("WARNING: the bones of h36m17" in capsys.readouterr().out) == doubted

@@ -10,6 +10,7 @@ import pytest
 
 import uplift
 from uplift.paths import shipped_names
+from uplift.skeleton import load_skeleton
 
 TINY = (
     "lifter.options.units=16", "student.options.units=16", "priors.flow.steps=3", "teacher.batch_size=16",
@@ -18,7 +19,11 @@ TINY = (
 )  # fmt: skip
 
 
-@pytest.mark.parametrize("name", shipped_names("skeletons"))
+LIKE_ANOTHER = ("freihand21", "interhand21", "openpose25b")  # the same body in another order
+NAMES = [name for name in shipped_names("skeletons") if load_skeleton(name).body and name not in LIKE_ANOTHER]
+
+
+@pytest.mark.parametrize("name", NAMES)
 def test_fits_and_evaluates(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     monkeypatch.chdir(tmp_path)
     uplift.simulate(name, "train.npz", frames=60, seed=1)

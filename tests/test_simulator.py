@@ -11,7 +11,7 @@ from uplift.simulator import build_body, rest_pose, simulate
 from uplift.simulator.actions import ACTIONS
 from uplift.skeleton import Skeleton, load_skeleton
 
-NAMES = shipped_names("skeletons")
+NAMES = [name for name in shipped_names("skeletons") if load_skeleton(name).body]
 HUMANS = [name for name in NAMES if build_body(load_skeleton(name)).unit == "mm"]
 FRAMES = 1500
 

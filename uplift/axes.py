@@ -10,7 +10,7 @@ from jaxtyping import Float
 from uplift.errors import UserError, did_you_mean
 from uplift.prediction import Prediction
 
-__all__ = ["AXES", "in_axes", "rotations_to"]
+__all__ = ["AXES", "FROM_LEVEL", "in_axes", "rotations_to"]
 
 AXES = {
     "camera": "x right in the image, y down, z away from the camera",
@@ -22,11 +22,12 @@ AXES = {
 """The names `in_axes` knows and what they mean; all are right-handed, so left stays left."""
 
 _AS_SEEN = ("camera", "opencv")
-_FROM_LEVEL = {
+FROM_LEVEL = {
     "level": [[1, 0, 0], [0, 1, 0], [0, 0, 1]],
     "blender": [[1, 0, 0], [0, 0, 1], [0, -1, 0]],
     "opensim": [[1, 0, 0], [0, -1, 0], [0, 0, -1]],
 }
+"""Rotations from the level frame to the axes of other programs."""
 _AGREES = 1e-3
 """Share of a body's size by which its level pose may miss what the tilt says."""
 
@@ -65,7 +66,7 @@ def rotations_to(prediction: Prediction, name: str) -> Float[np.ndarray, "frames
         level = np.broadcast_to(np.eye(3), (len(prediction), 3, 3))
     else:
         level = _least_rotations(_steady(_gravities(prediction), prediction))
-    return np.array(_FROM_LEVEL.get(name, _FROM_LEVEL["level"]), float) @ level
+    return np.array(FROM_LEVEL.get(name, FROM_LEVEL["level"]), float) @ level
 
 
 def _gravities(prediction: Prediction) -> Float[np.ndarray, "frames 3"]:

@@ -21,6 +21,7 @@ from uplift.readers.base import size_of
 from uplift.readers.files import files_of
 from uplift.skeleton import Skeleton
 from uplift.skeleton.matching import build_joints, build_pose
+from uplift.skeleton.proposal_bones import TOO_LONG, stretch_of
 
 __all__ = [
     "Loaded",
@@ -225,7 +226,19 @@ def find_data(settings: Settings, which: str) -> Path:
 
 def load_file(path: str | Path, skeleton: Skeleton, options: ReadOptions | None = None) -> PoseData:
     """Read keypoint files (one, several with commas, or a pattern) into the joints of ``skeleton``, matched by name."""
-    return join_data([in_joints_of(read(one, options), skeleton) for one in files_of(path)])
+    return join_data([_doubted(in_joints_of(read(one, options), skeleton), skeleton) for one in files_of(path)])
+
+
+def _doubted(data: PoseData, skeleton: Skeleton) -> PoseData:
+    """Return ``data`` with a note where its joints seem to have each other's names."""
+    stretch = stretch_of(data.keypoints, data.confidence, skeleton)
+    if stretch < TOO_LONG:
+        return data
+    note = (
+        f"WARNING: the bones of {skeleton.name} are {stretch:.1f} times as long as the shortest lines that join its "
+        f"joints: joints seem to have the names of others (uplift skeleton map {data.source} skeleton={skeleton.name})"
+    )
+    return replace(data, notes=(*data.notes, note))
 
 
 def read_options(data: DataSettings) -> ReadOptions:

@@ -23,7 +23,10 @@ if TYPE_CHECKING:
     from uplift.data.container import PoseData
     from uplift.prediction import Prediction
 
-__all__ = ["Evaluation", "GivenPoses", "evaluate", "flat_depth"]
+__all__ = ["TRUTH_SIGN", "Evaluation", "GivenPoses", "evaluate", "flat_depth"]
+
+TRUTH_SIGN = "facing_sign of the truth itself:"
+"""How the note begins that says how often the truth has the handedness of the skeleton."""
 
 
 @dataclass(frozen=True)
@@ -157,7 +160,7 @@ def _truth_notes(matched: Matched, scores: Scores, subject: np.ndarray) -> list[
     if has_handedness(matched.skeleton):
         signs = facing_sign(truth, matched.skeleton)
         if np.isfinite(signs).any():
-            notes.append(f"facing_sign of the truth itself: {np.nanmean(signs):.3f}")
+            notes.append(f"{TRUTH_SIGN} {np.nanmean(signs):.3f}")
     else:
         notes.append(f"no facing_sign: skeleton '{matched.skeleton.name}' gives no handedness")
     steady = bone_cv(lengths, subject)

@@ -9,7 +9,12 @@ from collections.abc import Callable, Iterator, Sequence
 import numpy as np
 from jaxtyping import Bool, Float, Shaped
 
-__all__ = ["apart", "joining_bones", "seen_in", "stretched"]
+from uplift.skeleton import Skeleton
+
+__all__ = ["TOO_LONG", "apart", "joining_bones", "seen_in", "stretch_of", "stretched"]
+
+TOO_LONG = 1.9
+"""From where `stretched` says that joints have each other's names."""
 
 Bone = tuple[str, str]
 
@@ -98,6 +103,16 @@ def stretched(
     score = np.where(np.isfinite(mean), mean, np.inf)
     least = [mean[int(one), int(other)] for one, other in joining_bones(score, names)]
     return float(np.mean(ours) / max(np.nanmean(least), 1e-9))
+
+
+def stretch_of(
+    keypoints: Shaped[np.ndarray, "frames joints 2"],
+    confidence: Shaped[np.ndarray, "frames joints"],
+    skeleton: Skeleton,
+) -> float:
+    """Return how far the bones of ``skeleton`` are stretched in keypoints of its joints; 0 where nothing is seen."""
+    visible = seen_in(keypoints, confidence)
+    return float(np.nan_to_num(stretched(keypoints, visible, skeleton.bone_indices.tolist())))
 
 
 def _grown(

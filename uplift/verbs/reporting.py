@@ -9,6 +9,7 @@ from uplift.data.container import PoseData
 from uplift.data.load import Loaded
 from uplift.evaluation import Evaluation, GivenPoses, flat_depth
 from uplift.evaluation import evaluate as score
+from uplift.evaluation.evaluator import TRUTH_SIGN
 from uplift.model import Model, as_seen, intrinsics_of
 from uplift.run import RunFolder
 from uplift.saving import replacing
@@ -120,6 +121,20 @@ def _markdown(run, settings, loaded, spent, given, evaluation, flat) -> str:
     return "\n".join(lines) + "\n"
 
 
+def _doubts(evaluation: Evaluation) -> list[str]:
+    """Return what a user should look into: directions that the truth itself contradicts, or poses mirrored in depth."""
+    told = [note for note in evaluation.notes if note.startswith(TRUTH_SIGN)]
+    if told and float(told[0].split()[-1]) < 0.5:
+        return [f"{told[0]}: left and right, or front and back, are exchanged in the skeleton's `facing`."]
+    facing = evaluation.overall.get("facing")
+    if facing is None or facing > 0.75:
+        return []
+    return [
+        f"facing {facing:.2f} is near chance: nothing told poses from their mirror images in depth. Look at `facing` in the "
+        "skeleton, and at `gravity`: false for what is seen from every side. Or train longer."
+    ]
+
+
 def _print_end(run: RunFolder, evaluation: Evaluation | None, flat: Evaluation | None, spent: dict[str, float]) -> None:
     print(f"\ntrained for {sum(spent.values()):.0f} s")
     if evaluation is not None and flat is not None:
@@ -128,6 +143,8 @@ def _print_end(run: RunFolder, evaluation: Evaluation | None, flat: Evaluation |
         for name, value, floor in _rows(evaluation, flat)[1:]:
             shown = f"{floor:12.3f}" if isinstance(floor, float) else ""
             print(f"{name!s:<18}{value:10.3f}{shown}")
+        for doubt in _doubts(evaluation):
+            print(f"\n{doubt}")
     else:
         print(
             "No test poses: nothing to evaluate. `uplift evaluate run=... data.test=FILE` does, on frames with truth."
@@ -137,4 +154,4 @@ def _print_end(run: RunFolder, evaluation: Evaluation | None, flat: Evaluation |
     print(f"\nwrote {run.path}/: lifter.pt, report.md, page.html" + (", evaluation.json" if evaluation else ""))
     print(f"look: open {run.path / 'page.html'} in a browser")
     print(f"next: uplift evaluate run={shown}")
-    print(f"      uplift predict run={shown} input=KEYPOINTS.npz output=poses.html")
+    print(f"      uplift predict run={shown} input=KEYPOINTS output=poses.html")

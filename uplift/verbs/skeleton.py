@@ -41,7 +41,7 @@ def check_skeleton_file(words: list[str]) -> list[str]:
         f"other layouts it can be built from: {', '.join(skeleton.sources) or 'none'}",
         f"simulator: {'ready' if skeleton.body else 'no proportions given'}",
         f"wrote {output}",
-        f"next: uplift fit skeleton={names[0]} data.train=KEYPOINTS.npz",
+        f"next: uplift fit skeleton={names[0]} data.train=KEYPOINTS",
     ]
 
 

@@ -14,14 +14,14 @@ from uplift.paths import shipped, shipped_names
 from uplift.readers import read
 from uplift.skeleton import Skeleton, load_skeleton
 from uplift.skeleton.matching import JointMatch, match_joints
-from uplift.skeleton.proposal_bones import seen_in, stretched
+from uplift.skeleton.proposal_bones import TOO_LONG, stretch_of
 from uplift.skeleton.proposal_names import guess_parts
 from uplift.skeleton.template import quoted
 from uplift.verbs.skeleton import READING, keyed_words, reading
 
 __all__ = ["map_joints"]
 
-_TOO_LONG, _LIKELY = 1.9, 1.5  # see `stretched`
+_LIKELY = 1.5  # see `stretched`
 
 
 def map_joints(words: list[str]) -> tuple[list[str], bool]:
@@ -88,7 +88,7 @@ def _verdict(data: PoseData, skeleton: Skeleton, built: PoseData) -> tuple[str, 
     except UserError as error:
         return f"it cannot be lifted: {error}", False
     long = max(_stretch(built, skeleton), *(_stretch(data, other) for other in _of_these_names(data)), 0)
-    if long > _TOO_LONG:
+    if long > TOO_LONG:
         return f"it should not be lifted: {_wrong_order(long, data, skeleton)}", False
     good = report.frames - report.too_few - report.all_equal
     text = f"it can be lifted: {good:,} of {report.frames:,} frames show {MIN_VISIBLE} joints or more"
@@ -120,8 +120,7 @@ def _wrong_order(long: float, data: PoseData, skeleton: Skeleton) -> str:
 def _stretch(data: PoseData, skeleton: Skeleton) -> float:
     """Return how far the bones of the skeleton are stretched in a file that fits it; 0 where nothing is seen."""
     built = in_joints_of(data, skeleton)
-    visible = seen_in(built.keypoints, built.confidence)
-    return float(np.nan_to_num(stretched(built.keypoints, visible, skeleton.bone_indices.tolist())))
+    return stretch_of(built.keypoints, built.confidence, skeleton)
 
 
 def _of_these_names(data: PoseData) -> list[Skeleton]:

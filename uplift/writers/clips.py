@@ -96,7 +96,10 @@ def _clip(name: str, rows: np.ndarray, frame: np.ndarray | None, who: np.ndarray
     names, individual = np.unique(who[rows], return_inverse=True)
     if frame is None:
         # Without frame numbers the n-th row of every individual is the n-th moment.
-        number = np.array([np.sum(individual[:at] == one) for at, one in enumerate(individual)])
+        order = np.argsort(individual, kind="stable")
+        starts = np.searchsorted(individual[order], individual[order])
+        number = np.empty(len(rows), np.int64)
+        number[order] = np.arange(len(rows)) - starts
     frames, moment = np.unique(number, return_inverse=True)
     order = np.lexsort((moment, individual))
     parts = rows[order], moment[order], individual[order]

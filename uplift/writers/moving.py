@@ -7,17 +7,13 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float, Int
 
+from uplift.axes import FROM_LEVEL
 from uplift.errors import UserError
 from uplift.prediction import Prediction
 from uplift.writers.clips import Clip, arrange
-from uplift.writers.staging import places
+from uplift.writers.staging import beside
 
 __all__ = ["frame_rate", "from_y_down", "known_points", "one_clip", "row_places", "seen_at", "steps"]
-
-_FROM_Y_DOWN = {
-    "opensim": [[1, 0, 0], [0, -1, 0], [0, 0, -1]],
-    "blender": [[1, 0, 0], [0, 0, 1], [0, -1, 0]],
-}
 
 
 def one_clip(prediction: Prediction, path: str | Path, individuals: bool = True) -> Clip:
@@ -87,7 +83,7 @@ def held(values: Float[np.ndarray, "frames 3"]) -> Float[np.ndarray, "frames 3"]
 
 def from_y_down(axes: str) -> Float[np.ndarray, "3 3"]:
     """Return the rotation from axes with x right, y down and z away to those of a name of `uplift.axes`."""
-    return np.array(_FROM_Y_DOWN.get(axes, np.eye(3)), float)
+    return np.array(FROM_LEVEL.get(axes, FROM_LEVEL["level"]), float)
 
 
 def row_places(prediction: Prediction, clip: Clip) -> Float[np.ndarray, "rows 3"]:
@@ -102,6 +98,5 @@ def row_places(prediction: Prediction, clip: Clip) -> Float[np.ndarray, "rows 3"
         turn = from_y_down(prediction.axes)
         seen = np.nan_to_num(np.asarray(prediction.confidence, float)) > 0
         pose = np.asarray(prediction.pose, float) @ turn
-        found[:, :2] = places(pose, np.asarray(prediction.keypoints, float), seen)
-        found = found @ turn.T
+        found = beside(pose, np.asarray(prediction.keypoints, float), seen)[0] @ turn.T
     return found
