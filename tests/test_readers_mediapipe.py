@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from tracker_files_tables import POSE33, damaged, mediapipe_long, mediapipe_marks, mediapipe_wide, write_json
 
+from uplift.datasets.coco_json import JsonText
 from uplift.errors import UserError
 from uplift.readers import ReadOptions, guess_format, read
 from uplift.skeleton import load_skeleton
@@ -233,3 +234,9 @@ def test_landmarks_of_all_kinds_of_numbers_are_read_alike(tmp_path):
     changed = (some.keypoints != whole.keypoints).any(-1) | (some.confidence != whole.confidence)
     assert sorted(map(tuple, np.argwhere(changed).tolist())) == [(0, 4), (1, 5), (2, 6), (2, 7)]
     assert some.confidence[0, 4] == 0 and some.confidence[2, 6] == 1
+
+
+def test_frames_are_taken_one_at_a_time(tmp_path, monkeypatch):
+    path = write_json(tmp_path / "film.json", mediapipe_marks(np.random.default_rng(0).random((5, 33, 4))))
+    monkeypatch.setattr(JsonText, "value", lambda _: pytest.fail("all of it at once"))
+    assert len(read(path)) == 5

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -135,10 +136,10 @@ def _frames(path: Path, read: _Read) -> Iterator[tuple[int, float | None, Any]]:
     text = JsonText(path)
     if text.next_sign() == "[":
         at = text.at
-        first = text.value()
+        first = list(islice(items(text, "the file"), 1))
         text.at = at
-        if first and is_list_of_marks(first):  # one frame, or one image
-            yield 0, None, first
+        if is_list_of_marks(first):  # one frame, or one image
+            yield 0, None, text.value()
             return
         for place, frame in enumerate(items(text, "the file")):
             yield place, None, frame
