@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from tracker_files_tables import POSE33, damaged, mediapipe_long, mediapipe_marks, mediapipe_wide, write_json
 
+from uplift.datasets.coco_json import JsonText
 from uplift.errors import UserError
 from uplift.readers import ReadOptions, guess_format, read
 from uplift.skeleton import load_skeleton
@@ -213,3 +214,29 @@ def test_json_of_others_is_not_claimed(tmp_path: Path):
         path.write_text(json.dumps(content))
         with pytest.raises(UserError):
             read(path)
+
+
+@pytest.mark.parametrize("odd", [5, "a", [1], {"x": 1.0, "y": True, "visibility": 0.5}])
+def test_a_landmark_that_is_none_is_told_wherever_it_stands(tmp_path, odd):
+    marks = mediapipe_marks(np.random.default_rng(0).random((3, 33, 4)))
+    marks[1][20] = odd
+    with pytest.raises(UserError, match=r"frame 1 of the file: landmark '20'"):
+        read(write_json(tmp_path / "odd.json", marks))
+
+
+def test_landmarks_of_all_kinds_of_numbers_are_read_alike(tmp_path):
+    values = np.random.default_rng(0).random((3, 33, 4))
+    marks = mediapipe_marks(values)
+    whole = read(write_json(tmp_path / "film.json", marks))
+    marks[0][4]["x"], marks[1][5]["y"], marks[2][6]["visibility"] = None, 2, 1
+    del marks[2][7]["visibility"]
+    some = read(write_json(tmp_path / "film.json", marks))
+    changed = (some.keypoints != whole.keypoints).any(-1) | (some.confidence != whole.confidence)
+    assert sorted(map(tuple, np.argwhere(changed).tolist())) == [(0, 4), (1, 5), (2, 6), (2, 7)]
+    assert some.confidence[0, 4] == 0 and some.confidence[2, 6] == 1
+
+
+def test_frames_are_taken_one_at_a_time(tmp_path, monkeypatch):
+    path = write_json(tmp_path / "film.json", mediapipe_marks(np.random.default_rng(0).random((5, 33, 4))))
+    monkeypatch.setattr(JsonText, "value", lambda _: pytest.fail("all of it at once"))
+    assert len(read(path)) == 5

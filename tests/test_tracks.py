@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from uplift.readers import tracks
 from uplift.readers.tracks import link_bodies
 
 BODY = np.array([[x, y] for x in (0, 10) for y in (0, 20, 40, 60)], np.float32)
@@ -60,3 +62,44 @@ def test_joints_that_are_missing_do_not_count():
 
 def test_nothing_is_nobody():
     assert link_bodies(np.zeros((0, 4, 2)), np.zeros((0, 4)), np.zeros(0, int)).tolist() == []
+
+
+@given(st.integers(0, 10**6))
+def test_what_is_obvious_is_what_an_assignment_finds(seed: int):
+    keypoints, sure, frame = crowd(np.random.default_rng(seed))
+    quick = link_bodies(keypoints, sure, frame)
+    assigned = []
+    with pytest.MonkeyPatch.context() as patch:
+        nothing = np.zeros(len(np.unique(frame)), bool), np.zeros(len(frame), np.int64)
+        patch.setattr(tracks._Bodies, "obvious", lambda *_: nothing)
+        paired = tracks._Bodies.paired
+        patch.setattr(tracks._Bodies, "paired", lambda *words: assigned.append(1) or paired(*words))
+        assert link_bodies(keypoints, sure, frame).tolist() == quick.tolist()
+    assert len(assigned) in (0, len(np.unique(frame)))  # none where each frame has one body
+
+
+def crowd(rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return keypoints, confidence and frame of bodies that cross, come and go."""
+    bodies, joints, frames = rng.integers(1, 6), rng.integers(1, 9), rng.integers(2, 60)
+    base, start = rng.uniform(0, 60, (joints, 2)), rng.uniform(0, 400, (bodies, 2))
+    pace, gone, pause = (
+        rng.normal(0, rng.choice([1, 5, 20]), (bodies, 2)),
+        rng.choice([0, 0.02, 0.3]),
+        rng.choice([1, 12]),
+    )
+    times = np.cumsum(rng.integers(1, pause + 1, frames))
+    rows = [(t, who) for t in range(frames) for who in rng.permutation(bodies) if t == 0 or rng.random() > gone]
+    keypoints = np.array([base + start[who] + pace[who] * t + rng.normal(0, 1, (joints, 2)) for t, who in rows])
+    sure = (rng.random(keypoints.shape[:2]) > rng.choice([0, 0.1, 0.6])).astype(np.float32)
+    order = rng.permutation(len(rows))
+    return keypoints[order].astype(np.float32), sure[order], times[[t for t, _ in rows]][order]
+
+
+def test_most_frames_need_no_assignment(monkeypatch):
+    assigned = []
+    paired = tracks._Bodies.paired
+    monkeypatch.setattr(tracks._Bodies, "paired", lambda *words: assigned.append(1) or paired(*words))
+    keypoints, sure, frame, who = scene(200, [0, 80, 170])
+    lost = (who == 1) & (frame == 50)
+    assert agree(link_bodies(keypoints[~lost], sure[~lost], frame[~lost]), who[~lost])
+    assert len(assigned) == 3  # the first, that without the lost one, that in which it is back

@@ -97,7 +97,7 @@ def _track(record: dict[str, Any], where: str) -> str:
 
 def _identity(path: Path, images: list[str], tracks: list[str]) -> dict[str, np.ndarray]:
     """Return sequence, frame and track where the images are those of a video; image and entry otherwise."""
-    stems = [name[: -len(Path(name).suffix)] if name.lower().endswith(PICTURES) else name for name in images]
+    stems = [name[: name.rindex(".")] if name.lower().endswith(PICTURES) else name for name in images]
     video = video_names(stems, path.stem)
     if video is None:
         return {"image": texts(path, images), "instance": np.arange(len(images)).astype(str)}

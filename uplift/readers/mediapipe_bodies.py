@@ -11,7 +11,7 @@ import numpy as np
 from uplift.errors import UserError
 from uplift.readers.mediapipe_landmarks import COUNTS
 
-__all__ = ["bodies_in", "is_list_of_marks", "is_number", "plain_key", "values_of"]
+__all__ = ["bodies_in", "is_list_of_marks", "is_number", "plain_key", "values_of", "values_of_all"]
 
 _BODIES = (
     "poselandmarks", "posenormalizedlandmarks", "landmarks", "landmark", "normalizedlandmarks", "keypoints", "pose",
@@ -20,6 +20,9 @@ _BODIES = (
 )  # fmt: skip
 """Keys that lead to landmarks, the image's before the world's."""
 _SCORES = ("visibility", "score", "confidence")
+_NAMES_IN_ORDER = ("name", "part", "landmark", "landmark_name", "label")
+_NAMES = frozenset(_NAMES_IN_ORDER)
+_LARGEST = 1e300
 _DEEPEST = 6
 
 
@@ -74,8 +77,8 @@ def _is_mark(value: Any) -> bool:
 
 
 def _name(mark: Any, place: int) -> str:
-    if isinstance(mark, dict):
-        name = next((mark[key] for key in ("name", "part", "landmark", "landmark_name", "label") if key in mark), None)
+    if isinstance(mark, dict) and not _NAMES.isdisjoint(mark):
+        name = next((mark[key] for key in _NAMES_IN_ORDER if key in mark), None)
         if isinstance(name, str) and name:
             return name
     return str(place)
@@ -91,8 +94,20 @@ def values_of(mark: Any) -> tuple[float, float, float] | None:
         return None
     if not all(one is None or is_number(one) for one in found):
         return None
-    x, y, score = (np.nan if one is None else min(max(float(one), -1e300), 1e300) for one in found)
+    x, y, score = (np.nan if one is None else min(max(float(one), -_LARGEST), _LARGEST) for one in found)
     return x, y, score
+
+
+def values_of_all(marks: list[Any]) -> np.ndarray | None:
+    """Return what `values_of` would of each, (marks, 3), where all are objects with numbers; None for any others."""
+    try:
+        flat = [value for mark in marks for value in (mark["x"], mark["y"], mark[_SCORES[0]])]
+        if not set(map(type, flat)) <= {float, int}:
+            return None
+        values = np.array(flat, np.float64)
+    except (KeyError, TypeError, OverflowError):
+        return None
+    return values.reshape(-1, 3) if (np.abs(values) < _LARGEST).all() else None
 
 
 def is_number(value: Any) -> TypeGuard[int | float]:

@@ -20,6 +20,8 @@ from uplift.readers.texts import texts
 __all__ = ["FORMAT"]
 
 _PARTS = ("pose", "hand_left", "hand_right", "face")
+_KEYS = [(part, f"{part}_keypoints_2d", f"{part}_keypoints") for part in _PARTS]
+"""What versions from 1.2 on, and those before, call each part."""
 _NAMES = {"hand_left": HANDS["left"], "hand_right": HANDS["right"], "face": OPENPOSE_FACE70}
 
 
@@ -68,15 +70,11 @@ def _people(file: Path) -> Iterator[tuple[dict[str, Any], str]]:
 
 def _keypoints(person: dict[str, Any], where: str) -> dict[str, Any]:
     """Return the lists of keypoints that are filled; versions before 1.2 leave ``_2d`` out of their names."""
-    found = {part: person.get(f"{part}_keypoints_2d", person.get(_old(part))) for part in _PARTS}
+    found = {part: person.get(new, person.get(old)) for part, new, old in _KEYS}
     filled = {part: values for part, values in found.items() if values not in (None, [])}
     if not filled and any(person.get(f"{part}_keypoints_3d") for part in _PARTS):
         raise UserError(f"{where} has 3D keypoints only, expected 2D ones: 'pose_keypoints_2d'.")
     return filled
-
-
-def _old(part: str) -> str:
-    return {"hand_left": "hand_left_keypoints", "hand_right": "hand_right_keypoints"}.get(part, f"{part}_keypoints")
 
 
 def _track(value: Any, where: str) -> str:

@@ -12,6 +12,8 @@ __all__ = ["link_bodies"]
 _FAR = 1.0
 """Mean distance of joints, in sizes of the body, beyond which two frames show different bodies."""
 _LONGEST_GAP = 10
+_ALIKE = 1e-6
+_BLOCK = 20_000
 
 
 def link_bodies(
@@ -36,14 +38,38 @@ def link_bodies(
         new[1:] |= np.diff(frame[order]) > _LONGEST_GAP
         body[order] = np.cumsum(new) - 1
         return body
-    last: dict[int, int] = {}  # body -> the row it was last seen in
-    for rows in np.split(order, starts[1:]):
-        known = [one for one, row in last.items() if frame[rows[0]] - frame[row] <= _LONGEST_GAP]
-        same = bodies.paired(rows, np.array([last[one] for one in known], np.int64))
-        for place, row in enumerate(rows.tolist()):
-            body[row] = known[same[place]] if place in same else len(last)
-            last[int(body[row])] = row
+    body[order] = _followed(bodies, order, starts, frame[order[starts]])
     return body
+
+
+def _followed(bodies: _Bodies, order: np.ndarray, starts: np.ndarray, times: np.ndarray) -> list[int]:
+    """Return the number of the body of each row of ``order``, whose frames begin at ``starts``, at ``times``."""
+    obvious, same = bodies.obvious(order, starts, times)
+    bounds, whens, sames = [*starts.tolist(), len(order)], times.tolist(), same.tolist()
+    found: list[int] = []
+    here: list[int] = []  # the bodies of the frame before
+    gone: dict[int, tuple[int, int]] = {}  # others of the last frames -> row and time when last seen
+    count = 0
+    for number, clear in enumerate(obvious.tolist()):
+        start, end, now = bounds[number], bounds[number + 1], whens[number]
+        if gone:
+            gone = {one: last for one, last in gone.items() if now - last[1] <= _LONGEST_GAP}
+        if clear and not gone:
+            here = [here[place] for place in sames[start:end]]
+            found += here
+            continue
+        if number and now - whens[number - 1] <= _LONGEST_GAP:
+            before = order[start - len(here) : start].tolist()
+            gone |= {one: (row, whens[number - 1]) for one, row in zip(here, before, strict=True)}
+        known = sorted(gone)
+        pairs = bodies.paired(order[start:end], np.array([gone[one][0] for one in known], np.int64))
+        new = [place for place in range(end - start) if place not in pairs]
+        fresh = dict(zip(new, range(count, count + len(new)), strict=True))
+        here = [fresh[place] if place in fresh else known[pairs[place]] for place in range(end - start)]
+        count += len(new)
+        gone = {one: last for one, last in gone.items() if one not in here}
+        found += here
+    return found
 
 
 @dataclass(frozen=True)
@@ -65,6 +91,30 @@ class _Bodies:
         )
         pairs = zip(*(places.tolist() for places in linear_sum_assignment(cost)), strict=True)
         return {row: one for row, one in pairs if cost[row, one] <= _FAR}
+
+    def obvious(self, order: np.ndarray, starts: np.ndarray, times: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return (frames,) which frames have the bodies of the frame before, each nearest to its own, and whose each row is.
+
+        Where the nearest of all are different bodies, no other assignment can cost as little. The
+        second has for each row of ``order`` the place of its body in the frame before.
+        """
+        size = np.diff(np.append(starts, len(order)))
+        found, same = np.zeros(len(starts), bool), np.zeros(len(order), np.int64)
+        alike = (size[1:] == size[:-1]) & (np.diff(times) <= _LONGEST_GAP)
+        for count in np.unique(size[1:][alike]).tolist():
+            frames = np.flatnonzero(alike & (size[1:] == count)) + 1
+            for part in np.array_split(frames, -(-len(frames) * count**2 // _BLOCK)):
+                rows = starts[part, None] + np.arange(count)
+                before = np.broadcast_to(order[rows - count][:, None], (len(part), count, count))
+                now = np.broadcast_to(order[rows][:, :, None], before.shape)
+                cost = self.apart(now.ravel(), before.ravel()).reshape(before.shape)
+                nearest = cost.argmin(2)
+                least = np.sort(cost, 2)
+                clear = (least[..., 0] <= _FAR).all(1) & (np.sort(nearest, 1) == np.arange(count)).all(1)
+                if count > 1:  # of two as near as each other, neither is obvious
+                    clear &= (least[..., 1] - least[..., 0] > _ALIKE).all(1)
+                found[part], same[rows] = clear, nearest
+        return found, same
 
     def apart(self, one: np.ndarray, other: np.ndarray) -> np.ndarray:
         """Return mean distances, row by row, of the joints that both show, else of their middles, in sizes."""
