@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cache, cached_property
 from pathlib import Path
 from typing import Any
 
@@ -132,7 +132,13 @@ class Skeleton:
 
 def load_skeleton(name_or_path: str | Path) -> Skeleton:
     """Return a shipped skeleton by its name, or that of a YAML file; raises UserError with file and line."""
-    path = _skeleton_path(name_or_path)
+    if str(name_or_path) in shipped_names("skeletons"):
+        return _load(shipped("skeletons") / f"{name_or_path}.yaml")
+    return _load.__wrapped__(_skeleton_path(name_or_path))  # a file of the user's may change
+
+
+@cache
+def _load(path: Path) -> Skeleton:
     data, where = read_yaml(path, "skeleton")
     if isinstance(data, dict):
         data.setdefault("name", path.stem)

@@ -91,13 +91,15 @@ def stretched(
     the joints. 1 to 1.6 where the names are right, 2 or more where joints were given each other's; NaN where nothing is seen.
     """
     seen = np.flatnonzero(visible.any(0))
+    if len(seen) < 3:
+        return float("nan")
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", RuntimeWarning)
         mean = np.nanmean(_distances(*_some_rows(keypoints[:, seen], visible[:, seen])), axis=0)
     at = {int(place): number for number, place in enumerate(seen)}
     ours = [mean[at[one], at[other]] for one, other in bones if one in at and other in at]
     ours = [length for length in ours if np.isfinite(length)]
-    if not ours or len(seen) < 3:
+    if not ours:
         return float("nan")
     names = [str(number) for number in range(len(seen))]
     score = np.where(np.isfinite(mean), mean, np.inf)
