@@ -42,7 +42,9 @@ def _least(gravity: np.ndarray) -> np.ndarray:
 
 @pytest.mark.parametrize("name", AXES)
 @given(
-    gravity=st.tuples(*[st.floats(-1, 1)] * 3).filter(lambda g: np.linalg.norm(g) > 0.1 and g[1] > -0.9 * np.linalg.norm(g)),
+    gravity=st.tuples(*[st.floats(-1, 1)] * 3).filter(
+        lambda g: np.linalg.norm(g) > 0.1 and g[1] > -0.9 * np.linalg.norm(g)
+    ),
     frames=st.integers(1, 4),
 )
 def test_axes_keep_bodies_and_put_gravity_where_they_say(name: str, gravity: tuple, frames: int) -> None:

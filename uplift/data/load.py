@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from uplift.config import ChoiceSettings, DataSettings, Settings
-from uplift.data.clean import clean
+from uplift.data.clean import MIN_VISIBLE, clean
 from uplift.data.container import PoseData
 from uplift.data.joining import join_data
 from uplift.data.missing import missing_file, missing_files
@@ -226,7 +226,19 @@ def find_data(settings: Settings, which: str) -> Path:
 
 def load_file(path: str | Path, skeleton: Skeleton, options: ReadOptions | None = None) -> PoseData:
     """Read keypoint files (one, several with commas, or a pattern) into the joints of ``skeleton``, matched by name."""
-    return join_data([_doubted(in_joints_of(read(one, options), skeleton), skeleton) for one in files_of(path)])
+    return join_data(
+        [_doubted(in_joints_of(_liftable(read(one, options)), skeleton), skeleton) for one in files_of(path)]
+    )
+
+
+def _liftable(data: PoseData) -> PoseData:
+    """Return ``data``; raises UserError for files of fewer keypoints than anything can be lifted from."""
+    if len(data.joint_names) < MIN_VISIBLE:
+        raise UserError(
+            f"{data.source}: holds {len(data.joint_names)} keypoints ({', '.join(data.joint_names)}). Nothing can be lifted "
+            f"from fewer than {MIN_VISIBLE}: a pose needs a shape."
+        )
+    return data
 
 
 def _doubted(data: PoseData, skeleton: Skeleton) -> PoseData:

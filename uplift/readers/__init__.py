@@ -60,11 +60,19 @@ def guess_format(path: str | Path) -> Format:
         raise UserError(
             f'{path} is HDF5 and cannot be looked into: damaged, or h5py is missing (pip install "uplift3d[trackers]").'
         )
-    what = "folder" if peek.is_folder else "file"
-    shown = sorted(p.name for p in peek.path.iterdir())[:5] if peek.is_folder else [peek.text[:60] or peek.start[:16]]
-    raise UserError(
-        f"{path} is a {what} of no known format (it begins {', '.join(map(repr, shown)) or 'empty'}). {known}"
+    if not peek.is_folder:
+        shown = repr(peek.text[:60] or peek.start[:16])
+        raise UserError(f"{path} is a file of no known format (it begins {shown}). {known}")
+    inside = sorted(child.name for child in peek.path.iterdir())
+    if not inside:
+        raise UserError(f"{path} is an empty folder, expected files of keypoints in it.")
+    hint = (
+        f" Several files of one format go as a pattern, such as {path}/*{Path(inside[0]).suffix}."
+        if len(inside) > 1
+        else ""
     )
+    more = ", ..." if len(inside) > 3 else ""
+    raise UserError(f"{path} is a folder of no known format (in it: {', '.join(inside[:3])}{more}).{hint} {known}")
 
 
 def _named(path: Path, name: str) -> Format:

@@ -16,6 +16,8 @@ from uplift.skeleton import Skeleton
 
 __all__ = ["JointMatch", "build_joints", "build_pose", "match_joints"]
 
+_MOST_TOLD = 3
+
 Find = Callable[[str], int | None]
 
 
@@ -191,8 +193,15 @@ def _refusal(names: list[str], skeleton: Skeleton) -> str:
     more = f" and {len(missing) - 6} more" if len(missing) > 6 else ""
     text = f"the joints do not fit skeleton '{skeleton.name}': missing {', '.join(hints)}{more}."
     text += f" Found: {', '.join(names[:40])}{', ...' if len(names) > 40 else ''}."
-    for layout, joints in skeleton.sources.items():
-        lacking = list(dict.fromkeys(part for parts in joints.values() for part in parts if find(part) is None))
-        shown = ", ".join(lacking[:3]) + (f" and {len(lacking) - 3} more" if len(lacking) > 3 else "")
+    lacking = {
+        layout: list(dict.fromkeys(part for parts in joints.values() for part in parts if find(part) is None))
+        for layout, joints in skeleton.sources.items()
+    }
+    nearest = sorted(lacking, key=lambda layout: len(lacking[layout]))
+    for layout in nearest[:_MOST_TOLD]:
+        gone = lacking[layout]
+        shown = ", ".join(gone[:3]) + (f" and {len(gone) - 3} more" if len(gone) > 3 else "")
         text += f" Not {layout} either: no {shown}."
+    if len(nearest) > _MOST_TOLD:
+        text += f" Nor {', '.join(nearest[_MOST_TOLD:])}."
     return text + " Choose the skeleton the file was made with, or add a `from:` map to the skeleton's YAML."
