@@ -23,24 +23,26 @@ QUICK = (
 )  # fmt: skip
 
 
-def body_arrays(frames: int = 60, seed: int = 0, skeleton: str = "h36m17") -> dict[str, Any]:
-    """Return the arrays of a data file: random poses of the skeleton's tree with exact projections."""
-    return {name: value.copy() for name, value in _arrays(frames, seed, skeleton).items()}
+def body_arrays(frames: int = 60, seed: int = 0, skeleton: str = "h36m17", film: bool = True) -> dict[str, Any]:
+    """Return the arrays of a data file: random poses of the skeleton's tree with exact projections.
+
+    Ten frames make a clip; without ``film`` they have nothing to do with each other.
+    """
+    return {name: value.copy() for name, value in _arrays(frames, seed, skeleton, film).items()}
 
 
 @lru_cache
-def _arrays(frames: int, seed: int, skeleton: str) -> dict[str, Any]:
+def _arrays(frames: int, seed: int, skeleton: str, film: bool) -> dict[str, Any]:
     rng = np.random.default_rng(seed)
     tree = load_skeleton(skeleton)
     pose = np.zeros((frames, len(tree.joints), 3))
     for parent, child in _from_the_root(tree):
         length = 150 + 200 * ((tree.index(child) * 37) % 11) / 11
-        # Ten frames make a clip, in which a limb swings about one direction.
-        step = (
-            rng.normal(size=(-(-frames // 10), 3)).repeat(10, 0)[:frames]
-            + [0, 1.0, 0]
-            + rng.normal(0, 0.15, (frames, 3))
-        )
+        if film:  # a limb swings about one direction
+            way = rng.normal(size=(-(-frames // 10), 3)).repeat(10, 0)[:frames] + rng.normal(0, 0.15, (frames, 3))
+        else:
+            way = rng.normal(size=(frames, 3))
+        step = way + [0, 1.0, 0]
         pose[:, tree.index(child)] = pose[:, tree.index(parent)] + length * step / np.linalg.norm(
             step, axis=1, keepdims=True
         )

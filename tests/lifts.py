@@ -38,7 +38,7 @@ def doubles() -> Iterator[None]:
 def bodies(frames: int = 12, seed: int = 0, skeleton: Skeleton = H36M, missing: float = 0.0) -> PoseData:
     """Return random bodies of ``skeleton`` in the default float type; the root is never missing."""
     kind = torch.zeros(()).numpy().dtype
-    arrays = body_arrays(frames, seed, skeleton.name)
+    arrays = body_arrays(frames, seed, skeleton.name, film=False)
     rng = np.random.default_rng(seed + 1)
     confidence = (rng.random(arrays["keypoints"].shape[:2]) >= missing).astype(kind)
     confidence[:, skeleton.root_index] = 1

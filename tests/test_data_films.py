@@ -26,10 +26,7 @@ def test_films_are_films_whatever_the_order_of_rows(name: str):
 
 @pytest.mark.parametrize("numbered", [True, False])
 def test_views_of_cameras_of_their_own_are_none(numbered: bool):
-    arrays = {key: value[::10] if np.ndim(value) else value for key, value in body_arrays(2000).items()}
-    arrays["sequence"] = np.repeat(["one", "other"], 100)  # every frame another pose
-    arrays["frame"] = np.arange(200) % 100
-    arrays["joint_names"] = load_skeleton("h36m17").joints
+    arrays = body_arrays(200, film=False)
     identity = {"sequence": arrays["sequence"]} | ({"frame": arrays["frame"]} if numbered else {})
     data = PoseData(
         arrays["keypoints"], np.ones((200, 17), np.float32), tuple(arrays["joint_names"]), identity=identity

@@ -100,7 +100,7 @@ FILES = {
     "pose lengths": (lambda p: write_body(p, pose=np.zeros((59, 17, 3))), "'pose' has shape (59, 17, 3)"),
     "strings": (lambda p: write_body(p, keypoints=np.full((60, 17, 2), "1.5")), "'keypoints' is <U3, expected numbers"),
     "3 GB": (huge, "claims 2,999,999,928 bytes but holds 2,000"),
-    "folder": (lambda p: p.mkdir(), "is a folder"),
+    "folder": (lambda p: p.mkdir(), "is an empty folder"),
     "nothing": (lambda p: None, "a.npz"),
     "csv": (None, "file of no known format"),
 }
