@@ -24,7 +24,7 @@ from uplift.task import load_settings
 def seen_bodies(**changes) -> PoseData:
     """Return bodies seen by a known camera, all labelled."""
     data = replace(bodies(40), focal_px=1145.0, image_size=(1000, 1000), labelled=np.ones(40, bool))
-    return replace(data, tilt_deg=body_arrays(40)["tilt_deg"], **changes)
+    return replace(data, tilt_deg=body_arrays(40, film=False)["tilt_deg"], **changes)
 
 
 def labelled_frames(data: PoseData, **settings) -> TrainingSet:

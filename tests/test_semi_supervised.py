@@ -58,7 +58,7 @@ def test_no_label_is_the_unsupervised_run_and_every_label_the_supervised_one(tmp
 
 
 def test_truth_without_a_label_changes_no_bit(tmp_path: Path) -> None:
-    arrays = body_arrays(film=False)
+    arrays = body_arrays()
     weights, _ = fitted(tmp_path / "true", "data.labelled.subjects=S1")
     hidden = arrays["subject"] != "S1"
     changed = {name: arrays[name].copy() for name in ("pose", "root", "tilt_deg")}
