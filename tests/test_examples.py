@@ -71,8 +71,6 @@ def test_skeletons_say_what_the_shipped_ones_do(name: str) -> None:
 def test_tasks_are_the_default_recipe(name: str) -> None:
     settings, default = load_settings(f"my_{name}_task.yaml"), load_settings(None)
     assert settings.skeleton == str(Path(f"my_{name}.yaml").absolute())
-    if name == "hand":
-        default.priors["handedness"]["margin"], default.priors["flow"]["steps"] = 0.5, 300
     assert settings.priors == default.priors
     assert (settings.teacher, settings.student) == (default.teacher, default.student)
     assert settings.data.root == str(Path.cwd())
