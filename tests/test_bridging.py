@@ -16,7 +16,7 @@ from uplift.data.container import PoseData
 from uplift.data.tensors import TrainingSet
 from uplift.lifter import Lifted
 from uplift.lifting import as_measured, refine_lifted
-from uplift.model import intrinsics_of
+from uplift.seeing import intrinsics_of
 from uplift.simulator import simulate
 from uplift.skeleton import load_skeleton
 

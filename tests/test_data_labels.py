@@ -17,7 +17,7 @@ from uplift.data.container import PoseData
 from uplift.data.labels import joined, mean_bones, with_labels
 from uplift.data.load import load_data
 from uplift.data.tensors import TrainingSet
-from uplift.model import frames_of
+from uplift.seeing import frames_of
 from uplift.task import load_settings
 
 

@@ -14,18 +14,16 @@ from torch import Tensor
 from uplift.camera import build_camera
 from uplift.config import LifterSettings, RefineSettings
 from uplift.data.container import PoseData
-from uplift.data.tensors import TrainingSet
 from uplift.errors import UserError
 from uplift.lifter import Lifter
 from uplift.networks import build_network
-from uplift.normalise import Intrinsics
 from uplift.predicting import predict_poses
 from uplift.prediction import Prediction
 from uplift.sizing import Size
 from uplift.skeleton import Skeleton
 from uplift.torch_file import read_torch, save_torch
 
-__all__ = ["Model", "as_seen", "build_lifter", "frames_of", "intrinsics_of", "load"]
+__all__ = ["Model", "build_lifter", "load"]
 
 _FORMAT = 3
 _READABLE = (2, 3)  # 2: before bodies had a size
@@ -52,33 +50,6 @@ def build_lifter(settings: LifterSettings, skeleton: Skeleton) -> Lifter:
         denoise=bool(settings.denoise),
         spread=settings.spread,
         root_free=settings.root_free,
-    )
-
-
-def intrinsics_of(data: PoseData, settings: LifterSettings) -> Intrinsics | None:
-    """Return the camera that ``data`` knows and the settings let be used, None otherwise."""
-    if settings.intrinsics == "off" or settings.camera == "orthographic":
-        return None
-    if data.focal_px is None or data.centre_px is None:
-        return None
-    return Intrinsics(data.focal_px, data.centre_px)
-
-
-def as_seen(data: PoseData, settings: LifterSettings) -> PoseData:
-    """Return ``data`` as the lifter is to see it: through one ideal camera where its lenses are known and may be used."""
-    use = settings.intrinsics != "off" and settings.camera != "orthographic"
-    return data.straightened() if use else data
-
-
-def frames_of(data: PoseData, skeleton: Skeleton, settings: LifterSettings) -> TrainingSet:
-    """Return cleaned ``data`` in the units and the camera that ``settings`` say."""
-    data = as_seen(data, settings)
-    return TrainingSet.of(
-        data,
-        skeleton,
-        count_root=settings.radius == "all",
-        intrinsics=intrinsics_of(data, settings),
-        distance=settings.distance,
     )
 
 

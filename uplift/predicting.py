@@ -21,6 +21,7 @@ from uplift.lifter import Lifted
 from uplift.lifting import lift_frames, refine_lifted
 from uplift.placing import place_roots
 from uplift.prediction import Prediction
+from uplift.seeing import as_seen, frames_of, intrinsics_of
 from uplift.sizing import CameraHeight, Size, mm_by_camera_height, mm_per_unit, size_of_skeleton
 from uplift.views import least_rotation, turn
 
@@ -100,8 +101,6 @@ def predict_poses(
 
 def _lifted(model: Model, data: PoseData, refine: bool) -> _Poses:
     """Return the poses of cleaned ``data``; mended by clip and with short gaps bridged where ``refine``."""
-    from uplift.model import as_seen, intrinsics_of
-
     seen = as_seen(data, model.settings)
     frames, lifted = _once(model, seen, refine)
     if refine:
@@ -117,8 +116,6 @@ def _lifted(model: Model, data: PoseData, refine: bool) -> _Poses:
 
 def _once(model: Model, data: PoseData, refine: bool) -> tuple[TrainingSet, Lifted]:
     """Return cleaned ``data`` in the model's units and its poses."""
-    from uplift.model import frames_of
-
     frames = frames_of(data, model.skeleton, model.settings).to(next(model.lifter.parameters()).device)
     lifted = lift_frames(model.lifter, frames, both_ways=model.settings.both_ways)
     if refine:

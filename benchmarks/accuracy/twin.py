@@ -23,8 +23,9 @@ from uplift.data.container import PoseData
 from uplift.data.load import Loaded, load_data
 from uplift.data.tensors import TrainingSet
 from uplift.errors import UserError
-from uplift.model import Model, build_lifter, frames_of
+from uplift.model import Model, build_lifter
 from uplift.run import RunFolder
+from uplift.seeing import frames_of
 from uplift.skeleton import Skeleton, load_skeleton
 from uplift.task import load_settings
 from uplift.training.recipe import student_settings

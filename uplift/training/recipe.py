@@ -14,9 +14,10 @@ from uplift.data.load import Loaded
 from uplift.data.tensors import TrainingSet
 from uplift.errors import UserError
 from uplift.lifter import Lifter
-from uplift.model import Model, build_lifter, frames_of, load
+from uplift.model import Model, build_lifter, load
 from uplift.priors import build_priors
 from uplift.run import RunFolder
+from uplift.seeing import frames_of
 from uplift.skeleton import Skeleton
 from uplift.training.adversarial import AdversarialTraining
 from uplift.training.base import LifterTraining

@@ -10,9 +10,10 @@ from uplift.data.load import Loaded
 from uplift.evaluation import Evaluation, GivenPoses, flat_depth
 from uplift.evaluation import evaluate as score
 from uplift.evaluation.evaluator import TRUTH_SIGN
-from uplift.model import Model, as_seen, intrinsics_of
+from uplift.model import Model
 from uplift.run import RunFolder
 from uplift.saving import replacing
+from uplift.seeing import as_seen, intrinsics_of
 from uplift.training.progress import read_metrics
 from uplift.verbs.evaluate import evaluate_model, save_evaluation
 from uplift.writers.html import write_html
