@@ -24,7 +24,7 @@ from benchmarks.machine import ROOT, facts
 from benchmarks.reading.cells import CELLS, Cell
 from benchmarks.reading.measure import told_of
 from benchmarks.reading.show import sheets
-from benchmarks.reading.writing import FILMS
+from benchmarks.reading.writing import FILMS, MOST_FRAMES
 from uplift.saving import replacing
 from uplift.writers import WRITERS
 
@@ -70,7 +70,9 @@ def _measure(found: dict[str, Any], given: argparse.Namespace, folder: Path) -> 
             _keep(found, given, "read", cell.name, _reader(cell, rows, folder, given))
     for ending in WRITERS:
         name = f"write {ending}"
-        frames = max(given.frames // 100, 1) if ending in FILMS else given.frames
+        frames = (
+            max(given.frames // 100, 1) if ending in FILMS else min(given.frames, MOST_FRAMES.get(ending, given.frames))
+        )
         if _wanted(found, given, "write", name, "frames", frames):
             work = _writer(ending, frames, folder)
             _keep(found, given, "write", name, _best(work, given.times))

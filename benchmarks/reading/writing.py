@@ -15,10 +15,12 @@ from uplift.simulator import simulate
 from uplift.skeleton import load_skeleton
 from uplift.writers import write
 
-__all__ = ["FILMS", "prediction", "written"]
+__all__ = ["FILMS", "MOST_FRAMES", "prediction", "written"]
 
 FILMS = (".gif", ".mp4")
 """Endings that get a hundredth of the frames."""
+MOST_FRAMES = {".c3d": 65_535}
+"""What a file of an ending can hold."""
 _CLIP, _FPS = 1000, 25.0
 
 
