@@ -25,7 +25,7 @@ SMALL = (
     "priors.flow.steps=100", "trainer.max_time=null", "trainer.max_steps=150", "trainer.threads=1",
 )  # fmt: skip
 # Views from everywhere need more steps than that; handedness and consistency alone need fewer.
-HAND = ("priors.flow.weight=0", "teacher.learning_rate=4e-3", "trainer.max_steps=200")
+HAND = ("priors.flow.weight=0", "priors.handedness.margin=0.5", "teacher.learning_rate=4e-3", "trainer.max_steps=200")
 FRAMES = {"train.npz": 1000, "test.npz": 100}
 
 

@@ -16,6 +16,7 @@ from uplift.cli import main
 from uplift.config import LifterSettings
 from uplift.data.container import PoseData
 from uplift.data.load import load_file
+from uplift.evaluation.plausibility import never_seen_so_long
 from uplift.model import Model, build_lifter
 from uplift.readers import ReadOptions
 from uplift.simulator import simulate
@@ -181,3 +182,11 @@ def test_joints_with_the_names_of_others_are_doubted(
     for name, doubted in (("right", False), ("wrong", True)):
         assert main(["predict", f"run={run}", f"input={name}.npz", f"output={name}_poses.npz"]) == 0
         assert ("WARNING: the bones of h36m17" in capsys.readouterr().out) == doubted
+
+
+def test_bones_longer_than_they_ever_look_are_warned_of():
+    pose = simulate(SKELETON, 300, seed=5).pose
+    assert never_seen_so_long(pose, SKELETON) < 0.1
+    deep = pose * np.array([1, 1, 5.0], np.float32)
+    assert never_seen_so_long(deep, SKELETON) > 0.3
+    assert np.isnan(never_seen_so_long(pose * np.nan, SKELETON))

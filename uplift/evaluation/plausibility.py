@@ -8,7 +8,15 @@ from jaxtyping import Float, Int
 from uplift.evaluation.alignment import length
 from uplift.skeleton import Skeleton
 
-__all__ = ["bone_cv", "bone_lengths", "facing_sign", "has_handedness", "mirrored_bones", "symmetry"]
+__all__ = [
+    "bone_cv",
+    "bone_lengths",
+    "facing_sign",
+    "has_handedness",
+    "mirrored_bones",
+    "never_seen_so_long",
+    "symmetry",
+]
 
 Poses = Float[np.ndarray, "frames joints 3"]
 PerFrame = Float[np.ndarray, " frames"]
@@ -43,6 +51,23 @@ def bone_lengths(pose: Poses, skeleton: Skeleton) -> Float[np.ndarray, "frames b
     """Return the length of each bone in the order of the skeleton's bones; NaN where an end is unknown."""
     parent, child = skeleton.bone_indices.T
     return length(pose[:, child].astype(np.float64) - pose[:, parent])
+
+
+def never_seen_so_long(pose: Poses, skeleton: Skeleton) -> float:
+    """Return the share of bones that are mostly twice as long or longer than they ever look from the camera.
+
+    Of a body that is seen from many sides every bone is across the line of sight now and then: its median length is
+    near the 95th percentile of how long it looks. Where many bones never are, depth was not learned, or the body is
+    only ever seen from one side. NaN where no bone is known.
+    """
+    parent, child = skeleton.bone_indices.T
+    bones = pose[:, child].astype(np.float64) - pose[:, parent]
+    known = np.isfinite(bones).all((1, 2))
+    if not known.any():
+        return float("nan")
+    whole = np.median(np.linalg.norm(bones[known], axis=-1), axis=0)
+    seen = np.quantile(np.linalg.norm(bones[known][..., :2], axis=-1), 0.95, axis=0)
+    return float((whole > 2 * np.maximum(seen, 1e-9)).mean())
 
 
 def bone_cv(lengths: Float[np.ndarray, "frames bones"], group: Int[np.ndarray, " frames"]) -> float:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import replace
 from pathlib import Path
 
@@ -14,6 +15,8 @@ from uplift.readers.formats import FORMATS, format_named
 
 __all__ = ["ReadOptions", "as_told", "guess_format", "read"]
 
+_ENDING = {"ultralytics": ".txt"}
+"""Of the files in a folder, where it is not .json."""
 _NOT_KEYPOINTS = {
     (".mp4", ".avi", ".mov", ".mkv", ".webm"): "a video. Run a tracker on it first, and give its output",
     (".jpg", ".jpeg", ".png", ".bmp", ".tif", ".tiff", ".webp"): "a picture. Run a tracker on it first, and give its output",
@@ -39,6 +42,9 @@ def read(path: str | Path, options: ReadOptions | None = None) -> PoseData:
     if found.name != "npz":  # the layout of this project needs no word
         told = f"read as {found.title}" + ("" if options.format else f" (guessed; format={found.name})")
         data = replace(data, notes=(told, *data.notes))
+    kinds = Counter(child.suffix.lower() for child in path.iterdir() if child.is_file()) if path.is_dir() else Counter()
+    if found.name != "npz" and len(kinds) > 1 and (others := kinds.total() - kinds[_ENDING.get(found.name, ".json")]):
+        data = replace(data, notes=(*data.notes, f"{others} files of other kinds in the folder were left out"))
     return as_told(replace(data, source=data.source or str(path)), options)
 
 

@@ -170,7 +170,7 @@ def _rest(skeleton: Skeleton) -> str:
     return "\n".join(
         [
             "# true: it stands or walks on the ground, and the camera is more or less level.",
-            "# false: it may be seen from any side (a hand, a mouse filmed from above); then facing needs `up`.",
+            "# false: it may be seen from any side (a hand, a thing that floats); then facing needs `up`.",
             f"gravity: {str(skeleton.gravity).lower()}",
             "# rigid: true    # one shape that does not bend (a chair)",
             "",

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from uplift.data.container import PoseData
-from uplift.evaluation.plausibility import bone_cv, bone_lengths
+from uplift.evaluation.plausibility import bone_cv, bone_lengths, never_seen_so_long
 from uplift.prediction import Prediction
 from uplift.verbs.predict import predict
 from uplift.words import PREDICT_KEYS, SIZE_KEYS, keyed, number, one_of, read_options, whole
@@ -74,8 +74,14 @@ def _told(found: Prediction, written: Mapping[Path, str]) -> list[str]:
     if found.root is not None and np.isfinite(found.root).any():
         lines.append(f"placed: the camera is {np.nanmedian(found.root[:, 2]) / 1000:.2f} m away (median)")
     lines += _motion(found)
+    if never_seen_so_long(found.pose, found.skeleton) > 0.2:
+        lines.append(
+            "WARNING: many bones are twice as long as they ever look from the camera. Too little training, or a body that "
+            "is only ever seen from one side (docs/how-it-works.md)"
+        )
     if found.unit == "px":
-        lines.append("for millimetres give height_mm=, or bone=JOINT,JOINT bone_mm= (docs/output.md)")
+        height = "height_mm=, or " if "of_height" in found.skeleton.size else ""
+        lines.append(f"for millimetres give {height}bone=JOINT,JOINT bone_mm= (docs/output.md)")
     shown = [f"wrote {path}" + (f": {word}" if word else "") for path, word in list(written.items())[:5]]
     lines += shown + [f"and {len(written) - 5} more"] * (len(written) > 5)
     lines += [f"look: open {path} in a browser" for path in written if path.suffix.lower() == ".html"]

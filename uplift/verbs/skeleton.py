@@ -112,6 +112,11 @@ def _write_proposal(path: Path, keyed: dict[str, str]) -> list[str]:
     ]
     if found.hidden:
         lines.append(f"left out, as no frame shows them: {', '.join(found.hidden)}")
+    from uplift.verbs.skeleton_map import fitting_skeletons
+
+    fitting = fitting_skeletons(data)
+    if fitting:
+        lines.append(f"shipped skeletons that fit this file as they are: {', '.join(fitting)}: better than a guess")
     said = "guessed by the names, in comments" if facing_guess(skeleton) else "not known"
     return [
         *lines,

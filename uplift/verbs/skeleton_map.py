@@ -19,7 +19,7 @@ from uplift.skeleton.proposal_names import guess_parts
 from uplift.skeleton.template import quoted
 from uplift.verbs.skeleton import READING, keyed_words, reading
 
-__all__ = ["map_joints"]
+__all__ = ["fitting_skeletons", "map_joints"]
 
 _LIKELY = 1.5  # see `stretched`
 
@@ -134,10 +134,15 @@ def _shipped() -> list[tuple[Skeleton, tuple[str, ...]]]:
     return [(one, tuple(joint for joint in one.joints if joint not in one.midpoints)) for one in found]
 
 
+def fitting_skeletons(data: PoseData) -> list[str]:
+    """Return the shipped skeletons that a file's joints make."""
+    return [other.name for other, _ in _shipped() if _fits(data, other)]
+
+
 def _help(data: PoseData, skeleton: Skeleton) -> list[str]:
     """Return which shipped skeletons fit, and a `from:` block of guesses, in comments."""
     lines = [""]
-    fitting = [other.name for other, _ in _shipped() if other.name != skeleton.name and _fits(data, other)]
+    fitting = [name for name in fitting_skeletons(data) if name != skeleton.name]
     if fitting:
         lines += [f"shipped skeletons that fit the file: {', '.join(fitting)}", ""]
     guesses = guess_parts(skeleton, data.joint_names)

@@ -25,7 +25,7 @@ _MEANING = {
     "root": "[x, y, z] of the root joint, from the camera, in unit and axes",
     "keypoints": "joints x [u, v] as seen, px, u right, v down",
     "confidence": "joints, 0 to 1; 0 is not seen",
-    "spread": "joints, how far the depth may be off, in unit",
+    "spread": "joints, the error to expect of the depth, of a filled joint of its whole place, in unit",
     "filled": "joints, true where the joint was not seen",
     "tilt_deg": "how far the camera looks down, degrees",
 }
