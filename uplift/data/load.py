@@ -8,8 +8,9 @@ from pathlib import Path
 import numpy as np
 
 from uplift.config import ChoiceSettings, DataSettings, Settings
-from uplift.data.clean import MIN_VISIBLE, clean
+from uplift.data.clean import clean
 from uplift.data.container import PoseData
+from uplift.data.doubts import doubted, liftable
 from uplift.data.joining import join_data
 from uplift.data.missing import missing_file, missing_files
 from uplift.data.split import CHOOSE_BY, chosen_rows
@@ -21,7 +22,6 @@ from uplift.readers.base import size_of
 from uplift.readers.files import files_of
 from uplift.skeleton import Skeleton
 from uplift.skeleton.matching import build_joints, build_pose
-from uplift.skeleton.proposal_bones import TOO_LONG, stretch_of
 
 __all__ = [
     "Loaded",
@@ -227,30 +227,8 @@ def find_data(settings: Settings, which: str) -> Path:
 def load_file(path: str | Path, skeleton: Skeleton, options: ReadOptions | None = None) -> PoseData:
     """Read keypoint files (one, several with commas, or a pattern) into the joints of ``skeleton``, matched by name."""
     return join_data(
-        [_doubted(in_joints_of(_liftable(read(one, options)), skeleton), skeleton) for one in files_of(path)]
+        [doubted(in_joints_of(liftable(read(one, options)), skeleton), skeleton) for one in files_of(path)]
     )
-
-
-def _liftable(data: PoseData) -> PoseData:
-    """Return ``data``; raises UserError for files of fewer keypoints than anything can be lifted from."""
-    if len(data.joint_names) < MIN_VISIBLE:
-        raise UserError(
-            f"{data.source}: holds {len(data.joint_names)} keypoints ({', '.join(data.joint_names)}). Nothing can be lifted "
-            f"from fewer than {MIN_VISIBLE}: a pose needs a shape."
-        )
-    return data
-
-
-def _doubted(data: PoseData, skeleton: Skeleton) -> PoseData:
-    """Return ``data`` with a note where its joints seem to have each other's names."""
-    stretch = stretch_of(data.keypoints, data.confidence, skeleton)
-    if stretch < TOO_LONG:
-        return data
-    note = (
-        f"WARNING: the bones of {skeleton.name} are {stretch:.1f} times as long as the shortest lines that join its "
-        f"joints: joints seem to have the names of others (uplift skeleton map {data.source} skeleton={skeleton.name})"
-    )
-    return replace(data, notes=(*data.notes, note))
 
 
 def read_options(data: DataSettings) -> ReadOptions:
