@@ -1,0 +1,1 @@
+"""Masks: the container, its files, and how they are cleaned."""
