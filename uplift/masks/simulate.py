@@ -24,16 +24,16 @@ __all__ = ["ViewChoice", "draw_views", "simulate_masks"]
 class ViewChoice:
     """From where the cameras look: ranges in degrees, and distances in the shapes' own unit."""
 
-    azimuth_deg: tuple[float, float] = (-180.0, 180.0)
+    azimuth_deg: tuple[int | float, int | float] = (-180.0, 180.0)
     """Uniform; 0 is from in front."""
-    elevation_deg: tuple[float, float] = (-10.0, 60.0)
+    elevation_deg: tuple[int | float, int | float] = (-10.0, 60.0)
     """How far down cameras look."""
-    elevation_mean_deg: float | None = 15.0
+    elevation_mean_deg: int | float | None = 15.0
     """Normal about this, within the range; None: uniform over the range."""
-    elevation_sd_deg: float = 10.0
+    elevation_sd_deg: int | float = 10.0
     upright: bool = True
     """Off: uniform over all rotations, and the angles above do not count."""
-    distance: tuple[float, float] = (4.0, 8.0)
+    distance: tuple[int | float, int | float] = (4.0, 8.0)
     """Uniform; infinite: parallel rays."""
 
     def __post_init__(self) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+import trimesh
 from jaxtyping import Bool, Float, Int
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
@@ -96,9 +97,7 @@ def _joined(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
 
 def _close(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, Parts, np.ndarray]:
     """Cap the holes of the parts whose triangles agree; return vertices, closed parts and the faces of the others."""
-    part, edges = _parts_of(faces, len(vertices))
-    # Both triangles of an edge gone along the same way: they disagree, and nothing says which is wrong.
-    agrees = _all_of(np.abs(edges.balance) == edges.count % 2, edges.part, part)
+    faces, part, edges, agrees = _turned_alike(vertices, faces)
     even = _all_of(edges.count % 2 == 0, edges.part, part)
     vertices, fans, fan_part = _fans(vertices, edges, agrees)
     all_faces, all_part = np.concatenate([faces, fans]), np.concatenate([part, fan_part])
@@ -112,6 +111,22 @@ def _close(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, Parts, 
     kept, renumber = whole[all_part], np.cumsum(whole) - 1
     parts = Parts(vertices, all_faces[kept], renumber[all_part[kept]], agrees[whole])
     return vertices, parts, faces[~whole[part]]
+
+
+def _turned_alike(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray, _Edges, np.ndarray]:
+    """Return the faces, with those turned over that disagree with their neighbours; their parts, edges, and which agree."""
+    for is_mended in (False, True):
+        part, edges = _parts_of(faces, len(vertices))
+        # Two triangles that go along their edge the same way disagree: one of them is inside out.
+        agrees = _all_of(np.abs(edges.balance) == edges.count % 2, edges.part, part)
+        wrong = ~agrees[part]
+        if is_mended or not wrong.any():
+            break
+        mended = trimesh.Trimesh(vertices, faces[wrong], process=False)
+        trimesh.repair.fix_winding(mended)
+        faces = faces.copy()
+        faces[wrong] = mended.faces
+    return faces, part, edges, agrees
 
 
 def _fans(vertices: np.ndarray, edges: _Edges, agrees: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

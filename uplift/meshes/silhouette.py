@@ -57,13 +57,15 @@ def _spans(corners: np.ndarray, fine: int) -> tuple[np.ndarray, np.ndarray, np.n
     return begin, np.maximum(begin, end), rows
 
 
-def project(points: Float[np.ndarray, "vertices 3"], distance: float | np.floating) -> Float[np.ndarray, "vertices 2"]:
+def project(
+    points: Float[np.ndarray, "vertices 3"], distance: int | float | np.floating
+) -> Float[np.ndarray, "vertices 2"]:
     """Return where points of the camera frame (`Placed`: units of the crop, depth 0 at the shape's origin) are seen."""
     return points[:, :2] / (1 + points[:, 2:] / distance)
 
 
 def frame_mesh(
-    points: Float[np.ndarray, "vertices 3"], distance: float | np.floating
+    points: Float[np.ndarray, "vertices 3"], distance: int | float | np.floating
 ) -> tuple[float, Float[np.ndarray, " 2"]]:
     """Return the scale and offset that centre a shape's box in its crop, its longer half side `FILL`.
 

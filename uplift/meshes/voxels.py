@@ -11,8 +11,8 @@ from uplift.meshes.mesh import Mesh
 
 __all__ = ["coverage", "fill"]
 
-_NUDGE = (1.7e-7, 2.9e-7)
-"""Rays pass beside the voxels' centres by a hair: made-up edges often lie exactly on them."""
+_NUDGE = (1.7e-7, 2.9e-7, 2.3e-7)
+"""Samples lie beside the voxels' centres by a hair: made-up edges often lie exactly on them."""
 
 
 def fill(mesh: Mesh, resolution: int) -> Bool[np.ndarray, "resolution resolution resolution"]:
@@ -66,7 +66,7 @@ def _crossings(
     vertices: np.ndarray, faces: np.ndarray, resolution: int
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Return ray (y R + x), face, z and direction of each crossing of the voxels' rays with the triangles."""
-    at = (vertices + (*_NUDGE, 0) + 1) * (resolution / 2) - 0.5  # voxel centres at whole numbers of x and y
+    at = (vertices + _NUDGE + 1) * (resolution / 2) - 0.5  # voxel centres at whole numbers of x and y
     corners = at[faces]
     flat = corners[..., :2]
     low = np.clip(np.ceil(flat.min(1)), 0, resolution).astype(np.int64)

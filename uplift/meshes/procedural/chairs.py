@@ -7,8 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from uplift.meshes.mesh import Mesh
+from uplift.meshes.procedural.building import Builder
 from uplift.meshes.procedural.feet import add_feet, draw_feet
-from uplift.meshes.procedural.parts import Builder, beam, block, loft, oval, rod, rounded, slab, tube
+from uplift.meshes.procedural.parts import beam, block, loft, oval, rod, rounded, slab, tube
 
 __all__ = ["chair", "stool"]
 
@@ -29,7 +30,7 @@ class _Seat:
     """How far the back's top stands behind its foot, of its height."""
     back_height: float
 
-    def back_at(self, share: float, across: float = 0.0) -> tuple[float, float, float]:
+    def back_at(self, share: int | float, across: int | float = 0.0) -> tuple[int | float, int | float, int | float]:
         """Return a point of the back: ``share`` of its height, ``across`` of half its width."""
         height = share * self.back_height
         return across * self.back_width / 2, self.top + height, -self.depth / 2 - self.lean * height
@@ -94,7 +95,7 @@ def _add_back(built: Builder, rng: np.random.Generator, seat: _Seat) -> None:
     _fill_back(built, rng, seat, kind, thick)
 
 
-def _add_posts(built: Builder, rng: np.random.Generator, seat: _Seat, thick: float, share: float) -> None:
+def _add_posts(built: Builder, rng: np.random.Generator, seat: _Seat, thick: int | float, share: int | float) -> None:
     inset = 1 - thick / seat.back_width
     low, high = seat.back_at(-0.1, inset), seat.back_at(share, inset)
     if rng.random() < 0.5:
@@ -103,7 +104,9 @@ def _add_posts(built: Builder, rng: np.random.Generator, seat: _Seat, thick: flo
         built.pair(beam(low, high, (thick, thick * 1.3), (thick * 0.8, thick * 0.9)))
 
 
-def _add_rail(built: Builder, seat: _Seat, share: float, high: float, thick: float, bulge: float) -> None:
+def _add_rail(
+    built: Builder, seat: _Seat, share: int | float, high: int | float, thick: int | float, bulge: int | float
+) -> None:
     """Add a board across the back, bent backwards by ``bulge``."""
     rings = []
     for across in np.linspace(-1, 1, 5):
@@ -114,7 +117,7 @@ def _add_rail(built: Builder, seat: _Seat, share: float, high: float, thick: flo
     built.add(loft(np.array(rings)))
 
 
-def _fill_back(built: Builder, rng: np.random.Generator, seat: _Seat, kind: str, thick: float) -> None:
+def _fill_back(built: Builder, rng: np.random.Generator, seat: _Seat, kind: str, thick: int | float) -> None:
     if kind in ("slats", "spindles"):
         count = rng.integers(2, 8)
         for across in np.linspace(-1, 1, count + 2)[1:-1] * 0.95:
@@ -137,7 +140,7 @@ def _fill_back(built: Builder, rng: np.random.Generator, seat: _Seat, kind: str,
         _add_rail(built, seat, rng.uniform(0.35, 0.65), rng.uniform(0.05, 0.12), thick, 0.0)
 
 
-def _add_bent(built: Builder, rng: np.random.Generator, seat: _Seat, thick: float) -> None:
+def _add_bent(built: Builder, rng: np.random.Generator, seat: _Seat, thick: int | float) -> None:
     """Add a back of one bent board, round the sitter's sides more or less."""
     low, wrap = rng.choice([-0.04, 0.25]), rng.uniform(0.02, 0.35) * seat.depth
     steps = np.linspace(-1, 1, 9)

@@ -9,7 +9,10 @@ import numpy as np
 
 from uplift.errors import UserError, did_you_mean
 from uplift.meshes.mesh import Mesh
+from uplift.meshes.procedural.animals import animal
+from uplift.meshes.procedural.cars import car, pickup, van
 from uplift.meshes.procedural.chairs import chair, stool
+from uplift.meshes.procedural.heavy import bus, lorry, tractor
 from uplift.meshes.procedural.seats import armchair, bench, sofa
 from uplift.meshes.procedural.storage import bed, cabinet, shelf
 from uplift.meshes.procedural.tables import desk, table
@@ -21,6 +24,9 @@ Kind = Callable[[np.random.Generator], Mesh]
 _SEATS: dict[Kind, float] = {chair: 5, armchair: 2, sofa: 2, bench: 1.5, stool: 1.5}
 FAMILIES: dict[str, dict[Kind, float]] = {
     "furniture": {**_SEATS, table: 3, desk: 1, bed: 1.5, shelf: 1, cabinet: 1.5},
+    "vehicles": {car: 6, van: 1.5, pickup: 1.5, bus: 1, lorry: 2, tractor: 1},
+    "animals": {animal: 1},
+    "cars": {car: 1},
     "seats": _SEATS,
     "chairs": {chair: 1},
     "sofas": {sofa: 2, armchair: 1},

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from uplift.meshes.procedural.parts import Builder, Part, ball, beam, block, lathe, rod
+from uplift.meshes.procedural.building import Builder, Part
+from uplift.meshes.procedural.parts import ball, beam, block, lathe, rod
 
 __all__ = ["add_feet", "draw_feet", "turned_leg"]
 
@@ -18,7 +19,13 @@ def draw_feet(rng: np.random.Generator) -> str:
     return str(rng.choice(_FEET, p=_WEIGHTS))
 
 
-def add_feet(built: Builder, rng: np.random.Generator, kind: str, size: tuple[float, float, float], top: float) -> None:
+def add_feet(
+    built: Builder,
+    rng: np.random.Generator,
+    kind: str,
+    size: tuple[int | float, int | float, int | float],
+    top: int | float,
+) -> None:
     """Add feet below a seat or a table's top: ``size`` is its width in front, at the back, and its depth."""
     makers = {"sledge": _sledge, "pedestal": _pedestal, "star": _star, "cantilever": _cantilever, "panels": _panels}
     if kind in makers:
@@ -27,7 +34,13 @@ def add_feet(built: Builder, rng: np.random.Generator, kind: str, size: tuple[fl
         _legs(built, rng, kind, size, top)
 
 
-def _legs(built: Builder, rng: np.random.Generator, kind: str, size: tuple[float, float, float], top: float) -> None:
+def _legs(
+    built: Builder,
+    rng: np.random.Generator,
+    kind: str,
+    size: tuple[int | float, int | float, int | float],
+    top: int | float,
+) -> None:
     thick = rng.uniform(0.03, 0.065)
     inset = rng.uniform(0.45, 1.2) * thick
     splay = rng.uniform(0.05, 0.22) * top if kind == "splayed" else rng.uniform(0, 0.05) * top
@@ -40,7 +53,7 @@ def _legs(built: Builder, rng: np.random.Generator, kind: str, size: tuple[float
         head, foot = (x, top, z), (x + side * splay * 0.7, 0.0, z + end * out)
         feet[end] = head, foot
         if kind == "turned":
-            built.pair(turned_leg(rng.integers(1 << 30), foot, head, thick))
+            built.pair(turned_leg(int(rng.integers(1 << 30)), foot, head, thick))
         elif kind == "splayed":
             built.pair(rod(foot, head, thick * 0.35, thick * 0.55))
         else:
@@ -50,7 +63,7 @@ def _legs(built: Builder, rng: np.random.Generator, kind: str, size: tuple[float
         _stretchers(built, rng, feet, thick)
 
 
-def _stretchers(built: Builder, rng: np.random.Generator, feet: dict, thick: float) -> None:
+def _stretchers(built: Builder, rng: np.random.Generator, feet: dict, thick: int | float) -> None:
     """Add rungs between the legs, low or high."""
     share = rng.uniform(0.2, 0.6)
     points = {end: np.add(foot, share * np.subtract(head, foot)) for end, (head, foot) in feet.items()}
@@ -65,7 +78,7 @@ def _stretchers(built: Builder, rng: np.random.Generator, feet: dict, thick: flo
             built.add(rod(point, point * (-1, 1, 1), radius, sides=6))
 
 
-def turned_leg(seed: int, foot: tuple, head: tuple, thick: float) -> Part:
+def turned_leg(seed: int, foot: tuple, head: tuple, thick: int | float) -> Part:
     """Return a leg turned on a lathe: the same for the same seed."""
     rng = np.random.default_rng(seed)
     shares = np.array([0, 0.04, 0.1, 0.2, 0.45, 0.6, 0.66, 0.7, 0.78, 1.0])
@@ -77,7 +90,9 @@ def turned_leg(seed: int, foot: tuple, head: tuple, thick: float) -> Part:
     return Part(vertices + np.add(foot, rise * np.subtract(head, foot)), part.faces)
 
 
-def _sledge(built: Builder, rng: np.random.Generator, size: tuple[float, float, float], top: float) -> None:
+def _sledge(
+    built: Builder, rng: np.random.Generator, size: tuple[int | float, int | float, int | float], top: int | float
+) -> None:
     """Add two frames at the sides that stand on their runners."""
     thick, front, back = rng.uniform(0.02, 0.05), rng.uniform(0.75, 1.05), rng.uniform(0.75, 1.15)
     x, low = size[1] / 2 - thick / 2, thick / 2
@@ -87,7 +102,9 @@ def _sledge(built: Builder, rng: np.random.Generator, size: tuple[float, float, 
         built.pair(beam((end[0], 0, end[2]), (x, top, share * size[2] / 2), (thick, thick)))
 
 
-def _pedestal(built: Builder, rng: np.random.Generator, size: tuple[float, float, float], top: float) -> None:
+def _pedestal(
+    built: Builder, rng: np.random.Generator, size: tuple[int | float, int | float, int | float], top: int | float
+) -> None:
     """Add one column on a round plate."""
     plate = rng.uniform(0.32, 0.5) * min(size[0], size[2])
     column = rng.uniform(0.025, 0.06)
@@ -101,7 +118,9 @@ def _pedestal(built: Builder, rng: np.random.Generator, size: tuple[float, float
     )
 
 
-def _star(built: Builder, rng: np.random.Generator, size: tuple[float, float, float], top: float) -> None:
+def _star(
+    built: Builder, rng: np.random.Generator, size: tuple[int | float, int | float, int | float], top: int | float
+) -> None:
     """Add a swivel chair's foot: a column on four or five arms, most with castors."""
     arms, column = rng.integers(4, 6), rng.uniform(0.02, 0.04)
     reach = rng.uniform(0.42, 0.62) * (size[0] + size[2]) / 2
@@ -122,7 +141,9 @@ def _star(built: Builder, rng: np.random.Generator, size: tuple[float, float, fl
             built.add(ball((x, castor, z), (castor * 0.9, castor, castor * 0.9)))
 
 
-def _cantilever(built: Builder, rng: np.random.Generator, size: tuple[float, float, float], top: float) -> None:
+def _cantilever(
+    built: Builder, rng: np.random.Generator, size: tuple[int | float, int | float, int | float], top: int | float
+) -> None:
     """Add runners that rise at the front only."""
     thick = rng.uniform(0.02, 0.035)
     x, front, back = size[1] / 2 - thick, size[2] / 2 - thick, -size[2] / 2
@@ -132,7 +153,9 @@ def _cantilever(built: Builder, rng: np.random.Generator, size: tuple[float, flo
     built.add(rod((-x, thick / 2, back), (x, thick / 2, back), thick / 2))
 
 
-def _panels(built: Builder, rng: np.random.Generator, size: tuple[float, float, float], top: float) -> None:
+def _panels(
+    built: Builder, rng: np.random.Generator, size: tuple[int | float, int | float, int | float], top: int | float
+) -> None:
     """Add a full board at either side, and sometimes one behind."""
     thick = rng.uniform(0.02, 0.05)
     built.pair(block((size[1] / 2 - thick, 0, -size[2] / 2), (size[1] / 2, top, size[2] / 2)))

@@ -1,65 +1,16 @@
-"""Closed parts that made-up shapes are put together of: blocks, beams, rods, slabs, lofts, balls."""
+"""Closed parts that made-up shapes are put together of: blocks, beams, rods, slabs, lofts, balls; y is up."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import cache
-from typing import NamedTuple
 
 import numpy as np
 import trimesh
 
-from uplift.meshes.mesh import Mesh
+from uplift.meshes.procedural.building import Part, Point
 
-__all__ = ["Builder", "Part", "ball", "beam", "block", "lathe", "loft", "oval", "rod", "rounded", "slab", "tube"]
-
-Point = Sequence[float] | np.ndarray
-
-
-class Part(NamedTuple):
-    """One closed surface, wound outwards; while a shape is built x is its left, y UP and its front +z."""
-
-    vertices: np.ndarray
-    """(vertices, 3)"""
-    faces: np.ndarray
-    """(faces, 3)"""
-
-    def turned(self, angle: float, axis: str = "y", about: Point = (0, 0, 0)) -> Part:
-        """Return the part turned by ``angle`` radians about an axis through a point (right-handed)."""
-        first, second = {"x": (1, 2), "y": (2, 0), "z": (0, 1)}[axis]
-        moved = self.vertices - np.asarray(about, float)
-        cos, sin = np.cos(angle), np.sin(angle)
-        turned = moved.copy()
-        turned[:, first] = cos * moved[:, first] - sin * moved[:, second]
-        turned[:, second] = sin * moved[:, first] + cos * moved[:, second]
-        return Part(turned + np.asarray(about, float), self.faces)
-
-    def mirrored(self) -> Part:
-        """Return the part on the shape's other side."""
-        return Part(self.vertices * (-1, 1, 1), self.faces[:, ::-1])
-
-
-class Builder:
-    """Collects the parts of one shape."""
-
-    def __init__(self) -> None:
-        self.parts: list[Part] = []
-
-    def add(self, *parts: Part) -> None:
-        """Take parts as they are."""
-        self.parts.extend(parts)
-
-    def pair(self, *parts: Part) -> None:
-        """Take parts of the left, and their mirror images."""
-        for part in parts:
-            self.parts += [part, part.mirrored()]
-
-    def mesh(self, category: str) -> Mesh:
-        """Return the shape in the own frame (y down, front -z) and unit."""
-        starts = np.cumsum([0] + [len(part.vertices) for part in self.parts[:-1]])
-        vertices = np.concatenate([part.vertices for part in self.parts]) * (1.0, -1.0, -1.0)
-        faces = np.concatenate([part.faces + start for part, start in zip(self.parts, starts, strict=True)])
-        return Mesh(vertices, faces.astype(np.int64), category=category).in_unit()
+__all__ = ["ball", "beam", "block", "lathe", "loft", "oval", "rod", "rounded", "slab", "tube"]
 
 
 @cache
@@ -109,24 +60,44 @@ def beam(start: Point, end: Point, size: Point, end_size: Point | None = None, a
     return loft(rings)
 
 
-def rod(start: Point, end: Point, radius: float, end_radius: float | None = None, sides: int = 8) -> Part:
+def rod(start: Point, end: Point, radius: int | float, end_radius: int | float | None = None, sides: int = 8) -> Part:
     """Return a round rod, or a cone cut off, between two points."""
     return tube(np.array([start, end], float), (radius, radius if end_radius is None else end_radius), sides)
 
 
-def tube(path: np.ndarray, radii: Sequence[float] | np.ndarray, sides: int = 8, flat: np.ndarray | float = 1.0) -> Part:
-    """Return a round tube along a path (points 3); ``flat`` is how much higher than wide its section is."""
+def tube(
+    path: np.ndarray,
+    radii: Sequence[int | float] | np.ndarray,
+    sides: int = 8,
+    flat: np.ndarray | float = 1.0,
+    blunt: bool = False,
+) -> Part:
+    """Return a round tube along a path (points 3); ``flat`` is how much higher than wide its section is.
+
+    Wide is along x wherever the path lets it. A blunt tube's ends are rounded.
+    """
     path, radii = np.asarray(path, float), np.asarray(radii, float)
+    high = radii * flat
+    if blunt:
+        path, radii, high = _blunted(path, radii, high)
     along = np.gradient(path, axis=0)
     along /= np.maximum(np.linalg.norm(along, axis=1, keepdims=True), 1e-12)
-    steep = np.abs(along[:, 1]).min() > 0.9  # one choice for the whole path: the section must not flip
-    aside = np.cross(along, (0.0, 0.0, 1.0) if steep else (0.0, 1.0, 0.0))
+    aside = np.eye(3)[np.abs(along).max(0).round(6).argmin()] - 0 * along
+    aside -= (aside * along).sum(1, keepdims=True) * along
     aside /= np.maximum(np.linalg.norm(aside, axis=1, keepdims=True), 1e-12)
     upwards = np.cross(aside, along)
-    angle = 2 * np.pi * np.arange(sides) / sides
-    wide = radii[:, None, None] * np.cos(angle)[None, :, None]
-    high = (radii * flat)[:, None, None] * np.sin(angle)[None, :, None]
-    return loft(path[:, None] + wide * aside[:, None] + high * upwards[:, None])
+    angle = 2 * np.pi * (np.arange(sides) + 0.5) / sides
+    across = radii[:, None, None] * np.cos(angle)[None, :, None] * aside[:, None]
+    return loft(path[:, None] + across + high[:, None, None] * np.sin(angle)[None, :, None] * upwards[:, None])
+
+
+def _blunted(path: np.ndarray, wide: np.ndarray, high: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return a path with a smaller ring behind either end."""
+    start, end = path[0] - path[1], path[-1] - path[-2]
+    reach = 0.55 * np.minimum(wide, high)[[0, -1]]
+    start, end = path[0] + start / np.linalg.norm(start) * reach[0], path[-1] + end / np.linalg.norm(end) * reach[1]
+    wide, high = (np.concatenate([size[:1] * 0.6, size, size[-1:] * 0.6]) for size in (wide, high))
+    return np.concatenate([start[None], path, end[None]]), wide, high
 
 
 def ball(centre: Point, radii: Point | float, fine: int = 1) -> Part:
@@ -135,7 +106,13 @@ def ball(centre: Point, radii: Point | float, fine: int = 1) -> Part:
     return Part(unit.vertices * np.asarray(radii, float) + np.asarray(centre, float), unit.faces)
 
 
-def lathe(radii: Sequence[float], heights: Sequence[float], x: float = 0, z: float = 0, sides: int = 12) -> Part:
+def lathe(
+    radii: Sequence[int | float] | np.ndarray,
+    heights: Sequence[int | float] | np.ndarray,
+    x: int | float = 0,
+    z: int | float = 0,
+    sides: int = 12,
+) -> Part:
     """Return a turned body: circles of ``radii`` at ``heights`` about the upright through (x, z)."""
     angle = 2 * np.pi * np.arange(sides) / sides
     rings = np.empty((len(radii), sides, 3))
@@ -145,7 +122,7 @@ def lathe(radii: Sequence[float], heights: Sequence[float], x: float = 0, z: flo
     return loft(rings)
 
 
-def slab(outline: np.ndarray, low: float, high: float, round_by: float = 0.0) -> Part:
+def slab(outline: np.ndarray, low: int | float, high: int | float, round_by: int | float = 0.0) -> Part:
     """Return a plate of a convex outline (corners 2) in (x, z), between two heights; its edges drawn in by a share."""
     levels = [(low, 1.0), (high, 1.0)]
     if round_by > 0:
@@ -160,7 +137,11 @@ def slab(outline: np.ndarray, low: float, high: float, round_by: float = 0.0) ->
 
 
 def rounded(
-    width: float, depth: float, back_width: float | None = None, power: float = 8.0, corners: int = 20
+    width: int | float,
+    depth: int | float,
+    back_width: int | float | None = None,
+    power: int | float = 8.0,
+    corners: int = 20,
 ) -> np.ndarray:
     """Return a rounded rectangle (corners 2) in (x, z): a superellipse, narrower at the back if told."""
     angle = 2 * np.pi * (np.arange(corners) + 0.5) / corners
@@ -171,6 +152,6 @@ def rounded(
     return outline * (width / 2, depth / 2) * np.concatenate([taper, np.ones_like(taper)], 1)
 
 
-def oval(width: float, depth: float, corners: int = 24) -> np.ndarray:
+def oval(width: int | float, depth: int | float, corners: int = 24) -> np.ndarray:
     """Return an ellipse (corners 2) in (x, z)."""
     return rounded(width, depth, power=2.0, corners=corners)

@@ -7,7 +7,8 @@ import itertools
 import numpy as np
 
 from uplift.meshes.mesh import Mesh
-from uplift.meshes.procedural.parts import Builder, beam, block, rod, rounded, slab
+from uplift.meshes.procedural.building import Builder
+from uplift.meshes.procedural.parts import beam, block, rod, rounded, slab
 
 __all__ = ["armchair", "bench", "sofa"]
 
@@ -52,7 +53,9 @@ def _upholstered(rng: np.random.Generator, seats: int, category: str) -> Mesh:
     return built.mesh(category)
 
 
-def _cushions(built: Builder, rng: np.random.Generator, seats: int, size: tuple, top: float, spine: tuple) -> None:
+def _cushions(
+    built: Builder, rng: np.random.Generator, seats: int, size: tuple, top: int | float, spine: tuple
+) -> None:
     width, depth, cushion = size
     back_rise, lean, _ = spine
     each = width / seats
@@ -68,7 +71,7 @@ def _cushions(built: Builder, rng: np.random.Generator, seats: int, size: tuple,
             built.add(beam(foot, head, (each * 0.96, 0.18), (each * 0.9, 0.1)))
 
 
-def _arm(built: Builder, seed: int, x: float, size: tuple, heights: tuple) -> None:
+def _arm(built: Builder, seed: int, x: int | float, size: tuple, heights: tuple) -> None:
     """Add an arm: a box, a box with a roll on it, or a board on posts; the same for the same seed."""
     rng = np.random.default_rng(seed)
     arm, rise, depth = size
@@ -79,7 +82,7 @@ def _arm(built: Builder, seed: int, x: float, size: tuple, heights: tuple) -> No
         built.add(rod((x, top + rise, -depth / 2), (x, top + rise, depth / 2 + 0.02), arm * 0.62, sides=10))
 
 
-def _short_legs(built: Builder, rng: np.random.Generator, size: tuple, legs: float) -> None:
+def _short_legs(built: Builder, rng: np.random.Generator, size: tuple, legs: int | float) -> None:
     half, depth, back = size
     thick, splay = rng.uniform(0.03, 0.07), rng.uniform(0, 0.06)
     round_ones = rng.random() < 0.5
@@ -121,7 +124,7 @@ def bench(rng: np.random.Generator) -> Mesh:
     return built.mesh("bench")
 
 
-def _boards(built: Builder, count: int, size: tuple, ends: tuple, thick: float) -> None:
+def _boards(built: Builder, count: int, size: tuple, ends: tuple, thick: int | float) -> None:
     width, top = size
     edges = np.linspace(ends[0][2], ends[1][2], count + 1)
     gap = 0.15 * (edges[1] - edges[0]) if count > 1 else 0.0

@@ -7,8 +7,9 @@ import itertools
 import numpy as np
 
 from uplift.meshes.mesh import Mesh
+from uplift.meshes.procedural.building import Builder
 from uplift.meshes.procedural.feet import turned_leg
-from uplift.meshes.procedural.parts import Builder, beam, block, rod, rounded, slab
+from uplift.meshes.procedural.parts import beam, block, rod, rounded, slab
 
 __all__ = ["bed", "cabinet", "shelf"]
 
@@ -34,7 +35,7 @@ def bed(rng: np.random.Generator) -> Mesh:
     return built.mesh("bed")
 
 
-def _board(built: Builder, rng: np.random.Generator, size: tuple, top: float, z: float) -> None:
+def _board(built: Builder, rng: np.random.Generator, size: tuple, top: int | float, z: int | float) -> None:
     """Add a head or foot board: solid, of bars, or an arch, between two posts."""
     width, legs = size
     thick = rng.uniform(0.03, 0.08)
@@ -45,7 +46,7 @@ def _board(built: Builder, rng: np.random.Generator, size: tuple, top: float, z:
         return
     post_top = top + (rng.uniform(0.05, 0.3) if kind == "posts" else 0.0)
     if kind == "posts":
-        built.pair(turned_leg(rng.integers(1 << 30), (half, 0, z), (half, post_top, z), thick * 1.4))
+        built.pair(turned_leg(int(rng.integers(1 << 30)), (half, 0, z), (half, post_top, z), thick * 1.4))
         built.add(block((-half, legs, z - thick / 3), (half, top, z + thick / 3)))
         return
     built.pair(beam((half, 0, z), (half, top, z), (thick, thick)))

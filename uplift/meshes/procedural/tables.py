@@ -7,8 +7,9 @@ import itertools
 import numpy as np
 
 from uplift.meshes.mesh import Mesh
+from uplift.meshes.procedural.building import Builder
 from uplift.meshes.procedural.feet import add_feet
-from uplift.meshes.procedural.parts import Builder, beam, block, lathe, oval, rounded, slab
+from uplift.meshes.procedural.parts import beam, block, lathe, oval, rounded, slab
 
 __all__ = ["desk", "table"]
 
@@ -43,7 +44,7 @@ def table(rng: np.random.Generator) -> Mesh:
     return built.mesh("table")
 
 
-def _apron(built: Builder, rng: np.random.Generator, inner: tuple, top: float) -> None:
+def _apron(built: Builder, rng: np.random.Generator, inner: tuple, top: int | float) -> None:
     """Add the boards between the legs, right below the top."""
     high, thick = rng.uniform(0.04, 0.13), 0.02
     x, z = inner[0] / 2 - 0.03, inner[2] / 2 - 0.03
@@ -52,7 +53,7 @@ def _apron(built: Builder, rng: np.random.Generator, inner: tuple, top: float) -
         built.add(block((-x, top - high, end - thick / 2), (x, top, end + thick / 2)))
 
 
-def _column(built: Builder, rng: np.random.Generator, size: tuple, top: float) -> None:
+def _column(built: Builder, rng: np.random.Generator, size: tuple, top: int | float) -> None:
     """Add one column, turned or plain, on a plate or on arms; a long table has two."""
     width, depth = size
     places = (0.0,) if width < 1.7 * depth else (-0.28 * width, 0.28 * width)
@@ -70,7 +71,7 @@ def _column(built: Builder, rng: np.random.Generator, size: tuple, top: float) -
             built.add(arm.turned(angle, "y", (x, 0, 0)))
 
 
-def _trestles(built: Builder, rng: np.random.Generator, size: tuple, top: float) -> None:
+def _trestles(built: Builder, rng: np.random.Generator, size: tuple, top: int | float) -> None:
     width, depth = size
     x, thick, spread = width * rng.uniform(0.3, 0.42), rng.uniform(0.04, 0.08), rng.uniform(0.2, 0.42) * depth
     cross = rng.random() < 0.4
@@ -112,7 +113,7 @@ def desk(rng: np.random.Generator) -> Mesh:
     return built.mesh("desk")
 
 
-def _drawers(built: Builder, rng: np.random.Generator, place: tuple, depth: float, top: float) -> None:
+def _drawers(built: Builder, rng: np.random.Generator, place: tuple, depth: int | float, top: int | float) -> None:
     """Add a chest of drawers, its fronts standing out, from the edge ``place[0]`` inwards."""
     edge, across = place
     legs = rng.choice([0.0, rng.uniform(0.03, 0.3)])
@@ -131,7 +132,7 @@ def _drawers(built: Builder, rng: np.random.Generator, place: tuple, depth: floa
                 built.add(beam((x, 0, z), (x, legs + 0.01, z), (0.03, 0.03), (0.04, 0.04)))
 
 
-def _hutch(built: Builder, rng: np.random.Generator, size: tuple, top: float) -> None:
+def _hutch(built: Builder, rng: np.random.Generator, size: tuple, top: int | float) -> None:
     """Add a shelf that stands on the desk's far edge."""
     width, depth = size
     rise, deep = rng.uniform(0.2, 0.6), rng.uniform(0.18, 0.3)
