@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from uplift.meshes.mesh import Mesh
+from uplift.meshes.procedural.bodywork import add_wheels, cabin
 from uplift.meshes.procedural.building import Builder
-from uplift.meshes.procedural.cars import add_wheels, cabin
 from uplift.meshes.procedural.parts import beam, block, loft, rod
 
 __all__ = ["bus", "lorry", "tractor"]
