@@ -95,6 +95,11 @@ def test_poses_are_drawn_over_all_animations(tmp_path: Path) -> None:
         np.testing.assert_allclose(tip, [3 * np.cos(angle), -3 * np.sin(angle), 0], atol=0.03)
     again = read_meshes([path, write_glb(tmp_path / "dog.glb")], MeshOptions(poses=7, seed=3))
     assert [mesh.name for mesh in again] == [*(mesh.name for mesh in found), "dog"]
+    for told, left in ((("walk", "RUN"), {"walk", "run"}), (("-Walk",), {"run", "rest"})):
+        some = read_meshes(path, MeshOptions(poses=6, animations=told))
+        assert {mesh.name.split()[1] for mesh in some} == left
+    with pytest.raises(UserError, match=r"animations=fly leaves none of its animations. Valid: Rig\|walk"):
+        read_meshes(path, MeshOptions(animations=("fly",)))
     (rest,) = read_meshes(path, MeshOptions(poses=0, category="feline"))
     assert (rest.name, rest.category) == ("cat", "feline")
 

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
-from uplift.errors import UserError
+from uplift.errors import UserError, did_you_mean
 from uplift.meshes.gltf import GltfFile
 from uplift.meshes.mesh import Mesh
 
@@ -38,6 +38,8 @@ class MeshOptions:
     """The file's axis the object looks along; None: z where y is up (glTF's convention), -y where z is (Blender's)."""
     poses: int = 20
     """Moments drawn from each animated file's animations; 0: the pose it has at rest."""
+    animations: tuple[str, ...] = ()
+    """Parts of names of those that poses are drawn from, with a minus of those they are not; none: all."""
     seed: int = 0
     category: str | None = None
     """Of all meshes; None: the folder below the given one, else the file's own name."""
@@ -115,9 +117,14 @@ def _is_mesh(file: Path, folder: Path) -> bool:
 def _posed(path: Path, options: MeshOptions) -> list[Mesh]:
     """Return one mesh for each of some moments, in glTF's axes."""
     file = GltfFile.read(path)
-    names = [name for name, length in file.animations.items() if length > 0]
-    if not names or not options.poses:
+    moving = [name for name, length in file.animations.items() if length > 0]
+    if not moving or not options.poses:
         return [_as_in_file(file.posed(), path.stem)]
+    names = [name for name in moving if _taken(name, options.animations)]
+    if not names:
+        raise UserError(
+            f"{path}: animations={','.join(options.animations)} leaves none of its animations.{did_you_mean('', moving)}"
+        )
     random = np.random.default_rng([options.seed, zlib.crc32(path.name.encode())])
     # All animations have the same number of poses, or one more.
     order = np.concatenate([random.permutation(len(names)) for _ in range(-(-options.poses // len(names)))])
@@ -127,6 +134,13 @@ def _posed(path: Path, options: MeshOptions) -> list[Mesh]:
         short = re.split(r"[|/\\:]", names[number])[-1]
         found.append(_as_in_file(file.posed(names[number], time_s), f"{path.stem} {short} {time_s:.2f}s"))
     return found
+
+
+def _taken(name: str, told: tuple[str, ...]) -> bool:
+    wanted = [part.casefold() for part in told if not part.startswith("-")]
+    refused = [part[1:].casefold() for part in told if part.startswith("-")]
+    name = name.casefold()
+    return (not wanted or any(part in name for part in wanted)) and not any(part in name for part in refused)
 
 
 def _as_in_file(mesh: Mesh, name: str) -> Mesh:

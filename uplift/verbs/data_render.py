@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 __all__ = ["RENDER_KEYS", "render_masks_command"]
 
 _VERB = "data render"
-_FILE_KEYS = ("poses", "up", "front")
+_FILE_KEYS = ("poses", "animations", "up", "front")
 RENDER_KEYS = (
     "output", "items", "seed", "side", "azimuth_deg", "elevation_deg", "distance", "upright", "views", "category",
     *_FILE_KEYS,
@@ -94,6 +94,7 @@ def _shapes(sources: list[str], keys: dict[str, str], count: int, seed: int) -> 
         up=keys.get("up", "y"),
         front=keys.get("front"),
         poses=_whole(keys, "poses", MeshOptions.poses, 0),
+        animations=tuple(part.strip() for part in keys.get("animations", "").split(",") if part.strip("- ")),
         seed=seed,
         category=keys.get("category"),
         most=count,
