@@ -197,6 +197,41 @@ def test_damaged_bytes_never_crash(
             assert len(file.posed(name, length_s / 2).faces)
 
 
+def _places(tree: dict | list) -> list[tuple]:
+    """Return the container and the key of every value of a tree."""
+    found = []
+    for key in list(tree) if isinstance(tree, dict) else range(len(tree)):
+        found.append((tree, key))
+        if isinstance(tree[key], dict | list):
+            found += _places(tree[key])
+    return found
+
+
+ODD = [None, True, -1, 0, 2, 7, 0.5, 1e308, 10**9, 10**30, "x", "", [], {}, [0], [[]], {"a": 1}, [0, 0, 0], [1e308] * 3]
+
+
+@settings(max_examples=300, deadline=None)
+@given(place=st.integers(0, 10**4), value=st.sampled_from([*ODD, "gone"]))
+def test_odd_structure_never_crashes(place: int, value: object, tmp_path_factory: pytest.TempPathFactory) -> None:
+    made = animate(arm(), 2, "rotation", [0.0, 2.0], [[0, 0, 0, 1], [*QUARTER]])
+    made.tree["meshes"][0]["primitives"][0]["targets"] = [{"POSITION": made.put(TRIANGLE)}]
+    made.tree["meshes"][0]["weights"] = [0.5]
+    made.tree |= {"scenes": [{"nodes": [0]}], "scene": 0}
+    places = _places(made.tree)
+    tree, key = places[place % len(places)]
+    if value == "gone":
+        del tree[key]
+    else:
+        tree[key] = value
+    path = made.write(tmp_path_factory.getbasetemp() / "odd.glb")
+    try:
+        file = GltfFile.read(path)
+    except UserError as error:
+        assert str(path) in str(error)
+    else:
+        assert [len(file.posed(name, 1.0).faces) for name in file.animations] in ([], [1])
+
+
 def test_an_animal_is_as_two_other_readers_have_it(benchmark_data: Callable[[str], Path]) -> None:
     path = benchmark_data("animal_meshes/Cow.glb")
     file, told = GltfFile.read(path), pygltflib.GLTF2().load(str(path))

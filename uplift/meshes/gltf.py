@@ -140,6 +140,7 @@ def _morph(document: Document, node: dict[str, Any], number: int, primitives: li
     told = node.get("weights", document.listed("meshes")[number].get("weights", [0.0] * count))
     if not count:
         return np.zeros(0)
-    if not isinstance(told, list) or len(told) != count or not all(isinstance(one, int | float) for one in told):
+    told = told if isinstance(told, list) else []
+    if len(told) != count or not all(isinstance(one, int | float) and abs(one) < 1e30 for one in told):
         raise document.wrong(f"mesh {number} has not {count} weights of its morph targets")
     return np.array(told, np.float64)

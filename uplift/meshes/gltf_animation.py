@@ -92,11 +92,11 @@ def _track(
 ) -> Track:
     if not isinstance(index, int) or not 0 <= index < len(samplers):
         raise document.wrong(f"{whose} refers to sampler {str(index)[:40]}, of {len(samplers)}")
-    sampler, path = samplers[index], target.get("path")
+    sampler, path = samplers[index], str(target.get("path"))
     node = document.number_of("nodes", target["node"], whose)
     how = sampler.get("interpolation", "LINEAR")
     if how not in ("STEP", "LINEAR", "CUBICSPLINE") or path not in _KINDS:
-        raise document.wrong(f"{whose} moves '{str(path)[:20]}' by '{str(how)[:20]}'")
+        raise document.wrong(f"{whose} moves '{path[:20]}' by '{str(how)[:20]}'")
     times = floats(document, sampler.get("input"), "SCALAR", f"the times of {whose}")[:, 0]
     values = floats(document, sampler.get("output"), _KINDS[path], f"the values of {whose}")
     if not len(times) or (np.diff(times) <= 0).any() or times[0] < 0:
