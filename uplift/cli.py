@@ -21,7 +21,8 @@ _VERBS = {
     "predict": "lift keypoints: predict run=RUN input=FILE|FOLDER|SET:SPLIT output=FILE.html|.npz|.csv|.trc|.bvh|...",
     "simulate": "made-up bodies with exact poses: simulate skeleton=NAME output=FILE.npz|.csv [frames=20000 seed=0]",
     "compare": "runs side by side: compare RUN RUN ...",
-    "data": "data check task=NAME [data.root=FOLDER]: what is there and what is missing; data cmu FOLDER",
+    "data": "data check task=NAME [data.root=FOLDER]: what is there and what is missing; data cmu FOLDER; "
+    "data render MESHES... output=FILE.npz|FOLDER: masks of meshes or of made-up shapes",
     "tasks": "list the tasks and whether their data is present",
     "skeletons": "list the shipped skeletons",
     "skeleton": "skeleton check FILE [output=FILE.png]; skeleton new FILE [--from TRACKER_FILE]; "
@@ -116,7 +117,7 @@ def _complete(verb: str) -> Callable[..., list[str]]:
                 *(f"{key}=" for key in ("from", "root", "gravity", "format", "layout")),
             ]
         if verb == "data":
-            return ["check", "cmu", *(f"task={name}" for name in shipped_names("tasks")), "data.root="]
+            return ["check", "cmu", "render", *(f"task={name}" for name in shipped_names("tasks")), "data.root="]
         known = {key: [""] for key in _KEYS.get(verb, ())}
         if verb == "fit":
             known |= {name: [""] for name in setting_names()} | {"resume": [""]}
@@ -267,8 +268,15 @@ def _data(words: Sequence[str]) -> int:
         from uplift.verbs.data_cmu import make_cmu_files
 
         lines, complete = make_cmu_files(list(words[1:])), True
+    elif words and words[0] == "render":
+        from uplift.verbs.data_render import render_masks_command
+
+        lines, complete = render_masks_command(list(words[1:])), True
     else:
-        raise UserError("data: expected `uplift data check task=NAME` or `uplift data cmu FOLDER`.")
+        raise UserError(
+            "data: expected `uplift data check task=NAME`, `uplift data cmu FOLDER` or "
+            "`uplift data render MESHES output=FILE.npz`."
+        )
     for line in lines:
         print(line)
     return 0 if complete else 2
