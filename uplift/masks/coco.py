@@ -56,7 +56,9 @@ class _File:
         number = _key(record.get("id", record.get("image_id")))
         name = record.get("file_name")
         width, height = record.get("width"), record.get("height")
-        size = (width, height) if type(width) is type(height) is int and width > 0 and height > 0 else None
+        size = None
+        if isinstance(width, int) and isinstance(height, int) and width > 0 and height > 0:
+            size = (int(width), int(height))
         self.images[number] = _Image(str(name) if is_text(name) else str(number), size)
 
     def category(self, record: dict[str, Any]) -> None:

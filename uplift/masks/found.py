@@ -24,7 +24,7 @@ class Found:
     """Of the window in the image: x, y."""
     image_size: tuple[int, int] | None = None
     """Width and height of the image; unset: the mask is all of it."""
-    slack_px: float = 0
+    slack_px: int | float = 0
     """How near the image's border counts as touching: outlines by hand stop a little short of it."""
     order: int = 0
     """Place in the file, where masks are taken in another order."""

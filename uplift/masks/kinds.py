@@ -12,8 +12,10 @@ _FLAT = 0.5
 """Share of a mask's or label image's pixels that are as their four neighbours; a photo has fewer."""
 _NEAR = 0.0625
 """Of the span of grey levels: as near as that to black or white is black or white."""
-_EXTREME = 0.85
-"""Share of a mask's pixels that are black or white."""
+_EXTREME, _EXTREME_LOSSY = 0.85, 0.95
+"""Share of a mask's pixels that are black or white; where that is meant more widely, more of them."""
+_RINGING = 32
+"""Grey levels that a lossy picture may be off by, of 255."""
 _CONTRAST = 32
 """Grey levels between black and white, at least, of what a lossy picture shows."""
 _REGION = 0.0005
@@ -37,8 +39,8 @@ def kind_of(picture: Picture) -> str:
         return "labels"
     grey = values if picture.shades is None else picture.shades
     low, high = float(grey.min()), float(grey.max())
-    near = _NEAR * (high - low)
-    if ((grey <= low + near) | (grey >= high - near)).mean() >= _EXTREME:
+    near = min(_RINGING, (high - low) / 4) if picture.lossy else _NEAR * (high - low)
+    if ((grey <= low + near) | (grey >= high - near)).mean() >= (_EXTREME_LOSSY if picture.lossy else _EXTREME):
         return "mask"
     return "mask" if picture.shades is not None and len(regions) == 2 and flat >= _FLAT else "photo"
 

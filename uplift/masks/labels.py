@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 from scipy.ndimage import find_objects
 
-from uplift.masks.base import Look, MaskFormat, gather, shuffled
+from uplift.masks.base import Look, MaskFormat, gather, shuffled, wanted
 from uplift.masks.container import MaskData
 from uplift.masks.found import Found, Skipped
 from uplift.masks.kinds import object_of
@@ -23,7 +24,7 @@ __all__ = ["FORMAT"]
 
 _CITYSCAPES = "_instanceIds.png"
 _CITYSCAPES_CLASSES = {
-    24: "person", 25: "rider", 26: "car", 27: "truck", 28: "bus", 31: "train", 32: "motorcycle", 33: "bicycle",
+    24: "person", 25: "rider", 26: "car", 27: "truck", 28: "bus", 29: "caravan", 30: "trailer", 31: "train", 32: "motorcycle", 33: "bicycle",
 }  # fmt: skip
 _NOTES = {
     "void": "label 255 is taken as void in {:,} label images",
@@ -39,13 +40,18 @@ def _fits(look: Look) -> bool:
 
 def _read(paths: list[Path], options: MaskOptions) -> MaskData:
     notes: list[str] = []
-    places = places_in(paths, options, notes)
+    places = places_in(paths, replace(options, category=()), notes)
     instances = [place for place in places if place.path.name.endswith(_CITYSCAPES)]
     if instances and len(instances) < len(places):
         notes.append(f"{len(places) - len(instances):,} pictures that are no *{_CITYSCAPES} were left out")
+    known = set(_CITYSCAPES_CLASSES.values()) if instances else {place.category for place in places}
+    taken = wanted(options, known, Look(paths).where) | ({""} if not options.category else set())
     told: Counter[str] = Counter()
     photos = Photos(options.images)
-    items = _items(instances or places, options, photos, told)
+    places = instances or [place for place in places if place.category in taken]
+    items = (
+        item for item in _items(places, options, photos, told) if isinstance(item, Skipped) or item.category in taken
+    )
     data = gather(items, options, Look(paths).where, notes)
     more = [text.format(told[key]) for key, text in _NOTES.items() if told[key]]
     data.notes = (*more, *photos.notes(), *data.notes)

@@ -18,11 +18,11 @@ def largest_piece(
     mask: Bool[np.ndarray, "height width"],
 ) -> tuple[Bool[np.ndarray, "height width"], float]:
     """Return the piece of most pixels (joined by sides or corners), and the second one's share of its area: 0 where it is alone."""
-    numbers, count = label(mask, connectivity=2, return_num=True)
-    if count < 2:
+    numbers = np.asarray(label(mask, connectivity=2))
+    if numbers.max(initial=0) < 2:
         return mask, 0.0
     areas = np.bincount(numbers.reshape(-1))[1:]
-    second, first = np.partition(areas, count - 2)[-2:]
+    second, first = np.sort(areas)[-2:]
     return numbers == 1 + int(np.argmax(areas)), float(second / first)
 
 
@@ -32,12 +32,11 @@ def fill_noise(mask: Bool[np.ndarray, "height width"]) -> tuple[Bool[np.ndarray,
     A hole is joined by sides alone, and does not reach the mask's edge: what lies between the legs of a chair
     is no hole, or a large one, and stays.
     """
-    numbers, count = label(~np.pad(mask, 1), connectivity=1, return_num=True)
-    if count < 2:
-        return mask, 0
+    numbers = np.asarray(label(~mask, connectivity=1))
+    rim = np.concatenate([numbers[0], numbers[-1], numbers[:, 0], numbers[:, -1]])
     areas = np.bincount(numbers.reshape(-1))
     noise = areas <= max(1.0, HOLE * areas[0])
-    noise[[0, numbers[0, 0]]] = False  # the object itself, and what is around it
+    noise[0] = noise[rim] = False  # the object itself, and what is around it
     if not noise.any():
         return mask, 0
-    return mask | noise[numbers][1:-1, 1:-1], int(noise.sum())
+    return mask | noise[numbers], int(noise.sum())

@@ -13,7 +13,7 @@ _MAX_CROSSINGS = 20_000_000
 
 
 def window_of_polygons(
-    polygons: list[Float[np.ndarray, "corners 2"]], image_size: tuple[int, int] | None
+    polygons: list[Float[np.ndarray, "_ 2"]], image_size: tuple[int, int] | None
 ) -> tuple[Bool[np.ndarray, "height width"], tuple[int, int]] | None:
     """Return what polygons (px, x right, y down from the image's corner) cover together, in a window around them, and that window's corner (x, y); None where they cover no pixel.
 
