@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from mask_files import blob
 
@@ -31,6 +31,7 @@ def overlap(one: np.ndarray, other: np.ndarray) -> float:
     return float(np.minimum(one, other).sum() / np.maximum(one, other).sum())
 
 
+@settings(max_examples=40)
 @given(SEEDS, SIDES, st.integers(0, 9), st.integers(0, 9))
 def test_moved_by_whole_pixels_it_is_the_same_crop(seed: int, side: int, right: int, down: int) -> None:
     mask = blob(seed=seed)
@@ -42,6 +43,7 @@ def test_moved_by_whole_pixels_it_is_the_same_crop(seed: int, side: int, right: 
     assert other.centre_px == (one.centre_px[0] + right, one.centre_px[1] + down)
 
 
+@settings(max_examples=40)
 @given(SEEDS, SIDES, st.sampled_from([(60, 80), (44, 44), (200, 150)]))
 def test_flipped_and_turned_it_is_the_flipped_and_turned_crop(seed: int, side: int, size: tuple[int, int]) -> None:
     mask = blob(*size, seed=seed, margin=1)
