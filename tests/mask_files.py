@@ -1,0 +1,73 @@
+"""Files of masks as users have them, written for tests."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from PIL import Image
+
+__all__ = ["blob", "coco_file", "runs_of", "save", "text_of_counts"]
+
+
+def blob(height: int = 60, width: int = 80, seed: int = 0, margin: int = 4) -> np.ndarray:
+    """Return (height width) bool: one piece of several overlapping discs and boxes, without holes, clear of the border."""
+    random = np.random.default_rng(seed)
+    rows, columns = np.mgrid[:height, :width] + 0.5
+    mask = np.zeros((height, width), bool)
+    y, x = height / 2, width / 2
+    for _ in range(4):
+        radius = random.uniform(0.1, 0.25) * min(height, width)
+        mask |= (rows - y) ** 2 + (columns - x) ** 2 <= radius**2
+        mask |= (abs(rows - y) <= radius * 1.3) & (abs(columns - x) <= radius * 0.5)
+        y, x = y + random.uniform(-1, 1) * radius, x + random.uniform(-1, 1) * radius
+    mask[:margin] = mask[-margin:] = mask[:, :margin] = mask[:, -margin:] = False
+    return mask
+
+
+def save(path: Path, array: np.ndarray, palette: list[int] | None = None, **options: Any) -> Path:
+    """Write an array as a picture, with the folders above it."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    image = Image.fromarray(array)
+    if palette is not None:
+        image = Image.fromarray(array.astype(np.uint8), "L")
+        image.putpalette(palette + [0] * (768 - len(palette)))
+    image.save(path, **options)
+    return path
+
+
+def runs_of(mask: np.ndarray) -> list[int]:
+    """Return COCO's run lengths of a mask: down the columns, those that are not covered first."""
+    flat = mask.T.reshape(-1).astype(int)
+    turns = np.flatnonzero(np.diff(np.concatenate([[0], flat])))
+    return np.diff(np.concatenate([[0], turns, [flat.size]])).tolist()
+
+
+def text_of_counts(counts: list[int]) -> str:
+    """Return run lengths in COCO's compressed form, a character at a time as the definition has it."""
+    text = ""
+    for place, count in enumerate(counts):
+        number = count - counts[place - 2] if place > 2 else count
+        more = True
+        while more:
+            digit = number & 31
+            number >>= 5
+            more = number != (-1 if digit & 16 else 0)
+            text += chr(48 + (digit | 32 if more else digit))
+    return text
+
+
+def coco_file(path: Path, segmentations: list[Any], size: tuple[int, int] = (80, 60), **more: Any) -> Path:
+    """Write a COCO file with an annotation for each segmentation, in turns a horse and a cow, all on one image (width, height)."""
+    content = {
+        "images": [{"id": 7, "file_name": "field.jpg", "width": size[0], "height": size[1]}],
+        "annotations": [
+            {"id": 100 + n, "image_id": 7, "category_id": 1 + n % 2, "iscrowd": 0, "segmentation": one}
+            for n, one in enumerate(segmentations)
+        ],
+        "categories": [{"id": 1, "name": "horse"}, {"id": 2, "name": "cow"}],
+    }
+    path.write_text(json.dumps({**content, **more}))
+    return path

@@ -1,0 +1,110 @@
+"""Pictures as numbers: grey levels, an alpha channel, or the ids of a palette or of colours."""
+
+from __future__ import annotations
+
+import struct
+import warnings
+import zlib
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from PIL import Image
+
+from uplift.masks.rle import MAX_PIXELS
+
+__all__ = ["ENDINGS", "Picture", "PictureError", "open_picture"]
+
+ENDINGS = (".png", ".jpg", ".jpeg", ".webp", ".tif", ".tiff", ".bmp", ".gif", ".pgm", ".pbm", ".ppm")
+_KINDS = ("PNG", "JPEG", "WEBP", "TIFF", "BMP", "GIF", "PPM")
+_LUMINANCE = np.array([299, 587, 114])
+_JPEG_HUE = 24
+"""Grey saved as a colour JPEG comes back with channels that differ by a few levels."""
+
+
+class PictureError(Exception):
+    """Why a picture cannot be used: a key of `uplift.masks.report.REASONS`."""
+
+
+@dataclass(frozen=True)
+class Picture:
+    """One picture's numbers."""
+
+    values: np.ndarray
+    """(height width): grey levels, alpha, or ids; a colour's id is red + 256 green + 65536 blue."""
+    alpha: bool = False
+    """Whether the values are an alpha channel that says what is there."""
+    lossy: bool = False
+    """Whether values are near what was saved, and not exactly that."""
+    shades: np.ndarray | None = None
+    """(height width) how bright each pixel looks, where the values are ids."""
+
+
+def open_picture(path: Path) -> Picture:
+    """Return a picture's numbers; of several frames, the first.
+
+    Raises:
+        PictureError: no picture, a damaged one, or one of more than `MAX_PIXELS`.
+    """
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # of large pictures: refused below, before anything is decoded
+            with Image.open(path, formats=_KINDS) as image:
+                if image.width * image.height > MAX_PIXELS:
+                    raise PictureError("huge")
+                image.load()
+                return _numbers(image, image.format in ("JPEG", "WEBP"))
+    except Image.DecompressionBombError:
+        raise PictureError("huge") from None
+    except (OSError, ValueError, SyntaxError, EOFError, IndexError, KeyError, TypeError, struct.error, zlib.error):
+        raise PictureError("unreadable") from None  # whatever a decoder stumbles over
+
+
+def _numbers(image: Image.Image, lossy: bool) -> Picture:
+    if image.mode == "P":
+        return _palette(image)
+    if "A" in image.getbands():
+        alpha = np.asarray(image.getchannel("A"))
+        if alpha.size and alpha.min() < alpha.max():
+            return Picture(alpha, alpha=True)
+        image = image.convert("L" if image.mode.startswith("L") else "RGB")
+    if image.mode in ("1", "L"):
+        return Picture(np.asarray(image, np.uint8), lossy=lossy)
+    if image.mode.startswith("I"):
+        return Picture(np.maximum(np.asarray(image), 0))  # 16 bits and more
+    if image.mode == "F":
+        return Picture(np.nan_to_num(np.asarray(image), nan=0.0, posinf=0.0, neginf=0.0))
+    return _colours(np.asarray(image.convert("RGB")), lossy)
+
+
+def _palette(image: Image.Image) -> Picture:
+    """Return a palette picture's ids, or its grey levels where all its colours are grey."""
+    ids = np.asarray(image)
+    used = np.flatnonzero(np.bincount(ids.reshape(-1), minlength=256))
+    transparent = image.info.get("transparency")
+    colours = np.zeros((256, 3), np.int64)
+    table = np.array(image.getpalette("RGB") or [], np.int64)[: 3 * 256].reshape(-1, 3)
+    colours[: len(table)] = table
+    if transparent is not None and len(used) > 2:
+        alpha = np.asarray(image.convert("RGBA").getchannel("A"))
+        if alpha.min() < alpha.max() and len(used) > 32:  # a drawing cut out, not a palette of labels
+            return Picture(alpha, alpha=True)
+    if (colours[used] == colours[used][:, :1]).all() and len(np.unique(colours[used, 0])) == len(used):
+        return Picture(colours[:, 0].astype(np.uint8)[ids])
+    return Picture(ids, shades=_shades(colours)[ids])
+
+
+def _colours(rgb: np.ndarray, lossy: bool) -> Picture:
+    """Return a colour picture's grey levels where it has no colours, else their ids."""
+    spread = rgb.max(-1).astype(np.int16) - rgb.min(-1)
+    if spread.max(initial=0) <= (_JPEG_HUE if lossy else 0):
+        return Picture(np.ascontiguousarray(rgb[..., 1]), lossy=lossy)
+    shades = _shades(rgb)
+    if lossy:
+        return Picture(shades, lossy=True)
+    return Picture(rgb.astype(np.int32) @ np.array([1, 256, 65536], np.int32), shades=shades)
+
+
+def _shades(colours: np.ndarray) -> np.ndarray:
+    """Return how bright colours look, 0..255."""
+    return ((colours.astype(np.int32) @ _LUMINANCE.astype(np.int32)) // 1000).astype(np.uint8)
