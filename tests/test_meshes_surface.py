@@ -13,6 +13,7 @@ from uplift.errors import UserError
 from uplift.meshes.mesh import Mesh
 from uplift.meshes.surface import surface_of
 from uplift.meshes.surface_frames import in_camera, surfaces
+from uplift.meshes.surface_thin import thinned
 from uplift.shapes.prediction import ShapePrediction
 
 _TURN = np.array([[0.0, 0, 1], [0, 1, 0], [-1, 0, 0]])
@@ -139,3 +140,17 @@ def test_surfaces_of_a_prediction_stand_where_the_camera_sees_them() -> None:
     np.testing.assert_allclose(in_camera(np.zeros((1, 3)), _TURN, 2.0, np.array([3.0, 4.0])), [[3, 4, 0]])
     with pytest.raises(ValueError, match="own or camera"):
         surfaces(_prediction(), frame="world")
+
+
+@pytest.mark.parametrize("faces", [300, 1200])
+def test_thinned_meshes_are_small_and_lie_on_the_same_surface(faces: int) -> None:
+    x, y, z = _centres(48)
+    box = ((np.abs(x) < 0.5) & (np.abs(y) < 0.7) & (np.abs(z) < 0.3)).astype(np.float32)
+    for grid in (_ball(48, (0.1, 0, 0), 0.7), box):
+        whole = surface_of(grid).mesh
+        assert whole is not None
+        small = thinned(whole, faces)
+        assert faces / 4 < len(small.faces) <= faces and len(np.unique(small.faces)) == len(small.vertices)
+        assert abs(_solid(small).volume / _solid(whole).volume - 1) < (0.04 if faces < 1000 else 0.015)
+        np.testing.assert_allclose(_solid(small).bounds, _solid(whole).bounds, atol=0.04)
+    assert thinned(small, 10**6) is small
