@@ -8,45 +8,15 @@ import numpy as np
 import pygltflib
 import pytest
 import trimesh
+from shape_samples import AZIMUTH, OFFSET, SCALE, SCALE_PX, marked, shapes, view
 
 from uplift.errors import UserError
 from uplift.meshes.surface import surface_of
-from uplift.shapes.prediction import ShapePrediction
 from uplift.writers.shape_axes import SHAPE_AXES
 from uplift.writers.shapes import SHAPE_WRITERS, shape_writer_for, write_shapes
 
-_R = 32
-_TILT, _AZIMUTH = np.radians(25), np.radians(40)
-_SCALE, _SCALE_PX = 0.8, 150.0
 _MARKS = {"front": (0, 0, -1), "left": (1, 0, 0), "up": (0, -1, 0)}
 """Of the object, in its own frame."""
-
-
-def _marked() -> np.ndarray:
-    """Return a slab with a long horn to its front, a middling one to its left and a short one up."""
-    line = (2 * np.arange(_R) + 1) / _R - 1
-    z, y, x = np.meshgrid(line, line, line, indexing="ij")
-    grid = (np.abs(x) < 0.25) & (np.abs(y) < 0.25) & (np.abs(z) < 0.25)
-    grid |= (np.abs(x) < 0.12) & (np.abs(y) < 0.12) & (z < 0) & (z > -0.9)
-    grid |= (np.abs(z) < 0.12) & (np.abs(y) < 0.12) & (x > 0) & (x < 0.7)
-    grid |= (np.abs(z) < 0.12) & (np.abs(x) < 0.12) & (y < 0) & (y > -0.5)
-    return grid.astype(np.float32)
-
-
-def _view() -> np.ndarray:
-    tilt = np.array([[1, 0, 0], [0, np.cos(_TILT), -np.sin(_TILT)], [0, np.sin(_TILT), np.cos(_TILT)]])
-    turn = np.array([[np.cos(_AZIMUTH), 0, np.sin(_AZIMUTH)], [0, 1, 0], [-np.sin(_AZIMUTH), 0, np.cos(_AZIMUTH)]])
-    return tilt @ turn
-
-
-def _shapes(count: int = 1, names: list[str] | None = None) -> ShapePrediction:
-    masks = np.zeros((count, 16, 16), np.uint8)
-    masks[:, 4:12, 4:12] = 255
-    return ShapePrediction(
-        np.stack([_marked()] * count), np.stack([_view()] * count), np.full(count, _SCALE),
-        np.tile([0.1, -0.2], (count, 1)), np.full(count, np.inf), masks,
-        names or [f"item {number}" for number in range(count)], np.full((count, 2), 320.0), np.full(count, _SCALE_PX),
-    )  # fmt: skip
 
 
 def _read(path: Path) -> trimesh.Trimesh:
@@ -76,21 +46,21 @@ _EXPECTED = {
     "print": {"front": (0, -1, 0), "left": (1, 0, 0), "up": (0, 0, 1)},
     # As seen, level: the object is turned by its azimuth, up is up.
     "level": {
-        "front": (-np.sin(_AZIMUTH), 0, -np.cos(_AZIMUTH)),
-        "left": (np.cos(_AZIMUTH), 0, -np.sin(_AZIMUTH)),
+        "front": (-np.sin(AZIMUTH), 0, -np.cos(AZIMUTH)),
+        "left": (np.cos(AZIMUTH), 0, -np.sin(AZIMUTH)),
         "up": (0, -1, 0),
     },
     "blender": {
-        "front": (-np.sin(_AZIMUTH), -np.cos(_AZIMUTH), 0),
-        "left": (np.cos(_AZIMUTH), -np.sin(_AZIMUTH), 0),
+        "front": (-np.sin(AZIMUTH), -np.cos(AZIMUTH), 0),
+        "left": (np.cos(AZIMUTH), -np.sin(AZIMUTH), 0),
         "up": (0, 0, 1),
     },
     "opensim": {
-        "front": (-np.sin(_AZIMUTH), 0, np.cos(_AZIMUTH)),
-        "left": (np.cos(_AZIMUTH), 0, np.sin(_AZIMUTH)),
+        "front": (-np.sin(AZIMUTH), 0, np.cos(AZIMUTH)),
+        "left": (np.cos(AZIMUTH), 0, np.sin(AZIMUTH)),
         "up": (0, 1, 0),
     },
-    "camera": {name: tuple(_view() @ np.array(way, float)) for name, way in _MARKS.items()},
+    "camera": {name: tuple(view() @ np.array(way, float)) for name, way in _MARKS.items()},
 }
 _EXPECTED["opencv"] = _EXPECTED["camera"]
 
@@ -105,14 +75,14 @@ def test_every_axes_is_tested_and_right_handed() -> None:
 @pytest.mark.parametrize("suffix", [".glb", ".obj", ".ply", ".stl"])
 @pytest.mark.parametrize("axes", [None, *_EXPECTED])
 def test_front_left_and_up_end_where_the_axes_have_them(tmp_path: Path, suffix: str, axes: str | None) -> None:
-    ((path, told),) = write_shapes(_shapes(), tmp_path / f"a{suffix}", axes=axes).items()
+    ((path, told),) = write_shapes(shapes(), tmp_path / f"a{suffix}", axes=axes).items()
     solid, used = _read(path), axes or SHAPE_WRITERS[suffix].axes
     assert told == "" and solid.is_watertight and solid.is_winding_consistent
     seen = used not in ("own", "gltf", "print")
-    middle = np.array([0.1, -0.2, 0]) * _SCALE_PX if seen else np.zeros(3)
+    middle = np.array([*OFFSET, 0]) * SCALE_PX if seen else np.zeros(3)
     if used in ("level", "blender", "opensim"):
         rotation = np.stack([_EXPECTED[used][name] for name in _MARKS], 1) @ np.stack(list(_MARKS.values()), 1).T
-        middle = rotation @ _view().T @ middle
+        middle = rotation @ view().T @ middle
     for name, way in _horns(solid, middle).items():
         angle = np.degrees(np.arccos(np.clip(way @ np.array(_EXPECTED[used][name]), -1, 1)))
         assert angle < 5, (name, way)
@@ -120,35 +90,35 @@ def test_front_left_and_up_end_where_the_axes_have_them(tmp_path: Path, suffix: 
 
 @pytest.mark.parametrize("suffix", [".glb", ".obj", ".ply", ".stl"])
 def test_sizes_are_those_of_the_unit(tmp_path: Path, suffix: str) -> None:
-    mesh = surface_of(_marked(), smooth=4).mesh
+    mesh = surface_of(marked(), smooth=4).mesh
     assert mesh is not None
     own = trimesh.Trimesh(mesh.vertices, mesh.faces, process=False)
     high, longest = own.extents[1], own.extents.max()
     in_file = 0.001 if suffix == ".glb" else 1.0  # glTF's millimetres are metres
     cases = [
-        ({}, _SCALE * _SCALE_PX),
-        ({"unit": "crop"}, _SCALE),
+        ({}, SCALE * SCALE_PX),
+        ({"unit": "crop"}, SCALE),
         ({"height_mm": 900}, 900 / high * in_file),
         ({"length_mm": 500.0, "unit": "mm"}, 500 / longest * in_file),
     ]
     for number, (options, factor) in enumerate(cases):
-        (path,) = write_shapes(_shapes(), tmp_path / f"{number}{suffix}", axes="own", **options)
+        (path,) = write_shapes(shapes(), tmp_path / f"{number}{suffix}", axes="own", **options)
         found = _read(path)
         np.testing.assert_allclose(found.extents, own.extents * factor, rtol=1e-4)
         assert found.volume == pytest.approx(own.volume * factor**3, rel=1e-3)
 
 
 def test_a_mesh_in_the_camera_frame_covers_the_mask_it_came_from(tmp_path: Path) -> None:
-    (path,) = write_shapes(_shapes(), tmp_path / "a.ply", smooth=0)
+    (path,) = write_shapes(shapes(), tmp_path / "a.ply", smooth=0)
     solid = _read(path)
-    mesh = surface_of(_marked()).mesh
+    mesh = surface_of(marked()).mesh
     assert mesh is not None
-    seen = (_SCALE * mesh.vertices @ _view().T + [0.1, -0.2, 0]) * _SCALE_PX
+    seen = (SCALE * mesh.vertices @ view().T + [*OFFSET, 0]) * SCALE_PX
     np.testing.assert_allclose(np.sort(solid.bounds, 0), [seen.min(0), seen.max(0)], atol=0.01)
 
 
 def test_items_of_a_scene_stand_side_by_side_under_their_names(tmp_path: Path) -> None:
-    sample = _shapes(3, ["chair.png", "b/chair.png:2", "chair.png"])
+    sample = shapes(3, ["chair.png", "b/chair.png:2", "chair.png"])
     sample.occupancy[1] *= 0.4
     ((path, told),) = write_shapes(sample, tmp_path / "all.glb").items()
     assert told == "without a surface: b/chair.png:2 (empty: the largest occupancy is 0.4, the surface lies at 0.5)"
@@ -157,7 +127,7 @@ def test_items_of_a_scene_stand_side_by_side_under_their_names(tmp_path: Path) -
     extras = file.asset.extras
     assert [one["name"] for one in extras["items"]] == ["chair.png", "chair.png"]
     assert extras["unit"] == "px" and extras["axes"] == "gltf" and "y up" in extras["axes_are"]
-    np.testing.assert_allclose(extras["items"][0]["view"], _view(), atol=1e-5)
+    np.testing.assert_allclose(extras["items"][0]["view"], view(), atol=1e-5)
     assert extras["items"][0]["distance"] is None and file.asset.generator == "uplift"
     assert [node.name for node in file.nodes if node.mesh is not None] == ["1 chair.png", "2 chair.png"]
     assert all(primitive.attributes.NORMAL is not None for mesh in file.meshes for primitive in mesh.primitives)
@@ -168,14 +138,14 @@ def test_items_of_a_scene_stand_side_by_side_under_their_names(tmp_path: Path) -
 
 
 def test_many_items_get_a_file_each(tmp_path: Path) -> None:
-    assert len(write_shapes(_shapes(17), tmp_path / "a.glb")) == 17
-    assert len(write_shapes(_shapes(17), tmp_path / "one.glb", together=True)) == 1
-    paths = write_shapes(_shapes(2, ["dir/a b.png:1", "dir/a b.png:1"]), tmp_path / "b.stl")
+    assert len(write_shapes(shapes(17), tmp_path / "a.glb")) == 17
+    assert len(write_shapes(shapes(17), tmp_path / "one.glb", together=True)) == 1
+    paths = write_shapes(shapes(2, ["dir/a b.png:1", "dir/a b.png:1"]), tmp_path / "b.stl")
     assert [path.name for path in paths] == ["b_dir-a-b.png-1.stl", "b_dir-a-b.png-1_2.stl"]
 
 
 def test_text_of_files_says_unit_axes_and_place(tmp_path: Path) -> None:
-    sample = _shapes(1, ["line\nbreak é"])
+    sample = shapes(1, ["line\nbreak é"])
     (obj,) = write_shapes(sample, tmp_path / "a.obj")
     (ply,) = write_shapes(sample, tmp_path / "a.ply", length_mm=1200)
     (stl,) = write_shapes(sample, tmp_path / "a.stl")
@@ -190,7 +160,7 @@ def test_text_of_files_says_unit_axes_and_place(tmp_path: Path) -> None:
 
 
 def test_grids_come_back(tmp_path: Path) -> None:
-    sample = _shapes(2)
+    sample = shapes(2)
     for name in ("a", "b"):
         write_shapes(sample, tmp_path / f"{name}.npz")
     assert (tmp_path / "a.npz").read_bytes() == (tmp_path / "b.npz").read_bytes()
@@ -223,7 +193,7 @@ def test_grids_come_back(tmp_path: Path) -> None:
 )
 def test_mistakes_are_told(tmp_path: Path, name: str, options: dict, told: str) -> None:
     with pytest.raises(UserError, match=told):
-        write_shapes(_shapes(), tmp_path / name, **options)
+        write_shapes(shapes(), tmp_path / name, **options)
     assert not list(tmp_path.iterdir())
 
 
@@ -232,9 +202,9 @@ def test_nothing_is_overwritten_and_empty_shapes_are_refused(tmp_path: Path) -> 
     (tmp_path / "b_item-1.stl").write_text("mine")
     for name, count in (("a.stl", 1), ("b.stl", 2)):
         with pytest.raises(UserError, match="not overwritten"):
-            write_shapes(_shapes(count), tmp_path / name)
+            write_shapes(shapes(count), tmp_path / name)
     assert {path.read_text() for path in tmp_path.iterdir()} == {"mine"}
-    empty = _shapes()
+    empty = shapes()
     empty.occupancy[:] = 0
     with pytest.raises(UserError, match="no surface to write: empty"):
         write_shapes(empty, tmp_path / "c.glb")

@@ -107,7 +107,9 @@ def _cut(occupancy: np.ndarray, level: int | float) -> trimesh.Trimesh:
     return whole
 
 
-def _cleaned(whole: trimesh.Trimesh, least_share: int | float, cavity_share: int | float) -> tuple[trimesh.Trimesh, int, int]:
+def _cleaned(
+    whole: trimesh.Trimesh, least_share: int | float, cavity_share: int | float
+) -> tuple[trimesh.Trimesh, int, int]:
     """Return what is kept, how many specks and how many cavities are gone: a cavity's own volume is negative."""
     from trimesh.util import concatenate
 

@@ -16,9 +16,12 @@ from uplift.meshes.surface_thin import thinned
 from uplift.shapes.prediction import ShapePrediction
 from uplift.writers.packing import pack
 
-__all__ = ["chosen_items", "shape_data"]
+__all__ = ["Scores", "chosen_items", "shape_data"]
 
-_ALL_FACES, _MOST_FACES, _LEAST_FACES = 260_000, 3000, 600
+Scores = Mapping[str, Sequence[float] | np.ndarray]
+"""Name -> a number for each item."""
+
+_ALL_FACES, _MOST_FACES, _LEAST_FACES = 600_000, 5000, 600
 _FINEST = 2 / 2048
 _MASK_SIDE, _MASK_STEPS = 64, 15
 
@@ -31,7 +34,7 @@ def chosen_items(count: int, most: int) -> np.ndarray:
 
 
 def shape_data(
-    prediction: ShapePrediction, truth: Placed | None, scores: Mapping[str, Sequence[float]], smooth: int
+    prediction: ShapePrediction, truth: Placed | None, scores: Scores, smooth: int
 ) -> tuple[dict[str, Any], list[Surface]]:
     """Return the data of a page for these items, and what was cut out of their grids."""
     cut = prediction_surfaces(prediction, smooth=smooth)
@@ -90,8 +93,9 @@ def _number(value: float | np.floating) -> float | None:
 def _arrays(meshes: Sequence[Mesh], masks: np.ndarray) -> dict[str, tuple[np.ndarray, float]]:
     """Return corners, triangles and masks as `pack` takes them, in an order in which neighbours are alike."""
     ordered = [_ordered(mesh) for mesh in meshes]
-    corners = np.concatenate([np.zeros((0, 3)), *(mesh.vertices for mesh in ordered)])
-    faces = np.concatenate([np.zeros((0, 3), np.int64), *(mesh.faces for mesh in ordered)])
+    # A last row of zeros: there may be no mesh at all.
+    corners = np.concatenate([*(mesh.vertices for mesh in ordered), np.zeros((1, 3))])
+    faces = np.concatenate([*(mesh.faces for mesh in ordered), np.zeros((1, 3), np.int64)])
     small = _smaller(masks)
     steps = np.rint(small * _MASK_STEPS) / _MASK_STEPS
     return {

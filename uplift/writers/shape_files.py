@@ -70,9 +70,7 @@ def write_obj(
 
     solid = _solid(prediction, items[0], cut[0], frame)
     header = "\n# ".join(_lines(prediction, items, frame))
-    text = export_obj(
-        solid, include_normals=True, include_color=False, include_texture=False, digits=6, header=header
-    )
+    text = export_obj(solid, include_normals=True, include_color=False, include_texture=False, digits=6, header=header)
     _save(path, f"{text}\n".encode())
     return _told(cut)
 

@@ -18,7 +18,7 @@ from uplift.saving import replacing
 from uplift.shapes.prediction import ShapePrediction
 from uplift.writers.charts import Curve
 from uplift.writers.html import Section, _curves, _hash, _part, _table
-from uplift.writers.shape_data import chosen_items, shape_data
+from uplift.writers.shape_data import Scores, chosen_items, shape_data
 from uplift.writers.shape_photos import photos_of
 
 __all__ = ["shape_page_text", "write_shape_gallery", "write_shape_page"]
@@ -44,7 +44,7 @@ def shape_page_text(
     *,
     truth: Placed | None = None,
     items: int = 100,
-    scores: Mapping[str, Sequence[float]] | None = None,
+    scores: Scores | None = None,
     images: str | Path | None = None,
     sheet: bool = False,
     smooth: int = 2,
@@ -87,7 +87,7 @@ def shape_page_text(
     return re.sub(r"\{\{(\w+)\}\}", lambda found: parts[found[1]], _part("shape.htm"))
 
 
-def _check(prediction: ShapePrediction, truth: Placed | None, scores: Mapping[str, Sequence[float]]) -> None:
+def _check(prediction: ShapePrediction, truth: Placed | None, scores: Scores) -> None:
     if not len(prediction):
         raise UserError("there is no shape to show: no mask was lifted.")
     given = {"truth": truth, **scores}

@@ -91,7 +91,7 @@ function fillTurns() {
     const button = document.createElement('button'), canvas = document.createElement('canvas'), label = document.createElement('span'), out = document.createElement('output');
     button.type = 'button'; button.title = 'Turn the shape to this view';
     button.setAttribute('aria-label', k ? `Turned by ${(360 / TURNS) * k} degrees` : 'As seen');
-    label.textContent = k ? `${(360 / TURNS) * k}°` : 'as seen';
+    label.textContent = k ? `${(360 / TURNS) * k}°` : 'seen';
     button.append(canvas, label, out);
     button.onclick = () => { state.turn = (2 * Math.PI * k) / TURNS; state.lift = 0; state.spin = false; show(); };
     byId('turns').append(button);
@@ -113,7 +113,8 @@ function wireButtons() {
   document.querySelector('[data-toggle=photo]').hidden = !kept.photos.size;
   byId('sheet-box').hidden = byId('pick').hidden = meta.items.length < 2;
   new ResizeObserver(() => paint(true)).observe(byId('deep'));
-  new ResizeObserver(staleTiles).observe(byId('sheet'));
+  let wide = 0; // its height follows from what is drawn
+  new ResizeObserver(([box]) => { if (box.contentRect.width !== wide) { wide = box.contentRect.width; staleTiles(); } }).observe(byId('sheet'));
 }
 
 async function loadPhotos() {

@@ -2,10 +2,9 @@
 const FLOOR_STEPS = 72;
 
 // Draws one shape into the box (x, y, width, height) of a canvas, `fine` pixels a CSS pixel.
-function drawShape(ctx, mesh, placing, { x, y, width, height, half, turn, lift, zoom = 1, panX = 0, panY = 0, fine, colours, floor = true }) {
+function drawShape(ctx, mesh, placing, { x, y, width, height, px, turn, lift, panX = 0, panY = 0, fine, colours, floor = true }) {
   const target = bufferOf(Math.max(1, Math.round(width * fine)), Math.max(1, Math.round(height * fine)));
-  const px = Math.min((0.44 * width) / half.wide, (0.44 * height) / (half.tall + 0.45 * half.wide)) * zoom;
-  const look = { matrix: turned(placing.view, turn, lift), scale: placing.scale, x: 0, y: 0, distance: 6 * Math.hypot(half.wide, half.tall), centre: mesh.centre,
+  const look = { matrix: turned(placing.view, turn, lift), scale: placing.scale, x: 0, y: 0, distance: placing.scale * (6 * mesh.far), centre: mesh.centre,
     px: px * fine, cx: (width / 2 + panX) * fine, cy: (height / 2 + panY) * fine };
   const flat = { ...look, px, cx: x + width / 2 + panX, cy: y + height / 2 + panY }, above = floor && tiltOf(look.matrix) >= 0;
   if (above) drawFloor(ctx, mesh, flat);
@@ -40,10 +39,19 @@ function halfOf(one) {
   return { wide: Math.max(1e-6, ...sizes.map(([mesh, scale]) => scale * mesh.wide)), tall: Math.max(1e-6, ...sizes.map(([mesh, scale]) => scale * mesh.tall)) };
 }
 
+// Half of what one view of a shape takes, in units of the crop, without perspective.
+function extentOf(mesh, placing, turn, lift) {
+  project(mesh.points, { matrix: turned(placing.view, turn, lift), scale: placing.scale, x: 0, y: 0, distance: Infinity, px: 1, cx: 0, cy: 0 }, mesh.centre);
+  let most = 1e-6;
+  for (let k = 0; k < mesh.points.length; k += 3) most = Math.max(most, Math.abs(screen[k]), Math.abs(screen[k + 1]));
+  return most;
+}
+
 function drawDeep(canvas, item, moving) {
   const { ctx, width, height, ratio } = fitCanvas(canvas), one = meta.items[item], both = Boolean(one.truth && state.truth);
   const beside = both && width > 1.1 * height, wide = beside ? width / 2 : width, high = both && !beside ? height / 2 : height;
-  const shared = { width: wide, height: high, half: halfOf(one), turn: state.turn, lift: state.lift, zoom: state.zoom, panX: state.panX, panY: state.panY, fine: moving ? 1 : Math.max(ratio, 2) };
+  const half = halfOf(one), px = Math.min((0.44 * wide) / half.wide, (0.44 * high) / (half.tall + 0.45 * half.wide)) * state.zoom;
+  const shared = { width: wide, height: high, px, turn: state.turn, lift: state.lift, panX: state.panX, panY: state.panY, fine: moving ? 1 : Math.max(ratio, 2) };
   const drawn = meshOf(one.mesh);
   if (drawn) drawShape(ctx, drawn, one, { ...shared, x: 0, y: 0, colours: kept.colours.clay });
   else tellNothing(ctx, one.about, wide, high);

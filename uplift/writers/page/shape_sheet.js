@@ -16,12 +16,12 @@ function makeTile(item) {
 function drawTile(entry) {
   const one = meta.items[entry.item], [flat, deep, truth] = entry.canvases;
   const agree = drawInput(flat, entry.item, kept.photos.get(entry.item));
-  const { ctx, width, height, ratio } = fitCanvas(deep), mesh = meshOf(one.mesh), shared = { x: 0, y: 0, half: halfOf(one), turn: SHEET_TURN, lift: SHEET_TILT - tiltOf(one.view), fine: Math.max(ratio, 2), floor: false };
-  if (mesh) drawShape(ctx, mesh, one, { ...shared, width, height, colours: kept.colours.clay });
-  else tellNothing(ctx, '', width, height);
-  if (truth) {
-    const box = fitCanvas(truth);
-    drawShape(box.ctx, meshOf(one.truth.mesh), one.truth, { ...shared, lift: SHEET_TILT - tiltOf(one.truth.view), width: box.width, height: box.height, colours: kept.colours.true });
+  const views = [[deep, one, kept.colours.clay], [truth, one.truth, kept.colours.true]].filter(([canvas]) => canvas).map(([canvas, placing, colours]) => ({ canvas, placing, colours, mesh: meshOf(placing.mesh), lift: SHEET_TILT - tiltOf(placing.view) }));
+  const most = Math.max(1e-6, ...views.filter(({ mesh }) => mesh).map(({ mesh, placing, lift }) => extentOf(mesh, placing, SHEET_TURN, lift)));
+  for (const { canvas, placing, colours, mesh, lift } of views) {
+    const { ctx, width, height, ratio } = fitCanvas(canvas);
+    if (mesh) drawShape(ctx, mesh, placing, { x: 0, y: 0, width, height, px: (0.43 * width) / most, turn: SHEET_TURN, lift, fine: Math.max(ratio, 2), colours, floor: false });
+    else tellNothing(ctx, '', width, height);
   }
   const parts = one.scores.map((v, k) => `${meta.scoreNames[k]} ${figure(v)}`);
   entry.facts.textContent = [...(parts.length ? parts : [`seen IoU ${figure(agree)}`]), one.about].filter(Boolean).join(' · ');
