@@ -148,7 +148,7 @@ def show(browser: Browser, tmp_path: Path) -> Open:
 
     def opened(sample: ShapePrediction, page: str | None = None, **more: Any) -> Page:
         write_shapes(sample, tmp_path / "page.html", page=page, **more)
-        return Page(browser, tmp_path / "page.html")
+        return Page(browser, tmp_path / "page.html", 760, 700)
 
     return opened
 
@@ -162,12 +162,14 @@ def test_the_silhouette_lies_on_the_mask(show: Open, distance: float) -> None:
 
 
 @_needs_browser
-def test_silhouettes_of_the_true_shape_are_compared_from_all_sides(show: Open, tmp_path: Path) -> None:
+def test_silhouettes_of_the_true_shape_are_compared_from_all_sides(
+    show: Open, browser: Browser, tmp_path: Path
+) -> None:
     sample = shapes(1)
     page = show(sample, truth=_truth(sample))
     assert min(page.state()["turns"]) > 0.97
     write_shape_page(sample, tmp_path / "mirrored.html", truth=_truth(sample, mirrored=True))
-    page = Page(page._browser, tmp_path / "mirrored.html")
+    page = Page(browser, tmp_path / "mirrored.html", 760, 700)
     assert min(page.state()["turns"]) < 0.85
 
 

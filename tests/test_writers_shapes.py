@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -125,6 +126,7 @@ def test_items_of_a_scene_stand_side_by_side_under_their_names(tmp_path: Path) -
     file = pygltflib.GLTF2().load(str(path))
     assert file is not None
     extras = file.asset.extras
+    assert extras is not None
     assert [one["name"] for one in extras["items"]] == ["chair.png", "chair.png"]
     assert extras["unit"] == "px" and extras["axes"] == "gltf" and "y up" in extras["axes_are"]
     np.testing.assert_allclose(extras["items"][0]["view"], view(), atol=1e-5)
@@ -213,3 +215,13 @@ def test_nothing_is_overwritten_and_empty_shapes_are_refused(tmp_path: Path) -> 
 def test_writers_are_found_by_extension() -> None:
     assert shape_writer_for("a.GLB") is SHAPE_WRITERS[".glb"]
     assert shape_writer_for("a.html", "gallery").where.endswith("write_shape_gallery")
+
+
+def test_the_example_of_the_documents_runs(here: Path) -> None:
+    text = (Path(__file__).resolve().parent.parent / "docs/shapes-output.md").read_text()
+    (example,) = re.findall(r"^```py\n(.*?)^```$", text, re.M | re.S)
+    exec(example, {})
+    assert _read(here / "ball.stl").extents.max() == pytest.approx(60, rel=1e-3)
+    assert "A ball." in (here / "ball.html").read_text()
+    assert [ending for ending in SHAPE_WRITERS if f"| `{ending}` |" not in text] == []
+    assert [axes for axes in SHAPE_AXES if f"`{axes}`" not in text] == []

@@ -111,6 +111,7 @@ def _cleaned(
     whole: trimesh.Trimesh, least_share: int | float, cavity_share: int | float
 ) -> tuple[trimesh.Trimesh, int, int]:
     """Return what is kept, how many specks and how many cavities are gone: a cavity's own volume is negative."""
+    import trimesh
     from trimesh.util import concatenate
 
     parts = whole.split(only_watertight=False, repair=False)
@@ -123,7 +124,8 @@ def _cleaned(
     # What was hollow inside a speck goes with it, as do the small hollows.
     filled = hollow & (-volumes < cavity_share * largest)
     kept = [part for part, drop in zip(parts, speck | filled, strict=True) if not drop]
-    joined = kept[0] if len(kept) == 1 else concatenate(kept)
+    joined = concatenate(kept)
+    assert isinstance(joined, trimesh.Trimesh)
     return joined, int(speck.sum()), int(filled.sum())
 
 

@@ -53,7 +53,7 @@ def write_glb(
         scene.add_geometry(solid, name, name, transform=aside)
     about = frame.about(prediction, items) | {"apart": step if len(items) > 1 else 0.0}
     if metric:
-        about |= {"unit": "m", "unit_is": about["unit_is"].replace("millimetres", "metres")}
+        about |= {"unit": "m", "unit_is": str(about["unit_is"]).replace("millimetres", "metres")}
 
     def describe(tree: dict[str, Any]) -> None:
         tree["asset"] = {"version": "2.0", "generator": "uplift", "extras": about}

@@ -14,8 +14,8 @@ function ramp(style, name) {
 
 function palette() {
   const computed = getComputedStyle(document.documentElement), style = (name) => computed.getPropertyValue('--' + name).trim();
-  const names = ['both', 'missed', 'extra'];
-  return { clay: ramp(style, 'clay'), true: ramp(style, 'true'), solid: bits(rgbOf(style('both'))),
-    agree: names.map((name) => bits(rgbOf(style(name)))), over: names.map((name) => bits(rgbOf(style(name)), name === 'both' ? 96 : 190)),
+  const codes = ['extra', 'missed', 'both'], solid = bits(rgbOf(style('both')));
+  return { clay: ramp(style, 'clay'), true: ramp(style, 'true'), solid: [0, solid, solid, solid],
+    agree: [0, ...codes.map((name) => bits(rgbOf(style(name))))], over: [0, ...codes.map((name) => bits(rgbOf(style(name)), name === 'both' ? 96 : 190))],
     ink: style('ink'), soft: style('soft'), faint: style('faint'), floor: style('floor') };
 }

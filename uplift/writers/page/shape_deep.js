@@ -9,7 +9,7 @@ function drawShape(ctx, mesh, placing, { x, y, width, height, px, turn, lift, pa
   const flat = { ...look, px, cx: x + width / 2 + panX, cy: y + height / 2 + panY }, above = floor && tiltOf(look.matrix) >= 0;
   if (above) drawFloor(ctx, mesh, flat);
   raster(target, mesh, look, true);
-  stamp(ctx, target, (k) => colours[target.light[k]], x, y, width, height);
+  stamp(ctx, target, colours, x, y, width, height);
   if (floor && !above) drawFloor(ctx, mesh, flat);
 }
 
@@ -50,7 +50,7 @@ function extentOf(mesh, placing, turn, lift) {
 function drawDeep(canvas, item, moving) {
   const { ctx, width, height, ratio } = fitCanvas(canvas), one = meta.items[item], both = Boolean(one.truth && state.truth);
   const beside = both && width > 1.1 * height, wide = beside ? width / 2 : width, high = both && !beside ? height / 2 : height;
-  const half = halfOf(one), px = Math.min((0.44 * wide) / half.wide, (0.44 * high) / (half.tall + 0.45 * half.wide)) * state.zoom;
+  const half = halfOf(one), px = Math.min((0.41 * wide) / half.wide, (0.44 * high) / (half.tall + 0.62 * half.wide)) * state.zoom;
   const shared = { width: wide, height: high, px, turn: state.turn, lift: state.lift, panX: state.panX, panY: state.panY, fine: moving ? 1 : Math.max(ratio, 2) };
   const drawn = meshOf(one.mesh);
   if (drawn) drawShape(ctx, drawn, one, { ...shared, x: 0, y: 0, colours: kept.colours.clay });

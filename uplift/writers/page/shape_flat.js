@@ -17,14 +17,17 @@ function reachOf(one) {
 
 // The mask at so many pixels a side, between its pixels by their four neighbours; 255 where at least half is covered.
 function maskAt(item, side) {
-  const small = meta.side, base = item * small * small, found = new Uint8Array(side * side), M = kept.arrays.masks;
-  const read = (x, y) => value(M, base + Math.max(0, Math.min(small - 1, y)) * small + Math.max(0, Math.min(small - 1, x)));
+  const small = meta.side, M = kept.arrays.masks, from = Float32Array.from({ length: small * small }, (_, k) => value(M, item * small * small + k));
+  const found = new Uint8Array(side * side), last = small - 1, left = new Int32Array(side), right = new Int32Array(side), share = new Float32Array(side);
+  for (let k = 0; k < side; k++) {
+    const at = ((k + 0.5) * small) / side - 0.5, low = Math.floor(at);
+    share[k] = at - low; left[k] = Math.max(0, low); right[k] = Math.min(last, low + 1);
+  }
   for (let y = 0, k = 0; y < side; y++) {
-    const v = ((y + 0.5) * small) / side - 0.5, y0 = Math.floor(v), fy = v - y0;
+    const upper = small * left[y], lower = small * right[y], down = share[y];
     for (let x = 0; x < side; x++, k++) {
-      const u = ((x + 0.5) * small) / side - 0.5, x0 = Math.floor(u), fx = u - x0;
-      const upper = read(x0, y0) * (1 - fx) + read(x0 + 1, y0) * fx, lower = read(x0, y0 + 1) * (1 - fx) + read(x0 + 1, y0 + 1) * fx;
-      if (upper * (1 - fy) + lower * fy >= 0.5) found[k] = 255;
+      const l = left[x], r = right[x], t = share[x], above = from[upper + l] + (from[upper + r] - from[upper + l]) * t, below = from[lower + l] + (from[lower + r] - from[lower + l]) * t;
+      if (above + (below - above) * down >= 0.5) found[k] = 255;
     }
   }
   return found;
@@ -36,9 +39,11 @@ function overlap(wanted, lifted) {
   return any ? both / any : NaN;
 }
 
-// Agreement in the first colour, what is missing of `wanted` in the second, what is too much in the third.
+// Colours: nothing, too much, missing of `wanted`, both.
 function compare(ctx, side, wanted, lifted, colours, size) {
-  stamp(ctx, { width: side, height: side }, (k) => (wanted[k] ? (lifted[k] ? colours[0] : colours[1]) : lifted[k] ? colours[2] : 0), 0, 0, size, size);
+  const light = new Uint8Array(side * side);
+  for (let k = 0; k < light.length; k++) light[k] = (wanted[k] & 2) | (lifted[k] & 1);
+  stamp(ctx, { width: side, height: side, light }, colours, 0, 0, size, size);
 }
 
 function fitCanvas(canvas) {
@@ -53,7 +58,7 @@ function fitCanvas(canvas) {
 
 // The input: the photo where there is one, the mask and the lifted silhouette over it; returns how well they agree.
 function drawInput(canvas, item, photo) {
-  const { ctx, width } = fitCanvas(canvas), side = Math.min(768, Math.max(128, 2 * Math.round(width))), one = meta.items[item];
+  const { ctx, width } = fitCanvas(canvas), side = Math.min(640, Math.max(128, 2 * Math.round(width))), one = meta.items[item];
   const shown = photo && state.photo, wanted = maskAt(item, side), lifted = silhouette(one.mesh, one, side);
   if (shown) ctx.drawImage(photo, 0, 0, width, width);
   compare(ctx, side, wanted, lifted, shown ? kept.colours.over : kept.colours.agree, width);
@@ -64,7 +69,7 @@ function drawInput(canvas, item, photo) {
 function drawTurn(canvas, item, turn) {
   const { ctx, width } = fitCanvas(canvas), side = Math.min(320, Math.max(96, 2 * Math.round(width))), one = meta.items[item];
   const reach = reachOf(one), lifted = silhouette(one.mesh, one, side, turn, one.offset, reach), { solid, agree } = kept.colours;
-  if (!one.truth || !state.truth) { compare(ctx, side, lifted, lifted, [solid, solid, solid], width); return NaN; }
+  if (!one.truth || !state.truth) { compare(ctx, side, lifted, lifted, solid, width); return NaN; }
   const wanted = silhouette(one.truth.mesh, one.truth, side, turn, one.offset, reach);
   compare(ctx, side, wanted, lifted, agree, width);
   return overlap(wanted, lifted);

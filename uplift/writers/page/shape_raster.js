@@ -47,10 +47,28 @@ function raster(target, mesh, look, lit) {
   project(mesh.points, look, look.centre ?? NOWHERE);
   if (lit) lightUp(mesh, look.matrix);
   const F = mesh.faces;
-  for (let f = 0; f < F.length; f += 3) fillTriangle(target, 3 * F[f], 3 * F[f + 1], 3 * F[f + 2], lit ? f : -1);
+  for (let f = 0; f < F.length; f += 3) {
+    if (lit) fillTriangle(target, 3 * F[f], 3 * F[f + 1], 3 * F[f + 2], f);
+    else coverTriangle(target.light, target.width, target.height, 3 * F[f], 3 * F[f + 1], 3 * F[f + 2]);
+  }
 }
 
-// Pixels whose centre is in the triangle, by its three edges; `corner` is its first light, -1 for a silhouette.
+// A silhouette's part of one triangle: on each row of pixels, those whose centre lies between its edges.
+function coverTriangle(light, width, height, p, q, r) {
+  const ax = screen[p], ay = screen[p + 1], bx = screen[q], by = screen[q + 1], cx = screen[r], cy = screen[r + 1];
+  const y0 = Math.max(0, Math.ceil(Math.min(ay, by, cy) - 0.5)), y1 = Math.min(height - 1, Math.floor(Math.max(ay, by, cy) - 0.5));
+  for (let y = y0; y <= y1; y++) {
+    const at = y + 0.5, a = ay <= at, b = by <= at, c = cy <= at;
+    if (a === b && b === c) continue;
+    // Two of the three edges cross the row.
+    const u = a !== b ? ax + ((at - ay) / (by - ay)) * (bx - ax) : bx + ((at - by) / (cy - by)) * (cx - bx);
+    const v = c !== a ? cx + ((at - cy) / (ay - cy)) * (ax - cx) : bx + ((at - by) / (cy - by)) * (cx - bx);
+    const to = Math.min(width - 1, Math.floor(Math.max(u, v) - 0.5)), row = y * width;
+    for (let x = Math.max(0, Math.ceil(Math.min(u, v) - 0.5)); x <= to; x++) light[row + x] = 255;
+  }
+}
+
+// Pixels whose centre is in the triangle, by its three edges; `corner` is the first of its lights.
 function fillTriangle({ width, height, depth, light }, p, q, r, corner) {
   const ax = screen[p], ay = screen[p + 1], bx = screen[q], by = screen[q + 1], cx = screen[r], cy = screen[r + 1];
   const area = (bx - ax) * (cy - ay) - (by - ay) * (cx - ax);
@@ -58,7 +76,7 @@ function fillTriangle({ width, height, depth, light }, p, q, r, corner) {
   const x0 = Math.max(0, Math.ceil(Math.min(ax, bx, cx) - 0.5)), x1 = Math.min(width - 1, Math.floor(Math.max(ax, bx, cx) - 0.5));
   const y0 = Math.max(0, Math.ceil(Math.min(ay, by, cy) - 0.5)), y1 = Math.min(height - 1, Math.floor(Math.max(ay, by, cy) - 0.5));
   // Seen from behind, a triangle is dark: the surface is open there.
-  const dim = area < 0 ? 1 : 0.35, l0 = corner < 0 ? 0 : lights[corner] * dim, l1 = corner < 0 ? 0 : lights[corner + 1] * dim, l2 = corner < 0 ? 0 : lights[corner + 2] * dim;
+  const dim = area < 0 ? 1 : 0.35, l0 = lights[corner] * dim, l1 = lights[corner + 1] * dim, l2 = lights[corner + 2] * dim;
   const z0 = screen[p + 2], z1 = screen[q + 2], z2 = screen[r + 2];
   const dv = (cy - by) / area, dw = (ay - cy) / area;
   for (let y = y0; y <= y1; y++) {
@@ -67,7 +85,6 @@ function fillTriangle({ width, height, depth, light }, p, q, r, corner) {
     for (let x = x0, at = y * width + x0; x <= x1; x++, at++, u -= dv, v -= dw) {
       const w = 1 - u - v;
       if (u < -1e-7 || v < -1e-7 || w < -1e-7) continue;
-      if (corner < 0) { light[at] = 255; continue; }
       const deep = u * z0 + v * z1 + w * z2;
       if (deep >= depth[at]) continue;
       depth[at] = deep; light[at] = Math.max(1, Math.min(255, u * l0 + v * l1 + w * l2));
@@ -75,13 +92,13 @@ function fillTriangle({ width, height, depth, light }, p, q, r, corner) {
   }
 }
 
-// Pixels to a canvas through a table of colours, smoothed where the canvas is smaller.
+// Pixels to a canvas by a table of colours, smoothed where the canvas is smaller.
 const spare = document.createElement('canvas');
 
-function stamp(ctx, target, colour, x, y, width, height) {
+function stamp(ctx, target, table, x, y, width, height) {
   spare.width = target.width; spare.height = target.height;
   const to = spare.getContext('2d'), image = to.createImageData(target.width, target.height), pixels = new Uint32Array(image.data.buffer);
-  for (let k = 0; k < pixels.length; k++) pixels[k] = colour(k);
+  for (let k = 0; k < pixels.length; k++) pixels[k] = table[target.light[k]];
   to.putImageData(image, 0, 0);
   ctx.imageSmoothingQuality = 'high';
   ctx.drawImage(spare, x, y, width, height);
