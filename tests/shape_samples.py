@@ -1,0 +1,57 @@
+"""A lifted shape whose front, left and top tell themselves apart, with the mask that it really has."""
+
+from __future__ import annotations
+
+import numpy as np
+from skimage.draw import polygon
+
+from uplift.meshes.surface import surface_of
+from uplift.meshes.surface_frames import in_camera
+from uplift.shapes.prediction import ShapePrediction
+
+__all__ = ["AZIMUTH", "OFFSET", "SCALE", "SCALE_PX", "TILT", "marked", "mask_of", "shapes", "view"]
+
+TILT, AZIMUTH = np.radians(25), np.radians(40)
+SCALE, OFFSET, SCALE_PX = 0.8, (0.1, -0.2), 150.0
+_R = 32
+
+
+def marked() -> np.ndarray:
+    """Return a slab with a long horn to its front, a middling one to its left and a short one up."""
+    line = (2 * np.arange(_R) + 1) / _R - 1
+    z, y, x = np.meshgrid(line, line, line, indexing="ij")
+    grid = (np.abs(x) < 0.25) & (np.abs(y) < 0.25) & (np.abs(z) < 0.25)
+    grid |= (np.abs(x) < 0.12) & (np.abs(y) < 0.12) & (z < 0) & (z > -0.9)
+    grid |= (np.abs(z) < 0.12) & (np.abs(y) < 0.12) & (x > 0) & (x < 0.7)
+    grid |= (np.abs(z) < 0.12) & (np.abs(x) < 0.12) & (y < 0) & (y > -0.5)
+    return grid.astype(np.float32)
+
+
+def view(tilt: float = TILT, azimuth: float = AZIMUTH) -> np.ndarray:
+    """Return the rotation from the own frame to the camera's of a camera that walked round and looks down."""
+    down = np.array([[1, 0, 0], [0, np.cos(tilt), -np.sin(tilt)], [0, np.sin(tilt), np.cos(tilt)]])
+    turn = np.array([[np.cos(azimuth), 0, np.sin(azimuth)], [0, 1, 0], [-np.sin(azimuth), 0, np.cos(azimuth)]])
+    return down @ turn
+
+
+def mask_of(grid: np.ndarray, distance: float = np.inf, side: int = 64) -> np.ndarray:
+    """Return the mask of a grid's surface as the sample's camera sees it from ``distance``."""
+    mesh = surface_of(grid).mesh
+    assert mesh is not None
+    points = in_camera(mesh.vertices, view(), SCALE, np.zeros(2))
+    flat = (points[:, :2] + OFFSET) / (1 + points[:, 2:] / distance)
+    pixels = ((flat + 1) / 2 * 4 * side) - 0.5
+    fine = np.zeros((4 * side, 4 * side), np.float32)
+    for face in mesh.faces:
+        fine[polygon(pixels[face, 1], pixels[face, 0], fine.shape)] = 255
+    return np.rint(fine.reshape(side, 4, side, 4).mean((1, 3))).astype(np.uint8)
+
+
+def shapes(count: int = 1, names: list[str] | None = None, distance: float = np.inf) -> ShapePrediction:
+    """Return the same shape so many times."""
+    grid = marked()
+    return ShapePrediction(
+        np.stack([grid] * count), np.stack([view()] * count), np.full(count, SCALE), np.tile(OFFSET, (count, 1)),
+        np.full(count, distance), np.stack([mask_of(grid, distance)] * count),
+        names or [f"item {number}" for number in range(count)], np.full((count, 2), 320.0), np.full(count, SCALE_PX),
+    )  # fmt: skip
