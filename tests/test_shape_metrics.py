@@ -1,0 +1,173 @@
+"""The metrics of one lifted shape: properties that hold whatever the shape."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from shape_scenes import box, chair, placed, union, views
+
+from uplift.evaluation.shape_evaluator import filled_truths
+from uplift.evaluation.shape_metrics import SHAPE_METRICS, better_is_higher, metric_meaning, metric_order, metric_unit
+from uplift.evaluation.shape_silhouette import SIDE, Silhouette, of_mask, overlap, silhouette
+from uplift.evaluation.shape_standing import Standing, true
+from uplift.evaluation.shape_surface import compare_surfaces, grid_surface, mesh_surface
+from uplift.evaluation.shape_views import azimuth_errors_deg, elevation_errors_deg
+from uplift.evaluation.shape_volume import handedness, volume_iou
+
+BOX = union(box((-1, -0.5, -0.25), (1, 0.5, 0.25)))
+
+
+def standing(
+    mesh=None, azimuth_deg: float = 30.0, tilt_deg: float = 20.0, distance: float = np.inf, side: int = 64
+) -> Standing:
+    truth = placed([mesh or chair()], [0], [azimuth_deg], tilt_deg, distance)
+    return true(truth, 0, next(filled_truths(truth, np.arange(1), side))[1])
+
+
+def shrunk(shape: Standing, by: float) -> Standing:
+    return replace(shape, matrix=shape.matrix * by)
+
+
+def test_a_shape_shares_all_its_volume_with_itself_and_less_the_more_it_shrinks():
+    truth = standing()
+    ious = [volume_iou(shrunk(truth, by), truth) for by in (1.0, 0.9, 0.7, 0.4)]
+    assert ious[0] == pytest.approx(1)
+    assert ious == sorted(ious, reverse=True) and ious[-1] < 0.1
+
+
+def test_volume_iou_of_boxes_is_what_geometry_says():
+    truth = standing(BOX, 0, 0)
+    assert volume_iou(shrunk(truth, 0.55), truth) == pytest.approx(0.55**3, rel=0.12)
+    aside = replace(truth, origin=truth.origin + [truth.matrix[0, 0] * 0.9, 0, 0])  # by half of its width
+    assert volume_iou(aside, truth) == pytest.approx(1 / 3, abs=0.02)
+
+
+def test_volume_outside_the_grid_of_the_truth_counts():
+    truth = standing(BOX, 0, 0)
+    large = shrunk(truth, 3.0)
+    assert large.volume > 8 * (2 * truth.matrix[0, 0]) ** 3 / 8  # it leaves the truth's cube
+    assert volume_iou(large, truth) == pytest.approx(1 / 27, abs=0.004)
+
+
+@pytest.mark.parametrize("step", [-3.0, 0.4, 10.0])
+def test_a_shape_moved_in_depth_shares_the_same(step):
+    truth = standing()
+    assert volume_iou(shrunk(truth, 0.9).moved(step), truth) == pytest.approx(
+        volume_iou(shrunk(truth, 0.9), truth), abs=2e-3
+    )
+
+
+def test_mirroring_twice_is_nothing_and_once_keeps_silhouette_and_depth():
+    truth = standing()
+    mirror = truth.mirrored()
+    assert mirror.depth == pytest.approx(truth.depth)
+    assert overlap(silhouette(mirror, 2 / SIDE), silhouette(truth, 2 / SIDE)) > 0.97
+    assert volume_iou(mirror, truth) < 0.7
+    assert volume_iou(mirror.mirrored(), truth) == pytest.approx(1)
+
+
+def test_handedness_tells_a_shape_from_its_mirror_image():
+    truth = standing()
+    assert handedness(truth, truth, 1.0) == 1
+    mirror = truth.mirrored()
+    assert handedness(mirror, truth, volume_iou(mirror, truth)) == 0
+    assert handedness(shrunk(truth, 0.8), truth, volume_iou(shrunk(truth, 0.8), truth)) == 1
+
+
+def test_a_truth_that_is_its_own_mirror_has_no_handedness():
+    truth = standing(BOX, 0, 0)
+    assert np.isnan(handedness(truth, truth, 1.0))
+
+
+def test_the_silhouette_of_a_box_is_its_rectangle():
+    truth = standing(BOX, 0, 0)
+    seen = silhouette(truth, 2 / SIDE)
+    assert seen.covered.sum(1).max() == pytest.approx(0.85 * SIDE, abs=2)
+    assert seen.covered.sum(0).max() == pytest.approx(0.425 * SIDE, abs=2)
+    rows = np.flatnonzero(seen.covered.any(1)) + seen.row
+    assert abs(rows.mean() + 0.5) <= 0.5  # centred
+
+
+def test_a_nearer_camera_sees_the_near_side_larger():
+    cube = union(box((-1, -1, -1), (1, 1, 1)))
+    wide = [silhouette(standing(cube, 0, 0, distance), 2 / SIDE).covered.any(0).sum() for distance in (np.inf, 8, 3)]
+    assert wide[0] < wide[1] < wide[2]
+    assert wide[2] == pytest.approx(0.85 * SIDE / (1 - 0.85 / 3), abs=2)
+
+
+def test_a_silhouette_follows_its_shape_across_the_image():
+    truth = standing()
+    seen = silhouette(truth, 2 / SIDE)
+    aside = silhouette(replace(truth, origin=truth.origin + np.array([5, -3, 0]) * 2 / SIDE), 2 / SIDE)
+    assert (aside.column - seen.column, aside.row - seen.row) == (5, -3)
+    assert (aside.covered == seen.covered).mean() > 0.98
+
+
+def test_overlap_of_pixels():
+    whole = Silhouette(0, 0, np.ones((4, 4), bool))
+    assert overlap(whole, whole) == 1
+    assert overlap(whole, Silhouette(2, 0, np.ones((4, 4), bool))) == pytest.approx(8 / 24)
+    assert overlap(whole, Silhouette(9, 9, np.ones((2, 2), bool))) == 0
+    assert overlap(whole, Silhouette(0, 0, np.zeros((0, 0), bool))) == 0
+    assert overlap(Silhouette(0, 0, np.zeros((0, 0), bool)), Silhouette(3, 3, np.zeros((0, 0), bool))) == 0
+
+
+@pytest.mark.parametrize("side", [32, 64, 100, 128])
+def test_masks_of_any_side_cover_the_same_pixels(side):
+    at = (2 * np.arange(side) + 1) / side - 1
+    mask = np.where((np.abs(at)[:, None] < 0.5) & (np.abs(at) < 0.25), 255, 0).astype(np.uint8)
+    found = of_mask(mask).covered
+    assert found.shape == (SIDE, SIDE)
+    assert found.sum() == pytest.approx(SIDE * SIDE / 8, rel=0.13)
+
+
+def test_surfaces_of_mesh_and_grid_are_the_same_surface():
+    mesh, truth = chair(), standing(side=64)
+    longest = 1.8 * np.linalg.norm(truth.matrix[0])
+    of_mesh = mesh_surface(mesh, truth)
+    of_grid = grid_surface(truth)
+    assert of_grid is not None
+    found = compare_surfaces(of_grid, of_mesh, longest)
+    assert found["chamfer"] < 0.012 and found["f_score"] > 0.95 and found["normal_consistency"] > 0.93
+
+
+def test_points_inside_a_union_are_no_surface():
+    inner = union(box((-1, -1, -1), (1, 1, 1)), box((-0.4, -0.4, -0.4), (0.4, 0.4, 0.4)))
+    truth = standing(inner, 0, 0)
+    found = truth.to_own(mesh_surface(inner, truth).points)
+    assert np.abs(found).max(1).min() == pytest.approx(0.9, abs=1e-6)
+
+
+def test_chamfer_is_in_the_longest_side():
+    truth = standing(BOX, 0, 0)
+    surface = mesh_surface(BOX, truth)
+    longest = float(1.8 * truth.matrix[0, 0])
+    moved = replace(surface, points=surface.points + [0, 0, 10 * longest])
+    assert compare_surfaces(moved, surface, longest)["chamfer"] == pytest.approx(10, rel=0.05)
+    assert compare_surfaces(None, surface, longest) == {"chamfer": 1.0, "f_score": 0.0, "normal_consistency": 0.0}
+    # Farther apart than the threshold, no point counts; nearer, all do.
+    for share, expected in ((0.03, 0.0), (0.015, 1.0)):
+        plane = replace(surface, points=surface.points * [1, 1, 0])
+        apart = replace(plane, points=plane.points + [0, 0, share * longest])
+        assert compare_surfaces(apart, plane, longest)["f_score"] == pytest.approx(expected, abs=1e-3)
+
+
+def test_views_are_compared_after_the_best_constant_turn():
+    rng = np.random.default_rng(0)
+    truth = views(rng.uniform(0, 360, 20))
+    turned = truth @ views([70.0], 0.0)[0]  # another front for every shape
+    assert np.median(azimuth_errors_deg(turned, truth)) < 0.51
+    assert np.median(elevation_errors_deg(turned, truth)) == pytest.approx(0, abs=1e-6)
+    assert np.median(elevation_errors_deg(views(rng.uniform(0, 360, 20), 32.0), truth)) == pytest.approx(12)
+    assert np.median(azimuth_errors_deg(views(rng.uniform(0, 360, 20)), truth)) > 20
+    assert azimuth_errors_deg(np.repeat(np.eye(3)[None], 20, 0), truth) is None
+
+
+def test_every_metric_has_a_meaning_a_unit_and_a_better_way():
+    assert [metric_unit(name) for name in ("chamfer", "f_score", "azimuth_deg")] == ["longest side", "", "deg"]
+    assert [name for name in SHAPE_METRICS if not better_is_higher(name)] == ["chamfer", "azimuth_deg", "elevation_deg"]
+    assert metric_meaning("best_floor_volume_iou") == "the best floor's: " + metric_meaning("volume_iou")
+    names = ["best_floor_volume_iou", "chamfer", "volume_iou"]
+    assert sorted(names, key=metric_order) == ["volume_iou", "best_floor_volume_iou", "chamfer"]
