@@ -7,11 +7,15 @@ from dataclasses import dataclass, field, fields, replace
 
 import numpy as np
 
+from uplift.data.body_masks import check_masks
 from uplift.errors import UserError
 from uplift.lens import Lens
 
 __all__ = ["IDENTITY_KEYS", "PoseData", "codes_of"]
 
+_BY_FRAME = (
+    "keypoints", "confidence", "pose", "root", "tilt_deg", "root_filled", "lens", "labelled", "masks", "mask_box",
+)  # fmt: skip
 IDENTITY_KEYS = ("subject", "action", "sequence", "camera", "frame", "instance", "image", "category")
 
 
@@ -61,6 +65,10 @@ class PoseData:
     """(frames,) bool: the root was missing; its keypoint is the mean of its neighbours, its confidence 0."""
     labelled: np.ndarray | None = None
     """(frames,) bool: frames whose pose training may learn from; None: no frame's."""
+    masks: np.ndarray | None = None
+    """(frames side side) uint8, square crops of the image: 0 outside the body, 255 inside; row 0 is the top."""
+    mask_box: np.ndarray | None = None
+    """(frames 3) float32, x0, y0, side of each crop, px in the image; NaN = frame without a mask."""
     stills: bool = False
     """Frames of a sequence do not follow one another as those of a film do: each is a clip of its own."""
     source: str = ""
@@ -92,6 +100,7 @@ class PoseData:
             value = getattr(self, name)
             if value is not None and value.shape != shape:
                 raise UserError(f"{self._where()}'{name}' has shape {value.shape}, expected {shape}.")
+        check_masks(self.source or "the data", self.masks, self.mask_box, frames)
         if len(self.joint_names) != joints:
             raise UserError(f"{self._where()}{len(self.joint_names)} joint names for {joints} joints in 'keypoints'.")
         for name, value in self.identity.items():
@@ -109,8 +118,7 @@ class PoseData:
         changed = {
             item.name: getattr(self, item.name)[rows]
             for item in fields(self)
-            if item.name in ("keypoints", "confidence", "pose", "root", "tilt_deg", "root_filled", "lens", "labelled")
-            and getattr(self, item.name) is not None
+            if item.name in _BY_FRAME and getattr(self, item.name) is not None
         }
         return replace(self, **changed, identity={key: value[rows] for key, value in self.identity.items()})
 
@@ -139,7 +147,13 @@ class PoseData:
         if not seen.all():
             straight[~seen] = 0
         straight = straight.astype(np.float32, copy=False)
-        return replace(self, keypoints=straight, focal_px=focal_px, image_size=size, lenses=(), lens=None)
+        notes = self.notes
+        if self.masks is not None:
+            notes = (*notes, "masks are not used: they are crops of images that a lens bends")
+        return replace(
+            self, keypoints=straight, focal_px=focal_px, image_size=size, lenses=(), lens=None,
+            masks=None, mask_box=None, notes=notes,
+        )  # fmt: skip
 
     def rays(self) -> np.ndarray | None:
         """Return (frames joints 2) keypoints as x/z and y/z of the camera's frame; None where the camera is not known."""

@@ -11,6 +11,7 @@ from torch import Tensor
 
 from uplift.data.container import PoseData
 from uplift.data.tensors import TrainingSet
+from uplift.errors import UserError
 from uplift.gravity import gravity_of
 from uplift.pose import bone_lengths
 from uplift.views import turn
@@ -79,6 +80,10 @@ def joined(one: TrainingSet, other: TrainingSet) -> TrainingSet:
         if first is None and second is None:
             both[field.name] = None
             continue
+        if field.name == "masks" and None not in (first, second) and first.shape[1] != second.shape[1]:
+            raise UserError(
+                f"The labelled frames' masks are {second.shape[1]} px a side, the others' {first.shape[1]}: expected the same."
+            )
         first = _blank(field.name, second, len(one)) if first is None else first
         second = _blank(field.name, first, len(other)) if second is None else second
         both[field.name] = torch.cat([first, second])
@@ -89,4 +94,6 @@ def _blank(name: str, like: Tensor, count: int) -> Tensor:
     """Return what stands for nothing known: no turn of the camera, no label."""
     if name == "rotation":
         return torch.eye(3).expand(count, 3, 3)
+    if not like.is_floating_point():  # masks
+        return like.new_zeros((count, *like.shape[1:]))
     return torch.full((count, *like.shape[1:]), torch.nan)
