@@ -22,7 +22,7 @@ LIMBS = (
 )  # fmt: skip
 LIMBS = tuple(tuple(limb) for limb in LIMBS)
 _FEWEST = 8
-_OFF_PX = 8.0
+_OFF_PX = 4.0  # of most: between two frames of a fast motion the files differ a little more
 
 
 @dataclass(frozen=True)
@@ -48,8 +48,8 @@ def drawn_frames(folder: Path, split: str, cache: Path, every: int = VIEWS) -> F
     rows = np.arange(0, len(data["keypoints"]), every)
     if not path.is_file():
         masks, box, off_px = masks_of_rows(data, rows, folder / "animal_meshes")
-        if off_px.max() > _OFF_PX:
-            raise ValueError(f"{split}.npz: joints are {off_px.max():.1f} px from the nodes of the meshes")
+        if np.quantile(off_px, 0.99) > _OFF_PX:
+            raise ValueError(f"{split}.npz: joints are up to {off_px.max():.1f} px from the nodes of the meshes")
         cache.mkdir(parents=True, exist_ok=True)
         with replacing(path) as out:
             np.savez_compressed(out, masks=masks, mask_box=box)

@@ -21,10 +21,12 @@ def segment_distances(
 ) -> Float[Tensor, "frames points bones"]:
     """Return the distance of each point to each bone, a segment between two points."""
     start, along = ends[:, :, 0], ends[:, :, 1] - ends[:, :, 0]
-    away = points.unsqueeze(2) - start.unsqueeze(1)
-    share = (away * along.unsqueeze(1)).sum(-1) / (along.square().sum(-1) + _EPS).unsqueeze(1)
-    nearest = share.clamp(0, 1).unsqueeze(-1) * along.unsqueeze(1)
-    return ((away - nearest).square().sum(-1) + _EPS**2).sqrt()
+    # Products of matrices: no tensor of all points, bones and axes.
+    ahead = points @ along.mT - (start * along).sum(-1).unsqueeze(1)
+    length = along.square().sum(-1).unsqueeze(1)
+    away = points.square().sum(-1, keepdim=True) + start.square().sum(-1).unsqueeze(1) - 2 * points @ start.mT
+    share = (ahead / (length + _EPS)).clamp(0, 1)
+    return (away - share * (2 * ahead - share * length)).clamp_min(_EPS).sqrt()
 
 
 def soft_gap(

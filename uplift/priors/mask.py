@@ -16,21 +16,21 @@ from uplift.skeleton import Skeleton
 
 __all__ = ["Mask"]
 
-_ALONG = 5
+_ALONG = (1 / 3, 2 / 3, 1.0)
 _SAMPLE = 1000
 _PIXELS = 200
 _USUAL = 0.8
 _CHUNK = 256
-_CANDIDATES = 8
+_CANDIDATES = 16
 _FEW_INSIDE = 0.5
 
 
 class Mask(Prior):
     """Projected bones as capsules against the mask of the same frame.
 
-    ``inside`` weighs how far points along the bones are outside the mask, beyond what bones whose ends
-    are seen are; ``explained`` how far points of the mask are from the nearest capsule. Capsules are as
-    thick as the masks show the bones to be, times ``thickness``. Of each mask ``pixels`` points count, taken
+    ``inside`` weighs how far points along the bones are outside the mask, summed over the bones, beyond what
+    bones whose ends are seen are; ``explained`` how far points of the mask, as many as there are bones, are
+    from the nearest capsule. Capsules are as thick as the masks show the bones to be, times ``thickness``. Of each mask ``pixels`` points count, taken
     where no bone that is seen explains it. Frames without a mask cost nothing.
 
     Both look at the image alone, from where the frame was seen: they move joints that the lifter fills in
@@ -48,7 +48,7 @@ class Mask(Prior):
         inside: float = 1.0,
         explained: float = 1.0,
         thickness: float = 1.0,
-        pixels: int = 32,
+        pixels: int = 16,
     ):
         super().__init__(skeleton)
         for name, value in (("inside", inside), ("explained", explained), ("thickness", thickness), ("pixels", pixels)):
@@ -57,10 +57,10 @@ class Mask(Prior):
         self.inside, self.explained, self.thickness, self.pixels = inside, explained, thickness, pixels
         self.register_buffer("bones", torch.as_tensor(skeleton.bone_indices.copy()), persistent=False)
         self.register_buffer("partners", bone_partners(skeleton), persistent=False)
-        self.register_buffer("along", torch.linspace(0, 1, _ALONG), persistent=False)
+        self.register_buffer("along", torch.tensor(_ALONG), persistent=False)
         count = len(skeleton.bones)
         self.register_buffer("radii", torch.full((count,), torch.nan), persistent=False)
-        self.register_buffer("usual", torch.zeros(count, _ALONG), persistent=False)
+        self.register_buffer("usual", torch.zeros(count, len(_ALONG)), persistent=False)
         # One row for each training frame; `prepare` makes them anew, so no checkpoint carries them.
         for name in ("field", "unexplained", "share"):
             self.register_buffer(name, torch.zeros(0), persistent=False)
@@ -97,7 +97,7 @@ class Mask(Prior):
                 f"priors.mask: {share:.0%} of the keypoints lie in their frame's mask. `mask_box` is x0, y0, side of each "
                 "crop in px of the image that the keypoints are in; row 0 of a mask is its top."
             )
-        outside = sample_field(self.field[rows], into_crop(self._points(keypoints), maps)).unflatten(1, (-1, _ALONG))
+        outside = sample_field(self.field[rows], into_crop(self._points(keypoints), maps)).unflatten(1, (-1, len(_ALONG)))
         outside = outside.clamp_min(0) * unit_of(maps)[:, None, None]
         both = seen[:, self.bones].all(-1)
         usual = torch.where(both.unsqueeze(-1), outside, torch.nan).nanquantile(_USUAL, 0).nan_to_num()
@@ -132,11 +132,12 @@ class Mask(Prior):
         total = keypoints.new_zeros(len(keypoints))
         if self.inside:
             at = sample_field(self.field[lift.row], into_crop(self._points(keypoints), maps)) * unit[:, None]
-            total = total + self.inside * (at - self.usual.flatten()).clamp_min(0).mean(1)
+            outside = (at - self.usual.flatten()).clamp_min(0)
+            total = total + self.inside * outside.mean(1) * len(self.bones)
         if self.explained:
             points = _out_of_crop(self.unexplained[lift.row].to(maps.dtype), maps)
             gap = soft_gap(segment_distances(points, keypoints[:, self.bones]), self.radii)
-            total = total + self.explained * gap.mean(1) * self.share[lift.row]
+            total = total + self.explained * gap.mean(1) * self.share[lift.row] * len(self.bones)
         return torch.where(known, total, 0 * total)
 
     def metrics(self, lift: Lift) -> dict[str, float]:
