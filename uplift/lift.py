@@ -97,7 +97,9 @@ class Lift:
     def measured_keypoints(self) -> Float[Tensor, "batch joints 2"]:
         """`lifted_keypoints` from where `keypoints` are measured: the stand-in of a root that is missing."""
         shown = (self.visible * ~self.hidden).unsqueeze(-1)
-        apart = ((self.keypoints - self.lifted_keypoints) * shown).sum(1, keepdim=True) / shown.sum(1, True).clamp_min(1)
+        apart = ((self.keypoints - self.lifted_keypoints) * shown).sum(1, keepdim=True) / shown.sum(1, True).clamp_min(
+            1
+        )
         gone = self.visible[:, self.skeleton.root_index, None, None] == 0
         return self.lifted_keypoints + apart * gone
 

@@ -69,7 +69,9 @@ def run_case(kind: str, share: float, steps: int, seed: int, cache: Path, cores:
             frames = drawn_frames(Path(root), split, cache)
             names = tuple(str(name) for name in frames.arrays["joint_names"])
             files[split] = Path(folder) / f"{split}.npz"
-            write_case(files[split], frames.arrays, hidden_joints(names, len(frames), share, number), masks=split == "train")
+            write_case(
+                files[split], frames.arrays, hidden_joints(names, len(frames), share, number), masks=split == "train"
+            )
         words = fit_words(steps, seed, [*COMMON, *KINDS[kind]])
         start = time.monotonic()
         run = run_fit(Path(folder), words, cores)
@@ -112,7 +114,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     return 1 if failed else 0
 
 
-def _rows(kind: str, share: float, steps: int, seeds: Sequence[int], results: dict[str, dict[str, Any]]) -> list[list[str]]:
+def _rows(
+    kind: str, share: float, steps: int, seeds: Sequence[int], results: dict[str, dict[str, Any]]
+) -> list[list[str]]:
     """Return the rows of one kind of fit, means over the seeds that are there; none where none is."""
     found = [results[key]["errors"] for seed in seeds if (key := key_of(kind, share, steps, seed)) in results]
     rows = []
@@ -124,13 +128,22 @@ def _rows(kind: str, share: float, steps: int, seeds: Sequence[int], results: di
     return rows
 
 
+def _cache() -> Path:
+    return Path(os.environ.get("UPLIFT_BENCHMARK_CACHE") or "~/.cache/uplift").expanduser() / "quadruped_masks"
+
+
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog="python -m benchmarks.quadruped_masks", description=__doc__)
-    parser.add_argument("--kinds", nargs="+", choices=KINDS, default=["keypoints", "masks"], metavar="KIND", help=f"of {', '.join(KINDS)}")
-    parser.add_argument("--missing", nargs="+", type=float, default=[0.4, 0.2, 0.0], metavar="SHARE", help="of the joints")
+    parser.add_argument("--kinds", nargs="+", choices=KINDS, default=["keypoints", "masks"], help="of fits")
+    parser.add_argument("--missing", nargs="+", type=float, default=[0.4, 0.2, 0.0], help="shares of the joints")
     parser.add_argument("--steps", type=int, default=800, help="of each fit")
     parser.add_argument("--seeds", nargs="+", type=int, default=[0, 1], metavar="N", help="0 1 without it")
-    parser.add_argument("--cache", type=Path, default=Path(os.environ.get("UPLIFT_BENCHMARK_CACHE", "benchmark_cache")), help="folder where the drawn masks stay; UPLIFT_BENCHMARK_CACHE without it")
+    parser.add_argument(
+        "--cache",
+        type=Path,
+        default=_cache(),
+        help="where drawn masks stay; UPLIFT_BENCHMARK_CACHE, else ~/.cache/uplift",
+    )
     parser.add_argument("--print", action="store_true", help="print what is kept and run nothing")
     parser.add_argument("--markdown", action="store_true", help="print the table for a document")
     return parser

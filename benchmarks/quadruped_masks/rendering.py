@@ -51,9 +51,7 @@ def placing(
     return scale, rotation, to_middle - scale * rotation @ from_middle
 
 
-def draw_mask(
-    corners_px: Float[np.ndarray, "faces 3 2"], box: Float[np.ndarray, " 3"], side: int = SIDE
-) -> np.ndarray:
+def draw_mask(corners_px: Float[np.ndarray, "faces 3 2"], box: Float[np.ndarray, " 3"], side: int = SIDE) -> np.ndarray:
     """Return (side side) uint8, how much of each pixel of the crop ``box`` the triangles cover."""
     fine = side * _FINER
     at = (corners_px - box[:2]) * (fine / box[2]) - 0.5

@@ -13,9 +13,6 @@ from uplift.lens import Lens
 
 __all__ = ["IDENTITY_KEYS", "PoseData", "codes_of"]
 
-_BY_FRAME = (
-    "keypoints", "confidence", "pose", "root", "tilt_deg", "root_filled", "lens", "labelled", "masks", "mask_box",
-)  # fmt: skip
 IDENTITY_KEYS = ("subject", "action", "sequence", "camera", "frame", "instance", "image", "category")
 
 
@@ -86,16 +83,10 @@ class PoseData:
     def __post_init__(self) -> None:
         self.joint_names = tuple(str(name) for name in self.joint_names)
         frames, joints = self.keypoints.shape[:2]
-        expected = {
-            "keypoints": (frames, joints, 2),
-            "confidence": (frames, joints),
-            "pose": (frames, joints, 3),
-            "root": (frames, 3),
-            "tilt_deg": (frames,),
-            "root_filled": (frames,),
-            "lens": (frames,),
-            "labelled": (frames,),
-        }
+        expected: dict[str, tuple[int, ...]] = {
+            "keypoints": (frames, joints, 2), "confidence": (frames, joints), "pose": (frames, joints, 3), "root": (frames, 3),
+            **dict.fromkeys(("tilt_deg", "root_filled", "lens", "labelled"), (frames,)),
+        }  # fmt: skip
         for name, shape in expected.items():
             value = getattr(self, name)
             if value is not None and value.shape != shape:
@@ -115,11 +106,8 @@ class PoseData:
 
     def select(self, rows: np.ndarray | slice) -> PoseData:
         """Return the frames that ``rows`` (a mask or indices) picks, everything else unchanged."""
-        changed = {
-            item.name: getattr(self, item.name)[rows]
-            for item in fields(self)
-            if item.name in _BY_FRAME and getattr(self, item.name) is not None
-        }
+        found = {item.name: getattr(self, item.name) for item in fields(self)}
+        changed = {name: value[rows] for name, value in found.items() if isinstance(value, np.ndarray)}
         return replace(self, **changed, identity={key: value[rows] for key, value in self.identity.items()})
 
     def without_truth(self) -> PoseData:
@@ -146,14 +134,17 @@ class PoseData:
             seen = seen | (self.root_filled[:, None] & (self.keypoints != 0).any(-1))
         if not seen.all():
             straight[~seen] = 0
+        bent = ["masks are not used: a lens bends their images"] if self.masks is not None else []
         straight = straight.astype(np.float32, copy=False)
-        notes = self.notes
-        if self.masks is not None:
-            notes = (*notes, "masks are not used: they are crops of images that a lens bends")
-        return replace(
-            self, keypoints=straight, focal_px=focal_px, image_size=size, lenses=(), lens=None,
-            masks=None, mask_box=None, notes=notes,
-        )  # fmt: skip
+        changed = {
+            "focal_px": focal_px,
+            "image_size": size,
+            "lenses": (),
+            "lens": None,
+            "masks": None,
+            "mask_box": None,
+        }
+        return replace(self, keypoints=straight, notes=(*self.notes, *bent), **changed)
 
     def rays(self) -> np.ndarray | None:
         """Return (frames joints 2) keypoints as x/z and y/z of the camera's frame; None where the camera is not known."""

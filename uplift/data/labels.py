@@ -70,6 +70,11 @@ def mean_bones(frames: TrainingSet) -> Float[Tensor, " bones"] | None:
 
 def joined(one: TrainingSet, other: TrainingSet) -> TrainingSet:
     """Return the frames of both; what only one knows is unknown for the other's."""
+    sides = [frames.masks.shape[1] for frames in (one, other) if frames.masks is not None]
+    if len(set(sides)) > 1:
+        raise UserError(
+            f"Labelled frames have masks of {sides[1]} px a side, the others of {sides[0]}: expected the same."
+        )
     both = {}
     for field in fields(TrainingSet):
         if field.name == "skeleton":
@@ -80,10 +85,6 @@ def joined(one: TrainingSet, other: TrainingSet) -> TrainingSet:
         if first is None and second is None:
             both[field.name] = None
             continue
-        if field.name == "masks" and None not in (first, second) and first.shape[1] != second.shape[1]:
-            raise UserError(
-                f"The labelled frames' masks are {second.shape[1]} px a side, the others' {first.shape[1]}: expected the same."
-            )
         first = _blank(field.name, second, len(one)) if first is None else first
         second = _blank(field.name, first, len(other)) if second is None else second
         both[field.name] = torch.cat([first, second])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, fields, replace
+from typing import Any
 
 import torch
 from jaxtyping import Bool, Float, Int, UInt8
@@ -14,6 +15,8 @@ from uplift.normalise import Intrinsics, Normalised, normalise
 from uplift.skeleton import Skeleton
 
 __all__ = ["Batch", "TrainingSet"]
+
+_BESIDE = ("labels", "label_unit", "label_tilt", "masks", "mask_map")
 
 
 @dataclass(frozen=True)
@@ -114,7 +117,7 @@ class TrainingSet:
 
     def draw(self, rows: Int[Tensor, " batch"]) -> Batch:
         """Return the frames of ``rows``."""
-        told = {name: getattr(self, name) for name in ("labels", "label_unit", "label_tilt", "masks", "mask_map")}
+        told = {name: getattr(self, name) for name in _BESIDE}
         return Batch(
             self.keypoints[rows],
             self.confidence[rows],
@@ -154,6 +157,10 @@ class Batch:
 
     def __len__(self) -> int:
         return len(self.keypoints)
+
+    def beside(self) -> dict[str, Any]:
+        """Return what is known of the frames beside their keypoints, by name: labels, masks, their rows."""
+        return {name: getattr(self, name) for name in (*_BESIDE, "row")}
 
     def mirrored(self, which: Tensor, permutation: Tensor) -> Batch:
         """Return the batch with the frames of the mask ``which`` seen in a mirror.

@@ -37,6 +37,13 @@ class Mask(Prior):
     (or moves), and say nothing of the depth of joints that are seen.
     """
 
+    bones: Tensor
+    partners: Tensor
+    along: Tensor
+    radii: Tensor
+    """(bones,) thickness, in units."""
+    usual: Tensor
+    """(bones along), how far bones whose ends are seen are outside their masks, in units."""
     field: Tensor
     unexplained: Tensor
     share: Tensor
@@ -53,7 +60,9 @@ class Mask(Prior):
         super().__init__(skeleton)
         for name, value in (("inside", inside), ("explained", explained), ("thickness", thickness), ("pixels", pixels)):
             if value < (1 if name == "pixels" else 0):
-                raise UserError(f"priors.mask.{name}={value}: expected {'1 or more' if name == 'pixels' else 'no less than 0'}.")
+                raise UserError(
+                    f"priors.mask.{name}={value}: expected {'1 or more' if name == 'pixels' else 'no less than 0'}."
+                )
         self.inside, self.explained, self.thickness, self.pixels = inside, explained, thickness, pixels
         self.register_buffer("bones", torch.as_tensor(skeleton.bone_indices.copy()), persistent=False)
         self.register_buffer("partners", bone_partners(skeleton), persistent=False)
@@ -97,7 +106,9 @@ class Mask(Prior):
                 f"priors.mask: {share:.0%} of the keypoints lie in their frame's mask. `mask_box` is x0, y0, side of each "
                 "crop in px of the image that the keypoints are in; row 0 of a mask is its top."
             )
-        outside = sample_field(self.field[rows], into_crop(self._points(keypoints), maps)).unflatten(1, (-1, len(_ALONG)))
+        outside = sample_field(self.field[rows], into_crop(self._points(keypoints), maps)).unflatten(
+            1, (-1, len(_ALONG))
+        )
         outside = outside.clamp_min(0) * unit_of(maps)[:, None, None]
         both = seen[:, self.bones].all(-1)
         usual = torch.where(both.unsqueeze(-1), outside, torch.nan).nanquantile(_USUAL, 0).nan_to_num()
