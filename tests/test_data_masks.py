@@ -70,11 +70,13 @@ def test_capsules_are_as_far_as_their_segment():
 def test_masks_go_where_their_frames_go(tmp_path: Path):
     write_keypoints(WHOLE, tmp_path / "whole.npz")
     back = read_npz(tmp_path / "whole.npz")
-    assert back.masks is not None and np.array_equal(back.masks, WHOLE.masks)
+    assert WHOLE.masks is not None and WHOLE.mask_box is not None
+    assert back.masks is not None and back.mask_box is not None and np.array_equal(back.masks, WHOLE.masks)
     np.testing.assert_array_equal(back.mask_box, WHOLE.mask_box)
     assert WHOLE.masks is not None and WHOLE.mask_box is not None
     rows = np.array([5, 2])
     some = WHOLE.select(rows)
+    assert some.masks is not None and some.mask_box is not None
     assert np.array_equal(some.masks, WHOLE.masks[rows]) and np.array_equal(some.mask_box, WHOLE.mask_box[rows])
     none = replace(WHOLE, masks=None, mask_box=None)
     both = join_data([none, some])
@@ -88,7 +90,8 @@ def test_masks_go_where_their_frames_go(tmp_path: Path):
 def test_training_sets_with_and_without_masks_are_joined():
     one, other = TrainingSet.of(WHOLE, H36M), TrainingSet.of(replace(WHOLE, masks=None, mask_box=None), H36M)
     both = joined(other, one)
-    assert both.masks is not None and both.mask_map is not None and both.masks.dtype == torch.uint8
+    assert both.masks is not None and both.mask_map is not None and one.mask_map is not None
+    assert both.masks.dtype == torch.uint8
     assert both.mask_map[:24].isnan().all() and torch.equal(both.mask_map[24:], one.mask_map)
     with pytest.raises(UserError, match="px a side"):
         joined(one, TrainingSet.of(masked(bodies(2), 16), H36M))
@@ -96,7 +99,7 @@ def test_training_sets_with_and_without_masks_are_joined():
 
 @pytest.mark.parametrize("kind", [bool, np.uint8])
 def test_masks_of_zeros_and_ones_are_read_as_whole(tmp_path: Path, kind):
-    assert WHOLE.masks is not None
+    assert WHOLE.masks is not None and WHOLE.mask_box is not None
     path = tmp_path / "body.npz"
     np.savez(
         path, keypoints=WHOLE.keypoints, joint_names=np.array(H36M.joints), mask_box=WHOLE.mask_box,
