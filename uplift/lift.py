@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import torch
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int, UInt8
 from torch import Tensor
 
 from uplift.lifter import Lifted, Lifter
@@ -50,6 +50,13 @@ class Lift:
     """Of the labels' own unit (mm) in one unit of the model, NaN where unlabelled."""
     label_tilt: Float[Tensor, " batch"] | None = None
     """True tilt of the camera, radians, as `tilt`; NaN where that is not known."""
+    masks: UInt8[Tensor, "batch side side"] | None = None
+    """Crops of the images, 0 outside the body, 255 inside, never mirrored; None where the data has none."""
+    mask_map: Float[Tensor, "batch 3 3"] | None = None
+    """What takes `measured_keypoints` (x, y, 1) to the crop, (u w, v w, w): u, v from -1 to 1 over it; NaN without
+    a mask. That of a mirrored frame mirrors the points."""
+    row: Int[Tensor, " batch"] | None = None
+    """Which frames of the training set they are, for what a prior found out about each in `prepare`."""
     renormalise_views: bool = True
     count_root: bool = True
 
@@ -85,6 +92,16 @@ class Lift:
     def visible(self) -> Float[Tensor, "batch joints"]:
         """1 where the data has the joint, 0 where it is missing."""
         return (self.confidence > 0).to(self.confidence.dtype)
+
+    @cached_property
+    def measured_keypoints(self) -> Float[Tensor, "batch joints 2"]:
+        """`lifted_keypoints` from where `keypoints` are measured: the stand-in of a root that is missing."""
+        shown = (self.visible * ~self.hidden).unsqueeze(-1)
+        apart = ((self.keypoints - self.lifted_keypoints) * shown).sum(1, keepdim=True) / shown.sum(1, True).clamp_min(
+            1
+        )
+        gone = self.visible[:, self.skeleton.root_index, None, None] == 0
+        return self.lifted_keypoints + apart * gone
 
     @cached_property
     def relifted(self) -> Lifted:

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field, fields, replace
 
 import numpy as np
 
+from uplift.data.body_masks import check_masks
 from uplift.errors import UserError
 from uplift.lens import Lens
 
@@ -61,6 +62,10 @@ class PoseData:
     """(frames,) bool: the root was missing; its keypoint is the mean of its neighbours, its confidence 0."""
     labelled: np.ndarray | None = None
     """(frames,) bool: frames whose pose training may learn from; None: no frame's."""
+    masks: np.ndarray | None = None
+    """(frames side side) uint8, square crops of the image: 0 outside the body, 255 inside; row 0 is the top."""
+    mask_box: np.ndarray | None = None
+    """(frames 3) float32, x0, y0, side of each crop, px in the image; NaN = frame without a mask."""
     stills: bool = False
     """Frames of a sequence do not follow one another as those of a film do: each is a clip of its own."""
     source: str = ""
@@ -78,20 +83,15 @@ class PoseData:
     def __post_init__(self) -> None:
         self.joint_names = tuple(str(name) for name in self.joint_names)
         frames, joints = self.keypoints.shape[:2]
-        expected = {
-            "keypoints": (frames, joints, 2),
-            "confidence": (frames, joints),
-            "pose": (frames, joints, 3),
-            "root": (frames, 3),
-            "tilt_deg": (frames,),
-            "root_filled": (frames,),
-            "lens": (frames,),
-            "labelled": (frames,),
-        }
+        expected: dict[str, tuple[int, ...]] = {
+            "keypoints": (frames, joints, 2), "confidence": (frames, joints), "pose": (frames, joints, 3), "root": (frames, 3),
+            **dict.fromkeys(("tilt_deg", "root_filled", "lens", "labelled"), (frames,)),
+        }  # fmt: skip
         for name, shape in expected.items():
             value = getattr(self, name)
             if value is not None and value.shape != shape:
                 raise UserError(f"{self._where()}'{name}' has shape {value.shape}, expected {shape}.")
+        check_masks(self.source or "the data", self.masks, self.mask_box, frames)
         if len(self.joint_names) != joints:
             raise UserError(f"{self._where()}{len(self.joint_names)} joint names for {joints} joints in 'keypoints'.")
         for name, value in self.identity.items():
@@ -106,12 +106,8 @@ class PoseData:
 
     def select(self, rows: np.ndarray | slice) -> PoseData:
         """Return the frames that ``rows`` (a mask or indices) picks, everything else unchanged."""
-        changed = {
-            item.name: getattr(self, item.name)[rows]
-            for item in fields(self)
-            if item.name in ("keypoints", "confidence", "pose", "root", "tilt_deg", "root_filled", "lens", "labelled")
-            and getattr(self, item.name) is not None
-        }
+        found = {item.name: getattr(self, item.name) for item in fields(self)}
+        changed = {name: value[rows] for name, value in found.items() if isinstance(value, np.ndarray)}
         return replace(self, **changed, identity={key: value[rows] for key, value in self.identity.items()})
 
     def without_truth(self) -> PoseData:
@@ -138,8 +134,17 @@ class PoseData:
             seen = seen | (self.root_filled[:, None] & (self.keypoints != 0).any(-1))
         if not seen.all():
             straight[~seen] = 0
+        bent = ["masks are not used: a lens bends their images"] if self.masks is not None else []
         straight = straight.astype(np.float32, copy=False)
-        return replace(self, keypoints=straight, focal_px=focal_px, image_size=size, lenses=(), lens=None)
+        changed = {
+            "focal_px": focal_px,
+            "image_size": size,
+            "lenses": (),
+            "lens": None,
+            "masks": None,
+            "mask_box": None,
+        }
+        return replace(self, keypoints=straight, notes=(*self.notes, *bent), **changed)
 
     def rays(self) -> np.ndarray | None:
         """Return (frames joints 2) keypoints as x/z and y/z of the camera's frame; None where the camera is not known."""

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
+from uplift.data.body_masks import joined_masks
 from uplift.data.container import IDENTITY_KEYS, PoseData
 from uplift.errors import UserError
 
@@ -23,7 +24,7 @@ def join_data(parts: Sequence[PoseData]) -> PoseData:
     the same everywhere is left out, with a note.
 
     Raises:
-        UserError: poses in different units.
+        UserError: poses in different units, masks of different sides.
     """
     if len(parts) == 1:
         return parts[0]
@@ -47,6 +48,7 @@ def join_data(parts: Sequence[PoseData]) -> PoseData:
         tilt_deg=_stacked(parts, "tilt_deg"),
         unit=units.pop() if units else first.unit,
         identity=_identity(parts),
+        **_masks(parts),
         source=_files(parts),
         notes=tuple(notes),
         **common,
@@ -76,6 +78,13 @@ def _stacked(parts: Sequence[PoseData], name: str) -> np.ndarray | None:
         return None
     blank = [np.full((len(part), *known.shape[1:]), np.nan, known.dtype) for part in parts]
     return np.concatenate([gap if array is None else array for array, gap in zip(arrays, blank, strict=True)])
+
+
+def _masks(parts: Sequence[PoseData]) -> dict[str, np.ndarray | None]:
+    try:
+        return joined_masks(parts)
+    except UserError as error:
+        raise UserError(f"{_files(parts)}: {error}") from None
 
 
 def _identity(parts: Sequence[PoseData]) -> dict[str, np.ndarray]:

@@ -11,6 +11,7 @@ from torch import Tensor
 
 from uplift.data.container import PoseData
 from uplift.data.tensors import TrainingSet
+from uplift.errors import UserError
 from uplift.gravity import gravity_of
 from uplift.pose import bone_lengths
 from uplift.views import turn
@@ -69,6 +70,11 @@ def mean_bones(frames: TrainingSet) -> Float[Tensor, " bones"] | None:
 
 def joined(one: TrainingSet, other: TrainingSet) -> TrainingSet:
     """Return the frames of both; what only one knows is unknown for the other's."""
+    sides = [frames.masks.shape[1] for frames in (one, other) if frames.masks is not None]
+    if len(set(sides)) > 1:
+        raise UserError(
+            f"Labelled frames have masks of {sides[1]} px a side, the others of {sides[0]}: expected the same."
+        )
     both = {}
     for field in fields(TrainingSet):
         if field.name == "skeleton":
@@ -89,4 +95,6 @@ def _blank(name: str, like: Tensor, count: int) -> Tensor:
     """Return what stands for nothing known: no turn of the camera, no label."""
     if name == "rotation":
         return torch.eye(3).expand(count, 3, 3)
+    if not like.is_floating_point():  # masks
+        return like.new_zeros((count, *like.shape[1:]))
     return torch.full((count, *like.shape[1:]), torch.nan)

@@ -3,16 +3,20 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, fields, replace
+from typing import Any
 
 import torch
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float, Int, UInt8
 from torch import Tensor
 
+from uplift.data.body_masks import mask_maps
 from uplift.data.container import PoseData
-from uplift.normalise import Intrinsics, normalise
+from uplift.normalise import Intrinsics, Normalised, normalise
 from uplift.skeleton import Skeleton
 
 __all__ = ["Batch", "TrainingSet"]
+
+_BESIDE = ("labels", "label_unit", "label_tilt", "masks", "mask_map")
 
 
 @dataclass(frozen=True)
@@ -40,6 +44,10 @@ class TrainingSet:
     """Of the labels' own unit (mm) in one unit, NaN where unlabelled."""
     label_tilt: Float[Tensor, " frames"] | None = None
     """True tilt, radians, of the camera that looks at the root; NaN where that is not known."""
+    masks: UInt8[Tensor, "frames side side"] | None = None
+    """Crops of the images: 0 outside the body, 255 inside; None where the data has none."""
+    mask_map: Float[Tensor, "frames 3 3"] | None = None
+    """What takes normalised keypoints (x, y, 1) to the crop, (u w, v w, w): u, v from -1 to 1 over it. NaN without a mask."""
 
     @classmethod
     def of(
@@ -70,6 +78,7 @@ class TrainingSet:
             clip=torch.from_numpy(data.clips()),
             follows=torch.from_numpy(data.follows()),
             rotation=normal.rotation,
+            **_masks(data, skeleton, normal, intrinsics),
         )
 
     def __len__(self) -> int:
@@ -108,14 +117,26 @@ class TrainingSet:
 
     def draw(self, rows: Int[Tensor, " batch"]) -> Batch:
         """Return the frames of ``rows``."""
-        told = {name: getattr(self, name) for name in ("labels", "label_unit", "label_tilt")}
+        told = {name: getattr(self, name) for name in _BESIDE}
         return Batch(
             self.keypoints[rows],
             self.confidence[rows],
             self.scale[rows],
             self.distance[rows],
             **{name: None if value is None else value[rows] for name, value in told.items()},
+            row=rows,
         )
+
+
+def _masks(
+    data: PoseData, skeleton: Skeleton, normal: Normalised, intrinsics: Intrinsics | None
+) -> dict[str, Tensor | None]:
+    """Return the masks and the way from normalised keypoints into them, where the data has any."""
+    if data.masks is None:
+        return {}
+    rotation = None if normal.rotation is None else normal.rotation.numpy()
+    maps = mask_maps(data, skeleton.root_index, normal.scale_px.numpy(), rotation, intrinsics)
+    return {"masks": torch.from_numpy(data.masks), "mask_map": torch.from_numpy(maps).to(normal.scale_px.dtype)}
 
 
 @dataclass(frozen=True)
@@ -129,12 +150,23 @@ class Batch:
     labels: Float[Tensor, "batch joints 3"] | None = None
     label_unit: Float[Tensor, " batch"] | None = None
     label_tilt: Float[Tensor, " batch"] | None = None
+    masks: UInt8[Tensor, "batch side side"] | None = None
+    mask_map: Float[Tensor, "batch 3 3"] | None = None
+    row: Int[Tensor, " batch"] | None = None
+    """Which frames of the training set they are."""
 
     def __len__(self) -> int:
         return len(self.keypoints)
 
+    def beside(self) -> dict[str, Any]:
+        """Return what is known of the frames beside their keypoints, by name: labels, masks, their rows."""
+        return {name: getattr(self, name) for name in (*_BESIDE, "row")}
+
     def mirrored(self, which: Tensor, permutation: Tensor) -> Batch:
-        """Return the batch with the frames of the mask ``which`` seen in a mirror."""
+        """Return the batch with the frames of the mask ``which`` seen in a mirror.
+
+        `masks` stay as they are: `mask_map` takes the mirrored keypoints to where the real ones are in them.
+        """
 
         def swap(value: Tensor) -> Tensor:
             flipped = value[:, permutation]
@@ -143,4 +175,13 @@ class Batch:
             return torch.where(which.view(-1, *[1] * (value.ndim - 1)), flipped, value)
 
         labels = None if self.labels is None else swap(self.labels)
-        return replace(self, keypoints=swap(self.keypoints), confidence=swap(self.confidence), labels=labels)
+        mask_map = self.mask_map
+        if mask_map is not None:
+            mask_map = torch.where(which[:, None, None], mask_map * mask_map.new_tensor([-1.0, 1.0, 1.0]), mask_map)
+        return replace(
+            self,
+            keypoints=swap(self.keypoints),
+            confidence=swap(self.confidence),
+            labels=labels,
+            mask_map=mask_map,
+        )

@@ -22,6 +22,7 @@ PRIORS = {
     "flow": "uplift.priors.flow:Flow",
     "handedness": "uplift.priors.handedness:Handedness",
     "labelled": "uplift.priors.labelled:Labelled",
+    "mask": "uplift.priors.mask:Mask",
     "pairwise": "uplift.priors.pairwise:Pairwise",
     "symmetry": "uplift.priors.symmetry:Symmetry",
 }

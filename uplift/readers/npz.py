@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
+from uplift.data.body_masks import masks_of
 from uplift.data.container import IDENTITY_KEYS, PoseData
 from uplift.errors import UserError
 from uplift.prediction import UNITS
@@ -16,7 +17,8 @@ __all__ = ["FORMAT", "joint_names_of", "read_npz", "refuse_other_axes", "unit_of
 
 _KNOWN = {
     "keypoints", "confidence", "joint_names", "pose", "root", "unit", "fps", "image_size", "focal_px",
-    "bones", "tilt_deg", "level_pose", "spread", "filled", "axes", "skeleton", *IDENTITY_KEYS,
+    "bones", "tilt_deg", "level_pose", "spread", "filled", "axes", "skeleton", "masks", "mask_box",
+    *IDENTITY_KEYS,
 }  # fmt: skip
 _PHOTO_ENDINGS = (".jpg", ".jpeg", ".png", ".bmp", ".webp", ".tif", ".tiff")
 _MOST_CONFIDENT = 2.0  # heat maps peak a little over 1, and COCO marks visible joints with 2
@@ -40,6 +42,7 @@ def read_npz(path: str | Path) -> PoseData:
     keypoints = _numbers(where, arrays, "keypoints", (None, None, 2))
     assert keypoints is not None  # it is one of the needed
     frames, joints = keypoints.shape[:2]
+    masks, mask_box = masks_of(where, arrays, frames)
     return PoseData(
         keypoints=keypoints,
         confidence=_confidence(where, arrays, (frames, joints)),
@@ -52,6 +55,8 @@ def read_npz(path: str | Path) -> PoseData:
         image_size=_image_size(where, arrays),
         focal_px=_scalar(where, arrays, "focal_px"),
         tilt_deg=_numbers(where, arrays, "tilt_deg", (frames,)),
+        masks=masks,
+        mask_box=mask_box,
         source=where,
     )
 

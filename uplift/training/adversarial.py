@@ -159,10 +159,8 @@ def make_lift(lifter: Lifter, batch: Batch, views: ViewSettings, hide: float = 0
         view=draw_views(lifted, views, lifter.skeleton.gravity),
         scale=batch.scale,
         distance=batch.distance,
-        labels=batch.labels,
-        label_unit=batch.label_unit,
-        label_tilt=batch.label_tilt,
         lifter=lifter,
+        **batch.beside(),
         renormalise_views=views.renormalise,
         count_root=views.count_root,
     )

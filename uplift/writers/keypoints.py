@@ -25,6 +25,8 @@ def write_keypoints(data: PoseData, path: str | Path) -> None:
         value = getattr(data, name)
         if value is not None:
             arrays[name] = value.astype(np.float32)
+    if data.masks is not None and data.mask_box is not None:
+        arrays |= {"masks": data.masks, "mask_box": data.mask_box.astype(np.float32)}
     for name in ("fps", "focal_px", "image_size"):
         value = getattr(data, name)
         if value is not None:

@@ -1,0 +1,188 @@
+"""Joints that are not seen lie where the body's mask is: bones inside it, and all of it near a bone."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from uplift.data.tensors import TrainingSet
+from uplift.errors import UserError
+from uplift.lift import Lift
+from uplift.priors.base import Prior
+from uplift.priors.capsules import bone_partners, bone_thickness, segment_distances, soft_gap
+from uplift.priors.gaps import fill_gaps
+from uplift.priors.mask_field import into_crop, sample_field, signed_distances, unit_of
+from uplift.skeleton import Skeleton
+
+__all__ = ["Mask"]
+
+_ALONG = (1 / 3, 2 / 3, 1.0)
+_SAMPLE = 1000
+_PIXELS = 200
+_USUAL = 0.8
+_CHUNK = 256
+_CANDIDATES = 16
+_FEW_INSIDE = 0.5
+
+
+class Mask(Prior):
+    """Projected bones as capsules against the mask of the same frame.
+
+    ``inside`` weighs how far points along the bones are outside the mask, summed over the bones, beyond what
+    bones whose ends are seen are; ``explained`` how far points of the mask, as many as there are bones, are
+    from the nearest capsule. Capsules are as thick as the masks show the bones to be, times ``thickness``. Of each mask ``pixels`` points count, taken
+    where no bone that is seen explains it. Frames without a mask cost nothing.
+
+    Both look at the image alone, from where the frame was seen: they move joints that the lifter fills in
+    (or moves), and say nothing of the depth of joints that are seen.
+    """
+
+    bones: Tensor
+    partners: Tensor
+    along: Tensor
+    radii: Tensor
+    """(bones,) thickness, in units."""
+    usual: Tensor
+    """(bones along), how far bones whose ends are seen are outside their masks, in units."""
+    field: Tensor
+    unexplained: Tensor
+    share: Tensor
+
+    def __init__(
+        self,
+        skeleton: Skeleton,
+        *,
+        inside: float = 1.0,
+        explained: float = 1.0,
+        thickness: float = 1.0,
+        pixels: int = 16,
+    ):
+        super().__init__(skeleton)
+        for name, value in (("inside", inside), ("explained", explained), ("thickness", thickness), ("pixels", pixels)):
+            if value < (1 if name == "pixels" else 0):
+                raise UserError(
+                    f"priors.mask.{name}={value}: expected {'1 or more' if name == 'pixels' else 'no less than 0'}."
+                )
+        self.inside, self.explained, self.thickness, self.pixels = inside, explained, thickness, pixels
+        self.register_buffer("bones", torch.as_tensor(skeleton.bone_indices.copy()), persistent=False)
+        self.register_buffer("partners", bone_partners(skeleton), persistent=False)
+        self.register_buffer("along", torch.tensor(_ALONG), persistent=False)
+        count = len(skeleton.bones)
+        self.register_buffer("radii", torch.full((count,), torch.nan), persistent=False)
+        self.register_buffer("usual", torch.zeros(count, len(_ALONG)), persistent=False)
+        # One row for each training frame; `prepare` makes them anew, so no checkpoint carries them.
+        for name in ("field", "unexplained", "share"):
+            self.register_buffer(name, torch.zeros(0), persistent=False)
+
+    def prepare(self, data: TrainingSet) -> None:
+        """Measure distances to every mask, how thick bones are, and what of each mask the seen bones leave open.
+
+        Raises:
+            UserError: no masks, or keypoints that mostly lie outside them.
+        """
+        if data.masks is None or data.mask_map is None or not bool(data.mask_map.isfinite().any()):
+            raise UserError(
+                "priors.mask: no training frame has a mask. Give the data `masks` (frames, side, side) and `mask_box` "
+                "(frames, 3), or leave the prior out: priors.mask.weight=0."
+            )
+        field = signed_distances(data.masks)
+        masked = data.mask_map[:, 2, 2].isfinite()
+        self.field = field
+        self._measure(data, torch.nonzero(masked)[:, 0])
+        found = [self._open(data, rows) for rows in torch.arange(len(data), device=field.device).split(_CHUNK)]
+        self.unexplained = torch.cat([points for points, _ in found])
+        self.share = torch.cat([share for _, share in found])
+
+    def _measure(self, data: TrainingSet, masked: Tensor) -> None:
+        """Measure thickness and how far seen bones are outside their masks, on the frames that show most joints."""
+        assert data.mask_map is not None
+        order = (data.confidence[masked] > 0).sum(1).argsort(descending=True, stable=True)
+        rows = masked[order[:_SAMPLE]]
+        maps, seen, keypoints = data.mask_map[rows], data.confidence[rows] > 0, data.keypoints[rows]
+        at = sample_field(self.field[rows], into_crop(keypoints, maps))
+        share = float(((at <= 2 / self.field.shape[1]) & seen).sum() / seen.sum().clamp_min(1))
+        if share < _FEW_INSIDE:
+            raise UserError(
+                f"priors.mask: {share:.0%} of the keypoints lie in their frame's mask. `mask_box` is x0, y0, side of each "
+                "crop in px of the image that the keypoints are in; row 0 of a mask is its top."
+            )
+        outside = sample_field(self.field[rows], into_crop(self._points(keypoints), maps)).unflatten(
+            1, (-1, len(_ALONG))
+        )
+        outside = outside.clamp_min(0) * unit_of(maps)[:, None, None]
+        both = seen[:, self.bones].all(-1)
+        usual = torch.where(both.unsqueeze(-1), outside, torch.nan).nanquantile(_USUAL, 0).nan_to_num()
+        pixels = _picked(self.field[rows] < 0, _PIXELS)
+        thick = bone_thickness(_out_of_crop(pixels, maps), fill_gaps(keypoints, data.confidence[rows]), self.bones)
+        if self.skeleton.has_mirror_image:
+            usual, thick = (usual + usual[self.partners]) / 2, (thick + thick[self.partners]) / 2
+        self.usual, self.radii = usual, thick * self.thickness
+
+    def _open(self, data: TrainingSet, rows: Tensor) -> tuple[Tensor, Tensor]:
+        """Return points of the masks of ``rows`` that no bone which is seen explains, and what share of the mask they stand for."""
+        assert data.mask_map is not None
+        maps = _known(data.mask_map[rows])[0]
+        points = _picked(self.field[rows] < 0, _CANDIDATES * self.pixels)
+        keypoints, both = data.keypoints[rows], (data.confidence[rows] > 0)[:, self.bones].all(-1)
+        away = segment_distances(_out_of_crop(points, maps), keypoints[:, self.bones])
+        left = ~((away <= self.radii) & both.unsqueeze(1)).any(-1)
+        chosen = torch.multinomial(_or_all(left), self.pixels, replacement=True)
+        return points.gather(1, chosen.unsqueeze(-1).expand(-1, -1, 2)).half(), left.to(maps.dtype).mean(1)
+
+    def _points(self, keypoints: Tensor) -> Tensor:
+        """Return (frames, bones x along, 2) points along the bones."""
+        start, end = keypoints[:, self.bones].unbind(2)
+        return torch.lerp(start.unsqueeze(2), end.unsqueeze(2), self.along[:, None]).flatten(1, 2)
+
+    def loss(self, lift: Lift) -> Tensor:
+        """Return for each frame what bones are outside its mask and what of the mask is far from bones, in units."""
+        if lift.mask_map is None or lift.row is None:
+            return 0 * lift.lifted_keypoints.sum((1, 2))
+        maps, known = _known(lift.mask_map)
+        keypoints, unit = lift.measured_keypoints, unit_of(maps)
+        total = keypoints.new_zeros(len(keypoints))
+        if self.inside:
+            at = sample_field(self.field[lift.row], into_crop(self._points(keypoints), maps)) * unit[:, None]
+            outside = (at - self.usual.flatten()).clamp_min(0)
+            total = total + self.inside * outside.mean(1) * len(self.bones)
+        if self.explained:
+            points = _out_of_crop(self.unexplained[lift.row].to(maps.dtype), maps)
+            gap = soft_gap(segment_distances(points, keypoints[:, self.bones]), self.radii)
+            total = total + self.explained * gap.mean(1) * self.share[lift.row] * len(self.bones)
+        return torch.where(known, total, 0 * total)
+
+    def metrics(self, lift: Lift) -> dict[str, float]:
+        """Return the share of filled-in joints that lie inside their mask."""
+        if lift.mask_map is None or lift.row is None:
+            return {}
+        maps, known = _known(lift.mask_map)
+        at = sample_field(self.field[lift.row], into_crop(lift.measured_keypoints.detach(), maps))
+        filled = (1 - lift.visible * ~lift.hidden) * known.unsqueeze(1)
+        return {"filled_inside": float(Lift.mean((at <= 0).to(filled.dtype), filled))}
+
+
+def _known(maps: Tensor) -> tuple[Tensor, Tensor]:
+    """Return maps without NaN, and which frames have a mask."""
+    known = maps[:, 2, 2].isfinite()
+    return torch.where(known[:, None, None], maps, torch.eye(3, dtype=maps.dtype, device=maps.device)), known
+
+
+def _out_of_crop(points: Tensor, maps: Tensor) -> Tensor:
+    return into_crop(points, torch.linalg.inv(maps))
+
+
+def _centres(side: int, device: torch.device) -> Tensor:
+    """Return (side x side, 2) pixel centres, row by row."""
+    at = (2 * torch.arange(side, device=device) + 1) / side - 1
+    return torch.stack(torch.meshgrid(at, at, indexing="xy"), -1).flatten(0, 1)
+
+
+def _picked(inside: Tensor, count: int) -> Tensor:
+    """Return (frames, count, 2) random pixel centres of each mask, some of them again; of the whole crop where it is empty."""
+    chosen = torch.multinomial(_or_all(inside.flatten(1)), count, replacement=True)
+    return _centres(inside.shape[1], inside.device)[chosen]
+
+
+def _or_all(wanted: Tensor) -> Tensor:
+    """Return weights of 1 for what is wanted; for everything where nothing is."""
+    return (wanted | ~wanted.any(1, keepdim=True)).float()
