@@ -11,6 +11,7 @@ __all__ = [
     "LabelledSettings",
     "LifterSettings",
     "Settings",
+    "ShapeSettings",
     "StageSettings",
     "StudentSettings",
     "TeacherSettings",
@@ -57,7 +58,14 @@ class DataSettings:
     fps: Optional[float] = None  # frames a second, of files that do not say it
     focal_px: Optional[float] = None  # focal length of the camera in pixels, where it is known
     min_confidence: float = 0.0  # keypoints of less confidence count as missing
-    simulate: int = 0  # frames to simulate instead of reading a file
+    simulate: int = 0  # frames, or masks, to simulate instead of reading a file
+    family: str = "chairs"  # of made-up shapes whose masks are simulated
+    side: int = 64  # pixels along a mask's crop
+    border: str = "skip"  # masks that touch the border of their image: skip, keep
+    pieces: str = "skip"  # masks of several pieces: skip, largest
+    category: Optional[str] = None  # only masks of this category
+    most: Optional[int] = None  # masks at most, spread over the files
+    images: Optional[str] = None  # folder of the photos that masks belong to
     unit: Optional[str] = None  # of poses and roots in the files, whatever they say: mm, relative
     get: str = ""  # how to get the files, for the message when they are not there
     select: ChoiceSettings = field(default_factory=ChoiceSettings)  # training frames to use
@@ -105,6 +113,17 @@ class ViewSettings:
     elevation: str = "batch"  # tilt of new views: batch (another pose's), normal (batch mean and sd), same
     renormalise: bool = True  # bring views to mean radius 1, as real keypoints are
     count_root: bool = True  # set from lifter.radius
+
+
+@dataclass
+class ShapeSettings:
+    """What is lifted from masks: `lifts: masks`."""
+
+    resolution: int = 32  # voxels along the grid of a shape
+    gravity: bool = True  # shapes stand upright; false: seen from anywhere, views uniform on SO(3)
+    symmetric: bool = True  # shapes are their own mirror image, left and right
+    elevation_deg: tuple[float, float] = (15.0, 10.0)  # mean and sd of how far down the cameras look
+    distance: float = 6.0  # of the camera, in half sides of a shape's box
 
 
 @dataclass
@@ -179,11 +198,13 @@ class Settings:
 
     task: str = ""  # name of the task file
     description: str = ""
-    skeleton: str = ""  # a shipped name, or a YAML file
+    lifts: str = "keypoints"  # what: keypoints, or masks
+    skeleton: str = ""  # of keypoints: a shipped name, or a YAML file
     seed: int = 0
     init: Optional[str] = None  # run whose weights to start from
     data: DataSettings = field(default_factory=DataSettings)
     lifter: LifterSettings = field(default_factory=LifterSettings)
+    shape: ShapeSettings = field(default_factory=ShapeSettings)
     views: ViewSettings = field(default_factory=ViewSettings)
     priors: dict[str, Any] = field(default_factory=dict)  # name: {use, weight, the prior's own options}
     teacher: TeacherSettings = field(default_factory=TeacherSettings)

@@ -15,7 +15,7 @@ from uplift.meshes.mesh import Mesh
 from uplift.readers.archive import read_arrays
 from uplift.saving import replacing
 
-__all__ = ["read_masks_npz", "write_masks_npz"]
+__all__ = ["read_masks", "write_masks"]
 
 _PLACED = ("shape", "view", "scale", "offset", "distance")
 _MESHES = ("mesh_vertices", "mesh_vertex_start", "mesh_faces", "mesh_face_start", "mesh_names", "mesh_category")
@@ -26,7 +26,7 @@ _OLDEST = (1980, 1, 1, 0, 0, 0)
 _TURN_ERROR = 1e-3
 
 
-def write_masks_npz(data: MaskData, path: str | Path) -> None:
+def write_masks(data: MaskData, path: str | Path) -> None:
     """Write masks, names, crops, labels and the truth; the same data gives the same bytes.
 
     Meshes are written one behind the other: ``mesh_vertex_start`` (meshes + 1) says where each begins, and
@@ -68,8 +68,8 @@ def _truth_arrays(truth: Placed) -> dict[str, np.ndarray]:
     }
 
 
-def read_masks_npz(path: str | Path) -> MaskData:
-    """Read masks written by `write_masks_npz`, or by hand in the same layout; only ``masks`` must be there.
+def read_masks(path: str | Path) -> MaskData:
+    """Read masks written by `write_masks`, or by hand in the same layout; only ``masks`` must be there.
 
     Raises:
         UserError: missing or unknown arrays, wrong kinds, shapes or ranges, meshes that are none.
