@@ -55,8 +55,9 @@ def mirrored(exact: ShapePrediction) -> ShapePrediction:
 
 def test_the_truth_itself_scores_one(scored):
     overall = scored["exact"].overall
-    assert overall["volume_iou"] == pytest.approx(1) and overall["silhouette_iou_unseen"] == pytest.approx(1)
-    assert overall["silhouette_iou_seen"] == pytest.approx(1) and overall["handedness"] == 1
+    assert overall["volume_iou"] == pytest.approx(1) and overall["handedness"] == 1
+    # New views are compared with the mesh itself, of which the grid cuts the corners.
+    assert overall["silhouette_iou_seen"] == pytest.approx(1) and overall["silhouette_iou_unseen"] > 0.95
     assert overall["chamfer"] < 0.015 and overall["f_score"] > 0.9 and overall["normal_consistency"] > 0.9
     assert overall["azimuth_deg"] < 0.51 and overall["elevation_deg"] == pytest.approx(0, abs=1e-6)
     assert set(overall) == set(SHAPE_METRICS)
@@ -95,9 +96,9 @@ def test_depth_of_the_own_origin_is_no_error(exact, masks, scored):
     once = masks_of(low).masks
     straight = prediction_of(low, once)
     behind = replace(straight, occupancy=np.roll(straight.occupancy, 3, axis=1) * 1.0)  # own z is the camera's
-    for result in (evaluate_shapes(straight, low, once, ""), evaluate_shapes(behind, low, once, "")):
-        assert result.overall["volume_iou"] == pytest.approx(1, abs=1e-3)
-        assert result.overall["silhouette_iou_unseen"] == pytest.approx(1, abs=1e-3)
+    here, there = (evaluate_shapes(shape, low, once, "").overall for shape in (straight, behind))
+    assert here["volume_iou"] == pytest.approx(1, abs=1e-3) and there["volume_iou"] == pytest.approx(1, abs=1e-3)
+    assert there["silhouette_iou_unseen"] == pytest.approx(here["silhouette_iou_unseen"], abs=1e-3)
     aside = replace(straight, offset=straight.offset + 0.2)
     assert evaluate_shapes(aside, low, once, "").overall["volume_iou"] < 0.7
 

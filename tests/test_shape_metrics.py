@@ -9,6 +9,7 @@ import pytest
 from shape_scenes import box, chair, placed, union, views
 
 from uplift.evaluation.shape_evaluator import filled_truths
+from uplift.evaluation.shape_item import TrueItem
 from uplift.evaluation.shape_metrics import SHAPE_METRICS, better_is_higher, metric_meaning, metric_order, metric_unit
 from uplift.evaluation.shape_silhouette import SIDE, Silhouette, of_mask, overlap, silhouette
 from uplift.evaluation.shape_standing import Standing, true
@@ -88,6 +89,16 @@ def test_the_silhouette_of_a_box_is_its_rectangle():
     assert seen.covered.sum(0).max() == pytest.approx(0.425 * SIDE, abs=2)
     rows = np.flatnonzero(seen.covered.any(1)) + seen.row
     assert abs(rows.mean() + 0.5) <= 0.5  # centred
+
+
+def test_silhouettes_of_the_truth_show_what_no_voxel_holds():
+    mesh = union(box((-1, 0.9, -1), (1, 1, 1)), box((-0.035, -1, -0.035), (0.035, 0.95, 0.035)))
+    truth = placed([mesh], [0], [30.0], 0.0)
+    [(row, filled)] = filled_truths(truth, np.arange(1), 24)
+    assert not filled[:, :10].any()  # the pole stands between the voxels' centres
+    item = TrueItem(truth, row, filled)
+    for seen in item.silhouettes:
+        assert seen.covered[1 : len(seen.covered) // 2].any(1).all()
 
 
 def test_a_nearer_camera_sees_the_near_side_larger():

@@ -7,7 +7,7 @@ from functools import cached_property
 import numpy as np
 from jaxtyping import Bool
 
-from uplift.evaluation.shape_silhouette import SIDE, Silhouette, overlap, seen_iou, silhouette, turns
+from uplift.evaluation.shape_silhouette import SIDE, Silhouette, drawn, overlap, seen_iou, silhouette, turns
 from uplift.evaluation.shape_standing import Standing, true
 from uplift.evaluation.shape_surface import Surface, compare_surfaces, grid_surface, mesh_surface
 from uplift.evaluation.shape_volume import handedness, volume_iou
@@ -34,14 +34,14 @@ class TrueItem:
     @cached_property
     def pixel(self) -> float:
         """Side of a pixel of the new views: `SIDE` of them span the bounding sphere about the shape's origin."""
-        if self.standing.empty:
-            return 2 / SIDE
-        return 2 * float(np.linalg.norm(self.standing.occupied - self.standing.origin, axis=1).max()) / SIDE
+        corners = self.mesh.vertices[np.unique(self.mesh.faces)] @ self.standing.matrix.T
+        return 2 * float(np.linalg.norm(corners, axis=1).max(initial=1e-9)) / SIDE
 
     @cached_property
     def silhouettes(self) -> list[Silhouette]:
-        """In the new views."""
-        return [silhouette(self.turned(self.standing, turn), self.pixel) for turn in self.turns]
+        """Of the mesh in the new views."""
+        points = self.mesh.vertices @ self.standing.matrix.T
+        return [drawn(points @ turn.T, self.mesh.faces, self.standing.distance, self.pixel) for turn in self.turns]
 
     def turned(self, shape: Standing, turn: np.ndarray) -> Standing:
         """Return a shape turned about the truth's origin."""

@@ -1,18 +1,18 @@
-"""Silhouettes of occupancy grids, in the input view and in new views about gravity, and their overlap."""
+"""Silhouettes of occupancy grids and meshes, in the input view and in new views about gravity, and their overlap."""
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
 import numpy as np
 import torch
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 
 from uplift.evaluation.shape_standing import Standing
+from uplift.meshes.silhouette import cover
 from uplift.views import about_y
 
-__all__ = ["NEW_AZIMUTHS_DEG", "SIDE", "Silhouette", "of_mask", "overlap", "seen_iou", "silhouette", "turns"]
+__all__ = ["NEW_AZIMUTHS_DEG", "SIDE", "Silhouette", "drawn", "of_mask", "overlap", "seen_iou", "silhouette", "turns"]
 
 SIDE = 64
 """Pixels along the crop in the input view, and along the truth's bounding sphere in a new one."""
@@ -38,38 +38,23 @@ _FARTHEST = 2 * SIDE
 
 
 def silhouette(shape: Standing, pixel: float) -> Silhouette:
-    """Return the pixels whose centre's ray meets occupancy above the level; ``pixel`` is a pixel's side."""
-    if shape.empty:
-        return _NOTHING
-    low, high = shape.box
-    corners = shape.to_camera(np.stack(np.meshgrid(*zip(low, high, strict=True), indexing="ij"), -1).reshape(8, 3))
-    image = corners[:, :2] / np.maximum(1 + corners[:, 2:] / shape.distance, _NEAREST) / pixel
-    left, top = np.clip(np.floor(image.min(0)), -_FARTHEST, _FARTHEST).astype(int).tolist()
-    right, bottom = np.clip(np.ceil(image.max(0)), -_FARTHEST, _FARTHEST).astype(int).tolist()
-    if left == right or top == bottom:
-        return _NOTHING
-    column, row = ((np.arange(*ends) + 0.5) * pixel for ends in ((left, right), (top, bottom)))
-    return Silhouette(top, left, _met(shape, row, column))
+    """Return the pixels whose centre's ray meets the shape's surface at its level; ``pixel`` is a pixel's side."""
+    vertices, faces = shape.surface
+    return drawn(shape.to_camera(vertices), faces, shape.distance, pixel)
 
 
-def _met(shape: Standing, row: np.ndarray, column: np.ndarray) -> Bool[np.ndarray, "height width"]:
-    """Return which rays through rows and columns at depth 0 meet the shape, read at steps of a voxel in its box."""
-    start = np.stack([*np.meshgrid(column, row), np.zeros((len(row), len(column)))], -1).reshape(-1, 3)
-    along = start / shape.distance + [0, 0, 1]
-    start, along = (torch.from_numpy(x).float() for x in (shape.to_own(start), along @ shape.inverse.T))
-    along = torch.where(along.abs() < 1e-6, 1e-6, along)
-    ends = torch.stack([(torch.from_numpy(end).float() - start) / along for end in shape.box])
-    near = ends.amin(0).amax(1).clamp_min((_NEAREST - 1) * shape.distance)
-    far = ends.amax(0).amin(1)
-    crossing = torch.nonzero(far > near)[:, 0]
-    met = torch.zeros(len(start), dtype=torch.bool)
-    if len(crossing):
-        near, long = near[crossing], (far - near)[crossing]
-        share = torch.linspace(0, 1, 1 + math.ceil(float(long.max()) / shape.voxel))
-        depth = near + share[:, None] * long
-        points = start[crossing] + depth[..., None] * along[crossing]
-        met[crossing] = shape.sample(points[None])[0].amax(0) > shape.level
-    return met.reshape(len(row), len(column)).numpy()
+def drawn(
+    points: Float[np.ndarray, "vertices 3"], faces: Int[np.ndarray, "faces 3"], distance: float, pixel: float
+) -> Silhouette:
+    """Return the pixels whose centre's ray meets one of the triangles; ``points`` are in the camera frame."""
+    if not len(faces):
+        return _NOTHING
+    image = points[:, :2] / np.maximum(1 + points[:, 2:] / distance, _NEAREST) / pixel
+    low = np.clip(np.floor(image.min(0)), -_FARTHEST, _FARTHEST).astype(int)
+    width, height = (np.clip(np.ceil(image.max(0)), -_FARTHEST, _FARTHEST).astype(int) - low).tolist()
+    if not width or not height:
+        return _NOTHING
+    return Silhouette(int(low[1]), int(low[0]), cover(image - low, faces, max(width, height))[:height, :width])
 
 
 def of_mask(mask: np.ndarray) -> Silhouette:

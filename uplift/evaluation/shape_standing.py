@@ -7,13 +7,16 @@ from functools import cached_property
 
 import numpy as np
 import torch
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
+from skimage.measure import marching_cubes
 from torch import Tensor
 
 from uplift.masks.container import Placed
 from uplift.shapes.prediction import ShapePrediction
 
 __all__ = ["Standing", "predicted", "true", "voxel_centres"]
+
+_OF_GRID = ("inside", "empty", "span", "surface")
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,14 +49,15 @@ class Standing:
         return slice(int(z[0]), int(z[-1]) + 1), slice(int(y[0]), int(y[-1]) + 1), slice(int(x[0]), int(x[-1]) + 1)
 
     @cached_property
-    def box(self) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"]]:
-        """The low and high corner, in the own frame, of a box that holds the surface at the level."""
+    def surface(self) -> tuple[Float[np.ndarray, "vertices 3"], Int[np.ndarray, "faces 3"]]:
+        """Vertices in the own frame, and faces, of the surface at the level (marching cubes); none of an empty shape."""
+        if self.empty:
+            return np.zeros((0, 3)), np.zeros((0, 3), int)
         side = self.occupancy.shape[0]
-        low, high = (
-            np.array([2 * end for end in ends[::-1]])
-            for ends in zip(*((s.start, s.stop) for s in self.span), strict=True)
-        )
-        return (low - 1) / side - 1, (high + 1) / side - 1
+        around = tuple(slice(s.start, s.stop + 2) for s in self.span)  # one more on each side, of a padded grid
+        index, faces, _, _ = marching_cubes(np.pad(self.occupancy.numpy(), 1)[around], self.level)
+        index = (index + [s.start - 1 for s in around])[:, ::-1]
+        return (2 * index + 1) / side - 1, faces.astype(int)
 
     @cached_property
     def voxel(self) -> float:
@@ -96,17 +100,23 @@ class Standing:
 
     def moved(self, step: float) -> Standing:
         """Return the shape farther away by ``step``."""
-        return replace(self, origin=self.origin + np.array([0, 0, step]))
+        return self._elsewhere(origin=self.origin + np.array([0, 0, step]))
 
     def turned(self, rotation: Float[np.ndarray, "3 3"], about: Float[np.ndarray, "3"]) -> Standing:
         """Return the shape turned in the camera frame about a point, which becomes the frame's origin."""
-        return replace(self, matrix=rotation @ self.matrix, origin=rotation @ (self.origin - about))
+        return self._elsewhere(matrix=rotation @ self.matrix, origin=rotation @ (self.origin - about))
 
     def mirrored(self) -> Standing:
         """Return the shape mirrored in depth, z to -z, its centroid where it was."""
         flip = np.array([1.0, 1.0, -1.0])
         middle = np.array([0, 0, 2 * self.depth])
-        return replace(self, matrix=flip[:, None] * self.matrix, origin=flip * self.origin + middle)
+        return self._elsewhere(matrix=flip[:, None] * self.matrix, origin=flip * self.origin + middle)
+
+    def _elsewhere(self, **place: np.ndarray) -> Standing:
+        """Return the same grid at another place: what is known of the grid itself is not found again."""
+        other = replace(self, **place)
+        other.__dict__.update({name: self.__dict__[name] for name in _OF_GRID if name in self.__dict__})
+        return other
 
 
 def predicted(prediction: ShapePrediction, row: int) -> Standing:

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
+import torch
 from jaxtyping import Bool, Float
 from scipy.spatial import KDTree
-from skimage.measure import marching_cubes
 
 from uplift.evaluation.shape_standing import Standing
 from uplift.meshes.mesh import Mesh
@@ -29,6 +30,15 @@ class Surface:
     points: Float[np.ndarray, "points 3"]
     normals: Float[np.ndarray, "points 3"]
 
+    @cached_property
+    def tree(self) -> KDTree:
+        """Of the points; built for few questions."""
+        return KDTree(self.points, leafsize=32, compact_nodes=False, balanced_tree=False)
+
+    def nearest_to(self, other: Surface) -> tuple[np.ndarray, np.ndarray]:
+        """Return how far each point of ``other`` is from the nearest one here, and which that is."""
+        return self.tree.query(other.points, workers=torch.get_num_threads())
+
 
 def mesh_surface(mesh: Mesh, truth: Standing, points: int = POINTS) -> Surface:
     """Return points spread evenly over the mesh's outer surface, where ``truth`` (its filled grid) stands.
@@ -49,12 +59,8 @@ def grid_surface(shape: Standing, points: int = POINTS) -> Surface | None:
     """Return points spread evenly over the surface at the shape's level (marching cubes); None for an empty shape."""
     if shape.empty:
         return None
-    side = shape.inside.shape[0]
-    around = tuple(slice(s.start, s.stop + 2) for s in shape.span)  # one more on each side, of a padded grid
-    vertices, faces, _, _ = marching_cubes(np.pad(shape.occupancy.numpy(), 1)[around], shape.level)
-    index = (vertices + [s.start - 1 for s in around])[:, ::-1]
-    corners = ((2 * index + 1) / side - 1)[faces]
-    return _standing(shape, *_spread(corners, points))
+    vertices, faces = shape.surface
+    return _standing(shape, *_spread(vertices[faces], points))
 
 
 def _spread(corners: Float[np.ndarray, "faces 3 3"], count: int) -> tuple[np.ndarray, np.ndarray]:
@@ -88,8 +94,8 @@ def compare_surfaces(found: Surface | None, truth: Surface, longest: float) -> d
     """Return chamfer (in ``longest``), f_score and normal_consistency of two surfaces."""
     if found is None:
         return dict(NOTHING)
-    to_truth, nearest_true = KDTree(truth.points).query(found.points)
-    to_found, nearest_found = KDTree(found.points).query(truth.points)
+    to_truth, nearest_true = truth.nearest_to(found)
+    to_found, nearest_found = found.nearest_to(truth)
     precision, recall = ((away <= THRESHOLD * longest).mean() for away in (to_truth, to_found))
     cosines = [
         np.abs((found.normals * truth.normals[nearest_true]).sum(1)).mean(),

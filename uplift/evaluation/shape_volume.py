@@ -49,13 +49,20 @@ def handedness(found: Standing, truth: Standing, iou: float) -> float:
 
     A tie is 0.5, an empty shape 0, and a truth that is its own mirror NaN.
     """
-    mirror = truth.mirrored()
-    if volume_iou(mirror, truth) > OWN_MIRROR:
+    mirror, is_own = _mirror(truth)
+    if is_own:
         return float("nan")
     other = volume_iou(found, mirror)
     if abs(iou - other) < TIE and not found.empty:
         return 0.5
     return float(iou > other)
+
+
+@functools.lru_cache(1)
+def _mirror(truth: Standing) -> tuple[Standing, bool]:
+    """Return the mirror image in depth of the truth that was asked for last, and whether the truth is its own."""
+    mirror = truth.mirrored()
+    return mirror, volume_iou(mirror, truth) > OWN_MIRROR
 
 
 @functools.lru_cache(2)

@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from jaxtyping import Float, Int, UInt8
+from jaxtyping import Bool, Float, Int, UInt8
 
 from uplift.masks.container import FILL, Placed
 from uplift.meshes.mesh import Mesh
 
-__all__ = ["draw_mask", "frame_mesh", "project", "render_masks"]
+__all__ = ["cover", "draw_mask", "frame_mesh", "project", "render_masks"]
 
 _FINER = 4
 """Samples along a pixel's side: 16 a pixel."""
@@ -24,15 +24,21 @@ def draw_mask(
     Points are in pixels of the mask: x right, y down, pixel i reaches from i to i + 1. Any winding;
     what is outside the mask is cut off.
     """
-    fine = side * _FINER
-    starts, ends, rows = _spans(np.asarray(points, float)[faces] * _FINER, fine)
-    # A sample is covered where more spans of its row have begun than have ended.
-    width = fine + 1
-    change = np.bincount(rows * width + starts, minlength=fine * width)
-    change = change - np.bincount(rows * width + ends, minlength=fine * width)
-    covered = np.cumsum(change.reshape(fine, width), 1)[:, :-1] > 0
+    covered = cover(np.asarray(points, float) * _FINER, faces, side * _FINER)
     counts = covered.reshape(side, _FINER, side, _FINER).sum((1, 3))
     return (counts * 255 / _FINER**2 + 0.5).astype(np.uint8)
+
+
+def cover(
+    points: Float[np.ndarray, "vertices 2"], faces: Int[np.ndarray, "faces 3"], side: int
+) -> Bool[np.ndarray, "side side"]:
+    """Return the pixels whose centre a triangle covers; points as `draw_mask` has them."""
+    starts, ends, rows = _spans(np.asarray(points, float)[faces], side)
+    # A sample is covered where more spans of its row have begun than have ended.
+    width = side + 1
+    change = np.bincount(rows * width + starts, minlength=side * width)
+    change = change - np.bincount(rows * width + ends, minlength=side * width)
+    return np.cumsum(change.reshape(side, width), 1)[:, :-1] > 0
 
 
 def _spans(corners: np.ndarray, fine: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
