@@ -37,7 +37,8 @@ class Surface:
 
     def nearest_to(self, other: Surface) -> tuple[np.ndarray, np.ndarray]:
         """Return how far each point of ``other`` is from the nearest one here, and which that is."""
-        return self.tree.query(other.points, workers=torch.get_num_threads())
+        away, which = self.tree.query(other.points, workers=torch.get_num_threads())
+        return away, np.asarray(which)
 
 
 def mesh_surface(mesh: Mesh, truth: Standing, points: int = POINTS) -> Surface:

@@ -1,0 +1,107 @@
+"""Seconds and memory of a training step at one resolution; ``python -m benchmarks.shapes.cost 32`` prints them as JSON.
+
+A process measures one resolution: its peak of memory is the operating system's own.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import resource
+import subprocess
+import sys
+import tempfile
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from benchmarks.accuracy.work import CellFailed
+from benchmarks.machine import ROOT, facts
+from benchmarks.shapes.cells import TASK
+from uplift.errors import UserError
+
+__all__ = ["RESOLUTIONS", "measure", "measured_apart"]
+
+RESOLUTIONS = (16, 24, 32, 48, 64)
+_MASKS = 400
+_WARM_UP = 6
+_GB = 1e9
+
+
+def measured_apart(resolution: int, steps: int, threads: int | None = None) -> dict[str, Any]:
+    """Return `measure` of a process of its own, with the command; raises CellFailed with the end of what it said."""
+    words = [str(resolution), str(steps), *([str(threads)] if threads else [])]
+    path = os.pathsep.join(filter(None, [str(ROOT), os.environ.get("PYTHONPATH")]))
+    done = subprocess.run(
+        [sys.executable, "-m", "benchmarks.shapes.cost", *words], capture_output=True, text=True, cwd=ROOT,
+        env={**os.environ, "PYTHONPATH": path},
+    )  # fmt: skip
+    if done.returncode:
+        said = "\n".join((done.stdout + done.stderr).strip().splitlines()[-8:])
+        raise CellFailed(f"resolution {resolution} ended with status {done.returncode}:\n{said}")
+    found = json.loads(done.stdout.strip().splitlines()[-1])
+    return {"command": " ".join(["python -m benchmarks.shapes.cost", *words]), **facts(), **found}
+
+
+def measure(resolution: int, steps: int, threads: int | None = None, task: str = TASK) -> dict[str, Any]:
+    """Train for a few steps, then for ``steps`` more than these, and return what the more of them took each.
+
+    What a fit does once, whatever its steps, is in neither figure; all of it is in the peak of memory.
+    """
+    import torch
+
+    from uplift.task import load_settings
+
+    words = [f"shape.resolution={resolution}", f"data.simulate={_MASKS}", "trainer.max_time=null"]
+    words += [f"trainer.threads={threads}"] if threads else []
+    settings = load_settings(task, [*words, f"trainer.max_steps={_WARM_UP}"])
+    if settings.trainer.threads:
+        torch.set_num_threads(settings.trainer.threads)
+    before = _peak_bytes()
+    few = _seconds(settings)
+    many = _seconds(replace(settings, trainer=replace(settings.trainer, max_steps=_WARM_UP + steps)))
+    return {
+        "resolution": resolution,
+        "steps": steps,
+        "threads": torch.get_num_threads(),
+        "batch_size": settings.teacher.batch_size,
+        "seconds_per_step": round((many - few) / steps, 4),
+        "peak_gb": round(_peak_bytes() / _GB, 3),
+        "peak_before_gb": round(before / _GB, 3),
+    }
+
+
+def _seconds(settings: Any) -> float:
+    """Train as the settings say, and return how long that took without what came before the first step."""
+    from uplift.masks.load import load_masks
+    from uplift.shapes.recipe import ShapeRecipe
+
+    from uplift.run import RunFolder
+
+    with tempfile.TemporaryDirectory() as folder, contextlib.chdir(folder), contextlib.redirect_stdout(sys.stderr):
+        loaded = load_masks(settings)
+        run = RunFolder.create(settings, "python -m benchmarks.shapes cost")
+        recipe = ShapeRecipe(settings, loaded.for_training(), None)
+        recipe.train(RunFolder(Path(run.path).absolute()))
+    return sum(recipe.spent.values())
+
+
+def _peak_bytes() -> int:
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    return peak if sys.platform == "darwin" else peak * 1024  # kilobytes on Linux
+
+
+def main(words: Sequence[str]) -> int:
+    """Measure and print; the words are resolution, steps and, if told, threads."""
+    try:
+        print(json.dumps(measure(*(int(word) for word in words))))
+    except UserError as error:
+        print(error, file=sys.stderr)
+        return 2
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))

@@ -1,0 +1,178 @@
+"""The benchmark of lifted shapes: what is fitted, held-out species, what is kept and shown, what a step costs."""
+
+from __future__ import annotations
+
+import json
+import sys
+from dataclasses import replace
+from pathlib import Path
+from types import ModuleType, SimpleNamespace
+
+import numpy as np
+import pytest
+
+from benchmarks.accuracy.work import CellFailed
+from benchmarks.shapes import __main__ as benchmark
+from benchmarks.shapes import animals, cost, work
+from benchmarks.shapes.cells import COMMANDS, FAMILIES, Cell, cells_of
+from uplift.config import Settings
+from uplift.evaluation.shape_floors import floors, score_with_floors
+from uplift.masks.npz import read_masks
+from uplift.masks.simulate import simulate_masks
+from uplift.meshes.procedural import FAMILIES as MADE_UP
+from uplift.run import RunFolder
+from uplift.task import load_settings
+from uplift.verbs import fit
+
+
+@pytest.fixture
+def results(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Return the empty place of the results."""
+    monkeypatch.setattr(work, "RESULTS", tmp_path / "kept" / "shapes.json")
+    return tmp_path / "kept" / "shapes.json"
+
+
+@pytest.fixture
+def task(tmp_path: Path) -> str:
+    (tmp_path / "masks_here.yaml").write_text("lifts: masks\ndata: {simulate: 20}\n")
+    return str(tmp_path / "masks_here.yaml")
+
+
+def quick_fit(settings: Settings) -> RunFolder:
+    """Make a run of few masks whose shapes are the hull's; the floors and the scores are real."""
+    data = settings.data
+    if data.simulate:
+        train = simulate_masks(data.family, 8, seed=settings.seed)
+        test = simulate_masks(data.family, 3, seed=settings.seed + 100)
+    else:
+        train, test = (read_masks(str(path)).select(np.arange(3)) for path in (data.train, data.test))
+    run = RunFolder.create(settings, "uplift fit")
+    found = floors(train, test, resolution=16)
+    scored = score_with_floors(found["hull"], train, test, "made-up", found, resolution=24)
+    (run.path / "evaluation.json").write_text(json.dumps(scored.to_dict()))
+    return run
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_cells_are_settings_of_a_fit(command: str, task: str) -> None:
+    cells = cells_of(command, [0, 5], 1.5)
+    assert len({cell.key for cell in cells}) == len(cells)
+    assert not {cell.key for cell in cells} & {cell.key for cell in cells_of(command, [0, 5])}
+    for cell in cells:
+        settings = load_settings(task, cell.overrides)
+        assert settings.seed == cell.seed and settings.trainer.max_time == "00:01:30"
+        assert settings.data.labelled.only == (command == "twin")
+    assert [cell.seed for cell in cells] == sorted(cell.seed for cell in cells)  # whole rows early
+    assert set(FAMILIES) <= set(MADE_UP)
+
+
+def test_from_the_fit_to_the_table(
+    results: Path, task: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(fit, "fit_settings", quick_fit)
+    monkeypatch.setattr(benchmark, "cells_of", lambda *given: [replace(c, task=task) for c in cells_of(*given)])
+    runs = tmp_path / "runs here"
+    assert benchmark.main(["demo", "--seeds", "0", "1", "--runs", str(runs)]) == 0
+    kept = json.loads(results.read_text())
+    assert list(kept) == ["demo_seed0", "demo_seed1"]
+    one, two = kept.values()
+    assert one["command"].endswith(" seed=0") and two["seed"] == 1 and one["commit"]
+    assert one["benchmark"] == "python -m benchmarks.shapes demo"
+    assert set(one["floors"]) == {"hull", "mean_shape", "nearest"} and one["items"] == 3
+    assert len(list(runs.glob("runs/masks_here/*/evaluation.json"))) == 2
+    monkeypatch.setattr(fit, "fit_settings", None)  # nothing is run again
+    capsys.readouterr()
+    assert benchmark.main(["demo", "--seeds", "0", "1", "--markdown"]) == 0
+    said = capsys.readouterr().out
+    lines = [line for line in said.splitlines() if line.startswith("| demo")]
+    row = [cell.strip() for cell in lines[0].strip("|").split("|")]
+    volume = [result["overall"]["volume_iou"] for result in (one, two)]
+    gain = [v - r["overall"]["best_floor_volume_iou"] for v, r in zip(volume, (one, two), strict=True)]
+    assert row[:3] == ["demo", "task's", "2"]
+    assert float(row[3].split()[0]) == pytest.approx(np.mean(volume), abs=6e-4)
+    assert row[3].endswith(f"({min(volume):.3f} to {max(volume):.3f})")
+    assert float(row[5].split()[0]) == pytest.approx(np.mean(gain), abs=6e-4)
+    assert [line.split("|")[2].strip() for line in lines[1:]] == ["hull", "mean_shape", "nearest"]
+
+
+def test_what_fails_is_told_and_kept_nowhere(
+    results: Path, task: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    nowhere = Cell("demo", 0, task, ("data.simulate=0", "data.famly=chairs"))
+    monkeypatch.setattr(benchmark, "cells_of", lambda *given: [nowhere])
+    assert benchmark.main(["demo"]) == 1
+    said = capsys.readouterr()
+    assert "demo_seed0: uplift fit" in said.err and "data.family" in said.err and not results.exists()
+    assert benchmark.main(["demo", "--print"]) == 0
+    with pytest.raises(SystemExit):
+        benchmark.main(["demos"])
+
+
+def test_species_are_held_out(results: Path, task: str, tmp_path: Path, monkeypatch, benchmark_data) -> None:
+    monkeypatch.setenv("UPLIFT_DATA", str(benchmark_data("animal_meshes").parent))
+    monkeypatch.setenv("UPLIFT_BENCHMARK_CACHE", str(tmp_path / "cache"))
+    sizes = animals.Sizes(made_up=4, poses=2, views=2, test_poses=2)
+    monkeypatch.setattr(animals, "Sizes", lambda: sizes)
+    found = animals.animal_masks()
+    train, test = (read_masks(found[part]) for part in ("train", "test"))
+    assert train.truth is not None and test.truth is not None
+    assert set(test.category) == set(animals.HELD_OUT) and len(test) == 2 * sizes.test_poses
+    species = train.category[sizes.made_up :]
+    assert len(set(species)) >= 6 and not set(species) & set(animals.HELD_OUT)
+    assert len(train) == sizes.made_up + len(set(species)) * sizes.poses * sizes.views
+    assert not any("Death" in mesh.name for mesh in (*train.truth.meshes, *test.truth.meshes))
+    written = [path.stat().st_mtime_ns for path in found.values()]
+    monkeypatch.setattr(fit, "fit_settings", quick_fit)
+    [cell] = cells_of("animals", [4])
+    result = work.run_cell(replace(cell, task=task))
+    assert written == [path.stat().st_mtime_ns for path in found.values()]
+    assert "data.train=$UPLIFT_BENCHMARK_CACHE/shapes/animals_train" in result["command"]
+    assert str(tmp_path / "cache") not in results.read_text()
+    assert "floors" in result and result["items"] == 3
+
+
+def test_missing_animals_are_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv("UPLIFT_DATA", raising=False)
+    with pytest.raises(CellFailed, match="UPLIFT_DATA is not set"):
+        animals.animal_masks(tmp_path)
+    monkeypatch.setenv("UPLIFT_DATA", str(tmp_path))
+    with pytest.raises(CellFailed, match=r"nothing in animal_meshes, expected .glb files of Cow, ShibaInu"):
+        animals.animal_masks(tmp_path)
+
+
+def test_what_a_step_costs_is_without_what_comes_before_it(
+    results: Path, task: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    seen: list[Settings] = []
+
+    class Recipe:
+        """Takes half a second, and 0.02 s a step at 32."""
+
+        def __init__(self, settings: Settings, loaded: object, run: object) -> None:
+            seen.append(settings)
+            steps, share = settings.trainer.max_steps or 0, settings.shape.resolution / 32
+            self.spent = {"teacher": 0.3 + 0.01 * steps * share, "student": 0.2 + 0.01 * steps * share}
+
+        def train(self, run: RunFolder) -> None:
+            assert run.config.is_file()
+
+    masks = SimpleNamespace(for_training=lambda: None)
+    for name, what in (("shapes.recipe", {"ShapeRecipe": Recipe}), ("masks.load", {"load_masks": lambda _: masks})):
+        module = ModuleType(f"uplift.{name}")
+        vars(module).update(what)
+        monkeypatch.setitem(sys.modules, f"uplift.{name}", module)
+    found = cost.measure(64, 10, threads=1, task=task)
+    assert found["seconds_per_step"] == pytest.approx(0.04) and found["threads"] == 1
+    assert [one.trainer.max_steps for one in seen] == [6, 16]
+    assert {one.shape.resolution for one in seen} == {64} and seen[0].trainer.max_time is None
+    assert found["peak_gb"] >= found["peak_before_gb"] > 0.05
+    monkeypatch.setattr(benchmark, "measured_apart", lambda r, s, t: {**found, "resolution": r, "steps": s})
+    assert benchmark.main(["cost", "--resolutions", "16", "48", "--steps", "7"]) == 0
+    rows = [line.split() for line in capsys.readouterr().out.splitlines() if line.startswith(("16", "48"))]
+    assert [row[0] for row in rows] == ["16", "48"] and rows[0][3] == "0.040"
+    assert list(json.loads(results.read_text())) == ["cost_16", "cost_48"]
+
+
+def test_a_process_that_fails_is_told() -> None:
+    with pytest.raises(CellFailed, match="resolution 7 ended with status 2"):
+        cost.measured_apart(7, 1)
