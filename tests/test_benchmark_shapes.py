@@ -116,6 +116,7 @@ def test_species_are_held_out(results: Path, task: str, tmp_path: Path, monkeypa
     found = animals.animal_masks()
     train, test = (read_masks(found[part]) for part in ("train", "test"))
     assert train.truth is not None and test.truth is not None
+    assert train.category is not None and test.category is not None
     assert set(test.category) == set(animals.HELD_OUT) and len(test) == 2 * sizes.test_poses
     species = train.category[sizes.made_up :]
     assert len(set(species)) >= 6 and not set(species) & set(animals.HELD_OUT)

@@ -96,7 +96,8 @@ def _peak_bytes() -> int:
 def main(words: Sequence[str]) -> int:
     """Measure and print; the words are resolution, steps and, if told, threads."""
     try:
-        print(json.dumps(measure(*(int(word) for word in words))))
+        resolution, steps, *threads = (int(word) for word in words)
+        print(json.dumps(measure(resolution, steps, threads[0] if threads else None)))
     except UserError as error:
         print(error, file=sys.stderr)
         return 2

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -93,6 +94,14 @@ class Standing:
         """Return points of the camera frame in the own one."""
         return (points - self.origin) @ self.inverse.T
 
+    def inside_at(
+        self, points: Float[Tensor, "depth height width 3"], matrix: np.ndarray, origin: np.ndarray
+    ) -> Bool[np.ndarray, "depth height width"]:
+        """Return which points of another frame are inside; that frame's point p is at ``matrix`` @ p + ``origin``."""
+        turn = torch.from_numpy(self.inverse @ matrix).float()
+        start = torch.from_numpy(self.inverse @ (origin - self.origin)).float()
+        return (self.sample(points @ turn.T + start) > self.level).numpy()
+
     def sample(self, points: Float[Tensor, "depth height width 3"]) -> Float[Tensor, "depth height width"]:
         """Return the occupancy at points of the own frame, between voxels linearly; 0 outside the cube."""
         found = torch.nn.functional.grid_sample(self.occupancy[None, None], points[None].float(), align_corners=False)
@@ -140,7 +149,8 @@ def _standing(occupancy: np.ndarray, level: float, view, scale, offset, distance
     )
 
 
-def voxel_centres(resolution: int) -> Float[np.ndarray, "depth height width 3"]:
-    """Return the voxel centres (x, y, z) of the cube from -1 to 1, indexed [z, y, x]."""
-    along = (2 * np.arange(resolution) + 1) / resolution - 1
-    return np.stack(np.meshgrid(along, along, along, indexing="ij")[::-1], -1)
+@functools.lru_cache(3)
+def voxel_centres(resolution: int) -> Float[Tensor, "depth height width 3"]:
+    """Return the voxel centres (x, y, z) of the cube from -1 to 1, indexed [z, y, x]; not to be changed."""
+    along = (2 * torch.arange(resolution) + 1) / resolution - 1
+    return torch.stack(torch.meshgrid(along, along, along, indexing="ij")[::-1], -1)

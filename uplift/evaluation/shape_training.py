@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import functools
 from dataclasses import dataclass
 
 import numpy as np
 import torch
 from jaxtyping import Bool, Float
+from torch import Tensor
 
 from uplift.evaluation.shape_evaluator import filled_truths
 from uplift.evaluation.shape_standing import Standing, true, voxel_centres
@@ -59,18 +61,23 @@ def training_truth(train: MaskData, truth: Placed, count: int, resolution: int, 
 
 def _on_grid(shape: Standing, resolution: int) -> Bool[np.ndarray, "depth height width"]:
     """Return the shape on the camera frame's grid, its centroid at depth 0."""
-    own = shape.moved(-shape.depth).to_own(voxel_centres(resolution))
-    return (shape.sample(torch.from_numpy(own)) > shape.level).numpy()
+    return shape.moved(-shape.depth).inside_at(voxel_centres(resolution), np.eye(3), np.zeros(3))
 
 
 def extrusion(mask: np.ndarray, distance: float, resolution: int) -> Float[np.ndarray, "depth height width"]:
     """Return how much of the ray through each voxel centre of the crop's cube the mask (0 to 255) covers, 0 to 1."""
-    points = voxel_centres(resolution)
-    image = points[..., :2] / np.maximum(1 + points[..., 2:] / distance, 0.05)
-    flat = torch.from_numpy(image.reshape(1, resolution * resolution, resolution, 2)).float()
+    flat = _seen_at(float(distance), resolution)
     covered = torch.from_numpy(mask.astype(np.float32) / 255)[None, None]
     found = torch.nn.functional.grid_sample(covered, flat, align_corners=False)
     return found.reshape(resolution, resolution, resolution).numpy()
+
+
+@functools.lru_cache(2)
+def _seen_at(distance: float, resolution: int) -> Float[Tensor, "one rows columns 2"]:
+    """Return where each voxel centre of the crop's cube is seen."""
+    points = voxel_centres(resolution)
+    image = points[..., :2] / (1 + points[..., 2:] / distance).clamp_min(0.05)
+    return image.reshape(1, resolution * resolution, resolution, 2)
 
 
 def mask_half(mask: np.ndarray) -> float:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import functools
 
 import numpy as np
-import torch
 
 from uplift.evaluation.shape_standing import Standing, voxel_centres
 
@@ -27,10 +26,7 @@ def volume_iou(found: Standing, truth: Standing) -> float:
         return 0.0
     found = found.moved(truth.depth - found.depth)
     side = truth.occupancy.shape[0]
-    to_found = torch.from_numpy(found.inverse @ truth.matrix).float()
-    start = torch.from_numpy(found.inverse @ (truth.origin - found.origin)).float()
-    points = _centres(side)[truth.span]
-    inside = (found.sample(points @ to_found.T + start) > found.level).numpy()
+    inside = found.inside_at(voxel_centres(side)[truth.span], truth.matrix, truth.origin)
     low, high = (np.array([2 * end / side - 1 for end in ends[::-1]]) for ends in _ends(truth))
     own = truth.to_own(found.occupied)
     outside = int(((own < low) | (own > high)).any(1).sum()) * found.voxel**3
@@ -63,8 +59,3 @@ def _mirror(truth: Standing) -> tuple[Standing, bool]:
     """Return the mirror image in depth of the truth that was asked for last, and whether the truth is its own."""
     mirror = truth.mirrored()
     return mirror, volume_iou(mirror, truth) > OWN_MIRROR
-
-
-@functools.lru_cache(2)
-def _centres(resolution: int) -> torch.Tensor:
-    return torch.from_numpy(voxel_centres(resolution)).float()
