@@ -69,6 +69,15 @@ def test_a_mask_extruded_has_the_mask_for_silhouette_in_perspective():
     assert far > 1.5 * near
 
 
+def test_what_knows_no_depth_has_no_handedness_however_near_the_camera():
+    meshes = [chair(width, back) for width, back in ((1.0, 1.0), (0.6, 1.3), (0.8, 0.6), (1.2, 0.8))]
+    data = masks_of(placed(meshes, [0, 1, 2, 3] * 2, [20.0 + 40 * item for item in range(8)], distance=3.0))
+    assert data.truth is not None
+    found = floors(data, data)["hull"]
+    signs = evaluate_shapes(found, data.truth, data.masks, "").per_item["handedness"]
+    assert 0.2 < np.nanmean(signs) < 0.8
+
+
 def test_the_mean_of_equal_shapes_is_the_shape():
     mesh = chair()
     data = masks_of(placed([mesh], [0] * 3, [40.0] * 3))
