@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import sys
 from dataclasses import asdict
+from functools import partial
 from pathlib import Path
-from types import ModuleType, SimpleNamespace
+from types import ModuleType
 from typing import Any
 
 import numpy as np
@@ -13,12 +14,16 @@ import pytest
 import torch
 
 from uplift.config import Settings, ShapeSettings
+from uplift.evaluation import shape_floors, shape_item
+from uplift.evaluation.shape_floors import floors, score_with_floors
+from uplift.evaluation.shape_surface import grid_surface, mesh_surface
 from uplift.masks.container import MaskData
 from uplift.masks.load import LoadedMasks
 from uplift.run import RunFolder
 from uplift.shapes import model as model_module
 from uplift.shapes.prediction import ShapePrediction
 from uplift.torch_file import read_torch, save_torch
+from uplift.verbs import evaluate_shapes
 
 __all__ = ["StandInModel", "stand_in"]
 
@@ -51,7 +56,7 @@ class StandInModel(model_module.ShapeModel):
 
 
 def stand_in(patch: pytest.MonkeyPatch, stop: bool = False) -> list[LoadedMasks]:
-    """Put the stand-in in the place of the lifter and its training; return what each training was given.
+    """Put the stand-in in the place of the lifter and its training, and quick floors; return what each training was given.
 
     ``stop``: as if Ctrl-C were pressed once there is a checkpoint.
     """
@@ -73,7 +78,11 @@ def stand_in(patch: pytest.MonkeyPatch, stop: bool = False) -> list[LoadedMasks]
             return StandInModel(0.4, self.settings.shape)
 
     module = ModuleType("uplift.shapes.recipe")
-    vars(module).update(SimpleNamespace(ShapeRecipe=ShapeRecipe).__dict__)
+    module.ShapeRecipe = ShapeRecipe  # type: ignore[attr-defined]
     patch.setitem(sys.modules, "uplift.shapes.recipe", module)
     patch.setattr(model_module, "ShapeModel", StandInModel)
+    patch.setattr(shape_floors, "floors", partial(floors, resolution=12, sample=6))
+    for sampled in (mesh_surface, grid_surface):
+        patch.setattr(shape_item, sampled.__name__, partial(sampled, points=400))
+    patch.setattr(evaluate_shapes, "score_with_floors", partial(score_with_floors, resolution=16))
     return given

@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 import trimesh
 from PIL import Image
-from uplift.masks.npz import read_masks
 
 from uplift.cli import main
 from uplift.errors import UserError
+from uplift.masks.npz import read_masks
 from uplift.verbs.data_render import render_masks_command
 
 

@@ -62,7 +62,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except BrokenPipeError:
         return 1
     except MemoryError:
-        print("uplift: out of memory. Use fewer frames or masks (data.select.fraction) or smaller batches.", file=sys.stderr)
+        print(
+            "uplift: out of memory. Use fewer frames or masks (data.select.fraction) or smaller batches.",
+            file=sys.stderr,
+        )
         return 1
     except OSError as error:
         where = f" ({error.filename})" if error.filename else ""

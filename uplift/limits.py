@@ -8,7 +8,6 @@ from typing import Any
 
 from uplift.config import Settings, ShapeSettings, TrainerSettings
 from uplift.errors import UserError, did_you_mean
-
 from uplift.masks.options import MAX_SIDE, MIN_SIDE
 
 __all__ = ["check_settings", "seconds_of"]
@@ -136,7 +135,9 @@ def _check_masks(settings: Settings) -> None:
         _in_range("data.most", data.most, 1, 10**8)
     if data.simulate * data.side**2 > _MOST_BYTES:
         size = data.simulate * data.side**2 / 1e9
-        raise UserError(f"data.simulate={data.simulate} masks of data.side={data.side} take {size:,.0f} GB: ask for fewer.")
+        raise UserError(
+            f"data.simulate={data.simulate} masks of data.side={data.side} take {size:,.0f} GB: ask for fewer."
+        )
     for key in ("category", "most", "images", "format"):
         if data.simulate and getattr(data, key) is not None:
             raise UserError(f"data.{key} goes with files of masks, and data.simulate={data.simulate} makes masks up.")

@@ -29,7 +29,6 @@ PREDICT_KEYS = ("run", "input", "output", "page", "images", "axes", "format", "h
 EVALUATE_KEYS = ("run", "poses", "data.test", "skeleton", "refine", "items")
 
 
-
 def keyed(
     verb: str, words: Sequence[str], known: Sequence[str], needed: Sequence[str] = (), open_below: Sequence[str] = ()
 ) -> dict[str, str]:

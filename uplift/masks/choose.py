@@ -36,7 +36,9 @@ def chosen_masks(
     categories = choice.get("categories")
     if categories:
         if data.category is None:
-            raise UserError(f"{where}: cannot choose by category: the masks have none (sub-folders, or names in COCO's JSON).")
+            raise UserError(
+                f"{where}: cannot choose by category: the masks have none (sub-folders, or names in COCO's JSON)."
+            )
         known = {str(name).casefold(): str(name) for name in np.unique(data.category)}
         for name in categories:  # type: ignore[union-attr]
             if str(name).casefold() not in known:

@@ -35,8 +35,12 @@ def labelled_masks(
     train = replace(train, labelled=None)
     if not wanted and chosen.file is None:
         if chosen.only:
-            raise UserError("data.labelled.only is on, but no mask is labelled: set data.labelled.fraction (1 for all).")
-        return train, [f"train: {marked:,} masks are marked as labelled in the file; not used, as data.labelled is not set"] * bool(marked)
+            raise UserError(
+                "data.labelled.only is on, but no mask is labelled: set data.labelled.fraction (1 for all)."
+            )
+        return train, [
+            f"train: {marked:,} masks are marked as labelled in the file; not used, as data.labelled is not set"
+        ] * bool(marked)
     source = train
     if chosen.file is not None:
         data = replace(of_labelled(settings).data, simulate=0, most=None)

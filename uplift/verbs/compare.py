@@ -72,14 +72,16 @@ def spread(runs: Sequence[RunFolder]) -> str:
     return "\n".join(lines)
 
 
-def _protocols(
-    runs: Sequence[RunFolder], evaluations: Sequence[Mapping[str, Any]]
-) -> tuple[Sequence[str], int]:
+def _protocols(runs: Sequence[RunFolder], evaluations: Sequence[Mapping[str, Any]]) -> tuple[Sequence[str], int]:
     """Return the figures that are shown of such runs, and how wide their names are; refuse runs of both kinds."""
     of_shapes = ["silhouette_iou_seen" in e["overall"] for e in evaluations]
     if len(set(of_shapes)) > 1:
-        masks, others = (str(next(r.path for r, is_one in zip(runs, of_shapes, strict=False) if is_one is k)) for k in (True, False))
-        raise UserError(f"{masks} lifts masks and {others} lifts keypoints: they have no figure in common. Compare runs of one kind.")
+        masks, others = (
+            str(next(r.path for r, is_one in zip(runs, of_shapes, strict=False) if is_one is k)) for k in (True, False)
+        )
+        raise UserError(
+            f"{masks} lifts masks and {others} lifts keypoints: they have no figure in common. Compare runs of one kind."
+        )
     return (_SHAPES, 34) if any(of_shapes) else (_POSES, 18)
 
 

@@ -36,7 +36,9 @@ class ScoredShapes:
     evaluation: ShapeEvaluation
 
 
-def score_shapes(model: ShapeModel, test: MaskData, train: MaskData | None, title: str = "", most: int = MOST) -> ScoredShapes:
+def score_shapes(
+    model: ShapeModel, test: MaskData, train: MaskData | None, title: str = "", most: int = MOST
+) -> ScoredShapes:
     """Return every metric of ``model`` on at most ``most`` masks, and the floors' where ``train`` has true shapes.
 
     Raises:
@@ -50,7 +52,9 @@ def score_shapes(model: ShapeModel, test: MaskData, train: MaskData | None, titl
     notes = []
     if len(test) > most:
         rows = np.sort(np.random.default_rng(0).choice(len(test), most, replace=False))
-        notes.append(f"{most:,} of {len(test):,} test masks were scored, chosen at random, always the same (items={most})")
+        notes.append(
+            f"{most:,} of {len(test):,} test masks were scored, chosen at random, always the same (items={most})"
+        )
         test = test.select(rows)
     prediction = model.predict(test.without_truth(), title=title)
     known = None if train is None else known_shapes(train)

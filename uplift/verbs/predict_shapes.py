@@ -98,10 +98,15 @@ def _side_of(run: str | Path) -> int:
 
 
 def _told(found: ShapePrediction, written: Mapping[Path, str]) -> list[str]:
-    lines = [*found.notes, f"lifted {len(found):,} masks, {found.resolution} x {found.resolution} x {found.resolution} voxels each"]
+    lines = [
+        *found.notes,
+        f"lifted {len(found):,} masks, {found.resolution} x {found.resolution} x {found.resolution} voxels each",
+    ]
     empty = sum(not (grid > found.level).any() for grid in found.occupancy)
     if empty:
-        lines.append(f"{empty:,} of {len(found):,} shapes are empty: nothing of them is above the level {found.level:g}")
+        lines.append(
+            f"{empty:,} of {len(found):,} shapes are empty: nothing of them is above the level {found.level:g}"
+        )
     lines += [f"wrote {path}" + (f": {word}" if word else "") for path, word in list(written.items())[:5]]
     lines += [f"and {len(written) - 5} more"] * (len(written) > 5)
     lines += [f"look: open {path} in a browser" for path in written if path.suffix.lower() == ".html"]

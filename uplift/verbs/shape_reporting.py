@@ -38,7 +38,9 @@ def report_shapes(
         scores = {name: evaluation.per_item[key] for name, key in _SCORES.items() if key in evaluation.per_item}
     else:
         data = (loaded.test or loaded.train).without_truth()
-        prediction = model.predict(data.select(np.arange(min(MOST, len(data))) * len(data) // min(MOST, len(data))), title)
+        prediction = model.predict(
+            data.select(np.arange(min(MOST, len(data))) * len(data) // min(MOST, len(data))), title
+        )
     given = given_to_shapes(settings, loaded)
     with replacing(run.path / "report.md") as file:
         file.write(_markdown(run, settings, [*loaded.notes, *given], spent, evaluation).encode())
@@ -112,5 +114,7 @@ def _print_end(run: RunFolder, evaluation: ShapeEvaluation | None, spent: dict[s
         for name, *cells in _rows(evaluation):
             print(f"{name!s:<24}" + "".join(f"{_shown(cell):>12}" for cell in cells))
     else:
-        print("No true test shapes: nothing to evaluate. `uplift evaluate run=... data.test=FILE` does, on masks with truth.")
+        print(
+            "No true test shapes: nothing to evaluate. `uplift evaluate run=... data.test=FILE` does, on masks with truth."
+        )
     print("\n".join(closing_lines(run, evaluation is not None, "input=MASKS output=shapes.html")))

@@ -17,7 +17,7 @@ from uplift.meshes.surface import Surface
 from uplift.saving import replacing
 from uplift.shapes.prediction import ShapePrediction
 from uplift.writers.charts import Curve
-from uplift.writers.html import Section, curves_html, policy_hash, page_part, table_html
+from uplift.writers.html import Section, curves_html, page_part, policy_hash, table_html
 from uplift.writers.shape_data import Scores, chosen_items, shape_data
 from uplift.writers.shape_photos import photos_of
 
