@@ -244,7 +244,7 @@ def test_a_fit_without_its_set_says_what_where_and_what_else(beetles: Path, here
     assert "1 file is not in" in refusal(capsys, "fit", "task=beetles.yaml")
 
 
-WITH_DATA = [name for name in shipped_names("tasks") if name != "default" and not load_settings(name).data.simulate]
+WITH_DATA = [name for name in shipped_names("tasks") if load_settings(name).data.train]
 
 
 @pytest.mark.parametrize("task", WITH_DATA)

@@ -11,14 +11,15 @@ from pathlib import Path
 
 from uplift import __version__
 from uplift.errors import UserError
-from uplift.words import PREDICT_KEYS, keyed, number, one_of, whole
+from uplift.words import EVALUATE_KEYS, PREDICT_KEYS, keyed, number, whole
 
 __all__ = ["main"]
 
 _VERBS = {
-    "fit": "train a lifter: fit task=NAME, or fit skeleton=NAME data.train=FILE; also resume=RUN",
+    "fit": "train a lifter: fit task=NAME, or fit skeleton=NAME data.train=FILE, or fit task=masks data.train=FOLDER; "
+    "also resume=RUN",
     "evaluate": "every protocol: evaluate run=RUN [data.test=FILE], or evaluate poses=FILE data.test=FILE",
-    "predict": "lift keypoints: predict run=RUN input=FILE|FOLDER|SET:SPLIT output=FILE.html|.npz|.csv|.trc|.bvh|...",
+    "predict": "lift keypoints or masks: predict run=RUN input=FILE|FOLDER|SET:SPLIT output=FILE.html|.npz|.csv|.bvh|.glb|...",
     "simulate": "made-up bodies with exact poses: simulate skeleton=NAME output=FILE.npz|.csv [frames=20000 seed=0]",
     "compare": "runs side by side: compare RUN RUN ...",
     "data": "data check task=NAME [data.root=FOLDER]: what is there and what is missing; data cmu FOLDER; "
@@ -38,6 +39,8 @@ _EXAMPLES = """examples:
   uplift evaluate run=runs/cmu/last
   uplift predict run=runs/cmu/last input=keypoints.npz output=poses.html
   uplift predict run=runs/mpii/last input=mpii:train output=gallery.html page=gallery
+  uplift fit task=masks_demo                            shapes from masks, no data needed: ten minutes
+  uplift predict run=runs/masks_demo/last input=masks output=shapes.glb
 """
 
 
@@ -59,7 +62,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except BrokenPipeError:
         return 1
     except MemoryError:
-        print("uplift: out of memory. Use fewer frames (data.select.fraction) or smaller batches.", file=sys.stderr)
+        print(
+            "uplift: out of memory. Use fewer frames or masks (data.select.fraction) or smaller batches.",
+            file=sys.stderr,
+        )
         return 1
     except OSError as error:
         where = f" ({error.filename})" if error.filename else ""
@@ -83,7 +89,7 @@ def _folded(arguments: Sequence[str] | None) -> list[str]:
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="uplift",
-        description="Lift 2D keypoints of anything to 3D, learning from 2D alone.",
+        description="Lift 2D keypoints or masks of anything to 3D, learning from 2D alone.",
         epilog=_EXAMPLES,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
@@ -129,7 +135,7 @@ def _complete(verb: str) -> Callable[..., list[str]]:
 
 
 _KEYS = {
-    "evaluate": ("run", "poses", "data.test", "skeleton", "refine"),
+    "evaluate": EVALUATE_KEYS,
     "predict": PREDICT_KEYS,
     "simulate": ("skeleton", "output", "frames", "seed", "clip_seconds", "noise_px", "missing", "tracker"),
 }
@@ -173,27 +179,9 @@ def _fit(words: Sequence[str]) -> None:
 
 
 def _evaluate(words: Sequence[str]) -> None:
-    keys = keyed("evaluate", words, _KEYS["evaluate"])
-    if ("run" in keys) == ("poses" in keys):
-        raise UserError(f"evaluate takes run=RUN or poses=FILE. ({_VERBS['evaluate']})")
-    from uplift.verbs.evaluate import evaluate, evaluate_poses
+    from uplift.verbs.evaluate_command import evaluate_command
 
-    if "run" in keys:
-        if "skeleton" in keys:
-            raise UserError("evaluate run=...: the run knows its skeleton; skeleton= goes with poses=.")
-        refine = one_of("evaluate", keys, "refine", ("on", "off"), "on") == "on"
-        print(evaluate(keys["run"], keys.get("data.test"), refine=refine).table())
-        from uplift.run import RunFolder
-
-        folder = RunFolder.open(keys["run"]).path
-        print(f"\nwrote {folder}/evaluation.json and evaluation.csv (older ones: evaluations/)")
-        print(f"next: uplift compare {folder} OTHER_RUN")
-        return
-    if "refine" in keys:
-        raise UserError("evaluate poses=FILE takes the poses as they are: refine= goes with run=.")
-    if "data.test" not in keys:
-        raise UserError("evaluate poses=FILE needs data.test=FILE with the true poses.")
-    print(evaluate_poses(keys["poses"], keys["data.test"], keys.get("skeleton")).table())
+    evaluate_command(words, _VERBS["evaluate"])
 
 
 def _predict(words: Sequence[str]) -> None:

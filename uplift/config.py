@@ -30,7 +30,8 @@ class ChoiceSettings:
     actions: list[str] = field(default_factory=list)
     sequences: list[str] = field(default_factory=list)
     cameras: list[str] = field(default_factory=list)
-    fraction: Optional[float] = None  # share of the frames left, as whole clips in seeded order
+    categories: list[str] = field(default_factory=list)  # of masks, which have none of the others
+    fraction: Optional[float] = None  # share of the frames left, as whole clips in seeded order; of masks: by shape
 
 
 @dataclass
@@ -44,15 +45,15 @@ class LabelledSettings(ChoiceSettings):
 
 @dataclass
 class DataSettings:
-    """Where the 2D keypoints come from."""
+    """Where the 2D keypoints or masks come from."""
 
     name: str = ""  # of the data set; its folder is $UPLIFT_DATA/<name>, else data/<name>
     root: Optional[str] = None  # the folder of the set's own files, in place of the above
     use: Optional[str] = None  # reader of a published data set: h36m, mpii, ..., or file.py:Class; unset: files
     options: dict[str, Any] = field(default_factory=dict)  # of that reader
-    train: Optional[str] = None  # file of training keypoints, several with commas or *, or the set's split
+    train: Optional[str] = None  # file or folder to train on, several with commas or *, or the set's split
     test: Optional[str] = None  # the same, to evaluate on after the fit
-    format: Optional[str] = None  # of the files: deeplabcut, openpose, ...; unset: guessed
+    format: Optional[str] = None  # of the files: deeplabcut, openpose, coco, ...; unset: guessed
     layout: Optional[str] = None  # skeleton whose joints name the keypoints of files without names
     image_size: Optional[str] = None  # of files that do not say it: 1920x1080
     fps: Optional[float] = None  # frames a second, of files that do not say it
@@ -63,7 +64,7 @@ class DataSettings:
     side: int = 64  # pixels along a mask's crop
     border: str = "skip"  # masks that touch the border of their image: skip, keep
     pieces: str = "skip"  # masks of several pieces: skip, largest
-    category: Optional[str] = None  # only masks of this category
+    category: Optional[str] = None  # only masks of this category, several with commas
     most: Optional[int] = None  # masks at most, spread over the files
     images: Optional[str] = None  # folder of the photos that masks belong to
     unit: Optional[str] = None  # of poses and roots in the files, whatever they say: mm, relative

@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import re
+from dataclasses import fields
+from typing import Any
 
-from uplift.config import Settings, TrainerSettings
+from uplift.config import Settings, ShapeSettings, TrainerSettings
 from uplift.errors import UserError, did_you_mean
+from uplift.masks.options import MAX_SIDE, MIN_SIDE
 
 __all__ = ["check_settings", "seconds_of"]
 
@@ -43,9 +46,22 @@ _TRAINER_RANGES = {
     "log_every": (1, 10**9),
 }
 
+_OF_KEYPOINTS = (
+    "skeleton", *(f"data.{key}" for key in ("use", "options", "layout", "image_size", "fps", "focal_px", "min_confidence", "unit")),
+)  # fmt: skip
+_OF_MASKS = (
+    *(f"data.{key}" for key in ("family", "side", "border", "pieces", "category", "most", "images")),
+    *(f"shape.{field.name}" for field in fields(ShapeSettings)),
+)
+_CHOOSE_BY = ("subjects", "actions", "sequences", "cameras")
+_CHOICES = ("select", "hold_out", "labelled")
+_MOST_BYTES = 4_000_000_000
+
 
 def check_settings(settings: Settings) -> None:
     """Refuse what types cannot: unknown choices, numbers out of range, contradictions. Raises UserError."""
+    _one_of("lifts", settings.lifts, ("keypoints", "masks"))
+    _check_kind(settings)
     _one_of("lifter.tilt", settings.lifter.tilt, ("predicted", "learned", "level"))
     _one_of("lifter.radius", settings.lifter.radius, ("all", "without_root"))
     _one_of("lifter.camera", settings.lifter.camera, ("orthographic", "perspective"))
@@ -78,6 +94,53 @@ def check_settings(settings: Settings) -> None:
     _in_range("data.simulate", settings.data.simulate, 0, 10**8)
     if not 0 <= settings.seed < 2**31:
         raise UserError(f"seed={settings.seed}: expected a whole number from 0 to {2**31 - 1}.")
+
+
+def _check_kind(settings: Settings) -> None:
+    """Refuse settings that go with the other kind of lifter, and shapes and crops that cannot be."""
+    masks = settings.lifts == "masks"
+    own, other = ("masks", "keypoints") if masks else ("keypoints", "masks")
+    for name in _OF_KEYPOINTS if masks else _OF_MASKS:
+        if _value_of(settings, name) != _value_of(Settings(), name):
+            what = f"it is about {other}" if masks else "it is about masks: start from task=masks"
+            raise UserError(f"{name} is set, but this fit lifts {own}, and {what}.")
+    for group in _CHOICES:
+        choice = getattr(settings.data, group)
+        for key in _CHOOSE_BY if masks else ("categories",):
+            if getattr(choice, key):
+                valid = "categories and fraction" if masks else ", ".join([*_CHOOSE_BY, "fraction"])
+                raise UserError(f"data.{group}.{key}: {own} have no {key}. Choose by {valid}.")
+    if masks:
+        _check_masks(settings)
+
+
+def _value_of(settings: Settings, name: str) -> Any:
+    value: Any = settings
+    for key in name.split("."):
+        value = getattr(value, key)
+    return tuple(value) if isinstance(value, list) else value
+
+
+def _check_masks(settings: Settings) -> None:
+    data, shape = settings.data, settings.shape
+    _in_range("shape.resolution", shape.resolution, 8, 256)
+    mean, sd = shape.elevation_deg
+    _in_range("shape.elevation_deg (mean)", mean, -90, 90)
+    _in_range("shape.elevation_deg (sd)", sd, 0, 90)
+    _in_range("shape.distance", shape.distance, 2, 1e4)
+    _in_range("data.side", data.side, MIN_SIDE, MAX_SIDE)
+    _one_of("data.border", data.border, ("skip", "keep"))
+    _one_of("data.pieces", data.pieces, ("skip", "largest"))
+    if data.most is not None:
+        _in_range("data.most", data.most, 1, 10**8)
+    if data.simulate * data.side**2 > _MOST_BYTES:
+        size = data.simulate * data.side**2 / 1e9
+        raise UserError(
+            f"data.simulate={data.simulate} masks of data.side={data.side} take {size:,.0f} GB: ask for fewer."
+        )
+    for key in ("category", "most", "images", "format"):
+        if data.simulate and getattr(data, key) is not None:
+            raise UserError(f"data.{key} goes with files of masks, and data.simulate={data.simulate} makes masks up.")
 
 
 def _check_trainer(trainer: TrainerSettings) -> None:

@@ -23,7 +23,7 @@ from uplift.sizing import Size
 from uplift.skeleton import Skeleton
 from uplift.torch_file import read_torch, save_torch
 
-__all__ = ["Model", "build_lifter", "load"]
+__all__ = ["Model", "build_lifter", "lifts_of", "load", "load_poses"]
 
 _FORMAT = 3
 _READABLE = (2, 3)  # 2: before bodies had a size
@@ -171,20 +171,44 @@ def _refuse_nearby_code(network: str) -> None:
         raise UserError(f"names the network '{network}' without its folder: not opened, as it would run that file.")
 
 
-def load(run: str | Path) -> Model:
+def load(run: str | Path) -> Any:
     """Return the model of a run (its folder, or runs/<task>/last) or of a ``lifter.pt``.
+
+    A `Model`, or of a run that lifts masks a `uplift.shapes.model.ShapeModel`.
 
     Raises:
         UserError: no such run, or one that has no weights yet.
     """
+    path = _weights_of(run)
+    if lifts_of(path) == "masks":
+        from uplift.shapes.model import ShapeModel
+
+        return ShapeModel.load_file(path)
+    return Model.load_file(path)
+
+
+def lifts_of(run: str | Path) -> str:
+    """Return what a run or a ``lifter.pt`` lifts, ``keypoints`` or ``masks``; raises UserError as `load` does."""
+    return str(read_torch(_weights_of(run), "lifter").get("lifts", "keypoints"))
+
+
+def load_poses(run: str | Path) -> Model:
+    """Return `load` of a run that lifts keypoints; raises UserError for another."""
+    found = load(run)
+    if not isinstance(found, Model):
+        raise UserError(f"{run} lifts masks, expected a run that lifts keypoints.")
+    return found
+
+
+def _weights_of(run: str | Path) -> Path:
     from uplift.run import RunFolder
 
     path = Path(run)
     if path.is_file():
-        return Model.load_file(path)
+        return path
     folder = RunFolder.open(path)
     if not folder.weights.is_file():
         raise UserError(
             f"{folder.path} has no lifter.pt yet: its fit was ended early. `uplift fit resume={folder.path}` finishes it."
         )
-    return Model.load_file(folder.weights)
+    return folder.weights

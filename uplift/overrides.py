@@ -84,7 +84,7 @@ def _from_here(keys: list[str], value: Any) -> Any:
         return value
     if name in ("data.train", "data.test"):
         return absolute(value)
-    if name in ("data.root", "init"):
+    if name in ("data.root", "data.images", "init"):
         return str(Path(value).expanduser().absolute())
     if name == "data.labelled.file" and not re.fullmatch(r"\w+:\w+", value):  # SET:SPLIT is no path
         return str(Path(value).expanduser().absolute())

@@ -10,16 +10,23 @@ from uplift.errors import UserError, did_you_mean
 if TYPE_CHECKING:
     from uplift.readers.base import ReadOptions
 
-__all__ = ["PREDICT_KEYS", "READ_KEYS", "SIZE_KEYS", "keyed", "number", "one_of", "read_options", "whole"]
+__all__ = [
+    "EVALUATE_KEYS", "POSE_KEYS", "PREDICT_KEYS", "READ_KEYS", "SHAPE_KEYS", "SIZE_KEYS", "keyed", "number", "one_of", "read_options",
+    "whole",
+]  # fmt: skip
 
 READ_KEYS = ("format", "layout", "image_size", "fps", "focal_px", "min_confidence")
 """What any command that reads keypoints takes, as `uplift.readers.ReadOptions` has it."""
 SIZE_KEYS = ("height_mm", "bone", "bone_mm", "camera_height_mm")
 """What tells how large a body is, as `uplift.sizing.size_from` has it."""
-PREDICT_KEYS = (
-    "run", "input", "output", "refine", "page", "frames", "seed", "images", "axes", "bones",
-    *SIZE_KEYS, *READ_KEYS, "data.name", "data.root",
+POSE_KEYS = (
+    "refine", "frames", "seed", "bones", "bone", "bone_mm", "camera_height_mm", *READ_KEYS[1:], "data.name", "data.root",
 )  # fmt: skip
+"""What predict takes for keypoints alone."""
+SHAPE_KEYS = ("border", "pieces", "category", "most", "unit", "length_mm", "smooth", "together", "items")
+"""What predict takes for masks alone."""
+PREDICT_KEYS = ("run", "input", "output", "page", "images", "axes", "format", "height_mm", *POSE_KEYS, *SHAPE_KEYS)
+EVALUATE_KEYS = ("run", "poses", "data.test", "skeleton", "refine", "items")
 
 
 def keyed(

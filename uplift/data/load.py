@@ -208,6 +208,11 @@ def find_data(settings: Settings, which: str) -> Path:
     """Return the path of the ``train`` or ``test`` file; a UserError that says how to get it where it is not."""
     data = settings.data
     name = getattr(data, which)
+    if not name and settings.lifts == "masks":
+        raise UserError(
+            "No training masks: set data.train=FOLDER (or FILE), or a task that names its own (`uplift tasks`). "
+            "`uplift fit task=masks_demo` needs no data."
+        )
     if not name:
         raise UserError(
             "No training data: set data.train=FILE (with skeleton=...), or a task that names its own (`uplift tasks`). "
@@ -219,7 +224,7 @@ def find_data(settings: Settings, which: str) -> Path:
         return path
     several = ",".join(str((folder / part).absolute()) for part in str(name).split(",") if part)
     if not any(sign in several for sign in ",*?["):
-        raise UserError(missing_file(settings.task, data, path))
+        raise UserError(missing_file(settings, path))
     files_of(several)  # says which is missing
     return Path(several)
 

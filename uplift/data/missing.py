@@ -13,10 +13,11 @@ __all__ = ["how_to_get", "missing_file", "missing_files"]
 _MOST_NAMED = 6
 
 
-def missing_file(task: str, data: DataSettings, path: Path) -> str:
+def missing_file(settings: Settings, path: Path) -> str:
     """Return the message for a file that is not there."""
-    lines = [f"No file {path}" + (f", which task '{task}' needs." if task else ".")]
-    return "\n".join([*lines, *_get(data), *_places(data, "it"), *_instead(data)])
+    data = settings.data
+    lines = [f"No file {path}" + (f", which task '{settings.task}' needs." if settings.task else ".")]
+    return "\n".join([*lines, *_get(data), *_places(data, "it"), *_instead(settings)])
 
 
 def missing_files(settings: Settings, source: DataSet, missing: Sequence[WantedFile]) -> str:
@@ -27,7 +28,7 @@ def missing_files(settings: Settings, source: DataSet, missing: Sequence[WantedF
 def how_to_get(settings: Settings, source: DataSet | None) -> str:
     """Return where missing files come from, where to put them, and what runs without them."""
     origin = [source.about.strip()] if source is not None and source.about.strip() else _get(settings.data)
-    return "\n".join([*origin, *_places(settings.data, "them"), *_instead(settings.data)])
+    return "\n".join([*origin, *_places(settings.data, "them"), *_instead(settings)])
 
 
 def _named(settings: Settings, source: DataSet, missing: Sequence[WantedFile]) -> str:
@@ -57,6 +58,8 @@ def _places(data: DataSettings, what: str) -> list[str]:
     ]
 
 
-def _instead(data: DataSettings) -> list[str]:
-    free = "" if data.name == "cmu" else "`uplift fit task=semi_cmu` runs on open data, "
+def _instead(settings: Settings) -> list[str]:
+    if settings.lifts == "masks":
+        return ["Without: `uplift fit task=masks_demo` needs no data."]
+    free = "" if settings.data.name == "cmu" else "`uplift fit task=semi_cmu` runs on open data, "
     return [f"Without: {free}`uplift fit task=demo` {'on none' if free else 'needs no data'}."]

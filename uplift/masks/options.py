@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 from uplift.errors import UserError, did_you_mean
 
-__all__ = ["MAX_SIDE", "CleanOptions", "MaskOptions"]
+__all__ = ["MAX_SIDE", "MIN_SIDE", "CleanOptions", "MaskOptions"]
 
 MIN_SIDE, MAX_SIDE = 8, 1024
 

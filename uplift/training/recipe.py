@@ -14,7 +14,7 @@ from uplift.data.load import Loaded
 from uplift.data.tensors import TrainingSet
 from uplift.errors import UserError
 from uplift.lifter import Lifter
-from uplift.model import Model, build_lifter, load
+from uplift.model import Model, build_lifter, load_poses
 from uplift.priors import build_priors
 from uplift.run import RunFolder
 from uplift.seeing import frames_of
@@ -178,7 +178,7 @@ def student_settings(settings: Settings, *, noisy: bool, last: bool) -> LifterSe
 
 def _start_from(lifter: Lifter, run: str) -> None:
     """Load the weights of another run's lifter; labels of this fit still say how large bodies are."""
-    other, told = load(run), lifter.bone_mm.clone()
+    other, told = load_poses(run), lifter.bone_mm.clone()
     if other.skeleton.joints != lifter.skeleton.joints:
         raise UserError(
             f"init={run} was trained on skeleton '{other.skeleton.name}' ({len(other.skeleton.joints)} joints), "

@@ -3,25 +3,28 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 from uplift.errors import UserError
+from uplift.evaluation.shape_metrics import BEST_FLOOR, SHAPE_METRICS, metric_order
 from uplift.run import RunFolder
 
 __all__ = ["compare", "spread"]
 
-_SHOWN = (
+_POSES = (
     "p_mpjpe", "n_mpjpe", "mpjpe_gt_scale", "mpjpe", "p_mpjpe_reflect", "pck@150", "auc", "mpjve",
     "facing", "facing_sign", "elevation_deg", "bone_cv", "symmetry",
 )  # fmt: skip
+_SHAPES = sorted([*SHAPE_METRICS, *(BEST_FLOOR + name for name in SHAPE_METRICS)], key=metric_order)
 
 
 def compare(runs: Sequence[str | Path]) -> str:
     """Return a table with a row for each protocol and a column for each run.
 
     Raises:
-        UserError: fewer than two runs, one that was never evaluated, or other test data.
+        UserError: fewer than two runs, one that was never evaluated, or runs that lift different things.
     """
     if len(runs) < 2:
         raise UserError("compare needs two runs or more: uplift compare runs/a/last runs/b/last")
@@ -31,6 +34,7 @@ def compare(runs: Sequence[str | Path]) -> str:
         if evaluation is None:
             raise UserError(f"{folder.path} was not evaluated: uplift evaluate run={folder.path} data.test=FILE")
     evaluations = [e for _, e in found if e is not None]
+    shown, wide = _protocols(folders, evaluations)
     names = [_label(f.path) for f in folders]
     lines = [
         f"[{i + 1}] {name}  seed {f.facts().get('seed')}"
@@ -43,11 +47,11 @@ def compare(runs: Sequence[str | Path]) -> str:
         )
     else:
         lines.append(f"test data: {tested.pop()}")
-    lines += ["", f"{'protocol':<18}" + "".join(f"{f'[{i + 1}]':>10}" for i in range(len(runs)))]
-    for name in _SHOWN:
+    lines += ["", f"{'protocol':<{wide}}" + "".join(f"{f'[{i + 1}]':>10}" for i in range(len(runs)))]
+    for name in shown:
         values = [e["overall"].get(name) for e in evaluations]
         if any(value is not None for value in values):
-            lines.append(f"{name:<18}" + "".join(f"{v:10.3f}" if v is not None else f"{'-':>10}" for v in values))
+            lines.append(f"{name:<{wide}}" + "".join(f"{v:10.3f}" if v is not None else f"{'-':>10}" for v in values))
     return "\n".join(lines)
 
 
@@ -57,14 +61,28 @@ def spread(runs: Sequence[RunFolder]) -> str:
     if not evaluations:
         return "No run was evaluated: no mean to give."
     seeds = ", ".join(str(run.facts().get("seed")) for run in runs)
-    lines = [f"seeds {seeds}: mean and standard deviation", f"{'protocol':<18}{'mean':>10}{'sd':>9}"]
-    for name in _SHOWN:
+    shown, wide = _protocols(runs, evaluations)
+    lines = [f"seeds {seeds}: mean and standard deviation", f"{'protocol':<{wide}}{'mean':>10}{'sd':>9}"]
+    for name in shown:
         values = [e["overall"][name] for e in evaluations if name in e["overall"]]
         if len(values) == len(evaluations):
             mean = sum(values) / len(values)
             sd = math.sqrt(sum((v - mean) ** 2 for v in values) / max(1, len(values) - 1))
-            lines.append(f"{name:<18}{mean:10.3f}{sd:9.3f}")
+            lines.append(f"{name:<{wide}}{mean:10.3f}{sd:9.3f}")
     return "\n".join(lines)
+
+
+def _protocols(runs: Sequence[RunFolder], evaluations: Sequence[Mapping[str, Any]]) -> tuple[Sequence[str], int]:
+    """Return the figures that are shown of such runs, and how wide their names are; refuse runs of both kinds."""
+    of_shapes = ["silhouette_iou_seen" in e["overall"] for e in evaluations]
+    if len(set(of_shapes)) > 1:
+        masks, others = (
+            str(next(r.path for r, is_one in zip(runs, of_shapes, strict=False) if is_one is k)) for k in (True, False)
+        )
+        raise UserError(
+            f"{masks} lifts masks and {others} lifts keypoints: they have no figure in common. Compare runs of one kind."
+        )
+    return (_SHAPES, 34) if any(of_shapes) else (_POSES, 18)
 
 
 def _label(path: Path) -> str:

@@ -22,6 +22,7 @@ from uplift.readers.headers import contents_of, memory_of
 from uplift.skeleton import Skeleton, load_skeleton
 from uplift.skeleton.matching import build_joints
 from uplift.task import load_settings
+from uplift.verbs.data_check_masks import made_up_masks, masks_there
 
 __all__ = ["check_data"]
 
@@ -41,7 +42,7 @@ def check_data(words: Sequence[str]) -> tuple[list[str], bool]:
     settings = load_settings(tasks[-1] if tasks else None, overrides)
     report = _Report(settings)
     if settings.data.simulate:
-        report.simulated(settings.data.simulate)
+        report.simulated(settings)
     else:
         report.part("train", settings, "train")
         if settings.data.test:
@@ -62,8 +63,14 @@ class _Report:
         self.wrong = False
         self.folder: Path | None = None
 
-    def simulated(self, frames: int) -> None:
+    def simulated(self, settings: Settings) -> None:
         """Say that nothing is needed."""
+        frames = settings.data.simulate
+        if settings.lifts == "masks":
+            cost = f"; {_size(frames * settings.data.side**2)} in memory"
+            what = made_up_masks(settings.data)
+            self.lines.append(f"train, test: {what}, when the fit starts: no files needed{cost}")
+            return
         joints = len(self.skeleton.joints) if self.skeleton else 0
         cost = f"; {_size(memory_of(_SIMULATED, frames, joints))} in memory" if joints else ""
         self.lines.append(f"train, test: simulated when the fit starts, {frames:,} frames: no files needed{cost}")
@@ -99,7 +106,7 @@ class _Report:
         return True
 
     def _file(self, title: str, settings: Settings, which: str) -> bool:
-        """Say what is there of a file of keypoints; returns whether it is there."""
+        """Say what is there of a file of keypoints or masks; returns whether it is there."""
         name = getattr(settings.data, which)
         if not name:
             find_data(settings, which)  # says what to set
@@ -116,7 +123,9 @@ class _Report:
             return False
         for path in paths:
             try:
-                self.lines.append(f"  to load: {self._cost(path, read_options(settings.data))}")
+                masks = settings.lifts == "masks"
+                cost = masks_there(path, settings.data) if masks else self._cost(path, read_options(settings.data))
+                self.lines.append(f"  to load: {cost}")
             except UserError as error:
                 self.wrong = True
                 self.lines.append(f"  WRONG    {error}")

@@ -25,6 +25,7 @@ from uplift.skeleton import Skeleton, load_skeleton
 from uplift.skeleton.matching import match_joints
 
 if TYPE_CHECKING:
+    from uplift.evaluation.shape_report import ShapeEvaluation
     from uplift.model import Model
 
 __all__ = ["evaluate", "evaluate_model", "evaluate_poses", "save_evaluation"]
@@ -32,20 +33,35 @@ __all__ = ["evaluate", "evaluate_model", "evaluate_poses", "save_evaluation"]
 _IDENTITY = ("subject", "action", "sequence", "camera", "frame")
 
 
-def evaluate(run: str | Path, test: str | Path | None = None, *, refine: bool = True) -> Evaluation:
-    """Evaluate a run on ``test``, or on its own test frames, and write evaluation.json into the run.
+def evaluate(
+    run: str | Path, test: str | Path | None = None, *, refine: bool | None = None, items: int | None = None
+) -> Evaluation | ShapeEvaluation:
+    """Evaluate a run on ``test``, or on its own test data, and write evaluation.json into the run.
 
-    The frames of a clip are lifted together unless ``refine`` is off.
+    The frames of a clip are lifted together unless ``refine`` is off. Of a run that lifts masks at most
+    ``items`` are scored.
 
     Raises:
-        UserError: no such run, no truth to compare with.
+        UserError: no such run, no truth to compare with, an argument that goes with the other kind of run.
     """
-    from uplift.model import load
+    from uplift.model import Model, load
 
     folder = RunFolder.open(run)
     model = load(folder.path)
-    truth, name = _test_frames(folder, model.skeleton, test)
-    result = evaluate_model(model, truth, name, refine=refine)
+    result: Evaluation | ShapeEvaluation
+    if isinstance(model, Model):
+        if items is not None:
+            raise UserError(f"items={items} goes with a run that lifts masks; {folder.path} lifts keypoints.")
+        truth, name = _test_frames(folder, model.skeleton, test)
+        result = evaluate_model(model, truth, name, refine=refine is not False)
+    else:
+        if refine is not None:
+            raise UserError(f"refine= goes with a run that lifts keypoints; {folder.path} lifts masks.")
+        from uplift.verbs.evaluate_shapes import MOST, evaluate_run_of_shapes
+
+        if items is not None and items < 1:
+            raise UserError(f"items={items}: expected how many masks are scored at most, 1 or more.")
+        result = evaluate_run_of_shapes(folder, model, None if test is None else str(test), items or MOST)
     save_evaluation(result, folder)
     return result
 
@@ -148,7 +164,7 @@ def _skeleton_of(names: tuple[str, ...], where: str) -> Skeleton:
     )
 
 
-def save_evaluation(result: Evaluation, folder: RunFolder) -> None:
+def save_evaluation(result: Evaluation | ShapeEvaluation, folder: RunFolder) -> None:
     """Write evaluation.json (always the newest), its CSV, and a dated copy under evaluations/."""
     text = json.dumps(result.to_dict(), indent=1).encode()
     older = folder.path / "evaluations"

@@ -1,11 +1,14 @@
-"""The verb fit: from settings to a run folder with a trained lifter, its errors and a page."""
+"""The verb fit: from settings to a run folder with a trained lifter of keypoints or masks, its errors and a page."""
 
 from __future__ import annotations
 
 import os
 import shlex
 import sys
+from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import torch
 from lightning.pytorch.utilities.rank_zero import rank_zero_only
@@ -46,19 +49,29 @@ def fit(task: str | None = None, *overrides: str, resume: str | Path | None = No
     return fit_settings(settings)
 
 
+@dataclass(frozen=True)
+class _Fit:
+    """What is trained, whatever it lifts."""
+
+    about: str
+    """What it lifts, for the first line."""
+    notes: list[str]
+    recipe: Any
+    """With `notes`, `spent` and `train(run)`, which returns a model with `save(path)`."""
+    report: Callable[[RunFolder, Any], None]
+
+
 def fit_settings(settings: Settings, run: RunFolder | None = None) -> RunFolder:
     """Train as ``settings`` say, in a new run folder or going on in ``run``."""
     if settings.trainer.threads:
         torch.set_num_threads(settings.trainer.threads)
-    skeleton = _skeleton(settings)
-    loaded = load_data(settings, skeleton)
-    recipe = Recipe(settings, skeleton, loaded, run)
+    fit = (_masks if settings.lifts == "masks" else _keypoints)(settings, run)
     run = _run_of_all_ranks(run, settings)
     if rank_zero_only.rank == 0:
-        print(f"uplift fit: {settings.task or 'own data'}, skeleton {skeleton.name}, seed {settings.seed}")
-        print("\n".join([*loaded.notes, *recipe.notes, f"run: {run.path}"]), flush=True)
+        print(f"uplift fit: {settings.task or 'own data'}, {fit.about}, seed {settings.seed}")
+        print("\n".join([*fit.notes, *fit.recipe.notes, f"run: {run.path}"]), flush=True)
     try:
-        model = recipe.train(run)
+        model = fit.recipe.train(run)
     except KeyboardInterrupt:  # between stages, where nothing watches for it; checkpoints are whole
         raise Interrupted(run.path) from None
     except BaseException:
@@ -67,8 +80,33 @@ def fit_settings(settings: Settings, run: RunFolder | None = None) -> RunFolder:
     if rank_zero_only.rank == 0:
         model.save(run.weights)
         run.link_last()
-        report(run, model, settings, loaded, recipe.spent)
+        fit.report(run, model)
     return run
+
+
+def _keypoints(settings: Settings, run: RunFolder | None) -> _Fit:
+    skeleton = _skeleton(settings)
+    loaded = load_data(settings, skeleton)
+    recipe = Recipe(settings, skeleton, loaded, run)
+
+    def reported(run: RunFolder, model: Any) -> None:
+        report(run, model, settings, loaded, recipe.spent)
+
+    return _Fit(f"skeleton {skeleton.name}", loaded.notes, recipe, reported)
+
+
+def _masks(settings: Settings, run: RunFolder | None) -> _Fit:
+    from uplift.masks.load import load_masks
+    from uplift.shapes.recipe import ShapeRecipe
+    from uplift.verbs.shape_reporting import report_shapes
+
+    loaded = load_masks(settings)
+    recipe = ShapeRecipe(settings, loaded.for_training(), run)
+
+    def reported(run: RunFolder, model: Any) -> None:
+        report_shapes(run, model, settings, loaded, recipe.spent)
+
+    return _Fit("masks", loaded.notes, recipe, reported)
 
 
 def _run_of_all_ranks(run: RunFolder | None, settings: Settings) -> RunFolder:

@@ -20,6 +20,8 @@ def list_tasks() -> str:
         settings = load_settings(name)
         if settings.data.simulate:
             state = "no data needed"
+        elif not settings.data.train:
+            state = "data.train=..."
         else:
             try:
                 if set_of(settings, "train") is None:

@@ -1,10 +1,10 @@
-"""The verb predict: keypoints in, poses out, in the format of the output's ending."""
+"""The verb predict: keypoints in, poses out (or masks in, shapes out), in the format of the output's ending."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from uplift.axes import AXES, in_axes
 from uplift.data.clean import clean
@@ -12,7 +12,7 @@ from uplift.data.container import PoseData
 from uplift.data.load import load_file, load_split
 from uplift.datasets import DATA_SETS
 from uplift.errors import UserError, did_you_mean
-from uplift.model import load
+from uplift.model import lifts_of, load_poses
 from uplift.prediction import Prediction
 from uplift.readers import ReadOptions
 from uplift.sizing import size_from
@@ -20,6 +20,9 @@ from uplift.skeleton import Skeleton
 from uplift.task import load_settings
 from uplift.writers import write, writer_for
 from uplift.writers.gallery import check_options
+
+if TYPE_CHECKING:
+    from uplift.shapes.prediction import ShapePrediction
 
 __all__ = ["predict"]
 
@@ -37,7 +40,7 @@ def predict(
     page: str | None = None,
     written: dict[Path, str] | None = None,
     **options: Any,
-) -> Prediction:
+) -> Prediction | ShapePrediction:
     """Lift the keypoints of ``input`` with the model of ``run`` and write them to ``output``, if given.
 
     ``input`` is a file or folder in any format that is read, several with commas or a pattern, or ``SET:SPLIT`` of
@@ -46,16 +49,24 @@ def predict(
     together unless ``refine`` is off. ``size`` are arguments of `uplift.sizing.size_from`. ``axes`` are those of
     `uplift.axes`, those usual for the format where not given. ``page`` is the kind of an .html, ``viewer`` or
     ``gallery``, and ``options`` are those of its writer. The files written, with a word on each, are added to ``written``.
+    With a run that lifts masks this is `uplift.verbs.predict_shapes.predict_shapes`, ``size`` among its options.
 
     Raises:
         UserError: no such run or input, joints that do not fit the model's skeleton, an output that
             exists already or has an unknown ending.
     """
+    if lifts_of(run) == "masks":
+        if overrides or not refine or constant_bones or reading is not None:
+            raise UserError(f"{run} lifts masks: overrides, refine, constant_bones and reading go with keypoints.")
+        from uplift.verbs.predict_shapes import predict_shapes
+
+        told = {**options, **(size or {}), **({} if axes is None else {"axes": axes})}
+        return predict_shapes(run, input, output, page=page, written=written, **told)
     if axes is not None and axes not in AXES:
         raise UserError(f"axes={axes}: no such axes.{did_you_mean(axes, AXES)}")
     if output is not None:
         _check_output(output, page, options)
-    model = load(run)
+    model = load_poses(run)
     known = size_from(model.skeleton, **(size or {}))
     data = _read(input, overrides, model.skeleton, reading)
     clean(data, model.skeleton)  # refuses a file with nothing to lift, before any work

@@ -9,10 +9,12 @@ from typing import Any
 import numpy as np
 
 from uplift.data.container import PoseData
+from uplift.errors import UserError
 from uplift.evaluation.plausibility import bone_cv, bone_lengths, never_seen_so_long
+from uplift.model import lifts_of
 from uplift.prediction import Prediction
 from uplift.verbs.predict import predict
-from uplift.words import PREDICT_KEYS, SIZE_KEYS, keyed, number, one_of, read_options, whole
+from uplift.words import POSE_KEYS, PREDICT_KEYS, SHAPE_KEYS, SIZE_KEYS, keyed, number, one_of, read_options, whole
 
 __all__ = ["predict_command"]
 
@@ -20,6 +22,13 @@ __all__ = ["predict_command"]
 def predict_command(words: Sequence[str]) -> None:
     """Lift what the words name, write it, and say what was done."""
     keys = keyed("predict", words, PREDICT_KEYS, ("run", "input", "output"), open_below=("data.options.",))
+    masks = lifts_of(keys["run"]) == "masks"
+    _refuse_others(keys, masks)
+    if masks:
+        from uplift.verbs.predict_shapes import predict_shapes_lines
+
+        print("\n".join(predict_shapes_lines(keys)))
+        return
     of_page: dict[str, Any] = {"images": keys["images"]} if "images" in keys else {}
     of_page |= {key: whole("predict", keys, key) for key in ("frames", "seed") if key in keys}
     size = {key: number("predict", keys, key) for key in SIZE_KEYS if key in keys and key != "bone"}
@@ -42,6 +51,14 @@ def predict_command(words: Sequence[str]) -> None:
     )
     for line in _told(found, written):
         print(line)
+
+
+def _refuse_others(keys: Mapping[str, str], masks: bool) -> None:
+    """Refuse words that go with the other kind of run."""
+    for key in keys:
+        if key in (POSE_KEYS if masks else SHAPE_KEYS) or (masks and key.startswith("data.")):
+            own, other = ("masks", "keypoints") if masks else ("keypoints", "masks")
+            raise UserError(f"predict: {key}= goes with a run that lifts {other}; {keys['run']} lifts {own}.")
 
 
 def _motion(found: Prediction) -> list[str]:

@@ -14,8 +14,8 @@ from uplift.model import Model
 from uplift.run import RunFolder
 from uplift.saving import replacing
 from uplift.seeing import as_seen, intrinsics_of
-from uplift.training.progress import read_metrics
 from uplift.verbs.evaluate import evaluate_model, save_evaluation
+from uplift.verbs.report_parts import closing_lines, curves_of, head_lines, prior_lines
 from uplift.writers.html import write_html
 
 __all__ = ["given_lines", "report"]
@@ -42,7 +42,7 @@ def report(run: RunFolder, model: Model, settings: Settings, loaded: Loaded, spe
         model.predict(data.select(_some_rows(data)), title=title),
         run.path / "page.html",
         sections=sections,
-        curves=_curves(run),
+        curves=curves_of(run),
         notes=given,
     )
     _print_end(run, evaluation, flat, spent)
@@ -50,7 +50,6 @@ def report(run: RunFolder, model: Model, settings: Settings, loaded: Loaded, spe
 
 def given_lines(settings: Settings, loaded: Loaded) -> list[str]:
     """Return what the fit was given, a sentence each: the answer to "did it see 3D?"."""
-    specs = {n: s for n, s in settings.priors.items() if float(s.get("weight", 1)) > 0}
     lines = ["Learned from 2D keypoints alone: no pose, root depth or camera tilt of the data was looked at."]
     labels = [data.labelled for data in (loaded.train, loaded.more) if data is not None and data.labelled is not None]
     if labels:
@@ -70,11 +69,7 @@ def given_lines(settings: Settings, loaded: Loaded) -> list[str]:
     train = loaded.train
     if settings.student.share and settings.student.refine.iterations and len(np.unique(train.clips())) < len(train):
         lines.append("Which frames make a clip was used: one body and a smooth motion in each.")
-    lines.append("Priors (weight): " + ", ".join(f"{n} {float(s.get('weight', 1)):g}" for n, s in specs.items()) + ".")
-    for name, spec in specs.items():
-        if ":" in str(spec.get("use", name)):
-            lines.append(f"Prior {name} is the user's own ({spec['use']}): what it reads is for its author to say.")
-    return lines
+    return [*lines, *prior_lines(settings)]
 
 
 def _some_rows(data: PoseData, most: int = 1500) -> np.ndarray:
@@ -98,20 +93,8 @@ def _rows(evaluation: Evaluation, flat: Evaluation) -> list[list[object]]:
     return rows
 
 
-def _curves(run: RunFolder) -> dict[str, list[tuple[float, float]]]:
-    curves: dict[str, list[tuple[float, float]]] = {}
-    for stage, step, name, value in read_metrics(run.path / "metrics.csv"):
-        curves.setdefault(f"{stage}: {name}", []).append((float(step), float(value)))
-    return curves
-
-
 def _markdown(run, settings, loaded, spent, given, evaluation, flat) -> str:
-    facts = run.facts()
-    lines = [f"# {settings.task or 'own data'}", "", settings.description.strip(), ""]
-    lines += ["```", facts["command"], "```", ""]
-    lines += [f"- {note}" for note in [*loaded.notes, *given]]
-    lines += [f"- {stage}: {seconds:.0f} s of training" for stage, seconds in spent.items()]
-    lines += [f"- seed {settings.seed}, {facts['cores']} cores, torch {facts['versions']['torch']}", ""]
+    lines = head_lines(run, settings, [*loaded.notes, *given], spent)
     if evaluation is not None:
         lines += ["## Errors", "", "| protocol | this run | flat depth |", "|---|---|---|"]
         for name, value, floor in _rows(evaluation, flat)[1:]:
@@ -150,9 +133,4 @@ def _print_end(run: RunFolder, evaluation: Evaluation | None, flat: Evaluation |
         print(
             "No test poses: nothing to evaluate. `uplift evaluate run=... data.test=FILE` does, on frames with truth."
         )
-    last = run.path.parent / "last"
-    shown = last if last.is_symlink() and last.resolve() == run.path.resolve() else run.path
-    print(f"\nwrote {run.path}/: lifter.pt, report.md, page.html" + (", evaluation.json" if evaluation else ""))
-    print(f"look: open {run.path / 'page.html'} in a browser")
-    print(f"next: uplift evaluate run={shown}")
-    print(f"      uplift predict run={shown} input=KEYPOINTS output=poses.html")
+    print("\n".join(closing_lines(run, evaluation is not None, "input=KEYPOINTS output=poses.html")))

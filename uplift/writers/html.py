@@ -20,7 +20,7 @@ from uplift.writers.charts import Curve, curve_charts, number_text
 from uplift.writers.packing import unpack
 from uplift.writers.page_data import page_data
 
-__all__ = ["page_text", "read_html", "write_html"]
+__all__ = ["curves_html", "page_part", "page_text", "policy_hash", "read_html", "table_html", "write_html"]
 
 Rows = Sequence[Sequence[object]]
 Section = tuple[str, Rows] | tuple[str, Rows, Sequence[object]]
@@ -64,21 +64,21 @@ def page_text(
     """
     data = page_data(prediction, frames)
     title = prediction.title or Path(prediction.source).name or "Poses"
-    script = "(() => {\n'use strict';\n" + "\n".join(_part(name) for name in _SCRIPTS) + "})();\n"
-    style = _part("page.css")
+    script = "(() => {\n'use strict';\n" + "\n".join(page_part(name) for name in _SCRIPTS) + "})();\n"
+    style = page_part("page.css")
     parts = {
-        "policy": f"default-src 'none'; script-src {_hash(script)}; style-src {_hash(style)}; img-src data:",
+        "policy": f"default-src 'none'; script-src {policy_hash(script)}; style-src {policy_hash(style)}; img-src data:",
         "title": escape(title),
         "subtitle": " · ".join(f"<span>{escape(fact)}</span>" for fact in data.pop("facts")),
         "style": style,
         "noun": str(data["noun"]),
-        "report": "".join(_table(section) for section in sections) + _curves(curves or {}),
+        "report": "".join(table_html(section) for section in sections) + curves_html(curves or {}),
         "notes": "".join(f"<li>{escape(note)}</li>" for note in [*data.pop("remarks"), *notes]),
         "data": json.dumps(data, ensure_ascii=True, allow_nan=False, separators=(",", ":")).replace("<", "\\u003c"),
         "script": script,
     }
     # One pass: text that came from the data is never searched for placeholders again.
-    return re.sub(r"\{\{(\w+)\}\}", lambda found: parts[found[1]], _part("shell.htm"))
+    return re.sub(r"\{\{(\w+)\}\}", lambda found: parts[found[1]], page_part("shell.htm"))
 
 
 def read_html(path: str | Path) -> dict[str, Any]:
@@ -91,15 +91,18 @@ def read_html(path: str | Path) -> dict[str, Any]:
     return data
 
 
-def _part(name: str) -> str:
+def page_part(name: str) -> str:
+    """Return a script, style or skeleton that pages are put together of."""
     return (_PAGE / name).read_text(encoding="utf-8")
 
 
-def _hash(text: str) -> str:
+def policy_hash(text: str) -> str:
+    """Return how a page's Content-Security-Policy names an inline script or style that it allows."""
     return f"'sha256-{base64.b64encode(hashlib.sha256(text.encode('utf-8')).digest()).decode('ascii')}'"
 
 
-def _table(section: Section) -> str:
+def table_html(section: Section) -> str:
+    """Return a section as a card with a table."""
     title, rows, header = section if len(section) == 3 else (*section, ())
     if not header and _has_header(rows):
         header, rows = rows[0], rows[1:]
@@ -123,6 +126,7 @@ def _row(cells: Sequence[object], tag: str) -> str:
     return f'<tr><th scope="row">{escape(number_text(first))}</th>{rest}</tr>'
 
 
-def _curves(curves: Mapping[str, Curve]) -> str:
+def curves_html(curves: Mapping[str, Curve]) -> str:
+    """Return a card with a chart for each curve; nothing without any."""
     charts = curve_charts(curves)
     return f'<section class="card broad"><h2>Training</h2>{charts}</section>' if charts else ""

@@ -55,7 +55,6 @@ def shape_data(
         items[item]["truth"] = of_truth
     packed, layout = pack(_arrays(meshes, prediction.masks))
     data = {
-        "joints": [],  # the shared script that decodes arrays counts them
         "meshes": [[len(mesh.vertices), len(mesh.faces)] for mesh in meshes],
         "items": items,
         "scoreNames": list(scores),

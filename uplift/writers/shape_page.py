@@ -17,7 +17,7 @@ from uplift.meshes.surface import Surface
 from uplift.saving import replacing
 from uplift.shapes.prediction import ShapePrediction
 from uplift.writers.charts import Curve
-from uplift.writers.html import Section, _curves, _hash, _part, _table
+from uplift.writers.html import Section, curves_html, page_part, policy_hash, table_html
 from uplift.writers.shape_data import Scores, chosen_items, shape_data
 from uplift.writers.shape_photos import photos_of
 
@@ -70,21 +70,21 @@ def shape_page_text(
     for entry, photo in zip(data["items"], photos, strict=True):
         entry |= {"photo": photo} if photo else {}
     data["sheet"] = sheet and len(rows) > 1
-    script = "(() => {\n'use strict';\n" + "\n".join(_part(f"{name}.js") for name in _SCRIPTS) + "})();\n"
-    style = _part("page.css") + _part("shape.css")
+    script = "(() => {\n'use strict';\n" + "\n".join(page_part(f"{name}.js") for name in _SCRIPTS) + "})();\n"
+    style = page_part("page.css") + page_part("shape.css")
     told = [*_remarks(cut, len(prediction)), *wrong, *prediction.notes, *notes]
     parts = {
-        "policy": f"default-src 'none'; script-src {_hash(script)}; style-src {_hash(style)}; img-src data:",
+        "policy": f"default-src 'none'; script-src {policy_hash(script)}; style-src {policy_hash(style)}; img-src data:",
         "title": escape(prediction.title or "Shapes"),
         "subtitle": " · ".join(f"<span>{escape(fact)}</span>" for fact in _facts(prediction, truth)),
         "style": style,
-        "report": "".join(_table(section) for section in sections) + _curves(curves or {}),
+        "report": "".join(table_html(section) for section in sections) + curves_html(curves or {}),
         "notes": "".join(f"<li>{escape(note)}</li>" for note in told),
         "data": json.dumps(data, ensure_ascii=True, allow_nan=False, separators=(",", ":")).replace("<", "\\u003c"),
         "script": script,
     }
     # One pass: text that came from the data is never searched for placeholders again.
-    return re.sub(r"\{\{(\w+)\}\}", lambda found: parts[found[1]], _part("shape.htm"))
+    return re.sub(r"\{\{(\w+)\}\}", lambda found: parts[found[1]], page_part("shape.htm"))
 
 
 def _check(prediction: ShapePrediction, truth: Placed | None, scores: Scores) -> None:

@@ -1,7 +1,6 @@
 // Data: the embedded text back to typed arrays, and rows back to clips and moments.
 const ABSENT = -32768;
 const meta = JSON.parse(document.getElementById('data').textContent);
-const J = meta.joints.length;
 
 async function inflate(text) {
   const bytes = Uint8Array.from(atob(text), (letter) => letter.charCodeAt(0));

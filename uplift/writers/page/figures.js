@@ -1,5 +1,5 @@
 // Figures: the buffers of everyone on the screen. They are kept and filled anew, so that playing allocates nothing.
-const B = meta.bones.length;
+const B = meta.bones.length, J = meta.joints.length;
 const pool = [];
 
 function newFigure() {

@@ -1,0 +1,88 @@
+"""A stand-in for the lifter of masks, which trains nothing: each mask, pushed along its rays, is its shape."""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import asdict
+from functools import partial
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+
+from uplift.config import Settings, ShapeSettings
+from uplift.evaluation import shape_floors, shape_item
+from uplift.evaluation.shape_floors import floors, score_with_floors
+from uplift.evaluation.shape_surface import grid_surface, mesh_surface
+from uplift.masks.container import MaskData
+from uplift.masks.load import LoadedMasks
+from uplift.run import RunFolder
+from uplift.shapes import model as model_module
+from uplift.shapes.prediction import ShapePrediction
+from uplift.torch_file import read_torch, save_torch
+from uplift.verbs import evaluate_shapes
+
+__all__ = ["StandInModel", "stand_in"]
+
+_R = 16
+
+
+class StandInModel(model_module.ShapeModel):
+    """Saved and loaded as the real one; its only weight is how thick shapes are."""
+
+    def predict(self, data: MaskData, title: str = "") -> ShapePrediction:
+        """Return every mask extruded."""
+        assert data.truth is None
+        depth = np.abs((2 * np.arange(_R) + 1) / _R - 1) < float(self.lifter)
+        small = data.masks.reshape(len(data), _R, data.side // _R, _R, data.side // _R).mean((2, 4)) / 255
+        return ShapePrediction(
+            (small[:, None] * depth[:, None, None]).astype(np.float32), np.repeat(np.eye(3)[None], len(data), 0),
+            np.ones(len(data)), np.zeros((len(data), 2)), np.full(len(data), 6.0), data.masks, list(data.names),
+            data.centre_px, data.scale_px, title=title, images=data.images,
+        )  # fmt: skip
+
+    def save(self, path: Path) -> None:
+        """Write one file."""
+        save_torch({"lifts": "masks", "thick": torch.tensor(self.lifter), "settings": asdict(self.settings)}, path)
+
+    @classmethod
+    def load_file(cls, path: Path) -> StandInModel:
+        """Read it."""
+        state = read_torch(path, "lifter")
+        return cls(float(state["thick"]), ShapeSettings(**state["settings"]))
+
+
+def stand_in(patch: pytest.MonkeyPatch, stop: bool = False) -> list[LoadedMasks]:
+    """Put the stand-in in the place of the lifter and its training, and quick floors; return what each training was given.
+
+    ``stop``: as if Ctrl-C were pressed once there is a checkpoint.
+    """
+    given: list[LoadedMasks] = []
+
+    class ShapeRecipe:
+        """Trains by guessing."""
+
+        def __init__(self, settings: Settings, loaded: LoadedMasks, run: RunFolder | None):
+            self.settings, self.notes, self.spent = settings, ["a stand-in"], {"guess": 0.5}
+            given.append(loaded)
+
+        def train(self, run: RunFolder) -> Any:
+            (run.checkpoints / "guess.ckpt").write_bytes(b"guessed")
+            (run.path / "metrics.csv").write_text("stage,step,name,value\nguess,1,loss,0.5\nguess,2,loss,0.25\n")
+            if stop and len(given) == 1:
+                run.link_last()
+                raise KeyboardInterrupt
+            return StandInModel(0.4, self.settings.shape)
+
+    module = ModuleType("uplift.shapes.recipe")
+    module.ShapeRecipe = ShapeRecipe  # type: ignore[attr-defined]
+    patch.setitem(sys.modules, "uplift.shapes.recipe", module)
+    patch.setattr(model_module, "ShapeModel", StandInModel)
+    patch.setattr(shape_floors, "floors", partial(floors, resolution=12, sample=6))
+    for sampled in (mesh_surface, grid_surface):
+        patch.setattr(shape_item, sampled.__name__, partial(sampled, points=400))
+    patch.setattr(evaluate_shapes, "score_with_floors", partial(score_with_floors, resolution=16))
+    return given
