@@ -1,0 +1,49 @@
+"""A critic on masks: turned silhouettes must look like real ones (Kudo et al. 2018, for shapes)."""
+
+from __future__ import annotations
+
+import torch
+from jaxtyping import Float
+from torch import Tensor, nn
+
+from uplift.priors.shape_base import ShapePrior
+from uplift.shapes.lift import ShapeLift
+
+__all__ = ["MaskCritic"]
+
+
+class MaskCritic(ShapePrior):
+    """A convolutional network that tells masks from silhouettes of the shapes seen from anywhere.
+
+    Both are blurred first: shapes of a mixture have no sharp edges, and that must not be what gives them away.
+    The gradient of its verdict at real masks is held small (Mescheder et al. 2018, R1).
+    """
+
+    def __init__(self, units: int = 24, gradient_penalty: float = 1.0):
+        super().__init__()
+        self.gradient_penalty = gradient_penalty
+        steps = []
+        for before, after in ((1, units), (units, 2 * units), (2 * units, 4 * units)):
+            steps += [nn.Conv2d(before, after, 4, 2, 1), nn.LeakyReLU(0.2)]
+        self.look = nn.Sequential(*steps, nn.AdaptiveAvgPool2d(3), nn.Flatten(), nn.Linear(36 * units, 1))
+        kernel = torch.tensor([1.0, 4.0, 6.0, 4.0, 1.0]) / 16
+        self.register_buffer("blur", (kernel[:, None] * kernel)[None, None], persistent=False)
+
+    def forward(self, image: Float[Tensor, "items side side"]) -> Float[Tensor, " items"]:
+        """Return how real each image looks."""
+        soft = nn.functional.conv2d(image[:, None], self.blur, padding=2)
+        return self.look(soft * 2 - 1)[:, 0]
+
+    def loss(self, lift: ShapeLift) -> Float[Tensor, ""]:
+        """Return how little the turned silhouettes look real."""
+        return nn.functional.softplus(-self(lift.seen)).mean()
+
+    def own_loss(
+        self, real: Float[Tensor, "items side side"], seen: Float[Tensor, "turned side side"]
+    ) -> Float[Tensor, ""]:
+        """Return how badly the critic tells the two apart."""
+        real = real.detach().requires_grad_()
+        verdict = self(real)
+        slope = torch.autograd.grad(verdict.sum(), real, create_graph=True)[0].square().sum((1, 2)).mean()
+        apart = nn.functional.softplus(-verdict).mean() + nn.functional.softplus(self(seen)).mean()
+        return apart + self.gradient_penalty * slope

@@ -1,0 +1,35 @@
+"""Priors over grids: little surface, and voxels that are either full or empty."""
+
+from __future__ import annotations
+
+from jaxtyping import Float
+from torch import Tensor
+
+from uplift.priors.shape_base import ShapePrior
+from uplift.shapes.lift import ShapeLift
+
+__all__ = ["Compactness", "ShapeSymmetry", "Smoothness"]
+
+
+class Smoothness(ShapePrior):
+    """The total variation of occupancy, a mean over voxels: neighbours are alike."""
+
+    def loss(self, lift: ShapeLift) -> Float[Tensor, ""]:
+        """Return the mean absolute difference of neighbours along the three axes."""
+        return sum((lift.occupancy.diff(dim=axis).abs().mean() for axis in (1, 2, 3)), lift.occupancy.new_zeros(()))
+
+
+class Compactness(ShapePrior):
+    """No haze: a voxel that is half full costs most. It grows over the stage, as shapes begin as haze."""
+
+    def loss(self, lift: ShapeLift) -> Float[Tensor, ""]:
+        """Return the mean of occupancy times emptiness, times the share of the stage that is over."""
+        return (lift.occupancy * (1 - lift.occupancy)).mean() * lift.done
+
+
+class ShapeSymmetry(ShapePrior):
+    """Left is like right, where `shape.symmetric` does not make it so."""
+
+    def loss(self, lift: ShapeLift) -> Float[Tensor, ""]:
+        """Return the mean squared difference of occupancy and its mirror image."""
+        return (lift.occupancy - lift.occupancy.flip(-1)).square().mean()
