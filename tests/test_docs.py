@@ -23,6 +23,7 @@ from uplift.priors import PRIORS
 from uplift.readers import read
 from uplift.skeleton import load_skeleton
 from uplift.task import load_settings
+from uplift.verbs.data_render import RENDER_KEYS
 
 ROOT = Path(__file__).resolve().parent.parent
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
@@ -132,7 +133,9 @@ def test_commands_parse(page: str, command: str) -> None:
     if verb == "skeleton":
         assert words[0] in ("check", "new", "map")
     elif verb == "data":
-        assert words[0] in ("check", "cmu")
+        assert words[0] in ("check", "cmu", "render")
+        if words[0] == "render":
+            assert {word.partition("=")[0] for word in words if "=" in word} <= set(RENDER_KEYS)
         for word in words[1:] if words[0] == "check" else ():
             _check_fit_word(word)
     elif verb in _KEYS:
