@@ -16,6 +16,7 @@ from uplift.cli import _KEYS, _RUN
 from uplift.config import Settings
 from uplift.data.tensors import TrainingSet
 from uplift.evaluation.protocols import PROTOCOLS
+from uplift.masks import MaskData
 from uplift.overrides import put_override, setting_names
 from uplift.paths import shipped_names
 from uplift.plugins import find_class, options_of
@@ -23,6 +24,7 @@ from uplift.priors import PRIORS
 from uplift.readers import read
 from uplift.skeleton import load_skeleton
 from uplift.task import load_settings
+from uplift.verbs.data_render import RENDER_KEYS
 
 ROOT = Path(__file__).resolve().parent.parent
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
@@ -84,6 +86,7 @@ def test_no_setting_is_documented_that_is_not_there() -> None:
     known = set(setting_names())
     known |= {name.rpartition(".")[0] for name in known}
     known |= {f"data.{field.name}" for field in fields(TrainingSet)}  # what `prepare(data)` is given
+    known |= {f"data.{field.name}" for field in fields(MaskData)}
     ours = {
         name
         for name in spans
@@ -132,7 +135,9 @@ def test_commands_parse(page: str, command: str) -> None:
     if verb == "skeleton":
         assert words[0] in ("check", "new", "map")
     elif verb == "data":
-        assert words[0] in ("check", "cmu")
+        assert words[0] in ("check", "cmu", "render")
+        if words[0] == "render":
+            assert {word.partition("=")[0] for word in words if "=" in word} <= set(RENDER_KEYS)
         for word in words[1:] if words[0] == "check" else ():
             _check_fit_word(word)
     elif verb in _KEYS:
@@ -283,3 +288,18 @@ def test_every_format_is_documented() -> None:
     trackers, output = ((ROOT / "docs" / name).read_text() for name in ("trackers.md", "output.md"))
     assert [name for name in FORMATS if f"| `{name}` |" not in trackers] == []
     assert [ending for ending in WRITERS if f"`{ending}`" not in output] == []
+
+
+def test_everything_of_masks_and_shapes_is_documented() -> None:
+    from uplift.evaluation.shape_metrics import SHAPE_METRICS
+    from uplift.masks import FORMATS
+    from uplift.writers.shapes import SHAPE_WRITERS
+
+    masks, output, metrics = (
+        (ROOT / f"docs/{name}.md").read_text() for name in ("masks-input", "shapes-output", "shape-metrics")
+    )
+    assert [name for name in FORMATS if f"| `{name}` |" not in masks] == []
+    assert [ending for ending in SHAPE_WRITERS if f"| `{ending}` |" not in output] == []
+    assert [name for name in SHAPE_METRICS if f"| `{name}` |" not in metrics] == []
+    page = (ROOT / "docs/masks-data.md").read_text()
+    assert [key for key in RENDER_KEYS if f"| `{key}=` |" not in page] == []

@@ -223,57 +223,6 @@ def test_predict_refuses(words: tuple[str, ...], says: str, run: Path, masks: Pa
     assert Path("there.glb").read_bytes() == b"mine"
 
 
-@pytest.mark.parametrize(
-    ("words", "says"),
-    [
-        (("lifts=mask",), "Did you mean 'masks'?"),
-        (("skeleton=h36m17",), "skeleton is set, but this fit lifts masks"),
-        (("data.layout=coco17",), "data.layout is set, but this fit lifts masks"),
-        (("data.focal_px=900",), "data.focal_px is set"),
-        (("shape.resolution=4",), "shape.resolution=4: expected a number from 8 to 256"),
-        (("shape.resolution=4096",), "shape.resolution=4096"),
-        (("shape.elevation_deg=120,3",), "shape.elevation_deg (mean)=120"),
-        (("shape.distance=1",), "shape.distance=1"),
-        (("data.side=4",), "data.side=4"),
-        (("data.side=2000",), "data.side=2000"),
-        (("data.border=crop",), "data.border='crop'"),
-        (("data.pieces=all",), "data.pieces='all'"),
-        (("data.simulate=10000000",), "GB: ask for fewer"),
-        (("data.family=char",), "Did you mean 'chairs'?"),
-        (("data.most=10",), "data.most goes with files of masks"),
-        (("data.select.subjects=S1",), "masks have no subjects. Choose by categories and fraction"),
-        (("data.select.categories=lamp",), "no mask of category 'lamp'"),
-        (("data.hold_out.fraction=0.1",), "data.hold_out are both set"),
-        (("data.labelled.only=true",), "data.labelled.only is on"),
-        (("data.labelled.fraction=0.01",), "less than one"),
-        (("data.labelled.fraction=2",), "at most 1"),
-        (("data.simulate=0",), "No training masks: set data.train=FOLDER"),
-        (("data.simulate=0", "data.train=empty"), "is an empty folder"),
-        (("data.simulate=0", "data.train=nowhere"), "uplift fit task=masks_demo` needs no data"),
-        (("data.simulate=0", "data.train=body.npz"), "holds keypoints"),
-        (("data.simulate=0", "data.train=masks", "data.labelled.fraction=1"), "holds no true shapes to learn from"),
-        (("data.simulate=0", "data.train=masks", "data.images=photos"), "no such folder"),
-    ],
-)
-def test_fit_refuses(words: tuple[str, ...], says: str, masks: Path, capsys) -> None:
-    Path("empty").mkdir()
-    np.savez("body.npz", keypoints=np.zeros((3, 17, 2)))
-    assert says in refusal(capsys, "fit", *DEMO, *words)
-    assert not Path("runs").exists()
-
-
-@pytest.mark.parametrize(
-    ("words", "says"),
-    [
-        (("shape.resolution=64",), "this fit lifts keypoints, and it is about masks"),
-        (("data.family=cars",), "data.family is set"),
-        (("data.select.categories=cow",), "keypoints have no categories. Choose by subjects"),
-    ],
-)
-def test_fits_of_keypoints_refuse_what_is_of_masks(words: tuple[str, ...], says: str, capsys) -> None:
-    assert says in refusal(capsys, "fit", "task=demo", *words)
-
-
 def test_evaluate_and_compare_keep_the_kinds_apart(run: Path, capsys) -> None:
     assert "refine= goes with a run that lifts keypoints" in refusal(capsys, "evaluate", f"run={run}", "refine=off")
     assert "items=0" in refusal(capsys, "evaluate", f"run={run}", "items=0")

@@ -22,8 +22,9 @@ from uplift.prediction import Prediction
 from uplift.sizing import Size
 from uplift.skeleton import Skeleton
 from uplift.torch_file import read_torch, save_torch
+from uplift.weights import lifts_masks, weights_of
 
-__all__ = ["Model", "build_lifter", "lifts_of", "load", "load_poses"]
+__all__ = ["Model", "build_lifter", "load", "load_poses"]
 
 _FORMAT = 3
 _READABLE = (2, 3)  # 2: before bodies had a size
@@ -179,17 +180,12 @@ def load(run: str | Path) -> Any:
     Raises:
         UserError: no such run, or one that has no weights yet.
     """
-    path = _weights_of(run)
-    if lifts_of(path) == "masks":
+    path = weights_of(run)
+    if lifts_masks(path):
         from uplift.shapes.model import ShapeModel
 
         return ShapeModel.load_file(path)
     return Model.load_file(path)
-
-
-def lifts_of(run: str | Path) -> str:
-    """Return what a run or a ``lifter.pt`` lifts, ``keypoints`` or ``masks``; raises UserError as `load` does."""
-    return str(read_torch(_weights_of(run), "lifter").get("lifts", "keypoints"))
 
 
 def load_poses(run: str | Path) -> Model:
@@ -198,17 +194,3 @@ def load_poses(run: str | Path) -> Model:
     if not isinstance(found, Model):
         raise UserError(f"{run} lifts masks, expected a run that lifts keypoints.")
     return found
-
-
-def _weights_of(run: str | Path) -> Path:
-    from uplift.run import RunFolder
-
-    path = Path(run)
-    if path.is_file():
-        return path
-    folder = RunFolder.open(path)
-    if not folder.weights.is_file():
-        raise UserError(
-            f"{folder.path} has no lifter.pt yet: its fit was ended early. `uplift fit resume={folder.path}` finishes it."
-        )
-    return folder.weights

@@ -16,13 +16,11 @@ from uplift.datasets import DataSet
 from uplift.datasets.cache import cached_facts
 from uplift.errors import UserError
 from uplift.paths import data_root
-from uplift.readers import ReadOptions
 from uplift.readers.files import files_of
 from uplift.readers.headers import contents_of, memory_of
 from uplift.skeleton import Skeleton, load_skeleton
 from uplift.skeleton.matching import build_joints
 from uplift.task import load_settings
-from uplift.verbs.data_check_masks import made_up_masks, masks_there
 
 __all__ = ["check_data"]
 
@@ -67,6 +65,8 @@ class _Report:
         """Say that nothing is needed."""
         frames = settings.data.simulate
         if settings.lifts == "masks":
+            from uplift.verbs.data_check_masks import made_up_masks
+
             cost = f"; {_size(frames * settings.data.side**2)} in memory"
             what = made_up_masks(settings.data)
             self.lines.append(f"train, test: {what}, when the fit starts: no files needed{cost}")
@@ -123,17 +123,19 @@ class _Report:
             return False
         for path in paths:
             try:
-                masks = settings.lifts == "masks"
-                cost = masks_there(path, settings.data) if masks else self._cost(path, read_options(settings.data))
-                self.lines.append(f"  to load: {cost}")
+                self.lines.append(f"  to load: {self._cost(path, settings)}")
             except UserError as error:
                 self.wrong = True
                 self.lines.append(f"  WRONG    {error}")
         return True
 
-    def _cost(self, path: Path, options: ReadOptions) -> str:
-        """Return frames, joints and memory; raises UserError for a file that a fit would refuse."""
-        found = contents_of(path, options)
+    def _cost(self, path: Path, settings: Settings) -> str:
+        """Return frames, joints and memory, or how many masks; raises UserError for a file that a fit would refuse."""
+        if settings.lifts == "masks":
+            from uplift.verbs.data_check_masks import masks_there
+
+            return masks_there(path, settings.data)
+        found = contents_of(path, read_options(settings.data))
         joints = len(found.joint_names)
         if self.skeleton is not None:
             blank = np.zeros((1, joints, 2), np.float32), np.ones((1, joints), np.float32)

@@ -12,12 +12,13 @@ from uplift.data.container import PoseData
 from uplift.data.load import load_file, load_split
 from uplift.datasets import DATA_SETS
 from uplift.errors import UserError, did_you_mean
-from uplift.model import lifts_of, load_poses
+from uplift.model import load_poses
 from uplift.prediction import Prediction
 from uplift.readers import ReadOptions
 from uplift.sizing import size_from
 from uplift.skeleton import Skeleton
 from uplift.task import load_settings
+from uplift.weights import lifts_masks
 from uplift.writers import write, writer_for
 from uplift.writers.gallery import check_options
 
@@ -55,7 +56,7 @@ def predict(
         UserError: no such run or input, joints that do not fit the model's skeleton, an output that
             exists already or has an unknown ending.
     """
-    if lifts_of(run) == "masks":
+    if lifts_masks(run):
         if overrides or not refine or constant_bones or reading is not None:
             raise UserError(f"{run} lifts masks: overrides, refine, constant_bones and reading go with keypoints.")
         from uplift.verbs.predict_shapes import predict_shapes

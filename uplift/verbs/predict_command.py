@@ -11,9 +11,9 @@ import numpy as np
 from uplift.data.container import PoseData
 from uplift.errors import UserError
 from uplift.evaluation.plausibility import bone_cv, bone_lengths, never_seen_so_long
-from uplift.model import lifts_of
 from uplift.prediction import Prediction
 from uplift.verbs.predict import predict
+from uplift.weights import lifts_masks
 from uplift.words import POSE_KEYS, PREDICT_KEYS, SHAPE_KEYS, SIZE_KEYS, keyed, number, one_of, read_options, whole
 
 __all__ = ["predict_command"]
@@ -22,7 +22,7 @@ __all__ = ["predict_command"]
 def predict_command(words: Sequence[str]) -> None:
     """Lift what the words name, write it, and say what was done."""
     keys = keyed("predict", words, PREDICT_KEYS, ("run", "input", "output"), open_below=("data.options.",))
-    masks = lifts_of(keys["run"]) == "masks"
+    masks = lifts_masks(keys["run"])
     _refuse_others(keys, masks)
     if masks:
         from uplift.verbs.predict_shapes import predict_shapes_lines
@@ -49,6 +49,7 @@ def predict_command(words: Sequence[str]) -> None:
         written=written,
         **of_page,
     )
+    assert isinstance(found, Prediction)
     for line in _told(found, written):
         print(line)
 
