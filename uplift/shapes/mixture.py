@@ -18,6 +18,8 @@ __all__ = ["ShapeMixture", "temperature_at"]
 _DENSITY = 16.0
 """Density of a voxel of logit 0 over log 2, times the resolution: a solid voxel of a grid of 24 hides two thirds."""
 _LEAST, _MOST = 0.01, 0.99
+_SIZE = 0.36
+"""Spread of a shape's silhouettes at the scale they are drawn, in half sides: it fills its grid but for a margin."""
 
 
 class ShapeMixture(nn.Module):
@@ -67,9 +69,8 @@ class ShapeMixture(nn.Module):
         """Return the silhouettes cut out as masks are (shapes views side side), and their centroids and spreads."""
         drawn = self.silhouettes()
         flat = drawn.flatten(0, 1)
-        with torch.no_grad():
-            centre, spread = moments(flat)
-        cut = recrop(flat, centre, spread, self.settings.crop)
+        centre, spread = moments(flat)
+        cut = recrop(flat, centre.detach(), spread.detach(), self.settings.crop)
         return cut.view_as(drawn), centre.view(*drawn.shape[:2], 2), spread.view(*drawn.shape[:2], 2)
 
     def evidence(
@@ -89,6 +90,16 @@ class ShapeMixture(nn.Module):
         unlike = 0.5 * ((ratio[:, None] - wide[None]) / self.settings.proportions) ** 2
         before = (self.grid.log_prior.to(flat) - self.azimuth_bias[:, self.grid.azimuth]).sub(self.part_bias[:, None])
         return (before.flatten() - error / temperature - unlike).view(len(masks), *cut.shape[:2])
+
+    @staticmethod
+    def size_loss(drawn: tuple[Tensor, Tensor, Tensor]) -> Float[Tensor, ""]:
+        """Return how far shapes are from the size and the place they are to have in their grids.
+
+        Crops do not tell how large a shape is, nor where: without this shapes shrink to a few voxels.
+        """
+        _, centre, spread = drawn
+        size = spread.square().sum(-1).mean(1).sqrt()
+        return (size / _SIZE).log().square().mean() + centre.square().sum(-1).mean()
 
     @torch.no_grad()
     def balance(self, responsibility: Float[Tensor, "items shapes views"]) -> None:

@@ -20,6 +20,7 @@ __all__ = ["MixtureTraining"]
 
 _TURNED = 64
 _TRUTH_WEIGHT = 3.0
+_SIZE_WEIGHT = 1.0
 
 
 class MixtureTraining(LifterTraining):
@@ -76,7 +77,7 @@ class MixtureTraining(LifterTraining):
         energy = -temperature * torch.logsumexp(evidence.flatten(1), 1).mean()
         responsibility = evidence.detach().flatten(1).softmax(1).view_as(evidence)
         self.lifter.balance(responsibility)
-        loss, logged = energy, {"energy": energy.detach()}
+        loss, logged = energy + _SIZE_WEIGHT * self.lifter.size_loss(drawn), {"energy": energy.detach()}
         if bool(known.any()):
             truth = self._unlike_truth(responsibility.sum(2)[known], data.shapes[data.shape[rows][known]])
             loss, logged = loss + _TRUTH_WEIGHT * known.float().mean() * truth, logged | {"truth": truth.detach()}
