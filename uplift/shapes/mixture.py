@@ -15,8 +15,8 @@ from uplift.shapes.view_grid import ViewGrid, view_grid
 
 __all__ = ["ShapeMixture", "temperature_at"]
 
-_DENSITY = 16.0
-"""Density of a voxel of logit 0 over log 2, times the resolution: a solid voxel of a grid of 24 hides two thirds."""
+_DENSITY = 1.3
+"""Density of a voxel for each nat of its logit: one that is full hides nearly all light."""
 _LEAST, _MOST = 0.01, 0.99
 _SIZE = 0.36
 """Spread of a shape's silhouettes at the scale they are drawn, in half sides: it fills its grid but for a margin."""
@@ -62,7 +62,7 @@ class ShapeMixture(nn.Module):
             s = self.settings
             projector = Projector(self.grid.views, resolution=s.detail, side=s.crop, distance=s.distance)
             self.projector = projector.to(self.logits.device)
-        density = nn.functional.softplus(self.full_logits) * (_DENSITY / self.settings.detail)
+        density = nn.functional.softplus(self.full_logits) * _DENSITY
         return self.projector(density)
 
     def crops(self) -> tuple[Tensor, Tensor, Tensor]:

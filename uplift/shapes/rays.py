@@ -64,8 +64,9 @@ class _Sum(torch.autograd.Function):
 class Projector:
     """Silhouettes of many shapes from the same fixed views, as one sparse product.
 
-    What a ray passes through adds up, so a silhouette is a linear sum over voxels and one function of it.
-    A matrix of fixed views costs a tenth of sampling the grids anew in every step.
+    What hides the light is the root of the summed squares of density along a ray: four voxels of haze hide
+    twice what one does, not four times, so that haze is no cheap way to be opaque. A sum over voxels and one
+    function of it is all a silhouette is. A matrix of fixed views costs a tenth of sampling the grids anew in every step.
     """
 
     def __init__(self, views: Float[Tensor, "views 3 3"], *, resolution: int, side: int, distance: float):
@@ -96,5 +97,5 @@ class Projector:
     def __call__(self, density: Float[Tensor, "shapes depth height width"]) -> Float[Tensor, "shapes views side side"]:
         """Return how much light each pixel loses, 0..1, from every view; ``density`` is per voxel."""
         flat = density.reshape(len(density), -1).T.contiguous()
-        passed = _Sum.apply(flat, self.matrix, self.transposed)
+        passed = _Sum.apply(flat.square(), self.matrix, self.transposed).clamp_min(1e-12).sqrt()
         return 1 - torch.exp(-passed.T.reshape(len(density), self.views, self.side, self.side))

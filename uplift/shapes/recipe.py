@@ -62,13 +62,9 @@ class ShapeRecipe:
         mixture: ShapeMixture = training.final.cpu().eval()  # type: ignore[assignment]
         mixture.projector = self.mixture.projector
         model = ShapeModel(mixture, self.settings.shape)
-        torch.manual_seed(self.settings.seed)
         rows = np.linspace(0, len(self.train_data) - 1, min(_MOST_FOR_LEVEL, len(self.train_data))).astype(int)
         lifted = model.lift(self.train_data.masks[rows], resolution=self.settings.shape.detail)
-        level = choose_level(
-            mixture, lifted.occupancy, self.data.crops[torch.from_numpy(rows).to(self.data.crops.device)]
-        )
-        mixture.level.fill_(level)
+        mixture.level.fill_(choose_level(lifted.occupancy))
         return model
 
 
