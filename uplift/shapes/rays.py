@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import warnings
+
 import torch
 from jaxtyping import Float
 from torch import Tensor
@@ -86,8 +88,10 @@ class Projector:
         size = (len(views) * side * side, resolution**3)
         index = torch.stack([torch.cat(rows), torch.cat(columns)])
         matrix = torch.sparse_coo_tensor(index, torch.cat(values), size, check_invariants=False).coalesce()
-        self.matrix = matrix.to_sparse_csr()
-        self.transposed = matrix.t().coalesce().to_sparse_csr()
+        with warnings.catch_warnings():
+            warnings.filterwarnings("ignore", message="Sparse CSR tensor support is in beta")
+            self.matrix = matrix.to_sparse_csr()
+            self.transposed = matrix.t().coalesce().to_sparse_csr()
 
     def to(self, device: torch.device | str) -> Projector:
         """Move the matrices."""

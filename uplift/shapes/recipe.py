@@ -59,7 +59,7 @@ class ShapeRecipe:
         before = time.monotonic() - start
         clock = run_stage("shapes", training, self.settings.trainer, self.budget, run.path, before)
         self.spent["shapes"] = clock.spent
-        mixture: ShapeMixture = training.final.cpu().eval()  # type: ignore[assignment]
+        mixture: ShapeMixture = training.final.cpu().eval()
         mixture.projector = self.mixture.projector
         model = ShapeModel(mixture, self.settings.shape)
         rows = np.linspace(0, len(self.train_data) - 1, min(_MOST_FOR_LEVEL, len(self.train_data))).astype(int)
@@ -72,9 +72,11 @@ def _start_from(mixture: ShapeMixture, init: str) -> None:
     other = load(init)
     if not isinstance(other, ShapeModel):
         raise UserError(f"init={init} lifts keypoints, this task masks.")
-    if other.lifter.logits.shape != mixture.logits.shape:
-        raise UserError(
-            f"init={init} has shapes {tuple(other.lifter.logits.shape)}, this run {tuple(mixture.logits.shape)}: "
-            "shape.parts, shape.detail and shape.symmetric must be those of that run."
-        )
+    for name in ("logits", "azimuth_bias"):
+        theirs, ours = (tuple(getattr(lifter, name).shape) for lifter in (other.lifter, mixture))
+        if theirs != ours:
+            raise UserError(
+                f"init={init} has {name} {theirs}, this run {ours}: shape.parts, shape.detail, shape.symmetric and "
+                "shape.gravity must be those of that run."
+            )
     mixture.load_state_dict(other.lifter.state_dict(), strict=False)

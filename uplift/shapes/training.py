@@ -42,7 +42,7 @@ class MixtureTraining(LifterTraining):
         weights: Mapping[str, float],
         seed: int,
     ):
-        super().__init__(mixture, data, settings, seed)  # type: ignore[arg-type]
+        super().__init__(mixture, data, settings, seed)
         self.priors = nn.ModuleDict(priors)
         self.weights = dict(weights)
         self.adversarial = [name for name, p in priors.items() if type(p).own_loss is not ShapePrior.own_loss]

@@ -58,9 +58,9 @@ class LifterTraining(L.LightningModule):
     weights where `StageSettings.average` is set.
     """
 
-    def __init__(self, lifter: Lifter, data: Any, settings: StageSettings, seed: int):
+    def __init__(self, lifter: Any, data: Any, settings: StageSettings, seed: int):
         super().__init__()
-        self.lifter = lifter
+        self.lifter: Lifter = lifter  # or what else is trained from 2D
         self.settings = settings
         self.seed = seed
         self.data = data
@@ -78,9 +78,9 @@ class LifterTraining(L.LightningModule):
         return self.settings.mirror and self.lifter.skeleton.has_mirror_image
 
     @property
-    def final(self) -> Lifter:
+    def final(self) -> Any:
         """The lifter to evaluate and predict with."""
-        return self.lifter if self.averaged is None else self.averaged.module  # type: ignore[return-value]
+        return self.lifter if self.averaged is None else self.averaged.module
 
     def objective(self) -> tuple[Tensor, dict[str, float | Tensor]]:
         """Return the loss of one random batch and the numbers to log."""

@@ -1,0 +1,63 @@
+"""Small mixtures of shapes for the tests: a made-up chair in the place of what is learned."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from uplift.config import ShapeSettings
+from uplift.masks.container import MaskData
+from uplift.masks.simulate import simulate_masks
+from uplift.meshes.mesh import Mesh
+from uplift.meshes.procedural import make_shapes
+from uplift.meshes.voxels import coverage
+from uplift.shapes.crops import moments, recrop
+from uplift.shapes.mask_set import as_tensor
+from uplift.shapes.mixture import ShapeMixture
+
+__all__ = ["SMALL", "chair", "crops_of", "masks_of", "mixture_of", "small"]
+
+SMALL: dict[str, Any] = {"detail": 12, "crop": 16, "parts": 2, "elevation_deg": (20.0, 1.0)}
+
+
+def small(**more: Any) -> ShapeSettings:
+    """Return quick settings; one elevation."""
+    return ShapeSettings(**{**SMALL, **more})
+
+
+@lru_cache
+def chair(seed: int = 0) -> Mesh:
+    """Return a made-up chair."""
+    return make_shapes("chairs", 1, seed)[0]
+
+
+def masks_of(mesh: Mesh, items: int, seed: int = 0, side: int = 48) -> MaskData:
+    """Return masks of one shape, seen from all round."""
+    return simulate_masks([mesh], items, seed=seed, side=side)
+
+
+@lru_cache
+def _covered(mesh_seed: int, detail: int) -> Tensor:
+    return torch.from_numpy(np.ascontiguousarray(coverage(chair(mesh_seed), detail)))
+
+
+def mixture_of(seeds: tuple[int, ...], settings: ShapeSettings) -> ShapeMixture:
+    """Return a mixture that knows the chairs of these seeds."""
+    torch.manual_seed(0)
+    mixture = ShapeMixture(settings)
+    for part, seed in enumerate(seeds):
+        logits = (_covered(seed, settings.detail) - 0.35) * 12
+        half = mixture.logits.shape[-1]
+        mixture.logits.data[part] = logits.clamp(-5, 4)[..., -half:]
+    return mixture.eval()
+
+
+def crops_of(data: MaskData, mixture: ShapeMixture) -> tuple[Tensor, Tensor]:
+    """Return masks as the mixture compares them, and their spreads."""
+    masks = as_tensor(data.masks)
+    centre, spread = moments(masks)
+    return recrop(masks, centre, spread, mixture.settings.crop), spread
