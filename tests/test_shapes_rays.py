@@ -56,9 +56,7 @@ def test_silhouettes_are_those_of_sampling_along_the_rays() -> None:
         assert torch.allclose(drawn[:, number], expected, atol=2e-3)
 
 
-@given(
-    st.tuples(*[st.floats(-0.45, 0.45)] * 3), st.floats(0.25, 0.45), st.floats(-180, 180), st.floats(-30, 60)
-)
+@given(st.tuples(*[st.floats(-0.45, 0.45)] * 3), st.floats(0.25, 0.45), st.floats(-180, 180), st.floats(-30, 60))
 @settings(max_examples=12)
 def test_a_ball_is_a_disc_where_the_camera_sees_its_centre(centre, radius, azimuth, tilt) -> None:
     view, distance = seen_from(tilt, azimuth), 6.0

@@ -37,6 +37,16 @@ _REFINE_RANGES = {
     "near": (0, 1e6),
     "seen": (1e-6, 1e6),
 }
+_SHAPE_RANGES = {
+    "resolution": (8, 256),
+    "distance": (2, 1e4),
+    "parts": (1, 64),
+    "detail": (8, 128),
+    "crop": (12, 64),
+    "proportions": (0.01, 100),
+    "hot": (1e-4, 10),
+    "cold": (1e-4, 10),
+}
 _TRAINER_RANGES = {
     "max_steps": (1, 10**12),
     "max_epochs": (1e-9, 1e9),
@@ -123,11 +133,15 @@ def _value_of(settings: Settings, name: str) -> Any:
 
 def _check_masks(settings: Settings) -> None:
     data, shape = settings.data, settings.shape
-    _in_range("shape.resolution", shape.resolution, 8, 256)
+    for key, (low, high) in _SHAPE_RANGES.items():
+        _in_range(f"shape.{key}", getattr(shape, key), low, high)
+    if shape.detail % 2:
+        raise UserError(
+            f"shape.detail={shape.detail}: expected an even number, as the halves of a shape are grids too."
+        )
     mean, sd = shape.elevation_deg
     _in_range("shape.elevation_deg (mean)", mean, -90, 90)
     _in_range("shape.elevation_deg (sd)", sd, 0, 90)
-    _in_range("shape.distance", shape.distance, 2, 1e4)
     _in_range("data.side", data.side, MIN_SIDE, MAX_SIDE)
     _one_of("data.border", data.border, ("skip", "keep"))
     _one_of("data.pieces", data.pieces, ("skip", "largest"))

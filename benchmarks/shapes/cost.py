@@ -54,7 +54,12 @@ def measure(resolution: int, steps: int, threads: int | None = None, task: str =
 
     from uplift.task import load_settings
 
-    words = [f"shape.resolution={resolution}", f"data.simulate={_MASKS}", "trainer.max_time=null"]
+    words = [
+        f"shape.resolution={resolution}",
+        f"shape.detail={resolution}",
+        f"data.simulate={_MASKS}",
+        "trainer.max_time=null",
+    ]
     words += [f"trainer.threads={threads}"] if threads else []
     settings = load_settings(task, [*words, f"trainer.max_steps={_WARM_UP}"])
     if settings.trainer.threads:
