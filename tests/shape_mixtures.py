@@ -11,7 +11,7 @@ from torch import Tensor
 
 from uplift.config import ShapeSettings
 from uplift.masks.container import MaskData
-from uplift.masks.simulate import simulate_masks
+from uplift.masks.simulate import ViewChoice, simulate_masks
 from uplift.meshes.mesh import Mesh
 from uplift.meshes.procedural import make_shapes
 from uplift.meshes.voxels import coverage
@@ -36,8 +36,9 @@ def chair(seed: int = 0) -> Mesh:
 
 
 def masks_of(mesh: Mesh, items: int, seed: int = 0, side: int = 48) -> MaskData:
-    """Return masks of one shape, seen from all round."""
-    return simulate_masks([mesh], items, seed=seed, side=side)
+    """Return masks of one shape, seen from all round at about the elevation of `small`."""
+    views = ViewChoice(elevation_mean_deg=20, elevation_sd_deg=4)
+    return simulate_masks([mesh], items, seed=seed, side=side, views=views)
 
 
 @lru_cache

@@ -1,0 +1,212 @@
+"""Whole fits of masks, small ones: they run, save, resume, repeat themselves, and look at no truth."""
+
+from __future__ import annotations
+
+import os
+import signal
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+
+import uplift
+from uplift.errors import UserError
+from uplift.masks.load import LoadedMasks, load_masks
+from uplift.run import RunFolder
+from uplift.shapes.model import ShapeModel
+from uplift.shapes.recipe import ShapeRecipe
+from uplift.shapes.training import MixtureTraining
+from uplift.task import load_settings
+from uplift.torch_file import save_torch
+from uplift.training.budget import Interrupted
+
+SMALL = (
+    "data.simulate=60", "data.family=chairs", "data.side=32", "shape.detail=12", "shape.crop=16", "shape.parts=2",
+    "shape.resolution=12", "shape.elevation_deg=20,1", "trainer.max_time=null", "trainer.max_steps=10",
+    "trainer.log_every=2", "trainer.threads=1", "teacher.batch_size=16",
+)  # fmt: skip
+
+
+def trained(folder: Path, *words: str, loaded: LoadedMasks | None = None) -> ShapeModel:
+    """Return the model of a small fit, without its evaluation and its pages."""
+    settings = load_settings("masks_demo", [*SMALL, *words])
+    (folder / "checkpoints").mkdir(parents=True, exist_ok=True)
+    run = RunFolder(folder)
+    recipe = ShapeRecipe(settings, loaded or load_masks(settings).for_training(), run)
+    model = recipe.train(run)
+    assert recipe.spent["shapes"] > 0
+    return model
+
+
+def same(one: ShapeModel, other: ShapeModel) -> bool:
+    """Return whether all weights are bit for bit the same."""
+    first, second = one.lifter.state_dict(), other.lifter.state_dict()
+    return first.keys() == second.keys() and all(torch.equal(first[name], second[name]) for name in first)
+
+
+@pytest.fixture(scope="module")
+def fitted(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, ShapeModel]:
+    """Return the folder and the model of an unbroken fit."""
+    folder = tmp_path_factory.mktemp("fitted") / "run"
+    model = trained(folder)
+    model.save(folder / "lifter.pt")
+    return folder, model
+
+
+def test_a_fit_is_saved_and_predicts_the_same(fitted: tuple[Path, ShapeModel]) -> None:
+    folder, model = fitted
+    data = load_masks(load_settings("masks_demo", SMALL)).train.select(np.arange(4))
+    found = model.predict(data)
+    again = uplift.load(folder / "lifter.pt")
+    assert isinstance(again, ShapeModel)
+    assert again.settings == model.settings
+    assert same(again, model)
+    assert np.array_equal(again.predict(data).occupancy, found.occupancy)
+    assert found.occupancy.shape == (4, 12, 12, 12)
+    assert 0.05 < found.level <= 0.5
+    names = {line.split(",")[2] for line in (folder / "metrics.csv").read_text().splitlines()[1:]}
+    assert "energy" in names
+
+
+def test_the_same_seed_gives_the_same_weights(fitted: tuple[Path, ShapeModel], tmp_path: Path) -> None:
+    assert same(trained(tmp_path / "again"), fitted[1])
+    assert not same(trained(tmp_path / "other", "seed=1"), fitted[1])
+
+
+def test_no_truth_is_looked_at(fitted: tuple[Path, ShapeModel], tmp_path: Path) -> None:
+    whole = load_masks(load_settings("masks_demo", SMALL))
+    assert whole.train.truth is not None
+    assert whole.for_training().train.truth is None
+    assert same(trained(tmp_path / "run", loaded=whole), fitted[1]), "truth that is there changes nothing"
+
+
+def test_a_fit_goes_on_from_its_checkpoint(
+    fitted: tuple[Path, ShapeModel], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    objective = MixtureTraining.objective
+
+    def pressing(module: MixtureTraining):
+        if module.global_step == 4:
+            os.kill(os.getpid(), signal.SIGINT)
+        return objective(module)
+
+    with monkeypatch.context() as patch, pytest.raises(Interrupted):
+        patch.setattr(MixtureTraining, "objective", pressing)
+        trained(tmp_path / "run")
+    assert (tmp_path / "run/checkpoints/shapes.ckpt").is_file()
+    taken = []
+
+    def counting(module: MixtureTraining):
+        taken.append(module.global_step)
+        return objective(module)
+
+    monkeypatch.setattr(MixtureTraining, "objective", counting)
+    assert same(trained(tmp_path / "run"), fitted[1])
+    assert taken == [5, 6, 7, 8, 9]
+    taken.clear()
+    assert same(trained(tmp_path / "run"), fitted[1]), "a finished stage is read, not trained"
+    assert taken == []
+
+
+def test_labels_change_what_is_learned(fitted: tuple[Path, ShapeModel], tmp_path: Path) -> None:
+    told = trained(tmp_path / "told", "data.labelled.fraction=0.2")
+    assert not same(told, fitted[1])
+    assert "truth" in (tmp_path / "told/metrics.csv").read_text()
+    alone = trained(tmp_path / "alone", "data.labelled.fraction=0.2", "data.labelled.only=true")
+    assert not same(alone, told)
+
+
+def test_a_start_from_another_run(fitted: tuple[Path, ShapeModel], tmp_path: Path) -> None:
+    start = f"init={fitted[0] / 'lifter.pt'}"
+    more = trained(tmp_path / "more", start, "trainer.max_steps=1", "teacher.learning_rate=1e-9", "teacher.average=null")
+    assert torch.allclose(more.lifter.logits, fitted[1].lifter.logits, atol=1e-5)
+    for words in (("shape.detail=10",), ("shape.parts=3",), ("shape.symmetric=false",), ("shape.gravity=false",)):
+        with pytest.raises(UserError, match="must be those of that run"):
+            trained(tmp_path / "wrong", start, *words)
+
+
+def damaged(state: dict[str, Any], how: str) -> dict[str, Any]:
+    """Return what a file of a lifter must not hold."""
+    weights = state["state"]
+    return {
+        "format": {**state, "uplift_format": 99},
+        "setting": {**state, "shape": {**state["shape"], "colour": 3}},
+        "no settings": {name: value for name, value in state.items() if name != "shape"},
+        "no weights": {**state, "state": {}},
+        "sizes": {**state, "state": {**weights, "logits": weights["logits"][:1]}},
+        "kind": {**state, "state": "weights"},
+    }[how]
+
+
+@pytest.mark.parametrize("how", ["format", "setting", "no settings", "no weights", "sizes", "kind"])
+def test_a_file_that_is_no_whole_lifter(how: str, fitted: tuple[Path, ShapeModel], tmp_path: Path) -> None:
+    state = torch.load(fitted[0] / "lifter.pt", weights_only=True)
+    save_torch(damaged(state, how), tmp_path / "lifter.pt")
+    with pytest.raises(UserError, match=r"lifter\.pt is no"):
+        uplift.load(tmp_path / "lifter.pt")
+
+
+def test_a_file_that_was_cut_off(fitted: tuple[Path, ShapeModel], tmp_path: Path) -> None:
+    whole = (fitted[0] / "lifter.pt").read_bytes()
+    for size in (0, 100, len(whole) // 2):
+        (tmp_path / "lifter.pt").write_bytes(whole[:size])
+        with pytest.raises(UserError, match=r"lifter\.pt"):
+            uplift.load(tmp_path / "lifter.pt")
+
+
+MINE = """
+import torch
+from uplift.priors.shape_base import ShapePrior
+
+
+class Mine(ShapePrior):
+    def __init__(self, share=0.1):
+        super().__init__()
+        self.share = torch.nn.Parameter(torch.tensor(float(share)))
+
+    def loss(self, lift):
+        return (lift.occupancy.mean() - self.share).square()
+
+
+class Wrong(ShapePrior):
+    def loss(self, lift):
+        return lift.occupancy.mean((1, 2, 3))
+
+
+class Breaks(ShapePrior):
+    def loss(self, lift):
+        return lift.colour
+
+
+class Unready(ShapePrior):
+    def __init__(self):
+        self.share = 1
+
+    def loss(self, lift):
+        return lift.occupancy.mean()
+"""
+
+
+def test_a_prior_of_ones_own(fitted: tuple[Path, ShapeModel], here: Path) -> None:
+    Path("my.py").write_text(MINE)
+    model = trained(here / "run", "priors.mine.use=my.py:Mine", "priors.mine.weight=3", "priors.mine.share=0.9")
+    assert not same(model, fitted[1])
+    rows = [line.split(",") for line in (here / "run/metrics.csv").read_text().splitlines()[1:]]
+    assert min(float(row[3]) for row in rows if row[2] == "mine") > 0
+
+
+@pytest.mark.parametrize(
+    ("name", "says"),
+    [
+        ("Wrong", "priors.mine: loss.lift. returned shape .2,.*one finite number"),
+        ("Breaks", r"priors.mine: .*loss failed in .*my.py, line 2\d: AttributeError"),
+        ("Unready", r"must call super\(\).__init__\(\) first"),
+        ("Absent", "no class 'Absent'"),
+    ],
+)
+def test_a_prior_of_ones_own_that_is_wrong(name: str, says: str, here: Path) -> None:
+    Path("my.py").write_text(MINE)
+    with pytest.raises(UserError, match=says):
+        trained(here / "run", f"priors.mine.use=my.py:{name}")
