@@ -120,7 +120,9 @@ def test_labels_change_what_is_learned(fitted: tuple[Path, ShapeModel], tmp_path
 
 def test_a_start_from_another_run(fitted: tuple[Path, ShapeModel], tmp_path: Path) -> None:
     start = f"init={fitted[0] / 'lifter.pt'}"
-    more = trained(tmp_path / "more", start, "trainer.max_steps=1", "teacher.learning_rate=1e-9", "teacher.average=null")
+    more = trained(
+        tmp_path / "more", start, "trainer.max_steps=1", "teacher.learning_rate=1e-9", "teacher.average=null"
+    )
     assert torch.allclose(more.lifter.logits, fitted[1].lifter.logits, atol=1e-5)
     for words in (("shape.detail=10",), ("shape.parts=3",), ("shape.symmetric=false",), ("shape.gravity=false",)):
         with pytest.raises(UserError, match="must be those of that run"):

@@ -81,9 +81,8 @@ def measure(resolution: int, steps: int, threads: int | None = None, task: str =
 def _seconds(settings: Any) -> float:
     """Train as the settings say, and return how long that took without what came before the first step."""
     from uplift.masks.load import load_masks
-    from uplift.shapes.recipe import ShapeRecipe
-
     from uplift.run import RunFolder
+    from uplift.shapes.recipe import ShapeRecipe
 
     with tempfile.TemporaryDirectory() as folder, contextlib.chdir(folder), contextlib.redirect_stdout(sys.stderr):
         loaded = load_masks(settings)

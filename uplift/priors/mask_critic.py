@@ -19,6 +19,8 @@ class MaskCritic(ShapePrior):
     The gradient of its verdict at real masks is held small (Mescheder et al. 2018, R1).
     """
 
+    blur: Tensor
+
     def __init__(self, units: int = 24, gradient_penalty: float = 1.0):
         super().__init__()
         self.gradient_penalty = gradient_penalty

@@ -43,6 +43,11 @@ class ShapeMixture(nn.Module):
         self.register_buffer("level", torch.tensor(0.2))
         self.projector: Projector | None = None
 
+    azimuth_bias: Tensor
+    part_bias: Tensor
+    level: Tensor
+    """Of occupancy, where the surface of lifted shapes is."""
+
     has_mirror_image = True
     """Any mask's mirror image may be a mask."""
 

@@ -77,6 +77,7 @@ class MixtureTraining(LifterTraining):
         energy = -temperature * torch.logsumexp(evidence.flatten(1), 1).mean()
         responsibility = evidence.detach().flatten(1).softmax(1).view_as(evidence)
         self.lifter.balance(responsibility)
+        logged: dict[str, float | Tensor]
         loss, logged = energy + _SIZE_WEIGHT * self.lifter.size_loss(drawn), {"energy": energy.detach()}
         if bool(known.any()):
             truth = self._unlike_truth(responsibility.sum(2)[known], data.shapes[data.shape[rows][known]])
@@ -93,9 +94,9 @@ class MixtureTraining(LifterTraining):
         )
         return (each / shapes[0].numel() * share).sum(1).mean()
 
-    def _priors(self, masks: Tensor, cut: Tensor, responsibility: Tensor) -> tuple[Tensor, dict[str, Tensor]]:
+    def _priors(self, masks: Tensor, cut: Tensor, responsibility: Tensor) -> tuple[Tensor, dict[str, float | Tensor]]:
         """Return the weighted sum of the priors and each one's loss."""
-        total, logged = masks.new_zeros(()), {}
+        total, logged = masks.new_zeros(()), dict[str, float | Tensor]()
         if not self.priors:
             return total, logged
         flat = cut.flatten(0, 1)
