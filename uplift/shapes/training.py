@@ -15,6 +15,7 @@ from uplift.shapes.lift import ShapeLift
 from uplift.shapes.mask_set import MaskSet
 from uplift.shapes.mixture import ShapeMixture, temperature_at
 from uplift.training.base import LifterTraining
+from uplift.training.watch import blame
 
 __all__ = ["MixtureTraining"]
 
@@ -106,7 +107,8 @@ class MixtureTraining(LifterTraining):
         for name, prior in self.priors.items():
             still = name in self.adversarial
             prior.requires_grad_(not still)
-            value = prior.loss(lift)
+            with blame(name, prior, "loss"):
+                value = prior.loss(lift)
             prior.requires_grad_(True)
             if not isinstance(value, Tensor) or value.shape != () or not bool(torch.isfinite(value)):
                 found = f"shape {tuple(value.shape)}" if isinstance(value, Tensor) else type(value).__name__
@@ -114,6 +116,9 @@ class MixtureTraining(LifterTraining):
             total = total + self.weights[name] * value
             logged[name] = value.detach()
             if still:
-                own = prior.own_loss(masks[:_TURNED], turned.detach())  # type: ignore[operator]
+                with blame(name, prior, "own_loss"):
+                    own = prior.own_loss(masks[:_TURNED], turned.detach())  # type: ignore[operator]
+                if not isinstance(own, Tensor) or own.shape != () or not own.requires_grad:
+                    raise UserError(f"priors.{name}: own_loss(real, seen) must return one number made with its parameters.")
                 total, logged[f"{name}_own"] = total + own, own.detach()
         return total, logged
