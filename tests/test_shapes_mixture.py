@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -119,7 +120,7 @@ def test_the_temperature_falls_and_stays() -> None:
     assert falling[0] == pytest.approx(0.1)
     assert falling[-1] == pytest.approx(0.03)
     assert falling[16] == pytest.approx(0.03)
-    assert all(a >= b for a, b in zip(falling, falling[1:], strict=False))
+    assert all(a >= b for a, b in pairwise(falling))
     assert temperature_at(0.4, 0.1, 0.025) == pytest.approx(0.05)
 
 
