@@ -11,7 +11,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-import torch
 
 from uplift.config import Settings, ShapeSettings
 from uplift.evaluation import shape_floors, shape_item
