@@ -11,7 +11,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-import torch
 
 from uplift.config import Settings, ShapeSettings
 from uplift.evaluation import shape_floors, shape_item
@@ -21,6 +20,7 @@ from uplift.masks.container import MaskData
 from uplift.masks.load import LoadedMasks
 from uplift.run import RunFolder
 from uplift.shapes import model as model_module
+from uplift.shapes.mixture import ShapeMixture
 from uplift.shapes.prediction import ShapePrediction
 from uplift.torch_file import read_torch, save_torch
 from uplift.verbs import evaluate_shapes
@@ -36,7 +36,7 @@ class StandInModel(model_module.ShapeModel):
     def predict(self, data: MaskData, title: str = "") -> ShapePrediction:
         """Return every mask extruded."""
         assert data.truth is None
-        depth = np.abs((2 * np.arange(_R) + 1) / _R - 1) < float(self.lifter)
+        depth = np.abs((2 * np.arange(_R) + 1) / _R - 1) < float(self.lifter.level)
         small = data.masks.reshape(len(data), _R, data.side // _R, _R, data.side // _R).mean((2, 4)) / 255
         return ShapePrediction(
             (small[:, None] * depth[:, None, None]).astype(np.float32), np.repeat(np.eye(3)[None], len(data), 0),
@@ -46,13 +46,20 @@ class StandInModel(model_module.ShapeModel):
 
     def save(self, path: Path) -> None:
         """Write one file."""
-        save_torch({"lifts": "masks", "thick": torch.tensor(self.lifter), "settings": asdict(self.settings)}, path)
+        save_torch({"lifts": "masks", "thick": self.lifter.level, "settings": asdict(self.settings)}, path)
 
     @classmethod
     def load_file(cls, path: Path) -> StandInModel:
         """Read it."""
         state = read_torch(path, "lifter")
-        return cls(float(state["thick"]), ShapeSettings(**state["settings"]))
+        return cls(_thick(float(state["thick"])), ShapeSettings(**state["settings"]))
+
+
+def _thick(thick: float) -> ShapeMixture:
+    """Return a mixture that only says how thick shapes are."""
+    mixture = ShapeMixture(ShapeSettings(detail=4, crop=4, parts=1))
+    mixture.level.fill_(thick)
+    return mixture
 
 
 def stand_in(patch: pytest.MonkeyPatch, stop: bool = False) -> list[LoadedMasks]:
@@ -75,7 +82,7 @@ def stand_in(patch: pytest.MonkeyPatch, stop: bool = False) -> list[LoadedMasks]
             if stop and len(given) == 1:
                 run.link_last()
                 raise KeyboardInterrupt
-            return StandInModel(0.4, self.settings.shape)
+            return StandInModel(_thick(0.4), self.settings.shape)
 
     module = ModuleType("uplift.shapes.recipe")
     module.ShapeRecipe = ShapeRecipe  # type: ignore[attr-defined]

@@ -21,6 +21,7 @@ from uplift.overrides import put_override, setting_names
 from uplift.paths import shipped_names
 from uplift.plugins import find_class, options_of
 from uplift.priors import PRIORS
+from uplift.priors.of_shapes import SHAPE_PRIORS
 from uplift.readers import read
 from uplift.skeleton import load_skeleton
 from uplift.task import load_settings
@@ -29,6 +30,10 @@ from uplift.verbs.data_render import RENDER_KEYS
 ROOT = Path(__file__).resolve().parent.parent
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
 SMALL = (*QUICK, "data.simulate=200")
+SMALL_MASKS = (
+    "data.simulate=20", "data.side=32", "shape.detail=12", "shape.crop=16", "shape.resolution=12",
+    "trainer.max_time=null", "trainer.max_steps=10", "trainer.log_every=1", "trainer.threads=1", "teacher.batch_size=16",
+)  # fmt: skip
 
 _FENCE = re.compile(r"^```(\w*)\n(.*?)^```$", re.M | re.S)
 
@@ -73,6 +78,7 @@ LINKS = [
         *(f"{name}" for name in shipped_names("tasks")),
         *shipped_names("skeletons"),
         *PRIORS,
+        *SHAPE_PRIORS,
         *PROTOCOLS,
     ],
 )
@@ -156,8 +162,9 @@ def _check_fit_word(word: str) -> None:
     elif key not in ("resume", "seed"):
         put_override({}, word)
     path = key.split(".")
-    if path[0] == "priors" and path[1] in PRIORS and path[2] not in ("use", "weight", "if_possible"):
-        allowed = options_of(find_class(path[1], PRIORS, ""))
+    known = PRIORS | SHAPE_PRIORS
+    if path[0] == "priors" and path[1] in known and path[2] not in ("use", "weight", "if_possible"):
+        allowed = options_of(find_class(path[1], known, ""))
         assert allowed is None or path[2] in allowed
 
 
@@ -176,7 +183,7 @@ def test_python_and_yaml_parse(page: Path) -> None:
     for block in _blocks(page, "python"):
         compile(block, page.name, "exec")
         for name in re.findall(r"\buplift\.(\w+)", block):
-            assert name in uplift.__all__
+            assert name in uplift.__all__ or f"from uplift.{name}." in block
     for block in _blocks(page, "yaml"):
         assert isinstance(yaml.safe_load(block), dict)
 
@@ -238,7 +245,7 @@ EXAMPLES = [
 
 
 def test_every_example_of_a_prior_has_its_command() -> None:
-    assert {name for _, name, _ in EXAMPLES} == {"my_priors.py", "ground.py", "subspace.py", "limbs.py"}
+    assert {name for _, name, _ in EXAMPLES} == {"my_priors.py", "ground.py", "subspace.py", "limbs.py", "light.py"}
 
 
 @pytest.mark.parametrize(("page", "name", "command"), EXAMPLES, ids=[name for _, name, _ in EXAMPLES])
@@ -248,10 +255,14 @@ def test_priors_run_as_they_are_printed(
     monkeypatch.chdir(tmp_path)
     Path(name).write_text(_files(page, "python")[name])
     words = [word for word in shlex.split(command)[1:] if not word.startswith("task=")]
-    quick = ["task=demo", "student.share=0", "trainer.log_every=1"]
-    assert status_of(words[0], *SMALL, *quick, *words[1:]) == 0
+    quick = ["task=demo", *SMALL, "student.share=0", "trainer.log_every=1"]
+    if "task=masks_demo" in command:
+        quick = ["task=masks_demo", *SMALL_MASKS]
+    assert status_of(words[0], *quick, *words[1:]) == 0
     prior = command.split("priors.")[1].split(".")[0]
-    rows = [line.split(",") for line in Path("runs/demo/last/metrics.csv").read_text().splitlines()[1:]]
+    rows = [
+        line.split(",") for line in (next(Path("runs").glob("*/last")) / "metrics.csv").read_text().splitlines()[1:]
+    ]
     values = [float(row[3]) for row in rows if row[2] == prior]
     assert len(values) == 10
     assert max(values) > 0

@@ -63,7 +63,7 @@ def test_a_fit_leaves_what_a_fit_of_keypoints_leaves(trained: Path) -> None:
     for part in (
         "train: 20 masks from made-up chairs", "test: 2 masks from made-up chairs, other shapes",
         "Learned from masks alone: no shape, view or category of the data was looked at.",
-        "shapes stand upright; cameras look down by 15 degrees", "guess: 0 s of training", "| volume_iou |",
+        "shapes stand upright; cameras look down by 25 degrees", "guess: 0 s of training", "| volume_iou |",
     ):  # fmt: skip
         assert part in report
     page = (trained / "page.html").read_text()
@@ -238,7 +238,7 @@ def test_evaluate_and_compare_keep_the_kinds_apart(run: Path, capsys) -> None:
 
 def test_data_check_and_tasks(masks: Path, capsys) -> None:
     assert status_of("data", "check", "task=masks_demo") == 0
-    assert "train, test: 4,000 masks of made-up furniture" in capsys.readouterr().out
+    assert "train, test: 4,000 masks of made-up chairs" in capsys.readouterr().out
     assert status_of("data", "check", "task=masks", "data.train=masks") == 0
     assert "3 pictures, pictures of masks" in capsys.readouterr().out
     write_masks(simulate_masks("chairs", 5, seed=9, side=48), "truth.npz")

@@ -38,6 +38,9 @@ def build_shape_priors(specs: Mapping[str, Mapping[str, Any]]) -> tuple[dict[str
         if isinstance(weight, bool) or not isinstance(weight, (int, float)) or not 0 <= weight < float("inf"):
             raise UserError(f"{where}.weight={weight!r}: expected a number of at least 0.")
         if weight > 0:
-            priors[name] = build(use, SHAPE_PRIORS, options, where, ShapePrior)
+            prior = build(use, SHAPE_PRIORS, options, where, ShapePrior)
+            if "_parameters" not in vars(prior):
+                raise UserError(f"{where}: {type(prior).__name__}.__init__ must call super().__init__() first.")
+            priors[name] = prior
             weights[name] = float(weight)
     return priors, weights

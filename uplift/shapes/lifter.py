@@ -12,7 +12,7 @@ from uplift.shapes.crops import moments, recrop
 from uplift.shapes.mixture import ShapeMixture
 from uplift.shapes.rays import BASE
 
-__all__ = ["LiftedShapes", "lift_masks"]
+__all__ = ["LiftedShapes", "image_points", "lift_masks"]
 
 _HYPOTHESES = 8
 _COVERED = 0.3
@@ -75,6 +75,13 @@ def lift_masks(
     total *= (_look(masks[:, None], image) > _COVERED).to(total.dtype)
     grid = total.view(-1, resolution, resolution, resolution)
     return LiftedShapes(grid, best.view, scale, best.centre, distance)
+
+
+def image_points(lifted: LiftedShapes) -> Float[Tensor, "items points 2"]:
+    """Return where the voxels of lifted shapes are seen, in half sides of the crop."""
+    points = (_grid_points(lifted.occupancy.shape[-1], lifted.scale) @ lifted.view.mT) * lifted.scale[:, None, None]
+    flat = points[..., :2] + lifted.offset[:, None]
+    return flat / (1 + points[..., 2:] / lifted.distance[:, None, None]).clamp_min(0.1)
 
 
 def _hypothesis(mixture: ShapeMixture, drawn: tuple[Tensor, ...], index: Tensor, centre: Tensor, spread: Tensor):

@@ -14,7 +14,7 @@ from uplift.model import load
 from uplift.priors.of_shapes import build_shape_priors
 from uplift.run import RunFolder
 from uplift.shapes.level import choose_level
-from uplift.shapes.mask_set import mask_set
+from uplift.shapes.mask_set import as_tensor, mask_set
 from uplift.shapes.mixture import ShapeMixture
 from uplift.shapes.model import ShapeModel
 from uplift.shapes.training import MixtureTraining
@@ -64,7 +64,7 @@ class ShapeRecipe:
         model = ShapeModel(mixture, self.settings.shape)
         rows = np.linspace(0, len(self.train_data) - 1, min(_MOST_FOR_LEVEL, len(self.train_data))).astype(int)
         lifted = model.lift(self.train_data.masks[rows], resolution=self.settings.shape.detail)
-        mixture.level.fill_(choose_level(lifted.occupancy))
+        mixture.level.fill_(choose_level(lifted, as_tensor(self.train_data.masks[rows])))
         return model
 
 

@@ -15,6 +15,7 @@ from uplift.shapes.lift import ShapeLift
 from uplift.shapes.mask_set import MaskSet
 from uplift.shapes.mixture import ShapeMixture, temperature_at
 from uplift.training.base import LifterTraining
+from uplift.training.watch import blame
 
 __all__ = ["MixtureTraining"]
 
@@ -77,8 +78,8 @@ class MixtureTraining(LifterTraining):
         energy = -temperature * torch.logsumexp(evidence.flatten(1), 1).mean()
         responsibility = evidence.detach().flatten(1).softmax(1).view_as(evidence)
         self.lifter.balance(responsibility)
-        logged: dict[str, float | Tensor]
-        loss, logged = energy + _SIZE_WEIGHT * self.lifter.size_loss(drawn), {"energy": energy.detach()}
+        loss = energy + _SIZE_WEIGHT * self.lifter.size_loss(drawn)
+        logged: dict[str, float | Tensor] = {"energy": energy.detach()}
         if bool(known.any()):
             truth = self._unlike_truth(responsibility.sum(2)[known], data.shapes[data.shape[rows][known]])
             loss, logged = loss + _TRUTH_WEIGHT * known.float().mean() * truth, logged | {"truth": truth.detach()}
@@ -107,7 +108,8 @@ class MixtureTraining(LifterTraining):
         for name, prior in self.priors.items():
             still = name in self.adversarial
             prior.requires_grad_(not still)
-            value = prior.loss(lift)
+            with blame(name, prior, "loss"):
+                value = prior.loss(lift)  # type: ignore[operator]
             prior.requires_grad_(True)
             if not isinstance(value, Tensor) or value.shape != () or not bool(torch.isfinite(value)):
                 found = f"shape {tuple(value.shape)}" if isinstance(value, Tensor) else type(value).__name__
@@ -115,6 +117,11 @@ class MixtureTraining(LifterTraining):
             total = total + self.weights[name] * value
             logged[name] = value.detach()
             if still:
-                own = prior.own_loss(masks[:_TURNED], turned.detach())  # type: ignore[operator]
+                with blame(name, prior, "own_loss"):
+                    own = prior.own_loss(masks[:_TURNED], turned.detach())  # type: ignore[operator]
+                if not isinstance(own, Tensor) or own.shape != () or not own.requires_grad:
+                    raise UserError(
+                        f"priors.{name}: own_loss(real, seen) must return one number made with its parameters."
+                    )
                 total, logged[f"{name}_own"] = total + own, own.detach()
         return total, logged

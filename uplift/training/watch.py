@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from pathlib import Path
 
 import torch
-from torch import Tensor
+from torch import Tensor, nn
 
 from uplift.errors import UserError
 from uplift.lift import Lift
@@ -91,7 +91,7 @@ class PriorWatch:
 class blame:
     """Turn an error inside a user's own prior into a `UserError` that names file and line."""
 
-    def __init__(self, name: str, prior: Prior, hook: str):
+    def __init__(self, name: str, prior: nn.Module, hook: str):
         self.name, self.prior, self.hook = name, prior, hook
 
     def __enter__(self) -> None:
@@ -112,6 +112,6 @@ class blame:
         ) from error
 
 
-def _file_of(prior: Prior) -> str:
+def _file_of(prior: nn.Module) -> str:
     module = sys.modules.get(type(prior).__module__)
     return f"{type(prior).__name__} of {getattr(module, '__file__', None) or type(prior).__module__}"
