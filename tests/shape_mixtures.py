@@ -51,9 +51,9 @@ def mixture_of(seeds: tuple[int, ...], settings: ShapeSettings) -> ShapeMixture:
     torch.manual_seed(0)
     mixture = ShapeMixture(settings)
     for part, seed in enumerate(seeds):
-        logits = (_covered(seed, settings.detail) - 0.35) * 12
+        logits = (_covered(seed, settings.detail) - 0.5) * 10
         half = mixture.logits.shape[-1]
-        mixture.logits.data[part] = logits.clamp(-5, 4)[..., -half:]
+        mixture.logits.data[part] = logits.clamp(-6, 2)[..., -half:]
     return mixture.eval()
 
 

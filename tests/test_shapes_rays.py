@@ -51,9 +51,9 @@ def test_silhouettes_are_those_of_sampling_along_the_rays() -> None:
         y, x, z = torch.meshgrid(at / BASE, at / BASE, depth, indexing="ij")
         camera = torch.stack([x * (1 + z / 5), y * (1 + z / 5), z], -1)
         points = (view.mT @ camera[..., None])[..., 0].expand(2, -1, -1, -1, -1)
-        sampled = torch.nn.functional.grid_sample(density[:, None], points, align_corners=False)[:, 0]
-        expected = 1 - torch.exp(-sampled.sum(-1) * (2 * DEEP / SIDE) * N / 2)
-        assert torch.allclose(drawn[:, number], expected, atol=2e-3)
+        sampled = torch.nn.functional.grid_sample(density.square()[:, None], points, align_corners=False)[:, 0]
+        expected = 1 - torch.exp(-(sampled.sum(-1) * (2 * DEEP / SIDE) * N / 2).sqrt())
+        assert torch.allclose(drawn[:, number], expected, atol=0.05)  # weights under a thousandth are left out
 
 
 @given(st.tuples(*[st.floats(-0.45, 0.45)] * 3), st.floats(0.25, 0.45), st.floats(-180, 180), st.floats(-30, 60))
