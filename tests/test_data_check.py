@@ -252,7 +252,8 @@ def test_every_shipped_task_says_so_in_a_few_lines(task: str, here: Path, capsys
     message = refusal(capsys, "fit", f"task={task}")
     name = load_settings(task).data.name
     assert len(message.splitlines()) <= 20
-    for part in (f"task '{task}'", str(here / "data" / name), f"a subfolder {name}/", "task=demo"):
+    demo = "task=masks_demo" if load_settings(task).lifts == "masks" else "task=demo"
+    for part in (f"task '{task}'", str(here / "data" / name), f"a subfolder {name}/", demo):
         assert part in message
     assert ("task=semi_cmu` runs on open data" in message) == (name != "cmu")
     assert status_of("data", "check", f"task={task}") == 2
