@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from torch import Tensor
 
-from uplift.shapes.rays import BASE, Projector, own_points
+from uplift.shapes.rays import BASE, Projector
 from uplift.views import about_y, level, random_rotations
 
 N, SIDE, DEEP = 16, 24, 1.45
@@ -108,9 +108,3 @@ def test_the_gradient_is_that_of_the_sum() -> None:
             step[place] = 1e-2
             slope = ((projector(density + step) - projector(density - step)) * weight).sum() / 2e-2
             assert float(density.grad[place]) == pytest.approx(float(slope), rel=0.02, abs=1e-3)  # type: ignore[index]
-
-
-def test_points_of_the_camera_in_the_own_frame() -> None:
-    view = random_rotations(4)
-    own = torch.randn(4, 7, 3)
-    assert torch.allclose(own_points(own @ view.mT, view), own, atol=1e-5)

@@ -37,7 +37,7 @@ class ShapeMixture(nn.Module):
         self.grid: ViewGrid = view_grid(settings)
         n, parts = settings.detail, settings.parts
         half = n // 2 if settings.symmetric else n
-        self.logits = nn.Parameter(_first_shapes(parts, n, settings.symmetric)[..., -half:].clone())
+        self.logits = nn.Parameter(_first_shapes(parts, n)[..., -half:].clone())
         self.register_buffer("azimuth_bias", torch.zeros(parts, self.grid.azimuths))
         self.register_buffer("part_bias", torch.zeros(parts))
         self.register_buffer("level", torch.tensor(0.2))
@@ -47,9 +47,6 @@ class ShapeMixture(nn.Module):
     part_bias: Tensor
     level: Tensor
     """Of occupancy, where the surface of lifted shapes is."""
-
-    has_mirror_image = True
-    """Any mask's mirror image may be a mask."""
 
     @property
     def full_logits(self) -> Float[Tensor, "shapes depth height width"]:
@@ -118,7 +115,7 @@ class ShapeMixture(nn.Module):
         self.part_bias.add_(0.03 * (share * len(share)).clamp_min(0.05).log()).clamp_(-3, 3)
 
 
-def _first_shapes(parts: int, resolution: int, symmetric: bool) -> Tensor:
+def _first_shapes(parts: int, resolution: int) -> Tensor:
     """Return logits of soft ellipsoids with a little noise: nothing is known of the shapes."""
     at = (2 * torch.arange(resolution) + 1) / resolution - 1
     z, y, x = torch.meshgrid(at, at, at, indexing="ij")

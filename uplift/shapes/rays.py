@@ -8,19 +8,12 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-__all__ = ["BASE", "Projector", "own_points"]
+__all__ = ["BASE", "Projector"]
 
 BASE = 0.62
 """Scale at which silhouettes are drawn: the whole cube of a shape stays inside the image."""
 _DEEP = 1.45
 """Half the depth that is looked through, in units of the own frame."""
-
-
-def own_points(
-    camera: Float[Tensor, "views points 3"], view: Float[Tensor, "views 3 3"]
-) -> Float[Tensor, "views points 3"]:
-    """Return points of the camera's frame in the shape's own frame."""
-    return camera @ view
 
 
 def _rays(side: int, steps: int, distance: float) -> Tensor:
@@ -68,7 +61,7 @@ class Projector:
 
     What hides the light is the root of the summed squares of density along a ray: four voxels of haze hide
     twice what one does, not four times, so that haze is no cheap way to be opaque. A sum over voxels and one
-    function of it is all a silhouette is. A matrix of fixed views costs a tenth of sampling the grids anew in every step.
+    function of it is all a silhouette is, so that the matrix of fixed views is made once.
     """
 
     def __init__(self, views: Float[Tensor, "views 3 3"], *, resolution: int, side: int, distance: float):
@@ -76,7 +69,7 @@ class Projector:
         steps = side
         camera = _rays(side, steps, distance)
         pixel = torch.arange(side * side).repeat(steps)
-        # Along a ray the image is 1 / BASE of a grid's cube wide: steps of depth count as their length in voxels.
+        # Steps of depth count as their length in voxels.
         length = (2 * _DEEP / steps) / (2 / resolution)
         rows, columns, values = [], [], []
         for number, view in enumerate(views):

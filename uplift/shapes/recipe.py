@@ -30,12 +30,10 @@ class ShapeRecipe:
 
     def __init__(self, settings: Settings, loaded: LoadedMasks, run: RunFolder | None):
         self.settings = settings
-        self.train_data = loaded.train
-        self.data = mask_set(loaded.train, settings.shape)
-        if settings.data.labelled.only:
-            rows = self.data.labelled.nonzero()[:, 0]
-            self.train_data = loaded.train.select(rows.numpy())
-            self.data = mask_set(self.train_data, settings.shape)
+        labelled = loaded.train.labelled
+        only = settings.data.labelled.only and labelled is not None
+        self.train_data = loaded.train.select(labelled) if only else loaded.train
+        self.data = mask_set(self.train_data, settings.shape)
         self.priors, self.weights = build_shape_priors(settings.priors)
         self.spent: dict[str, float] = {}
         self.budget = stage_budgets(settings.trainer, [1.0], len(self.data), settings.teacher.batch_size)[0]
