@@ -21,9 +21,8 @@ def lift_of(occupancy: Tensor, done: float = 1.0) -> ShapeLift:
     """Return what a prior sees of these grids."""
     logits = torch.logit(occupancy, 1e-4)
     side = torch.rand(6, 16, 16)
-    return ShapeLift(
-        logits, occupancy, side, side, torch.ones(6, len(occupancy), 1) / len(occupancy), torch.eye(3)[None], done
-    )
+    used = torch.full((len(occupancy), 1), 1 / len(occupancy))
+    return ShapeLift(logits, occupancy, side, side, used, torch.eye(3)[None], done)
 
 
 def ball() -> Tensor:

@@ -10,6 +10,8 @@ from bodies import refusal
 from mask_files import blob, save
 from shape_stand_in import stand_in
 
+from uplift.task import load_settings
+
 pytestmark = pytest.mark.usefixtures("here")
 
 DEMO = ("task=masks_demo", "data.simulate=20", "data.family=chairs", "data.side=32")
@@ -37,6 +39,13 @@ def masks(here: Path) -> Path:
         (("shape.resolution=4096",), "shape.resolution=4096"),
         (("shape.elevation_deg=120,3",), "shape.elevation_deg (mean)=120"),
         (("shape.distance=1",), "shape.distance=1"),
+        (("shape.parts=0",), "shape.parts=0: expected a number from 1 to 64"),
+        (("shape.splits=1",), "shape.splits=1: expected a number from 2 to 64"),
+        (("shape.splits=4,65",), "shape.splits=65: expected a number from 2 to 64"),
+        (("shape.splits=-2",), "shape.splits=-2: expected a number from 2 to 64"),
+        (("shape.splits=2,some",), "'shape.splits[1]': Value 'some'"),
+        (("shape.splits=2,2.5",), "'shape.splits[1]': Value '2.5'"),
+        (("shape.parts=4", "shape.splits=32,33"), "ask for 4,224 shapes, expected at most 4,096"),
         (("data.side=4",), "data.side=4"),
         (("data.side=2000",), "data.side=2000"),
         (("data.border=crop",), "data.border='crop'"),
@@ -70,8 +79,14 @@ def test_fit_refuses(words: tuple[str, ...], says: str, masks: Path, capsys) -> 
     [
         (("shape.resolution=64",), "this fit lifts keypoints, and it is about masks"),
         (("data.family=cars",), "data.family is set"),
+        (("shape.splits=2",), "shape.splits is set, but this fit lifts keypoints"),
         (("data.select.categories=cow",), "keypoints have no categories. Choose by subjects"),
     ],
 )
 def test_fits_of_keypoints_refuse_what_is_of_masks(words: tuple[str, ...], says: str, capsys) -> None:
     assert says in refusal(capsys, "fit", "task=demo", *words)
+
+
+@pytest.mark.parametrize(("word", "splits"), [("", []), ("3", [3]), ("32,32", [32, 32]), ("[2,64]", [2, 64])])
+def test_splits_that_may_be(word: str, splits: list[int]) -> None:
+    assert load_settings("masks_demo", [f"shape.splits={word}", "shape.parts=4"]).shape.splits == splits

@@ -2,48 +2,20 @@
 
 from __future__ import annotations
 
-import os
-import signal
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 import torch
+from shape_fits import SMALL, interrupt, noted, same, trained
 
 import uplift
 from uplift.errors import UserError
-from uplift.masks.load import LoadedMasks, load_masks
-from uplift.run import RunFolder
+from uplift.masks.load import load_masks
 from uplift.shapes.model import ShapeModel
-from uplift.shapes.recipe import ShapeRecipe
-from uplift.shapes.training import MixtureTraining
 from uplift.task import load_settings
 from uplift.torch_file import save_torch
-from uplift.training.budget import Interrupted
-
-SMALL = (
-    "data.simulate=60", "data.family=chairs", "data.side=32", "shape.detail=12", "shape.crop=16", "shape.parts=2",
-    "shape.resolution=12", "shape.elevation_deg=20,1", "trainer.max_time=null", "trainer.max_steps=10",
-    "trainer.log_every=2", "trainer.threads=1", "teacher.batch_size=16",
-)  # fmt: skip
-
-
-def trained(folder: Path, *words: str, loaded: LoadedMasks | None = None) -> ShapeModel:
-    """Return the model of a small fit, without its evaluation and its pages."""
-    settings = load_settings("masks_demo", [*SMALL, *words])
-    (folder / "checkpoints").mkdir(parents=True, exist_ok=True)
-    run = RunFolder(folder)
-    recipe = ShapeRecipe(settings, loaded or load_masks(settings).for_training(), run)
-    model = recipe.train(run)
-    assert recipe.spent["shapes"] > 0
-    return model
-
-
-def same(one: ShapeModel, other: ShapeModel) -> bool:
-    """Return whether all weights are bit for bit the same."""
-    first, second = one.lifter.state_dict(), other.lifter.state_dict()
-    return first.keys() == second.keys() and all(torch.equal(first[name], second[name]) for name in first)
 
 
 @pytest.fixture(scope="module")
@@ -82,29 +54,15 @@ def test_no_truth_is_looked_at(fitted: tuple[Path, ShapeModel], tmp_path: Path) 
     assert same(trained(tmp_path / "run", loaded=whole), fitted[1]), "truth that is there changes nothing"
 
 
+@pytest.mark.parametrize("step", [4, 6])  # before the next expectation, and between two
 def test_a_fit_goes_on_from_its_checkpoint(
-    fitted: tuple[Path, ShapeModel], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    step: int, fitted: tuple[Path, ShapeModel], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    objective = MixtureTraining.objective
-
-    def pressing(module: MixtureTraining):
-        if module.global_step == 4:
-            os.kill(os.getpid(), signal.SIGINT)
-        return objective(module)
-
-    with monkeypatch.context() as patch, pytest.raises(Interrupted):
-        patch.setattr(MixtureTraining, "objective", pressing)
-        trained(tmp_path / "run")
-    assert (tmp_path / "run/checkpoints/shapes.ckpt").is_file()
-    taken = []
-
-    def counting(module: MixtureTraining):
-        taken.append(module.global_step)
-        return objective(module)
-
-    monkeypatch.setattr(MixtureTraining, "objective", counting)
+    interrupt(tmp_path / "run", 2, step)
+    assert [path.name for path in tmp_path.glob("run/checkpoints/*")] == ["shapes.ckpt"]
+    taken = noted(monkeypatch)
     assert same(trained(tmp_path / "run"), fitted[1])
-    assert taken == [5, 6, 7, 8, 9]
+    assert [at for _, at, _ in taken] == list(range(step + 1, 10))
     taken.clear()
     assert same(trained(tmp_path / "run"), fitted[1]), "a finished stage is read, not trained"
     assert taken == []
@@ -120,13 +78,10 @@ def test_labels_change_what_is_learned(fitted: tuple[Path, ShapeModel], tmp_path
 
 def test_a_start_from_another_run(fitted: tuple[Path, ShapeModel], tmp_path: Path) -> None:
     start = f"init={fitted[0] / 'lifter.pt'}"
-    more = trained(
-        tmp_path / "more", start, "trainer.max_steps=1", "teacher.learning_rate=1e-9", "teacher.average=null"
-    )
+    still = ("trainer.max_steps=1", "teacher.learning_rate=1e-9", "teacher.average=null")
+    more = trained(tmp_path / "more", start, *still)
     assert torch.allclose(more.lifter.logits, fitted[1].lifter.logits, atol=1e-5)
-    for words in (("shape.detail=10",), ("shape.parts=3",), ("shape.symmetric=false",), ("shape.gravity=false",)):
-        with pytest.raises(UserError, match="must be those of that run"):
-            trained(tmp_path / "wrong", start, *words)
+    assert not same(trained(tmp_path / "further", start, "trainer.max_steps=1"), more)
 
 
 def damaged(state: dict[str, Any], how: str) -> dict[str, Any]:

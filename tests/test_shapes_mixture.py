@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from shape_mixtures import chair, crops_of, masks_of, mixture_of, small
 
-from uplift.shapes.mixture import ShapeMixture, temperature_at
+from uplift.shapes.mixture import Drawn, ShapeMixture, temperature_at
 from uplift.shapes.view_grid import view_grid
 
 
@@ -101,17 +101,67 @@ def test_the_size_loss_wants_shapes_that_fill_their_grids() -> None:
 
 def test_balance_charges_what_is_used_most() -> None:
     mixture = ShapeMixture(small(parts=3))
-    used = torch.full((10, 3, 24), 1e-3)
-    used[:, 0, 5] = 1.0
-    used /= used.sum((1, 2), keepdim=True)
-    mixture.balance(used)
+    used = torch.full((3, 24), 1e-3)
+    used[0, 5] = 1.0
+    used /= used.sum()
+    mixture.balance(used, 0.3, 0.0)
     assert int(mixture.azimuth_bias[0].argmax()) == 5
     assert torch.allclose(mixture.azimuth_bias.mean(1), torch.zeros(3), atol=1e-6)
-    assert int(mixture.part_bias.argmax()) == 0
+    assert not mixture.azimuth_bias[1:].abs().gt(1e-6).any(), "these are seen from all round"
+    assert not mixture.part_bias.any(), "its rate is 0"
+    azimuths = mixture.azimuth_bias.clone()
+    mixture.balance(used, 0.0, 0.1)
+    assert torch.allclose(mixture.azimuth_bias, azimuths, atol=1e-6)
+    assert mixture.part_bias.tolist() == pytest.approx(
+        [0.1 * math.log(3 * 1.023 / 1.071), *[0.1 * math.log(0.0672)] * 2], rel=1e-2
+    )
     for _ in range(500):
-        mixture.balance(used)
+        mixture.balance(used, 0.3, 0.1)
     assert bool(torch.isfinite(mixture.azimuth_bias).all())
-    assert float(mixture.part_bias.abs().max()) <= 3
+    assert float(mixture.azimuth_bias.abs().max()) <= 10
+    assert mixture.part_bias.tolist() == pytest.approx([3, -3, -3])
+
+
+def test_elevations_of_an_azimuth_are_charged_together() -> None:
+    mixture = ShapeMixture(small(parts=1, elevation_deg=(15.0, 10.0)))
+    used = torch.full((1, 72), 1 / 72)
+    used[0, 6:9] += torch.tensor([0.3, 0.0, -0.01])
+    mixture.balance(used / used.sum(), 0.3, 0.1)
+    assert int(mixture.azimuth_bias[0].argmax()) == 2
+    assert int((mixture.azimuth_bias[0] > 0).sum()) == 1
+
+
+@given(st.integers(0, 1000), st.sampled_from([8, 24]))
+@settings(max_examples=3)
+def test_mirrored_views_are_as_if_they_were_drawn(seed: int, azimuths: int) -> None:
+    torch.manual_seed(seed)
+    half = ShapeMixture(small(elevation_deg=(15.0, 10.0)), azimuths=azimuths)
+    whole = ShapeMixture(small(elevation_deg=(15.0, 10.0), symmetric=False), azimuths=azimuths)
+    half.logits.data += 0.5 * torch.randn_like(half.logits)
+    whole.logits.data = half.full_logits.detach().clone()
+    assert torch.equal(half.grid.views, whole.grid.views)
+    assert 2 * len(half.grid.drawn) == len(whole.grid.drawn) == 3 * azimuths
+    with torch.no_grad():
+        filled, drawn = half.crops(), whole.crops()
+    for name in Drawn._fields:
+        found, expected = (getattr(part, name) for part in (filled, drawn))
+        assert torch.allclose(found, expected, atol=5e-4), name
+    mirrored, seen = (filled.cut[:, rows] for rows in (half.grid.mirrored, half.grid.drawn))
+    assert not torch.allclose(mirrored, seen, atol=0.1), "shapes look other than their mirror images"
+
+
+@pytest.mark.parametrize("more", [{}, {"symmetric": False}, {"gravity": False}])
+def test_some_views_are_drawn_as_all_are(more: dict[str, bool]) -> None:
+    torch.manual_seed(0)
+    mixture = ShapeMixture(small(elevation_deg=(15.0, 10.0), **more))
+    rows = [7, 0, 31]
+    with torch.no_grad():
+        some, every = mixture.cut_out(rows), mixture.cut_out()
+        crops = mixture.crops()
+    for name in Drawn._fields:
+        assert torch.allclose(getattr(some, name), getattr(every, name)[:, rows], atol=1e-5), name
+        assert torch.equal(getattr(every, name), getattr(crops, name)[:, mixture.grid.drawn]), name
+    assert crops.cut.shape[:2] == (2, len(mixture.grid.views))
 
 
 def test_the_temperature_falls_and_stays() -> None:
@@ -127,14 +177,42 @@ def test_views_about_gravity() -> None:
     grid = view_grid(small(elevation_deg=(15.0, 10.0)))
     assert grid.azimuths == 24
     assert len(grid.views) == 72
+    tilt = torch.atan2(grid.views[:, 2, 1], grid.views[:, 1, 1]).rad2deg()
     # The own down-axis stays in the camera's y-z plane: shapes stand upright.
     assert torch.allclose(grid.views[:, 0, 1], torch.zeros(72), atol=1e-6)
-    assert torch.allclose(torch.atan2(grid.views[:, 2, 1], grid.views[:, 1, 1]), grid.tilt, atol=1e-5)
-    assert math.degrees(float(grid.tilt.mean())) == pytest.approx(15)
-    assert bool((grid.log_prior[grid.tilt.sub(math.radians(15)).abs() < 0.01] >= grid.log_prior.max()).all())
+    assert tilt.view(24, 3).tolist() == [pytest.approx([2.5, 15, 27.5], abs=1e-3)] * 24
+    assert bool((grid.log_prior.view(24, 3).argmax(1) == 1).all())
+    assert torch.equal(grid.azimuth, torch.arange(72) // 3)
     turns = torch.atan2(grid.views[:, 0, 2], grid.views[:, 0, 0]).unique(dim=0)
     assert len(view_grid(small()).views) == 24
     assert float(turns.min()) == pytest.approx(-math.pi * 23 / 24, abs=1e-4)
+    assert len(view_grid(small(), 48).views) == 48
+
+
+@pytest.mark.parametrize("azimuths", [24, 48])
+def test_half_the_views_are_drawn_and_the_others_see_their_mirror_images(azimuths: int) -> None:
+    grid = view_grid(small(elevation_deg=(15.0, 10.0)), azimuths)
+    assert grid.mirrored is not None
+    assert torch.cat([grid.drawn, grid.mirrored]).sort().values.tolist() == list(range(3 * azimuths))
+    flip = torch.diag(torch.tensor([-1.0, 1.0, 1.0]))
+    assert torch.allclose(grid.views[grid.mirrored], flip @ grid.views[grid.drawn] @ flip, atol=1e-6)
+    assert torch.equal(grid.log_prior[grid.mirrored], grid.log_prior[grid.drawn])
+    drawn = torch.rand(2, len(grid.drawn), 3)
+    whole, other = grid.whole(drawn), grid.whole(drawn, -drawn)
+    assert torch.equal(whole[:, grid.drawn], drawn)
+    assert torch.equal(whole[:, grid.mirrored], drawn)
+    assert torch.equal(other[:, grid.drawn], drawn)
+    assert torch.equal(other[:, grid.mirrored], -drawn)
+
+
+@pytest.mark.parametrize(("more", "azimuths"), [({"symmetric": False}, 24), ({"gravity": False}, 24), ({}, 7)])
+def test_grids_all_of_whose_views_are_drawn(more: dict[str, bool], azimuths: int) -> None:
+    grid = view_grid(small(**more), azimuths)
+    assert grid.mirrored is None
+    assert torch.equal(grid.drawn, torch.arange(len(grid.views)))
+    assert len(grid.views) == (192 if "gravity" in more else azimuths)
+    drawn = torch.rand(2, len(grid.views))
+    assert grid.whole(drawn) is drawn
 
 
 def test_views_from_anywhere_are_rotations_far_from_each_other() -> None:

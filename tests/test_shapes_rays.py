@@ -95,6 +95,18 @@ def test_what_is_near_looks_larger() -> None:
     assert near / far == pytest.approx((4.5 / 3.5) ** 2, rel=0.12)
 
 
+def test_some_views_are_those_of_all() -> None:
+    torch.manual_seed(0)
+    projector = Projector(random_rotations(5), resolution=8, side=10, distance=5.0)
+    assert len(projector) == 5
+    density = torch.rand(3, 8, 8, 8)
+    every = projector(density)
+    assert every.shape == (3, 5, 10, 10)
+    for rows in ([3], [4, 0, 2], [1, 1]):
+        assert torch.equal(projector(density, rows), every[:, rows])
+    assert torch.allclose(projector(density[1:2]), every[1:2], atol=1e-6), "shapes are drawn each for itself"
+
+
 def test_the_gradient_is_that_of_the_sum() -> None:
     torch.manual_seed(0)
     projector = Projector(random_rotations(3), resolution=6, side=8, distance=6.0)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -15,30 +16,37 @@ from uplift.errors import UserError
 from uplift.masks.container import MaskData
 from uplift.priors.of_shapes import build_shape_priors
 from uplift.priors.shape_base import ShapePrior
+from uplift.shapes.explained import Explained
 from uplift.shapes.lift import ShapeLift
-from uplift.shapes.mask_set import mask_set
-from uplift.shapes.mixture import ShapeMixture
+from uplift.shapes.mask_set import MaskSet, mask_set
+from uplift.shapes.mixture import Drawn, ShapeMixture, temperature_at
 from uplift.shapes.training import MixtureTraining
 
 
+class Alone(MixtureTraining):
+    """Without Lightning, which counts the steps."""
+
+    global_step = 0  # type: ignore[assignment]
+
+
 def training(
-    data: MaskData, settings: ShapeSettings, priors: dict[str, ShapePrior] | None = None, **more
-) -> MixtureTraining:
+    data: MaskData, settings: ShapeSettings, priors: dict[str, ShapePrior] | None = None, hot: bool = True, **more
+) -> Alone:
     """Return the training of a fresh mixture."""
     torch.manual_seed(0)
     teacher = TeacherSettings(**{"batch_size": 16, "learning_rate": 0.05, "average": None, **more})
     given = priors or {}
     weights = dict.fromkeys(given, 1.0)
-    return MixtureTraining(ShapeMixture(settings), mask_set(data, settings), teacher, given, weights, 0)
+    return Alone(ShapeMixture(settings), mask_set(data, settings), teacher, given, weights, 0, hot)
 
 
-def run(module: MixtureTraining, steps: int) -> list[dict[str, float]]:
+def run(module: Alone, steps: int) -> list[dict[str, float]]:
     """Take steps as Lightning would, without it; return what was logged."""
     optimizer = torch.optim.Adam(module.parameter_groups())
     logged = []
     for step in range(steps):
         torch.manual_seed(step)
-        module.done = step / steps
+        module.done, module.global_step = step / steps, step
         loss, numbers = module.objective()
         optimizer.zero_grad()
         loss.backward()
@@ -69,7 +77,7 @@ def test_labels_pull_shapes_to_the_truth(data: MaskData) -> None:
         logged = run(module, 25)
         assert ("truth" in logged[0]) == labelled
         if labelled:
-            assert logged[-1]["truth"] < 0.6 * logged[0]["truth"]
+            assert logged[-1]["truth"] < 0.8 * logged[0]["truth"]
         true = mask_set(replace(data, labelled=np.ones(len(data), bool)), settings).shapes
         losses[labelled] = float(nn.functional.binary_cross_entropy(module.lifter.occupancy.detach(), true))
     assert losses[True] < 0.95 * losses[False]
@@ -85,13 +93,68 @@ def test_the_view_of_a_labelled_mask_is_the_true_one(data: MaskData) -> None:
             seen.append(lift)
             return lift.occupancy.mean() * 0
 
-    labelled = np.ones(len(data), bool)
-    module = training(replace(data, labelled=labelled), small(), {"listener": Listener()})
+    module = training(replace(data, labelled=np.ones(len(data), bool)), small(), {"listener": Listener()})
     run(module, 2)
+    assert data.truth is not None
+    views = module.lifter.grid.views
+    nearest = set(
+        torch.cdist(torch.from_numpy(data.truth.view).float().flatten(1), views.flatten(1)).argmin(1).tolist()
+    )
+    assert 3 < len(nearest) < 20
     for lift in seen:
-        assert int((lift.responsibility.sum(1) > 1e-6).sum(1).max()) == 1
-    both = {lift.responsibility.sum(1).argmax(1).unique().numel() for lift in seen}
-    assert min(both) > 3
+        found = set(torch.nonzero(lift.used.sum(0) > 1e-6).flatten().tolist())
+        assert found == nearest | {23 - view for view in nearest}, "the true views, and what sees their mirror images"
+
+
+@pytest.mark.parametrize(("hot", "every"), [(True, 5), (False, 25)])
+def test_all_masks_are_explained_once_in_many_steps(
+    hot: bool, every: int, data: MaskData, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    made: list[tuple[int, float]] = []
+    update = Explained.update
+
+    def counting(explained: Explained, mixture: ShapeMixture, masks: MaskSet, temperature: float) -> None:
+        assert len(masks) == len(data), "all masks, whatever the batch"
+        made.append((module.global_step, temperature))
+        update(explained, mixture, masks, temperature)
+
+    monkeypatch.setattr(Explained, "update", counting)
+    settings = small(hot=0.1, cold=0.03)
+    module = training(data, settings, hot=hot, batch_size=4)
+    module.lifter.azimuth_bias[:, 3] += 1
+    module.lifter.azimuth_bias -= module.lifter.azimuth_bias.mean()
+    azimuths = module.lifter.azimuth_bias.clone()
+    logged = run(module, 27)
+    assert [step for step, _ in made] == list(range(0, 27, every))
+    expected = [temperature_at(step / 27, 0.1, 0.03) if hot else 0.03 for step, _ in made]
+    assert [temperature for _, temperature in made] == pytest.approx(expected)
+    energies = [row["energy"] for row in logged]
+    assert all(len(set(energies[start : start + every])) == 1 for start in range(0, 27, every))
+    assert len(set(energies)) == len(made)
+    assert module.lifter.part_bias.any(), "shapes are kept alive in every stage"
+    assert torch.allclose(module.lifter.azimuth_bias, azimuths, atol=1e-5) != hot, "views are known in later stages"
+
+
+def test_a_step_draws_some_views_and_learns_from_other_ones_next(
+    data: MaskData, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    drawn = []
+    cut_out = ShapeMixture.cut_out
+
+    def noting(mixture: ShapeMixture, rows: Sequence[int] | None = None) -> Drawn:
+        if rows is not None:
+            drawn.append(sorted(rows))
+        return cut_out(mixture, rows)
+
+    monkeypatch.setattr(ShapeMixture, "cut_out", noting)
+    run(training(data, small(elevation_deg=(20.0, 4.0))), 12)
+    assert len(drawn) == 12
+    assert all(len(set(rows)) == 12 for rows in drawn), "each of them once"
+    assert {row for rows in drawn for row in rows} == set(range(36)), "all have their turn"
+    few = training(data, small(), mirror=False)
+    run(few, 1)
+    assert len(few.lifter.grid.drawn) == 12
+    assert drawn[-1] == list(range(12))
 
 
 def test_masks_are_mirrored_only_where_shapes_are_their_own_mirror_image(data: MaskData) -> None:
@@ -116,12 +179,13 @@ def test_what_a_prior_of_shapes_is_given(data: MaskData) -> None:
     assert lift.logits.shape == lift.occupancy.shape == (2, 12, 12, 12)
     assert lift.seen.shape == (64, 16, 16)
     assert lift.masks.shape == (16, 16, 16)
-    assert lift.responsibility.shape == (16, 2, 24)
-    assert torch.allclose(lift.responsibility.sum((1, 2)), torch.ones(16), atol=1e-4)
+    assert lift.used.shape == (2, 24)
+    assert float(lift.used.sum()) == pytest.approx(1, abs=1e-5)
+    assert torch.allclose(lift.used, lift.used.flip(1)), "these shapes are their own mirror images"
     assert lift.views.shape == (24, 3, 3)
     for name in ("logits", "occupancy", "seen"):
         assert getattr(lift, name).requires_grad, name
-    assert not lift.responsibility.requires_grad
+    assert not lift.used.requires_grad
     assert torch.allclose(lift.occupancy, torch.sigmoid(lift.logits))
 
 
@@ -158,7 +222,7 @@ def test_a_critic_is_held_still_while_it_judges(data: MaskData) -> None:
     assert [group["name"] for group in module.parameter_groups()] == ["shapes", "priors"]
     # The verdict on silhouettes trains shapes, what tells them from masks the critic: never the other way round.
     lift = ShapeLift(*[torch.rand(1, 12, 12, 12)] * 2, torch.rand(8, 16, 16), torch.rand(8, 16, 16),
-                     torch.ones(8, 1, 1), torch.eye(3)[None], 0.0)  # fmt: skip
+                     torch.ones(1, 1), torch.eye(3)[None], 0.0)  # fmt: skip
     own = critic.own_loss(lift.masks, lift.seen)
     assert own is not None
     own.backward()

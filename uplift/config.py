@@ -125,12 +125,13 @@ class ShapeSettings:
     symmetric: bool = True  # shapes are their own mirror image, left and right
     elevation_deg: tuple[float, float] = (15.0, 10.0)  # mean and sd of how far down the cameras look
     distance: float = 6.0  # of the camera, in half sides of a shape's box
-    parts: int = 4  # shapes that the kind of object is a mixture of
+    parts: int = 4  # shapes that the kind of object is a mixture of, at first
+    splits: list[int] = field(default_factory=lambda: [4, 4, 3])  # how many each becomes, in each later stage
     detail: int = 32  # voxels along the grids of the mixture
     crop: int = 40  # pixels along the crops that masks and silhouettes are compared on
-    proportions: float = 0.3  # how unlike in width over height a mask and its shape may be, sd of the logarithm
-    hot: float = 0.1  # temperature of the likelihood at the start: how unsure views are held to be
-    cold: float = 0.02  # temperature from four fifths of the stage on, and of lifting
+    proportions: float = 0.15  # how unlike in width over height a mask and its shape may be, sd of the logarithm
+    hot: float = 0.1  # temperature of the likelihood at the start of the first stage: how unsure views are held to be
+    cold: float = 0.02  # temperature from four fifths of that stage on; lifting has 3/4 of it
 
 
 @dataclass

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from dataclasses import fields
 from typing import Any
@@ -66,6 +67,7 @@ _OF_MASKS = (
 _CHOOSE_BY = ("subjects", "actions", "sequences", "cameras")
 _CHOICES = ("select", "hold_out", "labelled")
 _MOST_BYTES = 4_000_000_000
+_MOST_SHAPES = 4096
 
 
 def check_settings(settings: Settings) -> None:
@@ -139,6 +141,11 @@ def _check_masks(settings: Settings) -> None:
         raise UserError(
             f"shape.detail={shape.detail}: expected an even number, as the halves of a shape are grids too."
         )
+    for times in shape.splits:
+        _in_range("shape.splits", times, 2, 64)
+    if shape.parts * math.prod(shape.splits) > _MOST_SHAPES:
+        asked = shape.parts * math.prod(shape.splits)
+        raise UserError(f"shape.parts and shape.splits ask for {asked:,} shapes, expected at most {_MOST_SHAPES:,}.")
     mean, sd = shape.elevation_deg
     _in_range("shape.elevation_deg (mean)", mean, -90, 90)
     _in_range("shape.elevation_deg (sd)", sd, 0, 90)

@@ -55,7 +55,7 @@ def cells_of(command: str, seeds: Sequence[int], minutes: float | None = None) -
         "families": [(f"family_{family}", TASK, (f"data.family={family}",)) for family in FAMILIES],
         "twin": [("twin", TASK, ("data.labelled.fraction=1", "data.labelled.only=true"))],
         "semi": [("semi", "masks_semi", ())],
-        "animals": [("animals", TASK, ())],
+        "animals": [("animals", "masks_animals", ())],
     }[command]
     return [
         Cell(name, seed, task, words, minutes, animals=command == "animals")

@@ -26,6 +26,7 @@ __all__ = ["RESOLUTIONS", "measure", "measured_apart"]
 
 RESOLUTIONS = (16, 24, 32, 48, 64)
 _MASKS = 400
+_SHAPES = 64
 _WARM_UP = 6
 _GB = 1e9
 
@@ -57,6 +58,8 @@ def measure(resolution: int, steps: int, threads: int | None = None, task: str =
     words = [
         f"shape.resolution={resolution}",
         f"shape.detail={resolution}",
+        f"shape.parts={_SHAPES}",
+        "shape.splits=[]",
         f"data.simulate={_MASKS}",
         "trainer.max_time=null",
     ]
@@ -71,7 +74,8 @@ def measure(resolution: int, steps: int, threads: int | None = None, task: str =
         "resolution": resolution,
         "steps": steps,
         "threads": torch.get_num_threads(),
-        "batch_size": settings.teacher.batch_size,
+        "shapes": settings.shape.parts,
+        "masks": settings.data.simulate,
         "seconds_per_step": round((many - few) / steps, 4),
         "peak_gb": round(_peak_bytes() / _GB, 3),
         "peak_before_gb": round(before / _GB, 3),

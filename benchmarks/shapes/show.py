@@ -67,12 +67,12 @@ def cost_sheet(results: Results) -> list[Sheet]:
     )
     rows = [
         [
-            f"{one['resolution']}", f"{one['batch_size']}", f"{one['threads']}", f"{one['seconds_per_step']:.3f}",
+            f"{one['resolution']}", f"{one['shapes']}", f"{one['threads']}", f"{one['seconds_per_step']:.3f}",
             f"{one['peak_gb']:.2f}", f"{one['peak_before_gb']:.2f}",
         ]
         for one in found
     ]  # fmt: skip
-    head = ["resolution", "batch", "threads", "s a step", "peak GB", "GB before training"]
+    head = ["resolution", "shapes", "threads", "s a step", "peak GB", "GB before training"]
     return [Sheet("cost of a training step", head, rows)] if rows else []
 
 

@@ -22,8 +22,8 @@ class ShapeLift:
     """Silhouettes of the shapes from views drawn at random, cut out as masks are."""
     masks: Float[Tensor, "items side side"]
     """The real masks of this step, cut out the same way."""
-    responsibility: Float[Tensor, "items shapes views"]
-    """How likely each shape and view is for each mask; sums to 1 for each mask; no gradient."""
+    used: Float[Tensor, "shapes views"]
+    """Share of all masks that each shape explains from each view; sums to 1; no gradient."""
     views: Float[Tensor, "views 3 3"]
     """From the own frame to the camera's."""
     done: float

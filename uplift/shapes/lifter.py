@@ -9,12 +9,12 @@ from jaxtyping import Float
 from torch import Tensor, nn
 
 from uplift.shapes.crops import moments, recrop
-from uplift.shapes.mixture import ShapeMixture
+from uplift.shapes.mixture import Drawn, ShapeMixture
 from uplift.shapes.rays import BASE
 
 __all__ = ["LiftedShapes", "image_points", "lift_masks"]
 
-_HYPOTHESES = 8
+_HYPOTHESES = 32
 _COVERED = 0.3
 _UNSURE = 0.2
 """What is left of a voxel that the mirror image of the mask does not cover: the view may be a little off."""
@@ -46,7 +46,7 @@ class _Hypothesis:
 def lift_masks(
     mixture: ShapeMixture,
     masks: Float[Tensor, "items side side"],
-    drawn: tuple[Tensor, Tensor, Tensor],
+    drawn: Drawn,
     *,
     resolution: int,
     temperature: float,
@@ -58,7 +58,8 @@ def lift_masks(
     """
     centre, spread = moments(masks)
     crops = recrop(masks, centre, spread, mixture.settings.crop)
-    found = mixture.evidence(crops, spread, drawn, temperature).flatten(1).softmax(1).topk(_HYPOTHESES, 1)
+    likely = mixture.evidence(crops, spread, drawn, temperature).flatten(1).softmax(1)
+    found = likely.topk(min(_HYPOTHESES, likely.shape[1]), 1)
     weight = found.values / found.values.sum(1, keepdim=True)
     guesses = [_hypothesis(mixture, drawn, index, centre, spread) for index in found.indices.T]
     best = guesses[0]
@@ -84,7 +85,7 @@ def image_points(lifted: LiftedShapes) -> Float[Tensor, "items points 2"]:
     return flat / (1 + points[..., 2:] / lifted.distance[:, None, None]).clamp_min(0.1)
 
 
-def _hypothesis(mixture: ShapeMixture, drawn: tuple[Tensor, ...], index: Tensor, centre: Tensor, spread: Tensor):
+def _hypothesis(mixture: ShapeMixture, drawn: Drawn, index: Tensor, centre: Tensor, spread: Tensor):
     _, drawn_centre, drawn_spread = (part.flatten(0, 1) for part in drawn)
     views = len(mixture.grid.views)
     stretch = spread / drawn_spread[index] * BASE
@@ -107,7 +108,7 @@ def _look(image: Tensor, points: Tensor) -> Tensor:
 def _occupied(mixture: ShapeMixture, guess: _Hypothesis, image: Tensor, depth: Tensor, wide: Tensor) -> Tensor:
     """Return the occupancy (items points) that a hypothesis gives to points seen at ``image`` and ``depth``."""
     far = mixture.settings.distance
-    z = depth / guess.stretch[:, None, :1]
+    z = depth / guess.stretch.prod(1).sqrt()[:, None, None]
     flat = (image - guess.centre[:, None]) / guess.stretch[:, None] * (1 + z / far)
     own = torch.cat([flat, z], -1) @ guess.view
     grids = mixture.occupancy[guess.shape][:, None]

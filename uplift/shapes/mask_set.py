@@ -14,7 +14,6 @@ from uplift.config import ShapeSettings
 from uplift.masks.container import MaskData
 from uplift.meshes.voxels import coverage
 from uplift.shapes.crops import moments, recrop
-from uplift.shapes.view_grid import view_grid
 
 __all__ = ["MaskSet", "as_tensor", "mask_set"]
 
@@ -31,8 +30,8 @@ class MaskSet:
     crops: Float[Tensor, "items side side"]
     spread: Float[Tensor, "items 2"]
     labelled: Bool[Tensor, " items"]
-    view: Int[Tensor, " items"]
-    """The nearest view of the grid; 0 where unlabelled."""
+    view: Float[Tensor, "items 3 3"]
+    """The true one; 0 where unlabelled."""
     shape: Int[Tensor, " items"]
     """Row of `shapes`; 0 where unlabelled."""
     shapes: Float[Tensor, "known depth height width"]
@@ -56,14 +55,13 @@ def mask_set(data: MaskData, settings: ShapeSettings) -> MaskSet:
         spreads.append(spread)
     count = len(data)
     labelled = np.zeros(count, bool) if data.labelled is None or data.truth is None else data.labelled
-    view, shape = torch.zeros(count, dtype=torch.long), torch.zeros(count, dtype=torch.long)
+    view, shape = torch.zeros(count, 3, 3), torch.zeros(count, dtype=torch.long)
     shapes = torch.zeros(1, *(settings.detail,) * 3)
     if labelled.any():
         rows = np.flatnonzero(labelled)
         used, which = np.unique(data.truth.shape[rows], return_inverse=True)  # type: ignore[union-attr]
         meshes = [data.truth.meshes[number] for number in used]  # type: ignore[union-attr]
         shapes = torch.from_numpy(np.stack([coverage(mesh, settings.detail) for mesh in meshes])).float()
-        true = torch.from_numpy(np.asarray(data.truth.view[rows], np.float32)).flatten(1)  # type: ignore[union-attr]
-        view[rows] = (true @ view_grid(settings).views.flatten(1).T).argmax(1)
+        view[rows] = torch.from_numpy(np.asarray(data.truth.view[rows], np.float32))  # type: ignore[union-attr]
         shape[rows] = torch.from_numpy(which)
     return MaskSet(torch.cat(crops), torch.cat(spreads), torch.from_numpy(labelled.copy()), view, shape, shapes)

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
+from typing import NamedTuple
 
 import torch
 from jaxtyping import Float
@@ -11,19 +13,29 @@ from torch import Tensor, nn
 from uplift.config import ShapeSettings
 from uplift.shapes.crops import moments, recrop
 from uplift.shapes.rays import Projector
-from uplift.shapes.view_grid import ViewGrid, view_grid
+from uplift.shapes.view_grid import AZIMUTHS, ViewGrid, view_grid
 
-__all__ = ["ShapeMixture", "temperature_at"]
+__all__ = ["LEAST", "MOST", "Drawn", "ShapeMixture", "temperature_at"]
 
 _DENSITY = 1.3
 """Density of a voxel for each nat of its logit: one that is full hides nearly all light."""
-_LEAST, _MOST = 0.01, 0.99
+LEAST, MOST = 0.01, 0.99
+"""Bounds of what a pixel of a silhouette is held to cover, so that no pixel is impossible."""
 _SIZE = 0.36
 """Spread of a shape's silhouettes at the scale they are drawn, in half sides: it fills its grid but for a margin."""
 
 
+class Drawn(NamedTuple):
+    """Silhouettes of shapes from views, cut out as masks are."""
+
+    cut: Float[Tensor, "shapes views side side"]
+    centre: Float[Tensor, "shapes views 2"]
+    spread: Float[Tensor, "shapes views 2"]
+    """Both before they were cut out, in half sides at the scale of `uplift.shapes.rays.BASE`."""
+
+
 class ShapeMixture(nn.Module):
-    """Occupancy grids of ``settings.parts`` shapes, and how well each explains a mask from each view.
+    """Occupancy grids of shapes, and how well each explains a mask from each view.
 
     A mask and a silhouette are compared as crops of the same centroid and the same spread along x and y
     (`uplift.shapes.crops`), so that a shape explains others of other proportions; how the two spreads
@@ -31,11 +43,11 @@ class ShapeMixture(nn.Module):
     need never be decided while it is not known.
     """
 
-    def __init__(self, settings: ShapeSettings):
+    def __init__(self, settings: ShapeSettings, parts: int | None = None, azimuths: int = AZIMUTHS):
         super().__init__()
         self.settings = settings
-        self.grid: ViewGrid = view_grid(settings)
-        n, parts = settings.detail, settings.parts
+        self.grid: ViewGrid = view_grid(settings, azimuths)
+        n, parts = settings.detail, parts or settings.parts
         half = n // 2 if settings.symmetric else n
         self.logits = nn.Parameter(_first_shapes(parts, n)[..., -half:].clone())
         self.register_buffer("azimuth_bias", torch.zeros(parts, self.grid.azimuths))
@@ -58,61 +70,74 @@ class ShapeMixture(nn.Module):
         """0..1 for each voxel."""
         return torch.sigmoid(self.full_logits)
 
-    def silhouettes(self) -> Float[Tensor, "shapes views side side"]:
-        """Return every shape's silhouette from every view, at the scale of `uplift.shapes.rays.BASE`."""
-        if self.projector is None or self.projector.matrix.device != self.logits.device:
+    def silhouettes(self, rows: Sequence[int] | None = None) -> Float[Tensor, "shapes drawn side side"]:
+        """Return every shape's silhouette from the grid's drawn views, or ``rows`` of them, at the scale of `BASE`."""
+        device = self.logits.device
+        if self.projector is None:
             s = self.settings
-            projector = Projector(self.grid.views, resolution=s.detail, side=s.crop, distance=s.distance)
-            self.projector = projector.to(self.logits.device)
-        density = nn.functional.softplus(self.full_logits) * _DENSITY
-        return self.projector(density)
+            views = self.grid.views[self.grid.drawn]
+            self.projector = Projector(views, resolution=s.detail, side=s.crop, distance=s.distance)
+        if self.projector.device != device:
+            self.projector.to(device)
+        return self.projector(nn.functional.softplus(self.full_logits) * _DENSITY, rows)
 
-    def crops(self) -> tuple[Tensor, Tensor, Tensor]:
-        """Return the silhouettes cut out as masks are (shapes views side side), and their centroids and spreads."""
-        drawn = self.silhouettes()
+    def cut_out(self, rows: Sequence[int] | None = None) -> Drawn:
+        """Return `silhouettes` cut out as masks are, and their centroids and spreads."""
+        drawn = self.silhouettes(rows)
         flat = drawn.flatten(0, 1)
         centre, spread = moments(flat)
         cut = recrop(flat, centre.detach(), spread.detach(), self.settings.crop)
-        return cut.view_as(drawn), centre.view(*drawn.shape[:2], 2), spread.view(*drawn.shape[:2], 2)
+        shape = drawn.shape[:2]
+        return Drawn(cut.view_as(drawn), centre.view(*shape, 2), spread.view(*shape, 2))
+
+    def crops(self) -> Drawn:
+        """Return `cut_out` for every view of the grid, the mirror images among them."""
+        cut, centre, spread = self.cut_out()
+        whole = self.grid.whole
+        mirror = centre.new_tensor([-1.0, 1.0])
+        return Drawn(whole(cut, cut.flip(-1)), whole(centre, centre * mirror), whole(spread))
 
     def evidence(
         self,
         masks: Float[Tensor, "items side side"],
         spread: Float[Tensor, "items 2"],
-        drawn: tuple[Tensor, Tensor, Tensor],
+        drawn: Drawn,
         temperature: float,
     ) -> Float[Tensor, "items shapes views"]:
         """Return the log likelihood, up to a constant, of masks for each shape and view, given `crops` of the shapes."""
-        cut, _, drawn_spread = drawn
-        pixels = cut.flatten(2).flatten(0, 1).clamp(_LEAST, _MOST)
+        pixels = drawn.cut.flatten(2).flatten(0, 1).clamp(LEAST, MOST)
+        empty = (1 - pixels).log()
         flat = masks.flatten(1)
-        error = -(flat @ pixels.log().T + (1 - flat) @ (1 - pixels).log().T) / flat.shape[1]
-        wide = (drawn_spread[..., 0] / drawn_spread[..., 1]).log().flatten()
+        error = -(flat @ (pixels.log() - empty).T + empty.sum(1)) / flat.shape[1]
+        wide = (drawn.spread[..., 0] / drawn.spread[..., 1]).log().flatten()
         ratio = (spread[:, 0] / spread[:, 1]).log()
         unlike = 0.5 * ((ratio[:, None] - wide[None]) / self.settings.proportions) ** 2
         before = (self.grid.log_prior.to(flat) - self.azimuth_bias[:, self.grid.azimuth]).sub(self.part_bias[:, None])
-        return (before.flatten() - error / temperature - unlike).view(len(masks), *cut.shape[:2])
+        return (before.flatten() - error / temperature - unlike).view(len(masks), *drawn.cut.shape[:2])
 
     @staticmethod
-    def size_loss(drawn: tuple[Tensor, Tensor, Tensor]) -> Float[Tensor, ""]:
+    def size_loss(drawn: Drawn) -> Float[Tensor, ""]:
         """Return how far shapes are from the size and the place they are to have in their grids.
 
         Crops do not tell how large a shape is, nor where: without this shapes shrink to a few voxels.
         """
-        _, centre, spread = drawn
-        size = spread.square().sum(-1).mean(1).sqrt()
-        return (size / _SIZE).log().square().mean() + centre.square().sum(-1).mean()
+        size = drawn.spread.square().sum(-1).mean(1).sqrt()
+        return (size / _SIZE).log().square().mean() + drawn.centre.square().sum(-1).mean()
 
     @torch.no_grad()
-    def balance(self, responsibility: Float[Tensor, "items shapes views"]) -> None:
-        """Keep azimuths equally used by each shape, and shapes alive: what is used more than its share costs more."""
-        used = responsibility.new_zeros(responsibility.shape[1], self.grid.azimuths)
-        used.index_add_(1, self.grid.azimuth.to(used.device), responsibility.mean(0))
-        share = used.sum(1)
-        even = used / share[:, None].clamp_min(1e-6) * self.grid.azimuths
-        bias = (self.azimuth_bias + 0.1 * even.clamp_min(0.05).log()).clamp(-5, 5)
+    def balance(self, used: Float[Tensor, "shapes views"], azimuths: float, parts: float) -> None:
+        """Keep azimuths equally used by each shape, and shapes alive: what is used more than its share costs more.
+
+        ``used`` is the share of the masks that each shape and view explains; ``azimuths`` and ``parts``
+        are how fast the two are corrected.
+        """
+        turned = used.new_zeros(len(used), self.grid.azimuths)
+        turned.index_add_(1, self.grid.azimuth.to(used.device), used)
+        share = turned.sum(1)
+        even = turned / share[:, None].clamp_min(1e-6) * self.grid.azimuths
+        bias = (self.azimuth_bias + azimuths * even.clamp_min(0.05).log()).clamp(-5, 5)
         self.azimuth_bias.copy_(bias - bias.mean(1, keepdim=True))
-        self.part_bias.add_(0.03 * (share * len(share)).clamp_min(0.05).log()).clamp_(-3, 3)
+        self.part_bias.add_(parts * (share * len(share)).clamp_min(0.05).log()).clamp_(-3, 3)
 
 
 def _first_shapes(parts: int, resolution: int) -> Tensor:

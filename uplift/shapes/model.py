@@ -22,6 +22,8 @@ __all__ = ["ShapeModel"]
 
 _FORMAT = 1
 _CHUNK = 50
+_SURE = 0.75
+"""Temperature of lifting, in those of training: one mask is explained, the shapes no longer move."""
 
 
 @dataclass
@@ -41,7 +43,7 @@ class ShapeModel:
                     as_tensor(masks[start : start + _CHUNK]),
                     drawn,
                     resolution=resolution or self.settings.resolution,
-                    temperature=self.settings.cold,
+                    temperature=_SURE * self.settings.cold,
                 )
                 for start in range(0, len(masks), _CHUNK)
             ]
@@ -100,7 +102,8 @@ class ShapeModel:
             )
         try:
             settings = ShapeSettings(**{**state["shape"], "elevation_deg": tuple(state["shape"]["elevation_deg"])})
-            mixture = ShapeMixture(settings)
+            parts, azimuths = state["state"]["azimuth_bias"].shape
+            mixture = ShapeMixture(settings, parts, azimuths)
             mixture.load_state_dict(state["state"])
         except (KeyError, TypeError, ValueError, RuntimeError, AttributeError) as error:
             raise UserError(f"{path} is no whole lifter: {str(error).splitlines()[0]}") from error

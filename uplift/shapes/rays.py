@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import warnings
+from collections.abc import Sequence
 
+import numpy as np
 import torch
 from jaxtyping import Float
+from scipy.sparse import coo_array, csr_array
 from torch import Tensor
 
 __all__ = ["BASE", "Projector"]
@@ -57,42 +60,53 @@ class _Sum(torch.autograd.Function):
 
 
 class Projector:
-    """Silhouettes of many shapes from the same fixed views, as one sparse product.
+    """Silhouettes of many shapes from fixed views, each view one sparse product.
 
     What hides the light is the root of the summed squares of density along a ray: four voxels of haze hide
     twice what one does, not four times, so that haze is no cheap way to be opaque. A sum over voxels and one
-    function of it is all a silhouette is, so that the matrix of fixed views is made once.
+    function of it is all a silhouette is, so that the matrix of a fixed view is made once.
     """
 
     def __init__(self, views: Float[Tensor, "views 3 3"], *, resolution: int, side: int, distance: float):
-        self.views, self.resolution, self.side = len(views), resolution, side
-        steps = side
-        camera = _rays(side, steps, distance)
-        pixel = torch.arange(side * side).repeat(steps)
+        self.resolution, self.side, self.device = resolution, side, views.device
+        camera = _rays(side, side, distance)
+        pixel = torch.arange(side * side).repeat(side)
         # Steps of depth count as their length in voxels.
-        length = (2 * _DEEP / steps) / (2 / resolution)
-        rows, columns, values = [], [], []
-        for number, view in enumerate(views):
-            voxel, weight = _corner_weights(camera @ view, resolution)
-            kept = weight > 1e-3
-            rows.append((pixel + number * side * side)[:, None].expand_as(voxel)[kept])
-            columns.append(voxel[kept])
-            values.append(weight[kept] * length)
-        size = (len(views) * side * side, resolution**3)
-        index = torch.stack([torch.cat(rows), torch.cat(columns)])
-        matrix = torch.sparse_coo_tensor(index, torch.cat(values), size, check_invariants=False).coalesce()
-        with warnings.catch_warnings():
-            warnings.filterwarnings("ignore", message="Sparse CSR tensor support is in beta")
-            self.matrix = matrix.to_sparse_csr()
-            self.transposed = matrix.t().coalesce().to_sparse_csr()
+        length = (2 * _DEEP / side) / (2 / resolution)
+        self._views = [self._matrices(camera @ view.cpu(), pixel, length) for view in views]
+        self.to(views.device)
+
+    def _matrices(self, points: Tensor, pixel: Tensor, length: float) -> tuple[Tensor, Tensor]:
+        """Return the matrix from voxels to pixels and its transpose, with small indices."""
+        voxel, weight = _corner_weights(points, self.resolution)
+        kept = weight > 1e-3
+        index = (pixel[:, None].expand_as(voxel)[kept].numpy(), voxel[kept].numpy())
+        size = (self.side**2, self.resolution**3)
+        matrix = coo_array(((weight[kept] * length).numpy(), index), shape=size).tocsr()
+        return _compressed(matrix), _compressed(matrix.T.tocsr())
+
+    def __len__(self) -> int:
+        return len(self._views)
 
     def to(self, device: torch.device | str) -> Projector:
         """Move the matrices."""
-        self.matrix, self.transposed = self.matrix.to(device), self.transposed.to(device)
+        self.device = torch.device(device)
+        self._views = [(matrix.to(device), turned.to(device)) for matrix, turned in self._views]
         return self
 
-    def __call__(self, density: Float[Tensor, "shapes depth height width"]) -> Float[Tensor, "shapes views side side"]:
-        """Return how much light each pixel loses, 0..1, from every view; ``density`` is per voxel."""
-        flat = density.reshape(len(density), -1).T.contiguous()
-        passed = _Sum.apply(flat.square(), self.matrix, self.transposed).clamp_min(1e-12).sqrt()
-        return 1 - torch.exp(-passed.T.reshape(len(density), self.views, self.side, self.side))
+    def __call__(
+        self, density: Float[Tensor, "shapes depth height width"], rows: Sequence[int] | None = None
+    ) -> Float[Tensor, "shapes views side side"]:
+        """Return how much light each pixel loses, 0..1, from every view or those of ``rows``; ``density`` is per voxel."""
+        flat = density.reshape(len(density), -1).T.contiguous().square()
+        chosen = self._views if rows is None else [self._views[row] for row in rows]
+        passed = torch.stack([_Sum.apply(flat, *matrices).T for matrices in chosen], 1)
+        return 1 - torch.exp(-passed.clamp_min(1e-12).sqrt().unflatten(-1, (self.side, self.side)))
+
+
+def _compressed(matrix: csr_array) -> Tensor:
+    """Return a torch tensor with small indices: they take less memory than the weights."""
+    parts = [torch.from_numpy(np.asarray(part)) for part in (matrix.indptr, matrix.indices, matrix.data)]
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", message="Sparse CSR tensor support is in beta")
+        return torch.sparse_csr_tensor(parts[0].int(), parts[1].int(), parts[2], matrix.shape, check_invariants=False)

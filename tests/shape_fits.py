@@ -1,0 +1,88 @@
+"""Small fits of masks for the tests: quick ones of one stage and of three, whole or interrupted."""
+
+from __future__ import annotations
+
+import os
+import signal
+from functools import lru_cache
+from pathlib import Path
+
+import pytest
+import torch
+from torch import Tensor
+
+from uplift.masks.load import LoadedMasks, load_masks
+from uplift.run import RunFolder
+from uplift.shapes import recipe as recipe_module
+from uplift.shapes.model import ShapeModel
+from uplift.shapes.recipe import ShapeRecipe
+from uplift.shapes.training import MixtureTraining
+from uplift.task import load_settings
+from uplift.training.budget import Interrupted
+
+__all__ = ["SMALL", "STAGES", "fit_of", "interrupt", "many", "noted", "same", "trained"]
+
+SMALL = (
+    "data.simulate=60", "data.family=chairs", "data.side=32", "shape.detail=12", "shape.crop=16", "shape.parts=2",
+    "shape.splits=", "shape.resolution=12", "shape.elevation_deg=20,1", "trainer.max_time=null", "trainer.max_steps=10",
+    "trainer.log_every=2", "trainer.threads=1", "teacher.batch_size=16",
+)  # fmt: skip
+STAGES = ("data.simulate=130", "shape.parts=1", "shape.splits=2,2", "trainer.max_steps=24")
+"""Over `SMALL`, three stages: of 1, 2 and 4 shapes."""
+
+
+@lru_cache
+def many() -> LoadedMasks:
+    """Return the masks of `STAGES`, which take a while to make."""
+    return load_masks(load_settings("masks_demo", [*SMALL, *STAGES])).for_training()
+
+
+def fit_of(folder: Path, *words: str, loaded: LoadedMasks | None = None) -> tuple[ShapeRecipe, ShapeModel]:
+    """Return the recipe and the model of a small fit, without its evaluation and its pages."""
+    settings = load_settings("masks_demo", [*SMALL, *words])
+    (folder / "checkpoints").mkdir(parents=True, exist_ok=True)
+    run = RunFolder(folder)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(recipe_module, "_MOST_FOR_LEVEL", 8)
+        recipe = ShapeRecipe(settings, loaded or load_masks(settings).for_training(), run)
+        model = recipe.train(run)
+    assert all(seconds > 0 for seconds in recipe.spent.values())
+    return recipe, model
+
+
+def trained(folder: Path, *words: str, loaded: LoadedMasks | None = None) -> ShapeModel:
+    """Return the model alone."""
+    return fit_of(folder, *words, loaded=loaded)[1]
+
+
+def same(one: ShapeModel, other: ShapeModel) -> bool:
+    """Return whether all weights are bit for bit the same."""
+    first, second = one.lifter.state_dict(), other.lifter.state_dict()
+    return first.keys() == second.keys() and all(torch.equal(first[name], second[name]) for name in first)
+
+
+def noted(patch: pytest.MonkeyPatch) -> list[tuple[int, int, float]]:
+    """Return a list that every step is put in: how many shapes there are, the step of the stage, the temperature."""
+    taken: list[tuple[int, int, float]] = []
+    objective = MixtureTraining.objective
+
+    def noting(module: MixtureTraining) -> tuple[Tensor, dict[str, float | Tensor]]:
+        taken.append((len(module.lifter.logits), module.global_step, module.temperature))
+        return objective(module)
+
+    patch.setattr(MixtureTraining, "objective", noting)
+    return taken
+
+
+def interrupt(folder: Path, shapes: int, step: int, *words: str, loaded: LoadedMasks | None = None) -> None:
+    """Fit, and press Ctrl-C in that step of the stage of so many shapes."""
+    objective = MixtureTraining.objective
+
+    def pressing(module: MixtureTraining) -> tuple[Tensor, dict[str, float | Tensor]]:
+        if (len(module.lifter.logits), module.global_step) == (shapes, step):
+            os.kill(os.getpid(), signal.SIGINT)
+        return objective(module)
+
+    with pytest.MonkeyPatch.context() as patch, pytest.raises(Interrupted):
+        patch.setattr(MixtureTraining, "objective", pressing)
+        trained(folder, *words, loaded=loaded)
