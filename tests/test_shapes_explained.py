@@ -11,7 +11,7 @@ import pytest
 import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from shape_mixtures import chair, mixture_of, small
+from shape_mixtures import chair, masks_of, mixture_of, small
 from torch import Tensor
 from torch.nn import functional
 
@@ -267,16 +267,32 @@ def test_labels_of_some_say_nothing_of_the_others(data: MaskData) -> None:
 def test_the_truth_is_where_shapes_are_least_unlike_it(data: MaskData, seed: int, far: float) -> None:
     torch.manual_seed(seed)
     mixture = mixture_of((0, 4), small())
-    masks = told(data, np.ones(ITEMS, bool), mixture.settings)
+    rows = np.arange(ITEMS) % 4 != 3
+    masks = told(data, rows, mixture.settings)
     found = explain(mixture, masks)
     evidence = evidence_of(mixture, masks, T)
     share = torch.stack([e[:, view].softmax(0) for e, view in zip(evidence, nearest_views(data, mixture), strict=True)])
-    mean = torch.einsum("is,izyx->szyx", share, masks.shapes[masks.shape]) / share.sum(0)[:, None, None, None]
+    share, true = share[rows], masks.shapes[masks.shape][rows]
+    mean = torch.einsum("is,izyx->szyx", share, true) / share.sum(0)[:, None, None, None]
     assert torch.allclose(found.truth, mean, atol=5e-3)
     best = torch.logit(mean, 1e-4).requires_grad_()
     least = found.unlike_truth(best)
     other = best.detach() + far * torch.randn_like(best)
+    each = functional.binary_cross_entropy_with_logits(
+        other.expand(len(true), *other.shape), true[:, None].expand(-1, 2, -1, -1, -1), reduction="none"
+    )
+    expected = float((each.mean((2, 3, 4)) * share).sum() / ITEMS)
+    assert float(found.unlike_truth(other)) == pytest.approx(expected, rel=5e-3)
     assert float(least.detach()) < float(found.unlike_truth(other))
     assert float(torch.autograd.grad(least, best)[0].abs().max()) < 2e-5
-    swapped = found.unlike_truth(best.detach().flip(0))
-    assert float(least.detach()) < float(swapped), "each shape has a truth of its own"
+    assert float(least.detach()) < float(found.unlike_truth(best.detach().flip(0))), "each shape has its own truth"
+
+
+def test_no_mask_is_lost_where_nothing_is_known() -> None:
+    torch.manual_seed(0)
+    data = masks_of(chair(), 12)
+    settings = small(parts=64, proportions=1.0)
+    mixture = ShapeMixture(settings)
+    explained = Explained(mixture, labels=False)
+    explained.update(mixture, mask_set(data.without_truth(), settings), 0.3)
+    assert float(explained.weight.sum()) == pytest.approx(1, abs=1e-4)

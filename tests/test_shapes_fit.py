@@ -94,10 +94,15 @@ def damaged(state: dict[str, Any], how: str) -> dict[str, Any]:
         "no weights": {**state, "state": {}},
         "sizes": {**state, "state": {**weights, "logits": weights["logits"][:1]}},
         "kind": {**state, "state": "weights"},
+        "shapes": {**state, "state": {**weights, "azimuth_bias": weights["azimuth_bias"][:1]}},
+        "no azimuths": {**state, "state": {**weights, "azimuth_bias": weights["azimuth_bias"][:, :0]}},
+        "flat": {**state, "state": {**weights, "azimuth_bias": weights["azimuth_bias"][0]}},
     }[how]
 
 
-@pytest.mark.parametrize("how", ["format", "setting", "no settings", "no weights", "sizes", "kind"])
+@pytest.mark.parametrize(
+    "how", ["format", "setting", "no settings", "no weights", "sizes", "kind", "shapes", "no azimuths", "flat"]
+)
 def test_a_file_that_is_no_whole_lifter(how: str, fitted: tuple[Path, ShapeModel], tmp_path: Path) -> None:
     state = torch.load(fitted[0] / "lifter.pt", weights_only=True)
     save_torch(damaged(state, how), tmp_path / "lifter.pt")
@@ -167,3 +172,7 @@ def test_a_prior_of_ones_own_that_is_wrong(name: str, says: str, here: Path) -> 
     Path("my.py").write_text(MINE)
     with pytest.raises(UserError, match=says):
         trained(here / "run", f"priors.mine.use=my.py:{name}")
+
+
+def test_weights_may_be_averaged(tmp_path: Path) -> None:
+    assert not same(trained(tmp_path / "averaged", "teacher.average=0.9"), trained(tmp_path / "plain"))

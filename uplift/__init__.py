@@ -12,6 +12,8 @@ if TYPE_CHECKING:
     from uplift.lift import Lift
     from uplift.model import Model, load
     from uplift.priors.base import Prior
+    from uplift.priors.shape_base import ShapePrior
+    from uplift.shapes.lift import ShapeLift
     from uplift.skeleton import Skeleton, load_skeleton
     from uplift.verbs.compare import compare
     from uplift.verbs.evaluate import evaluate, evaluate_poses
@@ -20,8 +22,8 @@ if TYPE_CHECKING:
     from uplift.verbs.simulate import simulate
 
 __all__ = [
-    "DataSet", "Lift", "Model", "PoseData", "Prior", "Skeleton", "UserError", "WantedFile", "compare", "evaluate", "evaluate_poses", "fit",
-    "load", "load_skeleton", "predict", "simulate",
+    "DataSet", "Lift", "Model", "PoseData", "Prior", "ShapeLift", "ShapePrior", "Skeleton", "UserError", "WantedFile", "compare", "evaluate",
+    "evaluate_poses", "fit", "load", "load_skeleton", "predict", "simulate",
 ]  # fmt: skip
 __version__ = "0.1.0"
 
@@ -32,6 +34,8 @@ _HOMES = {
     "Model": "uplift.model",
     "PoseData": "uplift.data.container",
     "Prior": "uplift.priors.base",
+    "ShapeLift": "uplift.shapes.lift",
+    "ShapePrior": "uplift.priors.shape_base",
     "Skeleton": "uplift.skeleton",
     "UserError": "uplift.errors",
     "WantedFile": "uplift.datasets.base",

@@ -16,8 +16,8 @@ __all__ = ["Explained"]
 _CHUNK = 500
 _POOLED = 0.9
 """How much smaller the errors of pooled crops are: with it, they give nearly the shares that whole crops do."""
-_FAINT = 1e-3
-"""Shares of a mask below this are left out of the sums."""
+_FAINT = 0.01
+"""Shares of a mask below this, of its largest, are left out of the sums."""
 
 
 class Explained(nn.Module):
@@ -82,7 +82,7 @@ class Explained(nn.Module):
             evidence = evidence.masked_fill((known[:, None] & elsewhere)[:, None], -1e4)
         self.energy -= temperature * torch.logsumexp(evidence.flatten(1), 1).sum()
         share = evidence.flatten(1).softmax(1)
-        share = share.where(share > _FAINT, 0).view_as(evidence)
+        share = share.where(share > _FAINT * share.amax(1, keepdim=True), 0).view_as(evidence)
         share = share / share.sum((1, 2), keepdim=True).clamp_min(1e-9)
         grid, ratio = mixture.grid, (spread[:, 0] / spread[:, 1]).log()
         for views, seen in ((grid.drawn, masks), (grid.mirrored, masks.flip(-1))):

@@ -94,6 +94,10 @@ class Projector:
         self._views = [(matrix.to(device), turned.to(device)) for matrix, turned in self._views]
         return self
 
+    def __deepcopy__(self, memo: object) -> Projector:
+        """Return itself: nothing trains the matrices, and copies of a mixture see the same views."""
+        return self
+
     def __call__(
         self, density: Float[Tensor, "shapes depth height width"], rows: Sequence[int] | None = None
     ) -> Float[Tensor, "shapes views side side"]:

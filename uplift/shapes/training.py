@@ -114,6 +114,8 @@ class MixtureTraining(LifterTraining):
         masks = self._masks()
         flat = drawn.cut.flatten(0, 1)
         turned = flat[torch.randint(len(flat), (_TURNED,), device=flat.device)]
+        if self.lifter.grid.mirrored is not None:  # the views that are not drawn see mirror images
+            turned = torch.cat([turned[::2], turned[1::2].flip(-1)])
         occupancy = self.lifter.occupancy
         views = self.lifter.grid.views.to(masks)
         lift = ShapeLift(self.lifter.full_logits, occupancy, turned, masks, self.used, views, self.done)
