@@ -72,7 +72,7 @@ def stand_in(patch: pytest.MonkeyPatch, stop: bool = False) -> list[LoadedMasks]
     class ShapeRecipe:
         """Trains by guessing."""
 
-        def __init__(self, settings: Settings, loaded: LoadedMasks, run: RunFolder | None):
+        def __init__(self, settings: Settings, loaded: LoadedMasks):
             self.settings, self.notes, self.spent = settings, ["a stand-in"], {"guess": 0.5}
             given.append(loaded)
 

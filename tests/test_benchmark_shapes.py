@@ -149,7 +149,7 @@ def test_what_a_step_costs_is_without_what_comes_before_it(
     class Recipe:
         """Takes half a second, and 0.02 s a step at 32."""
 
-        def __init__(self, settings: Settings, loaded: object, run: object) -> None:
+        def __init__(self, settings: Settings, loaded: object) -> None:
             seen.append(settings)
             steps, share = settings.trainer.max_steps or 0, settings.shape.resolution / 32
             self.spent = {"teacher": 0.3 + 0.01 * steps * share, "student": 0.2 + 0.01 * steps * share}

@@ -54,7 +54,7 @@ def test_shapes_of_few_masks_are_not_split(masks: int, splits: list[int], monkey
     settings = load_settings("masks_demo", words)
     loaded = load_masks(settings).for_training()
     assert len(loaded.train) == masks
-    recipe = ShapeRecipe(settings, loaded, None)
+    recipe = ShapeRecipe(settings, loaded)
     assert recipe.splits == splits
     steps = [budget.steps or 0 for budget in recipe.budgets]
     assert len(steps) == len(splits) + 1

@@ -91,7 +91,7 @@ def _seconds(settings: Any) -> float:
     with tempfile.TemporaryDirectory() as folder, contextlib.chdir(folder), contextlib.redirect_stdout(sys.stderr):
         loaded = load_masks(settings)
         run = RunFolder.create(settings, "python -m benchmarks.shapes cost")
-        recipe = ShapeRecipe(settings, loaded.for_training(), None)
+        recipe = ShapeRecipe(settings, loaded.for_training())
         recipe.train(RunFolder(Path(run.path).absolute()))
     return sum(recipe.spent.values())
 

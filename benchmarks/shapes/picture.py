@@ -77,6 +77,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--items", type=int, default=100, help="that are scored, the first of the test; 100 without it")
     given = parser.parse_args(arguments)
     data = load_masks(RunFolder(given.run).settings()).test
+    if data.truth is None:
+        parser.error(f"{given.run}: its test masks have no true shapes to draw")
     data = data.select(np.arange(min(given.items, len(data))))
     prediction = load(given.run / "lifter.pt").predict(data.without_truth())
     scores = evaluate_shapes(prediction, data.truth, data.masks, "test").per_item["volume_iou"]

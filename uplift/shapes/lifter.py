@@ -65,14 +65,11 @@ def lift_masks(
     best = guesses[0]
     scale = best.stretch.amax(1)
     distance = mixture.settings.distance * scale
-    points = _grid_points(resolution, masks)
-    inside = (points @ best.view.mT) * scale[:, None, None]
-    inside[..., :2] += best.centre[:, None]
-    image = inside[..., :2] / (1 + inside[..., 2:] / distance[:, None, None]).clamp_min(0.1)
-    total = masks.new_zeros(len(masks), points.shape[-2])
+    image, depth = _seen(resolution, best.view, scale, best.centre, distance)
+    total = masks.new_zeros(depth.shape[:2])
     wide = nn.functional.max_pool2d(masks[:, None], 3, 1, 1)
     for number, guess in enumerate(guesses):
-        total += weight[:, number, None] * _occupied(mixture, guess, image, inside[..., 2:], wide)
+        total += weight[:, number, None] * _occupied(mixture, guess, image, depth, wide)
     total *= (_look(masks[:, None], image) > _COVERED).to(total.dtype)
     grid = total.view(-1, resolution, resolution, resolution)
     return LiftedShapes(grid, best.view, scale, best.centre, distance)
@@ -80,9 +77,17 @@ def lift_masks(
 
 def image_points(lifted: LiftedShapes) -> Float[Tensor, "items points 2"]:
     """Return where the voxels of lifted shapes are seen, in half sides of the crop."""
-    points = (_grid_points(lifted.occupancy.shape[-1], lifted.scale) @ lifted.view.mT) * lifted.scale[:, None, None]
-    flat = points[..., :2] + lifted.offset[:, None]
-    return flat / (1 + points[..., 2:] / lifted.distance[:, None, None]).clamp_min(0.1)
+    return _seen(lifted.occupancy.shape[-1], lifted.view, lifted.scale, lifted.offset, lifted.distance)[0]
+
+
+def _seen(
+    resolution: int, view: Tensor, scale: Tensor, offset: Tensor, distance: Tensor
+) -> tuple[Float[Tensor, "items points 2"], Float[Tensor, "items points 1"]]:
+    """Return where the voxels of shapes that stand like this are seen, and their depths."""
+    inside = (_grid_points(resolution, scale) @ view.mT) * scale[:, None, None]
+    depth = inside[..., 2:]
+    flat = inside[..., :2] + offset[:, None]
+    return flat / (1 + depth / distance[:, None, None]).clamp_min(0.1), depth
 
 
 def _hypothesis(mixture: ShapeMixture, drawn: Drawn, index: Tensor, centre: Tensor, spread: Tensor):

@@ -41,7 +41,7 @@ class ShapeRecipe:
     every shape into several (`shape.splits`) and goes on.
     """
 
-    def __init__(self, settings: Settings, loaded: LoadedMasks, run: RunFolder | None):
+    def __init__(self, settings: Settings, loaded: LoadedMasks):
         self.settings = settings
         labelled = loaded.train.labelled if settings.data.labelled.only else None
         self.train_data = loaded.train if labelled is None else loaded.train.select(labelled)

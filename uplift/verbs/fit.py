@@ -101,7 +101,7 @@ def _masks(settings: Settings, run: RunFolder | None) -> _Fit:
     from uplift.verbs.shape_reporting import report_shapes
 
     loaded = load_masks(settings)
-    recipe = ShapeRecipe(settings, loaded.for_training(), run)
+    recipe = ShapeRecipe(settings, loaded.for_training())
 
     def reported(run: RunFolder, model: Any) -> None:
         report_shapes(run, model, settings, loaded, recipe.spent)
