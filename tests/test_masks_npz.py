@@ -10,8 +10,8 @@ import pytest
 from uplift.errors import UserError
 from uplift.masks.container import MaskData
 from uplift.masks.npz import read_masks, write_masks
+from uplift.masks.render import render_masks
 from uplift.masks.simulate import simulate_masks
-from uplift.meshes.silhouette import render_masks
 
 
 @pytest.fixture(scope="module")

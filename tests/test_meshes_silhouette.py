@@ -10,9 +10,10 @@ from hypothesis import strategies as st
 from PIL import Image, ImageDraw
 
 from uplift.masks.container import FILL
+from uplift.masks.render import frame_mesh, render_masks
 from uplift.meshes.mesh import Mesh
 from uplift.meshes.procedural import make_shapes
-from uplift.meshes.silhouette import draw_mask, frame_mesh, project, render_masks
+from uplift.meshes.silhouette import draw_mask, project
 from uplift.views import random_rotations
 
 _SIDE = 64

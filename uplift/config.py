@@ -6,6 +6,8 @@ from dataclasses import dataclass, field
 from typing import Any, Optional
 
 __all__ = [
+    "MAX_SIDE",
+    "MIN_SIDE",
     "ChoiceSettings",
     "DataSettings",
     "LabelledSettings",
@@ -18,6 +20,9 @@ __all__ = [
     "TrainerSettings",
     "ViewSettings",
 ]
+
+MIN_SIDE, MAX_SIDE = 8, 1024
+"""Pixels along the crop of a mask."""
 
 # OmegaConf reads these annotations at run time, where "X | None" of a string is not resolved.
 

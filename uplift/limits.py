@@ -7,9 +7,8 @@ import re
 from dataclasses import fields
 from typing import Any
 
-from uplift.config import Settings, ShapeSettings, TrainerSettings
+from uplift.config import MAX_SIDE, MIN_SIDE, Settings, ShapeSettings, TrainerSettings
 from uplift.errors import UserError, did_you_mean
-from uplift.masks.options import MAX_SIDE, MIN_SIDE
 
 __all__ = ["check_settings", "seconds_of"]
 

@@ -11,9 +11,7 @@ from jaxtyping import Int
 if TYPE_CHECKING:
     from uplift.skeleton import Skeleton
 
-__all__ = ["UNITS", "Prediction"]
-
-UNITS = ("mm", "px", "relative")
+__all__ = ["Prediction"]
 
 
 @dataclass

@@ -13,7 +13,7 @@ from uplift.camera import Camera
 from uplift.config import RefineSettings
 from uplift.data.tensors import TrainingSet
 from uplift.pose import bone_lengths
-from uplift.priors.symmetry import mirrored_bones
+from uplift.skeleton.sides import mirrored_bones
 
 __all__ = ["has_clips", "refine_clips"]
 

@@ -11,7 +11,9 @@ from uplift.data.body_masks import check_masks
 from uplift.errors import UserError
 from uplift.lens import Lens
 
-__all__ = ["IDENTITY_KEYS", "PoseData", "codes_of"]
+__all__ = ["IDENTITY_KEYS", "UNITS", "PoseData", "codes_of"]
+
+UNITS = ("mm", "px", "relative")
 
 IDENTITY_KEYS = ("subject", "action", "sequence", "camera", "frame", "instance", "image", "category")
 

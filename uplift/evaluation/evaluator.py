@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -11,7 +10,7 @@ from jaxtyping import Float
 
 from uplift.errors import UserError
 from uplift.evaluation.calibration import calibrate
-from uplift.evaluation.match import match_poses
+from uplift.evaluation.match import GivenPoses, match_poses
 from uplift.evaluation.metrics import elevation_deg
 from uplift.evaluation.plausibility import bone_cv, bone_lengths, facing_sign, has_handedness
 from uplift.evaluation.protocols import ACTION_MEAN, is_error, protocol_order
@@ -23,27 +22,10 @@ if TYPE_CHECKING:
     from uplift.data.container import PoseData
     from uplift.prediction import Prediction
 
-__all__ = ["TRUTH_SIGN", "Evaluation", "GivenPoses", "evaluate", "flat_depth"]
+__all__ = ["TRUTH_SIGN", "evaluate", "flat_depth"]
 
 TRUTH_SIGN = "facing_sign of the truth itself:"
 """How the note begins that says how often the truth has the handedness of the skeleton."""
-
-
-@dataclass(frozen=True)
-class GivenPoses:
-    """Anybody's 3D poses: camera frame, relative to the root, in the frames' order of the truth."""
-
-    pose: Float[np.ndarray, "frames joints 3"]
-    joint_names: tuple[str, ...]
-    unit: str = "relative"
-    """``mm`` (or whatever the truth's is) for a metric pose; ``px`` or ``relative`` for one without scale."""
-    tilt_deg: Float[np.ndarray, " frames"] | None = None
-    """The camera's estimated down-tilt."""
-    identity: Mapping[str, np.ndarray] = field(default_factory=dict)
-    """Checked against the truth's where both have a key."""
-    source: str = ""
-    spread: np.ndarray | None = None
-    """(frames joints), the expected absolute error of each depth (a Laplace scale), in the pose's unit."""
 
 
 def flat_depth(keypoints: Float[np.ndarray, "frames joints 2"], root: int) -> Float[np.ndarray, "frames joints 3"]:

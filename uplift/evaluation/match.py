@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 import numpy as np
+from jaxtyping import Float
 
 from uplift.errors import UserError
 from uplift.evaluation.alignment import counted, length
@@ -15,13 +17,29 @@ from uplift.skeleton import Skeleton
 
 if TYPE_CHECKING:
     from uplift.data.container import PoseData
-    from uplift.evaluation import GivenPoses
     from uplift.prediction import Prediction
 
-__all__ = ["match_poses"]
+__all__ = ["GivenPoses", "match_poses"]
 
 _MIN_JOINTS = 3
 _SCALELESS = ("px", "relative")
+
+
+@dataclass(frozen=True)
+class GivenPoses:
+    """Anybody's 3D poses: camera frame, relative to the root, in the frames' order of the truth."""
+
+    pose: Float[np.ndarray, "frames joints 3"]
+    joint_names: tuple[str, ...]
+    unit: str = "relative"
+    """``mm`` (or whatever the truth's is) for a metric pose; ``px`` or ``relative`` for one without scale."""
+    tilt_deg: Float[np.ndarray, " frames"] | None = None
+    """The camera's estimated down-tilt."""
+    identity: Mapping[str, np.ndarray] = field(default_factory=dict)
+    """Checked against the truth's where both have a key."""
+    source: str = ""
+    spread: np.ndarray | None = None
+    """(frames joints), the expected absolute error of each depth (a Laplace scale), in the pose's unit."""
 
 
 def match_poses(

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from uplift.config import MAX_SIDE, MIN_SIDE
 from uplift.errors import UserError, did_you_mean
 
-__all__ = ["MAX_SIDE", "MIN_SIDE", "CleanOptions", "MaskOptions"]
-
-MIN_SIDE, MAX_SIDE = 8, 1024
+__all__ = ["CleanOptions", "MaskOptions"]
 
 
 @dataclass(frozen=True)

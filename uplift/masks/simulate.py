@@ -12,9 +12,9 @@ from jaxtyping import Float
 
 from uplift.errors import UserError
 from uplift.masks.container import MaskData
+from uplift.masks.render import render_masks
 from uplift.meshes.mesh import Mesh
 from uplift.meshes.procedural import make_shapes
-from uplift.meshes.silhouette import render_masks
 from uplift.views import about_y, level, random_rotations
 
 __all__ = ["ViewChoice", "draw_views", "simulate_masks"]

@@ -10,21 +10,9 @@ from uplift.lift import Lift
 from uplift.pose import bone_lengths
 from uplift.priors.base import Prior
 from uplift.skeleton import Skeleton
+from uplift.skeleton.sides import mirrored_bones
 
-__all__ = ["Symmetry", "mirrored_bones"]
-
-
-def mirrored_bones(skeleton: Skeleton) -> list[tuple[tuple[int, int], tuple[int, int]]]:
-    """Return the pairs of bones, as joint indices, that are each other's mirror image."""
-    swap = skeleton.mirror_permutation
-    bones = [(int(a), int(b)) for a, b in skeleton.bone_indices]
-    pairs = []
-    for first in bones:
-        image = (int(swap[first[0]]), int(swap[first[1]]))
-        second = next((bone for bone in bones if set(bone) == set(image)), None)
-        if second is not None and set(second) != set(first) and (second, first) not in pairs:
-            pairs.append((first, second))
-    return pairs
+__all__ = ["Symmetry"]
 
 
 class Symmetry(Prior):

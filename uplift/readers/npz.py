@@ -7,9 +7,8 @@ from pathlib import Path
 import numpy as np
 
 from uplift.data.body_masks import masks_of
-from uplift.data.container import IDENTITY_KEYS, PoseData
+from uplift.data.container import IDENTITY_KEYS, UNITS, PoseData
 from uplift.errors import UserError
-from uplift.prediction import UNITS
 from uplift.readers.archive import read_arrays
 from uplift.readers.base import Format, Peek, ReadOptions
 

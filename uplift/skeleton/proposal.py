@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 
-from uplift.data.container import PoseData
 from uplift.errors import UserError, did_you_mean
 from uplift.skeleton import Skeleton
 from uplift.skeleton.proposal_bones import Bone, apart, joining_bones, seen_in
@@ -20,6 +19,24 @@ _SELDOM = 0.5  # of the frames
 _NEAR = 0.5  # of the spread of the joints about their middle
 
 Pair = tuple[str, str]
+
+
+@runtime_checkable
+class Tracked(Protocol):
+    """What a tracker's file tells of its joints; `uplift.data.container.PoseData` does."""
+
+    keypoints: np.ndarray
+    """(frames joints 2); what is not seen is NaN, or has confidence 0."""
+    confidence: np.ndarray
+    """(frames joints)"""
+    joint_names: tuple[str, ...]
+    bones: tuple[tuple[str, str], ...]
+    mirror: tuple[tuple[str, str], ...]
+    source: str
+
+    def __len__(self) -> int:
+        """Return the number of frames."""
+        ...
 
 
 @dataclass(frozen=True)
@@ -37,7 +54,7 @@ class Proposal:
     """Partners left out, as the bones of the file are not the same on both sides."""
 
 
-def propose(data: PoseData, name: str, root: str | None = None, gravity: bool = True) -> Proposal:
+def propose(data: Tracked, name: str, root: str | None = None, gravity: bool = True) -> Proposal:
     """Return a skeleton called ``name`` for the joints of ``data``.
 
     Joints in the file's order. Partners from the file, else by name. Bones from the file; what those
@@ -70,7 +87,7 @@ def propose(data: PoseData, name: str, root: str | None = None, gravity: bool = 
     )
 
 
-def _check_joints(data: PoseData, share: np.ndarray, where: str) -> None:
+def _check_joints(data: Tracked, share: np.ndarray, where: str) -> None:
     joints = len(data.joint_names)
     if joints < 3:
         shown = f" ({', '.join(data.joint_names)})" if joints else ""
@@ -100,7 +117,7 @@ def _known_bones(bones: tuple[Bone, ...], names: list[str]) -> list[Bone]:
     return list(found.values())
 
 
-def _pairs(data: PoseData, names: list[str]) -> list[Pair]:
+def _pairs(data: Tracked, names: list[str]) -> list[Pair]:
     """Return partners (right, left): the file's, and of the other joints those by name."""
     by_name = mirror_pairs(names)
     order = {frozenset(pair): pair for pair in by_name}

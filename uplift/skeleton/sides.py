@@ -1,4 +1,4 @@
-"""Which joint of a mirror pair is the left one."""
+"""The two sides of a skeleton: which joint of a mirror pair is the left one, and which bones mirror each other."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from uplift.skeleton import Skeleton
 
-__all__ = ["CENTRE", "LEFT", "RIGHT", "bone_sides", "joint_sides"]
+__all__ = ["CENTRE", "LEFT", "RIGHT", "bone_sides", "joint_sides", "mirrored_bones"]
 
 CENTRE, LEFT, RIGHT = 0, 1, 2
 
@@ -34,6 +34,19 @@ def joint_sides(skeleton: Skeleton, joint_names: Sequence[str]) -> list[int]:
 def bone_sides(sides: Sequence[int], bones: Sequence[Sequence[int]]) -> list[int]:
     """Return the side of every bone: that of its child."""
     return [sides[child] for _, child in bones]
+
+
+def mirrored_bones(skeleton: Skeleton) -> list[tuple[tuple[int, int], tuple[int, int]]]:
+    """Return the pairs of bones, as joint indices, that are each other's mirror image."""
+    swap = skeleton.mirror_permutation
+    bones = [(int(a), int(b)) for a, b in skeleton.bone_indices]
+    pairs = []
+    for first in bones:
+        image = (int(swap[first[0]]), int(swap[first[1]]))
+        second = next((bone for bone in bones if set(bone) == set(image)), None)
+        if second is not None and set(second) != set(first) and (second, first) not in pairs:
+            pairs.append((first, second))
+    return pairs
 
 
 def _left_of(pair: tuple[str, str], to_left: set[str]) -> str | None:
