@@ -6,8 +6,6 @@ import warnings
 from pathlib import Path
 from typing import Any
 
-import torch
-
 from uplift.errors import UserError
 from uplift.saving import replacing
 
@@ -16,6 +14,8 @@ __all__ = ["read_torch", "save_torch"]
 
 def save_torch(state: dict[str, Any], path: Path) -> None:
     """Write tensors and plain data to ``path``, whole or not at all."""
+    import torch
+
     try:
         with replacing(path) as file:
             torch.save(state, file)
@@ -32,6 +32,8 @@ def read_torch(path: Path, kind: str) -> dict[str, Any]:
     Raises:
         UserError: not there, not such a file, damaged, or holding anything but plain data.
     """
+    import torch
+
     if not path.is_file():
         raise UserError(f"No {kind} {path}.")
     try:
