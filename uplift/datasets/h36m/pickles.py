@@ -76,14 +76,14 @@ class Pickles(Family):
     def _look(self, looks: dict[str, Any], subject: str, sequence: str, camera_id: str):
         where = f"{self.folder / self.files_of['sh']}, '{subject}'"
         views = table_of(table_of(looks, where, [sequence])[sequence], f"{where}, '{sequence}'", [camera_id])
-        return _look(views[camera_id], f"{where}, '{sequence}', '{camera_id}'")
+        return _look_up(views[camera_id], f"{where}, '{sequence}', '{camera_id}'")
 
     def _by_sequence(self, looks: Any, subject: str) -> dict[str, Any]:
         where = f"{self.folder / self.files_of['sh']}, '{subject}'"
         return {parsed[1]: v for name, v in table_of(looks, where).items() if (parsed := sequence_name(name, where))}
 
 
-def _look(view: Any, where: str):
+def _look_up(view: Any, where: str):
     """Return keypoints whose nose, where it is the middle of thorax and head, counts as missing."""
     array = points_of(view, where, (17,), (2, 3))
 
