@@ -6,9 +6,8 @@ from pathlib import Path
 
 import numpy as np
 
-from uplift.datasets.h36m.cameras import CAMERAS, published
-from uplift.datasets.h36m.names import ACTIONS, JOINTS, OF_32
-from uplift.simulator import simulate
+from uplift.data.datasets.h36m_files import ACTIONS, CAMERAS, JOINTS, OF_32, published
+from uplift.data.synthetic.simulate import simulate
 from uplift.skeleton import load_skeleton
 
 __all__ = ["FRAMES", "write_full_size"]

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from uplift.cli import main
+from uplift.cli.main import main
 from uplift.skeleton import load_skeleton
 
 FOCAL_PX, CENTRE_PX, DISTANCE_MM = 1145.0, 500.0, 5000.0

@@ -18,11 +18,11 @@ from typing import Any
 
 import torch
 
-import uplift.verbs.fit
-import uplift.verbs.reporting  # noqa: F401
-from uplift import torch_file
-from uplift.cli import main
-from uplift.training import progress
+import uplift.cli.fit
+import uplift.cli.report  # noqa: F401
+from uplift.cli.main import main
+from uplift.config import files as torch_file
+from uplift.training import callbacks as progress
 
 SMALL_DISK_BYTES = 20_000
 

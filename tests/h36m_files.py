@@ -8,9 +8,8 @@ from pathlib import Path
 
 import numpy as np
 
-from uplift.datasets.h36m.cameras import _LENSES, _STANDS, CAMERAS
-from uplift.datasets.h36m.names import ACTIONS, OF_32
-from uplift.simulator import simulate
+from uplift.data.datasets.h36m_files import _LENSES, _STANDS, ACTIONS, CAMERAS, OF_32
+from uplift.data.synthetic.simulate import simulate
 from uplift.skeleton import load_skeleton
 
 SUBJECTS = ("S1", "S5", "S6", "S7", "S8", "S9", "S11")

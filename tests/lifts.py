@@ -12,12 +12,12 @@ import torch
 from bodies import body_arrays
 from torch import Tensor
 
-from uplift.config import LifterSettings, ViewSettings
-from uplift.data.container import PoseData
+from uplift.config.settings import LifterSettings, ViewSettings
+from uplift.data.poses import PoseData
 from uplift.data.tensors import TrainingSet
-from uplift.lift import Lift
-from uplift.lifter import Lifter
-from uplift.model import build_lifter
+from uplift.models.lifter import Lifter
+from uplift.models.model import build_lifter
+from uplift.priors.base import Lift
 from uplift.skeleton import Skeleton, load_skeleton
 from uplift.training.adversarial import make_lift
 

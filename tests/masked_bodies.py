@@ -8,7 +8,7 @@ import numpy as np
 from lifts import H36M, bodies
 from PIL import Image, ImageDraw
 
-from uplift.data.container import PoseData
+from uplift.data.poses import PoseData
 
 SIDE = 32
 THICK_PX = 24

@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 from scipy.io import savemat
 
-from uplift.datasets.mpi_inf_3dhp_cameras import published_cameras
-from uplift.simulator import simulate
+from uplift.data.datasets.mpi_inf_3dhp import published_cameras
+from uplift.data.synthetic.simulate import simulate
 from uplift.skeleton import load_skeleton
 
 SCALE = 1.07  # of the universal body

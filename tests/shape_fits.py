@@ -11,14 +11,14 @@ import pytest
 import torch
 from torch import Tensor
 
-from uplift.masks.load import LoadedMasks, load_masks
-from uplift.run import RunFolder
-from uplift.shapes import recipe as recipe_module
-from uplift.shapes.model import ShapeModel
-from uplift.shapes.recipe import ShapeRecipe
-from uplift.shapes.training import MixtureTraining
-from uplift.task import load_settings
-from uplift.training.budget import Interrupted
+from uplift.config.loading import load_settings
+from uplift.config.run import RunFolder
+from uplift.data.load_masks import LoadedMasks, load_masks
+from uplift.models.model import ShapeModel
+from uplift.training import shape_recipe as recipe_module
+from uplift.training.callbacks import Interrupted
+from uplift.training.shape_recipe import ShapeRecipe
+from uplift.training.shapes import MixtureTraining
 
 __all__ = ["SMALL", "STAGES", "fit_of", "interrupt", "many", "noted", "same", "trained"]
 

@@ -9,15 +9,12 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from uplift.config import ShapeSettings
-from uplift.masks.container import MaskData
-from uplift.masks.simulate import ViewChoice, simulate_masks
-from uplift.meshes.mesh import Mesh
-from uplift.meshes.procedural import make_shapes
-from uplift.meshes.voxels import coverage
-from uplift.shapes.crops import moments, recrop
-from uplift.shapes.mask_set import as_tensor
-from uplift.shapes.mixture import ShapeMixture
+from uplift.config.settings import ShapeSettings
+from uplift.data.masks import MaskData
+from uplift.data.synthetic.masks import ViewChoice, make_shapes, simulate_masks
+from uplift.data.tensors import as_tensor, moments, recrop
+from uplift.geometry.mesh import Mesh, coverage
+from uplift.models.mixture import ShapeMixture
 
 __all__ = ["SMALL", "chair", "crops_of", "masks_of", "mixture_of", "small"]
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 from skimage.draw import polygon
 
-from uplift.meshes.surface import surface_of
-from uplift.meshes.surface_frames import in_camera
-from uplift.shapes.prediction import ShapePrediction
+from uplift.export.meshes import in_camera
+from uplift.geometry.surface import surface_of
+from uplift.models.prediction import ShapePrediction
 
 __all__ = ["AZIMUTH", "OFFSET", "SCALE", "SCALE_PX", "TILT", "marked", "mask_of", "shapes", "view"]
 

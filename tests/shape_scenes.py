@@ -5,13 +5,12 @@ from __future__ import annotations
 import numpy as np
 import torch
 
-from uplift.evaluation.shape_evaluator import filled_truths
-from uplift.evaluation.shape_silhouette import silhouette
-from uplift.evaluation.shape_standing import true
-from uplift.masks.container import FILL, MaskData, Placed
-from uplift.meshes.mesh import Mesh
-from uplift.shapes.prediction import ShapePrediction
-from uplift.views import about_y, level
+from uplift.data.masks import FILL, MaskData, Placed
+from uplift.geometry.mesh import Mesh
+from uplift.geometry.rotation import about_y, level
+from uplift.metrics.evaluate_shapes import filled_truths
+from uplift.metrics.shape_metrics import silhouette, true
+from uplift.models.prediction import ShapePrediction
 
 SIDE = 40
 """Voxels along the grids of the tests."""

@@ -12,18 +12,19 @@ from typing import Any
 import numpy as np
 import pytest
 
-from uplift.config import Settings, ShapeSettings
-from uplift.evaluation import shape_floors, shape_item
-from uplift.evaluation.shape_floors import floors, score_with_floors
-from uplift.evaluation.shape_surface import grid_surface, mesh_surface
-from uplift.masks.container import MaskData
-from uplift.masks.load import LoadedMasks
-from uplift.run import RunFolder
-from uplift.shapes import model as model_module
-from uplift.shapes.mixture import ShapeMixture
-from uplift.shapes.prediction import ShapePrediction
-from uplift.torch_file import read_torch, save_torch
-from uplift.verbs import evaluate_shapes
+from uplift.cli import evaluate as evaluate_shapes
+from uplift.config.files import read_torch, save_torch
+from uplift.config.run import RunFolder
+from uplift.config.settings import Settings, ShapeSettings
+from uplift.data.load_masks import LoadedMasks
+from uplift.data.masks import MaskData
+from uplift.metrics import baselines as shape_floors
+from uplift.metrics import shape_metrics as shape_item
+from uplift.metrics.baselines import floors, score_with_floors
+from uplift.metrics.shape_metrics import grid_surface, mesh_surface
+from uplift.models import model as model_module
+from uplift.models.mixture import ShapeMixture
+from uplift.models.prediction import ShapePrediction
 
 __all__ = ["StandInModel", "stand_in"]
 
@@ -84,9 +85,9 @@ def stand_in(patch: pytest.MonkeyPatch, stop: bool = False) -> list[LoadedMasks]
                 raise KeyboardInterrupt
             return StandInModel(_thick(0.4), self.settings.shape)
 
-    module = ModuleType("uplift.shapes.recipe")
+    module = ModuleType("uplift.training.shape_recipe")
     module.ShapeRecipe = ShapeRecipe  # type: ignore[attr-defined]
-    patch.setitem(sys.modules, "uplift.shapes.recipe", module)
+    patch.setitem(sys.modules, "uplift.training.shape_recipe", module)
     patch.setattr(model_module, "ShapeModel", StandInModel)
     patch.setattr(shape_floors, "floors", partial(floors, resolution=12, sample=6))
     for sampled in (mesh_surface, grid_surface):

@@ -8,7 +8,7 @@ import roma
 import torch
 
 from uplift.errors import UserError
-from uplift.evaluation.alignment import ALIGNED_ERRORS, align, least_squares_scale, norm_scale, procrustes, xy_scale
+from uplift.metrics.alignment import ALIGNED_ERRORS, align, least_squares_scale, norm_scale, procrustes, xy_scale
 
 JOINTS = 9
 

@@ -12,9 +12,9 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 from writers_samples import prediction
 
-from uplift.axes import AXES, in_axes, rotations_to
 from uplift.errors import UserError
-from uplift.prediction import Prediction
+from uplift.export.scene import AXES, in_axes, rotations_to
+from uplift.models.prediction import Prediction
 
 LEVEL = ("level", "blender", "opensim")
 DOWN = {"camera": None, "opencv": None, "level": (0, 1, 0), "blender": (0, 0, -1), "opensim": (0, -1, 0)}

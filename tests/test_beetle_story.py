@@ -15,11 +15,11 @@ import pytest
 from bodies import QUICK, status_of
 from page_browser import BROWSER, Browser, Page
 
-from uplift.readers import read
-from uplift.readers.base import ReadOptions
-from uplift.simulator import simulate
+from uplift.data.formats import read
+from uplift.data.formats.base import ReadOptions
+from uplift.data.synthetic.simulate import simulate
 from uplift.skeleton import load_skeleton
-from uplift.skeleton.proposal import propose
+from uplift.skeleton.propose import propose
 
 PAGE = Path(__file__).resolve().parent.parent / "docs/beetle.md"
 _FENCE = re.compile(r"^```(\w*)\n(.*?)^```$", re.M | re.S)

@@ -15,7 +15,7 @@ from benchmarks.accuracy.work import CellFailed
 from benchmarks.examples import work
 from benchmarks.examples.__main__ import main
 from benchmarks.examples.files import EXAMPLES, files_of, write_files
-from uplift.readers import read
+from uplift.data.formats import read
 
 QUICK = (
     "lifter.options.units=16", "lifter.options.blocks=1", "priors.flow.steps=3", "priors.flow.units=8", "student.share=0",

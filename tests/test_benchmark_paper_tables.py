@@ -16,8 +16,8 @@ from benchmarks.paper_tables import __main__ as tables
 from benchmarks.paper_tables import recipes, show
 from benchmarks.paper_tables.published import COLUMNS, PUBLISHED
 from benchmarks.paper_tables.recipes import TABLES, Recipe, place_of, uses_of
-from uplift.task import load_settings
-from uplift.training.budget import Interrupted
+from uplift.config.loading import load_settings
+from uplift.training.callbacks import Interrupted
 
 KUDO = ("lifter.options.units=16", "priors.critic.units=16", "trainer.max_epochs=null", "trainer.max_steps=10",
         "trainer.threads=1")  # fmt: skip

@@ -13,11 +13,11 @@ import torch
 from bodies import body_arrays, status_of
 from lifts import H36M, bodies, lift_of_pose, training_set, true_pose
 
+from uplift.config.loading import load_settings
+from uplift.config.plugins import find_class
+from uplift.data.synthetic.simulate import simulate
 from uplift.errors import UserError
-from uplift.model import build_lifter, load
-from uplift.plugins import find_class
-from uplift.simulator import simulate
-from uplift.task import load_settings
+from uplift.models.model import build_lifter, load
 
 ROOT = Path(__file__).resolve().parent.parent
 sys.path.insert(0, str(ROOT))

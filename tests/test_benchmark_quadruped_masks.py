@@ -16,7 +16,7 @@ from benchmarks.quadruped_masks import __main__ as benchmark
 from benchmarks.quadruped_masks import work
 from benchmarks.quadruped_masks.files import LIMBS, Frames, hidden_joints
 from benchmarks.quadruped_masks.rendering import NODES, draw_mask, masks_of_rows, placing
-from uplift.readers import read
+from uplift.data.formats import read
 from uplift.skeleton import load_skeleton
 
 QUICK = (

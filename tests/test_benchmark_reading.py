@@ -14,9 +14,8 @@ from benchmarks.reading.bodies import Walk
 from benchmarks.reading.cells import CELLS
 from benchmarks.reading.lines import GAP, decimals, filled, whole_numbers, words
 from benchmarks.reading.writing import written
-from uplift.readers import read
-from uplift.readers.formats import FORMATS
-from uplift.writers import WRITERS
+from uplift.data.formats import FORMATS, read
+from uplift.export import WRITERS
 
 ROWS = 300
 _NEEDS = {"deeplabcut h5": "tables"}

@@ -15,14 +15,14 @@ from benchmarks.accuracy.work import CellFailed
 from benchmarks.shapes import __main__ as benchmark
 from benchmarks.shapes import animals, cost, work
 from benchmarks.shapes.cells import COMMANDS, FAMILIES, Cell, cells_of
-from uplift.config import Settings
-from uplift.evaluation.shape_floors import floors, score_with_floors
-from uplift.masks.npz import read_masks
-from uplift.masks.simulate import simulate_masks
-from uplift.meshes.procedural import FAMILIES as MADE_UP
-from uplift.run import RunFolder
-from uplift.task import load_settings
-from uplift.verbs import fit
+from uplift.cli import fit
+from uplift.config.loading import load_settings
+from uplift.config.run import RunFolder
+from uplift.config.settings import Settings
+from uplift.data.formats.masks_npz import read_masks
+from uplift.data.synthetic.masks import FAMILIES as MADE_UP
+from uplift.data.synthetic.masks import simulate_masks
+from uplift.metrics.baselines import floors, score_with_floors
 
 
 @pytest.fixture

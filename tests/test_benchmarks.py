@@ -20,13 +20,13 @@ from benchmarks.accuracy.occlusion import LIMBS, growth, hidden_joints, occlusio
 from benchmarks.accuracy.rigs import RIGS, TEST_SUBJECTS, build_rigs, camera_axes, film
 from benchmarks.accuracy.show import markdown, sheets_of, text
 from benchmarks.accuracy.work import CellFailed, fill_in, run_cell
-from uplift.config import LifterSettings
+from uplift.config.loading import load_settings
+from uplift.config.settings import LifterSettings
+from uplift.data.formats import read
 from uplift.errors import UserError
-from uplift.evaluation.metrics import facing_sign
-from uplift.model import Model, build_lifter
-from uplift.readers import read
+from uplift.metrics.pose_metrics import facing_sign
+from uplift.models.model import Model, build_lifter
 from uplift.skeleton import load_skeleton
-from uplift.task import load_settings
 
 HUMAN = load_skeleton("h36m17")
 TABLES = yaml.safe_load((Path(cells.__file__).parent / "cells.yaml").read_text())
@@ -292,7 +292,7 @@ def test_a_cell_that_fails_is_told_and_tried_again(
 
 def _in_this_process(self, words, *, run=None, shown=True) -> str:
     """Run a cell's command without starting another python, which takes long."""
-    command = " ".join(words[1:]).replace("uplift.cli", "uplift")
+    command = " ".join(words[1:]).replace("uplift.cli.main", "uplift")
     if shown:
         self.commands.append(fill_in(command.replace(str(run), "RUN"), shown=True))
     filled = [fill_in(word) for word in words]

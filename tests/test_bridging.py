@@ -8,16 +8,14 @@ import numpy as np
 import pytest
 import torch
 
-from uplift.bridging import bridge_gaps, bridged_joints
-from uplift.camera import Perspective
-from uplift.config import LifterSettings, RefineSettings
+from uplift.config.settings import LifterSettings, RefineSettings
 from uplift.data.clean import clean
-from uplift.data.container import PoseData
-from uplift.data.tensors import TrainingSet
-from uplift.lifter import Lifted
-from uplift.lifting import as_measured, refine_lifted
-from uplift.seeing import intrinsics_of
-from uplift.simulator import simulate
+from uplift.data.poses import PoseData
+from uplift.data.synthetic.simulate import simulate
+from uplift.data.tensors import TrainingSet, intrinsics_of
+from uplift.geometry.camera import Perspective
+from uplift.models.lifter import Lifted
+from uplift.models.predict import as_measured, bridge_gaps, bridged_joints, refine_lifted
 from uplift.skeleton import load_skeleton
 
 SKELETON = load_skeleton("h36m17")

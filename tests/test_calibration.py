@@ -11,10 +11,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from uplift.data.container import PoseData
+from uplift.data.poses import PoseData
 from uplift.errors import UserError
-from uplift.evaluation import Evaluation, GivenPoses, evaluate
-from uplift.evaluation.calibration import NOMINAL, coverage_of, rank_correlation
+from uplift.metrics.evaluate import NOMINAL, coverage_of, evaluate, rank_correlation
+from uplift.metrics.report import Evaluation
+from uplift.metrics.scores import GivenPoses
 from uplift.skeleton import load_skeleton
 
 HUMAN = load_skeleton("h36m17")
@@ -115,7 +116,7 @@ def test_joints_are_matched_by_name_and_frames_left_out_with_their_spread() -> N
 def test_chunks_change_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
     truth = a_truth()
     whole = evaluate(a_guess(truth, unit="px"), truth, HUMAN)
-    monkeypatch.setattr("uplift.evaluation.calibration._CHUNK", 7)
+    monkeypatch.setattr("uplift.metrics.evaluate._CHUNK", 7)
     assert evaluate(a_guess(truth, unit="px"), truth, HUMAN).calibration == whole.calibration
 
 

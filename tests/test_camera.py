@@ -8,8 +8,8 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from uplift.camera import Orthographic, Perspective, build_camera
 from uplift.errors import UserError
+from uplift.geometry.camera import Orthographic, Perspective, build_camera
 
 SEEDS = st.integers(0, 2**31 - 1)
 

@@ -12,7 +12,7 @@ import pytest
 from bodies import QUICK, body_arrays, own_data, refusal, status_of, write_body
 
 from uplift import __version__
-from uplift.cli import main
+from uplift.cli.main import main
 
 HEAVY = ("torch", "lightning", "numpy", "omegaconf", "yaml", "skimage")
 
@@ -38,7 +38,7 @@ def the_runs(folder: Path) -> list[Path]:
 @pytest.mark.parametrize("words", [[], ["--help"], ["--version"], ["fit", "--help"]])
 def test_help_loads_nothing_heavy(words: list[str]) -> None:
     script = (
-        f"import sys\nfrom uplift.cli import main\ntry:\n    main({words!r})\nexcept SystemExit as stop:\n"
+        f"import sys\nfrom uplift.cli.main import main\ntry:\n    main({words!r})\nexcept SystemExit as stop:\n"
         f"    assert not stop.code\nassert not set(sys.modules) & set({HEAVY!r})"
     )
     done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, timeout=60)
@@ -47,7 +47,7 @@ def test_help_loads_nothing_heavy(words: list[str]) -> None:
 
 
 def test_a_typo_is_answered_before_torch_is_loaded() -> None:
-    script = "import sys\nfrom uplift.cli import main\nassert main(['fit', 'task=cmuu']) == 2\nassert 'torch' not in sys.modules"
+    script = "import sys\nfrom uplift.cli.main import main\nassert main(['fit', 'task=cmuu']) == 2\nassert 'torch' not in sys.modules"
     done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, timeout=60)
     assert done.returncode == 0, done.stderr
     assert done.stderr == refusal_text("cmuu")
@@ -260,7 +260,7 @@ def test_statuses(error: BaseException, status: int, says: str, monkeypatch, cap
     def fail(words: list[str]) -> None:
         raise error
 
-    monkeypatch.setitem(sys.modules["uplift.cli"]._RUN, "tasks", fail)
+    monkeypatch.setitem(sys.modules["uplift.cli.main"]._RUN, "tasks", fail)
     assert main(["tasks"]) == status
     assert f"uplift: {says}" in capsys.readouterr().err
 

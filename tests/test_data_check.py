@@ -11,18 +11,18 @@ import numpy as np
 import pytest
 from bodies import body_arrays, refusal, status_of, write_body
 
-from uplift import paths
-from uplift.datasets import read_cached
-from uplift.paths import shipped, shipped_names
-from uplift.readers import read
-from uplift.task import load_settings
-from uplift.verbs.data_check import check_data
+from uplift.cli.data_check import check_data
+from uplift.config import files as paths
+from uplift.config.files import shipped, shipped_names
+from uplift.config.loading import load_settings
+from uplift.data.datasets import read_cached
+from uplift.data.formats import read
 
 pytestmark = pytest.mark.usefixtures("here")
 
 SET = """
-from uplift.datasets import DataSet, WantedFile
-from uplift.readers import read
+from uplift.data.datasets import DataSet, WantedFile
+from uplift.data.formats import read
 
 
 class Beetles(DataSet):
@@ -203,7 +203,7 @@ def test_wrong_words(words: list[str], says: str, beetles: Path, capsys) -> None
 
 
 def test_it_loads_nothing_heavy(beetles: Path) -> None:
-    script = "import sys\nfrom uplift.cli import main\nassert main(['data', 'check', 'task=beetles.yaml']) == 0\n"
+    script = "import sys\nfrom uplift.cli.main import main\nassert main(['data', 'check', 'task=beetles.yaml']) == 0\n"
     script += "assert not set(sys.modules) & {'torch', 'lightning', 'skimage', 'scipy'}"
     done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, timeout=60)
     assert done.returncode == 0, done.stderr

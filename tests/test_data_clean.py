@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from uplift.data.clean import clean, joint_neighbours
-from uplift.data.container import PoseData
+from uplift.data.poses import PoseData
 from uplift.errors import UserError
 from uplift.skeleton import load_skeleton
 

@@ -8,10 +8,9 @@ import numpy as np
 import pytest
 from bodies import body_arrays
 
-from uplift.data.clean import clean
-from uplift.data.container import PoseData
-from uplift.data.films import JUMP, jump_of
-from uplift.simulator import simulate
+from uplift.data.clean import JUMP, clean, jump_of
+from uplift.data.poses import PoseData
+from uplift.data.synthetic.simulate import simulate
 from uplift.skeleton import load_skeleton
 
 
@@ -54,7 +53,7 @@ def test_nothing_to_compare_is_no_jump():
     ("name", "film"), [("cmu/test.npz", True), ("quadruped/test.npz", False), ("hand/test.npz", False)]
 )
 def test_real_sets(name: str, film: bool, benchmark_data):
-    from uplift.readers import read
+    from uplift.data.formats import read
 
     data = read(benchmark_data(name))
     assert (jump_of(data) < JUMP / 2) if film else (jump_of(data) > 2 * JUMP)

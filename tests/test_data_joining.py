@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 from bodies import body_arrays
 
-from uplift.data.container import PoseData
-from uplift.data.joining import join_data
+from uplift.config.files import absolute, files_of
+from uplift.data.concat import join_data
 from uplift.data.load import load_file
+from uplift.data.poses import PoseData
 from uplift.errors import UserError
-from uplift.readers.files import absolute, files_of
 from uplift.skeleton import load_skeleton
 
 

@@ -11,14 +11,12 @@ import torch
 from bodies import body_arrays, refusal, write_body
 from lifts import H36M, bodies
 
-from uplift.camera import build_camera
-from uplift.config import LifterSettings
-from uplift.data.container import PoseData
-from uplift.data.labels import joined, mean_bones, with_labels
+from uplift.config.loading import load_settings
+from uplift.config.settings import LifterSettings
 from uplift.data.load import load_data
-from uplift.data.tensors import TrainingSet
-from uplift.seeing import frames_of
-from uplift.task import load_settings
+from uplift.data.poses import PoseData
+from uplift.data.tensors import TrainingSet, frames_of, joined, mean_bones, with_labels
+from uplift.geometry.camera import build_camera
 
 
 def seen_bodies(**changes) -> PoseData:

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 from bodies import body_arrays, refusal, write_body
 
+from uplift.config.loading import load_settings
+from uplift.data.formats import read
 from uplift.data.load import in_joints_of, load_data
 from uplift.errors import UserError
-from uplift.readers import read
 from uplift.skeleton import load_skeleton
-from uplift.task import load_settings
 
 BODY = load_skeleton("h36m17")
 

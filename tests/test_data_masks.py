@@ -13,16 +13,13 @@ from hypothesis import strategies as st
 from lifts import H36M, bodies
 from masked_bodies import WHOLE, masked
 
-from uplift.data.body_masks import mask_maps
-from uplift.data.joining import join_data
-from uplift.data.labels import joined
-from uplift.data.tensors import TrainingSet
+from uplift.data.concat import join_data
+from uplift.data.formats.npz import read_npz, write_keypoints
+from uplift.data.poses import mask_maps
+from uplift.data.tensors import TrainingSet, joined
 from uplift.errors import UserError
-from uplift.normalise import Intrinsics
-from uplift.priors.capsules import segment_distances, soft_gap
-from uplift.priors.mask_field import into_crop, sample_field, signed_distances, unit_of
-from uplift.readers.npz import read_npz
-from uplift.writers.keypoints import write_keypoints
+from uplift.geometry.normalise import Intrinsics
+from uplift.priors.mask import into_crop, sample_field, segment_distances, signed_distances, soft_gap, unit_of
 
 SEEDS = st.integers(0, 2**31 - 1)
 

@@ -11,10 +11,10 @@ import pytest
 import trimesh
 from PIL import Image
 
-from uplift.cli import main
+from uplift.cli.data_render import render_masks_command
+from uplift.cli.main import main
+from uplift.data.formats.masks_npz import read_masks
 from uplift.errors import UserError
-from uplift.masks.npz import read_masks
-from uplift.verbs.data_render import render_masks_command
 
 
 def render(words: str, *more: str) -> list[str]:

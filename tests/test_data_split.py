@@ -8,8 +8,8 @@ from bodies import body_arrays
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from uplift.data.container import PoseData
-from uplift.data.split import chosen_clips, chosen_rows
+from uplift.data.poses import PoseData
+from uplift.data.select import chosen_clips, chosen_rows
 from uplift.errors import UserError
 
 

@@ -8,13 +8,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from uplift.config.loading import load_settings
+from uplift.data.datasets.coco import COCO_JOINTS, Coco
 from uplift.data.load import in_joints_of, load_data
-from uplift.datasets.coco import COCO_JOINTS, Coco
-from uplift.datasets.coco_json import JsonText, records
+from uplift.data.parsers.json import JsonText, records
+from uplift.data.synthetic.simulate import simulate
 from uplift.errors import UserError
-from uplift.simulator import simulate
 from uplift.skeleton import load_skeleton
-from uplift.task import load_settings
 
 SKELETON = load_skeleton("coco17")
 NAME = "person_keypoints_val2017.json"

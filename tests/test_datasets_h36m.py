@@ -13,14 +13,13 @@ import numpy as np
 import pytest
 from bodies import refusal
 
+from uplift.config.loading import load_settings
+from uplift.data.datasets import read_cached
+from uplift.data.datasets.h36m import Human36M
+from uplift.data.datasets.h36m_files import ACTIONS, CAMERAS, HOURGLASS_JOINTS, JOINTS, OF_32, published
 from uplift.data.load import load_data
-from uplift.datasets import read_cached
-from uplift.datasets.h36m import Human36M
-from uplift.datasets.h36m.cameras import CAMERAS, published
-from uplift.datasets.h36m.names import ACTIONS, HOURGLASS_JOINTS, JOINTS, OF_32
 from uplift.errors import UserError
 from uplift.skeleton import load_skeleton
-from uplift.task import load_settings
 
 TEST = ("S9", "S11")
 FAMILIES = ("videopose3d", "pickles", "martinez", "cdf")
@@ -570,7 +569,7 @@ def test_the_lenses_are_undone(camera, kind):
 @pytest.mark.parametrize("majority", ["row_major", "column_major"])
 def test_cdf_of_either_majority(tmp_path, majority):
     pytest.importorskip("cdflib")
-    from uplift.datasets.h36m.cdf import _read
+    from uplift.data.datasets.h36m_files import _read_cdf as _read
 
     points = np.random.default_rng(0).normal(size=(7, 32, 3)).astype(np.float32)
     written.write_one_cdf(tmp_path / "a.cdf", points, majority)

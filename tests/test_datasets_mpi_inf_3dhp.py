@@ -20,13 +20,12 @@ from mpi_inf_3dhp_files import (
     write_train,
 )  # fmt: skip
 
+from uplift.config.loading import load_settings
+from uplift.data.datasets import read_cached
+from uplift.data.datasets.mpi_inf_3dhp import _SEQUENCES, ACTIVITIES, MpiInf3dhp
 from uplift.data.load import in_joints_of, load_data
-from uplift.datasets import read_cached
-from uplift.datasets.mpi_inf_3dhp import _SEQUENCES, MpiInf3dhp
-from uplift.datasets.mpi_inf_3dhp_files import ACTIVITIES
 from uplift.errors import UserError
 from uplift.skeleton import load_skeleton
-from uplift.task import load_settings
 
 
 def projected(data) -> np.ndarray:

@@ -10,13 +10,12 @@ import numpy as np
 import pytest
 from scipy.io import savemat
 
+from uplift.config.loading import load_settings
+from uplift.data.datasets.mpii import AUTHORS_JOINTS, MPII_JOINTS, Mpii, person_in_image
 from uplift.data.load import in_joints_of, load_data
-from uplift.datasets.mpii import Mpii
-from uplift.datasets.mpii_files import AUTHORS_JOINTS, MPII_JOINTS, person_in_image
+from uplift.data.synthetic.simulate import simulate
 from uplift.errors import UserError
-from uplift.simulator import simulate
 from uplift.skeleton import load_skeleton
-from uplift.task import load_settings
 
 SKELETON = load_skeleton("mpii16")
 MAT = "mpii_human_pose_v1_u12_1.mat"

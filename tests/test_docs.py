@@ -12,20 +12,19 @@ import yaml
 from bodies import QUICK, status_of
 
 import uplift
-from uplift.cli import _KEYS, _RUN
-from uplift.config import Settings
+from uplift.cli.data_render import RENDER_KEYS
+from uplift.cli.main import _KEYS, _RUN
+from uplift.config.files import shipped_names
+from uplift.config.loading import load_settings, put_override, setting_names
+from uplift.config.plugins import find_class, options_of
+from uplift.config.settings import Settings
+from uplift.data.formats import read
+from uplift.data.masks import MaskData
 from uplift.data.tensors import TrainingSet
-from uplift.evaluation.protocols import PROTOCOLS
-from uplift.masks import MaskData
-from uplift.overrides import put_override, setting_names
-from uplift.paths import shipped_names
-from uplift.plugins import find_class, options_of
+from uplift.metrics.protocols import PROTOCOLS
 from uplift.priors import PRIORS
-from uplift.priors.of_shapes import SHAPE_PRIORS
-from uplift.readers import read
+from uplift.priors.shape_base import SHAPE_PRIORS
 from uplift.skeleton import load_skeleton
-from uplift.task import load_settings
-from uplift.verbs.data_render import RENDER_KEYS
 
 ROOT = Path(__file__).resolve().parent.parent
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
@@ -214,7 +213,7 @@ def test_every_key_of_a_skeleton_is_documented() -> None:
 
 
 def test_the_arrays_of_the_data_page(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    from uplift.readers.npz import _KNOWN
+    from uplift.data.formats.npz import _KNOWN
 
     page = ROOT / "docs/your-data.md"
     monkeypatch.chdir(tmp_path)
@@ -293,8 +292,8 @@ def test_pages_are_plain(page: Path) -> None:
 
 
 def test_every_format_is_documented() -> None:
-    from uplift.readers.formats import FORMATS
-    from uplift.writers import WRITERS
+    from uplift.data.formats import FORMATS
+    from uplift.export import WRITERS
 
     trackers, output = ((ROOT / "docs" / name).read_text() for name in ("trackers.md", "output.md"))
     assert [name for name in FORMATS if f"| `{name}` |" not in trackers] == []
@@ -302,9 +301,9 @@ def test_every_format_is_documented() -> None:
 
 
 def test_everything_of_masks_and_shapes_is_documented() -> None:
-    from uplift.evaluation.shape_metrics import SHAPE_METRICS
-    from uplift.masks import FORMATS
-    from uplift.writers.shapes import SHAPE_WRITERS
+    from uplift.data.formats.masks import FORMATS
+    from uplift.export import SHAPE_WRITERS
+    from uplift.metrics.protocols import SHAPE_METRICS
 
     masks, output, metrics = (
         (ROOT / f"docs/{name}.md").read_text() for name in ("masks-input", "shapes-output", "shape-metrics")

@@ -10,11 +10,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from uplift.data.container import PoseData
+from uplift.data.poses import PoseData
 from uplift.errors import UserError
-from uplift.evaluation import GivenPoses, evaluate, flat_depth, metrics
-from uplift.evaluation.protocols import PROTOCOLS
-from uplift.evaluation.scores import previous_frames
+from uplift.metrics import pose_metrics as metrics
+from uplift.metrics.evaluate import evaluate, flat_depth
+from uplift.metrics.protocols import PROTOCOLS
+from uplift.metrics.scores import GivenPoses, previous_frames
 from uplift.skeleton import Skeleton, load_skeleton
 
 SHIPPED = load_skeleton(Path(__file__).parents[1] / "skeletons" / "h36m17.yaml")
@@ -209,7 +210,7 @@ def test_previous_frames_stay_in_the_clip_and_do_not_cross_gaps():
 def test_chunks_change_nothing(monkeypatch):
     truth = some_truth()
     whole = evaluate(guess(truth), truth, HUMAN)
-    monkeypatch.setattr("uplift.evaluation.scores._CHUNK", 7)
+    monkeypatch.setattr("uplift.metrics.scores._CHUNK", 7)
     parts = evaluate(guess(truth), truth, HUMAN)
     assert parts.overall == pytest.approx(whole.overall)
     assert parts.per_joint["nose"] == pytest.approx(whole.per_joint["nose"])

@@ -12,9 +12,9 @@ from bodies import refusal, status_of
 
 import uplift
 from benchmarks.examples.files import EXAMPLES, PAGE, files_of, write_files
-from uplift.paths import shipped_names
+from uplift.config.files import shipped_names
+from uplift.config.loading import load_settings
 from uplift.skeleton import load_skeleton
-from uplift.task import load_settings
 
 SHIPPED = {"quadruped": "quadruped28", "rat": "rat23", "hand": "hand21", "chair": "chair10"}
 
@@ -79,7 +79,7 @@ def test_tasks_are_the_default_recipe(name: str) -> None:
 @pytest.mark.parametrize("name", EXAMPLES)
 def test_the_real_sets_are_in_these_joints(name: str, tmp_path: Path, benchmark_data) -> None:
     from uplift.data.load import load_file
-    from uplift.evaluation.plausibility import facing_sign
+    from uplift.metrics.pose_metrics import facing_sign
 
     write_files(name, tmp_path)
     skeleton = load_skeleton(tmp_path / f"my_{name}.yaml")

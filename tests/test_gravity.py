@@ -5,8 +5,16 @@ from __future__ import annotations
 import pytest
 import torch
 
-from uplift.gravity import body_tilt, clip_median, gravity_of, real_tilt
-from uplift.views import about_x, about_y, least_rotation, turn
+from uplift.geometry.rotation import (
+    about_x,
+    about_y,
+    body_tilt,
+    clip_median,
+    gravity_of,
+    least_rotation,
+    real_tilt,
+    turn,
+)
 
 
 def _turned_cameras(count: int) -> torch.Tensor:

@@ -10,7 +10,7 @@ from jaxtyping import jaxtyped
 
 from uplift.errors import UserError
 from uplift.skeleton import Skeleton, load_skeleton
-from uplift.skeleton.matching import build_joints, build_pose, match_joints
+from uplift.skeleton.match import build_joints, build_pose, match_joints
 
 COCO = load_skeleton("coco17").joints[:17]
 MPII_17_SLOTS = (

@@ -8,11 +8,11 @@ import pytest
 import torch
 from lifts import H36M, bodies, doubles
 
-from uplift.config import Settings
+from uplift.config.loading import load_settings
+from uplift.config.settings import Settings
 from uplift.data.tensors import TrainingSet
-from uplift.model import build_lifter
+from uplift.models.model import build_lifter
 from uplift.priors import build_priors
-from uplift.task import load_settings
 from uplift.training.adversarial import AdversarialTraining
 
 PRESETS = ("kudo2018_code", "kudo2018_paper")

@@ -9,7 +9,7 @@ import pytest
 import torch
 from lifts import H36M, doubles, lift_of, small_lifter, training_set
 
-from uplift.lift import Lift
+from uplift.priors.base import Lift
 from uplift.skeleton import load_skeleton
 
 VIEWS = {"elevation": ["batch", "normal", "same"]}

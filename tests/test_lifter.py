@@ -7,11 +7,11 @@ import torch
 from lifts import H36M, doubles, small_lifter, training_set
 from torch import Tensor, nn
 
-from uplift.camera import build_camera
-from uplift.config import LifterSettings
-from uplift.lifter import Lifted, Lifter
-from uplift.model import build_lifter
-from uplift.pose import mirror
+from uplift.config.settings import LifterSettings
+from uplift.geometry.camera import build_camera
+from uplift.geometry.normalise import mirror
+from uplift.models.lifter import Lifted, Lifter
+from uplift.models.model import build_lifter
 from uplift.skeleton import load_skeleton
 
 

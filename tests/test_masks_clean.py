@@ -8,13 +8,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from mask_files import blob
 
+from uplift.data.clean_masks import MENDED, REASONS, CleanOptions, Crop, clean, clean_mask, covered
+from uplift.data.masks import FILL, Found, Skipped
 from uplift.errors import UserError
-from uplift.masks.clean import Crop, clean, clean_mask
-from uplift.masks.container import FILL
-from uplift.masks.covered import covered
-from uplift.masks.found import Found, Skipped
-from uplift.masks.options import CleanOptions
-from uplift.masks.report import MENDED, REASONS
 
 SIDES = st.sampled_from([8, 31, 32, 64])
 SEEDS = st.integers(0, 10_000)

@@ -8,13 +8,11 @@ import numpy as np
 import pytest
 from mask_files import blob
 
+from uplift.data.clean_masks import CleanOptions, clean
+from uplift.data.concat import join, resized
+from uplift.data.masks import Found, MaskData, Placed
 from uplift.errors import UserError
-from uplift.masks.clean import clean
-from uplift.masks.container import MaskData, Placed
-from uplift.masks.found import Found
-from uplift.masks.joining import join, resized
-from uplift.masks.options import CleanOptions
-from uplift.meshes.mesh import Mesh
+from uplift.geometry.mesh import Mesh
 
 
 def part(first: int, count: int, side: int = 32, category: str = "") -> MaskData:

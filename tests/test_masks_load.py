@@ -12,15 +12,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from mask_files import blob, save
 
-from uplift.config import Settings
+from uplift.config.loading import load_settings
+from uplift.config.settings import Settings
+from uplift.data.formats.masks_npz import write_masks
+from uplift.data.load_masks import LoadedMasks, known_shapes, load_masks, truth_of_labelled, views_of
+from uplift.data.masks import MaskData
+from uplift.data.select import chosen_masks
+from uplift.data.synthetic.masks import simulate_masks
 from uplift.errors import UserError
-from uplift.masks.choose import chosen_masks
-from uplift.masks.container import MaskData
-from uplift.masks.labelled import known_shapes, truth_of_labelled
-from uplift.masks.load import LoadedMasks, load_masks, views_of
-from uplift.masks.npz import write_masks
-from uplift.masks.simulate import simulate_masks
-from uplift.task import load_settings
 
 
 @pytest.fixture(autouse=True)

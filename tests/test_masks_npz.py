@@ -7,11 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from uplift.data.formats.masks_npz import read_masks, write_masks
+from uplift.data.masks import MaskData
+from uplift.data.synthetic.masks import render_masks, simulate_masks
 from uplift.errors import UserError
-from uplift.masks.container import MaskData
-from uplift.masks.npz import read_masks, write_masks
-from uplift.masks.render import render_masks
-from uplift.masks.simulate import simulate_masks
 
 
 @pytest.fixture(scope="module")

@@ -13,11 +13,10 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from mask_files import blob, coco_file, runs_of, save, text_of_counts
 
+from uplift.data.clean_masks import Crop, clean_mask
+from uplift.data.formats.masks import read
+from uplift.data.parsers.outlines import counts_of_text, window_of_polygons, window_of_runs
 from uplift.errors import UserError
-from uplift.masks import read
-from uplift.masks.clean import Crop, clean_mask
-from uplift.masks.polygon import window_of_polygons
-from uplift.masks.rle import counts_of_text, window_of_runs
 
 MASKS = [blob(60, 80, seed=seed) for seed in range(4)]
 BOX = [[20, 15, 60, 15, 60, 45, 20, 45]]

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from mask_files import blob, save
 
+from uplift.data.clean_masks import Crop, clean_mask
+from uplift.data.formats.masks import read
 from uplift.errors import UserError
-from uplift.masks import read
-from uplift.masks.clean import Crop, clean_mask
 
 OBJECTS = [blob(70, 90, seed=seed) for seed in range(3)]
 CROPS = [clean_mask(one) for one in OBJECTS]

@@ -10,11 +10,10 @@ import numpy as np
 import pytest
 from mask_files import blob
 
+from uplift.data.clean_masks import clean
+from uplift.data.formats.masks import read
+from uplift.data.masks import Found, MaskData
 from uplift.errors import UserError
-from uplift.masks import read
-from uplift.masks.clean import clean
-from uplift.masks.container import MaskData
-from uplift.masks.found import Found
 
 
 def masks(first: int, count: int) -> MaskData:
@@ -28,9 +27,9 @@ def files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     known = {tmp_path / "a.npz": masks(0, 5), tmp_path / "b.npz": masks(5, 4)}
     for path, data in known.items():
         np.savez(path, masks=data.masks)
-    module = ModuleType("uplift.masks.npz")
+    module = ModuleType("uplift.data.formats.masks_npz")
     module.read_masks = known.__getitem__  # type: ignore[attr-defined]
-    monkeypatch.setitem(sys.modules, "uplift.masks.npz", module)
+    monkeypatch.setitem(sys.modules, "uplift.data.formats.masks_npz", module)
     return tmp_path
 
 

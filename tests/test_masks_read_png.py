@@ -9,9 +9,9 @@ import pytest
 from mask_files import blob, save
 from PIL import Image
 
+from uplift.data.clean_masks import Crop, clean_mask
+from uplift.data.formats.masks import read
 from uplift.errors import UserError
-from uplift.masks import read
-from uplift.masks.clean import Crop, clean_mask
 
 MASK = blob(120, 160, seed=1)
 CROP = clean_mask(MASK)

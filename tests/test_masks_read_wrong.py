@@ -12,8 +12,8 @@ import pytest
 from mask_files import blob, coco_file, save
 from test_masks_read_png import photo
 
+from uplift.data.formats.masks import FORMATS, read
 from uplift.errors import UserError
-from uplift.masks import FORMATS, read
 
 GREY = blob(seed=1) * np.uint8(255)
 

@@ -6,10 +6,9 @@ import numpy as np
 import pytest
 import torch
 
+from uplift.data.synthetic.masks import ViewChoice, draw_views, make_shapes, simulate_masks
 from uplift.errors import UserError
-from uplift.masks.simulate import ViewChoice, draw_views, simulate_masks
-from uplift.meshes.procedural import make_shapes
-from uplift.views import level
+from uplift.geometry.rotation import level
 
 
 def test_one_shape_an_item_and_the_same_for_a_seed() -> None:

@@ -15,8 +15,8 @@ from gltf_files import QUARTER, TRIANGLE, animate, arm, plain
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from uplift.data.parsers.gltf import GltfFile
 from uplift.errors import UserError
-from uplift.meshes.gltf import GltfFile
 
 
 def own(points) -> np.ndarray:

@@ -6,10 +6,9 @@ import numpy as np
 import pytest
 import trimesh
 
+from uplift.data.synthetic.masks import FAMILIES, make_shape, make_shapes
 from uplift.errors import UserError
-from uplift.meshes.mesh import UNIT_HALF, Mesh
-from uplift.meshes.procedural import FAMILIES, make_shape, make_shapes
-from uplift.meshes.voxels import fill
+from uplift.geometry.mesh import UNIT_HALF, Mesh, fill
 
 
 def _parts(mesh: Mesh) -> list[trimesh.Trimesh]:

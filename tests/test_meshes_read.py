@@ -12,8 +12,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from trimesh.exchange.gltf import export_gltf
 
+from uplift.data.parsers.meshes import ENDINGS, MeshOptions, axes_to_own, find_mesh_files, read_meshes
 from uplift.errors import UserError
-from uplift.meshes.read import ENDINGS, MeshOptions, axes_to_own, find_mesh_files, read_meshes
 
 AXES = ("x", "y", "z", "-x", "-y", "-z")
 

@@ -9,12 +9,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from PIL import Image, ImageDraw
 
-from uplift.masks.container import FILL
-from uplift.masks.render import frame_mesh, render_masks
-from uplift.meshes.mesh import Mesh
-from uplift.meshes.procedural import make_shapes
-from uplift.meshes.silhouette import draw_mask, project
-from uplift.views import random_rotations
+from uplift.data.masks import FILL
+from uplift.data.synthetic.masks import frame_mesh, make_shapes, render_masks
+from uplift.geometry.mesh import Mesh
+from uplift.geometry.rotation import random_rotations
+from uplift.geometry.silhouette import draw_mask, project
 
 _SIDE = 64
 

@@ -10,11 +10,10 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from uplift.errors import UserError
-from uplift.meshes.mesh import Mesh
-from uplift.meshes.surface import surface_of
-from uplift.meshes.surface_frames import in_camera, surfaces
-from uplift.meshes.surface_thin import thinned
-from uplift.shapes.prediction import ShapePrediction
+from uplift.export.meshes import in_camera, surfaces
+from uplift.geometry.mesh import Mesh
+from uplift.geometry.surface import surface_of, thinned
+from uplift.models.prediction import ShapePrediction
 
 _TURN = np.array([[0.0, 0, 1], [0, 1, 0], [-1, 0, 0]])
 

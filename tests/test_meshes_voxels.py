@@ -8,9 +8,8 @@ import trimesh
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from uplift.meshes.mesh import Mesh
-from uplift.meshes.procedural import make_shapes
-from uplift.meshes.voxels import coverage, fill
+from uplift.data.synthetic.masks import make_shapes
+from uplift.geometry.mesh import Mesh, coverage, fill
 
 
 def _mesh(*made: trimesh.Trimesh) -> Mesh:

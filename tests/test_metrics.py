@@ -14,9 +14,9 @@ from beartype import beartype
 from jaxtyping import TypeCheckError, jaxtyped
 from scipy.linalg import orthogonal_procrustes
 
-from uplift.evaluation import metrics
-from uplift.evaluation.alignment import counted
-from uplift.evaluation.plausibility import facing_sign, has_handedness, mirrored_bones
+from uplift.metrics import pose_metrics as metrics
+from uplift.metrics.alignment import counted
+from uplift.metrics.pose_metrics import facing_sign, has_handedness, mirrored_bones
 from uplift.skeleton import Skeleton
 
 ROOT = 2

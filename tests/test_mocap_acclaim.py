@@ -8,12 +8,9 @@ import numpy as np
 import pytest
 from mocap_files import BONES, expected, motion, write_amc, write_asf
 
+from uplift.data.datasets.cmu import JOINTS, Rates, Trial, read_clip
+from uplift.data.parsers.mocap import read_amc, read_asf
 from uplift.errors import UserError
-from uplift.mocap.amc import read_amc
-from uplift.mocap.asf import read_asf
-from uplift.mocap.clips import Rates, read_clip
-from uplift.mocap.human import JOINTS
-from uplift.mocap.trials import Trial
 
 FULL = Rates(fps=120.0)
 

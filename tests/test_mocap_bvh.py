@@ -9,11 +9,9 @@ import pytest
 from mocap_files import expected, motion, write_bvh
 from scipy.spatial.transform import Rotation
 
+from uplift.data.datasets.cmu import JOINTS, Rates, Trial, read_clip
+from uplift.data.parsers.mocap import open_bvh
 from uplift.errors import UserError
-from uplift.mocap.bvh import open_bvh
-from uplift.mocap.clips import Rates, read_clip
-from uplift.mocap.human import JOINTS
-from uplift.mocap.trials import Trial
 
 FULL = Rates(fps=120.0)
 ARM = """HIERARCHY

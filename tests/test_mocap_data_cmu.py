@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 from mocap_files import expected, motion, write_amc, write_asf, write_bvh
 
+from uplift.cli.data_cmu import make_cmu_files
+from uplift.data.datasets.cmu import JOINTS
+from uplift.data.formats import read
 from uplift.data.load import load_file
 from uplift.errors import UserError
-from uplift.evaluation.plausibility import facing_sign
-from uplift.mocap.human import JOINTS
-from uplift.readers import read
+from uplift.metrics.pose_metrics import facing_sign
 from uplift.skeleton import load_skeleton
-from uplift.verbs.data_cmu import make_cmu_files
 
 
 @pytest.fixture
@@ -148,7 +148,7 @@ def test_a_slow_capture_counts_time_as_the_others(files: Path, tmp_path: Path):
 
 
 def test_progress_is_said_while_many_files_are_read(files: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr("uplift.verbs.data_cmu._EVERY_S", 0.0)
+    monkeypatch.setattr("uplift.cli.data_cmu._EVERY_S", 0.0)
     said = run(files, f"output={tmp_path / 'out'}")
     assert "read 3 of 5 motions" in said
 

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from uplift.mocap.rigs import Rig, film
+from uplift.data.datasets.cmu import Rig, film
 
 
 def walk(frames: int = 30, stride_mm: float = 300.0, seed: int = 0) -> np.ndarray:

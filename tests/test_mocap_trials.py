@@ -7,12 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from uplift.data.datasets.cmu import Clip, Rig, chosen_test, filmed, find_trials, read_index
 from uplift.errors import UserError
-from uplift.mocap.clips import Clip
-from uplift.mocap.dataset import chosen_test, filmed
-from uplift.mocap.index import read_index
-from uplift.mocap.rigs import Rig
-from uplift.mocap.trials import find_trials
 
 
 def touch(folder: Path, *names: str) -> Path:

@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from uplift.errors import UserError
-from uplift.networks import build_network
+from uplift.models.networks import build_network
 
 
 def _leaky(x: np.ndarray, slope: float) -> np.ndarray:

@@ -9,8 +9,8 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from uplift.camera import Perspective
-from uplift.normalise import Intrinsics, normalise, renormalise
+from uplift.geometry.camera import Perspective
+from uplift.geometry.normalise import Intrinsics, normalise, renormalise
 
 SEEDS = st.integers(0, 2**31 - 1)
 ROOT = 2

@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 from torch import nn
 
+from uplift.config.plugins import build, find_class, options_of
 from uplift.errors import UserError
-from uplift.plugins import build, find_class, options_of
 
 OWN = """
 from torch import nn

@@ -8,8 +8,8 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from uplift.paths import shipped_names
-from uplift.pose import bone_lengths, mean_radius, mirror
+from uplift.config.files import shipped_names
+from uplift.geometry.normalise import bone_lengths, mean_radius, mirror
 from uplift.skeleton import load_skeleton
 
 

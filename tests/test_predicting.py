@@ -12,18 +12,18 @@ import torch
 from bodies import body_arrays
 from test_cli import refusal
 
-from uplift.cli import main
-from uplift.config import LifterSettings
-from uplift.data.container import PoseData
+from uplift.cli.main import main
+from uplift.config.settings import LifterSettings
+from uplift.data.formats.base import ReadOptions
+from uplift.data.formats.csv import write_keypoints_csv
+from uplift.data.formats.deeplabcut import write_deeplabcut_csv
 from uplift.data.load import load_file
-from uplift.evaluation.plausibility import never_seen_so_long
-from uplift.model import Model, build_lifter
-from uplift.readers import ReadOptions
-from uplift.simulator import simulate
-from uplift.sizing import KnownLength
+from uplift.data.poses import PoseData
+from uplift.data.synthetic.simulate import simulate
+from uplift.metrics.pose_metrics import never_seen_so_long
+from uplift.models.metric_scale import KnownLength
+from uplift.models.model import Model, build_lifter
 from uplift.skeleton import Skeleton, load_skeleton
-from uplift.writers.deeplabcut_csv import write_deeplabcut_csv
-from uplift.writers.keypoints_csv import write_keypoints_csv
 
 SKELETON = load_skeleton("h36m17")
 SIZE = KnownLength(("rhip", "rknee"), 430.0)

@@ -13,22 +13,23 @@ from hypothesis import strategies as st
 from lifts import H36M, bodies, doubles, lift_of, lift_of_pose, permuted, small_lifter, training_set, true_pose
 from torch import Tensor, nn
 
-from uplift.config import TeacherSettings, ViewSettings
+from uplift.config.files import shipped_names
+from uplift.config.loading import load_settings
+from uplift.config.settings import TeacherSettings, ViewSettings
 from uplift.errors import UserError
-from uplift.lift import Lift
-from uplift.lifter import Lifted
-from uplift.paths import shipped_names
-from uplift.priors import PRIORS, Prior, build_priors
+from uplift.geometry.rotation import turn
+from uplift.models.lifter import Lifted
+from uplift.priors import PRIORS, build_priors
+from uplift.priors.base import Lift, Prior
 from uplift.priors.bones import Bones
 from uplift.priors.consistency import Consistency
 from uplift.priors.critic import Critic
 from uplift.priors.fill import Fill
 from uplift.priors.labelled import Labelled
-from uplift.priors.symmetry import Symmetry, mirrored_bones
+from uplift.priors.symmetry import Symmetry
 from uplift.skeleton import load_skeleton
-from uplift.task import load_settings
+from uplift.skeleton.core import mirrored_bones
 from uplift.training.adversarial import AdversarialTraining
-from uplift.views import turn
 
 SEEDS = st.integers(0, 2**31 - 1)
 ON_KEYPOINTS = [name for name in PRIORS if name != "mask"]  # that one: test_priors_mask.py

@@ -9,12 +9,12 @@ import torch
 from lifts import H36M, bodies, doubles, lift_of, lift_of_pose, small_lifter, training_set, true_pose
 from torch.func import jacrev, vmap
 
-from uplift.lifter import Lifted
-from uplift.networks.coupling import CouplingFlow
+from uplift.geometry.rotation import turn
+from uplift.models.lifter import Lifted
+from uplift.models.networks import CouplingFlow
 from uplift.priors.flow import Flow
-from uplift.priors.gaps import fill_gaps
+from uplift.priors.imputation import fill_gaps
 from uplift.priors.pairwise import Pairwise
-from uplift.views import turn
 
 
 def crooked_flow(size: int):

@@ -12,16 +12,15 @@ from bodies import QUICK, own_data, refusal, status_of
 from lifts import H36M, lift_of, permuted, small_lifter
 from masked_bodies import HIDDEN, WHOLE
 
-from uplift.config import TeacherSettings, ViewSettings
-from uplift.data.container import PoseData
+from uplift.config.settings import TeacherSettings, ViewSettings
+from uplift.data.formats.npz import write_keypoints
+from uplift.data.poses import PoseData
 from uplift.data.tensors import TrainingSet
 from uplift.errors import UserError
-from uplift.normalise import Intrinsics
+from uplift.geometry.normalise import Intrinsics
 from uplift.priors import build_priors
-from uplift.priors.mask import Mask
-from uplift.priors.mask_field import into_crop, sample_field, signed_distances, unit_of
+from uplift.priors.mask import Mask, into_crop, sample_field, signed_distances, unit_of
 from uplift.training.adversarial import AdversarialTraining
-from uplift.writers.keypoints import write_keypoints
 
 
 def prepared(data: TrainingSet, **options) -> Mask:

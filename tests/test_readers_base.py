@@ -7,11 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from uplift.data.formats import FORMATS, format_named, guess_format, read
+from uplift.data.formats.base import Peek, ReadOptions, size_of
 from uplift.data.load import load_file
 from uplift.errors import UserError
-from uplift.readers import ReadOptions, guess_format, read
-from uplift.readers.base import Peek, size_of
-from uplift.readers.formats import FORMATS, format_named
 from uplift.skeleton import load_skeleton
 
 TABLE = "frame,head_x,head_y,head_confidence,tail_x,tail_y,tail_confidence,leg_x,leg_y,leg_confidence\n"

@@ -10,11 +10,12 @@ import numpy as np
 import pytest
 from tracker_files_json import coco_annotations, coco_results, people, write_json
 
-from uplift.data.container import PoseData
-from uplift.datasets.coco import COCO_JOINTS
+from uplift.data.datasets.coco import COCO_JOINTS
+from uplift.data.formats import guess_format, read
+from uplift.data.formats.base import ReadOptions
+from uplift.data.formats.layouts import HALPE26, WHOLEBODY133
+from uplift.data.poses import PoseData
 from uplift.errors import UserError
-from uplift.readers import ReadOptions, guess_format, read
-from uplift.readers.layouts import HALPE26, WHOLEBODY133
 
 
 @pytest.fixture

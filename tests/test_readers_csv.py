@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 from tracker_files_tables import damaged
 
+from uplift.data.formats import guess_format, read
+from uplift.data.formats.base import ReadOptions
+from uplift.data.formats.csv import columns_of
 from uplift.errors import UserError
-from uplift.readers import ReadOptions, guess_format, read
-from uplift.readers.csv_columns import columns_of
 
 JOINTS = ("nose", "left_ear", "tail base")
 
@@ -161,7 +162,7 @@ def test_frames_that_count_anew_in_each_action_are_clips(tmp_path: Path):
 
 def test_a_file_larger_than_the_memory_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     path = written(tmp_path / "a.csv", wide(values_of()))
-    monkeypatch.setattr("uplift.readers.table_lines.os.sysconf", lambda name: 10)
+    monkeypatch.setattr("uplift.data.parsers.table.os.sysconf", lambda name: 10)
     with pytest.raises(UserError, match="more than half of this machine's memory"):
         read(path)
 
@@ -258,5 +259,5 @@ def test_chunks_join_without_a_seam(tmp_path: Path, monkeypatch: pytest.MonkeyPa
     values = values_of(500)
     path = written(tmp_path / "a.csv", wide(values).replace("\n", "\r\n"))
     for size in (1, 7, 1000):
-        monkeypatch.setattr("uplift.readers.table_lines._CHUNK", size)
+        monkeypatch.setattr("uplift.data.parsers.table._CHUNK", size)
         check(read(path), values)

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from uplift.readers.decimals import PADDING, parse_numbers
+from uplift.data.parsers.table import PADDING, parse_numbers
 
 
 def parsed(cells: list[str], point: str = ".") -> tuple[list[float], list[int]]:

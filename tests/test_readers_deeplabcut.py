@@ -11,9 +11,10 @@ import pandas as pd
 import pytest
 from tracker_files_tables import damaged, deeplabcut_frame, tracked
 
-from uplift.data.container import PoseData
+from uplift.data.formats import guess_format, read
+from uplift.data.formats.base import ReadOptions
+from uplift.data.poses import PoseData
 from uplift.errors import UserError
-from uplift.readers import ReadOptions, guess_format, read
 
 PARTS = ("nose", "left ear", "tail")
 THREE = ["snout", "leftear", "rightear", "tailbase"]

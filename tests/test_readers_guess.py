@@ -7,10 +7,9 @@ from pathlib import Path
 
 import pytest
 
+from uplift.data.formats import FORMATS, format_named, guess_format, read
+from uplift.data.formats.base import Peek
 from uplift.errors import UserError
-from uplift.readers import guess_format, read
-from uplift.readers.base import Peek
-from uplift.readers.formats import FORMATS, format_named
 
 FILES = {
     "deeplabcut": (

@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 from tracker_files_hdf5 import outcomes, write_jabs
 
+from uplift.data.formats import guess_format, read
+from uplift.data.formats.base import ReadOptions
+from uplift.data.formats.jabs import JOINTS
 from uplift.errors import UserError
-from uplift.readers import ReadOptions, guess_format, read
-from uplift.readers.jabs import JOINTS
 
 
 def made(*shape: int) -> tuple[np.ndarray, np.ndarray]:

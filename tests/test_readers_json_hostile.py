@@ -28,8 +28,9 @@ from tracker_files_json import (
     write_json,
 )
 
+from uplift.data.formats import read
+from uplift.data.formats.base import ReadOptions
 from uplift.errors import UserError
-from uplift.readers import ReadOptions, read
 
 BODIES = people(4, 5, seed=1)
 NAMES = tuple("abcde")

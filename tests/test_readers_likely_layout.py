@@ -7,12 +7,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from uplift.readers import ReadOptions, read
-from uplift.readers.layouts import COCO, OPENPOSE, SHIPPED, names_for
-from uplift.readers.likely_layout import likely_layout
-from uplift.simulator import simulate
+from uplift.data.formats import read
+from uplift.data.formats.base import ReadOptions
+from uplift.data.formats.layouts import COCO, OPENPOSE, SHIPPED, likely_layout, names_for
+from uplift.data.synthetic.simulate import simulate
 from uplift.skeleton import load_skeleton
-from uplift.skeleton.matching import build_joints
+from uplift.skeleton.match import build_joints
 
 PEOPLE = [name for layouts in SHIPPED.values() for _, name in layouts if name in
           ("openpose25", "coco17", "h36m17", "halpe26", "mpi_inf_3dhp17")]  # fmt: skip

@@ -9,11 +9,12 @@ import numpy as np
 import pytest
 from tracker_files_tables import POSE33, damaged, mediapipe_long, mediapipe_marks, mediapipe_wide, write_json
 
-from uplift.datasets.coco_json import JsonText
+from uplift.data.formats import guess_format, read
+from uplift.data.formats.base import ReadOptions
+from uplift.data.parsers.json import JsonText
 from uplift.errors import UserError
-from uplift.readers import ReadOptions, guess_format, read
 from uplift.skeleton import load_skeleton
-from uplift.skeleton.matching import match_joints
+from uplift.skeleton.match import match_joints
 
 SIZE = ReadOptions(image_size=(640, 480))
 LOWER = tuple(name.lower() for name in POSE33)

@@ -12,10 +12,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from tracker_files_hdf5 import NODES, outcomes, some_points, write_nwb
 
-from uplift.data.container import PoseData
+from uplift.data.formats import guess_format, read
+from uplift.data.formats.base import ReadOptions
+from uplift.data.formats.nwb import frame_numbers
+from uplift.data.poses import PoseData
 from uplift.errors import UserError
-from uplift.readers import ReadOptions, guess_format, read
-from uplift.readers.nwb_times import frame_numbers
 
 pytestmark = pytest.mark.filterwarnings("ignore::DeprecationWarning")
 DLC = "trackers/nwb/m3v1mp4DLC_resnet50_openfieldAug20shuffle1_30000"

@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 from tracker_files_json import openpose_frame, people, write_json
 
+from uplift.data.formats import guess_format, read
+from uplift.data.formats.base import ReadOptions
+from uplift.data.formats.layouts import HANDS, OPENPOSE15, OPENPOSE18, OPENPOSE25, OPENPOSE_FACE70
 from uplift.errors import UserError
-from uplift.readers import ReadOptions, guess_format, read
-from uplift.readers.layouts import HANDS, OPENPOSE15, OPENPOSE18, OPENPOSE25, OPENPOSE_FACE70
 
 
 def write_video(folder: Path, bodies: np.ndarray, name: str = "walk_{:012d}_keypoints.json", start: int = 0) -> Path:

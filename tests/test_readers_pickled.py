@@ -16,8 +16,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
+from uplift.data.parsers.pickles import load_object_npz, load_pickle
 from uplift.errors import UserError
-from uplift.readers.pickled import load_object_npz, load_pickle
 
 NUMBERS = st.sampled_from(["?", "i1", "u2", "<i4", ">i4", "<f4", ">f8", "f2", "c8", "U3", "S2"]).map(np.dtype)
 ARRAYS = NUMBERS.flatmap(lambda kind: hnp.arrays(kind, hnp.array_shapes(min_dims=0, max_dims=4, min_side=0)))

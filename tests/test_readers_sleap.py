@@ -20,9 +20,10 @@ from tracker_files_hdf5 import (
     write_slp,
 )
 
-from uplift.data.container import PoseData
+from uplift.data.formats import guess_format, read
+from uplift.data.formats.base import ReadOptions
+from uplift.data.poses import PoseData
 from uplift.errors import UserError
-from uplift.readers import ReadOptions, guess_format, read
 
 SLP_FILES = (
     "minimal_instance.slp",

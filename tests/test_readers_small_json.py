@@ -8,10 +8,11 @@ import numpy as np
 import pytest
 from tracker_files_json import alphatracker, kinetics, mpii, people, write_json
 
-from uplift.datasets.coco import COCO_JOINTS
+from uplift.data.datasets.coco import COCO_JOINTS
+from uplift.data.formats import guess_format, read
+from uplift.data.formats.base import ReadOptions
+from uplift.data.formats.layouts import MPII16, OPENPOSE18
 from uplift.errors import UserError
-from uplift.readers import ReadOptions, guess_format, read
-from uplift.readers.layouts import MPII16, OPENPOSE18
 
 
 def same(data, values: np.ndarray) -> None:

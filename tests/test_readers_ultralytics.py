@@ -9,9 +9,10 @@ import pytest
 from PIL import Image
 from tracker_files_json import people, ultralytics_list, ultralytics_row, write_json
 
-from uplift.datasets.coco import COCO_JOINTS
+from uplift.data.datasets.coco import COCO_JOINTS
+from uplift.data.formats import guess_format, read
+from uplift.data.formats.base import ReadOptions
 from uplift.errors import UserError
-from uplift.readers import ReadOptions, guess_format, read
 
 BOTH = ((17, 3), (17, 2), (5, 3), (5, 2), (1, 3), (33, 3))
 

@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 from tracker_files_tables import damaged, videopose3d_custom, videopose3d_detected
 
+from uplift.data.formats import guess_format, read
+from uplift.data.formats.base import ReadOptions
 from uplift.errors import UserError
-from uplift.readers import ReadOptions, guess_format, read
 from uplift.skeleton import load_skeleton
 
 COCO = load_skeleton("coco17")

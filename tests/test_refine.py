@@ -8,14 +8,13 @@ import numpy as np
 import pytest
 import torch
 
-from uplift.camera import Perspective
-from uplift.config import RefineSettings
+from uplift.config.settings import RefineSettings
 from uplift.data.clean import clean
+from uplift.data.synthetic.simulate import simulate
 from uplift.data.tensors import TrainingSet
-from uplift.normalise import Intrinsics
-from uplift.pose import bone_lengths
-from uplift.refine import has_clips, refine_clips
-from uplift.simulator import simulate
+from uplift.geometry.camera import Perspective
+from uplift.geometry.normalise import Intrinsics, bone_lengths
+from uplift.models.refine import has_clips, refine_clips
 from uplift.skeleton import load_skeleton
 
 SKELETON = load_skeleton("h36m17")

@@ -8,9 +8,9 @@ from pathlib import Path
 import pytest
 from bodies import own_data, refusal, status_of, write_body
 
+from uplift.config.loading import load_settings
+from uplift.config.run import RunFolder
 from uplift.errors import UserError
-from uplift.run import RunFolder
-from uplift.task import load_settings
 
 
 @pytest.fixture(autouse=True)

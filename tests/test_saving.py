@@ -14,12 +14,11 @@ import pytest
 import torch
 from bodies import write_body
 
+from uplift.config.files import read_torch, replacing, save_torch
+from uplift.data.formats.npz import write_keypoints
 from uplift.data.load import load_file
 from uplift.errors import UserError
-from uplift.saving import replacing
 from uplift.skeleton import load_skeleton
-from uplift.torch_file import read_torch, save_torch
-from uplift.writers.keypoints import write_keypoints
 
 
 @contextmanager
@@ -72,7 +71,7 @@ def test_a_disk_that_fills_at_the_last_moment(tmp_path: Path, monkeypatch: pytes
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
     (tmp_path / "a.bin").write_bytes(b"old")
-    monkeypatch.setattr("uplift.saving.os.fsync", full)
+    monkeypatch.setattr("uplift.config.files.os.fsync", full)
     with pytest.raises(OSError, match="No space left"), replacing(tmp_path / "a.bin") as file:
         file.write(b"new")
     assert (tmp_path / "a.bin").read_bytes() == b"old"

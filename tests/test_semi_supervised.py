@@ -12,16 +12,16 @@ from lifts import H36M, lift_of, small_lifter
 from test_data_labels import labelled_frames, seen_bodies
 
 import uplift
-from uplift.camera import build_camera
-from uplift.config import RefineSettings
+from uplift.config.loading import load_settings
+from uplift.config.settings import RefineSettings
 from uplift.data.load import load_data
+from uplift.geometry.camera import build_camera
 from uplift.priors.bones import Bones
 from uplift.priors.handedness import Handedness
 from uplift.priors.labelled import Labelled
-from uplift.task import load_settings
-from uplift.training.pseudo import lift_all, true_poses
+from uplift.training.base import Rows
+from uplift.training.pseudo_labels import lift_all, true_poses
 from uplift.training.recipe import Recipe, _go_on
-from uplift.training.rows import Rows
 
 
 def fitted(folder: Path, *words: str, **changes) -> tuple[dict[str, torch.Tensor], str]:

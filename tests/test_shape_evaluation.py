@@ -12,11 +12,11 @@ import pytest
 from shape_scenes import SIDE, box, chair, grids, masks_of, placed, prediction_of, union
 
 from uplift.errors import UserError
-from uplift.evaluation import shape_evaluator
-from uplift.evaluation.shape_metrics import SHAPE_METRICS
-from uplift.evaluation.shape_report import ShapeEvaluation
-from uplift.evaluation.shape_standing import predicted
-from uplift.shapes.prediction import ShapePrediction
+from uplift.metrics import evaluate_shapes as shape_evaluator
+from uplift.metrics.protocols import SHAPE_METRICS
+from uplift.metrics.report import ShapeEvaluation
+from uplift.metrics.shape_metrics import predicted
+from uplift.models.prediction import ShapePrediction
 
 evaluate_all = partial(shape_evaluator.evaluate_all, resolution=SIDE)
 evaluate_shapes = partial(shape_evaluator.evaluate_shapes, resolution=SIDE)

@@ -9,14 +9,20 @@ import numpy as np
 import pytest
 from shape_scenes import SIDE, box, chair, masks_of, placed, prediction_of, union
 
+from uplift.data.masks import MaskData
 from uplift.errors import UserError
-from uplift.evaluation import shape_evaluator, shape_floors
-from uplift.evaluation.shape_floor_hull import best_thickness, hull_occupancy
-from uplift.evaluation.shape_floor_mean import mean_shape
-from uplift.evaluation.shape_floor_nearest import nearest_masks
-from uplift.evaluation.shape_floors import score_with_floors
-from uplift.evaluation.shape_training import extrusion, mask_half, training_truth
-from uplift.masks.container import MaskData
+from uplift.metrics import baselines as shape_floors
+from uplift.metrics import evaluate_shapes as shape_evaluator
+from uplift.metrics.baselines import (
+    best_thickness,
+    extrusion,
+    hull_occupancy,
+    mask_half,
+    mean_shape,
+    nearest_masks,
+    score_with_floors,
+    training_truth,
+)
 
 evaluate_all = partial(shape_evaluator.evaluate_all, resolution=SIDE)
 evaluate_shapes = partial(shape_evaluator.evaluate_shapes, resolution=SIDE)

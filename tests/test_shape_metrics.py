@@ -8,14 +8,25 @@ import numpy as np
 import pytest
 from shape_scenes import box, chair, placed, union, views
 
-from uplift.evaluation.shape_evaluator import filled_truths
-from uplift.evaluation.shape_item import TrueItem
-from uplift.evaluation.shape_metrics import SHAPE_METRICS, better_is_higher, metric_meaning, metric_order, metric_unit
-from uplift.evaluation.shape_silhouette import SIDE, Silhouette, of_mask, overlap, silhouette
-from uplift.evaluation.shape_standing import Standing, true
-from uplift.evaluation.shape_surface import compare_surfaces, grid_surface, mesh_surface
-from uplift.evaluation.shape_views import azimuth_errors_deg, elevation_errors_deg
-from uplift.evaluation.shape_volume import handedness, volume_iou
+from uplift.metrics.evaluate_shapes import filled_truths
+from uplift.metrics.protocols import SHAPE_METRICS, better_is_higher, metric_meaning, metric_order, metric_unit
+from uplift.metrics.shape_metrics import (
+    SIDE,
+    Silhouette,
+    Standing,
+    TrueItem,
+    azimuth_errors_deg,
+    compare_surfaces,
+    elevation_errors_deg,
+    grid_surface,
+    handedness,
+    mesh_surface,
+    of_mask,
+    overlap,
+    silhouette,
+    true,
+    volume_iou,
+)
 
 BOX = union(box((-1, -0.5, -0.25), (1, 0.5, 0.25)))
 

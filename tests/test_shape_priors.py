@@ -11,10 +11,8 @@ from torch import Tensor
 
 from uplift.errors import UserError
 from uplift.priors.mask_critic import MaskCritic
-from uplift.priors.of_shapes import SHAPE_PRIORS, build_shape_priors
-from uplift.priors.shape_base import ShapePrior
+from uplift.priors.shape_base import SHAPE_PRIORS, ShapeLift, ShapePrior, build_shape_priors
 from uplift.priors.shape_grids import Compactness, ShapeSymmetry, Smoothness
-from uplift.shapes.lift import ShapeLift
 
 
 def lift_of(occupancy: Tensor, done: float = 1.0) -> ShapeLift:

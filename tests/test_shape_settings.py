@@ -10,7 +10,7 @@ from bodies import refusal
 from mask_files import blob, save
 from shape_stand_in import stand_in
 
-from uplift.task import load_settings
+from uplift.config.loading import load_settings
 
 pytestmark = pytest.mark.usefixtures("here")
 

@@ -13,9 +13,9 @@ from mask_files import blob, save
 from shape_stand_in import stand_in
 
 import uplift
-from uplift.masks.npz import read_masks, write_masks
-from uplift.masks.simulate import simulate_masks
-from uplift.shapes.prediction import ShapePrediction
+from uplift.data.formats.masks_npz import read_masks, write_masks
+from uplift.data.synthetic.masks import simulate_masks
+from uplift.models.prediction import ShapePrediction
 
 pytestmark = pytest.mark.usefixtures("here")
 

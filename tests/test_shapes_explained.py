@@ -15,14 +15,13 @@ from shape_mixtures import chair, masks_of, mixture_of, small
 from torch import Tensor
 from torch.nn import functional
 
-from uplift.config import ShapeSettings
-from uplift.masks.container import MaskData
-from uplift.masks.simulate import ViewChoice, simulate_masks
-from uplift.shapes import explained as module
-from uplift.shapes.explained import Explained
-from uplift.shapes.mask_set import MaskSet, mask_set
-from uplift.shapes.mixture import LEAST, MOST, ShapeMixture
-from uplift.shapes.rays import Projector
+from uplift.config.settings import ShapeSettings
+from uplift.data.masks import MaskData
+from uplift.data.synthetic.masks import ViewChoice, simulate_masks
+from uplift.data.tensors import MaskSet, mask_set
+from uplift.models.mixture import LEAST, MOST, Projector, ShapeMixture
+from uplift.training import shapes as module
+from uplift.training.shapes import Explained
 
 KINDS = [{}, {"symmetric": False}, {"gravity": False}]
 ITEMS, T = 20, 0.05

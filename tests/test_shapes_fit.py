@@ -11,11 +11,11 @@ import torch
 from shape_fits import SMALL, interrupt, noted, same, trained
 
 import uplift
+from uplift.config.files import save_torch
+from uplift.config.loading import load_settings
+from uplift.data.load_masks import load_masks
 from uplift.errors import UserError
-from uplift.masks.load import load_masks
-from uplift.shapes.model import ShapeModel
-from uplift.task import load_settings
-from uplift.torch_file import save_torch
+from uplift.models.model import ShapeModel
 
 
 @pytest.fixture(scope="module")

@@ -10,13 +10,12 @@ import torch
 from scipy.ndimage import maximum_filter
 from shape_mixtures import chair, masks_of, mixture_of, small
 
+from uplift.data.masks import MaskData, Placed
+from uplift.data.tensors import as_tensor, mask_set
 from uplift.errors import UserError
-from uplift.masks.container import MaskData, Placed
-from uplift.meshes.voxels import fill
-from uplift.shapes.level import choose_level
-from uplift.shapes.lifter import LiftedShapes
-from uplift.shapes.mask_set import as_tensor, mask_set
-from uplift.shapes.model import ShapeModel
+from uplift.geometry.mesh import fill
+from uplift.models.model import ShapeModel
+from uplift.models.shape_lifter import LiftedShapes, choose_level
 
 R = 24
 

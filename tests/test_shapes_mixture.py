@@ -11,8 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from shape_mixtures import chair, crops_of, masks_of, mixture_of, small
 
-from uplift.shapes.mixture import Drawn, ShapeMixture, temperature_at
-from uplift.shapes.view_grid import view_grid
+from uplift.models.mixture import Drawn, ShapeMixture, temperature_at, view_grid
 
 
 @pytest.fixture(scope="module")

@@ -10,8 +10,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from torch import Tensor
 
-from uplift.shapes.rays import BASE, Projector
-from uplift.views import about_y, level, random_rotations
+from uplift.geometry.rotation import about_y, level, random_rotations
+from uplift.models.mixture import BASE, Projector
 
 N, SIDE, DEEP = 16, 24, 1.45
 

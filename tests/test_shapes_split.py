@@ -10,11 +10,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from shape_mixtures import chair, masks_of, mixture_of, small
 
-from uplift.shapes import split as module
-from uplift.shapes.explained import Explained
-from uplift.shapes.mask_set import MaskSet, mask_set
-from uplift.shapes.mixture import ShapeMixture
-from uplift.shapes.split import split
+from uplift.data.tensors import MaskSet, mask_set
+from uplift.models import mixture as module
+from uplift.models.mixture import ShapeMixture, split
+from uplift.training.shapes import Explained
 
 T = 0.03
 KINDS = [{}, {"symmetric": False}, {"gravity": False}]
@@ -109,7 +108,7 @@ def test_copies_without_noise_share_what_their_shape_explained(
     known: ShapeMixture, masks: MaskSet, times: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(module, "_NOISE", 0.0)
-    monkeypatch.setattr("uplift.shapes.explained._FAINT", 0.0)
+    monkeypatch.setattr("uplift.training.shapes._FAINT", 0.0)
     one, several = explained(known, masks), explained(split(known, times, 24), masks)
     each = several.weight.unflatten(0, (2, times))
     assert torch.allclose(each.sum(1), one.weight, atol=1e-5)

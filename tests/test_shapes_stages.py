@@ -9,12 +9,12 @@ import torch
 from shape_fits import SMALL, STAGES, fit_of, interrupt, many, noted, same, trained
 
 import uplift
+from uplift.config.loading import load_settings
+from uplift.data.load_masks import load_masks
 from uplift.errors import UserError
-from uplift.masks.load import load_masks
-from uplift.shapes import recipe as recipe_module
-from uplift.shapes.model import ShapeModel
-from uplift.shapes.recipe import ShapeRecipe
-from uplift.task import load_settings
+from uplift.models.model import ShapeModel
+from uplift.training import shape_recipe as recipe_module
+from uplift.training.shape_recipe import ShapeRecipe
 
 
 @pytest.fixture(scope="module")

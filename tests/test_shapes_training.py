@@ -11,16 +11,13 @@ import torch
 from shape_mixtures import chair, masks_of, mixture_of, small
 from torch import Tensor, nn
 
-from uplift.config import ShapeSettings, TeacherSettings
+from uplift.config.settings import ShapeSettings, TeacherSettings
+from uplift.data.masks import MaskData
+from uplift.data.tensors import MaskSet, mask_set
 from uplift.errors import UserError
-from uplift.masks.container import MaskData
-from uplift.priors.of_shapes import build_shape_priors
-from uplift.priors.shape_base import ShapePrior
-from uplift.shapes.explained import Explained
-from uplift.shapes.lift import ShapeLift
-from uplift.shapes.mask_set import MaskSet, mask_set
-from uplift.shapes.mixture import Drawn, ShapeMixture, temperature_at
-from uplift.shapes.training import MixtureTraining
+from uplift.models.mixture import Drawn, ShapeMixture, temperature_at
+from uplift.priors.shape_base import ShapeLift, ShapePrior, build_shape_priors
+from uplift.training.shapes import Explained, MixtureTraining
 
 
 class Alone(MixtureTraining):

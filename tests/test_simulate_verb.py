@@ -8,9 +8,8 @@ import numpy as np
 import pytest
 from bodies import status_of
 
-from uplift.readers import guess_format, read
-from uplift.simulator import simulate
-from uplift.simulator.tracked import as_tracked
+from uplift.data.formats import guess_format, read
+from uplift.data.synthetic.simulate import as_tracked, simulate
 from uplift.skeleton import load_skeleton
 
 WORDS = ("simulate", "skeleton=rat23", "frames=60", "clip_seconds=2", "noise_px=1", "missing=0.2", "seed=3")

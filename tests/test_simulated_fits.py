@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import uplift
-from uplift.paths import shipped_names
+from uplift.config.files import shipped_names
 from uplift.skeleton import load_skeleton
 
 TINY = (

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from uplift.config.files import shipped_names
+from uplift.data.synthetic.human_motion import ACTIONS
+from uplift.data.synthetic.simulate import build_body, rest_pose, simulate
 from uplift.errors import UserError
-from uplift.paths import shipped_names
-from uplift.simulator import build_body, rest_pose, simulate
-from uplift.simulator.actions import ACTIONS
 from uplift.skeleton import Skeleton, load_skeleton
 
 NAMES = [name for name in shipped_names("skeletons") if load_skeleton(name).body]

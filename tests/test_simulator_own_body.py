@@ -7,12 +7,9 @@ import copy
 import numpy as np
 import pytest
 
+from uplift.data.synthetic.body import DEFAULT_LIMITS, find_legs, forward_kinematics, leg_phases
+from uplift.data.synthetic.simulate import build_body, level_feet, simulate
 from uplift.errors import UserError
-from uplift.simulator import build_body, simulate
-from uplift.simulator.body import DEFAULT_LIMITS
-from uplift.simulator.ground import level_feet
-from uplift.simulator.kinematics import forward_kinematics
-from uplift.simulator.legs import find_legs, leg_phases
 from uplift.skeleton import Skeleton
 
 

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from bodies import body_arrays
 
-from uplift.constant_bones import with_constant_bones
+from uplift.data.synthetic.simulate import simulate
 from uplift.errors import UserError
-from uplift.placing import place_roots
-from uplift.simulator import simulate
-from uplift.sizing import CameraHeight, KnownLength, mm_by_camera_height, mm_per_unit, size_from
+from uplift.geometry.camera import place_roots
+from uplift.models.metric_scale import CameraHeight, KnownLength, mm_by_camera_height, mm_per_unit, size_from
+from uplift.models.predict import with_constant_bones
 from uplift.skeleton import Skeleton, load_skeleton
 
 SKELETON = load_skeleton("h36m17")

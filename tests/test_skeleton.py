@@ -9,10 +9,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from jaxtyping import jaxtyped
 
+from uplift.config.files import shipped_names
 from uplift.errors import UserError
-from uplift.paths import shipped_names
 from uplift.skeleton import Skeleton, load_skeleton
-from uplift.skeleton.template import skeleton_template
+from uplift.skeleton.propose import skeleton_template
 
 SHIPPED = {
     "h36m17": (17, "hip"), "mpii16": (16, "hip"), "coco17": (17 + 2, "pelvis"), "openpose25": (25, "MidHip"), "openpose25b": (25 + 2, "MidHip"),

@@ -6,11 +6,10 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from uplift.config.files import shipped_names
 from uplift.errors import UserError
-from uplift.paths import shipped_names
 from uplift.skeleton import Skeleton, load_skeleton
-from uplift.skeleton.drawing import draw_skeleton
-from uplift.skeleton.layout import rest_pose, skeleton_layout
+from uplift.skeleton.draw import draw_skeleton, rest_pose, skeleton_layout
 
 BLUE, VERMILION = (0, 114, 178), (213, 94, 0)
 

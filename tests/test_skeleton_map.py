@@ -9,18 +9,17 @@ import numpy as np
 import pytest
 import yaml
 
-from uplift.cli import main
-from uplift.data.container import PoseData
+from uplift.cli import skeleton as skeleton_map
+from uplift.cli.main import main
+from uplift.cli.skeleton import map_joints
+from uplift.data.formats import read
 from uplift.data.load import in_joints_of
+from uplift.data.poses import PoseData
 from uplift.errors import UserError
-from uplift.readers import read
 from uplift.skeleton import load_skeleton
-from uplift.skeleton.layout import skeleton_layout
-from uplift.skeleton.matching import match_joints
-from uplift.skeleton.proposal_bones import seen_in, stretched
-from uplift.skeleton.proposal_names import guess_parts
-from uplift.verbs import skeleton_map
-from uplift.verbs.skeleton_map import map_joints
+from uplift.skeleton.draw import skeleton_layout
+from uplift.skeleton.match import match_joints
+from uplift.skeleton.propose import guess_parts, seen_in, stretched
 
 COCO = load_skeleton("coco17").joints[:17]
 

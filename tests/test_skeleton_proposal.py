@@ -11,17 +11,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from jaxtyping import jaxtyped
 
-from uplift.cli import main
-from uplift.data.container import PoseData
+from uplift.cli.main import main
+from uplift.config.files import shipped_names
+from uplift.data.formats import read
+from uplift.data.poses import PoseData
 from uplift.errors import UserError
-from uplift.paths import shipped_names
-from uplift.readers import read
 from uplift.skeleton import Skeleton, load_skeleton
-from uplift.skeleton.layout import skeleton_layout
-from uplift.skeleton.proposal import propose
-from uplift.skeleton.proposal_bones import apart, joining_bones, seen_in
-from uplift.skeleton.proposal_names import mirror_pairs
-from uplift.skeleton.proposal_text import facing_guess, proposal_text
+from uplift.skeleton.draw import skeleton_layout
+from uplift.skeleton.propose import apart, facing_guess, joining_bones, mirror_pairs, proposal_text, propose, seen_in
 
 BY_NUMBER = ("face68", "coco_wholebody133")  # names that say no side
 

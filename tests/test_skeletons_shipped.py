@@ -7,12 +7,12 @@ from functools import cache
 import numpy as np
 import pytest
 
+from uplift.config.files import shipped_names
 from uplift.errors import UserError
-from uplift.paths import shipped_names
 from uplift.skeleton import Skeleton
 from uplift.skeleton import load_skeleton as load
-from uplift.skeleton.layout import rest_pose
-from uplift.skeleton.matching import build_pose, match_joints
+from uplift.skeleton.draw import rest_pose
+from uplift.skeleton.match import build_pose, match_joints
 
 load_skeleton = cache(load)
 NAMES = shipped_names("skeletons")

@@ -8,11 +8,10 @@ import pytest
 import yaml
 from bodies import refusal
 
+from uplift.config.files import shipped_names
+from uplift.config.loading import load_settings, read_task, save_settings, setting_names, task_path
+from uplift.config.settings import seconds_of
 from uplift.errors import UserError
-from uplift.limits import seconds_of
-from uplift.overrides import setting_names
-from uplift.paths import shipped_names
-from uplift.task import load_settings, read_task, save_settings, task_path
 
 
 @pytest.fixture(autouse=True)

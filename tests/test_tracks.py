@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from uplift.readers import tracks
-from uplift.readers.tracks import link_bodies
+from uplift.data.formats import rows as tracks
+from uplift.data.formats.rows import link_bodies
 
 BODY = np.array([[x, y] for x in (0, 10) for y in (0, 20, 40, 60)], np.float32)
 

@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from lifts import H36M, small_lifter, training_set
 
-from uplift.config import TeacherSettings, ViewSettings
+from uplift.config.settings import TeacherSettings, ViewSettings
 from uplift.priors.base import Prior
 from uplift.priors.bones import Bones
 from uplift.priors.critic import Critic

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import torch
 
-from uplift.simulator import simulate
+from uplift.data.synthetic.simulate import simulate
 from uplift.skeleton import load_skeleton
-from uplift.training.mixing import LimbMixer
+from uplift.training.augmentation import LimbMixer
 
 SKELETON = load_skeleton("h36m17")
 

@@ -7,16 +7,16 @@ from dataclasses import replace
 import pytest
 import torch
 
-from uplift.camera import Perspective
-from uplift.config import LifterSettings, StudentSettings, ViewSettings
+from uplift.config.settings import LifterSettings, StudentSettings, ViewSettings
 from uplift.data.clean import clean
+from uplift.data.synthetic.simulate import simulate
 from uplift.data.tensors import TrainingSet
-from uplift.model import build_lifter
-from uplift.pose import mean_radius
-from uplift.simulator import simulate
+from uplift.geometry.camera import Perspective
+from uplift.geometry.normalise import mean_radius
+from uplift.models.model import build_lifter
 from uplift.skeleton import load_skeleton
-from uplift.training.pseudo import PseudoPoses
-from uplift.training.shown import ShownViews, ViewMaker
+from uplift.training.augmentation import ShownViews, ViewMaker
+from uplift.training.pseudo_labels import PseudoPoses
 from uplift.training.student import StudentTraining
 
 SKELETON = load_skeleton("h36m17")

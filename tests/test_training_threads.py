@@ -7,7 +7,7 @@ import time
 import pytest
 import torch
 
-from uplift.training.threads import Threads
+from uplift.training.callbacks import Threads
 
 
 @pytest.mark.parametrize("faster", [1, 4])

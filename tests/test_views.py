@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from uplift.views import about_x, about_y, level, random_rotations, turn, views_about_gravity
+from uplift.geometry.rotation import about_x, about_y, level, random_rotations, turn, views_about_gravity
 
 ANGLES = st.floats(-math.pi, math.pi)
 EYE = torch.eye(3, dtype=torch.float64)

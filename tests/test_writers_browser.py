@@ -12,8 +12,8 @@ import pytest
 from page_browser import BROWSER, Browser, Page
 from writers_samples import prediction
 
-from uplift.prediction import Prediction
-from uplift.writers import write
+from uplift.export import write
+from uplift.models.prediction import Prediction
 
 pytestmark = pytest.mark.skipif(
     BROWSER is None, reason="no Chromium on this machine (Debian: apt-get install chromium)"

@@ -11,12 +11,11 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 from writers_samples import chain, figure, prediction
 
+from uplift.data.parsers.mocap import open_bvh
 from uplift.errors import UserError
-from uplift.mocap.bvh import open_bvh
-from uplift.prediction import Prediction
+from uplift.export.bvh import euler_zxy, turn_onto, write_bvh
+from uplift.models.prediction import Prediction
 from uplift.skeleton import Skeleton, load_skeleton
-from uplift.writers.bvh import euler_zxy, write_bvh
-from uplift.writers.bvh_rig import turn_onto
 
 
 def made(skeleton: Skeleton, pose: np.ndarray, **more) -> Prediction:

@@ -11,11 +11,11 @@ import numpy as np
 import pytest
 from writers_samples import prediction
 
-from uplift.axes import in_axes
 from uplift.errors import UserError
-from uplift.prediction import Prediction
+from uplift.export.markers import write_c3d
+from uplift.export.scene import in_axes
+from uplift.models.prediction import Prediction
 from uplift.skeleton import Skeleton
-from uplift.writers.c3d import write_c3d
 
 
 @pytest.fixture(name="ezc3d")

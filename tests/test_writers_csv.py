@@ -12,11 +12,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 from writers_samples import prediction
 
-from uplift.axes import in_axes
 from uplift.errors import UserError
-from uplift.prediction import Prediction
+from uplift.export.scene import in_axes
+from uplift.export.tables import write_csv
+from uplift.models.prediction import Prediction
 from uplift.skeleton import Skeleton
-from uplift.writers.csv import write_csv
 
 AWKWARD = st.lists(st.text(st.sampled_from("ab,;\"\t\r\n\x1c\u2028 _é中'=%nan"), min_size=1), min_size=2, unique=True)
 

@@ -15,14 +15,23 @@ from hypothesis import strategies as st
 from PIL import Image
 from writers_samples import chain, prediction
 
-from uplift.axes import in_axes
 from uplift.errors import UserError
-from uplift.prediction import Prediction
-from uplift.writers.film import gif_durations_ms, thinned, write_film
-from uplift.writers.film_canvas import CARD, SIDES, film_palette
-from uplift.writers.film_drawing import HIGH, WIDE, FilmDrawing
-from uplift.writers.film_scene import FilmScene, film_scene, turns_deg
-from uplift.writers.moving import one_clip
+from uplift.export.film import (
+    CARD,
+    HIGH,
+    SIDES,
+    WIDE,
+    FilmDrawing,
+    FilmScene,
+    film_palette,
+    film_scene,
+    gif_durations_ms,
+    thinned,
+    turns_deg,
+    write_film,
+)
+from uplift.export.scene import in_axes, one_clip
+from uplift.models.prediction import Prediction
 
 _LEFT_HALF, _RIGHT_HALF = slice(24, 536), slice(560, 1256)
 
@@ -214,7 +223,7 @@ def test_an_ffmpeg_that_fails_leaves_nothing(tmp_path: Path, monkeypatch: pytest
     fake = tmp_path / "ffmpeg"
     fake.write_text("#!/bin/sh\necho 'no such encoder' >&2\nexit 1\n")
     fake.chmod(0o755)
-    monkeypatch.setattr("uplift.writers.film._ffmpeg", lambda path: str(fake))
+    monkeypatch.setattr("uplift.export.film._ffmpeg", lambda path: str(fake))
     with pytest.raises(OSError, match="no such encoder"):
         write_film(prediction(frames=40), folder / "a.mp4")
     assert not list(folder.iterdir())
@@ -242,7 +251,7 @@ def test_other_skeletons_and_one_frame(tmp_path: Path) -> None:
 
 
 def test_importing_the_writers_loads_no_heavy_package() -> None:
-    code = "import sys, uplift.writers.film, uplift.writers.glb, uplift.writers.bvh;"
+    code = "import sys, uplift.export.film, uplift.export.glb, uplift.export.bvh;"
     code += "print([name for name in ('torch', 'trimesh', 'imageio_ffmpeg', 'scipy') if name in sys.modules])"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "[]"

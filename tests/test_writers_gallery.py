@@ -19,17 +19,15 @@ from page_browser import BROWSER, Browser, Page
 from PIL import Image
 from writers_samples import prediction, tilted
 
-from uplift.config import LifterSettings
+from uplift.cli.predict import predict
+from uplift.config.settings import LifterSettings
+from uplift.data.formats import read
 from uplift.errors import UserError
-from uplift.model import Model, build_lifter
-from uplift.prediction import Prediction
-from uplift.readers import read
+from uplift.export import write
+from uplift.export.gallery import Crop, Photos, chosen_rows, crop_of, filled_points, gallery_text, turned
+from uplift.models.model import Model, build_lifter
+from uplift.models.prediction import Prediction
 from uplift.skeleton import Skeleton, load_skeleton
-from uplift.verbs.predict import predict
-from uplift.writers import write
-from uplift.writers.gallery import chosen_rows, gallery_text
-from uplift.writers.gallery_photos import Photos
-from uplift.writers.gallery_views import Crop, crop_of, filled_points, turned
 
 _NASTY = '</style><script>alert(1)</script><b>"it\'s" & {{frames}} <!--'
 _SVG = "{http://www.w3.org/2000/svg}"
@@ -315,8 +313,8 @@ def test_a_crop_holds_all_points() -> None:
 _SET = """
 import numpy as np
 from dataclasses import replace
-from uplift.datasets import DataSet, WantedFile
-from uplift.readers import read
+from uplift.data.datasets import DataSet, WantedFile
+from uplift.data.formats import read
 
 
 class Photographs(DataSet):

@@ -16,8 +16,8 @@ from scipy.spatial.transform import Rotation
 from writers_samples import chain, prediction
 
 from uplift.errors import UserError
-from uplift.prediction import Prediction
-from uplift.writers.glb import bone_rotations, write_glb
+from uplift.export.glb import bone_rotations, write_glb
+from uplift.models.prediction import Prediction
 
 pygltflib = pytest.importorskip("pygltflib")
 trimesh = pytest.importorskip("trimesh")

@@ -14,14 +14,12 @@ from hypothesis.extra.numpy import array_shapes, arrays
 from writers_samples import figure, prediction
 
 from uplift.errors import UserError
-from uplift.prediction import Prediction
+from uplift.export import write
+from uplift.export.clips import arrange, choose
+from uplift.export.page import curve_charts, pack, page_text, read_html, unpack
+from uplift.models.prediction import Prediction
 from uplift.skeleton import Skeleton
-from uplift.skeleton.sides import CENTRE, LEFT, RIGHT, joint_sides
-from uplift.writers import write
-from uplift.writers.charts import curve_charts
-from uplift.writers.clips import arrange, choose
-from uplift.writers.html import page_text, read_html
-from uplift.writers.packing import pack, unpack
+from uplift.skeleton.core import CENTRE, LEFT, RIGHT, joint_sides
 
 _NASTY = '</script><script>alert(1)</script><b>"it\'s" & {{data}} <!--'
 

@@ -13,11 +13,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 from writers_samples import prediction
 
-from uplift.axes import AXES, in_axes
 from uplift.errors import UserError
-from uplift.prediction import Prediction
+from uplift.export.scene import AXES, in_axes
+from uplift.export.tables import write_json
+from uplift.models.prediction import Prediction
 from uplift.skeleton import Skeleton
-from uplift.writers.json_file import write_json
 
 
 def refuse(constant: str) -> None:

@@ -8,13 +8,13 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from uplift.data.container import PoseData
+from uplift.data.formats import guess_format, read
+from uplift.data.formats.csv import write_keypoints_csv
+from uplift.data.formats.deeplabcut import write_deeplabcut_csv
+from uplift.data.poses import PoseData
+from uplift.data.synthetic.simulate import simulate
 from uplift.errors import UserError
-from uplift.readers import guess_format, read
-from uplift.simulator import simulate
 from uplift.skeleton import load_skeleton
-from uplift.writers.deeplabcut_csv import write_deeplabcut_csv
-from uplift.writers.keypoints_csv import write_keypoints_csv
 
 
 @pytest.fixture(scope="module")

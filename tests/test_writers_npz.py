@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 from writers_samples import figure, prediction
 
+from uplift.config.files import replacing
 from uplift.errors import UserError
-from uplift.prediction import Prediction
-from uplift.saving import replacing
-from uplift.writers import WRITERS, write
-from uplift.writers.parts import parts_of
+from uplift.export import WRITERS, write
+from uplift.export.clips import parts_of
+from uplift.models.prediction import Prediction
 
 
 @pytest.fixture
@@ -99,7 +99,7 @@ def test_full_disk_leaves_the_old_file(
     def full(_: int) -> None:
         raise OSError(errno.ENOSPC, "No space left on device")
 
-    monkeypatch.setattr("uplift.saving.os.fsync", full)
+    monkeypatch.setattr("uplift.config.files.os.fsync", full)
     with pytest.raises(OSError, match="No space left"):
         write(sample, target)
     assert [path.name for path in tmp_path.iterdir()] == [target.name]

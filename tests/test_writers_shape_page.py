@@ -16,14 +16,14 @@ from page_browser import BROWSER, Browser, Page
 from PIL import Image
 from shape_samples import AZIMUTH, TILT, marked, shapes, view
 
+from uplift.data.masks import Placed
 from uplift.errors import UserError
-from uplift.masks.container import Placed
-from uplift.meshes.mesh import Mesh
-from uplift.meshes.surface import surface_of
-from uplift.shapes.prediction import ShapePrediction
-from uplift.writers.html import read_html
-from uplift.writers.shape_page import shape_page_text, write_shape_page
-from uplift.writers.shapes import write_shapes
+from uplift.export import write_shapes
+from uplift.export.page import read_html
+from uplift.export.shape_page import shape_page_text, write_shape_page
+from uplift.geometry.mesh import Mesh
+from uplift.geometry.surface import surface_of
+from uplift.models.prediction import ShapePrediction
 
 _NASTY = '</script><script>alert(1)</script><b>"it\'s" & {{data}} <!--'
 _needs_browser = pytest.mark.skipif(

@@ -12,9 +12,9 @@ import trimesh
 from shape_samples import AZIMUTH, OFFSET, SCALE, SCALE_PX, marked, shapes, view
 
 from uplift.errors import UserError
-from uplift.meshes.surface import surface_of
-from uplift.writers.shape_axes import SHAPE_AXES
-from uplift.writers.shapes import SHAPE_WRITERS, shape_writer_for, write_shapes
+from uplift.export import SHAPE_WRITERS, shape_writer_for, write_shapes
+from uplift.export.meshes import SHAPE_AXES
+from uplift.geometry.surface import surface_of
 
 _MARKS = {"front": (0, 0, -1), "left": (1, 0, 0), "up": (0, -1, 0)}
 """Of the object, in its own frame."""

@@ -13,12 +13,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 from writers_samples import prediction
 
-from uplift.axes import in_axes
 from uplift.errors import UserError
-from uplift.prediction import Prediction
+from uplift.export.markers import marker_names, write_trc
+from uplift.export.scene import in_axes
+from uplift.models.prediction import Prediction
 from uplift.skeleton import Skeleton
-from uplift.writers.markers import marker_names
-from uplift.writers.trc import write_trc
 
 FACTS = ("DataRate", "CameraRate", "NumFrames", "NumMarkers", "Units", "OrigDataRate", "OrigDataStartFrame", "OrigNumFrames")  # fmt: skip
 

@@ -15,7 +15,7 @@ from typing import Any
 import h5py
 import numpy as np
 
-from uplift.data.container import PoseData
+from uplift.data.poses import PoseData
 from uplift.errors import UserError
 
 NODES = ("nose", "neck", "tail")

@@ -6,7 +6,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from uplift.prediction import Prediction
+from uplift.models.prediction import Prediction
 from uplift.skeleton import Skeleton
 
 __all__ = ["chain", "figure", "prediction", "tilted"]

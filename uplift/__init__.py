@@ -6,20 +6,18 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from uplift.data.container import PoseData
-    from uplift.datasets.base import DataSet, WantedFile
+    from uplift.cli.evaluate import evaluate, evaluate_poses
+    from uplift.cli.fit import fit
+    from uplift.cli.listing import compare
+    from uplift.cli.predict import predict
+    from uplift.cli.simulate import simulate
+    from uplift.data.datasets.base import DataSet, WantedFile
+    from uplift.data.poses import PoseData
     from uplift.errors import UserError
-    from uplift.lift import Lift
-    from uplift.model import Model, load
-    from uplift.priors.base import Prior
-    from uplift.priors.shape_base import ShapePrior
-    from uplift.shapes.lift import ShapeLift
+    from uplift.models.model import Model, load
+    from uplift.priors.base import Lift, Prior
+    from uplift.priors.shape_base import ShapeLift, ShapePrior
     from uplift.skeleton import Skeleton, load_skeleton
-    from uplift.verbs.compare import compare
-    from uplift.verbs.evaluate import evaluate, evaluate_poses
-    from uplift.verbs.fit import fit
-    from uplift.verbs.predict import predict
-    from uplift.verbs.simulate import simulate
 
 __all__ = [
     "DataSet", "Lift", "Model", "PoseData", "Prior", "ShapeLift", "ShapePrior", "Skeleton", "UserError", "WantedFile", "compare", "evaluate",
@@ -29,24 +27,24 @@ __version__ = "0.1.0"
 
 # Loaded when first used: `import uplift` takes no torch, and `uplift --help` answers at once.
 _HOMES = {
-    "DataSet": "uplift.datasets.base",
-    "Lift": "uplift.lift",
-    "Model": "uplift.model",
-    "PoseData": "uplift.data.container",
+    "DataSet": "uplift.data.datasets.base",
+    "Lift": "uplift.priors.base",
+    "Model": "uplift.models.model",
+    "PoseData": "uplift.data.poses",
     "Prior": "uplift.priors.base",
-    "ShapeLift": "uplift.shapes.lift",
+    "ShapeLift": "uplift.priors.shape_base",
     "ShapePrior": "uplift.priors.shape_base",
     "Skeleton": "uplift.skeleton",
     "UserError": "uplift.errors",
-    "WantedFile": "uplift.datasets.base",
-    "compare": "uplift.verbs.compare",
-    "evaluate": "uplift.verbs.evaluate",
-    "evaluate_poses": "uplift.verbs.evaluate",
-    "fit": "uplift.verbs.fit",
-    "load": "uplift.model",
+    "WantedFile": "uplift.data.datasets.base",
+    "compare": "uplift.cli.listing",
+    "evaluate": "uplift.cli.evaluate",
+    "evaluate_poses": "uplift.cli.evaluate",
+    "fit": "uplift.cli.fit",
+    "load": "uplift.models.model",
     "load_skeleton": "uplift.skeleton",
-    "predict": "uplift.verbs.predict",
-    "simulate": "uplift.verbs.simulate",
+    "predict": "uplift.cli.predict",
+    "simulate": "uplift.cli.simulate",
 }
 
 

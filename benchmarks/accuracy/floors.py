@@ -15,11 +15,11 @@ import torch
 from jaxtyping import Float, Int
 
 from uplift.data.clean import clean
-from uplift.data.container import PoseData
 from uplift.data.load import load_file
+from uplift.data.poses import PoseData
 from uplift.errors import UserError
-from uplift.evaluation import flat_depth
-from uplift.normalise import Normalised, normalise
+from uplift.geometry.normalise import Normalised, normalise
+from uplift.metrics.evaluate import flat_depth
 from uplift.skeleton import Skeleton, load_skeleton
 
 __all__ = ["flat", "nearest", "nearest_rows"]

@@ -13,13 +13,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from uplift.config.files import replacing
 from uplift.errors import UserError
-from uplift.saving import replacing
 
 if TYPE_CHECKING:
-    from uplift.data.container import PoseData
-    from uplift.model import Model
-    from uplift.prediction import Prediction
+    from uplift.data.poses import PoseData
+    from uplift.models.model import Model
+    from uplift.models.prediction import Prediction
     from uplift.skeleton import Skeleton
 
 __all__ = ["LIMBS", "growth", "hidden_joints", "hide", "occlusion_table", "show", "write_occluded"]
@@ -84,7 +84,7 @@ def growth(run: str | Path, test: str | Path, occluded: str | Path, *, refine: b
     are not of the same frames.
     """
     from uplift.data.load import load_file
-    from uplift.model import load
+    from uplift.models.model import load
 
     model = load(run)
     whole, other = (load_file(path, model.skeleton) for path in (test, occluded))
@@ -96,7 +96,7 @@ def _predict(model: Model, data: PoseData, refine: bool | None) -> Prediction:
 
 
 def _growth(whole: PoseData, occluded: PoseData, of_whole: Prediction, of_occluded: Prediction) -> dict[str, float]:
-    from uplift.evaluation import evaluate
+    from uplift.metrics.evaluate import evaluate
 
     if len(whole) != len(occluded):
         raise UserError(f"{occluded.source}: {len(occluded):,} frames, but {len(whole):,} in {whole.source}.")
@@ -120,7 +120,7 @@ def occlusion_table(
 ) -> dict[str, dict[str, float]]:
     """Return `growth` for each set of `hidden_joints` of the file ``test``."""
     from uplift.data.load import load_file
-    from uplift.model import load
+    from uplift.models.model import load
 
     model = load(run)
     whole = load_file(test, model.skeleton)

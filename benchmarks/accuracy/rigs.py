@@ -11,8 +11,8 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
+from uplift.config.files import replacing
 from uplift.errors import UserError
-from uplift.saving import replacing
 
 __all__ = ["RIGS", "Rig", "build_rigs", "cached_rigs", "film"]
 

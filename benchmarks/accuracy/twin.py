@@ -17,22 +17,21 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from uplift.camera import build_camera
-from uplift.config import Settings
-from uplift.data.container import PoseData
+from uplift.cli.evaluate import evaluate_model, save_evaluation
+from uplift.config.loading import load_settings
+from uplift.config.run import RunFolder
+from uplift.config.settings import Settings
 from uplift.data.load import Loaded, load_data
-from uplift.data.tensors import TrainingSet
+from uplift.data.poses import PoseData
+from uplift.data.tensors import TrainingSet, frames_of
 from uplift.errors import UserError
-from uplift.model import Model, build_lifter
-from uplift.run import RunFolder
-from uplift.seeing import frames_of
+from uplift.geometry.camera import build_camera
+from uplift.geometry.rotation import least_rotation, turn
+from uplift.models.model import Model, build_lifter
 from uplift.skeleton import Skeleton, load_skeleton
-from uplift.task import load_settings
-from uplift.training.recipe import student_settings
-from uplift.training.stages import run_stage, stage_budgets
-from uplift.training.student import PseudoPoses, StudentTraining
-from uplift.verbs.evaluate import evaluate_model, save_evaluation
-from uplift.views import least_rotation, turn
+from uplift.training.pseudo_labels import PseudoPoses
+from uplift.training.recipe import run_stage, stage_budgets, student_settings
+from uplift.training.student import StudentTraining
 
 __all__ = ["gravity_in_camera", "gravity_of_recurring_poses", "load_labelled", "train_twin", "true_poses"]
 

@@ -72,7 +72,7 @@ def run_cell(cell: Cell, cores: set[int]) -> None:
 
 def _check_words(cell: Cell) -> None:
     """Refuse words that `uplift evaluate` does not know before anything is trained."""
-    from uplift.cli import _KEYS
+    from uplift.cli.main import _KEYS
 
     for name, test in cell.fit.tests.items():
         unknown = [word for word in shlex.split(test.words) if word.partition("=")[0] not in _KEYS["evaluate"]]
@@ -92,7 +92,7 @@ class _Work:
         cell, words = self.cell, shlex.split(self.cell.fit.command)
         words += [*cell.budget, f"seed={cell.seed}"]
         start = time.monotonic()
-        self._run(words if cell.fit.python else ["-m", "uplift.cli", "fit", *words])
+        self._run(words if cell.fit.python else ["-m", "uplift.cli.main", "fit", *words])
         wall = time.monotonic() - start
         run = next(iter(self.folder.glob("runs/*/last")), None)
         if run is None:
@@ -126,12 +126,12 @@ class _Work:
 
     def _evaluate(self, run: Path, test: Target) -> dict[str, float]:
         words = [f"data.test={test.data}", *shlex.split(test.words)]
-        self._run(["-m", "uplift.cli", "evaluate", f"run={run}", *words], run=run)
+        self._run(["-m", "uplift.cli.main", "evaluate", f"run={run}", *words], run=run)
         return _evaluation_of(run)["overall"]
 
     def _occlusion(self, run: Path, test: str | None) -> dict[str, dict[str, float]]:
+        from uplift.config.run import RunFolder
         from uplift.data.load import find_data
-        from uplift.run import RunFolder
 
         file = test or str(find_data(RunFolder(run).settings(), "test"))
         shown = test or "TEST.npz"
@@ -142,7 +142,7 @@ class _Work:
     def _run(self, words: Sequence[str], *, run: Path | None = None, shown: bool = True) -> str:
         """Run python with ``words``, note the command, and return what it printed."""
         if shown:
-            told = " ".join(_quoted(word) for word in ["python", *words]).replace("python -m uplift.cli", "uplift")
+            told = " ".join(_quoted(word) for word in ["python", *words]).replace("python -m uplift.cli.main", "uplift")
             self.commands.append(fill_in(told.replace(str(run), "RUN") if run else told, shown=True))
         environment = {**os.environ, "OMP_NUM_THREADS": str(len(self.cores))}
         environment["PYTHONPATH"] = os.pathsep.join(filter(None, [str(ROOT), os.environ.get("PYTHONPATH")]))

@@ -16,7 +16,7 @@ from benchmarks.accuracy.floors import flat
 from benchmarks.accuracy.work import CellFailed
 from benchmarks.examples.files import write_files
 from benchmarks.machine import ROOT, facts
-from uplift.saving import replacing
+from uplift.config.files import replacing
 
 __all__ = ["RESULTS", "kept_results", "key_of", "run_example"]
 
@@ -82,7 +82,8 @@ def _flat_depth(skeleton_file: Path, test_file: Path) -> float:
     """Return the `n_mpjpe` of the observed 2D with every depth 0."""
     from uplift.data.clean import clean
     from uplift.data.load import load_file
-    from uplift.evaluation import GivenPoses, evaluate
+    from uplift.metrics.evaluate import evaluate
+    from uplift.metrics.scores import GivenPoses
     from uplift.skeleton import load_skeleton
 
     skeleton = load_skeleton(str(skeleton_file))
@@ -95,7 +96,7 @@ def _uplift(verb: str, words: Sequence[str], folder: Path, cores: set[int]) -> N
     environment = {**os.environ, "OMP_NUM_THREADS": str(len(cores))}
     environment["PYTHONPATH"] = os.pathsep.join(filter(None, [str(ROOT), os.environ.get("PYTHONPATH")]))
     done = subprocess.run(
-        [sys.executable, "-m", "uplift.cli", verb, *words], cwd=folder, env=environment, capture_output=True, text=True,
+        [sys.executable, "-m", "uplift.cli.main", verb, *words], cwd=folder, env=environment, capture_output=True, text=True,
         preexec_fn=lambda: os.sched_setaffinity(0, cores),
     )  # fmt: skip
     if done.returncode:

@@ -19,7 +19,7 @@ from typing import Any
 from benchmarks.accuracy.show import Sheet, text
 from benchmarks.h36m_files import FRAMES, write_full_size
 from benchmarks.machine import ROOT, facts
-from uplift.saving import replacing
+from uplift.config.files import replacing
 
 __all__ = ["LIMITS", "main", "measure", "sheet_of"]
 

@@ -11,11 +11,11 @@ from typing import Any
 
 import numpy as np
 
-from uplift.config import Settings
-from uplift.data.container import PoseData
+from uplift.config.loading import load_settings
+from uplift.config.settings import Settings
 from uplift.data.load import load_data
+from uplift.data.poses import PoseData
 from uplift.skeleton import load_skeleton
-from uplift.task import load_settings
 
 __all__ = ["load", "settings_of"]
 

@@ -11,15 +11,15 @@ import numpy as np
 import torch
 
 from benchmarks.loading.measure import settings_of
-from uplift.config import Settings
+from uplift.config.settings import Settings
 from uplift.data.load import load_data
 from uplift.data.tensors import TrainingSet
-from uplift.model import build_lifter
+from uplift.models.model import build_lifter
 from uplift.priors import build_priors
 from uplift.skeleton import load_skeleton
 from uplift.training.adversarial import AdversarialTraining
 from uplift.training.base import LifterTraining
-from uplift.training.pseudo import PseudoPoses, lift_all
+from uplift.training.pseudo_labels import PseudoPoses, lift_all
 from uplift.training.recipe import student_settings, training_frames
 from uplift.training.student import StudentTraining
 

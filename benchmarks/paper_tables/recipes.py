@@ -10,9 +10,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from benchmarks.machine import ROOT
-from uplift.config import Settings
+from uplift.config.loading import load_settings
+from uplift.config.settings import Settings
 from uplift.errors import UserError
-from uplift.task import load_settings
 
 __all__ = ["RESULTS", "TABLES", "Recipe", "Table", "budget_of", "place_of", "table_of", "uses_of"]
 

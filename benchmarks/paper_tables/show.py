@@ -11,7 +11,7 @@ import numpy as np
 from benchmarks.accuracy.show import Sheet
 from benchmarks.paper_tables.published import COLUMNS, KUDO_3DHP, MEHTA_3DHP, PUBLISHED, Published
 from benchmarks.paper_tables.recipes import TABLES
-from uplift.evaluation.papers import paper_order
+from uplift.metrics.report import paper_order
 
 __all__ = ["notes_of", "sheets_of"]
 

@@ -11,12 +11,12 @@ import numpy as np
 
 from benchmarks.machine import facts
 from benchmarks.paper_tables.recipes import TABLES, Recipe, budget_of, place_of, table_of, uses_of
-from uplift.config import Settings
+from uplift.config.files import replacing
+from uplift.config.settings import Settings
 from uplift.errors import UserError
-from uplift.saving import replacing
 
 if TYPE_CHECKING:
-    from uplift.run import RunFolder
+    from uplift.config.run import RunFolder
 
 __all__ = ["fit_recipe", "need_data", "read_result", "take_run"]
 
@@ -41,7 +41,7 @@ def fit_recipe(recipe: Recipe) -> Path:
         KeyboardInterrupt: Ctrl-C in the middle of training, too.
     """
     import uplift
-    from uplift.training.budget import Interrupted
+    from uplift.training.callbacks import Interrupted
 
     place = place_of(recipe.table, recipe.settings())
     if place.is_file():
@@ -61,7 +61,7 @@ def take_run(path: str) -> tuple[str, Path]:
     Raises:
         UserError: no such run, or one on other data.
     """
-    from uplift.run import RunFolder
+    from uplift.config.run import RunFolder
 
     run = RunFolder.open(path)
     table = table_of(run.settings(), str(path))
@@ -110,11 +110,11 @@ def _evaluation(run: RunFolder, table: str) -> dict[str, Any]:
 
 def _on_training_data(run: RunFolder) -> dict[str, Any]:
     """Return what the run scores on frames it was trained on, as the paper's figure is of such."""
+    from uplift.cli.evaluate import evaluate_model
     from uplift.data.clean import clean
     from uplift.data.load import load_split
-    from uplift.data.split import chosen_clips
-    from uplift.model import load
-    from uplift.verbs.evaluate import evaluate_model
+    from uplift.data.select import chosen_clips
+    from uplift.models.model import load
 
     settings: Settings = run.settings()
     model = load(run.path)

@@ -23,7 +23,7 @@ from benchmarks.accuracy.work import CellFailed
 from benchmarks.machine import ROOT, facts
 from benchmarks.quadruped_masks.files import drawn_frames, hidden_joints, write_case
 from benchmarks.quadruped_masks.work import fit_words, run_fit, scores
-from uplift.saving import replacing
+from uplift.config.files import replacing
 
 __all__ = ["KINDS", "RESULTS", "kept_results", "key_of", "main", "run_case"]
 

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.quadruped_masks.rendering import masks_of_rows
-from uplift.saving import replacing
+from uplift.config.files import replacing
 
 __all__ = ["LIMBS", "VIEWS", "Frames", "drawn_frames", "hidden_joints", "write_case"]
 

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float
 from PIL import Image, ImageDraw
 
-from uplift.meshes.gltf import GltfFile
+from uplift.data.parsers.gltf import GltfFile
 
 __all__ = ["FPS", "NODES", "SIDE", "draw_mask", "masks_of_rows", "placing"]
 

@@ -34,7 +34,7 @@ def run_fit(folder: Path, words: Sequence[str], cores: set[int]) -> Path:
     environment = {**os.environ, "OMP_NUM_THREADS": "1"}
     environment["PYTHONPATH"] = os.pathsep.join(filter(None, [str(ROOT), os.environ.get("PYTHONPATH")]))
     done = subprocess.run(
-        [sys.executable, "-m", "uplift.cli", "fit", *words], cwd=folder, env=environment, capture_output=True, text=True,
+        [sys.executable, "-m", "uplift.cli.main", "fit", *words], cwd=folder, env=environment, capture_output=True, text=True,
         preexec_fn=lambda: os.sched_setaffinity(0, cores),
     )  # fmt: skip
     if done.returncode:
@@ -49,7 +49,7 @@ def scores(run: Path, files: dict[str, Path]) -> dict[str, Any]:
     Files hold poses of all joints, and confidence 0 where one is missing.
     """
     from uplift.data.load import load_file
-    from uplift.model import load
+    from uplift.models.model import load
 
     model = load(str(run))
     found: dict[str, Any] = {}
@@ -65,7 +65,7 @@ def scores(run: Path, files: dict[str, Path]) -> dict[str, Any]:
 
 def errors_of(pose: np.ndarray, truth: np.ndarray, missing: np.ndarray, root: int) -> dict[str, float]:
     """Return each protocol's mean error over seen and over missing joints; poses are aligned as wholes."""
-    from uplift.evaluation.metrics import joint_errors
+    from uplift.metrics.pose_metrics import joint_errors
 
     found = {}
     for protocol in PROTOCOLS:
@@ -78,9 +78,9 @@ def errors_of(pose: np.ndarray, truth: np.ndarray, missing: np.ndarray, root: in
 
 def _teacher(run: Path, model: Any) -> Any:
     """Return the model as it was after the first stage."""
-    from uplift.model import build_lifter
-    from uplift.run import RunFolder
-    from uplift.torch_file import read_torch
+    from uplift.config.files import read_torch
+    from uplift.config.run import RunFolder
+    from uplift.models.model import build_lifter
 
     settings = dataclasses.replace(RunFolder.open(str(run)).settings().lifter, spread=False, denoise=False)
     lifter = build_lifter(settings, model.skeleton)

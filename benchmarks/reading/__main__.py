@@ -25,8 +25,8 @@ from benchmarks.reading.cells import CELLS, Cell
 from benchmarks.reading.measure import told_of
 from benchmarks.reading.show import sheets
 from benchmarks.reading.writing import FILMS, MOST_FRAMES
-from uplift.saving import replacing
-from uplift.writers import WRITERS
+from uplift.config.files import replacing
+from uplift.export import WRITERS
 
 __all__ = ["main"]
 

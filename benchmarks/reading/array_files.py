@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks.reading.bodies import SIZE_PX, Walk
-from uplift.datasets.coco import COCO_JOINTS
+from uplift.data.datasets.coco import COCO_JOINTS
 
 __all__ = ["jabs", "mediapipe_npz", "npz", "nwb", "sleap_h5", "sleap_slp", "sleap_slp_unnamed", "videopose3d"]
 

@@ -11,7 +11,7 @@ import numpy as np
 from benchmarks.reading.bodies import SIZE_PX, Chunk, Walk
 from benchmarks.reading.lines import GAP, decimals, filled, whole_numbers
 from benchmarks.reading.records import POINT, SCORE, Cells, each, gaps, lists, number, together, xyc
-from uplift.datasets.coco import COCO_JOINTS
+from uplift.data.datasets.coco import COCO_JOINTS
 
 __all__ = [
     "alphapose", "alphatracker", "coco", "coco_results", "kinetics", "mediapipe_json", "mmpose", "mmpose_tracked",

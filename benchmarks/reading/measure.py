@@ -14,8 +14,9 @@ import numpy as np
 
 from benchmarks.reading.bodies import SIZE_PX
 from benchmarks.reading.cells import CELLS
-from uplift.data.container import PoseData
-from uplift.readers import ReadOptions, read
+from uplift.data.formats import read
+from uplift.data.formats.base import ReadOptions
+from uplift.data.poses import PoseData
 
 __all__ = ["check", "make", "measured", "peak_gb", "read_file", "told_of"]
 

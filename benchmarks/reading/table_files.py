@@ -9,7 +9,7 @@ import numpy as np
 
 from benchmarks.reading.bodies import SIZE_PX, Chunk, Walk
 from benchmarks.reading.lines import GAP, decimals, filled, whole_numbers, words
-from uplift.datasets.coco import COCO_JOINTS
+from uplift.data.datasets.coco import COCO_JOINTS
 from uplift.skeleton import load_skeleton
 
 __all__ = ["csv_long", "csv_named", "csv_unnamed", "csv_wide", "deeplabcut_csv", "deeplabcut_h5", "mediapipe_csv"]

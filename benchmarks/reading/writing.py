@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 
 from benchmarks.reading.measure import measured
-from uplift.prediction import Prediction
-from uplift.simulator import simulate
+from uplift.data.synthetic.simulate import simulate
+from uplift.export import write
+from uplift.models.prediction import Prediction
 from uplift.skeleton import load_skeleton
-from uplift.writers import write
 
 __all__ = ["FILMS", "MOST_FRAMES", "prediction", "written"]
 

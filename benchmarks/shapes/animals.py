@@ -11,11 +11,11 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from benchmarks.accuracy.work import CellFailed
-from uplift.masks.container import MaskData
-from uplift.masks.joining import join
-from uplift.masks.npz import write_masks
-from uplift.masks.simulate import simulate_masks
-from uplift.meshes.read import MeshOptions, read_meshes
+from uplift.data.concat import join
+from uplift.data.formats.masks_npz import write_masks
+from uplift.data.masks import MaskData
+from uplift.data.parsers.meshes import MeshOptions, read_meshes
+from uplift.data.synthetic.masks import simulate_masks
 
 __all__ = ["HELD_OUT", "Sizes", "animal_masks", "cache_folder", "posed_animals"]
 

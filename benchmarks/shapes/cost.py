@@ -53,7 +53,7 @@ def measure(resolution: int, steps: int, threads: int | None = None, task: str =
     """
     import torch
 
-    from uplift.task import load_settings
+    from uplift.config.loading import load_settings
 
     words = [
         f"shape.resolution={resolution}",
@@ -84,9 +84,9 @@ def measure(resolution: int, steps: int, threads: int | None = None, task: str =
 
 def _seconds(settings: Any) -> float:
     """Train as the settings say, and return how long that took without what came before the first step."""
-    from uplift.masks.load import load_masks
-    from uplift.run import RunFolder
-    from uplift.shapes.recipe import ShapeRecipe
+    from uplift.config.run import RunFolder
+    from uplift.data.load_masks import load_masks
+    from uplift.training.shape_recipe import ShapeRecipe
 
     with tempfile.TemporaryDirectory() as folder, contextlib.chdir(folder), contextlib.redirect_stdout(sys.stderr):
         loaded = load_masks(settings)

@@ -17,13 +17,13 @@ from jaxtyping import Bool, Float
 from PIL import Image
 from torch import Tensor
 
-from uplift.evaluation.shape_evaluator import evaluate_shapes, filled_truths
-from uplift.masks.container import MaskData
-from uplift.masks.load import load_masks
-from uplift.model import load
-from uplift.run import RunFolder
-from uplift.shapes.prediction import ShapePrediction
-from uplift.views import about_y
+from uplift.config.run import RunFolder
+from uplift.data.load_masks import load_masks
+from uplift.data.masks import MaskData
+from uplift.geometry.rotation import about_y
+from uplift.metrics.evaluate_shapes import evaluate_shapes, filled_truths
+from uplift.models.model import load
+from uplift.models.prediction import ShapePrediction
 
 __all__ = ["main", "shaded"]
 

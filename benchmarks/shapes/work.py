@@ -13,8 +13,8 @@ from benchmarks.accuracy.work import CellFailed
 from benchmarks.machine import ROOT, facts
 from benchmarks.shapes.animals import animal_masks, cache_folder
 from benchmarks.shapes.cells import Cell
+from uplift.config.files import replacing
 from uplift.errors import UserError
-from uplift.saving import replacing
 
 __all__ = ["RESULTS", "keep", "kept_results", "run_cell"]
 
@@ -67,8 +67,8 @@ def _data_words(cell: Cell) -> list[str]:
 
 def _evaluation(task: str, words: list[str]) -> dict[str, Any]:
     """Fit in the current folder and return what evaluation.json then holds."""
-    from uplift.task import load_settings
-    from uplift.verbs import fit
+    from uplift.cli import fit
+    from uplift.config.loading import load_settings
 
     try:
         evaluation = fit.fit_settings(load_settings(task, words)).evaluation()

@@ -18,19 +18,18 @@ import torch
 from torch.utils.flop_counter import FlopCounterMode
 
 from benchmarks.machine import ROOT, facts
-from uplift.config import LifterSettings, TrainerSettings
-from uplift.data.container import PoseData
+from uplift.config.loading import load_settings
+from uplift.config.settings import LifterSettings, TrainerSettings
+from uplift.data.poses import PoseData
+from uplift.data.synthetic.simulate import simulate
 from uplift.data.tensors import TrainingSet
-from uplift.model import Model, build_lifter
+from uplift.models.model import Model, build_lifter
 from uplift.priors import build_priors
-from uplift.simulator import simulate
 from uplift.skeleton import load_skeleton
-from uplift.task import load_settings
 from uplift.training.adversarial import AdversarialTraining
 from uplift.training.base import LifterTraining
-from uplift.training.pseudo import lift_all
-from uplift.training.recipe import student_settings
-from uplift.training.stages import StageBudget, run_stage
+from uplift.training.pseudo_labels import lift_all
+from uplift.training.recipe import StageBudget, run_stage, student_settings
 from uplift.training.student import StudentTraining
 
 _ROUNDS = 3
@@ -216,7 +215,7 @@ def command_line() -> dict[str, float]:
     helps = []
     for _ in range(_ROUNDS):
         start = time.perf_counter()
-        subprocess.run([sys.executable, "-m", "uplift.cli", "--help"], check=True, capture_output=True)
+        subprocess.run([sys.executable, "-m", "uplift.cli.main", "--help"], check=True, capture_output=True)
         helps.append(time.perf_counter() - start)
     firsts = []
     for _ in range(3):
@@ -224,7 +223,7 @@ def command_line() -> dict[str, float]:
             start = time.perf_counter()
             words = ["fit", "task=demo", "data.simulate=5000", "trainer.max_steps=3", "trainer.max_time=null"]
             process = subprocess.Popen(
-                [sys.executable, "-m", "uplift.cli", *words],
+                [sys.executable, "-m", "uplift.cli.main", *words],
                 cwd=folder,
                 stderr=subprocess.PIPE,
                 stdout=subprocess.DEVNULL,

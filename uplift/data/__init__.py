@@ -1,1 +1,1 @@
-"""The data container, its checks, splits and tensors."""
+"""Data: containers, files they come from, cleaning, selection, tensors."""

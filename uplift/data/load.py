@@ -2,40 +2,128 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
-from uplift.config import ChoiceSettings, DataSettings, Settings
-from uplift.data.clean import clean
-from uplift.data.container import PoseData
-from uplift.data.doubts import doubted, liftable
-from uplift.data.joining import join_data
-from uplift.data.missing import missing_file, missing_files
-from uplift.data.split import CHOOSE_BY, chosen_rows
-from uplift.datasets import DATA_SETS, DataSet, data_set, read_cached
+from uplift.config.files import data_root, files_of
+from uplift.config.settings import ChoiceSettings, DataSettings, Settings
+from uplift.data.clean import MIN_VISIBLE, clean
+from uplift.data.concat import join_data
+from uplift.data.datasets import DATA_SETS, DataSet, WantedFile, data_set, read_cached
+from uplift.data.formats import as_told, read
+from uplift.data.formats.base import ReadOptions, size_of
+from uplift.data.poses import PoseData
+from uplift.data.select import CHOOSE_BY, chosen_rows
 from uplift.errors import UserError
-from uplift.paths import data_root
-from uplift.readers import ReadOptions, as_told, read
-from uplift.readers.base import size_of
-from uplift.readers.files import files_of
 from uplift.skeleton import Skeleton
-from uplift.skeleton.matching import build_joints, build_pose
+from uplift.skeleton.match import build_joints, build_pose
+from uplift.skeleton.propose import TOO_LONG, stretch_of
 
 __all__ = [
     "Loaded",
+    "doubted",
     "find_data",
+    "how_to_get",
     "in_joints_of",
+    "liftable",
     "load_data",
     "load_file",
     "load_split",
+    "missing_file",
+    "missing_files",
     "named_set",
     "of_labelled",
     "read_options",
     "set_of",
     "with_labels",
 ]
+
+# What is said where data is missing: what, where it comes from, where to put it, what runs without.
+
+_MOST_NAMED = 6
+
+
+def missing_file(settings: Settings, path: Path) -> str:
+    """Return the message for a file that is not there."""
+    data = settings.data
+    lines = [f"No file {path}" + (f", which task '{settings.task}' needs." if settings.task else ".")]
+    return "\n".join([*lines, *_get(data), *_places(data, "it"), *_instead(settings)])
+
+
+def missing_files(settings: Settings, source: DataSet, missing: Sequence[WantedFile]) -> str:
+    """Return the message for files of a published set that are not there."""
+    return f"{_named(settings, source, missing)}\n{how_to_get(settings, source)}"
+
+
+def how_to_get(settings: Settings, source: DataSet | None) -> str:
+    """Return where missing files come from, where to put them, and what runs without them."""
+    origin = [source.about.strip()] if source is not None and source.about.strip() else _get(settings.data)
+    return "\n".join([*origin, *_places(settings.data, "them"), *_instead(settings)])
+
+
+def _named(settings: Settings, source: DataSet, missing: Sequence[WantedFile]) -> str:
+    needed = f", which task '{settings.task}' needs" if settings.task else ""
+    count = f"{len(missing)} file is" if len(missing) == 1 else f"{len(missing)} files are"
+    shown = missing[:_MOST_NAMED]
+    names = [_within(file.path, source.folder) for file in shown]
+    wide = max(map(len, names))
+    lines = [f"{source.title or type(source).__name__}{needed}: {count} not in {source.folder}"]
+    lines += [f"  {name:<{wide}}  {file.what}" for name, file in zip(names, shown, strict=True)]
+    return "\n".join(lines + [f"  and {len(missing) - len(shown)} more"] * (len(missing) > len(shown)))
+
+
+def _within(path: Path, folder: Path) -> str:
+    return str(path.relative_to(folder)) if path.is_relative_to(folder) else str(path)
+
+
+def _get(data: DataSettings) -> list[str]:
+    return [f"Get it: {data.get.strip()}"] if data.get else []
+
+
+def _places(data: DataSettings, what: str) -> list[str]:
+    if not data.name or Path(data.name).is_absolute():
+        return []
+    return [
+        f"Put {what} there, or name another folder: data.root=FOLDER (or UPLIFT_DATA=FOLDER, with a subfolder {data.name}/)."
+    ]
+
+
+def _instead(settings: Settings) -> list[str]:
+    if settings.lifts == "masks":
+        return ["Without: `uplift fit task=masks_demo` needs no data."]
+    free = "" if settings.data.name == "cmu" else "`uplift fit task=semi_cmu` runs on open data, "
+    return [f"Without: {free}`uplift fit task=demo` {'on none' if free else 'needs no data'}."]
+
+
+# Whether a file's keypoints can be lifted, and whether they carry the right names.
+
+
+def liftable(data: PoseData) -> PoseData:
+    """Return ``data``; raises UserError for files of fewer keypoints than anything can be lifted from."""
+    if len(data.joint_names) < MIN_VISIBLE:
+        raise UserError(
+            f"{data.source}: holds {len(data.joint_names)} keypoints ({', '.join(data.joint_names)}). Nothing can be lifted "
+            f"from fewer than {MIN_VISIBLE}: a pose needs a shape."
+        )
+    return data
+
+
+def doubted(data: PoseData, skeleton: Skeleton) -> PoseData:
+    """Return ``data`` with a note where its joints seem to have each other's names."""
+    stretch = stretch_of(data.keypoints, data.confidence, skeleton)
+    if stretch < TOO_LONG:
+        return data
+    note = (
+        f"WARNING: the bones of {skeleton.name} are {stretch:.1f} times as long as the shortest lines that join its "
+        f"joints: joints seem to have the names of others (uplift skeleton map {data.source} skeleton={skeleton.name})"
+    )
+    return replace(data, notes=(*data.notes, note))
+
+
+# From settings to cleaned `PoseData` in the skeleton's joints: find, read, match, clean, split.
 
 
 @dataclass(frozen=True)
@@ -140,7 +228,7 @@ def of_labelled(settings: Settings) -> Settings:
 
 
 def _simulated(settings: Settings, skeleton: Skeleton) -> tuple[PoseData, PoseData]:
-    from uplift.simulator import simulate
+    from uplift.data.synthetic.simulate import simulate
 
     frames = settings.data.simulate
     train = replace(simulate(skeleton, frames, seed=settings.seed), source=f"simulated {skeleton.name}")

@@ -7,8 +7,8 @@ from typing import Any
 
 from torch import nn
 
+from uplift.config.plugins import build
 from uplift.errors import NotForThisSkeleton, UserError
-from uplift.plugins import build
 from uplift.priors.base import Prior
 from uplift.skeleton import Skeleton
 

@@ -6,9 +6,8 @@ import torch
 from torch import Tensor
 
 from uplift.data.tensors import TrainingSet
-from uplift.lift import Lift
-from uplift.pose import bone_lengths
-from uplift.priors.base import Prior
+from uplift.geometry.normalise import bone_lengths
+from uplift.priors.base import Lift, Prior
 from uplift.skeleton import Skeleton
 
 __all__ = ["Bones"]

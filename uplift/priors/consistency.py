@@ -4,10 +4,9 @@ from __future__ import annotations
 
 from torch import Tensor
 
-from uplift.lift import Lift
-from uplift.priors.base import Prior
+from uplift.geometry.rotation import turn
+from uplift.priors.base import Lift, Prior
 from uplift.skeleton import Skeleton
-from uplift.views import turn
 
 __all__ = ["Consistency"]
 

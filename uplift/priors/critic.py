@@ -9,9 +9,8 @@ from torch import Tensor
 from torch.nn.functional import softplus
 
 from uplift.errors import UserError, did_you_mean
-from uplift.lift import Lift
-from uplift.networks import build_network
-from uplift.priors.base import Prior
+from uplift.models.networks import build_network
+from uplift.priors.base import Lift, Prior
 from uplift.skeleton import Skeleton
 
 __all__ = ["Critic"]

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from torch import Tensor
 
-from uplift.lift import Lift
-from uplift.priors.base import Prior
+from uplift.priors.base import Lift, Prior
 
 __all__ = ["Fill"]
 

@@ -9,11 +9,10 @@ import torch
 from torch import Tensor, nn
 
 from uplift.data.tensors import TrainingSet
-from uplift.lift import Lift
-from uplift.networks.coupling import CouplingFlow
-from uplift.pose import mirror
-from uplift.priors.base import Prior
-from uplift.priors.gaps import fill_gaps
+from uplift.geometry.normalise import mirror
+from uplift.models.networks import CouplingFlow
+from uplift.priors.base import Lift, Prior
+from uplift.priors.imputation import fill_gaps
 from uplift.skeleton import Skeleton
 
 __all__ = ["Flow"]

@@ -11,10 +11,9 @@ from torch import Tensor
 
 from uplift.data.tensors import TrainingSet
 from uplift.errors import NotForThisSkeleton, UserError, did_you_mean
-from uplift.lift import Lift
-from uplift.priors.base import Prior
+from uplift.geometry.rotation import level, turn
+from uplift.priors.base import Lift, Prior
 from uplift.skeleton import Skeleton
-from uplift.views import level, turn
 
 __all__ = ["Handedness", "handedness"]
 

@@ -7,8 +7,7 @@ from torch import Tensor
 
 from uplift.data.tensors import TrainingSet
 from uplift.errors import UserError
-from uplift.lift import Lift
-from uplift.priors.base import Prior
+from uplift.priors.base import Lift, Prior
 from uplift.skeleton import Skeleton
 
 __all__ = ["Labelled"]

@@ -2,19 +2,148 @@
 
 from __future__ import annotations
 
+import numpy as np
 import torch
+from jaxtyping import Float, Int, UInt8
 from torch import Tensor
+from torch.nn.functional import adaptive_avg_pool2d, grid_sample
 
 from uplift.data.tensors import TrainingSet
 from uplift.errors import UserError
-from uplift.lift import Lift
-from uplift.priors.base import Prior
-from uplift.priors.capsules import bone_partners, bone_thickness, segment_distances, soft_gap
-from uplift.priors.gaps import fill_gaps
-from uplift.priors.mask_field import into_crop, sample_field, signed_distances, unit_of
+from uplift.priors.base import Lift, Prior
+from uplift.priors.imputation import fill_gaps
 from uplift.skeleton import Skeleton
 
-__all__ = ["Mask"]
+__all__ = [
+    "MOST",
+    "Mask",
+    "bone_partners",
+    "bone_thickness",
+    "into_crop",
+    "sample_field",
+    "segment_distances",
+    "signed_distances",
+    "soft_gap",
+    "unit_of",
+]
+
+# How far points of an image are from a body's mask: a signed distance that has a slope wherever a point is.
+
+MOST = 64
+"""Pixels along a field: finer masks are averaged down."""
+_FIELD_CHUNK = 1024
+_EMPTY = 2.0
+
+
+def signed_distances(masks: UInt8[Tensor, "frames side side"]) -> Float[Tensor, "frames side side"]:
+    """Return the distance of each pixel to the edge of the mask, above 0 outside and below it inside; half a crop is 1.
+
+    What lies beyond the crop is outside. Half precision, of exact Euclidean distances.
+    """
+    from scipy.ndimage import distance_transform_edt
+
+    side = min(masks.shape[1], MOST)
+    found = torch.empty((len(masks), side, side), dtype=torch.float16)
+    for start in range(0, len(masks), _FIELD_CHUNK):
+        some = masks[start : start + _FIELD_CHUNK].float().cpu()
+        if some.shape[1] > side:
+            some = adaptive_avg_pool2d(some.unsqueeze(1), side).squeeze(1)
+        for place, inside in enumerate(some.numpy() > 127):
+            if not inside.any():
+                found[start + place] = _EMPTY
+                continue
+            framed = np.pad(inside, 1)
+            out = distance_transform_edt(~framed)[1:-1, 1:-1]  # type: ignore[index]
+            within = distance_transform_edt(framed)[1:-1, 1:-1]  # type: ignore[index]
+            # The edge is half a pixel from the centres on either side of it.
+            signed = np.where(inside, 0.5 - within, out - 0.5) * (2 / side)
+            found[start + place] = torch.from_numpy(signed.astype(np.float16))
+    return found.to(masks.device)
+
+
+def into_crop(
+    points: Float[Tensor, "frames points 2"], mask_map: Float[Tensor, "frames 3 3"]
+) -> Float[Tensor, "frames points 2"]:
+    """Return where points are in their frame's crop, -1 to 1 over it (`uplift.data.poses.mask_maps`)."""
+    mapped = torch.baddbmm(mask_map[:, None, :, 2], points, mask_map[..., :2].mT)
+    return mapped[..., :2] / mapped[..., 2:].clamp_min(1e-6)
+
+
+def sample_field(
+    field: Float[Tensor, "frames side side"], points: Float[Tensor, "frames points 2"]
+) -> Float[Tensor, "frames points"]:
+    """Return the signed distance at points of the crop, between pixels by interpolation, outside the crop by the way to it."""
+    edge = 1 - 1 / field.shape[1]  # the outermost pixels' centres
+    within = points.clamp(-edge, edge)
+    beyond = ((points - within).square().sum(-1) + 1e-12).sqrt() - 1e-6
+    value = grid_sample(field.unsqueeze(1).to(points.dtype), within.unsqueeze(2), align_corners=False)
+    return value[:, 0, :, 0] + beyond
+
+
+def unit_of(mask_map: Float[Tensor, "frames 3 3"]) -> Float[Tensor, " frames"]:
+    """Return how long half a crop is in the units of the keypoints, at the root."""
+    last = mask_map[:, 2, 2, None, None]
+    way = mask_map[:, :2, :2] / last - mask_map[:, :2, 2:] / last**2 * mask_map[:, 2:, :2]
+    return torch.linalg.det(way).abs().clamp_min(1e-12).rsqrt()
+
+
+# Bones as capsules in the image: how far points are from them, and how thick masks show them to be.
+
+_EPS = 1e-6
+_QUANTILE = 0.8
+_FEWEST = 50
+_SOFT = 0.05
+
+
+def segment_distances(
+    points: Float[Tensor, "frames points 2"], ends: Float[Tensor, "frames bones 2 2"]
+) -> Float[Tensor, "frames points bones"]:
+    """Return the distance of each point to each bone, a segment between two points."""
+    start, along = ends[:, :, 0], ends[:, :, 1] - ends[:, :, 0]
+    # Products of matrices: no tensor of all points, bones and axes.
+    ahead = points @ along.mT - (start * along).sum(-1).unsqueeze(1)
+    length = along.square().sum(-1).unsqueeze(1)
+    away = points.square().sum(-1, keepdim=True) + start.square().sum(-1).unsqueeze(1) - 2 * points @ start.mT
+    share = (ahead / (length + _EPS)).clamp(0, 1)
+    return (away - share * (2 * ahead - share * length)).clamp_min(_EPS).sqrt()
+
+
+def soft_gap(
+    distances: Float[Tensor, "frames points bones"], thickness: Float[Tensor, " bones"]
+) -> Float[Tensor, "frames points"]:
+    """Return how far each point is from the soft union of the capsules; 0 inside it."""
+    return (-_SOFT * torch.logsumexp((thickness - distances) / _SOFT, -1)).clamp_min(0)
+
+
+def bone_thickness(
+    points: Float[Tensor, "frames points 2"],
+    keypoints: Float[Tensor, "frames joints 2"],
+    bones: Int[Tensor, "bones 2"],
+) -> Float[Tensor, " bones"]:
+    """Return the thickness of each bone: how far most of the mask's points that it is the nearest bone of are from it.
+
+    ``points`` are random points of the masks of frames whose joints are all known.
+    """
+    distance, nearest = segment_distances(points, keypoints[:, bones]).min(-1)
+    found = torch.full((len(bones),), torch.nan, dtype=points.dtype, device=points.device)
+    for bone in range(len(bones)):
+        own = distance[nearest == bone]
+        if len(own) >= _FEWEST:
+            found[bone] = own.quantile(_QUANTILE)
+    usual = found.nanmedian() if found.isfinite().any() else found.new_tensor(0.1)
+    return torch.where(found.isfinite(), found, usual)
+
+
+def bone_partners(skeleton: Skeleton) -> Int[Tensor, " bones"]:
+    """Return the bone that each bone is in a mirror; itself where that is none."""
+    swap = skeleton.mirror_permutation
+    places = {frozenset(map(int, bone)): place for place, bone in enumerate(skeleton.bone_indices)}
+    return torch.tensor(
+        [places.get(frozenset(map(int, swap[bone])), place) for place, bone in enumerate(skeleton.bone_indices)]
+    )
+
+
+# Joints that are not seen lie where the body's mask is: bones inside it, and all of it near a bone.
 
 _ALONG = (1 / 3, 2 / 3, 1.0)
 _SAMPLE = 1000

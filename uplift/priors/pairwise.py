@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from torch import Tensor
 
-from uplift.lift import Lift
-from uplift.priors.base import Prior
-from uplift.views import turn
+from uplift.geometry.rotation import turn
+from uplift.priors.base import Lift, Prior
 
 __all__ = ["Pairwise"]
 

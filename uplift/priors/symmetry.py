@@ -6,11 +6,10 @@ import torch
 from torch import Tensor
 
 from uplift.errors import NotForThisSkeleton
-from uplift.lift import Lift
-from uplift.pose import bone_lengths
-from uplift.priors.base import Prior
+from uplift.geometry.normalise import bone_lengths
+from uplift.priors.base import Lift, Prior
 from uplift.skeleton import Skeleton
-from uplift.skeleton.sides import mirrored_bones
+from uplift.skeleton.core import mirrored_bones
 
 __all__ = ["Symmetry"]
 

@@ -1,1 +1,1 @@
-"""Lightning modules that train a lifter, and what watches over them."""
+"""Lightning modules that train lifters, the stages of a fit, and their callbacks."""

@@ -9,17 +9,14 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
-from uplift.config import StudentSettings, TeacherSettings, ViewSettings
+from uplift.config.settings import StudentSettings, TeacherSettings, ViewSettings
 from uplift.data.tensors import Batch, TrainingSet
-from uplift.lift import Lift
-from uplift.lifter import Lifted, Lifter
-from uplift.priors.base import Prior
-from uplift.training.base import LifterTraining
-from uplift.training.pseudo import PseudoPoses
-from uplift.training.rows import Rows
-from uplift.training.shown import ViewMaker
-from uplift.training.watch import PriorWatch
-from uplift.views import random_rotations, views_about_gravity
+from uplift.geometry.rotation import random_rotations, views_about_gravity
+from uplift.models.lifter import Lifted, Lifter
+from uplift.priors.base import Lift, Prior, PriorWatch
+from uplift.training.augmentation import ViewMaker
+from uplift.training.base import LifterTraining, Rows
+from uplift.training.pseudo_labels import PseudoPoses
 
 __all__ = ["AdversarialTraining", "draw_views", "make_lift"]
 

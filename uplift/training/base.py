@@ -1,4 +1,4 @@
-"""What every way of training a lifter shares: streams, schedule, optimiser, averaged weights."""
+"""What every way of training a lifter shares: streams, batches, schedule, optimiser, averaged weights."""
 
 from __future__ import annotations
 
@@ -8,14 +8,51 @@ from typing import Any
 
 import lightning as L
 import torch
+from jaxtyping import Bool, Int
 from torch import Tensor, nn
 from torch.optim.swa_utils import AveragedModel
 from torch.utils.data import DataLoader, IterableDataset
 
-from uplift.config import StageSettings
-from uplift.lifter import Lifter
+from uplift.config.settings import StageSettings
+from uplift.models.lifter import Lifter
 
-__all__ = ["LifterTraining", "stream_seed"]
+__all__ = ["LifterTraining", "Rows", "stream_seed"]
+
+# Which frames a batch is made of: labelled and unlabelled ones in a set ratio.
+
+_MOST_OFTEN = 25
+
+
+class Rows:
+    """Draws frame numbers, ``share`` of them from the labelled frames.
+
+    A labelled frame comes at most 25 times as often as another: the few that there may be would be
+    learned by heart. All frames alike where ``share`` is None, or where all or none are labelled: then
+    there is nothing to balance. ``share`` is what came out of it.
+    """
+
+    def __init__(self, labelled: Bool[Tensor, " frames"], share: float | None):
+        self.frames = len(labelled)
+        self.device = labelled.device
+        self.parts = (labelled.nonzero()[:, 0], (~labelled).nonzero()[:, 0])
+        natural = len(self.parts[0]) / max(1, len(labelled))
+        self.balanced = share is not None and 0 < natural < 1
+        self.share = min(share, _MOST_OFTEN * natural) if self.balanced and share is not None else natural
+
+    def __call__(self, count: int) -> Int[Tensor, " count"]:
+        """Return ``count`` random frame numbers, in random order."""
+        labelled, rest = self.parts
+        if not self.balanced:
+            return torch.randint(self.frames, (count,), device=self.device)
+        first = max(1, round(self.share * count))
+        drawn = [
+            part[torch.randint(len(part), (size,), device=self.device)]
+            for part, size in ((labelled, first), (rest, count - first))
+        ]
+        return torch.cat(drawn)[torch.randperm(count, device=self.device)]
+
+
+# What every way of training a lifter shares: streams, schedule, optimiser, averaged weights.
 
 
 def stream_seed(seed: int, rank: int, step: int) -> int:
@@ -65,7 +102,7 @@ class LifterTraining(L.LightningModule):
         self.seed = seed
         self.data = data
         self.done = 0.0
-        """Share of the stage that is over, 0..1; `uplift.training.budget.Budget` keeps it."""
+        """Share of the stage that is over, 0..1; `uplift.training.callbacks.Budget` keeps it."""
         self.averaged = None
         if settings.average:
             self.averaged = AveragedModel(lifter, multi_avg_fn=_average(settings.average))

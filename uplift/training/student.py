@@ -5,11 +5,11 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from uplift.config import StudentSettings, ViewSettings
-from uplift.lifter import Lifter
+from uplift.config.settings import StudentSettings, ViewSettings
+from uplift.models.lifter import Lifter
+from uplift.training.augmentation import ShownViews, ViewMaker
 from uplift.training.base import LifterTraining, stream_seed
-from uplift.training.pseudo import PseudoPoses
-from uplift.training.shown import ShownViews, ViewMaker
+from uplift.training.pseudo_labels import PseudoPoses
 
 __all__ = ["StudentTraining"]
 

@@ -6,7 +6,7 @@ import torch
 from torch import Tensor
 
 import uplift
-from uplift.pose import bone_lengths
+from uplift.geometry.normalise import bone_lengths
 
 __all__ = ["BoneRatios"]
 

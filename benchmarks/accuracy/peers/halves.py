@@ -7,7 +7,7 @@ from jaxtyping import Float
 from torch import Tensor, nn
 
 from uplift import UserError
-from uplift.networks.residual import ResidualNetwork
+from uplift.models.networks import ResidualNetwork
 
 __all__ = ["Halves"]
 

@@ -1,0 +1,203 @@
+"""The verb data check: which files a task needs, which are there, and what they cost to load."""
+
+from __future__ import annotations
+
+import shlex
+import zipfile
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from uplift.config.files import data_root, files_of
+from uplift.config.loading import load_settings
+from uplift.config.settings import DataSettings, Settings
+from uplift.data.datasets import DataSet
+from uplift.data.datasets.base import cached_facts
+from uplift.data.formats.masks import FORMATS, Look, format_named, guess_format
+from uplift.data.formats.masks_npz import read_masks
+from uplift.data.formats.npz import contents_of, memory_of
+from uplift.data.load import find_data, how_to_get, named_set, of_labelled, read_options
+from uplift.data.synthetic.masks import FAMILIES
+from uplift.errors import UserError, did_you_mean
+from uplift.skeleton import Skeleton, load_skeleton
+from uplift.skeleton.match import build_joints
+
+__all__ = ["check_data", "made_up_masks", "masks_there"]
+
+# What data check says of a file or folder of masks: a look at it, without opening every picture.
+
+
+def made_up_masks(data: DataSettings) -> str:
+    """Return what a fit makes up; raises UserError for no such family."""
+    if data.family not in FAMILIES:
+        raise UserError(f"data.family={data.family}: no such family of shapes.{did_you_mean(data.family, FAMILIES)}")
+    return f"{data.simulate:,} masks of made-up {data.family}"
+
+
+def masks_there(path: Path, data: DataSettings) -> str:
+    """Return in a few words what ``path`` holds; raises UserError where that is no masks."""
+    look = Look([path])
+    if data.format is not None and data.format not in FORMATS:
+        raise UserError(f"data.format={data.format}: no such format of masks.{did_you_mean(data.format, FORMATS)}")
+    found = guess_format(look) if data.format is None else format_named(data.format)
+    if found.name == "npz":
+        masks = read_masks(path)
+        truth = "no" if masks.truth is None else "with"
+        return f"{len(masks):,} masks of {masks.side} x {masks.side} px, {truth} true shapes"
+    count = f"{len(look.pictures):,} pictures, " if look.pictures else ""
+    return f"{count}{found.title}; each is looked at when the fit starts"
+
+
+# The verb data check: which files a task needs, which are there, and what they cost to load.
+
+_SIMULATED = {"keypoints", "pose", "root", "tilt_deg"}
+
+
+def check_data(words: Sequence[str]) -> tuple[list[str], bool]:
+    """Return what to say of a task's data, and whether a fit has all that it needs.
+
+    Raises:
+        UserError: no such task, set, option or split; no data named.
+    """
+    tasks = [word.partition("=")[2] for word in words if word.partition("=")[0] == "task"]
+    overrides = [word for word in words if word.partition("=")[0] != "task"]
+    if tasks and not tasks[-1]:
+        raise UserError("data check: 'task=' names nothing. Expected task=NAME.")
+    settings = load_settings(tasks[-1] if tasks else None, overrides)
+    report = _Report(settings)
+    if settings.data.simulate:
+        report.simulated(settings)
+    else:
+        report.part("train", settings, "train")
+        if settings.data.test:
+            report.part("test", settings, "test")
+    if settings.data.labelled.file:
+        report.part("labelled", of_labelled(settings), "train")
+    return report.ended(shlex.join(words)), not report.missing and not report.wrong
+
+
+class _Report:
+    """The lines, filled part by part."""
+
+    def __init__(self, settings: Settings):
+        self.skeleton: Skeleton | None = load_skeleton(settings.skeleton) if settings.skeleton else None
+        self.lines = [f"{settings.task or 'own data'}: {settings.description.strip().splitlines()[0]}"]
+        self.missing: dict[str, None] = {}
+        """How to get what is not there."""
+        self.wrong = False
+        self.folder: Path | None = None
+
+    def simulated(self, settings: Settings) -> None:
+        """Say that nothing is needed."""
+        frames = settings.data.simulate
+        if settings.lifts == "masks":
+            cost = f"; {_size(frames * settings.data.side**2)} in memory"
+            what = made_up_masks(settings.data)
+            self.lines.append(f"train, test: {what}, when the fit starts: no files needed{cost}")
+            return
+        joints = len(self.skeleton.joints) if self.skeleton else 0
+        cost = f"; {_size(memory_of(_SIMULATED, frames, joints))} in memory" if joints else ""
+        self.lines.append(f"train, test: simulated when the fit starts, {frames:,} frames: no files needed{cost}")
+
+    def part(self, title: str, settings: Settings, which: str) -> None:
+        """Say what is there of the ``train`` or ``test`` frames of ``settings``."""
+        found = named_set(settings, which)
+        folder = data_root(settings.data.name, settings.data.root).absolute()
+        if settings.data.name and folder != self.folder:
+            self.lines.append(f"folder: {folder}" + ("" if folder.is_dir() else " (not there)"))
+            self.folder = folder
+        if not (self._file(title, settings, which) if found is None else self._set(title, *found)):
+            self.missing.setdefault(how_to_get(settings, found[0] if found else None))
+
+    def _set(self, title: str, source: DataSet, split: str) -> bool:
+        """Say what is there of a split; returns whether it is all there."""
+        self.lines.append(f"{title}: {source.title or type(source).__name__}, split '{split}'")
+        files = source.files(split)
+        for file in files:
+            self._line(file.path, file.what, file.present)
+        if source.missing(split):
+            return False
+        facts = cached_facts(source, split) if source.cached else None
+        if facts:
+            about = f"{facts['frames']:,} frames of {facts['joints']} joints, {_size(facts['bytes'])} in memory"
+            self.lines.append(f"  to load: {about}, from the cache")
+            return True
+        first = "not read before; the first fit reads the files and keeps the arrays"
+        size = _size(sum(_unpacked(file.path) for file in files))
+        self.lines.append(
+            f"  to load: {first if source.cached else 'read anew'}; the files hold {size}, an estimate of the memory"
+        )
+        return True
+
+    def _file(self, title: str, settings: Settings, which: str) -> bool:
+        """Say what is there of a file of keypoints or masks; returns whether it is there."""
+        name = getattr(settings.data, which)
+        if not name:
+            find_data(settings, which)  # says what to set
+        folder = data_root(settings.data.name, settings.data.root)
+        try:
+            paths = files_of(find_data(settings, which))
+        except UserError:
+            paths = [(folder / part).absolute() for part in str(name).split(",") if part]
+        alone = paths[0].name if paths[0].parent == self.folder else str(paths[0])
+        self.lines.append(f"{title}: {alone if len(paths) == 1 else f'{len(paths)} files'}")
+        for path in paths:
+            self._line(path, "", path.exists())
+        if not all(path.exists() for path in paths):
+            return False
+        for path in paths:
+            try:
+                self.lines.append(f"  to load: {self._cost(path, settings)}")
+            except UserError as error:
+                self.wrong = True
+                self.lines.append(f"  WRONG    {error}")
+        return True
+
+    def _cost(self, path: Path, settings: Settings) -> str:
+        """Return frames, joints and memory, or how many masks; raises UserError for a file that a fit would refuse."""
+        if settings.lifts == "masks":
+            return masks_there(path, settings.data)
+        found = contents_of(path, read_options(settings.data))
+        joints = len(found.joint_names)
+        if self.skeleton is not None:
+            blank = np.zeros((1, joints, 2), np.float32), np.ones((1, joints), np.float32)
+            try:
+                build_joints(*blank, found.joint_names, self.skeleton)
+            except UserError as error:
+                raise UserError(f"{path}: {error}") from None
+        poses = "with" if found.has_pose else "no"
+        return f"{found.frames:,} frames of {joints} joints, {poses} poses, {_size(found.memory)} in memory"
+
+    def _line(self, path: Path, what: str, present: bool) -> None:
+        if present:
+            held = "a folder" if path.is_dir() else _size(path.stat().st_size)
+            self.lines.append(f"  present  {path.name}, {held}")
+        else:
+            self.lines.append(f"  MISSING  {path.name}" + (f": {what}" if what else ""))
+
+    def ended(self, words: str) -> list[str]:
+        """Return all lines, with where missing files come from and what to do next."""
+        for told in self.missing:
+            self.lines += ["", *told.splitlines()]
+        if self.missing or self.wrong:
+            what = "put them there" if self.missing else "mend or replace what is wrong"
+            return [*self.lines, "", f"next: {what}, then uplift data check {words}"]
+        return [*self.lines, "", f"next: uplift fit {words}"]
+
+
+def _unpacked(path: Path) -> int:
+    """Return the bytes of a file; of an archive, those of what is packed in it."""
+    if zipfile.is_zipfile(path):
+        with zipfile.ZipFile(path) as archive:
+            return sum(member.file_size for member in archive.infolist())
+    return path.stat().st_size
+
+
+def _size(count: int) -> str:
+    value = float(count)
+    for unit in ("bytes", "kB", "MB"):
+        if value < 999.5:
+            return f"{value:.0f} {unit}" if value >= 9.95 or unit == "bytes" else f"{value:.1f} {unit}"
+        value /= 1000
+    return f"{value:.1f} GB"

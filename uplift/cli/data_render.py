@@ -1,0 +1,190 @@
+"""The verb data render: masks of meshes, or of made-up shapes, with exact truth."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from uplift.cli.parsing import keyed, one_of, whole
+from uplift.errors import UserError, did_you_mean
+
+if TYPE_CHECKING:
+    from uplift.data.masks import MaskData
+    from uplift.data.synthetic.masks import ViewChoice
+    from uplift.geometry.mesh import Mesh
+
+__all__ = ["RENDER_KEYS", "render_masks_command"]
+
+_VERB = "data render"
+_FILE_KEYS = ("poses", "animations", "up", "front")
+RENDER_KEYS = (
+    "output", "items", "seed", "side", "azimuth_deg", "elevation_deg", "distance", "upright", "views", "category",
+    *_FILE_KEYS,
+)  # fmt: skip
+"""What the verb takes besides meshes."""
+_USE = "data render MESHES... output=masks.npz|FOLDER [items=2000 seed=0 side=64]"
+_MOST_BYTES = 4_000_000_000
+
+
+def render_masks_command(words: Sequence[str]) -> list[str]:
+    """Render masks into an .npz file, or a folder of .png files with ``truth.npz``; return what to print.
+
+    Raises:
+        UserError: a setting or a mesh that is wrong, or an output that is there already.
+    """
+    from uplift.data.formats.masks_npz import write_masks
+
+    sources, keys = _settings(words)
+    items, side = _whole(keys, "items", 2000, 1), _whole(keys, "side", 64, 8, 1024)
+    seed, each = _whole(keys, "seed", 0, 0, 2**31 - 1), _whole(keys, "views", 1, 1)
+    if items * side**2 > _MOST_BYTES:
+        raise UserError(f"{_VERB}: items={items} of side={side} take {items * side**2 / 1e9:,.0f} GB. Ask for fewer.")
+    views, output = _views(keys), _output(keys)
+    shapes, said = _shapes(sources, keys, -(-items // each), seed)
+    data = _rendered(shapes, items, seed, side, views, each, keys.get("category"))
+    if output.suffix == ".npz":
+        write_masks(data, output)
+        wrote = f"wrote {output}: {items:,} masks of {side} x {side} px, with the shapes they show"
+    else:
+        _write_folder(data, output)
+        wrote = f"wrote {output}: {items:,} .png files of {side} x {side} px, and truth.npz with the shapes they show"
+    return [*said, wrote, f"next: uplift fit task=masks data.train={output}"]
+
+
+def _settings(words: Sequence[str]) -> tuple[list[str], dict[str, str]]:
+    sources = [word for word in words if "=" not in word or Path(word).exists()]
+    keys = keyed(_VERB, [word for word in words if word not in sources], RENDER_KEYS)
+    if not sources or "output" not in keys:
+        from uplift.data.synthetic.masks import FAMILIES
+
+        raise UserError(
+            f"{_VERB} takes files of meshes, folders of them, or made-up shapes ({', '.join(FAMILIES)}), "
+            f"and output=FILE.npz or output=FOLDER. ({_USE})"
+        )
+    return sources, keys
+
+
+def _shapes(sources: list[str], keys: dict[str, str], count: int, seed: int) -> tuple[list[Mesh] | str, list[str]]:
+    """Return a family's name, or the meshes of files in a random order; and what to say of them."""
+    from uplift.data.synthetic.masks import FAMILIES
+
+    families = [source for source in sources if source in FAMILIES]
+    if families:
+        if len(sources) > 1:
+            raise UserError(
+                f"{_VERB}: '{families[0]}' is a family of made-up shapes and goes alone. "
+                f"Render {' and '.join(sources[:3])} apart. (A folder of that name: ./{families[0]})"
+            )
+        for key in _FILE_KEYS:
+            if key in keys:
+                raise UserError(f"{_VERB}: {key}= goes with files of meshes, not with the family '{families[0]}'.")
+        return families[0], [f"{count:,} made-up shapes of '{families[0]}'"]
+    from uplift.data.parsers.meshes import ENDINGS, MeshOptions, find_mesh_files, read_meshes
+
+    for source in sources:
+        if not Path(source).expanduser().exists() and Path(source).suffix.lower() not in ENDINGS:
+            raise UserError(f"{_VERB}: no file, folder or family of shapes '{source}'.{did_you_mean(source, FAMILIES)}")
+    options = MeshOptions(
+        up=keys.get("up", "y"),
+        front=keys.get("front"),
+        poses=_whole(keys, "poses", MeshOptions.poses, 0),
+        animations=tuple(part.strip() for part in keys.get("animations", "").split(",") if part.strip("- ")),
+        seed=seed,
+        category=keys.get("category"),
+        most=count,
+    )
+    meshes = read_meshes(sources, options)
+    files = min(len(find_mesh_files(sources)), count)
+    said = f"{len(meshes):,} mesh{'es' * (len(meshes) > 1)} of {files:,} file{'s' * (files > 1)}"
+    order = np.random.default_rng(seed).permutation(len(meshes))
+    return [meshes[row].in_unit() for row in order], [said]
+
+
+def _rendered(
+    shapes: list[Mesh] | str, items: int, seed: int, side: int, views: ViewChoice, each: int, category: str | None
+) -> MaskData:
+    from uplift.data.synthetic.masks import simulate_masks
+
+    data = simulate_masks(shapes, items, seed=seed, side=side, views=views, views_per_shape=each)
+    return data if category is None else replace(data, category=np.full(items, category))
+
+
+def _views(keys: dict[str, str]) -> ViewChoice:
+    from uplift.data.synthetic.masks import ViewChoice
+
+    told = ViewChoice(upright=one_of(_VERB, keys, "upright", ("true", "false"), "true") == "true")
+    if not told.upright:
+        for key in ("azimuth_deg", "elevation_deg"):
+            if key in keys:
+                raise UserError(f"{_VERB}: upright=false draws from all rotations, {key}= does not count. Leave one.")
+    if "azimuth_deg" in keys:
+        told = replace(told, azimuth_deg=_pair(keys, "azimuth_deg", "from,to", -360, 360))
+    if "elevation_deg" in keys:
+        mean, sd = _pair(keys, "elevation_deg", "mean,spread", -90, 90)
+        low, high = told.elevation_deg
+        # The range cuts off what is rare: it must not cut off what is asked for.
+        wide = (max(min(low, mean - 2 * sd), -90.0), min(max(high, mean + 2 * sd), 90.0))
+        told = replace(told, elevation_mean_deg=mean, elevation_sd_deg=sd, elevation_deg=wide)
+    if "distance" in keys:
+        told = replace(told, distance=_pair(keys, "distance", "from,to", 2, math.inf))
+    return told
+
+
+def _output(keys: dict[str, str]) -> Path:
+    output = Path(keys["output"]).expanduser()
+    if output.suffix.lower() not in ("", ".npz"):
+        raise UserError(f"{_VERB}: output={output}: expected a file that ends in .npz, or a folder.")
+    if output.suffix.lower() == ".npz" and output.exists():
+        raise UserError(f"{output} exists already and is not overwritten: remove it or choose another name.")
+    if output.exists() and (not output.is_dir() or any(output.iterdir())):
+        raise UserError(f"{output} exists already and is not empty: remove it or choose another name.")
+    if not output.absolute().parent.is_dir():
+        raise UserError(f"output={output}: no folder {output.absolute().parent}. Create it first.")
+    return output
+
+
+def _write_folder(data: MaskData, folder: Path) -> None:
+    from PIL import Image
+
+    from uplift.data.formats.masks_npz import write_masks
+
+    digits = len(str(len(data) - 1))
+    kinds = [""] * len(data) if data.category is None else [_plain(str(kind)) for kind in data.category]
+    several = len(set(kinds)) > 1
+    names = []
+    for item, (mask, name) in enumerate(zip(data.masks, data.names, strict=True)):
+        # Sub-folders are categories to the reader of such folders.
+        below = Path(kinds[item] or "other") if several else Path()
+        (folder / below).mkdir(parents=True, exist_ok=True)
+        names.append((below / f"{_plain(re.sub(r':[0-9]+$', '', name))}_{item:0{digits}d}.png").as_posix())
+        Image.fromarray(mask).save(folder / names[-1])
+    write_masks(replace(data, names=names), folder / "truth.npz")
+
+
+def _plain(name: str) -> str:
+    """Return a name that any disk takes."""
+    return re.sub(r"[^\w.-]+", "_", name).lstrip(".")[:80]
+
+
+def _pair(keys: dict[str, str], key: str, meaning: str, low: float | int, high: float | int) -> tuple[float, float]:
+    try:
+        first, second = (float(part) for part in keys[key].split(","))
+    except ValueError:
+        first = second = math.nan
+    if not (low <= first <= high and low <= second <= high) or (meaning == "mean,spread" and second < 0):
+        raise UserError(f"{_VERB}: {key}={keys[key]!r}, expected {meaning}: two numbers from {low:g} to {high:g}.")
+    return first, second
+
+
+def _whole(keys: dict[str, str], key: str, default: int, low: int, high: int = 10**8) -> int:
+    found = whole(_VERB, keys, key)
+    found = default if found is None else found
+    if not low <= found <= high:
+        raise UserError(f"{_VERB}: {key}={found}, expected a whole number from {low:,} to {high:,}.")
+    return found

@@ -1,0 +1,302 @@
+"""The verb evaluate: every protocol for a run, or for anybody's poses."""
+
+from __future__ import annotations
+
+import datetime
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from uplift.cli.parsing import EVALUATE_KEYS, keyed, one_of, whole
+from uplift.config.files import absolute, replacing, shipped_names
+from uplift.config.run import RunFolder
+from uplift.data.clean import clean
+from uplift.data.formats.npz import joint_names_of, refuse_other_axes, unit_of
+from uplift.data.load import load_data, load_file, load_split
+from uplift.data.load_masks import known_shapes, load_mask_split, load_masks
+from uplift.data.masks import MaskData
+from uplift.data.parsers.npz import read_arrays
+from uplift.data.poses import PoseData
+from uplift.errors import UserError
+from uplift.metrics.baselines import score_with_floors
+from uplift.metrics.evaluate import evaluate as score
+from uplift.metrics.evaluate_shapes import evaluate_shapes
+from uplift.metrics.report import Evaluation, ShapeEvaluation
+from uplift.metrics.scores import GivenPoses
+from uplift.models.prediction import ShapePrediction
+from uplift.skeleton import Skeleton, load_skeleton
+from uplift.skeleton.match import match_joints
+
+if TYPE_CHECKING:
+    from uplift.models.model import Model, ShapeModel
+
+__all__ = [
+    "MOST",
+    "ScoredShapes",
+    "evaluate",
+    "evaluate_command",
+    "evaluate_model",
+    "evaluate_poses",
+    "evaluate_run_of_shapes",
+    "save_evaluation",
+    "score_shapes",
+]
+
+# The verb evaluate: every protocol for a run, or for anybody's poses.
+
+_IDENTITY = ("subject", "action", "sequence", "camera", "frame")
+
+
+def evaluate(
+    run: str | Path, test: str | Path | None = None, *, refine: bool | None = None, items: int | None = None
+) -> Evaluation | ShapeEvaluation:
+    """Evaluate a run on ``test``, or on its own test data, and write evaluation.json into the run.
+
+    The frames of a clip are lifted together unless ``refine`` is off. Of a run that lifts masks at most
+    ``items`` are scored.
+
+    Raises:
+        UserError: no such run, no truth to compare with, an argument that goes with the other kind of run.
+    """
+    from uplift.models.model import Model, load
+
+    folder = RunFolder.open(run)
+    model = load(folder.path)
+    result: Evaluation | ShapeEvaluation
+    if isinstance(model, Model):
+        if items is not None:
+            raise UserError(f"items={items} goes with a run that lifts masks; {folder.path} lifts keypoints.")
+        truth, name = _test_frames(folder, model.skeleton, test)
+        result = evaluate_model(model, truth, name, refine=refine is not False)
+    else:
+        if refine is not None:
+            raise UserError(f"refine= goes with a run that lifts keypoints; {folder.path} lifts masks.")
+
+        if items is not None and items < 1:
+            raise UserError(f"items={items}: expected how many masks are scored at most, 1 or more.")
+        result = evaluate_run_of_shapes(folder, model, None if test is None else str(test), items or MOST)
+    save_evaluation(result, folder)
+    return result
+
+
+def _test_frames(folder: RunFolder, skeleton: Skeleton, test: str | Path | None) -> tuple[PoseData, str]:
+    settings = folder.settings()
+    if test is not None:
+        settings.data.test = absolute(str(test))
+        settings.data.format = settings.data.layout = None  # what is tested on may come from elsewhere
+        data, _ = clean(load_split(settings, "test", skeleton), skeleton)
+        return data, str(test)
+    chosen = settings.data
+    if chosen.test and not chosen.simulate:
+        data, _ = clean(load_split(settings, "test", skeleton), skeleton)
+        return data, data.source
+    data = load_data(settings, skeleton).test
+    if data is None:
+        raise UserError(f"{folder.path} has no test frames of its own: give data.test=FILE.")
+    return data, data.source
+
+
+def evaluate_model(model: Model, truth: PoseData, name: str, *, refine: bool = True) -> Evaluation:
+    """Return every protocol of ``model`` on cleaned frames with poses."""
+    if truth.pose is None:
+        raise UserError(f"{name}: holds no 'pose' (frames, joints, 3) to compare with, only keypoints.")
+    result = score(model.predict(truth, refine=refine), truth, model.skeleton, name)
+    if model.refines(truth, refine):
+        result.notes.append("the frames of each clip were lifted together (refine=off: each on its own)")
+    return result
+
+
+def evaluate_poses(poses: str | Path, test: str | Path, skeleton: str | None = None) -> Evaluation:
+    """Evaluate poses that came from anywhere: an npz with `pose` and `joint_names`, rows as in ``test``.
+
+    Raises:
+        UserError: not such a file, other joints or other frames than the truth.
+    """
+    arrays = read_arrays(poses, ("pose", "joint_names", "unit", "tilt_deg", "spread", "axes", *_IDENTITY))
+    refuse_other_axes(str(poses), arrays)
+    for key in ("pose", "joint_names"):
+        if key not in arrays:
+            raise UserError(f"{poses}: no array '{key}' (found: {', '.join(sorted(arrays)) or 'none that is needed'}).")
+    names = joint_names_of(str(poses), arrays)
+    chosen = load_skeleton(skeleton) if skeleton else _skeleton_of(names, str(poses))
+    pose = arrays["pose"]
+    if pose.ndim != 3 or pose.shape[1:] != (len(names), 3) or pose.dtype.kind not in "fiu":
+        raise UserError(
+            f"{poses}: 'pose' is {pose.dtype} of shape {pose.shape}, expected numbers (frames, {len(names)}, 3)."
+        )
+    tilt = arrays.get("tilt_deg")
+    if tilt is not None and (tilt.shape != pose.shape[:1] or tilt.dtype.kind not in "fiu"):
+        raise UserError(f"{poses}: 'tilt_deg' is {tilt.dtype} of shape {tilt.shape}, expected numbers ({len(pose)},).")
+    spread = arrays.get("spread")
+    if spread is not None and (spread.shape != pose.shape[:2] or spread.dtype.kind not in "fiu"):
+        raise UserError(
+            f"{poses}: 'spread' is {spread.dtype} of shape {spread.shape}, expected numbers {pose.shape[:2]}."
+        )
+    given = GivenPoses(
+        pose=pose.astype(np.float64),
+        joint_names=names,
+        unit=unit_of(str(poses), arrays, "relative"),
+        tilt_deg=tilt,
+        spread=spread,
+        identity=_identity(str(poses), arrays, len(pose)),
+        source=str(poses),
+    )
+    truth, _ = clean(load_file(test, chosen), chosen, drop=False)
+    if truth.pose is None:
+        raise UserError(f"{test}: holds no 'pose' (frames, joints, 3) to compare with.")
+    return score(given, truth, chosen, str(test))
+
+
+def _identity(where: str, arrays: dict[str, np.ndarray], frames: int) -> dict[str, np.ndarray]:
+    found = {}
+    for key in _IDENTITY:
+        if key in arrays:
+            found[key] = np.repeat(arrays[key], frames) if arrays[key].ndim == 0 else arrays[key]
+            if found[key].shape != (frames,):
+                raise UserError(f"{where}: '{key}' has shape {found[key].shape}, expected ({frames},).")
+    return found
+
+
+def _skeleton_of(names: tuple[str, ...], where: str) -> Skeleton:
+    """Return the shipped skeleton with exactly these joints."""
+    for name in shipped_names("skeletons"):
+        skeleton = load_skeleton(name)
+        if set(skeleton.joints) == set(names):
+            return skeleton
+    for name in shipped_names("skeletons"):
+        skeleton = load_skeleton(name)
+        try:
+            match_joints(names, skeleton)
+        except UserError:
+            continue
+        raise UserError(
+            f"{where}: joints are not exactly a shipped skeleton's; they fit '{name}': say skeleton={name}."
+        )
+    raise UserError(
+        f"{where}: its joints are no shipped skeleton's ({', '.join(names[:8])}, ...): say skeleton=FILE.yaml."
+    )
+
+
+def save_evaluation(result: Evaluation | ShapeEvaluation, folder: RunFolder) -> None:
+    """Write evaluation.json (always the newest), its CSV, and a dated copy under evaluations/."""
+    text = json.dumps(result.to_dict(), indent=1).encode()
+    older = folder.path / "evaluations"
+    older.mkdir(exist_ok=True)
+    stamp = datetime.datetime.now().strftime("%Y-%m-%d_%H-%M-%S")
+    number = 1
+    while (older / f"{stamp}_{number}.json").exists():
+        number += 1
+    for path in (older / f"{stamp}_{number}.json", folder.path / "evaluation.json"):
+        with replacing(path) as file:
+            file.write(text)
+    result.write_csv(folder.path / "evaluation.csv")
+
+
+# Evaluate a run that lifts masks, beside the floors where training shapes are known.
+
+MOST = 100
+"""Test items that are scored where nothing else is said: each takes most of a second, floors and all."""
+
+
+@dataclass(frozen=True)
+class ScoredShapes:
+    """The items that were scored, what the lifter made of them, and how good that is."""
+
+    test: MaskData
+    prediction: ShapePrediction
+    evaluation: ShapeEvaluation
+
+
+def score_shapes(
+    model: ShapeModel, test: MaskData, train: MaskData | None, title: str = "", most: int = MOST
+) -> ScoredShapes:
+    """Return every metric of ``model`` on at most ``most`` masks, and the floors' where ``train`` has true shapes.
+
+    Raises:
+        UserError: test masks without true shapes.
+    """
+    if test.truth is None:
+        raise UserError(
+            f"{test.source or 'the test masks'}: no true shapes to compare with, only masks. `uplift data render` makes "
+            "masks with truth."
+        )
+    notes = []
+    if len(test) > most:
+        rows = np.sort(np.random.default_rng(0).choice(len(test), most, replace=False))
+        notes.append(
+            f"{most:,} of {len(test):,} test masks were scored, chosen at random, always the same (items={most})"
+        )
+        test = test.select(rows)
+    prediction = model.predict(test.without_truth(), title=title)
+    known = None if train is None else known_shapes(train)
+    if known is None:
+        notes.append("no floors: they are made of true training shapes, and none are known")
+        found = evaluate_shapes(prediction, test.truth, test.masks, test.source, test.category)  # type: ignore[arg-type]
+    else:
+        found = score_with_floors(prediction, known, test, test.source)
+    return ScoredShapes(test, prediction, replace(found, notes=[*found.notes, *notes]))
+
+
+def evaluate_run_of_shapes(
+    folder: RunFolder, model: ShapeModel, test: str | None = None, most: int = MOST
+) -> ShapeEvaluation:
+    """Return the metrics of a run on ``test``, or on its own test masks.
+
+    Raises:
+        UserError: no such masks, or no truth to compare with.
+    """
+    settings = folder.settings()
+    if test is not None:
+        chosen = replace(settings.data, test=absolute(test), train=None, simulate=0, format=None, category=None)
+        masks = load_mask_split(replace(settings, data=replace(chosen, images=None, most=None)), "test")
+        train, why = _training_masks(folder)
+    else:
+        loaded = load_masks(settings)
+        if loaded.test is None:
+            raise UserError(f"{folder.path} has no test masks of its own: give data.test=FILE.")
+        masks, train, why = loaded.test, loaded.train, ""
+    found = score_shapes(model, masks, train, most=most).evaluation
+    return replace(found, notes=[*found.notes, why]) if why else found
+
+
+def _training_masks(folder: RunFolder) -> tuple[MaskData | None, str]:
+    """Return the masks that the floors are made of, or why there are none."""
+    settings = folder.settings()
+    settings.data.test = None
+    try:
+        return load_mask_split(settings, "train"), ""
+    except UserError as error:
+        return None, f"the training masks could not be read: {str(error).splitlines()[0]}"
+
+
+# The command evaluate: its words, and what it says at the end.
+
+
+def evaluate_command(words: Sequence[str], use: str) -> None:
+    """Evaluate the run or the poses that the words name, and print all figures; ``use`` is the verb's help."""
+    keys = keyed("evaluate", words, EVALUATE_KEYS)
+    if ("run" in keys) == ("poses" in keys):
+        raise UserError(f"evaluate takes run=RUN or poses=FILE. ({use})")
+
+    if "run" in keys:
+        if "skeleton" in keys:
+            raise UserError("evaluate run=...: the run knows its skeleton; skeleton= goes with poses=.")
+        refine = one_of("evaluate", keys, "refine", ("on", "off"), "on") == "on" if "refine" in keys else None
+        items = whole("evaluate", keys, "items")
+        print(evaluate(keys["run"], keys.get("data.test"), refine=refine, items=items).table())
+        from uplift.config.run import RunFolder
+
+        folder = RunFolder.open(keys["run"]).path
+        print(f"\nwrote {folder}/evaluation.json and evaluation.csv (older ones: evaluations/)")
+        print(f"next: uplift compare {folder} OTHER_RUN")
+        return
+    for key in ("refine", "items"):
+        if key in keys:
+            raise UserError(f"evaluate poses=FILE takes the poses as they are: {key}= goes with run=.")
+    if "data.test" not in keys:
+        raise UserError("evaluate poses=FILE needs data.test=FILE with the true poses.")
+    print(evaluate_poses(keys["poses"], keys["data.test"], keys.get("skeleton")).table())

@@ -1,0 +1,126 @@
+"""The verb fit: from settings to a run folder with a trained lifter of keypoints or masks, its errors and a page."""
+
+from __future__ import annotations
+
+import os
+import shlex
+import sys
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import torch
+from lightning.pytorch.utilities.rank_zero import rank_zero_only
+
+from uplift.cli.report import report
+from uplift.config.loading import load_settings
+from uplift.config.run import RunFolder
+from uplift.config.settings import Settings
+from uplift.data.load import load_data
+from uplift.errors import UserError
+from uplift.skeleton import Skeleton, load_skeleton
+from uplift.training.callbacks import Interrupted
+from uplift.training.recipe import Recipe
+
+__all__ = ["fit", "fit_settings"]
+
+_RUN_VARIABLE = "UPLIFT_RUN_OF_THIS_FIT"
+
+
+def fit(task: str | None = None, *overrides: str, resume: str | Path | None = None) -> RunFolder:
+    """Train a lifter and return its run folder; the Python face of ``uplift fit``.
+
+    ``overrides`` are ``key=value`` texts. With ``resume`` an interrupted run goes on with the
+    settings it was started with.
+
+    Raises:
+        UserError: anything wrong with settings, data or skeleton.
+        uplift.training.callbacks.Interrupted: Ctrl-C; the run can be resumed.
+    """
+    if resume is not None:
+        if task or overrides:
+            raise UserError(
+                "resume=RUN goes on with the run's own settings: give it no others. For others start from init=RUN."
+            )
+        run = RunFolder.open(resume)
+        return fit_settings(run.settings(), run)
+    settings = load_settings(task, overrides)
+    return fit_settings(settings)
+
+
+@dataclass(frozen=True)
+class _Fit:
+    """What is trained, whatever it lifts."""
+
+    about: str
+    """What it lifts, for the first line."""
+    notes: list[str]
+    recipe: Any
+    """With `notes`, `spent` and `train(run)`, which returns a model with `save(path)`."""
+    report: Callable[[RunFolder, Any], None]
+
+
+def fit_settings(settings: Settings, run: RunFolder | None = None) -> RunFolder:
+    """Train as ``settings`` say, in a new run folder or going on in ``run``."""
+    if settings.trainer.threads:
+        torch.set_num_threads(settings.trainer.threads)
+    fit = (_masks if settings.lifts == "masks" else _keypoints)(settings, run)
+    run = _run_of_all_ranks(run, settings)
+    if rank_zero_only.rank == 0:
+        print(f"uplift fit: {settings.task or 'own data'}, {fit.about}, seed {settings.seed}")
+        print("\n".join([*fit.notes, *fit.recipe.notes, f"run: {run.path}"]), flush=True)
+    try:
+        model = fit.recipe.train(run)
+    except KeyboardInterrupt:  # between stages, where nothing watches for it; checkpoints are whole
+        raise Interrupted(run.path) from None
+    except BaseException:
+        run.discard_if_empty()
+        raise
+    if rank_zero_only.rank == 0:
+        model.save(run.weights)
+        run.link_last()
+        fit.report(run, model)
+    return run
+
+
+def _keypoints(settings: Settings, run: RunFolder | None) -> _Fit:
+    skeleton = _skeleton(settings)
+    loaded = load_data(settings, skeleton)
+    recipe = Recipe(settings, skeleton, loaded, run)
+
+    def reported(run: RunFolder, model: Any) -> None:
+        report(run, model, settings, loaded, recipe.spent)
+
+    return _Fit(f"skeleton {skeleton.name}", loaded.notes, recipe, reported)
+
+
+def _masks(settings: Settings, run: RunFolder | None) -> _Fit:
+    from uplift.cli.report import report_shapes
+    from uplift.data.load_masks import load_masks
+    from uplift.training.shape_recipe import ShapeRecipe
+
+    loaded = load_masks(settings)
+    recipe = ShapeRecipe(settings, loaded.for_training())
+
+    def reported(run: RunFolder, model: Any) -> None:
+        report_shapes(run, model, settings, loaded, recipe.spent)
+
+    return _Fit("masks", loaded.notes, recipe, reported)
+
+
+def _run_of_all_ranks(run: RunFolder | None, settings: Settings) -> RunFolder:
+    """Return one folder for all processes: Lightning starts this command again for every further rank."""
+    if rank_zero_only.rank != 0 and _RUN_VARIABLE in os.environ:
+        return RunFolder.open(os.environ[_RUN_VARIABLE])
+    if run is None:
+        words = sys.argv[1:] if Path(sys.argv[0]).stem in ("uplift", "cli") else [f"({Path(sys.argv[0]).name})"]
+        run = RunFolder.create(settings, shlex.join(["uplift", *words]))
+    os.environ[_RUN_VARIABLE] = str(run.path.absolute())
+    return run
+
+
+def _skeleton(settings: Settings) -> Skeleton:
+    if not settings.skeleton:
+        raise UserError("No skeleton: set skeleton=NAME (`uplift skeletons` lists them) or skeleton=FILE.yaml.")
+    return load_skeleton(settings.skeleton)

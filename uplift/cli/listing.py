@@ -1,0 +1,132 @@
+"""What is there: tasks with their data, shipped skeletons, runs side by side."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from uplift.config.files import shipped_names
+from uplift.config.loading import load_settings
+from uplift.config.run import RunFolder
+from uplift.data.load import find_data, set_of
+from uplift.errors import UserError
+from uplift.metrics.protocols import BEST_FLOOR, SHAPE_METRICS, metric_order
+from uplift.skeleton import load_skeleton
+
+__all__ = ["compare", "list_skeletons", "list_tasks", "spread"]
+
+# What is there: tasks with their data, shipped skeletons.
+
+
+def list_tasks() -> str:
+    """Return a line for each shipped task: name, whether its data is present, what it is."""
+    lines = []
+    for name in shipped_names("tasks"):
+        if name == "default":
+            continue
+        settings = load_settings(name)
+        if settings.data.simulate:
+            state = "no data needed"
+        elif not settings.data.train:
+            state = "data.train=..."
+        else:
+            try:
+                if set_of(settings, "train") is None:
+                    find_data(settings, "train")
+                state = "data present"
+            except UserError:
+                state = "data missing"
+        lines.append(f"{name:<18} {state:<15} {settings.description.strip().splitlines()[0]}")
+    return "\n".join([*lines, "", "uplift fit task=NAME; a task file of your own: uplift fit task=FILE.yaml"])
+
+
+def list_skeletons() -> str:
+    """Return a line for each shipped skeleton."""
+    lines = []
+    for name in shipped_names("skeletons"):
+        skeleton = load_skeleton(name)
+        views = "gravity" if skeleton.gravity else "no gravity"
+        lines.append(f"{name:<18} {len(skeleton.joints):>3} joints  {views:<10}  {skeleton.description}")
+    return "\n".join(
+        [*lines, "", "uplift skeleton check NAME|FILE draws one; uplift skeleton new FILE starts your own"]
+    )
+
+
+# The verb compare: runs side by side, and the spread over seeds.
+
+_POSES = (
+    "p_mpjpe", "n_mpjpe", "mpjpe_gt_scale", "mpjpe", "p_mpjpe_reflect", "pck@150", "auc", "mpjve",
+    "facing", "facing_sign", "elevation_deg", "bone_cv", "symmetry",
+)  # fmt: skip
+_SHAPES = sorted([*SHAPE_METRICS, *(BEST_FLOOR + name for name in SHAPE_METRICS)], key=metric_order)
+
+
+def compare(runs: Sequence[str | Path]) -> str:
+    """Return a table with a row for each protocol and a column for each run.
+
+    Raises:
+        UserError: fewer than two runs, one that was never evaluated, or runs that lift different things.
+    """
+    if len(runs) < 2:
+        raise UserError("compare needs two runs or more: uplift compare runs/a/last runs/b/last")
+    folders = [RunFolder.open(run) for run in runs]
+    found = [(folder, folder.evaluation()) for folder in folders]
+    for folder, evaluation in found:
+        if evaluation is None:
+            raise UserError(f"{folder.path} was not evaluated: uplift evaluate run={folder.path} data.test=FILE")
+    evaluations = [e for _, e in found if e is not None]
+    shown, wide = _protocols(folders, evaluations)
+    names = [_label(f.path) for f in folders]
+    lines = [
+        f"[{i + 1}] {name}  seed {f.facts().get('seed')}"
+        for i, (name, f) in enumerate(zip(names, folders, strict=True))
+    ]
+    tested = {e["data"] for e in evaluations}
+    if len(tested) > 1:
+        lines.append(
+            "Not the same test data: " + "; ".join(f"[{i + 1}] {e['data']}" for i, e in enumerate(evaluations))
+        )
+    else:
+        lines.append(f"test data: {tested.pop()}")
+    lines += ["", f"{'protocol':<{wide}}" + "".join(f"{f'[{i + 1}]':>10}" for i in range(len(runs)))]
+    for name in shown:
+        values = [e["overall"].get(name) for e in evaluations]
+        if any(value is not None for value in values):
+            lines.append(f"{name:<{wide}}" + "".join(f"{v:10.3f}" if v is not None else f"{'-':>10}" for v in values))
+    return "\n".join(lines)
+
+
+def spread(runs: Sequence[RunFolder]) -> str:
+    """Return mean and standard deviation over the runs' seeds, a row for each protocol."""
+    evaluations = [e for e in (run.evaluation() for run in runs) if e is not None]
+    if not evaluations:
+        return "No run was evaluated: no mean to give."
+    seeds = ", ".join(str(run.facts().get("seed")) for run in runs)
+    shown, wide = _protocols(runs, evaluations)
+    lines = [f"seeds {seeds}: mean and standard deviation", f"{'protocol':<{wide}}{'mean':>10}{'sd':>9}"]
+    for name in shown:
+        values = [e["overall"][name] for e in evaluations if name in e["overall"]]
+        if len(values) == len(evaluations):
+            mean = sum(values) / len(values)
+            sd = math.sqrt(sum((v - mean) ** 2 for v in values) / max(1, len(values) - 1))
+            lines.append(f"{name:<{wide}}{mean:10.3f}{sd:9.3f}")
+    return "\n".join(lines)
+
+
+def _protocols(runs: Sequence[RunFolder], evaluations: Sequence[Mapping[str, Any]]) -> tuple[Sequence[str], int]:
+    """Return the figures that are shown of such runs, and how wide their names are; refuse runs of both kinds."""
+    of_shapes = ["silhouette_iou_seen" in e["overall"] for e in evaluations]
+    if len(set(of_shapes)) > 1:
+        masks, others = (
+            str(next(r.path for r, is_one in zip(runs, of_shapes, strict=False) if is_one is k)) for k in (True, False)
+        )
+        raise UserError(
+            f"{masks} lifts masks and {others} lifts keypoints: they have no figure in common. Compare runs of one kind."
+        )
+    return (_SHAPES, 34) if any(of_shapes) else (_POSES, 18)
+
+
+def _label(path: Path) -> str:
+    return "/".join(path.parts[-2:])

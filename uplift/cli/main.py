@@ -1,0 +1,291 @@
+# PYTHON_ARGCOMPLETE_OK
+"""The command line: ``uplift VERB key=value ...``. Heavy imports wait for the verb that needs them."""
+
+from __future__ import annotations
+
+import argparse
+import errno
+import sys
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+from uplift import __version__
+from uplift.cli.parsing import EVALUATE_KEYS, PREDICT_KEYS, keyed, number, whole
+from uplift.errors import UserError
+
+__all__ = ["main"]
+
+_VERBS = {
+    "fit": "train a lifter: fit task=NAME, or fit skeleton=NAME data.train=FILE, or fit task=masks data.train=FOLDER; "
+    "also resume=RUN",
+    "evaluate": "every protocol: evaluate run=RUN [data.test=FILE], or evaluate poses=FILE data.test=FILE",
+    "predict": "lift keypoints or masks: predict run=RUN input=FILE|FOLDER|SET:SPLIT output=FILE.html|.npz|.csv|.bvh|.glb|...",
+    "simulate": "made-up bodies with exact poses: simulate skeleton=NAME output=FILE.npz|.csv [frames=20000 seed=0]",
+    "compare": "runs side by side: compare RUN RUN ...",
+    "data": "data check task=NAME [data.root=FOLDER]: what is there and what is missing; data cmu FOLDER; "
+    "data render MESHES... output=FILE.npz|FOLDER: masks of meshes or of made-up shapes",
+    "tasks": "list the tasks and whether their data is present",
+    "skeletons": "list the shipped skeletons",
+    "skeleton": "skeleton check FILE [output=FILE.png]; skeleton new FILE [--from TRACKER_FILE]; "
+    "skeleton map TRACKER_FILE skeleton=NAME",
+}
+# What the user can mend by naming another place; a full disk is none of these.
+_MENDABLE = (errno.EACCES, errno.EPERM, errno.EROFS, errno.ENAMETOOLONG, errno.ENOTDIR, errno.EISDIR, errno.ELOOP)
+_EXAMPLES = """examples:
+  uplift fit task=demo                                  no data needed: a minute or two, then a page to look at
+  uplift data check task=cmu                            what is there, what is missing, where it comes from
+  uplift fit task=cmu trainer.max_time=00:04:00         any setting as key=value
+  uplift fit skeleton=beetle.yaml data.train=beetle.npz your own data
+  uplift evaluate run=runs/cmu/last
+  uplift predict run=runs/cmu/last input=keypoints.npz output=poses.html
+  uplift predict run=runs/mpii/last input=mpii:train output=gallery.html page=gallery
+  uplift fit task=masks_demo                            shapes from masks, no data needed: ten minutes
+  uplift predict run=runs/masks_demo/last input=masks output=shapes.glb
+"""
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run one command; returns the exit status: 0, 2 for a user's mistake or missing data, 1 for ours, 130 for Ctrl-C."""
+    parser = _parser()
+    given = parser.parse_args(_folded(arguments))
+    if given.verb is None:
+        parser.print_help()
+        return 0
+    try:
+        return _RUN[given.verb](given.settings) or 0
+    except UserError as error:
+        print(f"uplift: {error}", file=sys.stderr)
+        return 2
+    except KeyboardInterrupt:
+        print("\nuplift: interrupted", file=sys.stderr)
+        return 130
+    except BrokenPipeError:
+        return 1
+    except MemoryError:
+        print(
+            "uplift: out of memory. Use fewer frames or masks (data.select.fraction) or smaller batches.",
+            file=sys.stderr,
+        )
+        return 1
+    except OSError as error:
+        where = f" ({error.filename})" if error.filename else ""
+        mine = error.errno in _MENDABLE
+        rest = "" if mine else " What was saved before is whole."
+        print(f"uplift: {error.strerror or error}{where}.{rest}", file=sys.stderr)
+        return 2 if mine else 1
+
+
+def _folded(arguments: Sequence[str] | None) -> list[str]:
+    """Return the words with ``--from FILE`` of skeleton new as ``from=FILE``: argparse takes no words after an option."""
+    words = list(sys.argv[1:] if arguments is None else arguments)
+    if words[:1] == ["skeleton"]:
+        words = [f"from={word[7:]}" if word.startswith("--from=") else word for word in words]
+        while "--from" in words:
+            at = words.index("--from")
+            words[at : at + 2] = [f"from={''.join(words[at + 1 : at + 2])}"]
+    return words
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="uplift",
+        description="Lift 2D keypoints or masks of anything to 3D, learning from 2D alone.",
+        epilog=_EXAMPLES,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("--version", action="version", version=f"uplift {__version__}")
+    verbs = parser.add_subparsers(dest="verb", metavar="VERB")
+    for verb, text in _VERBS.items():
+        sub = verbs.add_parser(verb, help=text, description=text)
+        words = sub.add_argument("settings", nargs="*", metavar="key=value" if verb != "compare" else "RUN")
+        words.completer = _complete(verb)  # type: ignore[attr-defined]
+    try:
+        import argcomplete
+
+        argcomplete.autocomplete(parser)
+    except ImportError:
+        pass
+    return parser
+
+
+def _complete(verb: str) -> Callable[..., list[str]]:
+    def complete(prefix: str, **rest: object) -> list[str]:
+        from uplift.config.files import shipped_names
+        from uplift.config.loading import setting_names
+
+        if verb == "skeleton":
+            names = (f"skeleton={name}" for name in shipped_names("skeletons"))
+            return [
+                "check",
+                "new",
+                "map",
+                *names,
+                *(f"{key}=" for key in ("from", "root", "gravity", "format", "layout")),
+            ]
+        if verb == "data":
+            return ["check", "cmu", "render", *(f"task={name}" for name in shipped_names("tasks")), "data.root="]
+        known = {key: [""] for key in _KEYS.get(verb, ())}
+        if verb == "fit":
+            known |= {name: [""] for name in setting_names()} | {"resume": [""]}
+            known["task"] = [name for name in shipped_names("tasks") if name != "default"]
+        known["skeleton"] = shipped_names("skeletons")
+        return [f"{key}={value}" for key, values in known.items() for value in values]
+
+    return complete
+
+
+_KEYS = {
+    "evaluate": EVALUATE_KEYS,
+    "predict": PREDICT_KEYS,
+    "simulate": ("skeleton", "output", "frames", "seed", "clip_seconds", "noise_px", "missing", "tracker"),
+}
+
+
+def _fit(words: Sequence[str]) -> None:
+    task, resume = None, None
+    seeds: list[list[str]] = [[]]
+    overrides: list[str] = []
+    for word in words:
+        key, _, value = word.partition("=")
+        if key in ("task", "resume") and not value:
+            raise UserError(f"fit: '{word}' names nothing. Expected {key}={key.upper().replace('RESUME', 'RUN')}.")
+        if key == "task":
+            task = value
+        elif key == "resume":
+            resume = value
+        elif key == "seed" and "," in value:
+            seeds = [[f"seed={seed.strip()}"] for seed in value.split(",")]
+        else:
+            overrides.append(word)
+    from uplift.config.loading import load_settings
+
+    # A typo answers before torch is imported, and before the first of several fits.
+    wanted = [] if resume else [load_settings(task, [*overrides, *seed]) for seed in seeds]
+    from uplift.cli.fit import fit, fit_settings
+    from uplift.cli.listing import spread
+    from uplift.training.callbacks import Interrupted
+
+    runs = []
+    try:
+        if resume:
+            fit(task, *overrides, *seeds[0], resume=resume)
+        for settings in wanted:
+            runs.append(fit_settings(settings))
+    except Interrupted as stopped:
+        print(f"\nstopped and saved. Go on with: uplift fit resume={stopped}", file=sys.stderr)
+        raise KeyboardInterrupt from stopped
+    if len(runs) > 1:
+        print(f"\n{spread(runs)}")
+
+
+def _evaluate(words: Sequence[str]) -> None:
+    from uplift.cli.evaluate import evaluate_command
+
+    evaluate_command(words, _VERBS["evaluate"])
+
+
+def _predict(words: Sequence[str]) -> None:
+    from uplift.cli.predict import predict_command
+
+    predict_command(words)
+
+
+def _simulate(words: Sequence[str]) -> None:
+    keys = keyed("simulate", words, _KEYS["simulate"], ("skeleton", "output"))
+    found = {key: whole("simulate", keys, key) for key in ("frames", "seed")}
+    found |= {key: number("simulate", keys, key) for key in ("clip_seconds", "noise_px", "missing")}
+    told = {key: value for key, value in (found | {"tracker": keys.get("tracker")}).items() if value is not None}
+    from uplift.cli.simulate import simulate
+
+    written: list[Path] = []
+    data = simulate(keys["skeleton"], keys["output"], written=written, **told)  # type: ignore[arg-type]
+    output = Path(keys["output"])
+    several = len(written) > 1
+    files = f"{len(written)} files, {written[0]} to {written[-1].name}" if several else output
+    train = f"'{output.with_name(f'{output.stem}_*{output.suffix}')}'" if several else output
+    print(f"simulated {len(data):,} frames of {keys['skeleton']}\nwrote {files}")
+    print(f"next: uplift fit skeleton={keys['skeleton']} data.train={train}")
+
+
+def _compare(words: Sequence[str]) -> None:
+    from uplift.cli.listing import compare
+
+    print(compare(words))
+
+
+def _tasks(words: Sequence[str]) -> None:
+    from uplift.cli.listing import list_tasks
+
+    _refuse(words, "tasks")
+    print(list_tasks())
+
+
+def _skeletons(words: Sequence[str]) -> None:
+    from uplift.cli.listing import list_skeletons
+
+    _refuse(words, "skeletons")
+    print(list_skeletons())
+
+
+def _skeleton(words: Sequence[str]) -> int:
+    from uplift.cli.skeleton import check_skeleton_file, new_skeleton_file
+
+    fits = True
+    if words and words[0] == "map":
+        from uplift.cli.skeleton import map_joints
+
+        lines, fits = map_joints(list(words[1:]))
+    elif words and words[0] in ("check", "new"):
+        lines = (check_skeleton_file if words[0] == "check" else new_skeleton_file)(list(words[1:]))
+    else:
+        raise UserError(
+            "skeleton: expected `uplift skeleton check FILE [output=FILE.png]`, `uplift skeleton new FILE "
+            "[--from TRACKER_FILE]` or `uplift skeleton map TRACKER_FILE skeleton=NAME`."
+        )
+    for line in lines:
+        print(line)
+    return 0 if fits else 2
+
+
+def _data(words: Sequence[str]) -> int:
+    if words and words[0] == "check":
+        from uplift.cli.data_check import check_data
+
+        lines, complete = check_data(list(words[1:]))
+    elif words and words[0] == "cmu":
+        from uplift.cli.data_cmu import make_cmu_files
+
+        lines, complete = make_cmu_files(list(words[1:])), True
+    elif words and words[0] == "render":
+        from uplift.cli.data_render import render_masks_command
+
+        lines, complete = render_masks_command(list(words[1:])), True
+    else:
+        raise UserError(
+            "data: expected `uplift data check task=NAME`, `uplift data cmu FOLDER` or "
+            "`uplift data render MESHES output=FILE.npz`."
+        )
+    for line in lines:
+        print(line)
+    return 0 if complete else 2
+
+
+def _refuse(words: Sequence[str], verb: str) -> None:
+    if words:
+        raise UserError(f"{verb} takes no settings, found '{words[0]}'.")
+
+
+_RUN: dict[str, Callable[[Sequence[str]], int | None]] = {
+    "fit": _fit,
+    "evaluate": _evaluate,
+    "predict": _predict,
+    "simulate": _simulate,
+    "compare": _compare,
+    "data": _data,
+    "tasks": _tasks,
+    "skeletons": _skeletons,
+    "skeleton": _skeleton,
+}
+
+if __name__ == "__main__":
+    sys.exit(main())

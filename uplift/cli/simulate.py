@@ -1,0 +1,106 @@
+"""The verb simulate: keypoints and exact poses of a made-up body, to rehearse a skeleton with."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from uplift.data.poses import PoseData
+from uplift.errors import UserError, did_you_mean
+from uplift.skeleton import Skeleton, load_skeleton
+
+__all__ = ["simulate"]
+
+_ENDINGS = (".npz", ".csv")
+_TRACKERS = ("deeplabcut",)
+_MOST_FILES = 1000
+
+
+def simulate(
+    skeleton: str | Path | Skeleton,
+    output: str | Path | None = None,
+    *,
+    frames: int = 20000,
+    seed: int = 0,
+    tracker: str | None = None,
+    written: list[Path] | None = None,
+    **options: Any,
+) -> PoseData:
+    """Simulate ``frames`` frames of ``skeleton`` and write them to ``output`` (.npz or .csv), if given.
+
+    An .npz has the exact poses too, a .csv the 2D alone. With ``tracker`` (``deeplabcut``) the .csv is what
+    that tracker would have written: its layout, a file for each clip, a guess where a joint is missing.
+    ``options`` are those of `uplift.data.synthetic.simulate`. The files written are added to ``written``.
+
+    Raises:
+        UserError: a skeleton without proportions, an output that exists or has another ending, no such tracker.
+    """
+    from uplift.data.synthetic.simulate import simulate as run
+
+    if output is not None:
+        output = _checked(Path(output), tracker)
+    elif tracker is not None:
+        raise UserError(f"tracker={tracker} is a layout of files: give output=FILE.csv.")
+    if seed < 0:
+        raise UserError(f"seed={seed}: expected a whole number of at least 0.")
+    if frames < 1:
+        raise UserError(f"frames={frames}: expected at least 1.")
+    chosen = skeleton if isinstance(skeleton, Skeleton) else load_skeleton(skeleton)
+    data = run(chosen, frames, seed=seed, **options)
+    if output is not None:
+        files = _write(data, output, tracker, seed)
+        if written is not None:
+            written += files
+    return data
+
+
+def _checked(output: Path, tracker: str | None) -> Path:
+    """Return ``output``, which can be written."""
+    ending = output.suffix.lower()
+    if ending not in _ENDINGS:
+        raise UserError(f"output={output}: simulated data is written as {' or '.join(_ENDINGS)}.")
+    if tracker is not None and tracker not in _TRACKERS:
+        raise UserError(f"tracker={tracker}: expected {' or '.join(_TRACKERS)}.{did_you_mean(tracker, _TRACKERS)}")
+    if tracker is not None and ending != ".csv":
+        raise UserError(f"output={output}: the files of tracker={tracker} are .csv.")
+    if output.exists():
+        raise UserError(f"{output} exists already and is not overwritten: remove it or choose another name.")
+    if not output.absolute().parent.is_dir():
+        raise UserError(f"output={output}: no folder {output.absolute().parent}. Create it first.")
+    return output
+
+
+def _write(data: PoseData, output: Path, tracker: str | None, seed: int) -> list[Path]:
+    """Write the frames and return the files."""
+    if tracker is not None:
+        return _write_videos(data, output, seed)
+    if output.suffix.lower() == ".csv":
+        from uplift.data.formats.csv import write_keypoints_csv
+
+        write_keypoints_csv(data.without_truth(), output)
+    else:
+        from uplift.data.formats.npz import write_keypoints
+
+        write_keypoints(data, output)
+    return [output]
+
+
+def _write_videos(data: PoseData, output: Path, seed: int) -> list[Path]:
+    """Write a file for each clip, in DeepLabCut's layout."""
+    from uplift.data.formats.deeplabcut import write_deeplabcut_csv
+    from uplift.data.synthetic.simulate import as_tracked
+    from uplift.export.clips import paths_of
+
+    clips = np.unique(data.identity["sequence"])
+    if len(clips) > _MOST_FILES:
+        raise UserError(
+            f"{len(clips):,} clips, and this layout needs a file for each; the most is {_MOST_FILES}. Give fewer frames=, "
+            "or longer clips, such as clip_seconds=30."
+        )
+    tracked = as_tracked(data, seed)
+    paths = paths_of(output, [str(clip) for clip in clips])
+    for clip, path in zip(clips, paths, strict=True):
+        write_deeplabcut_csv(tracked.select(data.identity["sequence"] == clip), path)
+    return paths

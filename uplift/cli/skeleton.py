@@ -1,0 +1,289 @@
+"""The verbs skeleton check, new and map: a skeleton file, and which joint of a tracker's file goes where."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from uplift.config.files import shipped, shipped_names
+from uplift.data.clean import MIN_VISIBLE, clean
+from uplift.data.formats import read
+from uplift.data.formats.base import ReadOptions
+from uplift.data.load import in_joints_of
+from uplift.data.poses import PoseData
+from uplift.errors import UserError, did_you_mean
+from uplift.skeleton import Skeleton, load_skeleton
+from uplift.skeleton.match import JointMatch, match_joints
+from uplift.skeleton.propose import TOO_LONG, guess_parts, quoted, stretch_of
+
+__all__ = ["check_skeleton_file", "fitting_skeletons", "keyed_words", "map_joints", "new_skeleton_file", "reading"]
+
+# The verbs skeleton check and skeleton new.
+
+READING = ("format", "layout", "min_confidence")
+
+
+def check_skeleton_file(words: list[str]) -> list[str]:
+    """Validate a skeleton, draw it, and return what to say."""
+    from uplift.skeleton.draw import draw_skeleton
+
+    names = [word for word in words if "=" not in word]
+    keyed = dict(word.split("=", 1) for word in words if "=" in word)
+    if len(names) != 1 or set(keyed) - {"output"}:
+        wrong = next(iter(set(keyed) - {"output"}), "")
+        hint = did_you_mean(wrong, ["output"]) if wrong else ""
+        raise UserError(f"skeleton check takes one FILE (or a shipped name) and output=FILE.png.{hint}")
+    skeleton = load_skeleton(names[0])
+    output = Path(keyed.get("output", f"{skeleton.name}.png"))
+    if output.suffix.lower() != ".png":
+        raise UserError(f"output={output}: the drawing is a .png.")
+    if output.exists() and "output" in keyed:
+        raise UserError(f"{output} exists already and is not overwritten: remove it or choose another name.")
+    number = 2
+    while output.exists():
+        output = Path(f"{skeleton.name}_{number}.png")
+        number += 1
+    draw_skeleton(skeleton, output)
+    facing = ", ".join(skeleton.facing) or "none: the depth-mirrored pose cannot be told from the true one"
+    return [
+        f"{skeleton.name}: {len(skeleton.joints)} joints, {len(skeleton.bones)} bones, root {skeleton.root}",
+        f"mirror pairs: {len(skeleton.mirror)}; facing: {facing}; gravity: {'yes' if skeleton.gravity else 'no'}",
+        f"other layouts it can be built from: {', '.join(skeleton.sources) or 'none'}",
+        f"simulator: {'ready' if skeleton.body else 'no proportions given'}",
+        f"wrote {output}",
+        f"next: uplift fit skeleton={names[0]} data.train=KEYPOINTS",
+    ]
+
+
+def new_skeleton_file(words: list[str]) -> list[str]:
+    """Write a commented starting file, or one proposed from a tracker's file, and return what to say."""
+    names, keyed = keyed_words("new", words, ("from", "root", "gravity", *READING))
+    if len(names) != 1:
+        raise UserError("skeleton new takes one FILE, such as beetle.yaml, and --from TRACKER_FILE if you have one.")
+    path = Path(names[0] if names[0].endswith((".yaml", ".yml")) else f"{names[0]}.yaml")
+    if path.exists():
+        raise UserError(f"{path} exists already and is not overwritten: remove it or choose another name.")
+    if not path.parent.is_dir():
+        raise UserError(f"No folder {path.parent} to write {path.name} into.")
+    if "from" in keyed:
+        return _write_proposal(path, keyed)
+    if keyed:
+        raise UserError(f"skeleton new: '{next(iter(keyed))}=' goes with --from FILE.")
+    from uplift.skeleton.propose import skeleton_template
+
+    path.write_text(skeleton_template(path.stem))
+    return [f"wrote {path}", f"next: edit it, then uplift skeleton check {path}"]
+
+
+def keyed_words(verb: str, words: list[str], known: tuple[str, ...]) -> tuple[list[str], dict[str, str]]:
+    """Return the plain words and the ``key=value`` words; raises UserError for keys that are not ``known``."""
+    names, keyed = [], {}
+    for word in words:
+        key, equals, value = word.partition("=")
+        if not equals or (key not in known and Path(word).exists()):
+            names.append(word)
+        elif key not in known:
+            raise UserError(f"skeleton {verb}: '{word}' is not one of its settings.{did_you_mean(key, known)}")
+        elif not value:
+            raise UserError(f"skeleton {verb}: '{key}=' has no value.")
+        else:
+            keyed[key] = value
+    return names, keyed
+
+
+def reading(keyed: dict[str, str]) -> ReadOptions:
+    """Return what the words say of a file that is to be read."""
+    try:
+        weakest = float(keyed.get("min_confidence", 0))
+    except ValueError:
+        raise UserError(f"min_confidence={keyed['min_confidence']}: expected a number from 0 to 1.") from None
+    if not 0 <= weakest <= 1:
+        raise UserError(f"min_confidence={weakest:g}: expected a number from 0 to 1.")
+    return ReadOptions(format=keyed.get("format"), layout=keyed.get("layout"), min_confidence=weakest)
+
+
+def _write_proposal(path: Path, keyed: dict[str, str]) -> list[str]:
+    from uplift.data.formats import read
+    from uplift.skeleton.propose import facing_guess, proposal_text, propose
+
+    gravity = keyed.get("gravity", "yes").casefold()
+    if gravity not in ("yes", "no", "true", "false"):
+        raise UserError(f"gravity={keyed['gravity']}: expected yes or no.")
+    data = read(keyed["from"], reading(keyed))
+    found = propose(data, path.stem, keyed.get("root"), gravity in ("yes", "true"))
+    path.write_text(proposal_text(found, str(path), keyed["from"]))
+    skeleton = found.skeleton
+    guessed = len(skeleton.bones) - len(found.from_file)
+    lines = [
+        *data.notes,
+        f"{len(skeleton.joints)} joints, root {skeleton.root}; {len(skeleton.mirror)} mirror pairs; "
+        f"bones: {len(found.from_file)} from the file, {guessed} guessed by distance",
+    ]
+    if found.hidden:
+        lines.append(f"left out, as no frame shows them: {', '.join(found.hidden)}")
+
+    fitting = fitting_skeletons(data)
+    if fitting:
+        lines.append(f"shipped skeletons that fit this file as they are: {', '.join(fitting)}: better than a guess")
+    said = "guessed by the names, in comments" if facing_guess(skeleton) else "not known"
+    return [
+        *lines,
+        f"to do: look at the bones; facing is {said}",
+        f"wrote {path}",
+        f"next: edit it, then uplift skeleton check {path}, and uplift skeleton map {keyed['from']} skeleton={path}",
+    ]
+
+
+# The verb skeleton map: which joint of a tracker's file goes where, before anything is lifted.
+
+_LIKELY = 1.5  # see `stretched`
+
+
+def map_joints(words: list[str]) -> tuple[list[str], bool]:
+    """Return what to say of how a file's joints make a skeleton's, and whether the file can be lifted.
+
+    Raises:
+        UserError: no such file or skeleton, or one that cannot be read.
+    """
+    names, keyed = keyed_words("map", words, ("skeleton", *READING))
+    if len(names) != 1 or "skeleton" not in keyed:
+        raise UserError("skeleton map takes one FILE or FOLDER and skeleton=NAME or skeleton=FILE.yaml.")
+    skeleton = load_skeleton(keyed["skeleton"])
+    data = read(names[0], reading(keyed))
+    lines = [f"{names[0]}: {_counts(data)}", *(f"  {note}" for note in data.notes), ""]
+    try:
+        match = match_joints(data.joint_names, skeleton)
+    except UserError as error:
+        return [*lines, f"it cannot be lifted as {skeleton.name}: {error}", *_help(data, skeleton)], False
+    built = in_joints_of(data, skeleton)
+    how = "by name" if match.layout is None else f"by its layout '{match.layout}'"
+    lines += [f"{skeleton.name}, {how}:", *_table(match, skeleton, built)]
+    if match.unused:
+        lines.append(f"  unused: {', '.join(match.unused)}")
+    said, fits = _verdict(data, skeleton, built)
+    return [*lines, "", said], fits
+
+
+def _counts(data: PoseData) -> str:
+    """Return how many frames, individuals and joints a file has."""
+    who = data.identity.get("instance")
+    frames = f"{len(data):,} frames"
+    if who is not None and len(np.unique(who)) > 1:
+        frames = f"{len(data):,} frames of {len(np.unique(who)):,} individuals"
+    kinds = np.unique(data.identity["category"]).tolist() if "category" in data.identity else []
+    shown = f" ({', '.join(map(str, kinds[:6]))}{', ...' if len(kinds) > 6 else ''})" if kinds else ""
+    return f"{frames}{shown}, {len(data.joint_names)} joints"
+
+
+def _table(match: JointMatch, skeleton: Skeleton, built: PoseData) -> list[str]:
+    """Return a line for each joint: what it is made of, how often and how surely it is seen."""
+    seen = built.confidence > 0
+    rows = []
+    for place, joint in enumerate(skeleton.joints):
+        parts = match.parts.get(joint)
+        if parts is None:
+            rows.append((joint, "MISSING", ""))
+            continue
+        made = parts[0] if len(parts) == 1 else f"mean of {', '.join(dict.fromkeys(parts))}"
+        sure = f", confidence {built.confidence[seen[:, place], place].mean():.2f}" if seen[:, place].any() else ""
+        rows.append((joint, made, f"seen in {_percent(seen[:, place])} of frames{sure}"))
+    wide = [max(len(row[column]) for row in rows) for column in (0, 1)]
+    return [f"  {joint:<{wide[0]}} <- {made:<{min(wide[1], 44)}}  {how}".rstrip() for joint, made, how in rows]
+
+
+def _percent(flags: np.ndarray) -> str:
+    """Return a share as per cent, 100 and 0 kept for all and none."""
+    share = float(flags.mean()) if len(flags) else 0.0
+    return f"{share if share in (0, 1) else min(max(share, 0.001), 0.999):6.1%}"
+
+
+def _verdict(data: PoseData, skeleton: Skeleton, built: PoseData) -> tuple[str, bool]:
+    try:
+        _, report = clean(built, skeleton, drop=False)
+    except UserError as error:
+        return f"it cannot be lifted: {error}", False
+    long = max(_stretch(built, skeleton), *(_stretch(data, other) for other in _of_these_names(data)), 0)
+    if long > TOO_LONG:
+        return f"it should not be lifted: {_wrong_order(long, data, skeleton)}", False
+    good = report.frames - report.too_few - report.all_equal
+    text = f"it can be lifted: {good:,} of {report.frames:,} frames show {MIN_VISIBLE} joints or more"
+    shown = np.asarray((built.confidence > 0).any(0))
+    hidden = [joint for joint, seen in zip(skeleton.joints, shown.tolist(), strict=True) if not seen]
+    if hidden:
+        which = ", ".join(hidden) if len(hidden) <= 6 else f"{len(hidden)} of {len(skeleton.joints)} joints"
+        text += f"; hidden in all of them, so guessed: {which}"
+    if len(hidden) > len(skeleton.joints) / 2:
+        text += ". A skeleton with fewer joints suits this file better"
+    return text, True
+
+
+def _wrong_order(long: float, data: PoseData, skeleton: Skeleton) -> str:
+    """Say that joints have each other's names, and which layouts with as many keypoints the order fits."""
+    text = (
+        f"its bones are {long:.1f} times as long as the shortest lines that join these joints (1 to 1.6 where the "
+        "names are right). Joints have the names of others: another layout, or another order"
+    )
+    fitting = [
+        other.name
+        for other, names in _shipped()
+        if len(names) == len(data.joint_names)
+        and _stretch(replace(data, joint_names=names, pose=None), other) < _LIKELY
+    ]
+    return text + (f". In their order they look like layout={' or layout='.join(fitting)}" if fitting else "")
+
+
+def _stretch(data: PoseData, skeleton: Skeleton) -> float:
+    """Return how far the bones of the skeleton are stretched in a file that fits it; 0 where nothing is seen."""
+    built = in_joints_of(data, skeleton)
+    return stretch_of(built.keypoints, built.confidence, skeleton)
+
+
+def _of_these_names(data: PoseData) -> list[Skeleton]:
+    """Return the shipped skeletons whose files hold just the names of this one: they know the most bones of it."""
+    return [other for other, names in _shipped() if set(names) == set(data.joint_names)]
+
+
+def _shipped() -> list[tuple[Skeleton, tuple[str, ...]]]:
+    """Return all shipped skeletons, each with the names that a file of it holds."""
+    found = [load_skeleton(name) for name in shipped_names("skeletons")]
+    return [(one, tuple(joint for joint in one.joints if joint not in one.midpoints)) for one in found]
+
+
+def fitting_skeletons(data: PoseData) -> list[str]:
+    """Return the shipped skeletons that a file's joints make."""
+    return [other.name for other, _ in _shipped() if _fits(data, other)]
+
+
+def _help(data: PoseData, skeleton: Skeleton) -> list[str]:
+    """Return which shipped skeletons fit, and a `from:` block of guesses, in comments."""
+    lines = [""]
+    fitting = [name for name in fitting_skeletons(data) if name != skeleton.name]
+    if fitting:
+        lines += [f"shipped skeletons that fit the file: {', '.join(fitting)}", ""]
+    guesses = guess_parts(skeleton, data.joint_names)
+    if not guesses:
+        return [
+            *lines,
+            "no names are alike. If nobody named the joints, layout=SKELETON gives them its names, in order.",
+        ]
+    of_ours = skeleton.name in shipped_names("skeletons")
+    where = f"a copy of {shipped('skeletons') / skeleton.name}.yaml" if of_ours else "the skeleton's file"
+    lines.append(f"# Guesses by name; nothing of it is applied. Keep what is right, without the #, in {where}:")
+    lines += ["# from:", "#   my_tracker:"]
+    for joint in skeleton.joints:
+        if joint in guesses:
+            parts = [quoted(name) for name in guesses[joint]]
+            lines.append(f"#     {quoted(joint)}: {parts[0] if len(parts) == 1 else '[' + ', '.join(parts) + ']'}")
+        elif joint not in skeleton.midpoints:
+            lines.append(f"#     # {quoted(joint)}: nothing is alike")
+    return lines
+
+
+def _fits(data: PoseData, skeleton: Skeleton) -> bool:
+    try:
+        match = match_joints(data.joint_names, skeleton)
+    except UserError:
+        return False
+    return len(match.missing) <= len(match.parts)

@@ -1,0 +1,1 @@
+"""Settings, task files, runs: what a user says, checked where it enters."""

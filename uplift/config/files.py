@@ -1,0 +1,153 @@
+"""Files and folders: where shipped ones are, what a path means, and writing so that a file is complete or absent."""
+
+from __future__ import annotations
+
+import glob
+import os
+import secrets
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, BinaryIO
+
+from uplift.errors import UserError
+
+__all__ = ["absolute", "data_root", "files_of", "read_torch", "replacing", "save_torch", "shipped", "shipped_names"]
+
+# Where things live: shipped skeletons and tasks, data sets, runs.
+
+_PACKAGE = Path(__file__).resolve().parent.parent
+
+
+def shipped(folder: str) -> Path:
+    """Return the folder of shipped ``skeletons`` or ``tasks``.
+
+    A wheel carries them inside the package, a checkout beside it. The checkout is looked for
+    first when it is one (it has a pyproject.toml): an editable install can leave a stale copy
+    in site-packages.
+    """
+    checkout = _PACKAGE.parent / folder
+    if (_PACKAGE.parent / "pyproject.toml").is_file() and checkout.is_dir():
+        return checkout
+    return _PACKAGE / "shipped" / folder
+
+
+def shipped_names(folder: str) -> list[str]:
+    """Return the sorted names of the shipped YAML files of ``folder``, without their ending."""
+    return sorted(path.stem for path in shipped(folder).glob("*.yaml"))
+
+
+def data_root(name: str, root: str | None) -> Path:
+    """Return the folder of the data set ``name``: ``root``, else ``$UPLIFT_DATA/name``, else ``data/name``."""
+    if root:
+        return Path(root).expanduser()
+    base = os.environ.get("UPLIFT_DATA")
+    return (Path(base).expanduser() if base else Path("data")) / name
+
+
+# Which files a path on the command line means: one, several with commas, or all that fit a pattern.
+
+
+def files_of(path: str | Path) -> list[Path]:
+    """Return the files or folders that ``path`` names: itself where it exists, else those between commas or that fit ``*``, ``?`` or ``[``.
+
+    Raises:
+        UserError: a file that is not there, or a pattern that nothing fits.
+    """
+    if Path(path).exists():
+        return [Path(path)]
+    found: list[Path] = []
+    for part in str(path).split(","):
+        if any(sign in part for sign in "*?["):
+            fitting = sorted(Path(name) for name in glob.glob(part))
+            if not fitting:
+                raise UserError(f"No file fits {part} (looked in {Path(part).absolute().parent}).")
+            found += fitting
+        elif part:
+            found.append(Path(part))
+    missing = [one for one in found if not one.exists()]
+    if missing or not found:
+        where = missing[0] if missing else Path(path)
+        raise UserError(f"No file {where} (looked in {where.absolute().parent}).")
+    return list(dict.fromkeys(found))
+
+
+def absolute(path: str) -> str:
+    """Return the same files with each path from the root of the file system."""
+    if Path(path).expanduser().exists():
+        return str(Path(path).expanduser().absolute())
+    return ",".join(str(Path(part).expanduser().absolute()) for part in path.split(",") if part)
+
+
+# A file that appears whole or not at all.
+
+
+@contextmanager
+def replacing(path: str | Path) -> Iterator[BinaryIO]:
+    """Open a temporary file beside ``path`` and put it in the place of ``path`` once it is complete.
+
+    Whatever goes wrong on the way (a full disk, Ctrl-C) removes the temporary file, leaves what was
+    at ``path`` untouched and propagates. Raises UserError where no file can stand at ``path``.
+    """
+    target = Path(os.path.realpath(Path(path).expanduser()))
+    if not target.parent.is_dir():
+        raise UserError(f"cannot write {path}: the folder {target.parent} does not exist. Create it first.")
+    if target.exists() and not target.is_file():
+        raise UserError(f"cannot write {path}: it exists and is not an ordinary file. Choose another name.")
+    temporary = target.with_name(f".{target.name[:80]}.{secrets.token_hex(4)}.part")
+    try:
+        handle = open(temporary, "xb")  # noqa: SIM115 (closed below, before the file is moved)
+    except PermissionError as error:
+        raise UserError(f"cannot write {path}: no permission to create files in {target.parent}.") from error
+    try:
+        with handle:
+            yield handle
+            handle.flush()
+            os.fsync(handle.fileno())
+        os.replace(temporary, target)
+    except BaseException:
+        temporary.unlink(missing_ok=True)
+        raise
+
+
+# Files of tensors and plain data: written whole or not at all, read without running anything.
+
+
+def save_torch(state: dict[str, Any], path: Path) -> None:
+    """Write tensors and plain data to ``path``, whole or not at all."""
+    import torch
+
+    try:
+        with replacing(path) as file:
+            torch.save(state, file)
+    except RuntimeError as error:
+        # torch's own writer turns a full disk into a RuntimeError.
+        if isinstance(error.__context__, OSError):
+            raise error.__context__ from error
+        raise OSError(f"cannot write {path}: {error}") from error
+
+
+def read_torch(path: Path, kind: str) -> dict[str, Any]:
+    """Read tensors and plain data; nothing in the file can run.
+
+    Raises:
+        UserError: not there, not such a file, damaged, or holding anything but plain data.
+    """
+    import torch
+
+    if not path.is_file():
+        raise UserError(f"No {kind} {path}.")
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # a file that is no checkpoint makes torch think aloud
+            state = torch.load(path, map_location="cpu", weights_only=True)
+    except Exception as error:  # torch raises a dozen kinds for a file that is not one of its own
+        reason = str(error).strip().splitlines()[0][:200] if str(error) else type(error).__name__
+        raise UserError(
+            f"{path} is no {kind} that can be read: damaged, or holding more than tensors and plain data, "
+            f"which is never opened ({reason})."
+        ) from error
+    if not isinstance(state, dict):
+        raise UserError(f"{path} is no {kind}: found {type(state).__name__}, expected what `uplift fit` writes.")
+    return state

@@ -1,0 +1,216 @@
+"""The folder a fit writes: resolved settings, what it ran on, weights, metrics, report."""
+
+from __future__ import annotations
+
+import datetime
+import json
+import os
+import platform
+import shutil
+import subprocess
+import sys
+from dataclasses import replace
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+from uplift.config.files import data_root, read_torch, replacing
+from uplift.config.loading import load_settings, save_settings
+from uplift.config.settings import Settings
+from uplift.errors import UserError, did_you_mean
+
+__all__ = ["RunFolder", "lifts_masks", "weights_of"]
+
+# The folder a fit writes: resolved settings, what it ran on, weights, metrics, report.
+
+
+class RunFolder:
+    """A run on disk. `create` makes a new one, `open` finds one that is there."""
+
+    def __init__(self, path: Path):
+        self.path = path
+
+    @classmethod
+    def create(cls, settings: Settings, command: str) -> RunFolder:
+        """Make ``runs/<task>/<time>/`` in the current folder."""
+        base = Path("runs") / (settings.task or Path(settings.skeleton).stem or "own")
+        stamp = datetime.datetime.now().strftime("%Y-%m-%d_%H-%M-%S")
+        try:
+            base.mkdir(parents=True, exist_ok=True)
+        except (FileExistsError, NotADirectoryError) as error:
+            raise UserError(f"Cannot make the folder {base.absolute()}: something else is in its place.") from error
+        path, attempt = base / stamp, 1
+        while True:
+            try:
+                path.mkdir()
+                break
+            except FileExistsError:
+                attempt += 1
+                path = base / f"{stamp}_{attempt}"
+        run = cls(path)
+        if settings.data.train and not settings.data.root:
+            # The run finds its data again from any folder, whatever UPLIFT_DATA is then.
+            root = str(data_root(settings.data.name, None).absolute())
+            settings = replace(settings, data=replace(settings.data, root=root))
+        save_settings(settings, run.config)
+        with replacing(path / "run.json") as file:
+            file.write(json.dumps(_facts(settings, command), indent=2).encode())
+        run.checkpoints.mkdir()
+        return run
+
+    def link_last(self) -> None:
+        """Point the task's ``last`` to this run: it has something to go on from."""
+        _link_last(self.path.parent / "last", self.path.name)
+
+    def discard_if_empty(self) -> None:
+        """Remove a run that ended before it kept any weights."""
+        if not any(self.checkpoints.glob("*.ckpt")) and not self.weights.exists():
+            shutil.rmtree(self.path, ignore_errors=True)
+
+    @classmethod
+    def open(cls, path: str | Path) -> RunFolder:
+        """Return the run in ``path``, or that of a task's ``last``.
+
+        Raises:
+            UserError: there is no run, with those that are near.
+        """
+        path = Path(path)
+        run = cls(path.resolve() if path.exists() else path)
+        if run.config.is_file():
+            return run
+        if (path / "last" / "config.yaml").is_file():
+            return cls((path / "last").resolve())
+        if path.exists():
+            raise UserError(f"{path} is not a run: it has no config.yaml. `uplift fit` writes runs/<task>/<time>.")
+        found = [str(p) for p in Path("runs").glob("*/*") if (p / "config.yaml").is_file()]
+        raise UserError(
+            f"No run {path}."
+            + (did_you_mean(str(path), found) if found else " There are no runs here yet: `uplift fit task=demo`.")
+        )
+
+    @property
+    def config(self) -> Path:
+        """The resolved settings."""
+        return self.path / "config.yaml"
+
+    @property
+    def checkpoints(self) -> Path:
+        """Where each stage's training state is kept."""
+        return self.path / "checkpoints"
+
+    @property
+    def weights(self) -> Path:
+        """The lifter, on its own."""
+        return self.path / "lifter.pt"
+
+    def settings(self) -> Settings:
+        """Return the settings the run was made with."""
+        settings = load_settings(str(self.config))
+        settings.task = self.facts().get("task", "")
+        return settings
+
+    def facts(self) -> dict[str, Any]:
+        """Return run.json: command, versions, seed, git state, machine."""
+        try:
+            return _mapping(self.path / "run.json")
+        except OSError as error:
+            raise UserError(f"{self.path / 'run.json'} cannot be read: {error.strerror}.") from error
+
+    def evaluation(self) -> dict[str, Any] | None:
+        """Return evaluation.json, None where the run was not evaluated."""
+        path = self.path / "evaluation.json"
+        if not path.is_file():
+            return None
+        found = _mapping(path)
+        if not isinstance(found.get("overall"), dict) or "data" not in found:
+            raise UserError(
+                f"{path} is no evaluation: no 'data' and 'overall'. `uplift evaluate run=...` writes it anew."
+            )
+        return found
+
+
+def _mapping(path: Path) -> dict[str, Any]:
+    try:
+        found = json.loads(path.read_bytes())
+    except ValueError as error:  # no JSON, or no text at all
+        raise UserError(f"{path} is no whole JSON file: {error}.") from error
+    if not isinstance(found, dict):
+        raise UserError(f"{path} holds {type(found).__name__}, expected what a fit or an evaluation writes.")
+    return found
+
+
+def _link_last(link: Path, target: str) -> None:
+    temporary = link.with_name(f".last.{os.getpid()}")
+    try:
+        temporary.symlink_to(target, target_is_directory=True)
+        os.replace(temporary, link)
+    except OSError:  # a file system without links: a folder's name in a text file is no help to `run=.../last`
+        temporary.unlink(missing_ok=True)
+
+
+def _facts(settings: Settings, command: str) -> dict[str, Any]:
+    packages = ("uplift3d", "torch", "lightning", "numpy", "scikit-image", "trimesh", "omegaconf")
+    return {
+        "task": settings.task,
+        "command": command,
+        "seed": settings.seed,
+        "started": datetime.datetime.now().astimezone().isoformat(timespec="seconds"),
+        "versions": {name: _version(name) for name in packages},
+        "python": sys.version.split()[0],
+        "platform": platform.platform(),
+        "cores": os.cpu_count(),
+        "git": _git(),
+    }
+
+
+def _version(name: str) -> str | None:
+    try:
+        return metadata.version(name)
+    except metadata.PackageNotFoundError:
+        return None
+
+
+def _git() -> dict[str, Any] | None:
+    """Return the commit that the package runs from and whether it was changed; None outside git."""
+    where = Path(__file__).resolve().parent
+
+    def ask(*words: str) -> str:
+        return subprocess.run(
+            ["git", "-C", str(where), *words], capture_output=True, text=True, check=True, timeout=10
+        ).stdout.strip()
+
+    try:
+        return {"commit": ask("rev-parse", "HEAD"), "changed": bool(ask("status", "--porcelain", "-uno"))}
+    except (OSError, subprocess.SubprocessError):
+        return None
+
+
+# Which file the weights of a run are in, and what they lift.
+
+
+def weights_of(run: str | Path) -> Path:
+    """Return the ``lifter.pt`` of a run (its folder, or runs/<task>/last), or the file itself.
+
+    Raises:
+        UserError: no such run, or one that has no weights yet.
+    """
+    path = Path(run)
+    if path.is_file():
+        return path
+    folder = RunFolder.open(path)
+    if not folder.weights.is_file():
+        raise UserError(
+            f"{folder.path} has no lifter.pt yet: its fit was ended early. `uplift fit resume={folder.path}` finishes it."
+        )
+    return folder.weights
+
+
+def lifts_masks(run: str | Path) -> bool:
+    """Return whether a run or a ``lifter.pt`` lifts masks; False where there is none: whoever opens it says so."""
+    path = Path(run)
+    try:
+        if path.is_file():
+            return read_torch(path, "lifter").get("lifts") == "masks"
+        return RunFolder.open(path).settings().lifts == "masks"
+    except UserError:
+        return False

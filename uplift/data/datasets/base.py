@@ -1,0 +1,227 @@
+"""`DataSet`: which files of a published set are wanted, how they become `PoseData`, and the cache of what was read."""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import json
+import os
+import shutil
+import tempfile
+from dataclasses import asdict, dataclass, fields
+from pathlib import Path
+from typing import Any, ClassVar
+
+import numpy as np
+
+from uplift.data.poses import PoseData, codes_of
+from uplift.errors import UserError, did_you_mean
+from uplift.geometry.camera import Lens
+
+__all__ = ["DataSet", "WantedFile", "cache_folder", "cached_facts", "read_cached"]
+
+# `DataSet`: what a published set is called, which of its files are wanted, and how they become `PoseData`.
+
+
+@dataclass(frozen=True)
+class WantedFile:
+    """A file that a split is read from."""
+
+    path: Path
+    what: str
+    """What it holds and where it comes from, in a few words."""
+
+    @property
+    def present(self) -> bool:
+        """Whether it is there."""
+        return self.path.is_file()
+
+
+class DataSet:
+    """Subclass this, write `files` and `read`, and name the class in a task: ``data.use=my_set.py:MySet``.
+
+    Options are keyword arguments of ``__init__`` with defaults, set as ``data.options``.
+    """
+
+    title: ClassVar[str] = ""
+    """As people call it."""
+    about: ClassVar[str] = ""
+    """A few lines: where it comes from, what it may be used for, which files go where."""
+    splits: ClassVar[tuple[str, ...]] = ("train", "test")
+    version: ClassVar[int] = 1
+    """Raised when the same files come out otherwise: what was cached before is then read anew."""
+    cached: ClassVar[bool] = True
+    """Whether reading takes long enough to keep the result."""
+
+    def __init__(self, folder: Path):
+        self.folder = Path(folder)
+
+    def files(self, split: str) -> list[WantedFile]:
+        """Return the files that `read` opens for ``split``, whether they are there or not."""
+        raise NotImplementedError(f"{type(self).__name__} has no files(self, split)")
+
+    def read(self, split: str) -> PoseData:
+        """Return the frames of ``split`` in the set's own joints, by name; every file of `files` is there.
+
+        Raises:
+            UserError: a file that is damaged, or another one than it should be.
+        """
+        raise NotImplementedError(f"{type(self).__name__} has no read(self, split)")
+
+    def check_split(self, split: str) -> None:
+        """Refuse a split that the set does not have."""
+        if split not in self.splits:
+            raise UserError(f"{self.title} has no split '{split}'.{did_you_mean(split, self.splits)}")
+
+    def missing(self, split: str) -> list[WantedFile]:
+        """Return the files of ``split`` that are not there."""
+        return [file for file in self.files(split) if not file.present]
+
+
+# What was read from a data set's files, kept as plain arrays that load in seconds.
+
+_FORMAT = 1
+_ARRAYS = ("keypoints", "confidence", "pose", "root", "tilt_deg", "lens")
+
+
+def cache_folder() -> Path:
+    """Return where arrays are kept: ``$UPLIFT_CACHE``, else ``uplift`` in the user's cache folder."""
+    named = os.environ.get("UPLIFT_CACHE")
+    if named:
+        return Path(named).expanduser() / "data"
+    base = os.environ.get("XDG_CACHE_HOME")
+    return (Path(base) if base else Path.home() / ".cache") / "uplift" / "data"
+
+
+def read_cached(source: DataSet, split: str) -> PoseData:
+    """Return ``source.read(split)``, from the cache where the files are those that were read before.
+
+    A file that changed size or date, other options or another version of the reader make it read
+    anew. A cache that cannot be written or is damaged costs time, never the data.
+
+    Raises:
+        UserError: as `DataSet.read` does.
+    """
+    if not source.cached:
+        return source.read(split)
+    place = _place(source, split)
+    try:
+        return _load(place)
+    except (OSError, ValueError, KeyError, TypeError):
+        pass  # not there, or damaged: it is only a cache
+    data = source.read(split)
+    with contextlib.suppress(OSError):  # no space or no permission: the next fit reads the files again
+        _save(data, place)
+    return data
+
+
+def cached_facts(source: DataSet, split: str) -> dict[str, Any] | None:
+    """Return what the cache says of ``split`` (frames, joints, bytes) without loading it; None where it has nothing."""
+    place = _place(source, split)
+    try:
+        facts = json.loads((place / "facts.json").read_text())
+        size = sum(file.stat().st_size for file in place.iterdir())
+        return {"frames": facts["frames"], "joints": len(facts["joint_names"]), "bytes": size}
+    except (OSError, ValueError, KeyError):
+        return None
+
+
+def _place(source: DataSet, split: str) -> Path:
+    """Return the folder of this split, read in this way (the first hash) from these files (the second)."""
+    files = []
+    for wanted in source.files(split):
+        if wanted.present:
+            state = wanted.path.stat()
+            files.append([str(wanted.path.absolute()), state.st_size, state.st_mtime_ns])
+    options = {key: value for key, value in vars(source).items() if isinstance(value, (str, int, float, list, tuple))}
+    way = [type(source).__module__, type(source).__name__, split, options, str(source.folder.absolute())]
+    return (
+        cache_folder()
+        / f"{type(source).__name__.lower()}-{split}-{_hash(way)}-{_hash([_FORMAT, source.version, files])}"
+    )
+
+
+def _hash(value: Any) -> str:
+    return hashlib.sha256(json.dumps(value, sort_keys=True, default=str).encode()).hexdigest()[:16]
+
+
+def _save(data: PoseData, place: Path) -> None:
+    place.parent.mkdir(parents=True, exist_ok=True)
+    for stale in place.parent.glob(f"{place.name.rpartition('-')[0]}-*"):  # of files that are no longer so
+        shutil.rmtree(stale, ignore_errors=True)
+    building = Path(tempfile.mkdtemp(prefix=".building-", dir=place.parent))
+    try:
+        for name in _ARRAYS:
+            array = getattr(data, name)
+            if array is not None:
+                np.save(building / f"{name}.npy", array)
+        for key, values in data.identity.items():
+            _save_runs(building, key, values)
+        facts = {
+            "frames": len(data),
+            "joint_names": data.joint_names,
+            "unit": data.unit,
+            "fps": data.fps,
+            "image_size": data.image_size,
+            "focal_px": data.focal_px,
+            "source": data.source,
+            "identity": list(data.identity),
+            "lenses": [asdict(lens) for lens in data.lenses],
+        }
+        (building / "facts.json").write_text(json.dumps(facts))
+        os.replace(building, place)
+    except OSError:
+        shutil.rmtree(building, ignore_errors=True)
+        if not place.is_dir():  # another process may have been first
+            raise
+
+
+def _save_runs(folder: Path, key: str, values: np.ndarray) -> None:
+    """Keep an identity array as names, and which name stands how often in a row."""
+    if values.dtype.kind not in "US":
+        np.save(folder / f"identity_{key}.npy", values)
+        return
+    names, code = codes_of(values)
+    starts = np.flatnonzero(np.diff(code, prepend=-1))
+    np.savez(
+        folder / f"identity_{key}.npz",
+        names=names,
+        code=code[starts].astype(np.int32),
+        count=np.diff(np.append(starts, len(values))).astype(np.int32),
+    )
+
+
+def _load(place: Path) -> PoseData:
+    facts = json.loads((place / "facts.json").read_text())
+    arrays = {name: _mapped(place / f"{name}.npy") for name in _ARRAYS if (place / f"{name}.npy").is_file()}
+    identity = {}
+    for key in facts["identity"]:
+        plain = place / f"identity_{key}.npy"
+        if plain.is_file():
+            identity[key] = _mapped(plain)
+            continue
+        with np.load(place / f"identity_{key}.npz") as runs:
+            identity[key] = np.repeat(runs["names"][runs["code"]], runs["count"])
+    return PoseData(
+        **arrays,  # type: ignore[arg-type]
+        joint_names=tuple(facts["joint_names"]),
+        unit=facts["unit"],
+        identity=identity,
+        fps=facts["fps"],
+        image_size=None if facts["image_size"] is None else tuple(facts["image_size"]),
+        focal_px=facts["focal_px"],
+        source=facts["source"],
+        lenses=tuple(_lens(lens) for lens in facts["lenses"]),
+    )
+
+
+def _mapped(path: Path) -> np.ndarray:
+    """Return an array that is read as it is used, and whose changes stay in memory."""
+    return np.asarray(np.load(path, mmap_mode="c"))
+
+
+def _lens(facts: dict[str, Any]) -> Lens:
+    known = {field.name for field in fields(Lens)}
+    return Lens(
+        **{key: tuple(value) if isinstance(value, list) else value for key, value in facts.items() if key in known}
+    )

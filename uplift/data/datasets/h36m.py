@@ -1,0 +1,250 @@
+"""Human3.6M, from whichever of its files are there."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from uplift.data.datasets.base import DataSet, WantedFile
+from uplift.data.datasets.h36m_files import JOINTS, LAYOUTS, Clip, Family, Martinez, OfficialCdf, Pickles, VideoPose3D
+from uplift.data.poses import PoseData
+from uplift.errors import UserError, did_you_mean
+from uplift.geometry.camera import Lens
+
+__all__ = ["Human36M", "assemble"]
+
+# From clips to `PoseData`: arrays of the final size, filled clip by clip, and checked on the way.
+
+RATE = 50
+_MORE_FRAMES = (50, 0.2)
+"""2D and 3D of one clip may differ by a second or a fifth at the end; by more they are not of one clip."""
+_BODY_MM = (250.0, 1500.0)
+"""From hip to top of the head, in the median over frames."""
+_OFF_PX = {"gt": 5.0}
+_OFF_DETECTED_PX = 100.0
+"""The keypoints may be as far from the projected pose, in the median over joints, then over a subject's clips."""
+
+
+def assemble(clips: Sequence[Clip], step: int, keypoints: str, source: str) -> PoseData:
+    """Return every ``step``-th frame of ``clips``, one after another.
+
+    Raises:
+        UserError: 2D and 3D that cannot be of one clip, or lengths that are no body's.
+    """
+    filled = _Arrays(sum(-(-clip.frames // step) for clip in clips))
+    lenses: dict[Lens, int] = {}
+    counts, checks = [], defaultdict(list)
+    for clip in clips:
+        pose = clip.positions(step)
+        counts.append(filled.add(clip, pose, step, lenses.setdefault(clip.camera.lens, len(lenses))))
+        checks[clip.subject].append((clip, filled.length_mm(), filled.off_px(clip)))
+    if not filled.at:
+        raise UserError(f"{source}: no frame in the files.")
+    for of_one in checks.values():
+        _check_subject(of_one, _OFF_PX.get(keypoints, _OFF_DETECTED_PX))
+    return filled.data(clips, np.array(counts), step, tuple(lenses), source)
+
+
+class _Arrays:
+    """The arrays of the result and how far they are filled."""
+
+    def __init__(self, frames: int):
+        joints = len(JOINTS)
+        self.at = 0
+        self.start = 0
+        self.keypoints = np.empty((frames, joints, 2), np.float32)
+        self.confidence = np.empty((frames, joints), np.float32)
+        self.pose = np.empty((frames, joints, 3), np.float32)
+        self.root = np.empty((frames, 3), np.float32)
+        self.lens = np.empty(frames, np.int8)
+        self.frame = np.empty(frames, np.int32)
+
+    def add(self, clip: Clip, pose: np.ndarray, step: int, lens: int) -> int:
+        """Take in the clip's frames and return how many there are."""
+        seen = None if clip.seen is None else clip.seen()
+        if seen is not None:
+            _check_lengths(clip, clip.frames, len(seen))
+            seen = seen[::step]
+            pose = pose[: len(seen)]
+        rows = slice(self.at, self.at + len(pose))
+        if seen is None:
+            self.keypoints[rows] = clip.camera.lens.project(pose)
+            self.confidence[rows] = 1
+        else:
+            _into_joints(seen[: len(pose)], clip.layout, self.keypoints[rows], self.confidence[rows])
+        if not (pose[..., 2] > 0).all():
+            raise UserError(
+                f"{clip.where}: not every joint is a number in front of the camera: other coordinates than these files have?"
+            )
+        self.root[rows] = pose[:, 0]
+        np.subtract(pose, pose[:, :1], out=self.pose[rows])
+        self.lens[rows] = lens
+        self.frame[rows] = np.arange(len(pose), dtype=np.int32) * step
+        self.start, self.at = self.at, self.at + len(pose)
+        return len(pose)
+
+    def length_mm(self) -> float:
+        """Return how far it is from hip to the top of the head in the clip's middle frame."""
+        if self.start == self.at:
+            return np.nan
+        return float(np.linalg.norm(self.pose[(self.start + self.at) // 2, JOINTS.index("headtop")]))
+
+    def off_px(self, clip: Clip) -> float:
+        """Return how far the keypoints of the clip's middle frame are from its projected pose."""
+        if clip.seen is None or self.start == self.at:
+            return 0.0
+        row = (self.start + self.at) // 2
+        projected = clip.camera.lens.project(self.pose[row] + self.root[row])
+        sure = self.confidence[row] > 0
+        return float(np.median(np.linalg.norm(projected - self.keypoints[row], axis=-1)[sure])) if sure.any() else 0.0
+
+    def data(self, clips: Sequence[Clip], counts: np.ndarray, step: int, lenses: tuple[Lens, ...], source: str):
+        """Return what was filled."""
+        texts = {
+            "subject": [clip.subject for clip in clips],
+            "action": [clip.action for clip in clips],
+            "sequence": [clip.sequence for clip in clips],
+            "camera": [clip.camera_id for clip in clips],
+        }
+        identity = {key: np.repeat(np.array(values), counts) for key, values in texts.items()}
+        tilt_deg = np.array([clip.camera.tilt_deg for clip in clips], np.float32)
+        used = slice(self.at)
+        return PoseData(
+            keypoints=self.keypoints[used],
+            confidence=self.confidence[used],
+            joint_names=JOINTS,
+            pose=self.pose[used],
+            root=self.root[used],
+            identity={**identity, "frame": self.frame[used]},
+            fps=RATE / step,
+            tilt_deg=np.repeat(tilt_deg, counts),
+            source=source,
+            lenses=lenses,
+            lens=self.lens[used],
+        )
+
+
+def _into_joints(seen: np.ndarray, layout: str, keypoints: np.ndarray, confidence: np.ndarray) -> None:
+    """Fill keypoints and confidence in our joints; what the layout lacks or is not finite is missing."""
+    if layout == "h36m" and seen.shape[2] == 2:
+        keypoints[:] = seen
+        confidence[:] = 1
+    else:
+        keypoints[:] = 0
+        confidence[:] = 0
+        for joint, places in LAYOUTS[layout].items():
+            place = JOINTS.index(joint)
+            keypoints[:, place] = seen[:, places, :2].mean(1)
+            confidence[:, place] = seen[:, places, 2].min(1) if seen.shape[2] == 3 else 1
+    finite = np.isfinite(keypoints).all(-1)
+    if not finite.all():
+        keypoints[~finite] = 0
+        confidence[~finite] = 0
+
+
+def _check_lengths(clip: Clip, frames: int, seen: int) -> None:
+    if abs(frames - seen) > max(_MORE_FRAMES[0], _MORE_FRAMES[1] * max(frames, seen)) or not seen:
+        raise UserError(
+            f"{clip.where}: {frames} frames of 3D and {seen} of 2D, expected as many but for a few at the end: "
+            "2D of another sequence or rate?"
+        )
+
+
+def _check_subject(checks: list[tuple[Clip, float, float]], most_px: float) -> None:
+    """Refuse a body of another size than people have, and keypoints that are not where the cameras see the pose."""
+    clip = checks[0][0]
+    length = float(np.nanmedian([length for _, length, _ in checks]))
+    if not _BODY_MM[0] < length < _BODY_MM[1]:
+        raise UserError(
+            f"{clip.where}: from hip to head {clip.subject} measures {length:.3g} mm in the median, expected "
+            f"{_BODY_MM[0]:.0f} to {_BODY_MM[1]:.0f}: another unit than these files have, or another order of joints?"
+        )
+    off_px = float(np.median([off for _, _, off in checks]))
+    if not off_px < most_px:
+        raise UserError(
+            f"{clip.where}: the keypoints of {clip.subject} are {off_px:.0f} px off the projected 3D in the median, "
+            f"expected less than {most_px:.0f}: 2D and 3D of different subjects, sequences or cameras?"
+        )
+
+
+# The data set Human3.6M: which files, which keypoints, how many frames a second.
+
+_FAMILIES: dict[str, type[Family]] = {family.name: family for family in (VideoPose3D, Pickles, Martinez, OfficialCdf)}
+_KINDS = ("gt", "projected", "sh", "cpn", "detectron", "sh_mpii")
+_DETECTORS = ("sh", "cpn", "detectron", "sh_mpii")
+
+
+class Human36M(DataSet):
+    """Human3.6M (Ionescu et al. 2014): four cameras, 15 actions, 17 of its 32 joints.
+
+    Args:
+        folder: where the files are.
+        keypoints: ``gt``, ``projected`` (the ground truth made anew from the 3D), ``sh``, ``cpn``,
+            ``detectron``, ``sh_mpii``, or ``detected``: the first of these detectors that is there.
+        fps: frames a second, 50 or a divisor of it.
+        source: which kind of files: ``videopose3d``, ``pickles``, ``martinez``, ``cdf``, or ``auto``: the
+            first of these that is there and has such keypoints.
+        partial: go on where actions are missing.
+    """
+
+    title = "Human3.6M"
+    about = (
+        "Human3.6M is free for academic use, after registration at http://vision.imar.ro/human3.6m: its licence does "
+        "not let anyone pass it on.\nPut there data_3d_h36m.npz, with data_2d_h36m_gt.npz or a detector's "
+        "data_2d_h36m_*.npz (made by the scripts of github.com/facebookresearch/VideoPose3D, DATASETS.md); or "
+        "points_3d.pkl, cameras.pkl and sh_detect_2d.pkl of github.com/DwangoMediaVillage/3dpose_gan; or the folders "
+        "S1, S5, ... as the official archives or h36m.zip of 3d-pose-baseline unpack (docs/data-h36m.md)."
+    )
+
+    def __init__(self, folder: Path, keypoints: str = "gt", fps: int = 10, source: str = "auto", partial: bool = False):
+        super().__init__(folder)
+        if keypoints not in (*_KINDS, "detected"):
+            raise UserError(f"data.options.keypoints={keypoints!r}.{did_you_mean(keypoints, (*_KINDS, 'detected'))}")
+        if source not in (*_FAMILIES, "auto"):
+            raise UserError(f"data.options.source={source!r}.{did_you_mean(source, (*_FAMILIES, 'auto'))}")
+        if fps < 1 or RATE % fps:
+            raise UserError(f"data.options.fps={fps!r}: Human3.6M has {RATE} frames a second, set a divisor of it.")
+        self.keypoints, self.fps, self.source, self.partial = keypoints, int(fps), source, partial
+
+    def files(self, split: str) -> list[WantedFile]:
+        """Return the files of ``split``, of the kind that was asked for or is there."""
+        self.check_split(split)
+        return self._family().files(split)
+
+    def read(self, split: str) -> PoseData:
+        """Return the frames of ``split``: S1, 5, 6, 7, 8 to train, S9, 11 to test."""
+        self.check_split(split)
+        family = self._family()
+        how = family.keypoints
+        clips = family.clips(split)
+        if how == "gt" and clips and clips[0].seen is None:
+            how = "gt, projected from the 3D"
+        told = f"Human3.6M {split} in {self.folder} ({family.name}, keypoints {how}, {self.fps} frames/s)"
+        return assemble(clips, RATE // self.fps, family.keypoints, told)
+
+    def _family(self) -> Family:
+        """Return the first kind of files that is there with the keypoints that are wanted, else one that is missing."""
+        families = list(_FAMILIES.values()) if self.source == "auto" else [_FAMILIES[self.source]]
+        kinds = _DETECTORS if self.keypoints == "detected" else (self.keypoints,)
+        there = [family for family in families if family.is_in(self.folder)]
+        for kind in kinds:
+            for family in there:
+                if family.offers(self.folder, kind):
+                    return family(self.folder, kind, self.partial)
+        able = [
+            (family, kind)
+            for family in (*there, *families)
+            for kind in kinds
+            if kind in ("gt", "projected") or kind in family.files_of
+        ]
+        if not able:
+            having = {f.name: ["gt", "projected", *(k for k in f.files_of if k != "gt")] for f in families}
+            shown = "; ".join(f"{name}: {', '.join(names)}" for name, names in having.items())
+            raise UserError(
+                f"data.options.keypoints={self.keypoints}: the files of this kind have none. There may be: {shown}."
+            )
+        family, kind = able[0]
+        return family(self.folder, kind, self.partial)

@@ -1,0 +1,68 @@
+"""AlphaTracker's labels: a list of images, each with a box ("Face") and the points of every animal in turn."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from uplift.data.formats.base import Format, Peek, ReadOptions
+from uplift.data.formats.layouts import names_for
+from uplift.data.formats.rows import pose_data
+from uplift.data.parsers.json import Numbers, entries, is_text, shown, texts
+from uplift.data.poses import PoseData
+from uplift.errors import UserError
+
+__all__ = ["FORMAT"]
+
+
+def _fits(peek: Peek) -> bool:
+    return peek.json_sign == "[" and "annotations" in peek.json_keys and '"class"' in peek.text
+
+
+def _read(path: Path, options: ReadOptions) -> PoseData:
+    points = Numbers("points")
+    images: list[str] = []
+    numbers: list[str] = []
+    for count, record in entries(path, "the list of images"):
+        where, image, found = f"{path}: image {count}", record.get("filename"), record.get("annotations")
+        if not is_text(image):
+            raise UserError(f"{where} has filename {shown(image)}, expected a name.")
+        if not isinstance(found, list):
+            raise UserError(f"{where} has annotations {shown(found)}, expected a list.")
+        for number, animal in enumerate(_animals(found, where)):
+            if animal:
+                points.add(animal, f"{where}, animal {number}")
+                images.append(str(image))
+                numbers.append(str(number))
+    if not images:
+        raise UserError(f"{path} has no animal with points, expected labels of AlphaTracker.")
+    keypoints = points.array((points.width or 0) // 2, 2)
+    if options.layout is not None:
+        names, notes = names_for(path, keypoints.shape[1], {}, options)
+    else:
+        names = tuple(f"point_{number}" for number in range(keypoints.shape[1]))
+        notes = ("points have no names in the file: named point_0 and so on, in the file's order",)
+    confidence = np.all(np.isfinite(keypoints), axis=-1).astype(np.float32)
+    identity = {"image": texts(path, images), "instance": np.array(numbers)}
+    return pose_data(path, names, keypoints, confidence, identity, notes=notes)
+
+
+def _animals(annotations: list[Any], where: str) -> list[list[list[Any]]]:
+    """Return the points of each animal: those that follow its box."""
+    found: list[list[list[Any]]] = []
+    for count, one in enumerate(annotations):
+        kind = one.get("class") if isinstance(one, dict) else None
+        if kind == "Face":
+            found.append([])
+        elif kind != "point":
+            raise UserError(f"{where}: annotation {count} is {shown(one)}, expected a 'Face' or a 'point'.")
+        elif not found:
+            raise UserError(f"{where}: annotation {count} is a point before the first 'Face', expected boxes first.")
+        else:
+            found[-1].append([one.get("x"), one.get("y")])
+    return found
+
+
+FORMAT = Format("alphatracker", "AlphaTracker labels", _fits, _read)

@@ -1,0 +1,609 @@
+"""Plain csv files: a row per frame (NAME_x, NAME_y, NAME_confidence), or a row per joint (frame, joint, x, y)."""
+
+from __future__ import annotations
+
+import csv
+import io
+import re
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+
+from uplift.config.files import replacing
+from uplift.data.formats.base import Format, Peek, ReadOptions
+from uplift.data.formats.layouts import names_for
+from uplift.data.formats.rows import by_appearance, confidence_of, frame_numbers, link_bodies, rows_of, seen_by_flag
+from uplift.data.parsers.table import Table, header_of
+from uplift.data.poses import IDENTITY_KEYS, PoseData
+from uplift.errors import UserError
+
+__all__ = [
+    "FORMAT",
+    "Columns",
+    "Identity",
+    "Joint",
+    "Named",
+    "Rated",
+    "as_text",
+    "bodies_of",
+    "check",
+    "columns_in",
+    "columns_of",
+    "identity_of",
+    "is_nameless",
+    "read_columns",
+    "read_long",
+    "read_wide",
+    "write_keypoints_csv",
+]
+
+# What the header of a plain csv says: joints side by side (wide), or one row a joint (long).
+
+_IDENTITY = {
+    "subject": ("subject", "subject_id", "participant"),
+    "action": ("action", "activity"),
+    "sequence": ("sequence", "sequence_id", "seq", "video", "video_name", "video_id", "clip", "clip_id", "trial"),
+    "camera": ("camera", "camera_id", "cam", "cam_id", "view"),
+    "instance": (
+        "instance", "instance_id", "individual", "individual_id", "individuals", "id", "index", "track", "track_id", "track_name",
+        "person", "person_id", "person_idx", "animal", "animal_id", "body", "body_id", "pose_id", "pose_index",
+    ),
+    "image": ("image", "image_name", "image_path", "image_file", "img", "img_name", "file", "file_name", "filename"),
+    "category": ("category", "category_name", "class", "class_name", "species"),
+}  # fmt: skip
+_FRAME = (
+    "frame", "frames", "frame_number", "frame_no", "frame_nr", "frame_num", "frame_id", "frame_idx", "frame_index",
+    "framenumber", "frameindex", "frameid", "fnum",
+)  # fmt: skip
+_TIME = re.compile(
+    r"(time|times|timestamp|timestamps|t|seconds|sec|milliseconds)(_?(s|sec|seconds|ms|milliseconds|us))?"
+)
+_JOINT = (
+    "joint", "joint_name", "keypoint", "keypoint_name", "bodypart", "bodyparts", "body_part", "landmark",
+    "landmark_name", "node", "node_name", "marker", "marker_name", "part", "part_name", "point", "name",
+    "joint_id", "joint_index", "joint_idx", "keypoint_id", "keypoint_index", "keypoint_idx",
+    "landmark_id", "landmark_index", "landmark_idx", "landmark_number", "node_id",
+)  # fmt: skip
+_FACTS = {
+    "image_width": "width", "image_height": "height", "frame_width": "width", "frame_height": "height",
+    "fps": "fps", "frame_rate": "fps",
+}  # fmt: skip
+_SCORE = "confidence|conf|c|likelihood|score|prob|probability|p|visibility|vis|v"
+_WORD = rf"(?P<what>x|y|z|{_SCORE})(?:_?(?:px|pixels?|coord|coordinate|pos))?"
+_SUFFIX = re.compile(rf"(?P<name>.*\S)\s*[-_./:(\[ ]\s*{_WORD}\s*[)\]]?", re.IGNORECASE)
+_PREFIX = re.compile(rf"{_WORD}\s*(?:[-_./:(\[ ]\s*(?P<name>\S.*?)|(?P<number>\d+))\s*[)\]]?", re.IGNORECASE)
+_ALONE = re.compile(rf"(?:(?:pos|coord|px|pixel)_?)?{_WORD}", re.IGNORECASE)
+_NUMBERED = re.compile(r"(?:(?:keypoint|kpt|kp|joint|landmark|point|marker|part|node|p|j)[_ ]?)?\d+", re.IGNORECASE)
+_SEEN = {"_u_px": "_x", "_v_px": "_y"}
+_PREDICTED = re.compile(r"_u_px$|_v_px$|(?<!_)_[xyz]$")
+_BOX = ("bbox", "box", "bounding_box", "bb")
+
+
+@dataclass
+class Joint:
+    """The columns of one joint, or, in a long table, of whichever joint the row is of."""
+
+    x: int
+    y: int
+    z: int | None = None
+    score: int | None = None
+    visibility: bool = False
+    """The score is called visibility: COCO's numbers have that name, too."""
+
+
+@dataclass
+class Columns:
+    """Where a csv has what."""
+
+    joints: dict[str, Joint]
+    """Of a wide table, by name; of a long one under no name."""
+    name: int | None = None
+    """The column of a long table that says which joint a row is of; None: a wide table."""
+    identity: dict[str, int] = field(default_factory=dict)
+    frame: int | None = None
+    time: int | None = None
+    facts: dict[str, int] = field(default_factory=dict)
+    """``width`` and ``height`` of the image, and ``fps``."""
+    twice: list[str] = field(default_factory=list)
+    """Names of columns that another one of the same joint has already."""
+    others: tuple[str, ...] = ()
+    """Names of the columns that are left out."""
+
+
+def columns_of(header: Sequence[str]) -> Columns | None:
+    """Return what the columns hold; None where they hold no keypoints."""
+    found = Columns({})
+    if any(head.endswith("_u_px") for head in header):  # our own predictions: beside the poses, what was seen
+        header = [_PREDICTED.sub(lambda end: _SEEN.get(end[0], ""), head) for head in header]
+    free: list[int] = []
+    joint: dict[str, int] = {}
+    for place, head in enumerate(header):
+        key = re.sub(r"[\s-]+", "_", head.strip().casefold())
+        role = next((role for role, words in _IDENTITY.items() if key in words), None)
+        if role and role not in found.identity:
+            found.identity[role] = place
+        elif key in _FRAME and found.frame is None:
+            found.frame = place
+        elif _TIME.fullmatch(key) and found.time is None:
+            found.time = place
+        elif key in _FACTS:
+            found.facts[_FACTS[key]] = place
+        elif key in _JOINT:
+            joint[key] = place
+        else:
+            free.append(place)
+    alone = _alone(header, free)
+    if alone and not joint and "instance" in found.identity:
+        place = found.identity["instance"]  # with x and y and no name, a bare number is that of a landmark
+        if header[place].strip().casefold() in ("id", "index"):
+            joint = {_JOINT[0]: found.identity.pop("instance")}
+    if joint and alone:
+        found.name = joint[min(joint, key=_JOINT.index)]
+        found.joints = {"": alone}
+    else:
+        free = sorted([*free, *joint.values()])
+        wide = [_wide(header, free, pattern) for pattern in (_SUFFIX, _PREFIX)]
+        found.twice, found.joints = max(wide, key=lambda one: len(one[1]))
+    if not found.joints:
+        return None
+    if found.frame is None and header[0].strip() in ("", "Unnamed: 0"):
+        found.frame = 0
+    used = {place for one in found.joints.values() for place in (one.x, one.y, one.z, one.score)}
+    used |= {found.name, found.frame, found.time, *found.identity.values(), *found.facts.values()}
+    found.others = tuple(head for place, head in enumerate(header) if place not in used and head)
+    return found
+
+
+def is_nameless(names: Sequence[str]) -> bool:
+    """Return whether the names are numbers and no more."""
+    return all(_NUMBERED.fullmatch(name) for name in names)
+
+
+def _alone(header: Sequence[str], free: Sequence[int]) -> Joint | None:
+    """Return the columns x, y, z and score of a long table; None without x and y."""
+    places: dict[str, int] = {}
+    visibility = False
+    for place in free:
+        match = _ALONE.fullmatch(header[place])
+        if match:
+            what = match["what"].casefold()
+            kind = what if what in "xyz" else "score"
+            visibility |= kind == "score" and what.startswith("v") and kind not in places
+            places.setdefault(kind, place)
+    if "x" not in places or "y" not in places:
+        return None
+    return Joint(places["x"], places["y"], places.get("z"), places.get("score"), visibility)
+
+
+def _wide(header: Sequence[str], free: Sequence[int], pattern: re.Pattern[str]) -> tuple[list[str], dict[str, Joint]]:
+    """Return the columns that are there twice, and the joints that have x and y, in the order of the file."""
+    twice: list[str] = []
+    places: dict[str, dict[str, int]] = {}
+    visible = set()
+    for place in free:
+        match = pattern.fullmatch(header[place])
+        if not match:
+            continue
+        what = match["what"].casefold()
+        name = match["name"] or match["number"]
+        if name.casefold() in _BOX:
+            continue
+        kind = what if what in "xyz" else "score"
+        if kind == "score" and what.startswith("v"):
+            visible.add(name)
+        if places.setdefault(name, {}).setdefault(kind, place) != place and kind in "xyz":
+            twice.append(header[place])
+    return twice, {
+        name: Joint(at["x"], at["y"], at.get("z"), at.get("score"), name in visible)
+        for name, at in places.items()
+        if "x" in at and "y" in at
+    }
+
+
+# Which frame of what each row of a table shows, and how many there are a second.
+
+_SECONDS = {"ms": 1e-3, "milliseconds": 1e-3, "us": 1e-6, "s": 1.0, "sec": 1.0, "seconds": 1.0}
+_CLIP = ("subject", "sequence", "camera", "instance")
+_UNEVEN = 0.1
+"""Steps of time that differ by more than this share of the usual one make the rate unknown."""
+
+
+@dataclass
+class Identity:
+    """What the rows show."""
+
+    values: dict[str, np.ndarray]
+    fps: float | None = None
+    image_size: tuple[int, int] | None = None
+    notes: list[str] = field(default_factory=list)
+
+
+def identity_of(table: Table, columns: Columns) -> Identity:
+    """Return what the columns beside the keypoints say of the rows.
+
+    Raises:
+        UserError: frame numbers, an image size or a rate that are none.
+    """
+    values = {role: table.words[place].values() for role, place in columns.identity.items()}
+    found = Identity({role: text for role, text in values.items() if (text != "").any()})
+    if "sequence" not in found.values and ("image" not in found.values or columns.frame is not None):
+        found.values["sequence"] = np.full(len(table), table.path.stem)
+    frame = None if columns.frame is None else frame_numbers(table.path, table.exact[columns.frame], table.lines)
+    if frame is not None:
+        found.values["frame"] = frame
+    facts = {what: _one(table, place) for what, place in columns.facts.items()}
+    found.fps = facts.get("fps")
+    width, height = facts.get("width"), facts.get("height")
+    if width and height:
+        found.image_size = int(width), int(height)
+    if columns.time is not None:
+        _add_time(found, table.exact[columns.time], table.header[-1][columns.time])
+    return found
+
+
+def bodies_of(
+    path: Path,
+    found: Identity,
+    keypoints: np.ndarray,
+    scores: np.ndarray | None,
+    names: Sequence[str],
+    notes: Sequence[str] = (),
+    lines: np.ndarray | None = None,
+) -> PoseData:
+    """Return (rows joints 2) keypoints of one body a row; ``lines`` of the file are for errors.
+
+    Frames without numbers are counted, and where one frame has several bodies without names, they
+    are told apart by where they are.
+
+    Raises:
+        UserError: one body twice in one frame; as `rows_of`.
+    """
+    confidence = confidence_of(path, keypoints, scores)
+    _told_apart(path, found, keypoints, confidence, lines)
+    return rows_of(
+        path,
+        keypoints[:, None],
+        None if scores is None else scores[:, None],
+        names,
+        found.values,
+        fps=found.fps,
+        image_size=found.image_size,
+        notes=(*notes, *found.notes),
+    )
+
+
+def _told_apart(
+    path: Path, found: Identity, keypoints: np.ndarray, confidence: np.ndarray, lines: np.ndarray | None
+) -> None:
+    """Number the frames where they have no numbers, and the bodies where one frame has several without names."""
+    values, rows = found.values, len(keypoints)
+    if "frame" not in values and "sequence" in values:
+        keys = [values[key] for key in _CLIP if key in values]
+        values["frame"] = _counted(by_appearance(keys, rows)[0])
+        found.notes.append("no frame numbers: rows are taken as neighbours in time")
+    if "sequence" not in values:
+        return
+    if _again(values, rows) is not None and "action" in values:  # frames that count from 0 in each action
+        joined = np.char.add(np.char.add(values["sequence"], " "), values["action"])
+        if _again({**values, "sequence": joined}, rows) is None:
+            values["sequence"] = joined
+    nameless = values.get("instance", np.full(rows, "")) == ""
+    again = _again(values, rows)
+    if again is None:
+        return
+    if "instance" in values and not nameless[again]:
+        where = f"{path}, line {lines[again]}" if lines is not None else f"{path}"
+        raise UserError(f"{where}: '{values['instance'][again]}' is in frame {values['frame'][again]} twice.")
+    _link(found, keypoints, confidence, nameless)
+
+
+def _again(values: dict[str, np.ndarray], rows: int) -> int | None:
+    """Return a row whose frame another row of its clip has already; None where there is none."""
+    both = by_appearance([values[key] for key in (*_CLIP, "frame", "image") if key in values], rows)[0]
+    if np.bincount(both).max(initial=0) <= 1:
+        return None
+    order = np.argsort(both, kind="stable")
+    again = order[np.flatnonzero(np.diff(both[order]) == 0) + 1]
+    named = again[values["instance"][again] != ""] if "instance" in values else again[:0]
+    return int(named.min() if len(named) else again.min())
+
+
+def _link(found: Identity, keypoints: np.ndarray, confidence: np.ndarray, nameless: np.ndarray) -> None:
+    """Name the bodies that have no name by where they are from frame to frame."""
+    values = found.values
+    some = np.flatnonzero(nameless)
+    clip = by_appearance([values[key][some] for key in _CLIP[:3] if key in values], len(some))[0]
+    order = np.argsort(clip, kind="stable")
+    body = np.zeros(len(nameless), np.int64)
+    for part in np.split(order, np.flatnonzero(np.diff(clip[order])) + 1):
+        rows = some[part]
+        body[rows] = link_bodies(keypoints[rows], confidence[rows], values["frame"][rows])
+    named = body.astype(np.str_)
+    if not nameless.all():
+        named = np.where(nameless, np.char.add("untracked ", named), values["instance"])
+    values["instance"] = named
+    found.notes.append("frames show several bodies without names: told apart by where they are from frame to frame")
+
+
+def _counted(code: np.ndarray) -> np.ndarray:
+    """Return for each row how many before it have its code."""
+    order = np.argsort(code, kind="stable")
+    starts = np.flatnonzero(np.diff(code[order], prepend=-1))
+    count = np.arange(len(code)) - np.repeat(starts, np.diff(np.append(starts, len(code))))
+    numbers = np.empty(len(code), np.int64)
+    numbers[order] = count
+    return numbers
+
+
+def _add_time(found: Identity, time: np.ndarray, head: str) -> None:
+    """Find the rate, and frame numbers where there are none, in times that go up evenly."""
+    values = found.values
+    keys = [values[key] for key in _CLIP if key in values]
+    clip = by_appearance(keys, len(time))[0]
+    order = np.lexsort((time, clip))
+    step = np.diff(time[order])
+    frames = np.diff(values["frame"][order]).astype(np.float64) if "frame" in values else np.ones(len(step))
+    next_ = (np.diff(clip[order]) == 0) & (step > 0) & (frames > 0)
+    if not next_.any():
+        return
+    per_frame = step[next_] / frames[next_]
+    usual = float(np.median(per_frame))
+    if (np.abs(per_frame - usual) > _UNEVEN * usual).mean() > 0.05:
+        found.notes.append(f"the times in '{head}' go up unevenly: frames a second are not known")
+        return
+    unit, told = _unit(head, usual)
+    # Over the whole clip, where rounding of single times no longer counts.
+    rate = frames[next_].sum() / step[next_].sum() / unit
+    found.fps = found.fps or float(f"{rate:.9g}")
+    if not told:
+        name = {1.0: "seconds", 1e-3: "milliseconds", 1e-6: "microseconds"}[unit]
+        found.notes.append(f"times in '{head}' are taken as {name}: {found.fps:g} frames a second")
+    if "frame" not in values and "sequence" in values:
+        first = np.full(int(clip.max()) + 1, np.inf)
+        np.minimum.at(first, clip, time)
+        values["frame"] = np.round((time - first[clip]) / usual).astype(np.int64)
+
+
+def _unit(head: str, step: float) -> tuple[float, bool]:
+    """Return how many seconds a unit of the column is, and whether its name says so."""
+    key = head.casefold().replace(" ", "_").replace("(", "_").rstrip(")")
+    for word, seconds in _SECONDS.items():
+        if key == word or key.endswith("_" + word):
+            return seconds, True
+    return (1.0 if step < 1 else 1e-3 if step < 1000 else 1e-6), False
+
+
+def _one(table: Table, column: int) -> float | None:
+    """Return the number that all rows have; None where they differ."""
+    values = table.exact[column]
+    if not (np.isfinite(values) & (values > 0) & (values < 1e6)).all():
+        head = table.header[-1][column]
+        raise UserError(f"{table.path}: '{head}' goes from {values.min():g} to {values.max():g}, expected one number.")
+    return float(values[0]) if (values == values[0]).all() else None
+
+
+# Read tables whose joints stand side by side: one row a frame, or a frame and an individual.
+
+Named = Callable[[Sequence[str]], tuple[Sequence[str], Sequence[str]]]
+"""Makes joint names of those that a file has, and notes that say how."""
+Rated = Callable[[np.ndarray | None, np.ndarray], np.ndarray | None]
+"""Changes the scores (rows joints) of keypoints (rows joints 2) before they are taken as confidence."""
+
+
+def read_wide(
+    path: Path, columns: Columns, named: Named, notes: Sequence[str] = (), rated: Rated | None = None
+) -> PoseData:
+    """Read a table of the ``columns``; ``notes`` come first in those of the result.
+
+    Raises:
+        UserError: as `Table.read`, `identity_of` and `bodies_of`.
+    """
+    joints = list(columns.joints.values())
+    scored = all(joint.score is not None for joint in joints)
+    some = any(joint.score is not None for joint in joints)
+    parts = [(joint.x, joint.y, joint.score if scored else None) for joint in joints]
+    places = [place for one in parts for place in one if place is not None]
+    extra: list[int] = [joint.score for joint in joints if joint.score is not None] if some and not scored else []
+    exact = [place for place in (columns.frame, columns.time, *columns.facts.values()) if place is not None]
+    table = Table.read(path, 1, [*places, *extra], exact, list(columns.identity.values()))
+    values = table.numbers[:, : len(places)].reshape(len(table), len(joints), -1)
+    keypoints = np.ascontiguousarray(values[..., :2])
+    scores = values[..., 2] if scored else None
+    if extra:  # joints without a score are as sure as they are there
+        scores = np.ones(keypoints.shape[:2], np.float32)
+        scores[:, [at for at, joint in enumerate(joints) if joint.score is not None]] = table.numbers[:, len(places) :]
+    found = identity_of(table, columns)
+    if scores is not None and all(joint.visibility for joint in joints):
+        scores = seen_by_flag(scores, found.notes)
+    if rated is not None:
+        scores = rated(scores, keypoints)
+    names, told = named(list(columns.joints))
+    return bodies_of(path, found, keypoints, scores, names, (*notes, *told), table.lines)
+
+
+# Read tables with one row for each joint of each frame.
+
+
+def read_long(
+    path: Path, columns: Columns, named: Named, notes: Sequence[str] = (), rated: Rated | None = None
+) -> PoseData:
+    """Read a table of the ``columns``; ``notes`` come first in those of the result.
+
+    Raises:
+        UserError: a joint twice in one frame; as `Table.read`, `identity_of` and `bodies_of`.
+    """
+    assert columns.name is not None
+    joint = columns.joints[""]
+    places = [place for place in (joint.x, joint.y, joint.score) if place is not None]
+    exact = [place for place in (columns.frame, columns.time, *columns.facts.values()) if place is not None]
+    table = Table.read(path, 1, places, exact, [columns.name, *columns.identity.values()])
+    found = identity_of(table, columns)
+    keys = [found.values[key] for key in found.values if key not in ("action", "category")]
+    group, first = by_appearance(keys, len(table))
+    names, of = _joints(table, columns.name)
+    place = group * len(names) + of
+    if len(place) > 1 and np.bincount(place).max() > 1:
+        _say_twice(table, place, names, of, found.values.get("frame"))
+    values = np.full((len(first) * len(names), len(places)), np.nan, np.float32)
+    values[place] = table.numbers
+    values = values.reshape(len(first), len(names), -1)
+    keypoints = np.ascontiguousarray(values[..., :2])
+    scores = values[..., 2] if joint.score is not None else None
+    if scores is not None and joint.visibility:
+        scores = seen_by_flag(scores, found.notes)
+    if rated is not None:
+        scores = rated(scores, keypoints)
+    found.values = {key: value[first] for key, value in found.values.items()}
+    joints, told = named(names)
+    return bodies_of(path, found, keypoints, scores, joints, (*notes, *told), table.lines[first])
+
+
+def _joints(table: Table, column: int) -> tuple[list[str], np.ndarray]:
+    """Return joint names in the file's order, numbers in their own, and (rows,) which is whose."""
+    words = table.words[column]
+    names = words.names
+    if "" in names:
+        line = table.lines[int(np.argmax(words.codes == names.index("")))]
+        raise UserError(f"{table.path}, line {line}: no name of a joint.")
+    if all(re.fullmatch(r"\d{1,9}", name) for name in names):
+        order = sorted(range(len(names)), key=lambda at: int(names[at]))
+        rank = np.empty(len(names), np.int64)
+        rank[order] = np.arange(len(names))
+        return [names[at] for at in order], rank[words.codes]
+    return names, words.codes.astype(np.int64)
+
+
+def _say_twice(table: Table, place: np.ndarray, names: list[str], of: np.ndarray, frame: np.ndarray | None) -> None:
+    order = np.argsort(place, kind="stable")
+    at = int(np.flatnonzero(np.diff(place[order]) == 0)[0])
+    one, two = int(order[at]), int(order[at + 1])
+    where = "" if frame is None else f" of frame {frame[two]}"
+    raise UserError(
+        f"{table.path}, line {table.lines[two]}: '{names[of[two]]}'{where} is there twice (first on line "
+        f"{table.lines[one]}). Several bodies need a column 'individual' that tells them apart, frames one 'frame'."
+    )
+
+
+# Plain csv files: a row per frame (NAME_x, NAME_y, NAME_confidence), or a row per joint (frame, joint, x, y).
+
+
+def columns_in(peek: Peek) -> Columns | None:
+    """Return the columns of a file of text that begins like a csv of keypoints; None for any other."""
+    if peek.is_folder or peek.json_sign or not peek.text:
+        return None
+    try:
+        header, separator = header_of(peek.path, 1)
+    except (UserError, OSError):
+        return None
+    return columns_of(header[0]) if separator in peek.text else None
+
+
+def left_out(columns: Columns) -> tuple[str, ...]:
+    """Return what to say of columns that are not read."""
+    shown = ", ".join(columns.others[:8]) + (", ..." if len(columns.others) > 8 else "")
+    return (f"columns left out: {shown}",) if columns.others else ()
+
+
+def _read(path: Path, options: ReadOptions) -> PoseData:
+    peek = Peek(path)
+    columns = columns_in(peek)
+    if peek.is_folder:
+        raise UserError(f"{path} is a folder, expected a csv file.")
+    if columns is None:
+        shown = ", ".join(header_of(path, 1)[0][0])[:120]
+        raise UserError(f"{path} has the columns {shown}; expected NAME_x and NAME_y of each joint, or joint, x and y.")
+    check(path, columns)
+    deep = next((name for name, joint in columns.joints.items() if joint.z is not None), None)
+    if deep is not None:
+        what = f"'{deep}' has" if deep else "it has"
+        raise UserError(
+            f"{path}: {what} x, y and z: 3D points, no 2D keypoints. Give the tracker's 2D output; for landmarks of "
+            "MediaPipe, whose z is left out, say format=mediapipe."
+        )
+    return read_columns(path, columns, lambda names: _named(path, names, options))
+
+
+def read_columns(path: Path, columns: Columns, named: Named, rated: Rated | None = None) -> PoseData:
+    """Read a csv of the ``columns``, wide or long; ``named`` makes joint names, and notes, of what the file has, ``rated`` scores.
+
+    Raises:
+        UserError: as `read_wide` and `read_long`.
+    """
+    if columns.name is not None:
+        return read_long(path, columns, named, left_out(columns), rated)
+    if is_nameless(list(columns.joints)):
+        joints = dict(sorted(columns.joints.items(), key=lambda one: int(re.sub(r"\D", "", one[0]))))
+        columns = replace(columns, joints=joints)
+    return read_wide(path, columns, named, left_out(columns), rated)
+
+
+def check(path: Path, columns: Columns) -> None:
+    """Raise UserError where a column is there twice."""
+    if columns.twice:
+        raise UserError(f"{path}: the column '{columns.twice[0]}' is there twice; joint names must differ.")
+
+
+def _named(path: Path, names: Sequence[str], options: ReadOptions) -> tuple[Sequence[str], Sequence[str]]:
+    return names_for(path, len(names), {}, options) if is_nameless(names) else (names, ())
+
+
+FORMAT = Format("csv", "plain csv", lambda peek: columns_in(peek) is not None, _read)
+
+
+# Write the 2D of a `PoseData` as a plain csv: one row a frame and individual, NAME_x, NAME_y, NAME_confidence.
+
+_BLOCK = 4096
+
+
+def write_keypoints_csv(data: PoseData, path: str | Path) -> None:
+    """Write keypoints, confidence, identity, times and image size; format=csv reads them back the same.
+
+    NaN is an empty cell. What came from 3D is not written.
+
+    Raises:
+        UserError: joint names that a header of a csv cannot hold.
+    """
+    header = [f"{joint}_{what}" for joint in data.joint_names for what in ("x", "y", "confidence")]
+    found = columns_of(header)
+    if found is None or tuple(found.joints) != data.joint_names or found.twice or is_nameless(data.joint_names):
+        read = () if found is None else found.joints
+        wrong = next((name for name in data.joint_names if name not in read), data.joint_names[0])
+        raise UserError(f"cannot write {path}: the joint name '{wrong}' cannot be told from a column's. Write .npz.")
+    beside = _beside(data)
+    with replacing(path) as handle:
+        text = io.TextIOWrapper(handle, encoding="utf-8", newline="")
+        lines = csv.writer(text, lineterminator="\n")
+        lines.writerow([*beside, *header])
+        for rows in _blocks(len(data)):
+            numbers = np.concatenate([data.keypoints[rows], data.confidence[rows][..., None]], -1)
+            cells = as_text(numbers.reshape(len(numbers), -1))
+            columns = [column[rows].tolist() for column in beside.values()]
+            lines.writerows([*own, *row] for *own, row in zip(*columns, cells.tolist(), strict=True))
+        text.flush()
+        text.detach()
+
+
+def as_text(numbers: np.ndarray) -> np.ndarray:
+    """Return float32 as the shortest text that is read back as the same, and nothing for NaN."""
+    numbers = numbers.astype(np.float32)
+    texts = numbers.astype(np.str_)
+    return np.where(np.isnan(numbers), "", texts)
+
+
+def _beside(data: PoseData) -> dict[str, np.ndarray]:
+    """Return the columns that are no keypoints."""
+    keys = [key for key in ("frame", *IDENTITY_KEYS) if key in data.identity]
+    columns = {key: data.identity[key] for key in dict.fromkeys(keys)}
+    if data.fps is not None and "frame" in columns:
+        columns["time_s"] = columns["frame"] / data.fps
+    if data.image_size is not None:
+        width, height = data.image_size
+        columns["image_width"] = np.full(len(data), width)
+        columns["image_height"] = np.full(len(data), height)
+    return columns
+
+
+def _blocks(rows: int) -> Iterator[slice]:
+    yield from (slice(at, at + _BLOCK) for at in range(0, rows, _BLOCK))

@@ -1,0 +1,460 @@
+"""DeepLabCut and Lightning Pose: tables in csv or HDF5, of one or several individuals."""
+
+from __future__ import annotations
+
+import csv
+import io
+import os
+import pickle
+import re
+import struct
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from uplift.config.files import replacing
+from uplift.data.formats.base import Format, Peek, ReadOptions, need
+from uplift.data.formats.csv import as_text
+from uplift.data.formats.rows import frame_numbers, rows_of
+from uplift.data.parsers.pickles import Source, Unpickler
+from uplift.data.parsers.table import Table, first_lines, header_of
+from uplift.data.poses import PoseData
+from uplift.errors import UserError, did_you_mean
+
+__all__ = [
+    "FORMAT",
+    "LEVELS",
+    "Layout",
+    "layout_of",
+    "looks_like_deeplabcut_csv",
+    "looks_like_deeplabcut_h5",
+    "pose_data",
+    "read_deeplabcut_csv",
+    "read_deeplabcut_h5",
+    "write_deeplabcut_csv",
+]
+
+# What DeepLabCut's columns mean: a scorer, an individual, a body part and a coordinate each.
+
+LEVELS = (("scorer", "bodyparts", "coords"), ("scorer", "individuals", "bodyparts", "coords"))
+_LOCATION = {"x": 0, "y": 1, "likelihood": 2}
+_VIDEO = re.compile(r"(.+?)(DLC_|DeepCut_).*")
+
+
+@dataclass(frozen=True)
+class Layout:
+    """Where the numbers of each body part are."""
+
+    bodyparts: tuple[str, ...]
+    individuals: tuple[str, ...]
+    columns: np.ndarray
+    """The columns that hold them, in order."""
+    places: np.ndarray
+    """(individuals bodyparts 3) place in ``columns`` of x, y and likelihood; -1 where there is none."""
+    notes: tuple[str, ...]
+
+
+def layout_of(path: Path, columns: Sequence[tuple[str, ...]]) -> Layout:
+    """Return what ``columns``, a tuple of `LEVELS` each, hold.
+
+    Raises:
+        UserError: several scorers, 3D, a coordinate twice, or x without y.
+    """
+    others = tuple(dict.fromkeys(c[-1] or c[0] for c in columns if c[-1] not in _LOCATION))
+    columns = [column if len(column) == 4 else (column[0], "", *column[1:]) for column in columns]
+    known = [column for column in columns if column[3] in _LOCATION]
+    if any(column[3] == "z" for column in columns):
+        raise UserError(f"{path} has x, y and z: 3D poses, no 2D keypoints; it can be no input of a lifter.")
+    if not known:
+        near = did_you_mean(others[0], _LOCATION) if others else ""
+        raise UserError(f"{path}: no coords x and y in it (found {', '.join(others) or 'nothing'}).{near}")
+    scorers = tuple(dict.fromkeys(column[0] for column in known))
+    if len(scorers) > 1:
+        raise UserError(f"{path}: columns of {len(scorers)} scorers ({', '.join(scorers[:4])}), expected one.")
+    individuals = tuple(dict.fromkeys(column[1] for column in known))
+    bodyparts = tuple(dict.fromkeys(column[2] for column in known))
+    if not all(bodyparts):
+        raise UserError(f"{path}: a column without the name of a body part.")
+    who = {name: place for place, name in enumerate(individuals)}
+    what = {name: place for place, name in enumerate(bodyparts)}
+    places = np.full((len(who), len(what), 3), -1)
+    for place, column in enumerate(columns):
+        if column[3] in _LOCATION:
+            at = who[column[1]], what[column[2]], _LOCATION[column[3]]
+            if places[at] >= 0:
+                raise UserError(f"{path}: '{column[2]}' has '{column[3]}' twice; body parts must differ.")
+            places[at] = place
+    half = (places[..., :2] >= 0).sum(-1) == 1
+    if half.any():
+        raise UserError(f"{path}: '{bodyparts[int(np.argwhere(half)[0, 1])]}' has x or y and not the other.")
+    notes = (f"left out: {', '.join(others[:6])}{', ...' if len(others) > 6 else ''}",) if others else ()
+    used = np.unique(places[places >= 0])
+    places = np.where(places >= 0, np.searchsorted(used, places), -1)
+    return Layout(bodyparts, individuals, used, places, notes)
+
+
+def pose_data(
+    path: Path, layout: Layout, numbers: np.ndarray, index: np.ndarray, lines: np.ndarray | None = None
+) -> PoseData:
+    """Return the rows of a table: the numbers of `Layout.columns`, and (rows,) frame numbers or names of images.
+
+    Raises:
+        UserError: no frame numbers, one twice, or numbers that are no keypoints.
+    """
+    values = _per_bodypart(layout, numbers)
+    scores = values[..., 2] if (layout.places[..., 2] >= 0).any() else None
+    if scores is not None and np.isnan(scores).all():  # a column that labels by hand have and do not fill
+        scores = None
+    if index.dtype.kind == "U":
+        identity = {"image": index}
+    else:
+        video = _VIDEO.fullmatch(path.stem)
+        frame = frame_numbers(path, index, lines, once=True)
+        identity = {"sequence": np.full(len(frame), video[1] if video else path.stem), "frame": frame}
+    bodies = layout.individuals if layout.individuals != ("",) else ()
+    return rows_of(
+        path, np.ascontiguousarray(values[..., :2]), scores, layout.bodyparts, identity, bodies, notes=layout.notes
+    )
+
+
+def _per_bodypart(layout: Layout, numbers: np.ndarray) -> np.ndarray:
+    """Return (rows individuals bodyparts 3); NaN where there is no column."""
+    if np.array_equal(layout.places.ravel(), np.arange(numbers.shape[1])):
+        return numbers.reshape(-1, *layout.places.shape)
+    if (layout.places >= 0).all():
+        return numbers[:, layout.places]
+    padded = np.concatenate([numbers, np.full((len(numbers), 1), np.nan, numbers.dtype)], 1)
+    return padded[:, layout.places]
+
+
+# Read the csv files of DeepLabCut and Lightning Pose: three or four header rows, then a row per frame or image.
+
+
+def looks_like_deeplabcut_csv(peek: Peek) -> bool:
+    """Return whether the first lines are DeepLabCut's header."""
+    return _csv_levels(peek) is not None
+
+
+def read_deeplabcut_csv(path: Path) -> PoseData:
+    """Read predictions (frames of a video) or labels (images) of one or several individuals.
+
+    Raises:
+        UserError: another header, rows of different lengths, text where numbers must be, 3D.
+    """
+    peek = Peek(path)
+    levels = _csv_levels(peek)
+    if levels is None:
+        raise UserError(
+            f"{path} begins {peek.text[:60]!r}, expected the header rows of DeepLabCut: {', '.join(LEVELS[0])} "
+            f"({', '.join(LEVELS[1])} for several individuals)."
+        )
+    rows = len(levels)
+    header, _ = header_of(path, rows)
+    indices = next((at for at in range(1, len(header[0])) if any(row[at] for row in header)), len(header[0]))
+    layout = layout_of(path, list(zip(*(row[indices:] for row in header), strict=True)))
+    below = header_of(path, rows + 1)[0][-1]
+    if not any(below[indices:]):  # the name of the index, or an image without labels: no keypoints either way
+        rows += 1
+        below = header_of(path, rows + 1)[0][-1]
+    by_image = indices > 1 or not _is_number(below[0])
+    table = Table.read(
+        path,
+        rows,
+        (layout.columns + indices).tolist(),
+        exact=() if by_image else (0,),
+        words=range(indices) if by_image else (),
+    )
+    index = _images(table, indices) if by_image else table.exact[0]
+    return pose_data(path, layout, table.numbers, index, table.lines)
+
+
+def _csv_levels(peek: Peek) -> tuple[str, ...] | None:
+    """Return the rows of the header; None where it is none of DeepLabCut."""
+    if not peek.text.lstrip('\r\n "').startswith(LEVELS[0][0]):
+        return None
+    for levels in LEVELS:
+        try:
+            lines = first_lines(peek.path, len(levels))
+        except (UserError, OSError):
+            return None
+        if tuple(re.split("[,;\t]", line, maxsplit=1)[0].strip(' "') for line in lines) == levels:
+            return levels
+    return None
+
+
+def _is_number(text: str) -> bool:
+    return text.replace(".", "", 1).isdecimal()
+
+
+def _images(table: Table, columns: int) -> np.ndarray:
+    """Return (rows,) paths of images, whose folders may stand in columns of their own."""
+    values = [table.words[place].values().tolist() for place in range(columns)]
+    paths = ["/".join(part for part in parts if part).replace("\\", "/") for parts in zip(*values, strict=True)]
+    if not all(paths):
+        raise UserError(f"{table.path}, line {table.lines[paths.index('')]}: no name of an image.")
+    return np.array(paths, np.str_)
+
+
+# Read the HDF5 files of DeepLabCut: a table that pandas wrote, of frames or images by body parts.
+
+# pandas reads these files through PyTables, which unpickles each attribute of each node that looks like a
+# pickle, and each object array: a file could run what it likes. h5py unpickles nothing. The few attributes
+# that are pickles, lists of names, go through the unpickler that runs nothing; arrays of objects are refused.
+_KEYS = ("df_with_missing", "tracks")
+_MOST_PACKED = 1100  # zlib makes data a thousandth at best
+_DAMAGE = (
+    OSError, RuntimeError, ValueError, LookupError, TypeError, AttributeError, MemoryError, OverflowError,
+    NotImplementedError, EOFError, ArithmeticError, ImportError, pickle.UnpicklingError, struct.error,
+)  # fmt: skip
+
+
+def looks_like_deeplabcut_h5(peek: Peek) -> bool:
+    """Return whether an HDF5 file has a table that pandas wrote."""
+    try:
+        import h5py
+
+        with h5py.File(peek.path, "r") as file:
+            return bool(_tables(file))
+    except (*_DAMAGE, RecursionError):
+        return False
+
+
+def read_deeplabcut_h5(path: Path) -> PoseData:
+    """Read predictions (frames of a video) or labels (images) of one or several individuals.
+
+    Raises:
+        UserError: no table of pandas, several, one with pickled objects, or damaged.
+    """
+    try:
+        import h5py
+    except ImportError:
+        raise need("h5py", "trackers", path) from None
+    try:
+        with h5py.File(path, "r") as file:
+            group: Any = file[_key(path, _tables(file))]
+            columns, numbers, index = _appendable(path, group) if "table" in group else _fixed(path, group)
+    except _DAMAGE as error:
+        said = " ".join(str(error).split())[:200] or type(error).__name__
+        raise UserError(f"{path} cannot be read as a table of pandas: truncated or damaged? ({said})") from error
+    if not columns or len({len(column) for column in columns}) != 1 or len(columns[0]) not in (3, 4):
+        raise UserError(
+            f"{path}: columns of {len(columns[0]) if columns else 0} levels, expected {', '.join(LEVELS[0])}, "
+            "with individuals for several."
+        )
+    layout = layout_of(path, columns)
+    with np.errstate(over="ignore", invalid="ignore"):
+        used = np.ascontiguousarray(numbers[:, layout.columns], np.float32)
+    return pose_data(path, layout, used, index)
+
+
+def _tables(file: Any) -> list[str]:
+    """Return the groups at the root that hold a DataFrame."""
+    import h5py
+
+    found = []
+    for name in file:
+        if isinstance(file.get(name, getlink=True), h5py.HardLink) and isinstance(file[name], h5py.Group):
+            kind = file[name].attrs.get("pandas_type", b"")
+            if _as_text(kind) in ("frame_table", "frame"):
+                found.append(name)
+    return found
+
+
+def _key(path: Path, keys: list[str]) -> str:
+    chosen = [key for key in _KEYS if key in keys] or keys
+    if not chosen:
+        raise UserError(f"{path}: no table of pandas in it, expected one such as 'df_with_missing'.")
+    if len(chosen) > 1:
+        raise UserError(f"{path}: {len(chosen)} tables ({', '.join(chosen[:6])}), expected one.")
+    return chosen[0]
+
+
+def _appendable(path: Path, group: Any) -> tuple[list[tuple[str, ...]], np.ndarray, np.ndarray]:
+    """Return columns, (rows, columns) numbers and the index of pandas' format "table"."""
+    table = _array(path, group, "table", records=True)
+    axes = _unpickled(path, group, "non_index_axes")
+    columns = [_names(path, column) for column in axes[0][1]]
+    place = {column: at for at, column in enumerate(columns)}
+    rows = table[()]
+    numbers = np.full((len(rows), len(columns)), np.nan)
+    for field in rows.dtype.names:
+        if field.startswith("values_block_"):
+            _check_numbers(path, rows[field].dtype)
+            kinds = [_names(path, column) for column in _unpickled(path, table, f"{field}_kind")]
+            numbers[:, [place[kind] for kind in kinds]] = rows[field].reshape(len(rows), len(kinds))
+    return columns, numbers, _index(path, rows["index"], _as_text(group.attrs.get("encoding", b"utf-8")))
+
+
+def _fixed(path: Path, group: Any) -> tuple[list[tuple[str, ...]], np.ndarray, np.ndarray]:
+    """Return columns, (rows, columns) numbers and the index of pandas' format "fixed"."""
+    encoding = _as_text(group.attrs.get("encoding", b"utf-8"))
+    columns = list(zip(*_h5_levels(path, group, "axis0", encoding), strict=True))
+    place = {column: at for at, column in enumerate(columns)}
+    if _as_text(group.attrs.get("axis1_variety", b"regular")) == "multi":
+        parts = _h5_levels(path, group, "axis1", encoding)
+        index = np.array(["/".join(part for part in parts if part) for parts in zip(*parts, strict=True)], np.str_)
+    else:
+        index = _index(path, _array(path, group, "axis1")[()], encoding)
+    numbers = np.full((len(index), len(columns)), np.nan)
+    for block in range(int(group.attrs["nblocks"])):
+        items = list(zip(*_h5_levels(path, group, f"block{block}_items", encoding), strict=True))
+        values = _array(path, group, f"block{block}_values")
+        _check_numbers(path, values.dtype)
+        values = values[()] if values.attrs.get("transposed", 0) else values[()].T
+        numbers[:, [place[item] for item in items]] = values.reshape(len(index), len(items))
+    return columns, numbers, index
+
+
+def _h5_levels(path: Path, group: Any, name: str, encoding: str) -> list[list[str]]:
+    """Return the text of each level of a MultiIndex, one entry per column or row."""
+    if _as_text(group.attrs.get(f"{name}_variety", b"")) != "multi":
+        raise UserError(f"{path}: columns of one level, expected {', '.join(LEVELS[0])}.")
+    found = []
+    for level in range(int(group.attrs[f"{name}_nlevels"])):
+        texts = _index(path, _array(path, group, f"{name}_level{level}")[()], encoding).astype(np.str_).tolist()
+        codes = _array(path, group, f"{name}_label{level}")[()].tolist()
+        found.append([texts[code] if code >= 0 else "" for code in codes])
+        if len(found[0]) != len(found[-1]):
+            raise ValueError(f"levels of {len(found[0])} and {len(found[-1])} entries")
+    return found
+
+
+def _index(path: Path, values: np.ndarray, encoding: str) -> np.ndarray:
+    """Return numbers as they are and bytes as text with ``/`` between folders."""
+    if values.ndim != 1:
+        raise ValueError(f"an index of shape {values.shape}")
+    if values.dtype.kind == "S":
+        texts = [text.decode(encoding, errors="replace").replace("\\", "/") for text in values.tolist()]
+        return np.array(texts, np.str_)
+    _check_numbers(path, values.dtype)
+    return values.astype(np.float64)
+
+
+def _array(path: Path, group: Any, name: str, *, records: bool = False) -> Any:
+    """Return a dataset that is in the file itself, of numbers or text and no larger than the file can hold."""
+    import h5py
+
+    item = group[name] if isinstance(group.get(name, getlink=True), h5py.HardLink) else None
+    if not isinstance(item, h5py.Dataset) or item.external or item.is_virtual:
+        raise UserError(f"{path}: '{name}' is no array in the file itself.")
+    if item.dtype.hasobject:
+        raise UserError(
+            f"{path}: '{name}' holds pickled Python objects, which could run code and are never opened. "
+            "Save numbers: DataFrame.astype(float).to_hdf(...), or DataFrame.to_csv(...)."
+        )
+    if (item.dtype.names is not None) != records or item.dtype.itemsize > 1 << 24:
+        raise ValueError(f"'{name}' holds {str(item.dtype)[:60]}")
+    claimed = int(np.prod([int(n) for n in item.shape], dtype=object)) * item.dtype.itemsize
+    memory = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
+    if claimed > min(memory // 2, path.stat().st_size * _MOST_PACKED):
+        raise UserError(f"{path}: '{name}' claims {claimed / 1e9:.3g} GB, more than the file or the memory can hold.")
+    return item
+
+
+def _check_numbers(path: Path, dtype: np.dtype) -> None:
+    if dtype.base.kind not in "fiu":
+        raise UserError(f"{path}: a column of {dtype.base}, expected numbers.")
+
+
+def _unpickled(path: Path, item: Any, name: str) -> Any:
+    """Return a list that pandas keeps as a pickle in an attribute."""
+    raw = item.attrs[name]
+    raw = raw.tobytes() if isinstance(raw, np.ndarray) else bytes(raw)
+    return Unpickler(Source(io.BytesIO(raw), len(raw)), f"{path}, '{name}'").load()
+
+
+def _names(path: Path, column: Any) -> tuple[str, ...]:
+    if not isinstance(column, tuple):
+        raise UserError(f"{path}: columns of one level, expected {', '.join(LEVELS[0])}.")
+    return tuple(str(part) for part in column)
+
+
+def _as_text(value: Any) -> str:
+    return value.decode(errors="replace") if isinstance(value, bytes) else str(value)
+
+
+# DeepLabCut and Lightning Pose: tables in csv or HDF5, of one or several individuals.
+
+
+def _fits(peek: Peek) -> bool:
+    return looks_like_deeplabcut_h5(peek) if peek.is_hdf5 else looks_like_deeplabcut_csv(peek)
+
+
+def _read(path: Path, options: ReadOptions) -> PoseData:
+    return read_deeplabcut_h5(path) if Peek(path).is_hdf5 else read_deeplabcut_csv(path)
+
+
+FORMAT = Format("deeplabcut", "DeepLabCut or Lightning Pose (csv, h5)", _fits, _read)
+
+
+# Write the 2D of a `PoseData` in DeepLabCut's csv layout: one video, or labelled images.
+
+_SCORER = "uplift"
+
+
+def write_deeplabcut_csv(data: PoseData, path: str | Path) -> None:
+    """Write scorer, individuals (where there are any), bodyparts and coords x, y, likelihood.
+
+    The index is the frame, or the image where rows are images. The layout holds nothing else: no
+    rate, no subject, no action; the video's name is that of the file.
+
+    Raises:
+        UserError: more than one video, or one individual twice in a frame.
+    """
+    index, order = _csv_index(data, path)
+    who, bodies = _bodies(data)
+    joints = len(data.joint_names)
+    place = index * len(bodies) + who
+    if len(place) and np.bincount(place).max() > 1:
+        row = int(np.flatnonzero(np.bincount(place)[place] > 1)[0])
+        raise UserError(f"cannot write {path}: '{bodies[who[row]]}' is in '{order[index[row]]}' twice.")
+    cells = np.full((len(order) * len(bodies), joints, 3), np.nan, np.float32)
+    cells[place, :, :2] = data.keypoints
+    cells[place, :, 2] = data.confidence
+    text = as_text(cells.reshape(len(order), -1))
+    columns = [
+        (body, joint, what) for body in bodies for joint in data.joint_names for what in ("x", "y", "likelihood")
+    ]
+    head = zip(*columns, strict=True)
+    with replacing(path) as handle:
+        stream = io.TextIOWrapper(handle, encoding="utf-8", newline="")
+        lines = csv.writer(stream, lineterminator="\n")
+        lines.writerow(["scorer", *[_SCORER] * len(columns)])
+        for name, row in zip(("individuals", "bodyparts", "coords"), head, strict=True):
+            if name != "individuals" or "instance" in data.identity:
+                lines.writerow([name, *row])
+        lines.writerows([first, *row] for first, row in zip(order, text.tolist(), strict=True))
+        stream.flush()
+        stream.detach()
+
+
+def _csv_index(data: PoseData, path: str | Path) -> tuple[np.ndarray, list]:
+    """Return (rows,) places in the index, and the index: images as they come, frames going up."""
+    identity = data.identity
+    keys = [key for key in ("subject", "sequence", "camera") if key in identity and "image" not in identity]
+    clips = {tuple(values) for values in zip(*(identity[key].tolist() for key in keys), strict=True)} if keys else set()
+    if len(clips) > 1:
+        shown = ", ".join(" ".join(map(str, clip)) for clip in sorted(clips, key=str)[:3])
+        raise UserError(
+            f"cannot write {path}: {len(clips)} videos ({shown}, ...), and DeepLabCut's csv holds one. "
+            "Write one file each, or a plain csv."
+        )
+    if "image" in identity:
+        names = list(dict.fromkeys(identity["image"].tolist()))
+        place = {name: at for at, name in enumerate(names)}
+        return np.array([place[name] for name in identity["image"].tolist()], np.int64), names
+    frame = identity.get("frame", np.arange(len(data)))
+    frames, index = np.unique(frame, return_inverse=True)
+    return index, frames.tolist()
+
+
+def _bodies(data: PoseData) -> tuple[np.ndarray, list[str]]:
+    """Return (rows,) places among the individuals, and their names by first appearance."""
+    if "instance" not in data.identity:
+        return np.zeros(len(data), np.int64), [""]
+    names = data.identity["instance"].astype(np.str_).tolist()
+    known = {name: at for at, name in enumerate(dict.fromkeys(names))}
+    return np.array([known[name] for name in names], np.int64), list(known)

@@ -1,0 +1,250 @@
+"""COCO's JSON with segmentations: polygons and run lengths; data sets, and what detectors hand in."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from uplift.data.clean_masks import MaskOptions
+from uplift.data.formats.masks import Look, MaskFormat, gather, shuffled, wanted
+from uplift.data.masks import Found, MaskData, Skipped
+from uplift.data.parsers.json import JsonText, entries, is_text, members, objects
+from uplift.data.parsers.outlines import window_of_polygons, window_of_runs
+from uplift.data.parsers.pictures import Photos
+from uplift.errors import UserError
+
+__all__ = ["FORMAT", "SLACK_PX", "Outline", "RecordError", "outline_of", "window_of"]
+
+# Segmentations as COCO's JSON holds them: what is kept of each annotation, and its mask.
+
+SLACK_PX = 2.0
+"""Outlines by hand that stop as near as that to the border of the image go on beyond it."""
+_FARTHEST_PX = 1e7
+
+
+class RecordError(Exception):
+    """Why an annotation cannot be used: a key of `uplift.data.clean_masks.REASONS`."""
+
+
+@dataclass(frozen=True)
+class Outline:
+    """A segmentation, small enough to keep many of."""
+
+    polygons: tuple[np.ndarray, ...] = ()
+    """(corners 2) px each."""
+    counts: Any = None
+    """Run lengths, as a list or as text."""
+    size: Any = None
+    """[height, width] of the run lengths."""
+
+
+def outline_of(record: dict[str, Any]) -> Outline:
+    """Return an annotation's segmentation.
+
+    Raises:
+        RecordError: a crowd, of low score, or without a segmentation that is one.
+    """
+    if record.get("iscrowd") in (1, True):
+        raise RecordError("crowd")
+    score = record.get("score")
+    if isinstance(score, int | float) and not score >= 0.5:
+        raise RecordError("score")
+    found = record.get("segmentation")
+    if not found:
+        raise RecordError("no_outline")
+    if isinstance(found, dict):
+        counts, size = found.get("counts"), found.get("size")
+        if not isinstance(counts, str | list):
+            raise RecordError("damaged")
+        return Outline(counts=counts, size=size)
+    if isinstance(found, list) and not isinstance(found[0], list):
+        found = [found]  # one polygon without its list, as some tools write it
+    if not isinstance(found, list):
+        raise RecordError("damaged")
+    return Outline(polygons=tuple(_polygon(one) for one in found))
+
+
+def _polygon(numbers: Any) -> np.ndarray:
+    if not isinstance(numbers, list) or len(numbers) < 6 or len(numbers) % 2:
+        raise RecordError("damaged")
+    if not all(type(one) in (int, float) and abs(one) < _FARTHEST_PX for one in numbers):
+        raise RecordError("damaged")
+    return np.array(numbers, np.float32).reshape(-1, 2)
+
+
+def window_of(
+    outline: Outline, image_size: tuple[int, int] | None
+) -> tuple[np.ndarray, tuple[int, int], tuple[int, int] | None]:
+    """Return a segmentation's mask in a window, the window's corner (x, y) and the size of the image, px.
+
+    Raises:
+        RecordError: nothing covered, damaged, or too large.
+    """
+    try:
+        if outline.polygons:
+            found = window_of_polygons([one.astype(np.float64) for one in outline.polygons], image_size)
+            if found is not None:
+                return *found, image_size
+        else:
+            runs = window_of_runs(outline.counts, outline.size)
+            if runs is not None:
+                return runs
+    except OverflowError:
+        raise RecordError("huge") from None
+    except ValueError:
+        raise RecordError("damaged") from None
+    raise RecordError("empty")
+
+
+# COCO's JSON with segmentations: polygons and run lengths; data sets, and what detectors hand in.
+
+_UNKNOWN = (2**31, 2**31)
+"""Size of an image that is not told: only its left and upper border are known."""
+
+
+@dataclass(frozen=True)
+class _Image:
+    name: str
+    size: tuple[int, int] | None
+    """Width, height."""
+
+
+@dataclass
+class _Record:
+    """One annotation."""
+
+    number: str
+    image: str | None
+    category: str | None
+    outline: Outline | None
+    reason: str = ""
+    """Why there is no outline."""
+
+
+@dataclass
+class _File:
+    """What has been read of a file."""
+
+    path: Path
+    images: dict[str | None, _Image] = field(default_factory=dict)
+    categories: dict[str | None, str] = field(default_factory=dict)
+    records: list[_Record] = field(default_factory=list)
+
+    def image(self, record: dict[str, Any]) -> None:
+        """Take one image."""
+        number = _key(record.get("id", record.get("image_id")))
+        name = record.get("file_name")
+        width, height = record.get("width"), record.get("height")
+        size = None
+        if isinstance(width, int) and isinstance(height, int) and width > 0 and height > 0:
+            size = (int(width), int(height))
+        self.images[number] = _Image(str(name) if is_text(name) else str(number), size)
+
+    def category(self, record: dict[str, Any]) -> None:
+        """Take one category."""
+        name = record.get("name")
+        self.categories[_key(record.get("id"))] = str(name) if is_text(name) else str(_key(record.get("id")))
+
+    def annotation(self, record: dict[str, Any]) -> None:
+        """Take one annotation."""
+        number = _key(record.get("id")) or str(len(self.records))
+        image, category = _key(record.get("image_id")), _key(record.get("category_id"))
+        try:
+            self.records.append(_Record(number, image, category, outline_of(record)))
+        except RecordError as error:
+            self.records.append(_Record(number, image, category, None, str(error)))
+
+    def category_of(self, record: _Record) -> str:
+        """Return the name of an annotation's category; its number where the file has no name for it."""
+        return self.categories.get(record.category, record.category or "")
+
+
+def _fits(look: Look) -> bool:
+    peek = look.peek
+    if peek is None or not peek.json_sign:
+        return False
+    return bool({"annotations", "segmentation", "images", "categories"} & set(peek.json_keys))
+
+
+def _read(paths: list[Path], options: MaskOptions) -> MaskData:
+    files = [_load(path) for path in paths]
+    where = Look(paths).where
+    known = {name for file in files for name in file.categories.values()}
+    known |= {file.category_of(record) for file in files for record in file.records}
+    taken = wanted(options, known, where)
+    jobs = [(file, record) for file in files for record in file.records if file.category_of(record) in taken]
+    if not jobs:
+        raise UserError(f"{where} has no annotations, expected COCO's, with a 'segmentation' each.")
+    photos, notes = Photos(options.images), _unsized(jobs)
+    data = gather(_items(jobs, options, photos), options, where, notes)
+    data.notes = (*photos.notes(), *data.notes)
+    return data
+
+
+def _unsized(jobs: list[tuple[_File, _Record]]) -> list[str]:
+    """Return what there is to tell of polygons whose image has no size."""
+    polygons = [(file, record) for file, record in jobs if record.outline and record.outline.polygons]
+    unsized = sum(file.images.get(record.image, _Image("", None)).size is None for file, record in polygons)
+    if not unsized:
+        return []
+    return [
+        f"{unsized:,} images have no width and height: whether their objects are cut off at the right or below is not known"
+    ]
+
+
+def _load(path: Path) -> _File:
+    file = _File(path)
+    if path.is_dir():
+        raise UserError(f"{path} is a folder, expected COCO's JSON: give the file in it.")
+    if JsonText(path).next_sign() == "[":  # what a detector hands in
+        for _, record in entries(path, "the list"):
+            file.annotation(record)
+        return file
+    for key, text in members(path):
+        take = {"images": file.image, "annotations": file.annotation, "categories": file.category}.get(key)
+        if take is not None and text.next_sign() == "[":
+            for record in objects(text, f"'{key}'"):
+                take(record)
+            continue
+        value = text.value()
+        if key == "image" and isinstance(value, dict):  # a file for each image
+            file.image(value)
+            file.images[None] = file.images[_key(value.get("id", value.get("image_id")))]
+    return file
+
+
+def _items(jobs: list[tuple[_File, _Record]], options: MaskOptions, photos: Photos) -> Iterator[Found | Skipped]:
+    for order, (file, record) in shuffled(jobs, options):
+        image = file.images.get(record.image, _Image(record.image or "", None))
+        name = f"{image.name or file.path.name}:{record.number}"
+        try:
+            if record.outline is None:
+                raise RecordError(record.reason)
+            if file.images and record.image not in file.images:
+                raise RecordError("no_image")
+            mask, corner, size = window_of(record.outline, image.size)
+        except RecordError as error:
+            yield Skipped(name, str(error))
+            continue
+        yield Found(
+            name,
+            mask,
+            file.category_of(record),
+            photos.of_name(image.name) if image.name else "",
+            corner_px=corner,
+            image_size=size or _UNKNOWN,
+            slack_px=SLACK_PX if record.outline.polygons else 0,
+            order=order,
+        )
+
+
+def _key(value: Any) -> str | None:
+    """Return an id as text, as some files have 7 in one place and "7" in another; nothing for lists and the like."""
+    return str(value)[:200] if isinstance(value, int | str) and not isinstance(value, bool) else None
+
+
+FORMAT = MaskFormat("coco", "COCO's JSON with segmentations", _fits, _read)

@@ -1,0 +1,186 @@
+"""Masks and what is known beside them as one npz file, without pickles."""
+
+from __future__ import annotations
+
+import zipfile
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from uplift.config.files import replacing
+from uplift.data.clean_masks import MaskOptions
+from uplift.data.concat import join, resized
+from uplift.data.formats.masks import Look, MaskFormat, shuffled, wanted
+from uplift.data.masks import MaskData, Placed
+from uplift.data.parsers.npz import CheckedArrays, read_arrays
+from uplift.errors import UserError
+from uplift.geometry.mesh import Mesh
+
+__all__ = ["FORMAT", "read_masks", "write_masks"]
+
+# Masks and what is known beside them as one npz file, without pickles.
+
+_PLACED = ("shape", "view", "scale", "offset", "distance")
+_MESHES = ("mesh_vertices", "mesh_vertex_start", "mesh_faces", "mesh_face_start", "mesh_names", "mesh_category")
+_KNOWN = {
+    "masks", "names", "centre_px", "scale_px", "category", "images", "labelled", "notes", "source", *_PLACED, *_MESHES,
+}  # fmt: skip
+_OLDEST = (1980, 1, 1, 0, 0, 0)
+_TURN_ERROR = 1e-3
+
+
+def write_masks(data: MaskData, path: str | Path) -> None:
+    """Write masks, names, crops, labels and the truth; the same data gives the same bytes.
+
+    Meshes are written one behind the other: ``mesh_vertex_start`` (meshes + 1) says where each begins, and
+    ``mesh_faces`` count from there. `MaskData.extra` is not written.
+    """
+    arrays = {
+        "masks": data.masks,
+        "names": np.asarray(data.names, np.str_),
+        "centre_px": np.asarray(data.centre_px, np.float32),
+        "scale_px": np.asarray(data.scale_px, np.float32),
+        "notes": np.asarray(data.notes, np.str_),
+        "source": np.asarray(data.source, np.str_),
+    }
+    for name, kind in (("category", np.str_), ("images", np.str_), ("labelled", np.bool_)):
+        if getattr(data, name) is not None:
+            arrays[name] = np.asarray(getattr(data, name), kind)
+    if data.truth is not None:
+        arrays |= _truth_arrays(data.truth)
+    with replacing(path) as handle, zipfile.ZipFile(handle, "w") as archive:
+        for name, array in arrays.items():
+            entry = zipfile.ZipInfo(f"{name}.npy", date_time=_OLDEST)
+            # Masks are mostly 0 and 255 and shrink tenfold; vertices and rotations hardly at all.
+            entry.compress_type = zipfile.ZIP_STORED if array.dtype.kind == "f" else zipfile.ZIP_DEFLATED
+            with archive.open(entry, "w", force_zip64=True) as stream:
+                np.lib.format.write_array(stream, np.ascontiguousarray(array), allow_pickle=False)
+
+
+def _truth_arrays(truth: Placed) -> dict[str, np.ndarray]:
+    meshes = truth.meshes
+    arrays = {name: np.asarray(getattr(truth, name), np.float32) for name in _PLACED if name != "shape"}
+    return arrays | {
+        "shape": np.asarray(truth.shape, np.int64),
+        "mesh_vertices": np.concatenate([mesh.vertices for mesh in meshes]).astype(np.float32),
+        "mesh_vertex_start": np.cumsum([0] + [len(mesh.vertices) for mesh in meshes]),
+        "mesh_faces": np.concatenate([mesh.faces for mesh in meshes]).astype(np.int32),
+        "mesh_face_start": np.cumsum([0] + [len(mesh.faces) for mesh in meshes]),
+        "mesh_names": np.asarray([mesh.name for mesh in meshes], np.str_),
+        "mesh_category": np.asarray([mesh.category for mesh in meshes], np.str_),
+    }
+
+
+def read_masks(path: str | Path) -> MaskData:
+    """Read masks written by `write_masks`, or by hand in the same layout; only ``masks`` must be there.
+
+    Raises:
+        UserError: missing or unknown arrays, wrong kinds, shapes or ranges, meshes that are none.
+    """
+    arrays = read_arrays(path, _KNOWN, others=False)
+    file = CheckedArrays(str(path), arrays)
+    if "masks" not in arrays:
+        found = ", ".join(sorted(arrays)) or "nothing"
+        raise UserError(f"{path}: no array 'masks' (found: {found}). Expected uint8 masks (items, side, side), 0..255.")
+    masks = arrays["masks"]
+    if masks.dtype != np.uint8 or masks.ndim != 3 or masks.shape[1] != masks.shape[2] or not masks.size:
+        raise UserError(f"{path}: 'masks' is {masks.dtype} of shape {masks.shape}, expected uint8 (items, side, side).")
+    items, side = masks.shape[:2]
+    names, notes = file.text("names", items), file.text("notes", None)
+    centre, scale = file.numbers("centre_px", (items, 2)), file.numbers("scale_px", (items,), above=0)
+    return MaskData(
+        masks=masks,
+        names=[f"{Path(path).stem}:{item}" for item in range(items)] if names is None else names.tolist(),
+        centre_px=np.full((items, 2), side / 2, np.float32) if centre is None else centre,
+        scale_px=np.full(items, side / 2, np.float32) if scale is None else scale,
+        category=file.text("category", items),
+        images=file.text("images", items),
+        labelled=file.flags("labelled", items),
+        truth=_truth(file, items),
+        notes=() if notes is None else tuple(notes.tolist()),
+        source=str(path),
+    )
+
+
+def _truth(file: CheckedArrays, items: int) -> Placed | None:
+    wanted = (*_PLACED, *_MESHES)
+    missing = [name for name in wanted if name not in file.arrays]
+    if len(missing) == len(wanted):
+        return None
+    if missing:
+        raise UserError(f"{file.where}: the truth lacks '{missing[0]}': either all of {', '.join(wanted)}, or none.")
+    meshes = _meshes(file)
+    view = file.numbers("view", (items, 3, 3))
+    assert view is not None
+    error = np.abs(view @ view.transpose(0, 2, 1) - np.eye(3)).max((1, 2)) + (np.linalg.det(view) < 0)
+    if (error > _TURN_ERROR).any():
+        raise UserError(f"{file.where}: 'view' of item {int(error.argmax())} is no rotation.")
+    parts = {
+        "shape": file.indices("shape", (items,), len(meshes)),
+        "scale": file.numbers("scale", (items,), above=0),
+        "offset": file.numbers("offset", (items, 2)),
+        "distance": file.numbers("distance", (items,), above=0, infinite=True),
+    }
+    return Placed(meshes, view=view, **parts)  # pyright: ignore[reportArgumentType] (none is missing)
+
+
+def _meshes(file: CheckedArrays) -> Sequence[Mesh]:
+    vertices = file.numbers("mesh_vertices", (None, 3))
+    assert vertices is not None
+    vertex_start = file.starts("mesh_vertex_start", len(vertices))
+    faces = file.indices("mesh_faces", (None, 3), max(len(vertices), 1))
+    assert vertex_start is not None
+    assert faces is not None
+    count = len(vertex_start) - 1
+    face_start = file.starts("mesh_face_start", len(faces))
+    names, category = file.text("mesh_names", count), file.text("mesh_category", count)
+    assert face_start is not None
+    assert names is not None
+    assert category is not None
+    if len(face_start) != count + 1:
+        raise UserError(f"{file.where}: 'mesh_face_start' tells of {len(face_start) - 1} meshes, expected {count}.")
+    found = []
+    for number in range(count):
+        own = faces[face_start[number] : face_start[number + 1]]
+        corners = vertices[vertex_start[number] : vertex_start[number + 1]].astype(np.float64)
+        if own.max() >= len(corners):
+            raise UserError(
+                f"{file.where}: 'mesh_faces' of mesh {number} goes up to {own.max()}, it has {len(corners)} vertices."
+            )
+        found.append(Mesh(corners, own, str(names[number]), str(category[number])))
+    return found
+
+
+# uplift's own npz of masks: crops that are clean already, with whatever else is known of them.
+
+
+def _fits(look: Look) -> bool:
+    return look.peek is not None and "masks" in look.peek.npz_names
+
+
+def _read(paths: list[Path], options: MaskOptions) -> MaskData:
+
+    data = join([read_masks(path) for path in paths])
+    where = Look(paths).where
+    notes: list[str] = []
+    if options.images is not None:
+        raise UserError(f"images={options.images}: {where} names its photos itself; leave images= out.")
+    if options.category:
+        names = np.full(len(data), "") if data.category is None else data.category
+        taken = wanted(options, set(names.tolist()), where)
+        data = data.select(np.isin(names, list(taken)))
+    if options.most is not None and options.most < len(data):
+        rows = sorted(place for place, _ in shuffled(list(range(len(data))), options)[: options.most])
+        notes.append(f"{options.most:,} of {len(data):,} masks are taken (most={options.most})")
+        data = data.select(np.array(rows))
+    if len(data) == 0:
+        raise UserError(f"{where} has no masks.")
+    if data.side != options.side:
+        notes.append(f"crops of {data.side} px are resampled to {options.side} px")
+        data = resized(data, options.side)
+    return replace(data, notes=(*data.notes, *notes))
+
+
+FORMAT = MaskFormat("npz", "uplift's own npz of masks", _fits, _read)

@@ -1,0 +1,553 @@
+"""MediaPipe, which writes no files itself: landmarks as scripts keep them in csv, JSON or npz."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from itertools import islice
+from pathlib import Path
+from typing import Any, TypeGuard
+
+import numpy as np
+
+from uplift.data.formats.base import Format, Peek, ReadOptions
+from uplift.data.formats.csv import Columns, Identity, bodies_of, check, columns_in, is_nameless, read_columns
+from uplift.data.formats.layouts import HAND21, Layouts, names_for
+from uplift.data.formats.rows import SHARES_NOTE, confidence_of, frame_numbers
+from uplift.data.parsers.json import JsonText, items
+from uplift.data.parsers.npz import read_arrays
+from uplift.data.poses import PoseData
+from uplift.errors import UserError
+
+__all__ = [
+    "COUNTS",
+    "FORMAT",
+    "NO_DEPTH",
+    "POSE33",
+    "bodies_in",
+    "is_list_of_marks",
+    "is_mediapipe",
+    "is_number",
+    "landmark_names",
+    "looks_like_mediapipe_csv",
+    "looks_like_mediapipe_json",
+    "looks_like_mediapipe_npz",
+    "placed",
+    "plain_key",
+    "read_mediapipe_csv",
+    "read_mediapipe_json",
+    "read_mediapipe_npz",
+    "values_of",
+    "values_of_all",
+    "without_flags",
+]
+
+# What the files of MediaPipe have in common: the landmarks' names, and coordinates that are shares of the image.
+
+POSE33 = (
+    "nose", "left_eye_inner", "left_eye", "left_eye_outer", "right_eye_inner", "right_eye", "right_eye_outer",
+    "left_ear", "right_ear", "mouth_left", "mouth_right", "left_shoulder", "right_shoulder", "left_elbow",
+    "right_elbow", "left_wrist", "right_wrist", "left_pinky", "right_pinky", "left_index", "right_index",
+    "left_thumb", "right_thumb", "left_hip", "right_hip", "left_knee", "right_knee", "left_ankle", "right_ankle",
+    "left_heel", "right_heel", "left_foot_index", "right_foot_index",
+)  # fmt: skip
+NO_DEPTH = "z of MediaPipe is left out: it is a guess of the same network, no measurement"
+_TELLING = {"lefteyeinner", "mouthleft", "leftfootindex", "leftpinky", "indexfingermcp", "ringfingerpip"}
+_WORLD_NOTE = (
+    "world landmarks, in metres about the hips and seen straight on, without perspective: x and y are taken as they "
+    "are; landmarks of the image are better"
+)
+_PIXEL_NOTE = "coordinates go beyond any share of an image: taken as pixels"
+_LARGEST_SHARE = 5.0
+_AT_HIPS = 0.02
+
+
+def _both(side: str) -> tuple[str, ...]:
+    return tuple(f"{side}_hand_{name}" for name in HAND21)
+
+
+def _face(count: int) -> tuple[str, ...]:
+    return tuple(f"face_{number}" for number in range(count))
+
+
+_BODY = "MediaPipe's pose"
+COUNTS: Layouts = {
+    33: (_BODY, POSE33),
+    21: ("a hand", HAND21),
+    468: ("MediaPipe's face", _face(468)),
+    478: ("MediaPipe's face", _face(478)),
+    75: (f"{_BODY} and both hands", (*POSE33, *_both("left"), *_both("right"))),
+    501: (f"{_BODY} and face", (*POSE33, *_face(468))),
+    543: (f"{_BODY}, face and both hands", (*POSE33, *_face(468), *_both("left"), *_both("right"))),
+}
+
+
+def is_mediapipe(names: Sequence[str]) -> bool:
+    """Return whether some of the names are ones that only MediaPipe gives."""
+    return bool(_TELLING & {re.sub(r"[^a-z]", "", name.casefold().split(".")[-1]) for name in names})
+
+
+def landmark_names(path: Path, names: Sequence[str], options: ReadOptions) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Return the names of landmarks that a file names or only numbers, and the notes that say so."""
+    if not is_nameless(names):
+        return tuple(name.split(".")[-1] for name in names), ()  # PoseLandmark.NOSE, as Python prints it
+    numbers = [int(re.sub(r"\D", "", name)) for name in names]
+    if len(names) not in COUNTS and options.layout is None and max(numbers, default=99) < len(POSE33):
+        told = f"landmarks have no names in the file: numbers are taken as {_BODY}'s"
+        return tuple(POSE33[number] for number in numbers), (told,)
+    return names_for(path, len(names), COUNTS, options)
+
+
+def without_flags(scores: np.ndarray | None, keypoints: np.ndarray) -> np.ndarray | None:
+    """Return the visibility, with landmarks that never have one (hands, faces) as visible where they are.
+
+    ``scores`` are (rows joints), ``keypoints`` (rows joints 2).
+    """
+    if scores is None:
+        return None
+    never = ~(scores > 0).any(0)
+    if not never.any():
+        return scores
+    there = np.isfinite(keypoints).all(-1) & (keypoints != 0).any(-1)
+    return np.where(never, there.astype(np.float32), scores)
+
+
+def placed(data: PoseData, options: ReadOptions) -> PoseData:
+    """Return the keypoints in pixels, where they are shares of an image whose size is known; a note says what they are."""
+    seen = data.keypoints[data.confidence > 0]
+    size = options.image_size or data.image_size
+    if np.quantile(np.abs(seen), 0.99) > _LARGEST_SHARE:
+        return replace(data, notes=(*data.notes, _PIXEL_NOTE))
+    if _is_world(data, seen):
+        return replace(data, notes=(*data.notes, _WORLD_NOTE))
+    if size is None:
+        return replace(data, notes=(*data.notes, SHARES_NOTE))
+    return replace(data, keypoints=data.keypoints * np.array(size, np.float32), image_size=size)
+
+
+def _is_world(data: PoseData, seen: np.ndarray) -> bool:
+    """Return whether coordinates are about the hips' middle, or about any middle where there are no hips."""
+    names = [name.casefold() for name in data.joint_names]
+    if "left_hip" in names and "right_hip" in names:
+        hips = [names.index("left_hip"), names.index("right_hip")]
+        both = (data.confidence[:, hips] > 0).all(1)
+        if both.any():
+            middle = data.keypoints[both][:, hips].mean(1)
+            return bool((np.median(np.abs(middle), 0) < _AT_HIPS).all())
+    return bool(((seen < 0).mean(0) > 0.2).all())
+
+
+# Find the landmarks of bodies in whatever lists and objects stand around them.
+
+_BODIES = (
+    "poselandmarks", "posenormalizedlandmarks", "landmarks", "landmark", "normalizedlandmarks", "keypoints", "pose",
+    "poses", "people", "persons", "results", "handlandmarks", "multihandlandmarks", "facelandmarks", "data",
+    "poseworldlandmarks", "worldlandmarks",
+)  # fmt: skip
+"""Keys that lead to landmarks, the image's before the world's."""
+_SCORES = ("visibility", "score", "confidence")
+_NAMES_IN_ORDER = ("name", "part", "landmark", "landmark_name", "label")
+_NAMES = frozenset(_NAMES_IN_ORDER)
+_LARGEST = 1e300
+_DEEPEST = 6
+
+
+def bodies_in(value: Any, where: str, depth: int) -> Iterator[list[tuple[str, Any]]]:
+    """Yield the bodies in whatever lists and objects stand around their landmarks, as (name, landmark) each."""
+    if depth > _DEEPEST:
+        raise UserError(f"{where}: lists in lists, deeper than any landmarks are.")
+    if value is None or value == [] or value == {}:
+        return
+    if isinstance(value, list):
+        flat = _split(value)
+        if flat is not None:
+            value = flat
+        if is_list_of_marks(value):
+            yield [(_name(mark, place), mark) for place, mark in enumerate(value)]
+            return
+        for one in value:
+            yield from bodies_in(one, where, depth + 1)
+        return
+    if isinstance(value, dict):
+        keys = {plain_key(key): key for key in value}
+        known = next((keys[key] for key in _BODIES if key in keys and value[keys[key]]), None)
+        if known is not None:
+            yield from bodies_in(value[known], where, depth + 1)
+            return
+        marks = {key: mark for key, mark in value.items() if _is_mark(mark)}
+        if marks:
+            yield list(marks.items())
+        elif not any(key in keys for key in _BODIES):
+            raise UserError(f"{where}: no landmarks among {', '.join(map(repr, list(value)[:6]))}.")
+        return
+    raise UserError(f"{where}: {value!r:.60}, expected landmarks.")
+
+
+def _split(value: list[Any]) -> list[list[Any]] | None:
+    """Return the landmarks of a list of bare numbers; None for any other list."""
+    if len(value) < 42 or not all(is_number(one) for one in value):
+        return None
+    width = next((n for n in (4, 3, 2, 5) if len(value) % n == 0 and len(value) // n in COUNTS), None)
+    return None if width is None else [value[at : at + width] for at in range(0, len(value), width)]
+
+
+def is_list_of_marks(value: Any) -> bool:
+    """Return whether a list begins with a landmark."""
+    return isinstance(value, list) and bool(value) and _is_mark(value[0])
+
+
+def _is_mark(value: Any) -> bool:
+    if isinstance(value, dict):
+        return "x" in value and "y" in value
+    return isinstance(value, list) and 2 <= len(value) <= 5 and all(is_number(n) or n is None for n in value)
+
+
+def _name(mark: Any, place: int) -> str:
+    if isinstance(mark, dict) and not _NAMES.isdisjoint(mark):
+        name = next((mark[key] for key in _NAMES_IN_ORDER if key in mark), None)
+        if isinstance(name, str) and name:
+            return name
+    return str(place)
+
+
+def values_of(mark: Any) -> tuple[float, float, float] | None:
+    """Return x, y and visibility, NaN for what is null or not there; None where they are no numbers."""
+    if isinstance(mark, dict):
+        found = [mark.get("x"), mark.get("y"), next((mark[key] for key in _SCORES if key in mark), None)]
+    elif isinstance(mark, list) and 2 <= len(mark) <= 5:
+        found = [mark[0], mark[1], mark[3] if len(mark) > 3 else None]
+    else:
+        return None
+    if not all(one is None or is_number(one) for one in found):
+        return None
+    x, y, score = (np.nan if one is None else min(max(float(one), -_LARGEST), _LARGEST) for one in found)
+    return x, y, score
+
+
+def values_of_all(marks: list[Any]) -> np.ndarray | None:
+    """Return what `values_of` would of each, (marks, 3), where all are objects with numbers; None for any others."""
+    try:
+        flat = [value for mark in marks for value in (mark["x"], mark["y"], mark[_SCORES[0]])]
+        if not set(map(type, flat)) <= {float, int}:
+            return None
+        values = np.array(flat, np.float64)
+    except (KeyError, TypeError, OverflowError):
+        return None
+    return values.reshape(-1, 3) if (np.abs(values) < _LARGEST).all() else None
+
+
+def is_number(value: Any) -> TypeGuard[int | float]:
+    """Return whether a value is a finite number."""
+    return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) < 1e308
+
+
+def plain_key(key: str) -> str:
+    """Return the letters of a key, small."""
+    return re.sub(r"[^a-z]", "", key.casefold())
+
+
+# Read csv files of MediaPipe's landmarks: a row per frame, or a row per landmark.
+
+
+def looks_like_mediapipe_csv(peek: Peek) -> bool:
+    """Return whether a csv has landmarks of MediaPipe, by name, or by number with as many as MediaPipe has."""
+    columns = columns_in(peek)
+    if columns is None:
+        return False
+    if columns.name is None:
+        names = [name for name in columns.joints if not _is_world_column(name)] or list(columns.joints)
+        deep = all(joint.z is not None for joint in columns.joints.values())
+        return is_mediapipe(names) or (is_nameless(names) and len(names) in COUNTS and deep)
+    head = peek.lines[0].replace(";", ",").replace("\t", ",").split(",")[columns.name]
+    cells = [line.replace(";", ",").replace("\t", ",").split(",") for line in peek.lines[1:600]]
+    names = [row[columns.name].strip(' "') for row in cells if len(row) > columns.name]
+    numbered = is_nameless(names) and columns.joints[""].z is not None and bool(names)
+    return is_mediapipe(names) or (numbered and ("landmark" in head.casefold() or head.strip(' "').casefold() == "id"))
+
+
+def read_mediapipe_csv(path: Path, options: ReadOptions) -> PoseData:
+    """Read landmarks of the image, in pixels where its size is known, or of the world, in metres.
+
+    Raises:
+        UserError: no columns of landmarks, rows of different lengths, text where numbers must be.
+    """
+    columns = columns_in(Peek(path))
+    if columns is None:
+        raise UserError(
+            f"{path} has no columns of landmarks; expected frame, landmark, x, y, z, or x1, y1, z1, v1, x2, ... "
+            "of MediaPipe."
+        )
+    check(path, columns)
+    columns, notes = _of_the_image(columns)
+    if any(joint.z is not None for joint in columns.joints.values()):
+        notes = (*notes, NO_DEPTH)
+    data = read_columns(path, columns, lambda names: landmark_names(path, names, options), without_flags)
+    return placed(replace(data, notes=(*data.notes, *notes)), options)
+
+
+def _of_the_image(columns: Columns) -> tuple[Columns, tuple[str, ...]]:
+    """Return the columns without world landmarks, where there are others."""
+    image = {name: joint for name, joint in columns.joints.items() if not _is_world_column(name)}
+    if not image or len(image) == len(columns.joints):
+        return columns, ()
+    return replace(columns, joints=image), ("world landmarks are left out, those of the image are taken",)
+
+
+def _is_world_column(name: str) -> bool:
+    return "world" in name.casefold()
+
+
+# Read JSON of MediaPipe's landmarks, as scripts of many hands write it: a list of frames, of bodies, of landmarks.
+
+_FRAMES = ("frames", "data", "results", "landmarks", "poselandmarks", "poses", "sequence", "predictions")
+_NUMBER = ("frame", "framenumber", "frameindex", "frameidx", "frameid", "index")
+_TOLD = {
+    "fps": "fps", "framerate": "fps", "width": "width", "height": "height", "imagewidth": "width",
+    "imageheight": "height", "videowidth": "width", "videoheight": "height", "framewidth": "width",
+    "frameheight": "height",
+}  # fmt: skip
+
+
+def looks_like_mediapipe_json(peek: Peek) -> bool:
+    """Return whether JSON speaks of landmarks, or has x and y with a visibility or a depth."""
+    if not peek.json_sign:
+        return False
+    if re.search(r'"(pose_?)?(world_?|normalized_?)?landmarks?"', peek.text, re.IGNORECASE):
+        return True
+    return bool(re.search(r'"x"\s*:\s*-?[\d.]', peek.text) and re.search(r'"(visibility|z)"\s*:', peek.text))
+
+
+def read_mediapipe_json(path: Path, options: ReadOptions) -> PoseData:
+    """Read landmarks of the image, in pixels where its size is known, or of the world, in metres.
+
+    Raises:
+        UserError: damaged JSON, no landmarks, or frames with different landmarks.
+    """
+    read = _Read(path)
+    try:
+        for place, number, frame in _frames(path, read):
+            read.add(place, number, frame)
+    except RecursionError:
+        raise UserError(f"{path}: lists in lists, deeper than any landmarks are.") from None
+    return placed(read.finished(options), options)
+
+
+class _Read:
+    """What has been read of the file so far."""
+
+    def __init__(self, path: Path):
+        self.path = path
+        self.told: dict[str, float] = {}
+        self.names: list[str] = []
+        self.rows: list[np.ndarray] = []
+        self.frame: list[float] = []
+        self.deep = False
+
+    def tell(self, key: str, value: Any) -> None:
+        """Take what the file says of the whole video."""
+        if isinstance(value, dict):
+            for inner, one in value.items():
+                if not isinstance(one, dict | list):
+                    self.tell(inner, one)
+        elif plain_key(key) in ("imagesize", "resolution") and isinstance(value, list) and len(value) == 2:
+            self.tell("width", value[0])
+            self.tell("height", value[1])
+        elif plain_key(key) in _TOLD and is_number(value) and 0 < value < 1e6:
+            self.told[_TOLD[plain_key(key)]] = float(value)
+
+    def add(self, place: int, number: float | None, frame: Any) -> None:
+        """Take the bodies of a frame; ``place`` counts frames."""
+        if isinstance(frame, dict):
+            keys = {plain_key(key): key for key in frame}
+            own = next((frame[keys[key]] for key in _NUMBER if key in keys), None)
+            number = float(own) if is_number(own) else number
+        for body in bodies_in(frame, self._where(place), 0):
+            self._add_body(body, self._where(place))
+            self.frame.append(float(place) if number is None else number)
+
+    def finished(self, options: ReadOptions) -> PoseData:
+        """Return all that was taken."""
+        if not self.rows:
+            raise UserError(
+                f"{self.path}: no landmarks in it, expected a list of {{x, y, z, visibility}} for each frame."
+            )
+        values = np.stack(self.rows)
+        frame = frame_numbers(self.path, np.array(self.frame))
+        scores = None if np.isnan(values[..., 2]).all() else values[..., 2]
+        keypoints = np.ascontiguousarray(values[..., :2])
+        found = Identity({"sequence": np.full(len(frame), self.path.stem), "frame": frame}, self.told.get("fps"))
+        if {"width", "height"} <= set(self.told):
+            found.image_size = int(self.told["width"]), int(self.told["height"])
+        names, notes = landmark_names(self.path, self.names, options)
+        notes = (*notes, NO_DEPTH) if self.deep else notes
+        return bodies_of(self.path, found, keypoints, without_flags(scores, keypoints), names, notes)
+
+    def _where(self, place: int) -> str:
+        return f"{self.path}, frame {place} of the file"
+
+    def _add_body(self, body: list[tuple[str, Any]], where: str) -> None:
+        names = [name for name, _ in body]
+        if not self.names:
+            self.names = names
+        if names != self.names:
+            raise UserError(
+                f"{where}: {len(names)} landmarks, expected the {len(self.names)} that the first frame has."
+            )
+        marks = [mark for _, mark in body]
+        values = values_of_all(marks)  # most files are so, and it takes a fifth of the time
+        if values is None:
+            values = np.array([self._numbers(name, mark, where) for name, mark in body], np.float64)
+        self.deep = self.deep or any("z" in mark if isinstance(mark, dict) else len(mark) > 2 for mark in marks)
+        with np.errstate(over="ignore", invalid="ignore"):
+            self.rows.append(values.astype(np.float32))
+
+    def _numbers(self, name: str, mark: Any, where: str) -> tuple[float, float, float]:
+        values = values_of(mark)
+        if values is None:
+            raise UserError(f"{where}: landmark '{name}' is {mark!r:.60}, expected numbers x and y.")
+        return values
+
+
+def _frames(path: Path, read: _Read) -> Iterator[tuple[int, float | None, Any]]:
+    """Yield place, number where the file says one, and content of each frame; the rest is told to ``read``."""
+    text = JsonText(path)
+    if text.next_sign() == "[":
+        at = text.at
+        first = list(islice(items(text, "the file"), 1))
+        text.at = at
+        if is_list_of_marks(first):  # one frame, or one image
+            yield 0, None, text.value()
+            return
+        for place, frame in enumerate(items(text, "the file")):
+            yield place, None, frame
+        return
+    if text.next_sign() != "{":
+        raise UserError(f"{path} begins {text.text[:20]!r}, expected frames of landmarks.")
+    rest: dict[str, Any] = {}
+    done = False
+    for key in text.members():
+        if not done and plain_key(key) in _FRAMES and text.next_sign() == "[":
+            kept = list(items(text, f"'{key}'"))
+            if not is_list_of_marks(kept):
+                yield from ((place, None, frame) for place, frame in enumerate(kept))
+                done = bool(kept)
+                continue
+            rest[key] = kept
+            continue
+        value = text.value()
+        read.tell(key, value)
+        rest[key] = value
+    if done:
+        return
+    world = next((v for k, v in rest.items() if "world" in plain_key(k) and isinstance(v, list)), None)
+    if world and not is_list_of_marks(world):
+        yield from ((place, None, frame) for place, frame in enumerate(world))
+        return
+    numbers = [re.fullmatch(r"(?:frame)?[ _]?(\d{1,15})", key, re.IGNORECASE) for key in rest]
+    if rest and all(numbers):  # frames by their number
+        yield from ((at, float(one[1]), rest[one[0]]) for at, one in enumerate(numbers) if one)
+    else:
+        nested = next((v for k, v in rest.items() if plain_key(k) in _FRAMES and isinstance(v, dict)), None)
+        yield 0, None, nested if nested is not None else rest
+
+
+# Read npz files of MediaPipe's landmarks: an array (frames, landmarks, 2 to 5) of x, y, z, visibility and presence.
+
+_FRAME_KEYS = ("frame", "frames", "frame_number", "frame_numbers", "frame_idx", "frame_index")
+_FLAGS = ("visibility", "visibilities", "confidence", "scores")
+
+
+def looks_like_mediapipe_npz(peek: Peek) -> bool:
+    """Return whether an npz has an array that is called landmarks."""
+    return "joint_names" not in peek.npz_names and _chosen(peek.npz_names) is not None
+
+
+def read_mediapipe_npz(path: Path, options: ReadOptions) -> PoseData:
+    """Read landmarks of one or several bodies.
+
+    Raises:
+        UserError: no such array, pickled objects, or another shape.
+    """
+    arrays = read_arrays(path)
+    name = _chosen(tuple(arrays))
+    if name is None:
+        shown = ", ".join(sorted(arrays)) or "nothing"
+        raise UserError(f"{path}: no array of landmarks (found: {shown}), expected 'landmarks' (frames, 33, 4).")
+    values = _landmarks(path, name, arrays[name])
+    frames, bodies, joints = values.shape[:3]
+    notes = [NO_DEPTH] if values.shape[3] > 2 else []
+    flags = next((arrays[key] for key in _FLAGS if key in arrays), None)
+    scores = values[..., 3] if values.shape[3] > 3 else None
+    if scores is None and flags is not None and flags.dtype.kind in "fiub" and flags.size == frames * bodies * joints:
+        scores = flags.reshape(frames, bodies, joints).astype(np.float32)
+    numbers = next((arrays[key] for key in _FRAME_KEYS if key in arrays), np.arange(frames))
+    if numbers.shape != (frames,) or numbers.dtype.kind not in "fiu":
+        raise UserError(f"{path}: frame numbers are {numbers.dtype} of shape {numbers.shape}, expected ({frames},).")
+    frame = frame_numbers(path, numbers.astype(np.float64), once=True)
+    keypoints = np.ascontiguousarray(values[..., :2]).reshape(-1, joints, 2)
+    scores = without_flags(None if scores is None else scores.reshape(-1, joints), keypoints)
+    found = Identity({"sequence": np.full(frames * bodies, path.stem), "frame": np.repeat(frame, bodies)}, notes=notes)
+    names, told = landmark_names(path, [str(number) for number in range(joints)], options)
+    found.fps, found.image_size = _number(arrays, "fps"), _size(arrays)
+    seen = (confidence_of(path, keypoints, scores) > 0).any(1)  # places for bodies that a frame does not have
+    found.values = {key: value[seen] for key, value in found.values.items()}
+    data = bodies_of(path, found, keypoints[seen], None if scores is None else scores[seen], names, told)
+    return placed(data, options)
+
+
+def _chosen(names: tuple[str, ...]) -> str | None:
+    """Return the array of landmarks, those of the image rather than the world's."""
+    fitting = [name for name in names if "landmark" in name.casefold() and "name" not in name.casefold()]
+    return min(fitting, key=lambda name: ("world" in name.casefold(), "pose" not in name.casefold()), default=None)
+
+
+def _landmarks(path: Path, name: str, array: np.ndarray) -> np.ndarray:
+    """Return (frames bodies landmarks numbers) float32; rows of 132 numbers are 33 landmarks of four."""
+    if array.dtype.kind not in "fiu":
+        raise UserError(f"{path}: '{name}' is {array.dtype}, expected numbers (frames, 33, 4).")
+    if array.ndim == 2 and array.shape[1] not in (2, 3, 4, 5):
+        four = next((n for n in (4, 3, 5, 2) if array.shape[1] % n == 0 and array.shape[1] // n in COUNTS), None)
+        array = array if four is None else array.reshape(len(array), -1, four)
+    elif array.ndim == 2:
+        array = array[None]  # one image
+    array = array[:, None] if array.ndim == 3 else array
+    if array.ndim != 4 or array.shape[3] not in (2, 3, 4, 5) or not array.size:
+        raise UserError(f"{path}: '{name}' has shape {array.shape}, expected (frames, landmarks, 2 to 5).")
+    with np.errstate(over="ignore", invalid="ignore"):
+        return array.astype(np.float32)
+
+
+def _number(arrays: dict[str, np.ndarray], name: str) -> float | None:
+    array = arrays.get(name)
+    if array is None or array.size != 1 or array.dtype.kind not in "fiu" or not 0 < float(array.reshape(())) < 1e5:
+        return None
+    return float(array.reshape(()))
+
+
+def _size(arrays: dict[str, np.ndarray]) -> tuple[int, int] | None:
+    """Return width and height where the file has them."""
+    both = arrays.get("image_size")
+    sides = list(both.ravel()) if both is not None else [_number(arrays, side) or 0 for side in ("width", "height")]
+    if len(sides) != 2 or not all(isinstance(n, int | float | np.number) and 1 <= n < 1e6 for n in sides):
+        return None
+    return int(sides[0]), int(sides[1])
+
+
+# MediaPipe, which writes no files of its own: landmarks as scripts keep them in csv, JSON or npz.
+
+
+def _fits(peek: Peek) -> bool:
+    if peek.npz_names:
+        return looks_like_mediapipe_npz(peek)
+    return looks_like_mediapipe_json(peek) or looks_like_mediapipe_csv(peek)
+
+
+def _read(path: Path, options: ReadOptions) -> PoseData:
+    peek = Peek(path)
+    if peek.npz_names:
+        return read_mediapipe_npz(path, options)
+    return read_mediapipe_json(path, options) if peek.json_sign else read_mediapipe_csv(path, options)
+
+
+FORMAT = Format("mediapipe", "landmarks of MediaPipe (csv, json, npz)", _fits, _read)

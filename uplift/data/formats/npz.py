@@ -1,0 +1,270 @@
+"""The npz layout of "your own data": keypoints, joint names, and whatever else is known."""
+
+from __future__ import annotations
+
+import zipfile
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from uplift.config.files import replacing
+from uplift.data.formats import guess_format, read
+from uplift.data.formats.base import Format, Peek, ReadOptions
+from uplift.data.parsers.npz import read_arrays
+from uplift.data.poses import IDENTITY_KEYS, UNITS, PoseData, masks_of
+from uplift.errors import UserError
+
+__all__ = [
+    "FORMAT",
+    "Contents",
+    "contents_of",
+    "joint_names_of",
+    "memory_of",
+    "read_npz",
+    "refuse_other_axes",
+    "unit_of",
+    "write_keypoints",
+]
+
+# Read the npz layout of "your own data": keypoints, joint names, and whatever else is known.
+
+_KNOWN = {
+    "keypoints", "confidence", "joint_names", "pose", "root", "unit", "fps", "image_size", "focal_px",
+    "bones", "tilt_deg", "level_pose", "spread", "filled", "axes", "skeleton", "masks", "mask_box",
+    *IDENTITY_KEYS,
+}  # fmt: skip
+_PHOTO_ENDINGS = (".jpg", ".jpeg", ".png", ".bmp", ".webp", ".tif", ".tiff")
+_MOST_CONFIDENT = 2.0  # heat maps peak a little over 1, and COCO marks visible joints with 2
+
+
+def read_npz(path: str | Path) -> PoseData:
+    """Read an npz file of the documented layout (docs/your-data.md) into a `PoseData`.
+
+    Raises:
+        UserError: missing or unknown arrays, wrong types or shapes, arrays of different lengths.
+    """
+    arrays = read_arrays(path, _KNOWN, others=False)
+    where = str(path)
+    for needed in ("keypoints", "joint_names"):
+        if needed not in arrays:
+            raise UserError(
+                f"{where}: no array '{needed}' (found: {', '.join(sorted(arrays)) or 'nothing'}). Expected at "
+                "least 'keypoints' (frames, joints, 2) in pixels and 'joint_names' (joints,)."
+            )
+    refuse_other_axes(where, arrays)
+    keypoints = _numbers(where, arrays, "keypoints", (None, None, 2))
+    assert keypoints is not None  # it is one of the needed
+    frames, joints = keypoints.shape[:2]
+    masks, mask_box = masks_of(where, arrays, frames)
+    return PoseData(
+        keypoints=keypoints,
+        confidence=_confidence(where, arrays, (frames, joints)),
+        joint_names=joint_names_of(where, arrays),
+        pose=_numbers(where, arrays, "pose", (frames, joints, 3)),
+        root=_numbers(where, arrays, "root", (frames, 3)),
+        unit=unit_of(where, arrays, "mm"),
+        identity=_photos({key: _identity(where, arrays, key, frames) for key in IDENTITY_KEYS if key in arrays}),
+        fps=_scalar(where, arrays, "fps"),
+        image_size=_image_size(where, arrays),
+        focal_px=_scalar(where, arrays, "focal_px"),
+        tilt_deg=_numbers(where, arrays, "tilt_deg", (frames,)),
+        masks=masks,
+        mask_box=mask_box,
+        source=where,
+    )
+
+
+def joint_names_of(where: str, arrays: dict[str, np.ndarray]) -> tuple[str, ...]:
+    """Return the joint names of a file's arrays; raises UserError where they are no list of text."""
+    names = arrays["joint_names"]
+    if names.ndim != 1 or names.dtype.kind not in "US":
+        raise UserError(f"{where}: 'joint_names' is {names.dtype} of shape {names.shape}, expected text (joints,).")
+    return tuple(n.decode(errors="replace") if isinstance(n, bytes) else str(n) for n in names)
+
+
+def refuse_other_axes(where: str, arrays: dict[str, np.ndarray]) -> None:
+    """Raise UserError for poses that are not in the camera's axes (`uplift.export.scene`)."""
+    axes = str(arrays["axes"].reshape(-1)[0]) if "axes" in arrays and arrays["axes"].size else "camera"
+    if axes not in ("camera", "opencv"):
+        raise UserError(f"{where}: its poses are in the axes '{axes}', expected the camera's: predict without axes=.")
+
+
+def unit_of(where: str, arrays: dict[str, np.ndarray], default: str) -> str:
+    """Return the unit of a file's poses; raises UserError for one that is not known."""
+    if "unit" not in arrays:
+        return default
+    unit = arrays["unit"]
+    if unit.size != 1 or str(unit.reshape(())) not in UNITS:
+        shown = repr(str(unit.reshape(()))) if unit.size == 1 else f"of shape {unit.shape}"
+        raise UserError(f"{where}: 'unit' is {shown}, expected one of {', '.join(UNITS)}: convert lengths to mm.")
+    return str(unit.reshape(()))
+
+
+def _confidence(where: str, arrays: dict, shape: tuple[int, int]) -> np.ndarray:
+    confidence = _numbers(where, arrays, "confidence", shape)
+    if confidence is None:
+        return np.ones(shape, np.float32)
+    most = np.max(confidence, initial=0, where=np.isfinite(confidence))
+    if most > _MOST_CONFIDENT:
+        raise UserError(f"{where}: 'confidence' goes up to {most:g}, expected 0..1: divide percentages by 100.")
+    return confidence
+
+
+def _numbers(where: str, arrays: dict, name: str, shape: tuple[int | None, ...]) -> np.ndarray | None:
+    """Return ``arrays[name]`` as float32 after checking type and shape, None where absent."""
+    if name not in arrays:
+        return None
+    array = arrays[name]
+    wanted = "(" + ", ".join("any" if n is None else str(n) for n in shape) + ("," if len(shape) == 1 else "") + ")"
+    if array.dtype.kind not in "fiub":
+        raise UserError(f"{where}: '{name}' is {array.dtype}, expected numbers of shape {wanted}.")
+    if array.ndim != len(shape) or any(n is not None and n != m for n, m in zip(shape, array.shape, strict=True)):
+        raise UserError(f"{where}: '{name}' has shape {array.shape}, expected {wanted}.")
+    with np.errstate(over="ignore"):
+        return array.astype(np.float32)
+
+
+def _identity(where: str, arrays: dict, name: str, frames: int) -> np.ndarray:
+    array = arrays[name]
+    if array.ndim == 0:
+        array = np.repeat(array, frames)
+    if array.shape != (frames,):
+        raise UserError(f"{where}: '{name}' has shape {array.shape}, expected ({frames},) as 'keypoints' has frames.")
+    return array
+
+
+def _photos(identity: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """Return sequences that are named as photos are, and have no frame numbers, as `image`.
+
+    The people in one photo are no clip of one body.
+    """
+    names = identity.get("sequence")
+    if names is None or names.dtype.kind != "U" or not len(names) or {"frame", "image"} & set(identity):
+        return identity
+    if not all(name.lower().endswith(_PHOTO_ENDINGS) for name in names.tolist()):
+        return identity
+    return {"image" if key == "sequence" else key: values for key, values in identity.items()}
+
+
+def _scalar(where: str, arrays: dict, name: str) -> float | None:
+    if name not in arrays:
+        return None
+    array = arrays[name].ravel()
+    if array.dtype.kind not in "fiu" or not array.size or not (np.isfinite(array) & (array > 0)).all():
+        raise UserError(f"{where}: '{name}' is {arrays[name]!r}, expected one positive number.")
+    if (array != array[0]).any():
+        raise UserError(f"{where}: '{name}' goes from {array.min():g} to {array.max():g}, expected one number a file.")
+    return float(array[0])
+
+
+def _image_size(where: str, arrays: dict) -> tuple[int, int] | None:
+    if "image_size" not in arrays:
+        return None
+    array = arrays["image_size"]
+    if array.shape != (2,) or array.dtype.kind not in "fiu" or not (np.isfinite(array) & (array > 0)).all():
+        raise UserError(f"{where}: 'image_size' is {array!r}, expected two positive numbers (width, height) in px.")
+    return int(array[0]), int(array[1])
+
+
+def _fits(peek: Peek) -> bool:
+    return peek.ending == ".npz"  # the last to be asked: whatever is wrong with it is told in full
+
+
+def _read(path: Path, options: ReadOptions) -> PoseData:
+    return read_npz(path)
+
+
+FORMAT = Format("npz", "uplift's own npz", _fits, _read)
+
+
+# Write a `PoseData` in the npz layout of "your own data".
+
+
+def write_keypoints(data: PoseData, path: str | Path) -> None:
+    """Write every array that ``data`` has; `uplift.data.formats.npz.read_npz` reads it back the same."""
+    arrays: dict[str, np.ndarray] = {
+        "keypoints": data.keypoints.astype(np.float32),
+        "confidence": data.confidence.astype(np.float32),
+        "joint_names": np.array(data.joint_names),
+        "unit": np.array(data.unit),
+        **data.identity,
+    }
+    for name in ("pose", "root", "tilt_deg"):
+        value = getattr(data, name)
+        if value is not None:
+            arrays[name] = value.astype(np.float32)
+    if data.masks is not None and data.mask_box is not None:
+        arrays |= {"masks": data.masks, "mask_box": data.mask_box.astype(np.float32)}
+    for name in ("fps", "focal_px", "image_size"):
+        value = getattr(data, name)
+        if value is not None:
+            arrays[name] = np.asarray(value)
+    with replacing(path) as file:
+        np.savez_compressed(file, **arrays)  # type: ignore[arg-type]
+
+
+# What a file of keypoints holds: of an npz out of its headers alone, nothing loaded but the joint names.
+
+_PER_JOINT = {"keypoints": 2, "pose": 3}  # numbers of four bytes, whatever the file has
+_PER_FRAME = {"root": 3, "tilt_deg": 1}
+
+
+@dataclass(frozen=True)
+class Contents:
+    """What a reader would make of a file."""
+
+    frames: int
+    joint_names: tuple[str, ...]
+    has_pose: bool
+    memory: int
+    """Bytes of the arrays."""
+
+
+def contents_of(path: Path, options: ReadOptions | None = None) -> Contents:
+    """Return what the file at ``path`` holds: out of the headers of an npz of this project, of others by reading them.
+
+    Raises:
+        UserError: it is not whole, or of no known format.
+    """
+    options = options or ReadOptions()
+    if (options.format or guess_format(path).name) != "npz":
+        data = read(path, options)
+        arrays = {name for name in ("pose", "root", "tilt_deg") if getattr(data, name) is not None}
+        memory = memory_of(arrays, len(data), len(data.joint_names))
+        return Contents(len(data), data.joint_names, data.pose is not None, memory + _bytes(data))
+    small = read_arrays(path, ("joint_names",))  # also holds every header against the bytes that are there
+    shapes, stored = _headers(path)
+    shape = shapes.get("keypoints", ())
+    if "joint_names" not in small or len(shape) != 3:
+        raise UserError(f"{path}: 'keypoints' (frames, joints, 2) and 'joint_names' are needed (docs/your-data.md).")
+    frames, joints = shape[:2]
+    names = joint_names_of(str(path), small)
+    if len(names) != joints:
+        raise UserError(f"{path}: {len(names)} joint names for {joints} joints in 'keypoints'.")
+    identity = sum(stored[key] for key in IDENTITY_KEYS if key in stored)
+    return Contents(frames, names, "pose" in shapes, memory_of(set(shapes), frames, joints) + identity)
+
+
+def _bytes(data: PoseData) -> int:
+    return sum(values.nbytes for values in data.identity.values())
+
+
+def memory_of(arrays: set[str], frames: int, joints: int) -> int:
+    """Return the bytes of what a reader makes of these arrays; a confidence there always is."""
+    numbers = joints * (1 + sum(count for name, count in _PER_JOINT.items() if name in arrays))
+    return 4 * frames * (numbers + sum(count for name, count in _PER_FRAME.items() if name in arrays))
+
+
+def _headers(path: Path) -> tuple[dict[str, tuple[int, ...]], dict[str, int]]:
+    """Return shape and bytes of each array of an npz that was found whole."""
+    shapes, stored = {}, {}
+    with zipfile.ZipFile(path) as archive:
+        for member in archive.infolist():
+            name = member.filename.removesuffix(".npy")
+            with archive.open(member) as file:
+                version = np.lib.format.read_magic(file)
+                read = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
+                shapes[name] = read(file)[0]
+            stored[name] = member.file_size
+    return shapes, stored

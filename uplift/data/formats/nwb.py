@@ -1,0 +1,492 @@
+"""Neurodata Without Borders (``.nwb``): pose estimates and hand-labelled frames of ndx-pose."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from uplift.data.formats.base import Format, Peek, ReadOptions
+from uplift.data.formats.rows import as_float32, distinct, link_bodies, same_or_none, video_name, visible_only
+from uplift.data.parsers.hdf5 import Hdf5, check_room, open_hdf5
+from uplift.data.poses import PoseData
+from uplift.errors import UserError
+
+__all__ = [
+    "FORMAT",
+    "Series",
+    "Video",
+    "frame_numbers",
+    "groups_of",
+    "linked",
+    "nodes_and_bones",
+    "read_training",
+    "series_of",
+    "skeleton_of",
+    "video_of",
+]
+
+# The parts of an NWB file that concern poses: which groups, series, nodes and videos there are.
+
+_KINDS = ("PoseEstimation", "PoseTraining")
+_DEEPEST, _MOST_GROUPS = 8, 100_000
+_DIGITS = 6
+"""Of time stamps, s: beyond these, equal times of two series differ by rounding."""
+_PIXELS = ("pixels", "pixel", "px", "")
+
+
+@dataclass(frozen=True)
+class Series:
+    """Where one keypoint of one body is over time."""
+
+    place: str
+    name: str
+    points: np.ndarray
+    """(samples, 2) float32."""
+    score: np.ndarray
+    """(samples,) float32."""
+    stamps: np.ndarray
+    """(samples,) seconds."""
+
+
+@dataclass(frozen=True)
+class Video:
+    """What is known of the video that poses are from."""
+
+    name: str
+    camera: str
+    image_size: tuple[int, int] | None
+
+
+def groups_of(file: Hdf5) -> dict[str, list[str]]:
+    """Return the places of the groups of poses, by kind."""
+    found: dict[str, list[str]] = {kind: [] for kind in _KINDS}
+    been: set[int] = set()
+    waiting = [(name, 1) for name in reversed(file.names()) if name != "specifications"]
+    while waiting:
+        place, depth = waiting.pop()
+        if not file.is_group(place) or file.place(place) in been:
+            continue
+        been.add(file.place(place))
+        if len(been) > _MOST_GROUPS:
+            raise UserError(f"{file.path}: more than {_MOST_GROUPS:,} groups, expected an NWB file.")
+        kind = file.attribute(place, "neurodata_type")
+        if kind in _KINDS:
+            found[kind].append(place)
+        elif depth < _DEEPEST:
+            waiting += [(f"{place}/{name}", depth + 1) for name in reversed(file.names(place))]
+    return found
+
+
+def series_of(file: Hdf5, place: str) -> tuple[list[Series], list[str]]:
+    """Return the series of a PoseEstimation that have samples, and what was assumed."""
+    found, notes = [], []
+    for name in file.names(place):
+        where = f"{place}/{name}"
+        if file.is_elsewhere(where):
+            notes.append(f"'{where}' lies in another file and is left out")
+        elif file.attribute(where, "neurodata_type") == "PoseEstimationSeries":
+            series, told = _series(file, where, name)
+            notes += told
+            if len(series.points):
+                found.append(series)
+    return found, notes
+
+
+def _series(file: Hdf5, where: str, name: str) -> tuple[Series, list[str]]:
+    data = file.array(f"{where}/data")
+    if data.ndim != 2 or data.shape[1] not in (2, 3):
+        raise UserError(f"{file.path}: '{where}/data' has shape {data.shape}, expected (samples, 2) or (samples, 3).")
+    notes = ["the third coordinate of points is left out"] if data.shape[1] == 3 else []
+    points = data[:, :2]
+    factor, offset = (file.attribute(f"{where}/data", key) for key in ("conversion", "offset"))
+    if isinstance(factor, (int, float)) and (factor, offset or 0.0) != (1.0, 0.0) and np.isfinite(factor):
+        points = points * factor + (offset if isinstance(offset, (int, float)) else 0.0)
+    unit = str(file.attribute(f"{where}/data", "unit") or "")
+    if unit.lower() not in _PIXELS:
+        notes.append(f"the unit of points is said to be '{unit}', not pixels")
+    frame = file.text(f"{where}/reference_frame")
+    if "bottom" in frame.lower():
+        notes.append(f"the reference frame is said to be '{frame}': y is taken to point down all the same")
+    score = np.ones(len(points), np.float32)
+    if file.has(f"{where}/confidence"):
+        score = file.array(f"{where}/confidence")
+        if score.shape != (len(points),):
+            raise UserError(f"{file.path}: '{where}/confidence' has shape {score.shape}, expected ({len(points)},).")
+    return Series(where, name, points, score, _stamps(file, where, len(points))), notes
+
+
+def _stamps(file: Hdf5, where: str, samples: int) -> np.ndarray:
+    """Return (samples,) seconds."""
+    if file.has(f"{where}/timestamps"):
+        stamps = file.array(f"{where}/timestamps").astype(np.float64).round(_DIGITS)
+        if stamps.shape != (samples,):
+            raise UserError(f"{file.path}: '{where}/timestamps' has shape {stamps.shape}, expected ({samples},).")
+        return stamps
+    rate = file.attribute(f"{where}/starting_time", "rate")
+    if not isinstance(rate, (int, float)) or not 0 < rate < np.inf:
+        raise UserError(f"{file.path}: '{where}' has no time stamps and the rate {rate!r}, expected one of them.")
+    start = file.array(f"{where}/starting_time")
+    first = float(start) if start.ndim == 0 and np.isfinite(start) else 0.0
+    return (first + np.arange(samples) / rate).round(_DIGITS)
+
+
+def linked(file: Hdf5, place: str, *kinds: str) -> str | None:
+    """Return the place of the first group of some kind inside another, as a rule a link; None where there is none."""
+    inside = [f"{place}/{name}" for name in file.names(place) if file.is_group(f"{place}/{name}")]
+    return next((where for where in inside if file.attribute(where, "neurodata_type") in kinds), None)
+
+
+def skeleton_of(file: Hdf5, place: str) -> tuple[list[str], list[tuple[str, str]]]:
+    """Return nodes and edges of a Skeleton, or of a PoseEstimation that has its own."""
+    nodes = file.texts(f"{place}/nodes") if file.has(f"{place}/nodes") else []
+    if len(set(nodes)) != len(nodes):
+        raise UserError(f"{file.path}: '{place}/nodes' holds {nodes!r}, expected each name once.")
+    edges = file.array(f"{place}/edges") if file.has(f"{place}/edges") else np.zeros((0, 2), int)
+    if edges.ndim != 2 or edges.shape[1] != 2:
+        return nodes, []
+    known = range(len(nodes))
+    return nodes, [(nodes[int(a)], nodes[int(b)]) for a, b in edges.tolist() if a in known and b in known]
+
+
+def nodes_and_bones(file: Hdf5, place: str, series: list[str]) -> tuple[list[str], list[tuple[str, str]]]:
+    """Return the keypoints of a container, in the order of its skeleton, and the lines between them."""
+    nodes, bones = skeleton_of(file, linked(file, place, "Skeleton") or place)
+    if not set(nodes) & set(series):  # names of another kind, and no saying which is which
+        return series, []
+    return [*nodes, *(name for name in series if name not in nodes)], bones
+
+
+def video_of(file: Hdf5, place: str) -> Video:
+    """Return what a container says of its video."""
+    links = [f"{place}/{name}" for name in ("source_video", "labeled_video")]
+    source = next((link for link in links if file.is_group(link)), None)
+    if source is not None:
+        named, sizes = [f"{source}/external_file"], f"{source}/dimension"
+    else:
+        named, sizes = [f"{place}/original_videos", f"{place}/labeled_videos"], f"{place}/dimensions"
+    path = next((text for text in map(file.text, named) if text), "")
+    camera = linked(file, place, "Device", "CalibratedCamera")
+    return Video(video_name(path), file.own_name(camera) if camera else "", _size(file, sizes))
+
+
+def _size(file: Hdf5, name: str) -> tuple[int, int] | None:
+    """Return width and height, where all entries are the same and more than nothing."""
+    size = file.array(name).ravel() if file.has(name) else np.zeros(0)
+    if len(size) < 2 or len(size) % 2 or not (np.isfinite(size) & (size > 0) & (size < 1_000_000)).all():
+        return None
+    return (int(size[0]), int(size[1])) if (size.reshape(-1, 2) == size[:2]).all() else None
+
+
+# From time stamps of samples to numbers of frames.
+
+_NEAR = 0.2
+"""Share of the step between frames that time stamps may be off a whole number of steps."""
+_DRIFT = 0.02
+"""The same of a long gap, a share of its length."""
+_EXACT = 1e-3
+
+
+def frame_numbers(
+    stamps: Float[np.ndarray, "stamps"],
+) -> tuple[Int[np.ndarray, "stamps"], float | None, bool]:
+    """Return (stamps,) frame numbers of rising time stamps, their step in seconds, and whether they are even.
+
+    A wait of several steps is a gap of as many frames. Where the first stamp is a whole number of
+    steps after 0, frames are counted from time 0, otherwise from the first stamp. Uneven stamps are
+    numbered one after another, and have no step.
+    """
+    if len(stamps) < 2:
+        return np.zeros(len(stamps), np.int64), None, True
+    waits = np.diff(stamps)
+    step = float(np.sort(waits)[(len(waits) - 1) // 2])
+    for _ in range(2):  # the second time by the mean step, which jitter moves less
+        with np.errstate(over="ignore"):
+            counts = np.rint(np.minimum(waits / step, 2**40))
+        if (counts < 1).any() or counts.sum() >= 2**40:
+            return np.arange(len(stamps), dtype=np.int64), None, False
+        step = float((stamps[-1] - stamps[0]) / counts.sum())
+    off = np.abs(waits / step - counts)
+    if (off > np.maximum(_NEAR, _DRIFT * counts)).any():
+        return np.arange(len(stamps), dtype=np.int64), None, False
+    first = stamps[0] / step
+    known = 0 <= first < 2**40 and abs(first - np.rint(first)) < _EXACT and (off < _EXACT).all()
+    return np.append(0, np.cumsum(counts)).astype(np.int64) + int(np.rint(first) if known else 0), step, True
+
+
+# Read hand-labelled frames (PoseTraining of ndx-pose) from an NWB file.
+
+
+def read_training(file: Hdf5, places: list[str]) -> PoseData:
+    """Return the instances of all training frames.
+
+    Raises:
+        UserError: no instance, or one that does not fit its skeleton.
+    """
+    return _Labels(file, places).data()
+
+
+class _Labels:
+    """Collects instance after instance."""
+
+    def __init__(self, file: Hdf5, places: list[str]):
+        self.file = file
+        self.names: list[str] = []
+        self.bones: dict[tuple[str, str], None] = {}
+        self.found: list[tuple[list[str], np.ndarray, np.ndarray]] = []
+        self.of: list[tuple[str, int, str]] = []
+        """Video, frame in it (-1: not known) and name of the training frame of each instance."""
+        self.skeletons: dict[int, list[str]] = {}
+        self.videos: dict[int, str] = {}
+        for place in places:
+            frames = f"{place}/training_frames"
+            for name in file.names(frames):
+                if file.attribute(f"{frames}/{name}", "neurodata_type") == "TrainingFrame":
+                    self._frame(f"{frames}/{name}", name)
+
+    def _frame(self, place: str, name: str) -> None:
+        file = self.file
+        number = file.attribute(place, "source_video_frame_index")
+        known = isinstance(number, (int, np.integer)) and 0 <= number < 2**40
+        video = self._video(f"{place}/source_video") if file.is_group(f"{place}/source_video") else ""
+        for instance in file.names(f"{place}/skeleton_instances"):
+            where = f"{place}/skeleton_instances/{instance}"
+            nodes = self._skeleton(where)
+            points = file.array(f"{where}/node_locations")
+            if points.ndim != 2 or points.shape[0] != len(nodes) or points.shape[1] not in (2, 3):
+                raise UserError(
+                    f"{file.path}: '{where}/node_locations' has shape {points.shape}, expected ({len(nodes)}, 2)."
+                )
+            seen = np.ones(len(nodes))
+            if file.has(f"{where}/node_visibility"):
+                seen = file.array(f"{where}/node_visibility").astype(float)
+                if seen.shape != (len(nodes),):
+                    raise UserError(f"{file.path}: '{where}/node_visibility' has shape {seen.shape}.")
+            self.found.append((nodes, points[:, :2].astype(float), np.where(seen > 0, 1.0, 0.5)))
+            self.of.append((video, int(number) if known else -1, name))
+
+    def _video(self, place: str) -> str:
+        key = self.file.place(place)
+        if key not in self.videos:
+            paths = self.file.texts(f"{place}/external_file") if self.file.has(f"{place}/external_file") else []
+            self.videos[key] = video_name(paths[0]) if paths else str(len(self.videos))
+        return self.videos[key]
+
+    def _skeleton(self, place: str) -> list[str]:
+        where = linked(self.file, place, "Skeleton")
+        if where is None:
+            raise UserError(f"{self.file.path}: '{place}' has no Skeleton, expected one with the names of its nodes.")
+        key = self.file.place(where)
+        if key not in self.skeletons:
+            nodes, bones = skeleton_of(self.file, where)
+            self.skeletons[key] = nodes
+            self.names = list(dict.fromkeys([*self.names, *nodes]))
+            self.bones.update(dict.fromkeys(bones))
+        return self.skeletons[key]
+
+    def data(self) -> PoseData:
+        """Return the instances as rows."""
+        check_room(self.file.path, "the labels", 64 * len(self.found) * len(self.names))
+        keypoints = np.full((len(self.found), len(self.names), 2), np.nan)
+        score = np.zeros(keypoints.shape[:2])
+        for row, (nodes, points, seen) in enumerate(self.found):
+            columns = [self.names.index(node) for node in nodes]
+            keypoints[row, columns], score[row, columns] = points, seen
+        points, confidence = visible_only(keypoints, score)
+        rows = np.flatnonzero(np.any(confidence > 0, axis=-1))
+        if not len(rows):
+            raise UserError(f"{self.file.path}: no visible keypoint in the training frames.")
+        points, confidence = points[rows], confidence[rows]
+        identity, notes = self._identity(rows, points, confidence)
+        return PoseData(
+            keypoints=points,
+            confidence=confidence,
+            joint_names=tuple(self.names),
+            identity=identity,
+            bones=tuple(self.bones),
+            notes=notes,
+        )
+
+    def _identity(
+        self, rows: np.ndarray, points: np.ndarray, confidence: np.ndarray
+    ) -> tuple[dict[str, np.ndarray], tuple[str, ...]]:
+        videos, frames, names = (np.array([self.of[row][item] for row in rows.tolist()]) for item in range(3))
+        if (frames < 0).any() or (videos == "").any():
+            return {"image": names}, ()
+        identity = {"frame": frames, "sequence": videos}
+        if len(set(zip(videos.tolist(), frames.tolist(), strict=True))) == len(rows):
+            return identity, ()
+        body = np.zeros(len(rows), np.int64)
+        for video in np.unique(videos):
+            mine = videos == video
+            body[mine] = link_bodies(points[mine], confidence[mine], frames[mine])
+        return identity | {"instance": body.astype(str)}, ("individuals have no names: they are linked by place",)
+
+
+# Read pose estimates (ndx-pose) from a file of Neurodata Without Borders (.nwb).
+
+
+@dataclass
+class _Container:
+    """One PoseEstimation: one body in one video."""
+
+    place: str
+    series: list[Series]
+    nodes: list[str]
+    bones: list[tuple[str, str]]
+    video: Video
+
+    @property
+    def module(self) -> str:
+        return self.place.rsplit("/", 1)[0]
+
+    @property
+    def name(self) -> str:
+        return self.place.rsplit("/", 1)[1]
+
+
+def _read(path: Path, options: ReadOptions) -> PoseData:
+    with open_hdf5(path, "an NWB file") as file:
+        places = groups_of(file)
+        if not places["PoseEstimation"]:
+            if places["PoseTraining"]:
+                return read_training(file, places["PoseTraining"])
+            raise UserError(
+                f"{path}: an NWB file without pose estimates, expected a PoseEstimation (ndx-pose) with its series."
+            )
+        containers, notes = [], []
+        for place in places["PoseEstimation"]:
+            series, told = series_of(file, place)
+            notes += told
+            if series:
+                nodes, bones = nodes_and_bones(file, place, [one.name for one in series])
+                containers.append(_Container(place, series, nodes, bones, video_of(file, place)))
+        if places["PoseTraining"]:
+            notes.append("hand labels for training (PoseTraining) are left out beside the pose estimates")
+    if not containers:
+        raise UserError(f"{path}: the pose estimates are empty: no series with samples.")
+    return _data(path, containers, notes)
+
+
+def _data(path: Path, containers: list[_Container], notes: list[str]) -> PoseData:
+    names = list(dict.fromkeys(node for one in containers for node in one.nodes))
+    sequences = _sequences(path, containers)
+    by_video: dict[tuple[str, str], list[_Container]] = {}
+    for one, sequence in zip(containers, sequences, strict=True):
+        by_video.setdefault((sequence, one.video.camera), []).append(one)
+    parts, steps = [], []
+    for (sequence, camera), mine in by_video.items():
+        numbers, step, told = _numbers(path, mine)
+        steps.append(step)
+        notes += told
+        for one, frames in zip(mine, numbers, strict=True):
+            label = one.name.removeprefix("track=") if len(mine) > 1 or one.name.startswith("track=") else ""
+            parts.append(_part(path, one, frames, names) | {"sequence": sequence, "camera": camera, "instance": label})
+    if not any(len(part["frame"]) for part in parts):
+        raise UserError(f"{path}: no visible keypoint in {len(containers)} pose estimates.")
+    step = same_or_none(steps)
+    if step == 1.0:
+        notes.append("time stamps count frames, not seconds: frames a second are not known")
+    return PoseData(
+        joint_names=tuple(names),
+        fps=None if step in (None, 1.0) else round(1 / step, 4),
+        image_size=same_or_none(one.video.image_size for one in containers),
+        bones=tuple(dict.fromkeys(bone for one in containers for bone in one.bones)),
+        notes=tuple(dict.fromkeys(notes)),
+        **_joined(parts),
+    )
+
+
+def _joined(parts: list[dict]) -> dict:
+    """Return the rows of all bodies, of one video in the order of time."""
+    count = [len(part["frame"]) for part in parts]
+    videos = list(dict.fromkeys((part["sequence"], part["camera"]) for part in parts))
+    video = np.repeat([videos.index((part["sequence"], part["camera"])) for part in parts], count)
+    frame = np.concatenate([part["frame"] for part in parts])
+    order = np.lexsort((frame, video))
+    identity = {"frame": frame[order]}
+    for key in ("sequence", "camera", "instance"):
+        values = [part[key] for part in parts]
+        if any(values) and (key != "camera" or len(set(values)) > 1):
+            identity[key] = np.repeat(np.array(values), count)[order]
+    arrays = {key: np.concatenate([part[key] for part in parts])[order] for key in ("keypoints", "confidence")}
+    return arrays | {"identity": identity}
+
+
+def _sequences(path: Path, containers: list[_Container]) -> list[str]:
+    """Return the video of each container: as it is named there, or the module or file where it is not."""
+    pairs = [(one.module, one.video.name) for one in containers]
+    several = len({one.module for one in containers}) > 1
+    short = [video or (module.rsplit("/", 1)[-1] if several else path.stem) for module, video in dict.fromkeys(pairs)]
+    names = dict(zip(dict.fromkeys(pairs), distinct(short), strict=True))
+    return [names[pair] for pair in pairs]
+
+
+def _numbers(path: Path, containers: list[_Container]) -> tuple[list[list[np.ndarray]], float | None, list[str]]:
+    """Return the frame numbers of each series of each body in one video, the step between frames (s), and notes."""
+    every = [series for one in containers for series in one.series]
+    stamps, place = _different([series.stamps for series in every])
+    step, notes = None, []
+    if all(map(_rises, stamps)):
+        union = stamps[0] if len(stamps) == 1 else np.unique(np.concatenate(stamps))
+        numbers, step, even = frame_numbers(union)
+        frames = [numbers if one is union else numbers[np.searchsorted(union, one)] for one in stamps]
+        if not even:
+            notes.append("time stamps are uneven: frames are counted one after another")
+    else:
+        lengths = sorted({len(one) for one in stamps})
+        if len(lengths) > 1:
+            raise UserError(
+                f"{path}: '{containers[0].place}' has time stamps that do not rise, and series of "
+                f"{' and '.join(map(str, lengths))} samples: which of them are of one frame cannot be told."
+            )
+        frames = [np.arange(lengths[0])] * len(stamps)
+        notes.append("time stamps do not rise: frames are the places of samples")
+    of_series = iter(frames[number] for number in place)
+    return [[next(of_series) for _ in one.series] for one in containers], step, notes
+
+
+def _different(arrays: list[np.ndarray]) -> tuple[list[np.ndarray], list[int]]:
+    """Return the arrays without those that equal another, and which of them each is: series often share their stamps."""
+    found: list[np.ndarray] = []
+    known: dict[tuple[int, int], int] = {}
+    place = []
+    for array in arrays:
+        key = (len(array), hash(array.tobytes()))
+        same = known.setdefault(key, len(found))
+        if same < len(found) and not np.array_equal(found[same], array):  # alike, but not equal
+            same = len(found)
+        if same == len(found):
+            found.append(array)
+        place.append(same)
+    return found, place
+
+
+def _rises(stamps: np.ndarray) -> bool:
+    return bool(np.isfinite(stamps).all() and (np.diff(stamps) > 0).all())
+
+
+def _part(path: Path, one: _Container, frames: list[np.ndarray], names: list[str]) -> dict:
+    """Return the rows of one body in which a keypoint is visible."""
+    different, place = _different(frames)
+    own = different[0] if len(different) == 1 else np.unique(np.concatenate(different))
+    rows = [slice(None) if frame is own else np.searchsorted(own, frame) for frame in different]
+    check_room(path, f"'{one.place}'", 32 * len(names) * len(own))
+    keypoints = np.full((len(own), len(names), 2), np.nan, np.float32)
+    score = np.zeros((len(own), len(names)), np.float32)
+    for series, number in zip(one.series, place, strict=True):
+        column = names.index(series.name)
+        keypoints[rows[number], column] = as_float32(series.points)
+        score[rows[number], column] = as_float32(series.score)
+    points, confidence = visible_only(keypoints, score)
+    seen = np.any(confidence > 0, axis=-1)
+    return {"keypoints": points[seen], "confidence": confidence[seen], "frame": own[seen]}
+
+
+def _fits(peek: Peek) -> bool:
+    return {"session_start_time", "identifier"} <= set(peek.hdf5_names)
+
+
+FORMAT = Format("nwb", "an NWB file with poses (ndx-pose)", _fits, _read)

@@ -1,0 +1,130 @@
+"""OpenPose: one JSON file a frame, with a list of people and up to four lists of keypoints for each."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from uplift.data.formats.base import Format, Peek, ReadOptions
+from uplift.data.formats.layouts import HANDS, OPENPOSE, OPENPOSE_FACE70, names_for, numbered
+from uplift.data.formats.rows import pose_data, split_names
+from uplift.data.parsers.json import Numbers, first_json, json_files, load_json, shown, texts
+from uplift.data.poses import PoseData
+from uplift.errors import UserError
+
+__all__ = ["FORMAT"]
+
+_PARTS = ("pose", "hand_left", "hand_right", "face")
+_KEYS = [(part, f"{part}_keypoints_2d", f"{part}_keypoints") for part in _PARTS]
+"""What versions from 1.2 on, and those before, call each part."""
+_NAMES = {"hand_left": HANDS["left"], "hand_right": HANDS["right"], "face": OPENPOSE_FACE70}
+
+
+def _fits(peek: Peek) -> bool:
+    first = first_json(peek)
+    return first is not None and first.json_sign == "{" and "people" in first.json_keys
+
+
+def _read(path: Path, options: ReadOptions) -> PoseData:
+    files = json_files(path)
+    parts = {part: Numbers(f"{part}_keypoints_2d") for part in _PARTS}
+    rows: dict[str, list[int]] = {part: [] for part in _PARTS}
+    file_of: list[int] = []
+    tracks: list[str] = []
+    for number, file in enumerate(files):
+        for person, where in _people(file):
+            filled = _keypoints(person, where)
+            if not filled:
+                continue
+            for part, values in filled.items():
+                parts[part].add(values, where)
+                rows[part].append(len(file_of))
+            file_of.append(number)
+            tracks.append(_track(person.get("person_id"), where))
+    if not file_of:
+        raise UserError(f"{path}: nobody with 2D keypoints ('pose_keypoints_2d' and the like) in {len(files):,} files.")
+    values, names, notes = _joined(path, parts, rows, len(file_of), options)
+    identity = _identity(path, files, file_of, tracks)
+    return pose_data(path, names, values[..., :2], values[..., 2], identity, notes=notes)
+
+
+def _people(file: Path) -> Iterator[tuple[dict[str, Any], str]]:
+    frame = load_json(file)
+    people = frame.get("people") if isinstance(frame, dict) else None
+    if not isinstance(people, list):
+        raise UserError(
+            f"{file} has no list of 'people', expected what OpenPose writes for a frame. Keep files of other kinds "
+            "in folders of their own."
+        )
+    for count, person in enumerate(people):
+        where = f"{file}: person {count}"
+        if not isinstance(person, dict):
+            raise UserError(f"{where} is {shown(person)}, expected an object.")
+        yield person, where
+
+
+def _keypoints(person: dict[str, Any], where: str) -> dict[str, Any]:
+    """Return the lists of keypoints that are filled; versions before 1.2 leave ``_2d`` out of their names."""
+    found = {part: person.get(new, person.get(old)) for part, new, old in _KEYS}
+    filled = {part: values for part, values in found.items() if values not in (None, [])}
+    if not filled and any(person.get(f"{part}_keypoints_3d") for part in _PARTS):
+        raise UserError(f"{where} has 3D keypoints only, expected 2D ones: 'pose_keypoints_2d'.")
+    return filled
+
+
+def _track(value: Any, where: str) -> str:
+    """Return a person's number as text; -1 is nobody's."""
+    if isinstance(value, list) and len(value) == 1:
+        value = value[0]
+    if value in (None, [], -1):
+        return ""
+    if isinstance(value, bool) or not isinstance(value, int | float) or value != value or value < 0:
+        raise UserError(f"{where} has person_id {shown(value)}, expected [-1] or the number of a person.")
+    return f"{value:g}" if isinstance(value, float) else str(value)
+
+
+def _joined(
+    path: Path, parts: dict[str, Numbers], rows: dict[str, list[int]], people: int, options: ReadOptions
+) -> tuple[np.ndarray, tuple[str, ...], list[str]]:
+    """Return (people, joints, 3) of all parts that are filled, their names, and notes."""
+    found: list[np.ndarray] = []
+    names: list[str] = []
+    notes: list[str] = []
+    for part, numbers in parts.items():
+        if not numbers.rows:
+            continue
+        if not numbers.width or numbers.width % 3:
+            raise UserError(f"{path}: '{numbers.what}' has {numbers.width} numbers, expected x, y, score of each.")
+        count = numbers.width // 3
+        if part == "pose":
+            own, told = names_for(path, count, OPENPOSE, options, numbers.array(count, 3))
+            notes += told
+        else:
+            own = _NAMES[part] if len(_NAMES[part]) == count else tuple(f"{part}_{name}" for name in numbered(count))
+        if people * count > 20 * numbers.rows * count + 10_000_000:
+            raise UserError(
+                f"{path}: only {numbers.rows:,} of {people:,} people have '{numbers.what}': a damaged file?"
+            )
+        values = np.zeros((people, count, 3), np.float32)
+        values[rows[part]] = numbers.array(count, 3)
+        found.append(values)
+        names += own
+    return np.concatenate(found, 1), tuple(names), notes
+
+
+def _identity(path: Path, files: list[Path], file_of: list[int], tracks: list[str]) -> dict[str, np.ndarray]:
+    """Return sequence and frame by the number that each file's name ends with; the image where one has none."""
+    stems = [file.stem.removesuffix("_keypoints") for file in files]
+    found = split_names(stems)
+    if found is None:
+        image = np.array(stems)[file_of]
+        return {"image": image, "instance": np.arange(len(image)).astype(str)}
+    sequence = np.array([name or path.absolute().stem for name in found[0]])[file_of]
+    identity = {"sequence": sequence, "frame": np.array(found[1], np.int64)[file_of]}
+    return {**identity, "instance": texts(path, tracks)} if any(tracks) else identity
+
+
+FORMAT = Format("openpose", "OpenPose JSON", _fits, _read)

@@ -1,0 +1,381 @@
+"""SLEAP projects and predictions (``.slp``): tables of frames, instances and points."""
+
+from __future__ import annotations
+
+import re
+from collections import Counter
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from uplift.data.formats.base import Format, Peek, ReadOptions
+from uplift.data.formats.rows import as_float32, distinct, link_bodies, pairs_of, same_or_none, video_name, visible_only
+from uplift.data.formats.sleap_analysis import known_scores
+from uplift.data.parsers.hdf5 import Hdf5, check_room, from_json, open_hdf5
+from uplift.data.poses import PoseData
+from uplift.errors import UserError
+
+__all__ = [
+    "FORMAT",
+    "PREDICTED",
+    "USER",
+    "Body",
+    "Video",
+    "bodies_of",
+    "first_of_each",
+    "keys_of",
+    "rows_of",
+    "tracks_of",
+    "videos_of",
+    "without_replaced",
+]
+
+# What the JSON inside a SLEAP project says: its skeletons, videos and tracks.
+
+_BONE, _MIRROR = 1, 2
+"""Kinds of links between nodes, as SLEAP numbers them."""
+_WRONG = (KeyError, IndexError, TypeError, ValueError, AttributeError, OverflowError, RecursionError)
+
+
+@dataclass(frozen=True)
+class Body:
+    """A skeleton of a project."""
+
+    name: str
+    nodes: tuple[str, ...]
+    """In the order of the points of an instance."""
+    bones: tuple[tuple[str, str], ...]
+    mirror: tuple[tuple[str, str], ...]
+
+
+@dataclass(frozen=True)
+class Video:
+    """A video of a project."""
+
+    name: str
+    image_size: tuple[int, int] | None
+    fps: float | None
+
+
+def bodies_of(file: Hdf5) -> list[Body]:
+    """Return the skeletons, in the order that instances count them in.
+
+    Raises:
+        UserError: the metadata are not those of a SLEAP project.
+    """
+    said = file.attribute("metadata", "json")
+    if said is None:
+        raise UserError(f"{file.path}: no metadata with the names of the nodes, expected in {file.what}.")
+    metadata = from_json(file.path, "the metadata", str(said))
+    try:
+        names = [_clean(node["name"]) for node in metadata["nodes"]]
+        bodies = [_body(skeleton.get("nx_graph", skeleton), names) for skeleton in metadata["skeletons"]]
+    except _WRONG as error:
+        raise UserError(
+            f"{file.path}: the skeletons in the metadata are not as SLEAP writes them ({error!r})."
+        ) from error
+    for body in bodies:
+        if not body.nodes or len(set(body.nodes)) != len(body.nodes):
+            raise UserError(f"{file.path}: skeleton '{body.name}' has nodes {body.nodes!r}, expected each name once.")
+    return bodies
+
+
+def _body(graph: dict[str, Any], names: list[str]) -> Body:
+    ids = [int(node["id"]) for node in graph["nodes"]]
+    if min(ids, default=0) < 0:
+        raise ValueError("a node of negative number")
+    name_of = {number: names[number] for number in ids}
+    ends: dict[int, list[tuple[str, str]]] = {_BONE: [], _MIRROR: []}
+    kinds: dict[int, int] = {}  # the first mention of a kind spells it out, later ones point back to it
+    for link in graph["links"]:
+        said = link["type"]
+        if "py/reduce" in said:
+            kind = int(said["py/reduce"][1]["py/tuple"][0])
+            kinds[len(kinds) + 1] = kind
+        else:
+            back = int(said["py/id"])
+            kind = kinds.get(back, back)
+        ends[kind].append((name_of[int(link["source"])], name_of[int(link["target"])]))
+    title = _clean(graph.get("graph", {}).get("name") or "")
+    return Body(title, tuple(name_of[n] for n in ids), tuple(dict.fromkeys(ends[_BONE])), pairs_of(ends[_MIRROR]))
+
+
+def tracks_of(file: Hdf5) -> list[str]:
+    """Return the names of the tracks, made distinct."""
+    said = file.texts("tracks_json") if file.has("tracks_json") else []
+    found = [from_json(file.path, f"entry {place} of 'tracks_json'", text) for place, text in enumerate(said)]
+    try:
+        return distinct(_clean(entry[1]) for entry in found)
+    except _WRONG as error:
+        raise UserError(f"{file.path}: 'tracks_json' is not as SLEAP writes it ({error!r}).") from error
+
+
+def videos_of(file: Hdf5) -> dict[int, Video]:
+    """Return the videos by the numbers that frames give them, their names made distinct.
+
+    Frames number videos by their place, or, of a project with pictures inside, by those groups.
+    """
+    said = file.texts("videos_json") if file.has("videos_json") else []
+    entries = [from_json(file.path, f"entry {place} of 'videos_json'", text) for place, text in enumerate(said)]
+    cropped = file.has("video_crops")  # then the file's size is not that of the picture that was tracked
+    used = np.unique(file.table("frames", ("video",))["video"]).tolist()
+    by_place = used == list(range(len(entries)))
+    found = {}
+    try:
+        names = _names([_source(file, entry) for entry in entries])
+        for place, (entry, name) in enumerate(zip(entries, names, strict=True)):
+            inside = re.match(r"video(\d{1,9})/", str(entry["backend"].get("dataset") or ""))
+            size, fps = _shown(entry["backend"])
+            found[int(inside[1]) if inside and not by_place else place] = Video(name, None if cropped else size, fps)
+    except _WRONG as error:
+        raise UserError(f"{file.path}: 'videos_json' is not as SLEAP writes it ({error!r}).") from error
+    return found
+
+
+def _names(paths: list[str]) -> list[str]:
+    """Return a name for each video, with its folder where several videos have one name."""
+    names = [video_name(path) for path in paths]
+    count = Counter(names)
+    folders = [re.split(r"[\\/]", path)[-2:-1] for path in paths]
+    return distinct(
+        "/".join([*folder, name]) if count[name] > 1 else name for name, folder in zip(names, folders, strict=True)
+    )
+
+
+def _source(file: Hdf5, entry: dict[str, Any]) -> str:
+    """Return the path of a video; of one whose pictures are inside the project, that of the video they come from."""
+    backend = entry["backend"]
+    pictures = backend.get("filenames") or backend.get("filename")
+    if isinstance(pictures, list) and pictures:
+        first = str(pictures[0])
+        folder = re.split(r"[\\/]", first)[:-1]
+        return _clean("/".join(folder) if folder and folder[-1] not in ("", ".", "..") else first)
+    path = str(backend.get("filename") or entry.get("filename") or ".")
+    if path != ".":
+        return _clean(path)
+    group = str(backend.get("dataset") or "").split("/")[0]
+    source = f"{group}/source_video"
+    if group and file.has(source):
+        said = file.texts(f"{source}/json")[0] if file.has(f"{source}/json") else file.attribute(source, "json")
+        above = from_json(file.path, f"the source of {group}", str(said))
+        path = str(above["backend"].get("filename") or above.get("filename") or ".")
+    return _clean(path if path != "." else f"{Path(file.path).stem}_{group}" if group else Path(file.path).stem)
+
+
+def _shown(backend: dict[str, Any]) -> tuple[tuple[int, int] | None, float | None]:
+    """Return the size of the pictures and the frames a second, where the project says them."""
+    shape, fps = backend.get("shape"), backend.get("fps")
+    size = (shape[2], shape[1]) if isinstance(shape, list) and len(shape) == 4 else None
+    if size is None:
+        size = (backend.get("width_"), backend.get("height_"))
+    known = all(isinstance(n, int) and 0 < n < 1_000_000 for n in size)
+    right = isinstance(fps, (int, float)) and 0 < fps < 100_000
+    return (int(size[0]), int(size[1])) if known else None, float(fps) if right else None  # type: ignore[arg-type]
+
+
+def _clean(text: Any) -> str:
+    return str(text).encode(errors="replace").decode()
+
+
+# Which instances of a SLEAP project count: those of its frames, one a track, labels before predictions.
+
+USER, PREDICTED = 0, 1
+"""Kinds of instances, as SLEAP numbers them."""
+
+
+def rows_of(file: Hdf5, bodies: int, tracks: int) -> dict[str, np.ndarray]:
+    """Return columns of whole numbers, a row for each instance that a frame has."""
+    frames = _whole(file, "frames", ("video", "frame_idx", "instance_id_start", "instance_id_end"))
+    columns = ("instance_id", "instance_type", "skeleton", "track", "from_predicted", "point_id_start", "point_id_end")
+    instances = _whole(file, "instances", columns)
+    start, count = frames["instance_id_start"], frames["instance_id_end"] - frames["instance_id_start"]
+    there = len(instances["track"])
+    if ((start < 0) | (count < 0) | (start + count > there)).any() or count.sum() > there:
+        raise UserError(f"{file.path}: 'frames' names instances that are not among the {there:,} of 'instances'.")
+    which = np.repeat(start - np.append(0, np.cumsum(count)[:-1]), count) + np.arange(count.sum())
+    rows = {name: column[which] for name, column in instances.items()}
+    rows["video"], rows["frame"] = np.repeat(frames["video"], count), np.repeat(frames["frame_idx"], count)
+    for name, low, high in (
+        ("instance_type", USER, PREDICTED + 1),
+        ("skeleton", 0, bodies),
+        ("track", -1, tracks),
+        ("frame", 0, 2**40),
+    ):
+        if len(rows[name]) and (rows[name].min() < low or rows[name].max() >= high):
+            raise UserError(
+                f"{file.path}: column '{name}' goes from {rows[name].min()} to {rows[name].max()}, "
+                f"expected {low} to {high - 1}."
+            )
+    return rows
+
+
+def _whole(file: Hdf5, name: str, columns: tuple[str, ...]) -> dict[str, np.ndarray]:
+    found = file.table(name, columns)
+    for column, values in found.items():
+        if values.dtype.kind == "f":
+            right = np.isfinite(values) & (np.abs(values) < 2**53) & (values == np.rint(values))
+        else:
+            right = values <= 2**62
+        if not right.all():
+            raise UserError(
+                f"{file.path}: column '{column}' of '{name}' holds {values[~right][0]}, expected whole numbers."
+            )
+        found[column] = values.astype(np.int64)
+    return found
+
+
+def keys_of(rows: dict[str, np.ndarray]) -> np.ndarray:
+    """Return (rows,) numbers, the same for rows of one video, frame and track."""
+    key = np.zeros(len(rows["track"]), np.int64)
+    for name in ("video", "frame", "track"):
+        code = np.unique(rows[name], return_inverse=True)[1]
+        key = np.unique(key * (code.max(initial=0) + 1) + code, return_inverse=True)[1]
+    return key
+
+
+def without_replaced(rows: dict[str, np.ndarray]) -> tuple[dict[str, np.ndarray], list[str]]:
+    """Return the rows without predictions that a labelled instance stands for, and a note where there were any."""
+    user, tracked = rows["instance_type"] == USER, rows["track"] >= 0
+    key = keys_of(rows)
+    replaced = np.isin(rows["instance_id"], rows["from_predicted"][user & (rows["from_predicted"] >= 0)])
+    replaced |= tracked & np.isin(key, key[user & tracked])
+    replaced &= ~user
+    told = f"{int(replaced.sum()):,} predicted instances are left out, as labelled ones stand in their place"
+    return {name: column[~replaced] for name, column in rows.items()}, [told] if replaced.any() else []
+
+
+def first_of_each(rows: dict[str, np.ndarray], seen: np.ndarray) -> np.ndarray:
+    """Return the indices, in the order of time, of rows that show something, one for each video, frame and track."""
+    where = np.flatnonzero(seen)
+    key = keys_of({name: rows[name][where] for name in ("video", "frame", "track")})
+    first = np.zeros(len(where), bool)
+    first[np.unique(key, return_index=True)[1]] = True
+    where = where[first | (rows["track"][where] < 0)]
+    return where[np.lexsort((rows["frame"][where], rows["video"][where]))]
+
+
+# Read a project or predictions of SLEAP (.slp): tables of frames, instances and points.
+
+_CENTRED_PIXELS, _TOO_NEW = 1.1, 3.0
+"""Format numbers: since when (0, 0) is the middle of the first pixel and no longer its corner; what is not known yet."""
+
+
+def _read(path: Path, options: ReadOptions) -> PoseData:
+    with open_hdf5(path, "a SLEAP project") as file:
+        shift_px = _shift_px(file)
+        bodies, tracks, videos = bodies_of(file), tracks_of(file), videos_of(file)
+        rows, notes = without_replaced(rows_of(file, len(bodies), len(tracks)))
+        names, keypoints, confidence, told = _points(file, rows, bodies, shift_px)
+    seen = np.any(confidence > 0, axis=-1)
+    kept = first_of_each(rows, seen)
+    if not len(kept):
+        raise UserError(f"{path}: no visible keypoint in {len(seen):,} instances.")
+    if len(kept) < seen.sum():
+        notes.append("of instances of one track in one frame only the first is taken")
+    rows = {name: column[kept] for name, column in rows.items()}
+    keypoints, confidence = keypoints[kept], confidence[kept]
+    seen_in, sequence = _videos(path, rows["video"], videos)
+    instance, linked = _instances(keypoints, confidence, rows, tracks)
+    of_bodies = [bodies[number] for number in np.unique(rows["skeleton"])]
+    category = np.array([body.name for body in bodies])[rows["skeleton"]] if len(of_bodies) > 1 else None
+    identity = {"frame": rows["frame"], "sequence": sequence, "instance": instance, "category": category}
+    return PoseData(
+        keypoints=keypoints,
+        confidence=confidence,
+        joint_names=names,
+        identity={key: values for key, values in identity.items() if values is not None},
+        image_size=same_or_none(video.image_size for video in seen_in),
+        fps=same_or_none(video.fps for video in seen_in),
+        bones=tuple(dict.fromkeys(bone for body in of_bodies for bone in body.bones)),
+        mirror=pairs_of(pair for body in of_bodies for pair in body.mirror),
+        notes=(*notes, *told, *linked),
+    )
+
+
+def _shift_px(file: Hdf5) -> float:
+    """Return what is to be taken off coordinates; raises UserError for a format that is too new."""
+    said = file.attribute("metadata", "format_id")
+    number = float(said) if isinstance(said, (int, float)) else 0.0
+    if not number < _TOO_NEW:
+        raise UserError(f"{file.path} has SLEAP's format {number:g}, expected one before {_TOO_NEW:g}.")
+    return 0.5 if number < _CENTRED_PIXELS else 0.0
+
+
+def _videos(path: Path, number: np.ndarray, videos: dict[int, Video]) -> tuple[list[Video], np.ndarray]:
+    """Return the videos that rows are of, and (rows,) their names."""
+    used, place = np.unique(number, return_inverse=True)
+    unknown = sorted(set(used.tolist()) - set(videos))
+    if unknown and videos:
+        raise UserError(f"{path}: frames are of video {unknown[0]}, expected one of {sorted(videos)}.")
+    found = [videos[one] for one in used.tolist()] if videos else []
+    return found, np.array([video.name for video in found] or [f"{path.stem} {one}" for one in used])[place]
+
+
+def _points(
+    file: Hdf5, rows: dict[str, np.ndarray], bodies: list[Body], shift_px: float
+) -> tuple[tuple[str, ...], np.ndarray, np.ndarray, tuple[str, ...]]:
+    """Return joint names, keypoints, confidence, and what was assumed of scores."""
+    used = np.unique(rows["skeleton"]).tolist()
+    names = list(dict.fromkeys(node for body in used for node in bodies[body].nodes))
+    check_room(file.path, f"points of {len(names):,} nodes", 64 * len(rows["track"]) * len(names))
+    keypoints = np.full((len(rows["track"]), len(names), 2), np.nan, np.float32)
+    score = np.zeros(keypoints.shape[:2], np.float32)
+    told: tuple[str, ...] = ()
+    for kind, table in ((USER, "points"), (PREDICTED, "pred_points")):
+        of_kind = rows["instance_type"] == kind
+        if not of_kind.any():
+            continue
+        points = file.table(table, ("x", "y", "visible", *(("score",) if kind == PREDICTED else ())))
+        for number in np.unique(rows["skeleton"][of_kind]).tolist():
+            mine = np.flatnonzero(of_kind & (rows["skeleton"] == number))
+            place = _places(file, table, rows, mine, len(bodies[number].nodes), len(points["x"]))
+            columns = np.array([names.index(node) for node in bodies[number].nodes])
+            xy = np.stack([points["x"][place], points["y"][place]], -1) - shift_px
+            there = points["visible"][place].astype(bool) & np.isfinite(xy).all(-1)
+            known = np.ones(there.shape, np.float32)
+            if kind == PREDICTED:
+                known, told = known_scores(as_float32(points["score"])[place], there)
+            keypoints[mine[:, None], columns] = as_float32(xy)
+            score[mine[:, None], columns] = np.where(there, known, 0)
+    return tuple(names), *visible_only(keypoints, score), told
+
+
+def _places(file: Hdf5, table: str, rows: dict, mine: np.ndarray, nodes: int, there: int) -> np.ndarray:
+    """Return (rows, nodes) places of the points of instances in their table."""
+    start, end = rows["point_id_start"][mine], rows["point_id_end"][mine]
+    if (end - start != nodes).any():
+        wrong = int((end - start)[end - start != nodes][0])
+        raise UserError(f"{file.path}: an instance has {wrong} points, its skeleton {nodes} nodes.")
+    if ((start < 0) | (end > there)).any() or len(mine) * nodes > there:
+        raise UserError(f"{file.path}: 'instances' names points that are not among the {there:,} of '{table}'.")
+    return start[:, None] + np.arange(nodes)
+
+
+def _instances(
+    keypoints: np.ndarray, confidence: np.ndarray, rows: dict[str, np.ndarray], tracks: list[str]
+) -> tuple[np.ndarray | None, tuple[str, ...]]:
+    """Return (rows,) names of individuals: of their tracks, or linked by place where they have none."""
+    free = np.flatnonzero(rows["track"] < 0)
+    if not len(free):
+        return np.array(tracks)[rows["track"]], ()
+    alone = len(np.unique(keys_of(rows)[free])) == len(free)
+    if alone and len(free) == len(rows["track"]):
+        return None, ()
+    body = np.zeros(len(free), np.int64)
+    if not alone:
+        for video in np.unique(rows["video"][free]):
+            mine = rows["video"][free] == video
+            body[mine] = link_bodies(keypoints[free[mine]], confidence[free[mine]], rows["frame"][free[mine]])
+    names = np.array([*tracks, ""])[rows["track"]].astype(object)
+    prefix = "untracked " if len(free) < len(names) else ""
+    names[free] = [f"{prefix}{number}" for number in body.tolist()]
+    return names.astype(str), () if alone else ("individuals without a track are linked by place",)
+
+
+def _fits(peek: Peek) -> bool:
+    return {"frames", "instances", "metadata"} <= set(peek.hdf5_names)
+
+
+FORMAT = Format("sleap_slp", "a project of SLEAP", _fits, _read)

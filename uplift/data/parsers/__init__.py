@@ -1,0 +1,1 @@
+"""Parsers of file types, each safe on files of unknown origin."""

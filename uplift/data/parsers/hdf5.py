@@ -1,0 +1,329 @@
+"""Read arrays, tables and text from an HDF5 file of unknown origin: nothing outside it, no more than it holds."""
+
+from __future__ import annotations
+
+import json
+import mmap
+import os
+import struct
+from collections.abc import Callable, Collection, Iterator
+from contextlib import contextmanager
+from functools import wraps
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from uplift.data.formats.base import need
+from uplift.errors import UserError
+
+__all__ = ["Elsewhere", "Hdf5", "OwnParts", "check_room", "from_json", "heaps_are_sound", "open_hdf5"]
+
+# Look over the heaps of text in an HDF5 file before the library does: a wrong size there makes it walk in circles.
+
+_HEAP_START = b"GCOL\x01\0\0\0"
+_HEADER = 16
+_MOST_BYTES = 2**33
+"""Longer files are not looked over: that would take longer than reading what is asked of them."""
+
+
+def heaps_are_sound(path: Path) -> bool:
+    """Return whether every object of every heap (global heap collection, version 1) ends inside its heap."""
+    size = path.stat().st_size
+    if not 0 < size < _MOST_BYTES:
+        return True
+    with path.open("rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as content:
+        start = content.find(_HEAP_START)
+        while start >= 0:
+            if not _is_sound(content, start, size):
+                return False
+            start = content.find(_HEAP_START, start + len(_HEAP_START))
+    return True
+
+
+def _is_sound(content: mmap.mmap, start: int, file_size: int) -> bool:
+    if start + _HEADER > file_size:
+        return False
+    end = start + struct.unpack_from("<Q", content, start + 8)[0]
+    if end > file_size:
+        return False
+    place = start + _HEADER
+    while place + _HEADER <= end:
+        index, size = struct.unpack_from("<H6xQ", content, place)
+        length = _HEADER + -(-size // 8) * 8 if index else size  # free space counts its own header
+        if length < _HEADER or place + length > end:
+            return False
+        place += length
+    return True
+
+
+# What of an HDF5 file lies in the file itself, and is no larger than the file can hold.
+
+_MOST_LINKS = 8
+_SMALL = 2**26
+"""Arrays of fewer bytes are taken without asking how many bytes stand behind them."""
+_MOST_PACKED = 1100
+"""Deflate, the filter of these files, packs 1032 bytes into one at most."""
+
+
+def check_room(path: Path, what: str, wanted_bytes: int) -> None:
+    """Raise UserError where something would take more than half of this machine's memory."""
+    memory = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
+    if wanted_bytes > memory // 2:
+        raise UserError(
+            f"{path}: {what} would take {wanted_bytes / 1e9:.1f} GB, more than half of this machine's memory "
+            f"({memory / 1e9:.1f} GB)."
+        )
+
+
+class Elsewhere(UserError):
+    """A link to another file."""
+
+
+class OwnParts:
+    """The groups and datasets of an open file; links inside it are followed, others never."""
+
+    def __init__(self, path: Path, what: str, file: Any):
+        self.path, self.what = path, what
+        self._file = file
+        self._groups: dict[str, Any] = {}
+        self._taken = 0
+
+    def find(self, name: str, hops: int = 0) -> Any:
+        """Return a group or dataset, None where there is none; raises `Elsewhere` where it is a link to another file."""
+        import h5py
+
+        place, walked = self._file, ""
+        for part in name.strip("/").split("/"):
+            if part in ("", "."):
+                continue
+            walked = f"{walked}/{part}"
+            if walked in self._groups:
+                place = self._groups[walked]
+                continue
+            link = place.get(part, getlink=True) if isinstance(place, h5py.Group) else None
+            if link is None:
+                return None
+            if isinstance(link, h5py.SoftLink):
+                if hops == _MOST_LINKS:
+                    raise UserError(f"{self.path}: '{walked}' is a link that leads round in circles.")
+                place = self.find(link.path if link.path.startswith("/") else f"{place.name}/{link.path}", hops + 1)
+            elif isinstance(link, h5py.HardLink):
+                place = place[part]  # type: ignore[index]
+            else:
+                raise Elsewhere(f"{self.path}: '{walked}' is a link to elsewhere, which is never followed.")
+            if isinstance(place, h5py.Group):
+                self._groups[walked] = place
+        return place
+
+    def dataset(self, name: str) -> Any:
+        """Return a dataset; raises UserError where its values are not here, or more than there can be."""
+        import h5py
+
+        item = self.find(name)
+        if not isinstance(item, h5py.Dataset):
+            raise UserError(f"{self.path}: no array '{name}', expected in {self.what}.")
+        if item.shape is None or item.external or item.is_virtual:
+            raise UserError(f"{self.path}: '{name}' has no values of its own, and others are never followed.")
+        claimed, stored = _bytes(item.shape, item.dtype), item.id.get_storage_size()
+        if claimed > max(_SMALL, _MOST_PACKED * stored) or _bytes(item.chunks or (), item.dtype) > 4 * _SMALL + claimed:
+            raise UserError(f"{self.path}: '{name}' claims {claimed:,} bytes but holds {stored:,}: damaged file.")
+        self._taken += claimed
+        check_room(self.path, f"'{name}'" if self._taken == claimed else f"all up to '{name}'", self._taken)
+        return item
+
+
+def _bytes(shape: tuple[int, ...], dtype: np.dtype) -> int:
+    return int(np.prod([int(n) for n in shape], dtype=object)) * dtype.itemsize
+
+
+# Read arrays, tables and text from an HDF5 file that nobody vouches for: nothing outside it, no more than it holds.
+
+_START = b"\x89HDF\r\n\x1a\n"
+_DAMAGE = (
+    ValueError, TypeError, KeyError, IndexError, AttributeError, OSError, EOFError, MemoryError, OverflowError,
+    NotImplementedError, RuntimeError, SystemError,
+)  # fmt: skip
+_MOST_ATTRIBUTE_BYTES = 2**26
+
+
+@contextmanager
+def open_hdf5(path: Path, what: str) -> Iterator[Hdf5]:
+    """Open an HDF5 file for reading; ``what`` it should be, for the errors.
+
+    Raises:
+        UserError: no HDF5 file, a damaged one, or no h5py.
+    """
+    if path.is_dir():
+        raise UserError(f"{path} is a folder, expected {what} (HDF5).")
+    try:
+        with path.open("rb") as file:
+            start = file.read(len(_START))
+    except OSError as error:
+        raise UserError(f"{path} cannot be opened: {error.strerror or error}.") from error
+    if start != _START:
+        raise UserError(f"{path} is no HDF5 file (it begins {start!r}), expected {what}.")
+    try:
+        import h5py
+    except ImportError:
+        raise need("h5py", "trackers", path) from None
+    if not heaps_are_sound(path):
+        raise _damaged(path, what, ValueError("a text is longer than the room that it has"))
+    try:
+        file = h5py.File(path, "r", locking=False)
+    except _DAMAGE as error:
+        raise _damaged(path, what, error) from error
+    with file:
+        yield Hdf5(path, what, file)
+
+
+def from_json(path: Path, where: str, text: str) -> Any:
+    """Return what JSON text inside a file says.
+
+    Raises:
+        UserError: no JSON, or nested too deeply.
+    """
+    try:
+        return json.loads(text)
+    except (ValueError, RecursionError) as error:
+        raise UserError(f"{path}: {where} is no valid JSON ({error}): damaged file?") from error
+
+
+def _told(method: Callable) -> Callable:
+    """Wrap a method so that whatever h5py makes of a damaged file ends as one clear error."""
+
+    @wraps(method)
+    def wrapped(self: Hdf5, *given: Any) -> Any:
+        try:
+            return method(self, *given)
+        except _DAMAGE as error:
+            raise _damaged(self.path, self.what, error) from error
+
+    return wrapped
+
+
+def _damaged(path: Path, what: str, error: BaseException) -> UserError:
+    said = " ".join(str(error).split())[:200] or type(error).__name__
+    return UserError(f"{path} cannot be read as {what}: truncated, damaged, or another format? ({said})")
+
+
+class Hdf5:
+    """An open HDF5 file; every name is a path from its root, such as ``metadata`` or ``poseest/points``."""
+
+    def __init__(self, path: Path, what: str, file: Any):
+        self.path, self.what = path, what
+        self._own = OwnParts(path, what, file)
+
+    @_told
+    def has(self, name: str) -> bool:
+        """Return whether there is a group or an array of this name."""
+        return self._own.find(name) is not None
+
+    @_told
+    def is_group(self, name: str) -> bool:
+        """Return whether there is a group of this name in this very file."""
+        try:
+            return hasattr(self._own.find(name), "keys")
+        except Elsewhere:
+            return False
+
+    @_told
+    def is_elsewhere(self, name: str) -> bool:
+        """Return whether a name is a link to another file."""
+        try:
+            self._own.find(name)
+        except Elsewhere:
+            return True
+        return False
+
+    @_told
+    def names(self, group: str = "") -> list[str]:
+        """Return the names in a group, sorted; none where there is no such group."""
+        found = self._own.find(group)
+        return sorted(found.keys()) if hasattr(found, "keys") else []
+
+    @_told
+    def place(self, name: str) -> int:
+        """Return a number that is the same for two names of one thing."""
+        return hash(self._own.find(name).id)
+
+    @_told
+    def own_name(self, name: str) -> str:
+        """Return the name of what a link leads to, without its groups."""
+        return _clean(str(self._own.find(name).name).rsplit("/", 1)[-1])
+
+    @_told
+    def array(self, name: str) -> np.ndarray:
+        """Return an array of numbers; raises UserError where there is none, or one that is larger than it can be."""
+        item = self._own.dataset(name)
+        if item.dtype.kind not in "fiub":
+            raise UserError(f"{self.path}: '{name}' is no array of numbers (found {item.dtype}).")
+        return np.asarray(item[()])
+
+    @_told
+    def table(self, name: str, columns: Collection[str]) -> dict[str, np.ndarray]:
+        """Return columns of numbers (rows,) of a table; raises UserError where one is missing."""
+        item = self._own.dataset(name)
+        named = item.dtype.names
+        if named is None and "field_names" in item.attrs:  # as h5wasm writes tables: one array of numbers
+            named = from_json(self.path, f"'field_names' of '{name}'", str(self.attribute(name, "field_names")))
+            values = self.array(name)
+            if values.ndim != 2 or not isinstance(named, list) or values.shape[1] != len(named):
+                raise UserError(f"{self.path}: '{name}' has shape {values.shape} for columns {named!r}.")
+            found = {str(column): values[:, place] for place, column in enumerate(named)}
+        elif named is not None and item.ndim == 1:
+            values = item[()]
+            found = {column: np.ascontiguousarray(values[column]) for column in columns if column in named}
+        else:
+            raise UserError(f"{self.path}: '{name}' is no table (found {item.dtype} of shape {item.shape}).")
+        for column in columns:
+            if column not in found or found[column].ndim != 1 or found[column].dtype.kind not in "fiub":
+                raise UserError(
+                    f"{self.path}: table '{name}' has no column '{column}' of numbers (columns: {', '.join(map(str, named))})."
+                )
+        return {column: found[column] for column in columns}
+
+    @_told
+    def texts(self, name: str) -> list[str]:
+        """Return the texts of an array, in its order; raises UserError where it holds something else."""
+        import h5py
+
+        item = self._own.dataset(name)
+        if not item.size:  # an empty list of text is often stored as one of numbers
+            return []
+        if h5py.check_string_dtype(item.dtype) is None:
+            raise UserError(f"{self.path}: '{name}' holds {item.dtype}, expected text.")
+        return [_clean(value) for value in np.ravel(item.asstr(errors="replace")[()]).tolist()]
+
+    def text(self, name: str) -> str:
+        """Return the first text of an array; empty where there is none."""
+        found = self.texts(name) if self.has(name) else []
+        return found[0] if found else ""
+
+    @_told
+    def attribute(self, name: str, key: str) -> Any:
+        """Return an attribute as text, number or array; None where there is none."""
+        import h5py
+
+        found = self._own.find(name)
+        if found is None or key not in found.attrs:
+            return None
+        if found.attrs.get_id(key).get_storage_size() > _MOST_ATTRIBUTE_BYTES:
+            raise UserError(f"{self.path}: attribute '{key}' of '{name or '/'}' is too large: damaged file?")
+        value = found.attrs[key]
+        if isinstance(value, h5py.Empty):
+            return None
+        if isinstance(value, np.ndarray) and value.size == 1 and value.dtype.kind != "V":
+            value = value.ravel()[0]
+        if isinstance(value, np.ndarray) and value.dtype == np.uint8:  # text as bytes
+            value = value.tobytes()
+        if isinstance(value, np.generic):
+            value = value.item()
+        return _clean(value) if isinstance(value, (str, bytes)) else value
+
+
+def _clean(text: str | bytes) -> str:
+    """Return text that can be shown and written: what is no character is replaced."""
+    if isinstance(text, bytes):
+        return text.decode(errors="replace")
+    return text.encode(errors="replace").decode()

@@ -1,0 +1,401 @@
+"""Read JSON of unknown origin: records one at a time, the files of a folder, lists of numbers."""
+
+from __future__ import annotations
+
+import heapq
+import json
+import os
+import re
+import reprlib
+from collections.abc import Collection, Iterator, Sequence
+from itertools import chain
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from uplift.data.formats.base import Peek
+from uplift.errors import UserError
+
+__all__ = [
+    "JsonText",
+    "Numbers",
+    "entries",
+    "first_json",
+    "in_order",
+    "is_text",
+    "items",
+    "json_files",
+    "load_json",
+    "members",
+    "objects",
+    "records",
+    "shown",
+    "texts",
+    "whole",
+]
+
+# Read a large JSON file of records one at a time: its text is in memory, never all of its objects.
+
+_SPACE = re.compile(r"[ \t\n\r]*")
+_DECODER = json.JSONDecoder()
+
+
+def records(path: Path, keys: Collection[str]) -> Iterator[tuple[str, dict[str, Any]]]:
+    """Yield (key, record) of the lists that the file's object holds under ``keys``, in the order of the file.
+
+    Raises:
+        UserError: damaged JSON, a list in place of the object, a record that is none, a key that is absent.
+    """
+    text = JsonText(path)
+    if text.next_sign() == "[":
+        raise UserError(
+            f"{path} is a list: results of a detector, which are another format. Expected annotations, such as "
+            f"person_keypoints_val2017.json: an object with {', '.join(keys)}."
+        )
+    found = set()
+    for key in text.members():
+        if key not in keys:
+            text.value()
+            continue
+        found.add(key)
+        for record in text.records(f"'{key}'"):
+            yield key, record
+    absent = ", ".join(key for key in keys if key not in found)
+    if absent:
+        raise UserError(f"{path}: no {absent} in it. Expected annotations, such as person_keypoints_val2017.json.")
+
+
+class JsonText:
+    """The text of a JSON file and how far it has been read.
+
+    Raises:
+        UserError: (as every method does) no such file, no JSON, or damaged.
+    """
+
+    def __init__(self, path: Path):
+        self.path = path
+        self.at = 0
+        try:
+            self.text = path.read_text(encoding="utf-8-sig")
+        except (OSError, UnicodeDecodeError) as error:
+            raise UserError(f"{path} cannot be read as JSON: {error}") from None
+        if not self.next_sign():
+            raise UserError(f"{path} is empty, expected JSON.")
+
+    def next_sign(self) -> str:
+        """Return the next character that is no space, without passing it; nothing at the end."""
+        space = _SPACE.match(self.text, self.at)
+        self.at = space.end() if space else self.at
+        return self.text[self.at : self.at + 1]
+
+    def value(self) -> Any:
+        """Return the next value and pass it."""
+        self.next_sign()
+        try:
+            found, self.at = _DECODER.raw_decode(self.text, self.at)
+        except (ValueError, RecursionError):
+            raise self._damaged() from None
+        return found
+
+    def members(self) -> Iterator[str]:
+        """Yield each key of an object; the caller passes its value before it asks for the next."""
+        self._pass("{")
+        more = self.next_sign() != "}"
+        while more:
+            key = self.value()
+            self._pass(":")
+            yield key
+            more = self._more("}")
+        self._pass("}")
+
+    def records(self, what: str) -> Iterator[dict[str, Any]]:
+        """Yield each entry of a list of objects; ``what`` names the list in errors."""
+        if self.next_sign() != "[":
+            raise UserError(f"{self.path}: {what} is no list.")
+        self._pass("[")
+        more, count = self.next_sign() != "]", 0
+        while more:
+            found = self.value()
+            if not isinstance(found, dict):
+                raise UserError(f"{self.path}: entry {count} of {what} is {found!r:.60}, expected an object.")
+            yield found
+            more, count = self._more("]"), count + 1
+        self._pass("]")
+
+    def _more(self, end: str) -> bool:
+        if self.next_sign() == ",":
+            self.at += 1
+            return True
+        if self.next_sign() != end:
+            raise self._damaged()
+        return False
+
+    def _pass(self, sign: str) -> None:
+        if self.next_sign() != sign:
+            raise self._damaged()
+        self.at += 1
+
+    def _damaged(self) -> UserError:
+        near = self.text[self.at : self.at + 40]
+        shown = f"near {near!r}" if near else "where the file ends: truncated?"
+        return UserError(f"{self.path} is no whole JSON file: damaged at character {self.at:,}, {shown}.")
+
+
+# What the readers of JSON share: the files of a folder, and their entries one at a time.
+
+_TRIES = 100
+_SCAN = json.JSONDecoder().raw_decode
+
+
+def json_files(path: Path) -> list[Path]:
+    """Return a file itself, or the JSON files of a folder with their numbers in order.
+
+    Raises:
+        UserError: none in the folder.
+    """
+    if not path.is_dir():
+        return [path]
+    found = [Path(one) for one in os.scandir(path) if _is_json(one.name) and one.is_file()]
+    if not found:
+        raise UserError(f"{path} has no *.json in it.")
+    return sorted(found, key=lambda one: in_order(one.name))
+
+
+def first_json(peek: Peek) -> Peek | None:
+    """Return the first look at a JSON file, or at the first one of a folder that is no empty list.
+
+    Never an exception; None where there is no JSON.
+    """
+    if not peek.is_folder:
+        return peek if peek.json_sign else None
+    try:
+        names = heapq.nsmallest(_TRIES, (one.name for one in os.scandir(peek.path) if _is_json(one.name)))
+    except OSError:
+        return None
+    found = None
+    for name in names:
+        try:
+            found = Peek(peek.path / name)
+        except (UserError, OSError):
+            continue
+        if found.json_sign and not re.match(r"\s*[\[{]\s*[\]}]\s*$", found.text):
+            return found
+    return found if found is not None and found.json_sign else None
+
+
+def _is_json(name: str) -> bool:
+    return name.lower().endswith(".json") and not name.startswith(".")
+
+
+def load_json(path: Path) -> Any:
+    """Return the one value of a JSON file.
+
+    Raises:
+        UserError: damaged, or more than one value.
+    """
+    text = JsonText(path)
+    value = text.value()
+    _end(text)
+    return value
+
+
+def members(path: Path) -> Iterator[tuple[str, JsonText]]:
+    """Yield each key of a file's object, with the text standing before its value, which the caller passes.
+
+    Raises:
+        UserError: damaged, or no object.
+    """
+    text = JsonText(path)
+    if text.next_sign() != "{":
+        raise UserError(f"{path} begins {text.text[text.at : text.at + 20]!r}, expected an object: {{ ... }}.")
+    for key in text.members():
+        yield key, text
+    _end(text)
+
+
+def entries(path: Path, what: str) -> Iterator[tuple[int, dict[str, Any]]]:
+    """Yield the number and object of each entry of a file's list; ``what`` names the list in errors.
+
+    Raises:
+        UserError: damaged, no list, or an entry that is no object.
+    """
+    text = JsonText(path)
+    yield from enumerate(objects(text, what))
+
+
+def objects(text: JsonText, what: str) -> Iterator[dict[str, Any]]:
+    """Yield each object of the list that stands next in a text, as `JsonText.records` does, in less time.
+
+    Raises:
+        UserError: damaged, no list, or an entry that is no object.
+    """
+    for count, value in enumerate(items(text, what)):
+        if type(value) is not dict:
+            raise UserError(f"{text.path}: entry {count} of {what} is {shown(value)}, expected an object.")
+        yield value
+
+
+def items(text: JsonText, what: str) -> Iterator[Any]:
+    """Yield each value of the list that stands next in a text, one at a time, and pass it.
+
+    Raises:
+        UserError: damaged, or no list.
+    """
+    outermost = text.next_sign() == "[" and text.at < 1000 and not text.text[: text.at].strip()
+    if text.next_sign() != "[":
+        raise UserError(f"{text.path}: {what} is no list.")
+    text.at += 1
+    more = text.next_sign() != "]"
+    whole_text = text.text
+    while more:
+        try:
+            value, text.at = _SCAN(whole_text, text.at)
+        except (ValueError, RecursionError):
+            value = text.value()  # after spaces; or tells what is wrong
+        yield value
+        if whole_text.startswith(", ", text.at):  # as most write it
+            text.at += 2
+            continue
+        more = text.next_sign() == ","
+        if not more and text.next_sign() != "]":
+            raise UserError(f"{text.path} is no whole JSON file: damaged or cut short at character {text.at:,}.")
+        text.at += more
+    text.at += 1
+    if outermost:
+        _end(text)
+
+
+def _end(text: JsonText) -> None:
+    if text.next_sign():
+        raise UserError(
+            f"{text.path} is no whole JSON file: it ends at character {text.at:,}, and more follows: "
+            f"{text.text[text.at : text.at + 40]!r}."
+        )
+
+
+def is_text(value: Any) -> bool:
+    """Return whether a value of JSON names something: text that is not empty."""
+    return isinstance(value, str) and bool(value)
+
+
+def shown(value: Any) -> str:
+    """Return a value of JSON for an error, short however large or deep it is."""
+    return f"{reprlib.repr(value):.80}"
+
+
+def whole(value: Any, where: str, what: str) -> int:
+    """Return ``value`` as an integer from 0 up; raises UserError for anything else."""
+    number = value
+    if isinstance(value, str) and re.fullmatch(r"[0-9]{1,15}", value):
+        number = int(value)
+    if isinstance(value, float) and value.is_integer():
+        number = int(value)
+    if isinstance(number, bool) or not isinstance(number, int) or not 0 <= number < 2**53:
+        raise UserError(f"{where}: '{what}' is {shown(value)}, expected a whole number from 0 up.")
+    return number
+
+
+def in_order(name: str) -> list[tuple[int, int, str]]:
+    """Return what sorts file names so that 2 comes before 10."""
+    parts = re.split(r"([0-9]+)", name)
+    return [
+        (0, int(part[:300]), part) if part.isdecimal() and part.isascii() else (1, 0, part) for part in parts if part
+    ]
+
+
+# Columns of text from files that nobody vouches for.
+
+_LONGEST = 4000
+_MOST = 500_000_000
+
+
+def texts(path: Path, values: Sequence[str]) -> np.ndarray:
+    """Return names of rows as an array of text, in which every name takes the room of the longest.
+
+    Raises:
+        UserError: a name so long that the array would not fit in memory.
+    """
+    longest = max(map(len, values), default=0)
+    if longest > _LONGEST or longest * len(values) > _MOST:
+        name = next(value for value in values if len(value) == longest)
+        raise UserError(f"{path} has a name of {longest:,} characters ({name[:40]!r}...), expected short ones.")
+    return np.array(values) if len(values) else np.empty(0, "U1")
+
+
+# Lists of numbers as JSON holds them, checked one by one, as one array.
+
+_BLOCK = 4096
+_KINDS = {int, float, type(None)}
+
+
+class Numbers:
+    """Lists of numbers, one a row and all of one length, that become one float32 array.
+
+    ``what`` names them in errors. Lists may hold lists, which are taken one after the other.
+    """
+
+    def __init__(self, what: str):
+        self.what = what
+        self.rows = 0
+        self.width: int | None = None
+        self._first = ""
+        self._waiting: list[Any] = []
+        self._places: list[str] = []
+        self._blocks: list[np.ndarray] = []
+
+    def add(self, values: Any, where: str) -> None:
+        """Take the next row; ``where`` names it in errors.
+
+        Raises:
+            UserError: no list of numbers, or not as long as the rows before it.
+        """
+        flat = self.flat(values, where)
+        if len(flat) != self.width:
+            if self.width is not None:
+                raise UserError(
+                    f"{where}: '{self.what}' has {len(flat)} numbers, but {self.width} in {self._first}. "
+                    "Expected the same keypoints everywhere."
+                )
+            self.width, self._first = len(flat), where
+        self._waiting.extend(flat)
+        self._places.append(where)
+        self.rows += 1
+        if len(self._places) >= _BLOCK:
+            self._flush()
+
+    def flat(self, values: Any, where: str) -> list[Any]:
+        """Return numbers, or lists of them, as one list; raises UserError for anything else."""
+        flat = values
+        if type(values) is list and values and type(values[0]) is list:
+            parts = set(map(type, values)) == {list} and len(set(map(len, values))) == 1
+            flat = list(chain.from_iterable(values)) if parts else None
+        if type(flat) is not list or not set(map(type, flat)) <= _KINDS:
+            raise UserError(f"{where}: '{self.what}' is {shown(values)}, expected a list of numbers.")
+        return flat
+
+    def _flush(self) -> None:
+        width = self.width or 0
+        try:
+            block = np.array(self._waiting, np.float64)
+        except OverflowError:
+            wrong = next(n for n, value in enumerate(self._waiting) if _too_large(value))
+            where = self._places[wrong // max(width, 1)]
+            raise UserError(f"{where}: '{self.what}' holds a number of more digits than any pixel has.") from None
+        with np.errstate(over="ignore"):
+            self._blocks.append(block.reshape(len(self._places), width).astype(np.float32))
+        self._waiting, self._places = [], []
+
+    def array(self, *shape: int) -> np.ndarray:
+        """Return all rows, (rows, *shape); with no shape (rows, numbers)."""
+        self._flush()
+        self._blocks = [np.concatenate(self._blocks)]
+        return self._blocks[0].reshape(self.rows, *(shape or (self.width or 0,)))
+
+
+def _too_large(value: Any) -> bool:
+    try:
+        float(value or 0)
+    except OverflowError:
+        return True
+    return False

@@ -1,0 +1,193 @@
+"""Mesh files and folders of them as meshes in their own frame, animated ones in several poses."""
+
+from __future__ import annotations
+
+import io
+import re
+import zlib
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float
+
+from uplift.data.parsers.gltf import GltfFile
+from uplift.errors import UserError, did_you_mean
+from uplift.geometry.mesh import Mesh
+
+__all__ = ["ENDINGS", "MeshOptions", "axes_to_own", "find_mesh_files", "read_meshes"]
+
+ENDINGS = (".glb", ".gltf", ".obj", ".off", ".ply", ".stl")
+"""Files of meshes that are read."""
+_AXES = {"x": (1, 0, 0), "y": (0, 1, 0), "z": (0, 0, 1), "-x": (-1, 0, 0), "-y": (0, -1, 0), "-z": (0, 0, -1)}
+_FRONTS = {"y": "z", "-y": "z", "z": "-y", "-z": "-y"}
+_FLAT = 1e-5
+"""Thickness of a shape, of its size, that is none."""
+_MERGED = 1e-6
+"""Share of a mesh's size within which two of its vertices are one: files split them at every edge and colour."""
+
+
+@dataclass(frozen=True)
+class MeshOptions:
+    """How files of meshes are understood."""
+
+    up: str = "y"
+    """The file's axis that points up: x, y, z, -x, -y or -z."""
+    front: str | None = None
+    """The file's axis the object looks along; None: z where y is up (glTF's convention), -y where z is (Blender's)."""
+    poses: int = 20
+    """Moments drawn from each animated file's animations; 0: the pose it has at rest."""
+    animations: tuple[str, ...] = ()
+    """Parts of names of those that poses are drawn from, with a minus of those they are not; none: all."""
+    seed: int = 0
+    category: str | None = None
+    """Of all meshes; None: the folder below the given one, else the file's own name."""
+    most: int | None = None
+    """Files read of those that are there, drawn at random; None: all."""
+
+
+def read_meshes(sources: str | Path | Sequence[str | Path], options: MeshOptions | None = None) -> list[Mesh]:
+    """Return the meshes of files and folders in their own frame (x left, y down, z behind), in the file's unit.
+
+    A file gives one mesh, all its parts together; a .glb or .gltf file with animations one for each pose.
+
+    Raises:
+        UserError: nothing there, an unknown kind, a damaged file, no triangles, a flat shape, axes that are none.
+    """
+    options = options or MeshOptions()
+    turn = axes_to_own(options.up, options.front)
+    files = find_mesh_files(sources)
+    if options.most is not None and len(files) > options.most:
+        chosen = np.random.default_rng(options.seed).choice(len(files), options.most, replace=False)
+        files = [files[row] for row in sorted(chosen)]
+    found = []
+    for path, category in files:
+        raw = _posed(path, options) if path.suffix.lower() in (".glb", ".gltf") else [_static(path)]
+        for mesh in raw:
+            turned = _cleaned(path, mesh.vertices @ turn.T, mesh.faces)
+            found.append(Mesh(*turned, mesh.name, options.category or category))
+    return found
+
+
+def find_mesh_files(sources: str | Path | Sequence[str | Path]) -> list[tuple[Path, str]]:
+    """Return the mesh files of files and folders, sorted, and the category of each. Raises UserError for none."""
+    given = [sources] if isinstance(sources, str | Path) else list(sources)
+    found: dict[Path, str] = {}
+    for source in given:
+        path = Path(source).expanduser()
+        if path.is_dir():
+            files = [file for file in sorted(path.rglob("*")) if _is_mesh(file, path)]
+            if not files:
+                raise UserError(f"{path}: no mesh files in this folder. Expected {', '.join(ENDINGS)}.")
+            for file in files:
+                below = file.relative_to(path).parts
+                found.setdefault(file, below[0] if len(below) > 1 else file.stem)
+        elif not path.exists():
+            raise UserError(f"{path}: no such file or folder. Expected mesh files ({', '.join(ENDINGS)}) or folders.")
+        elif path.suffix.lower() not in ENDINGS:
+            raise UserError(
+                f"{path}: files of meshes end in {', '.join(ENDINGS)}. "
+                "Export others as .glb, from Blender with File > Export > glTF 2.0."
+            )
+        else:
+            found.setdefault(path, path.stem)
+    if not found:
+        raise UserError(f"no meshes given. Expected files ({', '.join(ENDINGS)}) or folders of them.")
+    return list(found.items())
+
+
+def axes_to_own(up: str, front: str | None = None) -> Float[np.ndarray, "3 3"]:
+    """Return the rotation from a file's axes to a shape's own frame. Raises UserError for axes that are none."""
+    front = _FRONTS.get(up, "z") if front is None else front
+    for key, value in (("up", up), ("front", front)):
+        if value not in _AXES:
+            raise UserError(f"{key}={value}: expected one of {', '.join(_AXES)}: an axis of the mesh files.")
+    if up[-1] == front[-1]:
+        raise UserError(f"up={up} and front={front} are one axis. Expected two, such as up=z front=-y.")
+    above, ahead = np.array(_AXES[up], float), np.array(_AXES[front], float)
+    return np.stack([np.cross(above, ahead), -above, -ahead])
+
+
+def _is_mesh(file: Path, folder: Path) -> bool:
+    hidden = any(part.startswith(".") for part in file.relative_to(folder).parts)
+    return file.suffix.lower() in ENDINGS and not hidden and file.is_file()
+
+
+def _posed(path: Path, options: MeshOptions) -> list[Mesh]:
+    """Return one mesh for each of some moments, in glTF's axes."""
+    file = GltfFile.read(path)
+    moving = [name for name, length in file.animations.items() if length > 0]
+    if not moving or not options.poses:
+        return [_as_in_file(file.posed(), path.stem)]
+    names = [name for name in moving if _taken(name, options.animations)]
+    if not names:
+        raise UserError(
+            f"{path}: animations={','.join(options.animations)} leaves none of its animations.{did_you_mean('', moving)}"
+        )
+    random = np.random.default_rng([options.seed, zlib.crc32(path.name.encode())])
+    # All animations have the same number of poses, or one more.
+    order = np.concatenate([random.permutation(len(names)) for _ in range(-(-options.poses // len(names)))])
+    found = []
+    for number in order[: options.poses]:
+        time_s = float(random.uniform(0, file.animations[names[number]]))
+        short = re.split(r"[|/\\:]", names[number])[-1]
+        found.append(_as_in_file(file.posed(names[number], time_s), f"{path.stem} {short} {time_s:.2f}s"))
+    return found
+
+
+def _taken(name: str, told: tuple[str, ...]) -> bool:
+    wanted = [part.casefold() for part in told if not part.startswith("-")]
+    refused = [part[1:].casefold() for part in told if part.startswith("-")]
+    name = name.casefold()
+    return (not wanted or any(part in name for part in wanted)) and not any(part in name for part in refused)
+
+
+def _as_in_file(mesh: Mesh, name: str) -> Mesh:
+    return Mesh(mesh.vertices * [1.0, -1.0, -1.0], mesh.faces, name)
+
+
+def _static(path: Path) -> Mesh:
+    """Return one file's triangles in its own axes, read by trimesh, without materials: no other file is opened."""
+    import trimesh
+
+    try:
+        content = path.read_bytes()
+    except OSError as error:
+        raise UserError(f"{path}: cannot be read ({error.strerror or error}).") from error
+    kind = path.suffix.lower()[1:]
+    try:
+        found = trimesh.load_mesh(io.BytesIO(content), file_type=kind, process=False, skip_materials=True)
+        vertices, faces = np.asarray(found.vertices, np.float64), np.asarray(getattr(found, "faces", []))
+    except Exception as error:  # a foreign file can break its parser in any way
+        reason = "" if isinstance(error, ImportError) else f" ({_first_line(error)})"
+        raise UserError(f"{path}: damaged, or no .{kind} file{reason}. Export it again.") from error
+    if not vertices.size or not faces.size:
+        raise UserError(f"{path}: no triangles in it. Expected a mesh, not points, lines or text.")
+    return Mesh(vertices.reshape(-1, 3), faces.astype(np.int64).reshape(-1, 3), path.stem)
+
+
+def _first_line(error: Exception) -> str:
+    return (str(error).strip() or type(error).__name__).splitlines()[0][:100]
+
+
+def _cleaned(path: Path, vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return vertices and faces without twins, faces of no size and vertices of no face."""
+    if faces.min() < 0 or faces.max() >= len(vertices):
+        raise UserError(f"{path}: a face refers to a vertex of {len(vertices):,} that is not there. Export it again.")
+    used, corners = np.unique(faces, return_inverse=True)
+    vertices, faces = vertices[used], corners.reshape(-1, 3)
+    if not np.isfinite(vertices).all():
+        count = int((~np.isfinite(vertices)).any(1).sum())
+        raise UserError(f"{path}: {count:,} of {len(vertices):,} vertices are not finite. Export it again.")
+    size = float(np.ptp(vertices, axis=0).max())
+    spread = np.linalg.eigvalsh(np.cov((vertices / max(size, 1e-300)).T))
+    if not np.isfinite(size) or spread[0] <= _FLAT**2 * spread[-1]:
+        raise UserError(f"{path}: flat, or without any size (its longest side is {size:.4g}). Expected a solid shape.")
+    steps = np.round((vertices - vertices.min(0)) / (_MERGED * size)).astype(np.int64)
+    _, first, twin = np.unique(steps, axis=0, return_index=True, return_inverse=True)
+    faces = twin.reshape(-1)[faces]
+    whole = (faces != np.roll(faces, 1, axis=1)).all(1)
+    if not whole.any():
+        raise UserError(f"{path}: none of its faces has an area. Expected a solid shape.")
+    return vertices[first], faces[whole]

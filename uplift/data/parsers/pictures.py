@@ -1,0 +1,284 @@
+"""Pictures: their files and sizes, their pixels as numbers, and the photos that masks belong to."""
+
+from __future__ import annotations
+
+import os
+import struct
+import warnings
+import zlib
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from PIL import Image
+
+from uplift.data.formats.base import ReadOptions
+from uplift.data.parsers.json import in_order
+from uplift.data.parsers.outlines import MAX_PIXELS
+from uplift.errors import UserError
+
+__all__ = [
+    "ENDINGS",
+    "PICTURES",
+    "Photos",
+    "Picture",
+    "PictureError",
+    "Place",
+    "open_picture",
+    "picture_sizes",
+    "pictures_of",
+]
+
+# Sizes of the pictures beside label files, from their headers.
+
+PICTURES = (".jpg", ".jpeg", ".png", ".bmp", ".webp", ".tif", ".tiff")
+
+
+def picture_sizes(
+    files: list[Path], rows: list[int], options: ReadOptions, notes: list[str]
+) -> tuple[dict[str, str], np.ndarray | None]:
+    """Return the picture's name of each label file, and (rows, 2) sizes in px; None where they are not known.
+
+    Pictures are looked for beside the labels, and in images/ where the labels are in labels/.
+    """
+    found = _pictures(files[0].absolute().parent)
+    names = {file.stem: found[file.stem].name for file in files if file.stem in found}
+    if options.image_size is not None:
+        return names, np.tile(np.array(options.image_size, np.float32), (len(rows), 1))
+    if not names:
+        return names, None
+    used = sorted(set(rows))
+    known = {row: _size(found[files[row].stem]) for row in used if files[row].stem in found}
+    sizes = set(known.values())
+    without = [row for row in used if row not in known]
+    if without and len(sizes) != 1:
+        raise UserError(
+            f"{files[without[0]]} has no picture beside it or in images/ to tell its size, and the others differ. "
+            "Say image_size=WIDTHxHEIGHT."
+        )
+    if without:
+        notes.append(f"{len(without):,} labels have no picture: their size is taken to be that of the others")
+    other = next(iter(sizes))
+    return names, np.array([known.get(row, other) for row in rows], np.float32)
+
+
+def _pictures(folder: Path) -> dict[str, Path]:
+    """Return the pictures that belong to a folder of labels, by their names without ending."""
+    places = [folder, folder.parent / "images"]
+    parts = list(folder.parts)
+    if "labels" in parts:
+        last = len(parts) - 1 - parts[::-1].index("labels")
+        places.append(Path(*parts[:last], "images", *parts[last + 1 :]))
+    found: dict[str, Path] = {}
+    for place in dict.fromkeys(places):
+        for one in place.iterdir() if place.is_dir() else []:
+            if one.suffix.lower() in PICTURES:
+                found.setdefault(one.stem, one)
+    return found
+
+
+def _size(picture: Path) -> tuple[int, int]:
+    """Return width and height of a picture from its header."""
+    from PIL import Image
+
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # of large pictures: nothing is decoded
+            with Image.open(picture) as opened:
+                return opened.size
+    except (OSError, ValueError, SyntaxError, Image.DecompressionBombError) as error:
+        raise UserError(
+            f"{picture} cannot be read as a picture, for the size of its labels: {error!s:.100}. Say "
+            "image_size=WIDTHxHEIGHT."
+        ) from None
+
+
+# Pictures as numbers: grey levels, an alpha channel, or the ids of a palette or of colours.
+
+ENDINGS = (".png", ".jpg", ".jpeg", ".webp", ".tif", ".tiff", ".bmp", ".gif", ".pgm", ".pbm", ".ppm")
+_KINDS = ("PNG", "JPEG", "WEBP", "TIFF", "BMP", "GIF", "PPM")
+_LUMINANCE = np.array([299, 587, 114])
+_JPEG_HUE = 24
+"""Grey saved as a colour JPEG comes back with channels that differ by a few levels."""
+
+
+class PictureError(Exception):
+    """Why a picture cannot be used: a key of `uplift.data.clean_masks.REASONS`."""
+
+
+@dataclass(frozen=True)
+class Picture:
+    """One picture's numbers."""
+
+    values: np.ndarray
+    """(height width): grey levels, alpha, or ids; a colour's id is red + 256 green + 65536 blue."""
+    alpha: bool = False
+    """Whether the values are an alpha channel that says what is there."""
+    lossy: bool = False
+    """Whether values are near what was saved, and not exactly that."""
+    shades: np.ndarray | None = None
+    """(height width) how bright each pixel looks, where the values are ids."""
+
+
+def open_picture(path: Path) -> Picture:
+    """Return a picture's numbers; of several frames, the first.
+
+    Raises:
+        PictureError: no picture, a damaged one, or one of more than `MAX_PIXELS`.
+    """
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # of large pictures: refused below, before anything is decoded
+            with Image.open(path, formats=_KINDS) as image:
+                if image.width * image.height > MAX_PIXELS:
+                    raise PictureError("huge")
+                image.load()
+                return _numbers(image, image.format in ("JPEG", "WEBP"))
+    except Image.DecompressionBombError:
+        raise PictureError("huge") from None
+    except (OSError, ValueError, SyntaxError, EOFError, IndexError, KeyError, TypeError, struct.error, zlib.error):
+        raise PictureError("unreadable") from None  # whatever a decoder stumbles over
+
+
+def _numbers(image: Image.Image, lossy: bool) -> Picture:
+    if image.mode == "P":
+        return _palette(image)
+    if "A" in image.getbands():
+        alpha = np.asarray(image.getchannel("A"))
+        if alpha.size and alpha.min() < alpha.max():
+            return Picture(alpha, alpha=True)
+        image = image.convert("L" if image.mode.startswith("L") else "RGB")
+    if image.mode in ("1", "L"):
+        return Picture(np.asarray(image, np.uint8), lossy=lossy)
+    if image.mode.startswith("I"):
+        return Picture(np.maximum(np.asarray(image), 0))  # 16 bits and more
+    if image.mode == "F":
+        return Picture(np.nan_to_num(np.asarray(image), nan=0.0, posinf=0.0, neginf=0.0))
+    return _colours(np.asarray(image.convert("RGB")), lossy)
+
+
+def _palette(image: Image.Image) -> Picture:
+    """Return a palette picture's ids, or its grey levels where all its colours are grey."""
+    ids = np.asarray(image)
+    used = np.flatnonzero(np.bincount(ids.reshape(-1), minlength=256))
+    transparent = image.info.get("transparency")
+    colours = np.zeros((256, 3), np.int64)
+    table = np.array(image.getpalette("RGB") or [], np.int64)[: 3 * 256].reshape(-1, 3)
+    colours[: len(table)] = table
+    if transparent is not None and len(used) > 2:
+        alpha = np.asarray(image.convert("RGBA").getchannel("A"))
+        if alpha.min() < alpha.max() and len(used) > 32:  # a drawing cut out, not a palette of labels
+            return Picture(alpha, alpha=True)
+    if (colours[used] == colours[used][:, :1]).all() and len(np.unique(colours[used, 0])) == len(used):
+        return Picture(colours[:, 0].astype(np.uint8)[ids])
+    return Picture(ids, shades=_shades(colours)[ids])
+
+
+def _colours(rgb: np.ndarray, lossy: bool) -> Picture:
+    """Return a colour picture's grey levels where it has no colours, else their ids."""
+    spread = rgb.max(-1).astype(np.int16) - rgb.min(-1)
+    if spread.max(initial=0) <= (_JPEG_HUE if lossy else 0):
+        return Picture(np.ascontiguousarray(rgb[..., 1]), lossy=lossy)
+    shades = _shades(rgb)
+    if lossy:
+        return Picture(shades, lossy=True)
+    return Picture(rgb.astype(np.int32) @ np.array([1, 256, 65536], np.int32), shades=shades)
+
+
+def _shades(colours: np.ndarray) -> np.ndarray:
+    """Return how bright colours look, 0..255."""
+    return ((colours.astype(np.int32) @ _LUMINANCE.astype(np.int32)) // 1000).astype(np.uint8)
+
+
+# The photos that masks belong to.
+
+
+class Photos:
+    """The pictures in the folder that a user names with ``images=``; without one, names are as the file has them.
+
+    Raises:
+        UserError: no such folder, or no picture in it.
+    """
+
+    def __init__(self, folder: str | None):
+        self.folder = None if folder is None else Path(folder)
+        self.missing = 0
+        """Photos that were asked for and are not there."""
+        self._files: dict[str, str] = {}
+        if self.folder is None:
+            return
+        if not self.folder.is_dir():
+            raise UserError(f"images={folder}: no such folder (looked in {self.folder.absolute().parent}).")
+        for path in sorted(self.folder.rglob("*")):
+            if path.suffix.lower() in ENDINGS:
+                inside = path.relative_to(self.folder)
+                for key in (inside.as_posix(), path.name, inside.with_suffix("").as_posix(), path.stem):
+                    self._files.setdefault(key, str(path))
+        if not self._files:
+            raise UserError(f"images={folder}: no picture in that folder.")
+
+    def of_name(self, name: str) -> str:
+        """Return the photo of that file name; where it is not in the folder, nothing."""
+        if self.folder is None:
+            return name
+        return self._found(name, Path(name).name)
+
+    def of_mask(self, name: str) -> str:
+        """Return the photo named as a mask is, apart from the ending; nothing without a folder of photos."""
+        if self.folder is None:
+            return ""
+        bare = Path(name).with_suffix("")
+        return self._found(bare.as_posix(), bare.name)
+
+    def notes(self) -> list[str]:
+        """Return what there is to tell."""
+        return [f"{self.missing:,} masks have no photo in {self.folder}"] if self.missing else []
+
+    def _found(self, *keys: str) -> str:
+        photo = next((self._files[key] for key in keys if key in self._files), "")
+        self.missing += not photo
+        return photo
+
+
+# The pictures that a user's paths mean, with a name and a category for each.
+
+
+@dataclass(frozen=True)
+class Place:
+    """Where one picture is."""
+
+    path: Path
+    name: str
+    category: str
+    """The sub-folder, or the folder where several were given."""
+
+
+def pictures_of(paths: list[Path]) -> tuple[list[Place], list[str]]:
+    """Return the pictures that paths name, folders with all their sub-folders, and the names of other files beside them.
+
+    A file that is named is taken for a picture whatever its ending.
+    """
+    folders = [path for path in paths if path.is_dir()]
+    found: list[Place] = []
+    others: list[str] = []
+    for path in paths:
+        if not path.is_dir():
+            found.append(Place(path, path.name if len(folders) == 0 else str(path), ""))
+            continue
+        for file in _files(path):
+            inside = file.relative_to(path)
+            if file.suffix.lower() not in ENDINGS:
+                others.append(inside.as_posix())
+                continue
+            parts = (path.absolute().name, *inside.parts) if len(folders) > 1 else inside.parts
+            found.append(Place(file, "/".join(parts), "/".join(parts[:-1])))
+    return found, others
+
+
+def _files(folder: Path) -> list[Path]:
+    """Return the files in a folder and in those below it, their numbers in order; hidden ones left out."""
+    found: list[Path] = []
+    for at, folders, names in os.walk(folder):
+        folders[:] = sorted((one for one in folders if not one.startswith((".", "__"))), key=in_order)
+        found += [Path(at, name) for name in sorted(names, key=in_order) if not name.startswith(".")]
+    return found

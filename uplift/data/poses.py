@@ -1,0 +1,327 @@
+"""`PoseData`: 2D keypoints, and what is known beside them: confidence, poses, masks, identity, cameras."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field, fields, replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from jaxtyping import Float
+
+from uplift.errors import UserError
+from uplift.geometry.camera import Lens
+
+if TYPE_CHECKING:
+    from uplift.geometry.normalise import Intrinsics
+
+__all__ = [
+    "IDENTITY_KEYS",
+    "UNITS",
+    "PoseData",
+    "check_masks",
+    "codes_of",
+    "joined_masks",
+    "mask_maps",
+    "masked_frames",
+    "masks_of",
+]
+
+# The one container of 2D keypoints and what is known beside them.
+
+UNITS = ("mm", "px", "relative")
+
+IDENTITY_KEYS = ("subject", "action", "sequence", "camera", "frame", "instance", "image", "category")
+
+
+def codes_of(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return what ``np.unique(values, return_inverse=True)`` does, quickly where equal values stand together."""
+    starts = np.flatnonzero(np.concatenate([[True], values[1:] != values[:-1]])) if len(values) else np.zeros(0, int)
+    names, code = np.unique(values[starts], return_inverse=True)
+    return names, np.repeat(code, np.diff(np.append(starts, len(values))))
+
+
+def _runs_of(codes: np.ndarray) -> Iterator[tuple[int, slice | np.ndarray]]:
+    """Yield each code with its rows: as slices where equal codes stand together, which copy nothing."""
+    starts = np.flatnonzero(np.diff(codes, prepend=codes[:1] - 1))
+    if 16 * len(starts) > len(codes):
+        yield from ((int(code), np.flatnonzero(codes == code)) for code in np.unique(codes))
+        return
+    yield from ((int(codes[a]), slice(a, b)) for a, b in zip(starts, np.append(starts[1:], len(codes)), strict=True))
+
+
+@dataclass
+class PoseData:
+    """Frames of 2D keypoints; poses where they are known.
+
+    Missing joints have confidence 0 and keypoint 0 once `uplift.data.clean.clean` has run; a
+    reader may leave NaN. The truth (`pose`, `root`, `tilt_deg`) is never an input of training
+    from 2D alone.
+    """
+
+    keypoints: np.ndarray
+    """(frames joints 2) float32, pixels, x right, y down."""
+    confidence: np.ndarray
+    """(frames joints) float32, 0..1, 0 = missing."""
+    joint_names: tuple[str, ...]
+    pose: np.ndarray | None = None
+    """(frames joints 3), camera frame, relative to the root joint, in `unit`."""
+    root: np.ndarray | None = None
+    """(frames 3), the root joint in the camera frame, in `unit`."""
+    unit: str = "mm"
+    identity: dict[str, np.ndarray] = field(default_factory=dict)
+    """Any of `IDENTITY_KEYS`, (frames,) each; one sequence seen by one camera is a clip."""
+    fps: float | None = None
+    image_size: tuple[int, int] | None = None
+    focal_px: float | None = None
+    tilt_deg: np.ndarray | None = None
+    """(frames,), down-tilt of the camera: gravity is (0, cos, sin) in the camera frame."""
+    root_filled: np.ndarray | None = None
+    """(frames,) bool: the root was missing; its keypoint is the mean of its neighbours, its confidence 0."""
+    labelled: np.ndarray | None = None
+    """(frames,) bool: frames whose pose training may learn from; None: no frame's."""
+    masks: np.ndarray | None = None
+    """(frames side side) uint8, square crops of the image: 0 outside the body, 255 inside; row 0 is the top."""
+    mask_box: np.ndarray | None = None
+    """(frames 3) float32, x0, y0, side of each crop, px in the image; NaN = frame without a mask."""
+    stills: bool = False
+    """Frames of a sequence do not follow one another as those of a film do: each is a clip of its own."""
+    source: str = ""
+    lenses: tuple[Lens, ...] = ()
+    """The cameras, where more is known of them than `focal_px` and `image_size`."""
+    lens: np.ndarray | None = None
+    """(frames,) integers: which of `lenses` saw the frame; None without lenses."""
+    bones: tuple[tuple[str, str], ...] = ()
+    """Lines between joints, by name, where the file has them; training goes by the skeleton's."""
+    mirror: tuple[tuple[str, str], ...] = ()
+    """Pairs of partners, by name, where the file has them."""
+    notes: tuple[str, ...] = ()
+    """What the reader assumed or left out, one sentence each."""
+
+    def __post_init__(self) -> None:
+        self.joint_names = tuple(str(name) for name in self.joint_names)
+        frames, joints = self.keypoints.shape[:2]
+        expected: dict[str, tuple[int, ...]] = {
+            "keypoints": (frames, joints, 2), "confidence": (frames, joints), "pose": (frames, joints, 3), "root": (frames, 3),
+            **dict.fromkeys(("tilt_deg", "root_filled", "lens", "labelled"), (frames,)),
+        }  # fmt: skip
+        for name, shape in expected.items():
+            value = getattr(self, name)
+            if value is not None and value.shape != shape:
+                raise UserError(f"{self._where()}'{name}' has shape {value.shape}, expected {shape}.")
+        check_masks(self.source or "the data", self.masks, self.mask_box, frames)
+        if len(self.joint_names) != joints:
+            raise UserError(f"{self._where()}{len(self.joint_names)} joint names for {joints} joints in 'keypoints'.")
+        for name, value in self.identity.items():
+            if value.shape != (frames,):
+                raise UserError(f"{self._where()}'{name}' has shape {value.shape}, expected {(frames,)}.")
+
+    def _where(self) -> str:
+        return f"{self.source}: " if self.source else ""
+
+    def __len__(self) -> int:
+        return len(self.keypoints)
+
+    def select(self, rows: np.ndarray | slice) -> PoseData:
+        """Return the frames that ``rows`` (a mask or indices) picks, everything else unchanged."""
+        found = {item.name: getattr(self, item.name) for item in fields(self)}
+        changed = {name: value[rows] for name, value in found.items() if isinstance(value, np.ndarray)}
+        return replace(self, **changed, identity={key: value[rows] for key, value in self.identity.items()})
+
+    def without_truth(self) -> PoseData:
+        """Return the same frames with everything that came from 3D taken out."""
+        return replace(self, pose=None, root=None, tilt_deg=None, labelled=None)
+
+    @property
+    def centre_px(self) -> tuple[float, float] | None:
+        """The middle of the image, taken as the pixel of the optical axis; None without an image size."""
+        return None if self.image_size is None else (self.image_size[0] / 2, self.image_size[1] / 2)
+
+    def straightened(self) -> PoseData:
+        """Return the frames as one ideal camera without distortion sees them; the same where no lenses are known."""
+        if self.lens is None:
+            return self
+        focal_px = float(np.mean([lens.focal_px for lens in self.lenses]))
+        size = self.lenses[0].image_size or (1000, 1000)
+        straight = np.empty_like(self.keypoints)
+        middle = np.array(size, np.float32) / 2
+        for place, rows in _runs_of(self.lens):
+            straight[rows] = self.lenses[place].rays(self.keypoints[rows]) * np.float32(focal_px) + middle
+        seen = self.confidence > 0
+        if self.root_filled is not None and self.root_filled.any():  # what stands in for a root is measured from, too
+            seen = seen | (self.root_filled[:, None] & (self.keypoints != 0).any(-1))
+        if not seen.all():
+            straight[~seen] = 0
+        bent = ["masks are not used: a lens bends their images"] if self.masks is not None else []
+        straight = straight.astype(np.float32, copy=False)
+        changed = {
+            "focal_px": focal_px,
+            "image_size": size,
+            "lenses": (),
+            "lens": None,
+            "masks": None,
+            "mask_box": None,
+        }
+        return replace(self, keypoints=straight, notes=(*self.notes, *bent), **changed)
+
+    def rays(self) -> np.ndarray | None:
+        """Return (frames joints 2) keypoints as x/z and y/z of the camera's frame; None where the camera is not known."""
+        if self.lens is not None:
+            straight = self.straightened()
+            return None if straight is self else straight.rays()
+        if self.focal_px is None or self.centre_px is None:
+            return None
+        return (self.keypoints - np.array(self.centre_px, np.float32)) / np.float32(self.focal_px)
+
+    def in_order(self) -> np.ndarray:
+        """Return the rows with the frames of each clip together and in time, clips as they first come."""
+        rows = np.arange(len(self))
+        if "sequence" not in self.identity or self.stills:
+            return rows
+        clip = self.clips()
+        _, first, code = np.unique(clip, return_index=True, return_inverse=True)
+        when = self.identity["frame"].astype(np.float64) if "frame" in self.identity else rows
+        return np.lexsort((rows, when, first[code]))
+
+    def clips(self) -> np.ndarray:
+        """Return (frames,) clip numbers: frames of one subject, sequence, camera and instance.
+
+        Frames without a ``sequence``, and `stills`, are clips of their own: nothing says that
+        neighbours in the file are neighbours in time.
+        """
+        if "sequence" not in self.identity or self.stills:
+            return np.arange(len(self), dtype=np.int64)
+        keys = [self.identity[k] for k in ("subject", "sequence", "camera", "instance") if k in self.identity]
+        clip = np.zeros(len(self), np.int64)
+        for key in keys:
+            _, code = codes_of(key)
+            _, clip = codes_of(clip * (code.max(initial=0) + 1) + code)
+        return clip
+
+    def follows(self) -> np.ndarray:
+        """Return (frames,) bool: the frame is the next of its clip after the one before it in the file.
+
+        The step between neighbours is the most common one of the file; a larger one is a gap.
+        Without ``frame`` numbers the rows of a clip are taken as neighbours in time.
+        """
+        clip = self.clips()
+        same = np.zeros(len(self), bool)
+        same[1:] = clip[1:] == clip[:-1]
+        if "frame" not in self.identity or not same.any():
+            return same
+        step = np.zeros(len(self))
+        step[1:] = np.diff(self.identity["frame"].astype(np.float64))
+        steps, count = np.unique(step[same & (step > 0)], return_counts=True)
+        if not len(steps):
+            return np.zeros(len(self), bool)
+        return same & (step > 0) & (step <= 1.01 * steps[count.argmax()])
+
+
+# Masks of the bodies beside their keypoints: crops of the same images, and the way from a keypoint into its crop.
+
+_SMALLEST = 8
+
+
+def masks_of(where: str, arrays: dict[str, np.ndarray], frames: int) -> tuple[np.ndarray | None, np.ndarray | None]:
+    """Return a file's `masks` as coverage 0..255 and `mask_box` as float32, NaN for frames without one; both None where absent.
+
+    Raises:
+        UserError: one without the other, another type or shape, a box of negative side.
+    """
+    masks, box = arrays.get("masks"), arrays.get("mask_box")
+    if masks is None or box is None:
+        check_masks(where, masks, box, frames)
+        return None, None
+    if masks.dtype == np.bool_:
+        masks = masks.astype(np.uint8) * np.uint8(255)
+    if box.dtype.kind in "iuf":
+        box = box.astype(np.float32)
+    check_masks(where, masks, box, frames)
+    if masks.size and masks.max() == 1:  # written as 0 and 1
+        masks = masks * np.uint8(255)
+    without = ~np.isfinite(box).all(1) | (box[:, 2] == 0)
+    if (box[~without, 2] < 0).any():
+        raise UserError(f"{where}: 'mask_box' has negative sides, expected x0, y0, side in px of each crop.")
+    box = np.where(without[:, None], np.float32(np.nan), box)
+    return masks, box
+
+
+def check_masks(where: str, masks: Any, box: Any, frames: int) -> None:
+    """Raise UserError for masks and boxes that cannot be those of ``frames`` frames."""
+    if (masks is None) != (box is None):
+        there, gone = ("mask_box", "masks") if masks is None else ("masks", "mask_box")
+        raise UserError(
+            f"{where}: '{there}' without '{gone}': a mask needs both, the crops (frames, side, side) and where each is "
+            "in the image, x0, y0, side in px (frames, 3)."
+        )
+    if masks is None:
+        return
+    if masks.ndim != 3 or len(masks) != frames or masks.shape[1] != masks.shape[2] or masks.dtype != np.uint8:
+        raise UserError(
+            f"{where}: 'masks' is {masks.dtype} of shape {masks.shape}, expected uint8 ({frames}, side, side): square "
+            "crops, 0 outside the body and 255 inside; zeros for a frame without a mask."
+        )
+    if frames and masks.shape[1] < _SMALLEST:
+        raise UserError(f"{where}: 'masks' are {masks.shape[1]} px a side, expected {_SMALLEST} at least.")
+    if box.shape != (frames, 3) or box.dtype.kind != "f":
+        raise UserError(
+            f"{where}: 'mask_box' is {box.dtype} of shape {box.shape}, expected numbers ({frames}, 3): x0, y0, side of "
+            "each crop, px in the image; NaN for a frame without a mask."
+        )
+
+
+def masked_frames(masks: np.ndarray, box: np.ndarray) -> np.ndarray:
+    """Return (frames,) bool: the frame has a place for its mask, and something in it."""
+    return np.isfinite(box).all(1) & (box[:, 2] > 0) & (masks > 127).any((1, 2))
+
+
+def joined_masks(parts: Sequence[PoseData]) -> dict[str, np.ndarray | None]:
+    """Return the masks and boxes of all parts, one after the other; empty masks for a part without any.
+
+    Raises:
+        UserError: crops of different sides.
+    """
+    sides = {part.masks.shape[1] for part in parts if part.masks is not None}
+    if not sides:
+        return {"masks": None, "mask_box": None}
+    if len(sides) > 1:
+        raise UserError(f"masks of {' and '.join(map(str, sorted(sides)))} px a side; files must agree to be joined.")
+    (side,) = sides
+    masks, boxes = [], []
+    for part in parts:
+        masks.append(np.zeros((len(part), side, side), np.uint8) if part.masks is None else part.masks)
+        boxes.append(np.full((len(part), 3), np.nan, np.float32) if part.mask_box is None else part.mask_box)
+    return {"masks": np.concatenate(masks), "mask_box": np.concatenate(boxes)}
+
+
+def mask_maps(
+    data: PoseData,
+    root: int,
+    scale_px: np.ndarray,
+    rotation: np.ndarray | None = None,
+    intrinsics: Intrinsics | None = None,
+) -> Float[np.ndarray, "frames 3 3"]:
+    """Return what takes normalised keypoints (x, y, 1) to their crop, (u w, v w, w): u, v from -1 to 1 over it.
+
+    A plain scale and shift, but with a camera that was turned to look at the root (`uplift.geometry.normalise`):
+    its picture is turned back. NaN for frames without a mask.
+    """
+    assert data.masks is not None and data.mask_box is not None
+    box = np.where(masked_frames(data.masks, data.mask_box)[:, None], data.mask_box, np.nan).astype(np.float64)
+    frames = len(box)
+    crop = np.zeros((frames, 3, 3))  # from px of the image
+    crop[:, 0, 0] = crop[:, 1, 1] = 2 / box[:, 2]
+    crop[:, :2, 2] = -2 * box[:, :2] / box[:, 2:] - 1
+    crop[:, 2, 2] = np.where(np.isnan(box[:, 2]), np.nan, 1)
+    image = np.zeros((frames, 3, 3))  # from normalised keypoints
+    if rotation is None or intrinsics is None:
+        image[:, 0, 0] = image[:, 1, 1] = scale_px
+        image[:, :2, 2] = data.keypoints[:, root]
+        image[:, 2, 2] = 1
+    else:
+        image[:, 0, 0] = image[:, 1, 1] = scale_px / intrinsics.focal_px
+        image[:, 2, 2] = 1
+        back = rotation.astype(np.float64).transpose(0, 2, 1)
+        x, y = intrinsics.centre_px
+        image = np.array([[intrinsics.focal_px, 0, x], [0, intrinsics.focal_px, y], [0, 0, 1]]) @ back @ image
+    return (crop @ image).astype(np.float32)

@@ -1,0 +1,1 @@
+"""Data made up from nothing: bodies in motion, furniture, vehicles, animals, and their masks."""

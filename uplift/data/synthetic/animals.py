@@ -1,0 +1,291 @@
+"""Made-up four-legged animals in the middle of a step; the trunk's length is 1."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+
+import numpy as np
+
+from uplift.data.synthetic.parts import Builder, Part, ball, rod, tube
+from uplift.geometry.mesh import Mesh
+
+__all__ = ["SPECIES", "Build", "animal", "draw_build", "head_parts"]
+
+# Proportions of four-legged animals, guessed by eye from how they look from the side: trunk length is 1.
+
+
+@dataclass(frozen=True)
+class Build:
+    """One animal's proportions; lengths in lengths of its trunk, angles in degrees above level."""
+
+    deep: int | float
+    """The chest's height; `wide` its width; `hip` is the hips' size against the chest's."""
+    wide: int | float
+    hip: int | float
+    leg: int | float
+    """From the belly to the ground."""
+    leg_thick: int | float
+    neck: int | float
+    neck_angle: int | float
+    neck_thick: int | float
+    head: int | float
+    head_deep: int | float
+    muzzle: int | float
+    """The muzzle's end against the head's height."""
+    head_angle: int | float
+    ear: int | float
+    tail: int | float
+    tail_thick: int | float
+    tail_angle: int | float
+    horn: int | float = 0.0
+    ears: str = "pointed"
+    horns: str = "none"
+    hump: int | float = 0.0
+    snout: int | float = 0.0
+    """How long a trunk hangs from the head."""
+
+
+SPECIES: dict[str, Build] = {
+    "horse": Build(0.48, 0.36, 0.97, 0.70, 0.16, 0.58, 48, 0.27, 0.46, 0.23, 0.5, -45, 0.12, 0.6, 0.07, -70),
+    "donkey": Build(0.46, 0.36, 0.95, 0.58, 0.14, 0.46, 42, 0.24, 0.44, 0.22, 0.55, -40, 0.24, 0.5, 0.04, -75),
+    "cow": Build(0.56, 0.44, 0.96, 0.46, 0.16, 0.38, 15, 0.34, 0.42, 0.26, 0.62, -40, 0.16, 0.6, 0.03, -82, 0.22, "side", "curved"),
+    "deer": Build(0.42, 0.30, 0.92, 0.70, 0.11, 0.46, 55, 0.17, 0.32, 0.17, 0.42, -28, 0.18, 0.12, 0.06, -40, 0.5, "side", "antlers"),
+    "antelope": Build(0.42, 0.30, 0.88, 0.66, 0.1, 0.44, 50, 0.17, 0.32, 0.17, 0.45, -32, 0.16, 0.3, 0.03, -75, 0.45, "side", "straight"),
+    "dog": Build(0.42, 0.32, 0.82, 0.52, 0.12, 0.3, 45, 0.23, 0.4, 0.22, 0.42, -8, 0.16, 0.48, 0.06, 25, 0, "pointed"),
+    "hound": Build(0.42, 0.30, 0.72, 0.60, 0.10, 0.32, 48, 0.19, 0.42, 0.19, 0.42, -10, 0.18, 0.5, 0.04, 5, 0, "hanging"),
+    "fox": Build(0.34, 0.27, 0.88, 0.40, 0.09, 0.24, 35, 0.2, 0.38, 0.19, 0.25, -8, 0.17, 0.65, 0.14, -18),
+    "cat": Build(0.36, 0.29, 0.92, 0.38, 0.11, 0.2, 38, 0.21, 0.26, 0.23, 0.55, -8, 0.12, 0.75, 0.06, 15),
+    "lion": Build(0.42, 0.34, 0.85, 0.42, 0.14, 0.24, 25, 0.3, 0.34, 0.28, 0.6, -8, 0.08, 0.75, 0.04, -35, 0, "round"),
+    "bear": Build(0.56, 0.48, 1.02, 0.38, 0.22, 0.24, 15, 0.38, 0.38, 0.29, 0.42, -10, 0.08, 0.06, 0.06, -45, 0, "round"),
+    "pig": Build(0.56, 0.50, 1.0, 0.26, 0.15, 0.12, 0, 0.44, 0.42, 0.32, 0.45, -22, 0.15, 0.14, 0.03, 15),
+    "sheep": Build(0.58, 0.54, 1.0, 0.34, 0.09, 0.24, 40, 0.26, 0.32, 0.2, 0.5, -32, 0.13, 0.14, 0.08, -65, 0.16, "side", "curled"),
+    "goat": Build(0.48, 0.40, 0.97, 0.44, 0.1, 0.32, 50, 0.2, 0.32, 0.19, 0.48, -32, 0.15, 0.12, 0.06, 40, 0.3, "side", "swept"),
+    "giraffe": Build(0.56, 0.38, 0.75, 1.2, 0.16, 1.3, 62, 0.25, 0.46, 0.2, 0.42, -28, 0.14, 0.7, 0.04, -80, 0.1, "side", "straight"),
+    "elephant": Build(0.72, 0.60, 0.95, 0.52, 0.28, 0.18, 12, 0.46, 0.42, 0.48, 0.62, -55, 0.42, 0.5, 0.04, -80, 0.35, "fans", "tusks", 0, 0.85),
+    "rhino": Build(0.62, 0.54, 1.0, 0.36, 0.23, 0.26, 2, 0.42, 0.5, 0.3, 0.6, -30, 0.13, 0.35, 0.04, -75, 0.22, "pointed", "nose"),
+    "hippo": Build(0.66, 0.60, 1.0, 0.22, 0.2, 0.16, 2, 0.48, 0.54, 0.36, 0.9, -14, 0.06, 0.2, 0.04, -75, 0, "round"),
+    "camel": Build(0.54, 0.42, 0.85, 0.85, 0.13, 0.75, 42, 0.22, 0.42, 0.21, 0.5, -15, 0.07, 0.4, 0.04, -75, 0, "round", "none", 0.3),
+    "bison": Build(0.66, 0.48, 0.7, 0.38, 0.15, 0.26, -8, 0.44, 0.42, 0.32, 0.55, -50, 0.1, 0.4, 0.04, -75, 0.18, "side", "curved", 0.14),
+    "rabbit": Build(0.5, 0.44, 1.12, 0.22, 0.14, 0.14, 40, 0.3, 0.36, 0.28, 0.5, -15, 0.42, 0.1, 0.1, 30),
+}  # fmt: skip
+"""Named after what they resemble: none is measured."""
+
+_SPREAD = 0.1
+_SPREAD_DEG = 6.0
+
+
+def draw_build(rng: np.random.Generator) -> tuple[str, Build]:
+    """Return a species and the proportions of one of it, every third mixed with another species."""
+    names = list(SPECIES)
+    name = names[int(rng.integers(len(names)))]
+    own, other = SPECIES[name], SPECIES[names[int(rng.integers(len(names)))]]
+    share = rng.uniform(0.0, 0.4) if rng.random() < 0.33 else 0.0
+    values = {}
+    for part in fields(Build):
+        value = getattr(own, part.name)
+        if isinstance(value, str):
+            values[part.name] = value
+            continue
+        value = (1 - share) * value + share * getattr(other, part.name)
+        is_angle = part.name.endswith("angle")
+        values[part.name] = value + rng.normal(0, _SPREAD_DEG) if is_angle else value * np.exp(rng.normal(0, _SPREAD))
+    if values["ears"] in ("pointed", "side") and rng.random() < 0.15:
+        values["ears"] = "hanging"
+    if values["horns"] in ("antlers", "curled", "curved", "swept") and rng.random() < 0.4:
+        values["horns"] = "none"  # many females have none
+    return name, Build(**values)
+
+
+# Heads of made-up animals: skull and muzzle, ears, horns, trunks.
+
+
+def head_parts(build: Build, at: np.ndarray, pitch: int | float) -> list[Part]:
+    """Return the parts of a head whose back is ``at`` a point; it looks along +z, raised by ``pitch`` radians."""
+    deep, long = build.head_deep / 2, build.head
+    z = np.array([-0.08, 0.08, 0.3, 0.55, 0.85, 1.0]) * long
+    share = build.muzzle
+    size = np.array([0.62, 0.95, 1.0, 0.45 + 0.5 * share, 0.15 + 0.85 * share, share * 0.85])
+    y = np.array([0, 0.02, 0, -0.12, -0.22, -0.26]) * deep
+    skull = tube(np.stack([0 * z, y, z], 1), size * deep, sides=10, blunt=True).widened(0.78)
+    parts = [skull, *_ears(build, deep), *_horns(build, deep)]
+    if build.snout > 0.05:
+        steps = np.linspace(0, 1, 6)
+        turn = -0.1 - 1.1 * steps + 1.6 * np.maximum(steps - 0.75, 0)
+        reach = build.snout / 5
+        path_y = np.concatenate([[0], np.cumsum(np.sin(turn[1:]))]) * reach - 0.3 * deep
+        path_z = np.concatenate([[0], np.cumsum(np.cos(turn[1:]))]) * reach + 0.75 * long
+        radii = np.linspace(0.55, 0.18, 6) * deep
+        parts.append(tube(np.stack([0 * steps, path_y, path_z], 1), radii, sides=8))
+    parts = [part.turned(-pitch, "x") for part in parts]
+    return [Part(part.vertices + at, part.faces) for part in parts]
+
+
+def _ears(build: Build, deep: int | float) -> list[Part]:
+    ear = build.ear
+    foot = np.array([deep * 0.5, deep * 0.7, 0.06 * build.head])
+    if build.ears == "round":
+        left = [ball(foot + (0.1 * ear, 0.2 * ear, 0), (0.5 * ear, 0.55 * ear, 0.2 * ear))]
+    elif build.ears == "fans":
+        left = [
+            ball((deep * 0.7 + ear * 0.25, 0, 0.2 * build.head), (ear * 0.45, ear * 0.62, ear * 0.07)).turned(0.5, "y")
+        ]
+    else:
+        out, up = {"pointed": (0.25, 1.0), "side": (0.95, 0.3), "hanging": (0.35, -0.9)}[build.ears]
+        middle, tip = foot + ear * 0.5 * np.array([out, up, 0]), foot + ear * np.array([out, up, -0.05])
+        if build.ears == "hanging":
+            foot = foot * (1.3, 0.9, 1)
+        cone = tube(
+            np.array([foot - (0, 0.1 * ear, 0), middle, tip]), (ear * 0.22, ear * 0.24, ear * 0.05), sides=6, flat=0.5
+        )
+        left = [cone]
+    return [made for part in left for made in (part, part.mirrored())]
+
+
+def _horns(build: Build, deep: int | float) -> list[Part]:
+    long = build.horn
+    if build.horns == "none" or long < 0.02:
+        return []
+    if build.horns == "nose":
+        z = 0.88 * build.head
+        big = rod((0, 0.25 * deep, z), (0, 0.25 * deep + long, z + 0.35 * long), 0.24 * long, 0.03 * long)
+        small = rod((0, 0.4 * deep, z - 0.16), (0, 0.4 * deep + long * 0.5, z - 0.13), 0.18 * long, 0.03 * long)
+        return [big, small]
+    foot = np.array([deep * 0.35, deep * 0.75, 0.1 * build.head])
+    thick = {"antlers": 0.035, "tusks": 0.09, "curled": 0.2, "curved": 0.12}.get(build.horns, 0.07) * long + 0.006
+    curves = {  # steps from the foot, in lengths of the horn: left, up, forward
+        "straight": [(0.05, 0.5, -0.05), (0.12, 1.0, -0.2)],
+        "curved": [(0.45, 0.12, 0.0), (0.75, 0.4, 0.1), (0.78, 0.75, 0.15)],
+        "swept": [(0.1, 0.4, -0.1), (0.22, 0.65, -0.45), (0.35, 0.6, -0.85)],
+        "curled": [(0.4, 0.3, -0.35), (0.7, -0.15, -0.5), (0.8, -0.5, -0.1), (0.95, -0.35, 0.25)],
+        "antlers": [(0.2, 0.3, -0.2), (0.42, 0.65, -0.2), (0.4, 1.0, 0.05)],
+        "tusks": [(0.1, -0.25, 0.3), (0.18, -0.35, 0.65), (0.15, -0.2, 1.0)],
+    }
+    if build.horns == "tusks":
+        foot = np.array([deep * 0.45, -deep * 0.35, 0.75 * build.head])
+    path = np.concatenate([[foot], foot + long * np.array(curves[build.horns])])
+    radii = thick * np.linspace(1.0, 0.25, len(path))
+    left = [tube(path, radii, sides=6)]
+    if build.horns == "antlers":
+        for share, out in ((1, (0.05, 0.3, 0.35)), (2, (0.2, 0.35, 0.15))):
+            left.append(rod(path[share], path[share] + long * np.array(out), thick * 0.7, thick * 0.25, sides=6))
+    return [made for part in left for made in (part, part.mirrored())]
+
+
+# Made-up four-legged animals in the middle of a step; the trunk's length is 1.
+
+_STEP_OF = {("hind", 1): 0.0, ("fore", 1): 0.25, ("hind", -1): 0.5, ("fore", -1): 0.75}
+"""When each foot leaves the ground in a walk, as a share of the stride: hind left, fore left, hind right, fore right."""
+
+
+@dataclass
+class _Pose:
+    """How one animal stands: angles in radians."""
+
+    phase: float
+    stride: float
+    bend: float
+    """How much the spine is bent sideways."""
+    look: float
+    """How far the head is turned to the left; `nod` upwards."""
+    nod: float
+    wag: float
+    trot: bool
+
+
+def animal(rng: np.random.Generator) -> Mesh:
+    """Return an animal of one species' proportions, standing, walking or trotting, its head turned a little."""
+    name, build = draw_build(rng)
+    pose = _Pose(
+        phase=rng.uniform(0, 1),
+        stride=abs(rng.normal(0, 0.28)) * (0.5 if build.leg < 0.3 else 1.0),
+        bend=rng.normal(0, 0.05),
+        look=rng.normal(0, 0.3),
+        nod=rng.normal(0, 0.18) - (rng.uniform(0.4, 1.2) if rng.random() < 0.12 and build.snout < 0.3 else 0.0),
+        wag=rng.normal(0, 0.3),
+        trot=rng.random() < 0.3,
+    )
+    built = Builder()
+    belly = build.leg
+    spine = belly + build.deep / 2
+    _trunk(built, build, pose, spine)
+    for kind, side in _STEP_OF:
+        built.add(*_leg(build, pose, kind, side, spine))
+    _neck_and_head(built, build, pose, spine)
+    _tail(built, build, pose, spine)
+    return built.mesh(name)
+
+
+def _trunk(built: Builder, build: Build, pose: _Pose, spine: int | float) -> None:
+    z = np.array([-0.5, -0.42, -0.28, -0.05, 0.18, 0.36, 0.47])
+    size = np.array([0.45 * build.hip, 0.78 * build.hip, 0.95 * build.hip, 0.5 * (build.hip + 1), 1.0, 0.93, 0.6])
+    high = size * build.deep / 2
+    drop = 0.04 * build.deep * np.array([0.3, 0, 0, 1, 0.8, 0, 0])
+    y = spine + (1 - build.hip) * 0.4 * build.deep * np.array([1, 1, 1, 0.5, 0, 0, 0]) - drop
+    path = np.stack([pose.bend * (1 - (z / 0.5) ** 2), y, z], 1)
+    built.add(tube(path, high, sides=12, flat=1.0, blunt=True).widened(build.wide / build.deep))
+    if build.hump > 0.02:
+        rise = build.hump * build.deep
+        built.add(ball((pose.bend, spine + build.deep * 0.42, 0.05), (build.wide * 0.32, rise + 0.1, 0.22)))
+
+
+def _leg(build: Build, pose: _Pose, kind: str, side: int, spine: int | float) -> list[Part]:
+    """Return one leg: its upper end inside the trunk, swung by where it is in the stride, folded while in the air."""
+    fore = kind == "fore"
+    start = _STEP_OF["hind", -side] if pose.trot and fore else _STEP_OF[kind, side]
+    turn = 2 * np.pi * (pose.phase + start)
+    swing, lift = pose.stride * np.sin(turn), max(0.0, np.cos(turn)) * pose.stride * 2.2
+    top = spine - 0.1 * build.deep
+    length, thick = top, build.leg_thick / 2
+    # Shares of the leg's height, and how far each joint stands forward of the line from hip to foot.
+    heights = np.array([1.0, 0.72, 0.44, 0.12, 0.0]) if fore else np.array([1.0, 0.68, 0.42, 0.12, 0.0])
+    forward = np.array([0.03, -0.07, 0.0, 0.0, 0.02]) if fore else np.array([0.0, 0.09, -0.07, -0.03, 0.0])
+    forward = forward * (build.leg + 0.1)
+    folds = (
+        np.array([0.0, 0.35 * lift, -lift, -lift * 0.6])
+        if fore
+        else np.array([0.0, 0.5 * lift, -0.8 * lift, -lift * 0.3])
+    )
+    y, z = [0.0], [forward[0]]
+    for k in range(4):
+        down, ahead = (heights[k + 1] - heights[k]) * length, forward[k + 1] - forward[k]
+        angle = swing + (folds[k] if k else 0.0) + (folds[1] * 0.5 if k > 1 else 0.0)
+        y.append(y[-1] + down * np.cos(angle) + ahead * np.sin(angle))
+        z.append(z[-1] - down * np.sin(angle) + ahead * np.cos(angle))
+    place = 0.33 if fore else -0.34
+    x = side * (build.wide / 2 - thick * 1.1) * (0.85 if fore else 0.8 * build.hip)
+    path = np.stack([x * np.array([0.6, 0.88, 1.0, 1.0, 1.0]), top + np.array(y), place + np.array(z)], 1)
+    radii = thick * (np.array([1.35, 1.25, 0.72, 0.5, 0.62]) if fore else np.array([1.6, 1.5, 0.72, 0.5, 0.62]))
+    paw = ball(path[-1] + (0, thick * 0.25, thick * 0.35), (thick * 0.65, thick * 0.4, thick * 0.95))
+    return [tube(path, radii, sides=8, blunt=True), paw]
+
+
+def _neck_and_head(built: Builder, build: Build, pose: _Pose, spine: int | float) -> None:
+    """Add neck and head, made straight ahead and then turned to where the animal looks."""
+    angle = np.deg2rad(build.neck_angle) + pose.nod
+    foot = np.array([0.0, spine + 0.14 * build.deep, 0.36])
+    ahead = np.array([0.0, np.sin(angle), np.cos(angle)])
+    end = foot + ahead * (build.neck + 0.12)
+    thick = build.neck_thick / 2
+    sag = np.array([0.0, -0.06, 0.0]) * build.neck
+    path = np.array([foot - ahead * 0.06, foot + 0.45 * (end - foot) + sag, end])
+    neck = tube(path, (max(thick * 1.25, 0.3 * build.deep), thick, thick * 0.82), sides=10, flat=1.15, blunt=True)
+    pitch = np.deg2rad(build.head_angle) + 0.5 * pose.nod
+    parts = head_parts(build, end, pitch)
+    neck_turn, head_turn = 0.5 * pose.look, 0.6 * pose.look
+    parts = [part.turned(head_turn, "y", end) for part in parts]
+    built.add(*(part.turned(neck_turn, "y", foot) for part in [neck.widened(0.85), *parts]))
+
+
+def _tail(built: Builder, build: Build, pose: _Pose, spine: int | float) -> None:
+    angle = np.deg2rad(build.tail_angle)
+    share = np.linspace(0, 1, 5)
+    droop = angle + (0.5 if angle > 0 else -0.3) * (share - 0.3)
+    y = np.concatenate([[0], np.cumsum(np.sin(droop[1:]))]) * build.tail / 4
+    z = -np.concatenate([[0], np.cumsum(np.cos(droop[1:]))]) * build.tail / 4
+    x = np.sin(pose.wag) * share**1.5 * build.tail * 0.6
+    foot = (0, spine + (1 - build.hip) * 0.4 * build.deep + 0.24 * build.deep * build.hip, -0.44)
+    bushy = build.tail_thick > 0.09
+    radii = (
+        build.tail_thick / 2 * (np.array([0.6, 1.0, 1.3, 1.2, 0.4]) if bushy else np.array([1.2, 1.0, 0.8, 0.7, 0.8]))
+    )
+    built.add(tube(np.stack([x, y, z], 1) + foot, radii, sides=6, blunt=True))

@@ -1,0 +1,166 @@
+"""Rows of a prediction as clips: moments in time with one or several individuals, and what goes into which file."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from uplift.errors import UserError
+from uplift.models.prediction import Prediction
+
+__all__ = ["Clip", "arrange", "choose", "parts_of", "paths_of", "photos"]
+
+# Rows of a prediction as clips: moments in time, with one or several individuals in each.
+
+_CLIP_KEYS = ("subject", "action", "sequence", "camera")
+_INSTANCE_KEYS = ("instance", "individual", "track")
+
+
+@dataclass(frozen=True)
+class Clip:
+    """One clip; row ``rows[i]`` shows individual ``individual[i]`` at moment ``moment[i]``."""
+
+    name: str
+    rows: np.ndarray
+    moment: np.ndarray
+    individual: np.ndarray
+    individual_names: tuple[str, ...]
+    frames: tuple[int, ...]
+
+    def first(self, moments: int) -> Clip:
+        """Return the clip cut after so many moments."""
+        keep = self.moment < moments
+        parts = self.rows[keep], self.moment[keep], self.individual[keep]
+        return Clip(self.name, *parts, self.individual_names, self.frames[:moments])
+
+
+def arrange(identity: dict[str, np.ndarray], rows: int) -> list[Clip]:
+    """Return the clips in the order of their first row, each sorted by individual, then time.
+
+    Rows of one frame are drawn together only where an ``instance`` (``individual``, ``track``) tells
+    them apart; else they are other views of it and follow one another.
+    """
+    instance = next((key for key in _INSTANCE_KEYS if key in identity), None)
+    # A subject may be what tells individuals apart, and then it does not part clips.
+    keys = [key for key in _CLIP_KEYS if key in identity and not (instance and key == "subject")]
+    if photos(identity):
+        keys.append("image")
+    labels = [np.asarray(identity[key]).astype(str) for key in keys]
+    codes = _codes(labels, rows)
+    order = np.argsort(codes, kind="stable")
+    groups = np.split(order, np.flatnonzero(np.diff(codes[order])) + 1) if rows else []
+    names = _names(labels, groups)
+    who = np.asarray(identity[instance]).astype(str) if instance else None
+    return [_clip(name, group, identity.get("frame"), who) for name, group in zip(names, groups, strict=True)]
+
+
+def photos(identity: dict[str, np.ndarray]) -> bool:
+    """Return whether the rows are seen in photos, not in the frames of a film."""
+    return "image" in identity and not {"sequence", "frame"} & set(identity)
+
+
+def choose(clips: Sequence[Clip], moments: int, rows: int) -> list[Clip]:
+    """Return whole clips, evenly chosen, with at most so many moments and rows; a lone long clip is cut."""
+    for count in range(len(clips), 0, -1):
+        picked = [clips[index] for index in np.linspace(0, len(clips) - 1, count).round().astype(int)]
+        if sum(len(clip.frames) for clip in picked) <= moments and sum(len(clip.rows) for clip in picked) <= rows:
+            return picked
+    if not clips:
+        return []
+    crowd = np.cumsum(np.bincount(clips[0].moment))
+    return [clips[0].first(max(1, min(moments, int(np.searchsorted(crowd, rows, side="right")))))]
+
+
+def _codes(labels: Sequence[np.ndarray], rows: int) -> np.ndarray:
+    """Return one number per row, equal for equal labels, growing with first appearance."""
+    codes = np.zeros(rows, np.int64)
+    for label in labels:
+        _, inverse = np.unique(label, return_inverse=True)
+        codes = np.unique(codes * (inverse.max(initial=0) + 1) + inverse, return_inverse=True)[1]
+    _, first, inverse = np.unique(codes, return_index=True, return_inverse=True)
+    rank = np.empty(len(first), np.int64)
+    rank[np.argsort(first)] = np.arange(len(first))
+    return rank[inverse]
+
+
+def _names(labels: Sequence[np.ndarray], groups: Sequence[np.ndarray]) -> list[str]:
+    """Return a name per clip out of the labels that differ between clips."""
+    firsts = [group[0] for group in groups]
+    telling = [label for label in labels if len(set(label[firsts])) > 1] or list(labels[:1])
+    return [" · ".join(str(label[row]) for label in telling) or f"clip {n + 1}" for n, row in enumerate(firsts)]
+
+
+def _clip(name: str, rows: np.ndarray, frame: np.ndarray | None, who: np.ndarray | None) -> Clip:
+    number = np.arange(len(rows)) if frame is None else np.asarray(frame)[rows].astype(np.int64)
+    if who is None:
+        order = np.argsort(number, kind="stable")
+        rows, number = rows[order], number[order]
+        return Clip(name, rows, np.arange(len(rows)), np.zeros(len(rows), int), ("",), tuple(number.tolist()))
+    names, individual = np.unique(who[rows], return_inverse=True)
+    if frame is None:
+        # Without frame numbers the n-th row of every individual is the n-th moment.
+        order = np.argsort(individual, kind="stable")
+        starts = np.searchsorted(individual[order], individual[order])
+        number = np.empty(len(rows), np.int64)
+        number[order] = np.arange(len(rows)) - starts
+    frames, moment = np.unique(number, return_inverse=True)
+    order = np.lexsort((moment, individual))
+    parts = rows[order], moment[order], individual[order]
+    return Clip(name, *parts, tuple(names.tolist()), tuple(frames.tolist()))
+
+
+# What goes into which file, for formats that hold one clip or one body.
+
+_MOST_FILES = 500
+
+
+def parts_of(prediction: Prediction, holds: str) -> list[tuple[str, np.ndarray | None]]:
+    """Return (name, rows) of each file: one with all rows (None), one a clip, or one a body of a clip.
+
+    Raises:
+        UserError: more files than anybody wants.
+    """
+    if holds == "all":
+        return [("", None)]
+    parts: list[tuple[str, np.ndarray | None]] = []
+    for clip in arrange(prediction.identity, len(prediction)):
+        if holds == "clip":
+            parts.append((clip.name, np.sort(clip.rows)))
+            continue
+        for number, name in enumerate(clip.individual_names):
+            told = f"{clip.name} {name}".strip()
+            parts.append((told, np.sort(clip.rows[clip.individual == number])))
+    if len(parts) > _MOST_FILES:
+        raise UserError(
+            f"the prediction has {len(parts):,} {'clips' if holds == 'clip' else 'bodies'}, and this format needs a file "
+            f"for each; the most is {_MOST_FILES}. Give fewer files at a time, or write .npz, .json or .csv."
+        )
+    return parts
+
+
+def paths_of(path: str | Path, names: Sequence[str]) -> list[Path]:
+    """Return the path of each part: ``path`` itself for one, else its stem with each name behind it.
+
+    Raises:
+        UserError: one of several is there already.
+    """
+    path = Path(path)
+    if len(names) == 1:
+        return [path]
+    used: set[str] = set()
+    paths = []
+    for name in names:
+        slug = re.sub(r"[^\w.-]+", "-", name).strip("-.")[:80] or "part"
+        number, told = 2, slug
+        while told.lower() in used:  # not every file system tells capitals apart
+            number, told = number + 1, f"{slug}_{number}"
+        used.add(told.lower())
+        paths.append(path.with_name(f"{path.stem}_{told}{path.suffix}"))
+    for one in paths:
+        if one.exists():
+            raise UserError(f"{one} exists already and is not overwritten: remove it or choose another name.")
+    return paths

@@ -1,0 +1,571 @@
+"""A clip as a film, ``.gif`` or ``.mp4``: keypoints beside the 3D pose, seen by a camera that slowly turns."""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+import tempfile
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import BinaryIO
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+from PIL import Image, ImageDraw, ImageFont
+
+from uplift.config.files import replacing
+from uplift.errors import UserError
+from uplift.export.clips import Clip
+from uplift.export.gallery import filled_points
+from uplift.export.scene import frame_rate, from_y_down, in_axes, known_points, one_clip, row_places
+from uplift.models.prediction import Prediction
+from uplift.skeleton.core import bone_sides, joint_sides
+
+__all__ = [
+    "CARD",
+    "FAINT",
+    "FLOOR",
+    "HIGH",
+    "INK",
+    "PAPER",
+    "SHADOW",
+    "SIDES",
+    "SOFT",
+    "WIDE",
+    "Canvas",
+    "FilmDrawing",
+    "FilmScene",
+    "film_palette",
+    "film_scene",
+    "gif_durations_ms",
+    "mixed",
+    "thinned",
+    "turns_deg",
+    "write_film",
+]
+
+# A canvas for the pictures of a film: smooth lines, dots and text in a few colours.
+
+PAPER, CARD, INK, SOFT, FAINT = (246, 245, 241), (255, 254, 251), (34, 38, 43), (107, 113, 120), (220, 218, 210)
+FLOOR, SHADOW = (207, 204, 194), (228, 226, 221)
+SIDES = ((0x4A, 0x50, 0x58), (0x1F, 0x77, 0xB8), (0xD9, 0x63, 0x0F))
+"""Colours of the centre, the left and the right."""
+_SHARPEN = 2
+
+Number = int | float
+Colour = tuple[int, ...]
+Point = Sequence[Number] | np.ndarray
+
+
+def mixed(colour: Colour, other: Colour, share: float) -> Colour:
+    """Return ``colour`` with so much of ``other`` in it."""
+    return tuple(round(a + (b - a) * share) for a, b in zip(colour, other, strict=True))
+
+
+def film_palette() -> Image.Image:
+    """Return an image with a palette of what the drawings blend."""
+    ramps = [[mixed(side, CARD, step / 24) for step in range(24)] for side in SIDES]
+    ramps += [[mixed(grey, CARD, step / 8) for step in range(8)] for grey in (SOFT, INK, FLOOR, SHADOW, FAINT)]
+    ramps += [[mixed(grey, PAPER, step / 10) for step in range(10)] for grey in (INK, SOFT, FAINT, *SIDES)]
+    ramps += [[mixed(side, SHADOW, 0.5) for side in SIDES], [CARD, PAPER]]
+    colours = dict.fromkeys(colour for ramp in ramps for colour in ramp)
+    # Pillow finds a near colour, not always the nearest: nothing else may be near the two large areas.
+    colours = [one for one in colours if one in (CARD, PAPER) or min(_gap(one, CARD), _gap(one, PAPER)) > 8]
+    image = Image.new("P", (1, 1))
+    image.putpalette([part for colour in colours for part in colour])
+    return image
+
+
+def _gap(one: Colour, other: Colour) -> int:
+    return max(abs(a - b) for a, b in zip(one, other, strict=True))
+
+
+class Canvas:
+    """A picture so many units wide and high, ``scale`` pixels to a unit, drawn finer and then shrunk."""
+
+    def __init__(self, wide: Number, high: Number, scale: Number, back: Colour):
+        self.wide, self.high = wide, high
+        self._unit = scale * _SHARPEN
+        self._image = Image.new("RGB", (round(wide * scale) * _SHARPEN, round(high * scale) * _SHARPEN), back)
+        self._draw = ImageDraw.Draw(self._image)
+
+    def line(self, start: Point, end: Point, width: Number, colour: Colour) -> None:
+        """Draw a line with flat ends."""
+        ends = [(float(point[0]) * self._unit, float(point[1]) * self._unit) for point in (start, end)]
+        self._draw.line(ends, fill=colour, width=max(1, round(width * self._unit)))
+
+    def dot(self, at: Point, radius: Number, colour: Colour, rim: Colour | None = None) -> None:
+        """Draw a disc, in a thin rim where that has a colour."""
+        x, y = float(at[0]) * self._unit, float(at[1]) * self._unit
+        for size, fill in ((radius + 1.2, rim), (radius, colour)):
+            if fill is not None:
+                r = size * self._unit
+                self._draw.ellipse([x - r, y - r, x + r, y + r], fill=fill)
+
+    def box(self, corners: Sequence[Number], round_by: Number, fill: Colour | None, edge: Colour | None = None) -> None:
+        """Draw a box from left, top, right, bottom."""
+        places = [part * self._unit for part in corners]
+        width = max(1, round(1.2 * self._unit))
+        self._draw.rounded_rectangle(places, round_by * self._unit, fill=fill, outline=edge, width=width)
+
+    def text(self, at: Point, words: str, size: Number, colour: Colour, anchor: str) -> None:
+        """Write words, anchored as Pillow names it."""
+        font = ImageFont.load_default(size=round(size * self._unit))
+        place = float(at[0]) * self._unit, float(at[1]) * self._unit
+        self._draw.text(place, words, fill=colour, font=font, anchor=anchor)
+
+    def finished(self) -> Image.Image:
+        """Return the picture in its own size."""
+        return self._image.reduce(_SHARPEN)
+
+
+# What a film shows at each moment: keypoints, poses on the floor, and the camera that turns about them.
+
+_FOLLOW_S = 1.0
+_SURE = 0.3
+_TURN_S = 18.0
+_SHORT_S = 12.0
+_SWING_DEG_PER_S, _SWING_DEG = 7.0, 60.0
+_MOST = 98.0
+"""Percentile for sizes that a few wild joints must not set."""
+
+
+@dataclass(frozen=True)
+class FilmScene:
+    """A clip as it is drawn; world axes are x right, y down with the floor at 0, z away, level."""
+
+    title: str
+    names: tuple[str, ...]
+    frames: tuple[int, ...]
+    points: Float[np.ndarray, "moments individuals joints 3"]
+    keypoints: Float[np.ndarray, "moments individuals joints 2"]
+    unsure: Bool[np.ndarray, "moments individuals joints"]
+    centre: Float[np.ndarray, "moments 3"]
+    turn_deg: Float[np.ndarray, " moments"]
+    radius: float
+    wide: float
+    """How far the poses reach from the centre along the floor."""
+    tall: float
+    """How far they reach up and down."""
+    floor: bool
+    square: float
+    """The side of the floor's squares."""
+    bones: list[tuple[int, int]]
+    joint_sides: list[int]
+    bone_sides: list[int]
+    flat_centre: Float[np.ndarray, "moments 2"]
+    """The point of the image that is in the middle, px."""
+    flat_reach: tuple[float, float]
+    """How far keypoints are from it, px."""
+    image_size: tuple[int, int] | None
+
+
+def film_scene(prediction: Prediction, clip: Clip, rate: float) -> FilmScene:
+    """Return what a clip shows at so many frames a second.
+
+    Joints that were filled, not seen or seen with little confidence are unsure; where they have no keypoint it is that
+    of the pose. Under gravity the floor is at the lowest feet: of the clip where the root's place is known, else
+    of each pose.
+    """
+    level = _levelled(prediction)
+    pose = known_points(level.pose)
+    points = pose + row_places(level, clip)[:, None]
+    floor = prediction.skeleton.gravity
+    if floor:
+        points[..., 1] -= _floor(points[clip.rows], level.root is not None, points)
+    keypoints, unsure = _keypoints(prediction, pose)
+    points, keypoints = _stacked(clip, points), _stacked(clip, keypoints)
+    centre, flat_centre = _followed(points, rate), _followed(keypoints, rate)
+    centre[:, 1] = np.median(centre[:, 1])
+    away, flat_away = points - centre[:, None, None], keypoints - flat_centre[:, None, None]
+    radius = _most(np.linalg.norm(away, axis=-1))
+    bones = prediction.bone_indices.tolist()
+    sides = joint_sides(prediction.skeleton, prediction.joint_names)
+    return FilmScene(
+        title=prediction.title or clip.name or prediction.skeleton.name,
+        names=clip.individual_names,
+        frames=clip.frames,
+        points=points,
+        keypoints=keypoints,
+        unsure=_stacked(clip, unsure.astype(float)) > 0,
+        centre=centre,
+        turn_deg=turns_deg(len(clip.frames), rate),
+        radius=radius,
+        wide=_most(np.linalg.norm(away[..., ::2], axis=-1)),
+        tall=_most(np.abs(away[..., 1])),
+        floor=floor,
+        square=_round_length(radius / 3),
+        bones=[(start, end) for start, end in bones],
+        joint_sides=sides,
+        bone_sides=bone_sides(sides, bones),
+        flat_centre=flat_centre,
+        flat_reach=(_most(np.abs(flat_away[..., 0])), _most(np.abs(flat_away[..., 1]))),
+        image_size=None
+        if prediction.image_size is None
+        else (int(prediction.image_size[0]), int(prediction.image_size[1])),
+    )
+
+
+def turns_deg(moments: int, rate: float) -> Float[np.ndarray, " moments"]:
+    """Return the camera's turn at each moment: whole turns, or a swing where there is no time; it ends where it began."""
+    share = np.arange(moments) / max(moments, 1)
+    seconds = moments / rate
+    if seconds < _SHORT_S:
+        return min(_SWING_DEG, _SWING_DEG_PER_S * seconds) * np.sin(2 * np.pi * share)
+    return 360.0 * max(1, round(seconds / _TURN_S)) * share
+
+
+def _levelled(prediction: Prediction) -> Prediction:
+    """Return the prediction with y down and level."""
+    if prediction.axes in ("camera", "opencv"):
+        return in_axes(prediction, "level")
+    turn = from_y_down(prediction.axes)
+    root = None if prediction.root is None else prediction.root @ turn
+    return replace(prediction, pose=prediction.pose @ turn, root=root, axes="level")
+
+
+def _floor(rows: np.ndarray, placed: bool, points: np.ndarray) -> np.ndarray:
+    """Return the floor's y: one where the root has a place, else below each pose."""
+    lowest = np.where(np.isfinite(rows[..., 1]), rows[..., 1], -np.inf).max(1)
+    if placed:
+        lowest = lowest[np.isfinite(lowest)]
+        return np.asarray(np.percentile(lowest, _MOST) if len(lowest) else 0.0)
+    below = np.where(np.isfinite(points[..., 1]), points[..., 1], -np.inf).max(1, keepdims=True)
+    return np.where(np.isfinite(below), below, 0.0)
+
+
+def _keypoints(prediction: Prediction, pose: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return keypoints in full, and which joints are unsure."""
+    points = np.asarray(prediction.keypoints, float)
+    confidence = np.nan_to_num(np.asarray(prediction.confidence, float))
+    seen = (confidence > 0) & np.isfinite(np.sum(points, axis=-1))
+    unsure = ~seen | (confidence < _SURE)
+    if prediction.filled is not None:
+        unsure |= prediction.filled
+    camera_pose = pose if prediction.axes not in ("camera", "opencv") else known_points(prediction.pose)
+    points = np.where(seen[..., None], points, np.nan)
+    for row in np.flatnonzero(~seen.all(1)):
+        points[row] = filled_points(points[row], seen[row], camera_pose[row])
+    return points, unsure
+
+
+def _stacked(clip: Clip, values: np.ndarray) -> np.ndarray:
+    """Return values by moment and individual, NaN where an individual is not there."""
+    found = np.full((len(clip.frames), len(clip.individual_names), *values.shape[1:]), np.nan)
+    found[clip.moment, clip.individual] = values[clip.rows]
+    return found
+
+
+def _followed(points: np.ndarray, rate: float) -> Float[np.ndarray, "moments axes"]:
+    """Return the point to look at: the middle of all that is there, smoothly."""
+    flat = points.reshape(len(points), -1, points.shape[-1])
+    known = np.isfinite(flat)
+    low, high = np.where(known, flat, np.inf).min(1), np.where(known, flat, -np.inf).max(1)
+    there = np.isfinite(low).all(1)
+    if not there.any():
+        return np.zeros((len(points), points.shape[-1]))
+    when = np.arange(len(points))
+    middle = np.stack([np.interp(when, when[there], axis[there]) for axis in ((low + high) / 2).T], 1)
+    reach = max(1, round(rate * _FOLLOW_S))
+    kernel = np.hanning(2 * reach + 3)[1:-1]
+    padded = np.pad(middle, ((reach, reach), (0, 0)), mode="edge")
+    return np.stack([np.convolve(axis, kernel / kernel.sum(), mode="valid") for axis in padded.T], 1)
+
+
+def _most(distances: np.ndarray) -> float:
+    known = distances[np.isfinite(distances)]
+    return max(float(np.percentile(known, _MOST)) * 1.1, 1e-6) if len(known) else 1.0
+
+
+def _round_length(about: float) -> float:
+    """Return 1, 2 or 5 times a power of ten, so that squares can be counted."""
+    power = 10.0 ** np.floor(np.log10(about))
+    return float(power * next(k for k in (1, 2, 5, 10) if k * power >= about * 0.99))
+
+
+# The pictures of a film: keypoints on the left, the turning pose on the right.
+
+WIDE, HIGH = 1280, 640
+"""The picture's size in drawing units; a film's pixels are these times its scale."""
+_FLAT, _DEEP = (24, 64, 536, 592), (560, 64, 1256, 592)
+"""Left, top, right, bottom of the two cards."""
+_NEAREST, _EYE = 0.15, 4.5
+_PITCH_DEG = 11.0
+_PALE = 0.62
+_MAP = 84.0
+
+
+class FilmDrawing:
+    """Draws the moments of a scene at a scale; ``timed``: seconds are shown with the frame."""
+
+    def __init__(self, scene: FilmScene, scale: float, rate: float, timed: bool):
+        self.scene, self.scale, self.rate, self.timed = scene, scale, rate, timed
+        self.size = (round(WIDE * scale), round(HIGH * scale))
+        self._still = self._shared()
+        self._round = {card: self._mask(card) for card in (_FLAT, _DEEP)}
+
+    def picture(self, moment: int) -> Image.Image:
+        """Return the picture of a moment in RGB."""
+        image = self._still.copy()
+        for card, drawn in ((_FLAT, self._flat(moment)), (_DEEP, self._deep(moment))):
+            image.paste(drawn.finished(), self._corner(card), self._round[card])
+        for top, height, drawn in ((20, 28, self._words(moment)), (606, 18, self._bar(moment))):
+            image.paste(drawn.finished(), self._corner((_DEEP[0], top, 0, height)))
+        return image
+
+    def _shared(self) -> Image.Image:
+        scene, canvas = self.scene, Canvas(WIDE, HIGH, self.scale, PAPER)
+        canvas.text((24, 34), scene.title[:60], 22, INK, "lm")
+        at = 24.0
+        colours = {"left": SIDES[1], "right": SIDES[2], "unsure": mixed(SIDES[0], PAPER, _PALE)}
+        shown = {"left": any(scene.joint_sides), "right": any(scene.joint_sides), "unsure": bool(scene.unsure.any())}
+        for name in (name for name in colours if shown[name]):
+            canvas.dot((at + 5, 615), 5, colours[name])
+            canvas.text((at + 16, 615), name, 15, SOFT, "lm")
+            at += 30 + 9 * len(name)
+        return canvas.finished()
+
+    def _mask(self, card: tuple[int, int, int, int]) -> Image.Image:
+        canvas = self._canvas(card, (0, 0, 0))
+        canvas.box((0, 0, canvas.wide, canvas.high), 10, (255, 255, 255))
+        return canvas.finished().convert("L")
+
+    def _canvas(self, card: tuple[int, int, int, int], back: Colour) -> Canvas:
+        return Canvas(card[2] - card[0], card[3] - card[1], self.scale, back)
+
+    def _corner(self, card: tuple[int, int, int, int]) -> tuple[int, int]:
+        return round(card[0] * self.scale), round(card[1] * self.scale)
+
+    def _words(self, moment: int) -> Canvas:
+        canvas = Canvas(_DEEP[2] - _DEEP[0], 28, self.scale, PAPER)
+        words = f"frame {self.scene.frames[moment]}"
+        words += f"   {moment / self.rate:.1f} s" if self.timed else ""
+        canvas.text((canvas.wide, 14), words, 18, SOFT, "rm")
+        return canvas
+
+    def _bar(self, moment: int) -> Canvas:
+        canvas = Canvas(_DEEP[2] - _DEEP[0], 18, self.scale, PAPER)
+        done = moment / max(len(self.scene.frames) - 1, 1)
+        canvas.line((0, 9), (canvas.wide, 9), 3, FAINT)
+        canvas.line((0, 9), (canvas.wide * done, 9), 3, SOFT)
+        return canvas
+
+    def _flat(self, moment: int) -> Canvas:
+        """Draw the keypoints, and where they are in the image."""
+        scene, canvas = self.scene, self._canvas(_FLAT, CARD)
+        scale = min(0.46 * canvas.wide / scene.flat_reach[0], 0.42 * canvas.high / scene.flat_reach[1])
+        shift = np.array([canvas.wide / 2, canvas.high / 2 + 8]) - scene.flat_centre[moment] * scale
+        if scene.image_size is not None:
+            corners = np.array([[0.0, 0.0], list(scene.image_size)]) * scale + shift
+            canvas.box(corners.ravel().tolist(), 0, None, FAINT)
+        for who, points in enumerate(scene.keypoints[moment] * scale + shift):
+            unsure = scene.unsure[moment, who]
+            for (start, end), side in zip(scene.bones, scene.bone_sides, strict=True):
+                if np.isfinite(points[[start, end]]).all():
+                    pale = bool(unsure[start] or unsure[end])
+                    canvas.line(points[start], points[end], 3 if pale else 4.5, _tone(side, -1.0, pale))
+            for joint in np.flatnonzero(np.isfinite(points[:, 0])).tolist():
+                canvas.dot(points[joint], 5.5, _tone(scene.joint_sides[joint], -1.0, bool(unsure[joint])), rim=CARD)
+            self._name(canvas, who, points)
+        self._map(canvas, moment)
+        canvas.text((16, 20), "keypoints", 15, SOFT, "lm")
+        return canvas
+
+    def _map(self, canvas: Canvas, moment: int) -> None:
+        """Draw the whole image in a corner, a dot for each individual."""
+        size = self.scene.image_size
+        if size is None:
+            return
+        scale = _MAP / max(size)
+        left, top = canvas.wide - 14 - size[0] * scale, canvas.high - 14 - size[1] * scale
+        canvas.box((left, top, canvas.wide - 14, canvas.high - 14), 0, CARD, FAINT)
+        for points in self.scene.keypoints[moment]:
+            known = points[np.isfinite(points).all(-1)]
+            if len(known):
+                x, y = np.clip(known.mean(0), 0, size) * scale
+                canvas.dot((left + x, top + y), 3.5, SOFT)
+
+    def _deep(self, moment: int) -> Canvas:
+        """Draw floor, shadows, then bones and joints from far to near."""
+        scene, canvas = self.scene, self._canvas(_DEEP, CARD)
+        if scene.floor:
+            self._floor(canvas, moment)
+            for points in scene.points[moment]:
+                _shadow(canvas, self._seen(canvas, points * [1.0, 0.0, 1.0], moment), scene.bones)
+        parts, figures = [], [self._seen(canvas, points, moment) for points in scene.points[moment]]
+        for points, unsure in zip(figures, scene.unsure[moment], strict=True):
+            front = points[:, 2] - 0.15
+            for (start, end), side in zip(scene.bones, scene.bone_sides, strict=True):
+                if np.isfinite(points[[start, end], 0]).all():
+                    depth = (points[start, 2] + points[end, 2]) / 2
+                    front[[start, end]] = np.minimum(front[[start, end]], depth - 1e-3)
+                    parts.append((depth, points[start], points[end], side, bool(unsure[start] or unsure[end])))
+            for joint in np.flatnonzero(np.isfinite(points[:, 0])).tolist():
+                parts.append((front[joint], points[joint], None, scene.joint_sides[joint], bool(unsure[joint])))
+        for part in sorted(parts, key=lambda part: -part[0]):
+            _stroke(canvas, *part[1:])
+        for who, points in enumerate(figures):
+            self._name(canvas, who, points)
+        canvas.text((16, 20), "3D pose", 15, SOFT, "lm")
+        return canvas
+
+    def _floor(self, canvas: Canvas, moment: int) -> None:
+        """Draw squares that stand still in the world and fade away from where the camera looks."""
+        scene = self.scene
+        step = scene.square
+        reach = int(np.ceil(1.6 * max(scene.wide, scene.tall) / step))
+        middle = np.round(scene.centre[moment] / step)
+        n, k = np.meshgrid(np.arange(-reach, reach + 1), np.arange(-reach, reach), indexing="ij")
+        shift = middle - scene.centre[moment] / step
+        for along, across in ((0, 2), (2, 0)):
+            point = np.zeros((2, *n.shape, 3))
+            point[..., across] = (middle[across] + n) * step
+            point[..., along] = (middle[along] + k + np.array([0, 1])[:, None, None]) * step
+            starts, ends = self._seen(canvas, point.reshape(-1, 3), moment).reshape(2, -1, 4)
+            fade = 1 - np.hypot(n + shift[across], k + 0.5 + shift[along]).ravel() / reach
+            for start, end, strength in zip(starts, ends, fade, strict=True):
+                if strength > 0.02:
+                    canvas.line(start, end, 1.2, mixed(FLOOR, CARD, 1 - min(1.0, 1.3 * float(strength))))
+
+    def _seen(
+        self, canvas: Canvas, points: Float[np.ndarray, "points 3"], moment: int
+    ) -> Float[np.ndarray, "points 4"]:
+        """Return x and y on the card, the depth from -1 (near) to 1, and the magnification."""
+        scene = self.scene
+        yaw, pitch = np.radians(scene.turn_deg[moment]), np.radians(_PITCH_DEG if scene.floor else 0.0)
+        x, y, z = (points - scene.centre[moment]).T
+        aside, away = np.cos(yaw) * x + np.sin(yaw) * z, np.cos(yaw) * z - np.sin(yaw) * x
+        down, depth = np.cos(pitch) * y - np.sin(pitch) * away, np.cos(pitch) * away + np.sin(pitch) * y
+        eye = _EYE * scene.radius
+        near = eye / np.maximum(eye + depth, _NEAREST * eye)
+        scale = min(0.44 * canvas.wide / scene.wide, 0.41 * canvas.high / scene.tall)
+        across, along = canvas.wide / 2 + aside * near * scale, canvas.high / 2 + 10 + down * near * scale
+        return np.stack([across, along, np.clip(depth / scene.radius, -1.0, 1), near], 1)
+
+    def _name(self, canvas: Canvas, who: int, points: np.ndarray) -> None:
+        known = points[np.isfinite(points[:, 0])]
+        if len(self.scene.names) > 1 and len(known):
+            canvas.text((known[:, 0].mean(), known[:, 1].min() - 14), self.scene.names[who], 14, SOFT, "ms")
+
+
+def _stroke(canvas: Canvas, start: np.ndarray, end: np.ndarray | None, side: int, pale: bool) -> None:
+    depth = float(start[2] if end is None else (start[2] + end[2]) / 2)
+    tone, thick = _tone(side, depth, pale), 6.5 * (1 - 0.3 * depth) * float(start[3])
+    if end is None:
+        canvas.dot(start, 0.85 * thick, tone, rim=CARD)
+        return
+    if not pale:
+        canvas.line(start, end, thick + 3.5, CARD)
+    canvas.line(start, end, 0.7 * thick if pale else thick, tone)
+
+
+def _shadow(canvas: Canvas, points: np.ndarray, bones: list[tuple[int, int]]) -> None:
+    for bone in bones:
+        if np.isfinite(points[list(bone), 0]).all():
+            canvas.line(points[bone[0]], points[bone[1]], 6, SHADOW)
+            for joint in bone:
+                canvas.dot(points[joint], 2.9, SHADOW)
+
+
+def _tone(side: int, depth: float, pale: bool) -> Colour:
+    return mixed(SIDES[side], CARD, _PALE if pale else 0.6 * ((depth + 1) / 2) ** 1.4)
+
+
+# A clip as a film, ``.gif`` or ``.mp4``: keypoints beside the 3D pose, seen by a camera that slowly turns.
+
+_USUAL_FPS = 30.0
+_GIF_FRAMES, _GIF_FPS, _GIF_SCALE = 600, 34.0, 0.625
+_MP4_FPS, _MP4_SCALE = 61.0, 1.0
+_MP4_QUALITY = 20
+"""Of x264: its constant rate factor."""
+
+
+def write_film(prediction: Prediction, path: str | Path, fps: int | float | None = None) -> None:
+    """Write one clip with all its individuals, 1280 x 640 pixels as ``.mp4`` and 800 x 400 as ``.gif``.
+
+    ``fps`` replaces the prediction's; where neither is known it is 30, and no seconds are shown. Every n-th frame
+    is drawn, n as small as keeps a gif within 600 frames and 34 a second, an mp4 within 61 a second; the film lasts
+    as long as the clip. Frame numbers that are missing are passed over. Axes are the camera's, or level ones.
+    Raises UserError for several clips, another extension, or where the package for mp4 is not there.
+    """
+    extension = Path(path).suffix.lower()
+    if extension not in (".gif", ".mp4"):
+        raise UserError(f"cannot write {path}: a film is a .gif or an .mp4.")
+    program = _ffmpeg(path) if extension == ".mp4" else None
+    clip = one_clip(prediction, path)
+    known = frame_rate(prediction, fps)
+    rate = known or _USUAL_FPS
+    scene = film_scene(prediction, clip, rate)
+    scale, most, fastest = (_MP4_SCALE, len(clip.frames), _MP4_FPS) if program else (_GIF_SCALE, _GIF_FRAMES, _GIF_FPS)
+    moments = thinned(len(clip.frames), rate, most, fastest)
+    drawing = FilmDrawing(scene, scale, rate, timed=known is not None)
+    pictures = (drawing.picture(moment) for moment in moments.tolist())
+    with replacing(path) as handle:
+        if program:
+            _write_mp4(pictures, handle, program, drawing.size, rate * len(moments) / len(clip.frames))
+        else:
+            _write_gif(pictures, handle, gif_durations_ms(len(moments), len(clip.frames) / rate))
+
+
+def thinned(moments: int, rate: float, most: int, fastest: float) -> Int[np.ndarray, " kept"]:
+    """Return every n-th moment, n the least with no more than ``most`` of them and ``fastest`` a second."""
+    return np.arange(0, moments, max(int(np.ceil(moments / most)), int(np.ceil(rate / fastest)), 1))
+
+
+def gif_durations_ms(frames: int, seconds: float) -> list[int]:
+    """Return how long each frame stands, in whole hundredths of a second as a gif has them, none less than two."""
+    ends = np.round(np.linspace(0, max(seconds, 0.02 * frames), frames + 1) * 100).astype(int)
+    return (np.diff(ends) * 10).tolist()
+
+
+def _write_gif(pictures: Iterator[Image.Image], handle: BinaryIO, durations: list[int]) -> None:
+    palette = film_palette()
+    small = (picture.quantize(palette=palette, dither=Image.Dither.NONE) for picture in pictures)
+    first = next(small)
+    rest = {"save_all": True, "append_images": small, "duration": durations, "loop": 0, "optimize": False}
+    first.save(handle, format="GIF", **rest)
+
+
+def _write_mp4(
+    pictures: Iterator[Image.Image], handle: BinaryIO, program: str, size: tuple[int, int], rate: float
+) -> None:
+    """Pipe the pictures through ffmpeg into a file of its own: an mp4's index is written last, to its beginning."""
+    with tempfile.TemporaryDirectory() as folder, open(Path(folder) / "said", "w+b") as said:
+        film = Path(folder) / "film.mp4"
+        command = [program, "-y", "-loglevel", "error", "-f", "rawvideo", "-pix_fmt", "rgb24"]
+        command += ["-s", f"{size[0]}x{size[1]}", "-r", f"{rate:.6f}", "-i", "-", "-an", "-c:v", "libx264"]
+        command += ["-preset", "veryfast", "-crf", str(_MP4_QUALITY), "-pix_fmt", "yuv420p", "-movflags", "+faststart"]
+        # Without these, players guess the colours' matrix by the size of the picture.
+        command += ["-vf", "scale=out_color_matrix=bt709:out_range=tv", "-color_range", "tv", "-colorspace", "bt709"]
+        command += ["-color_primaries", "bt709", "-color_trc", "bt709"]
+        with subprocess.Popen([*command, str(film)], stdin=subprocess.PIPE, stdout=said, stderr=said) as process:
+            assert process.stdin is not None
+            try:
+                for picture in pictures:
+                    process.stdin.write(picture.tobytes())
+                process.stdin.close()
+            except BrokenPipeError:
+                pass  # ffmpeg says why below
+            except BaseException:
+                process.kill()
+                raise
+        if process.returncode:
+            said.seek(0)
+            words = said.read().decode("utf-8", "replace").strip().splitlines()
+            raise OSError(f"ffmpeg could not make the film: {words[-1] if words else process.returncode}")
+        with open(film, "rb") as made:
+            shutil.copyfileobj(made, handle)
+
+
+def _ffmpeg(path: str | Path) -> str:
+    """Return the ffmpeg of the package imageio-ffmpeg; raises UserError where there is none."""
+    hint = 'pip install "uplift3d[video]". A .gif needs nothing more.'
+    try:
+        from imageio_ffmpeg import get_ffmpeg_exe
+    except ImportError:
+        raise UserError(f"cannot write {path}: an .mp4 needs imageio-ffmpeg: {hint}") from None
+    try:
+        return get_ffmpeg_exe()
+    except RuntimeError as error:
+        raise UserError(f"cannot write {path}: imageio-ffmpeg has no ffmpeg for this machine ({error}).") from None

@@ -1,0 +1,282 @@
+"""A clip as an animated binary glTF (``.glb``): a sphere for each joint, a cylinder for each bone."""
+
+from __future__ import annotations
+
+import json
+import struct
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from uplift.config.files import replacing
+from uplift.export.clips import Clip
+from uplift.export.scene import frame_rate, held, known_points, one_clip, row_places, steps
+from uplift.models.prediction import Prediction
+from uplift.skeleton.core import bone_sides, joint_sides
+
+__all__ = ["Gltf", "bone_rotations", "write_glb"]
+
+# A binary glTF 2.0 file (``.glb``), built piece by piece: meshes, nodes and one animation.
+
+_FLOAT, _USHORT, _UINT = 5126, 5123, 5125
+_VERTICES, _INDICES = 34962, 34963
+_KINDS = {1: "SCALAR", 3: "VEC3", 4: "VEC4"}
+
+
+class Gltf:
+    """A glTF asset with one scene and one buffer, while it grows."""
+
+    def __init__(self, name: str, about: dict[str, Any]):
+        self._parts: list[bytes] = []
+        self._size = 0
+        self._accessors: list[dict[str, Any]] = []
+        self._views: list[dict[str, Any]] = []
+        self._materials: list[dict[str, Any]] = []
+        self._meshes: list[dict[str, Any]] = []
+        self.nodes: list[dict[str, Any]] = []
+        self._samplers: list[dict[str, Any]] = []
+        self._channels: list[dict[str, Any]] = []
+        self._times: dict[bytes, int] = {}
+        self._name, self._about = name, about
+
+    def shape(
+        self, vertices: Float[np.ndarray, "vertices 3"], normals: Float[np.ndarray, "vertices 3"], faces: np.ndarray
+    ) -> dict[str, Any]:
+        """Store a shape once and return the primitive that meshes of any material share."""
+        kind, code = (np.uint16, _USHORT) if len(vertices) < 2**16 else (np.uint32, _UINT)
+        place = self._accessor(vertices.astype(np.float32), _FLOAT, _VERTICES, bounds=True)
+        normal = self._accessor(normals.astype(np.float32), _FLOAT, _VERTICES)
+        indices = self._accessor(faces.reshape(-1, 1).astype(kind), code, _INDICES)
+        return {"attributes": {"POSITION": place, "NORMAL": normal}, "indices": indices}
+
+    def material(self, name: str, rgb: tuple[int, int, int]) -> int:
+        """Return a matt material of an sRGB colour, 0 to 255."""
+        colour = np.asarray(rgb) / 255
+        linear = np.where(colour <= 0.04045, colour / 12.92, ((colour + 0.055) / 1.055) ** 2.4)
+        look = {"baseColorFactor": [*_short(linear), 1.0], "metallicFactor": 0.0, "roughnessFactor": 0.6}
+        self._materials.append({"name": name, "pbrMetallicRoughness": look})
+        return len(self._materials) - 1
+
+    def mesh(self, name: str, shape: dict[str, Any], material: int) -> int:
+        """Return a mesh of a shape in a material."""
+        self._meshes.append({"name": name, "primitives": [{**shape, "material": material}]})
+        return len(self._meshes) - 1
+
+    def node(self, name: str, parent: int | None = None, **rest: Any) -> int:
+        """Add a node below ``parent`` and return it; ``rest`` is its ``mesh``, ``translation`` and so on."""
+        self.nodes.append({"name": name, **rest})
+        if parent is not None:
+            self.nodes[parent].setdefault("children", []).append(len(self.nodes) - 1)
+        return len(self.nodes) - 1
+
+    def animate(
+        self,
+        node: int,
+        path: str,
+        times: Float[np.ndarray, " times"],
+        values: Float[np.ndarray, "times parts"],
+        jumps: bool = False,
+    ) -> None:
+        """Give a node keyframes (seconds) of its translation, rotation (x y z w) or scale, and the first as it rests.
+
+        ``jumps``: each value stays until the next.
+        """
+        values = values.astype(np.float32)
+        self.nodes[node][path] = _short(values[0])
+        # A value that stays the same needs one key.
+        if (values == values[0]).all():
+            times, values = times[:1], values[:1]
+        key = times.astype(np.float32).tobytes()
+        if key not in self._times:
+            self._times[key] = self._accessor(times.reshape(-1, 1).astype(np.float32), _FLOAT, bounds=True)
+        sampler = {"input": self._times[key], "output": self._accessor(values, _FLOAT)}
+        self._samplers.append({**sampler, "interpolation": "STEP" if jumps else "LINEAR"})
+        self._channels.append({"sampler": len(self._samplers) - 1, "target": {"node": node, "path": path}})
+
+    def to_bytes(self) -> bytes:
+        """Return the file."""
+        below = {child for node in self.nodes for child in node.get("children", [])}
+        asset = {
+            "asset": {"version": "2.0", "generator": "uplift", "extras": self._about},
+            "scene": 0,
+            "scenes": [{"name": self._name, "nodes": [n for n in range(len(self.nodes)) if n not in below]}],
+            "nodes": self.nodes,
+            "meshes": self._meshes,
+            "materials": self._materials,
+            "animations": [{"name": self._name, "samplers": self._samplers, "channels": self._channels}],
+            "accessors": self._accessors,
+            "bufferViews": self._views,
+            "buffers": [{"byteLength": self._size}],
+        }
+        text = json.dumps(asset, separators=(",", ":"), ensure_ascii=False).encode()
+        text += b" " * (-len(text) % 4)
+        binary = b"".join(self._parts)
+        head = struct.pack("<4sII", b"glTF", 2, 12 + 8 + len(text) + 8 + len(binary))
+        return (
+            head + struct.pack("<I4s", len(text), b"JSON") + text + struct.pack("<I4s", len(binary), b"BIN\0") + binary
+        )
+
+    def _accessor(self, values: np.ndarray, code: int, target: int | None = None, bounds: bool = False) -> int:
+        """Store rows of values in a view of their own, begun at a multiple of four bytes."""
+        data = np.ascontiguousarray(values).tobytes()
+        view = {"buffer": 0, "byteOffset": self._size, "byteLength": len(data)}
+        self._views.append(view if target is None else {**view, "target": target})
+        padded = data + b"\0" * (-len(data) % 4)
+        self._parts.append(padded)
+        self._size += len(padded)
+        kind = {"componentType": code, "count": len(values), "type": _KINDS[values.shape[1]]}
+        accessor = {"bufferView": len(self._views) - 1, **kind}
+        if bounds:
+            accessor |= {"min": values.min(0).tolist(), "max": values.max(0).tolist()}
+        self._accessors.append(accessor)
+        return len(self._accessors) - 1
+
+
+def _short(values: np.ndarray) -> list[float]:
+    """Return numbers that JSON writes in few letters."""
+    return [float(f"{value:.6g}") for value in values.tolist()]
+
+
+# A clip as an animated binary glTF (``.glb``): a sphere for each joint, a cylinder for each bone.
+
+_COLOURS = {"centre": (0x4A, 0x50, 0x58), "left": (0x1F, 0x77, 0xB8), "right": (0xD9, 0x63, 0x0F)}
+_USUAL_FPS = 30.0
+_PERSON_M = 1.7
+_M_PER_MM = 0.001
+_JOINT_SHARE, _BONE_SHARE = 0.016, 0.008
+"""Radii, as shares of the body."""
+
+
+@dataclass(frozen=True)
+class _Meshes:
+    joints: list[int]
+    bones: list[int]
+
+
+def write_glb(prediction: Prediction, path: str | Path, fps: int | float | None = None) -> None:
+    """Write one clip with all its individuals, joints named; ``fps`` replaces the prediction's.
+
+    Metres where the prediction is in mm; else a body is about 1.7 large, by the ``scale`` of ``asset.extras``, as
+    glTF knows metres only. Axes as given; glTF has y up. Without a known place individuals stand side by side as in
+    the image. Joints and bones that are not known are hidden. Where no rate is known it is 30 frames a second, and
+    ``asset.extras`` says so. Raises UserError for several clips.
+    """
+    clip = one_clip(prediction, path)
+    rate = frame_rate(prediction, fps)
+    points = known_points(prediction.pose) + row_places(prediction, clip)[:, None]
+    body = _body_size(known_points(prediction.pose))
+    scale = _M_PER_MM if prediction.unit == "mm" else _PERSON_M / body
+    about = {
+        "title": prediction.title or clip.name,
+        "skeleton": prediction.skeleton.name,
+        "axes": prediction.axes,
+        "unit": "m" if prediction.unit == "mm" else f"{prediction.unit}, times scale",
+        "scale": scale,
+        "fps": rate or _USUAL_FPS,
+        "fps_assumed": rate is None,
+    }
+    file = Gltf(clip.name, about)
+    meshes = _meshes(file, body * scale)
+    times = steps(clip) / (rate or _USUAL_FPS)
+    for number, name in enumerate(clip.individual_names):
+        _individual(file, prediction, name, _moments(clip, number, points * scale), times, meshes)
+    with replacing(path) as handle:
+        handle.write(file.to_bytes())
+
+
+def bone_rotations(ways: Float[np.ndarray, "frames bones 3"]) -> Float[np.ndarray, "frames bones 4"]:
+    """Return quaternions (x y z w) that turn y onto unit ``ways``, each the least turn from the frame before.
+
+    So neighbours never change sign, and what lies between two keys is the shortest way. NaN stays as it was.
+    """
+    turned = np.empty((*ways.shape[:2], 4))
+    now = np.tile([0.0, 0.0, 0.0, 1.0], (ways.shape[1], 1))
+    for frame, way in enumerate(ways):
+        at = _turned_y(now)
+        known = np.isfinite(np.sum(way, axis=-1, keepdims=True))
+        now = _product(_least_turn(at, np.where(known, way, at)), now)
+        now /= np.linalg.norm(now, axis=-1, keepdims=True)
+        turned[frame] = now
+    return turned
+
+
+def _least_turn(start: np.ndarray, end: np.ndarray) -> np.ndarray:
+    cosine = (start * end).sum(-1, keepdims=True)
+    turn = np.concatenate([np.cross(start, end), 1 + cosine], -1)
+    aside = np.cross(start, np.eye(3)[np.argmin(np.abs(start), axis=-1)])
+    half = np.concatenate([aside, np.zeros_like(cosine)], -1)
+    turn = np.where(cosine < -1 + 1e-9, half, turn)
+    return turn / np.linalg.norm(turn, axis=-1, keepdims=True)
+
+
+def _product(second: np.ndarray, first: np.ndarray) -> np.ndarray:
+    a, b = second[:, :3], first[:, :3]
+    vector = second[:, 3:] * b + first[:, 3:] * a + np.cross(a, b)
+    return np.concatenate([vector, second[:, 3:] * first[:, 3:] - (a * b).sum(-1, keepdims=True)], -1)
+
+
+def _turned_y(turn: np.ndarray) -> np.ndarray:
+    x, y, z, w = turn.T
+    return np.stack([2 * (x * y - w * z), 1 - 2 * (x * x + z * z), 2 * (y * z + w * x)], -1)
+
+
+def _body_size(pose: Float[np.ndarray, "frames joints 3"]) -> float:
+    """Return the median over frames of the largest side of a pose's box; 1 where there is none."""
+    known = np.isfinite(pose)
+    sides = np.where(known, pose, -np.inf).max(1) - np.where(known, pose, np.inf).min(1)
+    largest = sides.max(-1)
+    usable = largest[np.isfinite(largest) & (largest > 0)]
+    return float(np.median(usable)) if len(usable) else 1.0
+
+
+def _meshes(file: Gltf, size: float) -> _Meshes:
+    from trimesh.creation import cylinder, icosphere
+
+    ball, rod = icosphere(subdivisions=2, radius=_JOINT_SHARE * size), cylinder(_BONE_SHARE * size, 1.0, sections=12)
+    joint = file.shape(np.array(ball.vertices), np.array(ball.vertex_normals), np.array(ball.faces))
+    upright = np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]])  # trimesh's cylinder is along z, about 0
+    vertices, normals = np.array(rod.vertices) @ upright.T + [0, 0.5, 0], np.array(rod.vertex_normals) @ upright.T
+    bone = file.shape(vertices, normals, np.array(rod.faces))
+    colours = [file.material(name, rgb) for name, rgb in _COLOURS.items()]
+    joints = [file.mesh(f"{name} joint", joint, colour) for name, colour in zip(_COLOURS, colours, strict=True)]
+    bones = [file.mesh(f"{name} bone", bone, colour) for name, colour in zip(_COLOURS, colours, strict=True)]
+    return _Meshes(joints, bones)
+
+
+def _moments(clip: Clip, individual: int, points: np.ndarray) -> Float[np.ndarray, "moments joints 3"]:
+    """Return one individual's points at every moment of the clip, NaN where it is not there."""
+    found = np.full((len(clip.frames), *points.shape[1:]), np.nan)
+    mine = clip.individual == individual
+    found[clip.moment[mine]] = points[clip.rows[mine]]
+    return found
+
+
+def _individual(
+    file: Gltf, prediction: Prediction, name: str, points: np.ndarray, times: np.ndarray, meshes: _Meshes
+) -> None:
+    """Add an individual: joints below it, and each bone below the joint that it starts at."""
+    top = file.node(name or prediction.skeleton.name)
+    mark = f"{name}:" if name else ""
+    sides = joint_sides(prediction.skeleton, prediction.joint_names)
+    known = np.isfinite(np.sum(points, axis=-1))
+    nodes = []
+    for joint, own in enumerate(prediction.joint_names):
+        nodes.append(file.node(mark + own, top, mesh=meshes.joints[sides[joint]]))
+        file.animate(nodes[-1], "translation", times, held(points[:, joint]))
+        if not known[:, joint].all():
+            shown = np.repeat(known[:, joint, None], 3, 1).astype(float)
+            file.animate(nodes[-1], "scale", times, shown, jumps=True)
+    bones = prediction.bone_indices
+    way = points[:, bones[:, 1]] - points[:, bones[:, 0]]
+    length = np.linalg.norm(way, axis=-1)
+    there = np.isfinite(length) & (length > 0)
+    turned = bone_rotations(np.where(there[..., None], way / np.where(there, length, 1)[..., None], np.nan))
+    for bone, side in enumerate(bone_sides(sides, bones.tolist())):
+        start, end = (prediction.joint_names[place] for place in bones[bone])
+        node = file.node(f"{mark}{start}-{end}", nodes[bones[bone, 0]], mesh=meshes.bones[side])
+        file.animate(node, "rotation", times, turned[:, bone])
+        size = np.stack([np.ones(len(times)), length[:, bone], np.ones(len(times))], 1)
+        file.animate(node, "scale", times, np.where(there[:, bone, None], size, 0.0))

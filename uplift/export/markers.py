@@ -1,0 +1,220 @@
+"""Predictions as motion capture has them, markers of one trial: TRC (OpenSim) and C3D."""
+
+from __future__ import annotations
+
+import math
+import re
+import shutil
+import tempfile
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from uplift.config.files import replacing
+from uplift.errors import UserError
+from uplift.export.clips import Clip, arrange
+from uplift.export.scene import AXES
+from uplift.export.tables import filled_in, numbers
+from uplift.models.prediction import Prediction
+
+__all__ = ["Trial", "marker_names", "trial_of", "write_c3d", "write_trc"]
+
+# Predictions as motion capture has them: markers of one trial, a row for every moment.
+
+_LONGEST_BYTES = 120
+"""Of a marker's name; C3D has room for 127."""
+_MOST_BLANK = 1_000_000
+
+
+@dataclass(frozen=True)
+class Trial:
+    """One clip: ``points`` (moments markers 3) in mm, NaN where missing; the first is frame ``start``, from 0."""
+
+    names: tuple[str, ...]
+    points: np.ndarray
+    start: int
+    fps: float
+
+
+def trial_of(prediction: Prediction, path: str | Path, kind: str) -> Trial:
+    """Return the markers of the only clip of ``prediction``, gaps between its frames as blank moments.
+
+    Frames are as far apart as the largest step that divides all distances of their numbers: thinned out
+    films have no blanks, and ``start`` counts in those steps. Markers are the joints; of several individuals
+    each has its name before them, as ``INDIVIDUAL_JOINT``. ``kind`` is what the file is called in errors.
+
+    Raises:
+        UserError: poses that are not in mm, no frame rate, not exactly one clip, or rows that no
+            individual tells apart.
+    """
+    if prediction.unit != "mm":
+        raise UserError(
+            f"{path}: {kind} holds mm, these poses are in {prediction.unit}. Say how large the body is "
+            "(height_mm=1750, or bone=), or write .csv, .json or .npz: they say their unit."
+        )
+    fps = prediction.fps
+    if fps is None or not math.isfinite(fps) or fps <= 0:
+        found = "is not known" if fps is None else f"is {fps}"
+        raise UserError(f"{path}: {kind} needs the frame rate, which {found}. Say it: fps=30.")
+    clips = arrange(prediction.identity, len(prediction))
+    if len(clips) != 1:
+        named = ", ".join(f"'{clip.name}'" for clip in clips[:3]) + (", ..." if len(clips) > 3 else "")
+        told = f"{len(clips)} clips ({named}). Write a file for each" if clips else "no frames. Write at least one"
+        raise UserError(f"{path}: {kind} holds one clip, found {told}.")
+    return _trial(prediction, clips[0], f"{path}: ", float(fps))
+
+
+def _trial(prediction: Prediction, clip: Clip, where: str, fps: float) -> Trial:
+    numbers = np.asarray(clip.frames, np.int64)
+    step = int(np.gcd.reduce(np.diff(numbers))) or 1
+    place = ((numbers - numbers[0]) // step)[clip.moment]
+    moments, individuals = int(place.max()) + 1, len(clip.individual_names)
+    if moments > _MOST_BLANK and moments > 100 * len(numbers):
+        raise UserError(
+            f"{where}{len(numbers)} frames are numbered {numbers[0]} to {numbers[-1]}, which would make {moments} "
+            "rows, nearly all blank. Expected 'frame' to count frames; write .csv to keep such numbers."
+        )
+    _refuse_doubles(clip, place * individuals + clip.individual, where)
+    source = prediction.points[clip.rows]
+    joints = len(prediction.joint_names)
+    points = np.full((moments, individuals, joints, 3), np.nan, np.result_type(source, np.float32))
+    points[place, clip.individual] = source
+    points[~np.isfinite(points).all(-1)] = np.nan
+    owners = [f"{name}_" for name in clip.individual_names] if individuals > 1 else [""]
+    names = marker_names([owner + joint for owner in owners for joint in prediction.joint_names])
+    return Trial(names, points.reshape(moments, -1, 3), max(int(numbers[0]) // step, 0), fps)
+
+
+def _refuse_doubles(clip: Clip, cell: np.ndarray, where: str) -> None:
+    """Refuse several rows of one individual at one moment, which ``cell`` numbers."""
+    _, first, count = np.unique(cell, return_index=True, return_counts=True)
+    if len(first) == len(cell):
+        return
+    row = first[count.argmax()]
+    frame, name = clip.frames[clip.moment[row]], clip.individual_names[clip.individual[row]]
+    raise UserError(
+        f"{where}{count.max()} rows are frame {frame}{f' of {name!r}' if name else ''}. Expected one: name what tells "
+        "them apart ('instance', 'camera' or 'sequence'), or write .csv."
+    )
+
+
+def marker_names(names: Sequence[str]) -> tuple[str, ...]:
+    """Return names that programs for motion capture can read: no white space or control signs, not long, all different."""
+    given: dict[str, None] = {}
+    for name in names:
+        short = (
+            re.sub(r"[\s\x00-\x1f\x7f-\x9f\ud800-\udfff]+", "_", name).encode()[:_LONGEST_BYTES].decode(errors="ignore")
+        )
+        short, count = short or "_", 1
+        fresh = short
+        while fresh in given:
+            count += 1
+            fresh = f"{short}_{count}"
+        given[fresh] = None
+    return tuple(given)
+
+
+# Predictions as a TRC, the marker file of OpenSim: one clip, tabs, blank cells for what is missing.
+
+_ROWS = 512
+
+
+def write_trc(prediction: Prediction, path: str | Path) -> None:
+    """Write one clip in mm, in the axes the prediction is in; frames count from 1, frame 1 is at 0 s.
+
+    Joint names lose their white space. Frames that are not there are blank rows. Raises UserError for
+    poses without a size in mm or a frame rate, and for more than one clip.
+    """
+    trial = trial_of(prediction, path, "TRC")
+    # OpenSim drops an empty cell at the end of a line, so that every line of markers ends in a tab.
+    template = "\t".join(["%.5f"] * (3 * len(trial.names))) + "\t\n"
+    with replacing(path) as handle:
+        handle.write(_head(trial, Path(path).name).encode())
+        for start in range(0, len(trial.points), _ROWS):
+            rows = numbers(trial.points[start : start + _ROWS])
+            first = trial.start + start
+            lines = (
+                f"{frame + 1}\t{frame / trial.fps:.6f}\t{filled_in(template, row, '')}"
+                for frame, row in enumerate(rows, first)
+            )
+            handle.write("".join(lines).encode())
+
+
+def _head(trial: Trial, name: str) -> str:
+    rate, count = f"{trial.fps:.7g}", len(trial.points)
+    called = " ".join(name.encode("utf-8", "replace").decode().split())
+    facts = {
+        "DataRate": rate,
+        "CameraRate": rate,
+        "NumFrames": count,
+        "NumMarkers": len(trial.names),
+        "Units": "mm",
+        "OrigDataRate": rate,
+        "OrigDataStartFrame": trial.start + 1,
+        "OrigNumFrames": count,
+    }
+    axes = "".join(f"X{n}\tY{n}\tZ{n}\t" for n in range(1, len(trial.names) + 1))
+    lines = [
+        f"PathFileType\t4\t(X/Y/Z)\t{called}",
+        "\t".join(facts),
+        "\t".join(map(str, facts.values())),
+        "Frame#\tTime\t" + "".join(f"{marker}\t\t\t" for marker in trial.names),
+        "\t\t" + axes,
+        "",
+    ]
+    return "\n".join(lines) + "\n"
+
+
+# Predictions as a C3D, the file of motion capture: one clip of labelled points, no analog channels.
+
+_MOST_FRAMES = 65_535
+_SCREEN_UP = {"camera": "-Y", "opencv": "-Y", "level": "-Y", "blender": "+Z", "opensim": "+Y"}
+
+
+def write_c3d(prediction: Prediction, path: str | Path) -> None:
+    """Write one clip in mm, in the axes the prediction is in; a missing point has residual -1.
+
+    Numbers are 32-bit. ``UPLIFT:AXES`` names the axes. Frames count from 1 as in the video, or from the
+    first of the clip where their numbers do not fit the format's 16 bits. Raises UserError without
+    ezc3d, for poses without a size in mm or a frame rate, more than one clip, or 65,536 frames.
+    """
+    try:
+        import ezc3d
+    except ImportError as error:
+        raise UserError(f'{path}: writing C3D needs ezc3d: pip install "uplift3d[c3d]".') from error
+    trial = trial_of(prediction, path, "C3D")
+    if len(trial.points) > _MOST_FRAMES:
+        raise UserError(
+            f"{path}: C3D holds {_MOST_FRAMES} frames, found {len(trial.points)}. Write .trc, or shorter clips."
+        )
+    file = ezc3d.c3d()
+    _fill(file, trial, prediction.axes)
+    with replacing(path) as handle, tempfile.TemporaryDirectory() as folder:
+        written = Path(folder) / "trial.c3d"
+        file.write(str(written))
+        least = 16 * trial.points.shape[0] * trial.points.shape[1]
+        if not written.is_file() or written.stat().st_size < least:  # ezc3d says nothing of a full disk
+            raise OSError(f"{path}: the C3D could not be written whole in {tempfile.gettempdir()}: is the disk full?")
+        with written.open("rb") as whole:
+            shutil.copyfileobj(whole, handle)
+
+
+def _fill(file, trial: Trial, axes: str) -> None:
+    """Put a trial into an empty ``ezc3d.c3d``."""
+    point = file["parameters"]["POINT"]
+    point["RATE"]["value"] = [trial.fps]
+    point["LABELS"]["value"] = list(trial.names)
+    point["UNITS"]["value"] = ["mm"]
+    if axes in _SCREEN_UP:
+        file.add_parameter("POINT", "X_SCREEN", "+X", "Axis to the right")
+        file.add_parameter("POINT", "Y_SCREEN", _SCREEN_UP[axes], "Axis upwards")
+    file.add_parameter("UPLIFT", "AXES", axes, AXES.get(axes, ""))
+    missing = np.asarray(np.isnan(trial.points).any(-1))
+    points = np.ones((4, *missing.T.shape))
+    points[:3] = trial.points.transpose(2, 1, 0)
+    file["data"]["points"] = points
+    file["data"]["meta_points"]["residuals"] = np.where(missing, -1.0, 0.0).T[None]
+    last = trial.start + len(missing)
+    file["header"]["points"]["first_frame"] = trial.start if last <= _MOST_FRAMES else 0

@@ -1,0 +1,327 @@
+"""Lifted shapes as files: binary glTF, Wavefront OBJ, Stanford PLY, STL, npz, in the axes and unit asked for."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from jaxtyping import Float
+
+from uplift.config.files import replacing
+from uplift.errors import UserError, did_you_mean
+from uplift.export.scene import FROM_LEVEL
+from uplift.geometry.mesh import Mesh
+from uplift.geometry.surface import Surface, surface_of
+from uplift.models.prediction import ShapePrediction
+
+if TYPE_CHECKING:
+    import trimesh
+
+__all__ = [
+    "SHAPE_AXES",
+    "Frame",
+    "check_axes",
+    "in_camera",
+    "prediction_surfaces",
+    "surfaces",
+    "write_glb",
+    "write_npz",
+    "write_obj",
+    "write_ply",
+    "write_stl",
+]
+
+# The axes and the unit that lifted shapes are written in.
+
+_OWN = {
+    "own": [[1, 0, 0], [0, 1, 0], [0, 0, 1]],
+    "gltf": [[1, 0, 0], [0, -1, 0], [0, 0, -1]],
+    "print": [[1, 0, 0], [0, 0, 1], [0, -1, 0]],
+}
+"""Rotations from the shape's own frame."""
+SHAPE_AXES = {
+    "own": "x the object's left, y down, z behind it",
+    "gltf": "y up, the object faces +z, x is its left",
+    "print": "z up, the object faces -y, x is its left",
+    "camera": "x right in the image, y down, z away from the camera",
+    "opencv": "another name of camera: x right in the image, y down, z away from the camera",
+    "level": "as seen, y is gravity: x right, y down, z away, level",
+    "blender": "as seen, z up: x right, y away from the camera, level",
+    "opensim": "as seen, y up: x right, z towards the camera, level",
+}
+"""Names of axes and what they mean; all are right-handed, so left stays left."""
+
+
+@dataclass(frozen=True)
+class Frame:
+    """Axes and unit of files of one prediction."""
+
+    axes: str
+    unit: str = "px"
+    height_mm: float | None = None
+    """Of every object, along its own y."""
+    length_mm: float | None = None
+    """The longest side of every object's box in its own axes."""
+
+    def placed(self, mesh: Mesh, prediction: ShapePrediction, item: int) -> Float[np.ndarray, "points 3"]:
+        """Return an own mesh's corners in these axes and this unit.
+
+        The origin of ``own``, ``gltf`` and ``print`` is that of the shape's own frame, that of all others the
+        crop's centre at the depth of that origin.
+        """
+        scale = float(prediction.scale[item])
+        if self.axes in _OWN:
+            points = scale * (mesh.vertices @ np.array(_OWN[self.axes], float).T)
+        else:
+            points = in_camera(mesh.vertices, prediction.view[item], scale, prediction.offset[item])
+            points = points @ self._from_camera(prediction.view[item]).T
+        return np.asarray(points * self._factor(mesh, prediction, item), float)
+
+    def _from_camera(self, view: np.ndarray) -> np.ndarray:
+        if self.axes in ("camera", "opencv"):
+            return np.eye(3)
+        # Gravity is the own frame's y: the least turn about x that takes it to y keeps what is right in the image.
+        _, cos, sin = view[:, 1]
+        size = np.hypot(cos, sin) or 1.0
+        level = np.array([[1, 0, 0], [0, cos / size, sin / size], [0, -sin / size, cos / size]])
+        return np.array(FROM_LEVEL[self.axes], float) @ level
+
+    def _factor(self, mesh: Mesh, prediction: ShapePrediction, item: int) -> float:
+        """Return units of the file in one unit of the crop."""
+        sides = np.ptp(mesh.vertices, axis=0) * float(prediction.scale[item])
+        if self.height_mm is not None:
+            return self.height_mm / max(float(sides[1]), 1e-12)
+        if self.length_mm is not None:
+            return self.length_mm / max(float(sides.max()), 1e-12)
+        return float(prediction.scale_px[item]) if self.unit == "px" else 1.0
+
+    def about(self, prediction: ShapePrediction, items: list[int]) -> dict[str, Any]:
+        """Return what a file says of itself: its unit, axes, and where its items stand in the photo."""
+        return {
+            "unit": self.unit,
+            "unit_is": self._unit_told(),
+            "axes": self.axes,
+            "axes_are": SHAPE_AXES[self.axes],
+            "handedness": "right",
+            "items": [_standing(prediction, item) for item in items],
+        }
+
+    def _unit_told(self) -> str:
+        if self.height_mm is not None:
+            return f"millimetres, each object taken to be {self.height_mm:g} mm high"
+        if self.length_mm is not None:
+            return f"millimetres, the longest side of each object's box taken to be {self.length_mm:g} mm"
+        if self.unit == "px":
+            return "pixels of the photo that the mask came from, at the object's depth"
+        return "half the side of the mask's crop"
+
+
+def check_axes(axes: str) -> str:
+    """Return the name of known axes; raises UserError for others."""
+    if axes not in SHAPE_AXES:
+        raise UserError(f"axes={axes}: no such axes of shapes.{did_you_mean(axes, SHAPE_AXES)}")
+    return axes
+
+
+def _standing(prediction: ShapePrediction, item: int) -> dict[str, Any]:
+    """Return one item's name and place: own frame to camera, in units of the crop."""
+    distance = float(prediction.distance[item])
+    return {
+        "name": prediction.names[item],
+        "view": np.round(prediction.view[item], 6).tolist(),
+        "scale": round(float(prediction.scale[item]), 6),
+        "offset": np.round(prediction.offset[item], 6).tolist(),
+        "distance": round(distance, 6) if np.isfinite(distance) else None,
+        "centre_px": np.round(prediction.centre_px[item], 3).tolist(),
+        "scale_px": round(float(prediction.scale_px[item]), 4),
+    }
+
+
+# The surfaces of lifted shapes, in their own frames or where the camera sees them.
+
+
+def surfaces(prediction: ShapePrediction, *, frame: str = "own", smooth: int = 0) -> list[Mesh | None]:
+    """Return the mesh of each item, None where its grid is empty.
+
+    ``own`` is the shape's frame, the cube from -1 to 1; ``camera`` is the camera's, in units of the crop.
+    Raises ValueError for another frame.
+    """
+    if frame not in ("own", "camera"):
+        raise ValueError(f"frame={frame}: expected own or camera")
+    found: list[Mesh | None] = []
+    for item, one in enumerate(prediction_surfaces(prediction, smooth=smooth)):
+        seen = one.mesh if one.mesh is None or frame == "own" else _placed(one.mesh, prediction, item)
+        found.append(seen)
+    return found
+
+
+def prediction_surfaces(prediction: ShapePrediction, *, smooth: int = 0) -> list[Surface]:
+    """Return what was cut out of each item's grid, in its own frame, named as the item."""
+    return [
+        surface_of(np.asarray(grid, np.float32), level=prediction.level, smooth=smooth, name=name)
+        for grid, name in zip(prediction.occupancy, prediction.names, strict=True)
+    ]
+
+
+def in_camera(
+    points: Float[np.ndarray, "points 3"],
+    view: Float[np.ndarray, "3 3"],
+    scale: float | np.floating,
+    offset: Float[np.ndarray, "2"],
+) -> Float[np.ndarray, "points 3"]:
+    """Return points of the own frame in the camera's: x right, y down, z away, in units of the crop."""
+    return scale * (points @ view.T) + np.append(offset, 0.0)
+
+
+def _placed(mesh: Mesh, prediction: ShapePrediction, item: int) -> Mesh:
+    points = in_camera(mesh.vertices, prediction.view[item], prediction.scale[item], prediction.offset[item])
+    return replace(mesh, vertices=np.asarray(points, float))
+
+
+# Lifted shapes as an ``.npz``: grids and where they stand, readable without pickle.
+
+
+def write_npz(prediction: ShapePrediction, path: str | Path) -> None:
+    """Write what a `ShapePrediction` holds under the same names; the same shapes give the same bytes.
+
+    ``occupancy`` (items depth height width) is float16, 0..1 at the centres of the voxels of the own cube,
+    indices along z, y, x. A point p of the own frame is at scale * (view @ p) + (offset, 0) in the camera
+    frame, in units of the mask's crop; ``scale_px`` of these are pixels, from ``centre_px``.
+    """
+    arrays = {
+        "occupancy": prediction.occupancy.astype(np.float16),
+        "view": np.asarray(prediction.view, np.float32),
+        "scale": np.asarray(prediction.scale, np.float32),
+        "offset": np.asarray(prediction.offset, np.float32),
+        "distance": np.asarray(prediction.distance, np.float32),
+        "names": np.asarray(prediction.names, np.str_),
+        "centre_px": np.asarray(prediction.centre_px, np.float32),
+        "scale_px": np.asarray(prediction.scale_px, np.float32),
+        "masks": np.asarray(prediction.masks, np.uint8),
+        "level": np.asarray(prediction.level, np.float32),
+    }
+    if prediction.images is not None:
+        arrays["images"] = np.asarray(prediction.images, np.str_)
+    with replacing(path) as handle:
+        np.savez_compressed(handle, allow_pickle=False, **arrays)
+
+
+# Lifted shapes as mesh files: binary glTF, Wavefront OBJ, Stanford PLY, STL.
+
+_COLOUR = [0.62, 0.55, 0.46, 1.0]
+_APART = 1.25
+"""From middle to middle of neighbours, in widths of the widest."""
+_STL_HEADER = 80
+
+
+def write_glb(
+    prediction: ShapePrediction, items: list[int], cut: Sequence[Surface], frame: Frame, path: str | Path
+) -> str:
+    """Write a scene with a node for each item, side by side along x; returns what was cleaned.
+
+    ``asset.extras`` holds unit, axes and where each item stands. Lengths are metres in the glTF 2.0
+    Specification (section 3.4): millimetres become metres; pixels stay pixels.
+    """
+    import trimesh
+    from trimesh.exchange.gltf import export_glb
+    from trimesh.visual.material import PBRMaterial
+    from trimesh.visual.texture import TextureVisuals
+
+    look = PBRMaterial("shape", baseColorFactor=_COLOUR, metallicFactor=0.0, roughnessFactor=0.75)
+    solids = [_solid(prediction, item, one, frame) for item, one in zip(items, cut, strict=True)]
+    metric = frame.unit == "mm"
+    for solid in solids if metric else ():
+        solid.apply_scale(0.001)
+    step = _APART * max(float(np.ptp(solid.vertices[:, 0])) for solid in solids)
+    scene = trimesh.Scene(base_frame="world")
+    for number, (item, solid) in enumerate(zip(items, solids, strict=True)):
+        solid.visual = TextureVisuals(material=look)
+        aside = np.eye(4)
+        aside[0, 3] = (number - (len(solids) - 1) / 2) * step
+        name = f"{number + 1} {prediction.names[item]}" if len(items) > 1 else prediction.names[item]
+        scene.add_geometry(solid, name, name, transform=aside)
+    about = frame.about(prediction, items) | {"apart": step if len(items) > 1 else 0.0}
+    if metric:
+        about |= {"unit": "m", "unit_is": str(about["unit_is"]).replace("millimetres", "metres")}
+
+    def describe(tree: dict[str, Any]) -> None:
+        tree["asset"] = {"version": "2.0", "generator": "uplift", "extras": about}
+
+    _save(path, export_glb(scene, include_normals=True, tree_postprocessor=describe))
+    return _told(cut)
+
+
+def write_obj(
+    prediction: ShapePrediction, items: list[int], cut: Sequence[Surface], frame: Frame, path: str | Path
+) -> str:
+    """Write one item's corners, normals and triangles, with unit and axes in comment lines."""
+    from trimesh.exchange.obj import export_obj
+
+    solid = _solid(prediction, items[0], cut[0], frame)
+    header = "\n# ".join(_lines(prediction, items, frame))
+    text = export_obj(solid, include_normals=True, include_color=False, include_texture=False, digits=6, header=header)
+    _save(path, f"{text}\n".encode())
+    return _told(cut)
+
+
+def write_ply(
+    prediction: ShapePrediction, items: list[int], cut: Sequence[Surface], frame: Frame, path: str | Path
+) -> str:
+    """Write one item's corners with normals and its triangles, binary, with unit and axes in comment lines."""
+    from trimesh.exchange.ply import export_ply
+
+    data = export_ply(_solid(prediction, items[0], cut[0], frame), vertex_normal=True)
+    first = data.index(b"\n", data.index(b"format ")) + 1
+    comments = "".join(f"comment {line}\n" for line in _lines(prediction, items, frame))
+    _save(path, data[:first] + comments.encode("ascii", "replace") + data[first:])
+    return _told(cut)
+
+
+def write_stl(
+    prediction: ShapePrediction, items: list[int], cut: Sequence[Surface], frame: Frame, path: str | Path
+) -> str:
+    """Write one item's triangles, binary; the 80 letters of the header name unit and axes."""
+    from trimesh.exchange.stl import export_stl
+
+    data = export_stl(_solid(prediction, items[0], cut[0], frame))
+    # A header that begins with "solid" is read as text by many programs.
+    header = f"uplift, unit {frame.unit}, axes {frame.axes}, {prediction.names[items[0]]}"
+    _save(path, header.encode("ascii", "replace")[:_STL_HEADER].ljust(_STL_HEADER) + data[_STL_HEADER:])
+    return _told(cut)
+
+
+def _solid(prediction: ShapePrediction, item: int, one: Surface, frame: Frame) -> trimesh.Trimesh:
+    import trimesh
+
+    assert one.mesh is not None
+    return trimesh.Trimesh(frame.placed(one.mesh, prediction, item), one.mesh.faces, process=False)
+
+
+def _lines(prediction: ShapePrediction, items: list[int], frame: Frame) -> list[str]:
+    """Return what a file says of itself, a fact a line."""
+    about = frame.about(prediction, items)
+    (item,) = about["items"]
+    rest = {key: value for key, value in item.items() if key != "name"}
+    return [
+        "uplift, a shape lifted from a mask",
+        f"name: {' '.join(item['name'].split())}",
+        f"unit: {about['unit']} ({about['unit_is']})",
+        f"axes: {about['axes']} ({about['axes_are']}), right-handed",
+        f"from the shape's own frame to the camera's, in units of the crop: {json.dumps(rest)}",
+    ]
+
+
+def _told(cut: Sequence[Surface]) -> str:
+    words = [one.told() for one in cut]
+    if len(cut) == 1:
+        return words[0]
+    return "; ".join(f"{number}: {word}" for number, word in enumerate(words, 1) if word)
+
+
+def _save(path: str | Path, data: bytes) -> None:
+    with replacing(path) as handle:
+        handle.write(data)

@@ -1,0 +1,274 @@
+"""Predictions as tables: CSV, JSON that says what it holds, and npz in the layout of the data files."""
+
+from __future__ import annotations
+
+import json
+import math
+import zipfile
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from uplift.config.files import replacing
+from uplift.export.scene import AXES
+from uplift.models.prediction import Prediction
+
+__all__ = ["NUMBER", "filled_in", "numbers", "parts", "plain", "seen_keypoints", "write_csv", "write_json", "write_npz"]
+
+# What the writers of text share: numbers as text, identities as plain values, keypoints that were seen.
+
+NUMBER = {"place": "%.7g", "px": "%.6g", "share": "%.4g"}
+"""How numbers are rounded: places to the seven digits of a 32-bit number, pixels to six, confidence to four."""
+_ROWS = 256
+
+
+def plain(values: np.ndarray) -> list[Any]:
+    """Return numbers and texts as Python has them, None for what is not a number; anything else as its text."""
+    return [_plain(value) for value in np.asarray(values).tolist()]
+
+
+def _plain(value: Any) -> Any:
+    if value is None or isinstance(value, bool | int | str):
+        return value
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    return value.decode("utf-8", "replace") if isinstance(value, bytes) else str(value)
+
+
+def seen_keypoints(prediction: Prediction) -> Float[np.ndarray, "frames joints 2"]:
+    """Return the keypoints, px, NaN where a joint was not seen."""
+    seen = np.isfinite(prediction.keypoints).all(-1) & (prediction.confidence > 0)
+    return np.where(seen[..., None], prediction.keypoints, np.nan)
+
+
+def parts(prediction: Prediction) -> Iterator[Prediction]:
+    """Yield the frames in parts small enough to be held as text."""
+    for start in range(0, len(prediction), _ROWS):
+        yield prediction.select(np.arange(start, min(start + _ROWS, len(prediction))))
+
+
+def numbers(*columns: np.ndarray) -> list[tuple[float, ...]]:
+    """Return the numbers of each frame out of arrays (frames ...), in their order; what is not finite is NaN."""
+    rows = np.concatenate([column.reshape(len(column), -1).astype(np.float64) for column in columns], 1)
+    rows = np.where(np.isfinite(rows), rows, np.nan) + 0.0  # + 0.0: -0 is written 0
+    return list(map(tuple, rows.tolist()))
+
+
+def filled_in(template: str, row: tuple[float, ...], missing: str) -> str:
+    """Return ``template`` with the numbers of ``row`` in their places, ``missing`` where one is NaN."""
+    text = template % row
+    return text.replace("nan", missing) if "nan" in text else text
+
+
+# Predictions as a table, CSV: one row per frame and individual, for spreadsheets, R and pandas.
+
+
+def write_csv(prediction: Prediction, path: str | Path) -> None:
+    """Write identity, unit and axes, then of every joint its place, keypoint and confidence; UTF-8, commas.
+
+    ``NAME_x``, ``NAME_y``, ``NAME_z`` are in the row's ``unit`` and ``axes``, from its ``origin``: the
+    ``camera`` where the root has a known place, else the ``root`` joint. ``NAME_u_px`` and ``NAME_v_px``
+    are the keypoint as it was seen; ``NAME_spread`` and ``NAME_filled`` (0 or 1) are there where they are
+    known. What is missing is an empty cell. Raises ValueError where two columns would have one name.
+    """
+    facts = _facts(prediction)
+    columns = _columns(prediction)
+    names = [*prediction.identity, *facts, *(name for name, _ in columns)]
+    if len(set(names)) < len(names):
+        twice = sorted({name for name in names if names.count(name) > 1})
+        raise ValueError(f"prediction: several columns would be called {', '.join(twice)}")
+    template = ",".join(style for _, style in columns) + "\n"
+    known = ",".join(map(_cell, facts.values())) + ","
+    with replacing(path) as handle:
+        handle.write(_bytes(",".join(map(_cell, names)) + "\n"))
+        for part in parts(prediction):
+            keys = [[_cell(value) for value in plain(values)] for values in part.identity.values()]
+            labels = zip(*keys, strict=True) if keys else ((),) * len(part)
+            for label, row in zip(labels, numbers(*_csv_arrays(part)), strict=True):
+                handle.write(_bytes(",".join((*label, known)) + filled_in(template, row, "")))
+
+
+def _facts(prediction: Prediction) -> dict[str, str]:
+    """Return what is the same in every row."""
+    origin = "root" if prediction.root is None else "camera"
+    facts = {"unit": prediction.unit, "axes": prediction.axes, "origin": origin}
+    known = prediction.fps is not None and math.isfinite(prediction.fps)
+    return {**facts, "fps": f"{prediction.fps:.7g}"} if known else facts
+
+
+def _columns(prediction: Prediction) -> list[tuple[str, str]]:
+    """Return the name of each column of numbers and how its numbers are written, in the order of `_csv_arrays`."""
+    place, px, share = NUMBER["place"], NUMBER["px"], NUMBER["share"]
+    joint = {"x": place, "y": place, "z": place, "u_px": px, "v_px": px, "confidence": share}
+    if prediction.spread is not None:
+        joint["spread"] = px
+    if prediction.filled is not None:
+        joint["filled"] = "%d"
+    columns = [(f"{name}_{key}", style) for name in prediction.joint_names for key, style in joint.items()]
+    return columns if prediction.tilt_deg is None else [("tilt_deg", px), *columns]
+
+
+def _csv_arrays(prediction: Prediction) -> list[np.ndarray]:
+    """Return the numbers of each frame (frames ...)."""
+    optional = [values[..., None] for values in (prediction.spread, prediction.filled) if values is not None]
+    of_joints = [prediction.points, seen_keypoints(prediction), prediction.confidence[..., None], *optional]
+    table = np.concatenate(of_joints, -1)
+    return [table] if prediction.tilt_deg is None else [prediction.tilt_deg, table]
+
+
+def _cell(value: object) -> str:
+    """Return a value as the text of one cell, in quotes where it would not be one cell without."""
+    text = "" if value is None else str(value)
+    if text.strip() != text or any(sign in text for sign in ',"\r\n'):
+        return '"' + text.replace('"', '""') + '"'
+    return text
+
+
+def _bytes(text: str) -> bytes:
+    return text.encode("utf-8", "backslashreplace")
+
+
+# Predictions as JSON that says what it holds: one object, one line per frame and individual.
+
+_FORMAT = "uplift poses"
+_VERSION = 1
+_MEANING = {
+    "identity": "which frame, and of whom",
+    "pose": "joints x [x, y, z], relative to the root joint, in unit and axes",
+    "root": "[x, y, z] of the root joint, from the camera, in unit and axes",
+    "keypoints": "joints x [u, v] as seen, px, u right, v down",
+    "confidence": "joints, 0 to 1; 0 is not seen",
+    "spread": "joints, the error to expect of the depth, of a filled joint of its whole place, in unit",
+    "filled": "joints, true where the joint was not seen",
+    "tilt_deg": "how far the camera looks down, degrees",
+}
+
+
+def write_json(prediction: Prediction, path: str | Path) -> None:
+    """Write names, bones, unit and axes, then every frame; what is missing is null.
+
+    Places are rounded to seven significant digits. Long films are written part by part: their text is
+    never in memory as a whole.
+    """
+    with replacing(path) as handle:
+        lines = (
+            f" {json.dumps(key)}: {json.dumps(value, allow_nan=False)},\n" for key, value in _head(prediction).items()
+        )
+        handle.write(("{\n" + "".join(lines) + ' "frames": [').encode())
+        before = "\n  "
+        for part in parts(prediction):
+            handle.write((before + ",\n  ".join(_frames(part))).encode())
+            before = ",\n  "
+        handle.write(b"\n ]\n}\n")
+
+
+def _head(prediction: Prediction) -> dict[str, Any]:
+    fps = prediction.fps
+    unknown = [name for name in _MEANING if getattr(prediction, name) is None]
+    return {
+        "format": _FORMAT,
+        "version": _VERSION,
+        "skeleton": prediction.skeleton.name,
+        "joint_names": list(prediction.joint_names),
+        "root_joint": prediction.skeleton.root,
+        "bones": [list(bone) for bone in prediction.skeleton.bones],
+        "unit": prediction.unit,
+        "axes": prediction.axes,
+        "axes_meaning": AXES.get(prediction.axes),
+        "fps": float(f"{fps:.7g}") if fps is not None and math.isfinite(fps) else None,
+        "image_size": None if prediction.image_size is None else [int(side) for side in prediction.image_size],
+        "fields": {name: told for name, told in _MEANING.items() if name not in unknown},
+    }
+
+
+def _blocks(prediction: Prediction) -> dict[str, tuple[np.ndarray, str]]:
+    """Return the numbers that each frame holds, with how they are written."""
+    optional: dict[str, tuple[np.ndarray | None, str]] = {
+        "pose": (prediction.pose, NUMBER["place"]),
+        "root": (prediction.root, NUMBER["place"]),
+        "keypoints": (seen_keypoints(prediction), NUMBER["px"]),
+        "confidence": (prediction.confidence, NUMBER["share"]),
+        "spread": (prediction.spread, NUMBER["px"]),
+        "tilt_deg": (prediction.tilt_deg, NUMBER["px"]),
+    }
+    return {name: (values, style) for name, (values, style) in optional.items() if values is not None}
+
+
+def _frames(prediction: Prediction) -> Iterator[str]:
+    """Yield each frame as one line of JSON."""
+    blocks = _blocks(prediction)
+    template = "".join(f', "{name}": {_shaped(values.shape[1:], style)}' for name, (values, style) in blocks.items())
+    keys = [json.dumps(key) for key in prediction.identity]
+    columns = [plain(values) for values in prediction.identity.values()]
+    labels = zip(*columns, strict=True) if columns else ((),) * len(prediction)
+    rows = numbers(*(values for values, _ in blocks.values()))
+    for index, (label, row) in enumerate(zip(labels, rows, strict=True)):
+        known = ", ".join(f"{key}: {json.dumps(value)}" for key, value in zip(keys, label, strict=True))
+        line = f'{{"identity": {{{known}}}{filled_in(template, row, "null")}'
+        if prediction.filled is not None:
+            line += (
+                f', "filled": {json.dumps(np.asarray(prediction.filled[index], bool).tolist(), separators=(",", ":"))}'
+            )
+        yield line + "}"
+
+
+def _shaped(shape: tuple[int, ...], style: str) -> str:
+    """Return the text of nested lists of this shape with ``style`` in the place of every number."""
+    return style if not shape else "[" + ",".join([_shaped(shape[1:], style)] * shape[0]) + "]"
+
+
+# Predictions as an ``.npz`` in the layout of the data files, readable without pickle.
+
+_OLDEST = (1980, 1, 1, 0, 0, 0)
+
+
+def write_npz(prediction: Prediction, path: str | Path) -> None:
+    """Write keypoints, poses, unit, tilt, names, bones and identity; the same poses give the same bytes.
+
+    ``pose`` and ``level_pose`` (frames joints 3) are in ``unit``, relative to the root; ``bones``
+    (bones 2) indexes ``joint_names``; ``root`` (frames 3) is its place where that is known. The truth is not written: ``pose`` is the prediction.
+    """
+    arrays = _npz_arrays(prediction)
+    with replacing(path) as handle, zipfile.ZipFile(handle, "w") as archive:
+        for name, array in arrays.items():
+            _add(archive, name, array)
+
+
+def _add(archive: zipfile.ZipFile, name: str, array: np.ndarray) -> None:
+    entry = zipfile.ZipInfo(f"{name}.npy", date_time=_OLDEST)
+    # Names repeat and shrink a hundredfold; floats hardly shrink and would make writing slow.
+    entry.compress_type = zipfile.ZIP_DEFLATED if array.dtype.kind in "US" else zipfile.ZIP_STORED
+    with archive.open(entry, "w", force_zip64=True) as stream:
+        np.lib.format.write_array(stream, array, allow_pickle=False)
+
+
+def _npz_arrays(prediction: Prediction) -> dict[str, np.ndarray]:
+    arrays = {
+        "keypoints": np.asarray(prediction.keypoints, np.float32),
+        "confidence": np.asarray(prediction.confidence, np.float32),
+        "joint_names": np.asarray(prediction.joint_names, np.str_),
+        "pose": np.asarray(prediction.pose, np.float32),
+        "level_pose": np.asarray(prediction.level_pose, np.float32),
+        "unit": np.asarray(prediction.unit),
+        "bones": prediction.bone_indices,
+        "skeleton": np.asarray(prediction.skeleton.name),
+        "axes": np.asarray(prediction.axes),
+    }
+    optional = {
+        "tilt_deg": (prediction.tilt_deg, np.float32),
+        "spread": (prediction.spread, np.float32),
+        "root": (prediction.root, np.float32),
+        "filled": (prediction.filled, np.bool_),
+        "fps": (prediction.fps, np.float32),
+        "image_size": (prediction.image_size, np.int64),
+    }
+    arrays |= {name: np.asarray(value, kind) for name, (value, kind) in optional.items() if value is not None}
+    for name, values in prediction.identity.items():
+        if name in arrays:
+            raise ValueError(f"prediction: identity '{name}' would overwrite the array of that name")
+        values = np.asarray(values)
+        arrays[name] = values.astype(np.str_) if values.dtype.kind == "O" else values
+    return arrays

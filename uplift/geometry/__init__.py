@@ -1,0 +1,1 @@
+"""Cameras, rotations, units, meshes: geometry that knows nothing of data or training."""

@@ -1,1 +1,0 @@
-"""Meshes: read, posed, made up, filled, drawn as masks, cut out of occupancy grids."""

@@ -1,0 +1,161 @@
+"""All metrics of lifted shapes against the truth: overall, per category and per item."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+
+import numpy as np
+from jaxtyping import Bool
+
+from uplift.data.masks import Placed
+from uplift.errors import UserError
+from uplift.metrics.protocols import metric_kind, metric_order
+from uplift.metrics.report import ShapeEvaluation
+from uplift.metrics.shape_metrics import (
+    OWN_MIRROR,
+    TrueItem,
+    azimuth_errors_deg,
+    elevation_errors_deg,
+    predicted,
+    score_item,
+)
+from uplift.models.prediction import ShapePrediction
+
+__all__ = ["RESOLUTION", "evaluate_all", "evaluate_shapes", "filled_truths"]
+
+RESOLUTION = 64
+"""Voxels along the grid that the truth is filled on."""
+
+
+def evaluate_shapes(
+    prediction: ShapePrediction,
+    truth: Placed,
+    masks: np.ndarray,
+    name: str,
+    category: np.ndarray | None = None,
+    resolution: int = RESOLUTION,
+) -> ShapeEvaluation:
+    """Return every metric of lifted shapes, a mean over items (see docs/shape-metrics.md); rows match.
+
+    Depth is relative: each shape is first moved along z until the centroid of its occupied volume is as
+    far away as the truth's. Sizes, x and y follow from the mask and are compared as they are.
+    ``masks`` are the input masks (items side side, 0 to 255), ``name`` names the truth in the report.
+
+    Raises:
+        UserError: other numbers of items, none, or a true mesh that is not in its own unit.
+    """
+    return evaluate_all({"": prediction}, truth, masks, name, category, resolution)[""]
+
+
+def evaluate_all(
+    predictions: Mapping[str, ShapePrediction],
+    truth: Placed,
+    masks: np.ndarray,
+    name: str,
+    category: np.ndarray | None = None,
+    resolution: int = RESOLUTION,
+) -> dict[str, ShapeEvaluation]:
+    """Return `evaluate_shapes` of several predictions of the same items; what is asked of the truth is asked once."""
+    for title, prediction in predictions.items():
+        _check(title or "the prediction", prediction, truth, masks)
+    found: dict[str, list[dict[str, float]]] = {title: [{}] * len(truth) for title in predictions}
+    for row, filled in filled_truths(truth, np.arange(len(truth)), resolution):
+        item = TrueItem(truth, row, filled)
+        for title, prediction in predictions.items():
+            found[title][row] = score_item(predicted(prediction, row), item, masks[row])
+    groups = _categories(truth) if category is None else np.asarray(category).astype(str)
+    return {
+        title: _gathered(found[title], prediction, truth, name, groups) for title, prediction in predictions.items()
+    }
+
+
+def _check(title: str, prediction: ShapePrediction, truth: Placed, masks: np.ndarray) -> None:
+    if not len(truth) == len(prediction) == len(masks):
+        raise UserError(
+            f"{title} has {len(prediction)} shapes, the truth {len(truth)}, and there are {len(masks)} masks: "
+            "expected one of each an item, in the same order."
+        )
+    if not len(truth):
+        raise UserError(f"{title}: no shapes to compare.")
+    for part in ("view", "scale", "offset"):
+        wrong = ~np.isfinite(np.asarray(getattr(prediction, part), np.float64)).reshape(len(truth), -1).all(1)
+        if part == "scale":
+            wrong |= np.asarray(prediction.scale) <= 0
+        if wrong.any():
+            raise UserError(
+                f"{title}: '{part}' of {int(wrong.sum())} shapes is no place to stand, the first "
+                f"{prediction.names[int(wrong.argmax())]}: expected finite numbers, and a scale above 0."
+            )
+
+
+def filled_truths(
+    truth: Placed, rows: np.ndarray, resolution: int
+) -> Iterator[tuple[int, Bool[np.ndarray, "depth height width"]]]:
+    """Yield each of ``rows`` with its true shape's filled grid, shape by shape: each mesh is filled once."""
+    from uplift.geometry.mesh import fill
+
+    last, filled = -1, np.zeros((0, 0, 0), bool)
+    for row in rows[np.argsort(truth.shape[rows], kind="stable")].tolist():
+        shape = int(truth.shape[row])
+        if shape != last:
+            mesh = truth.meshes[shape]
+            if len(mesh.vertices) and np.abs(mesh.vertices).max() > 1:
+                raise UserError(
+                    f"true mesh {mesh.name or shape} reaches {np.abs(mesh.vertices).max():.3g}, expected at most 1: "
+                    "its own unit (Mesh.in_unit)."
+                )
+            last, filled = shape, np.asarray(fill(mesh, resolution))
+        yield row, filled
+
+
+def _categories(truth: Placed) -> np.ndarray:
+    return np.array([truth.meshes[shape].category for shape in truth.shape.tolist()], dtype=str)
+
+
+def _gathered(
+    found: list[dict[str, float]], prediction: ShapePrediction, truth: Placed, name: str, groups: np.ndarray
+) -> ShapeEvaluation:
+    per_item = {metric: np.array([values[metric] for values in found]) for metric in found[0]}
+    for metric, errors in (("azimuth_deg", azimuth_errors_deg), ("elevation_deg", elevation_errors_deg)):
+        values = errors(np.asarray(prediction.view, np.float64), np.asarray(truth.view, np.float64))
+        if values is not None:
+            per_item[metric] = values
+    shown = [group for group in np.unique(groups).tolist() if group]
+    return ShapeEvaluation(
+        data=name,
+        overall=_means(per_item, np.ones(len(found), bool)),
+        per_category={group: _means(per_item, groups == group) for group in shown},
+        items=len(found),
+        per_item=per_item,
+        names=list(prediction.names),
+        category_items={group: int((groups == group).sum()) for group in shown},
+        notes=_notes(per_item, prediction),
+    )
+
+
+def _means(per_item: dict[str, np.ndarray], rows: np.ndarray) -> dict[str, float]:
+    """Return the mean of each metric over ``rows`` (the median of degrees), where it applies to any."""
+    means = {}
+    for metric in sorted(per_item, key=metric_order):
+        values = per_item[metric][rows]
+        values = values[np.isfinite(values)]
+        if len(values):
+            means[metric] = float(np.median(values) if metric_kind(metric) == "deg" else values.mean())
+    return means
+
+
+def _notes(per_item: dict[str, np.ndarray], prediction: ShapePrediction) -> list[str]:
+    notes = ["depth is relative: each shape was moved along z until its centroid was as far away as the truth's"]
+    empty = sum(not (grid > prediction.level).any() for grid in prediction.occupancy)
+    if empty:
+        notes.append(
+            f"{empty} of {len(prediction)} predicted shapes are empty, nothing above {prediction.level:g}: "
+            "they score 0, and a chamfer of 1"
+        )
+    own = int(np.isnan(per_item["handedness"]).sum())
+    if own:
+        notes.append(
+            f"{own} of {len(prediction)} true shapes are their own mirror image in depth (IoU above {OWN_MIRROR:g}): "
+            "they have no handedness"
+        )
+    return notes

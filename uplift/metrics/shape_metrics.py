@@ -1,0 +1,531 @@
+"""The metrics of lifted shapes: volume, surface, silhouettes and views, one pure function each."""
+
+from __future__ import annotations
+
+import functools
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+import torch
+from jaxtyping import Bool, Float, Int
+from scipy.spatial import KDTree
+from skimage.measure import marching_cubes
+from torch import Tensor
+
+from uplift.data.masks import Placed
+from uplift.geometry.mesh import Mesh
+from uplift.geometry.rotation import about_y
+from uplift.geometry.silhouette import cover
+from uplift.models.prediction import ShapePrediction
+
+__all__ = [
+    "NEW_AZIMUTHS_DEG",
+    "NOTHING",
+    "OWN_MIRROR",
+    "POINTS",
+    "SIDE",
+    "TIE",
+    "Silhouette",
+    "Standing",
+    "Surface",
+    "TrueItem",
+    "azimuth_errors_deg",
+    "compare_surfaces",
+    "drawn",
+    "elevation_errors_deg",
+    "grid_surface",
+    "handedness",
+    "mesh_surface",
+    "of_mask",
+    "overlap",
+    "predicted",
+    "score_item",
+    "seen_iou",
+    "silhouette",
+    "true",
+    "turns",
+    "volume_iou",
+    "voxel_centres",
+]
+
+# `Standing`: an occupancy grid where it stands in the camera frame, sampled, moved and mirrored in depth.
+
+_OF_GRID = ("inside", "empty", "span", "surface")
+
+
+@dataclass(frozen=True, eq=False)
+class Standing:
+    """An occupancy grid [z, y, x] of its own cube of -1 to 1; own point p is at ``matrix`` @ p + ``origin``."""
+
+    occupancy: Float[Tensor, "depth height width"]
+    level: float
+    matrix: Float[np.ndarray, "3 3"]
+    """From the own frame to the camera's: a rotation times the scale, with a reflection where mirrored."""
+    origin: Float[np.ndarray, "3"]
+    """Where the own frame's origin is in the camera frame."""
+    distance: float
+    """Of the camera; infinite for parallel rays."""
+
+    @cached_property
+    def inside(self) -> Bool[np.ndarray, "depth height width"]:
+        """Voxels that are occupied."""
+        return (self.occupancy > self.level).numpy()
+
+    @cached_property
+    def empty(self) -> bool:
+        """Whether no voxel is occupied."""
+        return not self.inside.any()
+
+    @cached_property
+    def span(self) -> tuple[slice, slice, slice]:
+        """Where along z, y and x voxels are occupied, of a shape that is not empty."""
+        z, y, x = (np.flatnonzero(self.inside.any(other)) for other in ((1, 2), (0, 2), (0, 1)))
+        return slice(int(z[0]), int(z[-1]) + 1), slice(int(y[0]), int(y[-1]) + 1), slice(int(x[0]), int(x[-1]) + 1)
+
+    @cached_property
+    def surface(self) -> tuple[Float[np.ndarray, "vertices 3"], Int[np.ndarray, "faces 3"]]:
+        """Vertices in the own frame, and faces, of the surface at the level (marching cubes); none of an empty shape."""
+        if self.empty:
+            return np.zeros((0, 3)), np.zeros((0, 3), int)
+        side = self.occupancy.shape[0]
+        around = tuple(slice(s.start, s.stop + 2) for s in self.span)  # one more on each side, of a padded grid
+        index, faces, _, _ = marching_cubes(np.pad(self.occupancy.numpy(), 1)[around], self.level)
+        index = (index + [s.start - 1 for s in around])[:, ::-1]
+        return (2 * index + 1) / side - 1, faces.astype(int)
+
+    @cached_property
+    def voxel(self) -> float:
+        """Side of a voxel in the camera frame."""
+        return 2 / self.occupancy.shape[0] * float(abs(np.linalg.det(self.matrix))) ** (1 / 3)
+
+    @cached_property
+    def occupied(self) -> Float[np.ndarray, "voxels 3"]:
+        """Centres of the occupied voxels in the camera frame."""
+        index = np.argwhere(self.inside)[:, ::-1]
+        return self.to_camera((2 * index + 1) / self.occupancy.shape[0] - 1)
+
+    @cached_property
+    def volume(self) -> float:
+        """Occupied volume in units of the camera frame."""
+        return int(self.inside.sum()) * self.voxel**3
+
+    @cached_property
+    def depth(self) -> float:
+        """Depth of the centroid of the occupied volume; the origin's where nothing is occupied."""
+        return float(self.origin[2]) if self.empty else float(self.occupied[:, 2].mean())
+
+    @cached_property
+    def inverse(self) -> Float[np.ndarray, "3 3"]:
+        """From the camera's directions to the own frame's."""
+        return np.linalg.inv(self.matrix)
+
+    def to_camera(self, points: Float[np.ndarray, "*points 3"]) -> Float[np.ndarray, "*points 3"]:
+        """Return points of the own frame in the camera's."""
+        return points @ self.matrix.T + self.origin
+
+    def to_own(self, points: Float[np.ndarray, "*points 3"]) -> Float[np.ndarray, "*points 3"]:
+        """Return points of the camera frame in the own one."""
+        return (points - self.origin) @ self.inverse.T
+
+    def inside_at(
+        self, points: Float[Tensor, "depth height width 3"], matrix: np.ndarray, origin: np.ndarray
+    ) -> Bool[np.ndarray, "depth height width"]:
+        """Return which points of another frame are inside; that frame's point p is at ``matrix`` @ p + ``origin``."""
+        turn = torch.from_numpy(self.inverse @ matrix).float()
+        start = torch.from_numpy(self.inverse @ (origin - self.origin)).float()
+        return (self.sample(points @ turn.T + start) > self.level).numpy()
+
+    def sample(self, points: Float[Tensor, "depth height width 3"]) -> Float[Tensor, "depth height width"]:
+        """Return the occupancy at points of the own frame, between voxels linearly; 0 outside the cube."""
+        found = torch.nn.functional.grid_sample(self.occupancy[None, None], points[None].float(), align_corners=False)
+        return found[0, 0]
+
+    def moved(self, step: float) -> Standing:
+        """Return the shape farther away by ``step``."""
+        return self._elsewhere(origin=self.origin + np.array([0, 0, step]))
+
+    def turned(self, rotation: Float[np.ndarray, "3 3"], about: Float[np.ndarray, "3"]) -> Standing:
+        """Return the shape turned in the camera frame about a point, which becomes the frame's origin."""
+        return self._elsewhere(matrix=rotation @ self.matrix, origin=rotation @ (self.origin - about))
+
+    def mirrored(self) -> Standing:
+        """Return the shape mirrored in depth, z to -z, its centroid where it was."""
+        flip = np.array([1.0, 1.0, -1.0])
+        middle = np.array([0, 0, 2 * self.depth])
+        return self._elsewhere(matrix=flip[:, None] * self.matrix, origin=flip * self.origin + middle)
+
+    def _elsewhere(self, **place: np.ndarray) -> Standing:
+        """Return the same grid at another place: what is known of the grid itself is not found again."""
+        other = replace(self, **place)
+        other.__dict__.update({name: self.__dict__[name] for name in _OF_GRID if name in self.__dict__})
+        return other
+
+
+def predicted(prediction: ShapePrediction, row: int) -> Standing:
+    """Return a lifted shape where the prediction says it stands."""
+    placed = (prediction.view, prediction.scale, prediction.offset, prediction.distance)
+    return _standing(prediction.occupancy[row], prediction.level, *(part[row] for part in placed))
+
+
+def true(truth: Placed, row: int, filled: Bool[np.ndarray, "depth height width"]) -> Standing:
+    """Return a true shape where it stands, given its filled grid."""
+    return _standing(filled, 0.5, *(part[row] for part in (truth.view, truth.scale, truth.offset, truth.distance)))
+
+
+def _standing(occupancy: np.ndarray, level: float, view, scale, offset, distance) -> Standing:
+    return Standing(
+        torch.from_numpy(np.ascontiguousarray(occupancy, np.float32)),
+        level,
+        np.asarray(view, np.float64) * float(scale),
+        np.array([*offset, 0.0], np.float64),
+        float(distance),
+    )
+
+
+@functools.lru_cache(3)
+def voxel_centres(resolution: int) -> Float[Tensor, "depth height width 3"]:
+    """Return the voxel centres (x, y, z) of the cube from -1 to 1, indexed [z, y, x]; not to be changed."""
+    along = (2 * torch.arange(resolution) + 1) / resolution - 1
+    return torch.stack(torch.meshgrid(along, along, along, indexing="ij")[::-1], -1)
+
+
+# Silhouettes of occupancy grids and meshes, in the input view and in new views about gravity, and their overlap.
+
+SIDE = 64
+"""Pixels along the crop in the input view, and along the truth's bounding sphere in a new one."""
+NEW_AZIMUTHS_DEG = tuple(range(40, 360, 40))
+"""Turns about gravity from the input view: evenly spread, none nearer to it than 40 degrees, none opposite it."""
+
+
+@dataclass(frozen=True)
+class Silhouette:
+    """Covered pixels of an endless image; the corner of four pixels is at its middle."""
+
+    row: int
+    """Of the first row of ``covered``."""
+    column: int
+    covered: Bool[np.ndarray, "height width"]
+
+
+_NOTHING = Silhouette(0, 0, np.zeros((0, 0), bool))
+_NEAREST = 0.05
+"""Least distance from the camera, of its distance: what is nearer is drawn as if it were there."""
+_FARTHEST = 2 * SIDE
+"""Pixels from the middle beyond which nothing is drawn."""
+
+
+def silhouette(shape: Standing, pixel: float) -> Silhouette:
+    """Return the pixels whose centre's ray meets the shape's surface at its level; ``pixel`` is a pixel's side."""
+    vertices, faces = shape.surface
+    return drawn(shape.to_camera(vertices), faces, shape.distance, pixel)
+
+
+def drawn(
+    points: Float[np.ndarray, "vertices 3"], faces: Int[np.ndarray, "faces 3"], distance: float, pixel: float
+) -> Silhouette:
+    """Return the pixels whose centre's ray meets one of the triangles; ``points`` are in the camera frame."""
+    if not len(faces):
+        return _NOTHING
+    image = points[:, :2] / np.maximum(1 + points[:, 2:] / distance, _NEAREST) / pixel
+    low = np.clip(np.floor(image.min(0)), -_FARTHEST, _FARTHEST).astype(int)
+    width, height = (np.clip(np.ceil(image.max(0)), -_FARTHEST, _FARTHEST).astype(int) - low).tolist()
+    if not width or not height:
+        return _NOTHING
+    return Silhouette(int(low[1]), int(low[0]), cover(image - low, faces, max(width, height))[:height, :width])
+
+
+def of_mask(mask: np.ndarray) -> Silhouette:
+    """Return the pixels of a crop (side side, 0 to 255) of which more than half is covered, at `SIDE` pixels."""
+    covered = torch.from_numpy(mask.astype(np.float32))[None, None]
+    if mask.shape[0] != SIDE:
+        covered = torch.nn.functional.interpolate(covered, (SIDE, SIDE), mode="area")
+    return Silhouette(-SIDE // 2, -SIDE // 2, (covered[0, 0] > 127.5).numpy())
+
+
+def overlap(first: Silhouette, second: Silhouette) -> float:
+    """Return the pixels that both cover, of those that either covers; 0 where neither covers any."""
+    low = max(first.row, second.row), max(first.column, second.column)
+    high = [
+        min(a + n, b + m)
+        for a, n, b, m in zip(
+            (first.row, first.column),
+            first.covered.shape,
+            (second.row, second.column),
+            second.covered.shape,
+            strict=True,
+        )
+    ]
+    parts = [
+        s.covered[
+            max(low[0] - s.row, 0) : max(high[0] - s.row, 0), max(low[1] - s.column, 0) : max(high[1] - s.column, 0)
+        ]
+        for s in (first, second)
+    ]
+    shared = int((parts[0] & parts[1]).sum()) if parts[0].size and parts[1].size else 0
+    either = int(first.covered.sum()) + int(second.covered.sum()) - shared
+    return shared / either if either else 0.0
+
+
+def seen_iou(shape: Standing, mask: np.ndarray) -> float:
+    """Return the overlap of a shape's silhouette in its own camera with the input mask's."""
+    return overlap(silhouette(shape, 2 / SIDE), of_mask(mask))
+
+
+def turns(view: Float[np.ndarray, "3 3"]) -> list[np.ndarray]:
+    """Return the rotations of the camera frame that turn a shape seen from ``view`` about its own y, gravity."""
+    azimuth = torch.deg2rad(torch.tensor(NEW_AZIMUTHS_DEG, dtype=torch.float64))
+    return [view @ turn @ view.T for turn in about_y(azimuth).numpy()]
+
+
+# Surfaces: points and normals of meshes and of occupancy grids, and how near two of them are.
+
+POINTS = 10_000
+"""Points on each surface."""
+THRESHOLD = 0.02
+"""Of the f_score, in the truth's longest side."""
+NOTHING = {"chamfer": 1.0, "f_score": 0.0, "normal_consistency": 0.0}
+"""What a shape without surface scores: its distance is taken for the truth's longest side."""
+
+
+@dataclass(frozen=True)
+class Surface:
+    """Points of a surface and the unit normals there, in the camera frame."""
+
+    points: Float[np.ndarray, "points 3"]
+    normals: Float[np.ndarray, "points 3"]
+
+    @cached_property
+    def tree(self) -> KDTree:
+        """Of the points; built for few questions."""
+        return KDTree(self.points, leafsize=32, compact_nodes=False, balanced_tree=False)
+
+    def nearest_to(self, other: Surface) -> tuple[np.ndarray, np.ndarray]:
+        """Return how far each point of ``other`` is from the nearest one here, and which that is."""
+        away, which = self.tree.query(other.points, workers=torch.get_num_threads())
+        return away, np.asarray(which)
+
+
+def mesh_surface(mesh: Mesh, truth: Standing, points: int = POINTS) -> Surface:
+    """Return points spread evenly over the mesh's outer surface, where ``truth`` (its filled grid) stands.
+
+    A point is inside the union, and left out, where the filled grid is occupied a voxel away on both
+    sides of its triangle.
+    """
+    corners = np.asarray(mesh.vertices, np.float64)[mesh.faces]
+    found, normals = _spread(corners, 2 * points)
+    step = normals * (2 / truth.inside.shape[0])
+    outer = ~(_occupied(truth.inside, found + step) & _occupied(truth.inside, found - step))
+    if outer.any():
+        found, normals = found[outer], normals[outer]
+    return _standing_surface(truth, found[:points], normals[:points])
+
+
+def grid_surface(shape: Standing, points: int = POINTS) -> Surface | None:
+    """Return points spread evenly over the surface at the shape's level (marching cubes); None for an empty shape."""
+    if shape.empty:
+        return None
+    vertices, faces = shape.surface
+    return _standing_surface(shape, *_spread(vertices[faces], points))
+
+
+def _spread(corners: Float[np.ndarray, "faces 3 3"], count: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return ``count`` points, uniform over the area of the triangles, and their normals; always the same ones."""
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    length = np.linalg.norm(normals, axis=1)
+    rng = np.random.default_rng(0)
+    area = np.cumsum(length)
+    face = np.searchsorted(area, rng.random(count) * area[-1], side="right").clip(max=len(area) - 1)
+    root, along = np.sqrt(rng.random(count))[:, None], rng.random(count)[:, None]
+    a, b, c = corners[face].transpose(1, 0, 2)
+    points = (1 - root) * a + root * ((1 - along) * b + along * c)
+    return points, normals[face] / np.maximum(length[face], 1e-30)[:, None]
+
+
+def _occupied(inside: Bool[np.ndarray, "depth height width"], points: np.ndarray) -> Bool[np.ndarray, " points"]:
+    side = inside.shape[0]
+    index = np.floor((points + 1) * side / 2).astype(int)
+    within = ((index >= 0) & (index < side)).all(1)
+    x, y, z = index.clip(0, side - 1).T
+    return inside[z, y, x] & within
+
+
+def _standing_surface(shape: Standing, points: np.ndarray, normals: np.ndarray) -> Surface:
+    """Return own points and normals in the camera frame; its matrix is a rotation, perhaps mirrored, times a scale."""
+    turned = normals @ shape.matrix.T
+    return Surface(shape.to_camera(points), turned / np.maximum(np.linalg.norm(turned, axis=1), 1e-30)[:, None])
+
+
+def compare_surfaces(found: Surface | None, truth: Surface, longest: float) -> dict[str, float]:
+    """Return chamfer (in ``longest``), f_score and normal_consistency of two surfaces."""
+    if found is None:
+        return dict(NOTHING)
+    to_truth, nearest_true = truth.nearest_to(found)
+    to_found, nearest_found = found.nearest_to(truth)
+    precision, recall = ((away <= THRESHOLD * longest).mean() for away in (to_truth, to_found))
+    cosines = [
+        np.abs((found.normals * truth.normals[nearest_true]).sum(1)).mean(),
+        np.abs((truth.normals * found.normals[nearest_found]).sum(1)).mean(),
+    ]
+    return {
+        "chamfer": float((to_truth.mean() + to_found.mean()) / 2 / longest),
+        "f_score": float(2 * precision * recall / max(precision + recall, 1e-12)),
+        "normal_consistency": float(np.mean(cosines)),
+    }
+
+
+# Occupied volume that two shapes share, and whether a shape is nearer to the truth than to its mirror image.
+
+OWN_MIRROR = 0.9
+"""Truths whose volume IoU with their own mirror image in depth is above this have no handedness."""
+TIE = 1e-6
+"""IoUs that differ by less are equal."""
+
+
+def volume_iou(found: Standing, truth: Standing, mirrored: bool = False) -> float:
+    """Return the volume of both, of the volume of either, after ``found`` is moved to the truth's depth.
+
+    Both are read at the voxel centres of the box of the truth in its own grid, ``found`` between its
+    voxels linearly; the voxels that ``found`` has outside that box add to the union. ``mirrored``: with the
+    mirror image in depth of ``found`` that has the same silhouette, each ray kept.
+    """
+    if found.empty or truth.empty:
+        return 0.0
+    found = found.moved(truth.depth - found.depth)
+    side = truth.occupancy.shape[0]
+    points = voxel_centres(side)[truth.span]
+    occupied = found.occupied
+    if mirrored:
+        points = _other_way(
+            points @ torch.from_numpy(truth.matrix.T).float() + torch.from_numpy(truth.origin).float(), truth
+        )
+        inside = found.inside_at(points, np.eye(3), np.zeros(3))
+        occupied = _other_way(torch.from_numpy(occupied), truth).numpy()
+    else:
+        inside = found.inside_at(points, truth.matrix, truth.origin)
+    low, high = (np.array([2 * end / side - 1 for end in ends[::-1]]) for ends in _ends(truth))
+    own = truth.to_own(occupied)
+    outside = int(((own < low) | (own > high)).any(1).sum()) * found.voxel**3
+    shared, either = (
+        int(both.sum()) for both in (inside & truth.inside[truth.span], inside | truth.inside[truth.span])
+    )
+    return shared * truth.voxel**3 / (either * truth.voxel**3 + outside)
+
+
+def _ends(shape: Standing) -> list[tuple[int, ...]]:
+    return list(zip(*((s.start, s.stop) for s in shape.span), strict=True))
+
+
+def _other_way(points: Tensor, truth: Standing) -> Tensor:
+    """Return points of the camera frame mirrored in depth about the truth's centroid, each on its own ray."""
+    depth = 2 * truth.depth - points[..., 2:]
+    share = (1 + depth / truth.distance) / (1 + points[..., 2:] / truth.distance)
+    return torch.cat([points[..., :2] * share, depth], -1)
+
+
+def handedness(found: Standing, truth: Standing, iou: float) -> float:
+    """Return 1 where the truth shares more with ``found`` (``iou``) than with its mirror image in depth.
+
+    A tie is 0.5, an empty shape 0, and a truth that is its own mirror NaN.
+    """
+    if _is_own_mirror(truth):
+        return float("nan")
+    other = volume_iou(found, truth, mirrored=True)
+    if abs(iou - other) < TIE and not found.empty:
+        return 0.5
+    return float(iou > other)
+
+
+@functools.lru_cache(1)
+def _is_own_mirror(truth: Standing) -> bool:
+    return volume_iou(truth, truth, mirrored=True) > OWN_MIRROR
+
+
+# How far the predicted views are from the true ones: about gravity, and in the camera's tilt.
+
+_CANDIDATES_DEG = np.arange(0, 360, 1.0)
+
+
+def azimuth_errors_deg(
+    view: Float[np.ndarray, "items 3 3"], truth: Float[np.ndarray, "items 3 3"]
+) -> Float[np.ndarray, " items"] | None:
+    """Return each view's error about gravity after the one turn of all own frames with the least mean error.
+
+    A shape learnt from masks alone faces anywhere, but all of one kind should face alike. None where
+    every view is the same: such shapes are given in the camera's frame, and face nowhere.
+    """
+    if len(view) < 2 or np.ptp(view, axis=0).max() < 1e-6:
+        return None
+    off = _azimuth_deg(view) - _azimuth_deg(truth)
+    errors = np.abs((off - _CANDIDATES_DEG[:, None] + 180) % 360 - 180)
+    return errors[errors.mean(1).argmin()]
+
+
+def elevation_errors_deg(
+    view: Float[np.ndarray, "items 3 3"], truth: Float[np.ndarray, "items 3 3"]
+) -> Float[np.ndarray, " items"] | None:
+    """Return each view's error in the tilt against gravity, the own frame's y; None where every view is the same."""
+    if len(view) < 2 or np.ptp(view, axis=0).max() < 1e-6:
+        return None
+    return np.abs(_tilt_deg(view) - _tilt_deg(truth))
+
+
+def _azimuth_deg(view: np.ndarray) -> np.ndarray:
+    """Return how far each shape is turned about its own y: where its z points, against the camera's depth."""
+    return np.degrees(np.arctan2(-view[:, 2, 0], view[:, 2, 2]))
+
+
+def _tilt_deg(view: np.ndarray) -> np.ndarray:
+    return np.degrees(np.arcsin(np.clip(view[:, 2, 1], -1, 1)))
+
+
+# Every metric of one lifted shape against its truth.
+
+
+class TrueItem:
+    """One true shape where it stands, and what every prediction of it is compared with, made once."""
+
+    def __init__(self, truth: Placed, row: int, filled: Bool[np.ndarray, "depth height width"]) -> None:
+        self.mesh: Mesh = truth.meshes[int(truth.shape[row])]
+        self.standing: Standing = true(truth, row, filled)
+        self.turns = turns(np.asarray(truth.view[row], np.float64))
+        self.longest = float(np.ptp(self.mesh.vertices, axis=0).max()) * float(truth.scale[row])
+
+    @cached_property
+    def surface(self) -> Surface:
+        """Of the mesh."""
+        return mesh_surface(self.mesh, self.standing)
+
+    @cached_property
+    def pixel(self) -> float:
+        """Side of a pixel of the new views: `SIDE` of them span the bounding sphere about the shape's origin."""
+        corners = self.mesh.vertices[np.unique(self.mesh.faces)] @ self.standing.matrix.T
+        return 2 * float(np.linalg.norm(corners, axis=1).max(initial=1e-9)) / SIDE
+
+    @cached_property
+    def silhouettes(self) -> list[Silhouette]:
+        """Of the mesh in the new views."""
+        points = self.mesh.vertices @ self.standing.matrix.T
+        return [drawn(points @ turn.T, self.mesh.faces, self.standing.distance, self.pixel) for turn in self.turns]
+
+    def turned(self, shape: Standing, turn: np.ndarray) -> Standing:
+        """Return a shape turned about the truth's origin."""
+        return shape.turned(turn, self.standing.origin)
+
+
+def score_item(found: Standing, truth: TrueItem, mask: np.ndarray) -> dict[str, float]:
+    """Return the metrics of one shape; the depths of the centroids are brought together for all but the seen view."""
+    seen = seen_iou(found, mask)
+    found = found.moved(truth.standing.depth - found.depth)
+    volume = volume_iou(found, truth.standing)
+    new = [
+        overlap(silhouette(truth.turned(found, turn), truth.pixel), true_one)
+        for turn, true_one in zip(truth.turns, truth.silhouettes, strict=True)
+    ]
+    return {
+        "volume_iou": volume,
+        "silhouette_iou_seen": seen,
+        "silhouette_iou_unseen": float(np.mean(new)),
+        **compare_surfaces(grid_surface(found), truth.surface, truth.longest),
+        "handedness": handedness(found, truth.standing, volume),
+    }

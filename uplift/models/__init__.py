@@ -1,0 +1,1 @@
+"""Networks and lifters, and prediction with them."""

@@ -1,0 +1,152 @@
+"""The lifter: normalised 2D keypoints and confidence in, depth and the camera's tilt out."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import torch
+from jaxtyping import Float
+from torch import Tensor, nn
+
+from uplift.geometry.camera import Camera
+from uplift.geometry.normalise import bone_lengths, mirror
+from uplift.skeleton import Skeleton
+
+__all__ = ["Lifted", "Lifter"]
+
+_LOG_SPREAD = (-5.0, 2.0)
+
+
+class Lifted(NamedTuple):
+    """What the lifter says of a batch of keypoints."""
+
+    pose: Float[Tensor, "batch joints 3"]
+    """Camera frame, relative to the root, in units of the mean 2D radius."""
+    tilt: Float[Tensor, " batch"]
+    """Down-tilt of the camera, radians; 0 where the skeleton has no gravity or the camera is taken as level."""
+    keypoints: Float[Tensor, "batch joints 2"]
+    """The keypoints that `pose` projects to: those given, with missing joints filled in."""
+    spread: Float[Tensor, "batch joints"] | None = None
+    """The absolute error to expect of each depth, in units; None where the lifter was not taught it."""
+
+
+class Lifter(nn.Module):
+    """A network and the geometry around it.
+
+    ``tilt`` is ``predicted`` (one per pose), ``learned`` (one for all) or ``level``. With ``fill`` the
+    network also says where missing joints are; without, they stay at the root. With ``denoise`` it
+    also moves the joints that were seen, and with ``spread`` it says how far off each depth may be.
+    With ``root_free`` the root's own depth is not subtracted, as in the code of Kudo et al. 2018.
+    """
+
+    mirror_permutation: Tensor
+    root_place: Tensor
+    bones: Tensor
+    bone_mm: Tensor
+    """(bones,) mean lengths of labelled bodies, mm, 0 where unknown: they make a pose's scale known."""
+
+    def __init__(
+        self,
+        skeleton: Skeleton,
+        network: nn.Module,
+        camera: Camera,
+        *,
+        tilt: str = "predicted",
+        confidence_input: bool = True,
+        fill: bool = True,
+        denoise: bool = False,
+        spread: bool = False,
+        root_free: bool = False,
+    ):
+        super().__init__()
+        self.skeleton = skeleton
+        self.network = network
+        self.camera = camera
+        self.tilt = tilt if skeleton.gravity else "level"
+        self.confidence_input = confidence_input
+        self.fill = fill
+        self.denoise = denoise and fill
+        self.spread = spread
+        self.root_free = root_free
+        if self.tilt == "learned":
+            self.common_tilt = nn.Parameter(torch.zeros(()))
+        self.register_buffer("bone_mm", torch.zeros(len(skeleton.bones)))
+        self.register_buffer("bones", torch.as_tensor(skeleton.bone_indices.copy()), persistent=False)
+        permutation = torch.as_tensor(skeleton.mirror_permutation.copy())
+        self.register_buffer("mirror_permutation", permutation, persistent=False)
+        self.register_buffer("root_place", torch.tensor([skeleton.root_index]), persistent=False)
+
+    @staticmethod
+    def sizes(joints: int, *, tilt: str, confidence_input: bool, fill: bool, spread: bool) -> tuple[int, int]:
+        """Return how many numbers the network takes and gives for a skeleton of ``joints``."""
+        outputs = joints * (1 + 2 * fill + spread) + (tilt == "predicted")
+        return joints * (3 if confidence_input else 2), outputs
+
+    def forward(
+        self,
+        keypoints: Float[Tensor, "batch joints 2"],
+        confidence: Float[Tensor, "batch joints"],
+        distance: Float[Tensor, " batch"],
+    ) -> Lifted:
+        """Lift normalised keypoints; a joint of confidence 0 is ignored wherever it is."""
+        joints = len(self.skeleton.joints)
+        visible = (confidence > 0).unsqueeze(-1)
+        keypoints = keypoints * visible
+        features = keypoints.flatten(1)
+        if self.confidence_input:
+            features = torch.cat([features, confidence], 1)
+        output = self.network(features)
+        depth = output[:, :joints]
+        if not self.root_free:
+            depth = depth - depth[:, self.skeleton.root_index, None]
+        if self.fill:
+            guessed = output[:, joints : 3 * joints].reshape(-1, joints, 2)
+            # Missing joints are 0 in the input.
+            keypoints = keypoints + guessed if self.denoise else torch.where(visible, keypoints, guessed)
+            # A missing root was measured from where its neighbours are; now everything is from where it is.
+            keypoints = keypoints - keypoints[:, self.skeleton.root_index, None]
+        spread = None
+        if self.spread:
+            first = joints * (1 + 2 * self.fill)
+            spread = output[:, first : first + joints].clamp(*_LOG_SPREAD).exp()
+            spread = spread.index_fill(1, self.root_place, 0.0)
+        return Lifted(self.camera.unproject(keypoints, depth, distance), self._tilt(output), keypoints, spread)
+
+    def _tilt(self, output: Tensor) -> Tensor:
+        if self.tilt == "predicted":
+            # Slow against the depths: the camera's tilt should not explain what a pose can.
+            return 0.3 * output[:, -1]
+        if self.tilt == "learned":
+            return self.common_tilt.expand(len(output))
+        return output.new_zeros(len(output))
+
+    def unit_mm(self, pose: Float[Tensor, "batch joints 3"]) -> Float[Tensor, " batch"] | None:
+        """Return how many mm one unit of each pose is, for a body as large as the labelled ones; None without any."""
+        known = self.bone_mm > 0
+        if not known.any():
+            return None
+        lengths = bone_lengths(pose, self.bones[known])
+        return self.bone_mm[known].sum() / lengths.sum(1).clamp_min(1e-6)
+
+    def lift_both_ways(
+        self,
+        keypoints: Float[Tensor, "batch joints 2"],
+        confidence: Float[Tensor, "batch joints"],
+        distance: Float[Tensor, " batch"],
+    ) -> Lifted:
+        """Lift the keypoints and their mirror image and average the two (after Pavllo et al. 2019).
+
+        A skeleton that has no mirror image is lifted as it is.
+        """
+        straight = self(keypoints, confidence, distance)
+        if not self.skeleton.has_mirror_image:
+            return straight
+        swap = self.mirror_permutation
+        mirrored = self(mirror(keypoints, swap), confidence[:, swap], distance)
+        depth = (straight.pose[..., 2] + mirrored.pose[:, swap, 2]) / 2
+        filled = (straight.keypoints + mirror(mirrored.keypoints, swap)) / 2
+        spread = None
+        if straight.spread is not None and mirrored.spread is not None:
+            spread = (straight.spread + mirrored.spread[:, swap]) / 2
+        pose = self.camera.unproject(filled, depth, distance)
+        return Lifted(pose, (straight.tilt + mirrored.tilt) / 2, filled, spread)

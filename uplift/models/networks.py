@@ -1,0 +1,167 @@
+"""Networks: the residual default, the 2018 one, a coupling flow; `build_network` picks one by name."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import torch
+from jaxtyping import Float
+from torch import Tensor, nn
+from torch.nn.functional import leaky_relu
+
+from uplift.config.plugins import build
+from uplift.errors import UserError, did_you_mean
+
+__all__ = ["CouplingFlow", "KudoNetwork", "ResidualNetwork", "build_network"]
+
+# The 2018 generator and discriminator: four linear layers, leaky ReLU, one skip connection.
+
+
+class KudoNetwork(nn.Module):
+    """Four linear layers with one skip connection, no normalisation (Kudo et al. 2018, 3.2).
+
+    The skip connection, from the first layer's output to the third's before its activation, and
+    the slope are those of the authors' code, where the paper does not say. ``std`` is that of the
+    Gaussian the weights start from; the paper says 0.14, the code 0.02. Biases start at 0.
+    """
+
+    def __init__(self, inputs: int, outputs: int, *, units: int = 1024, slope: float = 0.2, std: float = 0.14):
+        super().__init__()
+        layers = [nn.Linear(inputs, units), nn.Linear(units, units), nn.Linear(units, units), nn.Linear(units, outputs)]
+        self.layers = nn.ModuleList(layers)
+        self.slope = slope
+        for layer in layers:
+            nn.init.normal_(layer.weight, std=std)
+            nn.init.zeros_(layer.bias)
+
+    def forward(self, features: Float[Tensor, "batch inputs"]) -> Float[Tensor, "batch outputs"]:
+        """Return the last layer's values, without activation."""
+        first = leaky_relu(self.layers[0](features), self.slope)
+        second = leaky_relu(self.layers[1](first), self.slope)
+        third = leaky_relu(self.layers[2](second) + first, self.slope)
+        return self.layers[3](third)
+
+
+# A residual multilayer perceptron: the default lifter and critic.
+
+
+class ResidualNetwork(nn.Module):
+    """One linear layer in, ``blocks`` residual pairs, one linear layer out (after Martinez et al. 2017).
+
+    No batch normalisation: statistics of a batch of turned poses are not those of real ones.
+    ``norm`` normalises each pair's input over its units (layer normalisation).
+    """
+
+    def __init__(
+        self,
+        inputs: int,
+        outputs: int,
+        *,
+        units: int = 256,
+        blocks: int = 2,
+        slope: float = 0.2,
+        norm: bool = False,
+    ):
+        super().__init__()
+        self.enter = nn.Linear(inputs, units)
+        self.blocks = nn.ModuleList(
+            nn.ModuleList([nn.Linear(units, units), nn.Linear(units, units)]) for _ in range(blocks)
+        )
+        self.norms = nn.ModuleList(nn.LayerNorm(units) if norm else nn.Identity() for _ in range(blocks))
+        self.leave = nn.Linear(units, outputs)
+        self.slope = slope
+        with torch.no_grad():
+            self.leave.weight.mul_(0.1)  # start near a flat pose and an undecided critic
+
+    def forward(self, features: Float[Tensor, "batch inputs"]) -> Float[Tensor, "batch outputs"]:
+        """Return the last layer's values, without activation."""
+        hidden = leaky_relu(self.enter(features), self.slope)
+        for norm, (first, second) in zip(self.norms, self.blocks, strict=True):  # type: ignore[misc]
+            inner = leaky_relu(first(norm(hidden)), self.slope)
+            hidden = hidden + leaky_relu(second(inner), self.slope)
+        return self.leave(hidden)
+
+
+# A normalising flow of affine coupling blocks: how likely is a vector?
+
+_LARGEST = 2.0
+"""Of a block's log scale, so that no block can blow up."""
+
+
+class CouplingFlow(nn.Module):
+    """Affine coupling blocks, a fixed rotation after each (Dinh et al. 2017; Kingma and Dhariwal 2018).
+
+    ``forward`` returns the latent vector and the log-determinant of its Jacobian; ``inverse`` goes back.
+    """
+
+    rotations: Tensor
+
+    def __init__(self, size: int, *, blocks: int = 8, units: int = 64, seed: int = 0):
+        super().__init__()
+        self.kept = size // 2
+        changed = size - self.kept
+        self.nets = nn.ModuleList(
+            nn.Sequential(nn.Linear(self.kept, units), nn.ReLU(), nn.Linear(units, 2 * changed)) for _ in range(blocks)
+        )
+        for net in self.nets:
+            nn.init.zeros_(net[2].weight)  # type: ignore[index]
+            nn.init.zeros_(net[2].bias)  # type: ignore[index]
+        random = torch.randn(blocks, size, size, generator=torch.Generator().manual_seed(seed))
+        self.register_buffer("rotations", torch.linalg.qr(random).Q)
+
+    def _affine(self, net: nn.Module, kept: Tensor) -> tuple[Tensor, Tensor]:
+        log_scale, shift = net(kept).chunk(2, 1)
+        return _LARGEST * torch.tanh(log_scale / _LARGEST), shift
+
+    def forward(
+        self, vector: Float[Tensor, "batch size"]
+    ) -> tuple[Float[Tensor, "batch size"], Float[Tensor, " batch"]]:
+        """Return the latent vectors and the log-determinants of the Jacobian."""
+        volume = vector.new_zeros(len(vector))
+        for net, rotation in zip(self.nets, self.rotations, strict=True):
+            kept, changed = vector[:, : self.kept], vector[:, self.kept :]
+            log_scale, shift = self._affine(net, kept)
+            volume = volume + log_scale.sum(1)
+            vector = torch.cat([kept, changed * log_scale.exp() + shift], 1) @ rotation
+        return vector, volume
+
+    def inverse(self, latent: Float[Tensor, "batch size"]) -> Float[Tensor, "batch size"]:
+        """Return the vectors that `forward` takes to ``latent``."""
+        for place in reversed(range(len(self.nets))):
+            latent = latent @ self.rotations[place].mT
+            kept, changed = latent[:, : self.kept], latent[:, self.kept :]
+            log_scale, shift = self._affine(self.nets[place], kept)
+            latent = torch.cat([kept, (changed - shift) * (-log_scale).exp()], 1)
+        return latent
+
+    def surprise(self, vector: Float[Tensor, "batch size"]) -> Float[Tensor, " batch"]:
+        """Return the negative log-likelihood in nats, without its constant."""
+        latent, volume = self(vector)
+        return 0.5 * latent.square().sum(1) - volume
+
+
+# Network families, one per file; `build_network` picks one by name.
+
+NETWORKS = {
+    "kudo": "uplift.models.networks:KudoNetwork",
+    "residual": "uplift.models.networks:ResidualNetwork",
+}
+
+
+def build_network(
+    use: str, inputs: int, outputs: int, options: Mapping[str, Any], where: str = "lifter.options"
+) -> nn.Module:
+    """Return the network ``use`` (a name, or ``file.py:Class``) from ``inputs`` to ``outputs`` numbers.
+
+    Raises:
+        UserError: no such network or option (a setting below ``where``), sizes that no network can have.
+    """
+    if use not in NETWORKS and ":" not in use:
+        setting = f"{where.removesuffix('.options')}.network={use!r}"
+        raise UserError(f"{setting}: no such network.{did_you_mean(use, NETWORKS)} Your own is named file.py:Class.")
+    for name in ("units", "blocks"):
+        size = options.get(name, 1)
+        if isinstance(size, bool) or not isinstance(size, int) or not 1 <= size <= 1 << 20:
+            raise UserError(f"{where}.{name}={size!r}: expected a whole number of at least 1.")
+    return build(use, NETWORKS, options, where, nn.Module, inputs=inputs, outputs=outputs)

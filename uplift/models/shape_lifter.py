@@ -1,0 +1,153 @@
+"""`lift_masks`: a shape for each mask out of a mixture of shapes, carved by the mask and its mirror image."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from jaxtyping import Float
+from torch import Tensor, nn
+
+from uplift.data.tensors import moments, recrop
+from uplift.models.mixture import BASE, Drawn, ShapeMixture
+
+__all__ = ["LiftedShapes", "choose_level", "image_points", "lift_masks"]
+
+# `lift_masks`: a shape for each mask out of a mixture of shapes, carved by the mask and its mirror image.
+
+_HYPOTHESES = 32
+_COVERED = 0.3
+_UNSURE = 0.2
+"""What is left of a voxel that the mirror image of the mask does not cover: the view may be a little off."""
+
+
+@dataclass(frozen=True)
+class LiftedShapes:
+    """Occupancy in the own frame of each mask's most likely view, and where that stands (see `Placed`)."""
+
+    occupancy: Float[Tensor, "items depth height width"]
+    view: Float[Tensor, "items 3 3"]
+    scale: Float[Tensor, " items"]
+    offset: Float[Tensor, "items 2"]
+    distance: Float[Tensor, " items"]
+
+
+@dataclass(frozen=True)
+class _Hypothesis:
+    """One shape from one view for each mask, brought to the mask's place and spread."""
+
+    shape: Tensor
+    view: Tensor
+    stretch: Tensor
+    """(items 2): own units along x and y in half sides of the mask's crop."""
+    centre: Tensor
+
+
+@torch.no_grad()
+def lift_masks(
+    mixture: ShapeMixture,
+    masks: Float[Tensor, "items side side"],
+    drawn: Drawn,
+    *,
+    resolution: int,
+    temperature: float,
+) -> LiftedShapes:
+    """Return the expected occupancy of each mask's shape over the likeliest shapes and views.
+
+    ``masks`` are 0..1; ``drawn`` is `ShapeMixture.crops`. Voxels that do not project into the mask are
+    empty. Of symmetric shapes so are, but for a remainder, those whose mirror image does not.
+    """
+    centre, spread = moments(masks)
+    crops = recrop(masks, centre, spread, mixture.settings.crop)
+    likely = mixture.evidence(crops, spread, drawn, temperature).flatten(1).softmax(1)
+    found = likely.topk(min(_HYPOTHESES, likely.shape[1]), 1)
+    weight = found.values / found.values.sum(1, keepdim=True)
+    guesses = [_hypothesis(mixture, drawn, index, centre, spread) for index in found.indices.T]
+    best = guesses[0]
+    scale = best.stretch.amax(1)
+    distance = mixture.settings.distance * scale
+    image, depth = _seen(resolution, best.view, scale, best.centre, distance)
+    total = masks.new_zeros(depth.shape[:2])
+    wide = nn.functional.max_pool2d(masks[:, None], 3, 1, 1)
+    for number, guess in enumerate(guesses):
+        total += weight[:, number, None] * _occupied(mixture, guess, image, depth, wide)
+    total *= (_look(masks[:, None], image) > _COVERED).to(total.dtype)
+    grid = total.view(-1, resolution, resolution, resolution)
+    return LiftedShapes(grid, best.view, scale, best.centre, distance)
+
+
+def image_points(lifted: LiftedShapes) -> Float[Tensor, "items points 2"]:
+    """Return where the voxels of lifted shapes are seen, in half sides of the crop."""
+    return _seen(lifted.occupancy.shape[-1], lifted.view, lifted.scale, lifted.offset, lifted.distance)[0]
+
+
+def _seen(
+    resolution: int, view: Tensor, scale: Tensor, offset: Tensor, distance: Tensor
+) -> tuple[Float[Tensor, "items points 2"], Float[Tensor, "items points 1"]]:
+    """Return where the voxels of shapes that stand like this are seen, and their depths."""
+    inside = (_grid_points(resolution, scale) @ view.mT) * scale[:, None, None]
+    depth = inside[..., 2:]
+    flat = inside[..., :2] + offset[:, None]
+    return flat / (1 + depth / distance[:, None, None]).clamp_min(0.1), depth
+
+
+def _hypothesis(mixture: ShapeMixture, drawn: Drawn, index: Tensor, centre: Tensor, spread: Tensor):
+    _, drawn_centre, drawn_spread = (part.flatten(0, 1) for part in drawn)
+    views = len(mixture.grid.views)
+    stretch = spread / drawn_spread[index] * BASE
+    place = centre - drawn_centre[index] / BASE * stretch
+    view = mixture.grid.views.to(spread)[index % views]
+    return _Hypothesis(index // views, view, stretch, place)
+
+
+def _grid_points(resolution: int, like: Tensor) -> Tensor:
+    at = ((2 * torch.arange(resolution, device=like.device, dtype=like.dtype) + 1) / resolution) - 1
+    z, y, x = torch.meshgrid(at, at, at, indexing="ij")
+    return torch.stack([x, y, z], -1).reshape(1, -1, 3)
+
+
+def _look(image: Tensor, points: Tensor) -> Tensor:
+    """Return (items points) of an image (items 1 side side) at points (items points 2)."""
+    return nn.functional.grid_sample(image, points[:, :, None], align_corners=False)[:, 0, :, 0]
+
+
+def _occupied(mixture: ShapeMixture, guess: _Hypothesis, image: Tensor, depth: Tensor, wide: Tensor) -> Tensor:
+    """Return the occupancy (items points) that a hypothesis gives to points seen at ``image`` and ``depth``."""
+    far = mixture.settings.distance
+    z = depth / guess.stretch.prod(1).sqrt()[:, None, None]
+    flat = (image - guess.centre[:, None]) / guess.stretch[:, None] * (1 + z / far)
+    own = torch.cat([flat, z], -1) @ guess.view
+    grids = mixture.occupancy[guess.shape][:, None]
+    found = nn.functional.grid_sample(grids, own[:, :, None, None], align_corners=False)[:, 0, :, 0, 0]
+    if not mixture.settings.symmetric:
+        return found
+    mirrored = (own * own.new_tensor([-1.0, 1.0, 1.0])) @ guess.view.mT
+    seen = mirrored[..., :2] / (1 + mirrored[..., 2:] / far).clamp_min(0.1) * guess.stretch[:, None]
+    return found * _look(wide, seen + guess.centre[:, None]).clamp(_UNSURE, 1)
+
+
+# Where the surface of lifted shapes is: as high as it can be while silhouettes still cover their masks.
+
+_LEVELS = (0.04, 0.06, 0.08, 0.1, 0.12, 0.14, 0.16, 0.18, 0.2, 0.23, 0.26, 0.3, 0.35, 0.4, 0.5)
+_NEARLY = 0.97
+"""Of the best overlap with masks. A lower level thickens shapes where no mask is looking."""
+
+
+def choose_level(lifted: LiftedShapes, masks: Float[Tensor, "items side side"]) -> float:
+    """Return the level of occupancy above which voxels count as inside; no true shape is looked at.
+
+    ``masks``, 0..1, are those that were lifted. It is the highest level at which the silhouettes overlap with
+    them nearly as well as at any.
+    """
+    flat = lifted.occupancy.flatten(1)
+    side = masks.shape[-1] // 2
+    real = torch.nn.functional.avg_pool2d(masks[:, None], 2).flatten(1) > 0.5
+    at = ((image_points(lifted) + 1) / 2 * side).long().clamp(0, side - 1)
+    pixel = at[..., 1] * side + at[..., 0]
+    overlaps = []
+    for level in _LEVELS:
+        kept = (flat > level).to(flat.dtype)
+        seen = flat.new_zeros(len(flat), side * side).scatter_reduce(1, pixel, kept, "amax") > 0.5
+        overlaps.append(float(((seen & real).sum(1) / (seen | real).sum(1).clamp_min(1)).mean()))
+    enough = _NEARLY * max(overlaps)
+    return max(level for level, overlap in zip(_LEVELS, overlaps, strict=True) if overlap >= enough)

@@ -1,0 +1,292 @@
+"""Poses and views for a student: limbs mixed, mirrored, seen from anywhere, partly hidden, noisy."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+
+import torch
+from jaxtyping import Float, Int
+from torch import Tensor
+from torch.nn.functional import normalize
+
+from uplift.config.settings import StudentSettings
+from uplift.data.clean import MIN_VISIBLE, joint_neighbours
+from uplift.geometry.camera import Camera
+from uplift.geometry.normalise import mirror, renormalise
+from uplift.geometry.rotation import about_y, least_rotation, random_rotations, turn
+from uplift.skeleton import Skeleton
+from uplift.training.base import Rows
+from uplift.training.pseudo_labels import PseudoPoses
+
+__all__ = ["LimbMixer", "ShownViews", "ViewMaker"]
+
+# New poses out of those there are: limbs of one on the body of another.
+
+_TEMPLATE_FRAMES = 20_000
+_TINY = 1e-6
+
+
+@dataclass(frozen=True)
+class _Limb:
+    """What hangs on one child of a branching joint: a leg on the hips, the trunk and all above it."""
+
+    branch: int
+    """Which branching joint it hangs on."""
+    bones: Tensor
+    """Its bones, without the first, which belongs to the branching joint."""
+    joints: Tensor
+    """The joints at the far ends of those bones."""
+    inner: list[int]
+    """Branching joints inside it: they turn with it."""
+
+
+class LimbMixer:
+    """Swaps limbs between poses in the frame of the joint they hang on, at the receiver's bone lengths.
+
+    Training motions are few and test motions are others; arms that were seen with one pair of legs
+    are as real with another. A branching joint's frame is the rotation that fits its bones best to
+    their mean directions (Kabsch 1976), so a swapped limb keeps its angles to the body.
+    """
+
+    def __init__(self, pose: Float[Tensor, "frames joints 3"], skeleton: Skeleton):
+        parents = {skeleton.index(c): skeleton.index(p) for c, p in skeleton.parents.items() if p is not None}
+        children: dict[int, list[int]] = {j: [] for j in range(len(skeleton.joints))}
+        for child, parent in parents.items():
+            children[parent].append(child)
+        order = _below(skeleton.root_index, children)
+        self._ends = torch.tensor([j for j in order if j in parents], device=pose.device)
+        bone_of = {int(j): i for i, j in enumerate(self._ends)}
+        starts = torch.tensor([parents[int(j)] for j in self._ends], device=pose.device)
+        self._path = _paths(parents, bone_of, len(skeleton.joints)).to(pose)
+        self._bones = pose[:, self._ends] - pose[:, starts]
+        self._lengths = self._bones.norm(dim=-1, keepdim=True).clamp_min(_TINY)
+        branching = [j for j in order if len(children[j]) >= 2]
+        frames = []
+        self._limbs: list[_Limb] = []
+        for place, joint in enumerate(branching):
+            ways = [self._bones[:, bone_of[child]] for child in children[joint]]
+            if joint in parents:
+                ways.append(-self._bones[:, bone_of[joint]])
+            frames.append(_body_frames(torch.stack(ways, 1)))
+            for child in children[joint]:
+                below = _below(child, children)
+                if len(below) > 1:
+                    bones = torch.tensor([bone_of[j] for j in below[1:]], device=pose.device)
+                    inner = [i for i, j in enumerate(branching) if j in below]
+                    self._limbs.append(_Limb(place, bones, self._ends[bones], inner))
+        self._frames = torch.stack(frames, 1) if frames else pose.new_zeros(len(pose), 0, 3, 3)
+
+    def __call__(
+        self,
+        rows: Int[Tensor, " batch"],
+        confidence: Float[Tensor, "frames joints"],
+        *,
+        share: float,
+        limb: float,
+    ) -> tuple[Float[Tensor, "batch joints 3"], Float[Tensor, "batch joints"]]:
+        """Return the poses of ``rows`` with limbs of others of the batch, and each joint's confidence.
+
+        ``share`` of the poses take part, and each of their limbs is swapped with probability ``limb``.
+        """
+        bones, frames, sure = self._bones[rows], self._frames[rows], confidence[rows]
+        count = len(rows)
+        taking = torch.rand(count, device=rows.device) < share
+        for part in self._limbs:
+            takers = (taking & (torch.rand(count, device=rows.device) < limb)).nonzero()[:, 0]
+            givers = rows[torch.randint(count, (len(takers),), device=rows.device)]
+            at = takers[:, None]
+            rotation = frames[takers, part.branch] @ self._frames[givers, part.branch].mT
+            given = self._bones[givers[:, None], part.bones] @ rotation.mT
+            lengths = self._lengths[rows[takers][:, None], part.bones] / self._lengths[givers[:, None], part.bones]
+            bones[at, part.bones] = given * lengths
+            # Missing on either body is missing: a limb that was not seen has no length to give it.
+            seen = confidence[rows[takers][:, None], part.joints] > 0
+            sure[at, part.joints] = confidence[givers[:, None], part.joints] * seen
+            for inner in part.inner:
+                frames[takers, inner] = rotation @ self._frames[givers, inner]
+        return self._path @ bones, sure
+
+
+def _below(joint: int, children: dict[int, list[int]]) -> list[int]:
+    """Return ``joint`` and all joints below it, parents first."""
+    found = [joint]
+    for child in children[joint]:
+        found += _below(child, children)
+    return found
+
+
+def _paths(parents: dict[int, int], bone_of: dict[int, int], joints: int) -> Tensor:
+    """Return (joints bones): 1 where a bone lies between the root and the joint."""
+    path = torch.zeros(joints, len(bone_of))
+    for joint in range(joints):
+        above = joint
+        while above in parents:
+            path[joint, bone_of[above]] = 1
+            above = parents[above]
+    return path
+
+
+def _body_frames(ways: Float[Tensor, "frames ways 3"]) -> Float[Tensor, "frames 3 3"]:
+    """Return the rotations that take the mean directions of the bones to each frame's own."""
+    ways = normalize(ways, dim=-1)
+    sample = ways[:: max(1, len(ways) // _TEMPLATE_FRAMES)]
+    template = sample[0]
+    for _ in range(3):
+        template = (_fit(sample, template).mT @ sample.mT).mean(0).T
+    return _fit(ways, template)
+
+
+def _fit(ways: Tensor, template: Tensor) -> Tensor:
+    """Return the proper rotations R for which ``template @ R.T`` is nearest to ``ways``."""
+    left, _, right = torch.linalg.svd(ways.mT @ template)
+    proper = torch.linalg.det(left @ right)
+    left = torch.cat([left[..., :2], left[..., 2:] * proper[:, None, None]], -1)
+    return left @ right
+
+
+# Turned views of poses for a student: mixed, mirrored, seen from anywhere, partly hidden, noisy.
+
+_LIMB_SHARE = 0.3
+_MOST_HIDDEN = 0.5
+
+
+@dataclass(frozen=True)
+class ShownViews:
+    """Turned views to learn from: what the network sees, and what it should say. Units of the shown radius."""
+
+    given: Float[Tensor, "views joints 2"]
+    """What the network sees: with noise, about the root as it is seen."""
+    shown: Float[Tensor, "views joints"]
+    """Confidence with it, hidden joints at 0."""
+    keypoints: Float[Tensor, "views joints 2"]
+    """Without noise, about the true root."""
+    pose: Float[Tensor, "views joints 3"]
+    tilt: Float[Tensor, " views"]
+    distance: Float[Tensor, " views"]
+    sure: Float[Tensor, "views joints"]
+    """Of the poses they came from; 0 where there is nothing to learn."""
+
+    def part(self, place: int, size: int) -> ShownViews:
+        """Return the views of one batch of ``size``."""
+        rows = slice(place * size, (place + 1) * size)
+        return ShownViews(*(getattr(self, f.name)[rows] for f in fields(self)))
+
+
+class ViewMaker:
+    """Makes random views of ``poses``; its random numbers are torch's."""
+
+    def __init__(
+        self,
+        poses: PseudoPoses,
+        camera: Camera,
+        settings: StudentSettings,
+        *,
+        count_root: bool,
+        labelled_share: float | None = None,
+    ):
+        self.poses, self.camera, self.settings, self.count_root = poses, camera, settings, count_root
+        self.rows = Rows(poses.which_labelled, labelled_share)
+        skeleton, device = poses.skeleton, poses.pose.device
+        self.mirrors = settings.mirror and skeleton.has_mirror_image
+        self.swap = torch.as_tensor(skeleton.mirror_permutation.copy(), device=device)
+        self.rings = [list(ring) for ring in joint_neighbours(skeleton)]
+        self.limbs = _limbs(skeleton).to(device)
+        mixes = settings.mix > 0 and not skeleton.rigid
+        self.mixer = LimbMixer(poses.pose, skeleton) if mixes else None
+
+    def __call__(self, count: int) -> ShownViews:
+        """Return ``count`` views."""
+        poses, root = self.poses, self.poses.skeleton.root_index
+        rows = self.rows(count)
+        pose, sure = self._mixed(rows)
+        pose, gravity = self._turned(pose, rows)
+        distance = poses.distance[rows]
+        projected = self.camera.project(pose, distance)
+        seen, shown = projected.clone(), sure
+        if poses.noise is not None and self.settings.noise:
+            # Error and confidence of one real frame belong together.
+            other = self._draw(count)
+            seen = projected + poses.noise[other]
+            shown = poses.confidence[other] * (sure > 0)
+        shown = self._hide(shown)
+        few = ((shown > 0).sum(1, keepdim=True)) < MIN_VISIBLE
+        # The radius is that of the joints that are shown, as it will be of those that are seen. Where too few
+        # are left to tell a size, the view teaches nothing.
+        sure = sure.masked_fill(few, 0)
+        counted = torch.where(few, torch.ones_like(shown), shown)
+        seen[:, root] = _stand_in(seen, shown, root, self.rings)
+        given, radius = renormalise(seen, counted, root, count_root=self.count_root)
+        exact = (projected - projected[:, root, None]) / radius[:, None, None]
+        tilt = torch.asin(gravity[:, 2].clamp(-1, 1))
+        return ShownViews(given, shown, exact, pose / radius[:, None, None], tilt, distance / radius, sure)
+
+    def _draw(self, count: int) -> Tensor:
+        return torch.randint(len(self.poses), (count,), device=self.poses.pose.device)
+
+    def _mixed(self, rows: Tensor) -> tuple[Tensor, Tensor]:
+        """Return the poses of ``rows`` with limbs of others, half of them mirrored, and their confidence."""
+        poses, settings = self.poses, self.settings
+        if self.mixer is None:
+            pose, sure = poses.pose[rows], poses.confidence[rows]
+        else:
+            pose, sure = self.mixer(rows, poses.confidence, share=settings.mix, limb=settings.mix_limb)
+        if self.mirrors:
+            flip = torch.rand(len(rows), device=rows.device) < 0.5
+            pose = torch.where(flip[:, None, None], mirror(pose, self.swap), pose)
+            sure = torch.where(flip[:, None], sure[:, self.swap], sure)
+        return pose, sure
+
+    def _turned(self, pose: Tensor, rows: Tensor) -> tuple[Tensor, Tensor]:
+        """Return the level poses of ``rows`` in the frames of random cameras, or their own, and gravity there."""
+        count, device = len(pose), pose.device
+        down = pose.new_tensor([0.0, 1.0, 0.0])
+        if not self.settings.turn:
+            gravity = self.poses.gravity[rows]
+            return (turn(pose, least_rotation(gravity, down).mT) if self.poses.skeleton.gravity else pose), gravity
+        gravity = self.poses.gravity[self._draw(count)]
+        if not self.poses.skeleton.gravity:
+            return turn(pose, random_rotations(count, device)), gravity
+        azimuth = 2 * torch.pi * torch.rand(count, device=device)
+        return turn(pose, least_rotation(gravity, down).mT @ about_y(azimuth)), gravity
+
+    def _hide(self, confidence: Tensor) -> Tensor:
+        """Return the confidence with joints of some views at 0: a random share of them, or a limb."""
+        if not self.settings.occlude:
+            return confidence
+        count, device = len(confidence), confidence.device
+        share = _MOST_HIDDEN * torch.rand(count, 1, device=device)
+        hidden = torch.rand(confidence.shape, device=device) < share
+        if len(self.limbs):
+            limb = self.limbs[torch.randint(len(self.limbs), (count,), device=device)]
+            hidden = torch.where(torch.rand(count, 1, device=device) < _LIMB_SHARE, limb, hidden)
+        hidden &= torch.rand(count, 1, device=device) < self.settings.occlude
+        return confidence.masked_fill(hidden, 0)
+
+
+def _stand_in(keypoints: Tensor, shown: Tensor, root: int, rings: list[list[int]]) -> Tensor:
+    """Return what a missing root is measured from: the mean of its nearest shown neighbours, as `clean` has it."""
+    origin, missing = keypoints[:, root], shown[:, root] == 0
+    for ring in rings:
+        weight = (shown[:, ring] > 0).to(keypoints.dtype).unsqueeze(-1)
+        mean = (keypoints[:, ring] * weight).sum(1) / weight.sum(1).clamp_min(1)
+        use = missing & (weight.sum((1, 2)) > 0)
+        origin = torch.where(use[:, None], mean, origin)
+        missing = missing & ~use
+    return origin
+
+
+def _limbs(skeleton: Skeleton) -> Tensor:
+    """Return (limbs joints) bool: every joint with all below it, where that is no more than a third of the body."""
+    parents = skeleton.parents
+    found = set()
+    for top in skeleton.joints:
+        limb = set()
+        for joint in skeleton.joints:
+            above: str | None = joint
+            while above is not None and above != top:
+                above = parents[above]
+            if above == top:
+                limb.add(joint)
+        if 2 <= len(limb) <= len(skeleton.joints) / 3:
+            found.add(tuple(joint in limb for joint in skeleton.joints))
+    return torch.tensor(sorted(found), dtype=torch.bool).reshape(-1, len(skeleton.joints))

@@ -1,0 +1,278 @@
+"""Lightning callbacks: time budget, checkpoints, progress and metrics.csv, number of CPU threads."""
+
+from __future__ import annotations
+
+import csv
+import signal
+import sys
+import threading
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import lightning as L
+import torch
+from torch import Tensor
+
+from uplift.config.files import read_torch, save_torch
+from uplift.errors import UserError
+from uplift.training.base import LifterTraining
+
+__all__ = ["Budget", "Checkpoints", "Interrupted", "MetricsFile", "Progress", "Threads", "check_checkpoint"]
+
+# Use as many CPU threads as pay: all of them on a quiet machine, one on a crowded one.
+
+_PROBE_STEPS = 4
+_EVERY_S = 20.0
+
+
+class Threads(L.Callback):
+    """Now and then times a few steps with all threads and a few with one, and goes on with the faster.
+
+    Small products are split over threads that wait for each other: where another process holds a
+    core, two threads can be ten times slower than one. Every probe is a step of the training, so
+    nothing is lost by it; but the last digits depend on the number of threads, so fits that count
+    steps and not time leave it alone.
+    """
+
+    def __init__(self) -> None:
+        self.most = torch.get_num_threads()
+        self._times: dict[int, list[float]] = {}
+        self._queue: list[int] = []
+        self._next = 0.0
+        self._start = 0.0
+
+    def on_train_batch_start(self, trainer: Any, module: Any, batch: Any, batch_idx: int) -> None:
+        """Set the threads of this step where it is a probe."""
+        now = time.perf_counter()
+        if not self._queue and now >= self._next:
+            self._times = {}
+            self._queue = [self.most] * _PROBE_STEPS + [1] * _PROBE_STEPS
+        if self._queue:
+            torch.set_num_threads(self._queue[0])
+        self._start = time.perf_counter()
+
+    def on_train_batch_end(self, *rest: Any) -> None:
+        """Note how long a probe took; after the last one keep the faster number."""
+        if not self._queue:
+            return
+        threads = self._queue.pop(0)
+        self._times.setdefault(threads, []).append(time.perf_counter() - self._start)
+        if not self._queue:
+            typical = {n: sorted(times)[len(times) // 2] for n, times in self._times.items()}
+            torch.set_num_threads(min(typical, key=lambda n: typical[n]))
+            self._next = time.perf_counter() + _EVERY_S
+
+    def on_train_end(self, *rest: Any) -> None:
+        """Give the rest of the program all threads again."""
+        torch.set_num_threads(self.most)
+
+
+# Keep the training state so that a killed fit goes on where it was.
+
+
+class Checkpoints(L.Callback):
+    """Save the stage to ``path`` every ``seconds`` or ``steps`` and at its end, whole or not at all."""
+
+    def __init__(self, path: Path, *, seconds: float, steps: int | None, on_save: Callable[[], None] | None = None):
+        self.path, self.seconds, self.steps, self.on_save = path, seconds, steps, on_save
+        self._last = time.monotonic()
+
+    def on_train_batch_end(self, trainer: L.Trainer, module: LifterTraining, *rest: Any) -> None:  # type: ignore[override]
+        """Save when it is time to."""
+        if self.steps:
+            due = trainer.global_step % self.steps == 0
+        else:
+            due = time.monotonic() - self._last > self.seconds
+        if due or trainer.should_stop:
+            self.save(trainer, module)
+
+    def save(self, trainer: L.Trainer, module: LifterTraining) -> None:
+        """Save now."""
+        state = trainer._checkpoint_connector.dump_checkpoint()
+        state["done"] = module.done
+        if trainer.is_global_zero:
+            save_torch(state, self.path)
+            if self.on_save:
+                self.on_save()
+        self._last = time.monotonic()
+
+
+def check_checkpoint(path: Path, module: LifterTraining) -> float:
+    """Return how much of the stage the checkpoint had done, after checking that it fits ``module``.
+
+    Raises:
+        UserError: damaged, or of other settings or another skeleton.
+    """
+    state = read_torch(path, "checkpoint")
+    found, expected = state.get("state_dict"), module.state_dict()
+    if not isinstance(found, dict) or "done" not in state:
+        raise UserError(f"{path} is no checkpoint of a fit (no 'state_dict').")
+    wrong = [k for k in expected if k not in found or found[k].shape != expected[k].shape]
+    if wrong or set(found) - set(expected):
+        raise UserError(
+            f"{path} does not fit this run's settings ({wrong[0] if wrong else sorted(set(found) - set(expected))[0]} "
+            "differs): another skeleton, network or set of priors. Resume with the run's own settings."
+        )
+    return float(state["done"])
+
+
+# Tell how a fit is going: one line on a terminal, rows in metrics.csv.
+
+
+class Progress(L.Callback):
+    """One line that is rewritten on a terminal; elsewhere a line at every tenth of the stage."""
+
+    def __init__(self, stage: str, budget: Budget, stream: Any = None):
+        self.stage, self.budget = stage, budget
+        self.stream = stream or sys.stderr
+        self._tenth, self._shown = -1, 0.0
+        self._smooth: dict[str, float] = {}
+
+    def on_train_batch_end(self, trainer: L.Trainer, module: LifterTraining, *rest: Any) -> None:  # type: ignore[override]
+        """Show the line when it is time to."""
+        if not trainer.is_global_zero:
+            return
+        live = self.stream.isatty()
+        tenth = int(module.done * 10)
+        now = time.monotonic()
+        if (live and now - self._shown < 0.5 and not trainer.should_stop) or (not live and tenth == self._tenth):
+            return
+        self._tenth, self._shown = tenth, now
+        for name, value in module.logged.items():
+            before = self._smooth.get(name, float(value))
+            self._smooth[name] = 0.6 * before + 0.4 * float(value)
+        text = self._line(trainer, module)
+        self.stream.write(f"\r\033[K{text}" if live else f"{text}\n")
+        if live and trainer.should_stop:
+            self.stream.write("\n")
+        self.stream.flush()
+
+    def _line(self, trainer: L.Trainer, module: LifterTraining) -> str:
+        done = module.done
+        left = self.budget.spent * (1 - done) / done if done > 0.01 else float("nan")
+        clock = f"{int(left) // 60}:{int(left) % 60:02d} left" if left == left else "..."
+        losses = "  ".join(f"{name} {value:.3f}" for name, value in list(self._smooth.items())[:8])
+        return f"{self.stage:8s} {100 * done:3.0f} %  step {trainer.global_step:,}  {clock}  {losses}"
+
+
+class MetricsFile(L.Callback):
+    """Append a row of losses and prior metrics to ``metrics.csv`` every ``every`` steps.
+
+    The file is long: stage, step, name, value. Rows after the step that a fit resumes from are
+    taken out first, so that an unbroken and a resumed fit leave the same file.
+    """
+
+    def __init__(self, path: Path, stage: str, every: int):
+        self.path, self.stage, self.every = path, stage, every
+
+    def on_train_start(self, trainer: L.Trainer, module: Any) -> None:
+        """Take out what a killed process wrote after its last checkpoint."""
+        if not trainer.is_global_zero:
+            return
+        rows = read_metrics(self.path)
+        kept = [r for r in rows if r[0] != self.stage or int(r[1]) <= trainer.global_step]
+        with open(self.path, "w", newline="") as file:
+            csv.writer(file).writerows([["stage", "step", "name", "value"], *kept])
+
+    def on_train_batch_end(self, trainer: L.Trainer, module: LifterTraining, *rest: Any) -> None:  # type: ignore[override]
+        """Append rows when it is time to."""
+        if not trainer.is_global_zero or trainer.global_step % self.every:
+            return
+        values: dict[str, float | Tensor] = dict(module.logged)
+        values |= module.more_metrics()
+        with open(self.path, "a", newline="") as file:
+            writer = csv.writer(file)
+            for name, value in values.items():
+                writer.writerow([self.stage, trainer.global_step, name, f"{float(value):.6g}"])
+        for logger in trainer.loggers:
+            logger.log_metrics({f"{self.stage}/{k}": float(v) for k, v in values.items()}, trainer.global_step)
+
+
+def read_metrics(path: Path) -> list[list[str]]:
+    """Return the rows of a metrics.csv without its header; a line cut short by a kill is left out."""
+    if not path.is_file():
+        return []
+    with open(path, newline="") as file:
+        return [row for row in csv.reader(file) if len(row) == 4 and row[1].isdigit()]
+
+
+# End a stage when its steps or its time are over, or when the user asks for it.
+
+
+class Interrupted(Exception):
+    """The user pressed Ctrl-C; the training state has been saved."""
+
+
+class Budget(L.Callback):
+    """Keeps `LifterTraining.done` from 0 to 1 and stops there; time goes on counting after a resume.
+
+    Ctrl-C or a SIGTERM ends the stage after the step under way; a second one at once.
+    """
+
+    def __init__(self, *, steps: int | None, seconds: float | None, spent: float = 0.0):
+        self.steps, self.seconds = steps, seconds
+        self.spent = spent
+        self.first_step_s: float | None = None
+        self.interrupted = False
+
+    def on_train_start(self, trainer: L.Trainer, module: LifterTraining) -> None:  # type: ignore[override]
+        """Start the clock where a resumed stage left it."""
+        self._catch(signal.SIGTERM)  # here, as Lightning has just put its own in place
+        self._before = self.spent
+        self._start = time.monotonic()
+        self._update(trainer, module)
+
+    def on_train_batch_start(self, trainer: Any, module: Any, batch: Any, batch_idx: int) -> None:
+        """Set how much of the stage is over."""
+        self._update(trainer, module)
+
+    def on_train_batch_end(self, trainer: L.Trainer, module: Any, *rest: Any) -> None:
+        """Stop when it is over, or when it was interrupted."""
+        if self.first_step_s is None:
+            self.first_step_s = time.monotonic() - self._start
+        self._update(trainer, module)
+        if module.done >= 1 or self.interrupted:
+            trainer.should_stop = True
+
+    def _update(self, trainer: L.Trainer, module: LifterTraining) -> None:
+        self.spent = self._before + time.monotonic() - self._start
+        shares = [0.0]
+        if self.steps:
+            shares.append(trainer.global_step / self.steps)
+        if self.seconds:
+            spent = self.spent
+            if trainer.world_size > 1:  # all ranks must stop at the same step
+                spent = float(trainer.strategy.broadcast(torch.tensor(spent)))
+            shares.append(spent / self.seconds)
+        module.done = min(1.0, max(shares))
+
+    def state_dict(self) -> dict[str, float]:
+        """Return the time spent so far, seconds."""
+        return {"spent": self.spent}
+
+    def load_state_dict(self, state: dict[str, float]) -> None:
+        """Take over the time an earlier process spent."""
+        self.spent = float(state["spent"])
+
+    def __enter__(self) -> Budget:
+        self._handlers = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+        self._catch(signal.SIGINT)
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        for number, handler in self._handlers.items():
+            if handler is not None and threading.current_thread() is threading.main_thread():
+                signal.signal(number, handler)
+
+    def _catch(self, number: int) -> None:
+        """Note the signal when it comes, instead of what it does otherwise."""
+
+        def ask(number: int, frame: object) -> None:
+            if self.interrupted:
+                raise SystemExit(130)  # Lightning turns a KeyboardInterrupt into an exit with status 1
+            self.interrupted = True
+
+        if threading.current_thread() is threading.main_thread():  # elsewhere signals are the caller's
+            signal.signal(number, ask)

@@ -1,0 +1,118 @@
+"""Poses to learn from that nobody labelled: the training frames as a lifter lifts them, mended."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields, replace
+
+import torch
+from jaxtyping import Bool, Float
+from torch import Tensor
+
+from uplift.config.settings import RefineSettings
+from uplift.data.tensors import TrainingSet
+from uplift.geometry.camera import Camera
+from uplift.geometry.rotation import body_tilt, clip_median, gravity_of, least_rotation, real_tilt, turn
+from uplift.models.lifter import Lifter
+from uplift.models.predict import as_measured, lift_frames
+from uplift.models.refine import has_clips, refine_clips
+from uplift.skeleton import Skeleton
+
+__all__ = ["PseudoPoses", "lift_all", "true_poses"]
+
+_NOISY = 1e-3
+"""Mean distance, in units, between keypoints and refined poses from which keypoints count as noisy."""
+
+
+@dataclass(frozen=True)
+class PseudoPoses:
+    """The training frames as the teacher lifts them: poses without any label."""
+
+    skeleton: Skeleton
+    pose: Float[Tensor, "frames joints 3"]
+    """Level frame where there is gravity, in units of the mean 2D radius."""
+    gravity: Float[Tensor, "frames 3"]
+    """Its direction as the camera that looks at the root sees it; (0, 1, 0) without gravity."""
+    distance: Float[Tensor, " frames"]
+    """Of the camera to the root, in units."""
+    confidence: Float[Tensor, "frames joints"]
+    """Of the data; where it is 0 the joint is the teacher's guess and teaches nothing."""
+    noise: Float[Tensor, "frames joints 2"] | None = None
+    """What the keypoints were off from the refined poses; None where they are exact or nothing tells."""
+    labelled: Bool[Tensor, " frames"] | None = None
+    """Which poses are true; None where none is."""
+
+    def __len__(self) -> int:
+        return len(self.pose)
+
+    @property
+    def which_labelled(self) -> Bool[Tensor, " frames"]:
+        """Which poses are true."""
+        return (
+            torch.zeros(len(self), dtype=torch.bool, device=self.pose.device)
+            if self.labelled is None
+            else self.labelled
+        )
+
+    def to(self, device: torch.device | str) -> PseudoPoses:
+        """Return the same poses on ``device``."""
+        moved = {f.name: getattr(self, f.name) for f in fields(self) if f.name != "skeleton"}
+        return replace(self, **{k: None if v is None else v.to(device) for k, v in moved.items()})
+
+
+@torch.no_grad()
+def lift_all(lifter: Lifter, data: TrainingSet, refine: RefineSettings) -> PseudoPoses:
+    """Return every training frame lifted by ``lifter``, averaged with its mirror image and refined by clip.
+
+    A label takes the place of what was lifted.
+    """
+    data = data.to(next(lifter.parameters()).device)
+    lifted = lift_frames(lifter, data)
+    pose, refined = lifted.pose, bool(refine.iterations) and has_clips(data)
+    if refined:
+        pose = refine_clips(data, as_measured(data, lifted.keypoints), pose[..., 2], lifter.camera, refine)
+    if data.labels is not None:
+        pose = torch.where(data.labels.isfinite(), data.labels, pose)
+    tilt = real_tilt(lifted.tilt, data.rotation)
+    if lifter.tilt == "predicted" and has_clips(data):
+        tilt = _body_tilts(data, pose)
+    noise = _noise(data, pose, data.confidence, lifter.camera) if refined else None
+    return _levelled(data, pose, data.confidence, tilt, noise)
+
+
+@torch.no_grad()
+def true_poses(data: TrainingSet, camera: Camera, *, tilted: bool = True) -> PseudoPoses:
+    """Return the frames of ``data``, all of which have labels, as a teacher would lift them that knows the truth.
+
+    What the keypoints are off from the labels is the noise. Where the labels do not tell the camera's
+    tilt the bodies do; cameras that are not ``tilted`` are level.
+    """
+    assert data.labels is not None
+    known = data.labels.isfinite().all(-1)
+    pose = data.labels.nan_to_num()
+    # A joint that was not seen has its true place all the same; one without a label teaches nothing.
+    sure = torch.where(data.confidence > 0, data.confidence, torch.ones_like(data.confidence)) * known
+    tilt = _body_tilts(data, pose) if tilted else torch.zeros_like(data.distance)
+    return _levelled(data, pose, sure, tilt, _noise(data, pose, data.confidence * known, camera))
+
+
+def _levelled(data: TrainingSet, pose: Tensor, sure: Tensor, tilt: Tensor, noise: Tensor | None) -> PseudoPoses:
+    """Return poses in the level frame; ``tilt`` is that of the real cameras, where labels do not say it."""
+    labelled = None if data.labels is None else data.labelled
+    if data.label_tilt is not None and data.skeleton.gravity:
+        tilt = torch.where(data.label_tilt.isfinite(), real_tilt(data.label_tilt, data.rotation), tilt)
+    gravity = gravity_of(tilt, data.rotation)
+    if data.skeleton.gravity:
+        pose = turn(pose, least_rotation(gravity, gravity.new_tensor([0.0, 1.0, 0.0])))
+    return PseudoPoses(data.skeleton, pose, gravity, data.distance, sure, noise, labelled)
+
+
+def _body_tilts(data: TrainingSet, pose: Tensor) -> Tensor:
+    """Return the tilt of each frame's real camera as the bodies tell it, one for a clip."""
+    tilt, trust = body_tilt(pose if data.rotation is None else turn(pose, data.rotation.mT))
+    return clip_median(tilt, trust, data.clip)
+
+
+def _noise(data: TrainingSet, pose: Tensor, sure: Tensor, camera: Camera) -> Tensor | None:
+    """Return what the sure keypoints are off from the poses; None where that is next to nothing."""
+    noise = (data.keypoints - as_measured(data, camera.project(pose, data.distance))) * (sure > 0).unsqueeze(-1)
+    return noise if noise.norm(dim=-1).mean() > _NOISY else None

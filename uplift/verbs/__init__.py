@@ -1,1 +1,0 @@
-"""What people do with uplift, one verb per file; the command line and the Python API share them."""
