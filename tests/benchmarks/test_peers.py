@@ -19,7 +19,7 @@ from uplift.data.synthetic.simulate import simulate
 from uplift.errors import UserError
 from uplift.models.model import build_lifter, load
 
-ROOT = Path(__file__).resolve().parent.parent
+ROOT = Path(__file__).resolve().parents[2]
 sys.path.insert(0, str(ROOT))
 
 from benchmarks.accuracy import floors, twin  # noqa: E402

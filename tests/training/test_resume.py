@@ -54,7 +54,7 @@ def broken(tmp_path_factory: pytest.TempPathFactory) -> dict[str, tuple[Path, in
         (base / name).mkdir()
         words = ["fit", *own_data(base / "a.npz"), f"data.test={base / 'a.npz'}", *settings]
         wanted.append({"folder": str(base / name), "words": words, "stage": stage, "step": step, "event": event})
-    script = Path(__file__).with_name("broken_fits.py")
+    script = Path(__file__).parents[1] / "helpers/broken_fits.py"
     done = subprocess.run(
         [sys.executable, str(script)], input=json.dumps(wanted), capture_output=True, text=True, timeout=300
     )

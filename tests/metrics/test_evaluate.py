@@ -18,7 +18,7 @@ from uplift.metrics.protocols import PROTOCOLS
 from uplift.metrics.scores import GivenPoses, previous_frames
 from uplift.skeleton import Skeleton, load_skeleton
 
-SHIPPED = load_skeleton(Path(__file__).parents[1] / "skeletons" / "h36m17.yaml")
+SHIPPED = load_skeleton(Path(__file__).parents[2] / "skeletons" / "h36m17.yaml")
 NOSE = {"front": (("thorax",), ("nose",)), "left": (("rshoulder",), ("lshoulder",))}
 HUMAN = replace(SHIPPED, facing=NOSE)
 ROOT = HUMAN.root_index

@@ -218,7 +218,7 @@ def test_writers_are_found_by_extension() -> None:
 
 
 def test_the_example_of_the_documents_runs(here: Path) -> None:
-    text = (Path(__file__).resolve().parent.parent / "docs/shapes-output.md").read_text()
+    text = (Path(__file__).resolve().parents[2] / "docs/shapes-output.md").read_text()
     (example,) = re.findall(r"^```py\n(.*?)^```$", text, re.M | re.S)
     exec(example, {})
     assert _read(here / "ball.stl").extents.max() == pytest.approx(60, rel=1e-3)

@@ -21,7 +21,7 @@ from uplift.data.synthetic.simulate import simulate
 from uplift.skeleton import load_skeleton
 from uplift.skeleton.propose import propose
 
-PAGE = Path(__file__).resolve().parent.parent / "docs/beetle.md"
+PAGE = Path(__file__).resolve().parents[2] / "docs/beetle.md"
 _FENCE = re.compile(r"^```(\w*)\n(.*?)^```$", re.M | re.S)
 # The critic is no part of the page's recipe; everything else is made small.
 _SMALL = (*(word for word in QUICK if not word.startswith("priors.critic.")), "lifter.refine.iterations=3")

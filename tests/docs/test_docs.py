@@ -26,7 +26,7 @@ from uplift.priors import PRIORS
 from uplift.priors.shape_base import SHAPE_PRIORS
 from uplift.skeleton import load_skeleton
 
-ROOT = Path(__file__).resolve().parent.parent
+ROOT = Path(__file__).resolve().parents[2]
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
 SMALL = (*QUICK, "data.simulate=200")
 SMALL_MASKS = (
