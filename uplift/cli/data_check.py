@@ -23,19 +23,19 @@ from uplift.errors import UserError, did_you_mean
 from uplift.skeleton import Skeleton, load_skeleton
 from uplift.skeleton.match import build_joints
 
-__all__ = ["check_data", "made_up_masks", "masks_there"]
+__all__ = ["check_data"]
 
 # What data check says of a file or folder of masks: a look at it, without opening every picture.
 
 
-def made_up_masks(data: DataSettings) -> str:
+def _made_up_masks(data: DataSettings) -> str:
     """Return what a fit makes up; raises UserError for no such family."""
     if data.family not in FAMILIES:
         raise UserError(f"data.family={data.family}: no such family of shapes.{did_you_mean(data.family, FAMILIES)}")
     return f"{data.simulate:,} masks of made-up {data.family}"
 
 
-def masks_there(path: Path, data: DataSettings) -> str:
+def _masks_there(path: Path, data: DataSettings) -> str:
     """Return in a few words what ``path`` holds; raises UserError where that is no masks."""
     look = Look([path])
     if data.format is not None and data.format not in FORMATS:
@@ -93,7 +93,7 @@ class _Report:
         frames = settings.data.simulate
         if settings.lifts == "masks":
             cost = f"; {_size(frames * settings.data.side**2)} in memory"
-            what = made_up_masks(settings.data)
+            what = _made_up_masks(settings.data)
             self.lines.append(f"train, test: {what}, when the fit starts: no files needed{cost}")
             return
         joints = len(self.skeleton.joints) if self.skeleton else 0
@@ -157,7 +157,7 @@ class _Report:
     def _cost(self, path: Path, settings: Settings) -> str:
         """Return frames, joints and memory, or how many masks; raises UserError for a file that a fit would refuse."""
         if settings.lifts == "masks":
-            return masks_there(path, settings.data)
+            return _masks_there(path, settings.data)
         found = contents_of(path, read_options(settings.data))
         joints = len(found.joint_names)
         if self.skeleton is not None:

@@ -36,12 +36,10 @@ if TYPE_CHECKING:
 
 __all__ = [
     "MOST",
-    "ScoredShapes",
     "evaluate",
     "evaluate_command",
     "evaluate_model",
     "evaluate_poses",
-    "evaluate_run_of_shapes",
     "save_evaluation",
     "score_shapes",
 ]
@@ -78,7 +76,7 @@ def evaluate(
 
         if items is not None and items < 1:
             raise UserError(f"items={items}: expected how many masks are scored at most, 1 or more.")
-        result = evaluate_run_of_shapes(folder, model, None if test is None else str(test), items or MOST)
+        result = _evaluate_run_of_shapes(folder, model, None if test is None else str(test), items or MOST)
     save_evaluation(result, folder)
     return result
 
@@ -203,7 +201,7 @@ MOST = 100
 
 
 @dataclass(frozen=True)
-class ScoredShapes:
+class _ScoredShapes:
     """The items that were scored, what the lifter made of them, and how good that is."""
 
     test: MaskData
@@ -213,7 +211,7 @@ class ScoredShapes:
 
 def score_shapes(
     model: ShapeModel, test: MaskData, train: MaskData | None, title: str = "", most: int = MOST
-) -> ScoredShapes:
+) -> _ScoredShapes:
     """Return every metric of ``model`` on at most ``most`` masks, and the floors' where ``train`` has true shapes.
 
     Raises:
@@ -238,10 +236,10 @@ def score_shapes(
         found = evaluate_shapes(prediction, test.truth, test.masks, test.source, test.category)  # type: ignore[arg-type]
     else:
         found = score_with_floors(prediction, known, test, test.source)
-    return ScoredShapes(test, prediction, replace(found, notes=[*found.notes, *notes]))
+    return _ScoredShapes(test, prediction, replace(found, notes=[*found.notes, *notes]))
 
 
-def evaluate_run_of_shapes(
+def _evaluate_run_of_shapes(
     folder: RunFolder, model: ShapeModel, test: str | None = None, most: int = MOST
 ) -> ShapeEvaluation:
     """Return the metrics of a run on ``test``, or on its own test masks.

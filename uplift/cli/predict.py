@@ -37,7 +37,7 @@ from uplift.models.model import load, load_poses
 from uplift.models.prediction import Prediction, ShapePrediction
 from uplift.skeleton import Skeleton
 
-__all__ = ["predict", "predict_command", "predict_shapes", "predict_shapes_lines"]
+__all__ = ["predict", "predict_command", "predict_shapes"]
 
 # The verb predict for a run that lifts masks: masks in, shapes out, in the format of the output's ending.
 
@@ -78,7 +78,7 @@ def predict_shapes(
     return prediction
 
 
-def predict_shapes_lines(keys: dict[str, str]) -> list[str]:
+def _predict_shapes_lines(keys: dict[str, str]) -> list[str]:
     """Lift what the words of the command name, write it, and return what to say of it."""
     verb = "predict"
     options: dict[str, Any] = {key: keys[key] for key in ("axes", "unit") if key in keys}
@@ -240,7 +240,7 @@ def predict_command(words: Sequence[str]) -> None:
     masks = lifts_masks(keys["run"])
     _refuse_others(keys, masks)
     if masks:
-        print("\n".join(predict_shapes_lines(keys)))
+        print("\n".join(_predict_shapes_lines(keys)))
         return
     of_page: dict[str, Any] = {"images": keys["images"]} if "images" in keys else {}
     of_page |= {key: whole("predict", keys, key) for key in ("frames", "seed") if key in keys}

@@ -28,21 +28,12 @@ from uplift.training.callbacks import read_metrics
 if TYPE_CHECKING:
     from uplift.models.model import ShapeModel
 
-__all__ = [
-    "closing_lines",
-    "curves_of",
-    "given_lines",
-    "given_to_shapes",
-    "head_lines",
-    "prior_lines",
-    "report",
-    "report_shapes",
-]
+__all__ = ["report", "report_shapes"]
 
 # What the reports of all fits share, whatever is lifted: the head, the curves, the priors, the last lines.
 
 
-def prior_lines(settings: Settings) -> list[str]:
+def _prior_lines(settings: Settings) -> list[str]:
     """Return which priors had a say, and which of them are the user's own."""
     specs = {n: s for n, s in settings.priors.items() if float(s.get("weight", 1)) > 0}
     lines = ["Priors (weight): " + ", ".join(f"{n} {float(s.get('weight', 1)):g}" for n, s in specs.items()) + "."]
@@ -52,7 +43,7 @@ def prior_lines(settings: Settings) -> list[str]:
     return lines
 
 
-def curves_of(run: RunFolder) -> dict[str, list[tuple[float, float]]]:
+def _curves_of(run: RunFolder) -> dict[str, list[tuple[float, float]]]:
     """Return each curve of metrics.csv: stage and name -> (step, value) points."""
     curves: dict[str, list[tuple[float, float]]] = {}
     for stage, step, name, value in read_metrics(run.path / "metrics.csv"):
@@ -60,7 +51,7 @@ def curves_of(run: RunFolder) -> dict[str, list[tuple[float, float]]]:
     return curves
 
 
-def head_lines(run: RunFolder, settings: Settings, notes: Sequence[str], spent: dict[str, float]) -> list[str]:
+def _head_lines(run: RunFolder, settings: Settings, notes: Sequence[str], spent: dict[str, float]) -> list[str]:
     """Return the first lines of report.md."""
     facts = run.facts()
     lines = [f"# {settings.task or 'own data'}", "", settings.description.strip(), ""]
@@ -70,7 +61,7 @@ def head_lines(run: RunFolder, settings: Settings, notes: Sequence[str], spent: 
     return [*lines, f"- seed {settings.seed}, {facts['cores']} cores, torch {facts['versions']['torch']}", ""]
 
 
-def closing_lines(run: RunFolder, evaluated: bool, predicting: str) -> list[str]:
+def _closing_lines(run: RunFolder, evaluated: bool, predicting: str) -> list[str]:
     """Return what a fit wrote and what comes next; ``predicting`` are the words of `predict` behind run=."""
     last = run.path.parent / "last"
     shown = last if last.is_symlink() and last.resolve() == run.path.resolve() else run.path
@@ -96,7 +87,7 @@ def report(run: RunFolder, model: Model, settings: Settings, loaded: Loaded, spe
         save_evaluation(evaluation, run)
         floor = GivenPoses(flat_depth(data.keypoints, model.skeleton.root_index), model.skeleton.joints)
         flat = score(floor, loaded.test, model.skeleton)
-    given = given_lines(settings, loaded)
+    given = _given_lines(settings, loaded)
     text = _markdown(run, settings, loaded, spent, given, evaluation, flat)
     with replacing(run.path / "report.md") as file:
         file.write(text.encode())
@@ -106,13 +97,13 @@ def report(run: RunFolder, model: Model, settings: Settings, loaded: Loaded, spe
         model.predict(data.select(_some_rows(data)), title=title),
         run.path / "page.html",
         sections=sections,
-        curves=curves_of(run),
+        curves=_curves_of(run),
         notes=given,
     )
     _print_end(run, evaluation, flat, spent)
 
 
-def given_lines(settings: Settings, loaded: Loaded) -> list[str]:
+def _given_lines(settings: Settings, loaded: Loaded) -> list[str]:
     """Return what the fit was given, a sentence each: the answer to "did it see 3D?"."""
     lines = ["Learned from 2D keypoints alone: no pose, root depth or camera tilt of the data was looked at."]
     labels = [data.labelled for data in (loaded.train, loaded.more) if data is not None and data.labelled is not None]
@@ -133,7 +124,7 @@ def given_lines(settings: Settings, loaded: Loaded) -> list[str]:
     train = loaded.train
     if settings.student.share and settings.student.refine.iterations and len(np.unique(train.clips())) < len(train):
         lines.append("Which frames make a clip was used: one body and a smooth motion in each.")
-    return [*lines, *prior_lines(settings)]
+    return [*lines, *_prior_lines(settings)]
 
 
 def _some_rows(data: PoseData, most: int = 1500) -> np.ndarray:
@@ -158,7 +149,7 @@ def _rows(evaluation: Evaluation, flat: Evaluation) -> list[list[object]]:
 
 
 def _markdown(run, settings, loaded, spent, given, evaluation, flat) -> str:
-    lines = head_lines(run, settings, [*loaded.notes, *given], spent)
+    lines = _head_lines(run, settings, [*loaded.notes, *given], spent)
     if evaluation is not None:
         lines += ["## Errors", "", "| protocol | this run | flat depth |", "|---|---|---|"]
         for name, value, floor in _rows(evaluation, flat)[1:]:
@@ -197,7 +188,7 @@ def _print_end(run: RunFolder, evaluation: Evaluation | None, flat: Evaluation |
         print(
             "No test poses: nothing to evaluate. `uplift evaluate run=... data.test=FILE` does, on frames with truth."
         )
-    print("\n".join(closing_lines(run, evaluation is not None, "input=KEYPOINTS output=poses.html")))
+    print("\n".join(_closing_lines(run, evaluation is not None, "input=KEYPOINTS output=poses.html")))
 
 
 # What a fit of masks leaves to read: evaluation, report.md, page.html, and the lines at its end.
@@ -221,7 +212,7 @@ def report_shapes(
         prediction = model.predict(
             data.select(np.arange(min(MOST, len(data))) * len(data) // min(MOST, len(data))), title
         )
-    given = given_to_shapes(settings, loaded)
+    given = _given_to_shapes(settings, loaded)
     with replacing(run.path / "report.md") as file:
         file.write(_shape_markdown(run, settings, [*loaded.notes, *given], spent, evaluation).encode())
     write_shape_page(
@@ -230,13 +221,13 @@ def report_shapes(
         truth=truth,
         scores=scores,
         sections=[("Metrics", _shape_rows(evaluation))] if evaluation else [],
-        curves=curves_of(run),
+        curves=_curves_of(run),
         notes=given,
     )
     _print_shape_end(run, evaluation, spent, given[0])
 
 
-def given_to_shapes(settings: Settings, loaded: LoadedMasks) -> list[str]:
+def _given_to_shapes(settings: Settings, loaded: LoadedMasks) -> list[str]:
     """Return what the fit was given, a sentence each: the answer to "did it see 3D?"."""
     data, shape = settings.data, settings.shape
     lines = ["Learned from masks alone: no shape, view or category of the data was looked at."]
@@ -257,7 +248,7 @@ def given_to_shapes(settings: Settings, loaded: LoadedMasks) -> list[str]:
     told.insert(0, "shapes stand upright" if shape.gravity else "shapes are seen from every side")
     told += ["shapes are their own mirror image, left and right"] * shape.symmetric
     lines.append(f"Told beforehand (shape.*): {'; '.join(told)}.")
-    return [*lines, *(prior_lines(settings) if settings.priors else [])]
+    return [*lines, *(_prior_lines(settings) if settings.priors else [])]
 
 
 def _shape_rows(evaluation: ShapeEvaluation) -> list[list[object]]:
@@ -272,7 +263,7 @@ def _shape_rows(evaluation: ShapeEvaluation) -> list[list[object]]:
 def _shape_markdown(
     run: RunFolder, settings: Settings, notes: list[str], spent: dict[str, float], evaluation: ShapeEvaluation | None
 ) -> str:
-    lines = head_lines(run, settings, notes, spent)
+    lines = _head_lines(run, settings, notes, spent)
     if evaluation is not None:
         header, *rows = _shape_rows(evaluation)
         lines += ["## Metrics", "", f"| {' | '.join(map(str, header))} |", "|" + "---|" * len(header)]
@@ -297,4 +288,4 @@ def _print_shape_end(run: RunFolder, evaluation: ShapeEvaluation | None, spent: 
         print(
             "No true test shapes: nothing to evaluate. `uplift evaluate run=... data.test=FILE` does, on masks with truth."
         )
-    print("\n".join(closing_lines(run, evaluation is not None, "input=MASKS output=shapes.html")))
+    print("\n".join(_closing_lines(run, evaluation is not None, "input=MASKS output=shapes.html")))

@@ -18,7 +18,7 @@ from uplift.skeleton import Skeleton, load_skeleton
 from uplift.skeleton.match import JointMatch, match_joints
 from uplift.skeleton.propose import TOO_LONG, guess_parts, quoted, stretch_of
 
-__all__ = ["check_skeleton_file", "fitting_skeletons", "keyed_words", "map_joints", "new_skeleton_file", "reading"]
+__all__ = ["check_skeleton_file", "map_joints", "new_skeleton_file"]
 
 # The verbs skeleton check and skeleton new.
 
@@ -59,7 +59,7 @@ def check_skeleton_file(words: list[str]) -> list[str]:
 
 def new_skeleton_file(words: list[str]) -> list[str]:
     """Write a commented starting file, or one proposed from a tracker's file, and return what to say."""
-    names, keyed = keyed_words("new", words, ("from", "root", "gravity", *READING))
+    names, keyed = _keyed_words("new", words, ("from", "root", "gravity", *READING))
     if len(names) != 1:
         raise UserError("skeleton new takes one FILE, such as beetle.yaml, and --from TRACKER_FILE if you have one.")
     path = Path(names[0] if names[0].endswith((".yaml", ".yml")) else f"{names[0]}.yaml")
@@ -77,7 +77,7 @@ def new_skeleton_file(words: list[str]) -> list[str]:
     return [f"wrote {path}", f"next: edit it, then uplift skeleton check {path}"]
 
 
-def keyed_words(verb: str, words: list[str], known: tuple[str, ...]) -> tuple[list[str], dict[str, str]]:
+def _keyed_words(verb: str, words: list[str], known: tuple[str, ...]) -> tuple[list[str], dict[str, str]]:
     """Return the plain words and the ``key=value`` words; raises UserError for keys that are not ``known``."""
     names, keyed = [], {}
     for word in words:
@@ -93,7 +93,7 @@ def keyed_words(verb: str, words: list[str], known: tuple[str, ...]) -> tuple[li
     return names, keyed
 
 
-def reading(keyed: dict[str, str]) -> ReadOptions:
+def _reading(keyed: dict[str, str]) -> ReadOptions:
     """Return what the words say of a file that is to be read."""
     try:
         weakest = float(keyed.get("min_confidence", 0))
@@ -111,7 +111,7 @@ def _write_proposal(path: Path, keyed: dict[str, str]) -> list[str]:
     gravity = keyed.get("gravity", "yes").casefold()
     if gravity not in ("yes", "no", "true", "false"):
         raise UserError(f"gravity={keyed['gravity']}: expected yes or no.")
-    data = read(keyed["from"], reading(keyed))
+    data = read(keyed["from"], _reading(keyed))
     found = propose(data, path.stem, keyed.get("root"), gravity in ("yes", "true"))
     path.write_text(proposal_text(found, str(path), keyed["from"]))
     skeleton = found.skeleton
@@ -124,7 +124,7 @@ def _write_proposal(path: Path, keyed: dict[str, str]) -> list[str]:
     if found.hidden:
         lines.append(f"left out, as no frame shows them: {', '.join(found.hidden)}")
 
-    fitting = fitting_skeletons(data)
+    fitting = _fitting_skeletons(data)
     if fitting:
         lines.append(f"shipped skeletons that fit this file as they are: {', '.join(fitting)}: better than a guess")
     said = "guessed by the names, in comments" if facing_guess(skeleton) else "not known"
@@ -147,11 +147,11 @@ def map_joints(words: list[str]) -> tuple[list[str], bool]:
     Raises:
         UserError: no such file or skeleton, or one that cannot be read.
     """
-    names, keyed = keyed_words("map", words, ("skeleton", *READING))
+    names, keyed = _keyed_words("map", words, ("skeleton", *READING))
     if len(names) != 1 or "skeleton" not in keyed:
         raise UserError("skeleton map takes one FILE or FOLDER and skeleton=NAME or skeleton=FILE.yaml.")
     skeleton = load_skeleton(keyed["skeleton"])
-    data = read(names[0], reading(keyed))
+    data = read(names[0], _reading(keyed))
     lines = [f"{names[0]}: {_counts(data)}", *(f"  {note}" for note in data.notes), ""]
     try:
         match = match_joints(data.joint_names, skeleton)
@@ -251,7 +251,7 @@ def _shipped() -> list[tuple[Skeleton, tuple[str, ...]]]:
     return [(one, tuple(joint for joint in one.joints if joint not in one.midpoints)) for one in found]
 
 
-def fitting_skeletons(data: PoseData) -> list[str]:
+def _fitting_skeletons(data: PoseData) -> list[str]:
     """Return the shipped skeletons that a file's joints make."""
     return [other.name for other, _ in _shipped() if _fits(data, other)]
 
@@ -259,7 +259,7 @@ def fitting_skeletons(data: PoseData) -> list[str]:
 def _help(data: PoseData, skeleton: Skeleton) -> list[str]:
     """Return which shipped skeletons fit, and a `from:` block of guesses, in comments."""
     lines = [""]
-    fitting = [name for name in fitting_skeletons(data) if name != skeleton.name]
+    fitting = [name for name in _fitting_skeletons(data) if name != skeleton.name]
     if fitting:
         lines += [f"shipped skeletons that fit the file: {', '.join(fitting)}", ""]
     guesses = guess_parts(skeleton, data.joint_names)

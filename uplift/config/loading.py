@@ -17,7 +17,7 @@ from uplift.config.settings import Settings, check_settings
 from uplift.config.yaml_file import read_value, read_yaml
 from uplift.errors import UserError, did_you_mean
 
-__all__ = ["hints_of", "load_settings", "put_override", "read_task", "save_settings", "setting_names", "task_path"]
+__all__ = ["load_settings", "put_override", "read_task", "save_settings", "setting_names", "task_path"]
 
 # Turn a task file and ``key=value`` overrides into checked `Settings`.
 
@@ -130,7 +130,7 @@ def _merge(base: dict[str, Any], top: dict[str, Any]) -> dict[str, Any]:
 
 
 def _check_keys(data: dict[str, Any], kind: type, above: tuple[str, ...], where: Callable[[tuple], str]) -> None:
-    hints = hints_of(kind)
+    hints = _hints_of(kind)
     for key, value in data.items():
         if key not in hints:
             valid = [".".join((*above, name)) for name in hints]
@@ -166,7 +166,7 @@ def _typed(merged: dict[str, Any]) -> Settings:
 
 def _check_tuples(data: dict[str, Any], kind: type, above: str = "") -> None:
     """Refuse what is not as many numbers as its setting holds; OmegaConf does, but without saying which."""
-    for key, hint in hints_of(kind).items():
+    for key, hint in _hints_of(kind).items():
         value = data.get(key)
         if dataclasses.is_dataclass(hint) and isinstance(value, dict):
             _check_tuples(value, hint, f"{above}{key}.")  # type: ignore[arg-type]
@@ -202,7 +202,7 @@ def save_settings(settings: Settings, path: Path) -> None:
 
 
 @functools.cache
-def hints_of(kind: type) -> dict[str, Any]:
+def _hints_of(kind: type) -> dict[str, Any]:
     """Return the types of a dataclass's fields; reading them from their text takes long, so once."""
     return typing.get_type_hints(kind)
 
@@ -239,7 +239,7 @@ def _hint(keys: list[str], override: str) -> Any:
             if typing.get_origin(hint) is dict or hint is Any:
                 return Any
             raise UserError(f"'{override}': '{'.'.join(keys[:depth])}' is one setting, with none below it.")
-        hints = hints_of(hint)
+        hints = _hints_of(hint)
         if key not in hints:
             near = did_you_mean(full, setting_names() if depth else [*hints, "resume"])
             raise UserError(f"Unknown setting '{full}' in '{override}'.{near}")
@@ -284,7 +284,7 @@ def setting_names(below: str = "") -> list[str]:
 
     def walk(kind: type, prefix: str) -> list[str]:
         names = []
-        for name, hint in hints_of(kind).items():
+        for name, hint in _hints_of(kind).items():
             names += walk(hint, f"{prefix}{name}.") if dataclasses.is_dataclass(hint) else [f"{prefix}{name}"]  # type: ignore[arg-type]
         return names
 

@@ -14,7 +14,6 @@ __all__ = [
     "MIN_SIDE",
     "ChoiceSettings",
     "DataSettings",
-    "LabelledSettings",
     "LifterSettings",
     "Settings",
     "ShapeSettings",
@@ -48,7 +47,7 @@ class ChoiceSettings:
 
 
 @dataclass
-class LabelledSettings(ChoiceSettings):
+class _LabelledSettings(ChoiceSettings):
     """Which training frames may be learned from with their true pose; none unless something here is set."""
 
     file: Optional[str] = None  # of other frames with poses: FILE, or SET:SPLIT of a published set
@@ -84,7 +83,7 @@ class DataSettings:
     get: str = ""  # how to get the files, for the message when they are not there
     select: ChoiceSettings = field(default_factory=ChoiceSettings)  # training frames to use
     hold_out: ChoiceSettings = field(default_factory=ChoiceSettings)  # training frames kept for the test instead
-    labelled: LabelledSettings = field(default_factory=LabelledSettings)  # training frames whose truth may be used
+    labelled: _LabelledSettings = field(default_factory=_LabelledSettings)  # training frames whose truth may be used
 
 
 @dataclass

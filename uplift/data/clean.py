@@ -11,7 +11,7 @@ from uplift.data.poses import PoseData
 from uplift.errors import UserError
 from uplift.skeleton import Skeleton
 
-__all__ = ["JUMP", "MIN_VISIBLE", "CleanReport", "clean", "joint_neighbours", "jump_of"]
+__all__ = ["JUMP", "MIN_VISIBLE", "clean", "joint_neighbours", "jump_of"]
 
 # Whether the frames of a sequence are a film: whether each is much like the one before it.
 
@@ -49,7 +49,7 @@ _BLOCK = 4096
 
 
 @dataclass(frozen=True)
-class CleanReport:
+class _CleanReport:
     """What `clean` found, in counts."""
 
     frames: int
@@ -84,7 +84,7 @@ class CleanReport:
         return found
 
 
-def clean(data: PoseData, skeleton: Skeleton, *, drop: bool = True) -> tuple[PoseData, CleanReport]:
+def clean(data: PoseData, skeleton: Skeleton, *, drop: bool = True) -> tuple[PoseData, _CleanReport]:
     """Return ``data`` with finite keypoints, confidence 0 where missing, and a root in every frame.
 
     ``data`` has the skeleton's joints in the skeleton's order. NaN, infinite and confidence 0 mean
@@ -120,7 +120,7 @@ def clean(data: PoseData, skeleton: Skeleton, *, drop: bool = True) -> tuple[Pos
     data = replace(data, stills=data.stills or jump > JUMP)
     if drop and bad.any():
         data = data.select(~bad)
-    report = CleanReport(
+    report = _CleanReport(
         frames=len(bad),
         too_few=int(too_few.sum()),
         all_equal=int(all_equal.sum()),

@@ -14,23 +14,7 @@ from uplift.config.settings import MAX_SIDE, MIN_SIDE
 from uplift.data.masks import FILL, Found, MaskData, Skipped
 from uplift.errors import UserError, did_you_mean
 
-__all__ = [
-    "HOLE",
-    "MENDED",
-    "MIN_SIDE_PX",
-    "PIECE",
-    "REASONS",
-    "CleanOptions",
-    "Crop",
-    "MaskOptions",
-    "MaskReport",
-    "clean",
-    "clean_mask",
-    "covered",
-    "fill_noise",
-    "largest_piece",
-    "resample",
-]
+__all__ = ["MENDED", "REASONS", "CleanOptions", "Crop", "MaskOptions", "clean", "clean_mask", "covered", "resample"]
 
 # What a user says of masks: how they are read, and which are taken.
 
@@ -78,7 +62,7 @@ class MaskOptions(CleanOptions):
 
 # What became of each mask: counts, reasons and a few names.
 
-MIN_SIDE_PX = 12
+_MIN_SIDE_PX = 12
 """The longer side of the box of the smallest mask that is taken."""
 
 REASONS = {
@@ -86,7 +70,7 @@ REASONS = {
     "full": "the whole image is covered",
     "border": "the object touches the border of the image, so it is cut off (border=keep takes these)",
     "pieces": "several pieces of similar size (pieces=largest takes the largest of each)",
-    "small": f"smaller than {MIN_SIDE_PX} px",
+    "small": f"smaller than {_MIN_SIDE_PX} px",
     "thin": "thinner than a pixel",
     "crowd": "a crowd, not one object",
     "score": "a score below 0.5",
@@ -113,7 +97,7 @@ _SHOWN = 3
 
 
 @dataclass
-class MaskReport:
+class _MaskReport:
     """What `clean` found, in counts."""
 
     kept: int = 0
@@ -180,13 +164,13 @@ def covered(mask: np.ndarray) -> np.ndarray:
 
 # The pieces and holes of a mask: which is the object, and which are noise.
 
-PIECE = 0.1
+_PIECE = 0.1
 """Of the largest piece's area: a smaller one is a speck, a larger one a part of something."""
-HOLE = 0.001
+_HOLE = 0.001
 """Of the object's area: a smaller hole is noise; one pixel always is."""
 
 
-def largest_piece(
+def _largest_piece(
     mask: Bool[np.ndarray, "height width"],
 ) -> tuple[Bool[np.ndarray, "height width"], float]:
     """Return the piece of most pixels (joined by sides or corners), and the second one's share of its area: 0 where it is alone."""
@@ -198,7 +182,7 @@ def largest_piece(
     return numbers == 1 + int(np.argmax(areas)), float(second / first)
 
 
-def fill_noise(mask: Bool[np.ndarray, "height width"]) -> tuple[Bool[np.ndarray, "height width"], int]:
+def _fill_noise(mask: Bool[np.ndarray, "height width"]) -> tuple[Bool[np.ndarray, "height width"], int]:
     """Return a mask without holes that are too small to be real, and how many there were.
 
     A hole is joined by sides alone, and does not reach the mask's edge: what lies between the legs of a chair
@@ -207,7 +191,7 @@ def fill_noise(mask: Bool[np.ndarray, "height width"]) -> tuple[Bool[np.ndarray,
     numbers = np.asarray(label(~mask, connectivity=1))
     rim = np.concatenate([numbers[0], numbers[-1], numbers[:, 0], numbers[:, -1]])
     areas = np.bincount(numbers.reshape(-1))
-    noise = areas <= max(1.0, HOLE * areas[0])
+    noise = areas <= max(1.0, _HOLE * areas[0])
     noise[0] = noise[rim] = False  # the object itself, and what is around it
     if not noise.any():
         return mask, 0
@@ -296,13 +280,13 @@ def clean_mask(mask: np.ndarray | Found, options: CleanOptions | None = None) ->
     if np.count_nonzero(object_) >= _FULL * width * height:
         return "full"
     object_, left, top = _boxed(object_, *found.corner_px)
-    object_, second = largest_piece(object_)
+    object_, second = _largest_piece(object_)
     mended = set()
     if second > 0:
         object_, left, top = _boxed(object_, left, top)
-        mended.add("largest" if second >= PIECE else "specks")
+        mended.add("largest" if second >= _PIECE else "specks")
     tall, wide = object_.shape
-    if max(tall, wide) < MIN_SIDE_PX:
+    if max(tall, wide) < _MIN_SIDE_PX:
         return "small"
     slack = found.slack_px
     if left <= slack or top <= slack or left + wide >= width - slack or top + tall >= height - slack:
@@ -313,7 +297,7 @@ def clean_mask(mask: np.ndarray | Found, options: CleanOptions | None = None) ->
         return "pieces"
     if min(tall, wide) < _THIN_PX:
         return "thin"
-    object_, holes = fill_noise(object_)
+    object_, holes = _fill_noise(object_)
     mended |= {"holes"} if holes else set()
     scale_px = max(tall, wide) / 2 / FILL
     crop = resample(object_, (wide / 2, tall / 2), scale_px, options.side)
@@ -334,7 +318,7 @@ def clean(
     *,
     most: int | None = None,
     source: str = "",
-) -> tuple[MaskData, MaskReport]:
+) -> tuple[MaskData, _MaskReport]:
     """Return the masks that are one whole object each, cut out by `clean_mask`, and what became of the others.
 
     One mask is in memory at a time. With ``most`` no more are looked at once that many are found.
@@ -342,7 +326,7 @@ def clean(
     Raises:
         UserError: none is left: what was wrong with them.
     """
-    options, report = options or CleanOptions(), MaskReport()
+    options, report = options or CleanOptions(), _MaskReport()
     kept: list[tuple[Found, Crop]] = []
     for item in items:
         result = item.reason if isinstance(item, Skipped) else clean_mask(item, options)

@@ -24,21 +24,16 @@ from uplift.skeleton.propose import TOO_LONG, stretch_of
 
 __all__ = [
     "Loaded",
-    "doubted",
     "find_data",
     "how_to_get",
     "in_joints_of",
-    "liftable",
     "load_data",
     "load_file",
     "load_split",
-    "missing_file",
-    "missing_files",
     "named_set",
     "of_labelled",
     "read_options",
     "set_of",
-    "with_labels",
 ]
 
 # What is said where data is missing: what, where it comes from, where to put it, what runs without.
@@ -46,14 +41,14 @@ __all__ = [
 _MOST_NAMED = 6
 
 
-def missing_file(settings: Settings, path: Path) -> str:
+def _missing_file(settings: Settings, path: Path) -> str:
     """Return the message for a file that is not there."""
     data = settings.data
     lines = [f"No file {path}" + (f", which task '{settings.task}' needs." if settings.task else ".")]
     return "\n".join([*lines, *_get(data), *_places(data, "it"), *_instead(settings)])
 
 
-def missing_files(settings: Settings, source: DataSet, missing: Sequence[WantedFile]) -> str:
+def _missing_files(settings: Settings, source: DataSet, missing: Sequence[WantedFile]) -> str:
     """Return the message for files of a published set that are not there."""
     return f"{_named(settings, source, missing)}\n{how_to_get(settings, source)}"
 
@@ -101,7 +96,7 @@ def _instead(settings: Settings) -> list[str]:
 # Whether a file's keypoints can be lifted, and whether they carry the right names.
 
 
-def liftable(data: PoseData) -> PoseData:
+def _liftable(data: PoseData) -> PoseData:
     """Return ``data``; raises UserError for files of fewer keypoints than anything can be lifted from."""
     if len(data.joint_names) < MIN_VISIBLE:
         raise UserError(
@@ -111,7 +106,7 @@ def liftable(data: PoseData) -> PoseData:
     return data
 
 
-def doubted(data: PoseData, skeleton: Skeleton) -> PoseData:
+def _doubted(data: PoseData, skeleton: Skeleton) -> PoseData:
     """Return ``data`` with a note where its joints seem to have each other's names."""
     stretch = stretch_of(data.keypoints, data.confidence, skeleton)
     if stretch < TOO_LONG:
@@ -166,7 +161,7 @@ def load_data(settings: Settings, skeleton: Skeleton) -> Loaded:
     wanted = _wanted(chosen.select)
     if wanted:
         train = train.select(chosen_rows(train, wanted, settings.seed))
-    train, more = with_labels(settings, train, skeleton)
+    train, more = _with_labels(settings, train, skeleton)
     notes: list[str] = []
     train = _cleaned("train", train, skeleton, notes)
     if train.labelled is not None:
@@ -188,7 +183,7 @@ def _wanted(choice: ChoiceSettings) -> dict:
     return {key: value for key, value in found.items() if value not in (None, [])}
 
 
-def with_labels(settings: Settings, train: PoseData, skeleton: Skeleton) -> tuple[PoseData, PoseData | None]:
+def _with_labels(settings: Settings, train: PoseData, skeleton: Skeleton) -> tuple[PoseData, PoseData | None]:
     """Return the training frames with `PoseData.labelled` as ``data.labelled`` says, and labelled frames of another file.
 
     With ``data.labelled.only`` the first are the labelled ones alone. The same frames and seed always
@@ -268,7 +263,7 @@ def set_of(settings: Settings, which: str) -> DataSet | None:
     source, split = found
     missing = source.missing(split)
     if missing:
-        raise UserError(missing_files(settings, source, missing))
+        raise UserError(_missing_files(settings, source, missing))
     return source
 
 
@@ -312,7 +307,7 @@ def find_data(settings: Settings, which: str) -> Path:
         return path
     several = ",".join(str((folder / part).absolute()) for part in str(name).split(",") if part)
     if not any(sign in several for sign in ",*?["):
-        raise UserError(missing_file(settings, path))
+        raise UserError(_missing_file(settings, path))
     files_of(several)  # says which is missing
     return Path(several)
 
@@ -320,7 +315,7 @@ def find_data(settings: Settings, which: str) -> Path:
 def load_file(path: str | Path, skeleton: Skeleton, options: ReadOptions | None = None) -> PoseData:
     """Read keypoint files (one, several with commas, or a pattern) into the joints of ``skeleton``, matched by name."""
     return join_data(
-        [doubted(in_joints_of(liftable(read(one, options)), skeleton), skeleton) for one in files_of(path)]
+        [_doubted(in_joints_of(_liftable(read(one, options)), skeleton), skeleton) for one in files_of(path)]
     )
 
 

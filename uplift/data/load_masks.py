@@ -16,20 +16,12 @@ from uplift.data.select import chosen_masks, wanted_masks
 from uplift.errors import UserError
 from uplift.geometry.mesh import Mesh
 
-__all__ = [
-    "LoadedMasks",
-    "known_shapes",
-    "labelled_masks",
-    "load_mask_split",
-    "load_masks",
-    "truth_of_labelled",
-    "views_of",
-]
+__all__ = ["LoadedMasks", "known_shapes", "load_mask_split", "load_masks", "truth_of_labelled", "views_of"]
 
 # Which true shapes training may learn from.
 
 
-def labelled_masks(
+def _labelled_masks(
     settings: Settings, train: MaskData, load: Callable[[Settings], MaskData]
 ) -> tuple[MaskData, list[str]]:
     """Return the training masks with `MaskData.labelled` as ``data.labelled`` says, those of its file among them, and notes.
@@ -147,7 +139,7 @@ def load_masks(settings: Settings) -> LoadedMasks:
     if wanted:
         train = train.select(chosen_masks(train, wanted, settings.seed))
     notes = _notes("train", train)
-    train, told = labelled_masks(settings, train, lambda other: load_mask_split(other, "train"))
+    train, told = _labelled_masks(settings, train, lambda other: load_mask_split(other, "train"))
     notes += told
     if test is not None:
         test = replace(test, labelled=None)

@@ -15,17 +15,7 @@ from uplift.geometry.camera import Lens
 if TYPE_CHECKING:
     from uplift.geometry.normalise import Intrinsics
 
-__all__ = [
-    "IDENTITY_KEYS",
-    "UNITS",
-    "PoseData",
-    "check_masks",
-    "codes_of",
-    "joined_masks",
-    "mask_maps",
-    "masked_frames",
-    "masks_of",
-]
+__all__ = ["IDENTITY_KEYS", "UNITS", "PoseData", "codes_of", "joined_masks", "mask_maps", "masks_of"]
 
 # The one container of 2D keypoints and what is known beside them.
 
@@ -109,7 +99,7 @@ class PoseData:
             value = getattr(self, name)
             if value is not None and value.shape != shape:
                 raise UserError(f"{self._where()}'{name}' has shape {value.shape}, expected {shape}.")
-        check_masks(self.source or "the data", self.masks, self.mask_box, frames)
+        _check_masks(self.source or "the data", self.masks, self.mask_box, frames)
         if len(self.joint_names) != joints:
             raise UserError(f"{self._where()}{len(self.joint_names)} joint names for {joints} joints in 'keypoints'.")
         for name, value in self.identity.items():
@@ -230,13 +220,13 @@ def masks_of(where: str, arrays: dict[str, np.ndarray], frames: int) -> tuple[np
     """
     masks, box = arrays.get("masks"), arrays.get("mask_box")
     if masks is None or box is None:
-        check_masks(where, masks, box, frames)
+        _check_masks(where, masks, box, frames)
         return None, None
     if masks.dtype == np.bool_:
         masks = masks.astype(np.uint8) * np.uint8(255)
     if box.dtype.kind in "iuf":
         box = box.astype(np.float32)
-    check_masks(where, masks, box, frames)
+    _check_masks(where, masks, box, frames)
     if masks.size and masks.max() == 1:  # written as 0 and 1
         masks = masks * np.uint8(255)
     without = ~np.isfinite(box).all(1) | (box[:, 2] == 0)
@@ -246,7 +236,7 @@ def masks_of(where: str, arrays: dict[str, np.ndarray], frames: int) -> tuple[np
     return masks, box
 
 
-def check_masks(where: str, masks: Any, box: Any, frames: int) -> None:
+def _check_masks(where: str, masks: Any, box: Any, frames: int) -> None:
     """Raise UserError for masks and boxes that cannot be those of ``frames`` frames."""
     if (masks is None) != (box is None):
         there, gone = ("mask_box", "masks") if masks is None else ("masks", "mask_box")
@@ -270,7 +260,7 @@ def check_masks(where: str, masks: Any, box: Any, frames: int) -> None:
         )
 
 
-def masked_frames(masks: np.ndarray, box: np.ndarray) -> np.ndarray:
+def _masked_frames(masks: np.ndarray, box: np.ndarray) -> np.ndarray:
     """Return (frames,) bool: the frame has a place for its mask, and something in it."""
     return np.isfinite(box).all(1) & (box[:, 2] > 0) & (masks > 127).any((1, 2))
 
@@ -307,7 +297,7 @@ def mask_maps(
     its picture is turned back. NaN for frames without a mask.
     """
     assert data.masks is not None and data.mask_box is not None
-    box = np.where(masked_frames(data.masks, data.mask_box)[:, None], data.mask_box, np.nan).astype(np.float64)
+    box = np.where(_masked_frames(data.masks, data.mask_box)[:, None], data.mask_box, np.nan).astype(np.float64)
     frames = len(box)
     crop = np.zeros((frames, 3, 3))  # from px of the image
     crop[:, 0, 0] = crop[:, 1, 1] = 2 / box[:, 2]

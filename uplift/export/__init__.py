@@ -17,18 +17,7 @@ from uplift.export.scene import in_axes
 from uplift.geometry.surface import Surface
 from uplift.models.prediction import Prediction, ShapePrediction
 
-__all__ = [
-    "PAGES",
-    "SHAPE_PAGES",
-    "SHAPE_WRITERS",
-    "WRITERS",
-    "ShapeWriter",
-    "Writer",
-    "shape_writer_for",
-    "write",
-    "write_shapes",
-    "writer_for",
-]
+__all__ = ["SHAPE_WRITERS", "WRITERS", "shape_writer_for", "write", "write_shapes", "writer_for"]
 
 # Writers of lifted shapes: one output format per file, chosen by the file's extension.
 
@@ -39,7 +28,7 @@ _UNITS = ("px", "mm", "crop")
 
 
 @dataclass(frozen=True)
-class ShapeWriter:
+class _ShapeWriter:
     """A format that lifted shapes are written in."""
 
     where: str
@@ -58,29 +47,29 @@ class ShapeWriter:
 
 
 SHAPE_WRITERS = {
-    ".html": ShapeWriter("uplift.export.shape_page:write_shape_page", "a page to look at"),
-    ".glb": ShapeWriter("uplift.export.meshes:write_glb", "meshes, for 3D viewers", "gltf", "scene"),
-    ".obj": ShapeWriter("uplift.export.meshes:write_obj", "a mesh, for any 3D program", "gltf", "item"),
-    ".ply": ShapeWriter("uplift.export.meshes:write_ply", "a mesh where the camera saw it", "camera", "item"),
-    ".stl": ShapeWriter("uplift.export.meshes:write_stl", "a mesh, for printing", "print", "item"),
-    ".npz": ShapeWriter("uplift.export.meshes:write_npz", "occupancy grids, for Python"),
+    ".html": _ShapeWriter("uplift.export.shape_page:write_shape_page", "a page to look at"),
+    ".glb": _ShapeWriter("uplift.export.meshes:write_glb", "meshes, for 3D viewers", "gltf", "scene"),
+    ".obj": _ShapeWriter("uplift.export.meshes:write_obj", "a mesh, for any 3D program", "gltf", "item"),
+    ".ply": _ShapeWriter("uplift.export.meshes:write_ply", "a mesh where the camera saw it", "camera", "item"),
+    ".stl": _ShapeWriter("uplift.export.meshes:write_stl", "a mesh, for printing", "print", "item"),
+    ".npz": _ShapeWriter("uplift.export.meshes:write_npz", "occupancy grids, for Python"),
 }
-SHAPE_PAGES = {
+_SHAPE_PAGES = {
     "viewer": SHAPE_WRITERS[".html"],
-    "gallery": ShapeWriter("uplift.export.shape_page:write_shape_gallery", "the same page, all items first"),
+    "gallery": _ShapeWriter("uplift.export.shape_page:write_shape_gallery", "the same page, all items first"),
 }
 """Kinds of ``.html``; the first is written where none is named."""
 
 
-def shape_writer_for(path: str | Path, page: str | None = None) -> ShapeWriter:
+def shape_writer_for(path: str | Path, page: str | None = None) -> _ShapeWriter:
     """Return the writer of the extension of ``path``, or of the kind of ``page``; raises UserError where there is none."""
     extension = Path(path).suffix.lower()
-    if page is not None and page not in SHAPE_PAGES:
-        raise UserError(f"page={page}: no such page.{did_you_mean(page, SHAPE_PAGES)}")
+    if page is not None and page not in _SHAPE_PAGES:
+        raise UserError(f"page={page}: no such page.{did_you_mean(page, _SHAPE_PAGES)}")
     if page is not None and extension != ".html":
         raise UserError(f"page={page} is an .html, output={path} is not: leave page= out, or name a file .html.")
     if page is not None:
-        return SHAPE_PAGES[page]
+        return _SHAPE_PAGES[page]
     if extension in SHAPE_WRITERS:
         return SHAPE_WRITERS[extension]
     valid = ", ".join(sorted(SHAPE_WRITERS))
@@ -132,7 +121,7 @@ def write_shapes(
 
 
 def _frame(
-    writer: ShapeWriter,
+    writer: _ShapeWriter,
     path: str | Path,
     axes: str | None,
     unit: str | None,
@@ -197,7 +186,7 @@ def _with_left_out(told: dict[Path, str], prediction: ShapePrediction, cut: Sequ
 
 
 @dataclass(frozen=True)
-class Writer:
+class _Writer:
     """A format that predictions are written in."""
 
     where: str
@@ -216,33 +205,33 @@ class Writer:
 
 
 WRITERS = {
-    ".html": Writer("uplift.export.page:write_html", "a page to look at"),
-    ".npz": Writer("uplift.export.tables:write_npz", "arrays, for Python"),
-    ".json": Writer("uplift.export.tables:write_json", "all of it as text, for any language"),
-    ".csv": Writer("uplift.export.tables:write_csv", "a table, one row a frame and body"),
-    ".trc": Writer("uplift.export.markers:write_trc", "markers, for OpenSim", "opensim", "clip"),
-    ".c3d": Writer("uplift.export.markers:write_c3d", "points, for biomechanics programs", "opensim", "clip"),
-    ".bvh": Writer("uplift.export.bvh:write_bvh", "a skeleton that moves, for animation", "opensim", "body"),
-    ".glb": Writer("uplift.export.glb:write_glb", "an animated scene, for 3D viewers", "opensim", "clip"),
-    ".gif": Writer("uplift.export.film:write_film", "a short film", "camera", "clip"),
-    ".mp4": Writer("uplift.export.film:write_film", "a film", "camera", "clip"),
+    ".html": _Writer("uplift.export.page:write_html", "a page to look at"),
+    ".npz": _Writer("uplift.export.tables:write_npz", "arrays, for Python"),
+    ".json": _Writer("uplift.export.tables:write_json", "all of it as text, for any language"),
+    ".csv": _Writer("uplift.export.tables:write_csv", "a table, one row a frame and body"),
+    ".trc": _Writer("uplift.export.markers:write_trc", "markers, for OpenSim", "opensim", "clip"),
+    ".c3d": _Writer("uplift.export.markers:write_c3d", "points, for biomechanics programs", "opensim", "clip"),
+    ".bvh": _Writer("uplift.export.bvh:write_bvh", "a skeleton that moves, for animation", "opensim", "body"),
+    ".glb": _Writer("uplift.export.glb:write_glb", "an animated scene, for 3D viewers", "opensim", "clip"),
+    ".gif": _Writer("uplift.export.film:write_film", "a short film", "camera", "clip"),
+    ".mp4": _Writer("uplift.export.film:write_film", "a film", "camera", "clip"),
 }
-PAGES = {
+_PAGES = {
     "viewer": WRITERS[".html"],
-    "gallery": Writer("uplift.export.gallery:write_gallery", "poses beside photos"),
+    "gallery": _Writer("uplift.export.gallery:write_gallery", "poses beside photos"),
 }
 """Kinds of ``.html``; the first is written where none is named."""
 
 
-def writer_for(path: str | Path, page: str | None = None) -> Writer:
+def writer_for(path: str | Path, page: str | None = None) -> _Writer:
     """Return the writer of the extension of ``path``, or of the kind of ``page``; raises UserError where there is none."""
     extension = Path(path).suffix
-    if page is not None and page not in PAGES:
-        raise UserError(f"page={page}: no such page.{did_you_mean(page, PAGES)}")
+    if page is not None and page not in _PAGES:
+        raise UserError(f"page={page}: no such page.{did_you_mean(page, _PAGES)}")
     if page is not None and extension.lower() != ".html":
         raise UserError(f"page={page} is an .html, output={path} is not: leave page= out, or name a file .html.")
     if page is not None:
-        return PAGES[page]
+        return _PAGES[page]
     if extension.lower() in WRITERS:
         return WRITERS[extension.lower()]
     valid = ", ".join(sorted(WRITERS))
@@ -259,7 +248,7 @@ def write(
     """Write ``prediction`` in the format of the extension of ``path``; return the files that were written and a word on each.
 
     ``axes`` are those of `uplift.export.scene`, the format's usual ones where not given; ``page`` is the kind of an
-    ``.html``, one of `PAGES`; options go to the writer. A format that holds one clip or one body gets a
+    ``.html``, one of `_PAGES`; options go to the writer. A format that holds one clip or one body gets a
     file for each, named behind the stem of ``path``. Files appear whole or not at all. Raises UserError for
     an unknown extension, page or axes, a folder that does not exist, or where one of several files exists;
     OSError (a full disk) propagates after the unfinished file is removed.

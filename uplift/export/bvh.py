@@ -17,7 +17,7 @@ from uplift.models.prediction import Prediction
 from uplift.skeleton import Skeleton
 from uplift.skeleton.draw import rest_pose
 
-__all__ = ["BvhFit", "Rig", "euler_zxy", "fit_rig", "nearest_rotation", "rest_directions", "turn_onto", "write_bvh"]
+__all__ = ["euler_zxy", "turn_onto", "write_bvh"]
 
 # The rest directions of a rig: the skeleton's rest pose, or the mean shape of the clip.
 
@@ -25,7 +25,7 @@ _ROUNDS = 3
 _SCATTERED = 0.3
 
 
-def rest_directions(
+def _rest_directions(
     prediction: Prediction, ways: dict[str, Float[np.ndarray, "frames 3"]], lengths: dict[str, float]
 ) -> dict[str, Float[np.ndarray, "3"]]:
     """Return the direction of every bone (by its child) in the rest pose, for a body that faces the viewer.
@@ -45,7 +45,7 @@ def rest_directions(
     return {joint: axes @ step / np.linalg.norm(step) for joint, step in steps.items()}
 
 
-def nearest_rotation(matrix: Float[np.ndarray, "*frames 3 3"]) -> Float[np.ndarray, "*frames 3 3"]:
+def _nearest_rotation(matrix: Float[np.ndarray, "*frames 3 3"]) -> Float[np.ndarray, "*frames 3 3"]:
     """Return the proper rotation nearest to each matrix."""
     u, _, vt = np.linalg.svd(matrix)
     u[..., -1] *= np.sign(np.linalg.det(u @ vt))[..., None]
@@ -60,7 +60,7 @@ def _mean_shape(ways: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
     shape = np.where(known[first][:, None], stacked[first], 0)
     whole, count = np.nan_to_num(stacked), np.maximum(known.sum(0), 1)[:, None]
     for _ in range(_ROUNDS):
-        turn = nearest_rotation(np.einsum("bi,fbj->fij", shape, whole) + 1e-9 * np.eye(3))
+        turn = _nearest_rotation(np.einsum("bi,fbj->fij", shape, whole) + 1e-9 * np.eye(3))
         mean = np.einsum("fij,fbj->bi", turn, whole) / count
         scattered = np.linalg.norm(mean, axis=-1) < _SCATTERED
         mean[scattered & known[first]] = stacked[first][scattered & known[first]]
@@ -111,7 +111,7 @@ _SETTLE = 8
 
 
 @dataclass(frozen=True)
-class Rig:
+class _Rig:
     """A tree in the prediction's unit and its motion; ``sources[i]`` is the joint that rig joint i sits on."""
 
     tree: Tree
@@ -124,7 +124,7 @@ class Rig:
         return Figure.posed(self.tree, root, self.turned).positions
 
 
-def fit_rig(prediction: Prediction, pose: Float[np.ndarray, "frames joints 3"]) -> Rig:
+def _fit_rig(prediction: Prediction, pose: Float[np.ndarray, "frames joints 3"]) -> _Rig:
     """Return the rig of a pose (relative to the root, NaN where not known).
 
     Bones have their median length. A joint with one child turns the least way from its parent's frame, as the
@@ -134,7 +134,7 @@ def fit_rig(prediction: Prediction, pose: Float[np.ndarray, "frames joints 3"]) 
     known holds its last turn. Raises UserError where a joint is nowhere known.
     """
     ways, lengths = _bones(prediction, pose)
-    return _Builder(prediction, ways, lengths, rest_directions(prediction, ways, lengths)).rig()
+    return _Builder(prediction, ways, lengths, _rest_directions(prediction, ways, lengths)).rig()
 
 
 def turn_onto(
@@ -149,13 +149,13 @@ def turn_onto(
     if len(rest) == 1:
         unfolded = np.einsum("fi,fij,j->f", np.nan_to_num(ways[:, 0]), frame, rest[0])
         trust *= np.clip((1 + unfolded) / _FOLDED, 0, 1)
-    turned = nearest_rotation(wanted + _WEAK * frame)
+    turned = _nearest_rotation(wanted + _WEAK * frame)
     sure = np.flatnonzero(trust == 1)
     before = frame[sure[0]].T @ turned[sure[0]] if len(sure) else np.eye(3)
     for now in np.flatnonzero(trust < 1):
         before = frame[now - 1].T @ turned[now - 1] if now else before
         leave = frame[now] @ (trust[now] * np.eye(3) + (1 - trust[now]) * before)
-        turned[now] = nearest_rotation(wanted[now] + _WEAK * leave)
+        turned[now] = _nearest_rotation(wanted[now] + _WEAK * leave)
     return turned
 
 
@@ -198,10 +198,10 @@ class _Builder:
         self.sources: list[int] = []
         self.turned: list[np.ndarray] = []
 
-    def rig(self) -> Rig:
+    def rig(self) -> _Rig:
         self._add(self.root, -1, np.zeros(3), np.tile(np.eye(3), (self.frames, 1, 1)))
         tree = Tree(tuple(self.names), tuple(self.parents), np.array(self.offsets), np.array(self.tips))
-        return Rig(tree, tuple(self.sources), self.turned)
+        return _Rig(tree, tuple(self.sources), self.turned)
 
     def _add(self, joint: str, parent: int, offset: np.ndarray, frame: np.ndarray) -> None:
         children = self.children[joint]
@@ -252,7 +252,7 @@ _MOST_REPEATS = 20
 
 
 @dataclass(frozen=True)
-class BvhFit:
+class _BvhFit:
     """How far the file's joints are from the predicted ones, in ``unit``: BVH has bones of one length only."""
 
     largest_error: float
@@ -271,12 +271,12 @@ class BvhFit:
         )
 
 
-def write_bvh(prediction: Prediction, path: str | Path, fps: int | float | None = None) -> BvhFit:
+def write_bvh(prediction: Prediction, path: str | Path, fps: int | float | None = None) -> _BvhFit:
     """Write one clip of one individual and return how well it fits; ``fps`` replaces the prediction's.
 
     Lengths are centimetres where the prediction is in mm, else as they are; axes as given. Every bone has its
     median length, every direction is kept; the twist about a bone is not observed and left as small as it can be
-    (see `fit_rig`). A joint or frame that is missing holds what was last known: BVH has no gaps. A joint at the end of
+    (see `_fit_rig`). A joint or frame that is missing holds what was last known: BVH has no gaps. A joint at the end of
     a limb gets an end site a tenth of its bone further on. Raises UserError for several clips or individuals, where
     no rate is known, and for frame numbers with wide gaps.
     """
@@ -296,7 +296,7 @@ def write_bvh(prediction: Prediction, path: str | Path, fps: int | float | None 
     place = (
         np.zeros((count, 3)) if prediction.root is None else held(known_points(prediction.root[rows][:, None])[:, 0])
     )
-    rig = fit_rig(prediction, pose)
+    rig = _fit_rig(prediction, pose)
     with replacing(path) as handle:
         handle.write(_text(rig, place, _CM_PER.get(prediction.unit, 1.0), rate).encode())
     return _fit(rig, pose, place, prediction)
@@ -326,7 +326,7 @@ def _nearest(angles: np.ndarray, before: np.ndarray) -> np.ndarray:
     return min(both, key=lambda way: float(np.abs(way - before).sum()))
 
 
-def _text(rig: Rig, place: np.ndarray, scale: float, rate: float) -> str:
+def _text(rig: _Rig, place: np.ndarray, scale: float, rate: float) -> str:
     names = _plain(rig.tree.names)
     lines = ["HIERARCHY"]
     children: dict[int, list[int]] = {joint: [] for joint in range(-1, len(names))}
@@ -348,7 +348,7 @@ def _text(rig: Rig, place: np.ndarray, scale: float, rate: float) -> str:
     return "\n".join([*lines, ""])
 
 
-def _joint_lines(rig: Rig, joint: int, name: str, pad: str, scale: float) -> list[str]:
+def _joint_lines(rig: _Rig, joint: int, name: str, pad: str, scale: float) -> list[str]:
     place, turns = "Xposition Yposition Zposition ", "Zrotation Xrotation Yrotation"
     root = joint == 0
     lines = [
@@ -379,10 +379,10 @@ def _plain(names: tuple[str, ...]) -> list[str]:
     return found
 
 
-def _fit(rig: Rig, pose: np.ndarray, place: np.ndarray, prediction: Prediction) -> BvhFit:
+def _fit(rig: _Rig, pose: np.ndarray, place: np.ndarray, prediction: Prediction) -> _BvhFit:
     gap = np.linalg.norm(
         rig.positions(place) - (pose + place[:, None])[:, list(rig.sources)].transpose(1, 0, 2), axis=-1
     )
     gap = gap[np.isfinite(gap)]
     added = tuple(name for name in rig.tree.names if name not in prediction.joint_names)
-    return BvhFit(float(gap.max()), float(gap.mean()), prediction.unit, len(place), added)
+    return _BvhFit(float(gap.max()), float(gap.mean()), prediction.unit, len(place), added)

@@ -24,22 +24,14 @@ from uplift.skeleton.core import bone_sides, joint_sides
 
 __all__ = [
     "CARD",
-    "FAINT",
-    "FLOOR",
     "HIGH",
-    "INK",
-    "PAPER",
-    "SHADOW",
     "SIDES",
-    "SOFT",
     "WIDE",
-    "Canvas",
     "FilmDrawing",
     "FilmScene",
     "film_palette",
     "film_scene",
     "gif_durations_ms",
-    "mixed",
     "thinned",
     "turns_deg",
     "write_film",
@@ -58,17 +50,17 @@ Colour = tuple[int, ...]
 Point = Sequence[Number] | np.ndarray
 
 
-def mixed(colour: Colour, other: Colour, share: float) -> Colour:
+def _mixed(colour: Colour, other: Colour, share: float) -> Colour:
     """Return ``colour`` with so much of ``other`` in it."""
     return tuple(round(a + (b - a) * share) for a, b in zip(colour, other, strict=True))
 
 
 def film_palette() -> Image.Image:
     """Return an image with a palette of what the drawings blend."""
-    ramps = [[mixed(side, CARD, step / 24) for step in range(24)] for side in SIDES]
-    ramps += [[mixed(grey, CARD, step / 8) for step in range(8)] for grey in (SOFT, INK, FLOOR, SHADOW, FAINT)]
-    ramps += [[mixed(grey, PAPER, step / 10) for step in range(10)] for grey in (INK, SOFT, FAINT, *SIDES)]
-    ramps += [[mixed(side, SHADOW, 0.5) for side in SIDES], [CARD, PAPER]]
+    ramps = [[_mixed(side, CARD, step / 24) for step in range(24)] for side in SIDES]
+    ramps += [[_mixed(grey, CARD, step / 8) for step in range(8)] for grey in (SOFT, INK, FLOOR, SHADOW, FAINT)]
+    ramps += [[_mixed(grey, PAPER, step / 10) for step in range(10)] for grey in (INK, SOFT, FAINT, *SIDES)]
+    ramps += [[_mixed(side, SHADOW, 0.5) for side in SIDES], [CARD, PAPER]]
     colours = dict.fromkeys(colour for ramp in ramps for colour in ramp)
     # Pillow finds a near colour, not always the nearest: nothing else may be near the two large areas.
     colours = [one for one in colours if one in (CARD, PAPER) or min(_gap(one, CARD), _gap(one, PAPER)) > 8]
@@ -81,7 +73,7 @@ def _gap(one: Colour, other: Colour) -> int:
     return max(abs(a - b) for a, b in zip(one, other, strict=True))
 
 
-class Canvas:
+class _Canvas:
     """A picture so many units wide and high, ``scale`` pixels to a unit, drawn finer and then shrunk."""
 
     def __init__(self, wide: Number, high: Number, scale: Number, back: Colour):
@@ -315,10 +307,10 @@ class FilmDrawing:
         return image
 
     def _shared(self) -> Image.Image:
-        scene, canvas = self.scene, Canvas(WIDE, HIGH, self.scale, PAPER)
+        scene, canvas = self.scene, _Canvas(WIDE, HIGH, self.scale, PAPER)
         canvas.text((24, 34), scene.title[:60], 22, INK, "lm")
         at = 24.0
-        colours = {"left": SIDES[1], "right": SIDES[2], "unsure": mixed(SIDES[0], PAPER, _PALE)}
+        colours = {"left": SIDES[1], "right": SIDES[2], "unsure": _mixed(SIDES[0], PAPER, _PALE)}
         shown = {"left": any(scene.joint_sides), "right": any(scene.joint_sides), "unsure": bool(scene.unsure.any())}
         for name in (name for name in colours if shown[name]):
             canvas.dot((at + 5, 615), 5, colours[name])
@@ -331,27 +323,27 @@ class FilmDrawing:
         canvas.box((0, 0, canvas.wide, canvas.high), 10, (255, 255, 255))
         return canvas.finished().convert("L")
 
-    def _canvas(self, card: tuple[int, int, int, int], back: Colour) -> Canvas:
-        return Canvas(card[2] - card[0], card[3] - card[1], self.scale, back)
+    def _canvas(self, card: tuple[int, int, int, int], back: Colour) -> _Canvas:
+        return _Canvas(card[2] - card[0], card[3] - card[1], self.scale, back)
 
     def _corner(self, card: tuple[int, int, int, int]) -> tuple[int, int]:
         return round(card[0] * self.scale), round(card[1] * self.scale)
 
-    def _words(self, moment: int) -> Canvas:
-        canvas = Canvas(_DEEP[2] - _DEEP[0], 28, self.scale, PAPER)
+    def _words(self, moment: int) -> _Canvas:
+        canvas = _Canvas(_DEEP[2] - _DEEP[0], 28, self.scale, PAPER)
         words = f"frame {self.scene.frames[moment]}"
         words += f"   {moment / self.rate:.1f} s" if self.timed else ""
         canvas.text((canvas.wide, 14), words, 18, SOFT, "rm")
         return canvas
 
-    def _bar(self, moment: int) -> Canvas:
-        canvas = Canvas(_DEEP[2] - _DEEP[0], 18, self.scale, PAPER)
+    def _bar(self, moment: int) -> _Canvas:
+        canvas = _Canvas(_DEEP[2] - _DEEP[0], 18, self.scale, PAPER)
         done = moment / max(len(self.scene.frames) - 1, 1)
         canvas.line((0, 9), (canvas.wide, 9), 3, FAINT)
         canvas.line((0, 9), (canvas.wide * done, 9), 3, SOFT)
         return canvas
 
-    def _flat(self, moment: int) -> Canvas:
+    def _flat(self, moment: int) -> _Canvas:
         """Draw the keypoints, and where they are in the image."""
         scene, canvas = self.scene, self._canvas(_FLAT, CARD)
         scale = min(0.46 * canvas.wide / scene.flat_reach[0], 0.42 * canvas.high / scene.flat_reach[1])
@@ -372,7 +364,7 @@ class FilmDrawing:
         canvas.text((16, 20), "keypoints", 15, SOFT, "lm")
         return canvas
 
-    def _map(self, canvas: Canvas, moment: int) -> None:
+    def _map(self, canvas: _Canvas, moment: int) -> None:
         """Draw the whole image in a corner, a dot for each individual."""
         size = self.scene.image_size
         if size is None:
@@ -386,7 +378,7 @@ class FilmDrawing:
                 x, y = np.clip(known.mean(0), 0, size) * scale
                 canvas.dot((left + x, top + y), 3.5, SOFT)
 
-    def _deep(self, moment: int) -> Canvas:
+    def _deep(self, moment: int) -> _Canvas:
         """Draw floor, shadows, then bones and joints from far to near."""
         scene, canvas = self.scene, self._canvas(_DEEP, CARD)
         if scene.floor:
@@ -410,7 +402,7 @@ class FilmDrawing:
         canvas.text((16, 20), "3D pose", 15, SOFT, "lm")
         return canvas
 
-    def _floor(self, canvas: Canvas, moment: int) -> None:
+    def _floor(self, canvas: _Canvas, moment: int) -> None:
         """Draw squares that stand still in the world and fade away from where the camera looks."""
         scene = self.scene
         step = scene.square
@@ -426,10 +418,10 @@ class FilmDrawing:
             fade = 1 - np.hypot(n + shift[across], k + 0.5 + shift[along]).ravel() / reach
             for start, end, strength in zip(starts, ends, fade, strict=True):
                 if strength > 0.02:
-                    canvas.line(start, end, 1.2, mixed(FLOOR, CARD, 1 - min(1.0, 1.3 * float(strength))))
+                    canvas.line(start, end, 1.2, _mixed(FLOOR, CARD, 1 - min(1.0, 1.3 * float(strength))))
 
     def _seen(
-        self, canvas: Canvas, points: Float[np.ndarray, "points 3"], moment: int
+        self, canvas: _Canvas, points: Float[np.ndarray, "points 3"], moment: int
     ) -> Float[np.ndarray, "points 4"]:
         """Return x and y on the card, the depth from -1 (near) to 1, and the magnification."""
         scene = self.scene
@@ -443,13 +435,13 @@ class FilmDrawing:
         across, along = canvas.wide / 2 + aside * near * scale, canvas.high / 2 + 10 + down * near * scale
         return np.stack([across, along, np.clip(depth / scene.radius, -1.0, 1), near], 1)
 
-    def _name(self, canvas: Canvas, who: int, points: np.ndarray) -> None:
+    def _name(self, canvas: _Canvas, who: int, points: np.ndarray) -> None:
         known = points[np.isfinite(points[:, 0])]
         if len(self.scene.names) > 1 and len(known):
             canvas.text((known[:, 0].mean(), known[:, 1].min() - 14), self.scene.names[who], 14, SOFT, "ms")
 
 
-def _stroke(canvas: Canvas, start: np.ndarray, end: np.ndarray | None, side: int, pale: bool) -> None:
+def _stroke(canvas: _Canvas, start: np.ndarray, end: np.ndarray | None, side: int, pale: bool) -> None:
     depth = float(start[2] if end is None else (start[2] + end[2]) / 2)
     tone, thick = _tone(side, depth, pale), 6.5 * (1 - 0.3 * depth) * float(start[3])
     if end is None:
@@ -460,7 +452,7 @@ def _stroke(canvas: Canvas, start: np.ndarray, end: np.ndarray | None, side: int
     canvas.line(start, end, 0.7 * thick if pale else thick, tone)
 
 
-def _shadow(canvas: Canvas, points: np.ndarray, bones: list[tuple[int, int]]) -> None:
+def _shadow(canvas: _Canvas, points: np.ndarray, bones: list[tuple[int, int]]) -> None:
     for bone in bones:
         if np.isfinite(points[list(bone), 0]).all():
             canvas.line(points[bone[0]], points[bone[1]], 6, SHADOW)
@@ -469,7 +461,7 @@ def _shadow(canvas: Canvas, points: np.ndarray, bones: list[tuple[int, int]]) ->
 
 
 def _tone(side: int, depth: float, pale: bool) -> Colour:
-    return mixed(SIDES[side], CARD, _PALE if pale else 0.6 * ((depth + 1) / 2) ** 1.4)
+    return _mixed(SIDES[side], CARD, _PALE if pale else 0.6 * ((depth + 1) / 2) ** 1.4)
 
 
 # A clip as a film, ``.gif`` or ``.mp4``: keypoints beside the 3D pose, seen by a camera that slowly turns.

@@ -22,17 +22,11 @@ from uplift.models.prediction import Prediction
 from uplift.skeleton.core import bone_sides, joint_sides
 
 __all__ = [
-    "HIGH",
-    "WIDE",
-    "Body",
     "Crop",
     "Photos",
-    "Sheet",
     "check_options",
     "chosen_rows",
     "crop_of",
-    "drawn_input",
-    "drawn_views",
     "filled_points",
     "gallery_text",
     "turned",
@@ -49,7 +43,7 @@ _MARGIN = 0.03
 
 
 @dataclass(frozen=True)
-class Body:
+class _Body:
     """What is drawn of every frame alike: bones and the side that each belongs to."""
 
     bones: Int[np.ndarray, "bones 2"]
@@ -57,7 +51,7 @@ class Body:
     bone_sides: Sequence[int]
 
     @classmethod
-    def of(cls, prediction: Prediction) -> Body:
+    def of(cls, prediction: Prediction) -> _Body:
         """Return the body of a prediction."""
         bones, sides = prediction.bone_indices, joint_sides(prediction.skeleton, prediction.joint_names)
         return cls(bones, sides, bone_sides(sides, bones.tolist()))
@@ -93,7 +87,9 @@ def turned(
     return np.einsum("vik,jk->vji", level.T @ about @ level, pose - centre)
 
 
-def drawn_views(poses: Sequence[Float[np.ndarray, "views joints 3"]], missing: Sequence, body: Body) -> list[list[str]]:
+def _drawn_views(
+    poses: Sequence[Float[np.ndarray, "views joints 3"]], missing: Sequence, body: _Body
+) -> list[list[str]]:
     """Return one SVG drawing per pose and view, all of them at one scale.
 
     ``missing`` holds, for each pose, which of its joints were not seen (joints,).
@@ -123,7 +119,7 @@ def _projected(views: Float[np.ndarray, "views joints 3"], distance: float) -> F
     return np.concatenate([flat, depth / radius], -1)
 
 
-def _figure(points: Float[np.ndarray, "joints 3"], missing: Bool[np.ndarray, " joints"], body: Body) -> str:
+def _figure(points: Float[np.ndarray, "joints 3"], missing: Bool[np.ndarray, " joints"], body: _Body) -> str:
     """Return bones from far to near, each with a rim that parts it from what it hides."""
     depth = points[body.bones, 2].mean(1)
     parts = []
@@ -141,8 +137,8 @@ def _figure(points: Float[np.ndarray, "joints 3"], missing: Bool[np.ndarray, " j
     return "".join(parts + [_ring(points[joint], _SIDES[body.joint_sides[joint]]) for joint in dots])
 
 
-def drawn_input(
-    points: Float[np.ndarray, "joints 2"], missing: Bool[np.ndarray, " joints"], body: Body, crop: Crop
+def _drawn_input(
+    points: Float[np.ndarray, "joints 2"], missing: Bool[np.ndarray, " joints"], body: _Body, crop: Crop
 ) -> str:
     """Return the keypoints as an SVG drawing; joints that were not seen as rings, with dashed bones."""
     placed = crop.place(points)
@@ -286,12 +282,12 @@ _ANGLES_DEG = tuple(range(0, 360, 30))
 _NAMED = ("image", "sequence")
 
 
-class Sheet:
+class _Sheet:
     """The chosen frames of a prediction, ready to be drawn."""
 
     def __init__(self, prediction: Prediction, rows: np.ndarray, photos: Photos | None):
         self.prediction, self.rows, self.photos = prediction, rows, photos
-        self.body = Body.of(prediction)
+        self.body = _Body.of(prediction)
         self.pose = np.asarray(prediction.pose, np.float64)[rows]
         self.pose[~np.isfinite(self.pose).all(-1)] = np.nan
         level_pose = np.asarray(prediction.level_pose, np.float64)[rows]
@@ -336,7 +332,7 @@ class Sheet:
         points = filled_points(self.points[place], seen, self.pose[place])
         crop = crop_of(points)
         photo = self.photos.cropped(self._photo(place), crop) if self.photos else ""
-        drawing = drawn_input(points, ~seen, self.body, crop)
+        drawing = _drawn_input(points, ~seen, self.body, crop)
         label = f"Input of {name}: {seen.sum()} of {len(seen)} joints seen" + (", on the photo" if photo else "")
         return (
             f'<figure class="input"><svg viewBox="0 0 {WIDE} {WIDE}" role="img" aria-label="{label}">{photo}{drawing}</svg>'
@@ -350,7 +346,7 @@ class Sheet:
         if self.truth is not None and np.isfinite(self.truth[place]).all(-1).any():
             shown.append(("Truth", self.truth[place], np.zeros(len(pose), bool)))
         views = [turned(found, level, centre, _ANGLES_DEG) for _, found, _ in shown]
-        drawings = drawn_views(views, [missing for *_, missing in shown], self.body)
+        drawings = _drawn_views(views, [missing for *_, missing in shown], self.body)
         named = len(shown) > 1
         return [_turned_row(title, name, drawn, named) for (title, *_), drawn in zip(shown, drawings, strict=True)]
 
@@ -448,7 +444,7 @@ def gallery_text(prediction: Prediction, *, frames: int = 40, seed: int = 0, ima
     """
     photos = check_options(frames=frames, seed=seed, images=images)
     rows = chosen_rows(prediction, frames, seed)
-    sheet = Sheet(prediction, rows, photos)
+    sheet = _Sheet(prediction, rows, photos)
     drawn = "\n".join(sheet.frame(place) for place in range(len(rows)))
     sheet.refuse_without_photos()
     title = prediction.title or Path(prediction.source).name or "Poses"

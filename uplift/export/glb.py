@@ -17,7 +17,7 @@ from uplift.export.scene import frame_rate, held, known_points, one_clip, row_pl
 from uplift.models.prediction import Prediction
 from uplift.skeleton.core import bone_sides, joint_sides
 
-__all__ = ["Gltf", "bone_rotations", "write_glb"]
+__all__ = ["bone_rotations", "write_glb"]
 
 # A binary glTF 2.0 file (``.glb``), built piece by piece: meshes, nodes and one animation.
 
@@ -26,7 +26,7 @@ _VERTICES, _INDICES = 34962, 34963
 _KINDS = {1: "SCALAR", 3: "VEC3", 4: "VEC4"}
 
 
-class Gltf:
+class _Gltf:
     """A glTF asset with one scene and one buffer, while it grows."""
 
     def __init__(self, name: str, about: dict[str, Any]):
@@ -178,7 +178,7 @@ def write_glb(prediction: Prediction, path: str | Path, fps: int | float | None 
         "fps": rate or _USUAL_FPS,
         "fps_assumed": rate is None,
     }
-    file = Gltf(clip.name, about)
+    file = _Gltf(clip.name, about)
     meshes = _meshes(file, body * scale)
     times = steps(clip) / (rate or _USUAL_FPS)
     for number, name in enumerate(clip.individual_names):
@@ -232,7 +232,7 @@ def _body_size(pose: Float[np.ndarray, "frames joints 3"]) -> float:
     return float(np.median(usable)) if len(usable) else 1.0
 
 
-def _meshes(file: Gltf, size: float) -> _Meshes:
+def _meshes(file: _Gltf, size: float) -> _Meshes:
     from trimesh.creation import cylinder, icosphere
 
     ball, rod = icosphere(subdivisions=2, radius=_JOINT_SHARE * size), cylinder(_BONE_SHARE * size, 1.0, sections=12)
@@ -255,7 +255,7 @@ def _moments(clip: Clip, individual: int, points: np.ndarray) -> Float[np.ndarra
 
 
 def _individual(
-    file: Gltf, prediction: Prediction, name: str, points: np.ndarray, times: np.ndarray, meshes: _Meshes
+    file: _Gltf, prediction: Prediction, name: str, points: np.ndarray, times: np.ndarray, meshes: _Meshes
 ) -> None:
     """Add an individual: joints below it, and each bone below the joint that it starts at."""
     top = file.node(name or prediction.skeleton.name)

@@ -19,7 +19,7 @@ from uplift.export.scene import AXES
 from uplift.export.tables import filled_in, numbers
 from uplift.models.prediction import Prediction
 
-__all__ = ["Trial", "marker_names", "trial_of", "write_c3d", "write_trc"]
+__all__ = ["marker_names", "write_c3d", "write_trc"]
 
 # Predictions as motion capture has them: markers of one trial, a row for every moment.
 
@@ -29,7 +29,7 @@ _MOST_BLANK = 1_000_000
 
 
 @dataclass(frozen=True)
-class Trial:
+class _Trial:
     """One clip: ``points`` (moments markers 3) in mm, NaN where missing; the first is frame ``start``, from 0."""
 
     names: tuple[str, ...]
@@ -38,7 +38,7 @@ class Trial:
     fps: float
 
 
-def trial_of(prediction: Prediction, path: str | Path, kind: str) -> Trial:
+def _trial_of(prediction: Prediction, path: str | Path, kind: str) -> _Trial:
     """Return the markers of the only clip of ``prediction``, gaps between its frames as blank moments.
 
     Frames are as far apart as the largest step that divides all distances of their numbers: thinned out
@@ -66,7 +66,7 @@ def trial_of(prediction: Prediction, path: str | Path, kind: str) -> Trial:
     return _trial(prediction, clips[0], f"{path}: ", float(fps))
 
 
-def _trial(prediction: Prediction, clip: Clip, where: str, fps: float) -> Trial:
+def _trial(prediction: Prediction, clip: Clip, where: str, fps: float) -> _Trial:
     numbers = np.asarray(clip.frames, np.int64)
     step = int(np.gcd.reduce(np.diff(numbers))) or 1
     place = ((numbers - numbers[0]) // step)[clip.moment]
@@ -84,7 +84,7 @@ def _trial(prediction: Prediction, clip: Clip, where: str, fps: float) -> Trial:
     points[~np.isfinite(points).all(-1)] = np.nan
     owners = [f"{name}_" for name in clip.individual_names] if individuals > 1 else [""]
     names = marker_names([owner + joint for owner in owners for joint in prediction.joint_names])
-    return Trial(names, points.reshape(moments, -1, 3), max(int(numbers[0]) // step, 0), fps)
+    return _Trial(names, points.reshape(moments, -1, 3), max(int(numbers[0]) // step, 0), fps)
 
 
 def _refuse_doubles(clip: Clip, cell: np.ndarray, where: str) -> None:
@@ -127,7 +127,7 @@ def write_trc(prediction: Prediction, path: str | Path) -> None:
     Joint names lose their white space. Frames that are not there are blank rows. Raises UserError for
     poses without a size in mm or a frame rate, and for more than one clip.
     """
-    trial = trial_of(prediction, path, "TRC")
+    trial = _trial_of(prediction, path, "TRC")
     # OpenSim drops an empty cell at the end of a line, so that every line of markers ends in a tab.
     template = "\t".join(["%.5f"] * (3 * len(trial.names))) + "\t\n"
     with replacing(path) as handle:
@@ -142,7 +142,7 @@ def write_trc(prediction: Prediction, path: str | Path) -> None:
             handle.write("".join(lines).encode())
 
 
-def _head(trial: Trial, name: str) -> str:
+def _head(trial: _Trial, name: str) -> str:
     rate, count = f"{trial.fps:.7g}", len(trial.points)
     called = " ".join(name.encode("utf-8", "replace").decode().split())
     facts = {
@@ -184,7 +184,7 @@ def write_c3d(prediction: Prediction, path: str | Path) -> None:
         import ezc3d
     except ImportError as error:
         raise UserError(f'{path}: writing C3D needs ezc3d: pip install "uplift3d[c3d]".') from error
-    trial = trial_of(prediction, path, "C3D")
+    trial = _trial_of(prediction, path, "C3D")
     if len(trial.points) > _MOST_FRAMES:
         raise UserError(
             f"{path}: C3D holds {_MOST_FRAMES} frames, found {len(trial.points)}. Write .trc, or shorter clips."
@@ -201,7 +201,7 @@ def write_c3d(prediction: Prediction, path: str | Path) -> None:
             shutil.copyfileobj(whole, handle)
 
 
-def _fill(file, trial: Trial, axes: str) -> None:
+def _fill(file, trial: _Trial, axes: str) -> None:
     """Put a trial into an empty ``ezc3d.c3d``."""
     point = file["parameters"]["POINT"]
     point["RATE"]["value"] = [trial.fps]

@@ -24,17 +24,14 @@ from uplift.models.prediction import Prediction
 from uplift.skeleton.core import bone_sides, joint_sides
 
 __all__ = [
-    "ABSENT",
     "Curve",
     "curve_charts",
     "curves_html",
     "number_text",
     "pack",
-    "page_data",
     "page_part",
     "page_text",
     "policy_hash",
-    "quantise",
     "read_html",
     "table_html",
     "unpack",
@@ -43,15 +40,15 @@ __all__ = [
 
 # Arrays as a short text for a page: quantised to steps, differenced over rows, deflated, base64.
 
-ABSENT = -32768
+_ABSENT = -32768
 _LARGEST = 32767
 
 
-def quantise(values: np.ndarray, finest: float) -> tuple[np.ndarray, float, float]:
+def _quantise(values: np.ndarray, finest: float) -> tuple[np.ndarray, float, float]:
     """Return int16 codes, step and offset with ``codes * step + offset`` near ``values``.
 
     The step is ``finest`` or what the range of the values needs, whichever is larger; the error is
-    at most half a step. A value that is not finite becomes ``ABSENT``.
+    at most half a step. A value that is not finite becomes ``_ABSENT``.
     """
     values = np.asarray(values, np.float64)
     finite = np.isfinite(values)
@@ -60,7 +57,7 @@ def quantise(values: np.ndarray, finest: float) -> tuple[np.ndarray, float, floa
     step = max((high - low) / 2 / (_LARGEST - 1), finest, np.finfo(np.float32).tiny)
     # A whole number of steps keeps zeros and whole numbers exact.
     offset = np.rint((low + high) / 2 / step) * step
-    codes = np.full(values.shape, ABSENT, np.int16)
+    codes = np.full(values.shape, _ABSENT, np.int16)
     codes[finite] = np.clip(np.rint((known - offset) / step), -_LARGEST, _LARGEST).astype(np.int16)
     return codes, float(step), float(offset)
 
@@ -69,7 +66,7 @@ def pack(arrays: dict[str, tuple[np.ndarray, float]]) -> tuple[str, list[dict[st
     """Return the text and its description of ``{name: (values, finest step)}``, rows first."""
     planes, described = [], []
     for name, (values, finest) in arrays.items():
-        codes, step, offset = quantise(values, finest)
+        codes, step, offset = _quantise(values, finest)
         rows = codes.reshape(len(codes), -1).view(np.uint16)
         changes = np.diff(rows, axis=0, prepend=np.zeros((1, rows.shape[1]), np.uint16))
         planes += [(changes & 0xFF).astype(np.uint8).T.tobytes(), (changes >> 8).astype(np.uint8).T.tobytes()]
@@ -89,7 +86,7 @@ def unpack(text: str, described: list[dict[str, Any]]) -> dict[str, np.ndarray]:
         changes = (low.astype(np.uint16) | high.astype(np.uint16) << 8).reshape(-1, rows).T
         codes = np.cumsum(changes, axis=0, dtype=np.uint16).view(np.int16).reshape(item["shape"])
         values = codes * item["step"] + item["offset"]
-        arrays[item["name"]] = np.where(codes == ABSENT, np.nan, values)
+        arrays[item["name"]] = np.where(codes == _ABSENT, np.nan, values)
     return arrays
 
 
@@ -158,7 +155,7 @@ _ROWS_PER_MOMENT = 3
 _STEPS_PER_SIZE = 4096
 
 
-def page_data(prediction: Prediction, moments: int) -> dict[str, Any]:
+def _page_data(prediction: Prediction, moments: int) -> dict[str, Any]:
     """Return what the page's script reads, and ``facts`` and ``remarks`` for its text.
 
     At most ``moments`` moments and three rows for each, whole clips evenly chosen. Raises UserError
@@ -360,7 +357,7 @@ def page_text(
     ``sections`` are (title, rows) or (title, rows, header); without a header, a first row of three
     or more texts above rows that each hold a number is taken for one. ``curves`` are name -> (step, value) points, one small chart each.
     """
-    data = page_data(prediction, frames)
+    data = _page_data(prediction, frames)
     title = prediction.title or Path(prediction.source).name or "Poses"
     script = "(() => {\n'use strict';\n" + "\n".join(page_part(name) for name in _SCRIPTS) + "})();\n"
     style = page_part("page.css")

@@ -22,15 +22,7 @@ from uplift.geometry.mesh import Mesh
 from uplift.geometry.surface import Surface, thinned
 from uplift.models.prediction import ShapePrediction
 
-__all__ = [
-    "Scores",
-    "chosen_items",
-    "photos_of",
-    "shape_data",
-    "shape_page_text",
-    "write_shape_gallery",
-    "write_shape_page",
-]
+__all__ = ["shape_page_text", "write_shape_gallery", "write_shape_page"]
 
 # The part of a photo that a mask's crop shows, small, as text for a page.
 
@@ -38,7 +30,7 @@ _SIDE_PX, _QUALITY = 224, 72
 _MOST_PIXELS = 120_000_000
 
 
-def photos_of(prediction: ShapePrediction, folder: str | Path | None) -> tuple[list[str], list[str]]:
+def _photos_of(prediction: ShapePrediction, folder: str | Path | None) -> tuple[list[str], list[str]]:
     """Return each item's crop of its photo as a data address, empty where there is none, and what went wrong.
 
     Photos are looked for in ``folder``, by their whole name and by its last part, and without a folder where
@@ -104,7 +96,7 @@ def _crop(path: Path, centre: np.ndarray, half: float) -> str:
 
 # What a page of shapes embeds: small meshes, masks, and where each item stands.
 
-Scores = Mapping[str, Sequence[float] | np.ndarray]
+_Scores = Mapping[str, Sequence[float] | np.ndarray]
 """Name -> a number for each item."""
 
 _ALL_FACES, _MOST_FACES, _LEAST_FACES = 600_000, 5000, 600
@@ -112,15 +104,15 @@ _FINEST = 2 / 2048
 _MASK_SIDE, _MASK_STEPS = 64, 15
 
 
-def chosen_items(count: int, most: int) -> np.ndarray:
+def _chosen_items(count: int, most: int) -> np.ndarray:
     """Return at most so many of ``count`` items, spread evenly; raises UserError for a number below 1."""
     if most < 1:
         raise UserError(f"items={most}: a page shows at least one shape.")
     return np.arange(count) if count <= most else np.arange(most) * count // most
 
 
-def shape_data(
-    prediction: ShapePrediction, truth: Placed | None, scores: Scores, smooth: int
+def _shape_data(
+    prediction: ShapePrediction, truth: Placed | None, scores: _Scores, smooth: int
 ) -> tuple[dict[str, Any], list[Surface]]:
     """Return the data of a page for these items, and what was cut out of their grids."""
     cut = prediction_surfaces(prediction, smooth=smooth)
@@ -237,7 +229,7 @@ def shape_page_text(
     *,
     truth: Placed | None = None,
     items: int = 100,
-    scores: Scores | None = None,
+    scores: _Scores | None = None,
     images: str | Path | None = None,
     sheet: bool = False,
     smooth: int = 2,
@@ -256,10 +248,10 @@ def shape_page_text(
     """
     scores = scores or {}
     _check(prediction, truth, scores)
-    rows = chosen_items(len(prediction), items)
+    rows = _chosen_items(len(prediction), items)
     shown, true = prediction.select(rows), None if truth is None else truth.select(rows)
-    data, cut = shape_data(shown, true, {name: np.asarray(of, float)[rows] for name, of in scores.items()}, smooth)
-    photos, wrong = photos_of(shown, images)
+    data, cut = _shape_data(shown, true, {name: np.asarray(of, float)[rows] for name, of in scores.items()}, smooth)
+    photos, wrong = _photos_of(shown, images)
     for entry, photo in zip(data["items"], photos, strict=True):
         entry |= {"photo": photo} if photo else {}
     data["sheet"] = sheet and len(rows) > 1
@@ -280,7 +272,7 @@ def shape_page_text(
     return re.sub(r"\{\{(\w+)\}\}", lambda found: parts[found[1]], page_part("shape.htm"))
 
 
-def _check(prediction: ShapePrediction, truth: Placed | None, scores: Scores) -> None:
+def _check(prediction: ShapePrediction, truth: Placed | None, scores: _Scores) -> None:
     if not len(prediction):
         raise UserError("there is no shape to show: no mask was lifted.")
     given = {"truth": truth, **scores}

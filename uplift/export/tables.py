@@ -16,11 +16,11 @@ from uplift.config.files import replacing
 from uplift.export.scene import AXES
 from uplift.models.prediction import Prediction
 
-__all__ = ["NUMBER", "filled_in", "numbers", "parts", "plain", "seen_keypoints", "write_csv", "write_json", "write_npz"]
+__all__ = ["filled_in", "numbers", "write_csv", "write_json", "write_npz"]
 
 # What the writers of text share: numbers as text, identities as plain values, keypoints that were seen.
 
-NUMBER = {"place": "%.7g", "px": "%.6g", "share": "%.4g"}
+_NUMBER = {"place": "%.7g", "px": "%.6g", "share": "%.4g"}
 """How numbers are rounded: places to the seven digits of a 32-bit number, pixels to six, confidence to four."""
 _ROWS = 256
 
@@ -38,13 +38,13 @@ def _plain(value: Any) -> Any:
     return value.decode("utf-8", "replace") if isinstance(value, bytes) else str(value)
 
 
-def seen_keypoints(prediction: Prediction) -> Float[np.ndarray, "frames joints 2"]:
+def _seen_keypoints(prediction: Prediction) -> Float[np.ndarray, "frames joints 2"]:
     """Return the keypoints, px, NaN where a joint was not seen."""
     seen = np.isfinite(prediction.keypoints).all(-1) & (prediction.confidence > 0)
     return np.where(seen[..., None], prediction.keypoints, np.nan)
 
 
-def parts(prediction: Prediction) -> Iterator[Prediction]:
+def _parts(prediction: Prediction) -> Iterator[Prediction]:
     """Yield the frames in parts small enough to be held as text."""
     for start in range(0, len(prediction), _ROWS):
         yield prediction.select(np.arange(start, min(start + _ROWS, len(prediction))))
@@ -84,7 +84,7 @@ def write_csv(prediction: Prediction, path: str | Path) -> None:
     known = ",".join(map(_cell, facts.values())) + ","
     with replacing(path) as handle:
         handle.write(_bytes(",".join(map(_cell, names)) + "\n"))
-        for part in parts(prediction):
+        for part in _parts(prediction):
             keys = [[_cell(value) for value in plain(values)] for values in part.identity.values()]
             labels = zip(*keys, strict=True) if keys else ((),) * len(part)
             for label, row in zip(labels, numbers(*_csv_arrays(part)), strict=True):
@@ -101,7 +101,7 @@ def _facts(prediction: Prediction) -> dict[str, str]:
 
 def _columns(prediction: Prediction) -> list[tuple[str, str]]:
     """Return the name of each column of numbers and how its numbers are written, in the order of `_csv_arrays`."""
-    place, px, share = NUMBER["place"], NUMBER["px"], NUMBER["share"]
+    place, px, share = _NUMBER["place"], _NUMBER["px"], _NUMBER["share"]
     joint = {"x": place, "y": place, "z": place, "u_px": px, "v_px": px, "confidence": share}
     if prediction.spread is not None:
         joint["spread"] = px
@@ -114,7 +114,7 @@ def _columns(prediction: Prediction) -> list[tuple[str, str]]:
 def _csv_arrays(prediction: Prediction) -> list[np.ndarray]:
     """Return the numbers of each frame (frames ...)."""
     optional = [values[..., None] for values in (prediction.spread, prediction.filled) if values is not None]
-    of_joints = [prediction.points, seen_keypoints(prediction), prediction.confidence[..., None], *optional]
+    of_joints = [prediction.points, _seen_keypoints(prediction), prediction.confidence[..., None], *optional]
     table = np.concatenate(of_joints, -1)
     return [table] if prediction.tilt_deg is None else [prediction.tilt_deg, table]
 
@@ -159,7 +159,7 @@ def write_json(prediction: Prediction, path: str | Path) -> None:
         )
         handle.write(("{\n" + "".join(lines) + ' "frames": [').encode())
         before = "\n  "
-        for part in parts(prediction):
+        for part in _parts(prediction):
             handle.write((before + ",\n  ".join(_frames(part))).encode())
             before = ",\n  "
         handle.write(b"\n ]\n}\n")
@@ -187,12 +187,12 @@ def _head(prediction: Prediction) -> dict[str, Any]:
 def _blocks(prediction: Prediction) -> dict[str, tuple[np.ndarray, str]]:
     """Return the numbers that each frame holds, with how they are written."""
     optional: dict[str, tuple[np.ndarray | None, str]] = {
-        "pose": (prediction.pose, NUMBER["place"]),
-        "root": (prediction.root, NUMBER["place"]),
-        "keypoints": (seen_keypoints(prediction), NUMBER["px"]),
-        "confidence": (prediction.confidence, NUMBER["share"]),
-        "spread": (prediction.spread, NUMBER["px"]),
-        "tilt_deg": (prediction.tilt_deg, NUMBER["px"]),
+        "pose": (prediction.pose, _NUMBER["place"]),
+        "root": (prediction.root, _NUMBER["place"]),
+        "keypoints": (_seen_keypoints(prediction), _NUMBER["px"]),
+        "confidence": (prediction.confidence, _NUMBER["share"]),
+        "spread": (prediction.spread, _NUMBER["px"]),
+        "tilt_deg": (prediction.tilt_deg, _NUMBER["px"]),
     }
     return {name: (values, style) for name, (values, style) in optional.items() if values is not None}
 

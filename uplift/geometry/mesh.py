@@ -11,7 +11,7 @@ from scipy import ndimage
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
-__all__ = ["UNIT_HALF", "Mesh", "Parts", "closed_parts", "coverage", "fill", "flood_fill"]
+__all__ = ["UNIT_HALF", "Mesh", "coverage", "fill"]
 
 # `Mesh`: the surface of one shape.
 
@@ -43,7 +43,7 @@ _SHEET = 1e-3
 
 
 @dataclass(frozen=True)
-class Parts:
+class _Parts:
     """Closed surfaces: `part` says to which each face belongs."""
 
     vertices: Float[np.ndarray, "vertices 3"]
@@ -70,9 +70,9 @@ class _Edges:
     """How often an edge is gone along upwards rather than downwards: 0 where all is closed and agrees."""
 
 
-def closed_parts(
+def _closed_parts(
     vertices: Float[np.ndarray, "vertices 3"], faces: Int[np.ndarray, "faces 3"]
-) -> tuple[Parts, Int[np.ndarray, "loose 3"]]:
+) -> tuple[_Parts, Int[np.ndarray, "loose 3"]]:
     """Return the closed parts of a mesh, and the faces that enclose nothing.
 
     Parts are told apart by shared vertices. What is not closed so is looked at again with vertices in the
@@ -83,10 +83,10 @@ def closed_parts(
     whole = consistent | _all_of(edges.count % 2 == 0, edges.part, part)
     kept = whole[part]
     if kept.all():
-        return Parts(vertices, faces, part, consistent), faces[:0]
+        return _Parts(vertices, faces, part, consistent), faces[:0]
     vertices, capped, loose = _close(vertices, _joined(vertices, faces[~kept]))
     renumber = np.cumsum(whole) - 1
-    both = Parts(
+    both = _Parts(
         vertices,
         np.concatenate([faces[kept], capped.faces]),
         np.concatenate([renumber[part[kept]], capped.part + int(whole.sum())]),
@@ -121,7 +121,7 @@ def _joined(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
     return joined[(joined != np.roll(joined, 1, 1)).all(1)]
 
 
-def _close(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, Parts, np.ndarray]:
+def _close(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, _Parts, np.ndarray]:
     """Cap the holes of the parts whose triangles agree; return vertices, closed parts and the faces of the others."""
     faces, part, edges, agrees = _turned_alike(vertices, faces)
     even = _all_of(edges.count % 2 == 0, edges.part, part)
@@ -135,7 +135,7 @@ def _close(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, Parts, 
     solid = agrees & (np.abs(volume) > _SHEET * area**1.5)
     whole = solid | (even & ~agrees)
     kept, renumber = whole[all_part], np.cumsum(whole) - 1
-    parts = Parts(vertices, all_faces[kept], renumber[all_part[kept]], agrees[whole])
+    parts = _Parts(vertices, all_faces[kept], renumber[all_part[kept]], agrees[whole])
     return vertices, parts, faces[~whole[part]]
 
 
@@ -179,7 +179,7 @@ def _fans(vertices: np.ndarray, edges: _Edges, agrees: np.ndarray) -> tuple[np.n
 _MOST_SAMPLES = 4_000_000
 
 
-def flood_fill(
+def _flood_fill(
     vertices: Float[np.ndarray, "vertices 3"], faces: Int[np.ndarray, "faces 3"], resolution: int
 ) -> Bool[np.ndarray, "resolution resolution resolution"]:
     """Return the voxels on the surface and those it shuts off from the outside, indexed [z, y, x].
@@ -228,10 +228,10 @@ def fill(mesh: Mesh, resolution: int) -> Bool[np.ndarray, "resolution resolution
     outside: an odd number of crossings), then their union. Holes in a part are closed first; what has no
     inside for all that is filled from its surface (`uplift.geometry.mesh`).
     """
-    parts, loose = closed_parts(mesh.vertices, mesh.faces)
+    parts, loose = _closed_parts(mesh.vertices, mesh.faces)
     inside = _fill_closed(parts, resolution)
     if len(loose):
-        inside |= flood_fill(mesh.vertices, loose, resolution)
+        inside |= _flood_fill(mesh.vertices, loose, resolution)
     return inside
 
 
@@ -242,7 +242,7 @@ def coverage(mesh: Mesh, resolution: int, finer: int = 2) -> Float[np.ndarray, "
     return fine.reshape(shape).mean((1, 3, 5), dtype=np.float32)
 
 
-def _fill_closed(parts: Parts, resolution: int) -> np.ndarray:
+def _fill_closed(parts: _Parts, resolution: int) -> np.ndarray:
     """Cast a ray along z through each column of voxels, and fill between where it enters and leaves a part."""
     ray, face, depth, sign = _crossings(parts.vertices, parts.faces, resolution)
     change = np.zeros((resolution + 1, resolution**2), np.int32)

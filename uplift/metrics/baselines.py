@@ -21,16 +21,11 @@ from uplift.metrics.shape_metrics import Standing, true, voxel_centres
 from uplift.models.prediction import ShapePrediction
 
 __all__ = [
-    "RESOLUTION",
-    "SAMPLE",
-    "MeanShape",
-    "TrainingTruth",
     "best_thickness",
     "extrusion",
     "floors",
     "hull_occupancy",
     "mask_half",
-    "mean_occupancy",
     "mean_shape",
     "nearest_masks",
     "score_with_floors",
@@ -41,7 +36,7 @@ __all__ = [
 
 
 @dataclass(frozen=True)
-class TrainingTruth:
+class _TrainingTruth:
     """True shapes on one grid of the camera frame, the cube of -1 to 1 of the crop, centroids at depth 0."""
 
     inside: Bool[np.ndarray, "items depth height width"]
@@ -60,7 +55,7 @@ class TrainingTruth:
         return self.inside.shape[-1]
 
 
-def training_truth(train: MaskData, truth: Placed, count: int, resolution: int, seed: int) -> TrainingTruth:
+def training_truth(train: MaskData, truth: Placed, count: int, resolution: int, seed: int) -> _TrainingTruth:
     """Return ``count`` items of the training set, chosen by ``seed``, or all where there are no more."""
     rows = np.arange(len(train))
     if len(rows) > count:
@@ -73,7 +68,7 @@ def training_truth(train: MaskData, truth: Placed, count: int, resolution: int, 
         shape = true(truth, row, filled)
         inside[place[row]] = _on_grid(shape, resolution)
         volume[place[row]] = shape.volume * (resolution / 2) ** 3
-    return TrainingTruth(
+    return _TrainingTruth(
         inside=inside,
         extruded=np.stack([extrusion(train.masks[row], distance, resolution) > 0.5 for row in rows]),
         volume=volume,
@@ -114,7 +109,7 @@ def mask_half(mask: np.ndarray) -> float:
 _THICKNESSES = np.linspace(0.02, 1.2, 60)
 
 
-def best_thickness(train: TrainingTruth) -> float:
+def best_thickness(train: _TrainingTruth) -> float:
     """Return the thickness, in the longer side of the mask's box, with the best mean volume IoU on the training truth.
 
     Source: the visual hull of Laurentini (1994) from one silhouette, which bounds no depth, cut to a slab.
@@ -148,7 +143,7 @@ _LEVELS = np.linspace(0.02, 0.98, 49)
 
 
 @dataclass(frozen=True)
-class MeanShape:
+class _MeanShape:
     """The mean occupancy of training shapes, and how it is cut."""
 
     mean: Float[np.ndarray, "depth height width"]
@@ -157,7 +152,7 @@ class MeanShape:
     """Whether each item's shape is what of it projects into the item's mask."""
 
 
-def mean_shape(train: TrainingTruth) -> MeanShape:
+def mean_shape(train: _TrainingTruth) -> _MeanShape:
     """Return the mean of the training shapes, cut at the level and in the way with the best mean volume IoU on them."""
     mean = train.inside.mean(0, dtype=np.float32)
     rank = np.searchsorted(_LEVELS, mean, side="left")  # how many levels lie below each voxel's mean
@@ -169,7 +164,7 @@ def mean_shape(train: TrainingTruth) -> MeanShape:
         ):
             ious[way] += shared / np.maximum(own + volume - shared, 1e-12)
     way, level = np.unravel_index(ious.argmax(), ious.shape)
-    return MeanShape(mean, float(_LEVELS[level]), bool(way))
+    return _MeanShape(mean, float(_LEVELS[level]), bool(way))
 
 
 def _above(rank: np.ndarray) -> np.ndarray:
@@ -177,7 +172,7 @@ def _above(rank: np.ndarray) -> np.ndarray:
     return np.bincount(rank.ravel(), minlength=len(_LEVELS) + 1)[::-1].cumsum()[::-1][1:]
 
 
-def mean_occupancy(found: MeanShape, mask: np.ndarray, distance: float) -> Float[np.ndarray, "depth height width"]:
+def _mean_occupancy(found: _MeanShape, mask: np.ndarray, distance: float) -> Float[np.ndarray, "depth height width"]:
     """Return the mean shape for one mask, scaled so that its surface is where the occupancy is 0.5."""
     occupancy = np.minimum(found.mean / (2 * found.level), 1)
     if found.in_mask:
@@ -222,13 +217,13 @@ def _small(masks: np.ndarray) -> Float[Tensor, "items side side"]:
 
 RESOLUTION = 48
 """Voxels along the floors' grids, an even number."""
-SAMPLE = 500
+_SAMPLE = 500
 """Training items that thickness and mean shape are taken from."""
 _BEST_OF = ("volume_iou", "silhouette_iou_unseen")
 
 
 def floors(
-    train: MaskData, test: MaskData, *, resolution: int = RESOLUTION, sample: int = SAMPLE, seed: int = 0
+    train: MaskData, test: MaskData, *, resolution: int = RESOLUTION, sample: int = _SAMPLE, seed: int = 0
 ) -> dict[str, ShapePrediction]:
     """Return the shapes that `hull`, `mean_shape` and `nearest` give for the masks of ``test``.
 
@@ -285,16 +280,16 @@ def score_with_floors(
     )
 
 
-def _hull(train: TrainingTruth, test: MaskData) -> ShapePrediction:
+def _hull(train: _TrainingTruth, test: MaskData) -> ShapePrediction:
     thickness = best_thickness(train)
     occupancy = [hull_occupancy(mask, train.distance, thickness, train.resolution) for mask in test.masks]
     note = f"each mask extruded by {thickness:.2f} of its longer side, the best on the truth of {len(train.half)} training items"
     return _in_camera("hull", _stacked(occupancy, train.resolution), train.distance, test, note)
 
 
-def _mean_shape(train: TrainingTruth, test: MaskData) -> ShapePrediction:
+def _mean_shape(train: _TrainingTruth, test: MaskData) -> ShapePrediction:
     mean = mean_shape(train)
-    occupancy = [mean_occupancy(mean, mask, train.distance) for mask in test.masks]
+    occupancy = [_mean_occupancy(mean, mask, train.distance) for mask in test.masks]
     where = "inside each mask" if mean.in_mask else "whole"
     note = f"mean of {len(train.half)} true training shapes above {mean.level:.2f}, {where}, the best on them"
     return _in_camera("mean_shape", _stacked(occupancy, train.resolution), train.distance, test, note)

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from uplift.data.poses import PoseData
     from uplift.models.prediction import Prediction
 
-__all__ = ["NOMINAL", "TRUTH_SIGN", "calibrate", "coverage_of", "evaluate", "flat_depth", "rank_correlation"]
+__all__ = ["NOMINAL", "TRUTH_SIGN", "coverage_of", "evaluate", "flat_depth", "rank_correlation"]
 
 # Whether a prediction's own uncertainty is true: how often the error lies inside the interval it gives.
 
@@ -31,7 +31,7 @@ _CHUNK = 8192
 _MOST_RANKED = 1_000_000
 
 
-def calibrate(matched: Matched, spread: Float[np.ndarray, "frames joints"]) -> dict[str, Any] | None:
+def _calibrate(matched: Matched, spread: Float[np.ndarray, "frames joints"]) -> dict[str, Any] | None:
     """Return the calibration curve of ``spread``, the scale b of a Laplace distribution of each depth.
 
     ``spread`` is in the unit of the matched pose, row by row and joint by joint; of a joint that was
@@ -138,7 +138,7 @@ def evaluate(prediction: GivenPoses | Prediction, truth: PoseData, skeleton: Ske
         frames=len(matched.pose),
         action_frames={name: int((actions[1] == place).sum()) for place, name in enumerate(actions[0])},
         notes=[*notes, *_truth_notes(matched, scores, subjects[1])],
-        calibration=None if spread is None else calibrate(matched, spread[kept]),
+        calibration=None if spread is None else _calibrate(matched, spread[kept]),
     )
 
 

@@ -23,7 +23,7 @@ from uplift.metrics.protocols import (
     protocol_unit,
 )
 
-__all__ = ["Evaluation", "ShapeEvaluation", "are_activities", "paper_order"]
+__all__ = ["Evaluation", "ShapeEvaluation", "paper_order"]
 
 # The actions in the order and by the names that papers have in their tables.
 
@@ -67,7 +67,7 @@ def paper_order(actions: list[str]) -> dict[str, str] | None:
     return None
 
 
-def are_activities(columns: Collection[str]) -> bool:
+def _are_activities(columns: Collection[str]) -> bool:
     """Return whether the columns are those of MPI-INF-3DHP, which reports all frames beside the actions."""
     return set(columns) <= set(_ACTIVITY_COLUMNS)
 
@@ -149,7 +149,7 @@ class Evaluation:
 
     def _action_table(self) -> str:
         paper = paper_order(list(self.per_action))
-        activities = paper is not None and are_activities(paper)
+        activities = paper is not None and _are_activities(paper)
         shown = _ACTIVITY_HEADLINE if activities else _HEADLINE
         names = [name for name in shown if any(name in values for values in self.per_action.values())]
         if paper:

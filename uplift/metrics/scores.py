@@ -32,11 +32,11 @@ if TYPE_CHECKING:
     from uplift.data.poses import PoseData
     from uplift.models.prediction import Prediction
 
-__all__ = ["FLIPPED_ERRORS", "GivenPoses", "Matched", "Scores", "match_poses", "previous_frames", "score"]
+__all__ = ["GivenPoses", "Matched", "Scores", "match_poses", "previous_frames", "score"]
 
 # Every protocol of one prediction against one truth, per frame and per joint, chunk by chunk.
 
-FLIPPED_ERRORS = ("mpjpe_gt_scale", "n_mpjpe", "p_mpjpe")
+_FLIPPED_ERRORS = ("mpjpe_gt_scale", "n_mpjpe", "p_mpjpe")
 """The errors that have a ``*_best_of_flip``."""
 
 _CHUNK = 8192
@@ -92,7 +92,7 @@ def score(matched: Matched) -> Scores:
         for name, values in by_joint.items():
             sums[name] = sums.get(name, 0.0) + np.where(weight > 0, values, 0).sum(0)
             by_frame[name] = frame_mean(values, weight)
-        for name in (name for name in ("mpjpe", *FLIPPED_ERRORS) if name in by_joint):
+        for name in (name for name in ("mpjpe", *_FLIPPED_ERRORS) if name in by_joint):
             by_frame[name + MISSING] = frame_mean(by_joint[name], matched.unseen[rows])
         for name, values in by_frame.items():
             frames.setdefault(name, []).append(values)
@@ -144,7 +144,7 @@ def _errors(matched: Matched, pose, truth, weight) -> tuple[dict[str, np.ndarray
     errors = {name: joint_errors(name, pose, truth, root, weight) for name in names}
     flipped = flip_depth(pose)
     facing = np.empty(0)
-    for name in FLIPPED_ERRORS:
+    for name in _FLIPPED_ERRORS:
         other = joint_errors(name, flipped, truth, root, weight)
         kept_mean, other_mean = frame_mean(errors[name], weight), frame_mean(other, weight)
         errors[f"{name}_best_of_flip"] = np.where((other_mean < kept_mean)[:, None], other, errors[name])

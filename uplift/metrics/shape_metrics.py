@@ -20,19 +20,13 @@ from uplift.geometry.silhouette import cover
 from uplift.models.prediction import ShapePrediction
 
 __all__ = [
-    "NEW_AZIMUTHS_DEG",
-    "NOTHING",
     "OWN_MIRROR",
-    "POINTS",
     "SIDE",
-    "TIE",
     "Silhouette",
     "Standing",
-    "Surface",
     "TrueItem",
     "azimuth_errors_deg",
     "compare_surfaces",
-    "drawn",
     "elevation_errors_deg",
     "grid_surface",
     "handedness",
@@ -41,10 +35,8 @@ __all__ = [
     "overlap",
     "predicted",
     "score_item",
-    "seen_iou",
     "silhouette",
     "true",
-    "turns",
     "volume_iou",
     "voxel_centres",
 ]
@@ -194,7 +186,7 @@ def voxel_centres(resolution: int) -> Float[Tensor, "depth height width 3"]:
 
 SIDE = 64
 """Pixels along the crop in the input view, and along the truth's bounding sphere in a new one."""
-NEW_AZIMUTHS_DEG = tuple(range(40, 360, 40))
+_NEW_AZIMUTHS_DEG = tuple(range(40, 360, 40))
 """Turns about gravity from the input view: evenly spread, none nearer to it than 40 degrees, none opposite it."""
 
 
@@ -218,10 +210,10 @@ _FARTHEST = 2 * SIDE
 def silhouette(shape: Standing, pixel: float) -> Silhouette:
     """Return the pixels whose centre's ray meets the shape's surface at its level; ``pixel`` is a pixel's side."""
     vertices, faces = shape.surface
-    return drawn(shape.to_camera(vertices), faces, shape.distance, pixel)
+    return _drawn(shape.to_camera(vertices), faces, shape.distance, pixel)
 
 
-def drawn(
+def _drawn(
     points: Float[np.ndarray, "vertices 3"], faces: Int[np.ndarray, "faces 3"], distance: float, pixel: float
 ) -> Silhouette:
     """Return the pixels whose centre's ray meets one of the triangles; ``points`` are in the camera frame."""
@@ -267,20 +259,20 @@ def overlap(first: Silhouette, second: Silhouette) -> float:
     return shared / either if either else 0.0
 
 
-def seen_iou(shape: Standing, mask: np.ndarray) -> float:
+def _seen_iou(shape: Standing, mask: np.ndarray) -> float:
     """Return the overlap of a shape's silhouette in its own camera with the input mask's."""
     return overlap(silhouette(shape, 2 / SIDE), of_mask(mask))
 
 
-def turns(view: Float[np.ndarray, "3 3"]) -> list[np.ndarray]:
+def _turns(view: Float[np.ndarray, "3 3"]) -> list[np.ndarray]:
     """Return the rotations of the camera frame that turn a shape seen from ``view`` about its own y, gravity."""
-    azimuth = torch.deg2rad(torch.tensor(NEW_AZIMUTHS_DEG, dtype=torch.float64))
+    azimuth = torch.deg2rad(torch.tensor(_NEW_AZIMUTHS_DEG, dtype=torch.float64))
     return [view @ turn @ view.T for turn in about_y(azimuth).numpy()]
 
 
 # Surfaces: points and normals of meshes and of occupancy grids, and how near two of them are.
 
-POINTS = 10_000
+_POINTS = 10_000
 """Points on each surface."""
 THRESHOLD = 0.02
 """Of the f_score, in the truth's longest side."""
@@ -289,7 +281,7 @@ NOTHING = {"chamfer": 1.0, "f_score": 0.0, "normal_consistency": 0.0}
 
 
 @dataclass(frozen=True)
-class Surface:
+class _Surface:
     """Points of a surface and the unit normals there, in the camera frame."""
 
     points: Float[np.ndarray, "points 3"]
@@ -300,13 +292,13 @@ class Surface:
         """Of the points; built for few questions."""
         return KDTree(self.points, leafsize=32, compact_nodes=False, balanced_tree=False)
 
-    def nearest_to(self, other: Surface) -> tuple[np.ndarray, np.ndarray]:
+    def nearest_to(self, other: _Surface) -> tuple[np.ndarray, np.ndarray]:
         """Return how far each point of ``other`` is from the nearest one here, and which that is."""
         away, which = self.tree.query(other.points, workers=torch.get_num_threads())
         return away, np.asarray(which)
 
 
-def mesh_surface(mesh: Mesh, truth: Standing, points: int = POINTS) -> Surface:
+def mesh_surface(mesh: Mesh, truth: Standing, points: int = _POINTS) -> _Surface:
     """Return points spread evenly over the mesh's outer surface, where ``truth`` (its filled grid) stands.
 
     A point is inside the union, and left out, where the filled grid is occupied a voxel away on both
@@ -321,7 +313,7 @@ def mesh_surface(mesh: Mesh, truth: Standing, points: int = POINTS) -> Surface:
     return _standing_surface(truth, found[:points], normals[:points])
 
 
-def grid_surface(shape: Standing, points: int = POINTS) -> Surface | None:
+def grid_surface(shape: Standing, points: int = _POINTS) -> _Surface | None:
     """Return points spread evenly over the surface at the shape's level (marching cubes); None for an empty shape."""
     if shape.empty:
         return None
@@ -350,13 +342,13 @@ def _occupied(inside: Bool[np.ndarray, "depth height width"], points: np.ndarray
     return inside[z, y, x] & within
 
 
-def _standing_surface(shape: Standing, points: np.ndarray, normals: np.ndarray) -> Surface:
+def _standing_surface(shape: Standing, points: np.ndarray, normals: np.ndarray) -> _Surface:
     """Return own points and normals in the camera frame; its matrix is a rotation, perhaps mirrored, times a scale."""
     turned = normals @ shape.matrix.T
-    return Surface(shape.to_camera(points), turned / np.maximum(np.linalg.norm(turned, axis=1), 1e-30)[:, None])
+    return _Surface(shape.to_camera(points), turned / np.maximum(np.linalg.norm(turned, axis=1), 1e-30)[:, None])
 
 
-def compare_surfaces(found: Surface | None, truth: Surface, longest: float) -> dict[str, float]:
+def compare_surfaces(found: _Surface | None, truth: _Surface, longest: float) -> dict[str, float]:
     """Return chamfer (in ``longest``), f_score and normal_consistency of two surfaces."""
     if found is None:
         return dict(NOTHING)
@@ -378,7 +370,7 @@ def compare_surfaces(found: Surface | None, truth: Surface, longest: float) -> d
 
 OWN_MIRROR = 0.9
 """Truths whose volume IoU with their own mirror image in depth is above this have no handedness."""
-TIE = 1e-6
+_TIE = 1e-6
 """IoUs that differ by less are equal."""
 
 
@@ -431,7 +423,7 @@ def handedness(found: Standing, truth: Standing, iou: float) -> float:
     if _is_own_mirror(truth):
         return float("nan")
     other = volume_iou(found, truth, mirrored=True)
-    if abs(iou - other) < TIE and not found.empty:
+    if abs(iou - other) < _TIE and not found.empty:
         return 0.5
     return float(iou > other)
 
@@ -488,11 +480,11 @@ class TrueItem:
     def __init__(self, truth: Placed, row: int, filled: Bool[np.ndarray, "depth height width"]) -> None:
         self.mesh: Mesh = truth.meshes[int(truth.shape[row])]
         self.standing: Standing = true(truth, row, filled)
-        self.turns = turns(np.asarray(truth.view[row], np.float64))
+        self.turns = _turns(np.asarray(truth.view[row], np.float64))
         self.longest = float(np.ptp(self.mesh.vertices, axis=0).max()) * float(truth.scale[row])
 
     @cached_property
-    def surface(self) -> Surface:
+    def surface(self) -> _Surface:
         """Of the mesh."""
         return mesh_surface(self.mesh, self.standing)
 
@@ -506,7 +498,7 @@ class TrueItem:
     def silhouettes(self) -> list[Silhouette]:
         """Of the mesh in the new views."""
         points = self.mesh.vertices @ self.standing.matrix.T
-        return [drawn(points @ turn.T, self.mesh.faces, self.standing.distance, self.pixel) for turn in self.turns]
+        return [_drawn(points @ turn.T, self.mesh.faces, self.standing.distance, self.pixel) for turn in self.turns]
 
     def turned(self, shape: Standing, turn: np.ndarray) -> Standing:
         """Return a shape turned about the truth's origin."""
@@ -515,7 +507,7 @@ class TrueItem:
 
 def score_item(found: Standing, truth: TrueItem, mask: np.ndarray) -> dict[str, float]:
     """Return the metrics of one shape; the depths of the centroids are brought together for all but the seen view."""
-    seen = seen_iou(found, mask)
+    seen = _seen_iou(found, mask)
     found = found.moved(truth.standing.depth - found.depth)
     volume = volume_iou(found, truth.standing)
     new = [

@@ -26,7 +26,6 @@ __all__ = [
     "Drawn",
     "Projector",
     "ShapeMixture",
-    "ViewGrid",
     "split",
     "temperature_at",
     "view_grid",
@@ -42,7 +41,7 @@ _ELEVATION_STEPS = (-1.25, 0.0, 1.25)
 
 
 @dataclass(frozen=True)
-class ViewGrid:
+class _ViewGrid:
     """Views, how likely each is before a mask was looked at, and which of them need be drawn.
 
     Of shapes that are their own mirror image half the silhouettes are the other half's mirror images.
@@ -76,14 +75,14 @@ class ViewGrid:
         return every
 
 
-def view_grid(settings: ShapeSettings, azimuths: int = AZIMUTHS) -> ViewGrid:
+def view_grid(settings: ShapeSettings, azimuths: int = AZIMUTHS) -> _ViewGrid:
     """Return the grid of views: about gravity with the elevations that cameras are said to have, or any."""
     if not settings.gravity:
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(0)
             views = _spread_out(random_rotations(8 * _ROTATIONS), _ROTATIONS)
         count = torch.arange(len(views))
-        return ViewGrid(views, torch.zeros(len(views)), count, count, None)
+        return _ViewGrid(views, torch.zeros(len(views)), count, count, None)
     mean, sd = (math.radians(angle) for angle in settings.elevation_deg)
     steps = torch.tensor(_ELEVATION_STEPS if sd > math.radians(2) else (0.0,))
     turns = (torch.arange(azimuths) + 0.5) / azimuths * 2 * math.pi - math.pi
@@ -96,7 +95,7 @@ def view_grid(settings: ShapeSettings, azimuths: int = AZIMUTHS) -> ViewGrid:
     if settings.symmetric and azimuths % 2 == 0:
         drawn = every[: len(every) // 2]
         mirrored = every.view(azimuths, len(steps)).flip(0).flatten()[: len(drawn)]
-    return ViewGrid(views, -0.18 * step**2, azimuth, drawn, mirrored)
+    return _ViewGrid(views, -0.18 * step**2, azimuth, drawn, mirrored)
 
 
 def _spread_out(rotations: Tensor, count: int) -> Tensor:
@@ -246,7 +245,7 @@ class ShapeMixture(nn.Module):
     def __init__(self, settings: ShapeSettings, parts: int | None = None, azimuths: int = AZIMUTHS):
         super().__init__()
         self.settings = settings
-        self.grid: ViewGrid = view_grid(settings, azimuths)
+        self.grid: _ViewGrid = view_grid(settings, azimuths)
         n, parts = settings.detail, parts or settings.parts
         half = n // 2 if settings.symmetric else n
         self.logits = nn.Parameter(_first_shapes(parts, n)[..., -half:].clone())

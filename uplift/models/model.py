@@ -31,7 +31,7 @@ from uplift.models.prediction import Prediction, ShapePrediction
 from uplift.models.shape_lifter import LiftedShapes, lift_masks
 from uplift.skeleton import Skeleton
 
-__all__ = ["Model", "ShapeModel", "build_lifter", "load", "load_poses", "predict_poses"]
+__all__ = ["Model", "ShapeModel", "build_lifter", "load", "load_poses"]
 
 # From keypoints to a prediction: lift, mend by clip, bridge gaps, give size and place where they are known.
 
@@ -50,7 +50,7 @@ class _Poses:
     """Of one unit of the model, for bodies as large as labelled ones."""
 
 
-def predict_poses(
+def _predict_poses(
     model: Model,
     data: PoseData,
     title: str = "",
@@ -62,7 +62,9 @@ def predict_poses(
     """Return what `uplift.models.model.Model.predict` does."""
     order = data.in_order()
     if (np.diff(order) < 0).any():  # frames of a clip are neighbours in time only where they are neighbours in the rows
-        found = predict_poses(model, data.select(order), title, refine=refine, size=size, constant_bones=constant_bones)
+        found = _predict_poses(
+            model, data.select(order), title, refine=refine, size=size, constant_bones=constant_bones
+        )
         return found.select(np.argsort(order))
     data, _ = clean(data, model.skeleton, drop=False)
     lifted = _lifted(model, data, model.refines(data, refine))
@@ -351,7 +353,7 @@ class Model:
         Raises:
             UserError: a size that does not tell, bones that close loops and are to be constant.
         """
-        return predict_poses(self, data, title, refine=refine, size=size, constant_bones=constant_bones)
+        return _predict_poses(self, data, title, refine=refine, size=size, constant_bones=constant_bones)
 
     def refines(self, data: PoseData, refine: bool = True) -> bool:
         """Return whether `predict` lifts frames of ``data`` together: it is on, and there are clips."""

@@ -11,7 +11,7 @@ from torch import Tensor, nn
 from uplift.data.tensors import moments, recrop
 from uplift.models.mixture import BASE, Drawn, ShapeMixture
 
-__all__ = ["LiftedShapes", "choose_level", "image_points", "lift_masks"]
+__all__ = ["LiftedShapes", "choose_level", "lift_masks"]
 
 # `lift_masks`: a shape for each mask out of a mixture of shapes, carved by the mask and its mirror image.
 
@@ -76,7 +76,7 @@ def lift_masks(
     return LiftedShapes(grid, best.view, scale, best.centre, distance)
 
 
-def image_points(lifted: LiftedShapes) -> Float[Tensor, "items points 2"]:
+def _image_points(lifted: LiftedShapes) -> Float[Tensor, "items points 2"]:
     """Return where the voxels of lifted shapes are seen, in half sides of the crop."""
     return _seen(lifted.occupancy.shape[-1], lifted.view, lifted.scale, lifted.offset, lifted.distance)[0]
 
@@ -142,7 +142,7 @@ def choose_level(lifted: LiftedShapes, masks: Float[Tensor, "items side side"]) 
     flat = lifted.occupancy.flatten(1)
     side = masks.shape[-1] // 2
     real = torch.nn.functional.avg_pool2d(masks[:, None], 2).flatten(1) > 0.5
-    at = ((image_points(lifted) + 1) / 2 * side).long().clamp(0, side - 1)
+    at = ((_image_points(lifted) + 1) / 2 * side).long().clamp(0, side - 1)
     pixel = at[..., 1] * side + at[..., 0]
     overlaps = []
     for level in _LEVELS:

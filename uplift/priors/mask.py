@@ -14,22 +14,11 @@ from uplift.priors.base import Lift, Prior
 from uplift.priors.imputation import fill_gaps
 from uplift.skeleton import Skeleton
 
-__all__ = [
-    "MOST",
-    "Mask",
-    "bone_partners",
-    "bone_thickness",
-    "into_crop",
-    "sample_field",
-    "segment_distances",
-    "signed_distances",
-    "soft_gap",
-    "unit_of",
-]
+__all__ = ["Mask", "into_crop", "sample_field", "segment_distances", "signed_distances", "soft_gap", "unit_of"]
 
 # How far points of an image are from a body's mask: a signed distance that has a slope wherever a point is.
 
-MOST = 64
+_MOST = 64
 """Pixels along a field: finer masks are averaged down."""
 _FIELD_CHUNK = 1024
 _EMPTY = 2.0
@@ -42,7 +31,7 @@ def signed_distances(masks: UInt8[Tensor, "frames side side"]) -> Float[Tensor, 
     """
     from scipy.ndimage import distance_transform_edt
 
-    side = min(masks.shape[1], MOST)
+    side = min(masks.shape[1], _MOST)
     found = torch.empty((len(masks), side, side), dtype=torch.float16)
     for start in range(0, len(masks), _FIELD_CHUNK):
         some = masks[start : start + _FIELD_CHUNK].float().cpu()
@@ -115,7 +104,7 @@ def soft_gap(
     return (-_SOFT * torch.logsumexp((thickness - distances) / _SOFT, -1)).clamp_min(0)
 
 
-def bone_thickness(
+def _bone_thickness(
     points: Float[Tensor, "frames points 2"],
     keypoints: Float[Tensor, "frames joints 2"],
     bones: Int[Tensor, "bones 2"],
@@ -134,7 +123,7 @@ def bone_thickness(
     return torch.where(found.isfinite(), found, usual)
 
 
-def bone_partners(skeleton: Skeleton) -> Int[Tensor, " bones"]:
+def _bone_partners(skeleton: Skeleton) -> Int[Tensor, " bones"]:
     """Return the bone that each bone is in a mirror; itself where that is none."""
     swap = skeleton.mirror_permutation
     places = {frozenset(map(int, bone)): place for place, bone in enumerate(skeleton.bone_indices)}
@@ -194,7 +183,7 @@ class Mask(Prior):
                 )
         self.inside, self.explained, self.thickness, self.pixels = inside, explained, thickness, pixels
         self.register_buffer("bones", torch.as_tensor(skeleton.bone_indices.copy()), persistent=False)
-        self.register_buffer("partners", bone_partners(skeleton), persistent=False)
+        self.register_buffer("partners", _bone_partners(skeleton), persistent=False)
         self.register_buffer("along", torch.tensor(_ALONG), persistent=False)
         count = len(skeleton.bones)
         self.register_buffer("radii", torch.full((count,), torch.nan), persistent=False)
@@ -242,7 +231,7 @@ class Mask(Prior):
         both = seen[:, self.bones].all(-1)
         usual = torch.where(both.unsqueeze(-1), outside, torch.nan).nanquantile(_USUAL, 0).nan_to_num()
         pixels = _picked(self.field[rows] < 0, _PIXELS)
-        thick = bone_thickness(_out_of_crop(pixels, maps), fill_gaps(keypoints, data.confidence[rows]), self.bones)
+        thick = _bone_thickness(_out_of_crop(pixels, maps), fill_gaps(keypoints, data.confidence[rows]), self.bones)
         if self.skeleton.has_mirror_image:
             usual, thick = (usual + usual[self.partners]) / 2, (thick + thick[self.partners]) / 2
         self.usual, self.radii = usual, thick * self.thickness

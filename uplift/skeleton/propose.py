@@ -18,13 +18,11 @@ from uplift.skeleton.core import Skeleton
 
 __all__ = [
     "TOO_LONG",
-    "Proposal",
     "apart",
     "facing_guess",
     "guess_parts",
     "joining_bones",
     "mirror_pairs",
-    "name_words",
     "proposal_text",
     "propose",
     "quoted",
@@ -95,7 +93,7 @@ def mirror_pairs(names: Sequence[str]) -> list[tuple[str, str]]:
     return list(dict.fromkeys(found[name] for name in names if name in found))
 
 
-def name_words(name: str) -> list[str]:
+def _name_words(name: str) -> list[str]:
     """Return the words of a name in small letters: split at capitals, digits and anything that is no letter."""
     return [word.lower() for word in _WORD.findall(name)]
 
@@ -145,13 +143,13 @@ def _meanings(names: Sequence[str]) -> dict[str, tuple[str, str]]:
     side: dict[str, str] = {}
     for right, left in mirror_pairs(names):
         side[right], side[left] = "r", "l"
-    rest = {name: [word for word in name_words(name) if word not in _OTHER] for name in names}
+    rest = {name: [word for word in _name_words(name) if word not in _OTHER] for name in names}
     for right, left in mirror_pairs(names):
         if rest[right] != rest[left]:  # lhip, rhip: the side is a part of a word
             rest[right] = rest[left] = _without_side(right, left)
     for name in names:
         if name not in side:
-            side[name] = next((word[0] for word in name_words(name) if word in _OTHER), "")
+            side[name] = next((word[0] for word in _name_words(name) if word in _OTHER), "")
     return {name: (side[name], _one_form(rest[name], bool(side[name]))) for name in names}
 
 
@@ -161,8 +159,8 @@ def _without_side(right: str, left: str) -> list[str]:
     for sign in _SIGNS:
         for match in sign.finditer(one):
             if _turned(one, match) == other:
-                return name_words(f"{one[: match.start()]} {one[match.end() :]}")
-    return name_words(one)
+                return _name_words(f"{one[: match.start()]} {one[match.end() :]}")
+    return _name_words(one)
 
 
 def _one_form(words: list[str], sided: bool) -> str:
@@ -404,7 +402,7 @@ class Tracked(Protocol):
 
 
 @dataclass(frozen=True)
-class Proposal:
+class _Proposal:
     """A skeleton made of a file, and where each part of it comes from."""
 
     skeleton: Skeleton
@@ -418,7 +416,7 @@ class Proposal:
     """Partners left out, as the bones of the file are not the same on both sides."""
 
 
-def propose(data: Tracked, name: str, root: str | None = None, gravity: bool = True) -> Proposal:
+def propose(data: Tracked, name: str, root: str | None = None, gravity: bool = True) -> _Proposal:
     """Return a skeleton called ``name`` for the joints of ``data``.
 
     Joints in the file's order. Partners from the file, else by name. Bones from the file; what those
@@ -442,7 +440,7 @@ def propose(data: Tracked, name: str, root: str | None = None, gravity: bool = T
     start = root or _best_root(names, pairs, data.keypoints[:, shown], visible[:, shown], score)
     plan = {**_joined(name, names, pairs, known, score, start), "gravity": gravity}
     skeleton, unmirrored = _checked(plan, pairs)
-    return Proposal(
+    return _Proposal(
         skeleton,
         hidden=tuple(n for n, seen in zip(data.joint_names, share, strict=True) if not seen),
         seldom=tuple(n for n, seen in zip(data.joint_names, share, strict=True) if 0 < seen < _SELDOM),
@@ -665,7 +663,7 @@ _ACROSS = ("wing", "antenna")  # they may lie on the other side
 _FEET = ("toe", "paw", "foot", "claw", "hoof", "tarsus", "tip", "ankle", "leg")
 
 
-def proposal_text(proposal: Proposal, file: str, source: str) -> str:
+def proposal_text(proposal: _Proposal, file: str, source: str) -> str:
     """Return the YAML of a proposal as the file called ``file``; what is not known is in comments."""
     skeleton = proposal.skeleton
     told = _comment(
@@ -697,7 +695,7 @@ def facing_guess(skeleton: Skeleton) -> dict[str, Ends]:
     if not sided:
         return {}
     found: dict[str, Ends] = {}
-    legs = {word: [joint for pair in sided for joint in pair if word in name_words(joint) or joint[1:].lower() == word]
+    legs = {word: [joint for pair in sided for joint in pair if word in _name_words(joint) or joint[1:].lower() == word]
             for word in ("hip", "knee", "ankle")}  # fmt: skip
     upright = all(len(joints) == 2 for joints in legs.values()) and not _first(skeleton, ("tail", "paw", "hoof"))
     head, rear = _first(skeleton, _FRONT), _first(skeleton, _REAR)
@@ -737,7 +735,7 @@ def _first(skeleton: Skeleton, words: Sequence[str]) -> str | None:
     return None
 
 
-def _joints(proposal: Proposal) -> str:
+def _joints(proposal: _Proposal) -> str:
     skeleton = proposal.skeleton
     lines = ["# Names and order of the file."]
     if proposal.hidden:
@@ -759,7 +757,7 @@ def _root(skeleton: Skeleton) -> str:
     )
 
 
-def _bones(proposal: Proposal) -> str:
+def _bones(proposal: _Proposal) -> str:
     skeleton = proposal.skeleton
     own = {frozenset(bone) for bone in proposal.from_file}
     guessed = [bone for bone in skeleton.bones if frozenset(bone) not in own]
@@ -774,7 +772,7 @@ def _bones(proposal: Proposal) -> str:
     return text + ("\nloops: true      # bones close on themselves" if skeleton.loops else "")
 
 
-def _mirror(proposal: Proposal) -> str:
+def _mirror(proposal: _Proposal) -> str:
     if proposal.skeleton.mirror:
         text = "# [right, left] partners, by name or by the file. Joints on the midline are in no pair.\n"
         return text + _pair_lists("mirror: ", proposal.skeleton.mirror)

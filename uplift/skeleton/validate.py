@@ -11,14 +11,14 @@ import numpy as np
 from uplift.config.yaml_file import Where
 from uplift.errors import UserError, did_you_mean
 
-__all__ = ["BODY_KEYS", "Checker", "check_body", "check_facing", "check_size", "check_skeleton", "named"]
+__all__ = ["BODY_KEYS", "check_skeleton"]
 
 # Checks of single parts of a skeleton file, each failing with where the part stands.
 
 MAX_JOINTS = 1000
 
 
-class Checker:
+class _Checker:
     """Checks of single parts; each raises UserError that begins with where the part stands."""
 
     def __init__(self, where: Where) -> None:
@@ -29,7 +29,7 @@ class Checker:
 
     def is_kind(self, value: object, kind: type | tuple, expected: str, part: tuple) -> None:
         if not isinstance(value, kind):
-            self.fail(part, f"found {named(value)} for '{_path(part)}'; expected {expected}.")
+            self.fail(part, f"found {_named(value)} for '{_path(part)}'; expected {expected}.")
 
     def is_text(self, value: object, part: tuple, blank: bool = False) -> None:
         if isinstance(value, bool):
@@ -113,7 +113,7 @@ def _path(part: tuple) -> str:
     return ".".join(str(step) for step in part if not isinstance(step, int)) or "skeleton"
 
 
-def named(value: object) -> str:
+def _named(value: object) -> str:
     """Return a value as a user would name it."""
     kinds = {bool: "true or false", dict: "a mapping", list: "a list", type(None): "nothing"}
     for kind, name in kinds.items():
@@ -129,7 +129,7 @@ def named(value: object) -> str:
 BODY_KEYS = ("proportions", "rest", "limits")
 
 
-def check_body(skeleton: dict[str, Any], check: Checker) -> None:
+def _check_body(skeleton: dict[str, Any], check: _Checker) -> None:
     """Check proportions (numbers > 0), rest (3-vectors, not zero) and limits (finite numbers) by joint.
 
     What they mean is for the simulator to say. Raises UserError.
@@ -150,14 +150,14 @@ def check_body(skeleton: dict[str, Any], check: Checker) -> None:
                 _check_finite(value, part, check)
 
 
-def _check_length(value: object, part: tuple, check: Checker) -> None:
+def _check_length(value: object, part: tuple, check: _Checker) -> None:
     _check_number(value, part, check)
     assert isinstance(value, (int, float))
     if value <= 0:
         check.fail(part, f"found the length {value} for '{part[-1]}'; expected a number above 0.")
 
 
-def _check_vector(value: object, part: tuple, check: Checker) -> None:
+def _check_vector(value: object, part: tuple, check: _Checker) -> None:
     check.is_kind(value, list, "a vector [x, y, z]", part)
     assert isinstance(value, list)
     if len(value) != 3:
@@ -168,7 +168,7 @@ def _check_vector(value: object, part: tuple, check: Checker) -> None:
         check.fail(part, f"found the vector {value} for '{part[-1]}'; expected one with a direction.")
 
 
-def _check_finite(value: object, part: tuple, check: Checker) -> None:
+def _check_finite(value: object, part: tuple, check: _Checker) -> None:
     """Check every number inside nested lists and mappings; text is left to who reads it."""
     if isinstance(value, dict):
         for key, inner in value.items():
@@ -180,7 +180,7 @@ def _check_finite(value: object, part: tuple, check: Checker) -> None:
         _check_number(value, part, check)
 
 
-def _check_number(value: object, part: tuple, check: Checker) -> None:
+def _check_number(value: object, part: tuple, check: _Checker) -> None:
     if isinstance(value, bool):
         check.fail(part, f"found true or false in '{part[0]}'; expected a number.")
     check.is_kind(value, (int, float), "a number", part)
@@ -194,7 +194,7 @@ def _check_number(value: object, part: tuple, check: Checker) -> None:
 _DIRECTIONS = ("front", "left", "up")
 
 
-def check_facing(skeleton: dict[str, Any], check: Checker) -> dict[str, list[list[str]]]:
+def _check_facing(skeleton: dict[str, Any], check: _Checker) -> dict[str, list[list[str]]]:
     """Return facing with each end a list of joints; raises UserError where it cannot tell left from right."""
     given = skeleton["facing"]
     check.is_kind(given, dict, "a mapping of front, left and up", ("facing",))
@@ -216,7 +216,7 @@ def check_facing(skeleton: dict[str, Any], check: Checker) -> dict[str, list[lis
     return facing
 
 
-def _ends(value: object, joints: list[str], part: tuple, check: Checker) -> list[list[str]]:
+def _ends(value: object, joints: list[str], part: tuple, check: _Checker) -> list[list[str]]:
     check.is_kind(value, list, "[from, to], each a joint or a list of joints", part)
     assert isinstance(value, list)
     if len(value) != 2:
@@ -232,7 +232,7 @@ def _weights(ends: list[list[str]], joints: list[str]) -> np.ndarray:
     return weights
 
 
-def _check_independent(weights: dict[str, np.ndarray], check: Checker) -> None:
+def _check_independent(weights: dict[str, np.ndarray], check: _Checker) -> None:
     for count, name in enumerate(weights, 1):
         if np.abs(weights[name]).max() < 1e-9:
             check.fail(("facing", name), f"found '{name}' from and to the same place; it has no direction.")
@@ -244,7 +244,7 @@ def _check_independent(weights: dict[str, np.ndarray], check: Checker) -> None:
             )
 
 
-def _check_sides(weights: dict[str, np.ndarray], skeleton: dict[str, Any], check: Checker) -> None:
+def _check_sides(weights: dict[str, np.ndarray], skeleton: dict[str, Any], check: _Checker) -> None:
     """Check against the mirror pairs: left must cross the body, front and up must not only cross it."""
     if not skeleton["mirror"]:
         return
@@ -273,7 +273,7 @@ def _check_sides(weights: dict[str, np.ndarray], skeleton: dict[str, Any], check
 _SIZE_KEYS = ("along", "mm", "of_height")
 
 
-def check_size(size: Any, joints: list[str], check: Checker) -> dict[str, Any]:
+def _check_size(size: Any, joints: list[str], check: _Checker) -> dict[str, Any]:
     """Return the checked ``size:``: a way along joints with its length in mm, or as a share of the body's height.
 
     Raises UserError with the place of the first fault.
@@ -319,7 +319,7 @@ def check_skeleton(data: object, where: Where) -> dict[str, Any]:
     Raises UserError at the first fault, its message begun by ``where`` (file and line).
     """
     skeleton = _check_keys(data, where)
-    check = Checker(where)
+    check = _Checker(where)
     for key in ("name", "description"):
         check.is_text(skeleton[key], (key,), blank=key == "description")
     for key in ("gravity", "rigid", "loops"):
@@ -336,15 +336,15 @@ def check_skeleton(data: object, where: Where) -> dict[str, Any]:
     skeleton["from"] = {
         layout: check.map_of_parts(parts, joints, ("from", layout)) for layout, parts in skeleton["from"].items()
     }
-    skeleton["size"] = check_size(skeleton["size"], joints, check)
-    skeleton["facing"] = check_facing(skeleton, check)
-    check_body(skeleton, check)
+    skeleton["size"] = _check_size(skeleton["size"], joints, check)
+    skeleton["facing"] = _check_facing(skeleton, check)
+    _check_body(skeleton, check)
     return skeleton
 
 
 def _check_keys(data: object, where: Where) -> dict[str, Any]:
     if not isinstance(data, dict):
-        found = named(data)
+        found = _named(data)
         raise UserError(f"{where(())}: found {found}; expected a skeleton, a mapping with joints, root and bones.")
     for key in data:
         if key not in _KEYS:
@@ -359,7 +359,7 @@ def _empty(value: Any) -> Any:
     return type(value)() if isinstance(value, (list, dict)) else value
 
 
-def _check_forest(skeleton: dict[str, Any], check: Checker) -> None:
+def _check_forest(skeleton: dict[str, Any], check: _Checker) -> None:
     """Check that bones hold all joints together, each bone once, and close loops only where that is meant."""
     joints, bones = skeleton["joints"], skeleton["bones"]
     group = {joint: joint for joint in joints}
@@ -387,7 +387,7 @@ def _check_forest(skeleton: dict[str, Any], check: Checker) -> None:
             check.fail(("joints", place), f"no bones lead from the root '{skeleton['root']}' to joint '{joint}'.")
 
 
-def _check_mirror(skeleton: dict[str, Any], check: Checker) -> None:
+def _check_mirror(skeleton: dict[str, Any], check: _Checker) -> None:
     """Check that no joint is in two pairs and that no limb is paired half way only."""
     partner: dict[str, str] = {}
     for place, pair in enumerate(skeleton["mirror"]):

@@ -18,7 +18,7 @@ from uplift.data.poses import PoseData, codes_of
 from uplift.errors import UserError, did_you_mean
 from uplift.geometry.camera import Lens
 
-__all__ = ["DataSet", "WantedFile", "cache_folder", "cached_facts", "read_cached"]
+__all__ = ["DataSet", "WantedFile", "cached_facts", "read_cached"]
 
 # `DataSet`: what a published set is called, which of its files are wanted, and how they become `PoseData`.
 
@@ -84,7 +84,7 @@ _FORMAT = 1
 _ARRAYS = ("keypoints", "confidence", "pose", "root", "tilt_deg", "lens")
 
 
-def cache_folder() -> Path:
+def _cache_folder() -> Path:
     """Return where arrays are kept: ``$UPLIFT_CACHE``, else ``uplift`` in the user's cache folder."""
     named = os.environ.get("UPLIFT_CACHE")
     if named:
@@ -136,7 +136,7 @@ def _place(source: DataSet, split: str) -> Path:
     options = {key: value for key, value in vars(source).items() if isinstance(value, (str, int, float, list, tuple))}
     way = [type(source).__module__, type(source).__name__, split, options, str(source.folder.absolute())]
     return (
-        cache_folder()
+        _cache_folder()
         / f"{type(source).__name__.lower()}-{split}-{_hash(way)}-{_hash([_FORMAT, source.version, files])}"
     )
 

@@ -19,30 +19,23 @@ from uplift.errors import UserError, did_you_mean
 
 __all__ = [
     "JOINTS",
-    "LAYOUTS",
     "Clip",
-    "Layout",
     "Rates",
     "Rig",
     "Trial",
-    "View",
     "chosen_test",
     "film",
     "filmed",
     "find_trials",
-    "human_joints",
-    "layout_of",
-    "mended",
     "read_clip",
     "read_index",
-    "unit_of",
 ]
 
 # How the known conversions of CMU's data name their joints, and which bones they leave out.
 
 
 @dataclass(frozen=True)
-class Layout:
+class _Layout:
     """Which joints of a file are which of ours."""
 
     title: str
@@ -89,8 +82,8 @@ class Layout:
         return list(dict.fromkeys(names))
 
 
-LAYOUTS = (
-    Layout(
+_LAYOUTS = (
+    _Layout(
         "Acclaim skeleton",
         {"lhip": "lfemur", "lknee": "ltibia", "lankle": "lfoot", "lshoulder": "lhumerus", "lelbow": "lradius",
          "lwrist": "lhand"},
@@ -99,7 +92,7 @@ LAYOUTS = (
         thorax=("lowerneck",),
         head="head",
     ),
-    Layout(
+    _Layout(
         "cgspeed's conversion for MotionBuilder",
         {"lhip": "LeftUpLeg", "lknee": "LeftLeg", "lankle": "LeftFoot", "lshoulder": "LeftArm",
          "lelbow": "LeftForeArm", "lwrist": "LeftHand"},
@@ -110,7 +103,7 @@ LAYOUTS = (
         palm="LeftFingerBase",
         rest_frames=1,
     ),
-    Layout(
+    _Layout(
         "cgspeed's conversion for 3ds Max",
         {"lhip": "LeftHip", "lknee": "LeftKnee", "lankle": "LeftAnkle", "lshoulder": "LeftShoulder",
          "lelbow": "LeftElbow", "lwrist": "LeftWrist"},
@@ -121,7 +114,7 @@ LAYOUTS = (
         palm="lhand",
         rest_frames=1,
     ),
-    Layout(
+    _Layout(
         "the conversion for Poser and DAZ Studio",
         {"lhip": "lThigh", "lknee": "lShin", "lankle": "lFoot", "lshoulder": "lShldr", "lelbow": "lForeArm",
          "lwrist": "lHand"},
@@ -135,14 +128,14 @@ LAYOUTS = (
 )  # fmt: skip
 
 
-def layout_of(tree: Tree, path: Path) -> Layout:
+def _layout_of(tree: Tree, path: Path) -> _Layout:
     """Return the layout whose joints are all in ``tree``.
 
     Raises:
         UserError: none is.
     """
     missing = {}
-    for layout in LAYOUTS:
+    for layout in _LAYOUTS:
         lost = [name for name in layout.needed() if name not in tree.names]
         if not lost and not layout.eyes and np.isnan(tree.tips[tree.names.index(layout.head)]).any():
             raise UserError(f"{path}: joint '{layout.head}' has no End Site: the head has no top.")
@@ -168,7 +161,7 @@ _UNITS_MM = {"inches / 0.45, as CMU's": _CGSPEED_MM, "mm": 1.0, "cm": 10.0, "inc
 _LEG_MM = (550.0, 1200.0)
 
 
-def unit_of(tree: Tree, layout: Layout, path: Path, unit_mm: float | None = None) -> float:
+def _unit_of(tree: Tree, layout: _Layout, path: Path, unit_mm: float | None = None) -> float:
     """Return the millimetres in the file's unit: ``unit_mm`` where known, else the one that suits the legs.
 
     Raises:
@@ -190,7 +183,7 @@ def unit_of(tree: Tree, layout: Layout, path: Path, unit_mm: float | None = None
     return found
 
 
-def mended(tree: Tree, layout: Layout) -> Tree:
+def _mended(tree: Tree, layout: _Layout) -> Tree:
     """Return ``tree`` with the bones put back that the conversion dropped.
 
     A dropped bone leaves its child where its parent is. The thorax bone comes back as long as the bone
@@ -211,7 +204,7 @@ def mended(tree: Tree, layout: Layout) -> Tree:
     return replace(tree, offsets=offsets)
 
 
-def human_joints(figure: Figure, layout: Layout, unit_mm: float) -> Float[np.ndarray, "frames 17 3"]:
+def _human_joints(figure: Figure, layout: _Layout, unit_mm: float) -> Float[np.ndarray, "frames 17 3"]:
     """Return the joints in `JOINTS`' order, mm, world (y up).
 
     ``hip`` is the middle of the hips. ``nose`` is made up: ahead of the joint that the head turns on, by
@@ -227,7 +220,7 @@ def human_joints(figure: Figure, layout: Layout, unit_mm: float) -> Float[np.nda
     return (np.stack([points[joint] for joint in JOINTS], 1) * unit_mm).astype(np.float32)
 
 
-def _head(tree: Tree, layout: Layout) -> tuple[np.ndarray, np.ndarray]:
+def _head(tree: Tree, layout: _Layout) -> tuple[np.ndarray, np.ndarray]:
     """Return the top of the head and the nose, from the joint that the head turns on."""
     if layout.eyes:
         eyes = np.mean([tree.offsets[tree.names.index(name)] for name in ("leftEye", "rightEye")], axis=0)
@@ -402,19 +395,19 @@ def read_clip(trial: Trial, rates: Rates, unit_mm: float | None = None) -> Clip:
     """
     if trial.skeleton is not None:
         skeleton = _skeleton(trial.skeleton)
-        layout = layout_of(skeleton.tree, skeleton.path)
-        unit = unit_of(skeleton.tree, layout, skeleton.path, unit_mm or skeleton.unit_mm)
+        layout = _layout_of(skeleton.tree, skeleton.path)
+        unit = _unit_of(skeleton.tree, layout, skeleton.path, unit_mm or skeleton.unit_mm)
         figure = read_amc(trial.path, skeleton, rates.step(trial, rates.amc))
     else:
         file = open_bvh(trial.path)
-        layout = layout_of(file.tree, file.path)
-        unit = unit_of(file.tree, layout, file.path, unit_mm)
+        layout = _layout_of(file.tree, file.path)
+        unit = _unit_of(file.tree, layout, file.path, unit_mm)
         # A captured root is never turned by exactly nothing.
         first = 0 if any(file.row(0)[3:6]) else layout.rest_frames
         if file.frames <= first:
             raise UserError(f"{trial.path}: no frames after the rest pose.")
-        figure = file.figure(first, rates.step(trial, file.rate), mended(file.tree, layout))
-    joints = human_joints(figure, layout, unit)
+        figure = file.figure(first, rates.step(trial, file.rate), _mended(file.tree, layout))
+    joints = _human_joints(figure, layout, unit)
     if not (np.abs(joints) < _WORLD_MM).all():
         raise UserError(f"{trial.path}: joints farther than a kilometre from the origin: damaged, or another unit.")
     return Clip(trial.subject, trial.sequence, joints)
@@ -447,7 +440,7 @@ class Rig:
 
 
 @dataclass(frozen=True)
-class View:
+class _View:
     """A motion as one camera sees it."""
 
     keypoints: Float[np.ndarray, "frames joints 2"]
@@ -458,7 +451,7 @@ class View:
     tilt_deg: float
 
 
-def film(joints: Float[np.ndarray, "frames joints 3"], rig: Rig, random: np.random.Generator) -> list[View]:
+def film(joints: Float[np.ndarray, "frames joints 3"], rig: Rig, random: np.random.Generator) -> list[_View]:
     """Return what the cameras see of ``joints`` (mm, world, y up), the first of which is the root.
 
     They stand evenly round the middle of the motion, the first anywhere, each up to 15 degrees off its
@@ -494,13 +487,13 @@ def _least_distance(points: Float[np.ndarray, "frames joints 3"], rig: Rig) -> f
     return float(max(away.max(), _NEAREST_MM - points[..., 2].min()))
 
 
-def _view(points: np.ndarray, rig: Rig, tilt_deg: float) -> View:
+def _view(points: np.ndarray, rig: Rig, tilt_deg: float) -> _View:
     root = points[:, 0].astype(np.float32)
     pose = (points - points[:, :1]).astype(np.float32)
     # From the rounded numbers: what is written projects to what is written.
     seen = pose.astype(np.float64) + root[:, None]
     keypoints = rig.focal_px * seen[..., :2] / seen[..., 2:] + np.array(rig.image_size) / 2
-    return View(keypoints.astype(np.float32), pose, root, tilt_deg)
+    return _View(keypoints.astype(np.float32), pose, root, tilt_deg)
 
 
 # Clips and a camera rig as the rows of a training and a test file.

@@ -14,7 +14,7 @@ from uplift.data.poses import PoseData
 from uplift.errors import UserError, did_you_mean
 from uplift.geometry.camera import Lens
 
-__all__ = ["Human36M", "assemble"]
+__all__ = ["Human36M"]
 
 # From clips to `PoseData`: arrays of the final size, filled clip by clip, and checked on the way.
 
@@ -28,7 +28,7 @@ _OFF_DETECTED_PX = 100.0
 """The keypoints may be as far from the projected pose, in the median over joints, then over a subject's clips."""
 
 
-def assemble(clips: Sequence[Clip], step: int, keypoints: str, source: str) -> PoseData:
+def _assemble(clips: Sequence[Clip], step: int, keypoints: str, source: str) -> PoseData:
     """Return every ``step``-th frame of ``clips``, one after another.
 
     Raises:
@@ -223,7 +223,7 @@ class Human36M(DataSet):
         if how == "gt" and clips and clips[0].seen is None:
             how = "gt, projected from the 3D"
         told = f"Human3.6M {split} in {self.folder} ({family.name}, keypoints {how}, {self.fps} frames/s)"
-        return assemble(clips, RATE // self.fps, family.keypoints, told)
+        return _assemble(clips, RATE // self.fps, family.keypoints, told)
 
     def _family(self) -> Family:
         """Return the first kind of files that is there with the keypoints that are wanted, else one that is missing."""

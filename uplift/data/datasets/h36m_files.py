@@ -22,27 +22,18 @@ __all__ = [
     "JOINTS",
     "LAYOUTS",
     "OF_32",
-    "SUBJECTS",
-    "Camera",
     "Clip",
     "Family",
     "Martinez",
     "OfficialCdf",
     "Pickles",
     "VideoPose3D",
-    "in_order",
-    "in_room",
-    "is_corrupt",
-    "playable",
-    "points_of",
     "published",
-    "sequence_name",
-    "table_of",
 ]
 
 # What Human3.6M calls its subjects, actions and joints, and what the files made of it call them.
 
-SUBJECTS = {"train": ("S1", "S5", "S6", "S7", "S8"), "test": ("S9", "S11")}
+_SUBJECTS = {"train": ("S1", "S5", "S6", "S7", "S8"), "test": ("S9", "S11")}
 
 ACTIONS = (
     "Directions", "Discussion", "Eating", "Greeting", "Phoning", "Photo", "Posing", "Purchases", "Sitting",
@@ -85,7 +76,7 @@ LAYOUTS: dict[str, dict[str, tuple[int, ...]]] = {
 """Layouts of 2D keypoints: our joint to the places it is the mean of. The hourglass network has no nose."""
 
 
-def sequence_name(name: str, where: str) -> tuple[str, str] | None:
+def _sequence_name(name: str, where: str) -> tuple[str, str] | None:
     """Return action and sequence of a name such as ``WalkingDog 1`` or ``Photo_2``; None for ``_ALL``.
 
     Raises:
@@ -100,7 +91,7 @@ def sequence_name(name: str, where: str) -> tuple[str, str] | None:
     return action, f"{action} {number}".strip()
 
 
-def is_corrupt(subject: str, sequence: str, camera: str) -> bool:
+def _is_corrupt(subject: str, sequence: str, camera: str) -> bool:
     """Return whether it is the one video that cannot be played."""
     return (subject, sequence, camera) == ("S11", "Directions", "54138969")
 
@@ -111,7 +102,7 @@ CAMERAS = ("54138969", "55011271", "58860488", "60457274")
 
 
 @dataclass(frozen=True)
-class Camera:
+class _Camera:
     """A camera and where it stands: a point X of the room, in mm, is R (X - T) in its frame."""
 
     lens: Lens
@@ -196,7 +187,7 @@ _STANDS = {
 }  # fmt: skip
 
 
-def published(subject: str, camera: str, *, swapped: bool = False) -> Camera:
+def published(subject: str, camera: str, *, swapped: bool = False) -> _Camera:
     """Return the camera as it stood for ``subject``.
 
     The set's own projection, and Martinez', multiply p1 with y and p2 with x; VideoPose3D's, which made its
@@ -205,7 +196,7 @@ def published(subject: str, camera: str, *, swapped: bool = False) -> Camera:
     focal_px, centre_px, radial, (p1, p2), size = _LENSES[camera]
     stand = np.array(_STANDS[subject][CAMERAS.index(camera)])
     lens = Lens(focal_px, centre_px, radial, (p1, p2) if swapped else (p2, p1), size)
-    return Camera(lens, _turn(stand[:4]).T, stand[4:])
+    return _Camera(lens, _turn(stand[:4]).T, stand[4:])
 
 
 def _turn(quaternion: np.ndarray) -> np.ndarray:
@@ -230,7 +221,7 @@ class Clip:
     action: str
     sequence: str
     camera_id: str
-    camera: Camera
+    camera: _Camera
     where: str
     """Which file, and what in it, for messages."""
     frames: int
@@ -271,7 +262,7 @@ class Family:
         raise NotImplementedError
 
 
-def table_of(value: Any, where: str, wanted: Collection[str] = ()) -> dict[str, Any]:
+def _table_of(value: Any, where: str, wanted: Collection[str] = ()) -> dict[str, Any]:
     """Return ``value`` where it is a dict by text that has the ``wanted`` keys; raises UserError."""
     if not isinstance(value, dict) or not all(isinstance(key, str) for key in value):
         raise UserError(f"{where} is {_kind(value)}, expected a dict by name.")
@@ -284,7 +275,7 @@ def table_of(value: Any, where: str, wanted: Collection[str] = ()) -> dict[str, 
     return value
 
 
-def points_of(value: Any, where: str, joints: Collection[int], size: Collection[int]) -> np.ndarray:
+def _points_of(value: Any, where: str, joints: Collection[int], size: Collection[int]) -> np.ndarray:
     """Return ``value`` as (frames, joints, size) where it is numbers of such a shape, flattened or not."""
     wanted = f"({', '.join(['frames', '|'.join(map(str, joints)), '|'.join(map(str, size))])}) of numbers"
     if not isinstance(value, np.ndarray) or value.dtype.kind not in "fiu":
@@ -301,7 +292,7 @@ def _kind(value: Any) -> str:
     return f"an array of {value.dtype}, {value.shape}" if isinstance(value, np.ndarray) else f"a {type(value).__name__}"
 
 
-def in_room(points: np.ndarray, camera: Camera, factor: float = 1.0) -> Callable[[int], np.ndarray]:
+def _in_room(points: np.ndarray, camera: _Camera, factor: float = 1.0) -> Callable[[int], np.ndarray]:
     """Return `Clip.positions` for (frames, 32, 3) points of the room, ``factor`` mm a unit."""
 
     def positions(step: int) -> np.ndarray:
@@ -313,7 +304,7 @@ def in_room(points: np.ndarray, camera: Camera, factor: float = 1.0) -> Callable
     return positions
 
 
-def in_order(
+def _in_order(
     names: Sequence[str], subject: str, where: str, *, partial: bool, skip: Collection[tuple[str, str]] = ()
 ) -> list[tuple[str, str, str]]:
     """Return (name in the file, action, sequence) in the order of the papers' tables.
@@ -321,7 +312,7 @@ def in_order(
     Raises:
         UserError: a name that is no action, or an action that is missing, but for those in ``skip``.
     """
-    known = [(name, *parsed) for name in names if (parsed := sequence_name(name, where))]
+    known = [(name, *parsed) for name in names if (parsed := _sequence_name(name, where))]
     place = {action: number for number, action in enumerate(ACTIONS)}
     lacking = [a for a in ACTIONS if a not in {action for _, action, _ in known} and (subject, a) not in skip]
     if lacking and not partial:
@@ -336,9 +327,9 @@ def in_order(
     return sorted(known, key=lambda item: (place[item[1]], item[2]))
 
 
-def playable(subject: str, sequence: str) -> list[str]:
+def _playable(subject: str, sequence: str) -> list[str]:
     """Return the cameras that saw a sequence, but for the corrupt video."""
-    return [camera for camera in CAMERAS if not is_corrupt(subject, sequence, camera)]
+    return [camera for camera in CAMERAS if not _is_corrupt(subject, sequence, camera)]
 
 
 # The npz files of VideoPose3D: 3D in metres in the room, ground truth and detections in pixels.
@@ -388,17 +379,17 @@ class VideoPose3D(Family):
     def clips(self, split: str) -> list[Clip]:
         """Return the clips that the 3D has; 2D of other sequences is left out, as VideoPose3D does."""
         path = self.folder / _POSES
-        poses = table_of(_array(path, "positions_3d"), f"{path}, 'positions_3d'", SUBJECTS[split])
+        poses = _table_of(_array(path, "positions_3d"), f"{path}, 'positions_3d'", _SUBJECTS[split])
         file = self._keypoints_file()
         seen, layout = self._seen(self.folder / file, split) if file else (None, "h36m")
         clips = []
-        for subject in SUBJECTS[split]:
+        for subject in _SUBJECTS[split]:
             where = f"{path}, '{subject}'"
-            names = list(table_of(poses[subject], where))
-            for name, action, sequence in in_order(
+            names = list(_table_of(poses[subject], where))
+            for name, action, sequence in _in_order(
                 names, subject, where, partial=self.partial, skip=[("S11", "Directions")]
             ):
-                points = points_of(poses[subject][name], f"{where}, '{name}'", (32,), (3,))
+                points = _points_of(poses[subject][name], f"{where}, '{name}'", (32,), (3,))
                 views = None
                 if seen is not None:
                     views = _views(seen[subject], name, f"{self.folder / str(file)}, '{subject}'")
@@ -414,7 +405,7 @@ class VideoPose3D(Family):
             look = None if views is None else _look(views[number], layout, where, camera_id)
             clips.append(
                 Clip(subject, action, sequence, camera_id, camera, f"{where}, camera {camera_id}",
-                     len(points), in_room(points, camera, _MM), look, layout)
+                     len(points), _in_room(points, camera, _MM), look, layout)
             )  # fmt: skip
         return clips
 
@@ -424,7 +415,7 @@ class VideoPose3D(Family):
         for name in ("positions_2d", "metadata"):
             if name not in arrays:
                 raise UserError(f"{path} has no array '{name}': another data set's file?")
-        told = table_of(arrays["metadata"], f"{path}, 'metadata'", ["num_joints", "keypoints_symmetry"])
+        told = _table_of(arrays["metadata"], f"{path}, 'metadata'", ["num_joints", "keypoints_symmetry"])
         try:
             left = tuple(int(place) for place in told["keypoints_symmetry"][0])
             layout = _LEFT[int(told["num_joints"]), left]
@@ -435,7 +426,7 @@ class VideoPose3D(Family):
             ) from None
         if layout == "hourglass" and self.keypoints == "sh_mpii":
             layout = "hourglass_mpii"
-        return table_of(arrays["positions_2d"], f"{path}, 'positions_2d'", SUBJECTS[split]), layout
+        return _table_of(arrays["positions_2d"], f"{path}, 'positions_2d'", _SUBJECTS[split]), layout
 
 
 def _array(path: Path, name: str) -> Any:
@@ -447,7 +438,7 @@ def _array(path: Path, name: str) -> Any:
 
 def _views(sequences: Any, name: str, where: str) -> list[Any]:
     """Return the four cameras' keypoints of a sequence."""
-    sequences = table_of(sequences, where, [name])
+    sequences = _table_of(sequences, where, [name])
     views = sequences[name]
     if not isinstance(views, (list, tuple, np.ndarray)) or len(views) != len(CAMERAS):
         raise UserError(f"{where}, '{name}' is no list of {len(CAMERAS)} cameras' keypoints.")
@@ -456,7 +447,7 @@ def _views(sequences: Any, name: str, where: str) -> list[Any]:
 
 def _look(view: Any, layout: str, where: str, camera_id: str):
     count = 16 if layout.startswith("hourglass") else 17
-    array = points_of(view, f"the 2D of {where}, camera {camera_id}", (count,), (2, 3))
+    array = _points_of(view, f"the 2D of {where}, camera {camera_id}", (count,), (2, 3))
     return lambda: array
 
 
@@ -494,43 +485,43 @@ class Pickles(Family):
     def clips(self, split: str) -> list[Clip]:
         """Return the clips without S11's Directions seen by 54138969, as the authors' code leaves them out."""
         path, cameras_path = self.folder / "points_3d.pkl", self.folder / "cameras.pkl"
-        poses = table_of(load_pickle(path), str(path), SUBJECTS[split])
-        cameras = table_of(load_pickle(cameras_path), str(cameras_path), SUBJECTS[split])
+        poses = _table_of(load_pickle(path), str(path), _SUBJECTS[split])
+        cameras = _table_of(load_pickle(cameras_path), str(cameras_path), _SUBJECTS[split])
         seen = None
         if self.keypoints == "sh":
             seen_path = self.folder / self.files_of["sh"]
-            seen = table_of(load_pickle(seen_path), str(seen_path), SUBJECTS[split])
+            seen = _table_of(load_pickle(seen_path), str(seen_path), _SUBJECTS[split])
         clips = []
-        for subject in SUBJECTS[split]:
+        for subject in _SUBJECTS[split]:
             where = f"{path}, '{subject}'"
-            stands = table_of(cameras[subject], f"{cameras_path}, '{subject}'", CAMERAS)
+            stands = _table_of(cameras[subject], f"{cameras_path}, '{subject}'", CAMERAS)
             stood = {c: _camera(stands[c], f"{cameras_path}, '{subject}', '{c}'") for c in CAMERAS}
             looks = None if seen is None else self._by_sequence(seen[subject], subject)
-            names = list(table_of(poses[subject], where))
-            for name, action, sequence in in_order(names, subject, where, partial=self.partial):
-                points = points_of(poses[subject][name], f"{where}, '{name}'", (32,), (3,))
+            names = list(_table_of(poses[subject], where))
+            for name, action, sequence in _in_order(names, subject, where, partial=self.partial):
+                points = _points_of(poses[subject][name], f"{where}, '{name}'", (32,), (3,))
                 for camera_id, camera in stood.items():
                     if (subject, action, camera_id) == ("S11", "Directions", CAMERAS[0]):
                         continue
                     look = None if looks is None else self._look(looks, subject, sequence, camera_id)
                     at = f"{where}, '{name}', camera {camera_id}"
-                    positions = in_room(points, camera)
+                    positions = _in_room(points, camera)
                     clips.append(Clip(subject, action, sequence, camera_id, camera, at, len(points), positions, look))
         return clips
 
     def _look(self, looks: dict[str, Any], subject: str, sequence: str, camera_id: str):
         where = f"{self.folder / self.files_of['sh']}, '{subject}'"
-        views = table_of(table_of(looks, where, [sequence])[sequence], f"{where}, '{sequence}'", [camera_id])
+        views = _table_of(_table_of(looks, where, [sequence])[sequence], f"{where}, '{sequence}'", [camera_id])
         return _look_up(views[camera_id], f"{where}, '{sequence}', '{camera_id}'")
 
     def _by_sequence(self, looks: Any, subject: str) -> dict[str, Any]:
         where = f"{self.folder / self.files_of['sh']}, '{subject}'"
-        return {parsed[1]: v for name, v in table_of(looks, where).items() if (parsed := sequence_name(name, where))}
+        return {parsed[1]: v for name, v in _table_of(looks, where).items() if (parsed := _sequence_name(name, where))}
 
 
 def _look_up(view: Any, where: str):
     """Return keypoints whose nose, where it is the middle of thorax and head, counts as missing."""
-    array = points_of(view, where, (17,), (2, 3))
+    array = _points_of(view, where, (17,), (2, 3))
 
     def seen() -> np.ndarray:
         between = (array[:, 8, :2] + array[:, 10, :2]) / 2
@@ -543,8 +534,8 @@ def _look_up(view: Any, where: str):
     return seen
 
 
-def _camera(told: Any, where: str) -> Camera:
-    told = table_of(told, where, list(_SHAPES))
+def _camera(told: Any, where: str) -> _Camera:
+    told = _table_of(told, where, list(_SHAPES))
     values = {}
     for name, shape in _SHAPES.items():
         value = np.asarray(told[name])
@@ -554,10 +545,10 @@ def _camera(told: Any, where: str) -> Camera:
     return camera_of(**values)
 
 
-def camera_of(R, T, f, c, k, p) -> Camera:
+def camera_of(R, T, f, c, k, p) -> _Camera:
     """Return the camera whose parameters have the names of Martinez' code, in which p1 goes with y."""
     lens = Lens(tuple(f.tolist()), tuple(c.tolist()), tuple(k.tolist()), (float(p[1]), float(p[0])), _image_size(c))
-    return Camera(lens, R, T)
+    return _Camera(lens, R, T)
 
 
 def _image_size(centre: np.ndarray) -> tuple[int, int]:
@@ -592,7 +583,7 @@ class Martinez(Family):
     def files(self, split: str) -> list[WantedFile]:
         """Return every file of the split; of a subject without any, the one that should be there first."""
         wanted = []
-        for subject in SUBJECTS[split]:
+        for subject in _SUBJECTS[split]:
             wanted += self._in(f"{subject}/MyPoses/3D_positions", "Directions 1.h5", "3D joints (h36m.zip)")
             if self.keypoints in self.files_of:
                 place = f"{subject}/{self.files_of[self.keypoints]}"
@@ -610,14 +601,14 @@ class Martinez(Family):
         cameras = self._cameras(split)
         points = lru_cache(maxsize=1)(_points)  # the clips of one sequence follow one another
         clips = []
-        for subject in SUBJECTS[split]:
+        for subject in _SUBJECTS[split]:
             folder = self.folder / subject / "MyPoses" / "3D_positions"
             looks = self._looks(subject) if self.keypoints in self.files_of else None
-            for name, action, sequence in in_order(
+            for name, action, sequence in _in_order(
                 sorted(path.stem for path in folder.glob("*.h5")), subject, str(folder), partial=self.partial
             ):
                 path = folder / f"{name}.h5"
-                for camera_id in playable(subject, sequence):
+                for camera_id in _playable(subject, sequence):
                     camera = cameras[subject, camera_id]
                     look = None if looks is None else self._look(looks, subject, sequence, camera_id)
                     clips.append(
@@ -635,7 +626,7 @@ class Martinez(Family):
         found = {}
         for path in sorted(folder.glob("*.h5")):
             name, _, camera_id = path.stem.rpartition(".")
-            parsed = sequence_name(name, str(path))
+            parsed = _sequence_name(name, str(path))
             if parsed:
                 found[parsed[1], camera_id] = path
         return found
@@ -645,14 +636,14 @@ class Martinez(Family):
         if path is None:
             folder = self.folder / subject / self.files_of[self.keypoints]
             raise UserError(f"{folder} has no detections of '{sequence}' by camera {camera_id}.")
-        return lambda: points_of(_read_h5(path, "poses"), f"{path}, 'poses'", (16,), (2, 3))
+        return lambda: _points_of(_read_h5(path, "poses"), f"{path}, 'poses'", (16,), (2, 3))
 
-    def _cameras(self, split: str) -> dict[tuple[str, str], Camera]:
+    def _cameras(self, split: str) -> dict[tuple[str, str], _Camera]:
         path = self.folder / "cameras.h5"
         if not path.is_file():
-            return {(s, c): published(s, c) for s in SUBJECTS[split] for c in CAMERAS}
+            return {(s, c): published(s, c) for s in _SUBJECTS[split] for c in CAMERAS}
         cameras = {}
-        for subject in SUBJECTS[split]:
+        for subject in _SUBJECTS[split]:
             for number in range(1, 5):
                 told = {
                     key: _read_h5(path, f"subject{subject[1:]}/camera{number}/{key}").astype(float).squeeze()
@@ -668,8 +659,8 @@ class Martinez(Family):
         return cameras
 
 
-def _lazily(points: Callable[[Path], np.ndarray], path: Path, camera: Camera) -> Callable[[int], np.ndarray]:
-    return lambda step: in_room(points(path), camera)(step)
+def _lazily(points: Callable[[Path], np.ndarray], path: Path, camera: _Camera) -> Callable[[int], np.ndarray]:
+    return lambda step: _in_room(points(path), camera)(step)
 
 
 def _points(path: Path) -> np.ndarray:
@@ -732,7 +723,7 @@ class OfficialCdf(Family):
     def files(self, split: str) -> list[WantedFile]:
         """Return every file of the split; of a subject without any, the one that should be there first."""
         wanted = []
-        for subject in SUBJECTS[split]:
+        for subject in _SUBJECTS[split]:
             wanted += self._in(f"{subject}/{self._place()}", f"3D joints (Poses_D3_Positions_{subject}.tgz)")
             if self._has_2d():
                 wanted += self._in(f"{subject}/{_SEEN}", f"2D joints (Poses_D2_Positions_{subject}.tgz)")
@@ -754,11 +745,11 @@ class OfficialCdf(Family):
         points = lru_cache(maxsize=1)(lambda path: _read_cdf(path, 3))  # the clips of one sequence follow one another
         mono = self._place() == _MONO
         clips = []
-        for subject in SUBJECTS[split]:
+        for subject in _SUBJECTS[split]:
             folder = self.folder / subject / self._place()
             stems = {path.stem.rpartition(".")[0] if mono else path.stem for path in folder.glob("*.cdf")}
-            for name, action, sequence in in_order(sorted(stems), subject, str(folder), partial=self.partial):
-                for camera_id in playable(subject, sequence):
+            for name, action, sequence in _in_order(sorted(stems), subject, str(folder), partial=self.partial):
+                for camera_id in _playable(subject, sequence):
                     camera = published(subject, camera_id)
                     path = folder / (f"{name}.{camera_id}.cdf" if mono else f"{name}.cdf")
                     positions = _in_camera(path) if mono else _lazily(points, path, camera)
@@ -782,7 +773,7 @@ def _read_cdf(path: Path, size: int) -> np.ndarray:
     _shape(path)
     values = np.asarray(_cdf(path, lambda file: file.varget("Pose")))
     values = values[0] if values.ndim == 3 and len(values) == 1 else values
-    return points_of(values, f"{path}, 'Pose'", (32,), (size,))
+    return _points_of(values, f"{path}, 'Pose'", (32,), (size,))
 
 
 def _shape(path: Path) -> tuple[int, ...]:

@@ -15,28 +15,11 @@ from uplift.data.poses import PoseData
 from uplift.errors import UserError, did_you_mean
 from uplift.geometry.camera import Lens
 
-__all__ = [
-    "ACTIVITIES",
-    "CAMERA_SETS",
-    "FAR_PX",
-    "TEST_JOINTS",
-    "TRAIN_JOINTS",
-    "Camera",
-    "MpiInf3dhp",
-    "Rows",
-    "Sequence",
-    "best_lens",
-    "camera_numbers",
-    "published_cameras",
-    "read_calibration",
-    "read_test",
-    "read_train",
-    "reprojection_px",
-]
+__all__ = ["ACTIVITIES", "MpiInf3dhp", "published_cameras"]
 
 # The cameras of MPI-INF-3DHP: calibration files of the training set, the two known cameras of the test set.
 
-CAMERA_SETS = {
+_CAMERA_SETS = {
     "chest": (0, 2, 4, 7, 8),
     "vnect": (0, 1, 2, 4, 5, 6, 7, 8),
     "relevant": tuple(range(11)),
@@ -48,35 +31,35 @@ CAMERA_SETS = {
 _HEADER = "Skeletool Camera Calibration File"
 _SAMPLE = 4000
 _CLOSE_PX = 2.0
-FAR_PX = 50.0
+_FAR_PX = 50.0
 """Farther than this from what was seen, points were not seen by that camera."""
 
 
 @dataclass(frozen=True)
-class Camera:
+class _Camera:
     """A lens and how far the camera looks down."""
 
     lens: Lens
     tilt_deg: float
 
 
-def camera_numbers(cameras: str) -> tuple[int, ...]:
-    """Return the numbers that ``cameras`` means: a name of `CAMERA_SETS`, or numbers with commas.
+def _camera_numbers(cameras: str) -> tuple[int, ...]:
+    """Return the numbers that ``cameras`` means: a name of `_CAMERA_SETS`, or numbers with commas.
 
     Raises:
         UserError: neither, or a number that no camera has.
     """
-    if cameras in CAMERA_SETS:
-        return CAMERA_SETS[cameras]
+    if cameras in _CAMERA_SETS:
+        return _CAMERA_SETS[cameras]
     parts = [part.strip() for part in str(cameras).strip("[]").split(",") if part.strip()]
     if not parts or any(not part.isdigit() or int(part) > 13 for part in parts):
         raise UserError(
-            f"data.options.cameras={cameras!r}: expected one of {', '.join(CAMERA_SETS)}, or numbers from 0 to 13: 0,2,4."
+            f"data.options.cameras={cameras!r}: expected one of {', '.join(_CAMERA_SETS)}, or numbers from 0 to 13: 0,2,4."
         )
     return tuple(sorted({int(part) for part in parts}))
 
 
-def read_calibration(path: Path) -> dict[int, Camera]:
+def _read_calibration(path: Path) -> dict[int, _Camera]:
     """Return the cameras of a camera.calibration file by number.
 
     Raises:
@@ -98,7 +81,7 @@ def read_calibration(path: Path) -> dict[int, Camera]:
     return dict(_camera(path, block) for block in blocks)
 
 
-def _camera(path: Path, block: dict[str, tuple[int, str]]) -> tuple[int, Camera]:
+def _camera(path: Path, block: dict[str, tuple[int, str]]) -> tuple[int, _Camera]:
     (name,), size = _numbers(path, block, "name", 1), _numbers(path, block, "size", 2)
     inside = np.reshape(_numbers(path, block, "intrinsic", 16), (4, 4))
     outside = np.reshape(_numbers(path, block, "extrinsic", 16), (4, 4))
@@ -112,7 +95,7 @@ def _camera(path: Path, block: dict[str, tuple[int, str]]) -> tuple[int, Camera]
         centre_px=(float(inside[0, 2]), float(inside[1, 2])),
         image_size=(int(size[0]), int(size[1])),
     )
-    return int(name), Camera(lens, down_tilt_deg(-turn[:, 1]))  # the world's y is up
+    return int(name), _Camera(lens, down_tilt_deg(-turn[:, 1]))  # the world's y is up
 
 
 def _numbers(path: Path, block: dict[str, tuple[int, str]], key: str, count: int) -> list[float]:
@@ -138,10 +121,10 @@ def _test_camera(
     centre = (np.array(sensor_mm) / 2 + offset_mm) * per_mm
     lens = Lens(tuple(focal_mm * per_mm), tuple(centre), radial, tangential, size)
     turn = np.stack([right, -np.array(up), np.cross(up, right)])
-    return Camera(lens, down_tilt_deg(-turn[:, 1]))
+    return _Camera(lens, down_tilt_deg(-turn[:, 1]))
 
 
-def published_cameras(number: int) -> list[Camera]:
+def published_cameras(number: int) -> list[_Camera]:
     """Return what the camera of TS1..TS6 may be: as published, and for TS5 and TS6 also without its distortion.
 
     The figures are those of the calibration files that come with the test set, in mm on the sensor.
@@ -162,23 +145,23 @@ def published_cameras(number: int) -> list[Camera]:
     return [bent, _test_camera(*outdoors)]
 
 
-def best_lens(
-    cameras: list[Camera], points: Float[np.ndarray, "frames joints 3"], seen: Float[np.ndarray, "frames joints 2"]
-) -> tuple[Camera, float]:
+def _best_lens(
+    cameras: list[_Camera], points: Float[np.ndarray, "frames joints 3"], seen: Float[np.ndarray, "frames joints 2"]
+) -> tuple[_Camera, float]:
     """Return the camera that projects ``points`` nearest to ``seen``, and by how many pixels it is off.
 
     Where none of ``cameras`` is within two pixels, but one is near, a pinhole fitted to the points is tried, too.
     """
-    found = [(reprojection_px(camera.lens, points, seen), camera) for camera in cameras]
+    found = [(_reprojection_px(camera.lens, points, seen), camera) for camera in cameras]
     error, best = min(found, key=lambda pair: pair[0])
-    if not _CLOSE_PX < error <= FAR_PX:
+    if not _CLOSE_PX < error <= _FAR_PX:
         return best, error
-    fitted = Camera(_fit(points, seen, best.lens.image_size), best.tilt_deg)
-    fitted_error = reprojection_px(fitted.lens, points, seen)
+    fitted = _Camera(_fit(points, seen, best.lens.image_size), best.tilt_deg)
+    fitted_error = _reprojection_px(fitted.lens, points, seen)
     return (fitted, fitted_error) if fitted_error < error else (best, error)
 
 
-def reprojection_px(lens: Lens, points: np.ndarray, seen: np.ndarray) -> float:
+def _reprojection_px(lens: Lens, points: np.ndarray, seen: np.ndarray) -> float:
     """Return the median distance of projected points to where they were seen, over a sample of frames."""
     points, seen = _sample(points, seen)
     if not len(points):
@@ -206,13 +189,13 @@ def _fit(points: np.ndarray, seen: np.ndarray, size: tuple[int, int] | None) -> 
 
 # The annotation files of MPI-INF-3DHP: annot.mat of a training sequence, annot_data.mat of a test sequence.
 
-TRAIN_JOINTS = (
+_TRAIN_JOINTS = (
     "spine3", "spine4", "spine2", "spine", "pelvis", "neck", "head", "head_top", "left_clavicle", "left_shoulder",
     "left_elbow", "left_wrist", "left_hand", "right_clavicle", "right_shoulder", "right_elbow", "right_wrist",
     "right_hand", "left_hip", "left_knee", "left_ankle", "left_foot", "left_toe", "right_hip", "right_knee",
     "right_ankle", "right_foot", "right_toe",
 )  # fmt: skip
-TEST_JOINTS = (
+_TEST_JOINTS = (
     "head_top", "neck", "right_shoulder", "right_elbow", "right_wrist", "left_shoulder", "left_elbow", "left_wrist",
     "right_hip", "right_knee", "right_ankle", "left_hip", "left_knee", "left_ankle", "pelvis", "spine", "head",
 )  # fmt: skip
@@ -223,7 +206,7 @@ ACTIVITIES = (
 
 
 @dataclass(frozen=True)
-class Sequence:
+class _Sequence:
     """What one camera saw in one sequence."""
 
     seen: np.ndarray
@@ -233,12 +216,12 @@ class Sequence:
     universal: np.ndarray | None
     """(frames joints 3) mm: the same scaled to a universal height; None where it was not asked for."""
 
-    def rows(self, rows: slice | np.ndarray) -> Sequence:
+    def rows(self, rows: slice | np.ndarray) -> _Sequence:
         """Return some of its frames."""
-        return Sequence(self.seen[rows], self.points[rows], None if self.universal is None else self.universal[rows])
+        return _Sequence(self.seen[rows], self.points[rows], None if self.universal is None else self.universal[rows])
 
 
-def read_train(path: Path, cameras: Collection[int], universal: bool) -> dict[int, Sequence]:
+def read_train(path: Path, cameras: Collection[int], universal: bool) -> dict[int, _Sequence]:
     """Return what each of ``cameras`` saw, from an annot.mat of 28 joints.
 
     Raises:
@@ -259,7 +242,7 @@ def read_train(path: Path, cameras: Collection[int], universal: bool) -> dict[in
     return sequences
 
 
-def read_test(path: Path, universal: bool) -> tuple[Sequence, np.ndarray, np.ndarray]:
+def read_test(path: Path, universal: bool) -> tuple[_Sequence, np.ndarray, np.ndarray]:
     """Return the valid frames of an annot_data.mat of 17 joints, their numbers, and their activities' numbers.
 
     Raises:
@@ -300,7 +283,7 @@ def _check_names(path: Path, names: list[str], found: dict, expected: str) -> No
 def _cell(path: Path, name: str, cells: np.ndarray | list[np.ndarray], place: int) -> np.ndarray:
     """Return one camera's (frames joints axes) of a cell array of (frames, joints * axes)."""
     axes = 2 if name == "annot2" else 3
-    columns = len(TRAIN_JOINTS) * axes
+    columns = len(_TRAIN_JOINTS) * axes
     if not isinstance(cells, list):
         raise UserError(f"{path}: '{name}' is an array of shape {cells.shape}, expected a cell for each camera.")
     if place >= len(cells):
@@ -309,36 +292,36 @@ def _cell(path: Path, name: str, cells: np.ndarray | list[np.ndarray], place: in
     if array.ndim != 2 or array.shape[1] != columns:
         raise UserError(
             f"{path}: '{name}' of camera cell {place} has shape {array.shape}, expected (frames, {columns}): "
-            f"{len(TRAIN_JOINTS)} joints of {axes} numbers."
+            f"{len(_TRAIN_JOINTS)} joints of {axes} numbers."
         )
-    return array.reshape(len(array), len(TRAIN_JOINTS), axes)
+    return array.reshape(len(array), len(_TRAIN_JOINTS), axes)
 
 
 def _of_frames(path: Path, name: str, array: np.ndarray | list[np.ndarray]) -> np.ndarray:
     """Return (frames joints axes) of an array that MATLAB has as (axes, joints, 1, frames)."""
     axes = 2 if name == "annot2" else 3
     shape = () if isinstance(array, list) else array.shape
-    if len(shape) not in (3, 4) or shape[:2] != (axes, len(TEST_JOINTS)) or (len(shape) == 4 and shape[2] != 1):
+    if len(shape) not in (3, 4) or shape[:2] != (axes, len(_TEST_JOINTS)) or (len(shape) == 4 and shape[2] != 1):
         found = "a cell array" if isinstance(array, list) else f"of shape {shape}"
-        raise UserError(f"{path}: '{name}' is {found}, expected ({axes}, {len(TEST_JOINTS)}, 1, frames).")
+        raise UserError(f"{path}: '{name}' is {found}, expected ({axes}, {len(_TEST_JOINTS)}, 1, frames).")
     assert isinstance(array, np.ndarray)
-    return np.ascontiguousarray(array.reshape(axes, len(TEST_JOINTS), -1).transpose(2, 1, 0))
+    return np.ascontiguousarray(array.reshape(axes, len(_TEST_JOINTS), -1).transpose(2, 1, 0))
 
 
-def _sequence(path: Path, arrays: dict[str, np.ndarray], where: str) -> Sequence:
+def _sequence(path: Path, arrays: dict[str, np.ndarray], where: str) -> _Sequence:
     counts = {name: len(array) for name, array in arrays.items()}
     if len(set(counts.values())) != 1:
         shown = ", ".join(f"{name} {count:,}" for name, count in counts.items())
         raise UserError(f"{path}: {where} has arrays of different lengths: {shown}. Damaged, or of different files?")
     if not next(iter(counts.values())):
         raise UserError(f"{path}: {where} has no frames.")
-    return Sequence(arrays["annot2"], arrays["annot3"], arrays.get("univ_annot3"))
+    return _Sequence(arrays["annot2"], arrays["annot3"], arrays.get("univ_annot3"))
 
 
 # The frames of many sequences of MPI-INF-3DHP in arrays made once, filled one sequence after the other.
 
 
-class Rows:
+class _Rows:
     """Room for all frames of a split, filled sequence by sequence."""
 
     def __init__(self, most: int, joints: tuple[str, ...]):
@@ -353,7 +336,7 @@ class Rows:
         self.lenses: list[Lens] = []
         self.parts: list[tuple[int, dict]] = []
 
-    def add(self, sequence: Sequence, camera: Camera, frames: np.ndarray, identity: dict) -> None:
+    def add(self, sequence: _Sequence, camera: _Camera, frames: np.ndarray, identity: dict) -> None:
         """Put the frames of one sequence seen by one camera behind the others."""
         here = slice(self.used, self.used + len(sequence.seen))
         pelvis = self.joints.index("pelvis")
@@ -439,7 +422,7 @@ data.options.subjects=S1,S2 reads some of them."""
         self.universal = universal
         self.fps = int(fps)
         self.subjects = subjects
-        camera_numbers(cameras)
+        _camera_numbers(cameras)
         if self.fps < 1 or 25 % self.fps or fps != self.fps:
             raise UserError(f"data.options.fps={fps}: expected 25, 5 or 1: sequences have 25 or 50 frames a second.")
         known = (*_SEQUENCES, *_TEST)
@@ -482,10 +465,10 @@ data.options.subjects=S1,S2 reads some of them."""
         return data
 
     def _read_train(self) -> PoseData:
-        cameras = camera_numbers(self.cameras)
+        cameras = _camera_numbers(self.cameras)
         subjects = self._subjects("train")
         most = sum(-(-count * self.fps // rate) for name in subjects for count, rate in _SEQUENCES[name])
-        rows = Rows(most * len(cameras), TRAIN_JOINTS)
+        rows = _Rows(most * len(cameras), _TRAIN_JOINTS)
         for subject in subjects:
             for place, (count, rate) in enumerate(_SEQUENCES[subject]):
                 name = f"Seq{place + 1}"
@@ -500,10 +483,10 @@ data.options.subjects=S1,S2 reads some of them."""
         data.fps, data.image_size = float(self.fps), (2048, 2048)
         return data
 
-    def _known_cameras(self, subject: str, name: str, cameras: tuple[int, ...]) -> tuple[Path, dict[int, Camera]]:
+    def _known_cameras(self, subject: str, name: str, cameras: tuple[int, ...]) -> tuple[Path, dict[int, _Camera]]:
         path = self._place("train", f"{subject}/{name}/annot.mat")
         calibration = self._place("train", f"{subject}/{name}/camera.calibration")
-        known = read_calibration(calibration)
+        known = _read_calibration(calibration)
         absent = [str(camera) for camera in cameras if camera not in known]
         if absent:
             raise UserError(f"{calibration} has no camera {', '.join(absent)} (found {len(known)}): cut short?")
@@ -515,20 +498,20 @@ data.options.subjects=S1,S2 reads some of them."""
             path = self._place("test", f"{subject}/annot_data.mat")
             sequence, frames, activity = read_test(path, self.universal)
             number = int(subject[2:])
-            camera, off = best_lens(published_cameras(number), sequence.points, sequence.seen)
-            if off > FAR_PX:
+            camera, off = _best_lens(published_cameras(number), sequence.points, sequence.seen)
+            if off > _FAR_PX:
                 raise UserError(_apart(path, off))
             identity = {"subject": subject, "sequence": subject, "camera": int(number > 4)}
             found.append((sequence, camera, frames, {**identity, "action": np.array(ACTIVITIES)[activity - 1]}))
-        rows = Rows(sum(len(sequence.seen) for sequence, *_ in found), TEST_JOINTS)
+        rows = _Rows(sum(len(sequence.seen) for sequence, *_ in found), _TEST_JOINTS)
         for each in found:
             rows.add(*each)
         return rows.finish()
 
 
-def _check_camera(path: Path, lens: Lens, camera: int, sequence: Sequence) -> None:
-    off = reprojection_px(lens, sequence.points, sequence.seen)
-    if off > FAR_PX:
+def _check_camera(path: Path, lens: Lens, camera: int, sequence: _Sequence) -> None:
+    off = _reprojection_px(lens, sequence.points, sequence.seen)
+    if off > _FAR_PX:
         raise UserError(f"camera.calibration beside {_apart(path, off)} (camera {camera})")
 
 

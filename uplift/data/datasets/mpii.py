@@ -16,7 +16,7 @@ from uplift.data.parsers.matlab import load_mat5
 from uplift.data.poses import PoseData
 from uplift.errors import UserError
 
-__all__ = ["AUTHORS_JOINTS", "MPII_JOINTS", "Mpii", "people", "person_in_image", "read_json", "read_mat", "read_npy"]
+__all__ = ["AUTHORS_JOINTS", "MPII_JOINTS", "Mpii", "person_in_image"]
 
 # The plain files that MPII Human Pose comes in: the common .json, and the .npy of Kudo et al. 2018.
 
@@ -43,7 +43,7 @@ def person_in_image(image: np.ndarray) -> np.ndarray:
     return number
 
 
-def people(points: np.ndarray, confidence: np.ndarray, image: list[str]) -> PoseData:
+def _people(points: np.ndarray, confidence: np.ndarray, image: list[str]) -> PoseData:
     """Return people (people 16 2) in MPII's joints, with the names of their images."""
     names = np.array(image, dtype=str)
     return PoseData(
@@ -54,7 +54,7 @@ def people(points: np.ndarray, confidence: np.ndarray, image: list[str]) -> Pose
     )
 
 
-def read_json(path: Path, occluded: float) -> PoseData:
+def _read_json(path: Path, occluded: float) -> PoseData:
     """Return the people of a train.json or valid.json: joints, joints_vis, image, of 16 joints each.
 
     A joint at (-1, -1) or (0, 0) is missing; one with a place and joints_vis 0 was annotated though hidden.
@@ -80,7 +80,7 @@ def read_json(path: Path, occluded: float) -> PoseData:
     places = np.array(points, np.float32).reshape(-1, _JOINTS, 2)
     placed = np.isfinite(places).all(-1) & (places != -1).any(-1) & (places != 0).any(-1)
     seen = np.array(visible).reshape(-1, _JOINTS) > 0
-    return people(places, np.where(placed, np.where(seen, 1, occluded), 0), image)
+    return _people(places, np.where(placed, np.where(seen, 1, occluded), 0), image)
 
 
 def _floats(values: Any, shape: tuple[int, ...], where: str) -> np.ndarray:
@@ -93,7 +93,7 @@ def _floats(values: Any, shape: tuple[int, ...], where: str) -> np.ndarray:
     return found
 
 
-def read_npy(path: Path, occluded: float) -> PoseData:
+def _read_npy(path: Path, occluded: float) -> PoseData:
     """Return the people of mpii_poses.npy, without its made-up joint; image names from mpii_image_name.txt beside it.
 
     Raises:
@@ -111,7 +111,7 @@ def read_npy(path: Path, occluded: float) -> PoseData:
     seen = np.isfinite(points).all(-1)
     names = path.with_name("mpii_image_name.txt")
     if not names.is_file():
-        data = people(points, np.asarray(seen, np.float32), [""] * len(points))
+        data = _people(points, np.asarray(seen, np.float32), [""] * len(points))
         data.identity.clear()
         return data
     try:
@@ -120,7 +120,7 @@ def read_npy(path: Path, occluded: float) -> PoseData:
         raise UserError(f"{names} is no text: {error}") from None
     if len(image) != len(points):
         raise UserError(f"{names} names {len(image):,} images for {len(points):,} people in {path.name}.")
-    return people(points, np.asarray(seen, np.float32), image)
+    return _people(points, np.asarray(seen, np.float32), image)
 
 
 # The annotations of MPII Human Pose as published: mpii_human_pose_v1_u12_1.mat.
@@ -128,7 +128,7 @@ def read_npy(path: Path, occluded: float) -> PoseData:
 _HEAD = (MPII_JOINTS.index("upper_neck"), MPII_JOINTS.index("headtop"))
 
 
-def read_mat(path: Path, occluded: float) -> PoseData:
+def _read_mat(path: Path, occluded: float) -> PoseData:
     """Return the annotated people of the training images of mpii_human_pose_v1_u12_1.mat.
 
     Raises:
@@ -155,7 +155,7 @@ def read_mat(path: Path, occluded: float) -> PoseData:
             image.append(name)
     if not image:
         raise UserError(f"{where}: no person in it has annotated points.")
-    return people(np.array(points), np.array(confidence), image)
+    return _people(np.array(points), np.array(confidence), image)
 
 
 def _person(person: np.void, occluded: float, where: str) -> tuple[np.ndarray, np.ndarray] | None:
@@ -256,7 +256,7 @@ data.options.file=NAME chooses where several are there."""
 
     def read(self, split: str) -> PoseData:
         path = self._file(split)
-        reader = {".mat": read_mat, ".json": read_json, ".npy": read_npy}.get(path.suffix.lower())
+        reader = {".mat": _read_mat, ".json": _read_json, ".npy": _read_npy}.get(path.suffix.lower())
         if reader:
             data = reader(path, self.occluded)
         elif path.suffix.lower() == ".npz":

@@ -16,13 +16,13 @@ from uplift.data.parsers.json import Numbers, is_text, members, objects, shown, 
 from uplift.data.poses import PoseData
 from uplift.errors import UserError
 
-__all__ = ["FORMAT", "Category", "Image", "category_of", "common_size", "image_of", "lines_of", "plain", "text_of"]
+__all__: list[str] = []
 
 # Images and categories as COCO's annotations hold them.
 
 
 @dataclass
-class Image:
+class _Image:
     name: str
     size: tuple[int, int] | None
     video: str | None
@@ -30,35 +30,35 @@ class Image:
 
 
 @dataclass
-class Category:
+class _Category:
     name: str
     joints: tuple[str, ...] | None
     """None: the category has no keypoints."""
     edges: list[Any]
 
 
-def image_of(record: dict[str, Any], where: str) -> tuple[Any, Image]:
+def _image_of(record: dict[str, Any], where: str) -> tuple[Any, _Image]:
     """Return the id and the rest of an image; raises UserError where it has none."""
-    number, name = plain(record.get("id"), where, "id"), record.get("file_name", record.get("id"))
+    number, name = _plain(record.get("id"), where, "id"), record.get("file_name", record.get("id"))
     video = record.get("video_id", record.get("vid_id"))
     width, height = record.get("width"), record.get("height")
     size = None
     if isinstance(width, int) and isinstance(height, int) and 0 < width < 10**6 and 0 < height < 10**6:
         size = (width, height)
-    return number, Image(str(plain(name, where, "file_name")), size, text_of(video), record.get("frame_id"))
+    return number, _Image(str(_plain(name, where, "file_name")), size, _text_of(video), record.get("frame_id"))
 
 
-def category_of(record: dict[str, Any], where: str) -> tuple[Any, Category]:
+def _category_of(record: dict[str, Any], where: str) -> tuple[Any, _Category]:
     """Return the id and the rest of a category; raises UserError where its keypoints are no names."""
     joints, edges = record.get("keypoints"), record.get("skeleton")
     if joints is not None and not (isinstance(joints, list) and all(is_text(joint) for joint in joints)):
         raise UserError(f"{where} has keypoints {shown(joints)}, expected a list of names.")
-    number = plain(record.get("id"), where, "id")
+    number = _plain(record.get("id"), where, "id")
     edges = edges if isinstance(edges, list) else []
-    return number, Category(str(record.get("name", number)), tuple(joints) if joints else None, edges)
+    return number, _Category(str(record.get("name", number)), tuple(joints) if joints else None, edges)
 
 
-def lines_of(category: Category, joints: tuple[str, ...], notes: list[str]) -> tuple[tuple[str, str], ...]:
+def _lines_of(category: _Category, joints: tuple[str, ...], notes: list[str]) -> tuple[tuple[str, str], ...]:
     """Return the lines of a category by name; their places count from 1."""
     good = [
         edge
@@ -72,19 +72,19 @@ def lines_of(category: Category, joints: tuple[str, ...], notes: list[str]) -> t
     return tuple((joints[a - 1], joints[b - 1]) for a, b in good)
 
 
-def common_size(images: list[Image]) -> tuple[int, int] | None:
+def _common_size(images: list[_Image]) -> tuple[int, int] | None:
     sizes = {image.size for image in images}
     return sizes.pop() if len(sizes) == 1 else None
 
 
-def plain(value: Any, where: str, what: str) -> Any:
+def _plain(value: Any, where: str, what: str) -> Any:
     """Return a number or name as it is; raises UserError for lists, nothing and the like."""
     if isinstance(value, bool) or not isinstance(value, int | str):
         raise UserError(f"{where}: '{what}' is {shown(value)}, expected a number or a name.")
     return value
 
 
-def text_of(value: Any) -> str | None:
+def _text_of(value: Any) -> str | None:
     return str(value) if isinstance(value, int | str) and not isinstance(value, bool) and value != "" else None
 
 
@@ -116,8 +116,8 @@ class _Annotations:
 
     def __init__(self, path: Path):
         self.path = path
-        self.images: dict[Any, Image] = {}
-        self.categories: dict[Any, Category] = {}
+        self.images: dict[Any, _Image] = {}
+        self.categories: dict[Any, _Category] = {}
         self.videos: dict[Any, str] = {}
         self.tables: dict[int, Numbers] = {}
         """Number of keypoints -> their x, y, v."""
@@ -129,7 +129,7 @@ class _Annotations:
 
     def image(self, record: dict[str, Any]) -> None:
         """Take one image."""
-        number, image = image_of(record, f"{self.path}: image {len(self.images)}")
+        number, image = _image_of(record, f"{self.path}: image {len(self.images)}")
         self.images[number] = image
 
     def video(self, record: dict[str, Any]) -> None:
@@ -141,7 +141,7 @@ class _Annotations:
     def category(self, record: dict[str, Any]) -> None:
         """Take one category."""
         where = f"{self.path}: category {shown(record.get('name', record.get('id')))}"
-        number, category = category_of(record, where)
+        number, category = _category_of(record, where)
         self.categories[number] = category
 
     def annotation(self, record: dict[str, Any]) -> None:
@@ -160,10 +160,10 @@ class _Annotations:
         if count not in self.tables:
             self.tables[count], self.rows[count] = Numbers("keypoints"), []
         self.tables[count].add(values, where)
-        image = plain(record.get("image_id"), where, "image_id")
+        image = _plain(record.get("image_id"), where, "image_id")
         category = record.get("category_id")
-        category = None if category is None else plain(category, where, "category_id")
-        track = text_of(record.get("track_id", record.get("instance_id")))
+        category = None if category is None else _plain(category, where, "category_id")
+        track = _text_of(record.get("track_id", record.get("instance_id")))
         self.rows[count].append((self.seen, image, category, track, str(number)))
 
     def finish(self, options: ReadOptions) -> PoseData:
@@ -187,8 +187,8 @@ class _Annotations:
             confidence,
             {**self._identity(images, rows), **self._classes(rows, joints)},
             notes=notes,
-            bones=() if known is None else lines_of(known, joints, notes),
-            image_size=common_size(images),
+            bones=() if known is None else _lines_of(known, joints, notes),
+            image_size=_common_size(images),
         )
 
     def _instead(self) -> str:
@@ -228,9 +228,9 @@ class _Annotations:
             f"{len(known.joints)}. Expected x, y, v of each."
         )
 
-    def _images(self, rows: list[tuple]) -> list[Image]:
+    def _images(self, rows: list[tuple]) -> list[_Image]:
         if not self.images:
-            return [Image(str(row[1]), None, None, None) for row in rows]
+            return [_Image(str(row[1]), None, None, None) for row in rows]
         missing = next((row for row in rows if row[1] not in self.images), None)
         if missing is not None:
             raise UserError(
@@ -239,7 +239,7 @@ class _Annotations:
             )
         return [self.images[row[1]] for row in rows]
 
-    def _identity(self, images: list[Image], rows: list[tuple]) -> dict[str, np.ndarray]:
+    def _identity(self, images: list[_Image], rows: list[tuple]) -> dict[str, np.ndarray]:
         """Return sequence, frame and track where the file is of videos; image and annotation otherwise."""
         if all(image.video is not None and image.frame is not None for image in images):
             frames = [whole(image.frame, f"{self.path}: image '{image.name:.60}'", "frame_id") for image in images]
@@ -276,4 +276,4 @@ def _flat(record: dict[str, Any], where: str) -> list[Any]:
     return values
 
 
-FORMAT = Format("coco", "COCO annotations", _fits, _read)
+_FORMAT = Format("coco", "COCO annotations", _fits, _read)

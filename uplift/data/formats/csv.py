@@ -20,22 +20,15 @@ from uplift.data.poses import IDENTITY_KEYS, PoseData
 from uplift.errors import UserError
 
 __all__ = [
-    "FORMAT",
     "Columns",
     "Identity",
-    "Joint",
-    "Named",
-    "Rated",
     "as_text",
     "bodies_of",
     "check",
     "columns_in",
     "columns_of",
-    "identity_of",
     "is_nameless",
     "read_columns",
-    "read_long",
-    "read_wide",
     "write_keypoints_csv",
 ]
 
@@ -82,7 +75,7 @@ _BOX = ("bbox", "box", "bounding_box", "bb")
 
 
 @dataclass
-class Joint:
+class _Joint:
     """The columns of one joint, or, in a long table, of whichever joint the row is of."""
 
     x: int
@@ -97,7 +90,7 @@ class Joint:
 class Columns:
     """Where a csv has what."""
 
-    joints: dict[str, Joint]
+    joints: dict[str, _Joint]
     """Of a wide table, by name; of a long one under no name."""
     name: int | None = None
     """The column of a long table that says which joint a row is of; None: a wide table."""
@@ -161,7 +154,7 @@ def is_nameless(names: Sequence[str]) -> bool:
     return all(_NUMBERED.fullmatch(name) for name in names)
 
 
-def _alone(header: Sequence[str], free: Sequence[int]) -> Joint | None:
+def _alone(header: Sequence[str], free: Sequence[int]) -> _Joint | None:
     """Return the columns x, y, z and score of a long table; None without x and y."""
     places: dict[str, int] = {}
     visibility = False
@@ -174,10 +167,10 @@ def _alone(header: Sequence[str], free: Sequence[int]) -> Joint | None:
             places.setdefault(kind, place)
     if "x" not in places or "y" not in places:
         return None
-    return Joint(places["x"], places["y"], places.get("z"), places.get("score"), visibility)
+    return _Joint(places["x"], places["y"], places.get("z"), places.get("score"), visibility)
 
 
-def _wide(header: Sequence[str], free: Sequence[int], pattern: re.Pattern[str]) -> tuple[list[str], dict[str, Joint]]:
+def _wide(header: Sequence[str], free: Sequence[int], pattern: re.Pattern[str]) -> tuple[list[str], dict[str, _Joint]]:
     """Return the columns that are there twice, and the joints that have x and y, in the order of the file."""
     twice: list[str] = []
     places: dict[str, dict[str, int]] = {}
@@ -196,7 +189,7 @@ def _wide(header: Sequence[str], free: Sequence[int], pattern: re.Pattern[str]) 
         if places.setdefault(name, {}).setdefault(kind, place) != place and kind in "xyz":
             twice.append(header[place])
     return twice, {
-        name: Joint(at["x"], at["y"], at.get("z"), at.get("score"), name in visible)
+        name: _Joint(at["x"], at["y"], at.get("z"), at.get("score"), name in visible)
         for name, at in places.items()
         if "x" in at and "y" in at
     }
@@ -220,7 +213,7 @@ class Identity:
     notes: list[str] = field(default_factory=list)
 
 
-def identity_of(table: Table, columns: Columns) -> Identity:
+def _identity_of(table: Table, columns: Columns) -> Identity:
     """Return what the columns beside the keypoints say of the rows.
 
     Raises:
@@ -386,19 +379,19 @@ def _one(table: Table, column: int) -> float | None:
 
 # Read tables whose joints stand side by side: one row a frame, or a frame and an individual.
 
-Named = Callable[[Sequence[str]], tuple[Sequence[str], Sequence[str]]]
+_Named = Callable[[Sequence[str]], tuple[Sequence[str], Sequence[str]]]
 """Makes joint names of those that a file has, and notes that say how."""
-Rated = Callable[[np.ndarray | None, np.ndarray], np.ndarray | None]
+_Rated = Callable[[np.ndarray | None, np.ndarray], np.ndarray | None]
 """Changes the scores (rows joints) of keypoints (rows joints 2) before they are taken as confidence."""
 
 
-def read_wide(
-    path: Path, columns: Columns, named: Named, notes: Sequence[str] = (), rated: Rated | None = None
+def _read_wide(
+    path: Path, columns: Columns, named: _Named, notes: Sequence[str] = (), rated: _Rated | None = None
 ) -> PoseData:
     """Read a table of the ``columns``; ``notes`` come first in those of the result.
 
     Raises:
-        UserError: as `Table.read`, `identity_of` and `bodies_of`.
+        UserError: as `Table.read`, `_identity_of` and `bodies_of`.
     """
     joints = list(columns.joints.values())
     scored = all(joint.score is not None for joint in joints)
@@ -414,7 +407,7 @@ def read_wide(
     if extra:  # joints without a score are as sure as they are there
         scores = np.ones(keypoints.shape[:2], np.float32)
         scores[:, [at for at, joint in enumerate(joints) if joint.score is not None]] = table.numbers[:, len(places) :]
-    found = identity_of(table, columns)
+    found = _identity_of(table, columns)
     if scores is not None and all(joint.visibility for joint in joints):
         scores = seen_by_flag(scores, found.notes)
     if rated is not None:
@@ -426,20 +419,20 @@ def read_wide(
 # Read tables with one row for each joint of each frame.
 
 
-def read_long(
-    path: Path, columns: Columns, named: Named, notes: Sequence[str] = (), rated: Rated | None = None
+def _read_long(
+    path: Path, columns: Columns, named: _Named, notes: Sequence[str] = (), rated: _Rated | None = None
 ) -> PoseData:
     """Read a table of the ``columns``; ``notes`` come first in those of the result.
 
     Raises:
-        UserError: a joint twice in one frame; as `Table.read`, `identity_of` and `bodies_of`.
+        UserError: a joint twice in one frame; as `Table.read`, `_identity_of` and `bodies_of`.
     """
     assert columns.name is not None
     joint = columns.joints[""]
     places = [place for place in (joint.x, joint.y, joint.score) if place is not None]
     exact = [place for place in (columns.frame, columns.time, *columns.facts.values()) if place is not None]
     table = Table.read(path, 1, places, exact, [columns.name, *columns.identity.values()])
-    found = identity_of(table, columns)
+    found = _identity_of(table, columns)
     keys = [found.values[key] for key in found.values if key not in ("action", "category")]
     group, first = by_appearance(keys, len(table))
     names, of = _joints(table, columns.name)
@@ -525,18 +518,18 @@ def _read(path: Path, options: ReadOptions) -> PoseData:
     return read_columns(path, columns, lambda names: _named(path, names, options))
 
 
-def read_columns(path: Path, columns: Columns, named: Named, rated: Rated | None = None) -> PoseData:
+def read_columns(path: Path, columns: Columns, named: _Named, rated: _Rated | None = None) -> PoseData:
     """Read a csv of the ``columns``, wide or long; ``named`` makes joint names, and notes, of what the file has, ``rated`` scores.
 
     Raises:
-        UserError: as `read_wide` and `read_long`.
+        UserError: as `_read_wide` and `_read_long`.
     """
     if columns.name is not None:
-        return read_long(path, columns, named, left_out(columns), rated)
+        return _read_long(path, columns, named, left_out(columns), rated)
     if is_nameless(list(columns.joints)):
         joints = dict(sorted(columns.joints.items(), key=lambda one: int(re.sub(r"\D", "", one[0]))))
         columns = replace(columns, joints=joints)
-    return read_wide(path, columns, named, left_out(columns), rated)
+    return _read_wide(path, columns, named, left_out(columns), rated)
 
 
 def check(path: Path, columns: Columns) -> None:
@@ -549,7 +542,7 @@ def _named(path: Path, names: Sequence[str], options: ReadOptions) -> tuple[Sequ
     return names_for(path, len(names), {}, options) if is_nameless(names) else (names, ())
 
 
-FORMAT = Format("csv", "plain csv", lambda peek: columns_in(peek) is not None, _read)
+_FORMAT = Format("csv", "plain csv", lambda peek: columns_in(peek) is not None, _read)
 
 
 # Write the 2D of a `PoseData` as a plain csv: one row a frame and individual, NAME_x, NAME_y, NAME_confidence.

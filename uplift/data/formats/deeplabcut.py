@@ -24,28 +24,17 @@ from uplift.data.parsers.table import Table, first_lines, header_of
 from uplift.data.poses import PoseData
 from uplift.errors import UserError, did_you_mean
 
-__all__ = [
-    "FORMAT",
-    "LEVELS",
-    "Layout",
-    "layout_of",
-    "looks_like_deeplabcut_csv",
-    "looks_like_deeplabcut_h5",
-    "pose_data",
-    "read_deeplabcut_csv",
-    "read_deeplabcut_h5",
-    "write_deeplabcut_csv",
-]
+__all__ = ["write_deeplabcut_csv"]
 
 # What DeepLabCut's columns mean: a scorer, an individual, a body part and a coordinate each.
 
-LEVELS = (("scorer", "bodyparts", "coords"), ("scorer", "individuals", "bodyparts", "coords"))
+_LEVELS = (("scorer", "bodyparts", "coords"), ("scorer", "individuals", "bodyparts", "coords"))
 _LOCATION = {"x": 0, "y": 1, "likelihood": 2}
 _VIDEO = re.compile(r"(.+?)(DLC_|DeepCut_).*")
 
 
 @dataclass(frozen=True)
-class Layout:
+class _Layout:
     """Where the numbers of each body part are."""
 
     bodyparts: tuple[str, ...]
@@ -57,8 +46,8 @@ class Layout:
     notes: tuple[str, ...]
 
 
-def layout_of(path: Path, columns: Sequence[tuple[str, ...]]) -> Layout:
-    """Return what ``columns``, a tuple of `LEVELS` each, hold.
+def _layout_of(path: Path, columns: Sequence[tuple[str, ...]]) -> _Layout:
+    """Return what ``columns``, a tuple of `_LEVELS` each, hold.
 
     Raises:
         UserError: several scorers, 3D, a coordinate twice, or x without y.
@@ -93,11 +82,11 @@ def layout_of(path: Path, columns: Sequence[tuple[str, ...]]) -> Layout:
     notes = (f"left out: {', '.join(others[:6])}{', ...' if len(others) > 6 else ''}",) if others else ()
     used = np.unique(places[places >= 0])
     places = np.where(places >= 0, np.searchsorted(used, places), -1)
-    return Layout(bodyparts, individuals, used, places, notes)
+    return _Layout(bodyparts, individuals, used, places, notes)
 
 
-def pose_data(
-    path: Path, layout: Layout, numbers: np.ndarray, index: np.ndarray, lines: np.ndarray | None = None
+def _pose_data(
+    path: Path, layout: _Layout, numbers: np.ndarray, index: np.ndarray, lines: np.ndarray | None = None
 ) -> PoseData:
     """Return the rows of a table: the numbers of `Layout.columns`, and (rows,) frame numbers or names of images.
 
@@ -120,7 +109,7 @@ def pose_data(
     )
 
 
-def _per_bodypart(layout: Layout, numbers: np.ndarray) -> np.ndarray:
+def _per_bodypart(layout: _Layout, numbers: np.ndarray) -> np.ndarray:
     """Return (rows individuals bodyparts 3); NaN where there is no column."""
     if np.array_equal(layout.places.ravel(), np.arange(numbers.shape[1])):
         return numbers.reshape(-1, *layout.places.shape)
@@ -133,12 +122,12 @@ def _per_bodypart(layout: Layout, numbers: np.ndarray) -> np.ndarray:
 # Read the csv files of DeepLabCut and Lightning Pose: three or four header rows, then a row per frame or image.
 
 
-def looks_like_deeplabcut_csv(peek: Peek) -> bool:
+def _looks_like_deeplabcut_csv(peek: Peek) -> bool:
     """Return whether the first lines are DeepLabCut's header."""
     return _csv_levels(peek) is not None
 
 
-def read_deeplabcut_csv(path: Path) -> PoseData:
+def _read_deeplabcut_csv(path: Path) -> PoseData:
     """Read predictions (frames of a video) or labels (images) of one or several individuals.
 
     Raises:
@@ -148,13 +137,13 @@ def read_deeplabcut_csv(path: Path) -> PoseData:
     levels = _csv_levels(peek)
     if levels is None:
         raise UserError(
-            f"{path} begins {peek.text[:60]!r}, expected the header rows of DeepLabCut: {', '.join(LEVELS[0])} "
-            f"({', '.join(LEVELS[1])} for several individuals)."
+            f"{path} begins {peek.text[:60]!r}, expected the header rows of DeepLabCut: {', '.join(_LEVELS[0])} "
+            f"({', '.join(_LEVELS[1])} for several individuals)."
         )
     rows = len(levels)
     header, _ = header_of(path, rows)
     indices = next((at for at in range(1, len(header[0])) if any(row[at] for row in header)), len(header[0]))
-    layout = layout_of(path, list(zip(*(row[indices:] for row in header), strict=True)))
+    layout = _layout_of(path, list(zip(*(row[indices:] for row in header), strict=True)))
     below = header_of(path, rows + 1)[0][-1]
     if not any(below[indices:]):  # the name of the index, or an image without labels: no keypoints either way
         rows += 1
@@ -168,14 +157,14 @@ def read_deeplabcut_csv(path: Path) -> PoseData:
         words=range(indices) if by_image else (),
     )
     index = _images(table, indices) if by_image else table.exact[0]
-    return pose_data(path, layout, table.numbers, index, table.lines)
+    return _pose_data(path, layout, table.numbers, index, table.lines)
 
 
 def _csv_levels(peek: Peek) -> tuple[str, ...] | None:
     """Return the rows of the header; None where it is none of DeepLabCut."""
-    if not peek.text.lstrip('\r\n "').startswith(LEVELS[0][0]):
+    if not peek.text.lstrip('\r\n "').startswith(_LEVELS[0][0]):
         return None
-    for levels in LEVELS:
+    for levels in _LEVELS:
         try:
             lines = first_lines(peek.path, len(levels))
         except (UserError, OSError):
@@ -211,7 +200,7 @@ _DAMAGE = (
 )  # fmt: skip
 
 
-def looks_like_deeplabcut_h5(peek: Peek) -> bool:
+def _looks_like_deeplabcut_h5(peek: Peek) -> bool:
     """Return whether an HDF5 file has a table that pandas wrote."""
     try:
         import h5py
@@ -222,7 +211,7 @@ def looks_like_deeplabcut_h5(peek: Peek) -> bool:
         return False
 
 
-def read_deeplabcut_h5(path: Path) -> PoseData:
+def _read_deeplabcut_h5(path: Path) -> PoseData:
     """Read predictions (frames of a video) or labels (images) of one or several individuals.
 
     Raises:
@@ -241,13 +230,13 @@ def read_deeplabcut_h5(path: Path) -> PoseData:
         raise UserError(f"{path} cannot be read as a table of pandas: truncated or damaged? ({said})") from error
     if not columns or len({len(column) for column in columns}) != 1 or len(columns[0]) not in (3, 4):
         raise UserError(
-            f"{path}: columns of {len(columns[0]) if columns else 0} levels, expected {', '.join(LEVELS[0])}, "
+            f"{path}: columns of {len(columns[0]) if columns else 0} levels, expected {', '.join(_LEVELS[0])}, "
             "with individuals for several."
         )
-    layout = layout_of(path, columns)
+    layout = _layout_of(path, columns)
     with np.errstate(over="ignore", invalid="ignore"):
         used = np.ascontiguousarray(numbers[:, layout.columns], np.float32)
-    return pose_data(path, layout, used, index)
+    return _pose_data(path, layout, used, index)
 
 
 def _tables(file: Any) -> list[str]:
@@ -311,7 +300,7 @@ def _fixed(path: Path, group: Any) -> tuple[list[tuple[str, ...]], np.ndarray, n
 def _h5_levels(path: Path, group: Any, name: str, encoding: str) -> list[list[str]]:
     """Return the text of each level of a MultiIndex, one entry per column or row."""
     if _as_text(group.attrs.get(f"{name}_variety", b"")) != "multi":
-        raise UserError(f"{path}: columns of one level, expected {', '.join(LEVELS[0])}.")
+        raise UserError(f"{path}: columns of one level, expected {', '.join(_LEVELS[0])}.")
     found = []
     for level in range(int(group.attrs[f"{name}_nlevels"])):
         texts = _index(path, _array(path, group, f"{name}_level{level}")[()], encoding).astype(np.str_).tolist()
@@ -368,7 +357,7 @@ def _unpickled(path: Path, item: Any, name: str) -> Any:
 
 def _names(path: Path, column: Any) -> tuple[str, ...]:
     if not isinstance(column, tuple):
-        raise UserError(f"{path}: columns of one level, expected {', '.join(LEVELS[0])}.")
+        raise UserError(f"{path}: columns of one level, expected {', '.join(_LEVELS[0])}.")
     return tuple(str(part) for part in column)
 
 
@@ -380,14 +369,14 @@ def _as_text(value: Any) -> str:
 
 
 def _fits(peek: Peek) -> bool:
-    return looks_like_deeplabcut_h5(peek) if peek.is_hdf5 else looks_like_deeplabcut_csv(peek)
+    return _looks_like_deeplabcut_h5(peek) if peek.is_hdf5 else _looks_like_deeplabcut_csv(peek)
 
 
 def _read(path: Path, options: ReadOptions) -> PoseData:
-    return read_deeplabcut_h5(path) if Peek(path).is_hdf5 else read_deeplabcut_csv(path)
+    return _read_deeplabcut_h5(path) if Peek(path).is_hdf5 else _read_deeplabcut_csv(path)
 
 
-FORMAT = Format("deeplabcut", "DeepLabCut or Lightning Pose (csv, h5)", _fits, _read)
+_FORMAT = Format("deeplabcut", "DeepLabCut or Lightning Pose (csv, h5)", _fits, _read)
 
 
 # Write the 2D of a `PoseData` in DeepLabCut's csv layout: one video, or labelled images.

@@ -15,7 +15,6 @@ from uplift.errors import UserError
 __all__ = [
     "ALPHAPOSE",
     "COCO",
-    "FACE68",
     "HAND21",
     "KINETICS",
     "MMPOSE",
@@ -23,7 +22,6 @@ __all__ = [
     "OPENPOSE",
     "OPENPOSE_FACE70",
     "WHOLEBODY133",
-    "bone_share",
     "likely_layout",
     "names_for",
     "numbered",
@@ -36,7 +34,7 @@ HALPE26 = (
     "left_heel", "right_heel",
 )  # fmt: skip
 FEET6 = ("left_big_toe", "left_small_toe", "left_heel", "right_big_toe", "right_small_toe", "right_heel")
-FACE68 = tuple(f"face-{number}" for number in range(68))
+_FACE68 = tuple(f"face-{number}" for number in range(68))
 OPENPOSE_FACE70 = tuple(f"face-{number}" for number in range(70))
 _FINGERS = ("thumb", "forefinger", "middle_finger", "ring_finger", "pinky_finger")
 HANDS = {
@@ -49,8 +47,8 @@ HAND21 = (
     "middle_mcp", "middle_pip", "middle_dip", "middle_tip", "ring_mcp", "ring_pip", "ring_dip", "ring_tip",
     "little_mcp", "little_pip", "little_dip", "little_tip",
 )  # fmt: skip
-WHOLEBODY133 = (*COCO_JOINTS, *FEET6, *FACE68, *HANDS["left"], *HANDS["right"])
-HALPE136 = (*HALPE26, *FACE68, *HANDS["left"], *HANDS["right"])
+WHOLEBODY133 = (*COCO_JOINTS, *FEET6, *_FACE68, *HANDS["left"], *HANDS["right"])
+HALPE136 = (*HALPE26, *_FACE68, *HANDS["left"], *HANDS["right"])
 HALPE68 = (*HALPE26, *HANDS["left"], *HANDS["right"])
 OPENPOSE25 = (
     "Nose", "Neck", "RShoulder", "RElbow", "RWrist", "LShoulder", "LElbow", "LWrist", "MidHip", "RHip", "RKnee",
@@ -183,12 +181,12 @@ def likely_layout(
     counted in sizes of the body.
     """
     step = max(1, len(keypoints) // _MOST_ROWS)
-    shares = [bone_share(keypoints[::step], confidence[::step], *layout) for layout in layouts]
+    shares = [_bone_share(keypoints[::step], confidence[::step], *layout) for layout in layouts]
     best = int(np.argmin(shares))
     return best if shares[best] < _CLEARLY * shares[0] else 0
 
 
-def bone_share(
+def _bone_share(
     keypoints: Float[np.ndarray, "rows keypoints 2"],
     confidence: Float[np.ndarray, "rows keypoints"],
     skeleton: str,

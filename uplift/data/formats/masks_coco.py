@@ -17,21 +17,21 @@ from uplift.data.parsers.outlines import window_of_polygons, window_of_runs
 from uplift.data.parsers.pictures import Photos
 from uplift.errors import UserError
 
-__all__ = ["FORMAT", "SLACK_PX", "Outline", "RecordError", "outline_of", "window_of"]
+__all__: list[str] = []
 
 # Segmentations as COCO's JSON holds them: what is kept of each annotation, and its mask.
 
-SLACK_PX = 2.0
+_SLACK_PX = 2.0
 """Outlines by hand that stop as near as that to the border of the image go on beyond it."""
 _FARTHEST_PX = 1e7
 
 
-class RecordError(Exception):
+class _RecordError(Exception):
     """Why an annotation cannot be used: a key of `uplift.data.clean_masks.REASONS`."""
 
 
 @dataclass(frozen=True)
-class Outline:
+class _Outline:
     """A segmentation, small enough to keep many of."""
 
     polygons: tuple[np.ndarray, ...] = ()
@@ -42,42 +42,42 @@ class Outline:
     """[height, width] of the run lengths."""
 
 
-def outline_of(record: dict[str, Any]) -> Outline:
+def _outline_of(record: dict[str, Any]) -> _Outline:
     """Return an annotation's segmentation.
 
     Raises:
         RecordError: a crowd, of low score, or without a segmentation that is one.
     """
     if record.get("iscrowd") in (1, True):
-        raise RecordError("crowd")
+        raise _RecordError("crowd")
     score = record.get("score")
     if isinstance(score, int | float) and not score >= 0.5:
-        raise RecordError("score")
+        raise _RecordError("score")
     found = record.get("segmentation")
     if not found:
-        raise RecordError("no_outline")
+        raise _RecordError("no_outline")
     if isinstance(found, dict):
         counts, size = found.get("counts"), found.get("size")
         if not isinstance(counts, str | list):
-            raise RecordError("damaged")
-        return Outline(counts=counts, size=size)
+            raise _RecordError("damaged")
+        return _Outline(counts=counts, size=size)
     if isinstance(found, list) and not isinstance(found[0], list):
         found = [found]  # one polygon without its list, as some tools write it
     if not isinstance(found, list):
-        raise RecordError("damaged")
-    return Outline(polygons=tuple(_polygon(one) for one in found))
+        raise _RecordError("damaged")
+    return _Outline(polygons=tuple(_polygon(one) for one in found))
 
 
 def _polygon(numbers: Any) -> np.ndarray:
     if not isinstance(numbers, list) or len(numbers) < 6 or len(numbers) % 2:
-        raise RecordError("damaged")
+        raise _RecordError("damaged")
     if not all(type(one) in (int, float) and abs(one) < _FARTHEST_PX for one in numbers):
-        raise RecordError("damaged")
+        raise _RecordError("damaged")
     return np.array(numbers, np.float32).reshape(-1, 2)
 
 
-def window_of(
-    outline: Outline, image_size: tuple[int, int] | None
+def _window_of(
+    outline: _Outline, image_size: tuple[int, int] | None
 ) -> tuple[np.ndarray, tuple[int, int], tuple[int, int] | None]:
     """Return a segmentation's mask in a window, the window's corner (x, y) and the size of the image, px.
 
@@ -94,10 +94,10 @@ def window_of(
             if runs is not None:
                 return runs
     except OverflowError:
-        raise RecordError("huge") from None
+        raise _RecordError("huge") from None
     except ValueError:
-        raise RecordError("damaged") from None
-    raise RecordError("empty")
+        raise _RecordError("damaged") from None
+    raise _RecordError("empty")
 
 
 # COCO's JSON with segmentations: polygons and run lengths; data sets, and what detectors hand in.
@@ -120,7 +120,7 @@ class _Record:
     number: str
     image: str | None
     category: str | None
-    outline: Outline | None
+    outline: _Outline | None
     reason: str = ""
     """Why there is no outline."""
 
@@ -154,8 +154,8 @@ class _File:
         number = _key(record.get("id")) or str(len(self.records))
         image, category = _key(record.get("image_id")), _key(record.get("category_id"))
         try:
-            self.records.append(_Record(number, image, category, outline_of(record)))
-        except RecordError as error:
+            self.records.append(_Record(number, image, category, _outline_of(record)))
+        except _RecordError as error:
             self.records.append(_Record(number, image, category, None, str(error)))
 
     def category_of(self, record: _Record) -> str:
@@ -223,11 +223,11 @@ def _items(jobs: list[tuple[_File, _Record]], options: MaskOptions, photos: Phot
         name = f"{image.name or file.path.name}:{record.number}"
         try:
             if record.outline is None:
-                raise RecordError(record.reason)
+                raise _RecordError(record.reason)
             if file.images and record.image not in file.images:
-                raise RecordError("no_image")
-            mask, corner, size = window_of(record.outline, image.size)
-        except RecordError as error:
+                raise _RecordError("no_image")
+            mask, corner, size = _window_of(record.outline, image.size)
+        except _RecordError as error:
             yield Skipped(name, str(error))
             continue
         yield Found(
@@ -237,7 +237,7 @@ def _items(jobs: list[tuple[_File, _Record]], options: MaskOptions, photos: Phot
             photos.of_name(image.name) if image.name else "",
             corner_px=corner,
             image_size=size or _UNKNOWN,
-            slack_px=SLACK_PX if record.outline.polygons else 0,
+            slack_px=_SLACK_PX if record.outline.polygons else 0,
             order=order,
         )
 
@@ -247,4 +247,4 @@ def _key(value: Any) -> str | None:
     return str(value)[:200] if isinstance(value, int | str) and not isinstance(value, bool) else None
 
 
-FORMAT = MaskFormat("coco", "COCO's JSON with segmentations", _fits, _read)
+_FORMAT = MaskFormat("coco", "COCO's JSON with segmentations", _fits, _read)

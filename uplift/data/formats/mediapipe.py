@@ -20,39 +20,18 @@ from uplift.data.parsers.npz import read_arrays
 from uplift.data.poses import PoseData
 from uplift.errors import UserError
 
-__all__ = [
-    "COUNTS",
-    "FORMAT",
-    "NO_DEPTH",
-    "POSE33",
-    "bodies_in",
-    "is_list_of_marks",
-    "is_mediapipe",
-    "is_number",
-    "landmark_names",
-    "looks_like_mediapipe_csv",
-    "looks_like_mediapipe_json",
-    "looks_like_mediapipe_npz",
-    "placed",
-    "plain_key",
-    "read_mediapipe_csv",
-    "read_mediapipe_json",
-    "read_mediapipe_npz",
-    "values_of",
-    "values_of_all",
-    "without_flags",
-]
+__all__: list[str] = []
 
 # What the files of MediaPipe have in common: the landmarks' names, and coordinates that are shares of the image.
 
-POSE33 = (
+_POSE33 = (
     "nose", "left_eye_inner", "left_eye", "left_eye_outer", "right_eye_inner", "right_eye", "right_eye_outer",
     "left_ear", "right_ear", "mouth_left", "mouth_right", "left_shoulder", "right_shoulder", "left_elbow",
     "right_elbow", "left_wrist", "right_wrist", "left_pinky", "right_pinky", "left_index", "right_index",
     "left_thumb", "right_thumb", "left_hip", "right_hip", "left_knee", "right_knee", "left_ankle", "right_ankle",
     "left_heel", "right_heel", "left_foot_index", "right_foot_index",
 )  # fmt: skip
-NO_DEPTH = "z of MediaPipe is left out: it is a guess of the same network, no measurement"
+_NO_DEPTH = "z of MediaPipe is left out: it is a guess of the same network, no measurement"
 _TELLING = {"lefteyeinner", "mouthleft", "leftfootindex", "leftpinky", "indexfingermcp", "ringfingerpip"}
 _WORLD_NOTE = (
     "world landmarks, in metres about the hips and seen straight on, without perspective: x and y are taken as they "
@@ -72,34 +51,34 @@ def _face(count: int) -> tuple[str, ...]:
 
 
 _BODY = "MediaPipe's pose"
-COUNTS: Layouts = {
-    33: (_BODY, POSE33),
+_COUNTS: Layouts = {
+    33: (_BODY, _POSE33),
     21: ("a hand", HAND21),
     468: ("MediaPipe's face", _face(468)),
     478: ("MediaPipe's face", _face(478)),
-    75: (f"{_BODY} and both hands", (*POSE33, *_both("left"), *_both("right"))),
-    501: (f"{_BODY} and face", (*POSE33, *_face(468))),
-    543: (f"{_BODY}, face and both hands", (*POSE33, *_face(468), *_both("left"), *_both("right"))),
+    75: (f"{_BODY} and both hands", (*_POSE33, *_both("left"), *_both("right"))),
+    501: (f"{_BODY} and face", (*_POSE33, *_face(468))),
+    543: (f"{_BODY}, face and both hands", (*_POSE33, *_face(468), *_both("left"), *_both("right"))),
 }
 
 
-def is_mediapipe(names: Sequence[str]) -> bool:
+def _is_mediapipe(names: Sequence[str]) -> bool:
     """Return whether some of the names are ones that only MediaPipe gives."""
     return bool(_TELLING & {re.sub(r"[^a-z]", "", name.casefold().split(".")[-1]) for name in names})
 
 
-def landmark_names(path: Path, names: Sequence[str], options: ReadOptions) -> tuple[tuple[str, ...], tuple[str, ...]]:
+def _landmark_names(path: Path, names: Sequence[str], options: ReadOptions) -> tuple[tuple[str, ...], tuple[str, ...]]:
     """Return the names of landmarks that a file names or only numbers, and the notes that say so."""
     if not is_nameless(names):
         return tuple(name.split(".")[-1] for name in names), ()  # PoseLandmark.NOSE, as Python prints it
     numbers = [int(re.sub(r"\D", "", name)) for name in names]
-    if len(names) not in COUNTS and options.layout is None and max(numbers, default=99) < len(POSE33):
+    if len(names) not in _COUNTS and options.layout is None and max(numbers, default=99) < len(_POSE33):
         told = f"landmarks have no names in the file: numbers are taken as {_BODY}'s"
-        return tuple(POSE33[number] for number in numbers), (told,)
-    return names_for(path, len(names), COUNTS, options)
+        return tuple(_POSE33[number] for number in numbers), (told,)
+    return names_for(path, len(names), _COUNTS, options)
 
 
-def without_flags(scores: np.ndarray | None, keypoints: np.ndarray) -> np.ndarray | None:
+def _without_flags(scores: np.ndarray | None, keypoints: np.ndarray) -> np.ndarray | None:
     """Return the visibility, with landmarks that never have one (hands, faces) as visible where they are.
 
     ``scores`` are (rows joints), ``keypoints`` (rows joints 2).
@@ -113,7 +92,7 @@ def without_flags(scores: np.ndarray | None, keypoints: np.ndarray) -> np.ndarra
     return np.where(never, there.astype(np.float32), scores)
 
 
-def placed(data: PoseData, options: ReadOptions) -> PoseData:
+def _placed(data: PoseData, options: ReadOptions) -> PoseData:
     """Return the keypoints in pixels, where they are shares of an image whose size is known; a note says what they are."""
     seen = data.keypoints[data.confidence > 0]
     size = options.image_size or data.image_size
@@ -153,7 +132,7 @@ _LARGEST = 1e300
 _DEEPEST = 6
 
 
-def bodies_in(value: Any, where: str, depth: int) -> Iterator[list[tuple[str, Any]]]:
+def _bodies_in(value: Any, where: str, depth: int) -> Iterator[list[tuple[str, Any]]]:
     """Yield the bodies in whatever lists and objects stand around their landmarks, as (name, landmark) each."""
     if depth > _DEEPEST:
         raise UserError(f"{where}: lists in lists, deeper than any landmarks are.")
@@ -163,17 +142,17 @@ def bodies_in(value: Any, where: str, depth: int) -> Iterator[list[tuple[str, An
         flat = _split(value)
         if flat is not None:
             value = flat
-        if is_list_of_marks(value):
+        if _is_list_of_marks(value):
             yield [(_name(mark, place), mark) for place, mark in enumerate(value)]
             return
         for one in value:
-            yield from bodies_in(one, where, depth + 1)
+            yield from _bodies_in(one, where, depth + 1)
         return
     if isinstance(value, dict):
-        keys = {plain_key(key): key for key in value}
+        keys = {_plain_key(key): key for key in value}
         known = next((keys[key] for key in _BODIES if key in keys and value[keys[key]]), None)
         if known is not None:
-            yield from bodies_in(value[known], where, depth + 1)
+            yield from _bodies_in(value[known], where, depth + 1)
             return
         marks = {key: mark for key, mark in value.items() if _is_mark(mark)}
         if marks:
@@ -186,13 +165,13 @@ def bodies_in(value: Any, where: str, depth: int) -> Iterator[list[tuple[str, An
 
 def _split(value: list[Any]) -> list[list[Any]] | None:
     """Return the landmarks of a list of bare numbers; None for any other list."""
-    if len(value) < 42 or not all(is_number(one) for one in value):
+    if len(value) < 42 or not all(_is_number(one) for one in value):
         return None
-    width = next((n for n in (4, 3, 2, 5) if len(value) % n == 0 and len(value) // n in COUNTS), None)
+    width = next((n for n in (4, 3, 2, 5) if len(value) % n == 0 and len(value) // n in _COUNTS), None)
     return None if width is None else [value[at : at + width] for at in range(0, len(value), width)]
 
 
-def is_list_of_marks(value: Any) -> bool:
+def _is_list_of_marks(value: Any) -> bool:
     """Return whether a list begins with a landmark."""
     return isinstance(value, list) and bool(value) and _is_mark(value[0])
 
@@ -200,7 +179,7 @@ def is_list_of_marks(value: Any) -> bool:
 def _is_mark(value: Any) -> bool:
     if isinstance(value, dict):
         return "x" in value and "y" in value
-    return isinstance(value, list) and 2 <= len(value) <= 5 and all(is_number(n) or n is None for n in value)
+    return isinstance(value, list) and 2 <= len(value) <= 5 and all(_is_number(n) or n is None for n in value)
 
 
 def _name(mark: Any, place: int) -> str:
@@ -211,7 +190,7 @@ def _name(mark: Any, place: int) -> str:
     return str(place)
 
 
-def values_of(mark: Any) -> tuple[float, float, float] | None:
+def _values_of(mark: Any) -> tuple[float, float, float] | None:
     """Return x, y and visibility, NaN for what is null or not there; None where they are no numbers."""
     if isinstance(mark, dict):
         found = [mark.get("x"), mark.get("y"), next((mark[key] for key in _SCORES if key in mark), None)]
@@ -219,14 +198,14 @@ def values_of(mark: Any) -> tuple[float, float, float] | None:
         found = [mark[0], mark[1], mark[3] if len(mark) > 3 else None]
     else:
         return None
-    if not all(one is None or is_number(one) for one in found):
+    if not all(one is None or _is_number(one) for one in found):
         return None
     x, y, score = (np.nan if one is None else min(max(float(one), -_LARGEST), _LARGEST) for one in found)
     return x, y, score
 
 
-def values_of_all(marks: list[Any]) -> np.ndarray | None:
-    """Return what `values_of` would of each, (marks, 3), where all are objects with numbers; None for any others."""
+def _values_of_all(marks: list[Any]) -> np.ndarray | None:
+    """Return what `_values_of` would of each, (marks, 3), where all are objects with numbers; None for any others."""
     try:
         flat = [value for mark in marks for value in (mark["x"], mark["y"], mark[_SCORES[0]])]
         if not set(map(type, flat)) <= {float, int}:
@@ -237,12 +216,12 @@ def values_of_all(marks: list[Any]) -> np.ndarray | None:
     return values.reshape(-1, 3) if (np.abs(values) < _LARGEST).all() else None
 
 
-def is_number(value: Any) -> TypeGuard[int | float]:
+def _is_number(value: Any) -> TypeGuard[int | float]:
     """Return whether a value is a finite number."""
     return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) < 1e308
 
 
-def plain_key(key: str) -> str:
+def _plain_key(key: str) -> str:
     """Return the letters of a key, small."""
     return re.sub(r"[^a-z]", "", key.casefold())
 
@@ -250,7 +229,7 @@ def plain_key(key: str) -> str:
 # Read csv files of MediaPipe's landmarks: a row per frame, or a row per landmark.
 
 
-def looks_like_mediapipe_csv(peek: Peek) -> bool:
+def _looks_like_mediapipe_csv(peek: Peek) -> bool:
     """Return whether a csv has landmarks of MediaPipe, by name, or by number with as many as MediaPipe has."""
     columns = columns_in(peek)
     if columns is None:
@@ -258,15 +237,15 @@ def looks_like_mediapipe_csv(peek: Peek) -> bool:
     if columns.name is None:
         names = [name for name in columns.joints if not _is_world_column(name)] or list(columns.joints)
         deep = all(joint.z is not None for joint in columns.joints.values())
-        return is_mediapipe(names) or (is_nameless(names) and len(names) in COUNTS and deep)
+        return _is_mediapipe(names) or (is_nameless(names) and len(names) in _COUNTS and deep)
     head = peek.lines[0].replace(";", ",").replace("\t", ",").split(",")[columns.name]
     cells = [line.replace(";", ",").replace("\t", ",").split(",") for line in peek.lines[1:600]]
     names = [row[columns.name].strip(' "') for row in cells if len(row) > columns.name]
     numbered = is_nameless(names) and columns.joints[""].z is not None and bool(names)
-    return is_mediapipe(names) or (numbered and ("landmark" in head.casefold() or head.strip(' "').casefold() == "id"))
+    return _is_mediapipe(names) or (numbered and ("landmark" in head.casefold() or head.strip(' "').casefold() == "id"))
 
 
-def read_mediapipe_csv(path: Path, options: ReadOptions) -> PoseData:
+def _read_mediapipe_csv(path: Path, options: ReadOptions) -> PoseData:
     """Read landmarks of the image, in pixels where its size is known, or of the world, in metres.
 
     Raises:
@@ -281,9 +260,9 @@ def read_mediapipe_csv(path: Path, options: ReadOptions) -> PoseData:
     check(path, columns)
     columns, notes = _of_the_image(columns)
     if any(joint.z is not None for joint in columns.joints.values()):
-        notes = (*notes, NO_DEPTH)
-    data = read_columns(path, columns, lambda names: landmark_names(path, names, options), without_flags)
-    return placed(replace(data, notes=(*data.notes, *notes)), options)
+        notes = (*notes, _NO_DEPTH)
+    data = read_columns(path, columns, lambda names: _landmark_names(path, names, options), _without_flags)
+    return _placed(replace(data, notes=(*data.notes, *notes)), options)
 
 
 def _of_the_image(columns: Columns) -> tuple[Columns, tuple[str, ...]]:
@@ -309,7 +288,7 @@ _TOLD = {
 }  # fmt: skip
 
 
-def looks_like_mediapipe_json(peek: Peek) -> bool:
+def _looks_like_mediapipe_json(peek: Peek) -> bool:
     """Return whether JSON speaks of landmarks, or has x and y with a visibility or a depth."""
     if not peek.json_sign:
         return False
@@ -318,7 +297,7 @@ def looks_like_mediapipe_json(peek: Peek) -> bool:
     return bool(re.search(r'"x"\s*:\s*-?[\d.]', peek.text) and re.search(r'"(visibility|z)"\s*:', peek.text))
 
 
-def read_mediapipe_json(path: Path, options: ReadOptions) -> PoseData:
+def _read_mediapipe_json(path: Path, options: ReadOptions) -> PoseData:
     """Read landmarks of the image, in pixels where its size is known, or of the world, in metres.
 
     Raises:
@@ -330,7 +309,7 @@ def read_mediapipe_json(path: Path, options: ReadOptions) -> PoseData:
             read.add(place, number, frame)
     except RecursionError:
         raise UserError(f"{path}: lists in lists, deeper than any landmarks are.") from None
-    return placed(read.finished(options), options)
+    return _placed(read.finished(options), options)
 
 
 class _Read:
@@ -350,19 +329,19 @@ class _Read:
             for inner, one in value.items():
                 if not isinstance(one, dict | list):
                     self.tell(inner, one)
-        elif plain_key(key) in ("imagesize", "resolution") and isinstance(value, list) and len(value) == 2:
+        elif _plain_key(key) in ("imagesize", "resolution") and isinstance(value, list) and len(value) == 2:
             self.tell("width", value[0])
             self.tell("height", value[1])
-        elif plain_key(key) in _TOLD and is_number(value) and 0 < value < 1e6:
-            self.told[_TOLD[plain_key(key)]] = float(value)
+        elif _plain_key(key) in _TOLD and _is_number(value) and 0 < value < 1e6:
+            self.told[_TOLD[_plain_key(key)]] = float(value)
 
     def add(self, place: int, number: float | None, frame: Any) -> None:
         """Take the bodies of a frame; ``place`` counts frames."""
         if isinstance(frame, dict):
-            keys = {plain_key(key): key for key in frame}
+            keys = {_plain_key(key): key for key in frame}
             own = next((frame[keys[key]] for key in _NUMBER if key in keys), None)
-            number = float(own) if is_number(own) else number
-        for body in bodies_in(frame, self._where(place), 0):
+            number = float(own) if _is_number(own) else number
+        for body in _bodies_in(frame, self._where(place), 0):
             self._add_body(body, self._where(place))
             self.frame.append(float(place) if number is None else number)
 
@@ -379,9 +358,9 @@ class _Read:
         found = Identity({"sequence": np.full(len(frame), self.path.stem), "frame": frame}, self.told.get("fps"))
         if {"width", "height"} <= set(self.told):
             found.image_size = int(self.told["width"]), int(self.told["height"])
-        names, notes = landmark_names(self.path, self.names, options)
-        notes = (*notes, NO_DEPTH) if self.deep else notes
-        return bodies_of(self.path, found, keypoints, without_flags(scores, keypoints), names, notes)
+        names, notes = _landmark_names(self.path, self.names, options)
+        notes = (*notes, _NO_DEPTH) if self.deep else notes
+        return bodies_of(self.path, found, keypoints, _without_flags(scores, keypoints), names, notes)
 
     def _where(self, place: int) -> str:
         return f"{self.path}, frame {place} of the file"
@@ -395,7 +374,7 @@ class _Read:
                 f"{where}: {len(names)} landmarks, expected the {len(self.names)} that the first frame has."
             )
         marks = [mark for _, mark in body]
-        values = values_of_all(marks)  # most files are so, and it takes a fifth of the time
+        values = _values_of_all(marks)  # most files are so, and it takes a fifth of the time
         if values is None:
             values = np.array([self._numbers(name, mark, where) for name, mark in body], np.float64)
         self.deep = self.deep or any("z" in mark if isinstance(mark, dict) else len(mark) > 2 for mark in marks)
@@ -403,7 +382,7 @@ class _Read:
             self.rows.append(values.astype(np.float32))
 
     def _numbers(self, name: str, mark: Any, where: str) -> tuple[float, float, float]:
-        values = values_of(mark)
+        values = _values_of(mark)
         if values is None:
             raise UserError(f"{where}: landmark '{name}' is {mark!r:.60}, expected numbers x and y.")
         return values
@@ -416,7 +395,7 @@ def _frames(path: Path, read: _Read) -> Iterator[tuple[int, float | None, Any]]:
         at = text.at
         first = list(islice(items(text, "the file"), 1))
         text.at = at
-        if is_list_of_marks(first):  # one frame, or one image
+        if _is_list_of_marks(first):  # one frame, or one image
             yield 0, None, text.value()
             return
         for place, frame in enumerate(items(text, "the file")):
@@ -427,9 +406,9 @@ def _frames(path: Path, read: _Read) -> Iterator[tuple[int, float | None, Any]]:
     rest: dict[str, Any] = {}
     done = False
     for key in text.members():
-        if not done and plain_key(key) in _FRAMES and text.next_sign() == "[":
+        if not done and _plain_key(key) in _FRAMES and text.next_sign() == "[":
             kept = list(items(text, f"'{key}'"))
-            if not is_list_of_marks(kept):
+            if not _is_list_of_marks(kept):
                 yield from ((place, None, frame) for place, frame in enumerate(kept))
                 done = bool(kept)
                 continue
@@ -440,15 +419,15 @@ def _frames(path: Path, read: _Read) -> Iterator[tuple[int, float | None, Any]]:
         rest[key] = value
     if done:
         return
-    world = next((v for k, v in rest.items() if "world" in plain_key(k) and isinstance(v, list)), None)
-    if world and not is_list_of_marks(world):
+    world = next((v for k, v in rest.items() if "world" in _plain_key(k) and isinstance(v, list)), None)
+    if world and not _is_list_of_marks(world):
         yield from ((place, None, frame) for place, frame in enumerate(world))
         return
     numbers = [re.fullmatch(r"(?:frame)?[ _]?(\d{1,15})", key, re.IGNORECASE) for key in rest]
     if rest and all(numbers):  # frames by their number
         yield from ((at, float(one[1]), rest[one[0]]) for at, one in enumerate(numbers) if one)
     else:
-        nested = next((v for k, v in rest.items() if plain_key(k) in _FRAMES and isinstance(v, dict)), None)
+        nested = next((v for k, v in rest.items() if _plain_key(k) in _FRAMES and isinstance(v, dict)), None)
         yield 0, None, nested if nested is not None else rest
 
 
@@ -458,12 +437,12 @@ _FRAME_KEYS = ("frame", "frames", "frame_number", "frame_numbers", "frame_idx", 
 _FLAGS = ("visibility", "visibilities", "confidence", "scores")
 
 
-def looks_like_mediapipe_npz(peek: Peek) -> bool:
+def _looks_like_mediapipe_npz(peek: Peek) -> bool:
     """Return whether an npz has an array that is called landmarks."""
     return "joint_names" not in peek.npz_names and _chosen(peek.npz_names) is not None
 
 
-def read_mediapipe_npz(path: Path, options: ReadOptions) -> PoseData:
+def _read_mediapipe_npz(path: Path, options: ReadOptions) -> PoseData:
     """Read landmarks of one or several bodies.
 
     Raises:
@@ -476,7 +455,7 @@ def read_mediapipe_npz(path: Path, options: ReadOptions) -> PoseData:
         raise UserError(f"{path}: no array of landmarks (found: {shown}), expected 'landmarks' (frames, 33, 4).")
     values = _landmarks(path, name, arrays[name])
     frames, bodies, joints = values.shape[:3]
-    notes = [NO_DEPTH] if values.shape[3] > 2 else []
+    notes = [_NO_DEPTH] if values.shape[3] > 2 else []
     flags = next((arrays[key] for key in _FLAGS if key in arrays), None)
     scores = values[..., 3] if values.shape[3] > 3 else None
     if scores is None and flags is not None and flags.dtype.kind in "fiub" and flags.size == frames * bodies * joints:
@@ -486,14 +465,14 @@ def read_mediapipe_npz(path: Path, options: ReadOptions) -> PoseData:
         raise UserError(f"{path}: frame numbers are {numbers.dtype} of shape {numbers.shape}, expected ({frames},).")
     frame = frame_numbers(path, numbers.astype(np.float64), once=True)
     keypoints = np.ascontiguousarray(values[..., :2]).reshape(-1, joints, 2)
-    scores = without_flags(None if scores is None else scores.reshape(-1, joints), keypoints)
+    scores = _without_flags(None if scores is None else scores.reshape(-1, joints), keypoints)
     found = Identity({"sequence": np.full(frames * bodies, path.stem), "frame": np.repeat(frame, bodies)}, notes=notes)
-    names, told = landmark_names(path, [str(number) for number in range(joints)], options)
+    names, told = _landmark_names(path, [str(number) for number in range(joints)], options)
     found.fps, found.image_size = _number(arrays, "fps"), _size(arrays)
     seen = (confidence_of(path, keypoints, scores) > 0).any(1)  # places for bodies that a frame does not have
     found.values = {key: value[seen] for key, value in found.values.items()}
     data = bodies_of(path, found, keypoints[seen], None if scores is None else scores[seen], names, told)
-    return placed(data, options)
+    return _placed(data, options)
 
 
 def _chosen(names: tuple[str, ...]) -> str | None:
@@ -507,7 +486,7 @@ def _landmarks(path: Path, name: str, array: np.ndarray) -> np.ndarray:
     if array.dtype.kind not in "fiu":
         raise UserError(f"{path}: '{name}' is {array.dtype}, expected numbers (frames, 33, 4).")
     if array.ndim == 2 and array.shape[1] not in (2, 3, 4, 5):
-        four = next((n for n in (4, 3, 5, 2) if array.shape[1] % n == 0 and array.shape[1] // n in COUNTS), None)
+        four = next((n for n in (4, 3, 5, 2) if array.shape[1] % n == 0 and array.shape[1] // n in _COUNTS), None)
         array = array if four is None else array.reshape(len(array), -1, four)
     elif array.ndim == 2:
         array = array[None]  # one image
@@ -539,15 +518,15 @@ def _size(arrays: dict[str, np.ndarray]) -> tuple[int, int] | None:
 
 def _fits(peek: Peek) -> bool:
     if peek.npz_names:
-        return looks_like_mediapipe_npz(peek)
-    return looks_like_mediapipe_json(peek) or looks_like_mediapipe_csv(peek)
+        return _looks_like_mediapipe_npz(peek)
+    return _looks_like_mediapipe_json(peek) or _looks_like_mediapipe_csv(peek)
 
 
 def _read(path: Path, options: ReadOptions) -> PoseData:
     peek = Peek(path)
     if peek.npz_names:
-        return read_mediapipe_npz(path, options)
-    return read_mediapipe_json(path, options) if peek.json_sign else read_mediapipe_csv(path, options)
+        return _read_mediapipe_npz(path, options)
+    return _read_mediapipe_json(path, options) if peek.json_sign else _read_mediapipe_csv(path, options)
 
 
-FORMAT = Format("mediapipe", "landmarks of MediaPipe (csv, json, npz)", _fits, _read)
+_FORMAT = Format("mediapipe", "landmarks of MediaPipe (csv, json, npz)", _fits, _read)

@@ -15,17 +15,7 @@ from uplift.data.parsers.npz import read_arrays
 from uplift.data.poses import IDENTITY_KEYS, UNITS, PoseData, masks_of
 from uplift.errors import UserError
 
-__all__ = [
-    "FORMAT",
-    "Contents",
-    "contents_of",
-    "joint_names_of",
-    "memory_of",
-    "read_npz",
-    "refuse_other_axes",
-    "unit_of",
-    "write_keypoints",
-]
+__all__ = ["contents_of", "joint_names_of", "memory_of", "read_npz", "refuse_other_axes", "unit_of", "write_keypoints"]
 
 # Read the npz layout of "your own data": keypoints, joint names, and whatever else is known.
 
@@ -175,7 +165,7 @@ def _read(path: Path, options: ReadOptions) -> PoseData:
     return read_npz(path)
 
 
-FORMAT = Format("npz", "uplift's own npz", _fits, _read)
+_FORMAT = Format("npz", "uplift's own npz", _fits, _read)
 
 
 # Write a `PoseData` in the npz layout of "your own data".
@@ -211,7 +201,7 @@ _PER_FRAME = {"root": 3, "tilt_deg": 1}
 
 
 @dataclass(frozen=True)
-class Contents:
+class _Contents:
     """What a reader would make of a file."""
 
     frames: int
@@ -221,7 +211,7 @@ class Contents:
     """Bytes of the arrays."""
 
 
-def contents_of(path: Path, options: ReadOptions | None = None) -> Contents:
+def contents_of(path: Path, options: ReadOptions | None = None) -> _Contents:
     """Return what the file at ``path`` holds: out of the headers of an npz of this project, of others by reading them.
 
     Raises:
@@ -232,7 +222,7 @@ def contents_of(path: Path, options: ReadOptions | None = None) -> Contents:
         data = read(path, options)
         arrays = {name for name in ("pose", "root", "tilt_deg") if getattr(data, name) is not None}
         memory = memory_of(arrays, len(data), len(data.joint_names))
-        return Contents(len(data), data.joint_names, data.pose is not None, memory + _bytes(data))
+        return _Contents(len(data), data.joint_names, data.pose is not None, memory + _bytes(data))
     small = read_arrays(path, ("joint_names",))  # also holds every header against the bytes that are there
     shapes, stored = _headers(path)
     shape = shapes.get("keypoints", ())
@@ -243,7 +233,7 @@ def contents_of(path: Path, options: ReadOptions | None = None) -> Contents:
     if len(names) != joints:
         raise UserError(f"{path}: {len(names)} joint names for {joints} joints in 'keypoints'.")
     identity = sum(stored[key] for key in IDENTITY_KEYS if key in stored)
-    return Contents(frames, names, "pose" in shapes, memory_of(set(shapes), frames, joints) + identity)
+    return _Contents(frames, names, "pose" in shapes, memory_of(set(shapes), frames, joints) + identity)
 
 
 def _bytes(data: PoseData) -> int:

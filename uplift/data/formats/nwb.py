@@ -14,19 +14,7 @@ from uplift.data.parsers.hdf5 import Hdf5, check_room, open_hdf5
 from uplift.data.poses import PoseData
 from uplift.errors import UserError
 
-__all__ = [
-    "FORMAT",
-    "Series",
-    "Video",
-    "frame_numbers",
-    "groups_of",
-    "linked",
-    "nodes_and_bones",
-    "read_training",
-    "series_of",
-    "skeleton_of",
-    "video_of",
-]
+__all__ = ["frame_numbers"]
 
 # The parts of an NWB file that concern poses: which groups, series, nodes and videos there are.
 
@@ -38,7 +26,7 @@ _PIXELS = ("pixels", "pixel", "px", "")
 
 
 @dataclass(frozen=True)
-class Series:
+class _Series:
     """Where one keypoint of one body is over time."""
 
     place: str
@@ -52,7 +40,7 @@ class Series:
 
 
 @dataclass(frozen=True)
-class Video:
+class _Video:
     """What is known of the video that poses are from."""
 
     name: str
@@ -60,7 +48,7 @@ class Video:
     image_size: tuple[int, int] | None
 
 
-def groups_of(file: Hdf5) -> dict[str, list[str]]:
+def _groups_of(file: Hdf5) -> dict[str, list[str]]:
     """Return the places of the groups of poses, by kind."""
     found: dict[str, list[str]] = {kind: [] for kind in _KINDS}
     been: set[int] = set()
@@ -80,7 +68,7 @@ def groups_of(file: Hdf5) -> dict[str, list[str]]:
     return found
 
 
-def series_of(file: Hdf5, place: str) -> tuple[list[Series], list[str]]:
+def _series_of(file: Hdf5, place: str) -> tuple[list[_Series], list[str]]:
     """Return the series of a PoseEstimation that have samples, and what was assumed."""
     found, notes = [], []
     for name in file.names(place):
@@ -95,7 +83,7 @@ def series_of(file: Hdf5, place: str) -> tuple[list[Series], list[str]]:
     return found, notes
 
 
-def _series(file: Hdf5, where: str, name: str) -> tuple[Series, list[str]]:
+def _series(file: Hdf5, where: str, name: str) -> tuple[_Series, list[str]]:
     data = file.array(f"{where}/data")
     if data.ndim != 2 or data.shape[1] not in (2, 3):
         raise UserError(f"{file.path}: '{where}/data' has shape {data.shape}, expected (samples, 2) or (samples, 3).")
@@ -115,7 +103,7 @@ def _series(file: Hdf5, where: str, name: str) -> tuple[Series, list[str]]:
         score = file.array(f"{where}/confidence")
         if score.shape != (len(points),):
             raise UserError(f"{file.path}: '{where}/confidence' has shape {score.shape}, expected ({len(points)},).")
-    return Series(where, name, points, score, _stamps(file, where, len(points))), notes
+    return _Series(where, name, points, score, _stamps(file, where, len(points))), notes
 
 
 def _stamps(file: Hdf5, where: str, samples: int) -> np.ndarray:
@@ -133,13 +121,13 @@ def _stamps(file: Hdf5, where: str, samples: int) -> np.ndarray:
     return (first + np.arange(samples) / rate).round(_DIGITS)
 
 
-def linked(file: Hdf5, place: str, *kinds: str) -> str | None:
+def _linked(file: Hdf5, place: str, *kinds: str) -> str | None:
     """Return the place of the first group of some kind inside another, as a rule a link; None where there is none."""
     inside = [f"{place}/{name}" for name in file.names(place) if file.is_group(f"{place}/{name}")]
     return next((where for where in inside if file.attribute(where, "neurodata_type") in kinds), None)
 
 
-def skeleton_of(file: Hdf5, place: str) -> tuple[list[str], list[tuple[str, str]]]:
+def _skeleton_of(file: Hdf5, place: str) -> tuple[list[str], list[tuple[str, str]]]:
     """Return nodes and edges of a Skeleton, or of a PoseEstimation that has its own."""
     nodes = file.texts(f"{place}/nodes") if file.has(f"{place}/nodes") else []
     if len(set(nodes)) != len(nodes):
@@ -151,15 +139,15 @@ def skeleton_of(file: Hdf5, place: str) -> tuple[list[str], list[tuple[str, str]
     return nodes, [(nodes[int(a)], nodes[int(b)]) for a, b in edges.tolist() if a in known and b in known]
 
 
-def nodes_and_bones(file: Hdf5, place: str, series: list[str]) -> tuple[list[str], list[tuple[str, str]]]:
+def _nodes_and_bones(file: Hdf5, place: str, series: list[str]) -> tuple[list[str], list[tuple[str, str]]]:
     """Return the keypoints of a container, in the order of its skeleton, and the lines between them."""
-    nodes, bones = skeleton_of(file, linked(file, place, "Skeleton") or place)
+    nodes, bones = _skeleton_of(file, _linked(file, place, "Skeleton") or place)
     if not set(nodes) & set(series):  # names of another kind, and no saying which is which
         return series, []
     return [*nodes, *(name for name in series if name not in nodes)], bones
 
 
-def video_of(file: Hdf5, place: str) -> Video:
+def _video_of(file: Hdf5, place: str) -> _Video:
     """Return what a container says of its video."""
     links = [f"{place}/{name}" for name in ("source_video", "labeled_video")]
     source = next((link for link in links if file.is_group(link)), None)
@@ -168,8 +156,8 @@ def video_of(file: Hdf5, place: str) -> Video:
     else:
         named, sizes = [f"{place}/original_videos", f"{place}/labeled_videos"], f"{place}/dimensions"
     path = next((text for text in map(file.text, named) if text), "")
-    camera = linked(file, place, "Device", "CalibratedCamera")
-    return Video(video_name(path), file.own_name(camera) if camera else "", _size(file, sizes))
+    camera = _linked(file, place, "Device", "CalibratedCamera")
+    return _Video(video_name(path), file.own_name(camera) if camera else "", _size(file, sizes))
 
 
 def _size(file: Hdf5, name: str) -> tuple[int, int] | None:
@@ -219,7 +207,7 @@ def frame_numbers(
 # Read hand-labelled frames (PoseTraining of ndx-pose) from an NWB file.
 
 
-def read_training(file: Hdf5, places: list[str]) -> PoseData:
+def _read_training(file: Hdf5, places: list[str]) -> PoseData:
     """Return the instances of all training frames.
 
     Raises:
@@ -275,12 +263,12 @@ class _Labels:
         return self.videos[key]
 
     def _skeleton(self, place: str) -> list[str]:
-        where = linked(self.file, place, "Skeleton")
+        where = _linked(self.file, place, "Skeleton")
         if where is None:
             raise UserError(f"{self.file.path}: '{place}' has no Skeleton, expected one with the names of its nodes.")
         key = self.file.place(where)
         if key not in self.skeletons:
-            nodes, bones = skeleton_of(self.file, where)
+            nodes, bones = _skeleton_of(self.file, where)
             self.skeletons[key] = nodes
             self.names = list(dict.fromkeys([*self.names, *nodes]))
             self.bones.update(dict.fromkeys(bones))
@@ -333,10 +321,10 @@ class _Container:
     """One PoseEstimation: one body in one video."""
 
     place: str
-    series: list[Series]
+    series: list[_Series]
     nodes: list[str]
     bones: list[tuple[str, str]]
-    video: Video
+    video: _Video
 
     @property
     def module(self) -> str:
@@ -349,20 +337,20 @@ class _Container:
 
 def _read(path: Path, options: ReadOptions) -> PoseData:
     with open_hdf5(path, "an NWB file") as file:
-        places = groups_of(file)
+        places = _groups_of(file)
         if not places["PoseEstimation"]:
             if places["PoseTraining"]:
-                return read_training(file, places["PoseTraining"])
+                return _read_training(file, places["PoseTraining"])
             raise UserError(
                 f"{path}: an NWB file without pose estimates, expected a PoseEstimation (ndx-pose) with its series."
             )
         containers, notes = [], []
         for place in places["PoseEstimation"]:
-            series, told = series_of(file, place)
+            series, told = _series_of(file, place)
             notes += told
             if series:
-                nodes, bones = nodes_and_bones(file, place, [one.name for one in series])
-                containers.append(_Container(place, series, nodes, bones, video_of(file, place)))
+                nodes, bones = _nodes_and_bones(file, place, [one.name for one in series])
+                containers.append(_Container(place, series, nodes, bones, _video_of(file, place)))
         if places["PoseTraining"]:
             notes.append("hand labels for training (PoseTraining) are left out beside the pose estimates")
     if not containers:
@@ -489,4 +477,4 @@ def _fits(peek: Peek) -> bool:
     return {"session_start_time", "identifier"} <= set(peek.hdf5_names)
 
 
-FORMAT = Format("nwb", "an NWB file with poses (ndx-pose)", _fits, _read)
+_FORMAT = Format("nwb", "an NWB file with poses (ndx-pose)", _fits, _read)

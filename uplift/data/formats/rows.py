@@ -21,7 +21,6 @@ __all__ = [
     "SHARES_NOTE",
     "as_float32",
     "by_appearance",
-    "check_names",
     "confidence_of",
     "distinct",
     "frame_numbers",
@@ -438,8 +437,8 @@ def rows_of(
     Raises:
         UserError: coordinates beyond any image, scores that are no shares, a name twice, no visible joint.
     """
-    check_names(path, names, "joint")
-    check_names(path, bodies, "individual")
+    _check_names(path, names, "joint")
+    _check_names(path, bodies, "individual")
     confidence = confidence_of(path, keypoints, scores)
     _check_distance(path, keypoints, confidence, names)
     seen: np.ndarray = np.any(confidence > 0, axis=-1)
@@ -489,7 +488,7 @@ def by_appearance(parts: Sequence[np.ndarray], rows: int) -> tuple[np.ndarray, n
     return rank[code], first[order]
 
 
-def check_names(path: Path, names: Sequence[str], what: str) -> None:
+def _check_names(path: Path, names: Sequence[str], what: str) -> None:
     """Raise UserError where a name comes twice or is empty."""
     if not all(names):
         raise UserError(f"{path}: {what} {list(names).index('') + 1} has no name.")

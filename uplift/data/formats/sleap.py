@@ -17,20 +17,7 @@ from uplift.data.parsers.hdf5 import Hdf5, check_room, from_json, open_hdf5
 from uplift.data.poses import PoseData
 from uplift.errors import UserError
 
-__all__ = [
-    "FORMAT",
-    "PREDICTED",
-    "USER",
-    "Body",
-    "Video",
-    "bodies_of",
-    "first_of_each",
-    "keys_of",
-    "rows_of",
-    "tracks_of",
-    "videos_of",
-    "without_replaced",
-]
+__all__: list[str] = []
 
 # What the JSON inside a SLEAP project says: its skeletons, videos and tracks.
 
@@ -40,7 +27,7 @@ _WRONG = (KeyError, IndexError, TypeError, ValueError, AttributeError, OverflowE
 
 
 @dataclass(frozen=True)
-class Body:
+class _Body:
     """A skeleton of a project."""
 
     name: str
@@ -51,7 +38,7 @@ class Body:
 
 
 @dataclass(frozen=True)
-class Video:
+class _Video:
     """A video of a project."""
 
     name: str
@@ -59,7 +46,7 @@ class Video:
     fps: float | None
 
 
-def bodies_of(file: Hdf5) -> list[Body]:
+def _bodies_of(file: Hdf5) -> list[_Body]:
     """Return the skeletons, in the order that instances count them in.
 
     Raises:
@@ -82,7 +69,7 @@ def bodies_of(file: Hdf5) -> list[Body]:
     return bodies
 
 
-def _body(graph: dict[str, Any], names: list[str]) -> Body:
+def _body(graph: dict[str, Any], names: list[str]) -> _Body:
     ids = [int(node["id"]) for node in graph["nodes"]]
     if min(ids, default=0) < 0:
         raise ValueError("a node of negative number")
@@ -99,10 +86,10 @@ def _body(graph: dict[str, Any], names: list[str]) -> Body:
             kind = kinds.get(back, back)
         ends[kind].append((name_of[int(link["source"])], name_of[int(link["target"])]))
     title = _clean(graph.get("graph", {}).get("name") or "")
-    return Body(title, tuple(name_of[n] for n in ids), tuple(dict.fromkeys(ends[_BONE])), pairs_of(ends[_MIRROR]))
+    return _Body(title, tuple(name_of[n] for n in ids), tuple(dict.fromkeys(ends[_BONE])), pairs_of(ends[_MIRROR]))
 
 
-def tracks_of(file: Hdf5) -> list[str]:
+def _tracks_of(file: Hdf5) -> list[str]:
     """Return the names of the tracks, made distinct."""
     said = file.texts("tracks_json") if file.has("tracks_json") else []
     found = [from_json(file.path, f"entry {place} of 'tracks_json'", text) for place, text in enumerate(said)]
@@ -112,7 +99,7 @@ def tracks_of(file: Hdf5) -> list[str]:
         raise UserError(f"{file.path}: 'tracks_json' is not as SLEAP writes it ({error!r}).") from error
 
 
-def videos_of(file: Hdf5) -> dict[int, Video]:
+def _videos_of(file: Hdf5) -> dict[int, _Video]:
     """Return the videos by the numbers that frames give them, their names made distinct.
 
     Frames number videos by their place, or, of a project with pictures inside, by those groups.
@@ -128,7 +115,7 @@ def videos_of(file: Hdf5) -> dict[int, Video]:
         for place, (entry, name) in enumerate(zip(entries, names, strict=True)):
             inside = re.match(r"video(\d{1,9})/", str(entry["backend"].get("dataset") or ""))
             size, fps = _shown(entry["backend"])
-            found[int(inside[1]) if inside and not by_place else place] = Video(name, None if cropped else size, fps)
+            found[int(inside[1]) if inside and not by_place else place] = _Video(name, None if cropped else size, fps)
     except _WRONG as error:
         raise UserError(f"{file.path}: 'videos_json' is not as SLEAP writes it ({error!r}).") from error
     return found
@@ -185,7 +172,7 @@ USER, PREDICTED = 0, 1
 """Kinds of instances, as SLEAP numbers them."""
 
 
-def rows_of(file: Hdf5, bodies: int, tracks: int) -> dict[str, np.ndarray]:
+def _rows_of(file: Hdf5, bodies: int, tracks: int) -> dict[str, np.ndarray]:
     """Return columns of whole numbers, a row for each instance that a frame has."""
     frames = _whole(file, "frames", ("video", "frame_idx", "instance_id_start", "instance_id_end"))
     columns = ("instance_id", "instance_type", "skeleton", "track", "from_predicted", "point_id_start", "point_id_end")
@@ -226,7 +213,7 @@ def _whole(file: Hdf5, name: str, columns: tuple[str, ...]) -> dict[str, np.ndar
     return found
 
 
-def keys_of(rows: dict[str, np.ndarray]) -> np.ndarray:
+def _keys_of(rows: dict[str, np.ndarray]) -> np.ndarray:
     """Return (rows,) numbers, the same for rows of one video, frame and track."""
     key = np.zeros(len(rows["track"]), np.int64)
     for name in ("video", "frame", "track"):
@@ -235,10 +222,10 @@ def keys_of(rows: dict[str, np.ndarray]) -> np.ndarray:
     return key
 
 
-def without_replaced(rows: dict[str, np.ndarray]) -> tuple[dict[str, np.ndarray], list[str]]:
+def _without_replaced(rows: dict[str, np.ndarray]) -> tuple[dict[str, np.ndarray], list[str]]:
     """Return the rows without predictions that a labelled instance stands for, and a note where there were any."""
     user, tracked = rows["instance_type"] == USER, rows["track"] >= 0
-    key = keys_of(rows)
+    key = _keys_of(rows)
     replaced = np.isin(rows["instance_id"], rows["from_predicted"][user & (rows["from_predicted"] >= 0)])
     replaced |= tracked & np.isin(key, key[user & tracked])
     replaced &= ~user
@@ -246,10 +233,10 @@ def without_replaced(rows: dict[str, np.ndarray]) -> tuple[dict[str, np.ndarray]
     return {name: column[~replaced] for name, column in rows.items()}, [told] if replaced.any() else []
 
 
-def first_of_each(rows: dict[str, np.ndarray], seen: np.ndarray) -> np.ndarray:
+def _first_of_each(rows: dict[str, np.ndarray], seen: np.ndarray) -> np.ndarray:
     """Return the indices, in the order of time, of rows that show something, one for each video, frame and track."""
     where = np.flatnonzero(seen)
-    key = keys_of({name: rows[name][where] for name in ("video", "frame", "track")})
+    key = _keys_of({name: rows[name][where] for name in ("video", "frame", "track")})
     first = np.zeros(len(where), bool)
     first[np.unique(key, return_index=True)[1]] = True
     where = where[first | (rows["track"][where] < 0)]
@@ -265,11 +252,11 @@ _CENTRED_PIXELS, _TOO_NEW = 1.1, 3.0
 def _read(path: Path, options: ReadOptions) -> PoseData:
     with open_hdf5(path, "a SLEAP project") as file:
         shift_px = _shift_px(file)
-        bodies, tracks, videos = bodies_of(file), tracks_of(file), videos_of(file)
-        rows, notes = without_replaced(rows_of(file, len(bodies), len(tracks)))
+        bodies, tracks, videos = _bodies_of(file), _tracks_of(file), _videos_of(file)
+        rows, notes = _without_replaced(_rows_of(file, len(bodies), len(tracks)))
         names, keypoints, confidence, told = _points(file, rows, bodies, shift_px)
     seen = np.any(confidence > 0, axis=-1)
-    kept = first_of_each(rows, seen)
+    kept = _first_of_each(rows, seen)
     if not len(kept):
         raise UserError(f"{path}: no visible keypoint in {len(seen):,} instances.")
     if len(kept) < seen.sum():
@@ -303,7 +290,7 @@ def _shift_px(file: Hdf5) -> float:
     return 0.5 if number < _CENTRED_PIXELS else 0.0
 
 
-def _videos(path: Path, number: np.ndarray, videos: dict[int, Video]) -> tuple[list[Video], np.ndarray]:
+def _videos(path: Path, number: np.ndarray, videos: dict[int, _Video]) -> tuple[list[_Video], np.ndarray]:
     """Return the videos that rows are of, and (rows,) their names."""
     used, place = np.unique(number, return_inverse=True)
     unknown = sorted(set(used.tolist()) - set(videos))
@@ -314,7 +301,7 @@ def _videos(path: Path, number: np.ndarray, videos: dict[int, Video]) -> tuple[l
 
 
 def _points(
-    file: Hdf5, rows: dict[str, np.ndarray], bodies: list[Body], shift_px: float
+    file: Hdf5, rows: dict[str, np.ndarray], bodies: list[_Body], shift_px: float
 ) -> tuple[tuple[str, ...], np.ndarray, np.ndarray, tuple[str, ...]]:
     """Return joint names, keypoints, confidence, and what was assumed of scores."""
     used = np.unique(rows["skeleton"]).tolist()
@@ -360,7 +347,7 @@ def _instances(
     free = np.flatnonzero(rows["track"] < 0)
     if not len(free):
         return np.array(tracks)[rows["track"]], ()
-    alone = len(np.unique(keys_of(rows)[free])) == len(free)
+    alone = len(np.unique(_keys_of(rows)[free])) == len(free)
     if alone and len(free) == len(rows["track"]):
         return None, ()
     body = np.zeros(len(free), np.int64)
@@ -378,4 +365,4 @@ def _fits(peek: Peek) -> bool:
     return {"frames", "instances", "metadata"} <= set(peek.hdf5_names)
 
 
-FORMAT = Format("sleap_slp", "a project of SLEAP", _fits, _read)
+_FORMAT = Format("sleap_slp", "a project of SLEAP", _fits, _read)

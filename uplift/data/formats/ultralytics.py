@@ -20,17 +20,7 @@ from uplift.data.parsers.pictures import picture_sizes
 from uplift.data.poses import PoseData
 from uplift.errors import UserError
 
-__all__ = [
-    "FORMAT",
-    "Description",
-    "Labels",
-    "RowLayout",
-    "describe",
-    "first_labels",
-    "label_files",
-    "read_rows",
-    "row_layout",
-]
+__all__: list[str] = []
 
 # What stands around Ultralytics' label files: their folder and data.yaml.
 
@@ -38,7 +28,7 @@ _NO_LABELS = ("classes.txt", "labels.txt", "notes.txt")
 _LEVELS = 3
 
 
-def label_files(path: Path) -> list[Path]:
+def _label_files(path: Path) -> list[Path]:
     """Return a file itself, or the label files of a folder, or of labels/ in it, with their numbers in order.
 
     Raises:
@@ -53,7 +43,7 @@ def label_files(path: Path) -> list[Path]:
     raise UserError(f"{path} has no *.txt in it, nor in labels/ below it.")
 
 
-def first_labels(path: Path, most: int) -> list[Path]:
+def _first_labels(path: Path, most: int) -> list[Path]:
     """Return the first label files, by name, of a folder or of labels/ in it; never an exception."""
     for folder in (path, path / "labels"):
         try:
@@ -73,7 +63,7 @@ def _label_names(folder: Path) -> Iterator[str]:
 
 
 @dataclass
-class Description:
+class _Description:
     """What data.yaml says of the labels."""
 
     path: Path | None = None
@@ -108,7 +98,7 @@ class Description:
         return names[np.searchsorted(found, classes)]
 
 
-def describe(folder: Path) -> Description:
+def _describe(folder: Path) -> _Description:
     """Return what the data.yaml of a folder of labels says, which stands beside it or up to two folders above.
 
     Raises:
@@ -119,7 +109,7 @@ def describe(folder: Path) -> Description:
         for path in sorted([*place.glob("*.yaml"), *place.glob("*.yml")]):
             if _mentions_shape(path):
                 return _description(path)
-    return Description()
+    return _Description()
 
 
 def _mentions_shape(path: Path) -> bool:
@@ -129,7 +119,7 @@ def _mentions_shape(path: Path) -> bool:
         return False
 
 
-def _description(path: Path) -> Description:
+def _description(path: Path) -> _Description:
     data = _plain_yaml(path)
     shape = _whole_numbers(data.get("kpt_shape"))
     if len(shape) != 2 or not 0 < shape[0] < 100_000 or shape[1] not in (2, 3):
@@ -140,7 +130,7 @@ def _description(path: Path) -> Description:
     if isinstance(classes, list):
         classes = {str(number): name for number, name in enumerate(classes)}
     classes = classes if isinstance(classes, dict) else {}
-    return Description(
+    return _Description(
         path=path,
         shape=(shape[0], shape[1]),
         classes={
@@ -178,7 +168,7 @@ def _whole_numbers(values: Any) -> list[int]:
 
 
 @dataclass
-class Labels:
+class _Labels:
     """The rows of all label files."""
 
     file: list[int] = field(default_factory=list)
@@ -192,7 +182,7 @@ class Labels:
 
 
 @dataclass
-class RowLayout:
+class _RowLayout:
     """What the numbers of a row are."""
 
     count: int
@@ -204,7 +194,7 @@ class RowLayout:
     """(rows,) text, empty where a row has none."""
 
 
-def row_layout(path: Path, labels: Labels, told: Description, notes: list[str]) -> RowLayout:
+def _row_layout(path: Path, labels: _Labels, told: _Description, notes: list[str]) -> _RowLayout:
     """Return how the rows divide: as data.yaml says, or so that keypoints lie in their boxes.
 
     Raises:
@@ -228,10 +218,10 @@ def row_layout(path: Path, labels: Labels, told: Description, notes: list[str]) 
     end = 5 + count * size
     values = labels.values[:, 5:end].reshape(len(labels.values), count, size)
     flags = size == 2 or bool(np.isin(values[..., 2], (0, 1, 2)).all())
-    return RowLayout(count, values, longest > end or not flags, _tracks(labels.values[:, end:]))
+    return _RowLayout(count, values, longest > end or not flags, _tracks(labels.values[:, end:]))
 
 
-def _divided(path: Path, labels: Labels, shortest: int, longest: int) -> tuple[int, int]:
+def _divided(path: Path, labels: _Labels, shortest: int, longest: int) -> tuple[int, int]:
     """Return the number of keypoints and of their numbers for which most keypoints lie in their boxes."""
     best: tuple[float, int, int] = (0.0, 0, 0)
     for extra in (0, 1, 2):
@@ -250,7 +240,7 @@ def _divided(path: Path, labels: Labels, shortest: int, longest: int) -> tuple[i
     return best[1], best[2]
 
 
-def _share_inside(labels: Labels, count: int, size: int) -> float:
+def _share_inside(labels: _Labels, count: int, size: int) -> float:
     values = labels.values[:10_000, 5 : 5 + count * size].reshape(-1, count, size)
     if size == 3 and not ((values[..., 2] >= 0) & ((values[..., 2] <= 1) | (values[..., 2] == 2))).all():
         return 0.0
@@ -271,13 +261,13 @@ def _tracks(extra: np.ndarray) -> np.ndarray | None:
     return np.where(known, np.where(known, last, 0).astype(np.int64).astype(str), "")
 
 
-def read_rows(path: Path, files: list[Path]) -> Labels:
+def _read_rows(path: Path, files: list[Path]) -> _Labels:
     """Return the rows of all files; they may differ in what follows the keypoints.
 
     Raises:
         UserError: text that is no row of a label, or rows with different numbers of keypoints.
     """
-    labels = Labels()
+    labels = _Labels()
     by_length: dict[int, Numbers] = {}
     lengths: list[int] = []
     for number, file in enumerate(files):
@@ -313,7 +303,7 @@ def read_rows(path: Path, files: list[Path]) -> Labels:
     return labels
 
 
-def _place(files: list[Path], labels: Labels, rows: np.ndarray) -> str:
+def _place(files: list[Path], labels: _Labels, rows: np.ndarray) -> str:
     first = int(np.flatnonzero(rows)[0])
     return f"{files[labels.file[first]]}, line {labels.line[first] + 1}"
 
@@ -346,7 +336,7 @@ def _fits(peek: Peek) -> bool:
         return "kpt_shape" in peek.text
     if not peek.is_folder:
         return peek.ending == ".txt" and _is_row(peek)
-    for file in first_labels(peek.path, _TRIES):
+    for file in _first_labels(peek.path, _TRIES):
         try:
             return _is_row(Peek(file))
         except (UserError, OSError):
@@ -371,11 +361,11 @@ def _read(path: Path, options: ReadOptions) -> PoseData:
         folders = [folder for folder in path.parent.glob("**/labels") if folder.is_dir()][:3]
         shown = ", ".join(map(str, folders)) or "train/labels"
         raise UserError(f"{path} describes a data set and holds no keypoints. Give a folder of its labels: {shown}.")
-    files = label_files(path)
-    labels = read_rows(path, files)
-    told = describe(path if path.is_dir() else path.parent)
+    files = _label_files(path)
+    labels = _read_rows(path, files)
+    told = _describe(path if path.is_dir() else path.parent)
     notes: list[str] = []
-    layout = row_layout(path, labels, told, notes)
+    layout = _row_layout(path, labels, told, notes)
     names = told.names_of(path, layout.count, options, notes)
     shares = layout.values[..., :2]
     if layout.values.shape[2] == 3:
@@ -398,7 +388,7 @@ def _read(path: Path, options: ReadOptions) -> PoseData:
 
 
 def _identity(
-    path: Path, files: list[Path], labels: Labels, layout: RowLayout, pictures: dict[str, str]
+    path: Path, files: list[Path], labels: _Labels, layout: _RowLayout, pictures: dict[str, str]
 ) -> dict[str, np.ndarray]:
     """Return sequence, frame and track of predictions that are numbered as a video's frames; images otherwise."""
     stems = [file.stem for file in files]
@@ -411,4 +401,4 @@ def _identity(
     return identity if layout.track is None else {**identity, "instance": layout.track}
 
 
-FORMAT = Format("ultralytics", "Ultralytics labels", _fits, _read)
+_FORMAT = Format("ultralytics", "Ultralytics labels", _fits, _read)

@@ -18,23 +18,7 @@ from jaxtyping import Float, Int
 from uplift.errors import UserError, did_you_mean
 from uplift.geometry.mesh import Mesh
 
-__all__ = [
-    "Document",
-    "GltfFile",
-    "Nodes",
-    "Primitive",
-    "Skin",
-    "Track",
-    "at_moment",
-    "floats",
-    "read_animations",
-    "read_document",
-    "read_meshes_of",
-    "read_nodes",
-    "read_skins",
-    "unique_names",
-    "wholes",
-]
+__all__ = ["GltfFile"]
 
 # A glTF 2.0 file taken apart: its JSON, its buffers, and looking things up in them.
 
@@ -44,7 +28,7 @@ _HARMLESS = ("KHR_mesh_quantization", "KHR_texture_", "KHR_materials_", "EXT_tex
 
 
 @dataclass
-class Document:
+class _Document:
     """The JSON of one file and the bytes of its buffers."""
 
     path: Path
@@ -98,7 +82,7 @@ class Document:
         return found
 
 
-def read_document(path: str | Path) -> Document:
+def _read_document(path: str | Path) -> _Document:
     """Read a .glb file, or a .gltf file with its buffers inside or beside it.
 
     Source: Khronos, glTF 2.0 specification, chapters 3.6 (buffers) and 4.4 (GLB layout).
@@ -120,7 +104,7 @@ def read_document(path: str | Path) -> Document:
         tree = json.loads(found.decode("utf-8-sig"))
     except (ValueError, RecursionError) as error:
         raise _damaged(path, f"its JSON cannot be read ({str(error)[:80]})") from error
-    document = Document(path, tree if isinstance(tree, dict) else {}, [])
+    document = _Document(path, tree if isinstance(tree, dict) else {}, [])
     _check_kind(document)
     for number, buffer in enumerate(document.listed("buffers")):
         document.buffers.append(_buffer(document, number, buffer, binary))
@@ -152,7 +136,7 @@ def _chunks(path: Path, found: bytes) -> tuple[bytes, bytes | None]:
     return chunks[_JSON], chunks.get(_BINARY)
 
 
-def _check_kind(document: Document) -> None:
+def _check_kind(document: _Document) -> None:
     asset = document.tree.get("asset")
     version = str(asset.get("version", "")) if isinstance(asset, dict) else ""
     if not version.startswith("2"):
@@ -166,7 +150,7 @@ def _check_kind(document: Document) -> None:
             )
 
 
-def _buffer(document: Document, number: int, buffer: dict[str, Any], binary: bytes | None) -> bytes:
+def _buffer(document: _Document, number: int, buffer: dict[str, Any], binary: bytes | None) -> bytes:
     whose = f"buffer {number}"
     length = document.whole(buffer, "byteLength", None, whose)
     uri = buffer.get("uri")
@@ -184,7 +168,7 @@ def _buffer(document: Document, number: int, buffer: dict[str, Any], binary: byt
     return found[:length]
 
 
-def _beside(document: Document, uri: str, length: int) -> bytes:
+def _beside(document: _Document, uri: str, length: int) -> bytes:
     name = Path(unquote(uri))
     if ":" in uri or "\0" in str(name) or name.is_absolute() or ".." in name.parts:
         raise UserError(f"{document.path}: its buffer is at '{uri[:80]}', expected a file beside it.")
@@ -206,7 +190,7 @@ _MOST_EMPTY = 5_000_000
 """Rows of an accessor without data of its own, which costs a file nothing to claim."""
 
 
-def floats(document: Document, index: Any, kind: str, whose: str) -> Float[np.ndarray, "rows width"]:
+def _floats(document: _Document, index: Any, kind: str, whose: str) -> Float[np.ndarray, "rows width"]:
     """Return an accessor's numbers, normalised integers as -1..1 or 0..1. Raises UserError for what is not there."""
     accessor = document.entry("accessors", index, whose)
     found = _rows(document, accessor, f"accessor {index}", kind)
@@ -218,7 +202,7 @@ def floats(document: Document, index: Any, kind: str, whose: str) -> Float[np.nd
     return values
 
 
-def wholes(document: Document, index: Any, kind: str, whose: str) -> Int[np.ndarray, "rows width"]:
+def _wholes(document: _Document, index: Any, kind: str, whose: str) -> Int[np.ndarray, "rows width"]:
     """Return an accessor's whole numbers, 0 or more. Raises UserError for what is not there."""
     found = _rows(document, document.entry("accessors", index, whose), f"accessor {index}", kind)
     if found.dtype.kind != "u":
@@ -226,7 +210,7 @@ def wholes(document: Document, index: Any, kind: str, whose: str) -> Int[np.ndar
     return found.astype(np.int64)
 
 
-def _rows(document: Document, accessor: dict[str, Any], name: str, kind: str) -> np.ndarray:
+def _rows(document: _Document, accessor: dict[str, Any], name: str, kind: str) -> np.ndarray:
     if accessor.get("type") != kind:
         raise document.wrong(f"{name} is {str(accessor.get('type'))[:20]}, expected {kind}")
     count = document.whole(accessor, "count", None, name)
@@ -240,7 +224,7 @@ def _rows(document: Document, accessor: dict[str, Any], name: str, kind: str) ->
     return _changed(document, accessor, found, name) if "sparse" in accessor else found
 
 
-def _component(document: Document, entry: dict[str, Any], name: str) -> np.dtype:
+def _component(document: _Document, entry: dict[str, Any], name: str) -> np.dtype:
     kind = entry.get("componentType")
     if not isinstance(kind, int) or kind not in _COMPONENTS:
         raise document.wrong(f"{name} has the component type {str(kind)[:20]}")
@@ -248,7 +232,7 @@ def _component(document: Document, entry: dict[str, Any], name: str) -> np.dtype
 
 
 def _viewed(
-    document: Document, entry: dict[str, Any], key: str, dtype: np.dtype, shape: tuple[int, int], name: str
+    document: _Document, entry: dict[str, Any], key: str, dtype: np.dtype, shape: tuple[int, int], name: str
 ) -> np.ndarray:
     """Return rows of a buffer view, without a copy."""
     view = document.entry("bufferViews", entry.get("bufferView"), name)
@@ -270,7 +254,7 @@ def _viewed(
     return np.ndarray(shape, dtype, buffer, start + offset, (stride, dtype.itemsize))
 
 
-def _changed(document: Document, accessor: dict[str, Any], found: np.ndarray, name: str) -> np.ndarray:
+def _changed(document: _Document, accessor: dict[str, Any], found: np.ndarray, name: str) -> np.ndarray:
     sparse = accessor["sparse"] if isinstance(accessor["sparse"], dict) else {}
     at, values = sparse.get("indices"), sparse.get("values")
     if not isinstance(at, dict) or not isinstance(values, dict):
@@ -289,7 +273,7 @@ def _changed(document: Document, accessor: dict[str, Any], found: np.ndarray, na
 
 
 @dataclass(frozen=True)
-class Nodes:
+class _Nodes:
     """Every node's place relative to its parent; what an animation moves is changed in a copy."""
 
     names: list[str]
@@ -318,7 +302,7 @@ class Nodes:
         return found
 
 
-def read_nodes(document: Document) -> Nodes:
+def _read_nodes(document: _Document) -> _Nodes:
     """Return the file's nodes. Raises UserError for a tree that is none, or numbers that are none."""
     entries = document.listed("nodes")
     parents = [-1] * len(entries)
@@ -333,14 +317,14 @@ def read_nodes(document: Document) -> Nodes:
     if len(order) < len(entries):
         lost = min(set(range(len(entries))) - set(order))
         raise document.wrong(f"node {lost} hangs on itself: its parents go round in a circle")
-    names = unique_names([entry.get("name") for entry in entries], "node")
+    names = _unique_names([entry.get("name") for entry in entries], "node")
     rotation = _numbers(document, entries, "rotation", (0.0, 0.0, 0.0, 1.0))
     length = np.linalg.norm(rotation, axis=1, keepdims=True)
     if (length < 1e-6).any():
         raise document.wrong(f"node {int(length.argmin())} has a rotation of length 0")
     matrices = _numbers(document, entries, "matrix", tuple(np.eye(4).ravel())).reshape(-1, 4, 4)
     fixed = {node: matrices[node].T for node, entry in enumerate(entries) if "matrix" in entry}
-    return Nodes(
+    return _Nodes(
         names,
         parents,
         order,
@@ -351,7 +335,7 @@ def read_nodes(document: Document) -> Nodes:
     )
 
 
-def unique_names(names: list[Any], kind: str) -> list[str]:
+def _unique_names(names: list[Any], kind: str) -> list[str]:
     """Return names that differ: ``kind N`` for one without, ``NAME (2)`` for the second of a name."""
     seen: dict[str, int] = {}
     found = []
@@ -362,7 +346,7 @@ def unique_names(names: list[Any], kind: str) -> list[str]:
     return found
 
 
-def _numbers(document: Document, entries: list[dict[str, Any]], key: str, default: tuple[float, ...]) -> np.ndarray:
+def _numbers(document: _Document, entries: list[dict[str, Any]], key: str, default: tuple[float, ...]) -> np.ndarray:
     found = np.tile(np.array(default, np.float64), (len(entries), 1))
     for node, entry in enumerate(entries):
         if key in entry:
@@ -390,7 +374,7 @@ _KINDS = {"translation": "VEC3", "rotation": "VEC4", "scale": "VEC3", "weights":
 
 
 @dataclass(frozen=True)
-class Track:
+class _Track:
     """One thing that moves: where a node is, how it is turned, its scale, or the weights of its morph targets."""
 
     node: int
@@ -425,10 +409,10 @@ class Track:
         return found / length if length > 1e-9 else np.array([0.0, 0.0, 0.0, 1.0])
 
 
-def read_animations(document: Document, nodes: Nodes, targets: dict[int, int]) -> dict[str, list[Track]]:
+def _read_animations(document: _Document, nodes: _Nodes, targets: dict[int, int]) -> dict[str, list[_Track]]:
     """Return the tracks of each animation; ``targets`` counts each node's morph targets. Raises UserError."""
     entries = document.listed("animations")
-    names = unique_names([entry.get("name") for entry in entries], "animation")
+    names = _unique_names([entry.get("name") for entry in entries], "animation")
     found = {}
     for name, entry in zip(names, entries, strict=True):
         samplers = document.objects(entry, "samplers", f"animation '{name}'")
@@ -445,7 +429,7 @@ def read_animations(document: Document, nodes: Nodes, targets: dict[int, int]) -
     return found
 
 
-def at_moment(nodes: Nodes, tracks: Sequence[Track], time_s: float) -> tuple[Nodes, dict[int, np.ndarray]]:
+def _at_moment(nodes: _Nodes, tracks: Sequence[_Track], time_s: float) -> tuple[_Nodes, dict[int, np.ndarray]]:
     """Return the nodes as they are at a moment, and the weights of the morph targets that move."""
     state = {"translation": nodes.translation, "rotation": nodes.rotation, "scale": nodes.scale}
     state = {path: values.copy() for path, values in state.items()}
@@ -459,8 +443,8 @@ def at_moment(nodes: Nodes, tracks: Sequence[Track], time_s: float) -> tuple[Nod
 
 
 def _track(
-    document: Document, samplers: list[dict], index: Any, target: dict, whose: str, targets: dict[int, int]
-) -> Track:
+    document: _Document, samplers: list[dict], index: Any, target: dict, whose: str, targets: dict[int, int]
+) -> _Track:
     if not isinstance(index, int) or not 0 <= index < len(samplers):
         raise document.wrong(f"{whose} refers to sampler {str(index)[:40]}, of {len(samplers)}")
     sampler, path = samplers[index], str(target.get("path"))
@@ -468,15 +452,15 @@ def _track(
     how = sampler.get("interpolation", "LINEAR")
     if how not in ("STEP", "LINEAR", "CUBICSPLINE") or path not in _KINDS:
         raise document.wrong(f"{whose} moves '{path[:20]}' by '{str(how)[:20]}'")
-    times = floats(document, sampler.get("input"), "SCALAR", f"the times of {whose}")[:, 0]
-    values = floats(document, sampler.get("output"), _KINDS[path], f"the values of {whose}")
+    times = _floats(document, sampler.get("input"), "SCALAR", f"the times of {whose}")[:, 0]
+    values = _floats(document, sampler.get("output"), _KINDS[path], f"the values of {whose}")
     if not len(times) or (np.diff(times) <= 0).any() or times[0] < 0:
         raise document.wrong(f"the times of {whose} do not grow")
     parts = 3 if how == "CUBICSPLINE" else 1
     width = targets.get(node, 0) if path == "weights" else values.shape[1]
     if values.size != len(times) * parts * width:
         raise document.wrong(f"{whose} has {values.size} values for {len(times)} moments of '{path}'")
-    return Track(node, path, how, times, values.reshape(len(times), parts, width))
+    return _Track(node, path, how, times, values.reshape(len(times), parts, width))
 
 
 def _spline(start: np.ndarray, end: np.ndarray, share: float, length: float) -> np.ndarray:
@@ -504,7 +488,7 @@ def _slerp(start: np.ndarray, end: np.ndarray, share: float) -> np.ndarray:
 
 
 @dataclass(frozen=True)
-class Skin:
+class _Skin:
     """Which nodes carry a skin, and the skin's rest in the frame of each."""
 
     joints: list[int]
@@ -512,7 +496,7 @@ class Skin:
 
 
 @dataclass(frozen=True)
-class Primitive:
+class _Primitive:
     """Triangles of one material, in the frame of their mesh."""
 
     vertices: Float[np.ndarray, "vertices 3"]
@@ -539,7 +523,7 @@ class Primitive:
         return placed, np.where(mirrored[:, None], faces[:, ::-1], faces)
 
 
-def read_skins(document: Document) -> list[Skin]:
+def _read_skins(document: _Document) -> list[_Skin]:
     """Return the file's skins. Raises UserError for joints or matrices that are not there."""
     found = []
     for number, entry in enumerate(document.listed("skins")):
@@ -548,15 +532,15 @@ def read_skins(document: Document) -> list[Skin]:
             raise document.wrong(f"skin {number} has no joints")
         inverse = np.broadcast_to(np.eye(4), (len(joints), 4, 4))
         if "inverseBindMatrices" in entry:
-            inverse = floats(document, entry["inverseBindMatrices"], "MAT4", f"skin {number}")
+            inverse = _floats(document, entry["inverseBindMatrices"], "MAT4", f"skin {number}")
             inverse = inverse.reshape(-1, 4, 4).transpose(0, 2, 1)
             if len(inverse) < len(joints):
                 raise document.wrong(f"skin {number} has {len(inverse)} matrices for {len(joints)} joints")
-        found.append(Skin(joints, inverse[: len(joints)]))
+        found.append(_Skin(joints, inverse[: len(joints)]))
     return found
 
 
-def read_meshes_of(document: Document) -> list[list[Primitive]]:
+def _read_meshes_of(document: _Document) -> list[list[_Primitive]]:
     """Return the triangles of each of the file's meshes; points and lines are passed over. Raises UserError."""
     found = []
     for number, entry in enumerate(document.listed("meshes")):
@@ -570,17 +554,17 @@ def read_meshes_of(document: Document) -> list[list[Primitive]]:
     return found
 
 
-def _primitive(document: Document, entry: dict[str, Any], whose: str) -> Primitive:
+def _primitive(document: _Document, entry: dict[str, Any], whose: str) -> _Primitive:
     attributes = entry.get("attributes")
     if not isinstance(attributes, dict):
         raise document.wrong(f"{whose} has triangles without attributes")
-    vertices = floats(document, attributes.get("POSITION"), "VEC3", f"'POSITION' of {whose}")
+    vertices = _floats(document, attributes.get("POSITION"), "VEC3", f"'POSITION' of {whose}")
     faces = _faces(document, entry, len(vertices), whose)
     joints, weights = _influences(document, attributes, len(vertices), whose)
     targets = np.zeros((0, len(vertices), 3))
     if "targets" in entry:
         moves = [
-            floats(document, target["POSITION"], "VEC3", f"a morph target of {whose}")
+            _floats(document, target["POSITION"], "VEC3", f"a morph target of {whose}")
             if "POSITION" in target
             else np.zeros_like(vertices)
             for target in document.objects(entry, "targets", whose)
@@ -592,13 +576,13 @@ def _primitive(document: Document, entry: dict[str, Any], whose: str) -> Primiti
     used, faces = np.unique(faces, return_inverse=True)
     if joints is not None and weights is not None:
         joints, weights = joints[used], weights[used]
-    return Primitive(vertices[used], faces.reshape(-1, 3), joints, weights, targets[:, used])
+    return _Primitive(vertices[used], faces.reshape(-1, 3), joints, weights, targets[:, used])
 
 
-def _faces(document: Document, entry: dict[str, Any], vertices: int, whose: str) -> Int[np.ndarray, "faces 3"]:
+def _faces(document: _Document, entry: dict[str, Any], vertices: int, whose: str) -> Int[np.ndarray, "faces 3"]:
     corners = np.arange(vertices)
     if "indices" in entry:
-        corners = wholes(document, entry["indices"], "SCALAR", f"the indices of {whose}")[:, 0]
+        corners = _wholes(document, entry["indices"], "SCALAR", f"the indices of {whose}")[:, 0]
         if len(corners) and corners.max() >= vertices:
             raise document.wrong(f"{whose} refers to vertex {corners.max()}, of {vertices}")
     mode = entry.get("mode", 4)
@@ -614,14 +598,14 @@ def _faces(document: Document, entry: dict[str, Any], vertices: int, whose: str)
 
 
 def _influences(
-    document: Document, attributes: dict[str, Any], vertices: int, whose: str
+    document: _Document, attributes: dict[str, Any], vertices: int, whose: str
 ) -> tuple[np.ndarray | None, np.ndarray | None]:
     joints, weights = [], []
     while f"JOINTS_{len(joints)}" in attributes:
         number = len(joints)
-        joints.append(wholes(document, attributes[f"JOINTS_{number}"], "VEC4", f"'JOINTS_{number}' of {whose}"))
+        joints.append(_wholes(document, attributes[f"JOINTS_{number}"], "VEC4", f"'JOINTS_{number}' of {whose}"))
         name = f"WEIGHTS_{number}"
-        weights.append(floats(document, attributes.get(name), "VEC4", f"'{name}' of {whose}"))
+        weights.append(_floats(document, attributes.get(name), "VEC4", f"'{name}' of {whose}"))
         if len(joints[-1]) != vertices or len(weights[-1]) != vertices:
             raise document.wrong(f"'{name}' of {whose} has not {vertices} rows")
     if not joints:
@@ -644,8 +628,8 @@ class _Part:
     """A mesh that a node shows."""
 
     node: int
-    primitives: Sequence[Primitive]
-    skin: Skin | None
+    primitives: Sequence[_Primitive]
+    skin: _Skin | None
     morph: Float[np.ndarray, " targets"]
 
 
@@ -655,7 +639,7 @@ class GltfFile:
     Shapes are in their own frame, x their left, y down, z behind, in the file's unit (metres by the standard).
     """
 
-    def __init__(self, path: Path, nodes: Nodes, parts: list[_Part], tracks: dict[str, list[Track]]) -> None:
+    def __init__(self, path: Path, nodes: _Nodes, parts: list[_Part], tracks: dict[str, list[_Track]]) -> None:
         self.path = path
         self._nodes, self._parts, self._tracks = nodes, parts, tracks
         self.animations = {
@@ -672,13 +656,13 @@ class GltfFile:
         Raises:
             UserError: no glTF 2.0, damaged, compressed, or without a triangle.
         """
-        document = read_document(path)
-        nodes = read_nodes(document)
+        document = _read_document(path)
+        nodes = _read_nodes(document)
         parts = _parts(document, nodes)
         if not sum(len(primitive.faces) for part in parts for primitive in part.primitives):
             raise UserError(f"{path}: no triangles in its scene. Expected a file with at least one mesh.")
         targets = {part.node: len(part.morph) for part in parts}
-        return cls(Path(path), nodes, parts, read_animations(document, nodes, targets))
+        return cls(Path(path), nodes, parts, _read_animations(document, nodes, targets))
 
     def posed(self, animation: str | None = None, time_s: float = 0.0) -> Mesh:
         """Return the whole surface at a moment of an animation, or as the file has it at rest.
@@ -707,17 +691,17 @@ class GltfFile:
         nodes, _ = self._moment(animation, time_s)
         return dict(zip(nodes.names, nodes.placed()[:, :3, 3] * _TO_OWN, strict=True))
 
-    def _moment(self, animation: str | None, time_s: float) -> tuple[Nodes, dict[int, np.ndarray]]:
+    def _moment(self, animation: str | None, time_s: float) -> tuple[_Nodes, dict[int, np.ndarray]]:
         if animation is None:
             return self._nodes, {}
         if animation not in self._tracks:
             hint = did_you_mean(animation, self._tracks) or " It has none."
             raise UserError(f"{self.path}: no animation '{animation}'.{hint}")
-        return at_moment(self._nodes, self._tracks[animation], time_s)
+        return _at_moment(self._nodes, self._tracks[animation], time_s)
 
 
-def _parts(document: Document, nodes: Nodes) -> list[_Part]:
-    meshes, skins = read_meshes_of(document), read_skins(document)
+def _parts(document: _Document, nodes: _Nodes) -> list[_Part]:
+    meshes, skins = _read_meshes_of(document), _read_skins(document)
     entries = document.listed("nodes")
     found, count = [], 0
     shown = _shown(document, nodes)
@@ -737,7 +721,7 @@ def _parts(document: Document, nodes: Nodes) -> list[_Part]:
     return found
 
 
-def _shown(document: Document, nodes: Nodes) -> set[int]:
+def _shown(document: _Document, nodes: _Nodes) -> set[int]:
     """Return the nodes of the file's scene; all where it has no scene."""
     scenes = document.listed("scenes")
     if not scenes:
@@ -750,7 +734,7 @@ def _shown(document: Document, nodes: Nodes) -> set[int]:
     return shown
 
 
-def _morph(document: Document, node: dict[str, Any], number: int, primitives: list[Primitive]) -> np.ndarray:
+def _morph(document: _Document, node: dict[str, Any], number: int, primitives: list[_Primitive]) -> np.ndarray:
     count = len(primitives[0].targets) if primitives else 0
     told = node.get("weights", document.listed("meshes")[number].get("weights", [0.0] * count))
     if not count:

@@ -17,7 +17,7 @@ import numpy as np
 from uplift.data.formats.base import need
 from uplift.errors import UserError
 
-__all__ = ["Elsewhere", "Hdf5", "OwnParts", "check_room", "from_json", "heaps_are_sound", "open_hdf5"]
+__all__ = ["Hdf5", "check_room", "from_json", "open_hdf5"]
 
 # Look over the heaps of text in an HDF5 file before the library does: a wrong size there makes it walk in circles.
 
@@ -27,7 +27,7 @@ _MOST_BYTES = 2**33
 """Longer files are not looked over: that would take longer than reading what is asked of them."""
 
 
-def heaps_are_sound(path: Path) -> bool:
+def _heaps_are_sound(path: Path) -> bool:
     """Return whether every object of every heap (global heap collection, version 1) ends inside its heap."""
     size = path.stat().st_size
     if not 0 < size < _MOST_BYTES:
@@ -76,11 +76,11 @@ def check_room(path: Path, what: str, wanted_bytes: int) -> None:
         )
 
 
-class Elsewhere(UserError):
+class _Elsewhere(UserError):
     """A link to another file."""
 
 
-class OwnParts:
+class _OwnParts:
     """The groups and datasets of an open file; links inside it are followed, others never."""
 
     def __init__(self, path: Path, what: str, file: Any):
@@ -90,7 +90,7 @@ class OwnParts:
         self._taken = 0
 
     def find(self, name: str, hops: int = 0) -> Any:
-        """Return a group or dataset, None where there is none; raises `Elsewhere` where it is a link to another file."""
+        """Return a group or dataset, None where there is none; raises `_Elsewhere` where it is a link to another file."""
         import h5py
 
         place, walked = self._file, ""
@@ -111,7 +111,7 @@ class OwnParts:
             elif isinstance(link, h5py.HardLink):
                 place = place[part]  # type: ignore[index]
             else:
-                raise Elsewhere(f"{self.path}: '{walked}' is a link to elsewhere, which is never followed.")
+                raise _Elsewhere(f"{self.path}: '{walked}' is a link to elsewhere, which is never followed.")
             if isinstance(place, h5py.Group):
                 self._groups[walked] = place
         return place
@@ -167,7 +167,7 @@ def open_hdf5(path: Path, what: str) -> Iterator[Hdf5]:
         import h5py
     except ImportError:
         raise need("h5py", "trackers", path) from None
-    if not heaps_are_sound(path):
+    if not _heaps_are_sound(path):
         raise _damaged(path, what, ValueError("a text is longer than the room that it has"))
     try:
         file = h5py.File(path, "r", locking=False)
@@ -212,7 +212,7 @@ class Hdf5:
 
     def __init__(self, path: Path, what: str, file: Any):
         self.path, self.what = path, what
-        self._own = OwnParts(path, what, file)
+        self._own = _OwnParts(path, what, file)
 
     @_told
     def has(self, name: str) -> bool:
@@ -224,7 +224,7 @@ class Hdf5:
         """Return whether there is a group of this name in this very file."""
         try:
             return hasattr(self._own.find(name), "keys")
-        except Elsewhere:
+        except _Elsewhere:
             return False
 
     @_told
@@ -232,7 +232,7 @@ class Hdf5:
         """Return whether a name is a link to another file."""
         try:
             self._own.find(name)
-        except Elsewhere:
+        except _Elsewhere:
             return True
         return False
 

@@ -12,26 +12,11 @@ from jaxtyping import Float
 
 from uplift.errors import UserError
 
-__all__ = [
-    "MOST",
-    "AsfSkeleton",
-    "Bone",
-    "BvhFile",
-    "Figure",
-    "Tree",
-    "fault",
-    "numbers",
-    "open_bvh",
-    "read_amc",
-    "read_asf",
-    "read_lines",
-    "shown",
-    "turns",
-]
+__all__ = ["AsfSkeleton", "Figure", "Tree", "open_bvh", "read_amc", "read_asf", "read_lines"]
 
 # Lines of a motion capture file, and errors that say in which of them something is wrong.
 
-MOST = 1e9
+_MOST = 1e9
 """No length or angle of a motion is as large."""
 
 
@@ -52,25 +37,25 @@ def read_lines(path: Path, what: str) -> list[bytes]:
     return content.replace(b"\r\n", b"\n").replace(b"\r", b"\n").split(b"\n")
 
 
-def fault(path: Path, line: int, message: str) -> UserError:
+def _fault(path: Path, line: int, message: str) -> UserError:
     """Return the error for line ``line`` (the first is 1) of ``path``."""
     return UserError(f"{path}, line {line}: {message}")
 
 
-def shown(line: bytes, most: int = 40) -> str:
+def _shown(line: bytes, most: int = 40) -> str:
     """Return what is in a line, short and printable, in quotes."""
     text = line.decode("utf-8", "replace").strip()
     return repr(text if len(text) <= most else text[:most] + "...")
 
 
-def numbers(path: Path, line: int, words: list[bytes], count: int, what: str) -> list[float]:
+def _numbers(path: Path, line: int, words: list[bytes], count: int, what: str) -> list[float]:
     """Return the first ``count`` words as finite numbers; raises UserError where they are not."""
     try:
         found = [float(word) for word in words[:count]]
     except ValueError:
         found = []
-    if len(found) != count or not all(abs(number) < MOST for number in found):
-        raise fault(path, line, f"{what} is {shown(b' '.join(words))}, expected {count} number{'s' * (count > 1)}.")
+    if len(found) != count or not all(abs(number) < _MOST for number in found):
+        raise _fault(path, line, f"{what} is {_shown(b' '.join(words))}, expected {count} number{'s' * (count > 1)}.")
     return found
 
 
@@ -135,7 +120,7 @@ class Figure:
         return self.positions[joint] + self.rotations[joint] @ step
 
 
-def turns(degrees: Float[np.ndarray, "frames angles"], axes: str) -> Float[np.ndarray, "frames 3 3"]:
+def _turns(degrees: Float[np.ndarray, "frames angles"], axes: str) -> Float[np.ndarray, "frames 3 3"]:
     """Return the rotations about the axes of ``axes`` (such as ``zyx``), each about the axes turned before it."""
     result: np.ndarray | None = None
     for angle, axis in zip(np.deg2rad(degrees).T, axes, strict=True):
@@ -154,7 +139,7 @@ def turns(degrees: Float[np.ndarray, "frames angles"], axes: str) -> Float[np.nd
 
 
 @dataclass
-class Bone:
+class _Bone:
     """A bone of an ASF file, angles in degrees, lengths in the file's unit."""
 
     name: str = ""
@@ -180,7 +165,7 @@ class Bone:
 
 def _turned_in(degrees: np.ndarray, order: str) -> np.ndarray:
     # "XYZ" is first about X, then about the world's Y, then its Z: about the turned axes that is Z, Y, X.
-    return turns(degrees[:, ::-1], order[::-1])
+    return _turns(degrees[:, ::-1], order[::-1])
 
 
 # Acclaim skeletons (``.asf``): bones with direction, length, axes and degrees of freedom.
@@ -195,13 +180,13 @@ class AsfSkeleton:
     """The bones of an ASF file, parents first, and how the root moves."""
 
     path: Path
-    bones: list[Bone]
+    bones: list[_Bone]
     tree: Tree
     """``root`` first, then the bones: the joint named as a bone is where that bone starts."""
     unit_mm: float
     """Millimetres in the file's unit of length."""
     degrees: bool
-    root: Bone
+    root: _Bone
     """`Bone.dof` is the order of the root's six values."""
     position: list[float]
 
@@ -241,8 +226,8 @@ def _sections(path: Path, lines: list[bytes]) -> dict[str, list[tuple[int, list[
             rows = sections.setdefault(words[0].decode("ascii", "replace").lower(), [])
             words = words[1:]
         elif rows is None:
-            raise fault(
-                path, number, f"found {shown(line)}, expected an Acclaim skeleton (:version, :units, :root ...)."
+            raise _fault(
+                path, number, f"found {_shown(line)}, expected an Acclaim skeleton (:version, :units, :root ...)."
             )
         if words:
             rows.append((number, words))
@@ -253,50 +238,50 @@ def _units(path: Path, rows: list[tuple[int, list[bytes]]]) -> dict[str, float]:
     found: dict[str, float] = {}
     for number, (key, *words) in rows:
         if key.lower() == b"length":
-            (found["length"],) = numbers(path, number, words, 1, "length")
+            (found["length"],) = _numbers(path, number, words, 1, "length")
             if found["length"] <= 0:
-                raise fault(path, number, f"length is {found['length']:g}, expected a number above 0 (CMU: 0.45).")
+                raise _fault(path, number, f"length is {found['length']:g}, expected a number above 0 (CMU: 0.45).")
         elif key.lower() == b"angle":
             if not words or words[0].lower()[:3] not in (b"deg", b"rad"):
-                raise fault(path, number, f"angle is {shown(b' '.join(words))}, expected deg or rad.")
+                raise _fault(path, number, f"angle is {_shown(b' '.join(words))}, expected deg or rad.")
             found["degrees"] = float(words[0].lower().startswith(b"deg"))
     return found
 
 
-def _root(path: Path, rows: list[tuple[int, list[bytes]]]) -> tuple[Bone, list[float]]:
-    root, position = Bone("root", dof=_ROOT), [0.0, 0.0, 0.0]
+def _root(path: Path, rows: list[tuple[int, list[bytes]]]) -> tuple[_Bone, list[float]]:
+    root, position = _Bone("root", dof=_ROOT), [0.0, 0.0, 0.0]
     for number, (key, *words) in rows:
         if key.lower() == b"order":
             root.dof = [word.decode("ascii", "replace").lower() for word in words]
             if sorted(root.dof) != sorted(_ROOT):
-                raise fault(
-                    path, number, f"order is {shown(b' '.join(words))}, expected TX TY TZ RX RY RZ in any order."
+                raise _fault(
+                    path, number, f"order is {_shown(b' '.join(words))}, expected TX TY TZ RX RY RZ in any order."
                 )
         elif key.lower() == b"axis":
             root.order = _order(path, number, words[:1])
         elif key.lower() == b"position":
-            position = numbers(path, number, words, 3, "position")
-        elif key.lower() == b"orientation" and any(numbers(path, number, words, 3, "orientation")):
-            raise fault(path, number, "the root has an orientation of its own, expected 0 0 0 as in CMU's files.")
+            position = _numbers(path, number, words, 3, "position")
+        elif key.lower() == b"orientation" and any(_numbers(path, number, words, 3, "orientation")):
+            raise _fault(path, number, "the root has an orientation of its own, expected 0 0 0 as in CMU's files.")
     return root, position
 
 
 def _order(path: Path, line: int, words: list[bytes]) -> str:
     order = b"".join(words).decode("ascii", "replace").lower()
     if sorted(order) != list("xyz"):
-        raise fault(path, line, f"the order of axes is {shown(b' '.join(words))}, expected XYZ in any order.")
+        raise _fault(path, line, f"the order of axes is {_shown(b' '.join(words))}, expected XYZ in any order.")
     return order
 
 
-def _bones(path: Path, rows: list[tuple[int, list[bytes]]]) -> dict[str, Bone]:
-    bones: dict[str, Bone] = {}
-    bone: Bone | None = None
+def _bones(path: Path, rows: list[tuple[int, list[bytes]]]) -> dict[str, _Bone]:
+    bones: dict[str, _Bone] = {}
+    bone: _Bone | None = None
     for number, (key, *words) in rows:
         word = key.lower()
         if word == b"begin":
-            bone = Bone(line=number)
+            bone = _Bone(line=number)
         elif bone is None:
-            raise fault(path, number, f"found {shown(key)} outside of a bone, expected begin.")
+            raise _fault(path, number, f"found {_shown(key)} outside of a bone, expected begin.")
         elif word == b"end":
             _check_bone(path, bone, bones)
             bones[bone.name] = bone
@@ -304,37 +289,37 @@ def _bones(path: Path, rows: list[tuple[int, list[bytes]]]) -> dict[str, Bone]:
         elif word == b"name":
             bone.name = b" ".join(words).decode("utf-8", "replace")
         elif word == b"direction":
-            bone.direction = numbers(path, number, words, 3, "direction")
+            bone.direction = _numbers(path, number, words, 3, "direction")
         elif word == b"length":
-            (bone.length,) = numbers(path, number, words, 1, "length")
+            (bone.length,) = _numbers(path, number, words, 1, "length")
         elif word == b"axis":
-            bone.axis = numbers(path, number, words, 3, "axis")
+            bone.axis = _numbers(path, number, words, 3, "axis")
             bone.order = _order(path, number, words[3:4])
         elif word == b"dof":
             bone.dof = [w.decode("ascii", "replace").lower() for w in words]
             if not set(bone.dof) <= set(_ANGLES) or len(set(bone.dof)) != len(bone.dof):
-                raise fault(path, number, f"dof is {shown(b' '.join(words))}, expected rx ry rz or some of them.")
+                raise _fault(path, number, f"dof is {_shown(b' '.join(words))}, expected rx ry rz or some of them.")
     if bone is not None:
-        raise fault(path, bone.line, "a bone begins here and does not end: the file is truncated.")
+        raise _fault(path, bone.line, "a bone begins here and does not end: the file is truncated.")
     if not bones:
         raise UserError(f"{path}: no bones in :bonedata.")
     return bones
 
 
-def _check_bone(path: Path, bone: Bone, others: dict[str, Bone]) -> None:
+def _check_bone(path: Path, bone: _Bone, others: dict[str, _Bone]) -> None:
     if not bone.name or bone.name in others or bone.name == "root":
-        raise fault(path, bone.line, f"a bone is called {bone.name!r}, expected a name of its own.")
+        raise _fault(path, bone.line, f"a bone is called {bone.name!r}, expected a name of its own.")
     size = float(np.linalg.norm(bone.direction)) if bone.direction else 0.0
     if not np.isfinite(bone.length) or bone.length < 0 or not 0.9 < size < 1.1:
-        raise fault(path, bone.line, f"bone '{bone.name}' needs a direction of length 1 and a length of 0 or more.")
+        raise _fault(path, bone.line, f"bone '{bone.name}' needs a direction of length 1 and a length of 0 or more.")
 
 
 def _hierarchy(
-    path: Path, rows: list[tuple[int, list[bytes]]], bones: dict[str, Bone]
-) -> tuple[list[Bone], dict[str, str]]:
+    path: Path, rows: list[tuple[int, list[bytes]]], bones: dict[str, _Bone]
+) -> tuple[list[_Bone], dict[str, str]]:
     """Return the bones, parents first, and the parent of each."""
     parents: dict[str, str] = {}
-    ordered: list[Bone] = []
+    ordered: list[_Bone] = []
     names = [(number, [word.decode("utf-8", "replace") for word in words]) for number, words in rows]
     if not names or names[-1][1] != ["end"]:
         raise UserError(f"{path}: the section :hierarchy does not end: the file is truncated.")
@@ -342,11 +327,11 @@ def _hierarchy(
         if parent in ("begin", "end"):
             continue
         if parent != "root" and parent not in parents:
-            raise fault(path, number, f"'{parent}' has bones below it, but hangs on nothing named before.")
+            raise _fault(path, number, f"'{parent}' has bones below it, but hangs on nothing named before.")
         for child in children:
             if child not in bones or child in parents:
                 what = "is named a second time" if child in parents else "is not in :bonedata"
-                raise fault(path, number, f"bone '{child}' {what}.")
+                raise _fault(path, number, f"bone '{child}' {what}.")
             parents[child] = parent
             ordered.append(bones[child])
     lost = [name for name in bones if name not in parents]
@@ -355,7 +340,7 @@ def _hierarchy(
     return ordered, parents
 
 
-def _tree(bones: list[Bone], parents: dict[str, str]) -> Tree:
+def _tree(bones: list[_Bone], parents: dict[str, str]) -> Tree:
     names = ["root", *(bone.name for bone in bones)]
     tips = np.array([[0.0, 0.0, 0.0], *(np.multiply(bone.direction, bone.length) for bone in bones)])
     place = [-1, *(names.index(parents[bone.name]) for bone in bones)]
@@ -398,8 +383,8 @@ def _header(path: Path, lines: list[bytes], degrees: bool) -> tuple[int, bool]:
             continue
         if len(words) == 1 and words[0].isdigit():
             return place, degrees
-        raise fault(path, place + 1, f"found {shown(line)}, expected the number of the first frame.")
-    raise fault(path, len(lines), "the file ends before the first frame.")
+        raise _fault(path, place + 1, f"found {_shown(line)}, expected the number of the first frame.")
+    raise _fault(path, len(lines), "the file ends before the first frame.")
 
 
 @dataclass(frozen=True)
@@ -434,19 +419,19 @@ class _Block:
             words = line.split()
             if len(words) == 1 and words[0].isdigit():
                 if missing:
-                    raise fault(self.path, number, f"frame {last} ends without {_listed(missing)}.")
+                    raise _fault(self.path, number, f"frame {last} ends without {_listed(missing)}.")
                 if last is not None and int(words[0]) != last + 1:
-                    raise fault(self.path, number, f"frame {int(words[0])} follows frame {last}: frames are missing.")
+                    raise _fault(self.path, number, f"frame {int(words[0])} follows frame {last}: frames are missing.")
                 last, missing = int(words[0]), set(self.widths)
                 continue
             name = words[0].decode("utf-8", "replace")
             if name not in missing:
                 what = "a second time" if name in self.widths else f"which moves nothing in {self.skeleton.path.name}"
-                raise fault(self.path, number, f"found {shown(line)} in frame {last}, {what}.")
+                raise _fault(self.path, number, f"found {_shown(line)} in frame {last}, {what}.")
             missing.discard(name)
         if missing:
             last_line = self.places[-1]
-            raise fault(self.path, last_line, f"frame {last} ends without {_listed(missing)}: the file is truncated.")
+            raise _fault(self.path, last_line, f"frame {last} ends without {_listed(missing)}: the file is truncated.")
 
     def values(self, step: int) -> tuple[Float[np.ndarray, "frames values"], list[str]]:
         """Return the numbers of every ``step``-th frame, and the bones in the order of the file."""
@@ -470,7 +455,7 @@ class _Block:
                 if len(words) != place or texts(words) != expected:
                     raise ValueError
                 row = np.array(list(map(float, take(words))))
-                if not (np.abs(row) < MOST).all():
+                if not (np.abs(row) < _MOST).all():
                     raise ValueError
             except ValueError:
                 raise self._bad_line(frame * size + 1, names) from None
@@ -483,13 +468,13 @@ class _Block:
             words, width = self.lines[place].split(), self.widths[name]
             try:
                 right = words[0] == name.encode() and len(words) == width + 1
-                right = right and all(abs(float(word)) < MOST for word in words[1:])
+                right = right and all(abs(float(word)) < _MOST for word in words[1:])
             except (ValueError, IndexError):
                 right = False
             if not right:
                 wanted = f"expected '{name}' and {width} number{'s' * (width > 1)} ({self.skeleton.path.name})."
-                return fault(self.path, self.places[place], f"found {shown(self.lines[place])}, {wanted}")
-        return fault(self.path, self.places[start], "this frame does not fit the skeleton.")
+                return _fault(self.path, self.places[place], f"found {_shown(self.lines[place])}, {wanted}")
+        return _fault(self.path, self.places[start], "this frame does not fit the skeleton.")
 
 
 def _listed(names: set[str]) -> str:
@@ -506,7 +491,7 @@ def _posed(
     starts = dict(zip(names, np.cumsum([0, *(widths[name] for name in names)]), strict=False))
     columns = {key: starts["root"] + place for place, key in enumerate(skeleton.root.dof)}
     root = values[:, [columns["tx"], columns["ty"], columns["tz"]]] + skeleton.position
-    spin = Bone(order=skeleton.root.order, dof=["rx", "ry", "rz"])
+    spin = _Bone(order=skeleton.root.order, dof=["rx", "ry", "rz"])
     turned: list[np.ndarray | None] = [spin.turned(values[:, [columns[name] for name in spin.dof]])]
     for bone in skeleton.bones:
         start = starts.get(bone.name)
@@ -526,7 +511,7 @@ _DEEPEST = 500
 
 
 @dataclass
-class BvhFile:
+class _BvhFile:
     """A BVH file whose hierarchy is read and whose frames are counted."""
 
     path: Path
@@ -561,7 +546,7 @@ class BvhFile:
                 elif joint == 0:
                     root[:, "xyz".index(channel[0])] = values[:, column]
                 column += 1
-            turned.append(turns(np.stack(angles, 1), axes) if axes else None)
+            turned.append(_turns(np.stack(angles, 1), axes) if axes else None)
         return Figure.posed(tree, root, turned)
 
     def row(self, frame: int) -> list[float]:
@@ -570,8 +555,8 @@ class BvhFile:
         line = self.start + frame
         words = self.lines[line].split()
         if len(words) != wanted:
-            raise fault(self.path, line + 1, f"{len(words)} values, expected {wanted} as the hierarchy has channels.")
-        return numbers(self.path, line + 1, words, wanted, "the frame")
+            raise _fault(self.path, line + 1, f"{len(words)} values, expected {wanted} as the hierarchy has channels.")
+        return _numbers(self.path, line + 1, words, wanted, "the frame")
 
     def _values(self, first: int, step: int) -> Float[np.ndarray, "frames values"]:
         kept = range(first, self.frames, step)
@@ -582,7 +567,7 @@ class BvhFile:
         return values
 
 
-def open_bvh(path: Path) -> BvhFile:
+def open_bvh(path: Path) -> _BvhFile:
     """Read the hierarchy of a BVH file and count its frames.
 
     Raises:
@@ -591,7 +576,7 @@ def open_bvh(path: Path) -> BvhFile:
     lines = read_lines(path, "a Biovision hierarchy (.bvh)")
     first = next(place for place, line in enumerate(lines) if line.strip())
     if lines[first].split()[0].upper() != b"HIERARCHY":
-        raise fault(path, first + 1, f"found {shown(lines[first])}, expected HIERARCHY.")
+        raise _fault(path, first + 1, f"found {_shown(lines[first])}, expected HIERARCHY.")
     tree, channels, place = _Hierarchy(path, lines).read(first + 1)
     frames, rate, start = _motion(path, lines, place)
     while not lines[-1].strip():
@@ -599,8 +584,8 @@ def open_bvh(path: Path) -> BvhFile:
     found = len(lines) - start
     if found != frames:
         why = "the file is truncated" if found < frames else "there are lines too many"
-        raise fault(path, len(lines), f"{found} frames, but the header says {frames}: {why}.")
-    return BvhFile(path, tree, channels, rate, lines, start, frames)
+        raise _fault(path, len(lines), f"{found} frames, but the header says {frames}: {why}.")
+    return _BvhFile(path, tree, channels, rate, lines, start, frames)
 
 
 def _motion(path: Path, lines: list[bytes], place: int) -> tuple[int, float, int]:
@@ -611,10 +596,10 @@ def _motion(path: Path, lines: list[bytes], place: int) -> tuple[int, float, int
             place += 1
         line = b" ".join(lines[place].lower().split()) if place < len(lines) else b""
         if not line.startswith(key):
-            raise fault(path, place + 1, f"found {shown(line)}, expected '{key.decode().capitalize()}' and a number.")
-        (found[key],) = numbers(path, place + 1, line[len(key) :].split(), 1, key.decode().rstrip(":"))
+            raise _fault(path, place + 1, f"found {_shown(line)}, expected '{key.decode().capitalize()}' and a number.")
+        (found[key],) = _numbers(path, place + 1, line[len(key) :].split(), 1, key.decode().rstrip(":"))
         if found[key] <= 0:
-            raise fault(path, place + 1, f"{shown(line)}, expected a number above 0.")
+            raise _fault(path, place + 1, f"{_shown(line)}, expected a number above 0.")
         place += 1
     while place < len(lines) and not lines[place].strip():
         place += 1
@@ -641,7 +626,7 @@ class _Hierarchy:
                 continue
             if words[0].upper() == b"MOTION":
                 if open_joints or not self.names:
-                    raise fault(self.path, place + 1, "MOTION begins before the hierarchy is closed.")
+                    raise _fault(self.path, place + 1, "MOTION begins before the hierarchy is closed.")
                 tree = Tree(tuple(self.names), tuple(self.parents), np.array(self.offsets), np.array(self.tips))
                 self._check()
                 return tree, self.channels, place + 1
@@ -654,15 +639,17 @@ class _Hierarchy:
         above = next((place for place in reversed(open_joints) if place is not None), -1)
         if key in (b"ROOT", b"JOINT") and len(words) > 1:
             if (key == b"ROOT") != (not self.names) or (above < 0 and self.names) or len(open_joints) > _DEEPEST:
-                raise fault(self.path, line, f"found {shown(b' '.join(words))}, expected one ROOT with joints inside.")
+                raise _fault(
+                    self.path, line, f"found {_shown(b' '.join(words))}, expected one ROOT with joints inside."
+                )
             self._add(line, b" ".join(words[1:]).decode("utf-8", "replace").rstrip("{ "), above)
             open_joints.append(len(self.names) - 1)
         elif key == b"END":
             if joint is None:
-                raise fault(self.path, line, "an end site outside of a joint.")
+                raise _fault(self.path, line, "an end site outside of a joint.")
             open_joints.append(None)
         elif key == b"OFFSET" and open_joints:
-            offset = numbers(self.path, line, words[1:], 3, "OFFSET")
+            offset = _numbers(self.path, line, words[1:], 3, "OFFSET")
             if joint is not None:
                 self.offsets[joint] = offset
             elif np.isnan(self.tips[above]).any():
@@ -672,13 +659,13 @@ class _Hierarchy:
         elif key == b"}" and open_joints:
             open_joints.pop()
         elif key != b"{":
-            raise fault(
-                self.path, line, f"found {shown(b' '.join(words))}, expected JOINT, OFFSET, CHANNELS or End Site."
+            raise _fault(
+                self.path, line, f"found {_shown(b' '.join(words))}, expected JOINT, OFFSET, CHANNELS or End Site."
             )
 
     def _add(self, line: int, name: str, parent: int) -> None:
         if name in self.names:
-            raise fault(self.path, line, f"a second joint is called '{name}'.")
+            raise _fault(self.path, line, f"a second joint is called '{name}'.")
         self.names.append(name)
         self.parents.append(parent)
         self.offsets.append([float("nan")] * 3)
@@ -688,7 +675,9 @@ class _Hierarchy:
     def _channels(self, line: int, words: list[bytes]) -> list[str]:
         names = [word.decode("ascii", "replace").lower() for word in words[1:]]
         if not words or words[0] != str(len(names)).encode() or not set(names) <= _CHANNELS:
-            raise fault(self.path, line, f"CHANNELS {shown(b' '.join(words))}, expected a count and as many channels.")
+            raise _fault(
+                self.path, line, f"CHANNELS {_shown(b' '.join(words))}, expected a count and as many channels."
+            )
         return names
 
     def _check(self) -> None:

@@ -16,7 +16,7 @@ import numpy as np
 
 from uplift.errors import UserError
 
-__all__ = ["Dtype", "Source", "Unpickler", "array_of", "load_object_npz", "load_pickle"]
+__all__ = ["Source", "Unpickler", "load_object_npz", "load_pickle"]
 
 # An unpickler that admits arrays, containers, numbers and text, and runs nothing of the file's choice.
 
@@ -49,7 +49,7 @@ class Source:
         return len(buffer)
 
 
-class Dtype:
+class _Dtype:
     """Stands for a dtype, of which a pickle first says the kind and later the byte order."""
 
     def __init__(self, dtype: np.dtype):
@@ -79,19 +79,19 @@ def _reconstruct(kind: Any, _shape: Any = (0,), _dtype: Any = b"b") -> np.ndarra
     return np.empty(0, np.int8)
 
 
-def _dtype(name: Any, _align: Any = False, _copy: Any = True) -> Dtype:
+def _dtype(name: Any, _align: Any = False, _copy: Any = True) -> _Dtype:
     if not isinstance(name, str) or len(name) > 12 or "," in name:
         raise ValueError(f"a dtype named {str(name)[:40]!r}")
-    return Dtype(np.dtype(name))
+    return _Dtype(np.dtype(name))
 
 
 def _scalar(kind: Any, raw: Any) -> Any:
-    return array_of(raw, kind, (1,), "C")[0]
+    return _array_of(raw, kind, (1,), "C")[0]
 
 
-def array_of(raw: Any, kind: Any, shape: Any, order: Any, axes: Any = None) -> np.ndarray:
+def _array_of(raw: Any, kind: Any, shape: Any, order: Any, axes: Any = None) -> np.ndarray:
     """Return numbers or text that ``raw`` holds; raises ValueError where that is not as much as ``shape`` says."""
-    if not isinstance(kind, Dtype) or kind.dtype.hasobject or order not in ("C", "F", "K"):
+    if not isinstance(kind, _Dtype) or kind.dtype.hasobject or order not in ("C", "F", "K"):
         raise ValueError("a buffer that is no array of numbers or text")
     raw = raw.encode("latin1") if isinstance(raw, str) else raw
     _check_array(kind, shape, raw)
@@ -103,7 +103,7 @@ def _check_array(kind: Any, shape: Any, raw: Any) -> None:
     """Refuse a shape that is not the length of ``raw``: a list of objects, or bytes."""
     if not isinstance(shape, tuple) or len(shape) > 32 or any(type(n) is not int or n < 0 for n in shape):
         raise ValueError(f"an array of shape {str(shape)[:60]}")
-    if not isinstance(kind, Dtype) or not kind.dtype.itemsize:
+    if not isinstance(kind, _Dtype) or not kind.dtype.itemsize:
         raise ValueError("an array without a dtype")
     what, size, kinds = "bytes", kind.dtype.itemsize, (bytes, bytearray, str)
     if kind.dtype.hasobject:
@@ -130,7 +130,7 @@ def _default_dict(*_factory: Any) -> dict:
 _NUMPY: dict[str, Any] = {
     "multiarray._reconstruct": _reconstruct,
     "multiarray.scalar": _scalar,
-    "numeric._frombuffer": array_of,
+    "numeric._frombuffer": _array_of,
 }
 _ADMITTED: dict[str, Any] = {
     "numpy.ndarray": _NDARRAY,
@@ -181,7 +181,7 @@ class Unpickler(_Python):
         """Give an array or a dtype its state; nothing else here has any."""
         state = self.stack.pop()
         built = self.stack[-1]
-        if isinstance(built, Dtype):
+        if isinstance(built, _Dtype):
             built.order(state)
             return
         if type(built) is not np.ndarray or built.size or not isinstance(state, tuple) or len(state) != 5:
@@ -299,4 +299,4 @@ def _read_member(path: Path, archive: zipfile.ZipFile, member: zipfile.ZipInfo) 
             if not isinstance(array, np.ndarray) or array.shape != shape:
                 raise ValueError(f"'{member.filename}' is not the array that its header announces")
             return array.item() if array.dtype == object and array.ndim == 0 else array
-        return array_of(file.read(left), Dtype(dtype), shape, "F" if by_column else "C")
+        return _array_of(file.read(left), _Dtype(dtype), shape, "F" if by_column else "C")

@@ -14,17 +14,7 @@ import numpy as np
 
 from uplift.errors import UserError
 
-__all__ = [
-    "PADDING",
-    "Column",
-    "Table",
-    "check_memory",
-    "chunks",
-    "decoded",
-    "first_lines",
-    "header_of",
-    "parse_numbers",
-]
+__all__ = ["PADDING", "Table", "first_lines", "header_of", "parse_numbers"]
 
 # Numbers out of text, all cells of a table at once: as exact as Python's own, in a tenth of the time.
 
@@ -197,7 +187,7 @@ def first_lines(path: Path, rows: int) -> list[str]:
         start, lines = b"", []
         while len(start) <= _LONGEST_HEADER and len(lines) <= rows and (block := file.read(_START)):
             start += block
-            lines = [line for line in decoded(start).splitlines() if line.strip()]
+            lines = [line for line in _decoded(start).splitlines() if line.strip()]
     if "\0" in "".join(lines[:rows]):
         raise UserError(f"{path} is no text, expected a table.")
     if len(lines) < rows:
@@ -205,7 +195,7 @@ def first_lines(path: Path, rows: int) -> list[str]:
     return lines[:rows]
 
 
-def decoded(text: bytes) -> str:
+def _decoded(text: bytes) -> str:
     """Return text in UTF-8, or else in Windows' western code."""
     try:
         return text.decode("utf-8-sig")
@@ -215,7 +205,7 @@ def decoded(text: bytes) -> str:
         return text.decode("cp1252", errors="replace")
 
 
-def check_memory(path: Path, columns: int) -> None:
+def _check_memory(path: Path, columns: int) -> None:
     """Refuse what cannot fit: each number is a cell of at least one byte and its separator, and becomes four."""
     size = path.stat().st_size
     memory = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
@@ -223,7 +213,7 @@ def check_memory(path: Path, columns: int) -> None:
         raise UserError(f"{path} is {size / 1e9:.1f} GB, more than half of this machine's memory. Split it.")
 
 
-def chunks(path: Path, file: BinaryIO, rows: int) -> Iterator[tuple[int, bytes]]:
+def _chunks(path: Path, file: BinaryIO, rows: int) -> Iterator[tuple[int, bytes]]:
     """Yield (number of its first line, whole lines) of the file below so many lines that are not blank."""
     rest, line, skipped = b"", 1, 0
     while block := file.read(_CHUNK):
@@ -254,7 +244,7 @@ _IN_QUOTES = 0x1F  # what stands for a separator inside quotes until the cells a
 
 
 @dataclass
-class Column:
+class _Column:
     """A column of words: row -> place in ``names``, which are in the order of their first appearance."""
 
     codes: np.ndarray = field(default_factory=lambda: np.empty(0, np.int32))
@@ -280,7 +270,7 @@ class Table:
     """(rows, columns) float32 of the columns asked for; NaN where empty."""
     exact: dict[int, np.ndarray] = field(default_factory=dict)
     """Column -> (rows,) float64."""
-    words: dict[int, Column] = field(default_factory=dict)
+    words: dict[int, _Column] = field(default_factory=dict)
     lines: np.ndarray = field(default_factory=lambda: np.empty(0, np.int64))
     """(rows,) line numbers in the file, from 1."""
 
@@ -293,11 +283,11 @@ class Table:
     ) -> Table:
         """Read the file below ``rows`` header lines: ``numbers``, ``exact`` and ``words`` are places of columns."""
         header, separator = header_of(path, rows)
-        check_memory(path, len(numbers))
-        table = cls(path, header, separator, words={place: Column() for place in words})
+        _check_memory(path, len(numbers))
+        table = cls(path, header, separator, words={place: _Column() for place in words})
         taken = _Taken(table, list(numbers), list(exact))
         with path.open("rb") as file:
-            for first_line, chunk in chunks(path, file, rows):
+            for first_line, chunk in _chunks(path, file, rows):
                 taken.add(first_line, chunk)
         return taken.finished()
 
@@ -402,11 +392,11 @@ class _Taken:
         return text[~quote].tobytes()
 
 
-def _column(codes: np.ndarray, known: dict[bytes, int]) -> Column:
+def _column(codes: np.ndarray, known: dict[bytes, int]) -> _Column:
     """Return the column with its names as text; names that differ in spaces around them only are one."""
-    texts = [decoded(name).replace(chr(_IN_QUOTES), ",").strip() for name in known]
+    texts = [_decoded(name).replace(chr(_IN_QUOTES), ",").strip() for name in known]
     names = list(dict.fromkeys(texts))
     if len(names) < len(texts):
         place = {name: at for at, name in enumerate(names)}
         codes = np.array([place[text] for text in texts], np.int32)[codes]
-    return Column(codes, names)
+    return _Column(codes, names)

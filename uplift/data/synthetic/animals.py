@@ -9,13 +9,13 @@ import numpy as np
 from uplift.data.synthetic.parts import Builder, Part, ball, rod, tube
 from uplift.geometry.mesh import Mesh
 
-__all__ = ["SPECIES", "Build", "animal", "draw_build", "head_parts"]
+__all__ = ["animal"]
 
 # Proportions of four-legged animals, guessed by eye from how they look from the side: trunk length is 1.
 
 
 @dataclass(frozen=True)
-class Build:
+class _Build:
     """One animal's proportions; lengths in lengths of its trunk, angles in degrees above level."""
 
     deep: int | float
@@ -45,28 +45,28 @@ class Build:
     """How long a trunk hangs from the head."""
 
 
-SPECIES: dict[str, Build] = {
-    "horse": Build(0.48, 0.36, 0.97, 0.70, 0.16, 0.58, 48, 0.27, 0.46, 0.23, 0.5, -45, 0.12, 0.6, 0.07, -70),
-    "donkey": Build(0.46, 0.36, 0.95, 0.58, 0.14, 0.46, 42, 0.24, 0.44, 0.22, 0.55, -40, 0.24, 0.5, 0.04, -75),
-    "cow": Build(0.56, 0.44, 0.96, 0.46, 0.16, 0.38, 15, 0.34, 0.42, 0.26, 0.62, -40, 0.16, 0.6, 0.03, -82, 0.22, "side", "curved"),
-    "deer": Build(0.42, 0.30, 0.92, 0.70, 0.11, 0.46, 55, 0.17, 0.32, 0.17, 0.42, -28, 0.18, 0.12, 0.06, -40, 0.5, "side", "antlers"),
-    "antelope": Build(0.42, 0.30, 0.88, 0.66, 0.1, 0.44, 50, 0.17, 0.32, 0.17, 0.45, -32, 0.16, 0.3, 0.03, -75, 0.45, "side", "straight"),
-    "dog": Build(0.42, 0.32, 0.82, 0.52, 0.12, 0.3, 45, 0.23, 0.4, 0.22, 0.42, -8, 0.16, 0.48, 0.06, 25, 0, "pointed"),
-    "hound": Build(0.42, 0.30, 0.72, 0.60, 0.10, 0.32, 48, 0.19, 0.42, 0.19, 0.42, -10, 0.18, 0.5, 0.04, 5, 0, "hanging"),
-    "fox": Build(0.34, 0.27, 0.88, 0.40, 0.09, 0.24, 35, 0.2, 0.38, 0.19, 0.25, -8, 0.17, 0.65, 0.14, -18),
-    "cat": Build(0.36, 0.29, 0.92, 0.38, 0.11, 0.2, 38, 0.21, 0.26, 0.23, 0.55, -8, 0.12, 0.75, 0.06, 15),
-    "lion": Build(0.42, 0.34, 0.85, 0.42, 0.14, 0.24, 25, 0.3, 0.34, 0.28, 0.6, -8, 0.08, 0.75, 0.04, -35, 0, "round"),
-    "bear": Build(0.56, 0.48, 1.02, 0.38, 0.22, 0.24, 15, 0.38, 0.38, 0.29, 0.42, -10, 0.08, 0.06, 0.06, -45, 0, "round"),
-    "pig": Build(0.56, 0.50, 1.0, 0.26, 0.15, 0.12, 0, 0.44, 0.42, 0.32, 0.45, -22, 0.15, 0.14, 0.03, 15),
-    "sheep": Build(0.58, 0.54, 1.0, 0.34, 0.09, 0.24, 40, 0.26, 0.32, 0.2, 0.5, -32, 0.13, 0.14, 0.08, -65, 0.16, "side", "curled"),
-    "goat": Build(0.48, 0.40, 0.97, 0.44, 0.1, 0.32, 50, 0.2, 0.32, 0.19, 0.48, -32, 0.15, 0.12, 0.06, 40, 0.3, "side", "swept"),
-    "giraffe": Build(0.56, 0.38, 0.75, 1.2, 0.16, 1.3, 62, 0.25, 0.46, 0.2, 0.42, -28, 0.14, 0.7, 0.04, -80, 0.1, "side", "straight"),
-    "elephant": Build(0.72, 0.60, 0.95, 0.52, 0.28, 0.18, 12, 0.46, 0.42, 0.48, 0.62, -55, 0.42, 0.5, 0.04, -80, 0.35, "fans", "tusks", 0, 0.85),
-    "rhino": Build(0.62, 0.54, 1.0, 0.36, 0.23, 0.26, 2, 0.42, 0.5, 0.3, 0.6, -30, 0.13, 0.35, 0.04, -75, 0.22, "pointed", "nose"),
-    "hippo": Build(0.66, 0.60, 1.0, 0.22, 0.2, 0.16, 2, 0.48, 0.54, 0.36, 0.9, -14, 0.06, 0.2, 0.04, -75, 0, "round"),
-    "camel": Build(0.54, 0.42, 0.85, 0.85, 0.13, 0.75, 42, 0.22, 0.42, 0.21, 0.5, -15, 0.07, 0.4, 0.04, -75, 0, "round", "none", 0.3),
-    "bison": Build(0.66, 0.48, 0.7, 0.38, 0.15, 0.26, -8, 0.44, 0.42, 0.32, 0.55, -50, 0.1, 0.4, 0.04, -75, 0.18, "side", "curved", 0.14),
-    "rabbit": Build(0.5, 0.44, 1.12, 0.22, 0.14, 0.14, 40, 0.3, 0.36, 0.28, 0.5, -15, 0.42, 0.1, 0.1, 30),
+_SPECIES: dict[str, _Build] = {
+    "horse": _Build(0.48, 0.36, 0.97, 0.70, 0.16, 0.58, 48, 0.27, 0.46, 0.23, 0.5, -45, 0.12, 0.6, 0.07, -70),
+    "donkey": _Build(0.46, 0.36, 0.95, 0.58, 0.14, 0.46, 42, 0.24, 0.44, 0.22, 0.55, -40, 0.24, 0.5, 0.04, -75),
+    "cow": _Build(0.56, 0.44, 0.96, 0.46, 0.16, 0.38, 15, 0.34, 0.42, 0.26, 0.62, -40, 0.16, 0.6, 0.03, -82, 0.22, "side", "curved"),
+    "deer": _Build(0.42, 0.30, 0.92, 0.70, 0.11, 0.46, 55, 0.17, 0.32, 0.17, 0.42, -28, 0.18, 0.12, 0.06, -40, 0.5, "side", "antlers"),
+    "antelope": _Build(0.42, 0.30, 0.88, 0.66, 0.1, 0.44, 50, 0.17, 0.32, 0.17, 0.45, -32, 0.16, 0.3, 0.03, -75, 0.45, "side", "straight"),
+    "dog": _Build(0.42, 0.32, 0.82, 0.52, 0.12, 0.3, 45, 0.23, 0.4, 0.22, 0.42, -8, 0.16, 0.48, 0.06, 25, 0, "pointed"),
+    "hound": _Build(0.42, 0.30, 0.72, 0.60, 0.10, 0.32, 48, 0.19, 0.42, 0.19, 0.42, -10, 0.18, 0.5, 0.04, 5, 0, "hanging"),
+    "fox": _Build(0.34, 0.27, 0.88, 0.40, 0.09, 0.24, 35, 0.2, 0.38, 0.19, 0.25, -8, 0.17, 0.65, 0.14, -18),
+    "cat": _Build(0.36, 0.29, 0.92, 0.38, 0.11, 0.2, 38, 0.21, 0.26, 0.23, 0.55, -8, 0.12, 0.75, 0.06, 15),
+    "lion": _Build(0.42, 0.34, 0.85, 0.42, 0.14, 0.24, 25, 0.3, 0.34, 0.28, 0.6, -8, 0.08, 0.75, 0.04, -35, 0, "round"),
+    "bear": _Build(0.56, 0.48, 1.02, 0.38, 0.22, 0.24, 15, 0.38, 0.38, 0.29, 0.42, -10, 0.08, 0.06, 0.06, -45, 0, "round"),
+    "pig": _Build(0.56, 0.50, 1.0, 0.26, 0.15, 0.12, 0, 0.44, 0.42, 0.32, 0.45, -22, 0.15, 0.14, 0.03, 15),
+    "sheep": _Build(0.58, 0.54, 1.0, 0.34, 0.09, 0.24, 40, 0.26, 0.32, 0.2, 0.5, -32, 0.13, 0.14, 0.08, -65, 0.16, "side", "curled"),
+    "goat": _Build(0.48, 0.40, 0.97, 0.44, 0.1, 0.32, 50, 0.2, 0.32, 0.19, 0.48, -32, 0.15, 0.12, 0.06, 40, 0.3, "side", "swept"),
+    "giraffe": _Build(0.56, 0.38, 0.75, 1.2, 0.16, 1.3, 62, 0.25, 0.46, 0.2, 0.42, -28, 0.14, 0.7, 0.04, -80, 0.1, "side", "straight"),
+    "elephant": _Build(0.72, 0.60, 0.95, 0.52, 0.28, 0.18, 12, 0.46, 0.42, 0.48, 0.62, -55, 0.42, 0.5, 0.04, -80, 0.35, "fans", "tusks", 0, 0.85),
+    "rhino": _Build(0.62, 0.54, 1.0, 0.36, 0.23, 0.26, 2, 0.42, 0.5, 0.3, 0.6, -30, 0.13, 0.35, 0.04, -75, 0.22, "pointed", "nose"),
+    "hippo": _Build(0.66, 0.60, 1.0, 0.22, 0.2, 0.16, 2, 0.48, 0.54, 0.36, 0.9, -14, 0.06, 0.2, 0.04, -75, 0, "round"),
+    "camel": _Build(0.54, 0.42, 0.85, 0.85, 0.13, 0.75, 42, 0.22, 0.42, 0.21, 0.5, -15, 0.07, 0.4, 0.04, -75, 0, "round", "none", 0.3),
+    "bison": _Build(0.66, 0.48, 0.7, 0.38, 0.15, 0.26, -8, 0.44, 0.42, 0.32, 0.55, -50, 0.1, 0.4, 0.04, -75, 0.18, "side", "curved", 0.14),
+    "rabbit": _Build(0.5, 0.44, 1.12, 0.22, 0.14, 0.14, 40, 0.3, 0.36, 0.28, 0.5, -15, 0.42, 0.1, 0.1, 30),
 }  # fmt: skip
 """Named after what they resemble: none is measured."""
 
@@ -74,14 +74,14 @@ _SPREAD = 0.1
 _SPREAD_DEG = 6.0
 
 
-def draw_build(rng: np.random.Generator) -> tuple[str, Build]:
+def _draw_build(rng: np.random.Generator) -> tuple[str, _Build]:
     """Return a species and the proportions of one of it, every third mixed with another species."""
-    names = list(SPECIES)
+    names = list(_SPECIES)
     name = names[int(rng.integers(len(names)))]
-    own, other = SPECIES[name], SPECIES[names[int(rng.integers(len(names)))]]
+    own, other = _SPECIES[name], _SPECIES[names[int(rng.integers(len(names)))]]
     share = rng.uniform(0.0, 0.4) if rng.random() < 0.33 else 0.0
     values = {}
-    for part in fields(Build):
+    for part in fields(_Build):
         value = getattr(own, part.name)
         if isinstance(value, str):
             values[part.name] = value
@@ -93,13 +93,13 @@ def draw_build(rng: np.random.Generator) -> tuple[str, Build]:
         values["ears"] = "hanging"
     if values["horns"] in ("antlers", "curled", "curved", "swept") and rng.random() < 0.4:
         values["horns"] = "none"  # many females have none
-    return name, Build(**values)
+    return name, _Build(**values)
 
 
 # Heads of made-up animals: skull and muzzle, ears, horns, trunks.
 
 
-def head_parts(build: Build, at: np.ndarray, pitch: int | float) -> list[Part]:
+def _head_parts(build: _Build, at: np.ndarray, pitch: int | float) -> list[Part]:
     """Return the parts of a head whose back is ``at`` a point; it looks along +z, raised by ``pitch`` radians."""
     deep, long = build.head_deep / 2, build.head
     z = np.array([-0.08, 0.08, 0.3, 0.55, 0.85, 1.0]) * long
@@ -120,7 +120,7 @@ def head_parts(build: Build, at: np.ndarray, pitch: int | float) -> list[Part]:
     return [Part(part.vertices + at, part.faces) for part in parts]
 
 
-def _ears(build: Build, deep: int | float) -> list[Part]:
+def _ears(build: _Build, deep: int | float) -> list[Part]:
     ear = build.ear
     foot = np.array([deep * 0.5, deep * 0.7, 0.06 * build.head])
     if build.ears == "round":
@@ -141,7 +141,7 @@ def _ears(build: Build, deep: int | float) -> list[Part]:
     return [made for part in left for made in (part, part.mirrored())]
 
 
-def _horns(build: Build, deep: int | float) -> list[Part]:
+def _horns(build: _Build, deep: int | float) -> list[Part]:
     long = build.horn
     if build.horns == "none" or long < 0.02:
         return []
@@ -194,7 +194,7 @@ class _Pose:
 
 def animal(rng: np.random.Generator) -> Mesh:
     """Return an animal of one species' proportions, standing, walking or trotting, its head turned a little."""
-    name, build = draw_build(rng)
+    name, build = _draw_build(rng)
     pose = _Pose(
         phase=rng.uniform(0, 1),
         stride=abs(rng.normal(0, 0.28)) * (0.5 if build.leg < 0.3 else 1.0),
@@ -215,7 +215,7 @@ def animal(rng: np.random.Generator) -> Mesh:
     return built.mesh(name)
 
 
-def _trunk(built: Builder, build: Build, pose: _Pose, spine: int | float) -> None:
+def _trunk(built: Builder, build: _Build, pose: _Pose, spine: int | float) -> None:
     z = np.array([-0.5, -0.42, -0.28, -0.05, 0.18, 0.36, 0.47])
     size = np.array([0.45 * build.hip, 0.78 * build.hip, 0.95 * build.hip, 0.5 * (build.hip + 1), 1.0, 0.93, 0.6])
     high = size * build.deep / 2
@@ -228,7 +228,7 @@ def _trunk(built: Builder, build: Build, pose: _Pose, spine: int | float) -> Non
         built.add(ball((pose.bend, spine + build.deep * 0.42, 0.05), (build.wide * 0.32, rise + 0.1, 0.22)))
 
 
-def _leg(build: Build, pose: _Pose, kind: str, side: int, spine: int | float) -> list[Part]:
+def _leg(build: _Build, pose: _Pose, kind: str, side: int, spine: int | float) -> list[Part]:
     """Return one leg: its upper end inside the trunk, swung by where it is in the stride, folded while in the air."""
     fore = kind == "fore"
     start = _STEP_OF["hind", -side] if pose.trot and fore else _STEP_OF[kind, side]
@@ -259,7 +259,7 @@ def _leg(build: Build, pose: _Pose, kind: str, side: int, spine: int | float) ->
     return [tube(path, radii, sides=8, blunt=True), paw]
 
 
-def _neck_and_head(built: Builder, build: Build, pose: _Pose, spine: int | float) -> None:
+def _neck_and_head(built: Builder, build: _Build, pose: _Pose, spine: int | float) -> None:
     """Add neck and head, made straight ahead and then turned to where the animal looks."""
     angle = np.deg2rad(build.neck_angle) + pose.nod
     foot = np.array([0.0, spine + 0.14 * build.deep, 0.36])
@@ -270,13 +270,13 @@ def _neck_and_head(built: Builder, build: Build, pose: _Pose, spine: int | float
     path = np.array([foot - ahead * 0.06, foot + 0.45 * (end - foot) + sag, end])
     neck = tube(path, (max(thick * 1.25, 0.3 * build.deep), thick, thick * 0.82), sides=10, flat=1.15, blunt=True)
     pitch = np.deg2rad(build.head_angle) + 0.5 * pose.nod
-    parts = head_parts(build, end, pitch)
+    parts = _head_parts(build, end, pitch)
     neck_turn, head_turn = 0.5 * pose.look, 0.6 * pose.look
     parts = [part.turned(head_turn, "y", end) for part in parts]
     built.add(*(part.turned(neck_turn, "y", foot) for part in [neck.widened(0.85), *parts]))
 
 
-def _tail(built: Builder, build: Build, pose: _Pose, spine: int | float) -> None:
+def _tail(built: Builder, build: _Build, pose: _Pose, spine: int | float) -> None:
     angle = np.deg2rad(build.tail_angle)
     share = np.linspace(0, 1, 5)
     droop = angle + (0.5 if angle > 0 else -0.3) * (share - 0.3)

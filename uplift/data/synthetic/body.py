@@ -14,15 +14,12 @@ from uplift.skeleton import Skeleton
 
 __all__ = [
     "DEFAULT_LIMITS",
-    "KEY",
     "ROOT_ANGLES",
     "Body",
-    "angle_axes",
     "find_legs",
     "forward_kinematics",
     "human_body",
     "is_human",
-    "joint_weights",
     "leaders",
     "leg_phases",
     "own_body",
@@ -83,7 +80,7 @@ def rest_positions(
     return positions
 
 
-def angle_axes(direction: Float[np.ndarray, " 3"], side: float) -> dict[str, tuple[float, float, float]]:
+def _angle_axes(direction: Float[np.ndarray, " 3"], side: float) -> dict[str, tuple[float, float, float]]:
     """Return the axes of flexion, abduction and rotation of a bone along ``direction`` in the rest frame.
 
     ``side`` is +1 for the body's left and its midline, -1 for its right.
@@ -98,7 +95,7 @@ def angle_axes(direction: Float[np.ndarray, " 3"], side: float) -> dict[str, tup
     return {name: (float(axis[0]), float(axis[1]), float(axis[2])) for name, axis in axes.items()}
 
 
-def joint_weights(
+def _joint_weights(
     skeleton: Skeleton, parts: dict[str, tuple[str, ...]], points: tuple[str, ...], place: str
 ) -> Float[np.ndarray, "joints points"]:
     """Return the weights that make each joint of the skeleton the mean of its body points.
@@ -211,7 +208,7 @@ def own_body(skeleton: Skeleton) -> Body:
             direction = _beyond(point, parents, offsets)
             if direction is None:
                 continue
-            axes = angle_axes(direction, _side(skeleton, joint, order, parents, offsets))
+            axes = _angle_axes(direction, _side(skeleton, joint, order, parents, offsets))
             for name, (low, high) in limits[joint].items():
                 if (low, high) != (0, 0):
                     angles[f"{joint} {name}"] = (low, high)
@@ -228,7 +225,7 @@ def own_body(skeleton: Skeleton) -> Body:
         low_deg=bounds[:, 0],
         high_deg=bounds[:, 1],
         steps=tuple((point, names.index(name), axis) for name, point, axis in steps),
-        joints=joint_weights(skeleton, _parts(skeleton), order, "midpoints"),
+        joints=_joint_weights(skeleton, _parts(skeleton), order, "midpoints"),
         scaled_axes=np.full(3, skeleton.rigid),
     )
 
@@ -352,7 +349,7 @@ def _read_limits(skeleton: Skeleton, joint: str, entry: Any) -> dict[str, tuple[
 
 # The simulator's human body: joint centres and landmarks, segment lengths and ranges of motion.
 
-KEY = "human"
+_KEY = "human"
 """The key of a joint's limits that puts it on this body."""
 
 # point: (parent, group of lengths, x left, y down, z behind); "left_" points have a right twin.
@@ -416,7 +413,7 @@ _SPREAD = 0.035
 
 def is_human(skeleton: Skeleton) -> bool:
     """Tell whether the skeleton puts its joints on the human body."""
-    return any(isinstance(entry, dict) and KEY in entry for entry in skeleton.body.get("limits", {}).values())
+    return any(isinstance(entry, dict) and _KEY in entry for entry in skeleton.body.get("limits", {}).values())
 
 
 def human_body(skeleton: Skeleton) -> Body:
@@ -451,7 +448,7 @@ def human_body(skeleton: Skeleton) -> Body:
         low_deg=limits[:, 0],
         high_deg=limits[:, 1],
         steps=tuple((points.index(point), names.index(name), axis) for name, point, axis in steps),
-        joints=joint_weights(skeleton, _places(skeleton), points, "limits"),
+        joints=_joint_weights(skeleton, _places(skeleton), points, "limits"),
         scaled_axes=np.zeros(3, bool),
         height=_STATURE_MM,
         unit="mm",
@@ -462,19 +459,19 @@ def _places(skeleton: Skeleton) -> dict[str, tuple[str, ...]]:
     """Return the points of the body that each joint is the mean of."""
     places: dict[str, tuple[str, ...]] = {}
     for joint, entry in skeleton.body["limits"].items():
-        point = entry.get(KEY) if isinstance(entry, dict) else None
+        point = entry.get(_KEY) if isinstance(entry, dict) else None
         names = tuple(str(name) for name in point) if isinstance(point, list) else (str(point),)
-        if point is None or set(entry) != {KEY}:
+        if point is None or set(entry) != {_KEY}:
             raise UserError(
                 f"Skeleton '{skeleton.name}', limits of '{joint}': found {entry!r}; other joints are on the human "
-                f"body, so expected {{{KEY}: a point of it, or a list of points}}."
+                f"body, so expected {{{_KEY}: a point of it, or a list of points}}."
             )
         places[joint] = names
     unused = [key for key in ("proportions", "rest") if skeleton.body.get(key)]
     if unused:
         raise UserError(
             f"Skeleton '{skeleton.name}': found '{unused[0]}' beside limits that put joints on the human body, which "
-            f"brings its own. Remove '{unused[0]}', or the '{KEY}:' places."
+            f"brings its own. Remove '{unused[0]}', or the '{_KEY}:' places."
         )
     return places
 

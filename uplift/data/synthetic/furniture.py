@@ -10,21 +10,7 @@ import numpy as np
 from uplift.data.synthetic.parts import Builder, Part, ball, beam, block, lathe, loft, oval, rod, rounded, slab, tube
 from uplift.geometry.mesh import Mesh
 
-__all__ = [
-    "add_feet",
-    "armchair",
-    "bed",
-    "bench",
-    "cabinet",
-    "chair",
-    "desk",
-    "draw_feet",
-    "shelf",
-    "sofa",
-    "stool",
-    "table",
-    "turned_leg",
-]
+__all__ = ["armchair", "bed", "bench", "cabinet", "chair", "desk", "shelf", "sofa", "stool", "table"]
 
 # What made-up furniture stands on: legs, turned legs, sledges, pedestals, stars of castors.
 
@@ -33,12 +19,12 @@ _WEIGHTS = (0.22, 0.15, 0.15, 0.1, 0.08, 0.06, 0.14, 0.05, 0.05)
 _CORNERS = ((1, 1), (1, -1))
 
 
-def draw_feet(rng: np.random.Generator) -> str:
+def _draw_feet(rng: np.random.Generator) -> str:
     """Return what kind of feet a chair stands on."""
     return str(rng.choice(_FEET, p=_WEIGHTS))
 
 
-def add_feet(
+def _add_feet(
     built: Builder,
     rng: np.random.Generator,
     kind: str,
@@ -72,7 +58,7 @@ def _legs(
         head, foot = (x, top, z), (x + side * splay * 0.7, 0.0, z + end * out)
         feet[end] = head, foot
         if kind == "turned":
-            built.pair(turned_leg(int(rng.integers(1 << 30)), foot, head, thick))
+            built.pair(_turned_leg(int(rng.integers(1 << 30)), foot, head, thick))
         elif kind == "splayed":
             built.pair(rod(foot, head, thick * 0.35, thick * 0.55))
         else:
@@ -97,7 +83,7 @@ def _stretchers(built: Builder, rng: np.random.Generator, feet: dict, thick: int
             built.add(rod(point, point * (-1, 1, 1), radius, sides=6))
 
 
-def turned_leg(seed: int, foot: tuple, head: tuple, thick: int | float) -> Part:
+def _turned_leg(seed: int, foot: tuple, head: tuple, thick: int | float) -> Part:
     """Return a leg turned on a lathe: the same for the same seed."""
     rng = np.random.default_rng(seed)
     shares = np.array([0, 0.04, 0.1, 0.2, 0.45, 0.6, 0.66, 0.7, 0.78, 1.0])
@@ -224,8 +210,8 @@ def chair(rng: np.random.Generator) -> Mesh:
     power = rng.choice([3.0, 5.0, 12.0, 30.0])
     outline = rounded(seat.width, seat.depth, seat.back_width, power)
     built.add(slab(outline, seat.top - seat.thick, seat.top, rng.choice([0.0, 0.06, 0.12])))
-    feet = draw_feet(rng)
-    add_feet(built, rng, feet, (seat.width, seat.back_width, seat.depth), seat.top - seat.thick)
+    feet = _draw_feet(rng)
+    _add_feet(built, rng, feet, (seat.width, seat.back_width, seat.depth), seat.top - seat.thick)
     _add_back(built, rng, seat)
     if rng.random() < 0.45:
         _add_arms(built, rng, seat)
@@ -240,7 +226,7 @@ def stool(rng: np.random.Generator) -> Mesh:
     thick = rng.uniform(0.025, 0.1)
     outline = oval(width, depth) if rng.random() < 0.5 else rounded(width, depth, power=rng.choice([4.0, 12.0, 30.0]))
     built.add(slab(outline, top - thick, top, rng.choice([0.0, 0.1])))
-    add_feet(built, rng, draw_feet(rng), (width * 0.9, width * 0.9, depth * 0.9), top - thick)
+    _add_feet(built, rng, _draw_feet(rng), (width * 0.9, width * 0.9, depth * 0.9), top - thick)
     if rng.random() < 0.3:
         seat = _Seat(width, width * 0.9, depth * 0.9, top, thick, rng.uniform(0, 0.2), rng.uniform(0.12, 0.3))
         _add_back(built, rng, seat)
@@ -503,7 +489,7 @@ def table(rng: np.random.Generator) -> Mesh:
     elif kind == "trestle" and not is_round:
         _trestles(built, rng, (width, depth), top - thick)
     else:
-        add_feet(built, rng, kind if kind != "trestle" else "square", inner, top - thick)
+        _add_feet(built, rng, kind if kind != "trestle" else "square", inner, top - thick)
     if kind in ("square", "tapered", "turned") and rng.random() < 0.6:
         _apron(built, rng, inner, top - thick)
     if rng.random() < 0.15 and not is_round and kind not in ("column", "trestle", "panels"):  # a shelf below
@@ -647,7 +633,7 @@ def _board(built: Builder, rng: np.random.Generator, size: tuple, top: int | flo
         return
     post_top = top + (rng.uniform(0.05, 0.3) if kind == "posts" else 0.0)
     if kind == "posts":
-        built.pair(turned_leg(int(rng.integers(1 << 30)), (half, 0, z), (half, post_top, z), thick * 1.4))
+        built.pair(_turned_leg(int(rng.integers(1 << 30)), (half, 0, z), (half, post_top, z), thick * 1.4))
         built.add(block((-half, legs, z - thick / 3), (half, top, z + thick / 3)))
         return
     built.pair(beam((half, 0, z), (half, top, z), (thick, thick)))

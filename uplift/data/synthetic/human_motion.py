@@ -18,25 +18,13 @@ from uplift.data.synthetic.motion import (
     smooth_noise,
 )
 
-__all__ = [
-    "ACTIONS",
-    "ARMS",
-    "CYCLES",
-    "LEGS",
-    "TRUNK",
-    "Action",
-    "ArmPoses",
-    "arm_swing",
-    "human_motion",
-    "leg_cycle",
-    "pelvis_cycle",
-]
+__all__ = ["ACTIONS", "CYCLES", "human_motion"]
 
 # What a simulated person does: each action mixes leg, trunk and arm postures at its own tempo.
 
 
 @dataclass(frozen=True)
-class Action:
+class _Action:
     """Postures to move between; a step cycle in place of leg postures where there is one."""
 
     share: float
@@ -57,39 +45,39 @@ _EASY = ("hang", "hang", "low", "hip", "folded", "to face", "behind", "guard")
 _WIDE = ("forward", "low", "out", "overhead", "across", "elbows out", "on head", "any")
 
 ACTIONS = {
-    "walk": Action(0.12, (), ("upright", "slouch"), ("swing",), "walk", turn_deg_s=25.0),
-    "walk busy": Action(0.05, (), ("upright", "lean", "twist", "side"), (*_EASY, *_WIDE), "walk", turn_deg_s=35.0),
-    "run": Action(0.07, (), ("upright", "lean"), ("swing",), "run", turn_deg_s=40.0),
-    "climb": Action(0.04, (), ("upright", "lean"), ("swing", "forward", "overhead", "low", "hang"), "climb"),
-    "stand": Action(0.06, ("stand", "stand", "wide", "crossed"), ("upright", "slouch"), _EASY, tempo=1.5),
-    "gesture": Action(0.08, ("stand", "step", "wide"), ("upright", "lean", "twist", "side"), (*_EASY, *_WIDE)),
-    "reach": Action(
+    "walk": _Action(0.12, (), ("upright", "slouch"), ("swing",), "walk", turn_deg_s=25.0),
+    "walk busy": _Action(0.05, (), ("upright", "lean", "twist", "side"), (*_EASY, *_WIDE), "walk", turn_deg_s=35.0),
+    "run": _Action(0.07, (), ("upright", "lean"), ("swing",), "run", turn_deg_s=40.0),
+    "climb": _Action(0.04, (), ("upright", "lean"), ("swing", "forward", "overhead", "low", "hang"), "climb"),
+    "stand": _Action(0.06, ("stand", "stand", "wide", "crossed"), ("upright", "slouch"), _EASY, tempo=1.5),
+    "gesture": _Action(0.08, ("stand", "step", "wide"), ("upright", "lean", "twist", "side"), (*_EASY, *_WIDE)),
+    "reach": _Action(
         0.08, ("stand", "tiptoe", "step", "half squat", "lunge"), ("upright", "lean", "arch", "twist", "side"),
         ("forward", "overhead", "low", "out", "across"),
     ),
-    "bend": Action(0.06, ("stand", "wide", "half squat", "step"), ("bend", "bend", "lean", "upright"), ("low", "forward", "hang", "any")),
-    "squat": Action(0.05, ("squat", "half squat", "stand", "wide"), ("lean", "bend", "upright"), ("low", "forward", "hang", "out", "to face")),
-    "sit": Action(0.07, ("sit", "sit", "sit crossed", "ankle on knee", "stand"), ("upright", "slouch", "lean", "twist"), (*_EASY, "forward", "low"), tempo=1.4),
-    "floor": Action(0.02, ("tailor seat", "floor seat", "huddle"), ("upright", "slouch", "lean"), ("low", "behind", "forward", "folded")),
-    "kneel": Action(0.03, ("kneel", "half kneel", "heel seat", "stand"), ("upright", "lean", "bend"), (*_EASY, "low", "forward", "overhead")),
-    "crawl": Action(0.015, ("kneel", "half kneel"), ("crawl",), ("support", "support", "low")),
-    "lie": Action(0.004, ("supine",), ("supine",), ("hang", "out", "overhead", "any")),
-    "lie prone": Action(0.002, ("prone",), ("prone",), ("hang", "out", "overhead")),
-    "fight": Action(
+    "bend": _Action(0.06, ("stand", "wide", "half squat", "step"), ("bend", "bend", "lean", "upright"), ("low", "forward", "hang", "any")),
+    "squat": _Action(0.05, ("squat", "half squat", "stand", "wide"), ("lean", "bend", "upright"), ("low", "forward", "hang", "out", "to face")),
+    "sit": _Action(0.07, ("sit", "sit", "sit crossed", "ankle on knee", "stand"), ("upright", "slouch", "lean", "twist"), (*_EASY, "forward", "low"), tempo=1.4),
+    "floor": _Action(0.02, ("tailor seat", "floor seat", "huddle"), ("upright", "slouch", "lean"), ("low", "behind", "forward", "folded")),
+    "kneel": _Action(0.03, ("kneel", "half kneel", "heel seat", "stand"), ("upright", "lean", "bend"), (*_EASY, "low", "forward", "overhead")),
+    "crawl": _Action(0.015, ("kneel", "half kneel"), ("crawl",), ("support", "support", "low")),
+    "lie": _Action(0.004, ("supine",), ("supine",), ("hang", "out", "overhead", "any")),
+    "lie prone": _Action(0.002, ("prone",), ("prone",), ("hang", "out", "overhead")),
+    "fight": _Action(
         0.08, ("guard", "guard", "lunge", "front kick", "side kick", "knee up"), ("upright", "twist", "tilt", "lean"),
         ("guard", "guard", "punch", "hang", "across", "low"), tempo=0.7, turn_deg_s=50.0,
     ),
-    "kick": Action(0.03, ("stand", "step", "front kick", "side kick", "back kick", "knee up"), ("upright", "tilt", "arch", "lean"), ("out", "guard", "any", "hang"), tempo=0.7),
-    "dance": Action(
+    "kick": _Action(0.03, ("stand", "step", "front kick", "side kick", "back kick", "knee up"), ("upright", "tilt", "arch", "lean"), ("out", "guard", "any", "hang"), tempo=0.7),
+    "dance": _Action(
         0.10, ("stand", "tiptoe", "passe", "leg out", "back kick", "crossed", "lunge", "wide", "split", "knee up", "half squat"),
         ("upright", "arch", "side", "twist", "tilt"), ("overhead", "out", "across", "hip", "elbows out", "forward", "any"), tempo=0.8, turn_deg_s=90.0,
     ),
-    "jump": Action(
+    "jump": _Action(
         0.05, ("half squat", "flight", "half squat", "split", "stand", "squat"), ("upright", "lean", "arch"),
         ("hang", "overhead", "behind", "forward", "out"), tempo=0.55, turn_deg_s=30.0,
     ),
-    "step": Action(0.04, ("step", "side lunge", "lunge", "crossed", "high step", "half squat"), ("upright", "lean", "twist"), (*_EASY, *_WIDE), tempo=0.8, turn_deg_s=60.0),
-    "loose": Action(0.06, ("loose", "loose", "stand", "flight", "half squat"), ("loose",), ("any",), tempo=0.9, turn_deg_s=50.0),
+    "step": _Action(0.04, ("step", "side lunge", "lunge", "crossed", "high step", "half squat"), ("upright", "lean", "twist"), (*_EASY, *_WIDE), tempo=0.8, turn_deg_s=60.0),
+    "loose": _Action(0.06, ("loose", "loose", "stand", "flight", "half squat"), ("loose",), ("any",), tempo=0.9, turn_deg_s=50.0),
 }  # fmt: skip
 
 
@@ -102,7 +90,7 @@ FLAT, FREE = 1.0, 0.0
 _STAND = ((-4, 8), (1, 9), (-15, 2), (4, 14), (-2, 2), FLAT)
 _STANCE = ((-6, 14), (0, 10), (-15, 5), (4, 30), (-12, 2), FLAT)
 _TIPTOE = ((-4, 8), (1, 8), (-20, 0), (4, 12), (-45, -25), FLAT)
-LEGS = {
+_LEGS = {
     "stand": (_STAND, _STAND),
     "wide": (((-5, 15), (12, 30), (-25, 0), (4, 40), (-3, 3), FLAT),) * 2,
     "tiptoe": (_TIPTOE, _TIPTOE),
@@ -138,7 +126,7 @@ LEGS = {
 
 # Pelvis forward, pelvis to the left, spine flexion, to the left, turn to the left; neck flexion, to the
 # left, turn to the left. Sides are drawn either way.
-TRUNK = {
+_TRUNK = {
     "upright": ((-3, 10), (-3, 3), (-5, 8), (-4, 4), (-8, 8), (-8, 12), (-6, 6), (-25, 25)),
     "slouch": ((-10, 8), (-5, 5), (5, 30), (-8, 8), (-12, 12), (0, 25), (-8, 8), (-30, 30)),
     "lean": ((10, 35), (-5, 5), (0, 25), (-10, 10), (-20, 20), (-20, 10), (-8, 8), (-30, 30)),
@@ -155,7 +143,7 @@ TRUNK = {
 
 # Plane of elevation (0 sideways, 90 forward), elevation from hanging, inward rotation, elbow,
 # pronation, wrist flexion.
-ARMS = {
+_ARMS = {
     "hang": ((0, 90), (3, 20), (-5, 45), (5, 40), (40, 100), (-10, 20)),
     "behind": ((-90, -50), (15, 50), (0, 60), (5, 70), (40, 120), (-20, 20)),
     "forward": ((65, 105), (45, 110), (-20, 70), (3, 60), (20, 110), (-30, 30)),
@@ -191,12 +179,12 @@ _ANGLES = (
 _SOLIDS = (((0.0, -0.15, 0.0), (0.082, 0.20, 0.066)), ((0.0, -0.415, -0.015), (0.05, 0.075, 0.06)))
 
 
-class ArmPoses:
+class _ArmPoses:
     """Collision-free arm postures by name."""
 
     def __init__(self, rng: np.random.Generator, body: Body) -> None:
         self._pools = {}
-        for name, ranges in ARMS.items():
+        for name, ranges in _ARMS.items():
             low, high = np.array(ranges, dtype=float).T
             drawn = low + rng.uniform(0, 1, (_DRAWN, len(_ANGLES))) * (high - low)
             drawn = drawn[_reachable(drawn)]
@@ -262,7 +250,7 @@ CYCLES = {
 }  # fmt: skip
 
 
-def leg_cycle(
+def _leg_cycle(
     name: str,
     phase: Float[np.ndarray, "clips frames"],
     stride: Float[np.ndarray, "clips 1"],
@@ -279,7 +267,7 @@ def leg_cycle(
     return np.stack([thigh * scale + crouch, knee + 2 * crouch, ankle + crouch], -1)
 
 
-def arm_swing(
+def _arm_swing(
     phase: Float[np.ndarray, "clips frames"],
     swing_deg: Float[np.ndarray, "clips 1"],
     elbow_deg: Float[np.ndarray, "clips 1"],
@@ -297,7 +285,7 @@ def arm_swing(
     return np.stack([plane, elevation, rest + 15, elbow, rest + 70, rest], -1)
 
 
-def pelvis_cycle(phase: Float[np.ndarray, "clips frames"]) -> Float[np.ndarray, "clips frames 3"]:
+def _pelvis_cycle(phase: Float[np.ndarray, "clips frames"]) -> Float[np.ndarray, "clips frames 3"]:
     """Return the pelvis's turn to the left, its list to the left and the trunk's turn against it, unit amplitude.
 
     At left foot contact the left side of the pelvis is forward (turned to the right) and the
@@ -319,7 +307,7 @@ def human_motion(
 ) -> Motion:
     """Return the joint angles of ``clips`` clips of a person in the actions of ``mode``."""
     chosen = choose_actions(rng, {name: action.share for name, action in ACTIONS.items()}, clips, mode)
-    arm_poses = ArmPoses(rng, body)
+    arm_poses = _ArmPoses(rng, body)
     frames = len(time_s)
     motion = Motion.empty(clips, frames, len(body.angles))
     for name in sorted(set(chosen)):
@@ -333,7 +321,7 @@ def human_motion(
 
 
 def _act(
-    rng: np.random.Generator, body: Body, action: Action, clips: int, time_s: np.ndarray, arm_poses: ArmPoses
+    rng: np.random.Generator, body: Body, action: _Action, clips: int, time_s: np.ndarray, arm_poses: _ArmPoses
 ) -> Motion:
     moves = _scaled(key_times(rng, clips, time_s[-1] / action.tempo + 0.1), action.tempo)
     keys = moves[0].shape[1]
@@ -368,7 +356,7 @@ def _paths(time_s: np.ndarray, moves: tuple[np.ndarray, np.ndarray], keys: np.nd
     return path.reshape(*path.shape[:2], 2, -1)
 
 
-def _heading_speed(rng: np.random.Generator, action: Action, clips: int, time_s: np.ndarray) -> np.ndarray:
+def _heading_speed(rng: np.random.Generator, action: _Action, clips: int, time_s: np.ndarray) -> np.ndarray:
     steady = rng.normal(0, action.turn_deg_s, (clips, 1))
     return steady * (1 + smooth_noise(rng, time_s, clips, 1, 0.3)[..., 0])
 
@@ -378,7 +366,7 @@ def _draw(rng: np.random.Generator, ranges: np.ndarray) -> np.ndarray:
 
 
 def _trunk_keys(rng: np.random.Generator, names: tuple[str, ...], clips: int, keys: int) -> np.ndarray:
-    ranges = np.array([TRUNK[name] for name in names], dtype=float)
+    ranges = np.array([_TRUNK[name] for name in names], dtype=float)
     drawn = _draw(rng, ranges[rng.integers(len(names), size=(clips, keys))])
     drawn[..., [1, 3, 4, 6, 7]] *= rng.choice([-1, 1], (clips, keys, 1))
     return drawn
@@ -395,7 +383,7 @@ def _leg_names(rng: np.random.Generator, names: tuple[str, ...], clips: int, key
 def _leg_keys(rng: np.random.Generator, names: np.ndarray) -> np.ndarray:
     """Return (clips keys 2 6): thigh, abduction, rotation, knee, foot, flat."""
     kinds, places = np.unique(names, return_inverse=True)
-    ranges = np.array([[[*leg[:5], (leg[5], leg[5])] for leg in LEGS[kind]] for kind in kinds], dtype=float)
+    ranges = np.array([[[*leg[:5], (leg[5], leg[5])] for leg in _LEGS[kind]] for kind in kinds], dtype=float)
     chosen = ranges[places.reshape(names.shape)]
     share = rng.uniform(0, 1, chosen.shape[:-1])
     alike = rng.uniform(0, 1, (*names.shape, 1)) < 0.6
@@ -413,7 +401,7 @@ def _grounded(legs: np.ndarray) -> np.ndarray:
 
 
 def _stepping(
-    rng: np.random.Generator, action: Action, time_s: np.ndarray, trunk: np.ndarray, arms: np.ndarray
+    rng: np.random.Generator, action: _Action, time_s: np.ndarray, trunk: np.ndarray, arms: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Return legs, arms, forward speed (heights/s) and the pelvis's turn (deg) of a step cycle; moves the trunk with it."""
     clips = len(trunk)
@@ -421,7 +409,7 @@ def _stepping(
     phase = rng.uniform(0, 1, (clips, 1)) + rate * time_s + 0.02 * smooth_noise(rng, time_s, clips, 1)[..., 0]
     stride = rng.uniform(0.6, 1.35, (clips, 1))
     crouch = np.where(rng.uniform(size=(clips, 1)) < 0.2, rng.uniform(5, 30, (clips, 1)), 0)
-    sagittal = leg_cycle(action.cycle, phase, stride, crouch)
+    sagittal = _leg_cycle(action.cycle, phase, stride, crouch)
     side = rng.normal([3, -6], [2.5, 5], (clips, 1, 1, 2)) + np.zeros((*phase.shape, 2, 2))
     legs = np.concatenate([sagittal[..., :1], side, sagittal[..., 1:]], -1)
     moving = action.cycle == "run"
@@ -429,8 +417,8 @@ def _stepping(
     elbow = rng.uniform(60, 105, (clips, 1)) if moving else rng.uniform(10, 40, (clips, 1))
     if "swing" in action.arms:
         swings = (rng.uniform(size=(clips, 1)) < (0.85 if len(action.arms) == 1 else 0.4))[..., None, None]
-        arms = np.where(swings, arm_swing(phase, swing * stride, elbow, rng.uniform(3, 18, (clips, 1))), arms)
-    turn, drop, against = np.moveaxis(pelvis_cycle(phase) * stride[..., None], -1, 0)
+        arms = np.where(swings, _arm_swing(phase, swing * stride, elbow, rng.uniform(3, 18, (clips, 1))), arms)
+    turn, drop, against = np.moveaxis(_pelvis_cycle(phase) * stride[..., None], -1, 0)
     trunk[..., 0] += rng.uniform(0, 10, (clips, 1)) if moving else 0
     trunk[..., 1] += 4 * drop
     trunk[..., 3] -= 4 * drop

@@ -21,7 +21,6 @@ from uplift.geometry.silhouette import draw_mask, project
 
 __all__ = [
     "FAMILIES",
-    "Kind",
     "ViewChoice",
     "draw_views",
     "frame_mesh",
@@ -33,10 +32,10 @@ __all__ = [
 
 # Families of made-up shapes: which kinds each draws from, and how often.
 
-Kind = Callable[[np.random.Generator], Mesh]
+_Kind = Callable[[np.random.Generator], Mesh]
 
-_SEATS: dict[Kind, float] = {chair: 5, armchair: 2, sofa: 2, bench: 1.5, stool: 1.5}
-FAMILIES: dict[str, dict[Kind, float]] = {
+_SEATS: dict[_Kind, float] = {chair: 5, armchair: 2, sofa: 2, bench: 1.5, stool: 1.5}
+FAMILIES: dict[str, dict[_Kind, float]] = {
     "furniture": {**_SEATS, table: 3, desk: 1, bed: 1.5, shelf: 1, cabinet: 1.5},
     "vehicles": {car: 6, van: 1.5, pickup: 1.5, bus: 1, lorry: 2, tractor: 1},
     "animals": {animal: 1},

@@ -10,16 +10,7 @@ from jaxtyping import Float
 from uplift.data.synthetic.body import ROOT_ANGLES, Body, find_legs, leg_phases
 from uplift.errors import UserError, did_you_mean
 
-__all__ = [
-    "MOTIONS",
-    "KeyTimes",
-    "Motion",
-    "choose_actions",
-    "minimum_jerk_path",
-    "own_motion",
-    "periodic_curve",
-    "smooth_noise",
-]
+__all__ = ["Motion", "choose_actions", "minimum_jerk_path", "own_motion", "periodic_curve", "smooth_noise"]
 
 # The motion of clips before it meets a camera, and the choice of what each clip shows.
 
@@ -72,11 +63,11 @@ def choose_actions(
 
 # Smooth curves in time: minimum-jerk moves between postures, smooth noise, periodic curves.
 
-KeyTimes = tuple[np.ndarray, np.ndarray]
+_KeyTimes = tuple[np.ndarray, np.ndarray]
 """Start and duration of each move, (clips moves) s."""
 
 
-def key_times(rng: np.random.Generator, clips: int, seconds: float) -> KeyTimes:
+def key_times(rng: np.random.Generator, clips: int, seconds: float) -> _KeyTimes:
     """Return random moves that fill ``seconds``: each clip has its own tempo, moves are followed by holds."""
     tempo = np.exp(rng.normal(np.log(0.9), 0.45, (clips, 1))).clip(0.35, 3.0)
     moves = int(np.ceil(seconds / 0.35)) + 2
@@ -86,7 +77,7 @@ def key_times(rng: np.random.Generator, clips: int, seconds: float) -> KeyTimes:
 
 
 def minimum_jerk_path(
-    time_s: Float[np.ndarray, " frames"], moves: KeyTimes, values: Float[np.ndarray, "clips keys angles"]
+    time_s: Float[np.ndarray, " frames"], moves: _KeyTimes, values: Float[np.ndarray, "clips keys angles"]
 ) -> Float[np.ndarray, "clips frames angles"]:
     """Return the path through ``values`` with a minimum-jerk move from each to the next (Flash & Hogan 1985)."""
     starts, durations = moves
@@ -121,7 +112,7 @@ def periodic_curve(
 
 # Motion of any body: smooth random joint curves within its limits, step cycles where it has legs.
 
-MOTIONS = {"walk": 0.3, "trot": 0.25, "idle": 0.2, "explore": 0.25}
+_MOTIONS = {"walk": 0.3, "trot": 0.25, "idle": 0.2, "explore": 0.25}
 """Motions of a body with legs and gravity, with their shares. Every other body has only ``explore``, a rigid one ``turn``."""
 
 
@@ -137,7 +128,7 @@ def own_motion(
     """Return the joint angles of ``clips`` clips of a body that is not a person."""
     rigid = len(body.angles) == len(ROOT_ANGLES)
     legs = find_legs(body) if gravity and not rigid else []
-    shares = MOTIONS if len(legs) >= 2 else {"turn": 1.0} if rigid else {"explore": 1.0}
+    shares = _MOTIONS if len(legs) >= 2 else {"turn": 1.0} if rigid else {"explore": 1.0}
     motion = Motion.empty(clips, len(time_s), len(body.angles))
     motion.actions = choose_actions(rng, shares, clips, mode)
     reach = np.select([motion.actions == "explore", motion.actions == "idle"], [0.9 if not legs else 0.6, 0.35], 0.4)

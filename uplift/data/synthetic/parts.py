@@ -11,21 +11,7 @@ import trimesh
 
 from uplift.geometry.mesh import Mesh
 
-__all__ = [
-    "Builder",
-    "Part",
-    "Point",
-    "ball",
-    "beam",
-    "block",
-    "lathe",
-    "loft",
-    "oval",
-    "rod",
-    "rounded",
-    "slab",
-    "tube",
-]
+__all__ = ["Builder", "Part", "ball", "beam", "block", "lathe", "loft", "oval", "rod", "rounded", "slab", "tube"]
 
 # Closed parts that made-up shapes are put together of: blocks, beams, rods, slabs, lofts, balls; y is up.
 
@@ -56,7 +42,7 @@ def loft(rings: np.ndarray) -> Part:
     return Part(vertices, faces[:, ::-1] if inwards else faces)
 
 
-def block(low: Point, high: Point) -> Part:
+def block(low: _Point, high: _Point) -> Part:
     """Return a box between two corners."""
     low, high = np.minimum(low, high), np.maximum(low, high)
     return beam(
@@ -66,7 +52,7 @@ def block(low: Point, high: Point) -> Part:
     )
 
 
-def beam(start: Point, end: Point, size: Point, end_size: Point | None = None, across: str = "xz") -> Part:
+def beam(start: _Point, end: _Point, size: _Point, end_size: _Point | None = None, across: str = "xz") -> Part:
     """Return a beam of four sides; its section lies in the two axes ``across``, its sizes are along them."""
     axes = ["xyz".index(axis) for axis in across]
     rings = np.empty((2, 4, 3))
@@ -77,7 +63,7 @@ def beam(start: Point, end: Point, size: Point, end_size: Point | None = None, a
     return loft(rings)
 
 
-def rod(start: Point, end: Point, radius: int | float, end_radius: int | float | None = None, sides: int = 8) -> Part:
+def rod(start: _Point, end: _Point, radius: int | float, end_radius: int | float | None = None, sides: int = 8) -> Part:
     """Return a round rod, or a cone cut off, between two points."""
     return tube(np.array([start, end], float), (radius, radius if end_radius is None else end_radius), sides)
 
@@ -117,7 +103,7 @@ def _blunted(path: np.ndarray, wide: np.ndarray, high: np.ndarray) -> tuple[np.n
     return np.concatenate([start[None], path, end[None]]), wide, high
 
 
-def ball(centre: Point, radii: Point | float, fine: int = 1) -> Part:
+def ball(centre: _Point, radii: _Point | float, fine: int = 1) -> Part:
     """Return an ellipsoid; ``fine`` 1 has 80 faces, 2 has 320."""
     unit = _unit_ball(fine)
     return Part(unit.vertices * np.asarray(radii, float) + np.asarray(centre, float), unit.faces)
@@ -176,7 +162,7 @@ def oval(width: int | float, depth: int | float, corners: int = 24) -> np.ndarra
 
 # How made-up shapes are put together: `Part`, moved and mirrored, and the `Builder` that collects them.
 
-Point = Sequence[int | float] | np.ndarray
+_Point = Sequence[int | float] | np.ndarray
 
 
 class Part(NamedTuple):
@@ -187,7 +173,7 @@ class Part(NamedTuple):
     faces: np.ndarray
     """(faces, 3)"""
 
-    def turned(self, angle: int | float, axis: str = "y", about: Point = (0, 0, 0)) -> Part:
+    def turned(self, angle: int | float, axis: str = "y", about: _Point = (0, 0, 0)) -> Part:
         """Return the part turned by ``angle`` radians about an axis through a point (right-handed)."""
         first, second = {"x": (1, 2), "y": (2, 0), "z": (0, 1)}[axis]
         moved = self.vertices - np.asarray(about, float)

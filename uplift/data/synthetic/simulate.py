@@ -24,32 +24,17 @@ from uplift.data.synthetic.motion import Motion, own_motion
 from uplift.errors import UserError
 from uplift.skeleton import Skeleton
 
-__all__ = [
-    "CENTRE_PX",
-    "FOCAL_PX",
-    "IMAGE_SIZE",
-    "Cameras",
-    "as_tracked",
-    "build_body",
-    "level_feet",
-    "on_floor",
-    "on_stage",
-    "project",
-    "random_cameras",
-    "random_rotations",
-    "rest_pose",
-    "simulate",
-]
+__all__ = ["as_tracked", "build_body", "level_feet", "rest_pose", "simulate"]
 
 # Random perspective cameras and their projection.
 
-FOCAL_PX = 1145.0
-CENTRE_PX = 500.0
-IMAGE_SIZE = (1000, 1000)
+_FOCAL_PX = 1145.0
+_CENTRE_PX = 500.0
+_IMAGE_SIZE = (1000, 1000)
 
 
 @dataclass(frozen=True)
-class Cameras:
+class _Cameras:
     """One camera a clip: the rotation from the world (y along gravity) and what it looks at."""
 
     rotation: Float[np.ndarray, "clips 3 3"]
@@ -61,20 +46,20 @@ class Cameras:
     """Down-tilt; None where there is no gravity."""
 
 
-def random_cameras(
+def _random_cameras(
     rng: np.random.Generator, clips: int, gravity: bool, tilt_deg: tuple[float, float], distance: tuple[float, float]
-) -> Cameras:
+) -> _Cameras:
     """Return cameras of azimuth uniform and down-tilt normal (mean, deviation); uniform on SO(3) without gravity."""
     if gravity:
         tilt = rng.normal(*tilt_deg, clips).clip(-80, 80)
         azimuth = rotation_about((0.0, 1.0, 0.0), rng.uniform(0, 2 * np.pi, clips))
         rotation = rotation_about((1.0, 0.0, 0.0), np.radians(tilt)) @ azimuth
     else:
-        tilt, rotation = None, random_rotations(rng, clips)
-    return Cameras(rotation, rng.uniform(*distance, clips), rng.uniform(-0.06, 0.06, (clips, 2)), tilt)
+        tilt, rotation = None, _random_rotations(rng, clips)
+    return _Cameras(rotation, rng.uniform(*distance, clips), rng.uniform(-0.06, 0.06, (clips, 2)), tilt)
 
 
-def random_rotations(rng: np.random.Generator, count: int) -> Float[np.ndarray, "count 3 3"]:
+def _random_rotations(rng: np.random.Generator, count: int) -> Float[np.ndarray, "count 3 3"]:
     """Return rotations uniform on SO(3), from unit quaternions (Shoemake 1992)."""
     w, x, y, z = (q := rng.normal(size=(4, count))) / np.linalg.norm(q, axis=0)
     rows = [
@@ -85,9 +70,9 @@ def random_rotations(rng: np.random.Generator, count: int) -> Float[np.ndarray, 
     return np.moveaxis(np.array(rows), -1, 0)
 
 
-def project(points: Float[np.ndarray, "*frames 3"]) -> Float[np.ndarray, "*frames 2"]:
+def _project(points: Float[np.ndarray, "*frames 3"]) -> Float[np.ndarray, "*frames 2"]:
     """Return the pixels of points in the camera frame."""
-    return points[..., :2] / points[..., 2:] * FOCAL_PX + CENTRE_PX
+    return points[..., :2] / points[..., 2:] * _FOCAL_PX + _CENTRE_PX
 
 
 # Put posed bodies on the floor of a stage.
@@ -96,7 +81,7 @@ _STAGE = 2.0
 """Body heights that a clip's way over the floor spans at most: the volume of a capture studio."""
 
 
-def on_floor(
+def _on_floor(
     points: Float[np.ndarray, "clips frames points 3"], lift: Float[np.ndarray, "clips frames"]
 ) -> Float[np.ndarray, "clips frames points 3"]:
     """Return the points moved up or down: y of the lowest is ``-lift``, that of the floor 0."""
@@ -104,7 +89,7 @@ def on_floor(
     return points - lowest[..., None, None] * np.array([0.0, 1.0, 0.0])
 
 
-def on_stage(travel: Float[np.ndarray, "clips frames 2"]) -> Float[np.ndarray, "clips frames 2"]:
+def _on_stage(travel: Float[np.ndarray, "clips frames 2"]) -> Float[np.ndarray, "clips frames 2"]:
     """Shrink ways that leave the stage, as on a treadmill."""
     way = np.ptp(travel, axis=1).max(-1)
     return travel * (_STAGE / np.maximum(way, _STAGE))[:, None, None]
@@ -194,7 +179,7 @@ def simulate(
     subject = np.sort(rng.integers(subjects, size=clips)) if subjects else np.arange(clips) // 3
     offsets, height = _random_bodies(rng, body, int(subject.max()) + 1)
     motion = _move(rng, skeleton, body, clips, np.arange(length) / fps, mode)
-    cameras = random_cameras(rng, clips, skeleton.gravity, tilt_deg, distance)
+    cameras = _random_cameras(rng, clips, skeleton.gravity, tilt_deg, distance)
     points = _place(body, offsets[subject], motion, skeleton.gravity)
     joints = np.einsum("jp,ctpk->ctjk", body.joints, points)
     seen = _into_camera(joints, cameras) * height[subject, None, None, None]
@@ -259,14 +244,14 @@ def _place(
     points = forward_kinematics(body, np.repeat(offsets, frames, 0), angles)
     points = points.reshape(clips, frames, *offsets.shape[1:])
     if gravity:
-        points = on_floor(level_feet(body, points), motion.lift)
-        points[..., [0, 2]] += on_stage(motion.travel)[:, :, None]
+        points = _on_floor(level_feet(body, points), motion.lift)
+        points[..., [0, 2]] += _on_stage(motion.travel)[:, :, None]
     middle = (points.min((1, 2)) + points.max((1, 2))) / 2
     return points - middle[:, None, None]
 
 
 def _into_camera(
-    points: Float[np.ndarray, "clips frames joints 3"], cameras: Cameras
+    points: Float[np.ndarray, "clips frames joints 3"], cameras: _Cameras
 ) -> Float[np.ndarray, "clips frames joints 3"]:
     """Return points in the camera frame, the camera far enough away to keep every point in the picture."""
     turned = np.einsum("cij,ctpj->ctpi", cameras.rotation, points)
@@ -279,13 +264,13 @@ def _into_camera(
 
 
 def _pack(
-    rng, skeleton: Skeleton, body: Body, seen: np.ndarray, cameras: Cameras, motion: Motion, subject: np.ndarray,
+    rng, skeleton: Skeleton, body: Body, seen: np.ndarray, cameras: _Cameras, motion: Motion, subject: np.ndarray,
     frames: int, fps: float, noise_px: float, missing: float,
 ) -> PoseData:  # fmt: skip
     clips, length = seen.shape[:2]
     clip = np.repeat(np.arange(clips), length)[:frames]
     flat = seen.reshape(clips * length, *seen.shape[2:])[:frames]
-    keypoints = project(flat) + noise_px * rng.normal(size=(*flat.shape[:2], 2))
+    keypoints = _project(flat) + noise_px * rng.normal(size=(*flat.shape[:2], 2))
     confidence = (rng.uniform(size=flat.shape[:2]) >= missing).astype(np.float32)
     keypoints[confidence == 0] = 0
     root = flat[:, skeleton.root_index]
@@ -304,8 +289,8 @@ def _pack(
             "frame": np.tile(np.arange(length, dtype=np.int32), clips)[:frames],
         },
         fps=float(fps),
-        image_size=IMAGE_SIZE,
-        focal_px=FOCAL_PX,
+        image_size=_IMAGE_SIZE,
+        focal_px=_FOCAL_PX,
         tilt_deg=None if cameras.tilt_deg is None else cameras.tilt_deg[clip].astype(np.float32),
         source=f"simulated {skeleton.name}",
     )

@@ -9,12 +9,12 @@ import numpy as np
 from uplift.data.synthetic.parts import Builder, Part, beam, block, loft, rod
 from uplift.geometry.mesh import Mesh
 
-__all__ = ["add_wheels", "bus", "cabin", "car", "hull", "lorry", "pickup", "tractor", "van"]
+__all__ = ["bus", "car", "lorry", "pickup", "tractor", "van"]
 
 # What made-up vehicles have in common: hull, cabin, wheels.
 
 
-def hull(stations: np.ndarray) -> Part:
+def _hull(stations: np.ndarray) -> Part:
     """Return a body through sections of z, low, high, half width and how much narrower it is at its top."""
     z, low, high, half, inset = np.asarray(stations, float).T
     x = np.stack([half * 0.9, half, half, half * inset], 1)
@@ -26,7 +26,7 @@ def hull(stations: np.ndarray) -> Part:
     return loft(rings)
 
 
-def cabin(
+def _cabin(
     width: int | float,
     ends: tuple[int | float, int | float],
     heights: tuple[int | float, int | float],
@@ -45,7 +45,7 @@ def cabin(
     return loft(np.array(rings))
 
 
-def add_wheels(
+def _add_wheels(
     built: Builder,
     rng: np.random.Generator,
     width: int | float,
@@ -108,8 +108,8 @@ def car(rng: np.random.Generator) -> Mesh:
     rise = body.roof - body.belt
     back_slope = {"hatchback": (0.4, 1.0), "estate": (0.1, 0.6), "suv": (0.1, 0.5)}.get(style, (1.0, 1.9))
     slopes = rise * rng.uniform(0.9, 1.9), min(rise * rng.uniform(*back_slope), (cowl - tail) * 0.45)
-    built.add(cabin(body.width * 0.93, (tail, cowl), (body.belt - 0.06, body.roof), slopes, rng.uniform(0.74, 0.9)))
-    add_wheels(built, rng, body.width, body.wheel, _axles(rng, body))
+    built.add(_cabin(body.width * 0.93, (tail, cowl), (body.belt - 0.06, body.roof), slopes, rng.uniform(0.74, 0.9)))
+    _add_wheels(built, rng, body.width, body.wheel, _axles(rng, body))
     _trim(built, rng, body, cowl, (tail + slopes[1], cowl - slopes[0]))
     return built.mesh(style)
 
@@ -126,11 +126,11 @@ def van(rng: np.random.Generator) -> Mesh:
     rise = body.roof - body.belt
     slopes = min(rise, 1.0) * rng.uniform(0.5, 1.1), rise * rng.uniform(0.02, 0.15)
     built.add(
-        cabin(
+        _cabin(
             body.width * 0.97, (-body.nose + 0.03, cowl), (body.belt - 0.06, body.roof), slopes, rng.uniform(0.82, 0.96)
         )
     )
-    add_wheels(built, rng, body.width, body.wheel, _axles(rng, body))
+    _add_wheels(built, rng, body.width, body.wheel, _axles(rng, body))
     _trim(built, rng, body, cowl, (-body.nose + 0.5, cowl - slopes[0]))
     return built.mesh("van")
 
@@ -151,12 +151,12 @@ def pickup(rng: np.random.Generator) -> Mesh:
     built.add(Part(hood.vertices + shift, hood.faces))
     rise = body.roof - body.belt
     slopes = rise * rng.uniform(0.7, 1.3), rise * rng.uniform(0.05, 0.3)
-    built.add(cabin(body.width * 0.93, (tail, cowl), (body.belt - 0.06, body.roof), slopes, rng.uniform(0.78, 0.9)))
+    built.add(_cabin(body.width * 0.93, (tail, cowl), (body.belt - 0.06, body.roof), slopes, rng.uniform(0.78, 0.9)))
     half, rim = body.width / 2 * 0.97, body.belt - rng.uniform(0.0, 0.15)
     built.add(block((-half, body.floor, -body.nose), (half, bed, tail + 0.05)))
     built.pair(block((half - 0.07, bed - 0.01, -body.nose), (half, rim, tail + 0.05)))
     built.add(block((-half, bed - 0.01, -body.nose), (half, rim, -body.nose + 0.07)))
-    add_wheels(built, rng, body.width, body.wheel, _axles(rng, body))
+    _add_wheels(built, rng, body.width, body.wheel, _axles(rng, body))
     _trim(built, rng, body, cowl, (tail, cowl - slopes[0]))
     return built.mesh("pickup")
 
@@ -174,7 +174,7 @@ def _car_hull(rng: np.random.Generator, body: _Body, cowl: int | float, end: int
     bumper = low + (body.bonnet - low) * rng.uniform(0.55, 0.8)
     ends = rng.uniform(0.78, 0.92)
     inset = rng.uniform(0.84, 0.95)
-    return hull(
+    return _hull(
         np.array([
             (-nose, low + 0.12, low + (end - low) * rng.uniform(0.6, 0.95), half * ends, inset),
             (-nose + 0.15, low + 0.03, end, half * 0.96, inset),
@@ -229,7 +229,7 @@ def bus(rng: np.random.Generator) -> Mesh:
     axles = [nose - rng.uniform(0.14, 0.24) * length, -nose + rng.uniform(0.16, 0.28) * length]
     if length > 11 and rng.random() < 0.5:
         axles.append(axles[1] - 2.3 * wheel)
-    add_wheels(built, rng, width, wheel, tuple(axles), 0.98)
+    _add_wheels(built, rng, width, wheel, tuple(axles), 0.98)
     y = high * rng.uniform(0.5, 0.8)
     built.pair(beam((half * 0.8, y + 0.3, nose - lean), (half + 0.15, y, nose + 0.2), (0.05, 0.05)))
     built.pair(block((half + 0.05, y - 0.35, nose + 0.12), (half + 0.25, y + 0.05, nose + 0.22)))
@@ -262,7 +262,7 @@ def lorry(rng: np.random.Generator) -> Mesh:
         axles.append(rear + 2.25 * wheel)
     if load > 7 and rng.random() < 0.7:
         axles.append(back - wheel)
-    add_wheels(built, rng, width, wheel, tuple(axles), 0.97)
+    _add_wheels(built, rng, width, wheel, tuple(axles), 0.97)
     return built.mesh("lorry")
 
 
@@ -273,7 +273,7 @@ def _cab(built: Builder, rng: np.random.Generator, ends: tuple, size: tuple) -> 
     waist = floor + (high - floor) * rng.uniform(0.35, 0.5)
     built.add(block((-half, floor, back), (half, waist, front)))
     slopes = (high - waist) * rng.uniform(0.05, 0.35), rng.uniform(0.0, 0.08)
-    built.add(cabin(width, (back, front), (waist - 0.02, high), slopes, rng.uniform(0.88, 0.98)))
+    built.add(_cabin(width, (back, front), (waist - 0.02, high), slopes, rng.uniform(0.88, 0.98)))
     if bonnet > 0:
         sizes = (
             (width * 0.9, waist - floor),
@@ -356,7 +356,7 @@ def tractor(rng: np.random.Generator) -> Mesh:
     wide = 2 * track * rng.uniform(0.7, 0.85)
     if rng.random() < 0.7:
         slopes = rng.uniform(0, 0.3), rng.uniform(0, 0.25)
-        built.add(cabin(wide, (rear - 0.4, cowl + 0.15), (floor, top), slopes, rng.uniform(0.85, 1.0)))
+        built.add(_cabin(wide, (rear - 0.4, cowl + 0.15), (floor, top), slopes, rng.uniform(0.85, 1.0)))
         built.add(block((-wide * 0.47, top - 0.05, rear - 0.4), (wide * 0.47, top + 0.1, cowl + 0.1)))
     else:
         for z in (rear - 0.35,) if rng.random() < 0.5 else (rear - 0.35, cowl):
