@@ -8,25 +8,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from bodies import body_arrays, refusal, write_body
-from lifts import H36M, bodies
+from bodies import refusal, write_body
+from lifts import H36M, bodies, labelled_frames, seen_bodies
 
 from uplift.config.loading import load_settings
 from uplift.config.settings import LifterSettings
 from uplift.data.load import load_data
 from uplift.data.poses import PoseData
-from uplift.data.tensors import TrainingSet, frames_of, joined, mean_bones, with_labels
+from uplift.data.tensors import frames_of, joined, mean_bones, with_labels
 from uplift.geometry.camera import build_camera
-
-
-def seen_bodies(**changes) -> PoseData:
-    """Return bodies seen by a known camera, all labelled."""
-    data = replace(bodies(40), focal_px=1145.0, image_size=(1000, 1000), labelled=np.ones(40, bool))
-    return replace(data, tilt_deg=body_arrays(40, film=False)["tilt_deg"], **changes)
-
-
-def labelled_frames(data: PoseData, **settings) -> TrainingSet:
-    return with_labels(frames_of(data, H36M, LifterSettings(**settings)), data)
 
 
 def test_a_label_projects_to_its_keypoints() -> None:

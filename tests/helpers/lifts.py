@@ -14,7 +14,7 @@ from torch import Tensor
 
 from uplift.config.settings import LifterSettings, ViewSettings
 from uplift.data.poses import PoseData
-from uplift.data.tensors import TrainingSet
+from uplift.data.tensors import TrainingSet, frames_of, with_labels
 from uplift.models.lifter import Lifter
 from uplift.models.model import build_lifter
 from uplift.priors.base import Lift
@@ -45,6 +45,16 @@ def bodies(frames: int = 12, seed: int = 0, skeleton: Skeleton = H36M, missing: 
     keypoints = arrays["keypoints"].astype(kind) * (confidence[..., None] > 0)
     pose = arrays["pose"].astype(kind)
     return PoseData(keypoints, confidence, skeleton.joints, pose=pose, root=arrays["root"].astype(kind))
+
+
+def seen_bodies(**changes) -> PoseData:
+    """Return bodies seen by a known camera, all labelled."""
+    data = replace(bodies(40), focal_px=1145.0, image_size=(1000, 1000), labelled=np.ones(40, bool))
+    return replace(data, tilt_deg=body_arrays(40, film=False)["tilt_deg"], **changes)
+
+
+def labelled_frames(data: PoseData, **settings) -> TrainingSet:
+    return with_labels(frames_of(data, H36M, LifterSettings(**settings)), data)
 
 
 def training_set(frames: int = 12, seed: int = 0, skeleton: Skeleton = H36M, **rest) -> TrainingSet:

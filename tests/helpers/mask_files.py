@@ -71,3 +71,12 @@ def coco_file(path: Path, segmentations: list[Any], size: tuple[int, int] = (80,
     }
     path.write_text(json.dumps({**content, **more}))
     return path
+
+
+def photo(height: int = 120, width: int = 160, colours: int = 3, seed: int = 0) -> np.ndarray:
+    """Return a picture of soft shades and grain."""
+    random = np.random.default_rng(seed)
+    rows, columns = np.mgrid[:height, :width]
+    light = 120 + 60 * np.sin(rows / 17) + 50 * np.cos(columns / 23)
+    shades = light[..., None] + np.arange(colours) * 12 + random.normal(0, 4, (height, width, colours))
+    return np.clip(shades, 0, 255).astype(np.uint8).squeeze()

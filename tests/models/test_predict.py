@@ -9,8 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from bodies import body_arrays
-from test_cli import refusal
+from bodies import body_arrays, refusal
 
 from uplift.cli.main import main
 from uplift.config.settings import LifterSettings

@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 import torch
 from bodies import QUICK, body_arrays, status_of, write_body
-from lifts import H36M, lift_of, small_lifter
-from test_data_labels import labelled_frames, seen_bodies
+from lifts import H36M, labelled_frames, lift_of, seen_bodies, small_lifter
 
 import uplift
 from uplift.config.loading import load_settings

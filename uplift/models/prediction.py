@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from jaxtyping import Float, Int
 
+from uplift.data.poses import UNITS
+
 if TYPE_CHECKING:
     from uplift.skeleton import Skeleton
 

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from mask_files import blob, save
+from mask_files import blob, photo, save
 from PIL import Image
 
 from uplift.data.clean_masks import Crop, clean_mask
@@ -16,15 +16,6 @@ from uplift.errors import UserError
 MASK = blob(120, 160, seed=1)
 CROP = clean_mask(MASK)
 GREY = MASK * np.uint8(255)
-
-
-def photo(height: int = 120, width: int = 160, colours: int = 3, seed: int = 0) -> np.ndarray:
-    """Return a picture of soft shades and grain."""
-    random = np.random.default_rng(seed)
-    rows, columns = np.mgrid[:height, :width]
-    light = 120 + 60 * np.sin(rows / 17) + 50 * np.cos(columns / 23)
-    shades = light[..., None] + np.arange(colours) * 12 + random.normal(0, 4, (height, width, colours))
-    return np.clip(shades, 0, 255).astype(np.uint8).squeeze()
 
 
 def overlap(one: np.ndarray, other: np.ndarray) -> float:

@@ -9,8 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from mask_files import blob, coco_file, save
-from test_masks_read_png import photo
+from mask_files import blob, coco_file, photo, save
 
 from uplift.data.formats.masks import FORMATS, read
 from uplift.errors import UserError

@@ -14,7 +14,7 @@ from uplift.data.formats.base import Format, Peek, ReadOptions
 from uplift.data.poses import PoseData
 from uplift.errors import UserError, did_you_mean
 
-__all__ = ["FORMATS", "as_told", "format_named", "guess_format", "read"]
+__all__ = ["FORMAT", "FORMATS", "as_told", "format_named", "guess_format", "read"]
 
 # All formats that keypoints come in, the most telling first: the first that fits a file reads it.
 

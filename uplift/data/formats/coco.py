@@ -16,7 +16,7 @@ from uplift.data.parsers.json import Numbers, is_text, members, objects, shown, 
 from uplift.data.poses import PoseData
 from uplift.errors import UserError
 
-__all__: list[str] = []
+__all__ = ["FORMAT"]
 
 # Images and categories as COCO's annotations hold them.
 
@@ -276,4 +276,4 @@ def _flat(record: dict[str, Any], where: str) -> list[Any]:
     return values
 
 
-_FORMAT = Format("coco", "COCO annotations", _fits, _read)
+FORMAT = Format("coco", "COCO annotations", _fits, _read)

@@ -20,6 +20,7 @@ from uplift.data.poses import IDENTITY_KEYS, PoseData
 from uplift.errors import UserError
 
 __all__ = [
+    "FORMAT",
     "Columns",
     "Identity",
     "as_text",
@@ -542,7 +543,7 @@ def _named(path: Path, names: Sequence[str], options: ReadOptions) -> tuple[Sequ
     return names_for(path, len(names), {}, options) if is_nameless(names) else (names, ())
 
 
-_FORMAT = Format("csv", "plain csv", lambda peek: columns_in(peek) is not None, _read)
+FORMAT = Format("csv", "plain csv", lambda peek: columns_in(peek) is not None, _read)
 
 
 # Write the 2D of a `PoseData` as a plain csv: one row a frame and individual, NAME_x, NAME_y, NAME_confidence.

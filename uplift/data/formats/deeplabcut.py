@@ -24,7 +24,7 @@ from uplift.data.parsers.table import Table, first_lines, header_of
 from uplift.data.poses import PoseData
 from uplift.errors import UserError, did_you_mean
 
-__all__ = ["write_deeplabcut_csv"]
+__all__ = ["FORMAT", "write_deeplabcut_csv"]
 
 # What DeepLabCut's columns mean: a scorer, an individual, a body part and a coordinate each.
 
@@ -376,7 +376,7 @@ def _read(path: Path, options: ReadOptions) -> PoseData:
     return _read_deeplabcut_h5(path) if Peek(path).is_hdf5 else _read_deeplabcut_csv(path)
 
 
-_FORMAT = Format("deeplabcut", "DeepLabCut or Lightning Pose (csv, h5)", _fits, _read)
+FORMAT = Format("deeplabcut", "DeepLabCut or Lightning Pose (csv, h5)", _fits, _read)
 
 
 # Write the 2D of a `PoseData` in DeepLabCut's csv layout: one video, or labelled images.

@@ -17,7 +17,7 @@ from uplift.data.parsers.outlines import window_of_polygons, window_of_runs
 from uplift.data.parsers.pictures import Photos
 from uplift.errors import UserError
 
-__all__: list[str] = []
+__all__ = ["FORMAT"]
 
 # Segmentations as COCO's JSON holds them: what is kept of each annotation, and its mask.
 
@@ -247,4 +247,4 @@ def _key(value: Any) -> str | None:
     return str(value)[:200] if isinstance(value, int | str) and not isinstance(value, bool) else None
 
 
-_FORMAT = MaskFormat("coco", "COCO's JSON with segmentations", _fits, _read)
+FORMAT = MaskFormat("coco", "COCO's JSON with segmentations", _fits, _read)

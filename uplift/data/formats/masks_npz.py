@@ -18,7 +18,7 @@ from uplift.data.parsers.npz import CheckedArrays, read_arrays
 from uplift.errors import UserError
 from uplift.geometry.mesh import Mesh
 
-__all__ = ["read_masks", "write_masks"]
+__all__ = ["FORMAT", "read_masks", "write_masks"]
 
 # Masks and what is known beside them as one npz file, without pickles.
 
@@ -183,4 +183,4 @@ def _read(paths: list[Path], options: MaskOptions) -> MaskData:
     return replace(data, notes=(*data.notes, *notes))
 
 
-_FORMAT = MaskFormat("npz", "uplift's own npz of masks", _fits, _read)
+FORMAT = MaskFormat("npz", "uplift's own npz of masks", _fits, _read)

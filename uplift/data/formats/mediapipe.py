@@ -20,7 +20,7 @@ from uplift.data.parsers.npz import read_arrays
 from uplift.data.poses import PoseData
 from uplift.errors import UserError
 
-__all__: list[str] = []
+__all__ = ["FORMAT"]
 
 # What the files of MediaPipe have in common: the landmarks' names, and coordinates that are shares of the image.
 
@@ -529,4 +529,4 @@ def _read(path: Path, options: ReadOptions) -> PoseData:
     return _read_mediapipe_json(path, options) if peek.json_sign else _read_mediapipe_csv(path, options)
 
 
-_FORMAT = Format("mediapipe", "landmarks of MediaPipe (csv, json, npz)", _fits, _read)
+FORMAT = Format("mediapipe", "landmarks of MediaPipe (csv, json, npz)", _fits, _read)

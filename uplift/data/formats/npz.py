@@ -15,7 +15,16 @@ from uplift.data.parsers.npz import read_arrays
 from uplift.data.poses import IDENTITY_KEYS, UNITS, PoseData, masks_of
 from uplift.errors import UserError
 
-__all__ = ["contents_of", "joint_names_of", "memory_of", "read_npz", "refuse_other_axes", "unit_of", "write_keypoints"]
+__all__ = [
+    "FORMAT",
+    "contents_of",
+    "joint_names_of",
+    "memory_of",
+    "read_npz",
+    "refuse_other_axes",
+    "unit_of",
+    "write_keypoints",
+]
 
 # Read the npz layout of "your own data": keypoints, joint names, and whatever else is known.
 
@@ -165,7 +174,7 @@ def _read(path: Path, options: ReadOptions) -> PoseData:
     return read_npz(path)
 
 
-_FORMAT = Format("npz", "uplift's own npz", _fits, _read)
+FORMAT = Format("npz", "uplift's own npz", _fits, _read)
 
 
 # Write a `PoseData` in the npz layout of "your own data".

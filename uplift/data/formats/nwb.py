@@ -14,7 +14,7 @@ from uplift.data.parsers.hdf5 import Hdf5, check_room, open_hdf5
 from uplift.data.poses import PoseData
 from uplift.errors import UserError
 
-__all__ = ["frame_numbers"]
+__all__ = ["FORMAT", "frame_numbers"]
 
 # The parts of an NWB file that concern poses: which groups, series, nodes and videos there are.
 
@@ -477,4 +477,4 @@ def _fits(peek: Peek) -> bool:
     return {"session_start_time", "identifier"} <= set(peek.hdf5_names)
 
 
-_FORMAT = Format("nwb", "an NWB file with poses (ndx-pose)", _fits, _read)
+FORMAT = Format("nwb", "an NWB file with poses (ndx-pose)", _fits, _read)

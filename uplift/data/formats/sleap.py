@@ -17,7 +17,7 @@ from uplift.data.parsers.hdf5 import Hdf5, check_room, from_json, open_hdf5
 from uplift.data.poses import PoseData
 from uplift.errors import UserError
 
-__all__: list[str] = []
+__all__ = ["FORMAT"]
 
 # What the JSON inside a SLEAP project says: its skeletons, videos and tracks.
 
@@ -365,4 +365,4 @@ def _fits(peek: Peek) -> bool:
     return {"frames", "instances", "metadata"} <= set(peek.hdf5_names)
 
 
-_FORMAT = Format("sleap_slp", "a project of SLEAP", _fits, _read)
+FORMAT = Format("sleap_slp", "a project of SLEAP", _fits, _read)

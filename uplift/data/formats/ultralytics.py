@@ -20,7 +20,7 @@ from uplift.data.parsers.pictures import picture_sizes
 from uplift.data.poses import PoseData
 from uplift.errors import UserError
 
-__all__: list[str] = []
+__all__ = ["FORMAT"]
 
 # What stands around Ultralytics' label files: their folder and data.yaml.
 
@@ -401,4 +401,4 @@ def _identity(
     return identity if layout.track is None else {**identity, "instance": layout.track}
 
 
-_FORMAT = Format("ultralytics", "Ultralytics labels", _fits, _read)
+FORMAT = Format("ultralytics", "Ultralytics labels", _fits, _read)
