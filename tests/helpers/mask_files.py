@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from PIL import Image
 
-__all__ = ["blob", "coco_file", "runs_of", "save", "text_of_counts"]
+__all__ = ["blob", "coco_file", "photo", "runs_of", "save", "text_of_counts"]
 
 
 def blob(height: int = 60, width: int = 80, seed: int = 0, margin: int = 4) -> np.ndarray:

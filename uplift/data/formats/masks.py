@@ -21,7 +21,6 @@ from uplift.data.parsers.pictures import ENDINGS, Picture, PictureError, Place, 
 from uplift.errors import UserError, did_you_mean
 
 __all__ = [
-    "FORMAT",
     "FORMATS",
     "Look",
     "MaskFormat",
