@@ -158,7 +158,10 @@ def test_what_a_step_costs_is_without_what_comes_before_it(
             assert run.config.is_file()
 
     masks = SimpleNamespace(for_training=lambda: None)
-    for name, what in (("shapes.recipe", {"ShapeRecipe": Recipe}), ("masks.load", {"load_masks": lambda _: masks})):
+    for name, what in (
+        ("training.shape_recipe", {"ShapeRecipe": Recipe}),
+        ("data.load_masks", {"load_masks": lambda _: masks}),
+    ):
         module = ModuleType(f"uplift.{name}")
         vars(module).update(what)
         monkeypatch.setitem(sys.modules, f"uplift.{name}", module)
