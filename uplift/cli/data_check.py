@@ -14,8 +14,9 @@ from uplift.config.loading import load_settings
 from uplift.config.settings import DataSettings, Settings
 from uplift.data.datasets import DataSet
 from uplift.data.datasets.base import cached_facts
-from uplift.data.formats.masks import FORMATS, Look, format_named, guess_format
-from uplift.data.formats.masks_npz import read_masks
+from uplift.data.formats import MASK_FORMATS
+from uplift.data.formats.base import Peek
+from uplift.data.formats.masks_npz import read_masks_npz
 from uplift.data.formats.npz import contents_of, memory_of
 from uplift.data.load import find_data, how_to_get, named_set, of_labelled, read_options
 from uplift.data.synthetic.masks import FAMILIES
@@ -37,15 +38,13 @@ def _made_up_masks(data: DataSettings) -> str:
 
 def _masks_there(path: Path, data: DataSettings) -> str:
     """Return in a few words what ``path`` holds; raises UserError where that is no masks."""
-    look = Look([path])
-    if data.format is not None and data.format not in FORMATS:
-        raise UserError(f"data.format={data.format}: no such format of masks.{did_you_mean(data.format, FORMATS)}")
-    found = guess_format(look) if data.format is None else format_named(data.format)
+    peek = Peek(path)
+    found = MASK_FORMATS.guess(peek) if data.format is None else MASK_FORMATS.named(data.format, "data.format")
     if found.name == "npz":
-        masks = read_masks(path)
+        masks = read_masks_npz(path)
         truth = "no" if masks.truth is None else "with"
         return f"{len(masks):,} masks of {masks.side} x {masks.side} px, {truth} true shapes"
-    count = f"{len(look.pictures):,} pictures, " if look.pictures else ""
+    count = f"{len(peek.pictures):,} pictures, " if peek.pictures else ""
     return f"{count}{found.title}; each is looked at when the fit starts"
 
 

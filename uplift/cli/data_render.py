@@ -38,7 +38,7 @@ def render_masks_command(words: Sequence[str]) -> list[str]:
     Raises:
         UserError: a setting or a mesh that is wrong, or an output that is there already.
     """
-    from uplift.data.formats.masks_npz import write_masks
+    from uplift.data.formats.masks_npz import write_masks_npz
 
     sources, keys = _settings(words)
     items, side = _whole(keys, "items", 2000, 1), _whole(keys, "side", 64, 8, 1024)
@@ -49,7 +49,7 @@ def render_masks_command(words: Sequence[str]) -> list[str]:
     shapes, said = _shapes(sources, keys, -(-items // each), seed)
     data = _rendered(shapes, items, seed, side, views, each, keys.get("category"))
     if output.suffix == ".npz":
-        write_masks(data, output)
+        write_masks_npz(data, output)
         wrote = f"wrote {output}: {items:,} masks of {side} x {side} px, with the shapes they show"
     else:
         _write_folder(data, output)
@@ -152,7 +152,7 @@ def _output(keys: dict[str, str]) -> Path:
 def _write_folder(data: MaskData, folder: Path) -> None:
     from PIL import Image
 
-    from uplift.data.formats.masks_npz import write_masks
+    from uplift.data.formats.masks_npz import write_masks_npz
 
     digits = len(str(len(data) - 1))
     kinds = [""] * len(data) if data.category is None else [_plain(str(kind)) for kind in data.category]
@@ -164,7 +164,7 @@ def _write_folder(data: MaskData, folder: Path) -> None:
         (folder / below).mkdir(parents=True, exist_ok=True)
         names.append((below / f"{_plain(re.sub(r':[0-9]+$', '', name))}_{item:0{digits}d}.png").as_posix())
         Image.fromarray(mask).save(folder / names[-1])
-    write_masks(replace(data, names=names), folder / "truth.npz")
+    write_masks_npz(replace(data, names=names), folder / "truth.npz")
 
 
 def _plain(name: str) -> str:

@@ -23,8 +23,8 @@ from uplift.config.loading import load_settings
 from uplift.config.run import RunFolder, lifts_masks
 from uplift.data.clean import clean
 from uplift.data.datasets import DATA_SETS
+from uplift.data.formats import read_masks
 from uplift.data.formats.base import ReadOptions
-from uplift.data.formats.masks import read
 from uplift.data.load import load_file, load_split
 from uplift.data.poses import PoseData
 from uplift.errors import UserError, did_you_mean
@@ -57,7 +57,7 @@ def predict_shapes(
     """Lift the masks of ``input`` with the model of ``run`` and write the shapes to ``output``, if given.
 
     ``input`` is a file or folder of masks in any format that is read, several with commas or a pattern. ``page``
-    and ``options`` are those of `uplift.export.write_shapes` and `uplift.data.formats.masks.read`. The files written, with a word on each, are added to ``written``.
+    and ``options`` are those of `uplift.export.write_shapes` and `uplift.data.formats.read_masks`. The files written, with a word on each, are added to ``written``.
 
     Raises:
         UserError: no such input, no mask that can be used, an output that exists or cannot be written.
@@ -66,7 +66,7 @@ def predict_shapes(
     if output is not None:
         _check_mesh_output(output, page, options)
     model = load(run)
-    data = read(input, **{"side": _side_of(run), **reading})
+    data = read_masks(input, **{"side": _side_of(run), **reading})
     title = Path(str(input).split(",")[0]).stem
     prediction = model.predict(data.without_truth(), title=title)
     notes = tuple(note for note in data.notes if note not in prediction.notes)
