@@ -23,7 +23,6 @@ from uplift.data.masks import MaskData
 from uplift.data.tensors import TrainingSet
 from uplift.metrics.protocols import PROTOCOLS
 from uplift.priors import PRIORS
-from uplift.priors.shape_base import SHAPE_PRIORS
 from uplift.skeleton import load_skeleton
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -77,7 +76,6 @@ LINKS = [
         *(f"{name}" for name in shipped_names("tasks")),
         *shipped_names("skeletons"),
         *PRIORS,
-        *SHAPE_PRIORS,
         *PROTOCOLS,
     ],
 )
@@ -161,7 +159,7 @@ def _check_fit_word(word: str) -> None:
     elif key not in ("resume", "seed"):
         put_override({}, word)
     path = key.split(".")
-    known = PRIORS | SHAPE_PRIORS
+    known = PRIORS
     if path[0] == "priors" and path[1] in known and path[2] not in ("use", "weight", "if_possible"):
         allowed = options_of(find_class(path[1], known, ""))
         assert allowed is None or path[2] in allowed

@@ -77,7 +77,7 @@ def test_a_fit_goes_on_in_its_second_stage(
     interrupt(folder, 2, step, *STAGES, loaded=many())
     assert {path.name for path in folder.glob("checkpoints/*")} == {"shapes.ckpt", "split_1.ckpt"}
     kept = torch.load(folder / "checkpoints/split_1.ckpt", weights_only=True)["state_dict"]
-    assert float(kept["explained.weight"].sum()) == pytest.approx(1, abs=1e-5)
+    assert float(kept["statistics.weight"].sum()) == pytest.approx(1, abs=1e-5)
     taken = noted(monkeypatch)
     assert same(trained(folder, *STAGES, loaded=many()), staged[2])
     assert [(shapes, at) for shapes, at, _ in taken] == [
