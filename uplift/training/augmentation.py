@@ -13,7 +13,7 @@ from uplift.config.settings import StudentSettings
 from uplift.data.clean import MIN_VISIBLE, joint_neighbours
 from uplift.geometry.camera import Camera
 from uplift.geometry.normalise import mirror, renormalise
-from uplift.geometry.rotation import about_y, least_rotation, random_rotations, turn
+from uplift.geometry.rotation import about_y, least_rotation, nearest_rotation, random_rotations, turn
 from uplift.skeleton import Skeleton
 from uplift.training.base import Rows
 from uplift.training.pseudo_labels import PseudoPoses
@@ -132,16 +132,8 @@ def _body_frames(ways: Float[Tensor, "frames ways 3"]) -> Float[Tensor, "frames 
     sample = ways[:: max(1, len(ways) // _TEMPLATE_FRAMES)]
     template = sample[0]
     for _ in range(3):
-        template = (_fit(sample, template).mT @ sample.mT).mean(0).T
-    return _fit(ways, template)
-
-
-def _fit(ways: Tensor, template: Tensor) -> Tensor:
-    """Return the proper rotations R for which ``template @ R.T`` is nearest to ``ways``."""
-    left, _, right = torch.linalg.svd(ways.mT @ template)
-    proper = torch.linalg.det(left @ right)
-    left = torch.cat([left[..., :2], left[..., 2:] * proper[:, None, None]], -1)
-    return left @ right
+        template = (nearest_rotation(sample.mT @ template).mT @ sample.mT).mean(0).T
+    return nearest_rotation(ways.mT @ template)
 
 
 # Turned views of poses for a student: mixed, mirrored, seen from anywhere, partly hidden, noisy.

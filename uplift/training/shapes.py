@@ -139,7 +139,7 @@ class MixtureTraining(LifterTraining):
 
     Once in ``every`` steps all masks are explained by the shapes as they are (`Explained`); in between the
     shapes learn to explain those masks better, each step from a few views. With ``hot`` the temperature of
-    the likelihood falls from ``shape.hot`` to ``shape.cold`` (deterministic annealing): views are held
+    the likelihood falls from ``shape.temperature_start`` to ``shape.temperature_end`` (deterministic annealing): views are held
     to be unsure while the shapes are. Otherwise it is cold, and azimuths are as balanced as they were.
     """
 
@@ -180,8 +180,8 @@ class MixtureTraining(LifterTraining):
     @property
     def temperature(self) -> float:
         """Of the likelihood, at this step."""
-        shape = self.lifter.settings
-        return temperature_at(self.done, shape.hot, shape.cold) if self.hot else shape.cold
+        start, end = self.lifter.settings.temperature_start, self.lifter.settings.temperature_end
+        return temperature_at(self.done, start, end) if self.hot else end
 
     def objective(self) -> tuple[Tensor, dict[str, float | Tensor]]:
         """Return the loss from a few random views and the numbers to log."""

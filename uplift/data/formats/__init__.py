@@ -12,7 +12,7 @@ import numpy as np
 
 from uplift.data.formats.base import Format, Peek, ReadOptions
 from uplift.data.poses import PoseData
-from uplift.errors import UserError, did_you_mean
+from uplift.errors import UserError, nearest
 
 __all__ = ["FORMAT", "FORMATS", "as_told", "format_named", "guess_format", "read"]
 
@@ -120,7 +120,7 @@ def guess_format(path: str | Path) -> Format:
 
 def _named(path: Path, name: str) -> Format:
     if name not in FORMATS:
-        raise UserError(f"format={name}: no such format.{did_you_mean(name, FORMATS)} Known: {', '.join(FORMATS)}.")
+        raise UserError(f"format={name}: no such format.{nearest(name, FORMATS)} Known: {', '.join(FORMATS)}.")
     Peek(path)
     return format_named(name)
 

@@ -18,7 +18,7 @@ from uplift.data.clean_masks import MaskOptions, clean
 from uplift.data.formats.base import Peek
 from uplift.data.masks import Found, MaskData, Skipped
 from uplift.data.parsers.pictures import ENDINGS, Picture, PictureError, Place, open_picture, pictures_of
-from uplift.errors import UserError, did_you_mean
+from uplift.errors import UserError, did_you_mean, nearest
 
 __all__ = [
     "FORMATS",
@@ -329,5 +329,5 @@ def _no_format(look: Look) -> UserError:
 
 def _named(name: str) -> MaskFormat:
     if name not in FORMATS:
-        raise UserError(f"format={name}: no such format.{did_you_mean(name, FORMATS)} Known: {', '.join(FORMATS)}.")
+        raise UserError(f"format={name}: no such format.{nearest(name, FORMATS)} Known: {', '.join(FORMATS)}.")
     return format_named(name)
