@@ -59,7 +59,7 @@ def data() -> MaskData:
 
 
 def test_shapes_come_to_explain_the_masks(data: MaskData) -> None:
-    module = training(data, small(hot=0.05, cold=0.05))
+    module = training(data, small(temperature_start=0.05, temperature_end=0.05))
     before = module.lifter.logits.detach().clone()
     logged = run(module, 25)
     assert np.mean([row["energy"] for row in logged[-5:]]) < 0.9 * logged[0]["energy"]
@@ -117,7 +117,7 @@ def test_all_masks_are_explained_once_in_many_steps(
         update(explained, mixture, masks, temperature)
 
     monkeypatch.setattr(EStepStatistics, "update", counting)
-    settings = small(hot=0.1, cold=0.03)
+    settings = small(temperature_start=0.1, temperature_end=0.03)
     module = training(data, settings, hot=hot, batch_size=4)
     module.lifter.azimuth_bias[:, 3] += 1
     module.lifter.azimuth_bias -= module.lifter.azimuth_bias.mean()

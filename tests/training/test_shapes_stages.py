@@ -112,7 +112,7 @@ def test_only_what_nothing_is_known_of_is_hot(
     staged: tuple[Path, ShapeRecipe, ShapeModel], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     taken = noted(monkeypatch)
-    words = (*STAGES, "trainer.max_steps=3", "shape.hot=0.2", "shape.cold=0.03")
+    words = (*STAGES, "trainer.max_steps=3", "shape.temperature_start=0.2", "shape.temperature_end=0.03")
     more = trained(tmp_path / "more", *words, f"init={staged[0] / 'lifter.pt'}", loaded=many())
     assert not same(more, staged[2])
     assert taken == [(4, step, 0.03) for step in range(3)]

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from uplift.config.files import data_root, files_of
-from uplift.config.loading import load_settings
+from uplift.config.loading import load_settings, split_words
 from uplift.config.settings import DataSettings, Settings
 from uplift.data.datasets import DataSet
 from uplift.data.datasets.base import cached_facts
@@ -59,11 +59,10 @@ def check_data(words: Sequence[str]) -> tuple[list[str], bool]:
     Raises:
         UserError: no such task, set, option or split; no data named.
     """
-    tasks = [word.partition("=")[2] for word in words if word.partition("=")[0] == "task"]
-    overrides = [word for word in words if word.partition("=")[0] != "task"]
-    if tasks and not tasks[-1]:
+    task = split_words(words)[1].get("task")
+    if task == "":
         raise UserError("data check: 'task=' names nothing. Expected task=NAME.")
-    settings = load_settings(tasks[-1] if tasks else None, overrides)
+    settings = load_settings(task, [word for word in words if word.partition("=")[0] != "task"])
     report = _Report(settings)
     if settings.data.simulate:
         report.simulated(settings)

@@ -11,7 +11,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from uplift.cli.parsing import keyed, one_of, whole
+from uplift.cli.parsing import check_keys, one_of, whole
+from uplift.config.loading import split_words
 from uplift.errors import UserError, did_you_mean
 
 if TYPE_CHECKING:
@@ -58,8 +59,8 @@ def render_masks_command(words: Sequence[str]) -> list[str]:
 
 
 def _settings(words: Sequence[str]) -> tuple[list[str], dict[str, str]]:
-    sources = [word for word in words if "=" not in word or Path(word).exists()]
-    keys = keyed(_VERB, [word for word in words if word not in sources], RENDER_KEYS)
+    sources, keys = split_words(words, RENDER_KEYS)
+    check_keys(_VERB, keys, RENDER_KEYS)
     if not sources or "output" not in keys:
         from uplift.data.synthetic.masks import FAMILIES
 

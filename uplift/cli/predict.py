@@ -20,7 +20,7 @@ from uplift.cli.parsing import (
     whole,
 )
 from uplift.config.loading import load_settings
-from uplift.config.run import RunFolder, lifts_masks
+from uplift.config.run import Weights, read_weights
 from uplift.data.clean import clean
 from uplift.data.datasets import DATA_SETS
 from uplift.data.formats import read_masks
@@ -33,7 +33,7 @@ from uplift.export.gallery import check_options
 from uplift.export.scene import AXES, in_axes
 from uplift.metrics.pose_metrics import bone_cv, bone_lengths, never_seen_so_long
 from uplift.models.metric_scale import size_from
-from uplift.models.model import load, load_poses
+from uplift.models.model import load
 from uplift.models.prediction import Prediction, ShapePrediction
 from uplift.skeleton import Skeleton
 
@@ -46,7 +46,7 @@ _OF_MESHES = ("axes", "unit", "height_mm", "length_mm", "smooth", "together")
 
 
 def predict_shapes(
-    run: str | Path,
+    run: str | Path | Weights,
     input: str | Path,
     output: str | Path | None = None,
     *,
@@ -65,8 +65,9 @@ def predict_shapes(
     reading = {key: options.pop(key) for key in _READING if key in options}
     if output is not None:
         _check_mesh_output(output, page, options)
-    model = load(run)
-    data = read_masks(input, **{"side": _side_of(run), **reading})
+    weights = run if isinstance(run, Weights) else read_weights(run)
+    model, trained = load(weights), weights.settings()
+    data = read_masks(input, **{**({"side": trained.data.side} if trained else {}), **reading})
     title = Path(str(input).split(",")[0]).stem
     prediction = model.predict(data.without_truth(), title=title)
     notes = tuple(note for note in data.notes if note not in prediction.notes)
@@ -78,7 +79,7 @@ def predict_shapes(
     return prediction
 
 
-def _predict_shapes_lines(keys: dict[str, str]) -> list[str]:
+def _predict_shapes_lines(weights: Weights, keys: dict[str, str]) -> list[str]:
     """Lift what the words of the command name, write it, and return what to say of it."""
     verb = "predict"
     options: dict[str, Any] = {key: keys[key] for key in ("axes", "unit") if key in keys}
@@ -88,9 +89,7 @@ def _predict_shapes_lines(keys: dict[str, str]) -> list[str]:
         options["together"] = one_of(verb, keys, "together", ("true", "false"), "true") == "true"
     options |= {key: keys[key] for key in _READING if key in keys and key != "most"}
     written: dict[Path, str] = {}
-    found = predict_shapes(
-        keys["run"], keys["input"], keys["output"], page=keys.get("page"), written=written, **options
-    )
+    found = predict_shapes(weights, keys["input"], keys["output"], page=keys.get("page"), written=written, **options)
     return _shape_summary(found, written)
 
 
@@ -110,16 +109,6 @@ def _check_mesh_output(output: str | Path, page: str | None, options: Mapping[st
         raise UserError(f"{output} exists already and is not overwritten: remove it or choose another name.")
     if not Path(output).absolute().parent.is_dir():
         raise UserError(f"output={output}: no folder {Path(output).absolute().parent}. Create it first.")
-
-
-def _side_of(run: str | Path) -> int:
-    """Return the pixels along a crop that the run was trained with; the default where only its weights are there."""
-    path = Path(run)
-    if path.is_file():
-        path = path.parent
-        if not (path / "config.yaml").is_file():
-            return 64
-    return RunFolder.open(path).settings().data.side
 
 
 def _shape_summary(found: ShapePrediction, written: Mapping[Path, str]) -> list[str]:
@@ -142,7 +131,7 @@ def _shape_summary(found: ShapePrediction, written: Mapping[Path, str]) -> list[
 
 
 def predict(
-    run: str | Path,
+    run: str | Path | Weights,
     input: str | Path,
     output: str | Path | None = None,
     *overrides: str,
@@ -169,17 +158,20 @@ def predict(
         UserError: no such run or input, joints that do not fit the model's skeleton, an output that
             exists already or has an unknown ending.
     """
-    if lifts_masks(run):
+    weights = run if isinstance(run, Weights) else read_weights(run)
+    if weights.lifts == "masks":
         if overrides or not refine or constant_bones or reading is not None:
-            raise UserError(f"{run} lifts masks: overrides, refine, constant_bones and reading go with keypoints.")
+            raise UserError(
+                f"{weights.run} lifts masks: overrides, refine, constant_bones and reading go with keypoints."
+            )
 
         told = {**options, **(size or {}), **({} if axes is None else {"axes": axes})}
-        return predict_shapes(run, input, output, page=page, written=written, **told)
+        return predict_shapes(weights, input, output, page=page, written=written, **told)
     if axes is not None and axes not in AXES:
         raise UserError(f"axes={axes}: no such axes.{did_you_mean(axes, AXES)}")
     if output is not None:
         _check_output(output, page, options)
-    model = load_poses(run)
+    model = load(weights)
     known = size_from(model.skeleton, **(size or {}))
     data = _read(input, overrides, model.skeleton, reading)
     clean(data, model.skeleton)  # refuses a file with nothing to lift, before any work
@@ -237,10 +229,10 @@ def _read(
 def predict_command(words: Sequence[str]) -> None:
     """Lift what the words name, write it, and say what was done."""
     keys = keyed("predict", words, PREDICT_KEYS, ("run", "input", "output"), open_below=("data.options.",))
-    masks = lifts_masks(keys["run"])
-    _refuse_others(keys, masks)
-    if masks:
-        print("\n".join(_predict_shapes_lines(keys)))
+    weights = read_weights(keys["run"])
+    _refuse_others(keys, weights.lifts == "masks")
+    if weights.lifts == "masks":
+        print("\n".join(_predict_shapes_lines(weights, keys)))
         return
     of_page: dict[str, Any] = {"images": keys["images"]} if "images" in keys else {}
     of_page |= {key: whole("predict", keys, key) for key in ("frames", "seed") if key in keys}
@@ -249,7 +241,7 @@ def predict_command(words: Sequence[str]) -> None:
         size["bone"] = tuple(name.strip() for name in keys["bone"].split(","))  # type: ignore[assignment]
     written: dict[Path, str] = {}
     found = predict(
-        keys["run"],
+        weights,
         keys["input"],
         keys["output"],
         *(f"{key}={value}" for key, value in keys.items() if key.startswith("data.")),

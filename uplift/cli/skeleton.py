@@ -7,7 +7,9 @@ from pathlib import Path
 
 import numpy as np
 
+from uplift.cli.parsing import check_keys
 from uplift.config.files import shipped, shipped_names
+from uplift.config.loading import split_words
 from uplift.data.clean import MIN_VISIBLE, clean
 from uplift.data.formats import read
 from uplift.data.formats.base import ReadOptions
@@ -29,8 +31,7 @@ def check_skeleton_file(words: list[str]) -> list[str]:
     """Validate a skeleton, draw it, and return what to say."""
     from uplift.skeleton.draw import draw_skeleton
 
-    names = [word for word in words if "=" not in word]
-    keyed = dict(word.split("=", 1) for word in words if "=" in word)
+    names, keyed = split_words(words)
     if len(names) != 1 or set(keyed) - {"output"}:
         wrong = next(iter(set(keyed) - {"output"}), "")
         hint = did_you_mean(wrong, ["output"]) if wrong else ""
@@ -79,17 +80,8 @@ def new_skeleton_file(words: list[str]) -> list[str]:
 
 def _keyed_words(verb: str, words: list[str], known: tuple[str, ...]) -> tuple[list[str], dict[str, str]]:
     """Return the plain words and the ``key=value`` words; raises UserError for keys that are not ``known``."""
-    names, keyed = [], {}
-    for word in words:
-        key, equals, value = word.partition("=")
-        if not equals or (key not in known and Path(word).exists()):
-            names.append(word)
-        elif key not in known:
-            raise UserError(f"skeleton {verb}: '{word}' is not one of its settings.{did_you_mean(key, known)}")
-        elif not value:
-            raise UserError(f"skeleton {verb}: '{key}=' has no value.")
-        else:
-            keyed[key] = value
+    names, keyed = split_words(words, known)
+    check_keys(f"skeleton {verb}", keyed, known)
     return names, keyed
 
 

@@ -12,7 +12,7 @@ from skimage.measure import label
 
 from uplift.config.settings import MAX_SIDE, MIN_SIDE
 from uplift.data.masks import FILL, Found, MaskData, Skipped
-from uplift.errors import UserError, did_you_mean
+from uplift.errors import UserError, nearest
 
 __all__ = ["MENDED", "REASONS", "CleanOptions", "Crop", "MaskOptions", "clean", "clean_mask", "covered", "resample"]
 
@@ -37,7 +37,7 @@ class CleanOptions:
         for name, valid in (("border", ("skip", "keep")), ("pieces", ("skip", "largest"))):
             value = getattr(self, name)
             if value not in valid:
-                raise UserError(f"{name}={value}: expected {' or '.join(valid)}.{did_you_mean(value, valid)}")
+                raise UserError(f"{name}={value}: expected {' or '.join(valid)}.{nearest(value, valid)}")
 
 
 @dataclass(frozen=True)

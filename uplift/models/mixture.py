@@ -352,9 +352,9 @@ def _first_shapes(parts: int, resolution: int) -> Tensor:
     return torch.stack(shapes)
 
 
-def temperature_at(done: float, hot: float, cold: float) -> float:
-    """Return the temperature after a share ``done`` of the stage: it falls to ``cold`` over four fifths of it."""
-    return hot * math.exp(math.log(cold / hot) * min(1.0, done / 0.8))
+def temperature_at(done: float, start: float, end: float) -> float:
+    """Return the temperature after a share ``done`` of the stage: it falls to ``end`` over four fifths of it."""
+    return start * math.exp(math.log(end / start) * min(1.0, done / 0.8))
 
 
 # Finer mixtures: every shape becomes several that begin nearly alike and grow apart.

@@ -13,7 +13,7 @@ from uplift.config.settings import StudentSettings
 from uplift.data.clean import MIN_VISIBLE, joint_neighbours
 from uplift.geometry.camera import Camera
 from uplift.geometry.normalise import mirror, renormalise
-from uplift.geometry.rotation import about_y, least_rotation, random_rotations, turn
+from uplift.geometry.rotation import about_y, least_rotation, nearest_rotation, random_rotations, turn
 from uplift.models.lifter import Lifted
 from uplift.skeleton import Skeleton
 from uplift.training.pseudo_labels import PseudoPoses
@@ -133,16 +133,8 @@ def _body_frames(directions: Float[Tensor, "frames bones 3"]) -> Float[Tensor, "
     sample = directions[:: max(1, len(directions) // _TEMPLATE_FRAMES)]
     template = sample[0]
     for _ in range(3):
-        template = (_fit(sample, template).mT @ sample.mT).mean(0).T
-    return _fit(directions, template)
-
-
-def _fit(directions: Tensor, template: Tensor) -> Tensor:
-    """Return the proper rotations R for which ``template @ R.T`` is nearest to ``directions``."""
-    left, _, right = torch.linalg.svd(directions.mT @ template)
-    proper = torch.linalg.det(left @ right)
-    left = torch.cat([left[..., :2], left[..., 2:] * proper[:, None, None]], -1)
-    return left @ right
+        template = (nearest_rotation(sample.mT @ template).mT @ sample.mT).mean(0).T
+    return nearest_rotation(directions.mT @ template)
 
 
 # Augmented views of poses and how well a lifter does on them.

@@ -143,8 +143,9 @@ class MixtureTraining(LifterTraining[ShapeMixture, MaskSet]):
 
     Once in ``every`` steps the expectation step runs over all masks (`EStepStatistics`); in between, the
     shapes learn to explain those masks better, each step from a few views. With ``hot`` the temperature of
-    the likelihood falls from ``shape.hot`` to ``shape.cold`` (deterministic annealing): views stay uncertain
-    while the shapes are. Otherwise it is ``shape.cold``, and azimuths keep their balance.
+    the likelihood falls from ``shape.temperature_start`` to ``shape.temperature_end`` (deterministic annealing):
+    views stay uncertain while the shapes are. Otherwise it is ``shape.temperature_end``, and azimuths keep their
+    balance.
     """
 
     settings: TeacherSettings
@@ -181,8 +182,8 @@ class MixtureTraining(LifterTraining[ShapeMixture, MaskSet]):
     @property
     def temperature(self) -> float:
         """Of the likelihood, at this step."""
-        shape = self.lifter.settings
-        return temperature_at(self.done, shape.hot, shape.cold) if self.hot else shape.cold
+        start, end = self.lifter.settings.temperature_start, self.lifter.settings.temperature_end
+        return temperature_at(self.done, start, end) if self.hot else end
 
     def objective(self) -> tuple[Tensor, dict[str, float | Tensor]]:
         """Return the loss from a few random views and its terms."""

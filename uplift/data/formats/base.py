@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any, Generic, TypeVar
 
 from uplift.data.parsers.json import is_json
-from uplift.errors import UserError, did_you_mean
+from uplift.errors import UserError, nearest
 
 __all__ = ["Format", "Formats", "Peek", "ReadOptions", "size_of"]
 
@@ -62,7 +62,7 @@ class Formats(Mapping[str, Format[Options, Data]]):
     def named(self, name: str, where: str = "format") -> Format[Options, Data]:
         """Return the format that a user names in the option ``where``; raises UserError for an unknown name."""
         if name not in self:
-            raise UserError(f"{where}={name}: no such format.{did_you_mean(name, self)} Known: {', '.join(self)}.")
+            raise UserError(f"{where}={name}: no such format.{nearest(name, self)} Known: {', '.join(self)}.")
         return self[name]
 
     def guess(self, peek: Peek | str | Path) -> Format[Options, Data]:
