@@ -16,7 +16,7 @@ from uplift.config.run import read_weights
 from uplift.data.masks import MaskData, Placed
 from uplift.data.tensors import as_tensor, mask_set
 from uplift.errors import UserError
-from uplift.geometry.mesh import fill
+from uplift.geometry.voxels import fill
 from uplift.models.model import ShapeModel
 from uplift.models.shape_lifter import LiftedShapes, choose_level
 

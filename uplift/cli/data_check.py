@@ -19,7 +19,6 @@ from uplift.data.formats.base import Peek
 from uplift.data.formats.masks_npz import read_masks_npz
 from uplift.data.formats.npz import contents_of, memory_of
 from uplift.data.load import find_data, how_to_get, named_set, of_labelled, read_options
-from uplift.data.synthetic.masks import FAMILIES
 from uplift.errors import UserError, did_you_mean
 from uplift.skeleton import Skeleton, load_skeleton
 from uplift.skeleton.match import build_joints
@@ -31,6 +30,8 @@ __all__ = ["check_data"]
 
 def _made_up_masks(data: DataSettings) -> str:
     """Return what a fit makes up; raises UserError for no such family."""
+    from uplift.data.synthetic.masks import FAMILIES
+
     if data.family not in FAMILIES:
         raise UserError(f"data.family={data.family}: no such family of shapes.{did_you_mean(data.family, FAMILIES)}")
     return f"{data.simulate:,} masks of made-up {data.family}"

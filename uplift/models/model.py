@@ -20,7 +20,8 @@ from uplift.data.masks import MaskData
 from uplift.data.poses import PoseData, codes_of
 from uplift.data.tensors import TrainingSet, as_seen, as_tensor, frames_of, intrinsics_of
 from uplift.errors import UserError
-from uplift.geometry.camera import build_camera, place_roots
+from uplift.geometry.camera import build_camera
+from uplift.geometry.lens import place_roots
 from uplift.geometry.rotation import gravity_of, least_rotation, real_tilt, turn
 from uplift.models.lifter import Lifted, Lifter
 from uplift.models.metric_scale import CameraHeight, Size, mm_by_camera_height, mm_per_unit, size_of_skeleton

@@ -13,7 +13,7 @@ import numpy as np
 from uplift.data.datasets.base import WantedFile
 from uplift.data.parsers.pickles import load_object_npz, load_pickle
 from uplift.errors import UserError, did_you_mean
-from uplift.geometry.camera import Lens
+from uplift.geometry.lens import Lens
 from uplift.geometry.rigid import quaternion_matrix
 
 __all__ = [
