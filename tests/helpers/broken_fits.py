@@ -17,11 +17,11 @@ from pathlib import Path
 from typing import Any
 
 import torch
+from bodies import last_words
 
 import uplift.cli.fit
 import uplift.cli.report  # noqa: F401
 from uplift.cli.main import main
-from uplift.config import files as torch_file
 from uplift.training import callbacks as progress
 
 SMALL_DISK_BYTES = 20_000
@@ -47,7 +47,7 @@ def fill_disk() -> None:
 
 
 def kill_while_saving() -> None:
-    whole = torch_file.torch.save
+    whole = torch.save
 
     def half(state: Any, file: Any) -> None:
         whole(state, file)
@@ -55,7 +55,7 @@ def kill_while_saving() -> None:
         file.flush()
         kill()
 
-    torch_file.torch.save = half
+    torch.save = half
 
 
 EVENTS = {f.__name__: f for f in (kill, interrupt, terminate, fill_disk, kill_while_saving)}
@@ -74,7 +74,7 @@ def run(scenario: dict[str, Any]) -> None:
             EVENTS[scenario["event"]]()
 
     progress.MetricsFile.on_train_batch_end = rows_then_event
-    os._exit(main(scenario["words"]))
+    os._exit(main(last_words(*scenario["words"])))
 
 
 if __name__ == "__main__":
