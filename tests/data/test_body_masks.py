@@ -16,7 +16,7 @@ from masked_bodies import WHOLE, masked
 from uplift.data.concat import join_data
 from uplift.data.formats.npz import read_npz, write_keypoints
 from uplift.data.poses import mask_maps
-from uplift.data.tensors import TrainingSet, joined
+from uplift.data.tensors import TrainingSet
 from uplift.errors import UserError
 from uplift.geometry.normalise import Intrinsics
 from uplift.priors.mask import into_crop, sample_field, segment_distances, signed_distances, soft_gap, unit_of
@@ -86,12 +86,12 @@ def test_masks_go_where_their_frames_go(tmp_path: Path):
 
 def test_training_sets_with_and_without_masks_are_joined():
     one, other = TrainingSet.of(WHOLE, H36M), TrainingSet.of(replace(WHOLE, masks=None, mask_box=None), H36M)
-    both = joined(other, one)
+    both = TrainingSet.concat([other, one])
     assert both.masks is not None and both.mask_map is not None and one.mask_map is not None
     assert both.masks.dtype == torch.uint8
     assert both.mask_map[:24].isnan().all() and torch.equal(both.mask_map[24:], one.mask_map)
     with pytest.raises(UserError, match="px a side"):
-        joined(one, TrainingSet.of(masked(bodies(2), 16), H36M))
+        TrainingSet.concat([one, TrainingSet.of(masked(bodies(2), 16), H36M)])
 
 
 @pytest.mark.parametrize("kind", [bool, np.uint8])

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float, Int, Shaped, UInt8
 
+from uplift.data.samples import TRUTH, Samples
 from uplift.errors import UserError
 from uplift.geometry.lens import Lens
 
@@ -41,7 +42,7 @@ def _runs_of(codes: np.ndarray) -> Iterator[tuple[int, slice | np.ndarray]]:
 
 
 @dataclass
-class PoseData:
+class PoseData(Samples):
     """Frames of 2D keypoints; poses where they are known.
 
     Missing joints have confidence 0 and keypoint 0 once `uplift.data.clean.clean` has run; a
@@ -49,38 +50,38 @@ class PoseData:
     from 2D alone.
     """
 
-    keypoints: np.ndarray
-    """(frames joints 2) float32, pixels, x right, y down."""
-    confidence: np.ndarray
-    """(frames joints) float32, 0..1, 0 = missing."""
+    keypoints: Float[np.ndarray, "frames joints 2"]
+    """float32, pixels, x right, y down."""
+    confidence: Float[np.ndarray, "frames joints"]
+    """float32, 0..1, 0 = missing."""
     joint_names: tuple[str, ...]
-    pose: np.ndarray | None = None
-    """(frames joints 3), camera frame, relative to the root joint, in `unit`."""
-    root: np.ndarray | None = None
-    """(frames 3), the root joint in the camera frame, in `unit`."""
+    pose: Float[np.ndarray, "frames joints 3"] | None = field(default=None, metadata=TRUTH)
+    """Camera frame, relative to the root joint, in `unit`."""
+    root: Float[np.ndarray, "frames 3"] | None = field(default=None, metadata=TRUTH)
+    """The root joint in the camera frame, in `unit`."""
     unit: str = "mm"
-    identity: dict[str, np.ndarray] = field(default_factory=dict)
-    """Any of `IDENTITY_KEYS`, (frames,) each; one sequence seen by one camera is a clip."""
+    identity: dict[str, Shaped[np.ndarray, " frames"]] = field(default_factory=dict)
+    """Any of `IDENTITY_KEYS`; one sequence seen by one camera is a clip."""
     fps: float | None = None
     image_size: tuple[int, int] | None = None
     focal_px: float | None = None
-    tilt_deg: np.ndarray | None = None
-    """(frames,), down-tilt of the camera: gravity is (0, cos, sin) in the camera frame."""
-    root_filled: np.ndarray | None = None
-    """(frames,) bool: the root was missing; its keypoint is the mean of its neighbours, its confidence 0."""
-    labelled: np.ndarray | None = None
-    """(frames,) bool: frames whose pose training may learn from; None: no frame's."""
-    masks: np.ndarray | None = None
-    """(frames side side) uint8, square crops of the image: 0 outside the body, 255 inside; row 0 is the top."""
-    mask_box: np.ndarray | None = None
-    """(frames 3) float32, x0, y0, side of each crop, px in the image; NaN = frame without a mask."""
+    tilt_deg: Float[np.ndarray, " frames"] | None = field(default=None, metadata=TRUTH)
+    """Down-tilt of the camera: gravity is (0, cos, sin) in the camera frame."""
+    root_filled: Bool[np.ndarray, " frames"] | None = None
+    """The root was missing; its keypoint is the mean of its neighbours, its confidence 0."""
+    labelled: Bool[np.ndarray, " frames"] | None = field(default=None, metadata=TRUTH)
+    """Frames whose pose training may learn from; None: no frame's."""
+    masks: UInt8[np.ndarray, "frames side side"] | None = None
+    """Square crops of the image: 0 outside the body, 255 inside; row 0 is the top."""
+    mask_box: Float[np.ndarray, "frames 3"] | None = None
+    """float32, x0, y0, side of each crop, px in the image; NaN = frame without a mask."""
     stills: bool = False
     """Frames of a sequence do not follow one another as those of a film do: each is a clip of its own."""
     source: str = ""
     lenses: tuple[Lens, ...] = ()
     """The cameras, where more is known of them than `focal_px` and `image_size`."""
-    lens: np.ndarray | None = None
-    """(frames,) integers: which of `lenses` saw the frame; None without lenses."""
+    lens: Int[np.ndarray, " frames"] | None = None
+    """Which of `lenses` saw the frame; None without lenses."""
     bones: tuple[tuple[str, str], ...] = ()
     """Lines between joints, by name, where the file has them; training goes by the skeleton's."""
     mirror: tuple[tuple[str, str], ...] = ()
@@ -90,37 +91,12 @@ class PoseData:
 
     def __post_init__(self) -> None:
         self.joint_names = tuple(str(name) for name in self.joint_names)
-        frames, joints = self.keypoints.shape[:2]
-        expected: dict[str, tuple[int, ...]] = {
-            "keypoints": (frames, joints, 2), "confidence": (frames, joints), "pose": (frames, joints, 3), "root": (frames, 3),
-            **dict.fromkeys(("tilt_deg", "root_filled", "lens", "labelled"), (frames,)),
-        }  # fmt: skip
-        for name, shape in expected.items():
-            value = getattr(self, name)
-            if value is not None and value.shape != shape:
-                raise UserError(f"{self._where()}'{name}' has shape {value.shape}, expected {shape}.")
-        _check_masks(self.source or "the data", self.masks, self.mask_box, frames)
-        if len(self.joint_names) != joints:
-            raise UserError(f"{self._where()}{len(self.joint_names)} joint names for {joints} joints in 'keypoints'.")
-        for name, value in self.identity.items():
-            if value.shape != (frames,):
-                raise UserError(f"{self._where()}'{name}' has shape {value.shape}, expected {(frames,)}.")
-
-    def _where(self) -> str:
-        return f"{self.source}: " if self.source else ""
-
-    def __len__(self) -> int:
-        return len(self.keypoints)
-
-    def select(self, rows: np.ndarray | slice) -> PoseData:
-        """Return the frames that ``rows`` (a mask or indices) picks, everything else unchanged."""
-        found = {item.name: getattr(self, item.name) for item in fields(self)}
-        changed = {name: value[rows] for name, value in found.items() if isinstance(value, np.ndarray)}
-        return replace(self, **changed, identity={key: value[rows] for key, value in self.identity.items()})
-
-    def without_truth(self) -> PoseData:
-        """Return the same frames with everything that came from 3D taken out."""
-        return replace(self, pose=None, root=None, tilt_deg=None, labelled=None)
+        _check_masks(self.source or "the data", self.masks, self.mask_box, len(self))
+        wrong = self.misfit()
+        if not wrong and len(self.joint_names) != self.keypoints.shape[1]:
+            wrong = f"{len(self.joint_names)} joint names for {self.keypoints.shape[1]} joints in 'keypoints'"
+        if wrong:
+            raise UserError(f"{self.source}: {wrong}." if self.source else f"{wrong}.")
 
     @property
     def centre_px(self) -> tuple[float, float] | None:
