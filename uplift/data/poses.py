@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
@@ -16,7 +16,17 @@ from uplift.geometry.lens import Lens
 if TYPE_CHECKING:
     from uplift.geometry.normalise import Intrinsics
 
-__all__ = ["IDENTITY_KEYS", "UNITS", "PoseData", "codes_of", "joined_masks", "mask_maps", "masks_of"]
+__all__ = [
+    "IDENTITY_KEYS",
+    "UNITS",
+    "PoseData",
+    "clips_of",
+    "codes_of",
+    "joined_masks",
+    "mask_maps",
+    "masks_of",
+    "previous_frames",
+]
 
 # The one container of 2D keypoints and what is known beside them.
 
@@ -157,30 +167,64 @@ class PoseData(Samples):
         """
         if "sequence" not in self.identity or self.stills:
             return np.arange(len(self), dtype=np.int64)
-        keys = [self.identity[k] for k in ("subject", "sequence", "camera", "instance") if k in self.identity]
-        clip = np.zeros(len(self), np.int64)
-        for key in keys:
-            _, code = codes_of(key)
-            _, clip = codes_of(clip * (code.max(initial=0) + 1) + code)
-        return clip
+        return clips_of(self.identity)
 
-    def follows(self) -> np.ndarray:
-        """Return (frames,) bool: the frame is the next of its clip after the one before it in the file.
+    def previous(self) -> Int[np.ndarray, " frames"]:
+        """Return the row of the frame before each in its clip, -1 without one (see `previous_frames`)."""
+        return previous_frames(self.clips(), self.identity.get("frame"))
 
-        The step between neighbours is the most common one of the file; a larger one is a gap.
-        Without ``frame`` numbers the rows of a clip are taken as neighbours in time.
-        """
-        clip = self.clips()
-        same = np.zeros(len(self), bool)
-        same[1:] = clip[1:] == clip[:-1]
-        if "frame" not in self.identity or not same.any():
-            return same
-        step = np.zeros(len(self))
-        step[1:] = np.diff(self.identity["frame"].astype(np.float64))
-        steps, count = np.unique(step[same & (step > 0)], return_counts=True)
-        if not len(steps):
-            return np.zeros(len(self), bool)
-        return same & (step > 0) & (step <= 1.01 * steps[count.argmax()])
+    def follows(self) -> Bool[np.ndarray, " frames"]:
+        """Return whether each frame is the next of its clip after the one before it in the file."""
+        previous = self.previous()
+        return (previous >= 0) & (previous == np.arange(len(self)) - 1)
+
+
+# Which frames belong together, and which follows which.
+
+
+def clips_of(identity: Mapping[str, np.ndarray]) -> Int[np.ndarray, " frames"]:
+    """Return clip numbers from 0 without gaps: one for all frames of one subject, sequence, camera and instance."""
+    keys = [identity[key] for key in ("subject", "sequence", "camera", "instance") if key in identity]
+    clip = np.zeros(len(keys[0]), np.int64)
+    for key in keys:
+        _, code = codes_of(key)
+        _, clip = codes_of(clip * (code.max(initial=0) + 1) + code)
+    return clip
+
+
+def previous_frames(
+    clip: Int[np.ndarray, " frames"], frame: Shaped[np.ndarray, " frames"] | None = None
+) -> Int[np.ndarray, " frames"]:
+    """Return the row of the frame before each in its clip, -1 without one.
+
+    The step of a clip is the most common difference of its ``frame`` numbers; a larger one is a gap, and nothing
+    comes before the frame after it. Without ``frame`` numbers the rows of a clip are neighbours in time.
+    """
+    time = np.arange(len(clip), dtype=np.float64) if frame is None else frame.astype(np.float64)
+    order = np.lexsort((time, clip))
+    before, after = order[:-1], order[1:]
+    step = np.where(clip[before] == clip[after], time[after] - time[before], 0)
+    follows = step > 0
+    if frame is not None and follows.any():
+        follows &= step <= 1.01 * _usual_steps(clip[after], step)
+    previous = np.full(len(clip), -1, np.int64)
+    previous[after[follows]] = before[follows]
+    return previous
+
+
+def _usual_steps(clip: np.ndarray, step: np.ndarray) -> np.ndarray:
+    """Return, for each pair of frames, the most common step of its clip, the smallest of several.
+
+    That of the file, where no step of the clip occurs twice: two frames alone do not tell a step from a gap.
+    """
+    steps, code = np.unique(step, return_inverse=True)
+    pairs, count = np.unique(clip[step > 0] * len(steps) + code[step > 0], return_counts=True)
+    clips, which = np.divmod(pairs, len(steps))
+    order = np.lexsort((-which, count, clips))  # the last of each clip is its most common
+    usual = np.full(int(clip.max()) + 1, steps[np.bincount(which, count).argmax()])
+    several = order[count[order] > 1]
+    usual[clips[several]] = steps[which[several]]
+    return usual[clip]
 
 
 # Masks of the bodies beside their keypoints: crops of the same images, and the way from a keypoint into its crop.
