@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from lifts import H36M, bodies
 from masked_bodies import WHOLE, masked
 
-from uplift.data.concat import join_data
+from uplift.data.concat import concat_poses
 from uplift.data.formats.npz import read_npz, write_keypoints
 from uplift.data.poses import mask_maps
 from uplift.data.tensors import TrainingSet
@@ -76,12 +76,12 @@ def test_masks_go_where_their_frames_go(tmp_path: Path):
     assert some.masks is not None and some.mask_box is not None
     assert np.array_equal(some.masks, WHOLE.masks[rows]) and np.array_equal(some.mask_box, WHOLE.mask_box[rows])
     none = replace(WHOLE, masks=None, mask_box=None)
-    both = join_data([none, some])
+    both = concat_poses([none, some])
     assert both.masks is not None and both.mask_box is not None
     assert not both.masks[:24].any() and np.isnan(both.mask_box[:24]).all()
     assert np.array_equal(both.masks[24:], some.masks)
     with pytest.raises(UserError, match="16 and 32 px a side"):
-        join_data([WHOLE, masked(bodies(2), 16)])
+        concat_poses([WHOLE, masked(bodies(2), 16)])
 
 
 def test_training_sets_with_and_without_masks_are_joined():

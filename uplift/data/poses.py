@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
@@ -22,7 +22,6 @@ __all__ = [
     "PoseData",
     "clips_of",
     "codes_of",
-    "joined_masks",
     "mask_maps",
     "masks_of",
     "previous_frames",
@@ -283,25 +282,6 @@ def _check_masks(where: str, masks: Any, box: Any, frames: int) -> None:
 def _masked_frames(masks: np.ndarray, box: np.ndarray) -> np.ndarray:
     """Return (frames,) bool: the frame has a place for its mask, and something in it."""
     return np.isfinite(box).all(1) & (box[:, 2] > 0) & (masks > 127).any((1, 2))
-
-
-def joined_masks(parts: Sequence[PoseData]) -> dict[str, np.ndarray | None]:
-    """Return the masks and boxes of all parts, one after the other; empty masks for a part without any.
-
-    Raises:
-        UserError: crops of different sides.
-    """
-    sides = {part.masks.shape[1] for part in parts if part.masks is not None}
-    if not sides:
-        return {"masks": None, "mask_box": None}
-    if len(sides) > 1:
-        raise UserError(f"masks of {' and '.join(map(str, sorted(sides)))} px a side; files must agree to be joined.")
-    (side,) = sides
-    masks, boxes = [], []
-    for part in parts:
-        masks.append(np.zeros((len(part), side, side), np.uint8) if part.masks is None else part.masks)
-        boxes.append(np.full((len(part), 3), np.nan, np.float32) if part.mask_box is None else part.mask_box)
-    return {"masks": np.concatenate(masks), "mask_box": np.concatenate(boxes)}
 
 
 def mask_maps(
