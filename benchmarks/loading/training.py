@@ -37,7 +37,7 @@ def train(folder: str | Path) -> dict[str, Any]:
     skeleton = load_skeleton(settings.skeleton)
     loaded = load_data(settings, skeleton)
     whole = training_frames(loaded, skeleton, settings)
-    small = whole.part(torch.arange(min(SMALL, len(whole))))
+    small = whole.select(torch.arange(min(SMALL, len(whole))))
     found: dict[str, Any] = {"threads": 1, "frames": len(whole), "small_frames": len(small)}
     found["teacher"] = _compare(_teacher(settings, whole), _teacher(settings, small))
     poses = [_poses(settings, frames) for frames in (whole, small)]

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from benchmarks.accuracy.work import CellFailed
-from uplift.data.concat import join
+from uplift.data.concat import concat_masks
 from uplift.data.formats.masks_npz import write_masks_npz
 from uplift.data.masks import MaskData
 from uplift.data.parsers.meshes import MeshOptions, read_meshes
@@ -58,7 +58,8 @@ def animal_masks(folder: Path | None = None, sizes: Sizes | None = None) -> dict
     folder.mkdir(parents=True, exist_ok=True)
     if not found["train"].is_file():
         made_up = simulate_masks("animals", sizes.made_up, seed=_MADE_UP_SEED)
-        write_masks_npz(join([made_up, posed_animals(known, sizes.poses, sizes.views, _TRAIN_SEED)]), found["train"])
+        both = [made_up, posed_animals(known, sizes.poses, sizes.views, _TRAIN_SEED)]
+        write_masks_npz(concat_masks(both), found["train"])
     if not found["test"].is_file():
         write_masks_npz(posed_animals(other, sizes.test_poses, 1, _TEST_SEED), found["test"])
     return found

@@ -61,7 +61,7 @@ def test_a_fit_leaves_what_a_fit_of_keypoints_leaves(trained: Path) -> None:
     assert found["overall"]["best_floor_volume_iou"] > 0
     report = (trained / "report.md").read_text()
     for part in (
-        "train: 20 masks from made-up chairs", "test: 2 masks from made-up chairs, other shapes",
+        "train: 20 masks from simulated chairs", "test: 2 masks from simulated chairs, other shapes",
         "Learned from masks alone: no shape, view or category of the data was looked at.",
         "shapes stand upright; cameras look down by 25 degrees", "guess: 0 s of training", "| volume_iou |",
     ):  # fmt: skip
@@ -77,7 +77,7 @@ def test_what_a_fit_prints(lifter: list, capsys) -> None:
     text = capsys.readouterr().out
     for part in (
         "uplift fit: masks_demo, masks, seed 1\n", "a stand-in", "trained for 0 s", "Learned from masks alone",
-        "made-up chairs, other shapes: 2 shapes", "hull", "best", "next: uplift evaluate run=runs/masks_demo/last",
+        "simulated chairs, other shapes: 2 shapes", "hull", "best", "next: uplift evaluate run=runs/masks_demo/last",
         "uplift predict run=runs/masks_demo/last input=MASKS output=shapes.html",
     ):  # fmt: skip
         assert part in text or part == "best"

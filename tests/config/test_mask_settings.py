@@ -54,7 +54,7 @@ def masks(here: Path) -> Path:
         (("data.family=char",), "Did you mean 'chairs'?"),
         (("data.most=10",), "data.most goes with files of masks"),
         (("data.select.subjects=S1",), "it goes with keypoints. Choose by categories, fraction."),
-        (("data.select.categories=lamp",), "no mask of category 'lamp'"),
+        (("data.select.categories=lamp",), "no mask with category 'lamp'"),
         (("data.hold_out.fraction=0.1",), "data.hold_out are both set"),
         (("data.labelled.only=true",), "data.labelled.only is on"),
         (("data.labelled.fraction=0.01",), "less than one"),

@@ -13,10 +13,10 @@ from hypothesis import strategies as st
 from lifts import H36M, bodies
 from masked_bodies import WHOLE, masked
 
-from uplift.data.concat import join_data
+from uplift.data.concat import concat_poses
 from uplift.data.formats.npz import read_npz, write_keypoints
 from uplift.data.poses import mask_maps
-from uplift.data.tensors import TrainingSet, joined
+from uplift.data.tensors import TrainingSet
 from uplift.errors import UserError
 from uplift.geometry.normalise import Intrinsics
 from uplift.priors.mask import into_crop, sample_field, segment_distances, signed_distances, soft_gap, unit_of
@@ -76,22 +76,22 @@ def test_masks_go_where_their_frames_go(tmp_path: Path):
     assert some.masks is not None and some.mask_box is not None
     assert np.array_equal(some.masks, WHOLE.masks[rows]) and np.array_equal(some.mask_box, WHOLE.mask_box[rows])
     none = replace(WHOLE, masks=None, mask_box=None)
-    both = join_data([none, some])
+    both = concat_poses([none, some])
     assert both.masks is not None and both.mask_box is not None
     assert not both.masks[:24].any() and np.isnan(both.mask_box[:24]).all()
     assert np.array_equal(both.masks[24:], some.masks)
     with pytest.raises(UserError, match="16 and 32 px a side"):
-        join_data([WHOLE, masked(bodies(2), 16)])
+        concat_poses([WHOLE, masked(bodies(2), 16)])
 
 
 def test_training_sets_with_and_without_masks_are_joined():
     one, other = TrainingSet.of(WHOLE, H36M), TrainingSet.of(replace(WHOLE, masks=None, mask_box=None), H36M)
-    both = joined(other, one)
+    both = TrainingSet.concat([other, one])
     assert both.masks is not None and both.mask_map is not None and one.mask_map is not None
     assert both.masks.dtype == torch.uint8
     assert both.mask_map[:24].isnan().all() and torch.equal(both.mask_map[24:], one.mask_map)
     with pytest.raises(UserError, match="px a side"):
-        joined(one, TrainingSet.of(masked(bodies(2), 16), H36M))
+        TrainingSet.concat([one, TrainingSet.of(masked(bodies(2), 16), H36M)])
 
 
 @pytest.mark.parametrize("kind", [bool, np.uint8])

@@ -10,7 +10,7 @@ import pytest
 from bodies import body_arrays
 
 from uplift.config.files import absolute, files_of
-from uplift.data.concat import join_data
+from uplift.data.concat import concat_poses
 from uplift.data.load import load_file
 from uplift.data.poses import PoseData
 from uplift.errors import UserError
@@ -23,7 +23,7 @@ def part(source: str, frames: int = 4, **more) -> PoseData:
 
 
 def test_files_without_names_are_sequences_named_as_they_are():
-    both = join_data([part("x/one.csv"), part("x/two.csv", 3)])
+    both = concat_poses([part("x/one.csv"), part("x/two.csv", 3)])
     assert both.identity["sequence"].tolist() == ["one"] * 4 + ["two"] * 3
     assert len(np.unique(both.clips())) == 2
     assert both.source == "2 files, one.csv to two.csv"
@@ -31,23 +31,23 @@ def test_files_without_names_are_sequences_named_as_they_are():
 
 def test_a_name_that_two_files_share_is_told_apart():
     same = {"sequence": np.array(["walk"] * 4), "frame": np.arange(4)}
-    both = join_data([part("a/v.csv", identity=dict(same)), part("b/v.csv", identity=dict(same))])
+    both = concat_poses([part("a/v.csv", identity=dict(same)), part("b/v.csv", identity=dict(same))])
     assert len(np.unique(both.clips())) == 2
     assert both.follows().sum() == 6
 
 
 def test_keys_that_only_one_has_are_blank_for_the_other():
-    both = join_data([part("a.csv", identity={"instance": np.array(["x"] * 4)}), part("b.csv")])
+    both = concat_poses([part("a.csv", identity={"instance": np.array(["x"] * 4)}), part("b.csv")])
     assert both.identity["instance"].tolist() == ["x"] * 4 + [""] * 4
 
 
 def test_photos_make_no_clips():
     photos = [part(f"{name}.json", identity={"image": np.array(["p.jpg"] * 4)}) for name in "ab"]
-    assert "sequence" not in join_data(photos).identity
+    assert "sequence" not in concat_poses(photos).identity
 
 
 def test_what_differs_is_left_out_and_said():
-    both = join_data([part("a.csv", fps=30.0, focal_px=900.0), part("b.csv", fps=25.0, focal_px=900.0)])
+    both = concat_poses([part("a.csv", fps=30.0, focal_px=900.0), part("b.csv", fps=25.0, focal_px=900.0)])
     assert both.fps is None and both.focal_px == 900
     assert both.notes == ("fps is not the same in all 2 files and is not used",)
 
@@ -55,20 +55,20 @@ def test_what_differs_is_left_out_and_said():
 def test_poses_of_other_units_are_not_joined():
     pose = np.zeros((4, 3, 3), np.float32)
     with pytest.raises(UserError, match="mm and px"):
-        join_data([part("a.npz", pose=pose), part("b.npz", pose=pose, unit="px")])
-    half = join_data([part("a.npz", pose=pose), part("b.npz")])
+        concat_poses([part("a.npz", pose=pose), part("b.npz", pose=pose, unit="px")])
+    half = concat_poses([part("a.npz", pose=pose), part("b.npz")])
     assert np.isnan(half.pose[4:]).all() and (half.pose[:4] == 0).all()
 
 
 def test_notes_that_differ_in_numbers_are_told_once():
     notes = [("read as csv", "3 of 7 are weak"), ("read as csv", "5 of 70 are weak"), ("read as csv",)]
-    joined = join_data([part(f"{n}.csv", notes=told) for n, told in enumerate(notes)])
+    joined = concat_poses([part(f"{n}.csv", notes=told) for n, told in enumerate(notes)])
     assert joined.notes == ("read as csv", "3 of 7 are weak (the like in 2 of 3 files)")
 
 
 def test_one_file_is_itself():
     one = part("a.csv")
-    assert join_data([one]) is one
+    assert concat_poses([one]) is one
 
 
 def test_paths(here: Path):

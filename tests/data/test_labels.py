@@ -15,7 +15,7 @@ from uplift.config.loading import load_settings
 from uplift.config.settings import LifterSettings
 from uplift.data.load import load_data
 from uplift.data.poses import PoseData
-from uplift.data.tensors import frames_of, joined, mean_bones, with_labels
+from uplift.data.tensors import TrainingSet, frames_of, mean_bones, with_labels
 from uplift.geometry.camera import build_camera
 
 
@@ -66,13 +66,13 @@ def test_joined_keeps_both_and_mixes_no_clips() -> None:
     plain = replace(bodies(10), identity={"sequence": np.repeat(["a", "b"], 5)})
     one = frames_of(plain, H36M, LifterSettings())
     other = labelled_frames(seen_bodies())
-    both = joined(one, other)
+    both = TrainingSet.concat([one, other])
     assert len(both) == 50
     assert both.labelled.tolist() == [False] * 10 + [True] * 40
     assert not set(both.clip[:10].tolist()) & set(both.clip[10:].tolist())
     torch.testing.assert_close(both.rotation[:10], torch.eye(3).expand(10, 3, 3))
     torch.testing.assert_close(both.rotation[10:], other.rotation)
-    torch.testing.assert_close(both.part(both.labelled).labels, other.labels)
+    torch.testing.assert_close(both.select(both.labelled).labels, other.labels)
 
 
 def chosen(here: Path, *words: str, task: str | None = None) -> PoseData:

@@ -17,7 +17,7 @@ from uplift.config.settings import Settings
 from uplift.data.formats.masks_npz import write_masks_npz
 from uplift.data.load_masks import LoadedMasks, known_shapes, load_masks, truth_of_labelled, views_of
 from uplift.data.masks import MaskData
-from uplift.data.select import chosen_masks
+from uplift.data.select import chosen_rows
 from uplift.data.synthetic.masks import simulate_masks
 from uplift.errors import UserError
 
@@ -57,8 +57,8 @@ def test_made_up_masks_are_the_same_for_the_same_seed_and_the_test_shows_other_s
     assert len(set(one.train.truth.shape.tolist())) == 30  # one view of each
     corners = {mesh.vertices.tobytes() for mesh in one.train.truth.meshes}
     assert not corners & {mesh.vertices.tobytes() for mesh in one.test.truth.meshes}
-    assert one.notes[0] == "train: 30 masks from made-up chairs"
-    assert one.notes[-1] == "test: 3 masks from made-up chairs, other shapes"
+    assert one.notes[0] == "train: 30 masks from simulated chairs"
+    assert one.notes[-1] == "test: 3 masks from simulated chairs, other shapes"
 
 
 @given(mean=st.floats(-60, 85), sd=st.floats(0, 30), distance=st.floats(2, 50))
@@ -87,19 +87,19 @@ def test_a_fraction_takes_all_views_of_a_shape_or_none_and_grows(fraction: float
     assert data.truth is not None
     if round(fraction * 8) == 0:
         with pytest.raises(UserError, match="less than one"):
-            chosen_masks(data, {"fraction": fraction}, seed)
+            chosen_rows(data, {"fraction": fraction}, seed)
         return
-    rows = chosen_masks(data, {"fraction": fraction}, seed)
+    rows = chosen_rows(data, {"fraction": fraction}, seed)
     taken = set(data.truth.shape[rows].tolist())
     assert len(taken) == round(fraction * 8)
     np.testing.assert_array_equal(rows, np.isin(data.truth.shape, list(taken)))
-    more = chosen_masks(data, {"fraction": min(1.0, fraction + 0.3)}, seed)
+    more = chosen_rows(data, {"fraction": min(1.0, fraction + 0.3)}, seed)
     assert (more | ~rows).all()
 
 
 def test_without_known_shapes_each_mask_is_one() -> None:
     data = several(24, 3).without_truth()
-    assert chosen_masks(data, {"fraction": 0.25}).sum() == 6
+    assert chosen_rows(data, {"fraction": 0.25}).sum() == 6
 
 
 def test_choice_and_hold_out_by_category() -> None:
@@ -194,8 +194,8 @@ def test_files_of_a_task_lie_beside_it(tmp_path: Path, monkeypatch: pytest.Monke
 @pytest.mark.parametrize(
     ("words", "says"),
     [
-        (("data.train=seats.npz", "data.select.categories=sofaa"), "no mask of category 'sofaa'"),
-        (("data.train=flat.npz", "data.select.categories=sofa"), "the masks have none"),
+        (("data.train=seats.npz", "data.select.categories=sofaa"), "no mask with category 'sofaa'"),
+        (("data.train=flat.npz", "data.select.categories=sofa"), "the file has no 'category'"),
         (("data.train=flat.npz", "data.labelled.fraction=1"), "holds no true shapes to learn from"),
         (("data.train=seats.npz", "data.labelled.file=flat.npz"), "holds no true shapes to learn from"),
         (("data.train=seats.npz", "data.labelled.file=gone.npz"), "No file"),

@@ -6,6 +6,7 @@ import errno
 import zipfile
 from pathlib import Path
 
+import jaxtyping
 import numpy as np
 import pytest
 from writers_samples import figure, prediction
@@ -128,8 +129,9 @@ def test_a_link_is_followed(tmp_path: Path) -> None:
     "change",
     [{"confidence": np.ones((3, 2))}, {"unit": "cm"}, {"tilt_deg": np.ones(4)}, {"identity": {"frame": np.ones(9)}}],
 )
-def test_prediction_refuses_what_does_not_fit(change: dict) -> None:
+def test_prediction_refuses_what_does_not_fit(change: dict, monkeypatch: pytest.MonkeyPatch) -> None:
     good = prediction(frames=3)
+    monkeypatch.setattr(jaxtyping.config, "jaxtyping_disable", True)  # what a user runs has no checks of annotations
     with pytest.raises(ValueError, match="prediction"):
         Prediction(**{**vars(good), **change})
 

@@ -15,7 +15,7 @@ from uplift.errors import UserError
 from uplift.metrics import pose_metrics as metrics
 from uplift.metrics.evaluate import evaluate, flat_depth
 from uplift.metrics.protocols import PROTOCOLS
-from uplift.metrics.scores import GivenPoses, previous_frames
+from uplift.metrics.scores import GivenPoses, previous_rows
 from uplift.skeleton import Skeleton, load_skeleton
 
 SHIPPED = load_skeleton(Path(__file__).parents[2] / "skeletons" / "h36m17.yaml")
@@ -59,7 +59,7 @@ def test_overall_is_what_the_single_protocols_say():
     given = guess(truth, tilt_deg=np.full(90, 2.0))
     pose, target = given.pose, truth.pose.astype(float)
     scaled = pose * ((pose * target).sum((1, 2)) / (pose**2).sum((1, 2)))[:, None, None]
-    previous = previous_frames(truth.identity)
+    previous = previous_rows(truth.identity)
     expected = {
         "mpjpe_gt_scale": metrics.mpjpe_gt_scale(pose, target, ROOT),
         "mpjpe_gt_scale_best_of_flip": metrics.mpjpe_gt_scale_best_of_flip(pose, target, ROOT),
@@ -200,11 +200,11 @@ def test_previous_frames_stay_in_the_clip_and_do_not_cross_gaps():
         "camera": np.array([0, 0, 0, 0, 0, 1, 0]),
         "frame": np.array([9, 6, 0, 3, 6, 9, 0]),
     }
-    assert previous_frames(identity).tolist() == [4, 3, -1, 2, -1, -1, -1]
-    assert previous_frames({**identity, "frame": np.array([9, 6, 0, 3, 3, 9, 0])})[[0, 4]].tolist() == [-1, 6]
-    assert previous_frames({key: identity[key] for key in ("sequence", "camera")}) is None
-    assert previous_frames({"sequence": np.array(["a", "a"]), "frame": np.array([4, 4])}) is None
-    assert previous_frames({"sequence": np.array(["a", "b"]), "frame": np.array([1, 2])}) is None
+    assert previous_rows(identity).tolist() == [4, 3, -1, 2, -1, -1, -1]
+    assert previous_rows({**identity, "frame": np.array([9, 6, 0, 3, 3, 9, 0])})[[0, 4]].tolist() == [-1, 6]
+    assert previous_rows({key: identity[key] for key in ("sequence", "camera")}) is None
+    assert previous_rows({"sequence": np.array(["a", "a"]), "frame": np.array([4, 4])}) is None
+    assert previous_rows({"sequence": np.array(["a", "b"]), "frame": np.array([1, 2])}) is None
 
 
 def test_chunks_change_nothing(monkeypatch):

@@ -115,7 +115,7 @@ def test_lift_all_puts_labels_in_place_of_what_was_lifted() -> None:
     frames = labelled_frames(data)
     poses = lift_all(small_lifter(), frames, RefineSettings(iterations=0))
     assert poses.labelled.tolist() == frames.labelled.tolist()
-    truth = true_poses(frames.part(frames.labelled), build_camera("perspective"))
+    truth = true_poses(frames.select(frames.labelled), build_camera("perspective"))
     torch.testing.assert_close(poses.pose[:20], truth.pose)
     torch.testing.assert_close(poses.gravity[:20], truth.gravity)
     assert truth.noise is None  # labels and keypoints agree

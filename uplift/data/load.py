@@ -2,21 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 
 from uplift.config.files import data_root, files_of
-from uplift.config.settings import ChoiceSettings, DataSettings, Settings
+from uplift.config.settings import DataSettings, Settings
 from uplift.data.clean import MIN_VISIBLE, clean
-from uplift.data.concat import join_data
+from uplift.data.concat import concat_poses
 from uplift.data.datasets import DATA_SETS, DataSet, WantedFile, data_set, read_cached
 from uplift.data.formats import read, with_options
 from uplift.data.formats.base import ReadOptions, size_of
+from uplift.data.masks import MaskData
 from uplift.data.poses import PoseData
-from uplift.data.select import CHOOSE_BY, chosen_rows
+from uplift.data.select import choice_of, chosen_rows
 from uplift.errors import UserError
 from uplift.skeleton import Skeleton
 from uplift.skeleton.match import build_joints, build_pose
@@ -34,91 +36,9 @@ __all__ = [
     "of_labelled",
     "read_options",
     "set_of",
+    "with_labels_of",
+    "with_test",
 ]
-
-# What is said where data is missing: what, where it comes from, where to put it, what runs without.
-
-_MOST_NAMED = 6
-
-
-def _missing_file(settings: Settings, path: Path) -> str:
-    """Return the message for a file that is not there."""
-    data = settings.data
-    lines = [f"No file {path}" + (f", which task '{settings.task}' needs." if settings.task else ".")]
-    return "\n".join([*lines, *_get(data), *_places(data, "it"), *_instead(settings)])
-
-
-def _missing_files(settings: Settings, source: DataSet, missing: Sequence[WantedFile]) -> str:
-    """Return the message for files of a published set that are not there."""
-    return f"{_named(settings, source, missing)}\n{how_to_get(settings, source)}"
-
-
-def how_to_get(settings: Settings, source: DataSet | None) -> str:
-    """Return where missing files come from, where to put them, and what runs without them."""
-    origin = [source.about.strip()] if source is not None and source.about.strip() else _get(settings.data)
-    return "\n".join([*origin, *_places(settings.data, "them"), *_instead(settings)])
-
-
-def _named(settings: Settings, source: DataSet, missing: Sequence[WantedFile]) -> str:
-    needed = f", which task '{settings.task}' needs" if settings.task else ""
-    count = f"{len(missing)} file is" if len(missing) == 1 else f"{len(missing)} files are"
-    shown = missing[:_MOST_NAMED]
-    names = [_within(file.path, source.folder) for file in shown]
-    wide = max(map(len, names))
-    lines = [f"{source.title or type(source).__name__}{needed}: {count} not in {source.folder}"]
-    lines += [f"  {name:<{wide}}  {file.what}" for name, file in zip(names, shown, strict=True)]
-    return "\n".join(lines + [f"  and {len(missing) - len(shown)} more"] * (len(missing) > len(shown)))
-
-
-def _within(path: Path, folder: Path) -> str:
-    return str(path.relative_to(folder)) if path.is_relative_to(folder) else str(path)
-
-
-def _get(data: DataSettings) -> list[str]:
-    return [f"Get it: {data.get.strip()}"] if data.get else []
-
-
-def _places(data: DataSettings, what: str) -> list[str]:
-    if not data.name or Path(data.name).is_absolute():
-        return []
-    return [
-        f"Put {what} there, or name another folder: data.root=FOLDER (or UPLIFT_DATA=FOLDER, with a subfolder {data.name}/)."
-    ]
-
-
-def _instead(settings: Settings) -> list[str]:
-    if settings.lifts == "masks":
-        return ["Without: `uplift fit task=masks_demo` needs no data."]
-    free = "" if settings.data.name == "cmu" else "`uplift fit task=semi_cmu` runs on open data, "
-    return [f"Without: {free}`uplift fit task=demo` {'on none' if free else 'needs no data'}."]
-
-
-# Whether a file's keypoints can be lifted, and whether they carry the right names.
-
-
-def _liftable(data: PoseData) -> PoseData:
-    """Return ``data``; raises UserError for files of fewer keypoints than anything can be lifted from."""
-    if len(data.joint_names) < MIN_VISIBLE:
-        raise UserError(
-            f"{data.source}: holds {len(data.joint_names)} keypoints ({', '.join(data.joint_names)}). Nothing can be lifted "
-            f"from fewer than {MIN_VISIBLE}: a pose needs a shape."
-        )
-    return data
-
-
-def _doubted(data: PoseData, skeleton: Skeleton) -> PoseData:
-    """Return ``data`` with a note where its joints seem to have each other's names."""
-    stretch = stretch_of(data.keypoints, data.confidence, skeleton)
-    if stretch < TOO_LONG:
-        return data
-    note = (
-        f"WARNING: the bones of {skeleton.name} are {stretch:.1f} times as long as the shortest lines that join its "
-        f"joints: joints seem to have the names of others (uplift skeleton map {data.source} skeleton={skeleton.name})"
-    )
-    return replace(data, notes=(*data.notes, note))
-
-
-# From settings to cleaned `PoseData` in the skeleton's joints: find, read, match, clean, split.
 
 
 @dataclass(frozen=True)
@@ -144,24 +64,14 @@ def load_data(settings: Settings, skeleton: Skeleton) -> Loaded:
     Raises:
         UserError: a file that is missing or wrong, other joints, no frames left.
     """
-    chosen = settings.data
-    if chosen.simulate:
-        train, test = _simulated(settings, skeleton)
-    else:
-        train = load_split(settings, "train", skeleton)
-        test = load_split(settings, "test", skeleton) if chosen.test else None
-    held_out = _wanted(chosen.hold_out)
-    if held_out:
-        if test is not None:
-            raise UserError("data.test and data.hold_out are both set: the test frames come from one of them.")
-        mask = chosen_rows(train, held_out, settings.seed)
-        if mask.all():
-            raise UserError(f"data.hold_out={held_out} leaves no frame to train on.")
-        test, train = train.select(mask), train.select(~mask)
-    wanted = _wanted(chosen.select)
-    if wanted:
-        train = train.select(chosen_rows(train, wanted, settings.seed))
-    train, more = _with_labels(settings, train, skeleton)
+
+    def load(settings: Settings, which: str) -> PoseData:
+        chosen = settings.data
+        simulated = chosen.simulate and not (which == "test" and chosen.test)
+        return _simulated(settings, which, skeleton) if simulated else load_split(settings, which, skeleton)
+
+    train, test = with_test(settings, load)
+    train, more = with_labels_of(settings, train, load)
     notes: list[str] = []
     train = _cleaned("train", train, skeleton, notes)
     if train.labelled is not None:
@@ -171,6 +81,17 @@ def load_data(settings: Settings, skeleton: Skeleton) -> Loaded:
     return Loaded(train, test, notes, more)
 
 
+def _simulated(settings: Settings, which: str, skeleton: Skeleton) -> PoseData:
+    from uplift.data.synthetic.simulate import simulate
+
+    frames, source = settings.data.simulate, f"simulated {skeleton.name}"
+    if which == "train":
+        return replace(simulate(skeleton, frames, seed=settings.seed), source=source)
+    # Other bodies, motions and cameras than any training seed's.
+    data = simulate(skeleton, max(200, frames // 10), seed=settings.seed + 2**31)
+    return replace(data, source=f"{source}, other bodies")
+
+
 def _cleaned(which: str, data: PoseData, skeleton: Skeleton, notes: list[str]) -> PoseData:
     data, report = clean(data, skeleton)
     notes += [f"{which}: {len(data):,} frames from {data.source}", *(f"{which}: {note}" for note in data.notes)]
@@ -178,58 +99,83 @@ def _cleaned(which: str, data: PoseData, skeleton: Skeleton, notes: list[str]) -
     return data
 
 
-def _wanted(choice: ChoiceSettings) -> dict:
-    found = {key: getattr(choice, key) for key in (*CHOOSE_BY, "fraction")}
-    return {key: value for key, value in found.items() if value not in (None, [])}
+# Which frames or masks a fit trains on, is evaluated on, and may learn from.
+
+Data = TypeVar("Data", PoseData, MaskData)
+Load = Callable[[Settings, str], Data]
+"""Returns the ``train`` or ``test`` samples that settings name, read or simulated."""
 
 
-def _with_labels(settings: Settings, train: PoseData, skeleton: Skeleton) -> tuple[PoseData, PoseData | None]:
-    """Return the training frames with `PoseData.labelled` as ``data.labelled`` says, and labelled frames of another file.
+def _words(data: PoseData | MaskData) -> tuple[str, str, str]:
+    """Return what a sample and its truth are called, and how labels come by it."""
+    if isinstance(data, MaskData):
+        return "mask", "true shapes", "masks with truth (`uplift data render`)"
+    return "frame", "'pose'", "frames with poses"
 
-    With ``data.labelled.only`` the first are the labelled ones alone. The same frames and seed always
+
+def with_test(settings: Settings, load: Load[Data]) -> tuple[Data, Data | None]:
+    """Return the training samples that ``data.select`` leaves, and those of ``data.test`` or ``data.hold_out``.
+
+    Raises:
+        UserError: both are set, or nothing is left to train on.
+    """
+    chosen = settings.data
+    train = load(settings, "train")
+    test = load(settings, "test") if chosen.test or chosen.simulate else None
+    item, _, _ = _words(train)
+    held_out = choice_of(chosen.hold_out)
+    if held_out:
+        if test is not None:
+            other = "data.test" if chosen.test else f"data.simulate, which simulates test {item}s too,"
+            raise UserError(f"{other} and data.hold_out are both set: the test {item}s come from one of them.")
+        rows = chosen_rows(train, held_out, settings.seed)
+        if rows.all():
+            raise UserError(f"data.hold_out={held_out} leaves no {item} to train on.")
+        test, train = train.select(rows), train.select(~rows)
+    wanted = choice_of(chosen.select)
+    return (train.select(chosen_rows(train, wanted, settings.seed)) if wanted else train), test
+
+
+def with_labels_of(settings: Settings, train: Data, load: Load[Data]) -> tuple[Data, Data | None]:
+    """Return the training samples with `labelled` as ``data.labelled`` says, and the labelled ones of another file.
+
+    With ``data.labelled.only`` the first are the labelled ones alone. The same samples and seed always
     give the same labels.
 
     Raises:
-        UserError: no such frames, or frames without poses.
+        UserError: no such samples, or samples without truth.
     """
     chosen = settings.data.labelled
-    wanted = _wanted(chosen)
+    wanted = choice_of(chosen)
+    item, truth, needed = _words(train)
     if not wanted and chosen.file is None:
         if chosen.only:
             raise UserError(
-                "data.labelled.only is on, but no frame is labelled: set data.labelled.fraction (1 for all)."
+                f"data.labelled.only is on, but no {item} is labelled: set data.labelled.fraction (1 for all)."
             )
         return train, None
-    source = train if chosen.file is None else load_split(of_labelled(settings), "train", skeleton)
-    if source.pose is None:
-        raise UserError(f"{source.source}: holds no 'pose' to learn from: data.labelled needs frames with poses.")
+    source = train if chosen.file is None else load(of_labelled(settings), "train")
+    if (source.truth if isinstance(source, MaskData) else source.pose) is None:
+        raise UserError(f"{source.source}: holds no {truth} to learn from: data.labelled needs {needed}.")
     rows = chosen_rows(source, wanted, settings.seed)
+    labelled = replace(source, labelled=rows)
     if chosen.file is None:
-        train = replace(train, labelled=rows)
-        return (train.select(rows) if chosen.only else train), None
-    more = replace(source, labelled=rows).select(rows)
+        return (labelled.select(rows) if chosen.only else labelled), None
+    more = labelled.select(rows)
     return (more, None) if chosen.only else (train, more)
 
 
 def of_labelled(settings: Settings) -> Settings:
-    """Return settings whose ``train`` frames are those of ``data.labelled.file``: a file, or SET:SPLIT in the set's own folder."""
+    """Return settings whose ``train`` samples are those of ``data.labelled.file``: a file, or SET:SPLIT in the set's own folder."""
     named = str(settings.data.labelled.file)
     use, colon, split = named.partition(":")
+    data = replace(settings.data, simulate=0, most=None, use=None, train=named)
     if colon and use in DATA_SETS:
-        data = replace(settings.data, name=use, root=None, use=use, options={}, train=split, unit=None)
-    else:
-        data = replace(settings.data, use=None, train=named)
+        data = replace(data, name=use, root=None, use=use, options={}, train=split, unit=None)
     return replace(settings, data=data)
 
 
-def _simulated(settings: Settings, skeleton: Skeleton) -> tuple[PoseData, PoseData]:
-    from uplift.data.synthetic.simulate import simulate
-
-    frames = settings.data.simulate
-    train = replace(simulate(skeleton, frames, seed=settings.seed), source=f"simulated {skeleton.name}")
-    # Other bodies, motions and cameras than any training seed's.
-    test = simulate(skeleton, max(200, frames // 10), seed=settings.seed + 2**31)
-    return train, replace(test, source=f"simulated {skeleton.name}, other bodies")
+# The frames of a file or of a published set, in the skeleton's joints.
 
 
 def load_split(settings: Settings, which: str, skeleton: Skeleton) -> PoseData:
@@ -314,9 +260,31 @@ def find_data(settings: Settings, which: str) -> Path:
 
 def load_file(path: str | Path, skeleton: Skeleton, options: ReadOptions | None = None) -> PoseData:
     """Read keypoint files (one, several with commas, or a pattern) into the joints of ``skeleton``, matched by name."""
-    return join_data(
-        [_doubted(in_joints_of(_liftable(read(one, options)), skeleton), skeleton) for one in files_of(path)]
+    return concat_poses(
+        [_label_checked(in_joints_of(_liftable(read(one, options)), skeleton), skeleton) for one in files_of(path)]
     )
+
+
+def _liftable(data: PoseData) -> PoseData:
+    """Return ``data``; raises UserError for files of fewer keypoints than anything can be lifted from."""
+    if len(data.joint_names) < MIN_VISIBLE:
+        raise UserError(
+            f"{data.source}: holds {len(data.joint_names)} keypoints ({', '.join(data.joint_names)}). Nothing can be lifted "
+            f"from fewer than {MIN_VISIBLE}: a pose needs a shape."
+        )
+    return data
+
+
+def _label_checked(data: PoseData, skeleton: Skeleton) -> PoseData:
+    """Return ``data`` with a note where its joints seem to have each other's names."""
+    stretch = stretch_of(data.keypoints, data.confidence, skeleton)
+    if stretch < TOO_LONG:
+        return data
+    note = (
+        f"WARNING: the bones of {skeleton.name} are {stretch:.1f} times as long as the shortest lines that join its "
+        f"joints: joints seem to have the names of others (uplift skeleton map {data.source} skeleton={skeleton.name})"
+    )
+    return replace(data, notes=(*data.notes, note))
 
 
 def read_options(data: DataSettings) -> ReadOptions:
@@ -370,3 +338,60 @@ def in_joints_of(data: PoseData, skeleton: Skeleton) -> PoseData:
 def _whole(data: PoseData) -> bool:
     """Return whether every keypoint is there."""
     return bool((data.confidence > 0).all() and np.isfinite(data.keypoints).all())
+
+
+# What is said where data is missing: what, where it comes from, where to put it, what runs without.
+
+_MOST_NAMED = 6
+
+
+def _missing_file(settings: Settings, path: Path) -> str:
+    """Return the message for a file that is not there."""
+    data = settings.data
+    lines = [f"No file {path}" + (f", which task '{settings.task}' needs." if settings.task else ".")]
+    return "\n".join([*lines, *_get(data), *_places(data, "it"), *_instead(settings)])
+
+
+def _missing_files(settings: Settings, source: DataSet, missing: Sequence[WantedFile]) -> str:
+    """Return the message for files of a published set that are not there."""
+    return f"{_named(settings, source, missing)}\n{how_to_get(settings, source)}"
+
+
+def how_to_get(settings: Settings, source: DataSet | None) -> str:
+    """Return where missing files come from, where to put them, and what runs without them."""
+    origin = [source.about.strip()] if source is not None and source.about.strip() else _get(settings.data)
+    return "\n".join([*origin, *_places(settings.data, "them"), *_instead(settings)])
+
+
+def _named(settings: Settings, source: DataSet, missing: Sequence[WantedFile]) -> str:
+    needed = f", which task '{settings.task}' needs" if settings.task else ""
+    count = f"{len(missing)} file is" if len(missing) == 1 else f"{len(missing)} files are"
+    shown = missing[:_MOST_NAMED]
+    names = [_within(file.path, source.folder) for file in shown]
+    wide = max(map(len, names))
+    lines = [f"{source.title or type(source).__name__}{needed}: {count} not in {source.folder}"]
+    lines += [f"  {name:<{wide}}  {file.what}" for name, file in zip(names, shown, strict=True)]
+    return "\n".join(lines + [f"  and {len(missing) - len(shown)} more"] * (len(missing) > len(shown)))
+
+
+def _within(path: Path, folder: Path) -> str:
+    return str(path.relative_to(folder)) if path.is_relative_to(folder) else str(path)
+
+
+def _get(data: DataSettings) -> list[str]:
+    return [f"Get it: {data.get.strip()}"] if data.get else []
+
+
+def _places(data: DataSettings, what: str) -> list[str]:
+    if not data.name or Path(data.name).is_absolute():
+        return []
+    return [
+        f"Put {what} there, or name another folder: data.root=FOLDER (or UPLIFT_DATA=FOLDER, with a subfolder {data.name}/)."
+    ]
+
+
+def _instead(settings: Settings) -> list[str]:
+    if settings.lifts == "masks":
+        return ["Without: `uplift fit task=masks_demo` needs no data."]
+    free = "" if settings.data.name == "cmu" else "`uplift fit task=semi_cmu` runs on open data, "
+    return [f"Without: {free}`uplift fit task=demo` {'on none' if free else 'needs no data'}."]

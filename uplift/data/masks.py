@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int, Shaped, UInt8
 
+from uplift.data.samples import SHARED, TRUTH, Samples
 from uplift.errors import UserError
 from uplift.geometry.mesh import Mesh
 
@@ -20,7 +22,7 @@ FILL = 0.85
 
 
 @dataclass
-class Placed:
+class Placed(Samples):
     """Shapes and where each item has one: `scale` * (`view` @ point) + (`offset`, 0) is the item's camera frame.
 
     That frame is in units of the item's crop: x right and y down from -1 to 1 over the crop, z away from
@@ -28,7 +30,7 @@ class Placed:
     (x, y) / (1 + (z / distance)), and to (x, y) where `distance` is infinite.
     """
 
-    meshes: Sequence[Mesh]
+    meshes: Sequence[Mesh] = field(metadata=SHARED)
     shape: Int[np.ndarray, " items"]
     """Which mesh, by its place in `meshes`; several items may show one."""
     view: Float[np.ndarray, "items 3 3"]
@@ -38,82 +40,55 @@ class Placed:
     distance: Float[np.ndarray, " items"]
     """Of the camera, in units of the crop."""
 
-    def __len__(self) -> int:
-        return len(self.shape)
-
-    def select(self, rows: np.ndarray) -> Placed:
-        """Return some items; the meshes are all kept."""
-        return Placed(
-            self.meshes, self.shape[rows], self.view[rows], self.scale[rows], self.offset[rows], self.distance[rows]
-        )
+    @classmethod
+    def concat(cls, parts: Sequence[Any], **changed: Any) -> Placed:
+        """Return the items of all parts, one after the other, with the meshes of all."""
+        first = np.cumsum([0, *(len(part.meshes) for part in parts[:-1])])
+        shape = np.concatenate([part.shape + start for part, start in zip(parts, first, strict=True)])
+        return super().concat(parts, meshes=[mesh for part in parts for mesh in part.meshes], shape=shape, **changed)
 
 
 @dataclass
-class MaskData:
+class MaskData(Samples):
     """Masks cut out, centred and scaled: the longer side of each one's box is `FILL` of its crop, the box's middle its centre.
 
     `truth` is never an input of training from masks alone; `labelled` says where it may be.
     """
 
-    masks: np.ndarray
-    """(items side side) uint8: how much of each pixel the object covers, 0..255; row 0 is the top."""
+    masks: UInt8[np.ndarray, "items side side"]
+    """How much of each pixel the object covers, 0..255; row 0 is the top."""
     names: list[str]
     """Where each came from: a file, ``file:instance``, a mesh."""
-    centre_px: np.ndarray
-    """(items 2), the crop's centre in the image the mask came from: x right, y down."""
-    scale_px: np.ndarray
-    """(items,), pixels of that image in one unit, half the crop's side."""
-    category: np.ndarray | None = None
-    """(items,) text: species, class."""
-    images: np.ndarray | None = None
-    """(items,) text: the photo's file, where there is one, else empty."""
-    truth: Placed | None = None
-    labelled: np.ndarray | None = None
-    """(items,) bool: items whose truth training may learn from; None: no item's."""
+    centre_px: Shaped[np.ndarray, "items 2"]
+    """The crop's centre in the image the mask came from: x right, y down."""
+    scale_px: Shaped[np.ndarray, " items"]
+    """Pixels of that image in one unit, half the crop's side."""
+    category: Shaped[np.ndarray, " items"] | None = None
+    """Text: species, class."""
+    images: Shaped[np.ndarray, " items"] | None = None
+    """Text: the photo's file, where there is one, else empty."""
+    truth: Placed | None = field(default=None, metadata=TRUTH)
+    labelled: Bool[np.ndarray, " items"] | None = field(default=None, metadata=TRUTH)
+    """Items whose truth training may learn from; None: no item's."""
     notes: tuple[str, ...] = ()
     """What was assumed, mended or skipped, one sentence each."""
     source: str = ""
-    extra: dict[str, np.ndarray] = field(default_factory=dict)
-    """(items, ...) each: whatever a reader knows besides."""
+    extra: dict[str, Shaped[np.ndarray, "items ..."]] = field(default_factory=dict)
+    """Whatever a reader knows besides."""
 
     def __post_init__(self) -> None:
-        items = len(self.masks)
         if self.masks.ndim != 3 or self.masks.shape[1] != self.masks.shape[2] or self.masks.dtype != np.uint8:
             raise UserError(
                 f"masks are {self.masks.dtype} of shape {self.masks.shape}, expected uint8 (items, side, side)."
             )
-        for name in ("names", "centre_px", "scale_px", "category", "images", "truth", "labelled"):
-            value = getattr(self, name)
-            if value is not None and len(value) != items:
-                raise UserError(f"'{name}' has {len(value)} rows, expected {items}, one for each mask.")
-
-    def __len__(self) -> int:
-        return len(self.masks)
+        wrong = self.misfit()
+        if wrong:
+            raise UserError(f"{wrong}, one row for each mask.")
 
     @property
     def side(self) -> int:
         """Pixels along a crop."""
         return self.masks.shape[1]
-
-    def select(self, rows: np.ndarray) -> MaskData:
-        """Return some items, by their numbers or by a mask of them."""
-        rows = np.flatnonzero(rows) if rows.dtype == bool else rows
-        found = {}
-        for part in fields(self):
-            value = getattr(self, part.name)
-            if part.name == "names":
-                found[part.name] = [value[row] for row in rows]
-            elif part.name == "extra":
-                found[part.name] = {key: of[rows] for key, of in value.items()}
-            elif part.name == "truth":
-                found[part.name] = None if value is None else value.select(rows)
-            elif isinstance(value, np.ndarray):
-                found[part.name] = value[rows]
-        return replace(self, **found)
-
-    def without_truth(self) -> MaskData:
-        """Return the masks alone."""
-        return replace(self, truth=None, labelled=None)
 
 
 # What a reader hands over, one at a time: a mask, or why there is none.

@@ -2,20 +2,30 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field, fields, replace
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float, Int, Shaped, UInt8
 
+from uplift.data.samples import TRUTH, Samples
 from uplift.errors import UserError
 from uplift.geometry.lens import Lens
 
 if TYPE_CHECKING:
     from uplift.geometry.normalise import Intrinsics
 
-__all__ = ["IDENTITY_KEYS", "UNITS", "PoseData", "codes_of", "joined_masks", "mask_maps", "masks_of"]
+__all__ = [
+    "IDENTITY_KEYS",
+    "UNITS",
+    "PoseData",
+    "clips_of",
+    "codes_of",
+    "mask_maps",
+    "masks_of",
+    "previous_frames",
+]
 
 # The one container of 2D keypoints and what is known beside them.
 
@@ -41,7 +51,7 @@ def _runs_of(codes: np.ndarray) -> Iterator[tuple[int, slice | np.ndarray]]:
 
 
 @dataclass
-class PoseData:
+class PoseData(Samples):
     """Frames of 2D keypoints; poses where they are known.
 
     Missing joints have confidence 0 and keypoint 0 once `uplift.data.clean.clean` has run; a
@@ -49,38 +59,38 @@ class PoseData:
     from 2D alone.
     """
 
-    keypoints: np.ndarray
-    """(frames joints 2) float32, pixels, x right, y down."""
-    confidence: np.ndarray
-    """(frames joints) float32, 0..1, 0 = missing."""
+    keypoints: Float[np.ndarray, "frames joints 2"]
+    """float32, pixels, x right, y down."""
+    confidence: Float[np.ndarray, "frames joints"]
+    """float32, 0..1, 0 = missing."""
     joint_names: tuple[str, ...]
-    pose: np.ndarray | None = None
-    """(frames joints 3), camera frame, relative to the root joint, in `unit`."""
-    root: np.ndarray | None = None
-    """(frames 3), the root joint in the camera frame, in `unit`."""
+    pose: Float[np.ndarray, "frames joints 3"] | None = field(default=None, metadata=TRUTH)
+    """Camera frame, relative to the root joint, in `unit`."""
+    root: Float[np.ndarray, "frames 3"] | None = field(default=None, metadata=TRUTH)
+    """The root joint in the camera frame, in `unit`."""
     unit: str = "mm"
-    identity: dict[str, np.ndarray] = field(default_factory=dict)
-    """Any of `IDENTITY_KEYS`, (frames,) each; one sequence seen by one camera is a clip."""
+    identity: dict[str, Shaped[np.ndarray, " frames"]] = field(default_factory=dict)
+    """Any of `IDENTITY_KEYS`; one sequence seen by one camera is a clip."""
     fps: float | None = None
     image_size: tuple[int, int] | None = None
     focal_px: float | None = None
-    tilt_deg: np.ndarray | None = None
-    """(frames,), down-tilt of the camera: gravity is (0, cos, sin) in the camera frame."""
-    root_filled: np.ndarray | None = None
-    """(frames,) bool: the root was missing; its keypoint is the mean of its neighbours, its confidence 0."""
-    labelled: np.ndarray | None = None
-    """(frames,) bool: frames whose pose training may learn from; None: no frame's."""
-    masks: np.ndarray | None = None
-    """(frames side side) uint8, square crops of the image: 0 outside the body, 255 inside; row 0 is the top."""
-    mask_box: np.ndarray | None = None
-    """(frames 3) float32, x0, y0, side of each crop, px in the image; NaN = frame without a mask."""
+    tilt_deg: Float[np.ndarray, " frames"] | None = field(default=None, metadata=TRUTH)
+    """Down-tilt of the camera: gravity is (0, cos, sin) in the camera frame."""
+    root_filled: Bool[np.ndarray, " frames"] | None = None
+    """The root was missing; its keypoint is the mean of its neighbours, its confidence 0."""
+    labelled: Bool[np.ndarray, " frames"] | None = field(default=None, metadata=TRUTH)
+    """Frames whose pose training may learn from; None: no frame's."""
+    masks: UInt8[np.ndarray, "frames side side"] | None = None
+    """Square crops of the image: 0 outside the body, 255 inside; row 0 is the top."""
+    mask_box: Float[np.ndarray, "frames 3"] | None = None
+    """float32, x0, y0, side of each crop, px in the image; NaN = frame without a mask."""
     stills: bool = False
     """Frames of a sequence do not follow one another as those of a film do: each is a clip of its own."""
     source: str = ""
     lenses: tuple[Lens, ...] = ()
     """The cameras, where more is known of them than `focal_px` and `image_size`."""
-    lens: np.ndarray | None = None
-    """(frames,) integers: which of `lenses` saw the frame; None without lenses."""
+    lens: Int[np.ndarray, " frames"] | None = None
+    """Which of `lenses` saw the frame; None without lenses."""
     bones: tuple[tuple[str, str], ...] = ()
     """Lines between joints, by name, where the file has them; training goes by the skeleton's."""
     mirror: tuple[tuple[str, str], ...] = ()
@@ -90,37 +100,12 @@ class PoseData:
 
     def __post_init__(self) -> None:
         self.joint_names = tuple(str(name) for name in self.joint_names)
-        frames, joints = self.keypoints.shape[:2]
-        expected: dict[str, tuple[int, ...]] = {
-            "keypoints": (frames, joints, 2), "confidence": (frames, joints), "pose": (frames, joints, 3), "root": (frames, 3),
-            **dict.fromkeys(("tilt_deg", "root_filled", "lens", "labelled"), (frames,)),
-        }  # fmt: skip
-        for name, shape in expected.items():
-            value = getattr(self, name)
-            if value is not None and value.shape != shape:
-                raise UserError(f"{self._where()}'{name}' has shape {value.shape}, expected {shape}.")
-        _check_masks(self.source or "the data", self.masks, self.mask_box, frames)
-        if len(self.joint_names) != joints:
-            raise UserError(f"{self._where()}{len(self.joint_names)} joint names for {joints} joints in 'keypoints'.")
-        for name, value in self.identity.items():
-            if value.shape != (frames,):
-                raise UserError(f"{self._where()}'{name}' has shape {value.shape}, expected {(frames,)}.")
-
-    def _where(self) -> str:
-        return f"{self.source}: " if self.source else ""
-
-    def __len__(self) -> int:
-        return len(self.keypoints)
-
-    def select(self, rows: np.ndarray | slice) -> PoseData:
-        """Return the frames that ``rows`` (a mask or indices) picks, everything else unchanged."""
-        found = {item.name: getattr(self, item.name) for item in fields(self)}
-        changed = {name: value[rows] for name, value in found.items() if isinstance(value, np.ndarray)}
-        return replace(self, **changed, identity={key: value[rows] for key, value in self.identity.items()})
-
-    def without_truth(self) -> PoseData:
-        """Return the same frames with everything that came from 3D taken out."""
-        return replace(self, pose=None, root=None, tilt_deg=None, labelled=None)
+        _check_masks(self.source or "the data", self.masks, self.mask_box, len(self))
+        wrong = self.misfit()
+        if not wrong and len(self.joint_names) != self.keypoints.shape[1]:
+            wrong = f"{len(self.joint_names)} joint names for {self.keypoints.shape[1]} joints in 'keypoints'"
+        if wrong:
+            raise UserError(f"{self.source}: {wrong}." if self.source else f"{wrong}.")
 
     @property
     def centre_px(self) -> tuple[float, float] | None:
@@ -181,30 +166,64 @@ class PoseData:
         """
         if "sequence" not in self.identity or self.stills:
             return np.arange(len(self), dtype=np.int64)
-        keys = [self.identity[k] for k in ("subject", "sequence", "camera", "instance") if k in self.identity]
-        clip = np.zeros(len(self), np.int64)
-        for key in keys:
-            _, code = codes_of(key)
-            _, clip = codes_of(clip * (code.max(initial=0) + 1) + code)
-        return clip
+        return clips_of(self.identity)
 
-    def follows(self) -> np.ndarray:
-        """Return (frames,) bool: the frame is the next of its clip after the one before it in the file.
+    def previous(self) -> Int[np.ndarray, " frames"]:
+        """Return the row of the frame before each in its clip, -1 without one (see `previous_frames`)."""
+        return previous_frames(self.clips(), self.identity.get("frame"))
 
-        The step between neighbours is the most common one of the file; a larger one is a gap.
-        Without ``frame`` numbers the rows of a clip are taken as neighbours in time.
-        """
-        clip = self.clips()
-        same = np.zeros(len(self), bool)
-        same[1:] = clip[1:] == clip[:-1]
-        if "frame" not in self.identity or not same.any():
-            return same
-        step = np.zeros(len(self))
-        step[1:] = np.diff(self.identity["frame"].astype(np.float64))
-        steps, count = np.unique(step[same & (step > 0)], return_counts=True)
-        if not len(steps):
-            return np.zeros(len(self), bool)
-        return same & (step > 0) & (step <= 1.01 * steps[count.argmax()])
+    def follows(self) -> Bool[np.ndarray, " frames"]:
+        """Return whether each frame is the next of its clip after the one before it in the file."""
+        previous = self.previous()
+        return (previous >= 0) & (previous == np.arange(len(self)) - 1)
+
+
+# Which frames belong together, and which follows which.
+
+
+def clips_of(identity: Mapping[str, np.ndarray]) -> Int[np.ndarray, " frames"]:
+    """Return clip numbers from 0 without gaps: one for all frames of one subject, sequence, camera and instance."""
+    keys = [identity[key] for key in ("subject", "sequence", "camera", "instance") if key in identity]
+    clip = np.zeros(len(keys[0]), np.int64)
+    for key in keys:
+        _, code = codes_of(key)
+        _, clip = codes_of(clip * (code.max(initial=0) + 1) + code)
+    return clip
+
+
+def previous_frames(
+    clip: Int[np.ndarray, " frames"], frame: Shaped[np.ndarray, " frames"] | None = None
+) -> Int[np.ndarray, " frames"]:
+    """Return the row of the frame before each in its clip, -1 without one.
+
+    The step of a clip is the most common difference of its ``frame`` numbers; a larger one is a gap, and nothing
+    comes before the frame after it. Without ``frame`` numbers the rows of a clip are neighbours in time.
+    """
+    time = np.arange(len(clip), dtype=np.float64) if frame is None else frame.astype(np.float64)
+    order = np.lexsort((time, clip))
+    before, after = order[:-1], order[1:]
+    step = np.where(clip[before] == clip[after], time[after] - time[before], 0)
+    follows = step > 0
+    if frame is not None and follows.any():
+        follows &= step <= 1.01 * _usual_steps(clip[after], step)
+    previous = np.full(len(clip), -1, np.int64)
+    previous[after[follows]] = before[follows]
+    return previous
+
+
+def _usual_steps(clip: np.ndarray, step: np.ndarray) -> np.ndarray:
+    """Return, for each pair of frames, the most common step of its clip, the smallest of several.
+
+    That of the file, where no step of the clip occurs twice: two frames alone do not tell a step from a gap.
+    """
+    steps, code = np.unique(step, return_inverse=True)
+    pairs, count = np.unique(clip[step > 0] * len(steps) + code[step > 0], return_counts=True)
+    clips, which = np.divmod(pairs, len(steps))
+    order = np.lexsort((-which, count, clips))  # the last of each clip is its most common
+    usual = np.full(int(clip.max()) + 1, steps[np.bincount(which, count).argmax()])
+    several = order[count[order] > 1]
+    usual[clips[several]] = steps[which[several]]
+    return usual[clip]
 
 
 # Masks of the bodies beside their keypoints: crops of the same images, and the way from a keypoint into its crop.
@@ -263,25 +282,6 @@ def _check_masks(where: str, masks: Any, box: Any, frames: int) -> None:
 def _masked_frames(masks: np.ndarray, box: np.ndarray) -> np.ndarray:
     """Return (frames,) bool: the frame has a place for its mask, and something in it."""
     return np.isfinite(box).all(1) & (box[:, 2] > 0) & (masks > 127).any((1, 2))
-
-
-def joined_masks(parts: Sequence[PoseData]) -> dict[str, np.ndarray | None]:
-    """Return the masks and boxes of all parts, one after the other; empty masks for a part without any.
-
-    Raises:
-        UserError: crops of different sides.
-    """
-    sides = {part.masks.shape[1] for part in parts if part.masks is not None}
-    if not sides:
-        return {"masks": None, "mask_box": None}
-    if len(sides) > 1:
-        raise UserError(f"masks of {' and '.join(map(str, sorted(sides)))} px a side; files must agree to be joined.")
-    (side,) = sides
-    masks, boxes = [], []
-    for part in parts:
-        masks.append(np.zeros((len(part), side, side), np.uint8) if part.masks is None else part.masks)
-        boxes.append(np.full((len(part), 3), np.nan, np.float32) if part.mask_box is None else part.mask_box)
-    return {"masks": np.concatenate(masks), "mask_box": np.concatenate(boxes)}
 
 
 def mask_maps(

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields, replace
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -13,6 +14,7 @@ from torch import Tensor
 from uplift.config.settings import LifterSettings, ShapeSettings
 from uplift.data.masks import MaskData
 from uplift.data.poses import PoseData, mask_maps
+from uplift.data.samples import SHARED, Samples
 from uplift.errors import UserError
 from uplift.geometry.normalise import Intrinsics, Normalised, bone_lengths, normalise
 from uplift.geometry.rotation import gravity_of, turn
@@ -28,7 +30,6 @@ __all__ = [
     "as_tensor",
     "frames_of",
     "intrinsics_of",
-    "joined",
     "mask_set",
     "mean_bones",
     "moments",
@@ -42,7 +43,7 @@ _BESIDE = ("labels", "label_unit", "label_tilt", "masks", "mask_map")
 
 
 @dataclass(frozen=True)
-class TrainingSet:
+class TrainingSet(Samples):
     """Normalised keypoints of every training frame. Nothing in it came from 3D but `labels`."""
 
     skeleton: Skeleton
@@ -103,20 +104,34 @@ class TrainingSet:
             **_masks(data, skeleton, normal, intrinsics),
         )
 
-    def __len__(self) -> int:
-        return len(self.keypoints)
+    def select(self, rows: Tensor | slice) -> TrainingSet:
+        """Return the frames of ``rows``, a mask or indices; clips are numbered anew, and frames follow those still before them."""
+        chosen = super().select(rows)
+        place = torch.arange(len(self), device=self.clip.device)[rows]
+        follows = chosen.follows & (place.diff(prepend=place[:1] - 2) == 1)
+        return replace(chosen, clip=torch.unique(chosen.clip, return_inverse=True)[1], follows=follows)
 
-    def to(self, device: torch.device | str) -> TrainingSet:
-        """Return the same set on ``device``."""
-        moved = {f.name: getattr(self, f.name) for f in fields(self) if f.name != "skeleton"}
-        return replace(self, **{k: None if v is None else v.to(device) for k, v in moved.items()})
+    @classmethod
+    def concat(cls, parts: Sequence[Any], **changed: Any) -> TrainingSet:
+        """Return the frames of all parts, one after the other; what only some know is blank for the others.
 
-    def part(self, rows: Tensor) -> TrainingSet:
-        """Return the frames of ``rows``, a mask or indices; clips are numbered anew."""
-        chosen = {f.name: getattr(self, f.name) for f in fields(self) if f.name != "skeleton"}
-        chosen = {name: None if value is None else value[rows] for name, value in chosen.items()}
-        chosen["clip"] = torch.unique(chosen["clip"], return_inverse=True)[1]
-        return replace(self, **chosen)
+        Raises:
+            UserError: masks of different sides.
+        """
+        sides = [part.masks.shape[1] for part in parts if part.masks is not None]
+        if len(set(sides)) > 1:
+            raise UserError(
+                f"Labelled frames have masks of {sides[1]} px a side, the others of {sides[0]}: expected the same."
+            )
+        clips = [int(part.clip.max()) + 1 if len(part) else 0 for part in parts[:-1]]
+        starts = np.cumsum([0, *clips]).tolist()
+        clip = torch.cat([part.clip + start for part, start in zip(parts, starts, strict=True)])
+        if any(part.rotation is not None for part in parts):  # a camera that was not turned
+            parts = [
+                replace(part, rotation=torch.eye(3).expand(len(part), 3, 3)) if part.rotation is None else part
+                for part in parts
+            ]
+        return super().concat(parts, clip=clip, **changed)
 
     def some(self, most: int, seed: int) -> TrainingSet:
         """Return about ``most`` frames, whole clips in seeded order and all that are labelled; the set itself if it has no more."""
@@ -128,7 +143,7 @@ class TrainingSet:
         kept = torch.zeros_like(counts, dtype=torch.bool)
         kept[order[: max(1, int((counts[order].cumsum(0) <= most).sum()))]] = True
         kept[self.clip[self.labelled]] = True
-        return self.part(kept[self.clip])
+        return self.select(kept[self.clip])
 
     @property
     def labelled(self) -> Bool[Tensor, " frames"]:
@@ -162,7 +177,7 @@ def _masks(
 
 
 @dataclass(frozen=True)
-class Batch:
+class Batch(Samples):
     """Some frames of a `TrainingSet`."""
 
     keypoints: Float[Tensor, "batch joints 2"]
@@ -176,9 +191,6 @@ class Batch:
     mask_map: Float[Tensor, "batch 3 3"] | None = None
     row: Int[Tensor, " batch"] | None = None
     """Which frames of the training set they are."""
-
-    def __len__(self) -> int:
-        return len(self.keypoints)
 
     def beside(self) -> dict[str, Any]:
         """Return what is known of the frames beside their keypoints, by name: labels, masks, their rows."""
@@ -291,38 +303,6 @@ def mean_bones(frames: TrainingSet) -> Float[Tensor, " bones"] | None:
     return lengths.nanmean(0)
 
 
-def joined(one: TrainingSet, other: TrainingSet) -> TrainingSet:
-    """Return the frames of both; what only one knows is unknown for the other's."""
-    sides = [frames.masks.shape[1] for frames in (one, other) if frames.masks is not None]
-    if len(set(sides)) > 1:
-        raise UserError(
-            f"Labelled frames have masks of {sides[1]} px a side, the others of {sides[0]}: expected the same."
-        )
-    both = {}
-    for field in fields(TrainingSet):
-        if field.name == "skeleton":
-            continue
-        first, second = getattr(one, field.name), getattr(other, field.name)
-        if field.name == "clip":
-            second = second + (int(first.max()) + 1 if len(first) else 0)
-        if first is None and second is None:
-            both[field.name] = None
-            continue
-        first = _blank(field.name, second, len(one)) if first is None else first
-        second = _blank(field.name, first, len(other)) if second is None else second
-        both[field.name] = torch.cat([first, second])
-    return replace(one, **both)
-
-
-def _blank(name: str, like: Tensor, count: int) -> Tensor:
-    """Return what stands for nothing known: no turn of the camera, no label."""
-    if name == "rotation":
-        return torch.eye(3).expand(count, 3, 3)
-    if not like.is_floating_point():  # masks
-        return like.new_zeros((count, *like.shape[1:]))
-    return torch.full((count, *like.shape[1:]), torch.nan)
-
-
 # Masks and silhouettes brought to the same place and size: centroid at 0, the same spread along x and along y.
 
 SPREAD = 0.4
@@ -369,7 +349,7 @@ def as_tensor(masks: np.ndarray) -> Float[Tensor, "items side side"]:
 
 
 @dataclass(frozen=True)
-class MaskSet:
+class MaskSet(Samples):
     """Masks and, of labelled ones, which true shape is seen from which view of the grid."""
 
     crops: Float[Tensor, "items side side"]
@@ -379,15 +359,8 @@ class MaskSet:
     """The true one; 0 where unlabelled."""
     shape: Int[Tensor, " items"]
     """Row of `shapes`; 0 where unlabelled."""
-    shapes: Float[Tensor, "known depth height width"]
+    shapes: Float[Tensor, "known depth height width"] = field(metadata=SHARED)
     """True occupancy of labelled shapes, at the mixture's detail."""
-
-    def __len__(self) -> int:
-        return len(self.crops)
-
-    def to(self, device: Any) -> MaskSet:
-        """Return the set on another device."""
-        return MaskSet(*(getattr(self, part.name).to(device) for part in fields(self)))
 
 
 def mask_set(data: MaskData, settings: ShapeSettings) -> MaskSet:

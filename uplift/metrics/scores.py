@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from jaxtyping import Float, Int
 
+from uplift.data.poses import PoseData, clips_of, previous_frames
 from uplift.errors import UserError
 from uplift.metrics.alignment import ALIGNED_ERRORS, align, counted, length
 from uplift.metrics.pose_metrics import (
@@ -29,10 +30,9 @@ from uplift.metrics.protocols import JOINTS_14, MISSING
 from uplift.skeleton import Skeleton
 
 if TYPE_CHECKING:
-    from uplift.data.poses import PoseData
     from uplift.models.prediction import Prediction
 
-__all__ = ["GivenPoses", "Matched", "Scores", "match_poses", "previous_frames", "score"]
+__all__ = ["GivenPoses", "Matched", "Scores", "match_poses", "previous_rows", "score"]
 
 # Every protocol of one prediction against one truth, per frame and per joint, chunk by chunk.
 
@@ -40,7 +40,6 @@ _FLIPPED_ERRORS = ("mpjpe_gt_scale", "n_mpjpe", "p_mpjpe")
 """The errors that have a ``*_best_of_flip``."""
 
 _CHUNK = 8192
-_CLIP_KEYS = ("subject", "sequence", "camera", "instance")
 
 
 @dataclass(frozen=True)
@@ -167,42 +166,21 @@ def _velocity_error(matched: Matched, rows: np.ndarray) -> np.ndarray:
     return values
 
 
-def previous_frames(identity: Mapping[str, np.ndarray]) -> Int[np.ndarray, " frames"] | None:
+def previous_rows(identity: Mapping[str, np.ndarray]) -> Int[np.ndarray, " frames"] | None:
     """Return the row of the frame before each in its clip, -1 without one; None where clips are not known.
 
-    A clip is one sequence of one subject seen by one camera. Its step is the most common difference
-    of its ``frame`` numbers; across a gap there is no previous frame. None without ``sequence`` or
-    ``frame``, where a frame number occurs twice in a clip (then something that tells clips apart,
-    such as ``camera``, is missing), and where no two frames follow each other.
+    None without ``sequence`` or ``frame``, where a frame number occurs twice in a clip (then something that
+    tells clips apart, such as ``camera``, is missing), and where no two frames follow each other.
     """
-    if "sequence" not in identity or "frame" not in identity:
+    frame = identity.get("frame")
+    if "sequence" not in identity or frame is None or frame.dtype.kind not in "iuf":
         return None
-    frame = np.asarray(identity["frame"])
-    if frame.dtype.kind not in "iuf":
-        return None
-    clip = np.zeros(len(frame), np.int64)
-    for key in (key for key in _CLIP_KEYS if key in identity):
-        _, code = np.unique(identity[key], return_inverse=True)
-        _, clip = np.unique(clip * (code.max(initial=0) + 1) + code, return_inverse=True)
+    clip = clips_of(identity)
     order = np.lexsort((frame, clip))
-    same = clip[order][1:] == clip[order][:-1]
-    step = frame[order][1:].astype(np.float64) - frame[order][:-1]
-    if not same.any() or (step[same] <= 0).any():
+    if ((np.diff(clip[order]) == 0) & (np.diff(frame[order]) == 0)).any():
         return None
-    usual = _usual_step(clip[order][1:][same], step[same], int(clip.max()) + 1)
-    follows = same & (step == usual[clip[order][1:]])
-    previous = np.full(len(frame), -1, np.int64)
-    previous[order[1:][follows]] = order[:-1][follows]
-    return previous
-
-
-def _usual_step(clip: np.ndarray, step: np.ndarray, clips: int) -> np.ndarray:
-    """Return each clip's most common step, the smaller of equals; NaN for a clip of one frame."""
-    pairs, count = np.unique(np.stack([clip, step], 1), axis=0, return_counts=True)
-    order = np.lexsort((-pairs[:, 1], count, pairs[:, 0]))
-    usual = np.full(clips, np.nan)
-    usual[pairs[order, 0].astype(np.int64)] = pairs[order, 1]
-    return usual
+    previous = previous_frames(clip, frame)
+    return previous if (previous >= 0).any() else None
 
 
 # Put a prediction and its truth side by side: joints by name, frames by row, and what counts.
@@ -260,7 +238,7 @@ def match_poses(
         skeleton=skeleton,
         metric=prediction.unit == truth.unit and truth.unit not in _SCALELESS,
         in_mm=truth.unit == "mm",
-        previous=previous_frames({key: np.asarray(value)[kept] for key, value in truth.identity.items()}),
+        previous=previous_rows({key: np.asarray(value)[kept] for key, value in truth.identity.items()}),
         coverage=float(weight[wanted].sum() / wanted.sum()),
     )
     notes = [*ours_extra, *theirs_extra, *_notes(matched, len(kept), truth.unit), *_pose_notes(matched)]

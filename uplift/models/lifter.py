@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from dataclasses import dataclass
 
 import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
+from uplift.data.samples import Samples
 from uplift.geometry.camera import Camera
 from uplift.geometry.normalise import bone_lengths, mirror
 from uplift.skeleton import Skeleton
@@ -17,7 +18,8 @@ __all__ = ["Lifted", "Lifter"]
 _LOG_SPREAD = (-5.0, 2.0)
 
 
-class Lifted(NamedTuple):
+@dataclass(frozen=True)
+class Lifted(Samples):
     """What the lifter says of a batch of keypoints."""
 
     pose: Float[Tensor, "batch joints 3"]

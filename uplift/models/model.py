@@ -198,8 +198,7 @@ class ShapeModel:
                 )
                 for start in range(0, len(masks), _CHUNK)
             ]
-        names = [part.name for part in dataclasses.fields(LiftedShapes)]
-        return LiftedShapes(**{name: torch.cat([getattr(part, name) for part in parts]) for name in names})
+        return LiftedShapes.concat(parts)
 
     def predict(self, data: MaskData, title: str = "") -> ShapePrediction:
         """Return a shape for every mask.

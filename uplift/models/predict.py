@@ -35,13 +35,7 @@ def lift_frames(lifter: Lifter, frames: TrainingSet, *, both_ways: bool = True) 
     for start in range(0, len(frames), _CHUNK):
         rows = slice(start, start + _CHUNK)
         parts.append(lift(frames.keypoints[rows], frames.confidence[rows], frames.distance[rows]))
-    spreads = [part.spread for part in parts if part.spread is not None]
-    return Lifted(
-        torch.cat([part.pose for part in parts]),
-        torch.cat([part.tilt for part in parts]),
-        torch.cat([part.keypoints for part in parts]),
-        torch.cat(spreads) if spreads else None,
-    )
+    return Lifted.concat(parts)
 
 
 def as_measured(frames: TrainingSet, keypoints: Float[Tensor, "frames joints 2"]) -> Float[Tensor, "frames joints 2"]:

@@ -8,6 +8,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
+from uplift.data.samples import Samples
 from uplift.data.tensors import moments, recrop
 from uplift.models.mixture import BASE, Drawn, ShapeMixture
 
@@ -22,7 +23,7 @@ _UNSURE = 0.2
 
 
 @dataclass(frozen=True)
-class LiftedShapes:
+class LiftedShapes(Samples):
     """Occupancy in the own frame of each mask's most likely view, and where that stands (see `Placed`)."""
 
     occupancy: Float[Tensor, "items depth height width"]

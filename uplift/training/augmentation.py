@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 
 import torch
 from jaxtyping import Float, Int
@@ -11,6 +11,7 @@ from torch.nn.functional import normalize
 
 from uplift.config.settings import StudentSettings
 from uplift.data.clean import MIN_VISIBLE, joint_neighbours
+from uplift.data.samples import Samples
 from uplift.geometry.camera import Camera
 from uplift.geometry.normalise import mirror, renormalise
 from uplift.geometry.rotation import about_y, least_rotation, nearest_rotation, random_rotations, turn
@@ -146,7 +147,7 @@ TILT_WEIGHT = 0.1
 
 
 @dataclass(frozen=True)
-class ShownViews:
+class ShownViews(Samples):
     """Augmented views: input and targets of a lifter, in units of the input's mean radius."""
 
     input: Float[Tensor, "views joints 2"]
@@ -160,11 +161,6 @@ class ShownViews:
     distance: Float[Tensor, " views"]
     weight: Float[Tensor, "views joints"]
     """Confidence of the poses that are seen; 0 where there is nothing to learn."""
-
-    def part(self, place: int, size: int) -> ShownViews:
-        """Return the views of one batch of ``size``."""
-        rows = slice(place * size, (place + 1) * size)
-        return ShownViews(*(getattr(self, f.name)[rows] for f in fields(self)))
 
 
 def depth_error(lifted: Lifted, views: ShownViews) -> Float[Tensor, ""]:

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass
 
 import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
 from uplift.config.settings import RefineSettings
+from uplift.data.samples import Samples
 from uplift.data.tensors import TrainingSet
 from uplift.geometry.camera import Camera
 from uplift.geometry.rotation import body_tilt, clip_median, gravity_of, least_rotation, real_tilt, turn
@@ -24,7 +25,7 @@ _NOISY = 1e-3
 
 
 @dataclass(frozen=True)
-class PseudoPoses:
+class PseudoPoses(Samples):
     """Poses for a student to learn from, as a teacher lifts the training frames."""
 
     skeleton: Skeleton
@@ -41,20 +42,12 @@ class PseudoPoses:
     labelled: Bool[Tensor, " frames"] | None = None
     """Which poses are ground truth; None if none is."""
 
-    def __len__(self) -> int:
-        return len(self.pose)
-
     @property
     def which_labelled(self) -> Bool[Tensor, " frames"]:
         """Which poses are ground truth."""
         if self.labelled is not None:
             return self.labelled
         return torch.zeros(len(self), dtype=torch.bool, device=self.pose.device)
-
-    def to(self, device: torch.device | str) -> PseudoPoses:
-        """Return the same poses on ``device``."""
-        moved = {f.name: getattr(self, f.name) for f in fields(self) if f.name != "skeleton"}
-        return replace(self, **{k: None if v is None else v.to(device) for k, v in moved.items()})
 
 
 @torch.no_grad()

@@ -19,7 +19,7 @@ from uplift.config.files import read_torch
 from uplift.config.run import RunFolder
 from uplift.config.settings import LifterSettings, Settings, TrainerSettings, seconds_of
 from uplift.data.load import Loaded
-from uplift.data.tensors import TrainingSet, frames_of, joined, mean_bones, with_labels
+from uplift.data.tensors import TrainingSet, frames_of, mean_bones, with_labels
 from uplift.errors import UserError
 from uplift.models.lifter import Lifter
 from uplift.models.model import Model, build_lifter, load_poses
@@ -278,7 +278,7 @@ class Recipe:
         labelled = self.data.labelled
         if not bool(labelled.any()):
             return None
-        return true_poses(self.data.part(labelled), self.first.camera, tilted=self.first.tilt != "level")
+        return true_poses(self.data.select(labelled), self.first.camera, tilted=self.first.tilt != "level")
 
 
 def training_frames(loaded: Loaded, skeleton: Skeleton, settings: Settings) -> TrainingSet:
@@ -286,7 +286,7 @@ def training_frames(loaded: Loaded, skeleton: Skeleton, settings: Settings) -> T
     frames = with_labels(frames_of(loaded.train, skeleton, settings.lifter), loaded.train)
     if loaded.more is None:
         return frames
-    return joined(frames, with_labels(frames_of(loaded.more, skeleton, settings.lifter), loaded.more))
+    return TrainingSet.concat([frames, with_labels(frames_of(loaded.more, skeleton, settings.lifter), loaded.more)])
 
 
 def _go_on(fresh: Lifter, last: Lifter) -> None:

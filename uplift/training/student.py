@@ -86,7 +86,7 @@ class StudentTraining(LifterTraining[Lifter, PseudoPoses]):
             with torch.no_grad():
                 self._made = (chunk, self.maker(size * _BATCHES_AT_ONCE))
             torch.manual_seed(stream_seed(self.seed, self.global_rank, self.global_step))
-        return self._made[1].part(place, size)
+        return self._made[1].select(slice(place * size, (place + 1) * size))
 
 
 def _spread_loss(lifted: Lifted, views: ShownViews, spread: Tensor) -> Tensor:

@@ -11,7 +11,7 @@ import numpy as np
 
 from uplift.config.files import replacing
 from uplift.data.clean_masks import MaskOptions
-from uplift.data.concat import join, resized
+from uplift.data.concat import concat_masks, resized
 from uplift.data.formats.base import Format, Peek
 from uplift.data.formats.masks import shuffled, wanted
 from uplift.data.masks import MaskData, Placed
@@ -162,7 +162,7 @@ def _fits(peek: Peek) -> bool:
 
 
 def _read(peek: Peek, options: MaskOptions) -> MaskData:
-    data = join([read_masks_npz(path) for path in peek.paths])
+    data = concat_masks([read_masks_npz(path) for path in peek.paths])
     where = peek.where
     notes: list[str] = []
     if options.images is not None:
