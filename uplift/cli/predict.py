@@ -33,7 +33,7 @@ from uplift.export.gallery import check_options
 from uplift.export.scene import AXES, in_axes
 from uplift.metrics.pose_metrics import bone_cv, bone_lengths, never_seen_so_long
 from uplift.models.metric_scale import size_from
-from uplift.models.model import load
+from uplift.models.model import load_poses, load_shapes
 from uplift.models.prediction import Prediction, ShapePrediction
 from uplift.skeleton import Skeleton
 
@@ -66,7 +66,7 @@ def predict_shapes(
     if output is not None:
         _check_mesh_output(output, page, options)
     weights = run if isinstance(run, Weights) else read_weights(run)
-    model, trained = load(weights), weights.settings()
+    model, trained = load_shapes(weights), weights.settings()
     data = read_masks(input, **{**({"side": trained.data.side} if trained else {}), **reading})
     title = Path(str(input).split(",")[0]).stem
     prediction = model.predict(data.without_truth(), title=title)
