@@ -9,6 +9,7 @@ import torch
 
 import uplift
 from uplift.config.files import save_torch
+from uplift.config.run import read_weights
 from uplift.errors import UserError
 from uplift.models.model import Model, ShapeModel, load_poses, load_shapes
 
@@ -58,9 +59,9 @@ def test_each_kind_is_refused_where_the_other_is_expected() -> None:
     with pytest.raises(UserError, match="lifts keypoints, expected a run that lifts masks"):
         load_shapes(KEYPOINTS)
     with pytest.raises(UserError, match="not a lifter of keypoints .* lifts masks, expected 3"):
-        Model.load_file(MASKS)
+        Model.from_weights(read_weights(MASKS))
     with pytest.raises(UserError, match="not a lifter of masks .* lifts keypoints, expected 1"):
-        ShapeModel.load_file(KEYPOINTS)
+        ShapeModel.from_weights(read_weights(KEYPOINTS))
 
 
 @pytest.mark.parametrize("path", [KEYPOINTS, MASKS])

@@ -171,7 +171,7 @@ def predict(
         raise UserError(f"axes={axes}: no such axes.{did_you_mean(axes, AXES)}")
     if output is not None:
         _check_output(output, page, options)
-    model = load(weights)
+    model = load_poses(weights)
     known = size_from(model.skeleton, **(size or {}))
     data = _read(input, overrides, model.skeleton, reading)
     clean(data, model.skeleton)  # refuses a file with nothing to lift, before any work
