@@ -29,8 +29,9 @@ from uplift.geometry.camera import build_camera
 from uplift.geometry.rotation import least_rotation, turn
 from uplift.models.model import Model, build_lifter
 from uplift.skeleton import Skeleton, load_skeleton
+from uplift.training.pose_recipe import student_settings
 from uplift.training.pseudo_labels import PseudoPoses
-from uplift.training.recipe import run_stage, stage_budgets, student_settings
+from uplift.training.stages import run_stage, stage_budgets
 from uplift.training.student import StudentTraining
 
 __all__ = ["gravity_in_camera", "gravity_of_recurring_poses", "load_labelled", "train_twin", "true_poses"]

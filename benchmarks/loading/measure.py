@@ -37,7 +37,7 @@ def load(folder: str | Path) -> dict[str, Any]:
     found["load_peak_gb"] = _peak_gb()
     parts = [part for part in (loaded.train, loaded.test) if part is not None]
     found |= {"frames": sum(map(len, parts)), "arrays_gb": sum(map(_bytes, parts)) / 1e9}
-    from uplift.training.recipe import training_frames
+    from uplift.training.pose_recipe import training_frames
 
     start = time.perf_counter()
     frames = training_frames(loaded, skeleton, settings)

@@ -19,8 +19,8 @@ from uplift.priors import build_priors
 from uplift.skeleton import load_skeleton
 from uplift.training.adversarial import AdversarialTraining
 from uplift.training.base import LifterTraining
+from uplift.training.pose_recipe import student_settings, training_frames
 from uplift.training.pseudo_labels import PseudoPoses, lift_all
-from uplift.training.recipe import student_settings, training_frames
 from uplift.training.student import StudentTraining
 
 __all__ = ["SMALL", "train"]

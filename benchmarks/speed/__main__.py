@@ -28,8 +28,9 @@ from uplift.priors import build_priors
 from uplift.skeleton import load_skeleton
 from uplift.training.adversarial import AdversarialTraining
 from uplift.training.base import LifterTraining
+from uplift.training.pose_recipe import student_settings
 from uplift.training.pseudo_labels import lift_all
-from uplift.training.recipe import StageBudget, run_stage, student_settings
+from uplift.training.stages import StageBudget, run_stage
 from uplift.training.student import StudentTraining
 
 _ROUNDS = 3

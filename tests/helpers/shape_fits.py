@@ -43,7 +43,7 @@ def fit_of(folder: Path, *words: str, loaded: LoadedMasks | None = None) -> tupl
     (folder / "checkpoints").mkdir(parents=True, exist_ok=True)
     run = RunFolder(folder)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(recipe_module, "_MOST_FOR_LEVEL", 8)
+        patch.setattr(recipe_module, "_MOST_FOR_THRESHOLD", 8)
         recipe = ShapeRecipe(settings, loaded or load_masks(settings).for_training())
         model = recipe.train(run)
     assert all(seconds > 0 for seconds in recipe.spent.values())

@@ -15,7 +15,7 @@ from uplift.data.synthetic.simulate import simulate
 from uplift.data.tensors import TrainingSet, intrinsics_of
 from uplift.geometry.camera import Perspective
 from uplift.models.lifter import Lifted
-from uplift.models.predict import as_measured, bridge_gaps, bridged_joints, refine_lifted
+from uplift.models.predict import as_measured, gap_joints, interpolate_gaps, refine_lifted
 from uplift.skeleton import load_skeleton
 
 SKELETON = load_skeleton("h36m17")
@@ -47,9 +47,9 @@ def test_a_bridged_joint_is_where_it_was(joint):
     settings = LifterSettings()
     intrinsics = intrinsics_of(data, settings)
     frames = TrainingSet.of(data, SKELETON, count_root=False, intrinsics=intrinsics)
-    bridged = bridge_gaps(data, frames, true_lift(data, frames), intrinsics)
+    bridged = interpolate_gaps(data, frames, true_lift(data, frames), intrinsics)
     assert bridged is not None
-    gap = bridged_joints(data)
+    gap = gap_joints(data)
     off = np.linalg.norm(bridged.keypoints - whole.keypoints, axis=-1)[gap]
     # The camera looks at the stand-in of a missing root, not at it: a little perspective is left.
     assert np.median(off) < (0.01 if joint == WRIST else 1.5)
@@ -80,11 +80,11 @@ def test_only_joints_that_a_neighbour_in_time_shows():
     confidence[1] = 0  # nothing is seen
     names = np.array(list("aaaaabbb"))
     data = PoseData(np.ones((8, 17, 2), np.float32), confidence, SKELETON.joints, identity={"sequence": names})
-    found = {(int(frame), int(joint)) for frame, joint in zip(*bridged_joints(data).nonzero(), strict=True)}
+    found = {(int(frame), int(joint)) for frame, joint in zip(*gap_joints(data).nonzero(), strict=True)}
     assert found == {(2, 3)}, "frame 5 starts another clip"
 
 
 def test_whole_frames_need_no_bridge():
     data = clean(simulate(SKELETON, 30, seed=2), SKELETON)[0]
     frames = TrainingSet.of(data, SKELETON, count_root=False)
-    assert bridge_gaps(data, frames, true_lift(data, frames), None) is None
+    assert interpolate_gaps(data, frames, true_lift(data, frames), None) is None

@@ -118,7 +118,7 @@ def test_sizes_of_the_skeleton_file():
     assert size_from(tall) is None
     found = size_from(tall, height_mm=1700.0)
     assert isinstance(found, KnownLength) and found.mm == pytest.approx(833)
-    with pytest.raises(UserError, match="does not say how height shows"):
+    with pytest.raises(UserError, match="does not relate height to its joints"):
         size_from(Skeleton.from_dict({**plain, "size": {}}), height_mm=1700.0)
 
 
@@ -156,5 +156,5 @@ def test_bones_become_constant_and_poses_nearer_the_truth():
 
 def test_bones_that_close_loops_are_refused():
     chair = load_skeleton("chair10")
-    with pytest.raises(UserError, match="close loops"):
+    with pytest.raises(UserError, match="form loops"):
         with_constant_bones(np.ones((2, len(chair.joints), 3)), chair, np.zeros(2, int))

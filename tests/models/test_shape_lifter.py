@@ -18,7 +18,7 @@ from uplift.data.tensors import as_tensor, mask_set
 from uplift.errors import UserError
 from uplift.geometry.voxels import fill
 from uplift.models.model import ShapeModel
-from uplift.models.shape_lifter import LiftedShapes, choose_level
+from uplift.models.shape_lifter import LiftedShapes, choose_iso_threshold
 
 R = 24
 
@@ -185,7 +185,7 @@ def test_the_level_of_fainter_shapes_is_lower(model: ShapeModel, data: MaskData)
     found = model.lift(data.masks, resolution=24)
     masks, levels = as_tensor(data.masks), []
     for share in (1, 0.5, 0.25):
-        levels.append(choose_level(replace(found, occupancy=found.occupancy * share), masks))
+        levels.append(choose_iso_threshold(replace(found, occupancy=found.occupancy * share), masks))
     assert levels[0] >= levels[1] >= levels[2]
     assert levels[0] > levels[2]
 

@@ -18,8 +18,8 @@ from uplift.geometry.camera import build_camera
 from uplift.priors.bones import Bones
 from uplift.priors.handedness import Handedness
 from uplift.priors.labelled import Labelled
+from uplift.training.pose_recipe import PoseRecipe, _go_on
 from uplift.training.pseudo_labels import lift_all, true_poses
-from uplift.training.recipe import Recipe, _go_on
 from uplift.training.sampler import LabelledSampler
 
 
@@ -186,12 +186,12 @@ def stages(tmp_path: Path, *words: str) -> Recipe:
     """Return the stages of a quick fit, not trained."""
     write_body(tmp_path / "a.npz")
     settings = load_settings(None, ["skeleton=h36m17", f"data.train={tmp_path / 'a.npz'}", *QUICK, *words])
-    return Recipe(settings, H36M, load_data(settings, H36M), None)
+    return PoseRecipe(settings, H36M, load_data(settings, H36M), None)
 
 
 def test_labels_take_the_place_of_the_teachers_time(tmp_path: Path) -> None:
     def steps(*words: str) -> list[int | None]:
-        return [budget.steps for budget in stages(tmp_path, "trainer.max_steps=1000", *words).budgets]
+        return [budget.steps for budget in stages(tmp_path, "trainer.max_steps=1000", *words).budgets.values()]
 
     assert steps() == [400, 600]
     assert steps("data.labelled.fraction=0.1") == [62, 938]  # nine tenths of a batch: 0.4 * 0.1 against 0.6

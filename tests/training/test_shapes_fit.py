@@ -171,7 +171,7 @@ def test_a_prior_of_ones_own(fitted: tuple[Path, ShapeModel], here: Path) -> Non
     ("name", "says"),
     [
         ("Wrong", "priors.mine: loss.lift. returned shape .2,.*expected one number"),
-        ("Breaks", r"priors.mine: .*loss failed in .*my.py, line 3\d: AttributeError"),
+        ("Breaks", r"priors.mine: .*loss failed in .*my.py, line 29: AttributeError"),
         ("Unready", r"must call super\(\).__init__\(\) first"),
         ("Absent", "no class 'Absent'"),
     ],

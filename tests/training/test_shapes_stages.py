@@ -33,7 +33,7 @@ def test_each_stage_makes_a_finer_mixture(staged: tuple[Path, ShapeRecipe, Shape
     assert sorted(path.name for path in folder.glob("checkpoints/*")) == [f"{name}.ckpt" for name in stages]
     assert {line.split(",")[0] for line in (folder / "metrics.csv").read_text().splitlines()[1:]} == set(stages)
     assert "a mixture of 1, then 2, then 4 shapes of 12^3 voxels" in recipe.notes[0]
-    _, second, third = steps = [budget.steps or 0 for budget in recipe.budgets]
+    _, second, third = steps = [budget.steps or 0 for budget in recipe.budgets.values()]
     assert sum(steps) == 24
     assert second < third, "the more shapes, the more steps"
     assert model.lifter.azimuth_bias.shape == (4, 48)
@@ -56,7 +56,7 @@ def test_shapes_of_few_masks_are_not_split(masks: int, splits: list[int], monkey
     assert len(loaded.train) == masks
     recipe = ShapeRecipe(settings, loaded)
     assert recipe.splits == splits
-    steps = [budget.steps or 0 for budget in recipe.budgets]
+    steps = [budget.steps or 0 for budget in recipe.budgets.values()]
     assert len(steps) == len(splits) + 1
     assert sum(steps) == 10
     assert steps[1:] == sorted(steps[1:])
@@ -72,7 +72,7 @@ def test_a_fit_goes_on_in_its_second_stage(
     last: bool, staged: tuple[Path, ShapeRecipe, ShapeModel], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     folder = tmp_path / "run"
-    _, second, third = (budget.steps or 0 for budget in staged[1].budgets)
+    _, second, third = (budget.steps or 0 for budget in staged[1].budgets.values())
     step = second - 1 if last else 2
     interrupt(folder, 2, step, *STAGES, loaded=many())
     assert {path.name for path in folder.glob("checkpoints/*")} == {"shapes.ckpt", "split_1.ckpt"}

@@ -10,7 +10,7 @@ from lifts import H36M, small_lifter, training_set
 from uplift.config.settings import TeacherSettings, TrainerSettings, ViewSettings
 from uplift.priors.bones import Bones
 from uplift.training.adversarial import AdversarialTraining
-from uplift.training.recipe import StageBudget, run_stage
+from uplift.training.stages import StageBudget, run_stage
 
 
 def _module(seed: int) -> AdversarialTraining:

@@ -21,7 +21,7 @@ from uplift.data.load import load_data
 from uplift.errors import UserError
 from uplift.skeleton import Skeleton, load_skeleton
 from uplift.training.callbacks import Interrupted
-from uplift.training.recipe import Recipe
+from uplift.training.pose_recipe import PoseRecipe
 
 __all__ = ["fit", "fit_settings"]
 
@@ -87,7 +87,7 @@ def fit_settings(settings: Settings, run: RunFolder | None = None) -> RunFolder:
 def _keypoints(settings: Settings, run: RunFolder | None) -> _Fit:
     skeleton = _skeleton(settings)
     loaded = load_data(settings, skeleton)
-    recipe = Recipe(settings, skeleton, loaded, run)
+    recipe = PoseRecipe(settings, skeleton, loaded, run)
 
     def reported(run: RunFolder, model: Any) -> None:
         report(run, model, settings, loaded, recipe.spent)

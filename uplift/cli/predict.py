@@ -33,7 +33,7 @@ from uplift.export.gallery import check_options
 from uplift.export.scene import AXES, in_axes
 from uplift.metrics.pose_metrics import bone_cv, bone_lengths, never_seen_so_long
 from uplift.models.metric_scale import size_from
-from uplift.models.model import load
+from uplift.models.model import load_poses, load_shapes
 from uplift.models.prediction import Prediction, ShapePrediction
 from uplift.skeleton import Skeleton
 
@@ -66,7 +66,7 @@ def predict_shapes(
     if output is not None:
         _check_mesh_output(output, page, options)
     weights = run if isinstance(run, Weights) else read_weights(run)
-    model, trained = load(weights), weights.settings()
+    model, trained = load_shapes(weights), weights.settings()
     data = read_masks(input, **{**({"side": trained.data.side} if trained else {}), **reading})
     title = Path(str(input).split(",")[0]).stem
     prediction = model.predict(data.without_truth(), title=title)
@@ -171,7 +171,7 @@ def predict(
         raise UserError(f"axes={axes}: no such axes.{did_you_mean(axes, AXES)}")
     if output is not None:
         _check_output(output, page, options)
-    model = load(weights)
+    model = load_poses(weights)
     known = size_from(model.skeleton, **(size or {}))
     data = _read(input, overrides, model.skeleton, reading)
     clean(data, model.skeleton)  # refuses a file with nothing to lift, before any work

@@ -1,4 +1,4 @@
-"""Millimetres from what a user knows: a length of the body, its height, or how high the camera stands."""
+"""Metric scale from a known length: of the body, of its height, or of the camera above the ground."""
 
 from __future__ import annotations
 
@@ -10,12 +10,21 @@ from jaxtyping import Float, Int
 from uplift.errors import UserError, did_you_mean
 from uplift.skeleton import Skeleton
 
-__all__ = ["CameraHeight", "KnownLength", "Size", "mm_by_camera_height", "mm_per_unit", "size_from", "size_of_skeleton"]
+__all__ = [
+    "CameraHeight",
+    "KnownLength",
+    "Size",
+    "median_by_body",
+    "mm_by_camera_height",
+    "mm_per_unit",
+    "size_from",
+    "size_of_skeleton",
+]
 
 
 @dataclass(frozen=True)
 class KnownLength:
-    """The length of a way from joint to joint."""
+    """The length of a path from joint to joint."""
 
     along: tuple[str, ...]
     mm: float
@@ -23,7 +32,7 @@ class KnownLength:
 
 @dataclass(frozen=True)
 class CameraHeight:
-    """How high the camera is over the ground that the lowest joints stand on."""
+    """The height of the camera above the ground that the lowest joints stand on."""
 
     mm: float
 
@@ -32,7 +41,7 @@ Size = KnownLength | CameraHeight
 
 
 def size_of_skeleton(skeleton: Skeleton) -> Size | None:
-    """Return the size that the skeleton's file gives in mm; None where it gives none."""
+    """Return the size that the skeleton's file gives in mm; None if it gives none."""
     if "mm" not in skeleton.size:
         return None
     return KnownLength(tuple(skeleton.size["along"]), skeleton.size["mm"])
@@ -46,29 +55,32 @@ def size_from(
     bone_mm: float | None = None,
     camera_height_mm: float | None = None,
 ) -> Size | None:
-    """Return the size that a user gives, else the skeleton's own; None where neither is known.
+    """Return the size that a user gives, else the skeleton's; None if neither is known.
 
     Raises:
-        UserError: more than one size, a bone without its length, joints that are not there, no height to go by.
+        UserError: more than one size, a bone without its length, unknown joints, or a height that the skeleton
+            does not relate to its joints.
     """
     given = [
         n for n, v in (("height_mm", height_mm), ("bone", bone or bone_mm), ("camera_height_mm", camera_height_mm)) if v
     ]
     if len(given) > 1:
-        raise UserError(f"{' and '.join(given)} are all given: one of them says how large the body is.")
+        raise UserError(f"{' and '.join(given)} are given: use only one of them.")
     for name, value in (("height_mm", height_mm), ("bone_mm", bone_mm), ("camera_height_mm", camera_height_mm)):
         if value is not None and not 0 < value < 1e9:
             raise UserError(f"{name}={value}: expected a positive length in mm.")
     if height_mm is not None:
         if "of_height" not in skeleton.size:
             raise UserError(
-                f"height_mm={height_mm:g}: skeleton '{skeleton.name}' does not say how height shows in its joints "
+                f"height_mm={height_mm:g}: skeleton '{skeleton.name}' does not relate height to its joints "
                 "(size: {along: [...], of_height: SHARE} in its YAML). Give a length: bone=JOINT,JOINT bone_mm=..."
             )
         return KnownLength(tuple(skeleton.size["along"]), height_mm * skeleton.size["of_height"])
     if camera_height_mm is not None:
         if not skeleton.gravity:
-            raise UserError(f"camera_height_mm={camera_height_mm:g}: skeleton '{skeleton.name}' knows no ground.")
+            raise UserError(
+                f"camera_height_mm={camera_height_mm:g}: skeleton '{skeleton.name}' has no gravity, and so no ground."
+            )
         return CameraHeight(camera_height_mm)
     if (bone is None) != (bone_mm is None):
         raise UserError("bone=JOINT,JOINT and bone_mm=LENGTH go together.")
@@ -91,43 +103,56 @@ def mm_per_unit(
     body: Int[np.ndarray, " frames"],
     size: KnownLength,
 ) -> Float[np.ndarray, " frames"]:
-    """Return how many mm one unit of each pose is, if every body is as large as ``size`` says.
+    """Return mm per unit of each pose, if every body has the length ``size``.
 
-    Frames of one ``body`` share its proportions: the median over them of each length as a share of
-    all bones, so that no frame goes by one bone alone. A way that has a mirror image counts as the
-    mean of both.
+    Frames of one ``body`` share its proportions: the length as a share of all bones is the median over them, so
+    that no frame depends on one bone alone. A path with a mirror image counts as the mean of both.
     """
     total = _lengths(pose, skeleton.bone_indices).sum(1)
     places = np.array([skeleton.index(joint) for joint in size.along])
-    ways = [places, skeleton.mirror_permutation[places]]
-    length = np.mean([_lengths(pose, np.stack([way[:-1], way[1:]], 1)).sum(1) for way in ways], 0)
+    paths = [places, skeleton.mirror_permutation[places]]
+    length = np.mean([_lengths(pose, np.stack([path[:-1], path[1:]], 1)).sum(1) for path in paths], 0)
     share = length / np.maximum(total, 1e-9)
-    known = share.copy()
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return size.mm / (median_by_body(share, body) * total)
+
+
+def median_by_body(
+    values: Float[np.ndarray, "frames *rest"], body: Int[np.ndarray, " frames"]
+) -> Float[np.ndarray, "frames *rest"]:
+    """Return for every frame the median of ``values`` over the frames of its body; NaN is left out."""
+    median = values.copy()
     for one in np.unique(body):
         rows = body == one
-        if np.isfinite(share[rows]).any():
-            known[rows] = np.nanmedian(share[rows])
-    with np.errstate(divide="ignore", invalid="ignore"):
-        return size.mm / (known * total)
+        if np.isfinite(values[rows]).any():
+            median[rows] = np.nanmedian(values[rows], axis=0)
+    return median
 
 
 def mm_by_camera_height(
     pose: Float[np.ndarray, "frames joints 3"],
-    places: Float[np.ndarray, "frames joints 3"],
+    positions: Float[np.ndarray, "frames joints 3"],
     gravity: Float[np.ndarray, "frames 3"],
     skeleton: Skeleton,
     body: Int[np.ndarray, " frames"],
     size: CameraHeight,
 ) -> Float[np.ndarray, " frames"]:
-    """Return how many mm one unit of each pose is, if the lowest joint of a frame mostly stands on the ground.
+    """Return mm per unit of each pose, if the lowest joint of a frame mostly stands on the ground.
 
-    ``places`` are the joints in front of the camera in the pose's unit, ``gravity`` unit vectors, both
-    in the camera frame. The frames of one ``body`` share its size: the median of what each frame says.
+    The frames of one ``body`` share its size, the median over them.
+
+    Args:
+        pose: root-relative poses, camera frame.
+        positions: the joints relative to the camera, in the same frame and unit.
+        gravity: unit vectors, camera frame.
+        skeleton: of the poses.
+        body: the number of each frame's body.
+        size: the camera's height.
 
     Raises:
         UserError: bodies that are mostly not below the camera.
     """
-    below = np.einsum("fjc,fc->fj", places, gravity)
+    below = np.einsum("fjc,fc->fj", positions, gravity)
     lowest = np.nanmax(np.where(np.isfinite(below), below, -np.inf), axis=1)
     total = _lengths(pose, skeleton.bone_indices).sum(1)
     by_frame = np.where(lowest > 0, size.mm / np.maximum(lowest, 1e-9) * total, np.nan)
@@ -136,11 +161,8 @@ def mm_by_camera_height(
             f"camera_height_mm={size.mm:g}: the lowest joints are above the camera in most frames: is focal_px right, "
             "and does the camera look at the ground they stand on?"
         )
-    of_body = np.full(len(total), np.nanmedian(by_frame))
-    for one in np.unique(body):
-        rows = body == one
-        if np.isfinite(by_frame[rows]).any():
-            of_body[rows] = np.nanmedian(by_frame[rows])
+    of_body = median_by_body(by_frame, body)
+    of_body = np.where(np.isfinite(of_body), of_body, np.nanmedian(by_frame))
     return of_body / np.maximum(total, 1e-9)
 
 

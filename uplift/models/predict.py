@@ -1,35 +1,99 @@
-"""Inference in steps: lift in chunks, refine clips, interpolate short gaps, keep bones constant."""
+"""The steps of inference: lift, refine by clip, interpolate gaps, constant bones, metric scale, level frame."""
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-from uplift.config.settings import RefineSettings
-from uplift.data.poses import PoseData
-from uplift.data.tensors import TrainingSet
+from uplift.config.settings import LifterSettings, RefineSettings
+from uplift.data.poses import PoseData, codes_of
+from uplift.data.tensors import TrainingSet, as_seen, frames_of, intrinsics_of
 from uplift.errors import UserError
 from uplift.geometry.camera import Camera
+from uplift.geometry.lens import place_roots
 from uplift.geometry.normalise import Intrinsics
-from uplift.geometry.rotation import clip_median, gravity_of, real_tilt
+from uplift.geometry.rotation import clip_median, gravity_of, least_rotation, real_tilt, turn
 from uplift.models.lifter import Lifted, Lifter
+from uplift.models.metric_scale import (
+    CameraHeight,
+    Size,
+    median_by_body,
+    mm_by_camera_height,
+    mm_per_unit,
+    size_of_skeleton,
+)
 from uplift.models.refine import refine_clips
 from uplift.skeleton import Skeleton
 
-__all__ = ["as_measured", "bridge_gaps", "bridged_joints", "lift_frames", "refine_lifted", "with_constant_bones"]
+__all__ = [
+    "InferredPoses",
+    "as_measured",
+    "bodies_of",
+    "gap_joints",
+    "infer",
+    "interpolate_gaps",
+    "lift_frames",
+    "mm_per_pixel",
+    "refine_lifted",
+    "to_level",
+    "with_constant_bones",
+]
 
-# Lift many frames: in chunks that fit the cache, then each clip as a whole.
+
+@dataclass(frozen=True)
+class InferredPoses:
+    """Poses in pixels at the depth of the root, in the frame of the real camera."""
+
+    pose: Float[Tensor, "frames joints 3"]
+    gravity: Float[Tensor, "frames 3"]
+    """Its direction."""
+    spread: Float[Tensor, "frames joints"] | None
+    """The error to expect of each depth, pixels."""
+    mm_per_px: Float[Tensor, " frames"] | None
+    """For bodies as large as the labelled ones; None without labels."""
+
+
+def infer(lifter: Lifter, data: PoseData, settings: LifterSettings, *, refine: bool) -> InferredPoses:
+    """Return the poses of cleaned ``data``; if ``refine``, refined by clip and with short gaps interpolated."""
+    seen = as_seen(data, settings)
+    frames, lifted = _lift_and_refine(lifter, seen, settings, refine)
+    if refine:
+        filled = interpolate_gaps(seen, frames, lifted, intrinsics_of(seen, settings))
+        if filled is not None:  # with fewer gaps, the visible joints are lifted better too
+            frames, lifted = _lift_and_refine(lifter, filled, settings, refine)
+    pose = lifted.pose * frames.scale[:, None, None]
+    if frames.rotation is not None:
+        pose = turn(pose, frames.rotation.mT)
+    gravity = gravity_of(real_tilt(lifted.tilt, frames.rotation), None)
+    spread = None if lifted.spread is None else lifted.spread * frames.scale[:, None]
+    unit_mm = lifter.unit_mm(lifted.pose)
+    return InferredPoses(pose, gravity, spread, None if unit_mm is None else unit_mm / frames.scale)
+
+
+def _lift_and_refine(
+    lifter: Lifter, data: PoseData, settings: LifterSettings, refine: bool
+) -> tuple[TrainingSet, Lifted]:
+    """Return ``data`` in the model's units, and its poses."""
+    frames = frames_of(data, lifter.skeleton, settings).to(next(lifter.parameters()).device)
+    lifted = lift_frames(lifter, frames, both_ways=settings.both_ways)
+    if refine:
+        lifted = refine_lifted(lifted, frames, lifter.camera, settings.refine)
+    return frames, lifted
+
+
+# Lift many frames, and refine those of each clip together.
 
 _CHUNK = 8192
+"""Frames that fit the cache."""
 
 
 @torch.no_grad()
 def lift_frames(lifter: Lifter, frames: TrainingSet, *, both_ways: bool = True) -> Lifted:
-    """Return every frame lifted, averaged with its mirror image where ``both_ways``."""
+    """Return every frame lifted, averaged with its mirror image if ``both_ways``."""
     lift = lifter.lift_both_ways if both_ways else lifter
     parts: list[Lifted] = []
     for start in range(0, len(frames), _CHUNK):
@@ -39,30 +103,30 @@ def lift_frames(lifter: Lifter, frames: TrainingSet, *, both_ways: bool = True) 
 
 
 def as_measured(frames: TrainingSet, keypoints: Float[Tensor, "frames joints 2"]) -> Float[Tensor, "frames joints 2"]:
-    """Return root-relative ``keypoints`` from where those of ``frames`` are measured: the stand-in of a missing root.
+    """Return root-relative ``keypoints`` relative to the origin of ``frames``, a stand-in where the root is missing.
 
-    The joints that are seen tell how far the two are apart: not at all where the root is seen.
+    The offset is the mean over the visible joints; it is 0 where the root is visible.
     """
     seen = (frames.confidence > 0).unsqueeze(-1)
-    apart = ((frames.keypoints - keypoints) * seen).sum(1, keepdim=True) / seen.sum(1, keepdim=True).clamp_min(1)
-    gone = frames.confidence[:, frames.skeleton.root_index] == 0
-    return keypoints + apart * gone[:, None, None]
+    offset = ((frames.keypoints - keypoints) * seen).sum(1, keepdim=True) / seen.sum(1, keepdim=True).clamp_min(1)
+    root_missing = frames.confidence[:, frames.skeleton.root_index] == 0
+    return keypoints + offset * root_missing[:, None, None]
 
 
 @torch.no_grad()
 def refine_lifted(lifted: Lifted, frames: TrainingSet, camera: Camera, settings: RefineSettings) -> Lifted:
-    """Return the frames of each clip with one body, a smooth motion and one tilt of the real camera."""
+    """Return poses of which each clip has one body, a smooth motion and one tilt of the real camera."""
     pose = refine_clips(frames, as_measured(frames, lifted.keypoints), lifted.pose[..., 2], camera, settings)
     tilt = clip_median(real_tilt(lifted.tilt, frames.rotation), torch.ones_like(lifted.tilt), frames.clip)
     seen = gravity_of(tilt, frames.rotation)[:, 2].clamp(-1, 1).asin()
     return Lifted(pose, seen, camera.project(pose, frames.distance), lifted.spread)
 
 
-# Bridge short gaps: a joint that the frames around show is put where the mended pose has it, and seen from then on.
+# Gap interpolation: a joint that a neighbouring frame shows is put where the refined pose has it.
 
 
-def bridged_joints(data: PoseData) -> Bool[np.ndarray, "frames joints"]:
-    """Return the missing joints that the frame before or after shows, in frames that show something."""
+def gap_joints(data: PoseData) -> Bool[np.ndarray, "frames joints"]:
+    """Return the missing joints that are visible in the frame before or after; none in frames without any joint."""
     seen = data.confidence > 0
     follows = data.follows()[:, None]
     near = np.zeros_like(seen)
@@ -71,13 +135,20 @@ def bridged_joints(data: PoseData) -> Bool[np.ndarray, "frames joints"]:
     return near & ~seen & seen.any(1, keepdims=True)
 
 
-def bridge_gaps(data: PoseData, frames: TrainingSet, lifted: Lifted, intrinsics: Intrinsics | None) -> PoseData | None:
-    """Return ``data`` with bridged joints at the keypoints of ``lifted``; None where there are none.
+def interpolate_gaps(
+    data: PoseData, frames: TrainingSet, lifted: Lifted, intrinsics: Intrinsics | None
+) -> PoseData | None:
+    """Return ``data`` with `gap_joints` at the keypoints of refined poses; None if there are no gaps.
 
-    ``frames`` is the normalised ``data`` and ``lifted`` its poses, mended by clip. Their confidence is
-    the median of what is seen.
+    Their confidence is the median of that of visible joints.
+
+    Args:
+        data: in pixels.
+        frames: the same, normalised.
+        lifted: the refined poses.
+        intrinsics: of the camera, if known.
     """
-    gap = bridged_joints(data)
+    gap = gap_joints(data)
     if not gap.any():
         return None
     pixels = _pixels(data, frames, lifted, intrinsics).cpu().numpy()
@@ -92,19 +163,19 @@ def bridge_gaps(data: PoseData, frames: TrainingSet, lifted: Lifted, intrinsics:
 def _pixels(
     data: PoseData, frames: TrainingSet, lifted: Lifted, intrinsics: Intrinsics | None
 ) -> Float[Tensor, "frames joints 2"]:
-    """Return where the lifted joints are in the image."""
+    """Return where the lifted joints are in the image, in pixels."""
     keypoints = as_measured(frames, lifted.keypoints)
     if intrinsics is None or frames.rotation is None:
         origin = torch.from_numpy(data.keypoints[:, [frames.skeleton.root_index]]).to(keypoints)
         return origin + keypoints * frames.scale[:, None, None]
     rays = torch.cat([keypoints / frames.distance[:, None, None], torch.ones_like(keypoints[..., :1])], -1)
-    rays = rays @ frames.rotation  # rows times R: back to the real camera
+    rays = rays @ frames.rotation  # row vectors times R: back to the real camera
     return rays[..., :2] / rays[..., 2:].clamp_min(0.05) * intrinsics.focal_px + keypoints.new_tensor(
         intrinsics.centre_px
     )
 
 
-# Give the poses of one body the same bones: joints move as little as it takes.
+# Constant bones: joints move as little as possible.
 
 _ROUNDS = 30
 
@@ -114,47 +185,88 @@ def with_constant_bones(
 ) -> Float[np.ndarray, "frames joints 3"]:
     """Return the poses with, for each ``body``, one length of every bone, up to a size for each frame.
 
-    The length is the median over the body's frames of the bone as a share of all its bones; the sum of
-    all bones of a frame stays. Bone after bone, both ends are moved by half of what it is too long or too
-    short, again and again (as SHAKE does: Ryckaert, Ciccotti and Berendsen 1977), and what is left of it
-    is set exactly from the root outwards. Joints leave the lines of sight they were seen on by as much
-    as bones were wrong.
+    The length is the median over the body's frames of the bone as a share of all bones; the sum of all bones
+    of a frame stays. Bone by bone, both ends are moved by half of the error, repeatedly (SHAKE: Ryckaert,
+    Ciccotti and Berendsen 1977); the rest is set exactly, from the root outwards. Joints leave their lines of
+    sight by as much as bones were wrong.
 
     Raises:
-        UserError: bones that close loops, which no such walk along them can keep.
+        UserError: bones that form loops, which cannot be set one by one.
     """
     if len(skeleton.bones) >= len(skeleton.joints):
-        raise UserError(f"bones=constant: the bones of '{skeleton.name}' close loops and cannot be set one by one.")
+        raise UserError(f"bones=constant: the bones of '{skeleton.name}' form loops and cannot be set one by one.")
     pairs = skeleton.bone_indices
     length = np.linalg.norm(pose[:, pairs[:, 1]] - pose[:, pairs[:, 0]], axis=-1)
     total = length.sum(1, keepdims=True)
     share = length / np.maximum(total, 1e-9)
-    usual = share.copy()
-    for one in np.unique(body):
-        rows = body == one
-        if np.isfinite(share[rows]).any():
-            median = np.nanmedian(share[rows], axis=0)
-            usual[rows] = median / median.sum()
-    wanted = usual * total
+    usual = median_by_body(share, body)
+    wanted = usual / usual.sum(1, keepdims=True) * total
     moved = pose.astype(np.float64)
     for _ in range(_ROUNDS):
         for bone, (one, other) in enumerate(pairs):
-            way = moved[:, other] - moved[:, one]
-            now = np.linalg.norm(way, axis=-1)
-            step = way * ((now - wanted[:, bone]) / np.maximum(2 * now, 1e-9))[:, None]
+            along = moved[:, other] - moved[:, one]
+            now = np.linalg.norm(along, axis=-1)
+            step = along * ((now - wanted[:, bone]) / np.maximum(2 * now, 1e-9))[:, None]
             moved[:, one] += step
             moved[:, other] -= step
     return _exact(moved, skeleton, wanted).astype(pose.dtype)
 
 
 def _exact(pose: np.ndarray, skeleton: Skeleton, lengths: np.ndarray) -> np.ndarray:
-    """Return poses about the root whose bones have the directions of ``pose`` and these lengths."""
+    """Return root-relative poses whose bones have the directions of ``pose`` and these lengths."""
     place = {child: at for at, (_, child) in enumerate(skeleton.bones)}
     result = np.zeros_like(pose)
     for joint, parent in skeleton.parents.items():  # breadth first: a parent is set before its children
         if parent is not None:
             child, before = skeleton.index(joint), skeleton.index(parent)
-            way = pose[:, child] - pose[:, before]
-            way = way / np.maximum(np.linalg.norm(way, axis=-1, keepdims=True), 1e-9)
-            result[:, child] = result[:, before] + way * lengths[:, place[joint], None]
+            along = pose[:, child] - pose[:, before]
+            along = along / np.maximum(np.linalg.norm(along, axis=-1, keepdims=True), 1e-9)
+            result[:, child] = result[:, before] + along * lengths[:, place[joint], None]
     return result
+
+
+# Metric scale and level frame.
+
+
+def bodies_of(data: PoseData) -> Int[np.ndarray, " frames"]:
+    """Return the number of each frame's body: by subject if they are named, else by clip, else one for all."""
+    if "subject" in data.identity:
+        both = [data.identity[key].astype(str) for key in ("subject", "instance") if key in data.identity]
+        return codes_of(np.array([" ".join(names) for names in zip(*both, strict=True)]))[1]
+    clips = data.clips()
+    return clips if clips.max(initial=-1) + 1 < len(clips) else np.zeros_like(clips)
+
+
+def mm_per_pixel(
+    inferred: InferredPoses,
+    pose: Float[np.ndarray, "frames joints 3"],
+    data: PoseData,
+    skeleton: Skeleton,
+    body: Int[np.ndarray, " frames"],
+    size: Size | None,
+) -> Float[np.ndarray, " frames"] | None:
+    """Return mm per pixel at each root's depth: by ``size``, the skeleton's size, or that of labelled bodies.
+
+    Raises:
+        UserError: a camera height without a known camera, or with bodies that are above it.
+    """
+    size = size or size_of_skeleton(skeleton)
+    if isinstance(size, CameraHeight):
+        rays = data.rays()
+        if rays is None:
+            raise UserError(
+                "camera_height_mm gives the scale only if the camera is known: add focal_px=... and image_size=WIDTHxHEIGHT."
+            )
+        positions = pose + place_roots(pose, rays, data.confidence)[:, None]
+        return mm_by_camera_height(pose, positions, inferred.gravity.cpu().numpy(), skeleton, body, size)
+    if size is not None:
+        return mm_per_unit(pose, skeleton, body, size)
+    return None if inferred.mm_per_px is None else inferred.mm_per_px.cpu().numpy()
+
+
+def to_level(
+    pose: Float[np.ndarray, "frames joints 3"], gravity: Float[Tensor, "frames 3"]
+) -> Float[np.ndarray, "frames joints 3"]:
+    """Return poses rotated the least way that brings ``gravity`` to y; this undoes roll as well as tilt."""
+    rotation = least_rotation(gravity, gravity.new_tensor([0.0, 1.0, 0.0])).cpu()
+    return turn(torch.from_numpy(pose), rotation).numpy()

@@ -1,4 +1,4 @@
-"""Mend the lifted poses of a clip together: one body, moving smoothly, seen as it was seen."""
+"""Refine the lifted poses of a clip together: one body that moves smoothly and projects to what was seen."""
 
 from __future__ import annotations
 
@@ -18,8 +18,31 @@ from uplift.skeleton.core import mirrored_bones
 __all__ = ["has_clips", "refine_clips"]
 
 _BLOCK_FRAMES = 20_000
+"""Frames solved for together: few enough to stay in the processor's cache."""
 _EXACT = 0.999
-"""Confidence from which a keypoint is taken as exact."""
+"""Confidence from which a keypoint is taken as exact and does not move."""
+_FILLED_WEIGHT = 0.1
+"""Of a joint that the lifter filled in, beside 1 of one that was seen."""
+_BETAS = (0.8, 0.9)
+"""Of Adam: shorter memories than usual, as there are few iterations."""
+_RATE_SHARES = {"depth": 1.0, "size": 0.5, "shape": 0.25, "shift": 0.5}
+"""Of the learning rate. What many joints or frames share moves more slowly than a joint's depth."""
+_RATE_DECAY = 0.9
+"""Share of the learning rate that is gone after the last iteration, so that it settles."""
+
+# Where each robust term turns from square to linear, in the term's unit: a typical error of a good lifter.
+_BONE_DELTA = 0.1  # log of a bone's length
+_DEPTH_DELTA = 0.2  # mean 2D radii
+_SHIFT_DELTA = 0.05  # mean 2D radii: errors in the image are smaller than in depth
+_ACCELERATION_DELTA = 0.1  # mean 2D radii per frame squared
+
+# Weights of the terms beside those of the settings.
+_BONE_WEIGHT = 10.0  # of `settings.bones`, which brings it to the scale of the others
+_SYMMETRY_WEIGHT = 1.0  # left and right bones are alike
+_COMMON_WEIGHT = 0.03  # a clip's body is like those of other clips: weak, as bodies do differ
+_SIZE_WEIGHT = 1.0  # frames keep the size they were lifted at
+_SHAPE_SPREAD = 0.02
+"""Standard deviation of log bone lengths between bodies that is always allowed."""
 
 
 def has_clips(data: TrainingSet) -> bool:
@@ -34,21 +57,24 @@ def refine_clips(
     camera: Camera,
     settings: RefineSettings,
 ) -> Float[Tensor, "frames joints 3"]:
-    """Return poses near those given for which each clip has one body and moves smoothly.
+    """Return root-relative poses, near the lifted ones, of which each clip has one body and moves smoothly.
 
-    ``keypoints`` are those of the data with missing joints as the lifter filled them in. A keypoint
-    of full confidence stays as it was seen; a doubtful one may move, the farther the less is known of
-    it. Solved for by gradient descent on robust (Huber) terms: a depth and where it is free a place
-    for each joint, a size for each frame and bone lengths for each clip, so that bones are as in the
-    rest of the clip, joints accelerate little in the real camera's frame, and all is near what the
-    lifter said. In the spirit of the factorisation methods the paper names (Bregler et al. 2000;
-    Akhter et al. 2011), with a learned lifter's depths in place of a basis. Frames that belong to no
-    clip of two or more come back as they were.
+    Solved by gradient descent on robust (Huber) terms for each joint's depth (and its place in the image where
+    its confidence is below 1), a size for each frame and bone lengths for each clip: bones are constant over a
+    clip, joints accelerate little in the real camera's frame, and everything stays near what was lifted. In the
+    spirit of factorisation methods (Bregler et al. 2000; Akhter et al. 2011), with a lifter's depths in place
+    of a basis. Frames outside clips of two or more are returned unchanged.
+
+    Args:
+        data: the frames, for confidence, clips and cameras.
+        keypoints: its keypoints, with missing joints as the lifter filled them in, mean 2D radius 1.
+        depth: as lifted, in the same unit.
+        camera: that the lifter projects with.
+        settings: weights and number of iterations.
     """
     refined = camera.unproject(keypoints, depth, data.distance)
     if settings.iterations == 0 or not has_clips(data):
         return refined
-    # Blocks of whole clips: small enough to stay in the processor's cache.
     frames_of = torch.bincount(data.clip)
     edges = torch.cat([data.clip.new_zeros(1), frames_of.cumsum(0)])
     order = torch.argsort(data.clip, stable=True)
@@ -66,7 +92,7 @@ def refine_clips(
 
 @dataclass(frozen=True)
 class _Block:
-    """Some whole clips, and what is known of them."""
+    """Some complete clips, and what is known of them."""
 
     keypoints: Tensor
     depth: Tensor
@@ -78,7 +104,7 @@ class _Block:
     """Frames whose two neighbours in the file are their neighbours in time."""
     bones: Tensor
     partner: Tensor
-    """The bone that mirrors each bone; itself where there is none."""
+    """The mirror image of each bone; the bone itself where there is none."""
     root: int
     camera: Camera
 
@@ -106,65 +132,91 @@ class _Block:
         )
 
     @property
-    def known(self) -> Tensor:
-        """How much a joint says: all where it was seen, a little where it was filled in."""
-        return torch.where(self.confidence > 0, 1.0, 0.1)
+    def joint_weight(self) -> Tensor:
+        """The weight of each joint: less where it was filled in."""
+        return torch.where(self.confidence > 0, 1.0, _FILLED_WEIGHT)
 
 
 @torch.enable_grad()
 def _solve(block: _Block, settings: RefineSettings) -> Tensor:
-    """Return the poses, relative to their roots, that weigh all terms best."""
-    clips = int(block.clip.max()) + 1
-    known = block.known
-    pose = block.camera.unproject(block.keypoints, block.depth, block.distance)
-    lengths = bone_lengths(pose, block.bones)
-    sure = known[:, block.bones[:, 0]] * known[:, block.bones[:, 1]]
-    first_size = -((lengths * sure).sum(1) / sure.sum(1).clamp_min(1e-6)).clamp_min(1e-3).log()
-    shape = _group_mean(lengths.log() + first_size[:, None], block.clip, clips, sure)
-    common = _group_mean(lengths.log() + first_size[:, None], torch.zeros_like(block.clip), 1, sure)
-    common = (common + common[:, block.partner]) / 2
-    spread = (shape - common).square().mean(0) + 0.02**2
-    depth, size, shape = (x.clone().requires_grad_() for x in (block.depth, first_size, shape))
-    # What may move in the image: doubtful joints and missing ones.
-    loose = (block.confidence < _EXACT).to(depth.dtype).unsqueeze(-1)
-    shift = torch.zeros_like(block.keypoints, requires_grad=bool(loose.any()))
-    held = torch.where(block.confidence > 0, block.confidence.square(), settings.near / settings.seen)
-    steps = [(depth, 1.0), (size, 0.5), (shape, 0.25), *([(shift, 0.5)] if shift.requires_grad else [])]
-    optimizer = torch.optim.Adam([{"params": [p], "share": s} for p, s in steps], betas=(0.8, 0.9))
-    free = torch.ones_like(block.depth[0])
-    free[block.root] = 0
+    """Return the root-relative poses that minimise the weighted sum of all terms."""
+    problem = _Problem(block, settings)
+    variables = {name: getattr(problem, name) for name in _RATE_SHARES}
+    groups = [{"params": [x], "share": _RATE_SHARES[name]} for name, x in variables.items() if x.requires_grad]
+    optimizer = torch.optim.Adam(groups, betas=_BETAS)
     for step in range(settings.iterations):
         for group in optimizer.param_groups:
-            group["lr"] = settings.rate * group["share"] * (1 - 0.9 * step / settings.iterations)
-        pose = block.camera.unproject(block.keypoints + shift * loose, depth * free, block.distance)
-        off = (bone_lengths(pose, block.bones).log() + size[:, None] - shape[block.clip]) * sure
-        loss = settings.bones * 10 * _robust(off, 0.1).sum(1).mean()
-        loss = loss + settings.near * (_robust(depth - block.depth, 0.2) * known).sum(1).mean()
-        if shift.requires_grad:
-            loss = loss + settings.seen * (_robust(shift, 0.05).sum(-1) * held).sum(1).mean()
-        loss = loss + (shape - shape[:, block.partner]).square().sum(1).mean()
-        loss = loss + 0.03 * ((shape - common).square() / spread).mean()
-        loss = loss + (size - first_size).square().mean()
-        if settings.smooth and len(block.middle):
-            loss = loss + settings.smooth * _acceleration(block, pose, size)
+            group["lr"] = settings.rate * group["share"] * (1 - _RATE_DECAY * step / settings.iterations)
+        loss = problem.loss()
         optimizer.zero_grad()
         loss.backward()
         optimizer.step()
     with torch.no_grad():
-        pose = block.camera.unproject(block.keypoints + shift * loose, depth * free, block.distance)
+        pose = problem.pose()
         return pose - pose[:, block.root, None]
 
 
+class _Problem:
+    """What is solved for in a block (depth, size, shape, shift), and its cost."""
+
+    def __init__(self, block: _Block, settings: RefineSettings):
+        self.block, self.settings = block, settings
+        self.joint_weight = block.joint_weight
+        lengths = bone_lengths(block.camera.unproject(block.keypoints, block.depth, block.distance), block.bones)
+        weight = self.bone_weight = self.joint_weight[:, block.bones[:, 0]] * self.joint_weight[:, block.bones[:, 1]]
+        self.first_size = -((lengths * weight).sum(1) / weight.sum(1).clamp_min(1e-6)).clamp_min(1e-3).log()
+        scaled = lengths.log() + self.first_size[:, None]
+        shape = _group_mean(scaled, block.clip, int(block.clip.max()) + 1, weight)
+        common = _group_mean(scaled, torch.zeros_like(block.clip), 1, weight)
+        self.common = (common + common[:, block.partner]) / 2
+        self.shape_variance = (shape - self.common).square().mean(0) + _SHAPE_SPREAD**2
+        self.depth = block.depth.clone().requires_grad_()
+        self.size = self.first_size.clone().requires_grad_()
+        """(frames,) log of the factor that makes all frames of a body equally large."""
+        self.shape = shape.clone().requires_grad_()
+        """(clips bones) log lengths of the bones of each clip's body."""
+        # Uncertain and missing joints may move in the image.
+        self.loose = (block.confidence < _EXACT).to(block.depth.dtype).unsqueeze(-1)
+        self.shift = torch.zeros_like(block.keypoints, requires_grad=bool(self.loose.any()))
+        held = settings.near / settings.seen
+        self.shift_weight = torch.where(block.confidence > 0, block.confidence.square(), held)
+        self.not_root = torch.ones_like(block.depth[0])
+        self.not_root[block.root] = 0
+
+    def pose(self) -> Tensor:
+        """Return the poses that the variables describe."""
+        block = self.block
+        keypoints, depth = block.keypoints + self.shift * self.loose, self.depth * self.not_root
+        return block.camera.unproject(keypoints, depth, block.distance)
+
+    def loss(self) -> Tensor:
+        """Return the weighted sum of all terms."""
+        block, settings, shape, pose = self.block, self.settings, self.shape, self.pose()
+        bones = (bone_lengths(pose, block.bones).log() + self.size[:, None] - shape[block.clip]) * self.bone_weight
+        loss = settings.bones * _BONE_WEIGHT * _robust(bones, _BONE_DELTA).sum(1).mean()
+        near = _robust(self.depth - block.depth, _DEPTH_DELTA) * self.joint_weight
+        loss = loss + settings.near * near.sum(1).mean()
+        if self.shift.requires_grad:
+            shifts = _robust(self.shift, _SHIFT_DELTA).sum(-1) * self.shift_weight
+            loss = loss + settings.seen * shifts.sum(1).mean()
+        loss = loss + _SYMMETRY_WEIGHT * (shape - shape[:, block.partner]).square().sum(1).mean()
+        loss = loss + _COMMON_WEIGHT * ((shape - self.common).square() / self.shape_variance).mean()
+        loss = loss + _SIZE_WEIGHT * (self.size - self.first_size).square().mean()
+        if settings.smooth and len(block.middle):
+            loss = loss + settings.smooth * _acceleration(block, pose, self.size)
+        return loss
+
+
 def _acceleration(block: _Block, pose: Tensor, size: Tensor) -> Tensor:
-    """Return the robust second difference of the joints' places in the real camera's frame."""
+    """Return the robust acceleration of the joints in the real camera's frame."""
     place = torch.cat([pose[..., :2], pose[..., 2:] + block.distance[:, None, None]], -1)
     place = place * size.exp()[:, None, None]
     if block.rotation is not None:
-        place = place @ block.rotation  # rows times R are R transposed times columns: back to the camera
+        place = place @ block.rotation  # row vectors times R: back to the real camera
     at = block.middle
     second = place[at - 1] - 2 * place[at] + place[at + 1]
-    # A joint that was not seen still moves smoothly: so it is filled in from the frames around it.
-    return _robust(second, 0.1).sum(-1).sum(1).mean()
+    # Missing joints count too: this fills them in from the frames around them.
+    return _robust(second, _ACCELERATION_DELTA).sum(-1).sum(1).mean()
 
 
 def _robust(value: Tensor, delta: float) -> Tensor:
@@ -177,6 +229,6 @@ def _group_mean(
     groups: int,
     weight: Float[Tensor, "frames values"],
 ) -> Float[Tensor, "groups values"]:
-    """Return each group's weighted mean; 0 where nothing weighs."""
+    """Return each group's weighted mean; 0 where all weights are 0."""
     total = value.new_zeros(groups, value.shape[1]).index_add_(0, group, value * weight)
     return total / value.new_zeros(groups, value.shape[1]).index_add_(0, group, weight).clamp_min(1e-6)

@@ -1,4 +1,4 @@
-"""`lift_masks`: a shape for each mask out of a mixture of shapes, carved by the mask and its mirror image."""
+"""`lift_masks`: a shape for each mask from a mixture of shapes, carved by the mask and its mirror image."""
 
 from __future__ import annotations
 
@@ -12,19 +12,21 @@ from uplift.data.samples import Samples
 from uplift.data.tensors import moments, recrop
 from uplift.models.mixture import BASE, Drawn, ShapeMixture
 
-__all__ = ["LiftedShapes", "choose_level", "lift_masks"]
+__all__ = ["LiftedShapes", "choose_iso_threshold", "lift_masks"]
 
-# `lift_masks`: a shape for each mask out of a mixture of shapes, carved by the mask and its mirror image.
+# Inference: the expected occupancy over the likeliest shapes and views, carved by the mask.
 
 _HYPOTHESES = 32
+"""Shapes and views, the likeliest of each mask, that the expectation is over."""
 _COVERED = 0.3
-_UNSURE = 0.2
-"""What is left of a voxel that the mirror image of the mask does not cover: the view may be a little off."""
+"""How much of a mask's pixel must be covered for voxels that project to it to be kept."""
+_UNCERTAIN = 0.2
+"""What is left of a voxel outside the mirror image of the mask, as the view may be slightly off."""
 
 
 @dataclass(frozen=True)
 class LiftedShapes(Samples):
-    """Occupancy in the own frame of each mask's most likely view, and where that stands (see `Placed`)."""
+    """Occupancy in the shape frame at each mask's most likely view, and its pose in the camera frame (see `Placed`)."""
 
     occupancy: Float[Tensor, "items depth height width"]
     view: Float[Tensor, "items 3 3"]
@@ -35,12 +37,12 @@ class LiftedShapes(Samples):
 
 @dataclass(frozen=True)
 class _Hypothesis:
-    """One shape from one view for each mask, brought to the mask's place and spread."""
+    """One shape from one view for each mask, fitted to the mask's centroid and spread."""
 
     shape: Tensor
     view: Tensor
     stretch: Tensor
-    """(items 2): own units along x and y in half sides of the mask's crop."""
+    """(items 2), half sides of the mask's crop per unit of the shape, along x and y."""
     centre: Tensor
 
 
@@ -55,8 +57,15 @@ def lift_masks(
 ) -> LiftedShapes:
     """Return the expected occupancy of each mask's shape over the likeliest shapes and views.
 
-    ``masks`` are 0..1; ``drawn`` is `ShapeMixture.crops`. Voxels that do not project into the mask are
-    empty. Of symmetric shapes so are, but for a remainder, those whose mirror image does not.
+    Voxels that do not project into the mask are empty; those of symmetric shapes whose mirror image does not
+    are nearly so.
+
+    Args:
+        mixture: the trained shapes.
+        masks: 0..1.
+        drawn: silhouettes of the shapes from all views, `ShapeMixture.crops`.
+        resolution: voxels along each axis of the result.
+        temperature: of the likelihood of a mask.
     """
     centre, spread = moments(masks)
     crops = recrop(masks, centre, spread, mixture.settings.crop)
@@ -67,32 +76,33 @@ def lift_masks(
     best = guesses[0]
     scale = best.stretch.amax(1)
     distance = mixture.settings.distance * scale
-    image, depth = _seen(resolution, best.view, scale, best.centre, distance)
+    image, depth = _project_grid(resolution, best.view, scale, best.centre, distance)
     total = masks.new_zeros(depth.shape[:2])
-    wide = nn.functional.max_pool2d(masks[:, None], 3, 1, 1)
+    dilated = nn.functional.max_pool2d(masks[:, None], 3, 1, 1)
     for number, guess in enumerate(guesses):
-        total += weight[:, number, None] * _occupied(mixture, guess, image, depth, wide)
-    total *= (_look(masks[:, None], image) > _COVERED).to(total.dtype)
+        total += weight[:, number, None] * _occupancy_at(mixture, guess, image, depth, dilated)
+    total *= (_sample(masks[:, None], image) > _COVERED).to(total.dtype)
     grid = total.view(-1, resolution, resolution, resolution)
     return LiftedShapes(grid, best.view, scale, best.centre, distance)
 
 
 def _image_points(lifted: LiftedShapes) -> Float[Tensor, "items points 2"]:
-    """Return where the voxels of lifted shapes are seen, in half sides of the crop."""
-    return _seen(lifted.occupancy.shape[-1], lifted.view, lifted.scale, lifted.offset, lifted.distance)[0]
+    """Return where the voxels of lifted shapes project to, in half sides of the crop."""
+    return _project_grid(lifted.occupancy.shape[-1], lifted.view, lifted.scale, lifted.offset, lifted.distance)[0]
 
 
-def _seen(
+def _project_grid(
     resolution: int, view: Tensor, scale: Tensor, offset: Tensor, distance: Tensor
 ) -> tuple[Float[Tensor, "items points 2"], Float[Tensor, "items points 1"]]:
-    """Return where the voxels of shapes that stand like this are seen, and their depths."""
+    """Return where the voxels of shapes with this pose project to, and their depths."""
     inside = (_grid_points(resolution, scale) @ view.mT) * scale[:, None, None]
     depth = inside[..., 2:]
     flat = inside[..., :2] + offset[:, None]
     return flat / (1 + depth / distance[:, None, None]).clamp_min(0.1), depth
 
 
-def _hypothesis(mixture: ShapeMixture, drawn: Drawn, index: Tensor, centre: Tensor, spread: Tensor):
+def _hypothesis(mixture: ShapeMixture, drawn: Drawn, index: Tensor, centre: Tensor, spread: Tensor) -> _Hypothesis:
+    """Return the shape and view of each mask's ``index`` (items,), fitted to the mask."""
     _, drawn_centre, drawn_spread = (part.flatten(0, 1) for part in drawn)
     views = len(mixture.grid.views)
     stretch = spread / drawn_spread[index] * BASE
@@ -107,38 +117,38 @@ def _grid_points(resolution: int, like: Tensor) -> Tensor:
     return torch.stack([x, y, z], -1).reshape(1, -1, 3)
 
 
-def _look(image: Tensor, points: Tensor) -> Tensor:
-    """Return (items points) of an image (items 1 side side) at points (items points 2)."""
+def _sample(image: Tensor, points: Tensor) -> Tensor:
+    """Return the values (items points) of an image (items 1 side side) at points (items points 2)."""
     return nn.functional.grid_sample(image, points[:, :, None], align_corners=False)[:, 0, :, 0]
 
 
-def _occupied(mixture: ShapeMixture, guess: _Hypothesis, image: Tensor, depth: Tensor, wide: Tensor) -> Tensor:
-    """Return the occupancy (items points) that a hypothesis gives to points seen at ``image`` and ``depth``."""
+def _occupancy_at(mixture: ShapeMixture, guess: _Hypothesis, image: Tensor, depth: Tensor, dilated: Tensor) -> Tensor:
+    """Return the occupancy (items points) of a hypothesis at points that project to ``image`` with ``depth``."""
     far = mixture.settings.distance
     z = depth / guess.stretch.prod(1).sqrt()[:, None, None]
     flat = (image - guess.centre[:, None]) / guess.stretch[:, None] * (1 + z / far)
-    own = torch.cat([flat, z], -1) @ guess.view
+    local = torch.cat([flat, z], -1) @ guess.view
     grids = mixture.occupancy[guess.shape][:, None]
-    found = nn.functional.grid_sample(grids, own[:, :, None, None], align_corners=False)[:, 0, :, 0, 0]
+    found = nn.functional.grid_sample(grids, local[:, :, None, None], align_corners=False)[:, 0, :, 0, 0]
     if not mixture.settings.symmetric:
         return found
-    mirrored = (own * own.new_tensor([-1.0, 1.0, 1.0])) @ guess.view.mT
+    mirrored = (local * local.new_tensor([-1.0, 1.0, 1.0])) @ guess.view.mT
     seen = mirrored[..., :2] / (1 + mirrored[..., 2:] / far).clamp_min(0.1) * guess.stretch[:, None]
-    return found * _look(wide, seen + guess.centre[:, None]).clamp(_UNSURE, 1)
+    return found * _sample(dilated, seen + guess.centre[:, None]).clamp(_UNCERTAIN, 1)
 
 
-# Where the surface of lifted shapes is: as high as it can be while silhouettes still cover their masks.
+# The iso threshold: as high as it can be while silhouettes still cover their masks.
 
-_LEVELS = (0.04, 0.06, 0.08, 0.1, 0.12, 0.14, 0.16, 0.18, 0.2, 0.23, 0.26, 0.3, 0.35, 0.4, 0.5)
+_THRESHOLDS = (0.04, 0.06, 0.08, 0.1, 0.12, 0.14, 0.16, 0.18, 0.2, 0.23, 0.26, 0.3, 0.35, 0.4, 0.5)
 _NEARLY = 0.97
-"""Of the best overlap with masks. A lower level thickens shapes where no mask is looking."""
+"""Of the best overlap with masks. A lower threshold thickens shapes where no mask constrains them."""
 
 
-def choose_level(lifted: LiftedShapes, masks: Float[Tensor, "items side side"]) -> float:
-    """Return the level of occupancy above which voxels count as inside; no true shape is looked at.
+def choose_iso_threshold(lifted: LiftedShapes, masks: Float[Tensor, "items side side"]) -> float:
+    """Return the occupancy above which voxels count as inside, chosen without any true shape.
 
-    ``masks``, 0..1, are those that were lifted. It is the highest level at which the silhouettes overlap with
-    them nearly as well as at any.
+    It is the highest threshold at which the silhouettes overlap with the lifted ``masks`` (0..1) nearly as well
+    as at the best one.
     """
     flat = lifted.occupancy.flatten(1)
     side = masks.shape[-1] // 2
@@ -146,9 +156,9 @@ def choose_level(lifted: LiftedShapes, masks: Float[Tensor, "items side side"]) 
     at = ((_image_points(lifted) + 1) / 2 * side).long().clamp(0, side - 1)
     pixel = at[..., 1] * side + at[..., 0]
     overlaps = []
-    for level in _LEVELS:
-        kept = (flat > level).to(flat.dtype)
+    for threshold in _THRESHOLDS:
+        kept = (flat > threshold).to(flat.dtype)
         seen = flat.new_zeros(len(flat), side * side).scatter_reduce(1, pixel, kept, "amax") > 0.5
         overlaps.append(float(((seen & real).sum(1) / (seen | real).sum(1).clamp_min(1)).mean()))
     enough = _NEARLY * max(overlaps)
-    return max(level for level, overlap in zip(_LEVELS, overlaps, strict=True) if overlap >= enough)
+    return max(threshold for threshold, overlap in zip(_THRESHOLDS, overlaps, strict=True) if overlap >= enough)

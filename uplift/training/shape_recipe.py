@@ -1,10 +1,10 @@
-"""The stages of a fit of masks: a mixture of shapes, made finer, and the level of its surfaces."""
+"""`ShapeRecipe`, the stages of a fit of masks: a mixture of shapes, refined by splitting, and its iso threshold."""
 
 from __future__ import annotations
 
 import math
-import time
 from collections.abc import Sequence
+from functools import partial
 from itertools import accumulate
 from operator import mul
 
@@ -17,80 +17,71 @@ from uplift.data.load_masks import LoadedMasks
 from uplift.data.tensors import as_tensor, mask_set
 from uplift.errors import UserError
 from uplift.models.mixture import AZIMUTHS, ShapeMixture, split
-from uplift.models.model import ShapeModel, load
-from uplift.models.shape_lifter import choose_level
-from uplift.priors import build_priors
+from uplift.models.model import ShapeModel, load_shapes
+from uplift.models.shape_lifter import choose_iso_threshold
 from uplift.training.objective import prepare_priors
-from uplift.training.recipe import StageBudget, run_stage, stage_budgets
 from uplift.training.shapes import MixtureTraining
+from uplift.training.stages import Recipe
 
 __all__ = ["ShapeRecipe"]
 
-_MOST_FOR_LEVEL = 100
+_MOST_FOR_THRESHOLD = 100
+"""Masks that the iso threshold is chosen on."""
 _LEAST_MASKS = 20
-"""Fewer for each shape, and shapes are not split any more."""
+"""Masks per shape below which shapes are not split any more."""
 _FIRST_SHARE = 0.25
+"""Of the budget, for the first stage."""
 
 
-class ShapeRecipe:
-    """Builds and trains the lifter of masks that ``settings`` say, from what training may see of the masks.
-
-    The first stage finds a few shapes and the views of the masks (`shape.parts`), each later one splits
-    every shape into several (`shape.splits`) and goes on.
-    """
+class ShapeRecipe(Recipe):
+    """A few shapes and the views of the masks (`shape.parts`), then stages that split every shape (`shape.splits`)."""
 
     def __init__(self, settings: Settings, loaded: LoadedMasks):
-        self.settings = settings
+        super().__init__(settings, settings.priors, None)
         labelled = loaded.train.labelled if settings.data.labelled.only else None
         self.train_data = loaded.train if labelled is None else loaded.train.select(labelled)
         self.data = mask_set(self.train_data, settings.shape)
-        self.priors, self.weights, _ = build_priors(settings.priors)
-        self.spent: dict[str, float] = {}
         shape = settings.shape
         torch.manual_seed(settings.seed)
         self.start = _start_from(settings.init, shape) if settings.init else None
-        first = ShapeMixture(shape) if self.start is None else self.start
-        self.mixture = first
-        self.splits = _worth_it(len(first.logits), shape.splits, len(self.data)) if self.start is None else []
-        shares = _shares(self.splits)
-        self.budgets = stage_budgets(settings.trainer, shares, len(self.data), settings.teacher.batch_size)
-        counts = list(accumulate([len(first.logits), *self.splits], mul))
-        self.notes = [
+        self.mixture = ShapeMixture(shape) if self.start is None else self.start
+        parts = len(self.mixture.logits)
+        self.splits = _worth_it(parts, shape.splits, len(self.data)) if self.start is None else []
+        self.share_budget(_shares(self.splits), len(self.data))
+        counts = list(accumulate([parts, *self.splits], mul))
+        self.notes.append(
             f"a mixture of {', then '.join(map(str, counts))} shapes of {shape.detail}^3 voxels"
-            + (", each its own mirror image" if shape.symmetric else ""),
-        ]
+            + (", each its own mirror image" if shape.symmetric else "")
+        )
 
     def train(self, run: RunFolder) -> ShapeModel:
         """Return the model after its stages."""
         prepare_priors(self.priors, self.data)
-        mixture = self._stage(run, "shapes", self.mixture, self.budgets[0], hot=self.start is None)
+        mixture = self._stage(run, "shapes", self.mixture, hot=self.start is None)
         for number, times in enumerate(self.splits, 1):
             torch.manual_seed(self.settings.seed + number)
-            mixture = split(mixture, times, 2 * AZIMUTHS)
-            mixture = self._stage(run, f"split_{number}", mixture, self.budgets[number], hot=False)
+            mixture = self._stage(run, f"split_{number}", split(mixture, times, 2 * AZIMUTHS), hot=False)
         model = ShapeModel(mixture, self.settings.shape)
-        rows = np.linspace(0, len(self.train_data) - 1, min(_MOST_FOR_LEVEL, len(self.train_data))).astype(int)
-        lifted = model.lift(self.train_data.masks[rows], resolution=self.settings.shape.detail)
-        mixture.level.fill_(choose_level(lifted, as_tensor(self.train_data.masks[rows])))
+        count = len(self.train_data)
+        rows = np.linspace(0, count - 1, min(_MOST_FOR_THRESHOLD, count)).astype(int)
+        masks = self.train_data.masks[rows]
+        lifted = model.lift(masks, resolution=self.settings.shape.detail)
+        mixture.level.fill_(choose_iso_threshold(lifted, as_tensor(masks)))
         return model
 
-    def _stage(self, run: RunFolder, name: str, mixture: ShapeMixture, budget: StageBudget, *, hot: bool):
-        start = time.monotonic()
-        mixture.silhouettes([0])  # makes the matrices of the views
-        training = MixtureTraining(
-            mixture, self.data, self.settings.teacher, self.priors, self.weights, self.settings.seed, hot
-        )
-        before = time.monotonic() - start
-        clock = run_stage(name, training, self.settings.trainer, budget, run.path, before)
-        self.spent[name] = clock.spent
-        projector = mixture.projector
-        found: ShapeMixture = training.final.cpu().eval()
-        found.projector = projector
-        return found
+    def _stage(self, run: RunFolder, name: str, mixture: ShapeMixture, *, hot: bool) -> ShapeMixture:
+        trained = self.stage(run, name, partial(self._training, mixture, hot)).cpu().eval()
+        trained.projector = mixture.projector
+        return trained
+
+    def _training(self, mixture: ShapeMixture, hot: bool) -> MixtureTraining:
+        mixture.silhouettes([0])  # makes the projector's matrices, which take a while
+        settings = self.settings
+        return MixtureTraining(mixture, self.data, settings.teacher, self.priors, self.weights, settings.seed, hot)
 
 
 def _worth_it(parts: int, splits: Sequence[int], masks: int) -> list[int]:
-    """Return the splits that leave every shape some masks."""
+    """Return the splits that leave every shape enough masks."""
     kept = []
     for times in splits:
         parts *= times
@@ -100,16 +91,16 @@ def _worth_it(parts: int, splits: Sequence[int], masks: int) -> list[int]:
     return kept
 
 
-def _shares(splits: Sequence[int]) -> list[float]:
+def _shares(splits: Sequence[int]) -> dict[str, float]:
     """Return each stage's share of the budget: a quarter finds the views, and many shapes take longer than few."""
     rest = [math.sqrt(count) for count in accumulate(splits, mul)]
-    return [_FIRST_SHARE if rest else 1.0, *((1 - _FIRST_SHARE) * each / sum(rest) for each in rest)]
+    later = {f"split_{number}": (1 - _FIRST_SHARE) * each / sum(rest) for number, each in enumerate(rest, 1)}
+    return {"shapes": _FIRST_SHARE if rest else 1.0, **later}
 
 
 def _start_from(init: str, shape: ShapeSettings) -> ShapeMixture:
-    other = load(init)
-    if not isinstance(other, ShapeModel):
-        raise UserError(f"init={init} lifts keypoints, this task masks.")
+    """Return another run's mixture, for the settings of this run."""
+    other = load_shapes(init)
     parts, azimuths = other.lifter.azimuth_bias.shape
     mixture = ShapeMixture(shape, parts, azimuths)
     for name in ("logits", "azimuth_bias"):
