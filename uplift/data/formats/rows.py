@@ -434,9 +434,10 @@ class Bodies:
         video = video_names(names, self.path.absolute().stem)
         if video is None or any(number is not None for number in self.frame):
             return self.images(self.name)
-        of = dict(zip(names, zip(*video, strict=True), strict=True))
-        sequence, frame = zip(*(of[name] for name in self.name), strict=True)
-        return {"sequence": texts(self.path, sequence), "frame": np.array(frame, np.int64), **tracks, **known}
+        place = {name: at for at, name in enumerate(names)}
+        rows = np.array([place[name] for name in self.name])
+        sequence, frame = texts(self.path, video[0]), np.array(video[1], np.int64)
+        return {"sequence": sequence[rows], "frame": frame[rows], **tracks, **known}
 
     def images(self, names: Sequence[str]) -> dict[str, np.ndarray]:
         """Return image and number of bodies whose images have these ``names``."""
