@@ -20,7 +20,7 @@ class Cell:
 
     name: str
     format: str
-    """Of `uplift.data.formats.FORMATS`."""
+    """Of `uplift.data.formats.KEYPOINT_FORMATS`."""
     file: str
     write: str
     """module:function under benchmarks.reading, which takes a path and a `Walk`."""

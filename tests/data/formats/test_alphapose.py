@@ -93,7 +93,7 @@ def test_wrong_files_are_refused(tmp_path: Path) -> None:
     assert "entry 1: 'keypoints' has 6 numbers, but 51" in changed(keypoints=[1, 2, 0.5] * 2)
     assert "entry 1 has image_id None" in changed(image_id=None)
     assert "entry 1 has idx {" in changed(idx={"a": 1})
-    assert "holds nobody" in refused(tmp_path / "a.json", [])
+    assert "has no bodies" in refused(tmp_path / "a.json", [])
     assert "neither 'bodies' nor 'people'" in refused(tmp_path / "a.json", {"1.jpg": {"version": 1}})
     assert "body 0 is 5" in refused(tmp_path / "a.json", {"1.jpg": {"bodies": [5]}})
     assert "has 50 numbers" in refused(tmp_path / "a.json", {"1.jpg": {"bodies": [{"joints": [1] * 50}]}})

@@ -162,7 +162,7 @@ def test_frames_that_count_anew_in_each_action_are_clips(tmp_path: Path):
 
 def test_a_file_larger_than_the_memory_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     path = written(tmp_path / "a.csv", wide(values_of()))
-    monkeypatch.setattr("uplift.data.parsers.table.os.sysconf", lambda name: 10)
+    monkeypatch.setattr("uplift.data.parsers.files.os.sysconf", lambda name: 10)
     with pytest.raises(UserError, match="more than half of this machine's memory"):
         read(path)
 

@@ -212,7 +212,7 @@ def test_a_zip_bomb_takes_no_memory(tmp_path: Path) -> None:
 
 def test_more_than_the_memory_is_refused_before_it_is_taken(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = write_body(tmp_path / "a.npz", 300)
-    monkeypatch.setattr("uplift.data.parsers.npz.os.sysconf", lambda name: 200)
+    monkeypatch.setattr("uplift.data.parsers.files.os.sysconf", lambda name: 200)
     with pytest.raises(UserError, match="more than half of this machine's memory"):
         read_npz(path)
 

@@ -101,8 +101,8 @@ def test_wrong_mpii_is_refused(tmp_path: Path) -> None:
     assert "entry 1: 'joints_vis' has 15 numbers" in refused(tmp_path / "a.json", content, "mpii_json")
     content[1].pop("joints")
     assert "entry 1: 'joints' is None" in refused(tmp_path / "a.json", content, "mpii_json")
-    content[1]["image"] = 5
-    assert "entry 1 has image 5" in refused(tmp_path / "a.json", content, "mpii_json")
+    content[1]["image"] = [5]
+    assert "entry 1 has image [5]" in refused(tmp_path / "a.json", content, "mpii_json")
     assert "empty list" in refused(tmp_path / "a.json", [], "mpii_json")
 
 

@@ -6,12 +6,10 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from uplift.data.formats.base import Format, Peek, ReadOptions
 from uplift.data.formats.layouts import ALPHAPOSE, names_for
-from uplift.data.formats.rows import pose_data, video_names
-from uplift.data.parsers.json import Numbers, entries, is_text, json_files, load_json, members, shown, texts
+from uplift.data.formats.rows import Bodies, name_of, pose_data, track_of
+from uplift.data.parsers.json import Numbers, entries, json_files, load_json, members, shown
 from uplift.data.parsers.pictures import PHOTO_ENDINGS
 from uplift.data.poses import PoseData
 from uplift.errors import UserError
@@ -32,20 +30,18 @@ def _fits(peek: Peek) -> bool:
 
 def _read(peek: Peek, options: ReadOptions) -> PoseData:
     path = peek.path
-    numbers = Numbers("keypoints")
+    numbers, bodies = Numbers("keypoints"), Bodies(path)
     images: list[str] = []
-    tracks: list[str] = []
     for image, values, track, where in _bodies(path):
         numbers.add(values, where)
+        bodies.add(image[: image.rindex(".")] if image.lower().endswith(PHOTO_ENDINGS) else image, track=track)
         images.append(image)
-        tracks.append(track)
-    if not numbers.rows:
-        raise UserError(f"{path} holds nobody, expected results of AlphaPose.")
-    if not numbers.width or numbers.width % 3:
-        raise UserError(f"{path} has {numbers.width} numbers in 'keypoints', expected x, y, score of each.")
-    values = numbers.array(numbers.width // 3, 3)
+    if not images:
+        raise UserError(f"{path} has no bodies, expected results of AlphaPose.")
+    values = numbers.triples(path)
     names, notes = names_for(path, values.shape[1], ALPHAPOSE, options, values)
-    identity = _identity(path, images, tracks)
+    identity = bodies.identity()
+    identity = bodies.images(images) if "image" in identity else identity
     return pose_data(path, names, values[..., :2], values[..., 2], identity, notes=notes)
 
 
@@ -56,7 +52,8 @@ def _bodies(path: Path) -> Iterator[tuple[str, Any, str, str]]:
         if first.json_sign == "[":
             for count, record in entries(file, "the list of results"):
                 where = f"{file}: entry {count}"
-                yield _image(record.get("image_id"), where), record.get("keypoints"), _track(record, where), where
+                image = name_of(record.get("image_id"), where, "image_id")
+                yield image, record.get("keypoints"), track_of(record.get("idx"), where, "idx", listed=True), where
         elif path.is_dir() or "bodies" in first.json_keys:
             yield from _people(load_json(file), file.stem, str(file))
         else:
@@ -74,34 +71,6 @@ def _people(value: Any, image: str, where: str) -> Iterator[tuple[str, Any, str,
         if not isinstance(body, dict):
             raise UserError(f"{place} is {shown(body)}, expected an object.")
         yield image, body.get("joints", body.get("pose_keypoints_2d")), "", place
-
-
-def _image(value: Any, where: str) -> str:
-    if is_text(value) or type(value) is int:
-        return str(value)
-    raise UserError(f"{where} has image_id {shown(value)}, expected the name of an image.")
-
-
-def _track(record: dict[str, Any], where: str) -> str:
-    """Return the track's number as text; it may stand in a list, and as 1.0."""
-    track = record.get("idx")
-    while isinstance(track, list) and len(track) == 1:
-        track = track[0]
-    if track is None or track == [] or isinstance(track, list):  # several are those of a merged track
-        return ""
-    if isinstance(track, bool) or not isinstance(track, int | float | str):
-        raise UserError(f"{where} has idx {shown(track)}, expected the number of a track.")
-    return str(int(track)) if isinstance(track, float) and track.is_integer() else str(track)
-
-
-def _identity(path: Path, images: list[str], tracks: list[str]) -> dict[str, np.ndarray]:
-    """Return sequence, frame and track where the images are those of a video; image and entry otherwise."""
-    stems = [name[: name.rindex(".")] if name.lower().endswith(PHOTO_ENDINGS) else name for name in images]
-    video = video_names(stems, path.stem)
-    if video is None:
-        return {"image": texts(path, images), "instance": np.arange(len(images)).astype(str)}
-    found = {"sequence": texts(path, video[0]), "frame": np.array(video[1], np.int64)}
-    return {**found, "instance": texts(path, tracks)} if any(tracks) else found
 
 
 FORMAT = Format("alphapose", "AlphaPose results", _fits, _read, ".json")

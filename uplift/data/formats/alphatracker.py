@@ -8,8 +8,8 @@ import numpy as np
 
 from uplift.data.formats.base import Format, Peek, ReadOptions
 from uplift.data.formats.layouts import names_for
-from uplift.data.formats.rows import pose_data
-from uplift.data.parsers.json import Numbers, entries, is_text, shown, texts
+from uplift.data.formats.rows import Bodies, name_of, pose_data
+from uplift.data.parsers.json import Numbers, entries, shown
 from uplift.data.poses import PoseData
 from uplift.errors import UserError
 
@@ -22,21 +22,17 @@ def _fits(peek: Peek) -> bool:
 
 def _read(peek: Peek, options: ReadOptions) -> PoseData:
     path = peek.path
-    points = Numbers("points")
-    images: list[str] = []
-    numbers: list[str] = []
+    points, bodies = Numbers("points"), Bodies(path)
     for count, record in entries(path, "the list of images"):
-        where, image, found = f"{path}: image {count}", record.get("filename"), record.get("annotations")
-        if not is_text(image):
-            raise UserError(f"{where} has filename {shown(image)}, expected a name.")
+        where, found = f"{path}: image {count}", record.get("annotations")
+        image = name_of(record.get("filename"), where, "filename")
         if not isinstance(found, list):
             raise UserError(f"{where} has annotations {shown(found)}, expected a list.")
         for number, animal in enumerate(_animals(found, where)):
             if animal:
                 points.add(animal, f"{where}, animal {number}")
-                images.append(str(image))
-                numbers.append(str(number))
-    if not images:
+                bodies.add(image, track=str(number))
+    if not len(bodies):
         raise UserError(f"{path} has no animal with points, expected labels of AlphaTracker.")
     keypoints = points.array((points.width or 0) // 2, 2)
     if options.layout is not None:
@@ -45,7 +41,7 @@ def _read(peek: Peek, options: ReadOptions) -> PoseData:
         names = tuple(f"point_{number}" for number in range(keypoints.shape[1]))
         notes = ("points have no names in the file: named point_0 and so on, in the file's order",)
     confidence = np.all(np.isfinite(keypoints), axis=-1).astype(np.float32)
-    identity = {"image": texts(path, images), "instance": np.array(numbers)}
+    identity = bodies.images(bodies.name) | {"instance": np.array(bodies.track)}
     return pose_data(path, names, keypoints, confidence, identity, notes=notes)
 
 

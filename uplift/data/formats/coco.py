@@ -11,7 +11,7 @@ import numpy as np
 
 from uplift.data.formats.base import Format, Peek, ReadOptions
 from uplift.data.formats.layouts import COCO, WHOLEBODY133, names_for
-from uplift.data.formats.rows import pose_data, seen_by_flag
+from uplift.data.formats.rows import Bodies, name_of, pose_data, seen_by_flag
 from uplift.data.parsers.json import Numbers, entries, is_text, members, objects, shown, texts, whole
 from uplift.data.poses import PoseData
 from uplift.errors import UserError
@@ -289,31 +289,19 @@ def _are_results(peek: Peek) -> bool:
 
 def _read_results(peek: Peek, options: ReadOptions) -> PoseData:
     path = peek.path
-    numbers = Numbers("keypoints")
-    images: list[str] = []
-    categories: list[str] = []
+    numbers, bodies = Numbers("keypoints"), Bodies(path)
     for count, record in entries(path, "the list of results"):
         where = f"{path}: entry {count}"
-        image, category = record.get("image_id"), record.get("category_id", 1)
-        if isinstance(image, bool) or not isinstance(image, int | str):
-            raise UserError(f"{where} has image_id {shown(image)}, expected the number or name of an image.")
-        if isinstance(category, bool) or not isinstance(category, int | str):
-            raise UserError(f"{where} has category_id {shown(category)}, expected a number.")
+        category = name_of(record.get("category_id", 1), where, "category_id")
+        bodies.add(name_of(record.get("image_id"), where, "image_id"), category=category)
         numbers.add(record.get("keypoints"), where)
-        images.append(str(image))
-        categories.append(str(category))
-    if not numbers.rows:
+    if not len(bodies):
         raise UserError(f"{path} is an empty list, expected results of a detector.")
-    if numbers.width is None or not numbers.width or numbers.width % 3:
-        raise UserError(f"{path}: entry 0 has {numbers.width} numbers in 'keypoints', expected x, y, score of each.")
-    values = numbers.array(numbers.width // 3, 3)
+    values = numbers.triples(path)
     names, told = names_for(path, values.shape[1], COCO, options, values)
     notes = list(told)
     confidence = seen_by_flag(values[..., 2], notes)
-    identity = {"image": texts(path, images), "instance": np.arange(len(images)).astype(str)}
-    if len(set(categories)) > 1:
-        identity["category"] = texts(path, categories)
-    return pose_data(path, names, values[..., :2], confidence, identity, notes=notes)
+    return pose_data(path, names, values[..., :2], confidence, bodies.images(bodies.name), notes=notes)
 
 
 RESULTS = Format("coco_results", "COCO results", _are_results, _read_results)

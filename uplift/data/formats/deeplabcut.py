@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 import io
-import os
 import pickle
 import re
 import struct
@@ -19,6 +18,7 @@ from uplift.config.files import replacing
 from uplift.data.formats.base import Format, Peek, ReadOptions
 from uplift.data.formats.csv import as_text
 from uplift.data.formats.rows import frame_numbers, rows_of
+from uplift.data.parsers.files import bytes_of, check_memory
 from uplift.data.parsers.hdf5 import h5py_missing
 from uplift.data.parsers.pickles import Source, Unpickler
 from uplift.data.parsers.table import Table, first_lines, header_of
@@ -336,10 +336,10 @@ def _array(path: Path, group: Any, name: str, *, records: bool = False) -> Any:
         )
     if (item.dtype.names is not None) != records or item.dtype.itemsize > 1 << 24:
         raise ValueError(f"'{name}' holds {str(item.dtype)[:60]}")
-    claimed = int(np.prod([int(n) for n in item.shape], dtype=object)) * item.dtype.itemsize
-    memory = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
-    if claimed > min(memory // 2, path.stat().st_size * _MOST_PACKED):
-        raise UserError(f"{path}: '{name}' claims {claimed / 1e9:.3g} GB, more than the file or the memory can hold.")
+    claimed = bytes_of(item.shape, item.dtype)
+    if claimed > path.stat().st_size * _MOST_PACKED:
+        raise UserError(f"{path}: '{name}' claims {claimed / 1e9:.3g} GB, more than the file can hold.")
+    check_memory(path, f"'{name}'", claimed)
     return item
 
 

@@ -4,11 +4,9 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import numpy as np
-
 from uplift.data.formats.base import Format, Peek, ReadOptions
 from uplift.data.formats.layouts import KINETICS, names_for
-from uplift.data.formats.rows import pose_data, to_pixels
+from uplift.data.formats.rows import Bodies, pose_data, shares_to_pixels
 from uplift.data.parsers.json import Numbers, json_files, members, objects, shown, whole
 from uplift.data.poses import PoseData
 from uplift.errors import UserError
@@ -25,31 +23,18 @@ def _fits(peek: Peek) -> bool:
 
 def _read(peek: Peek, options: ReadOptions) -> PoseData:
     path = peek.path
-    poses, scores = Numbers("pose"), Numbers("score")
-    file_of: list[int] = []
-    frames: list[int] = []
-    files = json_files(path)
-    for number, file in enumerate(files):
-        before = len(frames)
-        _read_file(file, poses, scores, frames)
-        file_of += [number] * (len(frames) - before)
-    if not frames:
+    poses, scores, bodies = Numbers("pose"), Numbers("score"), Bodies(path)
+    for file in json_files(path):
+        _read_file(file, poses, scores, bodies)
+    if not len(bodies):
         raise UserError(f"{path} has no skeleton in any frame.")
-    count = scores.width or 0
-    if poses.width != 2 * count:
-        raise UserError(f"{path}: 'pose' has {poses.width} numbers and 'score' {count}, expected x, y for each score.")
-    keypoints, confidence = poses.array(count, 2), scores.array()
-    names, told = names_for(path, count, KINETICS, options, keypoints)
-    notes = list(told)
-    shares = bool((np.nan_to_num(np.abs(keypoints), posinf=2) <= 1).all())
-    if shares:
-        keypoints = to_pixels(keypoints, options, notes)
-    stems = np.array([file.stem for file in files])
-    identity = {"sequence": stems[file_of], "frame": np.array(frames, np.int64)}
-    return pose_data(path, names, keypoints, confidence, identity, notes=notes)
+    keypoints, confidence = poses.pairs(scores, path)
+    names, named = names_for(path, keypoints.shape[1], KINETICS, options, keypoints)
+    keypoints, notes = shares_to_pixels(keypoints, options, named)
+    return pose_data(path, names, keypoints, confidence, bodies.identity(), notes=notes)
 
 
-def _read_file(file: Path, poses: Numbers, scores: Numbers, frames: list[int]) -> None:
+def _read_file(file: Path, poses: Numbers, scores: Numbers, bodies: Bodies) -> None:
     known = False
     for key, text in members(file):
         if key != "data":
@@ -68,7 +53,7 @@ def _read_file(file: Path, poses: Numbers, scores: Numbers, frames: list[int]) -
                     raise UserError(f"{here} is {shown(skeleton)}, expected an object with 'pose' and 'score'.")
                 poses.add(skeleton.get("pose"), here)
                 scores.add(skeleton.get("score"), here)
-                frames.append(frame)
+                bodies.add(file.stem, frame)
     if not known:
         raise UserError(f"{file} has no 'data', expected the frames of a video with their skeletons.")
 

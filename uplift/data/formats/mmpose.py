@@ -8,7 +8,7 @@ from typing import Any
 
 from uplift.data.formats.base import Format, Peek, ReadOptions
 from uplift.data.formats.layouts import MMPOSE, names_for
-from uplift.data.formats.rows import frames_or_images, pose_data
+from uplift.data.formats.rows import Bodies, pose_data, track_of
 from uplift.data.parsers.json import JsonText, Numbers, is_text, items, json_files, members, shown, whole
 from uplift.data.poses import PoseData
 from uplift.errors import UserError
@@ -32,16 +32,14 @@ def _fits(peek: Peek) -> bool:
 class _Found:
     """What has been read so far."""
 
+    bodies: Bodies
     keypoints: Numbers = field(default_factory=lambda: Numbers("keypoints"))
     scores: Numbers = field(default_factory=lambda: Numbers("keypoint_scores"))
-    file: list[int] = field(default_factory=list)
-    frame: list[int | None] = field(default_factory=list)
-    track: list[str] = field(default_factory=list)
     size: int = 0
     """Coordinates of a keypoint."""
     meta: dict[str, Any] | None = None
 
-    def add(self, instance: Any, file: int, frame: int | None, where: str) -> None:
+    def add(self, instance: Any, file: Path, frame: int | None, where: str) -> None:
         """Take one body."""
         if not isinstance(instance, dict) or "keypoints" not in instance:
             raise UserError(f"{where} is {shown(instance)}, expected an object with 'keypoints'.")
@@ -56,17 +54,15 @@ class _Found:
         self.scores.add([1.0] * len(keypoints) if scores is None else scores, where)
         if self.scores.width != len(keypoints):
             raise UserError(f"{where} has {len(keypoints)} keypoints and {self.scores.width} keypoint_scores.")
-        self.file.append(file)
-        self.frame.append(frame)
-        self.track.append(_track(instance, where))
+        track = instance.get("track_id", instance.get("instance_id"))
+        self.bodies.add(file.stem, frame, track_of(track, where, "track_id"))
 
 
 def _read(peek: Peek, options: ReadOptions) -> PoseData:
     path = peek.path
-    files = json_files(path)
-    found = _Found()
-    for number, file in enumerate(files):
-        _read_file(found, file, number)
+    found = _Found(Bodies(path))
+    for file in json_files(path):
+        _read_file(found, file)
     if not found.keypoints.rows:
         raise UserError(f"{path}: no instance in {'any file of it' if path.is_dir() else 'it'}.")
     if found.size == 3:
@@ -79,20 +75,19 @@ def _read(peek: Peek, options: ReadOptions) -> PoseData:
     names, notes = meta.names, ()
     if names is None:
         names, notes = names_for(path, keypoints.shape[1], MMPOSE, options, keypoints)
-    identity = frames_or_images(path, [file.stem for file in files], found.file, found.frame, found.track)
     known = {"bones": meta.pairs("skeleton_links", names), "mirror": meta.mirror(names)}
-    return pose_data(path, names, keypoints, found.scores.array(), identity, notes=notes, **known)
+    return pose_data(path, names, keypoints, found.scores.array(), found.bodies.identity(), notes=notes, **known)
 
 
-def _read_file(found: _Found, file: Path, number: int) -> None:
+def _read_file(found: _Found, file: Path) -> None:
     text = JsonText(file)
     if text.next_sign() == "[":
-        _take(found, text, number)
+        _take(found, text)
         return
     kept = False
     for key, part in members(file):
         if key == "instance_info":
-            _take(found, part, number)
+            _take(found, part)
             kept = True
             continue
         value = part.value()
@@ -102,7 +97,7 @@ def _read_file(found: _Found, file: Path, number: int) -> None:
         raise UserError(f"{file} has no 'instance_info', expected predictions of MMPose.")
 
 
-def _take(found: _Found, text: JsonText, file: int) -> None:
+def _take(found: _Found, text: JsonText) -> None:
     """Take a list of the instances of an image, or of frames: objects with instances, or lists of them."""
     stills = None
     for count, entry in enumerate(items(text, "'instance_info'")):
@@ -114,7 +109,7 @@ def _take(found: _Found, text: JsonText, file: int) -> None:
             )
         stills = still
         if still:
-            found.add(entry, file, None, where)
+            found.add(entry, text.path, None, where)
             continue
         frame, instances = count, entry
         if isinstance(entry, dict):
@@ -123,17 +118,7 @@ def _take(found: _Found, text: JsonText, file: int) -> None:
         if not isinstance(instances, list):
             raise UserError(f"{where} is {shown(entry)}, expected a list of instances.")
         for place, instance in enumerate(instances):
-            found.add(instance, file, frame, f"{where}, instance {place}")
-
-
-def _track(instance: dict[str, Any], where: str) -> str:
-    """Return a body's track as text; -1 is none."""
-    track = instance.get("track_id", instance.get("instance_id"))
-    if track is None or track == -1:
-        return ""
-    if isinstance(track, bool) or not isinstance(track, int | str):
-        raise UserError(f"{where} has track_id {shown(track)}, expected a number.")
-    return str(track)
+            found.add(instance, text.path, frame, f"{where}, instance {place}")
 
 
 class _Meta:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import zipfile
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -11,7 +10,8 @@ import numpy as np
 from uplift.config.files import replacing
 from uplift.data.formats import KEYPOINT_FORMATS, read
 from uplift.data.formats.base import Format, Peek, ReadOptions
-from uplift.data.parsers.npz import read_arrays
+from uplift.data.parsers.files import bytes_of
+from uplift.data.parsers.npz import CheckedArrays, array_headers, read_arrays
 from uplift.data.parsers.pictures import PHOTO_ENDINGS
 from uplift.data.poses import IDENTITY_KEYS, UNITS, PoseData, masks_of
 from uplift.errors import UserError
@@ -44,7 +44,7 @@ def read_npz(path: str | Path) -> PoseData:
         UserError: missing or unknown arrays, wrong types or shapes, arrays of different lengths.
     """
     arrays = read_arrays(path, _KNOWN, others=False)
-    where = str(path)
+    where, file = str(path), CheckedArrays(str(path), arrays)
     for needed in ("keypoints", "joint_names"):
         if needed not in arrays:
             raise UserError(
@@ -52,22 +52,22 @@ def read_npz(path: str | Path) -> PoseData:
                 "least 'keypoints' (frames, joints, 2) in pixels and 'joint_names' (joints,)."
             )
     refuse_other_axes(where, arrays)
-    keypoints = _numbers(where, arrays, "keypoints", (None, None, 2))
+    keypoints = file.floats("keypoints", (None, None, 2))
     assert keypoints is not None  # it is one of the needed
     frames, joints = keypoints.shape[:2]
     masks, mask_box = masks_of(where, arrays, frames)
     return PoseData(
         keypoints=keypoints,
-        confidence=_confidence(where, arrays, (frames, joints)),
+        confidence=_confidence(file, (frames, joints)),
         joint_names=joint_names_of(where, arrays),
-        pose=_numbers(where, arrays, "pose", (frames, joints, 3)),
-        root=_numbers(where, arrays, "root", (frames, 3)),
+        pose=file.floats("pose", (frames, joints, 3)),
+        root=file.floats("root", (frames, 3)),
         unit=unit_of(where, arrays, "mm"),
         identity=_photos({key: _identity(where, arrays, key, frames) for key in IDENTITY_KEYS if key in arrays}),
         fps=_scalar(where, arrays, "fps"),
         image_size=_image_size(where, arrays),
         focal_px=_scalar(where, arrays, "focal_px"),
-        tilt_deg=_numbers(where, arrays, "tilt_deg", (frames,)),
+        tilt_deg=file.floats("tilt_deg", (frames,)),
         masks=masks,
         mask_box=mask_box,
         source=where,
@@ -100,28 +100,14 @@ def unit_of(where: str, arrays: dict[str, np.ndarray], default: str) -> str:
     return str(unit.reshape(()))
 
 
-def _confidence(where: str, arrays: dict, shape: tuple[int, int]) -> np.ndarray:
-    confidence = _numbers(where, arrays, "confidence", shape)
+def _confidence(file: CheckedArrays, shape: tuple[int, int]) -> np.ndarray:
+    confidence = file.floats("confidence", shape)
     if confidence is None:
         return np.ones(shape, np.float32)
     most = np.max(confidence, initial=0, where=np.isfinite(confidence))
     if most > _MOST_CONFIDENT:
-        raise UserError(f"{where}: 'confidence' goes up to {most:g}, expected 0..1: divide percentages by 100.")
+        raise UserError(f"{file.where}: 'confidence' goes up to {most:g}, expected 0..1: divide percentages by 100.")
     return confidence
-
-
-def _numbers(where: str, arrays: dict, name: str, shape: tuple[int | None, ...]) -> np.ndarray | None:
-    """Return ``arrays[name]`` as float32 after checking type and shape, None where absent."""
-    if name not in arrays:
-        return None
-    array = arrays[name]
-    wanted = "(" + ", ".join("any" if n is None else str(n) for n in shape) + ("," if len(shape) == 1 else "") + ")"
-    if array.dtype.kind not in "fiub":
-        raise UserError(f"{where}: '{name}' is {array.dtype}, expected numbers of shape {wanted}.")
-    if array.ndim != len(shape) or any(n is not None and n != m for n, m in zip(shape, array.shape, strict=True)):
-        raise UserError(f"{where}: '{name}' has shape {array.shape}, expected {wanted}.")
-    with np.errstate(over="ignore"):
-        return array.astype(np.float32)
 
 
 def _identity(where: str, arrays: dict, name: str, frames: int) -> np.ndarray:
@@ -231,39 +217,21 @@ def contents_of(path: Path, options: ReadOptions | None = None) -> _Contents:
         data = read(path, options)
         arrays = {name for name in ("pose", "root", "tilt_deg") if getattr(data, name) is not None}
         memory = memory_of(arrays, len(data), len(data.joint_names))
-        return _Contents(len(data), data.joint_names, data.pose is not None, memory + _bytes(data))
-    small = read_arrays(path, ("joint_names",))  # also holds every header against the bytes that are there
-    shapes, stored = _headers(path)
-    shape = shapes.get("keypoints", ())
+        identity = sum(values.nbytes for values in data.identity.values())
+        return _Contents(len(data), data.joint_names, data.pose is not None, memory + identity)
+    small, headers = read_arrays(path, ("joint_names",)), array_headers(path)
+    shape = headers["keypoints"][0] if "keypoints" in headers else ()
     if "joint_names" not in small or len(shape) != 3:
         raise UserError(f"{path}: 'keypoints' (frames, joints, 2) and 'joint_names' are needed (docs/your-data.md).")
     frames, joints = shape[:2]
     names = joint_names_of(str(path), small)
     if len(names) != joints:
         raise UserError(f"{path}: {len(names)} joint names for {joints} joints in 'keypoints'.")
-    identity = sum(stored[key] for key in IDENTITY_KEYS if key in stored)
-    return _Contents(frames, names, "pose" in shapes, memory_of(set(shapes), frames, joints) + identity)
-
-
-def _bytes(data: PoseData) -> int:
-    return sum(values.nbytes for values in data.identity.values())
+    identity = sum(bytes_of(*headers[key]) for key in IDENTITY_KEYS if key in headers)
+    return _Contents(frames, names, "pose" in headers, memory_of(set(headers), frames, joints) + identity)
 
 
 def memory_of(arrays: set[str], frames: int, joints: int) -> int:
     """Return the bytes of what a reader makes of these arrays; a confidence there always is."""
     numbers = joints * (1 + sum(count for name, count in _PER_JOINT.items() if name in arrays))
     return 4 * frames * (numbers + sum(count for name, count in _PER_FRAME.items() if name in arrays))
-
-
-def _headers(path: Path) -> tuple[dict[str, tuple[int, ...]], dict[str, int]]:
-    """Return shape and bytes of each array of an npz that was found whole."""
-    shapes, stored = {}, {}
-    with zipfile.ZipFile(path) as archive:
-        for member in archive.infolist():
-            name = member.filename.removesuffix(".npy")
-            with archive.open(member) as file:
-                version = np.lib.format.read_magic(file)
-                read = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
-                shapes[name] = read(file)[0]
-            stored[name] = member.file_size
-    return shapes, stored

@@ -10,7 +10,8 @@ from jaxtyping import Float, Int
 
 from uplift.data.formats.base import Format, Peek, ReadOptions
 from uplift.data.formats.rows import as_float32, distinct, link_bodies, same_or_none, video_name, visible_only
-from uplift.data.parsers.hdf5 import Hdf5, check_room, open_hdf5
+from uplift.data.parsers.files import check_memory
+from uplift.data.parsers.hdf5 import Hdf5, open_hdf5
 from uplift.data.poses import PoseData
 from uplift.errors import UserError
 
@@ -276,7 +277,7 @@ class _Labels:
 
     def data(self) -> PoseData:
         """Return the instances as rows."""
-        check_room(self.file.path, "the labels", 64 * len(self.found) * len(self.names))
+        check_memory(self.file.path, "the labels", 64 * len(self.found) * len(self.names))
         keypoints = np.full((len(self.found), len(self.names), 2), np.nan)
         score = np.zeros(keypoints.shape[:2])
         for row, (nodes, points, seen) in enumerate(self.found):
@@ -462,7 +463,7 @@ def _part(path: Path, one: _Container, frames: list[np.ndarray], names: list[str
     different, place = _different(frames)
     own = different[0] if len(different) == 1 else np.unique(np.concatenate(different))
     rows = [slice(None) if frame is own else np.searchsorted(own, frame) for frame in different]
-    check_room(path, f"'{one.place}'", 32 * len(names) * len(own))
+    check_memory(path, f"'{one.place}'", 32 * len(names) * len(own))
     keypoints = np.full((len(own), len(names), 2), np.nan, np.float32)
     score = np.zeros((len(own), len(names)), np.float32)
     for series, number in zip(one.series, place, strict=True):

@@ -10,7 +10,7 @@ import numpy as np
 
 from uplift.data.formats.base import Format, Peek, ReadOptions
 from uplift.data.formats.layouts import HANDS, OPENPOSE, OPENPOSE_FACE70, names_for, numbered
-from uplift.data.formats.rows import pose_data, split_names
+from uplift.data.formats.rows import pose_data, split_names, track_of
 from uplift.data.parsers.json import Numbers, json_files, load_json, shown, texts
 from uplift.data.poses import PoseData
 from uplift.errors import UserError
@@ -44,7 +44,7 @@ def _read(peek: Peek, options: ReadOptions) -> PoseData:
                 parts[part].add(values, where)
                 rows[part].append(len(file_of))
             file_of.append(number)
-            tracks.append(_track(person.get("person_id"), where))
+            tracks.append(track_of(person.get("person_id"), where, "person_id", listed=True))
     if not file_of:
         raise UserError(f"{path}: nobody with 2D keypoints ('pose_keypoints_2d' and the like) in {len(files):,} files.")
     values, names, notes = _joined(path, parts, rows, len(file_of), options)
@@ -76,17 +76,6 @@ def _keypoints(person: dict[str, Any], where: str) -> dict[str, Any]:
     return filled
 
 
-def _track(value: Any, where: str) -> str:
-    """Return a person's number as text; -1 is nobody's."""
-    if isinstance(value, list) and len(value) == 1:
-        value = value[0]
-    if value in (None, [], -1):
-        return ""
-    if isinstance(value, bool) or not isinstance(value, int | float) or value != value or value < 0:
-        raise UserError(f"{where} has person_id {shown(value)}, expected [-1] or the number of a person.")
-    return f"{value:g}" if isinstance(value, float) else str(value)
-
-
 def _joined(
     path: Path, parts: dict[str, Numbers], rows: dict[str, list[int]], people: int, options: ReadOptions
 ) -> tuple[np.ndarray, tuple[str, ...], list[str]]:
@@ -97,11 +86,10 @@ def _joined(
     for part, numbers in parts.items():
         if not numbers.rows:
             continue
-        if not numbers.width or numbers.width % 3:
-            raise UserError(f"{path}: '{numbers.what}' has {numbers.width} numbers, expected x, y, score of each.")
-        count = numbers.width // 3
+        triples = numbers.triples(path)
+        count = triples.shape[1]
         if part == "pose":
-            own, told = names_for(path, count, OPENPOSE, options, numbers.array(count, 3))
+            own, told = names_for(path, count, OPENPOSE, options, triples)
             notes += told
         else:
             own = _NAMES[part] if len(_NAMES[part]) == count else tuple(f"{part}_{name}" for name in numbered(count))
@@ -110,7 +98,7 @@ def _joined(
                 f"{path}: only {numbers.rows:,} of {people:,} people have '{numbers.what}': a damaged file?"
             )
         values = np.zeros((people, count, 3), np.float32)
-        values[rows[part]] = numbers.array(count, 3)
+        values[rows[part]] = triples
         found.append(values)
         names += own
     return np.concatenate(found, 1), tuple(names), notes

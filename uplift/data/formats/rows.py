@@ -5,34 +5,36 @@ from __future__ import annotations
 import re
 from collections import Counter
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 from jaxtyping import Float, Float32, Num
 
 from uplift.data.formats.base import ReadOptions
-from uplift.data.parsers.json import texts
+from uplift.data.parsers.json import is_text, shown, texts
 from uplift.data.poses import PoseData, codes_of
 from uplift.errors import UserError
 
 __all__ = [
     "SHARES_NOTE",
+    "Bodies",
     "as_float32",
     "by_appearance",
     "confidence_of",
     "distinct",
     "frame_numbers",
-    "frames_or_images",
     "link_bodies",
+    "name_of",
     "pairs_of",
     "pose_data",
     "rows_of",
     "same_or_none",
     "seen_by_flag",
+    "shares_to_pixels",
     "split_names",
-    "to_pixels",
+    "track_of",
     "video_name",
     "video_names",
     "visible_only",
@@ -358,14 +360,15 @@ def seen_by_flag(third: Float[np.ndarray, "rows joints"], notes: list[str]) -> F
     return third
 
 
-def to_pixels(
-    keypoints: Float[np.ndarray, "rows joints 2"], options: ReadOptions, notes: list[str]
-) -> Float[np.ndarray, "rows joints 2"]:
-    """Return shares of the image in pixels where the user says how large it is; else as they are, with a note."""
+def shares_to_pixels(
+    keypoints: Float[np.ndarray, "rows joints 2"], options: ReadOptions, notes: Sequence[str]
+) -> tuple[Float[np.ndarray, "rows joints 2"], tuple[str, ...]]:
+    """Return keypoints that are all shares of the image in pixels, or as they are where its size is not known; and notes."""
+    if not (np.nan_to_num(np.abs(keypoints), posinf=2) <= 1).all():
+        return keypoints, tuple(notes)
     if options.image_size is None:
-        notes.append(SHARES_NOTE)
-        return keypoints
-    return keypoints * np.array(options.image_size, np.float32)
+        return keypoints, (*notes, SHARES_NOTE)
+    return keypoints * np.array(options.image_size, np.float32), tuple(notes)
 
 
 def split_names(stems: Sequence[str]) -> tuple[list[str], list[int]] | None:
@@ -394,22 +397,76 @@ def video_names(stems: Sequence[str], video: str) -> tuple[list[str], list[int]]
     return [sequence or video for sequence in found[0]], found[1]
 
 
-def frames_or_images(
-    path: Path, stems: Sequence[str], file: Sequence[int], frame: Sequence[int | None], track: Sequence[str]
-) -> dict[str, np.ndarray]:
-    """Return the identity of bodies that come from frames of videos, a file each, or from images, a file each.
+@dataclass
+class Bodies:
+    """Where the bodies of JSON files belong: each one's image or file, frame, track and class."""
 
-    ``frame`` is None for bodies of an image; images of a folder that are numbered as a video's frames
-    are one. ``file`` is the place of each body's file in ``stems``.
+    path: Path
+    """The file or folder that was given."""
+    name: list[str] = field(default_factory=list)
+    """Of the image or of the file, without ending."""
+    frame: list[int | None] = field(default_factory=list)
+    """None for a body of an image."""
+    track: list[str] = field(default_factory=list)
+    """Empty where a body has none."""
+    category: list[str] = field(default_factory=list)
+
+    def __len__(self) -> int:
+        return len(self.name)
+
+    def add(self, name: str, frame: int | None = None, track: str = "", category: str = "") -> None:
+        """Take the next body."""
+        self.name.append(name)
+        self.frame.append(frame)
+        self.track.append(track)
+        self.category.append(category)
+
+    def identity(self) -> dict[str, np.ndarray]:
+        """Return sequence, frame and track of bodies in videos, image and number of the others.
+
+        Several images that are numbered as a video's frames are one.
+        """
+        known = {"category": texts(self.path, self.category)} if len(set(self.category)) > 1 else {}
+        tracks = {"instance": texts(self.path, self.track)} if any(self.track) else {}
+        if all(number is not None for number in self.frame):
+            return {"sequence": texts(self.path, self.name), "frame": np.array(self.frame, np.int64), **tracks, **known}
+        names = list(dict.fromkeys(self.name))
+        video = video_names(names, self.path.absolute().stem)
+        if video is None or any(number is not None for number in self.frame):
+            return self.images(self.name)
+        place = {name: at for at, name in enumerate(names)}
+        rows = np.array([place[name] for name in self.name])
+        sequence, frame = texts(self.path, video[0]), np.array(video[1], np.int64)
+        return {"sequence": sequence[rows], "frame": frame[rows], **tracks, **known}
+
+    def images(self, names: Sequence[str]) -> dict[str, np.ndarray]:
+        """Return image and number of bodies whose images have these ``names``."""
+        known = {"category": texts(self.path, self.category)} if len(set(self.category)) > 1 else {}
+        return {"image": texts(self.path, names), "instance": np.arange(len(self)).astype(str), **known}
+
+
+def track_of(value: Any, where: str, key: str, *, listed: bool = False) -> str:
+    """Return a track's number or name as text; nothing for None and -1.
+
+    Where it may be ``listed``, it may be in a list; lists of several, as merged tracks have, count as nothing.
+
+    Raises:
+        UserError: anything else.
     """
-    known = {"instance": texts(path, track)} if any(track) else {}
-    if all(number is not None for number in frame):
-        return {"sequence": np.array(stems)[file], "frame": np.array(frame, np.int64), **known}
-    video = video_names(stems, path.absolute().stem) if len(stems) > 1 else None
-    if video is not None and all(number is None for number in frame):
-        sequences, frames = np.array(video[0]), np.array(video[1], np.int64)
-        return {"sequence": sequences[file], "frame": frames[file], **known}
-    return {"image": np.array(stems)[file], "instance": np.arange(len(file)).astype(str)}
+    while listed and isinstance(value, list):
+        value = value[0] if len(value) == 1 else None
+    if value is None or value == -1:
+        return ""
+    if isinstance(value, bool) or not isinstance(value, int | float | str) or value != value:
+        raise UserError(f"{where} has {key} {shown(value)}, expected the number of a track.")
+    return str(int(value)) if isinstance(value, float) and value.is_integer() else str(value)
+
+
+def name_of(value: Any, where: str, key: str) -> str:
+    """Return the name or number of an image or class as text; raises UserError for anything else."""
+    if is_text(value) or type(value) is int:
+        return str(value)
+    raise UserError(f"{where} has {key} {shown(value)}, expected a number or a name.")
 
 
 # From the numbers of a table to rows of keypoints: what is missing, how sure, and who is seen.

@@ -12,7 +12,8 @@ import numpy as np
 
 from uplift.data.formats.base import Format, Peek, ReadOptions
 from uplift.data.formats.rows import as_float32, distinct, link_bodies, pairs_of, same_or_none, video_name, visible_only
-from uplift.data.parsers.hdf5 import Hdf5, check_room, from_json, open_hdf5
+from uplift.data.parsers.files import check_memory
+from uplift.data.parsers.hdf5 import Hdf5, from_json, open_hdf5
 from uplift.data.poses import PoseData
 from uplift.errors import UserError
 
@@ -306,7 +307,7 @@ def _points(
     """Return joint names, keypoints, confidence, and what was assumed of scores."""
     used = np.unique(rows["skeleton"]).tolist()
     names = list(dict.fromkeys(node for body in used for node in bodies[body].nodes))
-    check_room(file.path, f"points of {len(names):,} nodes", 64 * len(rows["track"]) * len(names))
+    check_memory(file.path, f"points of {len(names):,} nodes", 64 * len(rows["track"]) * len(names))
     keypoints = np.full((len(rows["track"]), len(names), 2), np.nan, np.float32)
     score = np.zeros(keypoints.shape[:2], np.float32)
     told: tuple[str, ...] = ()

@@ -15,8 +15,16 @@ import numpy as np
 
 from uplift.data.formats.base import Format, Peek, ReadOptions
 from uplift.data.formats.layouts import COCO, names_for
-from uplift.data.formats.rows import SHARES_NOTE, frames_or_images, pose_data, seen_by_flag, to_pixels, video_names
-from uplift.data.parsers.json import JsonText, Numbers, in_order, is_text, items, json_files, shown, texts
+from uplift.data.formats.rows import (
+    SHARES_NOTE,
+    Bodies,
+    pose_data,
+    seen_by_flag,
+    shares_to_pixels,
+    track_of,
+    video_names,
+)
+from uplift.data.parsers.json import JsonText, Numbers, in_order, is_text, items, json_files, shown
 from uplift.data.parsers.pictures import PHOTO_ENDINGS
 from uplift.data.poses import PoseData
 from uplift.errors import UserError
@@ -478,17 +486,14 @@ def _are_results(peek: Peek) -> bool:
     return {"box", "keypoints", "class"} <= keys and "image_id" not in keys
 
 
-class _Bodies:
+class _Results:
     """What has been read so far."""
 
-    def __init__(self) -> None:
+    def __init__(self, path: Path) -> None:
         self.x, self.y, self.seen = Numbers("x"), Numbers("y"), Numbers("visible")
-        self.file: list[int] = []
-        self.frame: list[int | None] = []
-        self.track: list[str] = []
-        self.category: list[str] = []
+        self.bodies = Bodies(path)
 
-    def add(self, body: Any, file: int, frame: int | None, where: str) -> None:
+    def add(self, body: Any, file: Path, frame: int | None, where: str) -> None:
         """Take one body."""
         points = body.get("keypoints") if isinstance(body, dict) else None
         if not isinstance(points, dict):
@@ -499,38 +504,29 @@ class _Bodies:
         self.seen.add([1.0] * (self.x.width or 0) if seen is None else seen, where)
         if not self.x.width == self.y.width == self.seen.width:
             raise UserError(f"{where} has {self.x.width} x, {self.y.width} y and {self.seen.width} visible.")
-        track, name = body.get("track_id"), body.get("name", body.get("class"))
-        if isinstance(track, bool) or not isinstance(track, int | str | None):
-            raise UserError(f"{where} has track_id {shown(track)}, expected a number.")
-        self.track.append("" if track is None else str(track))
-        self.category.append(str(name) if is_text(name) or type(name) is int else "")
-        self.file.append(file)
-        self.frame.append(frame)
+        name = body.get("name", body.get("class"))
+        category = str(name) if is_text(name) or type(name) is int else ""
+        self.bodies.add(file.stem, frame, track_of(body.get("track_id"), where, "track_id"), category)
 
 
 def _read_results(peek: Peek, options: ReadOptions) -> PoseData:
     path = peek.path
-    files, found = json_files(path), _Bodies()
-    for number, file in enumerate(files):
+    found = _Results(path)
+    for file in json_files(path):
         for count, entry in enumerate(items(JsonText(file), "the list of results")):
             if not isinstance(entry, list):
-                found.add(entry, number, None, f"{file}: entry {count}")
+                found.add(entry, file, None, f"{file}: entry {count}")
                 continue
             for place, body in enumerate(entry):
-                found.add(body, number, count, f"{file}: frame {count}, entry {place}")
-    if not found.file:
-        raise UserError(f"{path} holds nobody, expected results of Ultralytics.")
+                found.add(body, file, count, f"{file}: frame {count}, entry {place}")
+    if not len(found.bodies):
+        raise UserError(f"{path} has no bodies, expected results of Ultralytics.")
     keypoints = np.stack([found.x.array(), found.y.array()], -1)
-    names, told = names_for(path, keypoints.shape[1], {17: COCO[17]}, options, keypoints)
-    notes = list(told)
+    names, named = names_for(path, keypoints.shape[1], {17: COCO[17]}, options, keypoints)
     blank = (keypoints == 0).all(-1)  # what weak keypoints are set to
     confidence = np.where(blank, np.float32(0), found.seen.array())
-    if (np.nan_to_num(np.abs(keypoints), posinf=2) <= 1).all():
-        keypoints = to_pixels(keypoints, options, notes)
-    identity = frames_or_images(path, [file.stem for file in files], found.file, found.frame, found.track)
-    if len(set(found.category)) > 1:
-        identity["category"] = texts(path, found.category)
-    return pose_data(path, names, keypoints, confidence, identity, notes=notes)
+    keypoints, notes = shares_to_pixels(keypoints, options, named)
+    return pose_data(path, names, keypoints, confidence, found.bodies.identity(), notes=notes)
 
 
 RESULTS = Format("ultralytics_json", "Ultralytics results (JSON)", _are_results, _read_results, ".json")

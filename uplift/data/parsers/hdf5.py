@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import mmap
-import os
 import struct
 from collections.abc import Callable, Collection, Iterator
 from contextlib import contextmanager
@@ -14,9 +13,10 @@ from typing import Any
 
 import numpy as np
 
+from uplift.data.parsers.files import bytes_of, check_memory
 from uplift.errors import UserError
 
-__all__ = ["Hdf5", "check_room", "from_json", "h5py_missing", "open_hdf5"]
+__all__ = ["Hdf5", "from_json", "h5py_missing", "open_hdf5"]
 
 # Look over the heaps of text in an HDF5 file before the library does: a wrong size there makes it walk in circles.
 
@@ -63,16 +63,6 @@ _SMALL = 2**26
 """Arrays of fewer bytes are taken without asking how many bytes stand behind them."""
 _MOST_PACKED = 1100
 """Deflate, the filter of these files, packs 1032 bytes into one at most."""
-
-
-def check_room(path: Path, what: str, wanted_bytes: int) -> None:
-    """Raise UserError where something would take more than half of this machine's memory."""
-    memory = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
-    if wanted_bytes > memory // 2:
-        raise UserError(
-            f"{path}: {what} would take {wanted_bytes / 1e9:.1f} GB, more than half of this machine's memory "
-            f"({memory / 1e9:.1f} GB)."
-        )
 
 
 class _Elsewhere(UserError):
@@ -124,16 +114,15 @@ class _OwnParts:
             raise UserError(f"{self.path}: no array '{name}', expected in {self.what}.")
         if item.shape is None or item.external or item.is_virtual:
             raise UserError(f"{self.path}: '{name}' has no values of its own, and others are never followed.")
-        claimed, stored = _bytes(item.shape, item.dtype), item.id.get_storage_size()
-        if claimed > max(_SMALL, _MOST_PACKED * stored) or _bytes(item.chunks or (), item.dtype) > 4 * _SMALL + claimed:
+        claimed, stored = bytes_of(item.shape, item.dtype), item.id.get_storage_size()
+        if (
+            claimed > max(_SMALL, _MOST_PACKED * stored)
+            or bytes_of(item.chunks or (), item.dtype) > 4 * _SMALL + claimed
+        ):
             raise UserError(f"{self.path}: '{name}' claims {claimed:,} bytes but holds {stored:,}: damaged file.")
         self._taken += claimed
-        check_room(self.path, f"'{name}'" if self._taken == claimed else f"all up to '{name}'", self._taken)
+        check_memory(self.path, f"'{name}'" if self._taken == claimed else f"all up to '{name}'", self._taken)
         return item
-
-
-def _bytes(shape: tuple[int, ...], dtype: np.dtype) -> int:
-    return int(np.prod([int(n) for n in shape], dtype=object)) * dtype.itemsize
 
 
 # Read arrays, tables and text from an HDF5 file that nobody vouches for: nothing outside it, no more than it holds.

@@ -368,6 +368,21 @@ class Numbers:
         self._blocks = [np.concatenate(self._blocks)]
         return self._blocks[0].reshape(self.rows, *(shape or (self.width or 0,)))
 
+    def triples(self, path: Path) -> np.ndarray:
+        """Return (rows, keypoints, 3); raises UserError where the lists are not x, y, score of each keypoint."""
+        if not self.width or self.width % 3:
+            raise UserError(f"{path} has {self.width} numbers in '{self.what}', expected x, y, score of each keypoint.")
+        return self.array(self.width // 3, 3)
+
+    def pairs(self, scores: Numbers, path: Path) -> tuple[np.ndarray, np.ndarray]:
+        """Return (rows, keypoints, 2) and (rows, keypoints) ``scores``; raises UserError for other numbers of them."""
+        count = scores.width or 0
+        if self.width != 2 * count:
+            raise UserError(
+                f"{path}: '{self.what}' has {self.width} numbers and '{scores.what}' {count}, expected x, y for each."
+            )
+        return self.array(count, 2), scores.array()
+
 
 def _too_large(value: Any) -> bool:
     try:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import struct
 import zlib
 from collections.abc import Collection
@@ -11,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from uplift.data.parsers.files import bytes_of, check_memory
 from uplift.errors import UserError
 
 __all__ = ["is_hdf5", "load_mat", "load_mat5"]
@@ -77,7 +77,7 @@ def load_mat5(path: Path, names: Collection[str]) -> dict[str, Any]:
     try:
         held = [(name, shape) for name, shape, _ in whosmat(path)]
         for name, shape in held:
-            _check_size(path, name, shape, 8)
+            check_memory(path, f"'{name}'", bytes_of(shape, np.dtype(float)))
         wanted = [name for name in names if name in dict(held)]
         found = loadmat(path, variable_names=wanted, verify_compressed_data_integrity=True) if wanted else {}
     except (*_DAMAGE, MatReadError) as error:
@@ -114,7 +114,7 @@ def _from_hdf5(path: Path, file: Any, name: str, cells: Collection[int] | None) 
         raise UserError(f"{path}: '{name}' is a struct, expected an array or a cell array.")
     if h5py.check_ref_dtype(item.dtype) is None:
         return _array(path, name, item)
-    _check_size(path, name, item.shape, 8)
+    check_memory(path, f"'{name}'", bytes_of(item.shape, np.dtype(float)))
     places = item[()].T.ravel("F")
     return [
         _array(path, name, file[place]) if cells is None or number in cells else np.empty((0, 0))
@@ -126,14 +126,7 @@ def _array(path: Path, name: str, item: Any) -> np.ndarray:
     """Return a dataset of numbers with MATLAB's order of axes, which HDF5 stores the other way round."""
     if item.dtype.kind not in "fiub" or item.external or item.is_virtual:
         raise UserError(f"{path}: '{name}' is no plain array of numbers (found {item.dtype}).")
-    _check_size(path, name, item.shape, item.dtype.itemsize)
+    check_memory(path, f"'{name}'", bytes_of(item.shape, item.dtype))
     if item.attrs.get("MATLAB_empty", 0):
         return np.empty((0, 0))
     return item[()].T
-
-
-def _check_size(path: Path, name: str, shape: tuple[int, ...], itemsize: int) -> None:
-    claimed = int(np.prod([int(n) for n in shape], dtype=object)) * itemsize
-    memory = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
-    if claimed > memory // 2:
-        raise UserError(f"{path}: '{name}' would take {claimed / 1e9:.1f} GB, more than half of this machine's memory.")

@@ -2,19 +2,19 @@
 
 from __future__ import annotations
 
-import os
 import zipfile
 import zlib
-from collections.abc import Collection
+from collections.abc import Collection, Iterator
+from contextlib import contextmanager
 from pathlib import Path
+from typing import IO
 
 import numpy as np
 
+from uplift.data.parsers.files import bytes_of, check_memory, existing_file
 from uplift.errors import UserError, did_you_mean
 
-__all__ = ["CheckedArrays", "read_arrays"]
-
-# Read the arrays of an npz file that nobody vouches for: no code runs, no memory is taken on its word.
+__all__ = ["CheckedArrays", "array_headers", "read_arrays", "read_header"]
 
 _MAX_HEADER_BYTES = 10_000
 
@@ -24,86 +24,89 @@ def read_arrays(
 ) -> dict[str, np.ndarray]:
     """Read the arrays of an npz file, after checking that it is what it claims to be.
 
-    No pickle is ever opened, and no memory is taken before each array's header has been held
-    against the bytes that are really there. With ``names`` only those arrays are read; with
-    ``others`` off, no other may be in the file.
+    No pickle is ever opened, and no memory is taken before each array's header has been compared with the
+    bytes that are really there. With ``names`` only those arrays are read; with ``others`` off, no other
+    may be in the file.
 
     Raises:
         UserError: not a file, not an npz, damaged, pickled, or larger than the memory at hand.
     """
-    path = Path(path)
-    if path.is_dir():
-        raise UserError(f"{path} is a folder, expected an .npz file.")
-    if not path.is_file():
-        raise UserError(f"No file {path} (looked in {path.absolute().parent}).")
-    if path.stat().st_size == 0:
-        raise UserError(f"{path} is empty (0 bytes), expected an .npz file with at least 'keypoints'.")
+    headers = array_headers(path)
+    unknown = next((name for name in headers if names is not None and not others and name not in names), None)
+    if unknown is not None and names is not None:
+        raise UserError(f"{path}: unknown array '{unknown}'.{did_you_mean(unknown, sorted(names))}")
+    wanted = [name for name in headers if names is None or name in names]
+    check_memory(Path(path), "it", sum(bytes_of(*headers[name]) for name in wanted))
+    with _damage_as_error(Path(path)), np.load(path, allow_pickle=False) as file:
+        return {name: file[name] for name in wanted}
+
+
+def array_headers(path: str | Path) -> dict[str, tuple[tuple[int, ...], np.dtype]]:
+    """Return shape and dtype of each array of an npz file, compared with the bytes that are there.
+
+    Raises:
+        UserError: not a file, not an npz, damaged, or pickled.
+    """
+    path = existing_file(path, "an .npz file")
+    with _damage_as_error(path), zipfile.ZipFile(path) as archive:
+        return dict(_header(path, archive, member) for member in archive.infolist())
+
+
+@contextmanager
+def _damage_as_error(path: Path) -> Iterator[None]:
     try:
-        with zipfile.ZipFile(path) as archive:
-            if names is not None and not others:
-                _refuse_others(path, archive, names)
-            _check_sizes(path, archive, names)
-        with np.load(path, allow_pickle=False) as file:
-            return {name: file[name] for name in file.files if names is None or name in names}
+        yield
     except zipfile.BadZipFile as error:
-        raise UserError(f"{path} is not a whole .npz file ({error}): truncated, or another format?") from error
+        raise UserError(f"{path} is not a complete .npz file ({error}): truncated, or another format?") from error
     except (ValueError, EOFError, OSError, KeyError, NotImplementedError, RuntimeError, zlib.error) as error:
         raise UserError(f"{path} cannot be read as .npz: {error}") from error
 
 
-def _refuse_others(path: Path, archive: zipfile.ZipFile, names: Collection[str]) -> None:
-    for member in archive.namelist():
-        name = member.removesuffix(".npy")
-        if name != member and name not in names:
-            raise UserError(f"{path}: unknown array '{name}'.{did_you_mean(name, sorted(names))}")
-
-
-def _check_sizes(path: Path, archive: zipfile.ZipFile, names: Collection[str] | None) -> None:
-    total = 0
-    for member in archive.infolist():
-        if not member.filename.endswith(".npy"):
-            raise UserError(f"{path}: holds '{member.filename}', expected only arrays (.npy) in an .npz file.")
-        with archive.open(member) as file:
-            try:
-                version = np.lib.format.read_magic(file)
-                read = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
-                shape, _, dtype = read(file, max_header_size=_MAX_HEADER_BYTES)
-            except ValueError as error:
-                raise UserError(f"{path}: array '{member.filename}' is damaged: {error}") from error
-            header = file.tell()
-        name = member.filename.removesuffix(".npy")
-        if dtype.hasobject:
-            raise UserError(
-                f"{path}: '{name}' holds pickled Python objects, which could run code and are never "
-                "opened. Save plain numbers or text: np.savez(file, keypoints=array.astype('float32'), ...)."
-            )
-        claimed = int(np.prod([int(n) for n in shape], dtype=object)) * dtype.itemsize
-        if claimed != member.file_size - header:
-            raise UserError(
-                f"{path}: '{name}' claims {claimed:,} bytes but holds {member.file_size - header:,}: damaged file."
-            )
-        total += claimed if names is None or name in names else 0
-    memory = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
-    if total > memory // 2:
+def _header(
+    path: Path, archive: zipfile.ZipFile, member: zipfile.ZipInfo
+) -> tuple[str, tuple[tuple[int, ...], np.dtype]]:
+    name = member.filename.removesuffix(".npy")
+    if name == member.filename:
+        raise UserError(f"{path}: holds '{name}', expected only arrays (.npy) in an .npz file.")
+    with archive.open(member) as file:
+        try:
+            shape, _, dtype = read_header(file)
+        except ValueError as error:
+            raise UserError(f"{path}: array '{name}' is damaged: {error}") from error
+        stored = member.file_size - file.tell()
+    if dtype.hasobject:
         raise UserError(
-            f"{path}: would take {total / 1e9:.1f} GB, more than half of this machine's memory "
-            f"({memory / 1e9:.1f} GB). Split it into smaller files."
+            f"{path}: '{name}' holds pickled Python objects, which could run code and are never "
+            "opened. Save plain numbers or text: np.savez(file, keypoints=array.astype('float32'), ...)."
         )
+    if (claimed := bytes_of(shape, dtype)) != stored:
+        raise UserError(f"{path}: '{name}' claims {claimed:,} bytes but holds {stored:,}: damaged file.")
+    return name, (shape, dtype)
 
 
-# Arrays of a file that nobody vouches for, each held against what it should be.
+def read_header(file: IO[bytes]) -> tuple[tuple[int, ...], bool, np.dtype]:
+    """Return shape, whether columns come first, and dtype of the array that a file begins with; raises ValueError."""
+    version = np.lib.format.read_magic(file)
+    read = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
+    return read(file, max_header_size=_MAX_HEADER_BYTES)
 
 
 class CheckedArrays:
-    """The arrays of one file, each held against what it should be."""
+    """The arrays of one file, each checked against the kind, shape and range it should have."""
 
     def __init__(self, where: str, arrays: dict[str, np.ndarray]) -> None:
         self.where, self.arrays = where, arrays
 
+    def floats(self, name: str, shape: tuple[int | None, ...]) -> np.ndarray | None:
+        """Return an array of numbers or flags as float32, NaN and infinity as they are; None where absent."""
+        array = self._of(name, shape, "fiub", "numbers")
+        with np.errstate(over="ignore"):
+            return None if array is None else array.astype(np.float32)
+
     def numbers(
         self, name: str, shape: tuple[int | None, ...], above: int | float | None = None, infinite: bool = False
     ) -> np.ndarray | None:
-        """Return an array as float32, None where absent; ``above``: a bound; ``infinite``: whether inf may be."""
+        """Return an array of finite numbers as float32, None where absent; ``above``: a bound; ``infinite``: inf is allowed."""
         array = self._of(name, shape, "fiu", "numbers")
         if array is None:
             return None
@@ -149,7 +152,9 @@ class CheckedArrays:
             return None
         fits = array.ndim == len(shape) and all(n in (None, m) for n, m in zip(shape, array.shape, strict=True))
         if not fits or array.dtype.kind not in kinds:
-            wanted = "(" + ", ".join("any" if n is None else str(n) for n in shape) + ")"
+            wanted = (
+                "(" + ", ".join("any" if n is None else str(n) for n in shape) + ("," if len(shape) == 1 else "") + ")"
+            )
             raise UserError(
                 f"{self.where}: '{name}' is {array.dtype} of shape {array.shape}, expected {expected} of shape {wanted}."
             )

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import collections
-import os
 import pickle
 import struct
 import zipfile
@@ -14,6 +13,8 @@ from typing import Any, ClassVar
 
 import numpy as np
 
+from uplift.data.parsers.files import check_memory, existing_file
+from uplift.data.parsers.npz import read_header
 from uplift.errors import UserError
 
 __all__ = ["Source", "Unpickler", "load_object_npz", "load_pickle"]
@@ -219,7 +220,6 @@ class Unpickler(_Python):
 
 # Open pickles that nobody vouches for: arrays, containers, numbers and text, and nothing that runs.
 
-_MAX_HEADER_BYTES = 10_000
 # Whatever a damaged or hostile stream makes the unpickler stumble over.
 _DAMAGE = (
     pickle.UnpicklingError, EOFError, ValueError, IndexError, KeyError, AttributeError, TypeError, AssertionError,
@@ -236,8 +236,8 @@ def load_pickle(path: str | Path) -> Any:
     Raises:
         UserError: no such file, damaged, too large for the memory, or one that wants to import something else.
     """
-    path = _existing(path)
-    _check_size(path, path.stat().st_size)
+    path = existing_file(path, "a pickle file")
+    check_memory(path, "it", path.stat().st_size)
     try:
         with path.open("rb") as file:
             return Unpickler(Source(file, path.stat().st_size), str(path)).load()
@@ -253,33 +253,14 @@ def load_object_npz(path: str | Path, names: Collection[str] | None = None) -> d
     Raises:
         UserError: no such file, damaged, too large for the memory, or one that wants to import something else.
     """
-    path = _existing(path)
+    path = existing_file(path, "an .npz file")
     try:
         with zipfile.ZipFile(path) as archive:
             members = [m for m in archive.infolist() if names is None or m.filename.removesuffix(".npy") in names]
-            _check_size(path, sum(member.file_size for member in members))
+            check_memory(path, "it", sum(member.file_size for member in members))
             return {m.filename.removesuffix(".npy"): _read_member(path, archive, m) for m in members}
     except _DAMAGE as error:
         raise UserError(f"{path} is not a whole .npz file ({_said(error)}): truncated, or another format?") from error
-
-
-def _existing(path: str | Path) -> Path:
-    path = Path(path)
-    if path.is_dir():
-        raise UserError(f"{path} is a folder, expected a file.")
-    if not path.is_file():
-        raise UserError(f"No file {path} (looked in {path.absolute().parent}).")
-    if path.stat().st_size == 0:
-        raise UserError(f"{path} is empty (0 bytes).")
-    return path
-
-
-def _check_size(path: Path, size: int) -> None:
-    memory = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
-    if size > memory // 2:
-        raise UserError(
-            f"{path}: would take {size / 1e9:.1f} GB, more than half of this machine's memory ({memory / 1e9:.1f} GB)."
-        )
 
 
 def _said(error: Exception) -> str:
@@ -290,9 +271,7 @@ def _read_member(path: Path, archive: zipfile.ZipFile, member: zipfile.ZipInfo) 
     if not member.filename.endswith(".npy"):
         raise UserError(f"{path}: holds '{member.filename}', expected only arrays (.npy) in an .npz file.")
     with archive.open(member) as file:
-        version = np.lib.format.read_magic(file)
-        read = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
-        shape, by_column, dtype = read(file, max_header_size=_MAX_HEADER_BYTES)
+        shape, by_column, dtype = read_header(file)
         left = member.file_size - file.tell()
         if dtype.hasobject:
             array = Unpickler(Source(file, left), f"{path}, array '{member.filename.removesuffix('.npy')}'").load()

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-import os
 import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
@@ -12,6 +11,7 @@ from typing import BinaryIO
 
 import numpy as np
 
+from uplift.data.parsers.files import check_memory
 from uplift.errors import UserError
 
 __all__ = ["PADDING", "Table", "first_lines", "header_of", "parse_numbers"]
@@ -205,14 +205,6 @@ def _decoded(text: bytes) -> str:
         return text.decode("cp1252", errors="replace")
 
 
-def _check_memory(path: Path, columns: int) -> None:
-    """Refuse what cannot fit: each number is a cell of at least one byte and its separator, and becomes four."""
-    size = path.stat().st_size
-    memory = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
-    if columns and size * 2 > memory:
-        raise UserError(f"{path} is {size / 1e9:.1f} GB, more than half of this machine's memory. Split it.")
-
-
 def _chunks(path: Path, file: BinaryIO, rows: int) -> Iterator[tuple[int, bytes]]:
     """Yield (number of its first line, whole lines) of the file below so many lines that are not blank."""
     rest, line, skipped = b"", 1, 0
@@ -283,7 +275,8 @@ class Table:
     ) -> Table:
         """Read the file below ``rows`` header lines: ``numbers``, ``exact`` and ``words`` are places of columns."""
         header, separator = header_of(path, rows)
-        _check_memory(path, len(numbers))
+        if numbers:  # each is a cell of a byte and its separator at least, and becomes four bytes
+            check_memory(path, "it", path.stat().st_size)
         table = cls(path, header, separator, words={place: _Column() for place in words})
         taken = _Taken(table, list(numbers), list(exact))
         with path.open("rb") as file:
