@@ -144,9 +144,9 @@ _KEYS = {
 def _fit(words: Sequence[str]) -> None:
     from uplift.config.loading import load_settings, split_words
 
-    given = split_words(words)[1]
+    plain, given = split_words(words)
     for key, expected in (("task", "TASK"), ("resume", "RUN")):
-        if given.get(key) == "":
+        if key in plain or given.get(key) == "":
             raise UserError(f"fit: '{key}=' names nothing. Expected {key}={expected}.")
     task, resume = given.get("task"), given.get("resume")
     several = "," in given.get("seed", "")
