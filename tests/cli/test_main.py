@@ -153,7 +153,7 @@ def test_compare_puts_runs_side_by_side(fitted: Path, capsys: pytest.CaptureFixt
     (first / "evaluation.json").rename(first / "kept.json")
     assert "was not evaluated" in refusal(capsys, "compare", str(first), str(second))
     (first / "evaluation.json").write_text("{}")
-    assert "is no evaluation" in refusal(capsys, "compare", str(first), str(second))
+    assert "is not an evaluation" in refusal(capsys, "compare", str(first), str(second))
     (first / "kept.json").rename(first / "evaluation.json")
 
 

@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Any
 
 import torch
+from bodies import last_words
 
 import uplift.cli.fit
 import uplift.cli.report  # noqa: F401
@@ -74,7 +75,7 @@ def run(scenario: dict[str, Any]) -> None:
             EVENTS[scenario["event"]]()
 
     progress.MetricsFile.on_train_batch_end = rows_then_event
-    os._exit(main(scenario["words"]))
+    os._exit(main(last_words(*scenario["words"])))
 
 
 if __name__ == "__main__":

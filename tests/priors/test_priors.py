@@ -362,7 +362,7 @@ def test_wrong_gates_are_refused(gate):
         ({"bones": {"weight": -1}}, "at least 0"),
         ({"bones": {"weight": float("nan")}}, "at least 0"),
         ({"bones": {"weight": True}}, "expected a number"),
-        ({"x": {"use": "uplift.errors:UserError"}}, r"no subclass of uplift\.Prior"),
+        ({"x": {"use": "uplift.errors:UserError"}}, r"not a subclass of uplift\.Prior"),
     ],
 )
 def test_wrong_settings_are_named(spec, message):

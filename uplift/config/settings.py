@@ -66,7 +66,7 @@ class ChoiceSettings:
     cameras: list[str] = _setting([], "cameras to take", only="keypoints")
     categories: list[str] = _setting([], "categories of masks to take", only="masks")
     fraction: Optional[float] = _setting(
-        None, "share of those frames, as whole clips in seeded order; of masks by shape"
+        None, "share of those frames, as complete clips in seeded order; of masks by shape"
     )
 
 
@@ -207,7 +207,7 @@ class ShapeSettings:
 class StageSettings:
     """One stage of training and its optimiser."""
 
-    share: float = _setting(1.0, "of the budget of the whole fit; 0 leaves the stage out", low=0, high=1e6)
+    share: float = _setting(1.0, "share of the fit's budget; 0 leaves the stage out", low=0, high=1e6)
     batch_size: int = _setting(512, "frames a step", low=2, high=1 << 20)
     learning_rate: float = _setting(5e-4, "Adam's", low=1e-12, high=10)
     beta1: float = _setting(0.5, "Adam's", low=0, high=0.99999)
@@ -236,7 +236,7 @@ class TeacherSettings(StageSettings):
 class StudentSettings(StageSettings):
     """The second stage: learn from the teacher's own poses, turned everywhere."""
 
-    share: float = _setting(0.0, "of the budget of the whole fit; 0 leaves the stage out", low=0, high=1e6)
+    share: float = _setting(0.0, "share of the fit's budget; 0 leaves the stage out", low=0, high=1e6)
     learning_rate: float = _setting(1e-3, "Adam's", low=1e-12, high=10)
     beta1: float = _setting(0.9, "Adam's", low=0, high=0.99999)
     warm_up: float = _setting(0.05, "share of the stage over which the rate rises from 0", low=0, high=1)
@@ -248,13 +248,11 @@ class StudentSettings(StageSettings):
     options: dict[str, Any] = _setting({}, "options of that network, over lifter.options")
     last_options: dict[str, Any] = _setting({}, "options over these, in the last round")
     warm: bool = _setting(False, "a round goes on with the last round's weights where its network is the same")
-    occlude: float = _setting(
-        0.0, "share of views in which joints are hidden: some of them, or a whole limb", low=0, high=1
-    )
+    occlude: float = _setting(0.0, "share of views in which joints are hidden: some of them, or a limb", low=0, high=1)
     noise: bool = _setting(True, "add to the views what refinement found wrong in the keypoints")
     refine: RefineSettings = field(default_factory=RefineSettings)
     frames: int = _setting(
-        60_000, "most that are lifted and refined for a round, whole clips at random", low=1, high=10**12
+        60_000, "frames at most that are lifted and refined for a round, complete clips at random", low=1, high=10**12
     )
     turn: bool = _setting(True, "show poses from everywhere; off: each from where it was seen")
     mix: float = _setting(0.7, "share of poses that take limbs of others", low=0, high=1)
@@ -266,7 +264,7 @@ class TrainerSettings:
     """How long, on what, and what is kept."""
 
     max_time: Optional[str] = _setting("00:10:00", "hours:minutes:seconds of training; schedules stretch to it")
-    max_steps: Optional[int] = _setting(None, "optimiser steps of the whole fit", low=1, high=10**12)
+    max_steps: Optional[int] = _setting(None, "optimiser steps of the fit", low=1, high=10**12)
     max_epochs: Optional[float] = _setting(None, "the same in passes over the training frames", low=1e-9, high=1e9)
     checkpoint_every: float = _setting(60.0, "seconds between checkpoints", low=0, high=1e9)
     checkpoint_steps: Optional[int] = _setting(
@@ -468,9 +466,9 @@ def settings_of(kind: type[Group], name: str, plain: dict[str, Any]) -> Group:
 
     Raises TypeError, ValueError or AttributeError for anything else.
     """
-    whole = {name: copy.deepcopy(plain)}
-    rename_old(whole)
-    return _built(kind, whole[name])
+    named = {name: copy.deepcopy(plain)}
+    rename_old(named)
+    return _built(kind, named[name])
 
 
 def _built(kind: Any, plain: dict[str, Any]) -> Any:
