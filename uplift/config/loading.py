@@ -121,14 +121,16 @@ def _bind_paths(data: dict[str, Any], folder: Path) -> None:
     if isinstance(root, str) and root:
         data["data"]["root"] = str((folder / Path(root).expanduser()).absolute())
     specs = [spec for spec in (data.get("priors") or {}).values() if isinstance(spec, dict)]
-    for holder, key in [
-        *((spec, "use") for spec in specs),
-        (data.get("lifter") or {}, "network"),
-        (data.get("data") or {}, "use"),
-    ]:
-        file, colon, name = str(holder.get(key, "")).rpartition(":")
-        if colon and file.endswith(".py"):
-            holder[key] = f"{(folder / file).absolute()}:{name}"
+    named = [(data.get("lifter") or {}, "network"), (data.get("data") or {}, "use"), *((spec, "use") for spec in specs)]
+    for holder, key in named:
+        if key in holder:
+            holder[key] = _class_in(holder[key], folder)
+
+
+def _class_in(value: Any, folder: Path) -> Any:
+    """Return ``file.py:Class`` with the file's full path; any other value as it is."""
+    file, colon, name = str(value).rpartition(":")
+    return f"{(folder / Path(file).expanduser()).absolute()}:{name}" if colon and file.endswith(".py") else value
 
 
 def _merge(base: dict[str, Any], top: dict[str, Any]) -> dict[str, Any]:
@@ -305,13 +307,10 @@ def _from_here(keys: list[str], value: Any) -> Any:
         return value
     if name in ("data.train", "data.test"):
         return absolute(value)
-    if name in ("data.root", "data.images", "init"):
+    if (
+        name in ("data.root", "data.images", "init")
+        or (name == "data.labelled.file" and not re.fullmatch(r"\w+:\w+", value))  # SET:SPLIT is not a path
+        or (name == "skeleton" and value.endswith((".yaml", ".yml")))
+    ):
         return str(Path(value).expanduser().absolute())
-    if name == "data.labelled.file" and not re.fullmatch(r"\w+:\w+", value):  # SET:SPLIT is not a path
-        return str(Path(value).expanduser().absolute())
-    if name == "skeleton" and value.endswith((".yaml", ".yml")):
-        return str(Path(value).expanduser().absolute())
-    file, colon, found = value.rpartition(":")
-    if colon and file.endswith(".py") and (keys[-1] == "use" or name == "lifter.network"):
-        return f"{Path(file).expanduser().absolute()}:{found}"
-    return value
+    return _class_in(value, Path()) if keys[-1] == "use" or name == "lifter.network" else value

@@ -1,4 +1,4 @@
-"""Propose a skeleton file for the joints of a tracker: partners, bones and root as far as names and 2D tell."""
+"""Propose a skeleton file for the joints of a tracker: partners, bones and root, guessed from names and 2D."""
 
 from __future__ import annotations
 
@@ -32,9 +32,9 @@ __all__ = [
     "stretched",
 ]
 
-# What names of joints tell: which are partners, which side they are on, which mean the same. All of it guesses.
+# Guesses from the names of joints: partners, sides, and names that mean the same.
 
-# From the surest sign of a side to the weakest: a word, a letter by itself, a capital, a letter at either end.
+# From the clearest sign of a side to the weakest: a word, a letter by itself, a capital, a letter at either end.
 _SIGNS = (
     re.compile(r"left|right", re.IGNORECASE),
     re.compile(r"(?<![A-Za-z])[lr](?![A-Za-z])", re.IGNORECASE),
@@ -44,7 +44,7 @@ _SIGNS = (
 _OTHER = {"left": "right", "right": "left", "l": "r", "r": "l"}
 _WORD = re.compile(r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+|\d+")
 
-# Words that name the same place; a joint on the midline and the middle of a pair are told apart by the side.
+# Words that name the same place; a joint on the midline and the middle of a pair differ by the side.
 _SAME = (
     {"pelvis", "midhip", "hips", "hipcenter", "hipcentre", "hipmid", "sacrum", "croup"},
     {"neck", "thorax", "neckbase", "chest", "sternum", "uppertorso"},
@@ -94,14 +94,14 @@ def mirror_pairs(names: Sequence[str]) -> list[tuple[str, str]]:
 
 
 def _name_words(name: str) -> list[str]:
-    """Return the words of a name in small letters: split at capitals, digits and anything that is no letter."""
+    """Return the words of a name in lower case: split at capitals, digits and everything that is not a letter."""
     return [word.lower() for word in _WORD.findall(name)]
 
 
 def guess_parts(skeleton: Skeleton, names: Sequence[str]) -> dict[str, tuple[str, ...]]:
-    """Return which of ``names`` each joint of the skeleton may be, by what the words mean; never to be applied unseen.
+    """Return which of ``names`` each joint of the skeleton may be, by what the words mean; for a person to check.
 
-    A joint on the midline may be the mean of a pair. Joints that nothing is like are absent.
+    A joint on the midline may be the mean of a pair. Joints without a similar name are absent.
     """
     theirs, ours = _meanings(names), _meanings(skeleton.joints)
     likeness = [
@@ -126,7 +126,7 @@ def guess_parts(skeleton: Skeleton, names: Sequence[str]) -> dict[str, tuple[str
 
 
 def _swapped(name: str, sign: re.Pattern[str]) -> Iterator[tuple[str, bool]]:
-    """Yield the name with a sign of a side turned into the other, and whether that sign says left."""
+    """Yield the name with a sign of a side turned into the other, and whether that sign means left."""
     for match in sign.finditer(name):
         yield _turned(name, match), match[0][0].lower() == "l"
 
@@ -193,7 +193,7 @@ def _middle_of(joint: str, ours: dict[str, tuple[str, str]]) -> tuple[str, ...]:
 # Which joints a bone may join, out of 2D alone: those that stay close and keep their distance.
 
 TOO_LONG = 1.9
-"""From where `stretched` says that joints have each other's names."""
+"""`stretched` from which joints have each other's names."""
 
 Bone = tuple[str, str]
 
@@ -374,7 +374,7 @@ def _in_a_row(one: str, other: str) -> bool:
     )
 
 
-# Propose a skeleton for what a tracker file holds: names, partners and bones as far as the file tells.
+# A skeleton for a tracker's file: its names, partners and bones, and guesses where it has none.
 
 _SEEN_WELL = 0.8  # of the joint seen most
 _SELDOM = 0.5  # of the frames
@@ -385,7 +385,7 @@ Pair = tuple[str, str]
 
 @runtime_checkable
 class Tracked(Protocol):
-    """What a tracker's file tells of its joints; `uplift.data.poses.PoseData` does."""
+    """The joints of a tracker's file, as `uplift.data.poses.PoseData` has them."""
 
     keypoints: np.ndarray
     """(frames joints 2); what is not seen is NaN, or has confidence 0."""
@@ -411,7 +411,7 @@ class _Proposal:
     seldom: tuple[str, ...]
     """Joints that less than half of the frames show."""
     from_file: tuple[Bone, ...]
-    """Bones of the file's own; the others are guesses by distance."""
+    """Bones given by the file; the others are guesses by distance."""
     unmirrored: tuple[Bone, ...] = ()
     """Partners left out, as the bones of the file are not the same on both sides."""
 
@@ -424,7 +424,7 @@ def propose(data: Tracked, name: str, root: str | None = None, gravity: bool = T
     midline nearest the middle of those that are seen well, or a midpoint of a pair that is far nearer.
 
     Raises:
-        UserError: fewer than three joints that are ever visible, names that are no joint names, no such root.
+        UserError: fewer than three joints that are ever visible, invalid joint names, no such root.
     """
     where = f"{data.source}: " if data.source else ""
     visible = seen_in(data.keypoints, data.confidence)
@@ -572,7 +572,7 @@ def _checked(plan: dict[str, Any], pairs: list[Pair]) -> tuple[Skeleton, tuple[B
         return Skeleton.from_dict({**plan, "mirror": []}), tuple(pairs)
 
 
-# The commented file that `uplift skeleton new` starts a user's own skeleton with.
+# The commented file that `uplift skeleton new` starts a new skeleton with.
 
 _TEMPLATE = """\
 # A skeleton: the joints of what you track, and what is known about them.
@@ -666,12 +666,12 @@ _FEET = ("toe", "paw", "foot", "claw", "hoof", "tarsus", "tip", "ankle", "leg")
 def proposal_text(proposal: _Proposal, file: str, source: str) -> str:
     """Return the YAML of a proposal as the file called ``file``; what is not known is in comments."""
     skeleton = proposal.skeleton
-    told = _comment(
+    head = _comment(
         f"A skeleton proposed from {source}. The names are the file's; everything else is a guess: read it through "
         "and correct it. Then"
     )
     parts = [
-        f"{told}\n#   uplift skeleton check {file}\n# tells what is wrong and draws it, and\n"
+        f"{head}\n#   uplift skeleton check {file}\n# tells what is wrong and draws it, and\n"
         f"#   uplift fit skeleton={file} data.train={source}\n# learns to lift it. docs/skeletons.md has every key.",
         f"name: {quoted(skeleton.name)}\ndescription: proposed from a file, to be corrected",
         _joints(proposal),
@@ -685,7 +685,7 @@ def proposal_text(proposal: _Proposal, file: str, source: str) -> str:
 
 
 def facing_guess(skeleton: Skeleton) -> dict[str, Ends]:
-    """Return the directions that the joints' names suggest; nothing where they say too little.
+    """Return the directions that the joints' names suggest; empty where that is too little.
 
     Directions that a skeleton file would refuse are left out.
     """
@@ -759,9 +759,9 @@ def _root(skeleton: Skeleton) -> str:
 
 def _bones(proposal: _Proposal) -> str:
     skeleton = proposal.skeleton
-    own = {frozenset(bone) for bone in proposal.from_file}
-    guessed = [bone for bone in skeleton.bones if frozenset(bone) not in own]
-    if not own:
+    given = {frozenset(bone) for bone in proposal.from_file}
+    guessed = [bone for bone in skeleton.bones if frozenset(bone) not in given]
+    if not given:
         how = "Guessed: joints that stay close and keep their distance over the frames. Check these first."
     elif guessed:
         how = f"From the file; by distance: {', '.join(f'{one} - {other}' for one, other in guessed)}."
@@ -826,7 +826,7 @@ def _comment(text: str) -> str:
 
 
 def _list(key: str, items: Iterable[str]) -> str:
-    """Return a flow list in lines of bounded width, items whole."""
+    """Return a flow list in lines of bounded width, broken between items."""
     lines, line = [], f"{key}["
     for place, item in enumerate(items):
         piece = item if not place else f", {item}"
