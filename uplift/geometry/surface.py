@@ -41,7 +41,7 @@ class Surface:
     cavities: int = 0
     """Closed hollows that were filled."""
 
-    def told(self) -> str:
+    def summary(self) -> str:
         """Return what was cleaned and what is wrong, in a few words; empty where nothing is."""
         if self.mesh is None:
             return self.reason

@@ -306,7 +306,7 @@ class _Checker:
 
     def joint(self, joint: object, joints: Iterable[str], part: tuple) -> None:
         self.text(joint, part)
-        if joint not in joints:
+        if str(joint) not in joints:
             hint = did_you_mean(str(joint), joints)
             self.fail(part, f"found '{joint}' in '{_path(part)}', which is not a joint.{hint}")
 
