@@ -32,355 +32,15 @@ __all__ = [
     "stretched",
 ]
 
-# Guesses from the names of joints: partners, sides, and names that mean the same.
-
-# From the clearest sign of a side to the weakest: a word, a letter by itself, a capital, a letter at either end.
-_SIGNS = (
-    re.compile(r"left|right", re.IGNORECASE),
-    re.compile(r"(?<![A-Za-z])[lr](?![A-Za-z])", re.IGNORECASE),
-    re.compile(r"[LR]"),
-    re.compile(r"(?<![A-Za-z])[lr]|[lr](?![A-Za-z])"),
-)
-_OTHER = {"left": "right", "right": "left", "l": "r", "r": "l"}
-_WORD = re.compile(r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+|\d+")
-
-# Words that name the same place; a joint on the midline and the middle of a pair differ by the side.
-_SAME = (
-    {"pelvis", "midhip", "hips", "hipcenter", "hipcentre", "hipmid", "sacrum", "croup"},
-    {"neck", "thorax", "neckbase", "chest", "sternum", "uppertorso"},
-    {"headtop", "topofhead", "vertex", "headtip"},
-    {"nose", "snout", "muzzle"},
-    {"tailbase", "rootoftail", "tailroot", "tailstart", "tail1", "rump"},
-    {"tailtip", "tailend"},
-    {"belly", "abdomen"},
-    {"spine", "torso", "spinemid", "midspine", "body"},
-    {"bigtoe", "hallux", "footindex"},
-    {"hand", "palm"},
-    {"hock", "ankle"},
-    {"stifle", "knee"},
-    {"carpus", "wrist"},
-)
-_WORDS = {
-    "fore": "front", "forefinger": "index", "pinky": "little", "hind": "back", "rear": "back",
-    "middle": "mid", "lower": "low", "center": "mid", "centre": "mid", "finger": "", "joint": "",
-    "paw": "foot", "hoof": "foot", "claw": "foot",
-}  # fmt: skip
-_ALIKE = 0.75
-
-
-def mirror_pairs(names: Sequence[str]) -> list[tuple[str, str]]:
-    """Return pairs (right, left) of names that differ by a side alone, in the order of ``names``.
-
-    Only where a name has one possible partner. Numbers that differ are looked over (paw1LH, paw4RH)
-    where the names without them are still different.
-    """
-    found: dict[str, tuple[str, str]] = {}
-    for stripped in (False, True):
-        for sign in _SIGNS:
-            left_over = [name for name in names if name not in found]
-            keys = {name: re.sub(r"\d+", "", name) if stripped else name for name in left_over}
-            by_key = {key: name for name, key in keys.items()}
-            if stripped:
-                by_key = {key: name for key, name in by_key.items() if list(keys.values()).count(key) == 1}
-            for key, name in by_key.items():
-                partners = {other: is_left for other, is_left in _swapped(key, sign) if other in by_key}
-                if len(partners) != 1:
-                    continue
-                (other, is_left), *_ = partners.items()
-                if {back for back, _ in _swapped(other, sign) if back in by_key} == {key}:
-                    pair = (by_key[other], name) if is_left else (name, by_key[other])
-                    found[name] = found[by_key[other]] = pair
-    return list(dict.fromkeys(found[name] for name in names if name in found))
-
-
-def _name_words(name: str) -> list[str]:
-    """Return the words of a name in lower case: split at capitals, digits and everything that is not a letter."""
-    return [word.lower() for word in _WORD.findall(name)]
-
-
-def guess_parts(skeleton: Skeleton, names: Sequence[str]) -> dict[str, tuple[str, ...]]:
-    """Return which of ``names`` each joint of the skeleton may be, by what the words mean; for a person to check.
-
-    A joint on the midline may be the mean of a pair. Joints without a similar name are absent.
-    """
-    theirs, ours = _meanings(names), _meanings(skeleton.joints)
-    likeness = [
-        (score, -place, -other, joint, name)
-        for place, joint in enumerate(skeleton.joints)
-        for other, name in enumerate(names)
-        if (score := _likeness(ours[joint], theirs[name])) >= _ALIKE
-    ]
-    found: dict[str, tuple[str, ...]] = {}
-    taken: set[str] = set()
-    for _, _, _, joint, name in sorted(likeness, reverse=True):
-        if joint not in found and name not in taken:
-            found[joint] = (name,)
-            taken.add(name)
-    for joint in skeleton.joints:  # what a midpoint is made of, or a pelvis of two hips
-        if joint in found or ours[joint][0]:
-            continue
-        parts = skeleton.midpoints.get(joint) or _middle_of(joint, ours)
-        if parts and all(part in found for part in parts):
-            found[joint] = tuple(name for part in parts for name in found[part])
-    return {joint: found[joint] for joint in skeleton.joints if joint in found}
-
-
-def _swapped(name: str, sign: re.Pattern[str]) -> Iterator[tuple[str, bool]]:
-    """Yield the name with a sign of a side turned into the other, and whether that sign means left."""
-    for match in sign.finditer(name):
-        yield _turned(name, match), match[0][0].lower() == "l"
-
-
-def _turned(name: str, match: re.Match[str]) -> str:
-    old = match[0]
-    new = _OTHER[old.lower()]
-    new = new.upper() if old.isupper() else new.capitalize() if old[0].isupper() else new
-    return name[: match.start()] + new + name[match.end() :]
-
-
-def _meanings(names: Sequence[str]) -> dict[str, tuple[str, str]]:
-    """Return for each name its side ("l", "r" or none) and what is left of it, words put in one form."""
-    side: dict[str, str] = {}
-    for right, left in mirror_pairs(names):
-        side[right], side[left] = "r", "l"
-    rest = {name: [word for word in _name_words(name) if word not in _OTHER] for name in names}
-    for right, left in mirror_pairs(names):
-        if rest[right] != rest[left]:  # lhip, rhip: the side is a part of a word
-            rest[right] = rest[left] = _without_side(right, left)
-    for name in names:
-        if name not in side:
-            side[name] = next((word[0] for word in _name_words(name) if word in _OTHER), "")
-    return {name: (side[name], _one_form(rest[name], bool(side[name]))) for name in names}
-
-
-def _without_side(right: str, left: str) -> list[str]:
-    """Return the words that two partners share: without the sign of the side, and without digits, which may differ."""
-    one, other = (re.sub(r"\d+", "", name) for name in (right, left))
-    for sign in _SIGNS:
-        for match in sign.finditer(one):
-            if _turned(one, match) == other:
-                return _name_words(f"{one[: match.start()]} {one[match.end() :]}")
-    return _name_words(one)
-
-
-def _one_form(words: list[str], sided: bool) -> str:
-    """Return one spelling for what means the same; a hip on neither side is a pelvis."""
-    text = "".join(_WORDS.get(word, word) for word in words)
-    if not sided and text in ("hip", "root"):
-        return min(_SAME[0])
-    for group in _SAME:
-        if text in group or "".join(words) in group:
-            return min(group)
-    return text
-
-
-def _likeness(ours: tuple[str, str], theirs: tuple[str, str]) -> float:
-    if ours[0] != theirs[0] or not ours[1] or not theirs[1]:
-        return 0.0
-    if ours[1] == theirs[1]:
-        return 1.0
-    if re.sub(r"\D", "", ours[1]) != re.sub(r"\D", "", theirs[1]):  # spine1 is not spine2
-        return 0.0
-    return 0.99 * difflib.SequenceMatcher(None, ours[1], theirs[1]).ratio()
-
-
-def _middle_of(joint: str, ours: dict[str, tuple[str, str]]) -> tuple[str, ...]:
-    """Return the pair that a joint on the midline lies between: the hips of a pelvis, the shoulders of a neck."""
-    pair_of = {"hip": "hip", min(_SAME[0]): "hip", min(_SAME[1]): "shoulder"}.get(ours[joint][1])
-    return tuple(name for name, (side, what) in ours.items() if side and what == pair_of) if pair_of else ()
-
-
-# Which joints a bone may join, out of 2D alone: those that stay close and keep their distance.
-
-TOO_LONG = 1.9
-"""`stretched` from which joints have each other's names."""
-
 Bone = tuple[str, str]
-
-_MOST_NUMBERS = 2_000_000  # frames x joints x joints at once
-_SMOOTHING = 0.05  # of the mean distance, so that few frames are judged by their distances, not by luck
-_IN_A_ROW = 0.5  # how far apart tail_1 and tail_2 count
-
-
-def seen_in(
-    keypoints: Shaped[np.ndarray, "frames joints 2"], confidence: Shaped[np.ndarray, "frames joints"]
-) -> Bool[np.ndarray, "frames joints"]:
-    """Return which joints are visible: confidence above 0 and a finite place."""
-    return (confidence > 0) & np.isfinite(keypoints).all(-1)
-
-
-def apart(
-    keypoints: Shaped[np.ndarray, "frames joints 2"],
-    visible: Bool[np.ndarray, "frames joints"],
-    names: Sequence[str],
-) -> Float[np.ndarray, "joints joints"]:
-    """Return how little a bone is to be expected between two joints: the geometric mean of their mean distance and of
-    how much it varies over the frames, in sizes of the body; infinite where no frame shows both.
-
-    Names in a row (tail_1, tail_2) count as closer.
-    """
-    distance = _distances(*_some_rows(keypoints, visible))
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", RuntimeWarning)  # pairs that no frame shows
-        mean, varies = np.nanmean(distance, axis=0), np.nanstd(distance, axis=0)
-    score = np.sqrt(mean * (varies + _SMOOTHING * mean))
-    score[np.isnan(score)] = np.inf
-    rows = np.array([[_in_a_row(one, other) for other in names] for one in names])
-    return np.where(rows, _IN_A_ROW * score, score)
-
-
-def joining_bones(
-    score: Float[np.ndarray, "joints joints"],
-    names: Sequence[str],
-    mirror: Sequence[tuple[str, str]] = (),
-    known: Sequence[Bone] = (),
-) -> list[Bone]:
-    """Return the bones that join all joints with the least sum of scores, beside those that are ``known``.
-
-    The same on both sides: joints on the midline are joined first, then pairs to them and to each
-    other (a minimum spanning tree of the halves).
-    """
-    at = {name: place for place, name in enumerate(names)}
-    across = np.arange(len(names))
-    for one, other in mirror:
-        across[[at[one], at[other]]] = at[other], at[one]
-    score = np.minimum(score, score.max(where=np.isfinite(score), initial=1.0) * 10)
-    score = (score + score[across][:, across]) / 2
-    group = _Groups(len(names))
-    for one, other in known:
-        group.join(at[one], at[other])
-    middle = [place for place in range(len(names)) if across[place] == place]
-    found: list[tuple[int, int]] = []
-    if not middle:  # nothing but pairs: one of them holds the sides together
-        held = [place for place in range(len(names)) if group.of(place) == group.of(int(across[place]))]
-        first = min(held or range(len(names)), key=lambda place: float(score[place, across[place]]))
-        middle = [first]
-        found += group.joined((first, int(across[first])))
-    found += _grown(score, middle, across, group, lambda place: across[place] == place)
-    found += _grown(score, range(len(names)), across, group, lambda place: True)
-    return [(names[one], names[other]) for one, other in found]
-
-
-def stretched(
-    keypoints: Shaped[np.ndarray, "frames joints 2"],
-    visible: Bool[np.ndarray, "frames joints"],
-    bones: Sequence[Sequence[int]],
-) -> float:
-    """Return how many times as long as need be the bones are: their mean over that of the shortest lines that join
-    the joints. 1 to 1.6 where the names are right, 2 or more where joints were given each other's; NaN where nothing is seen.
-    """
-    seen = np.flatnonzero(visible.any(0))
-    if len(seen) < 3:
-        return float("nan")
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", RuntimeWarning)
-        mean = np.nanmean(_distances(*_some_rows(keypoints[:, seen], visible[:, seen])), axis=0)
-    at = {int(place): number for number, place in enumerate(seen)}
-    ours = [mean[at[one], at[other]] for one, other in bones if one in at and other in at]
-    ours = [length for length in ours if np.isfinite(length)]
-    if not ours:
-        return float("nan")
-    names = [str(number) for number in range(len(seen))]
-    score = np.where(np.isfinite(mean), mean, np.inf)
-    least = [mean[int(one), int(other)] for one, other in joining_bones(score, names)]
-    return float(np.mean(ours) / max(np.nanmean(least), 1e-9))
-
-
-def stretch_of(
-    keypoints: Shaped[np.ndarray, "frames joints 2"],
-    confidence: Shaped[np.ndarray, "frames joints"],
-    skeleton: Skeleton,
-) -> float:
-    """Return how far the bones of ``skeleton`` are stretched in keypoints of its joints; 0 where nothing is seen."""
-    visible = seen_in(keypoints, confidence)
-    return float(np.nan_to_num(stretched(keypoints, visible, skeleton.bone_indices.tolist())))
-
-
-def _grown(
-    score: np.ndarray, places: Sequence[int] | range, across: np.ndarray, group: _Groups, may: Callable[[int], bool]
-) -> Iterator[tuple[int, int]]:
-    """Join what ``places`` holds to the group of its first joint, the nearest first, each bone with its mirror image."""
-    start = next((place for place in places if may(place) and across[place] == place), places[0])
-    while True:
-        inside = [place for place in range(len(score)) if group.of(place) == group.of(start)]
-        outside = [place for place in places if group.of(place) != group.of(start)]
-        if not outside:
-            return
-        between = score[np.ix_(inside, outside)]
-        one, other = np.unravel_index(int(between.argmin()), between.shape)
-        bone = inside[int(one)], outside[int(other)]
-        yield from group.joined(bone)
-        yield from group.joined((int(across[bone[0]]), int(across[bone[1]])))
-
-
-class _Groups:
-    """Which places bones join so far."""
-
-    def __init__(self, count: int) -> None:
-        self._group = list(range(count))
-
-    def of(self, place: int) -> int:
-        while self._group[place] != place:
-            self._group[place] = place = self._group[self._group[place]]
-        return place
-
-    def join(self, one: int, other: int) -> None:
-        self._group[self.of(other)] = self.of(one)
-
-    def joined(self, bone: tuple[int, int]) -> list[tuple[int, int]]:
-        """Join two places; the bone, unless they were joined before."""
-        if self.of(bone[0]) == self.of(bone[1]):
-            return []
-        self.join(*bone)
-        return [bone]
-
-
-def _some_rows(keypoints: np.ndarray, visible: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return frames that show three joints or more, as many as the memory holds, spread evenly."""
-    rows = np.flatnonzero(visible.sum(1) >= 3)
-    most = max(2, _MOST_NUMBERS // keypoints.shape[1] ** 2)
-    if len(rows) > most:
-        rows = rows[np.linspace(0, len(rows) - 1, most).astype(int)]
-    return keypoints[rows].astype(np.float64), visible[rows]
-
-
-def _distances(keypoints: np.ndarray, visible: np.ndarray) -> np.ndarray:
-    """Return (frames joints joints) distances in sizes of the body in that frame; NaN where a joint is hidden.
-
-    The size is that of the visible joints' spread, then what makes the distances most alike over the
-    frames: hidden joints do not shrink the body.
-    """
-    points = np.where(visible[..., None], keypoints, np.nan)
-    found = np.linalg.norm(points[:, :, None] - points[:, None], axis=-1)
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", RuntimeWarning)
-        spread = np.sqrt(np.nanmean(found**2, axis=(1, 2)))
-        found /= np.where(spread > 0, spread, np.nan)[:, None, None]
-        usual = np.nanmedian(found, axis=0)
-        size = np.nanmedian(found / np.where(usual > 0, usual, np.nan), axis=(1, 2))
-    return found / np.where(size > 0, size, np.nan)[:, None, None]
-
-
-def _in_a_row(one: str, other: str) -> bool:
-    """Return whether two names differ in one number alone, by one."""
-    first, second = (re.split(r"(\d+)", name) for name in (one, other))
-    if len(first) != len(second):
-        return False
-    differ = [(a, b) for a, b in zip(first, second, strict=True) if a != b]
-    return (
-        len(differ) == 1
-        and all(text.isdigit() for text in differ[0])
-        and abs(int(differ[0][0]) - int(differ[0][1])) == 1
-    )
-
+Pair = tuple[str, str]
+Ends = tuple[tuple[str, ...], tuple[str, ...]]
 
 # A skeleton for a tracker's file: its names, partners and bones, and guesses where it has none.
 
 _SEEN_WELL = 0.8  # of the joint seen most
 _SELDOM = 0.5  # of the frames
 _NEAR = 0.5  # of the spread of the joints about their middle
-
-Pair = tuple[str, str]
 
 
 @runtime_checkable
@@ -572,89 +232,347 @@ def _checked(plan: dict[str, Any], pairs: list[Pair]) -> tuple[Skeleton, tuple[B
         return Skeleton.from_dict({**plan, "mirror": []}), tuple(pairs)
 
 
-# The commented file that `uplift skeleton new` starts a new skeleton with.
+# Which joints a bone may join, out of 2D alone: those that stay close and keep their distance.
 
-_TEMPLATE = """\
-# A skeleton: the joints of what you track, and what is known about them.
-# This one is complete, a beetle seen by a tracker with 15 keypoints: replace it with yours, then
-#   uplift skeleton check {file}
-# tells what is wrong and draws it, and
-#   uplift fit skeleton={file} data.train=your_keypoints.npz
-# learns to lift it. Everything goes by joint name; the order in your files does not matter.
-name: {name}
-description: a six-legged insect, 15 keypoints and one made of them
+TOO_LONG = 1.9
+"""`stretched` from which joints have each other's names."""
 
-# Names as in your files. Joints listed under midpoints (below) need not be in the files.
-joints: [head, thorax, abdomen_tip,
-         front_knee_l, front_claw_l, middle_knee_l, middle_claw_l, hind_knee_l, hind_claw_l,
-         front_knee_r, front_claw_r, middle_knee_r, middle_claw_r, hind_knee_r, hind_claw_r,
-         body]
-
-# Poses are measured from the root. Take a joint that is seen well, near the middle.
-root: thorax
-
-# [parent, child]; together they reach every joint from the root.
-bones: [[thorax, head], [thorax, body], [body, abdomen_tip],
-        [thorax, front_knee_l], [front_knee_l, front_claw_l],
-        [thorax, middle_knee_l], [middle_knee_l, middle_claw_l],
-        [body, hind_knee_l], [hind_knee_l, hind_claw_l],
-        [thorax, front_knee_r], [front_knee_r, front_claw_r],
-        [thorax, middle_knee_r], [middle_knee_r, middle_claw_r],
-        [body, hind_knee_r], [hind_knee_r, hind_claw_r]]
-# loops: true    # if bones close on themselves, as the seat of a chair does; otherwise a cycle is an error
-
-# [right, left] partners. Joints on the midline are in no pair. Leave out where nothing is symmetric.
-mirror: [[front_knee_r, front_knee_l], [front_claw_r, front_claw_l],
-         [middle_knee_r, middle_knee_l], [middle_claw_r, middle_claw_l],
-         [hind_knee_r, hind_knee_l], [hind_claw_r, hind_claw_l]]
-
-# What tells a pose from its mirror image, which fits the same 2D: three directions [from, to] of the
-# thing itself. Each end is a joint, or a list of joints (their mean). Choose what holds in nearly
-# every pose. `up` may be left out where gravity is true and the thing stays upright.
-facing:
-  front: [abdomen_tip, head]
-  left: [[front_knee_r, middle_knee_r, hind_knee_r], [front_knee_l, middle_knee_l, hind_knee_l]]
-  up: [[front_claw_l, middle_claw_l, hind_claw_l, front_claw_r, middle_claw_r, hind_claw_r],
-       [front_knee_l, middle_knee_l, hind_knee_l, front_knee_r, middle_knee_r, hind_knee_r]]
-
-# true: it stands or walks on the ground, and the camera is more or less level.
-# false: it may be seen from any side (a hand, a thing that floats); then facing needs `up`.
-gravity: true
-# rigid: true    # one shape that does not bend (a chair)
-
-# Joints that no file holds, made of others: handy for a root in the middle.
-midpoints:
-  body: [thorax, abdomen_tip]
-
-# Other layouts these joints can be built from, by their names; a list is a mean, and a joint left
-# out counts as missing.
-# from:
-#   my_other_tracker: {{head: Head, thorax: [WingL, WingR], abdomen_tip: Tail}}
-
-# For `uplift simulate`: a body to rehearse with before there is data. Seen facing the camera, x is
-# the body's left, y down, z behind it. rest: the direction of the bone from the parent to the joint.
-# proportions: its length, in any unit.
-# rest: {{head: [0, 0, -1], front_knee_l: [1, -0.5, -0.5], front_claw_l: [0.5, 1, -0.2], ...}}
-# proportions: {{head: 0.2, front_knee_l: 0.3, front_claw_l: 0.4, ...}}
-# limits: {{front_knee_l: {{flexion: [-40, 40]}}, ...}}
-"""
+_MOST_NUMBERS = 2_000_000  # frames x joints x joints at once
+_SMOOTHING = 0.05  # of the mean distance, so that few frames are judged by their distances, not by luck
+_IN_A_ROW = 0.5  # how far apart tail_1 and tail_2 count
 
 
-def skeleton_template(name: str) -> str:
-    """Return the text of a complete, commented skeleton called ``name``, for the user to rewrite."""
-    return _TEMPLATE.format(name=quoted(name), file=f"{name}.yaml")
+def seen_in(
+    keypoints: Shaped[np.ndarray, "frames joints 2"], confidence: Shaped[np.ndarray, "frames joints"]
+) -> Bool[np.ndarray, "frames joints"]:
+    """Return which joints are visible: confidence above 0 and a finite place."""
+    return (confidence > 0) & np.isfinite(keypoints).all(-1)
 
 
-def quoted(name: str) -> str:
-    """Return a name as YAML text that cannot be read as anything else, inside a list too."""
-    plain = re.fullmatch(r"[A-Za-z_](?:[\w.+ -]*[\w.+-])?", name, re.ASCII)
-    reserved = name.casefold() in ("true", "false", "yes", "no", "on", "off", "null", "y", "n")
-    return name if plain and not reserved else "'" + name.replace("'", "''") + "'"
+def apart(
+    keypoints: Shaped[np.ndarray, "frames joints 2"],
+    visible: Bool[np.ndarray, "frames joints"],
+    names: Sequence[str],
+) -> Float[np.ndarray, "joints joints"]:
+    """Return how little a bone is to be expected between two joints: the geometric mean of their mean distance and of
+    how much it varies over the frames, in sizes of the body; infinite where no frame shows both.
+
+    Names in a row (tail_1, tail_2) count as closer.
+    """
+    distance = _distances(*_some_rows(keypoints, visible))
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", RuntimeWarning)  # pairs that no frame shows
+        mean, varies = np.nanmean(distance, axis=0), np.nanstd(distance, axis=0)
+    score = np.sqrt(mean * (varies + _SMOOTHING * mean))
+    score[np.isnan(score)] = np.inf
+    rows = np.array([[_in_a_row(one, other) for other in names] for one in names])
+    return np.where(rows, _IN_A_ROW * score, score)
+
+
+def joining_bones(
+    score: Float[np.ndarray, "joints joints"],
+    names: Sequence[str],
+    mirror: Sequence[tuple[str, str]] = (),
+    known: Sequence[Bone] = (),
+) -> list[Bone]:
+    """Return the bones that join all joints with the least sum of scores, beside those that are ``known``.
+
+    The same on both sides: joints on the midline are joined first, then pairs to them and to each
+    other (a minimum spanning tree of the halves).
+    """
+    at = {name: place for place, name in enumerate(names)}
+    across = np.arange(len(names))
+    for one, other in mirror:
+        across[[at[one], at[other]]] = at[other], at[one]
+    score = np.minimum(score, score.max(where=np.isfinite(score), initial=1.0) * 10)
+    score = (score + score[across][:, across]) / 2
+    group = _Groups(len(names))
+    for one, other in known:
+        group.join(at[one], at[other])
+    middle = [place for place in range(len(names)) if across[place] == place]
+    found: list[tuple[int, int]] = []
+    if not middle:  # nothing but pairs: one of them holds the sides together
+        held = [place for place in range(len(names)) if group.of(place) == group.of(int(across[place]))]
+        first = min(held or range(len(names)), key=lambda place: float(score[place, across[place]]))
+        middle = [first]
+        found += group.joined((first, int(across[first])))
+    found += _grown(score, middle, across, group, lambda place: across[place] == place)
+    found += _grown(score, range(len(names)), across, group, lambda place: True)
+    return [(names[one], names[other]) for one, other in found]
+
+
+def stretched(
+    keypoints: Shaped[np.ndarray, "frames joints 2"],
+    visible: Bool[np.ndarray, "frames joints"],
+    bones: Sequence[Sequence[int]],
+) -> float:
+    """Return how many times as long as need be the bones are: their mean over that of the shortest lines that join
+    the joints. 1 to 1.6 where the names are right, 2 or more where joints were given each other's; NaN where nothing is seen.
+    """
+    seen = np.flatnonzero(visible.any(0))
+    if len(seen) < 3:
+        return float("nan")
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", RuntimeWarning)
+        mean = np.nanmean(_distances(*_some_rows(keypoints[:, seen], visible[:, seen])), axis=0)
+    at = {int(place): number for number, place in enumerate(seen)}
+    ours = [mean[at[one], at[other]] for one, other in bones if one in at and other in at]
+    ours = [length for length in ours if np.isfinite(length)]
+    if not ours:
+        return float("nan")
+    names = [str(number) for number in range(len(seen))]
+    score = np.where(np.isfinite(mean), mean, np.inf)
+    least = [mean[int(one), int(other)] for one, other in joining_bones(score, names)]
+    return float(np.mean(ours) / max(np.nanmean(least), 1e-9))
+
+
+def stretch_of(
+    keypoints: Shaped[np.ndarray, "frames joints 2"],
+    confidence: Shaped[np.ndarray, "frames joints"],
+    skeleton: Skeleton,
+) -> float:
+    """Return how far the bones of ``skeleton`` are stretched in keypoints of its joints; 0 where nothing is seen."""
+    visible = seen_in(keypoints, confidence)
+    return float(np.nan_to_num(stretched(keypoints, visible, skeleton.bone_indices.tolist())))
+
+
+def _grown(
+    score: np.ndarray, places: Sequence[int] | range, across: np.ndarray, group: _Groups, may: Callable[[int], bool]
+) -> Iterator[tuple[int, int]]:
+    """Join what ``places`` holds to the group of its first joint, the nearest first, each bone with its mirror image."""
+    start = next((place for place in places if may(place) and across[place] == place), places[0])
+    while True:
+        inside = [place for place in range(len(score)) if group.of(place) == group.of(start)]
+        outside = [place for place in places if group.of(place) != group.of(start)]
+        if not outside:
+            return
+        between = score[np.ix_(inside, outside)]
+        one, other = np.unravel_index(int(between.argmin()), between.shape)
+        bone = inside[int(one)], outside[int(other)]
+        yield from group.joined(bone)
+        yield from group.joined((int(across[bone[0]]), int(across[bone[1]])))
+
+
+class _Groups:
+    """Which places bones join so far."""
+
+    def __init__(self, count: int) -> None:
+        self._group = list(range(count))
+
+    def of(self, place: int) -> int:
+        while self._group[place] != place:
+            self._group[place] = place = self._group[self._group[place]]
+        return place
+
+    def join(self, one: int, other: int) -> None:
+        self._group[self.of(other)] = self.of(one)
+
+    def joined(self, bone: tuple[int, int]) -> list[tuple[int, int]]:
+        """Join two places; the bone, unless they were joined before."""
+        if self.of(bone[0]) == self.of(bone[1]):
+            return []
+        self.join(*bone)
+        return [bone]
+
+
+def _some_rows(keypoints: np.ndarray, visible: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return frames that show three joints or more, as many as the memory holds, spread evenly."""
+    rows = np.flatnonzero(visible.sum(1) >= 3)
+    most = max(2, _MOST_NUMBERS // keypoints.shape[1] ** 2)
+    if len(rows) > most:
+        rows = rows[np.linspace(0, len(rows) - 1, most).astype(int)]
+    return keypoints[rows].astype(np.float64), visible[rows]
+
+
+def _distances(keypoints: np.ndarray, visible: np.ndarray) -> np.ndarray:
+    """Return (frames joints joints) distances in sizes of the body in that frame; NaN where a joint is hidden.
+
+    The size is that of the visible joints' spread, then what makes the distances most alike over the
+    frames: hidden joints do not shrink the body.
+    """
+    points = np.where(visible[..., None], keypoints, np.nan)
+    found = np.linalg.norm(points[:, :, None] - points[:, None], axis=-1)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", RuntimeWarning)
+        spread = np.sqrt(np.nanmean(found**2, axis=(1, 2)))
+        found /= np.where(spread > 0, spread, np.nan)[:, None, None]
+        usual = np.nanmedian(found, axis=0)
+        size = np.nanmedian(found / np.where(usual > 0, usual, np.nan), axis=(1, 2))
+    return found / np.where(size > 0, size, np.nan)[:, None, None]
+
+
+def _in_a_row(one: str, other: str) -> bool:
+    """Return whether two names differ in one number alone, by one."""
+    first, second = (re.split(r"(\d+)", name) for name in (one, other))
+    if len(first) != len(second):
+        return False
+    differ = [(a, b) for a, b in zip(first, second, strict=True) if a != b]
+    return (
+        len(differ) == 1
+        and all(text.isdigit() for text in differ[0])
+        and abs(int(differ[0][0]) - int(differ[0][1])) == 1
+    )
+
+
+# Guesses from the names of joints: partners, sides, and names that mean the same.
+
+# From the clearest sign of a side to the weakest: a word, a letter by itself, a capital, a letter at either end.
+_SIGNS = (
+    re.compile(r"left|right", re.IGNORECASE),
+    re.compile(r"(?<![A-Za-z])[lr](?![A-Za-z])", re.IGNORECASE),
+    re.compile(r"[LR]"),
+    re.compile(r"(?<![A-Za-z])[lr]|[lr](?![A-Za-z])"),
+)
+_OTHER = {"left": "right", "right": "left", "l": "r", "r": "l"}
+_WORD = re.compile(r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+|\d+")
+
+# Words that name the same place; a joint on the midline and the middle of a pair differ by the side.
+_SAME = (
+    {"pelvis", "midhip", "hips", "hipcenter", "hipcentre", "hipmid", "sacrum", "croup"},
+    {"neck", "thorax", "neckbase", "chest", "sternum", "uppertorso"},
+    {"headtop", "topofhead", "vertex", "headtip"},
+    {"nose", "snout", "muzzle"},
+    {"tailbase", "rootoftail", "tailroot", "tailstart", "tail1", "rump"},
+    {"tailtip", "tailend"},
+    {"belly", "abdomen"},
+    {"spine", "torso", "spinemid", "midspine", "body"},
+    {"bigtoe", "hallux", "footindex"},
+    {"hand", "palm"},
+    {"hock", "ankle"},
+    {"stifle", "knee"},
+    {"carpus", "wrist"},
+)
+_WORDS = {
+    "fore": "front", "forefinger": "index", "pinky": "little", "hind": "back", "rear": "back",
+    "middle": "mid", "lower": "low", "center": "mid", "centre": "mid", "finger": "", "joint": "",
+    "paw": "foot", "hoof": "foot", "claw": "foot",
+}  # fmt: skip
+_ALIKE = 0.75
+
+
+def mirror_pairs(names: Sequence[str]) -> list[tuple[str, str]]:
+    """Return pairs (right, left) of names that differ by a side alone, in the order of ``names``.
+
+    Only where a name has one possible partner. Numbers that differ are looked over (paw1LH, paw4RH)
+    where the names without them are still different.
+    """
+    found: dict[str, tuple[str, str]] = {}
+    for stripped in (False, True):
+        for sign in _SIGNS:
+            left_over = [name for name in names if name not in found]
+            keys = {name: re.sub(r"\d+", "", name) if stripped else name for name in left_over}
+            by_key = {key: name for name, key in keys.items()}
+            if stripped:
+                by_key = {key: name for key, name in by_key.items() if list(keys.values()).count(key) == 1}
+            for key, name in by_key.items():
+                partners = {other: is_left for other, is_left in _swapped(key, sign) if other in by_key}
+                if len(partners) != 1:
+                    continue
+                (other, is_left), *_ = partners.items()
+                if {back for back, _ in _swapped(other, sign) if back in by_key} == {key}:
+                    pair = (by_key[other], name) if is_left else (name, by_key[other])
+                    found[name] = found[by_key[other]] = pair
+    return list(dict.fromkeys(found[name] for name in names if name in found))
+
+
+def _name_words(name: str) -> list[str]:
+    """Return the words of a name in lower case: split at capitals, digits and everything that is not a letter."""
+    return [word.lower() for word in _WORD.findall(name)]
+
+
+def guess_parts(skeleton: Skeleton, names: Sequence[str]) -> dict[str, tuple[str, ...]]:
+    """Return which of ``names`` each joint of the skeleton may be, by what the words mean; for a person to check.
+
+    A joint on the midline may be the mean of a pair. Joints without a similar name are absent.
+    """
+    theirs, ours = _meanings(names), _meanings(skeleton.joints)
+    likeness = [
+        (score, -place, -other, joint, name)
+        for place, joint in enumerate(skeleton.joints)
+        for other, name in enumerate(names)
+        if (score := _likeness(ours[joint], theirs[name])) >= _ALIKE
+    ]
+    found: dict[str, tuple[str, ...]] = {}
+    taken: set[str] = set()
+    for _, _, _, joint, name in sorted(likeness, reverse=True):
+        if joint not in found and name not in taken:
+            found[joint] = (name,)
+            taken.add(name)
+    for joint in skeleton.joints:  # what a midpoint is made of, or a pelvis of two hips
+        if joint in found or ours[joint][0]:
+            continue
+        parts = skeleton.midpoints.get(joint) or _middle_of(joint, ours)
+        if parts and all(part in found for part in parts):
+            found[joint] = tuple(name for part in parts for name in found[part])
+    return {joint: found[joint] for joint in skeleton.joints if joint in found}
+
+
+def _swapped(name: str, sign: re.Pattern[str]) -> Iterator[tuple[str, bool]]:
+    """Yield the name with a sign of a side turned into the other, and whether that sign means left."""
+    for match in sign.finditer(name):
+        yield _turned(name, match), match[0][0].lower() == "l"
+
+
+def _turned(name: str, match: re.Match[str]) -> str:
+    old = match[0]
+    new = _OTHER[old.lower()]
+    new = new.upper() if old.isupper() else new.capitalize() if old[0].isupper() else new
+    return name[: match.start()] + new + name[match.end() :]
+
+
+def _meanings(names: Sequence[str]) -> dict[str, tuple[str, str]]:
+    """Return for each name its side ("l", "r" or none) and what is left of it, words put in one form."""
+    side: dict[str, str] = {}
+    for right, left in mirror_pairs(names):
+        side[right], side[left] = "r", "l"
+    rest = {name: [word for word in _name_words(name) if word not in _OTHER] for name in names}
+    for right, left in mirror_pairs(names):
+        if rest[right] != rest[left]:  # lhip, rhip: the side is a part of a word
+            rest[right] = rest[left] = _without_side(right, left)
+    for name in names:
+        if name not in side:
+            side[name] = next((word[0] for word in _name_words(name) if word in _OTHER), "")
+    return {name: (side[name], _one_form(rest[name], bool(side[name]))) for name in names}
+
+
+def _without_side(right: str, left: str) -> list[str]:
+    """Return the words that two partners share: without the sign of the side, and without digits, which may differ."""
+    one, other = (re.sub(r"\d+", "", name) for name in (right, left))
+    for sign in _SIGNS:
+        for match in sign.finditer(one):
+            if _turned(one, match) == other:
+                return _name_words(f"{one[: match.start()]} {one[match.end() :]}")
+    return _name_words(one)
+
+
+def _one_form(words: list[str], sided: bool) -> str:
+    """Return one spelling for what means the same; a hip on neither side is a pelvis."""
+    text = "".join(_WORDS.get(word, word) for word in words)
+    if not sided and text in ("hip", "root"):
+        return min(_SAME[0])
+    for group in _SAME:
+        if text in group or "".join(words) in group:
+            return min(group)
+    return text
+
+
+def _likeness(ours: tuple[str, str], theirs: tuple[str, str]) -> float:
+    if ours[0] != theirs[0] or not ours[1] or not theirs[1]:
+        return 0.0
+    if ours[1] == theirs[1]:
+        return 1.0
+    if re.sub(r"\D", "", ours[1]) != re.sub(r"\D", "", theirs[1]):  # spine1 is not spine2
+        return 0.0
+    return 0.99 * difflib.SequenceMatcher(None, ours[1], theirs[1]).ratio()
+
+
+def _middle_of(joint: str, ours: dict[str, tuple[str, str]]) -> tuple[str, ...]:
+    """Return the pair that a joint on the midline lies between: the hips of a pelvis, the shoulders of a neck."""
+    pair_of = {"hip": "hip", min(_SAME[0]): "hip", min(_SAME[1]): "shoulder"}.get(ours[joint][1])
+    return tuple(name for name, (side, what) in ours.items() if side and what == pair_of) if pair_of else ()
 
 
 # The commented YAML of a proposed skeleton, ready to be corrected by hand.
-
-Ends = tuple[tuple[str, ...], tuple[str, ...]]
 
 _WIDTH = 108
 _FRONT = ("nose", "snout", "beak", "muzzle", "head", "neck")
@@ -840,3 +758,83 @@ def _list(key: str, items: Iterable[str]) -> str:
 
 def _pair_lists(key: str, pairs: Iterable[Sequence[str]]) -> str:
     return _list(key, (f"[{quoted(one)}, {quoted(other)}]" for one, other in pairs))
+
+
+# The commented file that `uplift skeleton new` starts a new skeleton with.
+
+_TEMPLATE = """\
+# A skeleton: the joints of what you track, and what is known about them.
+# This one is complete, a beetle seen by a tracker with 15 keypoints: replace it with yours, then
+#   uplift skeleton check {file}
+# tells what is wrong and draws it, and
+#   uplift fit skeleton={file} data.train=your_keypoints.npz
+# learns to lift it. Everything goes by joint name; the order in your files does not matter.
+name: {name}
+description: a six-legged insect, 15 keypoints and one made of them
+
+# Names as in your files. Joints listed under midpoints (below) need not be in the files.
+joints: [head, thorax, abdomen_tip,
+         front_knee_l, front_claw_l, middle_knee_l, middle_claw_l, hind_knee_l, hind_claw_l,
+         front_knee_r, front_claw_r, middle_knee_r, middle_claw_r, hind_knee_r, hind_claw_r,
+         body]
+
+# Poses are measured from the root. Take a joint that is seen well, near the middle.
+root: thorax
+
+# [parent, child]; together they reach every joint from the root.
+bones: [[thorax, head], [thorax, body], [body, abdomen_tip],
+        [thorax, front_knee_l], [front_knee_l, front_claw_l],
+        [thorax, middle_knee_l], [middle_knee_l, middle_claw_l],
+        [body, hind_knee_l], [hind_knee_l, hind_claw_l],
+        [thorax, front_knee_r], [front_knee_r, front_claw_r],
+        [thorax, middle_knee_r], [middle_knee_r, middle_claw_r],
+        [body, hind_knee_r], [hind_knee_r, hind_claw_r]]
+# loops: true    # if bones close on themselves, as the seat of a chair does; otherwise a cycle is an error
+
+# [right, left] partners. Joints on the midline are in no pair. Leave out where nothing is symmetric.
+mirror: [[front_knee_r, front_knee_l], [front_claw_r, front_claw_l],
+         [middle_knee_r, middle_knee_l], [middle_claw_r, middle_claw_l],
+         [hind_knee_r, hind_knee_l], [hind_claw_r, hind_claw_l]]
+
+# What tells a pose from its mirror image, which fits the same 2D: three directions [from, to] of the
+# thing itself. Each end is a joint, or a list of joints (their mean). Choose what holds in nearly
+# every pose. `up` may be left out where gravity is true and the thing stays upright.
+facing:
+  front: [abdomen_tip, head]
+  left: [[front_knee_r, middle_knee_r, hind_knee_r], [front_knee_l, middle_knee_l, hind_knee_l]]
+  up: [[front_claw_l, middle_claw_l, hind_claw_l, front_claw_r, middle_claw_r, hind_claw_r],
+       [front_knee_l, middle_knee_l, hind_knee_l, front_knee_r, middle_knee_r, hind_knee_r]]
+
+# true: it stands or walks on the ground, and the camera is more or less level.
+# false: it may be seen from any side (a hand, a thing that floats); then facing needs `up`.
+gravity: true
+# rigid: true    # one shape that does not bend (a chair)
+
+# Joints that no file holds, made of others: handy for a root in the middle.
+midpoints:
+  body: [thorax, abdomen_tip]
+
+# Other layouts these joints can be built from, by their names; a list is a mean, and a joint left
+# out counts as missing.
+# from:
+#   my_other_tracker: {{head: Head, thorax: [WingL, WingR], abdomen_tip: Tail}}
+
+# For `uplift simulate`: a body to rehearse with before there is data. Seen facing the camera, x is
+# the body's left, y down, z behind it. rest: the direction of the bone from the parent to the joint.
+# proportions: its length, in any unit.
+# rest: {{head: [0, 0, -1], front_knee_l: [1, -0.5, -0.5], front_claw_l: [0.5, 1, -0.2], ...}}
+# proportions: {{head: 0.2, front_knee_l: 0.3, front_claw_l: 0.4, ...}}
+# limits: {{front_knee_l: {{flexion: [-40, 40]}}, ...}}
+"""
+
+
+def skeleton_template(name: str) -> str:
+    """Return the text of a complete, commented skeleton called ``name``, for the user to rewrite."""
+    return _TEMPLATE.format(name=quoted(name), file=f"{name}.yaml")
+
+
+def quoted(name: str) -> str:
+    """Return a name as YAML text that cannot be read as anything else, inside a list too."""
+    plain = re.fullmatch(r"[A-Za-z_](?:[\w.+ -]*[\w.+-])?", name, re.ASCII)
+    reserved = name.casefold() in ("true", "false", "yes", "no", "on", "off", "null", "y", "n")
+    return name if plain and not reserved else "'" + name.replace("'", "''") + "'"
