@@ -1,4 +1,4 @@
-"""The one error that means "the user can mend this", and the nearest-name hint that goes into it."""
+"""Errors that a user can fix, and the nearest-name hint for their messages."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ class UserError(Exception):
 
 
 class NotForThisSkeleton(UserError):
-    """A prior cannot judge this skeleton; one that is on ``if_possible`` is then left out."""
+    """A prior cannot judge this skeleton; with ``if_possible`` it is then left out."""
 
 
 def did_you_mean(found: str, valid: Iterable[str]) -> str:

@@ -63,12 +63,13 @@ class Recipe:
 
     @classmethod
     def of(cls, table: str, task: str, words: Sequence[str], seed: int) -> Recipe:
-        """Return the recipe on the table's data; ``words`` are the user's and come last."""
+        """Return the recipe on the table's data; ``words`` are the user's and replace those of the table."""
         chosen = load_settings(task).data
         moved = () if _is_of(chosen.use, chosen.options.get("keypoints"), TABLES[table]) else TABLES[table].words
         if chosen.use != TABLES[table].use and not moved:
             raise UserError(f"task {task} is on other data than {TABLES[table].title}.")
-        return cls(table, task, (*moved, *words), seed)
+        given = {word.partition("=")[0] for word in words}
+        return cls(table, task, (*(word for word in moved if word.partition("=")[0] not in given), *words), seed)
 
     def settings(self) -> Settings:
         """Return the settings of the fit."""

@@ -113,7 +113,7 @@ def test_a_damaged_file_leaves_nothing_behind(files: Path, tmp_path: Path):
         (["DIR"], "takes one DIR .* and output=FOLDER"),
         (["output=OUT"], "takes one DIR"),
         (["DIR", "DIR", "output=OUT"], "takes one DIR"),
-        (["DIR", "output=OUT", "camera=4"], "'camera' is not one of its settings. Did you mean 'cameras'"),
+        (["DIR", "output=OUT", "camera=4"], "'camera=.' is not one of its settings. Did you mean 'cameras'"),
         (["DIR", "output=OUT", "fps="], "'fps=' has no value"),
         (["DIR", "output=OUT", "fps=fast"], "fps='fast', expected a number above 0"),
         (["DIR", "output=OUT", "fps=7"], "cannot be thinned out to fps=7"),

@@ -85,9 +85,9 @@ def test_an_unknown_verb_or_flag_ends_with_status_2(words: list[str], capsys: py
         (["evaluate", "run=x", "skeleton=h36m17"], "the run knows its skeleton"),
         (["evaluate", "run=runs/none"], "No run runs/none"),
         (["predict", "run=x"], "predict needs input="),
-        (["predict", "run=x", "input=a.npz", "output=a"], "has no extension"),
-        (["predict", "run=x", "input=a.npz", "output=a.htm"], "Did you mean '.html'?"),
-        (["predict", "run=x", "input=a.npz", "output=none/a.npz"], "no folder"),
+        (["predict", "run=RUN", "input=a.npz", "output=a"], "has no extension"),
+        (["predict", "run=RUN", "input=a.npz", "output=a.htm"], "Did you mean '.html'?"),
+        (["predict", "run=RUN", "input=a.npz", "output=none/a.npz"], "no folder"),
         (["predict", "run=none", "input=a.npz", "output=b.npz"], "No run none"),
         (["simulate", "skeleton=h36m17"], "simulate needs output="),
         (["simulate", "skeleton=h36m17", "output=a.txt"], "written as .npz or .csv"),
@@ -115,8 +115,10 @@ def test_an_unknown_verb_or_flag_ends_with_status_2(words: list[str], capsys: py
         (["skeleton", "new", "none/a.yaml"], "No folder none"),
     ],
 )
-def test_wrong_words_are_refused(words: list[str], says: str, capsys: pytest.CaptureFixture, here: Path) -> None:
-    assert says in refusal(capsys, *words)
+def test_wrong_words_are_refused(
+    words: list[str], says: str, capsys: pytest.CaptureFixture, fitted: Path, here: Path
+) -> None:
+    assert says in refusal(capsys, *(word.replace("=RUN", f"={the_runs(fitted)[0]}") for word in words))
     assert not list(here.iterdir())
 
 
@@ -151,7 +153,7 @@ def test_compare_puts_runs_side_by_side(fitted: Path, capsys: pytest.CaptureFixt
     (first / "evaluation.json").rename(first / "kept.json")
     assert "was not evaluated" in refusal(capsys, "compare", str(first), str(second))
     (first / "evaluation.json").write_text("{}")
-    assert "is no evaluation" in refusal(capsys, "compare", str(first), str(second))
+    assert "is not an evaluation" in refusal(capsys, "compare", str(first), str(second))
     (first / "kept.json").rename(first / "evaluation.json")
 
 

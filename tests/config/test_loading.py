@@ -129,10 +129,10 @@ def test_durations_need_no_quotes_in_a_task_file(here: Path) -> None:
 @pytest.mark.parametrize(
     ("content", "says"),
     [
-        ("extends: a.yaml\n", "extend one another: a circle?"),
+        ("extends: a.yaml\n", "extend one another. Is there a circle?"),
         ("extends: nothing\n", "No task 'nothing'"),
         ("extends: other.yaml\n", "No task file"),
-        ("extends: [cmu]\n", "line 1: 'extends' is ['cmu'], expected one task or file"),
+        ("extends: [cmu]\n", "line 1: 'extends' is ['cmu'], expected a task or a file"),
         ("traner: {max_steps: 3}\n", "line 1: unknown setting 'traner'. Did you mean 'trainer'?"),
         (
             "seed: 1\ntrainer:\n  max_step: 3\n",
@@ -159,7 +159,7 @@ def test_a_wrong_task_file(here: Path, content: str, says: str) -> None:
 def test_a_circle_of_two(here: Path) -> None:
     (here / "a.yaml").write_text("extends: b.yaml\n")
     (here / "b.yaml").write_text("extends: a.yaml\n")
-    assert "a circle?" in complaint(task="a.yaml")
+    assert "Is there a circle?" in complaint(task="a.yaml")
 
 
 @pytest.mark.parametrize(

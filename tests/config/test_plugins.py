@@ -77,7 +77,7 @@ def test_what_does_not_fit_is_named(own: str, name: str, options: dict, says: st
 def test_what_is_of_another_kind_is_never_made(own: str) -> None:
     """A settings file could otherwise start anything that a class of Python starts when it is made."""
     for use in (f"{own}:Other", "subprocess:Popen"):
-        with pytest.raises(UserError, match="is no subclass of"):
+        with pytest.raises(UserError, match="is not a subclass of"):
             build(use, {}, {}, "here", nn.Module, inputs=["true"])
 
 

@@ -102,7 +102,7 @@ def test_an_evaluation_without_its_parts_is_named() -> None:
     run = made()
     assert run.evaluation() is None
     (run.path / "evaluation.json").write_text(json.dumps({"overall": {}}))
-    with pytest.raises(UserError, match="is no evaluation"):
+    with pytest.raises(UserError, match="is not an evaluation"):
         run.evaluation()
 
 

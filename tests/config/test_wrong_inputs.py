@@ -196,12 +196,12 @@ def write_other_network(run: Path, **changes) -> None:
 LIFTERS = {
     "hostile": (write_hostile, "holding more than tensors and plain data"),
     "hostile and bare": (write_bare_hostile, "holding more than tensors and plain data"),
-    "empty": (lambda r: (r / "lifter.pt").write_bytes(b""), "is no lifter that can be read"),
+    "empty": (lambda r: (r / "lifter.pt").write_bytes(b""), "cannot be read as a lifter"),
     "truncated": (
         lambda r: (r / "lifter.pt").write_bytes((r / "lifter.pt").read_bytes()[:3000]),
-        "is no lifter that can",
+        "cannot be read as a lifter",
     ),
-    "text": (lambda r: (r / "lifter.pt").write_text("hello"), "is no lifter that can be read"),
+    "text": (lambda r: (r / "lifter.pt").write_text("hello"), "cannot be read as a lifter"),
     "a tensor": (lambda r: torch.save(torch.ones(3), r / "lifter.pt"), "found Tensor"),
     "another format": (lambda r: write_changed(r, uplift_format=99), "uplift_format is 99"),
     "no state": (lambda r: write_changed(r, state=None), "is not a valid lifter"),
@@ -216,7 +216,10 @@ LIFTERS = {
     "settings of a wrong type": (lambda r: write_other_network(r, options=3), "lifter.pt"),
     "a size of text": (lambda r: write_other_network(r, options={"units": "many"}), "units"),
     "an unknown network": (lambda r: write_other_network(r, network="nothing"), "nothing"),
-    "a network that is none": (lambda r: write_other_network(r, network="subprocess:Popen", options={}), "no subclass"),
+    "a network that is none": (
+        lambda r: write_other_network(r, network="subprocess:Popen", options={}),
+        "not a subclass",
+    ),
     "a camera that is none": (lambda r: write_other_network(r, camera="pinhole"), "pinhole"),
 }
 

@@ -83,7 +83,7 @@ def test_paths(here: Path):
     for wrong, says in (
         ("none.csv", "No file none.csv"),
         ("a1.csv,none.csv", "No file none.csv"),
-        ("*9.csv", "No file fits"),
+        ("*9.csv", "No file matches"),
     ):
         with pytest.raises(UserError, match=says.replace("*", r"\*")):
             files_of(wrong)

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 import yaml
-from bodies import QUICK, status_of
+from bodies import QUICK, last_words, status_of
 
 import uplift
 from uplift.cli.data_render import RENDER_KEYS
@@ -270,7 +270,7 @@ def test_priors_run_as_they_are_printed(
 def test_the_python_page_runs_from_top_to_bottom(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys) -> None:
     monkeypatch.chdir(tmp_path)
     fit = uplift.fit
-    monkeypatch.setattr(uplift, "fit", lambda task, *words, **more: fit(task, *words, *SMALL, **more))
+    monkeypatch.setattr(uplift, "fit", lambda task, *words, **more: fit(task, *last_words(*words, *SMALL), **more))
     session: dict[str, object] = {}
     for block in _blocks(ROOT / "docs/python-api.md", "python"):
         exec(block, session)

@@ -116,7 +116,7 @@ def test_every_command_runs_and_the_poses_beat_flat_depth(name: str) -> None:
 
 MISTAKES = [
     ("quadruped", "joints: [nose,", "joints: [nosee,", "Did you mean 'nosee'?"),
-    ("quadruped", "root: croup", "root: crop", "found 'crop' in 'root', which is no joint. Did you mean 'croup'?"),
+    ("quadruped", "root: croup", "root: crop", "found 'crop' in 'root', which is not a joint. Did you mean 'croup'?"),
     ("rat", "[SpineL, TailBase],", "", "no bones lead from the root 'SpineL' to joint 'TailBase'"),
     ("rat", "loops: true", "loops: false", "write loops: true"),
     ("hand", "gravity: false", "gravty: false", "unknown key 'gravty'. Did you mean 'gravity'?"),

@@ -45,7 +45,7 @@ def test_a_ball_comes_back_to_a_tenth_of_a_voxel(
 ) -> None:
     found = surface_of(_ball(resolution, centre, radius), smooth=smooth)
     solid, voxel = _solid(found.mesh), 2 / resolution
-    assert found.watertight and found.pieces == 1 and found.told() == ""
+    assert found.watertight and found.pieces == 1 and found.summary() == ""
     np.testing.assert_allclose(solid.center_mass, centre, atol=0.1 * voxel)
     away = np.linalg.norm(solid.vertices - centre, axis=1)
     assert abs(away.mean() - radius) < 0.1 * voxel
@@ -85,7 +85,7 @@ def test_specks_go_and_second_parts_stay() -> None:
     grid = np.maximum(_ball(40, (-0.4, 0, 0), 0.4), _ball(40, (0.5, 0, 0), 0.3))
     grid[2, 2, 2] = 1
     found = surface_of(grid)
-    assert (found.specks, found.pieces) == (1, 2) and "1 speck removed" in found.told()
+    assert (found.specks, found.pieces) == (1, 2) and "1 speck removed" in found.summary()
     assert _solid(found.mesh).bounds[0, 1] > -0.5
     assert surface_of(grid, least_share=0).pieces == 3
 

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 import torch
+from bodies import last_words
 from torch import Tensor
 
 from uplift.config.loading import load_settings
@@ -34,12 +35,12 @@ STAGES = ("data.simulate=130", "shape.parts=1", "shape.splits=2,2", "trainer.max
 @lru_cache
 def many() -> LoadedMasks:
     """Return the masks of `STAGES`, which take a while to make."""
-    return load_masks(load_settings("masks_demo", [*SMALL, *STAGES])).for_training()
+    return load_masks(load_settings("masks_demo", last_words(*SMALL, *STAGES))).for_training()
 
 
 def fit_of(folder: Path, *words: str, loaded: LoadedMasks | None = None) -> tuple[ShapeRecipe, ShapeModel]:
     """Return the recipe and the model of a small fit, without its evaluation and its pages."""
-    settings = load_settings("masks_demo", [*SMALL, *words])
+    settings = load_settings("masks_demo", last_words(*SMALL, *words))
     (folder / "checkpoints").mkdir(parents=True, exist_ok=True)
     run = RunFolder(folder)
     with pytest.MonkeyPatch.context() as patch:

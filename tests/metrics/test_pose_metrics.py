@@ -16,8 +16,9 @@ from scipy.linalg import orthogonal_procrustes
 
 from uplift.metrics import pose_metrics as metrics
 from uplift.metrics.alignment import counted
-from uplift.metrics.pose_metrics import facing_sign, has_handedness, mirrored_bones
+from uplift.metrics.pose_metrics import facing_sign, has_handedness
 from uplift.skeleton import Skeleton
+from uplift.skeleton.core import mirrored_bones
 
 ROOT = 2
 BODY = Skeleton.from_dict(

@@ -71,7 +71,7 @@ def test_own_network_from_a_file(tmp_path):
         ("residual", {"units": 0}, r"lifter\.options\.units=0: expected a whole number of at least 1"),
         ("residual", {"blocks": 1.5}, r"lifter\.options\.blocks=1\.5"),
         ("kudo", {"slope": "steep"}, r"lifter\.options\.slope='steep': expected a number"),
-        ("uplift.errors:UserError", {}, r"no subclass of torch\.nn\.Module"),
+        ("uplift.errors:UserError", {}, r"not a subclass of torch\.nn\.Module"),
     ],
 )
 def test_wrong_settings_are_named(use, options, message):

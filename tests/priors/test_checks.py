@@ -146,7 +146,7 @@ def test_a_wrong_class_is_refused(here: Path, capsys: pytest.CaptureFixture, bod
         (["priors.ground.use=my_priors.py"], "file.py:Class"),
         (["priors.ground.use=bone"], "Did you mean 'bones'?"),
         (["priors.ground.use=no_such_module:Ground"], "cannot import 'no_such_module'"),
-        (["priors.ground.use=pathlib:Path"], "no subclass of uplift.Prior"),
+        (["priors.ground.use=pathlib:Path"], "not a subclass of uplift.Prior"),
         (["priors.ground.use=my_priors.py:torch"], "no class 'torch'"),
         (["priors.type.use=my_priors.py:Ground"], "priors.type: 'type' cannot be a prior's name"),
         (["priors.critic.weight=0", "priors.ground=3"], "priors.ground is 3, expected settings"),

@@ -132,7 +132,7 @@ MISTAKES = {
                    "        skeleton.index('tail')\n", [], "no joint 'tail'"),
     "init fails otherwise": (BODY + "    def __init__(self, skeleton):\n        super().__init__(skeleton)\n"
                              "        self.x = 1 / 0\n", [], "line 7: ZeroDivisionError"),
-    "no Prior": ("class Mine:\n    def __init__(self, skeleton):\n        pass\n", [], "no subclass of uplift.Prior"),
+    "no Prior": ("class Mine:\n    def __init__(self, skeleton):\n        pass\n", [], "not a subclass of uplift.Prior"),
     "does not run": ("import uplift\n1 / 0\n", [], "does not run: ZeroDivisionError"),
     "no Python": ("class Mine(:\n", [], "does not run: SyntaxError"),
     "no such class": (FLAT_GROUND.replace("FlatGround", "Mime"), [], "Did you mean 'Mime'"),

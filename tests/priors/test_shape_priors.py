@@ -129,7 +129,7 @@ def test_a_prior_in_a_file(here: Path) -> None:
     Path("my.py").write_text(MINE)
     priors, *_ = build_priors({"mine": {"use": "my.py:Mine", "share": 0.3}})
     assert float(priors["mine"].loss(lift_of(torch.full((1, 4, 4, 4), 0.5)))) == pytest.approx(0.2)
-    with pytest.raises(UserError, match="no subclass of .*ShapePrior"):
+    with pytest.raises(UserError, match="not a subclass of .*ShapePrior"):
         build_priors({"mine": {"use": "my.py:Other"}})
     with pytest.raises(UserError, match="Did you mean 'share'"):
         build_priors({"mine": {"use": "my.py:Mine", "shar": 0.3}})

@@ -66,6 +66,8 @@ def test_mirror_is_its_own_inverse_and_keeps_bones(skeleton):
     assert (across != np.arange(len(across))).sum() == 2 * len(skeleton.mirror)
     bones = {frozenset(bone) for bone in skeleton.bone_indices.tolist()}
     assert {frozenset(across[list(bone)].tolist()) for bone in bones} == bones
+    image = skeleton.bone_indices[skeleton.bone_mirror_permutation]
+    assert (np.sort(across[skeleton.bone_indices], 1) == np.sort(image, 1)).all()
 
 
 def test_facing_ignores_where_a_pose_stands(skeleton):
@@ -78,7 +80,7 @@ def test_facing_ignores_where_a_pose_stands(skeleton):
 def test_shapes_as_annotated():
     beartype = pytest.importorskip("beartype").beartype
     skeleton = load_skeleton("rat23")
-    for name in ("bone_indices", "mirror_permutation"):
+    for name in ("bone_indices", "bone_mirror_permutation", "mirror_permutation"):
         getter = jaxtyped(typechecker=beartype)(Skeleton.__dict__[name].func)
         assert len(getter(skeleton))
     assert jaxtyped(typechecker=beartype)(Skeleton.facing_matrix)(skeleton, "up").shape == (23,)

@@ -169,7 +169,7 @@ def test_what_cannot_be_resumed_is_refused(
     whole = checkpoint.read_bytes()
     for content in (b"", whole[: len(whole) // 2], b"hello"):
         checkpoint.write_bytes(content)
-        assert "is no checkpoint that can be read" in refusal(capsys, "fit", f"resume={run}")
+        assert "cannot be read as a checkpoint" in refusal(capsys, "fit", f"resume={run}")
     torch.save({"state_dict": {}, "done": 0.5}, checkpoint)
     assert "does not fit this run's settings" in refusal(capsys, "fit", f"resume={run}")
     checkpoint.write_bytes(whole)

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from bodies import QUICK, body_arrays, status_of, write_body
+from bodies import QUICK, body_arrays, last_words, status_of, write_body
 from lifts import H36M, labelled_frames, lift_of, seen_bodies, small_lifter
 
 import uplift
@@ -182,10 +182,10 @@ def test_labels_have_the_last_word_on_handedness() -> None:
     assert prior.loss(lift).isfinite()
 
 
-def stages(tmp_path: Path, *words: str) -> Recipe:
+def stages(tmp_path: Path, *words: str) -> PoseRecipe:
     """Return the stages of a quick fit, not trained."""
     write_body(tmp_path / "a.npz")
-    settings = load_settings(None, ["skeleton=h36m17", f"data.train={tmp_path / 'a.npz'}", *QUICK, *words])
+    settings = load_settings(None, last_words("skeleton=h36m17", f"data.train={tmp_path / 'a.npz'}", *QUICK, *words))
     return PoseRecipe(settings, H36M, load_data(settings, H36M), None)
 
 

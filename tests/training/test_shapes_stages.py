@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pytest
 import torch
+from bodies import last_words
 from shape_fits import SMALL, STAGES, fit_of, interrupt, many, noted, same, trained
 
 import uplift
@@ -50,7 +51,7 @@ def test_each_stage_makes_a_finer_mixture(staged: tuple[Path, ShapeRecipe, Shape
 )
 def test_shapes_of_few_masks_are_not_split(masks: int, splits: list[int], monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(recipe_module, "_LEAST_MASKS", 5)
-    words = [*SMALL, f"data.simulate={masks}", "shape.parts=1", "shape.splits=2,2,3"]
+    words = last_words(*SMALL, f"data.simulate={masks}", "shape.parts=1", "shape.splits=2,2,3")
     settings = load_settings("masks_demo", words)
     loaded = load_masks(settings).for_training()
     assert len(loaded.train) == masks

@@ -146,7 +146,7 @@ def _fit(words: Sequence[str]) -> None:
 
     plain, given = split_words(words)
     for key, expected in (("task", "TASK"), ("resume", "RUN")):
-        if given.get(key) == "" or key in plain:
+        if key in plain or given.get(key) == "":
             raise UserError(f"fit: '{key}=' names nothing. Expected {key}={expected}.")
     task, resume = given.get("task"), given.get("resume")
     several = "," in given.get("seed", "")

@@ -1,1 +1,1 @@
-"""Settings, task files, runs: what a user says, checked where it enters."""
+"""Settings, task files and run folders, checked where they are read."""

@@ -15,7 +15,7 @@ from uplift.errors import UserError
 
 __all__ = ["absolute", "data_root", "files_of", "read_torch", "replacing", "save_torch", "shipped", "shipped_names"]
 
-# Where things live: shipped skeletons and tasks, data sets, runs.
+# Where shipped files and data sets are.
 
 _PACKAGE = Path(__file__).resolve().parent.parent
 
@@ -46,24 +46,24 @@ def data_root(name: str, root: str | None) -> Path:
     return (Path(base).expanduser() if base else Path("data")) / name
 
 
-# Which files a path on the command line means: one, several with commas, or all that fit a pattern.
+# What a path on the command line means: one file, several with commas, or all that match a pattern.
 
 
 def files_of(path: str | Path) -> list[Path]:
-    """Return the files or folders that ``path`` names: itself where it exists, else those between commas or that fit ``*``, ``?`` or ``[``.
+    """Return the files or folders that ``path`` names: itself where it exists, else those between commas or that match ``*``, ``?`` or ``[``.
 
     Raises:
-        UserError: a file that is not there, or a pattern that nothing fits.
+        UserError: a file that does not exist, or a pattern without a match.
     """
     if Path(path).exists():
         return [Path(path)]
     found: list[Path] = []
     for part in str(path).split(","):
         if any(sign in part for sign in "*?["):
-            fitting = sorted(Path(name) for name in glob.glob(part))
-            if not fitting:
-                raise UserError(f"No file fits {part} (looked in {Path(part).absolute().parent}).")
-            found += fitting
+            matching = sorted(Path(name) for name in glob.glob(part))
+            if not matching:
+                raise UserError(f"No file matches {part} (looked in {Path(part).absolute().parent}).")
+            found += matching
         elif part:
             found.append(Path(part))
     missing = [one for one in found if not one.exists()]
@@ -74,21 +74,21 @@ def files_of(path: str | Path) -> list[Path]:
 
 
 def absolute(path: str) -> str:
-    """Return the same files with each path from the root of the file system."""
+    """Return the same files by absolute paths."""
     if Path(path).expanduser().exists():
         return str(Path(path).expanduser().absolute())
     return ",".join(str(Path(part).expanduser().absolute()) for part in path.split(",") if part)
 
 
-# A file that appears whole or not at all.
+# Writing: a file appears complete or not at all.
 
 
 @contextmanager
 def replacing(path: str | Path) -> Iterator[BinaryIO]:
     """Open a temporary file beside ``path`` and put it in the place of ``path`` once it is complete.
 
-    Whatever goes wrong on the way (a full disk, Ctrl-C) removes the temporary file, leaves what was
-    at ``path`` untouched and propagates. Raises UserError where no file can stand at ``path``.
+    Any failure (a full disk, Ctrl-C) removes the temporary file, leaves what was at ``path``
+    untouched and propagates. Raises UserError where ``path`` cannot be a file.
     """
     target = Path(os.path.realpath(Path(path).expanduser()))
     if not target.parent.is_dir():
@@ -111,18 +111,18 @@ def replacing(path: str | Path) -> Iterator[BinaryIO]:
         raise
 
 
-# Files of tensors and plain data: written whole or not at all, read without running anything.
+# Files of tensors and plain data, read without running any code.
 
 
 def save_torch(state: dict[str, Any], path: Path) -> None:
-    """Write tensors and plain data to ``path``, whole or not at all."""
+    """Write tensors and plain data to ``path``, complete or not at all."""
     import torch
 
     try:
         with replacing(path) as file:
             torch.save(state, file)
     except RuntimeError as error:
-        # torch's own writer turns a full disk into a RuntimeError.
+        # torch turns a full disk into a RuntimeError.
         if isinstance(error.__context__, OSError):
             raise error.__context__ from error
         raise OSError(f"cannot write {path}: {error}") from error
@@ -140,14 +140,14 @@ def read_torch(path: Path, kind: str) -> dict[str, Any]:
         raise UserError(f"No {kind} {path}.")
     try:
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # a file that is no checkpoint makes torch think aloud
+            warnings.simplefilter("ignore")  # torch warns about files that are not checkpoints
             state = torch.load(path, map_location="cpu", weights_only=True)
-    except Exception as error:  # torch raises a dozen kinds for a file that is not one of its own
+    except Exception as error:  # torch raises a dozen kinds for a file of another format
         reason = str(error).strip().splitlines()[0][:200] if str(error) else type(error).__name__
         raise UserError(
-            f"{path} is no {kind} that can be read: damaged, or holding more than tensors and plain data, "
+            f"{path} cannot be read as a {kind}: damaged, or holding more than tensors and plain data, "
             f"which is never opened ({reason})."
         ) from error
     if not isinstance(state, dict):
-        raise UserError(f"{path} is no {kind}: found {type(state).__name__}, expected what `uplift fit` writes.")
+        raise UserError(f"{path} is not a {kind}: found {type(state).__name__}, expected what `uplift fit` writes.")
     return state

@@ -32,9 +32,9 @@ _MAX_EXTENDS = 10
 def load_settings(task: str | None = None, overrides: Sequence[str] = (), default: str = "default") -> Settings:
     """Return the settings of a task (a shipped name or a YAML file) with ``overrides`` on top.
 
-    Without a task the shipped ``default`` is the base: the recipe for one's own data. Paths in a
-    task file belong to that file (`data.*` to `data.root`), those of overrides to the current
-    folder; all leave here absolute where that matters.
+    Without a task the shipped ``default`` is the base: the recipe for a user's own data. Paths in a
+    task file are relative to that file (`data.*` to `data.root`), those of overrides to the current
+    folder; they are returned absolute where that matters.
 
     Raises:
         UserError: an unknown task or key, a value of the wrong type, settings that contradict.
@@ -47,7 +47,7 @@ def load_settings(task: str | None = None, overrides: Sequence[str] = (), defaul
         put_override(merged, override)
     settings = _typed(merged)
     if task and not settings.data.name and settings.data.root is None:
-        settings.data.root = str(path.parent.absolute())  # a task file of one's own names files beside it
+        settings.data.root = str(path.parent.absolute())  # a user's task file names files beside it
     check_settings(settings)
     return settings
 
@@ -76,7 +76,7 @@ def task_path(task: str) -> Path:
         raise UserError(f"No task file {path} (looked in {path.absolute().parent}).")
     names = [name for name in shipped_names("tasks") if name != "default"]
     raise UserError(
-        f"No task '{task}'.{did_you_mean(task, names)} `uplift tasks` lists them; a file of your own ends in .yaml."
+        f"No task '{task}'.{did_you_mean(task, names)} `uplift tasks` lists them; your own task is a .yaml file."
     )
 
 
@@ -89,7 +89,9 @@ def read_task(path: Path, depth: int = 0) -> dict[str, Any]:
     parent = data.pop("extends", None)
     if parent is not None:
         if depth >= _MAX_EXTENDS:
-            raise UserError(f"{where(('extends',))}: more than {_MAX_EXTENDS} tasks extend one another: a circle?")
+            raise UserError(
+                f"{where(('extends',))}: more than {_MAX_EXTENDS} tasks extend one another. Is there a circle?"
+            )
         base = read_task(_parent_path(parent, path.parent, where(("extends",))), depth + 1)
     if path.name == "config.yaml":  # written by a fit, perhaps of an earlier version
         rename_old(data)
@@ -100,7 +102,7 @@ def read_task(path: Path, depth: int = 0) -> dict[str, Any]:
 
 def _parent_path(parent: Any, folder: Path, where: str) -> Path:
     if not isinstance(parent, str):
-        raise UserError(f"{where}: 'extends' is {parent!r}, expected one task or file.")
+        raise UserError(f"{where}: 'extends' is {parent!r}, expected a task or a file.")
     beside = folder / parent
     if beside.suffix in (".yaml", ".yml") and beside.is_file():
         return beside
@@ -119,14 +121,16 @@ def _bind_paths(data: dict[str, Any], folder: Path) -> None:
     if isinstance(root, str) and root:
         data["data"]["root"] = str((folder / Path(root).expanduser()).absolute())
     specs = [spec for spec in (data.get("priors") or {}).values() if isinstance(spec, dict)]
-    for holder, key in [
-        *((spec, "use") for spec in specs),
-        (data.get("lifter") or {}, "network"),
-        (data.get("data") or {}, "use"),
-    ]:
-        file, colon, name = str(holder.get(key, "")).rpartition(":")
-        if colon and file.endswith(".py"):
-            holder[key] = f"{(folder / file).absolute()}:{name}"
+    named = [(data.get("lifter") or {}, "network"), (data.get("data") or {}, "use"), *((spec, "use") for spec in specs)]
+    for holder, key in named:
+        if key in holder:
+            holder[key] = _class_in(holder[key], folder)
+
+
+def _class_in(value: Any, folder: Path) -> Any:
+    """Return ``file.py:Class`` with the file's full path; any other value as it is."""
+    file, colon, name = str(value).rpartition(":")
+    return f"{(folder / Path(file).expanduser()).absolute()}:{name}" if colon and file.endswith(".py") else value
 
 
 def _merge(base: dict[str, Any], top: dict[str, Any]) -> dict[str, Any]:
@@ -161,7 +165,7 @@ def _names_below(above: Sequence[str]) -> list[str]:
 
 
 def _unknown(name: str, valid: Iterable[str]) -> str:
-    """Return what to say about a name that is not a setting."""
+    """Return the message about a name that is not a setting."""
     if name in RENAMED:
         return f"the setting '{name}' is now called '{RENAMED[name]}'."
     return f"unknown setting '{name}'.{did_you_mean(name, valid)}"
@@ -187,7 +191,7 @@ def _typed(merged: dict[str, Any]) -> Settings:
     assert isinstance(settings, Settings)
     for name, spec in settings.priors.items():
         if not isinstance(spec, dict):
-            raise UserError(f"priors.{name} is {spec!r}, expected settings: use, weight and its own options.")
+            raise UserError(f"priors.{name} is {spec!r}, expected settings: use, weight and options of the prior.")
     return settings
 
 
@@ -297,19 +301,16 @@ def _value(hint: Any, text: str, override: str) -> Any:
 
 
 def _from_here(keys: list[str], value: Any) -> Any:
-    """Return a path of the command line as absolute: it is relative to the current folder."""
+    """Return a path of the command line, relative to the current folder, as absolute."""
     name = ".".join(keys)
     if not isinstance(value, str) or not value:
         return value
     if name in ("data.train", "data.test"):
         return absolute(value)
-    if name in ("data.root", "data.images", "init"):
+    if (
+        name in ("data.root", "data.images", "init")
+        or (name == "data.labelled.file" and not re.fullmatch(r"\w+:\w+", value))  # SET:SPLIT is not a path
+        or (name == "skeleton" and value.endswith((".yaml", ".yml")))
+    ):
         return str(Path(value).expanduser().absolute())
-    if name == "data.labelled.file" and not re.fullmatch(r"\w+:\w+", value):  # SET:SPLIT is no path
-        return str(Path(value).expanduser().absolute())
-    if name == "skeleton" and value.endswith((".yaml", ".yml")):
-        return str(Path(value).expanduser().absolute())
-    file, colon, found = value.rpartition(":")
-    if colon and file.endswith(".py") and (keys[-1] == "use" or name == "lifter.network"):
-        return f"{Path(file).expanduser().absolute()}:{found}"
-    return value
+    return _class_in(value, Path()) if keys[-1] == "use" or name == "lifter.network" else value

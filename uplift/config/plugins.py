@@ -25,13 +25,13 @@ def build(
     """Return an instance of the class that ``use`` names, a subclass of ``kind``, with ``given`` and the user's ``options``.
 
     Raises:
-        UserError: no such name, file or class, no subclass of ``kind``, an option that the class does
+        UserError: no such name, file or class, not a subclass of ``kind``, an option that the class does
             not take or that is of another kind than its default, an argument without a default that
-            was not given, or an ``__init__`` of the user's own that fails.
+            was not given, or a user's ``__init__`` that fails.
     """
     found = find_class(use, builtin, where)
     if not issubclass(found, kind):
-        raise UserError(f"{where}: '{use}' is no subclass of {_public_name(kind)}.")
+        raise UserError(f"{where}: '{use}' is not a subclass of {_public_name(kind)}.")
     parameters = inspect.signature(found).parameters
     for name in given:
         if name not in parameters and options_of(found) is not None:
@@ -88,7 +88,7 @@ def find_class(use: str, builtin: Mapping[str, str], where: str) -> type:
     """Return the class that ``use`` names: a built-in, or ``file.py:Class``, or ``package.module:Class``.
 
     Raises:
-        UserError: it is none of these.
+        UserError: there is no such class.
     """
     target = builtin.get(use, use)
     if ":" not in target:
@@ -135,5 +135,5 @@ def _load_file(name: str, where: str) -> ModuleType:
 def _load_module(name: str, where: str) -> ModuleType:
     try:
         return importlib.import_module(name)
-    except (Exception, SystemExit) as error:  # whatever a module of the user's raises while it is imported
+    except (Exception, SystemExit) as error:  # whatever a user's module raises on import
         raise UserError(f"{where}.use: cannot import '{name}': {type(error).__name__}: {error}") from error

@@ -57,7 +57,7 @@ class RunFolder:
         return run
 
     def link_last(self) -> None:
-        """Point the task's ``last`` to this run: it has something to go on from."""
+        """Point the task's ``last`` to this run, which can now be resumed."""
         _link_last(self.path.parent / "last", self.path.name)
 
     def discard_if_empty(self) -> None:
@@ -70,7 +70,7 @@ class RunFolder:
         """Return the run in ``path``, or that of a task's ``last``.
 
         Raises:
-            UserError: there is no run, with those that are near.
+            UserError: there is no such run; the message names the nearest.
         """
         path = Path(path)
         run = cls(path.resolve() if path.exists() else path)
@@ -98,7 +98,7 @@ class RunFolder:
 
     @property
     def weights(self) -> Path:
-        """The lifter, on its own."""
+        """The trained lifter alone."""
         return self.path / "lifter.pt"
 
     def settings(self) -> Settings:
@@ -122,7 +122,7 @@ class RunFolder:
         found = _mapping(path)
         if not isinstance(found.get("overall"), dict) or "data" not in found:
             raise UserError(
-                f"{path} is no evaluation: no 'data' and 'overall'. `uplift evaluate run=...` writes it anew."
+                f"{path} is not an evaluation: no 'data' and 'overall'. `uplift evaluate run=...` writes it again."
             )
         return found
 
@@ -130,10 +130,12 @@ class RunFolder:
 def _mapping(path: Path) -> dict[str, Any]:
     try:
         found = json.loads(path.read_bytes())
-    except ValueError as error:  # no JSON, or no text at all
-        raise UserError(f"{path} is no whole JSON file: {error}.") from error
+    except ValueError as error:  # not JSON, or not text
+        raise UserError(f"{path} is not a complete JSON file: {error}.") from error
     if not isinstance(found, dict):
-        raise UserError(f"{path} holds {type(found).__name__}, expected what a fit or an evaluation writes.")
+        raise UserError(
+            f"{path} holds {type(found).__name__}, expected the content that a fit or an evaluation writes."
+        )
     return found
 
 
@@ -142,7 +144,7 @@ def _link_last(link: Path, target: str) -> None:
     try:
         temporary.symlink_to(target, target_is_directory=True)
         os.replace(temporary, link)
-    except OSError:  # a file system without links: a folder's name in a text file is no help to `run=.../last`
+    except OSError:  # a file system without links, where `run=.../last` cannot work
         temporary.unlink(missing_ok=True)
 
 

@@ -9,7 +9,7 @@ import functools
 import math
 import re
 import typing
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, fields, is_dataclass
 from typing import Any, NamedTuple, Optional, TypeVar
 
@@ -56,6 +56,11 @@ def _setting(default: Any, help: str = "", **limits: Any) -> Any:
     return field(default=default, metadata=limits)
 
 
+def _group(make: Callable[[], Any], help: str = "", only: str | None = None) -> Any:
+    """Return a field of settings; ``help`` follows the description of each, and ``only`` holds for all of them."""
+    return field(default_factory=make, metadata={"help": help, "only": only})
+
+
 @dataclass
 class ChoiceSettings:
     """Which frames: all that match every key given. Values are compared as text."""
@@ -66,7 +71,7 @@ class ChoiceSettings:
     cameras: list[str] = _setting([], "cameras to take", only="keypoints")
     categories: list[str] = _setting([], "categories of masks to take", only="masks")
     fraction: Optional[float] = _setting(
-        None, "share of those frames, as whole clips in seeded order; of masks by shape"
+        None, "share of those frames, as complete clips in seeded order; of masks by shape"
     )
 
 
@@ -92,7 +97,7 @@ class DataSettings:
     )
     options: dict[str, Any] = _setting({}, "options of that reader", only="keypoints")
     train: Optional[str] = _setting(None, "file or folder to train on, several with commas or *, or the set's split")
-    test: Optional[str] = _setting(None, "the same, to evaluate on after the fit")
+    test: Optional[str] = _setting(None, "file, folder or split to evaluate on after the fit")
     format: Optional[str] = _setting(None, "format of the files: deeplabcut, openpose, coco, ...; unset: guessed")
     layout: Optional[str] = _setting(
         None, "skeleton whose joints name the keypoints of files without names", only="keypoints"
@@ -113,9 +118,9 @@ class DataSettings:
         None, "unit of poses and roots in the files, whatever they say", choices=("mm", "relative"), only="keypoints"
     )
     get: str = _setting("", "how to get the files, for the message when they are not there")
-    select: ChoiceSettings = field(default_factory=ChoiceSettings)  # training frames to use
-    hold_out: ChoiceSettings = field(default_factory=ChoiceSettings)  # training frames kept for the test instead
-    labelled: _LabelledSettings = field(default_factory=_LabelledSettings)  # training frames whose truth may be used
+    select: ChoiceSettings = _group(ChoiceSettings, "training frames to use")
+    hold_out: ChoiceSettings = _group(ChoiceSettings, "training frames kept for the test")
+    labelled: _LabelledSettings = _group(_LabelledSettings, "training frames whose truth may be used")
 
 
 @dataclass
@@ -134,14 +139,14 @@ class RefineSettings:
 class LifterSettings:
     """The network and the geometry around it."""
 
-    network: str = _setting("residual", "kudo, residual, or file.py:Class")
+    network: str = _setting("residual", "the network: kudo, residual, or file.py:Class")
     options: dict[str, Any] = _setting({}, "options of the network")
     camera: str = _setting("perspective", "camera model", choices=("orthographic", "perspective"))
     intrinsics: str = _setting(
         "auto", "auto: use the file's focal_px and image_size where it has them; off: never", choices=("auto", "off")
     )
     distance: float = _setting(
-        10.0, "of the perspective camera without intrinsics, in mean 2D radii of the body", low=2, high=1e4
+        10.0, "distance of the perspective camera without intrinsics, in mean 2D radii of the body", low=2, high=1e4
     )
     tilt: str = _setting(
         "predicted",
@@ -157,14 +162,14 @@ class LifterSettings:
         None, "the student moves seen joints too; unset: where refined clips show that they are noisy"
     )
     both_ways: bool = _setting(True, "predict as the mean over the keypoints and their mirror image")
-    refine: RefineSettings = field(default_factory=lambda: RefineSettings(smooth=1.0, near=0.5))  # of predicted clips
+    refine: RefineSettings = _group(lambda: RefineSettings(smooth=1.0, near=0.5), "predicted clips")
 
 
 @dataclass
 class ViewSettings:
     """How lifted poses are turned. Without gravity views are uniform on SO(3)."""
 
-    azimuth_deg: tuple[float, float] = _setting((-180.0, 180.0), "range about gravity", low=-360, high=360)
+    azimuth_deg: tuple[float, float] = _setting((-180.0, 180.0), "range of the turn about gravity", low=-360, high=360)
     elevation: str = _setting(
         "batch",
         "tilt of new views: batch (another pose's), normal (batch mean and sd), same",
@@ -184,22 +189,22 @@ class ShapeSettings:
     elevation_deg: tuple[float, float] = _setting(
         (15.0, 10.0), "mean and sd of how far down the cameras look", low=(-90, 0), high=(90, 90)
     )
-    distance: float = _setting(6.0, "of the camera, in half sides of a shape's box", low=2, high=1e4)
+    distance: float = _setting(6.0, "distance of the camera, in half sides of a shape's box", low=2, high=1e4)
     parts: int = _setting(4, "shapes that the kind of object is a mixture of, at first", low=1, high=64)
-    splits: list[int] = _setting([4, 4, 3], "how many each becomes, in each later stage", low=2, high=64)
+    splits: list[int] = _setting([4, 4, 3], "how many shapes each becomes, in each later stage", low=2, high=64)
     detail: int = _setting(32, "voxels along the grids of the mixture; even", low=8, high=128)
     crop: int = _setting(40, "pixels along the crops that masks and silhouettes are compared on", low=12, high=64)
     proportions: float = _setting(
         0.15,
-        "how unlike in width over height a mask and its shape may be, sd of the logarithm",
+        "how much the width over height of a mask and its shape may differ, sd of the logarithm",
         low=0.01,
         high=100,
     )
     temperature_start: float = _setting(
-        0.1, "of the likelihood as the first stage starts: how uncertain views are taken to be", low=1e-4, high=10
+        0.1, "temperature of the likelihood at the start of the first stage: how uncertain views are", low=1e-4, high=10
     )
     temperature_end: float = _setting(
-        0.02, "from four fifths of that stage on; lifting has three quarters of it", low=1e-4, high=10
+        0.02, "temperature from four fifths of that stage on; lifting uses three quarters of it", low=1e-4, high=10
     )
 
 
@@ -207,11 +212,11 @@ class ShapeSettings:
 class StageSettings:
     """One stage of training and its optimiser."""
 
-    share: float = _setting(1.0, "of the budget of the whole fit; 0 leaves the stage out", low=0, high=1e6)
-    batch_size: int = _setting(512, "frames a step", low=2, high=1 << 20)
-    learning_rate: float = _setting(5e-4, "Adam's", low=1e-12, high=10)
-    beta1: float = _setting(0.5, "Adam's", low=0, high=0.99999)
-    beta2: float = _setting(0.99, "Adam's", low=0, high=0.9999999)
+    share: float = _setting(1.0, "share of the fit's budget; 0 leaves the stage out", low=0, high=1e6)
+    batch_size: int = _setting(512, "frames per step", low=2, high=1 << 20)
+    learning_rate: float = _setting(5e-4, "Adam's learning rate", low=1e-12, high=10)
+    beta1: float = _setting(0.5, "Adam's beta 1", low=0, high=0.99999)
+    beta2: float = _setting(0.99, "Adam's beta 2", low=0, high=0.9999999)
     weight_decay: float = _setting(0.0, "L2, in Adam's gradient", low=0, high=10)
     decay_from: float = _setting(
         0.6, "share of the stage after which the rate falls to 2 % (half a cosine)", low=0, high=1
@@ -221,13 +226,18 @@ class StageSettings:
     mirror: bool = _setting(True, "show each frame mirrored half the time")
 
 
+def _with_default(name: str, default: Any) -> Any:
+    """Return a setting of every stage with another default."""
+    return field(default=default, metadata=StageSettings.__dataclass_fields__[name].metadata)
+
+
 @dataclass
 class TeacherSettings(StageSettings):
     """The first stage: priors judge lifted poses and their turned views."""
 
     hide: float = _setting(0.0, "share of known joints hidden from the network in each step", low=0, high=0.9)
     prior_learning_rate: Optional[float] = _setting(
-        None, "of the priors' own parameters; the same if unset", low=1e-12, high=10
+        None, "learning rate of the priors' parameters; the same if unset", low=1e-12, high=10
     )
     same_real: bool = _setting(False, "adversarial priors see the batch's own keypoints as real, not another draw")
 
@@ -236,25 +246,21 @@ class TeacherSettings(StageSettings):
 class StudentSettings(StageSettings):
     """The second stage: learn from the teacher's own poses, turned everywhere."""
 
-    share: float = _setting(0.0, "of the budget of the whole fit; 0 leaves the stage out", low=0, high=1e6)
-    learning_rate: float = _setting(1e-3, "Adam's", low=1e-12, high=10)
-    beta1: float = _setting(0.9, "Adam's", low=0, high=0.99999)
-    warm_up: float = _setting(0.05, "share of the stage over which the rate rises from 0", low=0, high=1)
-    decay_from: float = _setting(
-        0.0, "share of the stage after which the rate falls to 2 % (half a cosine)", low=0, high=1
-    )
+    share: float = _with_default("share", 0.0)
+    learning_rate: float = _with_default("learning_rate", 1e-3)
+    beta1: float = _with_default("beta1", 0.9)
+    warm_up: float = _with_default("warm_up", 0.05)
+    decay_from: float = _with_default("decay_from", 0.0)
     rounds: list[float] = _setting([0.35, 0.65], "share of the stage for each round", low=1e-6, high=1e6)
-    network: Optional[str] = _setting(None, "the student's, where it is not lifter.network")
+    network: Optional[str] = _setting(None, "the student's network, where it is not lifter.network")
     options: dict[str, Any] = _setting({}, "options of that network, over lifter.options")
     last_options: dict[str, Any] = _setting({}, "options over these, in the last round")
     warm: bool = _setting(False, "a round goes on with the last round's weights where its network is the same")
-    occlude: float = _setting(
-        0.0, "share of views in which joints are hidden: some of them, or a whole limb", low=0, high=1
-    )
+    occlude: float = _setting(0.0, "share of views in which joints are hidden: some of them, or a limb", low=0, high=1)
     noise: bool = _setting(True, "add to the views what refinement found wrong in the keypoints")
-    refine: RefineSettings = field(default_factory=RefineSettings)
+    refine: RefineSettings = _group(RefineSettings, "poses to learn from")
     frames: int = _setting(
-        60_000, "most that are lifted and refined for a round, whole clips at random", low=1, high=10**12
+        60_000, "frames at most that are lifted and refined for a round, complete clips at random", low=1, high=10**12
     )
     turn: bool = _setting(True, "show poses from everywhere; off: each from where it was seen")
     mix: float = _setting(0.7, "share of poses that take limbs of others", low=0, high=1)
@@ -266,20 +272,22 @@ class TrainerSettings:
     """How long, on what, and what is kept."""
 
     max_time: Optional[str] = _setting("00:10:00", "hours:minutes:seconds of training; schedules stretch to it")
-    max_steps: Optional[int] = _setting(None, "optimiser steps of the whole fit", low=1, high=10**12)
-    max_epochs: Optional[float] = _setting(None, "the same in passes over the training frames", low=1e-9, high=1e9)
+    max_steps: Optional[int] = _setting(None, "optimiser steps of the fit", low=1, high=10**12)
+    max_epochs: Optional[float] = _setting(
+        None, "length of the fit in passes over the training frames", low=1e-9, high=1e9
+    )
     checkpoint_every: float = _setting(60.0, "seconds between checkpoints", low=0, high=1e9)
     checkpoint_steps: Optional[int] = _setting(
         None, "optimiser steps between checkpoints, in place of seconds", low=1, high=10**12
     )
     log_every: int = _setting(50, "steps between rows of metrics.csv", low=1, high=10**9)
     threads: Optional[int] = _setting(
-        None, "of the CPU; unset: all, or one where a crowded machine makes that faster", low=1, high=1024
+        None, "CPU threads; unset: all, or one where a crowded machine makes that faster", low=1, high=1024
     )
-    accelerator: str = _setting("auto", "of Lightning's Trainer")  # as are the next three
-    devices: str = _setting("auto", "of Lightning's Trainer")
-    precision: str = _setting("32-true", "of Lightning's Trainer")
-    logger: Optional[str] = _setting(None, "beside metrics.csv: tensorboard, wandb")
+    accelerator: str = _setting("auto", "accelerator of Lightning's Trainer")
+    devices: str = _setting("auto", "devices of Lightning's Trainer")
+    precision: str = _setting("32-true", "precision of Lightning's Trainer")
+    logger: Optional[str] = _setting(None, "logger beside metrics.csv: tensorboard, wandb")
 
 
 @dataclass
@@ -290,16 +298,16 @@ class Settings:
     description: str = _setting("", "one line about the task")
     lifts: str = _setting("keypoints", "what is lifted to 3D", choices=("keypoints", "masks"))
     skeleton: str = _setting("", "a shipped name, or a YAML file", only="keypoints")
-    seed: int = _setting(0, "of everything random", low=0, high=2**31 - 1)
+    seed: int = _setting(0, "seed of everything random", low=0, high=2**31 - 1)
     init: Optional[str] = _setting(None, "run whose weights to start from")
-    data: DataSettings = field(default_factory=DataSettings)
-    lifter: LifterSettings = field(default_factory=LifterSettings)
-    shape: ShapeSettings = field(default_factory=ShapeSettings, metadata={"only": "masks"})
-    views: ViewSettings = field(default_factory=ViewSettings)
+    data: DataSettings = _group(DataSettings)
+    lifter: LifterSettings = _group(LifterSettings)
+    shape: ShapeSettings = _group(ShapeSettings, only="masks")
+    views: ViewSettings = _group(ViewSettings)
     priors: dict[str, Any] = _setting({}, "name: {use, weight, the prior's own options}")
-    teacher: TeacherSettings = field(default_factory=TeacherSettings)
-    student: StudentSettings = field(default_factory=StudentSettings)
-    trainer: TrainerSettings = field(default_factory=TrainerSettings)
+    teacher: TeacherSettings = _group(TeacherSettings)
+    student: StudentSettings = _group(StudentSettings)
+    trainer: TrainerSettings = _group(TrainerSettings)
 
 
 # The settings as a list: what checks, command-line completion and help read.
@@ -323,19 +331,20 @@ class Setting(NamedTuple):
 @functools.cache
 def all_settings() -> dict[str, Setting]:
     """Return every setting by its full name, in the order of the fields."""
-    return {one.name: one for one in _walk(Settings(), "", None)}
+    return {one.name: one for one in _walk(Settings(), "", {})}
 
 
-def _walk(group: Any, above: str, only: str | None) -> Iterator[Setting]:
+def _walk(group: Any, above: str, about: Mapping[str, Any]) -> Iterator[Setting]:
+    """Yield the settings of a group, itself described by ``about``."""
     hints = typing.get_type_hints(type(group))
     for one in fields(group):
         name, value, known = above + one.name, getattr(group, one.name), one.metadata
-        whose = known.get("only", only)
         if is_dataclass(value):
-            yield from _walk(value, f"{name}.", whose)
-        else:
-            low, high, choices = known.get("low"), known.get("high"), known.get("choices", ())
-            yield Setting(name, hints[one.name], value, known.get("help", ""), low, high, choices, whose)
+            yield from _walk(value, f"{name}.", known)
+            continue
+        help = known["help"] + (f" ({about['help']})" if about.get("help") else "")
+        low, high, choices = known.get("low"), known.get("high"), known.get("choices", ())
+        yield Setting(name, hints[one.name], value, help, low, high, choices, known.get("only", about.get("only")))
 
 
 # What settings may be, beyond their types: choices, ranges, what goes with what is lifted, contradictions.
@@ -468,9 +477,9 @@ def settings_of(kind: type[Group], name: str, plain: dict[str, Any]) -> Group:
 
     Raises TypeError, ValueError or AttributeError for anything else.
     """
-    whole = {name: copy.deepcopy(plain)}
-    rename_old(whole)
-    return _built(kind, whole[name])
+    named = {name: copy.deepcopy(plain)}
+    rename_old(named)
+    return _built(kind, named[name])
 
 
 def _built(kind: Any, plain: dict[str, Any]) -> Any:

@@ -1,4 +1,4 @@
-"""Read a YAML file as plain data with the line of every part, and let nothing in it run or explode."""
+"""Read a YAML file as plain data with the line of every part; nothing in it can run or grow without limit."""
 
 from __future__ import annotations
 
@@ -56,17 +56,17 @@ class _Loader(yaml.SafeLoader):
         return node
 
 
-# YAML 1.1 reads 1e-3 as text; everybody means the number.
+# YAML 1.1 reads 1e-3 as text; users mean the number.
 _Loader.add_implicit_resolver(
     _TAG + "float", re.compile(r"^[-+]?(?:\d+\.?\d*|\.\d+)[eE][-+]?\d+$"), list("-+.0123456789")
 )
 
-# YAML 1.1 reads 1:00:00 as a number of base 60 and 017 as one of base 8: a duration and a name to us.
-_NO_NUMBER = re.compile(r"[-+]?(\d+:|0\d)")
+# YAML 1.1 reads 1:00:00 in base 60 and 017 in base 8; users mean a duration and a name.
+_NOT_A_NUMBER = re.compile(r"[-+]?(\d+:|0\d)")
 
 
 def read_value(text: str) -> Any:
-    """Return the plain data of one value, such as ``0.1`` or ``[hip, nose]``; ``text`` where it is no YAML.
+    """Return the plain data of one value, such as ``0.1`` or ``[hip, nose]``; ``text`` where it is not YAML.
 
     Raises:
         UserError: tags, aliases, or deep nesting.
@@ -89,7 +89,7 @@ def read_yaml(path: Path, kind: str) -> tuple[Any, Where]:
     """Return the plain data of a YAML file and a function that names the file and line of a part.
 
     ``kind`` is what the file should hold, for the messages. Raises UserError for a file that is
-    missing, no regular file, unreadable, over 1 MB, not text, empty, not YAML, or that holds tags,
+    missing, not a regular file, unreadable, over 1 MB, not text, empty, not YAML, or that holds tags,
     aliases or a key twice.
     """
     text = _read_text(path, kind)
@@ -139,7 +139,7 @@ def _read_text(path: Path, kind: str) -> str:
     if path.is_dir():
         raise UserError(f"{path}: found a folder; expected a {kind} file (YAML).")
     if not path.exists():
-        raise UserError(f"{path}: there is no such file; expected a {kind} file (YAML).")
+        raise UserError(f"{path}: no such file; expected a {kind} file (YAML).")
     if not path.is_file():
         raise UserError(f"{path}: not a regular file; expected a {kind} file (YAML).")
     try:
@@ -164,13 +164,13 @@ def _plain(node: Any, loader: _Loader, part: tuple, lines: dict[tuple, int]) -> 
         return [_plain(child, loader, (*part, place), lines) for place, child in enumerate(node.value)]
     if isinstance(node, yaml.MappingNode):
         return _plain_mapping(node, loader, part, lines)
-    if node.tag in (_TAG + "str", _TAG + "timestamp", "!") or _NO_NUMBER.match(node.value):
+    if node.tag in (_TAG + "str", _TAG + "timestamp", "!") or _NOT_A_NUMBER.match(node.value):
         return node.value
     try:
         return loader.construct_object(node)
     except (ValueError, KeyError, OverflowError):
         raise _Refused(
-            f"'{node.value[:40]}', which is no {node.tag.removeprefix(_TAG)}", node.start_mark.line
+            f"'{node.value[:40]}', which is not a valid {node.tag.removeprefix(_TAG)}", node.start_mark.line
         ) from None
 
 

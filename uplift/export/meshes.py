@@ -316,7 +316,7 @@ def _lines(prediction: ShapePrediction, items: list[int], frame: Frame) -> list[
 
 
 def _told(cut: Sequence[Surface]) -> str:
-    words = [one.told() for one in cut]
+    words = [one.summary() for one in cut]
     if len(cut) == 1:
         return words[0]
     return "; ".join(f"{number}: {word}" for number, word in enumerate(words, 1) if word)

@@ -123,7 +123,7 @@ def _shape_data(
         {
             "name": name,
             "mesh": -1 if one.mesh is None else next(places),
-            "about": one.told(),
+            "about": one.summary(),
             "scores": [_number(scores[kind][item]) for kind in scores],
             **_standing(prediction, item),
         }

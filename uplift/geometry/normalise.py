@@ -1,4 +1,4 @@
-"""From pixels to the model's units, and back: root-centred keypoints of mean radius 1."""
+"""From pixels to the model's units and back: root-centred keypoints of mean radius 1."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from uplift.geometry.rotation import least_rotation
 
 __all__ = ["Intrinsics", "Normalised", "bone_lengths", "mean_radius", "mirror", "normalise", "renormalise"]
 
-# What every part of the model does to 2D and 3D poses: measure, mirror.
+# Measures and mirror images of 2D and 3D poses.
 
 _TINY = 1e-8
 
@@ -48,12 +48,12 @@ def bone_lengths(
     return (difference.square().sum(-1) + _TINY).sqrt()
 
 
-# From pixels to the model's units, and back: root-centred keypoints of mean radius 1.
+# Root-centred keypoints of mean radius 1.
 
 
 @dataclass(frozen=True)
 class Intrinsics:
-    """What is known of the camera: focal length and the optical axis' pixel."""
+    """A known camera: focal length and the pixel of the optical axis."""
 
     focal_px: float
     centre_px: tuple[float, float]
@@ -61,7 +61,7 @@ class Intrinsics:
 
 @dataclass(frozen=True)
 class Normalised:
-    """2D keypoints about their root at mean radius 1, and the way back to pixels and the camera."""
+    """2D keypoints about their root at mean radius 1, and what leads back to pixels and the camera."""
 
     keypoints: Float[Tensor, "frames joints 2"]
     """Root at 0, mean distance of the visible joints to it 1; missing joints are 0."""
@@ -70,7 +70,7 @@ class Normalised:
     distance: Float[Tensor, " frames"]
     """Of the camera to the root, in units."""
     rotation: Float[Tensor, "frames 3 3"] | None
-    """From the camera frame to that of a camera turned to look at the root; None where that is not known."""
+    """From the camera frame to that of a camera turned to look at the root; None where the camera is unknown."""
 
 
 def normalise(
@@ -84,11 +84,11 @@ def normalise(
 ) -> Normalised:
     """Centre 2D keypoints on the root and divide by their mean distance to it (Kudo et al. 2018, 3.3).
 
-    Distances are weighted by confidence, so a joint that is missing does not count and a doubtful
-    one counts little. ``count_root`` says whether the root, at distance 0, is one of the joints
-    the mean runs over: yes in the paper, no in its authors' code. With ``intrinsics`` the camera is
-    first turned to look straight at the root, which undoes the distortion of a body seen far from
-    the image's centre, and ``distance``, the guess for all, gives way to the true one.
+    Distances are weighted by confidence: a missing joint does not count and a doubtful one counts
+    little. With ``count_root`` the mean runs over the root too, at distance 0, as in the paper but not
+    in its authors' code. With ``intrinsics`` the camera is first turned to look straight at the root,
+    which undoes the distortion of a body seen far from the image's centre, and the true distance
+    replaces ``distance``, the guess for all.
     """
     rotation = None
     if intrinsics is not None:
@@ -117,7 +117,7 @@ def renormalise(
 ) -> tuple[Float[Tensor, "frames joints 2"], Float[Tensor, " frames"]]:
     """Bring a turned, projected pose to the root and mean radius 1, as real keypoints are.
 
-    Returns the keypoints and the radius they were divided by. Without it a discriminator tells
+    Returns the keypoints and the radius they were divided by. Without it a discriminator recognises
     turned poses by their radius alone.
     """
     centred = keypoints - keypoints[:, root : root + 1]

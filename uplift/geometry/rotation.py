@@ -1,4 +1,4 @@
-"""Turn poses: views about gravity or uniform on SO(3), and where gravity points."""
+"""Rotations of poses: views about gravity or uniform on SO(3), and where gravity points."""
 
 from __future__ import annotations
 
@@ -24,8 +24,6 @@ __all__ = [
     "turn",
     "views_about_gravity",
 ]
-
-# Turn poses: views about gravity with the camera's own tilts, or uniform on SO(3).
 
 
 def about_x(angle: Float[Tensor, " batch"]) -> Float[Tensor, "batch 3 3"]:
@@ -75,7 +73,7 @@ def least_rotation(start: Float[Tensor, "batch 3"], end: Float[Tensor, " 3"]) ->
 def views_about_gravity(
     tilt: Float[Tensor, " batch"], azimuth: Float[Tensor, " batch"], new_tilt: Float[Tensor, " batch"]
 ) -> Float[Tensor, "batch 3 3"]:
-    """Return rotations from each camera to one that walked round by ``azimuth`` and tilts by ``new_tilt``.
+    """Return rotations from each camera to one turned by ``azimuth`` about gravity and tilted by ``new_tilt``.
 
     Undo the pose's own tilt, turn about gravity, tilt the new camera (ElePose, Wandt et al. 2022).
     All angles in radians.
@@ -105,7 +103,7 @@ def turn(pose: Float[Tensor, "batch joints 3"], view: Float[Tensor, "batch 3 3"]
     return pose @ view.mT
 
 
-# Where gravity points: from the lifter's tilt, from what bodies do, and steady over a clip.
+# Where gravity points: from the lifter's tilt, from the bodies, and steady over a clip.
 
 _ROUNDS = 5
 _SLACK = 0.1
@@ -136,13 +134,13 @@ def real_tilt(tilt: Float[Tensor, " frames"], rotation: Float[Tensor, "frames 3 
 
 
 def body_tilt(pose: Float[Tensor, "frames joints 3"]) -> tuple[Float[Tensor, " frames"], Float[Tensor, " frames"]]:
-    """Return each frame's camera tilt, radians, as the bodies tell it, and how much each frame is to be trusted.
+    """Return each frame's camera tilt, radians, estimated from the bodies, and the trust in each frame.
 
     ``pose`` is in the frame of a camera that does not roll, so its x axis is level whatever the tilt.
-    Over many views of bodies there is one direction in the body that is level least of all: its own
-    upright, which is the world's where the body stands as it mostly does. It is found without any
-    label: bodies are fitted to their mean shape (Kabsch 1976), and the direction most orthogonal to
-    the camera's x axis in the body's frame is an eigenvector, re-weighted for those who bend.
+    Over many views one direction of the body is level least of all: its upright, which is the world's
+    where the body stands as it mostly does. No label is needed: bodies are fitted to their mean shape
+    (Kabsch 1976), and the direction most orthogonal to the camera's x axis in the body's frame is an
+    eigenvector, re-weighted for those who bend.
     """
     size = pose.norm(dim=-1).mean(1).clamp_min(1e-6)
     shape = pose / size[:, None, None]

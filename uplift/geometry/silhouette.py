@@ -37,7 +37,7 @@ def cover(
 
 
 def _spans(corners: np.ndarray, fine: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return first sample, last + 1 and row of each triangle's spans; samples lie at whole numbers + 1/2."""
+    """Return first sample, last + 1 and row of each triangle's spans; samples lie at integers + 1/2."""
     y = corners[..., 1]
     first = np.clip(np.ceil(y.min(1) - 0.5), 0, fine).astype(np.int64)
     count = np.clip(np.ceil(y.max(1) - 0.5), 0, fine).astype(np.int64) - first

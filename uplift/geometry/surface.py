@@ -29,7 +29,7 @@ class Surface:
     """What was cut out of one grid."""
 
     mesh: Mesh | None
-    """In the grid's own frame, the cube from -1 to 1; none where the grid has no inside."""
+    """In the frame of the grid, the cube from -1 to 1; None where the grid has no inside."""
     reason: str = ""
     """Why there is no mesh."""
     watertight: bool = False
@@ -37,11 +37,11 @@ class Surface:
     pieces: int = 0
     """Parts that do not touch each other and were kept."""
     specks: int = 0
-    """Parts that were too small and are gone."""
+    """Parts that were too small and were removed."""
     cavities: int = 0
-    """Hollows without a way out that were filled."""
+    """Closed hollows that were filled."""
 
-    def told(self) -> str:
+    def summary(self) -> str:
         """Return what was cleaned and what is wrong, in a few words; empty where nothing is."""
         if self.mesh is None:
             return self.reason
@@ -51,7 +51,7 @@ class Surface:
             (self.pieces > 1, f"in {self.pieces} pieces"),
             (not self.watertight, "not watertight"),
         ]
-        return ", ".join(text for told, text in facts if told)
+        return ", ".join(text for holds, text in facts if holds)
 
 
 def surface_of(
@@ -68,7 +68,7 @@ def surface_of(
 
     What lies outside of the grid is empty, so the surface is closed at its border. Parts below ``least_share``
     of the largest part's volume and hollows below ``cavity_share`` of it go. ``smooth`` rounds of Taubin's
-    smoothing keep the volume. Raises ValueError for values that are not finite or a grid that is no cube,
+    smoothing keep the volume. Raises ValueError for values that are not finite or a grid that is not a cube,
     UserError for a level that is not between 0 and 1.
     """
     if not 0 < level < 1:
@@ -78,8 +78,8 @@ def surface_of(
     reason = _empty(occupancy, level)
     if reason:
         return Surface(None, reason)
-    whole = _cut(occupancy, level)
-    kept, specks, cavities = _cleaned(whole, least_share, cavity_share)
+    surface = _cut(occupancy, level)
+    kept, specks, cavities = _cleaned(surface, least_share, cavity_share)
     if smooth:
         _smoothed(kept, smooth)
     mesh = Mesh(np.asarray(kept.vertices, float), np.asarray(kept.faces, np.int64), name, category)
@@ -103,27 +103,27 @@ def _cut(occupancy: np.ndarray, level: int | float) -> trimesh.Trimesh:
     corners, faces, _, _ = marching_cubes(grid.astype(np.float32), level)
     # Voxel 0 of the grid is number 1 of the padded one, its centre at 1 / R - 1.
     points = (2 * (corners[:, ::-1].astype(np.float64) - 1) + 1) / len(occupancy) - 1
-    whole = trimesh.Trimesh(points, faces, process=False)
-    if whole.volume < 0:
-        whole.invert()
-    return whole
+    surface = trimesh.Trimesh(points, faces, process=False)
+    if surface.volume < 0:
+        surface.invert()
+    return surface
 
 
 def _cleaned(
-    whole: trimesh.Trimesh, least_share: int | float, cavity_share: int | float
+    surface: trimesh.Trimesh, least_share: int | float, cavity_share: int | float
 ) -> tuple[trimesh.Trimesh, int, int]:
-    """Return what is kept, how many specks and how many cavities are gone: a cavity's own volume is negative."""
+    """Return what is kept, how many specks and how many cavities are gone: the volume of a cavity is negative."""
     import trimesh
     from trimesh.util import concatenate
 
-    parts = whole.split(only_watertight=False, repair=False)
+    parts = surface.split(only_watertight=False, repair=False)
     if len(parts) < 2:
-        return whole, 0, 0
+        return surface, 0, 0
     volumes = np.array([part.volume for part in parts])
     largest = volumes.max()
     speck = (volumes >= 0) & (volumes < least_share * largest)
     hollow = volumes < 0
-    # What was hollow inside a speck goes with it, as do the small hollows.
+    # Hollows inside a speck go with it, as do small hollows.
     filled = hollow & (-volumes < cavity_share * largest)
     kept = [part for part, drop in zip(parts, speck | filled, strict=True) if not drop]
     joined = concatenate(kept)
@@ -132,7 +132,7 @@ def _cleaned(
 
 
 def _smoothed(mesh: trimesh.Trimesh, rounds: int) -> None:
-    """Smooth a mesh where it stands, and give it back the volume that it had."""
+    """Smooth a mesh in place and restore its volume."""
     from trimesh.smoothing import filter_taubin
 
     before, middle = mesh.volume, mesh.center_mass if mesh.is_watertight else mesh.centroid
@@ -144,7 +144,7 @@ def _smoothed(mesh: trimesh.Trimesh, rounds: int) -> None:
 # Meshes with fewer triangles, to look at: corners that share a cell become one.
 
 _TRUST = 1e-3
-"""Singular values below this share of the largest say nothing: the corner stays near its cell's mean."""
+"""Singular values below this share of the largest are ignored: the corner stays near its cell's mean."""
 
 
 def thinned(mesh: Mesh, faces: int) -> Mesh:
@@ -174,7 +174,7 @@ def _merged(mesh: Mesh, low: np.ndarray, cell: float) -> tuple[np.ndarray, np.nd
     _, cells = np.unique(grid, axis=0, return_inverse=True)
     faces = cells.reshape(-1)[mesh.faces]
     faces = faces[(faces[:, 0] != faces[:, 1]) & (faces[:, 1] != faces[:, 2]) & (faces[:, 2] != faces[:, 0])]
-    # The same triangle begun at its least corner; the way round stays.
+    # The same triangle from its least corner on; the orientation stays.
     start = faces.argmin(1)
     faces = np.take_along_axis(faces, (start[:, None] + np.arange(3)) % 3, 1)
     return cells.reshape(-1), np.unique(faces, axis=0)
@@ -194,7 +194,7 @@ def _corners(mesh: Mesh, cells: np.ndarray) -> np.ndarray:
         np.add.at(matrix, cell, normal[:, :, None] * normal[:, None, :])
         np.add.at(right, cell, normal * gap[:, None])
     step = np.einsum("nij,nj->ni", np.linalg.pinv(matrix, rcond=_TRUST, hermitian=True), right)
-    # Planes that are nearly parallel meet far away: the corner stays within its cell's own.
+    # Planes that are nearly parallel meet far away: the corner stays within its cell.
     reach = np.zeros(count)
     np.maximum.at(reach, cells, np.linalg.norm(mesh.vertices - mean[cells], axis=1))
     length = np.linalg.norm(step, axis=1)

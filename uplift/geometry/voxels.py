@@ -15,7 +15,7 @@ from uplift.geometry.mesh import Mesh
 
 __all__ = ["coverage", "fill"]
 
-# The connected parts of a mesh, each closed: holes are capped, and what cannot be closed is told apart.
+# The connected parts of a mesh, each closed: holes are capped, and what cannot be closed is set apart.
 
 _SHEET = 1e-3
 """A capped part whose volume is a smaller share of its area ** 1.5 is a sheet: it has no inside."""
@@ -23,7 +23,7 @@ _SHEET = 1e-3
 
 @dataclass(frozen=True)
 class _Parts:
-    """Closed surfaces: `part` says to which each face belongs."""
+    """Closed surfaces: `part` is the one that each face belongs to."""
 
     vertices: Float[np.ndarray, "vertices 3"]
     faces: Int[np.ndarray, "faces 3"]
@@ -54,7 +54,7 @@ def _closed_parts(
 ) -> tuple[_Parts, Int[np.ndarray, "loose 3"]]:
     """Return the closed parts of a mesh, and the faces that enclose nothing.
 
-    Parts are told apart by shared vertices. What is not closed so is looked at again with vertices in the
+    Parts are found by shared vertices. What is not closed so is looked at again with vertices in the
     same place made one (files split them at seams); holes left then are capped by a fan about their middle.
     """
     part, edges = _parts_of(faces, len(vertices))
@@ -197,11 +197,11 @@ def _samples(corners: np.ndarray, spacing: float) -> np.ndarray:
 # Occupancy grids of meshes: which voxels lie inside the union of a mesh's closed parts.
 
 _NUDGE = (1.7e-7, 2.9e-7, 2.3e-7)
-"""Samples lie beside the voxels' centres by a hair: made-up edges often lie exactly on them."""
+"""Samples lie beside the voxels' centres by a hair: synthetic edges often lie exactly on them."""
 
 
 def fill(mesh: Mesh, resolution: int) -> Bool[np.ndarray, "resolution resolution resolution"]:
-    """Return which voxel centres of the cube -1..1 of the own frame are inside, indexed [z, y, x].
+    """Return which voxel centres of the cube -1..1 of the shape's frame are inside, indexed [z, y, x].
 
     Each closed part on its own (its winding number is not 0; where its triangles disagree on what is
     outside: an odd number of crossings), then their union. Holes in a part are closed first; what has no

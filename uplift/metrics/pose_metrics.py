@@ -19,7 +19,6 @@ __all__ = [
     "frame_mean",
     "has_handedness",
     "joint_errors",
-    "mirrored_bones",
     "mpjpe",
     "mpjpe_gt_scale",
     "mpjpe_gt_scale_best_of_flip",
@@ -108,18 +107,6 @@ def bone_cv(lengths: Float[np.ndarray, "frames bones"], group: Int[np.ndarray, "
         if usable.any():
             per_subject.append((spread[usable] / mean[usable]).mean())
     return float(np.mean(per_subject)) if per_subject else float("nan")
-
-
-def mirrored_bones(skeleton: Skeleton) -> Int[np.ndarray, "pairs 2"]:
-    """Return the numbers of the bones that are each other's mirror image, each pair once."""
-    partner = skeleton.mirror_permutation
-    number = {frozenset(map(int, bone)): place for place, bone in enumerate(skeleton.bone_indices)}
-    pairs = []
-    for place, bone in enumerate(skeleton.bone_indices):
-        other = number.get(frozenset(int(partner[joint]) for joint in bone))
-        if other is not None and place < other:
-            pairs.append((place, other))
-    return np.array(pairs, np.int64).reshape(-1, 2)
 
 
 def symmetry(lengths: Float[np.ndarray, "frames bones"], pairs: Int[np.ndarray, "pairs 2"]) -> PerFrame:

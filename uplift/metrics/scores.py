@@ -19,7 +19,6 @@ from uplift.metrics.pose_metrics import (
     frame_mean,
     has_handedness,
     joint_errors,
-    mirrored_bones,
     mpjve,
     not_flipped,
     share_above,
@@ -28,6 +27,7 @@ from uplift.metrics.pose_metrics import (
 )
 from uplift.metrics.protocols import JOINTS_14, MISSING
 from uplift.skeleton import Skeleton
+from uplift.skeleton.core import mirrored_bones
 
 if TYPE_CHECKING:
     from uplift.models.prediction import Prediction

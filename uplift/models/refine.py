@@ -13,7 +13,6 @@ from uplift.config.settings import RefineSettings
 from uplift.data.tensors import TrainingSet
 from uplift.geometry.camera import Camera
 from uplift.geometry.normalise import bone_lengths
-from uplift.skeleton.core import mirrored_bones
 
 __all__ = ["has_clips", "refine_clips"]
 
@@ -112,11 +111,7 @@ class _Block:
     def of(cls, data: TrainingSet, rows: Tensor, keypoints: Tensor, depth: Tensor, camera: Camera) -> _Block:
         follows = data.follows[rows]
         bones = torch.as_tensor(data.skeleton.bone_indices.copy(), device=depth.device)
-        partner = torch.arange(len(bones), device=depth.device)
-        place = {frozenset(bone): i for i, bone in enumerate(bones.tolist())}
-        for left, right in mirrored_bones(data.skeleton):
-            one, other = place[frozenset(left)], place[frozenset(right)]
-            partner[one], partner[other] = other, one
+        partner = torch.as_tensor(data.skeleton.bone_mirror_permutation.copy(), device=depth.device)
         return cls(
             keypoints=keypoints,
             depth=depth,

@@ -123,15 +123,6 @@ def _bone_thickness(
     return torch.where(found.isfinite(), found, usual)
 
 
-def _bone_partners(skeleton: Skeleton) -> Int[Tensor, " bones"]:
-    """Return the bone that each bone is in a mirror; itself where that is none."""
-    swap = skeleton.mirror_permutation
-    places = {frozenset(map(int, bone)): place for place, bone in enumerate(skeleton.bone_indices)}
-    return torch.tensor(
-        [places.get(frozenset(map(int, swap[bone])), place) for place, bone in enumerate(skeleton.bone_indices)]
-    )
-
-
 # Joints that are not seen lie where the body's mask is: bones inside it, and all of it near a bone.
 
 _ALONG = (1 / 3, 2 / 3, 1.0)
@@ -183,7 +174,7 @@ class Mask(Prior):
                 )
         self.inside, self.explained, self.thickness, self.pixels = inside, explained, thickness, pixels
         self.register_buffer("bones", torch.as_tensor(skeleton.bone_indices.copy()), persistent=False)
-        self.register_buffer("partners", _bone_partners(skeleton), persistent=False)
+        self.register_buffer("partners", torch.as_tensor(skeleton.bone_mirror_permutation.copy()), persistent=False)
         self.register_buffer("along", torch.tensor(_ALONG), persistent=False)
         count = len(skeleton.bones)
         self.register_buffer("radii", torch.full((count,), torch.nan), persistent=False)

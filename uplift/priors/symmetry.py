@@ -26,13 +26,13 @@ class Symmetry(Prior):
     def __init__(self, skeleton: Skeleton):
         super().__init__(skeleton)
         pairs = mirrored_bones(skeleton)
-        if not pairs:
+        if not len(pairs):
             raise NotForThisSkeleton(
                 f"skeleton '{skeleton.name}' has no mirrored bones (give it `mirror:` pairs, or set "
                 "priors.symmetry.weight=0)."
             )
-        self.register_buffer("left", torch.tensor([a for a, _ in pairs]), persistent=False)
-        self.register_buffer("right", torch.tensor([b for _, b in pairs]), persistent=False)
+        for name, bones in zip(("left", "right"), skeleton.bone_indices[pairs.T], strict=True):
+            self.register_buffer(name, torch.tensor(bones), persistent=False)
 
     def loss(self, lift: Lift) -> Tensor:
         """Return the weighted mean over pairs and frames."""

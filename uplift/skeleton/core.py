@@ -1,4 +1,4 @@
-"""A skeleton: the names, bones, mirror pairs and directions that make sense of an array of joints."""
+"""A skeleton: joints by name with their bones, mirror pairs and facing directions."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cache, cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -17,19 +17,14 @@ from uplift.config.yaml_file import read_yaml
 from uplift.errors import UserError, did_you_mean
 from uplift.skeleton.validate import BODY_KEYS, check_skeleton
 
-if TYPE_CHECKING:
-    from uplift.skeleton.core import Skeleton
-
 __all__ = ["CENTRE", "LEFT", "RIGHT", "Skeleton", "bone_sides", "joint_sides", "load_skeleton", "mirrored_bones"]
-
-# A skeleton: the names, bones, mirror pairs and directions that make sense of an array of joints.
 
 Direction = tuple[tuple[str, ...], tuple[str, ...]]
 
 
 @dataclass(frozen=True)
 class Skeleton:
-    """Joints by name and what is known of them; `load_skeleton` and `from_dict` check what they build."""
+    """Joints by name and what is known about them; `load_skeleton` and `from_dict` check what they build."""
 
     name: str
     joints: tuple[str, ...]
@@ -50,7 +45,7 @@ class Skeleton:
         return hash((self.name, self.joints, self.root, self.bones))
 
     def index(self, name: str) -> int:
-        """Return the place of joint ``name``; raises UserError with the nearest name where there is none."""
+        """Return the index of joint ``name``; raises UserError with the nearest name where there is none."""
         try:
             return self._places[name]
         except KeyError:
@@ -62,28 +57,34 @@ class Skeleton:
 
     @cached_property
     def root_index(self) -> int:
-        """The place of the root joint."""
+        """The index of the root joint."""
         return self.index(self.root)
 
     @cached_property
     def bone_indices(self) -> Int[np.ndarray, "bones 2"]:
-        """Places of (parent, child), one row a bone."""
+        """Joint indices (parent, child), one row per bone."""
         return _read_only(np.array([[self.index(end) for end in bone] for bone in self.bones], dtype=np.int64))
 
     @cached_property
     def mirror_permutation(self) -> Int[np.ndarray, " joints"]:
-        """For each joint the place of its mirror partner; its own where it has none."""
+        """For each joint the index of its mirror partner; its own where it has none."""
         places = np.arange(len(self.joints))
         for one, other in self.mirror:
             places[[self.index(one), self.index(other)]] = self.index(other), self.index(one)
         return _read_only(places)
 
+    @cached_property
+    def bone_mirror_permutation(self) -> Int[np.ndarray, " bones"]:
+        """For each bone the index of its mirror image; its own where it has none."""
+        places = {frozenset(bone): place for place, bone in enumerate(self.bone_indices.tolist())}
+        images = self.mirror_permutation[self.bone_indices].tolist()
+        return _read_only(np.array([places.get(frozenset(image), place) for place, image in enumerate(images)], int))
+
     @property
     def has_mirror_image(self) -> bool:
         """Whether a pose seen in a mirror is a pose again: there are pairs, and the root is on the mirror's plane.
 
-        A root with a partner changes places with it, and what was centred on the one would be centred
-        on the other.
+        A root with a partner swaps with it: what was centred on one would be centred on the other.
         """
         return bool(self.mirror) and int(self.mirror_permutation[self.root_index]) == self.root_index
 
@@ -94,7 +95,7 @@ class Skeleton:
 
     @cached_property
     def directions(self) -> tuple[str, ...]:
-        """The facing directions this skeleton spells out, of front, left and up."""
+        """The facing directions that this skeleton defines, of front, left and up."""
         return tuple(self.facing)
 
     def facing_matrix(self, direction: str) -> Float[np.ndarray, " joints"]:
@@ -139,7 +140,7 @@ def load_skeleton(name_or_path: str | Path) -> Skeleton:
     """Return a shipped skeleton by its name, or that of a YAML file; raises UserError with file and line."""
     if str(name_or_path) in shipped_names("skeletons"):
         return _load(shipped("skeletons") / f"{name_or_path}.yaml")
-    return _load.__wrapped__(_skeleton_path(name_or_path))  # a file of the user's may change
+    return _load.__wrapped__(_skeleton_path(name_or_path))  # a user's file may change
 
 
 @cache
@@ -215,7 +216,7 @@ def _read_only(array: np.ndarray) -> np.ndarray:
     return array
 
 
-# The two sides of a skeleton: which joint of a mirror pair is the left one, and which bones mirror each other.
+# The two sides: which joint of a mirror pair is the left one, and which bones mirror each other.
 
 CENTRE, LEFT, RIGHT = 0, 1, 2
 
@@ -223,16 +224,16 @@ CENTRE, LEFT, RIGHT = 0, 1, 2
 def joint_sides(skeleton: Skeleton, joint_names: Sequence[str]) -> list[int]:
     """Return CENTRE, LEFT or RIGHT for every joint.
 
-    The names of a pair tell (lhip and rhip, HipL and HipR); else the skeleton's ``left`` direction;
-    else the order in which the pairs it does tell are written.
+    From the names of a pair (lhip and rhip, HipL and HipR); else from the skeleton's ``left`` direction;
+    else from the order in which the other pairs are written.
     """
     to_left = set(skeleton.facing["left"][1]) if "left" in skeleton.facing else set()
-    told = {pair: _left_of(pair, to_left) for pair in skeleton.mirror}
-    first = sum(left == pair[0] for pair, left in told.items() if left)
-    known = sum(left is not None for left in told.values())
+    found = {pair: _left_of(pair, to_left) for pair in skeleton.mirror}
+    first = sum(left == pair[0] for pair, left in found.items() if left)
+    known = sum(left is not None for left in found.values())
     usual = 0 if known and 2 * first > known else 1
     sides = dict.fromkeys(joint_names, CENTRE)
-    for pair, left in told.items():
+    for pair, left in found.items():
         left = left or pair[usual]
         sides |= {name: LEFT if name == left else RIGHT for name in pair}
     return [sides[name] for name in joint_names]
@@ -243,21 +244,14 @@ def bone_sides(sides: Sequence[int], bones: Sequence[Sequence[int]]) -> list[int
     return [sides[child] for _, child in bones]
 
 
-def mirrored_bones(skeleton: Skeleton) -> list[tuple[tuple[int, int], tuple[int, int]]]:
-    """Return the pairs of bones, as joint indices, that are each other's mirror image."""
-    swap = skeleton.mirror_permutation
-    bones = [(int(a), int(b)) for a, b in skeleton.bone_indices]
-    pairs = []
-    for first in bones:
-        image = (int(swap[first[0]]), int(swap[first[1]]))
-        second = next((bone for bone in bones if set(bone) == set(image)), None)
-        if second is not None and set(second) != set(first) and (second, first) not in pairs:
-            pairs.append((first, second))
-    return pairs
+def mirrored_bones(skeleton: Skeleton) -> Int[np.ndarray, "pairs 2"]:
+    """Return the indices of bones that are each other's mirror image, each pair once."""
+    pairs = [(place, other) for place, other in enumerate(skeleton.bone_mirror_permutation.tolist()) if place < other]
+    return np.array(pairs, np.int64).reshape(-1, 2)
 
 
 def _left_of(pair: tuple[str, str], to_left: set[str]) -> str | None:
-    """Return the left joint of a pair, or None where neither names nor the ``left`` direction tell."""
+    """Return the left joint of a pair; None where neither the names nor the ``left`` direction decide it."""
     for left_word, right_word in (("left", "right"), ("l", "r")):
         for left, right in (pair, pair[::-1]):
             if _differs_by(left.lower(), right.lower(), left_word, right_word):

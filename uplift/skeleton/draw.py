@@ -14,7 +14,7 @@ from uplift.skeleton.core import CENTRE, LEFT, RIGHT, Skeleton, joint_sides
 
 __all__ = ["draw_skeleton", "rest_pose", "skeleton_layout"]
 
-# Where to draw each joint of a skeleton in the plane, from its rest pose or from its bones alone.
+# Where each joint goes in the plane: from the rest pose, or from the bones alone.
 
 _AZIMUTHS_DEG = (0.0, 30.0, 55.0, 75.0)
 _LOW_WORDS = ("foot", "toe", "ankle", "heel", "paw", "hoof", "tars", "claw", "leg", "tail")
@@ -42,7 +42,7 @@ def rest_pose(skeleton: Skeleton) -> Float[np.ndarray, "joints 3"] | None:
 def skeleton_layout(skeleton: Skeleton) -> Float[np.ndarray, "joints 2"]:
     """Return where to draw each joint, x right and y down, in units of about one bone.
 
-    The rest pose where there is one, turned to where its joints stand clearest of each other; else
+    The rest pose where there is one, turned to where its joints are clearest of each other; else
     a plane figure with bones as straight as they go (stress majorisation: Gansner, Koren and North,
     Graph Drawing by Stress Majorization, 2004), the body's left on the image's right as when it
     faces the camera.
@@ -100,7 +100,7 @@ def _plane_figure(skeleton: Skeleton) -> Float[np.ndarray, "joints 2"]:
 
 
 def _distances(skeleton: Skeleton) -> Float[np.ndarray, "joints joints"]:
-    """Return the length of the way along bones between any two joints, in bones."""
+    """Return the number of bones between any two joints."""
     count = len(skeleton.joints)
     distance = np.full((count, count), np.inf)
     np.fill_diagonal(distance, 0)
@@ -165,9 +165,9 @@ def _low_joints(skeleton: Skeleton) -> Bool[np.ndarray, " joints"]:
     return np.array([any(word in joint.casefold() for word in _LOW_WORDS) for joint in skeleton.joints])
 
 
-# Draw a skeleton as a picture: labelled joints, bones in the colours of the sides, facing arrows.
+# The picture: labelled joints, bones in the colours of the sides, facing arrows.
 
-# Blue and vermilion: told apart by colour-blind eyes (Okabe and Ito 2008).
+# Blue and vermilion: distinct to colour-blind readers (Okabe and Ito 2008).
 _COLOURS = {LEFT: "#0072b2", RIGHT: "#d55e00", CENTRE: "#444444"}
 _FACING_COLOURS = {"front": "#009e73", "left": "#0072b2", "up": "#9b4f96"}
 _SIZE_PX = 1100
@@ -275,7 +275,7 @@ class _Picture:
         self.draw.polygon([self.at(corner) for corner in head], fill=colour)
 
     def labels(self, skeleton: Skeleton, place: Float[np.ndarray, "joints 2"], arrows: list) -> None:
-        """Write each joint's name where it covers least, one by one; none where they are too many."""
+        """Write each joint's name where it covers least, one by one; none where there are too many."""
         if len(place) > _MOST_LABELS:
             return
         font = _font(16 if len(place) <= 40 else 13 if len(place) <= 120 else 9)

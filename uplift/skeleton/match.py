@@ -11,19 +11,19 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from uplift.errors import UserError, did_you_mean
+from uplift.errors import UserError, nearest
 from uplift.skeleton.core import Skeleton
 
 __all__ = ["JointMatch", "build_joints", "build_pose", "match_joints"]
 
-_MOST_TOLD = 3
+_MOST_LAYOUTS = 3
 
 Find = Callable[[str], int | None]
 
 
 @dataclass(frozen=True)
 class JointMatch:
-    """How each joint of a skeleton comes out of a file: the names it is the mean of, or nothing."""
+    """How each joint of a skeleton is made from a file: the names it is the mean of, or nothing."""
 
     skeleton: str
     layout: str | None
@@ -33,7 +33,7 @@ class JointMatch:
     missing: tuple[str, ...]
     """Joints that cannot be made from this layout."""
     unused: tuple[str, ...]
-    """Names in the file that went into no joint."""
+    """Names in the file that no joint is made from."""
 
     def __str__(self) -> str:
         text = "joints by name" if self.layout is None else f"joints built from: {self.layout}"
@@ -47,8 +47,8 @@ def match_joints(names: Sequence[str], skeleton: Skeleton) -> JointMatch:
     """Return how to build the skeleton's joints out of ``names``.
 
     By name first, then by the layout of the skeleton's ``from:`` that makes the most joints; each
-    first with names as they are, then with capitals ignored, then with blanks, dashes and
-    underscores too. Midpoints the file lacks are made of their parts. Raises UserError that lists
+    first with exact names, then with capitals ignored, then with blanks, dashes and underscores
+    ignored too. Midpoints that the file lacks are made of their parts. Raises UserError that lists
     what is missing where neither works, or where a name comes twice.
     """
     names = [str(name) for name in names]
@@ -74,8 +74,8 @@ def build_joints(
 ) -> tuple[Float[np.ndarray, "frames joints xy"], Float[np.ndarray, "frames joints"], JointMatch]:
     """Return keypoints and confidence in the skeleton's joints and order, and how they were matched.
 
-    A mean has the least confidence of its parts. Missing (NaN, confidence 0 or not to be made) comes
-    out as 0 with confidence 0. Raises UserError as `match_joints` does.
+    A mean has the least confidence of its parts. What is missing (NaN, confidence 0, or
+    cannot be made) is 0 with confidence 0. Raises UserError as `match_joints` does.
     """
     _check_count(keypoints, names)
     match = match_joints(names, skeleton)
@@ -83,12 +83,12 @@ def build_joints(
         confidence = np.ones(keypoints.shape[:2], dtype=np.float32)
     seen = np.isfinite(keypoints).all(-1) & (confidence > 0)
     clean = np.where(seen[..., None], keypoints, 0)
-    sure = np.where(seen, confidence, 0)
+    known = np.where(seen, confidence, 0)
     shape = (len(keypoints), len(skeleton.joints))
     built = np.zeros((*shape, keypoints.shape[2]), dtype=clean.dtype)
-    built_confidence = np.zeros(shape, dtype=sure.dtype)
+    built_confidence = np.zeros(shape, dtype=known.dtype)
     for joint, places in _places(match, names, skeleton):
-        built_confidence[:, joint] = sure[:, places].min(1)
+        built_confidence[:, joint] = known[:, places].min(1)
         built[:, joint] = clean[:, places].mean(1)
     built[built_confidence == 0] = 0
     return built, built_confidence, match
@@ -111,13 +111,13 @@ def build_pose(
 
 
 def _finders(names: list[str]) -> list[Find]:
-    """Return how to find names: as they are, then with capitals, then with blanks, dashes and underscores ignored."""
+    """Return ways to find names: exact, then with capitals, then with blanks, dashes and underscores ignored."""
     letters = lambda name: re.sub(r"[\s_-]+", "", name).casefold()  # noqa: E731
     return [_found_by(names, fold) for fold in (str, str.casefold, letters)]
 
 
 def _found_by(names: list[str], fold: Callable[[str], str]) -> Find:
-    """Find names as they are, else the only one that ``fold`` makes the same."""
+    """Find exact names, else the only one that ``fold`` makes equal."""
     exact = {name: place for place, name in enumerate(names)}
     count = Counter(fold(name) for name in names)
     folded = {fold(name): place for name, place in exact.items() if count[fold(name)] == 1}
@@ -185,11 +185,10 @@ def _places(match: JointMatch, names: Sequence[str], skeleton: Skeleton) -> list
 
 
 def _refusal(names: list[str], skeleton: Skeleton) -> str:
-    """Say what is missing, what was found, the nearest names, and the layouts that were tried."""
+    """Return what is missing, what was found, the nearest names, and the layouts that were tried."""
     find = _finders(names)[-1]
     missing = [joint for joint in skeleton.joints if find(joint) is None and joint not in skeleton.midpoints]
-    near = {joint: did_you_mean(joint, names) for joint in missing[:6]}
-    hints = [f"'{joint}'" + (hint if hint.startswith(" Did") else "") for joint, hint in near.items()]
+    hints = [f"'{joint}'{nearest(joint, names)}" for joint in missing[:6]]
     more = f" and {len(missing) - 6} more" if len(missing) > 6 else ""
     text = f"the joints do not fit skeleton '{skeleton.name}': missing {', '.join(hints)}{more}."
     text += f" Found: {', '.join(names[:40])}{', ...' if len(names) > 40 else ''}."
@@ -197,11 +196,11 @@ def _refusal(names: list[str], skeleton: Skeleton) -> str:
         layout: list(dict.fromkeys(part for parts in joints.values() for part in parts if find(part) is None))
         for layout, joints in skeleton.sources.items()
     }
-    nearest = sorted(lacking, key=lambda layout: len(lacking[layout]))
-    for layout in nearest[:_MOST_TOLD]:
+    closest = sorted(lacking, key=lambda layout: len(lacking[layout]))
+    for layout in closest[:_MOST_LAYOUTS]:
         gone = lacking[layout]
         shown = ", ".join(gone[:3]) + (f" and {len(gone) - 3} more" if len(gone) > 3 else "")
         text += f" Not {layout} either: no {shown}."
-    if len(nearest) > _MOST_TOLD:
-        text += f" Nor {', '.join(nearest[_MOST_TOLD:])}."
+    if len(closest) > _MOST_LAYOUTS:
+        text += f" Nor {', '.join(closest[_MOST_LAYOUTS:])}."
     return text + " Choose the skeleton the file was made with, or add a `from:` map to the skeleton's YAML."

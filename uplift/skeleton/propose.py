@@ -1,4 +1,4 @@
-"""Propose a skeleton file for the joints of a tracker: partners, bones and root as far as names and 2D tell."""
+"""Propose a skeleton file for the joints of a tracker: partners, bones and root, guessed from names and 2D."""
 
 from __future__ import annotations
 
@@ -32,170 +32,210 @@ __all__ = [
     "stretched",
 ]
 
-# What names of joints tell: which are partners, which side they are on, which mean the same. All of it guesses.
+Bone = tuple[str, str]
+Pair = tuple[str, str]
+Ends = tuple[tuple[str, ...], tuple[str, ...]]
 
-# From the surest sign of a side to the weakest: a word, a letter by itself, a capital, a letter at either end.
-_SIGNS = (
-    re.compile(r"left|right", re.IGNORECASE),
-    re.compile(r"(?<![A-Za-z])[lr](?![A-Za-z])", re.IGNORECASE),
-    re.compile(r"[LR]"),
-    re.compile(r"(?<![A-Za-z])[lr]|[lr](?![A-Za-z])"),
-)
-_OTHER = {"left": "right", "right": "left", "l": "r", "r": "l"}
-_WORD = re.compile(r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+|\d+")
+# A skeleton for a tracker's file: its names, partners and bones, and guesses where it has none.
 
-# Words that name the same place; a joint on the midline and the middle of a pair are told apart by the side.
-_SAME = (
-    {"pelvis", "midhip", "hips", "hipcenter", "hipcentre", "hipmid", "sacrum", "croup"},
-    {"neck", "thorax", "neckbase", "chest", "sternum", "uppertorso"},
-    {"headtop", "topofhead", "vertex", "headtip"},
-    {"nose", "snout", "muzzle"},
-    {"tailbase", "rootoftail", "tailroot", "tailstart", "tail1", "rump"},
-    {"tailtip", "tailend"},
-    {"belly", "abdomen"},
-    {"spine", "torso", "spinemid", "midspine", "body"},
-    {"bigtoe", "hallux", "footindex"},
-    {"hand", "palm"},
-    {"hock", "ankle"},
-    {"stifle", "knee"},
-    {"carpus", "wrist"},
-)
-_WORDS = {
-    "fore": "front", "forefinger": "index", "pinky": "little", "hind": "back", "rear": "back",
-    "middle": "mid", "lower": "low", "center": "mid", "centre": "mid", "finger": "", "joint": "",
-    "paw": "foot", "hoof": "foot", "claw": "foot",
-}  # fmt: skip
-_ALIKE = 0.75
+_SEEN_WELL = 0.8  # of the joint seen most
+_SELDOM = 0.5  # of the frames
+_NEAR = 0.5  # of the spread of the joints about their middle
 
 
-def mirror_pairs(names: Sequence[str]) -> list[tuple[str, str]]:
-    """Return pairs (right, left) of names that differ by a side alone, in the order of ``names``.
+@runtime_checkable
+class Tracked(Protocol):
+    """The joints of a tracker's file, as `uplift.data.poses.PoseData` has them."""
 
-    Only where a name has one possible partner. Numbers that differ are looked over (paw1LH, paw4RH)
-    where the names without them are still different.
+    keypoints: np.ndarray
+    """(frames joints 2); what is not seen is NaN, or has confidence 0."""
+    confidence: np.ndarray
+    """(frames joints)"""
+    joint_names: tuple[str, ...]
+    bones: tuple[tuple[str, str], ...]
+    mirror: tuple[tuple[str, str], ...]
+    source: str
+
+    def __len__(self) -> int:
+        """Return the number of frames."""
+        ...
+
+
+@dataclass(frozen=True)
+class _Proposal:
+    """A skeleton made of a file, and where each part of it comes from."""
+
+    skeleton: Skeleton
+    hidden: tuple[str, ...]
+    """Joints of the file that no frame shows; left out."""
+    seldom: tuple[str, ...]
+    """Joints that less than half of the frames show."""
+    from_file: tuple[Bone, ...]
+    """Bones given by the file; the others are guesses by distance."""
+    unmirrored: tuple[Bone, ...] = ()
+    """Partners left out, as the bones of the file are not the same on both sides."""
+
+
+def propose(data: Tracked, name: str, root: str | None = None, gravity: bool = True) -> _Proposal:
+    """Return a skeleton called ``name`` for the joints of ``data``.
+
+    Joints in the file's order. Partners from the file, else by name. Bones from the file; what those
+    leave apart is joined by distance (`joining_bones`). The root is ``root``, else the joint on the
+    midline nearest the middle of those that are seen well, or a midpoint of a pair that is far nearer.
+
+    Raises:
+        UserError: fewer than three joints that are ever visible, invalid joint names, no such root.
     """
-    found: dict[str, tuple[str, str]] = {}
-    for stripped in (False, True):
-        for sign in _SIGNS:
-            left_over = [name for name in names if name not in found]
-            keys = {name: re.sub(r"\d+", "", name) if stripped else name for name in left_over}
-            by_key = {key: name for name, key in keys.items()}
-            if stripped:
-                by_key = {key: name for key, name in by_key.items() if list(keys.values()).count(key) == 1}
-            for key, name in by_key.items():
-                partners = {other: is_left for other, is_left in _swapped(key, sign) if other in by_key}
-                if len(partners) != 1:
-                    continue
-                (other, is_left), *_ = partners.items()
-                if {back for back, _ in _swapped(other, sign) if back in by_key} == {key}:
-                    pair = (by_key[other], name) if is_left else (name, by_key[other])
-                    found[name] = found[by_key[other]] = pair
-    return list(dict.fromkeys(found[name] for name in names if name in found))
+    where = f"{data.source}: " if data.source else ""
+    visible = seen_in(data.keypoints, data.confidence)
+    share = visible.mean(0) if len(data) else np.zeros(len(data.joint_names))
+    _check_joints(data, share, where)
+    shown = np.flatnonzero(share > 0)
+    names = [data.joint_names[place] for place in shown]
+    if root is not None and root not in names:
+        raise UserError(f"root={root}: no such joint in the file.{did_you_mean(root, names)}")
+    score = apart(data.keypoints[:, shown], visible[:, shown], names)
+    known = _known_bones(data.bones, names)
+    pairs = _pairs(data, names)
+    start = root or _best_root(names, pairs, data.keypoints[:, shown], visible[:, shown], score)
+    plan = {**_joined(name, names, pairs, known, score, start), "gravity": gravity}
+    skeleton, unmirrored = _checked(plan, pairs)
+    return _Proposal(
+        skeleton,
+        hidden=tuple(n for n, seen in zip(data.joint_names, share, strict=True) if not seen),
+        seldom=tuple(n for n, seen in zip(data.joint_names, share, strict=True) if 0 < seen < _SELDOM),
+        from_file=tuple(known),
+        unmirrored=unmirrored,
+    )
 
 
-def _name_words(name: str) -> list[str]:
-    """Return the words of a name in small letters: split at capitals, digits and anything that is no letter."""
-    return [word.lower() for word in _WORD.findall(name)]
+def _check_joints(data: Tracked, share: np.ndarray, where: str) -> None:
+    joints = len(data.joint_names)
+    if joints < 3:
+        shown = f" ({', '.join(data.joint_names)})" if joints else ""
+        raise UserError(f"{where}found {joints} joints{shown}; a skeleton needs 3 or more.")
+    if not len(data):
+        raise UserError(f"{where}no frames: where the joints are is not known, so no bones can be proposed.")
+    if (share > 0).sum() < 3:
+        seen = ", ".join(n for n, s in zip(data.joint_names, share, strict=True) if s) or "none"
+        raise UserError(
+            f"{where}only {int((share > 0).sum())} of {joints} joints are visible in any of {len(data):,} frames "
+            f"({seen}); a skeleton needs 3 or more. Visible is: confidence above 0 and finite coordinates."
+        )
+    for name in data.joint_names:
+        if not name or name != name.strip() or not name.isprintable():
+            raise UserError(f"{where}found the joint name {name!r}; expected text with no blanks around it. Rename it.")
+    twice = [name for name in data.joint_names if data.joint_names.count(name) > 1]
+    if twice:
+        raise UserError(f"{where}found joint '{twice[0]}' {len(twice)} times; names must differ. Rename them.")
 
 
-def guess_parts(skeleton: Skeleton, names: Sequence[str]) -> dict[str, tuple[str, ...]]:
-    """Return which of ``names`` each joint of the skeleton may be, by what the words mean; never to be applied unseen.
+def _known_bones(bones: tuple[Bone, ...], names: list[str]) -> list[Bone]:
+    """Return the file's bones between joints that are there, each once."""
+    found: dict[frozenset[str], Bone] = {}
+    for bone in bones:
+        if bone[0] != bone[1] and set(bone) <= set(names):
+            found.setdefault(frozenset(bone), bone)
+    return list(found.values())
 
-    A joint on the midline may be the mean of a pair. Joints that nothing is like are absent.
+
+def _pairs(data: Tracked, names: list[str]) -> list[Pair]:
+    """Return partners (right, left): the file's, and of the other joints those by name."""
+    by_name = mirror_pairs(names)
+    order = {frozenset(pair): pair for pair in by_name}
+    found: list[Pair] = []
+    used: set[str] = set()
+    for one, other in (*data.mirror, *by_name):
+        if one != other and {one, other} <= set(names) and not {one, other} & used:
+            found.append(order.get(frozenset((one, other)), (one, other)))
+            used |= {one, other}
+    return sorted(found, key=lambda pair: min(map(names.index, pair)))
+
+
+def _joined(
+    name: str, names: list[str], pairs: list[Pair], known: list[Bone], score: np.ndarray, root: str | Pair
+) -> dict[str, Any]:
+    """Return the plain data of a skeleton: joints, root and the bones that join them."""
+    plan: dict[str, Any] = {"name": name, "joints": list(names), "mirror": [list(pair) for pair in pairs]}
+    made = root if isinstance(root, tuple) else None
+    bridge = [made] if made and 2 * len(pairs) == len(names) else []
+    bones = [*known, *bridge, *joining_bones(score, names, pairs, [*known, *bridge])]
+    if made is None:
+        plan["root"] = root
+    else:
+        plan["root"] = new = _new_name("middle", names)
+        plan["joints"].append(new)
+        plan["midpoints"] = {new: list(made)}
+        bones = _through(new, made, bones, known)
+    plan |= {"bones": [list(bone) for bone in bones], "loops": len(bones) > len(plan["joints"]) - 1}
+    return plan
+
+
+def _through(new: str, pair: Pair, bones: list[Bone], known: list[Bone]) -> list[Bone]:
+    """Return the bones with those to the middle of a pair, in place of guessed ones that hold the pair together."""
+    guessed = {frozenset(bone) for bone in bones} - {frozenset(bone) for bone in known}
+    joints = {joint for bone in bones for joint in bone} - set(pair)
+    between = [joint for joint in joints if all(frozenset((joint, end)) in guessed for end in pair)]
+    away = {frozenset(pair)} | {frozenset((joint, end)) for joint in between[:1] for end in pair}
+    kept = [bone for bone in bones if frozenset(bone) not in away]
+    return [(new, pair[0]), (new, pair[1]), *((joint, new) for joint in between[:1]), *kept]
+
+
+def _best_root(
+    names: list[str], pairs: list[Pair], keypoints: np.ndarray, visible: np.ndarray, score: np.ndarray
+) -> str | Pair:
+    """Return the joint nearest the middle of the body of those seen well: on the midline, where there are pairs.
+
+    A pair, for the point between its joints, where every joint has a partner, or where that point is nearer than
+    any joint and the pair as good as stiff (hips, not elbows).
     """
-    theirs, ours = _meanings(names), _meanings(skeleton.joints)
-    likeness = [
-        (score, -place, -other, joint, name)
-        for place, joint in enumerate(skeleton.joints)
-        for other, name in enumerate(names)
-        if (score := _likeness(ours[joint], theirs[name])) >= _ALIKE
-    ]
-    found: dict[str, tuple[str, ...]] = {}
-    taken: set[str] = set()
-    for _, _, _, joint, name in sorted(likeness, reverse=True):
-        if joint not in found and name not in taken:
-            found[joint] = (name,)
-            taken.add(name)
-    for joint in skeleton.joints:  # what a midpoint is made of, or a pelvis of two hips
-        if joint in found or ours[joint][0]:
-            continue
-        parts = skeleton.midpoints.get(joint) or _middle_of(joint, ours)
-        if parts and all(part in found for part in parts):
-            found[joint] = tuple(name for part in parts for name in found[part])
-    return {joint: found[joint] for joint in skeleton.joints if joint in found}
+    paired = {joint for pair in pairs for joint in pair}
+    singles = [(joint,) for joint in names if joint not in paired]
+    share = visible.mean(0)
+    best: dict[int, tuple[float, tuple[str, ...]]] = {}
+    for group in [*singles, *pairs]:
+        places = [names.index(joint) for joint in group]
+        well = visible[:, places].all(1).mean() >= _SEEN_WELL * share.max()
+        far = _off_centre(keypoints, visible, places) + (0 if well else 10)
+        far += 2 * min(float(score[places[0], places[1]]), 10) if len(places) == 2 else 0
+        best[len(group)] = min(best.get(len(group), (np.inf, group)), (far, group), key=lambda found: found[0])
+    if 1 in best and (2 not in best or best[1][0] < max(_NEAR, best[2][0])):
+        return best[1][1][0]
+    one, other = best[2][1]
+    return one, other
 
 
-def _swapped(name: str, sign: re.Pattern[str]) -> Iterator[tuple[str, bool]]:
-    """Yield the name with a sign of a side turned into the other, and whether that sign says left."""
-    for match in sign.finditer(name):
-        yield _turned(name, match), match[0][0].lower() == "l"
+def _off_centre(keypoints: np.ndarray, visible: np.ndarray, places: list[int]) -> float:
+    """Return how far the mean of some joints is from that of all visible ones, in their spread."""
+    rows = np.flatnonzero(visible[:, places].all(1))
+    seen = visible[rows][..., None]
+    points = np.where(seen, keypoints[rows].astype(np.float64), 0)
+    centre = points.sum(1) / seen.sum(1)
+    spread = np.sqrt((np.where(seen, points - centre[:, None], 0) ** 2).sum((1, 2)) / seen.sum((1, 2)))
+    away = np.linalg.norm(points[:, places].mean(1) - centre, axis=-1)
+    return float(np.mean(away / np.maximum(spread, 1e-9))) if len(rows) else 9.0
 
 
-def _turned(name: str, match: re.Match[str]) -> str:
-    old = match[0]
-    new = _OTHER[old.lower()]
-    new = new.upper() if old.isupper() else new.capitalize() if old[0].isupper() else new
-    return name[: match.start()] + new + name[match.end() :]
+def _new_name(name: str, names: list[str]) -> str:
+    while name in names:
+        name += "_"
+    return name
 
 
-def _meanings(names: Sequence[str]) -> dict[str, tuple[str, str]]:
-    """Return for each name its side ("l", "r" or none) and what is left of it, words put in one form."""
-    side: dict[str, str] = {}
-    for right, left in mirror_pairs(names):
-        side[right], side[left] = "r", "l"
-    rest = {name: [word for word in _name_words(name) if word not in _OTHER] for name in names}
-    for right, left in mirror_pairs(names):
-        if rest[right] != rest[left]:  # lhip, rhip: the side is a part of a word
-            rest[right] = rest[left] = _without_side(right, left)
-    for name in names:
-        if name not in side:
-            side[name] = next((word[0] for word in _name_words(name) if word in _OTHER), "")
-    return {name: (side[name], _one_form(rest[name], bool(side[name]))) for name in names}
-
-
-def _without_side(right: str, left: str) -> list[str]:
-    """Return the words that two partners share: without the sign of the side, and without digits, which may differ."""
-    one, other = (re.sub(r"\d+", "", name) for name in (right, left))
-    for sign in _SIGNS:
-        for match in sign.finditer(one):
-            if _turned(one, match) == other:
-                return _name_words(f"{one[: match.start()]} {one[match.end() :]}")
-    return _name_words(one)
-
-
-def _one_form(words: list[str], sided: bool) -> str:
-    """Return one spelling for what means the same; a hip on neither side is a pelvis."""
-    text = "".join(_WORDS.get(word, word) for word in words)
-    if not sided and text in ("hip", "root"):
-        return min(_SAME[0])
-    for group in _SAME:
-        if text in group or "".join(words) in group:
-            return min(group)
-    return text
-
-
-def _likeness(ours: tuple[str, str], theirs: tuple[str, str]) -> float:
-    if ours[0] != theirs[0] or not ours[1] or not theirs[1]:
-        return 0.0
-    if ours[1] == theirs[1]:
-        return 1.0
-    if re.sub(r"\D", "", ours[1]) != re.sub(r"\D", "", theirs[1]):  # spine1 is not spine2
-        return 0.0
-    return 0.99 * difflib.SequenceMatcher(None, ours[1], theirs[1]).ratio()
-
-
-def _middle_of(joint: str, ours: dict[str, tuple[str, str]]) -> tuple[str, ...]:
-    """Return the pair that a joint on the midline lies between: the hips of a pelvis, the shoulders of a neck."""
-    pair_of = {"hip": "hip", min(_SAME[0]): "hip", min(_SAME[1]): "shoulder"}.get(ours[joint][1])
-    return tuple(name for name, (side, what) in ours.items() if side and what == pair_of) if pair_of else ()
+def _checked(plan: dict[str, Any], pairs: list[Pair]) -> tuple[Skeleton, tuple[Bone, ...]]:
+    """Return the skeleton, without partners where the file's bones do not allow them."""
+    try:
+        return Skeleton.from_dict(plan), ()
+    except UserError:
+        if not pairs:
+            raise
+        return Skeleton.from_dict({**plan, "mirror": []}), tuple(pairs)
 
 
 # Which joints a bone may join, out of 2D alone: those that stay close and keep their distance.
 
 TOO_LONG = 1.9
-"""From where `stretched` says that joints have each other's names."""
-
-Bone = tuple[str, str]
+"""`stretched` from which joints have each other's names."""
 
 _MOST_NUMBERS = 2_000_000  # frames x joints x joints at once
 _SMOOTHING = 0.05  # of the mean distance, so that few frames are judged by their distances, not by luck
@@ -374,205 +414,353 @@ def _in_a_row(one: str, other: str) -> bool:
     )
 
 
-# Propose a skeleton for what a tracker file holds: names, partners and bones as far as the file tells.
+# Guesses from the names of joints: partners, sides, and names that mean the same.
 
-_SEEN_WELL = 0.8  # of the joint seen most
-_SELDOM = 0.5  # of the frames
-_NEAR = 0.5  # of the spread of the joints about their middle
+# From the clearest sign of a side to the weakest: a word, a letter by itself, a capital, a letter at either end.
+_SIGNS = (
+    re.compile(r"left|right", re.IGNORECASE),
+    re.compile(r"(?<![A-Za-z])[lr](?![A-Za-z])", re.IGNORECASE),
+    re.compile(r"[LR]"),
+    re.compile(r"(?<![A-Za-z])[lr]|[lr](?![A-Za-z])"),
+)
+_OTHER = {"left": "right", "right": "left", "l": "r", "r": "l"}
+_WORD = re.compile(r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+|\d+")
 
-Pair = tuple[str, str]
-
-
-@runtime_checkable
-class Tracked(Protocol):
-    """What a tracker's file tells of its joints; `uplift.data.poses.PoseData` does."""
-
-    keypoints: np.ndarray
-    """(frames joints 2); what is not seen is NaN, or has confidence 0."""
-    confidence: np.ndarray
-    """(frames joints)"""
-    joint_names: tuple[str, ...]
-    bones: tuple[tuple[str, str], ...]
-    mirror: tuple[tuple[str, str], ...]
-    source: str
-
-    def __len__(self) -> int:
-        """Return the number of frames."""
-        ...
-
-
-@dataclass(frozen=True)
-class _Proposal:
-    """A skeleton made of a file, and where each part of it comes from."""
-
-    skeleton: Skeleton
-    hidden: tuple[str, ...]
-    """Joints of the file that no frame shows; left out."""
-    seldom: tuple[str, ...]
-    """Joints that less than half of the frames show."""
-    from_file: tuple[Bone, ...]
-    """Bones of the file's own; the others are guesses by distance."""
-    unmirrored: tuple[Bone, ...] = ()
-    """Partners left out, as the bones of the file are not the same on both sides."""
+# Words that name the same place; a joint on the midline and the middle of a pair differ by the side.
+_SAME = (
+    {"pelvis", "midhip", "hips", "hipcenter", "hipcentre", "hipmid", "sacrum", "croup"},
+    {"neck", "thorax", "neckbase", "chest", "sternum", "uppertorso"},
+    {"headtop", "topofhead", "vertex", "headtip"},
+    {"nose", "snout", "muzzle"},
+    {"tailbase", "rootoftail", "tailroot", "tailstart", "tail1", "rump"},
+    {"tailtip", "tailend"},
+    {"belly", "abdomen"},
+    {"spine", "torso", "spinemid", "midspine", "body"},
+    {"bigtoe", "hallux", "footindex"},
+    {"hand", "palm"},
+    {"hock", "ankle"},
+    {"stifle", "knee"},
+    {"carpus", "wrist"},
+)
+_WORDS = {
+    "fore": "front", "forefinger": "index", "pinky": "little", "hind": "back", "rear": "back",
+    "middle": "mid", "lower": "low", "center": "mid", "centre": "mid", "finger": "", "joint": "",
+    "paw": "foot", "hoof": "foot", "claw": "foot",
+}  # fmt: skip
+_ALIKE = 0.75
 
 
-def propose(data: Tracked, name: str, root: str | None = None, gravity: bool = True) -> _Proposal:
-    """Return a skeleton called ``name`` for the joints of ``data``.
+def mirror_pairs(names: Sequence[str]) -> list[tuple[str, str]]:
+    """Return pairs (right, left) of names that differ by a side alone, in the order of ``names``.
 
-    Joints in the file's order. Partners from the file, else by name. Bones from the file; what those
-    leave apart is joined by distance (`joining_bones`). The root is ``root``, else the joint on the
-    midline nearest the middle of those that are seen well, or a midpoint of a pair that is far nearer.
-
-    Raises:
-        UserError: fewer than three joints that are ever visible, names that are no joint names, no such root.
+    Only where a name has one possible partner. Numbers that differ are looked over (paw1LH, paw4RH)
+    where the names without them are still different.
     """
-    where = f"{data.source}: " if data.source else ""
-    visible = seen_in(data.keypoints, data.confidence)
-    share = visible.mean(0) if len(data) else np.zeros(len(data.joint_names))
-    _check_joints(data, share, where)
-    shown = np.flatnonzero(share > 0)
-    names = [data.joint_names[place] for place in shown]
-    if root is not None and root not in names:
-        raise UserError(f"root={root}: no such joint in the file.{did_you_mean(root, names)}")
-    score = apart(data.keypoints[:, shown], visible[:, shown], names)
-    known = _known_bones(data.bones, names)
-    pairs = _pairs(data, names)
-    start = root or _best_root(names, pairs, data.keypoints[:, shown], visible[:, shown], score)
-    plan = {**_joined(name, names, pairs, known, score, start), "gravity": gravity}
-    skeleton, unmirrored = _checked(plan, pairs)
-    return _Proposal(
-        skeleton,
-        hidden=tuple(n for n, seen in zip(data.joint_names, share, strict=True) if not seen),
-        seldom=tuple(n for n, seen in zip(data.joint_names, share, strict=True) if 0 < seen < _SELDOM),
-        from_file=tuple(known),
-        unmirrored=unmirrored,
+    found: dict[str, tuple[str, str]] = {}
+    for stripped in (False, True):
+        for sign in _SIGNS:
+            left_over = [name for name in names if name not in found]
+            keys = {name: re.sub(r"\d+", "", name) if stripped else name for name in left_over}
+            by_key = {key: name for name, key in keys.items()}
+            if stripped:
+                by_key = {key: name for key, name in by_key.items() if list(keys.values()).count(key) == 1}
+            for key, name in by_key.items():
+                partners = {other: is_left for other, is_left in _swapped(key, sign) if other in by_key}
+                if len(partners) != 1:
+                    continue
+                (other, is_left), *_ = partners.items()
+                if {back for back, _ in _swapped(other, sign) if back in by_key} == {key}:
+                    pair = (by_key[other], name) if is_left else (name, by_key[other])
+                    found[name] = found[by_key[other]] = pair
+    return list(dict.fromkeys(found[name] for name in names if name in found))
+
+
+def _name_words(name: str) -> list[str]:
+    """Return the words of a name in lower case: split at capitals, digits and everything that is not a letter."""
+    return [word.lower() for word in _WORD.findall(name)]
+
+
+def guess_parts(skeleton: Skeleton, names: Sequence[str]) -> dict[str, tuple[str, ...]]:
+    """Return which of ``names`` each joint of the skeleton may be, by what the words mean; for a person to check.
+
+    A joint on the midline may be the mean of a pair. Joints without a similar name are absent.
+    """
+    theirs, ours = _meanings(names), _meanings(skeleton.joints)
+    likeness = [
+        (score, -place, -other, joint, name)
+        for place, joint in enumerate(skeleton.joints)
+        for other, name in enumerate(names)
+        if (score := _likeness(ours[joint], theirs[name])) >= _ALIKE
+    ]
+    found: dict[str, tuple[str, ...]] = {}
+    taken: set[str] = set()
+    for _, _, _, joint, name in sorted(likeness, reverse=True):
+        if joint not in found and name not in taken:
+            found[joint] = (name,)
+            taken.add(name)
+    for joint in skeleton.joints:  # what a midpoint is made of, or a pelvis of two hips
+        if joint in found or ours[joint][0]:
+            continue
+        parts = skeleton.midpoints.get(joint) or _middle_of(joint, ours)
+        if parts and all(part in found for part in parts):
+            found[joint] = tuple(name for part in parts for name in found[part])
+    return {joint: found[joint] for joint in skeleton.joints if joint in found}
+
+
+def _swapped(name: str, sign: re.Pattern[str]) -> Iterator[tuple[str, bool]]:
+    """Yield the name with a sign of a side turned into the other, and whether that sign means left."""
+    for match in sign.finditer(name):
+        yield _turned(name, match), match[0][0].lower() == "l"
+
+
+def _turned(name: str, match: re.Match[str]) -> str:
+    old = match[0]
+    new = _OTHER[old.lower()]
+    new = new.upper() if old.isupper() else new.capitalize() if old[0].isupper() else new
+    return name[: match.start()] + new + name[match.end() :]
+
+
+def _meanings(names: Sequence[str]) -> dict[str, tuple[str, str]]:
+    """Return for each name its side ("l", "r" or none) and what is left of it, words put in one form."""
+    side: dict[str, str] = {}
+    for right, left in mirror_pairs(names):
+        side[right], side[left] = "r", "l"
+    rest = {name: [word for word in _name_words(name) if word not in _OTHER] for name in names}
+    for right, left in mirror_pairs(names):
+        if rest[right] != rest[left]:  # lhip, rhip: the side is a part of a word
+            rest[right] = rest[left] = _without_side(right, left)
+    for name in names:
+        if name not in side:
+            side[name] = next((word[0] for word in _name_words(name) if word in _OTHER), "")
+    return {name: (side[name], _one_form(rest[name], bool(side[name]))) for name in names}
+
+
+def _without_side(right: str, left: str) -> list[str]:
+    """Return the words that two partners share: without the sign of the side, and without digits, which may differ."""
+    one, other = (re.sub(r"\d+", "", name) for name in (right, left))
+    for sign in _SIGNS:
+        for match in sign.finditer(one):
+            if _turned(one, match) == other:
+                return _name_words(f"{one[: match.start()]} {one[match.end() :]}")
+    return _name_words(one)
+
+
+def _one_form(words: list[str], sided: bool) -> str:
+    """Return one spelling for what means the same; a hip on neither side is a pelvis."""
+    text = "".join(_WORDS.get(word, word) for word in words)
+    if not sided and text in ("hip", "root"):
+        return min(_SAME[0])
+    for group in _SAME:
+        if text in group or "".join(words) in group:
+            return min(group)
+    return text
+
+
+def _likeness(ours: tuple[str, str], theirs: tuple[str, str]) -> float:
+    if ours[0] != theirs[0] or not ours[1] or not theirs[1]:
+        return 0.0
+    if ours[1] == theirs[1]:
+        return 1.0
+    if re.sub(r"\D", "", ours[1]) != re.sub(r"\D", "", theirs[1]):  # spine1 is not spine2
+        return 0.0
+    return 0.99 * difflib.SequenceMatcher(None, ours[1], theirs[1]).ratio()
+
+
+def _middle_of(joint: str, ours: dict[str, tuple[str, str]]) -> tuple[str, ...]:
+    """Return the pair that a joint on the midline lies between: the hips of a pelvis, the shoulders of a neck."""
+    pair_of = {"hip": "hip", min(_SAME[0]): "hip", min(_SAME[1]): "shoulder"}.get(ours[joint][1])
+    return tuple(name for name, (side, what) in ours.items() if side and what == pair_of) if pair_of else ()
+
+
+# The commented YAML of a proposed skeleton, ready to be corrected by hand.
+
+_WIDTH = 108
+_FRONT = ("nose", "snout", "beak", "muzzle", "head", "neck")
+_REAR = ("tailbase", "tail", "rump", "croup", "sacrum", "abdomen", "stinger", "body", "thorax")
+_ACROSS = ("wing", "antenna")  # they may lie on the other side
+_FEET = ("toe", "paw", "foot", "claw", "hoof", "tarsus", "tip", "ankle", "leg")
+
+
+def proposal_text(proposal: _Proposal, file: str, source: str) -> str:
+    """Return the YAML of a proposal as the file called ``file``; what is not known is in comments."""
+    skeleton = proposal.skeleton
+    head = _comment(
+        f"A skeleton proposed from {source}. The names are the file's; everything else is a guess: read it through "
+        "and correct it. Then"
+    )
+    parts = [
+        f"{head}\n#   uplift skeleton check {file}\n# tells what is wrong and draws it, and\n"
+        f"#   uplift fit skeleton={file} data.train={source}\n# learns to lift it. docs/skeletons.md has every key.",
+        f"name: {quoted(skeleton.name)}\ndescription: proposed from a file, to be corrected",
+        _joints(proposal),
+        _root(skeleton),
+        _bones(proposal),
+        _mirror(proposal),
+        _facing(skeleton),
+        _rest(skeleton),
+    ]
+    return "\n\n".join(parts) + "\n"
+
+
+def facing_guess(skeleton: Skeleton) -> dict[str, Ends]:
+    """Return the directions that the joints' names suggest; empty where that is too little.
+
+    Directions that a skeleton file would refuse are left out.
+    """
+    sided = [pair for pair in mirror_pairs(skeleton.joints) if set(pair) in map(set, skeleton.mirror)]
+    near = {joint: place for place, joint in enumerate(skeleton.parents)}
+    sided = sorted(sided, key=lambda pair: (any(word in pair[0].lower() for word in _ACROSS), near[pair[0]]))
+    if not sided:
+        return {}
+    found: dict[str, Ends] = {}
+    legs = {word: [joint for pair in sided for joint in pair if word in _name_words(joint) or joint[1:].lower() == word]
+            for word in ("hip", "knee", "ankle")}  # fmt: skip
+    upright = all(len(joints) == 2 for joints in legs.values()) and not _first(skeleton, ("tail", "paw", "hoof"))
+    head, rear = _first(skeleton, _FRONT), _first(skeleton, _REAR)
+    if upright:
+        found["front"] = (tuple(legs["hip"] + legs["ankle"]), tuple(legs["knee"]))
+        sided = [(legs["hip"][0], legs["hip"][1])]
+    elif head and head != (rear or skeleton.root):
+        found["front"] = ((rear or skeleton.root,), (head,))
+    found["left"] = (tuple(right for right, _ in sided[:2]), tuple(left for _, left in sided[:2]))
+    feet = [pair for pair in sided if any(word in pair[0].lower() for word in _FEET)]
+    ends = [joint for pair in feet for joint in pair if joint not in skeleton.parents.values()]
+    if (not upright or not skeleton.gravity) and ends:
+        found["up"] = (tuple(ends), (skeleton.root,))
+    return _valid(found, skeleton)
+
+
+def _valid(facing: dict[str, Ends], skeleton: Skeleton) -> dict[str, Ends]:
+    needed = {"front", "left"} if skeleton.gravity else {"front", "left", "up"}
+    if not needed <= set(facing):
+        return {}
+    try:
+        Skeleton.from_dict(
+            skeleton.to_dict() | {"facing": {name: [list(e) for e in ends] for name, ends in facing.items()}}
+        )
+    except UserError:
+        return {}
+    return facing
+
+
+def _first(skeleton: Skeleton, words: Sequence[str]) -> str | None:
+    """Return the first joint on the midline whose name holds one of the words, by the order of the words."""
+    paired = {joint for pair in skeleton.mirror for joint in pair}
+    for word in words:
+        for joint in skeleton.joints:
+            if joint not in paired and word in joint.lower().replace("_", ""):
+                return joint
+    return None
+
+
+def _joints(proposal: _Proposal) -> str:
+    skeleton = proposal.skeleton
+    lines = ["# Names and order of the file."]
+    if proposal.hidden:
+        lines.append(_comment(f"Left out, as no frame shows them: {', '.join(proposal.hidden)}"))
+    if proposal.seldom:
+        lines.append(_comment(f"Visible in less than half of the frames: {', '.join(proposal.seldom)}"))
+    lines.append(_list("joints: ", map(quoted, skeleton.joints)))
+    return "\n".join(lines)
+
+
+def _root(skeleton: Skeleton) -> str:
+    if skeleton.root not in skeleton.midpoints:
+        text = "# Poses are measured from the root: a joint near the middle that is nearly always seen."
+        return f"{text}\nroot: {quoted(skeleton.root)}"
+    parts = ", ".join(map(quoted, skeleton.midpoints[skeleton.root]))
+    return (
+        f"# Poses are measured from the root. No joint is near the middle, so it is made: the middle of a pair.\n"
+        f"root: {skeleton.root}\nmidpoints:\n  {skeleton.root}: [{parts}]"
     )
 
 
-def _check_joints(data: Tracked, share: np.ndarray, where: str) -> None:
-    joints = len(data.joint_names)
-    if joints < 3:
-        shown = f" ({', '.join(data.joint_names)})" if joints else ""
-        raise UserError(f"{where}found {joints} joints{shown}; a skeleton needs 3 or more.")
-    if not len(data):
-        raise UserError(f"{where}no frames: where the joints are is not known, so no bones can be proposed.")
-    if (share > 0).sum() < 3:
-        seen = ", ".join(n for n, s in zip(data.joint_names, share, strict=True) if s) or "none"
-        raise UserError(
-            f"{where}only {int((share > 0).sum())} of {joints} joints are visible in any of {len(data):,} frames "
-            f"({seen}); a skeleton needs 3 or more. Visible is: confidence above 0 and finite coordinates."
-        )
-    for name in data.joint_names:
-        if not name or name != name.strip() or not name.isprintable():
-            raise UserError(f"{where}found the joint name {name!r}; expected text with no blanks around it. Rename it.")
-    twice = [name for name in data.joint_names if data.joint_names.count(name) > 1]
-    if twice:
-        raise UserError(f"{where}found joint '{twice[0]}' {len(twice)} times; names must differ. Rename them.")
-
-
-def _known_bones(bones: tuple[Bone, ...], names: list[str]) -> list[Bone]:
-    """Return the file's bones between joints that are there, each once."""
-    found: dict[frozenset[str], Bone] = {}
-    for bone in bones:
-        if bone[0] != bone[1] and set(bone) <= set(names):
-            found.setdefault(frozenset(bone), bone)
-    return list(found.values())
-
-
-def _pairs(data: Tracked, names: list[str]) -> list[Pair]:
-    """Return partners (right, left): the file's, and of the other joints those by name."""
-    by_name = mirror_pairs(names)
-    order = {frozenset(pair): pair for pair in by_name}
-    found: list[Pair] = []
-    used: set[str] = set()
-    for one, other in (*data.mirror, *by_name):
-        if one != other and {one, other} <= set(names) and not {one, other} & used:
-            found.append(order.get(frozenset((one, other)), (one, other)))
-            used |= {one, other}
-    return sorted(found, key=lambda pair: min(map(names.index, pair)))
-
-
-def _joined(
-    name: str, names: list[str], pairs: list[Pair], known: list[Bone], score: np.ndarray, root: str | Pair
-) -> dict[str, Any]:
-    """Return the plain data of a skeleton: joints, root and the bones that join them."""
-    plan: dict[str, Any] = {"name": name, "joints": list(names), "mirror": [list(pair) for pair in pairs]}
-    made = root if isinstance(root, tuple) else None
-    bridge = [made] if made and 2 * len(pairs) == len(names) else []
-    bones = [*known, *bridge, *joining_bones(score, names, pairs, [*known, *bridge])]
-    if made is None:
-        plan["root"] = root
+def _bones(proposal: _Proposal) -> str:
+    skeleton = proposal.skeleton
+    given = {frozenset(bone) for bone in proposal.from_file}
+    guessed = [bone for bone in skeleton.bones if frozenset(bone) not in given]
+    if not given:
+        how = "Guessed: joints that stay close and keep their distance over the frames. Check these first."
+    elif guessed:
+        how = f"From the file; by distance: {', '.join(f'{one} - {other}' for one, other in guessed)}."
     else:
-        plan["root"] = new = _new_name("middle", names)
-        plan["joints"].append(new)
-        plan["midpoints"] = {new: list(made)}
-        bones = _through(new, made, bones, known)
-    plan |= {"bones": [list(bone) for bone in bones], "loops": len(bones) > len(plan["joints"]) - 1}
-    return plan
+        how = "From the file."
+    text = _comment(f"[parent, child]; together they reach every joint from the root. {how}")
+    text += "\n" + _pair_lists("bones: ", skeleton.bones)
+    return text + ("\nloops: true      # bones close on themselves" if skeleton.loops else "")
 
 
-def _through(new: str, pair: Pair, bones: list[Bone], known: list[Bone]) -> list[Bone]:
-    """Return the bones with those to the middle of a pair, in place of guessed ones that hold the pair together."""
-    guessed = {frozenset(bone) for bone in bones} - {frozenset(bone) for bone in known}
-    joints = {joint for bone in bones for joint in bone} - set(pair)
-    between = [joint for joint in joints if all(frozenset((joint, end)) in guessed for end in pair)]
-    away = {frozenset(pair)} | {frozenset((joint, end)) for joint in between[:1] for end in pair}
-    kept = [bone for bone in bones if frozenset(bone) not in away]
-    return [(new, pair[0]), (new, pair[1]), *((joint, new) for joint in between[:1]), *kept]
+def _mirror(proposal: _Proposal) -> str:
+    if proposal.skeleton.mirror:
+        text = "# [right, left] partners, by name or by the file. Joints on the midline are in no pair.\n"
+        return text + _pair_lists("mirror: ", proposal.skeleton.mirror)
+    if proposal.unmirrored:
+        text = "These pairs are left out: the bones above are not the same on both sides of the body. Make them so."
+        commented = _pair_lists("mirror: ", proposal.unmirrored).replace("\n", "\n# ")
+        return f"{_comment(text)}\n# {commented}"
+    return (
+        "# [right, left] partners. TODO: the names show none; leave it out where nothing is symmetric.\n"
+        "# mirror: [[right_joint, left_joint]]"
+    )
 
 
-def _best_root(
-    names: list[str], pairs: list[Pair], keypoints: np.ndarray, visible: np.ndarray, score: np.ndarray
-) -> str | Pair:
-    """Return the joint nearest the middle of the body of those seen well: on the midline, where there are pairs.
-
-    A pair, for the point between its joints, where every joint has a partner, or where that point is nearer than
-    any joint and the pair as good as stiff (hips, not elbows).
-    """
-    paired = {joint for pair in pairs for joint in pair}
-    singles = [(joint,) for joint in names if joint not in paired]
-    share = visible.mean(0)
-    best: dict[int, tuple[float, tuple[str, ...]]] = {}
-    for group in [*singles, *pairs]:
-        places = [names.index(joint) for joint in group]
-        well = visible[:, places].all(1).mean() >= _SEEN_WELL * share.max()
-        far = _off_centre(keypoints, visible, places) + (0 if well else 10)
-        far += 2 * min(float(score[places[0], places[1]]), 10) if len(places) == 2 else 0
-        best[len(group)] = min(best.get(len(group), (np.inf, group)), (far, group), key=lambda found: found[0])
-    if 1 in best and (2 not in best or best[1][0] < max(_NEAR, best[2][0])):
-        return best[1][1][0]
-    one, other = best[2][1]
-    return one, other
+def _facing(skeleton: Skeleton) -> str:
+    lines = [
+        _comment(
+            "TODO. What tells a pose from its mirror image, which fits the same 2D: three directions [from, to] of the "
+            "thing itself. Each end is a joint, or a list of joints (their mean). Choose what holds in nearly every "
+            "pose, then take the # away. Without it a fit cannot tell the two apart."
+        )
+    ]
+    guess = facing_guess(skeleton)
+    if not guess:
+        return "\n".join([*lines, "# facing:", "#   front: [a joint behind, a joint in front]",
+                          "#   left: [a joint on the right, its partner on the left]",
+                          "#   up: [a joint below, a joint above]"])  # fmt: skip
+    lines.append("# By the names:\n# facing:")
+    for direction, ends in guess.items():
+        shown = ", ".join(quoted(end[0]) if len(end) == 1 else "[" + ", ".join(map(quoted, end)) + "]" for end in ends)
+        lines.append(f"#   {direction}: [{shown}]")
+    return "\n".join(lines)
 
 
-def _off_centre(keypoints: np.ndarray, visible: np.ndarray, places: list[int]) -> float:
-    """Return how far the mean of some joints is from that of all visible ones, in their spread."""
-    rows = np.flatnonzero(visible[:, places].all(1))
-    seen = visible[rows][..., None]
-    points = np.where(seen, keypoints[rows].astype(np.float64), 0)
-    centre = points.sum(1) / seen.sum(1)
-    spread = np.sqrt((np.where(seen, points - centre[:, None], 0) ** 2).sum((1, 2)) / seen.sum((1, 2)))
-    away = np.linalg.norm(points[:, places].mean(1) - centre, axis=-1)
-    return float(np.mean(away / np.maximum(spread, 1e-9))) if len(rows) else 9.0
+def _rest(skeleton: Skeleton) -> str:
+    one, other = skeleton.bones[0]
+    return "\n".join(
+        [
+            "# true: it stands or walks on the ground, and the camera is more or less level.",
+            "# false: it may be seen from any side (a hand, a thing that floats); then facing needs `up`.",
+            f"gravity: {str(skeleton.gravity).lower()}",
+            "# rigid: true    # one shape that does not bend (a chair)",
+            "",
+            "# The true length of one bone, for poses in mm.",
+            f"# size: {{along: [{quoted(one)}, {quoted(other)}], mm: 10}}",
+        ]
+    )
 
 
-def _new_name(name: str, names: list[str]) -> str:
-    while name in names:
-        name += "_"
-    return name
+def _comment(text: str) -> str:
+    return "\n".join(textwrap.wrap(text, _WIDTH, initial_indent="# ", subsequent_indent="# "))
 
 
-def _checked(plan: dict[str, Any], pairs: list[Pair]) -> tuple[Skeleton, tuple[Bone, ...]]:
-    """Return the skeleton, without partners where the file's bones do not allow them."""
-    try:
-        return Skeleton.from_dict(plan), ()
-    except UserError:
-        if not pairs:
-            raise
-        return Skeleton.from_dict({**plan, "mirror": []}), tuple(pairs)
+def _list(key: str, items: Iterable[str]) -> str:
+    """Return a flow list in lines of bounded width, broken between items."""
+    lines, line = [], f"{key}["
+    for place, item in enumerate(items):
+        piece = item if not place else f", {item}"
+        if place and len(line) + len(piece) > _WIDTH:
+            lines.append(f"{line},")
+            line = " " * (len(key) + 1) + item
+        else:
+            line += piece
+    return "\n".join([*lines, f"{line}]"])
 
 
-# The commented file that `uplift skeleton new` starts a user's own skeleton with.
+def _pair_lists(key: str, pairs: Iterable[Sequence[str]]) -> str:
+    return _list(key, (f"[{quoted(one)}, {quoted(other)}]" for one, other in pairs))
+
+
+# The commented file that `uplift skeleton new` starts a new skeleton with.
 
 _TEMPLATE = """\
 # A skeleton: the joints of what you track, and what is known about them.
@@ -650,193 +838,3 @@ def quoted(name: str) -> str:
     plain = re.fullmatch(r"[A-Za-z_](?:[\w.+ -]*[\w.+-])?", name, re.ASCII)
     reserved = name.casefold() in ("true", "false", "yes", "no", "on", "off", "null", "y", "n")
     return name if plain and not reserved else "'" + name.replace("'", "''") + "'"
-
-
-# The commented YAML of a proposed skeleton, ready to be corrected by hand.
-
-Ends = tuple[tuple[str, ...], tuple[str, ...]]
-
-_WIDTH = 108
-_FRONT = ("nose", "snout", "beak", "muzzle", "head", "neck")
-_REAR = ("tailbase", "tail", "rump", "croup", "sacrum", "abdomen", "stinger", "body", "thorax")
-_ACROSS = ("wing", "antenna")  # they may lie on the other side
-_FEET = ("toe", "paw", "foot", "claw", "hoof", "tarsus", "tip", "ankle", "leg")
-
-
-def proposal_text(proposal: _Proposal, file: str, source: str) -> str:
-    """Return the YAML of a proposal as the file called ``file``; what is not known is in comments."""
-    skeleton = proposal.skeleton
-    told = _comment(
-        f"A skeleton proposed from {source}. The names are the file's; everything else is a guess: read it through "
-        "and correct it. Then"
-    )
-    parts = [
-        f"{told}\n#   uplift skeleton check {file}\n# tells what is wrong and draws it, and\n"
-        f"#   uplift fit skeleton={file} data.train={source}\n# learns to lift it. docs/skeletons.md has every key.",
-        f"name: {quoted(skeleton.name)}\ndescription: proposed from a file, to be corrected",
-        _joints(proposal),
-        _root(skeleton),
-        _bones(proposal),
-        _mirror(proposal),
-        _facing(skeleton),
-        _rest(skeleton),
-    ]
-    return "\n\n".join(parts) + "\n"
-
-
-def facing_guess(skeleton: Skeleton) -> dict[str, Ends]:
-    """Return the directions that the joints' names suggest; nothing where they say too little.
-
-    Directions that a skeleton file would refuse are left out.
-    """
-    sided = [pair for pair in mirror_pairs(skeleton.joints) if set(pair) in map(set, skeleton.mirror)]
-    near = {joint: place for place, joint in enumerate(skeleton.parents)}
-    sided = sorted(sided, key=lambda pair: (any(word in pair[0].lower() for word in _ACROSS), near[pair[0]]))
-    if not sided:
-        return {}
-    found: dict[str, Ends] = {}
-    legs = {word: [joint for pair in sided for joint in pair if word in _name_words(joint) or joint[1:].lower() == word]
-            for word in ("hip", "knee", "ankle")}  # fmt: skip
-    upright = all(len(joints) == 2 for joints in legs.values()) and not _first(skeleton, ("tail", "paw", "hoof"))
-    head, rear = _first(skeleton, _FRONT), _first(skeleton, _REAR)
-    if upright:
-        found["front"] = (tuple(legs["hip"] + legs["ankle"]), tuple(legs["knee"]))
-        sided = [(legs["hip"][0], legs["hip"][1])]
-    elif head and head != (rear or skeleton.root):
-        found["front"] = ((rear or skeleton.root,), (head,))
-    found["left"] = (tuple(right for right, _ in sided[:2]), tuple(left for _, left in sided[:2]))
-    feet = [pair for pair in sided if any(word in pair[0].lower() for word in _FEET)]
-    ends = [joint for pair in feet for joint in pair if joint not in skeleton.parents.values()]
-    if (not upright or not skeleton.gravity) and ends:
-        found["up"] = (tuple(ends), (skeleton.root,))
-    return _valid(found, skeleton)
-
-
-def _valid(facing: dict[str, Ends], skeleton: Skeleton) -> dict[str, Ends]:
-    needed = {"front", "left"} if skeleton.gravity else {"front", "left", "up"}
-    if not needed <= set(facing):
-        return {}
-    try:
-        Skeleton.from_dict(
-            skeleton.to_dict() | {"facing": {name: [list(e) for e in ends] for name, ends in facing.items()}}
-        )
-    except UserError:
-        return {}
-    return facing
-
-
-def _first(skeleton: Skeleton, words: Sequence[str]) -> str | None:
-    """Return the first joint on the midline whose name holds one of the words, by the order of the words."""
-    paired = {joint for pair in skeleton.mirror for joint in pair}
-    for word in words:
-        for joint in skeleton.joints:
-            if joint not in paired and word in joint.lower().replace("_", ""):
-                return joint
-    return None
-
-
-def _joints(proposal: _Proposal) -> str:
-    skeleton = proposal.skeleton
-    lines = ["# Names and order of the file."]
-    if proposal.hidden:
-        lines.append(_comment(f"Left out, as no frame shows them: {', '.join(proposal.hidden)}"))
-    if proposal.seldom:
-        lines.append(_comment(f"Visible in less than half of the frames: {', '.join(proposal.seldom)}"))
-    lines.append(_list("joints: ", map(quoted, skeleton.joints)))
-    return "\n".join(lines)
-
-
-def _root(skeleton: Skeleton) -> str:
-    if skeleton.root not in skeleton.midpoints:
-        text = "# Poses are measured from the root: a joint near the middle that is nearly always seen."
-        return f"{text}\nroot: {quoted(skeleton.root)}"
-    parts = ", ".join(map(quoted, skeleton.midpoints[skeleton.root]))
-    return (
-        f"# Poses are measured from the root. No joint is near the middle, so it is made: the middle of a pair.\n"
-        f"root: {skeleton.root}\nmidpoints:\n  {skeleton.root}: [{parts}]"
-    )
-
-
-def _bones(proposal: _Proposal) -> str:
-    skeleton = proposal.skeleton
-    own = {frozenset(bone) for bone in proposal.from_file}
-    guessed = [bone for bone in skeleton.bones if frozenset(bone) not in own]
-    if not own:
-        how = "Guessed: joints that stay close and keep their distance over the frames. Check these first."
-    elif guessed:
-        how = f"From the file; by distance: {', '.join(f'{one} - {other}' for one, other in guessed)}."
-    else:
-        how = "From the file."
-    text = _comment(f"[parent, child]; together they reach every joint from the root. {how}")
-    text += "\n" + _pair_lists("bones: ", skeleton.bones)
-    return text + ("\nloops: true      # bones close on themselves" if skeleton.loops else "")
-
-
-def _mirror(proposal: _Proposal) -> str:
-    if proposal.skeleton.mirror:
-        text = "# [right, left] partners, by name or by the file. Joints on the midline are in no pair.\n"
-        return text + _pair_lists("mirror: ", proposal.skeleton.mirror)
-    if proposal.unmirrored:
-        text = "These pairs are left out: the bones above are not the same on both sides of the body. Make them so."
-        commented = _pair_lists("mirror: ", proposal.unmirrored).replace("\n", "\n# ")
-        return f"{_comment(text)}\n# {commented}"
-    return (
-        "# [right, left] partners. TODO: the names show none; leave it out where nothing is symmetric.\n"
-        "# mirror: [[right_joint, left_joint]]"
-    )
-
-
-def _facing(skeleton: Skeleton) -> str:
-    lines = [
-        _comment(
-            "TODO. What tells a pose from its mirror image, which fits the same 2D: three directions [from, to] of the "
-            "thing itself. Each end is a joint, or a list of joints (their mean). Choose what holds in nearly every "
-            "pose, then take the # away. Without it a fit cannot tell the two apart."
-        )
-    ]
-    guess = facing_guess(skeleton)
-    if not guess:
-        return "\n".join([*lines, "# facing:", "#   front: [a joint behind, a joint in front]",
-                          "#   left: [a joint on the right, its partner on the left]",
-                          "#   up: [a joint below, a joint above]"])  # fmt: skip
-    lines.append("# By the names:\n# facing:")
-    for direction, ends in guess.items():
-        shown = ", ".join(quoted(end[0]) if len(end) == 1 else "[" + ", ".join(map(quoted, end)) + "]" for end in ends)
-        lines.append(f"#   {direction}: [{shown}]")
-    return "\n".join(lines)
-
-
-def _rest(skeleton: Skeleton) -> str:
-    one, other = skeleton.bones[0]
-    return "\n".join(
-        [
-            "# true: it stands or walks on the ground, and the camera is more or less level.",
-            "# false: it may be seen from any side (a hand, a thing that floats); then facing needs `up`.",
-            f"gravity: {str(skeleton.gravity).lower()}",
-            "# rigid: true    # one shape that does not bend (a chair)",
-            "",
-            "# The true length of one bone, for poses in mm.",
-            f"# size: {{along: [{quoted(one)}, {quoted(other)}], mm: 10}}",
-        ]
-    )
-
-
-def _comment(text: str) -> str:
-    return "\n".join(textwrap.wrap(text, _WIDTH, initial_indent="# ", subsequent_indent="# "))
-
-
-def _list(key: str, items: Iterable[str]) -> str:
-    """Return a flow list in lines of bounded width, items whole."""
-    lines, line = [], f"{key}["
-    for place, item in enumerate(items):
-        piece = item if not place else f", {item}"
-        if place and len(line) + len(piece) > _WIDTH:
-            lines.append(f"{line},")
-            line = " " * (len(key) + 1) + item
-        else:
-            line += piece
-    return "\n".join([*lines, f"{line}]"])
-
-
-def _pair_lists(key: str, pairs: Iterable[Sequence[str]]) -> str:
-    return _list(key, (f"[{quoted(one)}, {quoted(other)}]" for one, other in pairs))

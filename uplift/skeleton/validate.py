@@ -1,7 +1,8 @@
-"""Check the plain data of a skeleton file, each part with the line where it stands."""
+"""Check the plain data of a skeleton file; every fault is named with the line where it stands."""
 
 from __future__ import annotations
 
+import copy
 import math
 from collections.abc import Iterable
 from typing import Any, NoReturn
@@ -13,13 +14,269 @@ from uplift.errors import UserError, did_you_mean
 
 __all__ = ["BODY_KEYS", "check_skeleton"]
 
-# Checks of single parts of a skeleton file, each failing with where the part stands.
-
 MAX_JOINTS = 1000
+BODY_KEYS = ("proportions", "rest", "limits")
+
+_REQUIRED = ("joints", "root", "bones")
+_DEFAULTS: dict[str, Any] = {
+    "description": "", "loops": False, "mirror": [], "facing": {}, "gravity": True, "rigid": False,
+    "midpoints": {}, "from": {}, "size": {},
+}  # fmt: skip
+_KEYS = ("name", *_REQUIRED, *_DEFAULTS, *BODY_KEYS)
+_DIRECTIONS = ("front", "left", "up")
+_SIZE_KEYS = ("along", "mm", "of_height")
+
+
+def check_skeleton(data: object, where: Where) -> dict[str, Any]:
+    """Return the data with defaults filled in and single joints made lists.
+
+    Raises UserError at the first fault, its message begun by ``where`` (file and line).
+    """
+    check = _Checker(where)
+    skeleton = _check_keys(data, check)
+    for key in ("name", "description"):
+        check.text(skeleton[key], (key,), blank=key == "description")
+    for key in ("gravity", "rigid", "loops"):
+        check.kind(skeleton[key], bool, "true or false", (key,))
+    joints = skeleton["joints"]
+    _check_joints(joints, check)
+    check.joint(skeleton["root"], joints, ("root",))
+    check.pairs(skeleton["bones"], joints, "bones", "[parent, child]")
+    _check_forest(skeleton, check)
+    check.pairs(skeleton["mirror"], joints, "mirror", "[right, left]")
+    _check_mirror(skeleton, check)
+    skeleton["midpoints"] = check.map_of_parts(skeleton["midpoints"], joints, ("midpoints",), own=True)
+    check.kind(skeleton["from"], dict, "a mapping of layouts", ("from",))
+    skeleton["from"] = {
+        layout: check.map_of_parts(parts, joints, ("from", layout)) for layout, parts in skeleton["from"].items()
+    }
+    skeleton["size"] = _check_size(skeleton["size"], joints, check)
+    skeleton["facing"] = _check_facing(skeleton, check)
+    _check_body(skeleton, check)
+    return skeleton
+
+
+def _check_keys(data: object, check: _Checker) -> dict[str, Any]:
+    if not isinstance(data, dict):
+        check.fail((), f"found {_named(data)}; expected a skeleton, a mapping with joints, root and bones.")
+    for key in data:
+        if key not in _KEYS:
+            check.fail((key,), f"found the unknown key '{key}'.{did_you_mean(key, _KEYS)}")
+    for key in _REQUIRED:
+        if key not in data:
+            check.fail((), f"'{key}' is missing; a skeleton needs {', '.join(_REQUIRED)}.")
+    return {"name": "skeleton"} | copy.deepcopy(_DEFAULTS) | data
+
+
+# Joints and bones: one connected whole, the same on both sides.
+
+
+def _check_joints(joints: object, check: _Checker) -> None:
+    names = check.kind(joints, list, "a list of joint names", ("joints",))
+    if not 3 <= len(names) <= MAX_JOINTS:
+        check.fail(("joints",), f"found {len(names)} joints; expected 3 to {MAX_JOINTS}.")
+    seen: set[str] = set()
+    for place, joint in enumerate(names):
+        check.text(joint, ("joints", place))
+        if joint in seen:
+            check.fail(("joints", place), f"found joint '{joint}' twice; joint names must differ.")
+        seen.add(joint)
+
+
+def _check_forest(skeleton: dict[str, Any], check: _Checker) -> None:
+    """Check that bones connect all joints, each bone once, and close loops only where that is meant."""
+    joints, bones = skeleton["joints"], skeleton["bones"]
+    group = {joint: joint for joint in joints}
+
+    def find(joint: str) -> str:
+        while group[joint] != joint:
+            group[joint] = joint = group[group[joint]]
+        return joint
+
+    seen: set[frozenset] = set()
+    for place, (one, other) in enumerate(bones):
+        if frozenset((one, other)) in seen:
+            check.fail(("bones", place), f"found the bone between '{one}' and '{other}' twice.")
+        seen.add(frozenset((one, other)))
+        if find(one) == find(other) and not skeleton["loops"]:
+            check.fail(
+                ("bones", place),
+                f"found a cycle: the bone [{one}, {other}] joins joints that are connected already. Take one bone of "
+                "the cycle out, or, if the thing closes on itself (a chair's seat), write loops: true.",
+            )
+        group[find(one)] = find(other)
+    for place, joint in enumerate(joints):
+        if find(joint) != find(skeleton["root"]):
+            check.fail(("joints", place), f"no bones lead from the root '{skeleton['root']}' to joint '{joint}'.")
+
+
+def _check_mirror(skeleton: dict[str, Any], check: _Checker) -> None:
+    """Check that no joint is in two pairs and that no limb is paired half way only."""
+    partner: dict[str, str] = {}
+    for place, pair in enumerate(skeleton["mirror"]):
+        for joint in pair:
+            if joint in partner:
+                what = f"found '{joint}' in a second mirror pair; it mirrors '{partner[joint]}' already."
+                check.fail(("mirror", place), what)
+        partner[pair[0]], partner[pair[1]] = pair[1], pair[0]
+    ends: dict[str, list[str]] = {joint: [] for joint in skeleton["joints"]}
+    for one, other in skeleton["bones"]:
+        ends[one].append(other)
+        ends[other].append(one)
+    for place, (one, other) in enumerate(skeleton["mirror"]):
+        lone = [[end for end in ends[joint] if end not in partner] for joint in (one, other)]
+        ours, theirs = ([end for end in side if end not in across] for side, across in (lone, lone[::-1]))
+        if ours and theirs and skeleton["root"] not in ours + theirs:
+            check.fail(
+                ("mirror", place),
+                f"'{one}' and '{other}' mirror each other, but the joints that hang from them, "
+                f"'{ours[0]}' and '{theirs[0]}', are in no pair. Add [{ours[0]}, {theirs[0]}] to mirror.",
+            )
+
+
+# Size: a path along joints with its length in mm, or as a share of the body's height.
+
+
+def _check_size(size: Any, joints: list[str], check: _Checker) -> dict[str, Any]:
+    check.kind(size, dict, "a mapping: along and mm, or along and of_height", ("size",))
+    if not size:
+        return {}
+    for key in size:
+        if key not in _SIZE_KEYS:
+            check.fail(("size", key), f"found the unknown key '{key}'.{did_you_mean(str(key), _SIZE_KEYS)}")
+    along = check.kind(size.get("along"), list, "a list of two or more joints", ("size", "along"))
+    if len(along) < 2:
+        check.fail(("size", "along"), f"found {len(along)} joint; expected two or more, from one end to the other.")
+    for place, joint in enumerate(along):
+        check.joint(joint, joints, ("size", "along", place))
+        if place and joint == along[place - 1]:
+            check.fail(("size", "along", place), f"found '{joint}' twice in a row.")
+    given = [key for key in ("mm", "of_height") if key in size]
+    if len(given) != 1:
+        found = " and ".join(given) or "neither mm nor of_height"
+        check.fail(("size",), f"found {found}; expected one of mm, of_height.")
+    value = size[given[0]]
+    if isinstance(value, bool) or not isinstance(value, (int, float)) or not 0 < value < 1e9:
+        check.fail(("size", given[0]), f"found {value!r}; expected a positive number.")
+    return {"along": list(along), given[0]: float(value)}
+
+
+# Facing directions: what tells a pose from its mirror image must be able to.
+
+
+def _check_facing(skeleton: dict[str, Any], check: _Checker) -> dict[str, list[list[str]]]:
+    """Return facing with each end a list of joints; raises UserError where it cannot tell left from right."""
+    given = check.kind(skeleton["facing"], dict, "a mapping of front, left and up", ("facing",))
+    for direction in given:
+        if direction not in _DIRECTIONS:
+            hint = did_you_mean(direction, _DIRECTIONS)
+            check.fail(("facing", direction), f"found the unknown facing direction '{direction}'.{hint}")
+    facing = {name: _ends(given[name], skeleton["joints"], ("facing", name), check) for name in given}
+    if not facing:
+        return {}
+    needed = ("front", "left") if skeleton["gravity"] else _DIRECTIONS
+    for direction in needed:
+        if direction not in facing:
+            why = "" if skeleton["gravity"] else " (up is needed where gravity is false)"
+            check.fail(("facing",), f"'{direction}' is missing; facing needs {' and '.join(needed)}{why}.")
+    weights = {name: _weights(ends, skeleton["joints"]) for name, ends in facing.items()}
+    _check_independent(weights, check)
+    if skeleton["mirror"]:
+        _check_sides(weights, skeleton, check)
+    return facing
+
+
+def _ends(value: object, joints: list[str], part: tuple, check: _Checker) -> list[list[str]]:
+    ends = check.kind(value, list, "[from, to], each a joint or a list of joints", part)
+    if len(ends) != 2:
+        check.fail(part, f"found {len(ends)} ends in '{part[-1]}'; expected two, [from, to].")
+    return [check.parts(end, (*part, place), joints) for place, end in enumerate(ends)]
+
+
+def _weights(ends: list[list[str]], joints: list[str]) -> np.ndarray:
+    weights = np.zeros(len(joints))
+    for sign, end in zip((-1.0, 1.0), ends, strict=True):
+        for joint in end:
+            weights[joints.index(joint)] += sign / len(end)
+    return weights
+
+
+def _check_independent(weights: dict[str, np.ndarray], check: _Checker) -> None:
+    for count, name in enumerate(weights, 1):
+        part = ("facing", name)
+        if np.abs(weights[name]).max() < 1e-9:
+            check.fail(part, f"found '{name}' from and to the same place; it has no direction.")
+        if np.linalg.matrix_rank(np.stack(list(weights.values())[:count]), tol=1e-9) < count:
+            before = " and ".join(list(weights)[: count - 1])
+            check.fail(part, f"found '{name}' along {before}, whatever the pose; expected directions that differ.")
+
+
+def _check_sides(weights: dict[str, np.ndarray], skeleton: dict[str, Any], check: _Checker) -> None:
+    """Check against the mirror pairs: left must cross the body, front and up must not only cross it."""
+    places = np.arange(len(skeleton["joints"]))
+    for pair in skeleton["mirror"]:
+        one, other = (skeleton["joints"].index(joint) for joint in pair)
+        places[[one, other]] = other, one
+    for name, direction in weights.items():
+        mirrored = direction[places]
+        if name == "left" and np.allclose(mirrored, direction):
+            check.fail(
+                ("facing", name),
+                "'left' is the same on both sides of the body, so it cannot tell left from right; "
+                "expected [a joint on the right, its mirror partner on the left].",
+            )
+        if name != "left" and np.allclose(mirrored, -direction):
+            check.fail(
+                ("facing", name),
+                f"'{name}' runs from one side of the body to the other, as 'left' should; "
+                "expected joints on the midline, or means of both sides.",
+            )
+
+
+# The body for the simulator, which checks what its proportions, rest pose and joint limits mean.
+
+
+def _check_body(skeleton: dict[str, Any], check: _Checker) -> None:
+    """Check proportions (numbers > 0), rest (3-vectors, not zero) and limits (finite numbers) by joint."""
+    for key in BODY_KEYS:
+        for joint, value in check.kind(skeleton.get(key, {}), dict, "a mapping keyed by joint", (key,)).items():
+            part = (key, joint)
+            check.joint(joint, skeleton["joints"], part)
+            if key == "proportions":
+                check.number(value, part)
+                if value <= 0:
+                    check.fail(part, f"found the length {value} for '{joint}'; expected a number above 0.")
+            elif key == "rest":
+                _check_vector(value, part, check)
+            else:
+                check.kind(value, (dict, list), "limits: a mapping or a list", part)
+                _check_finite(value, part, check)
+
+
+def _check_vector(value: object, part: tuple, check: _Checker) -> None:
+    vector = check.kind(value, list, "a vector [x, y, z]", part)
+    if len(vector) != 3:
+        check.fail(part, f"found {len(vector)} numbers for '{part[-1]}'; expected a vector [x, y, z].")
+    for place, number in enumerate(vector):
+        check.number(number, (*part, place))
+    if not any(vector):
+        check.fail(part, f"found the vector {vector} for '{part[-1]}'; expected one with a direction.")
+
+
+def _check_finite(value: object, part: tuple, check: _Checker) -> None:
+    """Check every number inside nested lists and mappings; the simulator reads the texts."""
+    if isinstance(value, (dict, list)):
+        for key, inner in value.items() if isinstance(value, dict) else enumerate(value):
+            _check_finite(inner, (*part, key), check)
+    elif not isinstance(value, str):
+        check.number(value, part)
+
+
+# Checks of single values.
 
 
 class _Checker:
-    """Checks of single parts; each raises UserError that begins with where the part stands."""
+    """Raises UserError that begins with where a part stands."""
 
     def __init__(self, where: Where) -> None:
         self.where = where
@@ -27,82 +284,68 @@ class _Checker:
     def fail(self, part: tuple, problem: str) -> NoReturn:
         raise UserError(f"{self.where(part)}: {problem}")
 
-    def is_kind(self, value: object, kind: type | tuple, expected: str, part: tuple) -> None:
+    def kind(self, value: object, kind: type | tuple, expected: str, part: tuple) -> Any:
+        """Return the value, of the kind that is expected."""
         if not isinstance(value, kind):
             self.fail(part, f"found {_named(value)} for '{_path(part)}'; expected {expected}.")
+        return value
 
-    def is_text(self, value: object, part: tuple, blank: bool = False) -> None:
+    def text(self, value: object, part: tuple, blank: bool = False) -> None:
         if isinstance(value, bool):
             self.fail(part, "found a word that YAML reads as true or false; write it in quotes.")
-        self.is_kind(value, str, "text", part)
-        text = str(value)
+        text = self.kind(value, str, "text", part)
         if (not text and not blank) or text != text.strip() or not text.replace("\n", " ").isprintable():
             self.fail(part, f"found {text!r} for '{_path(part)}'; expected text with no blanks around it.")
 
-    def is_switch(self, value: object, part: tuple) -> None:
-        self.is_kind(value, bool, "true or false", part)
+    def number(self, value: object, part: tuple) -> None:
+        if isinstance(value, bool):
+            self.fail(part, f"found true or false in '{part[0]}'; expected a number.")
+        number = self.kind(value, (int, float), "a number", part)
+        if not math.isfinite(number) or abs(number) > 1e9:
+            self.fail(part, f"found {value} in '{part[0]}'; expected a finite number.")
 
-    def joints(self, joints: object) -> None:
-        self.is_kind(joints, list, "a list of joint names", ("joints",))
-        assert isinstance(joints, list)
-        if not 3 <= len(joints) <= MAX_JOINTS:
-            self.fail(("joints",), f"found {len(joints)} joints; expected 3 to {MAX_JOINTS}.")
-        first: dict[str, int] = {}
-        for place, joint in enumerate(joints):
-            self.is_text(joint, ("joints", place))
-            if joint in first:
-                self.fail(("joints", place), f"found joint '{joint}' twice; every joint has a name of its own.")
-            first[joint] = place
-
-    def is_joint(self, joint: object, joints: Iterable[str], part: tuple) -> None:
-        self.is_text(joint, part)
+    def joint(self, joint: object, joints: Iterable[str], part: tuple) -> None:
+        self.text(joint, part)
         if str(joint) not in joints:
-            self.fail(
-                part,
-                f"found '{joint}' in '{_path(part)}', which is no joint.{did_you_mean(str(joint), joints)}",
-            )
+            hint = did_you_mean(str(joint), joints)
+            self.fail(part, f"found '{joint}' in '{_path(part)}', which is not a joint.{hint}")
 
     def pairs(self, pairs: object, joints: list[str], key: str, form: str) -> None:
         """Check a list of pairs of two different joints."""
-        self.is_kind(pairs, list, f"a list of pairs {form}", (key,))
-        assert isinstance(pairs, list)
-        for place, pair in enumerate(pairs):
+        for place, pair in enumerate(self.kind(pairs, list, f"a list of pairs {form}", (key,))):
             part = (key, place)
-            self.is_kind(pair, list, f"a pair {form}", part)
+            self.kind(pair, list, f"a pair {form}", part)
             if len(pair) != 2:
                 self.fail(part, f"found {len(pair)} names {pair} in '{key}'; expected a pair {form}.")
             for end, joint in enumerate(pair):
-                self.is_joint(joint, joints, (*part, end))
+                self.joint(joint, joints, (*part, end))
             if pair[0] == pair[1]:
                 self.fail(part, f"found '{pair[0]}' paired with itself in '{key}'; expected two different joints.")
 
     def parts(self, parts: object, part: tuple, joints: Iterable[str] | None = None) -> list[str]:
         """Return one name or a list of different names (a mean) as a list; of ``joints`` where given."""
-        if isinstance(parts, (str, bool)):
-            parts = [parts]
-        self.is_kind(parts, list, "a joint, or a list of joints (their mean)", part)
-        assert isinstance(parts, list)
-        if not parts:
+        names = [parts] if isinstance(parts, (str, bool)) else parts
+        names = self.kind(names, list, "a joint, or a list of joints (their mean)", part)
+        if not names:
             self.fail(part, f"found an empty list in '{_path(part)}'; expected a joint, or a list of joints.")
-        for place, name in enumerate(parts):
+        for place, name in enumerate(names):
             if joints is None:
-                self.is_text(name, (*part, place))
+                self.text(name, (*part, place))
             else:
-                self.is_joint(name, joints, (*part, place))
-            if name in parts[:place]:
+                self.joint(name, joints, (*part, place))
+            if name in names[:place]:
                 self.fail((*part, place), f"found '{name}' twice in one mean in '{_path(part)}'.")
-        return [str(name) for name in parts]
+        return list(names)
 
     def map_of_parts(self, value: object, joints: list[str], part: tuple, own: bool = False) -> dict[str, list[str]]:
         """Return a mapping of our joints to lists of parts; with ``own`` the parts are joints of ours too."""
-        self.is_kind(value, dict, "a mapping of joint: name, or joint: [name, name]", part)
-        assert isinstance(value, dict)
+        given = self.kind(value, dict, "a mapping of joint: name, or joint: [name, name]", part)
         found: dict[str, list[str]] = {}
-        for joint, parts in value.items():
-            self.is_joint(joint, joints, (*part, joint))
+        for joint, parts in given.items():
+            self.joint(joint, joints, (*part, joint))
             found[joint] = self.parts(parts, (*part, joint), joints if own else None)
             for name in found[joint] if own else ():
-                if name in value:
+                if name in given:
                     self.fail((*part, joint), f"found midpoint '{joint}' made of '{name}', itself a midpoint.")
         if not found and not own:
             self.fail(part, f"found nothing in '{_path(part)}'; expected joint: name.")
@@ -122,292 +365,3 @@ def _named(value: object) -> str:
     shown = str(value)
     shown = shown if len(shown) <= 40 else shown[:37] + "..."
     return f"the number {shown}" if isinstance(value, (int, float)) else f"the text '{shown}'"
-
-
-# Check the form of what a skeleton says about a body: proportions, rest pose and joint limits.
-
-BODY_KEYS = ("proportions", "rest", "limits")
-
-
-def _check_body(skeleton: dict[str, Any], check: _Checker) -> None:
-    """Check proportions (numbers > 0), rest (3-vectors, not zero) and limits (finite numbers) by joint.
-
-    What they mean is for the simulator to say. Raises UserError.
-    """
-    for key in BODY_KEYS:
-        if key not in skeleton:
-            continue
-        check.is_kind(skeleton[key], dict, "a mapping keyed by joint", (key,))
-        for joint, value in skeleton[key].items():
-            part = (key, joint)
-            check.is_joint(joint, skeleton["joints"], part)
-            if key == "proportions":
-                _check_length(value, part, check)
-            elif key == "rest":
-                _check_vector(value, part, check)
-            else:
-                check.is_kind(value, (dict, list), "limits: a mapping or a list", part)
-                _check_finite(value, part, check)
-
-
-def _check_length(value: object, part: tuple, check: _Checker) -> None:
-    _check_number(value, part, check)
-    assert isinstance(value, (int, float))
-    if value <= 0:
-        check.fail(part, f"found the length {value} for '{part[-1]}'; expected a number above 0.")
-
-
-def _check_vector(value: object, part: tuple, check: _Checker) -> None:
-    check.is_kind(value, list, "a vector [x, y, z]", part)
-    assert isinstance(value, list)
-    if len(value) != 3:
-        check.fail(part, f"found {len(value)} numbers for '{part[-1]}'; expected a vector [x, y, z].")
-    for place, number in enumerate(value):
-        _check_number(number, (*part, place), check)
-    if not any(value):
-        check.fail(part, f"found the vector {value} for '{part[-1]}'; expected one with a direction.")
-
-
-def _check_finite(value: object, part: tuple, check: _Checker) -> None:
-    """Check every number inside nested lists and mappings; text is left to who reads it."""
-    if isinstance(value, dict):
-        for key, inner in value.items():
-            _check_finite(inner, (*part, key), check)
-    elif isinstance(value, list):
-        for place, inner in enumerate(value):
-            _check_finite(inner, (*part, place), check)
-    elif not isinstance(value, str):
-        _check_number(value, part, check)
-
-
-def _check_number(value: object, part: tuple, check: _Checker) -> None:
-    if isinstance(value, bool):
-        check.fail(part, f"found true or false in '{part[0]}'; expected a number.")
-    check.is_kind(value, (int, float), "a number", part)
-    assert isinstance(value, (int, float))
-    if not math.isfinite(value) or abs(value) > 1e9:
-        check.fail(part, f"found {value} in '{part[0]}'; expected a finite number.")
-
-
-# Check a skeleton's facing directions: what tells a pose from its mirror image must be able to.
-
-_DIRECTIONS = ("front", "left", "up")
-
-
-def _check_facing(skeleton: dict[str, Any], check: _Checker) -> dict[str, list[list[str]]]:
-    """Return facing with each end a list of joints; raises UserError where it cannot tell left from right."""
-    given = skeleton["facing"]
-    check.is_kind(given, dict, "a mapping of front, left and up", ("facing",))
-    for direction in given:
-        if direction not in _DIRECTIONS:
-            hint = did_you_mean(direction, _DIRECTIONS)
-            check.fail(("facing", direction), f"found the unknown facing direction '{direction}'.{hint}")
-    facing = {name: _ends(given[name], skeleton["joints"], ("facing", name), check) for name in given}
-    if not facing:
-        return {}
-    needed = ("front", "left") if skeleton["gravity"] else _DIRECTIONS
-    for direction in needed:
-        if direction not in facing:
-            why = "" if skeleton["gravity"] else " (up is needed where gravity is false)"
-            check.fail(("facing",), f"'{direction}' is missing; facing needs {' and '.join(needed)}{why}.")
-    weights = {name: _weights(ends, skeleton["joints"]) for name, ends in facing.items()}
-    _check_independent(weights, check)
-    _check_sides(weights, skeleton, check)
-    return facing
-
-
-def _ends(value: object, joints: list[str], part: tuple, check: _Checker) -> list[list[str]]:
-    check.is_kind(value, list, "[from, to], each a joint or a list of joints", part)
-    assert isinstance(value, list)
-    if len(value) != 2:
-        check.fail(part, f"found {len(value)} ends in '{part[-1]}'; expected two, [from, to].")
-    return [check.parts(end, (*part, place), joints) for place, end in enumerate(value)]
-
-
-def _weights(ends: list[list[str]], joints: list[str]) -> np.ndarray:
-    weights = np.zeros(len(joints))
-    for sign, end in zip((-1.0, 1.0), ends, strict=True):
-        for joint in end:
-            weights[joints.index(joint)] += sign / len(end)
-    return weights
-
-
-def _check_independent(weights: dict[str, np.ndarray], check: _Checker) -> None:
-    for count, name in enumerate(weights, 1):
-        if np.abs(weights[name]).max() < 1e-9:
-            check.fail(("facing", name), f"found '{name}' from and to the same place; it has no direction.")
-        if np.linalg.matrix_rank(np.stack(list(weights.values())[:count]), tol=1e-9) < count:
-            before = " and ".join(list(weights)[: count - 1])
-            check.fail(
-                ("facing", name),
-                f"found '{name}' along {before}, whatever the pose; expected directions that differ.",
-            )
-
-
-def _check_sides(weights: dict[str, np.ndarray], skeleton: dict[str, Any], check: _Checker) -> None:
-    """Check against the mirror pairs: left must cross the body, front and up must not only cross it."""
-    if not skeleton["mirror"]:
-        return
-    places = np.arange(len(skeleton["joints"]))
-    for pair in skeleton["mirror"]:
-        one, other = (skeleton["joints"].index(joint) for joint in pair)
-        places[[one, other]] = other, one
-    for name, direction in weights.items():
-        mirrored = direction[places]
-        if name == "left" and np.allclose(mirrored, direction):
-            check.fail(
-                ("facing", name),
-                "'left' is the same on both sides of the body, so it tells nothing of left and right; "
-                "expected [a joint on the right, its mirror partner on the left].",
-            )
-        if name != "left" and np.allclose(mirrored, -direction):
-            check.fail(
-                ("facing", name),
-                f"'{name}' runs from one side of the body to the other, as 'left' should; "
-                "expected joints on the midline, or means of both sides.",
-            )
-
-
-# Check what a skeleton file says of the thing's size.
-
-_SIZE_KEYS = ("along", "mm", "of_height")
-
-
-def _check_size(size: Any, joints: list[str], check: _Checker) -> dict[str, Any]:
-    """Return the checked ``size:``: a way along joints with its length in mm, or as a share of the body's height.
-
-    Raises UserError with the place of the first fault.
-    """
-    check.is_kind(size, dict, "a mapping: along and mm, or along and of_height", ("size",))
-    if not size:
-        return {}
-    for key in size:
-        if key not in _SIZE_KEYS:
-            check.fail(("size", key), f"found the unknown key '{key}'.{did_you_mean(str(key), _SIZE_KEYS)}")
-    along = size.get("along")
-    check.is_kind(along, list, "a list of two or more joints", ("size", "along"))
-    if len(along) < 2:
-        check.fail(("size", "along"), f"found {len(along)} joint; expected two or more, from one end to the other.")
-    for place, joint in enumerate(along):
-        check.is_joint(joint, joints, ("size", "along", place))
-        if place and joint == along[place - 1]:
-            check.fail(("size", "along", place), f"found '{joint}' twice in a row.")
-    given = [key for key in ("mm", "of_height") if key in size]
-    if len(given) != 1:
-        check.fail(
-            ("size",), f"found {' and '.join(given) or 'neither mm nor of_height'}; expected one of mm, of_height."
-        )
-    value = size[given[0]]
-    if isinstance(value, bool) or not isinstance(value, (int, float)) or not 0 < value < 1e9:
-        check.fail(("size", given[0]), f"found {value!r}; expected a positive number.")
-    return {"along": list(along), given[0]: float(value)}
-
-
-# Check the plain data of a skeleton: names, bones, mirror pairs and the maps out of other layouts.
-
-_REQUIRED = ("joints", "root", "bones")
-_DEFAULTS: dict[str, Any] = {
-    "description": "", "loops": False, "mirror": [], "facing": {}, "gravity": True, "rigid": False,
-    "midpoints": {}, "from": {}, "size": {},
-}  # fmt: skip
-_KEYS = ("name", *_REQUIRED, *_DEFAULTS, *BODY_KEYS)
-
-
-def check_skeleton(data: object, where: Where) -> dict[str, Any]:
-    """Return the data with defaults filled in and single joints made lists.
-
-    Raises UserError at the first fault, its message begun by ``where`` (file and line).
-    """
-    skeleton = _check_keys(data, where)
-    check = _Checker(where)
-    for key in ("name", "description"):
-        check.is_text(skeleton[key], (key,), blank=key == "description")
-    for key in ("gravity", "rigid", "loops"):
-        check.is_switch(skeleton[key], (key,))
-    joints = skeleton["joints"]
-    check.joints(joints)
-    check.is_joint(skeleton["root"], joints, ("root",))
-    check.pairs(skeleton["bones"], joints, "bones", "[parent, child]")
-    _check_forest(skeleton, check)
-    check.pairs(skeleton["mirror"], joints, "mirror", "[right, left]")
-    _check_mirror(skeleton, check)
-    skeleton["midpoints"] = check.map_of_parts(skeleton["midpoints"], joints, ("midpoints",), own=True)
-    check.is_kind(skeleton["from"], dict, "a mapping of layouts", ("from",))
-    skeleton["from"] = {
-        layout: check.map_of_parts(parts, joints, ("from", layout)) for layout, parts in skeleton["from"].items()
-    }
-    skeleton["size"] = _check_size(skeleton["size"], joints, check)
-    skeleton["facing"] = _check_facing(skeleton, check)
-    _check_body(skeleton, check)
-    return skeleton
-
-
-def _check_keys(data: object, where: Where) -> dict[str, Any]:
-    if not isinstance(data, dict):
-        found = _named(data)
-        raise UserError(f"{where(())}: found {found}; expected a skeleton, a mapping with joints, root and bones.")
-    for key in data:
-        if key not in _KEYS:
-            raise UserError(f"{where((key,))}: found the unknown key '{key}'.{did_you_mean(key, _KEYS)}")
-    for key in _REQUIRED:
-        if key not in data:
-            raise UserError(f"{where(())}: '{key}' is missing; a skeleton needs {', '.join(_REQUIRED)}.")
-    return {"name": "skeleton"} | {key: _empty(value) for key, value in _DEFAULTS.items()} | data
-
-
-def _empty(value: Any) -> Any:
-    return type(value)() if isinstance(value, (list, dict)) else value
-
-
-def _check_forest(skeleton: dict[str, Any], check: _Checker) -> None:
-    """Check that bones hold all joints together, each bone once, and close loops only where that is meant."""
-    joints, bones = skeleton["joints"], skeleton["bones"]
-    group = {joint: joint for joint in joints}
-
-    def find(joint: str) -> str:
-        while group[joint] != joint:
-            group[joint] = joint = group[group[joint]]
-        return joint
-
-    seen: dict[frozenset, int] = {}
-    for place, (one, other) in enumerate(bones):
-        if frozenset((one, other)) in seen:
-            check.fail(("bones", place), f"found the bone between '{one}' and '{other}' twice.")
-        seen[frozenset((one, other))] = place
-        if find(one) == find(other) and not skeleton["loops"]:
-            check.fail(
-                ("bones", place),
-                f"found a cycle: the bone [{one}, {other}] joins joints that bones join already. "
-                "Take one bone of the cycle out, or, if the thing closes on itself (a chair's seat), "
-                "write loops: true.",
-            )
-        group[find(one)] = find(other)
-    for place, joint in enumerate(joints):
-        if find(joint) != find(skeleton["root"]):
-            check.fail(("joints", place), f"no bones lead from the root '{skeleton['root']}' to joint '{joint}'.")
-
-
-def _check_mirror(skeleton: dict[str, Any], check: _Checker) -> None:
-    """Check that no joint is in two pairs and that no limb is paired half way only."""
-    partner: dict[str, str] = {}
-    for place, pair in enumerate(skeleton["mirror"]):
-        for joint in pair:
-            if joint in partner:
-                check.fail(
-                    ("mirror", place),
-                    f"found '{joint}' in a second mirror pair; it mirrors '{partner[joint]}' already.",
-                )
-        partner[pair[0]], partner[pair[1]] = pair[1], pair[0]
-    ends: dict[str, list[str]] = {joint: [] for joint in skeleton["joints"]}
-    for one, other in skeleton["bones"]:
-        ends[one].append(other)
-        ends[other].append(one)
-    for place, (one, other) in enumerate(skeleton["mirror"]):
-        lone = [[end for end in ends[joint] if end not in partner] for joint in (one, other)]
-        ours, theirs = ([end for end in side if end not in across] for side, across in (lone, lone[::-1]))
-        if ours and theirs and skeleton["root"] not in ours + theirs:
-            check.fail(
-                ("mirror", place),
-                f"'{one}' and '{other}' mirror each other, but the joints that hang from them, "
-                f"'{ours[0]}' and '{theirs[0]}', are in no pair. Add [{ours[0]}, {theirs[0]}] to mirror.",
-            )

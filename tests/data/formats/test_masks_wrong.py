@@ -38,7 +38,7 @@ def refused(path: Path | str, match: str, **options) -> None:
 
 def test_nothing_there(tmp_path: Path) -> None:
     refused(tmp_path / "no", "No file")
-    refused(f"{tmp_path}/*.png", "No file fits")
+    refused(f"{tmp_path}/*.png", "No file matches")
     (tmp_path / "empty").mkdir()
     refused(tmp_path / "empty", "is an empty folder, expected files of masks")
     refused(tmp_path / "empty", "has no pictures .it is empty.", format="png_folder")
