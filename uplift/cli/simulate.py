@@ -91,7 +91,7 @@ def _write_videos(data: PoseData, output: Path, seed: int) -> list[Path]:
     """Write a file for each clip, in DeepLabCut's layout."""
     from uplift.data.formats.deeplabcut import write_deeplabcut_csv
     from uplift.data.synthetic.simulate import as_tracked
-    from uplift.export.clips import paths_of
+    from uplift.export import paths_of
 
     clips = np.unique(data.identity["sequence"])
     if len(clips) > _MOST_FILES:

@@ -1,20 +1,13 @@
-"""Rows of a prediction as clips: moments in time with one or several individuals, and what goes into which file."""
+"""Rows of a prediction as clips: moments in time, with one or several individuals in each."""
 
 from __future__ import annotations
 
-import re
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 
-from uplift.errors import UserError
-from uplift.models.prediction import Prediction
-
-__all__ = ["Clip", "arrange", "choose", "parts_of", "paths_of", "photos"]
-
-# Rows of a prediction as clips: moments in time, with one or several individuals in each.
+__all__ = ["Clip", "arrange", "choose", "photos"]
 
 _CLIP_KEYS = ("subject", "action", "sequence", "camera")
 _INSTANCE_KEYS = ("instance", "individual", "track")
@@ -111,56 +104,3 @@ def _clip(name: str, rows: np.ndarray, frame: np.ndarray | None, who: np.ndarray
     order = np.lexsort((moment, individual))
     parts = rows[order], moment[order], individual[order]
     return Clip(name, *parts, tuple(names.tolist()), tuple(frames.tolist()))
-
-
-# What goes into which file, for formats that hold one clip or one body.
-
-_MOST_FILES = 500
-
-
-def parts_of(prediction: Prediction, holds: str) -> list[tuple[str, np.ndarray | None]]:
-    """Return (name, rows) of each file: one with all rows (None), one a clip, or one a body of a clip.
-
-    Raises:
-        UserError: more files than anybody wants.
-    """
-    if holds == "all":
-        return [("", None)]
-    parts: list[tuple[str, np.ndarray | None]] = []
-    for clip in arrange(prediction.identity, len(prediction)):
-        if holds == "clip":
-            parts.append((clip.name, np.sort(clip.rows)))
-            continue
-        for number, name in enumerate(clip.individual_names):
-            told = f"{clip.name} {name}".strip()
-            parts.append((told, np.sort(clip.rows[clip.individual == number])))
-    if len(parts) > _MOST_FILES:
-        raise UserError(
-            f"the prediction has {len(parts):,} {'clips' if holds == 'clip' else 'bodies'}, and this format needs a file "
-            f"for each; the most is {_MOST_FILES}. Give fewer files at a time, or write .npz, .json or .csv."
-        )
-    return parts
-
-
-def paths_of(path: str | Path, names: Sequence[str]) -> list[Path]:
-    """Return the path of each part: ``path`` itself for one, else its stem with each name behind it.
-
-    Raises:
-        UserError: one of several is there already.
-    """
-    path = Path(path)
-    if len(names) == 1:
-        return [path]
-    used: set[str] = set()
-    paths = []
-    for name in names:
-        slug = re.sub(r"[^\w.-]+", "-", name).strip("-.")[:80] or "part"
-        number, told = 2, slug
-        while told.lower() in used:  # not every file system tells capitals apart
-            number, told = number + 1, f"{slug}_{number}"
-        used.add(told.lower())
-        paths.append(path.with_name(f"{path.stem}_{told}{path.suffix}"))
-    for one in paths:
-        if one.exists():
-            raise UserError(f"{one} exists already and is not overwritten: remove it or choose another name.")
-    return paths
