@@ -19,7 +19,7 @@ from shape_samples import AZIMUTH, TILT, marked, shapes, view
 from uplift.data.masks import Placed
 from uplift.errors import UserError
 from uplift.export import write
-from uplift.export.page import read_html
+from uplift.export.html import read_html
 from uplift.export.shape_page import shape_page_text, write_shape_page
 from uplift.geometry.mesh import Mesh
 from uplift.geometry.surface import surface_of

@@ -108,7 +108,9 @@ def _run_of_all_ranks(run: RunFolder | None, settings: Settings) -> RunFolder:
     if rank_zero_only.rank != 0 and _RUN_VARIABLE in os.environ:
         return RunFolder.open(os.environ[_RUN_VARIABLE])
     if run is None:
-        words = sys.argv[1:] if Path(sys.argv[0]).stem in ("uplift", "cli") else [f"({Path(sys.argv[0]).name})"]
+        started = Path(sys.argv[0])
+        ours = started.stem == "uplift" or started.parts[-2:] == ("cli", "main.py")
+        words = sys.argv[1:] if ours else [f"({started.name})"]
         run = RunFolder.create(settings, shlex.join(["uplift", *words]))
     os.environ[_RUN_VARIABLE] = str(run.path.absolute())
     return run

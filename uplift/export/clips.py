@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-__all__ = ["Clip", "arrange", "choose", "photos"]
+__all__ = ["Clip", "arrange", "photos"]
 
 _CLIP_KEYS = ("subject", "action", "sequence", "camera")
 _INSTANCE_KEYS = ("instance", "individual", "track")
@@ -54,18 +54,6 @@ def arrange(identity: dict[str, np.ndarray], rows: int) -> list[Clip]:
 def photos(identity: dict[str, np.ndarray]) -> bool:
     """Return whether the rows are seen in photos, not in the frames of a film."""
     return "image" in identity and not {"sequence", "frame"} & set(identity)
-
-
-def choose(clips: Sequence[Clip], moments: int, rows: int) -> list[Clip]:
-    """Return whole clips, evenly chosen, with at most so many moments and rows; a lone long clip is cut."""
-    for count in range(len(clips), 0, -1):
-        picked = [clips[index] for index in np.linspace(0, len(clips) - 1, count).round().astype(int)]
-        if sum(len(clip.frames) for clip in picked) <= moments and sum(len(clip.rows) for clip in picked) <= rows:
-            return picked
-    if not clips:
-        return []
-    crowd = np.cumsum(np.bincount(clips[0].moment))
-    return [clips[0].first(max(1, min(moments, int(np.searchsorted(crowd, rows, side="right")))))]
 
 
 def _codes(labels: Sequence[np.ndarray], rows: int) -> np.ndarray:
