@@ -17,6 +17,7 @@ from uplift.errors import UserError, did_you_mean
 from uplift.export.clips import arrange
 from uplift.export.meshes import Frame, check_axes, prediction_surfaces
 from uplift.export.scene import in_axes
+from uplift.export.tables import unique
 from uplift.geometry.surface import Surface
 from uplift.models.prediction import Prediction, ShapePrediction
 
@@ -141,15 +142,9 @@ def paths_of(path: str | Path, names: Sequence[str]) -> list[Path]:
     path = Path(path)
     if len(names) == 1:
         return [path]
-    used: set[str] = set()
-    paths = []
-    for name in names:
-        slug = re.sub(r"[^\w.-]+", "-", name).strip("-.")[:80] or "part"
-        number, unique = 2, slug
-        while unique.lower() in used:  # some file systems do not tell capitals apart
-            number, unique = number + 1, f"{slug}_{number}"
-        used.add(unique.lower())
-        paths.append(path.with_name(f"{path.stem}_{unique}{path.suffix}"))
+    slugs = [re.sub(r"[^\w.-]+", "-", name).strip("-.")[:80] or "part" for name in names]
+    # Some file systems do not tell capitals apart.
+    paths = [path.with_name(f"{path.stem}_{slug}{path.suffix}") for slug in unique(slugs, str.lower)]
     for one in paths:
         refuse_existing(one)
     return paths

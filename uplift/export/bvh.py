@@ -12,7 +12,9 @@ from jaxtyping import Float
 from uplift.config.files import replacing
 from uplift.data.parsers.mocap import Figure, Tree
 from uplift.errors import UserError
-from uplift.export.scene import frame_rate, from_y_down, held, known_points, one_clip, seen_at, steps
+from uplift.export.clips import frame_rate, one_clip, seen_at, steps
+from uplift.export.scene import from_y_down, held, known_points
+from uplift.export.tables import unique
 from uplift.models.prediction import Prediction
 from uplift.skeleton import Skeleton
 from uplift.skeleton.draw import rest_pose
@@ -368,15 +370,7 @@ def _offset(offset: np.ndarray, scale: float) -> str:
 
 def _plain(names: tuple[str, ...]) -> list[str]:
     """Return names without spaces and braces, which divide the words of the file, each once."""
-    found: list[str] = []
-    for name in names:
-        plain = short = re.sub(r"[\s{}]+", "_", name) or "_"
-        number = 1
-        while plain in found:
-            number += 1
-            plain = f"{short}_{number}"
-        found.append(plain)
-    return found
+    return unique(re.sub(r"[\s{}]+", "_", name) or "_" for name in names)
 
 
 def _fit(rig: _Rig, pose: np.ndarray, place: np.ndarray, prediction: Prediction) -> _BvhFit:

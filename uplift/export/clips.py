@@ -4,11 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
+from jaxtyping import Float, Int
 
-__all__ = ["Clip", "arrange", "photos"]
+from uplift.errors import UserError
+from uplift.models.prediction import Prediction
 
+__all__ = ["USUAL_FPS", "Clip", "arrange", "frame_rate", "one_clip", "photos", "seen_at", "steps"]
+
+USUAL_FPS = 30.0
+"""Frames a second where the rate is not known."""
 _CLIP_KEYS = ("subject", "action", "sequence", "camera")
 _INSTANCE_KEYS = ("instance", "individual", "track")
 
@@ -24,6 +31,12 @@ class Clip:
     individual_names: tuple[str, ...]
     frames: tuple[int, ...]
 
+    def by_moment(self, values: np.ndarray) -> np.ndarray:
+        """Return values of all rows (rows ...) as (moments individuals ...), NaN where an individual is not there."""
+        found = np.full((len(self.frames), len(self.individual_names), *values.shape[1:]), np.nan)
+        found[self.moment, self.individual] = values[self.rows]
+        return found
+
     def first(self, moments: int) -> Clip:
         """Return the clip cut after so many moments."""
         keep = self.moment < moments
@@ -35,7 +48,7 @@ def arrange(identity: dict[str, np.ndarray], rows: int) -> list[Clip]:
     """Return the clips in the order of their first row, each sorted by individual, then time.
 
     Rows of one frame are drawn together only where an ``instance`` (``individual``, ``track``) tells
-    them apart; else they are other views of it and follow one another.
+    them apart; otherwise they are different views of it and follow one another.
     """
     instance = next((key for key in _INSTANCE_KEYS if key in identity), None)
     # A subject may be what tells individuals apart, and then it does not part clips.
@@ -92,3 +105,55 @@ def _clip(name: str, rows: np.ndarray, frame: np.ndarray | None, who: np.ndarray
     order = np.lexsort((moment, individual))
     parts = rows[order], moment[order], individual[order]
     return Clip(name, *parts, tuple(names.tolist()), tuple(frames.tolist()))
+
+
+# The only clip of a file that moves, its rate, and when each row is.
+
+
+def one_clip(prediction: Prediction, path: str | Path, individuals: bool = True) -> Clip:
+    """Return the only clip of a prediction; ``individuals``: it may show several.
+
+    Raises UserError for no clip, several, or more individuals than the format holds.
+    """
+    if not len(prediction):
+        raise UserError(f"cannot write {path}: the prediction is empty. Check the input file.")
+    clips = arrange(prediction.identity, len(prediction))
+    if len(clips) > 1:
+        names = ", ".join(clip.name for clip in clips[:3]) + (", ..." if len(clips) > 3 else "")
+        raise UserError(f"cannot write {path}: a {Path(path).suffix} holds one clip, found {len(clips)}: {names}.")
+    names = clips[0].individual_names
+    if len(names) > 1 and not individuals:
+        raise UserError(
+            f"cannot write {path}: a {Path(path).suffix} holds one individual, found {len(names)}: "
+            f"{', '.join(names[:5])}{', ...' if len(names) > 5 else ''}. Write one file for each."
+        )
+    return clips[0]
+
+
+def frame_rate(prediction: Prediction, fps: int | float | None) -> float | None:
+    """Return the frames a second asked for, or else the prediction's; None where neither is known.
+
+    Raises UserError for an ``fps`` that is not above 0.
+    """
+    if fps is not None and not (np.isfinite(fps) and fps > 0):
+        raise UserError(f"fps={fps:g}: expected frames a second, a number above 0.")
+    found = prediction.fps if fps is None else fps
+    return float(found) if found is not None and np.isfinite(found) and found > 0 else None
+
+
+def steps(clip: Clip) -> Float[np.ndarray, " moments"]:
+    """Return when each moment is, counted in frames of the rate from the first.
+
+    The commonest step of the frame numbers is one frame, so that a wider step is a gap.
+    """
+    numbers = np.asarray(clip.frames, float)
+    between = np.diff(numbers)
+    if not len(between) or (between <= 0).any():
+        return np.arange(len(numbers), dtype=float)
+    sizes, count = np.unique(between, return_counts=True)
+    return (numbers - numbers[0]) / sizes[np.argmax(count)]
+
+
+def seen_at(when: Float[np.ndarray, " moments"], times: Float[np.ndarray, " times"]) -> Int[np.ndarray, " times"]:
+    """Return the moment that is seen at each time: the last one that has come."""
+    return np.maximum(np.searchsorted(when, times + 1e-6, side="right") - 1, 0)

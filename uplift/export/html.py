@@ -39,6 +39,13 @@ __all__ = [
     "write_text",
 ]
 
+Rows = Sequence[Sequence[object]]
+Section = tuple[str, Rows] | tuple[str, Rows, Sequence[object]]
+"""(title, rows) or (title, rows, header); without a header, a first row of three or more texts above rows that each
+hold a number is taken for one."""
+Curve = Sequence[tuple[SupportsFloat, SupportsFloat]]
+"""(step, value) points."""
+
 _ASSETS = Path(__file__).resolve().parent / "assets"
 
 
@@ -125,13 +132,6 @@ def _policy_hash(text: str) -> str:
 
 
 # Tables and curves of a run.
-
-Rows = Sequence[Sequence[object]]
-Section = tuple[str, Rows] | tuple[str, Rows, Sequence[object]]
-"""(title, rows) or (title, rows, header); without a header, a first row of three or more texts above rows that each
-hold a number is taken for one."""
-Curve = Sequence[tuple[SupportsFloat, SupportsFloat]]
-"""(step, value) points."""
 
 _WIDTH, _HEIGHT, _MOST_POINTS = 240, 84, 240
 

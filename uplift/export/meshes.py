@@ -1,4 +1,4 @@
-"""Lifted shapes as files: binary glTF, Wavefront OBJ, Stanford PLY, STL, npz, in the axes and unit asked for."""
+"""Shapes as files: binary glTF, Wavefront OBJ, Stanford PLY, STL, npz, in the axes and unit asked for."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ __all__ = [
     "write_stl",
 ]
 
-# The axes and the unit that lifted shapes are written in.
+# Axes and unit.
 
 _OWN = {
     "own": [[1, 0, 0], [0, 1, 0], [0, 0, 1]],
@@ -68,7 +68,7 @@ class Frame:
     """The longest side of every object's box in its own axes."""
 
     def placed(self, mesh: Mesh, prediction: ShapePrediction, item: int) -> Float[np.ndarray, "points 3"]:
-        """Return an own mesh's corners in these axes and this unit.
+        """Return the corners of a mesh of the shape's frame in these axes and this unit.
 
         The origin of ``own``, ``gltf`` and ``print`` is that of the shape's own frame, that of all others the
         crop's centre at the depth of that origin.
@@ -100,17 +100,17 @@ class Frame:
         return float(prediction.scale_px[item]) if self.unit == "px" else 1.0
 
     def about(self, prediction: ShapePrediction, items: list[int]) -> dict[str, Any]:
-        """Return what a file says of itself: its unit, axes, and where its items stand in the photo."""
+        """Return the facts that a file holds beside its meshes: unit, axes, and where its items stand in the photo."""
         return {
             "unit": self.unit,
-            "unit_is": self._unit_told(),
+            "unit_is": self._unit_words(),
             "axes": self.axes,
             "axes_are": SHAPE_AXES[self.axes],
             "handedness": "right",
             "items": [_standing(prediction, item) for item in items],
         }
 
-    def _unit_told(self) -> str:
+    def _unit_words(self) -> str:
         if self.height_mm is not None:
             return f"millimetres, each object taken to be {self.height_mm:g} mm high"
         if self.length_mm is not None:
@@ -141,7 +141,7 @@ def _standing(prediction: ShapePrediction, item: int) -> dict[str, Any]:
     }
 
 
-# The surfaces of lifted shapes, in their own frames or where the camera sees them.
+# Surfaces, in the frames of the shapes or where the camera sees them.
 
 
 def surfaces(prediction: ShapePrediction, *, frame: str = "own", smooth: int = 0) -> list[Mesh | None]:
@@ -182,7 +182,7 @@ def _placed(mesh: Mesh, prediction: ShapePrediction, item: int) -> Mesh:
     return replace(mesh, vertices=np.asarray(points, float))
 
 
-# Lifted shapes as an ``.npz``: grids and where they stand, readable without pickle.
+# npz: grids and where they stand, readable without pickle.
 
 
 def write_npz(prediction: ShapePrediction, path: str | Path) -> None:
@@ -210,7 +210,7 @@ def write_npz(prediction: ShapePrediction, path: str | Path) -> None:
         np.savez_compressed(handle, allow_pickle=False, **arrays)
 
 
-# Lifted shapes as mesh files: binary glTF, Wavefront OBJ, Stanford PLY, STL.
+# Mesh files: binary glTF, Wavefront OBJ, Stanford PLY, STL.
 
 _COLOUR = [0.62, 0.55, 0.46, 1.0]
 _APART = 1.25
@@ -252,7 +252,7 @@ def write_glb(
         tree["asset"] = {"version": "2.0", "generator": "uplift", "extras": about}
 
     _save(path, export_glb(scene, include_normals=True, tree_postprocessor=describe))
-    return _told(cut)
+    return _remark(cut)
 
 
 def write_obj(
@@ -265,7 +265,7 @@ def write_obj(
     header = "\n# ".join(_lines(prediction, items, frame))
     text = export_obj(solid, include_normals=True, include_color=False, include_texture=False, digits=6, header=header)
     _save(path, f"{text}\n".encode())
-    return _told(cut)
+    return _remark(cut)
 
 
 def write_ply(
@@ -278,7 +278,7 @@ def write_ply(
     first = data.index(b"\n", data.index(b"format ")) + 1
     comments = "".join(f"comment {line}\n" for line in _lines(prediction, items, frame))
     _save(path, data[:first] + comments.encode("ascii", "replace") + data[first:])
-    return _told(cut)
+    return _remark(cut)
 
 
 def write_stl(
@@ -291,7 +291,7 @@ def write_stl(
     # A header that begins with "solid" is read as text by many programs.
     header = f"uplift, unit {frame.unit}, axes {frame.axes}, {prediction.names[items[0]]}"
     _save(path, header.encode("ascii", "replace")[:_STL_HEADER].ljust(_STL_HEADER) + data[_STL_HEADER:])
-    return _told(cut)
+    return _remark(cut)
 
 
 def _solid(prediction: ShapePrediction, item: int, one: Surface, frame: Frame) -> trimesh.Trimesh:
@@ -302,7 +302,7 @@ def _solid(prediction: ShapePrediction, item: int, one: Surface, frame: Frame) -
 
 
 def _lines(prediction: ShapePrediction, items: list[int], frame: Frame) -> list[str]:
-    """Return what a file says of itself, a fact a line."""
+    """Return these facts for comment lines, one a line."""
     about = frame.about(prediction, items)
     (item,) = about["items"]
     rest = {key: value for key, value in item.items() if key != "name"}
@@ -315,7 +315,8 @@ def _lines(prediction: ShapePrediction, items: list[int], frame: Frame) -> list[
     ]
 
 
-def _told(cut: Sequence[Surface]) -> str:
+def _remark(cut: Sequence[Surface]) -> str:
+    """Return what was cleaned of the surfaces."""
     words = [one.told() for one in cut]
     if len(cut) == 1:
         return words[0]

@@ -65,7 +65,7 @@ _STEPS_PER_SIZE = 4096
 def _page_data(prediction: Prediction, moments: int) -> dict[str, Any]:
     """Return what the page's script reads, and ``facts`` and ``remarks`` for its text.
 
-    At most ``moments`` moments and three rows for each, whole clips evenly chosen. Raises UserError
+    At most ``moments`` moments and three rows for each, complete clips evenly chosen. Raises UserError
     where there is no frame, or where the poses were turned to other axes than the camera's.
     """
     if not len(prediction):

@@ -95,7 +95,7 @@ def _facts(prediction: ShapePrediction, truth: Placed | None) -> list[str]:
 
 
 def _remarks(cut: Sequence[Surface], count: int) -> list[str]:
-    """Return what the reader of the page should know of the surfaces."""
+    """Return remarks on the surfaces for the page's reader."""
     remarks = [] if len(cut) == count else [f"{len(cut)} of {count:,} shapes are shown, spread evenly."]
     empty = sum(one.mesh is None for one in cut)
     if empty:
