@@ -267,7 +267,7 @@ def test_photos_that_are_absent_or_damaged_are_told(tmp_path: Path) -> None:
     (tmp_path / "photos" / "002.jpg").write_bytes(b"no photo")
     text = gallery_text(sample, images=tmp_path / "photos")
     assert [_embedded(frame) is None for frame in frames_of(text)] == [False, True, True, False]
-    notes = "".join(parsed(text).find("footer").itertext())  # type: ignore[union-attr]
+    notes = "".join(parsed(text).find(".//footer").itertext())  # type: ignore[union-attr]
     assert "1 of 4 photos is not in photos: 001.jpg" in notes
     assert "1 of 4 photos is unusable: 002.jpg (" in notes
 

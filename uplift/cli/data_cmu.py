@@ -7,8 +7,10 @@ import time
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
+from uplift.cli.parsing import keyed
+from uplift.config.files import refuse_existing, refuse_output
 from uplift.data.datasets.cmu import Clip, Rates, Rig, Trial, chosen_test, filmed, find_trials, read_clip, read_index
-from uplift.errors import UserError, did_you_mean
+from uplift.errors import UserError
 
 __all__ = ["make_cmu_files"]
 
@@ -25,10 +27,10 @@ _CREDIT = (
 
 
 def make_cmu_files(words: list[str]) -> Iterator[str]:
-    """Write ``train.npz`` and ``test.npz`` and yield what to say on the way.
+    """Write ``train.npz`` and ``test.npz`` and yield a line on each step.
 
     Raises:
-        UserError: a setting or a file that is wrong, or an output that is there already.
+        UserError: an invalid setting or file, or an output that exists.
     """
     folder, keys = _settings(words)
     rates, rig = _rates(keys), _rig(keys)
@@ -58,11 +60,11 @@ def make_cmu_files(words: list[str]) -> Iterator[str]:
 
 
 def _read(trials: list[Trial], rates: Rates, unit_mm: float | None, clips: list[Clip]) -> Iterator[str]:
-    said = time.monotonic()
+    reported = time.monotonic()
     for trial in trials:
         clips.append(read_clip(trial, rates, unit_mm))
-        if time.monotonic() - said > _EVERY_S:
-            said = time.monotonic()
+        if time.monotonic() - reported > _EVERY_S:
+            reported = time.monotonic()
             yield f"read {len(clips):,} of {len(trials):,} motions"
     frames = sum(len(clip.joints) for clip in clips)
     yield f"read {frames:,} frames at {rates.fps:g} a second, {frames / rates.fps / 60:.1f} minutes"
@@ -83,12 +85,7 @@ def _people(motions: Sequence[Trial] | Sequence[Clip]) -> str:
 
 def _settings(words: list[str]) -> tuple[Path, dict[str, str]]:
     folders = [word for word in words if "=" not in word or Path(word).is_dir()]
-    keys = dict(word.split("=", 1) for word in words if word not in folders)
-    for key, value in keys.items():
-        if key not in _KEYS:
-            raise UserError(f"data cmu: '{key}' is not one of its settings.{did_you_mean(key, _KEYS)}")
-        if not value:
-            raise UserError(f"data cmu: '{key}=' has no value.")
+    keys = keyed("data cmu", [word for word in words if word not in folders], _KEYS)
     if len(folders) != 1 or "output" not in keys:
         raise UserError(f"data cmu takes one DIR with .asf, .amc or .bvh files, and output=FOLDER. ({_USE})")
     return Path(folders[0]).expanduser(), keys
@@ -99,10 +96,9 @@ def _output(keys: dict[str, str]) -> Path:
     if output.exists() and not output.is_dir():
         raise UserError(f"output={output} is a file, expected a folder to write train.npz and test.npz into.")
     for name in ("train.npz", "test.npz"):
-        if (output / name).exists():
-            raise UserError(f"{output / name} exists already and is not overwritten: remove it or choose another name.")
-    if not output.absolute().parent.is_dir():
-        raise UserError(f"output={output}: no folder {output.absolute().parent}. Create it first.")
+        refuse_existing(output / name)
+    if not output.exists():
+        refuse_output(output)
     return output
 
 

@@ -20,16 +20,16 @@ _VERBS = {
     "also resume=RUN",
     "evaluate": "every protocol: evaluate run=RUN [data.test=FILE], or evaluate poses=FILE data.test=FILE",
     "predict": "lift keypoints or masks: predict run=RUN input=FILE|FOLDER|SET:SPLIT output=FILE.html|.npz|.csv|.bvh|.glb|...",
-    "simulate": "made-up bodies with exact poses: simulate skeleton=NAME output=FILE.npz|.csv [frames=20000 seed=0]",
+    "simulate": "simulated bodies with exact poses: simulate skeleton=NAME output=FILE.npz|.csv [frames=20000 seed=0]",
     "compare": "runs side by side: compare RUN RUN ...",
     "data": "data check task=NAME [data.root=FOLDER]: what is there and what is missing; data cmu FOLDER; "
-    "data render MESHES... output=FILE.npz|FOLDER: masks of meshes or of made-up shapes",
+    "data render MESHES... output=FILE.npz|FOLDER: masks of meshes or of simulated shapes",
     "tasks": "list the tasks and whether their data is present",
     "skeletons": "list the shipped skeletons",
     "skeleton": "skeleton check FILE [output=FILE.png]; skeleton new FILE [--from TRACKER_FILE]; "
     "skeleton map TRACKER_FILE skeleton=NAME",
 }
-# What the user can mend by naming another place; a full disk is none of these.
+# What the user can fix by naming another place; a full disk is not one of these.
 _MENDABLE = (errno.EACCES, errno.EPERM, errno.EROFS, errno.ENAMETOOLONG, errno.ENOTDIR, errno.EISDIR, errno.ELOOP)
 _EXAMPLES = """examples:
   uplift fit task=demo                                  no data needed: a minute or two, then a page to look at
@@ -70,7 +70,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except OSError as error:
         where = f" ({error.filename})" if error.filename else ""
         mine = error.errno in _MENDABLE
-        rest = "" if mine else " What was saved before is whole."
+        rest = "" if mine else " What was saved before is complete."
         print(f"uplift: {error.strerror or error}{where}.{rest}", file=sys.stderr)
         return 2 if mine else 1
 
@@ -148,7 +148,7 @@ def _fit(words: Sequence[str]) -> None:
     for word in words:
         key, _, value = word.partition("=")
         if key in ("task", "resume") and not value:
-            raise UserError(f"fit: '{word}' names nothing. Expected {key}={key.upper().replace('RESUME', 'RUN')}.")
+            raise UserError(f"fit: '{word}' has no value. Expected {key}={key.upper().replace('RESUME', 'RUN')}.")
         if key == "task":
             task = value
         elif key == "resume":
@@ -194,11 +194,11 @@ def _simulate(words: Sequence[str]) -> None:
     keys = keyed("simulate", words, _KEYS["simulate"], ("skeleton", "output"))
     found = {key: whole("simulate", keys, key) for key in ("frames", "seed")}
     found |= {key: number("simulate", keys, key) for key in ("clip_seconds", "noise_px", "missing")}
-    told = {key: value for key, value in (found | {"tracker": keys.get("tracker")}).items() if value is not None}
+    given = {key: value for key, value in (found | {"tracker": keys.get("tracker")}).items() if value is not None}
     from uplift.cli.simulate import simulate
 
     written: list[Path] = []
-    data = simulate(keys["skeleton"], keys["output"], written=written, **told)  # type: ignore[arg-type]
+    data = simulate(keys["skeleton"], keys["output"], written=written, **given)  # type: ignore[arg-type]
     output = Path(keys["output"])
     several = len(written) > 1
     files = f"{len(written)} files, {written[0]} to {written[-1].name}" if several else output

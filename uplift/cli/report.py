@@ -37,7 +37,7 @@ __all__ = ["Findings", "pose_findings", "report", "shape_findings"]
 
 @dataclass(frozen=True)
 class _Words:
-    """How the figures of one kind of run are laid out, and what is said around them."""
+    """The layout of the figures of one kind of run, and the texts around them."""
 
     title: str
     metric: str
@@ -62,7 +62,7 @@ class Findings:
     """What the fit was given, a sentence each: the answer to "did it see 3D?"."""
     write_page: Callable[..., None]
     """Takes the path, and the sections, curves and notes of a page."""
-    said: list[str] = field(default_factory=list)
+    shown: list[str] = field(default_factory=list)
     """What the terminal shows of ``given``."""
     evaluation: AnyEvaluation | None = None
     about: str = ""
@@ -137,7 +137,7 @@ def _curves_of(run: RunFolder) -> dict[str, list[tuple[float, float]]]:
 
 def _end_lines(run: RunFolder, found: Findings, rows: list[list[object]], spent: dict[str, float]) -> list[str]:
     """Return what a fit prints at its end: figures, what it wrote, what comes next."""
-    lines = [f"\ntrained for {sum(spent.values()):.0f} s", *found.said]
+    lines = [f"\ntrained for {sum(spent.values()):.0f} s", *found.shown]
     if rows:
         lines += [f"\n{found.about}\n"]
         wide, narrow = found.words.widths

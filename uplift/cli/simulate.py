@@ -1,4 +1,4 @@
-"""The verb simulate: keypoints and exact poses of a made-up body, to rehearse a skeleton with."""
+"""The verb simulate: keypoints and exact poses of a simulated body, to rehearse a skeleton with."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from uplift.config.files import refuse_output
 from uplift.data.poses import PoseData
 from uplift.errors import UserError, did_you_mean
 from uplift.skeleton import Skeleton, load_skeleton
@@ -65,10 +66,7 @@ def _checked(output: Path, tracker: str | None) -> Path:
         raise UserError(f"tracker={tracker}: expected {' or '.join(_TRACKERS)}.{did_you_mean(tracker, _TRACKERS)}")
     if tracker is not None and ending != ".csv":
         raise UserError(f"output={output}: the files of tracker={tracker} are .csv.")
-    if output.exists():
-        raise UserError(f"{output} exists already and is not overwritten: remove it or choose another name.")
-    if not output.absolute().parent.is_dir():
-        raise UserError(f"output={output}: no folder {output.absolute().parent}. Create it first.")
+    refuse_output(output)
     return output
 
 

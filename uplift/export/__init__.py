@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from importlib import import_module
@@ -14,14 +14,12 @@ import numpy as np
 
 from uplift.config.files import refuse_existing
 from uplift.errors import UserError, did_you_mean
-from uplift.export.clips import arrange
-from uplift.export.meshes import Frame, check_axes, prediction_surfaces
+from uplift.export.clips import MOST_FILES, arrange
 from uplift.export.scene import in_axes
 from uplift.export.tables import unique
-from uplift.geometry.surface import Surface
 from uplift.models.prediction import Prediction, ShapePrediction
 
-__all__ = ["PAGES", "WRITERS", "Writer", "parts_of", "paths_of", "write", "writer_for"]
+__all__ = ["PAGES", "WRITERS", "Job", "Writer", "parts_of", "paths_of", "write", "writer_for"]
 
 
 @dataclass(frozen=True)
@@ -150,9 +148,6 @@ def paths_of(path: str | Path, names: Sequence[str]) -> list[Path]:
     return paths
 
 
-_MOST_FILES = 500
-
-
 # Poses: a file for all rows, for each clip, or for each body of a clip.
 
 
@@ -183,105 +178,17 @@ def parts_of(prediction: Prediction, holds: str) -> list[tuple[str, np.ndarray |
             continue
         for number, name in enumerate(clip.individual_names):
             parts.append((f"{clip.name} {name}".strip(), np.sort(clip.rows[clip.individual == number])))
-    if len(parts) > _MOST_FILES:
+    if len(parts) > MOST_FILES:
         raise UserError(
             f"the prediction has {len(parts):,} {'clips' if holds == 'clip' else 'bodies'}, and this format needs a file "
-            f"for each; the most is {_MOST_FILES}. Give fewer files at a time, or write .npz, .json or .csv."
+            f"for each; the most is {MOST_FILES}. Give fewer files at a time, or write .npz, .json or .csv."
         )
     return parts
 
 
-# Shapes: a file for all items, for a scene of a few, or for each item that has a surface.
-
-_MOST_TOGETHER = 16
-"""Items that one scene shows side by side by default."""
-_UNITS = ("px", "mm", "crop")
-
-
-def _shape_jobs(
-    prediction: ShapePrediction,
-    writer: Writer,
-    path: str | Path,
-    axes: str | None,
-    *,
-    unit: str | None = None,
-    height_mm: float | int | None = None,
-    length_mm: float | int | None = None,
-    smooth: int = 4,
-    together: bool | None = None,
-    **options: Any,
-) -> list[Job]:
-    frame = _frame(writer, path, axes, unit, {"height_mm": height_mm, "length_mm": length_mm})
-    if writer.holds == "all":
-
-        def write_all(file: Path) -> str:
-            refuse_existing(file)
-            return writer(prediction, file, **options)
-
-        return [("", write_all)]
-    if options:
-        raise UserError(f"{next(iter(options))}= is for a page (.html), not for {Path(path).suffix}.")
-    cut = prediction_surfaces(prediction, smooth=smooth)
-    parts = _parts(cut, writer.holds, together)
-    left_out = _left_out(prediction, cut)
-
-    def job(part: list[int], file: Path) -> str:
-        refuse_existing(file)
-        remark = writer(prediction, part, [cut[item] for item in part], frame, file)
-        return "; ".join(filter(None, [remark, left_out if part is parts[0] else ""]))
-
-    return [(prediction.names[part[0]], partial(job, part)) for part in parts]
-
-
-def _frame(
-    writer: Writer,
-    path: str | Path,
-    axes: str | None,
-    unit: str | None,
-    sizes: Mapping[str, float | int | None],
-) -> Frame:
-    """Return axes and unit as they were asked for, or raise UserError."""
-    given = {name: float(value) for name, value in sizes.items() if value is not None}
-    asked = [name for name, value in {"axes": axes, "unit": unit, **given}.items() if value is not None]
-    if writer.holds == "all" and asked:
-        raise UserError(f"{asked[0]}= goes with the formats of meshes (.glb .obj .ply .stl), not with {path}.")
-    for name, value in given.items():
-        if not (np.isfinite(value) and value > 0):
-            raise UserError(f"{name}={value:g}: expected how large each object is, more than 0 mm.")
-    if len(given) > 1:
-        raise UserError("height_mm= and length_mm= both say how large an object is: give one.")
-    if unit is not None and unit not in _UNITS:
-        raise UserError(f"unit={unit}: no such unit.{did_you_mean(unit, _UNITS)}")
-    if unit == "mm" and not given:
-        raise UserError("unit=mm: a mask does not tell how large its object is. Add height_mm= or length_mm=.")
-    if given and unit not in (None, "mm"):
-        raise UserError(f"unit={unit} and {next(iter(given))}= do not go together: a size makes the unit mm.")
-    return Frame(check_axes(axes or writer.axes), "mm" if given else unit or "px", **given)
-
-
-def _parts(cut: Sequence[Surface], holds: str, together: bool | None) -> list[list[int]]:
-    """Return which items go into each file; raises UserError for no surface at all, or too many files."""
-    there = [item for item, one in enumerate(cut) if one.mesh is not None]
-    if not there:
-        why = cut[0].reason if cut else "the prediction has no items"
-        raise UserError(f"there is no surface to write: {why}. Nothing was lifted, or level= is too high.")
-    if together and holds != "scene":
-        raise UserError("together=true puts several shapes into one .glb; other formats hold one each.")
-    if holds == "scene" and (together or (together is None and len(there) <= _MOST_TOGETHER)):
-        return [there]
-    if len(there) > _MOST_FILES:
-        raise UserError(
-            f"{len(there):,} shapes would be as many files; the most is {_MOST_FILES}. Give fewer masks at a time, "
-            "write a .glb with together=true, or .npz."
-        )
-    return [[item] for item in there]
-
-
-def _left_out(prediction: ShapePrediction, cut: Sequence[Surface]) -> str:
-    """Return a remark on the items that have no surface."""
-    gone = [f"{name} ({one.reason})" for name, one in zip(prediction.names, cut, strict=True) if one.mesh is None]
-    more = f" and {len(gone) - 3} more" if len(gone) > 3 else ""
-    return f"without a surface: {', '.join(gone[:3])}{more}" if gone else ""
+def _shape_jobs(*arguments: Any, **options: Any) -> list[Job]:
+    # By name, as the writers: trimesh is slow to import, and poses do not need it.
+    return import_module("uplift.export.meshes").shape_jobs(*arguments, **options)
 
 
 _JOBS: dict[type, tuple[str, Callable[..., list[Job]]]] = {

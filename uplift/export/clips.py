@@ -12,8 +12,10 @@ from jaxtyping import Float, Int
 from uplift.errors import UserError
 from uplift.models.prediction import Prediction
 
-__all__ = ["USUAL_FPS", "Clip", "arrange", "frame_rate", "one_clip", "photos", "seen_at", "steps"]
+__all__ = ["MOST_FILES", "USUAL_FPS", "Clip", "arrange", "frame_rate", "one_clip", "photos", "seen_at", "steps"]
 
+MOST_FILES = 500
+"""That one prediction is written to."""
 USUAL_FPS = 30.0
 """Frames a second where the rate is not known."""
 _CLIP_KEYS = ("subject", "action", "sequence", "camera")

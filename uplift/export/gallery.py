@@ -397,7 +397,7 @@ _SIDE_PX = 320
 
 def photo_svg(photos: Photos, name: str, crop: Crop) -> str:
     """Return an SVG image of what ``crop`` shows of the photo ``name``; nothing where there is none."""
-    found = photos.cut(name, crop.left, crop.top, crop.side, min(1.0, _SIDE_PX / crop.side))
+    found = photos.cut(name, crop.left, crop.top, crop.side, min(1.0, _SIDE_PX / (crop.side + 1)))
     if found is None:
         return ""
     picture, corners = found

@@ -160,7 +160,7 @@ def _calibrate(matched: Matched, spread: Float[np.ndarray, "frames joints"]) -> 
     """Return the calibration curve of ``spread``, the scale b of a Laplace distribution of each depth.
 
     ``spread`` is in the unit of the matched pose, row by row and joint by joint; of a joint that was
-    missing in 2D it is the scale of its whole error, for nothing says where it is in the image. Both are brought to
+    missing in 2D it is the scale of its 3D error, as its place in the image is not known. Both are brought to
     the truth's scale as for `n_mpjpe`; a metric pose stays as it is. ``visible`` and ``missing`` (the
     joints that were missing in 2D) hold, for each nominal share q, the share of depth errors within
     -b ln(1 - q), the root left out. ``spread_error`` is the mean difference of the two,
@@ -169,7 +169,7 @@ def _calibrate(matched: Matched, spread: Float[np.ndarray, "frames joints"]) -> 
     """
     found: dict[str, Any] = {}
     for group, ending, weight in (("visible", "", matched.weight), ("missing", MISSING, matched.unseen)):
-        error, scale = _errors(matched, spread, weight, whole=group == "missing")
+        error, scale = _errors(matched, spread, weight, in_3d=group == "missing")
         if len(error):
             found[group] = coverage_of(error, scale)
             found[f"spread_error{ending}"] = float(np.mean([abs(float(q) - s) for q, s in found[group].items()]))
@@ -200,9 +200,9 @@ def _ranks(values: np.ndarray) -> np.ndarray:
 
 
 def _errors(
-    matched: Matched, spread: np.ndarray, weight: Float[np.ndarray, "frames joints"], *, whole: bool
+    matched: Matched, spread: np.ndarray, weight: Float[np.ndarray, "frames joints"], *, in_3d: bool
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return the depth errors of the joints that ``weight`` counts, or their ``whole`` ones, and their spreads, in the truth's unit."""
+    """Return the depth errors of the joints that ``weight`` counts, or their errors ``in_3d``, and their spreads, in the truth's unit."""
     errors, scales = [np.empty(0, np.float32)], [np.empty(0, np.float32)]
     for start in range(0, len(matched.pose), _CHUNK):
         rows = np.arange(start, min(start + _CHUNK, len(matched.pose)))
@@ -211,7 +211,7 @@ def _errors(
         mine = spread[rows].astype(np.float64) * np.abs(factor)[:, None]
         counts = _counts(weight[rows], mine, matched.skeleton.root_index)
         off = pose * factor[:, None, None] - truth
-        size = np.linalg.norm(off, axis=-1) if whole else np.abs(off[..., 2])
+        size = np.linalg.norm(off, axis=-1) if in_3d else np.abs(off[..., 2])
         errors.append(size[counts].astype(np.float32))
         scales.append(mine[counts].astype(np.float32))
     return np.concatenate(errors), np.concatenate(scales)
