@@ -15,8 +15,7 @@ if TYPE_CHECKING:
     from uplift.data.poses import PoseData
     from uplift.errors import UserError
     from uplift.models.model import Model, load
-    from uplift.priors.base import Lift, Prior
-    from uplift.priors.shape_base import ShapeLift, ShapePrior
+    from uplift.priors.base import Lift, Prior, ShapeLift, ShapePrior
     from uplift.skeleton import Skeleton, load_skeleton
 
 __all__ = [
@@ -32,8 +31,8 @@ _HOMES = {
     "Model": "uplift.models.model",
     "PoseData": "uplift.data.poses",
     "Prior": "uplift.priors.base",
-    "ShapeLift": "uplift.priors.shape_base",
-    "ShapePrior": "uplift.priors.shape_base",
+    "ShapeLift": "uplift.priors.base",
+    "ShapePrior": "uplift.priors.base",
     "Skeleton": "uplift.skeleton",
     "UserError": "uplift.errors",
     "WantedFile": "uplift.data.datasets.base",

@@ -5,7 +5,7 @@ from __future__ import annotations
 import difflib
 from collections.abc import Iterable
 
-__all__ = ["NotForThisSkeleton", "UserError", "did_you_mean"]
+__all__ = ["NotForThisSkeleton", "UserError", "did_you_mean", "nearest"]
 
 
 class UserError(Exception):
@@ -23,11 +23,12 @@ class NotForThisSkeleton(UserError):
 def did_you_mean(found: str, valid: Iterable[str]) -> str:
     """Return a hint such as ``" Did you mean 'rknee'?"``, or the valid names where none is near."""
     names = [str(name) for name in valid]
-    by_folded = {name.casefold(): name for name in names}
-    near = difflib.get_close_matches(str(found).casefold(), by_folded, n=1, cutoff=0.6)
-    if near:
-        return f" Did you mean '{by_folded[near[0]]}'?"
-    if not names:
-        return ""
     shown = ", ".join(names[:30]) + (", ..." if len(names) > 30 else "")
-    return f" Valid: {shown}."
+    return nearest(found, names) or (f" Valid: {shown}." if names else "")
+
+
+def nearest(found: str, valid: Iterable[str]) -> str:
+    """Return a hint such as ``" Did you mean 'rknee'?"``, or nothing: for messages that list the valid names."""
+    by_folded = {str(name).casefold(): str(name) for name in valid}
+    near = difflib.get_close_matches(str(found).casefold(), by_folded, n=1, cutoff=0.6)
+    return f" Did you mean '{by_folded[near[0]]}'?" if near else ""

@@ -12,7 +12,7 @@ from pathlib import Path
 
 from benchmarks.accuracy.work import CellFailed
 from uplift.data.concat import join
-from uplift.data.formats.masks_npz import write_masks
+from uplift.data.formats.masks_npz import write_masks_npz
 from uplift.data.masks import MaskData
 from uplift.data.parsers.meshes import MeshOptions, read_meshes
 from uplift.data.synthetic.masks import simulate_masks
@@ -58,9 +58,9 @@ def animal_masks(folder: Path | None = None, sizes: Sizes | None = None) -> dict
     folder.mkdir(parents=True, exist_ok=True)
     if not found["train"].is_file():
         made_up = simulate_masks("animals", sizes.made_up, seed=_MADE_UP_SEED)
-        write_masks(join([made_up, posed_animals(known, sizes.poses, sizes.views, _TRAIN_SEED)]), found["train"])
+        write_masks_npz(join([made_up, posed_animals(known, sizes.poses, sizes.views, _TRAIN_SEED)]), found["train"])
     if not found["test"].is_file():
-        write_masks(posed_animals(other, sizes.test_poses, 1, _TEST_SEED), found["test"])
+        write_masks_npz(posed_animals(other, sizes.test_poses, 1, _TEST_SEED), found["test"])
     return found
 
 

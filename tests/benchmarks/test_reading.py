@@ -14,7 +14,7 @@ from benchmarks.reading.bodies import Walk
 from benchmarks.reading.cells import CELLS
 from benchmarks.reading.lines import GAP, decimals, filled, whole_numbers, words
 from benchmarks.reading.writing import written
-from uplift.data.formats import FORMATS, read
+from uplift.data.formats import KEYPOINT_FORMATS, read
 from uplift.export import WRITERS
 
 ROWS = 300
@@ -27,7 +27,7 @@ def folder(tmp_path_factory):
 
 
 def test_every_format_has_a_cell():
-    assert {cell.format for cell in CELLS} == set(FORMATS)
+    assert {cell.format for cell in CELLS} == set(KEYPOINT_FORMATS)
     assert len({cell.name for cell in CELLS}) == len({cell.file for cell in CELLS}) == len(CELLS)
 
 
@@ -83,7 +83,7 @@ def test_results_are_kept_cell_by_cell_and_shown(tmp_path, capsys, monkeypatch):
     found = json.loads(out.read_text())
     assert list(found["read"]) == [cell.name for cell in CELLS]
     assert list(found["write"]) == [f"write {ending}" for ending in WRITERS["poses"]]
-    assert {cell.format for cell in CELLS if cell.name in found["read"]} == set(FORMATS)
+    assert {cell.format for cell in CELLS if cell.name in found["read"]} == set(KEYPOINT_FORMATS)
     asked.clear()
     capsys.readouterr()
     assert reading.main([*words, "--print"]) == 0

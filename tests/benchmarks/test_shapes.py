@@ -19,7 +19,7 @@ from uplift.cli import fit
 from uplift.config.loading import load_settings
 from uplift.config.run import RunFolder
 from uplift.config.settings import Settings
-from uplift.data.formats.masks_npz import read_masks
+from uplift.data.formats.masks_npz import read_masks_npz
 from uplift.data.synthetic.masks import FAMILIES as MADE_UP
 from uplift.data.synthetic.masks import simulate_masks
 from uplift.metrics.baselines import score_with_baselines, shape_baselines
@@ -45,7 +45,7 @@ def quick_fit(settings: Settings) -> RunFolder:
         train = simulate_masks(data.family, 8, seed=settings.seed)
         test = simulate_masks(data.family, 3, seed=settings.seed + 100)
     else:
-        train, test = (read_masks(str(path)).select(np.arange(3)) for path in (data.train, data.test))
+        train, test = (read_masks_npz(str(path)).select(np.arange(3)) for path in (data.train, data.test))
     run = RunFolder.create(settings, "uplift fit")
     found = shape_baselines(train, test, resolution=16)
     scored = score_with_baselines(found["hull"], train, test, "made-up", found, resolution=24)
@@ -114,7 +114,7 @@ def test_species_are_held_out(results: Path, task: str, tmp_path: Path, monkeypa
     sizes = animals.Sizes(made_up=4, poses=2, views=2, test_poses=2)
     monkeypatch.setattr(animals, "Sizes", lambda: sizes)
     found = animals.animal_masks()
-    train, test = (read_masks(found[part]) for part in ("train", "test"))
+    train, test = (read_masks_npz(found[part]) for part in ("train", "test"))
     assert train.truth is not None and test.truth is not None
     assert train.category is not None and test.category is not None
     assert set(test.category) == set(animals.HELD_OUT) and len(test) == 2 * sizes.test_poses
@@ -158,7 +158,10 @@ def test_what_a_step_costs_is_without_what_comes_before_it(
             assert run.config.is_file()
 
     masks = SimpleNamespace(for_training=lambda: None)
-    for name, what in (("shapes.recipe", {"ShapeRecipe": Recipe}), ("masks.load", {"load_masks": lambda _: masks})):
+    for name, what in (
+        ("training.shape_recipe", {"ShapeRecipe": Recipe}),
+        ("data.load_masks", {"load_masks": lambda _: masks}),
+    ):
         module = ModuleType(f"uplift.{name}")
         vars(module).update(what)
         monkeypatch.setitem(sys.modules, f"uplift.{name}", module)

@@ -13,7 +13,7 @@ from PIL import Image
 
 from uplift.cli.data_render import render_masks_command
 from uplift.cli.main import main
-from uplift.data.formats.masks_npz import read_masks
+from uplift.data.formats.masks_npz import read_masks_npz
 from uplift.errors import UserError
 
 
@@ -37,21 +37,21 @@ def elevations(view: np.ndarray) -> np.ndarray:
 
 def test_made_up_shapes_need_no_files(tmp_path: Path) -> None:
     said = render(f"furniture items=12 side=32 seed=3 output={tmp_path / 'a.npz'}")
-    data = read_masks(tmp_path / "a.npz")
+    data = read_masks_npz(tmp_path / "a.npz")
     assert data.masks.shape == (12, 32, 32)
     assert data.truth is not None
     assert len(data.truth.meshes) == 12
     assert said[-1] == f"next: uplift fit task=masks data.train={tmp_path / 'a.npz'}"
     render(f"furniture items=12 side=32 seed=3 output={tmp_path / 'b.npz'}")
-    np.testing.assert_array_equal(read_masks(tmp_path / "b.npz").masks, data.masks)
+    np.testing.assert_array_equal(read_masks_npz(tmp_path / "b.npz").masks, data.masks)
     render(f"furniture items=12 side=32 seed=4 output={tmp_path / 'c.npz'}")
-    assert (read_masks(tmp_path / "c.npz").masks != data.masks).any()
+    assert (read_masks_npz(tmp_path / "c.npz").masks != data.masks).any()
 
 
 def test_files_are_seen_from_where_it_is_said(wedges: Path, tmp_path: Path) -> None:
     words = "items=40 azimuth_deg=0,0 elevation_deg=0,0 distance=inf,inf"
     render(f"'{wedges}' {words} output={tmp_path / 'a.npz'}")
-    data = read_masks(tmp_path / "a.npz")
+    data = read_masks_npz(tmp_path / "a.npz")
     assert data.truth is not None
     assert data.category is not None
     assert set(data.category.tolist()) == {"long", "high"}
@@ -65,13 +65,13 @@ def test_files_are_seen_from_where_it_is_said(wedges: Path, tmp_path: Path) -> N
 
 def test_views_have_the_angles_that_were_asked_for(wedges: Path, tmp_path: Path) -> None:
     render(f"'{wedges}' items=300 side=8 elevation_deg=-30,5 views=3 output={tmp_path / 'a.npz'}")
-    truth = read_masks(tmp_path / "a.npz").truth
+    truth = read_masks_npz(tmp_path / "a.npz").truth
     assert truth is not None
     found = elevations(truth.view)
     np.testing.assert_allclose([found.mean(), found.std()], [-30, 5], atol=1.5)
     assert (truth.shape.reshape(-1, 3) == truth.shape[::3, None]).all()
     render(f"'{wedges}' items=300 side=8 upright=false output={tmp_path / 'b.npz'}")
-    anyhow = read_masks(tmp_path / "b.npz").truth
+    anyhow = read_masks_npz(tmp_path / "b.npz").truth
     assert anyhow is not None
     np.testing.assert_allclose(anyhow.view.mean(0), np.zeros((3, 3)), atol=0.15)
 
@@ -79,7 +79,7 @@ def test_views_have_the_angles_that_were_asked_for(wedges: Path, tmp_path: Path)
 def test_axes_of_files_are_told(wedges: Path, tmp_path: Path) -> None:
     words = "azimuth_deg=0,0 elevation_deg=0,0 items=2 side=16 category=box"
     render(f"'{wedges}/long.obj' up=z front=y {words} output={tmp_path / 'a.npz'}")
-    data = read_masks(tmp_path / "a.npz")
+    data = read_masks_npz(tmp_path / "a.npz")
     assert data.truth is not None
     assert data.category is not None
     assert data.category.tolist() == ["box"] * 2
@@ -88,7 +88,7 @@ def test_axes_of_files_are_told(wedges: Path, tmp_path: Path) -> None:
 
 def test_a_folder_has_a_picture_for_each_mask(wedges: Path, tmp_path: Path) -> None:
     render(f"'{wedges}' items=12 side=24 output={tmp_path / 'out'}")
-    data = read_masks(tmp_path / "out/truth.npz")
+    data = read_masks_npz(tmp_path / "out/truth.npz")
     files = sorted(path.relative_to(tmp_path / "out").as_posix() for path in (tmp_path / "out").rglob("*.png"))
     assert files == sorted(data.names)
     assert {name.split("/")[0] for name in files} == {"long", "high"}
@@ -148,7 +148,7 @@ def test_the_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) ->
 def test_animals_are_rendered_in_their_own_poses(benchmark_data: Callable[[str], Path], tmp_path: Path) -> None:
     files = [str(benchmark_data(f"animal_meshes/{name}.glb")) for name in ("Husky", "Stag")]
     assert render(f"poses=5 items=10 output={tmp_path / 'a.npz'}", *files)[0] == "10 meshes of 2 files"
-    data = read_masks(tmp_path / "a.npz")
+    data = read_masks_npz(tmp_path / "a.npz")
     assert data.category is not None
     assert data.truth is not None
     assert sorted(data.category.tolist()) == ["Husky"] * 5 + ["Stag"] * 5

@@ -194,7 +194,7 @@ def test_nothing_is_overwritten_by_simulate(here: Path, capsys: pytest.CaptureFi
     made = (here / "a.npz").read_bytes()
     assert "is not overwritten" in refusal(capsys, *words)
     assert (here / "a.npz").read_bytes() == made
-    assert main(["fit", "skeleton=h36m17", "data.train=a.npz", *QUICK, "trainer.max_steps=2"]) == 0
+    assert status_of("fit", "skeleton=h36m17", "data.train=a.npz", *QUICK, "trainer.max_steps=2") == 0
 
 
 def test_nothing_is_overwritten_by_skeleton(here: Path, capsys: pytest.CaptureFixture) -> None:
@@ -231,7 +231,7 @@ def test_a_fit_tells_what_it_dropped_and_filled(here: Path, capsys: pytest.Captu
     confidence[:6, 2:] = 0
     confidence[6:9, 0] = 0
     words = own_data(here / "a.npz", confidence=confidence)
-    assert main(["fit", *words, "trainer.max_steps=3"]) == 0
+    assert status_of("fit", *words, "trainer.max_steps=3") == 0
     printed = capsys.readouterr().out
     assert "6 of 60 frames dropped: fewer than 3 visible joints" in printed
     assert "3 frames had no root joint: filled from its visible neighbours" in printed
@@ -240,7 +240,7 @@ def test_a_fit_tells_what_it_dropped_and_filled(here: Path, capsys: pytest.Captu
 
 def test_the_demo_needs_no_data(here: Path, capsys: pytest.CaptureFixture) -> None:
     words = ["task=demo", "data.simulate=200", *QUICK, "trainer.max_steps=3"]
-    assert main(["fit", *words]) == 0
+    assert status_of("fit", *words) == 0
     assert "p_mpjpe" in capsys.readouterr().out
     assert (here / "runs/demo/last/page.html").is_file()
 
@@ -267,3 +267,26 @@ def test_statuses(error: BaseException, status: int, says: str, monkeypatch, cap
 
 def test_a_name_that_is_too_long_is_the_users_mistake(capsys: pytest.CaptureFixture) -> None:
     assert "File name too long" in refusal(capsys, "fit", "skeleton=h36m17", f"data.train={'a' * 300}.npz")
+
+
+@pytest.mark.parametrize(
+    ("words", "twice"),
+    [
+        (("fit", "task=demo", "seed=1", "seed=2"), ("seed=1", "seed=2")),
+        (("fit", "task=demo", "task=cmu"), ("task=demo", "task=cmu")),
+        (("fit", "resume=a", "resume=b"), ("resume=a", "resume=b")),
+        (("evaluate", "run=a", "items=3", "items=4"), ("items=3", "items=4")),
+        (("predict", "run=a", "run=b", "input=a.npz", "output=b.npz"), ("run=a", "run=b")),
+        (("simulate", "skeleton=h36m17", "output=a.npz", "frames=50", "frames=60"), ("frames=50", "frames=60")),
+        (("skeleton", "check", "h36m17", "output=a.png", "output=b.png"), ("output=a.png", "output=b.png")),
+        (("skeleton", "new", "a", "from=a.csv", "from=b.csv"), ("from=a.csv", "from=b.csv")),
+        (("skeleton", "map", "a", "skeleton=h36m17", "skeleton=coco17"), ("skeleton=h36m17", "skeleton=coco17")),
+        (("data", "check", "task=cmu", "task=demo"), ("task=cmu", "task=demo")),
+        (("data", "cmu", "folder", "output=a", "output=b"), ("output=a", "output=b")),
+        (("data", "render", "chairs", "output=a.npz", "side=8", "side=16"), ("side=8", "side=16")),
+    ],
+)
+def test_a_key_given_twice_is_refused(words: tuple[str, ...], twice: tuple[str, str], capsys) -> None:
+    assert main(words) == 2
+    message = capsys.readouterr().err
+    assert f"'{twice[0].partition('=')[0]}' is given twice: {twice[0]} and {twice[1]}. Keep one." in message

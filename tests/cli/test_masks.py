@@ -13,7 +13,7 @@ from mask_files import blob, save
 from shape_stand_in import stand_in
 
 import uplift
-from uplift.data.formats.masks_npz import read_masks, write_masks
+from uplift.data.formats.masks_npz import read_masks_npz, write_masks_npz
 from uplift.data.synthetic.masks import simulate_masks
 from uplift.models.prediction import ShapePrediction
 
@@ -113,7 +113,7 @@ def test_masks_of_ones_own_without_truth(masks: Path, capsys) -> None:
     assert "2 shapes" in (last / "page.html").read_text()
     assert "is no evaluation" not in text
     assert "no test masks of its own" in refusal(capsys, "evaluate", f"run={last}")
-    write_masks(simulate_masks("chairs", 5, seed=9, side=48), "truth.npz")
+    write_masks_npz(simulate_masks("chairs", 5, seed=9, side=48), "truth.npz")
     assert status_of("evaluate", f"run={last}", "data.test=truth.npz") == 0
     text = capsys.readouterr().out
     assert "no baselines: they are made of true training shapes" in text
@@ -146,8 +146,8 @@ def test_evaluate_writes_the_same_figures_again(run: Path, capsys) -> None:
 
 
 def test_evaluate_without_the_training_files_has_no_floors(here: Path, capsys) -> None:
-    write_masks(simulate_masks("chairs", 12, seed=1, side=32), "train.npz")
-    write_masks(simulate_masks("chairs", 3, seed=2, side=32), "test.npz")
+    write_masks_npz(simulate_masks("chairs", 12, seed=1, side=32), "train.npz")
+    write_masks_npz(simulate_masks("chairs", 3, seed=2, side=32), "test.npz")
     words = ("task=masks", "data.train=train.npz", "data.test=test.npz", "data.side=32")
     assert status_of("fit", *words) == 0
     assert "mean_shape" in capsys.readouterr().out
@@ -242,7 +242,7 @@ def test_data_check_and_tasks(masks: Path, capsys) -> None:
     assert "train, test: 4,000 masks of simulated chairs" in capsys.readouterr().out
     assert status_of("data", "check", "task=masks", "data.train=masks") == 0
     assert "3 pictures, pictures of masks" in capsys.readouterr().out
-    write_masks(simulate_masks("chairs", 5, seed=9, side=48), "truth.npz")
+    write_masks_npz(simulate_masks("chairs", 5, seed=9, side=48), "truth.npz")
     assert status_of("data", "check", "task=masks", "data.train=truth.npz", "data.test=gone.npz") == 2
     text = capsys.readouterr().out
     assert "5 masks of 48 x 48 px, with true shapes" in text
@@ -255,4 +255,4 @@ def test_data_check_and_tasks(masks: Path, capsys) -> None:
     text = capsys.readouterr().out
     assert "masks_demo         no data needed" in text
     assert "masks              data.train=..." in text
-    assert len(read_masks("truth.npz")) == 5
+    assert len(read_masks_npz("truth.npz")) == 5

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from bodies import status_of
 
-from uplift.data.formats import guess_format, read
+from uplift.data.formats import KEYPOINT_FORMATS, read
 from uplift.data.synthetic.simulate import as_tracked, simulate
 from uplift.skeleton import load_skeleton
 
@@ -38,7 +38,7 @@ def test_a_tracker_has_a_file_for_each_clip_and_a_place_for_each_joint(capsys: p
     assert "wrote 3 files, v_000000.csv to v_000002.csv" in capsys.readouterr().out
     truth = read("a.npz")
     files = sorted(Path.cwd().glob("v_*.csv"))
-    assert [guess_format(file).name for file in files] == ["deeplabcut"] * 3
+    assert [KEYPOINT_FORMATS.guess(file).name for file in files] == ["deeplabcut"] * 3
     tracked = [read(file) for file in files]
     keypoints, confidence = (np.concatenate([getattr(t, n) for t in tracked]) for n in ("keypoints", "confidence"))
     seen = truth.confidence > 0

@@ -10,7 +10,7 @@ from bodies import refusal
 
 from uplift.config.files import shipped_names
 from uplift.config.loading import load_settings, read_task, save_settings, setting_names, task_path
-from uplift.config.settings import seconds_of
+from uplift.config.settings import RENAMED, all_settings, seconds_of
 from uplift.errors import UserError
 
 
@@ -77,8 +77,10 @@ def test_an_override_is_read_as_its_setting_wants_it(override: str, read) -> Non
     assert read(load_settings(None, [override]))
 
 
-def test_later_overrides_win() -> None:
-    assert load_settings(None, ["seed=1", "seed=2"]).seed == 2
+@pytest.mark.parametrize("words", [("seed=1", "seed=2"), ("priors.flow.weight=1", "seed=1", "priors.flow.weight=1")])
+def test_a_key_given_twice_is_refused(words: tuple[str, ...]) -> None:
+    key = words[0].partition("=")[0]
+    assert f"'{key}' is given twice: {words[0]} and {words[-1]}" in complaint(*words)
 
 
 def test_paths_of_overrides_are_relative_to_the_current_folder(here: Path) -> None:
@@ -163,15 +165,15 @@ def test_a_circle_of_two(here: Path) -> None:
 @pytest.mark.parametrize(
     ("override", "says"),
     [
-        ("traner.max_steps=3", "Unknown setting 'traner' in 'traner.max_steps=3'. Did you mean 'trainer'?"),
+        ("traner.max_steps=3", "'traner.max_steps=3': unknown setting 'traner'. Did you mean 'trainer'?"),
         ("trainer.max_step=3", "Did you mean 'trainer.max_steps'?"),
         ("teacher.learning-rate=3", "Did you mean 'teacher.learning_rate'?"),
         ("resum=runs/x", "Did you mean 'resume'?"),
-        ("max_steps=3", "Unknown setting 'max_steps'"),
+        ("max_steps=3", "unknown setting 'max_steps'"),
         ("demo", "Did you mean task=demo?"),
         ("=3", "expected key=value"),
-        (".=3", "Unknown setting"),
-        ("trainer..max_steps=3", "Unknown setting 'trainer.'"),
+        (".=3", "unknown setting"),
+        ("trainer..max_steps=3", "unknown setting 'trainer.'"),
         ("trainer=5", "'trainer' holds settings: set one of them. Valid: trainer.max_time"),
         ("trainer={max_steps: 5}", "'trainer' holds settings"),
         ("trainer.max_steps.now=5", "'trainer.max_steps' is one setting, with none below it"),
@@ -185,13 +187,13 @@ def test_a_circle_of_two(here: Path) -> None:
         ("trainer.max_time=-1:00:00", "expected hours:minutes:seconds"),
         ("trainer.max_time=null", "the fit would never end"),
         ("trainer.threads=0", "trainer.threads=0"),
-        ("trainer.threads=100000", "expected a number from 1 to 1024"),
+        ("trainer.threads=100000", "expected a number from 1 to 1,024"),
         ("trainer.checkpoint_every=-1", "trainer.checkpoint_every"),
         ("teacher.share=0", "teacher.share is 0"),
         ("teacher.share=inf", "teacher.share=inf"),
         ("student.share=nan", "student.share=nan"),
         ("student.rounds=", "student.rounds is empty"),
-        ("student.rounds=0,1", "student.rounds=0.0"),
+        ("student.rounds=0,1", "student.rounds[0]=0.0"),
         ("teacher.batch_size=1", "teacher.batch_size=1"),
         ("teacher.learning_rate=0", "teacher.learning_rate=0"),
         ("teacher.learning_rate=fast", "teacher.learning_rate"),
@@ -202,8 +204,9 @@ def test_a_circle_of_two(here: Path) -> None:
         ("teacher.mirror=maybe", "teacher.mirror"),
         ("views.azimuth_deg=1,2,3", "views.azimuth_deg"),
         ("views.azimuth_deg=a,b", "views.azimuth_deg"),
-        ("views.azimuth_deg=0,nan", "views.azimuth_deg=nan"),
+        ("views.azimuth_deg=0,nan", "views.azimuth_deg[1]=nan"),
         ("views.elevation=bach", "Did you mean 'batch'?"),
+        ("lifter.tilt=xx", "lifter.tilt='xx': expected one of predicted, learned, level."),
         ("lifter.tilt=levle", "lifter.tilt='levle': expected one of predicted, learned, level. Did you mean 'level'?"),
         ("lifter.distance=1", "lifter.distance=1"),
         ("lifter.options=3", "lifter.options"),
@@ -211,7 +214,7 @@ def test_a_circle_of_two(here: Path) -> None:
         ("data.select.subjects=[S1", "a bracket is missing"),
         ("data.select=S1", "'data.select' holds settings"),
         ("data.select.fraction=half", "data.select.fraction"),
-        ("seed=-1", "seed=-1: expected a whole number from 0"),
+        ("seed=-1", "seed=-1: expected a number from 0 to 2,147,483,647"),
         ("seed=1.5", "seed"),
         ("seed=", "seed"),
         ("priors=3", "priors"),
@@ -239,6 +242,16 @@ def test_every_setting_is_named_and_known() -> None:
     assert "data.select.subjects" in names
     assert len(names) == len(set(names))
     assert all(name.startswith("views.") for name in setting_names("views."))
+
+
+def test_every_setting_describes_itself() -> None:
+    for name, setting in all_settings().items():
+        assert setting.name == name
+        assert setting.help
+        assert (setting.low is None) == (setting.high is None)
+    assert all_settings()["shape.parts"].only == all_settings()["data.side"].only == "masks"
+    assert all_settings()["data.select.subjects"].only == "keypoints"
+    assert all_settings()["lifter.refine.smooth"].default == 1.0
 
 
 @pytest.mark.parametrize(
@@ -275,6 +288,23 @@ def test_a_task_file_is_plain_data(here: Path) -> None:
     save_settings(settings, here / "a.yaml")
     assert yaml.safe_load((here / "a.yaml").read_text())["skeleton"] == "h36m17"
     assert read_task(here / "a.yaml")["data"]["name"] == "cmu"
+
+
+@pytest.mark.parametrize(("old", "new"), RENAMED.items())
+def test_a_renamed_setting_names_the_new_one(old: str, new: str, here: Path) -> None:
+    says = f"the setting '{old}' is now called '{new}'"
+    assert says in complaint(f"{old}=1")
+    *groups, key = old.split(".")
+    (here / "a.yaml").write_text(
+        "seed: 1\n" + "".join(f"{group}: {{" for group in groups) + f"{key}: 1{'}' * len(groups)}"
+    )
+    assert f"a.yaml, line 2: {says}" in complaint(task="a.yaml")
+
+
+def test_the_settings_of_a_run_before_a_renaming_are_read(here: Path) -> None:
+    (here / "config.yaml").write_text("lifts: masks\nshape: {hot: 0.3, cold: 0.05, parts: 2}\n")
+    shape = load_settings("config.yaml").shape
+    assert (shape.temperature_start, shape.temperature_end, shape.parts) == (0.3, 0.05, 2)
 
 
 def test_a_run_of_version_0_1_is_still_read(here: Path) -> None:

@@ -37,12 +37,12 @@ def masks(here: Path) -> Path:
         (("data.focal_px=900",), "data.focal_px is set"),
         (("shape.resolution=4",), "shape.resolution=4: expected a number from 8 to 256"),
         (("shape.resolution=4096",), "shape.resolution=4096"),
-        (("shape.elevation_deg=120,3",), "shape.elevation_deg (mean)=120"),
+        (("shape.elevation_deg=120,3",), "shape.elevation_deg[0]=120.0: expected a number from -90 to 90"),
         (("shape.distance=1",), "shape.distance=1"),
         (("shape.parts=0",), "shape.parts=0: expected a number from 1 to 64"),
-        (("shape.splits=1",), "shape.splits=1: expected a number from 2 to 64"),
-        (("shape.splits=4,65",), "shape.splits=65: expected a number from 2 to 64"),
-        (("shape.splits=-2",), "shape.splits=-2: expected a number from 2 to 64"),
+        (("shape.splits=1",), "shape.splits[0]=1: expected a number from 2 to 64"),
+        (("shape.splits=4,65",), "shape.splits[1]=65: expected a number from 2 to 64"),
+        (("shape.splits=-2",), "shape.splits[0]=-2: expected a number from 2 to 64"),
         (("shape.splits=2,some",), "'shape.splits[1]': Value 'some'"),
         (("shape.splits=2,2.5",), "'shape.splits[1]': Value '2.5'"),
         (("shape.parts=4", "shape.splits=32,33"), "ask for 4,224 shapes, expected at most 4,096"),
@@ -53,7 +53,7 @@ def masks(here: Path) -> Path:
         (("data.simulate=10000000",), "GB: ask for fewer"),
         (("data.family=char",), "Did you mean 'chairs'?"),
         (("data.most=10",), "data.most goes with files of masks"),
-        (("data.select.subjects=S1",), "masks have no subjects. Choose by categories and fraction"),
+        (("data.select.subjects=S1",), "it goes with keypoints. Choose by categories, fraction."),
         (("data.select.categories=lamp",), "no mask of category 'lamp'"),
         (("data.hold_out.fraction=0.1",), "data.hold_out are both set"),
         (("data.labelled.only=true",), "data.labelled.only is on"),
@@ -77,10 +77,13 @@ def test_fit_refuses(words: tuple[str, ...], says: str, masks: Path, capsys) -> 
 @pytest.mark.parametrize(
     ("words", "says"),
     [
-        (("shape.resolution=64",), "this fit lifts keypoints, and it is about masks"),
+        (("shape.resolution=64",), "this fit lifts keypoints: it goes with masks. Start from task=masks"),
         (("data.family=cars",), "data.family is set"),
         (("shape.splits=2",), "shape.splits is set, but this fit lifts keypoints"),
-        (("data.select.categories=cow",), "keypoints have no categories. Choose by subjects"),
+        (
+            ("data.select.categories=cow",),
+            "it goes with masks. Choose by subjects, actions, sequences, cameras, fraction.",
+        ),
     ],
 )
 def test_fits_of_keypoints_refuse_what_is_of_masks(words: tuple[str, ...], says: str, capsys) -> None:

@@ -102,7 +102,7 @@ FILES = {
     "3 GB": (huge, "claims 2,999,999,928 bytes but holds 2,000"),
     "folder": (lambda p: p.mkdir(), "is an empty folder"),
     "nothing": (lambda p: None, "a.npz"),
-    "csv": (None, "file of no known format"),
+    "csv": (None, "is not in a known format"),
 }
 
 

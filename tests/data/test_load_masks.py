@@ -14,7 +14,7 @@ from mask_files import blob, save
 
 from uplift.config.loading import load_settings
 from uplift.config.settings import Settings
-from uplift.data.formats.masks_npz import write_masks
+from uplift.data.formats.masks_npz import write_masks_npz
 from uplift.data.load_masks import LoadedMasks, known_shapes, load_masks, truth_of_labelled, views_of
 from uplift.data.masks import MaskData
 from uplift.data.select import chosen_masks
@@ -39,7 +39,7 @@ def several(items: int = 12, views: int = 3, seed: int = 5, family: str = "seats
 def rendered(name: str, *arguments: int | str) -> MaskData:
     """Write masks with truth to a file and return them."""
     data = several(*arguments)  # type: ignore[arg-type]
-    write_masks(data, name)
+    write_masks_npz(data, name)
     return data
 
 
@@ -118,7 +118,7 @@ def test_choice_and_hold_out_by_category() -> None:
 
 def test_labels_are_only_those_that_settings_name() -> None:
     data = several(12, 3)
-    write_masks(replace(data, labelled=np.arange(12) < 6), "marked.npz")
+    write_masks_npz(replace(data, labelled=np.arange(12) < 6), "marked.npz")
     plain = loaded("data.train=marked.npz", "data.test=marked.npz")
     assert plain.train.labelled is None
     assert plain.test is not None
@@ -209,7 +209,7 @@ def test_files_of_a_task_lie_beside_it(tmp_path: Path, monkeypatch: pytest.Monke
 )
 def test_what_is_refused(words: tuple[str, ...], says: str) -> None:
     rendered("seats.npz", 6, 1)
-    write_masks(replace(several(6, 1).without_truth(), category=None), "flat.npz")
+    write_masks_npz(replace(several(6, 1).without_truth(), category=None), "flat.npz")
     save(Path("photos/0.png"), (255 * blob()).astype(np.uint8))
     with pytest.raises(UserError) as caught:
         loaded(*words)

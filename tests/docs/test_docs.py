@@ -23,7 +23,6 @@ from uplift.data.masks import MaskData
 from uplift.data.tensors import TrainingSet
 from uplift.metrics.protocols import PROTOCOLS
 from uplift.priors import PRIORS
-from uplift.priors.shape_base import SHAPE_PRIORS
 from uplift.skeleton import load_skeleton
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -77,7 +76,6 @@ LINKS = [
         *(f"{name}" for name in shipped_names("tasks")),
         *shipped_names("skeletons"),
         *PRIORS,
-        *SHAPE_PRIORS,
         *PROTOCOLS,
     ],
 )
@@ -161,7 +159,7 @@ def _check_fit_word(word: str) -> None:
     elif key not in ("resume", "seed"):
         put_override({}, word)
     path = key.split(".")
-    known = PRIORS | SHAPE_PRIORS
+    known = PRIORS
     if path[0] == "priors" and path[1] in known and path[2] not in ("use", "weight", "if_possible"):
         allowed = options_of(find_class(path[1], known, ""))
         assert allowed is None or path[2] in allowed
@@ -292,23 +290,23 @@ def test_pages_are_plain(page: Path) -> None:
 
 
 def test_every_format_is_documented() -> None:
-    from uplift.data.formats import FORMATS
+    from uplift.data.formats import KEYPOINT_FORMATS
     from uplift.export import WRITERS
 
     trackers, output = ((ROOT / "docs" / name).read_text() for name in ("trackers.md", "output.md"))
-    assert [name for name in FORMATS if f"| `{name}` |" not in trackers] == []
+    assert [name for name in KEYPOINT_FORMATS if f"| `{name}` |" not in trackers] == []
     assert [ending for ending in WRITERS["poses"] if f"`{ending}`" not in output] == []
 
 
 def test_everything_of_masks_and_shapes_is_documented() -> None:
-    from uplift.data.formats.masks import FORMATS
+    from uplift.data.formats import MASK_FORMATS
     from uplift.export import WRITERS
     from uplift.metrics.protocols import SHAPE_METRICS
 
     masks, output, metrics = (
         (ROOT / f"docs/{name}.md").read_text() for name in ("masks-input", "shapes-output", "shape-metrics")
     )
-    assert [name for name in FORMATS if f"| `{name}` |" not in masks] == []
+    assert [name for name in MASK_FORMATS if f"| `{name}` |" not in masks] == []
     assert [ending for ending in WRITERS["shapes"] if f"| `{ending}` |" not in output] == []
     assert [name for name in SHAPE_METRICS if f"| `{name}` |" not in metrics] == []
     page = (ROOT / "docs/masks-data.md").read_text()

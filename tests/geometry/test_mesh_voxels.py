@@ -9,7 +9,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from uplift.data.synthetic.masks import make_shapes
-from uplift.geometry.mesh import Mesh, coverage, fill
+from uplift.geometry.mesh import Mesh
+from uplift.geometry.voxels import coverage, fill
 
 
 def _mesh(*made: trimesh.Trimesh) -> Mesh:

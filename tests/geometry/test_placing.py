@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from bodies import body_arrays
 
-from uplift.geometry.camera import place_roots
+from uplift.geometry.lens import place_roots
 
 ARRAYS = body_arrays(60)
 POSE, ROOT = (ARRAYS[name].astype(np.float64) for name in ("pose", "root"))

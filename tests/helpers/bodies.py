@@ -88,10 +88,16 @@ def own_data(path: Path, **rest: Any) -> list[str]:
     return ["skeleton=h36m17", f"data.train={write_body(path, **rest)}", *QUICK]
 
 
+def last_words(*words: str) -> list[str]:
+    """Return the words with the last of each key alone: words such as `QUICK` are defaults that later ones replace."""
+    last = {word.partition("=")[0] if "=" in word else f"{place}": place for place, word in enumerate(words)}
+    return [words[place] for place in sorted(last.values())]
+
+
 def status_of(*words: str) -> int:
-    """Return the exit status of the command line in this process."""
+    """Return the exit status of the command line in this process, of `last_words`."""
     try:
-        return main(list(words))
+        return main(last_words(*words))
     except SystemExit as stop:
         return int(stop.code or 0)
 

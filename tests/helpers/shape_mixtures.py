@@ -13,7 +13,8 @@ from uplift.config.settings import ShapeSettings
 from uplift.data.masks import MaskData
 from uplift.data.synthetic.masks import ViewChoice, make_shapes, simulate_masks
 from uplift.data.tensors import as_tensor, moments, recrop
-from uplift.geometry.mesh import Mesh, coverage
+from uplift.geometry.mesh import Mesh
+from uplift.geometry.voxels import coverage
 from uplift.models.mixture import ShapeMixture
 
 __all__ = ["SMALL", "chair", "crops_of", "masks_of", "mixture_of", "small"]

@@ -13,8 +13,8 @@ import numpy as np
 import pytest
 
 from uplift.cli import evaluate
-from uplift.config.files import read_torch, save_torch
-from uplift.config.run import RunFolder
+from uplift.config.files import save_torch
+from uplift.config.run import RunFolder, Weights
 from uplift.config.settings import Settings, ShapeSettings
 from uplift.data.load_masks import LoadedMasks
 from uplift.data.masks import MaskData
@@ -50,9 +50,9 @@ class StandInModel(model_module.ShapeModel):
         save_torch({"lifts": "masks", "thick": self.lifter.level, "settings": asdict(self.settings)}, path)
 
     @classmethod
-    def load_file(cls, path: Path) -> StandInModel:
+    def from_weights(cls, weights: Weights) -> StandInModel:
         """Read it."""
-        state = read_torch(path, "lifter")
+        state = weights.state
         return cls(_thick(float(state["thick"])), ShapeSettings(**state["settings"]))
 
 

@@ -8,7 +8,7 @@ from bodies import body_arrays
 
 from uplift.data.synthetic.simulate import simulate
 from uplift.errors import UserError
-from uplift.geometry.camera import place_roots
+from uplift.geometry.lens import place_roots
 from uplift.models.metric_scale import CameraHeight, KnownLength, mm_by_camera_height, mm_per_unit, size_from
 from uplift.models.predict import with_constant_bones
 from uplift.skeleton import Skeleton, load_skeleton

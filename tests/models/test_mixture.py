@@ -197,7 +197,7 @@ def test_half_the_views_are_drawn_and_the_others_see_their_mirror_images(azimuth
     assert torch.allclose(grid.views[grid.mirrored], flip @ grid.views[grid.drawn] @ flip, atol=1e-6)
     assert torch.equal(grid.log_prior[grid.mirrored], grid.log_prior[grid.drawn])
     drawn = torch.rand(2, len(grid.drawn), 3)
-    whole, other = grid.whole(drawn), grid.whole(drawn, -drawn)
+    whole, other = grid.for_all_views(drawn), grid.for_all_views(drawn, -drawn)
     assert torch.equal(whole[:, grid.drawn], drawn)
     assert torch.equal(whole[:, grid.mirrored], drawn)
     assert torch.equal(other[:, grid.drawn], drawn)
@@ -211,7 +211,7 @@ def test_grids_all_of_whose_views_are_drawn(more: dict[str, bool], azimuths: int
     assert torch.equal(grid.drawn, torch.arange(len(grid.views)))
     assert len(grid.views) == (192 if "gravity" in more else azimuths)
     drawn = torch.rand(2, len(grid.views))
-    assert grid.whole(drawn) is drawn
+    assert grid.for_all_views(drawn) is drawn
 
 
 def test_views_from_anywhere_are_rotations_far_from_each_other() -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -10,10 +11,12 @@ import torch
 from scipy.ndimage import maximum_filter
 from shape_mixtures import chair, masks_of, mixture_of, small
 
+from uplift.config.files import read_torch, save_torch
+from uplift.config.run import read_weights
 from uplift.data.masks import MaskData, Placed
 from uplift.data.tensors import as_tensor, mask_set
 from uplift.errors import UserError
-from uplift.geometry.mesh import fill
+from uplift.geometry.voxels import fill
 from uplift.models.model import ShapeModel
 from uplift.models.shape_lifter import LiftedShapes, choose_level
 
@@ -157,11 +160,25 @@ def test_a_prediction_is_what_was_lifted(model: ShapeModel, data: MaskData, tmp_
     with pytest.raises(UserError, match="no mask to lift"):
         model.predict(data.select(np.arange(0)))
     model.save(tmp_path / "lifter.pt")
-    loaded = ShapeModel.load_file(tmp_path / "lifter.pt")
+    loaded = ShapeModel.from_weights(read_weights(tmp_path / "lifter.pt"))
     loaded.lifter.projector = model.lifter.projector  # the same, and it takes a while to make
     again = loaded.predict(data.select(np.arange(3)))
     assert np.array_equal(again.occupancy, found.occupancy)
     assert again.level == found.level
+
+
+def test_a_lifter_saved_before_settings_were_renamed_loads(model: ShapeModel, tmp_path: Path) -> None:
+    path = tmp_path / "lifter.pt"
+    model.save(path)
+    state = read_torch(path, "lifter")
+    shape = state["shape"]
+    shape["hot"], shape["cold"] = shape.pop("temperature_start"), shape.pop("temperature_end")
+    save_torch(state, path)
+    assert ShapeModel.from_weights(read_weights(path)).settings == model.settings
+    shape["warm"] = 1
+    save_torch(state, path)
+    with pytest.raises(UserError, match="warm"):
+        ShapeModel.from_weights(read_weights(path))
 
 
 def test_the_level_of_fainter_shapes_is_lower(model: ShapeModel, data: MaskData) -> None:

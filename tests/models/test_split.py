@@ -13,7 +13,7 @@ from shape_mixtures import chair, masks_of, mixture_of, small
 from uplift.data.tensors import MaskSet, mask_set
 from uplift.models import mixture as module
 from uplift.models.mixture import ShapeMixture, split
-from uplift.training.shapes import Explained
+from uplift.training.shapes import EStepStatistics
 
 T = 0.03
 KINDS = [{}, {"symmetric": False}, {"gravity": False}]
@@ -29,9 +29,9 @@ def used(more: dict[str, bool], azimuths: int = 24) -> ShapeMixture:
     return mixture
 
 
-def explained(mixture: ShapeMixture, masks: MaskSet) -> Explained:
+def explained(mixture: ShapeMixture, masks: MaskSet) -> EStepStatistics:
     """Return what the mixture explains."""
-    found = Explained(mixture, labels=False)
+    found = EStepStatistics(mixture, labels=False)
     found.update(mixture, masks, T)
     return found
 

@@ -32,7 +32,8 @@ from uplift.skeleton.core import mirrored_bones
 from uplift.training.adversarial import AdversarialTraining
 
 SEEDS = st.integers(0, 2**31 - 1)
-ON_KEYPOINTS = [name for name in PRIORS if name != "mask"]  # that one: test_priors_mask.py
+SHAPES = ("compactness", "mask_critic", "shape_symmetry", "smoothness")  # those: test_shape_priors.py
+ON_KEYPOINTS = [name for name in PRIORS if name != "mask" and name not in SHAPES]  # that one: test_mask.py
 
 
 @pytest.fixture(autouse=True)

@@ -10,8 +10,9 @@ import torch
 from torch import Tensor
 
 from uplift.errors import UserError
+from uplift.priors import build_priors
+from uplift.priors.base import ShapeLift, ShapePrior
 from uplift.priors.mask_critic import MaskCritic
-from uplift.priors.shape_base import SHAPE_PRIORS, ShapeLift, ShapePrior, build_shape_priors
 from uplift.priors.shape_grids import Compactness, ShapeSymmetry, Smoothness
 
 
@@ -63,10 +64,10 @@ def test_symmetry_is_least_for_mirror_images() -> None:
     assert float(prior.loss(lift_of(lopsided))) > 0.05
 
 
-@pytest.mark.parametrize("name", sorted(SHAPE_PRIORS))
+@pytest.mark.parametrize("name", ["compactness", "mask_critic", "shape_symmetry", "smoothness"])
 def test_gradients_reach_the_shapes(name: str) -> None:
     torch.manual_seed(0)
-    prior = build_shape_priors({name: {}})[0][name]
+    prior = build_priors({name: {}})[0][name]
     occupancy = torch.rand(2, 8, 8, 8, requires_grad=True)
     seen = torch.rand(6, 16, 16, requires_grad=True)
     value = prior.loss(replace(lift_of(occupancy), seen=seen))
@@ -99,7 +100,7 @@ def test_the_critic_learns_to_tell_silhouettes_from_masks() -> None:
 
 
 def test_weights_and_names_of_ones_own() -> None:
-    priors, weights = build_shape_priors(
+    priors, weights, _ = build_priors(
         {"smoothness": {"weight": 0}, "second": {"use": "compactness", "weight": 2}, "mask_critic": {"units": 4}}
     )
     assert list(priors) == ["second", "mask_critic"]
@@ -108,7 +109,7 @@ def test_weights_and_names_of_ones_own() -> None:
 
 
 MINE = '''
-from uplift.priors.shape_base import ShapePrior
+from uplift import ShapePrior
 
 class Mine(ShapePrior):
     """Shapes are small."""
@@ -126,19 +127,20 @@ class Other:
 
 def test_a_prior_in_a_file(here: Path) -> None:
     Path("my.py").write_text(MINE)
-    priors, _ = build_shape_priors({"mine": {"use": "my.py:Mine", "share": 0.3}})
+    priors, *_ = build_priors({"mine": {"use": "my.py:Mine", "share": 0.3}})
     assert float(priors["mine"].loss(lift_of(torch.full((1, 4, 4, 4), 0.5)))) == pytest.approx(0.2)
     with pytest.raises(UserError, match="no subclass of .*ShapePrior"):
-        build_shape_priors({"mine": {"use": "my.py:Other"}})
+        build_priors({"mine": {"use": "my.py:Other"}})
     with pytest.raises(UserError, match="Did you mean 'share'"):
-        build_shape_priors({"mine": {"use": "my.py:Mine", "shar": 0.3}})
+        build_priors({"mine": {"use": "my.py:Mine", "shar": 0.3}})
 
 
 @pytest.mark.parametrize(
     ("specs", "says"),
     [
         ({"smothness": {}}, "Did you mean 'smoothness'"),
-        ({"bones": {}}, "no such built-in"),
+        ({"bones": {}}, "priors.bones: 'bones' judges poses, and this task lifts masks to shapes"),
+        ({"bone": {}}, "no such built-in"),
         ({"smoothness": {"weight": "much"}}, "expected a number"),
         ({"smoothness": {"weight": -1}}, "at least 0"),
         ({"smoothness": {"weight": True}}, "expected a number"),
@@ -150,7 +152,7 @@ def test_a_prior_in_a_file(here: Path) -> None:
 )
 def test_what_is_wrong_is_refused(specs: dict, says: str) -> None:
     with pytest.raises(UserError, match=says):
-        build_shape_priors(specs)
+        build_priors(specs)
 
 
 def test_a_prior_without_a_loss() -> None:

@@ -18,9 +18,9 @@ from uplift.geometry.camera import build_camera
 from uplift.priors.bones import Bones
 from uplift.priors.handedness import Handedness
 from uplift.priors.labelled import Labelled
-from uplift.training.base import Rows
 from uplift.training.pseudo_labels import lift_all, true_poses
 from uplift.training.recipe import Recipe, _go_on
+from uplift.training.sampler import LabelledSampler
 
 
 def fitted(folder: Path, *words: str, **changes) -> tuple[dict[str, torch.Tensor], str]:
@@ -92,18 +92,18 @@ def test_labels_of_another_file_teach_frames_of_this_one(tmp_path: Path) -> None
 def test_rows_keep_the_ratio_and_draw_all_frames() -> None:
     labelled = torch.zeros(100, dtype=torch.bool)
     labelled[:5] = True
-    drawn = torch.stack([Rows(labelled, 0.25)(40) for _ in range(200)])
+    drawn = torch.stack([LabelledSampler(labelled, 0.25)(40) for _ in range(200)])
     assert (labelled[drawn].sum(1) == 10).all()
     assert drawn.unique().tolist() == list(range(100))
     assert labelled[drawn[:, :10]].any(1).float().mean() < 0.999  # not all of them first
-    assert labelled[Rows(labelled, None)(20_000)].float().mean() == pytest.approx(0.05, abs=0.01)
+    assert labelled[LabelledSampler(labelled, None)(20_000)].float().mean() == pytest.approx(0.05, abs=0.01)
     for alike in (torch.zeros(10, dtype=torch.bool), torch.ones(10, dtype=torch.bool)):
-        assert Rows(alike, 0.25)(1000).unique().tolist() == list(range(10))
+        assert LabelledSampler(alike, 0.25)(1000).unique().tolist() == list(range(10))
 
 
 def test_a_few_labelled_frames_are_not_learned_by_heart() -> None:
     labelled = torch.arange(10_000) < 10
-    rows = Rows(labelled, 0.25)
+    rows = LabelledSampler(labelled, 0.25)
     assert rows.share == pytest.approx(0.025)
     assert int(labelled[rows(400)].sum()) == 10
     assert int(labelled[rows(8)].sum()) == 1  # yet never none

@@ -16,8 +16,9 @@ from uplift.data.masks import MaskData
 from uplift.data.tensors import MaskSet, mask_set
 from uplift.errors import UserError
 from uplift.models.mixture import Drawn, ShapeMixture, temperature_at
-from uplift.priors.shape_base import ShapeLift, ShapePrior, build_shape_priors
-from uplift.training.shapes import Explained, MixtureTraining
+from uplift.priors import build_priors
+from uplift.priors.base import ShapeLift, ShapePrior
+from uplift.training.shapes import EStepStatistics, MixtureTraining
 
 
 class Alone(MixtureTraining):
@@ -58,7 +59,7 @@ def data() -> MaskData:
 
 
 def test_shapes_come_to_explain_the_masks(data: MaskData) -> None:
-    module = training(data, small(hot=0.05, cold=0.05))
+    module = training(data, small(temperature_start=0.05, temperature_end=0.05))
     before = module.lifter.logits.detach().clone()
     logged = run(module, 25)
     assert np.mean([row["energy"] for row in logged[-5:]]) < 0.9 * logged[0]["energy"]
@@ -108,15 +109,15 @@ def test_all_masks_are_explained_once_in_many_steps(
     hot: bool, every: int, data: MaskData, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     made: list[tuple[int, float]] = []
-    update = Explained.update
+    update = EStepStatistics.update
 
-    def counting(explained: Explained, mixture: ShapeMixture, masks: MaskSet, temperature: float) -> None:
+    def counting(explained: EStepStatistics, mixture: ShapeMixture, masks: MaskSet, temperature: float) -> None:
         assert len(masks) == len(data), "all masks, whatever the batch"
         made.append((module.global_step, temperature))
         update(explained, mixture, masks, temperature)
 
-    monkeypatch.setattr(Explained, "update", counting)
-    settings = small(hot=0.1, cold=0.03)
+    monkeypatch.setattr(EStepStatistics, "update", counting)
+    settings = small(temperature_start=0.1, temperature_end=0.03)
     module = training(data, settings, hot=hot, batch_size=4)
     module.lifter.azimuth_bias[:, 3] += 1
     module.lifter.azimuth_bias -= module.lifter.azimuth_bias.mean()
@@ -207,7 +208,7 @@ def test_a_loss_that_is_no_number_is_refused(value, says: str, data: MaskData) -
 
 
 def test_a_critic_is_held_still_while_it_judges(data: MaskData) -> None:
-    priors, weights = build_shape_priors({"mask_critic": {"weight": 0.5, "units": 4}})
+    priors, weights, _ = build_priors({"mask_critic": {"weight": 0.5, "units": 4}})
     assert weights == {"mask_critic": 0.5}
     module = training(data, small(), priors)
     critic = priors["mask_critic"]
@@ -216,7 +217,7 @@ def test_a_critic_is_held_still_while_it_judges(data: MaskData) -> None:
     logged = module.objective()[1]
     assert {"energy", "mask_critic", "mask_critic_own"} <= logged.keys()
     assert all(parameter.requires_grad for parameter in critic.parameters())
-    assert [group["name"] for group in module.parameter_groups()] == ["shapes", "priors"]
+    assert [group["name"] for group in module.parameter_groups()] == ["lifter", "mask_critic"]
     # The verdict on silhouettes trains shapes, what tells them from masks the critic: never the other way round.
     lift = ShapeLift(*[torch.rand(1, 12, 12, 12)] * 2, torch.rand(8, 16, 16), torch.rand(8, 16, 16),
                      torch.ones(1, 1), torch.eye(3)[None], 0.0)  # fmt: skip

@@ -21,7 +21,7 @@ from uplift.data.synthetic.masks import ViewChoice, simulate_masks
 from uplift.data.tensors import MaskSet, mask_set
 from uplift.models.mixture import LEAST, MOST, Projector, ShapeMixture
 from uplift.training import shapes as module
-from uplift.training.shapes import Explained
+from uplift.training.shapes import EStepStatistics
 
 KINDS = [{}, {"symmetric": False}, {"gravity": False}]
 ITEMS, T = 20, 0.05
@@ -65,9 +65,9 @@ def told(data: MaskData, labelled: np.ndarray, shape: ShapeSettings) -> MaskSet:
     return mask_set(replace(data, labelled=labelled), shape)
 
 
-def explain(mixture: ShapeMixture, masks: MaskSet, temperature: float = T, pooled: int = 1) -> Explained:
+def explain(mixture: ShapeMixture, masks: MaskSet, temperature: float = T, pooled: int = 1) -> EStepStatistics:
     """Return what the mixture explains."""
-    found = Explained(mixture, bool(masks.labelled.any()), pooled)
+    found = EStepStatistics(mixture, bool(masks.labelled.any()), pooled)
     found.update(mixture, masks, temperature)
     return found
 
@@ -135,7 +135,7 @@ def test_sums_are_those_over_each_mask(more: dict[str, bool], pooled: int, data:
     assert torch.allclose(
         found.ratio * weight, torch.einsum("isd,i->sd", folded(mixture, share), ratio) / ITEMS, atol=1e-5
     )
-    assert not found.told.any()
+    assert not found.labelled.any()
     assert 3 / weight.numel() < float(weight.max()) < 0.9, "some shapes and views explain more than others"
 
 
@@ -242,7 +242,7 @@ def test_labelled_masks_are_explained_from_their_true_view_alone(more: dict[str,
         count[drawn_as(mixture, view)[0]] += 1 / ITEMS
     found = explain(mixture, told(data, np.ones(ITEMS, bool), mixture.settings))
     assert torch.allclose(found.weight.sum(0), count, atol=1e-5)
-    assert torch.allclose(found.told, found.weight.sum(1), atol=1e-5)
+    assert torch.allclose(found.labelled, found.weight.sum(1), atol=1e-5)
     free = explain(mixture, mask_set(data, mixture.settings))
     assert float((free.weight.sum(0) - count).abs().sum()) > 0.5, "without labels the views are others"
 
@@ -251,7 +251,7 @@ def test_labels_of_some_say_nothing_of_the_others(data: MaskData) -> None:
     mixture = fresh()
     labelled = np.arange(ITEMS) % 4 == 0
     found = explain(mixture, told(data, labelled, mixture.settings))
-    assert float(found.told.sum()) == pytest.approx(0.25, abs=1e-5)
+    assert float(found.labelled.sum()) == pytest.approx(0.25, abs=1e-5)
     some, rest = (
         explain(mixture, told(data.select(np.flatnonzero(rows)), labelled[rows], mixture.settings))
         for rows in (labelled, ~labelled)
@@ -275,16 +275,16 @@ def test_the_truth_is_where_shapes_are_least_unlike_it(data: MaskData, seed: int
     mean = torch.einsum("is,izyx->szyx", share, true) / share.sum(0)[:, None, None, None]
     assert torch.allclose(found.truth, mean, atol=5e-3)
     best = torch.logit(mean, 1e-4).requires_grad_()
-    least = found.unlike_truth(best)
+    least = found.label_loss(best)
     other = best.detach() + far * torch.randn_like(best)
     each = functional.binary_cross_entropy_with_logits(
         other.expand(len(true), *other.shape), true[:, None].expand(-1, 2, -1, -1, -1), reduction="none"
     )
     expected = float((each.mean((2, 3, 4)) * share).sum() / ITEMS)
-    assert float(found.unlike_truth(other)) == pytest.approx(expected, rel=5e-3)
-    assert float(least.detach()) < float(found.unlike_truth(other))
+    assert float(found.label_loss(other)) == pytest.approx(expected, rel=5e-3)
+    assert float(least.detach()) < float(found.label_loss(other))
     assert float(torch.autograd.grad(least, best)[0].abs().max()) < 2e-5
-    assert float(least.detach()) < float(found.unlike_truth(best.detach().flip(0))), "each shape has its own truth"
+    assert float(least.detach()) < float(found.label_loss(best.detach().flip(0))), "each shape has its own truth"
 
 
 def test_no_mask_is_lost_where_nothing_is_known() -> None:
@@ -292,6 +292,6 @@ def test_no_mask_is_lost_where_nothing_is_known() -> None:
     data = masks_of(chair(), 12)
     settings = small(parts=64, proportions=1.0)
     mixture = ShapeMixture(settings)
-    explained = Explained(mixture, labels=False)
+    explained = EStepStatistics(mixture, labels=False)
     explained.update(mixture, mask_set(data.without_truth(), settings), 0.3)
     assert float(explained.weight.sum()) == pytest.approx(1, abs=1e-4)

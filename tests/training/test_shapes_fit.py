@@ -120,16 +120,23 @@ def test_a_file_that_was_cut_off(fitted: tuple[Path, ShapeModel], tmp_path: Path
 
 MINE = """
 import torch
-from uplift.priors.shape_base import ShapePrior
+from uplift import ShapePrior
 
 
 class Mine(ShapePrior):
     def __init__(self, share=0.1):
         super().__init__()
         self.share = torch.nn.Parameter(torch.tensor(float(share)))
+        self.masks = 0
+
+    def prepare(self, data):
+        self.masks = len(data)
 
     def loss(self, lift):
         return (lift.occupancy.mean() - self.share).square()
+
+    def metrics(self, lift):
+        return {"masks": self.masks}
 
 
 class Wrong(ShapePrior):
@@ -157,13 +164,14 @@ def test_a_prior_of_ones_own(fitted: tuple[Path, ShapeModel], here: Path) -> Non
     assert not same(model, fitted[1])
     rows = [line.split(",") for line in (here / "run/metrics.csv").read_text().splitlines()[1:]]
     assert min(float(row[3]) for row in rows if row[2] == "mine") > 0
+    assert {float(row[3]) for row in rows if row[2] == "mine_masks"} == {60.0}, "prepared with all masks, and logged"
 
 
 @pytest.mark.parametrize(
     ("name", "says"),
     [
-        ("Wrong", "priors.mine: loss.lift. returned shape .2,.*one finite number"),
-        ("Breaks", r"priors.mine: .*loss failed in .*my.py, line 2\d: AttributeError"),
+        ("Wrong", "priors.mine: loss.lift. returned shape .2,.*expected one number"),
+        ("Breaks", r"priors.mine: .*loss failed in .*my.py, line 3\d: AttributeError"),
         ("Unready", r"must call super\(\).__init__\(\) first"),
         ("Absent", "no class 'Absent'"),
     ],

@@ -77,7 +77,7 @@ def test_a_fit_goes_on_in_its_second_stage(
     interrupt(folder, 2, step, *STAGES, loaded=many())
     assert {path.name for path in folder.glob("checkpoints/*")} == {"shapes.ckpt", "split_1.ckpt"}
     kept = torch.load(folder / "checkpoints/split_1.ckpt", weights_only=True)["state_dict"]
-    assert float(kept["explained.weight"].sum()) == pytest.approx(1, abs=1e-5)
+    assert float(kept["statistics.weight"].sum()) == pytest.approx(1, abs=1e-5)
     taken = noted(monkeypatch)
     assert same(trained(folder, *STAGES, loaded=many()), staged[2])
     assert [(shapes, at) for shapes, at, _ in taken] == [
@@ -112,7 +112,7 @@ def test_only_what_nothing_is_known_of_is_hot(
     staged: tuple[Path, ShapeRecipe, ShapeModel], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     taken = noted(monkeypatch)
-    words = (*STAGES, "trainer.max_steps=3", "shape.hot=0.2", "shape.cold=0.03")
+    words = (*STAGES, "trainer.max_steps=3", "shape.temperature_start=0.2", "shape.temperature_end=0.03")
     more = trained(tmp_path / "more", *words, f"init={staged[0] / 'lifter.pt'}", loaded=many())
     assert not same(more, staged[2])
     assert taken == [(4, step, 0.03) for step in range(3)]

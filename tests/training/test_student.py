@@ -51,8 +51,8 @@ def test_views_are_projections_of_their_targets(poses):
     projected = Perspective().project(views.pose, views.distance)
     torch.testing.assert_close(views.keypoints, projected, atol=1e-5, rtol=1e-5)
     # What is given differs only by where it is measured from, and that only where the root is hidden.
-    moved = views.given - views.keypoints
-    rooted = views.shown[:, ROOT] > 0
+    moved = views.input - views.keypoints
+    rooted = views.confidence[:, ROOT] > 0
     torch.testing.assert_close(moved[rooted], torch.zeros_like(moved[rooted]), atol=1e-5, rtol=0)
     others = [joint for joint in range(17) if joint != ROOT]
     assert moved[~rooted][:, others].std(1).max() < 1e-5
@@ -61,21 +61,21 @@ def test_views_are_projections_of_their_targets(poses):
 
 def test_the_radius_is_that_of_the_joints_that_are_shown(poses):
     views = views_of(poses, 200, occlude=0.8)
-    assert (views.shown == 0).any()
-    radius = mean_radius(views.given, views.shown, ROOT, count_root=False)
+    assert (views.confidence == 0).any()
+    radius = mean_radius(views.input, views.confidence, ROOT, count_root=False)
     torch.testing.assert_close(radius, torch.ones(200), atol=1e-5, rtol=1e-5)
 
 
 def test_a_share_of_the_views_is_occluded(poses):
     views = views_of(poses, 4000, occlude=0.4)
-    assert 0.03 < (views.shown[:, ROOT] == 0).float().mean() < 0.1
+    assert 0.03 < (views.confidence[:, ROOT] == 0).float().mean() < 0.1
     # A few of the views that take part happen to lose no joint at all.
-    assert (views.shown == 0).any(1).float().mean() == pytest.approx(0.37, abs=0.04)
-    assert (views_of(poses, 50, occlude=0.0).shown == 1).all()
+    assert (views.confidence == 0).any(1).float().mean() == pytest.approx(0.37, abs=0.04)
+    assert (views_of(poses, 50, occlude=0.0).confidence == 1).all()
 
 
 def test_whole_limbs_go_missing(poses):
-    hidden = views_of(poses, 4000, occlude=1.0, mirror=False).shown == 0
+    hidden = views_of(poses, 4000, occlude=1.0, mirror=False).confidence == 0
     assert not hidden.all(1).any()
     arm = [SKELETON.index(joint) for joint in ("rshoulder", "relbow", "rwrist")]
     others = [joint for joint in range(len(SKELETON.joints)) if joint not in arm]
@@ -84,7 +84,7 @@ def test_whole_limbs_go_missing(poses):
 
 def test_confidence_reaches_the_network_as_it_is(poses):
     doubtful = replace(poses, confidence=torch.full_like(poses.confidence, 0.4))
-    assert (views_of(doubtful, 50).shown == 0.4).all()
+    assert (views_of(doubtful, 50).confidence == 0.4).all()
 
 
 def test_noise_comes_with_the_confidence_of_its_frame(poses):
@@ -93,8 +93,8 @@ def test_noise_comes_with_the_confidence_of_its_frame(poses):
     noise = (confidence * 0.01).unsqueeze(-1).expand(-1, -1, 2).clone()
     views = views_of(replace(poses, confidence=confidence, noise=noise), 300)
     # What the network sees is off by the noise, less that of the root, in units of the radius that is shown.
-    off = (views.given - views.keypoints)[..., 0]
-    expected = 0.01 * (views.shown - views.shown[:, [ROOT]])
+    off = (views.input - views.keypoints)[..., 0]
+    expected = 0.01 * (views.confidence - views.confidence[:, [ROOT]])
     scale = (off * expected).sum(1, keepdim=True) / expected.square().sum(1, keepdim=True)
     torch.testing.assert_close(off, expected * scale, atol=1e-4, rtol=1e-3)
     assert scale.min() > 0
@@ -104,7 +104,7 @@ def test_frames_with_too_few_joints_teach_nothing_and_stay_finite(poses):
     confidence = torch.zeros_like(poses.confidence)
     confidence[:, :2] = 1
     views = views_of(replace(poses, confidence=confidence), 100, occlude=0.4)
-    assert (views.sure == 0).all()
+    assert (views.weight == 0).all()
     assert views.pose.isfinite().all()
     assert views.pose.abs().max() < 50
 

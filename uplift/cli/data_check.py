@@ -11,10 +11,13 @@ import numpy as np
 
 from uplift.cli.kinds import KINDS
 from uplift.config.files import data_root, files_of
-from uplift.config.loading import load_settings
+from uplift.config.loading import load_settings, split_words
 from uplift.config.settings import Settings
 from uplift.data.datasets import DataSet
 from uplift.data.datasets.base import cached_facts
+from uplift.data.formats import MASK_FORMATS
+from uplift.data.formats.base import Peek
+from uplift.data.formats.masks_npz import read_masks_npz
 from uplift.data.formats.npz import contents_of, memory_of
 from uplift.data.load import find_data, how_to_get, named_set, of_labelled, read_options
 from uplift.errors import UserError, did_you_mean
@@ -30,11 +33,10 @@ def check_data(words: Sequence[str]) -> tuple[list[str], bool]:
     Raises:
         UserError: no such task, set, option or split; no data named.
     """
-    tasks = [word.partition("=")[2] for word in words if word.partition("=")[0] == "task"]
-    overrides = [word for word in words if word.partition("=")[0] != "task"]
-    if tasks and not tasks[-1]:
+    task = split_words(words)[1].get("task")
+    if task == "":
         raise UserError("data check: 'task=' has no value. Expected task=NAME.")
-    settings = load_settings(tasks[-1] if tasks else None, overrides)
+    settings = load_settings(task, [word for word in words if word.partition("=")[0] != "task"])
     report = _Report(settings)
     if settings.data.simulate:
         report.simulated(settings)
@@ -177,18 +179,13 @@ def simulated_masks(settings: Settings, skeleton: Skeleton | None) -> tuple[str,
 
 def mask_file(path: Path, settings: Settings, skeleton: Skeleton | None) -> str:
     """Return in a few words what a file or folder holds; raises UserError where that is not masks."""
-    from uplift.data.formats.masks import FORMATS, Look, format_named, guess_format
-    from uplift.data.formats.masks_npz import read_masks
-
-    look, chosen = Look([path]), settings.data.format
-    if chosen is not None and chosen not in FORMATS:
-        raise UserError(f"data.format={chosen}: no such format of masks.{did_you_mean(chosen, FORMATS)}")
-    found = guess_format(look) if chosen is None else format_named(chosen)
+    peek, chosen = Peek(path), settings.data.format
+    found = MASK_FORMATS.guess(peek) if chosen is None else MASK_FORMATS.named(chosen, "data.format")
     if found.name == "npz":
-        masks = read_masks(path)
+        masks = read_masks_npz(path)
         truth = "no" if masks.truth is None else "with"
         return f"{len(masks):,} masks of {masks.side} x {masks.side} px, {truth} true shapes"
-    count = f"{len(look.pictures):,} pictures, " if look.pictures else ""
+    count = f"{len(peek.pictures):,} pictures, " if peek.pictures else ""
     return f"{count}{found.title}; each is looked at when the fit starts"
 
 

@@ -7,8 +7,9 @@ import time
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
-from uplift.cli.parsing import keyed
+from uplift.cli.parsing import check_keys
 from uplift.config.files import refuse_existing, refuse_output
+from uplift.config.loading import split_words
 from uplift.data.datasets.cmu import Clip, Rates, Rig, Trial, chosen_test, filmed, find_trials, read_clip, read_index
 from uplift.errors import UserError
 
@@ -84,8 +85,8 @@ def _people(motions: Sequence[Trial] | Sequence[Clip]) -> str:
 
 
 def _settings(words: list[str]) -> tuple[Path, dict[str, str]]:
-    folders = [word for word in words if "=" not in word or Path(word).is_dir()]
-    keys = keyed("data cmu", [word for word in words if word not in folders], _KEYS)
+    folders, keys = split_words(words, _KEYS)
+    check_keys("data cmu", keys, _KEYS)
     if len(folders) != 1 or "output" not in keys:
         raise UserError(f"data cmu takes one DIR with .asf, .amc or .bvh files, and output=FOLDER. ({_USE})")
     return Path(folders[0]).expanduser(), keys

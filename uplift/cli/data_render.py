@@ -11,8 +11,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from uplift.cli.parsing import keyed, one_of, whole
+from uplift.cli.parsing import check_keys, one_of, whole
 from uplift.config.files import refuse_output
+from uplift.config.loading import split_words
 from uplift.errors import UserError, did_you_mean
 
 if TYPE_CHECKING:
@@ -39,7 +40,7 @@ def render_masks_command(words: Sequence[str]) -> list[str]:
     Raises:
         UserError: an invalid setting or mesh, or an output that exists.
     """
-    from uplift.data.formats.masks_npz import write_masks
+    from uplift.data.formats.masks_npz import write_masks_npz
 
     sources, keys = _settings(words)
     items, side = _whole(keys, "items", 2000, 1), _whole(keys, "side", 64, 8, 1024)
@@ -50,7 +51,7 @@ def render_masks_command(words: Sequence[str]) -> list[str]:
     shapes, about = _shapes(sources, keys, -(-items // each), seed)
     data = _rendered(shapes, items, seed, side, views, each, keys.get("category"))
     if output.suffix == ".npz":
-        write_masks(data, output)
+        write_masks_npz(data, output)
         wrote = f"wrote {output}: {items:,} masks of {side} x {side} px, with the shapes they show"
     else:
         _write_folder(data, output)
@@ -59,8 +60,8 @@ def render_masks_command(words: Sequence[str]) -> list[str]:
 
 
 def _settings(words: Sequence[str]) -> tuple[list[str], dict[str, str]]:
-    sources = [word for word in words if "=" not in word or Path(word).exists()]
-    keys = keyed(_VERB, [word for word in words if word not in sources], RENDER_KEYS)
+    sources, keys = split_words(words, RENDER_KEYS)
+    check_keys(_VERB, keys, RENDER_KEYS)
     if not sources or "output" not in keys:
         from uplift.data.synthetic.masks import FAMILIES
 
@@ -153,7 +154,7 @@ def _output(keys: dict[str, str]) -> Path:
 def _write_folder(data: MaskData, folder: Path) -> None:
     from PIL import Image
 
-    from uplift.data.formats.masks_npz import write_masks
+    from uplift.data.formats.masks_npz import write_masks_npz
 
     digits = len(str(len(data) - 1))
     kinds = [""] * len(data) if data.category is None else [_plain(str(kind)) for kind in data.category]
@@ -165,7 +166,7 @@ def _write_folder(data: MaskData, folder: Path) -> None:
         (folder / below).mkdir(parents=True, exist_ok=True)
         names.append((below / f"{_plain(re.sub(r':[0-9]+$', '', name))}_{item:0{digits}d}.png").as_posix())
         Image.fromarray(mask).save(folder / names[-1])
-    write_masks(replace(data, names=names), folder / "truth.npz")
+    write_masks_npz(replace(data, names=names), folder / "truth.npz")
 
 
 def _plain(name: str) -> str:

@@ -11,10 +11,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from uplift.cli.kinds import kind_of_run
+from uplift.cli.kinds import KINDS
 from uplift.cli.parsing import EVALUATE_KEYS, keyed, one_of, whole
 from uplift.config.files import absolute, replacing, shipped_names
-from uplift.config.run import RunFolder
+from uplift.config.run import RunFolder, read_weights
 from uplift.config.settings import Settings
 from uplift.data.clean import clean
 from uplift.data.formats.npz import joint_names_of, refuse_other_axes, unit_of
@@ -63,10 +63,11 @@ def evaluate(
     from uplift.models.model import load
 
     folder = RunFolder.open(run)
-    kind = kind_of_run(folder.path)
+    weights = read_weights(folder.path)
+    kind = KINDS[weights.lifts]
     given = {key: value for key, value in {"refine": refine, "items": items}.items() if value is not None}
     kind.refuse_others("evaluate", given, folder.path)
-    result = kind.evaluate(folder, load(folder.path), None if test is None else str(test), **given)
+    result = kind.evaluate(folder, load(weights), None if test is None else str(test), **given)
     save_evaluation(result, folder)
     return result
 

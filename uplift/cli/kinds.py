@@ -9,11 +9,10 @@ from pathlib import Path
 from typing import Any
 
 from uplift.cli.parsing import POSE_KEYS, SHAPE_KEYS
-from uplift.config.run import lifts_masks
 from uplift.errors import UserError
 from uplift.metrics.protocols import BEST_BASELINE, SHAPE_METRICS
 
-__all__ = ["KINDS", "Kind", "kind_of_run"]
+__all__ = ["KINDS", "Kind"]
 
 
 class Later(str):
@@ -42,7 +41,7 @@ class Kind:
     predict: Later
     """(`uplift.cli.predict.Request`) -> `uplift.cli.predict.Lifted`."""
     predict_request: Later
-    """(words of the command as a dict) -> `uplift.cli.predict.Request`."""
+    """(weights, words of the command as a dict) -> `uplift.cli.predict.Request`."""
     predict_summary: Later
     """(prediction) -> lines to print."""
     check_simulated: Later
@@ -100,8 +99,3 @@ KINDS = {
         compared=tuple(one for name in SHAPE_METRICS for one in (name, BEST_BASELINE + name)),
     ),
 }  # fmt: skip
-
-
-def kind_of_run(run: str | Path) -> Kind:
-    """Return the row of a run or of a ``lifter.pt``; that of keypoints where there is none: opening it says so."""
-    return KINDS["masks" if lifts_masks(run) else "keypoints"]

@@ -6,7 +6,7 @@ import math
 from collections.abc import Sequence
 from pathlib import Path
 
-from uplift.cli.kinds import kind_of_run
+from uplift.cli.kinds import KINDS
 from uplift.config.files import shipped_names
 from uplift.config.loading import load_settings
 from uplift.config.run import RunFolder
@@ -108,7 +108,7 @@ def spread(runs: Sequence[RunFolder]) -> str:
 
 def _protocols(runs: Sequence[RunFolder]) -> tuple[Sequence[str], int]:
     """Return the metrics that are shown of such runs, and the width of their names; refuse runs of both kinds."""
-    kinds = [kind_of_run(run.path) for run in runs]
+    kinds = [KINDS[run.settings().lifts] for run in runs]
     for run, kind in zip(runs, kinds, strict=True):
         if kind is not kinds[0]:
             raise UserError(

@@ -142,23 +142,17 @@ _KEYS = {
 
 
 def _fit(words: Sequence[str]) -> None:
-    task, resume = None, None
-    seeds: list[list[str]] = [[]]
-    overrides: list[str] = []
-    for word in words:
-        key, _, value = word.partition("=")
-        if key in ("task", "resume") and not value:
-            raise UserError(f"fit: '{word}' has no value. Expected {key}={key.upper().replace('RESUME', 'RUN')}.")
-        if key == "task":
-            task = value
-        elif key == "resume":
-            resume = value
-        elif key == "seed" and "," in value:
-            seeds = [[f"seed={seed.strip()}"] for seed in value.split(",")]
-        else:
-            overrides.append(word)
-    from uplift.config.loading import load_settings
+    from uplift.config.loading import load_settings, split_words
 
+    given = split_words(words)[1]
+    for key, expected in (("task", "TASK"), ("resume", "RUN")):
+        if given.get(key) == "":
+            raise UserError(f"fit: '{key}=' has no value. Expected {key}={expected}.")
+    task, resume = given.get("task"), given.get("resume")
+    several = "," in given.get("seed", "")
+    seeds = [[f"seed={seed.strip()}"] for seed in given["seed"].split(",")] if several else [[]]
+    apart = ("task", "resume", *(["seed"] if several else []))
+    overrides = [word for word in words if word.partition("=")[0] not in apart]
     # A typo answers before torch is imported, and before the first of several fits.
     wanted = [] if resume else [load_settings(task, [*overrides, *seed]) for seed in seeds]
     from uplift.cli.fit import fit, fit_settings

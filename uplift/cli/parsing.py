@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from typing import TYPE_CHECKING
 
-from uplift.errors import UserError, did_you_mean
+from uplift.errors import UserError, did_you_mean, nearest
 
 if TYPE_CHECKING:
     from uplift.data.formats.base import ReadOptions
 
 __all__ = [
-    "EVALUATE_KEYS", "POSE_KEYS", "PREDICT_KEYS", "READ_KEYS", "SHAPE_KEYS", "SIZE_KEYS", "keyed", "number", "one_of", "read_options",
+    "EVALUATE_KEYS", "POSE_KEYS", "PREDICT_KEYS", "READ_KEYS", "SHAPE_KEYS", "SIZE_KEYS", "check_keys", "keyed", "number", "one_of", "read_options",
     "whole",
 ]  # fmt: skip
 
@@ -35,27 +35,34 @@ def keyed(
     """Return the ``key=value`` words as a dict; keys ``open_below`` a prefix are taken as they are.
 
     Raises:
-        UserError: a word that is none, a key the command does not take, one without a value or twice, one missing.
+        UserError: not key=value, a key the command does not take, one without a value or twice, one missing.
     """
-    found: dict[str, str] = {}
-    for word in words:
-        key, equals, value = word.partition("=")
-        if not equals or (key not in known and not key.startswith(tuple(open_below) or ("=",))):
-            raise UserError(f"{verb}: '{word}' is not one of its settings.{did_you_mean(key, known)}")
-        if not value:
-            raise UserError(f"{verb}: '{key}=' has no value.")
-        found[key] = value
+    from uplift.config.loading import split_words  # loads yaml, which `uplift --help` does without
+
+    plain, found = split_words(words)
+    for word in plain:
+        raise UserError(f"{verb}: '{word}' is not one of its settings.{did_you_mean(word, known)}")
+    check_keys(verb, found, known, open_below)
     for key in needed:
         if key not in found:
             raise UserError(f"{verb} needs {key}=... (uplift {verb} --help)")
     return found
 
 
+def check_keys(verb: str, keys: Mapping[str, str], known: Sequence[str], open_below: Sequence[str] = ()) -> None:
+    """Refuse a key that the command does not take, and one without a value."""
+    for key, value in keys.items():
+        if key not in known and not key.startswith(tuple(open_below) or ("=",)):
+            raise UserError(f"{verb}: '{key}={value}' is not one of its settings.{did_you_mean(key, known)}")
+        if not value:
+            raise UserError(f"{verb}: '{key}=' has no value.")
+
+
 def one_of(verb: str, keys: dict[str, str], key: str, values: Collection[str], default: str) -> str:
     """Return the value of ``key``, one of ``values``."""
     value = keys.get(key, default)
     if value not in values:
-        raise UserError(f"{verb}: {key}={value!r}, expected {' or '.join(values)}.{did_you_mean(value, values)}")
+        raise UserError(f"{verb}: {key}={value!r}, expected {' or '.join(values)}.{nearest(value, values)}")
     return value
 
 

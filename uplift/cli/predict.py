@@ -9,15 +9,15 @@ from typing import Any
 
 import numpy as np
 
-from uplift.cli.kinds import kind_of_run
+from uplift.cli.kinds import KINDS
 from uplift.cli.parsing import PREDICT_KEYS, SIZE_KEYS, keyed, number, one_of, read_options, whole
 from uplift.config.files import refuse_output
 from uplift.config.loading import load_settings
-from uplift.config.run import RunFolder
+from uplift.config.run import Weights, read_weights
 from uplift.data.clean import clean
 from uplift.data.datasets import DATA_SETS
+from uplift.data.formats import read_masks
 from uplift.data.formats.base import ReadOptions
-from uplift.data.formats.masks import read
 from uplift.data.load import load_file, load_split
 from uplift.data.poses import PoseData
 from uplift.errors import UserError, did_you_mean
@@ -26,7 +26,7 @@ from uplift.export.gallery import check_options
 from uplift.export.scene import AXES, in_axes
 from uplift.metrics.pose_metrics import bone_cv, bone_lengths, never_seen_so_long
 from uplift.models.metric_scale import size_from
-from uplift.models.model import load, load_poses
+from uplift.models.model import load
 from uplift.models.prediction import Prediction, ShapePrediction
 from uplift.skeleton import Skeleton
 
@@ -40,7 +40,7 @@ __all__ = [
 class Request:
     """What is to be lifted, and what becomes of it; the fields are the arguments of `predict`."""
 
-    run: str | Path
+    weights: Weights
     input: str | Path
     output: str | Path | None = None
     overrides: tuple[str, ...] = ()
@@ -67,7 +67,7 @@ class Lifted:
 
 
 def predict(
-    run: str | Path,
+    run: str | Path | Weights,
     input: str | Path,
     output: str | Path | None = None,
     *overrides: str,
@@ -90,14 +90,17 @@ def predict(
     ``gallery``, and ``options`` are those of its writer. The files written, with a word on each, are added to ``written``.
 
     With a run that lifts masks, ``options`` (and ``size`` among them) are those of `uplift.export.write` for shapes and
-    of `uplift.data.formats.masks.read`; what goes with keypoints is refused.
+    of `uplift.data.formats.read_masks`; what goes with keypoints is refused.
 
     Raises:
         UserError: no such run or input, joints that do not fit the model's skeleton, no mask that can be used, an
             output that exists already or cannot be written.
     """
-    request = Request(run, input, output, overrides, refine, constant_bones, size or {}, reading, axes, page, options)
-    done: Lifted = kind_of_run(run).predict(request)
+    weights = run if isinstance(run, Weights) else read_weights(run)
+    request = Request(
+        weights, input, output, overrides, refine, constant_bones, size or {}, reading, axes, page, options
+    )
+    done: Lifted = KINDS[weights.lifts].predict(request)
     if written is not None:
         written |= done.files
     return done.prediction
@@ -106,9 +109,10 @@ def predict(
 def predict_command(words: Sequence[str]) -> None:
     """Lift what the words name, write it, and print what was done."""
     keys = keyed("predict", words, PREDICT_KEYS, ("run", "input", "output"), open_below=("data.options.",))
-    kind = kind_of_run(keys["run"])
+    weights = read_weights(keys["run"])
+    kind = KINDS[weights.lifts]
     kind.refuse_others("predict", keys, keys["run"])
-    done: Lifted = kind.predict(kind.predict_request(keys))
+    done: Lifted = kind.predict(kind.predict_request(weights, keys))
     lines = kind.predict_summary(done.prediction)
     lines += [f"wrote {path}" + (f": {word}" if word else "") for path, word in list(done.files.items())[:5]]
     lines += [f"and {len(done.files) - 5} more"] * (len(done.files) > 5)
@@ -119,7 +123,7 @@ def predict_command(words: Sequence[str]) -> None:
 # Keypoints in, poses out.
 
 
-def keypoint_request(keys: dict[str, str]) -> Request:
+def keypoint_request(weights: Weights, keys: dict[str, str]) -> Request:
     """Return what the words of the command ask of a run that lifts keypoints."""
     options: dict[str, Any] = {"images": keys["images"]} if "images" in keys else {}
     options |= {key: whole("predict", keys, key) for key in ("frames", "seed") if key in keys}
@@ -127,7 +131,7 @@ def keypoint_request(keys: dict[str, str]) -> Request:
     if "bone" in keys:
         size["bone"] = tuple(name.strip() for name in keys["bone"].split(","))
     return Request(
-        keys["run"],
+        weights,
         keys["input"],
         keys["output"],
         tuple(f"{key}={value}" for key, value in keys.items() if key.startswith("data.")),
@@ -153,7 +157,7 @@ def lift_keypoints(request: Request) -> Lifted:
         if page == "gallery":
             check_options(**options)
         refuse_output(Path(output))
-    model = load_poses(request.run)
+    model = load(request.weights)
     size = size_from(model.skeleton, **request.size)
     data = _read(request, model.skeleton)
     clean(data, model.skeleton)  # refuses a file with nothing to lift, before any work
@@ -232,7 +236,7 @@ _READING = ("format", "border", "pieces", "category", "most", "images", "side")
 _OF_MESHES = ("axes", "unit", "height_mm", "length_mm", "smooth", "together")
 
 
-def mask_request(keys: dict[str, str]) -> Request:
+def mask_request(weights: Weights, keys: dict[str, str]) -> Request:
     """Return what the words of the command ask of a run that lifts masks."""
     options: dict[str, Any] = {key: keys[key] for key in ("unit", *_READING) if key in keys}
     options |= {key: number("predict", keys, key) for key in ("height_mm", "length_mm") if key in keys}
@@ -240,21 +244,23 @@ def mask_request(keys: dict[str, str]) -> Request:
     if "together" in keys:
         options["together"] = one_of("predict", keys, "together", ("true", "false"), "true") == "true"
     return Request(
-        keys["run"], keys["input"], keys["output"], axes=keys.get("axes"), page=keys.get("page"), options=options
+        weights, keys["input"], keys["output"], axes=keys.get("axes"), page=keys.get("page"), options=options
     )
 
 
 def lift_masks(request: Request) -> Lifted:
     """Lift masks and write the shapes, if there is an output."""
     if request.overrides or not request.refine or request.constant_bones or request.reading is not None:
-        raise UserError(f"{request.run} lifts masks: overrides, refine, constant_bones and reading go with keypoints.")
+        raise UserError(
+            f"{request.weights.run} lifts masks: overrides, refine, constant_bones and reading go with keypoints."
+        )
     axes = {} if request.axes is None else {"axes": request.axes}
     options = {**request.options, **request.size, **axes}
     reading = {key: options.pop(key) for key in _READING if key in options}
     if request.output is not None:
         _check_mesh_output(request.output, request.page, options)
-    model = load(request.run)
-    data = read(request.input, **{"side": _side_of(request.run), **reading})
+    model, trained = load(request.weights), request.weights.settings()
+    data = read_masks(request.input, **{**({"side": trained.data.side} if trained else {}), **reading})
     prediction = model.predict(data.without_truth(), title=request.title)
     notes = tuple(note for note in data.notes if note not in prediction.notes)
     prediction.notes = (*notes, *prediction.notes)
@@ -275,16 +281,6 @@ def _check_mesh_output(output: str | Path, page: str | None, options: Mapping[st
     if options.get("items", 1) < 1:
         raise UserError(f"items={options['items']}: a page shows at least one shape.")
     refuse_output(Path(output))
-
-
-def _side_of(run: str | Path) -> int:
-    """Return the pixels along a crop that the run was trained with; the default where only its weights are there."""
-    path = Path(run)
-    if path.is_file():
-        path = path.parent
-        if not (path / "config.yaml").is_file():
-            return 64
-    return RunFolder.open(path).settings().data.side
 
 
 def shape_summary(found: ShapePrediction) -> list[str]:

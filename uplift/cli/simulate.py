@@ -9,7 +9,7 @@ import numpy as np
 
 from uplift.config.files import refuse_output
 from uplift.data.poses import PoseData
-from uplift.errors import UserError, did_you_mean
+from uplift.errors import UserError, nearest
 from uplift.skeleton import Skeleton, load_skeleton
 
 __all__ = ["simulate"]
@@ -63,7 +63,7 @@ def _checked(output: Path, tracker: str | None) -> Path:
     if ending not in _ENDINGS:
         raise UserError(f"output={output}: simulated data is written as {' or '.join(_ENDINGS)}.")
     if tracker is not None and tracker not in _TRACKERS:
-        raise UserError(f"tracker={tracker}: expected {' or '.join(_TRACKERS)}.{did_you_mean(tracker, _TRACKERS)}")
+        raise UserError(f"tracker={tracker}: expected {' or '.join(_TRACKERS)}.{nearest(tracker, _TRACKERS)}")
     if tracker is not None and ending != ".csv":
         raise UserError(f"output={output}: the files of tracker={tracker} are .csv.")
     refuse_output(output)

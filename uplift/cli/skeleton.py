@@ -7,13 +7,15 @@ from pathlib import Path
 
 import numpy as np
 
+from uplift.cli.parsing import check_keys
 from uplift.config.files import refuse_existing, shipped, shipped_names
+from uplift.config.loading import split_words
 from uplift.data.clean import MIN_VISIBLE, clean
 from uplift.data.formats import read
 from uplift.data.formats.base import ReadOptions
 from uplift.data.load import in_joints_of
 from uplift.data.poses import PoseData
-from uplift.errors import UserError, did_you_mean
+from uplift.errors import UserError
 from uplift.skeleton import Skeleton, load_skeleton
 from uplift.skeleton.match import JointMatch, match_joints
 from uplift.skeleton.propose import TOO_LONG, guess_parts, quoted, stretch_of
@@ -73,17 +75,8 @@ def new_skeleton_file(words: list[str]) -> list[str]:
 
 def _keyed_words(verb: str, words: list[str], known: tuple[str, ...]) -> tuple[list[str], dict[str, str]]:
     """Return the plain words and the ``key=value`` words; raises UserError for keys that are not ``known``."""
-    names, keyed = [], {}
-    for word in words:
-        key, equals, value = word.partition("=")
-        if not equals or (key not in known and Path(word).exists()):
-            names.append(word)
-        elif key not in known:
-            raise UserError(f"skeleton {verb}: '{word}' is not one of its settings.{did_you_mean(key, known)}")
-        elif not value:
-            raise UserError(f"skeleton {verb}: '{key}=' has no value.")
-        else:
-            keyed[key] = value
+    names, keyed = split_words(words, known)
+    check_keys(f"skeleton {verb}", keyed, known)
     return names, keyed
 
 

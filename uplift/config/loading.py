@@ -3,23 +3,28 @@
 from __future__ import annotations
 
 import dataclasses
-import functools
 import re
 import typing
-from collections.abc import Callable, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
 import yaml
 
 from uplift.config.files import absolute, shipped, shipped_names
-from uplift.config.settings import Settings, check_settings
-from uplift.config.yaml_file import read_value, read_yaml
+from uplift.config.settings import RENAMED, Settings, all_settings, check_settings, rename_old
+from uplift.config.yaml_file import Where, read_value, read_yaml
 from uplift.errors import UserError, did_you_mean
 
-__all__ = ["load_settings", "put_override", "read_task", "save_settings", "setting_names", "task_path"]
-
-# Turn a task file and ``key=value`` overrides into checked `Settings`.
+__all__ = [
+    "load_settings",
+    "put_override",
+    "read_task",
+    "save_settings",
+    "setting_names",
+    "split_words",
+    "task_path",
+]
 
 _MAX_EXTENDS = 10
 
@@ -37,6 +42,7 @@ def load_settings(task: str | None = None, overrides: Sequence[str] = (), defaul
     path = task_path(task or default)
     merged = read_task(path)
     merged["task"] = path.stem if task else ""
+    split_words(overrides)  # refuses a key given twice
     for override in overrides:
         put_override(merged, override)
     settings = _typed(merged)
@@ -44,6 +50,19 @@ def load_settings(task: str | None = None, overrides: Sequence[str] = (), defaul
         settings.data.root = str(path.parent.absolute())  # a task file of one's own names files beside it
     check_settings(settings)
     return settings
+
+
+def save_settings(settings: Settings, path: Path) -> None:
+    """Write all settings, resolved, as a task file that can be used again."""
+    path.write_text(yaml.safe_dump(dataclasses.asdict(settings), sort_keys=False, allow_unicode=True))
+
+
+def setting_names(below: str = "") -> list[str]:
+    """Return every setting's full name, such as ``trainer.max_time``."""
+    return [name for name in all_settings() if name.startswith(below)]
+
+
+# Task files: plain settings, those of the task that they extend underneath.
 
 
 def task_path(task: str) -> Path:
@@ -72,20 +91,11 @@ def read_task(path: Path, depth: int = 0) -> dict[str, Any]:
         if depth >= _MAX_EXTENDS:
             raise UserError(f"{where(('extends',))}: more than {_MAX_EXTENDS} tasks extend one another: a circle?")
         base = read_task(_parent_path(parent, path.parent, where(("extends",))), depth + 1)
-    _bring_up_to_date(data)
-    _check_keys(data, Settings, (), where)
+    if path.name == "config.yaml":  # written by a fit, perhaps of an earlier version
+        rename_old(data)
+    _check_keys(data, (), where)
     _bind_paths(data, path.parent)
     return _merge(base, data)
-
-
-def _bring_up_to_date(data: dict[str, Any]) -> None:
-    """Give settings that runs of version 0.1 wrote under other names their new ones."""
-    chosen = data.get("data")
-    for group in ("select", "hold_out"):
-        choice = chosen.get(group) if isinstance(chosen, dict) else None
-        for old in ("subject", "action", "sequence", "camera"):
-            if isinstance(choice, dict) and old in choice:
-                choice.setdefault(f"{old}s", choice.pop(old))
 
 
 def _parent_path(parent: Any, folder: Path, where: str) -> Path:
@@ -129,27 +139,44 @@ def _merge(base: dict[str, Any], top: dict[str, Any]) -> dict[str, Any]:
     return merged
 
 
-def _check_keys(data: dict[str, Any], kind: type, above: tuple[str, ...], where: Callable[[tuple], str]) -> None:
-    hints = _hints_of(kind)
+def _check_keys(data: dict[str, Any], above: tuple[str, ...], where: Where) -> None:
+    """Refuse keys that are not settings, and a value in place of a group of them."""
+    names = _names_below(above)
     for key, value in data.items():
-        if key not in hints:
-            valid = [".".join((*above, name)) for name in hints]
-            full = ".".join((*above, key))
-            raise UserError(f"{where((*above, key))}: unknown setting '{full}'.{did_you_mean(full, valid)}")
-        is_group = dataclasses.is_dataclass(hints[key])
-        if (is_group or typing.get_origin(hints[key]) is dict) and not isinstance(value, dict):
-            raise UserError(
-                f"{where((*above, key))}: '{'.'.join((*above, key))}' is {value!r}, expected settings below it."
-            )
-        if is_group:
-            _check_keys(value, hints[key], (*above, key), where)  # type: ignore[arg-type]
+        part = (*above, key)
+        full = ".".join(part)
+        if full not in names:
+            raise UserError(f"{where(part)}: {_unknown(full, names)}")
+        setting = all_settings().get(full)
+        if (setting is None or _is_open(setting.type)) and not isinstance(value, dict):
+            raise UserError(f"{where(part)}: '{full}' is {value!r}, expected settings below it.")
+        if setting is None:
+            _check_keys(value, part, where)
+
+
+def _names_below(above: Sequence[str]) -> list[str]:
+    """Return the full names of the settings and groups right below a group."""
+    start, depth = "".join(f"{key}." for key in above), len(above) + 1
+    return list(dict.fromkeys(".".join(name.split(".")[:depth]) for name in setting_names(start)))
+
+
+def _unknown(name: str, valid: Iterable[str]) -> str:
+    """Return what to say about a name that is not a setting."""
+    if name in RENAMED:
+        return f"the setting '{name}' is now called '{RENAMED[name]}'."
+    return f"unknown setting '{name}'.{did_you_mean(name, valid)}"
+
+
+def _is_open(kind: Any) -> bool:
+    """Return whether a setting takes keys of any name below it."""
+    return typing.get_origin(kind) is dict
 
 
 def _typed(merged: dict[str, Any]) -> Settings:
     from omegaconf import OmegaConf
     from omegaconf.errors import OmegaConfBaseException
 
-    _check_tuples(merged, Settings)
+    _check_tuples(merged)
     try:
         config = OmegaConf.merge(OmegaConf.structured(Settings), OmegaConf.create(_escape(merged)))
         settings = OmegaConf.to_object(config)
@@ -164,16 +191,18 @@ def _typed(merged: dict[str, Any]) -> Settings:
     return settings
 
 
-def _check_tuples(data: dict[str, Any], kind: type, above: str = "") -> None:
+def _check_tuples(data: dict[str, Any]) -> None:
     """Refuse what is not as many numbers as its setting holds; OmegaConf does, but without saying which."""
-    for key, hint in _hints_of(kind).items():
-        value = data.get(key)
-        if dataclasses.is_dataclass(hint) and isinstance(value, dict):
-            _check_tuples(value, hint, f"{above}{key}.")  # type: ignore[arg-type]
-        elif typing.get_origin(hint) is tuple and key in data:
-            count = len(typing.get_args(hint))
+    for setting in all_settings().values():
+        if typing.get_origin(setting.type) is tuple:
+            value: Any = data
+            for key in setting.name.split("."):
+                value = value.get(key, setting.default)
+                if value is setting.default:
+                    break
+            count = len(setting.default)
             if not isinstance(value, (list, tuple)) or len(value) != count or not all(map(_is_number, value)):
-                raise UserError(f"{above}{key}={value!r}: expected {count} numbers, as a,b.")
+                raise UserError(f"{setting.name}={value!r}: expected {count} numbers, as a,b.")
 
 
 def _is_number(value: Any) -> bool:
@@ -193,36 +222,42 @@ def _escape(value: Any) -> Any:
     return value.replace("${", "\\${") if isinstance(value, str) else value
 
 
-def save_settings(settings: Settings, path: Path) -> None:
-    """Write all settings, resolved, as a task file that can be used again."""
-    path.write_text(yaml.safe_dump(dataclasses.asdict(settings), sort_keys=False, allow_unicode=True))
+# ``key=value`` words: each value read as the type its setting has.
 
 
-# ``key=value`` overrides: each value read as the type its setting has.
+def split_words(words: Iterable[str], of: Collection[str] | None = None) -> tuple[list[str], dict[str, str]]:
+    """Return the plain words of a command and its ``key=value`` words, those whose key is given once.
 
+    With the keys ``of`` the command, a word of another key that names an existing file is a plain one.
 
-@functools.cache
-def _hints_of(kind: type) -> dict[str, Any]:
-    """Return the types of a dataclass's fields; reading them from their text takes long, so once."""
-    return typing.get_type_hints(kind)
+    Raises:
+        UserError: a key twice.
+    """
+    plain: list[str] = []
+    keyed: dict[str, str] = {}
+    for word in words:
+        key, equals, value = word.partition("=")
+        if not equals or (of is not None and key not in of and Path(word).exists()):
+            plain.append(word)
+        elif key in keyed:
+            raise UserError(f"'{key}' is given twice: {key}={keyed[key]} and {word}. Keep one.")
+        else:
+            keyed[key] = value
+    return plain, keyed
 
 
 def put_override(data: dict[str, Any], override: str) -> None:
     """Put one ``key=value`` of the command line into plain settings.
 
     Raises:
-        UserError: no ``key=value``, an unknown key, a group given a value.
+        UserError: not ``key=value``, an unknown key, a group given a value.
     """
     key, equals, text = override.partition("=")
     if not equals or not key:
         near = f" Did you mean task={override}?" if override in shipped_names("tasks") else ""
         raise UserError(f"'{override}': expected key=value, such as trainer.max_time=00:10:00.{near}")
     keys = key.split(".")
-    hint = _hint(keys, override)
-    if dataclasses.is_dataclass(hint):
-        below = did_you_mean("", setting_names(f"{key}."))
-        raise UserError(f"'{override}': '{key}' holds settings: set one of them.{below}")
-    value = _from_here(keys, _value(hint, text, override))
+    value = _from_here(keys, _value(_type_of(key, override), text, override))
     for above in keys[:-1]:
         data = data.setdefault(above, {})
         if not isinstance(data, dict):
@@ -230,21 +265,22 @@ def put_override(data: dict[str, Any], override: str) -> None:
     data[keys[-1]] = value
 
 
-def _hint(keys: list[str], override: str) -> Any:
-    """Return the type of the setting that ``keys`` name; Any below a free dictionary."""
-    hint: Any = Settings
-    for depth, key in enumerate(keys):
-        full = ".".join(keys[: depth + 1])
-        if not dataclasses.is_dataclass(hint):
-            if typing.get_origin(hint) is dict or hint is Any:
+def _type_of(name: str, override: str) -> Any:
+    """Return the type of a setting; Any below one that takes any keys."""
+    if name in all_settings():
+        return all_settings()[name].type
+    below = setting_names(f"{name}.")
+    if below:
+        raise UserError(f"'{override}': '{name}' holds settings: set one of them.{did_you_mean('', below)}")
+    for setting in all_settings().values():
+        if name.startswith(f"{setting.name}."):
+            if _is_open(setting.type):
                 return Any
-            raise UserError(f"'{override}': '{'.'.join(keys[:depth])}' is one setting, with none below it.")
-        hints = _hints_of(hint)
-        if key not in hints:
-            near = did_you_mean(full, setting_names() if depth else [*hints, "resume"])
-            raise UserError(f"Unknown setting '{full}' in '{override}'.{near}")
-        hint = hints[key]
-    return hint
+            raise UserError(f"'{override}': '{setting.name}' is one setting, with none below it.")
+    keys = name.split(".")
+    depth = next(depth for depth in range(len(keys)) if not setting_names(".".join(keys[: depth + 1]) + "."))
+    valid = setting_names() if depth else [*_names_below(()), "resume"]
+    raise UserError(f"'{override}': {_unknown('.'.join(keys[: depth + 1]), valid)}")
 
 
 def _value(hint: Any, text: str, override: str) -> Any:
@@ -277,15 +313,3 @@ def _from_here(keys: list[str], value: Any) -> Any:
     if colon and file.endswith(".py") and (keys[-1] == "use" or name == "lifter.network"):
         return f"{Path(file).expanduser().absolute()}:{found}"
     return value
-
-
-def setting_names(below: str = "") -> list[str]:
-    """Return every setting's full name, such as ``trainer.max_time``."""
-
-    def walk(kind: type, prefix: str) -> list[str]:
-        names = []
-        for name, hint in _hints_of(kind).items():
-            names += walk(hint, f"{prefix}{name}.") if dataclasses.is_dataclass(hint) else [f"{prefix}{name}"]  # type: ignore[arg-type]
-        return names
-
-    return [name for name in walk(Settings, "") if name.startswith(below)]

@@ -9,7 +9,7 @@ import platform
 import shutil
 import subprocess
 import sys
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from importlib import metadata
 from pathlib import Path
 from typing import Any
@@ -19,9 +19,7 @@ from uplift.config.loading import load_settings, save_settings
 from uplift.config.settings import Settings
 from uplift.errors import UserError, did_you_mean
 
-__all__ = ["RunFolder", "lifts_masks", "weights_of"]
-
-# The folder a fit writes: resolved settings, what it ran on, weights, metrics, report.
+__all__ = ["RunFolder", "Weights", "read_weights"]
 
 
 class RunFolder:
@@ -185,32 +183,41 @@ def _git() -> dict[str, Any] | None:
         return None
 
 
-# Which file the weights of a run are in, and what they lift.
+# The weights of a run, wherever it is.
 
 
-def weights_of(run: str | Path) -> Path:
-    """Return the ``lifter.pt`` of a run (its folder, or runs/<task>/last), or the file itself.
+@dataclass(frozen=True)
+class Weights:
+    """A ``lifter.pt`` that has been read."""
+
+    run: str
+    """The run or file as it was named, for messages."""
+    path: Path
+    state: dict[str, Any]
+
+    @property
+    def lifts(self) -> str:
+        """What the lifter takes: "keypoints" or "masks"."""
+        return "masks" if self.state.get("lifts") == "masks" else "keypoints"
+
+    def settings(self) -> Settings | None:
+        """Return the settings that the weights were trained with; None where only the file is there."""
+        folder = RunFolder(self.path.parent)
+        return folder.settings() if folder.config.is_file() else None
+
+
+def read_weights(run: str | Path) -> Weights:
+    """Read the ``lifter.pt`` of a run (its folder, or runs/<task>/last), or the file itself.
 
     Raises:
-        UserError: no such run, or one that has no weights yet.
+        UserError: no such run, one that has no weights yet, or a file that cannot be read.
     """
     path = Path(run)
-    if path.is_file():
-        return path
-    folder = RunFolder.open(path)
-    if not folder.weights.is_file():
-        raise UserError(
-            f"{folder.path} has no lifter.pt yet: its fit was ended early. `uplift fit resume={folder.path}` finishes it."
-        )
-    return folder.weights
-
-
-def lifts_masks(run: str | Path) -> bool:
-    """Return whether a run or a ``lifter.pt`` lifts masks; False where there is none: whoever opens it says so."""
-    path = Path(run)
-    try:
-        if path.is_file():
-            return read_torch(path, "lifter").get("lifts") == "masks"
-        return RunFolder.open(path).settings().lifts == "masks"
-    except UserError:
-        return False
+    if not path.is_file():
+        folder = RunFolder.open(path)
+        path = folder.weights
+        if not path.is_file():
+            raise UserError(
+                f"{folder.path} has no lifter.pt yet: its fit was ended early. `uplift fit resume={folder.path}` finishes it."
+            )
+    return Weights(str(run), path, read_torch(path, "lifter"))

@@ -7,12 +7,11 @@ from collections.abc import Iterable
 from dataclasses import dataclass, field
 
 import numpy as np
-from jaxtyping import Bool, Float, UInt8
-from skimage.measure import label
+from jaxtyping import Bool, Float, Int, UInt8
 
 from uplift.config.settings import MAX_SIDE, MIN_SIDE
 from uplift.data.masks import FILL, Found, MaskData, Skipped
-from uplift.errors import UserError, did_you_mean
+from uplift.errors import UserError, nearest
 
 __all__ = ["MENDED", "REASONS", "CleanOptions", "Crop", "MaskOptions", "clean", "clean_mask", "covered", "resample"]
 
@@ -37,7 +36,7 @@ class CleanOptions:
         for name, valid in (("border", ("skip", "keep")), ("pieces", ("skip", "largest"))):
             value = getattr(self, name)
             if value not in valid:
-                raise UserError(f"{name}={value}: expected {' or '.join(valid)}.{did_you_mean(value, valid)}")
+                raise UserError(f"{name}={value}: expected {' or '.join(valid)}.{nearest(value, valid)}")
 
 
 @dataclass(frozen=True)
@@ -170,11 +169,18 @@ _HOLE = 0.001
 """Of the object's area: a smaller hole is noise; one pixel always is."""
 
 
+def _components(mask: Bool[np.ndarray, "height width"], connectivity: int) -> Int[np.ndarray, "height width"]:
+    """Return the number of each pixel's connected component from 1 up; 0 outside ``mask``."""
+    from skimage.measure import label  # takes half a second to import, and those who only look at files need none
+
+    return np.asarray(label(mask, connectivity=connectivity))
+
+
 def _largest_piece(
     mask: Bool[np.ndarray, "height width"],
 ) -> tuple[Bool[np.ndarray, "height width"], float]:
     """Return the piece of most pixels (joined by sides or corners), and the second one's share of its area: 0 where it is alone."""
-    numbers = np.asarray(label(mask, connectivity=2))
+    numbers = _components(mask, 2)
     if numbers.max(initial=0) < 2:
         return mask, 0.0
     areas = np.bincount(numbers.reshape(-1))[1:]
@@ -188,7 +194,7 @@ def _fill_noise(mask: Bool[np.ndarray, "height width"]) -> tuple[Bool[np.ndarray
     A hole is joined by sides alone, and does not reach the mask's edge: what lies between the legs of a chair
     is no hole, or a large one, and stays.
     """
-    numbers = np.asarray(label(~mask, connectivity=1))
+    numbers = _components(~mask, 1)
     rim = np.concatenate([numbers[0], numbers[-1], numbers[:, 0], numbers[:, -1]])
     areas = np.bincount(numbers.reshape(-1))
     noise = areas <= max(1.0, _HOLE * areas[0])

@@ -13,7 +13,7 @@ from uplift.config.settings import ChoiceSettings, DataSettings, Settings
 from uplift.data.clean import MIN_VISIBLE, clean
 from uplift.data.concat import join_data
 from uplift.data.datasets import DATA_SETS, DataSet, WantedFile, data_set, read_cached
-from uplift.data.formats import as_told, read
+from uplift.data.formats import read, with_options
 from uplift.data.formats.base import ReadOptions, size_of
 from uplift.data.poses import PoseData
 from uplift.data.select import CHOOSE_BY, chosen_rows
@@ -239,7 +239,7 @@ def load_split(settings: Settings, which: str, skeleton: Skeleton) -> PoseData:
         data = load_file(find_data(settings, which), skeleton, read_options(settings.data))
     else:
         data = in_joints_of(read_cached(source, Path(getattr(settings.data, which)).name), skeleton)
-        data = as_told(data, _of_set(read_options(settings.data)))
+        data = with_options(data, _of_set(read_options(settings.data)))
     return replace(data, unit=settings.data.unit) if settings.data.unit else data
 
 

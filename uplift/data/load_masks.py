@@ -155,13 +155,13 @@ def load_mask_split(settings: Settings, which: str) -> MaskData:
     """
     if settings.data.simulate and not (which == "test" and settings.data.test):
         return _simulated(settings, which)
-    from uplift.data.formats.masks import read
+    from uplift.data.formats import read_masks
 
     chosen = settings.data
     images = chosen.images
     if images is not None:
         images = str((data_root(chosen.name, chosen.root) / images).absolute())
-    return read(
+    return read_masks(
         find_data(settings, which),
         format=chosen.format,
         side=chosen.side,

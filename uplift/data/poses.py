@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Float
 
 from uplift.errors import UserError
-from uplift.geometry.camera import Lens
+from uplift.geometry.lens import Lens
 
 if TYPE_CHECKING:
     from uplift.geometry.normalise import Intrinsics

@@ -14,9 +14,9 @@ from uplift.config.settings import LifterSettings, ShapeSettings
 from uplift.data.masks import MaskData
 from uplift.data.poses import PoseData, mask_maps
 from uplift.errors import UserError
-from uplift.geometry.mesh import coverage
 from uplift.geometry.normalise import Intrinsics, Normalised, bone_lengths, normalise
 from uplift.geometry.rotation import gravity_of, turn
+from uplift.geometry.voxels import coverage
 from uplift.skeleton import Skeleton
 
 __all__ = [

@@ -15,6 +15,7 @@ from uplift.errors import UserError
 from uplift.export.clips import frame_rate, one_clip, seen_at, steps
 from uplift.export.scene import from_y_down, held, known_points
 from uplift.export.tables import unique
+from uplift.geometry.rigid import nearest_rotation
 from uplift.models.prediction import Prediction
 from uplift.skeleton import Skeleton
 from uplift.skeleton.draw import rest_pose
@@ -47,23 +48,16 @@ def _rest_directions(
     return {joint: axes @ step / np.linalg.norm(step) for joint, step in steps.items()}
 
 
-def _nearest_rotation(matrix: Float[np.ndarray, "*frames 3 3"]) -> Float[np.ndarray, "*frames 3 3"]:
-    """Return the proper rotation nearest to each matrix."""
-    u, _, vt = np.linalg.svd(matrix)
-    u[..., -1] *= np.sign(np.linalg.det(u @ vt))[..., None]
-    return u @ vt
-
-
 def _mean_shape(ways: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
     """Return mean directions; those of the fullest frame for a bone that points everywhere."""
     stacked = np.stack(list(ways.values()), 1)
     known = np.isfinite(stacked.sum(-1))
     first = int(np.argmax(known.sum(1)))
     shape = np.where(known[first][:, None], stacked[first], 0)
-    whole, count = np.nan_to_num(stacked), np.maximum(known.sum(0), 1)[:, None]
+    filled, count = np.nan_to_num(stacked), np.maximum(known.sum(0), 1)[:, None]
     for _ in range(_ROUNDS):
-        turn = _nearest_rotation(np.einsum("bi,fbj->fij", shape, whole) + 1e-9 * np.eye(3))
-        mean = np.einsum("fij,fbj->bi", turn, whole) / count
+        turn, _ = nearest_rotation(np.einsum("bi,fbj->fij", shape, filled) + 1e-9 * np.eye(3))
+        mean = np.einsum("fij,fbj->bi", turn, filled) / count
         scattered = np.linalg.norm(mean, axis=-1) < _SCATTERED
         mean[scattered & known[first]] = stacked[first][scattered & known[first]]
         size = np.linalg.norm(mean, axis=-1, keepdims=True)
@@ -151,13 +145,13 @@ def turn_onto(
     if len(rest) == 1:
         unfolded = np.einsum("fi,fij,j->f", np.nan_to_num(ways[:, 0]), frame, rest[0])
         trust *= np.clip((1 + unfolded) / _FOLDED, 0, 1)
-    turned = _nearest_rotation(wanted + _WEAK * frame)
-    sure = np.flatnonzero(trust == 1)
-    before = frame[sure[0]].T @ turned[sure[0]] if len(sure) else np.eye(3)
+    turned, _ = nearest_rotation(wanted + _WEAK * frame)
+    trusted = np.flatnonzero(trust == 1)
+    before = frame[trusted[0]].T @ turned[trusted[0]] if len(trusted) else np.eye(3)
     for now in np.flatnonzero(trust < 1):
         before = frame[now - 1].T @ turned[now - 1] if now else before
         leave = frame[now] @ (trust[now] * np.eye(3) + (1 - trust[now]) * before)
-        turned[now] = _nearest_rotation(wanted[now] + _WEAK * leave)
+        turned[now], _ = nearest_rotation(wanted[now] + _WEAK * leave)
     return turned
 
 
@@ -173,7 +167,7 @@ def _bones(prediction: Prediction, pose: np.ndarray) -> tuple[dict[str, np.ndarr
         known = np.isfinite(length) & (length > 0)
         if not known.any():
             raise UserError(
-                f"a .bvh holds whole bodies, but the bone from '{parent}' to '{joint}' is in no frame of this clip. "
+                f"a .bvh holds complete bodies, but the bone from '{parent}' to '{joint}' is in no frame of this clip. "
                 "Leave the joint out of the skeleton, or write another format."
             )
         lengths[joint] = float(np.median(length[known]))

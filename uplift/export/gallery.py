@@ -13,6 +13,7 @@ from jaxtyping import Bool, Float, Int
 from uplift.errors import UserError
 from uplift.export.html import Photos, fill_page, jpeg_address, number_text, write_text
 from uplift.export.scene import level_rotations, matched_truth, scaled_error
+from uplift.geometry.rigid import rotation_about
 from uplift.models.prediction import Prediction
 from uplift.skeleton.core import bone_sides, joint_sides
 
@@ -285,9 +286,7 @@ def turned(
     ``level`` takes the camera frame to one whose y is gravity. At 0 degrees it is the real camera's view; at 90
     the camera stands on the image's right.
     """
-    angle = np.radians(np.asarray(angles_deg, float))
-    cos, sin, zero, one = np.cos(angle), np.sin(angle), np.zeros_like(angle), np.ones_like(angle)
-    about = np.stack([cos, zero, sin, zero, one, zero, -sin, zero, cos], -1).reshape(-1, 3, 3)
+    about = rotation_about("y", np.radians(np.asarray(angles_deg, float)))
     return np.einsum("vik,jk->vji", level.T @ about @ level, pose - centre)
 
 

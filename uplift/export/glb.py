@@ -14,6 +14,7 @@ from jaxtyping import Float
 from uplift.config.files import replacing
 from uplift.export.clips import USUAL_FPS, frame_rate, one_clip, steps
 from uplift.export.scene import SIDE_COLOURS, held, known_points, row_places
+from uplift.geometry.rigid import least_turn, quaternion_matrix, quaternion_product
 from uplift.models.prediction import Prediction
 from uplift.skeleton.core import bone_sides, joint_sides
 
@@ -194,32 +195,12 @@ def bone_rotations(ways: Float[np.ndarray, "frames bones 3"]) -> Float[np.ndarra
     turned = np.empty((*ways.shape[:2], 4))
     now = np.tile([0.0, 0.0, 0.0, 1.0], (ways.shape[1], 1))
     for frame, way in enumerate(ways):
-        at = _turned_y(now)
+        at = quaternion_matrix(now)[..., 1]
         known = np.isfinite(np.sum(way, axis=-1, keepdims=True))
-        now = _product(_least_turn(at, np.where(known, way, at)), now)
+        now = quaternion_product(least_turn(at, np.where(known, way, at)), now)
         now /= np.linalg.norm(now, axis=-1, keepdims=True)
         turned[frame] = now
     return turned
-
-
-def _least_turn(start: np.ndarray, end: np.ndarray) -> np.ndarray:
-    cosine = (start * end).sum(-1, keepdims=True)
-    turn = np.concatenate([np.cross(start, end), 1 + cosine], -1)
-    aside = np.cross(start, np.eye(3)[np.argmin(np.abs(start), axis=-1)])
-    half = np.concatenate([aside, np.zeros_like(cosine)], -1)
-    turn = np.where(cosine < -1 + 1e-9, half, turn)
-    return turn / np.linalg.norm(turn, axis=-1, keepdims=True)
-
-
-def _product(second: np.ndarray, first: np.ndarray) -> np.ndarray:
-    a, b = second[:, :3], first[:, :3]
-    vector = second[:, 3:] * b + first[:, 3:] * a + np.cross(a, b)
-    return np.concatenate([vector, second[:, 3:] * first[:, 3:] - (a * b).sum(-1, keepdims=True)], -1)
-
-
-def _turned_y(turn: np.ndarray) -> np.ndarray:
-    x, y, z, w = turn.T
-    return np.stack([2 * (x * y - w * z), 1 - 2 * (x * x + z * z), 2 * (y * z + w * x)], -1)
 
 
 def _body_size(pose: Float[np.ndarray, "frames joints 3"]) -> float:

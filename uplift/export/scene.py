@@ -9,6 +9,7 @@ from jaxtyping import Bool, Float
 
 from uplift.errors import UserError, did_you_mean
 from uplift.export.clips import Clip, arrange
+from uplift.geometry.rigid import least_turn, nearest_rotation, quaternion_matrix
 from uplift.models.prediction import Prediction
 
 __all__ = [
@@ -86,7 +87,9 @@ def rotations_to(prediction: Prediction, name: str) -> Float[np.ndarray, "frames
     if name in _AS_SEEN or not prediction.skeleton.gravity:
         level = np.broadcast_to(np.eye(3), (len(prediction), 3, 3))
     else:
-        level = _least_rotations(_steady(_gravities(prediction), prediction))
+        gravity = _steady(_gravities(prediction), prediction)
+        level = quaternion_matrix(least_turn(gravity, np.array([0.0, 1.0, 0.0])))
+        level[gravity[:, 1] < -1 + 1e-12] = np.diag([-1.0, -1.0, 1.0])  # a camera upside down: a half turn in the image
     return np.array(FROM_LEVEL.get(name, FROM_LEVEL["level"]), float) @ level
 
 
@@ -126,18 +129,6 @@ def _steady(gravity: np.ndarray, prediction: Prediction) -> Float[np.ndarray, "f
     return steady / np.linalg.norm(steady, axis=-1, keepdims=True)
 
 
-def _least_rotations(gravity: np.ndarray) -> Float[np.ndarray, "frames 3 3"]:
-    """Return the least rotations that take unit ``gravity`` to y (Rodrigues' formula); a half turn in the image for -y."""
-    x, y, z = gravity.T
-    aside = x**2 + z**2
-    above = np.where(y < 0, aside / (1 + np.abs(y)), 1 + y)  # 1 + y without cancellation
-    turned = np.where(above > 0, above, 1.0)
-    rows = [1 - x**2 / turned, -x, -x * z / turned, x, y, z, -x * z / turned, -z, 1 - z**2 / turned]
-    rotation = np.stack(rows, -1).reshape(-1, 3, 3)
-    rotation[above < 1e-12] = np.diag([-1.0, -1.0, 1.0])
-    return rotation
-
-
 def from_y_down(axes: str) -> Float[np.ndarray, "3 3"]:
     """Return the rotation from axes with x right, y down and z away to those of a name of `uplift.export.scene`."""
     return np.array(FROM_LEVEL.get(axes, FROM_LEVEL["level"]), float)
@@ -151,9 +142,7 @@ def level_rotations(
     Proper rotations by least squares (Kabsch, Acta Cryst. A32, 1976).
     """
     pose, level_pose = np.nan_to_num(pose.astype(np.float64)), np.nan_to_num(level_pose.astype(np.float64))
-    u, _, vt = np.linalg.svd(np.einsum("fji,fjk->fik", level_pose, pose))
-    u[:, :, -1] *= np.sign(np.linalg.det(u @ vt))[:, None]
-    rotation = u @ vt
+    rotation, _ = nearest_rotation(np.einsum("fji,fjk->fik", level_pose, pose))
     departure = np.abs(np.einsum("fik,fjk->fji", rotation, pose) - level_pose).max(initial=0)
     return rotation, float(departure / max(np.abs(pose).max(initial=0), 1e-12))
 

@@ -8,6 +8,8 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
+from uplift.geometry.rigid import quaternion_entries
+
 __all__ = [
     "about_x",
     "about_y",
@@ -16,6 +18,7 @@ __all__ = [
     "gravity_of",
     "least_rotation",
     "level",
+    "nearest_rotation",
     "random_rotations",
     "real_tilt",
     "turn",
@@ -85,13 +88,16 @@ def random_rotations(count: int, device: torch.device | str = "cpu") -> Float[Te
     u, v, w = torch.rand(3, count, device=device)
     v, w = 2 * math.pi * v, 2 * math.pi * w
     a, b = (1 - u).sqrt(), u.sqrt()
-    x, y, z, r = a * v.sin(), a * v.cos(), b * w.sin(), b * w.cos()
-    rows = [
-        1 - 2 * (y * y + z * z), 2 * (x * y - z * r), 2 * (x * z + y * r),
-        2 * (x * y + z * r), 1 - 2 * (x * x + z * z), 2 * (y * z - x * r),
-        2 * (x * z - y * r), 2 * (y * z + x * r), 1 - 2 * (x * x + y * y),
-    ]  # fmt: skip
-    return torch.stack(rows, -1).reshape(count, 3, 3)
+    entries = quaternion_entries(a * v.sin(), a * v.cos(), b * w.sin(), b * w.cos())
+    return torch.stack(entries, -1).reshape(count, 3, 3)
+
+
+def nearest_rotation(matrix: Float[Tensor, "batch 3 3"]) -> Float[Tensor, "batch 3 3"]:
+    """Return the proper rotations nearest to matrices; of ``y.mT @ x`` those that bring the points x onto y (Kabsch 1976)."""
+    left, _, right = torch.linalg.svd(matrix)
+    proper = torch.linalg.det(left @ right)
+    left = torch.cat([left[..., :2], left[..., 2:] * proper[:, None, None]], -1)
+    return left @ right
 
 
 def turn(pose: Float[Tensor, "batch joints 3"], view: Float[Tensor, "batch 3 3"]) -> Float[Tensor, "batch joints 3"]:
@@ -142,11 +148,11 @@ def body_tilt(pose: Float[Tensor, "frames joints 3"]) -> tuple[Float[Tensor, " f
     shape = pose / size[:, None, None]
     template = shape[0]
     for _ in range(_ROUNDS):
-        turned = _onto(shape, template)
+        turned = nearest_rotation(shape.mT @ template)
         away = _residual(shape, turned, template)
         usual = away <= away.quantile(0.7) if len(away) < 1_000_000 else torch.ones_like(away, dtype=torch.bool)
         template = (turned.mT @ shape.mT).mT[usual].mean(0)
-    turned = _onto(shape, template)
+    turned = nearest_rotation(shape.mT @ template)
     away = _residual(shape, turned, template)
     trust = torch.exp(-away / away.median().clamp_min(1e-9))
     side = turned[:, 0]
@@ -157,14 +163,6 @@ def body_tilt(pose: Float[Tensor, "frames joints 3"]) -> tuple[Float[Tensor, " f
     up = turned @ upright
     up = torch.where((up[:, 1] * trust).sum() > 0, -up, up)
     return torch.atan2(-up[:, 2], -up[:, 1]), trust
-
-
-def _onto(shape: Tensor, template: Tensor) -> Tensor:
-    """Return the proper rotations R for which ``R @ template`` is nearest to each shape."""
-    left, _, right = torch.linalg.svd(shape.mT @ template)
-    proper = torch.linalg.det(left @ right)
-    left = torch.cat([left[..., :2], left[..., 2:] * proper[:, None, None]], -1)
-    return left @ right
 
 
 def _residual(shape: Tensor, turned: Tensor, template: Tensor) -> Tensor:

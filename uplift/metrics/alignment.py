@@ -6,6 +6,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from uplift.errors import UserError, did_you_mean
+from uplift.geometry.rigid import nearest_rotation
 
 __all__ = [
     "ALIGNED_ERRORS",
@@ -102,12 +103,8 @@ def procrustes(pose: Poses, truth: Poses, weight: Weights | None = None, *, refl
     spread = (x - centre_x) * share[..., None]
     variance = np.einsum("fjc,fjc->f", spread, x - centre_x)
     variance = np.where(variance > _SPREAD**2 * np.einsum("fjc,fjc,fj->f", x, x, share), variance, 0)
-    u, singular, vt = np.linalg.svd(np.swapaxes(spread, 1, 2) @ (y - centre_y))
-    if not reflect:
-        sign = np.where(np.linalg.det(u @ vt) < 0, -1.0, 1.0)
-        u[:, :, 2] *= sign[:, None]
-        singular[:, 2] *= sign
-    turn = (u @ vt) * _ratio(singular.sum(1), variance)[:, None, None]
+    rotation, size = nearest_rotation(np.swapaxes(spread, 1, 2) @ (y - centre_y), reflect=reflect)
+    turn = rotation * _ratio(size, variance)[:, None, None]
     known = np.where(_finite(pose)[..., None], pose, np.nan).astype(np.float64)
     return (known - centre_x) @ turn + centre_y
 

@@ -92,7 +92,7 @@ def filled_truths(
     truth: Placed, rows: np.ndarray, resolution: int
 ) -> Iterator[tuple[int, Bool[np.ndarray, "depth height width"]]]:
     """Yield each of ``rows`` with its true shape's filled grid, shape by shape: each mesh is filled once."""
-    from uplift.geometry.mesh import fill
+    from uplift.geometry.voxels import fill
 
     last, filled = -1, np.zeros((0, 0, 0), bool)
     for row in rows[np.argsort(truth.shape[rows], kind="stable")].tolist():

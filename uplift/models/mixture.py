@@ -62,7 +62,7 @@ class _ViewGrid:
         """How many azimuths there are."""
         return int(self.azimuth.max()) + 1
 
-    def whole(self, drawn: Tensor, other: Tensor | None = None) -> Tensor:
+    def for_all_views(self, drawn: Tensor, other: Tensor | None = None) -> Tensor:
         """Return for every view (shapes views ...) what is known of those drawn (shapes drawn ...).
 
         ``other`` is what their mirror images have, where that is not the same.
@@ -292,9 +292,9 @@ class ShapeMixture(nn.Module):
     def crops(self) -> Drawn:
         """Return `cut_out` for every view of the grid, the mirror images among them."""
         cut, centre, spread = self.cut_out()
-        whole = self.grid.whole
+        every = self.grid.for_all_views
         mirror = centre.new_tensor([-1.0, 1.0])
-        return Drawn(whole(cut, cut.flip(-1)), whole(centre, centre * mirror), whole(spread))
+        return Drawn(every(cut, cut.flip(-1)), every(centre, centre * mirror), every(spread))
 
     def evidence(
         self,
@@ -352,9 +352,9 @@ def _first_shapes(parts: int, resolution: int) -> Tensor:
     return torch.stack(shapes)
 
 
-def temperature_at(done: float, hot: float, cold: float) -> float:
-    """Return the temperature after a share ``done`` of the stage: it falls to ``cold`` over four fifths of it."""
-    return hot * math.exp(math.log(cold / hot) * min(1.0, done / 0.8))
+def temperature_at(done: float, start: float, end: float) -> float:
+    """Return the temperature after a share ``done`` of the stage: it falls to ``end`` over four fifths of it."""
+    return start * math.exp(math.log(end / start) * min(1.0, done / 0.8))
 
 
 # Finer mixtures: every shape becomes several that begin nearly alike and grow apart.

@@ -12,15 +12,16 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from uplift.config.files import read_torch, save_torch
-from uplift.config.run import lifts_masks, weights_of
-from uplift.config.settings import LifterSettings, RefineSettings, ShapeSettings
+from uplift.config.files import save_torch
+from uplift.config.run import Weights, read_weights
+from uplift.config.settings import LifterSettings, ShapeSettings, settings_of
 from uplift.data.clean import clean
 from uplift.data.masks import MaskData
 from uplift.data.poses import PoseData, codes_of
 from uplift.data.tensors import TrainingSet, as_seen, as_tensor, frames_of, intrinsics_of
 from uplift.errors import UserError
-from uplift.geometry.camera import build_camera, place_roots
+from uplift.geometry.camera import build_camera
+from uplift.geometry.lens import place_roots
 from uplift.geometry.rotation import gravity_of, least_rotation, real_tilt, turn
 from uplift.models.lifter import Lifted, Lifter
 from uplift.models.metric_scale import CameraHeight, Size, mm_by_camera_height, mm_per_unit, size_of_skeleton
@@ -193,7 +194,7 @@ class ShapeModel:
                     as_tensor(masks[start : start + _CHUNK]),
                     drawn,
                     resolution=resolution or self.settings.resolution,
-                    temperature=_SURE * self.settings.cold,
+                    temperature=_SURE * self.settings.temperature_end,
                 )
                 for start in range(0, len(masks), _CHUNK)
             ]
@@ -238,20 +239,20 @@ class ShapeModel:
         save_torch(state, path)
 
     @classmethod
-    def load_file(cls, path: Path) -> ShapeModel:
-        """Return the model of a file that `save` wrote; nothing in the file can run.
+    def from_weights(cls, weights: Weights) -> ShapeModel:
+        """Return the model that `save` wrote.
 
         Raises:
             UserError: not such a file, damaged, or inconsistent.
         """
-        state = read_torch(path, "lifter")
+        path, state = weights.path, weights.state
         if state.get("uplift_format") != _SHAPE_FORMAT or state.get("lifts") != "masks":
             raise UserError(
                 f"{path} is no lifter of masks of this version: uplift_format is {state.get('uplift_format')!r} and "
                 f"lifts is {state.get('lifts')!r}, expected {_SHAPE_FORMAT} and 'masks'. Fit again, or use the version that wrote it."
             )
         try:
-            settings = ShapeSettings(**{**state["shape"], "elevation_deg": tuple(state["shape"]["elevation_deg"])})
+            settings = settings_of(ShapeSettings, "shape", state["shape"])
             parts, azimuths = state["state"]["azimuth_bias"].shape
             mixture = ShapeMixture(settings, parts, azimuths)
             mixture.load_state_dict(state["state"])
@@ -372,13 +373,13 @@ class Model:
         save_torch(state, path)
 
     @classmethod
-    def load_file(cls, path: Path) -> Model:
-        """Return the model of a file that `save` wrote; nothing in the file can run.
+    def from_weights(cls, weights: Weights) -> Model:
+        """Return the model that `save` wrote.
 
         Raises:
             UserError: not such a file, damaged, or inconsistent.
         """
-        state = read_torch(path, "lifter")
+        path, state = weights.path, weights.state
         if state.get("uplift_format") not in _READABLE:
             raise UserError(
                 f"{path} is no lifter of this version: uplift_format is {state.get('uplift_format')!r}, "
@@ -386,7 +387,7 @@ class Model:
             )
         try:
             skeleton = Skeleton.from_dict(state["skeleton"])
-            settings = LifterSettings(**{**state["lifter"], "refine": RefineSettings(**state["lifter"]["refine"])})
+            settings = settings_of(LifterSettings, "lifter", state["lifter"])
             _refuse_nearby_code(settings.network)
             lifter = build_lifter(settings, skeleton)
             lifter.load_state_dict({"bone_mm": lifter.bone_mm, **state["state"]})
@@ -408,18 +409,16 @@ def _refuse_nearby_code(network: str) -> None:
         raise UserError(f"names the network '{network}' without its folder: not opened, as it would run that file.")
 
 
-def load(run: str | Path) -> Any:
-    """Return the model of a run (its folder, or runs/<task>/last) or of a ``lifter.pt``.
+def load(run: str | Path | Weights) -> Any:
+    """Return the model of a run (its folder, or runs/<task>/last) or of a ``lifter.pt``, which is read unless it has been.
 
     A `Model`, or of a run that lifts masks a `uplift.models.model.ShapeModel`.
 
     Raises:
         UserError: no such run, or one that has no weights yet.
     """
-    path = weights_of(run)
-    if lifts_masks(path):
-        return ShapeModel.load_file(path)
-    return Model.load_file(path)
+    weights = run if isinstance(run, Weights) else read_weights(run)
+    return (ShapeModel if weights.lifts == "masks" else Model).from_weights(weights)
 
 
 def load_poses(run: str | Path) -> Model:

@@ -6,7 +6,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from uplift.priors.shape_base import ShapeLift, ShapePrior
+from uplift.priors.base import ShapeLift, ShapePrior
 
 __all__ = ["MaskCritic"]
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from jaxtyping import Float
 from torch import Tensor
 
-from uplift.priors.shape_base import ShapeLift, ShapePrior
+from uplift.priors.base import ShapeLift, ShapePrior
 
 __all__ = ["Compactness", "ShapeSymmetry", "Smoothness"]
 

@@ -1,9 +1,8 @@
-"""Train a lifter from 2D alone: lift, turn, and let the priors judge (Kudo et al. 2018, generalised)."""
+"""Train a lifter from 2D alone: lift, rotate, and let the priors judge (Kudo et al. 2018, generalised)."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
 from typing import Any
 
 import torch
@@ -13,21 +12,21 @@ from uplift.config.settings import StudentSettings, TeacherSettings, ViewSetting
 from uplift.data.tensors import Batch, TrainingSet
 from uplift.geometry.rotation import random_rotations, views_about_gravity
 from uplift.models.lifter import Lifted, Lifter
-from uplift.priors.base import Lift, Prior, PriorWatch
-from uplift.training.augmentation import ViewMaker
-from uplift.training.base import LifterTraining, Rows
+from uplift.priors.base import Lift, Prior
+from uplift.training.augmentation import TILT_WEIGHT, ViewMaker, depth_error, tilt_error
+from uplift.training.base import LifterTraining
+from uplift.training.objective import Objective
 from uplift.training.pseudo_labels import PseudoPoses
+from uplift.training.sampler import LabelledSampler
 
 __all__ = ["AdversarialTraining", "draw_views", "make_lift"]
 
-_TILT_WEIGHT = 0.1
 
-
-class AdversarialTraining(LifterTraining):
+class AdversarialTraining(LifterTraining[Lifter, TrainingSet]):
     """Weighted priors over lifted poses and one random view of each.
 
-    Terms train the lifter; a prior with an `own_loss` is held still meanwhile and then trained on
-    detached views. All of it is one backward.
+    ``truth`` are the labelled poses: where the ``labelled`` prior is on, the lifter also learns from random
+    views of them. ``labelled_share`` is the share of labelled frames in a batch.
     """
 
     settings: TeacherSettings
@@ -48,94 +47,66 @@ class AdversarialTraining(LifterTraining):
         self.truth = truth
         self.maker: ViewMaker | None = None
         self.labelled_share = labelled_share
-        self.rows = Rows(data.labelled, labelled_share)
+        self.sampler = LabelledSampler(data.labelled, labelled_share)
         self.views = views
         self.priors = nn.ModuleDict(priors)
-        self.weights = dict(weights)
-        self.adversarial = [name for name, p in priors.items() if type(p).own_loss is not Prior.own_loss]
-        self.watch = PriorWatch(priors)
+        self.terms = Objective(priors, weights)
 
     def parameter_groups(self) -> list[dict[str, Any]]:
         """Return the lifter's group and one for each prior that has parameters."""
-        groups = super().parameter_groups()
-        for name, prior in self.priors.items():
-            parameters = list(prior.parameters())
-            if parameters:
-                rate = self.settings.prior_learning_rate or self.settings.learning_rate
-                groups.append({"params": parameters, "lr": rate, "name": name})
-        return groups
+        rate = self.settings.prior_learning_rate or self.settings.learning_rate
+        return [*super().parameter_groups(), *self.terms.parameter_groups(rate)]
 
     def on_fit_start(self) -> None:
-        """Put the frames, and which of them are labelled, where the model is."""
+        """Move the frames, and which of them are labelled, to the model's device."""
         super().on_fit_start()
-        self.rows = Rows(self.data.labelled, self.labelled_share)
+        self.sampler = LabelledSampler(self.data.labelled, self.labelled_share)
         if self.truth is not None and "labelled" in self.priors:
             truth = self.truth.to(self.device)
             self.maker = ViewMaker(truth, self.lifter.camera, StudentSettings(), count_root=self.views.count_root)
 
-    def draw(self, count: int) -> Tensor:
-        """Return ``count`` random frame numbers, of which the set share is labelled."""
-        return self.rows(count)
-
     def objective(self) -> tuple[Tensor, dict[str, float | Tensor]]:
-        """Return the weighted sum of all terms for one batch."""
+        """Return the weighted sum of all terms for one batch, and each term."""
         batch = self._batch()
-        lift = make_lift(self.lifter, batch, self.views, self.settings.hide)
-        total, logged = lift.pose.new_zeros(()), {}
-        with _held_still([self.priors[name] for name in self.adversarial]):
-            for name in self.priors:
-                term = self.watch.loss(name, lift, self.global_step)
-                total = total + self.weights[name] * term
-                logged[name] = term.detach()
+        lift = self.last_lift = make_lift(self.lifter, batch, self.views, self.settings.hide)
+        judged, losses = self.terms.judge(lift, self.global_step)
         real = batch if self.settings.same_real else self._batch()
-        visible = lift.visible.unsqueeze(-1)
-        for name in self.adversarial:
-            own = self.watch.own_loss(name, real.keypoints, lift.seen.detach() * visible)
-            if own is not None:
-                total = total + own
-                logged[f"{name}_own"] = own.detach()
+        own, own_losses = self.terms.train_adversaries(real.keypoints, lift.seen.detach() * lift.visible.unsqueeze(-1))
+        total, logged = judged + own, {**losses, **own_losses}
         if self.maker is not None:
-            term = self.rows.share * self._on_true_views(self.maker)
-            total = total + self.weights["labelled"] * term
+            term = self.sampler.share * self._on_true_views(self.maker)
+            total = total + self.terms.weights["labelled"] * term
             logged["labelled_views"] = term.detach()
-        self.last_lift = lift
         return total, logged
 
     def _on_true_views(self, maker: ViewMaker) -> Tensor:
-        """Return the error of the lifter on true poses with limbs of one another, seen from everywhere.
+        """Return the lifter's error on random views of the labelled poses with limbs of one another.
 
-        Few labelled frames are seen from few sides; what is known of them is known from all.
+        A few labelled frames show a body from a few sides; their poses can be seen from all.
         """
         with torch.no_grad():
             views = maker(self.settings.batch_size)
-        lifted = self.lifter(views.given, views.shown, views.distance)
-        error = (lifted.pose[..., 2] - views.pose[..., 2]).abs()
-        loss = (error * views.sure).sum() / views.sure.sum().clamp_min(1)
+        lifted = self.lifter(views.input, views.confidence, views.distance)
+        loss = depth_error(lifted, views)
         if self.lifter.tilt == "predicted":
-            loss = loss + _TILT_WEIGHT * (lifted.tilt - views.tilt).abs().mean()
+            loss = loss + TILT_WEIGHT * tilt_error(lifted, views)
         return loss
 
     def _batch(self) -> Batch:
-        """Return a random batch, half of it mirrored."""
-        batch = self.data.draw(self.draw(self.settings.batch_size))
-        if not self.mirrors:
+        """Return a random batch, half of it mirrored if the skeleton has a mirror image."""
+        batch = self.data.draw(self.sampler(self.settings.batch_size))
+        if not (self.settings.mirror and self.lifter.skeleton.has_mirror_image):
             return batch
         which = torch.rand(len(batch), device=self.device) < 0.5
         return batch.mirrored(which, self.lifter.mirror_permutation)
 
     def gated_parameters(self) -> Iterator[nn.Parameter]:
-        """Return the lifter's parameters or a prior's where a prior asked for it in this step."""
-        for prior in self.priors.values():
-            if prior.gate_itself:
-                yield from prior.parameters()
-            if prior.gate_lifter:
-                yield from self.lifter.parameters()
+        """Return the parameters that a prior asked to leave as they are in this step."""
+        return self.terms.gated_parameters(self.lifter)
 
     def more_metrics(self) -> dict[str, float]:
         """Return what the priors want logged of the last step."""
-        with torch.no_grad():
-            found = [self.watch.metrics(name, self.last_lift) for name in self.priors]
-        return {key: value for one in found for key, value in one.items()}
+        return self.terms.metrics(self.last_lift)
 
 
 def make_lift(lifter: Lifter, batch: Batch, views: ViewSettings, hide: float = 0.0) -> Lift:
@@ -179,16 +150,3 @@ def draw_views(lifted: Lifted, views: ViewSettings, gravity: bool) -> Tensor:
         new = tilt.mean() + tilt.std() * torch.randn(count, device=device)
         return views_about_gravity(tilt, azimuth, new)
     return views_about_gravity(tilt, azimuth, tilt)
-
-
-@contextmanager
-def _held_still(modules: list[nn.Module]) -> Iterator[None]:
-    """Freeze the modules' parameters: their gradients are not computed, what flows through them is."""
-    parameters = [p for module in modules for p in module.parameters() if p.requires_grad]
-    for parameter in parameters:
-        parameter.requires_grad_(False)
-    try:
-        yield
-    finally:
-        for parameter in parameters:
-            parameter.requires_grad_(True)

@@ -1,4 +1,4 @@
-"""Poses and views for a student: limbs mixed, mirrored, seen from anywhere, partly hidden, noisy."""
+"""Augmented views for a student: limbs mixed, mirrored, rotated, partly hidden, noisy."""
 
 from __future__ import annotations
 
@@ -13,14 +13,15 @@ from uplift.config.settings import StudentSettings
 from uplift.data.clean import MIN_VISIBLE, joint_neighbours
 from uplift.geometry.camera import Camera
 from uplift.geometry.normalise import mirror, renormalise
-from uplift.geometry.rotation import about_y, least_rotation, random_rotations, turn
+from uplift.geometry.rotation import about_y, least_rotation, nearest_rotation, random_rotations, turn
+from uplift.models.lifter import Lifted
 from uplift.skeleton import Skeleton
-from uplift.training.base import Rows
 from uplift.training.pseudo_labels import PseudoPoses
+from uplift.training.sampler import LabelledSampler
 
-__all__ = ["LimbMixer", "ShownViews", "ViewMaker"]
+__all__ = ["TILT_WEIGHT", "LimbMixer", "ShownViews", "ViewMaker", "depth_error", "tilt_error"]
 
-# New poses out of those there are: limbs of one on the body of another.
+# Limb mixing: new poses from limbs of one pose on the body of another.
 
 _TEMPLATE_FRAMES = 20_000
 _TINY = 1e-6
@@ -28,24 +29,24 @@ _TINY = 1e-6
 
 @dataclass(frozen=True)
 class _Limb:
-    """What hangs on one child of a branching joint: a leg on the hips, the trunk and all above it."""
+    """All that hangs on one child of a branching joint: a leg on the hips, the trunk and all above it."""
 
     branch: int
-    """Which branching joint it hangs on."""
+    """Index of the branching joint it hangs on."""
     bones: Tensor
-    """Its bones, without the first, which belongs to the branching joint."""
+    """Its bones but the first, which belongs to the branching joint."""
     joints: Tensor
     """The joints at the far ends of those bones."""
     inner: list[int]
-    """Branching joints inside it: they turn with it."""
+    """Branching joints inside it, which rotate with it."""
 
 
 class LimbMixer:
     """Swaps limbs between poses in the frame of the joint they hang on, at the receiver's bone lengths.
 
-    Training motions are few and test motions are others; arms that were seen with one pair of legs
-    are as real with another. A branching joint's frame is the rotation that fits its bones best to
-    their mean directions (Kabsch 1976), so a swapped limb keeps its angles to the body.
+    Training motions are few, and arms that were seen with one pair of legs are as real with another. A
+    branching joint's frame is the rotation that best fits its bones to their mean directions (Kabsch 1976), so
+    a swapped limb keeps its angles to the body.
     """
 
     def __init__(self, pose: Float[Tensor, "frames joints 3"], skeleton: Skeleton):
@@ -64,10 +65,10 @@ class LimbMixer:
         frames = []
         self._limbs: list[_Limb] = []
         for place, joint in enumerate(branching):
-            ways = [self._bones[:, bone_of[child]] for child in children[joint]]
+            directions = [self._bones[:, bone_of[child]] for child in children[joint]]
             if joint in parents:
-                ways.append(-self._bones[:, bone_of[joint]])
-            frames.append(_body_frames(torch.stack(ways, 1)))
+                directions.append(-self._bones[:, bone_of[joint]])
+            frames.append(_body_frames(torch.stack(directions, 1)))
             for child in children[joint]:
                 below = _below(child, children)
                 if len(below) > 1:
@@ -84,11 +85,11 @@ class LimbMixer:
         share: float,
         limb: float,
     ) -> tuple[Float[Tensor, "batch joints 3"], Float[Tensor, "batch joints"]]:
-        """Return the poses of ``rows`` with limbs of others of the batch, and each joint's confidence.
+        """Return the poses of ``rows`` with limbs of others in the batch, and each joint's confidence.
 
-        ``share`` of the poses take part, and each of their limbs is swapped with probability ``limb``.
+        A ``share`` of the poses takes part, and each of their limbs is swapped with probability ``limb``.
         """
-        bones, frames, sure = self._bones[rows], self._frames[rows], confidence[rows]
+        bones, frames, mixed = self._bones[rows], self._frames[rows], confidence[rows]
         count = len(rows)
         taking = torch.rand(count, device=rows.device) < share
         for part in self._limbs:
@@ -99,12 +100,12 @@ class LimbMixer:
             given = self._bones[givers[:, None], part.bones] @ rotation.mT
             lengths = self._lengths[rows[takers][:, None], part.bones] / self._lengths[givers[:, None], part.bones]
             bones[at, part.bones] = given * lengths
-            # Missing on either body is missing: a limb that was not seen has no length to give it.
+            # Missing on either body is missing: a limb that was not seen has no length.
             seen = confidence[rows[takers][:, None], part.joints] > 0
-            sure[at, part.joints] = confidence[givers[:, None], part.joints] * seen
+            mixed[at, part.joints] = confidence[givers[:, None], part.joints] * seen
             for inner in part.inner:
                 frames[takers, inner] = rotation @ self._frames[givers, inner]
-        return self._path @ bones, sure
+        return self._path @ bones, mixed
 
 
 def _below(joint: int, children: dict[int, list[int]]) -> list[int]:
@@ -126,45 +127,39 @@ def _paths(parents: dict[int, int], bone_of: dict[int, int], joints: int) -> Ten
     return path
 
 
-def _body_frames(ways: Float[Tensor, "frames ways 3"]) -> Float[Tensor, "frames 3 3"]:
-    """Return the rotations that take the mean directions of the bones to each frame's own."""
-    ways = normalize(ways, dim=-1)
-    sample = ways[:: max(1, len(ways) // _TEMPLATE_FRAMES)]
+def _body_frames(directions: Float[Tensor, "frames bones 3"]) -> Float[Tensor, "frames 3 3"]:
+    """Return the rotations from the mean directions of the bones to those of each frame."""
+    directions = normalize(directions, dim=-1)
+    sample = directions[:: max(1, len(directions) // _TEMPLATE_FRAMES)]
     template = sample[0]
     for _ in range(3):
-        template = (_fit(sample, template).mT @ sample.mT).mean(0).T
-    return _fit(ways, template)
+        template = (nearest_rotation(sample.mT @ template).mT @ sample.mT).mean(0).T
+    return nearest_rotation(directions.mT @ template)
 
 
-def _fit(ways: Tensor, template: Tensor) -> Tensor:
-    """Return the proper rotations R for which ``template @ R.T`` is nearest to ``ways``."""
-    left, _, right = torch.linalg.svd(ways.mT @ template)
-    proper = torch.linalg.det(left @ right)
-    left = torch.cat([left[..., :2], left[..., 2:] * proper[:, None, None]], -1)
-    return left @ right
-
-
-# Turned views of poses for a student: mixed, mirrored, seen from anywhere, partly hidden, noisy.
+# Augmented views of poses and how well a lifter does on them.
 
 _LIMB_SHARE = 0.3
 _MOST_HIDDEN = 0.5
+TILT_WEIGHT = 0.1
+"""Of an error of the tilt in radians, beside that of depths in units."""
 
 
 @dataclass(frozen=True)
 class ShownViews:
-    """Turned views to learn from: what the network sees, and what it should say. Units of the shown radius."""
+    """Augmented views: input and targets of a lifter, in units of the input's mean radius."""
 
-    given: Float[Tensor, "views joints 2"]
-    """What the network sees: with noise, about the root as it is seen."""
-    shown: Float[Tensor, "views joints"]
-    """Confidence with it, hidden joints at 0."""
+    input: Float[Tensor, "views joints 2"]
+    """Keypoints with noise, relative to the root as it is seen."""
+    confidence: Float[Tensor, "views joints"]
+    """Of `input`; 0 for missing and hidden joints."""
     keypoints: Float[Tensor, "views joints 2"]
-    """Without noise, about the true root."""
+    """Keypoints without noise, relative to the true root."""
     pose: Float[Tensor, "views joints 3"]
     tilt: Float[Tensor, " views"]
     distance: Float[Tensor, " views"]
-    sure: Float[Tensor, "views joints"]
-    """Of the poses they came from; 0 where there is nothing to learn."""
+    weight: Float[Tensor, "views joints"]
+    """Confidence of the poses that are seen; 0 where there is nothing to learn."""
 
     def part(self, place: int, size: int) -> ShownViews:
         """Return the views of one batch of ``size``."""
@@ -172,8 +167,19 @@ class ShownViews:
         return ShownViews(*(getattr(self, f.name)[rows] for f in fields(self)))
 
 
+def depth_error(lifted: Lifted, views: ShownViews) -> Float[Tensor, ""]:
+    """Return the weighted mean absolute error of the depths."""
+    error = (lifted.pose[..., 2] - views.pose[..., 2]).abs()
+    return (error * views.weight).sum() / views.weight.sum().clamp_min(1)
+
+
+def tilt_error(lifted: Lifted, views: ShownViews) -> Float[Tensor, ""]:
+    """Return the mean absolute error of the tilts, in radians."""
+    return (lifted.tilt - views.tilt).abs().mean()
+
+
 class ViewMaker:
-    """Makes random views of ``poses``; its random numbers are torch's."""
+    """Makes random augmented views of ``poses``, with torch's global random numbers."""
 
     def __init__(
         self,
@@ -185,7 +191,7 @@ class ViewMaker:
         labelled_share: float | None = None,
     ):
         self.poses, self.camera, self.settings, self.count_root = poses, camera, settings, count_root
-        self.rows = Rows(poses.which_labelled, labelled_share)
+        self.sampler = LabelledSampler(poses.which_labelled, labelled_share)
         skeleton, device = poses.skeleton, poses.pose.device
         self.mirrors = settings.mirror and skeleton.has_mirror_image
         self.swap = torch.as_tensor(skeleton.mirror_permutation.copy(), device=device)
@@ -197,28 +203,28 @@ class ViewMaker:
     def __call__(self, count: int) -> ShownViews:
         """Return ``count`` views."""
         poses, root = self.poses, self.poses.skeleton.root_index
-        rows = self.rows(count)
-        pose, sure = self._mixed(rows)
+        rows = self.sampler(count)
+        pose, weight = self._mixed(rows)
         pose, gravity = self._turned(pose, rows)
         distance = poses.distance[rows]
         projected = self.camera.project(pose, distance)
-        seen, shown = projected.clone(), sure
+        seen, confidence = projected.clone(), weight
         if poses.noise is not None and self.settings.noise:
             # Error and confidence of one real frame belong together.
             other = self._draw(count)
             seen = projected + poses.noise[other]
-            shown = poses.confidence[other] * (sure > 0)
-        shown = self._hide(shown)
-        few = ((shown > 0).sum(1, keepdim=True)) < MIN_VISIBLE
-        # The radius is that of the joints that are shown, as it will be of those that are seen. Where too few
-        # are left to tell a size, the view teaches nothing.
-        sure = sure.masked_fill(few, 0)
-        counted = torch.where(few, torch.ones_like(shown), shown)
-        seen[:, root] = _stand_in(seen, shown, root, self.rings)
-        given, radius = renormalise(seen, counted, root, count_root=self.count_root)
+            confidence = poses.confidence[other] * (weight > 0)
+        confidence = self._hide(confidence)
+        few = ((confidence > 0).sum(1, keepdim=True)) < MIN_VISIBLE
+        # The radius is that of the visible joints, as in real data. A view with too few joints for a radius has
+        # no weight.
+        weight = weight.masked_fill(few, 0)
+        counted = torch.where(few, torch.ones_like(confidence), confidence)
+        seen[:, root] = _stand_in(seen, confidence, root, self.rings)
+        noisy, radius = renormalise(seen, counted, root, count_root=self.count_root)
         exact = (projected - projected[:, root, None]) / radius[:, None, None]
         tilt = torch.asin(gravity[:, 2].clamp(-1, 1))
-        return ShownViews(given, shown, exact, pose / radius[:, None, None], tilt, distance / radius, sure)
+        return ShownViews(noisy, confidence, exact, pose / radius[:, None, None], tilt, distance / radius, weight)
 
     def _draw(self, count: int) -> Tensor:
         return torch.randint(len(self.poses), (count,), device=self.poses.pose.device)
@@ -227,17 +233,17 @@ class ViewMaker:
         """Return the poses of ``rows`` with limbs of others, half of them mirrored, and their confidence."""
         poses, settings = self.poses, self.settings
         if self.mixer is None:
-            pose, sure = poses.pose[rows], poses.confidence[rows]
+            pose, confidence = poses.pose[rows], poses.confidence[rows]
         else:
-            pose, sure = self.mixer(rows, poses.confidence, share=settings.mix, limb=settings.mix_limb)
+            pose, confidence = self.mixer(rows, poses.confidence, share=settings.mix, limb=settings.mix_limb)
         if self.mirrors:
             flip = torch.rand(len(rows), device=rows.device) < 0.5
             pose = torch.where(flip[:, None, None], mirror(pose, self.swap), pose)
-            sure = torch.where(flip[:, None], sure[:, self.swap], sure)
-        return pose, sure
+            confidence = torch.where(flip[:, None], confidence[:, self.swap], confidence)
+        return pose, confidence
 
     def _turned(self, pose: Tensor, rows: Tensor) -> tuple[Tensor, Tensor]:
-        """Return the level poses of ``rows`` in the frames of random cameras, or their own, and gravity there."""
+        """Return the level poses of ``rows`` in the frames of random cameras (or their own), and gravity there."""
         count, device = len(pose), pose.device
         down = pose.new_tensor([0.0, 1.0, 0.0])
         if not self.settings.turn:
@@ -250,7 +256,7 @@ class ViewMaker:
         return turn(pose, least_rotation(gravity, down).mT @ about_y(azimuth)), gravity
 
     def _hide(self, confidence: Tensor) -> Tensor:
-        """Return the confidence with joints of some views at 0: a random share of them, or a limb."""
+        """Return the confidence with some joints of some views at 0: a random share of them, or a limb."""
         if not self.settings.occlude:
             return confidence
         count, device = len(confidence), confidence.device
@@ -263,11 +269,11 @@ class ViewMaker:
         return confidence.masked_fill(hidden, 0)
 
 
-def _stand_in(keypoints: Tensor, shown: Tensor, root: int, rings: list[list[int]]) -> Tensor:
-    """Return what a missing root is measured from: the mean of its nearest shown neighbours, as `clean` has it."""
-    origin, missing = keypoints[:, root], shown[:, root] == 0
+def _stand_in(keypoints: Tensor, confidence: Tensor, root: int, rings: list[list[int]]) -> Tensor:
+    """Return the root, or where it is missing the mean of its nearest visible neighbours, as `clean` does."""
+    origin, missing = keypoints[:, root], confidence[:, root] == 0
     for ring in rings:
-        weight = (shown[:, ring] > 0).to(keypoints.dtype).unsqueeze(-1)
+        weight = (confidence[:, ring] > 0).to(keypoints.dtype).unsqueeze(-1)
         mean = (keypoints[:, ring] * weight).sum(1) / weight.sum(1).clamp_min(1)
         use = missing & (weight.sum((1, 2)) > 0)
         origin = torch.where(use[:, None], mean, origin)
@@ -276,7 +282,7 @@ def _stand_in(keypoints: Tensor, shown: Tensor, root: int, rings: list[list[int]
 
 
 def _limbs(skeleton: Skeleton) -> Tensor:
-    """Return (limbs joints) bool: every joint with all below it, where that is no more than a third of the body."""
+    """Return (limbs joints) bool: every joint with all below it, where that is at most a third of the body."""
     parents = skeleton.parents
     found = set()
     for top in skeleton.joints:

@@ -1,65 +1,27 @@
-"""What every way of training a lifter shares: streams, batches, schedule, optimiser, averaged weights."""
+"""`LifterTraining`, what all training of lifters shares: random streams, schedule, optimiser, averaged weights."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from typing import Any
+from typing import Any, Generic, Protocol, TypeVar, cast, runtime_checkable
 
 import lightning as L
 import torch
-from jaxtyping import Bool, Int
 from torch import Tensor, nn
 from torch.optim.swa_utils import AveragedModel
 from torch.utils.data import DataLoader, IterableDataset
 
 from uplift.config.settings import StageSettings
-from uplift.models.lifter import Lifter
 
-__all__ = ["LifterTraining", "Rows", "stream_seed"]
-
-# Which frames a batch is made of: labelled and unlabelled ones in a set ratio.
-
-_MOST_OFTEN = 25
-
-
-class Rows:
-    """Draws frame numbers, ``share`` of them from the labelled frames.
-
-    A labelled frame comes at most 25 times as often as another: the few that there may be would be
-    learned by heart. All frames alike where ``share`` is None, or where all or none are labelled: then
-    there is nothing to balance. ``share`` is what came out of it.
-    """
-
-    def __init__(self, labelled: Bool[Tensor, " frames"], share: float | None):
-        self.frames = len(labelled)
-        self.device = labelled.device
-        self.parts = (labelled.nonzero()[:, 0], (~labelled).nonzero()[:, 0])
-        natural = len(self.parts[0]) / max(1, len(labelled))
-        self.balanced = share is not None and 0 < natural < 1
-        self.share = min(share, _MOST_OFTEN * natural) if self.balanced and share is not None else natural
-
-    def __call__(self, count: int) -> Int[Tensor, " count"]:
-        """Return ``count`` random frame numbers, in random order."""
-        labelled, rest = self.parts
-        if not self.balanced:
-            return torch.randint(self.frames, (count,), device=self.device)
-        first = max(1, round(self.share * count))
-        drawn = [
-            part[torch.randint(len(part), (size,), device=self.device)]
-            for part, size in ((labelled, first), (rest, count - first))
-        ]
-        return torch.cat(drawn)[torch.randperm(count, device=self.device)]
-
-
-# What every way of training a lifter shares: streams, schedule, optimiser, averaged weights.
+__all__ = ["LifterTraining", "stream_seed"]
 
 
 def stream_seed(seed: int, rank: int, step: int) -> int:
-    """Return the seed of one step's random stream: another for every seed, rank and step.
+    """Return the seed of one step's random stream: a different one for every seed, rank and step.
 
-    Streams that are a function of the step need no saved state: a resumed fit draws what an
-    unbroken one would have drawn, and no two ranks draw the same.
+    Streams that are a function of the step need no saved state: a resumed fit draws the same numbers as
+    an uninterrupted one, and no two ranks draw the same.
     """
     mixed = 0x9E3779B97F4A7C15
     for part in (seed, rank, step):
@@ -69,7 +31,7 @@ def stream_seed(seed: int, rank: int, step: int) -> int:
 
 
 def _average(decay: float):
-    """Return the averaging rule: exponential, with a shorter memory over the first steps."""
+    """Return the rule of an exponential moving average, with a shorter memory over the first steps."""
 
     def update(averaged: Any, current: Any, count: Tensor | int) -> None:
         so_far = float(count)
@@ -79,7 +41,7 @@ def _average(decay: float):
 
 
 class _Steps(IterableDataset):
-    """An endless count: the data are already on the device, a step draws its own rows."""
+    """An endless count of steps: the data are already on the device, and each step draws its own batch."""
 
     def __iter__(self) -> Iterator[int]:
         step = 0
@@ -88,43 +50,48 @@ class _Steps(IterableDataset):
             step += 1
 
 
-class LifterTraining(L.LightningModule):
-    """Train ``lifter`` with automatic optimisation: one optimiser, one backward a step.
+@runtime_checkable
+class _Data(Protocol):
+    def to(self, device: Any) -> Any:
+        """Return the data on another device."""
 
-    A subclass writes `objective`. ``self.final`` is the lifter to use afterwards: its averaged
-    weights where `StageSettings.average` is set.
+
+LifterT = TypeVar("LifterT", bound=nn.Module)
+DataT = TypeVar("DataT", bound=_Data)
+
+
+class LifterTraining(L.LightningModule, Generic[LifterT, DataT]):
+    """Train ``lifter`` with automatic optimisation: one optimiser, one backward pass per step.
+
+    A subclass writes `objective`. `final` is the trained lifter: its averaged weights where
+    `StageSettings.average` is set.
     """
 
-    def __init__(self, lifter: Any, data: Any, settings: StageSettings, seed: int):
+    def __init__(self, lifter: LifterT, data: DataT, settings: StageSettings, seed: int):
         super().__init__()
-        self.lifter: Lifter = lifter  # or what else is trained from 2D
+        self.lifter = lifter
         self.settings = settings
         self.seed = seed
         self.data = data
         self.done = 0.0
-        """Share of the stage that is over, 0..1; `uplift.training.callbacks.Budget` keeps it."""
-        self.averaged = None
+        """Share of the stage that is over, 0..1; kept by `uplift.training.callbacks.Budget`."""
+        self.averaged: AveragedModel | None = None
         if settings.average:
             self.averaged = AveragedModel(lifter, multi_avg_fn=_average(settings.average))
             # Nothing trains them, and ranks must not wait for their gradients.
             self.averaged.requires_grad_(False)
 
     @property
-    def mirrors(self) -> bool:
-        """Whether poses are shown mirrored half the time: not those of a skeleton that has no mirror image."""
-        return self.settings.mirror and self.lifter.skeleton.has_mirror_image
-
-    @property
-    def final(self) -> Any:
+    def final(self) -> LifterT:
         """The lifter to evaluate and predict with."""
-        return self.lifter if self.averaged is None else self.averaged.module
+        return self.lifter if self.averaged is None else cast(LifterT, self.averaged.module)
 
     def objective(self) -> tuple[Tensor, dict[str, float | Tensor]]:
         """Return the loss of one random batch and the numbers to log."""
         raise NotImplementedError
 
     def more_metrics(self) -> dict[str, float]:
-        """Return what else is worth logging of the last step; only asked for when a row is written."""
+        """Return more numbers to log of the last step; called only when a row is written."""
         return {}
 
     def parameter_groups(self) -> list[dict[str, Any]]:
@@ -140,7 +107,7 @@ class LifterTraining(L.LightningModule):
         return DataLoader(_Steps(), batch_size=None)
 
     def on_fit_start(self) -> None:
-        """Put the whole data set where the model is."""
+        """Move the data set to the model's device."""
         self.data = self.data.to(self.device)
 
     def configure_optimizers(self) -> torch.optim.Optimizer:
@@ -167,19 +134,23 @@ class LifterTraining(L.LightningModule):
         return warm * (0.02 + 0.98 * 0.5 * (1 + math.cos(math.pi * min(1.0, over))))
 
     def training_step(self, batch: int, batch_idx: int) -> Tensor:
-        """Start this step's own stream and return the loss of a batch drawn from it."""
+        """Seed this step's random stream and return the loss of a batch drawn from it."""
         torch.manual_seed(stream_seed(self.seed, self.global_rank, self.global_step))
         loss, logged = self.objective()
         self.logged = logged
         return loss
 
+    def on_save_checkpoint(self, checkpoint: dict[str, Any]) -> None:
+        """Keep how much of the stage is over."""
+        checkpoint["done"] = self.done
+
     def on_before_optimizer_step(self, optimizer: torch.optim.Optimizer) -> None:
-        """Take the gradients of gated parameters away: Adam skips them, momentum and decay included."""
+        """Remove the gradients of gated parameters: Adam then skips them, momentum and decay included."""
         for parameter in self.gated_parameters():
             parameter.grad = None
 
     def optimizer_step(self, *arguments: Any, **options: Any) -> None:
-        """Take the step and average the weights: at once, so that a checkpoint of this step has both."""
+        """Take the step and update the average, so that a checkpoint of this step holds both."""
         super().optimizer_step(*arguments, **options)
         if self.averaged is not None:
             self.averaged.update_parameters(self.lifter)

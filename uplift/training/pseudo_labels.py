@@ -1,4 +1,4 @@
-"""Poses to learn from that nobody labelled: the training frames as a lifter lifts them, mended."""
+"""Pseudo labels: the training frames as a lifter lifts them, refined."""
 
 from __future__ import annotations
 
@@ -20,38 +20,36 @@ from uplift.skeleton import Skeleton
 __all__ = ["PseudoPoses", "lift_all", "true_poses"]
 
 _NOISY = 1e-3
-"""Mean distance, in units, between keypoints and refined poses from which keypoints count as noisy."""
+"""Mean distance, in units, between keypoints and refined poses above which keypoints count as noisy."""
 
 
 @dataclass(frozen=True)
 class PseudoPoses:
-    """The training frames as the teacher lifts them: poses without any label."""
+    """Poses for a student to learn from, as a teacher lifts the training frames."""
 
     skeleton: Skeleton
     pose: Float[Tensor, "frames joints 3"]
     """Level frame where there is gravity, in units of the mean 2D radius."""
     gravity: Float[Tensor, "frames 3"]
-    """Its direction as the camera that looks at the root sees it; (0, 1, 0) without gravity."""
+    """Its direction in the frame of the camera that looks at the root; (0, 1, 0) without gravity."""
     distance: Float[Tensor, " frames"]
-    """Of the camera to the root, in units."""
+    """From the camera to the root, in units."""
     confidence: Float[Tensor, "frames joints"]
-    """Of the data; where it is 0 the joint is the teacher's guess and teaches nothing."""
+    """Of the data; 0 where a joint is only the teacher's guess and is not learned from."""
     noise: Float[Tensor, "frames joints 2"] | None = None
-    """What the keypoints were off from the refined poses; None where they are exact or nothing tells."""
+    """Keypoints minus projections of the refined poses; None where that is negligible or unknown."""
     labelled: Bool[Tensor, " frames"] | None = None
-    """Which poses are true; None where none is."""
+    """Which poses are ground truth; None if none is."""
 
     def __len__(self) -> int:
         return len(self.pose)
 
     @property
     def which_labelled(self) -> Bool[Tensor, " frames"]:
-        """Which poses are true."""
-        return (
-            torch.zeros(len(self), dtype=torch.bool, device=self.pose.device)
-            if self.labelled is None
-            else self.labelled
-        )
+        """Which poses are ground truth."""
+        if self.labelled is not None:
+            return self.labelled
+        return torch.zeros(len(self), dtype=torch.bool, device=self.pose.device)
 
     def to(self, device: torch.device | str) -> PseudoPoses:
         """Return the same poses on ``device``."""
@@ -63,7 +61,7 @@ class PseudoPoses:
 def lift_all(lifter: Lifter, data: TrainingSet, refine: RefineSettings) -> PseudoPoses:
     """Return every training frame lifted by ``lifter``, averaged with its mirror image and refined by clip.
 
-    A label takes the place of what was lifted.
+    Labels replace what was lifted.
     """
     data = data.to(next(lifter.parameters()).device)
     lifted = lift_frames(lifter, data)
@@ -81,38 +79,38 @@ def lift_all(lifter: Lifter, data: TrainingSet, refine: RefineSettings) -> Pseud
 
 @torch.no_grad()
 def true_poses(data: TrainingSet, camera: Camera, *, tilted: bool = True) -> PseudoPoses:
-    """Return the frames of ``data``, all of which have labels, as a teacher would lift them that knows the truth.
+    """Return the labels of ``data``, which every frame has, in the form of pseudo labels.
 
-    What the keypoints are off from the labels is the noise. Where the labels do not tell the camera's
-    tilt the bodies do; cameras that are not ``tilted`` are level.
+    The noise is how far keypoints are from the labels. The camera's tilt is estimated from the bodies where it
+    is not labelled; cameras that are not ``tilted`` are level.
     """
     assert data.labels is not None
     known = data.labels.isfinite().all(-1)
     pose = data.labels.nan_to_num()
-    # A joint that was not seen has its true place all the same; one without a label teaches nothing.
-    sure = torch.where(data.confidence > 0, data.confidence, torch.ones_like(data.confidence)) * known
+    # The place of an unseen joint is known too; a joint without a label is not learned from.
+    confidence = torch.where(data.confidence > 0, data.confidence, torch.ones_like(data.confidence)) * known
     tilt = _body_tilts(data, pose) if tilted else torch.zeros_like(data.distance)
-    return _levelled(data, pose, sure, tilt, _noise(data, pose, data.confidence * known, camera))
+    return _levelled(data, pose, confidence, tilt, _noise(data, pose, data.confidence * known, camera))
 
 
-def _levelled(data: TrainingSet, pose: Tensor, sure: Tensor, tilt: Tensor, noise: Tensor | None) -> PseudoPoses:
-    """Return poses in the level frame; ``tilt`` is that of the real cameras, where labels do not say it."""
+def _levelled(data: TrainingSet, pose: Tensor, confidence: Tensor, tilt: Tensor, noise: Tensor | None) -> PseudoPoses:
+    """Return poses in the level frame; ``tilt`` is that of the real cameras where it is not labelled."""
     labelled = None if data.labels is None else data.labelled
     if data.label_tilt is not None and data.skeleton.gravity:
         tilt = torch.where(data.label_tilt.isfinite(), real_tilt(data.label_tilt, data.rotation), tilt)
     gravity = gravity_of(tilt, data.rotation)
     if data.skeleton.gravity:
         pose = turn(pose, least_rotation(gravity, gravity.new_tensor([0.0, 1.0, 0.0])))
-    return PseudoPoses(data.skeleton, pose, gravity, data.distance, sure, noise, labelled)
+    return PseudoPoses(data.skeleton, pose, gravity, data.distance, confidence, noise, labelled)
 
 
 def _body_tilts(data: TrainingSet, pose: Tensor) -> Tensor:
-    """Return the tilt of each frame's real camera as the bodies tell it, one for a clip."""
-    tilt, trust = body_tilt(pose if data.rotation is None else turn(pose, data.rotation.mT))
-    return clip_median(tilt, trust, data.clip)
+    """Return the tilt of each frame's real camera as estimated from the bodies, one for each clip."""
+    tilt, weight = body_tilt(pose if data.rotation is None else turn(pose, data.rotation.mT))
+    return clip_median(tilt, weight, data.clip)
 
 
-def _noise(data: TrainingSet, pose: Tensor, sure: Tensor, camera: Camera) -> Tensor | None:
-    """Return what the sure keypoints are off from the poses; None where that is next to nothing."""
-    noise = (data.keypoints - as_measured(data, camera.project(pose, data.distance))) * (sure > 0).unsqueeze(-1)
+def _noise(data: TrainingSet, pose: Tensor, confidence: Tensor, camera: Camera) -> Tensor | None:
+    """Return how far visible keypoints are from projections of the poses; None if that is negligible."""
+    noise = (data.keypoints - as_measured(data, camera.project(pose, data.distance))) * (confidence > 0).unsqueeze(-1)
     return noise if noise.norm(dim=-1).mean() > _NOISY else None

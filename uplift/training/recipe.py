@@ -24,12 +24,13 @@ from uplift.errors import UserError
 from uplift.models.lifter import Lifter
 from uplift.models.model import Model, build_lifter, load_poses
 from uplift.priors import build_priors
-from uplift.priors.base import blame
 from uplift.skeleton import Skeleton
 from uplift.training.adversarial import AdversarialTraining
-from uplift.training.base import LifterTraining, Rows
+from uplift.training.base import LifterTraining
 from uplift.training.callbacks import Budget, Checkpoints, Interrupted, MetricsFile, Progress, Threads, check_checkpoint
+from uplift.training.objective import prepare_priors
 from uplift.training.pseudo_labels import PseudoPoses, lift_all, true_poses
+from uplift.training.sampler import LabelledSampler
 from uplift.training.student import StudentTraining
 
 __all__ = ["Recipe", "StageBudget", "run_stage", "stage_budgets", "student_settings", "training_frames"]
@@ -181,7 +182,11 @@ class Recipe:
         if self.supervised:  # nothing to lift: one student has all the time
             self.rounds = [1.0]
         # Labels take the place of the teacher: what they say of a batch, it need not find out.
-        labelled = Rows(self.data.labelled, settings.data.labelled.share).share if self.data.labels is not None else 0.0
+        labelled = (
+            LabelledSampler(self.data.labelled, settings.data.labelled.share).share
+            if self.data.labels is not None
+            else 0.0
+        )
         first = settings.teacher.share * (1 - labelled)
         shares = [first, *((settings.student.share or 1.0) * r / sum(self.rounds) for r in self.rounds)]
         self.budgets = stage_budgets(settings.trainer, shares, len(self.data), settings.teacher.batch_size)
@@ -255,9 +260,7 @@ class Recipe:
 
     def _teacher(self) -> AdversarialTraining:
         settings = self.settings
-        for name, prior in self.priors.items():
-            with blame(name, prior, "prepare"):
-                prior.prepare(self.data)
+        prepare_priors(self.priors, self.data)
         return AdversarialTraining(
             self.first,
             self.data,

@@ -19,7 +19,8 @@ from uplift.errors import UserError
 from uplift.models.mixture import AZIMUTHS, ShapeMixture, split
 from uplift.models.model import ShapeModel, load
 from uplift.models.shape_lifter import choose_level
-from uplift.priors.shape_base import build_shape_priors
+from uplift.priors import build_priors
+from uplift.training.objective import prepare_priors
 from uplift.training.recipe import StageBudget, run_stage, stage_budgets
 from uplift.training.shapes import MixtureTraining
 
@@ -43,7 +44,7 @@ class ShapeRecipe:
         labelled = loaded.train.labelled if settings.data.labelled.only else None
         self.train_data = loaded.train if labelled is None else loaded.train.select(labelled)
         self.data = mask_set(self.train_data, settings.shape)
-        self.priors, self.weights = build_shape_priors(settings.priors)
+        self.priors, self.weights, _ = build_priors(settings.priors)
         self.spent: dict[str, float] = {}
         shape = settings.shape
         torch.manual_seed(settings.seed)
@@ -61,6 +62,7 @@ class ShapeRecipe:
 
     def train(self, run: RunFolder) -> ShapeModel:
         """Return the model after its stages."""
+        prepare_priors(self.priors, self.data)
         mixture = self._stage(run, "shapes", self.mixture, self.budgets[0], hot=self.start is None)
         for number, times in enumerate(self.splits, 1):
             torch.manual_seed(self.settings.seed + number)

@@ -1,4 +1,4 @@
-"""The second stage: a fresh lifter learns from the teacher's own poses, mixed and turned everywhere."""
+"""The second stage: a new lifter learns from pseudo labels, augmented and seen from everywhere."""
 
 from __future__ import annotations
 
@@ -6,27 +6,25 @@ import torch
 from torch import Tensor
 
 from uplift.config.settings import StudentSettings, ViewSettings
-from uplift.models.lifter import Lifter
-from uplift.training.augmentation import ShownViews, ViewMaker
+from uplift.models.lifter import Lifted, Lifter
+from uplift.training.augmentation import TILT_WEIGHT, ShownViews, ViewMaker, depth_error, tilt_error
 from uplift.training.base import LifterTraining, stream_seed
 from uplift.training.pseudo_labels import PseudoPoses
 
 __all__ = ["StudentTraining"]
 
 _BATCHES_AT_ONCE = 16
-_TILT_WEIGHT = 0.1
+"""Batches of views that are made together: a single one is mostly overhead."""
 _SPREAD_WEIGHT = 0.05
 
 
-class StudentTraining(LifterTraining):
-    """Lift random turned views of the teacher's poses back to those poses.
+class StudentTraining(LifterTraining[Lifter, PseudoPoses]):
+    """Lift random augmented views of the teacher's poses back to those poses.
 
-    The teacher saw each pose from one side, with the limbs it came with; the student sees it from
-    everywhere, with the limbs of others, and generalises better for it. Nothing enters but what the
-    teacher made of 2D keypoints.
+    The teacher saw each pose from one side, with its own limbs; the student sees it from everywhere, with limbs
+    of others, and generalises better. Nothing but the teacher's view of 2D keypoints enters.
     """
 
-    data: PseudoPoses  # type: ignore[assignment]
     settings: StudentSettings
 
     def __init__(
@@ -38,13 +36,13 @@ class StudentTraining(LifterTraining):
         seed: int,
         labelled_share: float | None = None,
     ):
-        super().__init__(lifter, data, settings, seed)  # type: ignore[arg-type]
+        super().__init__(lifter, data, settings, seed)
         self.labelled_share = labelled_share
         self.views = views
         self._made: tuple[int, ShownViews] | None = None
 
     def on_fit_start(self) -> None:
-        """Put the poses where the model is and take them apart into limbs."""
+        """Move the poses to the model's device and split them into limbs."""
         super().on_fit_start()
         self.maker = ViewMaker(
             self.data,
@@ -55,43 +53,48 @@ class StudentTraining(LifterTraining):
         )
 
     def objective(self) -> tuple[Tensor, dict[str, float | Tensor]]:
-        """Return the mean depth error over the known joints, and what else the lifter can know."""
+        """Return the error of the depths, and of the keypoints, spread and tilt where the lifter gives them."""
         views, lifter = self._batch(), self.lifter
-        lifted = lifter(views.given, views.shown, views.distance)
-        known = views.sure.sum().clamp_min(1)
-        error = (lifted.pose[..., 2] - views.pose[..., 2]).abs()
-        loss = (error * views.sure).sum() / known
+        lifted = lifter(views.input, views.confidence, views.distance)
+        known = views.weight.sum().clamp_min(1)
+        loss = depth_error(lifted, views)
         logged: dict[str, float | Tensor] = {"depth": loss.detach()}
         if lifter.denoise or (lifter.fill and self.settings.occlude):
-            # Joints that the lifter leaves where they were seen have no say in it, unless the root was not.
-            hidden = views.shown == 0
+            # Joints that the lifter leaves where they are seen do not count, unless the root is missing.
+            hidden = views.confidence == 0
             moved = hidden | hidden[:, self.data.skeleton.root_index, None]
-            moves = views.sure if lifter.denoise else views.sure * moved
-            off = ((lifted.keypoints - views.keypoints).abs().sum(-1) * moves).sum()
-            loss = loss + off / known
-            logged["fill"] = off.detach() / moves.sum().clamp_min(1)
+            weight = views.weight if lifter.denoise else views.weight * moved
+            error = ((lifted.keypoints - views.keypoints).abs().sum(-1) * weight).sum()
+            loss = loss + error / known
+            logged["fill"] = error.detach() / weight.sum().clamp_min(1)
         if lifted.spread is not None:
-            # Laplace: its scale is the mean absolute error, of a hidden joint that of its whole place. Poses do not learn from it.
-            scale = lifted.spread.clamp_min(1e-6)
-            away = (lifted.pose - views.pose).detach().norm(dim=-1)
-            off = torch.where(views.shown == 0, away, error.detach())
-            surprise = (off / scale + scale.log()) * views.sure * (lifted.spread > 0)
-            loss = loss + _SPREAD_WEIGHT * surprise.sum() / known
+            loss = loss + _SPREAD_WEIGHT * _spread_loss(lifted, views, lifted.spread) / known
             logged["spread"] = lifted.spread.detach().mean()
         if lifter.tilt == "predicted":
-            tilt = (lifted.tilt - views.tilt).abs().mean()
-            loss = loss + _TILT_WEIGHT * tilt
+            tilt = tilt_error(lifted, views)
+            loss = loss + TILT_WEIGHT * tilt
             logged["tilt"] = tilt.detach()
         return loss, logged
 
     def _batch(self) -> ShownViews:
-        """Return this step's views. They are made many batches at once: one batch alone is all overhead."""
+        """Return this step's views."""
         size = self.settings.batch_size
         chunk, place = divmod(self.global_step, _BATCHES_AT_ONCE)
         if self._made is None or self._made[0] != chunk:
-            # The chunk has a stream of its own, so that a resumed fit makes the same one again.
+            # Each chunk has its own random stream, so that a resumed fit makes the same one again.
             torch.manual_seed(stream_seed(self.seed + 1, self.global_rank, chunk))
             with torch.no_grad():
                 self._made = (chunk, self.maker(size * _BATCHES_AT_ONCE))
             torch.manual_seed(stream_seed(self.seed, self.global_rank, self.global_step))
         return self._made[1].part(place, size)
+
+
+def _spread_loss(lifted: Lifted, views: ShownViews, spread: Tensor) -> Tensor:
+    """Return the sum of the negative log-likelihoods of the errors under Laplace distributions of scale ``spread``.
+
+    The error is that of the depth, or of the position where a joint is hidden. Poses do not learn from it.
+    """
+    scale = spread.clamp_min(1e-6)
+    difference = (lifted.pose - views.pose).detach()
+    error = torch.where(views.confidence == 0, difference.norm(dim=-1), difference[..., 2].abs())
+    return ((error / scale + scale.log()) * views.weight * (spread > 0)).sum()

@@ -9,7 +9,7 @@ import pytest
 from tracker_files_json import alphapose_list, alphapose_objects, people, write_json
 
 from uplift.data.datasets.coco import COCO_JOINTS
-from uplift.data.formats import guess_format, read
+from uplift.data.formats import KEYPOINT_FORMATS, read
 from uplift.data.formats.base import ReadOptions
 from uplift.data.formats.layouts import HALPE26, HALPE68, HALPE136, OPENPOSE18, WHOLEBODY133
 from uplift.errors import UserError
@@ -31,7 +31,7 @@ def refused(path: Path, content) -> str:
 def test_a_video_comes_back(tmp_path: Path, names: tuple[str, ...]) -> None:
     values = people(12, len(names))
     path = write_json(tmp_path / "results.json", alphapose_list(values))
-    assert guess_format(path).name == "alphapose"
+    assert KEYPOINT_FORMATS.guess(path).name == "alphapose"
     data = read(path)
     same(data, values)
     assert data.joint_names == names
@@ -71,14 +71,14 @@ def test_objects_by_image_and_files_of_them(tmp_path: Path, form: str) -> None:
     values = people(12, 18)
     content = alphapose_objects(values, form)
     path = write_json(tmp_path / "video.json", content)
-    assert guess_format(path).name == "alphapose"
+    assert KEYPOINT_FORMATS.guess(path).name == "alphapose"
     data = read(path)
     same(data, values)
     assert data.joint_names == OPENPOSE18
     assert data.identity["frame"].tolist() == list(range(12))
     for name, image in content.items():
         write_json(tmp_path / f"sep/{Path(name).stem}.json", image)
-    assert guess_format(tmp_path / "sep").name == ("alphapose" if form == "cmu" else "openpose")
+    assert KEYPOINT_FORMATS.guess(tmp_path / "sep").name == ("alphapose" if form == "cmu" else "openpose")
     data = read(tmp_path / "sep")
     same(data, values)
     assert data.identity["frame"].tolist() == list(range(12))
@@ -101,7 +101,7 @@ def test_wrong_files_are_refused(tmp_path: Path) -> None:
 
 def test_real_file(benchmark_data) -> None:
     path = benchmark_data("trackers/alphapose/alphapose-results.json")
-    assert guess_format(path).name == "alphapose"
+    assert KEYPOINT_FORMATS.guess(path).name == "alphapose"
     data = read(path)
     assert data.keypoints.shape == (60, 26, 2)
     assert data.identity["frame"].tolist() == list(range(60))

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from uplift.data.formats import FORMATS, format_named, guess_format, read
+from uplift.data.formats import KEYPOINT_FORMATS, read
 from uplift.data.formats.base import Peek, ReadOptions, size_of
 from uplift.data.load import load_file
 from uplift.errors import UserError
@@ -22,9 +22,9 @@ def table(path: Path, rows: int = 4) -> Path:
 
 
 def test_every_format_is_what_its_name_says():
-    for name in FORMATS:
-        assert format_named(name).name == name
-        assert format_named(name).title
+    for name in KEYPOINT_FORMATS:
+        assert KEYPOINT_FORMATS[name].name == name
+        assert KEYPOINT_FORMATS[name].title
 
 
 def test_what_the_user_says_wins(tmp_path: Path):
@@ -82,11 +82,11 @@ def test_what_holds_no_keypoints(tmp_path: Path):
         (tmp_path / name).write_bytes(content)
     says = {
         "empty": "an empty folder", "several": r"such as .*several/\*\.csv", "a.mp4": "a video", "a.trc": "3D marker data",
-        "a.bin": "no known format", "nothing.csv": "0 bytes", "a.h5": "damaged", "none.csv": "No file",
+        "a.bin": "not in a known format", "nothing.csv": "0 bytes", "a.h5": "damaged", "none.csv": "No file",
     }  # fmt: skip
     for name, text in says.items():
         with pytest.raises(UserError, match=text):
-            guess_format(tmp_path / name)
+            KEYPOINT_FORMATS.guess(tmp_path / name)
     with pytest.raises(UserError, match="Did you mean 'deeplabcut'"):
         read(table(tmp_path / "a.csv"), ReadOptions(format="deplabcut"))
 

@@ -11,7 +11,7 @@ import pytest
 from tracker_files_json import coco_annotations, coco_results, people, write_json
 
 from uplift.data.datasets.coco import COCO_JOINTS
-from uplift.data.formats import guess_format, read
+from uplift.data.formats import KEYPOINT_FORMATS, read
 from uplift.data.formats.base import ReadOptions
 from uplift.data.formats.layouts import HALPE26, WHOLEBODY133
 from uplift.data.poses import PoseData
@@ -29,7 +29,7 @@ def flat() -> np.ndarray:
 
 def read_back(path: Path, content: Any, options: ReadOptions | None = None, format: str = "coco") -> PoseData:
     write_json(path, content)
-    assert guess_format(path).name == format
+    assert KEYPOINT_FORMATS.guess(path).name == format
     return read(path, options)
 
 
@@ -232,7 +232,7 @@ def test_real_animals(benchmark_data) -> None:
 def test_real_results(benchmark_data) -> None:
     path = benchmark_data("trackers/coco/person_keypoints_val2014_fakekeypoints100_results.json")
     data = read(path)
-    assert guess_format(path).name == "coco_results"
+    assert KEYPOINT_FORMATS.guess(path).name == "coco_results"
     assert (len(data), len(set(data.identity["image"]))) == (125, 47)
     assert data.identity["image"][[0, -1]].tolist() == ["136", "1292"]
     np.testing.assert_array_equal(data.keypoints[0, 0], np.float32([36, 181]))

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from tracker_files_tables import damaged
 
-from uplift.data.formats import guess_format, read
+from uplift.data.formats import KEYPOINT_FORMATS, read
 from uplift.data.formats.base import ReadOptions
 from uplift.data.formats.csv import columns_of
 from uplift.errors import UserError
@@ -46,7 +46,7 @@ def check(data, values: np.ndarray) -> None:
 def test_spellings_of_columns(tmp_path: Path, spell, word):
     values = values_of()
     path = written(tmp_path / "a.csv", wide(values, spell, ("x", "y", word)))
-    assert guess_format(path).name == "csv"
+    assert KEYPOINT_FORMATS.guess(path).name == "csv"
     check(read(path), values)
 
 
@@ -227,7 +227,7 @@ def test_wrong_tables_are_told(tmp_path: Path, text, says):
     "text", ["a,b\n1,2\n", "x,y\n1,2\n", "hello\n", "1,2,3\n4,5,6\n", "frame,x,y\n0,1,2\n", "\n\n\n", "nose_x\n1\n"]
 )
 def test_other_tables_are_of_no_known_format(tmp_path: Path, text):
-    with pytest.raises(UserError, match="no known format"):
+    with pytest.raises(UserError, match="not in a known format"):
         read(written(tmp_path / "a.csv", text))
     with pytest.raises(UserError, match="a.csv"):
         read(written(tmp_path / "a.csv", text), ReadOptions(format="csv"))

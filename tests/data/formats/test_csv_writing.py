@@ -8,7 +8,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from uplift.data.formats import guess_format, read
+from uplift.data.formats import KEYPOINT_FORMATS, read
 from uplift.data.formats.csv import write_keypoints_csv
 from uplift.data.formats.deeplabcut import write_deeplabcut_csv
 from uplift.data.poses import PoseData
@@ -56,7 +56,7 @@ def test_plain_csv_comes_back(tmp_path: Path, body: PoseData):
     path = tmp_path / "walk.csv"
     write_keypoints_csv(body, path)
     data = read(path)
-    assert guess_format(path).name == "csv"
+    assert KEYPOINT_FORMATS.guess(path).name == "csv"
     check_equal(data, body, tuple(body.identity))
     assert set(data.identity) == set(body.identity)
     np.testing.assert_array_equal(data.clips(), body.clips())
@@ -72,7 +72,7 @@ def test_individuals_come_back(tmp_path: Path, body: PoseData):
     for write, name in ((write_keypoints_csv, "csv"), (write_deeplabcut_csv, "deeplabcut")):
         path = tmp_path / "walk.csv"
         write(two, path)
-        assert guess_format(path).name == name
+        assert KEYPOINT_FORMATS.guess(path).name == name
         check_equal(read(path), two, ("sequence", "frame", "instance"))
 
 

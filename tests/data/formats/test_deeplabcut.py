@@ -11,7 +11,7 @@ import pandas as pd
 import pytest
 from tracker_files_tables import damaged, deeplabcut_frame, tracked
 
-from uplift.data.formats import guess_format, read
+from uplift.data.formats import KEYPOINT_FORMATS, read
 from uplift.data.formats.base import ReadOptions
 from uplift.data.poses import PoseData
 from uplift.errors import UserError
@@ -66,7 +66,7 @@ def row_of(data: PoseData, instance: str | None, at: int | str) -> int:
 def test_real_files_hold_what_is_known_of_them(benchmark_data, name, joints, spots):
     path = benchmark_data(f"trackers/{name}")
     data = read(path)
-    assert guess_format(path).name == "deeplabcut"
+    assert KEYPOINT_FORMATS.guess(path).name == "deeplabcut"
     assert len(data.joint_names) == joints if isinstance(joints, int) else list(data.joint_names) == joints
     for instance, at, joint, x, y, confidence in spots:
         row, place = row_of(data, instance, at), data.joint_names.index(joint)

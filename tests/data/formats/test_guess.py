@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from uplift.data.formats import FORMATS, format_named, guess_format, read
+from uplift.data.formats import KEYPOINT_FORMATS, read
 from uplift.data.formats.base import Peek
 from uplift.errors import UserError
 
@@ -82,9 +82,9 @@ NO_KEYPOINTS = (
 @pytest.mark.parametrize(("name", "file"), [(name, file) for name, files in FILES.items() for file in files])
 def test_real_files_are_guessed(benchmark_data, name: str, file: str) -> None:
     path = benchmark_data(f"trackers/{file}")
-    if name not in FORMATS:
+    if name not in KEYPOINT_FORMATS:
         pytest.skip(f"no reader of {name}")
-    assert guess_format(path).name == name
+    assert KEYPOINT_FORMATS.guess(path).name == name
 
 
 def test_no_file_is_left_out(benchmark_data) -> None:
@@ -106,17 +106,17 @@ def test_what_holds_no_keypoints_is_refused(benchmark_data, file: str) -> None:
 def test_licences_are_refused(benchmark_data) -> None:
     for path in sorted(benchmark_data("trackers/licences").iterdir()):
         with pytest.raises(UserError):
-            guess_format(path)
+            KEYPOINT_FORMATS.guess(path)
 
 
-@pytest.mark.parametrize("name", sorted(FORMATS))
+@pytest.mark.parametrize("name", sorted(KEYPOINT_FORMATS))
 def test_nothing_is_claimed_or_breaks_on_odd_content(tmp_path: Path, name: str) -> None:
-    fits = format_named(name).fits
+    fits = KEYPOINT_FORMATS[name].fits
     odd = {
         "a.json": b"[[[[[[[[[[", "b.json": b"{", "c.json": b'{"a": [1, 2', "d.json": b"\xff\xfe\x00", "e.json": b"[]",
         "f.txt": b"hello", "g.txt": b"0 0.5 0.5 0.2 0.2", "h.csv": b"a,b,c\n1,2,3\n", "i.h5": b"\x89HDF\r\n\x1a\nxxxx",
         "j.npy": b"PK\x03\x04", "k.txt": b"nan nan nan nan nan nan nan", "l.txt": b"1e999 0 0 0 0 0 0",
-        "m.json": b'{"\\ud800": 1}', "n.yaml": b"a: 1",
+        "m.json": b'{"\\ud800": 1}', "n.yaml": b"a: 1",  "o.json": b"", "p.csv": b"", "q.txt": b"",
     }  # fmt: skip
     for file, content in odd.items():
         (tmp_path / file).write_bytes(content)

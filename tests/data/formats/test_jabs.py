@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from tracker_files_hdf5 import outcomes, write_jabs
 
-from uplift.data.formats import guess_format, read
+from uplift.data.formats import KEYPOINT_FORMATS, read
 from uplift.data.formats.base import ReadOptions
 from uplift.data.formats.jabs import JOINTS
 from uplift.errors import UserError
@@ -43,7 +43,7 @@ def test_as_sleap_io_reads_it(tmp_path, version) -> None:
     if version > 3:
         more["instance_embed_id"] = np.array([[1, 2, 3], [2, 1, 0], [3, 0, 0], [0, 0, 0], [1, 0, 2]], "u4")
     path = write_jabs(tmp_path / f"cage_pose_est_v{version}.h5", points, score, **more)
-    assert guess_format(path).name == "jabs"
+    assert KEYPOINT_FORMATS.guess(path).name == "jabs"
     data = read(path)
     labels = sleap_io.load_jabs(str(path))
     names = data.identity.get("instance", np.full(len(data), "1"))

@@ -14,7 +14,7 @@ from hypothesis.extra.numpy import arrays
 from mask_files import blob, coco_file, runs_of, save, text_of_counts
 
 from uplift.data.clean_masks import Crop, clean_mask
-from uplift.data.formats.masks import read
+from uplift.data.formats import read_masks
 from uplift.data.parsers.outlines import counts_of_text, window_of_polygons, window_of_runs
 from uplift.errors import UserError
 
@@ -111,7 +111,7 @@ def test_a_pixel_is_covered_where_its_centre_is_inside(corners: list[tuple[float
 def test_polygons_and_runs_give_the_same_crop(tmp_path: Path) -> None:
     box = np.zeros((60, 80), bool)
     box[15:45, 20:60] = True
-    data = read(coco_file(tmp_path / "x.json", [BOX, BOX[0], rle(box), rle(box, packed=False)]))
+    data = read_masks(coco_file(tmp_path / "x.json", [BOX, BOX[0], rle(box), rle(box, packed=False)]))
     crop = clean_mask(box)
     assert isinstance(crop, Crop)
     for row in range(4):
@@ -126,14 +126,14 @@ def test_polygons_and_runs_give_the_same_crop(tmp_path: Path) -> None:
 
 
 def test_runs_of_any_mask_are_the_mask(tmp_path: Path) -> None:
-    data = read(coco_file(tmp_path / "x.json", [rle(mask, packed=n % 2 == 0) for n, mask in enumerate(MASKS)]))
+    data = read_masks(coco_file(tmp_path / "x.json", [rle(mask, packed=n % 2 == 0) for n, mask in enumerate(MASKS)]))
     for row, mask in enumerate(MASKS):
         crop = clean_mask(mask)
         assert isinstance(crop, Crop)
         assert np.array_equal(data.masks[row], crop.mask)
-    assert read(tmp_path / "x.json", category="cow").names == ["field.jpg:101", "field.jpg:103"]
+    assert read_masks(tmp_path / "x.json", category="cow").names == ["field.jpg:101", "field.jpg:103"]
     with pytest.raises(UserError, match="category=dog: .* no such category.* Valid: cow, horse"):
-        read(tmp_path / "x.json", category="dog")
+        read_masks(tmp_path / "x.json", category="dog")
 
 
 def test_what_is_skipped_and_why(tmp_path: Path) -> None:
@@ -148,7 +148,7 @@ def test_what_is_skipped_and_why(tmp_path: Path) -> None:
     records[7]["score"] = 0.3
     records[8]["segmentation"] = [[20, 15, 30, 15, 30, 45], [40, 15, 50, 15, 50, 45]]
     (tmp_path / "x.json").write_text(json.dumps(content))
-    data = read(tmp_path / "x.json")
+    data = read_masks(tmp_path / "x.json")
     assert data.names == ["field.jpg:100"]
     told = "\n".join(data.notes)
     for reason in (
@@ -166,7 +166,7 @@ def test_what_is_skipped_and_why(tmp_path: Path) -> None:
 def test_what_detectors_hand_in(tmp_path: Path) -> None:
     results = [{"image_id": 3, "category_id": 18, "score": 0.9, "segmentation": rle(mask)} for mask in MASKS]
     (tmp_path / "x.json").write_text(json.dumps(results))
-    data = read(tmp_path / "x.json")
+    data = read_masks(tmp_path / "x.json")
     assert data.names == [f"3:{n}" for n in range(4)]
     assert data.category is not None
     assert data.category.tolist() == ["18"] * 4
@@ -177,7 +177,7 @@ def test_a_file_for_each_image(tmp_path: Path) -> None:
         image = {"image_id": number, "file_name": f"sa_{number}.jpg", "width": 80, "height": 60}
         content = {"image": image, "annotations": [{"id": 5, "segmentation": rle(MASKS[number])}]}
         (tmp_path / f"sa_{number}.json").write_text(json.dumps(content))
-    data = read(f"{tmp_path}/*.json")
+    data = read_masks(f"{tmp_path}/*.json")
     assert data.names == ["sa_1.jpg:5", "sa_2.jpg:5"]
     assert data.category is None
 
@@ -185,7 +185,7 @@ def test_a_file_for_each_image(tmp_path: Path) -> None:
 def test_images_without_a_size_and_photos(tmp_path: Path) -> None:
     path = coco_file(tmp_path / "x.json", [BOX], images=[{"id": "7", "file_name": "train/field.jpg"}])
     save(tmp_path / "photos/field.jpg", np.zeros((60, 80, 3), np.uint8))
-    data = read(path, images=tmp_path / "photos")
+    data = read_masks(path, images=tmp_path / "photos")
     assert data.images is not None
     assert data.images.tolist() == [str(tmp_path / "photos/field.jpg")]
     assert any("1 images have no width and height" in note for note in data.notes)
@@ -193,7 +193,7 @@ def test_images_without_a_size_and_photos(tmp_path: Path) -> None:
 
 def test_real_outlines(benchmark_data) -> None:
     path = benchmark_data("trackers/coco/test_coco.json")
-    data = read(path, border="keep", pieces="largest")
+    data = read_masks(path, border="keep", pieces="largest")
     assert len(data) == 14
     records = {str(one["id"]): one for one in json.loads(path.read_text())["annotations"]}
     for name, centre, scale, mask in zip(data.names, data.centre_px, data.scale_px, data.masks, strict=True):
@@ -204,4 +204,6 @@ def test_real_outlines(benchmark_data) -> None:
         assert np.allclose(centre, (x + width / 2, y + height / 2), atol=1)
         assert scale == pytest.approx(max(width, height) / 1.7, abs=1.2)
         assert mask.sum() / 255 * (scale / 32) ** 2 == pytest.approx(record["area"], rel=0.05)
-    assert read(path, most=5).names == [name for name in read(path).names if name in read(path, most=5).names]
+    assert read_masks(path, most=5).names == [
+        name for name in read_masks(path).names if name in read_masks(path, most=5).names
+    ]

@@ -9,7 +9,7 @@ import pytest
 from mask_files import blob, save
 
 from uplift.data.clean_masks import Crop, clean_mask
-from uplift.data.formats.masks import read
+from uplift.data.formats import read_masks
 from uplift.errors import UserError
 
 OBJECTS = [blob(70, 90, seed=seed) for seed in range(3)]
@@ -49,7 +49,7 @@ def test_every_way_of_writing_labels_gives_the_same_crops(
     name: str, array: np.ndarray, options: dict, ids: tuple[int, ...], tmp_path: Path
 ) -> None:
     path = save(tmp_path / name, array, **options)
-    data = read(path)
+    data = read_masks(path)
     check(data, [f"{name}:{one}" for one in ids])
     assert data.notes[0] == "read as label images, an object for each number above 0 (guessed; format=labels)"
     assert len(data.notes) == 1
@@ -59,22 +59,22 @@ def test_folders_are_categories_and_the_cut_off_are_skipped(tmp_path: Path) -> N
     save(tmp_path / "bear/00000.png", scene(), DAVIS)
     save(tmp_path / "bear/00001.png", scene()[:, 45:], DAVIS)
     save(tmp_path / "boat/00000.png", (OBJECTS[0] * np.uint8(1)), DAVIS)
-    data = read(tmp_path)
+    data = read_masks(tmp_path)
     assert data.names == [
         *(f"bear/00000.png:{n}" for n in (1, 2, 3)), "bear/00001.png:2", "bear/00001.png:3", "boat/00000.png:1",
     ]  # fmt: skip
     assert data.category is not None
     assert data.category.tolist() == ["bear"] * 5 + ["boat"]
     assert any("border" in note and "bear/00001.png:1" in note for note in data.notes)
-    assert len(read(tmp_path, border="keep")) == 7
-    assert read(tmp_path, category="boat").names == ["boat/00000.png:1"]
+    assert len(read_masks(tmp_path, border="keep")) == 7
+    assert read_masks(tmp_path, category="boat").names == ["boat/00000.png:1"]
 
 
 def test_void_is_no_object(tmp_path: Path) -> None:
     labels = scene()
     labels[:3] = labels[-3:] = 255
     labels[20:40, 84:96] = 255
-    data = read(save(tmp_path / "a.png", labels, [*DAVIS]))
+    data = read_masks(save(tmp_path / "a.png", labels, [*DAVIS]))
     check(data, ["a.png:1", "a.png:2", "a.png:3"])
     assert any("label 255 is taken as void in 1 label images" in note for note in data.notes)
 
@@ -88,7 +88,7 @@ def test_cityscapes(tmp_path: Path) -> None:
     save(folder / "aachen_0_gtFine_labelIds.png", (ids // 1000).astype(np.uint8))
     (folder / "aachen_0_gtFine_polygons.json").write_text("{}")
     save(tmp_path / "photos/aachen_0_leftImg8bit.png", np.zeros((5, 5, 3), np.uint8))
-    data = read(folder, images=tmp_path / "photos")
+    data = read_masks(folder, images=tmp_path / "photos")
     assert data.names == [f"aachen_0_gtFine_instanceIds.png:{one}" for one in (24_000, 26_000, 26_001)]
     assert data.category is not None
     assert data.images is not None
@@ -97,28 +97,28 @@ def test_cityscapes(tmp_path: Path) -> None:
     told = "\n".join(data.notes)
     assert "2 areas of classes without instances" in told
     assert "1 pictures that are no *_instanceIds.png were left out" in told
-    assert read(folder, category="person").names == data.names[:1]
+    assert read_masks(folder, category="person").names == data.names[:1]
     with pytest.raises(UserError, match="no such category. Did you mean .person"):
-        read(folder, category="persons")
+        read_masks(folder, category="persons")
 
 
 def test_labels_without_background_are_refused(tmp_path: Path) -> None:
     save(tmp_path / "trimap.png", scene() + np.uint8(1))
     with pytest.raises(UserError, match="no pixel is 0, the background of a label image .trimap.png"):
-        read(tmp_path)
+        read_masks(tmp_path)
 
 
 def test_an_object_in_parts_of_one_number_is_several_pieces(tmp_path: Path) -> None:
     path = save(tmp_path / "a.png", scene((1, 2, 1)))
-    data = read(path)
+    data = read_masks(path)
     assert data.names == ["a.png:2"]
     assert any("several pieces" in note for note in data.notes)
-    assert read(path, pieces="largest").names == ["a.png:1", "a.png:2"]
+    assert read_masks(path, pieces="largest").names == ["a.png:1", "a.png:2"]
 
 
 def test_masks_read_as_labels_are_the_same(tmp_path: Path) -> None:
     for number, one in enumerate(OBJECTS):
         save(tmp_path / f"{number}.png", one * np.uint8(255))
-    masks, labels = read(tmp_path), read(tmp_path, format="labels")
+    masks, labels = read_masks(tmp_path), read_masks(tmp_path, format="labels")
     assert np.array_equal(masks.masks, labels.masks)
     assert labels.names == [f"{name}:255" for name in masks.names]

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from uplift.data.formats.masks_npz import read_masks, write_masks
+from uplift.data.formats.masks_npz import read_masks_npz, write_masks_npz
 from uplift.data.masks import MaskData
 from uplift.data.synthetic.masks import render_masks, simulate_masks
 from uplift.errors import UserError
@@ -20,7 +20,7 @@ def data() -> MaskData:
 
 def _changed(data: MaskData, path: Path, **changes: object) -> Path:
     """Write the data with some arrays changed, or left out where None."""
-    write_masks(data, path)
+    write_masks_npz(data, path)
     with np.load(path) as file:
         arrays = {name: file[name] for name in file.files} | changes
     np.savez(path, **{name: array for name, array in arrays.items() if array is not None})
@@ -31,8 +31,8 @@ def test_what_is_written_is_read(data: MaskData, tmp_path: Path) -> None:
     path = tmp_path / "masks.npz"
     data.labelled = np.array([True, False, True, False, False])
     data.notes = ("Two were skipped.",)
-    write_masks(data, path)
-    read = read_masks(path)
+    write_masks_npz(data, path)
+    read = read_masks_npz(path)
     np.testing.assert_array_equal(read.masks, data.masks)
     assert read.names == data.names
     assert read.notes == data.notes
@@ -54,13 +54,13 @@ def test_what_is_written_is_read(data: MaskData, tmp_path: Path) -> None:
 
 def test_the_same_data_gives_the_same_bytes(data: MaskData, tmp_path: Path) -> None:
     for name in ("a.npz", "b.npz"):
-        write_masks(data, tmp_path / name)
+        write_masks_npz(data, tmp_path / name)
     assert (tmp_path / "a.npz").read_bytes() == (tmp_path / "b.npz").read_bytes()
 
 
 def test_masks_alone_are_enough(tmp_path: Path) -> None:
     np.savez(tmp_path / "own.npz", masks=np.full((2, 16, 16), 255, np.uint8))
-    read = read_masks(tmp_path / "own.npz")
+    read = read_masks_npz(tmp_path / "own.npz")
     assert read.truth is None
     assert read.names == ["own:0", "own:1"]
     assert read.centre_px.tolist() == [[8, 8], [8, 8]]
@@ -69,7 +69,7 @@ def test_masks_alone_are_enough(tmp_path: Path) -> None:
 
 def test_parallel_rays_keep_their_infinite_distance(tmp_path: Path, data: MaskData) -> None:
     path = _changed(data, tmp_path / "far.npz", distance=np.full(5, np.inf, np.float32))
-    truth = read_masks(path).truth
+    truth = read_masks_npz(path).truth
     assert truth is not None
     assert np.isinf(truth.distance).all()
 
@@ -109,7 +109,7 @@ _WRONG = {
 def test_wrong_files_are_told(case: str, data: MaskData, tmp_path: Path) -> None:
     changes, message = _WRONG[case]
     with pytest.raises(UserError, match=message):
-        read_masks(_changed(data, tmp_path / "wrong.npz", **changes))
+        read_masks_npz(_changed(data, tmp_path / "wrong.npz", **changes))
 
 
 def test_faces_of_another_mesh_are_told(data: MaskData, tmp_path: Path) -> None:
@@ -117,19 +117,19 @@ def test_faces_of_another_mesh_are_told(data: MaskData, tmp_path: Path) -> None:
     faces = np.concatenate([mesh.faces for mesh in data.truth.meshes])
     faces[0] = len(data.truth.meshes[0].vertices)
     with pytest.raises(UserError, match="'mesh_faces' of mesh 0 goes up to"):
-        read_masks(_changed(data, tmp_path / "wrong.npz", mesh_faces=faces))
+        read_masks_npz(_changed(data, tmp_path / "wrong.npz", mesh_faces=faces))
 
 
 def test_fewer_starts_of_faces_than_meshes(data: MaskData, tmp_path: Path) -> None:
     assert data.truth is not None
     total = sum(len(mesh.faces) for mesh in data.truth.meshes)
     with pytest.raises(UserError, match="tells of 1 meshes, expected 3"):
-        read_masks(_changed(data, tmp_path / "wrong.npz", mesh_face_start=np.array([0, total])))
+        read_masks_npz(_changed(data, tmp_path / "wrong.npz", mesh_face_start=np.array([0, total])))
 
 
 def test_no_file_and_a_damaged_one(tmp_path: Path) -> None:
     with pytest.raises(UserError, match="No file"):
-        read_masks(tmp_path / "none.npz")
+        read_masks_npz(tmp_path / "none.npz")
     (tmp_path / "half.npz").write_bytes(b"PK\x03\x04 and no more")
     with pytest.raises(UserError, match="not a whole"):
-        read_masks(tmp_path / "half.npz")
+        read_masks_npz(tmp_path / "half.npz")

@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
-from types import ModuleType
 
 import numpy as np
 import pytest
 from mask_files import blob
 
 from uplift.data.clean_masks import clean
-from uplift.data.formats.masks import read
+from uplift.data.formats import read_masks
+from uplift.data.formats.masks_npz import write_masks_npz
 from uplift.data.masks import Found, MaskData
 from uplift.errors import UserError
 
@@ -22,36 +21,32 @@ def masks(first: int, count: int) -> MaskData:
 
 
 @pytest.fixture
-def files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """Return a folder with a.npz and b.npz; how such a file is laid out is tested elsewhere."""
-    known = {tmp_path / "a.npz": masks(0, 5), tmp_path / "b.npz": masks(5, 4)}
-    for path, data in known.items():
-        np.savez(path, masks=data.masks)
-    module = ModuleType("uplift.data.formats.masks_npz")
-    module.read_masks = known.__getitem__  # type: ignore[attr-defined]
-    monkeypatch.setitem(sys.modules, "uplift.data.formats.masks_npz", module)
+def files(tmp_path: Path) -> Path:
+    """Return a folder with a.npz and b.npz."""
+    write_masks_npz(masks(0, 5), tmp_path / "a.npz")
+    write_masks_npz(masks(5, 4), tmp_path / "b.npz")
     return tmp_path
 
 
 def test_masks_are_as_they_were(files: Path) -> None:
-    data = read(files / "a.npz")
+    data = read_masks(files / "a.npz")
     assert np.array_equal(data.masks, masks(0, 5).masks)
     assert data.names == list("01234")
     assert data.notes == ()
     assert data.source == str(files / "a.npz")
-    assert read(f"{files}/*.npz").names == list("012345678")
+    assert read_masks(f"{files}/*.npz").names == list("012345678")
 
 
 def test_options(files: Path) -> None:
-    assert read(f"{files}/a.npz", category="cow").names == ["1", "3"]
+    assert read_masks(f"{files}/a.npz", category="cow").names == ["1", "3"]
     with pytest.raises(UserError, match="category=dog"):
-        read(f"{files}/a.npz", category="dog")
-    some = read(f"{files}/*.npz", most=4)
+        read_masks(f"{files}/a.npz", category="dog")
+    some = read_masks(f"{files}/*.npz", most=4)
     assert len(some) == 4
     assert some.names == sorted(some.names)
     assert "4 of 9 masks are taken (most=4)" in some.notes
-    small = read(f"{files}/a.npz", side=32)
+    small = read_masks(f"{files}/a.npz", side=32)
     assert small.masks.shape == (5, 32, 32)
     assert "crops of 64 px are resampled to 32 px" in small.notes
     with pytest.raises(UserError, match="leave images= out"):
-        read(f"{files}/a.npz", images=str(files))
+        read_masks(f"{files}/a.npz", images=str(files))

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from mask_files import blob, coco_file, photo, save
 
-from uplift.data.formats.masks import FORMATS, read
+from uplift.data.formats import MASK_FORMATS, read_masks
 from uplift.errors import UserError
 
 GREY = blob(seed=1) * np.uint8(255)
@@ -32,7 +32,7 @@ def bomb(path: Path, side: int) -> Path:
 
 def refused(path: Path | str, match: str, **options) -> None:
     with pytest.raises(UserError, match=match) as found:
-        read(path, **options)
+        read_masks(path, **options)
     assert len(str(found.value)) < 700
 
 
@@ -40,7 +40,7 @@ def test_nothing_there(tmp_path: Path) -> None:
     refused(tmp_path / "no", "No file")
     refused(f"{tmp_path}/*.png", "No file fits")
     (tmp_path / "empty").mkdir()
-    refused(tmp_path / "empty", "is an empty folder, expected pictures of masks")
+    refused(tmp_path / "empty", "is an empty folder, expected files of masks")
     refused(tmp_path / "empty", "has no pictures .it is empty.", format="png_folder")
     (tmp_path / "x.json").write_bytes(b"")
     refused(tmp_path / "x.json", "is empty .0 bytes., expected masks")
@@ -70,16 +70,16 @@ def test_a_folder_of_photos(tmp_path: Path) -> None:
 @pytest.mark.parametrize("name", ["a.mp4", "a.glb", "a.csv", "a.ckpt", "a.zip", "a.xyz", "a.xml"])
 def test_other_files(name: str, tmp_path: Path) -> None:
     (tmp_path / name).write_bytes(b"anything\0at all")
-    refused(tmp_path / name, rf"{name} is (a |the |an |XML)")
+    refused(tmp_path / name, rf"{name} is (a |the |an |XML|not in a known format)")
 
 
 def test_other_npz_and_json(tmp_path: Path) -> None:
     np.savez(tmp_path / "poses.npz", keypoints=np.zeros((3, 2, 2)), joint_names=np.array(["a", "b"]))
-    refused(tmp_path / "poses.npz", "holds keypoints .its arrays: keypoints, joint_names., expected masks")
+    refused(tmp_path / "poses.npz", "not in a known format of masks .its arrays: keypoints, joint_names.")
     np.savez(tmp_path / "other.npz", x=np.zeros(3))
-    refused(tmp_path / "other.npz", "holds no 'masks'")
+    refused(tmp_path / "other.npz", "not in a known format of masks .its arrays: x.")
     (tmp_path / "other.json").write_text('{"version": 1}')
-    refused(tmp_path / "other.json", "JSON without annotations .it has version.")
+    refused(tmp_path / "other.json", "not in a known format of masks .its keys: version.")
     coco_file(tmp_path / "coco.json", [])
     refused(tmp_path / "coco.json", "has no annotations")
     (tmp_path / "cut.json").write_text((tmp_path / "coco.json").read_text()[:-30])
@@ -91,7 +91,7 @@ def test_a_folder_of_other_files_says_what_to_give(tmp_path: Path) -> None:
     refused(tmp_path, f"Give a file in it: {tmp_path / 'instances.json'}")
     save(tmp_path / "a.png", GREY)
     refused(f"{tmp_path}/a.png,{tmp_path}/instances.json", "several kinds")
-    assert len(read(tmp_path)) == 1
+    assert len(read_masks(tmp_path)) == 1
 
 
 def test_options_that_cannot_be(tmp_path: Path) -> None:
@@ -102,7 +102,7 @@ def test_options_that_cannot_be(tmp_path: Path) -> None:
     refused(path, "most=0: expected a whole number", most=0)
 
 
-@pytest.mark.parametrize("format", sorted(set(FORMATS) - {"npz"}))
+@pytest.mark.parametrize("format", sorted(set(MASK_FORMATS) - {"npz"}))
 @pytest.mark.parametrize(
     "content", [b"PK\x03\x04junk", b"{}", b"[]", b"[1]", b'{"annotations": 3}', b"\xff\xd8\xff\xe0junk", bytes(50)]
 )
@@ -129,7 +129,7 @@ def test_hostile_values_anywhere_in_a_coco_file(tmp_path: Path) -> None:
                 broken[part][0][key] = value
                 (tmp_path / "x.json").write_text(json.dumps(broken))
                 try:
-                    data = read(tmp_path / "x.json", format="coco")
+                    data = read_masks(tmp_path / "x.json", format="coco")
                 except UserError as error:
                     assert len(str(error)) < 700
                     continue

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from tracker_files_tables import POSE33, damaged, mediapipe_long, mediapipe_marks, mediapipe_wide, write_json
 
-from uplift.data.formats import guess_format, read
+from uplift.data.formats import KEYPOINT_FORMATS, read
 from uplift.data.formats.base import ReadOptions
 from uplift.data.parsers.json import JsonText
 from uplift.errors import UserError
@@ -65,7 +65,7 @@ LAYOUTS = (
 def test_every_layout_gives_the_same(tmp_path: Path, layout):
     values = landmarks()
     path = variants(tmp_path, values)[layout]
-    assert guess_format(path).name == "mediapipe"
+    assert KEYPOINT_FORMATS.guess(path).name == "mediapipe"
     data = read(path, SIZE)
     np.testing.assert_array_equal(data.keypoints, values[..., :2].astype(np.float32) * np.float32([640, 480]))
     np.testing.assert_array_equal(data.confidence, values[..., 3].astype(np.float32))

@@ -9,7 +9,7 @@ import pytest
 from tracker_files_json import mmpose, mmpose_instance, people, write_json
 
 from uplift.data.datasets.coco import COCO_JOINTS
-from uplift.data.formats import guess_format, read
+from uplift.data.formats import KEYPOINT_FORMATS, read
 from uplift.data.formats.base import ReadOptions
 from uplift.data.formats.layouts import HALPE26, HAND21, WHOLEBODY133
 from uplift.errors import UserError
@@ -33,7 +33,7 @@ def same(data, values: np.ndarray) -> None:
 def test_a_video_with_meta_info(tmp_path: Path) -> None:
     values = people(6, 5)
     path = write_json(tmp_path / "run.json", mmpose([[one] for one in values], NAMES))
-    assert guess_format(path).name == "mmpose"
+    assert KEYPOINT_FORMATS.guess(path).name == "mmpose"
     data = read(path)
     same(data, values)
     assert data.joint_names == NAMES
@@ -75,7 +75,7 @@ def test_names_by_number(tmp_path: Path, names: tuple[str, ...]) -> None:
     values = people(3, len(names))
     content = [mmpose_instance(one) for one in values]
     path = write_json(tmp_path / "photo.json", content)
-    assert guess_format(path).name == "mmpose"
+    assert KEYPOINT_FORMATS.guess(path).name == "mmpose"
     data = read(path)
     same(data, values)
     assert data.joint_names == names
@@ -90,7 +90,7 @@ def test_frames_as_objects_and_as_lists(tmp_path: Path) -> None:
     objects = [{"frame_id": n, "instances": each} for n, each in enumerate(instances)]
     named = write_json(tmp_path / "b.json", objects)
     for path, start in ((listed, 1), (named, 0)):
-        assert guess_format(path).name == "mmpose"
+        assert KEYPOINT_FORMATS.guess(path).name == "mmpose"
         data = read(path)
         same(data, values)
         assert data.identity["frame"].tolist() == [start + n for n in range(4)]
@@ -101,7 +101,7 @@ def test_a_folder_is_a_video_where_its_numbers_are_close(tmp_path: Path) -> None
     for n, one in enumerate(values):
         write_json(tmp_path / f"walk/{n}.json", [mmpose_instance(one)] if n else [])
         write_json(tmp_path / f"photos/{1000 * n}.json", [mmpose_instance(one)])
-    assert guess_format(tmp_path / "walk").name == "mmpose"
+    assert KEYPOINT_FORMATS.guess(tmp_path / "walk").name == "mmpose"
     data = read(tmp_path / "walk")
     assert data.identity["frame"].tolist() == list(range(1, 12))
     assert set(data.identity["sequence"]) == {"walk"}
@@ -147,7 +147,7 @@ def test_wrong_files_are_refused(tmp_path: Path) -> None:
 
 def test_real_file(benchmark_data) -> None:
     path = benchmark_data("trackers/mmpose/test.json")
-    assert guess_format(path).name == "mmpose"
+    assert KEYPOINT_FORMATS.guess(path).name == "mmpose"
     data = read(path)
     assert data.keypoints.shape == (1, 5, 2)
     np.testing.assert_allclose(data.keypoints[0, [0, 4]], [[2789.5673, 1124.1346], [1517.4519, 1221.4904]], rtol=1e-7)

@@ -233,7 +233,7 @@ def test_wrong_places(tmp_path: Path) -> None:
     with pytest.raises(UserError, match="No file"):
         read(tmp_path / "none.npz")
     (tmp_path / "a.csv").write_text("no keypoints\n")
-    with pytest.raises(UserError, match=r"file of no known format \(it begins 'no keypoints"):
+    with pytest.raises(UserError, match=r"is not in a known format of keypoints \(it begins 'no keypoints"):
         read(tmp_path / "a.csv")
 
 

@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from tracker_files_hdf5 import NODES, outcomes, some_points, write_nwb
 
-from uplift.data.formats import guess_format, read
+from uplift.data.formats import KEYPOINT_FORMATS, read
 from uplift.data.formats.base import ReadOptions
 from uplift.data.formats.nwb import frame_numbers
 from uplift.data.poses import PoseData
@@ -94,7 +94,7 @@ def test_what_pynwb_writes(tmp_path) -> None:
     module.add(estimate)
     with pynwb.NWBHDF5IO(str(tmp_path / "a.nwb"), "w") as io:
         io.write(file)
-    assert guess_format(tmp_path / "a.nwb").name == "nwb"
+    assert KEYPOINT_FORMATS.guess(tmp_path / "a.nwb").name == "nwb"
     data = read(tmp_path / "a.nwb")
     np.testing.assert_array_equal(data.keypoints, points)
     np.testing.assert_array_equal(data.confidence, score)

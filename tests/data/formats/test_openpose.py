@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from tracker_files_json import openpose_frame, people, write_json
 
-from uplift.data.formats import guess_format, read
+from uplift.data.formats import KEYPOINT_FORMATS, read
 from uplift.data.formats.base import ReadOptions
 from uplift.data.formats.layouts import HANDS, OPENPOSE15, OPENPOSE18, OPENPOSE25, OPENPOSE_FACE70
 from uplift.errors import UserError
@@ -41,7 +41,7 @@ def refused(path: Path, **options) -> str:
 def test_one_person_comes_back(tmp_path: Path, joints: int, names: tuple[str, ...]) -> None:
     bodies = video(12, joints)
     folder = write_video(tmp_path / "out", bodies)
-    assert guess_format(folder).name == "openpose"
+    assert KEYPOINT_FORMATS.guess(folder).name == "openpose"
     data = read(folder)
     np.testing.assert_array_equal(data.keypoints, bodies[:, 0, :, :2].astype(np.float32))
     np.testing.assert_array_equal(data.confidence, bodies[:, 0, :, 2].astype(np.float32))
@@ -99,7 +99,7 @@ def test_frames_without_people_and_people_without_keypoints_give_no_row(tmp_path
     write_video(tmp_path, bodies)
     write_json(tmp_path / "walk_000000000001_keypoints.json", openpose_frame([]))
     write_json(tmp_path / "walk_000000000002_keypoints.json", openpose_frame([{"pose": 0 * bodies[2, 0]}, {}]))
-    assert guess_format(tmp_path).name == "openpose"
+    assert KEYPOINT_FORMATS.guess(tmp_path).name == "openpose"
     assert read(tmp_path).identity["frame"].tolist() == [0]
 
 

@@ -20,7 +20,7 @@ from tracker_files_hdf5 import (
     write_slp,
 )
 
-from uplift.data.formats import guess_format, read
+from uplift.data.formats import KEYPOINT_FORMATS, read
 from uplift.data.formats.base import ReadOptions
 from uplift.data.poses import PoseData
 from uplift.errors import UserError
@@ -408,7 +408,7 @@ def test_damaged_files_are_refused_or_read(tmp_path, kind) -> None:
         write_slp(whole, frames, tracks=("a",))
     else:
         write_analysis(whole, some_points(5, 2, 3), np.ones((5, 2, 3)))
-    assert guess_format(whole).name == f"sleap_{kind}"
+    assert KEYPOINT_FORMATS.guess(whole).name == f"sleap_{kind}"
     found = outcomes(whole, lambda path: read(path, ReadOptions(format=f"sleap_{kind}")), 48)
     assert not found["wrong"] and found["refused"] >= 14 and found["read"] >= 5 and found["lost"] <= 3
 

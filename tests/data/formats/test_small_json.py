@@ -9,7 +9,7 @@ import pytest
 from tracker_files_json import alphatracker, kinetics, mpii, people, write_json
 
 from uplift.data.datasets.coco import COCO_JOINTS
-from uplift.data.formats import guess_format, read
+from uplift.data.formats import KEYPOINT_FORMATS, read
 from uplift.data.formats.base import ReadOptions
 from uplift.data.formats.layouts import MPII16, OPENPOSE18
 from uplift.errors import UserError
@@ -32,7 +32,7 @@ def test_kinetics_comes_back(tmp_path: Path, names: tuple[str, ...], flat: bool)
     values = people(6, len(names))
     frames = [[one] for one in values]
     path = write_json(tmp_path / "abc.json", kinetics([*frames[:3], [], *frames[3:]], flat))
-    assert guess_format(path).name == "kinetics_skeleton"
+    assert KEYPOINT_FORMATS.guess(path).name == "kinetics_skeleton"
     data = read(path)
     same(data, values)
     assert data.joint_names == names
@@ -46,7 +46,7 @@ def test_kinetics_in_shares_and_in_a_folder(tmp_path: Path) -> None:
     values[..., :2] = np.minimum(values[..., :2], 0.999)
     for name in ("a", "b"):
         write_json(tmp_path / f"all/{name}.json", kinetics([[values[0], values[1]]] * 3))
-    assert guess_format(tmp_path / "all").name == "kinetics_skeleton"
+    assert KEYPOINT_FORMATS.guess(tmp_path / "all").name == "kinetics_skeleton"
     data = read(tmp_path / "all")
     assert len(data) == 12
     assert len(set(data.clips())) == 4
@@ -72,7 +72,7 @@ def test_wrong_kinetics_is_refused(tmp_path: Path) -> None:
 
 def test_real_kinetics(benchmark_data) -> None:
     path = benchmark_data("trackers/kinetics_skeleton/baseball.json")
-    assert guess_format(path).name == "kinetics_skeleton"
+    assert KEYPOINT_FORMATS.guess(path).name == "kinetics_skeleton"
     data = read(path)
     assert data.keypoints.shape == (277, 17, 2)
     assert data.identity["frame"].tolist() == list(range(1, 278))
@@ -85,7 +85,7 @@ def test_real_kinetics(benchmark_data) -> None:
 def test_mpii_comes_back(tmp_path: Path) -> None:
     values = people(5, 16)
     path = write_json(tmp_path / "a.json", mpii(values))
-    assert guess_format(path).name == "mpii_json"
+    assert KEYPOINT_FORMATS.guess(path).name == "mpii_json"
     data = read(path)
     seen = values[..., 2] > 0
     np.testing.assert_array_equal(data.keypoints[seen], values[seen][:, :2].astype(np.float32))
@@ -108,7 +108,7 @@ def test_wrong_mpii_is_refused(tmp_path: Path) -> None:
 
 def test_real_mpii(benchmark_data) -> None:
     path = benchmark_data("trackers/mpii/test_mpii.json")
-    assert guess_format(path).name == "mpii_json"
+    assert KEYPOINT_FORMATS.guess(path).name == "mpii_json"
     data = read(path)
     assert len(data) == 5
     assert data.identity["image"][[0, 4]].tolist() == ["005808361.jpg", "060754485.jpg"]
@@ -121,7 +121,7 @@ def test_real_mpii(benchmark_data) -> None:
 def test_alphatracker_comes_back(tmp_path: Path) -> None:
     values = people(4, 3)[..., :2]
     path = write_json(tmp_path / "a.json", alphatracker([[values[0], values[1]], [], [values[2], values[3]]]))
-    assert guess_format(path).name == "alphatracker"
+    assert KEYPOINT_FORMATS.guess(path).name == "alphatracker"
     data = read(path)
     np.testing.assert_array_equal(data.keypoints, values.astype(np.float32))
     assert (data.confidence == 1).all()
@@ -146,7 +146,7 @@ def test_wrong_alphatracker_is_refused(tmp_path: Path) -> None:
 
 def test_real_alphatracker(benchmark_data) -> None:
     path = benchmark_data("trackers/alphatracker/at_testdata.json")
-    assert guess_format(path).name == "alphatracker"
+    assert KEYPOINT_FORMATS.guess(path).name == "alphatracker"
     data = read(path)
     assert data.keypoints.shape == (8, 3, 2)
     assert data.identity["image"][0] == "img000.png"

@@ -10,7 +10,7 @@ from PIL import Image
 from tracker_files_json import people, ultralytics_list, ultralytics_row, write_json
 
 from uplift.data.datasets.coco import COCO_JOINTS
-from uplift.data.formats import guess_format, read
+from uplift.data.formats import KEYPOINT_FORMATS, read
 from uplift.data.formats.base import ReadOptions
 from uplift.errors import UserError
 
@@ -57,7 +57,7 @@ def test_labels_come_back(tmp_path: Path) -> None:
     describe(tmp_path / "data.yaml", 17, more=f"flip_idx: {[0, *(n - 1 + 2 * (n % 2) for n in range(1, 17))]}\n")
     (folder / "classes.txt").write_text("person\n")
     for path in (folder, tmp_path / "train"):
-        assert guess_format(path).name == "ultralytics"
+        assert KEYPOINT_FORMATS.guess(path).name == "ultralytics"
         data = read(path, ReadOptions(image_size=(800, 600)))
         np.testing.assert_allclose(data.keypoints, values[..., :2] * (800, 600), rtol=1e-6)
         np.testing.assert_array_equal(data.confidence, values[..., 2] / 2)
@@ -151,7 +151,7 @@ def test_names_and_classes_of_data_yaml(tmp_path: Path) -> None:
 def test_one_file(tmp_path: Path) -> None:
     values = shares(3, 17, flags=True)
     path = write_labels(tmp_path, [[ultralytics_row(one) for one in values]]) / "img0.txt"
-    assert guess_format(path).name == "ultralytics"
+    assert KEYPOINT_FORMATS.guess(path).name == "ultralytics"
     data = read(path)
     assert data.identity["image"].tolist() == ["img0"] * 3
     assert data.identity["instance"].tolist() == ["0", "1", "2"]
@@ -197,20 +197,20 @@ def test_outlines_are_no_keypoints(tmp_path: Path) -> None:
 def test_json_results_come_back(tmp_path: Path) -> None:
     values = people(3, 17)
     path = write_json(tmp_path / "photo.json", ultralytics_list(values))
-    assert guess_format(path).name == "ultralytics_json"
+    assert KEYPOINT_FORMATS.guess(path).name == "ultralytics_json"
     data = read(path)
     np.testing.assert_array_equal(data.keypoints, values[..., :2].astype(np.float32))
     np.testing.assert_array_equal(data.confidence, values[..., 2].astype(np.float32))
     assert data.joint_names == COCO_JOINTS
     assert data.identity["image"].tolist() == ["photo"] * 3
     video = write_json(tmp_path / "walk.json", [ultralytics_list(values, tracks=True) for _ in range(4)])
-    assert guess_format(video).name == "ultralytics_json"
+    assert KEYPOINT_FORMATS.guess(video).name == "ultralytics_json"
     data = read(video)
     assert data.identity["instance"].tolist() == ["1"] * 4 + ["2"] * 4 + ["3"] * 4
     assert data.identity["frame"].tolist() == [0, 1, 2, 3] * 3
     for number in range(5):
         write_json(tmp_path / f"frames/{number}.json", ultralytics_list(values[:1]) if number else [])
-    assert guess_format(tmp_path / "frames").name == "ultralytics_json"
+    assert KEYPOINT_FORMATS.guess(tmp_path / "frames").name == "ultralytics_json"
     assert read(tmp_path / "frames").identity["frame"].tolist() == [1, 2, 3, 4]
 
 
@@ -239,7 +239,7 @@ def test_wrong_json_results_are_refused(tmp_path: Path) -> None:
 
 def test_real_labels(benchmark_data) -> None:
     folder = benchmark_data("trackers/ultralytics/labels")
-    assert guess_format(folder).name == "ultralytics"
+    assert KEYPOINT_FORMATS.guess(folder).name == "ultralytics"
     data = read(folder, ReadOptions(image_size=(640, 640)))
     assert data.keypoints.shape == (24, 17, 2)
     first = data.identity["image"] == "1_13_14_mp4-0003_jpg.rf.32646e00c9169450f3d746084bc537b5"

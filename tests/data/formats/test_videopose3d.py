@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from tracker_files_tables import damaged, videopose3d_custom, videopose3d_detected
 
-from uplift.data.formats import guess_format, read
+from uplift.data.formats import KEYPOINT_FORMATS, read
 from uplift.data.formats.base import ReadOptions
 from uplift.errors import UserError
 from uplift.skeleton import load_skeleton
@@ -24,7 +24,7 @@ def keypoints(frames: int, joints: int = 17, seed: int = 0) -> np.ndarray:
 def test_videos_are_sequences(tmp_path: Path):
     videos = {"walk.mp4": keypoints(6), "run.mp4": keypoints(4, seed=1)}
     path = videopose3d_custom(tmp_path / "data_2d_custom_mine.npz", videos)
-    assert guess_format(path).name == "videopose3d"
+    assert KEYPOINT_FORMATS.guess(path).name == "videopose3d"
     data = read(path)
     np.testing.assert_array_equal(data.keypoints, np.concatenate(list(videos.values())))
     assert (data.confidence == 1).all()

@@ -8,7 +8,8 @@ import trimesh
 
 from uplift.data.synthetic.masks import FAMILIES, make_shape, make_shapes
 from uplift.errors import UserError
-from uplift.geometry.mesh import UNIT_HALF, Mesh, fill
+from uplift.geometry.mesh import UNIT_HALF, Mesh
+from uplift.geometry.voxels import fill
 
 
 def _parts(mesh: Mesh) -> list[trimesh.Trimesh]:

@@ -16,7 +16,7 @@ import numpy as np
 
 from uplift.data.poses import PoseData, codes_of
 from uplift.errors import UserError, did_you_mean
-from uplift.geometry.camera import Lens
+from uplift.geometry.lens import Lens
 
 __all__ = ["DataSet", "WantedFile", "cached_facts", "read_cached"]
 

@@ -12,7 +12,7 @@ from uplift.data.datasets.base import DataSet, WantedFile
 from uplift.data.datasets.h36m_files import JOINTS, LAYOUTS, Clip, Family, Martinez, OfficialCdf, Pickles, VideoPose3D
 from uplift.data.poses import PoseData
 from uplift.errors import UserError, did_you_mean
-from uplift.geometry.camera import Lens
+from uplift.geometry.lens import Lens
 
 __all__ = ["Human36M"]
 

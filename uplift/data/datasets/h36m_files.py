@@ -13,7 +13,8 @@ import numpy as np
 from uplift.data.datasets.base import WantedFile
 from uplift.data.parsers.pickles import load_object_npz, load_pickle
 from uplift.errors import UserError, did_you_mean
-from uplift.geometry.camera import Lens
+from uplift.geometry.lens import Lens
+from uplift.geometry.rigid import quaternion_matrix
 
 __all__ = [
     "ACTIONS",
@@ -196,18 +197,8 @@ def published(subject: str, camera: str, *, swapped: bool = False) -> _Camera:
     focal_px, centre_px, radial, (p1, p2), size = _LENSES[camera]
     stand = np.array(_STANDS[subject][CAMERAS.index(camera)])
     lens = Lens(focal_px, centre_px, radial, (p1, p2) if swapped else (p2, p1), size)
-    return _Camera(lens, _turn(stand[:4]).T, stand[4:])
-
-
-def _turn(quaternion: np.ndarray) -> np.ndarray:
-    w, x, y, z = quaternion / np.linalg.norm(quaternion)
-    return np.array(
-        [
-            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-        ]
-    )
+    quaternion = np.roll(stand[:4] / np.linalg.norm(stand[:4]), -1)
+    return _Camera(lens, quaternion_matrix(quaternion).T, stand[4:])
 
 
 # `Clip`: one sequence of Human3.6M seen by one camera, and the checks that all of its files share.

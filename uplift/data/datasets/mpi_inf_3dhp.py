@@ -13,7 +13,7 @@ from uplift.data.datasets.base import DataSet, WantedFile
 from uplift.data.parsers.matlab import load_mat
 from uplift.data.poses import PoseData
 from uplift.errors import UserError, did_you_mean
-from uplift.geometry.camera import Lens
+from uplift.geometry.lens import Lens
 
 __all__ = ["ACTIVITIES", "MpiInf3dhp", "published_cameras"]
 

@@ -11,8 +11,8 @@ import numpy as np
 from uplift.data.formats.base import Format, Peek, ReadOptions
 from uplift.data.formats.layouts import ALPHAPOSE, names_for
 from uplift.data.formats.rows import pose_data, video_names
-from uplift.data.parsers.json import Numbers, entries, first_json, is_text, json_files, load_json, members, shown, texts
-from uplift.data.parsers.pictures import PICTURES
+from uplift.data.parsers.json import Numbers, entries, is_text, json_files, load_json, members, shown, texts
+from uplift.data.parsers.pictures import PHOTO_ENDINGS
 from uplift.data.poses import PoseData
 from uplift.errors import UserError
 
@@ -21,16 +21,17 @@ __all__ = ["FORMAT"]
 
 def _fits(peek: Peek) -> bool:
     if peek.is_folder:
-        first = first_json(peek)
+        first = peek.first_json
         return first is not None and "bodies" in first.json_keys
     keys = set(peek.json_keys)
     if peek.json_sign == "{":
-        return "bodies" in keys or (bool(keys) and all(key.lower().endswith(PICTURES) for key in peek.json_keys))
+        return "bodies" in keys or (bool(keys) and all(key.lower().endswith(PHOTO_ENDINGS) for key in peek.json_keys))
     named = peek.text.replace(" ", "").replace("\n", "").find('"image_id":"') >= 0
     return peek.json_sign == "[" and {"image_id", "keypoints"} <= keys and (named or bool(keys & {"idx", "box"}))
 
 
-def _read(path: Path, options: ReadOptions) -> PoseData:
+def _read(peek: Peek, options: ReadOptions) -> PoseData:
+    path = peek.path
     numbers = Numbers("keypoints")
     images: list[str] = []
     tracks: list[str] = []
@@ -95,7 +96,7 @@ def _track(record: dict[str, Any], where: str) -> str:
 
 def _identity(path: Path, images: list[str], tracks: list[str]) -> dict[str, np.ndarray]:
     """Return sequence, frame and track where the images are those of a video; image and entry otherwise."""
-    stems = [name[: name.rindex(".")] if name.lower().endswith(PICTURES) else name for name in images]
+    stems = [name[: name.rindex(".")] if name.lower().endswith(PHOTO_ENDINGS) else name for name in images]
     video = video_names(stems, path.stem)
     if video is None:
         return {"image": texts(path, images), "instance": np.arange(len(images)).astype(str)}
@@ -103,4 +104,4 @@ def _identity(path: Path, images: list[str], tracks: list[str]) -> dict[str, np.
     return {**found, "instance": texts(path, tracks)} if any(tracks) else found
 
 
-FORMAT = Format("alphapose", "AlphaPose results", _fits, _read)
+FORMAT = Format("alphapose", "AlphaPose results", _fits, _read, ".json")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -21,7 +20,8 @@ def _fits(peek: Peek) -> bool:
     return peek.json_sign == "[" and "annotations" in peek.json_keys and '"class"' in peek.text
 
 
-def _read(path: Path, options: ReadOptions) -> PoseData:
+def _read(peek: Peek, options: ReadOptions) -> PoseData:
+    path = peek.path
     points = Numbers("points")
     images: list[str] = []
     numbers: list[str] = []

@@ -1,27 +1,182 @@
-"""What every reader shares: a first look at a file, what the user says about it, and how a format is described."""
+"""What formats of files share: a first look at a file, what a user says about it, and the registry that picks a format."""
 
 from __future__ import annotations
 
+import heapq
 import json
+import os
 import re
 import zipfile
-from collections.abc import Callable
-from dataclasses import dataclass, fields
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
+from importlib import import_module
 from pathlib import Path
+from typing import Any, Generic, TypeVar
 
-from uplift.data.poses import PoseData
-from uplift.errors import UserError
+from uplift.data.parsers.json import is_json
+from uplift.errors import UserError, nearest
 
-__all__ = ["Format", "Peek", "ReadOptions", "need", "size_of"]
+__all__ = ["Format", "Formats", "Peek", "ReadOptions", "size_of"]
+
+Options = TypeVar("Options", bound=Any)
+"""`ReadOptions` for keypoints, `uplift.data.clean_masks.MaskOptions` for masks."""
+Data = TypeVar("Data", bound=Any)
+"""`uplift.data.poses.PoseData` or `uplift.data.masks.MaskData`."""
+
+
+@dataclass(frozen=True)
+class Format(Generic[Options, Data]):
+    """A format of keypoints or masks: how to tell it from others, and how to read it."""
+
+    name: str
+    """As in ``format=``."""
+    title: str
+    """What it is, in a few words."""
+    fits: Callable[[Peek], bool]
+    """Whether a file looks like this format; quick, and never an exception whatever the content."""
+    read: Callable[[Peek, Options], Data]
+    """Reads everything; raises UserError for what is not of this format, damaged, or empty."""
+    ending: str = ""
+    """Of the files that are read of a folder; a note counts the others."""
+
+
+class Formats(Mapping[str, Format[Options, Data]]):
+    """The formats of one kind of data by name, the most specific first: the first that fits a file reads it."""
+
+    def __init__(self, what: str, places: dict[str, str]):
+        """``what`` is "keypoints" or "masks"; ``places`` say ``module:NAME`` of each `Format`, imported when asked for."""
+        self.what, self._places = what, places
+
+    def __getitem__(self, name: str) -> Format[Options, Data]:
+        module, _, attribute = self._places[name].partition(":")
+        return getattr(import_module(module), attribute)
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._places)
+
+    def __len__(self) -> int:
+        return len(self._places)
+
+    def named(self, name: str, where: str = "format") -> Format[Options, Data]:
+        """Return the format that a user names in the option ``where``; raises UserError for an unknown name."""
+        if name not in self:
+            raise UserError(f"{where}={name}: no such format.{nearest(name, self)} Known: {', '.join(self)}.")
+        return self[name]
+
+    def guess(self, peek: Peek | str | Path) -> Format[Options, Data]:
+        """Return the first format that the file or folder looks like.
+
+        Raises:
+            UserError: no such file, an empty one, one of no known format, or files of several kinds.
+        """
+        peek = peek if isinstance(peek, Peek) else Peek(peek)
+        endings = sorted({path.suffix.lower() for path in peek.paths if not path.is_dir()} & {".json", ".npz"})
+        if endings and any(path.is_dir() or path.suffix.lower() != endings[0] for path in peek.paths):
+            raise UserError(f"{peek.where} are files of several kinds. Give those of one kind at a time.")
+        for found in self.values():
+            if found.fits(peek):
+                return found
+        raise _unknown(peek, self)
+
+    def read(self, peek: Peek, options: Options) -> Data:
+        """Read what was given, in the format that is named or guessed; the notes say which that is."""
+        found = self.guess(peek) if options.format is None else self.named(options.format)
+        if peek.is_empty:
+            raise UserError(f"{peek.path} is empty (0 bytes), expected {self.what}.")
+        data = found.read(peek, options)
+        if found.name == "npz":  # the layout of this project needs no note
+            return data
+        guessed = "" if options.format else f" (guessed; format={found.name})"
+        notes = (f"read as {found.title}{guessed}", *data.notes)
+        if found.ending and peek.is_folder:
+            kinds = Counter(one.suffix.lower() for one in peek.path.iterdir() if one.is_file())
+            others = kinds.total() - kinds[found.ending]
+            notes += (
+                (f"{others} files of other kinds in the folder were left out",)
+                if kinds[found.ending] and others
+                else ()
+            )
+        return replace(data, notes=notes)
+
+
+_OTHERS: dict[tuple[str, ...], dict[str, str]] = {
+    (".mp4", ".avi", ".mov", ".mkv", ".webm"): {
+        "keypoints": "a video. Run a tracker on it first, and give its output",
+        "masks": "a video. Cut its objects out first, and give the masks as pictures",
+    },
+    (".png", ".jpg", ".jpeg", ".webp", ".tif", ".tiff", ".bmp", ".gif"): {
+        "keypoints": "a picture. Run a tracker on it first, and give its output"
+    },
+    (".trc", ".c3d"): {"keypoints": "3D marker data without 2D keypoints, which cannot be lifted"},
+    (".bvh", ".asf", ".amc"): {"keypoints": "3D motion capture; `uplift data cmu` makes keypoints of it"},
+    (".csv", ".h5", ".slp", ".nwb", ".trc", ".c3d", ".bvh", ".asf", ".amc"): {
+        "masks": "a file of keypoints or motion, not of masks"
+    },
+    (".glb", ".gltf", ".obj", ".ply", ".stl", ".off"): {
+        "keypoints": "a 3D model without keypoints",
+        "masks": "a 3D model, not masks; `uplift data render` makes masks of models",
+    },
+    (".pt", ".pth", ".ckpt", ".onnx", ".safetensors"): {
+        "keypoints": "the weights of a network, not keypoints",
+        "masks": "the weights of a network, not masks",
+    },
+    (".zip", ".tar", ".gz", ".tgz", ".7z"): {
+        "keypoints": "an archive. Unpack it, and give a file in it",
+        "masks": "an archive. Unpack it, and give the folder",
+    },
+    (".xml",): {"masks": "XML. Give the pictures of the masks (SegmentationObject in a VOC folder)"},
+}
+"""Endings of files that hold no keypoints or no masks -> what they are instead, for each kind of data."""
+
+
+def _unknown(peek: Peek, formats: Formats) -> UserError:
+    """Return the error that says what a file or folder of no known format is."""
+    path, what = peek.path, formats.what
+    for endings, instead in _OTHERS.items():
+        if peek.ending in endings and what in instead:
+            return UserError(f"{path} is {instead[what]}.")
+    if peek.is_empty:
+        return UserError(f"{path} is empty (0 bytes), expected {what}.")
+    if peek.is_hdf5 and not peek.hdf5_names:
+        return UserError(
+            f'{path} is an HDF5 file that cannot be opened: damaged, or h5py is missing (pip install "uplift3d[trackers]").'
+        )
+    known = f"Known formats: {', '.join(formats)}; format=NAME chooses one."
+    if not peek.is_folder:
+        return UserError(f"{path} is not in a known format of {what} ({_content(peek)}). {known}")
+    inside = sorted(child.name for child in path.iterdir())
+    if not inside:
+        return UserError(f"{path} is an empty folder, expected files of {what} in it.")
+    shown = ", ".join(inside[:3]) + (", ..." if len(inside) > 3 else "")
+    one = next((name for name in inside if name.endswith((".json", ".npz"))), None)
+    hint = f" Several files of one format go as a pattern, such as {path}/*{Path(inside[0]).suffix}."
+    if one is not None or len(inside) == 1:
+        hint = f" Give a file in it: {path / (one or inside[0])}."
+    return UserError(f"{path} is a folder without files of a known format of {what} (in it: {shown}).{hint} {known}")
+
+
+def _content(peek: Peek) -> str:
+    """Return in a few words what a file holds."""
+    if peek.npz_names:
+        return f"its arrays: {', '.join(peek.npz_names[:5])}"
+    if peek.json_keys:
+        return f"its keys: {', '.join(peek.json_keys[:5])}"
+    return f"it begins {peek.text[:60] or peek.start[:16]!r}"
+
+
+# What was given, and what a user says about it.
 
 _START = 65_536
 _HDF5 = b"\x89HDF\r\n\x1a\n"
+_TRIES = 100
+"""Files of a folder that are opened to guess its format."""
 
 
 @dataclass(frozen=True)
 class ReadOptions:
-    """What a user says of a file that the file does not say itself; each wins over what the file says."""
+    """What a user says about a file; it takes precedence over what the file says."""
 
     format: str | None = None
     """Name of the format; unset: guessed."""
@@ -51,25 +206,43 @@ class ReadOptions:
 
 
 class Peek:
-    """The first look at a file or folder, for guessing its format: never the whole file, never an exception.
+    """The first look at a file, a folder or several files, for guessing their format: never a complete file.
 
     Raises:
-        UserError: nothing there, or an empty file.
+        UserError: nothing there.
     """
 
-    def __init__(self, path: str | Path):
-        self.path = Path(path)
+    def __init__(self, paths: str | Path | Sequence[Path]):
+        self.paths = [Path(paths)] if isinstance(paths, str | Path) else list(paths)
+        self.path = self.paths[0]
         if not self.path.exists():
             raise UserError(f"No file {self.path} (looked in {self.path.absolute().parent}).")
         self.is_folder = self.path.is_dir()
         self.ending = "" if self.is_folder else self.path.suffix.lower()
         self.start = b""
-        """The first 64 KiB of a file."""
+        """The first 64 KiB of the first file."""
         if not self.is_folder:
             with self.path.open("rb") as file:
                 self.start = file.read(_START)
-            if not self.start:
-                raise UserError(f"{self.path} is empty (0 bytes), expected keypoints.")
+
+    @property
+    def where(self) -> str:
+        """The paths, short, for messages."""
+        return str(self.path) if len(self.paths) == 1 else f"{self.path} and {len(self.paths) - 1:,} more"
+
+    @property
+    def is_empty(self) -> bool:
+        """Whether there is nothing in the first file; an empty picture is a damaged one among others."""
+        return not (self.start or self.is_folder or self.pictures)
+
+    @cached_property
+    def pictures(self) -> list[Any]:
+        """The pictures that the paths mean; none where one of them is another kind of file."""
+        from uplift.data.parsers.pictures import ENDINGS, pictures_of
+
+        if any(not path.is_dir() and path.suffix.lower() not in ENDINGS for path in self.paths):
+            return []
+        return pictures_of(self.paths)[0]
 
     @cached_property
     def text(self) -> str:
@@ -124,23 +297,28 @@ class Peek:
         except (zipfile.BadZipFile, OSError, NotImplementedError):
             return ()
 
+    @cached_property
+    def first_json(self) -> Peek | None:
+        """The first look at a JSON file, or at the first of a folder that is not an empty list; None without JSON."""
+        if not self.is_folder:
+            return self if self.json_sign else None
+        try:
+            names = heapq.nsmallest(_TRIES, (one.name for one in os.scandir(self.path) if is_json(one.name)))
+        except OSError:
+            return None
+        found = None
+        for name in names:
+            try:
+                found = Peek(self.path / name)
+            except (UserError, OSError):
+                continue
+            if found.json_sign and not re.match(r"\s*[\[{]\s*[\]}]\s*$", found.text):
+                return found
+        return found if found is not None and found.json_sign else None
+
     def first_file(self, pattern: str) -> Path | None:
         """Return the first file, by name, of a folder that fits ``pattern``; None where there is none."""
         return min(self.path.glob(pattern), default=None) if self.is_folder else None
-
-
-@dataclass(frozen=True)
-class Format:
-    """A keypoint format: how to tell it from others, and how to read it."""
-
-    name: str
-    """As in ``format=``."""
-    title: str
-    """What it is, in a few words."""
-    fits: Callable[[Peek], bool]
-    """Whether a file looks like this format; quick, and never an exception whatever the content."""
-    read: Callable[[Path, ReadOptions], PoseData]
-    """Reads a whole file; raises UserError for one that is not of this format, or damaged."""
 
 
 def size_of(text: str, name: str = "image_size") -> tuple[int, int]:
@@ -153,11 +331,6 @@ def size_of(text: str, name: str = "image_size") -> tuple[int, int]:
     if not found or not all(int(side) for side in found.groups()):
         raise UserError(f"{name}={text!r}: expected width and height in pixels, such as 1920x1080.")
     return int(found[1]), int(found[2])
-
-
-def need(package: str, extra: str, path: Path) -> UserError:
-    """Return the error of a file whose reader needs a package that is not installed."""
-    return UserError(f'{path}: reading it needs {package}: pip install "uplift3d[{extra}]".')
 
 
 _TOKEN = re.compile(r'"((?:[^"\\]|\\.)*)"(\s*:)?|[{}\[\]]')

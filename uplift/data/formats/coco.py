@@ -1,4 +1,4 @@
-"""COCO annotations with keypoints, of any category: an object with images, annotations and categories."""
+"""COCO's JSON with keypoints: annotations of images and categories, and detectors' lists of results."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ import numpy as np
 from uplift.data.formats.base import Format, Peek, ReadOptions
 from uplift.data.formats.layouts import COCO, WHOLEBODY133, names_for
 from uplift.data.formats.rows import pose_data, seen_by_flag
-from uplift.data.parsers.json import Numbers, is_text, members, objects, shown, texts, whole
+from uplift.data.parsers.json import Numbers, entries, is_text, members, objects, shown, texts, whole
 from uplift.data.poses import PoseData
 from uplift.errors import UserError
 
-__all__ = ["FORMAT"]
+__all__ = ["ANNOTATIONS", "RESULTS"]
 
 # Images and categories as COCO's annotations hold them.
 
@@ -94,12 +94,13 @@ _PARTS = ("foot_kpts", "face_kpts", "lefthand_kpts", "righthand_kpts")
 _KEYS = {"images", "annotations", "categories"}
 
 
-def _fits(peek: Peek) -> bool:
+def _are_annotations(peek: Peek) -> bool:
     keys = set(peek.json_keys)
     return peek.json_sign == "{" and bool(_KEYS & keys) and not {"people", "instance_info", "data"} & keys
 
 
-def _read(path: Path, options: ReadOptions) -> PoseData:
+def _read_annotations(peek: Peek, options: ReadOptions) -> PoseData:
+    path = peek.path
     found = _Annotations(path)
     for key, text in members(path):
         take = {"images": found.image, "annotations": found.annotation, "categories": found.category}.get(key)
@@ -276,4 +277,43 @@ def _flat(record: dict[str, Any], where: str) -> list[Any]:
     return values
 
 
-FORMAT = Format("coco", "COCO annotations", _fits, _read)
+ANNOTATIONS = Format("coco", "COCO annotations", _are_annotations, _read_annotations)
+
+
+# Results of a detector: a list with one body an entry, the number of its image, its keypoints and a score.
+
+
+def _are_results(peek: Peek) -> bool:
+    return peek.json_sign == "[" and {"image_id", "keypoints"} <= set(peek.json_keys)
+
+
+def _read_results(peek: Peek, options: ReadOptions) -> PoseData:
+    path = peek.path
+    numbers = Numbers("keypoints")
+    images: list[str] = []
+    categories: list[str] = []
+    for count, record in entries(path, "the list of results"):
+        where = f"{path}: entry {count}"
+        image, category = record.get("image_id"), record.get("category_id", 1)
+        if isinstance(image, bool) or not isinstance(image, int | str):
+            raise UserError(f"{where} has image_id {shown(image)}, expected the number or name of an image.")
+        if isinstance(category, bool) or not isinstance(category, int | str):
+            raise UserError(f"{where} has category_id {shown(category)}, expected a number.")
+        numbers.add(record.get("keypoints"), where)
+        images.append(str(image))
+        categories.append(str(category))
+    if not numbers.rows:
+        raise UserError(f"{path} is an empty list, expected results of a detector.")
+    if numbers.width is None or not numbers.width or numbers.width % 3:
+        raise UserError(f"{path}: entry 0 has {numbers.width} numbers in 'keypoints', expected x, y, score of each.")
+    values = numbers.array(numbers.width // 3, 3)
+    names, told = names_for(path, values.shape[1], COCO, options, values)
+    notes = list(told)
+    confidence = seen_by_flag(values[..., 2], notes)
+    identity = {"image": texts(path, images), "instance": np.arange(len(images)).astype(str)}
+    if len(set(categories)) > 1:
+        identity["category"] = texts(path, categories)
+    return pose_data(path, names, values[..., :2], confidence, identity, notes=notes)
+
+
+RESULTS = Format("coco_results", "COCO results", _are_results, _read_results)

@@ -500,9 +500,8 @@ def left_out(columns: Columns) -> tuple[str, ...]:
     return (f"columns left out: {shown}",) if columns.others else ()
 
 
-def _read(path: Path, options: ReadOptions) -> PoseData:
-    peek = Peek(path)
-    columns = columns_in(peek)
+def _read(peek: Peek, options: ReadOptions) -> PoseData:
+    path, columns = peek.path, columns_in(peek)
     if peek.is_folder:
         raise UserError(f"{path} is a folder, expected a csv file.")
     if columns is None:

@@ -16,9 +16,10 @@ from typing import Any
 import numpy as np
 
 from uplift.config.files import replacing
-from uplift.data.formats.base import Format, Peek, ReadOptions, need
+from uplift.data.formats.base import Format, Peek, ReadOptions
 from uplift.data.formats.csv import as_text
 from uplift.data.formats.rows import frame_numbers, rows_of
+from uplift.data.parsers.hdf5 import h5py_missing
 from uplift.data.parsers.pickles import Source, Unpickler
 from uplift.data.parsers.table import Table, first_lines, header_of
 from uplift.data.poses import PoseData
@@ -127,14 +128,13 @@ def _looks_like_deeplabcut_csv(peek: Peek) -> bool:
     return _csv_levels(peek) is not None
 
 
-def _read_deeplabcut_csv(path: Path) -> PoseData:
+def _read_deeplabcut_csv(peek: Peek) -> PoseData:
     """Read predictions (frames of a video) or labels (images) of one or several individuals.
 
     Raises:
         UserError: another header, rows of different lengths, text where numbers must be, 3D.
     """
-    peek = Peek(path)
-    levels = _csv_levels(peek)
+    path, levels = peek.path, _csv_levels(peek)
     if levels is None:
         raise UserError(
             f"{path} begins {peek.text[:60]!r}, expected the header rows of DeepLabCut: {', '.join(_LEVELS[0])} "
@@ -220,7 +220,7 @@ def _read_deeplabcut_h5(path: Path) -> PoseData:
     try:
         import h5py
     except ImportError:
-        raise need("h5py", "trackers", path) from None
+        raise h5py_missing(path) from None
     try:
         with h5py.File(path, "r") as file:
             group: Any = file[_key(path, _tables(file))]
@@ -372,8 +372,8 @@ def _fits(peek: Peek) -> bool:
     return _looks_like_deeplabcut_h5(peek) if peek.is_hdf5 else _looks_like_deeplabcut_csv(peek)
 
 
-def _read(path: Path, options: ReadOptions) -> PoseData:
-    return _read_deeplabcut_h5(path) if Peek(path).is_hdf5 else _read_deeplabcut_csv(path)
+def _read(peek: Peek, options: ReadOptions) -> PoseData:
+    return _read_deeplabcut_h5(peek.path) if peek.is_hdf5 else _read_deeplabcut_csv(peek)
 
 
 FORMAT = Format("deeplabcut", "DeepLabCut or Lightning Pose (csv, h5)", _fits, _read)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-from pathlib import Path
 
 import numpy as np
 
@@ -28,7 +27,8 @@ _BONES = (
 _MIRROR = (("left_ear", "right_ear"), ("left_front_paw", "right_front_paw"), ("left_rear_paw", "right_rear_paw"))
 
 
-def _read(path: Path, options: ReadOptions) -> PoseData:
+def _read(peek: Peek, options: ReadOptions) -> PoseData:
+    path = peek.path
     with open_hdf5(path, "a pose file of JABS") as file:
         stored, score = file.array("poseest/points"), file.array("poseest/confidence")
         if stored.ndim not in (3, 4) or stored.shape[-2:] != (len(JOINTS), 2) or score.shape != stored.shape[:-1]:

@@ -9,7 +9,7 @@ import numpy as np
 from uplift.data.formats.base import Format, Peek, ReadOptions
 from uplift.data.formats.layouts import KINETICS, names_for
 from uplift.data.formats.rows import pose_data, to_pixels
-from uplift.data.parsers.json import Numbers, first_json, json_files, members, objects, shown, whole
+from uplift.data.parsers.json import Numbers, json_files, members, objects, shown, whole
 from uplift.data.poses import PoseData
 from uplift.errors import UserError
 
@@ -17,13 +17,14 @@ __all__ = ["FORMAT"]
 
 
 def _fits(peek: Peek) -> bool:
-    first = first_json(peek)
+    first = peek.first_json
     if first is None or first.json_sign != "{" or "data" not in first.json_keys:
         return False
     return '"frame_index"' in first.text or {"label", "label_index"} <= set(first.json_keys)
 
 
-def _read(path: Path, options: ReadOptions) -> PoseData:
+def _read(peek: Peek, options: ReadOptions) -> PoseData:
+    path = peek.path
     poses, scores = Numbers("pose"), Numbers("score")
     file_of: list[int] = []
     frames: list[int] = []
@@ -72,4 +73,4 @@ def _read_file(file: Path, poses: Numbers, scores: Numbers, frames: list[int]) -
         raise UserError(f"{file} has no 'data', expected the frames of a video with their skeletons.")
 
 
-FORMAT = Format("kinetics_skeleton", "Kinetics skeletons (ST-GCN)", _fits, _read)
+FORMAT = Format("kinetics_skeleton", "Kinetics skeletons (ST-GCN)", _fits, _read, ".json")

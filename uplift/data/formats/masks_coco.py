@@ -10,7 +10,8 @@ from typing import Any
 import numpy as np
 
 from uplift.data.clean_masks import MaskOptions
-from uplift.data.formats.masks import Look, MaskFormat, gather, shuffled, wanted
+from uplift.data.formats.base import Format, Peek
+from uplift.data.formats.masks import gather, shuffled, wanted
 from uplift.data.masks import Found, MaskData, Skipped
 from uplift.data.parsers.json import JsonText, entries, is_text, members, objects
 from uplift.data.parsers.outlines import window_of_polygons, window_of_runs
@@ -163,16 +164,13 @@ class _File:
         return self.categories.get(record.category, record.category or "")
 
 
-def _fits(look: Look) -> bool:
-    peek = look.peek
-    if peek is None or not peek.json_sign:
-        return False
-    return bool({"annotations", "segmentation", "images", "categories"} & set(peek.json_keys))
+def _fits(peek: Peek) -> bool:
+    return bool(peek.json_sign) and bool({"annotations", "segmentation", "images", "categories"} & set(peek.json_keys))
 
 
-def _read(paths: list[Path], options: MaskOptions) -> MaskData:
-    files = [_load(path) for path in paths]
-    where = Look(paths).where
+def _read(peek: Peek, options: MaskOptions) -> MaskData:
+    files = [_load(path) for path in peek.paths]
+    where = peek.where
     known = {name for file in files for name in file.categories.values()}
     known |= {file.category_of(record) for file in files for record in file.records}
     taken = wanted(options, known, where)
@@ -247,4 +245,4 @@ def _key(value: Any) -> str | None:
     return str(value)[:200] if isinstance(value, int | str) and not isinstance(value, bool) else None
 
 
-FORMAT = MaskFormat("coco", "COCO's JSON with segmentations", _fits, _read)
+FORMAT = Format("coco", "COCO's JSON with segmentations", _fits, _read)

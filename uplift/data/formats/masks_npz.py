@@ -12,13 +12,14 @@ import numpy as np
 from uplift.config.files import replacing
 from uplift.data.clean_masks import MaskOptions
 from uplift.data.concat import join, resized
-from uplift.data.formats.masks import Look, MaskFormat, shuffled, wanted
+from uplift.data.formats.base import Format, Peek
+from uplift.data.formats.masks import shuffled, wanted
 from uplift.data.masks import MaskData, Placed
 from uplift.data.parsers.npz import CheckedArrays, read_arrays
 from uplift.errors import UserError
 from uplift.geometry.mesh import Mesh
 
-__all__ = ["FORMAT", "read_masks", "write_masks"]
+__all__ = ["FORMAT", "read_masks_npz", "write_masks_npz"]
 
 # Masks and what is known beside them as one npz file, without pickles.
 
@@ -31,7 +32,7 @@ _OLDEST = (1980, 1, 1, 0, 0, 0)
 _TURN_ERROR = 1e-3
 
 
-def write_masks(data: MaskData, path: str | Path) -> None:
+def write_masks_npz(data: MaskData, path: str | Path) -> None:
     """Write masks, names, crops, labels and the truth; the same data gives the same bytes.
 
     Meshes are written one behind the other: ``mesh_vertex_start`` (meshes + 1) says where each begins, and
@@ -73,8 +74,8 @@ def _truth_arrays(truth: Placed) -> dict[str, np.ndarray]:
     }
 
 
-def read_masks(path: str | Path) -> MaskData:
-    """Read masks written by `write_masks`, or by hand in the same layout; only ``masks`` must be there.
+def read_masks_npz(path: str | Path) -> MaskData:
+    """Read masks written by `write_masks_npz`, or by hand in the same layout; only ``masks`` must be there.
 
     Raises:
         UserError: missing or unknown arrays, wrong kinds, shapes or ranges, meshes that are none.
@@ -156,14 +157,13 @@ def _meshes(file: CheckedArrays) -> Sequence[Mesh]:
 # uplift's own npz of masks: crops that are clean already, with whatever else is known of them.
 
 
-def _fits(look: Look) -> bool:
-    return look.peek is not None and "masks" in look.peek.npz_names
+def _fits(peek: Peek) -> bool:
+    return "masks" in peek.npz_names
 
 
-def _read(paths: list[Path], options: MaskOptions) -> MaskData:
-
-    data = join([read_masks(path) for path in paths])
-    where = Look(paths).where
+def _read(peek: Peek, options: MaskOptions) -> MaskData:
+    data = join([read_masks_npz(path) for path in peek.paths])
+    where = peek.where
     notes: list[str] = []
     if options.images is not None:
         raise UserError(f"images={options.images}: {where} names its photos itself; leave images= out.")
@@ -183,4 +183,4 @@ def _read(paths: list[Path], options: MaskOptions) -> MaskData:
     return replace(data, notes=(*data.notes, *notes))
 
 
-FORMAT = MaskFormat("npz", "uplift's own npz of masks", _fits, _read)
+FORMAT = Format("npz", "uplift's own npz of masks", _fits, _read)

@@ -245,13 +245,13 @@ def _looks_like_mediapipe_csv(peek: Peek) -> bool:
     return _is_mediapipe(names) or (numbered and ("landmark" in head.casefold() or head.strip(' "').casefold() == "id"))
 
 
-def _read_mediapipe_csv(path: Path, options: ReadOptions) -> PoseData:
+def _read_mediapipe_csv(peek: Peek, options: ReadOptions) -> PoseData:
     """Read landmarks of the image, in pixels where its size is known, or of the world, in metres.
 
     Raises:
         UserError: no columns of landmarks, rows of different lengths, text where numbers must be.
     """
-    columns = columns_in(Peek(path))
+    path, columns = peek.path, columns_in(peek)
     if columns is None:
         raise UserError(
             f"{path} has no columns of landmarks; expected frame, landmark, x, y, z, or x1, y1, z1, v1, x2, ... "
@@ -522,11 +522,10 @@ def _fits(peek: Peek) -> bool:
     return _looks_like_mediapipe_json(peek) or _looks_like_mediapipe_csv(peek)
 
 
-def _read(path: Path, options: ReadOptions) -> PoseData:
-    peek = Peek(path)
+def _read(peek: Peek, options: ReadOptions) -> PoseData:
     if peek.npz_names:
-        return _read_mediapipe_npz(path, options)
-    return _read_mediapipe_json(path, options) if peek.json_sign else _read_mediapipe_csv(path, options)
+        return _read_mediapipe_npz(peek.path, options)
+    return _read_mediapipe_json(peek.path, options) if peek.json_sign else _read_mediapipe_csv(peek, options)
 
 
 FORMAT = Format("mediapipe", "landmarks of MediaPipe (csv, json, npz)", _fits, _read)

@@ -9,7 +9,7 @@ from typing import Any
 from uplift.data.formats.base import Format, Peek, ReadOptions
 from uplift.data.formats.layouts import MMPOSE, names_for
 from uplift.data.formats.rows import frames_or_images, pose_data
-from uplift.data.parsers.json import JsonText, Numbers, first_json, is_text, items, json_files, members, shown, whole
+from uplift.data.parsers.json import JsonText, Numbers, is_text, items, json_files, members, shown, whole
 from uplift.data.poses import PoseData
 from uplift.errors import UserError
 
@@ -17,7 +17,7 @@ __all__ = ["FORMAT"]
 
 
 def _fits(peek: Peek) -> bool:
-    first = first_json(peek)
+    first = peek.first_json
     if first is None:
         return False
     keys = set(first.json_keys)
@@ -61,7 +61,8 @@ class _Found:
         self.track.append(_track(instance, where))
 
 
-def _read(path: Path, options: ReadOptions) -> PoseData:
+def _read(peek: Peek, options: ReadOptions) -> PoseData:
+    path = peek.path
     files = json_files(path)
     found = _Found()
     for number, file in enumerate(files):
@@ -185,4 +186,4 @@ class _Meta:
         return tuple(dict.fromkeys((a, b) if place[a] < place[b] else (b, a) for a, b in pairs))
 
 
-FORMAT = Format("mmpose", "MMPose predictions", _fits, _read)
+FORMAT = Format("mmpose", "MMPose predictions", _fits, _read, ".json")

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 
 from uplift.data.formats.base import Format, Peek, ReadOptions
@@ -20,7 +18,8 @@ def _fits(peek: Peek) -> bool:
     return peek.json_sign == "[" and "joints" in peek.json_keys and bool({"joints_vis", "image"} & set(peek.json_keys))
 
 
-def _read(path: Path, options: ReadOptions) -> PoseData:
+def _read(peek: Peek, options: ReadOptions) -> PoseData:
+    path = peek.path
     joints, visible = Numbers("joints"), Numbers("joints_vis")
     images: list[str] = []
     for count, record in entries(path, "the list of people"):

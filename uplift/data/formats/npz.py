@@ -9,9 +9,10 @@ from pathlib import Path
 import numpy as np
 
 from uplift.config.files import replacing
-from uplift.data.formats import guess_format, read
+from uplift.data.formats import KEYPOINT_FORMATS, read
 from uplift.data.formats.base import Format, Peek, ReadOptions
 from uplift.data.parsers.npz import read_arrays
+from uplift.data.parsers.pictures import PHOTO_ENDINGS
 from uplift.data.poses import IDENTITY_KEYS, UNITS, PoseData, masks_of
 from uplift.errors import UserError
 
@@ -33,7 +34,6 @@ _KNOWN = {
     "bones", "tilt_deg", "level_pose", "spread", "filled", "axes", "skeleton", "masks", "mask_box",
     *IDENTITY_KEYS,
 }  # fmt: skip
-_PHOTO_ENDINGS = (".jpg", ".jpeg", ".png", ".bmp", ".webp", ".tif", ".tiff")
 _MOST_CONFIDENT = 2.0  # heat maps peak a little over 1, and COCO marks visible joints with 2
 
 
@@ -141,7 +141,7 @@ def _photos(identity: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
     names = identity.get("sequence")
     if names is None or names.dtype.kind != "U" or not len(names) or {"frame", "image"} & set(identity):
         return identity
-    if not all(name.lower().endswith(_PHOTO_ENDINGS) for name in names.tolist()):
+    if not all(name.lower().endswith(PHOTO_ENDINGS) for name in names.tolist()):
         return identity
     return {"image" if key == "sequence" else key: values for key, values in identity.items()}
 
@@ -170,8 +170,8 @@ def _fits(peek: Peek) -> bool:
     return peek.ending == ".npz"  # the last to be asked: whatever is wrong with it is told in full
 
 
-def _read(path: Path, options: ReadOptions) -> PoseData:
-    return read_npz(path)
+def _read(peek: Peek, options: ReadOptions) -> PoseData:
+    return read_npz(peek.path)
 
 
 FORMAT = Format("npz", "uplift's own npz", _fits, _read)
@@ -227,7 +227,7 @@ def contents_of(path: Path, options: ReadOptions | None = None) -> _Contents:
         UserError: it is not whole, or of no known format.
     """
     options = options or ReadOptions()
-    if (options.format or guess_format(path).name) != "npz":
+    if (options.format or KEYPOINT_FORMATS.guess(path).name) != "npz":
         data = read(path, options)
         arrays = {name for name in ("pose", "root", "tilt_deg") if getattr(data, name) is not None}
         memory = memory_of(arrays, len(data), len(data.joint_names))

@@ -335,7 +335,8 @@ class _Container:
         return self.place.rsplit("/", 1)[1]
 
 
-def _read(path: Path, options: ReadOptions) -> PoseData:
+def _read(peek: Peek, options: ReadOptions) -> PoseData:
+    path = peek.path
     with open_hdf5(path, "an NWB file") as file:
         places = _groups_of(file)
         if not places["PoseEstimation"]:

@@ -11,7 +11,7 @@ import numpy as np
 from uplift.data.formats.base import Format, Peek, ReadOptions
 from uplift.data.formats.layouts import HANDS, OPENPOSE, OPENPOSE_FACE70, names_for, numbered
 from uplift.data.formats.rows import pose_data, split_names
-from uplift.data.parsers.json import Numbers, first_json, json_files, load_json, shown, texts
+from uplift.data.parsers.json import Numbers, json_files, load_json, shown, texts
 from uplift.data.poses import PoseData
 from uplift.errors import UserError
 
@@ -24,11 +24,12 @@ _NAMES = {"hand_left": HANDS["left"], "hand_right": HANDS["right"], "face": OPEN
 
 
 def _fits(peek: Peek) -> bool:
-    first = first_json(peek)
+    first = peek.first_json
     return first is not None and first.json_sign == "{" and "people" in first.json_keys
 
 
-def _read(path: Path, options: ReadOptions) -> PoseData:
+def _read(peek: Peek, options: ReadOptions) -> PoseData:
+    path = peek.path
     files = json_files(path)
     parts = {part: Numbers(f"{part}_keypoints_2d") for part in _PARTS}
     rows: dict[str, list[int]] = {part: [] for part in _PARTS}
@@ -127,4 +128,4 @@ def _identity(path: Path, files: list[Path], file_of: list[int], tracks: list[st
     return {**identity, "instance": texts(path, tracks)} if any(tracks) else identity
 
 
-FORMAT = Format("openpose", "OpenPose JSON", _fits, _read)
+FORMAT = Format("openpose", "OpenPose JSON", _fits, _read, ".json")

@@ -1,10 +1,11 @@
-"""Ultralytics' text labels and predictions: a file an image, a row a body, coordinates as shares of the image."""
+"""Ultralytics: text labels and predictions, a file an image and a row a body; and results as JSON."""
 
 from __future__ import annotations
 
 import heapq
 import os
 import re
+import warnings
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -14,13 +15,13 @@ import numpy as np
 
 from uplift.data.formats.base import Format, Peek, ReadOptions
 from uplift.data.formats.layouts import COCO, names_for
-from uplift.data.formats.rows import SHARES_NOTE, pose_data, seen_by_flag, video_names
-from uplift.data.parsers.json import Numbers, in_order, is_text, shown
-from uplift.data.parsers.pictures import picture_sizes
+from uplift.data.formats.rows import SHARES_NOTE, frames_or_images, pose_data, seen_by_flag, to_pixels, video_names
+from uplift.data.parsers.json import JsonText, Numbers, in_order, is_text, items, json_files, shown, texts
+from uplift.data.parsers.pictures import PHOTO_ENDINGS
 from uplift.data.poses import PoseData
 from uplift.errors import UserError
 
-__all__ = ["FORMAT"]
+__all__ = ["LABELS", "RESULTS"]
 
 # What stands around Ultralytics' label files: their folder and data.yaml.
 
@@ -60,6 +61,65 @@ def _label_names(folder: Path) -> Iterator[str]:
         name = one.name.lower()
         if name.endswith(".txt") and name not in _NO_LABELS and not name.startswith((".", "readme")) and one.is_file():
             yield one.name
+
+
+def _picture_sizes(
+    files: list[Path], rows: list[int], options: ReadOptions, notes: list[str]
+) -> tuple[dict[str, str], np.ndarray | None]:
+    """Return the picture's name of each label file, and (rows, 2) sizes in px; None where they are not known.
+
+    Pictures are looked for beside the labels, and in images/ where the labels are in labels/.
+    """
+    found = _pictures_beside(files[0].absolute().parent)
+    names = {file.stem: found[file.stem].name for file in files if file.stem in found}
+    if options.image_size is not None:
+        return names, np.tile(np.array(options.image_size, np.float32), (len(rows), 1))
+    if not names:
+        return names, None
+    used = sorted(set(rows))
+    known = {row: _picture_size(found[files[row].stem]) for row in used if files[row].stem in found}
+    sizes = set(known.values())
+    without = [row for row in used if row not in known]
+    if without and len(sizes) != 1:
+        raise UserError(
+            f"{files[without[0]]} has no picture beside it or in images/ to tell its size, and the others differ. "
+            "Say image_size=WIDTHxHEIGHT."
+        )
+    if without:
+        notes.append(f"{len(without):,} labels have no picture: their size is taken to be that of the others")
+    other = next(iter(sizes))
+    return names, np.array([known.get(row, other) for row in rows], np.float32)
+
+
+def _pictures_beside(folder: Path) -> dict[str, Path]:
+    """Return the pictures that belong to a folder of labels, by their names without ending."""
+    places = [folder, folder.parent / "images"]
+    parts = list(folder.parts)
+    if "labels" in parts:
+        last = len(parts) - 1 - parts[::-1].index("labels")
+        places.append(Path(*parts[:last], "images", *parts[last + 1 :]))
+    found: dict[str, Path] = {}
+    for place in dict.fromkeys(places):
+        for one in place.iterdir() if place.is_dir() else []:
+            if one.suffix.lower() in PHOTO_ENDINGS:
+                found.setdefault(one.stem, one)
+    return found
+
+
+def _picture_size(picture: Path) -> tuple[int, int]:
+    """Return width and height of a picture from its header."""
+    from PIL import Image
+
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # of large pictures: nothing is decoded
+            with Image.open(picture) as opened:
+                return opened.size
+    except (OSError, ValueError, SyntaxError, Image.DecompressionBombError) as error:
+        raise UserError(
+            f"{picture} cannot be read as a picture, for the size of its labels: {error!s:.100}. Say "
+            "image_size=WIDTHxHEIGHT."
+        ) from None
 
 
 @dataclass
@@ -331,7 +391,7 @@ _YAML = (".yaml", ".yml")
 _TRIES = 100
 
 
-def _fits(peek: Peek) -> bool:
+def _are_labels(peek: Peek) -> bool:
     if peek.ending in _YAML:
         return "kpt_shape" in peek.text
     if not peek.is_folder:
@@ -356,7 +416,8 @@ def _is_row(peek: Peek) -> bool:
     return len(first) >= 7 and values[0] >= 0 and values[0].is_integer() and shares
 
 
-def _read(path: Path, options: ReadOptions) -> PoseData:
+def _read_labels(peek: Peek, options: ReadOptions) -> PoseData:
+    path = peek.path
     if path.suffix.lower() in _YAML and path.is_file():
         folders = [folder for folder in path.parent.glob("**/labels") if folder.is_dir()][:3]
         shown = ", ".join(map(str, folders)) or "train/labels"
@@ -373,7 +434,7 @@ def _read(path: Path, options: ReadOptions) -> PoseData:
         confidence = np.where((shares == 0).all(-1), np.float32(0), confidence)  # predictions blank weak ones so
     else:
         confidence = (shares != 0).any(-1).astype(np.float32)
-    pictures, sizes = picture_sizes(files, labels.file, options, notes)
+    pictures, sizes = _picture_sizes(files, labels.file, options, notes)
     keypoints = shares if sizes is None else shares * sizes[:, None].astype(np.float32)
     if sizes is None:
         notes.append(SHARES_NOTE)
@@ -401,4 +462,75 @@ def _identity(
     return identity if layout.track is None else {**identity, "instance": layout.track}
 
 
-FORMAT = Format("ultralytics", "Ultralytics labels", _fits, _read)
+LABELS = Format("ultralytics", "Ultralytics labels", _are_labels, _read_labels, ".txt")
+
+
+# Results as JSON: the list that ``to_json()`` gives for an image, or a list of such lists.
+
+
+def _are_results(peek: Peek) -> bool:
+    first = peek.first_json
+    if first is None or first.json_sign != "[":
+        return False
+    keys = set(first.json_keys)
+    if not keys:  # images as lists in a list
+        return all(f'"{key}"' in first.text for key in ("box", "keypoints", "confidence"))
+    return {"box", "keypoints", "class"} <= keys and "image_id" not in keys
+
+
+class _Bodies:
+    """What has been read so far."""
+
+    def __init__(self) -> None:
+        self.x, self.y, self.seen = Numbers("x"), Numbers("y"), Numbers("visible")
+        self.file: list[int] = []
+        self.frame: list[int | None] = []
+        self.track: list[str] = []
+        self.category: list[str] = []
+
+    def add(self, body: Any, file: int, frame: int | None, where: str) -> None:
+        """Take one body."""
+        points = body.get("keypoints") if isinstance(body, dict) else None
+        if not isinstance(points, dict):
+            raise UserError(f"{where} is {shown(body)}, expected an object with keypoints: x, y, visible.")
+        self.x.add(points.get("x"), where)
+        self.y.add(points.get("y"), where)
+        seen = points.get("visible")
+        self.seen.add([1.0] * (self.x.width or 0) if seen is None else seen, where)
+        if not self.x.width == self.y.width == self.seen.width:
+            raise UserError(f"{where} has {self.x.width} x, {self.y.width} y and {self.seen.width} visible.")
+        track, name = body.get("track_id"), body.get("name", body.get("class"))
+        if isinstance(track, bool) or not isinstance(track, int | str | None):
+            raise UserError(f"{where} has track_id {shown(track)}, expected a number.")
+        self.track.append("" if track is None else str(track))
+        self.category.append(str(name) if is_text(name) or type(name) is int else "")
+        self.file.append(file)
+        self.frame.append(frame)
+
+
+def _read_results(peek: Peek, options: ReadOptions) -> PoseData:
+    path = peek.path
+    files, found = json_files(path), _Bodies()
+    for number, file in enumerate(files):
+        for count, entry in enumerate(items(JsonText(file), "the list of results")):
+            if not isinstance(entry, list):
+                found.add(entry, number, None, f"{file}: entry {count}")
+                continue
+            for place, body in enumerate(entry):
+                found.add(body, number, count, f"{file}: frame {count}, entry {place}")
+    if not found.file:
+        raise UserError(f"{path} holds nobody, expected results of Ultralytics.")
+    keypoints = np.stack([found.x.array(), found.y.array()], -1)
+    names, told = names_for(path, keypoints.shape[1], {17: COCO[17]}, options, keypoints)
+    notes = list(told)
+    blank = (keypoints == 0).all(-1)  # what weak keypoints are set to
+    confidence = np.where(blank, np.float32(0), found.seen.array())
+    if (np.nan_to_num(np.abs(keypoints), posinf=2) <= 1).all():
+        keypoints = to_pixels(keypoints, options, notes)
+    identity = frames_or_images(path, [file.stem for file in files], found.file, found.frame, found.track)
+    if len(set(found.category)) > 1:
+        identity["category"] = texts(path, found.category)
+    return pose_data(path, names, keypoints, confidence, identity, notes=notes)
+
+
+RESULTS = Format("ultralytics_json", "Ultralytics results (JSON)", _are_results, _read_results, ".json")

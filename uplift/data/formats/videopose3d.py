@@ -30,7 +30,8 @@ _LAYOUTS: Layouts = {17: _LEFT[1, 3, 5, 7, 9, 11, 13, 15], 16: _LEFT[3, 4, 5, 13
 _DETECTED = {"boxes", "keypoints", "metadata"}
 
 
-def _read(path: Path, options: ReadOptions) -> PoseData:
+def _read(peek: Peek, options: ReadOptions) -> PoseData:
+    path = peek.path
     arrays = load_object_npz(path, ["positions_2d", "metadata", "boxes", "keypoints"])
     told = arrays.get("metadata", {})
     told = told if isinstance(told, dict) else {}

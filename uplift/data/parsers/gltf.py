@@ -17,6 +17,7 @@ from jaxtyping import Float, Int
 
 from uplift.errors import UserError, did_you_mean
 from uplift.geometry.mesh import Mesh
+from uplift.geometry.rigid import quaternion_matrix, slerp
 
 __all__ = ["GltfFile"]
 
@@ -291,7 +292,7 @@ class _Nodes:
     def placed(self) -> Float[np.ndarray, "nodes 4 4"]:
         """Return the matrices from each node's own frame to the file's."""
         found = np.zeros((len(self.names), 4, 4))
-        found[:, :3, :3] = _rotations(self.rotation) * self.scale[:, None, :]
+        found[:, :3, :3] = quaternion_matrix(self.rotation) * self.scale[:, None, :]
         found[:, :3, 3] = self.translation
         found[:, 3, 3] = 1.0
         for node, matrix in self.fixed.items():
@@ -358,16 +359,6 @@ def _numbers(document: _Document, entries: list[dict[str, Any]], key: str, defau
     return found
 
 
-def _rotations(quaternion: Float[np.ndarray, "nodes 4"]) -> Float[np.ndarray, "nodes 3 3"]:
-    x, y, z, w = quaternion.T
-    rows = [
-        1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w),
-        2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w),
-        2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y),
-    ]  # fmt: skip
-    return np.stack(rows, -1).reshape(-1, 3, 3)
-
-
 # A glTF file's animations: what moves, and its value at any moment.
 
 _KINDS = {"translation": "VEC3", "rotation": "VEC4", "scale": "VEC3", "weights": "SCALAR"}
@@ -400,7 +391,7 @@ class _Track:
             if self.how == "CUBICSPLINE":
                 found = _spline(start, end, share, length)
             elif self.path == "rotation":
-                found = _slerp(start[0], end[0], share)
+                found = slerp(start[0], end[0], share)
             else:
                 found = (1 - share) * start[0] + share * end[0]
         if self.path != "rotation":
@@ -472,16 +463,6 @@ def _spline(start: np.ndarray, end: np.ndarray, share: float, length: float) -> 
         + (3 * square - 2 * cube) * end[1]
         + length * (cube - square) * end[0]
     )
-
-
-def _slerp(start: np.ndarray, end: np.ndarray, share: float) -> np.ndarray:
-    """Return the quaternion on the shorter arc between two (Shoemake 1985)."""
-    cosine = float(start @ end) / max(float(np.linalg.norm(start) * np.linalg.norm(end)), 1e-12)
-    end = -end if cosine < 0 else end
-    angle = np.arccos(min(abs(cosine), 1.0))
-    if angle < 1e-4:
-        return (1 - share) * start + share * end
-    return (np.sin((1 - share) * angle) * start + np.sin(share * angle) * end) / np.sin(angle)
 
 
 # A glTF file's triangles: primitives, morph targets, skins.

@@ -14,10 +14,9 @@ from typing import Any
 
 import numpy as np
 
-from uplift.data.formats.base import need
 from uplift.errors import UserError
 
-__all__ = ["Hdf5", "check_room", "from_json", "open_hdf5"]
+__all__ = ["Hdf5", "check_room", "from_json", "h5py_missing", "open_hdf5"]
 
 # Look over the heaps of text in an HDF5 file before the library does: a wrong size there makes it walk in circles.
 
@@ -166,7 +165,7 @@ def open_hdf5(path: Path, what: str) -> Iterator[Hdf5]:
     try:
         import h5py
     except ImportError:
-        raise need("h5py", "trackers", path) from None
+        raise h5py_missing(path) from None
     if not _heaps_are_sound(path):
         raise _damaged(path, what, ValueError("a text is longer than the room that it has"))
     try:
@@ -175,6 +174,11 @@ def open_hdf5(path: Path, what: str) -> Iterator[Hdf5]:
         raise _damaged(path, what, error) from error
     with file:
         yield Hdf5(path, what, file)
+
+
+def h5py_missing(path: Path) -> UserError:
+    """Return the error of an HDF5 file where h5py is not installed."""
+    return UserError(f'{path}: reading it needs h5py: pip install "uplift3d[trackers]".')
 
 
 def from_json(path: Path, where: str, text: str) -> Any:

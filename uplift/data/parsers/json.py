@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import heapq
 import json
 import os
 import re
@@ -14,15 +13,14 @@ from typing import Any
 
 import numpy as np
 
-from uplift.data.formats.base import Peek
 from uplift.errors import UserError
 
 __all__ = [
     "JsonText",
     "Numbers",
     "entries",
-    "first_json",
     "in_order",
+    "is_json",
     "is_text",
     "items",
     "json_files",
@@ -144,7 +142,6 @@ class JsonText:
 
 # What the readers of JSON share: the files of a folder, and their entries one at a time.
 
-_TRIES = 100
 _SCAN = json.JSONDecoder().raw_decode
 
 
@@ -156,35 +153,14 @@ def json_files(path: Path) -> list[Path]:
     """
     if not path.is_dir():
         return [path]
-    found = [Path(one) for one in os.scandir(path) if _is_json(one.name) and one.is_file()]
+    found = [Path(one) for one in os.scandir(path) if is_json(one.name) and one.is_file()]
     if not found:
         raise UserError(f"{path} has no *.json in it.")
     return sorted(found, key=lambda one: in_order(one.name))
 
 
-def first_json(peek: Peek) -> Peek | None:
-    """Return the first look at a JSON file, or at the first one of a folder that is no empty list.
-
-    Never an exception; None where there is no JSON.
-    """
-    if not peek.is_folder:
-        return peek if peek.json_sign else None
-    try:
-        names = heapq.nsmallest(_TRIES, (one.name for one in os.scandir(peek.path) if _is_json(one.name)))
-    except OSError:
-        return None
-    found = None
-    for name in names:
-        try:
-            found = Peek(peek.path / name)
-        except (UserError, OSError):
-            continue
-        if found.json_sign and not re.match(r"\s*[\[{]\s*[\]}]\s*$", found.text):
-            return found
-    return found if found is not None and found.json_sign else None
-
-
-def _is_json(name: str) -> bool:
+def is_json(name: str) -> bool:
+    """Return whether a file's name is that of JSON."""
     return name.lower().endswith(".json") and not name.startswith(".")
 
 

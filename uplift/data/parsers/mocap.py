@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import Float
 
 from uplift.errors import UserError
+from uplift.geometry.rigid import rotation_about
 
 __all__ = ["AsfSkeleton", "Figure", "Tree", "open_bvh", "read_amc", "read_asf", "read_lines"]
 
@@ -124,13 +125,7 @@ def _turns(degrees: Float[np.ndarray, "frames angles"], axes: str) -> Float[np.n
     """Return the rotations about the axes of ``axes`` (such as ``zyx``), each about the axes turned before it."""
     result: np.ndarray | None = None
     for angle, axis in zip(np.deg2rad(degrees).T, axes, strict=True):
-        cosine, sine = np.cos(angle), np.sin(angle)
-        turn = np.zeros((len(angle), 3, 3))
-        here = "xyz".index(axis)
-        first, second = (here + 1) % 3, (here + 2) % 3
-        turn[:, here, here] = 1
-        turn[:, first, first] = turn[:, second, second] = cosine
-        turn[:, first, second], turn[:, second, first] = -sine, sine
+        turn = rotation_about(axis, angle)
         result = turn if result is None else result @ turn
     return np.tile(np.eye(3), (len(degrees), 1, 1)) if result is None else result
 

@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from uplift.errors import UserError, did_you_mean
+from uplift.geometry.rigid import rotation_about
 from uplift.skeleton import Skeleton
 
 __all__ = [
@@ -24,7 +25,6 @@ __all__ = [
     "leg_phases",
     "own_body",
     "rest_positions",
-    "rotation_about",
 ]
 
 # A body that can be posed: points with a rest position, the angles that turn them and how far those go.
@@ -121,16 +121,6 @@ def _joint_weights(
 
 
 # Forward kinematics: joint angles to positions.
-
-
-def rotation_about(
-    axis: tuple[float, float, float] | Float[np.ndarray, " 3"], angle_rad: Float[np.ndarray, "*frames"]
-) -> Float[np.ndarray, "*frames 3 3"]:
-    """Return the rotation matrices about a unit axis (Rodrigues' formula)."""
-    x, y, z = axis
-    cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]], dtype=angle_rad.dtype)
-    sine, cosine = np.sin(angle_rad)[..., None, None], np.cos(angle_rad)[..., None, None]
-    return np.eye(3, dtype=angle_rad.dtype) + sine * cross + (1 - cosine) * (cross @ cross)
 
 
 def forward_kinematics(

@@ -17,11 +17,11 @@ from uplift.data.synthetic.body import (
     leaders,
     own_body,
     rest_positions,
-    rotation_about,
 )
 from uplift.data.synthetic.human_motion import human_motion
 from uplift.data.synthetic.motion import Motion, own_motion
 from uplift.errors import UserError
+from uplift.geometry.rigid import quaternion_matrix, rotation_about
 from uplift.skeleton import Skeleton
 
 __all__ = ["as_tracked", "build_body", "level_feet", "rest_pose", "simulate"]
@@ -62,12 +62,7 @@ def _random_cameras(
 def _random_rotations(rng: np.random.Generator, count: int) -> Float[np.ndarray, "count 3 3"]:
     """Return rotations uniform on SO(3), from unit quaternions (Shoemake 1992)."""
     w, x, y, z = (q := rng.normal(size=(4, count))) / np.linalg.norm(q, axis=0)
-    rows = [
-        [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
-        [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
-        [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
-    ]
-    return np.moveaxis(np.array(rows), -1, 0)
+    return quaternion_matrix(np.stack([x, y, z, w], -1))
 
 
 def _project(points: Float[np.ndarray, "*frames 3"]) -> Float[np.ndarray, "*frames 2"]:
