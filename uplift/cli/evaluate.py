@@ -279,11 +279,11 @@ def _skeleton_of(names: tuple[str, ...], where: str) -> Skeleton:
 # The command evaluate: its words, and what it prints at the end.
 
 
-def evaluate_command(words: Sequence[str], use: str) -> None:
-    """Evaluate the run or the poses that the words name, and print all figures; ``use`` is the verb's help."""
+def evaluate_command(words: Sequence[str]) -> None:
+    """Evaluate the run or the poses that the words name, and print all figures."""
     keys = keyed("evaluate", words, EVALUATE_KEYS)
     if ("run" in keys) == ("poses" in keys):
-        raise UserError(f"evaluate takes run=RUN or poses=FILE. ({use})")
+        raise UserError("evaluate takes run=RUN or poses=FILE. (uplift evaluate --help)")
     if "poses" in keys:
         for key in ("refine", "items"):
             if key in keys:

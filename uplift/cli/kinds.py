@@ -12,7 +12,7 @@ from uplift.cli.parsing import POSE_KEYS, SHAPE_KEYS
 from uplift.errors import UserError
 from uplift.metrics.protocols import BEST_BASELINE, SHAPE_METRICS
 
-__all__ = ["KINDS", "Kind"]
+__all__ = ["KINDS", "Kind", "Later"]
 
 
 class Later(str):

@@ -7,10 +7,10 @@ import argparse
 import errno
 import sys
 from collections.abc import Callable, Sequence
-from pathlib import Path
 
 from uplift import __version__
-from uplift.cli.parsing import EVALUATE_KEYS, PREDICT_KEYS, keyed, number, whole
+from uplift.cli.kinds import Later
+from uplift.cli.parsing import EVALUATE_KEYS, PREDICT_KEYS, SIMULATE_KEYS
 from uplift.errors import UserError
 
 __all__ = ["main"]
@@ -137,7 +137,7 @@ def _complete(verb: str) -> Callable[..., list[str]]:
 _KEYS = {
     "evaluate": EVALUATE_KEYS,
     "predict": PREDICT_KEYS,
-    "simulate": ("skeleton", "output", "frames", "seed", "clip_seconds", "noise_px", "missing", "tracker"),
+    "simulate": SIMULATE_KEYS,
 }
 
 
@@ -172,113 +172,60 @@ def _fit(words: Sequence[str]) -> None:
         print(f"\n{spread(runs)}")
 
 
-def _evaluate(words: Sequence[str]) -> None:
-    from uplift.cli.evaluate import evaluate_command
-
-    evaluate_command(words, _VERBS["evaluate"])
-
-
-def _predict(words: Sequence[str]) -> None:
-    from uplift.cli.predict import predict_command
-
-    predict_command(words)
-
-
-def _simulate(words: Sequence[str]) -> None:
-    keys = keyed("simulate", words, _KEYS["simulate"], ("skeleton", "output"))
-    found = {key: whole("simulate", keys, key) for key in ("frames", "seed")}
-    found |= {key: number("simulate", keys, key) for key in ("clip_seconds", "noise_px", "missing")}
-    given = {key: value for key, value in (found | {"tracker": keys.get("tracker")}).items() if value is not None}
-    from uplift.cli.simulate import simulate
-
-    written: list[Path] = []
-    data = simulate(keys["skeleton"], keys["output"], written=written, **given)  # type: ignore[arg-type]
-    output = Path(keys["output"])
-    several = len(written) > 1
-    files = f"{len(written)} files, {written[0]} to {written[-1].name}" if several else output
-    train = f"'{output.with_name(f'{output.stem}_*{output.suffix}')}'" if several else output
-    print(f"simulated {len(data):,} frames of {keys['skeleton']}\nwrote {files}")
-    print(f"next: uplift fit skeleton={keys['skeleton']} data.train={train}")
-
-
 def _compare(words: Sequence[str]) -> None:
-    from uplift.cli.listing import compare
-
-    print(compare(words))
+    print(Later("uplift.cli.listing:compare")(words))
 
 
-def _tasks(words: Sequence[str]) -> None:
-    from uplift.cli.listing import list_tasks
+def _list(verb: str, function: str) -> Callable[[Sequence[str]], None]:
+    def run(words: Sequence[str]) -> None:
+        if words:
+            raise UserError(f"{verb} takes no settings, found '{words[0]}'.")
+        print(Later(function)())
 
-    _refuse(words, "tasks")
-    print(list_tasks())
-
-
-def _skeletons(words: Sequence[str]) -> None:
-    from uplift.cli.listing import list_skeletons
-
-    _refuse(words, "skeletons")
-    print(list_skeletons())
+    return run
 
 
-def _skeleton(words: Sequence[str]) -> int:
-    from uplift.cli.skeleton import check_skeleton_file, new_skeleton_file
+def _by_first_word(functions: dict[str, str], expected: str) -> Callable[[Sequence[str]], int]:
+    """Return a verb that prints the lines of the function that its first word names."""
 
-    fits = True
-    if words and words[0] == "map":
-        from uplift.cli.skeleton import map_joints
+    def run(words: Sequence[str]) -> int:
+        if not words or words[0] not in functions:
+            raise UserError(expected)
+        found = Later(functions[words[0]])(list(words[1:]))
+        lines, complete = found if isinstance(found, tuple) else (found, True)
+        for line in lines:
+            print(line)
+        return 0 if complete else 2
 
-        lines, fits = map_joints(list(words[1:]))
-    elif words and words[0] in ("check", "new"):
-        lines = (check_skeleton_file if words[0] == "check" else new_skeleton_file)(list(words[1:]))
-    else:
-        raise UserError(
-            "skeleton: expected `uplift skeleton check FILE [output=FILE.png]`, `uplift skeleton new FILE "
-            "[--from TRACKER_FILE]` or `uplift skeleton map TRACKER_FILE skeleton=NAME`."
-        )
-    for line in lines:
-        print(line)
-    return 0 if fits else 2
-
-
-def _data(words: Sequence[str]) -> int:
-    if words and words[0] == "check":
-        from uplift.cli.data_check import check_data
-
-        lines, complete = check_data(list(words[1:]))
-    elif words and words[0] == "cmu":
-        from uplift.cli.data_cmu import make_cmu_files
-
-        lines, complete = make_cmu_files(list(words[1:])), True
-    elif words and words[0] == "render":
-        from uplift.cli.data_render import render_masks_command
-
-        lines, complete = render_masks_command(list(words[1:])), True
-    else:
-        raise UserError(
-            "data: expected `uplift data check task=NAME`, `uplift data cmu FOLDER` or "
-            "`uplift data render MESHES output=FILE.npz`."
-        )
-    for line in lines:
-        print(line)
-    return 0 if complete else 2
-
-
-def _refuse(words: Sequence[str], verb: str) -> None:
-    if words:
-        raise UserError(f"{verb} takes no settings, found '{words[0]}'.")
+    return run
 
 
 _RUN: dict[str, Callable[[Sequence[str]], int | None]] = {
     "fit": _fit,
-    "evaluate": _evaluate,
-    "predict": _predict,
-    "simulate": _simulate,
+    "evaluate": Later("uplift.cli.evaluate:evaluate_command"),
+    "predict": Later("uplift.cli.predict:predict_command"),
+    "simulate": Later("uplift.cli.simulate:simulate_command"),
     "compare": _compare,
-    "data": _data,
-    "tasks": _tasks,
-    "skeletons": _skeletons,
-    "skeleton": _skeleton,
+    "data": _by_first_word(
+        {
+            "check": "uplift.cli.data_check:check_data",
+            "cmu": "uplift.cli.data_cmu:make_cmu_files",
+            "render": "uplift.cli.data_render:render_masks_command",
+        },
+        "data: expected `uplift data check task=NAME`, `uplift data cmu FOLDER` or "
+        "`uplift data render MESHES output=FILE.npz`.",
+    ),
+    "tasks": _list("tasks", "uplift.cli.listing:list_tasks"),
+    "skeletons": _list("skeletons", "uplift.cli.listing:list_skeletons"),
+    "skeleton": _by_first_word(
+        {
+            "check": "uplift.cli.skeleton:check_skeleton_file",
+            "new": "uplift.cli.skeleton:new_skeleton_file",
+            "map": "uplift.cli.skeleton:map_joints",
+        },
+        "skeleton: expected `uplift skeleton check FILE [output=FILE.png]`, `uplift skeleton new FILE "
+        "[--from TRACKER_FILE]` or `uplift skeleton map TRACKER_FILE skeleton=NAME`.",
+    ),
 }
 
 if __name__ == "__main__":

@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from uplift.cli.parsing import SIMULATE_KEYS, keyed, number, whole
 from uplift.config.files import refuse_output
 from uplift.data.poses import PoseData
 from uplift.errors import UserError, nearest
 from uplift.skeleton import Skeleton, load_skeleton
 
-__all__ = ["simulate"]
+__all__ = ["simulate", "simulate_command"]
 
 _ENDINGS = (".npz", ".csv")
 _TRACKERS = ("deeplabcut",)
@@ -55,6 +57,22 @@ def simulate(
         if written is not None:
             written += files
     return data
+
+
+def simulate_command(words: Sequence[str]) -> None:
+    """Simulate what the words say, write it, and print what was done."""
+    keys = keyed("simulate", words, SIMULATE_KEYS, ("skeleton", "output"))
+    found = {key: whole("simulate", keys, key) for key in ("frames", "seed")}
+    found |= {key: number("simulate", keys, key) for key in ("clip_seconds", "noise_px", "missing")}
+    given = {key: value for key, value in (found | {"tracker": keys.get("tracker")}).items() if value is not None}
+    written: list[Path] = []
+    data = simulate(keys["skeleton"], keys["output"], written=written, **given)  # type: ignore[arg-type]
+    output = Path(keys["output"])
+    several = len(written) > 1
+    files = f"{len(written)} files, {written[0]} to {written[-1].name}" if several else output
+    train = f"'{output.with_name(f'{output.stem}_*{output.suffix}')}'" if several else output
+    print(f"simulated {len(data):,} frames of {keys['skeleton']}\nwrote {files}")
+    print(f"next: uplift fit skeleton={keys['skeleton']} data.train={train}")
 
 
 def _checked(output: Path, tracker: str | None) -> Path:
