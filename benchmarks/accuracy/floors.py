@@ -19,7 +19,7 @@ from uplift.data.load import load_file
 from uplift.data.poses import PoseData
 from uplift.errors import UserError
 from uplift.geometry.normalise import Normalised, normalise
-from uplift.metrics.evaluate import flat_depth
+from uplift.metrics.baselines import flat_depth
 from uplift.skeleton import Skeleton, load_skeleton
 
 __all__ = ["flat", "nearest", "nearest_rows"]

@@ -68,7 +68,7 @@ def _measure(found: dict[str, Any], given: argparse.Namespace, folder: Path) -> 
         rows = cell.walk(given.rows).rows
         if _wanted(found, given, "read", cell.name, "rows", rows):
             _keep(found, given, "read", cell.name, _reader(cell, rows, folder, given))
-    for ending in WRITERS:
+    for ending in WRITERS["poses"]:
         name = f"write {ending}"
         frames = (
             max(given.frames // 100, 1) if ending in FILMS else min(given.frames, MOST_FRAMES.get(ending, given.frames))
@@ -141,7 +141,7 @@ def _keep(found: dict[str, Any], given: argparse.Namespace, kind: str, name: str
              if getattr(given, key) != usual]  # fmt: skip
     result["commit"] = machine["commit"]
     found.setdefault(kind, {})[name] = result
-    order = [cell.name for cell in CELLS] if kind == "read" else [f"write {ending}" for ending in WRITERS]
+    order = [cell.name for cell in CELLS] if kind == "read" else [f"write {ending}" for ending in WRITERS["poses"]]
     found[kind] = {one: found[kind][one] for one in order if one in found[kind]}
     found.update({"command": " ".join(["python -m benchmarks.reading", *words]), **machine})
     parts = ("read", "write")

@@ -22,7 +22,7 @@ from uplift.config.settings import Settings
 from uplift.data.formats.masks_npz import read_masks_npz
 from uplift.data.synthetic.masks import FAMILIES as MADE_UP
 from uplift.data.synthetic.masks import simulate_masks
-from uplift.metrics.baselines import floors, score_with_floors
+from uplift.metrics.baselines import score_with_baselines, shape_baselines
 
 
 @pytest.fixture
@@ -47,8 +47,8 @@ def quick_fit(settings: Settings) -> RunFolder:
     else:
         train, test = (read_masks_npz(str(path)).select(np.arange(3)) for path in (data.train, data.test))
     run = RunFolder.create(settings, "uplift fit")
-    found = floors(train, test, resolution=16)
-    scored = score_with_floors(found["hull"], train, test, "made-up", found, resolution=24)
+    found = shape_baselines(train, test, resolution=16)
+    scored = score_with_baselines(found["hull"], train, test, "made-up", found, resolution=24)
     (run.path / "evaluation.json").write_text(json.dumps(scored.to_dict()))
     return run
 

@@ -179,7 +179,7 @@ def test_a_wrong_file_is_told_from_a_missing_one(wrong, says: str, here: Path, c
     text = capsys.readouterr().out
     assert re.search(r"  WRONG    .*a\.npz", text)
     assert says in text
-    assert "next: mend or replace what is wrong" in text
+    assert "next: fix or replace what is wrong" in text
 
 
 @pytest.mark.parametrize(
@@ -188,7 +188,7 @@ def test_a_wrong_file_is_told_from_a_missing_one(wrong, says: str, here: Path, c
         ([], "expected `uplift data check task=NAME`"),
         (["chek"], "expected `uplift data check task=NAME`"),
         (["check", "task=cmuu"], "Did you mean 'cmu'?"),
-        (["check", "task="], "names nothing"),
+        (["check", "task="], "has no value"),
         (["check", "task=cmu", "data.rot=x"], "Did you mean 'data.root'?"),
         (["check", "skeleton=h36m17"], "set data.train=FILE"),
         (["check", "task=beetles.yaml", "data.options.nose=1"], "Did you mean 'noise'?"),

@@ -108,7 +108,7 @@ def test_nothing_is_overwritten(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        ("output=a.npz", "takes files of meshes, folders of them, or made-up shapes"),
+        ("output=a.npz", "takes files of meshes, folders of them, or simulated shapes"),
         ("furniture", "output=FILE.npz"),
         ("furnitur output=a.npz", "no file, folder or family of shapes 'furnitur'. Did you mean 'furniture'"),
         ("none.obj output=a.npz", "no such file"),

@@ -68,8 +68,8 @@ def test_an_unknown_verb_or_flag_ends_with_status_2(words: list[str], capsys: py
 @pytest.mark.parametrize(
     ("words", "says"),
     [
-        (["fit", "task="], "names nothing"),
-        (["fit", "resume"], "names nothing"),
+        (["fit", "task="], "has no value"),
+        (["fit", "resume"], "has no value"),
         (["fit", "demo"], "Did you mean task=demo?"),
         (["fit", "skeleton=h36m17", "seed=0,x"], "seed"),
         (["fit", "skeleton=h36m17", "seed=0,,1"], "seed"),
@@ -251,7 +251,7 @@ def test_the_demo_needs_no_data(here: Path, capsys: pytest.CaptureFixture) -> No
     ("error", "status", "says"),
     [
         (OSError(28, "No space left on device", "a.npz"), 1, "No space left on device (a.npz). What was saved"),
-        (OSError(5, "Input/output error"), 1, "Input/output error. What was saved before is whole."),
+        (OSError(5, "Input/output error"), 1, "Input/output error. What was saved before is complete."),
         (PermissionError(13, "Permission denied", "a.npz"), 2, "Permission denied (a.npz).\n"),
         (OSError(30, "Read-only file system", "a.npz"), 2, "Read-only file system (a.npz).\n"),
         (MemoryError(), 1, "out of memory"),

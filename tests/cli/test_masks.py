@@ -116,7 +116,7 @@ def test_masks_of_ones_own_without_truth(masks: Path, capsys) -> None:
     write_masks_npz(simulate_masks("chairs", 5, seed=9, side=48), "truth.npz")
     assert status_of("evaluate", f"run={last}", "data.test=truth.npz") == 0
     text = capsys.readouterr().out
-    assert "no floors: they are made of true training shapes" in text
+    assert "no baselines: they are made of true training shapes" in text
     assert "truth.npz: 5 shapes" in text
     assert "no true shapes to compare with" in refusal(capsys, "evaluate", f"run={last}", "data.test=masks")
 
@@ -233,12 +233,13 @@ def test_evaluate_and_compare_keep_the_kinds_apart(run: Path, capsys) -> None:
     assert len({line.rindex(" ") for line in table}) == 1
     other = Path(shutil.copytree(run, run.with_name("poses")))
     (other / "evaluation.json").write_text(json.dumps({"data": "x", "overall": {"mpjpe": 50.0}}))
+    (other / "config.yaml").write_text("lifts: keypoints\n")
     assert "lifts masks and" in refusal(capsys, "compare", str(run), str(other))
 
 
 def test_data_check_and_tasks(masks: Path, capsys) -> None:
     assert status_of("data", "check", "task=masks_demo") == 0
-    assert "train, test: 4,000 masks of made-up chairs" in capsys.readouterr().out
+    assert "train, test: 4,000 masks of simulated chairs" in capsys.readouterr().out
     assert status_of("data", "check", "task=masks", "data.train=masks") == 0
     assert "3 pictures, pictures of masks" in capsys.readouterr().out
     write_masks_npz(simulate_masks("chairs", 5, seed=9, side=48), "truth.npz")
@@ -249,7 +250,7 @@ def test_data_check_and_tasks(masks: Path, capsys) -> None:
     Path("bad.npz").write_bytes(b"no archive")
     assert status_of("data", "check", "task=masks", "data.train=bad.npz") == 2
     assert "WRONG" in capsys.readouterr().out
-    assert "made-up" not in refusal(capsys, "data", "check", "task=masks_demo", "data.family=char")
+    assert "simulated" not in refusal(capsys, "data", "check", "task=masks_demo", "data.family=char")
     assert status_of("tasks") == 0
     text = capsys.readouterr().out
     assert "masks_demo         no data needed" in text

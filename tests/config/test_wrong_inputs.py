@@ -139,7 +139,7 @@ def test_a_wrong_data_file(kind: str, verb: str, here: Path, run: Path, capsys: 
         ({"pose": np.full((60, 17, 3), np.nan)}, "nothing to compare"),
         ({"joint_names": np.array("hip")}, "'joint_names'"),
         ({"joint_names": np.arange(17)}, "'joint_names'"),
-        ({"joint_names": np.array(list("abcdefghijklmnopq"))}, "no shipped skeleton's"),
+        ({"joint_names": np.array(list("abcdefghijklmnopq"))}, "no shipped skeleton has its joints"),
         ({"unit": np.array("cm")}, "'unit' is 'cm'"),
         ({"tilt_deg": np.zeros(3)}, "'tilt_deg' is float64 of shape (3,)"),
         ({"tilt_deg": np.array(["x"] * 60)}, "'tilt_deg'"),

@@ -295,19 +295,19 @@ def test_every_format_is_documented() -> None:
 
     trackers, output = ((ROOT / "docs" / name).read_text() for name in ("trackers.md", "output.md"))
     assert [name for name in KEYPOINT_FORMATS if f"| `{name}` |" not in trackers] == []
-    assert [ending for ending in WRITERS if f"`{ending}`" not in output] == []
+    assert [ending for ending in WRITERS["poses"] if f"`{ending}`" not in output] == []
 
 
 def test_everything_of_masks_and_shapes_is_documented() -> None:
     from uplift.data.formats import MASK_FORMATS
-    from uplift.export import SHAPE_WRITERS
+    from uplift.export import WRITERS
     from uplift.metrics.protocols import SHAPE_METRICS
 
     masks, output, metrics = (
         (ROOT / f"docs/{name}.md").read_text() for name in ("masks-input", "shapes-output", "shape-metrics")
     )
     assert [name for name in MASK_FORMATS if f"| `{name}` |" not in masks] == []
-    assert [ending for ending in SHAPE_WRITERS if f"| `{ending}` |" not in output] == []
+    assert [ending for ending in WRITERS["shapes"] if f"| `{ending}` |" not in output] == []
     assert [name for name in SHAPE_METRICS if f"| `{name}` |" not in metrics] == []
     page = (ROOT / "docs/masks-data.md").read_text()
     assert [key for key in RENDER_KEYS if f"| `{key}=` |" not in page] == []

@@ -16,6 +16,7 @@ from PIL import Image
 from writers_samples import chain, prediction
 
 from uplift.errors import UserError
+from uplift.export.clips import one_clip
 from uplift.export.film import (
     CARD,
     HIGH,
@@ -30,7 +31,7 @@ from uplift.export.film import (
     turns_deg,
     write_film,
 )
-from uplift.export.scene import in_axes, one_clip
+from uplift.export.scene import in_axes
 from uplift.models.prediction import Prediction
 
 _LEFT_HALF, _RIGHT_HALF = slice(24, 536), slice(560, 1256)

@@ -24,7 +24,8 @@ from uplift.config.settings import LifterSettings
 from uplift.data.formats import read
 from uplift.errors import UserError
 from uplift.export import write
-from uplift.export.gallery import Crop, Photos, chosen_rows, crop_of, filled_points, gallery_text, turned
+from uplift.export.gallery import Crop, chosen_rows, crop_of, filled_points, gallery_text, photo_svg, turned
+from uplift.export.html import Photos
 from uplift.models.model import Model, build_lifter
 from uplift.models.prediction import Prediction
 from uplift.skeleton import Skeleton, load_skeleton
@@ -255,7 +256,7 @@ def test_photos_are_cropped_to_the_body_and_small(tmp_path: Path) -> None:
 
 def test_a_crop_beyond_the_photos_edge_stays_in_its_place(tmp_path: Path) -> None:
     Image.fromarray(np.full((100, 200, 3), 90, np.uint8)).save(tmp_path / "a.png")
-    found = Photos(tmp_path).cropped("a", Crop(-50.0, 20.0, 100.0))
+    found = photo_svg(Photos(tmp_path), "a", Crop(-50.0, 20.0, 100.0))
     place = [float(re.search(rf'{name}="([\d.]+)"', found)[1]) for name in ("x", "y", "width", "height")]  # type: ignore[index]
     assert place == [200, 0, 200, 320]
 
@@ -266,9 +267,9 @@ def test_photos_that_are_absent_or_damaged_are_told(tmp_path: Path) -> None:
     (tmp_path / "photos" / "002.jpg").write_bytes(b"no photo")
     text = gallery_text(sample, images=tmp_path / "photos")
     assert [_embedded(frame) is None for frame in frames_of(text)] == [False, True, True, False]
-    notes = "".join(parsed(text).find("footer").itertext())  # type: ignore[union-attr]
+    notes = "".join(parsed(text).find(".//footer").itertext())  # type: ignore[union-attr]
     assert "1 of 4 photos is not in photos: 001.jpg" in notes
-    assert "1 of 4 photos is no use: 002.jpg (" in notes
+    assert "1 of 4 photos is unusable: 002.jpg (" in notes
 
 
 def test_a_folder_without_the_photos_is_refused(tmp_path: Path) -> None:
@@ -291,15 +292,15 @@ def test_no_name_leads_out_of_the_folder(name: str, tmp_path: Path) -> None:
     (tmp_path / "photos").mkdir()
     Image.fromarray(np.zeros((20, 20, 3), np.uint8)).save(tmp_path / "secret.png")
     photos = Photos(tmp_path / "photos")
-    assert photos.cropped(name.format(outside=tmp_path), Crop(0.0, 0.0, 20.0)) == ""
+    assert photo_svg(photos, name.format(outside=tmp_path), Crop(0.0, 0.0, 20.0)) == ""
     assert photos.absent
 
 
 def test_a_body_outside_of_its_photo_is_told(tmp_path: Path) -> None:
     Image.fromarray(np.zeros((20, 20, 3), np.uint8)).save(tmp_path / "a.png")
     photos = Photos(tmp_path)
-    assert photos.cropped("a.png", Crop(500.0, 500.0, 50.0)) == ""
-    assert "the body is not in it" in photos.unreadable[0]
+    assert photo_svg(photos, "a.png", Crop(500.0, 500.0, 50.0)) == ""
+    assert "what is to be shown is not in it" in photos.unreadable[0]
 
 
 def test_a_crop_holds_all_points() -> None:

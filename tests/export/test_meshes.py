@@ -12,7 +12,7 @@ import trimesh
 from shape_samples import AZIMUTH, OFFSET, SCALE, SCALE_PX, marked, shapes, view
 
 from uplift.errors import UserError
-from uplift.export import SHAPE_WRITERS, shape_writer_for, write_shapes
+from uplift.export import WRITERS, write, writer_for
 from uplift.export.meshes import SHAPE_AXES
 from uplift.geometry.surface import surface_of
 
@@ -76,8 +76,8 @@ def test_every_axes_is_tested_and_right_handed() -> None:
 @pytest.mark.parametrize("suffix", [".glb", ".obj", ".ply", ".stl"])
 @pytest.mark.parametrize("axes", [None, *_EXPECTED])
 def test_front_left_and_up_end_where_the_axes_have_them(tmp_path: Path, suffix: str, axes: str | None) -> None:
-    ((path, told),) = write_shapes(shapes(), tmp_path / f"a{suffix}", axes=axes).items()
-    solid, used = _read(path), axes or SHAPE_WRITERS[suffix].axes
+    ((path, told),) = write(shapes(), tmp_path / f"a{suffix}", axes=axes).items()
+    solid, used = _read(path), axes or WRITERS["shapes"][suffix].axes
     assert told == "" and solid.is_watertight and solid.is_winding_consistent
     seen = used not in ("own", "gltf", "print")
     middle = np.array([*OFFSET, 0]) * SCALE_PX if seen else np.zeros(3)
@@ -103,14 +103,14 @@ def test_sizes_are_those_of_the_unit(tmp_path: Path, suffix: str) -> None:
         ({"length_mm": 500.0, "unit": "mm"}, 500 / longest * in_file),
     ]
     for number, (options, factor) in enumerate(cases):
-        (path,) = write_shapes(shapes(), tmp_path / f"{number}{suffix}", axes="own", **options)
+        (path,) = write(shapes(), tmp_path / f"{number}{suffix}", axes="own", **options)
         found = _read(path)
         np.testing.assert_allclose(found.extents, own.extents * factor, rtol=1e-4)
         assert found.volume == pytest.approx(own.volume * factor**3, rel=1e-3)
 
 
 def test_a_mesh_in_the_camera_frame_covers_the_mask_it_came_from(tmp_path: Path) -> None:
-    (path,) = write_shapes(shapes(), tmp_path / "a.ply", smooth=0)
+    (path,) = write(shapes(), tmp_path / "a.ply", smooth=0)
     solid = _read(path)
     mesh = surface_of(marked()).mesh
     assert mesh is not None
@@ -121,7 +121,7 @@ def test_a_mesh_in_the_camera_frame_covers_the_mask_it_came_from(tmp_path: Path)
 def test_items_of_a_scene_stand_side_by_side_under_their_names(tmp_path: Path) -> None:
     sample = shapes(3, ["chair.png", "b/chair.png:2", "chair.png"])
     sample.occupancy[1] *= 0.4
-    ((path, told),) = write_shapes(sample, tmp_path / "all.glb").items()
+    ((path, told),) = write(sample, tmp_path / "all.glb").items()
     assert told == "without a surface: b/chair.png:2 (empty: the largest occupancy is 0.4, the surface lies at 0.5)"
     file = pygltflib.GLTF2().load(str(path))
     assert file is not None
@@ -140,17 +140,17 @@ def test_items_of_a_scene_stand_side_by_side_under_their_names(tmp_path: Path) -
 
 
 def test_many_items_get_a_file_each(tmp_path: Path) -> None:
-    assert len(write_shapes(shapes(17), tmp_path / "a.glb")) == 17
-    assert len(write_shapes(shapes(17), tmp_path / "one.glb", together=True)) == 1
-    paths = write_shapes(shapes(2, ["dir/a b.png:1", "dir/a b.png:1"]), tmp_path / "b.stl")
+    assert len(write(shapes(17), tmp_path / "a.glb")) == 17
+    assert len(write(shapes(17), tmp_path / "one.glb", together=True)) == 1
+    paths = write(shapes(2, ["dir/a b.png:1", "dir/a b.png:1"]), tmp_path / "b.stl")
     assert [path.name for path in paths] == ["b_dir-a-b.png-1.stl", "b_dir-a-b.png-1_2.stl"]
 
 
 def test_text_of_files_says_unit_axes_and_place(tmp_path: Path) -> None:
     sample = shapes(1, ["line\nbreak é"])
-    (obj,) = write_shapes(sample, tmp_path / "a.obj")
-    (ply,) = write_shapes(sample, tmp_path / "a.ply", length_mm=1200)
-    (stl,) = write_shapes(sample, tmp_path / "a.stl")
+    (obj,) = write(sample, tmp_path / "a.obj")
+    (ply,) = write(sample, tmp_path / "a.ply", length_mm=1200)
+    (stl,) = write(sample, tmp_path / "a.stl")
     lines = obj.read_text().splitlines()
     comments = [line for line in lines if line.startswith("#")]
     assert any("unit: px (pixels" in line for line in comments) and any("axes: gltf (y up" in line for line in comments)
@@ -164,7 +164,7 @@ def test_text_of_files_says_unit_axes_and_place(tmp_path: Path) -> None:
 def test_grids_come_back(tmp_path: Path) -> None:
     sample = shapes(2)
     for name in ("a", "b"):
-        write_shapes(sample, tmp_path / f"{name}.npz")
+        write(sample, tmp_path / f"{name}.npz")
     assert (tmp_path / "a.npz").read_bytes() == (tmp_path / "b.npz").read_bytes()
     found = np.load(tmp_path / "a.npz", allow_pickle=False)
     np.testing.assert_array_equal(found["occupancy"], sample.occupancy)
@@ -195,7 +195,7 @@ def test_grids_come_back(tmp_path: Path) -> None:
 )
 def test_mistakes_are_told(tmp_path: Path, name: str, options: dict, told: str) -> None:
     with pytest.raises(UserError, match=told):
-        write_shapes(shapes(), tmp_path / name, **options)
+        write(shapes(), tmp_path / name, **options)
     assert not list(tmp_path.iterdir())
 
 
@@ -204,17 +204,17 @@ def test_nothing_is_overwritten_and_empty_shapes_are_refused(tmp_path: Path) -> 
     (tmp_path / "b_item-1.stl").write_text("mine")
     for name, count in (("a.stl", 1), ("b.stl", 2)):
         with pytest.raises(UserError, match="not overwritten"):
-            write_shapes(shapes(count), tmp_path / name)
+            write(shapes(count), tmp_path / name)
     assert {path.read_text() for path in tmp_path.iterdir()} == {"mine"}
     empty = shapes()
     empty.occupancy[:] = 0
     with pytest.raises(UserError, match="no surface to write: empty"):
-        write_shapes(empty, tmp_path / "c.glb")
+        write(empty, tmp_path / "c.glb")
 
 
 def test_writers_are_found_by_extension() -> None:
-    assert shape_writer_for("a.GLB") is SHAPE_WRITERS[".glb"]
-    assert shape_writer_for("a.html", "gallery").where.endswith("write_shape_gallery")
+    assert writer_for("a.GLB", of="shapes") is WRITERS["shapes"][".glb"]
+    assert writer_for("a.html", "gallery", "shapes").where.endswith("write_shape_gallery")
 
 
 def test_the_example_of_the_documents_runs(here: Path) -> None:
@@ -223,5 +223,5 @@ def test_the_example_of_the_documents_runs(here: Path) -> None:
     exec(example, {})
     assert _read(here / "ball.stl").extents.max() == pytest.approx(60, rel=1e-3)
     assert "A ball." in (here / "ball.html").read_text()
-    assert [ending for ending in SHAPE_WRITERS if f"| `{ending}` |" not in text] == []
+    assert [ending for ending in WRITERS["shapes"] if f"| `{ending}` |" not in text] == []
     assert [axes for axes in SHAPE_AXES if f"`{axes}`" not in text] == []

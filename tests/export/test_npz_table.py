@@ -13,8 +13,7 @@ from writers_samples import figure, prediction
 
 from uplift.config.files import replacing
 from uplift.errors import UserError
-from uplift.export import WRITERS, write
-from uplift.export.clips import parts_of
+from uplift.export import WRITERS, parts_of, write
 from uplift.models.prediction import Prediction
 
 
@@ -71,7 +70,7 @@ def test_same_prediction_gives_same_bytes(sample: Prediction, tmp_path: Path) ->
 def test_unknown_extension_names_the_valid_ones(sample: Prediction, tmp_path: Path, name: str) -> None:
     with pytest.raises(UserError) as error:
         write(sample, tmp_path / name)
-    assert all(extension in str(error.value) for extension in WRITERS)
+    assert all(extension in str(error.value) for extension in WRITERS["poses"])
     assert not list(tmp_path.iterdir())
 
 
@@ -80,7 +79,7 @@ def test_near_extension_is_suggested(sample: Prediction, tmp_path: Path) -> None
         write(sample, tmp_path / "page.htm")
 
 
-@pytest.mark.parametrize("extension", sorted(WRITERS))
+@pytest.mark.parametrize("extension", sorted(WRITERS["poses"]))
 def test_missing_folder_and_folder_in_the_way(sample: Prediction, tmp_path: Path, extension: str) -> None:
     with pytest.raises(UserError, match="does not exist"):
         write(sample, tmp_path / "nowhere" / f"poses{extension}")
@@ -90,7 +89,7 @@ def test_missing_folder_and_folder_in_the_way(sample: Prediction, tmp_path: Path
         write(sample, tmp_path / f"poses{extension}")
 
 
-@pytest.mark.parametrize("extension", sorted(WRITERS))
+@pytest.mark.parametrize("extension", sorted(WRITERS["poses"]))
 def test_full_disk_leaves_the_old_file(
     sample: Prediction, tmp_path: Path, extension: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -15,8 +15,9 @@ from writers_samples import figure, prediction
 
 from uplift.errors import UserError
 from uplift.export import write
-from uplift.export.clips import arrange, choose
-from uplift.export.page import curve_charts, pack, page_text, read_html, unpack
+from uplift.export.clips import arrange
+from uplift.export.html import curve_charts, pack, read_html, unpack
+from uplift.export.page import choose, page_text
 from uplift.models.prediction import Prediction
 from uplift.skeleton import Skeleton
 from uplift.skeleton.core import CENTRE, LEFT, RIGHT, joint_sides

@@ -18,8 +18,8 @@ from shape_samples import AZIMUTH, TILT, marked, shapes, view
 
 from uplift.data.masks import Placed
 from uplift.errors import UserError
-from uplift.export import write_shapes
-from uplift.export.page import read_html
+from uplift.export import write
+from uplift.export.html import read_html
 from uplift.export.shape_page import shape_page_text, write_shape_page
 from uplift.geometry.mesh import Mesh
 from uplift.geometry.surface import surface_of
@@ -147,7 +147,7 @@ def show(browser: Browser, tmp_path: Path) -> Open:
     """Return a function that writes a prediction's page and opens it."""
 
     def opened(sample: ShapePrediction, page: str | None = None, **more: Any) -> Page:
-        write_shapes(sample, tmp_path / "page.html", page=page, **more)
+        write(sample, tmp_path / "page.html", page=page, **more)
         return Page(browser, tmp_path / "page.html", 760, 700)
 
     return opened

@@ -12,15 +12,15 @@ from typing import Any
 import numpy as np
 import pytest
 
-from uplift.cli import evaluate as evaluate_shapes
+from uplift.cli import evaluate
 from uplift.config.files import save_torch
 from uplift.config.run import RunFolder, Weights
 from uplift.config.settings import Settings, ShapeSettings
 from uplift.data.load_masks import LoadedMasks
 from uplift.data.masks import MaskData
-from uplift.metrics import baselines as shape_floors
+from uplift.metrics import baselines
 from uplift.metrics import shape_metrics as shape_item
-from uplift.metrics.baselines import floors, score_with_floors
+from uplift.metrics.baselines import score_with_baselines, shape_baselines
 from uplift.metrics.shape_metrics import grid_surface, mesh_surface
 from uplift.models import model as model_module
 from uplift.models.mixture import ShapeMixture
@@ -64,7 +64,7 @@ def _thick(thick: float) -> ShapeMixture:
 
 
 def stand_in(patch: pytest.MonkeyPatch, stop: bool = False) -> list[LoadedMasks]:
-    """Put the stand-in in the place of the lifter and its training, and quick floors; return what each training was given.
+    """Put the stand-in in the place of the lifter and its training, and quick baselines; return what each training was given.
 
     ``stop``: as if Ctrl-C were pressed once there is a checkpoint.
     """
@@ -89,8 +89,8 @@ def stand_in(patch: pytest.MonkeyPatch, stop: bool = False) -> list[LoadedMasks]
     module.ShapeRecipe = ShapeRecipe  # type: ignore[attr-defined]
     patch.setitem(sys.modules, "uplift.training.shape_recipe", module)
     patch.setattr(model_module, "ShapeModel", StandInModel)
-    patch.setattr(shape_floors, "floors", partial(floors, resolution=12, sample=6))
+    patch.setattr(baselines, "shape_baselines", partial(shape_baselines, resolution=12, sample=6))
     for sampled in (mesh_surface, grid_surface):
         patch.setattr(shape_item, sampled.__name__, partial(sampled, points=400))
-    patch.setattr(evaluate_shapes, "score_with_floors", partial(score_with_floors, resolution=16))
+    patch.setattr(evaluate, "score_with_baselines", partial(score_with_baselines, resolution=16))
     return given

@@ -13,7 +13,8 @@ import pytest
 from uplift.data.poses import PoseData
 from uplift.errors import UserError
 from uplift.metrics import pose_metrics as metrics
-from uplift.metrics.evaluate import evaluate, flat_depth
+from uplift.metrics.baselines import flat_depth
+from uplift.metrics.evaluate import evaluate
 from uplift.metrics.protocols import PROTOCOLS
 from uplift.metrics.scores import GivenPoses, previous_rows
 from uplift.skeleton import Skeleton, load_skeleton

@@ -131,7 +131,7 @@ def test_truths_that_are_their_own_mirror_image_have_no_handedness():
 
 
 def test_an_evaluation_is_told_as_data_csv_and_table(scored, tmp_path):
-    result = replace(scored["small"], floors={"hull": scored["coarse"].overall})
+    result = replace(scored["small"], baselines={"hull": scored["coarse"].overall})
     told = json.loads(json.dumps(result.to_dict()))
     assert told["data"] == "boxes" and told["overall"]["volume_iou"] == result.overall["volume_iou"]
     assert told["floors"]["hull"]["f_score"] == scored["coarse"].overall["f_score"]

@@ -9,9 +9,10 @@ from pathlib import Path
 
 import numpy as np
 
+from uplift.cli.kinds import KINDS
 from uplift.config.files import data_root, files_of
 from uplift.config.loading import load_settings, split_words
-from uplift.config.settings import DataSettings, Settings
+from uplift.config.settings import Settings
 from uplift.data.datasets import DataSet
 from uplift.data.datasets.base import cached_facts
 from uplift.data.formats import MASK_FORMATS
@@ -23,46 +24,18 @@ from uplift.errors import UserError, did_you_mean
 from uplift.skeleton import Skeleton, load_skeleton
 from uplift.skeleton.match import build_joints
 
-__all__ = ["check_data"]
-
-# What data check says of a file or folder of masks: a look at it, without opening every picture.
-
-
-def _made_up_masks(data: DataSettings) -> str:
-    """Return what a fit makes up; raises UserError for no such family."""
-    from uplift.data.synthetic.masks import FAMILIES
-
-    if data.family not in FAMILIES:
-        raise UserError(f"data.family={data.family}: no such family of shapes.{did_you_mean(data.family, FAMILIES)}")
-    return f"{data.simulate:,} masks of made-up {data.family}"
-
-
-def _masks_there(path: Path, data: DataSettings) -> str:
-    """Return in a few words what ``path`` holds; raises UserError where that is no masks."""
-    peek = Peek(path)
-    found = MASK_FORMATS.guess(peek) if data.format is None else MASK_FORMATS.named(data.format, "data.format")
-    if found.name == "npz":
-        masks = read_masks_npz(path)
-        truth = "no" if masks.truth is None else "with"
-        return f"{len(masks):,} masks of {masks.side} x {masks.side} px, {truth} true shapes"
-    count = f"{len(peek.pictures):,} pictures, " if peek.pictures else ""
-    return f"{count}{found.title}; each is looked at when the fit starts"
-
-
-# The verb data check: which files a task needs, which are there, and what they cost to load.
-
-_SIMULATED = {"keypoints", "pose", "root", "tilt_deg"}
+__all__ = ["check_data", "keypoint_file", "mask_file", "simulated_keypoints", "simulated_masks"]
 
 
 def check_data(words: Sequence[str]) -> tuple[list[str], bool]:
-    """Return what to say of a task's data, and whether a fit has all that it needs.
+    """Return the lines on a task's data, and whether a fit has all that it needs.
 
     Raises:
         UserError: no such task, set, option or split; no data named.
     """
     task = split_words(words)[1].get("task")
     if task == "":
-        raise UserError("data check: 'task=' names nothing. Expected task=NAME.")
+        raise UserError("data check: 'task=' has no value. Expected task=NAME.")
     settings = load_settings(task, [word for word in words if word.partition("=")[0] != "task"])
     report = _Report(settings)
     if settings.data.simulate:
@@ -88,19 +61,13 @@ class _Report:
         self.folder: Path | None = None
 
     def simulated(self, settings: Settings) -> None:
-        """Say that nothing is needed."""
-        frames = settings.data.simulate
-        if settings.lifts == "masks":
-            cost = f"; {_size(frames * settings.data.side**2)} in memory"
-            what = _made_up_masks(settings.data)
-            self.lines.append(f"train, test: {what}, when the fit starts: no files needed{cost}")
-            return
-        joints = len(self.skeleton.joints) if self.skeleton else 0
-        cost = f"; {_size(memory_of(_SIMULATED, frames, joints))} in memory" if joints else ""
-        self.lines.append(f"train, test: simulated when the fit starts, {frames:,} frames: no files needed{cost}")
+        """Add that nothing is needed."""
+        what, size = KINDS[settings.lifts].check_simulated(settings, self.skeleton)
+        cost = f"; {_size(size)} in memory" if size else ""
+        self.lines.append(f"train, test: {what}: no files needed{cost}")
 
     def part(self, title: str, settings: Settings, which: str) -> None:
-        """Say what is there of the ``train`` or ``test`` frames of ``settings``."""
+        """Add what is there of the ``train`` or ``test`` frames of ``settings``."""
         found = named_set(settings, which)
         folder = data_root(settings.data.name, settings.data.root).absolute()
         if settings.data.name and folder != self.folder:
@@ -110,7 +77,7 @@ class _Report:
             self.missing.setdefault(how_to_get(settings, found[0] if found else None))
 
     def _set(self, title: str, source: DataSet, split: str) -> bool:
-        """Say what is there of a split; returns whether it is all there."""
+        """Add what is there of a split; returns whether it is all there."""
         self.lines.append(f"{title}: {source.title or type(source).__name__}, split '{split}'")
         files = source.files(split)
         for file in files:
@@ -130,10 +97,10 @@ class _Report:
         return True
 
     def _file(self, title: str, settings: Settings, which: str) -> bool:
-        """Say what is there of a file of keypoints or masks; returns whether it is there."""
+        """Add what is there of a file of keypoints or masks; returns whether it is there."""
         name = getattr(settings.data, which)
         if not name:
-            find_data(settings, which)  # says what to set
+            find_data(settings, which)  # raises, naming what to set
         folder = data_root(settings.data.name, settings.data.root)
         try:
             paths = files_of(find_data(settings, which))
@@ -147,26 +114,12 @@ class _Report:
             return False
         for path in paths:
             try:
-                self.lines.append(f"  to load: {self._cost(path, settings)}")
+                holds = KINDS[settings.lifts].check_file(path, settings, self.skeleton)
+                self.lines.append(f"  to load: {holds}")
             except UserError as error:
                 self.wrong = True
                 self.lines.append(f"  WRONG    {error}")
         return True
-
-    def _cost(self, path: Path, settings: Settings) -> str:
-        """Return frames, joints and memory, or how many masks; raises UserError for a file that a fit would refuse."""
-        if settings.lifts == "masks":
-            return _masks_there(path, settings.data)
-        found = contents_of(path, read_options(settings.data))
-        joints = len(found.joint_names)
-        if self.skeleton is not None:
-            blank = np.zeros((1, joints, 2), np.float32), np.ones((1, joints), np.float32)
-            try:
-                build_joints(*blank, found.joint_names, self.skeleton)
-            except UserError as error:
-                raise UserError(f"{path}: {error}") from None
-        poses = "with" if found.has_pose else "no"
-        return f"{found.frames:,} frames of {joints} joints, {poses} poses, {_size(found.memory)} in memory"
 
     def _line(self, path: Path, what: str, present: bool) -> None:
         if present:
@@ -177,12 +130,66 @@ class _Report:
 
     def ended(self, words: str) -> list[str]:
         """Return all lines, with where missing files come from and what to do next."""
-        for told in self.missing:
-            self.lines += ["", *told.splitlines()]
+        for source in self.missing:
+            self.lines += ["", *source.splitlines()]
         if self.missing or self.wrong:
-            what = "put them there" if self.missing else "mend or replace what is wrong"
+            what = "put them there" if self.missing else "fix or replace what is wrong"
             return [*self.lines, "", f"next: {what}, then uplift data check {words}"]
         return [*self.lines, "", f"next: uplift fit {words}"]
+
+
+# Keypoints: what is simulated, and what a file holds.
+
+_SIMULATED = {"keypoints", "pose", "root", "tilt_deg"}
+
+
+def simulated_keypoints(settings: Settings, skeleton: Skeleton | None) -> tuple[str, int]:
+    """Return what a fit simulates, and its bytes in memory, 0 where they are not known."""
+    frames, joints = settings.data.simulate, len(skeleton.joints) if skeleton else 0
+    size = memory_of(_SIMULATED, frames, joints) if joints else 0
+    return f"simulated when the fit starts, {frames:,} frames", size
+
+
+def keypoint_file(path: Path, settings: Settings, skeleton: Skeleton | None) -> str:
+    """Return frames, joints and memory of a file; raises UserError for one that a fit would refuse."""
+    found = contents_of(path, read_options(settings.data))
+    joints = len(found.joint_names)
+    if skeleton is not None:
+        blank = np.zeros((1, joints, 2), np.float32), np.ones((1, joints), np.float32)
+        try:
+            build_joints(*blank, found.joint_names, skeleton)
+        except UserError as error:
+            raise UserError(f"{path}: {error}") from None
+    poses = "with" if found.has_pose else "no"
+    return f"{found.frames:,} frames of {joints} joints, {poses} poses, {_size(found.memory)} in memory"
+
+
+# Masks: what is simulated, and what a file or folder holds, without opening every picture.
+
+
+def simulated_masks(settings: Settings, skeleton: Skeleton | None) -> tuple[str, int]:
+    """Return what a fit simulates, and its bytes in memory; raises UserError for an unknown family of shapes."""
+    from uplift.data.synthetic.masks import FAMILIES
+
+    data = settings.data
+    if data.family not in FAMILIES:
+        raise UserError(f"data.family={data.family}: no such family of shapes.{did_you_mean(data.family, FAMILIES)}")
+    return f"{data.simulate:,} masks of simulated {data.family}, when the fit starts", data.simulate * data.side**2
+
+
+def mask_file(path: Path, settings: Settings, skeleton: Skeleton | None) -> str:
+    """Return in a few words what a file or folder holds; raises UserError where that is not masks."""
+    peek, chosen = Peek(path), settings.data.format
+    found = MASK_FORMATS.guess(peek) if chosen is None else MASK_FORMATS.named(chosen, "data.format")
+    if found.name == "npz":
+        masks = read_masks_npz(path)
+        truth = "no" if masks.truth is None else "with"
+        return f"{len(masks):,} masks of {masks.side} x {masks.side} px, {truth} true shapes"
+    count = f"{len(peek.pictures):,} pictures, " if peek.pictures else ""
+    return f"{count}{found.title}; each is looked at when the fit starts"
+
+
+# Sizes of files.
 
 
 def _unpacked(path: Path) -> int:

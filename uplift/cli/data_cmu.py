@@ -8,6 +8,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from uplift.cli.parsing import check_keys
+from uplift.config.files import refuse_existing, refuse_output
 from uplift.config.loading import split_words
 from uplift.data.datasets.cmu import Clip, Rates, Rig, Trial, chosen_test, filmed, find_trials, read_clip, read_index
 from uplift.errors import UserError
@@ -27,10 +28,10 @@ _CREDIT = (
 
 
 def make_cmu_files(words: list[str]) -> Iterator[str]:
-    """Write ``train.npz`` and ``test.npz`` and yield what to say on the way.
+    """Write ``train.npz`` and ``test.npz`` and yield a line on each step.
 
     Raises:
-        UserError: a setting or a file that is wrong, or an output that is there already.
+        UserError: an invalid setting or file, or an output that exists.
     """
     folder, keys = _settings(words)
     rates, rig = _rates(keys), _rig(keys)
@@ -60,11 +61,11 @@ def make_cmu_files(words: list[str]) -> Iterator[str]:
 
 
 def _read(trials: list[Trial], rates: Rates, unit_mm: float | None, clips: list[Clip]) -> Iterator[str]:
-    said = time.monotonic()
+    reported = time.monotonic()
     for trial in trials:
         clips.append(read_clip(trial, rates, unit_mm))
-        if time.monotonic() - said > _EVERY_S:
-            said = time.monotonic()
+        if time.monotonic() - reported > _EVERY_S:
+            reported = time.monotonic()
             yield f"read {len(clips):,} of {len(trials):,} motions"
     frames = sum(len(clip.joints) for clip in clips)
     yield f"read {frames:,} frames at {rates.fps:g} a second, {frames / rates.fps / 60:.1f} minutes"
@@ -96,10 +97,9 @@ def _output(keys: dict[str, str]) -> Path:
     if output.exists() and not output.is_dir():
         raise UserError(f"output={output} is a file, expected a folder to write train.npz and test.npz into.")
     for name in ("train.npz", "test.npz"):
-        if (output / name).exists():
-            raise UserError(f"{output / name} exists already and is not overwritten: remove it or choose another name.")
-    if not output.absolute().parent.is_dir():
-        raise UserError(f"output={output}: no folder {output.absolute().parent}. Create it first.")
+        refuse_existing(output / name)
+    if not output.exists():
+        refuse_output(output)
     return output
 
 

@@ -1,4 +1,4 @@
-"""The verb data render: masks of meshes, or of made-up shapes, with exact truth."""
+"""The verb data render: masks of meshes, or of simulated shapes, with exact truth."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from uplift.cli.parsing import check_keys, one_of, whole
+from uplift.config.files import refuse_output
 from uplift.config.loading import split_words
 from uplift.errors import UserError, did_you_mean
 
@@ -37,7 +38,7 @@ def render_masks_command(words: Sequence[str]) -> list[str]:
     """Render masks into an .npz file, or a folder of .png files with ``truth.npz``; return what to print.
 
     Raises:
-        UserError: a setting or a mesh that is wrong, or an output that is there already.
+        UserError: an invalid setting or mesh, or an output that exists.
     """
     from uplift.data.formats.masks_npz import write_masks_npz
 
@@ -47,7 +48,7 @@ def render_masks_command(words: Sequence[str]) -> list[str]:
     if items * side**2 > _MOST_BYTES:
         raise UserError(f"{_VERB}: items={items} of side={side} take {items * side**2 / 1e9:,.0f} GB. Ask for fewer.")
     views, output = _views(keys), _output(keys)
-    shapes, said = _shapes(sources, keys, -(-items // each), seed)
+    shapes, about = _shapes(sources, keys, -(-items // each), seed)
     data = _rendered(shapes, items, seed, side, views, each, keys.get("category"))
     if output.suffix == ".npz":
         write_masks_npz(data, output)
@@ -55,7 +56,7 @@ def render_masks_command(words: Sequence[str]) -> list[str]:
     else:
         _write_folder(data, output)
         wrote = f"wrote {output}: {items:,} .png files of {side} x {side} px, and truth.npz with the shapes they show"
-    return [*said, wrote, f"next: uplift fit task=masks data.train={output}"]
+    return [about, wrote, f"next: uplift fit task=masks data.train={output}"]
 
 
 def _settings(words: Sequence[str]) -> tuple[list[str], dict[str, str]]:
@@ -65,27 +66,27 @@ def _settings(words: Sequence[str]) -> tuple[list[str], dict[str, str]]:
         from uplift.data.synthetic.masks import FAMILIES
 
         raise UserError(
-            f"{_VERB} takes files of meshes, folders of them, or made-up shapes ({', '.join(FAMILIES)}), "
+            f"{_VERB} takes files of meshes, folders of them, or simulated shapes ({', '.join(FAMILIES)}), "
             f"and output=FILE.npz or output=FOLDER. ({_USE})"
         )
     return sources, keys
 
 
-def _shapes(sources: list[str], keys: dict[str, str], count: int, seed: int) -> tuple[list[Mesh] | str, list[str]]:
-    """Return a family's name, or the meshes of files in a random order; and what to say of them."""
+def _shapes(sources: list[str], keys: dict[str, str], count: int, seed: int) -> tuple[list[Mesh] | str, str]:
+    """Return a family's name, or the meshes of files in a random order; and a line on them."""
     from uplift.data.synthetic.masks import FAMILIES
 
     families = [source for source in sources if source in FAMILIES]
     if families:
         if len(sources) > 1:
             raise UserError(
-                f"{_VERB}: '{families[0]}' is a family of made-up shapes and goes alone. "
+                f"{_VERB}: '{families[0]}' is a family of simulated shapes and goes alone. "
                 f"Render {' and '.join(sources[:3])} apart. (A folder of that name: ./{families[0]})"
             )
         for key in _FILE_KEYS:
             if key in keys:
                 raise UserError(f"{_VERB}: {key}= goes with files of meshes, not with the family '{families[0]}'.")
-        return families[0], [f"{count:,} made-up shapes of '{families[0]}'"]
+        return families[0], f"{count:,} simulated shapes of '{families[0]}'"
     from uplift.data.parsers.meshes import ENDINGS, MeshOptions, find_mesh_files, read_meshes
 
     for source in sources:
@@ -102,9 +103,9 @@ def _shapes(sources: list[str], keys: dict[str, str], count: int, seed: int) -> 
     )
     meshes = read_meshes(sources, options)
     files = min(len(find_mesh_files(sources)), count)
-    said = f"{len(meshes):,} mesh{'es' * (len(meshes) > 1)} of {files:,} file{'s' * (files > 1)}"
+    about = f"{len(meshes):,} mesh{'es' * (len(meshes) > 1)} of {files:,} file{'s' * (files > 1)}"
     order = np.random.default_rng(seed).permutation(len(meshes))
-    return [meshes[row].in_unit() for row in order], [said]
+    return [meshes[row].in_unit() for row in order], about
 
 
 def _rendered(
@@ -119,34 +120,34 @@ def _rendered(
 def _views(keys: dict[str, str]) -> ViewChoice:
     from uplift.data.synthetic.masks import ViewChoice
 
-    told = ViewChoice(upright=one_of(_VERB, keys, "upright", ("true", "false"), "true") == "true")
-    if not told.upright:
+    views = ViewChoice(upright=one_of(_VERB, keys, "upright", ("true", "false"), "true") == "true")
+    if not views.upright:
         for key in ("azimuth_deg", "elevation_deg"):
             if key in keys:
-                raise UserError(f"{_VERB}: upright=false draws from all rotations, {key}= does not count. Leave one.")
+                raise UserError(
+                    f"{_VERB}: upright=false draws from all rotations, {key}= has no effect. Leave one out."
+                )
     if "azimuth_deg" in keys:
-        told = replace(told, azimuth_deg=_pair(keys, "azimuth_deg", "from,to", -360, 360))
+        views = replace(views, azimuth_deg=_pair(keys, "azimuth_deg", "from,to", -360, 360))
     if "elevation_deg" in keys:
         mean, sd = _pair(keys, "elevation_deg", "mean,spread", -90, 90)
-        low, high = told.elevation_deg
+        low, high = views.elevation_deg
         # The range cuts off what is rare: it must not cut off what is asked for.
         wide = (max(min(low, mean - 2 * sd), -90.0), min(max(high, mean + 2 * sd), 90.0))
-        told = replace(told, elevation_mean_deg=mean, elevation_sd_deg=sd, elevation_deg=wide)
+        views = replace(views, elevation_mean_deg=mean, elevation_sd_deg=sd, elevation_deg=wide)
     if "distance" in keys:
-        told = replace(told, distance=_pair(keys, "distance", "from,to", 2, math.inf))
-    return told
+        views = replace(views, distance=_pair(keys, "distance", "from,to", 2, math.inf))
+    return views
 
 
 def _output(keys: dict[str, str]) -> Path:
     output = Path(keys["output"]).expanduser()
     if output.suffix.lower() not in ("", ".npz"):
         raise UserError(f"{_VERB}: output={output}: expected a file that ends in .npz, or a folder.")
-    if output.suffix.lower() == ".npz" and output.exists():
-        raise UserError(f"{output} exists already and is not overwritten: remove it or choose another name.")
-    if output.exists() and (not output.is_dir() or any(output.iterdir())):
+    if output.suffix.lower() == ".npz" or not output.exists():
+        refuse_output(output)
+    elif not output.is_dir() or any(output.iterdir()):
         raise UserError(f"{output} exists already and is not empty: remove it or choose another name.")
-    if not output.absolute().parent.is_dir():
-        raise UserError(f"output={output}: no folder {output.absolute().parent}. Create it first.")
     return output
 
 

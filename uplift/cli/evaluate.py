@@ -1,4 +1,4 @@
-"""The verb evaluate: every protocol for a run, or for anybody's poses."""
+"""The verb evaluate: every metric of a run, or of poses from a file."""
 
 from __future__ import annotations
 
@@ -11,9 +11,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from uplift.cli.kinds import KINDS
 from uplift.cli.parsing import EVALUATE_KEYS, keyed, one_of, whole
 from uplift.config.files import absolute, replacing, shipped_names
-from uplift.config.run import RunFolder
+from uplift.config.run import RunFolder, read_weights
+from uplift.config.settings import Settings
 from uplift.data.clean import clean
 from uplift.data.formats.npz import joint_names_of, refuse_other_axes, unit_of
 from uplift.data.load import load_data, load_file, load_split
@@ -22,10 +24,10 @@ from uplift.data.masks import MaskData
 from uplift.data.parsers.npz import read_arrays
 from uplift.data.poses import PoseData
 from uplift.errors import UserError
-from uplift.metrics.baselines import score_with_floors
+from uplift.metrics.baselines import score_with_baselines
 from uplift.metrics.evaluate import evaluate as score
 from uplift.metrics.evaluate_shapes import evaluate_shapes
-from uplift.metrics.report import Evaluation, ShapeEvaluation
+from uplift.metrics.report import AnyEvaluation, Evaluation, ShapeEvaluation
 from uplift.metrics.scores import GivenPoses
 from uplift.models.prediction import ShapePrediction
 from uplift.skeleton import Skeleton, load_skeleton
@@ -38,15 +40,13 @@ __all__ = [
     "MOST",
     "evaluate",
     "evaluate_command",
+    "evaluate_keypoints",
+    "evaluate_masks",
     "evaluate_model",
     "evaluate_poses",
     "save_evaluation",
     "score_shapes",
 ]
-
-# The verb evaluate: every protocol for a run, or for anybody's poses.
-
-_IDENTITY = ("subject", "action", "sequence", "camera", "frame")
 
 
 def evaluate(
@@ -60,34 +60,49 @@ def evaluate(
     Raises:
         UserError: no such run, no truth to compare with, an argument that goes with the other kind of run.
     """
-    from uplift.models.model import Model, load
+    from uplift.models.model import load
 
     folder = RunFolder.open(run)
-    model = load(folder.path)
-    result: Evaluation | ShapeEvaluation
-    if isinstance(model, Model):
-        if items is not None:
-            raise UserError(f"items={items} goes with a run that lifts masks; {folder.path} lifts keypoints.")
-        truth, name = _test_frames(folder, model.skeleton, test)
-        result = evaluate_model(model, truth, name, refine=refine is not False)
-    else:
-        if refine is not None:
-            raise UserError(f"refine= goes with a run that lifts keypoints; {folder.path} lifts masks.")
-
-        if items is not None and items < 1:
-            raise UserError(f"items={items}: expected how many masks are scored at most, 1 or more.")
-        result = _evaluate_run_of_shapes(folder, model, None if test is None else str(test), items or MOST)
+    weights = read_weights(folder.path)
+    kind = KINDS[weights.lifts]
+    given = {key: value for key, value in {"refine": refine, "items": items}.items() if value is not None}
+    kind.refuse_others("evaluate", given, folder.path)
+    result = kind.evaluate(folder, load(weights), None if test is None else str(test), **given)
     save_evaluation(result, folder)
     return result
 
 
-def _test_frames(folder: RunFolder, skeleton: Skeleton, test: str | Path | None) -> tuple[PoseData, str]:
+def save_evaluation(result: AnyEvaluation, folder: RunFolder) -> None:
+    """Write evaluation.json (always the newest), its CSV, and a dated copy under evaluations/."""
+    text = json.dumps(result.to_dict(), indent=1).encode()
+    older = folder.path / "evaluations"
+    older.mkdir(exist_ok=True)
+    stamp = datetime.datetime.now().strftime("%Y-%m-%d_%H-%M-%S")
+    number = 1
+    while (older / f"{stamp}_{number}.json").exists():
+        number += 1
+    for path in (older / f"{stamp}_{number}.json", folder.path / "evaluation.json"):
+        with replacing(path) as file:
+            file.write(text)
+    result.write_csv(folder.path / "evaluation.csv")
+
+
+# A run that lifts keypoints: every protocol of poses.
+
+
+def evaluate_keypoints(folder: RunFolder, model: Model, test: str | None, refine: bool = True) -> Evaluation:
+    """Return the protocols of a run on ``test``, or on its own test frames."""
+    truth, name = _test_frames(folder, model.skeleton, test)
+    return evaluate_model(model, truth, name, refine=refine)
+
+
+def _test_frames(folder: RunFolder, skeleton: Skeleton, test: str | None) -> tuple[PoseData, str]:
     settings = folder.settings()
     if test is not None:
-        settings.data.test = absolute(str(test))
+        settings.data.test = absolute(test)
         settings.data.format = settings.data.layout = None  # what is tested on may come from elsewhere
         data, _ = clean(load_split(settings, "test", skeleton), skeleton)
-        return data, str(test)
+        return data, test
     chosen = settings.data
     if chosen.test and not chosen.simulate:
         data, _ = clean(load_split(settings, "test", skeleton), skeleton)
@@ -108,11 +123,92 @@ def evaluate_model(model: Model, truth: PoseData, name: str, *, refine: bool = T
     return result
 
 
-def evaluate_poses(poses: str | Path, test: str | Path, skeleton: str | None = None) -> Evaluation:
-    """Evaluate poses that came from anywhere: an npz with `pose` and `joint_names`, rows as in ``test``.
+# A run that lifts masks: every metric of shapes, beside baselines where training shapes are known.
+
+MOST = 100
+"""Test items that are scored by default: each takes most of a second, with its baselines."""
+
+
+def evaluate_masks(folder: RunFolder, model: ShapeModel, test: str | None, items: int = MOST) -> ShapeEvaluation:
+    """Return the metrics of a run on at most ``items`` masks of ``test``, or of its own test masks.
 
     Raises:
-        UserError: not such a file, other joints or other frames than the truth.
+        UserError: no such masks, or no truth to compare with.
+    """
+    if items < 1:
+        raise UserError(f"items={items}: expected how many masks are scored at most, 1 or more.")
+    settings = folder.settings()
+    if test is not None:
+        chosen = replace(settings.data, test=absolute(test), train=None, simulate=0, format=None, category=None)
+        masks = load_mask_split(replace(settings, data=replace(chosen, images=None, most=None)), "test")
+        train, why = _training_masks(settings)
+    else:
+        loaded = load_masks(settings)
+        if loaded.test is None:
+            raise UserError(f"{folder.path} has no test masks of its own: give data.test=FILE.")
+        masks, train, why = loaded.test, loaded.train, ""
+    found = score_shapes(model, masks, train, most=items).evaluation
+    return replace(found, notes=[*found.notes, why]) if why else found
+
+
+@dataclass(frozen=True)
+class _ScoredShapes:
+    """The items that were scored, what the lifter made of them, and how good that is."""
+
+    test: MaskData
+    prediction: ShapePrediction
+    evaluation: ShapeEvaluation
+
+
+def score_shapes(
+    model: ShapeModel, test: MaskData, train: MaskData | None, title: str = "", most: int = MOST
+) -> _ScoredShapes:
+    """Return every metric of ``model`` on at most ``most`` masks, and the baselines' where ``train`` has true shapes.
+
+    Raises:
+        UserError: test masks without true shapes.
+    """
+    if test.truth is None:
+        raise UserError(
+            f"{test.source or 'the test masks'}: no true shapes to compare with, only masks. `uplift data render` makes "
+            "masks with truth."
+        )
+    notes = []
+    if len(test) > most:
+        rows = np.sort(np.random.default_rng(0).choice(len(test), most, replace=False))
+        notes.append(
+            f"{most:,} of {len(test):,} test masks were scored, chosen at random, always the same (items={most})"
+        )
+        test = test.select(rows)
+    prediction = model.predict(test.without_truth(), title=title)
+    known = None if train is None else known_shapes(train)
+    if known is None:
+        notes.append("no baselines: they are made of true training shapes, and none are known")
+        found = evaluate_shapes(prediction, test.truth, test.masks, test.source, test.category)  # type: ignore[arg-type]
+    else:
+        found = score_with_baselines(prediction, known, test, test.source)
+    return _ScoredShapes(test, prediction, replace(found, notes=[*found.notes, *notes]))
+
+
+def _training_masks(settings: Settings) -> tuple[MaskData | None, str]:
+    """Return the masks that baselines learn from, or why there are none."""
+    settings.data.test = None
+    try:
+        return load_mask_split(settings, "train"), ""
+    except UserError as error:
+        return None, f"the training masks could not be read: {str(error).splitlines()[0]}"
+
+
+# Poses of any origin, from a file.
+
+_IDENTITY = ("subject", "action", "sequence", "camera", "frame")
+
+
+def evaluate_poses(poses: str | Path, test: str | Path, skeleton: str | None = None) -> Evaluation:
+    """Evaluate poses of any origin: an npz with `pose` and `joint_names`, rows as in ``test``.
+
+    Raises:
+        UserError: not such a file, or other joints or frames than the truth.
     """
     arrays = read_arrays(poses, ("pose", "joint_names", "unit", "tilt_deg", "spread", "axes", *_IDENTITY))
     refuse_other_axes(str(poses), arrays)
@@ -121,25 +217,14 @@ def evaluate_poses(poses: str | Path, test: str | Path, skeleton: str | None = N
             raise UserError(f"{poses}: no array '{key}' (found: {', '.join(sorted(arrays)) or 'none that is needed'}).")
     names = joint_names_of(str(poses), arrays)
     chosen = load_skeleton(skeleton) if skeleton else _skeleton_of(names, str(poses))
-    pose = arrays["pose"]
-    if pose.ndim != 3 or pose.shape[1:] != (len(names), 3) or pose.dtype.kind not in "fiu":
-        raise UserError(
-            f"{poses}: 'pose' is {pose.dtype} of shape {pose.shape}, expected numbers (frames, {len(names)}, 3)."
-        )
-    tilt = arrays.get("tilt_deg")
-    if tilt is not None and (tilt.shape != pose.shape[:1] or tilt.dtype.kind not in "fiu"):
-        raise UserError(f"{poses}: 'tilt_deg' is {tilt.dtype} of shape {tilt.shape}, expected numbers ({len(pose)},).")
-    spread = arrays.get("spread")
-    if spread is not None and (spread.shape != pose.shape[:2] or spread.dtype.kind not in "fiu"):
-        raise UserError(
-            f"{poses}: 'spread' is {spread.dtype} of shape {spread.shape}, expected numbers {pose.shape[:2]}."
-        )
+    pose = _numbers(str(poses), arrays, "pose", (None, len(names), 3))
+    assert pose is not None
     given = GivenPoses(
         pose=pose.astype(np.float64),
         joint_names=names,
         unit=unit_of(str(poses), arrays, "relative"),
-        tilt_deg=tilt,
-        spread=spread,
+        tilt_deg=_numbers(str(poses), arrays, "tilt_deg", (len(pose),)),
+        spread=_numbers(str(poses), arrays, "spread", (len(pose), len(names))),
         identity=_identity(str(poses), arrays, len(pose)),
         source=str(poses),
     )
@@ -147,6 +232,18 @@ def evaluate_poses(poses: str | Path, test: str | Path, skeleton: str | None = N
     if truth.pose is None:
         raise UserError(f"{test}: holds no 'pose' (frames, joints, 3) to compare with.")
     return score(given, truth, chosen, str(test))
+
+
+def _numbers(where: str, arrays: dict[str, np.ndarray], key: str, shape: tuple[int | None, ...]) -> np.ndarray | None:
+    """Return an array of ``shape`` (None: any number of frames), None where it is not there; raises UserError for another."""
+    found = arrays.get(key)
+    if found is None:
+        return None
+    fits = found.ndim == len(shape) and all(want in (None, have) for want, have in zip(shape, found.shape, strict=True))
+    if not fits or found.dtype.kind not in "fiu":
+        expected = str(shape).replace("None", "frames")
+        raise UserError(f"{where}: '{key}' is {found.dtype} of shape {found.shape}, expected numbers {expected}.")
+    return found
 
 
 def _identity(where: str, arrays: dict[str, np.ndarray], frames: int) -> dict[str, np.ndarray]:
@@ -172,129 +269,34 @@ def _skeleton_of(names: tuple[str, ...], where: str) -> Skeleton:
         except UserError:
             continue
         raise UserError(
-            f"{where}: joints are not exactly a shipped skeleton's; they fit '{name}': say skeleton={name}."
+            f"{where}: joints are not exactly a shipped skeleton's; they fit '{name}': give skeleton={name}."
         )
     raise UserError(
-        f"{where}: its joints are no shipped skeleton's ({', '.join(names[:8])}, ...): say skeleton=FILE.yaml."
+        f"{where}: no shipped skeleton has its joints ({', '.join(names[:8])}, ...): give skeleton=FILE.yaml."
     )
 
 
-def save_evaluation(result: Evaluation | ShapeEvaluation, folder: RunFolder) -> None:
-    """Write evaluation.json (always the newest), its CSV, and a dated copy under evaluations/."""
-    text = json.dumps(result.to_dict(), indent=1).encode()
-    older = folder.path / "evaluations"
-    older.mkdir(exist_ok=True)
-    stamp = datetime.datetime.now().strftime("%Y-%m-%d_%H-%M-%S")
-    number = 1
-    while (older / f"{stamp}_{number}.json").exists():
-        number += 1
-    for path in (older / f"{stamp}_{number}.json", folder.path / "evaluation.json"):
-        with replacing(path) as file:
-            file.write(text)
-    result.write_csv(folder.path / "evaluation.csv")
+# The command evaluate: its words, and what it prints at the end.
 
 
-# Evaluate a run that lifts masks, beside the floors where training shapes are known.
-
-MOST = 100
-"""Test items that are scored where nothing else is said: each takes most of a second, floors and all."""
-
-
-@dataclass(frozen=True)
-class _ScoredShapes:
-    """The items that were scored, what the lifter made of them, and how good that is."""
-
-    test: MaskData
-    prediction: ShapePrediction
-    evaluation: ShapeEvaluation
-
-
-def score_shapes(
-    model: ShapeModel, test: MaskData, train: MaskData | None, title: str = "", most: int = MOST
-) -> _ScoredShapes:
-    """Return every metric of ``model`` on at most ``most`` masks, and the floors' where ``train`` has true shapes.
-
-    Raises:
-        UserError: test masks without true shapes.
-    """
-    if test.truth is None:
-        raise UserError(
-            f"{test.source or 'the test masks'}: no true shapes to compare with, only masks. `uplift data render` makes "
-            "masks with truth."
-        )
-    notes = []
-    if len(test) > most:
-        rows = np.sort(np.random.default_rng(0).choice(len(test), most, replace=False))
-        notes.append(
-            f"{most:,} of {len(test):,} test masks were scored, chosen at random, always the same (items={most})"
-        )
-        test = test.select(rows)
-    prediction = model.predict(test.without_truth(), title=title)
-    known = None if train is None else known_shapes(train)
-    if known is None:
-        notes.append("no floors: they are made of true training shapes, and none are known")
-        found = evaluate_shapes(prediction, test.truth, test.masks, test.source, test.category)  # type: ignore[arg-type]
-    else:
-        found = score_with_floors(prediction, known, test, test.source)
-    return _ScoredShapes(test, prediction, replace(found, notes=[*found.notes, *notes]))
-
-
-def _evaluate_run_of_shapes(
-    folder: RunFolder, model: ShapeModel, test: str | None = None, most: int = MOST
-) -> ShapeEvaluation:
-    """Return the metrics of a run on ``test``, or on its own test masks.
-
-    Raises:
-        UserError: no such masks, or no truth to compare with.
-    """
-    settings = folder.settings()
-    if test is not None:
-        chosen = replace(settings.data, test=absolute(test), train=None, simulate=0, format=None, category=None)
-        masks = load_mask_split(replace(settings, data=replace(chosen, images=None, most=None)), "test")
-        train, why = _training_masks(folder)
-    else:
-        loaded = load_masks(settings)
-        if loaded.test is None:
-            raise UserError(f"{folder.path} has no test masks of its own: give data.test=FILE.")
-        masks, train, why = loaded.test, loaded.train, ""
-    found = score_shapes(model, masks, train, most=most).evaluation
-    return replace(found, notes=[*found.notes, why]) if why else found
-
-
-def _training_masks(folder: RunFolder) -> tuple[MaskData | None, str]:
-    """Return the masks that the floors are made of, or why there are none."""
-    settings = folder.settings()
-    settings.data.test = None
-    try:
-        return load_mask_split(settings, "train"), ""
-    except UserError as error:
-        return None, f"the training masks could not be read: {str(error).splitlines()[0]}"
-
-
-# The command evaluate: its words, and what it says at the end.
-
-
-def evaluate_command(words: Sequence[str], use: str) -> None:
-    """Evaluate the run or the poses that the words name, and print all figures; ``use`` is the verb's help."""
+def evaluate_command(words: Sequence[str]) -> None:
+    """Evaluate the run or the poses that the words name, and print all figures."""
     keys = keyed("evaluate", words, EVALUATE_KEYS)
     if ("run" in keys) == ("poses" in keys):
-        raise UserError(f"evaluate takes run=RUN or poses=FILE. ({use})")
-
-    if "run" in keys:
-        if "skeleton" in keys:
-            raise UserError("evaluate run=...: the run knows its skeleton; skeleton= goes with poses=.")
-        refine = one_of("evaluate", keys, "refine", ("on", "off"), "on") == "on" if "refine" in keys else None
-        items = whole("evaluate", keys, "items")
-        print(evaluate(keys["run"], keys.get("data.test"), refine=refine, items=items).table())
-        from uplift.config.run import RunFolder
-
-        folder = RunFolder.open(keys["run"]).path
-        print(f"\nwrote {folder}/evaluation.json and evaluation.csv (older ones: evaluations/)")
-        print(f"next: uplift compare {folder} OTHER_RUN")
+        raise UserError("evaluate takes run=RUN or poses=FILE. (uplift evaluate --help)")
+    if "poses" in keys:
+        for key in ("refine", "items"):
+            if key in keys:
+                raise UserError(f"evaluate poses=FILE takes the poses as they are: {key}= goes with run=.")
+        if "data.test" not in keys:
+            raise UserError("evaluate poses=FILE needs data.test=FILE with the true poses.")
+        print(evaluate_poses(keys["poses"], keys["data.test"], keys.get("skeleton")).table())
         return
-    for key in ("refine", "items"):
-        if key in keys:
-            raise UserError(f"evaluate poses=FILE takes the poses as they are: {key}= goes with run=.")
-    if "data.test" not in keys:
-        raise UserError("evaluate poses=FILE needs data.test=FILE with the true poses.")
-    print(evaluate_poses(keys["poses"], keys["data.test"], keys.get("skeleton")).table())
+    if "skeleton" in keys:
+        raise UserError("evaluate run=...: the run knows its skeleton; skeleton= goes with poses=.")
+    refine = one_of("evaluate", keys, "refine", ("on", "off"), "on") == "on" if "refine" in keys else None
+    items = whole("evaluate", keys, "items")
+    print(evaluate(keys["run"], keys.get("data.test"), refine=refine, items=items).table())
+    folder = RunFolder.open(keys["run"]).path
+    print(f"\nwrote {folder}/evaluation.json and evaluation.csv (older ones: evaluations/)")
+    print(f"next: uplift compare {folder} OTHER_RUN")

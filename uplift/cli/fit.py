@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import shlex
 import sys
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -13,23 +12,21 @@ from typing import Any
 import torch
 from lightning.pytorch.utilities.rank_zero import rank_zero_only
 
+from uplift.cli.kinds import KINDS
 from uplift.cli.report import report
 from uplift.config.loading import load_settings
 from uplift.config.run import RunFolder
 from uplift.config.settings import Settings
-from uplift.data.load import load_data
 from uplift.errors import UserError
-from uplift.skeleton import Skeleton, load_skeleton
 from uplift.training.callbacks import Interrupted
-from uplift.training.pose_recipe import PoseRecipe
 
-__all__ = ["fit", "fit_settings"]
+__all__ = ["Prepared", "fit", "fit_settings", "prepare_keypoints", "prepare_masks"]
 
 _RUN_VARIABLE = "UPLIFT_RUN_OF_THIS_FIT"
 
 
 def fit(task: str | None = None, *overrides: str, resume: str | Path | None = None) -> RunFolder:
-    """Train a lifter and return its run folder; the Python face of ``uplift fit``.
+    """Train a lifter and return its run folder, as ``uplift fit`` does.
 
     ``overrides`` are ``key=value`` texts. With ``resume`` an interrupted run goes on with the
     settings it was started with.
@@ -41,7 +38,7 @@ def fit(task: str | None = None, *overrides: str, resume: str | Path | None = No
     if resume is not None:
         if task or overrides:
             raise UserError(
-                "resume=RUN goes on with the run's own settings: give it no others. For others start from init=RUN."
+                "resume=RUN goes on with the run's settings: give it no others. For others start from init=RUN."
             )
         run = RunFolder.open(resume)
         return fit_settings(run.settings(), run)
@@ -50,29 +47,29 @@ def fit(task: str | None = None, *overrides: str, resume: str | Path | None = No
 
 
 @dataclass(frozen=True)
-class _Fit:
-    """What is trained, whatever it lifts."""
+class Prepared:
+    """What a fit starts from, whatever it lifts."""
 
     about: str
     """What it lifts, for the first line."""
-    notes: list[str]
+    loaded: Any
+    """The data, with `notes`."""
     recipe: Any
     """With `notes`, `spent` and `train(run)`, which returns a model with `save(path)`."""
-    report: Callable[[RunFolder, Any], None]
 
 
 def fit_settings(settings: Settings, run: RunFolder | None = None) -> RunFolder:
     """Train as ``settings`` say, in a new run folder or going on in ``run``."""
     if settings.trainer.threads:
         torch.set_num_threads(settings.trainer.threads)
-    fit = (_masks if settings.lifts == "masks" else _keypoints)(settings, run)
+    fit: Prepared = KINDS[settings.lifts].fit(settings, run)
     run = _run_of_all_ranks(run, settings)
     if rank_zero_only.rank == 0:
         print(f"uplift fit: {settings.task or 'own data'}, {fit.about}, seed {settings.seed}")
-        print("\n".join([*fit.notes, *fit.recipe.notes, f"run: {run.path}"]), flush=True)
+        print("\n".join([*fit.loaded.notes, *fit.recipe.notes, f"run: {run.path}"]), flush=True)
     try:
         model = fit.recipe.train(run)
-    except KeyboardInterrupt:  # between stages, where nothing watches for it; checkpoints are whole
+    except KeyboardInterrupt:  # between stages, where nothing watches for it; checkpoints are complete
         raise Interrupted(run.path) from None
     except BaseException:
         run.discard_if_empty()
@@ -80,33 +77,30 @@ def fit_settings(settings: Settings, run: RunFolder | None = None) -> RunFolder:
     if rank_zero_only.rank == 0:
         model.save(run.weights)
         run.link_last()
-        fit.report(run, model)
+        report(run, model, settings, fit.loaded, fit.recipe.spent)
     return run
 
 
-def _keypoints(settings: Settings, run: RunFolder | None) -> _Fit:
-    skeleton = _skeleton(settings)
+def prepare_keypoints(settings: Settings, run: RunFolder | None) -> Prepared:
+    """Load keypoints and their recipe, which goes on from the checkpoints of ``run``."""
+    from uplift.data.load import load_data
+    from uplift.skeleton import load_skeleton
+    from uplift.training.pose_recipe import PoseRecipe
+
+    if not settings.skeleton:
+        raise UserError("No skeleton: set skeleton=NAME (`uplift skeletons` lists them) or skeleton=FILE.yaml.")
+    skeleton = load_skeleton(settings.skeleton)
     loaded = load_data(settings, skeleton)
-    recipe = PoseRecipe(settings, skeleton, loaded, run)
-
-    def reported(run: RunFolder, model: Any) -> None:
-        report(run, model, settings, loaded, recipe.spent)
-
-    return _Fit(f"skeleton {skeleton.name}", loaded.notes, recipe, reported)
+    return Prepared(f"skeleton {skeleton.name}", loaded, PoseRecipe(settings, skeleton, loaded, run))
 
 
-def _masks(settings: Settings, run: RunFolder | None) -> _Fit:
-    from uplift.cli.report import report_shapes
+def prepare_masks(settings: Settings, run: RunFolder | None) -> Prepared:
+    """Load masks and their recipe, which finds the checkpoints of a run itself."""
     from uplift.data.load_masks import load_masks
     from uplift.training.shape_recipe import ShapeRecipe
 
     loaded = load_masks(settings)
-    recipe = ShapeRecipe(settings, loaded.for_training())
-
-    def reported(run: RunFolder, model: Any) -> None:
-        report_shapes(run, model, settings, loaded, recipe.spent)
-
-    return _Fit("masks", loaded.notes, recipe, reported)
+    return Prepared("masks", loaded, ShapeRecipe(settings, loaded.for_training()))
 
 
 def _run_of_all_ranks(run: RunFolder | None, settings: Settings) -> RunFolder:
@@ -114,13 +108,9 @@ def _run_of_all_ranks(run: RunFolder | None, settings: Settings) -> RunFolder:
     if rank_zero_only.rank != 0 and _RUN_VARIABLE in os.environ:
         return RunFolder.open(os.environ[_RUN_VARIABLE])
     if run is None:
-        words = sys.argv[1:] if Path(sys.argv[0]).stem in ("uplift", "cli") else [f"({Path(sys.argv[0]).name})"]
+        started = Path(sys.argv[0])
+        ours = started.stem == "uplift" or started.parts[-2:] == ("cli", "main.py")
+        words = sys.argv[1:] if ours else [f"({started.name})"]
         run = RunFolder.create(settings, shlex.join(["uplift", *words]))
     os.environ[_RUN_VARIABLE] = str(run.path.absolute())
     return run
-
-
-def _skeleton(settings: Settings) -> Skeleton:
-    if not settings.skeleton:
-        raise UserError("No skeleton: set skeleton=NAME (`uplift skeletons` lists them) or skeleton=FILE.yaml.")
-    return load_skeleton(settings.skeleton)

@@ -1,23 +1,20 @@
-"""What is there: tasks with their data, shipped skeletons, runs side by side."""
+"""The verbs tasks, skeletons and compare: tasks with their data, shipped skeletons, runs side by side."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
+from uplift.cli.kinds import KINDS
 from uplift.config.files import shipped_names
 from uplift.config.loading import load_settings
 from uplift.config.run import RunFolder
 from uplift.data.load import find_data, set_of
 from uplift.errors import UserError
-from uplift.metrics.protocols import BEST_FLOOR, SHAPE_METRICS, metric_order
 from uplift.skeleton import load_skeleton
 
 __all__ = ["compare", "list_skeletons", "list_tasks", "spread"]
-
-# What is there: tasks with their data, shipped skeletons.
 
 
 def list_tasks() -> str:
@@ -39,7 +36,7 @@ def list_tasks() -> str:
             except UserError:
                 state = "data missing"
         lines.append(f"{name:<18} {state:<15} {settings.description.strip().splitlines()[0]}")
-    return "\n".join([*lines, "", "uplift fit task=NAME; a task file of your own: uplift fit task=FILE.yaml"])
+    return "\n".join([*lines, "", "uplift fit task=NAME; your own task file: uplift fit task=FILE.yaml"])
 
 
 def list_skeletons() -> str:
@@ -56,12 +53,6 @@ def list_skeletons() -> str:
 
 # The verb compare: runs side by side, and the spread over seeds.
 
-_POSES = (
-    "p_mpjpe", "n_mpjpe", "mpjpe_gt_scale", "mpjpe", "p_mpjpe_reflect", "pck@150", "auc", "mpjve",
-    "facing", "facing_sign", "elevation_deg", "bone_cv", "symmetry",
-)  # fmt: skip
-_SHAPES = sorted([*SHAPE_METRICS, *(BEST_FLOOR + name for name in SHAPE_METRICS)], key=metric_order)
-
 
 def compare(runs: Sequence[str | Path]) -> str:
     """Return a table with a row for each protocol and a column for each run.
@@ -77,7 +68,7 @@ def compare(runs: Sequence[str | Path]) -> str:
         if evaluation is None:
             raise UserError(f"{folder.path} was not evaluated: uplift evaluate run={folder.path} data.test=FILE")
     evaluations = [e for _, e in found if e is not None]
-    shown, wide = _protocols(folders, evaluations)
+    shown, wide = _protocols(folders)
     names = [_label(f.path) for f in folders]
     lines = [
         f"[{i + 1}] {name}  seed {f.facts().get('seed')}"
@@ -104,7 +95,7 @@ def spread(runs: Sequence[RunFolder]) -> str:
     if not evaluations:
         return "No run was evaluated: no mean to give."
     seeds = ", ".join(str(run.facts().get("seed")) for run in runs)
-    shown, wide = _protocols(runs, evaluations)
+    shown, wide = _protocols(runs)
     lines = [f"seeds {seeds}: mean and standard deviation", f"{'protocol':<{wide}}{'mean':>10}{'sd':>9}"]
     for name in shown:
         values = [e["overall"][name] for e in evaluations if name in e["overall"]]
@@ -115,17 +106,16 @@ def spread(runs: Sequence[RunFolder]) -> str:
     return "\n".join(lines)
 
 
-def _protocols(runs: Sequence[RunFolder], evaluations: Sequence[Mapping[str, Any]]) -> tuple[Sequence[str], int]:
-    """Return the figures that are shown of such runs, and how wide their names are; refuse runs of both kinds."""
-    of_shapes = ["silhouette_iou_seen" in e["overall"] for e in evaluations]
-    if len(set(of_shapes)) > 1:
-        masks, others = (
-            str(next(r.path for r, is_one in zip(runs, of_shapes, strict=False) if is_one is k)) for k in (True, False)
-        )
-        raise UserError(
-            f"{masks} lifts masks and {others} lifts keypoints: they have no figure in common. Compare runs of one kind."
-        )
-    return (_SHAPES, 34) if any(of_shapes) else (_POSES, 18)
+def _protocols(runs: Sequence[RunFolder]) -> tuple[Sequence[str], int]:
+    """Return the metrics that are shown of such runs, and the width of their names; refuse runs of both kinds."""
+    kinds = [KINDS[run.settings().lifts] for run in runs]
+    for run, kind in zip(runs, kinds, strict=True):
+        if kind is not kinds[0]:
+            raise UserError(
+                f"{runs[0].path} lifts {kinds[0].lifts} and {run.path} lifts {kind.lifts}: they have no metric in common. "
+                "Compare runs of one kind."
+            )
+    return kinds[0].compared, max(18, max(map(len, kinds[0].compared)) + 2)
 
 
 def _label(path: Path) -> str:

@@ -7,10 +7,10 @@ import argparse
 import errno
 import sys
 from collections.abc import Callable, Sequence
-from pathlib import Path
 
 from uplift import __version__
-from uplift.cli.parsing import EVALUATE_KEYS, PREDICT_KEYS, keyed, number, whole
+from uplift.cli.kinds import Later
+from uplift.cli.parsing import EVALUATE_KEYS, PREDICT_KEYS, SIMULATE_KEYS
 from uplift.errors import UserError
 
 __all__ = ["main"]
@@ -20,16 +20,16 @@ _VERBS = {
     "also resume=RUN",
     "evaluate": "every protocol: evaluate run=RUN [data.test=FILE], or evaluate poses=FILE data.test=FILE",
     "predict": "lift keypoints or masks: predict run=RUN input=FILE|FOLDER|SET:SPLIT output=FILE.html|.npz|.csv|.bvh|.glb|...",
-    "simulate": "made-up bodies with exact poses: simulate skeleton=NAME output=FILE.npz|.csv [frames=20000 seed=0]",
+    "simulate": "simulated bodies with exact poses: simulate skeleton=NAME output=FILE.npz|.csv [frames=20000 seed=0]",
     "compare": "runs side by side: compare RUN RUN ...",
     "data": "data check task=NAME [data.root=FOLDER]: what is there and what is missing; data cmu FOLDER; "
-    "data render MESHES... output=FILE.npz|FOLDER: masks of meshes or of made-up shapes",
+    "data render MESHES... output=FILE.npz|FOLDER: masks of meshes or of simulated shapes",
     "tasks": "list the tasks and whether their data is present",
     "skeletons": "list the shipped skeletons",
     "skeleton": "skeleton check FILE [output=FILE.png]; skeleton new FILE [--from TRACKER_FILE]; "
     "skeleton map TRACKER_FILE skeleton=NAME",
 }
-# What the user can mend by naming another place; a full disk is none of these.
+# What the user can fix by naming another place; a full disk is not one of these.
 _MENDABLE = (errno.EACCES, errno.EPERM, errno.EROFS, errno.ENAMETOOLONG, errno.ENOTDIR, errno.EISDIR, errno.ELOOP)
 _EXAMPLES = """examples:
   uplift fit task=demo                                  no data needed: a minute or two, then a page to look at
@@ -70,7 +70,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except OSError as error:
         where = f" ({error.filename})" if error.filename else ""
         mine = error.errno in _MENDABLE
-        rest = "" if mine else " What was saved before is whole."
+        rest = "" if mine else " What was saved before is complete."
         print(f"uplift: {error.strerror or error}{where}.{rest}", file=sys.stderr)
         return 2 if mine else 1
 
@@ -137,7 +137,7 @@ def _complete(verb: str) -> Callable[..., list[str]]:
 _KEYS = {
     "evaluate": EVALUATE_KEYS,
     "predict": PREDICT_KEYS,
-    "simulate": ("skeleton", "output", "frames", "seed", "clip_seconds", "noise_px", "missing", "tracker"),
+    "simulate": SIMULATE_KEYS,
 }
 
 
@@ -147,7 +147,7 @@ def _fit(words: Sequence[str]) -> None:
     plain, given = split_words(words)
     for key, expected in (("task", "TASK"), ("resume", "RUN")):
         if key in plain or given.get(key) == "":
-            raise UserError(f"fit: '{key}=' names nothing. Expected {key}={expected}.")
+            raise UserError(f"fit: '{key}=' has no value. Expected {key}={expected}.")
     task, resume = given.get("task"), given.get("resume")
     several = "," in given.get("seed", "")
     seeds = [[f"seed={seed.strip()}"] for seed in given["seed"].split(",")] if several else [[]]
@@ -172,113 +172,60 @@ def _fit(words: Sequence[str]) -> None:
         print(f"\n{spread(runs)}")
 
 
-def _evaluate(words: Sequence[str]) -> None:
-    from uplift.cli.evaluate import evaluate_command
-
-    evaluate_command(words, _VERBS["evaluate"])
-
-
-def _predict(words: Sequence[str]) -> None:
-    from uplift.cli.predict import predict_command
-
-    predict_command(words)
-
-
-def _simulate(words: Sequence[str]) -> None:
-    keys = keyed("simulate", words, _KEYS["simulate"], ("skeleton", "output"))
-    found = {key: whole("simulate", keys, key) for key in ("frames", "seed")}
-    found |= {key: number("simulate", keys, key) for key in ("clip_seconds", "noise_px", "missing")}
-    told = {key: value for key, value in (found | {"tracker": keys.get("tracker")}).items() if value is not None}
-    from uplift.cli.simulate import simulate
-
-    written: list[Path] = []
-    data = simulate(keys["skeleton"], keys["output"], written=written, **told)  # type: ignore[arg-type]
-    output = Path(keys["output"])
-    several = len(written) > 1
-    files = f"{len(written)} files, {written[0]} to {written[-1].name}" if several else output
-    train = f"'{output.with_name(f'{output.stem}_*{output.suffix}')}'" if several else output
-    print(f"simulated {len(data):,} frames of {keys['skeleton']}\nwrote {files}")
-    print(f"next: uplift fit skeleton={keys['skeleton']} data.train={train}")
-
-
 def _compare(words: Sequence[str]) -> None:
-    from uplift.cli.listing import compare
-
-    print(compare(words))
+    print(Later("uplift.cli.listing:compare")(words))
 
 
-def _tasks(words: Sequence[str]) -> None:
-    from uplift.cli.listing import list_tasks
+def _list(verb: str, function: str) -> Callable[[Sequence[str]], None]:
+    def run(words: Sequence[str]) -> None:
+        if words:
+            raise UserError(f"{verb} takes no settings, found '{words[0]}'.")
+        print(Later(function)())
 
-    _refuse(words, "tasks")
-    print(list_tasks())
-
-
-def _skeletons(words: Sequence[str]) -> None:
-    from uplift.cli.listing import list_skeletons
-
-    _refuse(words, "skeletons")
-    print(list_skeletons())
+    return run
 
 
-def _skeleton(words: Sequence[str]) -> int:
-    from uplift.cli.skeleton import check_skeleton_file, new_skeleton_file
+def _by_first_word(functions: dict[str, str], expected: str) -> Callable[[Sequence[str]], int]:
+    """Return a verb that prints the lines of the function that its first word names."""
 
-    fits = True
-    if words and words[0] == "map":
-        from uplift.cli.skeleton import map_joints
+    def run(words: Sequence[str]) -> int:
+        if not words or words[0] not in functions:
+            raise UserError(expected)
+        found = Later(functions[words[0]])(list(words[1:]))
+        lines, complete = found if isinstance(found, tuple) else (found, True)
+        for line in lines:
+            print(line)
+        return 0 if complete else 2
 
-        lines, fits = map_joints(list(words[1:]))
-    elif words and words[0] in ("check", "new"):
-        lines = (check_skeleton_file if words[0] == "check" else new_skeleton_file)(list(words[1:]))
-    else:
-        raise UserError(
-            "skeleton: expected `uplift skeleton check FILE [output=FILE.png]`, `uplift skeleton new FILE "
-            "[--from TRACKER_FILE]` or `uplift skeleton map TRACKER_FILE skeleton=NAME`."
-        )
-    for line in lines:
-        print(line)
-    return 0 if fits else 2
-
-
-def _data(words: Sequence[str]) -> int:
-    if words and words[0] == "check":
-        from uplift.cli.data_check import check_data
-
-        lines, complete = check_data(list(words[1:]))
-    elif words and words[0] == "cmu":
-        from uplift.cli.data_cmu import make_cmu_files
-
-        lines, complete = make_cmu_files(list(words[1:])), True
-    elif words and words[0] == "render":
-        from uplift.cli.data_render import render_masks_command
-
-        lines, complete = render_masks_command(list(words[1:])), True
-    else:
-        raise UserError(
-            "data: expected `uplift data check task=NAME`, `uplift data cmu FOLDER` or "
-            "`uplift data render MESHES output=FILE.npz`."
-        )
-    for line in lines:
-        print(line)
-    return 0 if complete else 2
-
-
-def _refuse(words: Sequence[str], verb: str) -> None:
-    if words:
-        raise UserError(f"{verb} takes no settings, found '{words[0]}'.")
+    return run
 
 
 _RUN: dict[str, Callable[[Sequence[str]], int | None]] = {
     "fit": _fit,
-    "evaluate": _evaluate,
-    "predict": _predict,
-    "simulate": _simulate,
+    "evaluate": Later("uplift.cli.evaluate:evaluate_command"),
+    "predict": Later("uplift.cli.predict:predict_command"),
+    "simulate": Later("uplift.cli.simulate:simulate_command"),
     "compare": _compare,
-    "data": _data,
-    "tasks": _tasks,
-    "skeletons": _skeletons,
-    "skeleton": _skeleton,
+    "data": _by_first_word(
+        {
+            "check": "uplift.cli.data_check:check_data",
+            "cmu": "uplift.cli.data_cmu:make_cmu_files",
+            "render": "uplift.cli.data_render:render_masks_command",
+        },
+        "data: expected `uplift data check task=NAME`, `uplift data cmu FOLDER` or "
+        "`uplift data render MESHES output=FILE.npz`.",
+    ),
+    "tasks": _list("tasks", "uplift.cli.listing:list_tasks"),
+    "skeletons": _list("skeletons", "uplift.cli.listing:list_skeletons"),
+    "skeleton": _by_first_word(
+        {
+            "check": "uplift.cli.skeleton:check_skeleton_file",
+            "new": "uplift.cli.skeleton:new_skeleton_file",
+            "map": "uplift.cli.skeleton:map_joints",
+        },
+        "skeleton: expected `uplift skeleton check FILE [output=FILE.png]`, `uplift skeleton new FILE "
+        "[--from TRACKER_FILE]` or `uplift skeleton map TRACKER_FILE skeleton=NAME`.",
+    ),
 }
 
 if __name__ == "__main__":

@@ -11,7 +11,7 @@ if TYPE_CHECKING:
     from uplift.data.formats.base import ReadOptions
 
 __all__ = [
-    "EVALUATE_KEYS", "POSE_KEYS", "PREDICT_KEYS", "READ_KEYS", "SHAPE_KEYS", "SIZE_KEYS", "check_keys", "keyed", "number", "one_of", "read_options",
+    "EVALUATE_KEYS", "POSE_KEYS", "PREDICT_KEYS", "READ_KEYS", "SHAPE_KEYS", "SIMULATE_KEYS", "SIZE_KEYS", "check_keys", "keyed", "number", "one_of", "read_options",
     "whole",
 ]  # fmt: skip
 
@@ -26,6 +26,7 @@ POSE_KEYS = (
 SHAPE_KEYS = ("border", "pieces", "category", "most", "unit", "length_mm", "smooth", "together", "items")
 """What predict takes for masks alone."""
 PREDICT_KEYS = ("run", "input", "output", "page", "images", "axes", "format", "height_mm", *POSE_KEYS, *SHAPE_KEYS)
+SIMULATE_KEYS = ("skeleton", "output", "frames", "seed", "clip_seconds", "noise_px", "missing", "tracker")
 EVALUATE_KEYS = ("run", "poses", "data.test", "skeleton", "refine", "items")
 
 

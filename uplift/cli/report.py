@@ -2,53 +2,100 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from uplift.cli.evaluate import MOST, evaluate_model, save_evaluation, score_shapes
+from uplift.cli.kinds import KINDS
 from uplift.config.files import replacing
 from uplift.config.run import RunFolder
 from uplift.config.settings import Settings
-from uplift.data.load import Loaded
-from uplift.data.load_masks import LoadedMasks
-from uplift.data.poses import PoseData
 from uplift.data.tensors import as_seen, intrinsics_of
 from uplift.export.page import write_html
 from uplift.export.shape_page import write_shape_page
-from uplift.metrics.evaluate import TRUTH_SIGN, flat_depth
+from uplift.metrics.baselines import flat_depth
+from uplift.metrics.evaluate import TRUTH_SIGN
 from uplift.metrics.evaluate import evaluate as score
-from uplift.metrics.protocols import BEST_FLOOR
-from uplift.metrics.report import Evaluation, ShapeEvaluation
+from uplift.metrics.protocols import BEST_BASELINE
+from uplift.metrics.report import AnyEvaluation, Evaluation
 from uplift.metrics.scores import GivenPoses
-from uplift.models.model import Model
 from uplift.training.callbacks import read_metrics
 
 if TYPE_CHECKING:
-    from uplift.models.model import ShapeModel
+    from uplift.data.load import Loaded
+    from uplift.data.load_masks import LoadedMasks
+    from uplift.data.poses import PoseData
+    from uplift.models.model import Model, ShapeModel
 
-__all__ = ["report", "report_shapes"]
-
-# What the reports of all fits share, whatever is lifted: the head, the curves, the priors, the last lines.
-
-
-def _prior_lines(settings: Settings) -> list[str]:
-    """Return which priors had a say, and which of them are the user's own."""
-    specs = {n: s for n, s in settings.priors.items() if float(s.get("weight", 1)) > 0}
-    lines = ["Priors (weight): " + ", ".join(f"{n} {float(s.get('weight', 1)):g}" for n, s in specs.items()) + "."]
-    for name, spec in specs.items():
-        if ":" in str(spec.get("use", name)):
-            lines.append(f"Prior {name} is the user's own ({spec['use']}): what it reads is for its author to say.")
-    return lines
+__all__ = ["Findings", "pose_findings", "report", "shape_findings"]
 
 
-def _curves_of(run: RunFolder) -> dict[str, list[tuple[float, float]]]:
-    """Return each curve of metrics.csv: stage and name -> (step, value) points."""
-    curves: dict[str, list[tuple[float, float]]] = {}
-    for stage, step, name, value in read_metrics(run.path / "metrics.csv"):
-        curves.setdefault(f"{stage}: {name}", []).append((float(step), float(value)))
-    return curves
+@dataclass(frozen=True)
+class _Words:
+    """The layout of the figures of one kind of run, and the texts around them."""
+
+    title: str
+    metric: str
+    """A row's name in report.md, `{}` being the metric."""
+    number: str
+    """A number in report.md."""
+    widths: tuple[int, int]
+    """Of the first two columns in the terminal."""
+    baselines: str
+    """What baselines are, for report.md."""
+    no_truth: str
+    predict: str
+    """What goes behind ``uplift predict run=...``."""
+
+
+@dataclass(frozen=True)
+class Findings:
+    """What a report tells of a fit, whatever that lifts."""
+
+    words: _Words
+    given: list[str]
+    """What the fit was given, a sentence each: the answer to "did it see 3D?"."""
+    write_page: Callable[..., None]
+    """Takes the path, and the sections, curves and notes of a page."""
+    shown: list[str] = field(default_factory=list)
+    """What the terminal shows of ``given``."""
+    evaluation: AnyEvaluation | None = None
+    about: str = ""
+    """What was evaluated, in a line."""
+    names: Sequence[str] = ()
+    """The metrics that are shown."""
+    baselines: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+    doubts: Sequence[str] = ()
+    """What a user should look into."""
+
+    def rows(self) -> list[list[object]]:
+        """Return the figures of the run beside those of the baselines, a header first; nothing without an evaluation."""
+        if self.evaluation is None:
+            return []
+        rows: list[list[object]] = [[self.evaluation.title, "this run", *self.baselines]]
+        for name in self.names:
+            others = [baseline.get(name, "") for baseline in self.baselines.values()]
+            rows.append([name, self.evaluation.overall[name], *others])
+        return rows
+
+
+def report(run: RunFolder, model: Any, settings: Settings, loaded: Any, spent: dict[str, float]) -> None:
+    """Evaluate where there is a truth, write report.md and page.html, and print what comes next."""
+    found: Findings = KINDS[settings.lifts].report(model, settings, loaded)
+    if found.evaluation is not None:
+        save_evaluation(found.evaluation, run)
+    rows = found.rows()
+    lines = [*_head_lines(run, settings, [*loaded.notes, *found.given], spent), *_figure_lines(found, rows)]
+    with replacing(run.path / "report.md") as file:
+        file.write(("\n".join(lines) + "\n").encode())
+    sections = [(found.words.title, rows)] if rows else []
+    found.write_page(run.path / "page.html", sections=sections, curves=_curves_of(run), notes=found.given)
+    print("\n".join(_end_lines(run, found, rows, spent)))
 
 
 def _head_lines(run: RunFolder, settings: Settings, notes: Sequence[str], spent: dict[str, float]) -> list[str]:
@@ -61,60 +108,123 @@ def _head_lines(run: RunFolder, settings: Settings, notes: Sequence[str], spent:
     return [*lines, f"- seed {settings.seed}, {facts['cores']} cores, torch {facts['versions']['torch']}", ""]
 
 
-def _closing_lines(run: RunFolder, evaluated: bool, predicting: str) -> list[str]:
-    """Return what a fit wrote and what comes next; ``predicting`` are the words of `predict` behind run=."""
+def _figure_lines(found: Findings, rows: list[list[object]]) -> list[str]:
+    """Return the figures as report.md has them."""
+    if found.evaluation is None:
+        return []
+    words, (header, *figures) = found.words, rows
+    lines = [f"## {words.title}", "", _line(header, ""), "|" + "---|" * len(header)]
+    lines += [_line([words.metric.format(name), *cells], words.number) for name, *cells in figures]
+    lines += ["", words.baselines] if found.baselines else []
+    return [*lines, "", "```", found.evaluation.table(), "```", ""]
+
+
+def _line(cells: Sequence[object], number: str) -> str:
+    return f"| {' | '.join(_cell(cell, number) for cell in cells)} |"
+
+
+def _cell(cell: object, number: str) -> str:
+    return format(cell, number) if isinstance(cell, float) else str(cell)
+
+
+def _curves_of(run: RunFolder) -> dict[str, list[tuple[float, float]]]:
+    """Return each curve of metrics.csv: stage and name -> (step, value) points."""
+    curves: dict[str, list[tuple[float, float]]] = {}
+    for stage, step, name, value in read_metrics(run.path / "metrics.csv"):
+        curves.setdefault(f"{stage}: {name}", []).append((float(step), float(value)))
+    return curves
+
+
+def _end_lines(run: RunFolder, found: Findings, rows: list[list[object]], spent: dict[str, float]) -> list[str]:
+    """Return what a fit prints at its end: figures, what it wrote, what comes next."""
+    lines = [f"\ntrained for {sum(spent.values()):.0f} s", *found.shown]
+    if rows:
+        lines += [f"\n{found.about}\n"]
+        wide, narrow = found.words.widths
+        for name, value, *others in rows:
+            cells = f"{name!s:<{wide}}{_cell(value, '.3f'):>{narrow}}"
+            lines.append((cells + "".join(f"{_cell(cell, '.3f'):>12}" for cell in others)).rstrip())
+        lines += [f"\n{doubt}" for doubt in found.doubts]
+    else:
+        lines.append(found.words.no_truth)
     last = run.path.parent / "last"
     shown = last if last.is_symlink() and last.resolve() == run.path.resolve() else run.path
     return [
-        f"\nwrote {run.path}/: lifter.pt, report.md, page.html" + (", evaluation.json" if evaluated else ""),
+        *lines,
+        f"\nwrote {run.path}/: lifter.pt, report.md, page.html" + (", evaluation.json" if rows else ""),
         f"look: open {run.path / 'page.html'} in a browser",
         f"next: uplift evaluate run={shown}",
-        f"      uplift predict run={shown} {predicting}",
+        f"      uplift predict run={shown} {found.words.predict}",
     ]
 
 
-# What a fit leaves to read: evaluation, report.md, page.html, and the lines at its end.
+def _given_lines(settings: Settings, first: str) -> list[str]:
+    """Return ``first``, what a fit learned from, or of a fit that starts from another run, which that is."""
+    if settings.init:
+        return [f"Started from the weights of {settings.init}; see that run for what it learned from."]
+    return [first]
 
+
+def _prior_lines(settings: Settings) -> list[str]:
+    """Return the priors with a weight above 0, and which of them are user-defined."""
+    specs = {n: s for n, s in settings.priors.items() if float(s.get("weight", 1)) > 0}
+    lines = ["Priors (weight): " + ", ".join(f"{n} {float(s.get('weight', 1)):g}" for n, s in specs.items()) + "."]
+    for name, spec in specs.items():
+        if ":" in str(spec.get("use", name)):
+            lines.append(f"Prior {name} is the user's own ({spec['use']}): what it reads is for its author to say.")
+    return lines
+
+
+# A fit of keypoints: errors beside those of flat depth.
+
+_POSES = _Words(
+    title="Errors",
+    metric="`{}`",
+    number=".4g",
+    widths=(18, 10),
+    baselines="Flat depth is the observed 2D with every depth 0: what any lifter must beat.",
+    no_truth="No test poses: nothing to evaluate. `uplift evaluate run=... data.test=FILE` does, on frames with truth.",
+    predict="input=KEYPOINTS output=poses.html",
+)
 _HEADLINES = ("mpjpe", "p_mpjpe", "n_mpjpe", "mpjpe_gt_scale", "facing", "facing_sign", "elevation_deg")
 
 
-def report(run: RunFolder, model: Model, settings: Settings, loaded: Loaded, spent: dict[str, float]) -> None:
-    """Evaluate where there are test poses, write report.md and page.html, and print what comes next."""
-    data = loaded.test if loaded.test is not None else loaded.train.without_truth()
-    evaluation = flat = None
-    if loaded.test is not None and loaded.test.pose is not None:
-        evaluation = evaluate_model(model, loaded.test, loaded.test.source)
-        save_evaluation(evaluation, run)
-        floor = GivenPoses(flat_depth(data.keypoints, model.skeleton.root_index), model.skeleton.joints)
-        flat = score(floor, loaded.test, model.skeleton)
-    given = _given_lines(settings, loaded)
-    text = _markdown(run, settings, loaded, spent, given, evaluation, flat)
-    with replacing(run.path / "report.md") as file:
-        file.write(text.encode())
-    title = f"{settings.task or 'own data'}: {model.skeleton.name}"
-    sections = [("Errors", _rows(evaluation, flat))] if evaluation and flat else []
-    write_html(
-        model.predict(data.select(_some_rows(data)), title=title),
-        run.path / "page.html",
-        sections=sections,
-        curves=_curves_of(run),
-        notes=given,
+def pose_findings(model: Model, settings: Settings, loaded: Loaded) -> Findings:
+    """Return what a fit of keypoints reports."""
+    test = loaded.test
+    data = test if test is not None else loaded.train.without_truth()
+
+    def write_page(path: Path, **parts: Any) -> None:
+        title = f"{settings.task or 'own data'}: {model.skeleton.name}"
+        write_html(model.predict(data.select(_some_rows(data)), title=title), path, **parts)
+
+    given = _given_to_poses(settings, loaded)
+    if test is None or test.pose is None:
+        return Findings(_POSES, given, write_page)
+    found = evaluate_model(model, test, test.source)
+    flat = GivenPoses(flat_depth(test.keypoints, model.skeleton.root_index), model.skeleton.joints)
+    return Findings(
+        _POSES,
+        given,
+        write_page,
+        evaluation=found,
+        about=f"{found.data}: {found.frames:,} frames, unit {found.unit}",
+        names=[name for name in _HEADLINES if name in found.overall],
+        baselines={"flat depth": score(flat, test, model.skeleton).overall},
+        doubts=_doubts(found),
     )
-    _print_end(run, evaluation, flat, spent)
 
 
-def _given_lines(settings: Settings, loaded: Loaded) -> list[str]:
-    """Return what the fit was given, a sentence each: the answer to "did it see 3D?"."""
-    lines = ["Learned from 2D keypoints alone: no pose, root depth or camera tilt of the data was looked at."]
+def _given_to_poses(settings: Settings, loaded: Loaded) -> list[str]:
+    first = "Learned from 2D keypoints alone: no pose, root depth or camera tilt of the data was looked at."
     labels = [data.labelled for data in (loaded.train, loaded.more) if data is not None and data.labelled is not None]
     if labels:
         count, total = sum(int(which.sum()) for which in labels), len(loaded.train) + len(loaded.more or ())
-        lines = [
+        first = (
             f"Learned from the true poses, root positions and camera tilts of {count:,} labelled frames of {total:,}; "
             "of the others from 2D keypoints alone."
-        ]
-    if settings.init:
-        lines = [f"Started from the weights of {settings.init}; see that run for what it learned from."]
+        )
+    lines = _given_lines(settings, first)
     if settings.data.simulate:
         lines.append(
             "The keypoints are simulated: bodies and motions from published anthropometry and ranges of motion."
@@ -128,43 +238,20 @@ def _given_lines(settings: Settings, loaded: Loaded) -> list[str]:
 
 
 def _some_rows(data: PoseData, most: int = 1500) -> np.ndarray:
-    """Return rows of whole clips, spread over the file, for the page."""
+    """Return rows of complete clips, spread over the file, for the page."""
     clips = data.clips()
     names, first = np.unique(clips, return_index=True)
     names = names[np.argsort(first)]
     counts = np.bincount(clips)[names]
     step = max(1, int(np.ceil(len(names) * counts.mean() / most)))
-    picked = names[::step]
-    rows = np.flatnonzero(np.isin(clips, picked))
-    return rows[:most]
-
-
-def _rows(evaluation: Evaluation, flat: Evaluation) -> list[list[object]]:
-    rows: list[list[object]] = [["protocol", "this run", "flat depth"]]
-    for name in _HEADLINES:
-        if name in evaluation.overall:
-            floor = flat.overall.get(name)
-            rows.append([name, evaluation.overall[name], floor if floor is not None else ""])
-    return rows
-
-
-def _markdown(run, settings, loaded, spent, given, evaluation, flat) -> str:
-    lines = _head_lines(run, settings, [*loaded.notes, *given], spent)
-    if evaluation is not None:
-        lines += ["## Errors", "", "| protocol | this run | flat depth |", "|---|---|---|"]
-        for name, value, floor in _rows(evaluation, flat)[1:]:
-            shown = f"{floor:.4g}" if isinstance(floor, float) else ""
-            lines.append(f"| `{name}` | {value:.4g} | {shown} |")
-        lines += ["", "Flat depth is the observed 2D with every depth 0: what any lifter must beat.", ""]
-        lines += ["```", evaluation.table(), "```", ""]
-    return "\n".join(lines) + "\n"
+    return np.flatnonzero(np.isin(clips, names[::step]))[:most]
 
 
 def _doubts(evaluation: Evaluation) -> list[str]:
-    """Return what a user should look into: directions that the truth itself contradicts, or poses mirrored in depth."""
-    told = [note for note in evaluation.notes if note.startswith(TRUTH_SIGN)]
-    if told and float(told[0].split()[-1]) < 0.5:
-        return [f"{told[0]}: left and right, or front and back, are exchanged in the skeleton's `facing`."]
+    """Return whether the truth itself contradicts the skeleton's directions, or poses are mirrored in depth."""
+    notes = [note for note in evaluation.notes if note.startswith(TRUTH_SIGN)]
+    if notes and float(notes[0].split()[-1]) < 0.5:
+        return [f"{notes[0]}: left and right, or front and back, are exchanged in the skeleton's `facing`."]
     facing = evaluation.overall.get("facing")
     if facing is None or facing > 0.75:
         return []
@@ -174,118 +261,62 @@ def _doubts(evaluation: Evaluation) -> list[str]:
     ]
 
 
-def _print_end(run: RunFolder, evaluation: Evaluation | None, flat: Evaluation | None, spent: dict[str, float]) -> None:
-    print(f"\ntrained for {sum(spent.values()):.0f} s")
-    if evaluation is not None and flat is not None:
-        print(f"\n{evaluation.data}: {evaluation.frames:,} frames, unit {evaluation.unit}\n")
-        print(f"{'protocol':<18}{'this run':>10}{'flat depth':>12}")
-        for name, value, floor in _rows(evaluation, flat)[1:]:
-            shown = f"{floor:12.3f}" if isinstance(floor, float) else ""
-            print(f"{name!s:<18}{value:10.3f}{shown}")
-        for doubt in _doubts(evaluation):
-            print(f"\n{doubt}")
-    else:
-        print(
-            "No test poses: nothing to evaluate. `uplift evaluate run=... data.test=FILE` does, on frames with truth."
-        )
-    print("\n".join(_closing_lines(run, evaluation is not None, "input=KEYPOINTS output=poses.html")))
+# A fit of masks: metrics beside those of baselines that learned from true shapes.
 
-
-# What a fit of masks leaves to read: evaluation, report.md, page.html, and the lines at its end.
-
+_SHAPES = _Words(
+    title="Metrics",
+    metric="{}",
+    number=".3f",
+    widths=(24, 12),
+    baselines="The baselines learned from true training shapes, which this run never saw.",
+    no_truth="No true test shapes: nothing to evaluate. "
+    "`uplift evaluate run=... data.test=FILE` does, on masks with truth.",
+    predict="input=MASKS output=shapes.html",
+)
 _SCORES = {"volume IoU": "volume_iou", "unseen silhouettes": "silhouette_iou_unseen", "chamfer": "chamfer"}
 
 
-def report_shapes(
-    run: RunFolder, model: ShapeModel, settings: Settings, loaded: LoadedMasks, spent: dict[str, float]
-) -> None:
-    """Evaluate where there are true test shapes, write report.md and page.html, and print what comes next."""
+def shape_findings(model: ShapeModel, settings: Settings, loaded: LoadedMasks) -> Findings:
+    """Return what a fit of masks reports."""
     title = f"{settings.task or 'own data'}: shapes from masks"
-    evaluation, truth, scores = None, None, {}
-    if loaded.test is not None and loaded.test.truth is not None:
-        scored = score_shapes(model, loaded.test, loaded.train, title)
-        evaluation, truth, prediction = scored.evaluation, scored.test.truth, scored.prediction
-        save_evaluation(evaluation, run)
-        scores = {name: evaluation.per_item[key] for name, key in _SCORES.items() if key in evaluation.per_item}
-    else:
-        data = (loaded.test or loaded.train).without_truth()
-        prediction = model.predict(
-            data.select(np.arange(min(MOST, len(data))) * len(data) // min(MOST, len(data))), title
-        )
     given = _given_to_shapes(settings, loaded)
-    with replacing(run.path / "report.md") as file:
-        file.write(_shape_markdown(run, settings, [*loaded.notes, *given], spent, evaluation).encode())
-    write_shape_page(
-        prediction,
-        run.path / "page.html",
-        truth=truth,
-        scores=scores,
-        sections=[("Metrics", _shape_rows(evaluation))] if evaluation else [],
-        curves=_curves_of(run),
-        notes=given,
+    if loaded.test is None or loaded.test.truth is None:
+        data = (loaded.test or loaded.train).without_truth()
+        count = min(MOST, len(data))
+        shown = model.predict(data.select(np.arange(count) * len(data) // count), title)
+        return Findings(_SHAPES, given, partial(write_shape_page, shown), given[:1])
+    scored = score_shapes(model, loaded.test, loaded.train, title)
+    found = scored.evaluation
+    scores = {name: found.per_item[key] for name, key in _SCORES.items() if key in found.per_item}
+    return Findings(
+        _SHAPES,
+        given,
+        partial(write_shape_page, scored.prediction, truth=scored.test.truth, scores=scores),
+        given[:1],
+        evaluation=found,
+        about=f"{found.data}: {found.items:,} shapes",
+        names=[name for name in found.overall if not name.startswith(BEST_BASELINE)],
+        baselines=found.baselines,
     )
-    _print_shape_end(run, evaluation, spent, given[0])
 
 
 def _given_to_shapes(settings: Settings, loaded: LoadedMasks) -> list[str]:
-    """Return what the fit was given, a sentence each: the answer to "did it see 3D?"."""
     data, shape = settings.data, settings.shape
-    lines = ["Learned from masks alone: no shape, view or category of the data was looked at."]
+    first = "Learned from masks alone: no shape, view or category of the data was looked at."
     labelled = loaded.train.labelled
     if labelled is not None and labelled.any():
-        lines = [
+        first = (
             f"Learned from the true shapes and views of {int(labelled.sum()):,} labelled masks of {len(labelled):,}; "
             "of the others from masks alone. No category was looked at."
-        ]
-    if settings.init:
-        lines = [f"Started from the weights of {settings.init}; see that run for what it learned from."]
+        )
+    lines = _given_lines(settings, first)
     if data.category or data.select.categories or data.hold_out.categories:
         lines.append("Which masks are used was chosen by their categories.")
     if data.simulate:
-        lines.append(f"The masks are of made-up shapes of simple parts ({data.family}).")
+        lines.append(f"The masks are of simulated shapes of simple parts ({data.family}).")
     mean, sd = shape.elevation_deg
-    told = [f"cameras look down by {mean:g} degrees, give or take {sd:g}"] if shape.gravity else []
-    told.insert(0, "shapes stand upright" if shape.gravity else "shapes are seen from every side")
-    told += ["shapes are their own mirror image, left and right"] * shape.symmetric
-    lines.append(f"Told beforehand (shape.*): {'; '.join(told)}.")
+    assumed = ["shapes stand upright" if shape.gravity else "shapes are seen from every side"]
+    assumed += [f"cameras look down by {mean:g} degrees, give or take {sd:g}"] * shape.gravity
+    assumed += ["shapes are their own mirror image, left and right"] * shape.symmetric
+    lines.append(f"Assumed (shape.*): {'; '.join(assumed)}.")
     return [*lines, *(_prior_lines(settings) if settings.priors else [])]
-
-
-def _shape_rows(evaluation: ShapeEvaluation) -> list[list[object]]:
-    """Return the metrics of the run with those of each floor; the first row is the header."""
-    rows: list[list[object]] = [["metric", "this run", *evaluation.floors]]
-    for name, value in evaluation.overall.items():
-        if not name.startswith(BEST_FLOOR):
-            rows.append([name, value, *(floor.get(name, "") for floor in evaluation.floors.values())])
-    return rows
-
-
-def _shape_markdown(
-    run: RunFolder, settings: Settings, notes: list[str], spent: dict[str, float], evaluation: ShapeEvaluation | None
-) -> str:
-    lines = _head_lines(run, settings, notes, spent)
-    if evaluation is not None:
-        header, *rows = _shape_rows(evaluation)
-        lines += ["## Metrics", "", f"| {' | '.join(map(str, header))} |", "|" + "---|" * len(header)]
-        lines += ["| " + " | ".join(_shown(cell) for cell in row) + " |" for row in rows]
-        if evaluation.floors:
-            lines += ["", "The floors learned from true training shapes, which this run never saw."]
-        lines += ["", "```", evaluation.table(), "```", ""]
-    return "\n".join(lines) + "\n"
-
-
-def _shown(cell: object) -> str:
-    return f"{cell:.3f}" if isinstance(cell, float) else str(cell)
-
-
-def _print_shape_end(run: RunFolder, evaluation: ShapeEvaluation | None, spent: dict[str, float], given: str) -> None:
-    print(f"\ntrained for {sum(spent.values()):.0f} s\n{given}")
-    if evaluation is not None:
-        print(f"\n{evaluation.data}: {evaluation.items:,} shapes\n")
-        for name, *cells in _shape_rows(evaluation):
-            print(f"{name!s:<24}" + "".join(f"{_shown(cell):>12}" for cell in cells))
-    else:
-        print(
-            "No true test shapes: nothing to evaluate. `uplift evaluate run=... data.test=FILE` does, on masks with truth."
-        )
-    print("\n".join(_closing_lines(run, evaluation is not None, "input=MASKS output=shapes.html")))

@@ -1,17 +1,20 @@
-"""The verb simulate: keypoints and exact poses of a made-up body, to rehearse a skeleton with."""
+"""The verb simulate: keypoints and exact poses of a simulated body, to rehearse a skeleton with."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from uplift.cli.parsing import SIMULATE_KEYS, keyed, number, whole
+from uplift.config.files import refuse_output
 from uplift.data.poses import PoseData
 from uplift.errors import UserError, nearest
 from uplift.skeleton import Skeleton, load_skeleton
 
-__all__ = ["simulate"]
+__all__ = ["simulate", "simulate_command"]
 
 _ENDINGS = (".npz", ".csv")
 _TRACKERS = ("deeplabcut",)
@@ -56,6 +59,22 @@ def simulate(
     return data
 
 
+def simulate_command(words: Sequence[str]) -> None:
+    """Simulate what the words say, write it, and print what was done."""
+    keys = keyed("simulate", words, SIMULATE_KEYS, ("skeleton", "output"))
+    found = {key: whole("simulate", keys, key) for key in ("frames", "seed")}
+    found |= {key: number("simulate", keys, key) for key in ("clip_seconds", "noise_px", "missing")}
+    given = {key: value for key, value in (found | {"tracker": keys.get("tracker")}).items() if value is not None}
+    written: list[Path] = []
+    data = simulate(keys["skeleton"], keys["output"], written=written, **given)  # type: ignore[arg-type]
+    output = Path(keys["output"])
+    several = len(written) > 1
+    files = f"{len(written)} files, {written[0]} to {written[-1].name}" if several else output
+    train = f"'{output.with_name(f'{output.stem}_*{output.suffix}')}'" if several else output
+    print(f"simulated {len(data):,} frames of {keys['skeleton']}\nwrote {files}")
+    print(f"next: uplift fit skeleton={keys['skeleton']} data.train={train}")
+
+
 def _checked(output: Path, tracker: str | None) -> Path:
     """Return ``output``, which can be written."""
     ending = output.suffix.lower()
@@ -65,10 +84,7 @@ def _checked(output: Path, tracker: str | None) -> Path:
         raise UserError(f"tracker={tracker}: expected {' or '.join(_TRACKERS)}.{nearest(tracker, _TRACKERS)}")
     if tracker is not None and ending != ".csv":
         raise UserError(f"output={output}: the files of tracker={tracker} are .csv.")
-    if output.exists():
-        raise UserError(f"{output} exists already and is not overwritten: remove it or choose another name.")
-    if not output.absolute().parent.is_dir():
-        raise UserError(f"output={output}: no folder {output.absolute().parent}. Create it first.")
+    refuse_output(output)
     return output
 
 
@@ -91,7 +107,7 @@ def _write_videos(data: PoseData, output: Path, seed: int) -> list[Path]:
     """Write a file for each clip, in DeepLabCut's layout."""
     from uplift.data.formats.deeplabcut import write_deeplabcut_csv
     from uplift.data.synthetic.simulate import as_tracked
-    from uplift.export.clips import paths_of
+    from uplift.export import paths_of
 
     clips = np.unique(data.identity["sequence"])
     if len(clips) > _MOST_FILES:

@@ -8,40 +8,36 @@ from pathlib import Path
 import numpy as np
 
 from uplift.cli.parsing import check_keys
-from uplift.config.files import shipped, shipped_names
+from uplift.config.files import refuse_existing, shipped, shipped_names
 from uplift.config.loading import split_words
 from uplift.data.clean import MIN_VISIBLE, clean
 from uplift.data.formats import read
 from uplift.data.formats.base import ReadOptions
 from uplift.data.load import in_joints_of
 from uplift.data.poses import PoseData
-from uplift.errors import UserError, did_you_mean
+from uplift.errors import UserError
 from uplift.skeleton import Skeleton, load_skeleton
 from uplift.skeleton.match import JointMatch, match_joints
 from uplift.skeleton.propose import TOO_LONG, guess_parts, quoted, stretch_of
 
 __all__ = ["check_skeleton_file", "map_joints", "new_skeleton_file"]
 
-# The verbs skeleton check and skeleton new.
-
 READING = ("format", "layout", "min_confidence")
 
 
 def check_skeleton_file(words: list[str]) -> list[str]:
-    """Validate a skeleton, draw it, and return what to say."""
+    """Validate a skeleton, draw it, and return the lines to print."""
     from uplift.skeleton.draw import draw_skeleton
 
-    names, keyed = split_words(words)
-    if len(names) != 1 or set(keyed) - {"output"}:
-        wrong = next(iter(set(keyed) - {"output"}), "")
-        hint = did_you_mean(wrong, ["output"]) if wrong else ""
-        raise UserError(f"skeleton check takes one FILE (or a shipped name) and output=FILE.png.{hint}")
+    names, keyed = _keyed_words("check", words, ("output",))
+    if len(names) != 1:
+        raise UserError("skeleton check takes one FILE (or a shipped name) and output=FILE.png.")
     skeleton = load_skeleton(names[0])
     output = Path(keyed.get("output", f"{skeleton.name}.png"))
     if output.suffix.lower() != ".png":
         raise UserError(f"output={output}: the drawing is a .png.")
-    if output.exists() and "output" in keyed:
-        raise UserError(f"{output} exists already and is not overwritten: remove it or choose another name.")
+    if "output" in keyed:
+        refuse_existing(output)
     number = 2
     while output.exists():
         output = Path(f"{skeleton.name}_{number}.png")
@@ -59,13 +55,12 @@ def check_skeleton_file(words: list[str]) -> list[str]:
 
 
 def new_skeleton_file(words: list[str]) -> list[str]:
-    """Write a commented starting file, or one proposed from a tracker's file, and return what to say."""
+    """Write a commented starting file, or one proposed from a tracker's file, and return the lines to print."""
     names, keyed = _keyed_words("new", words, ("from", "root", "gravity", *READING))
     if len(names) != 1:
         raise UserError("skeleton new takes one FILE, such as beetle.yaml, and --from TRACKER_FILE if you have one.")
     path = Path(names[0] if names[0].endswith((".yaml", ".yml")) else f"{names[0]}.yaml")
-    if path.exists():
-        raise UserError(f"{path} exists already and is not overwritten: remove it or choose another name.")
+    refuse_existing(path)
     if not path.parent.is_dir():
         raise UserError(f"No folder {path.parent} to write {path.name} into.")
     if "from" in keyed:
@@ -86,7 +81,7 @@ def _keyed_words(verb: str, words: list[str], known: tuple[str, ...]) -> tuple[l
 
 
 def _reading(keyed: dict[str, str]) -> ReadOptions:
-    """Return what the words say of a file that is to be read."""
+    """Return how a file is to be read."""
     try:
         weakest = float(keyed.get("min_confidence", 0))
     except ValueError:
@@ -119,10 +114,10 @@ def _write_proposal(path: Path, keyed: dict[str, str]) -> list[str]:
     fitting = _fitting_skeletons(data)
     if fitting:
         lines.append(f"shipped skeletons that fit this file as they are: {', '.join(fitting)}: better than a guess")
-    said = "guessed by the names, in comments" if facing_guess(skeleton) else "not known"
+    known = "guessed by the names, in comments" if facing_guess(skeleton) else "not known"
     return [
         *lines,
-        f"to do: look at the bones; facing is {said}",
+        f"to do: look at the bones; facing is {known}",
         f"wrote {path}",
         f"next: edit it, then uplift skeleton check {path}, and uplift skeleton map {keyed['from']} skeleton={path}",
     ]
@@ -134,7 +129,7 @@ _LIKELY = 1.5  # see `stretched`
 
 
 def map_joints(words: list[str]) -> tuple[list[str], bool]:
-    """Return what to say of how a file's joints make a skeleton's, and whether the file can be lifted.
+    """Return the lines on how a file's joints make a skeleton's, and whether the file can be lifted.
 
     Raises:
         UserError: no such file or skeleton, or one that cannot be read.
@@ -154,8 +149,8 @@ def map_joints(words: list[str]) -> tuple[list[str], bool]:
     lines += [f"{skeleton.name}, {how}:", *_table(match, skeleton, built)]
     if match.unused:
         lines.append(f"  unused: {', '.join(match.unused)}")
-    said, fits = _verdict(data, skeleton, built)
-    return [*lines, "", said], fits
+    verdict, fits = _verdict(data, skeleton, built)
+    return [*lines, "", verdict], fits
 
 
 def _counts(data: PoseData) -> str:
@@ -170,7 +165,7 @@ def _counts(data: PoseData) -> str:
 
 
 def _table(match: JointMatch, skeleton: Skeleton, built: PoseData) -> list[str]:
-    """Return a line for each joint: what it is made of, how often and how surely it is seen."""
+    """Return a line for each joint: what it is made of, how often it is seen, and its mean confidence."""
     seen = built.confidence > 0
     rows = []
     for place, joint in enumerate(skeleton.joints):
@@ -179,8 +174,8 @@ def _table(match: JointMatch, skeleton: Skeleton, built: PoseData) -> list[str]:
             rows.append((joint, "MISSING", ""))
             continue
         made = parts[0] if len(parts) == 1 else f"mean of {', '.join(dict.fromkeys(parts))}"
-        sure = f", confidence {built.confidence[seen[:, place], place].mean():.2f}" if seen[:, place].any() else ""
-        rows.append((joint, made, f"seen in {_percent(seen[:, place])} of frames{sure}"))
+        mean = f", confidence {built.confidence[seen[:, place], place].mean():.2f}" if seen[:, place].any() else ""
+        rows.append((joint, made, f"seen in {_percent(seen[:, place])} of frames{mean}"))
     wide = [max(len(row[column]) for row in rows) for column in (0, 1)]
     return [f"  {joint:<{wide[0]}} <- {made:<{min(wide[1], 44)}}  {how}".rstrip() for joint, made, how in rows]
 

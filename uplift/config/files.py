@@ -13,7 +13,7 @@ from typing import Any, BinaryIO
 
 from uplift.errors import UserError
 
-__all__ = ["absolute", "data_root", "files_of", "read_torch", "replacing", "save_torch", "shipped", "shipped_names"]
+__all__ = ["absolute", "data_root", "files_of", "read_torch", "refuse_existing", "refuse_output", "replacing", "save_torch", "shipped", "shipped_names"]
 
 # Where shipped files and data sets are.
 
@@ -151,3 +151,16 @@ def read_torch(path: Path, kind: str) -> dict[str, Any]:
     if not isinstance(state, dict):
         raise UserError(f"{path} is not a {kind}: found {type(state).__name__}, expected what `uplift fit` writes.")
     return state
+
+
+def refuse_existing(path: Path) -> None:
+    """Raise UserError where ``path`` is there already: what a user has is not overwritten."""
+    if path.exists():
+        raise UserError(f"{path} exists already and is not overwritten: remove it or choose another name.")
+
+
+def refuse_output(path: Path) -> None:
+    """Raise UserError where ``output=path`` is there already, or its folder is not."""
+    refuse_existing(path)
+    if not path.absolute().parent.is_dir():
+        raise UserError(f"output={path}: no folder {path.absolute().parent}. Create it first.")

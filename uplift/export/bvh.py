@@ -12,7 +12,9 @@ from jaxtyping import Float
 from uplift.config.files import replacing
 from uplift.data.parsers.mocap import Figure, Tree
 from uplift.errors import UserError
-from uplift.export.scene import frame_rate, from_y_down, held, known_points, one_clip, seen_at, steps
+from uplift.export.clips import frame_rate, one_clip, seen_at, steps
+from uplift.export.scene import from_y_down, held, known_points
+from uplift.export.tables import unique
 from uplift.geometry.rigid import nearest_rotation
 from uplift.models.prediction import Prediction
 from uplift.skeleton import Skeleton
@@ -52,10 +54,10 @@ def _mean_shape(ways: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
     known = np.isfinite(stacked.sum(-1))
     first = int(np.argmax(known.sum(1)))
     shape = np.where(known[first][:, None], stacked[first], 0)
-    whole, count = np.nan_to_num(stacked), np.maximum(known.sum(0), 1)[:, None]
+    filled, count = np.nan_to_num(stacked), np.maximum(known.sum(0), 1)[:, None]
     for _ in range(_ROUNDS):
-        turn, _ = nearest_rotation(np.einsum("bi,fbj->fij", shape, whole) + 1e-9 * np.eye(3))
-        mean = np.einsum("fij,fbj->bi", turn, whole) / count
+        turn, _ = nearest_rotation(np.einsum("bi,fbj->fij", shape, filled) + 1e-9 * np.eye(3))
+        mean = np.einsum("fij,fbj->bi", turn, filled) / count
         scattered = np.linalg.norm(mean, axis=-1) < _SCATTERED
         mean[scattered & known[first]] = stacked[first][scattered & known[first]]
         size = np.linalg.norm(mean, axis=-1, keepdims=True)
@@ -144,8 +146,8 @@ def turn_onto(
         unfolded = np.einsum("fi,fij,j->f", np.nan_to_num(ways[:, 0]), frame, rest[0])
         trust *= np.clip((1 + unfolded) / _FOLDED, 0, 1)
     turned, _ = nearest_rotation(wanted + _WEAK * frame)
-    sure = np.flatnonzero(trust == 1)
-    before = frame[sure[0]].T @ turned[sure[0]] if len(sure) else np.eye(3)
+    trusted = np.flatnonzero(trust == 1)
+    before = frame[trusted[0]].T @ turned[trusted[0]] if len(trusted) else np.eye(3)
     for now in np.flatnonzero(trust < 1):
         before = frame[now - 1].T @ turned[now - 1] if now else before
         leave = frame[now] @ (trust[now] * np.eye(3) + (1 - trust[now]) * before)
@@ -165,7 +167,7 @@ def _bones(prediction: Prediction, pose: np.ndarray) -> tuple[dict[str, np.ndarr
         known = np.isfinite(length) & (length > 0)
         if not known.any():
             raise UserError(
-                f"a .bvh holds whole bodies, but the bone from '{parent}' to '{joint}' is in no frame of this clip. "
+                f"a .bvh holds complete bodies, but the bone from '{parent}' to '{joint}' is in no frame of this clip. "
                 "Leave the joint out of the skeleton, or write another format."
             )
         lengths[joint] = float(np.median(length[known]))
@@ -362,15 +364,7 @@ def _offset(offset: np.ndarray, scale: float) -> str:
 
 def _plain(names: tuple[str, ...]) -> list[str]:
     """Return names without spaces and braces, which divide the words of the file, each once."""
-    found: list[str] = []
-    for name in names:
-        plain = short = re.sub(r"[\s{}]+", "_", name) or "_"
-        number = 1
-        while plain in found:
-            number += 1
-            plain = f"{short}_{number}"
-        found.append(plain)
-    return found
+    return unique(re.sub(r"[\s{}]+", "_", name) or "_" for name in names)
 
 
 def _fit(rig: _Rig, pose: np.ndarray, place: np.ndarray, prediction: Prediction) -> _BvhFit:

@@ -1,21 +1,23 @@
-"""Rows of a prediction as clips: moments in time with one or several individuals, and what goes into which file."""
+"""Rows of a prediction as clips: moments in time, with one or several individuals in each."""
 
 from __future__ import annotations
 
-import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from jaxtyping import Float, Int
 
 from uplift.errors import UserError
 from uplift.models.prediction import Prediction
 
-__all__ = ["Clip", "arrange", "choose", "parts_of", "paths_of", "photos"]
+__all__ = ["MOST_FILES", "USUAL_FPS", "Clip", "arrange", "frame_rate", "one_clip", "photos", "seen_at", "steps"]
 
-# Rows of a prediction as clips: moments in time, with one or several individuals in each.
-
+MOST_FILES = 500
+"""That one prediction is written to."""
+USUAL_FPS = 30.0
+"""Frames a second where the rate is not known."""
 _CLIP_KEYS = ("subject", "action", "sequence", "camera")
 _INSTANCE_KEYS = ("instance", "individual", "track")
 
@@ -31,6 +33,12 @@ class Clip:
     individual_names: tuple[str, ...]
     frames: tuple[int, ...]
 
+    def by_moment(self, values: np.ndarray) -> np.ndarray:
+        """Return values of all rows (rows ...) as (moments individuals ...), NaN where an individual is not there."""
+        found = np.full((len(self.frames), len(self.individual_names), *values.shape[1:]), np.nan)
+        found[self.moment, self.individual] = values[self.rows]
+        return found
+
     def first(self, moments: int) -> Clip:
         """Return the clip cut after so many moments."""
         keep = self.moment < moments
@@ -42,7 +50,7 @@ def arrange(identity: dict[str, np.ndarray], rows: int) -> list[Clip]:
     """Return the clips in the order of their first row, each sorted by individual, then time.
 
     Rows of one frame are drawn together only where an ``instance`` (``individual``, ``track``) tells
-    them apart; else they are other views of it and follow one another.
+    them apart; otherwise they are different views of it and follow one another.
     """
     instance = next((key for key in _INSTANCE_KEYS if key in identity), None)
     # A subject may be what tells individuals apart, and then it does not part clips.
@@ -61,18 +69,6 @@ def arrange(identity: dict[str, np.ndarray], rows: int) -> list[Clip]:
 def photos(identity: dict[str, np.ndarray]) -> bool:
     """Return whether the rows are seen in photos, not in the frames of a film."""
     return "image" in identity and not {"sequence", "frame"} & set(identity)
-
-
-def choose(clips: Sequence[Clip], moments: int, rows: int) -> list[Clip]:
-    """Return whole clips, evenly chosen, with at most so many moments and rows; a lone long clip is cut."""
-    for count in range(len(clips), 0, -1):
-        picked = [clips[index] for index in np.linspace(0, len(clips) - 1, count).round().astype(int)]
-        if sum(len(clip.frames) for clip in picked) <= moments and sum(len(clip.rows) for clip in picked) <= rows:
-            return picked
-    if not clips:
-        return []
-    crowd = np.cumsum(np.bincount(clips[0].moment))
-    return [clips[0].first(max(1, min(moments, int(np.searchsorted(crowd, rows, side="right")))))]
 
 
 def _codes(labels: Sequence[np.ndarray], rows: int) -> np.ndarray:
@@ -113,54 +109,53 @@ def _clip(name: str, rows: np.ndarray, frame: np.ndarray | None, who: np.ndarray
     return Clip(name, *parts, tuple(names.tolist()), tuple(frames.tolist()))
 
 
-# What goes into which file, for formats that hold one clip or one body.
-
-_MOST_FILES = 500
+# The only clip of a file that moves, its rate, and when each row is.
 
 
-def parts_of(prediction: Prediction, holds: str) -> list[tuple[str, np.ndarray | None]]:
-    """Return (name, rows) of each file: one with all rows (None), one a clip, or one a body of a clip.
+def one_clip(prediction: Prediction, path: str | Path, individuals: bool = True) -> Clip:
+    """Return the only clip of a prediction; ``individuals``: it may show several.
 
-    Raises:
-        UserError: more files than anybody wants.
+    Raises UserError for no clip, several, or more individuals than the format holds.
     """
-    if holds == "all":
-        return [("", None)]
-    parts: list[tuple[str, np.ndarray | None]] = []
-    for clip in arrange(prediction.identity, len(prediction)):
-        if holds == "clip":
-            parts.append((clip.name, np.sort(clip.rows)))
-            continue
-        for number, name in enumerate(clip.individual_names):
-            told = f"{clip.name} {name}".strip()
-            parts.append((told, np.sort(clip.rows[clip.individual == number])))
-    if len(parts) > _MOST_FILES:
+    if not len(prediction):
+        raise UserError(f"cannot write {path}: the prediction is empty. Check the input file.")
+    clips = arrange(prediction.identity, len(prediction))
+    if len(clips) > 1:
+        names = ", ".join(clip.name for clip in clips[:3]) + (", ..." if len(clips) > 3 else "")
+        raise UserError(f"cannot write {path}: a {Path(path).suffix} holds one clip, found {len(clips)}: {names}.")
+    names = clips[0].individual_names
+    if len(names) > 1 and not individuals:
         raise UserError(
-            f"the prediction has {len(parts):,} {'clips' if holds == 'clip' else 'bodies'}, and this format needs a file "
-            f"for each; the most is {_MOST_FILES}. Give fewer files at a time, or write .npz, .json or .csv."
+            f"cannot write {path}: a {Path(path).suffix} holds one individual, found {len(names)}: "
+            f"{', '.join(names[:5])}{', ...' if len(names) > 5 else ''}. Write one file for each."
         )
-    return parts
+    return clips[0]
 
 
-def paths_of(path: str | Path, names: Sequence[str]) -> list[Path]:
-    """Return the path of each part: ``path`` itself for one, else its stem with each name behind it.
+def frame_rate(prediction: Prediction, fps: int | float | None) -> float | None:
+    """Return the frames a second asked for, or else the prediction's; None where neither is known.
 
-    Raises:
-        UserError: one of several is there already.
+    Raises UserError for an ``fps`` that is not above 0.
     """
-    path = Path(path)
-    if len(names) == 1:
-        return [path]
-    used: set[str] = set()
-    paths = []
-    for name in names:
-        slug = re.sub(r"[^\w.-]+", "-", name).strip("-.")[:80] or "part"
-        number, told = 2, slug
-        while told.lower() in used:  # not every file system tells capitals apart
-            number, told = number + 1, f"{slug}_{number}"
-        used.add(told.lower())
-        paths.append(path.with_name(f"{path.stem}_{told}{path.suffix}"))
-    for one in paths:
-        if one.exists():
-            raise UserError(f"{one} exists already and is not overwritten: remove it or choose another name.")
-    return paths
+    if fps is not None and not (np.isfinite(fps) and fps > 0):
+        raise UserError(f"fps={fps:g}: expected frames a second, a number above 0.")
+    found = prediction.fps if fps is None else fps
+    return float(found) if found is not None and np.isfinite(found) and found > 0 else None
+
+
+def steps(clip: Clip) -> Float[np.ndarray, " moments"]:
+    """Return when each moment is, counted in frames of the rate from the first.
+
+    The commonest step of the frame numbers is one frame, so that a wider step is a gap.
+    """
+    numbers = np.asarray(clip.frames, float)
+    between = np.diff(numbers)
+    if not len(between) or (between <= 0).any():
+        return np.arange(len(numbers), dtype=float)
+    sizes, count = np.unique(between, return_counts=True)
+    return (numbers - numbers[0]) / sizes[np.argmax(count)]
+
+
+def seen_at(when: Float[np.ndarray, " moments"], times: Float[np.ndarray, " times"]) -> Int[np.ndarray, " times"]:
+    """Return the moment that is seen at each time: the last one that has come."""
+    return np.maximum(np.searchsorted(when, times + 1e-6, side="right") - 1, 0)

@@ -16,9 +16,9 @@ from PIL import Image, ImageDraw, ImageFont
 
 from uplift.config.files import replacing
 from uplift.errors import UserError
-from uplift.export.clips import Clip
+from uplift.export.clips import USUAL_FPS, Clip, frame_rate, one_clip
 from uplift.export.gallery import filled_points
-from uplift.export.scene import frame_rate, from_y_down, in_axes, known_points, one_clip, row_places
+from uplift.export.scene import SIDE_COLOURS, from_y_down, in_axes, known_points, row_places
 from uplift.models.prediction import Prediction
 from uplift.skeleton.core import bone_sides, joint_sides
 
@@ -37,85 +37,110 @@ __all__ = [
     "write_film",
 ]
 
-# A canvas for the pictures of a film: smooth lines, dots and text in a few colours.
-
-PAPER, CARD, INK, SOFT, FAINT = (246, 245, 241), (255, 254, 251), (34, 38, 43), (107, 113, 120), (220, 218, 210)
-FLOOR, SHADOW = (207, 204, 194), (228, 226, 221)
-SIDES = ((0x4A, 0x50, 0x58), (0x1F, 0x77, 0xB8), (0xD9, 0x63, 0x0F))
-"""Colours of the centre, the left and the right."""
-_SHARPEN = 2
-
 Number = int | float
 Colour = tuple[int, ...]
 Point = Sequence[Number] | np.ndarray
 
-
-def _mixed(colour: Colour, other: Colour, share: float) -> Colour:
-    """Return ``colour`` with so much of ``other`` in it."""
-    return tuple(round(a + (b - a) * share) for a, b in zip(colour, other, strict=True))
-
-
-def film_palette() -> Image.Image:
-    """Return an image with a palette of what the drawings blend."""
-    ramps = [[_mixed(side, CARD, step / 24) for step in range(24)] for side in SIDES]
-    ramps += [[_mixed(grey, CARD, step / 8) for step in range(8)] for grey in (SOFT, INK, FLOOR, SHADOW, FAINT)]
-    ramps += [[_mixed(grey, PAPER, step / 10) for step in range(10)] for grey in (INK, SOFT, FAINT, *SIDES)]
-    ramps += [[_mixed(side, SHADOW, 0.5) for side in SIDES], [CARD, PAPER]]
-    colours = dict.fromkeys(colour for ramp in ramps for colour in ramp)
-    # Pillow finds a near colour, not always the nearest: nothing else may be near the two large areas.
-    colours = [one for one in colours if one in (CARD, PAPER) or min(_gap(one, CARD), _gap(one, PAPER)) > 8]
-    image = Image.new("P", (1, 1))
-    image.putpalette([part for colour in colours for part in colour])
-    return image
+_GIF_FRAMES, _GIF_FPS, _GIF_SCALE = 600, 34.0, 0.625
+_MP4_FPS, _MP4_SCALE = 61.0, 1.0
+_MP4_QUALITY = 20
+"""Of x264: its constant rate factor."""
 
 
-def _gap(one: Colour, other: Colour) -> int:
-    return max(abs(a - b) for a, b in zip(one, other, strict=True))
+def write_film(prediction: Prediction, path: str | Path, fps: int | float | None = None) -> None:
+    """Write one clip with all its individuals, 1280 x 640 pixels as ``.mp4`` and 800 x 400 as ``.gif``.
+
+    ``fps`` replaces the prediction's; where neither is known it is 30, and no seconds are shown. Every n-th frame
+    is drawn, n as small as keeps a gif within 600 frames and 34 a second, an mp4 within 61 a second; the film lasts
+    as long as the clip. Missing frame numbers are skipped. Axes are the camera's, or level ones.
+    Raises UserError for several clips, another extension, or where the package for mp4 is not there.
+    """
+    extension = Path(path).suffix.lower()
+    if extension not in (".gif", ".mp4"):
+        raise UserError(f"cannot write {path}: a film is a .gif or an .mp4.")
+    program = _ffmpeg(path) if extension == ".mp4" else None
+    clip = one_clip(prediction, path)
+    known = frame_rate(prediction, fps)
+    rate = known or USUAL_FPS
+    scene = film_scene(prediction, clip, rate)
+    scale, most, fastest = (_MP4_SCALE, len(clip.frames), _MP4_FPS) if program else (_GIF_SCALE, _GIF_FRAMES, _GIF_FPS)
+    moments = thinned(len(clip.frames), rate, most, fastest)
+    drawing = FilmDrawing(scene, scale, rate, timed=known is not None)
+    pictures = (drawing.picture(moment) for moment in moments.tolist())
+    with replacing(path) as handle:
+        if program:
+            _write_mp4(pictures, handle, program, drawing.size, rate * len(moments) / len(clip.frames))
+        else:
+            _write_gif(pictures, handle, gif_durations_ms(len(moments), len(clip.frames) / rate))
 
 
-class _Canvas:
-    """A picture so many units wide and high, ``scale`` pixels to a unit, drawn finer and then shrunk."""
-
-    def __init__(self, wide: Number, high: Number, scale: Number, back: Colour):
-        self.wide, self.high = wide, high
-        self._unit = scale * _SHARPEN
-        self._image = Image.new("RGB", (round(wide * scale) * _SHARPEN, round(high * scale) * _SHARPEN), back)
-        self._draw = ImageDraw.Draw(self._image)
-
-    def line(self, start: Point, end: Point, width: Number, colour: Colour) -> None:
-        """Draw a line with flat ends."""
-        ends = [(float(point[0]) * self._unit, float(point[1]) * self._unit) for point in (start, end)]
-        self._draw.line(ends, fill=colour, width=max(1, round(width * self._unit)))
-
-    def dot(self, at: Point, radius: Number, colour: Colour, rim: Colour | None = None) -> None:
-        """Draw a disc, in a thin rim where that has a colour."""
-        x, y = float(at[0]) * self._unit, float(at[1]) * self._unit
-        for size, fill in ((radius + 1.2, rim), (radius, colour)):
-            if fill is not None:
-                r = size * self._unit
-                self._draw.ellipse([x - r, y - r, x + r, y + r], fill=fill)
-
-    def box(self, corners: Sequence[Number], round_by: Number, fill: Colour | None, edge: Colour | None = None) -> None:
-        """Draw a box from left, top, right, bottom."""
-        places = [part * self._unit for part in corners]
-        width = max(1, round(1.2 * self._unit))
-        self._draw.rounded_rectangle(places, round_by * self._unit, fill=fill, outline=edge, width=width)
-
-    def text(self, at: Point, words: str, size: Number, colour: Colour, anchor: str) -> None:
-        """Write words, anchored as Pillow names it."""
-        font = ImageFont.load_default(size=round(size * self._unit))
-        place = float(at[0]) * self._unit, float(at[1]) * self._unit
-        self._draw.text(place, words, fill=colour, font=font, anchor=anchor)
-
-    def finished(self) -> Image.Image:
-        """Return the picture in its own size."""
-        return self._image.reduce(_SHARPEN)
+def thinned(moments: int, rate: float, most: int, fastest: float) -> Int[np.ndarray, " kept"]:
+    """Return every n-th moment, n the least with no more than ``most`` of them and ``fastest`` a second."""
+    return np.arange(0, moments, max(int(np.ceil(moments / most)), int(np.ceil(rate / fastest)), 1))
 
 
-# What a film shows at each moment: keypoints, poses on the floor, and the camera that turns about them.
+def gif_durations_ms(frames: int, seconds: float) -> list[int]:
+    """Return how long each frame stands, in multiples of the gif's 10 ms, none less than two."""
+    ends = np.round(np.linspace(0, max(seconds, 0.02 * frames), frames + 1) * 100).astype(int)
+    return (np.diff(ends) * 10).tolist()
+
+
+def _write_gif(pictures: Iterator[Image.Image], handle: BinaryIO, durations: list[int]) -> None:
+    palette = film_palette()
+    small = (picture.quantize(palette=palette, dither=Image.Dither.NONE) for picture in pictures)
+    first = next(small)
+    rest = {"save_all": True, "append_images": small, "duration": durations, "loop": 0, "optimize": False}
+    first.save(handle, format="GIF", **rest)
+
+
+def _write_mp4(
+    pictures: Iterator[Image.Image], handle: BinaryIO, program: str, size: tuple[int, int], rate: float
+) -> None:
+    """Pipe the pictures through ffmpeg into a temporary file: an mp4's index is written last, to its beginning."""
+    with tempfile.TemporaryDirectory() as folder, open(Path(folder) / "log", "w+b") as log:
+        film = Path(folder) / "film.mp4"
+        command = [program, "-y", "-loglevel", "error", "-f", "rawvideo", "-pix_fmt", "rgb24"]
+        command += ["-s", f"{size[0]}x{size[1]}", "-r", f"{rate:.6f}", "-i", "-", "-an", "-c:v", "libx264"]
+        command += ["-preset", "veryfast", "-crf", str(_MP4_QUALITY), "-pix_fmt", "yuv420p", "-movflags", "+faststart"]
+        # Without these, players guess the colours' matrix by the size of the picture.
+        command += ["-vf", "scale=out_color_matrix=bt709:out_range=tv", "-color_range", "tv", "-colorspace", "bt709"]
+        command += ["-color_primaries", "bt709", "-color_trc", "bt709"]
+        with subprocess.Popen([*command, str(film)], stdin=subprocess.PIPE, stdout=log, stderr=log) as process:
+            assert process.stdin is not None
+            try:
+                for picture in pictures:
+                    process.stdin.write(picture.tobytes())
+                process.stdin.close()
+            except BrokenPipeError:
+                pass  # why is read below
+            except BaseException:
+                process.kill()
+                raise
+        if process.returncode:
+            log.seek(0)
+            words = log.read().decode("utf-8", "replace").strip().splitlines()
+            raise OSError(f"ffmpeg could not make the film: {words[-1] if words else process.returncode}")
+        with open(film, "rb") as made:
+            shutil.copyfileobj(made, handle)
+
+
+def _ffmpeg(path: str | Path) -> str:
+    """Return the ffmpeg of the package imageio-ffmpeg; raises UserError where there is none."""
+    hint = 'pip install "uplift3d[video]". A .gif needs nothing more.'
+    try:
+        from imageio_ffmpeg import get_ffmpeg_exe
+    except ImportError:
+        raise UserError(f"cannot write {path}: an .mp4 needs imageio-ffmpeg: {hint}") from None
+    try:
+        return get_ffmpeg_exe()
+    except RuntimeError as error:
+        raise UserError(f"cannot write {path}: imageio-ffmpeg has no ffmpeg for this machine ({error}).") from None
+
+
+# The scene: keypoints, poses on the floor, and the camera that turns about them, moment by moment.
 
 _FOLLOW_S = 1.0
-_SURE = 0.3
+_CONFIDENT = 0.3
 _TURN_S = 18.0
 _SHORT_S = 12.0
 _SWING_DEG_PER_S, _SWING_DEG = 7.0, 60.0
@@ -167,7 +192,7 @@ def film_scene(prediction: Prediction, clip: Clip, rate: float) -> FilmScene:
     if floor:
         points[..., 1] -= _floor(points[clip.rows], level.root is not None, points)
     keypoints, unsure = _keypoints(prediction, pose)
-    points, keypoints = _stacked(clip, points), _stacked(clip, keypoints)
+    points, keypoints = clip.by_moment(points), clip.by_moment(keypoints)
     centre, flat_centre = _followed(points, rate), _followed(keypoints, rate)
     centre[:, 1] = np.median(centre[:, 1])
     away, flat_away = points - centre[:, None, None], keypoints - flat_centre[:, None, None]
@@ -180,7 +205,7 @@ def film_scene(prediction: Prediction, clip: Clip, rate: float) -> FilmScene:
         frames=clip.frames,
         points=points,
         keypoints=keypoints,
-        unsure=_stacked(clip, unsure.astype(float)) > 0,
+        unsure=clip.by_moment(unsure.astype(float)) > 0,
         centre=centre,
         turn_deg=turns_deg(len(clip.frames), rate),
         radius=radius,
@@ -200,7 +225,7 @@ def film_scene(prediction: Prediction, clip: Clip, rate: float) -> FilmScene:
 
 
 def turns_deg(moments: int, rate: float) -> Float[np.ndarray, " moments"]:
-    """Return the camera's turn at each moment: whole turns, or a swing where there is no time; it ends where it began."""
+    """Return the camera's turn at each moment: full turns, or a swing in a short film; it ends where it began."""
     share = np.arange(moments) / max(moments, 1)
     seconds = moments / rate
     if seconds < _SHORT_S:
@@ -232,7 +257,7 @@ def _keypoints(prediction: Prediction, pose: np.ndarray) -> tuple[np.ndarray, np
     points = np.asarray(prediction.keypoints, float)
     confidence = np.nan_to_num(np.asarray(prediction.confidence, float))
     seen = (confidence > 0) & np.isfinite(np.sum(points, axis=-1))
-    unsure = ~seen | (confidence < _SURE)
+    unsure = ~seen | (confidence < _CONFIDENT)
     if prediction.filled is not None:
         unsure |= prediction.filled
     camera_pose = pose if prediction.axes not in ("camera", "opencv") else known_points(prediction.pose)
@@ -240,13 +265,6 @@ def _keypoints(prediction: Prediction, pose: np.ndarray) -> tuple[np.ndarray, np
     for row in np.flatnonzero(~seen.all(1)):
         points[row] = filled_points(points[row], seen[row], camera_pose[row])
     return points, unsure
-
-
-def _stacked(clip: Clip, values: np.ndarray) -> np.ndarray:
-    """Return values by moment and individual, NaN where an individual is not there."""
-    found = np.full((len(clip.frames), len(clip.individual_names), *values.shape[1:]), np.nan)
-    found[clip.moment, clip.individual] = values[clip.rows]
-    return found
 
 
 def _followed(points: np.ndarray, rate: float) -> Float[np.ndarray, "moments axes"]:
@@ -365,7 +383,7 @@ class FilmDrawing:
         return canvas
 
     def _map(self, canvas: _Canvas, moment: int) -> None:
-        """Draw the whole image in a corner, a dot for each individual."""
+        """Draw the full image in a corner, a dot for each individual."""
         size = self.scene.image_size
         if size is None:
             return
@@ -464,100 +482,72 @@ def _tone(side: int, depth: float, pale: bool) -> Colour:
     return _mixed(SIDES[side], CARD, _PALE if pale else 0.6 * ((depth + 1) / 2) ** 1.4)
 
 
-# A clip as a film, ``.gif`` or ``.mp4``: keypoints beside the 3D pose, seen by a camera that slowly turns.
+# A canvas for the pictures of a film: smooth lines, dots and text in a few colours.
 
-_USUAL_FPS = 30.0
-_GIF_FRAMES, _GIF_FPS, _GIF_SCALE = 600, 34.0, 0.625
-_MP4_FPS, _MP4_SCALE = 61.0, 1.0
-_MP4_QUALITY = 20
-"""Of x264: its constant rate factor."""
-
-
-def write_film(prediction: Prediction, path: str | Path, fps: int | float | None = None) -> None:
-    """Write one clip with all its individuals, 1280 x 640 pixels as ``.mp4`` and 800 x 400 as ``.gif``.
-
-    ``fps`` replaces the prediction's; where neither is known it is 30, and no seconds are shown. Every n-th frame
-    is drawn, n as small as keeps a gif within 600 frames and 34 a second, an mp4 within 61 a second; the film lasts
-    as long as the clip. Frame numbers that are missing are passed over. Axes are the camera's, or level ones.
-    Raises UserError for several clips, another extension, or where the package for mp4 is not there.
-    """
-    extension = Path(path).suffix.lower()
-    if extension not in (".gif", ".mp4"):
-        raise UserError(f"cannot write {path}: a film is a .gif or an .mp4.")
-    program = _ffmpeg(path) if extension == ".mp4" else None
-    clip = one_clip(prediction, path)
-    known = frame_rate(prediction, fps)
-    rate = known or _USUAL_FPS
-    scene = film_scene(prediction, clip, rate)
-    scale, most, fastest = (_MP4_SCALE, len(clip.frames), _MP4_FPS) if program else (_GIF_SCALE, _GIF_FRAMES, _GIF_FPS)
-    moments = thinned(len(clip.frames), rate, most, fastest)
-    drawing = FilmDrawing(scene, scale, rate, timed=known is not None)
-    pictures = (drawing.picture(moment) for moment in moments.tolist())
-    with replacing(path) as handle:
-        if program:
-            _write_mp4(pictures, handle, program, drawing.size, rate * len(moments) / len(clip.frames))
-        else:
-            _write_gif(pictures, handle, gif_durations_ms(len(moments), len(clip.frames) / rate))
+PAPER, CARD, INK, SOFT, FAINT = (246, 245, 241), (255, 254, 251), (34, 38, 43), (107, 113, 120), (220, 218, 210)
+FLOOR, SHADOW = (207, 204, 194), (228, 226, 221)
+SIDES = tuple(SIDE_COLOURS.values())
+"""Colours of the centre, the left and the right."""
+_SHARPEN = 2
 
 
-def thinned(moments: int, rate: float, most: int, fastest: float) -> Int[np.ndarray, " kept"]:
-    """Return every n-th moment, n the least with no more than ``most`` of them and ``fastest`` a second."""
-    return np.arange(0, moments, max(int(np.ceil(moments / most)), int(np.ceil(rate / fastest)), 1))
+def _mixed(colour: Colour, other: Colour, share: float) -> Colour:
+    """Return ``colour`` with so much of ``other`` in it."""
+    return tuple(round(a + (b - a) * share) for a, b in zip(colour, other, strict=True))
 
 
-def gif_durations_ms(frames: int, seconds: float) -> list[int]:
-    """Return how long each frame stands, in whole hundredths of a second as a gif has them, none less than two."""
-    ends = np.round(np.linspace(0, max(seconds, 0.02 * frames), frames + 1) * 100).astype(int)
-    return (np.diff(ends) * 10).tolist()
+def film_palette() -> Image.Image:
+    """Return an image with a palette of what the drawings blend."""
+    ramps = [[_mixed(side, CARD, step / 24) for step in range(24)] for side in SIDES]
+    ramps += [[_mixed(grey, CARD, step / 8) for step in range(8)] for grey in (SOFT, INK, FLOOR, SHADOW, FAINT)]
+    ramps += [[_mixed(grey, PAPER, step / 10) for step in range(10)] for grey in (INK, SOFT, FAINT, *SIDES)]
+    ramps += [[_mixed(side, SHADOW, 0.5) for side in SIDES], [CARD, PAPER]]
+    colours = dict.fromkeys(colour for ramp in ramps for colour in ramp)
+    # Pillow finds a near colour, not always the nearest: nothing else may be near the two large areas.
+    colours = [one for one in colours if one in (CARD, PAPER) or min(_gap(one, CARD), _gap(one, PAPER)) > 8]
+    image = Image.new("P", (1, 1))
+    image.putpalette([part for colour in colours for part in colour])
+    return image
 
 
-def _write_gif(pictures: Iterator[Image.Image], handle: BinaryIO, durations: list[int]) -> None:
-    palette = film_palette()
-    small = (picture.quantize(palette=palette, dither=Image.Dither.NONE) for picture in pictures)
-    first = next(small)
-    rest = {"save_all": True, "append_images": small, "duration": durations, "loop": 0, "optimize": False}
-    first.save(handle, format="GIF", **rest)
+def _gap(one: Colour, other: Colour) -> int:
+    return max(abs(a - b) for a, b in zip(one, other, strict=True))
 
 
-def _write_mp4(
-    pictures: Iterator[Image.Image], handle: BinaryIO, program: str, size: tuple[int, int], rate: float
-) -> None:
-    """Pipe the pictures through ffmpeg into a file of its own: an mp4's index is written last, to its beginning."""
-    with tempfile.TemporaryDirectory() as folder, open(Path(folder) / "said", "w+b") as said:
-        film = Path(folder) / "film.mp4"
-        command = [program, "-y", "-loglevel", "error", "-f", "rawvideo", "-pix_fmt", "rgb24"]
-        command += ["-s", f"{size[0]}x{size[1]}", "-r", f"{rate:.6f}", "-i", "-", "-an", "-c:v", "libx264"]
-        command += ["-preset", "veryfast", "-crf", str(_MP4_QUALITY), "-pix_fmt", "yuv420p", "-movflags", "+faststart"]
-        # Without these, players guess the colours' matrix by the size of the picture.
-        command += ["-vf", "scale=out_color_matrix=bt709:out_range=tv", "-color_range", "tv", "-colorspace", "bt709"]
-        command += ["-color_primaries", "bt709", "-color_trc", "bt709"]
-        with subprocess.Popen([*command, str(film)], stdin=subprocess.PIPE, stdout=said, stderr=said) as process:
-            assert process.stdin is not None
-            try:
-                for picture in pictures:
-                    process.stdin.write(picture.tobytes())
-                process.stdin.close()
-            except BrokenPipeError:
-                pass  # ffmpeg says why below
-            except BaseException:
-                process.kill()
-                raise
-        if process.returncode:
-            said.seek(0)
-            words = said.read().decode("utf-8", "replace").strip().splitlines()
-            raise OSError(f"ffmpeg could not make the film: {words[-1] if words else process.returncode}")
-        with open(film, "rb") as made:
-            shutil.copyfileobj(made, handle)
+class _Canvas:
+    """A picture so many units wide and high, ``scale`` pixels to a unit, drawn finer and then shrunk."""
 
+    def __init__(self, wide: Number, high: Number, scale: Number, back: Colour):
+        self.wide, self.high = wide, high
+        self._unit = scale * _SHARPEN
+        self._image = Image.new("RGB", (round(wide * scale) * _SHARPEN, round(high * scale) * _SHARPEN), back)
+        self._draw = ImageDraw.Draw(self._image)
 
-def _ffmpeg(path: str | Path) -> str:
-    """Return the ffmpeg of the package imageio-ffmpeg; raises UserError where there is none."""
-    hint = 'pip install "uplift3d[video]". A .gif needs nothing more.'
-    try:
-        from imageio_ffmpeg import get_ffmpeg_exe
-    except ImportError:
-        raise UserError(f"cannot write {path}: an .mp4 needs imageio-ffmpeg: {hint}") from None
-    try:
-        return get_ffmpeg_exe()
-    except RuntimeError as error:
-        raise UserError(f"cannot write {path}: imageio-ffmpeg has no ffmpeg for this machine ({error}).") from None
+    def line(self, start: Point, end: Point, width: Number, colour: Colour) -> None:
+        """Draw a line with flat ends."""
+        ends = [(float(point[0]) * self._unit, float(point[1]) * self._unit) for point in (start, end)]
+        self._draw.line(ends, fill=colour, width=max(1, round(width * self._unit)))
+
+    def dot(self, at: Point, radius: Number, colour: Colour, rim: Colour | None = None) -> None:
+        """Draw a disc, in a thin rim where that has a colour."""
+        x, y = float(at[0]) * self._unit, float(at[1]) * self._unit
+        for size, fill in ((radius + 1.2, rim), (radius, colour)):
+            if fill is not None:
+                r = size * self._unit
+                self._draw.ellipse([x - r, y - r, x + r, y + r], fill=fill)
+
+    def box(self, corners: Sequence[Number], round_by: Number, fill: Colour | None, edge: Colour | None = None) -> None:
+        """Draw a box from left, top, right, bottom."""
+        places = [part * self._unit for part in corners]
+        width = max(1, round(1.2 * self._unit))
+        self._draw.rounded_rectangle(places, round_by * self._unit, fill=fill, outline=edge, width=width)
+
+    def text(self, at: Point, words: str, size: Number, colour: Colour, anchor: str) -> None:
+        """Write words, anchored as Pillow names it."""
+        font = ImageFont.load_default(size=round(size * self._unit))
+        place = float(at[0]) * self._unit, float(at[1]) * self._unit
+        self._draw.text(place, words, fill=colour, font=font, anchor=anchor)
+
+    def finished(self) -> Image.Image:
+        """Return the picture in its own size."""
+        return self._image.reduce(_SHARPEN)

@@ -1,22 +1,17 @@
-"""Predictions as a page to leaf through: each frame's input beside its pose from all sides, drawn without a script."""
+"""Poses as a page to leaf through: each frame's input beside its pose from all sides, drawn without a script."""
 
 from __future__ import annotations
 
-import base64
-import hashlib
-import io
-import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from html import escape
-from pathlib import Path, PurePosixPath
+from pathlib import Path
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from uplift.config.files import replacing
 from uplift.errors import UserError
-from uplift.export.page import number_text
+from uplift.export.html import Photos, fill_page, jpeg_address, number_text, write_text
 from uplift.export.scene import level_rotations, matched_truth, scaled_error
 from uplift.geometry.rigid import rotation_about
 from uplift.models.prediction import Prediction
@@ -24,15 +19,224 @@ from uplift.skeleton.core import bone_sides, joint_sides
 
 __all__ = [
     "Crop",
-    "Photos",
     "check_options",
     "chosen_rows",
     "crop_of",
     "filled_points",
     "gallery_text",
+    "photo_svg",
     "turned",
     "write_gallery",
 ]
+
+_MOST_FRAMES = 500
+
+
+def write_gallery(
+    prediction: Prediction, path: str | Path, *, frames: int = 40, seed: int = 0, images: str | Path | None = None
+) -> None:
+    """Write the page of `gallery_text` to ``path``."""
+    write_text(gallery_text(prediction, frames=frames, seed=seed, images=images), path)
+
+
+def gallery_text(prediction: Prediction, *, frames: int = 40, seed: int = 0, images: str | Path | None = None) -> str:
+    """Return the page with ``frames`` frames spread over the prediction, drawn with ``seed``.
+
+    Every frame shows its 2D keypoints, the pose turned about gravity in steps of 30 degrees, and the truth in the
+    same way where there is one. ``images`` is the folder of the photos that ``image`` (or ``sequence``) names:
+    what they show of the body goes into the page.
+
+    Raises:
+        UserError: no frame to show, an invalid count, a folder that holds none of the photos.
+    """
+    photos = check_options(frames=frames, seed=seed, images=images)
+    rows = chosen_rows(prediction, frames, seed)
+    sheet = _Sheet(prediction, rows, photos)
+    drawn = "\n".join(sheet.frame(place) for place in range(len(rows)))
+    sheet.refuse_without_photos()
+    return fill_page(
+        "gallery.htm",
+        title=prediction.title or Path(prediction.source).name or "Poses",
+        facts=sheet.facts(),
+        styles=["gallery.css"],
+        notes=sheet.notes(),
+        attributes=' data-ready="1"',
+        beside=f'<p class="legend">{_legend()}</p>',
+        frames=drawn,
+    )
+
+
+def check_options(*, frames: int = 40, seed: int = 0, images: str | Path | None = None) -> Photos | None:
+    """Return where the photos are, if anywhere; raises UserError for what `gallery_text` does not take."""
+    if seed < 0:
+        raise UserError(f"seed={seed}: expected a whole number of at least 0.")
+    if not 1 <= frames <= _MOST_FRAMES:
+        raise UserError(f"frames={frames}: a gallery shows 1 to {_MOST_FRAMES} frames.")
+    return None if images is None else Photos(images)
+
+
+def chosen_rows(prediction: Prediction, count: int, seed: int) -> np.ndarray:
+    """Return ``count`` rows that have a pose, one out of each of as many equal parts of the prediction."""
+    lifted = np.flatnonzero(np.isfinite(prediction.pose).all(-1).any(-1))
+    if not len(lifted):
+        raise UserError("there is no pose to show in a gallery: no frame of the input could be lifted.")
+    if count >= len(lifted):
+        return lifted
+    edges = np.arange(count + 1) * len(lifted) // count
+    return lifted[np.random.default_rng(seed).integers(edges[:-1], edges[1:])]
+
+
+def _legend() -> str:
+    kinds = (("l0", "left"), ("r0", "right"), ("m0", "middle"))
+    swatch = '<svg viewBox="0 0 104 48" aria-hidden="true">{}</svg>'
+    lines = [(swatch.format(f'<path class="{kind}" d="M10 24H94"/>'), text) for kind, text in kinds]
+    unseen = '<path class="m0 u" d="M10 24H80"/><circle class="om" cx="86" cy="24" r="11"/>'
+    return "".join(
+        f"<span>{drawing}{text}</span>"
+        for drawing, text in [*lines, (swatch.format(unseen), "not seen in 2D, filled in")]
+    )
+
+
+# The frames of a gallery: each with its name, its input and its pose from all sides.
+
+_ANGLES_DEG = tuple(range(0, 360, 30))
+_NAMED = ("image", "sequence")
+
+
+class _Sheet:
+    """The chosen frames of a prediction, ready to be drawn."""
+
+    def __init__(self, prediction: Prediction, rows: np.ndarray, photos: Photos | None):
+        self.prediction, self.rows, self.photos = prediction, rows, photos
+        self.body = _Body.of(prediction)
+        self.pose = np.asarray(prediction.pose, np.float64)[rows]
+        self.pose[~np.isfinite(self.pose).all(-1)] = np.nan
+        level_pose = np.asarray(prediction.level_pose, np.float64)[rows]
+        known = np.isfinite(self.pose) & np.isfinite(level_pose).all(-1, keepdims=True)
+        self.level, _ = level_rotations(np.where(known, self.pose, 0), np.where(known, level_pose, 0))
+        self.points = np.asarray(prediction.keypoints, np.float64)[rows]
+        self.seen = np.isfinite(self.points).all(-1) & (np.nan_to_num(np.asarray(prediction.confidence)[rows]) > 0)
+        self.truth = self.error = None
+        if prediction.truth is not None:
+            truth = np.asarray(prediction.truth, np.float64)[rows]
+            metric = prediction.unit == prediction.truth_unit == "mm"
+            known = np.isfinite(truth).all((1, 2))
+            self.error = np.where(known, scaled_error(self.pose, truth), np.nan)
+            self.truth = truth if metric else matched_truth(self.pose, truth)
+        self.name_key = next((key for key in _NAMED if key in prediction.identity), None)
+        if photos is not None and self.name_key is None:
+            raise UserError(
+                "images=...: the input does not name the photo of a frame. It needs the array 'image' "
+                "(or 'sequence') with their file names (docs/your-data.md)."
+            )
+
+    def frame(self, place: int) -> str:
+        """Return one frame: its name, its input, its views."""
+        row, name = self.rows[place], escape(self._name(place))
+        unseen = [joint for joint, seen in zip(self.prediction.joint_names, self.seen[place], strict=True) if not seen]
+        about = [f"row {row:,}"]
+        if unseen:
+            about.append(f"not seen: {', '.join(unseen)}")
+        if self.error is not None and np.isfinite(self.error[place]):
+            unit = "" if self.prediction.truth_unit == "relative" else f" {self.prediction.truth_unit}"
+            about.append(f"error at the best scale (n_mpjpe) {number_text(float(self.error[place]))}{unit}")
+        facts = "".join(f"<span>{escape(fact)}</span>" for fact in about)
+        turns = "".join(self._turns(place, name))
+        return (
+            f'<article class="frame" id="row-{row}" aria-labelledby="name-{row}"><div class="name">'
+            f'<h2 id="name-{row}">{name}</h2>{facts}</div>'
+            f'<div class="strip">{self._input(place, name)}<div>{turns}</div></div></article>'
+        )
+
+    def _input(self, place: int, name: str) -> str:
+        seen = self.seen[place]
+        points = filled_points(self.points[place], seen, self.pose[place])
+        crop = crop_of(points)
+        photo = photo_svg(self.photos, self._photo(place), crop) if self.photos else ""
+        drawing = _drawn_input(points, ~seen, self.body, crop)
+        label = f"Input of {name}: {seen.sum()} of {len(seen)} joints seen" + (", on the photo" if photo else "")
+        return (
+            f'<figure class="input"><svg viewBox="0 0 {WIDE} {WIDE}" role="img" aria-label="{label}">{photo}{drawing}</svg>'
+            "</figure>"
+        )
+
+    def _turns(self, place: int, name: str) -> list[str]:
+        pose, level = self.pose[place], self.level[place]
+        centre = np.nanmean(pose, 0)
+        shown = [("Lifted", pose, ~self.seen[place])]
+        if self.truth is not None and np.isfinite(self.truth[place]).all(-1).any():
+            shown.append(("Truth", self.truth[place], np.zeros(len(pose), bool)))
+        views = [turned(found, level, centre, _ANGLES_DEG) for _, found, _ in shown]
+        drawings = _drawn_views(views, [missing for *_, missing in shown], self.body)
+        named = len(shown) > 1
+        return [_turned_row(title, name, drawn, named) for (title, *_), drawn in zip(shown, drawings, strict=True)]
+
+    def _name(self, place: int) -> str:
+        row, identity = self.rows[place], self.prediction.identity
+        if "image" in identity:
+            return str(identity["image"][row])
+        parts = [str(identity[key][row]) for key in ("subject", "action", "sequence", "camera") if key in identity]
+        parts += [f"frame {identity['frame'][row]}"] if "frame" in identity else []
+        return " · ".join(parts) or f"row {row:,}"
+
+    def _photo(self, place: int) -> str:
+        assert self.name_key is not None  # or it was refused
+        return str(self.prediction.identity[self.name_key][self.rows[place]])
+
+    def refuse_without_photos(self) -> None:
+        """Raise UserError where none of the photos that were asked for could be shown."""
+        photos = self.photos
+        if photos is None or photos.shown:
+            return
+        why = (
+            f"cannot be read: {photos.unreadable[0]}" if photos.unreadable else f"are not there: no {photos.absent[0]}"
+        )
+        raise UserError(f"images={photos.folder}: the photos of these frames {why}.")
+
+    def facts(self) -> list[str]:
+        """Return what stands under the title."""
+        prediction = self.prediction
+        return [
+            *(["/".join(Path(prediction.source).parts[-2:])] if prediction.title and prediction.source else []),
+            prediction.skeleton.name,
+            f"{len(prediction.joint_names)} joints",
+            f"{len(self.rows):,} of {len(prediction):,} frames",
+        ]
+
+    def notes(self) -> list[str]:
+        """Return what a reader should know, a sentence each."""
+        about = "gravity" if self.prediction.skeleton.gravity else "the image's vertical"
+        notes = [
+            f"Each pose is turned about {about} in steps of 30°, as if the camera walked round it; 0° is what the "
+            "camera itself saw. Far limbs are paler.",
+        ]
+        if len(self.rows) < len(self.prediction):
+            notes.append("The frames are spread over the input, one at random out of each part of it.")
+        if self.prediction.unit != "mm":
+            truth = ", and the truth is drawn at the size of each pose" if self.truth is not None else ""
+            notes.append(f"The scale is not metric: every frame is drawn as large as it fits{truth}.")
+        photos = self.photos
+        if photos and photos.absent:
+            notes.append(self._counted(photos.absent, f"not in {Path(str(photos.folder)).name}"))
+        if photos and photos.unreadable:
+            notes.append(self._counted(photos.unreadable, "unusable"))
+        return notes
+
+    def _counted(self, names: list[str], what: str) -> str:
+        are = "is" if len(names) == 1 else "are"
+        few = ", ".join(names[:3]) + (", ..." if len(names) > 3 else "")
+        return f"{len(names)} of {len(self.rows)} photos {are} {what}: {few}."
+
+
+def _turned_row(title: str, name: str, drawn: list[str], named: bool) -> str:
+    label = f"{title} pose of {name}, seen from {len(drawn)} sides, 30 degrees apart"
+    views = "".join(
+        f'<svg viewBox="0 0 {WIDE} {HIGH + 50}">{view}<text x="{WIDE // 2}" y="{HIGH + 40}">{angle}°</text></svg>'
+        for angle, view in zip(_ANGLES_DEG, drawn, strict=True)
+    )
+    caption = f"<figcaption>{title}</figcaption>" if named else ""
+    return f'<figure class="turns">{caption}<div class="views" role="img" aria-label="{label}">{views}</div></figure>'
+
 
 # A pose from all sides, and its keypoints, as small SVG drawings.
 
@@ -186,6 +390,23 @@ def crop_of(points: Float[np.ndarray, "joints 2"]) -> Crop:
     return Crop(float(left), float(top), side)
 
 
+_SIDE_PX = 320
+"""Of a photo's part, at most."""
+
+
+def photo_svg(photos: Photos, name: str, crop: Crop) -> str:
+    """Return an SVG image of what ``crop`` shows of the photo ``name``; nothing where there is none."""
+    found = photos.cut(name, crop.left, crop.top, crop.side, min(1.0, _SIDE_PX / (crop.side + 1)))
+    if found is None:
+        return ""
+    picture, corners = found
+    (x, y), (x1, y1) = crop.place(corners)
+    return (
+        f'<image x="{x:.1f}" y="{y:.1f}" width="{x1 - x:.1f}" height="{y1 - y:.1f}" preserveAspectRatio="none" '
+        f'href="{jpeg_address(picture)}"/>'
+    )
+
+
 def _line(start: np.ndarray, end: np.ndarray) -> str:
     x0, y0, x1, y1 = (round(float(value)) for value in (start[0], start[1], end[0], end[1]))
     return f"M{x0} {y0}L{x1} {y1}"
@@ -197,301 +418,3 @@ def _ring(point: np.ndarray, side: str) -> str:
 
 def _tone(depth: float) -> int:
     return 0 if depth < -0.12 else 1 if depth < 0.12 else 2
-
-
-# Photographs that poses came from: found by the name of the frame, cropped to the body, small.
-
-_ENDINGS = (".jpg", ".jpeg", ".png")
-_SIDE_PX, _QUALITY = 320, 72
-_MOST_PIXELS = 120_000_000
-
-
-class Photos:
-    """The photographs of one folder."""
-
-    def __init__(self, folder: str | Path):
-        self.folder = Path(folder).expanduser()
-        if not self.folder.is_dir():
-            raise UserError(
-                f"images={folder}: no such folder. Expected the folder with the photos of the input's frames."
-            )
-        self.shown = 0
-        self.absent: list[str] = []
-        self.unreadable: list[str] = []
-
-    def cropped(self, name: str, crop: Crop) -> str:
-        """Return an SVG image of what ``crop`` shows of the photo ``name``; nothing where there is none."""
-        path = self._find(name)
-        if path is None:
-            self.absent.append(name)
-            return ""
-        try:
-            found = _read(path, crop)
-        except (OSError, ValueError, SyntaxError) as error:
-            self.unreadable.append(f"{name} ({error})")
-            return ""
-        self.shown += bool(found)
-        return found
-
-    def _find(self, name: str) -> Path | None:
-        """Return the photo's file: as it is named, or its last part, never outside of the folder."""
-        named = PurePosixPath(name)
-        if not named.name:
-            return None
-        safe = [] if named.is_absolute() or ".." in named.parts else [named]
-        for part in [*safe, PurePosixPath(named.name)]:
-            for ending in ("", *_ENDINGS):
-                path = self.folder / f"{part}{ending}"
-                if path.is_file():
-                    return path
-        return None
-
-
-def _read(path: Path, crop: Crop) -> str:
-    from PIL import Image
-
-    try:
-        photo = Image.open(path)
-    except Image.DecompressionBombError as error:
-        raise ValueError(str(error)) from error
-    with photo:
-        if photo.width * photo.height > _MOST_PIXELS:
-            raise ValueError(f"is {photo.width} x {photo.height} px, more than is opened for a small picture")
-        # The stored pixels, as keypoints count them: a camera's note on how it was held is not applied.
-        left, top = max(0, round(crop.left)), max(0, round(crop.top))
-        right, bottom = min(photo.width, round(crop.left + crop.side)), min(photo.height, round(crop.top + crop.side))
-        if right - left < 2 or bottom - top < 2:
-            raise ValueError(f"is {photo.width} x {photo.height} px and the body is not in it")
-        scale = min(1.0, _SIDE_PX / crop.side)
-        size = max(1, int((right - left) * scale)), max(1, int((bottom - top) * scale))
-        small = photo.convert("RGB").resize(size, Image.Resampling.BOX, (left, top, right, bottom))
-    buffer = io.BytesIO()
-    small.save(buffer, "JPEG", quality=_QUALITY, optimize=True)
-    data = base64.b64encode(buffer.getvalue()).decode("ascii")
-    (x, y), (x1, y1) = crop.place(np.array([[left, top], [right, bottom]], float))
-    return (
-        f'<image x="{x:.1f}" y="{y:.1f}" width="{x1 - x:.1f}" height="{y1 - y:.1f}" preserveAspectRatio="none" '
-        f'href="data:image/jpeg;base64,{data}"/>'
-    )
-
-
-# The frames of a gallery: each with its name, its input and its pose from all sides.
-
-_ANGLES_DEG = tuple(range(0, 360, 30))
-_NAMED = ("image", "sequence")
-
-
-class _Sheet:
-    """The chosen frames of a prediction, ready to be drawn."""
-
-    def __init__(self, prediction: Prediction, rows: np.ndarray, photos: Photos | None):
-        self.prediction, self.rows, self.photos = prediction, rows, photos
-        self.body = _Body.of(prediction)
-        self.pose = np.asarray(prediction.pose, np.float64)[rows]
-        self.pose[~np.isfinite(self.pose).all(-1)] = np.nan
-        level_pose = np.asarray(prediction.level_pose, np.float64)[rows]
-        known = np.isfinite(self.pose) & np.isfinite(level_pose).all(-1, keepdims=True)
-        self.level, _ = level_rotations(np.where(known, self.pose, 0), np.where(known, level_pose, 0))
-        self.points = np.asarray(prediction.keypoints, np.float64)[rows]
-        self.seen = np.isfinite(self.points).all(-1) & (np.nan_to_num(np.asarray(prediction.confidence)[rows]) > 0)
-        self.truth = self.error = None
-        if prediction.truth is not None:
-            truth = np.asarray(prediction.truth, np.float64)[rows]
-            metric = prediction.unit == prediction.truth_unit == "mm"
-            known = np.isfinite(truth).all((1, 2))
-            self.error = np.where(known, scaled_error(self.pose, truth), np.nan)
-            self.truth = truth if metric else matched_truth(self.pose, truth)
-        self.name_key = next((key for key in _NAMED if key in prediction.identity), None)
-        if photos is not None and self.name_key is None:
-            raise UserError(
-                "images=...: the input does not say which photo a frame is from. It needs the array 'image' "
-                "(or 'sequence') with their file names (docs/your-data.md)."
-            )
-
-    def frame(self, place: int) -> str:
-        """Return one frame: its name, its input, its views."""
-        row, name = self.rows[place], escape(self._name(place))
-        unseen = [joint for joint, seen in zip(self.prediction.joint_names, self.seen[place], strict=True) if not seen]
-        about = [f"row {row:,}"]
-        if unseen:
-            about.append(f"not seen: {', '.join(unseen)}")
-        if self.error is not None and np.isfinite(self.error[place]):
-            unit = "" if self.prediction.truth_unit == "relative" else f" {self.prediction.truth_unit}"
-            about.append(f"error at the best scale (n_mpjpe) {number_text(float(self.error[place]))}{unit}")
-        facts = "".join(f"<span>{escape(fact)}</span>" for fact in about)
-        turns = "".join(self._turns(place, name))
-        return (
-            f'<article class="frame" id="row-{row}" aria-labelledby="name-{row}"><div class="name">'
-            f'<h2 id="name-{row}">{name}</h2>{facts}</div>'
-            f'<div class="strip">{self._input(place, name)}<div>{turns}</div></div></article>'
-        )
-
-    def _input(self, place: int, name: str) -> str:
-        seen = self.seen[place]
-        points = filled_points(self.points[place], seen, self.pose[place])
-        crop = crop_of(points)
-        photo = self.photos.cropped(self._photo(place), crop) if self.photos else ""
-        drawing = _drawn_input(points, ~seen, self.body, crop)
-        label = f"Input of {name}: {seen.sum()} of {len(seen)} joints seen" + (", on the photo" if photo else "")
-        return (
-            f'<figure class="input"><svg viewBox="0 0 {WIDE} {WIDE}" role="img" aria-label="{label}">{photo}{drawing}</svg>'
-            "</figure>"
-        )
-
-    def _turns(self, place: int, name: str) -> list[str]:
-        pose, level = self.pose[place], self.level[place]
-        centre = np.nanmean(pose, 0)
-        shown = [("Lifted", pose, ~self.seen[place])]
-        if self.truth is not None and np.isfinite(self.truth[place]).all(-1).any():
-            shown.append(("Truth", self.truth[place], np.zeros(len(pose), bool)))
-        views = [turned(found, level, centre, _ANGLES_DEG) for _, found, _ in shown]
-        drawings = _drawn_views(views, [missing for *_, missing in shown], self.body)
-        named = len(shown) > 1
-        return [_turned_row(title, name, drawn, named) for (title, *_), drawn in zip(shown, drawings, strict=True)]
-
-    def _name(self, place: int) -> str:
-        row, identity = self.rows[place], self.prediction.identity
-        if "image" in identity:
-            return str(identity["image"][row])
-        told = [str(identity[key][row]) for key in ("subject", "action", "sequence", "camera") if key in identity]
-        told += [f"frame {identity['frame'][row]}"] if "frame" in identity else []
-        return " · ".join(told) or f"row {row:,}"
-
-    def _photo(self, place: int) -> str:
-        assert self.name_key is not None  # or it was refused
-        return str(self.prediction.identity[self.name_key][self.rows[place]])
-
-    def refuse_without_photos(self) -> None:
-        """Raise UserError where none of the photos that were asked for could be shown."""
-        photos = self.photos
-        if photos is None or photos.shown:
-            return
-        why = (
-            f"cannot be read: {photos.unreadable[0]}" if photos.unreadable else f"are not there: no {photos.absent[0]}"
-        )
-        raise UserError(f"images={photos.folder}: the photos of these frames {why}.")
-
-    def facts(self) -> list[str]:
-        """Return what stands under the title."""
-        prediction = self.prediction
-        return [
-            *(["/".join(Path(prediction.source).parts[-2:])] if prediction.title and prediction.source else []),
-            prediction.skeleton.name,
-            f"{len(prediction.joint_names)} joints",
-            f"{len(self.rows):,} of {len(prediction):,} frames",
-        ]
-
-    def notes(self) -> list[str]:
-        """Return what a reader should know, a sentence each."""
-        about = "gravity" if self.prediction.skeleton.gravity else "the image's vertical"
-        notes = [
-            f"Each pose is turned about {about} in steps of 30°, as if the camera walked round it; 0° is what the "
-            "camera itself saw. Far limbs are paler.",
-        ]
-        if len(self.rows) < len(self.prediction):
-            notes.append("The frames are spread over the whole input, one at random out of each part of it.")
-        if self.prediction.unit != "mm":
-            truth = ", and the truth is drawn at the size of each pose" if self.truth is not None else ""
-            notes.append(f"The scale is not metric: every frame is drawn as large as it fits{truth}.")
-        photos = self.photos
-        if photos and photos.absent:
-            notes.append(self._told(photos.absent, f"not in {photos.folder.name}"))
-        if photos and photos.unreadable:
-            notes.append(self._told(photos.unreadable, "no use"))
-        return notes
-
-    def _told(self, names: list[str], what: str) -> str:
-        are = "is" if len(names) == 1 else "are"
-        few = ", ".join(names[:3]) + (", ..." if len(names) > 3 else "")
-        return f"{len(names)} of {len(self.rows)} photos {are} {what}: {few}."
-
-
-def _turned_row(title: str, name: str, drawn: list[str], named: bool) -> str:
-    label = f"{title} pose of {name}, seen from {len(drawn)} sides, 30 degrees apart"
-    views = "".join(
-        f'<svg viewBox="0 0 {WIDE} {HIGH + 50}">{view}<text x="{WIDE // 2}" y="{HIGH + 40}">{angle}°</text></svg>'
-        for angle, view in zip(_ANGLES_DEG, drawn, strict=True)
-    )
-    caption = f"<figcaption>{title}</figcaption>" if named else ""
-    return f'<figure class="turns">{caption}<div class="views" role="img" aria-label="{label}">{views}</div></figure>'
-
-
-# Predictions as a page to leaf through: each frame's input beside its pose from all sides, drawn without a script.
-
-_MOST_FRAMES = 500
-_PAGE = Path(__file__).resolve().parent / "assets"
-
-
-def write_gallery(
-    prediction: Prediction, path: str | Path, *, frames: int = 40, seed: int = 0, images: str | Path | None = None
-) -> None:
-    """Write the page of `gallery_text` to ``path``."""
-    text = gallery_text(prediction, frames=frames, seed=seed, images=images)
-    with replacing(path) as handle:
-        handle.write(text.encode("utf-8"))
-
-
-def gallery_text(prediction: Prediction, *, frames: int = 40, seed: int = 0, images: str | Path | None = None) -> str:
-    """Return the page with ``frames`` frames spread over the prediction, drawn with ``seed``.
-
-    Every frame shows its 2D keypoints, the pose turned about gravity in steps of 30 degrees, and the truth in the
-    same way where there is one. ``images`` is the folder of the photos that ``image`` (or ``sequence``) names:
-    what they show of the body goes into the page.
-
-    Raises:
-        UserError: no frame to show, a count that is none, a folder that holds none of the photos.
-    """
-    photos = check_options(frames=frames, seed=seed, images=images)
-    rows = chosen_rows(prediction, frames, seed)
-    sheet = _Sheet(prediction, rows, photos)
-    drawn = "\n".join(sheet.frame(place) for place in range(len(rows)))
-    sheet.refuse_without_photos()
-    title = prediction.title or Path(prediction.source).name or "Poses"
-    style = (_PAGE / "gallery.css").read_text(encoding="utf-8")
-    parts = {
-        "policy": f"default-src 'none'; style-src {_hash(style)}; img-src data:",
-        "title": escape(title),
-        "subtitle": " · ".join(f"<span>{escape(fact)}</span>" for fact in sheet.facts()),
-        "style": style,
-        "legend": _legend(),
-        "frames": drawn,
-        "notes": "".join(f"<li>{escape(note)}</li>" for note in sheet.notes()),
-    }
-    # One pass: text that came from the data is never searched for placeholders again.
-    shell = (_PAGE / "gallery.htm").read_text(encoding="utf-8")
-    return re.sub(r"\{\{(\w+)\}\}", lambda found: parts[found[1]], shell)
-
-
-def check_options(*, frames: int = 40, seed: int = 0, images: str | Path | None = None) -> Photos | None:
-    """Return where the photos are, if anywhere; raises UserError for what `gallery_text` does not take."""
-    if seed < 0:
-        raise UserError(f"seed={seed}: expected a whole number of at least 0.")
-    if not 1 <= frames <= _MOST_FRAMES:
-        raise UserError(f"frames={frames}: a gallery shows 1 to {_MOST_FRAMES} frames.")
-    return None if images is None else Photos(images)
-
-
-def chosen_rows(prediction: Prediction, count: int, seed: int) -> np.ndarray:
-    """Return ``count`` rows that have a pose, one out of each of as many equal parts of the prediction."""
-    lifted = np.flatnonzero(np.isfinite(prediction.pose).all(-1).any(-1))
-    if not len(lifted):
-        raise UserError("there is no pose to show in a gallery: no frame of the input could be lifted.")
-    if count >= len(lifted):
-        return lifted
-    edges = np.arange(count + 1) * len(lifted) // count
-    return lifted[np.random.default_rng(seed).integers(edges[:-1], edges[1:])]
-
-
-def _legend() -> str:
-    kinds = (("l0", "left"), ("r0", "right"), ("m0", "middle"))
-    swatch = '<svg viewBox="0 0 104 48" aria-hidden="true">{}</svg>'
-    lines = [(swatch.format(f'<path class="{kind}" d="M10 24H94"/>'), text) for kind, text in kinds]
-    unseen = '<path class="m0 u" d="M10 24H80"/><circle class="om" cx="86" cy="24" r="11"/>'
-    return "".join(
-        f"<span>{drawing}{text}</span>"
-        for drawing, text in [*lines, (swatch.format(unseen), "not seen in 2D, filled in")]
-    )
-
-
-def _hash(text: str) -> str:
-    return f"'sha256-{base64.b64encode(hashlib.sha256(text.encode('utf-8')).digest()).decode('ascii')}'"

@@ -12,8 +12,8 @@ import numpy as np
 from jaxtyping import Float
 
 from uplift.config.files import replacing
-from uplift.export.clips import Clip
-from uplift.export.scene import frame_rate, held, known_points, one_clip, row_places, steps
+from uplift.export.clips import USUAL_FPS, frame_rate, one_clip, steps
+from uplift.export.scene import SIDE_COLOURS, held, known_points, row_places
 from uplift.geometry.rigid import least_turn, quaternion_matrix, quaternion_product
 from uplift.models.prediction import Prediction
 from uplift.skeleton.core import bone_sides, joint_sides
@@ -143,8 +143,6 @@ def _short(values: np.ndarray) -> list[float]:
 
 # A clip as an animated binary glTF (``.glb``): a sphere for each joint, a cylinder for each bone.
 
-_COLOURS = {"centre": (0x4A, 0x50, 0x58), "left": (0x1F, 0x77, 0xB8), "right": (0xD9, 0x63, 0x0F)}
-_USUAL_FPS = 30.0
 _PERSON_M = 1.7
 _M_PER_MM = 0.001
 _JOINT_SHARE, _BONE_SHARE = 0.016, 0.008
@@ -176,14 +174,15 @@ def write_glb(prediction: Prediction, path: str | Path, fps: int | float | None 
         "axes": prediction.axes,
         "unit": "m" if prediction.unit == "mm" else f"{prediction.unit}, times scale",
         "scale": scale,
-        "fps": rate or _USUAL_FPS,
+        "fps": rate or USUAL_FPS,
         "fps_assumed": rate is None,
     }
     file = _Gltf(clip.name, about)
     meshes = _meshes(file, body * scale)
-    times = steps(clip) / (rate or _USUAL_FPS)
+    times = steps(clip) / (rate or USUAL_FPS)
+    moments = clip.by_moment(points * scale)
     for number, name in enumerate(clip.individual_names):
-        _individual(file, prediction, name, _moments(clip, number, points * scale), times, meshes)
+        _individual(file, prediction, name, moments[:, number], times, meshes)
     with replacing(path) as handle:
         handle.write(file.to_bytes())
 
@@ -221,18 +220,10 @@ def _meshes(file: _Gltf, size: float) -> _Meshes:
     upright = np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]])  # trimesh's cylinder is along z, about 0
     vertices, normals = np.array(rod.vertices) @ upright.T + [0, 0.5, 0], np.array(rod.vertex_normals) @ upright.T
     bone = file.shape(vertices, normals, np.array(rod.faces))
-    colours = [file.material(name, rgb) for name, rgb in _COLOURS.items()]
-    joints = [file.mesh(f"{name} joint", joint, colour) for name, colour in zip(_COLOURS, colours, strict=True)]
-    bones = [file.mesh(f"{name} bone", bone, colour) for name, colour in zip(_COLOURS, colours, strict=True)]
+    colours = [file.material(name, rgb) for name, rgb in SIDE_COLOURS.items()]
+    joints = [file.mesh(f"{name} joint", joint, colour) for name, colour in zip(SIDE_COLOURS, colours, strict=True)]
+    bones = [file.mesh(f"{name} bone", bone, colour) for name, colour in zip(SIDE_COLOURS, colours, strict=True)]
     return _Meshes(joints, bones)
-
-
-def _moments(clip: Clip, individual: int, points: np.ndarray) -> Float[np.ndarray, "moments joints 3"]:
-    """Return one individual's points at every moment of the clip, NaN where it is not there."""
-    found = np.full((len(clip.frames), *points.shape[1:]), np.nan)
-    mine = clip.individual == individual
-    found[clip.moment[mine]] = points[clip.rows[mine]]
-    return found
 
 
 def _individual(

@@ -1,8 +1,7 @@
-"""Predictions as motion capture has them, markers of one trial: TRC (OpenSim) and C3D."""
+"""Poses as markers of one motion capture trial: TRC (OpenSim) and C3D."""
 
 from __future__ import annotations
 
-import math
 import re
 import shutil
 import tempfile
@@ -14,14 +13,14 @@ import numpy as np
 
 from uplift.config.files import replacing
 from uplift.errors import UserError
-from uplift.export.clips import Clip, arrange
+from uplift.export.clips import Clip, frame_rate, one_clip
 from uplift.export.scene import AXES
-from uplift.export.tables import filled_in, numbers
+from uplift.export.tables import filled_in, numbers, unique
 from uplift.models.prediction import Prediction
 
 __all__ = ["marker_names", "write_c3d", "write_trc"]
 
-# Predictions as motion capture has them: markers of one trial, a row for every moment.
+# A trial: markers of one clip, a row for every moment.
 
 _LONGEST_BYTES = 120
 """Of a marker's name; C3D has room for 127."""
@@ -43,7 +42,7 @@ def _trial_of(prediction: Prediction, path: str | Path, kind: str) -> _Trial:
 
     Frames are as far apart as the largest step that divides all distances of their numbers: thinned out
     films have no blanks, and ``start`` counts in those steps. Markers are the joints; of several individuals
-    each has its name before them, as ``INDIVIDUAL_JOINT``. ``kind`` is what the file is called in errors.
+    each has its name in front, as ``INDIVIDUAL_JOINT``. ``kind`` is what the file is called in errors.
 
     Raises:
         UserError: poses that are not in mm, no frame rate, not exactly one clip, or rows that no
@@ -51,40 +50,32 @@ def _trial_of(prediction: Prediction, path: str | Path, kind: str) -> _Trial:
     """
     if prediction.unit != "mm":
         raise UserError(
-            f"{path}: {kind} holds mm, these poses are in {prediction.unit}. Say how large the body is "
+            f"{path}: {kind} holds mm, these poses are in {prediction.unit}. Give the size of the body "
             "(height_mm=1750, or bone=), or write .csv, .json or .npz: they say their unit."
         )
-    fps = prediction.fps
-    if fps is None or not math.isfinite(fps) or fps <= 0:
-        found = "is not known" if fps is None else f"is {fps}"
-        raise UserError(f"{path}: {kind} needs the frame rate, which {found}. Say it: fps=30.")
-    clips = arrange(prediction.identity, len(prediction))
-    if len(clips) != 1:
-        named = ", ".join(f"'{clip.name}'" for clip in clips[:3]) + (", ..." if len(clips) > 3 else "")
-        told = f"{len(clips)} clips ({named}). Write a file for each" if clips else "no frames. Write at least one"
-        raise UserError(f"{path}: {kind} holds one clip, found {told}.")
-    return _trial(prediction, clips[0], f"{path}: ", float(fps))
-
-
-def _trial(prediction: Prediction, clip: Clip, where: str, fps: float) -> _Trial:
+    rate = frame_rate(prediction, None)
+    if rate is None:
+        found = "is not known" if prediction.fps is None else f"is {prediction.fps}"
+        raise UserError(f"{path}: {kind} needs the frame rate, which {found}. Give it: fps=30.")
+    clip = one_clip(prediction, path)
     numbers = np.asarray(clip.frames, np.int64)
     step = int(np.gcd.reduce(np.diff(numbers))) or 1
     place = ((numbers - numbers[0]) // step)[clip.moment]
     moments, individuals = int(place.max()) + 1, len(clip.individual_names)
     if moments > _MOST_BLANK and moments > 100 * len(numbers):
         raise UserError(
-            f"{where}{len(numbers)} frames are numbered {numbers[0]} to {numbers[-1]}, which would make {moments} "
+            f"{path}: {len(numbers)} frames are numbered {numbers[0]} to {numbers[-1]}, which would make {moments} "
             "rows, nearly all blank. Expected 'frame' to count frames; write .csv to keep such numbers."
         )
-    _refuse_doubles(clip, place * individuals + clip.individual, where)
-    source = prediction.points[clip.rows]
-    joints = len(prediction.joint_names)
-    points = np.full((moments, individuals, joints, 3), np.nan, np.result_type(source, np.float32))
-    points[place, clip.individual] = source
+    _refuse_doubles(clip, place * individuals + clip.individual, f"{path}: ")
+    points = np.full(
+        (moments, individuals, *prediction.pose.shape[1:]), np.nan, np.result_type(prediction.points, np.float32)
+    )
+    points[place, clip.individual] = prediction.points[clip.rows]
     points[~np.isfinite(points).all(-1)] = np.nan
     owners = [f"{name}_" for name in clip.individual_names] if individuals > 1 else [""]
     names = marker_names([owner + joint for owner in owners for joint in prediction.joint_names])
-    return _Trial(names, points.reshape(moments, -1, 3), max(int(numbers[0]) // step, 0), fps)
+    return _Trial(names, points.reshape(moments, -1, 3), max(int(numbers[0]) // step, 0), rate)
 
 
 def _refuse_doubles(clip: Clip, cell: np.ndarray, where: str) -> None:
@@ -101,22 +92,12 @@ def _refuse_doubles(clip: Clip, cell: np.ndarray, where: str) -> None:
 
 
 def marker_names(names: Sequence[str]) -> tuple[str, ...]:
-    """Return names that programs for motion capture can read: no white space or control signs, not long, all different."""
-    given: dict[str, None] = {}
-    for name in names:
-        short = (
-            re.sub(r"[\s\x00-\x1f\x7f-\x9f\ud800-\udfff]+", "_", name).encode()[:_LONGEST_BYTES].decode(errors="ignore")
-        )
-        short, count = short or "_", 1
-        fresh = short
-        while fresh in given:
-            count += 1
-            fresh = f"{short}_{count}"
-        given[fresh] = None
-    return tuple(given)
+    """Return names that motion capture programs can read: no white space or control characters, not long, all different."""
+    plain = (re.sub(r"[\s\x00-\x1f\x7f-\x9f\ud800-\udfff]+", "_", name).encode()[:_LONGEST_BYTES] for name in names)
+    return tuple(unique([name.decode(errors="ignore") or "_" for name in plain]))
 
 
-# Predictions as a TRC, the marker file of OpenSim: one clip, tabs, blank cells for what is missing.
+# TRC, the marker file of OpenSim: one clip, tabs, blank cells for what is missing.
 
 _ROWS = 512
 
@@ -167,7 +148,7 @@ def _head(trial: _Trial, name: str) -> str:
     return "\n".join(lines) + "\n"
 
 
-# Predictions as a C3D, the file of motion capture: one clip of labelled points, no analog channels.
+# C3D: one clip of labelled points, no analog channels.
 
 _MOST_FRAMES = 65_535
 _SCREEN_UP = {"camera": "-Y", "opencv": "-Y", "level": "-Y", "blender": "+Z", "opensim": "+Y"}
@@ -195,10 +176,12 @@ def write_c3d(prediction: Prediction, path: str | Path) -> None:
         written = Path(folder) / "trial.c3d"
         file.write(str(written))
         least = 16 * trial.points.shape[0] * trial.points.shape[1]
-        if not written.is_file() or written.stat().st_size < least:  # ezc3d says nothing of a full disk
-            raise OSError(f"{path}: the C3D could not be written whole in {tempfile.gettempdir()}: is the disk full?")
-        with written.open("rb") as whole:
-            shutil.copyfileobj(whole, handle)
+        if not written.is_file() or written.stat().st_size < least:  # ezc3d does not report a full disk
+            raise OSError(
+                f"{path}: the C3D could not be written completely in {tempfile.gettempdir()}: is the disk full?"
+            )
+        with written.open("rb") as trial_file:
+            shutil.copyfileobj(trial_file, handle)
 
 
 def _fill(file, trial: _Trial, axes: str) -> None:

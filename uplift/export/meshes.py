@@ -1,18 +1,20 @@
-"""Lifted shapes as files: binary glTF, Wavefront OBJ, Stanford PLY, STL, npz, in the axes and unit asked for."""
+"""Shapes as files: binary glTF, Wavefront OBJ, Stanford PLY, STL, npz, in the axes and unit asked for."""
 
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from jaxtyping import Float
 
-from uplift.config.files import replacing
+from uplift.config.files import refuse_existing, replacing
 from uplift.errors import UserError, did_you_mean
+from uplift.export.clips import MOST_FILES
 from uplift.export.scene import FROM_LEVEL
 from uplift.geometry.mesh import Mesh
 from uplift.geometry.surface import Surface, surface_of
@@ -21,12 +23,15 @@ from uplift.models.prediction import ShapePrediction
 if TYPE_CHECKING:
     import trimesh
 
+    from uplift.export import Job, Writer
+
 __all__ = [
     "SHAPE_AXES",
     "Frame",
     "check_axes",
     "in_camera",
     "prediction_surfaces",
+    "shape_jobs",
     "surfaces",
     "write_glb",
     "write_npz",
@@ -35,7 +40,101 @@ __all__ = [
     "write_stl",
 ]
 
-# The axes and the unit that lifted shapes are written in.
+# Shapes: a file for all items, for a scene of a few, or for each item that has a surface.
+
+_MOST_TOGETHER = 16
+"""Items that one scene shows side by side by default."""
+_UNITS = ("px", "mm", "crop")
+
+
+def shape_jobs(
+    prediction: ShapePrediction,
+    writer: Writer,
+    path: str | Path,
+    axes: str | None,
+    *,
+    unit: str | None = None,
+    height_mm: float | int | None = None,
+    length_mm: float | int | None = None,
+    smooth: int = 4,
+    together: bool | None = None,
+    **options: Any,
+) -> list[Job]:
+    """Return the files of shapes, each with what writes it; the options are those of `uplift.export.write`."""
+    frame = _frame(writer, path, axes, unit, {"height_mm": height_mm, "length_mm": length_mm})
+    if writer.holds == "all":
+
+        def write_all(file: Path) -> str:
+            refuse_existing(file)
+            return writer(prediction, file, **options)
+
+        return [("", write_all)]
+    if options:
+        raise UserError(f"{next(iter(options))}= is for a page (.html), not for {Path(path).suffix}.")
+    cut = prediction_surfaces(prediction, smooth=smooth)
+    parts = _parts(cut, writer.holds, together)
+    left_out = _left_out(prediction, cut)
+
+    def job(part: list[int], file: Path) -> str:
+        refuse_existing(file)
+        remark = writer(prediction, part, [cut[item] for item in part], frame, file)
+        return "; ".join(filter(None, [remark, left_out if part is parts[0] else ""]))
+
+    return [(prediction.names[part[0]], partial(job, part)) for part in parts]
+
+
+def _frame(
+    writer: Writer,
+    path: str | Path,
+    axes: str | None,
+    unit: str | None,
+    sizes: Mapping[str, float | int | None],
+) -> Frame:
+    """Return axes and unit as they were asked for, or raise UserError."""
+    given = {name: float(value) for name, value in sizes.items() if value is not None}
+    asked = [name for name, value in {"axes": axes, "unit": unit, **given}.items() if value is not None]
+    if writer.holds == "all" and asked:
+        raise UserError(f"{asked[0]}= goes with the formats of meshes (.glb .obj .ply .stl), not with {path}.")
+    for name, value in given.items():
+        if not (np.isfinite(value) and value > 0):
+            raise UserError(f"{name}={value:g}: expected how large each object is, more than 0 mm.")
+    if len(given) > 1:
+        raise UserError("height_mm= and length_mm= both say how large an object is: give one.")
+    if unit is not None and unit not in _UNITS:
+        raise UserError(f"unit={unit}: no such unit.{did_you_mean(unit, _UNITS)}")
+    if unit == "mm" and not given:
+        raise UserError("unit=mm: a mask does not tell how large its object is. Add height_mm= or length_mm=.")
+    if given and unit not in (None, "mm"):
+        raise UserError(f"unit={unit} and {next(iter(given))}= do not go together: a size makes the unit mm.")
+    return Frame(check_axes(axes or writer.axes), "mm" if given else unit or "px", **given)
+
+
+def _parts(cut: Sequence[Surface], holds: str, together: bool | None) -> list[list[int]]:
+    """Return which items go into each file; raises UserError for no surface at all, or too many files."""
+    there = [item for item, one in enumerate(cut) if one.mesh is not None]
+    if not there:
+        why = cut[0].reason if cut else "the prediction has no items"
+        raise UserError(f"there is no surface to write: {why}. Nothing was lifted, or level= is too high.")
+    if together and holds != "scene":
+        raise UserError("together=true puts several shapes into one .glb; other formats hold one each.")
+    if holds == "scene" and (together or (together is None and len(there) <= _MOST_TOGETHER)):
+        return [there]
+    if len(there) > MOST_FILES:
+        raise UserError(
+            f"{len(there):,} shapes would be as many files; the most is {MOST_FILES}. Give fewer masks at a time, "
+            "write a .glb with together=true, or .npz."
+        )
+    return [[item] for item in there]
+
+
+def _left_out(prediction: ShapePrediction, cut: Sequence[Surface]) -> str:
+    """Return a remark on the items that have no surface."""
+    gone = [f"{name} ({one.reason})" for name, one in zip(prediction.names, cut, strict=True) if one.mesh is None]
+    more = f" and {len(gone) - 3} more" if len(gone) > 3 else ""
+    return f"without a surface: {', '.join(gone[:3])}{more}" if gone else ""
+
+
+# Axes and unit.
 
 _OWN = {
     "own": [[1, 0, 0], [0, 1, 0], [0, 0, 1]],
@@ -68,7 +167,7 @@ class Frame:
     """The longest side of every object's box in its own axes."""
 
     def placed(self, mesh: Mesh, prediction: ShapePrediction, item: int) -> Float[np.ndarray, "points 3"]:
-        """Return an own mesh's corners in these axes and this unit.
+        """Return the corners of a mesh of the shape's frame in these axes and this unit.
 
         The origin of ``own``, ``gltf`` and ``print`` is that of the shape's own frame, that of all others the
         crop's centre at the depth of that origin.
@@ -100,17 +199,17 @@ class Frame:
         return float(prediction.scale_px[item]) if self.unit == "px" else 1.0
 
     def about(self, prediction: ShapePrediction, items: list[int]) -> dict[str, Any]:
-        """Return what a file says of itself: its unit, axes, and where its items stand in the photo."""
+        """Return the facts that a file holds beside its meshes: unit, axes, and where its items stand in the photo."""
         return {
             "unit": self.unit,
-            "unit_is": self._unit_told(),
+            "unit_is": self._unit_words(),
             "axes": self.axes,
             "axes_are": SHAPE_AXES[self.axes],
             "handedness": "right",
             "items": [_standing(prediction, item) for item in items],
         }
 
-    def _unit_told(self) -> str:
+    def _unit_words(self) -> str:
         if self.height_mm is not None:
             return f"millimetres, each object taken to be {self.height_mm:g} mm high"
         if self.length_mm is not None:
@@ -141,7 +240,7 @@ def _standing(prediction: ShapePrediction, item: int) -> dict[str, Any]:
     }
 
 
-# The surfaces of lifted shapes, in their own frames or where the camera sees them.
+# Surfaces, in the frames of the shapes or where the camera sees them.
 
 
 def surfaces(prediction: ShapePrediction, *, frame: str = "own", smooth: int = 0) -> list[Mesh | None]:
@@ -182,7 +281,7 @@ def _placed(mesh: Mesh, prediction: ShapePrediction, item: int) -> Mesh:
     return replace(mesh, vertices=np.asarray(points, float))
 
 
-# Lifted shapes as an ``.npz``: grids and where they stand, readable without pickle.
+# npz: grids and where they stand, readable without pickle.
 
 
 def write_npz(prediction: ShapePrediction, path: str | Path) -> None:
@@ -210,7 +309,7 @@ def write_npz(prediction: ShapePrediction, path: str | Path) -> None:
         np.savez_compressed(handle, allow_pickle=False, **arrays)
 
 
-# Lifted shapes as mesh files: binary glTF, Wavefront OBJ, Stanford PLY, STL.
+# Mesh files: binary glTF, Wavefront OBJ, Stanford PLY, STL.
 
 _COLOUR = [0.62, 0.55, 0.46, 1.0]
 _APART = 1.25
@@ -252,7 +351,7 @@ def write_glb(
         tree["asset"] = {"version": "2.0", "generator": "uplift", "extras": about}
 
     _save(path, export_glb(scene, include_normals=True, tree_postprocessor=describe))
-    return _told(cut)
+    return _remark(cut)
 
 
 def write_obj(
@@ -265,7 +364,7 @@ def write_obj(
     header = "\n# ".join(_lines(prediction, items, frame))
     text = export_obj(solid, include_normals=True, include_color=False, include_texture=False, digits=6, header=header)
     _save(path, f"{text}\n".encode())
-    return _told(cut)
+    return _remark(cut)
 
 
 def write_ply(
@@ -278,7 +377,7 @@ def write_ply(
     first = data.index(b"\n", data.index(b"format ")) + 1
     comments = "".join(f"comment {line}\n" for line in _lines(prediction, items, frame))
     _save(path, data[:first] + comments.encode("ascii", "replace") + data[first:])
-    return _told(cut)
+    return _remark(cut)
 
 
 def write_stl(
@@ -291,7 +390,7 @@ def write_stl(
     # A header that begins with "solid" is read as text by many programs.
     header = f"uplift, unit {frame.unit}, axes {frame.axes}, {prediction.names[items[0]]}"
     _save(path, header.encode("ascii", "replace")[:_STL_HEADER].ljust(_STL_HEADER) + data[_STL_HEADER:])
-    return _told(cut)
+    return _remark(cut)
 
 
 def _solid(prediction: ShapePrediction, item: int, one: Surface, frame: Frame) -> trimesh.Trimesh:
@@ -302,7 +401,7 @@ def _solid(prediction: ShapePrediction, item: int, one: Surface, frame: Frame) -
 
 
 def _lines(prediction: ShapePrediction, items: list[int], frame: Frame) -> list[str]:
-    """Return what a file says of itself, a fact a line."""
+    """Return these facts for comment lines, one a line."""
     about = frame.about(prediction, items)
     (item,) = about["items"]
     rest = {key: value for key, value in item.items() if key != "name"}
@@ -315,7 +414,8 @@ def _lines(prediction: ShapePrediction, items: list[int], frame: Frame) -> list[
     ]
 
 
-def _told(cut: Sequence[Surface]) -> str:
+def _remark(cut: Sequence[Surface]) -> str:
+    """Return what was cleaned of the surfaces."""
     words = [one.summary() for one in cut]
     if len(cut) == 1:
         return words[0]

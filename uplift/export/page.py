@@ -1,152 +1,59 @@
-"""Predictions as one self-contained page: 2D beside 3D on a canvas, no network, no WebGL."""
+"""Poses as one self-contained page: 2D beside 3D on a canvas, no network, no WebGL."""
 
 from __future__ import annotations
 
-import base64
-import hashlib
-import json
-import math
-import re
-import zlib
 from collections.abc import Mapping, Sequence
-from html import escape
-from itertools import pairwise
 from pathlib import Path
-from typing import Any, SupportsFloat
+from typing import Any
 
 import numpy as np
 
-from uplift.config.files import replacing
 from uplift.errors import UserError
-from uplift.export.clips import Clip, arrange, choose, photos
+from uplift.export.clips import Clip, arrange, photos
+from uplift.export.html import Curve, Section, pack, scripted_page, write_text
 from uplift.export.scene import beside, level_rotations, matched_truth, rotations_to, scaled_error, standing
 from uplift.models.prediction import Prediction
 from uplift.skeleton.core import bone_sides, joint_sides
 
-__all__ = [
-    "Curve",
-    "curve_charts",
-    "curves_html",
-    "number_text",
-    "pack",
-    "page_part",
-    "page_text",
-    "policy_hash",
-    "read_html",
-    "table_html",
-    "unpack",
-    "write_html",
-]
+__all__ = ["choose", "page_text", "write_html"]
 
-# Arrays as a short text for a page: quantised to steps, differenced over rows, deflated, base64.
-
-_ABSENT = -32768
-_LARGEST = 32767
+_SCRIPTS = (
+    "decode", "colours", "scene", "figures", "floor", "draw3d", "labels", "draw2d", "strip", "state", "motion", "keys",
+    "pointer", "clips", "controls",
+)  # fmt: skip
 
 
-def _quantise(values: np.ndarray, finest: float) -> tuple[np.ndarray, float, float]:
-    """Return int16 codes, step and offset with ``codes * step + offset`` near ``values``.
+def write_html(prediction: Prediction, path: str | Path, **options: Any) -> None:
+    """Write the page of `page_text` to ``path``; the options are its own."""
+    write_text(page_text(prediction, **options), path)
 
-    The step is ``finest`` or what the range of the values needs, whichever is larger; the error is
-    at most half a step. A value that is not finite becomes ``_ABSENT``.
+
+def page_text(
+    prediction: Prediction,
+    *,
+    frames: int = 2000,
+    sections: Sequence[Section] = (),
+    curves: Mapping[str, Curve] | None = None,
+    notes: Sequence[str] = (),
+) -> str:
+    """Return the page with at most ``frames`` moments of complete clips, tables, curves and notes.
+
+    ``sections`` and ``curves`` (name -> points, a small chart each) are those of `uplift.export.html`.
     """
-    values = np.asarray(values, np.float64)
-    finite = np.isfinite(values)
-    known = values[finite]
-    low, high = (known.min(), known.max()) if known.size else (0.0, 0.0)
-    step = max((high - low) / 2 / (_LARGEST - 1), finest, np.finfo(np.float32).tiny)
-    # A whole number of steps keeps zeros and whole numbers exact.
-    offset = np.rint((low + high) / 2 / step) * step
-    codes = np.full(values.shape, _ABSENT, np.int16)
-    codes[finite] = np.clip(np.rint((known - offset) / step), -_LARGEST, _LARGEST).astype(np.int16)
-    return codes, float(step), float(offset)
-
-
-def pack(arrays: dict[str, tuple[np.ndarray, float]]) -> tuple[str, list[dict[str, Any]]]:
-    """Return the text and its description of ``{name: (values, finest step)}``, rows first."""
-    planes, described = [], []
-    for name, (values, finest) in arrays.items():
-        codes, step, offset = _quantise(values, finest)
-        rows = codes.reshape(len(codes), -1).view(np.uint16)
-        changes = np.diff(rows, axis=0, prepend=np.zeros((1, rows.shape[1]), np.uint16))
-        planes += [(changes & 0xFF).astype(np.uint8).T.tobytes(), (changes >> 8).astype(np.uint8).T.tobytes()]
-        described.append({"name": name, "shape": list(np.shape(values)), "step": step, "offset": offset})
-    return base64.b64encode(zlib.compress(b"".join(planes), 6)).decode("ascii"), described
-
-
-def unpack(text: str, described: list[dict[str, Any]]) -> dict[str, np.ndarray]:
-    """Return the arrays of ``pack``; absent values are NaN."""
-    data = zlib.decompress(base64.b64decode(text))
-    arrays, at = {}, 0
-    for item in described:
-        rows = item["shape"][0]
-        size = int(np.prod(item["shape"], dtype=np.int64))
-        low, high = (np.frombuffer(data, np.uint8, size, at + part * size) for part in (0, 1))
-        at += 2 * size
-        changes = (low.astype(np.uint16) | high.astype(np.uint16) << 8).reshape(-1, rows).T
-        codes = np.cumsum(changes, axis=0, dtype=np.uint16).view(np.int16).reshape(item["shape"])
-        values = codes * item["step"] + item["offset"]
-        arrays[item["name"]] = np.where(codes == _ABSENT, np.nan, values)
-    return arrays
-
-
-# Curves of a run as small inline SVG charts.
-
-Curve = Sequence[tuple[SupportsFloat, SupportsFloat]]
-
-_WIDTH, _HEIGHT, _MOST_POINTS = 240, 84, 240
-
-
-def curve_charts(curves: Mapping[str, Curve]) -> str:
-    """Return one small chart per curve of (step, value) points; values that are not finite are left out."""
-    charts = []
-    for name, points in curves.items():
-        numbers = [(float(x), float(y)) for x, y in points]
-        finite = [point for point in numbers if all(map(math.isfinite, point))]
-        if finite:
-            charts.append(_chart(name, finite))
-    return f'<div class="charts">{"".join(charts)}</div>' if charts else ""
-
-
-def number_text(value: object) -> str:
-    """Return a table cell's text: numbers to four figures, everything else as it is."""
-    if isinstance(value, bool) or not isinstance(value, (int, float)):
-        return str(value)
-    if not math.isfinite(value):
-        return "–"
-    if float(value).is_integer() and abs(value) < 1e9:
-        return f"{int(value):,}"
-    return f"{value:.3f}" if abs(value) < 10 else f"{value:,.1f}"
-
-
-def _chart(name: str, points: list[tuple[float, float]]) -> str:
-    points = _thinned(points)
-    (first, last), values = (points[0][0], points[-1][0]), [y for _, y in points]
-    low, high = min(values), max(values)
-    wide, tall = (last - first) or 1.0, (high - low) or 1.0
-    xy = [((x - first) / wide * _WIDTH, _HEIGHT - (y - low) / tall * _HEIGHT) for x, y in points]
-    line = " ".join(f"{x:.1f},{y:.1f}" for x, y in xy)
-    label = escape(name)
-    final = number_text(points[-1][1])
-    return (
-        f'<figure class="chart"><figcaption><span>{label}</span><b>{escape(final)}</b></figcaption>'
-        f'<svg viewBox="-5 -5 {_WIDTH + 10} {_HEIGHT + 10}" role="img" '
-        f'aria-label="{label}, from {number_text(points[0][1])} to {final}">'
-        f'<path class="axis" d="M0 {_HEIGHT}H{_WIDTH}"/><polyline class="curve" points="{line}"/>'
-        f'<circle class="end" cx="{xy[-1][0]:.1f}" cy="{xy[-1][1]:.1f}" r="3"/></svg>'
-        f'<div class="range"><span>steps {number_text(first)} to {number_text(last)}</span>'
-        f"<span>{number_text(low)} to {number_text(high)}</span></div></figure>"
+    data = _page_data(prediction, frames)
+    return scripted_page(
+        "viewer.htm",
+        title=prediction.title or Path(prediction.source).name or "Poses",
+        facts=data.pop("facts"),
+        styles=["page.css"],
+        notes=[*data.pop("remarks"), *notes],
+        data=data,
+        scripts=_SCRIPTS,
+        sections=sections,
+        curves=curves,
+        noun=str(data["noun"]),
+        things="poses",
     )
-
-
-def _thinned(points: list[tuple[float, float]]) -> list[tuple[float, float]]:
-    """Return at most so many points, each the mean of its neighbours, ends kept."""
-    if len(points) <= _MOST_POINTS:
-        return points
-    edges = [round(n * len(points) / _MOST_POINTS) for n in range(_MOST_POINTS + 1)]
-    parts = [points[a:b] for a, b in pairwise(edges)]
-    means = [(sum(x for x, _ in part) / len(part), sum(y for _, y in part) / len(part)) for part in parts]
-    return [points[0], *means[1:-1], points[-1]]
 
 
 # The data a page carries: chosen clips, names, and the packed arrays.
@@ -158,7 +65,7 @@ _STEPS_PER_SIZE = 4096
 def _page_data(prediction: Prediction, moments: int) -> dict[str, Any]:
     """Return what the page's script reads, and ``facts`` and ``remarks`` for its text.
 
-    At most ``moments`` moments and three rows for each, whole clips evenly chosen. Raises UserError
+    At most ``moments`` moments and three rows for each, complete clips evenly chosen. Raises UserError
     where there is no frame, or where the poses were turned to other axes than the camera's.
     """
     if not len(prediction):
@@ -194,6 +101,18 @@ def _page_data(prediction: Prediction, moments: int) -> dict[str, Any]:
         "facts": _facts(prediction, clips),
         "remarks": _remarks(prediction, clips, chosen, departure),
     }
+
+
+def choose(clips: Sequence[Clip], moments: int, rows: int) -> list[Clip]:
+    """Return complete clips, evenly chosen, with at most so many moments and rows; a lone long clip is cut."""
+    for count in range(len(clips), 0, -1):
+        picked = [clips[index] for index in np.linspace(0, len(clips) - 1, count).round().astype(int)]
+        if sum(len(clip.frames) for clip in picked) <= moments and sum(len(clip.rows) for clip in picked) <= rows:
+            return picked
+    if not clips:
+        return []
+    crowd = np.cumsum(np.bincount(clips[0].moment))
+    return [clips[0].first(max(1, min(moments, int(np.searchsorted(crowd, rows, side="right")))))]
 
 
 def _arrays(
@@ -313,115 +232,3 @@ def _counted(count: int, noun: str) -> str:
 def _short(source: str) -> str:
     """Return the last two parts of a path: a page that is handed on need not tell where its maker keeps data."""
     return "/".join(Path(source).parts[-2:])
-
-
-# Predictions as one self-contained page: 2D beside 3D on a canvas, no network, no WebGL.
-
-Rows = Sequence[Sequence[object]]
-Section = tuple[str, Rows] | tuple[str, Rows, Sequence[object]]
-
-_PAGE = Path(__file__).resolve().parent / "assets"
-_SCRIPTS = (
-    *(
-        "decode.js",
-        "colours.js",
-        "scene.js",
-        "figures.js",
-        "floor.js",
-        "draw3d.js",
-        "labels.js",
-        "draw2d.js",
-        "strip.js",
-    ),
-    *("state.js", "motion.js", "keys.js", "pointer.js", "clips.js", "controls.js"),
-)
-
-
-def write_html(prediction: Prediction, path: str | Path, **options: Any) -> None:
-    """Write the page of ``page_text`` to ``path``; the options are its own."""
-    text = page_text(prediction, **options)
-    with replacing(path) as handle:
-        handle.write(text.encode("utf-8"))
-
-
-def page_text(
-    prediction: Prediction,
-    *,
-    frames: int = 2000,
-    sections: Sequence[Section] = (),
-    curves: Mapping[str, Curve] | None = None,
-    notes: Sequence[str] = (),
-) -> str:
-    """Return the page with at most ``frames`` moments of whole clips, tables, curves and notes.
-
-    ``sections`` are (title, rows) or (title, rows, header); without a header, a first row of three
-    or more texts above rows that each hold a number is taken for one. ``curves`` are name -> (step, value) points, one small chart each.
-    """
-    data = _page_data(prediction, frames)
-    title = prediction.title or Path(prediction.source).name or "Poses"
-    script = "(() => {\n'use strict';\n" + "\n".join(page_part(name) for name in _SCRIPTS) + "})();\n"
-    style = page_part("page.css")
-    parts = {
-        "policy": f"default-src 'none'; script-src {policy_hash(script)}; style-src {policy_hash(style)}; img-src data:",
-        "title": escape(title),
-        "subtitle": " · ".join(f"<span>{escape(fact)}</span>" for fact in data.pop("facts")),
-        "style": style,
-        "noun": str(data["noun"]),
-        "report": "".join(table_html(section) for section in sections) + curves_html(curves or {}),
-        "notes": "".join(f"<li>{escape(note)}</li>" for note in [*data.pop("remarks"), *notes]),
-        "data": json.dumps(data, ensure_ascii=True, allow_nan=False, separators=(",", ":")).replace("<", "\\u003c"),
-        "script": script,
-    }
-    # One pass: text that came from the data is never searched for placeholders again.
-    return re.sub(r"\{\{(\w+)\}\}", lambda found: parts[found[1]], page_part("shell.htm"))
-
-
-def read_html(path: str | Path) -> dict[str, Any]:
-    """Return the data embedded in a page: its description, and ``arrays`` by name (absent values NaN)."""
-    found = re.search(r'<script type="application/json" id="data">(.*?)</script>', Path(path).read_text("utf-8"), re.S)
-    if not found:
-        raise UserError(f"{path}: not a page written by uplift (no embedded data). Give the page of a run or predict.")
-    data = json.loads(found[1])
-    data["arrays"] = unpack(data.pop("packed"), data.pop("layout"))
-    return data
-
-
-def page_part(name: str) -> str:
-    """Return a script, style or skeleton that pages are put together of."""
-    return (_PAGE / name).read_text(encoding="utf-8")
-
-
-def policy_hash(text: str) -> str:
-    """Return how a page's Content-Security-Policy names an inline script or style that it allows."""
-    return f"'sha256-{base64.b64encode(hashlib.sha256(text.encode('utf-8')).digest()).decode('ascii')}'"
-
-
-def table_html(section: Section) -> str:
-    """Return a section as a card with a table."""
-    title, rows, header = section if len(section) == 3 else (*section, ())
-    if not header and _has_header(rows):
-        header, rows = rows[0], rows[1:]
-    head = f"<thead>{_row(header, 'th')}</thead>" if header else ""
-    body = "".join(_row(row, "td") for row in rows)
-    broad = " broad" if max(map(len, rows), default=0) > 6 else ""
-    return (
-        f'<section class="card{broad}"><h2>{escape(title)}</h2><div class="wide"><table>{head}'
-        f"<tbody>{body}</tbody></table></div></section>"
-    )
-
-
-def _has_header(rows: Rows) -> bool:
-    texts = [all(isinstance(cell, str) for cell in row) for row in rows]
-    return len(rows) > 1 and len(rows[0]) > 2 and texts[0] and not any(texts[1:])
-
-
-def _row(cells: Sequence[object], tag: str) -> str:
-    first, *others = [cell.item() if isinstance(cell, np.generic) else cell for cell in cells] or [""]
-    rest = "".join(f"<{tag}>{escape(number_text(cell))}</{tag}>" for cell in others)
-    return f'<tr><th scope="row">{escape(number_text(first))}</th>{rest}</tr>'
-
-
-def curves_html(curves: Mapping[str, Curve]) -> str:
-    """Return a card with a chart for each curve; nothing without any."""
-    charts = curve_charts(curves)
-    return f'<section class="card broad"><h2>Training</h2>{charts}</section>' if charts else ""

@@ -1,12 +1,11 @@
-"""Where things stand: axes by name, level rotations, places of roots, and one clip in time."""
+"""Where things stand: axes by name, level rotations, places of roots, the truth at a pose's size."""
 
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float
 
 from uplift.errors import UserError, did_you_mean
 from uplift.export.clips import Clip, arrange
@@ -16,23 +15,123 @@ from uplift.models.prediction import Prediction
 __all__ = [
     "AXES",
     "FROM_LEVEL",
+    "SIDE_COLOURS",
     "beside",
-    "frame_rate",
     "from_y_down",
+    "held",
     "in_axes",
     "known_points",
     "level_rotations",
     "matched_truth",
-    "one_clip",
     "rotations_to",
     "row_places",
     "scaled_error",
-    "seen_at",
     "standing",
-    "steps",
 ]
 
-# What a page needs besides the poses: level rotations, truth at the pose's size, places of the roots.
+SIDE_COLOURS = {"centre": (0x4A, 0x50, 0x58), "left": (0x1F, 0x77, 0xB8), "right": (0xD9, 0x63, 0x0F)}
+"""sRGB, 0 to 255, in the order of `uplift.skeleton.core.joint_sides`."""
+
+# Axes by name: the camera's, gravity's, and those of programs that read poses.
+
+AXES = {
+    "camera": "x right in the image, y down, z away from the camera",
+    "level": "the camera's axes turned so that y is gravity: x right, y down, z away, level",
+    "opencv": "another name of camera: x right in the image, y down, z away from the camera",
+    "blender": "z up, x right, y away from the camera, level",
+    "opensim": "y up, x right, z towards the camera, level",
+}
+"""The names `in_axes` knows and what they mean; all are right-handed, so left stays left."""
+
+_AS_SEEN = ("camera", "opencv")
+FROM_LEVEL = {
+    "level": [[1, 0, 0], [0, 1, 0], [0, 0, 1]],
+    "blender": [[1, 0, 0], [0, 0, 1], [0, -1, 0]],
+    "opensim": [[1, 0, 0], [0, -1, 0], [0, 0, -1]],
+}
+"""Rotations from the level frame to the axes of other programs."""
+_AGREES = 1e-3
+"""Share of a body's size by which its level pose may differ from what the tilt says."""
+
+
+def in_axes(prediction: Prediction, name: str) -> Prediction:
+    """Return the same poses, and places of the root where they are known, in the axes called ``name``.
+
+    What is not in ``Prediction.axes`` stays as it is: ``level_pose``, the truth, the keypoints, and the
+    spread, which is along the camera's line of sight. Raises UserError for an unknown name, ValueError
+    for a prediction that is not in the camera's axes any more.
+    """
+    rotation = rotations_to(prediction, name)
+    if name in _AS_SEEN:
+        return replace(prediction, axes=name)
+    rotation = rotation.astype(np.result_type(prediction.pose, np.float32))
+    pose = prediction.pose @ rotation.transpose(0, 2, 1)
+    root = prediction.root
+    if root is not None:
+        root = np.einsum("fik,fk->fi", rotation.astype(np.result_type(root, np.float32)), root)
+    return replace(prediction, pose=pose, root=root, axes=name)
+
+
+def rotations_to(prediction: Prediction, name: str) -> Float[np.ndarray, "frames 3 3"]:
+    """Return the proper rotations R from the camera's axes to ``name``: a point p of a frame is at ``R @ p``.
+
+    The frames of one clip share one rotation, by the median of their gravity: its camera stands, and a
+    rotation for each frame would shake the root's path. Rows that nothing marks as frames of one film (no
+    ``sequence``, ``frame`` or frame rate) have one each. A skeleton without gravity
+    has no level: its camera's axes are taken as level. Raises as `in_axes`.
+    """
+    if name not in AXES:
+        raise UserError(f"axes={name}: no such axes.{did_you_mean(name, AXES)}")
+    if prediction.axes not in _AS_SEEN:
+        raise ValueError(f"prediction: in the axes '{prediction.axes}', expected the camera's: turn to axes only once")
+    if name in _AS_SEEN or not prediction.skeleton.gravity:
+        level = np.broadcast_to(np.eye(3), (len(prediction), 3, 3))
+    else:
+        gravity = _steady(_gravities(prediction), prediction)
+        level = quaternion_matrix(least_turn(gravity, np.array([0.0, 1.0, 0.0])))
+        level[gravity[:, 1] < -1 + 1e-12] = np.diag([-1.0, -1.0, 1.0])  # a camera upside down: a half turn in the image
+    return np.array(FROM_LEVEL.get(name, FROM_LEVEL["level"]), float) @ level
+
+
+def _gravities(prediction: Prediction) -> Float[np.ndarray, "frames 3"]:
+    """Return each frame's gravity in the camera's axes, NaN where neither tilt nor level pose gives it.
+
+    The tilt's where the level pose agrees, else that of the rotation between pose and level pose.
+    """
+    known = np.asarray(np.isfinite(prediction.pose).all(-1) & np.isfinite(prediction.level_pose).all(-1))
+    pose = np.where(known[..., None], prediction.pose, 0.0)
+    levelled = np.where(known[..., None], prediction.level_pose, 0.0)
+    size = np.abs(pose).max((1, 2), initial=0)
+    tilt = np.radians(np.full(len(prediction), np.nan) if prediction.tilt_deg is None else prediction.tilt_deg)
+    gravity = np.stack([np.zeros(len(tilt)), np.cos(tilt), np.sin(tilt)], -1)
+    gap = np.abs(np.einsum("fji,fi->fj", pose, gravity) - levelled[..., 1]).max(1, initial=0)
+    differs = ~(gap <= _AGREES * size)
+    if differs.any():
+        gravity[differs] = level_rotations(pose[differs], levelled[differs])[0][:, 1]
+        gravity[differs & (size == 0)] = np.nan
+    return gravity
+
+
+def _steady(gravity: np.ndarray, prediction: Prediction) -> Float[np.ndarray, "frames 3"]:
+    """Return unit gravity, one for all frames of a clip; the camera's y where a clip has none."""
+    steady = gravity.copy()
+    identity = prediction.identity
+    if prediction.fps is not None or {"sequence", "frame", "image"} & set(identity):
+        for clip in arrange(identity, len(gravity)):
+            known = gravity[clip.rows]
+            known = known[np.isfinite(known).all(-1)]
+            if len(known):
+                middle = np.median(known, axis=0)
+                steady[clip.rows] = middle if np.linalg.norm(middle) > 0.1 else known[0]
+            else:
+                steady[clip.rows] = np.nan
+    steady[~np.isfinite(steady).all(-1)] = (0, 1, 0)
+    return steady / np.linalg.norm(steady, axis=-1, keepdims=True)
+
+
+def from_y_down(axes: str) -> Float[np.ndarray, "3 3"]:
+    """Return the rotation from axes with x right, y down and z away to those of a name of `uplift.export.scene`."""
+    return np.array(FROM_LEVEL.get(axes, FROM_LEVEL["level"]), float)
 
 
 def level_rotations(
@@ -48,21 +147,23 @@ def level_rotations(
     return rotation, float(departure / max(np.abs(pose).max(initial=0), 1e-12))
 
 
-def matched_truth(
-    pose: Float[np.ndarray, "frames joints 3"], truth: Float[np.ndarray, "frames joints 3"]
-) -> Float[np.ndarray, "frames joints 3"]:
-    """Return the truth at the scale that brings it nearest to each pose (least squares, never mirrored)."""
-    return truth * _scale(truth, pose)[:, None, None]
+# Places of roots.
 
 
-def scaled_error(
-    pose: Float[np.ndarray, "frames joints 3"], truth: Float[np.ndarray, "frames joints 3"]
-) -> Float[np.ndarray, " frames"]:
-    """Return each frame's ``n_mpjpe`` in the unit of the truth."""
-    gap = np.linalg.norm(pose * _scale(pose, truth)[:, None, None] - truth, axis=-1)
-    known = np.isfinite(gap)
-    mean = np.where(known, gap, 0).sum(1) / np.maximum(known.sum(1), 1)
-    return np.where(known.any(1), mean, np.nan)
+def row_places(prediction: Prediction, clip: Clip) -> Float[np.ndarray, "rows 3"]:
+    """Return where the root of each row is, in the prediction's axes and unit, NaN where that is not known.
+
+    The prediction's own root; else several individuals stand side by side as in the image, and one is at 0.
+    """
+    if prediction.root is not None:
+        return known_points(prediction.root[:, None])[:, 0]
+    found = np.zeros((len(prediction), 3))
+    if len(clip.individual_names) > 1:
+        turn = from_y_down(prediction.axes)
+        seen = np.nan_to_num(np.asarray(prediction.confidence, float)) > 0
+        pose = np.asarray(prediction.pose, float) @ turn
+        found = beside(pose, np.asarray(prediction.keypoints, float), seen)[0] @ turn.T
+    return found
 
 
 def standing(
@@ -107,171 +208,8 @@ def beside(
     return place, place * [1.0, 0.0, 0.0]
 
 
-def _scale(moved: np.ndarray, fixed: np.ndarray) -> np.ndarray:
-    """Return s of the least |s moved - fixed| per frame; the ratio of sizes where that is not positive."""
-    known = np.isfinite(moved) & np.isfinite(fixed)
-    moved, fixed = np.where(known, moved, 0.0), np.where(known, fixed, 0.0)
-    own, other = (moved**2).sum((1, 2)), (fixed**2).sum((1, 2))
-    own = np.where(own > 0, own, 1.0)
-    best = (moved * fixed).sum((1, 2)) / own
-    return np.where(best > 0, best, np.sqrt(other / own))
-
-
-# Output frames by name: the camera's axes, gravity's, and those of the programs that poses are handed to.
-
-AXES = {
-    "camera": "x right in the image, y down, z away from the camera",
-    "level": "the camera's axes turned so that y is gravity: x right, y down, z away, level",
-    "opencv": "another name of camera: x right in the image, y down, z away from the camera",
-    "blender": "z up, x right, y away from the camera, level",
-    "opensim": "y up, x right, z towards the camera, level",
-}
-"""The names `in_axes` knows and what they mean; all are right-handed, so left stays left."""
-
-_AS_SEEN = ("camera", "opencv")
-FROM_LEVEL = {
-    "level": [[1, 0, 0], [0, 1, 0], [0, 0, 1]],
-    "blender": [[1, 0, 0], [0, 0, 1], [0, -1, 0]],
-    "opensim": [[1, 0, 0], [0, -1, 0], [0, 0, -1]],
-}
-"""Rotations from the level frame to the axes of other programs."""
-_AGREES = 1e-3
-"""Share of a body's size by which its level pose may miss what the tilt says."""
-
-
-def in_axes(prediction: Prediction, name: str) -> Prediction:
-    """Return the same poses, and places of the root where they are known, in the axes called ``name``.
-
-    What is not in ``Prediction.axes`` stays as it is: ``level_pose``, the truth, the keypoints, and the
-    spread, which is along the camera's line of sight. Raises UserError for an unknown name, ValueError
-    for a prediction that is not in the camera's axes any more.
-    """
-    rotation = rotations_to(prediction, name)
-    if name in _AS_SEEN:
-        return replace(prediction, axes=name)
-    rotation = rotation.astype(np.result_type(prediction.pose, np.float32))
-    pose = prediction.pose @ rotation.transpose(0, 2, 1)
-    root = prediction.root
-    if root is not None:
-        root = np.einsum("fik,fk->fi", rotation.astype(np.result_type(root, np.float32)), root)
-    return replace(prediction, pose=pose, root=root, axes=name)
-
-
-def rotations_to(prediction: Prediction, name: str) -> Float[np.ndarray, "frames 3 3"]:
-    """Return the proper rotations R from the camera's axes to ``name``: a point p of a frame is at ``R @ p``.
-
-    The frames of one clip share one rotation, by the median of their gravity: its camera stands, and a
-    rotation of their own would shake the root's path. Rows of which nothing says that they are frames
-    of one film (no ``sequence``, ``frame`` or frame rate) have their own. A skeleton without gravity
-    has no level: its camera's axes are taken as level. Raises as `in_axes`.
-    """
-    if name not in AXES:
-        raise UserError(f"axes={name}: no such axes.{did_you_mean(name, AXES)}")
-    if prediction.axes not in _AS_SEEN:
-        raise ValueError(f"prediction: in the axes '{prediction.axes}', expected the camera's: turn to axes only once")
-    if name in _AS_SEEN or not prediction.skeleton.gravity:
-        level = np.broadcast_to(np.eye(3), (len(prediction), 3, 3))
-    else:
-        gravity = _steady(_gravities(prediction), prediction)
-        level = quaternion_matrix(least_turn(gravity, np.array([0.0, 1.0, 0.0])))
-        level[gravity[:, 1] < -1 + 1e-12] = np.diag([-1.0, -1.0, 1.0])  # a camera upside down: a half turn in the image
-    return np.array(FROM_LEVEL.get(name, FROM_LEVEL["level"]), float) @ level
-
-
-def _gravities(prediction: Prediction) -> Float[np.ndarray, "frames 3"]:
-    """Return each frame's gravity in the camera's axes, NaN where neither tilt nor level pose tells it.
-
-    The tilt's where the level pose agrees, else that of the rotation between pose and level pose.
-    """
-
-    known = np.asarray(np.isfinite(prediction.pose).all(-1) & np.isfinite(prediction.level_pose).all(-1))
-    pose = np.where(known[..., None], prediction.pose, 0.0)
-    levelled = np.where(known[..., None], prediction.level_pose, 0.0)
-    size = np.abs(pose).max((1, 2), initial=0)
-    told = np.full(len(prediction), np.nan) if prediction.tilt_deg is None else prediction.tilt_deg
-    tilt = np.radians(told)
-    gravity = np.stack([np.zeros(len(tilt)), np.cos(tilt), np.sin(tilt)], -1)
-    gap = np.abs(np.einsum("fji,fi->fj", pose, gravity) - levelled[..., 1]).max(1, initial=0)
-    differs = ~(gap <= _AGREES * size)
-    if differs.any():
-        gravity[differs] = level_rotations(pose[differs], levelled[differs])[0][:, 1]
-        gravity[differs & (size == 0)] = np.nan
-    return gravity
-
-
-def _steady(gravity: np.ndarray, prediction: Prediction) -> Float[np.ndarray, "frames 3"]:
-    """Return unit gravity, one for all frames of a clip; the camera's y where a clip has none."""
-    from uplift.export.clips import arrange
-
-    steady = gravity.copy()
-    identity = prediction.identity
-    if prediction.fps is not None or {"sequence", "frame", "image"} & set(identity):
-        for clip in arrange(identity, len(gravity)):
-            known = gravity[clip.rows]
-            known = known[np.isfinite(known).all(-1)]
-            if len(known):
-                middle = np.median(known, axis=0)
-                steady[clip.rows] = middle if np.linalg.norm(middle) > 0.1 else known[0]
-            else:
-                steady[clip.rows] = np.nan
-    steady[~np.isfinite(steady).all(-1)] = (0, 1, 0)
-    return steady / np.linalg.norm(steady, axis=-1, keepdims=True)
-
-
-# What the moving formats share: one clip, its rate, and when each row is.
-
-
-def one_clip(prediction: Prediction, path: str | Path, individuals: bool = True) -> Clip:
-    """Return the only clip of a prediction; ``individuals``: there may be several in it.
-
-    Raises UserError where there is none, where there are more, or more individuals than one and that is too many.
-    """
-    if not len(prediction):
-        raise UserError(f"cannot write {path}: the prediction is empty. Check the input file.")
-    clips = arrange(prediction.identity, len(prediction))
-    if len(clips) > 1:
-        names = ", ".join(clip.name for clip in clips[:3]) + (", ..." if len(clips) > 3 else "")
-        raise UserError(f"cannot write {path}: a {Path(path).suffix} holds one clip, found {len(clips)}: {names}.")
-    names = clips[0].individual_names
-    if len(names) > 1 and not individuals:
-        raise UserError(
-            f"cannot write {path}: a {Path(path).suffix} holds one individual, found {len(names)}: "
-            f"{', '.join(names[:5])}{', ...' if len(names) > 5 else ''}. Write one file for each."
-        )
-    return clips[0]
-
-
-def frame_rate(prediction: Prediction, fps: int | float | None) -> float | None:
-    """Return the frames a second that are asked for, or else the prediction's; None where neither is known.
-
-    Raises UserError for an ``fps`` that is no positive number.
-    """
-    if fps is not None and not (np.isfinite(fps) and fps > 0):
-        raise UserError(f"fps={fps:g}: expected frames a second, a number above 0.")
-    found = prediction.fps if fps is None else fps
-    return float(found) if found is not None and np.isfinite(found) and found > 0 else None
-
-
-def steps(clip: Clip) -> Float[np.ndarray, " moments"]:
-    """Return when each moment is, counted in frames of the rate from the first.
-
-    The commonest step of the frame numbers is one frame, so that a wider step is a gap.
-    """
-    numbers = np.asarray(clip.frames, float)
-    between = np.diff(numbers)
-    if not len(between) or (between <= 0).any():
-        return np.arange(len(numbers), dtype=float)
-    sizes, count = np.unique(between, return_counts=True)
-    return (numbers - numbers[0]) / sizes[np.argmax(count)]
-
-
-def seen_at(when: Float[np.ndarray, " moments"], times: Float[np.ndarray, " times"]) -> Int[np.ndarray, " times"]:
-    """Return the moment that is seen at each time: the last one that has come."""
-    return np.maximum(np.searchsorted(when, times + 1e-6, side="right") - 1, 0)
-
-
 def known_points(pose: Float[np.ndarray, "frames joints 3"]) -> Float[np.ndarray, "frames joints 3"]:
-    """Return the pose in float64 with every joint that is not finite NaN as a whole."""
+    """Return the pose in float64 with all coordinates of a joint NaN where one is not finite."""
     pose = np.array(pose, np.float64)
     pose[~np.isfinite(pose).all(-1)] = np.nan
     return pose
@@ -286,22 +224,31 @@ def held(values: Float[np.ndarray, "frames 3"]) -> Float[np.ndarray, "frames 3"]
     return values[np.where(last < 0, int(np.argmax(known)), last)]
 
 
-def from_y_down(axes: str) -> Float[np.ndarray, "3 3"]:
-    """Return the rotation from axes with x right, y down and z away to those of a name of `uplift.export.scene`."""
-    return np.array(FROM_LEVEL.get(axes, FROM_LEVEL["level"]), float)
+# The truth beside a pose.
 
 
-def row_places(prediction: Prediction, clip: Clip) -> Float[np.ndarray, "rows 3"]:
-    """Return where the root of each row is, in the prediction's axes and unit, NaN where that is not known.
+def matched_truth(
+    pose: Float[np.ndarray, "frames joints 3"], truth: Float[np.ndarray, "frames joints 3"]
+) -> Float[np.ndarray, "frames joints 3"]:
+    """Return the truth at the scale that brings it nearest to each pose (least squares, never mirrored)."""
+    return truth * _scale(truth, pose)[:, None, None]
 
-    The prediction's own root; else several individuals stand side by side as in the image, and one is at 0.
-    """
-    if prediction.root is not None:
-        return known_points(prediction.root[:, None])[:, 0]
-    found = np.zeros((len(prediction), 3))
-    if len(clip.individual_names) > 1:
-        turn = from_y_down(prediction.axes)
-        seen = np.nan_to_num(np.asarray(prediction.confidence, float)) > 0
-        pose = np.asarray(prediction.pose, float) @ turn
-        found = beside(pose, np.asarray(prediction.keypoints, float), seen)[0] @ turn.T
-    return found
+
+def scaled_error(
+    pose: Float[np.ndarray, "frames joints 3"], truth: Float[np.ndarray, "frames joints 3"]
+) -> Float[np.ndarray, " frames"]:
+    """Return each frame's ``n_mpjpe`` in the unit of the truth."""
+    gap = np.linalg.norm(pose * _scale(pose, truth)[:, None, None] - truth, axis=-1)
+    known = np.isfinite(gap)
+    mean = np.where(known, gap, 0).sum(1) / np.maximum(known.sum(1), 1)
+    return np.where(known.any(1), mean, np.nan)
+
+
+def _scale(moved: np.ndarray, fixed: np.ndarray) -> np.ndarray:
+    """Return s of the least |s moved - fixed| per frame; the ratio of sizes where that is not positive."""
+    known = np.isfinite(moved) & np.isfinite(fixed)
+    moved, fixed = np.where(known, moved, 0.0), np.where(known, fixed, 0.0)
+    own, other = (moved**2).sum((1, 2)), (fixed**2).sum((1, 2))
+    own = np.where(own > 0, own, 1.0)
+    best = (moved * fixed).sum((1, 2)) / own
+    return np.where(best > 0, best, np.sqrt(other / own))

@@ -1,103 +1,109 @@
-"""Lifted shapes as one self-contained page: masks, silhouettes from all sides and meshes to turn; no network, no WebGL."""
+"""Shapes as one self-contained page: masks, silhouettes from all sides and meshes to turn; no network, no WebGL."""
 
 from __future__ import annotations
 
-import base64
-import io
-import json
-import re
 from collections.abc import Mapping, Sequence
-from html import escape
-from pathlib import Path, PurePosixPath
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from uplift.config.files import replacing
 from uplift.data.masks import Placed
 from uplift.errors import UserError
+from uplift.export.html import Curve, Photos, Section, jpeg_address, pack, scripted_page, write_text
 from uplift.export.meshes import prediction_surfaces
-from uplift.export.page import Curve, Section, curves_html, pack, page_part, policy_hash, table_html
 from uplift.geometry.mesh import Mesh
 from uplift.geometry.surface import Surface, thinned
 from uplift.models.prediction import ShapePrediction
 
 __all__ = ["shape_page_text", "write_shape_gallery", "write_shape_page"]
 
-# The part of a photo that a mask's crop shows, small, as text for a page.
+_Scores = Mapping[str, Sequence[float] | np.ndarray]
+"""Name -> a number for each item."""
+_SCRIPTS = ("decode", "shape_mesh", "shape_raster", "shape_colours", "shape_state", "shape_flat", "shape_deep",
+            "shape_sheet", "shape_controls")  # fmt: skip
 
-_SIDE_PX, _QUALITY = 224, 72
-_MOST_PIXELS = 120_000_000
+
+def write_shape_page(prediction: ShapePrediction, path: str | Path, **options: Any) -> None:
+    """Write the page of `shape_page_text` to ``path``; the options are its own."""
+    write_text(shape_page_text(prediction, **options), path)
 
 
-def _photos_of(prediction: ShapePrediction, folder: str | Path | None) -> tuple[list[str], list[str]]:
-    """Return each item's crop of its photo as a data address, empty where there is none, and what went wrong.
+def write_shape_gallery(prediction: ShapePrediction, path: str | Path, **options: Any) -> None:
+    """Write the same page, opened at the sheet of all items."""
+    write_shape_page(prediction, path, **{"sheet": True, **options})
 
-    Photos are looked for in ``folder``, by their whole name and by its last part, and without a folder where
-    `ShapePrediction.images` says. Raises UserError for a folder that is none.
+
+def shape_page_text(
+    prediction: ShapePrediction,
+    *,
+    truth: Placed | None = None,
+    items: int = 100,
+    scores: _Scores | None = None,
+    images: str | Path | None = None,
+    sheet: bool = False,
+    smooth: int = 2,
+    sections: Sequence[Section] = (),
+    curves: Mapping[str, Curve] | None = None,
+    notes: Sequence[str] = (),
+) -> str:
+    """Return the page of at most ``items`` shapes, with the true ones beside them where ``truth`` has one for each item.
+
+    ``scores`` are name -> a number for each item, shown with it and to sort the sheet by; ``images`` is the folder
+    of the photos; ``sheet`` opens the page at all items. ``sections``, ``curves`` and ``notes`` are as in
+    `uplift.export.page.page_text`.
+
+    Raises:
+        UserError: no item, a truth or score that is not one for each item, no such folder of photos.
     """
-    if folder is not None and not Path(folder).expanduser().is_dir():
-        raise UserError(f"images={folder}: no such folder. Expected the folder with the photos of the masks.")
-    if prediction.images is None:
-        return [""] * len(prediction), []
-    found, wrong = [], []
-    for item, name in enumerate(str(image) for image in prediction.images):
-        path = _find(name, folder) if name else None
-        data = ""
-        if path is not None:
-            try:
-                data = _crop(path, prediction.centre_px[item], float(prediction.scale_px[item]))
-            except (OSError, ValueError, SyntaxError) as error:
-                wrong.append(f"{name}: {error}")
-        found.append(data)
-    notes = [f"{len(wrong)} photos could not be read, such as {wrong[0]}."] if wrong else []
-    return found, notes
+    scores = scores or {}
+    _check(prediction, truth, scores)
+    rows = _chosen_items(len(prediction), items)
+    shown, true = prediction.select(rows), None if truth is None else truth.select(rows)
+    data, cut = _shape_data(shown, true, {name: np.asarray(of, float)[rows] for name, of in scores.items()}, smooth)
+    photos, wrong = _photos_of(shown, images)
+    for entry, photo in zip(data["items"], photos, strict=True):
+        entry |= {"photo": photo} if photo else {}
+    data["sheet"] = sheet and len(rows) > 1
+    return scripted_page(
+        "shape.htm",
+        title=prediction.title or "Shapes",
+        facts=_facts(prediction, truth),
+        styles=["page.css", "shape.css"],
+        notes=[*_remarks(cut, len(prediction)), *wrong, *prediction.notes, *notes],
+        data=data,
+        scripts=_SCRIPTS,
+        sections=sections,
+        curves=curves,
+        things="shapes",
+    )
 
 
-def _find(name: str, folder: str | Path | None) -> Path | None:
-    if folder is None:
-        return Path(name) if Path(name).is_file() else None
-    named = PurePosixPath(name)
-    # A name never leads out of the folder.
-    inside = [] if named.is_absolute() or ".." in named.parts else [named]
-    for part in [*inside, PurePosixPath(named.name)]:
-        path = Path(folder).expanduser() / part
-        if path.is_file():
-            return path
-    return None
+def _check(prediction: ShapePrediction, truth: Placed | None, scores: _Scores) -> None:
+    if not len(prediction):
+        raise UserError("there is no shape to show: no mask was lifted.")
+    given = {"truth": truth, **scores}
+    for name, values in given.items():
+        if values is not None and len(values) != len(prediction):
+            raise UserError(f"{name} has {len(values)} rows, expected {len(prediction)}, one for each shape.")
 
 
-def _crop(path: Path, centre: np.ndarray, half: float) -> str:
-    """Return the square about ``centre``, 2 ``half`` pixels wide, grey where the photo ends."""
-    from PIL import Image
+def _facts(prediction: ShapePrediction, truth: Placed | None) -> list[str]:
+    count, side = len(prediction), prediction.resolution
+    facts = [f"{count:,} shape{'s' * (count > 1)}", f"{side} × {side} × {side} voxels"]
+    return [*facts, "true shapes known"] if truth is not None else facts
 
-    try:
-        photo = Image.open(path)
-    except Image.DecompressionBombError as error:
-        raise ValueError(str(error)) from error
-    with photo:
-        if photo.width * photo.height > _MOST_PIXELS:
-            raise ValueError(f"is {photo.width} x {photo.height} px, more than is opened for a small picture")
-        low, high = centre - half, centre + half
-        left, top = (max(0, round(float(edge))) for edge in low)
-        right, bottom = min(photo.width, round(float(high[0]))), min(photo.height, round(float(high[1])))
-        if right - left < 2 or bottom - top < 2:
-            raise ValueError(f"is {photo.width} x {photo.height} px and the mask is not in it")
-        share = _SIDE_PX / (2 * half)
-        start = round((left - low[0]) * share), round((top - low[1]) * share)
-        size = max(1, round((right - left) * share)), max(1, round((bottom - top) * share))
-        small = photo.convert("RGB").resize(size, Image.Resampling.BILINEAR, (left, top, right, bottom), reducing_gap=2)
-    square = Image.new("RGB", (_SIDE_PX, _SIDE_PX), (128, 128, 128))
-    square.paste(small, start)
-    buffer = io.BytesIO()
-    square.save(buffer, "JPEG", quality=_QUALITY, optimize=True)
-    return f"data:image/jpeg;base64,{base64.b64encode(buffer.getvalue()).decode('ascii')}"
+
+def _remarks(cut: Sequence[Surface], count: int) -> list[str]:
+    """Return remarks on the surfaces for the page's reader."""
+    remarks = [] if len(cut) == count else [f"{len(cut)} of {count:,} shapes are shown, spread evenly."]
+    empty = sum(one.mesh is None for one in cut)
+    if empty:
+        remarks.append(f"{empty} of {len(cut)} shapes have no surface: their occupancy is below the level everywhere.")
+    return [*remarks, "Meshes are drawn with fewer triangles than the files of shapes have."]
 
 
 # What a page of shapes embeds: small meshes, masks, and where each item stands.
-
-_Scores = Mapping[str, Sequence[float] | np.ndarray]
-"""Name -> a number for each item."""
 
 _ALL_FACES, _MOST_FACES, _LEAST_FACES = 600_000, 5000, 600
 _FINEST = 2 / 2048
@@ -205,92 +211,36 @@ def _smaller(masks: np.ndarray) -> np.ndarray:
     return np.asarray(resize(masks.astype(np.float32) / 255, small, order=1, anti_aliasing=True), np.float32)
 
 
-# Lifted shapes as one self-contained page: masks, silhouettes from all sides and meshes to turn; no network, no
-# WebGL.
+# The part of a photo that a mask's crop shows.
 
-_SCRIPTS = ("decode", "shape_mesh", "shape_raster", "shape_colours", "shape_state", "shape_flat", "shape_deep",
-            "shape_sheet", "shape_controls")  # fmt: skip
+_SIDE_PX = 224
 
 
-def write_shape_page(prediction: ShapePrediction, path: str | Path, **options: Any) -> None:
-    """Write the page of `shape_page_text` to ``path``; the options are its own."""
-    text = shape_page_text(prediction, **options)
-    with replacing(path) as handle:
-        handle.write(text.encode("utf-8"))
+def _photos_of(prediction: ShapePrediction, folder: str | Path | None) -> tuple[list[str], list[str]]:
+    """Return each item's crop of its photo as a data address, empty where there is none, and what went wrong.
 
-
-def write_shape_gallery(prediction: ShapePrediction, path: str | Path, **options: Any) -> None:
-    """Write the same page, opened at the sheet of all items."""
-    write_shape_page(prediction, path, **{"sheet": True, **options})
-
-
-def shape_page_text(
-    prediction: ShapePrediction,
-    *,
-    truth: Placed | None = None,
-    items: int = 100,
-    scores: _Scores | None = None,
-    images: str | Path | None = None,
-    sheet: bool = False,
-    smooth: int = 2,
-    sections: Sequence[Section] = (),
-    curves: Mapping[str, Curve] | None = None,
-    notes: Sequence[str] = (),
-) -> str:
-    """Return the page of at most ``items`` shapes, with the true ones beside them where ``truth`` has one for each item.
-
-    ``scores`` are name -> a number for each item, shown with it and to sort the sheet by; ``images`` is the folder
-    of the photos; ``sheet`` opens the page at all items. ``sections``, ``curves`` and ``notes`` are as in
-    `uplift.export.page.page_text`.
-
-    Raises:
-        UserError: no item, a truth or score that is not one for each item, a folder of photos that is none.
+    Photos are looked for in ``folder``, by their name or its last part, and without a folder where
+    `ShapePrediction.images` says. Raises UserError where there is no such folder.
     """
-    scores = scores or {}
-    _check(prediction, truth, scores)
-    rows = _chosen_items(len(prediction), items)
-    shown, true = prediction.select(rows), None if truth is None else truth.select(rows)
-    data, cut = _shape_data(shown, true, {name: np.asarray(of, float)[rows] for name, of in scores.items()}, smooth)
-    photos, wrong = _photos_of(shown, images)
-    for entry, photo in zip(data["items"], photos, strict=True):
-        entry |= {"photo": photo} if photo else {}
-    data["sheet"] = sheet and len(rows) > 1
-    script = "(() => {\n'use strict';\n" + "\n".join(page_part(f"{name}.js") for name in _SCRIPTS) + "})();\n"
-    style = page_part("page.css") + page_part("shape.css")
-    told = [*_remarks(cut, len(prediction)), *wrong, *prediction.notes, *notes]
-    parts = {
-        "policy": f"default-src 'none'; script-src {policy_hash(script)}; style-src {policy_hash(style)}; img-src data:",
-        "title": escape(prediction.title or "Shapes"),
-        "subtitle": " · ".join(f"<span>{escape(fact)}</span>" for fact in _facts(prediction, truth)),
-        "style": style,
-        "report": "".join(table_html(section) for section in sections) + curves_html(curves or {}),
-        "notes": "".join(f"<li>{escape(note)}</li>" for note in told),
-        "data": json.dumps(data, ensure_ascii=True, allow_nan=False, separators=(",", ":")).replace("<", "\\u003c"),
-        "script": script,
-    }
-    # One pass: text that came from the data is never searched for placeholders again.
-    return re.sub(r"\{\{(\w+)\}\}", lambda found: parts[found[1]], page_part("shape.htm"))
+    photos = Photos(folder)
+    if prediction.images is None:
+        return [""] * len(prediction), []
+    names = [str(image) for image in prediction.images]
+    crops = zip(names, prediction.centre_px, prediction.scale_px, strict=True)
+    found = [_crop(photos, name, centre, float(half)) for name, centre, half in crops]
+    wrong = photos.unreadable
+    return found, [f"{len(wrong)} photos could not be read, such as {wrong[0]}."] if wrong else []
 
 
-def _check(prediction: ShapePrediction, truth: Placed | None, scores: _Scores) -> None:
-    if not len(prediction):
-        raise UserError("there is no shape to show: no mask was lifted.")
-    given = {"truth": truth, **scores}
-    for name, values in given.items():
-        if values is not None and len(values) != len(prediction):
-            raise UserError(f"{name} has {len(values)} rows, expected {len(prediction)}, one for each shape.")
+def _crop(photos: Photos, name: str, centre: np.ndarray, half: float) -> str:
+    """Return the square about ``centre``, 2 ``half`` pixels wide, grey where the photo ends; empty without a photo."""
+    from PIL import Image
 
-
-def _facts(prediction: ShapePrediction, truth: Placed | None) -> list[str]:
-    count, side = len(prediction), prediction.resolution
-    facts = [f"{count:,} shape{'s' * (count > 1)}", f"{side} × {side} × {side} voxels"]
-    return [*facts, "true shapes known"] if truth is not None else facts
-
-
-def _remarks(cut: Sequence[Surface], count: int) -> list[str]:
-    """Return what the reader of the page should know of the surfaces."""
-    remarks = [] if len(cut) == count else [f"{len(cut)} of {count:,} shapes are shown, spread evenly."]
-    empty = sum(one.mesh is None for one in cut)
-    if empty:
-        remarks.append(f"{empty} of {len(cut)} shapes have no surface: their occupancy is below the level everywhere.")
-    return [*remarks, "Meshes are drawn with fewer triangles than the files of shapes have."]
+    low, scale = centre - half, _SIDE_PX / (2 * half)
+    found = photos.cut(name, float(low[0]), float(low[1]), 2 * half, scale)
+    if found is None:
+        return ""
+    picture, corners = found
+    square = Image.new("RGB", (_SIDE_PX, _SIDE_PX), (128, 128, 128))
+    square.paste(picture, (round((corners[0, 0] - low[0]) * scale), round((corners[0, 1] - low[1]) * scale)))
+    return jpeg_address(square)

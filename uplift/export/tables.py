@@ -1,11 +1,11 @@
-"""Predictions as tables: CSV, JSON that says what it holds, and npz in the layout of the data files."""
+"""Poses as tables: CSV, self-describing JSON, and npz in the layout of the data files."""
 
 from __future__ import annotations
 
 import json
 import math
 import zipfile
-from collections.abc import Iterator
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -16,9 +16,9 @@ from uplift.config.files import replacing
 from uplift.export.scene import AXES
 from uplift.models.prediction import Prediction
 
-__all__ = ["filled_in", "numbers", "write_csv", "write_json", "write_npz"]
+__all__ = ["filled_in", "numbers", "unique", "write_csv", "write_json", "write_npz"]
 
-# What the writers of text share: numbers as text, identities as plain values, keypoints that were seen.
+# What writers of text share: numbers as text, identities as plain values, names, keypoints that were seen.
 
 _NUMBER = {"place": "%.7g", "px": "%.6g", "share": "%.4g"}
 """How numbers are rounded: places to the seven digits of a 32-bit number, pixels to six, confidence to four."""
@@ -63,7 +63,19 @@ def filled_in(template: str, row: tuple[float, ...], missing: str) -> str:
     return text.replace("nan", missing) if "nan" in text else text
 
 
-# Predictions as a table, CSV: one row per frame and individual, for spreadsheets, R and pandas.
+def unique(names: Iterable[str], same: Callable[[str], str] = str) -> list[str]:
+    """Return names with ``_2``, ``_3``, ... behind those that were there before; ``same`` is what is compared."""
+    found: dict[str, str] = {}
+    for name in names:
+        number, fresh = 1, name
+        while same(fresh) in found:
+            number += 1
+            fresh = f"{name}_{number}"
+        found[same(fresh)] = fresh
+    return list(found.values())
+
+
+# CSV: one row per frame and individual, for spreadsheets, R and pandas.
 
 
 def write_csv(prediction: Prediction, path: str | Path) -> None:
@@ -71,7 +83,7 @@ def write_csv(prediction: Prediction, path: str | Path) -> None:
 
     ``NAME_x``, ``NAME_y``, ``NAME_z`` are in the row's ``unit`` and ``axes``, from its ``origin``: the
     ``camera`` where the root has a known place, else the ``root`` joint. ``NAME_u_px`` and ``NAME_v_px``
-    are the keypoint as it was seen; ``NAME_spread`` and ``NAME_filled`` (0 or 1) are there where they are
+    are the keypoint as seen; ``NAME_spread`` and ``NAME_filled`` (0 or 1) are there where they are
     known. What is missing is an empty cell. Raises ValueError where two columns would have one name.
     """
     facts = _facts(prediction)
@@ -131,7 +143,7 @@ def _bytes(text: str) -> bytes:
     return text.encode("utf-8", "backslashreplace")
 
 
-# Predictions as JSON that says what it holds: one object, one line per frame and individual.
+# Self-describing JSON: one object, one line per frame and individual.
 
 _FORMAT = "uplift poses"
 _VERSION = 1
@@ -150,8 +162,7 @@ _MEANING = {
 def write_json(prediction: Prediction, path: str | Path) -> None:
     """Write names, bones, unit and axes, then every frame; what is missing is null.
 
-    Places are rounded to seven significant digits. Long films are written part by part: their text is
-    never in memory as a whole.
+    Coordinates are rounded to seven significant digits. The text is written part by part and never in memory at once.
     """
     with replacing(path) as handle:
         lines = (
@@ -180,7 +191,7 @@ def _head(prediction: Prediction) -> dict[str, Any]:
         "axes_meaning": AXES.get(prediction.axes),
         "fps": float(f"{fps:.7g}") if fps is not None and math.isfinite(fps) else None,
         "image_size": None if prediction.image_size is None else [int(side) for side in prediction.image_size],
-        "fields": {name: told for name, told in _MEANING.items() if name not in unknown},
+        "fields": {name: meaning for name, meaning in _MEANING.items() if name not in unknown},
     }
 
 
@@ -220,7 +231,7 @@ def _shaped(shape: tuple[int, ...], style: str) -> str:
     return style if not shape else "[" + ",".join([_shaped(shape[1:], style)] * shape[0]) + "]"
 
 
-# Predictions as an ``.npz`` in the layout of the data files, readable without pickle.
+# npz in the layout of the data files, readable without pickle.
 
 _OLDEST = (1980, 1, 1, 0, 0, 0)
 
@@ -229,7 +240,8 @@ def write_npz(prediction: Prediction, path: str | Path) -> None:
     """Write keypoints, poses, unit, tilt, names, bones and identity; the same poses give the same bytes.
 
     ``pose`` and ``level_pose`` (frames joints 3) are in ``unit``, relative to the root; ``bones``
-    (bones 2) indexes ``joint_names``; ``root`` (frames 3) is its place where that is known. The truth is not written: ``pose`` is the prediction.
+    (bones 2) indexes ``joint_names``; ``root`` (frames 3) is its place where that is known. The truth is not
+    written: ``pose`` is the prediction.
     """
     arrays = _npz_arrays(prediction)
     with replacing(path) as handle, zipfile.ZipFile(handle, "w") as archive:

@@ -34,7 +34,7 @@ def align(protocol: str, pose: Poses, truth: Poses, root: int, weight: Weights |
     """Return ``pose`` aligned as ``protocol`` (one of `ALIGNED_ERRORS`) says, joints of weight 0 with it.
 
     ``root`` is the place of the root joint: it sits at the origin and is left out of the xy scale.
-    Where ``weight`` is 0, or either pose is not finite, a joint has no say in the alignment.
+    Where ``weight`` is 0, or either pose is not finite, a joint does not count in the alignment.
     """
     pose = np.asarray(pose, np.float64)
     match protocol:
@@ -92,7 +92,7 @@ def norm_scale(pose: Poses, truth: Poses, weight: Weights | None = None) -> Floa
 def procrustes(pose: Poses, truth: Poses, weight: Weights | None = None, *, reflect: bool = False) -> Poses:
     """Return ``pose`` moved, turned and scaled onto ``truth`` with the least squared error.
 
-    Rotations are proper (det +1) unless ``reflect``: a mirrored pose is this method's own failure
+    Rotations are proper (det +1) unless ``reflect``: a mirrored pose is this method's failure
     and must cost. Poses that are flat, collinear or short of joints have several best rotations,
     all of the same error; joints all in one point go to the truth's centroid; a frame in which
     nothing counts comes back at scale 0. Source: Umeyama, TPAMI 1991, eq. 40-43.

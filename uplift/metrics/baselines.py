@@ -1,4 +1,4 @@
-"""Baselines that a lifter of masks must beat: visual hull, mean shape and nearest shape, which all see true shapes."""
+"""Baselines that a lifter must beat: flat depth for keypoints; visual hull, mean shape and nearest shape for masks."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from uplift.data.masks import MaskData, Placed
 from uplift.errors import UserError
 from uplift.metrics.evaluate_shapes import RESOLUTION as TRUE_RESOLUTION
 from uplift.metrics.evaluate_shapes import evaluate_all, filled_truths
-from uplift.metrics.protocols import BEST_FLOOR, metric_order
+from uplift.metrics.protocols import BEST_BASELINE, metric_order
 from uplift.metrics.report import ShapeEvaluation
 from uplift.metrics.shape_metrics import Standing, true, voxel_centres
 from uplift.models.prediction import ShapePrediction
@@ -23,16 +23,138 @@ from uplift.models.prediction import ShapePrediction
 __all__ = [
     "best_thickness",
     "extrusion",
-    "floors",
+    "flat_depth",
     "hull_occupancy",
     "mask_half",
     "mean_shape",
     "nearest_masks",
-    "score_with_floors",
+    "score_with_baselines",
+    "shape_baselines",
     "training_truth",
 ]
 
-# What the floors learn from: a part of the training truth in the camera frame, with each mask's extrusion.
+RESOLUTION = 48
+"""Voxels along the grids of baselines of shapes, an even number."""
+_SAMPLE = 500
+"""Training items that thickness and mean shape are taken from."""
+_BEST_OF = ("volume_iou", "silhouette_iou_unseen")
+
+
+def flat_depth(keypoints: Float[np.ndarray, "frames joints 2"], root: int) -> Float[np.ndarray, "frames joints 3"]:
+    """Return the observed 2D relative to the root with z = 0: the error that any lifter of keypoints must beat."""
+    centred = keypoints - keypoints[:, root, None]
+    return np.concatenate([centred, np.zeros_like(centred[..., :1])], -1)
+
+
+def shape_baselines(
+    train: MaskData, test: MaskData, *, resolution: int = RESOLUTION, sample: int = _SAMPLE, seed: int = 0
+) -> dict[str, ShapePrediction]:
+    """Return the shapes that `hull`, `mean_shape` and `nearest` give for the masks of ``test``.
+
+    They learn from the true shapes of ``train``; of ``test`` they see the masks alone. Hull and mean
+    shape stand in the camera's own frame, the nearest item's shape where it stood in its camera.
+
+    Raises:
+        UserError: the training set has no true shapes, or no items.
+    """
+    if train.truth is None or not len(train):
+        raise UserError(
+            f"{train.source or 'the training masks'}: no true shapes, and every baseline (hull, mean_shape, nearest) is made "
+            "of them. Give masks that were rendered from meshes."
+        )
+    known = training_truth(train, train.truth, sample, resolution, seed)
+    return {
+        "hull": _hull(known, test),
+        "mean_shape": _mean_shape(known, test),
+        "nearest": _nearest(train, train.truth, test, resolution),
+    }
+
+
+def score_with_baselines(
+    prediction: ShapePrediction,
+    train: MaskData,
+    test: MaskData,
+    name: str,
+    found: Mapping[str, ShapePrediction] | None = None,
+    resolution: int = TRUE_RESOLUTION,
+) -> ShapeEvaluation:
+    """Return `evaluate_shapes` with every baseline's figures, and the best one's in ``overall``.
+
+    ``found`` are baselines already made by `shape_baselines`, where several predictions of the same masks are scored;
+    ``resolution`` is that of the truth's grid.
+
+    Raises:
+        UserError: training or test masks without true shapes, other numbers of items.
+    """
+    if test.truth is None:
+        raise UserError(f"{name}: no true shapes to compare with, only masks.")
+    found = shape_baselines(train, test) if found is None else found
+    scored = evaluate_all({"": prediction, **found}, test.truth, test.masks, name, test.category, resolution)
+    own = scored.pop("")
+    beside = {title: result.overall for title, result in scored.items()}
+    overall = dict(own.overall)
+    for metric in _BEST_OF:
+        overall[BEST_BASELINE + metric] = max(values[metric] for values in beside.values())
+    notes = [f"baseline {title}: {note}" for title, baseline in found.items() for note in baseline.notes]
+    return replace(
+        own,
+        overall={metric: overall[metric] for metric in sorted(overall, key=metric_order)},
+        baselines=beside,
+        notes=[*own.notes, *notes],
+    )
+
+
+def _hull(train: _TrainingTruth, test: MaskData) -> ShapePrediction:
+    thickness = best_thickness(train)
+    occupancy = [hull_occupancy(mask, train.distance, thickness, train.resolution) for mask in test.masks]
+    note = f"each mask extruded by {thickness:.2f} of its longer side, the best on the truth of {len(train.half)} training items"
+    return _in_camera("hull", _stacked(occupancy, train.resolution), train.distance, test, note)
+
+
+def _mean_shape(train: _TrainingTruth, test: MaskData) -> ShapePrediction:
+    mean = mean_shape(train)
+    occupancy = [_mean_occupancy(mean, mask, train.distance) for mask in test.masks]
+    where = "inside each mask" if mean.in_mask else "uncut"
+    note = f"mean of {len(train.half)} true training shapes above {mean.level:.2f}, {where}, the best on them"
+    return _in_camera("mean_shape", _stacked(occupancy, train.resolution), train.distance, test, note)
+
+
+def _stacked(occupancy: list[np.ndarray], resolution: int) -> np.ndarray:
+    """Return grids as one array of half precision: baselines of a thousand masks stay below a gigabyte."""
+    return np.array(occupancy, np.float16).reshape(-1, resolution, resolution, resolution)
+
+
+def _in_camera(title: str, occupancy: np.ndarray, distance: float, test: MaskData, note: str) -> ShapePrediction:
+    """Return shapes whose own frame is the camera's, the cube of the crop."""
+    items = len(test)
+    view, zero = np.repeat(np.eye(3)[None], items, 0), np.zeros((items, 2))
+    return _prediction(title, test, note, occupancy, view, np.ones(items), zero, np.full(items, distance))
+
+
+def _nearest(train: MaskData, truth: Placed, test: MaskData, resolution: int) -> ShapePrediction:
+    rows, mirrored = nearest_masks(test.masks, train.masks)
+    sign = np.where(mirrored, -1.0, 1.0)
+    flip = np.ones((len(rows), 3))
+    flip[:, 0] = sign
+    occupancy = np.zeros((len(rows), resolution, resolution, resolution), np.float16)
+    for row, filled in filled_truths(truth, np.unique(rows), resolution):
+        for item in np.flatnonzero(rows == row):
+            occupancy[item] = filled[:, :, ::-1] if mirrored[item] else filled
+    # Mirrored left to right in the image and in its own frame: a rotation again.
+    view = flip[:, :, None] * truth.view[rows] * flip[:, None, :]
+    offset = truth.offset[rows] * flip[:, :2]
+    note = f"the true shape of the training item with the most similar mask of {len(train):,}, mirror images included"
+    return _prediction("nearest", test, note, occupancy, view, truth.scale[rows], offset, truth.distance[rows])
+
+
+def _prediction(title: str, test: MaskData, note: str, occupancy, view, scale, offset, distance) -> ShapePrediction:
+    return ShapePrediction(
+        occupancy, view, scale, offset, distance, test.masks, list(test.names), test.centre_px, test.scale_px,
+        title=title, images=test.images, notes=(note,),
+    )  # fmt: skip
+
+
+# What baselines of shapes learn from: some of the training truth in the camera frame, with each mask's extrusion.
 
 
 @dataclass(frozen=True)
@@ -104,7 +226,7 @@ def mask_half(mask: np.ndarray) -> float:
     return max((float(f[-1] - f[0] + 1) for f in found if len(f)), default=0.0) / mask.shape[0]
 
 
-# The floor `hull`: the visual hull of one view, every mask extruded along its rays by one share of its size.
+# `hull`: the visual hull of one view, every mask extruded along its rays by one share of its size.
 
 _THICKNESSES = np.linspace(0.02, 1.2, 60)
 
@@ -137,7 +259,7 @@ def hull_occupancy(
     return np.minimum(extrusion(mask, distance, resolution), slab[:, None, None]).astype(np.float32)
 
 
-# The floor `mean_shape`: the mean of the training shapes in the camera frame, cut at one level.
+# `mean_shape`: the mean of the training shapes in the camera frame, cut at one level.
 
 _LEVELS = np.linspace(0.02, 0.98, 49)
 
@@ -153,18 +275,18 @@ class _MeanShape:
 
 
 def mean_shape(train: _TrainingTruth) -> _MeanShape:
-    """Return the mean of the training shapes, cut at the level and in the way with the best mean volume IoU on them."""
+    """Return the mean of the training shapes, cut at the level, inside the mask or not, with the best mean volume IoU on them."""
     mean = train.inside.mean(0, dtype=np.float32)
     rank = np.searchsorted(_LEVELS, mean, side="left")  # how many levels lie below each voxel's mean
     ious = np.zeros((2, len(_LEVELS)))
     everywhere = _above(rank)
     for inside, extruded, volume in zip(train.inside, train.extruded, train.volume, strict=True):
-        for way, (shared, own) in enumerate(
+        for in_mask, (shared, own) in enumerate(
             [(_above(rank[inside]), everywhere), (_above(rank[inside & extruded]), _above(rank[extruded]))]
         ):
-            ious[way] += shared / np.maximum(own + volume - shared, 1e-12)
-    way, level = np.unravel_index(ious.argmax(), ious.shape)
-    return _MeanShape(mean, float(_LEVELS[level]), bool(way))
+            ious[in_mask] += shared / np.maximum(own + volume - shared, 1e-12)
+    in_mask, level = np.unravel_index(ious.argmax(), ious.shape)
+    return _MeanShape(mean, float(_LEVELS[level]), bool(in_mask))
 
 
 def _above(rank: np.ndarray) -> np.ndarray:
@@ -180,7 +302,7 @@ def _mean_occupancy(found: _MeanShape, mask: np.ndarray, distance: float) -> Flo
     return occupancy.astype(np.float32)
 
 
-# The floor `nearest`: the training item whose mask, or its mirror image, is most like the mask, and its true shape.
+# `nearest`: the true shape of the training item whose mask, or its mirror image, is most like the mask.
 
 _SIDE = 32
 _CHUNK = 512
@@ -211,120 +333,3 @@ def _small(masks: np.ndarray) -> Float[Tensor, "items side side"]:
         part = torch.from_numpy(masks[start : start + _CHUNK].astype(np.float32))[:, None]
         parts.append(torch.nn.functional.interpolate(part, (_SIDE, _SIDE), mode="area")[:, 0] > 127.5)
     return torch.cat(parts).float()
-
-
-# Floors that a lifter of masks must beat: all three learn from true training shapes, which it never sees.
-
-RESOLUTION = 48
-"""Voxels along the floors' grids, an even number."""
-_SAMPLE = 500
-"""Training items that thickness and mean shape are taken from."""
-_BEST_OF = ("volume_iou", "silhouette_iou_unseen")
-
-
-def floors(
-    train: MaskData, test: MaskData, *, resolution: int = RESOLUTION, sample: int = _SAMPLE, seed: int = 0
-) -> dict[str, ShapePrediction]:
-    """Return the shapes that `hull`, `mean_shape` and `nearest` give for the masks of ``test``.
-
-    They learn from the true shapes of ``train``; of ``test`` they see the masks alone. Hull and mean
-    shape stand in the camera's own frame, the nearest item's shape where it stood in its camera.
-
-    Raises:
-        UserError: the training set has no true shapes, or no items.
-    """
-    if train.truth is None or not len(train):
-        raise UserError(
-            f"{train.source or 'the training masks'}: no true shapes, and every floor (hull, mean_shape, nearest) is made "
-            "of them. Give masks that were rendered from meshes."
-        )
-    known = training_truth(train, train.truth, sample, resolution, seed)
-    return {
-        "hull": _hull(known, test),
-        "mean_shape": _mean_shape(known, test),
-        "nearest": _nearest(train, train.truth, test, resolution),
-    }
-
-
-def score_with_floors(
-    prediction: ShapePrediction,
-    train: MaskData,
-    test: MaskData,
-    name: str,
-    found: Mapping[str, ShapePrediction] | None = None,
-    resolution: int = TRUE_RESOLUTION,
-) -> ShapeEvaluation:
-    """Return `evaluate_shapes` with every floor's figures, and the best floor's in ``overall``.
-
-    ``found`` are floors already made by `floors`, where several predictions of the same masks are scored;
-    ``resolution`` is that of the truth's grid.
-
-    Raises:
-        UserError: training or test masks without true shapes, other numbers of items.
-    """
-    if test.truth is None:
-        raise UserError(f"{name}: no true shapes to compare with, only masks.")
-    found = floors(train, test) if found is None else found
-    scored = evaluate_all({"": prediction, **found}, test.truth, test.masks, name, test.category, resolution)
-    own = scored.pop("")
-    beside = {title: result.overall for title, result in scored.items()}
-    overall = dict(own.overall)
-    for metric in _BEST_OF:
-        overall[BEST_FLOOR + metric] = max(values[metric] for values in beside.values())
-    notes = [f"floor {title}: {note}" for title, floor in found.items() for note in floor.notes]
-    return replace(
-        own,
-        overall={metric: overall[metric] for metric in sorted(overall, key=metric_order)},
-        floors=beside,
-        notes=[*own.notes, *notes],
-    )
-
-
-def _hull(train: _TrainingTruth, test: MaskData) -> ShapePrediction:
-    thickness = best_thickness(train)
-    occupancy = [hull_occupancy(mask, train.distance, thickness, train.resolution) for mask in test.masks]
-    note = f"each mask extruded by {thickness:.2f} of its longer side, the best on the truth of {len(train.half)} training items"
-    return _in_camera("hull", _stacked(occupancy, train.resolution), train.distance, test, note)
-
-
-def _mean_shape(train: _TrainingTruth, test: MaskData) -> ShapePrediction:
-    mean = mean_shape(train)
-    occupancy = [_mean_occupancy(mean, mask, train.distance) for mask in test.masks]
-    where = "inside each mask" if mean.in_mask else "whole"
-    note = f"mean of {len(train.half)} true training shapes above {mean.level:.2f}, {where}, the best on them"
-    return _in_camera("mean_shape", _stacked(occupancy, train.resolution), train.distance, test, note)
-
-
-def _stacked(occupancy: list[np.ndarray], resolution: int) -> np.ndarray:
-    """Return grids as one array of half precision: floors of a thousand masks stay below a gigabyte."""
-    return np.array(occupancy, np.float16).reshape(-1, resolution, resolution, resolution)
-
-
-def _in_camera(title: str, occupancy: np.ndarray, distance: float, test: MaskData, note: str) -> ShapePrediction:
-    """Return shapes whose own frame is the camera's, the cube of the crop."""
-    items = len(test)
-    view, zero = np.repeat(np.eye(3)[None], items, 0), np.zeros((items, 2))
-    return _prediction(title, test, note, occupancy, view, np.ones(items), zero, np.full(items, distance))
-
-
-def _nearest(train: MaskData, truth: Placed, test: MaskData, resolution: int) -> ShapePrediction:
-    rows, mirrored = nearest_masks(test.masks, train.masks)
-    sign = np.where(mirrored, -1.0, 1.0)
-    flip = np.ones((len(rows), 3))
-    flip[:, 0] = sign
-    occupancy = np.zeros((len(rows), resolution, resolution, resolution), np.float16)
-    for row, filled in filled_truths(truth, np.unique(rows), resolution):
-        for item in np.flatnonzero(rows == row):
-            occupancy[item] = filled[:, :, ::-1] if mirrored[item] else filled
-    # Mirrored left to right in the image and in its own frame: a rotation again.
-    view = flip[:, :, None] * truth.view[rows] * flip[:, None, :]
-    offset = truth.offset[rows] * flip[:, :2]
-    note = f"the true shape of the training item with the most similar mask of {len(train):,}, mirror images included"
-    return _prediction("nearest", test, note, occupancy, view, truth.scale[rows], offset, truth.distance[rows])
-
-
-def _prediction(title: str, test: MaskData, note: str, occupancy, view, scale, offset, distance) -> ShapePrediction:
-    return ShapePrediction(
-        occupancy, view, scale, offset, distance, test.masks, list(test.names), test.centre_px, test.scale_px,
-        title=title, images=test.images, notes=(note,),
-    )  # fmt: skip

@@ -11,7 +11,7 @@ from jaxtyping import Bool, Float
 from uplift.errors import UserError
 from uplift.metrics.alignment import least_squares_scale
 from uplift.metrics.pose_metrics import bone_cv, bone_lengths, elevation_deg, facing_sign, has_handedness
-from uplift.metrics.protocols import ACTION_MEAN, MISSING, is_error, protocol_order
+from uplift.metrics.protocols import ACTION_MEAN, MISSING, is_error, metric_order
 from uplift.metrics.report import Evaluation
 from uplift.metrics.scores import GivenPoses, Matched, Scores, match_poses, score
 from uplift.skeleton import Skeleton
@@ -20,9 +20,134 @@ if TYPE_CHECKING:
     from uplift.data.poses import PoseData
     from uplift.models.prediction import Prediction
 
-__all__ = ["NOMINAL", "TRUTH_SIGN", "coverage_of", "evaluate", "flat_depth", "rank_correlation"]
+__all__ = ["NOMINAL", "TRUTH_SIGN", "coverage_of", "evaluate", "rank_correlation"]
 
-# Whether a prediction's own uncertainty is true: how often the error lies inside the interval it gives.
+TRUTH_SIGN = "facing_sign of the truth itself:"
+"""Beginning of the note on how often the truth has the handedness of the skeleton."""
+
+
+def evaluate(prediction: GivenPoses | Prediction, truth: PoseData, skeleton: Skeleton, data: str = "") -> Evaluation:
+    """Return every protocol that the data allows, over the joints of ``skeleton``, matched by name.
+
+    A joint counts where it was visible in 2D (confidence above 0) and is finite in both poses; the error
+    of joints that the prediction filled in is reported beside it as ``*_missing``. Frames with fewer
+    than three joints that count are left out. The calibration of a prediction's spread is measured.
+    ``data`` names the truth in the report.
+
+    Raises:
+        UserError: no truth, other joints, other frames, or nothing left to compare.
+    """
+    matched, kept, notes = match_poses(prediction, truth, skeleton)
+    scores = score(matched)
+    if prediction.tilt_deg is not None and truth.tilt_deg is not None:
+        scores.frames["elevation_deg"] = elevation_deg(prediction.tilt_deg, truth.tilt_deg)[kept]
+    spread = _spread_of(prediction, skeleton)
+    actions, subjects = (_groups(truth.identity, key, kept) for key in ("action", "subject"))
+    per_action = _per_group(scores, *actions)
+    return Evaluation(
+        data=data or truth.source,
+        overall=_overall(scores, per_action, subjects[1], matched.coverage),
+        per_action=per_action,
+        per_joint=_per_joint(scores, skeleton),
+        per_subject=_per_group(scores, *subjects),
+        unit=truth.unit,
+        frames=len(matched.pose),
+        action_frames={name: int((actions[1] == place).sum()) for place, name in enumerate(actions[0])},
+        notes=[*notes, *_truth_notes(matched, scores, subjects[1])],
+        calibration=None if spread is None else _calibrate(matched, spread[kept]),
+    )
+
+
+def _spread_of(prediction: GivenPoses | Prediction, skeleton: Skeleton) -> np.ndarray | None:
+    """Return the prediction's spread in the skeleton's order of joints; raises UserError for an invalid one."""
+    if prediction.spread is None:
+        return None
+    spread, names = np.asarray(prediction.spread), [str(name) for name in prediction.joint_names]
+    where = prediction.source or "the prediction"
+    expected = (len(prediction.pose), len(names))
+    if spread.shape != expected:
+        raise UserError(f"{where}: 'spread' has shape {spread.shape}, expected {expected}: (frames joints).")
+    if (spread < 0).any():
+        raise UserError(f"{where}: 'spread' goes down to {np.nanmin(spread):g}, expected an error of 0 or more.")
+    return spread[:, [names.index(joint) for joint in skeleton.joints]]
+
+
+def _groups(identity: Mapping[str, np.ndarray], key: str, kept: np.ndarray) -> tuple[list[str], np.ndarray]:
+    """Return the names of the groups and each kept frame's group; no names and one group without the key."""
+    if key not in identity:
+        return [], np.zeros(int(kept.sum()), np.int64)
+    names, code = np.unique(np.asarray(identity[key])[kept], return_inverse=True)
+    return [str(name) for name in names], code
+
+
+def _per_group(scores: Scores, names: list[str], code: np.ndarray) -> dict[str, dict[str, float]]:
+    """Return the mean of every protocol in each group (the median of elevation_deg), where it has values."""
+    groups: dict[str, dict[str, float]] = {name: {} for name in names}
+    for protocol in sorted(scores.frames, key=metric_order):
+        values = scores.frames[protocol]
+        known = np.isfinite(values)
+        count = np.bincount(code[known], minlength=len(names))
+        if protocol == "elevation_deg":
+            figures = [np.median(values[known & (code == g)]) if count[g] else 0.0 for g in range(len(names))]
+        else:
+            figures = np.bincount(code[known], values[known], minlength=len(names)) / np.maximum(count, 1)
+        for place, name in enumerate(names):
+            if count[place]:
+                groups[name][protocol] = float(figures[place])
+    return groups
+
+
+def _overall(
+    scores: Scores, per_action: dict[str, dict[str, float]], subject: np.ndarray, coverage: float
+) -> dict[str, float]:
+    """Return the means over frames, the means of action means beside them, and what is not per frame."""
+    overall = _per_group(scores, ["all"], np.zeros(len(subject), np.int64))["all"]
+    for name in [name for name in overall if is_error(name)]:
+        of_actions = [values[name] for values in per_action.values() if name in values]
+        if of_actions:
+            overall[name + ACTION_MEAN] = float(np.mean(of_actions))
+    steady = bone_cv(scores.lengths, subject)
+    if np.isfinite(steady):
+        overall["bone_cv"] = steady
+    if coverage < 1:
+        overall["coverage"] = coverage
+    return {name: overall[name] for name in sorted(overall, key=metric_order)}
+
+
+def _per_joint(scores: Scores, skeleton: Skeleton) -> dict[str, dict[str, float]]:
+    """Return each joint's mean of every protocol that has one value a joint."""
+    return {
+        joint: {
+            name: float(scores.joints[name][place])
+            for name in sorted(scores.joints, key=metric_order)
+            if np.isfinite(scores.joints[name][place])
+        }
+        for place, joint in enumerate(skeleton.joints)
+    }
+
+
+def _truth_notes(matched: Matched, scores: Scores, subject: np.ndarray) -> list[str]:
+    """Return what the truth scores where that is not perfect, and why protocols are absent."""
+    notes = []
+    truth = np.where((matched.weight > 0)[..., None], matched.truth, np.nan)
+    lengths = bone_lengths(truth, matched.skeleton)
+    if has_handedness(matched.skeleton):
+        signs = facing_sign(truth, matched.skeleton)
+        if np.isfinite(signs).any():
+            notes.append(f"{TRUTH_SIGN} {np.nanmean(signs):.3f}")
+    else:
+        notes.append(f"no facing_sign: skeleton '{matched.skeleton.name}' gives no handedness")
+    steady = bone_cv(lengths, subject)
+    if np.isfinite(steady):
+        notes.append(f"bone_cv of the truth itself: {steady:.4f}")
+    if matched.previous is None:
+        notes.append("no mpjve: sequence, camera and frame do not tell which frame follows which")
+    if not np.isfinite(scores.frames.get("mpjve", np.zeros(1))).any():
+        notes.append("no mpjve: no two frames that are compared follow each other")
+    return notes
+
+
+# Calibration: how often the error lies inside the interval that the prediction's spread gives.
 
 NOMINAL = (0.25, 0.5, 0.75, 0.9, 0.95)
 """The shares of errors that the intervals should hold."""
@@ -35,7 +160,7 @@ def _calibrate(matched: Matched, spread: Float[np.ndarray, "frames joints"]) -> 
     """Return the calibration curve of ``spread``, the scale b of a Laplace distribution of each depth.
 
     ``spread`` is in the unit of the matched pose, row by row and joint by joint; of a joint that was
-    missing in 2D it is the scale of its whole error, for nothing says where it is in the image. Both are brought to
+    missing in 2D it is the scale of its 3D error, as its place in the image is not known. Both are brought to
     the truth's scale as for `n_mpjpe`; a metric pose stays as it is. ``visible`` and ``missing`` (the
     joints that were missing in 2D) hold, for each nominal share q, the share of depth errors within
     -b ln(1 - q), the root left out. ``spread_error`` is the mean difference of the two,
@@ -44,7 +169,7 @@ def _calibrate(matched: Matched, spread: Float[np.ndarray, "frames joints"]) -> 
     """
     found: dict[str, Any] = {}
     for group, ending, weight in (("visible", "", matched.weight), ("missing", MISSING, matched.unseen)):
-        error, scale = _errors(matched, spread, weight, whole=group == "missing")
+        error, scale = _errors(matched, spread, weight, in_3d=group == "missing")
         if len(error):
             found[group] = coverage_of(error, scale)
             found[f"spread_error{ending}"] = float(np.mean([abs(float(q) - s) for q, s in found[group].items()]))
@@ -75,9 +200,9 @@ def _ranks(values: np.ndarray) -> np.ndarray:
 
 
 def _errors(
-    matched: Matched, spread: np.ndarray, weight: Float[np.ndarray, "frames joints"], *, whole: bool
+    matched: Matched, spread: np.ndarray, weight: Float[np.ndarray, "frames joints"], *, in_3d: bool
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return the depth errors of the joints that ``weight`` counts, or their ``whole`` ones, and their spreads, in the truth's unit."""
+    """Return the depth errors of the joints that ``weight`` counts, or their errors ``in_3d``, and their spreads, in the truth's unit."""
     errors, scales = [np.empty(0, np.float32)], [np.empty(0, np.float32)]
     for start in range(0, len(matched.pose), _CHUNK):
         rows = np.arange(start, min(start + _CHUNK, len(matched.pose)))
@@ -86,7 +211,7 @@ def _errors(
         mine = spread[rows].astype(np.float64) * np.abs(factor)[:, None]
         counts = _counts(weight[rows], mine, matched.skeleton.root_index)
         off = pose * factor[:, None, None] - truth
-        size = np.linalg.norm(off, axis=-1) if whole else np.abs(off[..., 2])
+        size = np.linalg.norm(off, axis=-1) if in_3d else np.abs(off[..., 2])
         errors.append(size[counts].astype(np.float32))
         scales.append(mine[counts].astype(np.float32))
     return np.concatenate(errors), np.concatenate(scales)
@@ -96,136 +221,3 @@ def _counts(weight: np.ndarray, spread: np.ndarray, root: int) -> Bool[np.ndarra
     counts = (weight > 0) & np.isfinite(spread)
     counts[:, root] = False  # its depth is 0 by definition
     return counts
-
-
-# All protocols of one prediction against one truth: overall, per action, per subject and per joint.
-
-TRUTH_SIGN = "facing_sign of the truth itself:"
-"""How the note begins that says how often the truth has the handedness of the skeleton."""
-
-
-def flat_depth(keypoints: Float[np.ndarray, "frames joints 2"], root: int) -> Float[np.ndarray, "frames joints 3"]:
-    """Return the observed 2D relative to the root with z = 0: the error that any lifter must beat."""
-    centred = keypoints - keypoints[:, root, None]
-    return np.concatenate([centred, np.zeros_like(centred[..., :1])], -1)
-
-
-def evaluate(prediction: GivenPoses | Prediction, truth: PoseData, skeleton: Skeleton, data: str = "") -> Evaluation:
-    """Return every protocol that the data allows, over the joints of ``skeleton``, matched by name.
-
-    A joint counts where it was visible in 2D (confidence above 0) and both poses know it; the error
-    of joints that the prediction filled in is reported beside it as ``*_missing``. Frames with fewer
-    than three joints that count are left out. A prediction with a spread is told how well it is
-    calibrated. ``data`` names the truth in the report.
-
-    Raises:
-        UserError: no truth, other joints, other frames, or nothing left to compare.
-    """
-    matched, kept, notes = match_poses(prediction, truth, skeleton)
-    scores = score(matched)
-    if prediction.tilt_deg is not None and truth.tilt_deg is not None:
-        scores.frames["elevation_deg"] = elevation_deg(prediction.tilt_deg, truth.tilt_deg)[kept]
-    spread = _spread_of(prediction, skeleton)
-    actions, subjects = (_groups(truth.identity, key, kept) for key in ("action", "subject"))
-    per_action = _per_group(scores, *actions)
-    return Evaluation(
-        data=data or truth.source,
-        overall=_overall(scores, per_action, subjects[1], matched.coverage),
-        per_action=per_action,
-        per_joint=_per_joint(scores, skeleton),
-        per_subject=_per_group(scores, *subjects),
-        unit=truth.unit,
-        frames=len(matched.pose),
-        action_frames={name: int((actions[1] == place).sum()) for place, name in enumerate(actions[0])},
-        notes=[*notes, *_truth_notes(matched, scores, subjects[1])],
-        calibration=None if spread is None else _calibrate(matched, spread[kept]),
-    )
-
-
-def _spread_of(prediction: GivenPoses | Prediction, skeleton: Skeleton) -> np.ndarray | None:
-    """Return the prediction's spread in the skeleton's order of joints; raises UserError for one that cannot be."""
-    if prediction.spread is None:
-        return None
-    spread, names = np.asarray(prediction.spread), [str(name) for name in prediction.joint_names]
-    where = prediction.source or "the prediction"
-    expected = (len(prediction.pose), len(names))
-    if spread.shape != expected:
-        raise UserError(f"{where}: 'spread' has shape {spread.shape}, expected {expected}: (frames joints).")
-    if (spread < 0).any():
-        raise UserError(f"{where}: 'spread' goes down to {np.nanmin(spread):g}, expected an error of 0 or more.")
-    return spread[:, [names.index(joint) for joint in skeleton.joints]]
-
-
-def _groups(identity: Mapping[str, np.ndarray], key: str, kept: np.ndarray) -> tuple[list[str], np.ndarray]:
-    """Return the names of the groups and each kept frame's group; no names and one group without the key."""
-    if key not in identity:
-        return [], np.zeros(int(kept.sum()), np.int64)
-    names, code = np.unique(np.asarray(identity[key])[kept], return_inverse=True)
-    return [str(name) for name in names], code
-
-
-def _per_group(scores: Scores, names: list[str], code: np.ndarray) -> dict[str, dict[str, float]]:
-    """Return the mean of every protocol in each group (the median of elevation_deg), where it has values."""
-    groups: dict[str, dict[str, float]] = {name: {} for name in names}
-    for protocol in sorted(scores.frames, key=protocol_order):
-        values = scores.frames[protocol]
-        known = np.isfinite(values)
-        count = np.bincount(code[known], minlength=len(names))
-        if protocol == "elevation_deg":
-            figures = [np.median(values[known & (code == g)]) if count[g] else 0.0 for g in range(len(names))]
-        else:
-            figures = np.bincount(code[known], values[known], minlength=len(names)) / np.maximum(count, 1)
-        for place, name in enumerate(names):
-            if count[place]:
-                groups[name][protocol] = float(figures[place])
-    return groups
-
-
-def _overall(
-    scores: Scores, per_action: dict[str, dict[str, float]], subject: np.ndarray, coverage: float
-) -> dict[str, float]:
-    """Return the means over frames, the means of action means beside them, and what is not per frame."""
-    overall = _per_group(scores, ["all"], np.zeros(len(subject), np.int64))["all"]
-    for name in [name for name in overall if is_error(name)]:
-        of_actions = [values[name] for values in per_action.values() if name in values]
-        if of_actions:
-            overall[name + ACTION_MEAN] = float(np.mean(of_actions))
-    steady = bone_cv(scores.lengths, subject)
-    if np.isfinite(steady):
-        overall["bone_cv"] = steady
-    if coverage < 1:
-        overall["coverage"] = coverage
-    return {name: overall[name] for name in sorted(overall, key=protocol_order)}
-
-
-def _per_joint(scores: Scores, skeleton: Skeleton) -> dict[str, dict[str, float]]:
-    """Return each joint's mean of every protocol that has one value a joint."""
-    return {
-        joint: {
-            name: float(scores.joints[name][place])
-            for name in sorted(scores.joints, key=protocol_order)
-            if np.isfinite(scores.joints[name][place])
-        }
-        for place, joint in enumerate(skeleton.joints)
-    }
-
-
-def _truth_notes(matched: Matched, scores: Scores, subject: np.ndarray) -> list[str]:
-    """Return what the truth itself scores where that is not perfect, and why protocols are absent."""
-    notes = []
-    truth = np.where((matched.weight > 0)[..., None], matched.truth, np.nan)
-    lengths = bone_lengths(truth, matched.skeleton)
-    if has_handedness(matched.skeleton):
-        signs = facing_sign(truth, matched.skeleton)
-        if np.isfinite(signs).any():
-            notes.append(f"{TRUTH_SIGN} {np.nanmean(signs):.3f}")
-    else:
-        notes.append(f"no facing_sign: skeleton '{matched.skeleton.name}' gives no handedness")
-    steady = bone_cv(lengths, subject)
-    if np.isfinite(steady):
-        notes.append(f"bone_cv of the truth itself: {steady:.4f}")
-    if matched.previous is None:
-        notes.append("no mpjve: sequence, camera and frame do not tell which frame follows which")
-    if not np.isfinite(scores.frames.get("mpjve", np.zeros(1))).any():
-        notes.append("no mpjve: no two frames that are compared follow each other")
-    return notes

@@ -42,7 +42,7 @@ def evaluate_shapes(
     ``masks`` are the input masks (items side side, 0 to 255), ``name`` names the truth in the report.
 
     Raises:
-        UserError: other numbers of items, none, or a true mesh that is not in its own unit.
+        UserError: different numbers of items, none, or a true mesh that is not in its own unit.
     """
     return evaluate_all({"": prediction}, truth, masks, name, category, resolution)[""]
 
@@ -55,7 +55,7 @@ def evaluate_all(
     category: np.ndarray | None = None,
     resolution: int = RESOLUTION,
 ) -> dict[str, ShapeEvaluation]:
-    """Return `evaluate_shapes` of several predictions of the same items; what is asked of the truth is asked once."""
+    """Return `evaluate_shapes` of several predictions of the same items; work on the truth is done once."""
     for title, prediction in predictions.items():
         _check(title or "the prediction", prediction, truth, masks)
     found: dict[str, list[dict[str, float]]] = {title: [{}] * len(truth) for title in predictions}
@@ -83,7 +83,7 @@ def _check(title: str, prediction: ShapePrediction, truth: Placed, masks: np.nda
             wrong |= np.asarray(prediction.scale) <= 0
         if wrong.any():
             raise UserError(
-                f"{title}: '{part}' of {int(wrong.sum())} shapes is no place to stand, the first "
+                f"{title}: '{part}' of {int(wrong.sum())} shapes is invalid, the first "
                 f"{prediction.names[int(wrong.argmax())]}: expected finite numbers, and a scale above 0."
             )
 

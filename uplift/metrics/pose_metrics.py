@@ -85,9 +85,9 @@ def never_seen_so_long(pose: Poses, skeleton: Skeleton) -> float:
     known = np.isfinite(bones).all((1, 2))
     if not known.any():
         return float("nan")
-    whole = np.median(np.linalg.norm(bones[known], axis=-1), axis=0)
-    seen = np.quantile(np.linalg.norm(bones[known][..., :2], axis=-1), 0.95, axis=0)
-    return float((whole > 2 * np.maximum(seen, 1e-9)).mean())
+    true_length = np.median(np.linalg.norm(bones[known], axis=-1), axis=0)
+    apparent = np.quantile(np.linalg.norm(bones[known][..., :2], axis=-1), 0.95, axis=0)
+    return float((true_length > 2 * np.maximum(apparent, 1e-9)).mean())
 
 
 def bone_cv(lengths: Float[np.ndarray, "frames bones"], group: Int[np.ndarray, " frames"]) -> float:

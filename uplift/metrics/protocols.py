@@ -1,58 +1,88 @@
-"""Protocols and metrics by name: what kind of figure each is, and its meaning in one line."""
+"""The metrics of poses and of shapes by name: what kind of figure each is, its unit and its meaning in one line."""
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 __all__ = [
     "ACTION_MEAN",
-    "BEST_FLOOR",
+    "BEST_BASELINE",
     "JOINTS_14",
+    "LONGEST_SIDE",
     "MISSING",
     "PROTOCOLS",
     "SHAPE_METRICS",
     "better_is_higher",
+    "figure_text",
     "is_error",
     "metric_kind",
     "metric_meaning",
     "metric_order",
     "metric_unit",
-    "protocol_kind",
-    "protocol_meaning",
-    "protocol_order",
-    "protocol_unit",
 ]
 
-# The protocols by name: what kind of figure each is, and its meaning in one line.
 
+class Metric(NamedTuple):
+    """What kind of figure a metric is, which direction is better, and its meaning in one line."""
+
+    kind: str
+    """``error`` (a length that papers average over actions), ``length``, ``share``, ``deg`` or ``per frame``."""
+    better: str
+    """``lower`` or ``higher``."""
+    meaning: str
+
+
+_ELEVATION = Metric("deg", "lower", "median error of the camera's tilt")
 PROTOCOLS = {
-    "mpjpe": ("error", "as the model gives it, metric scale"),
-    "mpjpe_gt_scale": ("error", "at the truth's xy scale of each frame, no alignment"),
-    "n_mpjpe": ("error", "at the least-squares scale of each frame"),
-    "n_mpjpe_norm": ("error", "at the scale norm(truth) / norm(prediction)"),
-    "p_mpjpe": ("error", "after similarity Procrustes, proper rotations only"),
-    "p_mpjpe_reflect": ("error", "after Procrustes with reflections allowed"),
-    "mpjpe_gt_scale_best_of_flip": ("error", "mpjpe_gt_scale, the better of z and -z"),
-    "n_mpjpe_best_of_flip": ("error", "n_mpjpe, the better of z and -z"),
-    "p_mpjpe_best_of_flip": ("error", "p_mpjpe, the better of z and -z"),
-    "pck@150": ("share", "joints within 150 mm"),
-    "auc": ("share", "mean PCK over 0..150 mm"),
-    "pck14@150": ("share", "pck@150 over the 14 joints of MPI-INF-3DHP's script"),
-    "auc14": ("share", "auc over these 14 joints"),
-    "pck_z@150": ("share", "joints within 150 mm in depth alone"),
-    "mpjve": ("per frame", "error of the step from frame to frame"),
-    "stress": ("length", "difference of all pairwise joint distances"),
-    "facing": ("share", "frames no farther from the truth than their depth flip"),
-    "facing_sign": ("share", "frames with the right handedness (needs no truth)"),
-    "elevation_deg": ("deg", "median error of the camera's tilt"),
-    "bone_cv": ("share", "variation of each bone's length within a subject"),
-    "symmetry": ("share", "left/right difference of bone lengths"),
-    "coverage": ("share", "joints that the prediction has"),
+    "mpjpe": Metric("error", "lower", "as the model gives it, metric scale"),
+    "mpjpe_gt_scale": Metric("error", "lower", "at the truth's xy scale of each frame, no alignment"),
+    "n_mpjpe": Metric("error", "lower", "at the least-squares scale of each frame"),
+    "n_mpjpe_norm": Metric("error", "lower", "at the scale norm(truth) / norm(prediction)"),
+    "p_mpjpe": Metric("error", "lower", "after similarity Procrustes, proper rotations only"),
+    "p_mpjpe_reflect": Metric("error", "lower", "after Procrustes with reflections allowed"),
+    "mpjpe_gt_scale_best_of_flip": Metric("error", "lower", "mpjpe_gt_scale, the better of z and -z"),
+    "n_mpjpe_best_of_flip": Metric("error", "lower", "n_mpjpe, the better of z and -z"),
+    "p_mpjpe_best_of_flip": Metric("error", "lower", "p_mpjpe, the better of z and -z"),
+    "pck@150": Metric("share", "higher", "joints within 150 mm"),
+    "auc": Metric("share", "higher", "mean PCK over 0..150 mm"),
+    "pck14@150": Metric("share", "higher", "pck@150 over the 14 joints of MPI-INF-3DHP's script"),
+    "auc14": Metric("share", "higher", "auc over these 14 joints"),
+    "pck_z@150": Metric("share", "higher", "joints within 150 mm in depth alone"),
+    "mpjve": Metric("per frame", "lower", "error of the step from frame to frame"),
+    "stress": Metric("length", "lower", "difference of all pairwise joint distances"),
+    "facing": Metric("share", "higher", "frames no farther from the truth than their depth flip"),
+    "facing_sign": Metric("share", "higher", "frames with the right handedness (needs no truth)"),
+    "elevation_deg": _ELEVATION,
+    "bone_cv": Metric("share", "lower", "variation of each bone's length within a subject"),
+    "symmetry": Metric("share", "lower", "left/right difference of bone lengths"),
+    "coverage": Metric("share", "higher", "joints that the prediction has"),
 }
-"""Name -> kind of figure and meaning in one line."""
+"""Of poses, in the order they are listed."""
+SHAPE_METRICS = {
+    "volume_iou": Metric("share", "higher", "occupied volume shared with the truth, of the volume that either has"),
+    "silhouette_iou_seen": Metric("share", "higher", "silhouette in the input view against the input mask"),
+    "silhouette_iou_unseen": Metric("share", "higher", "silhouettes in 8 new views about gravity against the truth's"),
+    "chamfer": Metric("length", "lower", "mean distance between the surfaces, both ways"),
+    "f_score": Metric("share", "higher", "surface points within 2 % of the longest side, both ways (F@2%)"),
+    "normal_consistency": Metric("share", "higher", "absolute cosine of the normals of nearest surface points"),
+    "handedness": Metric(
+        "share", "higher", "shapes nearer to the truth than to its mirror image in depth; chance is 0.5"
+    ),
+    "azimuth_deg": Metric("deg", "lower", "median error of the view about gravity, after the best constant turn"),
+    "elevation_deg": _ELEVATION,
+}
+"""Of lifted shapes, in the order they are listed."""
+_METRICS = PROTOCOLS | SHAPE_METRICS
+# The metrics of shapes stand in the place of the one that poses have too, their last.
+_ORDER = [one for name in PROTOCOLS for one in (SHAPE_METRICS if name in SHAPE_METRICS else [name])]
 
 ACTION_MEAN = "_action_mean"
 """Ending of a frame error's mean of action means."""
 MISSING = "_missing"
 """Ending of the error of joints that were missing in 2D and that the prediction filled in."""
+_SUFFIXES = {ACTION_MEAN: ", mean of action means", MISSING: ", joints missing in 2D"}
+BEST_BASELINE = "best_floor_"
+"""Beginning of the name of the best baseline's figure."""
 
 JOINTS_14 = (
     "head_top", "neck", "right_shoulder", "right_elbow", "right_wrist", "left_shoulder", "left_elbow", "left_wrist",
@@ -60,84 +90,51 @@ JOINTS_14 = (
 )  # fmt: skip
 """What MPI-INF-3DHP's own script counts: not the pelvis (the root), nor spine and head."""
 
-_SUFFIXES = {ACTION_MEAN: ", mean of action means", MISSING: ", joints missing in 2D"}
-
-
-def protocol_kind(name: str) -> str:
-    """Return error, share, length, deg or per frame."""
-    return PROTOCOLS[_base(name)][0]
-
-
-def is_error(name: str) -> bool:
-    """Return whether ``name`` is a frame error, one that papers average over actions."""
-    return PROTOCOLS.get(name, ("", ""))[0] == "error"
-
-
-def protocol_order(name: str) -> tuple[int, str]:
-    """Return the sort key that keeps the protocols in the order of `PROTOCOLS`, each with its variants."""
-    return list(PROTOCOLS).index(_base(name)), name
-
-
-def protocol_unit(name: str, unit: str) -> str:
-    """Return the unit of a figure, given the truth's."""
-    return {"share": "", "deg": "deg", "per frame": f"{unit}/frame"}.get(protocol_kind(name), unit)
-
-
-def _base(name: str) -> str:
-    for suffix in _SUFFIXES:
-        name = name.removesuffix(suffix)
-    return name
-
-
-def protocol_meaning(name: str) -> str:
-    """Return the one-line meaning of a figure."""
-    ending = "".join(text for suffix, text in _SUFFIXES.items() if name.endswith(suffix))
-    return PROTOCOLS[_base(name)][1] + ending
-
-
-# The metrics of lifted shapes by name: what kind of figure each is, which way is better, its meaning in one line.
-
-SHAPE_METRICS = {
-    "volume_iou": ("share", "higher", "occupied volume shared with the truth, of the volume that either has"),
-    "silhouette_iou_seen": ("share", "higher", "silhouette in the input view against the input mask"),
-    "silhouette_iou_unseen": ("share", "higher", "silhouettes in 8 new views about gravity against the truth's"),
-    "chamfer": ("length", "lower", "mean distance between the surfaces, both ways"),
-    "f_score": ("share", "higher", "surface points within 2 % of the longest side, both ways (F@2%)"),
-    "normal_consistency": ("share", "higher", "absolute cosine of the normals of nearest surface points"),
-    "handedness": ("share", "higher", "shapes nearer to the truth than to its mirror image in depth; chance is 0.5"),
-    "azimuth_deg": ("deg", "lower", "median error of the view about gravity, after the best constant turn"),
-    "elevation_deg": ("deg", "lower", "median error of the camera's tilt"),
-}
-"""Name -> kind of figure, which way is better, meaning in one line."""
-
-BEST_FLOOR = "best_floor_"
-"""Beginning of the name of the best floor's figure."""
+LONGEST_SIDE = "longest side"
+"""The unit of length of shapes: the longest side of the true shape."""
 
 
 def metric_kind(name: str) -> str:
-    """Return share, length or deg."""
-    return SHAPE_METRICS[_shape_base(name)][0]
+    """Return error, length, share, deg or per frame."""
+    return _METRICS[_base(name)].kind
 
 
 def better_is_higher(name: str) -> bool:
     """Return whether more is better."""
-    return SHAPE_METRICS[_shape_base(name)][1] == "higher"
+    return _METRICS[_base(name)].better == "higher"
 
 
 def metric_meaning(name: str) -> str:
     """Return the one-line meaning of a figure."""
-    return ("the best floor's: " if name.startswith(BEST_FLOOR) else "") + SHAPE_METRICS[_shape_base(name)][2]
+    best = "the best baseline's: " if name.startswith(BEST_BASELINE) else ""
+    return best + _METRICS[_base(name)].meaning + "".join(text for end, text in _SUFFIXES.items() if name.endswith(end))
+
+
+def metric_unit(name: str, unit: str = LONGEST_SIDE) -> str:
+    """Return the unit of a figure, given the truth's unit of length."""
+    return {"share": "", "deg": "deg", "per frame": f"{unit}/frame"}.get(metric_kind(name), unit)
+
+
+def figure_text(name: str, value: float, unit: str = LONGEST_SIDE) -> str:
+    """Return a figure as tables show it: shares and lengths in longest sides to three decimals, all else to one."""
+    fine = metric_unit(name, unit) in ("", LONGEST_SIDE)
+    return f"{value:.3f}" if fine else f"{value:.1f}"
 
 
 def metric_order(name: str) -> tuple[int, str]:
-    """Return the sort key that keeps the metrics in the order of `SHAPE_METRICS`, each before its floor's."""
-    return list(SHAPE_METRICS).index(_shape_base(name)), "" if name in SHAPE_METRICS else name
+    """Return the sort key that keeps the metrics of poses, or those of shapes, in order, each before its variants."""
+    base = _base(name)
+    return _ORDER.index(base), "" if name == base else name
 
 
-def metric_unit(name: str) -> str:
-    """Return the unit of a figure; lengths are shares of the truth's longest side."""
-    return {"share": "", "deg": "deg", "length": "longest side"}[metric_kind(name)]
+def is_error(name: str) -> bool:
+    """Return whether ``name`` is a frame error, one that papers average over actions."""
+    return name in PROTOCOLS and PROTOCOLS[name].kind == "error"
 
 
-def _shape_base(name: str) -> str:
-    return name.removeprefix(BEST_FLOOR)
+def _base(name: str) -> str:
+    """Return the metric that ``name`` is a variant of."""
+    name = name.removeprefix(BEST_BASELINE)
+    for suffix in _SUFFIXES:
+        name = name.removesuffix(suffix)
+    return name

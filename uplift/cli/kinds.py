@@ -1,0 +1,101 @@
+"""What the verbs do for runs that lift keypoints and for runs that lift masks: one table of two rows."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+from uplift.cli.parsing import POSE_KEYS, SHAPE_KEYS
+from uplift.errors import UserError
+from uplift.metrics.protocols import BEST_BASELINE, SHAPE_METRICS
+
+__all__ = ["KINDS", "Kind", "Later"]
+
+
+class Later(str):
+    """A function named ``module:function``, imported when it is called: the command line starts at once."""
+
+    __slots__ = ()
+
+    def __call__(self, *arguments: Any, **options: Any) -> Any:
+        """Import and call it."""
+        module, _, name = self.partition(":")
+        return getattr(import_module(module), name)(*arguments, **options)
+
+
+@dataclass(frozen=True)
+class Kind:
+    """What differs between runs by what they lift; the fields are named after the verbs that ask for them."""
+
+    lifts: str
+    """As `uplift.config.settings.Settings.lifts` names it, and in messages."""
+    fit: Later
+    """(settings, run to resume or None) -> `uplift.cli.fit.Prepared`."""
+    report: Later
+    """(model, settings, loaded data) -> `uplift.cli.report.Findings`."""
+    evaluate: Later
+    """(run folder, model, test file or None, options among `evaluate_keys`) -> evaluation."""
+    predict: Later
+    """(`uplift.cli.predict.Request`) -> `uplift.cli.predict.Lifted`."""
+    predict_request: Later
+    """(weights, words of the command as a dict) -> `uplift.cli.predict.Request`."""
+    predict_summary: Later
+    """(prediction) -> lines to print."""
+    check_simulated: Later
+    """(settings, skeleton or None) -> what a fit simulates, in words."""
+    check_file: Later
+    """(path, settings, skeleton or None) -> what the file holds, in words; raises UserError for what a fit refuses."""
+    predict_keys: tuple[str, ...]
+    """Words of predict that go with such runs alone."""
+    evaluate_keys: tuple[str, ...]
+    """Words of evaluate that go with such runs alone."""
+    compared: tuple[str, ...]
+    """Metrics that compare shows, in order."""
+
+    def refuse_others(self, verb: str, keys: Iterable[str], run: str | Path) -> None:
+        """Raise UserError for a word of ``verb`` (predict or evaluate) that goes with runs of another kind."""
+        for other in (kind for kind in KINDS.values() if kind is not self):
+            words = other.predict_keys if verb == "predict" else other.evaluate_keys
+            for key in keys:
+                if any(key == word or key.startswith(f"{word}.") for word in words):
+                    raise UserError(
+                        f"{verb}: {key}= goes with a run that lifts {other.lifts}; {run} lifts {self.lifts}."
+                    )
+
+
+KINDS = {
+    "keypoints": Kind(
+        lifts="keypoints",
+        fit=Later("uplift.cli.fit:prepare_keypoints"),
+        report=Later("uplift.cli.report:pose_findings"),
+        evaluate=Later("uplift.cli.evaluate:evaluate_keypoints"),
+        predict=Later("uplift.cli.predict:lift_keypoints"),
+        predict_request=Later("uplift.cli.predict:keypoint_request"),
+        predict_summary=Later("uplift.cli.predict:pose_summary"),
+        check_simulated=Later("uplift.cli.data_check:simulated_keypoints"),
+        check_file=Later("uplift.cli.data_check:keypoint_file"),
+        predict_keys=(*POSE_KEYS, "data.options"),
+        evaluate_keys=("refine",),
+        compared=(
+            "p_mpjpe", "n_mpjpe", "mpjpe_gt_scale", "mpjpe", "p_mpjpe_reflect", "pck@150", "auc", "mpjve",
+            "facing", "facing_sign", "elevation_deg", "bone_cv", "symmetry",
+        ),
+    ),
+    "masks": Kind(
+        lifts="masks",
+        fit=Later("uplift.cli.fit:prepare_masks"),
+        report=Later("uplift.cli.report:shape_findings"),
+        evaluate=Later("uplift.cli.evaluate:evaluate_masks"),
+        predict=Later("uplift.cli.predict:lift_masks"),
+        predict_request=Later("uplift.cli.predict:mask_request"),
+        predict_summary=Later("uplift.cli.predict:shape_summary"),
+        check_simulated=Later("uplift.cli.data_check:simulated_masks"),
+        check_file=Later("uplift.cli.data_check:mask_file"),
+        predict_keys=SHAPE_KEYS,
+        evaluate_keys=("items",),
+        compared=tuple(one for name in SHAPE_METRICS for one in (name, BEST_BASELINE + name)),
+    ),
+}  # fmt: skip
