@@ -158,7 +158,7 @@ def test_wrong_annotations_are_refused(tmp_path: Path, flat: np.ndarray) -> None
         tmp_path, {**content, "annotations": content["annotations"][:0]}, min_keypoints=17
     )
     assert "entry 1 of 'annotations'" in refused(tmp_path, {**content, "annotations": [{"iscrowd": 1}, 5]})
-    assert "'images' is no list" in refused(tmp_path, {**content, "images": {"a": 1}})
+    assert "'images' is not a list" in refused(tmp_path, {**content, "images": {"a": 1}})
     assert "an image has id None" in refused(tmp_path, {**content, "images": [{"file_name": "a.jpg"}]})
 
 

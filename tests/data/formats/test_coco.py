@@ -201,7 +201,7 @@ def test_wrong_results_are_refused(tmp_path: Path) -> None:
     content[3] = {"image_id": [1], "keypoints": []}
     assert "entry 3 has image_id [1]" in refused(tmp_path / "a.json", content, "coco_results")
     assert "is an empty list" in refused(tmp_path / "a.json", [], "coco_results")
-    assert "is no list" in refused(tmp_path / "a.json", {"image_id": 1}, "coco_results")
+    assert "is not a list" in refused(tmp_path / "a.json", {"image_id": 1}, "coco_results")
 
 
 def test_real_files(benchmark_data) -> None:

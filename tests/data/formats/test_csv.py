@@ -196,12 +196,12 @@ def test_our_own_predictions_are_read_as_what_was_seen(tmp_path: Path):
 
 WRONG = [
     ("frame,nose_x,nose_y\n0,1,2\n1,2\n", "line 3: 2 cells, expected 3"),
-    ("frame,nose_x,nose_y\n0,1,2\n\n1,2,z\n", "line 4: 'z' in the column 'nose_y' is no number"),
+    ("frame,nose_x,nose_y\n0,1,2\n\n1,2,z\n", "line 4: 'z' in the column 'nose_y' is not a number"),
     ("frame,nose_x,nose_y,nose_x\n0,1,2,3\n", "the column 'nose_x' is there twice"),
     ("frame,nose_x,nose_y,nose_z\n0,1,2,3\n", "x, y and z: 3D points"),
-    ("frame,nose_x,nose_y\n-1,1,2\n", "-1 is no frame number"),
-    ("frame,nose_x,nose_y\n1e17,1,2\n", "is no frame number"),
-    ("frame,nose_x,nose_y\n0,inf,2\n", "'inf' in the column 'nose_x' is no number"),
+    ("frame,nose_x,nose_y\n-1,1,2\n", "-1 is not a frame number"),
+    ("frame,nose_x,nose_y\n1e17,1,2\n", "is not a frame number"),
+    ("frame,nose_x,nose_y\n0,inf,2\n", "'inf' in the column 'nose_x' is not a number"),
     ("frame,nose_x,nose_y\n0,1e300,2\n", "expected pixels within an image"),
     ("frame,nose_x,nose_y,nose_score\n0,1,2,87\n", "confidence goes up to 87"),
     ("frame,id,nose_x,nose_y\n0,a,1,2\n0,a,3,4\n", "'a' is in frame 0 twice"),

@@ -104,7 +104,7 @@ def test_what_a_layout_cannot_hold_is_told(tmp_path: Path, body: PoseData):
         write_deeplabcut_csv(two, tmp_path / "a.csv")
     for names in (("1", "2"), ("bbox", "b"), ("a ", "b"), ("a", "a"), ("", "b")):
         odd = PoseData(np.ones((1, 2, 2), np.float32), np.ones((1, 2), np.float32), names)
-        with pytest.raises(UserError, match="cannot be told from a column's"):
+        with pytest.raises(UserError, match="cannot be distinguished from a column's"):
             write_keypoints_csv(odd, tmp_path / "a.csv")
     assert not list(tmp_path.iterdir())
 

@@ -198,12 +198,12 @@ HEAD = "scorer,s,s,s\nbodyparts,nose,nose,nose\ncoords,x,y,likelihood\n"
 
 def test_wrong_tables_are_told(tmp_path: Path):
     assert "line 5: 3 cells, expected 4" in wrong(tmp_path, HEAD + "0,1,2,1\n1,2,3\n")
-    assert "line 5: 'abc' in the column 's nose y' is no number" in wrong(tmp_path, HEAD + "0,1,2,1\n1,2,abc,1\n")
+    assert "line 5: 'abc' in the column 's nose y' is not a number" in wrong(tmp_path, HEAD + "0,1,2,1\n1,2,abc,1\n")
     assert "line 6: frame 0 is there twice" in wrong(tmp_path, HEAD + "0,1,2,1\n1,2,3,1\n0,1,2,1\n")
     assert "x, y and z: 3D" in wrong(tmp_path, HEAD.replace("likelihood", "z") + "0,1,2,1\n")
     assert "confidence goes up to 87" in wrong(tmp_path, HEAD + "0,1,2,87\n")
-    assert "-1 is no frame number" in wrong(tmp_path, HEAD + "0,1,2,1\n-1,1,2,1\n")
-    assert "0.5 is no frame number" in wrong(tmp_path, HEAD + "0.5,1,2,1\n")
+    assert "-1 is not a frame number" in wrong(tmp_path, HEAD + "0,1,2,1\n-1,1,2,1\n")
+    assert "0.5 is not a frame number" in wrong(tmp_path, HEAD + "0.5,1,2,1\n")
     assert "twice" in wrong(tmp_path, HEAD.replace("likelihood", "x") + "0,1,2,1\n")
     assert "columns of 2 scorers" in wrong(tmp_path, HEAD.replace("s,s,s", "s,s,t") + "0,1,2,1\n")
     assert "no visible joint" in wrong(tmp_path, HEAD + "0,0,0,0\n1,,,\n")
@@ -255,7 +255,7 @@ def test_an_hdf5_file_gives_only_what_is_in_it(tmp_path: Path):
     with h5py.File(path, "r+") as file:
         del file["df/block0_values"]
         file["df/block0_values"] = h5py.ExternalLink(str(tmp_path / "other.h5"), "/df/block0_values")
-    with pytest.raises(UserError, match="no array in the file itself"):
+    with pytest.raises(UserError, match="not an array in the file itself"):
         read(path)
     with h5py.File(path, "r+") as file:
         del file["df/block0_values"]

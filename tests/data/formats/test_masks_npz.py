@@ -91,8 +91,8 @@ _WRONG = {
     "part of the truth": ({"view": None}, "the truth lacks 'view'"),
     "shape": ({"shape": np.full(5, 3)}, "'shape' goes from 3 to 3, expected 0 to 2"),
     "shape of floats": ({"shape": np.zeros(5)}, "expected whole numbers"),
-    "view": ({"view": np.ones((5, 3, 3))}, "'view' of item 0 is no rotation"),
-    "mirror": ({"view": np.tile(-np.eye(3), (5, 1, 1))}, "is no rotation"),
+    "view": ({"view": np.ones((5, 3, 3))}, "'view' of item 0 is not a rotation"),
+    "mirror": ({"view": np.tile(-np.eye(3), (5, 1, 1))}, "is not a rotation"),
     "scale": ({"scale": np.full(5, -1.0)}, "'scale' is -1"),
     "offset": ({"offset": np.full((5, 2), np.inf)}, "'offset' is inf"),
     "huge": ({"offset": np.full((5, 2), 1e300)}, "'offset' is inf"),
@@ -123,7 +123,7 @@ def test_faces_of_another_mesh_are_told(data: MaskData, tmp_path: Path) -> None:
 def test_fewer_starts_of_faces_than_meshes(data: MaskData, tmp_path: Path) -> None:
     assert data.truth is not None
     total = sum(len(mesh.faces) for mesh in data.truth.meshes)
-    with pytest.raises(UserError, match="tells of 1 meshes, expected 3"):
+    with pytest.raises(UserError, match="has 1 meshes, expected 3"):
         read_masks_npz(_changed(data, tmp_path / "wrong.npz", mesh_face_start=np.array([0, total])))
 
 
@@ -131,5 +131,5 @@ def test_no_file_and_a_damaged_one(tmp_path: Path) -> None:
     with pytest.raises(UserError, match="No file"):
         read_masks_npz(tmp_path / "none.npz")
     (tmp_path / "half.npz").write_bytes(b"PK\x03\x04 and no more")
-    with pytest.raises(UserError, match="not a whole"):
+    with pytest.raises(UserError, match="not a complete"):
         read_masks_npz(tmp_path / "half.npz")

@@ -169,7 +169,7 @@ def test_hands_and_faces_have_no_visibility(tmp_path: Path):
         ([{"landmarks": [{"x": 1, "y": 2}]}, {"landmarks": [{"x": 1, "y": 2}] * 2}], "2 landmarks, expected the 1"),
         ([{"landmarks": "x"}], "expected landmarks"),
         ([{"landmarks": None}], "no landmarks in it"),
-        ([{"landmarks": [{"x": 1, "y": 2}], "frame": -4}], "-4 is no frame number"),
+        ([{"landmarks": [{"x": 1, "y": 2}], "frame": -4}], "-4 is not a frame number"),
         ([{"landmarks": [{"x": 1e300, "y": 2}]}], "expected pixels"),
         ([{"landmarks": [[[[[[[[[[1]]]]]]]]]]}], "deeper than any landmarks"),
         ({"landmarks": []}, "no landmarks in it"),

@@ -236,7 +236,7 @@ def test_stamps_that_do_not_rise(tmp_path) -> None:
     assert "do not rise" in " ".join(data.notes)
     one["stamps"] = {"nose": [0, 0, 0, 0], "neck": [0, 1, 2]}
     one["series"]["neck"] = one["series"]["neck"][:3]
-    with pytest.raises(UserError, match="which of them are of one frame cannot be told"):
+    with pytest.raises(UserError, match="which of them are of one frame is unknown"):
         read(write_nwb(tmp_path / "b.nwb", {"behavior/pose": one}))
 
 
@@ -268,7 +268,7 @@ def test_frame_numbers_of_uneven_stamps() -> None:
     ("change", "says"),
     [
         ({"data": np.zeros((4, 4))}, "has shape (4, 4), expected (samples, 2) or (samples, 3)"),
-        ({"data": np.array(["x"], "S")}, "no array of numbers"),
+        ({"data": np.array(["x"], "S")}, "not an array of numbers"),
         ({"data": None}, "no array 'processing/behavior/pose/nose/data'"),
         ({"confidence": np.zeros(3)}, "'processing/behavior/pose/nose/confidence' has shape (3,), expected (4,)"),
         ({"confidence": np.zeros(4)}, "no visible keypoint"),

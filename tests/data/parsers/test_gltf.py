@@ -149,7 +149,7 @@ BREAKS: dict[str, tuple[Callable[[dict], object], str]] = {
     "nan": (lambda tree: tree["nodes"][0].update(scale=[float("nan")] * 3), "not 3 numbers"),
     "draco": (lambda tree: tree.update(extensionsRequired=["KHR_draco_mesh_compression"]), "without compression"),
     "version": (lambda tree: tree.update(asset={"version": "1.0"}), "version '1.0'"),
-    "nodes": (lambda tree: tree.update(nodes={"a": 1}), "no list of objects"),
+    "nodes": (lambda tree: tree.update(nodes={"a": 1}), "not a list of objects"),
     "lines": (lambda tree: tree["meshes"][0]["primitives"][0].update(mode=1), "no triangles"),
     "scene": (lambda tree: tree.update(scene=4), "refers to scenes 4"),
 }

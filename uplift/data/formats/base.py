@@ -15,6 +15,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any, Generic, TypeVar
 
+from uplift.data.parsers.files import HDF5_START
 from uplift.data.parsers.json import is_json
 from uplift.errors import UserError, nearest
 
@@ -169,7 +170,6 @@ def _content(peek: Peek) -> str:
 # What was given, and what a user says about it.
 
 _START = 65_536
-_HDF5 = b"\x89HDF\r\n\x1a\n"
 _TRIES = 100
 """Files of a folder that are opened to guess its format."""
 
@@ -246,14 +246,14 @@ class Peek:
 
     @cached_property
     def text(self) -> str:
-        """The start as text; nothing where it is none."""
+        """The start as text; empty where it is not text."""
         if b"\0" in self.start:
             return ""
         return self.start.decode("utf-8-sig", errors="replace")
 
     @cached_property
     def lines(self) -> list[str]:
-        """The whole lines of the start, without their ends."""
+        """The complete lines of the start, without their ends."""
         found = self.text.splitlines()
         return found if len(self.start) < _START else found[:-1]
 
@@ -271,7 +271,7 @@ class Peek:
     @cached_property
     def is_hdf5(self) -> bool:
         """Whether the file is HDF5."""
-        return self.start.startswith(_HDF5)
+        return self.start.startswith(HDF5_START)
 
     @cached_property
     def hdf5_names(self) -> tuple[str, ...]:
@@ -317,7 +317,7 @@ class Peek:
         return found if found is not None and found.json_sign else None
 
     def first_file(self, pattern: str) -> Path | None:
-        """Return the first file, by name, of a folder that fits ``pattern``; None where there is none."""
+        """Return the first file, by name, of a folder that fits ``pattern``; None without one."""
         return min(self.path.glob(pattern), default=None) if self.is_folder else None
 
 

@@ -12,7 +12,7 @@ import numpy as np
 from uplift.data.formats.base import Format, Peek, ReadOptions
 from uplift.data.formats.layouts import COCO, WHOLEBODY133, names_for
 from uplift.data.formats.rows import Bodies, name_of, pose_data, seen_by_flag
-from uplift.data.parsers.json import Numbers, entries, is_text, members, objects, shown, texts, whole
+from uplift.data.parsers.json import Numbers, entries, is_text, members, objects, shown, texts, whole_number
 from uplift.data.poses import PoseData
 from uplift.errors import UserError
 
@@ -49,7 +49,7 @@ def _image_of(record: dict[str, Any], where: str) -> tuple[Any, _Image]:
 
 
 def _category_of(record: dict[str, Any], where: str) -> tuple[Any, _Category]:
-    """Return the id and the rest of a category; raises UserError where its keypoints are no names."""
+    """Return the id and the rest of a category; raises UserError where its keypoints are not names."""
     joints, edges = record.get("keypoints"), record.get("skeleton")
     if joints is not None and not (isinstance(joints, list) and all(is_text(joint) for joint in joints)):
         raise UserError(f"{where} has keypoints {shown(joints)}, expected a list of names.")
@@ -243,7 +243,9 @@ class _Annotations:
     def _identity(self, images: list[_Image], rows: list[tuple]) -> dict[str, np.ndarray]:
         """Return sequence, frame and track where the file is of videos; image and annotation otherwise."""
         if all(image.video is not None and image.frame is not None for image in images):
-            frames = [whole(image.frame, f"{self.path}: image '{image.name:.60}'", "frame_id") for image in images]
+            frames = [
+                whole_number(image.frame, f"{self.path}: image '{image.name:.60}'", "frame_id") for image in images
+            ]
             found = {
                 "sequence": texts(self.path, [self.videos.get(str(i.video), str(i.video)) for i in images]),
                 "frame": np.array(frames, np.int64),
@@ -265,15 +267,15 @@ class _Annotations:
 
 
 def _flat(record: dict[str, Any], where: str) -> list[Any]:
-    """Return x, y, v of all keypoints of an annotation; those of a whole body stand in five lists."""
+    """Return x, y, v of all keypoints of an annotation; those of COCO-WholeBody stand in five lists."""
     table, values = Numbers("keypoints"), record["keypoints"]
     if "foot_kpts" in record or "lefthand_kpts" in record:
         values = [value for part in ("keypoints", *_PARTS) for value in table.flat(record.get(part), where)]
     if isinstance(values, list) and values and isinstance(values[0], list):  # triples in place of a flat list
         values = table.flat(values, where)
     if not isinstance(values, list) or len(values) % 3:
-        said = f"{len(values)} numbers" if isinstance(values, list) else shown(values)
-        raise UserError(f"{where} has {said} in 'keypoints', expected x, y, v of each keypoint.")
+        given = f"{len(values)} numbers" if isinstance(values, list) else shown(values)
+        raise UserError(f"{where} has {given} in 'keypoints', expected x, y, v of each keypoint.")
     return values
 
 
@@ -298,8 +300,8 @@ def _read_results(peek: Peek, options: ReadOptions) -> PoseData:
     if not len(bodies):
         raise UserError(f"{path} is an empty list, expected results of a detector.")
     values = numbers.triples(path)
-    names, told = names_for(path, values.shape[1], COCO, options, values)
-    notes = list(told)
+    names, more = names_for(path, values.shape[1], COCO, options, values)
+    notes = list(more)
     confidence = seen_by_flag(values[..., 2], notes)
     return pose_data(path, names, values[..., :2], confidence, bodies.images(bodies.name), notes=notes)
 

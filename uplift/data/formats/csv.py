@@ -109,7 +109,7 @@ class Columns:
 def columns_of(header: Sequence[str]) -> Columns | None:
     """Return what the columns hold; None where they hold no keypoints."""
     found = Columns({})
-    if any(head.endswith("_u_px") for head in header):  # our own predictions: beside the poses, what was seen
+    if any(head.endswith("_u_px") for head in header):  # predictions of uplift: beside the poses, what was seen
         header = [_PREDICTED.sub(lambda end: _SEEN.get(end[0], ""), head) for head in header]
     free: list[int] = []
     joint: dict[str, int] = {}
@@ -218,7 +218,7 @@ def _identity_of(table: Table, columns: Columns) -> Identity:
     """Return what the columns beside the keypoints say of the rows.
 
     Raises:
-        UserError: frame numbers, an image size or a rate that are none.
+        UserError: invalid frame numbers, image size or rate.
     """
     values = {role: table.words[place].values() for role, place in columns.identity.items()}
     found = Identity({role: text for role, text in values.items() if (text != "").any()})
@@ -255,7 +255,7 @@ def bodies_of(
         UserError: one body twice in one frame; as `rows_of`.
     """
     confidence = confidence_of(path, keypoints, scores)
-    _told_apart(path, found, keypoints, confidence, lines)
+    _identify(path, found, keypoints, confidence, lines)
     return rows_of(
         path,
         keypoints[:, None],
@@ -268,7 +268,7 @@ def bodies_of(
     )
 
 
-def _told_apart(
+def _identify(
     path: Path, found: Identity, keypoints: np.ndarray, confidence: np.ndarray, lines: np.ndarray | None
 ) -> None:
     """Number the frames where they have no numbers, and the bodies where one frame has several without names."""
@@ -294,7 +294,7 @@ def _told_apart(
 
 
 def _again(values: dict[str, np.ndarray], rows: int) -> int | None:
-    """Return a row whose frame another row of its clip has already; None where there is none."""
+    """Return a row whose frame another row of its clip has already; None without one."""
     both = by_appearance([values[key] for key in (*_CLIP, "frame", "image") if key in values], rows)[0]
     if np.bincount(both).max(initial=0) <= 1:
         return None
@@ -347,11 +347,11 @@ def _add_time(found: Identity, time: np.ndarray, head: str) -> None:
     if (np.abs(per_frame - usual) > _UNEVEN * usual).mean() > 0.05:
         found.notes.append(f"the times in '{head}' go up unevenly: frames a second are not known")
         return
-    unit, told = _unit(head, usual)
-    # Over the whole clip, where rounding of single times no longer counts.
+    unit, named = _unit(head, usual)
+    # Over the complete clip, where rounding of single times no longer counts.
     rate = frames[next_].sum() / step[next_].sum() / unit
     found.fps = found.fps or float(f"{rate:.9g}")
-    if not told:
+    if not named:
         name = {1.0: "seconds", 1e-3: "milliseconds", 1e-6: "microseconds"}[unit]
         found.notes.append(f"times in '{head}' are taken as {name}: {found.fps:g} frames a second")
     if "frame" not in values and "sequence" in values:
@@ -405,7 +405,7 @@ def _read_wide(
     values = table.numbers[:, : len(places)].reshape(len(table), len(joints), -1)
     keypoints = np.ascontiguousarray(values[..., :2])
     scores = values[..., 2] if scored else None
-    if extra:  # joints without a score are as sure as they are there
+    if extra:  # joints without a score have confidence 1 where they are there
         scores = np.ones(keypoints.shape[:2], np.float32)
         scores[:, [at for at, joint in enumerate(joints) if joint.score is not None]] = table.numbers[:, len(places) :]
     found = _identity_of(table, columns)
@@ -413,8 +413,8 @@ def _read_wide(
         scores = seen_by_flag(scores, found.notes)
     if rated is not None:
         scores = rated(scores, keypoints)
-    names, told = named(list(columns.joints))
-    return bodies_of(path, found, keypoints, scores, names, (*notes, *told), table.lines)
+    names, more = named(list(columns.joints))
+    return bodies_of(path, found, keypoints, scores, names, (*notes, *more), table.lines)
 
 
 # Read tables with one row for each joint of each frame.
@@ -450,8 +450,8 @@ def _read_long(
     if rated is not None:
         scores = rated(scores, keypoints)
     found.values = {key: value[first] for key, value in found.values.items()}
-    joints, told = named(names)
-    return bodies_of(path, found, keypoints, scores, joints, (*notes, *told), table.lines[first])
+    joints, more = named(names)
+    return bodies_of(path, found, keypoints, scores, joints, (*notes, *more), table.lines[first])
 
 
 def _joints(table: Table, column: int) -> tuple[list[str], np.ndarray]:
@@ -563,7 +563,9 @@ def write_keypoints_csv(data: PoseData, path: str | Path) -> None:
     if found is None or tuple(found.joints) != data.joint_names or found.twice or is_nameless(data.joint_names):
         read = () if found is None else found.joints
         wrong = next((name for name in data.joint_names if name not in read), data.joint_names[0])
-        raise UserError(f"cannot write {path}: the joint name '{wrong}' cannot be told from a column's. Write .npz.")
+        raise UserError(
+            f"cannot write {path}: the joint name '{wrong}' cannot be distinguished from a column's. Write .npz."
+        )
     beside = _beside(data)
     with replacing(path) as handle:
         text = io.TextIOWrapper(handle, encoding="utf-8", newline="")
@@ -573,7 +575,7 @@ def write_keypoints_csv(data: PoseData, path: str | Path) -> None:
             numbers = np.concatenate([data.keypoints[rows], data.confidence[rows][..., None]], -1)
             cells = as_text(numbers.reshape(len(numbers), -1))
             columns = [column[rows].tolist() for column in beside.values()]
-            lines.writerows([*own, *row] for *own, row in zip(*columns, cells.tolist(), strict=True))
+            lines.writerows([*others, *row] for *others, row in zip(*columns, cells.tolist(), strict=True))
         text.flush()
         text.detach()
 
@@ -586,7 +588,7 @@ def as_text(numbers: np.ndarray) -> np.ndarray:
 
 
 def _beside(data: PoseData) -> dict[str, np.ndarray]:
-    """Return the columns that are no keypoints."""
+    """Return the columns that are not keypoints."""
     keys = [key for key in ("frame", *IDENTITY_KEYS) if key in data.identity]
     columns = {key: data.identity[key] for key in dict.fromkeys(keys)}
     if data.fps is not None and "frame" in columns:

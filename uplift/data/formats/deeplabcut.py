@@ -18,7 +18,7 @@ from uplift.config.files import replacing
 from uplift.data.formats.base import Format, Peek, ReadOptions
 from uplift.data.formats.csv import as_text
 from uplift.data.formats.rows import frame_numbers, rows_of
-from uplift.data.parsers.files import bytes_of, check_memory
+from uplift.data.parsers.files import bytes_of, check_memory, reason_of
 from uplift.data.parsers.hdf5 import h5py_missing
 from uplift.data.parsers.pickles import Source, Unpickler
 from uplift.data.parsers.table import Table, first_lines, header_of
@@ -43,7 +43,7 @@ class _Layout:
     columns: np.ndarray
     """The columns that hold them, in order."""
     places: np.ndarray
-    """(individuals bodyparts 3) place in ``columns`` of x, y and likelihood; -1 where there is none."""
+    """(individuals bodyparts 3) place in ``columns`` of x, y and likelihood; -1 without any."""
     notes: tuple[str, ...]
 
 
@@ -57,7 +57,7 @@ def _layout_of(path: Path, columns: Sequence[tuple[str, ...]]) -> _Layout:
     columns = [column if len(column) == 4 else (column[0], "", *column[1:]) for column in columns]
     known = [column for column in columns if column[3] in _LOCATION]
     if any(column[3] == "z" for column in columns):
-        raise UserError(f"{path} has x, y and z: 3D poses, no 2D keypoints; it can be no input of a lifter.")
+        raise UserError(f"{path} has x, y and z: 3D poses, which cannot be lifted; expected 2D keypoints.")
     if not known:
         near = did_you_mean(others[0], _LOCATION) if others else ""
         raise UserError(f"{path}: no coords x and y in it (found {', '.join(others) or 'nothing'}).{near}")
@@ -92,7 +92,7 @@ def _pose_data(
     """Return the rows of a table: the numbers of `Layout.columns`, and (rows,) frame numbers or names of images.
 
     Raises:
-        UserError: no frame numbers, one twice, or numbers that are no keypoints.
+        UserError: no frame numbers, one twice, or numbers that are not keypoints.
     """
     values = _per_bodypart(layout, numbers)
     scores = values[..., 2] if (layout.places[..., 2] >= 0).any() else None
@@ -111,7 +111,7 @@ def _pose_data(
 
 
 def _per_bodypart(layout: _Layout, numbers: np.ndarray) -> np.ndarray:
-    """Return (rows individuals bodyparts 3); NaN where there is no column."""
+    """Return (rows individuals bodyparts 3); NaN where there is not a column."""
     if np.array_equal(layout.places.ravel(), np.arange(numbers.shape[1])):
         return numbers.reshape(-1, *layout.places.shape)
     if (layout.places >= 0).all():
@@ -161,7 +161,7 @@ def _read_deeplabcut_csv(peek: Peek) -> PoseData:
 
 
 def _csv_levels(peek: Peek) -> tuple[str, ...] | None:
-    """Return the rows of the header; None where it is none of DeepLabCut."""
+    """Return the rows of the header; None where it is not one of DeepLabCut."""
     if not peek.text.lstrip('\r\n "').startswith(_LEVELS[0][0]):
         return None
     for levels in _LEVELS:
@@ -179,7 +179,7 @@ def _is_number(text: str) -> bool:
 
 
 def _images(table: Table, columns: int) -> np.ndarray:
-    """Return (rows,) paths of images, whose folders may stand in columns of their own."""
+    """Return (rows,) paths of images, whose folders may stand in separate columns."""
     values = [table.words[place].values().tolist() for place in range(columns)]
     paths = ["/".join(part for part in parts if part).replace("\\", "/") for parts in zip(*values, strict=True)]
     if not all(paths):
@@ -226,8 +226,9 @@ def _read_deeplabcut_h5(path: Path) -> PoseData:
             group: Any = file[_key(path, _tables(file))]
             columns, numbers, index = _appendable(path, group) if "table" in group else _fixed(path, group)
     except _DAMAGE as error:
-        said = " ".join(str(error).split())[:200] or type(error).__name__
-        raise UserError(f"{path} cannot be read as a table of pandas: truncated or damaged? ({said})") from error
+        raise UserError(
+            f"{path} cannot be read as a table of pandas: truncated or damaged? ({reason_of(error)})"
+        ) from error
     if not columns or len({len(column) for column in columns}) != 1 or len(columns[0]) not in (3, 4):
         raise UserError(
             f"{path}: columns of {len(columns[0]) if columns else 0} levels, expected {', '.join(_LEVELS[0])}, "
@@ -328,7 +329,7 @@ def _array(path: Path, group: Any, name: str, *, records: bool = False) -> Any:
 
     item = group[name] if isinstance(group.get(name, getlink=True), h5py.HardLink) else None
     if not isinstance(item, h5py.Dataset) or item.external or item.is_virtual:
-        raise UserError(f"{path}: '{name}' is no array in the file itself.")
+        raise UserError(f"{path}: '{name}' is not an array in the file itself.")
     if item.dtype.hasobject:
         raise UserError(
             f"{path}: '{name}' holds pickled Python objects, which could run code and are never opened. "

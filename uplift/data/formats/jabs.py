@@ -63,7 +63,7 @@ def _read(peek: Peek, options: ReadOptions) -> PoseData:
 def _mice(file: Hdf5, shape: tuple[int, ...]) -> tuple[np.ndarray, np.ndarray]:
     """Return (frames, mice) which entries are filled, and the numbers of their mice.
 
-    From version 4 on mice are numbered by how they look, 0 for an entry that is none; version 3
+    From version 4 on mice are numbered by how they look, 0 for an entry without a mouse; version 3
     counts the entries of a frame, and numbers tracks.
     """
     later = file.has("poseest/instance_embed_id")

@@ -7,7 +7,7 @@ from pathlib import Path
 from uplift.data.formats.base import Format, Peek, ReadOptions
 from uplift.data.formats.layouts import KINETICS, names_for
 from uplift.data.formats.rows import Bodies, pose_data, shares_to_pixels
-from uplift.data.parsers.json import Numbers, json_files, members, objects, shown, whole
+from uplift.data.parsers.json import Numbers, json_files, members, objects, shown, whole_number
 from uplift.data.poses import PoseData
 from uplift.errors import UserError
 
@@ -43,7 +43,7 @@ def _read_file(file: Path, poses: Numbers, scores: Numbers, bodies: Bodies) -> N
         known = True
         for count, record in enumerate(objects(text, "'data'")):
             where = f"{file}: entry {count}"
-            frame = whole(record.get("frame_index"), where, "frame_index")
+            frame = whole_number(record.get("frame_index"), where, "frame_index")
             skeletons = record.get("skeleton")
             if not isinstance(skeletons, list):
                 raise UserError(f"{where} has skeleton {shown(skeletons)}, expected a list of skeletons.")

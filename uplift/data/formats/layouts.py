@@ -114,7 +114,7 @@ def names_for(
         UserError: the layout that the user names does not have that many.
     """
     if options.layout is not None:
-        return _told(path, count, options.layout), ()
+        return _names_of_layout(path, count, options.layout), ()
     if count in layouts:
         what, names = layouts[count]
         shipped = SHIPPED.get(count, ())
@@ -128,7 +128,7 @@ def names_for(
                 return _names_of(shipped[other][1]), (note,)
         return names, (f"keypoints have no names in the file: {count} of them are taken as {what}",)
     note = (
-        f"keypoints have no names in the file, and {count} are no known layout: named keypoint_0 to "
+        f"keypoints have no names in the file, and no known layout has {count}: named keypoint_0 to "
         f"keypoint_{count - 1}; say layout=SKELETON, or use a skeleton with these names"
     )
     return numbered(count), (note,)
@@ -139,7 +139,7 @@ def _likely(points: np.ndarray, names: tuple[str, ...], shipped: tuple[tuple[str
     seen = np.isfinite(points).all(-1) & (points[..., :2] != 0).any(-1)
     score = np.where(seen, points[..., 2] if points.shape[-1] > 2 else 1, 0)
     found = [names, *(_names_of(skeleton) for _, skeleton in shipped[1:])]
-    layouts = [(skeleton, own) for (_, skeleton), own in zip(shipped, found, strict=True)]
+    layouts = [(skeleton, joints) for (_, skeleton), joints in zip(shipped, found, strict=True)]
     return likely_layout(points[..., :2].astype(np.float32), score.astype(np.float32), layouts)
 
 
@@ -150,7 +150,7 @@ def _names_of(skeleton: str) -> tuple[str, ...]:
     return tuple(joint for joint in shipped.joints if joint not in shipped.midpoints)
 
 
-def _told(path: Path, count: int, layout: str) -> tuple[str, ...]:
+def _names_of_layout(path: Path, count: int, layout: str) -> tuple[str, ...]:
     from uplift.skeleton import load_skeleton
 
     skeleton = load_skeleton(layout)
@@ -197,9 +197,9 @@ def _bone_share(
     from uplift.skeleton.match import build_joints
 
     shipped = load_skeleton(skeleton)
-    points, sure, _ = build_joints(keypoints, confidence, names, shipped)
+    points, found, _ = build_joints(keypoints, confidence, names, shipped)
     one, other = shipped.bone_indices.T
-    seen = (sure[:, one] > 0) & (sure[:, other] > 0)
+    seen = (found[:, one] > 0) & (found[:, other] > 0)
     length = np.where(seen, np.linalg.norm(points[:, one] - points[:, other], axis=-1), 0)
     shown = np.isfinite(keypoints).all(-1) & (confidence > 0)
     low = np.where(shown[..., None], keypoints, np.inf).min(1)

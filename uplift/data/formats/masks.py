@@ -17,7 +17,7 @@ Item = TypeVar("Item")
 
 
 def gather(items: Iterator[Found | Skipped], options: MaskOptions, source: str, notes: list[str]) -> MaskData:
-    """Return the masks that `clean` takes, with ``notes`` (as they are at the end) and what it has to tell.
+    """Return the masks that `clean` takes, with ``notes`` (as they are at the end) and its report.
 
     Raises:
         UserError: none is left.

@@ -1,4 +1,4 @@
-"""COCO's JSON with segmentations: polygons and run lengths; data sets, and what detectors hand in."""
+"""COCO's JSON with segmentations: polygons and run lengths; data sets, and results of detectors."""
 
 from __future__ import annotations
 
@@ -101,10 +101,10 @@ def _window_of(
     raise _RecordError("empty")
 
 
-# COCO's JSON with segmentations: polygons and run lengths; data sets, and what detectors hand in.
+# COCO's JSON with segmentations: polygons and run lengths; data sets, and results of detectors.
 
 _UNKNOWN = (2**31, 2**31)
-"""Size of an image that is not told: only its left and upper border are known."""
+"""Size of an image that the file does not give: only its left and upper border are known."""
 
 
 @dataclass(frozen=True)
@@ -123,7 +123,7 @@ class _Record:
     category: str | None
     outline: _Outline | None
     reason: str = ""
-    """Why there is no outline."""
+    """Why there is not an outline."""
 
 
 @dataclass
@@ -184,7 +184,7 @@ def _read(peek: Peek, options: MaskOptions) -> MaskData:
 
 
 def _unsized(jobs: list[tuple[_File, _Record]]) -> list[str]:
-    """Return what there is to tell of polygons whose image has no size."""
+    """Return the note about polygons whose image has no size."""
     polygons = [(file, record) for file, record in jobs if record.outline and record.outline.polygons]
     unsized = sum(file.images.get(record.image, _Image("", None)).size is None for file, record in polygons)
     if not unsized:
@@ -198,7 +198,7 @@ def _load(path: Path) -> _File:
     file = _File(path)
     if path.is_dir():
         raise UserError(f"{path} is a folder, expected COCO's JSON: give the file in it.")
-    if JsonText(path).next_sign() == "[":  # what a detector hands in
+    if JsonText(path).next_sign() == "[":  # results of a detector
         for _, record in entries(path, "the list"):
             file.annotation(record)
         return file

@@ -78,7 +78,7 @@ def read_masks_npz(path: str | Path) -> MaskData:
     """Read masks written by `write_masks_npz`, or by hand in the same layout; only ``masks`` must be there.
 
     Raises:
-        UserError: missing or unknown arrays, wrong kinds, shapes or ranges, meshes that are none.
+        UserError: missing or unknown arrays, wrong kinds, shapes or ranges, invalid meshes.
     """
     arrays = read_arrays(path, _KNOWN, others=False)
     file = CheckedArrays(str(path), arrays)
@@ -117,7 +117,7 @@ def _truth(file: CheckedArrays, items: int) -> Placed | None:
     assert view is not None
     error = np.abs(view @ view.transpose(0, 2, 1) - np.eye(3)).max((1, 2)) + (np.linalg.det(view) < 0)
     if (error > _TURN_ERROR).any():
-        raise UserError(f"{file.where}: 'view' of item {int(error.argmax())} is no rotation.")
+        raise UserError(f"{file.where}: 'view' of item {int(error.argmax())} is not a rotation.")
     parts = {
         "shape": file.indices("shape", (items,), len(meshes)),
         "scale": file.numbers("scale", (items,), above=0),
@@ -141,16 +141,16 @@ def _meshes(file: CheckedArrays) -> Sequence[Mesh]:
     assert names is not None
     assert category is not None
     if len(face_start) != count + 1:
-        raise UserError(f"{file.where}: 'mesh_face_start' tells of {len(face_start) - 1} meshes, expected {count}.")
+        raise UserError(f"{file.where}: 'mesh_face_start' has {len(face_start) - 1} meshes, expected {count}.")
     found = []
     for number in range(count):
-        own = faces[face_start[number] : face_start[number + 1]]
+        corners_of = faces[face_start[number] : face_start[number + 1]]
         corners = vertices[vertex_start[number] : vertex_start[number + 1]].astype(np.float64)
-        if own.max() >= len(corners):
+        if corners_of.max() >= len(corners):
             raise UserError(
-                f"{file.where}: 'mesh_faces' of mesh {number} goes up to {own.max()}, it has {len(corners)} vertices."
+                f"{file.where}: 'mesh_faces' of mesh {number} goes up to {corners_of.max()}, it has {len(corners)} vertices."
             )
-        found.append(Mesh(corners, own, str(names[number]), str(category[number])))
+        found.append(Mesh(corners, corners_of, str(names[number]), str(category[number])))
     return found
 
 

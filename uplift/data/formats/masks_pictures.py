@@ -28,10 +28,10 @@ def _are_masks(peek: Peek) -> bool:
 def _read_masks(peek: Peek, options: MaskOptions) -> MaskData:
     notes: list[str] = []
     places = _places_in(peek, options, notes)
-    told: Counter[str] = Counter()
+    counts: Counter[str] = Counter()
     photos = Photos(options.images)
-    data = gather(_mask_items(places, options, photos, told), options, peek.where, notes)
-    more = [f"{told['inverted']:,} masks are black on white, and were inverted"] if told["inverted"] else []
+    data = gather(_mask_items(places, options, photos, counts), options, peek.where, notes)
+    more = [f"{counts['inverted']:,} masks are black on white, and were inverted"] if counts["inverted"] else []
     data.notes = (*more, *photos.notes(), *data.notes)
     return data
 
@@ -54,7 +54,7 @@ def _places_in(peek: Peek, options: MaskOptions, notes: list[str]) -> list[Place
 
 
 def _mask_items(
-    places: list[Place], options: MaskOptions, photos: Photos, told: Counter[str]
+    places: list[Place], options: MaskOptions, photos: Photos, counts: Counter[str]
 ) -> Iterator[Found | Skipped]:
     for order, place in shuffled(places, options):
         try:
@@ -67,7 +67,7 @@ def _mask_items(
             yield Skipped(place.name, kind)
             continue
         mask, inverted = _object_of(picture)
-        told["inverted"] += inverted
+        counts["inverted"] += inverted
         yield Found(place.name, mask, place.category, photos.of_mask(place.name), order=order)
 
 
@@ -110,25 +110,25 @@ def _read_labels(peek: Peek, options: MaskOptions) -> MaskData:
     places = _places_in(peek, replace(options, category=()), notes)
     instances = [place for place in places if place.path.name.endswith(_CITYSCAPES)]
     if instances and len(instances) < len(places):
-        notes.append(f"{len(places) - len(instances):,} pictures that are no *{_CITYSCAPES} were left out")
+        notes.append(f"{len(places) - len(instances):,} pictures that are not *{_CITYSCAPES} were left out")
     known = set(_CITYSCAPES_CLASSES.values()) if instances else {place.category for place in places}
     taken = wanted(options, known, peek.where) | ({""} if not options.category else set())
-    told: Counter[str] = Counter()
+    counts: Counter[str] = Counter()
     photos = Photos(options.images)
     places = instances or [place for place in places if place.category in taken]
     items = (
         item
-        for item in _label_items(places, options, photos, told)
+        for item in _label_items(places, options, photos, counts)
         if isinstance(item, Skipped) or item.category in taken
     )
     data = gather(items, options, peek.where, notes)
-    more = [text.format(told[key]) for key, text in _NOTES.items() if told[key]]
+    more = [text.format(counts[key]) for key, text in _NOTES.items() if counts[key]]
     data.notes = (*more, *photos.notes(), *data.notes)
     return data
 
 
 def _label_items(
-    places: list[Place], options: MaskOptions, photos: Photos, told: Counter[str]
+    places: list[Place], options: MaskOptions, photos: Photos, counts: Counter[str]
 ) -> Iterator[Found | Skipped]:
     for order, place in shuffled(places, options):
         try:
@@ -137,16 +137,16 @@ def _label_items(
             yield Skipped(place.name, str(error))
             continue
         if picture.alpha:
-            told["alpha"] += 1
+            counts["alpha"] += 1
             yield Found(place.name, picture.values, place.category, photos.of_mask(place.name), order=order)
             continue
         if picture.lossy:
             picture = Picture(_object_of(picture)[0].astype(np.uint8))
-        yield from _objects(picture.values, place, photos, told, order)
+        yield from _objects(picture.values, place, photos, counts, order)
 
 
 def _objects(
-    values: np.ndarray, place: Place, photos: Photos, told: Counter[str], order: int
+    values: np.ndarray, place: Place, photos: Photos, counts: Counter[str], order: int
 ) -> Iterator[Found | Skipped]:
     """Yield each object of a label image, in the window around it."""
     ids, numbers = _numbered(values)
@@ -155,7 +155,7 @@ def _objects(
         yield Skipped(place.name, "no_background")
         return
     void = 255 if values.dtype == np.uint8 and len(ids) > 2 else None
-    told["void"] += int(void in ids)
+    counts["void"] += int(void in ids)
     image = photos.of_mask(
         place.name.removesuffix(f"_gtFine{_CITYSCAPES}") + "_leftImg8bit.png" if cityscapes else place.name
     )
@@ -164,7 +164,7 @@ def _objects(
         if id_ == 0 or id_ == void or window is None:
             continue
         if cityscapes and id_ < 1000:
-            told["stuff"] += 1
+            counts["stuff"] += 1
             continue
         category = _CITYSCAPES_CLASSES.get(id_ // 1000, "") if cityscapes else place.category
         yield Found(

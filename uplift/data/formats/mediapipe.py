@@ -31,7 +31,7 @@ _POSE33 = (
     "left_thumb", "right_thumb", "left_hip", "right_hip", "left_knee", "right_knee", "left_ankle", "right_ankle",
     "left_heel", "right_heel", "left_foot_index", "right_foot_index",
 )  # fmt: skip
-_NO_DEPTH = "z of MediaPipe is left out: it is a guess of the same network, no measurement"
+_NO_DEPTH = "z of MediaPipe is left out: it is an estimate of the same network, not a measurement"
 _TELLING = {"lefteyeinner", "mouthleft", "leftfootindex", "leftpinky", "indexfingermcp", "ringfingerpip"}
 _WORLD_NOTE = (
     "world landmarks, in metres about the hips and seen straight on, without perspective: x and y are taken as they "
@@ -73,8 +73,8 @@ def _landmark_names(path: Path, names: Sequence[str], options: ReadOptions) -> t
         return tuple(name.split(".")[-1] for name in names), ()  # PoseLandmark.NOSE, as Python prints it
     numbers = [int(re.sub(r"\D", "", name)) for name in names]
     if len(names) not in _COUNTS and options.layout is None and max(numbers, default=99) < len(_POSE33):
-        told = f"landmarks have no names in the file: numbers are taken as {_BODY}'s"
-        return tuple(_POSE33[number] for number in numbers), (told,)
+        note = f"landmarks have no names in the file: numbers are taken as {_BODY}'s"
+        return tuple(_POSE33[number] for number in numbers), (note,)
     return names_for(path, len(names), _COUNTS, options)
 
 
@@ -191,7 +191,7 @@ def _name(mark: Any, place: int) -> str:
 
 
 def _values_of(mark: Any) -> tuple[float, float, float] | None:
-    """Return x, y and visibility, NaN for what is null or not there; None where they are no numbers."""
+    """Return x, y and visibility, NaN for what is null or not there; None where they are not numbers."""
     if isinstance(mark, dict):
         found = [mark.get("x"), mark.get("y"), next((mark[key] for key in _SCORES if key in mark), None)]
     elif isinstance(mark, list) and 2 <= len(mark) <= 5:
@@ -281,7 +281,7 @@ def _is_world_column(name: str) -> bool:
 
 _FRAMES = ("frames", "data", "results", "landmarks", "poselandmarks", "poses", "sequence", "predictions")
 _NUMBER = ("frame", "framenumber", "frameindex", "frameidx", "frameid", "index")
-_TOLD = {
+_FACTS = {
     "fps": "fps", "framerate": "fps", "width": "width", "height": "height", "imagewidth": "width",
     "imageheight": "height", "videowidth": "width", "videoheight": "height", "framewidth": "width",
     "frameheight": "height",
@@ -317,30 +317,30 @@ class _Read:
 
     def __init__(self, path: Path):
         self.path = path
-        self.told: dict[str, float] = {}
+        self.facts: dict[str, float] = {}
         self.names: list[str] = []
         self.rows: list[np.ndarray] = []
         self.frame: list[float] = []
         self.deep = False
 
-    def tell(self, key: str, value: Any) -> None:
-        """Take what the file says of the whole video."""
+    def add_fact(self, key: str, value: Any) -> None:
+        """Take what the file says about the video."""
         if isinstance(value, dict):
             for inner, one in value.items():
                 if not isinstance(one, dict | list):
-                    self.tell(inner, one)
+                    self.add_fact(inner, one)
         elif _plain_key(key) in ("imagesize", "resolution") and isinstance(value, list) and len(value) == 2:
-            self.tell("width", value[0])
-            self.tell("height", value[1])
-        elif _plain_key(key) in _TOLD and _is_number(value) and 0 < value < 1e6:
-            self.told[_TOLD[_plain_key(key)]] = float(value)
+            self.add_fact("width", value[0])
+            self.add_fact("height", value[1])
+        elif _plain_key(key) in _FACTS and _is_number(value) and 0 < value < 1e6:
+            self.facts[_FACTS[_plain_key(key)]] = float(value)
 
     def add(self, place: int, number: float | None, frame: Any) -> None:
         """Take the bodies of a frame; ``place`` counts frames."""
         if isinstance(frame, dict):
             keys = {_plain_key(key): key for key in frame}
-            own = next((frame[keys[key]] for key in _NUMBER if key in keys), None)
-            number = float(own) if _is_number(own) else number
+            given = next((frame[keys[key]] for key in _NUMBER if key in keys), None)
+            number = float(given) if _is_number(given) else number
         for body in _bodies_in(frame, self._where(place), 0):
             self._add_body(body, self._where(place))
             self.frame.append(float(place) if number is None else number)
@@ -355,9 +355,9 @@ class _Read:
         frame = frame_numbers(self.path, np.array(self.frame))
         scores = None if np.isnan(values[..., 2]).all() else values[..., 2]
         keypoints = np.ascontiguousarray(values[..., :2])
-        found = Identity({"sequence": np.full(len(frame), self.path.stem), "frame": frame}, self.told.get("fps"))
-        if {"width", "height"} <= set(self.told):
-            found.image_size = int(self.told["width"]), int(self.told["height"])
+        found = Identity({"sequence": np.full(len(frame), self.path.stem), "frame": frame}, self.facts.get("fps"))
+        if {"width", "height"} <= set(self.facts):
+            found.image_size = int(self.facts["width"]), int(self.facts["height"])
         names, notes = _landmark_names(self.path, self.names, options)
         notes = (*notes, _NO_DEPTH) if self.deep else notes
         return bodies_of(self.path, found, keypoints, _without_flags(scores, keypoints), names, notes)
@@ -389,7 +389,7 @@ class _Read:
 
 
 def _frames(path: Path, read: _Read) -> Iterator[tuple[int, float | None, Any]]:
-    """Yield place, number where the file says one, and content of each frame; the rest is told to ``read``."""
+    """Yield place, number where the file says one, and content of each frame; ``read`` takes the rest."""
     text = JsonText(path)
     if text.next_sign() == "[":
         at = text.at
@@ -415,7 +415,7 @@ def _frames(path: Path, read: _Read) -> Iterator[tuple[int, float | None, Any]]:
             rest[key] = kept
             continue
         value = text.value()
-        read.tell(key, value)
+        read.add_fact(key, value)
         rest[key] = value
     if done:
         return
@@ -467,11 +467,11 @@ def _read_mediapipe_npz(path: Path, options: ReadOptions) -> PoseData:
     keypoints = np.ascontiguousarray(values[..., :2]).reshape(-1, joints, 2)
     scores = _without_flags(None if scores is None else scores.reshape(-1, joints), keypoints)
     found = Identity({"sequence": np.full(frames * bodies, path.stem), "frame": np.repeat(frame, bodies)}, notes=notes)
-    names, told = _landmark_names(path, [str(number) for number in range(joints)], options)
+    names, more = _landmark_names(path, [str(number) for number in range(joints)], options)
     found.fps, found.image_size = _number(arrays, "fps"), _size(arrays)
     seen = (confidence_of(path, keypoints, scores) > 0).any(1)  # places for bodies that a frame does not have
     found.values = {key: value[seen] for key, value in found.values.items()}
-    data = bodies_of(path, found, keypoints[seen], None if scores is None else scores[seen], names, told)
+    data = bodies_of(path, found, keypoints[seen], None if scores is None else scores[seen], names, more)
     return _placed(data, options)
 
 
@@ -513,7 +513,7 @@ def _size(arrays: dict[str, np.ndarray]) -> tuple[int, int] | None:
     return int(sides[0]), int(sides[1])
 
 
-# MediaPipe, which writes no files of its own: landmarks as scripts keep them in csv, JSON or npz.
+# Which of the three a file is.
 
 
 def _fits(peek: Peek) -> bool:

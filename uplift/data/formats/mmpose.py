@@ -9,7 +9,7 @@ from typing import Any
 from uplift.data.formats.base import Format, Peek, ReadOptions
 from uplift.data.formats.layouts import MMPOSE, names_for
 from uplift.data.formats.rows import Bodies, pose_data, track_of
-from uplift.data.parsers.json import JsonText, Numbers, is_text, items, json_files, members, shown, whole
+from uplift.data.parsers.json import JsonText, Numbers, is_text, items, json_files, members, shown, whole_number
 from uplift.data.poses import PoseData
 from uplift.errors import UserError
 
@@ -67,7 +67,7 @@ def _read(peek: Peek, options: ReadOptions) -> PoseData:
         raise UserError(f"{path}: no instance in {'any file of it' if path.is_dir() else 'it'}.")
     if found.size == 3:
         raise UserError(
-            f"{path} has keypoints of three coordinates: 3D poses, or a third number that is no score. Expected 2D "
+            f"{path} has keypoints of three coordinates: 3D poses, or a third number that is not a score. Expected 2D "
             "predictions, [x, y] each."
         )
     keypoints = found.keypoints.array(found.scores.width or 0, 2)
@@ -113,7 +113,7 @@ def _take(found: _Found, text: JsonText) -> None:
             continue
         frame, instances = count, entry
         if isinstance(entry, dict):
-            frame = whole(entry.get("frame_id", count), where, "frame_id")
+            frame = whole_number(entry.get("frame_id", count), where, "frame_id")
             instances = entry["instances"]
         if not isinstance(instances, list):
             raise UserError(f"{where} is {shown(entry)}, expected a list of instances.")
@@ -122,7 +122,7 @@ def _take(found: _Found, text: JsonText) -> None:
 
 
 class _Meta:
-    """What a file says of its data set: names, lines and partners."""
+    """What a file says about its data set: names, lines and partners."""
 
     def __init__(self, path: Path, meta: dict[str, Any] | None, count: int):
         self.path, self.meta, self.count = path, meta or {}, count
@@ -135,8 +135,8 @@ class _Meta:
         if names is None:
             return None
         if not isinstance(names, dict) or len(names) != self.count:
-            said = f"names {len(names)} keypoints" if isinstance(names, dict) else "has no names by number"
-            raise UserError(f"{self.path}: 'meta_info' {said}, but instances have {self.count}.")
+            given = f"names {len(names)} keypoints" if isinstance(names, dict) else "has no names by number"
+            raise UserError(f"{self.path}: 'meta_info' {given}, but instances have {self.count}.")
         found = [names.get(str(place)) for place in range(self.count)]
         if not all(is_text(name) for name in found):
             raise UserError(
@@ -145,7 +145,7 @@ class _Meta:
         return tuple(map(str, found))
 
     def pairs(self, key: str, names: tuple[str, ...]) -> tuple[tuple[str, str], ...]:
-        """Return pairs of places (counted from 0) under ``key`` by name; those that are none are left out."""
+        """Return pairs of places (counted from 0) under ``key`` by name; others are left out."""
         found = self.meta.get(key)
         good = [
             pair

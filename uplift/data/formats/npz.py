@@ -75,7 +75,7 @@ def read_npz(path: str | Path) -> PoseData:
 
 
 def joint_names_of(where: str, arrays: dict[str, np.ndarray]) -> tuple[str, ...]:
-    """Return the joint names of a file's arrays; raises UserError where they are no list of text."""
+    """Return the joint names of a file's arrays; raises UserError where they are not a list of text."""
     names = arrays["joint_names"]
     if names.ndim != 1 or names.dtype.kind not in "US":
         raise UserError(f"{where}: 'joint_names' is {names.dtype} of shape {names.shape}, expected text (joints,).")
@@ -122,7 +122,7 @@ def _identity(where: str, arrays: dict, name: str, frames: int) -> np.ndarray:
 def _photos(identity: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
     """Return sequences that are named as photos are, and have no frame numbers, as `image`.
 
-    The people in one photo are no clip of one body.
+    The people in one photo are not a clip of one body.
     """
     names = identity.get("sequence")
     if names is None or names.dtype.kind != "U" or not len(names) or {"frame", "image"} & set(identity):
@@ -153,7 +153,7 @@ def _image_size(where: str, arrays: dict) -> tuple[int, int] | None:
 
 
 def _fits(peek: Peek) -> bool:
-    return peek.ending == ".npz"  # the last to be asked: whatever is wrong with it is told in full
+    return peek.ending == ".npz"  # the last to be asked: its errors say in full what is wrong
 
 
 def _read(peek: Peek, options: ReadOptions) -> PoseData:
@@ -210,7 +210,7 @@ def contents_of(path: Path, options: ReadOptions | None = None) -> _Contents:
     """Return what the file at ``path`` holds: out of the headers of an npz of this project, of others by reading them.
 
     Raises:
-        UserError: it is not whole, or of no known format.
+        UserError: it is damaged, or of no known format.
     """
     options = options or ReadOptions()
     if (options.format or KEYPOINT_FORMATS.guess(path).name) != "npz":

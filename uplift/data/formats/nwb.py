@@ -77,8 +77,8 @@ def _series_of(file: Hdf5, place: str) -> tuple[list[_Series], list[str]]:
         if file.is_elsewhere(where):
             notes.append(f"'{where}' lies in another file and is left out")
         elif file.attribute(where, "neurodata_type") == "PoseEstimationSeries":
-            series, told = _series(file, where, name)
-            notes += told
+            series, more = _series(file, where, name)
+            notes += more
             if len(series.points):
                 found.append(series)
     return found, notes
@@ -95,10 +95,10 @@ def _series(file: Hdf5, where: str, name: str) -> tuple[_Series, list[str]]:
         points = points * factor + (offset if isinstance(offset, (int, float)) else 0.0)
     unit = str(file.attribute(f"{where}/data", "unit") or "")
     if unit.lower() not in _PIXELS:
-        notes.append(f"the unit of points is said to be '{unit}', not pixels")
+        notes.append(f"the unit of points is given as '{unit}', not pixels")
     frame = file.text(f"{where}/reference_frame")
     if "bottom" in frame.lower():
-        notes.append(f"the reference frame is said to be '{frame}': y is taken to point down all the same")
+        notes.append(f"the reference frame is given as '{frame}': y is taken to point down all the same")
     score = np.ones(len(points), np.float32)
     if file.has(f"{where}/confidence"):
         score = file.array(f"{where}/confidence")
@@ -123,7 +123,7 @@ def _stamps(file: Hdf5, where: str, samples: int) -> np.ndarray:
 
 
 def _linked(file: Hdf5, place: str, *kinds: str) -> str | None:
-    """Return the place of the first group of some kind inside another, as a rule a link; None where there is none."""
+    """Return the place of the first group of some kind inside another, as a rule a link; None without one."""
     inside = [f"{place}/{name}" for name in file.names(place) if file.is_group(f"{place}/{name}")]
     return next((where for where in inside if file.attribute(where, "neurodata_type") in kinds), None)
 
@@ -348,8 +348,8 @@ def _read(peek: Peek, options: ReadOptions) -> PoseData:
             )
         containers, notes = [], []
         for place in places["PoseEstimation"]:
-            series, told = _series_of(file, place)
-            notes += told
+            series, more = _series_of(file, place)
+            notes += more
             if series:
                 nodes, bones = _nodes_and_bones(file, place, [one.name for one in series])
                 containers.append(_Container(place, series, nodes, bones, _video_of(file, place)))
@@ -368,9 +368,9 @@ def _data(path: Path, containers: list[_Container], notes: list[str]) -> PoseDat
         by_video.setdefault((sequence, one.video.camera), []).append(one)
     parts, steps = [], []
     for (sequence, camera), mine in by_video.items():
-        numbers, step, told = _numbers(path, mine)
+        numbers, step, more = _numbers(path, mine)
         steps.append(step)
-        notes += told
+        notes += more
         for one, frames in zip(mine, numbers, strict=True):
             label = one.name.removeprefix("track=") if len(mine) > 1 or one.name.startswith("track=") else ""
             parts.append(_part(path, one, frames, names) | {"sequence": sequence, "camera": camera, "instance": label})
@@ -430,7 +430,7 @@ def _numbers(path: Path, containers: list[_Container]) -> tuple[list[list[np.nda
         if len(lengths) > 1:
             raise UserError(
                 f"{path}: '{containers[0].place}' has time stamps that do not rise, and series of "
-                f"{' and '.join(map(str, lengths))} samples: which of them are of one frame cannot be told."
+                f"{' and '.join(map(str, lengths))} samples: which of them are of one frame is unknown."
             )
         frames = [np.arange(lengths[0])] * len(stamps)
         notes.append("time stamps do not rise: frames are the places of samples")
@@ -461,18 +461,18 @@ def _rises(stamps: np.ndarray) -> bool:
 def _part(path: Path, one: _Container, frames: list[np.ndarray], names: list[str]) -> dict:
     """Return the rows of one body in which a keypoint is visible."""
     different, place = _different(frames)
-    own = different[0] if len(different) == 1 else np.unique(np.concatenate(different))
-    rows = [slice(None) if frame is own else np.searchsorted(own, frame) for frame in different]
-    check_memory(path, f"'{one.place}'", 32 * len(names) * len(own))
-    keypoints = np.full((len(own), len(names), 2), np.nan, np.float32)
-    score = np.zeros((len(own), len(names)), np.float32)
+    union = different[0] if len(different) == 1 else np.unique(np.concatenate(different))
+    rows = [slice(None) if frame is union else np.searchsorted(union, frame) for frame in different]
+    check_memory(path, f"'{one.place}'", 32 * len(names) * len(union))
+    keypoints = np.full((len(union), len(names), 2), np.nan, np.float32)
+    score = np.zeros((len(union), len(names)), np.float32)
     for series, number in zip(one.series, place, strict=True):
         column = names.index(series.name)
         keypoints[rows[number], column] = as_float32(series.points)
         score[rows[number], column] = as_float32(series.score)
     points, confidence = visible_only(keypoints, score)
     seen = np.any(confidence > 0, axis=-1)
-    return {"keypoints": points[seen], "confidence": confidence[seen], "frame": own[seen]}
+    return {"keypoints": points[seen], "confidence": confidence[seen], "frame": union[seen]}
 
 
 def _fits(peek: Peek) -> bool:

@@ -46,7 +46,9 @@ def _read(peek: Peek, options: ReadOptions) -> PoseData:
             file_of.append(number)
             tracks.append(track_of(person.get("person_id"), where, "person_id", listed=True))
     if not file_of:
-        raise UserError(f"{path}: nobody with 2D keypoints ('pose_keypoints_2d' and the like) in {len(files):,} files.")
+        raise UserError(
+            f"{path}: no person with 2D keypoints ('pose_keypoints_2d' and the like) in {len(files):,} files."
+        )
     values, names, notes = _joined(path, parts, rows, len(file_of), options)
     identity = _identity(path, files, file_of, tracks)
     return pose_data(path, names, values[..., :2], values[..., 2], identity, notes=notes)
@@ -58,7 +60,7 @@ def _people(file: Path) -> Iterator[tuple[dict[str, Any], str]]:
     if not isinstance(people, list):
         raise UserError(
             f"{file} has no list of 'people', expected what OpenPose writes for a frame. Keep files of other kinds "
-            "in folders of their own."
+            "in other folders."
         )
     for count, person in enumerate(people):
         where = f"{file}: person {count}"
@@ -89,10 +91,10 @@ def _joined(
         triples = numbers.triples(path)
         count = triples.shape[1]
         if part == "pose":
-            own, told = names_for(path, count, OPENPOSE, options, triples)
-            notes += told
+            joints, more = names_for(path, count, OPENPOSE, options, triples)
+            notes += more
         else:
-            own = _NAMES[part] if len(_NAMES[part]) == count else tuple(f"{part}_{name}" for name in numbered(count))
+            joints = _NAMES[part] if len(_NAMES[part]) == count else tuple(f"{part}_{name}" for name in numbered(count))
         if people * count > 20 * numbers.rows * count + 10_000_000:
             raise UserError(
                 f"{path}: only {numbers.rows:,} of {people:,} people have '{numbers.what}': a damaged file?"
@@ -100,7 +102,7 @@ def _joined(
         values = np.zeros((people, count, 3), np.float32)
         values[rows[part]] = triples
         found.append(values)
-        names += own
+        names += joints
     return np.concatenate(found, 1), tuple(names), notes
 
 

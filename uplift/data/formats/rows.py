@@ -48,7 +48,7 @@ _T = TypeVar("_T")
 def visible_only(
     keypoints: Num[np.ndarray, "... 2"], score: Num[np.ndarray, "..."]
 ) -> tuple[Float32[np.ndarray, "... 2"], Float32[np.ndarray, "..."]]:
-    """Return keypoints with NaN, and confidence 0..1 with 0, where a coordinate is no number or the score is not over 0.
+    """Return keypoints with NaN, and confidence 0..1 with 0, where a coordinate is not a number or the score is not over 0.
 
     Scores over 1 are clipped: heat maps peak a little over it.
     """
@@ -272,9 +272,9 @@ def pose_data(
     if not seen.all():
         keypoints, confidence = keypoints[seen], confidence[seen]
         identity = {key: value[seen] for key, value in identity.items()}
-    told = list(notes)
+    found = list(notes)
     if "frame" in identity:
-        identity, order = _clips(keypoints, confidence, identity, told)
+        identity, order = _clips(keypoints, confidence, identity, found)
         if order is not None:
             keypoints, confidence = keypoints[order], confidence[order]
             identity = {key: value[order] for key, value in identity.items()}
@@ -283,7 +283,7 @@ def pose_data(
         confidence=confidence,
         joint_names=tuple(names),
         identity=identity,
-        notes=tuple(told),
+        notes=tuple(found),
         source=str(path),
         **known,  # type: ignore[arg-type]
     )
@@ -311,8 +311,8 @@ def _clips(
     nameless = track == ""
     if not nameless.all():
         tracks, who = codes_of(track)
-        own = (place * len(tracks) + who)[~nameless]
-        if len(np.unique(own)) < len(own):
+        taken = (place * len(tracks) + who)[~nameless]
+        if len(np.unique(taken)) < len(taken):
             notes.append(_TWICE)
             nameless[:] = True
         elif nameless.any():
@@ -350,7 +350,7 @@ def _order(video: np.ndarray, track: np.ndarray | None, frame: np.ndarray) -> np
 def seen_by_flag(third: Float[np.ndarray, "rows joints"], notes: list[str]) -> Float[np.ndarray, "rows joints"]:
     """Return the confidence that COCO's third numbers stand for: 0 missing, 1 occluded, 2 visible; or scores.
 
-    Where no number is 2, 1 is taken as visible; where any is none of the three, all are scores.
+    Where no number is 2, 1 is taken as visible; where any is another number, all are scores.
     """
     if not (np.isin(third, (0, 1, 2)) | ~np.isfinite(third)).all():
         return third
@@ -469,7 +469,7 @@ def name_of(value: Any, where: str, key: str) -> str:
     raise UserError(f"{where} has {key} {shown(value)}, expected a number or a name.")
 
 
-# From the numbers of a table to rows of keypoints: what is missing, how sure, and who is seen.
+# From the numbers of a table to rows of keypoints: what is missing, its confidence, and who is seen.
 
 _FARTHEST_PX = 1e7
 _MOST_CONFIDENT = 2.0  # heat maps peak a little over 1
@@ -492,7 +492,7 @@ def rows_of(
     scores that are NaN or at most 0, and, where the file has no scores, keypoints at exactly (0, 0).
 
     Raises:
-        UserError: coordinates beyond any image, scores that are no shares, a name twice, no visible joint.
+        UserError: coordinates beyond any image, scores that are not between 0 and 1, a name twice, no visible joint.
     """
     _check_names(path, names, "joint")
     _check_names(path, bodies, "individual")
@@ -509,10 +509,10 @@ def rows_of(
     if order is not None:
         frame, body = frame[order], body[order]
         rows = {key: values[order] for key, values in rows.items()}
-    whole = seen.shape[1] == 1 and len(frame) == seen.size and order is None
+    complete = seen.shape[1] == 1 and len(frame) == seen.size and order is None
     return PoseData(
-        keypoints=keypoints[:, 0] if whole else keypoints[frame, body],
-        confidence=confidence[:, 0] if whole else confidence[frame, body],
+        keypoints=keypoints[:, 0] if complete else keypoints[frame, body],
+        confidence=confidence[:, 0] if complete else confidence[frame, body],
         joint_names=tuple(names),
         identity=rows,
         source=str(path),
@@ -557,11 +557,11 @@ def _check_names(path: Path, names: Sequence[str], what: str) -> None:
 def frame_numbers(
     path: Path, numbers: np.ndarray, lines: np.ndarray | None = None, *, once: bool = False
 ) -> np.ndarray:
-    """Return frame numbers as int64; with ``once`` none may come twice. Raises UserError for what is none."""
-    whole = np.isfinite(numbers) & (numbers >= 0) & (numbers < _LAST_FRAME) & (np.floor(numbers) == numbers)
-    if not whole.all():
-        row = int(np.argmin(whole))
-        raise UserError(f"{_place(path, lines, row)}: {numbers[row]:g} is no frame number, expected 0, 1, 2, ...")
+    """Return frame numbers as int64; with ``once`` none may come twice. Raises UserError for other numbers."""
+    valid = np.isfinite(numbers) & (numbers >= 0) & (numbers < _LAST_FRAME) & (np.floor(numbers) == numbers)
+    if not valid.all():
+        row = int(np.argmin(valid))
+        raise UserError(f"{_place(path, lines, row)}: {numbers[row]:g} is not a frame number, expected 0, 1, 2, ...")
     frame = numbers.astype(np.int64)
     if once and len(frame) > 1 and not (np.diff(frame) > 0).all():
         order = np.argsort(frame, kind="stable")
@@ -577,7 +577,7 @@ def _place(path: Path, lines: np.ndarray | None, row: int) -> str:
 
 
 def confidence_of(path: Path, keypoints: np.ndarray, scores: np.ndarray | None) -> np.ndarray:
-    """Return how sure each keypoint is, 0..1, 0 where it is missing. Raises UserError for scores that are no shares."""
+    """Return the confidence of each keypoint, 0..1, 0 where it is missing. Raises UserError for scores that are not between 0 and 1."""
     finite = ~np.isnan(keypoints).any(-1)
     if scores is None:
         return (finite & (keypoints != 0).any(-1)).astype(np.float32)

@@ -52,10 +52,10 @@ def _bodies_of(file: Hdf5) -> list[_Body]:
     Raises:
         UserError: the metadata are not those of a SLEAP project.
     """
-    said = file.attribute("metadata", "json")
-    if said is None:
+    raw = file.attribute("metadata", "json")
+    if raw is None:
         raise UserError(f"{file.path}: no metadata with the names of the nodes, expected in {file.what}.")
-    metadata = from_json(file.path, "the metadata", str(said))
+    metadata = from_json(file.path, "the metadata", str(raw))
     try:
         names = [_clean(node["name"]) for node in metadata["nodes"]]
         bodies = [_body(skeleton.get("nx_graph", skeleton), names) for skeleton in metadata["skeletons"]]
@@ -77,12 +77,12 @@ def _body(graph: dict[str, Any], names: list[str]) -> _Body:
     ends: dict[int, list[tuple[str, str]]] = {_BONE: [], _MIRROR: []}
     kinds: dict[int, int] = {}  # the first mention of a kind spells it out, later ones point back to it
     for link in graph["links"]:
-        said = link["type"]
-        if "py/reduce" in said:
-            kind = int(said["py/reduce"][1]["py/tuple"][0])
+        raw = link["type"]
+        if "py/reduce" in raw:
+            kind = int(raw["py/reduce"][1]["py/tuple"][0])
             kinds[len(kinds) + 1] = kind
         else:
-            back = int(said["py/id"])
+            back = int(raw["py/id"])
             kind = kinds.get(back, back)
         ends[kind].append((name_of[int(link["source"])], name_of[int(link["target"])]))
     title = _clean(graph.get("graph", {}).get("name") or "")
@@ -91,8 +91,8 @@ def _body(graph: dict[str, Any], names: list[str]) -> _Body:
 
 def _tracks_of(file: Hdf5) -> list[str]:
     """Return the names of the tracks, made distinct."""
-    said = file.texts("tracks_json") if file.has("tracks_json") else []
-    found = [from_json(file.path, f"entry {place} of 'tracks_json'", text) for place, text in enumerate(said)]
+    raw = file.texts("tracks_json") if file.has("tracks_json") else []
+    found = [from_json(file.path, f"entry {place} of 'tracks_json'", text) for place, text in enumerate(raw)]
     try:
         return distinct(_clean(entry[1]) for entry in found)
     except _WRONG as error:
@@ -104,8 +104,8 @@ def _videos_of(file: Hdf5) -> dict[int, _Video]:
 
     Frames number videos by their place, or, of a project with pictures inside, by those groups.
     """
-    said = file.texts("videos_json") if file.has("videos_json") else []
-    entries = [from_json(file.path, f"entry {place} of 'videos_json'", text) for place, text in enumerate(said)]
+    raw = file.texts("videos_json") if file.has("videos_json") else []
+    entries = [from_json(file.path, f"entry {place} of 'videos_json'", text) for place, text in enumerate(raw)]
     cropped = file.has("video_crops")  # then the file's size is not that of the picture that was tracked
     used = np.unique(file.table("frames", ("video",))["video"]).tolist()
     by_place = used == list(range(len(entries)))
@@ -145,8 +145,8 @@ def _source(file: Hdf5, entry: dict[str, Any]) -> str:
     group = str(backend.get("dataset") or "").split("/")[0]
     source = f"{group}/source_video"
     if group and file.has(source):
-        said = file.texts(f"{source}/json")[0] if file.has(f"{source}/json") else file.attribute(source, "json")
-        above = from_json(file.path, f"the source of {group}", str(said))
+        raw = file.texts(f"{source}/json")[0] if file.has(f"{source}/json") else file.attribute(source, "json")
+        above = from_json(file.path, f"the source of {group}", str(raw))
         path = str(above["backend"].get("filename") or above.get("filename") or ".")
     return _clean(path if path != "." else f"{Path(file.path).stem}_{group}" if group else Path(file.path).stem)
 
@@ -229,8 +229,8 @@ def _without_replaced(rows: dict[str, np.ndarray]) -> tuple[dict[str, np.ndarray
     replaced = np.isin(rows["instance_id"], rows["from_predicted"][user & (rows["from_predicted"] >= 0)])
     replaced |= tracked & np.isin(key, key[user & tracked])
     replaced &= ~user
-    told = f"{int(replaced.sum()):,} predicted instances are left out, as labelled ones stand in their place"
-    return {name: column[~replaced] for name, column in rows.items()}, [told] if replaced.any() else []
+    note = f"{int(replaced.sum()):,} predicted instances are left out, as labelled ones stand in their place"
+    return {name: column[~replaced] for name, column in rows.items()}, [note] if replaced.any() else []
 
 
 def _first_of_each(rows: dict[str, np.ndarray], seen: np.ndarray) -> np.ndarray:
@@ -255,7 +255,7 @@ def _read_project(peek: Peek, options: ReadOptions) -> PoseData:
         shift_px = _shift_px(file)
         bodies, tracks, videos = _bodies_of(file), _tracks_of(file), _videos_of(file)
         rows, notes = _without_replaced(_rows_of(file, len(bodies), len(tracks)))
-        names, keypoints, confidence, told = _points(file, rows, bodies, shift_px)
+        names, keypoints, confidence, more = _points(file, rows, bodies, shift_px)
     seen = np.any(confidence > 0, axis=-1)
     kept = _first_of_each(rows, seen)
     if not len(kept):
@@ -278,14 +278,14 @@ def _read_project(peek: Peek, options: ReadOptions) -> PoseData:
         fps=same_or_none(video.fps for video in seen_in),
         bones=tuple(dict.fromkeys(bone for body in of_bodies for bone in body.bones)),
         mirror=pairs_of(pair for body in of_bodies for pair in body.mirror),
-        notes=(*notes, *told, *linked),
+        notes=(*notes, *more, *linked),
     )
 
 
 def _shift_px(file: Hdf5) -> float:
     """Return what is to be taken off coordinates; raises UserError for a format that is too new."""
-    said = file.attribute("metadata", "format_id")
-    number = float(said) if isinstance(said, (int, float)) else 0.0
+    raw = file.attribute("metadata", "format_id")
+    number = float(raw) if isinstance(raw, (int, float)) else 0.0
     if not number < _TOO_NEW:
         raise UserError(f"{file.path} has SLEAP's format {number:g}, expected one before {_TOO_NEW:g}.")
     return 0.5 if number < _CENTRED_PIXELS else 0.0
@@ -310,7 +310,7 @@ def _points(
     check_memory(file.path, f"points of {len(names):,} nodes", 64 * len(rows["track"]) * len(names))
     keypoints = np.full((len(rows["track"]), len(names), 2), np.nan, np.float32)
     score = np.zeros(keypoints.shape[:2], np.float32)
-    told: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
     for kind, table in ((USER, "points"), (PREDICTED, "pred_points")):
         of_kind = rows["instance_type"] == kind
         if not of_kind.any():
@@ -324,10 +324,10 @@ def _points(
             there = points["visible"][place].astype(bool) & np.isfinite(xy).all(-1)
             known = np.ones(there.shape, np.float32)
             if kind == PREDICTED:
-                known, told = _known_scores(as_float32(points["score"])[place], there)
+                known, notes = _known_scores(as_float32(points["score"])[place], there)
             keypoints[mine[:, None], columns] = as_float32(xy)
             score[mine[:, None], columns] = np.where(there, known, 0)
-    return tuple(names), *visible_only(keypoints, score), told
+    return tuple(names), *visible_only(keypoints, score), notes
 
 
 def _places(file: Hdf5, table: str, rows: dict, mine: np.ndarray, nodes: int, there: int) -> np.ndarray:
@@ -385,7 +385,7 @@ def _read_analysis(peek: Peek, options: ReadOptions) -> PoseData:
         stored = file.array("tracks")
         order = _axes_of(file, stored.shape, len(names))
         points = as_float32(stored).transpose([order.index(axis) for axis in _AXES])
-        score, told = _scores(file, order, points)
+        score, notes = _scores(file, order, points)
         keypoints, confidence = visible_only(points, score)
         frame, track = np.nonzero(np.any(confidence > 0, axis=-1))
         if not len(frame):
@@ -403,7 +403,7 @@ def _read_analysis(peek: Peek, options: ReadOptions) -> PoseData:
             image_size=_image_size(file),
             bones=_bones(file, names),
             mirror=_mirror(file, names),
-            notes=(*told, *of_tracks),
+            notes=(*notes, *of_tracks),
         )
 
 
@@ -414,14 +414,14 @@ def _known_scores(score: np.ndarray, there: np.ndarray) -> tuple[np.ndarray, tup
     """
     score = np.where(np.isnan(score), np.float32(1), score)
     if there.any() and not (score[there] > 0).any():
-        return np.ones_like(score), ("all scores are 0: every point that is there counts as sure",)
+        return np.ones_like(score), ("all scores are 0: every point that is there counts as certain",)
     return score, ()
 
 
 def _scores(file: Hdf5, order: tuple[str, ...], points: np.ndarray) -> tuple[np.ndarray, tuple[str, ...]]:
     """Return (frames, tracks, nodes) scores."""
     if not file.has("point_scores"):
-        return np.ones(points.shape[:-1], np.float32), ("no point_scores: every point that is there counts as sure",)
+        return np.ones(points.shape[:-1], np.float32), ("no point_scores: every point that is there counts as certain",)
     stored = as_float32(file.array("point_scores"))
     own = _stated_axes(file, "point_scores") or tuple(axis for axis in order if axis != "xy")
     if sorted(own) == sorted(_AXES[:3]) and stored.ndim == 3:
@@ -436,9 +436,9 @@ def _scores(file: Hdf5, order: tuple[str, ...], points: np.ndarray) -> tuple[np.
 
 def _axes_of(file: Hdf5, shape: tuple[int, ...], nodes: int) -> tuple[str, ...]:
     """Return the axes of 'tracks' in the order of the file."""
-    said = _stated_axes(file, "tracks")
-    if said:
-        orders = [said]
+    raw = _stated_axes(file, "tracks")
+    if raw:
+        orders = [raw]
     elif file.attribute("", "transpose") in (None, True, np.True_):
         orders = list(_OLD_ORDERS)
     else:
@@ -457,10 +457,10 @@ def _stated_axes(file: Hdf5, name: str) -> tuple[str, ...]:
     dims = file.attribute(name, "dims")
     if dims is None:
         return ()
-    said = from_json(file.path, f"'dims' of '{name}'", str(dims))
-    if not isinstance(said, list) or not set(map(str, said)) <= set(_AXES):
+    raw = from_json(file.path, f"'dims' of '{name}'", str(dims))
+    if not isinstance(raw, list) or not set(map(str, raw)) <= set(_AXES):
         raise UserError(f"{file.path}: 'dims' of '{name}' is {dims!r}, expected some order of {', '.join(_AXES)}.")
-    return tuple(map(str, said))
+    return tuple(map(str, raw))
 
 
 def _track_names(file: Hdf5, tracks: int) -> tuple[list[str], tuple[str, ...]]:
@@ -489,15 +489,15 @@ def _bones(file: Hdf5, names: list[str]) -> tuple[tuple[str, str], ...]:
 
 
 def _mirror(file: Hdf5, names: list[str]) -> tuple[tuple[str, str], ...]:
-    said = file.attribute("", "skeleton_symmetries")
-    pairs = from_json(file.path, "'skeleton_symmetries'", str(said)) if said is not None else []
+    raw = file.attribute("", "skeleton_symmetries")
+    pairs = from_json(file.path, "'skeleton_symmetries'", str(raw)) if raw is not None else []
     ends = [tuple(map(str, pair)) for pair in pairs if isinstance(pair, list)] if isinstance(pairs, list) else []
     return pairs_of((pair[0], pair[1]) for pair in ends if len(pair) == 2 and set(pair) <= set(names))
 
 
 def _image_size(file: Hdf5) -> tuple[int, int] | None:
-    said = file.attribute("", "video_backend_metadata")
-    video = from_json(file.path, "'video_backend_metadata'", str(said)) if said is not None else {}
+    raw = file.attribute("", "video_backend_metadata")
+    video = from_json(file.path, "'video_backend_metadata'", str(raw)) if raw is not None else {}
     shape = video.get("shape") if isinstance(video, dict) else None
     if isinstance(shape, list) and len(shape) == 4 and all(isinstance(n, int) and n > 0 for n in shape[1:3]):
         return shape[2], shape[1]

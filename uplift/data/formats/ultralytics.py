@@ -24,6 +24,7 @@ from uplift.data.formats.rows import (
     track_of,
     video_names,
 )
+from uplift.data.parsers.files import reason_of
 from uplift.data.parsers.json import JsonText, Numbers, in_order, is_text, items, json_files, shown
 from uplift.data.parsers.pictures import PHOTO_ENDINGS
 from uplift.data.poses import PoseData
@@ -143,8 +144,8 @@ class _Description:
     def names_of(self, path: Path, count: int, options: ReadOptions, notes: list[str]) -> tuple[str, ...]:
         """Return the names of the keypoints; raises UserError where data.yaml has another number of them."""
         if self.names is None or options.layout is not None:
-            names, told = names_for(path, count, {17: COCO[17]}, options)
-            notes += told
+            names, more = names_for(path, count, {17: COCO[17]}, options)
+            notes += more
             return names
         if len(self.names) != count:
             raise UserError(f"{self.path}: kpt_names are {len(self.names)}, the labels have {count} keypoints.")
@@ -216,17 +217,16 @@ def _plain_yaml(path: Path) -> dict[str, Any]:
     try:
         data = yaml.load(path.read_text(encoding="utf-8-sig"), yaml.BaseLoader)
     except (yaml.YAMLError, OSError, UnicodeDecodeError, RecursionError) as error:
-        said = " ".join(str(error).split())[:160]
-        raise UserError(f"{path} mentions kpt_shape and cannot be read as YAML: {said}") from None
+        raise UserError(f"{path} mentions kpt_shape and cannot be read as YAML: {reason_of(error)}") from None
     except (TypeError, ValueError):
-        raise UserError(f"{path} mentions kpt_shape and is no plain YAML: a key that is no text.") from None
+        raise UserError(f"{path} mentions kpt_shape and is not plain YAML: a key is not text.") from None
     if not isinstance(data, dict) or not all(isinstance(key, str) for key in data):
-        raise UserError(f"{path} mentions kpt_shape and is no mapping, expected Ultralytics' description of labels.")
+        raise UserError(f"{path} mentions kpt_shape and is not a mapping, expected Ultralytics' description of labels.")
     return data
 
 
 def _whole_numbers(values: Any) -> list[int]:
-    """Return a list of whole numbers; nothing where it is none."""
+    """Return a list of whole numbers; empty for anything else."""
     if not isinstance(values, list) or not all(isinstance(v, str) and re.fullmatch("[0-9]{1,9}", v) for v in values):
         return []
     return [int(value) for value in values]
@@ -262,18 +262,18 @@ class _RowLayout:
     """(rows,) text, empty where a row has none."""
 
 
-def _row_layout(path: Path, labels: _Labels, told: _Description, notes: list[str]) -> _RowLayout:
+def _row_layout(path: Path, labels: _Labels, description: _Description, notes: list[str]) -> _RowLayout:
     """Return how the rows divide: as data.yaml says, or so that keypoints lie in their boxes.
 
     Raises:
         UserError: no division fits, or not that of data.yaml.
     """
     shortest, longest = int(labels.length.min()), int(labels.length.max())
-    if told.shape is not None:
-        count, size = told.shape
+    if description.shape is not None:
+        count, size = description.shape
         if not 0 <= shortest - 5 - count * size <= longest - 5 - count * size <= 2:
             raise UserError(
-                f"{path}: rows have {shortest} numbers, but {told.path} says kpt_shape [{count}, {size}]: expected "
+                f"{path}: rows have {shortest} numbers, but {description.path} says kpt_shape [{count}, {size}]: expected "
                 f"{5 + count * size}, and up to two more (confidence, track)."
             )
     else:
@@ -333,7 +333,7 @@ def _read_rows(path: Path, files: list[Path]) -> _Labels:
     """Return the rows of all files; they may differ in what follows the keypoints.
 
     Raises:
-        UserError: text that is no row of a label, or rows with different numbers of keypoints.
+        UserError: text that is not a row of a label, or rows with different numbers of keypoints.
     """
     labels = _Labels()
     by_length: dict[int, Numbers] = {}
@@ -432,10 +432,10 @@ def _read_labels(peek: Peek, options: ReadOptions) -> PoseData:
         raise UserError(f"{path} describes a data set and holds no keypoints. Give a folder of its labels: {shown}.")
     files = _label_files(path)
     labels = _read_rows(path, files)
-    told = _describe(path if path.is_dir() else path.parent)
+    description = _describe(path if path.is_dir() else path.parent)
     notes: list[str] = []
-    layout = _row_layout(path, labels, told, notes)
-    names = told.names_of(path, layout.count, options, notes)
+    layout = _row_layout(path, labels, description, notes)
+    names = description.names_of(path, layout.count, options, notes)
     shares = layout.values[..., :2]
     if layout.values.shape[2] == 3:
         confidence = seen_by_flag(layout.values[..., 2], notes)
@@ -447,12 +447,12 @@ def _read_labels(peek: Peek, options: ReadOptions) -> PoseData:
     if sizes is None:
         notes.append(SHARES_NOTE)
     identity = _identity(path, files, labels, layout, pictures)
-    classes = told.categories(labels.boxes[:, 0])
+    classes = description.categories(labels.boxes[:, 0])
     if classes is not None:
         identity["category"] = classes
     same = sizes is not None and (sizes == sizes[0]).all()
     size = (int(sizes[0, 0]), int(sizes[0, 1])) if sizes is not None and same else None
-    mirror = told.mirror(names)
+    mirror = description.mirror(names)
     return pose_data(path, names, keypoints, confidence, identity, notes=notes, image_size=size, mirror=mirror)
 
 

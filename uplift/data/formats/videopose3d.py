@@ -33,14 +33,14 @@ _DETECTED = {"boxes", "keypoints", "metadata"}
 def _read(peek: Peek, options: ReadOptions) -> PoseData:
     path = peek.path
     arrays = load_object_npz(path, ["positions_2d", "metadata", "boxes", "keypoints"])
-    told = arrays.get("metadata", {})
-    told = told if isinstance(told, dict) else {}
+    metadata = arrays.get("metadata", {})
+    metadata = metadata if isinstance(metadata, dict) else {}
     if "positions_2d" in arrays:
         clips = _custom(path, arrays["positions_2d"])
-        sizes = told.get("video_metadata", {})
+        sizes = metadata.get("video_metadata", {})
     elif "keypoints" in arrays:
         clips = _detected(path, arrays["keypoints"])
-        sizes = {path.stem: told}
+        sizes = {path.stem: metadata}
     else:
         raise UserError(
             f"{path}: no 'positions_2d' in it, as VideoPose3D's data_2d_custom_*.npz have, and no 'keypoints', as its "
@@ -51,7 +51,7 @@ def _read(peek: Peek, options: ReadOptions) -> PoseData:
         raise UserError(
             f"{path}: videos with {', '.join(map(str, sorted(counts)))} keypoints, expected as many in each."
         )
-    names, notes = _names(path, counts.pop(), told, options)
+    names, notes = _names(path, counts.pop(), metadata, options)
     return _all(path, clips, names, notes, _size(sizes, {clip[0] for clip in clips}))
 
 
@@ -90,7 +90,7 @@ def _detected(path: Path, frames: Any) -> list[Clip]:
         bodies = frame[1] if isinstance(frame, np.ndarray | list | tuple) and len(frame) == 2 else None
         if bodies is None or not isinstance(bodies, np.ndarray | list):
             raise UserError(
-                f"{path}: frame {number} of 'keypoints' is no pair of lists, as VideoPose3D's detector writes."
+                f"{path}: frame {number} of 'keypoints' is not a pair of lists, as VideoPose3D's detector writes."
             )
         for body in bodies:
             body = np.asarray(body) if isinstance(body, np.ndarray) else np.empty(0)
@@ -144,10 +144,10 @@ def _all(
 
 
 def _names(
-    path: Path, count: int, told: Mapping[Any, Any], options: ReadOptions
+    path: Path, count: int, metadata: Mapping[Any, Any], options: ReadOptions
 ) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Return the names of the layout that the metadata tell by its name or its left joints, else by the count."""
-    name, sides = told.get("layout_name"), told.get("keypoints_symmetry")
+    """Return the names of the layout that the metadata give by its name or its left joints, else by the count."""
+    name, sides = metadata.get("layout_name"), metadata.get("keypoints_symmetry")
     try:
         left = tuple(int(place) for place in sides[0]) if sides is not None else ()
     except (TypeError, ValueError, IndexError, KeyError, OverflowError):

@@ -9,7 +9,10 @@ import numpy as np
 
 from uplift.errors import UserError
 
-__all__ = ["bytes_of", "check_memory", "existing_file"]
+__all__ = ["HDF5_START", "bytes_of", "check_memory", "existing_file", "reason_of"]
+
+HDF5_START = b"\x89HDF\r\n\x1a\n"
+"""What every HDF5 file begins with."""
 
 
 def existing_file(path: str | Path, expected: str) -> Path:
@@ -22,6 +25,11 @@ def existing_file(path: str | Path, expected: str) -> Path:
     if path.stat().st_size == 0:
         raise UserError(f"{path} is empty (0 bytes), expected {expected}.")
     return path
+
+
+def reason_of(error: BaseException) -> str:
+    """Return what an error of a library says, on one line and short."""
+    return " ".join(str(error).split())[:200] or type(error).__name__
 
 
 def bytes_of(shape: tuple[int, ...], dtype: np.dtype) -> int:

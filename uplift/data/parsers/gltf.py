@@ -41,24 +41,24 @@ class _Document:
         return _damaged(self.path, what)
 
     def listed(self, kind: str) -> list[dict[str, Any]]:
-        """Return the file's nodes, meshes, accessors, ...: a list of objects, empty where there is none."""
+        """Return the file's nodes, meshes, accessors, ...: a list of objects, empty without any."""
         return self.objects(self.tree, kind, "the file")
 
     def objects(self, entry: dict[str, Any], key: str, whose: str) -> list[dict[str, Any]]:
-        """Return a list of objects of an entry, empty where there is none."""
+        """Return a list of objects of an entry, empty without any."""
         found = entry.get(key, [])
         if not isinstance(found, list) or not all(isinstance(one, dict) for one in found):
-            raise self.wrong(f"'{key}' of {whose} is no list of objects")
+            raise self.wrong(f"'{key}' of {whose} is not a list of objects")
         return found
 
     def entry(self, kind: str, index: Any, whose: str) -> dict[str, Any]:
         """Return one of the file's nodes, meshes, accessors, ... by its number."""
         every = self.tree.get(kind, [])
         if not isinstance(every, list):
-            raise self.wrong(f"'{kind}' of the file is no list of objects")
+            raise self.wrong(f"'{kind}' of the file is not a list of objects")
         found = every[self.number_of(kind, index, whose)]
         if not isinstance(found, dict):
-            raise self.wrong(f"{kind} {index} is no object")
+            raise self.wrong(f"{kind} {index} is not an object")
         return found
 
     def number_of(self, kind: str, index: Any, whose: str) -> int:
@@ -69,13 +69,13 @@ class _Document:
         return index
 
     def numbers_of(self, kind: str, entry: dict[str, Any], key: str, whose: str) -> list[int]:
-        """Return a list of numbers of entries, empty where there is none."""
+        """Return a list of numbers of entries, empty without any."""
         found = entry.get(key, [])
         if not isinstance(found, list):
-            raise self.wrong(f"'{key}' of {whose} is no list")
+            raise self.wrong(f"'{key}' of {whose} is not a list")
         return [self.number_of(kind, index, whose) for index in found]
 
-    def whole(self, entry: dict[str, Any], key: str, default: int | None, whose: str) -> int:
+    def whole_number(self, entry: dict[str, Any], key: str, default: int | None, whose: str) -> int:
         """Return a whole number of an entry, 0 or more."""
         found = entry.get(key, default)
         if not isinstance(found, int) or isinstance(found, bool) or not 0 <= found < 1 << 40:
@@ -153,7 +153,7 @@ def _check_kind(document: _Document) -> None:
 
 def _buffer(document: _Document, number: int, buffer: dict[str, Any], binary: bytes | None) -> bytes:
     whose = f"buffer {number}"
-    length = document.whole(buffer, "byteLength", None, whose)
+    length = document.whole_number(buffer, "byteLength", None, whose)
     uri = buffer.get("uri")
     if uri is None:
         found = binary if number == 0 and binary is not None else b""
@@ -161,7 +161,7 @@ def _buffer(document: _Document, number: int, buffer: dict[str, Any], binary: by
         try:
             found = base64.b64decode(uri.partition(",")[2], validate=True)
         except (binascii.Error, ValueError) as error:
-            raise document.wrong(f"the data of {whose} is no base64") from error
+            raise document.wrong(f"the data of {whose} is not base64") from error
     else:
         found = _beside(document, str(uri), length)
     if len(found) < length:
@@ -214,7 +214,7 @@ def _wholes(document: _Document, index: Any, kind: str, whose: str) -> Int[np.nd
 def _rows(document: _Document, accessor: dict[str, Any], name: str, kind: str) -> np.ndarray:
     if accessor.get("type") != kind:
         raise document.wrong(f"{name} is {str(accessor.get('type'))[:20]}, expected {kind}")
-    count = document.whole(accessor, "count", None, name)
+    count = document.whole_number(accessor, "count", None, name)
     dtype, width = _component(document, accessor, name), _WIDTHS[kind]
     if "bufferView" in accessor:
         found = _viewed(document, accessor, "byteOffset", dtype, (count, width), name)
@@ -238,11 +238,11 @@ def _viewed(
     """Return rows of a buffer view, without a copy."""
     view = document.entry("bufferViews", entry.get("bufferView"), name)
     buffer = document.buffers[document.number_of("buffers", view.get("buffer"), f"the view of {name}")]
-    start = document.whole(view, "byteOffset", 0, f"the view of {name}")
-    length = document.whole(view, "byteLength", None, f"the view of {name}")
-    offset = document.whole(entry, key, 0, name)
+    start = document.whole_number(view, "byteOffset", 0, f"the view of {name}")
+    length = document.whole_number(view, "byteLength", None, f"the view of {name}")
+    offset = document.whole_number(entry, key, 0, name)
     size = dtype.itemsize * shape[1]
-    stride = document.whole(view, "byteStride", size, f"the view of {name}")
+    stride = document.whole_number(view, "byteStride", size, f"the view of {name}")
     if stride < size:
         raise document.wrong(f"the rows of {name} are {size} bytes and {stride} apart")
     needed = offset + (stride * (shape[0] - 1) + size if shape[0] else 0)
@@ -259,8 +259,8 @@ def _changed(document: _Document, accessor: dict[str, Any], found: np.ndarray, n
     sparse = accessor["sparse"] if isinstance(accessor["sparse"], dict) else {}
     at, values = sparse.get("indices"), sparse.get("values")
     if not isinstance(at, dict) or not isinstance(values, dict):
-        raise document.wrong(f"the sparse changes of {name} are no objects")
-    count = document.whole(sparse, "count", None, name)
+        raise document.wrong(f"the sparse changes of {name} are not objects")
+    count = document.whole_number(sparse, "count", None, name)
     where = _component(document, at, name)
     rows = _viewed(document, at, "byteOffset", where, (count, 1), name)[:, 0]
     if where.kind != "u" or (rows >= len(found)).any():
@@ -304,7 +304,7 @@ class _Nodes:
 
 
 def _read_nodes(document: _Document) -> _Nodes:
-    """Return the file's nodes. Raises UserError for a tree that is none, or numbers that are none."""
+    """Return the file's nodes. Raises UserError for a damaged tree, or invalid numbers."""
     entries = document.listed("nodes")
     parents = [-1] * len(entries)
     for node, entry in enumerate(entries):
@@ -352,8 +352,8 @@ def _numbers(document: _Document, entries: list[dict[str, Any]], key: str, defau
     for node, entry in enumerate(entries):
         if key in entry:
             value = entry[key]
-            told = isinstance(value, list) and len(value) == len(default)
-            if not told or not all(isinstance(one, int | float) and abs(one) < 1e30 for one in value):
+            fits = isinstance(value, list) and len(value) == len(default)
+            if not fits or not all(isinstance(one, int | float) and abs(one) < 1e30 for one in value):
                 raise document.wrong(f"'{key}' of node {node} is not {len(default)} numbers")
             found[node] = value
     return found
@@ -615,7 +615,7 @@ class _Part:
 
 
 class GltfFile:
-    """One glTF 2.0 file, checked and decoded whole: what was read can be posed at any moment.
+    """One glTF 2.0 file, checked and decoded: what was read can be posed at any moment.
 
     Shapes are in their own frame, x their left, y down, z behind, in the file's unit (metres by the standard).
     """
@@ -646,7 +646,7 @@ class GltfFile:
         return cls(Path(path), nodes, parts, _read_animations(document, nodes, targets))
 
     def posed(self, animation: str | None = None, time_s: float = 0.0) -> Mesh:
-        """Return the whole surface at a moment of an animation, or as the file has it at rest.
+        """Return the surface at a moment of an animation, or as the file has it at rest.
 
         Before an animation's first key and behind its last it stands still. Raises UserError for an unknown name.
         """
@@ -717,10 +717,10 @@ def _shown(document: _Document, nodes: _Nodes) -> set[int]:
 
 def _morph(document: _Document, node: dict[str, Any], number: int, primitives: list[_Primitive]) -> np.ndarray:
     count = len(primitives[0].targets) if primitives else 0
-    told = node.get("weights", document.listed("meshes")[number].get("weights", [0.0] * count))
+    weights = node.get("weights", document.listed("meshes")[number].get("weights", [0.0] * count))
     if not count:
         return np.zeros(0)
-    told = told if isinstance(told, list) else []
-    if len(told) != count or not all(isinstance(one, int | float) and abs(one) < 1e30 for one in told):
+    weights = weights if isinstance(weights, list) else []
+    if len(weights) != count or not all(isinstance(one, int | float) and abs(one) < 1e30 for one in weights):
         raise document.wrong(f"mesh {number} has not {count} weights of its morph targets")
-    return np.array(told, np.float64)
+    return np.array(weights, np.float64)

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from uplift.data.parsers.files import bytes_of, check_memory
+from uplift.data.parsers.files import HDF5_START, bytes_of, check_memory, reason_of
 from uplift.errors import UserError
 
 __all__ = ["Hdf5", "from_json", "h5py_missing", "open_hdf5"]
@@ -79,7 +79,7 @@ class _OwnParts:
         self._taken = 0
 
     def find(self, name: str, hops: int = 0) -> Any:
-        """Return a group or dataset, None where there is none; raises `_Elsewhere` where it is a link to another file."""
+        """Return a group or dataset, None without one; raises `_Elsewhere` where it is a link to another file."""
         import h5py
 
         place, walked = self._file, ""
@@ -125,9 +125,8 @@ class _OwnParts:
         return item
 
 
-# Read arrays, tables and text from an HDF5 file that nobody vouches for: nothing outside it, no more than it holds.
+# An open file.
 
-_START = b"\x89HDF\r\n\x1a\n"
 _DAMAGE = (
     ValueError, TypeError, KeyError, IndexError, AttributeError, OSError, EOFError, MemoryError, OverflowError,
     NotImplementedError, RuntimeError, SystemError,
@@ -146,11 +145,11 @@ def open_hdf5(path: Path, what: str) -> Iterator[Hdf5]:
         raise UserError(f"{path} is a folder, expected {what} (HDF5).")
     try:
         with path.open("rb") as file:
-            start = file.read(len(_START))
+            start = file.read(len(HDF5_START))
     except OSError as error:
         raise UserError(f"{path} cannot be opened: {error.strerror or error}.") from error
-    if start != _START:
-        raise UserError(f"{path} is no HDF5 file (it begins {start!r}), expected {what}.")
+    if start != HDF5_START:
+        raise UserError(f"{path} is not an HDF5 file (it begins {start!r}), expected {what}.")
     try:
         import h5py
     except ImportError:
@@ -179,10 +178,10 @@ def from_json(path: Path, where: str, text: str) -> Any:
     try:
         return json.loads(text)
     except (ValueError, RecursionError) as error:
-        raise UserError(f"{path}: {where} is no valid JSON ({error}): damaged file?") from error
+        raise UserError(f"{path}: {where} is not valid JSON ({error}): damaged file?") from error
 
 
-def _told(method: Callable) -> Callable:
+def _damage_as_error(method: Callable) -> Callable:
     """Wrap a method so that whatever h5py makes of a damaged file ends as one clear error."""
 
     @wraps(method)
@@ -196,8 +195,7 @@ def _told(method: Callable) -> Callable:
 
 
 def _damaged(path: Path, what: str, error: BaseException) -> UserError:
-    said = " ".join(str(error).split())[:200] or type(error).__name__
-    return UserError(f"{path} cannot be read as {what}: truncated, damaged, or another format? ({said})")
+    return UserError(f"{path} cannot be read as {what}: truncated, damaged, or another format? ({reason_of(error)})")
 
 
 class Hdf5:
@@ -207,12 +205,12 @@ class Hdf5:
         self.path, self.what = path, what
         self._own = _OwnParts(path, what, file)
 
-    @_told
+    @_damage_as_error
     def has(self, name: str) -> bool:
         """Return whether there is a group or an array of this name."""
         return self._own.find(name) is not None
 
-    @_told
+    @_damage_as_error
     def is_group(self, name: str) -> bool:
         """Return whether there is a group of this name in this very file."""
         try:
@@ -220,7 +218,7 @@ class Hdf5:
         except _Elsewhere:
             return False
 
-    @_told
+    @_damage_as_error
     def is_elsewhere(self, name: str) -> bool:
         """Return whether a name is a link to another file."""
         try:
@@ -229,31 +227,31 @@ class Hdf5:
             return True
         return False
 
-    @_told
+    @_damage_as_error
     def names(self, group: str = "") -> list[str]:
         """Return the names in a group, sorted; none where there is no such group."""
         found = self._own.find(group)
         return sorted(found.keys()) if hasattr(found, "keys") else []
 
-    @_told
+    @_damage_as_error
     def place(self, name: str) -> int:
         """Return a number that is the same for two names of one thing."""
         return hash(self._own.find(name).id)
 
-    @_told
+    @_damage_as_error
     def own_name(self, name: str) -> str:
         """Return the name of what a link leads to, without its groups."""
         return _clean(str(self._own.find(name).name).rsplit("/", 1)[-1])
 
-    @_told
+    @_damage_as_error
     def array(self, name: str) -> np.ndarray:
-        """Return an array of numbers; raises UserError where there is none, or one that is larger than it can be."""
+        """Return an array of numbers; raises UserError without any, or one that is larger than it can be."""
         item = self._own.dataset(name)
         if item.dtype.kind not in "fiub":
-            raise UserError(f"{self.path}: '{name}' is no array of numbers (found {item.dtype}).")
+            raise UserError(f"{self.path}: '{name}' is not an array of numbers (found {item.dtype}).")
         return np.asarray(item[()])
 
-    @_told
+    @_damage_as_error
     def table(self, name: str, columns: Collection[str]) -> dict[str, np.ndarray]:
         """Return columns of numbers (rows,) of a table; raises UserError where one is missing."""
         item = self._own.dataset(name)
@@ -268,7 +266,7 @@ class Hdf5:
             values = item[()]
             found = {column: np.ascontiguousarray(values[column]) for column in columns if column in named}
         else:
-            raise UserError(f"{self.path}: '{name}' is no table (found {item.dtype} of shape {item.shape}).")
+            raise UserError(f"{self.path}: '{name}' is not a table (found {item.dtype} of shape {item.shape}).")
         for column in columns:
             if column not in found or found[column].ndim != 1 or found[column].dtype.kind not in "fiub":
                 raise UserError(
@@ -276,7 +274,7 @@ class Hdf5:
                 )
         return {column: found[column] for column in columns}
 
-    @_told
+    @_damage_as_error
     def texts(self, name: str) -> list[str]:
         """Return the texts of an array, in its order; raises UserError where it holds something else."""
         import h5py
@@ -289,13 +287,13 @@ class Hdf5:
         return [_clean(value) for value in np.ravel(item.asstr(errors="replace")[()]).tolist()]
 
     def text(self, name: str) -> str:
-        """Return the first text of an array; empty where there is none."""
+        """Return the first text of an array; empty without any."""
         found = self.texts(name) if self.has(name) else []
         return found[0] if found else ""
 
-    @_told
+    @_damage_as_error
     def attribute(self, name: str, key: str) -> Any:
-        """Return an attribute as text, number or array; None where there is none."""
+        """Return an attribute as text, number or array; None without one."""
         import h5py
 
         found = self._own.find(name)
@@ -316,7 +314,7 @@ class Hdf5:
 
 
 def _clean(text: str | bytes) -> str:
-    """Return text that can be shown and written: what is no character is replaced."""
+    """Return text that can be shown and written: what is not a character is replaced."""
     if isinstance(text, bytes):
         return text.decode(errors="replace")
     return text.encode(errors="replace").decode()

@@ -30,7 +30,7 @@ __all__ = [
     "records",
     "shown",
     "texts",
-    "whole",
+    "whole_number",
 ]
 
 # Read a large JSON file of records one at a time: its text is in memory, never all of its objects.
@@ -43,7 +43,7 @@ def records(path: Path, keys: Collection[str]) -> Iterator[tuple[str, dict[str, 
     """Yield (key, record) of the lists that the file's object holds under ``keys``, in the order of the file.
 
     Raises:
-        UserError: damaged JSON, a list in place of the object, a record that is none, a key that is absent.
+        UserError: damaged JSON, a list in place of the object, a record that is not an object, a key that is absent.
     """
     text = JsonText(path)
     if text.next_sign() == "[":
@@ -82,7 +82,7 @@ class JsonText:
             raise UserError(f"{path} is empty, expected JSON.")
 
     def next_sign(self) -> str:
-        """Return the next character that is no space, without passing it; nothing at the end."""
+        """Return the next character that is not a space, without passing it; nothing at the end."""
         space = _SPACE.match(self.text, self.at)
         self.at = space.end() if space else self.at
         return self.text[self.at : self.at + 1]
@@ -110,7 +110,7 @@ class JsonText:
     def records(self, what: str) -> Iterator[dict[str, Any]]:
         """Yield each entry of a list of objects; ``what`` names the list in errors."""
         if self.next_sign() != "[":
-            raise UserError(f"{self.path}: {what} is no list.")
+            raise UserError(f"{self.path}: {what} is not a list.")
         self._pass("[")
         more, count = self.next_sign() != "]", 0
         while more:
@@ -137,7 +137,7 @@ class JsonText:
     def _damaged(self) -> UserError:
         near = self.text[self.at : self.at + 40]
         shown = f"near {near!r}" if near else "where the file ends: truncated?"
-        return UserError(f"{self.path} is no whole JSON file: damaged at character {self.at:,}, {shown}.")
+        return UserError(f"{self.path} is not a complete JSON file: damaged at character {self.at:,}, {shown}.")
 
 
 # What the readers of JSON share: the files of a folder, and their entries one at a time.
@@ -194,7 +194,7 @@ def entries(path: Path, what: str) -> Iterator[tuple[int, dict[str, Any]]]:
     """Yield the number and object of each entry of a file's list; ``what`` names the list in errors.
 
     Raises:
-        UserError: damaged, no list, or an entry that is no object.
+        UserError: damaged, no list, or an entry that is not an object.
     """
     text = JsonText(path)
     yield from enumerate(objects(text, what))
@@ -204,7 +204,7 @@ def objects(text: JsonText, what: str) -> Iterator[dict[str, Any]]:
     """Yield each object of the list that stands next in a text, as `JsonText.records` does, in less time.
 
     Raises:
-        UserError: damaged, no list, or an entry that is no object.
+        UserError: damaged, no list, or an entry that is not an object.
     """
     for count, value in enumerate(items(text, what)):
         if type(value) is not dict:
@@ -220,22 +220,22 @@ def items(text: JsonText, what: str) -> Iterator[Any]:
     """
     outermost = text.next_sign() == "[" and text.at < 1000 and not text.text[: text.at].strip()
     if text.next_sign() != "[":
-        raise UserError(f"{text.path}: {what} is no list.")
+        raise UserError(f"{text.path}: {what} is not a list.")
     text.at += 1
     more = text.next_sign() != "]"
-    whole_text = text.text
+    content = text.text
     while more:
         try:
-            value, text.at = _SCAN(whole_text, text.at)
+            value, text.at = _SCAN(content, text.at)
         except (ValueError, RecursionError):
             value = text.value()  # after spaces; or tells what is wrong
         yield value
-        if whole_text.startswith(", ", text.at):  # as most write it
+        if content.startswith(", ", text.at):  # as most write it
             text.at += 2
             continue
         more = text.next_sign() == ","
         if not more and text.next_sign() != "]":
-            raise UserError(f"{text.path} is no whole JSON file: damaged or cut short at character {text.at:,}.")
+            raise UserError(f"{text.path} is not a complete JSON file: damaged or cut short at character {text.at:,}.")
         text.at += more
     text.at += 1
     if outermost:
@@ -245,7 +245,7 @@ def items(text: JsonText, what: str) -> Iterator[Any]:
 def _end(text: JsonText) -> None:
     if text.next_sign():
         raise UserError(
-            f"{text.path} is no whole JSON file: it ends at character {text.at:,}, and more follows: "
+            f"{text.path} is not a complete JSON file: it ends at character {text.at:,}, and more follows: "
             f"{text.text[text.at : text.at + 40]!r}."
         )
 
@@ -260,7 +260,7 @@ def shown(value: Any) -> str:
     return f"{reprlib.repr(value):.80}"
 
 
-def whole(value: Any, where: str, what: str) -> int:
+def whole_number(value: Any, where: str, what: str) -> int:
     """Return ``value`` as an integer from 0 up; raises UserError for anything else."""
     number = value
     if isinstance(value, str) and re.fullmatch(r"[0-9]{1,15}", value):
@@ -280,7 +280,7 @@ def in_order(name: str) -> list[tuple[int, int, str]]:
     ]
 
 
-# Columns of text from files that nobody vouches for.
+# Columns of text from files of unknown origin.
 
 _LONGEST = 4000
 _MOST = 500_000_000

@@ -10,12 +10,11 @@ from typing import Any
 
 import numpy as np
 
-from uplift.data.parsers.files import bytes_of, check_memory
+from uplift.data.parsers.files import HDF5_START, bytes_of, check_memory, reason_of
 from uplift.errors import UserError
 
 __all__ = ["is_hdf5", "load_mat", "load_mat5"]
 
-_HDF5 = b"\x89HDF\r\n\x1a\n"
 _DAMAGE = (
     ValueError, TypeError, KeyError, IndexError, AttributeError, OSError, EOFError, MemoryError, OverflowError,
     NotImplementedError, RuntimeError, struct.error, zlib.error,
@@ -58,7 +57,7 @@ def is_hdf5(path: Path) -> bool:
         start = file.read(520)
     if not start:
         raise UserError(f"{path} is empty (0 bytes), expected a MATLAB .mat file.")
-    return _HDF5 in (start[:8], start[512:])
+    return HDF5_START in (start[:8], start[512:])
 
 
 def load_mat5(path: Path, names: Collection[str]) -> dict[str, Any]:
@@ -88,8 +87,9 @@ def load_mat5(path: Path, names: Collection[str]) -> dict[str, Any]:
 def _damaged(path: Path, error: Exception) -> UserError:
     if isinstance(error, UserError):
         return error
-    said = " ".join(str(error).split())[:200] or type(error).__name__
-    return UserError(f"{path} cannot be read as a MATLAB file: truncated, damaged, or another format? ({said})")
+    return UserError(
+        f"{path} cannot be read as a MATLAB file: truncated, damaged, or another format? ({reason_of(error)})"
+    )
 
 
 def _plain(path: Path, name: str, value: np.ndarray) -> np.ndarray | list[np.ndarray]:
@@ -100,7 +100,7 @@ def _plain(path: Path, name: str, value: np.ndarray) -> np.ndarray | list[np.nda
 
 def _numbers(path: Path, name: str, value: np.ndarray) -> np.ndarray:
     if value.dtype.kind not in "fiub":
-        raise UserError(f"{path}: '{name}' is no array of numbers (found {value.dtype.name}).")
+        raise UserError(f"{path}: '{name}' is not an array of numbers (found {value.dtype.name}).")
     return value
 
 
@@ -125,7 +125,7 @@ def _from_hdf5(path: Path, file: Any, name: str, cells: Collection[int] | None) 
 def _array(path: Path, name: str, item: Any) -> np.ndarray:
     """Return a dataset of numbers with MATLAB's order of axes, which HDF5 stores the other way round."""
     if item.dtype.kind not in "fiub" or item.external or item.is_virtual:
-        raise UserError(f"{path}: '{name}' is no plain array of numbers (found {item.dtype}).")
+        raise UserError(f"{path}: '{name}' is not a plain array of numbers (found {item.dtype}).")
     check_memory(path, f"'{name}'", bytes_of(item.shape, item.dtype))
     if item.attrs.get("MATLAB_empty", 0):
         return np.empty((0, 0))

@@ -23,7 +23,7 @@ ENDINGS = (".glb", ".gltf", ".obj", ".off", ".ply", ".stl")
 _AXES = {"x": (1, 0, 0), "y": (0, 1, 0), "z": (0, 0, 1), "-x": (-1, 0, 0), "-y": (0, -1, 0), "-z": (0, 0, -1)}
 _FRONTS = {"y": "z", "-y": "z", "z": "-y", "-z": "-y"}
 _FLAT = 1e-5
-"""Thickness of a shape, of its size, that is none."""
+"""Thickness of a shape, as a share of its size, that counts as flat."""
 _MERGED = 1e-6
 """Share of a mesh's size within which two of its vertices are one: files split them at every edge and colour."""
 
@@ -53,7 +53,7 @@ def read_meshes(sources: str | Path | Sequence[str | Path], options: MeshOptions
     A file gives one mesh, all its parts together; a .glb or .gltf file with animations one for each pose.
 
     Raises:
-        UserError: nothing there, an unknown kind, a damaged file, no triangles, a flat shape, axes that are none.
+        UserError: nothing there, an unknown kind, a damaged file, no triangles, a flat shape, invalid axes.
     """
     options = options or MeshOptions()
     turn = axes_to_own(options.up, options.front)
@@ -98,7 +98,7 @@ def find_mesh_files(sources: str | Path | Sequence[str | Path]) -> list[tuple[Pa
 
 
 def axes_to_own(up: str, front: str | None = None) -> Float[np.ndarray, "3 3"]:
-    """Return the rotation from a file's axes to a shape's own frame. Raises UserError for axes that are none."""
+    """Return the rotation from a file's axes to a shape's own frame. Raises UserError for invalid axes."""
     front = _FRONTS.get(up, "z") if front is None else front
     for key, value in (("up", up), ("front", front)):
         if value not in _AXES:
@@ -136,9 +136,9 @@ def _posed(path: Path, options: MeshOptions) -> list[Mesh]:
     return found
 
 
-def _taken(name: str, told: tuple[str, ...]) -> bool:
-    wanted = [part.casefold() for part in told if not part.startswith("-")]
-    refused = [part[1:].casefold() for part in told if part.startswith("-")]
+def _taken(name: str, parts: tuple[str, ...]) -> bool:
+    wanted = [part.casefold() for part in parts if not part.startswith("-")]
+    refused = [part[1:].casefold() for part in parts if part.startswith("-")]
     name = name.casefold()
     return (not wanted or any(part in name for part in wanted)) and not any(part in name for part in refused)
 
@@ -187,7 +187,7 @@ def _cleaned(path: Path, vertices: np.ndarray, faces: np.ndarray) -> tuple[np.nd
     steps = np.round((vertices - vertices.min(0)) / (_MERGED * size)).astype(np.int64)
     _, first, twin = np.unique(steps, axis=0, return_index=True, return_inverse=True)
     faces = twin.reshape(-1)[faces]
-    whole = (faces != np.roll(faces, 1, axis=1)).all(1)
-    if not whole.any():
+    solid = (faces != np.roll(faces, 1, axis=1)).all(1)
+    if not solid.any():
         raise UserError(f"{path}: none of its faces has an area. Expected a solid shape.")
-    return vertices[first], faces[whole]
+    return vertices[first], faces[solid]

@@ -32,7 +32,7 @@ def read_lines(path: Path, what: str) -> list[bytes]:
     except OSError as error:
         raise UserError(f"{path}: cannot be read ({error.strerror}).") from error
     if b"\0" in content:
-        raise UserError(f"{path}: this is no text, expected {what}.")
+        raise UserError(f"{path}: this is not text, expected {what}.")
     if not content.strip():
         raise UserError(f"{path}: empty, expected {what}.")
     return content.replace(b"\r\n", b"\n").replace(b"\r", b"\n").split(b"\n")
@@ -527,7 +527,7 @@ class _BvhFile:
         write beside the offsets, are not used.
 
         Raises:
-            UserError: a frame with too few or too many values, or with something that is no number.
+            UserError: a frame with too few or too many values, or with something that is not a number.
         """
         values = self._values(first, step)
         tree = tree or self.tree

@@ -24,7 +24,7 @@ def counts_of_text(text: str) -> Int64[np.ndarray, " runs"]:
     to the number two before (COCO API, maskApi.c, rleToString).
 
     Raises:
-        ValueError: no such text.
+        ValueError: another text.
     """
     codes = np.frombuffer(text.encode("ascii"), np.uint8).astype(np.int64) - 48
     if codes.size == 0 or codes.min() < 0 or codes.max() > 63:
@@ -57,7 +57,7 @@ def window_of_runs(
         OverflowError: an image of more than `MAX_PIXELS`.
     """
     if not (isinstance(size, list | tuple) and len(size) == 2 and all(type(one) is int and one > 0 for one in size)):
-        raise ValueError("size is no height and width")
+        raise ValueError("size is not a height and width")
     height, width = size
     if height * width > MAX_PIXELS:
         raise OverflowError("too many pixels")
@@ -81,7 +81,7 @@ def window_of_runs(
 
 def _whole_numbers(counts: Any) -> np.ndarray:
     if not isinstance(counts, list) or not all(type(one) is int and 0 <= one <= MAX_PIXELS for one in counts):
-        raise ValueError("counts are no list of whole numbers")
+        raise ValueError("counts are not a list of whole numbers")
     return np.array(counts, np.int64)
 
 

@@ -13,7 +13,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from uplift.data.parsers.files import check_memory, existing_file
+from uplift.data.parsers.files import check_memory, existing_file, reason_of
 from uplift.data.parsers.npz import read_header
 from uplift.errors import UserError
 
@@ -93,7 +93,7 @@ def _scalar(kind: Any, raw: Any) -> Any:
 def _array_of(raw: Any, kind: Any, shape: Any, order: Any, axes: Any = None) -> np.ndarray:
     """Return numbers or text that ``raw`` holds; raises ValueError where that is not as much as ``shape`` says."""
     if not isinstance(kind, _Dtype) or kind.dtype.hasobject or order not in ("C", "F", "K"):
-        raise ValueError("a buffer that is no array of numbers or text")
+        raise ValueError("a buffer that is not an array of numbers or text")
     raw = raw.encode("latin1") if isinstance(raw, str) else raw
     _check_array(kind, shape, raw)
     array = np.frombuffer(raw, kind.dtype).reshape(shape, order="F" if order == "F" else "C")
@@ -168,7 +168,7 @@ class Unpickler(_Python):
         self._depth: dict[int, int] = {}
 
     def find_class(self, module: str, name: str) -> Any:
-        """Return our own stand-in for what an array is made with; refuse everything else."""
+        """Return the stand-in for what an array is made with; refuse everything else."""
         wanted = f"{module}.{name}"
         if wanted not in _ADMITTED:
             raise UserError(
@@ -218,7 +218,7 @@ class Unpickler(_Python):
         dispatch[_code[0]] = load_ext
 
 
-# Open pickles that nobody vouches for: arrays, containers, numbers and text, and nothing that runs.
+# Files of pickles.
 
 # Whatever a damaged or hostile stream makes the unpickler stumble over.
 _DAMAGE = (
@@ -242,7 +242,9 @@ def load_pickle(path: str | Path) -> Any:
         with path.open("rb") as file:
             return Unpickler(Source(file, path.stat().st_size), str(path)).load()
     except _DAMAGE as error:
-        raise UserError(f"{path} is not a whole pickle file ({_said(error)}): truncated, or another format?") from error
+        raise UserError(
+            f"{path} is not a complete pickle file ({reason_of(error)}): truncated, or another format?"
+        ) from error
 
 
 def load_object_npz(path: str | Path, names: Collection[str] | None = None) -> dict[str, Any]:
@@ -260,11 +262,9 @@ def load_object_npz(path: str | Path, names: Collection[str] | None = None) -> d
             check_memory(path, "it", sum(member.file_size for member in members))
             return {m.filename.removesuffix(".npy"): _read_member(path, archive, m) for m in members}
     except _DAMAGE as error:
-        raise UserError(f"{path} is not a whole .npz file ({_said(error)}): truncated, or another format?") from error
-
-
-def _said(error: Exception) -> str:
-    return str(error) or type(error).__name__
+        raise UserError(
+            f"{path} is not a complete .npz file ({reason_of(error)}): truncated, or another format?"
+        ) from error
 
 
 def _read_member(path: Path, archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> Any:

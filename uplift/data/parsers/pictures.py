@@ -166,7 +166,7 @@ class Photos:
         return self._found(bare.as_posix(), bare.name)
 
     def notes(self) -> list[str]:
-        """Return what there is to tell."""
+        """Return the notes."""
         return [f"{self.missing:,} masks have no photo in {self.folder}"] if self.missing else []
 
     def _found(self, *keys: str) -> str:

@@ -28,7 +28,7 @@ _NUMBER = re.compile(rb"[+-]?(\d+[.]?\d*|[.]\d+)([eE][+-]?\d{1,6})?")
 
 
 def parse_numbers(text: np.ndarray, starts: np.ndarray, ends: np.ndarray, point: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return the cells' numbers as float64, NaN for empty ones and the usual words, and the places of what is none.
+    """Return the cells' numbers as float64, NaN for empty ones and the usual words, and the places of the other cells.
 
     ``text`` is bytes (uint8) that begin with `PADDING`; ``point`` is the sign before decimals. Each number,
     rounded to float32, is the one that ``float`` gives; as float64 it may be the neighbour of it.
@@ -189,7 +189,7 @@ def first_lines(path: Path, rows: int) -> list[str]:
             start += block
             lines = [line for line in _decoded(start).splitlines() if line.strip()]
     if "\0" in "".join(lines[:rows]):
-        raise UserError(f"{path} is no text, expected a table.")
+        raise UserError(f"{path} is not text, expected a table.")
     if len(lines) < rows:
         raise UserError(f"{path}: {len(lines)} lines, expected a header of {rows} and rows below it.")
     return lines[:rows]
@@ -230,7 +230,7 @@ def _chunks(path: Path, file: BinaryIO, rows: int) -> Iterator[tuple[int, bytes]
         yield line, rest + b"\n"
 
 
-# Tables in text files: header rows, then rows of numbers and words, read in chunks and checked on the way.
+# The rows below the header, a chunk at a time.
 
 _IN_QUOTES = 0x1F  # what stands for a separator inside quotes until the cells are cut
 
@@ -252,7 +252,7 @@ class Table:
     """The rows of a text file below its header.
 
     Raises:
-        UserError: (as `read` does) no text, rows of different lengths, a cell that is no number where one must be.
+        UserError: (as `read` does) no text, rows of different lengths, a cell that is not a number where one must be.
     """
 
     path: Path
@@ -351,7 +351,7 @@ class _Taken:
 
     def _add_numbers(self, text: np.ndarray, starts: np.ndarray, ends: np.ndarray, lines: np.ndarray) -> None:
         if not self.point:
-            # A comma can only be a decimal point where it parts no columns, and then there is no full stop.
+            # A comma can only be a decimal point where it parts no columns, and then there is not a full stop.
             self.point = ord(",") if self.separator != ord(",") and not self._has_stop(text, starts, ends) else ord(".")
         with np.errstate(over="ignore", invalid="ignore"):
             numbers = self._parsed(text, starts[:, : self.count], ends[:, : self.count], lines, self.places)
@@ -366,7 +366,9 @@ class _Taken:
             row, place = divmod(int(bad[0]), starts.shape[1])
             cell = text[starts[row, place] : ends[row, place]].tobytes().decode(errors="replace")
             name = " ".join(dict.fromkeys(head[places[place]] for head in self.table.header))
-            raise UserError(f"{self.table.path}, line {lines[row]}: {cell[:40]!r} in the column '{name}' is no number.")
+            raise UserError(
+                f"{self.table.path}, line {lines[row]}: {cell[:40]!r} in the column '{name}' is not a number."
+            )
         return values.reshape(starts.shape)
 
     def _has_stop(self, text: np.ndarray, starts: np.ndarray, ends: np.ndarray) -> bool:
