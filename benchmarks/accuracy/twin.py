@@ -23,7 +23,7 @@ from uplift.config.run import RunFolder
 from uplift.config.settings import Settings
 from uplift.data.load import Loaded, load_data
 from uplift.data.poses import PoseData
-from uplift.data.tensors import TrainingSet, frames_of
+from uplift.data.tensors import TrainingSet, to_training_set
 from uplift.errors import UserError
 from uplift.geometry.camera import build_camera
 from uplift.geometry.rotation import least_rotation, turn
@@ -111,7 +111,7 @@ def true_poses(settings: Settings, skeleton: Skeleton, train: PoseData) -> tuple
     seen has its true place.
     """
     assert train.pose is not None
-    data = frames_of(train, skeleton, settings.lifter)
+    data = to_training_set(train, skeleton, settings.lifter)
     known = torch.from_numpy(np.isfinite(train.pose).all(-1))
     pose = torch.from_numpy(np.nan_to_num(train.pose))
     gravity, note = gravity_in_camera(train, skeleton)

@@ -15,7 +15,7 @@ from uplift.config.loading import load_settings
 from uplift.config.settings import LifterSettings
 from uplift.data.load import load_data
 from uplift.data.poses import PoseData
-from uplift.data.tensors import TrainingSet, frames_of, mean_bones, with_labels
+from uplift.data.tensors import TrainingSet, mean_bones, to_training_set, with_labels
 from uplift.geometry.camera import build_camera
 
 
@@ -64,7 +64,7 @@ def test_mean_bones_are_those_of_the_labelled_bodies_in_mm() -> None:
 
 def test_joined_keeps_both_and_mixes_no_clips() -> None:
     plain = replace(bodies(10), identity={"sequence": np.repeat(["a", "b"], 5)})
-    one = frames_of(plain, H36M, LifterSettings())
+    one = to_training_set(plain, H36M, LifterSettings())
     other = labelled_frames(seen_bodies())
     both = TrainingSet.concat([one, other])
     assert len(both) == 50

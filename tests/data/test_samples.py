@@ -13,10 +13,11 @@ import torch
 from jaxtyping import Float, Shaped
 
 import uplift
+from uplift.data.mask_tensors import MaskSet
 from uplift.data.masks import MaskData, Placed
 from uplift.data.poses import PoseData
 from uplift.data.samples import SHARED, TRUTH, Samples
-from uplift.data.tensors import Batch, MaskSet, TrainingSet
+from uplift.data.tensors import Batch, TrainingSet
 from uplift.models.lifter import Lifted
 from uplift.models.prediction import Prediction, ShapePrediction
 from uplift.models.shape_lifter import LiftedShapes

@@ -14,7 +14,7 @@ from torch import Tensor
 
 from uplift.config.settings import LifterSettings, ViewSettings
 from uplift.data.poses import PoseData
-from uplift.data.tensors import TrainingSet, frames_of, with_labels
+from uplift.data.tensors import TrainingSet, to_training_set, with_labels
 from uplift.models.lifter import Lifter
 from uplift.models.model import build_lifter
 from uplift.priors.base import Lift
@@ -54,7 +54,7 @@ def seen_bodies(**changes) -> PoseData:
 
 
 def labelled_frames(data: PoseData, **settings) -> TrainingSet:
-    return with_labels(frames_of(data, H36M, LifterSettings(**settings)), data)
+    return with_labels(to_training_set(data, H36M, LifterSettings(**settings)), data)
 
 
 def training_set(frames: int = 12, seed: int = 0, skeleton: Skeleton = H36M, **rest) -> TrainingSet:

@@ -10,9 +10,9 @@ import torch
 from torch import Tensor
 
 from uplift.config.settings import ShapeSettings
+from uplift.data.mask_tensors import as_tensor, moments, recrop
 from uplift.data.masks import MaskData
 from uplift.data.synthetic.masks import ViewChoice, make_shapes, simulate_masks
-from uplift.data.tensors import as_tensor, moments, recrop
 from uplift.geometry.mesh import Mesh
 from uplift.geometry.voxels import coverage
 from uplift.models.mixture import ShapeMixture

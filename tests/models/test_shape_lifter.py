@@ -13,8 +13,8 @@ from shape_mixtures import chair, masks_of, mixture_of, small
 
 from uplift.config.files import read_torch, save_torch
 from uplift.config.run import read_weights
+from uplift.data.mask_tensors import as_tensor, to_mask_set
 from uplift.data.masks import MaskData, Placed
-from uplift.data.tensors import as_tensor, mask_set
 from uplift.errors import UserError
 from uplift.geometry.voxels import fill
 from uplift.models.model import ShapeModel
@@ -193,7 +193,7 @@ def test_the_level_of_fainter_shapes_is_lower(model: ShapeModel, data: MaskData)
 def test_known_views_and_shapes_of_labelled_masks(data: MaskData, model: ShapeModel) -> None:
     labelled = np.arange(len(data)) % 3 == 0
     told = MaskData(**{**vars(data), "labelled": labelled})
-    found = mask_set(told, model.settings)
+    found = to_mask_set(told, model.settings)
     assert found.labelled.tolist() == labelled.tolist()
     assert data.truth is not None
     assert np.array_equal(found.view[labelled], data.truth.view[labelled].astype(np.float32))
@@ -201,4 +201,4 @@ def test_known_views_and_shapes_of_labelled_masks(data: MaskData, model: ShapeMo
     assert not found.shape.any()
     assert found.shapes.shape == (1, 24, 24, 24)
     assert 0.01 < float(found.shapes.mean()) < 0.5
-    assert not mask_set(data, model.settings).labelled.any()
+    assert not to_mask_set(data, model.settings).labelled.any()

@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from shape_mixtures import chair, masks_of, mixture_of, small
 
-from uplift.data.tensors import MaskSet, mask_set
+from uplift.data.mask_tensors import MaskSet, to_mask_set
 from uplift.models import mixture as module
 from uplift.models.mixture import ShapeMixture, split
 from uplift.training.shapes import EStepStatistics
@@ -100,7 +100,7 @@ def known() -> ShapeMixture:
 @pytest.fixture(scope="module")
 def masks(known: ShapeMixture) -> MaskSet:
     """Return masks of one of the two."""
-    return mask_set(masks_of(chair(), 40), known.settings)
+    return to_mask_set(masks_of(chair(), 40), known.settings)
 
 
 @pytest.mark.parametrize("times", [2, 3])

@@ -12,8 +12,8 @@ from shape_mixtures import chair, masks_of, mixture_of, small
 from torch import Tensor, nn
 
 from uplift.config.settings import ShapeSettings, TeacherSettings
+from uplift.data.mask_tensors import MaskSet, to_mask_set
 from uplift.data.masks import MaskData
-from uplift.data.tensors import MaskSet, mask_set
 from uplift.errors import UserError
 from uplift.models.mixture import Drawn, ShapeMixture, temperature_at
 from uplift.priors import build_priors
@@ -35,7 +35,7 @@ def training(
     teacher = TeacherSettings(**{"batch_size": 16, "learning_rate": 0.05, "average": None, **more})
     given = priors or {}
     weights = dict.fromkeys(given, 1.0)
-    return Alone(ShapeMixture(settings), mask_set(data, settings), teacher, given, weights, 0, hot)
+    return Alone(ShapeMixture(settings), to_mask_set(data, settings), teacher, given, weights, 0, hot)
 
 
 def run(module: Alone, steps: int) -> list[dict[str, float]]:
@@ -76,7 +76,7 @@ def test_labels_pull_shapes_to_the_truth(data: MaskData) -> None:
         assert ("truth" in logged[0]) == labelled
         if labelled:
             assert logged[-1]["truth"] < 0.8 * logged[0]["truth"]
-        true = mask_set(replace(data, labelled=np.ones(len(data), bool)), settings).shapes
+        true = to_mask_set(replace(data, labelled=np.ones(len(data), bool)), settings).shapes
         losses[labelled] = float(nn.functional.binary_cross_entropy(module.lifter.occupancy.detach(), true))
     assert losses[True] < 0.95 * losses[False]
 
@@ -234,7 +234,7 @@ def test_a_mixture_that_knows_its_shape_costs_less(data: MaskData) -> None:
     energies = []
     for mixture in (ShapeMixture(settings), mixture_of((0,), settings)):
         teacher = TeacherSettings(batch_size=30, average=None)
-        module = MixtureTraining(mixture, mask_set(data, settings), teacher, {}, {}, 0)
+        module = MixtureTraining(mixture, to_mask_set(data, settings), teacher, {}, {}, 0)
         torch.manual_seed(0)
         module.done = 1.0
         energies.append(float(module.objective()[1]["energy"]))

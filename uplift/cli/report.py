@@ -15,7 +15,7 @@ from uplift.cli.kinds import KINDS
 from uplift.config.files import replacing
 from uplift.config.run import RunFolder
 from uplift.config.settings import Settings
-from uplift.data.tensors import as_seen, intrinsics_of
+from uplift.data.tensors import intrinsics_of, undistorted
 from uplift.export.page import write_html
 from uplift.export.shape_page import write_shape_page
 from uplift.metrics.baselines import flat_depth
@@ -229,7 +229,7 @@ def _given_to_poses(settings: Settings, loaded: Loaded) -> list[str]:
         lines.append(
             "The keypoints are simulated: bodies and motions from published anthropometry and ranges of motion."
         )
-    if intrinsics_of(as_seen(loaded.train, settings.lifter), settings.lifter) is not None:
+    if intrinsics_of(undistorted(loaded.train, settings.lifter), settings.lifter) is not None:
         lines.append("The camera's focal length and image centre, from the file, were used.")
     train = loaded.train
     if settings.student.share and settings.student.refine.iterations and len(np.unique(train.clips())) < len(train):

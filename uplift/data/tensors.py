@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -11,34 +11,27 @@ import torch
 from jaxtyping import Bool, Float, Int, UInt8
 from torch import Tensor
 
-from uplift.config.settings import LifterSettings, ShapeSettings
-from uplift.data.masks import MaskData
+from uplift.config.settings import LifterSettings
 from uplift.data.poses import PoseData, mask_maps
-from uplift.data.samples import SHARED, Samples
+from uplift.data.samples import Samples
 from uplift.errors import UserError
 from uplift.geometry.normalise import Intrinsics, Normalised, bone_lengths, normalise
 from uplift.geometry.rotation import gravity_of, turn
-from uplift.geometry.voxels import coverage
 from uplift.skeleton import Skeleton
 
 __all__ = [
-    "SPREAD",
     "Batch",
-    "MaskSet",
     "TrainingSet",
-    "as_seen",
-    "as_tensor",
-    "frames_of",
     "intrinsics_of",
-    "mask_set",
     "mean_bones",
-    "moments",
-    "recrop",
+    "to_training_set",
+    "undistorted",
     "with_labels",
 ]
 
-# The whole training set as tensors on one device: indexed, never loaded again.
+# All frames as tensors on one device: indexed, never loaded again.
 
+_INPUT = ("keypoints", "confidence", "scale", "distance")
 _BESIDE = ("labels", "label_unit", "label_tilt", "masks", "mask_map")
 
 
@@ -64,7 +57,7 @@ class TrainingSet(Samples):
     labels: Float[Tensor, "frames joints 3"] | None = None
     """True poses in units, NaN where unlabelled; None in training from 2D alone."""
     label_unit: Float[Tensor, " frames"] | None = None
-    """Of the labels' own unit (mm) in one unit, NaN where unlabelled."""
+    """Of the labels' unit (mm) in one unit, NaN where unlabelled."""
     label_tilt: Float[Tensor, " frames"] | None = None
     """True tilt, radians, of the camera that looks at the root; NaN where that is not known."""
     masks: UInt8[Tensor, "frames side side"] | None = None
@@ -82,7 +75,7 @@ class TrainingSet(Samples):
         intrinsics: Intrinsics | None = None,
         distance: float = 10.0,
     ) -> TrainingSet:
-        """Return the training set of cleaned ``data``; its `pose`, `root` and `tilt_deg` are not looked at."""
+        """Return the training set of cleaned ``data``; its `pose`, `root` and `tilt_deg` are not used."""
         keypoints, confidence = torch.from_numpy(data.keypoints), torch.from_numpy(data.confidence)
         normal = normalise(
             keypoints,
@@ -134,7 +127,7 @@ class TrainingSet(Samples):
         return super().concat(parts, clip=clip, **changed)
 
     def some(self, most: int, seed: int) -> TrainingSet:
-        """Return about ``most`` frames, whole clips in seeded order and all that are labelled; the set itself if it has no more."""
+        """Return about ``most`` frames, complete clips in seeded order and all that are labelled; the set itself if it has no more."""
         if len(self) <= most:
             return self
         counts = torch.bincount(self.clip)
@@ -154,21 +147,15 @@ class TrainingSet(Samples):
 
     def draw(self, rows: Int[Tensor, " batch"]) -> Batch:
         """Return the frames of ``rows``."""
-        told = {name: getattr(self, name) for name in _BESIDE}
-        return Batch(
-            self.keypoints[rows],
-            self.confidence[rows],
-            self.scale[rows],
-            self.distance[rows],
-            **{name: None if value is None else value[rows] for name, value in told.items()},
-            row=rows,
-        )
+        columns: dict[str, Any] = {name: getattr(self, name) for name in (*_INPUT, *_BESIDE)}
+        chosen: dict[str, Any] = {name: value if value is None else value[rows] for name, value in columns.items()}
+        return Batch(**chosen, row=rows)
 
 
 def _masks(
     data: PoseData, skeleton: Skeleton, normal: Normalised, intrinsics: Intrinsics | None
 ) -> dict[str, Tensor | None]:
-    """Return the masks and the way from normalised keypoints into them, where the data has any."""
+    """Return the masks and the maps of normalised keypoints into them, where the data has any."""
     if data.masks is None:
         return {}
     rotation = None if normal.rotation is None else normal.rotation.numpy()
@@ -221,7 +208,19 @@ class Batch(Samples):
         )
 
 
-# Data as a lifter sees it: through which camera, in which units.
+# From `PoseData` to a training set: through which camera, in which units, with which labels.
+
+
+def to_training_set(data: PoseData, skeleton: Skeleton, settings: LifterSettings) -> TrainingSet:
+    """Return cleaned ``data`` in the units and the camera of ``settings``."""
+    data = undistorted(data, settings)
+    return TrainingSet.of(
+        data,
+        skeleton,
+        count_root=settings.radius == "all",
+        intrinsics=intrinsics_of(data, settings),
+        distance=settings.distance,
+    )
 
 
 def intrinsics_of(data: PoseData, settings: LifterSettings) -> Intrinsics | None:
@@ -233,25 +232,10 @@ def intrinsics_of(data: PoseData, settings: LifterSettings) -> Intrinsics | None
     return Intrinsics(data.focal_px, data.centre_px)
 
 
-def as_seen(data: PoseData, settings: LifterSettings) -> PoseData:
-    """Return ``data`` as the lifter is to see it: through one ideal camera where its lenses are known and may be used."""
+def undistorted(data: PoseData, settings: LifterSettings) -> PoseData:
+    """Return ``data`` as one ideal camera sees it, where its lenses are known and ``settings`` use them."""
     use = settings.intrinsics != "off" and settings.camera != "orthographic"
     return data.straightened() if use else data
-
-
-def frames_of(data: PoseData, skeleton: Skeleton, settings: LifterSettings) -> TrainingSet:
-    """Return cleaned ``data`` in the units and the camera that ``settings`` say."""
-    data = as_seen(data, settings)
-    return TrainingSet.of(
-        data,
-        skeleton,
-        count_root=settings.radius == "all",
-        intrinsics=intrinsics_of(data, settings),
-        distance=settings.distance,
-    )
-
-
-# True poses that training may learn from, brought into the model's units and camera.
 
 
 def with_labels(frames: TrainingSet, data: PoseData) -> TrainingSet:
@@ -267,7 +251,7 @@ def with_labels(frames: TrainingSet, data: PoseData) -> TrainingSet:
     if frames.rotation is not None:
         pose = turn(pose, frames.rotation)
     known = pose.isfinite().all(-1)
-    unit = _own_unit(frames, pose.nan_to_num(), known, data.root)
+    unit = _label_units(frames, pose.nan_to_num(), known, data.root)
     tilt = torch.full_like(unit, torch.nan)
     if data.tilt_deg is not None and frames.skeleton.gravity:
         real = torch.from_numpy(np.radians(data.tilt_deg).astype(np.float32))
@@ -281,10 +265,10 @@ def with_labels(frames: TrainingSet, data: PoseData) -> TrainingSet:
     )
 
 
-def _own_unit(
+def _label_units(
     frames: TrainingSet, pose: Tensor, known: Bool[Tensor, "frames joints"], root: np.ndarray | None
 ) -> Tensor:
-    """Return how much of the pose's own unit one unit of the model is."""
+    """Return the length of one unit of the model in the unit of ``pose``."""
     both = ((frames.confidence > 0) & known).unsqueeze(-1)
     flat = pose[..., :2] * both
     by_keypoints = flat.square().sum((1, 2)) / (flat * frames.keypoints).sum((1, 2)).clamp_min(1e-9)
@@ -295,91 +279,9 @@ def _own_unit(
 
 
 def mean_bones(frames: TrainingSet) -> Float[Tensor, " bones"] | None:
-    """Return the mean length of each bone over the labelled frames, in the labels' own unit; NaN where none shows it."""
+    """Return the mean length of each bone over the labelled frames, in the labels' unit; NaN where no frame has it."""
     if frames.labels is None or frames.label_unit is None:
         return None
     bones = torch.as_tensor(frames.skeleton.bone_indices.copy())
     lengths = bone_lengths(frames.labels[frames.labelled], bones) * frames.label_unit[frames.labelled, None]
     return lengths.nanmean(0)
-
-
-# Masks and silhouettes brought to the same place and size: centroid at 0, the same spread along x and along y.
-
-SPREAD = 0.4
-"""Standard deviation of the pixels of a crop along x and along y, in half sides."""
-_FAINT = 0.3
-_LEAST = 0.03
-
-
-def moments(image: Float[Tensor, "items side side"]) -> tuple[Float[Tensor, "items 2"], Float[Tensor, "items 2"]]:
-    """Return the centroids (x, y) of masks or silhouettes and their spreads along x and y, in half sides of the image.
-
-    Faint pixels do not count, so that the haze of an unfinished shape moves nothing.
-    """
-    weight = (image - _FAINT).clamp_min(0) + 1e-6
-    weight = weight / weight.sum((1, 2), keepdim=True)
-    side = image.shape[-1]
-    at = (2 * torch.arange(side, device=image.device, dtype=image.dtype) + 1) / side - 1
-    columns, rows = weight.sum(1), weight.sum(2)
-    centre = torch.stack([columns @ at, rows @ at], -1)
-    spread = torch.stack([(columns * (at - centre[:, :1]) ** 2).sum(1), (rows * (at - centre[:, 1:]) ** 2).sum(1)], -1)
-    return centre, spread.sqrt().clamp_min(_LEAST)
-
-
-def recrop(
-    image: Float[Tensor, "items side side"],
-    centre: Float[Tensor, "items 2"],
-    spread: Float[Tensor, "items 2"],
-    side: int,
-) -> Float[Tensor, "items new new"]:
-    """Return images cut out anew: ``centre`` in the middle, ``spread`` brought to `SPREAD` along each axis."""
-    at = (2 * torch.arange(side, device=image.device, dtype=image.dtype) + 1) / side - 1
-    x = at * (spread[:, :1] / SPREAD) + centre[:, :1]
-    y = at * (spread[:, 1:] / SPREAD) + centre[:, 1:]
-    points = torch.stack([x[:, None, :].expand(-1, side, -1), y[:, :, None].expand(-1, -1, side)], -1)
-    return torch.nn.functional.grid_sample(image[:, None], points, align_corners=False)[:, 0]
-
-
-# `MaskSet`: the masks of a training set as tensors, cut out as silhouettes are.
-
-
-def as_tensor(masks: np.ndarray) -> Float[Tensor, "items side side"]:
-    """Return masks of 0..255 as 0..1."""
-    return torch.from_numpy(masks).float() / 255
-
-
-@dataclass(frozen=True)
-class MaskSet(Samples):
-    """Masks and, of labelled ones, which true shape is seen from which view of the grid."""
-
-    crops: Float[Tensor, "items side side"]
-    spread: Float[Tensor, "items 2"]
-    labelled: Bool[Tensor, " items"]
-    view: Float[Tensor, "items 3 3"]
-    """The true one; 0 where unlabelled."""
-    shape: Int[Tensor, " items"]
-    """Row of `shapes`; 0 where unlabelled."""
-    shapes: Float[Tensor, "known depth height width"] = field(metadata=SHARED)
-    """True occupancy of labelled shapes, at the mixture's detail."""
-
-
-def mask_set(data: MaskData, settings: ShapeSettings) -> MaskSet:
-    """Return ``data`` as a mixture trains on it; true shapes are looked at for labelled items alone."""
-    crops, spreads = [], []
-    for start in range(0, len(data), 1000):
-        part = as_tensor(data.masks[start : start + 1000])
-        centre, spread = moments(part)
-        crops.append(recrop(part, centre, spread, settings.crop))
-        spreads.append(spread)
-    count = len(data)
-    labelled = np.zeros(count, bool) if data.labelled is None or data.truth is None else data.labelled
-    view, shape = torch.zeros(count, 3, 3), torch.zeros(count, dtype=torch.long)
-    shapes = torch.zeros(1, *(settings.detail,) * 3)
-    if labelled.any():
-        rows = np.flatnonzero(labelled)
-        used, which = np.unique(data.truth.shape[rows], return_inverse=True)  # type: ignore[union-attr]
-        meshes = [data.truth.meshes[number] for number in used]  # type: ignore[union-attr]
-        shapes = torch.from_numpy(np.stack([coverage(mesh, settings.detail) for mesh in meshes])).float()
-        view[rows] = torch.from_numpy(np.asarray(data.truth.view[rows], np.float32))  # type: ignore[union-attr]
-        shape[rows] = torch.from_numpy(which)
-    return MaskSet(torch.cat(crops), torch.cat(spreads), torch.from_numpy(labelled.copy()), view, shape, shapes)

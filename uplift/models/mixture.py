@@ -15,7 +15,7 @@ from scipy.sparse import coo_array, csr_array
 from torch import Tensor, nn
 
 from uplift.config.settings import ShapeSettings
-from uplift.data.tensors import moments, recrop
+from uplift.data.mask_tensors import moments, recrop
 from uplift.geometry.rotation import random_rotations, views_about_gravity
 
 __all__ = [

@@ -16,9 +16,9 @@ from uplift.config.files import save_torch
 from uplift.config.run import Weights, read_weights
 from uplift.config.settings import LifterSettings, ShapeSettings, settings_of
 from uplift.data.clean import clean
+from uplift.data.mask_tensors import as_tensor
 from uplift.data.masks import MaskData
 from uplift.data.poses import PoseData
-from uplift.data.tensors import as_tensor
 from uplift.errors import UserError
 from uplift.geometry.camera import build_camera
 from uplift.geometry.lens import place_roots

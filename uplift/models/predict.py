@@ -11,7 +11,7 @@ from torch import Tensor
 
 from uplift.config.settings import LifterSettings, RefineSettings
 from uplift.data.poses import PoseData, codes_of
-from uplift.data.tensors import TrainingSet, as_seen, frames_of, intrinsics_of
+from uplift.data.tensors import TrainingSet, intrinsics_of, to_training_set, undistorted
 from uplift.errors import UserError
 from uplift.geometry.camera import Camera
 from uplift.geometry.lens import place_roots
@@ -59,7 +59,7 @@ class InferredPoses:
 
 def infer(lifter: Lifter, data: PoseData, settings: LifterSettings, *, refine: bool) -> InferredPoses:
     """Return the poses of cleaned ``data``; if ``refine``, refined by clip and with short gaps interpolated."""
-    seen = as_seen(data, settings)
+    seen = undistorted(data, settings)
     frames, lifted = _lift_and_refine(lifter, seen, settings, refine)
     if refine:
         filled = interpolate_gaps(seen, frames, lifted, intrinsics_of(seen, settings))
@@ -78,7 +78,7 @@ def _lift_and_refine(
     lifter: Lifter, data: PoseData, settings: LifterSettings, refine: bool
 ) -> tuple[TrainingSet, Lifted]:
     """Return ``data`` in the model's units, and its poses."""
-    frames = frames_of(data, lifter.skeleton, settings).to(next(lifter.parameters()).device)
+    frames = to_training_set(data, lifter.skeleton, settings).to(next(lifter.parameters()).device)
     lifted = lift_frames(lifter, frames, both_ways=settings.both_ways)
     if refine:
         lifted = refine_lifted(lifted, frames, lifter.camera, settings.refine)

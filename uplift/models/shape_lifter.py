@@ -8,8 +8,8 @@ import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
+from uplift.data.mask_tensors import moments, recrop
 from uplift.data.samples import Samples
-from uplift.data.tensors import moments, recrop
 from uplift.models.mixture import BASE, Drawn, ShapeMixture
 
 __all__ = ["LiftedShapes", "choose_iso_threshold", "lift_masks"]

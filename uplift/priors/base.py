@@ -16,7 +16,8 @@ from uplift.models.lifter import Lifted, Lifter
 from uplift.skeleton import Skeleton
 
 if TYPE_CHECKING:
-    from uplift.data.tensors import MaskSet, TrainingSet
+    from uplift.data.mask_tensors import MaskSet
+    from uplift.data.tensors import TrainingSet
 
 __all__ = ["Lift", "Prior", "ShapeLift", "ShapePrior"]
 

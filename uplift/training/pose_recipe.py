@@ -11,7 +11,7 @@ import torch
 from uplift.config.run import RunFolder
 from uplift.config.settings import LifterSettings, Settings
 from uplift.data.load import Loaded
-from uplift.data.tensors import TrainingSet, frames_of, mean_bones, with_labels
+from uplift.data.tensors import TrainingSet, mean_bones, to_training_set, with_labels
 from uplift.errors import UserError
 from uplift.models.lifter import Lifter
 from uplift.models.model import Model, build_lifter, load_poses
@@ -135,10 +135,12 @@ class PoseRecipe(Recipe):
 
 def training_frames(loaded: Loaded, skeleton: Skeleton, settings: Settings) -> TrainingSet:
     """Return the training frames of all files in the model's units, with the labels that may be used."""
-    frames = with_labels(frames_of(loaded.train, skeleton, settings.lifter), loaded.train)
+    frames = with_labels(to_training_set(loaded.train, skeleton, settings.lifter), loaded.train)
     if loaded.more is None:
         return frames
-    return TrainingSet.concat([frames, with_labels(frames_of(loaded.more, skeleton, settings.lifter), loaded.more)])
+    return TrainingSet.concat(
+        [frames, with_labels(to_training_set(loaded.more, skeleton, settings.lifter), loaded.more)]
+    )
 
 
 def _go_on(fresh: Lifter, last: Lifter) -> None:

@@ -14,7 +14,7 @@ import torch
 from uplift.config.run import RunFolder
 from uplift.config.settings import Settings, ShapeSettings
 from uplift.data.load_masks import LoadedMasks
-from uplift.data.tensors import as_tensor, mask_set
+from uplift.data.mask_tensors import as_tensor, to_mask_set
 from uplift.errors import UserError
 from uplift.models.mixture import AZIMUTHS, ShapeMixture, split
 from uplift.models.model import ShapeModel, load_shapes
@@ -40,7 +40,7 @@ class ShapeRecipe(Recipe):
         super().__init__(settings, settings.priors, None)
         labelled = loaded.train.labelled if settings.data.labelled.only else None
         self.train_data = loaded.train if labelled is None else loaded.train.select(labelled)
-        self.data = mask_set(self.train_data, settings.shape)
+        self.data = to_mask_set(self.train_data, settings.shape)
         shape = settings.shape
         torch.manual_seed(settings.seed)
         self.start = _start_from(settings.init, shape) if settings.init else None

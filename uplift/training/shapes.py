@@ -10,7 +10,7 @@ from jaxtyping import Float
 from torch import Tensor, nn
 
 from uplift.config.settings import TeacherSettings
-from uplift.data.tensors import MaskSet
+from uplift.data.mask_tensors import MaskSet
 from uplift.models.mixture import LEAST, MOST, Drawn, ShapeMixture, temperature_at
 from uplift.priors.base import Prior, ShapeLift
 from uplift.training.base import LifterTraining

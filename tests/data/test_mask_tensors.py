@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from torch import Tensor
 
-from uplift.data.tensors import SPREAD, moments, recrop
+from uplift.data.mask_tensors import SPREAD, moments, recrop
 
 
 def ellipse(x: float, y: float, wide: float, high: float, side: int = 48) -> Tensor:
