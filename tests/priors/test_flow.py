@@ -13,7 +13,7 @@ from uplift.geometry.rotation import turn
 from uplift.models.lifter import Lifted
 from uplift.models.networks import CouplingFlow
 from uplift.priors.flow import Flow
-from uplift.priors.imputation import fill_gaps
+from uplift.priors.imputation import impute_gaussian
 from uplift.priors.pairwise import Pairwise
 
 
@@ -117,12 +117,12 @@ def test_gaps_are_filled_with_what_the_seen_joints_leave_open():
     keypoints = torch.cat([torch.zeros(4000, 1, 2), first, second], 1)
     confidence = torch.ones(4000, 3)
     confidence[:2000, 2] = 0
-    filled = fill_gaps(keypoints * (confidence > 0).unsqueeze(-1), confidence)
+    filled = impute_gaussian(keypoints * (confidence > 0).unsqueeze(-1), confidence)
     assert torch.equal(filled[confidence > 0], keypoints[confidence > 0])
     off = (filled - 2 * first)[:2000, 2]
     assert off.mean().abs() < 0.02
     assert off.std() == pytest.approx(0.1, abs=0.04)
-    assert torch.equal(fill_gaps(keypoints, torch.ones(4000, 3)), keypoints)
+    assert torch.equal(impute_gaussian(keypoints, torch.ones(4000, 3)), keypoints)
 
 
 def test_a_flow_is_fitted_to_frames_with_gaps():

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 import torch
-from bodies import own_data, refusal, status_of, write_body
+from bodies import last_words, own_data, refusal, status_of, write_body
 
 STEPS = ("trainer.max_steps=20", "trainer.checkpoint_steps=3")
 ONE_STAGE = (*STEPS, "student.share=0")
@@ -52,7 +52,7 @@ def broken(tmp_path_factory: pytest.TempPathFactory) -> dict[str, tuple[Path, in
     wanted = []
     for name, (settings, stage, step, event) in SCENARIOS.items():
         (base / name).mkdir()
-        words = ["fit", *own_data(base / "a.npz"), f"data.test={base / 'a.npz'}", *settings]
+        words = last_words("fit", *own_data(base / "a.npz"), f"data.test={base / 'a.npz'}", *settings)
         wanted.append({"folder": str(base / name), "words": words, "stage": stage, "step": step, "event": event})
     script = Path(__file__).parents[1] / "helpers/broken_fits.py"
     done = subprocess.run(

@@ -19,7 +19,8 @@ from uplift.config.settings import ShapeSettings
 from uplift.data.mask_tensors import MaskSet, to_mask_set
 from uplift.data.masks import MaskData
 from uplift.data.synthetic.masks import ViewChoice, simulate_masks
-from uplift.models.mixture import LEAST, MOST, Projector, ShapeMixture
+from uplift.models.mixture import LEAST, MOST, ShapeMixture
+from uplift.models.projector import Projector
 from uplift.training import shapes as module
 from uplift.training.shapes import EStepStatistics
 

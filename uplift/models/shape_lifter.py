@@ -10,7 +10,8 @@ from torch import Tensor, nn
 
 from uplift.data.mask_tensors import moments, recrop
 from uplift.data.samples import Samples
-from uplift.models.mixture import BASE, Drawn, ShapeMixture
+from uplift.models.mixture import Drawn, ShapeMixture
+from uplift.models.projector import BASE
 
 __all__ = ["LiftedShapes", "choose_iso_threshold", "lift_masks"]
 

@@ -1,4 +1,4 @@
-"""Bone lengths keep one proportion over the batch, learned from the batch itself."""
+"""Bone lengths keep the same proportions over the batch, learned from the batch itself."""
 
 from __future__ import annotations
 
@@ -13,17 +13,19 @@ from uplift.skeleton import Skeleton
 __all__ = ["Bones"]
 
 _FREE = 0.05
+"""Relative difference to the labelled proportions that costs nothing, as a few labelled bodies are not all bodies."""
 
 
 class Bones(Prior):
     """Variance over the batch of each bone's share of the body's mean bone length.
 
-    No ratio comes from 3D data (the constants of Wandt et al. 2022 do): bodies differ little, so
-    the share of a bone should not depend on the pose. ``slack`` is the coefficient of variation that
-    costs nothing, for bodies that do differ.
+    Bodies differ little, so the share of a bone should not depend on the pose. No ratio comes from 3D data,
+    unlike those of Wandt et al. 2022 (ElePose).
 
-    Where frames are labelled and ``labels`` is on, the mean shares are held near those of the labels:
-    within 5 % of them they are free, as a few labelled bodies are not all bodies.
+    Args:
+        skeleton: of the poses.
+        slack: coefficient of variation that costs nothing, for bodies that do differ.
+        labels: whether mean shares are kept within 5 % of those of labelled bodies, if there are any.
     """
 
     bones: Tensor
@@ -36,7 +38,7 @@ class Bones(Prior):
         self.register_buffer("bones", torch.as_tensor(skeleton.bone_indices.copy()), persistent=False)
 
     def prepare(self, data: TrainingSet) -> None:
-        """Measure the shares of labelled bodies, where there are any."""
+        """Measure the shares of labelled bodies, if there are any."""
         if not self.labels or data.labels is None:
             return
         lengths = bone_lengths(data.labels[data.labelled], self.bones)
@@ -50,7 +52,7 @@ class Bones(Prior):
         weight = lift.visible[:, self.bones[:, 0]] * lift.visible[:, self.bones[:, 1]]
         count = weight.sum(0).clamp_min(1)
         usual = (lengths.detach() * weight).sum(0) / count
-        # Of the bones that a frame shows: it is not larger for showing only the long ones.
+        # Relative to the visible bones: a frame that shows only long bones is not larger.
         size = (lengths * weight).sum(1) / (usual * weight).sum(1).clamp_min(1e-6)
         share = lengths / (size * usual.mean()).clamp_min(1e-6).unsqueeze(1)
         mean = (share * weight).sum(0) / count
@@ -59,6 +61,6 @@ class Bones(Prior):
             variance = (variance - (self.slack * mean).square()).clamp_min(0)
         if self.true_share is None:
             return variance.mean()
-        told = self.true_share.to(mean)
-        off = ((mean - told).abs() - _FREE * told).clamp_min(0)
-        return (variance + off.square()).mean()
+        target = self.true_share.to(mean)
+        difference = ((mean - target).abs() - _FREE * target).clamp_min(0)
+        return (variance + difference.square()).mean()

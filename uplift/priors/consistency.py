@@ -1,4 +1,4 @@
-"""Lift, turn, project, lift again: the second lift should be the turned first one."""
+"""Lift, rotate, project, lift again: the second lift should equal the rotated first one."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ __all__ = ["Consistency"]
 
 
 class Consistency(Prior):
-    """The turned view lifted again gives the turned pose, and turned back the keypoints.
+    """The rotated view, lifted again, gives the rotated pose, and rotated back the keypoints.
 
     After Chen et al. 2019 (self-consistency) and ElePose (Wandt et al. 2022, L_3D and L_2D).
-    ``detach`` holds the turned pose still, so that only the second lift learns.
+    ``detach`` fixes the rotated pose, so that only the second lift learns; ``back`` weighs the keypoints.
     """
 
     def __init__(self, skeleton: Skeleton, *, detach: bool = False, back: float = 1.0):

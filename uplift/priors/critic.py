@@ -1,4 +1,4 @@
-"""The 2018 discriminator: turned views should not be told from real keypoints."""
+"""The 2018 discriminator: rotated views should be indistinguishable from real keypoints."""
 
 from __future__ import annotations
 
@@ -17,12 +17,16 @@ __all__ = ["Critic"]
 
 
 class Critic(Prior):
-    """A network that tells real keypoints from turned views (Kudo et al. 2018, 3.1 and 4.2).
+    """A network that distinguishes real keypoints from rotated views (Kudo et al. 2018, 3.1 and 4.2).
 
-    ``objective`` is ``minimax``, log(1 - D) as printed, or ``non_saturating``, -log D as in the
-    authors' code. ``gate`` is (low, high): with an accuracy below low the lifter is not updated,
-    above high the critic is not; None updates both always. ``network`` and what follows are the
-    network's family and options.
+    Args:
+        skeleton: of the poses.
+        objective: ``minimax``, log(1 - D) as printed, or ``non_saturating``, -log D as in the authors' code.
+        gate: (low, high): below an accuracy of low the lifter is not updated, above high the critic is not;
+            None always updates both.
+        network: family of the network.
+        units: of its layers.
+        options: of the network.
     """
 
     def __init__(
@@ -49,12 +53,12 @@ class Critic(Prior):
         return self.network(keypoints.flatten(1))[:, 0]
 
     def loss(self, lift: Lift) -> Tensor:
-        """Return how far the turned views are from passing for real."""
+        """Return the loss of rotated views under the critic: low where they look real."""
         logits = self.judge(lift.seen * lift.visible.unsqueeze(-1))
         return -softplus(logits) if self.objective == "minimax" else softplus(-logits)
 
     def own_loss(self, real: Tensor, seen: Tensor) -> Tensor:
-        """Return the cross-entropy of telling ``real`` from ``seen``."""
+        """Return the cross-entropy of classifying ``real`` and ``seen``."""
         on_real, on_seen = self.judge(real), self.judge(seen)
         self._gate(on_real, on_seen)
         return softplus(-on_real).mean() + softplus(on_seen).mean()
@@ -72,7 +76,7 @@ class Critic(Prior):
             self.gate_itself = self.accuracy > self.gate[1]
 
     def metrics(self, lift: Lift) -> dict[str, float]:
-        """Return the accuracy on the batch: 0.5 where nothing can be told apart."""
+        """Return the accuracy on the batch: 0.5 if the two are indistinguishable."""
         return {"accuracy": self.accuracy}
 
 

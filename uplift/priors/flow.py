@@ -1,4 +1,4 @@
-"""How likely is a turned view, by a normalising flow that was fitted to the real keypoints first?"""
+"""The likelihood of a rotated view under a normalising flow that is first fitted to the real keypoints."""
 
 from __future__ import annotations
 
@@ -12,20 +12,29 @@ from uplift.data.tensors import TrainingSet
 from uplift.geometry.normalise import mirror
 from uplift.models.networks import CouplingFlow
 from uplift.priors.base import Lift, Prior
-from uplift.priors.imputation import fill_gaps
+from uplift.priors.imputation import impute_gaussian
 from uplift.skeleton import Skeleton
 
 __all__ = ["Flow"]
 
 
 class Flow(Prior):
-    """Negative log-likelihood of the turned view, in nats, under a frozen flow (ElePose, Wandt et al. 2022, 3.2).
+    """Negative log-likelihood of the rotated view, in nats, under a frozen flow (ElePose, Wandt et al. 2022, 3.2).
 
-    Before the first step the flow is fitted to the real keypoints, in ``steps`` of Adam: ``blocks``
-    affine coupling blocks of ``units`` on ``axes`` principal components, whitened. Normalised
-    keypoints lie on a surface, their mean radius is 1, on which a density has no bound: ``noise``,
-    in units, is added to them. Missing joints are drawn from what the seen ones leave open.
-    ``joints`` names the joints it looks at; all if empty.
+    Before the first step the flow is fitted to the real keypoints with Adam. As normalised keypoints lie on a
+    surface (their mean radius is 1), on which a density is unbounded, noise is added to them. Missing joints
+    are imputed.
+
+    Args:
+        skeleton: of the poses.
+        joints: names of the joints it looks at; all if empty.
+        axes: whitened principal components that the flow acts on.
+        blocks: affine coupling blocks.
+        units: of their layers.
+        noise: standard deviation, in mean 2D radii.
+        steps: of the fit.
+        batch_size: of the fit.
+        learning_rate: of the fit.
     """
 
     mean: Tensor
@@ -58,7 +67,7 @@ class Flow(Prior):
 
     def prepare(self, data: TrainingSet) -> None:
         """Fit the flow to the training keypoints, mirrored ones beside them, and freeze it."""
-        real = fill_gaps(data.keypoints, data.confidence)
+        real = impute_gaussian(data.keypoints, data.confidence)
         if self.skeleton.has_mirror_image:
             swap = torch.as_tensor(self.skeleton.mirror_permutation.copy(), device=real.device)
             real = torch.cat([real, mirror(real, swap)])
@@ -90,9 +99,9 @@ class Flow(Prior):
         self.usual.copy_(self.flow.surprise((some - self.mean) @ self.whiten).detach().median())
 
     def loss(self, lift: Lift) -> Tensor:
-        """Return the surprise at each turned view, beyond that at real keypoints as its logarithm."""
+        """Return each view's negative log-likelihood minus the median of real keypoints, as a logarithm above 0."""
         seen = lift.seen[:, self.places].flatten(1)
         surprise = self.flow.surprise((seen - self.mean) @ self.whiten) - self.usual
-        # A flow knows nothing of what is far from its data and is steep there: no view may outweigh the rest.
+        # A flow is arbitrary and steep far from its data: no view may outweigh the rest.
         width = float(self.whiten.shape[1])
         return torch.where(surprise > 0, width * torch.log1p(surprise.clamp_min(0) / width), surprise)

@@ -49,11 +49,14 @@ def _length(vector: Tensor) -> Tensor:
 class Handedness(Prior):
     """Hinge on `handedness` of the skeleton's facing directions.
 
-    ``front`` and ``left`` replace the skeleton's own, as ``[from, to]``. ``frame`` is where up is:
-    ``level`` with the estimated tilt undone, or ``camera``. A skeleton that gives ``up`` itself
-    needs neither. ``margin`` asks for a sine of at least that much. Where frames are labelled and
-    ``labels`` is on, they have the last word: directions that most labelled poses contradict are
-    taken the other way round, with a warning.
+    Args:
+        skeleton: with directions ``front`` and ``left``, and ``up`` if it has no gravity.
+        front: replaces the skeleton's direction, as ``[from, to]``.
+        left: the same.
+        planar: see `handedness`.
+        frame: where up is, if the skeleton does not give it: ``level`` with the estimated tilt undone, or ``camera``.
+        margin: the least sine that costs nothing.
+        labels: whether directions that most labelled poses contradict are reversed, with a warning.
     """
 
     sign: Tensor
@@ -83,7 +86,7 @@ class Handedness(Prior):
         if missing:
             raise NotForThisSkeleton(
                 f"skeleton '{skeleton.name}' gives no facing direction {', '.join(missing)}, and without it a pose and "
-                "its depth-mirrored image cannot be told apart (give it `facing:`, or set priors.handedness.weight=0)."
+                "its depth-mirrored image cannot be distinguished (give it `facing:`, or set priors.handedness.weight=0)."
             )
         self.planar, self.frame, self.margin, self.labels = planar, frame, margin, labels
         self.register_buffer("sign", torch.ones(()))
@@ -94,7 +97,7 @@ class Handedness(Prior):
                 self.register_buffer(f"{name}_{side}", row, persistent=False)
 
     def prepare(self, data: TrainingSet) -> None:
-        """Hold the directions against the labelled poses, where there are any."""
+        """Compare the directions with the labelled poses, if there are any."""
         if not self.labels or data.labels is None:
             return
         pose = data.labels[data.labelled]
@@ -103,12 +106,12 @@ class Handedness(Prior):
         tilt = (
             torch.zeros_like(pose[:, 0, 0]) if data.label_tilt is None else data.label_tilt[data.labelled].nan_to_num()
         )
-        value, told = self.value(pose, turn(pose, level(tilt)) if self.skeleton.gravity else pose, known)
-        if told.any() and float(Lift.mean((value > 0).float(), told)) < 0.5:
+        value, shown = self.value(pose, turn(pose, level(tilt)) if self.skeleton.gravity else pose, known)
+        if shown.any() and float(Lift.mean((value > 0).float(), shown)) < 0.5:
             self.sign.neg_()
             warnings.warn(
                 f"the facing directions of skeleton '{self.skeleton.name}' are contradicted by most labelled poses and "
-                "are taken the other way round: mend its `facing:` (uplift skeleton check).",
+                "are reversed: correct its `facing:` (uplift skeleton check).",
                 stacklevel=2,
             )
 

@@ -17,10 +17,10 @@ class Labelled(Prior):
     """Mean joint distance to the labels (the semi-supervised term of Kudo et al. 2018, 5.2).
 
     Errors are taken in the labels' own unit, mm where they have one, so that a body seen small counts
-    as much as one seen large, and divided by what one unit of the model is on average, so that the
-    weight means the same for every skeleton. The mean runs over the whole batch, unlabelled frames
-    counting 0: a labelled frame has the same say among few and among many. ``elevation`` is the weight
-    of the camera's tilt, in radians, where the labels tell it; 0 leaves it to the other priors.
+    as much as one seen large, and divided by the average length of one unit of the model, so that the
+    weight means the same for every skeleton. The mean is over the full batch, unlabelled frames counting
+    as 0, so that a labelled frame weighs the same among few and among many. ``elevation`` is the weight of
+    the camera's tilt, in radians, where it is labelled; 0 leaves it to the other priors.
     """
 
     usual_unit: Tensor
@@ -31,7 +31,7 @@ class Labelled(Prior):
         self.register_buffer("usual_unit", torch.ones(()))
 
     def prepare(self, data: TrainingSet) -> None:
-        """Measure what one unit is in mm, on average; refuse data without labels."""
+        """Measure the average length of one unit in mm; refuse data without labels."""
         if not bool(data.labelled.any()):
             raise UserError(_NO_LABELS)
         if data.label_unit is not None:
@@ -53,8 +53,8 @@ class Labelled(Prior):
         weight = known.to(distance.dtype)
         loss = (distance * weight).sum(1) / weight.sum(1).clamp_min(1) / self.usual_unit
         if self.elevation and lift.label_tilt is not None:
-            told = lift.label_tilt.isfinite()
-            loss = loss + self.elevation * (lift.tilt - lift.label_tilt.nan_to_num()).abs() * told
+            has_tilt = lift.label_tilt.isfinite()
+            loss = loss + self.elevation * (lift.tilt - lift.label_tilt.nan_to_num()).abs() * has_tilt
         return loss
 
     def metrics(self, lift: Lift) -> dict[str, float]:

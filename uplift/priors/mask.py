@@ -1,4 +1,4 @@
-"""Joints that are not seen lie where the body's mask is: bones inside it, and all of it near a bone."""
+"""Missing joints agree with the body's mask: bones lie inside it, and every part of it is near a bone."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ from torch.nn.functional import adaptive_avg_pool2d, grid_sample
 from uplift.data.tensors import TrainingSet
 from uplift.errors import UserError
 from uplift.priors.base import Lift, Prior
-from uplift.priors.imputation import fill_gaps
+from uplift.priors.imputation import impute_gaussian
 from uplift.skeleton import Skeleton
 
 __all__ = ["Mask", "into_crop", "sample_field", "segment_distances", "signed_distances", "soft_gap", "unit_of"]
 
-# How far points of an image are from a body's mask: a signed distance that has a slope wherever a point is.
+# Signed distances of image points to a mask, with a gradient everywhere.
 
 _MOST = 64
 """Pixels along a field: finer masks are averaged down."""
@@ -25,9 +25,9 @@ _EMPTY = 2.0
 
 
 def signed_distances(masks: UInt8[Tensor, "frames side side"]) -> Float[Tensor, "frames side side"]:
-    """Return the distance of each pixel to the edge of the mask, above 0 outside and below it inside; half a crop is 1.
+    """Return each pixel's signed Euclidean distance to the edge of the mask, positive outside; half a crop is 1.
 
-    What lies beyond the crop is outside. Half precision, of exact Euclidean distances.
+    All beyond the crop is outside. The result has half precision.
     """
     from scipy.ndimage import distance_transform_edt
 
@@ -61,7 +61,7 @@ def into_crop(
 def sample_field(
     field: Float[Tensor, "frames side side"], points: Float[Tensor, "frames points 2"]
 ) -> Float[Tensor, "frames points"]:
-    """Return the signed distance at points of the crop, between pixels by interpolation, outside the crop by the way to it."""
+    """Return the signed distance at points, interpolated between pixels and extended beyond the crop."""
     edge = 1 - 1 / field.shape[1]  # the outermost pixels' centres
     within = points.clamp(-edge, edge)
     beyond = ((points - within).square().sum(-1) + 1e-12).sqrt() - 1e-6
@@ -76,7 +76,7 @@ def unit_of(mask_map: Float[Tensor, "frames 3 3"]) -> Float[Tensor, " frames"]:
     return torch.linalg.det(way).abs().clamp_min(1e-12).rsqrt()
 
 
-# Bones as capsules in the image: how far points are from them, and how thick masks show them to be.
+# Bones as capsules in the image: distances to them, and their thickness as masks show it.
 
 _EPS = 1e-6
 _QUANTILE = 0.8
@@ -123,7 +123,7 @@ def _bone_thickness(
     return torch.where(found.isfinite(), found, usual)
 
 
-# Joints that are not seen lie where the body's mask is: bones inside it, and all of it near a bone.
+# The prior.
 
 _ALONG = (1 / 3, 2 / 3, 1.0)
 _SAMPLE = 1000
@@ -222,7 +222,9 @@ class Mask(Prior):
         both = seen[:, self.bones].all(-1)
         usual = torch.where(both.unsqueeze(-1), outside, torch.nan).nanquantile(_USUAL, 0).nan_to_num()
         pixels = _picked(self.field[rows] < 0, _PIXELS)
-        thick = _bone_thickness(_out_of_crop(pixels, maps), fill_gaps(keypoints, data.confidence[rows]), self.bones)
+        thick = _bone_thickness(
+            _out_of_crop(pixels, maps), impute_gaussian(keypoints, data.confidence[rows]), self.bones
+        )
         if self.skeleton.has_mirror_image:
             usual, thick = (usual + usual[self.partners]) / 2, (thick + thick[self.partners]) / 2
         self.usual, self.radii = usual, thick * self.thickness

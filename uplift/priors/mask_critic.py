@@ -1,4 +1,4 @@
-"""A critic on masks: turned silhouettes must look like real ones (Kudo et al. 2018, for shapes)."""
+"""A critic on masks: silhouettes from random views must look like real masks (Kudo et al. 2018, for shapes)."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ __all__ = ["MaskCritic"]
 
 
 class MaskCritic(ShapePrior):
-    """A convolutional network that tells masks from silhouettes of the shapes seen from anywhere.
+    """A convolutional network that distinguishes real masks from silhouettes of the shapes.
 
-    Both are blurred first: shapes of a mixture have no sharp edges, and that must not be what gives them away.
-    The gradient of its verdict at real masks is held small (Mescheder et al. 2018, R1).
+    Both are blurred first, as shapes of a mixture have no sharp edges and must not be recognised by that. The
+    gradient of the network at real masks is penalised (Mescheder et al. 2018, R1).
     """
 
     blur: Tensor
@@ -36,13 +36,13 @@ class MaskCritic(ShapePrior):
         return self.look(soft * 2 - 1)[:, 0]
 
     def loss(self, lift: ShapeLift) -> Float[Tensor, ""]:
-        """Return how little the turned silhouettes look real."""
+        """Return the loss of silhouettes under the critic: low where they look real."""
         return nn.functional.softplus(-self(lift.seen)).mean()
 
     def own_loss(
         self, real: Float[Tensor, "items side side"], seen: Float[Tensor, "turned side side"]
     ) -> Float[Tensor, ""]:
-        """Return how badly the critic tells the two apart."""
+        """Return the cross-entropy of classifying the two, and the gradient penalty."""
         real = real.detach().requires_grad_()
         verdict = self(real)
         slope = torch.autograd.grad(verdict.sum(), real, create_graph=True)[0].square().sum((1, 2)).mean()

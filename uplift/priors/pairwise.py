@@ -1,4 +1,4 @@
-"""Pairwise deformation: two poses differ after lifting their turned views again as they did before."""
+"""Pairwise deformation: the difference of two poses stays the same when their rotated views are lifted again."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Priors over grids: little surface, and voxels that are either full or empty."""
+"""Priors on occupancy grids: smoothness, compactness and symmetry."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ __all__ = ["Compactness", "ShapeSymmetry", "Smoothness"]
 
 
 class Smoothness(ShapePrior):
-    """The total variation of occupancy, a mean over voxels: neighbours are alike."""
+    """The total variation of occupancy, as a mean over voxels."""
 
     def loss(self, lift: ShapeLift) -> Float[Tensor, ""]:
         """Return the mean absolute difference of neighbours along the three axes."""
@@ -19,7 +19,7 @@ class Smoothness(ShapePrior):
 
 
 class Compactness(ShapePrior):
-    """No haze: a voxel that is half full costs most. It grows over the stage, as shapes begin as haze."""
+    """Penalises voxels that are neither full nor empty, more so towards the end of a stage, as shapes begin as haze."""
 
     def loss(self, lift: ShapeLift) -> Float[Tensor, ""]:
         """Return the mean of occupancy times emptiness, times the share of the stage that is over."""
@@ -27,7 +27,7 @@ class Compactness(ShapePrior):
 
 
 class ShapeSymmetry(ShapePrior):
-    """Left is like right, where `shape.symmetric` does not make it so."""
+    """Left is like right, for shapes that `shape.symmetric=false` leaves free."""
 
     def loss(self, lift: ShapeLift) -> Float[Tensor, ""]:
         """Return the mean squared difference of occupancy and its mirror image."""

@@ -13,27 +13,36 @@ from typing import Any
 
 import lightning as L
 import torch
+from lightning.pytorch.plugins.io import TorchCheckpointIO
 from torch import Tensor
 
 from uplift.config.files import read_torch, save_torch
 from uplift.errors import UserError
 from uplift.training.base import LifterTraining
 
-__all__ = ["Budget", "Checkpoints", "Interrupted", "MetricsFile", "Progress", "Threads", "check_checkpoint"]
+__all__ = [
+    "AtomicCheckpointIO",
+    "Budget",
+    "Checkpoints",
+    "Interrupted",
+    "MetricsFile",
+    "Progress",
+    "Threads",
+    "check_checkpoint",
+]
 
-# Use as many CPU threads as pay: all of them on a quiet machine, one on a crowded one.
+# As many CPU threads as are faster: all on an idle machine, one on a busy one.
 
 _PROBE_STEPS = 4
 _EVERY_S = 20.0
 
 
 class Threads(L.Callback):
-    """Now and then times a few steps with all threads and a few with one, and goes on with the faster.
+    """Every 20 seconds times a few steps with all threads and a few with one, and continues with the faster.
 
-    Small products are split over threads that wait for each other: where another process holds a
-    core, two threads can be ten times slower than one. Every probe is a step of the training, so
-    nothing is lost by it; but the last digits depend on the number of threads, so fits that count
-    steps and not time leave it alone.
+    Threads that share a small product wait for each other: if another process holds a core, two threads can be
+    ten times slower than one. Every probe is a step of the training, so no time is lost; but the last digits
+    depend on the number of threads, so fits of a set number of steps do not use this.
     """
 
     def __init__(self) -> None:
@@ -54,7 +63,7 @@ class Threads(L.Callback):
         self._start = time.perf_counter()
 
     def on_train_batch_end(self, *rest: Any) -> None:
-        """Note how long a probe took; after the last one keep the faster number."""
+        """Record how long a probe took; after the last one, keep the faster number."""
         if not self._queue:
             return
         threads = self._queue.pop(0)
@@ -69,11 +78,22 @@ class Threads(L.Callback):
         torch.set_num_threads(self.most)
 
 
-# Keep the training state so that a killed fit goes on where it was.
+# Checkpoints: the training state, so that a killed fit continues where it was.
+
+
+class AtomicCheckpointIO(TorchCheckpointIO):
+    """Writes each checkpoint completely or not at all, so that a kill or a full disk leaves the last one."""
+
+    def save_checkpoint(self, checkpoint: dict[str, Any], path: Any, storage_options: Any = None) -> None:
+        """Write tensors and plain data to ``path``."""
+        save_torch(checkpoint, Path(path))
 
 
 class Checkpoints(L.Callback):
-    """Save the stage to ``path`` every ``seconds`` or ``steps`` and at its end, whole or not at all."""
+    """Save the stage to ``path`` every ``seconds`` or ``steps`` and at its end.
+
+    The trainer must have the plugin `AtomicCheckpointIO`.
+    """
 
     def __init__(self, path: Path, *, seconds: float, steps: int | None, on_save: Callable[[], None] | None = None):
         self.path, self.seconds, self.steps, self.on_save = path, seconds, steps, on_save
@@ -86,21 +106,18 @@ class Checkpoints(L.Callback):
         else:
             due = time.monotonic() - self._last > self.seconds
         if due or trainer.should_stop:
-            self.save(trainer, module)
+            self.save(trainer)
 
-    def save(self, trainer: L.Trainer, module: LifterTraining) -> None:
+    def save(self, trainer: L.Trainer) -> None:
         """Save now."""
-        state = trainer._checkpoint_connector.dump_checkpoint()
-        state["done"] = module.done
-        if trainer.is_global_zero:
-            save_torch(state, self.path)
-            if self.on_save:
-                self.on_save()
+        trainer.save_checkpoint(self.path)
+        if trainer.is_global_zero and self.on_save:
+            self.on_save()
         self._last = time.monotonic()
 
 
 def check_checkpoint(path: Path, module: LifterTraining) -> float:
-    """Return how much of the stage the checkpoint had done, after checking that it fits ``module``.
+    """Return the share of the stage that was over, 0..1, after checking that the checkpoint fits ``module``.
 
     Raises:
         UserError: damaged, or of other settings or another skeleton.
@@ -108,7 +125,7 @@ def check_checkpoint(path: Path, module: LifterTraining) -> float:
     state = read_torch(path, "checkpoint")
     found, expected = state.get("state_dict"), module.state_dict()
     if not isinstance(found, dict) or "done" not in state:
-        raise UserError(f"{path} is no checkpoint of a fit (no 'state_dict').")
+        raise UserError(f"{path} is not a checkpoint of a fit (no 'state_dict').")
     wrong = [k for k in expected if k not in found or found[k].shape != expected[k].shape]
     if wrong or set(found) - set(expected):
         raise UserError(
@@ -118,11 +135,11 @@ def check_checkpoint(path: Path, module: LifterTraining) -> float:
     return float(state["done"])
 
 
-# Tell how a fit is going: one line on a terminal, rows in metrics.csv.
+# Progress: one line on a terminal, rows in metrics.csv.
 
 
 class Progress(L.Callback):
-    """One line that is rewritten on a terminal; elsewhere a line at every tenth of the stage."""
+    """One line that is rewritten on a terminal; elsewhere, a line for every tenth of the stage."""
 
     def __init__(self, stage: str, budget: Budget, stream: Any = None):
         self.stage, self.budget = stage, budget
@@ -160,15 +177,15 @@ class Progress(L.Callback):
 class MetricsFile(L.Callback):
     """Append a row of losses and prior metrics to ``metrics.csv`` every ``every`` steps.
 
-    The file is long: stage, step, name, value. Rows after the step that a fit resumes from are
-    taken out first, so that an unbroken and a resumed fit leave the same file.
+    The columns are stage, step, name and value. Rows after the step that a fit resumes from are removed first,
+    so that an uninterrupted and a resumed fit leave the same file.
     """
 
     def __init__(self, path: Path, stage: str, every: int):
         self.path, self.stage, self.every = path, stage, every
 
     def on_train_start(self, trainer: L.Trainer, module: Any) -> None:
-        """Take out what a killed process wrote after its last checkpoint."""
+        """Remove what a killed process wrote after its last checkpoint."""
         if not trainer.is_global_zero:
             return
         rows = read_metrics(self.path)
@@ -191,14 +208,14 @@ class MetricsFile(L.Callback):
 
 
 def read_metrics(path: Path) -> list[list[str]]:
-    """Return the rows of a metrics.csv without its header; a line cut short by a kill is left out."""
+    """Return the rows of a metrics.csv without its header and without a line that a kill cut short."""
     if not path.is_file():
         return []
     with open(path, newline="") as file:
         return [row for row in csv.reader(file) if len(row) == 4 and row[1].isdigit()]
 
 
-# End a stage when its steps or its time are over, or when the user asks for it.
+# Budget: a stage ends when its steps or its time are over, or on Ctrl-C.
 
 
 class Interrupted(Exception):
@@ -206,9 +223,9 @@ class Interrupted(Exception):
 
 
 class Budget(L.Callback):
-    """Keeps `LifterTraining.done` from 0 to 1 and stops there; time goes on counting after a resume.
+    """Moves `LifterTraining.done` from 0 to 1 and stops there; time continues to count after a resume.
 
-    Ctrl-C or a SIGTERM ends the stage after the step under way; a second one at once.
+    Ctrl-C or SIGTERM ends the stage after the current step; a second one ends it at once.
     """
 
     def __init__(self, *, steps: int | None, seconds: float | None, spent: float = 0.0):
@@ -218,14 +235,14 @@ class Budget(L.Callback):
         self.interrupted = False
 
     def on_train_start(self, trainer: L.Trainer, module: LifterTraining) -> None:  # type: ignore[override]
-        """Start the clock where a resumed stage left it."""
+        """Start the clock where a resumed stage stopped it."""
         self._catch(signal.SIGTERM)  # here, as Lightning has just put its own in place
         self._before = self.spent
         self._start = time.monotonic()
         self._update(trainer, module)
 
     def on_train_batch_start(self, trainer: Any, module: Any, batch: Any, batch_idx: int) -> None:
-        """Set how much of the stage is over."""
+        """Set what share of the stage is over."""
         self._update(trainer, module)
 
     def on_train_batch_end(self, trainer: L.Trainer, module: Any, *rest: Any) -> None:
@@ -253,7 +270,7 @@ class Budget(L.Callback):
         return {"spent": self.spent}
 
     def load_state_dict(self, state: dict[str, float]) -> None:
-        """Take over the time an earlier process spent."""
+        """Restore the time that an earlier process spent."""
         self.spent = float(state["spent"])
 
     def __enter__(self) -> Budget:
@@ -267,7 +284,7 @@ class Budget(L.Callback):
                 signal.signal(number, handler)
 
     def _catch(self, number: int) -> None:
-        """Note the signal when it comes, instead of what it does otherwise."""
+        """Record the signal instead of its default action."""
 
         def ask(number: int, frame: object) -> None:
             if self.interrupted:

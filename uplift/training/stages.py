@@ -22,7 +22,16 @@ from uplift.errors import UserError
 from uplift.priors import build_priors
 from uplift.skeleton import Skeleton
 from uplift.training.base import LifterTraining
-from uplift.training.callbacks import Budget, Checkpoints, Interrupted, MetricsFile, Progress, Threads, check_checkpoint
+from uplift.training.callbacks import (
+    AtomicCheckpointIO,
+    Budget,
+    Checkpoints,
+    Interrupted,
+    MetricsFile,
+    Progress,
+    Threads,
+    check_checkpoint,
+)
 
 __all__ = ["Recipe", "StageBudget", "run_stage", "stage_budgets"]
 
@@ -144,6 +153,7 @@ def _trainer(settings: TrainerSettings, callbacks: list[L.Callback], folder: Pat
             precision=settings.precision,  # type: ignore[arg-type]
             logger=_logger(settings.logger, folder),
             callbacks=callbacks,
+            plugins=AtomicCheckpointIO(),
             max_epochs=-1,
             enable_checkpointing=False,
             enable_progress_bar=False,

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from torch import Tensor
 
 from uplift.geometry.rotation import about_y, level, random_rotations
-from uplift.models.mixture import BASE, Projector
+from uplift.models.projector import BASE, Projector
 
 N, SIDE, DEEP = 16, 24, 1.45
 
