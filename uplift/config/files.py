@@ -13,7 +13,18 @@ from typing import Any, BinaryIO
 
 from uplift.errors import UserError
 
-__all__ = ["absolute", "data_root", "files_of", "read_torch", "refuse_existing", "refuse_output", "replacing", "save_torch", "shipped", "shipped_names"]
+__all__ = [
+    "absolute",
+    "data_root",
+    "files_of",
+    "read_torch",
+    "refuse_existing",
+    "refuse_output",
+    "replacing",
+    "save_torch",
+    "shipped",
+    "shipped_names",
+]
 
 # Where shipped files and data sets are.
 
