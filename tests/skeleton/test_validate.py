@@ -92,7 +92,7 @@ WRONG = {
     "open bracket": (2, "joints: [body, head", 3, "not YAML"),
     "two documents": (16, "---\nname: cat", 16, "not YAML.*one document"),
     "control character": (16, "gravity: \x07", 16, "control character"),
-    "number too long": (16, "proportions: {head: " + "9" * 5000 + "}", 16, "no int"),
+    "number too long": (16, "proportions: {head: " + "9" * 5000 + "}", 16, "not a valid int"),
     "deep nesting": (16, "limits: " + "[" * 500 + "]" * 500, 16, "nested more than"),
 }
 
