@@ -26,7 +26,7 @@ from uplift.export.gallery import check_options
 from uplift.export.scene import AXES, in_axes
 from uplift.metrics.pose_metrics import bone_cv, bone_lengths, never_seen_so_long
 from uplift.models.metric_scale import size_from
-from uplift.models.model import load_poses
+from uplift.models.model import load_poses, load_shapes
 from uplift.models.prediction import Prediction, ShapePrediction
 from uplift.skeleton import Skeleton
 
