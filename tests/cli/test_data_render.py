@@ -128,7 +128,7 @@ def test_nothing_is_overwritten(tmp_path: Path) -> None:
         ("furniture azimuth_deg=nan,0 output=a.npz", "expected from,to"),
         ("furniture distance=0,1 output=a.npz", "distance='0,1'"),
         ("furniture upright=maybe output=a.npz", "expected true or false"),
-        ("furniture upright=false azimuth_deg=0,1 output=a.npz", "does not count"),
+        ("furniture upright=false azimuth_deg=0,1 output=a.npz", "has no effect"),
     ],
 )
 def test_mistakes_are_told(words: str, message: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -22,226 +22,6 @@ from uplift.skeleton.draw import rest_pose
 
 __all__ = ["euler_zxy", "turn_onto", "write_bvh"]
 
-# The rest directions of a rig: the skeleton's rest pose, or the mean shape of the clip.
-
-_ROUNDS = 3
-_SCATTERED = 0.3
-
-
-def _rest_directions(
-    prediction: Prediction, ways: dict[str, Float[np.ndarray, "frames 3"]], lengths: dict[str, float]
-) -> dict[str, Float[np.ndarray, "3"]]:
-    """Return the direction of every bone (by its child) in the rest pose, for a body that faces the viewer.
-
-    Where the skeleton gives no rest pose it is the mean of the clip's frames, each turned onto the first.
-    """
-    skeleton = prediction.skeleton
-    axes = from_y_down(prediction.axes)
-    pose = rest_pose(skeleton)
-    if pose is None:
-        return _facing(skeleton, _mean_shape(ways), lengths, axes)
-    steps = {
-        joint: pose[skeleton.index(joint)] - pose[skeleton.index(parent)]
-        for joint, parent in skeleton.parents.items()
-        if parent is not None
-    }
-    return {joint: axes @ step / np.linalg.norm(step) for joint, step in steps.items()}
-
-
-def _mean_shape(ways: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
-    """Return mean directions; those of the fullest frame for a bone that points everywhere."""
-    stacked = np.stack(list(ways.values()), 1)
-    known = np.isfinite(stacked.sum(-1))
-    first = int(np.argmax(known.sum(1)))
-    shape = np.where(known[first][:, None], stacked[first], 0)
-    filled, count = np.nan_to_num(stacked), np.maximum(known.sum(0), 1)[:, None]
-    for _ in range(_ROUNDS):
-        turn, _ = nearest_rotation(np.einsum("bi,fbj->fij", shape, filled) + 1e-9 * np.eye(3))
-        mean = np.einsum("fij,fbj->bi", turn, filled) / count
-        scattered = np.linalg.norm(mean, axis=-1) < _SCATTERED
-        mean[scattered & known[first]] = stacked[first][scattered & known[first]]
-        size = np.linalg.norm(mean, axis=-1, keepdims=True)
-        shape = np.where(size > 1e-6, mean / np.maximum(size, 1e-6), [0.0, 1.0, 0.0])
-    return dict(zip(ways, shape, strict=True))
-
-
-def _facing(
-    skeleton: Skeleton, rest: dict[str, np.ndarray], lengths: dict[str, float], axes: np.ndarray
-) -> dict[str, np.ndarray]:
-    """Turn the shape to face the viewer, upright as it is under gravity; as it is where there is no front."""
-    if "front" not in skeleton.facing:
-        return rest
-    pose = np.zeros((len(skeleton.joints), 3))
-    for joint, parent in skeleton.parents.items():
-        if parent is not None:
-            pose[skeleton.index(joint)] = pose[skeleton.index(parent)] + rest[joint] * lengths[joint]
-    front = skeleton.facing_matrix("front") @ pose
-    up = axes @ [0.0, -1.0, 0.0]
-    own_up = up if skeleton.gravity or "up" not in skeleton.facing else skeleton.facing_matrix("up") @ pose
-    own, wanted = _basis(own_up, front), _basis(up, axes @ [0.0, 0.0, -1.0])
-    if own is None or wanted is None:
-        return rest
-    return {joint: wanted.T @ own @ way for joint, way in rest.items()}
-
-
-def _basis(up: np.ndarray, front: np.ndarray) -> Float[np.ndarray, "3 3"] | None:
-    """Return the rows up, front and the side of a body; None where front is along up."""
-    up = up / max(float(np.linalg.norm(up)), 1e-12)
-    front = front - up * (up @ front)
-    size = float(np.linalg.norm(front))
-    if size < 1e-6 or not np.linalg.norm(up) > 0.5:
-        return None
-    return np.stack([up, front / size, np.cross(up, front / size)])
-
-
-# A rig for a clip of poses: bones of one length each, and the turns that bring them nearest to the poses.
-
-_OWN_JOINT = 2e-4
-"""Share of a bone by which a child may miss before it gets a turn of its own."""
-_WEAK = 1e-5
-"""Of what the bones leave open, against what they say."""
-_FOLDED = 0.5
-"""1 + cosine of the angle to the rest direction (120 degrees) below which the frame before has a say."""
-_TIP = 0.1
-_SETTLE = 8
-
-
-@dataclass(frozen=True)
-class _Rig:
-    """A tree in the prediction's unit and its motion; ``sources[i]`` is the joint that rig joint i sits on."""
-
-    tree: Tree
-    sources: tuple[int, ...]
-    turned: list[Float[np.ndarray, "frames 3 3"]]
-    """Of each rig joint in its parent's frame."""
-
-    def positions(self, root: Float[np.ndarray, "frames 3"]) -> Float[np.ndarray, "joints frames 3"]:
-        """Return where the rig's joints are."""
-        return Figure.posed(self.tree, root, self.turned).positions
-
-
-def _fit_rig(prediction: Prediction, pose: Float[np.ndarray, "frames joints 3"]) -> _Rig:
-    """Return the rig of a pose (relative to the root, NaN where not known).
-
-    Bones have their median length. A joint with one child turns the least way from its parent's frame, as the
-    twist about a bone cannot be seen; where the bone folds back on its rest direction, and the least way is
-    undefined, the twist follows from the frame before. A joint with several turns as a whole (Kabsch, Acta Cryst.
-    A32, 1976), and a child that this misses gets a turn of its own at the same place, which is exact. What is not
-    known holds its last turn. Raises UserError where a joint is nowhere known.
-    """
-    ways, lengths = _bones(prediction, pose)
-    return _Builder(prediction, ways, lengths, _rest_directions(prediction, ways, lengths)).rig()
-
-
-def turn_onto(
-    rest: Float[np.ndarray, "children 3"],
-    ways: Float[np.ndarray, "frames children 3"],
-    frame: Float[np.ndarray, "frames 3 3"],
-) -> Float[np.ndarray, "frames 3 3"]:
-    """Return rotations that bring ``rest`` onto ``ways``, what these leave open as ``frame`` has it."""
-    known = np.isfinite(np.sum(ways, axis=-1))
-    wanted = np.einsum("fki,kj->fij", np.where(known[..., None], ways, 0), rest)
-    trust = known.all(1).astype(float)
-    if len(rest) == 1:
-        unfolded = np.einsum("fi,fij,j->f", np.nan_to_num(ways[:, 0]), frame, rest[0])
-        trust *= np.clip((1 + unfolded) / _FOLDED, 0, 1)
-    turned, _ = nearest_rotation(wanted + _WEAK * frame)
-    trusted = np.flatnonzero(trust == 1)
-    before = frame[trusted[0]].T @ turned[trusted[0]] if len(trusted) else np.eye(3)
-    for now in np.flatnonzero(trust < 1):
-        before = frame[now - 1].T @ turned[now - 1] if now else before
-        leave = frame[now] @ (trust[now] * np.eye(3) + (1 - trust[now]) * before)
-        turned[now], _ = nearest_rotation(wanted[now] + _WEAK * leave)
-    return turned
-
-
-def _bones(prediction: Prediction, pose: np.ndarray) -> tuple[dict[str, np.ndarray], dict[str, float]]:
-    """Return of every joint but the root the direction from its parent (frames 3), and the length."""
-    where = {name: place for place, name in enumerate(prediction.joint_names)}
-    ways, lengths = {}, {}
-    for joint, parent in prediction.skeleton.parents.items():
-        if parent is None:
-            continue
-        step = pose[:, where[joint]] - pose[:, where[parent]]
-        length = np.linalg.norm(step, axis=-1)
-        known = np.isfinite(length) & (length > 0)
-        if not known.any():
-            raise UserError(
-                f"a .bvh holds complete bodies, but the bone from '{parent}' to '{joint}' is in no frame of this clip. "
-                "Leave the joint out of the skeleton, or write another format."
-            )
-        lengths[joint] = float(np.median(length[known]))
-        ways[joint] = np.where(known[:, None], step / np.where(known, length, 1)[:, None], np.nan)
-    return ways, lengths
-
-
-class _Builder:
-    """The rig while it grows, parents first and depth first, as the file lists it."""
-
-    def __init__(self, prediction: Prediction, ways: dict, lengths: dict, rest: dict):
-        self.ways, self.lengths, self.rest = ways, lengths, rest
-        self.loose = rest_pose(prediction.skeleton) is None
-        self.where = {name: place for place, name in enumerate(prediction.joint_names)}
-        self.root, parents = prediction.skeleton.root, prediction.skeleton.parents
-        self.children: dict[str, list[str]] = {joint: [] for joint in parents}
-        for joint in (name for name in prediction.joint_names if parents.get(name) is not None):
-            self.children[str(parents[joint])].append(joint)
-        self.frames = len(next(iter(ways.values())))
-        self.names: list[str] = []
-        self.parents: list[int] = []
-        self.offsets: list[np.ndarray] = []
-        self.tips: list[np.ndarray] = []
-        self.sources: list[int] = []
-        self.turned: list[np.ndarray] = []
-
-    def rig(self) -> _Rig:
-        self._add(self.root, -1, np.zeros(3), np.tile(np.eye(3), (self.frames, 1, 1)))
-        tree = Tree(tuple(self.names), tuple(self.parents), np.array(self.offsets), np.array(self.tips))
-        return _Rig(tree, tuple(self.sources), self.turned)
-
-    def _add(self, joint: str, parent: int, offset: np.ndarray, frame: np.ndarray) -> None:
-        children = self.children[joint]
-        turned, tip = frame, np.full(3, np.nan)
-        if children:
-            turned = self._turned(children, frame)
-        else:
-            tip = offset * _TIP
-        place = self._append(joint, parent, offset, tip, joint, frame, turned)
-        for child in children:
-            step, below, basis = self.rest[child] * self.lengths[child], place, turned
-            miss = np.linalg.norm(turned @ self.rest[child] - self.ways[child], axis=-1)
-            if np.nanmax(miss) > _OWN_JOINT:
-                basis = turn_onto(self._rest([child]), self.ways[child][:, None], turned)
-                name = f"{joint}_to_{child}"
-                below = self._append(name, place, np.zeros(3), np.full(3, np.nan), joint, turned, basis)
-            self._add(child, below, step, basis)
-
-    def _turned(self, children: list[str], frame: np.ndarray) -> np.ndarray:
-        """Turn a joint onto its children; without a rest pose these first settle at their mean in its frame."""
-        ways = np.stack([self.ways[child] for child in children], 1)
-        for _ in range(_SETTLE if self.loose and len(children) > 1 else 0):
-            turned = turn_onto(self._rest(children), ways, frame)
-            for place, child in enumerate(children):
-                mean = np.nanmean(np.einsum("fji,fj->fi", turned, ways[:, place]), 0)
-                if (size := np.linalg.norm(mean)) > 0:
-                    self.rest[child] = mean / size
-        return turn_onto(self._rest(children), ways, frame)
-
-    def _append(self, name, parent: int, offset, tip, source: str, frame, turned) -> int:
-        self.names.append(name)
-        self.parents.append(parent)
-        self.offsets.append(offset)
-        self.tips.append(tip)
-        self.sources.append(self.where[source])
-        self.turned.append(np.einsum("fji,fjk->fik", frame, turned))
-        return len(self.names) - 1
-
-    def _rest(self, children: list[str]) -> np.ndarray:
-        return np.stack([self.rest[child] for child in children])
-
-
-# One individual's clip as a Biovision hierarchy (``.bvh``): a rig and its turns, for animation programs.
-
 _CM_PER = {"mm": 0.1}
 _MOST_REPEATS = 20
 """Frames in the file for each one there is."""
@@ -318,8 +98,8 @@ def euler_zxy(rotation: Float[np.ndarray, "frames 3 3"]) -> Float[np.ndarray, "f
 def _nearest(angles: np.ndarray, before: np.ndarray) -> np.ndarray:
     """Return the same rotation by the angles nearest to those before."""
     other = np.array([angles[0] + np.pi, np.pi - angles[1], angles[2] + np.pi])
-    both = [way + 2 * np.pi * np.round((before - way) / (2 * np.pi)) for way in (angles, other)]
-    return min(both, key=lambda way: float(np.abs(way - before).sum()))
+    both = [turn + 2 * np.pi * np.round((before - turn) / (2 * np.pi)) for turn in (angles, other)]
+    return min(both, key=lambda turn: float(np.abs(turn - before).sum()))
 
 
 def _text(rig: _Rig, place: np.ndarray, scale: float, rate: float) -> str:
@@ -374,3 +154,221 @@ def _fit(rig: _Rig, pose: np.ndarray, place: np.ndarray, prediction: Prediction)
     gap = gap[np.isfinite(gap)]
     added = tuple(name for name in rig.tree.names if name not in prediction.joint_names)
     return _BvhFit(float(gap.max()), float(gap.mean()), prediction.unit, len(place), added)
+
+
+# The rig: bones of one length each, and the rotations that bring them nearest to the poses.
+
+_OWN_JOINT = 2e-4
+"""Share of a bone by which a child may miss before it gets a turn of its own."""
+_WEAK = 1e-5
+"""Of what the bones leave open, against what they say."""
+_FOLDED = 0.5
+"""1 + cosine of the angle to the rest direction (120 degrees) below which the frame before has a say."""
+_TIP = 0.1
+_SETTLE = 8
+
+
+@dataclass(frozen=True)
+class _Rig:
+    """A tree in the prediction's unit and its motion; ``sources[i]`` is the joint that rig joint i sits on."""
+
+    tree: Tree
+    sources: tuple[int, ...]
+    turned: list[Float[np.ndarray, "frames 3 3"]]
+    """Of each rig joint in its parent's frame."""
+
+    def positions(self, root: Float[np.ndarray, "frames 3"]) -> Float[np.ndarray, "joints frames 3"]:
+        """Return where the rig's joints are."""
+        return Figure.posed(self.tree, root, self.turned).positions
+
+
+def _fit_rig(prediction: Prediction, pose: Float[np.ndarray, "frames joints 3"]) -> _Rig:
+    """Return the rig of a pose (relative to the root, NaN where not known).
+
+    Bones have their median length. A joint with one child turns the least way from its parent's frame, as the
+    twist about a bone cannot be seen; where the bone folds back on its rest direction, and the least way is
+    undefined, the twist follows from the frame before. A joint with several turns as a whole (Kabsch, Acta Cryst.
+    A32, 1976), and a child that this misses gets a turn of its own at the same place, which is exact. What is not
+    known holds its last turn. Raises UserError where a joint is nowhere known.
+    """
+    directions, lengths = _bones(prediction, pose)
+    return _Builder(prediction, directions, lengths, _rest_directions(prediction, directions, lengths)).rig()
+
+
+def turn_onto(
+    rest: Float[np.ndarray, "children 3"],
+    directions: Float[np.ndarray, "frames children 3"],
+    frame: Float[np.ndarray, "frames 3 3"],
+) -> Float[np.ndarray, "frames 3 3"]:
+    """Return rotations that bring ``rest`` onto ``directions``, what these leave open as ``frame`` has it."""
+    known = np.isfinite(np.sum(directions, axis=-1))
+    wanted = np.einsum("fki,kj->fij", np.where(known[..., None], directions, 0), rest)
+    trust = known.all(1).astype(float)
+    if len(rest) == 1:
+        unfolded = np.einsum("fi,fij,j->f", np.nan_to_num(directions[:, 0]), frame, rest[0])
+        trust *= np.clip((1 + unfolded) / _FOLDED, 0, 1)
+    turned, _ = nearest_rotation(wanted + _WEAK * frame)
+    trusted = np.flatnonzero(trust == 1)
+    before = frame[trusted[0]].T @ turned[trusted[0]] if len(trusted) else np.eye(3)
+    for now in np.flatnonzero(trust < 1):
+        before = frame[now - 1].T @ turned[now - 1] if now else before
+        leave = frame[now] @ (trust[now] * np.eye(3) + (1 - trust[now]) * before)
+        turned[now], _ = nearest_rotation(wanted[now] + _WEAK * leave)
+    return turned
+
+
+def _bones(prediction: Prediction, pose: np.ndarray) -> tuple[dict[str, np.ndarray], dict[str, float]]:
+    """Return of every joint but the root the direction from its parent (frames 3), and the length."""
+    where = {name: place for place, name in enumerate(prediction.joint_names)}
+    directions, lengths = {}, {}
+    for joint, parent in prediction.skeleton.parents.items():
+        if parent is None:
+            continue
+        step = pose[:, where[joint]] - pose[:, where[parent]]
+        length = np.linalg.norm(step, axis=-1)
+        known = np.isfinite(length) & (length > 0)
+        if not known.any():
+            raise UserError(
+                f"a .bvh holds complete bodies, but the bone from '{parent}' to '{joint}' is in no frame of this clip. "
+                "Leave the joint out of the skeleton, or write another format."
+            )
+        lengths[joint] = float(np.median(length[known]))
+        directions[joint] = np.where(known[:, None], step / np.where(known, length, 1)[:, None], np.nan)
+    return directions, lengths
+
+
+class _Builder:
+    """The rig while it grows, parents first and depth first, as the file lists it."""
+
+    def __init__(self, prediction: Prediction, directions: dict, lengths: dict, rest: dict):
+        self.directions, self.lengths, self.rest = directions, lengths, rest
+        self.loose = rest_pose(prediction.skeleton) is None
+        self.where = {name: place for place, name in enumerate(prediction.joint_names)}
+        self.root, parents = prediction.skeleton.root, prediction.skeleton.parents
+        self.children: dict[str, list[str]] = {joint: [] for joint in parents}
+        for joint in (name for name in prediction.joint_names if parents.get(name) is not None):
+            self.children[str(parents[joint])].append(joint)
+        self.frames = len(next(iter(directions.values())))
+        self.names: list[str] = []
+        self.parents: list[int] = []
+        self.offsets: list[np.ndarray] = []
+        self.tips: list[np.ndarray] = []
+        self.sources: list[int] = []
+        self.turned: list[np.ndarray] = []
+
+    def rig(self) -> _Rig:
+        self._add(self.root, -1, np.zeros(3), np.tile(np.eye(3), (self.frames, 1, 1)))
+        tree = Tree(tuple(self.names), tuple(self.parents), np.array(self.offsets), np.array(self.tips))
+        return _Rig(tree, tuple(self.sources), self.turned)
+
+    def _add(self, joint: str, parent: int, offset: np.ndarray, frame: np.ndarray) -> None:
+        children = self.children[joint]
+        turned, tip = frame, np.full(3, np.nan)
+        if children:
+            turned = self._turned(children, frame)
+        else:
+            tip = offset * _TIP
+        place = self._append(joint, parent, offset, tip, joint, frame, turned)
+        for child in children:
+            step, below, basis = self.rest[child] * self.lengths[child], place, turned
+            miss = np.linalg.norm(turned @ self.rest[child] - self.directions[child], axis=-1)
+            if np.nanmax(miss) > _OWN_JOINT:
+                basis = turn_onto(self._rest([child]), self.directions[child][:, None], turned)
+                name = f"{joint}_to_{child}"
+                below = self._append(name, place, np.zeros(3), np.full(3, np.nan), joint, turned, basis)
+            self._add(child, below, step, basis)
+
+    def _turned(self, children: list[str], frame: np.ndarray) -> np.ndarray:
+        """Turn a joint onto its children; without a rest pose these first settle at their mean in its frame."""
+        directions = np.stack([self.directions[child] for child in children], 1)
+        for _ in range(_SETTLE if self.loose and len(children) > 1 else 0):
+            turned = turn_onto(self._rest(children), directions, frame)
+            for place, child in enumerate(children):
+                mean = np.nanmean(np.einsum("fji,fj->fi", turned, directions[:, place]), 0)
+                if (size := np.linalg.norm(mean)) > 0:
+                    self.rest[child] = mean / size
+        return turn_onto(self._rest(children), directions, frame)
+
+    def _append(self, name, parent: int, offset, tip, source: str, frame, turned) -> int:
+        self.names.append(name)
+        self.parents.append(parent)
+        self.offsets.append(offset)
+        self.tips.append(tip)
+        self.sources.append(self.where[source])
+        self.turned.append(np.einsum("fji,fjk->fik", frame, turned))
+        return len(self.names) - 1
+
+    def _rest(self, children: list[str]) -> np.ndarray:
+        return np.stack([self.rest[child] for child in children])
+
+
+# The rest directions of a rig: the skeleton's rest pose, or the mean shape of the clip.
+
+_ROUNDS = 3
+_SCATTERED = 0.3
+
+
+def _rest_directions(
+    prediction: Prediction, directions: dict[str, Float[np.ndarray, "frames 3"]], lengths: dict[str, float]
+) -> dict[str, Float[np.ndarray, "3"]]:
+    """Return the direction of every bone (by its child) in the rest pose, for a body that faces the viewer.
+
+    Where the skeleton gives no rest pose it is the mean of the clip's frames, each turned onto the first.
+    """
+    skeleton = prediction.skeleton
+    axes = from_y_down(prediction.axes)
+    pose = rest_pose(skeleton)
+    if pose is None:
+        return _facing(skeleton, _mean_shape(directions), lengths, axes)
+    steps = {
+        joint: pose[skeleton.index(joint)] - pose[skeleton.index(parent)]
+        for joint, parent in skeleton.parents.items()
+        if parent is not None
+    }
+    return {joint: axes @ step / np.linalg.norm(step) for joint, step in steps.items()}
+
+
+def _mean_shape(directions: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """Return mean directions; those of the fullest frame for a bone that points everywhere."""
+    stacked = np.stack(list(directions.values()), 1)
+    known = np.isfinite(stacked.sum(-1))
+    first = int(np.argmax(known.sum(1)))
+    shape = np.where(known[first][:, None], stacked[first], 0)
+    filled, count = np.nan_to_num(stacked), np.maximum(known.sum(0), 1)[:, None]
+    for _ in range(_ROUNDS):
+        turn, _ = nearest_rotation(np.einsum("bi,fbj->fij", shape, filled) + 1e-9 * np.eye(3))
+        mean = np.einsum("fij,fbj->bi", turn, filled) / count
+        scattered = np.linalg.norm(mean, axis=-1) < _SCATTERED
+        mean[scattered & known[first]] = stacked[first][scattered & known[first]]
+        size = np.linalg.norm(mean, axis=-1, keepdims=True)
+        shape = np.where(size > 1e-6, mean / np.maximum(size, 1e-6), [0.0, 1.0, 0.0])
+    return dict(zip(directions, shape, strict=True))
+
+
+def _facing(
+    skeleton: Skeleton, rest: dict[str, np.ndarray], lengths: dict[str, float], axes: np.ndarray
+) -> dict[str, np.ndarray]:
+    """Turn the shape to face the viewer, upright as it is under gravity; as it is where there is no front."""
+    if "front" not in skeleton.facing:
+        return rest
+    pose = np.zeros((len(skeleton.joints), 3))
+    for joint, parent in skeleton.parents.items():
+        if parent is not None:
+            pose[skeleton.index(joint)] = pose[skeleton.index(parent)] + rest[joint] * lengths[joint]
+    front = skeleton.facing_matrix("front") @ pose
+    up = axes @ [0.0, -1.0, 0.0]
+    own_up = up if skeleton.gravity or "up" not in skeleton.facing else skeleton.facing_matrix("up") @ pose
+    own, wanted = _basis(own_up, front), _basis(up, axes @ [0.0, 0.0, -1.0])
+    if own is None or wanted is None:
+        return rest
+    return {joint: wanted.T @ own @ direction for joint, direction in rest.items()}
+
+
+def _basis(up: np.ndarray, front: np.ndarray) -> Float[np.ndarray, "3 3"] | None:
+    """Return the rows up, front and the side of a body; None where front is along up."""
+    up = up / max(float(np.linalg.norm(up)), 1e-12)
+    front = front - up * (up @ front)
+    size = float(np.linalg.norm(front))
+    if size < 1e-6 or not np.linalg.norm(up) > 0.5:
+        return None
+    return np.stack([up, front / size, np.cross(up, front / size)])

@@ -20,6 +20,117 @@ from uplift.skeleton.core import bone_sides, joint_sides
 
 __all__ = ["bone_rotations", "write_glb"]
 
+_PERSON_M = 1.7
+_M_PER_MM = 0.001
+_JOINT_SHARE, _BONE_SHARE = 0.016, 0.008
+"""Radii, as shares of the body."""
+
+
+@dataclass(frozen=True)
+class _Meshes:
+    joints: list[int]
+    bones: list[int]
+
+
+def write_glb(prediction: Prediction, path: str | Path, fps: int | float | None = None) -> None:
+    """Write one clip with all its individuals, joints named; ``fps`` replaces the prediction's.
+
+    Metres where the prediction is in mm; else a body is about 1.7 large, by the ``scale`` of ``asset.extras``, as
+    glTF knows metres only. Axes as given; glTF has y up. Without a known place individuals stand side by side as in
+    the image. Joints and bones that are not known are hidden. Where no rate is known it is 30 frames a second, and
+    ``asset.extras`` says so. Raises UserError for several clips.
+    """
+    clip = one_clip(prediction, path)
+    rate = frame_rate(prediction, fps)
+    points = known_points(prediction.pose) + row_places(prediction, clip)[:, None]
+    body = _body_size(known_points(prediction.pose))
+    scale = _M_PER_MM if prediction.unit == "mm" else _PERSON_M / body
+    about = {
+        "title": prediction.title or clip.name,
+        "skeleton": prediction.skeleton.name,
+        "axes": prediction.axes,
+        "unit": "m" if prediction.unit == "mm" else f"{prediction.unit}, times scale",
+        "scale": scale,
+        "fps": rate or USUAL_FPS,
+        "fps_assumed": rate is None,
+    }
+    file = _Gltf(clip.name, about)
+    meshes = _meshes(file, body * scale)
+    times = steps(clip) / (rate or USUAL_FPS)
+    moments = clip.by_moment(points * scale)
+    for number, name in enumerate(clip.individual_names):
+        _individual(file, prediction, name, moments[:, number], times, meshes)
+    with replacing(path) as handle:
+        handle.write(file.to_bytes())
+
+
+def bone_rotations(directions: Float[np.ndarray, "frames bones 3"]) -> Float[np.ndarray, "frames bones 4"]:
+    """Return quaternions (x y z w) that turn y onto unit ``directions``, each the least turn from the frame before.
+
+    So neighbours never change sign, and interpolation between two keys takes the shortest path. NaN stays as it was.
+    """
+    turned = np.empty((*directions.shape[:2], 4))
+    now = np.tile([0.0, 0.0, 0.0, 1.0], (directions.shape[1], 1))
+    for frame, direction in enumerate(directions):
+        at = quaternion_matrix(now)[..., 1]
+        known = np.isfinite(np.sum(direction, axis=-1, keepdims=True))
+        now = quaternion_product(least_turn(at, np.where(known, direction, at)), now)
+        now /= np.linalg.norm(now, axis=-1, keepdims=True)
+        turned[frame] = now
+    return turned
+
+
+def _body_size(pose: Float[np.ndarray, "frames joints 3"]) -> float:
+    """Return the median over frames of the largest side of a pose's box; 1 where there is none."""
+    known = np.isfinite(pose)
+    sides = np.where(known, pose, -np.inf).max(1) - np.where(known, pose, np.inf).min(1)
+    largest = sides.max(-1)
+    usable = largest[np.isfinite(largest) & (largest > 0)]
+    return float(np.median(usable)) if len(usable) else 1.0
+
+
+def _meshes(file: _Gltf, size: float) -> _Meshes:
+    from trimesh.creation import cylinder, icosphere
+
+    ball, rod = icosphere(subdivisions=2, radius=_JOINT_SHARE * size), cylinder(_BONE_SHARE * size, 1.0, sections=12)
+    joint = file.shape(np.array(ball.vertices), np.array(ball.vertex_normals), np.array(ball.faces))
+    upright = np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]])  # trimesh's cylinder is along z, about 0
+    vertices, normals = np.array(rod.vertices) @ upright.T + [0, 0.5, 0], np.array(rod.vertex_normals) @ upright.T
+    bone = file.shape(vertices, normals, np.array(rod.faces))
+    colours = [file.material(name, rgb) for name, rgb in SIDE_COLOURS.items()]
+    joints = [file.mesh(f"{name} joint", joint, colour) for name, colour in zip(SIDE_COLOURS, colours, strict=True)]
+    bones = [file.mesh(f"{name} bone", bone, colour) for name, colour in zip(SIDE_COLOURS, colours, strict=True)]
+    return _Meshes(joints, bones)
+
+
+def _individual(
+    file: _Gltf, prediction: Prediction, name: str, points: np.ndarray, times: np.ndarray, meshes: _Meshes
+) -> None:
+    """Add an individual: joints below it, and each bone below the joint that it starts at."""
+    top = file.node(name or prediction.skeleton.name)
+    mark = f"{name}:" if name else ""
+    sides = joint_sides(prediction.skeleton, prediction.joint_names)
+    known = np.isfinite(np.sum(points, axis=-1))
+    nodes = []
+    for joint, own in enumerate(prediction.joint_names):
+        nodes.append(file.node(mark + own, top, mesh=meshes.joints[sides[joint]]))
+        file.animate(nodes[-1], "translation", times, held(points[:, joint]))
+        if not known[:, joint].all():
+            shown = np.repeat(known[:, joint, None], 3, 1).astype(float)
+            file.animate(nodes[-1], "scale", times, shown, jumps=True)
+    bones = prediction.bone_indices
+    step = points[:, bones[:, 1]] - points[:, bones[:, 0]]
+    length = np.linalg.norm(step, axis=-1)
+    there = np.isfinite(length) & (length > 0)
+    turned = bone_rotations(np.where(there[..., None], step / np.where(there, length, 1)[..., None], np.nan))
+    for bone, side in enumerate(bone_sides(sides, bones.tolist())):
+        start, end = (prediction.joint_names[place] for place in bones[bone])
+        node = file.node(f"{mark}{start}-{end}", nodes[bones[bone, 0]], mesh=meshes.bones[side])
+        file.animate(node, "rotation", times, turned[:, bone])
+        size = np.stack([np.ones(len(times)), length[:, bone], np.ones(len(times))], 1)
+        file.animate(node, "scale", times, np.where(there[:, bone, None], size, 0.0))
+
+
 # A binary glTF 2.0 file (``.glb``), built piece by piece: meshes, nodes and one animation.
 
 _FLOAT, _USHORT, _UINT = 5126, 5123, 5125
@@ -139,116 +250,3 @@ class _Gltf:
 def _short(values: np.ndarray) -> list[float]:
     """Return numbers that JSON writes in few letters."""
     return [float(f"{value:.6g}") for value in values.tolist()]
-
-
-# A clip as an animated binary glTF (``.glb``): a sphere for each joint, a cylinder for each bone.
-
-_PERSON_M = 1.7
-_M_PER_MM = 0.001
-_JOINT_SHARE, _BONE_SHARE = 0.016, 0.008
-"""Radii, as shares of the body."""
-
-
-@dataclass(frozen=True)
-class _Meshes:
-    joints: list[int]
-    bones: list[int]
-
-
-def write_glb(prediction: Prediction, path: str | Path, fps: int | float | None = None) -> None:
-    """Write one clip with all its individuals, joints named; ``fps`` replaces the prediction's.
-
-    Metres where the prediction is in mm; else a body is about 1.7 large, by the ``scale`` of ``asset.extras``, as
-    glTF knows metres only. Axes as given; glTF has y up. Without a known place individuals stand side by side as in
-    the image. Joints and bones that are not known are hidden. Where no rate is known it is 30 frames a second, and
-    ``asset.extras`` says so. Raises UserError for several clips.
-    """
-    clip = one_clip(prediction, path)
-    rate = frame_rate(prediction, fps)
-    points = known_points(prediction.pose) + row_places(prediction, clip)[:, None]
-    body = _body_size(known_points(prediction.pose))
-    scale = _M_PER_MM if prediction.unit == "mm" else _PERSON_M / body
-    about = {
-        "title": prediction.title or clip.name,
-        "skeleton": prediction.skeleton.name,
-        "axes": prediction.axes,
-        "unit": "m" if prediction.unit == "mm" else f"{prediction.unit}, times scale",
-        "scale": scale,
-        "fps": rate or USUAL_FPS,
-        "fps_assumed": rate is None,
-    }
-    file = _Gltf(clip.name, about)
-    meshes = _meshes(file, body * scale)
-    times = steps(clip) / (rate or USUAL_FPS)
-    moments = clip.by_moment(points * scale)
-    for number, name in enumerate(clip.individual_names):
-        _individual(file, prediction, name, moments[:, number], times, meshes)
-    with replacing(path) as handle:
-        handle.write(file.to_bytes())
-
-
-def bone_rotations(ways: Float[np.ndarray, "frames bones 3"]) -> Float[np.ndarray, "frames bones 4"]:
-    """Return quaternions (x y z w) that turn y onto unit ``ways``, each the least turn from the frame before.
-
-    So neighbours never change sign, and what lies between two keys is the shortest way. NaN stays as it was.
-    """
-    turned = np.empty((*ways.shape[:2], 4))
-    now = np.tile([0.0, 0.0, 0.0, 1.0], (ways.shape[1], 1))
-    for frame, way in enumerate(ways):
-        at = quaternion_matrix(now)[..., 1]
-        known = np.isfinite(np.sum(way, axis=-1, keepdims=True))
-        now = quaternion_product(least_turn(at, np.where(known, way, at)), now)
-        now /= np.linalg.norm(now, axis=-1, keepdims=True)
-        turned[frame] = now
-    return turned
-
-
-def _body_size(pose: Float[np.ndarray, "frames joints 3"]) -> float:
-    """Return the median over frames of the largest side of a pose's box; 1 where there is none."""
-    known = np.isfinite(pose)
-    sides = np.where(known, pose, -np.inf).max(1) - np.where(known, pose, np.inf).min(1)
-    largest = sides.max(-1)
-    usable = largest[np.isfinite(largest) & (largest > 0)]
-    return float(np.median(usable)) if len(usable) else 1.0
-
-
-def _meshes(file: _Gltf, size: float) -> _Meshes:
-    from trimesh.creation import cylinder, icosphere
-
-    ball, rod = icosphere(subdivisions=2, radius=_JOINT_SHARE * size), cylinder(_BONE_SHARE * size, 1.0, sections=12)
-    joint = file.shape(np.array(ball.vertices), np.array(ball.vertex_normals), np.array(ball.faces))
-    upright = np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]])  # trimesh's cylinder is along z, about 0
-    vertices, normals = np.array(rod.vertices) @ upright.T + [0, 0.5, 0], np.array(rod.vertex_normals) @ upright.T
-    bone = file.shape(vertices, normals, np.array(rod.faces))
-    colours = [file.material(name, rgb) for name, rgb in SIDE_COLOURS.items()]
-    joints = [file.mesh(f"{name} joint", joint, colour) for name, colour in zip(SIDE_COLOURS, colours, strict=True)]
-    bones = [file.mesh(f"{name} bone", bone, colour) for name, colour in zip(SIDE_COLOURS, colours, strict=True)]
-    return _Meshes(joints, bones)
-
-
-def _individual(
-    file: _Gltf, prediction: Prediction, name: str, points: np.ndarray, times: np.ndarray, meshes: _Meshes
-) -> None:
-    """Add an individual: joints below it, and each bone below the joint that it starts at."""
-    top = file.node(name or prediction.skeleton.name)
-    mark = f"{name}:" if name else ""
-    sides = joint_sides(prediction.skeleton, prediction.joint_names)
-    known = np.isfinite(np.sum(points, axis=-1))
-    nodes = []
-    for joint, own in enumerate(prediction.joint_names):
-        nodes.append(file.node(mark + own, top, mesh=meshes.joints[sides[joint]]))
-        file.animate(nodes[-1], "translation", times, held(points[:, joint]))
-        if not known[:, joint].all():
-            shown = np.repeat(known[:, joint, None], 3, 1).astype(float)
-            file.animate(nodes[-1], "scale", times, shown, jumps=True)
-    bones = prediction.bone_indices
-    way = points[:, bones[:, 1]] - points[:, bones[:, 0]]
-    length = np.linalg.norm(way, axis=-1)
-    there = np.isfinite(length) & (length > 0)
-    turned = bone_rotations(np.where(there[..., None], way / np.where(there, length, 1)[..., None], np.nan))
-    for bone, side in enumerate(bone_sides(sides, bones.tolist())):
-        start, end = (prediction.joint_names[place] for place in bones[bone])
-        node = file.node(f"{mark}{start}-{end}", nodes[bones[bone, 0]], mesh=meshes.bones[side])
-        file.animate(node, "rotation", times, turned[:, bone])
-        size = np.stack([np.ones(len(times)), length[:, bone], np.ones(len(times))], 1)
-        file.animate(node, "scale", times, np.where(there[:, bone, None], size, 0.0))
