@@ -94,7 +94,7 @@ def test_pairwise_deformation_is_0_for_a_perfect_lifter():
         assert float(pairwise.loss(lift)) < 1e-5
         bent = lift.relifted.pose.clone()
         bent[0, 3] += 0.5
-        lift.__dict__["relifted"] = lift.relifted._replace(pose=bent)
+        lift.__dict__["relifted"] = replace(lift.relifted, pose=bent)
         expected = 0.5 * 3**0.5 * float(lift.seen_scale[0]) / 4  # one of four pairs
         assert float(pairwise.loss(lift)) == pytest.approx(expected, abs=1e-5)
 
@@ -105,7 +105,7 @@ def test_what_a_pair_has_in_common_is_no_deformation():
         shared = turn(torch.randn(1, 17, 3).expand(2, -1, -1), lift.view)
         shared = shared - shared[:, H36M.root_index, None]
         moved = lift.relifted.pose + shared / lift.seen_scale[:, None, None]
-        lift.__dict__["relifted"] = lift.relifted._replace(pose=moved)
+        lift.__dict__["relifted"] = replace(lift.relifted, pose=moved)
         assert float(Pairwise(H36M).loss(lift)) < 1e-5
 
 
