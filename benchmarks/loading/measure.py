@@ -1,4 +1,4 @@
-"""What one fresh process finds: ``load FOLDER`` loads the set once, ``train FOLDER`` trains on it and on a small one."""
+"""What one fresh process measures: ``load FOLDER`` or ``train FOLDER``; prints JSON."""
 
 from __future__ import annotations
 
@@ -11,24 +11,18 @@ from typing import Any
 
 import numpy as np
 
-from uplift.config.loading import load_settings
-from uplift.config.settings import Settings
+from benchmarks.loading.files import settings_of
 from uplift.data.load import load_data
 from uplift.data.poses import PoseData
 from uplift.skeleton import load_skeleton
 
-__all__ = ["load", "settings_of"]
+__all__ = ["load"]
 
 _ARRAYS = ("keypoints", "confidence", "pose", "root", "tilt_deg", "root_filled", "lens")
 
 
-def settings_of(folder: str | Path, *more: str) -> Settings:
-    """Return the settings of a fit of Human3.6M at its full rate, with its files in ``folder``."""
-    return load_settings("h36m", ["data.options.fps=50", f"data.root={folder}", *more])
-
-
 def load(folder: str | Path) -> dict[str, Any]:
-    """Return the seconds and the peak memory of loading and of making the training set; memory is this process'."""
+    """Return the seconds and the peak memory of this process, of loading and of making the training set."""
     settings = settings_of(folder)
     skeleton = load_skeleton(settings.skeleton)
     start, before = time.perf_counter(), time.process_time()
@@ -60,14 +54,13 @@ def _peak_gb() -> float:
 
 def main() -> int:
     """Print what was measured as JSON."""
-    what, folder = sys.argv[1:3]
+    what, folder = sys.argv[1:]
     if what == "train":
         from benchmarks.loading.training import train
 
-        found = {**train(folder), "peak_gb": _peak_gb()}
+        print(json.dumps({**train(folder), "peak_gb": _peak_gb()}))
     else:
-        found = load(folder)
-    print(json.dumps(found))
+        print(json.dumps(load(folder)))
     return 0
 
 

@@ -1,12 +1,12 @@
-"""The tables of what was found: fits beside floors, every floor, categories, the cost of resolution."""
+"""The tables: fits compared with baselines, every baseline, categories, the cost of resolution."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from benchmarks.accuracy.show import Sheet
-from benchmarks.shapes.cells import Cell
+from benchmarks.common import Sheet
+from benchmarks.shapes.fits import Cell
 
 __all__ = ["cost_sheet", "sheets_of"]
 
@@ -19,7 +19,7 @@ Results = Mapping[str, Mapping[str, Any]]
 
 
 def sheets_of(cells: Sequence[Cell], results: Results) -> list[Sheet]:
-    """Return the tables of the fits that are there: means over their seeds, with the least and the greatest."""
+    """Return the tables of the stored fits: means over seeds, with minimum and maximum."""
     rows: dict[tuple[str, str], list[Mapping[str, Any]]] = {}
     for cell in cells:
         if cell.key in results:
@@ -46,7 +46,7 @@ def _fit_row(name: tuple[str, str], found: list[Mapping[str, Any]]) -> list[str]
 def _group_rows(
     rows: Mapping[tuple[str, str], list[Mapping[str, Any]]], part: str, metrics: Sequence[str]
 ) -> list[list[str]]:
-    """Return a row for each floor or category; fits of a single category have none."""
+    """Return a row per baseline or category; fits of a single category have none."""
     found = []
     for (name, spent), results in rows.items():
         groups = dict.fromkeys(group for one in results for group in one.get(part, {}))
@@ -60,7 +60,7 @@ def _group_rows(
 
 
 def cost_sheet(results: Results) -> list[Sheet]:
-    """Return what a step costs at each resolution that was measured."""
+    """Return the cost of a step at each measured resolution."""
     found = sorted(
         (one for key, one in results.items() if key.startswith("cost_")),
         key=lambda one: (one["threads"], one["resolution"]),
@@ -72,7 +72,7 @@ def cost_sheet(results: Results) -> list[Sheet]:
         ]
         for one in found
     ]  # fmt: skip
-    head = ["resolution", "shapes", "threads", "s a step", "peak GB", "GB before training"]
+    head = ["resolution", "shapes", "threads", "s per step", "peak GB", "GB before training"]
     return [Sheet("cost of a training step", head, rows)] if rows else []
 
 

@@ -11,7 +11,7 @@ import pytest
 from bodies import refusal, status_of
 
 import uplift
-from benchmarks.examples.files import EXAMPLES, PAGE, files_of, write_files
+from benchmarks.examples import EXAMPLES, PAGE, files_of, write_files
 from uplift.config.files import shipped_names
 from uplift.config.loading import load_settings
 from uplift.skeleton import load_skeleton

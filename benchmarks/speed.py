@@ -1,4 +1,4 @@
-"""Measure speed as ratios within one run; absolute seconds belong to the machine they were read on."""
+"""Measure speed as ratios within one run, since absolute times depend on the machine."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ import numpy as np
 import torch
 from torch.utils.flop_counter import FlopCounterMode
 
-from benchmarks.machine import ROOT, facts
+from benchmarks.common import ROOT, facts, write_json
 from uplift.config.loading import load_settings
 from uplift.config.settings import LifterSettings, TrainerSettings
 from uplift.data.poses import PoseData
@@ -50,14 +50,14 @@ def main() -> int:
     rows["a million poses"] = million(data)
     result = {"command": "python -m benchmarks.speed", **facts(), "threads": torch.get_num_threads(), "rows": rows}
     path = ROOT / "benchmarks" / "results" / "speed.json"
-    path.write_text(json.dumps(result, indent=1) + "\n")
+    write_json(path, result)
     print(json.dumps(rows, indent=1))
     print(f"wrote {path}")
     return 0
 
 
 def peak() -> float:
-    """Return the matrix-product peak of all threads, FLOP/s: the best of many products of two sizes."""
+    """Return the peak rate of matrix products on all threads, FLOP/s: the best of many products of two sizes."""
     best = 0.0
     for size in (1024, 2048):
         left, right = torch.randn(size, size), torch.randn(size, size)
@@ -69,7 +69,7 @@ def peak() -> float:
 
 
 def training(task: str, batch: int, data: PoseData) -> dict[str, object]:
-    """Return how near one training step comes to the peak, with Lightning and without."""
+    """Return the speed of a training step relative to the peak, and the overhead of Lightning."""
     module = _teacher(task, batch, data)
     found: dict[str, object] = {"teacher": _steps(lambda: _teacher(task, batch, data), module)}
     if task == "default":
@@ -84,10 +84,10 @@ def _steps(make: Callable[[], LifterTraining], module: LifterTraining) -> dict[s
     for _ in range(_ROUNDS):
         top = peak()
         bare = _bare_loop(make(), count)
-        whole = _trainer_loop(make(), count)
-        ratios.append(flops / whole / top)
-        overheads.append(whole / bare - 1)
-        with_trainer.append(whole)
+        seconds = _trainer_loop(make(), count)
+        ratios.append(flops / seconds / top)
+        overheads.append(seconds / bare - 1)
+        with_trainer.append(seconds)
     return {
         "of_peak": float(np.median(ratios)),
         "trainer_overhead": float(np.median(overheads)),
@@ -125,8 +125,8 @@ def _one_step(module: LifterTraining, optimizer: torch.optim.Optimizer, count: i
 
 
 def _bare_loop(module: LifterTraining, count: int) -> float:
-    """Return seconds a step of the same work in a plain loop."""
-    kept = {name: type(module).__dict__.get(name) for name in ("global_step", "global_rank")}
+    """Return seconds per step of the same work in a plain loop."""
+    saved = {name: type(module).__dict__.get(name) for name in ("global_step", "global_rank")}
     try:
         optimizer = _ready(module)
         for step in range(16):
@@ -136,13 +136,13 @@ def _bare_loop(module: LifterTraining, count: int) -> float:
             _one_step(module, optimizer, step)
         return (time.perf_counter() - start) / count
     finally:
-        for name, value in kept.items():
+        for name, value in saved.items():
             if value is None and name in type(module).__dict__:
                 delattr(type(module), name)
 
 
 def _trainer_loop(module: LifterTraining, count: int) -> float:
-    """Return seconds a step of a whole stage: Lightning, progress, metrics."""
+    """Return seconds per step of a complete stage: Lightning, progress, metrics."""
     for name in ("global_step", "global_rank"):
         if name in type(module).__dict__:
             delattr(type(module), name)
@@ -157,7 +157,7 @@ def _trainer_loop(module: LifterTraining, count: int) -> float:
             marks.append(time.perf_counter())
 
         module.on_train_batch_end = mark  # type: ignore[method-assign]
-        with open(os.devnull, "w") as nowhere, contextlib.redirect_stderr(nowhere):
+        with open(os.devnull, "w") as null, contextlib.redirect_stderr(null):
             run_stage("bench", module, settings, StageBudget(16 + count, None), Path(folder))
     return (marks[-1] - marks[15]) / count
 
@@ -194,7 +194,7 @@ def _model() -> Model:
 
 
 def prediction(data: PoseData, *, refine: bool) -> dict[str, float]:
-    """Return poses a second through `Model.predict`, and the lifter's matrix products against the peak."""
+    """Return poses per second of `Model.predict`, and the rate of its matrix products relative to the peak."""
     model = _model()
     many = data.select(np.arange(100_000) % len(data))
     with FlopCounterMode(display=False) as counter:
@@ -212,7 +212,7 @@ def prediction(data: PoseData, *, refine: bool) -> dict[str, float]:
 
 
 def command_line() -> dict[str, float]:
-    """Return the seconds of ``uplift --help``, and from ``fit`` to its first step."""
+    """Return the seconds that ``uplift --help`` takes, and those from ``uplift fit`` to its first step."""
     helps = []
     for _ in range(_ROUNDS):
         start = time.perf_counter()
@@ -240,7 +240,7 @@ def command_line() -> dict[str, float]:
 
 
 def million(data: PoseData) -> dict[str, float]:
-    """Return the memory that a million poses take as a training set, beyond their arrays, and when predicted."""
+    """Return the memory of a million poses: their arrays, the training set on top, and the peak when predicting."""
     before = _resident()
     many = data.select(np.arange(1_000_000) % len(data))
     arrays = _resident()
