@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import json
 import os
 import platform
@@ -16,8 +17,8 @@ from typing import Any
 from uplift.config.files import replacing
 
 __all__ = [
-    "ROOT", "BenchmarkError", "Sheet", "data_folder", "facts", "markdown", "max_time", "measure_apart", "run_missing",
-    "run_python", "run_uplift", "store", "stored", "text", "write_json",
+    "ROOT", "BenchmarkError", "Sheet", "data_folder", "facts", "markdown", "max_time", "mean_and_range", "measure_apart",
+    "run_missing", "run_python", "run_uplift", "store", "stored", "table_parser", "text", "write_json",
 ]  # fmt: skip
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -164,3 +165,20 @@ def markdown(sheet: Sheet) -> str:
     rule = ["---", *("---:" for _ in sheet.head[1:])]
     lines = ["| " + " | ".join(row) + " |" for row in (sheet.head, rule, *sheet.rows)]
     return "\n".join(["", f"**{sheet.title}**", "", *lines])
+
+
+def mean_and_range(values: Sequence[float | None], form: str = ".3f") -> str:
+    """Return the mean of the known values, with minimum and maximum if there are several; "-" if there are none."""
+    known = [value for value in values if value is not None]
+    if not known:
+        return "-"
+    spread = f" ({min(known):{form}} to {max(known):{form}})" if len(known) > 1 else ""
+    return f"{sum(known) / len(known):{form}}{spread}"
+
+
+def table_parser(name: str, description: str | None) -> argparse.ArgumentParser:
+    """Return the parser of a benchmark that prints tables of stored results."""
+    parser = argparse.ArgumentParser(prog=f"python -m benchmarks.{name}", description=description)
+    parser.add_argument("--print", action="store_true", help="print stored results, run nothing")
+    parser.add_argument("--markdown", action="store_true", help="print Markdown tables")
+    return parser

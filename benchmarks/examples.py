@@ -29,6 +29,7 @@ from benchmarks.common import (
     run_uplift,
     store,
     stored,
+    table_parser,
     text,
 )  # fmt: skip
 
@@ -66,12 +67,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.examples", description=__doc__)
+    parser = table_parser("examples", __doc__)
     parser.add_argument("--only", nargs="+", choices=EXAMPLES, metavar="NAME", help=f"any of {', '.join(EXAMPLES)}")
     parser.add_argument("--minutes", type=float, default=2.0, help="training time, default 2")
     parser.add_argument("--seeds", type=_seeds, default=[0], metavar="N,N,...", help="default 0")
-    parser.add_argument("--print", action="store_true", help="print stored results, run nothing")
-    parser.add_argument("--markdown", action="store_true", help="print a Markdown table")
     return parser
 
 

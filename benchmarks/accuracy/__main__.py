@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import argparse
 import os
 import queue
 import sys
@@ -16,7 +15,7 @@ import yaml
 from benchmarks.accuracy.cells import Cell, cells_of
 from benchmarks.accuracy.show import sheets_of
 from benchmarks.accuracy.work import fill_in, run_cell
-from benchmarks.common import BenchmarkError, markdown, text
+from benchmarks.common import BenchmarkError, markdown, table_parser, text
 from uplift.errors import UserError
 
 _TABLES = Path(__file__).resolve().parent / "cells.yaml"
@@ -25,13 +24,11 @@ _TABLES = Path(__file__).resolve().parent / "cells.yaml"
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the tables named on the command line, by default all, and print them; 1 if a cell failed."""
     tables: dict[str, dict[str, Any]] = yaml.safe_load(_TABLES.read_text())
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.accuracy", description=__doc__)
+    parser = table_parser("accuracy", __doc__)
     parser.add_argument("tables", nargs="*", help=f"any of {', '.join(tables)}; default: all")
     parser.add_argument("--only", nargs="+", metavar="FIT", help="only these fits of the tables")
     parser.add_argument("--minutes", type=float, help="training time instead of the tables'")
     parser.add_argument("--jobs", type=int, default=1, help="fits in parallel, each on its share of the cores")
-    parser.add_argument("--print", action="store_true", help="print stored results, run nothing")
-    parser.add_argument("--markdown", action="store_true", help="print Markdown tables")
     given = parser.parse_args(arguments)
     unknown = set(given.tables) - set(tables)
     if unknown:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import json
 import sys
 import tempfile
 from collections.abc import Sequence
@@ -13,6 +12,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from benchmarks.common import Sheet, mean_and_range, text, write_json
 from uplift.config.files import replacing
 from uplift.errors import UserError
 
@@ -140,15 +140,13 @@ def _root_in(test: str | Path, skeleton: Skeleton) -> str:
 
 def show(table: dict[str, dict[str, float]]) -> str:
     """Return the table as text: a row per set, visible joints compared with the same joints when nothing is hidden."""
-    head = [f"{error} {column}" for error in _ERRORS for column in ("complete", "hidden", "growth", "missing")]
-    lines = ["occluded".ljust(16) + "".join(f"{name:>18}" for name in head)]
-    for name, found in table.items():
-        values = [
-            found.get(f"{error}{ending}") for error in _ERRORS for ending in ("_complete", "", "_growth", "_missing")
-        ]
-        cells = ("-" if v is None else f"{v:.3f}" for v in values)
-        lines.append(name.ljust(16) + "".join(f"{cell:>18}" for cell in cells))
-    return "\n".join(lines)
+    columns = {"complete": "_complete", "hidden": "", "growth": "_growth", "missing": "_missing"}
+    head = ["occluded", *(f"{error} {column}" for error in _ERRORS for column in columns)]
+    rows = [
+        [name, *(mean_and_range([found.get(f"{error}{ending}")]) for error in _ERRORS for ending in columns.values())]
+        for name, found in table.items()
+    ]
+    return text(Sheet("hidden joints", head, rows))
 
 
 def main() -> int:
@@ -158,14 +156,13 @@ def main() -> int:
     parser.add_argument("test", metavar="TEST.npz")
     parser.add_argument("--seed", type=int, default=0, help="for the joints hidden at random")
     parser.add_argument("--refine", choices=("on", "off"), help="refine clips; default: as in the run")
-    parser.add_argument("--json", metavar="FILE", help="write the results to this file")
+    parser.add_argument("--json", metavar="FILE", type=Path, help="write the results to this file")
     given = parser.parse_args()
     try:
         refine = None if given.refine is None else given.refine == "on"
         table = occlusion_table(given.run, given.test, given.seed, refine=refine)
         if given.json:
-            with replacing(given.json) as file:
-                file.write((json.dumps(table, indent=1) + "\n").encode())
+            write_json(given.json, table)
     except UserError as error:
         print(f"occlusion: {error}", file=sys.stderr)
         return 2

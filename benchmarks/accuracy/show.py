@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from benchmarks.accuracy.cells import Cell
-from benchmarks.common import Sheet
+from benchmarks.common import Sheet, mean_and_range
 
 __all__ = ["SHOWN", "sheets_of"]
 
@@ -56,7 +56,7 @@ def _error_rows(
     for label, overall in overalls.items():
         mine = _average([o.get(protocol) for o in overall])
         ratio = "-" if not reference or mine is None else f"{mine / reference:.3f}"
-        figures = [_mean([o.get(name) for o in overall]) for name in shown]
+        figures = [mean_and_range([o.get(name) for o in overall]) for name in shown]
         rows.append([label, spent, str(len(overall)), *figures, ratio])
     return rows
 
@@ -68,7 +68,7 @@ def _occlusion(name: str, found: Results) -> Sheet:
         tables = [r["occlusion"] for r in results if "occlusion" in r]
         for hidden in dict.fromkeys(key for table in tables for key in table):
             values = [
-                _mean([table.get(hidden, {}).get(f"{error}{ending}") for table in tables])
+                mean_and_range([table.get(hidden, {}).get(f"{error}{ending}") for table in tables])
                 for error in _OCCLUSION
                 for ending in _ENDINGS.values()
             ]
@@ -84,8 +84,11 @@ def _calibration(name: str, found: Results) -> Sheet:
             some = [curve for curve in curves if group in curve]
             if some:
                 shares = some[0][group]
-                values = [_mean([curve[group][share] for curve in some]) for share in shares]
-                values += [_mean([c.get(f"{of}{ending}") for c in some]) for of in ("spread_error", "rank_correlation")]
+                values = [mean_and_range([curve[group][share] for curve in some]) for share in shares]
+                values += [
+                    mean_and_range([c.get(f"{of}{ending}") for c in some])
+                    for of in ("spread_error", "rank_correlation")
+                ]
                 rows.append([fit, spent, group, *values])
     head = ["recipe", "trained", "joints", *shares, "spread_error", "rank_correlation"]
     return Sheet(f"{name}: fraction of depth errors inside the interval of", head, rows)
@@ -94,11 +97,3 @@ def _calibration(name: str, found: Results) -> Sheet:
 def _average(values: Sequence[float | None]) -> float | None:
     known = [value for value in values if value is not None]
     return sum(known) / len(known) if known else None
-
-
-def _mean(values: Sequence[float | None]) -> str:
-    known = [value for value in values if value is not None]
-    mean = _average(known)
-    if mean is None:
-        return "-"
-    return f"{mean:.3f}" + (f" ({min(known):.3f}-{max(known):.3f})" if len(known) > 1 else "")

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from benchmarks.common import markdown, text
+from benchmarks.common import markdown, table_parser, text
 from benchmarks.paper_tables import fits
 from benchmarks.paper_tables.fits import TABLES, Recipe, fit_recipe, need_data, place_of, read_result, take_run
 from benchmarks.paper_tables.show import notes_of, sheets_of
@@ -125,15 +125,13 @@ def _seeds(text: str) -> list[int]:
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.paper_tables", description=__doc__)
+    parser = table_parser("paper_tables", __doc__)
     parser.add_argument(
         "words", nargs="*", metavar="WORD",
         help=f"{', '.join(TABLES)} (default: all); task=NAME to fit instead of the table's tasks; run=RUN to use an existing "
         "run; settings of the fits, such as data.root=FOLDER or trainer.max_time=00:30:00",
     )  # fmt: skip
     parser.add_argument("--seeds", type=_seeds, default=[0, 1, 2], metavar="N,N,...", help="default 0,1,2")
-    parser.add_argument("--print", action="store_true", help="print stored results, run nothing")
-    parser.add_argument("--markdown", action="store_true", help="print Markdown tables")
     return parser
 
 

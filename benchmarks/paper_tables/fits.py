@@ -75,12 +75,14 @@ class Recipe:
 
     @classmethod
     def of(cls, table: str, task: str, words: Sequence[str], seed: int) -> Recipe:
-        """Return the recipe on the table's data; the user's settings ``words`` come last."""
+        """Return the recipe on the table's data; the user's settings ``words`` replace the table's."""
         chosen = load_settings(task).data
         moved = () if _is_of(chosen.use, chosen.options.get("keypoints"), TABLES[table]) else TABLES[table].words
         if chosen.use != TABLES[table].use and not moved:
             raise UserError(f"task {task} uses other data than {TABLES[table].title}.")
-        return cls(table, task, (*moved, *words), seed)
+        given = {word.partition("=")[0] for word in words}
+        kept = (word for word in moved if word.partition("=")[0] not in given)
+        return cls(table, task, (*kept, *words), seed)
 
     def settings(self) -> Settings:
         """Return the settings of the fit."""

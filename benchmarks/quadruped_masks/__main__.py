@@ -30,6 +30,7 @@ from benchmarks.common import (
     run_uplift,
     store,
     stored,
+    table_parser,
     text,
 )  # fmt: skip
 from benchmarks.quadruped_masks.files import hidden_joints, rendered_frames, write_case
@@ -73,15 +74,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def _parser() -> argparse.ArgumentParser:
     cache = Path(os.environ.get("UPLIFT_BENCHMARK_CACHE") or "~/.cache/uplift").expanduser() / "quadruped_masks"
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.quadruped_masks", description=__doc__)
+    parser = table_parser("quadruped_masks", __doc__)
     parser.add_argument("--kinds", nargs="+", choices=KINDS, default=["keypoints", "masks"], help="kinds of fits")
     parser.add_argument("--missing", nargs="+", type=float, default=[0.4, 0.2, 0.0], help="fractions of the joints")
     parser.add_argument("--steps", type=int, default=800, help="steps of each fit, default 800")
     parser.add_argument("--seeds", nargs="+", type=int, default=[0, 1], metavar="N", help="default 0 1")
     parser.add_argument("--cache", type=Path, default=cache, help="folder for rendered masks; default: "
                         "UPLIFT_BENCHMARK_CACHE or ~/.cache/uplift")  # fmt: skip
-    parser.add_argument("--print", action="store_true", help="print stored results, run nothing")
-    parser.add_argument("--markdown", action="store_true", help="print a Markdown table")
     return parser
 
 

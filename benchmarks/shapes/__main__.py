@@ -13,7 +13,7 @@ from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
 
-from benchmarks.common import markdown, run_missing, store, stored, text
+from benchmarks.common import markdown, run_missing, store, stored, table_parser, text
 from benchmarks.shapes import fits
 from benchmarks.shapes.cost import RESOLUTIONS, measured_apart
 from benchmarks.shapes.fits import COMMANDS, cells_of, run_cell
@@ -42,7 +42,7 @@ def _run_cost(key: str, resolution: int, steps: int, threads: int | None) -> Non
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.shapes", description=__doc__)
+    parser = table_parser("shapes", __doc__)
     parser.add_argument("commands", nargs="+", choices=[*COMMANDS, "cost"], metavar="COMMAND",
                         help=f"any of {', '.join(COMMANDS)}, cost")  # fmt: skip
     parser.add_argument("--seeds", nargs="+", type=int, default=[0, 1, 2], metavar="N", help="default 0 1 2")
@@ -51,8 +51,6 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--resolutions", nargs="+", type=int, default=list(RESOLUTIONS), metavar="N", help="for cost")
     parser.add_argument("--steps", type=int, default=20, help="steps that cost measures, default 20")
     parser.add_argument("--threads", type=int, help="for cost; default: those of a fit")
-    parser.add_argument("--print", action="store_true", help="print stored results, run nothing")
-    parser.add_argument("--markdown", action="store_true", help="print Markdown tables")
     return parser
 
 

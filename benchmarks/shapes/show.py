@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from benchmarks.common import Sheet
+from benchmarks.common import Sheet, mean_and_range
 from benchmarks.shapes.fits import Cell
 
 __all__ = ["cost_sheet", "sheets_of"]
@@ -39,8 +39,17 @@ def _fit_row(name: tuple[str, str], found: list[Mapping[str, Any]]) -> list[str]
     for metric in _BESIDE:
         pairs = [(one.get(metric), one.get(f"best_floor_{metric}")) for one in overalls]
         gains = [mine - floor for mine, floor in pairs if mine is not None and floor is not None]
-        cells += [_mean([mine for mine, _ in pairs]), _mean([floor for _, floor in pairs]), _mean(gains, "+.3f")]
-    return [*name, str(len(found)), *cells, *(_mean([one.get(metric) for one in overalls]) for metric in _ALONE)]
+        cells += [
+            mean_and_range([mine for mine, _ in pairs]),
+            mean_and_range([floor for _, floor in pairs]),
+            mean_and_range(gains, "+.3f"),
+        ]
+    return [
+        *name,
+        str(len(found)),
+        *cells,
+        *(mean_and_range([one.get(metric) for one in overalls]) for metric in _ALONE),
+    ]
 
 
 def _group_rows(
@@ -55,7 +64,9 @@ def _group_rows(
         label = name if spent == "task's" else f"{name} {spent}"
         for group in groups:
             values = [one[part][group] for one in results if group in one.get(part, {})]
-            found.append([label, group, *(_mean([value.get(metric) for value in values]) for metric in metrics)])
+            found.append(
+                [label, group, *(mean_and_range([value.get(metric) for value in values]) for metric in metrics)]
+            )
     return found
 
 
@@ -74,11 +85,3 @@ def cost_sheet(results: Results) -> list[Sheet]:
     ]  # fmt: skip
     head = ["resolution", "shapes", "threads", "s per step", "peak GB", "GB before training"]
     return [Sheet("cost of a training step", head, rows)] if rows else []
-
-
-def _mean(values: Sequence[float | None], form: str = ".3f") -> str:
-    known = [value for value in values if value is not None]
-    if not known:
-        return "-"
-    spread = f" ({min(known):{form}} to {max(known):{form}})" if len(known) > 1 else ""
-    return f"{sum(known) / len(known):{form}}{spread}"

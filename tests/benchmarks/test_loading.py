@@ -10,11 +10,13 @@ import pytest
 import torch
 
 from benchmarks.loading import __main__ as loading
-from benchmarks.loading import training
+from benchmarks.loading import measure
 from benchmarks.loading.files import settings_of, write_full_size
+from benchmarks.stepping import stepper, teacher
 from uplift.data.clean import clean
 from uplift.data.load import load_data, load_split
 from uplift.skeleton import load_skeleton
+from uplift.training.pose_recipe import training_frames
 
 
 @pytest.fixture(scope="module")
@@ -68,13 +70,13 @@ def test_the_files_have_the_structure_of_the_real_ones(full, monkeypatch, tmp_pa
 def test_both_stages_are_measured_on_both_sets(full, monkeypatch, tmp_path):
     monkeypatch.setenv("UPLIFT_CACHE", str(tmp_path))
     for name, value in (("SMALL", 500), ("_WARM_UP", 1), ("_STEPS", 1), ("_TURNS", 2)):
-        monkeypatch.setattr(training, name, value)
-    monkeypatch.setattr(training, "settings_of", lambda folder, *_: settings_of(
+        monkeypatch.setattr(measure, name, value)
+    monkeypatch.setattr(measure, "settings_of", lambda folder, *_: settings_of(
         folder, "priors.flow.steps=1", "teacher.batch_size=16", "student.batch_size=16"
     ))  # fmt: skip
     threads = torch.get_num_threads()
     try:
-        found = training.train(full)
+        found = measure.train(full)
     finally:
         torch.set_num_threads(threads)
     assert found["small_frames"] == 500 < found["frames"]
@@ -86,12 +88,12 @@ def test_steps_draw_different_rows(full, monkeypatch, tmp_path):
     monkeypatch.setenv("UPLIFT_CACHE", str(tmp_path))
     settings = settings_of(full, "priors.flow.steps=1", "teacher.batch_size=16")
     skeleton = load_skeleton("h36m17")
-    frames = training.training_frames(load_data(settings, skeleton), skeleton, settings)
-    module = training._teacher(settings, frames)
+    frames = training_frames(load_data(settings, skeleton), skeleton, settings)
+    module = teacher(settings, frames)
     drawn = []
     monkeypatch.setattr(module, "draw", lambda count: drawn.append(torch.randint(len(frames), (count,))) or drawn[-1])
     before = [p.detach().clone() for p in module.lifter.parameters()]
-    training._run_of(module)(2)
+    stepper(module)(2)
     assert not torch.equal(drawn[0], drawn[-1])
     assert any(not torch.equal(a, b) for a, b in zip(before, module.lifter.parameters(), strict=True))
 
