@@ -72,9 +72,12 @@ def max_time(minutes: float) -> str:
 
 
 def run_python(
-    words: Sequence[str], folder: Path = ROOT, cores: set[int] | None = None, env: Mapping[str, str] | None = None
+    words: Sequence[str],
+    folder: Path | None = None,
+    cores: set[int] | None = None,
+    env: Mapping[str, str] | None = None,
 ) -> str:
-    """Run python with ``words`` in ``folder``, on ``cores`` if given, and return its standard output.
+    """Run python with ``words``, in ``folder`` and on ``cores`` if given, and return its standard output.
 
     Raises:
         BenchmarkError: it failed.
