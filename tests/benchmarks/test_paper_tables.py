@@ -117,7 +117,7 @@ def test_labels_are_listed(place, capsys):
 def test_a_table_without_data_does_not_stop_the_others(place, data, capsys):
     words = ["data.root=" + str(data / "h36m"), "task=kudo2018_code", *KUDO, "--seeds", "3", "--markdown"]
     assert tables.main(["table1", *words]) == 0  # stored: another folder is the same fit
-    assert tables.main(last_words("3dhp", *[word for word in words if word[:4] != "task"], *QUICK)) == 2
+    assert tables.main(["3dhp", *last_words(*[word for word in words if word[:4] != "task"], *QUICK)]) == 2
     printed = capsys.readouterr()
     assert "stored kudo2018_code" in printed.out and "no 3dhp" in printed.err
 
@@ -140,7 +140,7 @@ def test_the_3dhp_figure(place, capsys):
     figures, pck, auc = ours(printed, "mpi_inf_3dhp, 10steps")
     [file] = (place / "results" / "3dhp").glob("*.json")
     result = json.loads(file.read_text())
-    assert figures[3] == f"{100 * kept['train']['overall']['pck_z@150']:.1f}"
+    assert figures[3] == f"{100 * result['train']['overall']['pck_z@150']:.1f}"
     shares = [result["overall"][name] for name in ("pck_z@150", "pck@150", "auc", "pck14@150", "auc14")]
     assert figures[4:9] == [f"{100 * share:.1f}" for share in shares]
     assert result["overall"]["pck_z@150"] != result["train"]["overall"]["pck_z@150"]
