@@ -13,8 +13,8 @@ from uplift.models.model import build_lifter
 from uplift.priors import build_priors
 from uplift.training.adversarial import AdversarialTraining
 from uplift.training.base import LifterTraining
-from uplift.training.pseudo_labels import PseudoPoses, lift_all
 from uplift.training.pose_recipe import student_settings
+from uplift.training.pseudo_labels import PseudoPoses, lift_all
 from uplift.training.student import StudentTraining
 
 __all__ = ["stepper", "student", "teacher", "untrained_poses"]

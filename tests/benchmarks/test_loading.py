@@ -91,7 +91,9 @@ def test_steps_draw_different_rows(full, monkeypatch, tmp_path):
     frames = training_frames(load_data(settings, skeleton), skeleton, settings)
     module = teacher(settings, frames)
     drawn = []
-    monkeypatch.setattr(module, "draw", lambda count: drawn.append(torch.randint(len(frames), (count,))) or drawn[-1])
+    monkeypatch.setattr(
+        module, "sampler", lambda count: drawn.append(torch.randint(len(frames), (count,))) or drawn[-1]
+    )
     before = [p.detach().clone() for p in module.lifter.parameters()]
     stepper(module)(2)
     assert not torch.equal(drawn[0], drawn[-1])
