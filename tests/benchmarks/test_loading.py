@@ -17,6 +17,7 @@ from uplift.data.clean import clean
 from uplift.data.load import load_data, load_split
 from uplift.skeleton import load_skeleton
 from uplift.training.pose_recipe import training_frames
+from uplift.training.sampler import LabelledSampler
 
 
 @pytest.fixture(scope="module")
@@ -90,10 +91,8 @@ def test_steps_draw_different_rows(full, monkeypatch, tmp_path):
     skeleton = load_skeleton("h36m17")
     frames = training_frames(load_data(settings, skeleton), skeleton, settings)
     module = teacher(settings, frames)
-    drawn = []
-    monkeypatch.setattr(
-        module, "sampler", lambda count: drawn.append(torch.randint(len(frames), (count,))) or drawn[-1]
-    )
+    drawn, draw = [], LabelledSampler.__call__
+    monkeypatch.setattr(LabelledSampler, "__call__", lambda self, count: drawn.append(draw(self, count)) or drawn[-1])
     before = [p.detach().clone() for p in module.lifter.parameters()]
     stepper(module)(2)
     assert not torch.equal(drawn[0], drawn[-1])
