@@ -19,6 +19,7 @@ from uplift.config.loading import load_settings, put_override, setting_names
 from uplift.config.plugins import find_class, options_of
 from uplift.config.settings import Settings
 from uplift.data.formats import read
+from uplift.data.mask_tensors import MaskSet
 from uplift.data.masks import MaskData
 from uplift.data.tensors import TrainingSet
 from uplift.metrics.protocols import PROTOCOLS
@@ -89,7 +90,7 @@ def test_documented_settings_exist() -> None:
     known = set(setting_names())
     known |= {name.rpartition(".")[0] for name in known}
     known |= {f"data.{field.name}" for field in fields(TrainingSet)}  # what `prepare(data)` is given
-    known |= {f"data.{field.name}" for field in fields(MaskData)}
+    known |= {f"data.{field.name}" for kind in (MaskData, MaskSet) for field in fields(kind)}
     ours = {
         name
         for name in spans
