@@ -1,1 +1,1 @@
-"""Every figure that README and docs state, each from one command."""
+"""The commands that produce every figure in the README and the documentation."""

@@ -3,23 +3,24 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
 from hypothesis import settings
+from page_browser import BROWSER, Browser
 
 if "PYTEST_XDIST_WORKER" in os.environ:
-    os.environ.setdefault("OMP_NUM_THREADS", "1")  # a thread a core: more only wait for each other
+    os.environ.setdefault("OMP_NUM_THREADS", "1")  # one thread per process: more would only compete for the cores
 
-# The same examples every time: a suite that fails says why twice in a row.
+# Deterministic examples: a failure can be reproduced.
 settings.register_profile("steady", derandomize=True, deadline=None)
 settings.load_profile("steady")
 
 
 @pytest.fixture
 def benchmark_data() -> Callable[[str], Path]:
-    """Return a function from a name such as ``cmu/test.npz`` to its path; it skips where the data is absent."""
+    """Return a function from a name such as ``cmu/test.npz`` to its path; it skips the test if there is no such data."""
 
     def find(name: str) -> Path:
         root = os.environ.get("UPLIFT_DATA")
@@ -35,7 +36,17 @@ def benchmark_data() -> Callable[[str], Path]:
 
 @pytest.fixture
 def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """Return the empty folder that the test runs in, without benchmark data."""
+    """Run the test in an empty folder, which is returned, without benchmark data."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.delenv("UPLIFT_DATA", raising=False)
     return tmp_path
+
+
+@pytest.fixture(scope="module")
+def browser(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Browser]:
+    """Yield a headless browser for the tests of a module; they are skipped without Chromium."""
+    if BROWSER is None:
+        pytest.skip("no Chromium on this machine (Debian: apt-get install chromium)")
+    browser = Browser(tmp_path_factory.mktemp("browser"))
+    yield browser
+    browser.close()

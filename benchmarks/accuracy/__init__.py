@@ -1,1 +1,1 @@
-"""Recipes side by side: the same data, split, time budget and machine."""
+"""Recipes compared on the same data, split, time budget and machine."""

@@ -1,4 +1,4 @@
-"""The tables of cells.yaml: what each cell trains and is tested on, and where its result is kept."""
+"""The tables of cells.yaml: what each cell trains and is tested on, and where its result is stored."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.accuracy.rigs import RIGS
-from benchmarks.machine import ROOT
+from benchmarks.common import ROOT, max_time
 
 __all__ = ["RESULTS", "Cell", "Fit", "Target", "cells_of", "place", "read_fit"]
 
@@ -19,7 +19,7 @@ _FIT_KEYS = {"fit", "run", "floor", "train", "test", "tests", "skeleton", "occlu
 
 @dataclass(frozen=True)
 class Target:
-    """A test file, with placeholders, and further words of `uplift evaluate`."""
+    """A test file, with placeholders, and further arguments of `uplift evaluate`."""
 
     data: str
     words: str = ""
@@ -27,17 +27,17 @@ class Target:
 
 @dataclass(frozen=True)
 class Fit:
-    """What a cell trains, or which floor it computes."""
+    """What a cell trains, or which baseline it computes."""
 
     name: str
     command: str = ""
-    """Words of `uplift fit`, or with ``python`` those that follow `python`."""
+    """Arguments of `uplift fit`, or with ``python`` those of `python`."""
     python: bool = False
     floor: str | None = None
-    """Of `benchmarks.accuracy.floors`: nothing is trained, so there are no minutes and no seeds."""
+    """A baseline of `benchmarks.accuracy.floors`: nothing is trained, so it has no minutes and no seeds."""
     train: str = ""
     test: str | None = None
-    """The file that `overall` is about; of a fit without one, its own test frames."""
+    """The file on which `overall` is evaluated; default: the test frames of the fit."""
     skeleton: str = ""
     tests: dict[str, Target] = field(default_factory=dict)
     occlusion: bool = False
@@ -46,52 +46,53 @@ class Fit:
 
 @dataclass(frozen=True)
 class Cell:
-    """A fit with its minutes and its seed; None for a floor."""
+    """A fit with its minutes and its seed; both are None for a baseline."""
 
     table: str
     fit: Fit
     minutes: float | None
     seed: int | None
     steps: int | None = None
-    """In place of minutes: the same training on any machine, however crowded."""
+    """Instead of minutes: the same training on any machine, whatever its load."""
 
     @property
     def path(self) -> Path:
-        """Where the result is kept."""
+        """The file of the result."""
         if self.seed is None:
             return RESULTS / self.table / f"{self.fit.name}.json"
         return RESULTS / self.table / f"{self.fit.name}_{self.spent}_seed{self.seed}.json"
 
     @property
     def spent(self) -> str:
-        """How long it trains: minutes, or a number of steps."""
+        """The training time: minutes, or a number of steps."""
         if self.seed is None:
             return "-"
         return f"{self.minutes:g}min" if self.steps is None else f"{self.steps}steps"
 
     @property
     def budget(self) -> list[str]:
-        """The words of `uplift fit` that say so."""
-        if self.steps is not None:  # one thread: the figures of fits side by side are then those of each alone
+        """The arguments of `uplift fit` that limit the training time."""
+        if self.steps is not None:  # one thread, so that fits running in parallel do not affect each other
             return ["trainer.max_time=null", f"trainer.max_steps={self.steps}", "trainer.threads=1"]
-        seconds = round(60 * (self.minutes or 0))
-        return [f"trainer.max_time={seconds // 3600:02d}:{seconds // 60 % 60:02d}:{seconds % 60:02d}"]
+        return [max_time(self.minutes or 0)]
 
     def result(self) -> dict[str, Any] | None:
-        """Return what was found, None where the cell has not run."""
+        """Return the stored result, None if the cell has not run."""
         return json.loads(self.path.read_text()) if self.path.is_file() else None
 
 
 def read_fit(name: str, entry: str | dict[str, Any], table: dict[str, Any]) -> Fit:
-    """Return a fit of cells.yaml; `test`, `tests`, `occlusion` and `reference` of its table are the defaults.
+    """Return a fit of cells.yaml; `test`, `tests`, `occlusion` and `reference` default to those of its table.
 
     Raises:
-        ValueError: a key that is not known, or not exactly one of `fit`, `run` and `floor`.
+        ValueError: an unknown key, or not exactly one of `fit`, `run` and `floor`.
     """
     entry = {"fit": entry} if isinstance(entry, str) else entry
     kinds = [key for key in ("fit", "run", "floor") if key in entry]
     if len(kinds) != 1 or set(entry) - _FIT_KEYS:
-        raise ValueError(f"{name}: has {', '.join(entry)}; expected one of fit, run, floor, and of {sorted(_FIT_KEYS)}")
+        raise ValueError(
+            f"{name}: has {', '.join(entry)}; expected one of fit, run, floor, and keys of {sorted(_FIT_KEYS)}"
+        )
     floor = entry.get("floor")
     if floor and not all(entry.get(key) for key in ("train", "test", "skeleton")):
         raise ValueError(f"{name}: a floor needs train, test and skeleton")
@@ -115,14 +116,14 @@ def _read_test(value: str | dict[str, str]) -> Target:
 
 
 def place(data: str) -> str:
-    """Return a file with its placeholder: that of a rig by its name, else one of the data folder."""
+    """Return a file with its placeholder: the rigs' folder for the name of a rig, else the data folder."""
     if data in RIGS:
         return f"{{rigs}}/{data}/test.npz"
     return data if data.startswith("{") else f"{{data}}/{data}"
 
 
 def cells_of(name: str, table: dict[str, Any], minutes: float | None = None) -> list[Cell]:
-    """Return the cells of a table, at ``minutes`` in place of its own; a floor comes once."""
+    """Return the cells of a table, with ``minutes`` instead of the table's if given; a baseline appears once."""
     cells = []
     by_steps = "steps" in table and not minutes
     for spent in [minutes] if minutes else table["steps" if by_steps else "minutes"]:

@@ -1,8 +1,8 @@
-"""Floors that a lifter must beat: the nearest training frame's 3D pose, and the observed 2D at depth 0.
+"""Baselines that a lifter must beat: the 3D pose of the nearest training frame, and the observed 2D at depth 0.
 
 ``python -m benchmarks.accuracy.floors nearest TRAIN.npz TEST.npz OUT.npz skeleton=h36m17``, then
-``uplift evaluate poses=OUT.npz data.test=TEST.npz skeleton=h36m17``. ``flat`` reads nothing of TRAIN;
-``nearest`` uses its 3D poses, so it is no 2D-only method.
+``uplift evaluate poses=OUT.npz data.test=TEST.npz skeleton=h36m17``. ``flat`` does not use TRAIN; ``nearest`` uses its
+3D poses, so it is not a 2D-only method.
 """
 
 from __future__ import annotations
@@ -22,13 +22,13 @@ from uplift.geometry.normalise import Normalised, normalise
 from uplift.metrics.baselines import flat_depth
 from uplift.skeleton import Skeleton, load_skeleton
 
-__all__ = ["flat", "nearest", "nearest_rows"]
+__all__ = ["nearest", "nearest_rows"]
 
 _TEST_ROWS, _TRAIN_ROWS = 1024, 32768
 
 
 def main(words: list[str]) -> int:
-    """Write the poses of one floor; returns the exit status."""
+    """Write the poses of one baseline; return the exit status."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks.accuracy.floors", description=__doc__)
     parser.add_argument("floor", choices=("nearest", "flat"))
     parser.add_argument("files", nargs=3, metavar="TRAIN.npz TEST.npz OUT.npz")
@@ -39,7 +39,7 @@ def main(words: list[str]) -> int:
         skeleton = load_skeleton(given.skeleton.removeprefix("skeleton="))
         test, _ = clean(load_file(test_file, skeleton), skeleton, drop=False)
         if given.floor == "flat":
-            pose, unit = flat(test, skeleton), "px"
+            pose, unit = flat_depth(test.keypoints, skeleton.root_index), "px"
         else:
             train, _ = clean(load_file(train_file, skeleton), skeleton)
             pose, unit = nearest(train, test, skeleton), train.unit
@@ -52,24 +52,19 @@ def main(words: list[str]) -> int:
     return 0
 
 
-def flat(test: PoseData, skeleton: Skeleton) -> Float[np.ndarray, "frames joints 3"]:
-    """Return the observed 2D, px, relative to the root, with every depth 0."""
-    return flat_depth(test.keypoints, skeleton.root_index)
-
-
 def nearest(train: PoseData, test: PoseData, skeleton: Skeleton) -> Float[np.ndarray, "frames joints 3"]:
-    """Return for each test frame the true pose of the training frame whose normalised 2D is nearest.
+    """Return for each test frame the true pose of the training frame with the nearest normalised 2D.
 
-    Training frames that lack a joint, in 2D or 3D, are left out. Raises UserError without poses.
+    Training frames with missing joints, in 2D or 3D, are not used. Raises UserError if there are no poses.
     """
     if train.pose is None:
-        raise UserError(f"{train.source}: holds no 'pose': the nearest neighbour's 3D is what this floor gives.")
-    whole = np.flatnonzero((train.confidence > 0).all(1) & np.isfinite(train.pose).all((1, 2)))
-    if not len(whole):
-        raise UserError(f"{train.source}: no frame has all its joints.")
-    known = _normalised(train.select(whole), skeleton).keypoints
+        raise UserError(f"{train.source} has no 'pose', which the nearest neighbour needs.")
+    complete = np.flatnonzero((train.confidence > 0).all(1) & np.isfinite(train.pose).all((1, 2)))
+    if not len(complete):
+        raise UserError(f"{train.source}: no frame has all joints.")
+    known = _normalised(train.select(complete), skeleton).keypoints
     rows = nearest_rows(_normalised(test, skeleton).keypoints, torch.from_numpy(test.confidence > 0), known)
-    return train.pose[whole[rows.numpy()]]
+    return train.pose[complete[rows.numpy()]]
 
 
 def _normalised(data: PoseData, skeleton: Skeleton) -> Normalised:
@@ -82,7 +77,7 @@ def nearest_rows(
     visible: torch.Tensor,
     known: Float[torch.Tensor, "others joints 2"],
 ) -> Int[torch.Tensor, " frames"]:
-    """Return the number of the nearest of ``known`` for each frame, over the joints ``visible`` in it; exact."""
+    """Return the index of the nearest of ``known`` for each frame, over the joints ``visible`` in it; exact."""
     weight = visible.to(wanted).repeat_interleave(2, 1)
     points, others = wanted.flatten(1) * weight, known.flatten(1)
     found = []
@@ -94,7 +89,7 @@ def nearest_rows(
             part = others[first : first + _TRAIN_ROWS]
             if bool(visible[rows].all()):
                 distance = torch.cdist(points[rows], part).square()
-            else:  # the squared distance over each frame's own joints, as products
+            else:  # squared distances over each frame's visible joints, as products
                 distance = weight[rows] @ part.square().mT - 2 * points[rows] @ part.mT
                 distance = distance + points[rows].square().sum(1, keepdim=True)
             least, place = distance.min(1)

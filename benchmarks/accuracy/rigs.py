@@ -1,4 +1,4 @@
-"""The same motions seen by other cameras: a rig of mixed down-tilts, and one that looks down 30 degrees."""
+"""The same motions seen by other cameras: a rig with mixed tilts, and one that looks down by 30 degrees."""
 
 from __future__ import annotations
 
@@ -17,24 +17,24 @@ from uplift.errors import UserError
 __all__ = ["RIGS", "Rig", "build_rigs", "cached_rigs", "film"]
 
 TEST_SUBJECTS = ("S5", "S16", "S127", "S135")
-"""Those of the test split of the motion capture data: no rig trains on them."""
+"""Subjects of the test split of the motion capture data."""
 FOCAL_PX, CENTRE_PX, IMAGE_PX = 1145.0, 500.0, (1000, 1000)
 
 _CAMERAS = 3
 _DISTANCE_MM = 5000.0
 _NEAREST_MM = 2000.0
 _MARGIN_PX = 200.0
-"""How far out of the image a joint may lie."""
+"""How far outside the image a joint may lie."""
 _STEP = 3
-"""Of the frames at 30 Hz every third is seen: 10 Hz."""
+"""Every third frame of 30 Hz is used: 10 Hz."""
 _FEWEST = 3
-"""A clip of fewer frames is left out."""
+"""Clips with fewer frames are dropped."""
 _SPLITS = ("train", "test")
 
 
 @dataclass(frozen=True)
 class Rig:
-    """Cameras without roll whose down-tilt is uniform between two bounds, one for each clip."""
+    """Cameras without roll, one per clip, with a downward tilt uniform between two bounds."""
 
     lowest_deg: float
     highest_deg: float
@@ -59,7 +59,7 @@ def film(world: dict[str, np.ndarray], rig: Rig, split: str) -> dict[str, np.nda
 
     ``world`` holds `joints` (frames joints 3) in metres with y up at 30 Hz, `joint_names`, `subject`,
     `action` and `sequence`. Each camera aims at the hip of a random frame from 5 m. Frames with a
-    joint nearer than 2 m or more than 200 px out of the image are left out. Poses are in mm, relative
+    joint nearer than 2 m or more than 200 px outside the image are dropped. Poses are in mm, relative
     to the first joint, the root.
     """
     rng = np.random.default_rng([rig.seed, _SPLITS.index(split)])
@@ -116,7 +116,7 @@ def build_rigs(folder: str | Path) -> list[Path]:
     base = os.environ.get("UPLIFT_DATA")
     path = Path(base or "").expanduser() / "cmu" / "world.npz"
     if not base or not path.is_file():
-        raise UserError(f"The rigs are made from cmu/world.npz in UPLIFT_DATA={base or ''}: there is none.")
+        raise UserError(f"The rigs are made from cmu/world.npz in UPLIFT_DATA={base or ''}, which does not exist.")
     with np.load(path, allow_pickle=False) as file:
         world = {key: file[key] for key in ("joints", "joint_names", "subject", "action", "sequence", "fps")}
     written = []
@@ -130,7 +130,7 @@ def build_rigs(folder: str | Path) -> list[Path]:
 
 
 def cached_rigs() -> Path:
-    """Return the folder of the rigs, built on first use: UPLIFT_BENCHMARK_CACHE, else ``~/.cache/uplift/rigs``."""
+    """Return the folder of the rigs, built on first use: UPLIFT_BENCHMARK_CACHE or ``~/.cache/uplift/rigs``."""
     folder = Path(os.environ.get("UPLIFT_BENCHMARK_CACHE") or "~/.cache/uplift/rigs").expanduser()
     if not all((folder / name / f"{split}.npz").is_file() for name in RIGS for split in _SPLITS):
         build_rigs(folder)
@@ -138,7 +138,7 @@ def cached_rigs() -> Path:
 
 
 def main() -> int:
-    """Build the rigs into the folder of the command line, or into the cache."""
+    """Build the rigs in the folder given on the command line, or in the cache."""
     try:
         for path in build_rigs(sys.argv[1]) if len(sys.argv) > 1 else [cached_rigs()]:
             print(f"wrote {path}")

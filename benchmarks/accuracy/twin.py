@@ -1,8 +1,8 @@
-"""The supervised twin: the student of a task, with true depths in place of its teacher's. The ceiling of a recipe.
+"""The supervised twin: a task's student trained on true poses instead of its teacher's; an upper bound of the recipe.
 
 ``python -m benchmarks.accuracy.twin task=cmu trainer.max_time=00:04:00 seed=0`` writes an ordinary run
-folder, runs/cmu_twin/<time>. Network, views, mixing and optimiser are the task's; one round has the whole
-budget. Nothing here is 2D-only: poses, root depths and camera tilts of the training file are used.
+folder, runs/cmu_twin/<time>. Network, views, mixing and optimiser are the task's; a single round uses the full
+budget. It is not 2D-only: it uses poses, root depths and camera tilts of the training file.
 """
 
 from __future__ import annotations
@@ -36,12 +36,12 @@ from uplift.training.student import StudentTraining
 
 __all__ = ["gravity_in_camera", "gravity_of_recurring_poses", "load_labelled", "train_twin", "true_poses"]
 
-_NOISY = 1e-3  # mean distance, units, from which keypoints are not the poses' own
+_NOISY = 1e-3  # mean distance, model units, above which keypoints count as noisy
 _MOST_ROLL = 1e-4  # mean squared component of gravity along the image's x: 0.6 degrees
 
 
 def main(words: list[str]) -> int:
-    """Train and evaluate a twin; returns the exit status."""
+    """Train and evaluate a twin; return the exit status."""
     task = next((word.removeprefix("task=") for word in words if word.startswith("task=")), None)
     try:
         run = train_twin(load_settings(task, [word for word in words if not word.startswith("task=")]))
@@ -53,7 +53,7 @@ def main(words: list[str]) -> int:
 
 
 def train_twin(settings: Settings) -> RunFolder:
-    """Train the student of ``settings`` on the truth for the whole budget, evaluate it, return its run."""
+    """Train the student of ``settings`` on the truth for the full budget, evaluate it, and return its run."""
     if settings.trainer.threads:
         torch.set_num_threads(settings.trainer.threads)
     skeleton = load_skeleton(settings.skeleton)
@@ -65,7 +65,9 @@ def train_twin(settings: Settings) -> RunFolder:
         build_lifter(chosen, skeleton), poses, settings.student, settings.views, settings.seed + 1
     )
     [budget] = stage_budgets(settings.trainer, [1.0], len(poses), settings.student.batch_size)
-    settings = replace(settings, task=f"{settings.task or 'own'}_twin", description="Supervised twin: sees the truth.")
+    settings = replace(
+        settings, task=f"{settings.task or 'own'}_twin", description="Supervised twin, trained on true poses."
+    )
     run = RunFolder.create(settings, shlex.join(["python", "-m", "benchmarks.accuracy.twin", *sys.argv[1:]]))
     print(
         "\n".join([f"supervised twin, {len(poses):,} labelled frames; gravity: {note}", f"run: {run.path}"]), flush=True
@@ -82,7 +84,7 @@ def train_twin(settings: Settings) -> RunFolder:
 
 
 def load_labelled(settings: Settings, skeleton: Skeleton) -> Loaded:
-    """Return the task's data with poses; those of a `*_detected` file are the rows of the file without the ending.
+    """Return the task's data with poses; a `*_detected` file takes those of the file without that suffix.
 
     Raises:
         UserError: neither file has poses, or their rows differ.
@@ -100,15 +102,17 @@ def load_labelled(settings: Settings, skeleton: Skeleton) -> Loaded:
             raise UserError(f"{true.source}: its frames are not those of {train.source}.")
         train = replace(train, pose=true.pose, root=true.root, unit=true.unit, tilt_deg=true.tilt_deg)
     if train.pose is None:
-        raise UserError(f"{train.source}: holds no 'pose': a supervised twin needs the truth of its training frames.")
+        raise UserError(
+            f"{train.source}: has no 'pose': a supervised twin needs the true poses of its training frames."
+        )
     return replace(loaded, train=train)
 
 
 def true_poses(settings: Settings, skeleton: Skeleton, train: PoseData) -> tuple[PseudoPoses, str]:
-    """Return the frames as a teacher would lift them whose depths are true, and where gravity came from.
+    """Return the frames as a teacher with true depths would lift them, and the source of gravity.
 
-    What the keypoints are off from them is the noise that the student is shown. A joint that was not
-    seen has its true place.
+    The student's noise is the difference between the keypoints and the projected poses. Missing joints get their true
+    positions.
     """
     assert train.pose is not None
     data = to_training_set(train, skeleton, settings.lifter)
@@ -124,19 +128,19 @@ def true_poses(settings: Settings, skeleton: Skeleton, train: PoseData) -> tuple
     noise = noise * (seen & known).unsqueeze(-1)
     if skeleton.gravity:
         pose = turn(pose, least_rotation(down, pose.new_tensor([0.0, 1.0, 0.0])))
-    sure = torch.where(seen, data.confidence, torch.ones_like(data.confidence)) * known
+    confidence = torch.where(seen, data.confidence, torch.ones_like(data.confidence)) * known
     return PseudoPoses(
         skeleton=skeleton,
         pose=pose,
         gravity=down,
         distance=data.distance,
-        confidence=sure,
+        confidence=confidence,
         noise=noise if noise.norm(dim=-1).mean() > _NOISY else None,
     ), note
 
 
 def _units(data: TrainingSet, pose: Tensor, both: Tensor, root: np.ndarray | None) -> Tensor:
-    """Return the model's units per unit of ``pose``: by the true distance where it is known, else by the 2D."""
+    """Return the model's units per unit of ``pose``: from the true distance if known, else from the 2D."""
     if data.rotation is not None and root is not None:
         return data.distance / torch.from_numpy(root).norm(dim=-1)
     flat = pose[..., :2] * both
@@ -146,8 +150,8 @@ def _units(data: TrainingSet, pose: Tensor, both: Tensor, root: np.ndarray | Non
 def gravity_in_camera(train: PoseData, skeleton: Skeleton) -> tuple[Float[np.ndarray, "frames 3"], str]:
     """Return the direction of gravity in each real camera's frame, and how it was found.
 
-    The file's `tilt_deg` where it has it. Else poses that several cameras saw at once tell it: cameras
-    without roll have gravity across their x axes. Else cameras are taken as level.
+    From the file's `tilt_deg` if present; else from poses that several cameras saw at once, as gravity is perpendicular
+    to the x axes of cameras without roll; else cameras are assumed level.
     """
     level = np.tile([0.0, 1.0, 0.0], (len(train), 1))
     if not skeleton.gravity:
@@ -156,13 +160,13 @@ def gravity_in_camera(train: PoseData, skeleton: Skeleton) -> tuple[Float[np.nda
         tilt = np.radians(train.tilt_deg.astype(np.float64))
         return np.stack([np.zeros_like(tilt), np.cos(tilt), np.sin(tilt)], 1), "the file's camera tilts"
     found = gravity_of_recurring_poses(train, rigid=skeleton.rigid)
-    return (level, "unknown, cameras taken as level") if found is None else (found, "poses seen from several sides")
+    return (level, "unknown, cameras assumed level") if found is None else (found, "poses seen from several sides")
 
 
 def gravity_of_recurring_poses(train: PoseData, *, rigid: bool = False) -> Float[np.ndarray, "frames 3"] | None:
-    """Return gravity in each camera's frame from frames of one moment; None where that does not tell it.
+    """Return gravity in each camera's frame from frames of the same moment, None if that does not determine it.
 
-    A ``rigid`` subject stands as it stands: all its frames are one moment.
+    All frames of a ``rigid`` subject count as one moment.
     """
     moment = ("subject",) if rigid else ("subject", "action", "sequence", "frame")
     keys = [train.identity[key].astype(str) for key in moment if key in train.identity]
@@ -181,7 +185,7 @@ def gravity_of_recurring_poses(train: PoseData, *, rigid: bool = False) -> Float
     spread /= np.bincount(group)[:, None, None]
     size, axis = np.linalg.eigh(spread)
     if size[:, 0].max() > _MOST_ROLL or np.median(size[:, 1]) < _MOST_ROLL:
-        return None  # cameras that roll, or one camera a moment
+        return None  # cameras with roll, or one camera per moment
     down = np.einsum("fij,fj->fi", rotation, axis[group, :, 0])
     upright = np.zeros(len(first))
     np.add.at(upright, group, down[:, 1])

@@ -1,13 +1,10 @@
-"""Run one cell: train or compute, evaluate, and keep what was found with the commands that found it."""
+"""Run one cell: train or compute, evaluate, and store the result with its commands."""
 
 from __future__ import annotations
 
 import json
-import os
 import re
 import shlex
-import subprocess
-import sys
 import tempfile
 import time
 from collections.abc import Sequence
@@ -16,23 +13,19 @@ from typing import Any
 
 from benchmarks.accuracy.cells import Cell, Target, place
 from benchmarks.accuracy.rigs import cached_rigs
-from benchmarks.machine import ROOT, facts
+from benchmarks.common import BenchmarkError, data_folder, facts, run_python, write_json
 
-__all__ = ["CellFailed", "fill_in", "run_cell"]
+__all__ = ["fill_in", "run_cell"]
 
 HERE = Path(__file__).resolve().parent
 
 _SCORE = "import json, sys, uplift; print(json.dumps(uplift.evaluate_poses(*sys.argv[1:]).to_dict()))"
 
 
-class CellFailed(Exception):
-    """A command of a cell ended with an error; the message has the end of what it said."""
-
-
 def fill_in(text: str, *, shown: bool = False) -> str:
-    """Return ``text`` with its placeholders filled in; ``shown`` for readers, in place of this machine's folders."""
-    known = {"{data}": "$UPLIFT_DATA", "{rigs}": "$UPLIFT_BENCHMARK_CACHE", "{here}": "benchmarks/accuracy"}
-    for placeholder, name in known.items():
+    """Return ``text`` with its placeholders filled in; ``shown``: with variables instead of this machine's folders."""
+    names = {"{data}": "$UPLIFT_DATA", "{rigs}": "$UPLIFT_BENCHMARK_CACHE", "{here}": "benchmarks/accuracy"}
+    for placeholder, name in names.items():
         if placeholder in text:
             text = text.replace(placeholder, name if shown else str(_folder(placeholder)))
     return text
@@ -43,52 +36,42 @@ def _folder(placeholder: str) -> Path:
         return HERE
     if placeholder == "{rigs}":
         return cached_rigs().resolve()
-    if not os.environ.get("UPLIFT_DATA"):
-        raise CellFailed("UPLIFT_DATA is not set: it names the folder of the data sets")
-    return Path(os.environ["UPLIFT_DATA"]).resolve()
+    return data_folder()
 
 
 def run_cell(cell: Cell, cores: set[int]) -> None:
-    """Run one cell on ``cores`` and keep its result.
+    """Run one cell on ``cores`` and store its result.
 
     Raises:
-        CellFailed: one of its commands did.
+        BenchmarkError: one of its commands failed.
     """
     _check_words(cell)
     with tempfile.TemporaryDirectory() as folder:
         work = _Work(cell, Path(folder), cores)
         found = work.floor() if cell.fit.floor else work.fit()
-    kept = {
-        "commands": work.commands,
-        "seed": cell.seed,
-        "minutes": cell.minutes,
-        "steps": cell.steps,
-        **facts(),
-        **found,
-    }
-    cell.path.parent.mkdir(parents=True, exist_ok=True)
-    cell.path.write_text(json.dumps(kept, indent=1) + "\n")
+    about = {"commands": work.commands, "seed": cell.seed, "minutes": cell.minutes, "steps": cell.steps, **facts()}
+    write_json(cell.path, about | found)
 
 
 def _check_words(cell: Cell) -> None:
-    """Refuse words that `uplift evaluate` does not know before anything is trained."""
+    """Reject arguments that `uplift evaluate` does not know, before anything is trained."""
     from uplift.cli.main import _KEYS
 
     for name, test in cell.fit.tests.items():
         unknown = [word for word in shlex.split(test.words) if word.partition("=")[0] not in _KEYS["evaluate"]]
         if unknown:
-            raise CellFailed(f"test {name}: `uplift evaluate` takes no {', '.join(unknown)}")
+            raise BenchmarkError(f"test {name}: `uplift evaluate` does not accept {', '.join(unknown)}")
 
 
 class _Work:
-    """Runs the commands of one cell in a folder of its own and keeps them as a reader would type them."""
+    """Runs the commands of one cell in a temporary folder, and records them as a reader would type them."""
 
     def __init__(self, cell: Cell, folder: Path, cores: set[int]):
         self.cell, self.folder, self.cores = cell, folder, cores
         self.commands: list[str] = []
 
     def fit(self) -> dict[str, Any]:
-        """Train and evaluate; return what the cell's file holds beside the machine's facts."""
+        """Train and evaluate; return the result."""
         cell, words = self.cell, shlex.split(self.cell.fit.command)
         words += [*cell.budget, f"seed={cell.seed}"]
         start = time.monotonic()
@@ -96,7 +79,7 @@ class _Work:
         wall = time.monotonic() - start
         run = next(iter(self.folder.glob("runs/*/last")), None)
         if run is None:
-            raise CellFailed(f"{self.commands[-1]}: left no runs/*/last")
+            raise BenchmarkError(f"{self.commands[-1]}: wrote no runs/*/last")
         run = run.resolve()
         if cell.fit.test:
             self._evaluate(run, Target(cell.fit.test))
@@ -107,14 +90,14 @@ class _Work:
             "wall_seconds": round(wall, 1),
             **{key: found[key] for key in ("overall", "calibration") if key in found},
         }
-        if cell.fit.occlusion:  # before other tests: it looks at the file that `overall` is about
+        if cell.fit.occlusion:  # before the other tests, since it uses the file of `overall`
             result["occlusion"] = self._occlusion(run, cell.fit.test)
         if cell.fit.tests:
             result["tests"] = {name: self._evaluate(run, test) for name, test in cell.fit.tests.items()}
         return result
 
     def floor(self) -> dict[str, Any]:
-        """Compute and evaluate a floor."""
+        """Compute and evaluate a baseline."""
         fit, poses = self.cell.fit, "OUT.npz"
         train, test = place(fit.train), str(fit.test)
         self._run(["-m", "benchmarks.accuracy.floors", str(fit.floor), train, test, poses, f"skeleton={fit.skeleton}"])
@@ -140,20 +123,11 @@ class _Work:
         return json.loads((self.folder / "occlusion.json").read_text())
 
     def _run(self, words: Sequence[str], *, run: Path | None = None, shown: bool = True) -> str:
-        """Run python with ``words``, note the command, and return what it printed."""
+        """Run python with ``words``, record the command if ``shown``, and return its output."""
         if shown:
-            told = " ".join(_quoted(word) for word in ["python", *words]).replace("python -m uplift.cli.main", "uplift")
-            self.commands.append(fill_in(told.replace(str(run), "RUN") if run else told, shown=True))
-        environment = {**os.environ, "OMP_NUM_THREADS": str(len(self.cores))}
-        environment["PYTHONPATH"] = os.pathsep.join(filter(None, [str(ROOT), os.environ.get("PYTHONPATH")]))
-        done = subprocess.run(
-            [sys.executable, *map(fill_in, words)], cwd=self.folder, env=environment, capture_output=True, text=True,
-            preexec_fn=lambda: os.sched_setaffinity(0, self.cores),
-        )  # fmt: skip
-        if done.returncode:
-            said = "\n".join((done.stdout + done.stderr).strip().splitlines()[-12:])
-            raise CellFailed(f"{shlex.join(words)} ended with status {done.returncode}:\n{said}")
-        return done.stdout
+            command = " ".join(map(_quoted, ["python", *words])).replace("python -m uplift.cli.main", "uplift")
+            self.commands.append(fill_in(command.replace(str(run), "RUN") if run else command, shown=True))
+        return run_python([*map(fill_in, words)], self.folder, self.cores)
 
 
 def _quoted(word: str) -> str:
@@ -163,12 +137,12 @@ def _quoted(word: str) -> str:
 def _evaluation_of(run: Path) -> dict[str, Any]:
     path = run / "evaluation.json"
     if not path.is_file():
-        raise CellFailed(f"{run}: was not evaluated: the fit had no test frames with poses")
+        raise BenchmarkError(f"{run}: was not evaluated: the fit had no test frames with poses")
     return json.loads(path.read_text())
 
 
 def _trained(run: Path) -> float | None:
-    """Return the seconds of all stages as the run's report has them, None where it has none."""
+    """Return the training seconds of all stages according to the run's report, None if it lists none."""
     report = run / "report.md"
     found = re.findall(r"^- \w+: (\d+) s of training$", report.read_text(), re.M) if report.is_file() else []
     return float(sum(map(int, found))) if found else None

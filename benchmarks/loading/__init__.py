@@ -1,1 +1,1 @@
-"""A full-size data set: how long it takes to load, how much memory, and whether it trains as fast as a small one."""
+"""A full-size data set: loading time, memory, and training speed compared with a small set."""

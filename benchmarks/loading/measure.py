@@ -1,4 +1,4 @@
-"""What one fresh process finds: ``load FOLDER`` loads the set once, ``train FOLDER`` trains on it and on a small one."""
+"""What one fresh process measures: ``load FOLDER`` or ``train FOLDER``; prints JSON."""
 
 from __future__ import annotations
 
@@ -7,28 +7,29 @@ import resource
 import sys
 import time
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from uplift.config.loading import load_settings
-from uplift.config.settings import Settings
+from benchmarks.loading.files import settings_of
 from uplift.data.load import load_data
 from uplift.data.poses import PoseData
 from uplift.skeleton import load_skeleton
 
-__all__ = ["load", "settings_of"]
+if TYPE_CHECKING:  # loading is measured without what training imports
+    from uplift.training.base import LifterTraining
+
+__all__ = ["SMALL", "load", "train"]
+
+SMALL = 20_000
+"""Frames of the small set: its arrays are still larger than the CPU's caches."""
+_WARM_UP, _STEPS, _TURNS = 16, 32, 8  # a student makes 16 batches at once
 
 _ARRAYS = ("keypoints", "confidence", "pose", "root", "tilt_deg", "root_filled", "lens")
 
 
-def settings_of(folder: str | Path, *more: str) -> Settings:
-    """Return the settings of a fit of Human3.6M at its full rate, with its files in ``folder``."""
-    return load_settings("h36m", ["data.options.fps=50", f"data.root={folder}", *more])
-
-
 def load(folder: str | Path) -> dict[str, Any]:
-    """Return the seconds and the peak memory of loading and of making the training set; memory is this process'."""
+    """Return the seconds and the peak memory of this process, of loading and of making the training set."""
     settings = settings_of(folder)
     skeleton = load_skeleton(settings.skeleton)
     start, before = time.perf_counter(), time.process_time()
@@ -58,15 +59,48 @@ def _peak_gb() -> float:
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024 / 1e9
 
 
+def train(folder: str | Path) -> dict[str, Any]:
+    """Return the steps per second of teacher and student on each set, on one thread, and their median ratio."""
+    import torch
+
+    from benchmarks.stepping import student, teacher, untrained_poses
+    from uplift.training.pose_recipe import training_frames
+
+    torch.set_num_threads(1)
+    settings = settings_of(folder, "priors.flow.steps=20")
+    skeleton = load_skeleton(settings.skeleton)
+    loaded = load_data(settings, skeleton)
+    full = training_frames(loaded, skeleton, settings)
+    small = full.select(torch.arange(min(SMALL, len(full))))
+    found: dict[str, Any] = {"threads": 1, "frames": len(full), "small_frames": len(small)}
+    found["teacher"] = _compare(teacher(settings, full), teacher(settings, small))
+    poses = [untrained_poses(settings, frames) for frames in (full, small)]
+    found["student"] = _compare(*(student(settings, of) for of in poses)) | {"frames": len(poses[0])}
+    return found
+
+
+def _compare(large: LifterTraining, small: LifterTraining) -> dict[str, float]:
+    """Return the speed on both sets; they alternate, so that other load on the machine slows both equally."""
+    from benchmarks.stepping import stepper
+
+    runs = [stepper(large), stepper(small)]
+    for run in runs:
+        run(_WARM_UP)
+    seconds = np.empty((_TURNS, 2))
+    for turn in range(_TURNS):
+        for which in (0, 1) if turn % 2 else (1, 0):
+            seconds[turn, which] = runs[which](_STEPS)
+    return {
+        "steps_per_s": float(_STEPS / np.median(seconds[:, 0])),
+        "small_steps_per_s": float(_STEPS / np.median(seconds[:, 1])),
+        "ratio": float(np.median(seconds[:, 1] / seconds[:, 0])),
+    }
+
+
 def main() -> int:
     """Print what was measured as JSON."""
-    what, folder = sys.argv[1:3]
-    if what == "train":
-        from benchmarks.loading.training import train
-
-        found = {**train(folder), "peak_gb": _peak_gb()}
-    else:
-        found = load(folder)
+    what, folder = sys.argv[1:]
+    found = {**train(folder), "peak_gb": _peak_gb()} if what == "train" else load(folder)
     print(json.dumps(found))
     return 0
 

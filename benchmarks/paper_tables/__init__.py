@@ -1,1 +1,1 @@
-"""The tables of Kudo et al. 2018: the published rows, and beside them what is fitted here."""
+"""The tables of Kudo et al. 2018, with the published rows and fits of uplift."""

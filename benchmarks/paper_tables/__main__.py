@@ -1,6 +1,6 @@
-"""Print Tables 1 and 2 and the 3DHP figure of Kudo et al. 2018 with the published rows beside what is fitted here.
+"""Print Tables 1 and 2 and the 3DHP figure of Kudo et al. 2018, with the published rows and fits of uplift.
 
-Needs Human3.6M or MPI-INF-3DHP (docs/paper-tables.md). Fits go to ./runs, results are kept and not computed twice.
+Needs Human3.6M or MPI-INF-3DHP (docs/paper-tables.md). Fits go to ./runs; stored results are not computed again.
 """
 
 from __future__ import annotations
@@ -8,25 +8,26 @@ from __future__ import annotations
 import argparse
 import sys
 from collections.abc import Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 
-from benchmarks.accuracy.show import markdown, text
-from benchmarks.paper_tables.recipes import RESULTS, TABLES, Recipe, place_of
+from benchmarks.common import markdown, table_parser, text
+from benchmarks.paper_tables import fits
+from benchmarks.paper_tables.fits import TABLES, Recipe, fit_recipe, need_data, place_of, read_result, take_run
 from benchmarks.paper_tables.show import notes_of, sheets_of
-from benchmarks.paper_tables.work import fit_recipe, need_data, read_result, take_run
 from uplift.errors import UserError
 
 __all__ = ["main"]
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Fit or take what was asked for and print the tables; 2 where data is missing or a word is wrong."""
+    """Fit what was asked for, or use existing runs, and print the tables; 2 if data is missing or an argument is invalid."""
     given = _parser().parse_intermixed_args(arguments)
     missing: dict[str, UserError] = {}
     try:
         chosen = _chosen(given.words)
         if given.print:
-            shown = {table: sorted((RESULTS / table).glob("*.json")) for table in chosen.tables or TABLES}
+            shown = {table: sorted((fits.RESULTS / table).glob("*.json")) for table in chosen.tables or TABLES}
         elif chosen.runs:
             shown = _taken(chosen)
         else:
@@ -42,22 +43,22 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print(f"paper_tables: {error}", file=sys.stderr)
         return 2
     except KeyboardInterrupt:
-        print("\npaper_tables: interrupted; the same command goes on with the next fit", file=sys.stderr)
+        print("\npaper_tables: interrupted; repeat the command to continue", file=sys.stderr)
         return 130
-    for number, (table, error) in enumerate(missing.items()):  # one whole message, of the others what is not there
-        told = str(error) if not number else str(error).splitlines()[0]
-        print(f"paper_tables: no {table}: {told}", file=sys.stderr)
+    for number, (table, error) in enumerate(missing.items()):  # the first message in full, one line of the others
+        message = str(error) if not number else str(error).splitlines()[0]
+        print(f"paper_tables: no {table}: {message}", file=sys.stderr)
     return 2 if missing else 0
 
 
+@dataclass
 class _Words:
-    """What the command line named."""
+    """The arguments of the command line, by kind."""
 
-    def __init__(self) -> None:
-        self.tables: list[str] = []
-        self.tasks: list[str] = []
-        self.runs: list[str] = []
-        self.more: list[str] = []
+    tables: list[str] = field(default_factory=list)
+    tasks: list[str] = field(default_factory=list)
+    runs: list[str] = field(default_factory=list)
+    more: list[str] = field(default_factory=list)
 
 
 def _chosen(words: Sequence[str]) -> _Words:
@@ -67,15 +68,17 @@ def _chosen(words: Sequence[str]) -> _Words:
         if word in TABLES:
             found.tables.append(word)
         elif not equals:
-            raise UserError(f"no table '{word}'; there are {', '.join(TABLES)}.")
+            raise UserError(f"no table '{word}'; expected any of {', '.join(TABLES)}.")
         elif key == "seed":
             raise UserError("seeds are set with --seeds.")
+        elif key == "task":
+            found.tasks.append(value)
+        elif key == "run":
+            found.runs.append(value)
         else:
-            {"task": found.tasks, "run": found.runs}.get(key, found.more).append(
-                value if key in ("task", "run") else word
-            )
+            found.more.append(word)
     if found.runs and (found.tasks or found.more):
-        raise UserError("run=RUN takes a run as it is: leave out task= and settings, or fit anew without run=.")
+        raise UserError("run=RUN uses a run as it is: leave out task= and settings, or fit again without run=.")
     return found
 
 
@@ -99,7 +102,7 @@ def _recipes(chosen: _Words, seeds: Sequence[int]) -> list[Recipe]:
 
 
 def _missing(recipes: Sequence[Recipe]) -> dict[str, UserError]:
-    """Return the tables whose data is not there, and what is missing; before anything is trained."""
+    """Return the tables without data, with what is missing, before anything is trained."""
     found: dict[str, UserError] = {}
     for recipe in recipes:
         if recipe.table not in found and not place_of(recipe.table, recipe.settings()).is_file():
@@ -122,15 +125,13 @@ def _seeds(text: str) -> list[int]:
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.paper_tables", description=__doc__)
+    parser = table_parser("paper_tables", __doc__)
     parser.add_argument(
         "words", nargs="*", metavar="WORD",
-        help=f"{', '.join(TABLES)} (all without a name); task=NAME to fit in place of the table's own; run=RUN, fitted "
-        "already; settings of the fits, such as data.root=FOLDER or trainer.max_time=00:30:00",
+        help=f"{', '.join(TABLES)} (default: all); task=NAME to fit instead of the table's tasks; run=RUN to use an existing "
+        "run; settings of the fits, such as data.root=FOLDER or trainer.max_time=00:30:00",
     )  # fmt: skip
-    parser.add_argument("--seeds", type=_seeds, default=[0, 1, 2], metavar="N,N,...", help="0,1,2 without it")
-    parser.add_argument("--print", action="store_true", help="print all that is kept and run nothing")
-    parser.add_argument("--markdown", action="store_true", help="print tables for a document")
+    parser.add_argument("--seeds", type=_seeds, default=[0, 1, 2], metavar="N,N,...", help="default 0,1,2")
     return parser
 
 

@@ -1,7 +1,7 @@
-"""The published figures, as Tables 1 and 2 of Kudo et al. 2018 print them, and the figure of its supplement.
+"""The published figures: Tables 1 and 2 of Kudo et al. 2018, and the figure in its supplement.
 
 Kudo, Ogaki, Matsui, Odagiri: "Unsupervised Adversarial Learning of 3D Human Pose from 2D Joint Locations",
-arXiv 1803.08244. Its Table 1 has Tung et al. as "Tang et al."; the names here are those of the works.
+arXiv 1803.08244. Its Table 1 spells Tung et al. "Tang et al."; this is corrected here.
 """
 
 from __future__ import annotations
@@ -14,28 +14,26 @@ COLUMNS = (
     "Direct.", "Discuss", "Eating", "Greet", "Phone", "Photo", "Pose", "Purch.",
     "Sitting", "SittingD", "Smoke", "Wait", "WalkD", "Walk", "WalkT",
 )  # fmt: skip
-"""Of both tables, in the paper's order."""
+"""The actions of both tables, in the paper's order."""
 
 
 @dataclass(frozen=True)
 class Published:
-    """One row: mm for each of `COLUMNS`, None where the paper has a dash, and the average as printed."""
+    """One row: mm for each of `COLUMNS`, None for a dash, and the average as printed."""
 
     method: str
     sees: str
-    """What it takes in."""
+    """The input."""
     uses: str
-    """What it learned from."""
-    scale: str
-    """How its poses come to millimetres."""
+    """The training signal."""
     errors: tuple[float | None, ...]
     average: float
 
 
-def _row(method: str, sees: str, figures: str, uses: str = "3D", scale: str = "its own") -> Published:
+def _row(method: str, sees: str, figures: str, uses: str = "3D") -> Published:
     errors = [None if figure == "-" else float(figure) for figure in figures.split()]
     assert len(errors) == len(COLUMNS) + 1 and errors[-1] is not None
-    return Published(method, sees, uses, scale, tuple(errors[:-1]), errors[-1])
+    return Published(method, sees, uses, tuple(errors[:-1]), errors[-1])
 
 
 PUBLISHED: dict[str, tuple[Published, ...]] = {
@@ -46,7 +44,7 @@ PUBLISHED: dict[str, tuple[Published, ...]] = {
              "37.7 44.4 40.3 42.1 48.2 54.9 44.4 42.1 54.6 58.0 45.1 46.4 47.6 36.4 40.4 45.5"),
         _row("Kudo et al. 2018", "GT",
              "125.0 137.9 107.2 130.8 115.1 127.3 147.7 128.7 134.7 139.8 114.5 147.1 130.8 125.6 151.1 130.9",
-             "2D", "ground truth's"),
+             "2D"),
     ),
     "table2": (
         _row("Ionescu et al. 2014", "image",
@@ -63,13 +61,13 @@ PUBLISHED: dict[str, tuple[Published, ...]] = {
              "54.8 60.7 58.2 71.4 62.0 65.5 53.8 55.6 75.2 111.6 64.2 66.1 51.4 63.2 55.3 64.9"),
         _row("Kudo et al. 2018", "SH",
              "161.3 174.3 143.1 169.2 161.7 174.1 180.7 178.0 170.6 191.4 157.4 182.3 180.7 180.3 193.4 173.2",
-             "2D", "ground truth's"),
+             "2D"),
     ),
 }  # fmt: skip
 
 KUDO_3DHP = 89.3
 """Percent, called PCK at 150 mm in the supplement. The authors' script (bin/eval_pck.py of
-github.com/DwangoMediaVillage/3dpose_gan) takes the z error alone, of training data."""
+github.com/DwangoMediaVillage/3dpose_gan) measures only the z error, on training data."""
 
 MEHTA_3DHP = 84.1
-"""Percent, PCK at 150 mm of Mehta et al. 2017 before the green screen, from images: what the supplement compares with."""
+"""Percent, PCK at 150 mm of Mehta et al. 2017 with green screen, from images: what the supplement compares with."""

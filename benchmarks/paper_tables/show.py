@@ -1,4 +1,4 @@
-"""The tables in the paper's layout: published rows, and ours beside them."""
+"""The tables in the paper's layout, with published rows and ours."""
 
 from __future__ import annotations
 
@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.accuracy.show import Sheet
+from benchmarks.common import Sheet
+from benchmarks.paper_tables.fits import TABLES
 from benchmarks.paper_tables.published import COLUMNS, KUDO_3DHP, MEHTA_3DHP, PUBLISHED, Published
-from benchmarks.paper_tables.recipes import TABLES
 from uplift.metrics.report import paper_order
 
 __all__ = ["notes_of", "sheets_of"]
@@ -20,34 +20,34 @@ _MORE = ("n_mpjpe", "p_mpjpe", "facing")
 _SHARES = ("pck@150", "auc", "pck14@150", "auc14")
 _ACTIVITIES = ("Stand/Walk", "Exercise", "Sit", "Reach/Crouch", "Floor", "Sports", "Misc")
 _COMMON = (
-    "ours: 'uses' is what was learned from ('lenses': the cameras' intrinsics, which Kudo et al. did not use); "
-    "seeds with the least and the greatest average; steps, epochs or minutes are the budget of the fit.",
+    "ours: 'uses' is the training signal ('lenses': the cameras' intrinsics, which Kudo et al. did not use); "
+    "'of seeds' is the lowest and highest average; steps, epochs or minutes are the budget of the fit.",
 )
 _NOTES = {
     "h36m": (
         "mm, mean over the joints, the cameras and the frames of an action; Avg is the mean of the 15 actions.",
-        "Ours and Kudo et al.: mpjpe_gt_scale, each pose brought to the truth's size on the image plane, without any "
-        "alignment. The other published rows have a size of their own (learned from 3D): they compare with 'mpjpe'.",
-        "Test S9, S11; training S1, S5, S6, S7, S8; 17 joints. Ours at 10 frames/s, as the authors' code has it; others mostly 50.",
+        "Ours and Kudo et al.: mpjpe_gt_scale, each pose scaled to the true size on the image plane, without any other "
+        "alignment. The other published rows predict the size (learned from 3D): compare them with 'mpjpe'.",
+        "Test S9, S11; training S1, S5, S6, S7, S8; 17 joints. Ours at 10 frames/s, as in the authors' code; most others 50.",
         *_COMMON,
     ),
     "mpi_inf_3dhp": (
         "percent of joints within 150 mm (pck), and its mean over 0 to 150 mm (auc); ours at the truth's scale.",
-        f"The {KUDO_3DHP} of Kudo et al. counts the error in z alone, on the training data: compare it with the column "
-        "'pck_z, training' and with nobody's PCK. The proper figures are those of the test set.",
-        "pck14, auc14: over the 14 joints of the test set's own script; all frames alike (overall).",
+        f"The {KUDO_3DHP} of Kudo et al. measures the error in z alone, on the training data: compare it only with the "
+        "column 'pck_z, training', not with any PCK. The figures to compare with are those of the test set.",
+        "pck14, auc14: over the 14 joints of the test set's evaluation script, all frames weighted equally (overall).",
         *_COMMON,
     ),
 }
 
 
 def notes_of(table: str) -> tuple[str, ...]:
-    """Return what must be said beside the table."""
+    """Return the notes on a table."""
     return _NOTES[TABLES[table].use]
 
 
 def sheets_of(table: str, results: Sequence[Mapping[str, Any]]) -> list[Sheet]:
-    """Return the sheets of a table for kept results; those that differ by the seed alone are one row."""
+    """Return the sheets of a table for stored results; results that differ only in the seed share a row."""
     groups: dict[str, list[Mapping[str, Any]]] = {}
     for result in sorted(results, key=lambda r: (r["task"], r["file"], r["seed"])):
         groups.setdefault(result["file"].rpartition("_seed")[0], []).append(result)
@@ -91,7 +91,7 @@ def _name(result: Mapping[str, Any]) -> str:
 
 
 def _seen(result: Mapping[str, Any]) -> str:
-    """Return which keypoints the test frames had, as the set says."""
+    """Return which keypoints the test frames had, according to the data set."""
     found = re.search(r"keypoints (\w+)", result["data"])
     return {"gt": "GT", "projected": "GT", "sh": "SH"}.get(found[1], found[1]) if found else "?"
 
@@ -106,7 +106,7 @@ def _of_action(result: Mapping[str, Any], column: str, protocol: str = _PROTOCOL
 
 
 def _protocols(table: str, groups: Sequence[Sequence[Mapping[str, Any]]]) -> Sheet:
-    """Return our averages by other protocols, and over all frames alike."""
+    """Return our averages by other protocols, and over all frames."""
     head = ["ours", "uses", "seeds", _PROTOCOL, "over frames", *_MORE]
     rows = []
     for group in groups:

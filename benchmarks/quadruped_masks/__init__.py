@@ -1,0 +1,1 @@
+"""Animals with missing joints: what masks add to keypoints."""

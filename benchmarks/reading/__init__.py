@@ -1,1 +1,1 @@
-"""How long it takes to read a million bodies in each format, and to write predictions in each."""
+"""The time and memory of reading and writing each format."""

@@ -1,4 +1,4 @@
-"""Files of arrays, HDF5 and npz, as SLEAP, NWB, JABS, VideoPose3D and this project write them, of many frames."""
+"""Files of arrays, HDF5 and npz, as DeepLabCut, SLEAP, NWB, JABS, VideoPose3D and this project write them."""
 
 from __future__ import annotations
 
@@ -9,9 +9,12 @@ from typing import Any
 import numpy as np
 
 from benchmarks.reading.bodies import SIZE_PX, Walk
+from benchmarks.reading.text_files import DLC_PARTS
 from uplift.data.datasets.coco import COCO_JOINTS
 
-__all__ = ["jabs", "mediapipe_npz", "npz", "nwb", "sleap_h5", "sleap_slp", "sleap_slp_unnamed", "videopose3d"]
+__all__ = [
+    "deeplabcut_h5", "jabs", "mediapipe_npz", "npz", "nwb", "sleap_h5", "sleap_slp", "sleap_slp_unnamed", "videopose3d",
+]  # fmt: skip
 
 _FRAMES = [
     ("frame_id", "u8"), ("video", "u4"), ("frame_idx", "u8"), ("instance_id_start", "u8"), ("instance_id_end", "u8"),
@@ -31,10 +34,24 @@ def _file(path: Path) -> Any:
 
 
 def _with_nan(walk: Walk) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return frames, (frames bodies joints 2) points with NaN, and scores."""
-    of = walk.whole()
-    of.xy[of.missing] = np.nan
-    return of.frame, of.xy, np.where(of.missing, 0, of.score)
+    """Return frames, (frames bodies joints 2) points with NaN where missing, and scores."""
+    frames = walk.all_frames()
+    frames.xy[frames.missing] = np.nan
+    return frames.frame, frames.xy, np.where(frames.missing, 0, frames.score)
+
+
+def deeplabcut_h5(path: Path, walk: Walk) -> None:
+    """DeepLabCut's predictions as a pandas table."""
+    import pandas as pd
+
+    frames = walk.all_frames()
+    values = np.concatenate([frames.xy, frames.score[..., None]], -1)
+    values[frames.missing] = np.nan
+    columns = pd.MultiIndex.from_product(
+        [["DLC_resnet50"], COCO_JOINTS[: walk.joints], DLC_PARTS], names=["scorer", "bodyparts", "coords"]
+    )
+    frame = pd.DataFrame(values.reshape(len(values), -1), columns=columns)
+    frame.to_hdf(path, key="df_with_missing", mode="w", format="table")
 
 
 def sleap_slp(path: Path, walk: Walk) -> None:
@@ -70,20 +87,20 @@ def _slp(path: Path, walk: Walk, *, tracks: bool) -> None:
         file["points"] = np.zeros(0, _POINTS)
         video = {"backend": {"filename": "walk.mp4", "shape": [len(frame), SIZE_PX[1], SIZE_PX[0], 3]}}
         file["videos_json"] = np.array([json.dumps(video)], "S")
-        known = [json.dumps([0, f"track_{body}"]) for body in range(walk.bodies)]
-        file["tracks_json"] = np.array(known, "S") if tracks else np.zeros(0)
+        names = [json.dumps([0, f"track_{body}"]) for body in range(walk.bodies)]
+        file["tracks_json"] = np.array(names, "S") if tracks else np.zeros(0)
         file["suggestions_json"] = np.zeros(0)
         group = file.create_group("metadata")
         group.attrs["json"], group.attrs["format_id"] = np.bytes_(json.dumps(metadata).encode()), 1.2
 
 
 def sleap_h5(path: Path, walk: Walk) -> None:
-    """An analysis file: its arrays transposed and packed, as SLEAP writes them."""
+    """An analysis file: arrays transposed and compressed, as SLEAP writes them."""
     _, xy, score = _with_nan(walk)
-    packed = {"compression": "gzip", "compression_opts": 9}
+    compression = {"compression": "gzip", "compression_opts": 9}
     with _file(path) as file:
-        file.create_dataset("tracks", data=xy.transpose(1, 3, 2, 0), **packed)
-        file.create_dataset("point_scores", data=score.transpose(1, 2, 0), **packed)
+        file.create_dataset("tracks", data=xy.transpose(1, 3, 2, 0), **compression)
+        file.create_dataset("point_scores", data=score.transpose(1, 2, 0), **compression)
         file["track_occupancy"] = np.isfinite(xy).any((2, 3)).astype("u1")
         file["node_names"] = np.array(COCO_JOINTS[: walk.joints], "S")
         file["track_names"] = np.array([f"track_{body}" for body in range(walk.bodies)], "S")
@@ -92,7 +109,7 @@ def sleap_h5(path: Path, walk: Walk) -> None:
 
 
 def nwb(path: Path, walk: Walk) -> None:
-    """Pose estimates of each body, a series a joint."""
+    """Pose estimates of each body, a series per joint."""
     import h5py
 
     frame, xy, score = _with_nan(walk)
@@ -115,11 +132,11 @@ def nwb(path: Path, walk: Walk) -> None:
 
 
 def jabs(path: Path, walk: Walk) -> None:
-    """A pose file of version 5: twelve keypoints, whole pixels, y before x."""
-    of = walk.whole()
-    score = np.where(of.missing, 0, of.score).astype(np.float32)
+    """A pose file of version 5: twelve keypoints, integer pixels, y before x."""
+    frames = walk.all_frames()
+    score = np.where(frames.missing, 0, frames.score).astype(np.float32)
     with _file(path) as file:
-        file["poseest/points"] = np.round(of.xy[..., ::-1]).astype(np.uint16)
+        file["poseest/points"] = np.round(frames.xy[..., ::-1]).astype(np.uint16)
         file["poseest/confidence"] = score
         file["poseest/instance_embed_id"] = np.broadcast_to(np.arange(walk.bodies) + 1, score.shape[:2]).astype("u4")
         file["poseest/instance_count"] = np.full(len(score), walk.bodies, "u1")
@@ -130,33 +147,33 @@ def jabs(path: Path, walk: Walk) -> None:
 
 def npz(path: Path, walk: Walk) -> None:
     """This project's layout, one body."""
-    of = walk.whole()
+    frames = walk.all_frames()
     np.savez_compressed(
         path,
-        keypoints=of.xy[:, 0].astype(np.float32),
-        confidence=np.where(of.missing, 0, of.score)[:, 0].astype(np.float32),
+        keypoints=frames.xy[:, 0].astype(np.float32),
+        confidence=np.where(frames.missing, 0, frames.score)[:, 0].astype(np.float32),
         joint_names=np.array(COCO_JOINTS[: walk.joints]),
-        frame=of.frame,
-        sequence=np.full(len(of.frame), "walk"),
+        frame=frames.frame,
+        sequence=np.full(len(frames.frame), "walk"),
     )
 
 
 def mediapipe_npz(path: Path, walk: Walk) -> None:
     """An array of landmarks, one body."""
-    of = walk.whole()
-    shares = of.xy[:, 0] / SIZE_PX
-    score = np.where(of.missing, 0, of.score)[:, 0]
-    np.savez_compressed(path, landmarks=np.stack([*np.moveaxis(shares, -1, 0), score, score], -1).astype(np.float32))
+    frames = walk.all_frames()
+    fractions = frames.xy[:, 0] / SIZE_PX
+    score = np.where(frames.missing, 0, frames.score)[:, 0]
+    np.savez_compressed(path, landmarks=np.stack([*np.moveaxis(fractions, -1, 0), score, score], -1).astype(np.float32))
 
 
 def videopose3d(path: Path, walk: Walk) -> None:
-    """Keypoints of own videos: pickled dictionaries; they have no scores, what is missing is 0."""
-    of = walk.whole()
-    keypoints = np.where(of.missing[..., None], 0, of.xy)[:, 0].astype(np.float32)
+    """Keypoints of custom videos: pickled dictionaries without scores; missing joints are 0."""
+    frames = walk.all_frames()
+    keypoints = np.where(frames.missing[..., None], 0, frames.xy)[:, 0].astype(np.float32)
     left, right = [1, 3, 5, 7, 9, 11, 13, 15], [2, 4, 6, 8, 10, 12, 14, 16]
-    told = {"layout_name": "coco", "num_joints": walk.joints, "keypoints_symmetry": [left, right]}
-    told["video_metadata"] = {"walk": {"w": SIZE_PX[0], "h": SIZE_PX[1]}}
-    arrays: dict[str, Any] = {"positions_2d": {"walk": {"custom": [keypoints]}}, "metadata": told}
+    metadata = {"layout_name": "coco", "num_joints": walk.joints, "keypoints_symmetry": [left, right]}
+    metadata["video_metadata"] = {"walk": {"w": SIZE_PX[0], "h": SIZE_PX[1]}}
+    arrays: dict[str, Any] = {"positions_2d": {"walk": {"custom": [keypoints]}}, "metadata": metadata}
     np.savez_compressed(path, **arrays)
     for spot in walk.spots:
         spot["confidence"] = (np.array(spot["confidence"]) > 0).astype(float).tolist()

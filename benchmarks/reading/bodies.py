@@ -1,4 +1,4 @@
-"""Bodies that walk past a camera, a chunk of frames at a time, as no file holds them: what the files are made of."""
+"""The content of all files: bodies that walk past a camera, generated in chunks of frames."""
 
 from __future__ import annotations
 
@@ -18,31 +18,31 @@ _SPOTS = (0.0, 0.1, 0.5, 0.99)
 
 @dataclass
 class Chunk:
-    """Some frames, one after the other."""
+    """Consecutive frames."""
 
     frame: np.ndarray
     """(frames,)"""
     xy: np.ndarray
-    """(frames bodies joints 2) px, of six decimals."""
+    """(frames bodies joints 2) px, rounded to six decimals."""
     score: np.ndarray
-    """(frames bodies joints), of six decimals."""
+    """(frames bodies joints), rounded to six decimals."""
     missing: np.ndarray
-    """(frames bodies joints) which are not seen."""
+    """(frames bodies joints) bool."""
 
 
 @dataclass
 class Walk:
-    """Frames of one or two bodies, one of twenty keypoints missing; the same for the same numbers."""
+    """Frames of one or two bodies with 5 % of the keypoints missing; deterministic."""
 
     rows: int
     joints: int = 17
     bodies: int = 1
     spots: list[dict[str, Any]] = field(default_factory=list)
-    """Some of the bodies that went into chunks, to look for in what is read."""
+    """Some of the generated bodies, to be found again in what is read."""
 
     @property
     def frames(self) -> int:
-        """How many frames there are."""
+        """The number of frames."""
         return max(self.rows // self.bodies, 1)
 
     def chunks(self) -> Iterator[Chunk]:
@@ -59,15 +59,15 @@ class Walk:
                     self._remember(chunk, spot - start)
             yield chunk
 
-    def whole(self) -> Chunk:
-        """Return all frames as one chunk, for files of arrays."""
+    def all_frames(self) -> Chunk:
+        """Return all frames as one chunk."""
         chunks = list(self.chunks())
         parts = ([getattr(chunk, name) for chunk in chunks] for name in ("frame", "xy", "score", "missing"))
         return Chunk(*map(np.concatenate, parts))
 
     def _chunk(self, frame: np.ndarray, rest: np.ndarray, phase: np.ndarray, rng: np.random.Generator) -> Chunk:
         shape = (len(frame), self.bodies, self.joints)
-        turn = frame[:, None] / 300 + np.pi * np.arange(self.bodies)  # they meet now and then
+        turn = frame[:, None] / 300 + np.pi * np.arange(self.bodies)  # their paths cross
         centre = np.stack([640 + 300 * np.cos(turn), 480 + 40 * np.sin(turn)], -1)
         sway = 15 * np.sin(frame[:, None, None, None] / 15 + phase)
         xy = centre[:, :, None] + rest + sway + rng.normal(0, 1.5, (*shape, 2))

@@ -1,1 +1,1 @@
-"""Shapes lifted from masks: fits beside the floors and the supervised twin, held-out species, the cost of resolution."""
+"""Shapes lifted from masks: fits compared with baselines and a supervised twin, and the cost of resolution."""

@@ -1,15 +1,13 @@
 """Seconds and memory of a training step at one resolution; ``python -m benchmarks.shapes.cost 32`` prints them as JSON.
 
-A process measures one resolution: its peak of memory is the operating system's own.
+Each resolution is measured in a fresh process, so that its peak memory is its own.
 """
 
 from __future__ import annotations
 
 import contextlib
 import json
-import os
 import resource
-import subprocess
 import sys
 import tempfile
 from collections.abc import Sequence
@@ -17,9 +15,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from benchmarks.accuracy.work import CellFailed
-from benchmarks.machine import ROOT, facts
-from benchmarks.shapes.cells import TASK
+from benchmarks.common import facts, measure_apart
+from benchmarks.shapes.fits import TASK
 from uplift.errors import UserError
 
 __all__ = ["RESOLUTIONS", "measure", "measured_apart"]
@@ -32,24 +29,16 @@ _GB = 1e9
 
 
 def measured_apart(resolution: int, steps: int, threads: int | None = None) -> dict[str, Any]:
-    """Return `measure` of a process of its own, with the command; raises CellFailed with the end of what it said."""
+    """Return `measure` from a fresh process, with the command; raises BenchmarkError if it fails."""
     words = [str(resolution), str(steps), *([str(threads)] if threads else [])]
-    path = os.pathsep.join(filter(None, [str(ROOT), os.environ.get("PYTHONPATH")]))
-    done = subprocess.run(
-        [sys.executable, "-m", "benchmarks.shapes.cost", *words], capture_output=True, text=True, cwd=ROOT,
-        env={**os.environ, "PYTHONPATH": path},
-    )  # fmt: skip
-    if done.returncode:
-        said = "\n".join((done.stdout + done.stderr).strip().splitlines()[-8:])
-        raise CellFailed(f"resolution {resolution} ended with status {done.returncode}:\n{said}")
-    found = json.loads(done.stdout.strip().splitlines()[-1])
+    found = measure_apart("benchmarks.shapes.cost", *words)
     return {"command": " ".join(["python -m benchmarks.shapes.cost", *words]), **facts(), **found}
 
 
 def measure(resolution: int, steps: int, threads: int | None = None, task: str = TASK) -> dict[str, Any]:
-    """Train for a few steps, then for ``steps`` more than these, and return what the more of them took each.
+    """Train for a few steps, then for ``steps`` more than these, and return the seconds per additional step.
 
-    What a fit does once, whatever its steps, is in neither figure; all of it is in the peak of memory.
+    This excludes what a fit does once, whatever its number of steps; the peak memory includes it.
     """
     import torch
 
@@ -83,7 +72,7 @@ def measure(resolution: int, steps: int, threads: int | None = None, task: str =
 
 
 def _seconds(settings: Any) -> float:
-    """Train as the settings say, and return how long that took without what came before the first step."""
+    """Train, and return the seconds without what came before the first step."""
     from uplift.config.run import RunFolder
     from uplift.data.load_masks import load_masks
     from uplift.training.shape_recipe import ShapeRecipe
@@ -102,7 +91,7 @@ def _peak_bytes() -> int:
 
 
 def main(words: Sequence[str]) -> int:
-    """Measure and print; the words are resolution, steps and, if told, threads."""
+    """Measure and print; the arguments are resolution, steps and optionally threads."""
     try:
         resolution, steps, *threads = (int(word) for word in words)
         print(json.dumps(measure(resolution, steps, threads[0] if threads else None)))

@@ -1,7 +1,7 @@
-"""A picture of lifted shapes beside the true ones: ``python -m benchmarks.shapes.picture RUN OUTPUT.png``.
+"""A picture of lifted and true shapes: ``python -m benchmarks.shapes.picture RUN OUTPUT.png``.
 
-Each row is a test item: its mask, what was lifted from that as the camera sees it and turned about gravity,
-and the true shape the same ways. Rows go from the best volume IoU to the worst, evenly by rank.
+Each row is a test item: its mask, the lifted shape as the camera sees it and rotated about gravity, and the true shape
+in the same views. Rows are ordered from the best volume IoU to the worst, evenly spaced by rank.
 """
 
 from __future__ import annotations
@@ -30,13 +30,13 @@ __all__ = ["main", "shaded"]
 _SIDE, _DEPTHS, _GAP = 96, 160, 6
 _TURNS_DEG = (0, 60, 120, 180)
 _WIDE = 1.25
-"""Half of what a picture shows, in half sides of the crop."""
+"""Half the width of a picture, in half sides of the crop."""
 
 
 def shaded(
     occupied: Float[Tensor, "depth height width"], view: Float[Tensor, "3 3"], scale: float
 ) -> Float[np.ndarray, "side side"]:
-    """Return a grid's surface (0 to 1, where above 0.5) as seen along z, lit from the camera, 1 where nothing is."""
+    """Return the shaded surface of a grid at level 0.5 as seen along z, 0 to 1, with 1 for the background."""
     at = ((2 * torch.arange(_SIDE) + 1) / _SIDE - 1) * _WIDE / scale
     z = ((2 * torch.arange(_DEPTHS) + 1) / _DEPTHS - 1) * 1.75
     z, y, x = torch.meshgrid(z, at, at, indexing="ij")
@@ -51,10 +51,10 @@ def shaded(
 
 def _turned(grid: Bool[np.ndarray, "depth height width"], view: np.ndarray, scale: float) -> list[np.ndarray]:
     occupied = torch.from_numpy(np.ascontiguousarray(grid)).float()
-    own = torch.from_numpy(np.asarray(view, np.float32))
+    seen_from = torch.from_numpy(np.asarray(view, np.float32))
     turns = about_y(torch.deg2rad(torch.tensor(_TURNS_DEG, dtype=torch.float32)))
-    # Turned about the own down-axis, seen by the same camera.
-    return [shaded(occupied, own @ turn, scale) for turn in turns]
+    # Rotated about the object's down axis, seen by the same camera.
+    return [shaded(occupied, seen_from @ turn, scale) for turn in turns]
 
 
 def _row(prediction: ShapePrediction, data: MaskData, item: int) -> np.ndarray:
@@ -73,12 +73,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(prog="python -m benchmarks.shapes.picture", description=__doc__)
     parser.add_argument("run", type=Path)
     parser.add_argument("output", type=Path)
-    parser.add_argument("--rows", type=int, default=6, help="6 without it")
-    parser.add_argument("--items", type=int, default=100, help="that are scored, the first of the test; 100 without it")
+    parser.add_argument("--rows", type=int, default=6, help="default 6")
+    parser.add_argument("--items", type=int, default=100, help="number of test items to score, default 100")
     given = parser.parse_args(arguments)
     data = load_masks(RunFolder(given.run).settings()).test
     if data.truth is None:
-        parser.error(f"{given.run}: its test masks have no true shapes to draw")
+        parser.error(f"{given.run}: its test masks have no true shapes")
     data = data.select(np.arange(min(given.items, len(data))))
     prediction = load(given.run / "lifter.pt").predict(data.without_truth())
     scores = evaluate_shapes(prediction, data.truth, data.masks, "test").per_item["volume_iou"]

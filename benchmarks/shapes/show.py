@@ -1,12 +1,12 @@
-"""The tables of what was found: fits beside floors, every floor, categories, the cost of resolution."""
+"""The tables: fits compared with baselines, every baseline, categories, the cost of resolution."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from benchmarks.accuracy.show import Sheet
-from benchmarks.shapes.cells import Cell
+from benchmarks.common import Sheet, mean_and_range
+from benchmarks.shapes.fits import Cell
 
 __all__ = ["cost_sheet", "sheets_of"]
 
@@ -19,7 +19,7 @@ Results = Mapping[str, Mapping[str, Any]]
 
 
 def sheets_of(cells: Sequence[Cell], results: Results) -> list[Sheet]:
-    """Return the tables of the fits that are there: means over their seeds, with the least and the greatest."""
+    """Return the tables of the stored fits: means over seeds, with minimum and maximum."""
     rows: dict[tuple[str, str], list[Mapping[str, Any]]] = {}
     for cell in cells:
         if cell.key in results:
@@ -39,14 +39,23 @@ def _fit_row(name: tuple[str, str], found: list[Mapping[str, Any]]) -> list[str]
     for metric in _BESIDE:
         pairs = [(one.get(metric), one.get(f"best_floor_{metric}")) for one in overalls]
         gains = [mine - floor for mine, floor in pairs if mine is not None and floor is not None]
-        cells += [_mean([mine for mine, _ in pairs]), _mean([floor for _, floor in pairs]), _mean(gains, "+.3f")]
-    return [*name, str(len(found)), *cells, *(_mean([one.get(metric) for one in overalls]) for metric in _ALONE)]
+        cells += [
+            mean_and_range([mine for mine, _ in pairs]),
+            mean_and_range([floor for _, floor in pairs]),
+            mean_and_range(gains, "+.3f"),
+        ]
+    return [
+        *name,
+        str(len(found)),
+        *cells,
+        *(mean_and_range([one.get(metric) for one in overalls]) for metric in _ALONE),
+    ]
 
 
 def _group_rows(
     rows: Mapping[tuple[str, str], list[Mapping[str, Any]]], part: str, metrics: Sequence[str]
 ) -> list[list[str]]:
-    """Return a row for each floor or category; fits of a single category have none."""
+    """Return a row per baseline or category; fits of a single category have none."""
     found = []
     for (name, spent), results in rows.items():
         groups = dict.fromkeys(group for one in results for group in one.get(part, {}))
@@ -55,12 +64,14 @@ def _group_rows(
         label = name if spent == "task's" else f"{name} {spent}"
         for group in groups:
             values = [one[part][group] for one in results if group in one.get(part, {})]
-            found.append([label, group, *(_mean([value.get(metric) for value in values]) for metric in metrics)])
+            found.append(
+                [label, group, *(mean_and_range([value.get(metric) for value in values]) for metric in metrics)]
+            )
     return found
 
 
 def cost_sheet(results: Results) -> list[Sheet]:
-    """Return what a step costs at each resolution that was measured."""
+    """Return the cost of a step at each measured resolution."""
     found = sorted(
         (one for key, one in results.items() if key.startswith("cost_")),
         key=lambda one: (one["threads"], one["resolution"]),
@@ -72,13 +83,5 @@ def cost_sheet(results: Results) -> list[Sheet]:
         ]
         for one in found
     ]  # fmt: skip
-    head = ["resolution", "shapes", "threads", "s a step", "peak GB", "GB before training"]
+    head = ["resolution", "shapes", "threads", "s per step", "peak GB", "GB before training"]
     return [Sheet("cost of a training step", head, rows)] if rows else []
-
-
-def _mean(values: Sequence[float | None], form: str = ".3f") -> str:
-    known = [value for value in values if value is not None]
-    if not known:
-        return "-"
-    spread = f" ({min(known):{form}} to {max(known):{form}})" if len(known) > 1 else ""
-    return f"{sum(known) / len(known):{form}}{spread}"

@@ -1,4 +1,4 @@
-"""The accuracy benchmark: rigs, hidden joints, and the runner that keeps what it found."""
+"""The accuracy benchmark: rigs, hidden joints, and the runner that stores results."""
 
 from __future__ import annotations
 
@@ -18,8 +18,9 @@ from benchmarks.accuracy import cells, occlusion, work
 from benchmarks.accuracy.cells import cells_of, read_fit
 from benchmarks.accuracy.occlusion import LIMBS, growth, hidden_joints, occlusion_table, show, write_occluded
 from benchmarks.accuracy.rigs import RIGS, TEST_SUBJECTS, build_rigs, camera_axes, film
-from benchmarks.accuracy.show import markdown, sheets_of, text
-from benchmarks.accuracy.work import CellFailed, fill_in, run_cell
+from benchmarks.accuracy.show import sheets_of
+from benchmarks.accuracy.work import fill_in, run_cell
+from benchmarks.common import BenchmarkError, markdown, text
 from uplift.config.loading import load_settings
 from uplift.config.settings import LifterSettings
 from uplift.data.formats import read
@@ -33,7 +34,7 @@ TABLES = yaml.safe_load((Path(cells.__file__).parent / "cells.yaml").read_text()
 
 
 def a_world(seconds: float = 1.5) -> dict[str, np.ndarray]:
-    """Return stiff bodies that move about, in the layout of world.npz: three sequences of each split."""
+    """Return rigid moving bodies in the layout of world.npz: three sequences of each split."""
     rng = np.random.default_rng(3)
     frames = round(30 * seconds)
     joints, subject, sequence = [], [], []
@@ -122,7 +123,7 @@ def test_rig_files_are_data_files(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
         build_rigs(tmp_path / "two")
 
 
-def test_a_rig_of_real_motion_has_whole_people(benchmark_data) -> None:
+def test_a_rig_of_real_motion_shows_people_facing_forward(benchmark_data) -> None:
     with np.load(benchmark_data("cmu/world.npz")) as file:
         world = {key: file[key] for key in ("joints", "joint_names", "subject", "action", "sequence", "fps")}
     few = np.isin(world["sequence"], np.unique(world["sequence"][world["subject"] == "S5"])[:6])
@@ -136,14 +137,14 @@ def test_a_rig_of_real_motion_has_whole_people(benchmark_data) -> None:
 
 @pytest.fixture(scope="module")
 def lifter(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Return an untrained lifter, whose errors are large but steady."""
+    """Return an untrained lifter, whose errors are large but constant."""
     settings = LifterSettings(options={"units": 16, "blocks": 1})
     path = tmp_path_factory.mktemp("lifter") / "lifter.pt"
     Model(build_lifter(settings, HUMAN).eval(), HUMAN, settings).save(path)
     return path
 
 
-def test_hidden_joints_are_those_that_were_asked_for() -> None:
+def test_the_requested_joints_are_hidden() -> None:
     order = np.random.default_rng(5).permutation(17)
     names = [HUMAN.joints[joint] for joint in order]
     sets = hidden_joints(names, 4000, "hip")
@@ -157,20 +158,20 @@ def test_hidden_joints_are_those_that_were_asked_for() -> None:
         assert {names[joint] for joint in np.flatnonzero(sets[limb].all(0))} == set(joints)
         assert sets[limb].sum() == 2 * 4000
     assert list(hidden_joints(["tail", "nose"], 5, "nose")) == ["missing20", "missing20_root"]
-    with pytest.raises(UserError, match="no joint 'croup'"):
+    with pytest.raises(UserError, match="no root joint 'croup'"):
         hidden_joints(names, 5, "croup")
 
 
-def test_occluded_files_differ_in_nothing_but_what_is_hidden(tmp_path: Path) -> None:
+def test_occluded_files_differ_only_in_the_hidden_joints(tmp_path: Path) -> None:
     test = write_body(tmp_path / "test.npz")
-    whole = read(test)
+    original = read(test)
     for name, path in write_occluded(test, tmp_path).items():
         data = read(path)
-        hidden = hidden_joints(whole.joint_names, len(whole), "hip")[name]
+        hidden = hidden_joints(original.joint_names, len(original), "hip")[name]
         assert ((data.confidence == 0) == hidden).all()
         assert (data.keypoints[hidden] == 0).all()
-        assert (data.keypoints[~hidden] == whole.keypoints[~hidden]).all()
-        assert (data.pose == whole.pose).all()
+        assert (data.keypoints[~hidden] == original.keypoints[~hidden]).all()
+        assert (data.pose == original.pose).all()
 
 
 def test_growth_compares_the_same_joints(tmp_path: Path, lifter: Path) -> None:
@@ -182,20 +183,20 @@ def test_growth_compares_the_same_joints(tmp_path: Path, lifter: Path) -> None:
     written = write_occluded(test, tmp_path)
     found = growth(lifter, test, written["no_arm"])
     assert found["hidden"] == pytest.approx(2 / 17)
-    assert found["p_mpjpe_complete"] != same["p_mpjpe"]  # two joints fewer, aligned without them
+    assert found["p_mpjpe_complete"] != same["p_mpjpe"]  # aligned without the two hidden joints
     assert found["p_mpjpe"] / found["p_mpjpe_complete"] == pytest.approx(found["p_mpjpe_growth"])
     assert found["n_mpjpe_missing"] != found["n_mpjpe_missing_complete"]
     table = occlusion_table(lifter, test)
     assert table["no_arm"] == found
-    assert [line.split()[0] for line in show(table).splitlines()[1:]] == list(table)
-    # A root that is filled from its neighbours is hidden all the same.
+    assert [line.split()[0] for line in show(table).splitlines()[3:]] == list(table)
+    # A root filled from its neighbours still counts as hidden.
     assert table["missing20_root"]["hidden"] > table["missing20"]["hidden"]
     with pytest.raises(UserError, match="20 frames, but 40"):
         growth(lifter, test, write_body(tmp_path / "short.npz", frames=20))
 
 
 @pytest.mark.parametrize("table", TABLES)
-def test_the_cells_are_whole(table: str) -> None:
+def test_the_cells_are_valid(table: str) -> None:
     found = cells_of(table, TABLES[table])
     names = {cell.fit.name for cell in found}
     assert len({cell.path for cell in found}) == len(found)
@@ -212,7 +213,7 @@ def test_the_cells_are_whole(table: str) -> None:
             load_skeleton(settings.skeleton or "h36m17")
 
 
-def test_floors_have_no_minutes_and_no_seeds() -> None:
+def test_baselines_have_no_minutes_and_no_seeds() -> None:
     floor = {"floor": "flat", "train": "a.npz", "test": "b.npz", "skeleton": "h36m17"}
     table = {"minutes": [1, 2], "seeds": [0, 1], "occlusion": True, "fits": {"flat": floor, "cmu": "task=cmu"}}
     found = cells_of("t", table)
@@ -222,13 +223,13 @@ def test_floors_have_no_minutes_and_no_seeds() -> None:
     assert {cell.minutes for cell in cells_of("t", table, minutes=0.5)} == {None, 0.5}
 
 
-def test_entries_that_make_no_sense_are_refused() -> None:
+def test_invalid_entries_are_rejected() -> None:
     for entry in ({"run": "x", "fit": "y"}, {"fits": "x"}, {"fit": "x", "seed": 3}, {"floor": "flat"}):
         with pytest.raises(ValueError, match="wrong: "):
             read_fit("wrong", entry, {})
 
 
-def test_kept_results_are_shown() -> None:
+def test_stored_results_are_shown() -> None:
     sheet = sheets_of("peers", TABLES["peers"], cells_of("peers", TABLES["peers"]))[0]
     assert sheet.head[-1] == "p_mpjpe ratio"
     folder = cells.RESULTS / "peers"
@@ -252,12 +253,12 @@ def test_seeds_are_averaged_with_their_spread(tmp_path: Path, monkeypatch: pytes
         cell.path.write_text(json.dumps({"overall": {"p_mpjpe": value}, **more}))
     errors, occlusion, calibration = sheets_of("t", {}, found)
     ours, other, theirs = errors.rows
-    assert ours[:4] == ["ours", "1min", "2", "12.000 (10.000-14.000)"]
-    assert other[:4] == ["ours, on other", "1min", "2", "24.000 (20.000-28.000)"]
-    assert theirs[3] == "25.000 (20.000-30.000)"
+    assert ours[:4] == ["ours", "1min", "2", "12.000 (10.000 to 14.000)"]
+    assert other[:4] == ["ours, on other", "1min", "2", "24.000 (20.000 to 28.000)"]
+    assert theirs[3] == "25.000 (20.000 to 30.000)"
     assert [row[-1] for row in errors.rows] == ["0.480", "0.960", "-"]
-    assert occlusion.rows[0][2:6] == ["no_arm", "-", "12.000 (10.000-14.000)", "1.100 (1.100-1.100)"]
-    assert calibration.rows == [["ours", "1min", "visible", "0.400 (0.400-0.400)", "0.100 (0.100-0.100)", "-"]]
+    assert occlusion.rows[0][2:6] == ["no_arm", "-", "12.000 (10.000 to 14.000)", "1.100 (1.100 to 1.100)"]
+    assert calibration.rows == [["ours", "1min", "visible", "0.400 (0.400 to 0.400)", "0.100 (0.100 to 0.100)", "-"]]
     assert all(sheet.title in text(sheet) for sheet in (errors, occlusion, calibration))
 
 
@@ -269,7 +270,7 @@ def a_table(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, **fits: object) -> 
     monkeypatch.setattr(cells, "RESULTS", tmp_path / "results")
 
 
-def test_a_cell_that_fails_is_told_and_tried_again(
+def test_a_failed_cell_is_reported_and_retried(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     script = tmp_path / "count.py"
@@ -279,11 +280,11 @@ def test_a_cell_that_fails_is_told_and_tried_again(
     unknown = {"fit": "task=cmu", "tests": {"other": {"data": "x.npz", "words": "colour=red"}}}
     a_table(tmp_path, monkeypatch, bad={"run": f"{script} task=cmu"}, unknown=unknown)
     assert runner.main(["t"]) == 1
-    said = capsys.readouterr()
-    assert "ended with status 1" in said.err
-    assert "no luck" in said.err
-    assert "`uplift evaluate` takes no colour=red" in said.err
-    assert "2 cells failed" in said.err
+    printed = capsys.readouterr()
+    assert "ended with status 1" in printed.err
+    assert "no luck" in printed.err
+    assert "`uplift evaluate` does not accept colour=red" in printed.err
+    assert "2 cells failed" in printed.err
     assert runner.main(["t", "--only", "bad"]) == 1
     assert (tmp_path / "ran").read_text().splitlines() == ["task=cmu trainer.max_time=00:00:06 seed=0"] * 2
     with pytest.raises(SystemExit):
@@ -291,7 +292,7 @@ def test_a_cell_that_fails_is_told_and_tried_again(
 
 
 def _in_this_process(self, words, *, run=None, shown=True) -> str:
-    """Run a cell's command without starting another python, which takes long."""
+    """Run a cell's command in this process, which is faster."""
     command = " ".join(words[1:]).replace("uplift.cli.main", "uplift")
     if shown:
         self.commands.append(fill_in(command.replace(str(run), "RUN"), shown=True))
@@ -325,12 +326,12 @@ def test_a_cell_from_the_fit_to_its_result(
     train.unlink()
     other.unlink()
     before = capsys.readouterr().out
-    assert runner.main(["t", "--markdown"]) == 0  # kept: nothing is left to train on
+    assert runner.main(["t", "--markdown"]) == 0  # stored: the data is not needed again
     assert "| own, on other | 0.1min | 1 |" in capsys.readouterr().out
     assert "own, on other" in before
 
 
-def test_a_floor_is_evaluated_like_anybodys_poses(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_baseline_is_evaluated_like_any_poses(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     test = write_body(tmp_path / "test.npz")
     monkeypatch.setenv("UPLIFT_DATA", str(tmp_path))
     monkeypatch.setattr(cells, "RESULTS", tmp_path / "results")
@@ -355,9 +356,9 @@ def test_a_floor_is_evaluated_like_anybodys_poses(tmp_path: Path, monkeypatch: p
     assert result["commands"] == ["uplift evaluate poses=OUT.npz data.test=$UPLIFT_DATA/test.npz skeleton=h36m17"]
 
 
-def test_data_without_its_folder_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_missing_data_folder_is_reported(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv("UPLIFT_DATA", raising=False)
-    with pytest.raises(CellFailed, match="UPLIFT_DATA is not set"):
+    with pytest.raises(BenchmarkError, match="UPLIFT_DATA is not set"):
         fill_in("{data}/x.npz")
     assert fill_in("data.train={data}/x.npz task={here}/y.yaml", shown=True) == (
         "data.train=$UPLIFT_DATA/x.npz task=benchmarks/accuracy/y.yaml"

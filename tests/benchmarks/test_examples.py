@@ -1,4 +1,4 @@
-"""The benchmark of the worked examples: the page's own files, from the fit to the table, kept and not run twice."""
+"""The benchmark of the examples: the page's files, from the fit to the table; stored results are not run again."""
 
 from __future__ import annotations
 
@@ -11,10 +11,9 @@ import numpy as np
 import pytest
 from bodies import status_of
 
-from benchmarks.accuracy.work import CellFailed
-from benchmarks.examples import work
-from benchmarks.examples.__main__ import main
-from benchmarks.examples.files import EXAMPLES, files_of, write_files
+from benchmarks import examples
+from benchmarks.common import BenchmarkError
+from benchmarks.examples import EXAMPLES, files_of, main, write_files
 from uplift.data.formats import read
 
 QUICK = (
@@ -25,13 +24,14 @@ QUICK = (
 
 @pytest.fixture
 def results(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """Return the empty place of the results."""
-    monkeypatch.setattr(work, "RESULTS", tmp_path / "kept" / "examples.json")
-    return tmp_path / "kept" / "examples.json"
+    """Return the file of the results, which does not exist yet."""
+    file = tmp_path / "stored" / "examples.json"
+    monkeypatch.setattr(examples, "RESULTS", file)
+    return file
 
 
 def a_set(folder: Path, skeleton: str, subjects: int = 2) -> None:
-    """Write simulated train and test files as a real set has them."""
+    """Write simulated train and test files in the layout of a real set."""
     import uplift
 
     folder.mkdir()
@@ -43,7 +43,7 @@ def a_set(folder: Path, skeleton: str, subjects: int = 2) -> None:
 
 
 def _in_this_process(verb: str, words: list[str], folder: Path, cores: set[int]) -> None:
-    """Run a command without starting another python, which takes long."""
+    """Run a command in this process, which is faster."""
     with contextlib.chdir(folder):
         assert status_of(verb, *words) == 0
 
@@ -61,8 +61,8 @@ def test_from_the_fit_to_the_table(
 ) -> None:
     monkeypatch.setenv("UPLIFT_DATA", str(tmp_path))
     a_set(tmp_path / "chair", "chair10")
-    monkeypatch.setattr(work, "_uplift", _in_this_process)
-    found = work.run_example("chair", 0.05, 3, {0}, QUICK)
+    monkeypatch.setattr(examples, "run_uplift", _in_this_process)
+    found = examples.run_example("chair", 0.05, 3, {0}, QUICK)
     assert found["commands"][0].startswith(
         "uplift fit task=my_chair_task.yaml data.root=$UPLIFT_DATA/chair trainer.max_time=00:00:03 seed=3 "
     )
@@ -73,7 +73,7 @@ def test_from_the_fit_to_the_table(
     assert set(found["subjects"]) == {"S0", "S1"}
     assert np.mean(list(found["subjects"].values())) == pytest.approx(found["n_mpjpe"])
     assert json.loads(results.read_text()) == {"chair_0.05min_seed3": found}
-    shutil.rmtree(tmp_path / "chair")  # kept: nothing is left to train on
+    shutil.rmtree(tmp_path / "chair")  # stored: the data is not needed again
     capsys.readouterr()
     assert main(["--only", "chair", "--minutes", "0.05", "--seeds", "3"]) == 0
     row = capsys.readouterr().out.splitlines()[-1].split()
@@ -83,33 +83,31 @@ def test_from_the_fit_to_the_table(
     )
 
 
-def test_flat_depth_is_that_of_the_fits_own_report(
-    tmp_path: Path, results: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_flat_depth_is_that_of_the_report(tmp_path: Path, results: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("UPLIFT_DATA", str(tmp_path))
     a_set(tmp_path / "hand", "hand21")
-    told: list[str] = []
+    reports: list[str] = []
 
     def run(verb: str, words: list[str], folder: Path, cores: set[int]) -> None:
         _in_this_process(verb, words, folder, cores)
-        told.append((folder / "runs/my_hand_task/last/report.md").read_text())
+        reports.append((folder / "runs/my_hand_task/last/report.md").read_text())
 
-    monkeypatch.setattr(work, "_uplift", run)
-    found = work.run_example("hand", 1, 0, {0}, QUICK)
-    assert f"| `n_mpjpe` | {found['n_mpjpe']:.4g} | {found['flat_n_mpjpe']:.4g} |" in told[0]
+    monkeypatch.setattr(examples, "run_uplift", run)
+    found = examples.run_example("hand", 1, 0, {0}, QUICK)
+    assert f"| `n_mpjpe` | {found['n_mpjpe']:.4g} | {found['flat_n_mpjpe']:.4g} |" in reports[0]
 
 
-def test_what_fails_is_told_and_kept_nowhere(
+def test_failures_are_reported_and_not_stored(
     tmp_path: Path, results: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.delenv("UPLIFT_DATA", raising=False)
-    with pytest.raises(CellFailed, match="UPLIFT_DATA is not set"):
-        work.run_example("rat", 2, 0, {0})
+    with pytest.raises(BenchmarkError, match="UPLIFT_DATA is not set"):
+        examples.run_example("rat", 2, 0, {0})
     monkeypatch.setenv("UPLIFT_DATA", str(tmp_path))
-    assert main(["--only", "rat", "--minutes", "0"]) == 1  # refused before the child has imported torch
-    said = capsys.readouterr().err
-    assert "rat_0min_seed0: uplift fit task=my_rat_task.yaml" in said
-    assert "trainer.max_time" in said.rpartition("ended with status 2:")[2]
+    assert main(["--only", "rat", "--minutes", "0"]) == 1  # rejected before the child imports torch
+    error = capsys.readouterr().err
+    assert "rat_0min_seed0: uplift fit task=my_rat_task.yaml" in error
+    assert "trainer.max_time" in error.rpartition("ended with status 2:")[2]
     assert not results.exists()
     assert main(["--print"]) == 0
     with pytest.raises(SystemExit):

@@ -1,4 +1,4 @@
-"""The loading benchmark on small files of the same shape: it measures what it says, in fresh processes."""
+"""The loading benchmark on small files of the same structure, in fresh processes."""
 
 from __future__ import annotations
 
@@ -9,13 +9,15 @@ import numpy as np
 import pytest
 import torch
 
-from benchmarks.h36m_files import write_full_size
 from benchmarks.loading import __main__ as loading
-from benchmarks.loading import training
-from benchmarks.loading.measure import settings_of
+from benchmarks.loading import measure
+from benchmarks.loading.files import settings_of, write_full_size
+from benchmarks.stepping import stepper, teacher
 from uplift.data.clean import clean
 from uplift.data.load import load_data, load_split
 from uplift.skeleton import load_skeleton
+from uplift.training.pose_recipe import training_frames
+from uplift.training.sampler import LabelledSampler
 
 
 @pytest.fixture(scope="module")
@@ -25,13 +27,13 @@ def full(tmp_path_factory):
     return folder
 
 
-def test_the_set_is_loaded_twice_and_kept(full, tmp_path, capsys, monkeypatch):
+def test_the_set_is_loaded_twice_and_the_result_stored(full, tmp_path, capsys, monkeypatch):
     monkeypatch.setenv("OMP_NUM_THREADS", "1")
     out = tmp_path / "results" / "loading.json"
     assert loading.main(["--folder", str(full), "--no-training", "--out", str(out)]) == 0
     found = json.loads(out.read_text())
-    shown = capsys.readouterr().out
-    assert "from the cache" in shown and "NO" not in shown
+    printed = capsys.readouterr().out
+    assert "from the cache" in printed and "NO" not in printed
     assert found["command"] == "python -m benchmarks.loading --no-training"
     assert str(full) not in out.read_text()
     assert found["first"]["frames"] == found["from_cache"]["frames"] == found["views"]
@@ -42,16 +44,9 @@ def test_the_set_is_loaded_twice_and_kept(full, tmp_path, capsys, monkeypatch):
     assert not (full / "cache").exists()
 
 
-def test_a_limit_that_does_not_hold_is_told(tmp_path, capsys, monkeypatch):
-    one = {
-        "frames": 1,
-        "load_cpu_s": 3.0,
-        "arrays_gb": 0.0,
-        "training_set_s": 1.0,
-        "peak_gb": 7.0,
-        "load_peak_gb": 7.0,
-        "load_s": 4.0,
-    }
+def test_an_exceeded_limit_is_reported(tmp_path, capsys, monkeypatch):
+    names = ("frames", "load_cpu_s", "arrays_gb", "training_set_s", "peak_gb", "load_peak_gb", "load_s")
+    one = dict(zip(names, (1, 3.0, 0.0, 1.0, 7.0, 7.0, 4.0), strict=True))
     monkeypatch.setattr(loading, "_process", lambda *_: one)
     monkeypatch.setattr(loading, "write_full_size", lambda *_: None)
     assert loading.main(["--no-training", "--out", str(tmp_path / "loading.json")]) == 1
@@ -60,7 +55,7 @@ def test_a_limit_that_does_not_hold_is_told(tmp_path, capsys, monkeypatch):
     assert held == {"first load, s < 60": True, "load from the cache, s < 5": True, "peak memory, GB < 6": False}
 
 
-def test_the_files_have_all_that_the_readers_want(full, monkeypatch, tmp_path):
+def test_the_files_have_the_structure_of_the_real_ones(full, monkeypatch, tmp_path):
     monkeypatch.setenv("UPLIFT_CACHE", str(tmp_path))
     settings = settings_of(full)
     data = load_data(settings, load_skeleton("h36m17"))
@@ -69,20 +64,20 @@ def test_the_files_have_all_that_the_readers_want(full, monkeypatch, tmp_path):
     assert len(set(data.test.identity["sequence"])) == 30
     assert data.train.fps == 50
     detected = replace(settings, data=replace(settings.data, options={"keypoints": "detected", "fps": 50}))
-    off = load_data(detected, load_skeleton("h36m17")).train.keypoints - data.train.keypoints
-    assert np.abs(off).mean() == pytest.approx(3 * np.sqrt(2 / np.pi), rel=0.05)
+    noise = load_data(detected, load_skeleton("h36m17")).train.keypoints - data.train.keypoints
+    assert np.abs(noise).mean() == pytest.approx(3 * np.sqrt(2 / np.pi), rel=0.05)
 
 
-def test_both_stages_are_stepped_on_both_sets(full, monkeypatch, tmp_path):
+def test_both_stages_are_measured_on_both_sets(full, monkeypatch, tmp_path):
     monkeypatch.setenv("UPLIFT_CACHE", str(tmp_path))
     for name, value in (("SMALL", 500), ("_WARM_UP", 1), ("_STEPS", 1), ("_TURNS", 2)):
-        monkeypatch.setattr(training, name, value)
-    monkeypatch.setattr(training, "settings_of", lambda folder, *_: settings_of(
+        monkeypatch.setattr(measure, name, value)
+    monkeypatch.setattr(measure, "settings_of", lambda folder, *_: settings_of(
         folder, "priors.flow.steps=1", "teacher.batch_size=16", "student.batch_size=16"
     ))  # fmt: skip
     threads = torch.get_num_threads()
     try:
-        found = training.train(full)
+        found = measure.train(full)
     finally:
         torch.set_num_threads(threads)
     assert found["small_frames"] == 500 < found["frames"]
@@ -90,24 +85,24 @@ def test_both_stages_are_stepped_on_both_sets(full, monkeypatch, tmp_path):
         assert found[stage]["steps_per_s"] > 0 and found[stage]["ratio"] > 0
 
 
-def test_steps_draw_other_rows_each_time(full, monkeypatch, tmp_path):
+def test_steps_draw_different_rows(full, monkeypatch, tmp_path):
     monkeypatch.setenv("UPLIFT_CACHE", str(tmp_path))
     settings = settings_of(full, "priors.flow.steps=1", "teacher.batch_size=16")
     skeleton = load_skeleton("h36m17")
-    frames = training.training_frames(load_data(settings, skeleton), skeleton, settings)
-    module = training._teacher(settings, frames)
-    drawn = []
-    monkeypatch.setattr(module, "draw", lambda count: drawn.append(torch.randint(len(frames), (count,))) or drawn[-1])
+    frames = training_frames(load_data(settings, skeleton), skeleton, settings)
+    module = teacher(settings, frames)
+    drawn, draw = [], LabelledSampler.__call__
+    monkeypatch.setattr(LabelledSampler, "__call__", lambda self, count: drawn.append(draw(self, count)) or drawn[-1])
     before = [p.detach().clone() for p in module.lifter.parameters()]
-    training._run_of(module)(2)
+    stepper(module)(2)
     assert not torch.equal(drawn[0], drawn[-1])
     assert any(not torch.equal(a, b) for a, b in zip(before, module.lifter.parameters(), strict=True))
 
 
-def test_what_is_done_in_blocks_is_done_alike(full, monkeypatch, tmp_path):
+def test_cleaning_in_blocks_gives_the_same_result(full, monkeypatch, tmp_path):
     monkeypatch.setenv("UPLIFT_CACHE", str(tmp_path))
     settings, skeleton = settings_of(full), load_skeleton("h36m17")
-    for _ in range(2):  # what is changed in memory stays out of the cache
+    for _ in range(2):  # changes in memory do not reach the cache
         loaded = load_split(settings, "test", skeleton)
         first = loaded.keypoints[0].copy()
         assert first.any()
@@ -116,11 +111,11 @@ def test_what_is_done_in_blocks_is_done_alike(full, monkeypatch, tmp_path):
     rng = np.random.default_rng(0)
     data.keypoints[rng.random(data.confidence.shape) < 0.2] = np.nan
     data.confidence[-3:] = 0
-    whole, report = clean(data, skeleton, drop=False)
+    complete, report = clean(data, skeleton, drop=False)
     parts = [clean(data.select(rows), skeleton, drop=False) for rows in np.array_split(np.arange(5000), 3)]
-    assert np.array_equal(whole.keypoints, np.concatenate([part.keypoints for part, _ in parts]))
-    assert np.array_equal(whole.confidence, np.concatenate([part.confidence for part, _ in parts]))
+    assert np.array_equal(complete.keypoints, np.concatenate([part.keypoints for part, _ in parts]))
+    assert np.array_equal(complete.confidence, np.concatenate([part.confidence for part, _ in parts]))
     assert report.missing_joints == sum(of.missing_joints for _, of in parts) > 0
     assert report.too_few == sum(of.too_few for _, of in parts) >= 3
-    order = rng.permutation(5000)  # lenses in runs, and mixed
-    assert np.array_equal(whole.select(order).straightened().keypoints, whole.straightened().keypoints[order])
+    order = rng.permutation(5000)  # lenses in order, and mixed
+    assert np.array_equal(complete.select(order).straightened().keypoints, complete.straightened().keypoints[order])

@@ -1,4 +1,4 @@
-"""The paper's tables: published rows, and rows of fits on files of full structure beside them."""
+"""The paper's tables: published rows, and rows of fits on small files with the structure of the real ones."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ from bodies import QUICK, last_words
 
 import uplift
 from benchmarks.paper_tables import __main__ as tables
-from benchmarks.paper_tables import recipes, show
+from benchmarks.paper_tables import fits, show
+from benchmarks.paper_tables.fits import TABLES, Recipe, place_of, uses_of
 from benchmarks.paper_tables.published import COLUMNS, PUBLISHED
-from benchmarks.paper_tables.recipes import TABLES, Recipe, place_of, uses_of
 from uplift.config.loading import load_settings
 from uplift.training.callbacks import Interrupted
 
@@ -25,7 +25,7 @@ KUDO = ("lifter.options.units=16", "priors.critic.units=16", "trainer.max_epochs
 
 @pytest.fixture(scope="module")
 def data(tmp_path_factory):
-    """Return a data folder with the whole of both sets: all subjects, actions and cameras, few frames."""
+    """Return a data folder with both sets: all subjects, actions and cameras, few frames."""
     folder = tmp_path_factory.mktemp("data")
     h36m_files.write_videopose3d(folder / "h36m", ("gt", "sh"))
     for subject in range(1, 9):
@@ -37,14 +37,13 @@ def data(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def place(data, tmp_path_factory):
-    """Return the folder of runs and results that the tests of this file share, with UPLIFT_DATA set."""
+    """Return the folder of runs and results shared by the tests of this file, with UPLIFT_DATA set."""
     with pytest.MonkeyPatch.context() as patch:
         here = tmp_path_factory.mktemp("here")
         patch.chdir(here)
         patch.setenv("UPLIFT_DATA", str(data))
         patch.setenv("UPLIFT_CACHE", str(here / "cache"))
-        for module in (recipes, tables):
-            patch.setattr(module, "RESULTS", here / "results")
+        patch.setattr(fits, "RESULTS", here / "results")
         yield here
 
 
@@ -58,7 +57,7 @@ def ours(printed: str, name: str) -> list[list[str]]:
 
 
 @pytest.mark.parametrize("table", PUBLISHED)
-def test_published_rows_are_whole(table):
+def test_published_rows_are_complete(table):
     for row in PUBLISHED[table]:
         assert len(row.errors) == len(COLUMNS) == 15
     kudo = PUBLISHED[table][-1]
@@ -75,20 +74,20 @@ def test_table_1_end_to_end(place, capsys):
     [row, more] = ours(printed, "h36m, 10steps")
     assert row[1:4] == ["GT", "2D, lenses", "0,1"]
     files = sorted((place / "results" / "table1").glob("*.json"))
-    kept = [json.loads(file.read_text()) for file in files]
-    assert [of["seed"] for of in kept] == [0, 1]
-    assert kept[0]["command"].startswith("uplift fit task=h36m ") and kept[0]["command"].endswith("seed=0")
-    assert kept[0]["budget"] == "10steps" and kept[0]["commit"] and str(place) not in files[0].read_text()
-    average = np.mean([of["overall"]["mpjpe_gt_scale_action_mean"] for of in kept])
+    results = [json.loads(file.read_text()) for file in files]
+    assert [of["seed"] for of in results] == [0, 1]
+    assert results[0]["command"].startswith("uplift fit task=h36m ") and results[0]["command"].endswith("seed=0")
+    assert results[0]["budget"] == "10steps" and results[0]["commit"] and str(place) not in files[0].read_text()
+    average = np.mean([of["overall"]["mpjpe_gt_scale_action_mean"] for of in results])
     assert row[19] == f"{average:.1f}" == more[3]
-    eating = np.mean([of["per_action"]["Eating"]["mpjpe_gt_scale"] for of in kept])
+    eating = np.mean([of["per_action"]["Eating"]["mpjpe_gt_scale"] for of in results])
     assert row[head.index("Eating")] == f"{eating:.1f}"
     assert float(row[19]) == pytest.approx(np.mean([float(cell) for cell in row[4:19]]), abs=0.1)
     runs = sorted(Path("runs/h36m").glob("2*"))
 
-    assert tables.main(["table1", "task=h36m", *QUICK, "--seeds", "0,1"]) == 0  # nothing is fitted twice
-    assert "kept" in capsys.readouterr().out and sorted(Path("runs/h36m").glob("2*")) == runs
-    assert tables.main([f"run={runs[0]}", f"run={runs[1]}", "--markdown"]) == 0  # and a run is its own fit
+    assert tables.main(["table1", "task=h36m", *QUICK, "--seeds", "0,1"]) == 0  # stored results are not fitted again
+    assert "stored" in capsys.readouterr().out and sorted(Path("runs/h36m").glob("2*")) == runs
+    assert tables.main([f"run={runs[0]}", f"run={runs[1]}", "--markdown"]) == 0  # existing runs give the same rows
     assert ours(capsys.readouterr().out, "h36m, 10steps") == [row, more]
     assert sorted((place / "results" / "table1").glob("*.json")) == files
 
@@ -106,7 +105,7 @@ def test_the_papers_own_method_on_both_tables(place, capsys):
     assert "kudo2018_paper, 10steps" in capsys.readouterr().out
 
 
-def test_labels_are_told(place, capsys):
+def test_labels_are_listed(place, capsys):
     assert tables.main(["table2", "task=semi_h36m", *QUICK, "data.options.keypoints=detected", "--seeds", "0"]) == 0
     lines = capsys.readouterr().out.splitlines()
     [row] = [line for line in lines if line.strip().startswith("semi_h36m, 10steps  ") and "SH" in line]
@@ -117,20 +116,20 @@ def test_labels_are_told(place, capsys):
 
 def test_a_table_without_data_does_not_stop_the_others(place, data, capsys):
     words = ["data.root=" + str(data / "h36m"), "task=kudo2018_code", *KUDO, "--seeds", "3", "--markdown"]
-    assert tables.main(["table1", *words]) == 0  # kept from before: another folder is the same fit
-    assert tables.main(last_words("3dhp", *[word for word in words if word[:4] != "task"], *QUICK)) == 2
-    told = capsys.readouterr()
-    assert "kept kudo2018_code" in told.out and "no 3dhp" in told.err
+    assert tables.main(["table1", *words]) == 0  # stored: another folder is the same fit
+    assert tables.main(["3dhp", *last_words(*[word for word in words if word[:4] != "task"], *QUICK)]) == 2
+    printed = capsys.readouterr()
+    assert "stored kudo2018_code" in printed.out and "no 3dhp" in printed.err
 
 
-def test_an_interrupted_table_says_so(monkeypatch, capsys):
+def test_an_interrupted_table_can_be_continued(monkeypatch, capsys):
     def stop(*_):
         raise Interrupted(Path("runs/h36m/now"))
 
     monkeypatch.setattr(tables, "_missing", lambda _: {})
     monkeypatch.setattr(uplift, "fit", stop)
     assert tables.main(["table1"]) == 130
-    assert "goes on" in capsys.readouterr().err
+    assert "repeat the command to continue" in capsys.readouterr().err
 
 
 def test_the_3dhp_figure(place, capsys):
@@ -140,26 +139,25 @@ def test_the_3dhp_figure(place, capsys):
     assert "z alone, on the training data" in printed
     figures, pck, auc = ours(printed, "mpi_inf_3dhp, 10steps")
     [file] = (place / "results" / "3dhp").glob("*.json")
-    kept = json.loads(file.read_text())
-    assert figures[3] == f"{100 * kept['train']['overall']['pck_z@150']:.1f}"
-    shares = [kept["overall"][name] for name in ("pck_z@150", "pck@150", "auc", "pck14@150", "auc14")]
+    result = json.loads(file.read_text())
+    assert figures[3] == f"{100 * result['train']['overall']['pck_z@150']:.1f}"
+    shares = [result["overall"][name] for name in ("pck_z@150", "pck@150", "auc", "pck14@150", "auc14")]
     assert figures[4:9] == [f"{100 * share:.1f}" for share in shares]
-    assert kept["overall"]["pck_z@150"] != kept["train"]["overall"]["pck_z@150"]
+    assert result["overall"]["pck_z@150"] != result["train"]["overall"]["pck_z@150"]
     assert pck[-1] == figures[5] and auc[-1] == figures[6] and "-" not in pck
 
 
-def test_without_data_it_says_what_is_missing(tmp_path, monkeypatch, capsys):
+def test_missing_data_is_reported(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("UPLIFT_DATA", str(tmp_path))
-    for module in (recipes, tables):
-        monkeypatch.setattr(module, "RESULTS", tmp_path / "results")
+    monkeypatch.setattr(fits, "RESULTS", tmp_path / "results")
     for word, missing in (("table2", "data_3d_h36m.npz"), ("3dhp", "S1/Seq1/annot.mat")):
         assert tables.main([word]) == 2
-        told = capsys.readouterr()
-        assert missing in told.err and "UPLIFT_DATA=FOLDER" in told.err and len(told.err.splitlines()) < 20
-    assert tables.main([]) == 2  # one whole message, a line for each other table
-    told = capsys.readouterr().err
-    assert told.count("UPLIFT_DATA=FOLDER") == 1 and "no table1: Human3.6M" in told and "no 3dhp: MPI" in told
+        error = capsys.readouterr().err
+        assert missing in error and "UPLIFT_DATA=FOLDER" in error and len(error.splitlines()) < 20
+    assert tables.main([]) == 2  # the first message in full, a line for each other table
+    error = capsys.readouterr().err
+    assert error.count("UPLIFT_DATA=FOLDER") == 1 and "no table1: Human3.6M" in error and "no 3dhp: MPI" in error
     assert not (tmp_path / "runs").exists()
     assert tables.main(["--print"]) == 0  # the published rows need none
     assert "130.9" in capsys.readouterr().out
@@ -168,7 +166,7 @@ def test_without_data_it_says_what_is_missing(tmp_path, monkeypatch, capsys):
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        (["table3"], "no table 'table3'; there are table1, table2, 3dhp."),
+        (["table3"], "no table 'table3'; expected any of table1, table2, 3dhp."),
         (["table1", "seed=3"], "--seeds"),
         (["run=runs/none", "task=h36m"], "leave out task="),
         (["run=runs/none"], "No run runs/none"),
@@ -177,19 +175,19 @@ def test_without_data_it_says_what_is_missing(tmp_path, monkeypatch, capsys):
         (["table1", "trainer.max_tim=3"], "trainer.max_time"),
     ],
 )
-def test_wrong_words_are_refused(words, said, here, capsys):
+def test_invalid_arguments_are_rejected(words, said, here, capsys):
     assert tables.main(words) == 2
     assert said in capsys.readouterr().err
 
 
-def test_a_run_on_other_data_is_refused():
+def test_a_run_on_other_data_is_rejected():
     from uplift.errors import UserError
 
-    with pytest.raises(UserError, match="tables are of Human3.6M"):
-        recipes.table_of(load_settings("cmu"), "runs/cmu/last")
+    with pytest.raises(UserError, match="the tables need Human3.6M"):
+        fits.table_of(load_settings("cmu"), "runs/cmu/last")
 
 
-def test_fits_that_differ_have_other_files():
+def test_different_fits_have_different_files():
     def name(*words: str, task: str = "h36m", table: str = "table1", seed: int = 0) -> str:
         return place_of(table, Recipe.of(table, task, words, seed).settings()).name
 
@@ -204,23 +202,22 @@ def test_fits_that_differ_have_other_files():
 def test_what_a_fit_uses():
     assert uses_of(load_settings("kudo2018_code")) == "2D"
     assert uses_of(load_settings("h36m")) == "2D, lenses"
-    assert uses_of(load_settings("supervised_h36m")) == "2D, lenses, 3D of 10 % of S1 alone"
+    assert uses_of(load_settings("supervised_h36m")) == "2D, lenses, 3D of 10 % of S1 only"
     assert (
         uses_of(load_settings("h36m", ["lifter.intrinsics=off", "data.labelled.subjects=S1,S5"])) == "2D, 3D of S1, S5"
     )
 
 
-def test_other_rates_are_told():
+def test_other_frame_rates_are_shown():
     result = {"task": "h36m", "budget": "10min", "fps": 50}
     assert show._name(result).strip() == "h36m, 10min, 50 fps"
     assert show._name(result | {"fps": 10}).strip() == "h36m, 10min"
 
 
 def test_a_damaged_result_is_one_message(tmp_path, monkeypatch, capsys):
-    for module in (recipes, tables):
-        monkeypatch.setattr(module, "RESULTS", tmp_path)
+    monkeypatch.setattr(fits, "RESULTS", tmp_path)
     (tmp_path / "table1").mkdir()
     (tmp_path / "table1" / "h36m_10min_0_seed0.json").write_text('{"task": ')
     assert tables.main(["table1", "--print"]) == 2
-    assert "no whole result" in capsys.readouterr().err
+    assert "not a valid result" in capsys.readouterr().err
     assert set(TABLES) == {"table1", "table2", "3dhp"}

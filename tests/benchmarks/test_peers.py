@@ -1,4 +1,4 @@
-"""The peers of the accuracy benchmark: losses and networks of their recipes, the twin, the floors."""
+"""The published recipes of the accuracy benchmark, the supervised twin, the baselines."""
 
 from __future__ import annotations
 
@@ -69,7 +69,7 @@ def test_gradients_reach_every_network_of_the_halves_and_no_half_sees_the_other(
         torch.testing.assert_close(again, depth)
 
 
-def test_halves_refuse_what_does_not_fit():
+def test_halves_reject_what_does_not_fit():
     halves = peer("Halves", "halves")
     with pytest.raises(UserError, match="tail"):
         halves(6, 4, joints=["a", "b", "c"], parts=[["a", "tail"], ["b", "c"]])
@@ -110,7 +110,7 @@ def test_a_twin_trains_on_simulated_truth(skeleton, tmp_path, monkeypatch):
 
 
 @pytest.mark.parametrize("intrinsics", ["auto", "off"])
-def test_a_twins_poses_are_the_truth_upright(intrinsics):
+def test_a_twins_poses_are_the_upright_truth(intrinsics):
     data = simulate(H36M, 60, seed=3)
     settings = load_settings(None, [f"lifter.intrinsics={intrinsics}"])
     poses, note = twin.true_poses(settings, H36M, data)
@@ -131,7 +131,7 @@ def test_a_twins_poses_are_the_truth_upright(intrinsics):
     assert (found - upright).abs().max() < (2e-3 if intrinsics == "auto" else 1.0)
 
 
-def test_gravity_is_found_from_poses_that_cameras_without_roll_see_at_once():
+def test_gravity_is_found_from_simultaneous_views_without_roll():
     data = simulate(H36M, 30, seed=5)
     assert data.pose is not None and data.tilt_deg is not None
     rng = np.random.default_rng(0)
@@ -148,10 +148,10 @@ def test_gravity_is_found_from_poses_that_cameras_without_roll_see_at_once():
     assert "several sides" in note
     np.testing.assert_allclose(gravity, views[:, :, 1], atol=1e-3)  # y of the world, in each camera
     alone = replace(seen, identity={"frame": np.arange(90)})
-    assert twin.gravity_in_camera(alone, H36M)[1] == "unknown, cameras taken as level"
+    assert twin.gravity_in_camera(alone, H36M)[1] == "unknown, cameras assumed level"
 
 
-def test_a_twin_takes_the_labels_of_detected_keypoints_from_the_exact_file(tmp_path):
+def test_a_twin_takes_the_poses_of_detected_keypoints_from_the_exact_file(tmp_path):
     arrays = body_arrays()
     np.savez(tmp_path / "train.npz", **arrays)
     noisy = {k: v for k, v in arrays.items() if k not in ("pose", "root", "tilt_deg")}
@@ -178,13 +178,13 @@ def test_the_nearest_neighbour_of_a_training_frame_is_itself(tmp_path, capsys):
     assert "keypoints" in capsys.readouterr().err
 
 
-def test_the_nearest_neighbour_is_over_the_joints_that_are_seen():
+def test_the_nearest_neighbour_uses_the_visible_joints():
     torch.manual_seed(0)
     known, wanted = torch.randn(50, 5, 2), torch.randn(20, 5, 2)
     visible = torch.rand(20, 5) < 0.7
     apart = ((wanted[:, None] - known[None]).square().sum(-1) * visible[:, None]).sum(-1)
     assert torch.equal(floors.nearest_rows(wanted, visible, known), apart.argmin(1))
-    whole = torch.ones_like(visible)
+    everything = torch.ones_like(visible)
     assert torch.equal(
-        floors.nearest_rows(wanted, whole, known), torch.cdist(wanted.flatten(1), known.flatten(1)).argmin(1)
+        floors.nearest_rows(wanted, everything, known), torch.cdist(wanted.flatten(1), known.flatten(1)).argmin(1)
     )

@@ -1,4 +1,4 @@
-"""The benchmark of masks beside keypoints: masks of the very poses, what is hidden, from the fit to the table."""
+"""The benchmark of masks alongside keypoints: masks, hidden joints, from the fit to the table."""
 
 from __future__ import annotations
 
@@ -11,11 +11,9 @@ import pytest
 import torch
 from bodies import status_of
 
-from benchmarks.accuracy.work import CellFailed
+from benchmarks.common import BenchmarkError
 from benchmarks.quadruped_masks import __main__ as benchmark
-from benchmarks.quadruped_masks import work
-from benchmarks.quadruped_masks.files import LIMBS, Frames, hidden_joints
-from benchmarks.quadruped_masks.rendering import NODES, draw_mask, masks_of_rows, placing
+from benchmarks.quadruped_masks.files import LIMBS, NODES, Frames, align, draw_mask, hidden_joints, masks_of_rows
 from uplift.data.formats import read
 from uplift.skeleton import load_skeleton
 
@@ -32,12 +30,12 @@ def test_every_joint_but_the_nose_is_at_a_node() -> None:
     assert {joint for limb in LIMBS for joint in limb} <= set(JOINTS)
 
 
-def test_placing_finds_the_way() -> None:
+def test_align_finds_the_transform() -> None:
     rng = np.random.default_rng(0)
     points = rng.normal(size=(9, 3))
     rotation = np.linalg.qr(rng.normal(size=(3, 3)))[0]
     rotation *= np.sign(np.linalg.det(rotation))
-    scale, turned, shift = placing(points, 3.0 * points @ rotation.T + [1.0, 2.0, 3.0])
+    scale, turned, shift = align(points, 3.0 * points @ rotation.T + [1.0, 2.0, 3.0])
     assert scale == pytest.approx(3)
     np.testing.assert_allclose(turned, rotation, atol=1e-9)
     np.testing.assert_allclose(shift, [1, 2, 3], atol=1e-9)
@@ -53,8 +51,8 @@ def test_a_drawn_triangle_covers_its_area() -> None:
 
 
 @pytest.mark.parametrize("split", ["train", "test"])
-def test_masks_are_of_the_very_poses(split: str, benchmark_data) -> None:
-    """The nodes of the files, posed and placed, are where the data has its joints; masks hold the joints."""
+def test_masks_match_the_poses(split: str, benchmark_data) -> None:
+    """The posed and aligned nodes of the files coincide with the joints of the data; masks contain the joints."""
     path = benchmark_data(f"quadruped/{split}.npz")
     with np.load(path) as file:
         data = dict(file)
@@ -67,7 +65,7 @@ def test_masks_are_of_the_very_poses(split: str, benchmark_data) -> None:
 
 
 @pytest.mark.parametrize("share", [0.0, 0.2, 0.4])
-def test_as_many_joints_are_hidden_as_said(share: float) -> None:
+def test_the_requested_fraction_of_joints_is_hidden(share: float) -> None:
     hidden = hidden_joints(JOINTS, 400, share, 3)
     assert hidden.mean() == pytest.approx(share, abs=0.02)
     assert (~hidden).sum(1).min() >= 8
@@ -76,14 +74,14 @@ def test_as_many_joints_are_hidden_as_said(share: float) -> None:
     assert limb > 3 * share**3 or share == 0
 
 
-def test_errors_are_apart_for_seen_and_missing() -> None:
+def test_errors_of_seen_and_missing_joints_are_separate() -> None:
     rng = np.random.default_rng(0)
     truth = rng.normal(size=(5, 28, 3))
     missing = hidden_joints(JOINTS, 5, 0.3, 0)
     off = truth + 0.01 * missing[..., None]
-    found = work.errors_of(off, truth, missing, 6)
+    found = benchmark.errors_of(off, truth, missing, 6)
     assert found["n_mpjpe_seen"] < 0.2 * found["n_mpjpe_missing"]
-    assert "n_mpjpe_missing" not in work.errors_of(off, truth, np.zeros_like(missing), 6)
+    assert "n_mpjpe_missing" not in benchmark.errors_of(off, truth, np.zeros_like(missing), 6)
 
 
 def _frames(folder: Path, split: str, cache: Path) -> Frames:
@@ -100,15 +98,14 @@ def _frames(folder: Path, split: str, cache: Path) -> Frames:
 
 
 def test_from_the_fit_to_the_table(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys) -> None:
-    def in_this_process(folder: Path, words: list[str], cores: set[int]) -> Path:
+    def in_this_process(verb: str, words: list[str], folder: Path, cores: set[int]) -> None:
         with contextlib.chdir(folder):
-            assert status_of("fit", *words) == 0
-        return (folder / "runs" / "quadruped" / "last").resolve()
+            assert status_of(verb, *words) == 0
 
-    for name, value in (("RESULTS", tmp_path / "kept.json"), ("COMMON", ["data.train=train.npz", *QUICK])):
+    for name, value in (("RESULTS", tmp_path / "stored.json"), ("COMMON", ["data.train=train.npz", *QUICK])):
         monkeypatch.setattr(benchmark, name, value)
-    monkeypatch.setattr(benchmark, "drawn_frames", _frames)
-    monkeypatch.setattr(benchmark, "run_fit", in_this_process)
+    monkeypatch.setattr(benchmark, "rendered_frames", _frames)
+    monkeypatch.setattr(benchmark, "run_uplift", in_this_process)
     monkeypatch.setenv("UPLIFT_DATA", str(tmp_path))
     words = ["--kinds", "masks", "--missing", "0.3", "--steps", "4", "--seeds", "0", "--cache", str(tmp_path)]
     threads = torch.get_num_threads()
@@ -116,22 +113,22 @@ def test_from_the_fit_to_the_table(tmp_path: Path, monkeypatch: pytest.MonkeyPat
         assert benchmark.main(words) == 0
     finally:
         torch.set_num_threads(threads)
-    (key, kept), *more = json.loads((tmp_path / "kept.json").read_text()).items()
+    (key, result), *more = json.loads((tmp_path / "stored.json").read_text()).items()
     assert key == "masks_30%_4steps_seed0" and not more
-    assert "priors.mask.weight" in kept["command"] and kept["seed"] == 0 and kept["commit"]
-    assert set(kept["errors"]) == {"teacher", "student"}
-    assert kept["errors"]["teacher"]["test"] != kept["errors"]["student"]["test"]
-    monkeypatch.setattr(benchmark, "run_fit", None)  # what is kept is not run again
+    assert "priors.mask.weight" in result["command"] and result["seed"] == 0 and result["commit"]
+    assert set(result["errors"]) == {"teacher", "student"}
+    assert result["errors"]["teacher"]["test"] != result["errors"]["student"]["test"]
+    monkeypatch.setattr(benchmark, "run_uplift", None)  # stored results are not run again
     capsys.readouterr()
     assert benchmark.main(words) == 0
     table = capsys.readouterr().out
-    assert "teacher" in table and f"{kept['errors']['student']['test']['n_mpjpe_missing']:.0f}" in table
+    assert "teacher" in table and f"{result['errors']['student']['test']['n_mpjpe_missing']:.0f}" in table
 
 
-def test_without_data_it_says_so(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys) -> None:
-    monkeypatch.setattr(benchmark, "RESULTS", tmp_path / "kept.json")
+def test_missing_data_is_reported(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys) -> None:
+    monkeypatch.setattr(benchmark, "RESULTS", tmp_path / "stored.json")
     monkeypatch.delenv("UPLIFT_DATA", raising=False)
     assert benchmark.main(["--kinds", "masks", "--missing", "0.4", "--seeds", "0", "--cache", str(tmp_path)]) == 1
     assert "UPLIFT_DATA is not set" in capsys.readouterr().err
-    with pytest.raises(CellFailed):
+    with pytest.raises(BenchmarkError):
         benchmark.run_case("masks", 0.4, 4, 0, tmp_path, {0})

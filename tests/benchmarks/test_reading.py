@@ -12,8 +12,7 @@ from benchmarks.reading import __main__ as reading
 from benchmarks.reading import measure
 from benchmarks.reading.bodies import Walk
 from benchmarks.reading.cells import CELLS
-from benchmarks.reading.lines import GAP, decimals, filled, whole_numbers, words
-from benchmarks.reading.writing import written
+from benchmarks.reading.text_files import GAP, decimals, filled, whole_numbers, words
 from uplift.data.formats import KEYPOINT_FORMATS, read
 from uplift.export import WRITERS
 
@@ -32,22 +31,22 @@ def test_every_format_has_a_cell():
 
 
 @pytest.mark.parametrize("cell", CELLS, ids=lambda cell: cell.name)
-def test_a_cell_is_made_and_read_as_what_it_is(cell, folder):
+def test_a_file_is_written_and_read_as_its_format(cell, folder):
     pytest.importorskip(_NEEDS.get(cell.name, "numpy"))
     if cell.format in ("sleap_slp", "sleap_h5", "nwb", "jabs"):
         pytest.importorskip("h5py")
     path = folder / cell.file
-    told = measure.make(cell.name, path, ROWS)
+    expected = measure.make(cell.name, path, ROWS)
     found = measure.read_file(cell.name, path)
-    assert (found["rows"], found["joints"]) == (ROWS, cell.joints) and told["bytes"] > 1000
+    assert (found["rows"], found["joints"]) == (ROWS, cell.joints) and expected["bytes"] > 1000
     assert found["cpu_s"] > 0 and found["peak_gb"] > 0.01
 
 
-def test_what_is_read_wrongly_is_told(folder):
-    path = folder / "told.npz"
+def test_wrong_results_of_reading_are_detected(folder):
+    path = folder / "checked.npz"
     measure.make("npz", path, ROWS)
-    told, data = json.loads(measure.told_of(path).read_text()), read(path)
-    measure.check(data, told)
+    expected, data = json.loads(measure.expected_file(path).read_text()), read(path)
+    measure.check(data, expected)
     moved = data.keypoints + np.float32(0.01)
     for wrong in (
         data.select(np.arange(ROWS - 1)),
@@ -56,10 +55,10 @@ def test_what_is_read_wrongly_is_told(folder):
         replace(data, identity={**data.identity, "frame": data.identity["frame"] + 1}),
     ):
         with pytest.raises(SystemExit):
-            measure.check(wrong, told)
+            measure.check(wrong, expected)
 
 
-def test_results_are_kept_cell_by_cell_and_shown(tmp_path, capsys, monkeypatch):
+def test_results_are_stored_one_by_one_and_shown(tmp_path, capsys, monkeypatch):
     out = tmp_path / "results" / "reading.json"
     words = ["--rows", str(ROWS), "--frames", "100", "--times", "1", "--out", str(out)]
     assert reading.main([*words, "--only", "videopose3d", ".trc", "--folder", str(tmp_path)]) == 0
@@ -71,15 +70,15 @@ def test_results_are_kept_cell_by_cell_and_shown(tmp_path, capsys, monkeypatch):
     done = {"wall_s": 1.0, "cpu_s": 2.0, "peak_gb": 0.5, "rows": ROWS, "joints": 17, "frames": 100, "bytes": 9}
     asked = []
 
-    def process(module, *words):
+    def process(*words):
         asked.append(words)
         if words[0] == "make":
-            measure.told_of(words[2]).write_text(json.dumps({"bytes": 9, "making_cpu_s": 1.0}))
+            measure.expected_file(words[2]).write_text(json.dumps({"bytes": 9, "making_cpu_s": 1.0}))
         return dict(done)
 
     monkeypatch.setattr(reading, "_process", process)
     assert reading.main(words) == 0
-    assert not any(words[1] == "videopose3d" for words in asked)  # it is there
+    assert not any(words[1] == "videopose3d" for words in asked)  # it is stored
     found = json.loads(out.read_text())
     assert list(found["read"]) == [cell.name for cell in CELLS]
     assert list(found["write"]) == [f"write {ending}" for ending in WRITERS["poses"]]
@@ -87,22 +86,22 @@ def test_results_are_kept_cell_by_cell_and_shown(tmp_path, capsys, monkeypatch):
     asked.clear()
     capsys.readouterr()
     assert reading.main([*words, "--print"]) == 0
-    shown = capsys.readouterr().out
-    assert not asked and all(f"| {cell.name} |" in shown for cell in CELLS)
-    assert "json 2.00 s, ratio 1.0" in shown
+    printed = capsys.readouterr().out
+    assert not asked and all(f"| {cell.name} |" in printed for cell in CELLS)
+    assert "json 2.00 s, ratio 1.0" in printed
 
 
 @pytest.mark.parametrize("ending", [".npz", ".csv", ".json"])
 def test_a_writer_is_measured(ending, tmp_path):
-    found = written(ending, tmp_path, 50)
+    found = measure.write_prediction(ending, tmp_path, 50)
     assert found["bytes"] == (tmp_path / f"walk{ending}").stat().st_size > 1000
     assert found["frames"] == 50 and found["cpu_s"] > 0
 
 
-def test_text_is_what_numbers_say():
+def test_templates_are_filled_with_numbers():
     values = np.array([[0.5, 12.25], [123.000001, 0.0]])
-    lost = np.array([[False, False], [False, True]])
-    numbers = decimals(values, 8, lost, "nan")
+    missing = np.array([[False, False], [False, True]])
+    numbers = decimals(values, 8, missing, "nan")
     text = filled(f"<{GAP},{GAP}|{GAP}|{GAP}>", [numbers, whole_numbers(np.array([7, 1230]))[:, None], words(["a"], 2)])
     first, second = text.decode()[1:-1].split("><")
     assert first.startswith("0.500000") and first.endswith("|7|a") and ",12.250000" in first
@@ -110,8 +109,8 @@ def test_text_is_what_numbers_say():
     assert [len(part) for part in first.split("|")[0].split(",")] == [10, 11]
 
 
-def test_bodies_are_the_same_each_time_and_walk_on():
-    one, two = (Walk(20_000, bodies=2).whole() for _ in range(2))
+def test_bodies_are_deterministic_and_move_smoothly():
+    one, two = (Walk(20_000, bodies=2).all_frames() for _ in range(2))
     assert np.array_equal(one.xy, two.xy) and one.xy.shape == (10_000, 2, 17, 2)
     assert one.frame.tolist() == list(range(10_000))
     assert np.abs(np.diff(one.xy.mean(2), axis=0)).max() < 10

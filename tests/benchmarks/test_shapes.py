@@ -1,4 +1,4 @@
-"""The benchmark of lifted shapes: what is fitted, held-out species, what is kept and shown, what a step costs."""
+"""The benchmark of lifted shapes: fits, held-out species, stored results and tables, the cost of a step."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ from types import ModuleType, SimpleNamespace
 import numpy as np
 import pytest
 
-from benchmarks.accuracy.work import CellFailed
+from benchmarks.common import BenchmarkError
 from benchmarks.shapes import __main__ as benchmark
-from benchmarks.shapes import animals, cost, work
-from benchmarks.shapes.cells import COMMANDS, FAMILIES, Cell, cells_of
+from benchmarks.shapes import cost, fits
+from benchmarks.shapes.fits import COMMANDS, FAMILIES, Cell, cells_of
 from uplift.cli import fit
 from uplift.config.loading import load_settings
 from uplift.config.run import RunFolder
@@ -27,9 +27,10 @@ from uplift.metrics.baselines import score_with_baselines, shape_baselines
 
 @pytest.fixture
 def results(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """Return the empty place of the results."""
-    monkeypatch.setattr(work, "RESULTS", tmp_path / "kept" / "shapes.json")
-    return tmp_path / "kept" / "shapes.json"
+    """Return the file of the results, which does not exist yet."""
+    file = tmp_path / "stored" / "shapes.json"
+    monkeypatch.setattr(fits, "RESULTS", file)
+    return file
 
 
 @pytest.fixture
@@ -39,7 +40,7 @@ def task(tmp_path: Path) -> str:
 
 
 def quick_fit(settings: Settings) -> RunFolder:
-    """Make a run of few masks whose shapes are the hull's; the floors and the scores are real."""
+    """Make a run of few masks whose shapes are visual hulls; the baselines and the scores are real."""
     data = settings.data
     if data.simulate:
         train = simulate_masks(data.family, 8, seed=settings.seed)
@@ -62,7 +63,7 @@ def test_cells_are_settings_of_a_fit(command: str, task: str) -> None:
         settings = load_settings(task, cell.overrides)
         assert settings.seed == cell.seed and settings.trainer.max_time == "00:01:30"
         assert settings.data.labelled.only == (command == "twin")
-    assert [cell.seed for cell in cells] == sorted(cell.seed for cell in cells)  # whole rows early
+    assert [cell.seed for cell in cells] == sorted(cell.seed for cell in cells)  # complete rows early
     assert set(FAMILIES) <= set(MADE_UP)
 
 
@@ -73,18 +74,18 @@ def test_from_the_fit_to_the_table(
     monkeypatch.setattr(benchmark, "cells_of", lambda *given: [replace(c, task=task) for c in cells_of(*given)])
     runs = tmp_path / "runs here"
     assert benchmark.main(["demo", "--seeds", "0", "1", "--runs", str(runs)]) == 0
-    kept = json.loads(results.read_text())
-    assert list(kept) == ["demo_seed0", "demo_seed1"]
-    one, two = kept.values()
+    found = json.loads(results.read_text())
+    assert list(found) == ["demo_seed0", "demo_seed1"]
+    one, two = found.values()
     assert one["command"].endswith(" seed=0") and two["seed"] == 1 and one["commit"]
     assert one["benchmark"] == "python -m benchmarks.shapes demo"
     assert set(one["floors"]) == {"hull", "mean_shape", "nearest"} and one["items"] == 3
     assert len(list(runs.glob("runs/masks_here/*/evaluation.json"))) == 2
-    monkeypatch.setattr(fit, "fit_settings", None)  # nothing is run again
+    monkeypatch.setattr(fit, "fit_settings", None)  # stored results are not run again
     capsys.readouterr()
     assert benchmark.main(["demo", "--seeds", "0", "1", "--markdown"]) == 0
-    said = capsys.readouterr().out
-    lines = [line for line in said.splitlines() if line.startswith("| demo")]
+    printed = capsys.readouterr().out
+    lines = [line for line in printed.splitlines() if line.startswith("| demo")]
     row = [cell.strip() for cell in lines[0].strip("|").split("|")]
     volume = [result["overall"]["volume_iou"] for result in (one, two)]
     gain = [v - r["overall"]["best_floor_volume_iou"] for v, r in zip(volume, (one, two), strict=True)]
@@ -95,14 +96,14 @@ def test_from_the_fit_to_the_table(
     assert [line.split("|")[2].strip() for line in lines[1:]] == ["hull", "mean_shape", "nearest"]
 
 
-def test_what_fails_is_told_and_kept_nowhere(
+def test_failures_are_reported_and_not_stored(
     results: Path, task: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     nowhere = Cell("demo", 0, task, ("data.simulate=0", "data.famly=chairs"))
     monkeypatch.setattr(benchmark, "cells_of", lambda *given: [nowhere])
     assert benchmark.main(["demo"]) == 1
-    said = capsys.readouterr()
-    assert "demo_seed0: uplift fit" in said.err and "data.family" in said.err and not results.exists()
+    error = capsys.readouterr().err
+    assert "demo_seed0: uplift fit" in error and "data.family" in error and not results.exists()
     assert benchmark.main(["demo", "--print"]) == 0
     with pytest.raises(SystemExit):
         benchmark.main(["demos"])
@@ -111,37 +112,37 @@ def test_what_fails_is_told_and_kept_nowhere(
 def test_species_are_held_out(results: Path, task: str, tmp_path: Path, monkeypatch, benchmark_data) -> None:
     monkeypatch.setenv("UPLIFT_DATA", str(benchmark_data("animal_meshes").parent))
     monkeypatch.setenv("UPLIFT_BENCHMARK_CACHE", str(tmp_path / "cache"))
-    sizes = animals.Sizes(made_up=4, poses=2, views=2, test_poses=2)
-    monkeypatch.setattr(animals, "Sizes", lambda: sizes)
-    found = animals.animal_masks()
+    sizes = fits.Sizes(simulated=4, poses=2, views=2, test_poses=2)
+    monkeypatch.setattr(fits, "Sizes", lambda: sizes)
+    found = fits.animal_masks()
     train, test = (read_masks_npz(found[part]) for part in ("train", "test"))
     assert train.truth is not None and test.truth is not None
     assert train.category is not None and test.category is not None
-    assert set(test.category) == set(animals.HELD_OUT) and len(test) == 2 * sizes.test_poses
-    species = train.category[sizes.made_up :]
-    assert len(set(species)) >= 6 and not set(species) & set(animals.HELD_OUT)
-    assert len(train) == sizes.made_up + len(set(species)) * sizes.poses * sizes.views
+    assert set(test.category) == set(fits.HELD_OUT) and len(test) == 2 * sizes.test_poses
+    species = train.category[sizes.simulated :]
+    assert len(set(species)) >= 6 and not set(species) & set(fits.HELD_OUT)
+    assert len(train) == sizes.simulated + len(set(species)) * sizes.poses * sizes.views
     assert not any("Death" in mesh.name for mesh in (*train.truth.meshes, *test.truth.meshes))
     written = [path.stat().st_mtime_ns for path in found.values()]
     monkeypatch.setattr(fit, "fit_settings", quick_fit)
     [cell] = cells_of("animals", [4])
-    result = work.run_cell(replace(cell, task=task))
+    result = fits.run_cell(replace(cell, task=task))
     assert written == [path.stat().st_mtime_ns for path in found.values()]
     assert "data.train=$UPLIFT_BENCHMARK_CACHE/shapes/animals_train" in result["command"]
     assert str(tmp_path / "cache") not in results.read_text()
     assert "floors" in result and result["items"] == 3
 
 
-def test_missing_animals_are_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_missing_animals_are_reported(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv("UPLIFT_DATA", raising=False)
-    with pytest.raises(CellFailed, match="UPLIFT_DATA is not set"):
-        animals.animal_masks(tmp_path)
+    with pytest.raises(BenchmarkError, match="UPLIFT_DATA is not set"):
+        fits.animal_masks(tmp_path)
     monkeypatch.setenv("UPLIFT_DATA", str(tmp_path))
-    with pytest.raises(CellFailed, match=r"nothing in animal_meshes, expected .glb files of Cow, ShibaInu"):
-        animals.animal_masks(tmp_path)
+    with pytest.raises(BenchmarkError, match=r"nothing in animal_meshes, expected .glb files of Cow, ShibaInu"):
+        fits.animal_masks(tmp_path)
 
 
-def test_what_a_step_costs_is_without_what_comes_before_it(
+def test_the_cost_of_a_step_excludes_the_setup(
     results: Path, task: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     seen: list[Settings] = []
@@ -177,6 +178,6 @@ def test_what_a_step_costs_is_without_what_comes_before_it(
     assert list(json.loads(results.read_text())) == ["cost_16", "cost_48"]
 
 
-def test_a_process_that_fails_is_told() -> None:
-    with pytest.raises(CellFailed, match="resolution 7 ended with status 2"):
+def test_a_failing_process_is_reported() -> None:
+    with pytest.raises(BenchmarkError, match="cost 7 1 ended with status 2"):
         cost.measured_apart(7, 1)

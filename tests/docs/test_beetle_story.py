@@ -1,4 +1,4 @@
-"""The page that goes from a tracker's csv to a page of poses, followed to the letter in an empty folder."""
+"""The beetle tutorial, followed to the letter in an empty folder."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from bodies import QUICK, status_of
-from page_browser import BROWSER, Browser, Page
+from page_browser import Page
 
 from uplift.data.formats import read
 from uplift.data.formats.base import ReadOptions
@@ -23,28 +23,28 @@ from uplift.skeleton.propose import propose
 
 PAGE = Path(__file__).resolve().parents[2] / "docs/beetle.md"
 _FENCE = re.compile(r"^```(\w*)\n(.*?)^```$", re.M | re.S)
-# The critic is no part of the page's recipe; everything else is made small.
+# The tutorial does not use the critic; everything else is made small.
 _SMALL = (*(word for word in QUICK if not word.startswith("priors.critic.")), "lifter.refine.iterations=3")
 _FEWER = {"12000": "240", "3000": "60", "clip_seconds=30": "clip_seconds=0.6"}
 
 
 @dataclass
 class Step:
-    """A command of the page, what it returned and what it said."""
+    """A command of the page, its exit status and its output."""
 
     command: str
     status: int
-    said: str
+    output: str
 
 
 @dataclass
 class Story:
-    """The folder in which the page was followed, and how it went."""
+    """The folder in which the page was followed, and the results."""
 
     folder: Path
     steps: list[Step]
     shown: list[tuple[str, str]]
-    """Lines of output that the page shows, each with all that the commands before it said."""
+    """Lines of output that the page shows, each with the output of all commands before it."""
 
 
 def _blocks() -> Iterator[tuple[str, str]]:
@@ -58,7 +58,7 @@ def _without_figures(text: str) -> str:
 
 
 def _smaller(command: str) -> list[str]:
-    """Return the words of a command with few frames and short fits."""
+    """Return the arguments of a command, with few frames and short fits."""
     words = shlex.split(re.sub(r"\s+#.*", "", command))
     if words[1] == "simulate":
         words = [_FEWER.get(word, word) for word in words]
@@ -68,7 +68,7 @@ def _smaller(command: str) -> list[str]:
 
 @pytest.fixture(scope="module")
 def story(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Story]:
-    """Follow the page once: write its files, run its commands, in the order in which they stand."""
+    """Follow the page once: write its files and run its commands, in order."""
     folder = tmp_path_factory.mktemp("beetle")
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(folder)
@@ -77,14 +77,14 @@ def story(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Story]:
 
 def _followed(folder: Path) -> Story:
     found = Story(folder, [], [])
-    said = ""
+    output = ""
     for kind, text in _blocks():
         name = re.match(r"# ([\w.]+)\n", text)
         if kind in ("yaml", "python"):
             assert name, f"a file without a name: {text[:60]}"
             (folder / name[1]).write_text(text)
         elif kind == "text":
-            found.shown += [(line, said) for line in text.splitlines()]
+            found.shown += [(line, output) for line in text.splitlines()]
         elif kind == "":
             for line in text.splitlines():
                 if line.startswith("mkdir "):
@@ -94,18 +94,18 @@ def _followed(folder: Path) -> Story:
                 with contextlib.redirect_stdout(out), contextlib.redirect_stderr(out):
                     status = status_of(*_smaller(line))
                 found.steps.append(Step(line, status, out.getvalue()))
-                said += out.getvalue()
+                output += out.getvalue()
     return found
 
 
 def test_every_command_does_what_the_page_says(story: Story) -> None:
     assert len(story.steps) > 12
     for step in story.steps:
-        told = re.search(r"exit status (\d)", step.command)
-        assert step.status == (int(told[1]) if told else 0), f"{step.command}\n{step.said}"
+        expected = re.search(r"exit status (\d)", step.command)
+        assert step.status == (int(expected[1]) if expected else 0), f"{step.command}\n{step.output}"
 
 
-def test_every_file_that_a_command_writes_is_there(story: Story) -> None:
+def test_every_command_writes_its_file(story: Story) -> None:
     for step in story.steps:
         output = re.search(r"output=(\S+)", step.command)
         if output and "tracker=" not in step.command:
@@ -115,12 +115,12 @@ def test_every_file_that_a_command_writes_is_there(story: Story) -> None:
     assert (story.folder / "beetle.png").is_file()
 
 
-def test_what_the_page_shows_is_what_is_said(story: Story) -> None:
-    """Figures change with the length of the fit; all else is there to the letter."""
-    parts = [(part, said) for line, said in story.shown for part in line.split("...") if part.strip()]
+def test_the_page_shows_the_output_of_its_commands(story: Story) -> None:
+    """Figures change with the length of the fit; the rest is compared to the letter."""
+    parts = [(part, output) for line, output in story.shown for part in line.split("...") if part.strip()]
     assert len(parts) > 30
-    for part, said in parts:
-        assert _without_figures(part) in _without_figures(said), part
+    for part, output in parts:
+        assert _without_figures(part) in _without_figures(output), part
 
 
 def test_the_truth_has_the_frames_of_the_videos(story: Story) -> None:
@@ -134,7 +134,7 @@ def test_the_truth_has_the_frames_of_the_videos(story: Story) -> None:
     np.testing.assert_array_equal(np.concatenate([v.keypoints for v in videos])[seen], truth.keypoints[seen])
 
 
-def test_a_guess_of_the_tracker_is_far_off_and_has_a_low_likelihood(story: Story) -> None:
+def test_guesses_of_the_tracker_have_a_low_likelihood(story: Story) -> None:
     truth = read(story.folder / "truth.npz")
     files = sorted((story.folder / "new").glob("new_*.csv"))
     guesses = np.concatenate([read(file).confidence for file in files])[truth.confidence == 0]
@@ -167,7 +167,7 @@ def test_the_poses_are_in_mm_and_as_long_as_a_beetle(story: Story) -> None:
     assert 17 < np.median(length) < 19
 
 
-def test_the_prior_is_a_part_of_the_fit(story: Story) -> None:
+def test_the_prior_is_part_of_the_fit(story: Story) -> None:
     rows = [line.split(",") for line in (story.folder / "runs/beetle_task/last/metrics.csv").read_text().splitlines()]
     values = [float(row[3]) for row in rows[1:] if row[2] == "claws"]
     assert values and max(values) > 0
@@ -175,16 +175,8 @@ def test_the_prior_is_a_part_of_the_fit(story: Story) -> None:
     assert "claws" not in plain
 
 
-def test_the_page_draws_its_poses(story: Story) -> None:
-    text = (story.folder / "poses.html").read_text()
-    assert "hind_claw_l" in text
-    if BROWSER is None:
-        pytest.skip("no chromium here to draw the page with")
-    browser = Browser(story.folder)
-    try:
-        page = Page(browser, story.folder / "poses.html")
-        drawn = page.ink("deep")[0], page.ink("flat")[0]
-        assert min(drawn) > 100
-        assert page.troubles() == []
-    finally:
-        browser.close()
+def test_the_page_draws_its_poses(story: Story, request: pytest.FixtureRequest) -> None:
+    assert "hind_claw_l" in (story.folder / "poses.html").read_text()
+    page = Page(request.getfixturevalue("browser"), story.folder / "poses.html")
+    assert min(page.ink("deep")[0], page.ink("flat")[0]) > 100
+    assert page.troubles() == []

@@ -1,4 +1,4 @@
-"""The documents: every name they should have, every link, command and example that they give."""
+"""The documentation: all names are covered; links, commands and examples work."""
 
 from __future__ import annotations
 
@@ -19,6 +19,7 @@ from uplift.config.loading import load_settings, put_override, setting_names
 from uplift.config.plugins import find_class, options_of
 from uplift.config.settings import Settings
 from uplift.data.formats import read
+from uplift.data.mask_tensors import MaskSet
 from uplift.data.masks import MaskData
 from uplift.data.tensors import TrainingSet
 from uplift.metrics.protocols import PROTOCOLS
@@ -54,7 +55,7 @@ def _commands(page: Path) -> list[str]:
 
 
 def _files(page: Path, language: str) -> dict[str, str]:
-    """Return the page's blocks that are whole files: those that begin with ``# NAME.ending``."""
+    """Return the page's blocks that are complete files: those that begin with ``# NAME.ending``."""
     named = [(re.match(r"# (\w+\.\w+)\n", block), block) for block in _blocks(page, language)]
     return {match[1]: block for match, block in named if match}
 
@@ -83,13 +84,13 @@ def test_every_name_is_documented(name: str) -> None:
     assert f"`{name}`" in ALL_TEXT
 
 
-def test_no_setting_is_documented_that_is_not_there() -> None:
+def test_documented_settings_exist() -> None:
     groups = {name.split(".")[0] for name in setting_names() if "." in name} - {"priors"}
     spans = re.findall(rf"`((?:{'|'.join(groups)})\.[\w.]+)[`=]", ALL_TEXT)
     known = set(setting_names())
     known |= {name.rpartition(".")[0] for name in known}
     known |= {f"data.{field.name}" for field in fields(TrainingSet)}  # what `prepare(data)` is given
-    known |= {f"data.{field.name}" for field in fields(MaskData)}
+    known |= {f"data.{field.name}" for kind in (MaskData, MaskSet) for field in fields(kind)}
     ours = {
         name
         for name in spans
@@ -103,14 +104,14 @@ def test_the_defaults_in_the_tables_are_those_of_the_code() -> None:
     rows = re.findall(
         r"^\| ((?:`[\w.]+` ?)+) \| ((?:`[^`]+` ?)+) \|", (ROOT / "docs/tasks-and-settings.md").read_text(), re.M
     )
-    told: dict[str, str] = {}
+    documented: dict[str, str] = {}
     for names, values in rows:
         names, values = re.findall("`([^`]+)`", names), re.findall("`([^`]+)`", values)
         if names[0] in setting_names():
             assert len(names) == len(values), names
-            told |= dict(zip(names, values, strict=True))
-    assert set(told) == set(setting_names())
-    for name, text in told.items():
+            documented |= dict(zip(names, values, strict=True))
+    assert set(documented) == set(setting_names())
+    for name, text in documented.items():
         value: object = Settings()
         for key in name.split("."):
             value = getattr(value, key)
@@ -120,7 +121,7 @@ def test_the_defaults_in_the_tables_are_those_of_the_code() -> None:
 
 
 @pytest.mark.parametrize(("page", "link"), LINKS, ids=[f"{page.name}:{link}" for page, link in LINKS])
-def test_links_lead_somewhere(page: Path, link: str) -> None:
+def test_links_are_valid(page: Path, link: str) -> None:
     if link == "docs/pictures/page.png":
         pytest.skip("the picture is made from a run")
     file, _, anchor = link.partition("#")
@@ -298,7 +299,7 @@ def test_every_format_is_documented() -> None:
     assert [ending for ending in WRITERS["poses"] if f"`{ending}`" not in output] == []
 
 
-def test_everything_of_masks_and_shapes_is_documented() -> None:
+def test_mask_formats_shape_writers_and_metrics_are_documented() -> None:
     from uplift.data.formats import MASK_FORMATS
     from uplift.export import WRITERS
     from uplift.metrics.protocols import SHAPE_METRICS

@@ -1,4 +1,4 @@
-"""The worked examples: every file and command of the page, with fewer frames and steps, ending in poses that beat flat depth."""
+"""The examples page: every file and command, with fewer frames and steps; the poses must beat flat depth."""
 
 from __future__ import annotations
 
@@ -11,26 +11,26 @@ import pytest
 from bodies import refusal, status_of
 
 import uplift
-from benchmarks.examples.files import EXAMPLES, PAGE, files_of, write_files
+from benchmarks.examples import EXAMPLES, PAGE, files_of, write_files
 from uplift.config.files import shipped_names
 from uplift.config.loading import load_settings
 from uplift.skeleton import load_skeleton
 
 SHIPPED = {"quadruped": "quadruped28", "rat": "rat23", "hand": "hand21", "chair": "chair10"}
 
-# A few seconds in place of minutes: a small teacher alone, with large steps.
+# Seconds instead of minutes: only a small teacher, with a high learning rate.
 SMALL = (
     "student.share=0", "lifter.options.units=64", "lifter.refine.iterations=0", "teacher.batch_size=48",
     "teacher.learning_rate=5e-3", "priors.flow.units=16", "priors.flow.blocks=4", "priors.flow.batch_size=128",
     "priors.flow.steps=100", "trainer.max_time=null", "trainer.max_steps=150", "trainer.threads=1",
 )  # fmt: skip
-# Views from everywhere need more steps than that; handedness and consistency alone need fewer.
+# Views from all directions need more steps; handedness and consistency alone need fewer.
 HAND = ("priors.flow.weight=0", "priors.handedness.margin=0.5", "teacher.learning_rate=4e-3", "trainer.max_steps=200")
 FRAMES = {"train.npz": 1000, "test.npz": 100}
 
 
 def _commands(name: str) -> list[list[str]]:
-    """Return the words of the commands of an example's section."""
+    """Return the commands of an example's section."""
     section = next(part for part in PAGE.read_text().split("\n## ") if f"# my_{name}.yaml" in part)
     block = next(text for text in re.findall(r"^```\n(.*?)^```$", section, re.M | re.S) if "uplift fit" in text)
     return [shlex.split(line, comments=True)[1:] for line in block.splitlines()]
@@ -43,7 +43,7 @@ def example(request: pytest.FixtureRequest, here: Path) -> str:
     return request.param
 
 
-def test_the_page_has_the_four_and_no_others() -> None:
+def test_the_page_has_these_four_examples() -> None:
     assert set(files_of()) == {f"my_{name}{ending}.yaml" for name in EXAMPLES for ending in ("", "_task")}
     assert set(SHIPPED) == set(EXAMPLES)
     assert not {Path(file).stem for file in files_of()} & {*shipped_names("skeletons"), *shipped_names("tasks")}
@@ -56,7 +56,7 @@ def test_files_are_short(name: str) -> None:
     assert max(map(len, "\n".join(files.values()).splitlines())) <= 120
 
 
-def test_skeletons_say_what_the_shipped_ones_do(name: str) -> None:
+def test_skeletons_equal_the_included_ones(name: str) -> None:
     mine, shipped = load_skeleton(f"my_{name}.yaml"), load_skeleton(SHIPPED[name])
     assert set(mine.joints) == set(shipped.joints)
     assert {frozenset(bone) for bone in mine.bones} == {frozenset(bone) for bone in shipped.bones}
@@ -68,7 +68,7 @@ def test_skeletons_say_what_the_shipped_ones_do(name: str) -> None:
     assert not mine.body
 
 
-def test_tasks_are_the_default_recipe(name: str) -> None:
+def test_tasks_use_the_default_recipe(name: str) -> None:
     settings, default = load_settings(f"my_{name}_task.yaml"), load_settings(None)
     assert settings.skeleton == str(Path(f"my_{name}.yaml").absolute())
     assert settings.priors == default.priors
@@ -77,7 +77,7 @@ def test_tasks_are_the_default_recipe(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", EXAMPLES)
-def test_the_real_sets_are_in_these_joints(name: str, tmp_path: Path, benchmark_data) -> None:
+def test_the_real_sets_have_these_joints(name: str, tmp_path: Path, benchmark_data) -> None:
     from uplift.data.load import load_file
     from uplift.metrics.pose_metrics import facing_sign
 
@@ -91,7 +91,7 @@ def test_the_real_sets_are_in_these_joints(name: str, tmp_path: Path, benchmark_
 
 
 def _shorter(words: list[str], name: str) -> list[str]:
-    """Return the command with as little work as a test can wait for."""
+    """Return the command with less work."""
     if words[0] == "simulate":
         file = next(word for word in words if word.startswith("output=")).removeprefix("output=")
         return [re.sub(r"^frames=\d+$", f"frames={FRAMES[file]}", word) for word in words]
@@ -127,24 +127,24 @@ MISTAKES = [
 
 
 @pytest.mark.parametrize(("of", "old", "new", "says"), MISTAKES, ids=[new or old for _, old, new, _ in MISTAKES])
-def test_a_slip_in_a_file_is_told(
+def test_a_mistake_in_a_file_is_reported(
     of: str, old: str, new: str, says: str, here: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     write_files(of, here)
     file = here / f"my_{of}.yaml"
     assert old in file.read_text()
     file.write_text(file.read_text().replace(old, new))
-    said = refusal(capsys, "skeleton", "check", file.name)
-    assert says in said
-    assert f"{file.name}, line " in said
+    message = refusal(capsys, "skeleton", "check", file.name)
+    assert says in message
+    assert f"{file.name}, line " in message
 
 
-def test_joints_that_the_file_does_not_have_are_named(here: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_joints_missing_in_the_file_are_named(here: Path, capsys: pytest.CaptureFixture[str]) -> None:
     write_files("rat", here)
     file = here / "my_rat.yaml"
     file.write_text(file.read_text().replace("Snout", "Snuot"))
     uplift.simulate("rat23", "train.npz", frames=20)
     uplift.simulate("rat23", "test.npz", frames=20, seed=1)
-    said = refusal(capsys, "fit", "task=my_rat_task.yaml", *SMALL)
-    assert "missing 'Snuot'" in said
-    assert "Did you mean 'Snout'?" in said
+    message = refusal(capsys, "fit", "task=my_rat_task.yaml", *SMALL)
+    assert "missing 'Snuot'" in message
+    assert "Did you mean 'Snout'?" in message

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from writers_samples import prediction
+from writers_samples import complete_prediction, prediction
 
 from uplift.errors import UserError
 from uplift.export.scene import in_axes
@@ -32,10 +32,7 @@ def column(rows: list[dict[str, str]], name: str) -> np.ndarray:
 
 @pytest.fixture
 def sample() -> Prediction:
-    whole = prediction(frames=6, individuals=2, spread=True)
-    rows, joints = whole.pose.shape[:2]
-    root = np.random.default_rng(0).normal(size=(rows, 3)) * 1000 + [0, 0, 12345.678]
-    return replace(whole, root=root, filled=np.arange(rows * joints).reshape(rows, joints) % 3 == 0)
+    return complete_prediction(frames=6)
 
 
 def test_every_number_comes_back(sample: Prediction, tmp_path: Path) -> None:

@@ -6,7 +6,6 @@ import base64
 import io
 import re
 import xml.etree.ElementTree as ET
-from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +14,7 @@ import torch
 from bodies import body_arrays, refusal, status_of, write_body
 from hypothesis import given
 from hypothesis import strategies as st
-from page_browser import BROWSER, Browser, Page
+from page_browser import Browser, Page
 from PIL import Image
 from writers_samples import prediction, tilted
 
@@ -408,20 +407,7 @@ def test_what_does_not_go_together_is_refused(words: list[str], says: str, lifte
 
 # -- in a browser -----------------------------------------------------------------------------------------
 
-needs_browser = pytest.mark.skipif(
-    BROWSER is None, reason="no Chromium on this machine (Debian: apt-get install chromium)"
-)
 
-
-@pytest.fixture(scope="module")
-def browser(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Browser]:
-    """Yield one browser for all tests here."""
-    browser = Browser(tmp_path_factory.mktemp("browser"))
-    yield browser
-    browser.close()
-
-
-@needs_browser
 @pytest.mark.parametrize(("width", "across"), [(1400, 12), (800, 6), (400, 4)])
 def test_it_is_drawn_and_wraps(width: int, across: int, browser: Browser, tmp_path: Path) -> None:
     sample = _photographed(tmp_path / "photos")
@@ -445,7 +431,6 @@ def test_it_is_drawn_and_wraps(width: int, across: int, browser: Browser, tmp_pa
     assert [trouble for trouble in page.troubles() if not trouble.startswith("request data:")] == []
 
 
-@needs_browser
 def test_it_follows_the_scheme_and_prints_light(browser: Browser, tmp_path: Path) -> None:
     write(prediction(frames=2), tmp_path / "page.html", page="gallery")
     page = Page(browser, tmp_path / "page.html", prefers_color_scheme="dark")

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from writers_samples import prediction
+from writers_samples import complete_prediction, prediction
 
 from uplift.errors import UserError
 from uplift.export.scene import AXES, in_axes
@@ -34,10 +34,7 @@ def column(found: dict, name: str) -> np.ndarray:
 
 @pytest.fixture
 def sample() -> Prediction:
-    whole = prediction(frames=5, individuals=2, spread=True)
-    rows, joints = whole.pose.shape[:2]
-    root = np.random.default_rng(0).normal(size=(rows, 3)) * 1000 + [0, 0, 12345.678]
-    return replace(whole, root=root, filled=np.arange(rows * joints).reshape(rows, joints) % 3 == 0)
+    return complete_prediction(frames=5)
 
 
 def test_everything_comes_back(sample: Prediction, tmp_path: Path) -> None:

@@ -5,14 +5,14 @@ from __future__ import annotations
 import base64
 import io
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from page_browser import BROWSER, Browser, Page
+from page_browser import Browser, Page
 from PIL import Image
 from shape_samples import AZIMUTH, TILT, marked, shapes, view
 
@@ -26,9 +26,6 @@ from uplift.geometry.surface import surface_of
 from uplift.models.prediction import ShapePrediction
 
 _NASTY = '</script><script>alert(1)</script><b>"it\'s" & {{data}} <!--'
-_needs_browser = pytest.mark.skipif(
-    BROWSER is None, reason="no Chromium on this machine (Debian: apt-get install chromium)"
-)
 Open = Callable[..., Page]
 
 
@@ -134,14 +131,6 @@ def test_mistakes_are_told(options: dict[str, Any], told: str) -> None:
         shape_page_text(shapes(2), **options)
 
 
-@pytest.fixture(scope="module")
-def browser(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Browser]:
-    """Yield one browser for all tests here."""
-    browser = Browser(tmp_path_factory.mktemp("browser"))
-    yield browser
-    browser.close()
-
-
 @pytest.fixture
 def show(browser: Browser, tmp_path: Path) -> Open:
     """Return a function that writes a prediction's page and opens it."""
@@ -153,7 +142,6 @@ def show(browser: Browser, tmp_path: Path) -> Open:
     return opened
 
 
-@_needs_browser
 @pytest.mark.parametrize("distance", [np.inf, 2.5])
 def test_the_silhouette_lies_on_the_mask(show: Open, distance: float) -> None:
     page = show(shapes(1, distance=distance))
@@ -161,7 +149,6 @@ def test_the_silhouette_lies_on_the_mask(show: Open, distance: float) -> None:
     assert page.ink("deep")[0] > 5000 and not page.troubles()
 
 
-@_needs_browser
 def test_silhouettes_of_the_true_shape_are_compared_from_all_sides(
     show: Open, browser: Browser, tmp_path: Path
 ) -> None:
@@ -173,7 +160,6 @@ def test_silhouettes_of_the_true_shape_are_compared_from_all_sides(
     assert min(page.state()["turns"]) < 0.85
 
 
-@_needs_browser
 def test_it_turns_by_keys_pointer_and_buttons(show: Open) -> None:
     page = show(shapes(3))
     before = page.ink("deep")
@@ -197,7 +183,6 @@ def test_it_turns_by_keys_pointer_and_buttons(show: Open) -> None:
     assert page.state()["painted"] == page.state()["painted"]  # at rest nothing is drawn
 
 
-@_needs_browser
 def test_the_gallery_opens_at_all_items_sorts_and_opens_one(show: Open) -> None:
     sample = shapes(7)
     sample.occupancy[3] = 0
@@ -219,7 +204,6 @@ def test_the_gallery_opens_at_all_items_sorts_and_opens_one(show: Open) -> None:
     assert not page.troubles()
 
 
-@_needs_browser
 def test_shapes_without_any_surface_are_a_page_too(show: Open) -> None:
     sample = shapes(1)
     sample.occupancy[:] = 0

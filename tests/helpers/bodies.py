@@ -13,7 +13,7 @@ from uplift.skeleton import load_skeleton
 
 FOCAL_PX, CENTRE_PX, DISTANCE_MM = 1145.0, 500.0, 5000.0
 
-# Small and quick, yet every part of a fit with both of its stages runs.
+# Small and fast, but every part of a fit with both stages runs.
 QUICK = (
     "lifter.options.units=16", "lifter.options.blocks=1", "priors.critic.units=16", "priors.critic.blocks=1",
     "priors.flow.steps=3", "priors.flow.units=8",
@@ -26,7 +26,7 @@ QUICK = (
 def body_arrays(frames: int = 60, seed: int = 0, skeleton: str = "h36m17", film: bool = True) -> dict[str, Any]:
     """Return the arrays of a data file: random poses of the skeleton's tree with exact projections.
 
-    Ten frames make a clip; without ``film`` they have nothing to do with each other.
+    Ten frames make a clip; without ``film`` frames are independent.
     """
     return {name: value.copy() for name, value in _arrays(frames, seed, skeleton, film).items()}
 
@@ -39,10 +39,10 @@ def _arrays(frames: int, seed: int, skeleton: str, film: bool) -> dict[str, Any]
     for parent, child in _from_the_root(tree):
         length = 150 + 200 * ((tree.index(child) * 37) % 11) / 11
         if film:  # a limb swings about one direction
-            way = rng.normal(size=(-(-frames // 10), 3)).repeat(10, 0)[:frames] + rng.normal(0, 0.15, (frames, 3))
+            swing = rng.normal(size=(-(-frames // 10), 3)).repeat(10, 0)[:frames] + rng.normal(0, 0.15, (frames, 3))
         else:
-            way = rng.normal(size=(frames, 3))
-        step = way + [0, 1.0, 0]
+            swing = rng.normal(size=(frames, 3))
+        step = swing + [0, 1.0, 0]
         pose[:, tree.index(child)] = pose[:, tree.index(parent)] + length * step / np.linalg.norm(
             step, axis=1, keepdims=True
         )
@@ -66,7 +66,7 @@ def _arrays(frames: int, seed: int, skeleton: str, film: bool) -> dict[str, Any]
 
 
 def _from_the_root(tree: Any) -> list[tuple[str, str]]:
-    """Return the bones so that every parent is placed before its child."""
+    """Return the bones ordered so that every parent is placed before its child."""
     placed, left, order = {tree.root}, list(tree.bones), []
     while left:
         ready = [(a, b) for a, b in left if (a in placed) != (b in placed)]
@@ -84,18 +84,18 @@ def write_body(path: Path, frames: int = 60, seed: int = 0, skeleton: str = "h36
 
 
 def own_data(path: Path, **rest: Any) -> list[str]:
-    """Return the words of a quick fit on a small body written to ``path``."""
+    """Return the arguments of a quick fit on a small body written to ``path``."""
     return ["skeleton=h36m17", f"data.train={write_body(path, **rest)}", *QUICK]
 
 
 def last_words(*words: str) -> list[str]:
-    """Return the words with the last of each key alone: words such as `QUICK` are defaults that later ones replace."""
+    """Return the words without repeated keys: later ones replace those of defaults such as `QUICK`."""
     last = {word.partition("=")[0] if "=" in word else f"{place}": place for place, word in enumerate(words)}
     return [words[place] for place in sorted(last.values())]
 
 
 def status_of(*words: str) -> int:
-    """Return the exit status of the command line in this process, of `last_words`."""
+    """Run a command with `last_words` in this process and return its exit status."""
     try:
         return main(last_words(*words))
     except SystemExit as stop:
@@ -103,7 +103,7 @@ def status_of(*words: str) -> int:
 
 
 def refusal(capsys: Any, *words: str) -> str:
-    """Return the message of a command that must be refused: status 2, one error, no traceback."""
+    """Return the message of a command that must be rejected: status 2, one error, no traceback."""
     capsys.readouterr()
     status = status_of(*words)
     message = capsys.readouterr().err

@@ -1,7 +1,7 @@
-"""Run fits that end badly, each in a process of its own; `tests/test_resume.py` looks at what they leave.
+"""Run fits that are interrupted, each in a separate process; `tests/training/test_resume.py` examines the results.
 
-Reads scenarios as JSON from standard input: folder, words of the command line, stage and step, and
-what happens then. Writes the exit statuses as JSON. Torch is imported once and forked before any work.
+Reads scenarios as JSON from standard input: folder, command line, and the stage and step at which an event happens.
+Writes the exit statuses as JSON. Torch is imported once, and forked before any work.
 """
 
 from __future__ import annotations
@@ -40,17 +40,17 @@ def terminate() -> None:
 
 
 def fill_disk() -> None:
-    """Keep the checkpoint as it is now and let no file grow beyond a few kilobytes."""
+    """Copy the current checkpoint, and limit files to a few kilobytes."""
     for saved in Path("runs").glob("*/*/checkpoints/*.ckpt"):
         shutil.copy(saved, f"good_{saved.name}")
     resource.setrlimit(resource.RLIMIT_FSIZE, (SMALL_DISK_BYTES, resource.getrlimit(resource.RLIMIT_FSIZE)[1]))
 
 
 def kill_while_saving() -> None:
-    whole = torch.save
+    save = torch.save
 
     def half(state: Any, file: Any) -> None:
-        whole(state, file)
+        save(state, file)
         file.truncate(file.tell() // 2)
         file.flush()
         kill()

@@ -1,4 +1,4 @@
-"""glTF files put together for tests: a triangle, a bending arm, animations."""
+"""Small glTF files: a triangle, a bending arm, animations."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ CODES = {"float32": 5126, "uint8": 5121, "int8": 5120, "uint16": 5123, "int16": 
 
 
 class Glb:
-    """A small glTF file, put together array by array."""
+    """A small glTF file, built array by array."""
 
     def __init__(self) -> None:
         self.tree: dict = {"asset": {"version": "2.0"}, "accessors": [], "bufferViews": [], "buffers": []}
         self.data = b""
 
     def put(self, values, dtype: str = "float32", *, stride: int = 0, **more) -> int:
-        """Add an accessor; returns its number. A matrix is given as one reads it and is stored by columns."""
+        """Add an accessor and return its number; matrices are given by rows and stored by columns."""
         array = np.asarray(values, dtype)
         if array.shape[1:] == (4, 4):
             array = array.transpose(0, 2, 1).reshape(-1, 16)
@@ -64,7 +64,7 @@ def plain(**node) -> Glb:
 
 
 def arm() -> Glb:
-    """Return a forearm of two vertices on the elbow at x = 1, and a shoulder of one, bent by an animation."""
+    """Return an arm bent by an animation: two vertices on the elbow at x = 1, one on the shoulder."""
     made = Glb()
     points = [[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [2.0, 0.0, 0.0]]
     attributes = {

@@ -1,4 +1,4 @@
-"""Writes Human3.6M's files in each format that they come in, from simulated motion seen by its real cameras."""
+"""Human3.6M's files in each published format, from simulated motion seen by its real cameras."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ World = dict[str, dict[str, np.ndarray]]
 
 @lru_cache
 def world(frames: int = 11, seed: int = 0) -> World:
-    """Return (frames, 32, 3) mm in the room by subject and sequence: two sequences an action, a bit longer each."""
+    """Return (frames, 32, 3) mm in the world by subject and sequence: two sequences per action, of increasing length."""
     names = [name for action in ACTIONS for name in (action, f"{action} 1")]
     poses = standing(
         simulate(load_skeleton("h36m17"), 7 * 30 * (frames + 6), seed, fps=50.0, clip_seconds=(frames + 6) / 50)
@@ -33,7 +33,7 @@ def world(frames: int = 11, seed: int = 0) -> World:
 
 
 def standing(data) -> np.ndarray:
-    """Return simulated poses as (frames, 32, 3) mm in a room whose z is up, feet on the floor."""
+    """Return simulated poses as (frames, 32, 3) mm in a world with z up, feet on the floor."""
     pose, tilt = data.pose.astype(float), np.radians(data.tilt_deg.astype(float))[:, None]
     down = np.cos(tilt) * pose[..., 1] + np.sin(tilt) * pose[..., 2]
     away = np.cos(tilt) * pose[..., 2] - np.sin(tilt) * pose[..., 1]
@@ -60,7 +60,7 @@ def in_camera(points: np.ndarray, subject: str, camera: str) -> np.ndarray:
 
 
 def project(points: np.ndarray, subject: str, camera: str, swapped: bool = False) -> np.ndarray:
-    """Return pixels as the set's own code projects; ``swapped`` as VideoPose3D's does."""
+    """Return pixels as projected by the data set's code; ``swapped``: by VideoPose3D's."""
     focal, centre, (k1, k2, k3), (p1, p2), _ = _LENSES[camera]
     seen = in_camera(points, subject, camera)
     x, y = seen[..., 0] / seen[..., 2], seen[..., 1] / seen[..., 2]
@@ -72,7 +72,7 @@ def project(points: np.ndarray, subject: str, camera: str, swapped: bool = False
 
 
 def detections(points: np.ndarray, subject: str, camera: str, more: int = 0) -> np.ndarray:
-    """Return what a detector sees of the 17 joints: some pixels off, and some frames longer."""
+    """Return simulated detections of the 17 joints: with noise of some pixels, and a few more frames."""
     seen = project(points[:, OF_32], subject, camera)
     seen = np.concatenate([seen, np.repeat(seen[-1:], more, 0)])
     return (seen + np.random.default_rng(len(seen)).normal(0, 3, seen.shape)).astype(np.float32)
@@ -91,7 +91,7 @@ VIDEOPOSE3D = {
 
 
 def write_videopose3d(folder: Path, kinds=("gt", "cpn", "sh"), poses: World | None = None) -> None:
-    """Write data_3d_h36m.npz and the 2D of each kind, without S11's Directions, as its scripts do."""
+    """Write data_3d_h36m.npz and the 2D of each kind, without S11's Directions, like VideoPose3D's scripts."""
     folder.mkdir(parents=True, exist_ok=True)
     poses = world() if poses is None else poses
     kept = {s: {n: p for n, p in of.items() if (s, n) != ("S11", "Directions")} for s, of in poses.items()}
@@ -117,7 +117,7 @@ def _views(kind: str, points: np.ndarray, subject: str) -> list[np.ndarray]:
 
 
 def write_pickles(folder: Path, poses: World | None = None, protocol: int = 2) -> None:
-    """Write points_3d.pkl, cameras.pkl and sh_detect_2d.pkl; S1 has two actions under other names, in the 3D alone."""
+    """Write points_3d.pkl, cameras.pkl and sh_detect_2d.pkl; two actions of S1 have other names in the 3D file."""
     folder.mkdir(parents=True, exist_ok=True)
     poses = world() if poses is None else poses
     points = {s: {old_name(s, n): p.reshape(len(p), 96) for n, p in of.items()} for s, of in poses.items()}

@@ -1,4 +1,4 @@
-"""What the tests of the method share: training sets, lifters and lifts of random bodies."""
+"""Training sets, lifters and lifts of random bodies."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ H36M = load_skeleton("h36m17")
 
 @contextmanager
 def doubles() -> Iterator[None]:
-    """Compute in float64, so that values can be compared to twelve digits."""
+    """Compute in float64, to compare values to twelve digits."""
     before = torch.get_default_dtype()
     torch.set_default_dtype(torch.float64)
     try:
@@ -63,7 +63,7 @@ def training_set(frames: int = 12, seed: int = 0, skeleton: Skeleton = H36M, **r
 
 
 def small_lifter(skeleton: Skeleton = H36M, seed: int = 0, **settings) -> Lifter:
-    """Return a small lifter whose depths are far from flat."""
+    """Return a small lifter whose depths are not close to 0."""
     torch.manual_seed(seed)
     settings.setdefault("spread", False)
     lifter = build_lifter(LifterSettings(options={"units": 16, "blocks": 1}, **settings), skeleton)

@@ -1,4 +1,4 @@
-"""Files of masks as users have them, written for tests."""
+"""Mask files in the formats that users have."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ __all__ = ["blob", "coco_file", "photo", "runs_of", "save", "text_of_counts"]
 
 
 def blob(height: int = 60, width: int = 80, seed: int = 0, margin: int = 4) -> np.ndarray:
-    """Return (height width) bool: one piece of several overlapping discs and boxes, without holes, clear of the border."""
+    """Return (height width) bool: one connected piece of discs and boxes, without holes, clear of the border."""
     random = np.random.default_rng(seed)
     rows, columns = np.mgrid[:height, :width] + 0.5
     mask = np.zeros((height, width), bool)
@@ -28,7 +28,7 @@ def blob(height: int = 60, width: int = 80, seed: int = 0, margin: int = 4) -> n
 
 
 def save(path: Path, array: np.ndarray, palette: list[int] | None = None, **options: Any) -> Path:
-    """Write an array as a picture, with the folders above it."""
+    """Write an array as an image, creating its folder."""
     path.parent.mkdir(parents=True, exist_ok=True)
     image = Image.fromarray(array)
     if palette is not None:
@@ -39,14 +39,14 @@ def save(path: Path, array: np.ndarray, palette: list[int] | None = None, **opti
 
 
 def runs_of(mask: np.ndarray) -> list[int]:
-    """Return COCO's run lengths of a mask: down the columns, those that are not covered first."""
+    """Return COCO's run lengths of a mask: down the columns, uncovered pixels first."""
     flat = mask.T.reshape(-1).astype(int)
     turns = np.flatnonzero(np.diff(np.concatenate([[0], flat])))
     return np.diff(np.concatenate([[0], turns, [flat.size]])).tolist()
 
 
 def text_of_counts(counts: list[int]) -> str:
-    """Return run lengths in COCO's compressed form, a character at a time as the definition has it."""
+    """Return run lengths in COCO's compressed form, written independently of the package."""
     text = ""
     for place, count in enumerate(counts):
         number = count - counts[place - 2] if place > 2 else count
@@ -60,7 +60,7 @@ def text_of_counts(counts: list[int]) -> str:
 
 
 def coco_file(path: Path, segmentations: list[Any], size: tuple[int, int] = (80, 60), **more: Any) -> Path:
-    """Write a COCO file with an annotation for each segmentation, in turns a horse and a cow, all on one image (width, height)."""
+    """Write a COCO file with one image of ``size`` (width, height) and an annotation per segmentation, alternately horse and cow."""
     content = {
         "images": [{"id": 7, "file_name": "field.jpg", "width": size[0], "height": size[1]}],
         "annotations": [
@@ -74,7 +74,7 @@ def coco_file(path: Path, segmentations: list[Any], size: tuple[int, int] = (80,
 
 
 def photo(height: int = 120, width: int = 160, colours: int = 3, seed: int = 0) -> np.ndarray:
-    """Return a picture of soft shades and grain."""
+    """Return a smooth image with noise."""
     random = np.random.default_rng(seed)
     rows, columns = np.mgrid[:height, :width]
     light = 120 + 60 * np.sin(rows / 17) + 50 * np.cos(columns / 23)

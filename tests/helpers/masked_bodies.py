@@ -1,4 +1,4 @@
-"""Random bodies with masks: their bones, drawn with a broad pen."""
+"""Random bodies with masks: their bones drawn as thick lines."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ THICK_PX = 24
 
 
 def masked(data: PoseData, side: int = SIDE) -> PoseData:
-    """Return the frames with masks: their bones, drawn with a broad pen."""
+    """Return the frames with masks: their bones drawn as thick lines."""
     masks, box = [], []
     for keypoints in data.keypoints:
         low, high = keypoints.min(0) - THICK_PX, keypoints.max(0) + THICK_PX
@@ -32,7 +32,7 @@ def masked(data: PoseData, side: int = SIDE) -> PoseData:
 
 
 def hiding(data: PoseData, share: float = 0.3, seed: int = 0) -> PoseData:
-    """Return the frames with joints missing, never the root."""
+    """Return the frames with missing joints, never the root."""
     confidence = (np.random.default_rng(seed).random(data.confidence.shape) >= share).astype(np.float32)
     confidence[:, H36M.root_index] = 1
     return replace(data, confidence=confidence, keypoints=data.keypoints * (confidence[..., None] > 0))

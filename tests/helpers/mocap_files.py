@@ -1,4 +1,4 @@
-"""Acclaim and Biovision files in CMU's exact layout, and where scipy says their joints are."""
+"""Acclaim and Biovision files in CMU's exact layout, and their joint positions computed with scipy."""
 
 from __future__ import annotations
 
@@ -89,7 +89,7 @@ BVH_JOINTS = [
 
 
 def motion(frames: int, seed: int = 0) -> dict[str, np.ndarray]:
-    """Return the values of each bone for a smooth made-up motion: (frames, degrees of freedom), degrees."""
+    """Return the values of each bone for a smooth synthetic motion: (frames, degrees of freedom), degrees."""
     random = np.random.default_rng(seed)
     time = np.arange(frames)[:, None] / 40
     values = {}
@@ -101,7 +101,7 @@ def motion(frames: int, seed: int = 0) -> dict[str, np.ndarray]:
 
 
 def write_asf(path: Path, scale: float = 1.0, unit: float = 0.45) -> Path:
-    """Write the skeleton; ``scale`` makes another person of it."""
+    """Write the skeleton; ``scale`` changes the size of the person."""
     lines = ["# AST/ASF file generated using VICON BodyLanguage", ":version 1.10", ":name VICON", ":units"]
     lines += ["  mass 1.0", f"  length {unit}", "  angle deg", ":documentation", "   made up: by a test", ":root"]
     lines += ["   order TX TY TZ RX RY RZ", "   axis XYZ", "   position 0 0 0  ", "   orientation 0 0 0 ", ":bonedata"]
@@ -185,7 +185,7 @@ def _local(values: dict[str, np.ndarray]) -> dict[str, Rotation]:
 
 
 def expected(values: dict[str, np.ndarray], scale: float = 1.0, as_bvh: bool = False) -> dict[str, np.ndarray]:
-    """Return where our joints are, mm: forward kinematics with scipy, the bones as lines.
+    """Return our joint positions, mm: forward kinematics with scipy, with bones as lines.
 
     ``as_bvh``: with what a conversion without thorax and wrist is mended with.
     """

@@ -1,4 +1,4 @@
-"""Files as MPI-INF-3DHP has them, from simulated motion seen by its published cameras."""
+"""MPI-INF-3DHP's files, from simulated motion seen by its published cameras."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ _PLACE = np.array([-562.8666, 1398.138, 3852.623])
 
 @lru_cache
 def world_motion(frames: int, seed: int) -> np.ndarray:
-    """Return (frames, 28, 3) mm in the set's world: y up, the floor at 0, people near the origin."""
+    """Return (frames, 28, 3) mm in the data set's world: y up, the floor at 0, people near the origin."""
     data = simulate(load_skeleton("mpi_inf_3dhp28"), frames, seed=seed, clip_seconds=frames / 10)
     points = data.pose + data.root[:, None]
     tilt = np.radians(data.tilt_deg)
@@ -48,7 +48,7 @@ def world_motion(frames: int, seed: int) -> np.ndarray:
 
 
 def extrinsics(camera: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return rotation and translation: the first camera as published, the others around the studio from it."""
+    """Return rotation and translation: the first camera as published, the others placed around the studio."""
     angle = 2 * np.pi * camera / 14
     around = np.array([[np.cos(angle), 0, np.sin(angle)], [0, 1, 0], [-np.sin(angle), 0, np.cos(angle)]])
     return _TURN @ around, _PLACE
@@ -130,7 +130,7 @@ def write_test(
 
 
 def save(path: Path, arrays: dict, modern: bool) -> None:
-    """Write a MATLAB file: v7.3 (HDF5 behind a header, axes turned round, cells as references), or v7."""
+    """Write a MATLAB file: v7.3 (HDF5 behind a header, axes reversed, cells as references), or v7."""
     if not modern:
         savemat(path, {name: _cells(value) for name, value in arrays.items()}, do_compression=True)
         return

@@ -1,4 +1,4 @@
-"""Headless Chromium driven through its debugging pipe, with nothing but the standard library."""
+"""Headless Chromium, driven through its debugging pipe with the standard library alone."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ class Browser:
         self.events: list[dict[str, Any]] = []
 
     def close(self) -> None:
-        """Ask the browser to end, and end it where it does not."""
+        """Close the browser, and kill it if it does not end."""
         try:
             self.call("Browser.close")
             self._process.wait(10)
@@ -47,7 +47,7 @@ class Browser:
         os.close(self._read)
 
     def call(self, method: str, session: str | None = None, **arguments: Any) -> dict[str, Any]:
-        """Return the answer to one command; events that come meanwhile are kept."""
+        """Return the answer to one command; events in between are recorded."""
         self._last += 1
         message = {"id": self._last, "method": method, "params": arguments} | (
             {"sessionId": session} if session else {}
@@ -62,7 +62,7 @@ class Browser:
     def _next(self, seconds: float = 30) -> dict[str, Any]:
         while b"\0" not in self._left:
             if not select.select([self._read], [], [], seconds)[0]:
-                raise RuntimeError(f"the browser said nothing for {seconds} s")
+                raise RuntimeError(f"no answer from the browser for {seconds} s")
             part = os.read(self._read, 1 << 20)
             if not part:
                 raise RuntimeError("the browser ended")
@@ -108,11 +108,11 @@ class Page:
         return value
 
     def frames(self, count: int = 2) -> None:
-        """Wait for so many drawn frames."""
+        """Wait for ``count`` drawn frames."""
         self.run(f"(async () => {{ for (let n = 0; n < {count}; n++) await new Promise(requestAnimationFrame); }})()")
 
     def state(self) -> dict[str, Any]:
-        """Return the state that the page tells, drawn."""
+        """Return the state reported by the page, after drawing it."""
         self.frames()
         return self.run("uplift.state()")
 
@@ -144,7 +144,7 @@ class Page:
         ))  # fmt: skip
 
     def troubles(self) -> list[str]:
-        """Return every request but the page's own, every exception and every logged error of this tab."""
+        """Return every request except that of the page, every exception and every logged error of this tab."""
         self.frames()
         found = []
         for event in self._browser.events:

@@ -1,4 +1,4 @@
-"""Small fits of masks for the tests: quick ones of one stage and of three, whole or interrupted."""
+"""Small fits of masks, of one stage and of three, complete or interrupted."""
 
 from __future__ import annotations
 
@@ -29,12 +29,12 @@ SMALL = (
     "trainer.log_every=2", "trainer.threads=1", "teacher.batch_size=16",
 )  # fmt: skip
 STAGES = ("data.simulate=130", "shape.parts=1", "shape.splits=2,2", "trainer.max_steps=24")
-"""Over `SMALL`, three stages: of 1, 2 and 4 shapes."""
+"""Added to `SMALL`: three stages, of 1, 2 and 4 shapes."""
 
 
 @lru_cache
 def many() -> LoadedMasks:
-    """Return the masks of `STAGES`, which take a while to make."""
+    """Return the masks of `STAGES`, which take a while to simulate."""
     return load_masks(load_settings("masks_demo", last_words(*SMALL, *STAGES))).for_training()
 
 
@@ -52,18 +52,18 @@ def fit_of(folder: Path, *words: str, loaded: LoadedMasks | None = None) -> tupl
 
 
 def trained(folder: Path, *words: str, loaded: LoadedMasks | None = None) -> ShapeModel:
-    """Return the model alone."""
+    """Return only the model."""
     return fit_of(folder, *words, loaded=loaded)[1]
 
 
 def same(one: ShapeModel, other: ShapeModel) -> bool:
-    """Return whether all weights are bit for bit the same."""
+    """Return whether all weights are bit-identical."""
     first, second = one.lifter.state_dict(), other.lifter.state_dict()
     return first.keys() == second.keys() and all(torch.equal(first[name], second[name]) for name in first)
 
 
 def noted(patch: pytest.MonkeyPatch) -> list[tuple[int, int, float]]:
-    """Return a list that every step is put in: how many shapes there are, the step of the stage, the temperature."""
+    """Return a list that records every step: number of shapes, step of the stage, temperature."""
     taken: list[tuple[int, int, float]] = []
     objective = MixtureTraining.objective
 
@@ -76,7 +76,7 @@ def noted(patch: pytest.MonkeyPatch) -> list[tuple[int, int, float]]:
 
 
 def interrupt(folder: Path, shapes: int, step: int, *words: str, loaded: LoadedMasks | None = None) -> None:
-    """Fit, and press Ctrl-C in that step of the stage of so many shapes."""
+    """Fit, and press Ctrl-C in a step of the stage with so many shapes."""
     objective = MixtureTraining.objective
 
     def pressing(module: MixtureTraining) -> tuple[Tensor, dict[str, float | Tensor]]:

@@ -1,4 +1,4 @@
-"""Small mixtures of shapes for the tests: a made-up chair in the place of what is learned."""
+"""Small mixtures of shapes: simulated chairs instead of learned shapes."""
 
 from __future__ import annotations
 
@@ -23,18 +23,18 @@ SMALL: dict[str, Any] = {"detail": 12, "crop": 16, "parts": 2, "elevation_deg": 
 
 
 def small(**more: Any) -> ShapeSettings:
-    """Return quick settings; one elevation."""
+    """Return small settings with a single elevation."""
     return ShapeSettings(**{**SMALL, **more})
 
 
 @lru_cache
 def chair(seed: int = 0) -> Mesh:
-    """Return a made-up chair."""
+    """Return a simulated chair."""
     return make_shapes("chairs", 1, seed)[0]
 
 
 def masks_of(mesh: Mesh, items: int, seed: int = 0, side: int = 48) -> MaskData:
-    """Return masks of one shape, seen from all round at about the elevation of `small`."""
+    """Return masks of one shape from all azimuths, at about the elevation of `small`."""
     views = ViewChoice(elevation_mean_deg=20, elevation_sd_deg=4)
     return simulate_masks([mesh], items, seed=seed, side=side, views=views)
 
@@ -45,7 +45,7 @@ def _covered(mesh_seed: int, detail: int) -> Tensor:
 
 
 def mixture_of(seeds: tuple[int, ...], settings: ShapeSettings) -> ShapeMixture:
-    """Return a mixture that knows the chairs of these seeds."""
+    """Return a mixture whose shapes are the chairs of these seeds."""
     torch.manual_seed(0)
     mixture = ShapeMixture(settings)
     for part, seed in enumerate(seeds):
@@ -56,7 +56,7 @@ def mixture_of(seeds: tuple[int, ...], settings: ShapeSettings) -> ShapeMixture:
 
 
 def crops_of(data: MaskData, mixture: ShapeMixture) -> tuple[Tensor, Tensor]:
-    """Return masks as the mixture compares them, and their spreads."""
+    """Return masks cropped for the mixture, and their spreads."""
     masks = as_tensor(data.masks)
     centre, spread = moments(masks)
     return recrop(masks, centre, spread, mixture.settings.crop), spread

@@ -1,4 +1,4 @@
-"""A lifted shape whose front, left and top tell themselves apart, with the mask that it really has."""
+"""A lifted shape whose front, left and top differ, with its exact mask."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _R = 32
 
 
 def marked() -> np.ndarray:
-    """Return a slab with a long horn to its front, a middling one to its left and a short one up."""
+    """Return a cube with a long horn at the front, a medium one on the left and a short one on top."""
     line = (2 * np.arange(_R) + 1) / _R - 1
     z, y, x = np.meshgrid(line, line, line, indexing="ij")
     grid = (np.abs(x) < 0.25) & (np.abs(y) < 0.25) & (np.abs(z) < 0.25)
@@ -28,14 +28,14 @@ def marked() -> np.ndarray:
 
 
 def view(tilt: float = TILT, azimuth: float = AZIMUTH) -> np.ndarray:
-    """Return the rotation from the own frame to the camera's of a camera that walked round and looks down."""
+    """Return the rotation from the object's frame to that of a camera at an azimuth that looks down."""
     down = np.array([[1, 0, 0], [0, np.cos(tilt), -np.sin(tilt)], [0, np.sin(tilt), np.cos(tilt)]])
     turn = np.array([[np.cos(azimuth), 0, np.sin(azimuth)], [0, 1, 0], [-np.sin(azimuth), 0, np.cos(azimuth)]])
     return down @ turn
 
 
 def mask_of(grid: np.ndarray, distance: float = np.inf, side: int = 64) -> np.ndarray:
-    """Return the mask of a grid's surface as the sample's camera sees it from ``distance``."""
+    """Return the mask of a grid's surface as seen by the sample's camera from ``distance``."""
     mesh = surface_of(grid).mesh
     assert mesh is not None
     points = in_camera(mesh.vertices, view(), SCALE, np.zeros(2))
@@ -48,7 +48,7 @@ def mask_of(grid: np.ndarray, distance: float = np.inf, side: int = 64) -> np.nd
 
 
 def shapes(count: int = 1, names: list[str] | None = None, distance: float = np.inf) -> ShapePrediction:
-    """Return the same shape so many times."""
+    """Return ``count`` copies of the shape."""
     grid = marked()
     return ShapePrediction(
         np.stack([grid] * count), np.stack([view()] * count), np.full(count, SCALE), np.tile(OFFSET, (count, 1)),

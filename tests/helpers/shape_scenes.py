@@ -1,4 +1,4 @@
-"""Small true shapes of boxes and where they stand, shared by the tests of lifted shapes."""
+"""Small true shapes made of boxes, and their placement."""
 
 from __future__ import annotations
 
@@ -21,20 +21,20 @@ _FACES = np.array(
 
 
 def box(low, high) -> Mesh:
-    """Return a box, its triangles anticlockwise from outside."""
+    """Return a box with triangles anticlockwise from outside."""
     corners = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)], float)
     return Mesh(np.array(low) + corners * (np.array(high) - np.array(low)), _FACES)
 
 
 def union(*parts: Mesh, category: str = "") -> Mesh:
-    """Return parts as one mesh in its own unit; they may overlap."""
+    """Return the parts as one normalised mesh; they may overlap."""
     starts = np.cumsum([0, *(len(part.vertices) for part in parts)])
     faces = np.concatenate([part.faces + start for part, start in zip(parts, starts, strict=False)])
     return Mesh(np.concatenate([part.vertices for part in parts]), faces, category=category).in_unit()
 
 
 def chair(width: float = 1.0, back: float = 1.0) -> Mesh:
-    """Return a seat, a back behind it, and a block of legs under its front half: no mirror image of itself in depth."""
+    """Return a seat, a back, and a block of legs under the front half: not symmetric in depth."""
     half = width / 2
     seat = box((-half, 0, -0.5), (half, 0.2, 0.5))
     rest = box((-half, -back, 0.25), (half, 0.1, 0.5))
@@ -49,7 +49,7 @@ def views(azimuth_deg, tilt_deg: float = 20.0) -> np.ndarray:
 
 
 def placed(meshes, shape, azimuth_deg, tilt_deg: float = 20.0, distance: float = np.inf) -> Placed:
-    """Return items whose boxes in the image fill the crop as masks' do (for parallel rays)."""
+    """Return items whose bounding boxes fill the crop like those of masks (for parallel rays)."""
     view = views(azimuth_deg, tilt_deg)
     scale, offset = np.ones(len(shape)), np.zeros((len(shape), 2))
     for item, of in enumerate(shape):
@@ -82,7 +82,7 @@ def masks_of(truth: Placed) -> MaskData:
 
 
 def prediction_of(truth: Placed, masks: np.ndarray, occupancy: np.ndarray | None = None) -> ShapePrediction:
-    """Return the truth as a prediction, or another occupancy where the truth stands."""
+    """Return the truth as a prediction, optionally with another occupancy."""
     return ShapePrediction(
         grids(truth) if occupancy is None else occupancy, truth.view, truth.scale, truth.offset, truth.distance,
         masks, [f"item {row}" for row in range(len(truth))], np.zeros((len(truth), 2)), np.ones(len(truth)),

@@ -1,4 +1,4 @@
-"""A stand-in for the lifter of masks, which trains nothing: each mask, pushed along its rays, is its shape."""
+"""A stand-in for the lifter of masks, without training: each shape is the mask extruded along its rays."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ _R = 16
 
 
 class StandInModel(model_module.ShapeModel):
-    """Saved and loaded as the real one; its only weight is how thick shapes are."""
+    """Saved and loaded like the real one; its only weight is the thickness of the shapes."""
 
     def predict(self, data: MaskData, title: str = "") -> ShapePrediction:
         """Return every mask extruded."""
@@ -57,16 +57,16 @@ class StandInModel(model_module.ShapeModel):
 
 
 def _thick(thick: float) -> ShapeMixture:
-    """Return a mixture that only says how thick shapes are."""
+    """Return a mixture that stores only the thickness of shapes."""
     mixture = ShapeMixture(ShapeSettings(detail=4, crop=4, parts=1))
     mixture.level.fill_(thick)
     return mixture
 
 
 def stand_in(patch: pytest.MonkeyPatch, stop: bool = False) -> list[LoadedMasks]:
-    """Put the stand-in in the place of the lifter and its training, and quick baselines; return what each training was given.
+    """Replace the lifter, its training and the baselines by quick ones; return the data of each training.
 
-    ``stop``: as if Ctrl-C were pressed once there is a checkpoint.
+    ``stop``: simulate Ctrl-C once there is a checkpoint.
     """
     given: list[LoadedMasks] = []
 

@@ -1,4 +1,4 @@
-"""Files of HDF5 trackers for tests, laid out as those programs write them."""
+"""HDF5 files in the layouts of the trackers."""
 
 from __future__ import annotations
 
@@ -39,14 +39,14 @@ _POINTS = [("x", "f8"), ("y", "f8"), ("visible", "?"), ("complete", "?")]
 
 
 def some_points(*shape: int, seed: int = 0) -> np.ndarray:
-    """Return random points (px) that float32 holds exactly."""
+    """Return random points (px) that are exact in float32."""
     return np.random.default_rng(seed).integers(1, 5000, (*shape, 2)) / 8
 
 
 def write_analysis(
     path: Path, points: np.ndarray, score: np.ndarray, order: str = "plain", say: bool = True, **extra: Any
 ) -> Path:
-    """Write a SLEAP analysis file of points (frames, tracks, nodes, 2), its axes in some order, said or not."""
+    """Write a SLEAP analysis file of points (frames, tracks, nodes, 2), with its axes in some order, recorded or not."""
     axes = ANALYSIS_ORDERS[order]
     with h5py.File(path, "w") as file:
         file["tracks"] = points.transpose([_AXES.index(axis) for axis in axes])
@@ -72,7 +72,7 @@ def write_analysis(
 
 
 def skeleton_json(*nodes: int, links: tuple[tuple[int, int, int], ...] = (), name: str = "body") -> dict[str, Any]:
-    """Return a skeleton as SLEAP's metadata have it; links are (kind, from, to)."""
+    """Return a skeleton in the form of SLEAP's metadata; links are (kind, from, to)."""
     seen: list[int] = []
     said = []
     for kind, source, target in links:
@@ -100,7 +100,7 @@ def write_slp(
     format_id: float | None = 1.2,
     columns: bool = False,
 ) -> Path:
-    """Write a SLEAP project of (video, frame, instances); with ``columns`` its tables as plain arrays of numbers."""
+    """Write a SLEAP project of (video, frame, instances); with ``columns``, its tables as plain number arrays."""
     rows: dict[str, list[tuple]] = {"frames": [], "instances": [], "points": [], "pred_points": []}
     for place, (video, number, inside) in enumerate(frames):
         start = len(rows["instances"])
@@ -210,7 +210,7 @@ def damage(content: bytes, seed: int) -> bytes:
 
 
 def outcomes(whole: Path, read: Callable[[Path], PoseData], seeds: int) -> Counter[str]:
-    """Count what comes of reading damaged copies of a file: read, refused, wrong (a bug), or lost.
+    """Count the results of reading damaged copies of a file: read, rejected, wrong (a bug), or lost.
 
     Each is read in a process of its own: text of variable length with a wrong place or length sends
     the HDF5 library itself round in circles, or out of its memory; such a copy is lost.

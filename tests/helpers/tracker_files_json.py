@@ -1,4 +1,4 @@
-"""Files as trackers and annotation tools write them in JSON and text, made of known keypoints."""
+"""JSON and text files in the layouts of trackers and annotation tools, with known keypoints."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ __all__ = [
 
 
 def people(rows: int, joints: int, seed: int = 0, size: float = 1000.0) -> np.ndarray:
-    """Return (rows, joints, 3): x, y of three decimals that float32 holds apart, and a score; some are missing."""
+    """Return (rows, joints, 3): x, y with three decimals that are distinct in float32, and a score; some are missing."""
     rng = np.random.default_rng(seed)
     found = np.concatenate([rng.uniform(1, size, (rows, joints, 2)), rng.uniform(0.05, 1, (rows, joints, 1))], -1)
     found = np.round(found, 3)
@@ -27,7 +27,7 @@ def people(rows: int, joints: int, seed: int = 0, size: float = 1000.0) -> np.nd
 
 
 def write_json(path: Path, content: Any) -> Path:
-    """Write a file, and the folders above it."""
+    """Write a file, creating its folder."""
     path.parent.mkdir(parents=True, exist_ok=True)
     path.write_text(json.dumps(content), encoding="utf-8")
     return path
@@ -36,7 +36,7 @@ def write_json(path: Path, content: Any) -> Path:
 def coco_annotations(
     flat: np.ndarray, joints: tuple[str, ...] = COCO_JOINTS, category: str = "person", start: int = 1
 ) -> dict[str, Any]:
-    """Return annotations of (rows, joints, 3) x, y, v, two of an image of 640 x 480."""
+    """Return annotations of (rows, joints, 3) x, y, v, two per image of 640 x 480."""
     return {
         "info": {"year": 2020},
         "licenses": [],
@@ -70,7 +70,7 @@ def coco_annotations(
 
 
 def coco_results(flat: np.ndarray) -> list[dict[str, Any]]:
-    """Return results of (rows, joints, 3), two an image."""
+    """Return results of (rows, joints, 3), two per image."""
     return [
         {"image_id": 139 + row // 2, "category_id": 1, "keypoints": person.ravel().tolist(), "score": 0.9}
         for row, person in enumerate(flat)
@@ -78,7 +78,7 @@ def coco_results(flat: np.ndarray) -> list[dict[str, Any]]:
 
 
 def alphapose_list(flat: np.ndarray, track: int | None = 1) -> list[dict[str, Any]]:
-    """Return AlphaPose's list, one body a frame of a video."""
+    """Return AlphaPose's list, one body per video frame."""
     found = []
     for row, person in enumerate(flat):
         entry = {"image_id": f"{row}.jpg", "category_id": 1, "keypoints": person.ravel().tolist(), "score": 2.9}
@@ -87,7 +87,7 @@ def alphapose_list(flat: np.ndarray, track: int | None = 1) -> list[dict[str, An
 
 
 def alphapose_objects(flat: np.ndarray, form: str) -> dict[str, Any]:
-    """Return what ``--format cmu`` and ``--format open`` write, one body an image."""
+    """Return the output of ``--format cmu`` and ``--format open``, one body per image."""
     list_name, own = {"cmu": ("bodies", "joints"), "open": ("people", "pose_keypoints_2d")}[form]
     return {
         f"{row}.jpg": {"version": "AlphaPose v0.3", list_name: [{own: person.ravel().tolist()}]}
@@ -147,7 +147,7 @@ def mmpose(frames: list[list[np.ndarray]], names: tuple[str, ...], tracks: bool 
 
 
 def kinetics(frames: list[list[np.ndarray]], flat: bool = True) -> dict[str, Any]:
-    """Return a video's skeletons, frames counted from 1; flat as ST-GCN's, or in pairs with nested scores."""
+    """Return a video's skeletons, frames counted from 1; flat like ST-GCN's, or in pairs with nested scores."""
 
     def skeleton(person: np.ndarray) -> dict[str, Any]:
         if flat:
@@ -190,7 +190,7 @@ def alphatracker(images: list[list[np.ndarray]]) -> list[dict[str, Any]]:
 
 
 def ultralytics_row(points: np.ndarray, *extra: float, kind: int = 0) -> str:
-    """Return a row of a label file: class, the box around (joints, 2 or 3) shares, the points, and what follows."""
+    """Return a row of a label file: class, the box around (joints, 2 or 3) fractions, the points, and any further values."""
     given = points[(points[:, :2] != 0).any(1), :2]
     low, high = given.min(0), given.max(0)
     values = [kind, *((low + high) / 2), *(high - low), *points.ravel(), *extra]
@@ -198,7 +198,7 @@ def ultralytics_row(points: np.ndarray, *extra: float, kind: int = 0) -> str:
 
 
 def ultralytics_list(flat: np.ndarray, tracks: bool = False) -> list[dict[str, Any]]:
-    """Return what ``to_json()`` writes for one image."""
+    """Return the output of ``to_json()`` for one image."""
     return [
         {
             "name": "person",

@@ -1,4 +1,4 @@
-"""Writers of the layouts that DeepLabCut, MediaPipe's users and VideoPose3D have, for the tests of their readers."""
+"""Files in the layouts of DeepLabCut, MediaPipe tables and VideoPose3D."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ COCO_METADATA = {
 
 
 def tracked(frames: int, joints: int, seed: int = 0, missing: float = 0.1) -> np.ndarray:
-    """Return (frames joints 3): x, y, likelihood as networks give them; some NaN."""
+    """Return (frames joints 3): x, y, likelihood as networks output them; some NaN."""
     rng = np.random.default_rng(seed)
     values = rng.random((frames, joints, 3), np.float32) * np.array([640, 480, 1], np.float32)
     values[rng.random((frames, joints)) < missing] = np.nan
@@ -40,7 +40,7 @@ def deeplabcut_frame(
 
 
 def mediapipe_marks(values: np.ndarray) -> list[list[dict[str, float]]]:
-    """Return (frames landmarks 4) numbers as the dictionaries of each frame's landmarks."""
+    """Return (frames landmarks 4) numbers as dictionaries of each frame's landmarks."""
     keys = ("x", "y", "z", "visibility")
     return [[dict(zip(keys, map(float, mark), strict=True)) for mark in frame] for frame in values]
 
@@ -73,7 +73,7 @@ def write_json(path: Path, content: object) -> Path:
 
 
 def videopose3d_custom(path: Path, videos: dict[str, np.ndarray], **metadata: object) -> Path:
-    """Write what prepare_data_2d_custom.py writes: pickled dictionaries of the videos' keypoints."""
+    """Write the output of prepare_data_2d_custom.py: pickled dictionaries of the videos' keypoints."""
     told = {**COCO_METADATA, "video_metadata": {name: {"w": 640, "h": 480} for name in videos}, **metadata}
     positions = {name: {"custom": [keypoints]} for name, keypoints in videos.items()}
     np.savez_compressed(path, positions_2d=positions, metadata=told)  # type: ignore[arg-type]
@@ -81,7 +81,7 @@ def videopose3d_custom(path: Path, videos: dict[str, np.ndarray], **metadata: ob
 
 
 def videopose3d_detected(path: Path, frames: Sequence[np.ndarray]) -> Path:
-    """Write what infer_video_d2.py writes: for each frame a pair of lists, of (bodies 4 joints) numbers."""
+    """Write the output of infer_video_d2.py: for each frame a pair of lists of (bodies 4 joints) numbers."""
     pairs = np.empty((len(frames), 2), object)
     boxes = np.empty((len(frames), 2), object)
     for number, bodies in enumerate(frames):
@@ -93,7 +93,7 @@ def videopose3d_detected(path: Path, frames: Sequence[np.ndarray]) -> Path:
 
 
 def damaged(whole: bytes, seed: int, count: int) -> list[bytes]:
-    """Return the file cut at many places, with bytes turned round, and with hostile words in it."""
+    """Return damaged copies of the file: cut short, with flipped bytes, with malicious content."""
     rng = np.random.default_rng(seed)
     words = [
         b"nan",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -9,7 +10,7 @@ import numpy as np
 from uplift.models.prediction import Prediction
 from uplift.skeleton import Skeleton
 
-__all__ = ["chain", "figure", "prediction", "tilted"]
+__all__ = ["chain", "complete_prediction", "figure", "prediction", "tilted"]
 
 _REST = {
     "hip": (0, 0, 0), "neck": (0, -500, 0), "head": (0, -700, -40),
@@ -52,9 +53,9 @@ def prediction(
     rooted: bool = False,
     **more,
 ) -> Prediction:
-    """Return ``frames`` frames of each individual; ``joints`` > 0 takes a chain in the place of the figure.
+    """Return ``frames`` frames of each individual, of a chain instead of the figure if ``joints`` > 0.
 
-    With ``rooted`` they walk to the right, 2 m apart, feet on one floor, seen by a camera tilted by 8 degrees.
+    With ``rooted`` they walk to the right, 2 m apart, feet on the same floor, seen by a camera tilted by 8 degrees.
     """
     skeleton, random = (chain(joints) if joints else figure()), np.random.default_rng(3)
     rest = np.cumsum(random.normal(size=(joints, 3)) * 20, 0) if joints else np.array(list(_REST.values()), float)
@@ -77,3 +78,11 @@ def prediction(
     }  # fmt: skip
     ones = np.ones(pose.shape[:2])
     return Prediction(pose, level, "mm", keypoints, ones, skeleton.joints, skeleton, **{**values, **more})
+
+
+def complete_prediction(frames: int) -> Prediction:
+    """Return a prediction of two individuals with root, spread and filled joints, for tables."""
+    sample = prediction(frames=frames, individuals=2, spread=True)
+    rows, joints = sample.pose.shape[:2]
+    root = np.random.default_rng(0).normal(size=(rows, 3)) * 1000 + [0, 0, 12345.678]
+    return replace(sample, root=root, filled=np.arange(rows * joints).reshape(rows, joints) % 3 == 0)

@@ -1,4 +1,4 @@
-"""Bone lengths as shares of the body, against constants that somebody measured in 3D."""
+"""Bone lengths relative to the body, compared with constants measured in 3D."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ __all__ = ["BoneRatios"]
 
 
 class BoneRatios(uplift.Prior):
-    """Squared difference of each bone's length, over the mean bone of its body, to a constant ratio.
+    """Squared difference between each bone's length, relative to the body's mean bone, and a constant ratio.
 
-    After Wandt et al. 2022, ElePose, 3.5 (L_bone), who averaged the ratios over the 3D poses of their
-    training data: whoever sets ``ratios`` (child joint: length over mean length) from 3D gives the fit 3D.
+    After Wandt et al. 2022, ElePose, 3.5 (L_bone), who averaged the ratios over the 3D poses of their training
+    data: a fit with ``ratios`` (child joint: length over mean length) measured in 3D is not 2D-only.
     """
 
     bones: Tensor
@@ -30,7 +30,7 @@ class BoneRatios(uplift.Prior):
         self.register_buffer("ratios", torch.tensor([float(ratios[child]) for child in children]))
 
     def loss(self, lift):
-        """Return for each frame the sum over the bones that were seen; the mean runs over those too."""
+        """Return for each frame the sum over the visible bones, relative to their mean."""
         lengths = bone_lengths(lift.pose, self.bones)
         seen = lift.visible[:, self.bones[:, 0]] * lift.visible[:, self.bones[:, 1]]
         size = (lengths * seen).sum(1) / (self.ratios * seen).sum(1).clamp_min(1e-6)

@@ -1,4 +1,4 @@
-"""Parts of the body lifted by separate networks that do not see each other."""
+"""Parts of the body lifted by separate networks."""
 
 from __future__ import annotations
 
@@ -13,11 +13,10 @@ __all__ = ["Halves"]
 
 
 class Halves(nn.Module):
-    """One residual network for each part of ``parts``; a joint in several parts gets the mean of theirs.
+    """One residual network for each of ``parts``; joints in several parts, and the tilt, get the mean over the parts.
 
-    After Hardy & Kim 2024, LInKs, 3.1. ``joints`` are the skeleton's, in its order, as a network is told
-    how many numbers come in but not what they are; ``parts`` are lists of their names. The tilt is the
-    mean of what the parts say.
+    After Hardy & Kim 2024, LInKs, 3.1. ``joints`` are the skeleton's, in its order, since a network is given only
+    the number of its inputs; ``parts`` are lists of their names.
     """
 
     shares: Tensor
@@ -28,7 +27,7 @@ class Halves(nn.Module):
         unknown = sorted({name for part in parts for name in part} - set(joints))
         left_out = sorted(set(joints) - {name for part in parts for name in part})
         if unknown or left_out:
-            raise UserError(f"Halves: parts name {unknown}, which are no joints, and leave out {left_out}.")
+            raise UserError(f"Halves: parts contain {unknown}, which are not joints, and leave out {left_out}.")
         if inputs % count or not 2 <= inputs // count <= 3 or outputs // count > 2 or outputs % count > 1:
             raise UserError(
                 f"Halves: {inputs} inputs and {outputs} outputs do not fit {count} joints: check `joints`, and set "
@@ -49,17 +48,17 @@ class Halves(nn.Module):
         self.register_buffer("shares", shares)
 
     def forward(self, features: Float[Tensor, "batch inputs"]) -> Float[Tensor, "batch outputs"]:
-        """Return each joint's values from the networks of its parts, then the mean of what they say of the whole."""
+        """Return each joint's values from the networks of its parts, then the values of the body, averaged over parts."""
         keypoints = features[:, : 2 * self.count].unflatten(1, (self.count, 2))
         confidence = features[:, 2 * self.count :]
         total = features.new_zeros(len(features), self.channels, self.count)
-        whole = features.new_zeros(len(features), self.extra)
+        body = features.new_zeros(len(features), self.extra)
         for rows, network in zip(self.rows, self.networks, strict=True):
             seen = keypoints[:, rows].flatten(1)
             if self.confident:
                 seen = torch.cat([seen, confidence[:, rows]], 1)
-            said = network(seen)
-            own = said[:, : len(rows) * self.channels].unflatten(1, (self.channels, len(rows)))
-            total = total.index_add(2, torch.tensor(rows, device=said.device), own)
-            whole = whole + said[:, len(rows) * self.channels :] / len(self.rows)
-        return torch.cat([(total / self.shares).flatten(1), whole], 1)
+            found = network(seen)
+            joints = found[:, : len(rows) * self.channels].unflatten(1, (self.channels, len(rows)))
+            total = total.index_add(2, torch.tensor(rows, device=found.device), joints)
+            body = body + found[:, len(rows) * self.channels :] / len(self.rows)
+        return torch.cat([(total / self.shares).flatten(1), body], 1)

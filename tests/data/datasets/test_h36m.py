@@ -577,7 +577,7 @@ def test_cdf_of_either_majority(tmp_path, majority):
 
 
 def test_files_of_full_size_are_as_the_real_ones(tmp_path):
-    from benchmarks.h36m_files import write_full_size
+    from benchmarks.loading.files import write_full_size
 
     write_full_size(tmp_path, 7 * 30 * 20, keypoints=("gt", "cpn"), compress=False)
     data = Human36M(tmp_path, fps=50).read("train")

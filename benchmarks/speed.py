@@ -1,4 +1,4 @@
-"""Measure speed as ratios within one run; absolute seconds belong to the machine they were read on."""
+"""Measure speed as ratios within one run, since absolute times depend on the machine."""
 
 from __future__ import annotations
 
@@ -17,23 +17,22 @@ import numpy as np
 import torch
 from torch.utils.flop_counter import FlopCounterMode
 
-from benchmarks.machine import ROOT, facts
+from benchmarks.common import ROOT, facts, write_json
+from benchmarks.stepping import stepper, student, teacher, untrained_poses
 from uplift.config.loading import load_settings
 from uplift.config.settings import LifterSettings, TrainerSettings
 from uplift.data.poses import PoseData
 from uplift.data.synthetic.simulate import simulate
 from uplift.data.tensors import TrainingSet
 from uplift.models.model import Model, build_lifter
-from uplift.priors import build_priors
 from uplift.skeleton import load_skeleton
 from uplift.training.adversarial import AdversarialTraining
 from uplift.training.base import LifterTraining
 from uplift.training.pose_recipe import student_settings
-from uplift.training.pseudo_labels import lift_all
 from uplift.training.stages import StageBudget, run_stage
 from uplift.training.student import StudentTraining
 
-_ROUNDS = 3
+_ROUNDS, _WARM_UP = 3, 16
 
 
 def main() -> int:
@@ -50,14 +49,14 @@ def main() -> int:
     rows["a million poses"] = million(data)
     result = {"command": "python -m benchmarks.speed", **facts(), "threads": torch.get_num_threads(), "rows": rows}
     path = ROOT / "benchmarks" / "results" / "speed.json"
-    path.write_text(json.dumps(result, indent=1) + "\n")
+    write_json(path, result)
     print(json.dumps(rows, indent=1))
     print(f"wrote {path}")
     return 0
 
 
 def peak() -> float:
-    """Return the matrix-product peak of all threads, FLOP/s: the best of many products of two sizes."""
+    """Return the peak rate of matrix products on all threads, FLOP/s: the best of many products of two sizes."""
     best = 0.0
     for size in (1024, 2048):
         left, right = torch.randn(size, size), torch.randn(size, size)
@@ -69,7 +68,7 @@ def peak() -> float:
 
 
 def training(task: str, batch: int, data: PoseData) -> dict[str, object]:
-    """Return how near one training step comes to the peak, with Lightning and without."""
+    """Return the speed of a training step relative to the peak, and the overhead of Lightning."""
     module = _teacher(task, batch, data)
     found: dict[str, object] = {"teacher": _steps(lambda: _teacher(task, batch, data), module)}
     if task == "default":
@@ -83,11 +82,13 @@ def _steps(make: Callable[[], LifterTraining], module: LifterTraining) -> dict[s
     ratios, overheads, with_trainer = [], [], []
     for _ in range(_ROUNDS):
         top = peak()
-        bare = _bare_loop(make(), count)
-        whole = _trainer_loop(make(), count)
-        ratios.append(flops / whole / top)
-        overheads.append(whole / bare - 1)
-        with_trainer.append(whole)
+        run = stepper(make())
+        run(_WARM_UP)
+        bare = run(count) / count
+        seconds = _trainer_loop(make(), count)
+        ratios.append(flops / seconds / top)
+        overheads.append(seconds / bare - 1)
+        with_trainer.append(seconds)
     return {
         "of_peak": float(np.median(ratios)),
         "trainer_overhead": float(np.median(overheads)),
@@ -98,54 +99,14 @@ def _steps(make: Callable[[], LifterTraining], module: LifterTraining) -> dict[s
 
 def _flops(module: LifterTraining) -> float:
     """Return the matrix-product FLOPs of one step, forward and backward."""
-    optimizer = _ready(module)
-    _one_step(module, optimizer, 0)
+    stepper(module)(1)
     with FlopCounterMode(display=False) as counter:
         module.objective()[0].backward()
     return float(counter.get_total_flops())
 
 
-def _ready(module: LifterTraining) -> torch.optim.Optimizer:
-    """Prepare a module for steps without a trainer."""
-    if isinstance(module, StudentTraining):
-        module.on_fit_start()
-    type(module).global_step = property(lambda self: self.__dict__.get("_count", 0))  # type: ignore[assignment]
-    type(module).global_rank = 0  # type: ignore[assignment]
-    return module.configure_optimizers()
-
-
-def _one_step(module: LifterTraining, optimizer: torch.optim.Optimizer, count: int) -> None:
-    module.__dict__["_count"] = count
-    loss = module.training_step(count, count)
-    optimizer.zero_grad()
-    loss.backward()
-    module.on_before_optimizer_step(optimizer)
-    optimizer.step()
-    module.on_train_batch_end(None, count, count)
-
-
-def _bare_loop(module: LifterTraining, count: int) -> float:
-    """Return seconds a step of the same work in a plain loop."""
-    kept = {name: type(module).__dict__.get(name) for name in ("global_step", "global_rank")}
-    try:
-        optimizer = _ready(module)
-        for step in range(16):
-            _one_step(module, optimizer, step)
-        start = time.perf_counter()
-        for step in range(16, 16 + count):
-            _one_step(module, optimizer, step)
-        return (time.perf_counter() - start) / count
-    finally:
-        for name, value in kept.items():
-            if value is None and name in type(module).__dict__:
-                delattr(type(module), name)
-
-
 def _trainer_loop(module: LifterTraining, count: int) -> float:
-    """Return seconds a step of a whole stage: Lightning, progress, metrics."""
-    for name in ("global_step", "global_rank"):
-        if name in type(module).__dict__:
-            delattr(type(module), name)
+    """Return seconds per step of a complete stage: Lightning, progress, metrics."""
     with tempfile.TemporaryDirectory() as folder:
         (Path(folder) / "checkpoints").mkdir()
         settings = TrainerSettings(checkpoint_every=1e9)
@@ -157,9 +118,9 @@ def _trainer_loop(module: LifterTraining, count: int) -> float:
             marks.append(time.perf_counter())
 
         module.on_train_batch_end = mark  # type: ignore[method-assign]
-        with open(os.devnull, "w") as nowhere, contextlib.redirect_stderr(nowhere):
-            run_stage("bench", module, settings, StageBudget(16 + count, None), Path(folder))
-    return (marks[-1] - marks[15]) / count
+        with open(os.devnull, "w") as null, contextlib.redirect_stderr(null):
+            run_stage("bench", module, settings, StageBudget(_WARM_UP + count, None), Path(folder))
+    return (marks[-1] - marks[_WARM_UP - 1]) / count
 
 
 def _training_set(data: PoseData, count_root: bool) -> TrainingSet:
@@ -168,22 +129,14 @@ def _training_set(data: PoseData, count_root: bool) -> TrainingSet:
 
 def _teacher(task: str, batch: int, data: PoseData) -> AdversarialTraining:
     settings = load_settings(task, [f"teacher.batch_size={batch}", "skeleton=h36m17"])
-    skeleton = load_skeleton("h36m17")
-    torch.manual_seed(0)
-    priors, weights, _ = build_priors(settings.priors, skeleton)
-    lifter = build_lifter(settings.lifter, skeleton)
-    training_set = _training_set(data, settings.views.count_root)
-    return AdversarialTraining(lifter, training_set, settings.teacher, settings.views, priors, weights, 0)
+    if "flow" in settings.priors:
+        settings.priors["flow"]["steps"] = 20
+    return teacher(settings, _training_set(data, settings.views.count_root))
 
 
 def _student(batch: int, data: PoseData) -> StudentTraining:
-    settings = load_settings(None, [f"student.batch_size={batch}", "skeleton=h36m17", "student.refine.iterations=0"])
-    skeleton = load_skeleton("h36m17")
-    torch.manual_seed(0)
-    teacher = build_lifter(settings.lifter, skeleton)
-    poses = lift_all(teacher, _training_set(data, settings.views.count_root), settings.student.refine)
-    fresh = build_lifter(student_settings(settings, noisy=False, last=True), skeleton)
-    return StudentTraining(fresh, poses, settings.student, settings.views, 0)
+    settings = load_settings(None, [f"student.batch_size={batch}", "skeleton=h36m17"])
+    return student(settings, untrained_poses(settings, _training_set(data, settings.views.count_root)))
 
 
 def _model() -> Model:
@@ -194,7 +147,7 @@ def _model() -> Model:
 
 
 def prediction(data: PoseData, *, refine: bool) -> dict[str, float]:
-    """Return poses a second through `Model.predict`, and the lifter's matrix products against the peak."""
+    """Return poses per second of `Model.predict`, and the rate of its matrix products relative to the peak."""
     model = _model()
     many = data.select(np.arange(100_000) % len(data))
     with FlopCounterMode(display=False) as counter:
@@ -212,7 +165,7 @@ def prediction(data: PoseData, *, refine: bool) -> dict[str, float]:
 
 
 def command_line() -> dict[str, float]:
-    """Return the seconds of ``uplift --help``, and from ``fit`` to its first step."""
+    """Return the seconds that ``uplift --help`` takes, and those from ``uplift fit`` to its first step."""
     helps = []
     for _ in range(_ROUNDS):
         start = time.perf_counter()
@@ -240,7 +193,7 @@ def command_line() -> dict[str, float]:
 
 
 def million(data: PoseData) -> dict[str, float]:
-    """Return the memory that a million poses take as a training set, beyond their arrays, and when predicted."""
+    """Return the memory of a million poses: their arrays, the training set on top, and the peak when predicting."""
     before = _resident()
     many = data.select(np.arange(1_000_000) % len(data))
     arrays = _resident()

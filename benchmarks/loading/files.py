@@ -1,4 +1,4 @@
-"""Writes files of Human3.6M's full size in VideoPose3D's format, from simulated motion: nobody's data."""
+"""Simulated files of Human3.6M's full size, in VideoPose3D's format."""
 
 from __future__ import annotations
 
@@ -6,15 +6,17 @@ from pathlib import Path
 
 import numpy as np
 
+from uplift.config.loading import load_settings
+from uplift.config.settings import Settings
 from uplift.data.datasets.h36m_files import ACTIONS, CAMERAS, JOINTS, OF_32, published
 from uplift.data.synthetic.simulate import simulate
 from uplift.skeleton import load_skeleton
 
-__all__ = ["FRAMES", "write_full_size"]
+__all__ = ["FRAMES", "settings_of", "write_full_size"]
 
 SUBJECTS = ("S1", "S5", "S6", "S7", "S8", "S9", "S11")
 FRAMES = 530_000
-"""Frames of motion capture at 50 Hz, of all subjects; four cameras see each."""
+"""Motion capture frames at 50 Hz over all subjects, each seen by four cameras."""
 
 
 def write_full_size(
@@ -22,8 +24,8 @@ def write_full_size(
 ) -> None:
     """Write data_3d_h36m.npz and data_2d_h36m_gt.npz: 7 subjects, 15 actions twice, four cameras.
 
-    The motion of each subject repeats, moved and turned so that no two sequences are the same. ``keypoints`` may
-    name ``cpn`` as well: the ground truth with noise.
+    The same motion repeats, shifted and rotated so that no two sequences are equal. ``keypoints`` may include ``cpn``:
+    the ground truth with noise.
     """
     folder.mkdir(parents=True, exist_ok=True)
     rng = np.random.default_rng(0)
@@ -56,8 +58,13 @@ def write_full_size(
         save(folder / "data_2d_h36m_cpn_ft_h36m_dbb.npz", positions_2d=_boxed(seen), metadata=_boxed(metadata))
 
 
+def settings_of(folder: str | Path, *more: str) -> Settings:
+    """Return the settings of a fit at the full frame rate, with the files in ``folder``."""
+    return load_settings("h36m", ["data.options.fps=50", f"data.root={folder}", *more])
+
+
 def _standing(data) -> np.ndarray:
-    """Return simulated poses as (frames, 17, 3) mm in a room whose z is up, feet on the floor."""
+    """Return simulated poses as (frames, 17, 3) mm in a world with z up, feet on the floor."""
     pose, tilt = data.pose, np.radians(data.tilt_deg)[:, None]
     down = np.cos(tilt) * pose[..., 1] + np.sin(tilt) * pose[..., 2]
     away = np.cos(tilt) * pose[..., 2] - np.sin(tilt) * pose[..., 1]
@@ -65,7 +72,7 @@ def _standing(data) -> np.ndarray:
 
 
 def _moved(rng: np.random.Generator, motion: np.ndarray, length: int) -> np.ndarray:
-    """Return ``length`` frames from anywhere in the motion, turned about the vertical and moved in the room."""
+    """Return ``length`` frames from a random start, rotated about the vertical and shifted."""
     rows = (rng.integers(len(motion)) + np.arange(length)) % len(motion)
     turn = rng.uniform(0, 2 * np.pi)
     rotation = np.array([[np.cos(turn), -np.sin(turn), 0], [np.sin(turn), np.cos(turn), 0], [0, 0, 1]], np.float32)

@@ -1,1 +1,0 @@
-"""The worked examples of docs/examples.md, trained on real sets as they are printed."""

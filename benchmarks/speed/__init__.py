@@ -1,1 +1,0 @@
-"""Training and prediction against the machine's own matrix-product peak, in one run."""
