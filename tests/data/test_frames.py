@@ -10,7 +10,7 @@ import pytest
 from uplift.data.poses import PoseData, clips_of, previous_frames
 from uplift.data.tensors import TrainingSet
 from uplift.metrics.scores import previous_rows
-from uplift.models.predict import bridged_joints
+from uplift.models.predict import gap_joints
 from uplift.models.refine import has_clips
 from uplift.skeleton import load_skeleton
 
@@ -81,4 +81,4 @@ def test_metrics_refinement_and_interpolation_go_by_the_same_rule():
     assert has_clips(frames) and frames.follows.tolist() == (previous >= 0).tolist()
     confidence = data.confidence.copy()
     confidence[[2, 10], 4] = 0  # one joint of each clip is hidden for a frame
-    assert np.argwhere(bridged_joints(replace(data, confidence=confidence))).tolist() == [[2, 4], [10, 4]]
+    assert np.argwhere(gap_joints(replace(data, confidence=confidence))).tolist() == [[2, 4], [10, 4]]

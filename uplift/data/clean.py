@@ -13,10 +13,10 @@ from uplift.skeleton import Skeleton
 
 __all__ = ["JUMP", "MIN_VISIBLE", "clean", "joint_neighbours", "jump_of"]
 
-# Whether the frames of a sequence are a film: whether each is much like the one before it.
+# Whether the frames of a sequence are a video: whether each is much like the one before it.
 
 JUMP = 0.3
-"""Frames that mostly move by more than this, in sizes of the body, are no film: each was seen by a camera of its own."""
+"""Frames that mostly move by more than this, in sizes of the body, are not a video: each was seen by another camera."""
 _MOST_ROWS, _MOST_PAIRS = 200_000, 20_000
 
 
@@ -66,7 +66,7 @@ class _CleanReport:
     """How far joints mostly move between neighbours in time, in sizes of the body (`uplift.data.clean`)."""
 
     def lines(self) -> list[str]:
-        """Return the findings worth telling, one sentence each; none when all was whole."""
+        """Return the findings worth telling, one sentence each; none when there are none."""
         found = []
         if self.too_few:
             found.append(f"{self.too_few:,} of {self.frames:,} frames dropped: fewer than {MIN_VISIBLE} visible joints")
@@ -140,7 +140,7 @@ def _examine(
     Block by block, with the frames last: NumPy is slow over a short last axis and over what the caches do not hold.
     """
     frames = len(keypoints)
-    points, sure = np.empty(keypoints.shape, np.float32), np.empty(confidence.shape, np.float32)
+    points, trusted = np.empty(keypoints.shape, np.float32), np.empty(confidence.shape, np.float32)
     seen = np.empty(frames, np.int64)
     extent, largest = np.empty(frames, np.float32), np.empty(frames, np.float32)
     for start in range(0, frames, _BLOCK):
@@ -150,18 +150,18 @@ def _examine(
         finite = np.abs(place) < 1e7  # which NaN is not, either
         visible = finite[:, 0] & finite[:, 1] & (trust > 0)
         seen[rows] = visible.sum(0)
-        points[rows], sure[rows] = keypoints[rows], trust.T
+        points[rows], trusted[rows] = keypoints[rows], trust.T
         low, high = place, place
         if not visible.all():
             points[rows][~visible.T] = 0
-            sure[rows][~visible.T] = 0
+            trusted[rows][~visible.T] = 0
             low, high = (np.where(visible[:, None], place, far) for far in (np.float32(np.inf), np.float32(-np.inf)))
         low, high = low.min(0), high.max(0)
         none = seen[rows] == 0
         low[:, none] = high[:, none] = 0
         extent[rows] = (high - low).max(0)
         largest[rows] = np.maximum(np.abs(low), np.abs(high)).max(0)
-    return points, sure, seen, extent, largest
+    return points, trusted, seen, extent, largest
 
 
 def joint_neighbours(skeleton: Skeleton) -> list[Sequence[int]]:

@@ -190,7 +190,7 @@ def load_split(settings: Settings, which: str, skeleton: Skeleton) -> PoseData:
 
 
 def _of_set(options: ReadOptions) -> ReadOptions:
-    """Return what may be said of a published set, which knows its own files."""
+    """Return ``options``; raises UserError for one that a published set fixes itself."""
     for name in options.set_names():
         if name != "min_confidence":
             raise UserError(f"data.{name} goes with files; a published set (data.use) knows its own.")
@@ -291,7 +291,7 @@ def read_options(data: DataSettings) -> ReadOptions:
     """Return what settings say of the files.
 
     Raises:
-        UserError: an image size that is none, numbers that cannot be.
+        UserError: an invalid image size or number.
     """
     return ReadOptions(
         format=data.format,
@@ -340,7 +340,7 @@ def _whole(data: PoseData) -> bool:
     return bool((data.confidence > 0).all() and np.isfinite(data.keypoints).all())
 
 
-# What is said where data is missing: what, where it comes from, where to put it, what runs without.
+# Messages for missing files: what is missing, how to get it, where to put it, what runs without.
 
 _MOST_NAMED = 6
 

@@ -91,7 +91,7 @@ class MaskData(Samples):
         return self.masks.shape[1]
 
 
-# What a reader hands over, one at a time: a mask, or why there is none.
+# What a reader returns, one at a time: a mask, or why it was skipped.
 
 
 @dataclass

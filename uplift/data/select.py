@@ -116,7 +116,7 @@ def chosen_shapes(shape: Int[np.ndarray, " masks"], fraction: float, seed: int) 
 
 
 def _count(fraction: float, total: int, item: str) -> int:
-    """Return how many ``fraction`` of ``total`` are; raises UserError where that is none."""
+    """Return how many ``fraction`` of ``total`` are; raises UserError for less than one."""
     if not 0 < fraction <= 1:
         raise UserError(f"a fraction of {fraction} was asked for, expected more than 0 and at most 1.")
     count = round(fraction * total)
