@@ -62,7 +62,7 @@ def masks(here: Path) -> Path:
         (("data.simulate=0",), "No training masks: set data.train=FOLDER"),
         (("data.simulate=0", "data.train=empty"), "is an empty folder"),
         (("data.simulate=0", "data.train=nowhere"), "uplift fit task=masks_demo` needs no data"),
-        (("data.simulate=0", "data.train=body.npz"), "holds keypoints"),
+        (("data.simulate=0", "data.train=body.npz"), "its arrays: keypoints"),
         (("data.simulate=0", "data.train=masks", "data.labelled.fraction=1"), "holds no true shapes to learn from"),
         (("data.simulate=0", "data.train=masks", "data.images=photos"), "no such folder"),
     ],
