@@ -130,9 +130,9 @@ def _circle(tree: dict) -> None:
 
 
 BREAKS: dict[str, tuple[Callable[[dict], object], str]] = {
-    "circle": (_circle, "go round in a circle"),
+    "circle": (_circle, "form a circle"),
     "self": (lambda tree: tree["nodes"].append({"children": [1]}), "circle"),
-    "parents": (lambda tree: tree["nodes"].extend([{"children": [0]}, {"children": [0]}]), "hangs on two nodes"),
+    "parents": (lambda tree: tree["nodes"].extend([{"children": [0]}, {"children": [0]}]), "has two parents"),
     "child": (lambda tree: tree["nodes"].append({"children": [7]}), "refers to nodes 7, of 2"),
     "mesh": (lambda tree: tree["nodes"][0].update(mesh=True), "refers to meshes True"),
     "count": (lambda tree: tree["accessors"][0].update(count=10**11), "needs 1,200,000,000,000 bytes"),
@@ -156,7 +156,7 @@ BREAKS: dict[str, tuple[Callable[[dict], object], str]] = {
 
 
 @pytest.mark.parametrize("kind", BREAKS)
-def test_what_is_wrong_is_told(kind: str, tmp_path: Path) -> None:
+def test_errors_name_what_is_wrong(kind: str, tmp_path: Path) -> None:
     made = plain()
     change, message = BREAKS[kind]
     change(made.tree)
@@ -164,13 +164,13 @@ def test_what_is_wrong_is_told(kind: str, tmp_path: Path) -> None:
         GltfFile.read(made.write(tmp_path / "a.glb"))
 
 
-def test_joints_and_keys_that_are_not_there_are_told(tmp_path: Path) -> None:
+def test_missing_joints_and_keys_are_reported(tmp_path: Path) -> None:
     made = arm()
     made.tree["skins"][0]["joints"] = [1]
     with pytest.raises(UserError, match="refers to joint 1 of its skin"):
         GltfFile.read(made.write(tmp_path / "a.glb"))
     for times, values, message in (
-        ([1, 1], [[0, 0, 0]] * 2, "do not grow"),
+        ([1, 1], [[0, 0, 0]] * 2, "do not increase"),
         ([0, 1], [[0, 0, 0]] * 3, "9 values for 2"),
     ):
         with pytest.raises(UserError, match=message):
@@ -234,10 +234,10 @@ def test_odd_structure_never_crashes(place: int, value: object, tmp_path_factory
 
 def test_an_animal_is_as_two_other_readers_have_it(benchmark_data: Callable[[str], Path]) -> None:
     path = benchmark_data("animal_meshes/Cow.glb")
-    file, told = GltfFile.read(path), pygltflib.GLTF2().load(str(path))
-    assert told is not None
-    assert list(file.animations) == [animation.name for animation in told.animations]
-    assert set(file.node_positions()) == {node.name for node in told.nodes}
+    file, known = GltfFile.read(path), pygltflib.GLTF2().load(str(path))
+    assert known is not None
+    assert list(file.animations) == [animation.name for animation in known.animations]
+    assert set(file.node_positions()) == {node.name for node in known.nodes}
     static = trimesh.load_mesh(path, process=False)
     mesh = file.posed()
     assert mesh.faces.shape == static.faces.shape
