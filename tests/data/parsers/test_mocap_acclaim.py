@@ -72,7 +72,7 @@ def test_another_order_of_the_bones_in_the_motion_changes_nothing(tmp_path: Path
         ("axis 0 0 20  XYZ", "axis 0 0 20  XYY", "line .*order of axes"),
         ("dof rx ry rz", "dof rx ry l", "line .*dof is 'rx ry l'"),
         ("    lfemur ltibia", "    lfemur shin", "line .*bone 'shin' is not in :bonedata"),
-        ("name ltibia", "name lfemur", "line .*called 'lfemur', expected a name of its own"),
+        ("name ltibia", "name lfemur", "line .*called 'lfemur', expected a unique name"),
         ("  length 0.45", "  length 0", "line 6: length is 0"),
         ("orientation 0 0 0", "orientation 0 90 0", "line .*orientation"),
         ("order TX TY TZ RX RY RZ", "order TX TY TZ RX RY", "line .*order is"),

@@ -105,7 +105,7 @@ def test_bones_that_are_there_are_not_put_back(tmp_path: Path):
         ("JOINT hinge", "JOINT arm", "line 10: a second joint is called 'arm'"),
         ("JOINT arm", "ROOT arm", "line 6: found 'ROOT arm', expected one ROOT"),
         ("Frames: 2", "Frames: 3", "2 frames, but the header says 3: the file is truncated"),
-        ("Frames: 2", "Frames: 1", "2 frames, but the header says 1: there are lines too many"),
+        ("Frames: 2", "Frames: 1", "2 frames, but the header says 1: there are too many lines"),
         ("Frames: 2", "Frames: many", "line 22: frames is 'many'"),
         ("Frame Time: 0.0333333", "Frame Time: 0", "line 23: .*above 0"),
         ("35 45 55 65\n", "35 45 55\n", "line 24: 9 values, expected 10"),

@@ -245,7 +245,7 @@ def read_index(path: Path) -> dict[str, str]:
         raise UserError(f"No index file {path}.")
     found: dict[str, str] = {}
     for line in read_lines(path, "an index of motions"):
-        match = _LINE.match(line.decode("utf-8", "replace").strip().lstrip("\ufeff"))
+        match = _LINE.match(line.strip().lstrip("\ufeff"))
         if match:
             subject, trial, text = match.groups()
             found[f"{int(subject):02d}_{trial.zfill(2)}"] = text.strip().strip('"')

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from operator import itemgetter
+from functools import reduce
+from itertools import compress
 from pathlib import Path
 
 import numpy as np
@@ -15,17 +16,15 @@ from uplift.geometry.rigid import rotation_about
 
 __all__ = ["AsfSkeleton", "Figure", "Tree", "open_bvh", "read_amc", "read_asf", "read_lines"]
 
-# Lines of a motion capture file, and errors that say in which of them something is wrong.
-
 _MOST = 1e9
 """No length or angle of a motion is as large."""
 
 
-def read_lines(path: Path, what: str) -> list[bytes]:
-    """Return the lines of a text file without their ends.
+def read_lines(path: Path, what: str) -> list[str]:
+    """Return the lines of a text file without their ends, up to the last that is not empty.
 
     Raises:
-        UserError: no text, or a file that cannot be read.
+        UserError: not text, or a file that cannot be read.
     """
     try:
         content = path.read_bytes()
@@ -35,32 +34,41 @@ def read_lines(path: Path, what: str) -> list[bytes]:
         raise UserError(f"{path}: this is not text, expected {what}.")
     if not content.strip():
         raise UserError(f"{path}: empty, expected {what}.")
-    return content.replace(b"\r\n", b"\n").replace(b"\r", b"\n").split(b"\n")
+    return content.decode("utf-8", "replace").rstrip().replace("\r\n", "\n").replace("\r", "\n").split("\n")
 
 
-def _fault(path: Path, line: int, message: str) -> UserError:
-    """Return the error for line ``line`` (the first is 1) of ``path``."""
-    return UserError(f"{path}, line {line}: {message}")
+class _File:
+    """The lines of a motion capture file, and errors that name the line (the first is 1)."""
+
+    def __init__(self, path: Path, what: str) -> None:
+        self.path, self.lines = path, read_lines(path, what)
+
+    def fault(self, line: int, message: str) -> UserError:
+        """Return the error for a line."""
+        return UserError(f"{self.path}, line {line}: {message}")
+
+    def numbers(self, line: int, words: list[str], count: int, what: str) -> list[float]:
+        """Return the first ``count`` words as finite numbers; raises UserError where they are not."""
+        try:
+            found = [float(word) for word in words[:count]]
+        except ValueError:
+            found = []
+        if len(found) != count or not all(abs(number) < _MOST for number in found):
+            raise self.fault(line, f"{what} is {_shown(words)}, expected {_count(count)}.")
+        return found
 
 
-def _shown(line: bytes, most: int = 40) -> str:
+def _shown(words: str | list[str]) -> str:
     """Return what is in a line, short and printable, in quotes."""
-    text = line.decode("utf-8", "replace").strip()
-    return repr(text if len(text) <= most else text[:most] + "...")
+    text = words.strip() if isinstance(words, str) else " ".join(words)
+    return repr(text if len(text) <= 40 else text[:40] + "...")
 
 
-def _numbers(path: Path, line: int, words: list[bytes], count: int, what: str) -> list[float]:
-    """Return the first ``count`` words as finite numbers; raises UserError where they are not."""
-    try:
-        found = [float(word) for word in words[:count]]
-    except ValueError:
-        found = []
-    if len(found) != count or not all(abs(number) < _MOST for number in found):
-        raise _fault(path, line, f"{what} is {_shown(b' '.join(words))}, expected {count} number{'s' * (count > 1)}.")
-    return found
+def _count(numbers: int) -> str:
+    return f"{numbers} number{'s' * (numbers > 1)}"
 
 
-# A tree of joints as a motion capture file describes it, and where its joints are in each frame.
+# A tree of joints, and where they are in each frame.
 
 
 @dataclass(frozen=True)
@@ -90,19 +98,12 @@ class Figure:
 
     @classmethod
     def posed(
-        cls,
-        tree: Tree,
-        root: Float[np.ndarray, "frames 3"],
-        turned: Sequence[Float[np.ndarray, "frames 3 3"] | None],
+        cls, tree: Tree, root: Float[np.ndarray, "frames 3"], turns: Sequence[Float[np.ndarray, "frames 3 3"] | None]
     ) -> Figure:
-        """Return ``tree`` with its root at ``root`` and joint i turned by ``turned[i]`` in its parent's frame.
-
-        ``None`` is a joint that does not turn.
-        """
-        frames = len(root)
-        positions = np.empty((len(tree.names), frames, 3))
-        rotations = np.empty((len(tree.names), frames, 3, 3))
-        for joint, (parent, turn) in enumerate(zip(tree.parents, turned, strict=True)):
+        """Return ``tree`` with its root at ``root`` and joint i turned by ``turns[i]`` in its parent's frame, if at all."""
+        positions = np.empty((len(tree.names), len(root), 3))
+        rotations = np.empty((len(tree.names), len(root), 3, 3))
+        for joint, (parent, turn) in enumerate(zip(tree.parents, turns, strict=True)):
             if parent < 0:
                 positions[joint] = root
                 rotations[joint] = np.eye(3) if turn is None else turn
@@ -121,16 +122,18 @@ class Figure:
         return self.positions[joint] + self.rotations[joint] @ step
 
 
-def _turns(degrees: Float[np.ndarray, "frames angles"], axes: str) -> Float[np.ndarray, "frames 3 3"]:
+def _rotations(degrees: Float[np.ndarray, "frames angles"], axes: str) -> Float[np.ndarray, "frames 3 3"]:
     """Return the rotations about the axes of ``axes`` (such as ``zyx``), each about the axes turned before it."""
-    result: np.ndarray | None = None
-    for angle, axis in zip(np.deg2rad(degrees).T, axes, strict=True):
-        turn = rotation_about(axis, angle)
-        result = turn if result is None else result @ turn
-    return np.tile(np.eye(3), (len(degrees), 1, 1)) if result is None else result
+    return reduce(np.matmul, map(rotation_about, axes, np.deg2rad(degrees).T))
 
 
-# A bone of an Acclaim skeleton and how it turns.
+# Acclaim skeletons (``.asf``): bones with direction, length, axes and degrees of freedom.
+
+_INCH_MM = 25.4
+_ANGLES = ["rx", "ry", "rz"]
+_ROOT = ["tx", "ty", "tz", *_ANGLES]
+_Rows = list[tuple[int, list[str]]]
+"""Lines of a section: their numbers and words."""
 
 
 @dataclass
@@ -145,29 +148,15 @@ class _Bone:
     order: str = "xyz"
     dof: list[str] = field(default_factory=list)
 
-    @property
-    def frame(self) -> Float[np.ndarray, "3 3"]:
-        """The bone's own axes in the rest pose."""
-        return _turned_in(np.array([self.axis]), self.order)[0]
-
     def turned(self, degrees: Float[np.ndarray, "frames angles"]) -> Float[np.ndarray, "frames 3 3"]:
         """Return the rotations of the bone in its parent's frame for angles in the order of `dof`."""
-        full = np.zeros((len(degrees), 3))
+        angles = np.zeros((len(degrees), 3))
         for column, name in enumerate(self.dof):
-            full[:, self.order.index(name[1])] = degrees[:, column]
-        return self.frame @ _turned_in(full, self.order) @ self.frame.T
-
-
-def _turned_in(degrees: np.ndarray, order: str) -> np.ndarray:
-    # "XYZ" is first about X, then about the world's Y, then its Z: about the turned axes that is Z, Y, X.
-    return _turns(degrees[:, ::-1], order[::-1])
-
-
-# Acclaim skeletons (``.asf``): bones with direction, length, axes and degrees of freedom.
-
-_INCH_MM = 25.4
-_ANGLES = ("rx", "ry", "rz")
-_ROOT = ["tx", "ty", "tz", *_ANGLES]
+            angles[:, self.order.index(name[1])] = degrees[:, column]
+        # "XYZ" is first about X, then about the world's Y, then its Z: about the turned axes that is Z, Y, X.
+        order = self.order[::-1]
+        frame = _rotations(np.array([self.axis[::-1]]), order)[0]
+        return frame @ _rotations(angles[:, ::-1], order) @ frame.T
 
 
 @dataclass(frozen=True)
@@ -192,156 +181,145 @@ def read_asf(path: Path) -> AsfSkeleton:
     Raises:
         UserError: another format, a truncated file, a bone without direction, a broken hierarchy.
     """
-    lines = read_lines(path, "an Acclaim skeleton (.asf)")
-    sections = _sections(path, lines)
+    file = _File(path, "an Acclaim skeleton (.asf)")
+    sections = _sections(file)
     for needed in (":root", ":bonedata", ":hierarchy"):
         if needed not in sections:
             found = ", ".join(sections) or "no sections"
             raise UserError(f"{path}: no section {needed} (found: {found}). Truncated, or not an Acclaim skeleton?")
-    units = _units(path, sections.get(":units", []))
-    root, position = _root(path, sections[":root"])
-    bones = _bones(path, sections[":bonedata"])
-    ordered, parents = _hierarchy(path, sections[":hierarchy"], bones)
-    if not units.get("degrees", 1):
-        for bone in ordered:
+    unit_mm, degrees = _units(file, sections.get(":units", []))
+    root, position = _root(file, sections[":root"])
+    bones = _bones(file, sections[":bonedata"])
+    if not degrees:
+        for bone in bones.values():
             bone.axis = np.rad2deg(bone.axis).tolist()
-    degrees = bool(units.get("degrees", 1))
-    unit_mm = _INCH_MM / units.get("length", 1.0)
-    return AsfSkeleton(path, ordered, _tree(ordered, parents), unit_mm, degrees, root, position)
+    tree = _hierarchy(file, sections[":hierarchy"], bones)
+    return AsfSkeleton(path, [bones[name] for name in tree.names[1:]], tree, unit_mm, degrees, root, position)
 
 
-def _sections(path: Path, lines: list[bytes]) -> dict[str, list[tuple[int, list[bytes]]]]:
-    sections: dict[str, list[tuple[int, list[bytes]]]] = {}
-    rows: list[tuple[int, list[bytes]]] | None = None
-    for number, line in enumerate(lines, 1):
-        words = line.split(b"#", 1)[0].split()
+def _sections(file: _File) -> dict[str, _Rows]:
+    sections: dict[str, _Rows] = {}
+    rows: _Rows | None = None
+    for number, line in enumerate(file.lines, 1):
+        words = line.split("#", 1)[0].split()
         if not words:
             continue
-        if words[0].startswith(b":"):
-            rows = sections.setdefault(words[0].decode("ascii", "replace").lower(), [])
+        if words[0].startswith(":"):
+            rows = sections.setdefault(words[0].lower(), [])
             words = words[1:]
         elif rows is None:
-            raise _fault(
-                path, number, f"found {_shown(line)}, expected an Acclaim skeleton (:version, :units, :root ...)."
-            )
+            expected = "expected an Acclaim skeleton (:version, :units, :root ...)."
+            raise file.fault(number, f"found {_shown(line)}, {expected}")
         if words:
             rows.append((number, words))
     return sections
 
 
-def _units(path: Path, rows: list[tuple[int, list[bytes]]]) -> dict[str, float]:
-    found: dict[str, float] = {}
+def _units(file: _File, rows: _Rows) -> tuple[float, bool]:
+    """Return the millimetres in the unit of length, and whether angles are in degrees."""
+    unit_mm, degrees = _INCH_MM, True
     for number, (key, *words) in rows:
-        if key.lower() == b"length":
-            (found["length"],) = _numbers(path, number, words, 1, "length")
-            if found["length"] <= 0:
-                raise _fault(path, number, f"length is {found['length']:g}, expected a number above 0 (CMU: 0.45).")
-        elif key.lower() == b"angle":
-            if not words or words[0].lower()[:3] not in (b"deg", b"rad"):
-                raise _fault(path, number, f"angle is {_shown(b' '.join(words))}, expected deg or rad.")
-            found["degrees"] = float(words[0].lower().startswith(b"deg"))
-    return found
+        if key.lower() == "length":
+            (length,) = file.numbers(number, words, 1, "length")
+            if length <= 0:
+                raise file.fault(number, f"length is {length:g}, expected a number above 0 (CMU: 0.45).")
+            unit_mm = _INCH_MM / length
+        elif key.lower() == "angle":
+            angle = words[0].lower()[:3] if words else ""
+            if angle not in ("deg", "rad"):
+                raise file.fault(number, f"angle is {_shown(words)}, expected deg or rad.")
+            degrees = angle == "deg"
+    return unit_mm, degrees
 
 
-def _root(path: Path, rows: list[tuple[int, list[bytes]]]) -> tuple[_Bone, list[float]]:
+def _root(file: _File, rows: _Rows) -> tuple[_Bone, list[float]]:
     root, position = _Bone("root", dof=_ROOT), [0.0, 0.0, 0.0]
     for number, (key, *words) in rows:
-        if key.lower() == b"order":
-            root.dof = [word.decode("ascii", "replace").lower() for word in words]
+        key = key.lower()
+        if key == "order":
+            root.dof = [word.lower() for word in words]
             if sorted(root.dof) != sorted(_ROOT):
-                raise _fault(
-                    path, number, f"order is {_shown(b' '.join(words))}, expected TX TY TZ RX RY RZ in any order."
-                )
-        elif key.lower() == b"axis":
-            root.order = _order(path, number, words[:1])
-        elif key.lower() == b"position":
-            position = _numbers(path, number, words, 3, "position")
-        elif key.lower() == b"orientation" and any(_numbers(path, number, words, 3, "orientation")):
-            raise _fault(path, number, "the root has an orientation of its own, expected 0 0 0 as in CMU's files.")
+                raise file.fault(number, f"order is {_shown(words)}, expected TX TY TZ RX RY RZ in any order.")
+        elif key == "axis":
+            root.order = _order(file, number, words[:1])
+        elif key == "position":
+            position = file.numbers(number, words, 3, "position")
+        elif key == "orientation" and any(file.numbers(number, words, 3, "orientation")):
+            raise file.fault(number, "the root has an orientation, expected 0 0 0 as in CMU's files.")
     return root, position
 
 
-def _order(path: Path, line: int, words: list[bytes]) -> str:
-    order = b"".join(words).decode("ascii", "replace").lower()
+def _order(file: _File, line: int, words: list[str]) -> str:
+    order = "".join(words).lower()
     if sorted(order) != list("xyz"):
-        raise _fault(path, line, f"the order of axes is {_shown(b' '.join(words))}, expected XYZ in any order.")
+        raise file.fault(line, f"the order of axes is {_shown(words)}, expected XYZ in any order.")
     return order
 
 
-def _bones(path: Path, rows: list[tuple[int, list[bytes]]]) -> dict[str, _Bone]:
+def _bones(file: _File, rows: _Rows) -> dict[str, _Bone]:
     bones: dict[str, _Bone] = {}
     bone: _Bone | None = None
     for number, (key, *words) in rows:
         word = key.lower()
-        if word == b"begin":
+        if word == "begin":
             bone = _Bone(line=number)
         elif bone is None:
-            raise _fault(path, number, f"found {_shown(key)} outside of a bone, expected begin.")
-        elif word == b"end":
-            _check_bone(path, bone, bones)
+            raise file.fault(number, f"found {_shown(key)} outside of a bone, expected begin.")
+        elif word == "end":
+            _check_bone(file, bone, bones)
             bones[bone.name] = bone
             bone = None
-        elif word == b"name":
-            bone.name = b" ".join(words).decode("utf-8", "replace")
-        elif word == b"direction":
-            bone.direction = _numbers(path, number, words, 3, "direction")
-        elif word == b"length":
-            (bone.length,) = _numbers(path, number, words, 1, "length")
-        elif word == b"axis":
-            bone.axis = _numbers(path, number, words, 3, "axis")
-            bone.order = _order(path, number, words[3:4])
-        elif word == b"dof":
-            bone.dof = [w.decode("ascii", "replace").lower() for w in words]
+        elif word == "name":
+            bone.name = " ".join(words)
+        elif word == "direction":
+            bone.direction = file.numbers(number, words, 3, "direction")
+        elif word == "length":
+            (bone.length,) = file.numbers(number, words, 1, "length")
+        elif word == "axis":
+            bone.axis = file.numbers(number, words, 3, "axis")
+            bone.order = _order(file, number, words[3:4])
+        elif word == "dof":
+            bone.dof = [word.lower() for word in words]
             if not set(bone.dof) <= set(_ANGLES) or len(set(bone.dof)) != len(bone.dof):
-                raise _fault(path, number, f"dof is {_shown(b' '.join(words))}, expected rx ry rz or some of them.")
+                raise file.fault(number, f"dof is {_shown(words)}, expected rx ry rz or some of them.")
     if bone is not None:
-        raise _fault(path, bone.line, "a bone begins here and does not end: the file is truncated.")
+        raise file.fault(bone.line, "a bone begins here and does not end: the file is truncated.")
     if not bones:
-        raise UserError(f"{path}: no bones in :bonedata.")
+        raise UserError(f"{file.path}: no bones in :bonedata.")
     return bones
 
 
-def _check_bone(path: Path, bone: _Bone, others: dict[str, _Bone]) -> None:
+def _check_bone(file: _File, bone: _Bone, others: dict[str, _Bone]) -> None:
     if not bone.name or bone.name in others or bone.name == "root":
-        raise _fault(path, bone.line, f"a bone is called {bone.name!r}, expected a name of its own.")
+        raise file.fault(bone.line, f"a bone is called {bone.name!r}, expected a unique name.")
     size = float(np.linalg.norm(bone.direction)) if bone.direction else 0.0
     if not np.isfinite(bone.length) or bone.length < 0 or not 0.9 < size < 1.1:
-        raise _fault(path, bone.line, f"bone '{bone.name}' needs a direction of length 1 and a length of 0 or more.")
+        raise file.fault(bone.line, f"bone '{bone.name}' needs a direction of length 1 and a length of 0 or more.")
 
 
-def _hierarchy(
-    path: Path, rows: list[tuple[int, list[bytes]]], bones: dict[str, _Bone]
-) -> tuple[list[_Bone], dict[str, str]]:
-    """Return the bones, parents first, and the parent of each."""
-    parents: dict[str, str] = {}
-    ordered: list[_Bone] = []
-    names = [(number, [word.decode("utf-8", "replace") for word in words]) for number, words in rows]
-    if not names or names[-1][1] != ["end"]:
-        raise UserError(f"{path}: the section :hierarchy does not end: the file is truncated.")
-    for number, (parent, *children) in names:
+def _hierarchy(file: _File, rows: _Rows, bones: dict[str, _Bone]) -> Tree:
+    if not rows or rows[-1][1] != ["end"]:
+        raise UserError(f"{file.path}: the section :hierarchy does not end: the file is truncated.")
+    places, parents = {"root": 0}, [-1]
+    for number, (parent, *children) in rows:
         if parent in ("begin", "end"):
             continue
-        if parent != "root" and parent not in parents:
-            raise _fault(path, number, f"'{parent}' has bones below it, but hangs on nothing named before.")
+        if parent not in places:
+            raise file.fault(number, f"'{parent}' has bones below it, but no parent in the lines before.")
         for child in children:
-            if child not in bones or child in parents:
-                what = "is named a second time" if child in parents else "is not in :bonedata"
-                raise _fault(path, number, f"bone '{child}' {what}.")
-            parents[child] = parent
-            ordered.append(bones[child])
-    lost = [name for name in bones if name not in parents]
+            if child not in bones or child in places:
+                what = "is named a second time" if child in places else "is not in :bonedata"
+                raise file.fault(number, f"bone '{child}' {what}.")
+            places[child] = len(places)
+            parents.append(places[parent])
+    lost = [name for name in bones if name not in places]
     if lost:
-        raise UserError(f"{path}: bones that hang on nothing in :hierarchy: {', '.join(lost[:10])}.")
-    return ordered, parents
-
-
-def _tree(bones: list[_Bone], parents: dict[str, str]) -> Tree:
-    names = ["root", *(bone.name for bone in bones)]
-    tips = np.array([[0.0, 0.0, 0.0], *(np.multiply(bone.direction, bone.length) for bone in bones)])
-    place = [-1, *(names.index(parents[bone.name]) for bone in bones)]
+        raise UserError(f"{file.path}: bones without a parent in :hierarchy: {', '.join(lost[:10])}.")
+    ordered = [bones[name] for name in places if name != "root"]
+    tips = np.array([[0.0, 0.0, 0.0], *(np.multiply(bone.direction, bone.length) for bone in ordered)])
     # A bone starts where its parent ends.
-    offsets = np.array([np.zeros(3), *(tips[parent] for parent in place[1:])])
-    return Tree(tuple(names), tuple(place), offsets, tips)
+    offsets = np.array([np.zeros(3), *(tips[parent] for parent in parents[1:])])
+    return Tree(tuple(places), tuple(parents), offsets, tips)
 
 
 # Acclaim motion (``.amc``): for each frame a number, then a line of values for the root and each bone.
@@ -353,150 +331,117 @@ def read_amc(path: Path, skeleton: AsfSkeleton, step: int = 1) -> Figure:
     Raises:
         UserError: other bones or numbers of values than the skeleton's, a truncated file, no numbers.
     """
-    lines = read_lines(path, "an Acclaim motion (.amc)")
-    start, degrees = _header(path, lines, skeleton.degrees)
-    widths = {"root": 6, **{bone.name: len(bone.dof) for bone in skeleton.bones if bone.dof}}
-    while not lines[-1].strip():
-        lines.pop()
-    block = _Block(path, skeleton, lines[start:], range(start + 1, len(lines) + 1), widths)
-    if not block.regular():
-        block = block.bared()
-        block.walk()
-    values, names = block.values(step)
-    return _posed(skeleton, values, names, widths, degrees)
+    file = _AmcFile(path, skeleton)
+    parts = file.values(step)
+    column = skeleton.root.dof.index
+    root = parts["root"][:, [column(key) for key in ("tx", "ty", "tz")]] + skeleton.position
+    parts["root"] = parts["root"][:, [column(key) for key in _ANGLES]]
+    if not file.degrees:
+        parts = {name: np.rad2deg(angles) for name, angles in parts.items()}
+    bones = [replace(skeleton.root, dof=_ANGLES), *skeleton.bones]
+    turns = [bone.turned(parts[bone.name]) if bone.name in parts else None for bone in bones]
+    return Figure.posed(skeleton.tree, root, turns)
 
 
-def _header(path: Path, lines: list[bytes], degrees: bool) -> tuple[int, bool]:
-    """Return where the first frame starts and whether angles are in degrees."""
-    for place, line in enumerate(lines):
-        words = line.split()
-        if not words or words[0].startswith(b"#"):
-            continue
-        if words[0].startswith(b":"):
-            if words[0].upper() in (b":DEGREES", b":RADIANS"):
-                degrees = words[0].upper() == b":DEGREES"
-            continue
-        if len(words) == 1 and words[0].isdigit():
-            return place, degrees
-        raise _fault(path, place + 1, f"found {_shown(line)}, expected the number of the first frame.")
-    raise _fault(path, len(lines), "the file ends before the first frame.")
+class _AmcFile(_File):
+    """The lines of the frames, which lines of the file they are, and how many values each bone has."""
 
+    def __init__(self, path: Path, skeleton: AsfSkeleton) -> None:
+        super().__init__(path, "an Acclaim motion (.amc)")
+        self.degrees, self._skeleton = skeleton.degrees, skeleton.path.name
+        self._widths = {"root": 6, **{bone.name: len(bone.dof) for bone in skeleton.bones if bone.dof}}
+        start = self._first_frame()
+        self._frames, self._places = self.lines[start:], range(start + 1, len(self.lines) + 1)
+        if not self._regular():
+            kept = [bool(line.strip()) and not line.lstrip().startswith("#") for line in self._frames]
+            self._frames, self._places = list(compress(self._frames, kept)), list(compress(self._places, kept))
+            self._check_all()
 
-@dataclass(frozen=True)
-class _Block:
-    """The lines of the frames, and which lines of the file they are."""
+    def _first_frame(self) -> int:
+        for place, line in enumerate(self.lines):
+            words = line.upper().split()
+            if not words or words[0].startswith("#"):
+                continue
+            if words[0] in (":DEGREES", ":RADIANS"):
+                self.degrees = words[0] == ":DEGREES"
+            elif len(words) == 1 and words[0].isdecimal():
+                return place
+            elif not words[0].startswith(":"):
+                raise self.fault(place + 1, f"found {_shown(line)}, expected the number of the first frame.")
+        raise self.fault(len(self.lines), "the file ends before the first frame.")
 
-    path: Path
-    skeleton: AsfSkeleton
-    lines: list[bytes]
-    places: Sequence[int]
-    widths: dict[str, int]
-    """How many values each bone has."""
-
-    def regular(self) -> bool:
-        """Return whether the frame numbers stand where they must when no line is missing or too many."""
-        size = len(self.widths) + 1
+    def _regular(self) -> bool:
+        """Return whether the frame numbers are where they must be when no line is missing or too many."""
+        size = len(self._widths) + 1
         try:
-            found = np.array([int(number) for number in self.lines[::size]])
+            found = np.array([int(number) for number in self._frames[::size]])
         except ValueError:
             return False
-        return len(self.lines) % size == 0 and bool((np.diff(found) == 1).all())
+        return len(self._frames) % size == 0 and bool((np.diff(found) == 1).all())
 
-    def bared(self) -> _Block:
-        """Return the block without empty lines and comments."""
-        kept = [place for place, line in enumerate(self.lines) if line.strip() and not line.lstrip().startswith(b"#")]
-        return replace(self, lines=[self.lines[k] for k in kept], places=[self.places[k] for k in kept])
-
-    def walk(self) -> None:
+    def _check_all(self) -> None:
         """Raise the error of the first line that is not as it should be, if any."""
         last, missing = None, set()
-        for number, line in zip(self.places, self.lines, strict=True):
+        for number, line in zip(self._places, self._frames, strict=True):
             words = line.split()
-            if len(words) == 1 and words[0].isdigit():
+            if len(words) == 1 and words[0].isdecimal() and len(words[0]) < 19:
                 if missing:
-                    raise _fault(self.path, number, f"frame {last} ends without {_listed(missing)}.")
+                    raise self.fault(number, f"frame {last} ends without {_listed(missing)}.")
                 if last is not None and int(words[0]) != last + 1:
-                    raise _fault(self.path, number, f"frame {int(words[0])} follows frame {last}: frames are missing.")
-                last, missing = int(words[0]), set(self.widths)
-                continue
-            name = words[0].decode("utf-8", "replace")
-            if name not in missing:
-                what = "a second time" if name in self.widths else f"which moves nothing in {self.skeleton.path.name}"
-                raise _fault(self.path, number, f"found {_shown(line)} in frame {last}, {what}.")
-            missing.discard(name)
+                    raise self.fault(number, f"frame {int(words[0])} follows frame {last}: frames are missing.")
+                last, missing = int(words[0]), set(self._widths)
+            elif words[0] in missing:
+                missing.discard(words[0])
+            else:
+                what = "a second time" if words[0] in self._widths else f"which moves nothing in {self._skeleton}"
+                raise self.fault(number, f"found {_shown(line)} in frame {last}, {what}.")
         if missing:
-            last_line = self.places[-1]
-            raise _fault(self.path, last_line, f"frame {last} ends without {_listed(missing)}: the file is truncated.")
+            what = f"frame {last} ends without {_listed(missing)}: the file is truncated."
+            raise self.fault(self._places[-1], what)
 
-    def values(self, step: int) -> tuple[Float[np.ndarray, "frames values"], list[str]]:
-        """Return the numbers of every ``step``-th frame, and the bones in the order of the file."""
-        size = len(self.widths) + 1
-        names = [(line.split() or [b""])[0].decode("utf-8", "replace") for line in self.lines[1:size]]
-        if sorted(names) != sorted(self.widths):
-            self.walk()
-        text, number, place = [], [], 0
-        for name in names:
-            text.append(place)
-            number += range(place + 1, place + 1 + self.widths[name])
-            place += 1 + self.widths[name]
-        texts, take = itemgetter(*text), itemgetter(*number)
-        expected = tuple(name.encode() for name in names) if len(names) > 1 else names[0].encode()
-        frames = len(self.lines) // size
-        values = np.empty((-(-frames // step), len(number)))
+    def values(self, step: int) -> dict[str, Float[np.ndarray, "frames values"]]:
+        """Return the numbers of each bone in every ``step``-th frame."""
+        size = len(self._widths) + 1
+        names = [(line.split() or [""])[0] for line in self._frames[1:size]]
+        if sorted(names) != sorted(self._widths):
+            self._check_all()
+        is_name = [is_name for name in names for is_name in (True, *[False] * self._widths[name])]
+        is_value = [not one for one in is_name]
+        frames = len(self._frames) // size
+        values = np.empty((-(-frames // step), sum(is_value)))
         # The last frame is looked at even where it is not kept: that is where a file is cut off.
         for frame in sorted({*range(0, frames, step), frames - 1}):
-            words = b" ".join(self.lines[frame * size + 1 : (frame + 1) * size]).split()
+            words = " ".join(self._frames[frame * size + 1 : (frame + 1) * size]).split()
             try:
-                if len(words) != place or texts(words) != expected:
+                if len(words) != len(is_name) or list(compress(words, is_name)) != names:
                     raise ValueError
-                row = np.array(list(map(float, take(words))))
+                row = np.array(list(map(float, compress(words, is_value))))
                 if not (np.abs(row) < _MOST).all():
                     raise ValueError
             except ValueError:
                 raise self._bad_line(frame * size + 1, names) from None
             if frame % step == 0:
                 values[frame // step] = row
-        return values, names
+        ends = np.cumsum([self._widths[name] for name in names])
+        return dict(zip(names, np.split(values, ends[:-1], axis=1), strict=True))
 
     def _bad_line(self, start: int, names: list[str]) -> UserError:
         for place, name in enumerate(names, start):
-            words, width = self.lines[place].split(), self.widths[name]
+            words, width = self._frames[place].split(), self._widths[name]
             try:
-                right = words[0] == name.encode() and len(words) == width + 1
+                right = words[0] == name and len(words) == width + 1
                 right = right and all(abs(float(word)) < _MOST for word in words[1:])
             except (ValueError, IndexError):
                 right = False
             if not right:
-                wanted = f"expected '{name}' and {width} number{'s' * (width > 1)} ({self.skeleton.path.name})."
-                return _fault(self.path, self.places[place], f"found {_shown(self.lines[place])}, {wanted}")
-        return _fault(self.path, self.places[start], "this frame does not fit the skeleton.")
+                expected = f"expected '{name}' and {_count(width)} ({self._skeleton})."
+                return self.fault(self._places[place], f"found {_shown(self._frames[place])}, {expected}")
+        return self.fault(self._places[start], "this frame does not fit the skeleton.")
 
 
 def _listed(names: set[str]) -> str:
     found = sorted(names)
     return ", ".join(found[:6]) + (f" and {len(found) - 6} more" if len(found) > 6 else "")
-
-
-def _posed(
-    skeleton: AsfSkeleton, values: np.ndarray, names: list[str], widths: dict[str, int], degrees: bool
-) -> Figure:
-    if not degrees:
-        moved = np.isin(np.arange(values.shape[1]), _translations(skeleton, names, widths))
-        values = np.where(moved, values, np.rad2deg(values))
-    starts = dict(zip(names, np.cumsum([0, *(widths[name] for name in names)]), strict=False))
-    columns = {key: starts["root"] + place for place, key in enumerate(skeleton.root.dof)}
-    root = values[:, [columns["tx"], columns["ty"], columns["tz"]]] + skeleton.position
-    spin = _Bone(order=skeleton.root.order, dof=["rx", "ry", "rz"])
-    turned: list[np.ndarray | None] = [spin.turned(values[:, [columns[name] for name in spin.dof]])]
-    for bone in skeleton.bones:
-        start = starts.get(bone.name)
-        turned.append(None if start is None else bone.turned(values[:, start : start + len(bone.dof)]))
-    return Figure.posed(skeleton.tree, root, turned)
-
-
-def _translations(skeleton: AsfSkeleton, names: list[str], widths: dict[str, int]) -> list[int]:
-    start = sum(widths[name] for name in names[: names.index("root")])
-    return [start + place for place, key in enumerate(skeleton.root.dof) if key[0] == "t"]
 
 
 # Biovision hierarchies (``.bvh``): a tree of joints with channels, then a line of values for each frame.
@@ -505,20 +450,52 @@ _CHANNELS = {f"{axis}{kind}" for axis in "xyz" for kind in ("position", "rotatio
 _DEEPEST = 500
 
 
-@dataclass
-class _BvhFile:
+def open_bvh(path: Path) -> _BvhFile:
+    """Read the hierarchy of a BVH file and count its frames.
+
+    Raises:
+        UserError: another format, a broken hierarchy, a truncated file, no frame time.
+    """
+    return _BvhFile(path)
+
+
+class _BvhFile(_File):
     """A BVH file whose hierarchy is read and whose frames are counted."""
 
-    path: Path
-    tree: Tree
-    channels: list[list[str]]
-    """Of each joint, in the order of the values, such as ``zrotation``."""
-    rate: float
-    """Frames a second."""
-    lines: list[bytes]
-    start: int
-    """The first frame's place in `lines`."""
-    frames: int
+    def __init__(self, path: Path) -> None:
+        super().__init__(path, "a Biovision hierarchy (.bvh)")
+        first = self._next_line(0)
+        if self.lines[first].split()[0].upper() != "HIERARCHY":
+            raise self.fault(first + 1, f"found {_shown(self.lines[first])}, expected HIERARCHY.")
+        hierarchy = _Hierarchy(self, first + 1)
+        self.tree = hierarchy.tree()
+        self.channels = hierarchy.channels
+        """Of each joint, in the order of the values, such as ``zrotation``."""
+        frames, place = self._header(hierarchy.end, "Frames")
+        frame_time, place = self._header(place, "Frame time")
+        self.frames, self.rate = int(frames), 1 / frame_time
+        """How many, and how many a second."""
+        self._start = self._next_line(place)
+        found = len(self.lines) - self._start
+        if found != self.frames:
+            why = "the file is truncated" if found < self.frames else "there are too many lines"
+            raise self.fault(len(self.lines), f"{found} frames, but the header says {self.frames}: {why}.")
+
+    def _next_line(self, place: int) -> int:
+        while place < len(self.lines) and not self.lines[place].strip():
+            place += 1
+        return place
+
+    def _header(self, place: int, key: str) -> tuple[float, int]:
+        """Return the number that follows a key, and the place of the line after it."""
+        place = self._next_line(place)
+        line = " ".join(self.lines[place].lower().split()) if place < len(self.lines) else ""
+        if not line.startswith(f"{key.lower()}:"):
+            raise self.fault(place + 1, f"found {_shown(line)}, expected '{key}:' and a number.")
+        (found,) = self.numbers(place + 1, line[len(key) + 1 :].split(), 1, key.lower())
+        if found <= 0:
+            raise self.fault(place + 1, f"{_shown(line)}, expected a number above 0.")
+        return found, place + 1
 
     def figure(self, first: int, step: int, tree: Tree | None = None) -> Figure:
         """Return every ``step``-th frame from frame ``first`` on, of ``tree`` in place of the file's own.
@@ -529,153 +506,97 @@ class _BvhFile:
         Raises:
             UserError: a frame with too few or too many values, or with something that is not a number.
         """
-        values = self._values(first, step)
-        tree = tree or self.tree
-        root, turned, column = np.tile(tree.offsets[0], (len(values), 1)), [], 0
+        self.row(self.frames - 1)  # where a file is cut off
+        values = np.stack([np.array(self.row(frame)) for frame in range(first, self.frames, step)])
+        tree, columns = tree or self.tree, iter(values.T)
+        root, turns = np.tile(tree.offsets[0], (len(values), 1)), []
         for joint, channels in enumerate(self.channels):
             angles, axes = [], ""
             for channel in channels:
+                value = next(columns)
                 if channel.endswith("rotation"):
-                    angles.append(values[:, column])
+                    angles.append(value)
                     axes += channel[0]
                 elif joint == 0:
-                    root[:, "xyz".index(channel[0])] = values[:, column]
-                column += 1
-            turned.append(_turns(np.stack(angles, 1), axes) if axes else None)
-        return Figure.posed(tree, root, turned)
+                    root[:, "xyz".index(channel[0])] = value
+            turns.append(_rotations(np.stack(angles, 1), axes) if axes else None)
+        return Figure.posed(tree, root, turns)
 
     def row(self, frame: int) -> list[float]:
         """Return the values of one frame."""
         wanted = sum(map(len, self.channels))
-        line = self.start + frame
+        line = self._start + frame
         words = self.lines[line].split()
         if len(words) != wanted:
-            raise _fault(self.path, line + 1, f"{len(words)} values, expected {wanted} as the hierarchy has channels.")
-        return _numbers(self.path, line + 1, words, wanted, "the frame")
-
-    def _values(self, first: int, step: int) -> Float[np.ndarray, "frames values"]:
-        kept = range(first, self.frames, step)
-        self.row(self.frames - 1)  # where a file is cut off
-        values = np.empty((len(kept), sum(map(len, self.channels))))
-        for place, frame in enumerate(kept):
-            values[place] = self.row(frame)
-        return values
-
-
-def open_bvh(path: Path) -> _BvhFile:
-    """Read the hierarchy of a BVH file and count its frames.
-
-    Raises:
-        UserError: another format, a broken hierarchy, a truncated file, no frame time.
-    """
-    lines = read_lines(path, "a Biovision hierarchy (.bvh)")
-    first = next(place for place, line in enumerate(lines) if line.strip())
-    if lines[first].split()[0].upper() != b"HIERARCHY":
-        raise _fault(path, first + 1, f"found {_shown(lines[first])}, expected HIERARCHY.")
-    tree, channels, place = _Hierarchy(path, lines).read(first + 1)
-    frames, rate, start = _motion(path, lines, place)
-    while not lines[-1].strip():
-        lines.pop()
-    found = len(lines) - start
-    if found != frames:
-        why = "the file is truncated" if found < frames else "there are lines too many"
-        raise _fault(path, len(lines), f"{found} frames, but the header says {frames}: {why}.")
-    return _BvhFile(path, tree, channels, rate, lines, start, frames)
-
-
-def _motion(path: Path, lines: list[bytes], place: int) -> tuple[int, float, int]:
-    """Return the number of frames, the rate, and where the first frame is."""
-    found: dict[bytes, float] = {}
-    for key in (b"frames:", b"frame time:"):
-        while place < len(lines) and not lines[place].strip():
-            place += 1
-        line = b" ".join(lines[place].lower().split()) if place < len(lines) else b""
-        if not line.startswith(key):
-            raise _fault(path, place + 1, f"found {_shown(line)}, expected '{key.decode().capitalize()}' and a number.")
-        (found[key],) = _numbers(path, place + 1, line[len(key) :].split(), 1, key.decode().rstrip(":"))
-        if found[key] <= 0:
-            raise _fault(path, place + 1, f"{_shown(line)}, expected a number above 0.")
-        place += 1
-    while place < len(lines) and not lines[place].strip():
-        place += 1
-    return int(found[b"frames:"]), 1 / found[b"frame time:"], place
+            raise self.fault(line + 1, f"{len(words)} values, expected {wanted} as the hierarchy has channels.")
+        return self.numbers(line + 1, words, wanted, "the frame")
 
 
 class _Hierarchy:
     """The joints above MOTION, read line by line."""
 
-    def __init__(self, path: Path, lines: list[bytes]):
-        self.path, self.lines = path, lines
+    def __init__(self, file: _File, start: int) -> None:
+        self.file = file
         self.names: list[str] = []
         self.parents: list[int] = []
         self.offsets: list[list[float]] = []
         self.tips: list[list[float]] = []
         self.channels: list[list[str]] = []
+        self._open: list[int | None] = []
+        """The joints whose brackets are not closed yet; None is an end site."""
+        for self.end, line in enumerate(file.lines[start:], start + 1):
+            words = line.split()
+            if words and words[0].upper() == "MOTION":
+                break
+            if words:
+                self._read(self.end, words)
+        else:
+            raise UserError(f"{file.path}: no MOTION: the file is truncated, or not a motion.")
 
-    def read(self, start: int) -> tuple[Tree, list[list[str]], int]:
-        """Return the tree, its channels, and the place after MOTION."""
-        open_joints: list[int | None] = []  # None is an end site
-        for place in range(start, len(self.lines)):
-            words = self.lines[place].split()
-            if not words:
-                continue
-            if words[0].upper() == b"MOTION":
-                if open_joints or not self.names:
-                    raise _fault(self.path, place + 1, "MOTION begins before the hierarchy is closed.")
-                tree = Tree(tuple(self.names), tuple(self.parents), np.array(self.offsets), np.array(self.tips))
-                self._check()
-                return tree, self.channels, place + 1
-            self._line(place + 1, words, open_joints)
-        raise UserError(f"{self.path}: no MOTION: the file is truncated, or no motion.")
+    def tree(self) -> Tree:
+        """Return the joints as a tree; raises UserError where the hierarchy is not complete."""
+        if self._open or not self.names:
+            raise self.file.fault(self.end, "MOTION begins before the hierarchy is closed.")
+        for name, offset in zip(self.names, self.offsets, strict=True):
+            if np.isnan(offset).any():
+                raise UserError(f"{self.file.path}: joint '{name}' has no OFFSET.")
+        return Tree(tuple(self.names), tuple(self.parents), np.array(self.offsets), np.array(self.tips))
 
-    def _line(self, line: int, words: list[bytes], open_joints: list[int | None]) -> None:
+    def _read(self, line: int, words: list[str]) -> None:
         key = words[0].upper()
-        joint = open_joints[-1] if open_joints else None
-        above = next((place for place in reversed(open_joints) if place is not None), -1)
-        if key in (b"ROOT", b"JOINT") and len(words) > 1:
-            if (key == b"ROOT") != (not self.names) or (above < 0 and self.names) or len(open_joints) > _DEEPEST:
-                raise _fault(
-                    self.path, line, f"found {_shown(b' '.join(words))}, expected one ROOT with joints inside."
-                )
-            self._add(line, b" ".join(words[1:]).decode("utf-8", "replace").rstrip("{ "), above)
-            open_joints.append(len(self.names) - 1)
-        elif key == b"END":
+        joint = self._open[-1] if self._open else None
+        above = next((place for place in reversed(self._open) if place is not None), -1)
+        if key in ("ROOT", "JOINT") and len(words) > 1:
+            if (key == "ROOT") != (not self.names) or (above < 0 and self.names) or len(self._open) > _DEEPEST:
+                raise self.file.fault(line, f"found {_shown(words)}, expected one ROOT with joints inside.")
+            self._add(line, " ".join(words[1:]).rstrip("{ "), above)
+        elif key == "END":
             if joint is None:
-                raise _fault(self.path, line, "an end site outside of a joint.")
-            open_joints.append(None)
-        elif key == b"OFFSET" and open_joints:
-            offset = _numbers(self.path, line, words[1:], 3, "OFFSET")
+                raise self.file.fault(line, "an end site outside of a joint.")
+            self._open.append(None)
+        elif key == "OFFSET" and self._open:
+            offset = self.file.numbers(line, words[1:], 3, "OFFSET")
             if joint is not None:
                 self.offsets[joint] = offset
             elif np.isnan(self.tips[above]).any():
                 self.tips[above] = offset
-        elif key == b"CHANNELS" and joint is not None:
-            self.channels[joint] = self._channels(line, words[1:])
-        elif key == b"}" and open_joints:
-            open_joints.pop()
-        elif key != b"{":
-            raise _fault(
-                self.path, line, f"found {_shown(b' '.join(words))}, expected JOINT, OFFSET, CHANNELS or End Site."
-            )
+        elif key == "CHANNELS" and joint is not None:
+            self.channels[joint] = channels = [word.lower() for word in words[2:]]
+            if words[1:2] != [str(len(channels))] or not set(channels) <= _CHANNELS:
+                what = f"CHANNELS {_shown(words[1:])}, expected a count and as many channels."
+                raise self.file.fault(line, what)
+        elif key == "}" and self._open:
+            self._open.pop()
+        elif key != "{":
+            what = f"found {_shown(words)}, expected JOINT, OFFSET, CHANNELS or End Site."
+            raise self.file.fault(line, what)
 
     def _add(self, line: int, name: str, parent: int) -> None:
         if name in self.names:
-            raise _fault(self.path, line, f"a second joint is called '{name}'.")
+            raise self.file.fault(line, f"a second joint is called '{name}'.")
+        self._open.append(len(self.names))
         self.names.append(name)
         self.parents.append(parent)
         self.offsets.append([float("nan")] * 3)
         self.tips.append([float("nan")] * 3)
         self.channels.append([])
-
-    def _channels(self, line: int, words: list[bytes]) -> list[str]:
-        names = [word.decode("ascii", "replace").lower() for word in words[1:]]
-        if not words or words[0] != str(len(names)).encode() or not set(names) <= _CHANNELS:
-            raise _fault(
-                self.path, line, f"CHANNELS {_shown(b' '.join(words))}, expected a count and as many channels."
-            )
-        return names
-
-    def _check(self) -> None:
-        for name, offset in zip(self.names, self.offsets, strict=True):
-            if np.isnan(offset).any():
-                raise UserError(f"{self.path}: joint '{name}' has no OFFSET.")
