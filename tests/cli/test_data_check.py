@@ -163,7 +163,7 @@ def test_a_set_with_files_missing(beetles: Path, capsys) -> None:
     ("wrong", "says"),
     [
         (b"", "is empty"),
-        (b"no archive", "not a complete .npz"),
+        (b"no archive", "cannot be read as an .npz file"),
         ({"joint_names": np.array([f"j{n}" for n in range(17)])}, "h36m17"),
         ({"joint_names": None}, "'joint_names'"),
         ({"joint_names": np.array(["hip"])}, "1 joint names for 17 joints"),

@@ -275,8 +275,8 @@ def test_frame_numbers_of_uneven_stamps() -> None:
         ({"timestamps": np.zeros(3)}, "'processing/behavior/pose/nose/timestamps' has shape (3,), expected (4,)"),
         ({"timestamps": None}, "has no time stamps and the rate None"),
         ({"data": np.zeros((0, 2)), "confidence": np.zeros(0), "timestamps": np.zeros(0)}, "estimates are empty"),
-        ({"data": h5py.ExternalLink("other.nwb", "data")}, "is a link to elsewhere"),
-        ({"data": h5py.SoftLink("/processing/behavior/pose/nose/data")}, "leads round in circles"),
+        ({"data": h5py.ExternalLink("other.nwb", "data")}, "is a link to another file"),
+        ({"data": h5py.SoftLink("/processing/behavior/pose/nose/data")}, "leads back to itself"),
     ],
 )
 def test_a_wrong_file_is_told(tmp_path, change, says) -> None:
@@ -320,5 +320,5 @@ def test_a_size_that_sends_the_library_round_in_circles_is_refused(tmp_path: Pat
     heap = content.index(b"GCOL")
     content[heap + 24 : heap + 32] = (2**64 - 16).to_bytes(8, "little")  # size of its first text
     path.write_bytes(content)
-    with pytest.raises(UserError, match="longer than the room"):
+    with pytest.raises(UserError, match="longer than the space"):
         read(path)

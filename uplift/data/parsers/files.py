@@ -1,22 +1,34 @@
-"""What a parser checks before it reads a file of unknown origin: that it is there, and that it fits into the memory."""
+"""Checks of files of unknown origin: that they are there, fit into memory, and fail with one clear error."""
 
 from __future__ import annotations
 
 import os
+import pickle
+import struct
+import zipfile
+import zlib
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
 
 from uplift.errors import UserError
 
-__all__ = ["HDF5_START", "bytes_of", "check_memory", "existing_file", "reason_of"]
+__all__ = ["DAMAGE", "HDF5_START", "bytes_of", "check_memory", "damage_as_error", "existing_file", "reason_of"]
 
 HDF5_START = b"\x89HDF\r\n\x1a\n"
 """What every HDF5 file begins with."""
+DAMAGE = (
+    ArithmeticError, AssertionError, AttributeError, EOFError, ImportError, LookupError, MemoryError, OSError,
+    RuntimeError, SystemError, TypeError, ValueError, pickle.UnpicklingError, struct.error, zipfile.BadZipFile,
+    zlib.error,
+)  # fmt: skip
+"""Whatever a library raises on a damaged or hostile file."""
 
 
 def existing_file(path: str | Path, expected: str) -> Path:
-    """Return the path of a file that is there and not empty; raises UserError, which says what is ``expected``, otherwise."""
+    """Return the path of a file that exists and is not empty; otherwise raises UserError, which names the ``expected``."""
     path = Path(path)
     if path.is_dir():
         raise UserError(f"{path} is a folder, expected {expected}.")
@@ -28,8 +40,19 @@ def existing_file(path: str | Path, expected: str) -> Path:
 
 
 def reason_of(error: BaseException) -> str:
-    """Return what an error of a library says, on one line and short."""
+    """Return the message of a library's error, on one line and short."""
     return " ".join(str(error).split())[:200] or type(error).__name__
+
+
+@contextmanager
+def damage_as_error(path: Path, what: str, *others: type[Exception]) -> Iterator[None]:
+    """Turn `DAMAGE`, or an exception of the library's own, into one UserError; ``what`` the file should be."""
+    try:
+        yield
+    except (*DAMAGE, *others) as error:
+        raise UserError(
+            f"{path} cannot be read as {what} ({reason_of(error)}): truncated, or another format?"
+        ) from error
 
 
 def bytes_of(shape: tuple[int, ...], dtype: np.dtype) -> int:

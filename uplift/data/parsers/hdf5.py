@@ -1,4 +1,4 @@
-"""Read arrays, tables and text from an HDF5 file of unknown origin: nothing outside it, no more than it holds."""
+"""Read arrays, tables and text from an untrusted HDF5 file: nothing outside it, and no more than it holds."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from uplift.data.parsers.files import HDF5_START, bytes_of, check_memory, reason_of
+from uplift.data.parsers.files import HDF5_START, bytes_of, check_memory, damage_as_error
 from uplift.errors import UserError
 
 __all__ = ["Hdf5", "from_json", "h5py_missing", "open_hdf5"]
@@ -56,21 +56,76 @@ def _is_sound(content: mmap.mmap, start: int, file_size: int) -> bool:
     return True
 
 
-# What of an HDF5 file lies in the file itself, and is no larger than the file can hold.
+@contextmanager
+def open_hdf5(path: Path, what: str) -> Iterator[Hdf5]:
+    """Open an HDF5 file for reading; ``what`` it should be, for the errors.
 
-_MOST_LINKS = 8
-_SMALL = 2**26
-"""Arrays of fewer bytes are taken without asking how many bytes stand behind them."""
-_MOST_PACKED = 1100
-"""Deflate, the filter of these files, packs 1032 bytes into one at most."""
+    Raises:
+        UserError: not HDF5, damaged, or h5py is not installed.
+    """
+    if path.is_dir():
+        raise UserError(f"{path} is a folder, expected {what} (HDF5).")
+    try:
+        with path.open("rb") as file:
+            start = file.read(len(HDF5_START))
+    except OSError as error:
+        raise UserError(f"{path} cannot be opened: {error.strerror or error}.") from error
+    if start != HDF5_START:
+        raise UserError(f"{path} is not an HDF5 file (it begins {start!r}), expected {what}.")
+    try:
+        import h5py
+    except ImportError:
+        raise h5py_missing(path) from None
+    with damage_as_error(path, what):
+        if not _heaps_are_sound(path):
+            raise ValueError("a text is longer than the space for it")
+        file = h5py.File(path, "r", locking=False)
+    with file:
+        yield Hdf5(path, what, file)
+
+
+def h5py_missing(path: Path) -> UserError:
+    """Return the error of an HDF5 file where h5py is not installed."""
+    return UserError(f'{path}: reading it needs h5py: pip install "uplift3d[trackers]".')
+
+
+def from_json(path: Path, where: str, text: str) -> Any:
+    """Return what JSON text inside a file says.
+
+    Raises:
+        UserError: not JSON, or nested too deeply.
+    """
+    try:
+        return json.loads(text)
+    except (ValueError, RecursionError) as error:
+        raise UserError(f"{path}: {where} is not valid JSON ({error}): damaged file?") from error
 
 
 class _Elsewhere(UserError):
     """A link to another file."""
 
 
-class _OwnParts:
-    """The groups and datasets of an open file; links inside it are followed, others never."""
+def _one_error(method: Callable) -> Callable:
+    @wraps(method)
+    def wrapped(self: Hdf5, *given: Any) -> Any:
+        with damage_as_error(self.path, self.what):
+            return method(self, *given)
+
+    return wrapped
+
+
+_MOST_LINKS = 8
+_SMALL = 2**26
+"""Arrays of fewer bytes are read without asking how many bytes are stored for them; attributes may have no more."""
+_MOST_PACKED = 1100
+"""Deflate, the filter of these files, packs 1032 bytes into one at most."""
+
+
+class Hdf5:
+    """An open HDF5 file; every name is a path from its root, such as ``metadata`` or ``poseest/points``.
+
+    Links inside the file are followed, others never.
+    """
 
     def __init__(self, path: Path, what: str, file: Any):
         self.path, self.what = path, what
@@ -78,7 +133,7 @@ class _OwnParts:
         self._groups: dict[str, Any] = {}
         self._taken = 0
 
-    def find(self, name: str, hops: int = 0) -> Any:
+    def _find(self, name: str, hops: int = 0) -> Any:
         """Return a group or dataset, None without one; raises `_Elsewhere` where it is a link to another file."""
         import h5py
 
@@ -95,166 +150,83 @@ class _OwnParts:
                 return None
             if isinstance(link, h5py.SoftLink):
                 if hops == _MOST_LINKS:
-                    raise UserError(f"{self.path}: '{walked}' is a link that leads round in circles.")
-                place = self.find(link.path if link.path.startswith("/") else f"{place.name}/{link.path}", hops + 1)
+                    raise UserError(f"{self.path}: '{walked}' is a link that leads back to itself.")
+                place = self._find(link.path if link.path.startswith("/") else f"{place.name}/{link.path}", hops + 1)
             elif isinstance(link, h5py.HardLink):
                 place = place[part]  # type: ignore[index]
             else:
-                raise _Elsewhere(f"{self.path}: '{walked}' is a link to elsewhere, which is never followed.")
+                raise _Elsewhere(f"{self.path}: '{walked}' is a link to another file, which is never followed.")
             if isinstance(place, h5py.Group):
                 self._groups[walked] = place
         return place
 
-    def dataset(self, name: str) -> Any:
+    def _dataset(self, name: str) -> Any:
         """Return a dataset; raises UserError where its values are not here, or more than there can be."""
         import h5py
 
-        item = self.find(name)
+        item = self._find(name)
         if not isinstance(item, h5py.Dataset):
             raise UserError(f"{self.path}: no array '{name}', expected in {self.what}.")
         if item.shape is None or item.external or item.is_virtual:
-            raise UserError(f"{self.path}: '{name}' has no values of its own, and others are never followed.")
+            raise UserError(f"{self.path}: '{name}' has no values in this file, and no other is opened.")
         claimed, stored = bytes_of(item.shape, item.dtype), item.id.get_storage_size()
-        if (
-            claimed > max(_SMALL, _MOST_PACKED * stored)
-            or bytes_of(item.chunks or (), item.dtype) > 4 * _SMALL + claimed
-        ):
+        chunk = bytes_of(item.chunks or (), item.dtype)
+        if claimed > max(_SMALL, _MOST_PACKED * stored) or chunk > 4 * _SMALL + claimed:
             raise UserError(f"{self.path}: '{name}' claims {claimed:,} bytes but holds {stored:,}: damaged file.")
         self._taken += claimed
         check_memory(self.path, f"'{name}'" if self._taken == claimed else f"all up to '{name}'", self._taken)
         return item
 
-
-# An open file.
-
-_DAMAGE = (
-    ValueError, TypeError, KeyError, IndexError, AttributeError, OSError, EOFError, MemoryError, OverflowError,
-    NotImplementedError, RuntimeError, SystemError,
-)  # fmt: skip
-_MOST_ATTRIBUTE_BYTES = 2**26
-
-
-@contextmanager
-def open_hdf5(path: Path, what: str) -> Iterator[Hdf5]:
-    """Open an HDF5 file for reading; ``what`` it should be, for the errors.
-
-    Raises:
-        UserError: no HDF5 file, a damaged one, or no h5py.
-    """
-    if path.is_dir():
-        raise UserError(f"{path} is a folder, expected {what} (HDF5).")
-    try:
-        with path.open("rb") as file:
-            start = file.read(len(HDF5_START))
-    except OSError as error:
-        raise UserError(f"{path} cannot be opened: {error.strerror or error}.") from error
-    if start != HDF5_START:
-        raise UserError(f"{path} is not an HDF5 file (it begins {start!r}), expected {what}.")
-    try:
-        import h5py
-    except ImportError:
-        raise h5py_missing(path) from None
-    if not _heaps_are_sound(path):
-        raise _damaged(path, what, ValueError("a text is longer than the room that it has"))
-    try:
-        file = h5py.File(path, "r", locking=False)
-    except _DAMAGE as error:
-        raise _damaged(path, what, error) from error
-    with file:
-        yield Hdf5(path, what, file)
-
-
-def h5py_missing(path: Path) -> UserError:
-    """Return the error of an HDF5 file where h5py is not installed."""
-    return UserError(f'{path}: reading it needs h5py: pip install "uplift3d[trackers]".')
-
-
-def from_json(path: Path, where: str, text: str) -> Any:
-    """Return what JSON text inside a file says.
-
-    Raises:
-        UserError: no JSON, or nested too deeply.
-    """
-    try:
-        return json.loads(text)
-    except (ValueError, RecursionError) as error:
-        raise UserError(f"{path}: {where} is not valid JSON ({error}): damaged file?") from error
-
-
-def _damage_as_error(method: Callable) -> Callable:
-    """Wrap a method so that whatever h5py makes of a damaged file ends as one clear error."""
-
-    @wraps(method)
-    def wrapped(self: Hdf5, *given: Any) -> Any:
-        try:
-            return method(self, *given)
-        except _DAMAGE as error:
-            raise _damaged(self.path, self.what, error) from error
-
-    return wrapped
-
-
-def _damaged(path: Path, what: str, error: BaseException) -> UserError:
-    return UserError(f"{path} cannot be read as {what}: truncated, damaged, or another format? ({reason_of(error)})")
-
-
-class Hdf5:
-    """An open HDF5 file; every name is a path from its root, such as ``metadata`` or ``poseest/points``."""
-
-    def __init__(self, path: Path, what: str, file: Any):
-        self.path, self.what = path, what
-        self._own = _OwnParts(path, what, file)
-
-    @_damage_as_error
+    @_one_error
     def has(self, name: str) -> bool:
         """Return whether there is a group or an array of this name."""
-        return self._own.find(name) is not None
+        return self._find(name) is not None
 
-    @_damage_as_error
+    @_one_error
     def is_group(self, name: str) -> bool:
         """Return whether there is a group of this name in this very file."""
         try:
-            return hasattr(self._own.find(name), "keys")
+            return hasattr(self._find(name), "keys")
         except _Elsewhere:
             return False
 
-    @_damage_as_error
+    @_one_error
     def is_elsewhere(self, name: str) -> bool:
         """Return whether a name is a link to another file."""
         try:
-            self._own.find(name)
+            self._find(name)
         except _Elsewhere:
             return True
         return False
 
-    @_damage_as_error
+    @_one_error
     def names(self, group: str = "") -> list[str]:
         """Return the names in a group, sorted; none where there is no such group."""
-        found = self._own.find(group)
+        found = self._find(group)
         return sorted(found.keys()) if hasattr(found, "keys") else []
 
-    @_damage_as_error
+    @_one_error
     def place(self, name: str) -> int:
         """Return a number that is the same for two names of one thing."""
-        return hash(self._own.find(name).id)
+        return hash(self._find(name).id)
 
-    @_damage_as_error
+    @_one_error
     def own_name(self, name: str) -> str:
         """Return the name of what a link leads to, without its groups."""
-        return _clean(str(self._own.find(name).name).rsplit("/", 1)[-1])
+        return _clean(str(self._find(name).name).rsplit("/", 1)[-1])
 
-    @_damage_as_error
+    @_one_error
     def array(self, name: str) -> np.ndarray:
         """Return an array of numbers; raises UserError without any, or one that is larger than it can be."""
-        item = self._own.dataset(name)
+        item = self._dataset(name)
         if item.dtype.kind not in "fiub":
             raise UserError(f"{self.path}: '{name}' is not an array of numbers (found {item.dtype}).")
         return np.asarray(item[()])
 
-    @_damage_as_error
+    @_one_error
     def table(self, name: str, columns: Collection[str]) -> dict[str, np.ndarray]:
         """Return columns of numbers (rows,) of a table; raises UserError where one is missing."""
-        item = self._own.dataset(name)
+        item = self._dataset(name)
         named = item.dtype.names
         if named is None and "field_names" in item.attrs:  # as h5wasm writes tables: one array of numbers
             named = from_json(self.path, f"'field_names' of '{name}'", str(self.attribute(name, "field_names")))
@@ -269,17 +241,16 @@ class Hdf5:
             raise UserError(f"{self.path}: '{name}' is not a table (found {item.dtype} of shape {item.shape}).")
         for column in columns:
             if column not in found or found[column].ndim != 1 or found[column].dtype.kind not in "fiub":
-                raise UserError(
-                    f"{self.path}: table '{name}' has no column '{column}' of numbers (columns: {', '.join(map(str, named))})."
-                )
+                columns_there = ", ".join(map(str, named))
+                raise UserError(f"{self.path}: table '{name}' has no column '{column}' of numbers ({columns_there}).")
         return {column: found[column] for column in columns}
 
-    @_damage_as_error
+    @_one_error
     def texts(self, name: str) -> list[str]:
         """Return the texts of an array, in its order; raises UserError where it holds something else."""
         import h5py
 
-        item = self._own.dataset(name)
+        item = self._dataset(name)
         if not item.size:  # an empty list of text is often stored as one of numbers
             return []
         if h5py.check_string_dtype(item.dtype) is None:
@@ -291,15 +262,15 @@ class Hdf5:
         found = self.texts(name) if self.has(name) else []
         return found[0] if found else ""
 
-    @_damage_as_error
+    @_one_error
     def attribute(self, name: str, key: str) -> Any:
         """Return an attribute as text, number or array; None without one."""
         import h5py
 
-        found = self._own.find(name)
+        found = self._find(name)
         if found is None or key not in found.attrs:
             return None
-        if found.attrs.get_id(key).get_storage_size() > _MOST_ATTRIBUTE_BYTES:
+        if found.attrs.get_id(key).get_storage_size() > _SMALL:
             raise UserError(f"{self.path}: attribute '{key}' of '{name or '/'}' is too large: damaged file?")
         value = found.attrs[key]
         if isinstance(value, h5py.Empty):

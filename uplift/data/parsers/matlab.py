@@ -2,23 +2,16 @@
 
 from __future__ import annotations
 
-import struct
-import zlib
 from collections.abc import Collection
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from uplift.data.parsers.files import HDF5_START, bytes_of, check_memory, reason_of
+from uplift.data.parsers.files import HDF5_START, bytes_of, check_memory, damage_as_error, existing_file
 from uplift.errors import UserError
 
-__all__ = ["is_hdf5", "load_mat", "load_mat5"]
-
-_DAMAGE = (
-    ValueError, TypeError, KeyError, IndexError, AttributeError, OSError, EOFError, MemoryError, OverflowError,
-    NotImplementedError, RuntimeError, struct.error, zlib.error,
-)  # fmt: skip
+__all__ = ["load_mat", "load_mat5"]
 
 
 def load_mat(
@@ -29,34 +22,26 @@ def load_mat(
     With ``cells`` only those places of a cell array need to be read; others may come out empty.
 
     Raises:
-        UserError: no MATLAB file, a damaged one, or a variable that is not made of numbers.
+        UserError: not a MATLAB file, damaged, or a variable that is not made of numbers.
     """
-    if not is_hdf5(path):
-        found = load_mat5(path, names)
-        return {name: _plain(path, name, value) for name, value in found.items()}
+    if not _is_hdf5(path):
+        return {
+            name: [_numbers(path, name, np.asarray(cell)) for cell in value.ravel("F")]
+            if value.dtype.kind == "O"
+            else _numbers(path, name, value)
+            for name, value in load_mat5(path, names).items()
+        }
     try:
         import h5py
     except ImportError:
         raise UserError(f'{path} is a MATLAB v7.3 file; reading it needs h5py: pip install "uplift3d[mat]".') from None
-    try:
-        with h5py.File(path, "r") as file:
-            return {name: _from_hdf5(path, file, name, cells) for name in names if name in file}
-    except _DAMAGE as error:
-        raise _damaged(path, error) from error
+    with damage_as_error(path, "a MATLAB file"), h5py.File(path, "r") as file:
+        return {name: _from_hdf5(path, file, name, cells) for name in names if name in file}
 
 
-def is_hdf5(path: Path) -> bool:
-    """Return whether a MATLAB file is of the v7.3 generation.
-
-    Raises:
-        UserError: no such file, or an empty one.
-    """
-    if not path.is_file():
-        raise UserError(f"No file {path} (looked in {path.absolute().parent}).")
-    with path.open("rb") as file:
+def _is_hdf5(path: Path) -> bool:
+    with existing_file(path, "a MATLAB .mat file").open("rb") as file:
         start = file.read(520)
-    if not start:
-        raise UserError(f"{path} is empty (0 bytes), expected a MATLAB .mat file.")
     return HDF5_START in (start[:8], start[512:])
 
 
@@ -64,38 +49,22 @@ def load_mat5(path: Path, names: Collection[str]) -> dict[str, Any]:
     """Return those of ``names`` that a v5/v7 file has, as scipy reads them.
 
     Raises:
-        UserError: no MATLAB file of that generation, or a damaged one.
+        UserError: not a MATLAB file of that generation, or damaged.
     """
     try:
         from scipy.io import loadmat, whosmat
         from scipy.io.matlab import MatReadError
     except ImportError:
         raise UserError(f'{path}: reading MATLAB files needs scipy: pip install "uplift3d[mat]".') from None
-    if is_hdf5(path):
+    if _is_hdf5(path):
         raise UserError(f"{path} is a MATLAB v7.3 file, expected one of an older generation: save it with '-v7'.")
-    try:
-        held = [(name, shape) for name, shape, _ in whosmat(path)]
-        for name, shape in held:
+    with damage_as_error(path, "a MATLAB file", MatReadError):
+        shapes = {name: shape for name, shape, _ in whosmat(path)}
+        for name, shape in shapes.items():
             check_memory(path, f"'{name}'", bytes_of(shape, np.dtype(float)))
-        wanted = [name for name in names if name in dict(held)]
+        wanted = [name for name in names if name in shapes]
         found = loadmat(path, variable_names=wanted, verify_compressed_data_integrity=True) if wanted else {}
-    except (*_DAMAGE, MatReadError) as error:
-        raise _damaged(path, error) from error
     return {name: found[name] for name in wanted if name in found}
-
-
-def _damaged(path: Path, error: Exception) -> UserError:
-    if isinstance(error, UserError):
-        return error
-    return UserError(
-        f"{path} cannot be read as a MATLAB file: truncated, damaged, or another format? ({reason_of(error)})"
-    )
-
-
-def _plain(path: Path, name: str, value: np.ndarray) -> np.ndarray | list[np.ndarray]:
-    if value.dtype.kind == "O":
-        return [_numbers(path, name, np.asarray(cell)) for cell in value.ravel("F")]
-    return _numbers(path, name, value)
 
 
 def _numbers(path: Path, name: str, value: np.ndarray) -> np.ndarray:
@@ -108,7 +77,7 @@ def _from_hdf5(path: Path, file: Any, name: str, cells: Collection[int] | None) 
     import h5py
 
     if not isinstance(file.get(name, getlink=True), h5py.HardLink):
-        raise UserError(f"{path}: '{name}' is a link to elsewhere, expected an array.")
+        raise UserError(f"{path}: '{name}' is a link, expected an array.")
     item = file[name]
     if not isinstance(item, h5py.Dataset):
         raise UserError(f"{path}: '{name}' is a struct, expected an array or a cell array.")

@@ -1,22 +1,22 @@
-"""Read the arrays of an npz file of unknown origin: no code runs, no memory is taken on its word."""
+"""Read the arrays of an untrusted npz file: no code runs, and no memory is taken on its word."""
 
 from __future__ import annotations
 
 import zipfile
-import zlib
-from collections.abc import Collection, Iterator
-from contextlib import contextmanager
+from collections.abc import Collection
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from uplift.data.parsers.files import bytes_of, check_memory, existing_file
+from uplift.data.parsers.files import bytes_of, check_memory, damage_as_error, existing_file
 from uplift.errors import UserError, did_you_mean
 
 __all__ = ["CheckedArrays", "array_headers", "read_arrays", "read_header"]
 
 _MAX_HEADER_BYTES = 10_000
+_Header = tuple[tuple[int, ...], np.dtype]
+"""Shape and dtype."""
 
 
 def read_arrays(
@@ -31,40 +31,29 @@ def read_arrays(
     Raises:
         UserError: not a file, not an npz, damaged, pickled, or larger than the memory at hand.
     """
+    path = Path(path)
     headers = array_headers(path)
     unknown = next((name for name in headers if names is not None and not others and name not in names), None)
     if unknown is not None and names is not None:
         raise UserError(f"{path}: unknown array '{unknown}'.{did_you_mean(unknown, sorted(names))}")
     wanted = [name for name in headers if names is None or name in names]
-    check_memory(Path(path), "it", sum(bytes_of(*headers[name]) for name in wanted))
-    with _damage_as_error(Path(path)), np.load(path, allow_pickle=False) as file:
+    check_memory(path, "it", sum(bytes_of(*headers[name]) for name in wanted))
+    with damage_as_error(path, "an .npz file"), np.load(path, allow_pickle=False) as file:
         return {name: file[name] for name in wanted}
 
 
-def array_headers(path: str | Path) -> dict[str, tuple[tuple[int, ...], np.dtype]]:
+def array_headers(path: str | Path) -> dict[str, _Header]:
     """Return shape and dtype of each array of an npz file, compared with the bytes that are there.
 
     Raises:
         UserError: not a file, not an npz, damaged, or pickled.
     """
     path = existing_file(path, "an .npz file")
-    with _damage_as_error(path), zipfile.ZipFile(path) as archive:
+    with damage_as_error(path, "an .npz file"), zipfile.ZipFile(path) as archive:
         return dict(_header(path, archive, member) for member in archive.infolist())
 
 
-@contextmanager
-def _damage_as_error(path: Path) -> Iterator[None]:
-    try:
-        yield
-    except zipfile.BadZipFile as error:
-        raise UserError(f"{path} is not a complete .npz file ({error}): truncated, or another format?") from error
-    except (ValueError, EOFError, OSError, KeyError, NotImplementedError, RuntimeError, zlib.error) as error:
-        raise UserError(f"{path} cannot be read as .npz: {error}") from error
-
-
-def _header(
-    path: Path, archive: zipfile.ZipFile, member: zipfile.ZipInfo
-) -> tuple[str, tuple[tuple[int, ...], np.dtype]]:
+def _header(path: Path, archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> tuple[str, _Header]:
     name = member.filename.removesuffix(".npy")
     if name == member.filename:
         raise UserError(f"{path}: holds '{name}', expected only arrays (.npy) in an .npz file.")
@@ -152,10 +141,7 @@ class CheckedArrays:
             return None
         fits = array.ndim == len(shape) and all(n in (None, m) for n, m in zip(shape, array.shape, strict=True))
         if not fits or array.dtype.kind not in kinds:
-            wanted = (
-                "(" + ", ".join("any" if n is None else str(n) for n in shape) + ("," if len(shape) == 1 else "") + ")"
-            )
-            raise UserError(
-                f"{self.where}: '{name}' is {array.dtype} of shape {array.shape}, expected {expected} of shape {wanted}."
-            )
+            wanted = "(" + ", ".join("any" if n is None else str(n) for n in shape) + "," * (len(shape) == 1) + ")"
+            found = f"{array.dtype} of shape {array.shape}"
+            raise UserError(f"{self.where}: '{name}' is {found}, expected {expected} of shape {wanted}.")
         return array

@@ -6,14 +6,14 @@ import collections
 import pickle
 import struct
 import zipfile
-import zlib
 from collections.abc import Callable, Collection
+from functools import partial
 from pathlib import Path
 from typing import Any, ClassVar
 
 import numpy as np
 
-from uplift.data.parsers.files import check_memory, existing_file, reason_of
+from uplift.data.parsers.files import check_memory, damage_as_error, existing_file
 from uplift.data.parsers.npz import read_header
 from uplift.errors import UserError
 
@@ -67,11 +67,8 @@ class _Dtype:
         self.dtype = self.dtype.newbyteorder(state[1]) if state[1] in "<>" else self.dtype
 
 
-class _Marker:
-    """Stands for the class ndarray, which a pickle names and never calls."""
-
-
-_NDARRAY = _Marker()
+_NDARRAY = object()
+"""Stands for the class ndarray, which a pickle names and never calls."""
 
 
 def _reconstruct(kind: Any, _shape: Any = (0,), _dtype: Any = b"b") -> np.ndarray:
@@ -120,14 +117,7 @@ def _encode(text: Any, encoding: Any = "latin1") -> bytes:
     return text.encode("latin1")
 
 
-def _no_bytes() -> bytes:
-    return b""
-
-
-def _default_dict(*_factory: Any) -> dict:
-    return {}
-
-
+_BUILTINS = (dict, list, set, frozenset, complex)
 _NUMPY: dict[str, Any] = {
     "multiarray._reconstruct": _reconstruct,
     "multiarray.scalar": _scalar,
@@ -139,19 +129,11 @@ _ADMITTED: dict[str, Any] = {
     **{f"numpy.{core}.{name}": found for core in ("core", "_core") for name, found in _NUMPY.items()},
     "_codecs.encode": _encode,
     "collections.OrderedDict": collections.OrderedDict,
-    "collections.defaultdict": _default_dict,
-    **{
-        f"{module}.{kind.__name__}": kind
-        for module in ("builtins", "__builtin__")
-        for kind in (dict, list, set, frozenset, complex)
-    },
-    "builtins.bytes": _no_bytes,
-    "__builtin__.bytes": _no_bytes,
+    "collections.defaultdict": lambda *_factory: {},
+    **{f"builtins.{kind.__name__}": kind for kind in _BUILTINS},
+    **{f"__builtin__.{kind.__name__}": kind for kind in _BUILTINS},
+    **dict.fromkeys(("builtins.bytes", "__builtin__.bytes"), lambda: b""),
 }
-
-
-def _checked(load: Callable[..., None]) -> Callable[..., None]:
-    return lambda unpickler: unpickler.check_depth(load)
 
 
 _Python: Any = pickle._Unpickler
@@ -212,20 +194,13 @@ class Unpickler(_Python):
 
     dispatch[pickle.BUILD[0]] = load_build
     for _code in (pickle.TUPLE, pickle.TUPLE1, pickle.TUPLE2, pickle.TUPLE3):
-        dispatch[_code[0]] = _checked(dispatch[_code[0]])
+        dispatch[_code[0]] = partial(check_depth, load=dispatch[_code[0]])
     dispatch[pickle.BYTEARRAY8[0]] = load_bytearray8
     for _code in (pickle.EXT1, pickle.EXT2, pickle.EXT4):
         dispatch[_code[0]] = load_ext
 
 
 # Files of pickles.
-
-# Whatever a damaged or hostile stream makes the unpickler stumble over.
-_DAMAGE = (
-    pickle.UnpicklingError, EOFError, ValueError, IndexError, KeyError, AttributeError, TypeError, AssertionError,
-    ArithmeticError, MemoryError, NotImplementedError, RuntimeError, ImportError, OSError, struct.error, zlib.error,
-    zipfile.BadZipFile,
-)  # fmt: skip
 
 
 def load_pickle(path: str | Path) -> Any:
@@ -238,13 +213,8 @@ def load_pickle(path: str | Path) -> Any:
     """
     path = existing_file(path, "a pickle file")
     check_memory(path, "it", path.stat().st_size)
-    try:
-        with path.open("rb") as file:
-            return Unpickler(Source(file, path.stat().st_size), str(path)).load()
-    except _DAMAGE as error:
-        raise UserError(
-            f"{path} is not a complete pickle file ({reason_of(error)}): truncated, or another format?"
-        ) from error
+    with damage_as_error(path, "a pickle file"), path.open("rb") as file:
+        return Unpickler(Source(file, path.stat().st_size), str(path)).load()
 
 
 def load_object_npz(path: str | Path, names: Collection[str] | None = None) -> dict[str, Any]:
@@ -256,15 +226,10 @@ def load_object_npz(path: str | Path, names: Collection[str] | None = None) -> d
         UserError: no such file, damaged, too large for the memory, or one that wants to import something else.
     """
     path = existing_file(path, "an .npz file")
-    try:
-        with zipfile.ZipFile(path) as archive:
-            members = [m for m in archive.infolist() if names is None or m.filename.removesuffix(".npy") in names]
-            check_memory(path, "it", sum(member.file_size for member in members))
-            return {m.filename.removesuffix(".npy"): _read_member(path, archive, m) for m in members}
-    except _DAMAGE as error:
-        raise UserError(
-            f"{path} is not a complete .npz file ({reason_of(error)}): truncated, or another format?"
-        ) from error
+    with damage_as_error(path, "an .npz file"), zipfile.ZipFile(path) as archive:
+        members = [m for m in archive.infolist() if names is None or m.filename.removesuffix(".npy") in names]
+        check_memory(path, "it", sum(member.file_size for member in members))
+        return {m.filename.removesuffix(".npy"): _read_member(path, archive, m) for m in members}
 
 
 def _read_member(path: Path, archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> Any:
