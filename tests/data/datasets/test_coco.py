@@ -11,7 +11,7 @@ import pytest
 from uplift.config.loading import load_settings
 from uplift.data.datasets.coco import COCO_JOINTS, Coco
 from uplift.data.load import in_joints_of, load_data
-from uplift.data.parsers.json import JsonText, records
+from uplift.data.parsers.json import JsonText, objects, records
 from uplift.data.synthetic.simulate import simulate
 from uplift.errors import UserError
 from uplift.skeleton import load_skeleton
@@ -180,7 +180,7 @@ def test_records_are_those_of_json(tmp_path: Path, flat: np.ndarray) -> None:
         found = list(records(path, ("a", "annotations", "b")))
         assert found == [("annotations", each) for each in content["annotations"]] + [("b", {"x": [1]})]
     path.write_text("[{}, {}] ")
-    assert list(JsonText(path).records("x")) == [{}, {}]
+    assert list(objects(JsonText(path), "x")) == [{}, {}]
 
 
 def test_options_and_missing_files(tmp_path: Path, here: Path) -> None:

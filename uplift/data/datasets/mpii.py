@@ -11,7 +11,7 @@ import numpy as np
 
 from uplift.data.datasets.base import DataSet, WantedFile
 from uplift.data.formats.npz import read_npz
-from uplift.data.parsers.json import JsonText
+from uplift.data.parsers.json import JsonText, objects
 from uplift.data.parsers.matlab import load_mat5
 from uplift.data.poses import PoseData
 from uplift.errors import UserError
@@ -66,7 +66,7 @@ def _read_json(path: Path, occluded: float) -> PoseData:
     text = JsonText(path)
     if text.next_sign() != "[":
         raise UserError(f"{path} is no list of people, expected MPII's as train.json has them.")
-    for count, person in enumerate(text.records("the people")):
+    for count, person in enumerate(objects(text, "the people")):
         where = f"{path}: person {count}"
         absent = [key for key in ("image", "joints", "joints_vis") if key not in person]
         if absent:

@@ -1,4 +1,4 @@
-"""Read JSON of unknown origin: records one at a time, the files of a folder, lists of numbers."""
+"""Read untrusted JSON: records one at a time, the files of a folder, lists of numbers."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import json
 import os
 import re
 import reprlib
+import sys
 from collections.abc import Collection, Iterator, Sequence
 from itertools import chain
 from pathlib import Path
@@ -16,27 +17,14 @@ import numpy as np
 from uplift.errors import UserError
 
 __all__ = [
-    "JsonText",
-    "Numbers",
-    "entries",
-    "in_order",
-    "is_json",
-    "is_text",
-    "items",
-    "json_files",
-    "load_json",
-    "members",
-    "objects",
-    "records",
-    "shown",
-    "texts",
-    "whole_number",
-]
+    "JsonText", "Numbers", "entries", "in_order", "is_json", "is_text", "items", "json_files", "load_json", "members",
+    "objects", "records", "shown", "texts", "whole_number",
+]  # fmt: skip
 
-# Read a large JSON file of records one at a time: its text is in memory, never all of its objects.
+# Large files of records: the text is in memory, never all of its objects.
 
 _SPACE = re.compile(r"[ \t\n\r]*")
-_DECODER = json.JSONDecoder()
+_SCAN = json.JSONDecoder().raw_decode
 
 
 def records(path: Path, keys: Collection[str]) -> Iterator[tuple[str, dict[str, Any]]]:
@@ -57,7 +45,7 @@ def records(path: Path, keys: Collection[str]) -> Iterator[tuple[str, dict[str, 
             text.value()
             continue
         found.add(key)
-        for record in text.records(f"'{key}'"):
+        for record in objects(text, f"'{key}'"):
             yield key, record
     absent = ", ".join(key for key in keys if key not in found)
     if absent:
@@ -68,7 +56,7 @@ class JsonText:
     """The text of a JSON file and how far it has been read.
 
     Raises:
-        UserError: (as every method does) no such file, no JSON, or damaged.
+        UserError: (as every method does) no such file, not JSON, or damaged.
     """
 
     def __init__(self, path: Path):
@@ -80,6 +68,7 @@ class JsonText:
             raise UserError(f"{path} cannot be read as JSON: {error}") from None
         if not self.next_sign():
             raise UserError(f"{path} is empty, expected JSON.")
+        self.start = self.at
 
     def next_sign(self) -> str:
         """Return the next character that is not a space, without passing it; nothing at the end."""
@@ -91,9 +80,9 @@ class JsonText:
         """Return the next value and pass it."""
         self.next_sign()
         try:
-            found, self.at = _DECODER.raw_decode(self.text, self.at)
+            found, self.at = _SCAN(self.text, self.at)
         except (ValueError, RecursionError):
-            raise self._damaged() from None
+            raise self.damaged() from None
         return found
 
     def members(self) -> Iterator[str]:
@@ -104,45 +93,28 @@ class JsonText:
             key = self.value()
             self._pass(":")
             yield key
-            more = self._more("}")
+            more = self.next_sign() == ","
+            self.at += more
         self._pass("}")
 
-    def records(self, what: str) -> Iterator[dict[str, Any]]:
-        """Yield each entry of a list of objects; ``what`` names the list in errors."""
-        if self.next_sign() != "[":
-            raise UserError(f"{self.path}: {what} is not a list.")
-        self._pass("[")
-        more, count = self.next_sign() != "]", 0
-        while more:
-            found = self.value()
-            if not isinstance(found, dict):
-                raise UserError(f"{self.path}: entry {count} of {what} is {found!r:.60}, expected an object.")
-            yield found
-            more, count = self._more("]"), count + 1
-        self._pass("]")
-
-    def _more(self, end: str) -> bool:
-        if self.next_sign() == ",":
-            self.at += 1
-            return True
-        if self.next_sign() != end:
-            raise self._damaged()
-        return False
+    def end(self) -> None:
+        """Raise UserError where anything follows."""
+        if self.next_sign():
+            near = self.text[self.at : self.at + 40]
+            raise UserError(
+                f"{self.path} is not a complete JSON file: it ends at character {self.at:,}, and more follows: {near!r}."
+            )
 
     def _pass(self, sign: str) -> None:
         if self.next_sign() != sign:
-            raise self._damaged()
+            raise self.damaged()
         self.at += 1
 
-    def _damaged(self) -> UserError:
+    def damaged(self) -> UserError:
+        """Return the error for text that is not JSON."""
         near = self.text[self.at : self.at + 40]
         shown = f"near {near!r}" if near else "where the file ends: truncated?"
         return UserError(f"{self.path} is not a complete JSON file: damaged at character {self.at:,}, {shown}.")
-
-
-# What the readers of JSON share: the files of a folder, and their entries one at a time.
-
-_SCAN = json.JSONDecoder().raw_decode
 
 
 def json_files(path: Path) -> list[Path]:
@@ -172,39 +144,38 @@ def load_json(path: Path) -> Any:
     """
     text = JsonText(path)
     value = text.value()
-    _end(text)
+    text.end()
     return value
 
 
 def members(path: Path) -> Iterator[tuple[str, JsonText]]:
-    """Yield each key of a file's object, with the text standing before its value, which the caller passes.
+    """Yield each key of a file's object, with the text placed before its value, which the caller passes.
 
     Raises:
-        UserError: damaged, or no object.
+        UserError: damaged, or not an object.
     """
     text = JsonText(path)
     if text.next_sign() != "{":
         raise UserError(f"{path} begins {text.text[text.at : text.at + 20]!r}, expected an object: {{ ... }}.")
     for key in text.members():
         yield key, text
-    _end(text)
+    text.end()
 
 
 def entries(path: Path, what: str) -> Iterator[tuple[int, dict[str, Any]]]:
     """Yield the number and object of each entry of a file's list; ``what`` names the list in errors.
 
     Raises:
-        UserError: damaged, no list, or an entry that is not an object.
+        UserError: damaged, not a list, or an entry that is not an object.
     """
-    text = JsonText(path)
-    yield from enumerate(objects(text, what))
+    return enumerate(objects(JsonText(path), what))
 
 
 def objects(text: JsonText, what: str) -> Iterator[dict[str, Any]]:
-    """Yield each object of the list that stands next in a text, as `JsonText.records` does, in less time.
+    """Yield each object of the list that comes next in a text, one at a time.
 
     Raises:
-        UserError: damaged, no list, or an entry that is not an object.
+        UserError: damaged, not a list, or an entry that is not an object.
     """
     for count, value in enumerate(items(text, what)):
         if type(value) is not dict:
@@ -213,14 +184,14 @@ def objects(text: JsonText, what: str) -> Iterator[dict[str, Any]]:
 
 
 def items(text: JsonText, what: str) -> Iterator[Any]:
-    """Yield each value of the list that stands next in a text, one at a time, and pass it.
+    """Yield each value of the list that comes next in a text, one at a time, and pass it.
 
     Raises:
-        UserError: damaged, or no list.
+        UserError: damaged, or not a list.
     """
-    outermost = text.next_sign() == "[" and text.at < 1000 and not text.text[: text.at].strip()
     if text.next_sign() != "[":
         raise UserError(f"{text.path}: {what} is not a list.")
+    outermost = text.at == text.start
     text.at += 1
     more = text.next_sign() != "]"
     content = text.text
@@ -228,26 +199,18 @@ def items(text: JsonText, what: str) -> Iterator[Any]:
         try:
             value, text.at = _SCAN(content, text.at)
         except (ValueError, RecursionError):
-            value = text.value()  # after spaces; or tells what is wrong
+            value = text.value()  # after spaces, or raises the error
         yield value
         if content.startswith(", ", text.at):  # as most write it
             text.at += 2
             continue
         more = text.next_sign() == ","
         if not more and text.next_sign() != "]":
-            raise UserError(f"{text.path} is not a complete JSON file: damaged or cut short at character {text.at:,}.")
+            raise text.damaged()
         text.at += more
     text.at += 1
     if outermost:
-        _end(text)
-
-
-def _end(text: JsonText) -> None:
-    if text.next_sign():
-        raise UserError(
-            f"{text.path} is not a complete JSON file: it ends at character {text.at:,}, and more follows: "
-            f"{text.text[text.at : text.at + 40]!r}."
-        )
+        text.end()
 
 
 def is_text(value: Any) -> bool:
@@ -274,20 +237,16 @@ def whole_number(value: Any, where: str, what: str) -> int:
 
 def in_order(name: str) -> list[tuple[int, int, str]]:
     """Return what sorts file names so that 2 comes before 10."""
-    parts = re.split(r"([0-9]+)", name)
-    return [
-        (0, int(part[:300]), part) if part.isdecimal() and part.isascii() else (1, 0, part) for part in parts if part
-    ]
+    parts = filter(None, re.split(r"([0-9]+)", name))
+    return [(0, int(part[:300]), part) if "0" <= part[0] <= "9" else (1, 0, part) for part in parts]
 
-
-# Columns of text from files of unknown origin.
 
 _LONGEST = 4000
 _MOST = 500_000_000
 
 
 def texts(path: Path, values: Sequence[str]) -> np.ndarray:
-    """Return names of rows as an array of text, in which every name takes the room of the longest.
+    """Return names of rows as an array of text, in which every name takes the space of the longest.
 
     Raises:
         UserError: a name so long that the array would not fit in memory.
@@ -299,10 +258,9 @@ def texts(path: Path, values: Sequence[str]) -> np.ndarray:
     return np.array(values) if len(values) else np.empty(0, "U1")
 
 
-# Lists of numbers as JSON holds them, checked one by one, as one array.
-
 _BLOCK = 4096
 _KINDS = {int, float, type(None)}
+_LARGEST = sys.float_info.max
 
 
 class Numbers:
@@ -324,15 +282,13 @@ class Numbers:
         """Take the next row; ``where`` names it in errors.
 
         Raises:
-            UserError: no list of numbers, or not as long as the rows before it.
+            UserError: not a list of numbers, or not as long as the rows before it.
         """
         flat = self.flat(values, where)
         if len(flat) != self.width:
             if self.width is not None:
-                raise UserError(
-                    f"{where}: '{self.what}' has {len(flat)} numbers, but {self.width} in {self._first}. "
-                    "Expected the same keypoints everywhere."
-                )
+                found = f"{len(flat)} numbers, but {self.width} in {self._first}"
+                raise UserError(f"{where}: '{self.what}' has {found}. Expected the same keypoints everywhere.")
             self.width, self._first = len(flat), where
         self._waiting.extend(flat)
         self._places.append(where)
@@ -355,9 +311,9 @@ class Numbers:
         try:
             block = np.array(self._waiting, np.float64)
         except OverflowError:
-            wrong = next(n for n, value in enumerate(self._waiting) if _too_large(value))
+            wrong = next(n for n, value in enumerate(self._waiting) if value is not None and abs(value) > _LARGEST)
             where = self._places[wrong // max(width, 1)]
-            raise UserError(f"{where}: '{self.what}' holds a number of more digits than any pixel has.") from None
+            raise UserError(f"{where}: '{self.what}' holds a number with more digits than a pixel has.") from None
         with np.errstate(over="ignore"):
             self._blocks.append(block.reshape(len(self._places), width).astype(np.float32))
         self._waiting, self._places = [], []
@@ -378,15 +334,6 @@ class Numbers:
         """Return (rows, keypoints, 2) and (rows, keypoints) ``scores``; raises UserError for other numbers of them."""
         count = scores.width or 0
         if self.width != 2 * count:
-            raise UserError(
-                f"{path}: '{self.what}' has {self.width} numbers and '{scores.what}' {count}, expected x, y for each."
-            )
+            found = f"'{self.what}' has {self.width} numbers and '{scores.what}' {count}"
+            raise UserError(f"{path}: {found}, expected x, y for each.")
         return self.array(count, 2), scores.array()
-
-
-def _too_large(value: Any) -> bool:
-    try:
-        float(value or 0)
-    except OverflowError:
-        return True
-    return False
