@@ -137,7 +137,7 @@ def test_other_files_are_refused(tmp_path: Path, flat: np.ndarray) -> None:
     }
     assert "annotation 3 has no 'keypoints': these are instances" in refused(tmp_path, instances)
     assert "no annotations, categories in it" in refused(tmp_path, {"images": []})
-    assert "no JSON" in refused(tmp_path, "hello") or "whole JSON" in refused(tmp_path, "hello")
+    assert "is not a complete JSON file" in refused(tmp_path, "hello")
     assert "is empty" in refused(tmp_path, "  \n")
 
 
