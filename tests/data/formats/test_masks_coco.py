@@ -150,7 +150,7 @@ def test_what_is_skipped_and_why(tmp_path: Path) -> None:
     (tmp_path / "x.json").write_text(json.dumps(content))
     data = read_masks(tmp_path / "x.json")
     assert data.names == ["field.jpg:100"]
-    told = "\n".join(data.notes)
+    notes = "\n".join(data.notes)
     for reason in (
         "a crowd, not one object (field.jpg:101)",
         "cut off (border=keep takes these) (field.jpg:102)",
@@ -160,7 +160,7 @@ def test_what_is_skipped_and_why(tmp_path: Path) -> None:
         "a score below 0.5 (field.jpg:107)",
         "several pieces of similar size (pieces=largest takes the largest of each) (field.jpg:108)",
     ):
-        assert reason in told
+        assert reason in notes
 
 
 def test_what_detectors_hand_in(tmp_path: Path) -> None:

@@ -94,9 +94,9 @@ def test_cityscapes(tmp_path: Path) -> None:
     assert data.images is not None
     assert data.category.tolist() == ["person", "car", "car"]
     assert set(data.images.tolist()) == {str(tmp_path / "photos/aachen_0_leftImg8bit.png")}
-    told = "\n".join(data.notes)
-    assert "2 areas of classes without instances" in told
-    assert "1 pictures that are not *_instanceIds.png were left out" in told
+    notes = "\n".join(data.notes)
+    assert "2 areas of classes without instances" in notes
+    assert "1 pictures that are not *_instanceIds.png were left out" in notes
     assert read_masks(folder, category="person").names == data.names[:1]
     with pytest.raises(UserError, match="no such category. Did you mean .person"):
         read_masks(folder, category="persons")

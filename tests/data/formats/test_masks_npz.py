@@ -106,13 +106,13 @@ _WRONG = {
 
 
 @pytest.mark.parametrize("case", _WRONG)
-def test_wrong_files_are_told(case: str, data: MaskData, tmp_path: Path) -> None:
+def test_wrong_files_are_refused(case: str, data: MaskData, tmp_path: Path) -> None:
     changes, message = _WRONG[case]
     with pytest.raises(UserError, match=message):
         read_masks_npz(_changed(data, tmp_path / "wrong.npz", **changes))
 
 
-def test_faces_of_another_mesh_are_told(data: MaskData, tmp_path: Path) -> None:
+def test_faces_of_another_mesh_are_refused(data: MaskData, tmp_path: Path) -> None:
     assert data.truth is not None
     faces = np.concatenate([mesh.faces for mesh in data.truth.meshes])
     faces[0] = len(data.truth.meshes[0].vertices)
@@ -131,5 +131,5 @@ def test_no_file_and_a_damaged_one(tmp_path: Path) -> None:
     with pytest.raises(UserError, match="No file"):
         read_masks_npz(tmp_path / "none.npz")
     (tmp_path / "half.npz").write_bytes(b"PK\x03\x04 and no more")
-    with pytest.raises(UserError, match="not a complete"):
+    with pytest.raises(UserError, match="cannot be read as an .npz file"):
         read_masks_npz(tmp_path / "half.npz")

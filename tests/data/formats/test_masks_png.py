@@ -95,7 +95,7 @@ def test_a_folder_with_sub_folders_and_what_is_wrong_in_it(tmp_path: Path) -> No
     assert data.names == ["cow/2.png", "cow/10.png", "horse/a.png"]
     assert data.category is not None
     assert data.category.tolist() == ["cow", "cow", "horse"]
-    told = "\n".join(data.notes)
+    notes = "\n".join(data.notes)
     for piece in (
         "1 files of other kinds were left out (notes.txt)",
         "2 of 9 masks skipped: no picture, or a damaged one (horse/text.png, horse/whole.png)",
@@ -104,7 +104,7 @@ def test_a_folder_with_sub_folders_and_what_is_wrong_in_it(tmp_path: Path) -> No
         "not a mask (horse/photo.jpg)",
         "format=labels takes each as an object) (horse/labels.png)",
     ):
-        assert piece in told
+        assert piece in notes
     assert read_masks(tmp_path, format="png_folder", category="Cow").names == ["cow/2.png", "cow/10.png"]
     with pytest.raises(UserError, match=r"category=hors: .* no such category. Did you mean 'horse'"):
         read_masks(tmp_path, category="hors")

@@ -95,8 +95,8 @@ def test_poses_are_drawn_over_all_animations(tmp_path: Path) -> None:
         np.testing.assert_allclose(tip, [3 * np.cos(angle), -3 * np.sin(angle), 0], atol=0.03)
     again = read_meshes([path, write_glb(tmp_path / "dog.glb")], MeshOptions(poses=7, seed=3))
     assert [mesh.name for mesh in again] == [*(mesh.name for mesh in found), "dog"]
-    for told, left in ((("walk", "RUN"), {"walk", "run"}), (("-Walk",), {"run", "rest"})):
-        some = read_meshes(path, MeshOptions(poses=6, animations=told))
+    for parts, left in ((("walk", "RUN"), {"walk", "run"}), (("-Walk",), {"run", "rest"})):
+        some = read_meshes(path, MeshOptions(poses=6, animations=parts))
         assert {mesh.name.split()[1] for mesh in some} == left
     with pytest.raises(UserError, match=r"animations=fly leaves none of its animations. Valid: Rig\|walk"):
         read_meshes(path, MeshOptions(animations=("fly",)))
@@ -122,29 +122,32 @@ WRONG = {
     "nothing.obj": ("", "no triangles"),
     "points.obj": (VERTICES, "no triangles"),
     "points.ply": (f"{PLY}0 0 0\n1 0 0\n0 1 1\n", "no triangles"),
-    "far.obj": (f"{VERTICES}f 1 2 9\n", "damaged, or no .obj file"),
-    "far.off": ("OFF\n3 1 0\n0 0 0\n1 0 0\n0 1 1\n3 0 1 7\n", "damaged, or no .off file|a vertex of 3 that is not"),
+    "far.obj": (f"{VERTICES}f 1 2 9\n", "damaged, or not a .obj file"),
+    "far.off": (
+        "OFF\n3 1 0\n0 0 0\n1 0 0\n0 1 1\n3 0 1 7\n",
+        "damaged, or not a .off file|a vertex of 3 that does not",
+    ),
     "nan.obj": (f"{VERTICES}v nan 0 0\nf 1 2 3\nf 1 2 5\n", "1 of 4 vertices are not finite"),
     "flat.obj": (f"{VERTICES}f 1 2 3\n", "flat"),
     "dot.obj": ("v 1 1 1\nv 1 1 1\nv 1 1 1\nf 1 2 3\n", "flat"),
     "cut.stl": ("\0" * 80 + "\x7f\x7f\0\0", "no triangles"),
-    "cut.ply": (PLY.replace("ascii", "binary_little_endian"), "damaged, or no .ply file"),
+    "cut.ply": (PLY.replace("ascii", "binary_little_endian"), "damaged, or not a .ply file"),
     "other.glb": (VERTICES, "does not begin with 'glTF'"),
     "animal.fbx": ("Kaydara FBX Binary", "Export others as .glb"),
 }
 
 
 @pytest.mark.parametrize("name", WRONG)
-def test_files_that_are_none_are_told(name: str, tmp_path: Path) -> None:
+def test_other_files_are_refused(name: str, tmp_path: Path) -> None:
     content, message = WRONG[name]
     (tmp_path / name).write_text(content)
-    with pytest.raises(UserError, match=message) as told:
+    with pytest.raises(UserError, match=message) as refused:
         read_meshes(tmp_path / name)
-    assert name in str(told.value)
+    assert name in str(refused.value)
 
 
 @pytest.mark.parametrize("ending", [".stl", ".ply", ".glb"])
-def test_files_that_are_cut_off_are_told(ending: str, tmp_path: Path) -> None:
+def test_files_that_are_cut_off_are_refused(ending: str, tmp_path: Path) -> None:
     path = tmp_path / f"a{ending}"
     if ending == ".glb":
         write_glb(path)
@@ -155,7 +158,7 @@ def test_files_that_are_cut_off_are_told(ending: str, tmp_path: Path) -> None:
         read_meshes(path)
 
 
-def test_places_without_meshes_are_told(tmp_path: Path) -> None:
+def test_places_without_meshes_are_refused(tmp_path: Path) -> None:
     with pytest.raises(UserError, match="no mesh files in this folder"):
         read_meshes(tmp_path)
     with pytest.raises(UserError, match="no such file or folder"):

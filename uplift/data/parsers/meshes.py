@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
+from uplift.data.parsers.files import reason_of
 from uplift.data.parsers.gltf import GltfFile
 from uplift.errors import UserError, did_you_mean
 from uplift.geometry.mesh import Mesh
@@ -39,12 +40,12 @@ class MeshOptions:
     poses: int = 20
     """Moments drawn from each animated file's animations; 0: the pose it has at rest."""
     animations: tuple[str, ...] = ()
-    """Parts of names of those that poses are drawn from, with a minus of those they are not; none: all."""
+    """Parts of the names of those that poses are drawn from, with a minus of those that they are not; empty: all."""
     seed: int = 0
     category: str | None = None
     """Of all meshes; None: the folder below the given one, else the file's own name."""
     most: int | None = None
-    """Files read of those that are there, drawn at random; None: all."""
+    """Files that are read, drawn at random; None: all."""
 
 
 def read_meshes(sources: str | Path | Sequence[str | Path], options: MeshOptions | None = None) -> list[Mesh]:
@@ -53,20 +54,19 @@ def read_meshes(sources: str | Path | Sequence[str | Path], options: MeshOptions
     A file gives one mesh, all its parts together; a .glb or .gltf file with animations one for each pose.
 
     Raises:
-        UserError: nothing there, an unknown kind, a damaged file, no triangles, a flat shape, invalid axes.
+        UserError: no files, an unknown kind, a damaged file, no triangles, a flat shape, invalid axes.
     """
     options = options or MeshOptions()
-    turn = axes_to_own(options.up, options.front)
+    rotation = axes_to_own(options.up, options.front)
     files = find_mesh_files(sources)
     if options.most is not None and len(files) > options.most:
         chosen = np.random.default_rng(options.seed).choice(len(files), options.most, replace=False)
         files = [files[row] for row in sorted(chosen)]
     found = []
     for path, category in files:
-        raw = _posed(path, options) if path.suffix.lower() in (".glb", ".gltf") else [_static(path)]
-        for mesh in raw:
-            turned = _cleaned(path, mesh.vertices @ turn.T, mesh.faces)
-            found.append(Mesh(*turned, mesh.name, options.category or category))
+        for mesh in _posed(path, options) if path.suffix.lower() in (".glb", ".gltf") else [_static(path)]:
+            vertices, faces = _cleaned(path, mesh.vertices @ rotation.T, mesh.faces)
+            found.append(Mesh(vertices, faces, mesh.name, options.category or category))
     return found
 
 
@@ -86,10 +86,8 @@ def find_mesh_files(sources: str | Path | Sequence[str | Path]) -> list[tuple[Pa
         elif not path.exists():
             raise UserError(f"{path}: no such file or folder. Expected mesh files ({', '.join(ENDINGS)}) or folders.")
         elif path.suffix.lower() not in ENDINGS:
-            raise UserError(
-                f"{path}: files of meshes end in {', '.join(ENDINGS)}. "
-                "Export others as .glb, from Blender with File > Export > glTF 2.0."
-            )
+            export = "Export others as .glb, from Blender with File > Export > glTF 2.0."
+            raise UserError(f"{path}: files of meshes end in {', '.join(ENDINGS)}. {export}")
         else:
             found.setdefault(path, path.stem)
     if not found:
@@ -119,12 +117,11 @@ def _posed(path: Path, options: MeshOptions) -> list[Mesh]:
     file = GltfFile.read(path)
     moving = [name for name, length in file.animations.items() if length > 0]
     if not moving or not options.poses:
-        return [_as_in_file(file.posed(), path.stem)]
+        return [_in_file_axes(file.posed(), path.stem)]
     names = [name for name in moving if _taken(name, options.animations)]
     if not names:
-        raise UserError(
-            f"{path}: animations={','.join(options.animations)} leaves none of its animations.{did_you_mean('', moving)}"
-        )
+        given = f"animations={','.join(options.animations)}"
+        raise UserError(f"{path}: {given} leaves none of its animations.{did_you_mean('', moving)}")
     random = np.random.default_rng([options.seed, zlib.crc32(path.name.encode())])
     # All animations have the same number of poses, or one more.
     order = np.concatenate([random.permutation(len(names)) for _ in range(-(-options.poses // len(names)))])
@@ -132,7 +129,7 @@ def _posed(path: Path, options: MeshOptions) -> list[Mesh]:
     for number in order[: options.poses]:
         time_s = float(random.uniform(0, file.animations[names[number]]))
         short = re.split(r"[|/\\:]", names[number])[-1]
-        found.append(_as_in_file(file.posed(names[number], time_s), f"{path.stem} {short} {time_s:.2f}s"))
+        found.append(_in_file_axes(file.posed(names[number], time_s), f"{path.stem} {short} {time_s:.2f}s"))
     return found
 
 
@@ -143,7 +140,7 @@ def _taken(name: str, parts: tuple[str, ...]) -> bool:
     return (not wanted or any(part in name for part in wanted)) and not any(part in name for part in refused)
 
 
-def _as_in_file(mesh: Mesh, name: str) -> Mesh:
+def _in_file_axes(mesh: Mesh, name: str) -> Mesh:
     return Mesh(mesh.vertices * [1.0, -1.0, -1.0], mesh.faces, name)
 
 
@@ -160,21 +157,17 @@ def _static(path: Path) -> Mesh:
         found = trimesh.load_mesh(io.BytesIO(content), file_type=kind, process=False, skip_materials=True)
         vertices, faces = np.asarray(found.vertices, np.float64), np.asarray(getattr(found, "faces", []))
     except Exception as error:  # a foreign file can break its parser in any way
-        reason = "" if isinstance(error, ImportError) else f" ({_first_line(error)})"
-        raise UserError(f"{path}: damaged, or no .{kind} file{reason}. Export it again.") from error
+        reason = "" if isinstance(error, ImportError) else f" ({reason_of(error)})"
+        raise UserError(f"{path}: damaged, or not a .{kind} file{reason}. Export it again.") from error
     if not vertices.size or not faces.size:
         raise UserError(f"{path}: no triangles in it. Expected a mesh, not points, lines or text.")
     return Mesh(vertices.reshape(-1, 3), faces.astype(np.int64).reshape(-1, 3), path.stem)
 
 
-def _first_line(error: Exception) -> str:
-    return (str(error).strip() or type(error).__name__).splitlines()[0][:100]
-
-
 def _cleaned(path: Path, vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return vertices and faces without twins, faces of no size and vertices of no face."""
+    """Return vertices and faces without duplicates, faces without area and unused vertices."""
     if faces.min() < 0 or faces.max() >= len(vertices):
-        raise UserError(f"{path}: a face refers to a vertex of {len(vertices):,} that is not there. Export it again.")
+        raise UserError(f"{path}: a face refers to a vertex of {len(vertices):,} that does not exist. Export it again.")
     used, corners = np.unique(faces, return_inverse=True)
     vertices, faces = vertices[used], corners.reshape(-1, 3)
     if not np.isfinite(vertices).all():
@@ -183,7 +176,7 @@ def _cleaned(path: Path, vertices: np.ndarray, faces: np.ndarray) -> tuple[np.nd
     size = float(np.ptp(vertices, axis=0).max())
     spread = np.linalg.eigvalsh(np.cov((vertices / max(size, 1e-300)).T))
     if not np.isfinite(size) or spread[0] <= _FLAT**2 * spread[-1]:
-        raise UserError(f"{path}: flat, or without any size (its longest side is {size:.4g}). Expected a solid shape.")
+        raise UserError(f"{path}: flat, or without a size (its longest side is {size:.4g}). Expected a solid shape.")
     steps = np.round((vertices - vertices.min(0)) / (_MERGED * size)).astype(np.int64)
     _, first, twin = np.unique(steps, axis=0, return_index=True, return_inverse=True)
     faces = twin.reshape(-1)[faces]

@@ -3,31 +3,19 @@
 from __future__ import annotations
 
 import os
-import struct
 import warnings
-import zlib
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 from PIL import Image
 
+from uplift.data.parsers.files import DAMAGE
 from uplift.data.parsers.json import in_order
 from uplift.data.parsers.outlines import MAX_PIXELS
 from uplift.errors import UserError
 
-__all__ = [
-    "ENDINGS",
-    "PHOTO_ENDINGS",
-    "Photos",
-    "Picture",
-    "PictureError",
-    "Place",
-    "open_picture",
-    "pictures_of",
-]
-
-# Pictures as numbers: grey levels, an alpha channel, or the ids of a palette or of colours.
+__all__ = ["ENDINGS", "PHOTO_ENDINGS", "Photos", "Picture", "PictureError", "Place", "open_picture", "pictures_of"]
 
 PHOTO_ENDINGS = (".jpg", ".jpeg", ".png", ".bmp", ".webp", ".tif", ".tiff")
 ENDINGS = (*PHOTO_ENDINGS, ".gif", ".pgm", ".pbm", ".ppm")
@@ -59,7 +47,7 @@ def open_picture(path: Path) -> Picture:
     """Return a picture's numbers; of several frames, the first.
 
     Raises:
-        PictureError: no picture, a damaged one, or one of more than `MAX_PIXELS`.
+        PictureError: not a picture, damaged, or of more than `MAX_PIXELS`.
     """
     try:
         with warnings.catch_warnings():
@@ -71,8 +59,8 @@ def open_picture(path: Path) -> Picture:
                 return _numbers(image, image.format in ("JPEG", "WEBP"))
     except Image.DecompressionBombError:
         raise PictureError("huge") from None
-    except (OSError, ValueError, SyntaxError, EOFError, IndexError, KeyError, TypeError, struct.error, zlib.error):
-        raise PictureError("unreadable") from None  # whatever a decoder stumbles over
+    except (SyntaxError, *DAMAGE):
+        raise PictureError("unreadable") from None
 
 
 def _numbers(image: Image.Image, lossy: bool) -> Picture:
@@ -125,11 +113,8 @@ def _shades(colours: np.ndarray) -> np.ndarray:
     return ((colours.astype(np.int32) @ _LUMINANCE.astype(np.int32)) // 1000).astype(np.uint8)
 
 
-# The photos that masks belong to.
-
-
 class Photos:
-    """The pictures in the folder that a user names with ``images=``; without one, names are as the file has them.
+    """The pictures in the folder given as ``images=``; without one, names are as the file has them.
 
     Raises:
         UserError: no such folder, or no picture in it.
@@ -138,7 +123,7 @@ class Photos:
     def __init__(self, folder: str | None):
         self.folder = None if folder is None else Path(folder)
         self.missing = 0
-        """Photos that were asked for and are not there."""
+        """Photos that were asked for and do not exist."""
         self._files: dict[str, str] = {}
         if self.folder is None:
             return
@@ -154,9 +139,7 @@ class Photos:
 
     def of_name(self, name: str) -> str:
         """Return the photo of that file name; where it is not in the folder, nothing."""
-        if self.folder is None:
-            return name
-        return self._found(name, Path(name).name)
+        return name if self.folder is None else self._found(name, Path(name).name)
 
     def of_mask(self, name: str) -> str:
         """Return the photo named as a mask is, apart from the ending; nothing without a folder of photos."""
@@ -166,16 +149,13 @@ class Photos:
         return self._found(bare.as_posix(), bare.name)
 
     def notes(self) -> list[str]:
-        """Return the notes."""
+        """Return a note on photos that are missing, if any."""
         return [f"{self.missing:,} masks have no photo in {self.folder}"] if self.missing else []
 
     def _found(self, *keys: str) -> str:
         photo = next((self._files[key] for key in keys if key in self._files), "")
         self.missing += not photo
         return photo
-
-
-# The pictures that a user's paths mean, with a name and a category for each.
 
 
 @dataclass(frozen=True)
@@ -185,7 +165,7 @@ class Place:
     path: Path
     name: str
     category: str
-    """The sub-folder, or the folder where several were given."""
+    """The subfolder, or the folder where several were given."""
 
 
 def pictures_of(paths: list[Path]) -> tuple[list[Place], list[str]]:
@@ -198,7 +178,7 @@ def pictures_of(paths: list[Path]) -> tuple[list[Place], list[str]]:
     others: list[str] = []
     for path in paths:
         if not path.is_dir():
-            found.append(Place(path, path.name if len(folders) == 0 else str(path), ""))
+            found.append(Place(path, str(path) if folders else path.name, ""))
             continue
         for file in _files(path):
             inside = file.relative_to(path)
