@@ -15,7 +15,9 @@ import numpy as np
 
 from uplift.errors import UserError
 
-__all__ = ["DAMAGE", "HDF5_START", "bytes_of", "check_memory", "damage_as_error", "existing_file", "reason_of"]
+__all__ = [
+    "DAMAGE", "HDF5_START", "bytes_of", "check_memory", "damage_as_error", "existing_file", "read_bytes", "reason_of",
+]  # fmt: skip
 
 HDF5_START = b"\x89HDF\r\n\x1a\n"
 """What every HDF5 file begins with."""
@@ -37,6 +39,14 @@ def existing_file(path: str | Path, expected: str) -> Path:
     if path.stat().st_size == 0:
         raise UserError(f"{path} is empty (0 bytes), expected {expected}.")
     return path
+
+
+def read_bytes(path: Path) -> bytes:
+    """Return what is in a file; raises UserError where it cannot be read."""
+    try:
+        return path.read_bytes()
+    except OSError as error:
+        raise UserError(f"{path}: cannot be read ({error.strerror or error}).") from error
 
 
 def reason_of(error: BaseException) -> str:

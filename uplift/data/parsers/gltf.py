@@ -15,6 +15,7 @@ from urllib.parse import unquote
 import numpy as np
 from jaxtyping import Float, Int
 
+from uplift.data.parsers.files import read_bytes
 from uplift.errors import UserError, did_you_mean
 from uplift.geometry.mesh import Mesh
 from uplift.geometry.rigid import quaternion_matrix, slerp
@@ -107,11 +108,7 @@ class _Document:
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        try:
-            found = path.read_bytes()
-        except OSError as error:
-            raise UserError(f"{path}: cannot be read ({error.strerror or error}).") from error
-        binary = None
+        found, binary = read_bytes(path), None
         if found[:4] == b"glTF":
             found, binary = self._chunks(found)
         elif path.suffix.lower() != ".gltf":

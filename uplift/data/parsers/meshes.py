@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
-from uplift.data.parsers.files import reason_of
+from uplift.data.parsers.files import read_bytes, reason_of
 from uplift.data.parsers.gltf import GltfFile
 from uplift.errors import UserError, did_you_mean
 from uplift.geometry.mesh import Mesh
@@ -148,10 +148,7 @@ def _static(path: Path) -> Mesh:
     """Return one file's triangles in its own axes, read by trimesh, without materials: no other file is opened."""
     import trimesh
 
-    try:
-        content = path.read_bytes()
-    except OSError as error:
-        raise UserError(f"{path}: cannot be read ({error.strerror or error}).") from error
+    content = read_bytes(path)
     kind = path.suffix.lower()[1:]
     try:
         found = trimesh.load_mesh(io.BytesIO(content), file_type=kind, process=False, skip_materials=True)

@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
+from uplift.data.parsers.files import read_bytes
 from uplift.errors import UserError
 from uplift.geometry.rigid import rotation_about
 
@@ -26,10 +27,7 @@ def read_lines(path: Path, what: str) -> list[str]:
     Raises:
         UserError: not text, or a file that cannot be read.
     """
-    try:
-        content = path.read_bytes()
-    except OSError as error:
-        raise UserError(f"{path}: cannot be read ({error.strerror}).") from error
+    content = read_bytes(path)
     if b"\0" in content:
         raise UserError(f"{path}: this is not text, expected {what}.")
     if not content.strip():

@@ -1,4 +1,4 @@
-"""Masks out of outlines: run lengths as COCO writes them, and polygons."""
+"""Masks from run lengths, which COCO writes as lists of counts or packed into text, and from polygons."""
 
 from __future__ import annotations
 
@@ -8,8 +8,6 @@ import numpy as np
 from jaxtyping import Bool, Float, Int64
 
 __all__ = ["MAX_PIXELS", "counts_of_text", "window_of_polygons", "window_of_runs"]
-
-# Masks as run lengths, COCO's two ways: lists of counts, and counts packed into text.
 
 MAX_PIXELS = 100_000_000
 _MOST_DIGITS = 6
@@ -24,11 +22,11 @@ def counts_of_text(text: str) -> Int64[np.ndarray, " runs"]:
     to the number two before (COCO API, maskApi.c, rleToString).
 
     Raises:
-        ValueError: another text.
+        ValueError: not such a text.
     """
     codes = np.frombuffer(text.encode("ascii"), np.uint8).astype(np.int64) - 48
     if codes.size == 0 or codes.min() < 0 or codes.max() > 63:
-        raise ValueError("characters that no run length has")
+        raise ValueError("characters that are not of run lengths")
     ends = np.flatnonzero(codes & 32 == 0)
     if len(ends) == 0 or ends[-1] != len(codes) - 1:
         raise ValueError("cut short")
@@ -53,7 +51,7 @@ def window_of_runs(
     list or text, ``size`` [height, width]. No more memory is taken than the image has pixels.
 
     Raises:
-        ValueError: no run lengths, or more than the image has pixels.
+        ValueError: not run lengths, or more than the image has pixels.
         OverflowError: an image of more than `MAX_PIXELS`.
     """
     if not (isinstance(size, list | tuple) and len(size) == 2 and all(type(one) is int and one > 0 for one in size)):

@@ -1,4 +1,4 @@
-"""Read pickles of unknown origin: arrays, containers, numbers and text, and nothing that runs."""
+"""Read untrusted pickles: arrays, containers, numbers and text, and nothing that runs."""
 
 from __future__ import annotations
 
@@ -19,14 +19,12 @@ from uplift.errors import UserError
 
 __all__ = ["Source", "Unpickler", "load_object_npz", "load_pickle"]
 
-# An unpickler that admits arrays, containers, numbers and text, and runs nothing of the file's choice.
-
 _KINDS = "biufcSUO"
 _DEEPEST = 200
 
 
 class Source:
-    """A stream that says at once when more is asked of it than it has."""
+    """A stream that raises at once when more is asked of it than it has."""
 
     def __init__(self, file: Any, size: int):
         self._file, self._left = file, size
@@ -51,7 +49,7 @@ class Source:
 
 
 class _Dtype:
-    """Stands for a dtype, of which a pickle first says the kind and later the byte order."""
+    """Stands for a dtype, of which a pickle gives first the kind and later the byte order."""
 
     def __init__(self, dtype: np.dtype):
         if dtype.kind not in _KINDS or dtype.names is not None or dtype.subdtype is not None:
@@ -161,7 +159,7 @@ class Unpickler(_Python):
         return _ADMITTED[wanted]
 
     def load_build(self) -> None:
-        """Give an array or a dtype its state; nothing else here has any."""
+        """Give an array or a dtype its state; nothing else has one here."""
         state = self.stack.pop()
         built = self.stack[-1]
         if isinstance(built, _Dtype):
@@ -175,7 +173,7 @@ class Unpickler(_Python):
         reopened.__setstate__((1, shape, kind.dtype, bool(by_column), raw))
 
     def load_bytearray8(self) -> None:
-        """Read before memory is taken."""
+        """Read the bytes before memory is taken for them."""
         (size,) = struct.unpack("<Q", self.read(8))
         self.append(bytearray(self.read(size)))
 
@@ -198,9 +196,6 @@ class Unpickler(_Python):
     dispatch[pickle.BYTEARRAY8[0]] = load_bytearray8
     for _code in (pickle.EXT1, pickle.EXT2, pickle.EXT4):
         dispatch[_code[0]] = load_ext
-
-
-# Files of pickles.
 
 
 def load_pickle(path: str | Path) -> Any:
