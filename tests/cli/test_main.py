@@ -54,9 +54,7 @@ def test_a_typo_is_answered_before_torch_is_loaded() -> None:
 
 
 def refusal_text(task: str) -> str:
-    return (
-        f"uplift: No task '{task}'. Did you mean 'cmu'? `uplift tasks` lists them; your own task is a .yaml file.\n"
-    )
+    return f"uplift: No task '{task}'. Did you mean 'cmu'? `uplift tasks` lists them; your own task is a .yaml file.\n"
 
 
 @pytest.mark.parametrize("words", [["fitt"], ["fit", "--task", "cmu"], ["skeleton", "--x"]])

@@ -98,7 +98,10 @@ FILES = {
     "bare pickle": (bare_pickle, "another format"),
     "lengths": (lambda p: write_body(p, subject=np.array(["S1"] * 59)), "'subject' has shape (59,), expected (60,)"),
     "pose lengths": (lambda p: write_body(p, pose=np.zeros((59, 17, 3))), "'pose' is float64 of shape (59, 17, 3)"),
-    "strings": (lambda p: write_body(p, keypoints=np.full((60, 17, 2), "1.5")), "'keypoints' is <U3 of shape (60, 17, 2), expected numbers"),
+    "strings": (
+        lambda p: write_body(p, keypoints=np.full((60, 17, 2), "1.5")),
+        "'keypoints' is <U3 of shape (60, 17, 2), expected numbers",
+    ),
     "3 GB": (huge, "claims 2,999,999,928 bytes but holds 2,000"),
     "folder": (lambda p: p.mkdir(), "is an empty folder"),
     "nothing": (lambda p: None, "a.npz"),
