@@ -98,10 +98,7 @@ def size_from(
 
 
 def mm_per_unit(
-    pose: Float[np.ndarray, "frames joints 3"],
-    skeleton: Skeleton,
-    body: Int[np.ndarray, " frames"],
-    size: KnownLength,
+    pose: Float[np.ndarray, "frames joints 3"], skeleton: Skeleton, body: Int[np.ndarray, " frames"], size: KnownLength
 ) -> Float[np.ndarray, " frames"]:
     """Return mm per unit of each pose, if every body has the length ``size``.
 

@@ -54,14 +54,7 @@ class ResidualNetwork(nn.Module):
     """
 
     def __init__(
-        self,
-        inputs: int,
-        outputs: int,
-        *,
-        units: int = 256,
-        blocks: int = 2,
-        slope: float = 0.2,
-        norm: bool = False,
+        self, inputs: int, outputs: int, *, units: int = 256, blocks: int = 2, slope: float = 0.2, norm: bool = False
     ):
         super().__init__()
         self.enter = nn.Linear(inputs, units)
@@ -143,10 +136,7 @@ class CouplingFlow(nn.Module):
 
 # Network families, one per file; `build_network` picks one by name.
 
-NETWORKS = {
-    "kudo": "uplift.models.networks:KudoNetwork",
-    "residual": "uplift.models.networks:ResidualNetwork",
-}
+NETWORKS = {"kudo": "uplift.models.networks:KudoNetwork", "residual": "uplift.models.networks:ResidualNetwork"}
 
 
 def build_network(

@@ -49,12 +49,7 @@ class _Hypothesis:
 
 @torch.no_grad()
 def lift_masks(
-    mixture: ShapeMixture,
-    masks: Float[Tensor, "items side side"],
-    drawn: Drawn,
-    *,
-    resolution: int,
-    temperature: float,
+    mixture: ShapeMixture, masks: Float[Tensor, "items side side"], drawn: Drawn, *, resolution: int, temperature: float
 ) -> LiftedShapes:
     """Return the expected occupancy of each mask's shape over the likeliest shapes and views.
 

@@ -105,9 +105,7 @@ def soft_gap(
 
 
 def _bone_thickness(
-    points: Float[Tensor, "frames points 2"],
-    keypoints: Float[Tensor, "frames joints 2"],
-    bones: Int[Tensor, "bones 2"],
+    points: Float[Tensor, "frames points 2"], keypoints: Float[Tensor, "frames joints 2"], bones: Int[Tensor, "bones 2"]
 ) -> Float[Tensor, " bones"]:
     """Return the thickness of each bone: how far most of the mask's points that it is the nearest bone of are from it.
 

@@ -79,12 +79,7 @@ class LimbMixer:
         self._frames = torch.stack(frames, 1) if frames else pose.new_zeros(len(pose), 0, 3, 3)
 
     def __call__(
-        self,
-        rows: Int[Tensor, " batch"],
-        confidence: Float[Tensor, "frames joints"],
-        *,
-        share: float,
-        limb: float,
+        self, rows: Int[Tensor, " batch"], confidence: Float[Tensor, "frames joints"], *, share: float, limb: float
     ) -> tuple[Float[Tensor, "batch joints 3"], Float[Tensor, "batch joints"]]:
         """Return the poses of ``rows`` with limbs of others in the batch, and each joint's confidence.
 
