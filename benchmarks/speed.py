@@ -24,7 +24,8 @@ from uplift.config.settings import LifterSettings, TrainerSettings
 from uplift.data.poses import PoseData
 from uplift.data.synthetic.simulate import simulate
 from uplift.data.tensors import TrainingSet
-from uplift.models.model import Model, build_lifter
+from uplift.models.lifter import Lifter
+from uplift.models.model import Model
 from uplift.skeleton import load_skeleton
 from uplift.training.adversarial import AdversarialTraining
 from uplift.training.base import LifterTraining
@@ -143,7 +144,7 @@ def _model() -> Model:
     settings = load_settings(None, ["skeleton=h36m17"])
     chosen: LifterSettings = student_settings(settings, noisy=False, last=True)
     skeleton = load_skeleton("h36m17")
-    return Model(build_lifter(chosen, skeleton).eval(), skeleton, chosen)
+    return Model(Lifter(skeleton, chosen).eval(), skeleton, chosen)
 
 
 def prediction(data: PoseData, *, refine: bool) -> dict[str, float]:

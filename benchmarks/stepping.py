@@ -9,7 +9,7 @@ import torch
 
 from uplift.config.settings import Settings
 from uplift.data.tensors import TrainingSet
-from uplift.models.model import build_lifter
+from uplift.models.lifter import Lifter
 from uplift.priors import build_priors
 from uplift.training.adversarial import AdversarialTraining
 from uplift.training.base import LifterTraining
@@ -27,13 +27,13 @@ def teacher(settings: Settings, frames: TrainingSet) -> AdversarialTraining:
     priors, weights, _ = build_priors(wanted, frames.skeleton)
     for prior in priors.values():
         prior.prepare(frames)
-    lifter = build_lifter(settings.lifter, frames.skeleton)
+    lifter = Lifter(frames.skeleton, settings.lifter)
     return AdversarialTraining(lifter, frames, settings.teacher, settings.views, priors, weights, 0)
 
 
 def untrained_poses(settings: Settings, frames: TrainingSet) -> PseudoPoses:
     """Return the unrefined poses of an untrained teacher, as many as a student is trained on."""
-    lifter = build_lifter(settings.lifter, frames.skeleton)
+    lifter = Lifter(frames.skeleton, settings.lifter)
     settings.student.refine.iterations = 0
     return lift_all(lifter, frames.some(settings.student.frames, 1), settings.student.refine)
 
@@ -42,7 +42,7 @@ def student(settings: Settings, poses: PseudoPoses) -> StudentTraining:
     """Return the training of the last student on ``poses``."""
     torch.manual_seed(1)
     chosen = student_settings(settings, noisy=False, last=True)
-    return StudentTraining(build_lifter(chosen, poses.skeleton), poses, settings.student, settings.views, 0)
+    return StudentTraining(Lifter(poses.skeleton, chosen), poses, settings.student, settings.views, 0)
 
 
 def stepper(module: LifterTraining) -> Callable[[int], float]:

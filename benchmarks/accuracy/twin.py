@@ -27,7 +27,8 @@ from uplift.data.tensors import TrainingSet, to_training_set
 from uplift.errors import UserError
 from uplift.geometry.camera import build_camera
 from uplift.geometry.rotation import least_rotation, turn
-from uplift.models.model import Model, build_lifter
+from uplift.models.lifter import Lifter
+from uplift.models.model import Model
 from uplift.skeleton import Skeleton, load_skeleton
 from uplift.training.pose_recipe import student_settings
 from uplift.training.pseudo_labels import PseudoPoses
@@ -61,9 +62,7 @@ def train_twin(settings: Settings) -> RunFolder:
     poses, note = true_poses(settings, skeleton, loaded.train)
     chosen = student_settings(settings, noisy=poses.noise is not None, last=True)
     torch.manual_seed(settings.seed + 1)
-    training = StudentTraining(
-        build_lifter(chosen, skeleton), poses, settings.student, settings.views, settings.seed + 1
-    )
+    training = StudentTraining(Lifter(skeleton, chosen), poses, settings.student, settings.views, settings.seed + 1)
     [budget] = stage_budgets(settings.trainer, [1.0], len(poses), settings.student.batch_size)
     settings = replace(
         settings, task=f"{settings.task or 'own'}_twin", description="Supervised twin, trained on true poses."

@@ -172,10 +172,10 @@ def _teacher(run: Path, model: Any) -> Any:
 
     from uplift.config.files import read_torch
     from uplift.config.run import RunFolder
-    from uplift.models.model import build_lifter
+    from uplift.models.lifter import Lifter
 
     settings = dataclasses.replace(RunFolder.open(str(run)).settings().lifter, spread=False, denoise=False)
-    lifter = build_lifter(settings, model.skeleton)
+    lifter = Lifter(model.skeleton, settings)
     state = read_torch(run / "checkpoints" / "teacher.ckpt", "checkpoint")["state_dict"]
     prefix = "averaged.module."
     with torch.no_grad():

@@ -26,7 +26,8 @@ from uplift.config.settings import LifterSettings
 from uplift.data.formats import read
 from uplift.errors import UserError
 from uplift.metrics.pose_metrics import facing_sign
-from uplift.models.model import Model, build_lifter
+from uplift.models.lifter import Lifter
+from uplift.models.model import Model
 from uplift.skeleton import load_skeleton
 
 HUMAN = load_skeleton("h36m17")
@@ -140,7 +141,7 @@ def lifter(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Return an untrained lifter, whose errors are large but constant."""
     settings = LifterSettings(options={"units": 16, "blocks": 1})
     path = tmp_path_factory.mktemp("lifter") / "lifter.pt"
-    Model(build_lifter(settings, HUMAN).eval(), HUMAN, settings).save(path)
+    Model(Lifter(HUMAN, settings).eval(), HUMAN, settings).save(path)
     return path
 
 

@@ -17,7 +17,8 @@ from uplift.config.loading import load_settings
 from uplift.config.plugins import find_class
 from uplift.data.synthetic.simulate import simulate
 from uplift.errors import UserError
-from uplift.models.model import build_lifter, load
+from uplift.models.lifter import Lifter
+from uplift.models.model import load
 
 ROOT = Path(__file__).resolve().parents[2]
 sys.path.insert(0, str(ROOT))
@@ -50,7 +51,7 @@ def test_bone_ratios_are_0_for_a_body_of_those_ratios_at_any_size():
 def test_gradients_reach_every_network_of_the_halves_and_no_half_sees_the_other(confident):
     settings = load_settings(str(PEERS / "links.yaml"), ["lifter.options.units=8", "lifter.options.blocks=1"])
     chosen = replace(settings.lifter, confidence_input=confident)
-    lifter = build_lifter(chosen, H36M)
+    lifter = Lifter(H36M, chosen)
     data = training_set(8)
     keypoints = data.keypoints.clone().requires_grad_()
     lifted = lifter(keypoints, data.confidence, data.distance)

@@ -25,7 +25,8 @@ from uplift.errors import UserError
 from uplift.export import write
 from uplift.export.gallery import Crop, chosen_rows, crop_of, filled_points, gallery_text, photo_svg, turned
 from uplift.export.html import Photos
-from uplift.models.model import Model, build_lifter
+from uplift.models.lifter import Lifter
+from uplift.models.model import Model
 from uplift.models.prediction import Prediction
 from uplift.skeleton import Skeleton, load_skeleton
 
@@ -344,7 +345,7 @@ def lifter(here: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     write_body(here / "files" / "train.npz", 30, skeleton="mpii16")
     torch.manual_seed(0)
     skeleton, settings = load_skeleton("mpii16"), LifterSettings(options={"units": 8, "blocks": 1})
-    Model(build_lifter(settings, skeleton).eval(), skeleton, settings).save(here / "lifter.pt")
+    Model(Lifter(skeleton, settings).eval(), skeleton, settings).save(here / "lifter.pt")
     return here / "lifter.pt"
 
 

@@ -16,7 +16,6 @@ from uplift.config.settings import LifterSettings, ViewSettings
 from uplift.data.poses import PoseData
 from uplift.data.tensors import TrainingSet, to_training_set, with_labels
 from uplift.models.lifter import Lifter
-from uplift.models.model import build_lifter
 from uplift.priors.base import Lift
 from uplift.skeleton import Skeleton, load_skeleton
 from uplift.training.adversarial import make_lift
@@ -66,7 +65,7 @@ def small_lifter(skeleton: Skeleton = H36M, seed: int = 0, **settings) -> Lifter
     """Return a small lifter whose depths are not close to 0."""
     torch.manual_seed(seed)
     settings.setdefault("spread", False)
-    lifter = build_lifter(LifterSettings(options={"units": 16, "blocks": 1}, **settings), skeleton)
+    lifter = Lifter(skeleton, LifterSettings(options={"units": 16, "blocks": 1}, **settings))
     with torch.no_grad():
         for parameter in lifter.network.leave.parameters():
             parameter.mul_(20)

@@ -8,10 +8,8 @@ from lifts import H36M, doubles, small_lifter, training_set
 from torch import Tensor, nn
 
 from uplift.config.settings import LifterSettings
-from uplift.geometry.camera import build_camera
 from uplift.geometry.normalise import mirror
 from uplift.models.lifter import Lifted, Lifter
-from uplift.models.model import build_lifter
 from uplift.skeleton import load_skeleton
 
 
@@ -117,7 +115,7 @@ class Symmetric(nn.Module):
 
 
 def test_mirror_commutes_with_a_lifter_that_is_equivariant():
-    lifter = Lifter(H36M, Symmetric(), build_camera("perspective"), tilt="level", confidence_input=False, fill=False)
+    lifter = Lifter(H36M, LifterSettings(tilt="level", confidence_input=False, fill=False, spread=False), Symmetric())
     data, swap = training_set(), lifter.mirror_permutation
     once, twice = _lift(lifter, data), _lift(lifter, data, both_ways=True)
     mirrored = lifter(mirror(data.keypoints, swap), data.confidence, data.distance)
@@ -150,5 +148,5 @@ def test_tilts():
 
 def test_fresh_lifters_start_near_a_level_camera():
     torch.manual_seed(0)
-    lifter = build_lifter(LifterSettings(), H36M)
+    lifter = Lifter(H36M, LifterSettings())
     assert _lift(lifter, training_set(50)).tilt.abs().max() < 0.1

@@ -20,8 +20,9 @@ from uplift.data.load import load_file
 from uplift.data.poses import PoseData
 from uplift.data.synthetic.simulate import simulate
 from uplift.metrics.pose_metrics import never_seen_so_long
+from uplift.models.lifter import Lifter
 from uplift.models.metric_scale import KnownLength
-from uplift.models.model import Model, build_lifter
+from uplift.models.model import Model
 from uplift.skeleton import Skeleton, load_skeleton
 
 SKELETON = load_skeleton("h36m17")
@@ -32,7 +33,7 @@ SIZE = KnownLength(("rhip", "rknee"), 430.0)
 def model() -> Model:
     torch.manual_seed(0)
     settings = LifterSettings(options={"units": 16, "blocks": 1})
-    return Model(build_lifter(settings, SKELETON).eval(), SKELETON, settings)
+    return Model(Lifter(SKELETON, settings).eval(), SKELETON, settings)
 
 
 @pytest.fixture(scope="module")
@@ -85,7 +86,7 @@ def test_the_size_of_the_skeleton_file_needs_no_word(film: PoseData):
     own = Skeleton.from_dict({**SKELETON.to_dict(), "size": {"along": ["rhip", "rknee"], "mm": 12.0}})
     torch.manual_seed(0)
     settings = LifterSettings(options={"units": 16, "blocks": 1})
-    metric = Model(build_lifter(settings, own).eval(), own, settings).predict(film)
+    metric = Model(Lifter(own, settings).eval(), own, settings).predict(film)
     assert metric.unit == "mm"
     assert np.median(bone(metric.pose, "rhip", "rknee")) == pytest.approx(12, rel=0.1)
 

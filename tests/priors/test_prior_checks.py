@@ -13,7 +13,6 @@ import uplift
 from uplift.errors import UserError
 from uplift.priors import PRIORS, build_priors
 from uplift.priors.base import Lift, Prior, ShapeLift
-from uplift.priors.checks import PriorChecks
 from uplift.training.objective import Objective, prepare_priors
 
 KINDS = ["poses", "shapes"]
@@ -66,12 +65,12 @@ def loss_of(kind: str, line: str) -> str:
 def test_a_wrong_loss_is_refused(kind: str, line: str, says: str, tmp_path: Path) -> None:
     prior = mine(kind, loss_of(kind, line), tmp_path)
     with pytest.raises(UserError, match=f"priors.mine: .*{says}"):
-        PriorChecks({"mine": prior}).loss("mine", lift_for(kind), 3)
+        Objective({"mine": prior}, {"mine": 1.0}).loss("mine", lift_for(kind), 3)
 
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_loss_that_never_carries_a_gradient_is_refused_after_twenty_steps(kind: str, tmp_path: Path) -> None:
-    checks = PriorChecks({"mine": mine(kind, loss_of(kind, "return torch.zeros(())"), tmp_path)})
+    checks = Objective({"mine": mine(kind, loss_of(kind, "return torch.zeros(())"), tmp_path)}, {"mine": 1.0})
     lift = lift_for(kind)
     for step in range(19):
         assert float(checks.loss("mine", lift, step)) == 0
@@ -85,9 +84,8 @@ def test_a_loss_that_never_carries_a_gradient_is_refused_after_twenty_steps(kind
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_hinge_that_was_once_connected_may_be_satisfied(kind: str, tmp_path: Path) -> None:
-    checks = PriorChecks(
-        {"mine": mine(kind, loss_of(kind, "return value.mean() if lift.on else value.new_zeros(())"), tmp_path)}
-    )
+    prior = mine(kind, loss_of(kind, "return value.mean() if lift.on else value.new_zeros(())"), tmp_path)
+    checks = Objective({"mine": prior}, {"mine": 1.0})
     lift = lift_for(kind)
     for step in range(40):
         object.__setattr__(lift, "on", step == 3)

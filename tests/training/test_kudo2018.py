@@ -11,7 +11,7 @@ from lifts import H36M, bodies, doubles
 from uplift.config.loading import load_settings
 from uplift.config.settings import Settings
 from uplift.data.tensors import TrainingSet
-from uplift.models.model import build_lifter
+from uplift.models.lifter import Lifter
 from uplift.priors import build_priors
 from uplift.training.adversarial import AdversarialTraining
 
@@ -163,7 +163,7 @@ def build(preset: str, *more: str) -> tuple[AdversarialTraining, Settings, np.nd
     data = bodies(40)
     torch.manual_seed(1)
     priors, weights, _ = build_priors(settings.priors, H36M)
-    lifter = build_lifter(settings.lifter, H36M)
+    lifter = Lifter(H36M, settings.lifter)
     with torch.no_grad():  # far enough from 0 that every term has a say
         for net in (lifter.network, priors["critic"].network):
             for p in net.parameters():
@@ -289,7 +289,7 @@ def test_settings_are_the_published_ones(preset):
 def test_initial_weights(preset, std):
     settings = load_settings(preset)
     torch.manual_seed(0)
-    lifter = build_lifter(settings.lifter, H36M)
+    lifter = Lifter(H36M, settings.lifter)
     critic = build_priors(settings.priors, H36M)[0]["critic"]
     for net, outputs in ((lifter.network, N), (critic.network, 1)):
         weights = [p for p in net.parameters() if p.ndim == 2]

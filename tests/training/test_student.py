@@ -13,7 +13,7 @@ from uplift.data.synthetic.simulate import simulate
 from uplift.data.tensors import TrainingSet
 from uplift.geometry.camera import Perspective
 from uplift.geometry.normalise import mean_radius
-from uplift.models.model import build_lifter
+from uplift.models.lifter import Lifter
 from uplift.skeleton import load_skeleton
 from uplift.training.augmentation import ShownViews, ViewMaker
 from uplift.training.pseudo_labels import PseudoPoses
@@ -39,7 +39,7 @@ def views_of(poses: PseudoPoses, count: int, **settings: float) -> ShownViews:
 
 def training(poses: PseudoPoses, lifter: LifterSettings | None = None, **settings: float) -> StudentTraining:
     torch.manual_seed(0)
-    made = build_lifter(lifter or LifterSettings(options={"units": 16}), poses.skeleton)
+    made = Lifter(poses.skeleton, lifter or LifterSettings(options={"units": 16}))
     module = StudentTraining(made, poses, StudentSettings(**settings), ViewSettings(count_root=False), 0)
     module.on_fit_start()
     module.maker = ViewMaker(poses, module.lifter.camera, module.settings, count_root=False)

@@ -8,9 +8,11 @@ import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
+from uplift.config.settings import LifterSettings
 from uplift.data.samples import Samples
-from uplift.geometry.camera import Camera
+from uplift.geometry.camera import build_camera
 from uplift.geometry.normalise import bone_lengths, mirror
+from uplift.models.networks import build_network
 from uplift.skeleton import Skeleton
 
 __all__ = ["Lifted", "Lifter"]
@@ -20,25 +22,25 @@ _LOG_SPREAD = (-5.0, 2.0)
 
 @dataclass(frozen=True)
 class Lifted(Samples):
-    """What the lifter says of a batch of keypoints."""
+    """Poses that a lifter estimates from a batch of keypoints."""
 
     pose: Float[Tensor, "batch joints 3"]
     """Camera frame, relative to the root, in units of the mean 2D radius."""
     tilt: Float[Tensor, " batch"]
-    """Down-tilt of the camera, radians; 0 where the skeleton has no gravity or the camera is taken as level."""
+    """Down-tilt of the camera, radians; 0 without gravity or where the camera is assumed to be level."""
     keypoints: Float[Tensor, "batch joints 2"]
     """The keypoints that `pose` projects to: those given, with missing joints filled in."""
     spread: Float[Tensor, "batch joints"] | None = None
-    """The absolute error to expect of each depth, in units; None where the lifter was not taught it."""
+    """The expected absolute error of each depth, in units; None where the lifter was not trained to predict it."""
 
 
 class Lifter(nn.Module):
-    """A network and the geometry around it.
+    """A network, built as the settings say unless one is given, and the geometry around it.
 
     ``tilt`` is ``predicted`` (one per pose), ``learned`` (one for all) or ``level``. With ``fill`` the
-    network also says where missing joints are; without, they stay at the root. With ``denoise`` it
-    also moves the joints that were seen, and with ``spread`` it says how far off each depth may be.
-    With ``root_free`` the root's own depth is not subtracted, as in the code of Kudo et al. 2018.
+    network also predicts where missing joints are; without, they stay at the root. With ``denoise`` it
+    also moves visible joints, and with ``spread`` it predicts the error of each depth.
+    With ``root_free`` the root's depth is not subtracted, as in the code of Kudo et al. 2018.
     """
 
     mirror_permutation: Tensor
@@ -47,42 +49,25 @@ class Lifter(nn.Module):
     bone_mm: Tensor
     """(bones,) mean lengths of labelled bodies, mm, 0 where unknown: they make a pose's scale known."""
 
-    def __init__(
-        self,
-        skeleton: Skeleton,
-        network: nn.Module,
-        camera: Camera,
-        *,
-        tilt: str = "predicted",
-        confidence_input: bool = True,
-        fill: bool = True,
-        denoise: bool = False,
-        spread: bool = False,
-        root_free: bool = False,
-    ):
+    def __init__(self, skeleton: Skeleton, settings: LifterSettings, network: nn.Module | None = None):
         super().__init__()
-        self.skeleton = skeleton
+        self.skeleton, self.camera = skeleton, build_camera(settings.camera)
+        self.tilt = settings.tilt if skeleton.gravity else "level"
+        self.confidence_input, self.root_free = settings.confidence_input, settings.root_free
+        self.fill, self.spread = settings.fill, settings.spread
+        self.denoise = bool(settings.denoise) and settings.fill
+        if network is None:
+            joints = len(skeleton.joints)
+            outputs = joints * (1 + 2 * self.fill + self.spread) + (self.tilt == "predicted")
+            inputs = joints * (3 if self.confidence_input else 2)
+            network = build_network(settings.network, inputs, outputs, settings.options)
         self.network = network
-        self.camera = camera
-        self.tilt = tilt if skeleton.gravity else "level"
-        self.confidence_input = confidence_input
-        self.fill = fill
-        self.denoise = denoise and fill
-        self.spread = spread
-        self.root_free = root_free
         if self.tilt == "learned":
             self.common_tilt = nn.Parameter(torch.zeros(()))
         self.register_buffer("bone_mm", torch.zeros(len(skeleton.bones)))
-        self.register_buffer("bones", torch.as_tensor(skeleton.bone_indices.copy()), persistent=False)
-        permutation = torch.as_tensor(skeleton.mirror_permutation.copy())
-        self.register_buffer("mirror_permutation", permutation, persistent=False)
+        self.register_buffer("bones", torch.tensor(skeleton.bone_indices), persistent=False)
+        self.register_buffer("mirror_permutation", torch.tensor(skeleton.mirror_permutation), persistent=False)
         self.register_buffer("root_place", torch.tensor([skeleton.root_index]), persistent=False)
-
-    @staticmethod
-    def sizes(joints: int, *, tilt: str, confidence_input: bool, fill: bool, spread: bool) -> tuple[int, int]:
-        """Return how many numbers the network takes and gives for a skeleton of ``joints``."""
-        outputs = joints * (1 + 2 * fill + spread) + (tilt == "predicted")
-        return joints * (3 if confidence_input else 2), outputs
 
     def forward(
         self,
@@ -103,9 +88,8 @@ class Lifter(nn.Module):
             depth = depth - depth[:, self.skeleton.root_index, None]
         if self.fill:
             guessed = output[:, joints : 3 * joints].reshape(-1, joints, 2)
-            # Missing joints are 0 in the input.
             keypoints = keypoints + guessed if self.denoise else torch.where(visible, keypoints, guessed)
-            # A missing root was measured from where its neighbours are; now everything is from where it is.
+            # A missing root had its neighbours as a stand-in; from here on the origin is the predicted root.
             keypoints = keypoints - keypoints[:, self.skeleton.root_index, None]
         spread = None
         if self.spread:
@@ -116,14 +100,14 @@ class Lifter(nn.Module):
 
     def _tilt(self, output: Tensor) -> Tensor:
         if self.tilt == "predicted":
-            # Slow against the depths: the camera's tilt should not explain what a pose can.
+            # Learns more slowly than the depths: the camera's tilt should not explain what a pose can.
             return 0.3 * output[:, -1]
         if self.tilt == "learned":
             return self.common_tilt.expand(len(output))
         return output.new_zeros(len(output))
 
     def unit_mm(self, pose: Float[Tensor, "batch joints 3"]) -> Float[Tensor, " batch"] | None:
-        """Return how many mm one unit of each pose is, for a body as large as the labelled ones; None without any."""
+        """Return mm per unit of each pose, for a body as large as the labelled ones; None without any."""
         known = self.bone_mm > 0
         if not known.any():
             return None
@@ -136,10 +120,7 @@ class Lifter(nn.Module):
         confidence: Float[Tensor, "batch joints"],
         distance: Float[Tensor, " batch"],
     ) -> Lifted:
-        """Lift the keypoints and their mirror image and average the two (after Pavllo et al. 2019).
-
-        A skeleton that has no mirror image is lifted as it is.
-        """
+        """Return the mean of the lifted keypoints and their lifted mirror image, if any (after Pavllo et al. 2019)."""
         straight = self(keypoints, confidence, distance)
         if not self.skeleton.has_mirror_image:
             return straight

@@ -20,18 +20,16 @@ from uplift.data.mask_tensors import as_tensor
 from uplift.data.masks import MaskData
 from uplift.data.poses import PoseData
 from uplift.errors import UserError
-from uplift.geometry.camera import build_camera
 from uplift.geometry.lens import place_roots
 from uplift.models.lifter import Lifter
 from uplift.models.metric_scale import Size
 from uplift.models.mixture import ShapeMixture
-from uplift.models.networks import build_network
 from uplift.models.predict import InferredPoses, bodies_of, infer, mm_per_pixel, to_level, with_constant_bones
 from uplift.models.prediction import Prediction, ShapePrediction
 from uplift.models.shape_lifter import LiftedShapes, lift_masks
 from uplift.skeleton import Skeleton
 
-__all__ = ["Model", "ShapeModel", "build_lifter", "load", "load_poses", "load_shapes"]
+__all__ = ["Model", "ShapeModel", "load", "load_poses", "load_shapes"]
 
 
 def load(run: str | Path | Weights) -> Model | ShapeModel:
@@ -263,31 +261,7 @@ class Model(_Saved):
         skeleton = Skeleton.from_dict(state["skeleton"])
         settings = settings_of(LifterSettings, "lifter", state["lifter"])
         _refuse_nearby_code(settings.network)
-        return cls(build_lifter(settings, skeleton), skeleton, settings)
-
-
-def build_lifter(settings: LifterSettings, skeleton: Skeleton) -> Lifter:
-    """Return an untrained lifter for ``skeleton``."""
-    tilt = settings.tilt if skeleton.gravity else "level"
-    inputs, outputs = Lifter.sizes(
-        len(skeleton.joints),
-        tilt=tilt,
-        confidence_input=settings.confidence_input,
-        fill=settings.fill,
-        spread=settings.spread,
-    )
-    network = build_network(settings.network, inputs, outputs, settings.options)
-    return Lifter(
-        skeleton,
-        network,
-        build_camera(settings.camera),
-        tilt=tilt,
-        confidence_input=settings.confidence_input,
-        fill=settings.fill,
-        denoise=bool(settings.denoise),
-        spread=settings.spread,
-        root_free=settings.root_free,
-    )
+        return cls(Lifter(skeleton, settings), skeleton, settings)
 
 
 def _refuse_nearby_code(network: str) -> None:

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
-from typing import Any
+from collections.abc import Mapping
 
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 
 from uplift.config.settings import StudentSettings, TeacherSettings, ViewSettings
 from uplift.data.tensors import Batch, TrainingSet
@@ -15,7 +14,7 @@ from uplift.models.lifter import Lifted, Lifter
 from uplift.priors.base import Lift, Prior
 from uplift.training.augmentation import TILT_WEIGHT, ViewMaker, depth_error, tilt_error
 from uplift.training.base import LifterTraining
-from uplift.training.objective import Objective
+from uplift.training.objective import Logged, Objective
 from uplift.training.pseudo_labels import PseudoPoses
 from uplift.training.sampler import LabelledSampler
 
@@ -43,19 +42,10 @@ class AdversarialTraining(LifterTraining[Lifter, TrainingSet]):
         labelled_share: float | None = None,
         truth: PseudoPoses | None = None,
     ):
-        super().__init__(lifter, data, settings, seed)
-        self.truth = truth
+        super().__init__(lifter, data, settings, seed, Objective(priors, weights), settings.prior_learning_rate)
+        self.truth, self.views, self.labelled_share = truth, views, labelled_share
         self.maker: ViewMaker | None = None
-        self.labelled_share = labelled_share
         self.sampler = LabelledSampler(data.labelled, labelled_share)
-        self.views = views
-        self.priors = nn.ModuleDict(priors)
-        self.terms = Objective(priors, weights)
-
-    def parameter_groups(self) -> list[dict[str, Any]]:
-        """Return the lifter's group and one for each prior that has parameters."""
-        rate = self.settings.prior_learning_rate or self.settings.learning_rate
-        return [*super().parameter_groups(), *self.terms.parameter_groups(rate)]
 
     def on_fit_start(self) -> None:
         """Move the frames, and which of them are labelled, to the model's device."""
@@ -65,7 +55,7 @@ class AdversarialTraining(LifterTraining[Lifter, TrainingSet]):
             truth = self.truth.to(self.device)
             self.maker = ViewMaker(truth, self.lifter.camera, StudentSettings(), count_root=self.views.count_root)
 
-    def objective(self) -> tuple[Tensor, dict[str, float | Tensor]]:
+    def objective(self) -> tuple[Tensor, Logged]:
         """Return the weighted sum of all terms for one batch, and each term."""
         batch = self._batch()
         lift = self.last_lift = make_lift(self.lifter, batch, self.views, self.settings.hide)
@@ -99,14 +89,6 @@ class AdversarialTraining(LifterTraining[Lifter, TrainingSet]):
             return batch
         which = torch.rand(len(batch), device=self.device) < 0.5
         return batch.mirrored(which, self.lifter.mirror_permutation)
-
-    def gated_parameters(self) -> Iterator[nn.Parameter]:
-        """Return the parameters that a prior asked to leave as they are in this step."""
-        return self.terms.gated_parameters(self.lifter)
-
-    def more_metrics(self) -> dict[str, float]:
-        """Return what the priors want logged of the last step."""
-        return self.terms.metrics(self.last_lift)
 
 
 def make_lift(lifter: Lifter, batch: Batch, views: ViewSettings, hide: float = 0.0) -> Lift:

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from typing import Any, Generic, Protocol, TypeVar, cast, runtime_checkable
+from itertools import count
+from typing import Any, Generic, TypeVar, cast
 
 import lightning as L
 import torch
@@ -13,6 +14,9 @@ from torch.optim.swa_utils import AveragedModel
 from torch.utils.data import DataLoader, IterableDataset
 
 from uplift.config.settings import StageSettings
+from uplift.data.samples import Samples
+from uplift.priors.base import Lift, ShapeLift
+from uplift.training.objective import Logged, Objective
 
 __all__ = ["LifterTraining", "stream_seed"]
 
@@ -33,46 +37,49 @@ def stream_seed(seed: int, rank: int, step: int) -> int:
 def _average(decay: float):
     """Return the rule of an exponential moving average, with a shorter memory over the first steps."""
 
-    def update(averaged: Any, current: Any, count: Tensor | int) -> None:
-        so_far = float(count)
+    @torch.no_grad()
+    def update(averaged: Any, current: Any, updates: Tensor | int) -> None:
+        so_far = float(updates)
         torch._foreach_lerp_(averaged, current, 1 - min(decay, (1 + so_far) / (10 + so_far)))
 
-    return torch.no_grad()(update)
+    return update
 
 
 class _Steps(IterableDataset):
     """An endless count of steps: the data are already on the device, and each step draws its own batch."""
 
     def __iter__(self) -> Iterator[int]:
-        step = 0
-        while True:
-            yield step
-            step += 1
-
-
-@runtime_checkable
-class _Data(Protocol):
-    def to(self, device: Any) -> Any:
-        """Return the data on another device."""
+        return count()
 
 
 LifterT = TypeVar("LifterT", bound=nn.Module)
-DataT = TypeVar("DataT", bound=_Data)
+DataT = TypeVar("DataT", bound=Samples)
 
 
 class LifterTraining(L.LightningModule, Generic[LifterT, DataT]):
     """Train ``lifter`` with automatic optimisation: one optimiser, one backward pass per step.
 
     A subclass writes `objective`. `final` is the trained lifter: its averaged weights where
-    `StageSettings.average` is set.
+    `StageSettings.average` is set. ``terms`` are the priors that judge it, if any; their own parameters are
+    trained at ``prior_rate``, or the lifter's rate.
     """
 
-    def __init__(self, lifter: LifterT, data: DataT, settings: StageSettings, seed: int):
+    logged: Logged
+    """The terms of the last step."""
+    last_lift: Lift | ShapeLift | None = None
+    """What priors judged in the last step."""
+
+    def __init__(
+        self,
+        lifter: LifterT,
+        data: DataT,
+        settings: StageSettings,
+        seed: int,
+        terms: Objective | None = None,
+        prior_rate: float | None = None,
+    ):
         super().__init__()
-        self.lifter = lifter
-        self.settings = settings
-        self.seed = seed
-        self.data = data
+        self.lifter, self.data, self.settings, self.seed = lifter, data, settings, seed
         self.done = 0.0
         """Share of the stage that is over, 0..1; kept by `uplift.training.callbacks.Budget`."""
         self.averaged: AveragedModel | None = None
@@ -80,27 +87,23 @@ class LifterTraining(L.LightningModule, Generic[LifterT, DataT]):
             self.averaged = AveragedModel(lifter, multi_avg_fn=_average(settings.average))
             # Nothing trains them, and ranks must not wait for their gradients.
             self.averaged.requires_grad_(False)
+        self.terms = terms or Objective({}, {})
+        self.priors = nn.ModuleDict(self.terms.priors)
+        self.prior_rate = prior_rate or settings.learning_rate
 
     @property
     def final(self) -> LifterT:
         """The lifter to evaluate and predict with."""
         return self.lifter if self.averaged is None else cast(LifterT, self.averaged.module)
 
-    def objective(self) -> tuple[Tensor, dict[str, float | Tensor]]:
+    def objective(self) -> tuple[Tensor, Logged]:
         """Return the loss of one random batch and the numbers to log."""
         raise NotImplementedError
 
-    def more_metrics(self) -> dict[str, float]:
-        """Return more numbers to log of the last step; called only when a row is written."""
-        return {}
-
     def parameter_groups(self) -> list[dict[str, Any]]:
-        """Return the optimiser's groups; the first is the lifter's."""
-        return [{"params": list(self.lifter.parameters()), "lr": self.settings.learning_rate, "name": "lifter"}]
-
-    def gated_parameters(self) -> Iterator[nn.Parameter]:
-        """Return the parameters that this step must leave as they are."""
-        return iter(())
+        """Return the optimiser's groups: the lifter's, and one for each prior that has parameters."""
+        lifter = {"params": list(self.lifter.parameters()), "lr": self.settings.learning_rate, "name": "lifter"}
+        return [lifter, *self.terms.parameter_groups(self.prior_rate)]
 
     def train_dataloader(self) -> DataLoader:
         """Return an endless count of steps."""
@@ -111,10 +114,8 @@ class LifterTraining(L.LightningModule, Generic[LifterT, DataT]):
         self.data = self.data.to(self.device)
 
     def configure_optimizers(self) -> torch.optim.Optimizer:
-        """Return one Adam over all groups; a group keeps its own peak rate for the schedule."""
-        groups = self.parameter_groups()
-        for group in groups:
-            group["peak"] = group["lr"]
+        """Return one Adam over all groups; each keeps its peak rate for the schedule."""
+        groups = [{**group, "peak": group["lr"]} for group in self.parameter_groups()]
         s = self.settings
         # The fused kernel needs floating-point parameters of one device type, which ours are.
         return torch.optim.Adam(groups, betas=(s.beta1, s.beta2), weight_decay=s.weight_decay, fused=True)
@@ -136,8 +137,7 @@ class LifterTraining(L.LightningModule, Generic[LifterT, DataT]):
     def training_step(self, batch: int, batch_idx: int) -> Tensor:
         """Seed this step's random stream and return the loss of a batch drawn from it."""
         torch.manual_seed(stream_seed(self.seed, self.global_rank, self.global_step))
-        loss, logged = self.objective()
-        self.logged = logged
+        loss, self.logged = self.objective()
         return loss
 
     def on_save_checkpoint(self, checkpoint: dict[str, Any]) -> None:
@@ -146,7 +146,7 @@ class LifterTraining(L.LightningModule, Generic[LifterT, DataT]):
 
     def on_before_optimizer_step(self, optimizer: torch.optim.Optimizer) -> None:
         """Remove the gradients of gated parameters: Adam then skips them, momentum and decay included."""
-        for parameter in self.gated_parameters():
+        for parameter in self.terms.gated_parameters(self.lifter):
             parameter.grad = None
 
     def optimizer_step(self, *arguments: Any, **options: Any) -> None:

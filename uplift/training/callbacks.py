@@ -14,7 +14,6 @@ from typing import Any
 import lightning as L
 import torch
 from lightning.pytorch.plugins.io import TorchCheckpointIO
-from torch import Tensor
 
 from uplift.config.files import read_torch, save_torch
 from uplift.errors import UserError
@@ -197,14 +196,13 @@ class MetricsFile(L.Callback):
         """Append rows when it is time to."""
         if not trainer.is_global_zero or trainer.global_step % self.every:
             return
-        values: dict[str, float | Tensor] = dict(module.logged)
-        values |= module.more_metrics()
+        step, values = trainer.global_step, {name: float(value) for name, value in module.logged.items()}
+        if module.last_lift is not None:
+            values |= module.terms.metrics(module.last_lift)
         with open(self.path, "a", newline="") as file:
-            writer = csv.writer(file)
-            for name, value in values.items():
-                writer.writerow([self.stage, trainer.global_step, name, f"{float(value):.6g}"])
+            csv.writer(file).writerows([self.stage, step, name, f"{value:.6g}"] for name, value in values.items())
         for logger in trainer.loggers:
-            logger.log_metrics({f"{self.stage}/{k}": float(v) for k, v in values.items()}, trainer.global_step)
+            logger.log_metrics({f"{self.stage}/{name}": value for name, value in values.items()}, step)
 
 
 def read_metrics(path: Path) -> list[list[str]]:

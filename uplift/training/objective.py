@@ -1,65 +1,129 @@
-"""`Objective`: the weighted sum of priors; adversarial ones are frozen while they judge and trained on their own loss."""
+"""`Objective`: the weighted sum of priors, every result checked; adversarial ones are frozen while they judge."""
 
 from __future__ import annotations
 
+import sys
+import traceback
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
+from pathlib import Path
 from typing import Any
 
 import torch
 from torch import Tensor, nn
 
+from uplift.errors import UserError
 from uplift.priors.base import Lift, Prior, ShapeLift
-from uplift.priors.checks import PriorChecks, blame
 
 __all__ = ["Logged", "Objective", "prepare_priors"]
 
 Logged = dict[str, float | Tensor]
 
+_PATIENCE = 20
+"""Calls after which a loss that has never carried a gradient is rejected."""
+_SYNC_EVERY = 50
+"""Steps between checks of a loss on an accelerator, where each one waits for the device."""
+_PACKAGE = Path(__file__).resolve().parent.parent
+
 
 def prepare_priors(priors: Mapping[str, Prior], data: Any) -> None:
-    """Let every prior look at the training data."""
+    """Show every prior the training data."""
     for name, prior in priors.items():
-        with blame(name, prior, "prepare"):
+        with _blame(name, prior, "prepare"):
             prior.prepare(data)
 
 
 class Objective:
-    """Weighted priors of poses or of shapes, every result checked (`PriorChecks`)."""
+    """Weighted priors of poses or of shapes.
+
+    What would fail silently is rejected: no gradient, NaN, a wrong shape. A loss is connected if it carries a
+    gradient to something trainable. A constant 0 may be a satisfied hinge written with an ``if``: it is rejected
+    after twenty calls without a gradient.
+    """
 
     def __init__(self, priors: Mapping[str, Prior], weights: Mapping[str, float]):
         self.priors, self.weights = dict(priors), dict(weights)
         self.adversarial = [name for name, prior in priors.items() if type(prior).own_loss is not Prior.own_loss]
-        self.checks = PriorChecks(priors)
+        self._connected: set[str] = set()
+        self._calls = dict.fromkeys(priors, 0)
 
     def judge(self, lift: Lift | ShapeLift, step: int) -> tuple[Tensor, Logged]:
         """Return the weighted sum of the priors' losses, which trains the lifter, and each loss by name."""
         total, losses = torch.zeros(()), Logged()
         with _frozen(self.priors[name] for name in self.adversarial):
             for name in self.priors:
-                loss = self.checks.loss(name, lift, step)
+                loss = self.loss(name, lift, step)
                 total = total + self.weights[name] * loss
                 losses[name] = loss.detach()
         return total, losses
 
+    def loss(self, name: str, lift: Lift | ShapeLift, step: int) -> Tensor:
+        """Return one prior's loss as one number.
+
+        Raises:
+            UserError: it fails, has a wrong shape, is not finite, or depends on nothing trainable.
+        """
+        with _blame(name, self.priors[name], "loss"):
+            value = self.priors[name].loss(lift)
+        if not isinstance(value, Tensor) or value.shape not in lift.loss_shapes:
+            found = f"shape {tuple(value.shape)}" if isinstance(value, Tensor) else type(value).__name__
+            per_frame = "".join(f" or one per frame (shape {shape})" for shape in lift.loss_shapes if shape)
+            raise UserError(f"priors.{name}: loss(lift) returned {found}, expected one number (shape ()){per_frame}.")
+        if value.is_complex():
+            raise UserError(f"priors.{name}: loss(lift) returned {value.dtype}, expected real numbers.")
+        value = value.mean() if value.is_floating_point() else value.float().mean()
+        if (value.device.type == "cpu" or step % _SYNC_EVERY == 0) and not bool(torch.isfinite(value)):
+            raise UserError(
+                f"priors.{name}: loss is {value.item()} at step {step}. Look for a division by 0, a square root or "
+                "a norm of 0 (add a small number), or a learning rate that is too high."
+            )
+        if name not in self._connected:
+            self._check_connected(name, value, lift)
+        return value
+
+    def _check_connected(self, name: str, value: Tensor, lift: Lift | ShapeLift) -> None:
+        self._calls[name] += 1
+        if value.requires_grad:
+            self._connected.add(name)
+        elif bool(value != 0) or self._calls[name] >= _PATIENCE:
+            *first, last = (f"lift.{field}" for field in lift.differentiable)
+            raise UserError(
+                f"priors.{name}: its loss depends on nothing that can be trained (no gradient reaches what was lifted "
+                f"or the prior's own parameters). Compute it from {', '.join(first)} or {last}, without .detach(), "
+                ".numpy() or comparisons in place of differences."
+            )
+
     def train_adversaries(self, real: Tensor, seen: Tensor) -> tuple[Tensor, Logged]:
-        """Return the sum of what adversarial priors are trained on, and each such loss by name.
+        """Return the sum of the losses that adversarial priors are trained on, and each of them by name.
 
         ``seen`` are detached views of what was lifted, ``real`` the same of the data.
+
+        Raises:
+            UserError: one fails, or is not one number that depends on the prior's parameters.
         """
         total, losses = real.new_zeros(()), Logged()
         for name in self.adversarial:
-            own = self.checks.own_loss(name, real, seen)
-            if own is not None:
-                total = total + own
-                losses[f"{name}_own"] = own.detach()
+            with _blame(name, self.priors[name], "own_loss"):
+                own = self.priors[name].own_loss(real, seen)
+            if own is None:
+                continue
+            if not isinstance(own, Tensor) or own.shape != () or not own.requires_grad:
+                raise UserError(
+                    f"priors.{name}: own_loss(real, seen) must return one number (a tensor of shape ()) that depends "
+                    "on the prior's own parameters."
+                )
+            total = total + own
+            losses[f"{name}_own"] = own.detach()
         return total, losses
 
+    @torch.no_grad()
     def metrics(self, lift: Lift | ShapeLift) -> dict[str, float]:
         """Return what the priors want logged."""
-        with torch.no_grad():
-            found = [self.checks.metrics(name, lift) for name in self.priors]
-        return {key: value for one in found for key, value in one.items()}
+        found = {}
+        for name, prior in self.priors.items():
+            with _blame(name, prior, "metrics"):
+                found |= {f"{name}_{key}": float(value) for key, value in prior.metrics(lift).items()}
+        return found
 
     def parameter_groups(self, learning_rate: float) -> list[dict[str, Any]]:
         """Return an optimiser group for each prior that has parameters."""
@@ -67,7 +131,7 @@ class Objective:
         return [{"params": own, "lr": learning_rate, "name": name} for name, own in parameters.items() if own]
 
     def gated_parameters(self, lifter: nn.Module) -> Iterator[nn.Parameter]:
-        """Return the parameters, a prior's or the lifter's, that a prior asked to leave as they are in this step."""
+        """Return the parameters, a prior's or the lifter's, that a prior excluded from the update in this step."""
         for prior in self.priors.values():
             if prior.gate_itself:
                 yield from prior.parameters()
@@ -86,3 +150,25 @@ def _frozen(modules: Iterable[nn.Module]) -> Iterator[None]:
     finally:
         for parameter in parameters:
             parameter.requires_grad_(True)
+
+
+@contextmanager
+def _blame(name: str, prior: Prior, hook: str) -> Iterator[None]:
+    """Turn an error inside a user's prior into a `UserError` that names file and line."""
+    try:
+        yield
+    except UserError:
+        raise
+    except Exception as error:
+        module = type(prior).__module__
+        if module.startswith("uplift."):
+            raise
+        frames = [
+            frame
+            for frame in traceback.extract_tb(error.__traceback__)
+            if _PACKAGE not in Path(frame.filename).resolve().parents and "site-packages" not in frame.filename
+        ]
+        # A hook with wrong arguments, or whose result cannot be read, fails in the package's frames alone.
+        file = getattr(sys.modules.get(module), "__file__", None) or module
+        where = f"{frames[0].filename}, line {frames[0].lineno}" if frames else f"{type(prior).__name__} of {file}"
+        raise UserError(f"priors.{name}: {hook} failed in {where}: {type(error).__name__}: {error}") from error

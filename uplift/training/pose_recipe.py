@@ -14,7 +14,7 @@ from uplift.data.load import Loaded
 from uplift.data.tensors import TrainingSet, mean_bones, to_training_set, with_labels
 from uplift.errors import UserError
 from uplift.models.lifter import Lifter
-from uplift.models.model import Model, build_lifter, load_poses
+from uplift.models.model import Model, load_poses
 from uplift.skeleton import Skeleton
 from uplift.training.adversarial import AdversarialTraining
 from uplift.training.objective import prepare_priors
@@ -127,7 +127,7 @@ class PoseRecipe(Recipe):
 
     def _lifter(self, chosen: LifterSettings) -> Lifter:
         """Return an untrained lifter that knows how large the labelled bodies are."""
-        lifter = build_lifter(chosen, self.skeleton)
+        lifter = Lifter(self.skeleton, chosen)
         if self.bone_mm is not None:
             lifter.bone_mm.copy_(self.bone_mm.nan_to_num())
         return lifter

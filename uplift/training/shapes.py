@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
-from typing import Any
+from collections.abc import Mapping, Sequence
 
 import torch
 from jaxtyping import Float
@@ -14,7 +13,7 @@ from uplift.data.mask_tensors import MaskSet
 from uplift.models.mixture import LEAST, MOST, Drawn, ShapeMixture, temperature_at
 from uplift.priors.base import Prior, ShapeLift
 from uplift.training.base import LifterTraining
-from uplift.training.objective import Objective
+from uplift.training.objective import Logged, Objective
 
 __all__ = ["EStepStatistics", "MixtureTraining"]
 
@@ -160,24 +159,17 @@ class MixtureTraining(LifterTraining[ShapeMixture, MaskSet]):
         seed: int,
         hot: bool = True,
     ):
-        super().__init__(mixture, data, settings, seed)
-        self.priors = nn.ModuleDict(priors)
-        self.terms = Objective(priors, weights)
+        rate = settings.prior_learning_rate or _PRIOR_LEARNING_RATE
+        super().__init__(mixture, data, settings, seed, Objective(priors, weights), rate)
         self.hot = hot
         self.every = _OFTEN if hot else _SELDOM
         pooled = 1 if hot or mixture.settings.crop % 2 else 2
         self.statistics = EStepStatistics(mixture, bool(data.labelled.any()), pooled)
-        self.last_lift: ShapeLift | None = None
 
     @property
     def mirrors(self) -> bool:
         """Whether priors see masks mirrored half the time: only where shapes are their own mirror image."""
         return self.settings.mirror and self.lifter.settings.symmetric
-
-    def parameter_groups(self) -> list[dict[str, Any]]:
-        """Return the group of the grids and one for each prior that has parameters."""
-        rate = self.settings.prior_learning_rate or _PRIOR_LEARNING_RATE
-        return [*super().parameter_groups(), *self.terms.parameter_groups(rate)]
 
     @property
     def temperature(self) -> float:
@@ -185,7 +177,7 @@ class MixtureTraining(LifterTraining[ShapeMixture, MaskSet]):
         start, end = self.lifter.settings.temperature_start, self.lifter.settings.temperature_end
         return temperature_at(self.done, start, end) if self.hot else end
 
-    def objective(self) -> tuple[Tensor, dict[str, float | Tensor]]:
+    def objective(self) -> tuple[Tensor, Logged]:
         """Return the loss from a few random views and its terms."""
         mixture, statistics = self.lifter, self.statistics
         if self.global_step % self.every == 0:
@@ -196,7 +188,7 @@ class MixtureTraining(LifterTraining[ShapeMixture, MaskSet]):
         drawn = mixture.cut_out(rows)
         silhouettes = statistics.loss(mixture, drawn, rows, self.temperature)
         loss = silhouettes + _SIZE_WEIGHT * mixture.size_loss(drawn)
-        logged: dict[str, float | Tensor] = {"energy": statistics.energy, "silhouettes": silhouettes.detach()}
+        logged: Logged = {"energy": statistics.energy, "silhouettes": silhouettes.detach()}
         if statistics.labels:
             truth = statistics.label_loss(mixture.full_logits)
             loss, logged["truth"] = loss + _TRUTH_WEIGHT * truth, truth.detach()
@@ -229,11 +221,3 @@ class MixtureTraining(LifterTraining[ShapeMixture, MaskSet]):
         flipped = torch.rand(len(rows), device=rows.device) < (0.5 if self.mirrors else 0.0)
         masks = self.data.crops[rows]
         return torch.where(flipped[:, None, None], masks.flip(-1), masks)
-
-    def gated_parameters(self) -> Iterator[nn.Parameter]:
-        """Return the parameters that a prior asked to leave as they are in this step."""
-        return self.terms.gated_parameters(self.lifter)
-
-    def more_metrics(self) -> dict[str, float]:
-        """Return what the priors want logged of the last step."""
-        return {} if self.last_lift is None else self.terms.metrics(self.last_lift)

@@ -9,6 +9,7 @@ from uplift.config.settings import StudentSettings, ViewSettings
 from uplift.models.lifter import Lifted, Lifter
 from uplift.training.augmentation import TILT_WEIGHT, ShownViews, ViewMaker, depth_error, tilt_error
 from uplift.training.base import LifterTraining, stream_seed
+from uplift.training.objective import Logged
 from uplift.training.pseudo_labels import PseudoPoses
 
 __all__ = ["StudentTraining"]
@@ -37,28 +38,24 @@ class StudentTraining(LifterTraining[Lifter, PseudoPoses]):
         labelled_share: float | None = None,
     ):
         super().__init__(lifter, data, settings, seed)
-        self.labelled_share = labelled_share
-        self.views = views
+        self.labelled_share, self.views = labelled_share, views
         self._made: tuple[int, ShownViews] | None = None
 
     def on_fit_start(self) -> None:
         """Move the poses to the model's device and split them into limbs."""
         super().on_fit_start()
+        count_root, share = self.views.count_root, self.labelled_share
         self.maker = ViewMaker(
-            self.data,
-            self.lifter.camera,
-            self.settings,
-            count_root=self.views.count_root,
-            labelled_share=self.labelled_share,
+            self.data, self.lifter.camera, self.settings, count_root=count_root, labelled_share=share
         )
 
-    def objective(self) -> tuple[Tensor, dict[str, float | Tensor]]:
+    def objective(self) -> tuple[Tensor, Logged]:
         """Return the error of the depths, and of the keypoints, spread and tilt where the lifter gives them."""
         views, lifter = self._batch(), self.lifter
         lifted = lifter(views.input, views.confidence, views.distance)
         known = views.weight.sum().clamp_min(1)
         loss = depth_error(lifted, views)
-        logged: dict[str, float | Tensor] = {"depth": loss.detach()}
+        logged: Logged = {"depth": loss.detach()}
         if lifter.denoise or (lifter.fill and self.settings.occlude):
             # Joints that the lifter leaves where they are seen do not count, unless the root is missing.
             hidden = views.confidence == 0
