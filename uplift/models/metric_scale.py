@@ -17,6 +17,7 @@ __all__ = [
     "median_by_body",
     "mm_by_camera_height",
     "mm_per_unit",
+    "segment_lengths",
     "size_from",
     "size_of_skeleton",
 ]
@@ -41,7 +42,7 @@ Size = KnownLength | CameraHeight
 
 
 def size_of_skeleton(skeleton: Skeleton) -> Size | None:
-    """Return the size that the skeleton's file gives in mm; None if it gives none."""
+    """Return the size in mm that the skeleton's file gives, if any."""
     if "mm" not in skeleton.size:
         return None
     return KnownLength(tuple(skeleton.size["along"]), skeleton.size["mm"])
@@ -61,9 +62,8 @@ def size_from(
         UserError: more than one size, a bone without its length, unknown joints, or a height that the skeleton
             does not relate to its joints.
     """
-    given = [
-        n for n, v in (("height_mm", height_mm), ("bone", bone or bone_mm), ("camera_height_mm", camera_height_mm)) if v
-    ]
+    choices = {"height_mm": height_mm, "bone": bone or bone_mm, "camera_height_mm": camera_height_mm}
+    given = [name for name, value in choices.items() if value]
     if len(given) > 1:
         raise UserError(f"{' and '.join(given)} are given: use only one of them.")
     for name, value in (("height_mm", height_mm), ("bone_mm", bone_mm), ("camera_height_mm", camera_height_mm)):
@@ -86,14 +86,13 @@ def size_from(
         raise UserError("bone=JOINT,JOINT and bone_mm=LENGTH go together.")
     if bone is None or bone_mm is None:
         return size_of_skeleton(skeleton)
+    where = f"bone={','.join(bone)}"
     for joint in bone:
         if joint not in skeleton.joints:
-            raise UserError(
-                f"bone={','.join(bone)}: skeleton '{skeleton.name}' has no joint '{joint}'."
-                + did_you_mean(joint, skeleton.joints)
-            )
+            hint = did_you_mean(joint, skeleton.joints)
+            raise UserError(f"{where}: skeleton '{skeleton.name}' has no joint '{joint}'.{hint}")
     if len(bone) < 2 or len(set(bone)) < len(bone):
-        raise UserError(f"bone={','.join(bone)}: expected two or more different joints, such as bone=rhip,rknee.")
+        raise UserError(f"{where}: expected two or more different joints, such as bone=rhip,rknee.")
     return KnownLength(tuple(bone), bone_mm)
 
 
@@ -105,10 +104,10 @@ def mm_per_unit(
     Frames of one ``body`` share its proportions: the length as a share of all bones is the median over them, so
     that no frame depends on one bone alone. A path with a mirror image counts as the mean of both.
     """
-    total = _lengths(pose, skeleton.bone_indices).sum(1)
+    total = segment_lengths(pose, skeleton.bone_indices).sum(1)
     places = np.array([skeleton.index(joint) for joint in size.along])
     paths = [places, skeleton.mirror_permutation[places]]
-    length = np.mean([_lengths(pose, np.stack([path[:-1], path[1:]], 1)).sum(1) for path in paths], 0)
+    length = np.mean([segment_lengths(pose, np.stack([path[:-1], path[1:]], 1)).sum(1) for path in paths], 0)
     share = length / np.maximum(total, 1e-9)
     with np.errstate(divide="ignore", invalid="ignore"):
         return size.mm / (median_by_body(share, body) * total)
@@ -136,22 +135,15 @@ def mm_by_camera_height(
 ) -> Float[np.ndarray, " frames"]:
     """Return mm per unit of each pose, if the lowest joint of a frame mostly stands on the ground.
 
-    The frames of one ``body`` share its size, the median over them.
-
-    Args:
-        pose: root-relative poses, camera frame.
-        positions: the joints relative to the camera, in the same frame and unit.
-        gravity: unit vectors, camera frame.
-        skeleton: of the poses.
-        body: the number of each frame's body.
-        size: the camera's height.
+    The frames of one ``body`` share its size, the median over them. ``positions`` are the joints of ``pose``
+    relative to the camera, ``gravity`` unit vectors; all are in the camera frame.
 
     Raises:
         UserError: bodies that are mostly not below the camera.
     """
     below = np.einsum("fjc,fc->fj", positions, gravity)
     lowest = np.nanmax(np.where(np.isfinite(below), below, -np.inf), axis=1)
-    total = _lengths(pose, skeleton.bone_indices).sum(1)
+    total = segment_lengths(pose, skeleton.bone_indices).sum(1)
     by_frame = np.where(lowest > 0, size.mm / np.maximum(lowest, 1e-9) * total, np.nan)
     if not np.isfinite(by_frame).any() or np.mean(np.isfinite(by_frame)) < 0.5:
         raise UserError(
@@ -163,5 +155,8 @@ def mm_by_camera_height(
     return of_body / np.maximum(total, 1e-9)
 
 
-def _lengths(pose: np.ndarray, pairs: np.ndarray) -> np.ndarray:
+def segment_lengths(
+    pose: Float[np.ndarray, "frames joints 3"], pairs: Int[np.ndarray, "segments 2"]
+) -> Float[np.ndarray, "frames segments"]:
+    """Return the distance between each pair of joints."""
     return np.linalg.norm(pose[:, pairs[:, 1]] - pose[:, pairs[:, 0]], axis=-1)

@@ -25,7 +25,7 @@ _DENSITY = 1.3
 LEAST, MOST = 0.01, 0.99
 """Bounds of the opacity of a pixel in likelihoods, so that no mask is impossible."""
 _SIZE = 0.36
-"""Target spread of a shape's silhouettes as rendered, in half sides: the shape fills its grid but for a margin."""
+"""Target spread of a shape's silhouettes as rendered, in half sides: the shape fills its grid up to a margin."""
 
 
 class Drawn(NamedTuple):
@@ -56,8 +56,8 @@ class ShapeMixture(nn.Module):
         self.settings = settings
         self.grid: _ViewGrid = view_grid(settings, azimuths)
         n, parts = settings.detail, parts or settings.parts
-        half = n // 2 if settings.symmetric else n
-        self.logits = nn.Parameter(_first_shapes(parts, n)[..., -half:].clone())
+        first = _first_shapes(parts, n)
+        self.logits = nn.Parameter(first[..., n - n // 2 :].clone() if settings.symmetric else first)
         self.register_buffer("azimuth_bias", torch.zeros(parts, self.grid.azimuths))
         self.register_buffer("part_bias", torch.zeros(parts))
         self.register_buffer("level", torch.tensor(0.2))
@@ -80,13 +80,11 @@ class ShapeMixture(nn.Module):
 
     def silhouettes(self, rows: Sequence[int] | None = None) -> Float[Tensor, "shapes drawn side side"]:
         """Return every shape's silhouette from the rendered views, or ``rows`` of them, at the scale of `BASE`."""
-        device = self.logits.device
         if self.projector is None:
-            s = self.settings
-            views = self.grid.views[self.grid.drawn]
+            s, views = self.settings, self.grid.views[self.grid.drawn]
             self.projector = Projector(views, resolution=s.detail, side=s.crop, distance=s.distance)
-        if self.projector.device != device:
-            self.projector.to(device)
+        if self.projector.device != self.logits.device:
+            self.projector.to(self.logits.device)
         return self.projector(nn.functional.softplus(self.full_logits) * _DENSITY, rows)
 
     def cut_out(self, rows: Sequence[int] | None = None) -> Drawn:
@@ -114,11 +112,8 @@ class ShapeMixture(nn.Module):
     ) -> Float[Tensor, "items shapes views"]:
         """Return the log likelihood of each mask and view under each shape, up to a constant.
 
-        Args:
-            masks: crops, 0..1.
-            spread: of each mask along x and y.
-            drawn: `crops` of the shapes.
-            temperature: that pixel errors are divided by.
+        ``masks`` are crops, 0..1, ``spread`` is that of each mask along x and y, ``drawn`` are `crops` of the
+        shapes; pixel errors are divided by ``temperature``.
         """
         pixels = drawn.cut.flatten(2).flatten(0, 1).clamp(LEAST, MOST)
         empty = (1 - pixels).log()
@@ -127,9 +122,7 @@ class ShapeMixture(nn.Module):
         log_ratio = (drawn.spread[..., 0] / drawn.spread[..., 1]).log().flatten()
         ratio = (spread[:, 0] / spread[:, 1]).log()
         proportions = 0.5 * ((ratio[:, None] - log_ratio[None]) / self.settings.proportions) ** 2
-        log_prior = (self.grid.log_prior.to(flat) - self.azimuth_bias[:, self.grid.azimuth]).sub(
-            self.part_bias[:, None]
-        )
+        log_prior = self.grid.log_prior.to(flat) - self.azimuth_bias[:, self.grid.azimuth] - self.part_bias[:, None]
         return (log_prior.flatten() - error / temperature - proportions).view(len(masks), *drawn.cut.shape[:2])
 
     @staticmethod
@@ -143,17 +136,15 @@ class ShapeMixture(nn.Module):
 
     @torch.no_grad()
     def balance(self, used: Float[Tensor, "shapes views"], azimuths: float, parts: float) -> None:
-        """Make what explains more than its share of masks less likely: azimuths of each shape, and shapes.
+        """Make azimuths and shapes that explain more than their share of masks less likely.
 
-        Args:
-            used: share of the masks that each shape and view explains.
-            azimuths: rate at which azimuths are corrected.
-            parts: rate at which shapes are corrected.
+        ``used`` is the share of the masks that each shape and view explains; ``azimuths`` and ``parts`` are the
+        rates at which azimuths of each shape, and shapes, are corrected.
         """
-        turned = used.new_zeros(len(used), self.grid.azimuths)
-        turned.index_add_(1, self.grid.azimuth.to(used.device), used)
-        share = turned.sum(1)
-        even = turned / share[:, None].clamp_min(1e-6) * self.grid.azimuths
+        by_azimuth = used.new_zeros(len(used), self.grid.azimuths)
+        by_azimuth.index_add_(1, self.grid.azimuth.to(used.device), used)
+        share = by_azimuth.sum(1)
+        even = by_azimuth / share[:, None].clamp_min(1e-6) * self.grid.azimuths
         bias = (self.azimuth_bias + azimuths * even.clamp_min(0.05).log()).clamp(-5, 5)
         self.azimuth_bias.copy_(bias - bias.mean(1, keepdim=True))
         self.part_bias.add_(parts * (share * len(share)).clamp_min(0.05).log()).clamp_(-3, 3)
@@ -229,13 +220,13 @@ def view_grid(settings: ShapeSettings, azimuths: int = AZIMUTHS) -> _ViewGrid:
         return _ViewGrid(views, torch.zeros(len(views)), count, count, None)
     mean, sd = (math.radians(angle) for angle in settings.elevation_deg)
     steps = torch.tensor(_ELEVATION_STEPS if sd > math.radians(2) else (0.0,))
-    turns = (torch.arange(azimuths) + 0.5) / azimuths * 2 * math.pi - math.pi
+    angles = (torch.arange(azimuths) + 0.5) / azimuths * 2 * math.pi - math.pi
     azimuth = torch.arange(azimuths).repeat_interleave(len(steps))
     step = steps.repeat(azimuths)
     tilt = mean + sd * step
-    views = views_about_gravity(torch.zeros_like(tilt), turns[azimuth], tilt)
-    every = torch.arange(len(views))
-    drawn, mirrored = every, None
+    views = views_about_gravity(torch.zeros_like(tilt), angles[azimuth], tilt)
+    drawn = every = torch.arange(len(views))
+    mirrored = None
     if settings.symmetric and azimuths % 2 == 0:
         drawn = every[: len(every) // 2]
         mirrored = every.view(azimuths, len(steps)).flip(0).flatten()[: len(drawn)]
@@ -244,10 +235,9 @@ def view_grid(settings: ShapeSettings, azimuths: int = AZIMUTHS) -> _ViewGrid:
 
 def _spread_out(rotations: Tensor, count: int) -> Tensor:
     """Return ``count`` of ``rotations``, each as far as possible from those before it."""
-    flat = rotations.flatten(1)
-    chosen = [0]
+    flat, chosen = rotations.flatten(1), [0]
     nearest = flat @ flat[0]
-    for _ in range(count - 1):
+    while len(chosen) < count:
         chosen.append(int(nearest.argmin()))
         nearest = torch.maximum(nearest, flat @ flat[chosen[-1]])
     return rotations[chosen]

@@ -44,27 +44,26 @@ def load(run: str | Path | Weights) -> Model | ShapeModel:
 
 def load_poses(run: str | Path | Weights) -> Model:
     """Return `load` of a run that lifts keypoints; raises UserError for a run that lifts masks."""
-    found = load(run)
-    if not isinstance(found, Model):
-        raise UserError(f"{_name(run)} lifts masks, expected a run that lifts keypoints.")
-    return found
+    return _load_as(Model, run)
 
 
 def load_shapes(run: str | Path | Weights) -> ShapeModel:
     """Return `load` of a run that lifts masks; raises UserError for a run that lifts keypoints."""
+    return _load_as(ShapeModel, run)
+
+
+SavedT = TypeVar("SavedT", bound="_Saved")
+
+
+def _load_as(kind: type[SavedT], run: str | Path | Weights) -> SavedT:
     found = load(run)
-    if not isinstance(found, ShapeModel):
-        raise UserError(f"{_name(run)} lifts keypoints, expected a run that lifts masks.")
+    if not isinstance(found, kind):
+        name = run.run if isinstance(run, Weights) else run
+        raise UserError(f"{name} lifts {found.lifts}, expected a run that lifts {kind.lifts}.")
     return found
 
 
-def _name(run: str | Path | Weights) -> str:
-    return run.run if isinstance(run, Weights) else str(run)
-
-
 # Save and load, whatever is lifted.
-
-SavedT = TypeVar("SavedT", bound="_Saved")
 
 
 class _Saved:
@@ -151,8 +150,7 @@ class Model(_Saved):
         Raises:
             UserError: a wrong shape, or nothing that can be lifted.
         """
-        is_tensor = isinstance(keypoints, Tensor)
-        array = keypoints.detach().cpu().numpy() if is_tensor else np.asarray(keypoints, np.float32)
+        array = _float_array(keypoints)
         single = array.ndim == 2
         array = array[None] if single else array
         joints = len(self.skeleton.joints)
@@ -160,15 +158,11 @@ class Model(_Saved):
             raise UserError(
                 f"keypoints of shape {array.shape}, expected (frames, {joints}, 2): {self.skeleton.joints}."
             )
-        if confidence is None:
-            weight = np.ones(array.shape[:2], np.float32)
-        else:
-            weight = confidence.detach().cpu() if isinstance(confidence, Tensor) else confidence
-            weight = np.asarray(weight, np.float32)
-            weight = weight[None] if weight.ndim == 1 else weight
-        pose = self.predict(PoseData(array.astype(np.float32), weight, self.skeleton.joints)).pose
+        weight = np.ones(array.shape[:2], np.float32) if confidence is None else _float_array(confidence)
+        weight = weight[None] if weight.ndim == 1 else weight
+        pose = self.predict(PoseData(array, weight, self.skeleton.joints)).pose
         pose = pose[0] if single else pose
-        return torch.from_numpy(pose).to(keypoints.device) if is_tensor else pose
+        return torch.from_numpy(pose).to(keypoints.device) if isinstance(keypoints, Tensor) else pose
 
     def predict(
         self,
@@ -215,16 +209,17 @@ class Model(_Saved):
         mm_per_px: Float[np.ndarray, " frames"] | None,
         title: str,
     ) -> Prediction:
-        """Return poses in pixels as a prediction, in mm if the scale is known."""
+        """Return ``pose``, in pixels, as a prediction; in mm if the scale is known."""
         gravity, with_gravity = inferred.gravity, self.skeleton.gravity
         spread = None if inferred.spread is None else inferred.spread.cpu().numpy()
+        rays = None
         if mm_per_px is not None:
+            rays = data.rays()
             pose = (pose * mm_per_px[:, None, None]).astype(np.float32)
             spread = None if spread is None else (spread * mm_per_px[:, None]).astype(np.float32)
         level_pose = to_level(pose, gravity) if with_gravity else pose.copy()
         blank = (data.confidence > 0).sum(1) == 0
         pose[blank], level_pose[blank] = np.nan, np.nan
-        rays = None if mm_per_px is None else data.rays()
         return Prediction(
             pose=pose,
             level_pose=level_pose,
@@ -248,10 +243,9 @@ class Model(_Saved):
         )
 
     def refines(self, data: PoseData, refine: bool = True) -> bool:
-        """Return whether `predict` lifts the frames of clips together: if it is on and ``data`` has clips."""
+        """Return whether `predict` refines: it is on, and ``data`` has clips of several frames."""
         clips = data.clips()
-        wanted = refine and self.settings.refine.iterations > 0
-        return wanted and int(clips.max(initial=-1)) + 1 < len(clips)
+        return refine and self.settings.refine.iterations > 0 and bool(clips.max(initial=-1) + 1 < len(clips))
 
     def _description(self) -> dict[str, Any]:
         return {"skeleton": self.skeleton.to_dict(), "lifter": dataclasses.asdict(self.settings)}
@@ -264,12 +258,12 @@ class Model(_Saved):
         return cls(Lifter(skeleton, settings), skeleton, settings)
 
 
-def _refuse_nearby_code(network: str) -> None:
-    """Refuse a network whose file is named relative to the current folder.
+def _float_array(values: Any) -> np.ndarray:
+    return np.array(values.detach().cpu() if isinstance(values, Tensor) else values, np.float32)
 
-    A fit stores the full path of a user's network. A relative path did not come from a fit, and would run
-    code that came with the file.
-    """
+
+def _refuse_nearby_code(network: str) -> None:
+    """Refuse a relative path to a network: a fit stores the full path, and this would run code that came with the file."""
     file, colon, _ = str(network).rpartition(":")
     if colon and file.endswith(".py") and not Path(file).is_absolute():
         raise UserError(f"names the network '{network}' without its folder: not opened, as it would run that file.")

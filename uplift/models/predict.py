@@ -24,6 +24,7 @@ from uplift.models.metric_scale import (
     median_by_body,
     mm_by_camera_height,
     mm_per_unit,
+    segment_lengths,
     size_of_skeleton,
 )
 from uplift.models.refine import refine_clips
@@ -50,15 +51,15 @@ class InferredPoses:
 
     pose: Float[Tensor, "frames joints 3"]
     gravity: Float[Tensor, "frames 3"]
-    """Its direction."""
+    """Unit vectors."""
     spread: Float[Tensor, "frames joints"] | None
-    """The error to expect of each depth, pixels."""
+    """The expected error of each depth, pixels."""
     mm_per_px: Float[Tensor, " frames"] | None
     """For bodies as large as the labelled ones; None without labels."""
 
 
 def infer(lifter: Lifter, data: PoseData, settings: LifterSettings, *, refine: bool) -> InferredPoses:
-    """Return the poses of cleaned ``data``; if ``refine``, refined by clip and with short gaps interpolated."""
+    """Return the poses of cleaned ``data``, optionally refined by clip, with short gaps interpolated."""
     seen = undistorted(data, settings)
     frames, lifted = _lift_and_refine(lifter, seen, settings, refine)
     if refine:
@@ -88,18 +89,15 @@ def _lift_and_refine(
 # Lift many frames, and refine those of each clip together.
 
 _CHUNK = 8192
-"""Frames that fit the cache."""
+"""Frames that fit into the cache."""
 
 
 @torch.no_grad()
 def lift_frames(lifter: Lifter, frames: TrainingSet, *, both_ways: bool = True) -> Lifted:
     """Return every frame lifted, averaged with its mirror image if ``both_ways``."""
     lift = lifter.lift_both_ways if both_ways else lifter
-    parts: list[Lifted] = []
-    for start in range(0, len(frames), _CHUNK):
-        rows = slice(start, start + _CHUNK)
-        parts.append(lift(frames.keypoints[rows], frames.confidence[rows], frames.distance[rows]))
-    return Lifted.concat(parts)
+    chunks = zip(*(part.split(_CHUNK) for part in (frames.keypoints, frames.confidence, frames.distance)), strict=True)
+    return Lifted.concat([lift(*chunk) for chunk in chunks])
 
 
 def as_measured(frames: TrainingSet, keypoints: Float[Tensor, "frames joints 2"]) -> Float[Tensor, "frames joints 2"]:
@@ -138,15 +136,9 @@ def gap_joints(data: PoseData) -> Bool[np.ndarray, "frames joints"]:
 def interpolate_gaps(
     data: PoseData, frames: TrainingSet, lifted: Lifted, intrinsics: Intrinsics | None
 ) -> PoseData | None:
-    """Return ``data`` with `gap_joints` at the keypoints of refined poses; None if there are no gaps.
+    """Return ``data`` with `gap_joints` where the refined poses ``lifted`` have them; None if there are no gaps.
 
-    Their confidence is the median of that of visible joints.
-
-    Args:
-        data: in pixels.
-        frames: the same, normalised.
-        lifted: the refined poses.
-        intrinsics: of the camera, if known.
+    Their confidence is the median of that of visible joints. ``frames`` are the same data, normalised.
     """
     gap = gap_joints(data)
     if not gap.any():
@@ -163,16 +155,14 @@ def interpolate_gaps(
 def _pixels(
     data: PoseData, frames: TrainingSet, lifted: Lifted, intrinsics: Intrinsics | None
 ) -> Float[Tensor, "frames joints 2"]:
-    """Return where the lifted joints are in the image, in pixels."""
     keypoints = as_measured(frames, lifted.keypoints)
     if intrinsics is None or frames.rotation is None:
         origin = torch.from_numpy(data.keypoints[:, [frames.skeleton.root_index]]).to(keypoints)
         return origin + keypoints * frames.scale[:, None, None]
     rays = torch.cat([keypoints / frames.distance[:, None, None], torch.ones_like(keypoints[..., :1])], -1)
     rays = rays @ frames.rotation  # row vectors times R: back to the real camera
-    return rays[..., :2] / rays[..., 2:].clamp_min(0.05) * intrinsics.focal_px + keypoints.new_tensor(
-        intrinsics.centre_px
-    )
+    centre = keypoints.new_tensor(intrinsics.centre_px)
+    return rays[..., :2] / rays[..., 2:].clamp_min(0.05) * intrinsics.focal_px + centre
 
 
 # Constant bones: joints move as little as possible.
@@ -183,12 +173,12 @@ _ROUNDS = 30
 def with_constant_bones(
     pose: Float[np.ndarray, "frames joints 3"], skeleton: Skeleton, body: Int[np.ndarray, " frames"]
 ) -> Float[np.ndarray, "frames joints 3"]:
-    """Return the poses with, for each ``body``, one length of every bone, up to a size for each frame.
+    """Return the poses with the same bone proportions in all frames of a ``body``.
 
-    The length is the median over the body's frames of the bone as a share of all bones; the sum of all bones
-    of a frame stays. Bone by bone, both ends are moved by half of the error, repeatedly (SHAKE: Ryckaert,
-    Ciccotti and Berendsen 1977); the rest is set exactly, from the root outwards. Joints leave their lines of
-    sight by as much as bones were wrong.
+    A bone's share of the total bone length is the median over the body's frames; each frame keeps its total.
+    Bone by bone, both ends are moved by half of the error, repeatedly (SHAKE: Ryckaert, Ciccotti and Berendsen
+    1977); the rest is set exactly, from the root outwards. Joints leave their lines of sight by as much as bones
+    were wrong.
 
     Raises:
         UserError: bones that form loops, which cannot be set one by one.
@@ -196,10 +186,9 @@ def with_constant_bones(
     if len(skeleton.bones) >= len(skeleton.joints):
         raise UserError(f"bones=constant: the bones of '{skeleton.name}' form loops and cannot be set one by one.")
     pairs = skeleton.bone_indices
-    length = np.linalg.norm(pose[:, pairs[:, 1]] - pose[:, pairs[:, 0]], axis=-1)
+    length = segment_lengths(pose, pairs)
     total = length.sum(1, keepdims=True)
-    share = length / np.maximum(total, 1e-9)
-    usual = median_by_body(share, body)
+    usual = median_by_body(length / np.maximum(total, 1e-9), body)
     wanted = usual / usual.sum(1, keepdims=True) * total
     moved = pose.astype(np.float64)
     for _ in range(_ROUNDS):

@@ -19,11 +19,10 @@ _DEEP = 1.45
 """Half the depth that rays are sampled over, in units of the shape frame."""
 
 
-def _rays(side: int, steps: int, distance: float) -> Tensor:
-    """Return points (steps * side * side, 3) along the rays of an image: camera frame, units of the shape frame."""
+def _rays(side: int, distance: float) -> Tensor:
+    """Return points (side * side * side, 3) along the rays of an image: camera frame, units of the shape frame."""
     at = (2 * torch.arange(side) + 1) / side - 1
-    z = ((2 * torch.arange(steps) + 1) / steps - 1) * _DEEP
-    z, y, x = torch.meshgrid(z, at / BASE, at / BASE, indexing="ij")
+    z, y, x = torch.meshgrid(at * _DEEP, at / BASE, at / BASE, indexing="ij")
     return torch.stack([x * (1 + z / distance), y * (1 + z / distance), z], -1).reshape(-1, 3)
 
 
@@ -49,13 +48,11 @@ class _Sum(torch.autograd.Function):
 
     @staticmethod
     def forward(context, dense, matrix, transposed):
-        """Return the product."""
         context.transposed = transposed
         return torch.sparse.mm(matrix, dense)
 
     @staticmethod
     def backward(context, gradient):
-        """Return the gradient of the dense factor."""
         return torch.sparse.mm(context.transposed, gradient.contiguous()), None, None
 
 
@@ -75,7 +72,7 @@ class Projector:
 
     def __init__(self, views: Float[Tensor, "views 3 3"], *, resolution: int, side: int, distance: float):
         self.resolution, self.side, self.device = resolution, side, views.device
-        camera = _rays(side, side, distance)
+        camera = _rays(side, distance)
         pixel = torch.arange(side * side).repeat(side)
         # Steps of depth count as their length in voxels.
         length = (2 * _DEEP / side) / (2 / resolution)
@@ -83,7 +80,6 @@ class Projector:
         self.to(views.device)
 
     def _matrices(self, points: Tensor, pixel: Tensor, length: float) -> tuple[Tensor, Tensor]:
-        """Return the matrix from voxels to pixels and its transpose."""
         voxel, weight = _corner_weights(points, self.resolution)
         kept = weight > 1e-3
         index = (pixel[:, None].expand_as(voxel)[kept].numpy(), voxel[kept].numpy())
@@ -97,7 +93,7 @@ class Projector:
     def to(self, device: torch.device | str) -> Projector:
         """Move the matrices."""
         self.device = torch.device(device)
-        self._views = [(matrix.to(device), turned.to(device)) for matrix, turned in self._views]
+        self._views = [(matrix.to(device), transposed.to(device)) for matrix, transposed in self._views]
         return self
 
     def __deepcopy__(self, memo: object) -> Projector:
@@ -116,7 +112,7 @@ class Projector:
 
 def _compressed(matrix: csr_array) -> Tensor:
     """Return a torch tensor with 32-bit indices, to save memory."""
-    parts = [torch.from_numpy(np.asarray(part)) for part in (matrix.indptr, matrix.indices, matrix.data)]
+    row, column, data = (torch.from_numpy(np.asarray(part)) for part in (matrix.indptr, matrix.indices, matrix.data))
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", message="Sparse CSR tensor support is in beta")
-        return torch.sparse_csr_tensor(parts[0].int(), parts[1].int(), parts[2], matrix.shape, check_invariants=False)
+        return torch.sparse_csr_tensor(row.int(), column.int(), data, matrix.shape, check_invariants=False)

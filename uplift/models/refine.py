@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import torch
 from jaxtyping import Float, Int
 from torch import Tensor
@@ -75,7 +73,7 @@ def refine_clips(
     if settings.iterations == 0 or not has_clips(data):
         return refined
     frames_of = torch.bincount(data.clip)
-    edges = torch.cat([data.clip.new_zeros(1), frames_of.cumsum(0)])
+    edges = torch.nn.functional.pad(frames_of.cumsum(0), (1, 0))
     order = torch.argsort(data.clip, stable=True)
     start = 0
     while start < len(frames_of):
@@ -83,59 +81,15 @@ def refine_clips(
         stop = max(start + 1, min(stop, len(frames_of)))
         rows = order[int(edges[start]) : int(edges[stop])]
         alone = frames_of[data.clip[rows]] < 2
-        solved = _solve(_Block.of(data, rows, keypoints[rows], depth[rows], camera), settings)
+        solved = _solve(_Problem(data, rows, keypoints[rows], depth[rows], camera, settings), settings)
         refined[rows] = torch.where(alone[:, None, None], refined[rows], solved)
         start = stop
     return refined
 
 
-@dataclass(frozen=True)
-class _Block:
-    """Some complete clips, and what is known of them."""
-
-    keypoints: Tensor
-    depth: Tensor
-    distance: Tensor
-    rotation: Tensor | None
-    confidence: Tensor
-    clip: Tensor
-    middle: Tensor
-    """Frames whose two neighbours in the file are their neighbours in time."""
-    bones: Tensor
-    partner: Tensor
-    """The mirror image of each bone; the bone itself where there is none."""
-    root: int
-    camera: Camera
-
-    @classmethod
-    def of(cls, data: TrainingSet, rows: Tensor, keypoints: Tensor, depth: Tensor, camera: Camera) -> _Block:
-        follows = data.follows[rows]
-        bones = torch.as_tensor(data.skeleton.bone_indices.copy(), device=depth.device)
-        partner = torch.as_tensor(data.skeleton.bone_mirror_permutation.copy(), device=depth.device)
-        return cls(
-            keypoints=keypoints,
-            depth=depth,
-            distance=data.distance[rows],
-            rotation=None if data.rotation is None else data.rotation[rows],
-            confidence=data.confidence[rows],
-            clip=torch.unique(data.clip[rows], return_inverse=True)[1],
-            middle=(follows[1:-1] & follows[2:]).nonzero()[:, 0] + 1,
-            bones=bones,
-            partner=partner,
-            root=data.skeleton.root_index,
-            camera=camera,
-        )
-
-    @property
-    def joint_weight(self) -> Tensor:
-        """The weight of each joint: less where it was filled in."""
-        return torch.where(self.confidence > 0, 1.0, _FILLED_WEIGHT)
-
-
 @torch.enable_grad()
-def _solve(block: _Block, settings: RefineSettings) -> Tensor:
+def _solve(problem: _Problem, settings: RefineSettings) -> Tensor:
     """Return the root-relative poses that minimise the weighted sum of all terms."""
-    problem = _Problem(block, settings)
     variables = {name: getattr(problem, name) for name in _RATE_SHARES}
     groups = [{"params": [x], "share": _RATE_SHARES[name]} for name, x in variables.items() if x.requires_grad]
     optimizer = torch.optim.Adam(groups, betas=_BETAS)
@@ -148,70 +102,88 @@ def _solve(block: _Block, settings: RefineSettings) -> Tensor:
         optimizer.step()
     with torch.no_grad():
         pose = problem.pose()
-        return pose - pose[:, block.root, None]
+        return pose - pose[:, problem.root, None]
 
 
 class _Problem:
-    """What is solved for in a block (depth, size, shape, shift), and its cost."""
+    """What is solved for in some complete clips (depth, size, shape, shift), and its cost."""
 
-    def __init__(self, block: _Block, settings: RefineSettings):
-        self.block, self.settings = block, settings
-        self.joint_weight = block.joint_weight
-        lengths = bone_lengths(block.camera.unproject(block.keypoints, block.depth, block.distance), block.bones)
-        weight = self.bone_weight = self.joint_weight[:, block.bones[:, 0]] * self.joint_weight[:, block.bones[:, 1]]
+    def __init__(
+        self,
+        data: TrainingSet,
+        rows: Tensor,
+        keypoints: Tensor,
+        depth: Tensor,
+        camera: Camera,
+        settings: RefineSettings,
+    ):
+        self.keypoints, self.lifted_depth, self.camera, self.settings = keypoints, depth, camera, settings
+        self.distance, self.root = data.distance[rows], data.skeleton.root_index
+        self.rotation = None if data.rotation is None else data.rotation[rows]
+        self.clip = torch.unique(data.clip[rows], return_inverse=True)[1]
+        follows, confidence = data.follows[rows], data.confidence[rows]
+        self.middle = (follows[1:-1] & follows[2:]).nonzero()[:, 0] + 1
+        """Frames whose two neighbours in the file are their neighbours in time."""
+        self.bones = torch.tensor(data.skeleton.bone_indices, device=depth.device)
+        self.partner = torch.tensor(data.skeleton.bone_mirror_permutation, device=depth.device)
+        self.joint_weight = torch.where(confidence > 0, 1.0, _FILLED_WEIGHT)
+        self.bone_weight = self.joint_weight[:, self.bones[:, 0]] * self.joint_weight[:, self.bones[:, 1]]
+        self._start()
+        # Uncertain and missing joints may move in the image.
+        self.loose = (confidence < _EXACT).to(depth.dtype).unsqueeze(-1)
+        self.shift = torch.zeros_like(keypoints, requires_grad=bool(self.loose.any()))
+        self.shift_weight = torch.where(confidence > 0, confidence.square(), settings.near / settings.seen)
+        self.not_root = torch.ones_like(depth[0])
+        self.not_root[self.root] = 0
+
+    def _start(self) -> None:
+        """Start at the lifted poses: their sizes, and the mean body of each clip and of all."""
+        weight = self.bone_weight
+        lengths = bone_lengths(self.camera.unproject(self.keypoints, self.lifted_depth, self.distance), self.bones)
         self.first_size = -((lengths * weight).sum(1) / weight.sum(1).clamp_min(1e-6)).clamp_min(1e-3).log()
         scaled = lengths.log() + self.first_size[:, None]
-        shape = _group_mean(scaled, block.clip, int(block.clip.max()) + 1, weight)
-        common = _group_mean(scaled, torch.zeros_like(block.clip), 1, weight)
-        self.common = (common + common[:, block.partner]) / 2
+        shape = _group_mean(scaled, self.clip, int(self.clip.max()) + 1, weight)
+        common = _group_mean(scaled, torch.zeros_like(self.clip), 1, weight)
+        self.common = (common + common[:, self.partner]) / 2
         self.shape_variance = (shape - self.common).square().mean(0) + _SHAPE_SPREAD**2
-        self.depth = block.depth.clone().requires_grad_()
+        self.depth = self.lifted_depth.clone().requires_grad_()
         self.size = self.first_size.clone().requires_grad_()
         """(frames,) log of the factor that makes all frames of a body equally large."""
         self.shape = shape.clone().requires_grad_()
         """(clips bones) log lengths of the bones of each clip's body."""
-        # Uncertain and missing joints may move in the image.
-        self.loose = (block.confidence < _EXACT).to(block.depth.dtype).unsqueeze(-1)
-        self.shift = torch.zeros_like(block.keypoints, requires_grad=bool(self.loose.any()))
-        held = settings.near / settings.seen
-        self.shift_weight = torch.where(block.confidence > 0, block.confidence.square(), held)
-        self.not_root = torch.ones_like(block.depth[0])
-        self.not_root[block.root] = 0
 
     def pose(self) -> Tensor:
         """Return the poses that the variables describe."""
-        block = self.block
-        keypoints, depth = block.keypoints + self.shift * self.loose, self.depth * self.not_root
-        return block.camera.unproject(keypoints, depth, block.distance)
+        keypoints, depth = self.keypoints + self.shift * self.loose, self.depth * self.not_root
+        return self.camera.unproject(keypoints, depth, self.distance)
 
     def loss(self) -> Tensor:
         """Return the weighted sum of all terms."""
-        block, settings, shape, pose = self.block, self.settings, self.shape, self.pose()
-        bones = (bone_lengths(pose, block.bones).log() + self.size[:, None] - shape[block.clip]) * self.bone_weight
+        settings, shape, pose = self.settings, self.shape, self.pose()
+        bones = (bone_lengths(pose, self.bones).log() + self.size[:, None] - shape[self.clip]) * self.bone_weight
         loss = settings.bones * _BONE_WEIGHT * _robust(bones, _BONE_DELTA).sum(1).mean()
-        near = _robust(self.depth - block.depth, _DEPTH_DELTA) * self.joint_weight
+        near = _robust(self.depth - self.lifted_depth, _DEPTH_DELTA) * self.joint_weight
         loss = loss + settings.near * near.sum(1).mean()
         if self.shift.requires_grad:
             shifts = _robust(self.shift, _SHIFT_DELTA).sum(-1) * self.shift_weight
             loss = loss + settings.seen * shifts.sum(1).mean()
-        loss = loss + _SYMMETRY_WEIGHT * (shape - shape[:, block.partner]).square().sum(1).mean()
+        loss = loss + _SYMMETRY_WEIGHT * (shape - shape[:, self.partner]).square().sum(1).mean()
         loss = loss + _COMMON_WEIGHT * ((shape - self.common).square() / self.shape_variance).mean()
         loss = loss + _SIZE_WEIGHT * (self.size - self.first_size).square().mean()
-        if settings.smooth and len(block.middle):
-            loss = loss + settings.smooth * _acceleration(block, pose, self.size)
+        if settings.smooth and len(self.middle):
+            loss = loss + settings.smooth * self._acceleration(pose)
         return loss
 
-
-def _acceleration(block: _Block, pose: Tensor, size: Tensor) -> Tensor:
-    """Return the robust acceleration of the joints in the real camera's frame."""
-    place = torch.cat([pose[..., :2], pose[..., 2:] + block.distance[:, None, None]], -1)
-    place = place * size.exp()[:, None, None]
-    if block.rotation is not None:
-        place = place @ block.rotation  # row vectors times R: back to the real camera
-    at = block.middle
-    second = place[at - 1] - 2 * place[at] + place[at + 1]
-    # Missing joints count too: this fills them in from the frames around them.
-    return _robust(second, _ACCELERATION_DELTA).sum(-1).sum(1).mean()
+    def _acceleration(self, pose: Tensor) -> Tensor:
+        """Return the robust acceleration of the joints in the real camera's frame."""
+        place = torch.cat([pose[..., :2], pose[..., 2:] + self.distance[:, None, None]], -1)
+        place = place * self.size.exp()[:, None, None]
+        if self.rotation is not None:
+            place = place @ self.rotation  # row vectors times R: back to the real camera
+        at = self.middle
+        second = place[at - 1] - 2 * place[at] + place[at + 1]
+        # Missing joints count too: this fills them in from the frames around them.
+        return _robust(second, _ACCELERATION_DELTA).sum(-1).sum(1).mean()
 
 
 def _robust(value: Tensor, delta: float) -> Tensor:

@@ -18,11 +18,11 @@ __all__ = ["LiftedShapes", "choose_iso_threshold", "lift_masks"]
 # Inference: the expected occupancy over the likeliest shapes and views, carved by the mask.
 
 _HYPOTHESES = 32
-"""Shapes and views, the likeliest of each mask, that the expectation is over."""
+"""The likeliest shapes and views of each mask, which the expectation is over."""
 _COVERED = 0.3
-"""How much of a mask's pixel must be covered for voxels that project to it to be kept."""
+"""Share of a mask's pixel that must be covered for voxels that project to it to be kept."""
 _UNCERTAIN = 0.2
-"""What is left of a voxel outside the mirror image of the mask, as the view may be slightly off."""
+"""Factor on a voxel outside the mirror image of the mask, as the view may be slightly off."""
 
 
 @dataclass(frozen=True)
@@ -82,16 +82,13 @@ def lift_masks(
     return LiftedShapes(grid, best.view, scale, best.centre, distance)
 
 
-def _image_points(lifted: LiftedShapes) -> Float[Tensor, "items points 2"]:
-    """Return where the voxels of lifted shapes project to, in half sides of the crop."""
-    return _project_grid(lifted.occupancy.shape[-1], lifted.view, lifted.scale, lifted.offset, lifted.distance)[0]
-
-
 def _project_grid(
     resolution: int, view: Tensor, scale: Tensor, offset: Tensor, distance: Tensor
 ) -> tuple[Float[Tensor, "items points 2"], Float[Tensor, "items points 1"]]:
-    """Return where the voxels of shapes with this pose project to, and their depths."""
-    inside = (_grid_points(resolution, scale) @ view.mT) * scale[:, None, None]
+    """Return where the voxels of shapes with this pose project to, in half sides of the crop, and their depths."""
+    at = ((2 * torch.arange(resolution, device=scale.device, dtype=scale.dtype) + 1) / resolution) - 1
+    z, y, x = torch.meshgrid(at, at, at, indexing="ij")
+    inside = (torch.stack([x, y, z], -1).reshape(1, -1, 3) @ view.mT) * scale[:, None, None]
     depth = inside[..., 2:]
     flat = inside[..., :2] + offset[:, None]
     return flat / (1 + depth / distance[:, None, None]).clamp_min(0.1), depth
@@ -107,14 +104,7 @@ def _hypothesis(mixture: ShapeMixture, drawn: Drawn, index: Tensor, centre: Tens
     return _Hypothesis(index // views, view, stretch, place)
 
 
-def _grid_points(resolution: int, like: Tensor) -> Tensor:
-    at = ((2 * torch.arange(resolution, device=like.device, dtype=like.dtype) + 1) / resolution) - 1
-    z, y, x = torch.meshgrid(at, at, at, indexing="ij")
-    return torch.stack([x, y, z], -1).reshape(1, -1, 3)
-
-
 def _sample(image: Tensor, points: Tensor) -> Tensor:
-    """Return the values (items points) of an image (items 1 side side) at points (items points 2)."""
     return nn.functional.grid_sample(image, points[:, :, None], align_corners=False)[:, 0, :, 0]
 
 
@@ -148,8 +138,10 @@ def choose_iso_threshold(lifted: LiftedShapes, masks: Float[Tensor, "items side 
     """
     flat = lifted.occupancy.flatten(1)
     side = masks.shape[-1] // 2
-    real = torch.nn.functional.avg_pool2d(masks[:, None], 2).flatten(1) > 0.5
-    at = ((_image_points(lifted) + 1) / 2 * side).long().clamp(0, side - 1)
+    real = nn.functional.avg_pool2d(masks[:, None], 2).flatten(1) > 0.5
+    resolution = lifted.occupancy.shape[-1]
+    image, _ = _project_grid(resolution, lifted.view, lifted.scale, lifted.offset, lifted.distance)
+    at = ((image + 1) / 2 * side).long().clamp(0, side - 1)
     pixel = at[..., 1] * side + at[..., 0]
     overlaps = []
     for threshold in _THRESHOLDS:

@@ -19,17 +19,24 @@ if TYPE_CHECKING:
     from uplift.data.mask_tensors import MaskSet
     from uplift.data.tensors import TrainingSet
 
-__all__ = ["Lift", "Prior", "ShapeLift", "ShapePrior"]
+__all__ = ["Lift", "Prior", "ShapeLift", "ShapePrior", "joint_distance"]
 
 # What a prior is given: lifted poses and their rotated views, or shapes and their silhouettes.
+
+
+def joint_distance(
+    first: Float[Tensor, "batch joints axes"], second: Float[Tensor, "batch joints axes"]
+) -> Float[Tensor, "batch joints"]:
+    """Return the distance of each joint, with a finite gradient at 0."""
+    return ((first - second).square().sum(-1) + 1e-12).sqrt()
 
 
 @dataclass(frozen=True)
 class Lift:
     """A batch of lifted poses with one random view each; lengths are in units of the mean 2D radius.
 
-    Camera frame: x right, y down, z away from the camera. The fields of `differentiable` carry
-    gradients to the lifter.
+    Camera frame: x right, y down, z away from the camera. The fields of `differentiable` carry gradients to
+    the lifter.
     """
 
     differentiable: ClassVar[tuple[str, ...]] = ("pose", "level_pose", "turned", "seen")
@@ -191,7 +198,7 @@ class Prior(nn.Module):
         self.skeleton = skeleton
 
     def prepare(self, data: TrainingSet | MaskSet | Any) -> None:
-        """Look at the training data once, before the first step: fit a density, measure proportions."""
+        """Prepare from the training data, once before the first step: fit a density, measure proportions."""
 
     def loss(self, lift: Lift | ShapeLift | Any) -> Float[Tensor, " batch"] | Float[Tensor, ""]:
         """Return the penalty, lower is better: one number, or for poses one for each frame."""

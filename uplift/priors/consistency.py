@@ -5,7 +5,7 @@ from __future__ import annotations
 from torch import Tensor
 
 from uplift.geometry.rotation import turn
-from uplift.priors.base import Lift, Prior
+from uplift.priors.base import Lift, Prior, joint_distance
 from uplift.skeleton import Skeleton
 
 __all__ = ["Consistency"]
@@ -23,23 +23,19 @@ class Consistency(Prior):
         self.detach, self.back = detach, back
 
     def loss(self, lift: Lift) -> Tensor:
-        """Return the mean joint error in 3D plus ``back`` times that of the keypoints after turning back."""
+        """Return the mean joint error in 3D plus ``back`` times that of the keypoints after the inverse rotation."""
         scale = lift.seen_scale[:, None, None]
         target = lift.turned / scale
         if self.detach:
             target = target.detach()
         again = lift.relifted.pose
         root = self.skeleton.root_index
-        error = _distance(again - again[:, root, None], target - target[:, root, None])
+        error = joint_distance(again - again[:, root, None], target - target[:, root, None])
         total = Lift.mean(error, lift.visible)
         if self.back:
-            # In units of the first lift again, so that turning back ends where it began.
+            # In units of the first lift, so that the inverse rotation leads back to the first pose.
             returned = turn(again * scale, lift.view.mT)
             projected = lift.lifter.camera.project(returned, lift.distance)
             projected = projected - projected[:, root, None]
-            total = total + self.back * Lift.mean(_distance(projected, lift.keypoints), lift.visible)
+            total = total + self.back * Lift.mean(joint_distance(projected, lift.keypoints), lift.visible)
         return total
-
-
-def _distance(first: Tensor, second: Tensor) -> Tensor:
-    return ((first - second).square().sum(-1) + 1e-12).sqrt()

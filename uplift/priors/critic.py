@@ -60,20 +60,16 @@ class Critic(Prior):
     def own_loss(self, real: Tensor, seen: Tensor) -> Tensor:
         """Return the cross-entropy of classifying ``real`` and ``seen``."""
         on_real, on_seen = self.judge(real), self.judge(seen)
-        self._gate(on_real, on_seen)
-        return softplus(-on_real).mean() + softplus(on_seen).mean()
-
-    def _gate(self, on_real: Tensor, on_seen: Tensor) -> None:
-        right = (on_real > 0).sum() + (on_seen < 0).sum()
-        share = right / (2 * len(on_real))
+        share = ((on_real > 0).sum() + (on_seen < 0).sum()) / (2 * len(on_real))
         if torch.distributed.is_available() and torch.distributed.is_initialized():
-            # All ranks open and close the gates together, or their weights drift apart.
+            # All ranks open and close the gates together, or their weights would drift apart.
             torch.distributed.all_reduce(share)
             share = share / torch.distributed.get_world_size()
         self.accuracy = float(share)
         if self.gate is not None:
             self.gate_lifter = self.accuracy < self.gate[0]
             self.gate_itself = self.accuracy > self.gate[1]
+        return softplus(-on_real).mean() + softplus(on_seen).mean()
 
     def metrics(self, lift: Lift) -> dict[str, float]:
         """Return the accuracy on the batch: 0.5 if the two are indistinguishable."""

@@ -1,10 +1,10 @@
-"""Joints hidden from the network are filled in where they are known to be."""
+"""The lifter fills in joints that were hidden from it at their known positions."""
 
 from __future__ import annotations
 
 from torch import Tensor
 
-from uplift.priors.base import Lift, Prior
+from uplift.priors.base import Lift, Prior, joint_distance
 
 __all__ = ["Fill"]
 
@@ -14,5 +14,4 @@ class Fill(Prior):
 
     def loss(self, lift: Lift) -> Tensor:
         """Return the confidence-weighted mean distance over the joints hidden in this step."""
-        distance = ((lift.lifted_keypoints - lift.keypoints).square().sum(-1) + 1e-12).sqrt()
-        return Lift.mean(distance, lift.hidden * lift.confidence)
+        return Lift.mean(joint_distance(lift.lifted_keypoints, lift.keypoints), lift.hidden * lift.confidence)

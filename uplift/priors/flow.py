@@ -21,20 +21,16 @@ __all__ = ["Flow"]
 class Flow(Prior):
     """Negative log-likelihood of the rotated view, in nats, under a frozen flow (ElePose, Wandt et al. 2022, 3.2).
 
-    Before the first step the flow is fitted to the real keypoints with Adam. As normalised keypoints lie on a
-    surface (their mean radius is 1), on which a density is unbounded, noise is added to them. Missing joints
-    are imputed.
+    Before the first step the flow is fitted to the real keypoints with Adam (``steps``, ``batch_size``,
+    ``learning_rate``). As normalised keypoints lie on a surface (their mean radius is 1), on which a density is
+    unbounded, noise is added to them. Missing joints are imputed.
 
     Args:
         skeleton: of the poses.
-        joints: names of the joints it looks at; all if empty.
+        joints: names of the joints that count; all if empty.
         axes: whitened principal components that the flow acts on.
-        blocks: affine coupling blocks.
-        units: of their layers.
+        blocks: affine coupling blocks, with layers of ``units``.
         noise: standard deviation, in mean 2D radii.
-        steps: of the fit.
-        batch_size: of the fit.
-        learning_rate: of the fit.
     """
 
     mean: Tensor
@@ -77,9 +73,9 @@ class Flow(Prior):
         variance, axes = torch.linalg.eigh(offset.mT @ offset / len(offset))
         size = self.whiten.shape[1]
         self.whiten.copy_(axes[:, -size:] / (variance[-size:].clamp_min(0) + self.noise**2).sqrt())
-        with torch.enable_grad():
-            self._fit(real)
+        self._fit(real)
 
+    @torch.enable_grad()
     def _fit(self, real: Tensor) -> None:
         self.flow.requires_grad_(True)
         adam = torch.optim.Adam(self.flow.parameters(), lr=self.learning_rate)
@@ -88,7 +84,7 @@ class Flow(Prior):
                 group["lr"] = self.learning_rate * (0.02 + 0.49 * (1 + math.cos(math.pi * step / self.steps)))
             rows = torch.randint(len(real), (self.batch_size,), device=real.device)
             seen = real[rows] + self.noise * torch.randn(self.batch_size, real.shape[1], device=real.device)
-            loss = self.flow.surprise((seen - self.mean) @ self.whiten).mean()
+            loss = self._surprise(seen).mean()
             adam.zero_grad()
             loss.backward()
             nn.utils.clip_grad_norm_(self.flow.parameters(), 5.0)
@@ -96,12 +92,14 @@ class Flow(Prior):
         self.flow.requires_grad_(False)
         self.flow.zero_grad()
         some = real[:: max(1, len(real) // 5000)]
-        self.usual.copy_(self.flow.surprise((some - self.mean) @ self.whiten).detach().median())
+        self.usual.copy_(self._surprise(some).detach().median())
+
+    def _surprise(self, flat: Tensor) -> Tensor:
+        return self.flow.surprise((flat - self.mean) @ self.whiten)
 
     def loss(self, lift: Lift) -> Tensor:
         """Return each view's negative log-likelihood minus the median of real keypoints, as a logarithm above 0."""
-        seen = lift.seen[:, self.places].flatten(1)
-        surprise = self.flow.surprise((seen - self.mean) @ self.whiten) - self.usual
+        surprise = self._surprise(lift.seen[:, self.places].flatten(1)) - self.usual
         # A flow is arbitrary and steep far from its data: no view may outweigh the rest.
         width = float(self.whiten.shape[1])
         return torch.where(surprise > 0, width * torch.log1p(surprise.clamp_min(0) / width), surprise)

@@ -18,18 +18,18 @@ from uplift.skeleton import Skeleton
 __all__ = ["Handedness", "handedness"]
 
 _SHORT = 1e-3
-"""In units of the mean 2D radius: a direction shorter than this fades to a handedness of 0."""
+"""Mean 2D radii: a direction shorter than this fades to a handedness of 0."""
 
 
 def handedness(
     up: Float[Tensor, "*batch 3"], front: Float[Tensor, "*batch 3"], left: Float[Tensor, "*batch 3"], *, planar: bool
 ) -> Float[Tensor, "*batch"]:
-    """Return the sine between front and left about ``up``: (up x front) . left, by the lengths.
+    """Return the sine of the angle from front to left about ``up``: (up x front) . left, divided by the lengths.
 
-    Positive for a true body in a frame with x right, y down, z away, negative for its mirror
-    image (Kudo et al. 2018, 3.4, sign turned for our frame). ``planar`` divides by the lengths in
-    the plane normal to ``up``, as their code does; otherwise by the full lengths, as in print.
-    Coincident joints give 0, with a gradient that is finite and no larger than a thousand.
+    Positive for a real body in a frame with x right, y down, z away, negative for its mirror image (Kudo et al.
+    2018, 3.4, with the sign for our frame). ``planar`` divides by the lengths in the plane normal to ``up``, as
+    their code does; otherwise by the full lengths, as printed. Coincident joints give 0, with a gradient of at
+    most a thousand.
     """
     triple = (torch.cross(up, front, dim=-1) * left).sum(-1)
     if planar:
@@ -75,14 +75,10 @@ class Handedness(Prior):
         super().__init__(skeleton)
         if frame not in ("level", "camera"):
             raise UserError(f"priors.handedness.frame={frame!r}.{did_you_mean(frame, ('level', 'camera'))}")
-        given = {"front": front, "left": left}
-        self.directions = dict(skeleton.facing)
-        for name, value in given.items():
-            if value is not None:
-                self.directions[name] = _direction(value, skeleton, f"priors.handedness.{name}")
-        missing = [name for name in ("front", "left") if name not in self.directions]
-        if "up" not in self.directions and not skeleton.gravity:
-            missing.append("up")
+        given = {name: value for name, value in (("front", front), ("left", left)) if value is not None}
+        self.directions = {**skeleton.facing, **{name: _direction(name, given[name], skeleton) for name in given}}
+        needed = ("front", "left") if skeleton.gravity else ("front", "left", "up")
+        missing = [name for name in needed if name not in self.directions]
         if missing:
             raise NotForThisSkeleton(
                 f"skeleton '{skeleton.name}' gives no facing direction {', '.join(missing)}, and without it a pose and "
@@ -102,11 +98,10 @@ class Handedness(Prior):
             return
         pose = data.labels[data.labelled]
         known = pose.isfinite().all(-1).to(pose.dtype)
-        pose = pose.nan_to_num()
-        tilt = (
-            torch.zeros_like(pose[:, 0, 0]) if data.label_tilt is None else data.label_tilt[data.labelled].nan_to_num()
-        )
-        value, shown = self.value(pose, turn(pose, level(tilt)) if self.skeleton.gravity else pose, known)
+        level_pose = pose = pose.nan_to_num()
+        if self.skeleton.gravity and data.label_tilt is not None:
+            level_pose = turn(pose, level(data.label_tilt[data.labelled].nan_to_num()))
+        value, shown = self.value(pose, level_pose, known)
         if shown.any() and float(Lift.mean((value > 0).float(), shown)) < 0.5:
             self.sign.neg_()
             warnings.warn(
@@ -128,9 +123,7 @@ class Handedness(Prior):
                 known = known * (total[:, 0] > 0)
                 ends.append((body * weight.unsqueeze(-1)).sum(1) / total.clamp_min(1))
             found[name] = ends[1] - ends[0]
-        up = found.get("up")
-        if up is None:
-            up = body.new_tensor([0.0, -1.0, 0.0]).expand(len(body), 3)
+        up = found.get("up", body.new_tensor([0.0, -1.0, 0.0]).expand(len(body), 3))
         return self.sign * handedness(up, found["front"], found["left"], planar=self.planar), known
 
     def loss(self, lift: Lift) -> Tensor:
@@ -144,15 +137,12 @@ class Handedness(Prior):
         return {"facing_sign": float(Lift.mean((value > 0).float(), known))}
 
 
-def _direction(value: Any, skeleton: Skeleton, where: str) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    if not isinstance(value, (list, tuple)) or len(value) != 2 or not all(_is_end(end) for end in value):
+def _direction(name: str, value: Any, skeleton: Skeleton) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    where = f"priors.handedness.{name}"
+    ends = [(end,) if isinstance(end, str) else end for end in value] if isinstance(value, (list, tuple)) else []
+    if len(ends) != 2 or not all(isinstance(end, (list, tuple)) and end for end in ends):
         raise UserError(f"{where}={value!r}: expected [from, to], each a joint or a list of joints.")
-    ends = tuple((end,) if isinstance(end, str) else tuple(end) for end in value)
-    for joint in ends[0] + ends[1]:
+    for joint in (*ends[0], *ends[1]):
         if joint not in skeleton.joints:
             raise UserError(f"{where}: no joint '{joint}' in '{skeleton.name}'.{did_you_mean(joint, skeleton.joints)}")
-    return ends[0], ends[1]
-
-
-def _is_end(value: object) -> bool:
-    return isinstance(value, str) or (isinstance(value, (list, tuple)) and len(value) > 0)
+    return tuple(ends[0]), tuple(ends[1])

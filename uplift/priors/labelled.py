@@ -1,4 +1,4 @@
-"""The labelled term: distance of the lifted pose to the true one, where there is one."""
+"""The labelled term: distance of the lifted pose to the true one, where it is known."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from torch import Tensor
 
 from uplift.data.tensors import TrainingSet
 from uplift.errors import UserError
-from uplift.priors.base import Lift, Prior
+from uplift.priors.base import Lift, Prior, joint_distance
 from uplift.skeleton import Skeleton
 
 __all__ = ["Labelled"]
@@ -16,11 +16,11 @@ __all__ = ["Labelled"]
 class Labelled(Prior):
     """Mean joint distance to the labels (the semi-supervised term of Kudo et al. 2018, 5.2).
 
-    Errors are taken in the labels' own unit, mm where they have one, so that a body seen small counts
-    as much as one seen large, and divided by the average length of one unit of the model, so that the
-    weight means the same for every skeleton. The mean is over the full batch, unlabelled frames counting
-    as 0, so that a labelled frame weighs the same among few and among many. ``elevation`` is the weight of
-    the camera's tilt, in radians, where it is labelled; 0 leaves it to the other priors.
+    Errors are in the labels' unit (mm where it is known), so that small and large bodies in the image count the
+    same, divided by the average length of one unit of the model, so that the weight means the same for every
+    skeleton. The mean is over the full batch, unlabelled frames counting as 0, so that a labelled frame weighs
+    the same among few and among many. ``elevation`` is the weight of the camera's tilt, in radians, where it is
+    labelled; 0 leaves it to the other priors.
     """
 
     usual_unit: Tensor
@@ -31,7 +31,7 @@ class Labelled(Prior):
         self.register_buffer("usual_unit", torch.ones(()))
 
     def prepare(self, data: TrainingSet) -> None:
-        """Measure the average length of one unit in mm; refuse data without labels."""
+        """Measure the average length of one unit in mm; reject data without labels."""
         if not bool(data.labelled.any()):
             raise UserError(_NO_LABELS)
         if data.label_unit is not None:
@@ -42,7 +42,7 @@ class Labelled(Prior):
         if lift.labels is None:
             raise UserError(_NO_LABELS)
         known = lift.labels.isfinite().all(-1)
-        distance = ((lift.pose - lift.labels.nan_to_num()).square().sum(-1) + 1e-12).sqrt()
+        distance = joint_distance(lift.pose, lift.labels.nan_to_num())
         if lift.label_unit is not None:
             distance = distance * lift.label_unit.nan_to_num().unsqueeze(-1)
         return distance, known
@@ -58,7 +58,7 @@ class Labelled(Prior):
         return loss
 
     def metrics(self, lift: Lift) -> dict[str, float]:
-        """Return the mean error of the labelled frames in the labels' own unit, before any alignment."""
+        """Return the mean error of the labelled frames in the labels' unit, before any alignment."""
         distance, known = self.distances(lift)
         return {"labelled_error": float(Lift.mean(distance.detach(), known.to(distance.dtype)))}
 

@@ -1,4 +1,4 @@
-"""Missing joints agree with the body's mask: bones lie inside it, and every part of it is near a bone."""
+"""Missing joints fit the body's mask: bones lie inside it, and every part of it is near a bone."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ __all__ = ["Mask", "into_crop", "sample_field", "segment_distances", "signed_dis
 # Signed distances of image points to a mask, with a gradient everywhere.
 
 _MOST = 64
-"""Pixels along a field: finer masks are averaged down."""
+"""Pixels along a field; finer masks are averaged down."""
 _FIELD_CHUNK = 1024
 _EMPTY = 2.0
 
@@ -27,7 +27,7 @@ _EMPTY = 2.0
 def signed_distances(masks: UInt8[Tensor, "frames side side"]) -> Float[Tensor, "frames side side"]:
     """Return each pixel's signed Euclidean distance to the edge of the mask, positive outside; half a crop is 1.
 
-    All beyond the crop is outside. The result has half precision.
+    Everything beyond the crop is outside. The result has half precision.
     """
     from scipy.ndimage import distance_transform_edt
 
@@ -70,13 +70,13 @@ def sample_field(
 
 
 def unit_of(mask_map: Float[Tensor, "frames 3 3"]) -> Float[Tensor, " frames"]:
-    """Return how long half a crop is in the units of the keypoints, at the root."""
+    """Return the length of half a crop in the units of the keypoints, at the root."""
     last = mask_map[:, 2, 2, None, None]
-    way = mask_map[:, :2, :2] / last - mask_map[:, :2, 2:] / last**2 * mask_map[:, 2:, :2]
-    return torch.linalg.det(way).abs().clamp_min(1e-12).rsqrt()
+    jacobian = mask_map[:, :2, :2] / last - mask_map[:, :2, 2:] / last**2 * mask_map[:, 2:, :2]
+    return torch.linalg.det(jacobian).abs().clamp_min(1e-12).rsqrt()
 
 
-# Bones as capsules in the image: distances to them, and their thickness as masks show it.
+# Bones as capsules in the image: distances to them, and their thickness as measured on masks.
 
 _EPS = 1e-6
 _QUANTILE = 0.8
@@ -107,16 +107,13 @@ def soft_gap(
 def _bone_thickness(
     points: Float[Tensor, "frames points 2"], keypoints: Float[Tensor, "frames joints 2"], bones: Int[Tensor, "bones 2"]
 ) -> Float[Tensor, " bones"]:
-    """Return the thickness of each bone: how far most of the mask's points that it is the nearest bone of are from it.
-
-    ``points`` are random points of the masks of frames whose joints are all known.
-    """
+    """Return the thickness of each bone: the distance of most of the mask's ``points`` that are nearest to it."""
     distance, nearest = segment_distances(points, keypoints[:, bones]).min(-1)
     found = torch.full((len(bones),), torch.nan, dtype=points.dtype, device=points.device)
     for bone in range(len(bones)):
-        own = distance[nearest == bone]
-        if len(own) >= _FEWEST:
-            found[bone] = own.quantile(_QUANTILE)
+        near = distance[nearest == bone]
+        if len(near) >= _FEWEST:
+            found[bone] = near.quantile(_QUANTILE)
     usual = found.nanmedian() if found.isfinite().any() else found.new_tensor(0.1)
     return torch.where(found.isfinite(), found, usual)
 
@@ -135,13 +132,13 @@ _FEW_INSIDE = 0.5
 class Mask(Prior):
     """Projected bones as capsules against the mask of the same frame.
 
-    ``inside`` weighs how far points along the bones are outside the mask, summed over the bones, beyond what
-    bones whose ends are seen are; ``explained`` how far points of the mask, as many as there are bones, are
-    from the nearest capsule. Capsules are as thick as the masks show the bones to be, times ``thickness``. Of each mask ``pixels`` points count, taken
-    where no bone that is seen explains it. Frames without a mask cost nothing.
+    ``inside`` weighs how far points along the bones are outside the mask, summed over the bones, beyond what is
+    usual for bones with visible ends; ``explained`` weighs how far points of the mask, as many as there are bones,
+    are from the nearest capsule. Capsules have the thickness measured on the masks, times ``thickness``. Of each
+    mask ``pixels`` points count, taken where no visible bone explains it. Frames without a mask cost nothing.
 
-    Both look at the image alone, from where the frame was seen: they move joints that the lifter fills in
-    (or moves), and say nothing of the depth of joints that are seen.
+    Both terms are about the image alone, as the camera saw it: they move joints that the lifter fills in (or
+    corrects), and do not constrain the depth of visible joints.
     """
 
     bones: Tensor
@@ -150,7 +147,7 @@ class Mask(Prior):
     radii: Tensor
     """(bones,) thickness, in units."""
     usual: Tensor
-    """(bones along), how far bones whose ends are seen are outside their masks, in units."""
+    """(bones along), how far bones with visible ends are outside their masks, in units."""
     field: Tensor
     unexplained: Tensor
     share: Tensor
@@ -165,24 +162,24 @@ class Mask(Prior):
         pixels: int = 16,
     ):
         super().__init__(skeleton)
-        for name, value in (("inside", inside), ("explained", explained), ("thickness", thickness), ("pixels", pixels)):
-            if value < (1 if name == "pixels" else 0):
-                raise UserError(
-                    f"priors.mask.{name}={value}: expected {'1 or more' if name == 'pixels' else 'no less than 0'}."
-                )
+        for name, value in (("inside", inside), ("explained", explained), ("thickness", thickness)):
+            if value < 0:
+                raise UserError(f"priors.mask.{name}={value}: expected at least 0.")
+        if pixels < 1:
+            raise UserError(f"priors.mask.pixels={pixels}: expected at least 1.")
         self.inside, self.explained, self.thickness, self.pixels = inside, explained, thickness, pixels
-        self.register_buffer("bones", torch.as_tensor(skeleton.bone_indices.copy()), persistent=False)
-        self.register_buffer("partners", torch.as_tensor(skeleton.bone_mirror_permutation.copy()), persistent=False)
-        self.register_buffer("along", torch.tensor(_ALONG), persistent=False)
-        count = len(skeleton.bones)
-        self.register_buffer("radii", torch.full((count,), torch.nan), persistent=False)
-        self.register_buffer("usual", torch.zeros(count, len(_ALONG)), persistent=False)
-        # One row for each training frame; `prepare` makes them anew, so no checkpoint carries them.
-        for name in ("field", "unexplained", "share"):
-            self.register_buffer(name, torch.zeros(0), persistent=False)
+        # `prepare` measures all of them anew, so no checkpoint contains them; the last three have a row per frame.
+        buffers = {
+            "bones": torch.tensor(skeleton.bone_indices),
+            "partners": torch.tensor(skeleton.bone_mirror_permutation),
+            "along": torch.tensor(_ALONG),
+            **dict.fromkeys(("radii", "usual", "field", "unexplained", "share"), torch.zeros(0)),
+        }
+        for name, value in buffers.items():
+            self.register_buffer(name, value, persistent=False)
 
     def prepare(self, data: TrainingSet) -> None:
-        """Measure distances to every mask, how thick bones are, and what of each mask the seen bones leave open.
+        """Measure distances to every mask, the thickness of bones, and where visible bones do not explain a mask.
 
         Raises:
             UserError: no masks, or keypoints that mostly lie outside them.
@@ -192,17 +189,17 @@ class Mask(Prior):
                 "priors.mask: no training frame has a mask. Give the data `masks` (frames, side, side) and `mask_box` "
                 "(frames, 3), or leave the prior out: priors.mask.weight=0."
             )
-        field = signed_distances(data.masks)
-        masked = data.mask_map[:, 2, 2].isfinite()
-        self.field = field
-        self._measure(data, torch.nonzero(masked)[:, 0])
-        found = [self._open(data, rows) for rows in torch.arange(len(data), device=field.device).split(_CHUNK)]
-        self.unexplained = torch.cat([points for points, _ in found])
-        self.share = torch.cat([share for _, share in found])
+        self.field = signed_distances(data.masks)
+        self._measure(data)
+        found = [
+            self._unexplained(data, rows) for rows in torch.arange(len(data), device=self.field.device).split(_CHUNK)
+        ]
+        self.unexplained, self.share = (torch.cat(parts) for parts in zip(*found, strict=True))
 
-    def _measure(self, data: TrainingSet, masked: Tensor) -> None:
-        """Measure thickness and how far seen bones are outside their masks, on the frames that show most joints."""
+    def _measure(self, data: TrainingSet) -> None:
+        """Measure thickness and how far visible bones are outside their masks, on the frames with most joints."""
         assert data.mask_map is not None
+        masked = data.mask_map[:, 2, 2].isfinite().nonzero()[:, 0]
         order = (data.confidence[masked] > 0).sum(1).argsort(descending=True, stable=True)
         rows = masked[order[:_SAMPLE]]
         maps, seen, keypoints = data.mask_map[rows], data.confidence[rows] > 0, data.keypoints[rows]
@@ -213,22 +210,19 @@ class Mask(Prior):
                 f"priors.mask: {share:.0%} of the keypoints lie in their frame's mask. `mask_box` is x0, y0, side of each "
                 "crop in px of the image that the keypoints are in; row 0 of a mask is its top."
             )
-        outside = sample_field(self.field[rows], into_crop(self._points(keypoints), maps)).unflatten(
-            1, (-1, len(_ALONG))
-        )
-        outside = outside.clamp_min(0) * unit_of(maps)[:, None, None]
+        outside = sample_field(self.field[rows], into_crop(self._points(keypoints), maps))
+        outside = outside.unflatten(1, (-1, len(_ALONG))).clamp_min(0) * unit_of(maps)[:, None, None]
         both = seen[:, self.bones].all(-1)
         usual = torch.where(both.unsqueeze(-1), outside, torch.nan).nanquantile(_USUAL, 0).nan_to_num()
         pixels = _picked(self.field[rows] < 0, _PIXELS)
-        thick = _bone_thickness(
-            _out_of_crop(pixels, maps), impute_gaussian(keypoints, data.confidence[rows]), self.bones
-        )
+        complete = impute_gaussian(keypoints, data.confidence[rows])
+        thick = _bone_thickness(_out_of_crop(pixels, maps), complete, self.bones)
         if self.skeleton.has_mirror_image:
             usual, thick = (usual + usual[self.partners]) / 2, (thick + thick[self.partners]) / 2
         self.usual, self.radii = usual, thick * self.thickness
 
-    def _open(self, data: TrainingSet, rows: Tensor) -> tuple[Tensor, Tensor]:
-        """Return points of the masks of ``rows`` that no bone which is seen explains, and what share of the mask they stand for."""
+    def _unexplained(self, data: TrainingSet, rows: Tensor) -> tuple[Tensor, Tensor]:
+        """Return points of the masks of ``rows`` that no visible bone explains, and their share of the mask."""
         assert data.mask_map is not None
         maps = _known(data.mask_map[rows])[0]
         points = _picked(self.field[rows] < 0, _CANDIDATES * self.pixels)
@@ -244,7 +238,7 @@ class Mask(Prior):
         return torch.lerp(start.unsqueeze(2), end.unsqueeze(2), self.along[:, None]).flatten(1, 2)
 
     def loss(self, lift: Lift) -> Tensor:
-        """Return for each frame what bones are outside its mask and what of the mask is far from bones, in units."""
+        """Return for each frame how far bones are outside its mask, and the mask from bones, in units."""
         if lift.mask_map is None or lift.row is None:
             return 0 * lift.lifted_keypoints.sum((1, 2))
         maps, known = _known(lift.mask_map)
@@ -280,18 +274,14 @@ def _out_of_crop(points: Tensor, maps: Tensor) -> Tensor:
     return into_crop(points, torch.linalg.inv(maps))
 
 
-def _centres(side: int, device: torch.device) -> Tensor:
-    """Return (side x side, 2) pixel centres, row by row."""
-    at = (2 * torch.arange(side, device=device) + 1) / side - 1
-    return torch.stack(torch.meshgrid(at, at, indexing="xy"), -1).flatten(0, 1)
-
-
 def _picked(inside: Tensor, count: int) -> Tensor:
-    """Return (frames, count, 2) random pixel centres of each mask, some of them again; of the whole crop where it is empty."""
+    """Return (frames, count, 2) random pixel centres of each mask, with replacement; of the crop where it is empty."""
     chosen = torch.multinomial(_or_all(inside.flatten(1)), count, replacement=True)
-    return _centres(inside.shape[1], inside.device)[chosen]
+    side = inside.shape[1]
+    at = (2 * torch.arange(side, device=inside.device) + 1) / side - 1
+    return torch.stack(torch.meshgrid(at, at, indexing="xy"), -1).flatten(0, 1)[chosen]
 
 
 def _or_all(wanted: Tensor) -> Tensor:
-    """Return weights of 1 for what is wanted; for everything where nothing is."""
+    """Return weights of 1 for the pixels wanted, or for all of a frame where none is."""
     return (wanted | ~wanted.any(1, keepdim=True)).float()

@@ -11,11 +11,10 @@ __all__ = ["Pairwise"]
 
 
 class Pairwise(Prior):
-    """Distance between a pair's difference before and after turning, lifting again and turning back.
+    """How much the difference of a pair changes when both are rotated, lifted again and rotated back.
 
-    After ElePose (Wandt et al. 2022, 3.4, L_def): what the two poses of a pair have in common drops
-    out, what deforms one against the other stays. Neighbours in the batch, which are random frames,
-    make pairs.
+    After ElePose (Wandt et al. 2022, 3.4, L_def): what the two poses have in common cancels, and the deformation
+    between them remains. Neighbours in the batch, which are random frames, make pairs.
     """
 
     def loss(self, lift: Lift) -> Tensor:

@@ -1,4 +1,4 @@
-"""The left and the right bone of a pair are equally long."""
+"""Left and right bones of a pair are equally long."""
 
 from __future__ import annotations
 
