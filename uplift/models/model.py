@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any, ClassVar, TypeVar
 
@@ -63,7 +64,7 @@ def _load_as(kind: type[SavedT], run: str | Path | Weights) -> SavedT:
     return found
 
 
-# Save and load, whatever is lifted.
+# Saving and loading, of lifters of both kinds.
 
 
 class _Saved:
@@ -273,7 +274,7 @@ def _refuse_nearby_code(network: str) -> None:
 
 _CHUNK = 50
 _TEMPERATURE_FACTOR = 0.75
-"""Of the temperature of inference to that at the end of training: a single mask is explained by fixed shapes."""
+"""Temperature of inference over that at the end of training: a single mask is explained by fixed shapes."""
 
 
 @dataclass
@@ -290,39 +291,26 @@ class ShapeModel(_Saved):
         """Return shapes of masks (items side side), 0..255, cropped as `uplift.data.masks.MaskData` has them."""
         with torch.no_grad():
             drawn = self.lifter.crops()
-            parts = [
-                lift_masks(
-                    self.lifter,
-                    as_tensor(masks[start : start + _CHUNK]),
-                    drawn,
-                    resolution=resolution or self.settings.resolution,
-                    temperature=_TEMPERATURE_FACTOR * self.settings.temperature_end,
-                )
-                for start in range(0, len(masks), _CHUNK)
-            ]
-        return LiftedShapes.concat(parts)
+        resolution = resolution or self.settings.resolution
+        temperature = _TEMPERATURE_FACTOR * self.settings.temperature_end
+        parts = [as_tensor(masks[start : start + _CHUNK]) for start in range(0, len(masks), _CHUNK)]
+        lift = partial(lift_masks, self.lifter, drawn=drawn, resolution=resolution, temperature=temperature)
+        return LiftedShapes.concat([lift(part) for part in parts])
 
     def predict(self, data: MaskData, title: str = "") -> ShapePrediction:
         """Return a shape for every mask: expected occupancy, and the iso threshold of its surface.
 
-        Occupancy is below the threshold everywhere if nothing explains a mask.
-
-        Raises:
-            UserError: no masks.
+        Occupancy is below the threshold everywhere if nothing explains a mask. Raises UserError without masks.
         """
         if not len(data):
             raise UserError("There is no mask to lift.")
         found = self.lift(data.masks)
         return ShapePrediction(
-            found.occupancy.numpy(),
-            found.view.numpy(),
-            found.scale.numpy(),
-            found.offset.numpy(),
-            found.distance.numpy(),
-            data.masks,
-            list(data.names),
-            data.centre_px,
-            data.scale_px,
+            **{name: part.numpy() for name, part in vars(found).items()},
+            masks=data.masks,
+            names=list(data.names),
+            centre_px=data.centre_px,
+            scale_px=data.scale_px,
             level=float(self.lifter.level),
             title=title,
             images=data.images,

@@ -15,15 +15,13 @@ from uplift.errors import UserError, did_you_mean
 
 __all__ = ["CouplingFlow", "KudoNetwork", "ResidualNetwork", "build_network"]
 
-# The 2018 generator and discriminator: four linear layers, leaky ReLU, one skip connection.
-
 
 class KudoNetwork(nn.Module):
     """Four linear layers with one skip connection, no normalisation (Kudo et al. 2018, 3.2).
 
-    The skip connection, from the first layer's output to the third's before its activation, and
-    the slope are those of the authors' code, where the paper does not say. ``std`` is that of the
-    Gaussian the weights start from; the paper says 0.14, the code 0.02. Biases start at 0.
+    The skip connection, from the first layer's output to the third's before its activation, and the slope are
+    those of the authors' code; the paper does not give them. Weights start from a Gaussian of standard deviation
+    ``std``, 0.14 in the paper and 0.02 in the code. Biases start at 0.
     """
 
     def __init__(self, inputs: int, outputs: int, *, units: int = 1024, slope: float = 0.2, std: float = 0.14):
@@ -43,13 +41,10 @@ class KudoNetwork(nn.Module):
         return self.layers[3](third)
 
 
-# A residual multilayer perceptron: the default lifter and critic.
-
-
 class ResidualNetwork(nn.Module):
     """One linear layer in, ``blocks`` residual pairs, one linear layer out (after Martinez et al. 2017).
 
-    No batch normalisation: statistics of a batch of turned poses are not those of real ones.
+    No batch normalisation: the statistics of a batch of rotated poses are not those of real ones.
     ``norm`` normalises each pair's input over its units (layer normalisation).
     """
 
@@ -76,10 +71,8 @@ class ResidualNetwork(nn.Module):
         return self.leave(hidden)
 
 
-# A normalising flow of affine coupling blocks: how likely is a vector?
-
 _LARGEST = 2.0
-"""Of a block's log scale, so that no block can blow up."""
+"""Bound of a block's log scale, so that no block can diverge."""
 
 
 class CouplingFlow(nn.Module):
@@ -134,8 +127,6 @@ class CouplingFlow(nn.Module):
         return 0.5 * latent.square().sum(1) - volume
 
 
-# Network families, one per file; `build_network` picks one by name.
-
 NETWORKS = {"kudo": "uplift.models.networks:KudoNetwork", "residual": "uplift.models.networks:ResidualNetwork"}
 
 
@@ -145,11 +136,13 @@ def build_network(
     """Return the network ``use`` (a name, or ``file.py:Class``) from ``inputs`` to ``outputs`` numbers.
 
     Raises:
-        UserError: no such network or option (a setting below ``where``), sizes that no network can have.
+        UserError: no such network or option (a setting below ``where``), invalid sizes.
     """
     if use not in NETWORKS and ":" not in use:
         setting = f"{where.removesuffix('.options')}.network={use!r}"
-        raise UserError(f"{setting}: no such network.{did_you_mean(use, NETWORKS)} Your own is named file.py:Class.")
+        raise UserError(
+            f"{setting}: no such network.{did_you_mean(use, NETWORKS)} A custom one is named file.py:Class."
+        )
     for name in ("units", "blocks"):
         size = options.get(name, 1)
         if isinstance(size, bool) or not isinstance(size, int) or not 1 <= size <= 1 << 20:

@@ -143,26 +143,21 @@ def interpolate_gaps(
     gap = gap_joints(data)
     if not gap.any():
         return None
-    pixels = _pixels(data, frames, lifted, intrinsics).cpu().numpy()
-    usual = np.median(data.confidence[data.confidence > 0])
-    return replace(
-        data,
-        keypoints=np.where(gap[..., None], pixels, data.keypoints).astype(np.float32),
-        confidence=np.where(gap, usual, data.confidence).astype(np.float32),
-    )
-
-
-def _pixels(
-    data: PoseData, frames: TrainingSet, lifted: Lifted, intrinsics: Intrinsics | None
-) -> Float[Tensor, "frames joints 2"]:
     keypoints = as_measured(frames, lifted.keypoints)
     if intrinsics is None or frames.rotation is None:
         origin = torch.from_numpy(data.keypoints[:, [frames.skeleton.root_index]]).to(keypoints)
-        return origin + keypoints * frames.scale[:, None, None]
-    rays = torch.cat([keypoints / frames.distance[:, None, None], torch.ones_like(keypoints[..., :1])], -1)
-    rays = rays @ frames.rotation  # row vectors times R: back to the real camera
-    centre = keypoints.new_tensor(intrinsics.centre_px)
-    return rays[..., :2] / rays[..., 2:].clamp_min(0.05) * intrinsics.focal_px + centre
+        pixels = origin + keypoints * frames.scale[:, None, None]
+    else:
+        rays = torch.cat([keypoints / frames.distance[:, None, None], torch.ones_like(keypoints[..., :1])], -1)
+        rays = rays @ frames.rotation  # row vectors times R: back to the real camera
+        pixels = rays[..., :2] / rays[..., 2:].clamp_min(0.05) * intrinsics.focal_px
+        pixels = pixels + keypoints.new_tensor(intrinsics.centre_px)
+    usual = np.median(data.confidence[data.confidence > 0])
+    return replace(
+        data,
+        keypoints=np.where(gap[..., None], pixels.cpu().numpy(), data.keypoints).astype(np.float32),
+        confidence=np.where(gap, usual, data.confidence).astype(np.float32),
+    )
 
 
 # Constant bones: joints move as little as possible.

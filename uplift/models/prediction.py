@@ -1,4 +1,4 @@
-"""What lifters hand over: poses or shapes, with what they came from and who each is."""
+"""What lifters return: poses or shapes, with their inputs and the identity of each."""
 
 from __future__ import annotations
 
@@ -16,18 +16,16 @@ if TYPE_CHECKING:
 
 __all__ = ["Prediction", "ShapePrediction"]
 
-# What a lifter hands over: poses with the keypoints they came from and the identity of every frame.
-
 
 @dataclass
 class Prediction(Samples):
-    """Poses of one skeleton, frame by frame, with what was known about each frame.
+    """Poses of one skeleton, frame by frame, with what is known about each frame.
 
-    ``pose`` is relative to the root in ``axes``: of the camera (x right, y down, z away) unless it was
-    turned to others; ``level_pose`` is the pose of the camera's axes with the estimated tilt undone.
-    ``root`` is where the root joint is, in ``unit`` and ``axes``, where that is known. ``spread`` is the
-    uncertainty of the depth in ``unit``, ``filled`` says which joints were not seen. ``truth`` is relative
-    to the root, camera frame, in ``truth_unit``. Raises ValueError where the arrays do not fit together.
+    ``pose`` is relative to the root in ``axes``: those of the camera (x right, y down, z away) unless it was
+    converted; ``level_pose`` is the camera-frame pose with the estimated tilt undone. ``root`` is the position of
+    the root joint, in ``unit`` and ``axes``, where known. ``spread`` is the uncertainty of the depth in ``unit``,
+    ``filled`` marks joints that were not visible. ``truth`` is relative to the root, camera frame, in
+    ``truth_unit``. Raises ValueError if the arrays do not fit together.
     """
 
     pose: Float[np.ndarray, "frames joints 3"]
@@ -62,46 +60,42 @@ class Prediction(Samples):
                 raise ValueError(f"prediction: unit '{unit}' is not one of {', '.join(UNITS)}")
         unknown = {name for bone in self.skeleton.bones for name in bone} - set(self.joint_names)
         if unknown:
-            raise ValueError(f"prediction: bones name joints that are not there: {', '.join(sorted(unknown))}")
+            raise ValueError(f"prediction: bones name unknown joints: {', '.join(sorted(unknown))}")
 
     @property
     def points(self) -> np.ndarray:
-        """Return (frames, joints, 3): the joints where they are, or relative to the root where that has no known place."""
+        """Joint positions (frames, joints, 3); relative to the root if its position is unknown."""
         return self.pose if self.root is None else self.pose + self.root[:, None]
 
     @property
     def bone_indices(self) -> Int[np.ndarray, "bones 2"]:
-        """Return parent and child of every bone as indices into ``joint_names``."""
-        where = {name: index for index, name in enumerate(self.joint_names)}
-        pairs = [(where[parent], where[child]) for parent, child in self.skeleton.bones]
+        """Parent and child of every bone as indices into ``joint_names``."""
+        pairs = [[self.joint_names.index(joint) for joint in bone] for bone in self.skeleton.bones]
         return np.array(pairs, dtype=np.int64).reshape(-1, 2)
-
-
-# `ShapePrediction`: lifted shapes, as they are evaluated and written.
 
 
 @dataclass
 class ShapePrediction(Samples):
-    """A shape for each mask: occupancy in the shape's own frame, and where that stands in the camera's.
+    """A shape for each mask: occupancy in the shape frame, and the pose of that frame in the camera's.
 
-    A point p of the own frame is at `scale` * (`view` @ p) + (`offset`, 0) in the camera frame (see
-    `uplift.data.masks.Placed`), in units of the mask's crop; `scale_px` of these are pixels.
+    A point p of the shape frame is at `scale` * (`view` @ p) + (`offset`, 0) in the camera frame (see
+    `uplift.data.masks.Placed`), in units of the mask's crop, which are `scale_px` pixels long.
     """
 
     occupancy: Float[np.ndarray, "items depth height width"]
-    """0..1 at the centres of the voxels of the cube from -1 to 1: indices run along z, y, x of the own frame."""
+    """0..1 at the centres of the voxels of the cube from -1 to 1: indices run along z, y, x of the shape frame."""
     view: Float[np.ndarray, "items 3 3"]
     scale: Float[np.ndarray, " items"]
     offset: Float[np.ndarray, "items 2"]
     distance: Float[np.ndarray, " items"]
     """Of the camera, in units of the crop; infinite for parallel rays."""
     masks: UInt8[np.ndarray, "items side side"]
-    """What was lifted."""
+    """The lifted masks."""
     names: list[str]
     centre_px: np.ndarray
     scale_px: np.ndarray
     level: float = 0.5
-    """Where the surface is: occupancy above it is inside."""
+    """Iso threshold of the surface: occupancy above it is inside."""
     title: str = ""
     images: np.ndarray | None = None
     notes: tuple[str, ...] = ()

@@ -165,9 +165,6 @@ class ShapeLift:
         return ((),)
 
 
-# `Prior`: a term of the objective that judges what was lifted, or its random views.
-
-
 class Prior(nn.Module):
     """A term of the objective: subclass it, write `loss`, and name the class in a task or on the command line.
 

@@ -51,10 +51,9 @@ class Handedness(Prior):
 
     Args:
         skeleton: with directions ``front`` and ``left``, and ``up`` if it has no gravity.
-        front: replaces the skeleton's direction, as ``[from, to]``.
-        left: the same.
+        front, left: replace the skeleton's directions, as ``[from, to]``.
         planar: see `handedness`.
-        frame: where up is, if the skeleton does not give it: ``level`` with the estimated tilt undone, or ``camera``.
+        frame: of up, if the skeleton does not give it: ``level`` with the estimated tilt undone, or ``camera``.
         margin: the least sine that costs nothing.
         labels: whether directions that most labelled poses contradict are reversed, with a warning.
     """

@@ -118,8 +118,6 @@ def _bone_thickness(
     return torch.where(found.isfinite(), found, usual)
 
 
-# The prior.
-
 _ALONG = (1 / 3, 2 / 3, 1.0)
 _SAMPLE = 1000
 _PIXELS = 200
@@ -191,9 +189,8 @@ class Mask(Prior):
             )
         self.field = signed_distances(data.masks)
         self._measure(data)
-        found = [
-            self._unexplained(data, rows) for rows in torch.arange(len(data), device=self.field.device).split(_CHUNK)
-        ]
+        frames = torch.arange(len(data), device=self.field.device)
+        found = [self._unexplained(data, rows) for rows in frames.split(_CHUNK)]
         self.unexplained, self.share = (torch.cat(parts) for parts in zip(*found, strict=True))
 
     def _measure(self, data: TrainingSet) -> None:

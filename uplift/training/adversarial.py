@@ -1,4 +1,4 @@
-"""Train a lifter from 2D alone: lift, rotate, and let the priors judge (Kudo et al. 2018, generalised)."""
+"""Train a lifter from 2D alone: lift, rotate, and apply the priors (Kudo et al. 2018, generalised)."""
 
 from __future__ import annotations
 
@@ -24,8 +24,8 @@ __all__ = ["AdversarialTraining", "draw_views", "make_lift"]
 class AdversarialTraining(LifterTraining[Lifter, TrainingSet]):
     """Weighted priors over lifted poses and one random view of each.
 
-    ``truth`` are the labelled poses: where the ``labelled`` prior is on, the lifter also learns from random
-    views of them. ``labelled_share`` is the share of labelled frames in a batch.
+    ``truth`` are the labelled poses: with the ``labelled`` prior the lifter also learns from random views of
+    them. ``labelled_share`` is the share of labelled frames in a batch.
     """
 
     settings: TeacherSettings
@@ -48,7 +48,7 @@ class AdversarialTraining(LifterTraining[Lifter, TrainingSet]):
         self.sampler = LabelledSampler(data.labelled, labelled_share)
 
     def on_fit_start(self) -> None:
-        """Move the frames, and which of them are labelled, to the model's device."""
+        """Move the frames to the model's device."""
         super().on_fit_start()
         self.sampler = LabelledSampler(self.data.labelled, self.labelled_share)
         if self.truth is not None and "labelled" in self.priors:
@@ -64,16 +64,13 @@ class AdversarialTraining(LifterTraining[Lifter, TrainingSet]):
         own, own_losses = self.terms.train_adversaries(real.keypoints, lift.seen.detach() * lift.visible.unsqueeze(-1))
         total, logged = judged + own, {**losses, **own_losses}
         if self.maker is not None:
-            term = self.sampler.share * self._on_true_views(self.maker)
+            term = self.sampler.share * self._labelled_views_loss(self.maker)
             total = total + self.terms.weights["labelled"] * term
             logged["labelled_views"] = term.detach()
         return total, logged
 
-    def _on_true_views(self, maker: ViewMaker) -> Tensor:
-        """Return the lifter's error on random views of the labelled poses with limbs of one another.
-
-        A few labelled frames show a body from a few sides; their poses can be seen from all.
-        """
+    def _labelled_views_loss(self, maker: ViewMaker) -> Tensor:
+        """Return the error on random views of the labelled poses: a few frames show a body from a few sides only."""
         with torch.no_grad():
             views = maker(self.settings.batch_size)
         lifted = self.lifter(views.input, views.confidence, views.distance)
@@ -123,12 +120,9 @@ def draw_views(lifted: Lifted, views: ViewSettings, gravity: bool) -> Tensor:
         return random_rotations(count, device)
     low, high = (torch.pi / 180 * angle for angle in views.azimuth_deg)
     azimuth = low + (high - low) * torch.rand(count, device=device)
-    tilt = lifted.tilt
-    if views.elevation == "batch":
-        # New cameras tilt as the batch's own do (ElePose, Wandt et al. 2022), with gradients to both.
-        return views_about_gravity(tilt, azimuth, tilt[torch.randperm(count, device=device)])
-    if views.elevation == "normal":
-        # Batch statistics: mean and spread over all ranks would be better still under DDP.
-        new = tilt.mean() + tilt.std() * torch.randn(count, device=device)
-        return views_about_gravity(tilt, azimuth, new)
-    return views_about_gravity(tilt, azimuth, tilt)
+    new_tilt = lifted.tilt
+    if views.elevation == "batch":  # the tilts of the batch (ElePose, Wandt et al. 2022), with gradients to both
+        new_tilt = lifted.tilt[torch.randperm(count, device=device)]
+    elif views.elevation == "normal":  # statistics of this rank's batch
+        new_tilt = lifted.tilt.mean() + lifted.tilt.std() * torch.randn(count, device=device)
+    return views_about_gravity(lifted.tilt, azimuth, new_tilt)

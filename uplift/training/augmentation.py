@@ -30,10 +30,10 @@ _TINY = 1e-6
 
 @dataclass(frozen=True)
 class _Limb:
-    """All that hangs on one child of a branching joint: a leg on the hips, the trunk and all above it."""
+    """One child of a branching joint and all below it: a leg on the hips, the trunk and all above it."""
 
     branch: int
-    """Index of the branching joint it hangs on."""
+    """Index of the branching joint that it is attached to."""
     bones: Tensor
     """Its bones but the first, which belongs to the branching joint."""
     joints: Tensor
@@ -43,24 +43,24 @@ class _Limb:
 
 
 class LimbMixer:
-    """Swaps limbs between poses in the frame of the joint they hang on, at the receiver's bone lengths.
+    """Swaps limbs between poses in the frame of the joint they are attached to, at the receiver's bone lengths.
 
-    Training motions are few, and arms that were seen with one pair of legs are as real with another. A
-    branching joint's frame is the rotation that best fits its bones to their mean directions (Kabsch 1976), so
-    a swapped limb keeps its angles to the body.
+    Training motions are few, and arms seen with one pair of legs are as realistic with another. A branching
+    joint's frame is the rotation that best fits its bones to their mean directions (Kabsch 1976), so a swapped
+    limb keeps its angles to the body.
     """
 
     def __init__(self, pose: Float[Tensor, "frames joints 3"], skeleton: Skeleton):
-        parents = {skeleton.index(c): skeleton.index(p) for c, p in skeleton.parents.items() if p is not None}
-        children: dict[int, list[int]] = {j: [] for j in range(len(skeleton.joints))}
-        for child, parent in parents.items():
-            children[parent].append(child)
+        children = _children(skeleton)
+        parents = {child: parent for parent, below in children.items() for child in below}
         order = _below(skeleton.root_index, children)
-        self._ends = torch.tensor([j for j in order if j in parents], device=pose.device)
-        bone_of = {int(j): i for i, j in enumerate(self._ends)}
-        starts = torch.tensor([parents[int(j)] for j in self._ends], device=pose.device)
-        self._path = _paths(parents, bone_of, len(skeleton.joints)).to(pose)
-        self._bones = pose[:, self._ends] - pose[:, starts]
+        ends = order[1:]
+        bone_of = {joint: bone for bone, joint in enumerate(ends)}
+        self._path = pose.new_zeros(len(skeleton.joints), len(ends))
+        """(joints bones), 1 where a bone lies between the root and the joint."""
+        for joint, bone in bone_of.items():
+            self._path[_below(joint, children), bone] = 1
+        self._bones = pose[:, ends] - pose[:, [parents[joint] for joint in ends]]
         self._lengths = self._bones.norm(dim=-1, keepdim=True).clamp_min(_TINY)
         branching = [j for j in order if len(children[j]) >= 2]
         frames = []
@@ -73,9 +73,9 @@ class LimbMixer:
             for child in children[joint]:
                 below = _below(child, children)
                 if len(below) > 1:
+                    joints = torch.tensor(below[1:], device=pose.device)
                     bones = torch.tensor([bone_of[j] for j in below[1:]], device=pose.device)
-                    inner = [i for i, j in enumerate(branching) if j in below]
-                    self._limbs.append(_Limb(place, bones, self._ends[bones], inner))
+                    self._limbs.append(_Limb(place, bones, joints, [i for i, j in enumerate(branching) if j in below]))
         self._frames = torch.stack(frames, 1) if frames else pose.new_zeros(len(pose), 0, 3, 3)
 
     def __call__(
@@ -96,7 +96,7 @@ class LimbMixer:
             given = self._bones[givers[:, None], part.bones] @ rotation.mT
             lengths = self._lengths[rows[takers][:, None], part.bones] / self._lengths[givers[:, None], part.bones]
             bones[at, part.bones] = given * lengths
-            # Missing on either body is missing: a limb that was not seen has no length.
+            # Missing on either body is missing: an invisible limb has no length.
             seen = confidence[rows[takers][:, None], part.joints] > 0
             mixed[at, part.joints] = confidence[givers[:, None], part.joints] * seen
             for inner in part.inner:
@@ -104,23 +104,18 @@ class LimbMixer:
         return self._path @ bones, mixed
 
 
+def _children(skeleton: Skeleton) -> dict[int, list[int]]:
+    """Return the children of every joint in the skeleton's tree, by index."""
+    children: dict[int, list[int]] = {joint: [] for joint in range(len(skeleton.joints))}
+    for child, parent in skeleton.parents.items():
+        if parent is not None:
+            children[skeleton.index(parent)].append(skeleton.index(child))
+    return children
+
+
 def _below(joint: int, children: dict[int, list[int]]) -> list[int]:
     """Return ``joint`` and all joints below it, parents first."""
-    found = [joint]
-    for child in children[joint]:
-        found += _below(child, children)
-    return found
-
-
-def _paths(parents: dict[int, int], bone_of: dict[int, int], joints: int) -> Tensor:
-    """Return (joints bones): 1 where a bone lies between the root and the joint."""
-    path = torch.zeros(joints, len(bone_of))
-    for joint in range(joints):
-        above = joint
-        while above in parents:
-            path[joint, bone_of[above]] = 1
-            above = parents[above]
-    return path
+    return [joint, *(below for child in children[joint] for below in _below(child, children))]
 
 
 def _body_frames(directions: Float[Tensor, "frames bones 3"]) -> Float[Tensor, "frames 3 3"]:
@@ -146,7 +141,7 @@ class ShownViews(Samples):
     """Augmented views: input and targets of a lifter, in units of the input's mean radius."""
 
     input: Float[Tensor, "views joints 2"]
-    """Keypoints with noise, relative to the root as it is seen."""
+    """Keypoints with noise, relative to the root with its noise."""
     confidence: Float[Tensor, "views joints"]
     """Of `input`; 0 for missing and hidden joints."""
     keypoints: Float[Tensor, "views joints 2"]
@@ -155,7 +150,7 @@ class ShownViews(Samples):
     tilt: Float[Tensor, " views"]
     distance: Float[Tensor, " views"]
     weight: Float[Tensor, "views joints"]
-    """Confidence of the poses that are seen; 0 where there is nothing to learn."""
+    """Confidence of the poses; 0 where there is nothing to learn."""
 
 
 def depth_error(lifted: Lifted, views: ShownViews) -> Float[Tensor, ""]:
@@ -182,21 +177,21 @@ class ViewMaker:
         labelled_share: float | None = None,
     ):
         self.poses, self.camera, self.settings, self.count_root = poses, camera, settings, count_root
-        self.sampler = LabelledSampler(poses.which_labelled, labelled_share)
+        labelled = torch.zeros_like(poses.distance, dtype=torch.bool) if poses.labelled is None else poses.labelled
+        self.sampler = LabelledSampler(labelled, labelled_share)
         skeleton, device = poses.skeleton, poses.pose.device
         self.mirrors = settings.mirror and skeleton.has_mirror_image
-        self.swap = torch.as_tensor(skeleton.mirror_permutation.copy(), device=device)
+        self.swap = torch.tensor(skeleton.mirror_permutation, device=device)
         self.rings = [list(ring) for ring in joint_neighbours(skeleton)]
         self.limbs = _limbs(skeleton).to(device)
-        mixes = settings.mix > 0 and not skeleton.rigid
-        self.mixer = LimbMixer(poses.pose, skeleton) if mixes else None
+        self.mixer = LimbMixer(poses.pose, skeleton) if settings.mix > 0 and not skeleton.rigid else None
 
     def __call__(self, count: int) -> ShownViews:
         """Return ``count`` views."""
         poses, root = self.poses, self.poses.skeleton.root_index
         rows = self.sampler(count)
         pose, weight = self._mixed(rows)
-        pose, gravity = self._turned(pose, rows)
+        pose, gravity = self._rotated(pose, rows)
         distance = poses.distance[rows]
         projected = self.camera.project(pose, distance)
         seen, confidence = projected.clone(), weight
@@ -206,11 +201,9 @@ class ViewMaker:
             seen = projected + poses.noise[other]
             confidence = poses.confidence[other] * (weight > 0)
         confidence = self._hide(confidence)
+        # The radius is that of the visible joints, as in real data. A view with too few of them has no weight.
         few = ((confidence > 0).sum(1, keepdim=True)) < MIN_VISIBLE
-        # The radius is that of the visible joints, as in real data. A view with too few joints for a radius has
-        # no weight.
-        weight = weight.masked_fill(few, 0)
-        counted = torch.where(few, torch.ones_like(confidence), confidence)
+        weight, counted = weight.masked_fill(few, 0), confidence.masked_fill(few, 1)
         seen[:, root] = _stand_in(seen, confidence, root, self.rings)
         noisy, radius = renormalise(seen, counted, root, count_root=self.count_root)
         exact = (projected - projected[:, root, None]) / radius[:, None, None]
@@ -233,8 +226,8 @@ class ViewMaker:
             confidence = torch.where(flip[:, None], confidence[:, self.swap], confidence)
         return pose, confidence
 
-    def _turned(self, pose: Tensor, rows: Tensor) -> tuple[Tensor, Tensor]:
-        """Return the level poses of ``rows`` in the frames of random cameras (or their own), and gravity there."""
+    def _rotated(self, pose: Tensor, rows: Tensor) -> tuple[Tensor, Tensor]:
+        """Return the level poses of ``rows`` in the frames of random cameras (or the real ones), and gravity there."""
         count, device = len(pose), pose.device
         down = pose.new_tensor([0.0, 1.0, 0.0])
         if not self.settings.turn:
@@ -247,7 +240,7 @@ class ViewMaker:
         return turn(pose, least_rotation(gravity, down).mT @ about_y(azimuth)), gravity
 
     def _hide(self, confidence: Tensor) -> Tensor:
-        """Return the confidence with some joints of some views at 0: a random share of them, or a limb."""
+        """Return the confidence, set to 0 for some joints of some views: a random share of them, or a limb."""
         if not self.settings.occlude:
             return confidence
         count, device = len(confidence), confidence.device
@@ -274,16 +267,7 @@ def _stand_in(keypoints: Tensor, confidence: Tensor, root: int, rings: list[list
 
 def _limbs(skeleton: Skeleton) -> Tensor:
     """Return (limbs joints) bool: every joint with all below it, where that is at most a third of the body."""
-    parents = skeleton.parents
-    found = set()
-    for top in skeleton.joints:
-        limb = set()
-        for joint in skeleton.joints:
-            above: str | None = joint
-            while above is not None and above != top:
-                above = parents[above]
-            if above == top:
-                limb.add(joint)
-        if 2 <= len(limb) <= len(skeleton.joints) / 3:
-            found.add(tuple(joint in limb for joint in skeleton.joints))
-    return torch.tensor(sorted(found), dtype=torch.bool).reshape(-1, len(skeleton.joints))
+    children, count = _children(skeleton), len(skeleton.joints)
+    limbs = [_below(joint, children) for joint in children]
+    found = {tuple(joint in limb for joint in children) for limb in limbs if 2 <= len(limb) <= count / 3}
+    return torch.tensor(sorted(found), dtype=torch.bool).reshape(-1, count)

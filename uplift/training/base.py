@@ -1,9 +1,9 @@
-"""`LifterTraining`, what all training of lifters shares: random streams, schedule, optimiser, averaged weights."""
+"""`LifterTraining`, the base of all training of lifters: random streams, schedule, optimiser, averaged weights."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterable
 from itertools import count
 from typing import Any, Generic, TypeVar, cast
 
@@ -11,7 +11,6 @@ import lightning as L
 import torch
 from torch import Tensor, nn
 from torch.optim.swa_utils import AveragedModel
-from torch.utils.data import DataLoader, IterableDataset
 
 from uplift.config.settings import StageSettings
 from uplift.data.samples import Samples
@@ -22,10 +21,9 @@ __all__ = ["LifterTraining", "stream_seed"]
 
 
 def stream_seed(seed: int, rank: int, step: int) -> int:
-    """Return the seed of one step's random stream: a different one for every seed, rank and step.
+    """Return the seed of the random stream of one step, different for every seed, rank and step.
 
-    Streams that are a function of the step need no saved state: a resumed fit draws the same numbers as
-    an uninterrupted one, and no two ranks draw the same.
+    It needs no saved state: a resumed fit draws the same numbers as an uninterrupted one.
     """
     mixed = 0x9E3779B97F4A7C15
     for part in (seed, rank, step):
@@ -43,13 +41,6 @@ def _average(decay: float):
         torch._foreach_lerp_(averaged, current, 1 - min(decay, (1 + so_far) / (10 + so_far)))
 
     return update
-
-
-class _Steps(IterableDataset):
-    """An endless count of steps: the data are already on the device, and each step draws its own batch."""
-
-    def __iter__(self) -> Iterator[int]:
-        return count()
 
 
 LifterT = TypeVar("LifterT", bound=nn.Module)
@@ -105,9 +96,9 @@ class LifterTraining(L.LightningModule, Generic[LifterT, DataT]):
         lifter = {"params": list(self.lifter.parameters()), "lr": self.settings.learning_rate, "name": "lifter"}
         return [lifter, *self.terms.parameter_groups(self.prior_rate)]
 
-    def train_dataloader(self) -> DataLoader:
-        """Return an endless count of steps."""
-        return DataLoader(_Steps(), batch_size=None)
+    def train_dataloader(self) -> Iterable[int]:
+        """Return an endless count of steps: the data are on the device, and each step draws a batch."""
+        return count()
 
     def on_fit_start(self) -> None:
         """Move the data set to the model's device."""

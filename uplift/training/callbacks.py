@@ -9,6 +9,7 @@ import threading
 import time
 from collections.abc import Callable
 from pathlib import Path
+from statistics import median_high
 from typing import Any
 
 import lightning as L
@@ -27,10 +28,11 @@ __all__ = [
     "MetricsFile",
     "Progress",
     "Threads",
-    "check_checkpoint",
+    "checked_checkpoint",
+    "read_metrics",
 ]
 
-# As many CPU threads as are faster: all on an idle machine, one on a busy one.
+# The faster number of CPU threads: all on an idle machine, one on a busy one.
 
 _PROBE_STEPS = 4
 _EVERY_S = 20.0
@@ -39,22 +41,20 @@ _EVERY_S = 20.0
 class Threads(L.Callback):
     """Every 20 seconds times a few steps with all threads and a few with one, and continues with the faster.
 
-    Threads that share a small product wait for each other: if another process holds a core, two threads can be
+    Threads that share a small product wait for each other: if another process occupies a core, two threads can be
     ten times slower than one. Every probe is a step of the training, so no time is lost; but the last digits
-    depend on the number of threads, so fits of a set number of steps do not use this.
+    depend on the number of threads, so fits with a set number of steps do not use this.
     """
 
     def __init__(self) -> None:
         self.most = torch.get_num_threads()
         self._times: dict[int, list[float]] = {}
         self._queue: list[int] = []
-        self._next = 0.0
-        self._start = 0.0
+        self._next = self._start = 0.0
 
-    def on_train_batch_start(self, trainer: Any, module: Any, batch: Any, batch_idx: int) -> None:
-        """Set the threads of this step where it is a probe."""
-        now = time.perf_counter()
-        if not self._queue and now >= self._next:
+    def on_train_batch_start(self, *rest: Any) -> None:
+        """Set the threads of this step if it is a probe."""
+        if not self._queue and time.perf_counter() >= self._next:
             self._times = {}
             self._queue = [self.most] * _PROBE_STEPS + [1] * _PROBE_STEPS
         if self._queue:
@@ -68,12 +68,11 @@ class Threads(L.Callback):
         threads = self._queue.pop(0)
         self._times.setdefault(threads, []).append(time.perf_counter() - self._start)
         if not self._queue:
-            typical = {n: sorted(times)[len(times) // 2] for n, times in self._times.items()}
-            torch.set_num_threads(min(typical, key=lambda n: typical[n]))
+            torch.set_num_threads(min(self._times, key=lambda n: median_high(self._times[n])))
             self._next = time.perf_counter() + _EVERY_S
 
     def on_train_end(self, *rest: Any) -> None:
-        """Give the rest of the program all threads again."""
+        """Set all threads again for the rest of the program."""
         torch.set_num_threads(self.most)
 
 
@@ -99,24 +98,18 @@ class Checkpoints(L.Callback):
         self._last = time.monotonic()
 
     def on_train_batch_end(self, trainer: L.Trainer, module: LifterTraining, *rest: Any) -> None:  # type: ignore[override]
-        """Save when it is time to."""
-        if self.steps:
-            due = trainer.global_step % self.steps == 0
-        else:
-            due = time.monotonic() - self._last > self.seconds
+        """Save when it is due."""
+        overdue = time.monotonic() - self._last > self.seconds
+        due = trainer.global_step % self.steps == 0 if self.steps else overdue
         if due or trainer.should_stop:
-            self.save(trainer)
-
-    def save(self, trainer: L.Trainer) -> None:
-        """Save now."""
-        trainer.save_checkpoint(self.path)
-        if trainer.is_global_zero and self.on_save:
-            self.on_save()
-        self._last = time.monotonic()
+            trainer.save_checkpoint(self.path)
+            if trainer.is_global_zero and self.on_save:
+                self.on_save()
+            self._last = time.monotonic()
 
 
-def check_checkpoint(path: Path, module: LifterTraining) -> float:
-    """Return the share of the stage that was over, 0..1, after checking that the checkpoint fits ``module``.
+def checked_checkpoint(path: Path, module: LifterTraining) -> dict[str, Any]:
+    """Return the checkpoint of a stage, which fits ``module``.
 
     Raises:
         UserError: damaged, or of other settings or another skeleton.
@@ -126,12 +119,13 @@ def check_checkpoint(path: Path, module: LifterTraining) -> float:
     if not isinstance(found, dict) or "done" not in state:
         raise UserError(f"{path} is not a checkpoint of a fit (no 'state_dict').")
     wrong = [k for k in expected if k not in found or found[k].shape != expected[k].shape]
-    if wrong or set(found) - set(expected):
+    wrong += [k for k in found if k not in expected]
+    if wrong:
         raise UserError(
-            f"{path} does not fit this run's settings ({wrong[0] if wrong else sorted(set(found) - set(expected))[0]} "
-            "differs): another skeleton, network or set of priors. Resume with the run's own settings."
+            f"{path} does not fit this run's settings ({wrong[0]} differs): another skeleton, network or set of "
+            "priors. Resume with the settings of the run."
         )
-    return float(state["done"])
+    return state
 
 
 # Progress: one line on a terminal, rows in metrics.csv.
@@ -141,8 +135,7 @@ class Progress(L.Callback):
     """One line that is rewritten on a terminal; elsewhere, a line for every tenth of the stage."""
 
     def __init__(self, stage: str, budget: Budget, stream: Any = None):
-        self.stage, self.budget = stage, budget
-        self.stream = stream or sys.stderr
+        self.stage, self.budget, self.stream = stage, budget, stream or sys.stderr
         self._tenth, self._shown = -1, 0.0
         self._smooth: dict[str, float] = {}
 
@@ -150,9 +143,7 @@ class Progress(L.Callback):
         """Show the line when it is time to."""
         if not trainer.is_global_zero:
             return
-        live = self.stream.isatty()
-        tenth = int(module.done * 10)
-        now = time.monotonic()
+        live, tenth, now = self.stream.isatty(), int(module.done * 10), time.monotonic()
         if (live and now - self._shown < 0.5 and not trainer.should_stop) or (not live and tenth == self._tenth):
             return
         self._tenth, self._shown = tenth, now
@@ -160,9 +151,7 @@ class Progress(L.Callback):
             before = self._smooth.get(name, float(value))
             self._smooth[name] = 0.6 * before + 0.4 * float(value)
         text = self._line(trainer, module)
-        self.stream.write(f"\r\033[K{text}" if live else f"{text}\n")
-        if live and trainer.should_stop:
-            self.stream.write("\n")
+        self.stream.write((f"\r\033[K{text}" if live else text) + ("\n" if trainer.should_stop or not live else ""))
         self.stream.flush()
 
     def _line(self, trainer: L.Trainer, module: LifterTraining) -> str:
@@ -174,10 +163,10 @@ class Progress(L.Callback):
 
 
 class MetricsFile(L.Callback):
-    """Append a row of losses and prior metrics to ``metrics.csv`` every ``every`` steps.
+    """Append losses and prior metrics to ``metrics.csv`` every ``every`` steps, as stage, step, name and value.
 
-    The columns are stage, step, name and value. Rows after the step that a fit resumes from are removed first,
-    so that an uninterrupted and a resumed fit leave the same file.
+    Rows after the step that a fit resumes from are removed first, so that an uninterrupted and a resumed fit
+    leave the same file.
     """
 
     def __init__(self, path: Path, stage: str, every: int):
@@ -221,41 +210,34 @@ class Interrupted(Exception):
 
 
 class Budget(L.Callback):
-    """Moves `LifterTraining.done` from 0 to 1 and stops there; time continues to count after a resume.
+    """Moves `LifterTraining.done` from 0 to 1 and stops there; a resumed stage continues its time.
 
     Ctrl-C or SIGTERM ends the stage after the current step; a second one ends it at once.
     """
 
     def __init__(self, *, steps: int | None, seconds: float | None, spent: float = 0.0):
-        self.steps, self.seconds = steps, seconds
-        self.spent = spent
+        self.steps, self.seconds, self.spent = steps, seconds, spent
         self.first_step_s: float | None = None
         self.interrupted = False
 
     def on_train_start(self, trainer: L.Trainer, module: LifterTraining) -> None:  # type: ignore[override]
         """Start the clock where a resumed stage stopped it."""
-        self._catch(signal.SIGTERM)  # here, as Lightning has just put its own in place
-        self._before = self.spent
-        self._start = time.monotonic()
-        self._update(trainer, module)
-
-    def on_train_batch_start(self, trainer: Any, module: Any, batch: Any, batch_idx: int) -> None:
-        """Set what share of the stage is over."""
-        self._update(trainer, module)
+        self._catch(signal.SIGTERM)  # here, as Lightning has just installed its handler
+        self._before, self._start = self.spent, time.monotonic()
+        self.on_train_batch_start(trainer, module)
 
     def on_train_batch_end(self, trainer: L.Trainer, module: Any, *rest: Any) -> None:
-        """Stop when it is over, or when it was interrupted."""
+        """Stop when the stage is over or was interrupted."""
         if self.first_step_s is None:
             self.first_step_s = time.monotonic() - self._start
-        self._update(trainer, module)
+        self.on_train_batch_start(trainer, module)
         if module.done >= 1 or self.interrupted:
             trainer.should_stop = True
 
-    def _update(self, trainer: L.Trainer, module: LifterTraining) -> None:
+    def on_train_batch_start(self, trainer: L.Trainer, module: Any, *rest: Any) -> None:
+        """Set what share of the stage is over."""
         self.spent = self._before + time.monotonic() - self._start
-        shares = [0.0]
-        if self.steps:
-            shares.append(trainer.global_step / self.steps)
+        shares = [trainer.global_step / self.steps if self.steps else 0.0]
         if self.seconds:
             spent = self.spent
             if trainer.world_size > 1:  # all ranks must stop at the same step

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 from functools import partial
-from typing import Any
 
 import torch
 
@@ -18,7 +17,7 @@ from uplift.models.model import Model, load_poses
 from uplift.skeleton import Skeleton
 from uplift.training.adversarial import AdversarialTraining
 from uplift.training.objective import prepare_priors
-from uplift.training.pseudo_labels import PseudoPoses, lift_all, true_poses
+from uplift.training.pseudo_labels import lift_all, true_poses
 from uplift.training.sampler import LabelledSampler
 from uplift.training.stages import Recipe
 from uplift.training.student import StudentTraining
@@ -34,14 +33,17 @@ class PoseRecipe(Recipe):
         self.data = training_frames(loaded, skeleton, settings)
         self.supervised = bool(self.data.labelled.all())
         self.bone_mm = mean_bones(self.data) if loaded.unit == "mm" else None
-        super().__init__(settings, _useful(settings.priors, self.data), skeleton)
+        priors = settings.priors
+        if priors.get("labelled", {}).get("if_possible") and not bool(self.data.labelled.any()):
+            priors = {name: spec for name, spec in priors.items() if name != "labelled"}
+        super().__init__(settings, priors, skeleton)
         self.share_budget(self._shares(), len(self.data))
         self.notes += self._notes()
         if not self.priors:
             raise UserError(
                 "No prior is on: nothing would train the lifter. Set priors.NAME.use and priors.NAME.weight."
             )
-        # The teacher has no outputs for what only a student learns.
+        # Only students learn to predict the spread and to correct visible joints.
         self.chosen = dataclasses.replace(settings.lifter, spread=False, denoise=False)
         self.first = self._lifter(self.chosen)
         if settings.init and not self.supervised and not (run and (run.checkpoints / "teacher.ckpt").is_file()):
@@ -51,15 +53,12 @@ class PoseRecipe(Recipe):
         """Return each stage's share of the fit."""
         settings, student = self.settings, self.settings.student
         self.rounds = student.rounds if student.share > 0 else []
-        if self.supervised:  # nothing to lift: one student has all the time
+        if self.supervised:  # no teacher: one student has all the time
             self.rounds = [1.0]
-        # Labels replace the teacher: what they say of a batch need not be found out.
-        sampler = LabelledSampler(self.data.labelled, settings.data.labelled.share)
-        labelled = sampler.share if self.data.labels is not None else 0.0
-        students = {
-            f"student_{number}": (student.share or 1.0) * share / sum(self.rounds)
-            for number, share in enumerate(self.rounds, 1)
-        }
+        # The teacher is not needed for labelled frames.
+        labelled = LabelledSampler(self.data.labelled, settings.data.labelled.share).share
+        shares = [(student.share or 1.0) * share / sum(self.rounds) for share in self.rounds]
+        students = {f"student_{number}": share for number, share in enumerate(shares, 1)}
         return {"teacher": settings.teacher.share * (1 - labelled), **students}
 
     def _notes(self) -> list[str]:
@@ -81,31 +80,24 @@ class PoseRecipe(Recipe):
         return Model(lifter.cpu().eval(), self.skeleton, self.chosen)
 
     def _teacher(self) -> AdversarialTraining:
-        settings = self.settings
+        settings, first, labelled = self.settings, self.first, self.data.labelled
         prepare_priors(self.priors, self.data)
+        truth = None
+        if bool(labelled.any()):
+            truth = true_poses(self.data.select(labelled), first.camera, tilted=first.tilt != "level")
+        terms, share = (self.priors, self.weights), settings.data.labelled.share
         return AdversarialTraining(
-            self.first,
-            self.data,
-            settings.teacher,
-            settings.views,
-            self.priors,
-            self.weights,
-            settings.seed,
-            settings.data.labelled.share,
-            self._truth(),
+            first, self.data, settings.teacher, settings.views, *terms, settings.seed, share, truth
         )
 
-    def _truth(self) -> PseudoPoses | None:
-        """Return the labelled frames as poses to see from everywhere; None if there are none."""
-        labelled = self.data.labelled
-        if not bool(labelled.any()):
-            return None
-        return true_poses(self.data.select(labelled), self.first.camera, tilted=self.first.tilt != "level")
-
     def _student(self, lifter: Lifter, number: int) -> StudentTraining:
-        """Return the training of a new lifter on poses of the last one."""
+        """Return the training of a new lifter on the poses of ``lifter``, or on the labels if every frame has one."""
         settings = self.settings
-        poses = self._poses(lifter, number)
+        if self.supervised:
+            poses = true_poses(self.data, self.first.camera, tilted=lifter.tilt != "level")
+        else:
+            data = self.data.some(settings.student.frames, settings.seed + number)
+            poses = lift_all(lifter, data, settings.student.refine)
         noisy = poses.noise is not None and settings.student.noise
         self.chosen = student_settings(settings, noisy=noisy, last=number == len(self.rounds))
         torch.manual_seed(settings.seed + number)
@@ -118,15 +110,8 @@ class PoseRecipe(Recipe):
             fresh, poses, settings.student, settings.views, settings.seed + number, settings.data.labelled.share
         )
 
-    def _poses(self, lifter: Lifter, number: int) -> PseudoPoses:
-        """Return what a student learns from: the truth if every frame is labelled, else what ``lifter`` finds."""
-        student = self.settings.student
-        if self.supervised:
-            return true_poses(self.data, self.first.camera, tilted=lifter.tilt != "level")
-        return lift_all(lifter, self.data.some(student.frames, self.settings.seed + number), student.refine)
-
     def _lifter(self, chosen: LifterSettings) -> Lifter:
-        """Return an untrained lifter that knows how large the labelled bodies are."""
+        """Return an untrained lifter with the size of the labelled bodies."""
         lifter = Lifter(self.skeleton, chosen)
         if self.bone_mm is not None:
             lifter.bone_mm.copy_(self.bone_mm.nan_to_num())
@@ -135,12 +120,9 @@ class PoseRecipe(Recipe):
 
 def training_frames(loaded: Loaded, skeleton: Skeleton, settings: Settings) -> TrainingSet:
     """Return the training frames of all files in the model's units, with the labels that may be used."""
-    frames = with_labels(to_training_set(loaded.train, skeleton, settings.lifter), loaded.train)
-    if loaded.more is None:
-        return frames
-    return TrainingSet.concat(
-        [frames, with_labels(to_training_set(loaded.more, skeleton, settings.lifter), loaded.more)]
-    )
+    files = [part for part in (loaded.train, loaded.more) if part is not None]
+    parts = [with_labels(to_training_set(part, skeleton, settings.lifter), part) for part in files]
+    return parts[0] if len(parts) == 1 else TrainingSet.concat(parts)
 
 
 def _go_on(fresh: Lifter, last: Lifter) -> None:
@@ -150,20 +132,8 @@ def _go_on(fresh: Lifter, last: Lifter) -> None:
         fresh.load_state_dict(last.state_dict())
 
 
-def _useful(priors: dict[str, Any], data: TrainingSet) -> dict[str, Any]:
-    """Return the priors, without ``labelled`` if it is on ``if_possible`` and no frame is labelled."""
-    if bool(data.labelled.any()):
-        return priors
-    return {n: spec for n, spec in priors.items() if not (n == "labelled" and spec.get("if_possible"))}
-
-
 def student_settings(settings: Settings, *, noisy: bool, last: bool) -> LifterSettings:
-    """Return the lifter settings of a student: the teacher's, with what only students have.
-
-    Args:
-        noisy: whether the keypoints are, as its poses show.
-        last: whether it is the last student.
-    """
+    """Return the lifter settings of a student, the ``last`` one or not, for keypoints that are ``noisy`` or not."""
     student, lifter = settings.student, settings.lifter
     options = lifter.options if student.network is None else {}
     return dataclasses.replace(
@@ -175,7 +145,7 @@ def student_settings(settings: Settings, *, noisy: bool, last: bool) -> LifterSe
 
 
 def _start_from(lifter: Lifter, run: str) -> None:
-    """Load the weights of another run's lifter, but keep the body size that labels of this fit give."""
+    """Load the weights of another run's lifter, but keep the body size from the labels of this fit."""
     other, bone_mm = load_poses(run), lifter.bone_mm.clone()
     if other.skeleton.joints != lifter.skeleton.joints:
         raise UserError(

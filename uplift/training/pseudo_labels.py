@@ -40,22 +40,12 @@ class PseudoPoses(Samples):
     noise: Float[Tensor, "frames joints 2"] | None = None
     """Keypoints minus projections of the refined poses; None where that is negligible or unknown."""
     labelled: Bool[Tensor, " frames"] | None = None
-    """Which poses are ground truth; None if none is."""
-
-    @property
-    def which_labelled(self) -> Bool[Tensor, " frames"]:
-        """Which poses are ground truth."""
-        if self.labelled is not None:
-            return self.labelled
-        return torch.zeros(len(self), dtype=torch.bool, device=self.pose.device)
+    """Which poses are ground truth; None without any."""
 
 
 @torch.no_grad()
 def lift_all(lifter: Lifter, data: TrainingSet, refine: RefineSettings) -> PseudoPoses:
-    """Return every training frame lifted by ``lifter``, averaged with its mirror image and refined by clip.
-
-    Labels replace what was lifted.
-    """
+    """Return every training frame lifted by ``lifter``, averaged with its mirror image, refined by clip, or its label."""
     data = data.to(next(lifter.parameters()).device)
     lifted = lift_frames(lifter, data)
     pose, refined = lifted.pose, bool(refine.iterations) and has_clips(data)
@@ -80,7 +70,7 @@ def true_poses(data: TrainingSet, camera: Camera, *, tilted: bool = True) -> Pse
     assert data.labels is not None
     known = data.labels.isfinite().all(-1)
     pose = data.labels.nan_to_num()
-    # The place of an unseen joint is known too; a joint without a label is not learned from.
+    # The position of an invisible joint is known too; a joint without a label is not learned from.
     confidence = torch.where(data.confidence > 0, data.confidence, torch.ones_like(data.confidence)) * known
     tilt = _body_tilts(data, pose) if tilted else torch.zeros_like(data.distance)
     return _levelled(data, pose, confidence, tilt, _noise(data, pose, data.confidence * known, camera))

@@ -1,4 +1,4 @@
-"""`LabelledSampler`: which frames a batch is made of, labelled and unlabelled ones in a set ratio."""
+"""`LabelledSampler`: draws labelled and unlabelled frames in a fixed ratio."""
 
 from __future__ import annotations
 
@@ -29,12 +29,9 @@ class LabelledSampler:
 
     def __call__(self, count: int) -> Int[Tensor, " count"]:
         """Return ``count`` random frame numbers, in random order."""
-        labelled, rest = self.parts
         if not self.balanced:
             return torch.randint(self.frames, (count,), device=self.device)
         first = max(1, round(self.share * count))
-        drawn = [
-            part[torch.randint(len(part), (size,), device=self.device)]
-            for part, size in ((labelled, first), (rest, count - first))
-        ]
+        sizes = zip(self.parts, (first, count - first), strict=True)
+        drawn = [part[torch.randint(len(part), (size,), device=self.device)] for part, size in sizes]
         return torch.cat(drawn)[torch.randperm(count, device=self.device)]

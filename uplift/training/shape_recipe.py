@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from functools import partial
 from itertools import accumulate
 from operator import mul
 
@@ -38,10 +37,9 @@ class ShapeRecipe(Recipe):
 
     def __init__(self, settings: Settings, loaded: LoadedMasks):
         super().__init__(settings, settings.priors, None)
-        labelled = loaded.train.labelled if settings.data.labelled.only else None
+        labelled, shape = loaded.train.labelled if settings.data.labelled.only else None, settings.shape
         self.train_data = loaded.train if labelled is None else loaded.train.select(labelled)
-        self.data = to_mask_set(self.train_data, settings.shape)
-        shape = settings.shape
+        self.data = to_mask_set(self.train_data, shape)
         torch.manual_seed(settings.seed)
         self.start = _start_from(settings.init, shape) if settings.init else None
         self.mixture = ShapeMixture(shape) if self.start is None else self.start
@@ -61,27 +59,25 @@ class ShapeRecipe(Recipe):
         for number, times in enumerate(self.splits, 1):
             torch.manual_seed(self.settings.seed + number)
             mixture = self._stage(run, f"split_{number}", split(mixture, times, 2 * AZIMUTHS), hot=False)
-        model = ShapeModel(mixture, self.settings.shape)
-        count = len(self.train_data)
-        rows = np.linspace(0, count - 1, min(_MOST_FOR_THRESHOLD, count)).astype(int)
-        masks = self.train_data.masks[rows]
+        model, count = ShapeModel(mixture, self.settings.shape), len(self.train_data)
+        masks = self.train_data.masks[np.linspace(0, count - 1, min(_MOST_FOR_THRESHOLD, count)).astype(int)]
         lifted = model.lift(masks, resolution=self.settings.shape.detail)
         mixture.level.fill_(choose_iso_threshold(lifted, as_tensor(masks)))
         return model
 
     def _stage(self, run: RunFolder, name: str, mixture: ShapeMixture, *, hot: bool) -> ShapeMixture:
-        trained = self.stage(run, name, partial(self._training, mixture, hot)).cpu().eval()
+        def build() -> MixtureTraining:
+            mixture.silhouettes([0])  # makes the projector's matrices, which take a while
+            terms = self.priors, self.weights
+            return MixtureTraining(mixture, self.data, self.settings.teacher, *terms, self.settings.seed, hot)
+
+        trained = self.stage(run, name, build).cpu().eval()
         trained.projector = mixture.projector
         return trained
 
-    def _training(self, mixture: ShapeMixture, hot: bool) -> MixtureTraining:
-        mixture.silhouettes([0])  # makes the projector's matrices, which take a while
-        settings = self.settings
-        return MixtureTraining(mixture, self.data, settings.teacher, self.priors, self.weights, settings.seed, hot)
-
 
 def _worth_it(parts: int, splits: Sequence[int], masks: int) -> list[int]:
-    """Return the splits that leave every shape enough masks."""
+    """Return the first splits, those that leave every shape enough masks."""
     kept = []
     for times in splits:
         parts *= times
@@ -92,7 +88,7 @@ def _worth_it(parts: int, splits: Sequence[int], masks: int) -> list[int]:
 
 
 def _shares(splits: Sequence[int]) -> dict[str, float]:
-    """Return each stage's share of the budget: a quarter finds the views, and many shapes take longer than few."""
+    """Return each stage's share of the budget: a quarter for the views, and more for many shapes than for few."""
     rest = [math.sqrt(count) for count in accumulate(splits, mul)]
     later = {f"split_{number}": (1 - _FIRST_SHARE) * each / sum(rest) for number, each in enumerate(rest, 1)}
     return {"shapes": _FIRST_SHARE if rest else 1.0, **later}

@@ -50,10 +50,9 @@ class EStepStatistics(nn.Module):
     def __init__(self, mixture: ShapeMixture, labels: bool, pooled: int = 1):
         """Make zeros; with ``labels`` also for true shapes; ``pooled`` pixels along an axis are compared as one."""
         super().__init__()
-        self.pooled = pooled
+        self.labels, self.pooled = labels, pooled
         parts, drawn = len(mixture.logits), len(mixture.grid.drawn)
         side, n = mixture.settings.crop, mixture.settings.detail if labels else 1
-        self.labels = labels
         sizes = {
             "weight": (parts, drawn), "mask": (parts, drawn, side, side), "ratio": (parts, drawn), "energy": (),
             "labelled": (parts,), "truth": (parts, n, n, n),
@@ -71,20 +70,19 @@ class EStepStatistics(nn.Module):
         for part in self.buffers():
             part.zero_()
         for start in range(0, len(data), _CHUNK):
-            rows = torch.arange(start, min(start + _CHUNK, len(data)), device=data.crops.device)
-            self._add(mixture, data, drawn, rows, temperature)
+            self._add(mixture, data.select(slice(start, start + _CHUNK)), drawn, temperature)
         self.mask /= self.weight.clamp_min(1e-9)[..., None, None]
         self.ratio /= self.weight.clamp_min(1e-9)
         self.truth /= self.labelled.clamp_min(1e-9)[:, None, None, None]
         for part in (self.weight, self.labelled, self.energy):
             part /= len(data)
 
-    def _add(self, mixture: ShapeMixture, data: MaskSet, drawn: Drawn, rows: Tensor, temperature: float) -> None:
-        masks, spread, known = data.crops[rows], data.spread[rows], data.labelled[rows]
+    def _add(self, mixture: ShapeMixture, data: MaskSet, drawn: Drawn, temperature: float) -> None:
+        masks, spread, known = data.crops, data.spread, data.labelled
         small = nn.functional.avg_pool2d(masks, self.pooled) if self.pooled > 1 else masks
         evidence = mixture.evidence(small, spread, drawn, temperature)
         if bool(known.any()):
-            nearest = (data.view[rows].flatten(1) @ mixture.grid.views.to(masks).flatten(1).T).argmax(1)
+            nearest = (data.view.flatten(1) @ mixture.grid.views.to(masks).flatten(1).T).argmax(1)
             elsewhere = torch.arange(evidence.shape[2], device=masks.device)[None] != nearest[:, None]
             evidence = evidence.masked_fill((known[:, None] & elsewhere)[:, None], -1e4)
         self.energy -= temperature * torch.logsumexp(evidence.flatten(1), 1).sum()
@@ -102,7 +100,7 @@ class EStepStatistics(nn.Module):
         if self.labels and bool(known.any()):
             labelled = share[known].sum(2)
             self.labelled += labelled.sum(0)
-            self.truth += (labelled.T @ data.shapes[data.shape[rows][known]].flatten(1)).view_as(self.truth)
+            self.truth += (labelled.T @ data.shapes[data.shape[known]].flatten(1)).view_as(self.truth)
 
     def loss(self, mixture: ShapeMixture, drawn: Drawn, rows: Sequence[int], temperature: float) -> Float[Tensor, ""]:
         """Return the error of the silhouettes ``drawn`` from ``rows`` of the views, an estimate of the error of all."""
@@ -121,7 +119,7 @@ class EStepStatistics(nn.Module):
 
 # The maximisation step: shapes learn to explain their masks, and priors judge them.
 
-_TURNED = 64
+_SEEN = 64
 """Silhouettes that priors judge in a step."""
 _VIEWS = 12
 """Views that a step renders."""
@@ -168,7 +166,7 @@ class MixtureTraining(LifterTraining[ShapeMixture, MaskSet]):
 
     @property
     def mirrors(self) -> bool:
-        """Whether priors see masks mirrored half the time: only where shapes are their own mirror image."""
+        """Whether priors see half of the masks mirrored: only where shapes are their own mirror image."""
         return self.settings.mirror and self.lifter.settings.symmetric
 
     @property
@@ -195,7 +193,7 @@ class MixtureTraining(LifterTraining[ShapeMixture, MaskSet]):
         if self.priors:
             lift = self.last_lift = self._lift(drawn)
             judged, losses = self.terms.judge(lift, self.global_step)
-            own, own_losses = self.terms.train_adversaries(lift.masks[:_TURNED], lift.seen.detach())
+            own, own_losses = self.terms.train_adversaries(lift.masks[:_SEEN], lift.seen.detach())
             loss, logged = loss + judged + own, {**logged, **losses, **own_losses}
         return loss, logged
 
@@ -209,14 +207,14 @@ class MixtureTraining(LifterTraining[ShapeMixture, MaskSet]):
         """Return what priors judge in this step."""
         masks = self._masks()
         flat = drawn.cut.flatten(0, 1)
-        turned = flat[torch.randint(len(flat), (_TURNED,), device=flat.device)]
+        seen = flat[torch.randint(len(flat), (_SEEN,), device=flat.device)]
         if self.lifter.grid.mirrored is not None:  # the views that are not rendered see mirror images
-            turned = torch.cat([turned[::2], turned[1::2].flip(-1)])
+            seen = torch.cat([seen[::2], seen[1::2].flip(-1)])
         views = self.lifter.grid.views.to(masks)
-        return ShapeLift(self.lifter.full_logits, self.lifter.occupancy, turned, masks, self.used, views, self.done)
+        return ShapeLift(self.lifter.full_logits, self.lifter.occupancy, seen, masks, self.used, views, self.done)
 
     def _masks(self) -> Float[Tensor, "items side side"]:
-        """Return a batch of real masks, half of them mirrored if `mirrors`."""
+        """Return a batch of real masks, half of them mirrored if shapes are their own mirror image."""
         rows = torch.randint(len(self.data), (self.settings.batch_size,), device=self.data.crops.device)
         flipped = torch.rand(len(rows), device=rows.device) < (0.5 if self.mirrors else 0.0)
         masks = self.data.crops[rows]

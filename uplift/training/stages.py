@@ -5,17 +5,19 @@ from __future__ import annotations
 import logging
 import time
 import warnings
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
+from itertools import accumulate, pairwise
 from pathlib import Path
 from typing import Any, TypeVar
 
 import lightning as L
 import torch
 from lightning.fabric.utilities.exceptions import MisconfigurationException
+from lightning.pytorch import loggers
 from torch import nn
 
-from uplift.config.files import read_torch
 from uplift.config.run import RunFolder
 from uplift.config.settings import Settings, TrainerSettings, seconds_of
 from uplift.errors import UserError
@@ -30,7 +32,7 @@ from uplift.training.callbacks import (
     MetricsFile,
     Progress,
     Threads,
-    check_checkpoint,
+    checked_checkpoint,
 )
 
 __all__ = ["Recipe", "StageBudget", "run_stage", "stage_budgets"]
@@ -39,7 +41,7 @@ LifterT = TypeVar("LifterT", bound=nn.Module)
 
 
 class Recipe:
-    """The stages of one fit; a subclass says what they are and what each learns from the one before it.
+    """The stages of one fit; a subclass defines them and what each learns from the one before it.
 
     ``priors`` are the settings of the priors, ``skeleton`` is None for priors of shapes.
     """
@@ -67,12 +69,9 @@ class Recipe:
         return training.final
 
 
-# Run one stage.
-
-
 @dataclass(frozen=True)
 class StageBudget:
-    """What one stage may spend; at least one of the two is set."""
+    """The limits of one stage; at least one of the two is set."""
 
     steps: int | None
     seconds: float | None
@@ -80,22 +79,20 @@ class StageBudget:
 
 def stage_budgets(trainer: TrainerSettings, shares: Sequence[float], frames: int, batch_size: int) -> list[StageBudget]:
     """Split the fit's steps and time over its stages by their shares."""
-    total = sum(shares)
-    steps = trainer.max_steps
+    total, stages = sum(shares), sum(share > 0 for share in shares)
+    steps: list[int | None] = [None] * len(shares)
+    limits = [] if trainer.max_steps is None else [trainer.max_steps]
     if trainer.max_epochs is not None:
-        by_epochs = max(1, round(trainer.max_epochs * frames / batch_size))
-        steps = by_epochs if steps is None else min(steps, by_epochs)
+        limits.append(max(1, round(trainer.max_epochs * frames / batch_size)))
+    if limits:
+        most = min(limits)
+        if most < stages:
+            raise UserError(f"{most} steps are too few for {stages} stages: one each at least.")
+        ends = [round(most * share / total) for share in accumulate(shares)]
+        steps = [max(1, end - start) for start, end in pairwise([0, *ends])]
     seconds = None if trainer.max_time is None else seconds_of(trainer.max_time)
-    if steps is not None and steps < sum(share > 0 for share in shares):
-        raise UserError(f"{steps} steps are too few for {sum(s > 0 for s in shares)} stages: one each at least.")
-    ends = [0] if steps is None else [round(steps * sum(shares[: i + 1]) / total) for i in range(len(shares))]
-    return [
-        StageBudget(
-            None if steps is None else max(1, ends[i] - (ends[i - 1] if i else 0)),
-            None if seconds is None else seconds * share / total,
-        )
-        for i, share in enumerate(shares)
-    ]
+    times = [None if seconds is None else seconds * share / total for share in shares]
+    return [StageBudget(*both) for both in zip(steps, times, strict=True)]
 
 
 def run_stage(
@@ -107,13 +104,9 @@ def run_stage(
     before: float = 0.0,
     on_save: Callable[[], None] | None = None,
 ) -> Budget:
-    """Train ``module`` for its budget, or for the rest of it if ``folder`` has a checkpoint of this stage.
+    """Train ``module`` for its budget, or for the rest of it if the run's ``folder`` has a checkpoint of this stage.
 
-    Args:
-        name: of the stage, and of its checkpoint.
-        folder: of the run.
-        before: seconds of the budget that are already spent.
-        on_save: called after each checkpoint.
+    ``before`` are seconds of the budget that are already spent; ``on_save`` is called after each checkpoint.
 
     Raises:
         Interrupted: after Ctrl-C, with everything saved.
@@ -122,18 +115,13 @@ def run_stage(
     path = folder / "checkpoints" / f"{name}.ckpt"
     clock = Budget(steps=budget.steps, seconds=budget.seconds, spent=min(before, 0.5 * (budget.seconds or 0)))
     resume = path.is_file()
-    if resume and check_checkpoint(path, module) >= 1:
-        state = read_torch(path, "checkpoint")
+    if resume and (state := checked_checkpoint(path, module))["done"] >= 1:
         module.load_state_dict(state["state_dict"])
         clock.load_state_dict(state["callbacks"][clock.state_key])
         return clock
     saver = Checkpoints(path, seconds=settings.checkpoint_every, steps=settings.checkpoint_steps, on_save=on_save)
-    callbacks: list[L.Callback] = [
-        clock,
-        Progress(name, clock),
-        MetricsFile(folder / "metrics.csv", name, settings.log_every),
-        saver,
-    ]
+    metrics = MetricsFile(folder / "metrics.csv", name, settings.log_every)
+    callbacks: list[L.Callback] = [clock, Progress(name, clock), metrics, saver]
     if settings.threads is None and budget.steps is None:
         callbacks.append(Threads())
     with clock, _quiet():
@@ -172,8 +160,6 @@ def _trainer(settings: TrainerSettings, callbacks: list[L.Callback], folder: Pat
 def _logger(name: str | None, folder: Path):
     if name in (None, "none", "csv"):
         return False
-    from lightning.pytorch import loggers
-
     kinds = {"tensorboard": "TensorBoardLogger", "wandb": "WandbLogger"}
     if name not in kinds:
         raise UserError(
@@ -185,20 +171,18 @@ def _logger(name: str | None, folder: Path):
         raise UserError(f"trainer.logger={name}: {str(error).splitlines()[0]}") from error
 
 
-class _quiet:
+@contextmanager
+def _quiet() -> Iterator[None]:
     """Silence messages of Lightning that repeat or contradict ours."""
-
-    def __enter__(self) -> None:
-        names = [n for n in logging.root.manager.loggerDict if n.split(".")[0] in ("lightning", "lightning_fabric")]
-        self._levels = {name: logging.getLogger(name).level for name in names}
-        for name in self._levels:
-            logging.getLogger(name).setLevel(logging.ERROR)
-        self._caught = warnings.catch_warnings()
-        self._caught.__enter__()
-        warnings.filterwarnings("ignore", module="lightning")
-        warnings.filterwarnings("ignore", message=".*(num_workers|log_every_n_steps|litlogger|tensorboardX).*")
-
-    def __exit__(self, *error: object) -> None:
-        self._caught.__exit__(*error)  # type: ignore[arg-type]
-        for name, level in self._levels.items():
-            logging.getLogger(name).setLevel(level)
+    names = [n for n in logging.root.manager.loggerDict if n.split(".")[0] in ("lightning", "lightning_fabric")]
+    levels = {logging.getLogger(name): logging.getLogger(name).level for name in names}
+    for logger in levels:
+        logger.setLevel(logging.ERROR)
+    try:
+        with warnings.catch_warnings():
+            warnings.filterwarnings("ignore", module="lightning")
+            warnings.filterwarnings("ignore", message=".*(num_workers|log_every_n_steps|litlogger|tensorboardX).*")
+            yield
+    finally:
+        for logger, level in levels.items():
+            logger.setLevel(level)

@@ -1,4 +1,4 @@
-"""The second stage: a new lifter learns from pseudo labels, augmented and seen from everywhere."""
+"""The second stage: a new lifter learns from pseudo labels, augmented and seen from all sides."""
 
 from __future__ import annotations
 
@@ -22,8 +22,8 @@ _SPREAD_WEIGHT = 0.05
 class StudentTraining(LifterTraining[Lifter, PseudoPoses]):
     """Lift random augmented views of the teacher's poses back to those poses.
 
-    The teacher saw each pose from one side, with its own limbs; the student sees it from everywhere, with limbs
-    of others, and generalises better. Nothing but the teacher's view of 2D keypoints enters.
+    The teacher saw each pose from one side only; the student sees it from all sides, with limbs of other poses,
+    and generalises better. It learns from nothing but what the teacher made of 2D keypoints.
     """
 
     settings: StudentSettings
@@ -50,14 +50,14 @@ class StudentTraining(LifterTraining[Lifter, PseudoPoses]):
         )
 
     def objective(self) -> tuple[Tensor, Logged]:
-        """Return the error of the depths, and of the keypoints, spread and tilt where the lifter gives them."""
+        """Return the error of the depths, and of the keypoints, spread and tilt where the lifter predicts them."""
         views, lifter = self._batch(), self.lifter
         lifted = lifter(views.input, views.confidence, views.distance)
         known = views.weight.sum().clamp_min(1)
         loss = depth_error(lifted, views)
         logged: Logged = {"depth": loss.detach()}
         if lifter.denoise or (lifter.fill and self.settings.occlude):
-            # Joints that the lifter leaves where they are seen do not count, unless the root is missing.
+            # Visible joints that the lifter leaves in place do not count, unless the root is missing.
             hidden = views.confidence == 0
             moved = hidden | hidden[:, self.data.skeleton.root_index, None]
             weight = views.weight if lifter.denoise else views.weight * moved
