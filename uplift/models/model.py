@@ -93,11 +93,7 @@ class _Saved:
 
     @classmethod
     def from_weights(cls: type[SavedT], weights: Weights) -> SavedT:
-        """Return the model that `save` wrote; nothing in its file can run.
-
-        Raises:
-            UserError: not such a file, damaged, or inconsistent.
-        """
+        """Return the model that `save` wrote, without running code; raises UserError for other or damaged files."""
         path, state = weights.path, weights.state
         version = state.get("uplift_format")
         if version not in cls.formats or weights.lifts != cls.lifts:

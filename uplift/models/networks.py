@@ -76,10 +76,7 @@ _LARGEST = 2.0
 
 
 class CouplingFlow(nn.Module):
-    """Affine coupling blocks, a fixed rotation after each (Dinh et al. 2017; Kingma and Dhariwal 2018).
-
-    ``forward`` returns the latent vector and the log-determinant of its Jacobian; ``inverse`` goes back.
-    """
+    """Affine coupling blocks, a fixed rotation after each (Dinh et al. 2017; Kingma and Dhariwal 2018)."""
 
     rotations: Tensor
 

@@ -1,4 +1,4 @@
-"""Refine the lifted poses of a clip together: one body that moves smoothly and projects to what was seen."""
+"""Refine the lifted poses of a clip jointly: one body that moves smoothly and projects to the keypoints."""
 
 from __future__ import annotations
 
@@ -56,18 +56,17 @@ def refine_clips(
 ) -> Float[Tensor, "frames joints 3"]:
     """Return root-relative poses, near the lifted ones, of which each clip has one body and moves smoothly.
 
-    Solved by gradient descent on robust (Huber) terms for each joint's depth (and its place in the image where
+    Solved by gradient descent on robust (Huber) terms for each joint's depth (and its position in the image where
     its confidence is below 1), a size for each frame and bone lengths for each clip: bones are constant over a
-    clip, joints accelerate little in the real camera's frame, and everything stays near what was lifted. In the
+    clip, joints accelerate little in the real camera's frame, and everything stays near the lifted pose. In the
     spirit of factorisation methods (Bregler et al. 2000; Akhter et al. 2011), with a lifter's depths in place
     of a basis. Frames outside clips of two or more are returned unchanged.
 
     Args:
         data: the frames, for confidence, clips and cameras.
-        keypoints: its keypoints, with missing joints as the lifter filled them in, mean 2D radius 1.
+        keypoints: those of ``data``, with missing joints filled in by the lifter, mean 2D radius 1.
         depth: as lifted, in the same unit.
-        camera: that the lifter projects with.
-        settings: weights and number of iterations.
+        camera, settings: the lifter's projection; weights and number of iterations.
     """
     refined = camera.unproject(keypoints, depth, data.distance)
     if settings.iterations == 0 or not has_clips(data):

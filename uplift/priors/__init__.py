@@ -72,10 +72,10 @@ def build_priors(
 
 
 def _build(use: str, options: Mapping[str, Any], where: str, skeleton: Skeleton | None) -> Prior:
-    wanted = "shapes" if skeleton is None else "poses"
+    wanted, source = ("shapes", "masks") if skeleton is None else ("poses", "keypoints")
     judges = getattr(find_class(use, PRIORS, where), "judges", wanted)
     if judges != wanted:
-        raise UserError(f"{where}: '{use}' judges {judges}, and this task lifts {_SOURCES[wanted]} to {wanted}.")
+        raise UserError(f"{where}: '{use}' judges {judges}, and this task lifts {source} to {wanted}.")
     if skeleton is None:
         prior = build(use, PRIORS, options, where, ShapePrior)
     else:
@@ -84,6 +84,3 @@ def _build(use: str, options: Mapping[str, Any], where: str, skeleton: Skeleton 
         call = "super().__init__()" if skeleton is None else "super().__init__(skeleton)"
         raise UserError(f"{where}: {type(prior).__name__}.__init__ must call {call} first.")
     return prior
-
-
-_SOURCES = {"poses": "keypoints", "shapes": "masks"}

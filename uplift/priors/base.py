@@ -143,6 +143,8 @@ class ShapeLift:
     """A batch of masks and the shapes that explain them; the fields of `differentiable` carry gradients to the shapes."""
 
     differentiable: ClassVar[tuple[str, ...]] = ("logits", "occupancy", "seen")
+    loss_shapes: ClassVar[tuple[tuple[int, ...], ...]] = ((),)
+    """The shapes that a loss may have: one number."""
 
     logits: Float[Tensor, "shapes depth height width"]
     """Logits of `occupancy` in the shape frame: indices run along z, y, x; y is down, the front is -z."""
@@ -158,11 +160,6 @@ class ShapeLift:
     """Rotations from the shape frame to the camera frame."""
     done: float
     """Share of the stage that is over, 0..1."""
-
-    @property
-    def loss_shapes(self) -> tuple[tuple[int, ...], ...]:
-        """The shapes that a loss may have: one number."""
-        return ((),)
 
 
 class Prior(nn.Module):

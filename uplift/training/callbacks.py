@@ -109,11 +109,7 @@ class Checkpoints(L.Callback):
 
 
 def checked_checkpoint(path: Path, module: LifterTraining) -> dict[str, Any]:
-    """Return the checkpoint of a stage, which fits ``module``.
-
-    Raises:
-        UserError: damaged, or of other settings or another skeleton.
-    """
+    """Return the checkpoint of a stage; raises UserError if it is damaged or does not fit ``module``."""
     state = read_torch(path, "checkpoint")
     found, expected = state.get("state_dict"), module.state_dict()
     if not isinstance(found, dict) or "done" not in state:
@@ -176,8 +172,7 @@ class MetricsFile(L.Callback):
         """Remove what a killed process wrote after its last checkpoint."""
         if not trainer.is_global_zero:
             return
-        rows = read_metrics(self.path)
-        kept = [r for r in rows if r[0] != self.stage or int(r[1]) <= trainer.global_step]
+        kept = [r for r in read_metrics(self.path) if r[0] != self.stage or int(r[1]) <= trainer.global_step]
         with open(self.path, "w", newline="") as file:
             csv.writer(file).writerows([["stage", "step", "name", "value"], *kept])
 

@@ -58,11 +58,7 @@ class Objective:
         return total, losses
 
     def loss(self, name: str, lift: Lift | ShapeLift, step: int) -> Tensor:
-        """Return one prior's loss as one number.
-
-        Raises:
-            UserError: it fails, has a wrong shape, is not finite, or depends on nothing trainable.
-        """
+        """Return one prior's loss as one number; raises UserError if it fails or does not pass the checks."""
         with _blame(name, self.priors[name], "loss"):
             value = self.priors[name].loss(lift)
         if not isinstance(value, Tensor) or value.shape not in lift.loss_shapes:
@@ -96,10 +92,8 @@ class Objective:
     def train_adversaries(self, real: Tensor, seen: Tensor) -> tuple[Tensor, Logged]:
         """Return the sum of the losses that adversarial priors are trained on, and each of them by name.
 
-        ``seen`` are detached views of what was lifted, ``real`` the same of the data.
-
-        Raises:
-            UserError: one fails, or is not one number that depends on the prior's parameters.
+        ``seen`` are detached views of what was lifted, ``real`` the same of the data. Raises UserError for a loss
+        that fails, or is not one number that depends on the prior's parameters.
         """
         total, losses = real.new_zeros(()), Logged()
         for name in self.adversarial:

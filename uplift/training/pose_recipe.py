@@ -38,7 +38,7 @@ class PoseRecipe(Recipe):
             priors = {name: spec for name, spec in priors.items() if name != "labelled"}
         super().__init__(settings, priors, skeleton)
         self.share_budget(self._shares(), len(self.data))
-        self.notes += self._notes()
+        self._add_notes()
         if not self.priors:
             raise UserError(
                 "No prior is on: nothing would train the lifter. Set priors.NAME.use and priors.NAME.weight."
@@ -61,14 +61,13 @@ class PoseRecipe(Recipe):
         students = {f"student_{number}": share for number, share in enumerate(shares, 1)}
         return {"teacher": settings.teacher.share * (1 - labelled), **students}
 
-    def _notes(self) -> list[str]:
-        notes, skeleton = [], self.skeleton
+    def _add_notes(self) -> None:
+        skeleton = self.skeleton
         if self.supervised:
-            notes.append("every frame is labelled: there is no teacher, and the priors have no effect")
+            self.notes.append("every frame is labelled: there is no teacher, and the priors have no effect")
         if not skeleton.has_mirror_image:
             why = f"its root '{skeleton.root}' is one of a pair" if skeleton.mirror else "it has no `mirror:` pairs"
-            notes.append(f"no mirroring of skeleton '{skeleton.name}': {why}")
-        return notes
+            self.notes.append(f"no mirroring of skeleton '{skeleton.name}': {why}")
 
     def train(self, run: RunFolder) -> Model:
         """Return the model after the last stage."""
