@@ -2,22 +2,21 @@
 
 from __future__ import annotations
 
-import csv
 import io
 import pickle
 import re
 import struct
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import product
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from uplift.config.files import replacing
 from uplift.data.formats.base import Format, Peek, ReadOptions
-from uplift.data.formats.csv import as_text
-from uplift.data.formats.rows import frame_numbers, rows_of
+from uplift.data.formats.csv import write_table
+from uplift.data.formats.rows import by_appearance, frame_numbers, rows_of
 from uplift.data.parsers.files import bytes_of, check_memory, reason_of
 from uplift.data.parsers.hdf5 import h5py_missing
 from uplift.data.parsers.pickles import Source, Unpickler
@@ -123,11 +122,6 @@ def _per_bodypart(layout: _Layout, numbers: np.ndarray) -> np.ndarray:
 # Read the csv files of DeepLabCut and Lightning Pose: three or four header rows, then a row per frame or image.
 
 
-def _looks_like_deeplabcut_csv(peek: Peek) -> bool:
-    """Return whether the first lines are DeepLabCut's header."""
-    return _csv_levels(peek) is not None
-
-
 def _read_deeplabcut_csv(peek: Peek) -> PoseData:
     """Read predictions (frames of a video) or labels (images) of one or several individuals.
 
@@ -148,7 +142,7 @@ def _read_deeplabcut_csv(peek: Peek) -> PoseData:
     if not any(below[indices:]):  # the name of the index, or an image without labels: no keypoints either way
         rows += 1
         below = header_of(path, rows + 1)[0][-1]
-    by_image = indices > 1 or not _is_number(below[0])
+    by_image = indices > 1 or not below[0].replace(".", "", 1).isdecimal()
     table = Table.read(
         path,
         rows,
@@ -172,10 +166,6 @@ def _csv_levels(peek: Peek) -> tuple[str, ...] | None:
         if tuple(re.split("[,;\t]", line, maxsplit=1)[0].strip(' "') for line in lines) == levels:
             return levels
     return None
-
-
-def _is_number(text: str) -> bool:
-    return text.replace(".", "", 1).isdecimal()
 
 
 def _images(table: Table, columns: int) -> np.ndarray:
@@ -370,7 +360,7 @@ def _as_text(value: Any) -> str:
 
 
 def _fits(peek: Peek) -> bool:
-    return _looks_like_deeplabcut_h5(peek) if peek.is_hdf5 else _looks_like_deeplabcut_csv(peek)
+    return _looks_like_deeplabcut_h5(peek) if peek.is_hdf5 else _csv_levels(peek) is not None
 
 
 def _read(peek: Peek, options: ReadOptions) -> PoseData:
@@ -381,8 +371,6 @@ FORMAT = Format("deeplabcut", "DeepLabCut or Lightning Pose (csv, h5)", _fits, _
 
 
 # Write the 2D of a `PoseData` in DeepLabCut's csv layout: one video, or labelled images.
-
-_SCORER = "uplift"
 
 
 def write_deeplabcut_csv(data: PoseData, path: str | Path) -> None:
@@ -395,56 +383,37 @@ def write_deeplabcut_csv(data: PoseData, path: str | Path) -> None:
         UserError: more than one video, or one individual twice in a frame.
     """
     index, order = _csv_index(data, path)
-    who, bodies = _bodies(data)
-    joints = len(data.joint_names)
+    who, bodies = np.zeros(len(data), np.int64), [""]
+    if "instance" in data.identity:
+        who, first = by_appearance([data.identity["instance"]], len(data))
+        bodies = data.identity["instance"][first].astype(np.str_).tolist()
     place = index * len(bodies) + who
-    if len(place) and np.bincount(place).max() > 1:
-        row = int(np.flatnonzero(np.bincount(place)[place] > 1)[0])
+    again = np.bincount(place, minlength=1)[place] > 1
+    if again.any():
+        row = int(np.argmax(again))
         raise UserError(f"cannot write {path}: '{bodies[who[row]]}' is in '{order[index[row]]}' twice.")
-    cells = np.full((len(order) * len(bodies), joints, 3), np.nan, np.float32)
-    cells[place, :, :2] = data.keypoints
-    cells[place, :, 2] = data.confidence
-    text = as_text(cells.reshape(len(order), -1))
-    columns = [
-        (body, joint, what) for body in bodies for joint in data.joint_names for what in ("x", "y", "likelihood")
-    ]
-    head = zip(*columns, strict=True)
-    with replacing(path) as handle:
-        stream = io.TextIOWrapper(handle, encoding="utf-8", newline="")
-        lines = csv.writer(stream, lineterminator="\n")
-        lines.writerow(["scorer", *[_SCORER] * len(columns)])
-        for name, row in zip(("individuals", "bodyparts", "coords"), head, strict=True):
-            if name != "individuals" or "instance" in data.identity:
-                lines.writerow([name, *row])
-        lines.writerows([first, *row] for first, row in zip(order, text.tolist(), strict=True))
-        stream.flush()
-        stream.detach()
+    numbers = np.full((len(order) * len(bodies), len(data.joint_names), 3), np.nan, np.float32)
+    numbers[place, :, :2], numbers[place, :, 2] = data.keypoints, data.confidence
+    columns = list(product(["uplift"], bodies, data.joint_names, _LOCATION))
+    header = [[level, *cells] for level, cells in zip(_LEVELS[1], zip(*columns, strict=True), strict=True)]
+    if "instance" not in data.identity:
+        del header[1]
+    write_table(path, header, [order], numbers.reshape(len(order), -1))
 
 
 def _csv_index(data: PoseData, path: str | Path) -> tuple[np.ndarray, list]:
     """Return (rows,) places in the index, and the index: images as they come, frames going up."""
-    identity = data.identity
-    keys = [key for key in ("subject", "sequence", "camera") if key in identity and "image" not in identity]
-    clips = {tuple(values) for values in zip(*(identity[key].tolist() for key in keys), strict=True)} if keys else set()
-    if len(clips) > 1:
-        shown = ", ".join(" ".join(map(str, clip)) for clip in sorted(clips, key=str)[:3])
+    identity, rows = data.identity, len(data)
+    if "image" in identity:
+        index, first = by_appearance([identity["image"]], rows)
+        return index, identity["image"][first].tolist()
+    clips = [identity[key] for key in ("subject", "sequence", "camera") if key in identity]
+    _, first = by_appearance(clips, rows)
+    if len(first) > 1:
+        shown = ", ".join(sorted(" ".join(str(values[row]) for values in clips) for row in first)[:3])
         raise UserError(
-            f"cannot write {path}: {len(clips)} videos ({shown}, ...), and DeepLabCut's csv holds one. "
+            f"cannot write {path}: {len(first)} videos ({shown}, ...), and DeepLabCut's csv holds one. "
             "Write one file each, or a plain csv."
         )
-    if "image" in identity:
-        names = list(dict.fromkeys(identity["image"].tolist()))
-        place = {name: at for at, name in enumerate(names)}
-        return np.array([place[name] for name in identity["image"].tolist()], np.int64), names
-    frame = identity.get("frame", np.arange(len(data)))
-    frames, index = np.unique(frame, return_inverse=True)
+    frames, index = np.unique(identity.get("frame", np.arange(rows)), return_inverse=True)
     return index, frames.tolist()
-
-
-def _bodies(data: PoseData) -> tuple[np.ndarray, list[str]]:
-    """Return (rows,) places among the individuals, and their names by first appearance."""
-    if "instance" not in data.identity:
-        return np.zeros(len(data), np.int64), [""]
-    names = data.identity["instance"].astype(np.str_).tolist()
-    known = {name: at for at, name in enumerate(dict.fromkeys(names))}
-    return np.array([known[name] for name in names], np.int64), list(known)

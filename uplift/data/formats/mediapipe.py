@@ -12,7 +12,7 @@ from typing import Any, TypeGuard
 import numpy as np
 
 from uplift.data.formats.base import Format, Peek, ReadOptions
-from uplift.data.formats.csv import Columns, Identity, bodies_of, check, columns_in, is_nameless, read_columns
+from uplift.data.formats.csv import Columns, Identity, bodies_of, columns_in, is_nameless, read_columns
 from uplift.data.formats.layouts import HAND21, Layouts, names_for
 from uplift.data.formats.rows import SHARES_NOTE, confidence_of, frame_numbers
 from uplift.data.parsers.json import JsonText, items
@@ -257,7 +257,6 @@ def _read_mediapipe_csv(peek: Peek, options: ReadOptions) -> PoseData:
             f"{path} has no columns of landmarks; expected frame, landmark, x, y, z, or x1, y1, z1, v1, x2, ... "
             "of MediaPipe."
         )
-    check(path, columns)
     columns, notes = _of_the_image(columns)
     if any(joint.z is not None for joint in columns.joints.values()):
         notes = (*notes, _NO_DEPTH)
