@@ -8,6 +8,7 @@ import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -370,23 +371,12 @@ def read_columns(path: Path, columns: Columns, named: _Named, rated: _Rated | No
     if is_nameless(list(columns.joints)):
         joints = sorted(columns.joints.items(), key=lambda one: int(re.sub(r"\D", "", one[0])))
         columns = replace(columns, joints=dict(joints))
-    joints = list(columns.joints.values())
-    scores_at = {at: joint.score for at, joint in enumerate(joints) if joint.score is not None}
-    numbers = [*(place for joint in joints for place in (joint.x, joint.y)), *scores_at.values()]
-    exact = [place for place in (columns.frame, columns.time, *columns.facts.values()) if place is not None]
-    words = [*columns.identity.values(), *([] if columns.name is None else [columns.name])]
-    table = Table.read(path, 1, numbers, exact, words)
-    found = _identity_of(table, columns)
-    names, values, first = list(columns.joints), table.numbers[:, None], np.arange(len(table))
+    names, joints = list(columns.joints), list(columns.joints.values())
+    table, keypoints, scores = _numbers_of(path, columns)
+    found, first = _identity_of(table, columns), np.arange(len(table))
     if columns.name is not None:
-        names, values, first = _gathered(table, columns.name, found)
-    keypoints = np.ascontiguousarray(values[..., : 2 * len(joints)]).reshape(len(first), len(names), 2)
-    scores = None
-    if scores_at:  # joints without a score have confidence 1 where they are there
-        scores = np.ones(keypoints.shape[:2], np.float32)
-        scores[:, list(scores_at) if columns.name is None else slice(None)] = values[..., 2 * len(joints) :].reshape(
-            len(first), -1
-        )
+        names, place, first = _placed(table, columns.name, found)
+        keypoints, scores = _filled(keypoints, place, names, first), _filled(scores, place, names, first)
     if scores is not None and all(joint.visibility for joint in joints):
         scores = seen_by_flag(scores, found.notes)
     if rated is not None:
@@ -398,30 +388,53 @@ def read_columns(path: Path, columns: Columns, named: _Named, rated: _Rated | No
     return bodies_of(path, found, keypoints, scores, names, notes, table.lines[first])
 
 
-def _gathered(table: Table, column: int, found: Identity) -> tuple[list[str], np.ndarray, np.ndarray]:
-    """Return the joints that a column names, (bodies, joints, numbers) of a table of one joint a row, and (bodies,) first rows.
+def _numbers_of(path: Path, columns: Columns) -> tuple[Table, np.ndarray, np.ndarray | None]:
+    """Return the table, (rows, joints, 2) keypoints and (rows, joints) scores; a long table has one joint a row."""
+    joints = list(columns.joints.values())
+    scored = {at: joint.score for at, joint in enumerate(joints) if joint.score is not None}
+    places = [place for joint in joints for place in (joint.x, joint.y)]
+    exact = [place for place in (columns.frame, columns.time, *columns.facts.values()) if place is not None]
+    words = [*columns.identity.values(), *([] if columns.name is None else [columns.name])]
+    table = Table.read(path, 1, [*places, *scored.values()], exact, words)
+    keypoints = np.ascontiguousarray(table.numbers[:, : len(places)]).reshape(len(table), -1, 2)
+    if not scored:
+        return table, keypoints, None
+    scores = np.ones(keypoints.shape[:2], np.float32)  # joints without a score have confidence 1 where they are there
+    scores[:, list(scored)] = table.numbers[:, len(places) :]
+    return table, keypoints, scores
+
+
+def _placed(table: Table, column: int, found: Identity) -> tuple[list[str], np.ndarray, np.ndarray]:
+    """Return the joints that a column names, (rows,) places among all joints of all bodies, and (bodies,) first rows.
 
     Raises:
         UserError: a joint without a name, or twice in one frame.
     """
     keys = [found.values[key] for key in found.values if key not in ("action", "category")]
     group, first = by_appearance(keys, len(table))
-    names, of = _joints(table, column)
-    place = group * len(names) + of
+    names, joint = _joints(table, column)
+    place = group * len(names) + joint
     code, one = by_appearance([place], len(table))
     again = np.setdiff1d(np.arange(len(table)), one)
     if len(again):
         two, frame = again[0], found.values.get("frame")
         where = "" if frame is None else f" of frame {frame[two]}"
         raise UserError(
-            f"{table.path}, line {table.lines[two]}: '{names[of[two]]}'{where} is there twice (first on line "
+            f"{table.path}, line {table.lines[two]}: '{names[joint[two]]}'{where} is there twice (first on line "
             f"{table.lines[one[code[two]]]}). Several bodies need a column 'individual' that tells them apart, "
             "frames one 'frame'."
         )
-    values = np.full((len(first) * len(names), table.numbers.shape[1]), np.nan, np.float32)
-    values[place] = table.numbers
     found.values = {key: value[first] for key, value in found.values.items()}
-    return names, values.reshape(len(first), len(names), -1), first
+    return names, place, first
+
+
+def _filled(values: np.ndarray | None, place: np.ndarray, names: list[str], first: np.ndarray) -> Any:
+    """Return (rows, 1, ...) values of one joint each as (bodies, joints, ...), NaN where a joint is not there."""
+    if values is None:
+        return None
+    found = np.full((len(first) * len(names), *values.shape[2:]), np.nan, np.float32)
+    found[place] = values[:, 0]
+    return found.reshape(len(first), len(names), *values.shape[2:])
 
 
 def _joints(table: Table, column: int) -> tuple[list[str], np.ndarray]:
@@ -432,10 +445,8 @@ def _joints(table: Table, column: int) -> tuple[list[str], np.ndarray]:
         line = table.lines[int(np.argmax(words.codes == names.index("")))]
         raise UserError(f"{table.path}, line {line}: no name of a joint.")
     if all(re.fullmatch(r"\d{1,9}", name) for name in names):
-        order = sorted(range(len(names)), key=lambda at: int(names[at]))
-        rank = np.empty(len(names), np.int64)
-        rank[order] = np.arange(len(names))
-        return [names[at] for at in order], rank[words.codes]
+        order = np.argsort([int(name) for name in names], kind="stable")
+        return [names[at] for at in order], np.argsort(order)[words.codes]
     return names, words.codes.astype(np.int64)
 
 

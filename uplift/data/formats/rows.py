@@ -275,9 +275,8 @@ def pose_data(
     found = list(notes)
     if "frame" in identity:
         identity, order = _clips(keypoints, confidence, identity, found)
-        if order is not None:
-            keypoints, confidence = keypoints[order], confidence[order]
-            identity = {key: value[order] for key, value in identity.items()}
+        keypoints, confidence = keypoints[order], confidence[order]
+        identity = {key: value[order] for key, value in identity.items()}
     return PoseData(
         keypoints=keypoints.astype(np.float32, copy=False),
         confidence=confidence,
@@ -300,14 +299,13 @@ def _honest(keypoints: np.ndarray, confidence: np.ndarray) -> tuple[np.ndarray, 
 
 def _clips(
     keypoints: np.ndarray, confidence: np.ndarray, identity: dict[str, np.ndarray], notes: list[str]
-) -> tuple[dict[str, np.ndarray], np.ndarray | None]:
+) -> tuple[dict[str, np.ndarray], np.ndarray]:
     """Return the identity with bodies told apart, and the order in which each one's frames stand together."""
-    frame = identity["frame"]
+    identity, frame = dict(identity), identity["frame"]
     _, video = codes_of(identity["sequence"])
     times, time = codes_of(frame)
     places, place = codes_of(video * len(times) + time)
-    several = len(places) < len(frame)
-    track = identity.get("instance", np.full(len(frame), ""))
+    track = identity.pop("instance", np.full(len(frame), ""))
     nameless = track == ""
     if not nameless.all():
         tracks, who = codes_of(track)
@@ -317,16 +315,14 @@ def _clips(
             nameless[:] = True
         elif nameless.any():
             notes.append(_SOME)
-            found = _linked(keypoints, confidence, video, frame, nameless)
-            track = np.where(nameless, np.char.add("untracked ", found), track)
-    elif several:
+    elif len(places) < len(frame):
         notes.append(_LINKED)
-    rest = {key: value for key, value in identity.items() if key != "instance"}
-    if nameless.all():
-        if not several:
-            return rest, _order(video, None, frame)
-        track = _linked(keypoints, confidence, video, frame, nameless)
-    return {**rest, "instance": track}, _order(video, track, frame)
+    else:
+        return identity, np.lexsort([frame, video])
+    if nameless.any():
+        found = _linked(keypoints, confidence, video, frame, nameless)
+        track = found if nameless.all() else np.where(nameless, np.char.add("untracked ", found), track)
+    return {**identity, "instance": track}, np.lexsort([frame, codes_of(track)[1], video])
 
 
 def _linked(
@@ -338,13 +334,6 @@ def _linked(
     for here in np.split(order, np.flatnonzero(np.diff(video[order])) + 1):
         found[here] = link_bodies(keypoints[here], confidence[here], frame[here]).astype(str)
     return found
-
-
-def _order(video: np.ndarray, track: np.ndarray | None, frame: np.ndarray) -> np.ndarray | None:
-    """Return the order by video, body and frame; None where the rows stand so already."""
-    keys = [frame] if track is None else [frame, codes_of(track)[1]]
-    order = np.lexsort([*keys, video])
-    return None if (np.diff(order) == 1).all() else order
 
 
 def seen_by_flag(third: Float[np.ndarray, "rows joints"], notes: list[str]) -> Float[np.ndarray, "rows joints"]:
@@ -505,29 +494,18 @@ def rows_of(
     rows = {key: values[frame] for key, values in identity.items()}
     if len(bodies):
         rows["instance"] = np.array(bodies, np.str_)[body]
-    order = _clips_together(rows)
-    if order is not None:
-        frame, body = frame[order], body[order]
-        rows = {key: values[order] for key, values in rows.items()}
-    complete = seen.shape[1] == 1 and len(frame) == seen.size and order is None
+    if "frame" in rows and "sequence" in rows:  # clips by first appearance, the rows of each by time
+        parts = [rows[key] for key in ("subject", "sequence", "camera", "instance") if key in rows]
+        order = np.lexsort((rows["frame"], by_appearance(parts, len(frame))[0]))
+        frame, body, rows = frame[order], body[order], {key: values[order] for key, values in rows.items()}
     return PoseData(
-        keypoints=keypoints[:, 0] if complete else keypoints[frame, body],
-        confidence=confidence[:, 0] if complete else confidence[frame, body],
+        keypoints=keypoints[frame, body],
+        confidence=confidence[frame, body],
         joint_names=tuple(names),
         identity=rows,
         source=str(path),
         **known,  # type: ignore[arg-type]
     )
-
-
-def _clips_together(rows: dict[str, np.ndarray]) -> np.ndarray | None:
-    """Return the order in which the rows of each clip, clips by first appearance, go up in time; None for as it is."""
-    if "frame" not in rows or "sequence" not in rows:
-        return None
-    count = len(rows["frame"])
-    parts = [rows[key] for key in ("subject", "sequence", "camera", "instance") if key in rows]
-    order = np.lexsort((rows["frame"], by_appearance(parts, count)[0]))
-    return None if (np.diff(order) == 1).all() else order
 
 
 def by_appearance(parts: Sequence[np.ndarray], rows: int) -> tuple[np.ndarray, np.ndarray]:
@@ -536,13 +514,9 @@ def by_appearance(parts: Sequence[np.ndarray], rows: int) -> tuple[np.ndarray, n
     for part in parts:
         _, one = codes_of(part)
         _, code = codes_of(code * (one.max(initial=0) + 1) + one)
-    starts = np.flatnonzero(np.diff(code, prepend=-1))  # equal rows mostly stand together
-    kinds, at = np.unique(code[starts], return_index=True)
-    first = starts[at]
-    order = np.argsort(first, kind="stable")
-    rank = np.empty(len(kinds), np.int64)
-    rank[order] = np.arange(len(kinds))
-    return rank[code], first[order]
+    _, first, code = np.unique(code, return_index=True, return_inverse=True)
+    order = np.argsort(first)
+    return np.argsort(order)[code], first[order]
 
 
 def _check_names(path: Path, names: Sequence[str], what: str) -> None:
