@@ -15,7 +15,7 @@ import numpy as np
 from uplift.config.files import replacing
 from uplift.data.formats.base import Format, Peek, ReadOptions
 from uplift.data.formats.layouts import names_for
-from uplift.data.formats.rows import by_appearance, confidence_of, frame_numbers, link_bodies, rows_of, seen_by_flag
+from uplift.data.formats.rows import by_appearance, confidence_of, frame_numbers, named_tracks, rows_of, seen_by_flag
 from uplift.data.parsers.table import Table, header_of
 from uplift.data.poses import IDENTITY_KEYS, PoseData
 from uplift.errors import UserError
@@ -270,14 +270,16 @@ def _identify(
         joined = np.char.add(np.char.add(values["sequence"], " "), values["action"])
         if _again({**values, "sequence": joined}, rows) is None:
             values["sequence"] = joined
-    nameless = values.get("instance", np.full(rows, "")) == ""
     again = _again(values, rows)
     if again is None:
         return
-    if "instance" in values and not nameless[again]:
+    if "instance" in values and values["instance"][again] != "":
         where = f"{path}, line {lines[again]}" if lines is not None else f"{path}"
         raise UserError(f"{where}: '{values['instance'][again]}' is in frame {values['frame'][again]} twice.")
-    _link(found, keypoints, confidence, nameless)
+    video = by_appearance([values[key] for key in _CLIP[:3] if key in values], rows)[0]
+    track = values.get("instance", np.full(rows, ""))
+    values["instance"] = named_tracks(keypoints, confidence, video, values["frame"], track)
+    found.notes.append("frames show several bodies without names: told apart by where they are from frame to frame")
 
 
 def _again(values: dict[str, np.ndarray], rows: int) -> int | None:
@@ -286,23 +288,6 @@ def _again(values: dict[str, np.ndarray], rows: int) -> int | None:
     again = np.setdiff1d(np.arange(rows), first)
     named = again[values["instance"][again] != ""] if "instance" in values else again[:0]
     return next(iter((named if len(named) else again).tolist()), None)
-
-
-def _link(found: Identity, keypoints: np.ndarray, confidence: np.ndarray, nameless: np.ndarray) -> None:
-    """Name the bodies that have no name by where they are from frame to frame."""
-    values = found.values
-    some = np.flatnonzero(nameless)
-    clip = by_appearance([values[key][some] for key in _CLIP[:3] if key in values], len(some))[0]
-    order = np.argsort(clip, kind="stable")
-    body = np.zeros(len(nameless), np.int64)
-    for part in np.split(order, np.flatnonzero(np.diff(clip[order])) + 1):
-        rows = some[part]
-        body[rows] = link_bodies(keypoints[rows], confidence[rows], values["frame"][rows])
-    named = body.astype(np.str_)
-    if not nameless.all():
-        named = np.where(nameless, np.char.add("untracked ", named), values["instance"])
-    values["instance"] = named
-    found.notes.append("frames show several bodies without names: told apart by where they are from frame to frame")
 
 
 def _add_time(found: Identity, time: np.ndarray, head: str) -> None:

@@ -27,6 +27,7 @@ __all__ = [
     "frame_numbers",
     "link_bodies",
     "name_of",
+    "named_tracks",
     "pairs_of",
     "pose_data",
     "rows_of",
@@ -176,11 +177,9 @@ class _Bodies:
         """Return which of ``before`` each of ``rows`` is, by their places; those that are new are absent."""
         from scipy.optimize import linear_sum_assignment
 
-        cost = (
-            np.stack([self.apart(rows, np.full(len(rows), one)) for one in before], 1)
-            if len(before)
-            else np.empty((0, 0))
-        )
+        cost = np.empty((len(rows), len(before)))
+        for place, one in enumerate(before):
+            cost[:, place] = self.apart(rows, np.full(len(rows), one))
         pairs = zip(*(places.tolist() for places in linear_sum_assignment(cost)), strict=True)
         return {row: one for row, one in pairs if cost[row, one] <= _FAR}
 
@@ -312,28 +311,31 @@ def _clips(
         taken = (place * len(tracks) + who)[~nameless]
         if len(np.unique(taken)) < len(taken):
             notes.append(_TWICE)
-            nameless[:] = True
+            track = np.full(len(frame), "")
         elif nameless.any():
             notes.append(_SOME)
     elif len(places) < len(frame):
         notes.append(_LINKED)
     else:
         return identity, np.lexsort([frame, video])
-    if nameless.any():
-        found = _linked(keypoints, confidence, video, frame, nameless)
-        track = found if nameless.all() else np.where(nameless, np.char.add("untracked ", found), track)
+    track = named_tracks(keypoints, confidence, video, frame, track)
     return {**identity, "instance": track}, np.lexsort([frame, codes_of(track)[1], video])
 
 
-def _linked(
-    keypoints: np.ndarray, confidence: np.ndarray, video: np.ndarray, frame: np.ndarray, rows: np.ndarray
+def named_tracks(
+    keypoints: Float[np.ndarray, "rows joints 2"],
+    confidence: Float[np.ndarray, "rows joints"],
+    video: np.ndarray,
+    frame: np.ndarray,
+    track: np.ndarray,
 ) -> np.ndarray:
-    """Return (rows,) numbers of bodies as text for those that ``rows`` picks, nothing for others."""
+    """Return (rows,) names of tracks: bodies without one are linked by place, as "untracked 0" where others have one."""
+    nameless = track == ""
     found = np.full(len(frame), "", dtype="U20")
-    order = np.flatnonzero(rows)[np.argsort(video[rows], kind="stable")]
+    order = np.flatnonzero(nameless)[np.argsort(video[nameless], kind="stable")]
     for here in np.split(order, np.flatnonzero(np.diff(video[order])) + 1):
         found[here] = link_bodies(keypoints[here], confidence[here], frame[here]).astype(str)
-    return found
+    return found if nameless.all() else np.where(nameless, np.char.add("untracked ", found), track)
 
 
 def seen_by_flag(third: Float[np.ndarray, "rows joints"], notes: list[str]) -> Float[np.ndarray, "rows joints"]:
@@ -415,7 +417,7 @@ class Bodies:
 
         Several images that are numbered as a video's frames are one.
         """
-        known = {"category": texts(self.path, self.category)} if len(set(self.category)) > 1 else {}
+        known = self._categories()
         tracks = {"instance": texts(self.path, self.track)} if any(self.track) else {}
         if all(number is not None for number in self.frame):
             return {"sequence": texts(self.path, self.name), "frame": np.array(self.frame, np.int64), **tracks, **known}
@@ -430,8 +432,10 @@ class Bodies:
 
     def images(self, names: Sequence[str]) -> dict[str, np.ndarray]:
         """Return image and number of bodies whose images have these ``names``."""
-        known = {"category": texts(self.path, self.category)} if len(set(self.category)) > 1 else {}
-        return {"image": texts(self.path, names), "instance": np.arange(len(self)).astype(str), **known}
+        return {"image": texts(self.path, names), "instance": np.arange(len(self)).astype(str), **self._categories()}
+
+    def _categories(self) -> dict[str, np.ndarray]:
+        return {"category": texts(self.path, self.category)} if len(set(self.category)) > 1 else {}
 
 
 def track_of(value: Any, where: str, key: str, *, listed: bool = False) -> str:
