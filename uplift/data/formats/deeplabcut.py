@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from uplift.data.formats.base import Format, Peek, ReadOptions
+from uplift.data.formats.base import Format, Peek
 from uplift.data.formats.csv import write_table
 from uplift.data.formats.rows import by_appearance, frame_numbers, rows_of
 from uplift.data.parsers.files import bytes_of, check_memory, reason_of
@@ -67,14 +67,12 @@ def _layout_of(path: Path, columns: Sequence[tuple[str, ...]]) -> _Layout:
     bodyparts = tuple(dict.fromkeys(column[2] for column in known))
     if not all(bodyparts):
         raise UserError(f"{path}: a column without the name of a body part.")
-    who = {name: place for place, name in enumerate(individuals)}
-    what = {name: place for place, name in enumerate(bodyparts)}
-    places = np.full((len(who), len(what), 3), -1)
-    for place, column in enumerate(columns):
-        if column[3] in _LOCATION:
-            at = who[column[1]], what[column[2]], _LOCATION[column[3]]
+    places = np.full((len(individuals), len(bodyparts), 3), -1)
+    for place, (_, individual, bodypart, coord) in enumerate(columns):
+        if coord in _LOCATION:
+            at = individuals.index(individual), bodyparts.index(bodypart), _LOCATION[coord]
             if places[at] >= 0:
-                raise UserError(f"{path}: '{column[2]}' has '{column[3]}' twice; body parts must differ.")
+                raise UserError(f"{path}: '{bodypart}' has '{coord}' twice; body parts must differ.")
             places[at] = place
     half = (places[..., :2] >= 0).sum(-1) == 1
     if half.any():
@@ -93,7 +91,8 @@ def _pose_data(
     Raises:
         UserError: no frame numbers, one twice, or numbers that are not keypoints.
     """
-    values = _per_bodypart(layout, numbers)
+    values = numbers[:, layout.places]
+    values[:, layout.places < 0] = np.nan
     scores = values[..., 2] if (layout.places[..., 2] >= 0).any() else None
     if scores is not None and np.isnan(scores).all():  # a column that labels by hand have and do not fill
         scores = None
@@ -107,16 +106,6 @@ def _pose_data(
     return rows_of(
         path, np.ascontiguousarray(values[..., :2]), scores, layout.bodyparts, identity, bodies, notes=layout.notes
     )
-
-
-def _per_bodypart(layout: _Layout, numbers: np.ndarray) -> np.ndarray:
-    """Return (rows individuals bodyparts 3); NaN where there is not a column."""
-    if np.array_equal(layout.places.ravel(), np.arange(numbers.shape[1])):
-        return numbers.reshape(-1, *layout.places.shape)
-    if (layout.places >= 0).all():
-        return numbers[:, layout.places]
-    padded = np.concatenate([numbers, np.full((len(numbers), 1), np.nan, numbers.dtype)], 1)
-    return padded[:, layout.places]
 
 
 # Read the csv files of DeepLabCut and Lightning Pose: three or four header rows, then a row per frame or image.
@@ -188,17 +177,6 @@ _DAMAGE = (
     OSError, RuntimeError, ValueError, LookupError, TypeError, AttributeError, MemoryError, OverflowError,
     NotImplementedError, EOFError, ArithmeticError, ImportError, pickle.UnpicklingError, struct.error,
 )  # fmt: skip
-
-
-def _looks_like_deeplabcut_h5(peek: Peek) -> bool:
-    """Return whether an HDF5 file has a table that pandas wrote."""
-    try:
-        import h5py
-
-        with h5py.File(peek.path, "r") as file:
-            return bool(_tables(file))
-    except (*_DAMAGE, RecursionError):
-        return False
 
 
 def _read_deeplabcut_h5(path: Path) -> PoseData:
@@ -356,18 +334,27 @@ def _as_text(value: Any) -> str:
     return value.decode(errors="replace") if isinstance(value, bytes) else str(value)
 
 
-# DeepLabCut and Lightning Pose: tables in csv or HDF5, of one or several individuals.
+# Which of the two a file is.
 
 
 def _fits(peek: Peek) -> bool:
-    return _looks_like_deeplabcut_h5(peek) if peek.is_hdf5 else _csv_levels(peek) is not None
+    if not peek.is_hdf5:
+        return _csv_levels(peek) is not None
+    try:
+        import h5py
+
+        with h5py.File(peek.path, "r") as file:
+            return bool(_tables(file))
+    except (*_DAMAGE, RecursionError):
+        return False
 
 
-def _read(peek: Peek, options: ReadOptions) -> PoseData:
-    return _read_deeplabcut_h5(peek.path) if peek.is_hdf5 else _read_deeplabcut_csv(peek)
-
-
-FORMAT = Format("deeplabcut", "DeepLabCut or Lightning Pose (csv, h5)", _fits, _read)
+FORMAT = Format(
+    "deeplabcut",
+    "DeepLabCut or Lightning Pose (csv, h5)",
+    _fits,
+    lambda peek, _: _read_deeplabcut_h5(peek.path) if peek.is_hdf5 else _read_deeplabcut_csv(peek),
+)
 
 
 # Write the 2D of a `PoseData` in DeepLabCut's csv layout: one video, or labelled images.

@@ -331,6 +331,8 @@ def named_tracks(
 ) -> np.ndarray:
     """Return (rows,) names of tracks: bodies without one are linked by place, as "untracked 0" where others have one."""
     nameless = track == ""
+    if not nameless.any():
+        return track
     found = np.full(len(frame), "", dtype="U20")
     order = np.flatnonzero(nameless)[np.argsort(video[nameless], kind="stable")]
     for here in np.split(order, np.flatnonzero(np.diff(video[order])) + 1):
