@@ -233,7 +233,7 @@ def bodies_of(
     """Return (rows joints 2) keypoints of one body a row; ``lines`` of the file are for errors.
 
     Frames without numbers are counted, and where one frame has several bodies without names, they
-    are told apart by where they are.
+    are distinguished by where they are.
 
     Raises:
         UserError: one body twice in one frame; as `rows_of`.
@@ -435,7 +435,7 @@ def _joints(table: Table, column: int) -> tuple[list[str], np.ndarray]:
     return names, words.codes.astype(np.int64)
 
 
-# Plain csv files: a row per frame (NAME_x, NAME_y, NAME_confidence), or a row per joint (frame, joint, x, y).
+# Read the file as a format.
 
 
 def columns_in(peek: Peek) -> Columns | None:

@@ -102,7 +102,7 @@ def _window_of(
     return runs
 
 
-# COCO's JSON with segmentations: polygons and run lengths; data sets, and results of detectors.
+# Read the file: a data set, or the results of a detector.
 
 _UNKNOWN = (2**31, 2**31)
 """Size of an image that the file does not give: only its left and upper border are known."""
@@ -123,7 +123,7 @@ class _Record:
     image: str | None
     category: str | None
     outline: _Outline | str
-    """Or why there is none."""
+    """Or why it cannot be used."""
 
 
 @dataclass

@@ -1,4 +1,4 @@
-"""Rows of keypoints as formats find them become `PoseData`: honest confidence, who is who, clips that stand together."""
+"""Rows of keypoints as formats find them become `PoseData`: confidence, tracks, and clips in order of time."""
 
 from __future__ import annotations
 
@@ -232,13 +232,13 @@ def _sizes(keypoints: np.ndarray, seen: np.ndarray) -> np.ndarray:
     return np.fmax(np.where(np.isfinite(side), side, 0), least)
 
 
-# Rows of keypoints as readers find them become `PoseData`: honest confidence, who is who, clips that stand together.
+# Rows of keypoints that name their image, or their video and frame, become `PoseData`.
 
 SHARES_NOTE = (
     "coordinates are shares of the image, whose size is not known: taken as square; say image_size=WIDTHxHEIGHT"
 )
 _LINKED = "bodies have no numbers: those of neighbouring frames are linked by place"
-_TWICE = "a track's number stands twice in one frame: bodies are linked by place instead"
+_TWICE = "a track number occurs twice in one frame: bodies are linked by place instead"
 _SOME = "some bodies have no track: they are linked by place, as untracked 0 and so on"
 _NUMBERED = re.compile(r"^(.*?)[ ._-]*?([0-9]{1,15})$", re.DOTALL)
 
@@ -299,7 +299,7 @@ def _honest(keypoints: np.ndarray, confidence: np.ndarray) -> tuple[np.ndarray, 
 def _clips(
     keypoints: np.ndarray, confidence: np.ndarray, identity: dict[str, np.ndarray], notes: list[str]
 ) -> tuple[dict[str, np.ndarray], np.ndarray]:
-    """Return the identity with bodies told apart, and the order in which each one's frames stand together."""
+    """Return the identity with a track for each body, and the order that puts the frames of each body together."""
     identity, frame = dict(identity), identity["frame"]
     _, video = codes_of(identity["sequence"])
     times, time = codes_of(frame)

@@ -65,36 +65,18 @@ class Table:
         """
         check_memory(path, "it", path.stat().st_size)
         header, separator = header_of(path, rows)
-        given = path, header, separator, numbers, exact, words
-        try:
-            with path.open(encoding="utf-8-sig") as file:
-                return cls._read(file, *given)
-        except UnicodeDecodeError:
-            with path.open(encoding="cp1252", errors="replace") as file:
-                return cls._read(file, *given)
-
-    @classmethod
-    def _read(
-        cls,
-        file: TextIO,
-        path: Path,
-        header: list[list[str]],
-        separator: str,
-        numbers: Sequence[int],
-        exact: Sequence[int],
-        words: Sequence[int],
-    ) -> Table:
-        lines, skipped = _checked_lines(file, path, header, separator)
-        if not len(lines):
-            raise UserError(f"{path}: no row below the header.")
         kinds: dict[int, type] = dict.fromkeys(numbers, np.float32) | dict.fromkeys(exact, np.float64)
-        options = {
-            "sep": separator, "header": None, "skiprows": skipped, "usecols": sorted({*kinds, *words}),
-            "keep_default_na": False, "skipinitialspace": True,
-        }  # fmt: skip
-        frame = _parsed(file, kinds, options)
-        if frame is None:
-            frame = _parsed_one_by_one(file, path, header, lines, kinds, options)
+        with path.open(encoding="utf-8-sig", errors="surrogateescape") as file:  # other bytes: see `_words`
+            lines, skipped = _checked_lines(file, path, header, separator)
+            if not len(lines):
+                raise UserError(f"{path}: no row below the header.")
+            options = {
+                "sep": separator, "header": None, "skiprows": skipped, "usecols": sorted({*kinds, *words}),
+                "keep_default_na": False, "skipinitialspace": True, "encoding_errors": "surrogateescape",
+            }  # fmt: skip
+            frame = _parsed(file, kinds, options)
+            if frame is None:
+                frame = _parsed_one_by_one(file, path, header, lines, kinds, options)
         return cls(
             path,
             header,
@@ -133,7 +115,7 @@ def first_lines(path: Path, rows: int) -> list[str]:
         start, lines = b"", []
         while len(start) <= _LONGEST_HEADER and len(lines) <= rows and (block := file.read(_START)):
             start += block
-            lines = [line for line in _decoded(start).splitlines() if line.strip()]
+            lines = [line for line in _decoded(start, cut=True).splitlines() if line.strip()]
     if "\0" in "".join(lines[:rows]):
         raise UserError(f"{path} is not text, expected a table.")
     if len(lines) < rows:
@@ -141,12 +123,12 @@ def first_lines(path: Path, rows: int) -> list[str]:
     return lines[:rows]
 
 
-def _decoded(text: bytes) -> str:
-    """Return text in UTF-8, or else in Windows' western code."""
+def _decoded(text: bytes, *, cut: bool = False) -> str:
+    """Return text in UTF-8, or else in Windows' western code; ``cut``: it may end within a letter."""
     try:
         return text.decode("utf-8-sig")
     except UnicodeDecodeError as error:
-        if error.start >= len(text) - 4:  # a letter cut in two by the end of the start
+        if cut and error.start >= len(text) - 4:
             return text[: error.start].decode("utf-8-sig")
         return text.decode("cp1252", errors="replace")
 
@@ -252,5 +234,6 @@ def _words(column: Any) -> Words:
     import pandas as pd
 
     codes, texts = pd.factorize(column)
-    same, names = pd.factorize(np.array([text.strip() for text in texts], object))
+    texts = [_decoded(text.encode(errors="surrogateescape")).strip() for text in texts]
+    same, names = pd.factorize(np.array(texts, object))
     return Words(same[codes], names.tolist())
