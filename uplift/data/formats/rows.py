@@ -419,18 +419,17 @@ class Bodies:
 
         Several images that are numbered as a video's frames are one.
         """
-        known = self._categories()
         tracks = {"instance": texts(self.path, self.track)} if any(self.track) else {}
-        if all(number is not None for number in self.frame):
-            return {"sequence": texts(self.path, self.name), "frame": np.array(self.frame, np.int64), **tracks, **known}
+        tracks |= self._categories()
+        if None not in self.frame:
+            return {"sequence": texts(self.path, self.name), "frame": np.array(self.frame, np.int64), **tracks}
         names = list(dict.fromkeys(self.name))
         video = video_names(names, self.path.absolute().stem)
         if video is None or any(number is not None for number in self.frame):
             return self.images(self.name)
         place = {name: at for at, name in enumerate(names)}
         rows = np.array([place[name] for name in self.name])
-        sequence, frame = texts(self.path, video[0]), np.array(video[1], np.int64)
-        return {"sequence": sequence[rows], "frame": frame[rows], **tracks, **known}
+        return {"sequence": texts(self.path, video[0])[rows], "frame": np.array(video[1], np.int64)[rows], **tracks}
 
     def images(self, names: Sequence[str]) -> dict[str, np.ndarray]:
         """Return image and number of bodies whose images have these ``names``."""
@@ -538,22 +537,22 @@ def frame_numbers(
     path: Path, numbers: np.ndarray, lines: np.ndarray | None = None, *, once: bool = False
 ) -> np.ndarray:
     """Return frame numbers as int64; with ``once`` none may come twice. Raises UserError for other numbers."""
+
+    def place(row: int) -> str:
+        return f"row {row}" if lines is None else f"line {lines[row]}"
+
     valid = np.isfinite(numbers) & (numbers >= 0) & (numbers < _LAST_FRAME) & (np.floor(numbers) == numbers)
     if not valid.all():
         row = int(np.argmin(valid))
-        raise UserError(f"{_place(path, lines, row)}: {numbers[row]:g} is not a frame number, expected 0, 1, 2, ...")
+        raise UserError(f"{path}, {place(row)}: {numbers[row]:g} is not a frame number, expected 0, 1, 2, ...")
     frame = numbers.astype(np.int64)
     if once and len(frame) > 1 and not (np.diff(frame) > 0).all():
         order = np.argsort(frame, kind="stable")
         again = np.flatnonzero(np.diff(frame[order]) == 0)
         if len(again):
             row = int(order[again[0] + 1])
-            raise UserError(f"{_place(path, lines, row)}: frame {frame[row]} is there twice: two files in one?")
+            raise UserError(f"{path}, {place(row)}: frame {frame[row]} is there twice: two files in one?")
     return frame
-
-
-def _place(path: Path, lines: np.ndarray | None, row: int) -> str:
-    return f"{path}, row {row}" if lines is None else f"{path}, line {lines[row]}"
 
 
 def confidence_of(path: Path, keypoints: np.ndarray, scores: np.ndarray | None) -> np.ndarray:
