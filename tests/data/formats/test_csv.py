@@ -255,9 +255,22 @@ def test_joints_keep_their_names():
         assert list(found.joints) == [name]
 
 
-def test_chunks_join_without_a_seam(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    values = values_of(500)
-    path = written(tmp_path / "a.csv", wide(values).replace("\n", "\r\n"))
-    for size in (1, 7, 1000):
-        monkeypatch.setattr("uplift.data.parsers.table._CHUNK", size)
-        check(read(path), values)
+@pytest.mark.parametrize("end", ["\n", "\r\n"])
+def test_large_tables_are_read_in_full(tmp_path: Path, end):
+    values = values_of(5000)
+    check(read(written(tmp_path / "a.csv", wide(values).replace("\n", end))), values)
+    comma = wide(values, sep=";").replace(".", ",")
+    check(read(written(tmp_path / "b.csv", comma.replace("\n", end))), values)
+
+
+def test_words_for_missing_numbers_and_spaces_around_numbers(tmp_path: Path):
+    text = "frame,id,nose_x,nose_y\n0,NA,1, 2\n1,NA, 3 ,N/a\n2,NA,5 ,6\n"
+    data = read(written(tmp_path / "a.csv", text))
+    assert data.identity["instance"].tolist() == ["NA", "NA"]
+    assert data.identity["frame"].tolist() == [0, 2]
+    np.testing.assert_array_equal(data.keypoints[:, 0], [[1, 2], [5, 6]])
+
+
+def test_words_in_windows_western_code(tmp_path: Path):
+    (tmp_path / "a.csv").write_bytes("frame,id,nez_x,nez_y\n0,Zoé,1,2\n1,Zoé,3,4\n".encode("cp1252"))
+    assert set(read(tmp_path / "a.csv").identity["instance"]) == {"Zoé"}

@@ -67,7 +67,7 @@ def test_tracks_are_kept_and_nameless_bodies_linked(tmp_path: Path) -> None:
     content["instance_info"][0]["instances"][0]["track_id"] = 8
     data = read(write_json(tmp_path / "a.json", content))
     assert data.identity["instance"].tolist() == ["0", "0", "1", "1"]
-    assert any("stands twice" in note for note in data.notes)
+    assert any("occurs twice" in note for note in data.notes)
 
 
 @pytest.mark.parametrize("names", [COCO_JOINTS, HALPE26, WHOLEBODY133, HAND21])

@@ -5,16 +5,17 @@ from __future__ import annotations
 import csv
 import io
 import re
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from uplift.config.files import replacing
 from uplift.data.formats.base import Format, Peek, ReadOptions
 from uplift.data.formats.layouts import names_for
-from uplift.data.formats.rows import by_appearance, confidence_of, frame_numbers, link_bodies, rows_of, seen_by_flag
+from uplift.data.formats.rows import by_appearance, confidence_of, frame_numbers, named_tracks, rows_of, seen_by_flag
 from uplift.data.parsers.table import Table, header_of
 from uplift.data.poses import IDENTITY_KEYS, PoseData
 from uplift.errors import UserError
@@ -23,14 +24,13 @@ __all__ = [
     "FORMAT",
     "Columns",
     "Identity",
-    "as_text",
     "bodies_of",
-    "check",
     "columns_in",
     "columns_of",
     "is_nameless",
     "read_columns",
     "write_keypoints_csv",
+    "write_table",
 ]
 
 # What the header of a plain csv says: joints side by side (wide), or one row a joint (long).
@@ -68,7 +68,7 @@ _SCORE = "confidence|conf|c|likelihood|score|prob|probability|p|visibility|vis|v
 _WORD = rf"(?P<what>x|y|z|{_SCORE})(?:_?(?:px|pixels?|coord|coordinate|pos))?"
 _SUFFIX = re.compile(rf"(?P<name>.*\S)\s*[-_./:(\[ ]\s*{_WORD}\s*[)\]]?", re.IGNORECASE)
 _PREFIX = re.compile(rf"{_WORD}\s*(?:[-_./:(\[ ]\s*(?P<name>\S.*?)|(?P<number>\d+))\s*[)\]]?", re.IGNORECASE)
-_ALONE = re.compile(rf"(?:(?:pos|coord|px|pixel)_?)?{_WORD}", re.IGNORECASE)
+_ALONE = re.compile(rf"(?P<name>)(?P<number>)(?:(?:pos|coord|px|pixel)_?)?{_WORD}", re.IGNORECASE)
 _NUMBERED = re.compile(r"(?:(?:keypoint|kpt|kp|joint|landmark|point|marker|part|node|p|j)[_ ]?)?\d+", re.IGNORECASE)
 _SEEN = {"_u_px": "_x", "_v_px": "_y"}
 _PREDICTED = re.compile(r"_u_px$|_v_px$|(?<!_)_[xyz]$")
@@ -128,17 +128,17 @@ def columns_of(header: Sequence[str]) -> Columns | None:
             joint[key] = place
         else:
             free.append(place)
-    alone = _alone(header, free)
+    _, alone = _joints_in(header, free, _ALONE)
     if alone and not joint and "instance" in found.identity:
         place = found.identity["instance"]  # with x and y and no name, a bare number is that of a landmark
         if header[place].strip().casefold() in ("id", "index"):
             joint = {_JOINT[0]: found.identity.pop("instance")}
     if joint and alone:
         found.name = joint[min(joint, key=_JOINT.index)]
-        found.joints = {"": alone}
+        found.joints = alone
     else:
         free = sorted([*free, *joint.values()])
-        wide = [_wide(header, free, pattern) for pattern in (_SUFFIX, _PREFIX)]
+        wide = [_joints_in(header, free, pattern) for pattern in (_SUFFIX, _PREFIX)]
         found.twice, found.joints = max(wide, key=lambda one: len(one[1]))
     if not found.joints:
         return None
@@ -155,40 +155,24 @@ def is_nameless(names: Sequence[str]) -> bool:
     return all(_NUMBERED.fullmatch(name) for name in names)
 
 
-def _alone(header: Sequence[str], free: Sequence[int]) -> _Joint | None:
-    """Return the columns x, y, z and score of a long table; None without x and y."""
-    places: dict[str, int] = {}
-    visibility = False
-    for place in free:
-        match = _ALONE.fullmatch(header[place])
-        if match:
-            what = match["what"].casefold()
-            kind = what if what in "xyz" else "score"
-            visibility |= kind == "score" and what.startswith("v") and kind not in places
-            places.setdefault(kind, place)
-    if "x" not in places or "y" not in places:
-        return None
-    return _Joint(places["x"], places["y"], places.get("z"), places.get("score"), visibility)
-
-
-def _wide(header: Sequence[str], free: Sequence[int], pattern: re.Pattern[str]) -> tuple[list[str], dict[str, _Joint]]:
+def _joints_in(
+    header: Sequence[str], free: Sequence[int], pattern: re.Pattern[str]
+) -> tuple[list[str], dict[str, _Joint]]:
     """Return the columns that are there twice, and the joints that have x and y, in the order of the file."""
     twice: list[str] = []
     places: dict[str, dict[str, int]] = {}
     visible = set()
     for place in free:
         match = pattern.fullmatch(header[place])
-        if not match:
+        name = (match["name"] or match["number"]) if match else None
+        if match is None or name is None or name.casefold() in _BOX:
             continue
         what = match["what"].casefold()
-        name = match["name"] or match["number"]
-        if name.casefold() in _BOX:
-            continue
         kind = what if what in "xyz" else "score"
-        if kind == "score" and what.startswith("v"):
+        if places.setdefault(name, {}).setdefault(kind, place) != place:
+            twice += [header[place]] if kind in "xyz" else []
+        elif kind == "score" and what.startswith("v"):
             visible.add(name)
-        if places.setdefault(name, {}).setdefault(kind, place) != place and kind in "xyz":
-            twice.append(header[place])
     return twice, {
         name: _Joint(at["x"], at["y"], at.get("z"), at.get("score"), name in visible)
         for name, at in places.items()
@@ -249,7 +233,7 @@ def bodies_of(
     """Return (rows joints 2) keypoints of one body a row; ``lines`` of the file are for errors.
 
     Frames without numbers are counted, and where one frame has several bodies without names, they
-    are told apart by where they are.
+    are distinguished by where they are.
 
     Raises:
         UserError: one body twice in one frame; as `rows_of`.
@@ -274,8 +258,11 @@ def _identify(
     """Number the frames where they have no numbers, and the bodies where one frame has several without names."""
     values, rows = found.values, len(keypoints)
     if "frame" not in values and "sequence" in values:
+        import pandas as pd
+
         keys = [values[key] for key in _CLIP if key in values]
-        values["frame"] = _counted(by_appearance(keys, rows)[0])
+        clip = by_appearance(keys, rows)[0]
+        values["frame"] = pd.Series(clip).groupby(clip).cumcount().to_numpy()
         found.notes.append("no frame numbers: rows are taken as neighbours in time")
     if "sequence" not in values:
         return
@@ -283,52 +270,24 @@ def _identify(
         joined = np.char.add(np.char.add(values["sequence"], " "), values["action"])
         if _again({**values, "sequence": joined}, rows) is None:
             values["sequence"] = joined
-    nameless = values.get("instance", np.full(rows, "")) == ""
     again = _again(values, rows)
     if again is None:
         return
-    if "instance" in values and not nameless[again]:
+    if "instance" in values and values["instance"][again] != "":
         where = f"{path}, line {lines[again]}" if lines is not None else f"{path}"
         raise UserError(f"{where}: '{values['instance'][again]}' is in frame {values['frame'][again]} twice.")
-    _link(found, keypoints, confidence, nameless)
+    video = by_appearance([values[key] for key in _CLIP[:3] if key in values], rows)[0]
+    track = values.get("instance", np.full(rows, ""))
+    values["instance"] = named_tracks(keypoints, confidence, video, values["frame"], track)
+    found.notes.append("frames show several bodies without names: told apart by where they are from frame to frame")
 
 
 def _again(values: dict[str, np.ndarray], rows: int) -> int | None:
     """Return a row whose frame another row of its clip has already; None without one."""
-    both = by_appearance([values[key] for key in (*_CLIP, "frame", "image") if key in values], rows)[0]
-    if np.bincount(both).max(initial=0) <= 1:
-        return None
-    order = np.argsort(both, kind="stable")
-    again = order[np.flatnonzero(np.diff(both[order]) == 0) + 1]
+    _, first = by_appearance([values[key] for key in (*_CLIP, "frame", "image") if key in values], rows)
+    again = np.setdiff1d(np.arange(rows), first)
     named = again[values["instance"][again] != ""] if "instance" in values else again[:0]
-    return int(named.min() if len(named) else again.min())
-
-
-def _link(found: Identity, keypoints: np.ndarray, confidence: np.ndarray, nameless: np.ndarray) -> None:
-    """Name the bodies that have no name by where they are from frame to frame."""
-    values = found.values
-    some = np.flatnonzero(nameless)
-    clip = by_appearance([values[key][some] for key in _CLIP[:3] if key in values], len(some))[0]
-    order = np.argsort(clip, kind="stable")
-    body = np.zeros(len(nameless), np.int64)
-    for part in np.split(order, np.flatnonzero(np.diff(clip[order])) + 1):
-        rows = some[part]
-        body[rows] = link_bodies(keypoints[rows], confidence[rows], values["frame"][rows])
-    named = body.astype(np.str_)
-    if not nameless.all():
-        named = np.where(nameless, np.char.add("untracked ", named), values["instance"])
-    values["instance"] = named
-    found.notes.append("frames show several bodies without names: told apart by where they are from frame to frame")
-
-
-def _counted(code: np.ndarray) -> np.ndarray:
-    """Return for each row how many before it have its code."""
-    order = np.argsort(code, kind="stable")
-    starts = np.flatnonzero(np.diff(code[order], prepend=-1))
-    count = np.arange(len(code)) - np.repeat(starts, np.diff(np.append(starts, len(code))))
-    numbers = np.empty(len(code), np.int64)
-    numbers[order] = count
-    return numbers
+    return next(iter((named if len(named) else again).tolist()), None)
 
 
 def _add_time(found: Identity, time: np.ndarray, head: str) -> None:
@@ -378,7 +337,7 @@ def _one(table: Table, column: int) -> float | None:
     return float(values[0]) if (values == values[0]).all() else None
 
 
-# Read tables whose joints stand side by side: one row a frame, or a frame and an individual.
+# Read the keypoints: joints side by side, or one row for each joint of each frame.
 
 _Named = Callable[[Sequence[str]], tuple[Sequence[str], Sequence[str]]]
 """Makes joint names of those that a file has, and notes that say how."""
@@ -386,72 +345,81 @@ _Rated = Callable[[np.ndarray | None, np.ndarray], np.ndarray | None]
 """Changes the scores (rows joints) of keypoints (rows joints 2) before they are taken as confidence."""
 
 
-def _read_wide(
-    path: Path, columns: Columns, named: _Named, notes: Sequence[str] = (), rated: _Rated | None = None
-) -> PoseData:
-    """Read a table of the ``columns``; ``notes`` come first in those of the result.
+def read_columns(path: Path, columns: Columns, named: _Named, rated: _Rated | None = None) -> PoseData:
+    """Read a csv of the ``columns``, wide or long; ``named`` makes joint names, and notes, of what the file has, ``rated`` scores.
 
     Raises:
-        UserError: as `Table.read`, `_identity_of` and `bodies_of`.
+        UserError: a column twice, or a joint twice in one frame; as `Table.read`, `_identity_of` and `bodies_of`.
     """
-    joints = list(columns.joints.values())
-    scored = all(joint.score is not None for joint in joints)
-    some = any(joint.score is not None for joint in joints)
-    parts = [(joint.x, joint.y, joint.score if scored else None) for joint in joints]
-    places = [place for one in parts for place in one if place is not None]
-    extra: list[int] = [joint.score for joint in joints if joint.score is not None] if some and not scored else []
-    exact = [place for place in (columns.frame, columns.time, *columns.facts.values()) if place is not None]
-    table = Table.read(path, 1, [*places, *extra], exact, list(columns.identity.values()))
-    values = table.numbers[:, : len(places)].reshape(len(table), len(joints), -1)
-    keypoints = np.ascontiguousarray(values[..., :2])
-    scores = values[..., 2] if scored else None
-    if extra:  # joints without a score have confidence 1 where they are there
-        scores = np.ones(keypoints.shape[:2], np.float32)
-        scores[:, [at for at, joint in enumerate(joints) if joint.score is not None]] = table.numbers[:, len(places) :]
-    found = _identity_of(table, columns)
+    if columns.twice:
+        raise UserError(f"{path}: the column '{columns.twice[0]}' is there twice; joint names must differ.")
+    if is_nameless(list(columns.joints)):
+        joints = sorted(columns.joints.items(), key=lambda one: int(re.sub(r"\D", "", one[0])))
+        columns = replace(columns, joints=dict(joints))
+    names, joints = list(columns.joints), list(columns.joints.values())
+    table, keypoints, scores = _numbers_of(path, columns)
+    found, first = _identity_of(table, columns), np.arange(len(table))
+    if columns.name is not None:
+        names, place, first = _placed(table, columns.name, found)
+        keypoints, scores = _filled(keypoints, place, names, first), _filled(scores, place, names, first)
     if scores is not None and all(joint.visibility for joint in joints):
         scores = seen_by_flag(scores, found.notes)
     if rated is not None:
         scores = rated(scores, keypoints)
-    names, more = named(list(columns.joints))
-    return bodies_of(path, found, keypoints, scores, names, (*notes, *more), table.lines)
+    names, notes = named(names)
+    if columns.others:
+        shown = ", ".join(columns.others[:8]) + (", ..." if len(columns.others) > 8 else "")
+        notes = (f"columns left out: {shown}", *notes)
+    return bodies_of(path, found, keypoints, scores, names, notes, table.lines[first])
 
 
-# Read tables with one row for each joint of each frame.
+def _numbers_of(path: Path, columns: Columns) -> tuple[Table, np.ndarray, np.ndarray | None]:
+    """Return the table, (rows, joints, 2) keypoints and (rows, joints) scores; a long table has one joint a row."""
+    joints = list(columns.joints.values())
+    scored = {at: joint.score for at, joint in enumerate(joints) if joint.score is not None}
+    places = [place for joint in joints for place in (joint.x, joint.y)]
+    exact = [place for place in (columns.frame, columns.time, *columns.facts.values()) if place is not None]
+    words = [*columns.identity.values(), *([] if columns.name is None else [columns.name])]
+    table = Table.read(path, 1, [*places, *scored.values()], exact, words)
+    keypoints = np.ascontiguousarray(table.numbers[:, : len(places)]).reshape(len(table), -1, 2)
+    if not scored:
+        return table, keypoints, None
+    scores = np.ones(keypoints.shape[:2], np.float32)  # joints without a score have confidence 1 where they are there
+    scores[:, list(scored)] = table.numbers[:, len(places) :]
+    return table, keypoints, scores
 
 
-def _read_long(
-    path: Path, columns: Columns, named: _Named, notes: Sequence[str] = (), rated: _Rated | None = None
-) -> PoseData:
-    """Read a table of the ``columns``; ``notes`` come first in those of the result.
+def _placed(table: Table, column: int, found: Identity) -> tuple[list[str], np.ndarray, np.ndarray]:
+    """Return the joints that a column names, (rows,) places among all joints of all bodies, and (bodies,) first rows.
 
     Raises:
-        UserError: a joint twice in one frame; as `Table.read`, `_identity_of` and `bodies_of`.
+        UserError: a joint without a name, or twice in one frame.
     """
-    assert columns.name is not None
-    joint = columns.joints[""]
-    places = [place for place in (joint.x, joint.y, joint.score) if place is not None]
-    exact = [place for place in (columns.frame, columns.time, *columns.facts.values()) if place is not None]
-    table = Table.read(path, 1, places, exact, [columns.name, *columns.identity.values()])
-    found = _identity_of(table, columns)
     keys = [found.values[key] for key in found.values if key not in ("action", "category")]
     group, first = by_appearance(keys, len(table))
-    names, of = _joints(table, columns.name)
-    place = group * len(names) + of
-    if len(place) > 1 and np.bincount(place).max() > 1:
-        _say_twice(table, place, names, of, found.values.get("frame"))
-    values = np.full((len(first) * len(names), len(places)), np.nan, np.float32)
-    values[place] = table.numbers
-    values = values.reshape(len(first), len(names), -1)
-    keypoints = np.ascontiguousarray(values[..., :2])
-    scores = values[..., 2] if joint.score is not None else None
-    if scores is not None and joint.visibility:
-        scores = seen_by_flag(scores, found.notes)
-    if rated is not None:
-        scores = rated(scores, keypoints)
+    names, joint = _joints(table, column)
+    place = group * len(names) + joint
+    code, one = by_appearance([place], len(table))
+    again = np.setdiff1d(np.arange(len(table)), one)
+    if len(again):
+        two, frame = again[0], found.values.get("frame")
+        where = "" if frame is None else f" of frame {frame[two]}"
+        raise UserError(
+            f"{table.path}, line {table.lines[two]}: '{names[joint[two]]}'{where} is there twice (first on line "
+            f"{table.lines[one[code[two]]]}). Several bodies need a column 'individual' that tells them apart, "
+            "frames one 'frame'."
+        )
     found.values = {key: value[first] for key, value in found.values.items()}
-    joints, more = named(names)
-    return bodies_of(path, found, keypoints, scores, joints, (*notes, *more), table.lines[first])
+    return names, place, first
+
+
+def _filled(values: np.ndarray | None, place: np.ndarray, names: list[str], first: np.ndarray) -> Any:
+    """Return (rows, 1, ...) values of one joint each as (bodies, joints, ...), NaN where a joint is not there."""
+    if values is None:
+        return None
+    found = np.full((len(first) * len(names), *values.shape[2:]), np.nan, np.float32)
+    found[place] = values[:, 0]
+    return found.reshape(len(first), len(names), *values.shape[2:])
 
 
 def _joints(table: Table, column: int) -> tuple[list[str], np.ndarray]:
@@ -462,25 +430,12 @@ def _joints(table: Table, column: int) -> tuple[list[str], np.ndarray]:
         line = table.lines[int(np.argmax(words.codes == names.index("")))]
         raise UserError(f"{table.path}, line {line}: no name of a joint.")
     if all(re.fullmatch(r"\d{1,9}", name) for name in names):
-        order = sorted(range(len(names)), key=lambda at: int(names[at]))
-        rank = np.empty(len(names), np.int64)
-        rank[order] = np.arange(len(names))
-        return [names[at] for at in order], rank[words.codes]
+        order = np.argsort([int(name) for name in names], kind="stable")
+        return [names[at] for at in order], np.argsort(order)[words.codes]
     return names, words.codes.astype(np.int64)
 
 
-def _say_twice(table: Table, place: np.ndarray, names: list[str], of: np.ndarray, frame: np.ndarray | None) -> None:
-    order = np.argsort(place, kind="stable")
-    at = int(np.flatnonzero(np.diff(place[order]) == 0)[0])
-    one, two = int(order[at]), int(order[at + 1])
-    where = "" if frame is None else f" of frame {frame[two]}"
-    raise UserError(
-        f"{table.path}, line {table.lines[two]}: '{names[of[two]]}'{where} is there twice (first on line "
-        f"{table.lines[one]}). Several bodies need a column 'individual' that tells them apart, frames one 'frame'."
-    )
-
-
-# Plain csv files: a row per frame (NAME_x, NAME_y, NAME_confidence), or a row per joint (frame, joint, x, y).
+# Read the file as a format.
 
 
 def columns_in(peek: Peek) -> Columns | None:
@@ -494,12 +449,6 @@ def columns_in(peek: Peek) -> Columns | None:
     return columns_of(header[0]) if separator in peek.text else None
 
 
-def left_out(columns: Columns) -> tuple[str, ...]:
-    """Return what to say of columns that are not read."""
-    shown = ", ".join(columns.others[:8]) + (", ..." if len(columns.others) > 8 else "")
-    return (f"columns left out: {shown}",) if columns.others else ()
-
-
 def _read(peek: Peek, options: ReadOptions) -> PoseData:
     path, columns = peek.path, columns_in(peek)
     if peek.is_folder:
@@ -507,7 +456,6 @@ def _read(peek: Peek, options: ReadOptions) -> PoseData:
     if columns is None:
         shown = ", ".join(header_of(path, 1)[0][0])[:120]
         raise UserError(f"{path} has the columns {shown}; expected NAME_x and NAME_y of each joint, or joint, x and y.")
-    check(path, columns)
     deep = next((name for name, joint in columns.joints.items() if joint.z is not None), None)
     if deep is not None:
         what = f"'{deep}' has" if deep else "it has"
@@ -515,31 +463,9 @@ def _read(peek: Peek, options: ReadOptions) -> PoseData:
             f"{path}: {what} x, y and z: 3D points, no 2D keypoints. Give the tracker's 2D output; for landmarks of "
             "MediaPipe, whose z is left out, say format=mediapipe."
         )
-    return read_columns(path, columns, lambda names: _named(path, names, options))
-
-
-def read_columns(path: Path, columns: Columns, named: _Named, rated: _Rated | None = None) -> PoseData:
-    """Read a csv of the ``columns``, wide or long; ``named`` makes joint names, and notes, of what the file has, ``rated`` scores.
-
-    Raises:
-        UserError: as `_read_wide` and `_read_long`.
-    """
-    if columns.name is not None:
-        return _read_long(path, columns, named, left_out(columns), rated)
-    if is_nameless(list(columns.joints)):
-        joints = dict(sorted(columns.joints.items(), key=lambda one: int(re.sub(r"\D", "", one[0]))))
-        columns = replace(columns, joints=joints)
-    return _read_wide(path, columns, named, left_out(columns), rated)
-
-
-def check(path: Path, columns: Columns) -> None:
-    """Raise UserError where a column is there twice."""
-    if columns.twice:
-        raise UserError(f"{path}: the column '{columns.twice[0]}' is there twice; joint names must differ.")
-
-
-def _named(path: Path, names: Sequence[str], options: ReadOptions) -> tuple[Sequence[str], Sequence[str]]:
-    return names_for(path, len(names), {}, options) if is_nameless(names) else (names, ())
+    return read_columns(
+        path, columns, lambda names: names_for(path, len(names), {}, options) if is_nameless(names) else (names, ())
+    )
 
 
 FORMAT = Format("csv", "plain csv", lambda peek: columns_in(peek) is not None, _read)
@@ -548,6 +474,7 @@ FORMAT = Format("csv", "plain csv", lambda peek: columns_in(peek) is not None, _
 # Write the 2D of a `PoseData` as a plain csv: one row a frame and individual, NAME_x, NAME_y, NAME_confidence.
 
 _BLOCK = 4096
+"""Rows whose text is made at once."""
 
 
 def write_keypoints_csv(data: PoseData, path: str | Path) -> None:
@@ -567,24 +494,29 @@ def write_keypoints_csv(data: PoseData, path: str | Path) -> None:
             f"cannot write {path}: the joint name '{wrong}' cannot be distinguished from a column's. Write .npz."
         )
     beside = _beside(data)
+    numbers = np.concatenate([data.keypoints, data.confidence[..., None]], -1).reshape(len(data), len(header))
+    write_table(path, [[*beside, *header]], [column.tolist() for column in beside.values()], numbers)
+
+
+def write_table(
+    path: str | Path, header: Sequence[Sequence[str]], columns: Sequence[Sequence[object]], numbers: np.ndarray
+) -> None:
+    """Write rows of ``columns`` and (rows, cells) ``numbers``: float32 in the shortest text that is read back the same.
+
+    NaN is an empty cell.
+    """
+    numbers = numbers.astype(np.float32, copy=False)
     with replacing(path) as handle:
         text = io.TextIOWrapper(handle, encoding="utf-8", newline="")
         lines = csv.writer(text, lineterminator="\n")
-        lines.writerow([*beside, *header])
-        for rows in _blocks(len(data)):
-            numbers = np.concatenate([data.keypoints[rows], data.confidence[rows][..., None]], -1)
-            cells = as_text(numbers.reshape(len(numbers), -1))
-            columns = [column[rows].tolist() for column in beside.values()]
-            lines.writerows([*others, *row] for *others, row in zip(*columns, cells.tolist(), strict=True))
+        lines.writerows(header)
+        for at in range(0, len(numbers), _BLOCK):
+            rows = slice(at, at + _BLOCK)
+            cells = np.where(np.isnan(numbers[rows]), "", numbers[rows].astype(np.str_)).tolist()
+            beside = zip(*(column[rows] for column in columns), strict=True) if columns else [()] * len(cells)
+            lines.writerows([*first, *row] for first, row in zip(beside, cells, strict=True))
         text.flush()
         text.detach()
-
-
-def as_text(numbers: np.ndarray) -> np.ndarray:
-    """Return float32 as the shortest text that is read back as the same, and nothing for NaN."""
-    numbers = numbers.astype(np.float32)
-    texts = numbers.astype(np.str_)
-    return np.where(np.isnan(numbers), "", texts)
 
 
 def _beside(data: PoseData) -> dict[str, np.ndarray]:
@@ -598,7 +530,3 @@ def _beside(data: PoseData) -> dict[str, np.ndarray]:
         columns["image_width"] = np.full(len(data), width)
         columns["image_height"] = np.full(len(data), height)
     return columns
-
-
-def _blocks(rows: int) -> Iterator[slice]:
-    yield from (slice(at, at + _BLOCK) for at in range(0, rows, _BLOCK))

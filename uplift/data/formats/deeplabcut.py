@@ -2,22 +2,21 @@
 
 from __future__ import annotations
 
-import csv
 import io
 import pickle
 import re
 import struct
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import product
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from uplift.config.files import replacing
-from uplift.data.formats.base import Format, Peek, ReadOptions
-from uplift.data.formats.csv import as_text
-from uplift.data.formats.rows import frame_numbers, rows_of
+from uplift.data.formats.base import Format, Peek
+from uplift.data.formats.csv import write_table
+from uplift.data.formats.rows import by_appearance, frame_numbers, rows_of
 from uplift.data.parsers.files import bytes_of, check_memory, reason_of
 from uplift.data.parsers.hdf5 import h5py_missing
 from uplift.data.parsers.pickles import Source, Unpickler
@@ -68,14 +67,12 @@ def _layout_of(path: Path, columns: Sequence[tuple[str, ...]]) -> _Layout:
     bodyparts = tuple(dict.fromkeys(column[2] for column in known))
     if not all(bodyparts):
         raise UserError(f"{path}: a column without the name of a body part.")
-    who = {name: place for place, name in enumerate(individuals)}
-    what = {name: place for place, name in enumerate(bodyparts)}
-    places = np.full((len(who), len(what), 3), -1)
-    for place, column in enumerate(columns):
-        if column[3] in _LOCATION:
-            at = who[column[1]], what[column[2]], _LOCATION[column[3]]
+    places = np.full((len(individuals), len(bodyparts), 3), -1)
+    for place, (_, individual, bodypart, coord) in enumerate(columns):
+        if coord in _LOCATION:
+            at = individuals.index(individual), bodyparts.index(bodypart), _LOCATION[coord]
             if places[at] >= 0:
-                raise UserError(f"{path}: '{column[2]}' has '{column[3]}' twice; body parts must differ.")
+                raise UserError(f"{path}: '{bodypart}' has '{coord}' twice; body parts must differ.")
             places[at] = place
     half = (places[..., :2] >= 0).sum(-1) == 1
     if half.any():
@@ -94,7 +91,8 @@ def _pose_data(
     Raises:
         UserError: no frame numbers, one twice, or numbers that are not keypoints.
     """
-    values = _per_bodypart(layout, numbers)
+    values = numbers[:, layout.places]
+    values[:, layout.places < 0] = np.nan
     scores = values[..., 2] if (layout.places[..., 2] >= 0).any() else None
     if scores is not None and np.isnan(scores).all():  # a column that labels by hand have and do not fill
         scores = None
@@ -110,22 +108,7 @@ def _pose_data(
     )
 
 
-def _per_bodypart(layout: _Layout, numbers: np.ndarray) -> np.ndarray:
-    """Return (rows individuals bodyparts 3); NaN where there is not a column."""
-    if np.array_equal(layout.places.ravel(), np.arange(numbers.shape[1])):
-        return numbers.reshape(-1, *layout.places.shape)
-    if (layout.places >= 0).all():
-        return numbers[:, layout.places]
-    padded = np.concatenate([numbers, np.full((len(numbers), 1), np.nan, numbers.dtype)], 1)
-    return padded[:, layout.places]
-
-
 # Read the csv files of DeepLabCut and Lightning Pose: three or four header rows, then a row per frame or image.
-
-
-def _looks_like_deeplabcut_csv(peek: Peek) -> bool:
-    """Return whether the first lines are DeepLabCut's header."""
-    return _csv_levels(peek) is not None
 
 
 def _read_deeplabcut_csv(peek: Peek) -> PoseData:
@@ -148,7 +131,7 @@ def _read_deeplabcut_csv(peek: Peek) -> PoseData:
     if not any(below[indices:]):  # the name of the index, or an image without labels: no keypoints either way
         rows += 1
         below = header_of(path, rows + 1)[0][-1]
-    by_image = indices > 1 or not _is_number(below[0])
+    by_image = indices > 1 or not below[0].replace(".", "", 1).isdecimal()
     table = Table.read(
         path,
         rows,
@@ -174,10 +157,6 @@ def _csv_levels(peek: Peek) -> tuple[str, ...] | None:
     return None
 
 
-def _is_number(text: str) -> bool:
-    return text.replace(".", "", 1).isdecimal()
-
-
 def _images(table: Table, columns: int) -> np.ndarray:
     """Return (rows,) paths of images, whose folders may stand in separate columns."""
     values = [table.words[place].values().tolist() for place in range(columns)]
@@ -198,17 +177,6 @@ _DAMAGE = (
     OSError, RuntimeError, ValueError, LookupError, TypeError, AttributeError, MemoryError, OverflowError,
     NotImplementedError, EOFError, ArithmeticError, ImportError, pickle.UnpicklingError, struct.error,
 )  # fmt: skip
-
-
-def _looks_like_deeplabcut_h5(peek: Peek) -> bool:
-    """Return whether an HDF5 file has a table that pandas wrote."""
-    try:
-        import h5py
-
-        with h5py.File(peek.path, "r") as file:
-            return bool(_tables(file))
-    except (*_DAMAGE, RecursionError):
-        return False
 
 
 def _read_deeplabcut_h5(path: Path) -> PoseData:
@@ -366,23 +334,30 @@ def _as_text(value: Any) -> str:
     return value.decode(errors="replace") if isinstance(value, bytes) else str(value)
 
 
-# DeepLabCut and Lightning Pose: tables in csv or HDF5, of one or several individuals.
+# Which of the two a file is.
 
 
 def _fits(peek: Peek) -> bool:
-    return _looks_like_deeplabcut_h5(peek) if peek.is_hdf5 else _looks_like_deeplabcut_csv(peek)
+    if not peek.is_hdf5:
+        return _csv_levels(peek) is not None
+    try:
+        import h5py
+
+        with h5py.File(peek.path, "r") as file:
+            return bool(_tables(file))
+    except (*_DAMAGE, RecursionError):
+        return False
 
 
-def _read(peek: Peek, options: ReadOptions) -> PoseData:
-    return _read_deeplabcut_h5(peek.path) if peek.is_hdf5 else _read_deeplabcut_csv(peek)
-
-
-FORMAT = Format("deeplabcut", "DeepLabCut or Lightning Pose (csv, h5)", _fits, _read)
+FORMAT = Format(
+    "deeplabcut",
+    "DeepLabCut or Lightning Pose (csv, h5)",
+    _fits,
+    lambda peek, _: _read_deeplabcut_h5(peek.path) if peek.is_hdf5 else _read_deeplabcut_csv(peek),
+)
 
 
 # Write the 2D of a `PoseData` in DeepLabCut's csv layout: one video, or labelled images.
-
-_SCORER = "uplift"
 
 
 def write_deeplabcut_csv(data: PoseData, path: str | Path) -> None:
@@ -395,56 +370,37 @@ def write_deeplabcut_csv(data: PoseData, path: str | Path) -> None:
         UserError: more than one video, or one individual twice in a frame.
     """
     index, order = _csv_index(data, path)
-    who, bodies = _bodies(data)
-    joints = len(data.joint_names)
+    who, bodies = np.zeros(len(data), np.int64), [""]
+    if "instance" in data.identity:
+        who, first = by_appearance([data.identity["instance"]], len(data))
+        bodies = data.identity["instance"][first].astype(np.str_).tolist()
     place = index * len(bodies) + who
-    if len(place) and np.bincount(place).max() > 1:
-        row = int(np.flatnonzero(np.bincount(place)[place] > 1)[0])
+    again = np.bincount(place, minlength=1)[place] > 1
+    if again.any():
+        row = int(np.argmax(again))
         raise UserError(f"cannot write {path}: '{bodies[who[row]]}' is in '{order[index[row]]}' twice.")
-    cells = np.full((len(order) * len(bodies), joints, 3), np.nan, np.float32)
-    cells[place, :, :2] = data.keypoints
-    cells[place, :, 2] = data.confidence
-    text = as_text(cells.reshape(len(order), -1))
-    columns = [
-        (body, joint, what) for body in bodies for joint in data.joint_names for what in ("x", "y", "likelihood")
-    ]
-    head = zip(*columns, strict=True)
-    with replacing(path) as handle:
-        stream = io.TextIOWrapper(handle, encoding="utf-8", newline="")
-        lines = csv.writer(stream, lineterminator="\n")
-        lines.writerow(["scorer", *[_SCORER] * len(columns)])
-        for name, row in zip(("individuals", "bodyparts", "coords"), head, strict=True):
-            if name != "individuals" or "instance" in data.identity:
-                lines.writerow([name, *row])
-        lines.writerows([first, *row] for first, row in zip(order, text.tolist(), strict=True))
-        stream.flush()
-        stream.detach()
+    numbers = np.full((len(order) * len(bodies), len(data.joint_names), 3), np.nan, np.float32)
+    numbers[place, :, :2], numbers[place, :, 2] = data.keypoints, data.confidence
+    columns = list(product(["uplift"], bodies, data.joint_names, _LOCATION))
+    header = [[level, *cells] for level, cells in zip(_LEVELS[1], zip(*columns, strict=True), strict=True)]
+    if "instance" not in data.identity:
+        del header[1]
+    write_table(path, header, [order], numbers.reshape(len(order), -1))
 
 
 def _csv_index(data: PoseData, path: str | Path) -> tuple[np.ndarray, list]:
     """Return (rows,) places in the index, and the index: images as they come, frames going up."""
-    identity = data.identity
-    keys = [key for key in ("subject", "sequence", "camera") if key in identity and "image" not in identity]
-    clips = {tuple(values) for values in zip(*(identity[key].tolist() for key in keys), strict=True)} if keys else set()
-    if len(clips) > 1:
-        shown = ", ".join(" ".join(map(str, clip)) for clip in sorted(clips, key=str)[:3])
+    identity, rows = data.identity, len(data)
+    if "image" in identity:
+        index, first = by_appearance([identity["image"]], rows)
+        return index, identity["image"][first].tolist()
+    clips = [identity[key] for key in ("subject", "sequence", "camera") if key in identity]
+    _, first = by_appearance(clips, rows)
+    if len(first) > 1:
+        shown = ", ".join(sorted(" ".join(str(values[row]) for values in clips) for row in first)[:3])
         raise UserError(
-            f"cannot write {path}: {len(clips)} videos ({shown}, ...), and DeepLabCut's csv holds one. "
+            f"cannot write {path}: {len(first)} videos ({shown}, ...), and DeepLabCut's csv holds one. "
             "Write one file each, or a plain csv."
         )
-    if "image" in identity:
-        names = list(dict.fromkeys(identity["image"].tolist()))
-        place = {name: at for at, name in enumerate(names)}
-        return np.array([place[name] for name in identity["image"].tolist()], np.int64), names
-    frame = identity.get("frame", np.arange(len(data)))
-    frames, index = np.unique(frame, return_inverse=True)
+    frames, index = np.unique(identity.get("frame", np.arange(rows)), return_inverse=True)
     return index, frames.tolist()
-
-
-def _bodies(data: PoseData) -> tuple[np.ndarray, list[str]]:
-    """Return (rows,) places among the individuals, and their names by first appearance."""
-    if "instance" not in data.identity:
-        return np.zeros(len(data), np.int64), [""]
-    names = data.identity["instance"].astype(np.str_).tolist()
-    known = {name: at for at, name in enumerate(dict.fromkeys(names))}
-    return np.array([known[name] for name in names], np.int64), list(known)

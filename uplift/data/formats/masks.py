@@ -9,6 +9,7 @@ from typing import TypeVar
 
 from uplift.data.clean_masks import MaskOptions, clean
 from uplift.data.masks import Found, MaskData, Skipped
+from uplift.data.parsers.pictures import Photos
 from uplift.errors import UserError, did_you_mean
 
 __all__ = ["gather", "shuffled", "wanted"]
@@ -16,8 +17,10 @@ __all__ = ["gather", "shuffled", "wanted"]
 Item = TypeVar("Item")
 
 
-def gather(items: Iterator[Found | Skipped], options: MaskOptions, source: str, notes: list[str]) -> MaskData:
-    """Return the masks that `clean` takes, with ``notes`` (as they are at the end) and its report.
+def gather(
+    items: Iterator[Found | Skipped], options: MaskOptions, source: str, notes: list[str], photos: Photos
+) -> MaskData:
+    """Return the masks that `clean` takes, with the notes of ``photos``, ``notes`` (as they are at the end) and its report.
 
     Raises:
         UserError: none is left.
@@ -25,7 +28,7 @@ def gather(items: Iterator[Found | Skipped], options: MaskOptions, source: str, 
     data, report = clean(items, options, most=options.most, source=source)
     if options.most is not None and len(data) == options.most:
         notes.append(f"at most {options.most:,} masks are taken (most={options.most}), spread over the file")
-    return replace(data, notes=(*notes, *report.lines()))
+    return replace(data, notes=(*photos.notes(), *notes, *report.lines()))
 
 
 def shuffled(items: list[Item], options: MaskOptions) -> list[tuple[int, Item]]:

@@ -58,21 +58,23 @@ def _outline_of(record: dict[str, Any]) -> _Outline:
     if not found:
         raise _RecordError("no_outline")
     if isinstance(found, dict):
-        counts, size = found.get("counts"), found.get("size")
-        if not isinstance(counts, str | list):
+        if not isinstance(found.get("counts"), str | list):
             raise _RecordError("damaged")
-        return _Outline(counts=counts, size=size)
-    if isinstance(found, list) and not isinstance(found[0], list):
-        found = [found]  # one polygon without its list, as some tools write it
+        return _Outline(counts=found["counts"], size=found.get("size"))
     if not isinstance(found, list):
         raise _RecordError("damaged")
+    if not isinstance(found[0], list):
+        found = [found]  # one polygon without its list, as some tools write it
     return _Outline(polygons=tuple(_polygon(one) for one in found))
 
 
 def _polygon(numbers: Any) -> np.ndarray:
-    if not isinstance(numbers, list) or len(numbers) < 6 or len(numbers) % 2:
-        raise _RecordError("damaged")
-    if not all(type(one) in (int, float) and abs(one) < _FARTHEST_PX for one in numbers):
+    if (
+        not isinstance(numbers, list)
+        or len(numbers) < 6
+        or len(numbers) % 2
+        or not all(type(one) in (int, float) and abs(one) < _FARTHEST_PX for one in numbers)
+    ):
         raise _RecordError("damaged")
     return np.array(numbers, np.float32).reshape(-1, 2)
 
@@ -88,20 +90,19 @@ def _window_of(
     try:
         if outline.polygons:
             found = window_of_polygons([one.astype(np.float64) for one in outline.polygons], image_size)
-            if found is not None:
-                return *found, image_size
+            runs = None if found is None else (*found, image_size)
         else:
             runs = window_of_runs(outline.counts, outline.size)
-            if runs is not None:
-                return runs
     except OverflowError:
         raise _RecordError("huge") from None
     except ValueError:
         raise _RecordError("damaged") from None
-    raise _RecordError("empty")
+    if runs is None:
+        raise _RecordError("empty")
+    return runs
 
 
-# COCO's JSON with segmentations: polygons and run lengths; data sets, and results of detectors.
+# Read the file: a data set, or the results of a detector.
 
 _UNKNOWN = (2**31, 2**31)
 """Size of an image that the file does not give: only its left and upper border are known."""
@@ -121,9 +122,8 @@ class _Record:
     number: str
     image: str | None
     category: str | None
-    outline: _Outline | None
-    reason: str = ""
-    """Why there is not an outline."""
+    outline: _Outline | str
+    """Or why it cannot be used."""
 
 
 @dataclass
@@ -152,12 +152,12 @@ class _File:
 
     def annotation(self, record: dict[str, Any]) -> None:
         """Take one annotation."""
-        number = _key(record.get("id")) or str(len(self.records))
-        image, category = _key(record.get("image_id")), _key(record.get("category_id"))
         try:
-            self.records.append(_Record(number, image, category, _outline_of(record)))
+            outline: _Outline | str = _outline_of(record)
         except _RecordError as error:
-            self.records.append(_Record(number, image, category, None, str(error)))
+            outline = str(error)
+        number = _key(record.get("id")) or str(len(self.records))
+        self.records.append(_Record(number, _key(record.get("image_id")), _key(record.get("category_id")), outline))
 
     def category_of(self, record: _Record) -> str:
         """Return the name of an annotation's category; its number where the file has no name for it."""
@@ -177,21 +177,18 @@ def _read(peek: Peek, options: MaskOptions) -> MaskData:
     jobs = [(file, record) for file in files for record in file.records if file.category_of(record) in taken]
     if not jobs:
         raise UserError(f"{where} has no annotations, expected COCO's, with a 'segmentation' each.")
-    photos, notes = Photos(options.images), _unsized(jobs)
-    data = gather(_items(jobs, options, photos), options, where, notes)
-    data.notes = (*photos.notes(), *data.notes)
-    return data
+    photos = Photos(options.images)
+    return gather(_items(jobs, options, photos), options, where, _unsized(jobs), photos)
 
 
 def _unsized(jobs: list[tuple[_File, _Record]]) -> list[str]:
     """Return the note about polygons whose image has no size."""
-    polygons = [(file, record) for file, record in jobs if record.outline and record.outline.polygons]
-    unsized = sum(file.images.get(record.image, _Image("", None)).size is None for file, record in polygons)
-    if not unsized:
-        return []
-    return [
-        f"{unsized:,} images have no width and height: whether their objects are cut off at the right or below is not known"
+    polygons = [
+        (file, record) for file, record in jobs if isinstance(record.outline, _Outline) and record.outline.polygons
     ]
+    unsized = sum(file.images.get(record.image, _Image("", None)).size is None for file, record in polygons)
+    note = f"{unsized:,} images have no width and height: whether their objects are cut off at the right or below is not known"
+    return [note] if unsized else []
 
 
 def _load(path: Path) -> _File:
@@ -220,8 +217,8 @@ def _items(jobs: list[tuple[_File, _Record]], options: MaskOptions, photos: Phot
         image = file.images.get(record.image, _Image(record.image or "", None))
         name = f"{image.name or file.path.name}:{record.number}"
         try:
-            if record.outline is None:
-                raise _RecordError(record.reason)
+            if isinstance(record.outline, str):
+                raise _RecordError(record.outline)
             if file.images and record.image not in file.images:
                 raise _RecordError("no_image")
             mask, corner, size = _window_of(record.outline, image.size)

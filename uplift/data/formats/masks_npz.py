@@ -6,6 +6,7 @@ import zipfile
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -20,8 +21,6 @@ from uplift.errors import UserError
 from uplift.geometry.mesh import Mesh
 
 __all__ = ["FORMAT", "read_masks_npz", "write_masks_npz"]
-
-# Masks and what is known beside them as one npz file, without pickles.
 
 _PLACED = ("shape", "view", "scale", "offset", "distance")
 _MESHES = ("mesh_vertices", "mesh_vertex_start", "mesh_faces", "mesh_face_start", "mesh_names", "mesh_category")
@@ -128,18 +127,13 @@ def _truth(file: CheckedArrays, items: int) -> Placed | None:
 
 
 def _meshes(file: CheckedArrays) -> Sequence[Mesh]:
-    vertices = file.numbers("mesh_vertices", (None, 3))
-    assert vertices is not None
-    vertex_start = file.starts("mesh_vertex_start", len(vertices))
-    faces = file.indices("mesh_faces", (None, 3), max(len(vertices), 1))
-    assert vertex_start is not None
-    assert faces is not None
+    vertices: Any = file.numbers("mesh_vertices", (None, 3))
+    vertex_start: Any = file.starts("mesh_vertex_start", len(vertices))
+    faces: Any = file.indices("mesh_faces", (None, 3), max(len(vertices), 1))
+    face_start: Any = file.starts("mesh_face_start", len(faces))
     count = len(vertex_start) - 1
-    face_start = file.starts("mesh_face_start", len(faces))
-    names, category = file.text("mesh_names", count), file.text("mesh_category", count)
-    assert face_start is not None
-    assert names is not None
-    assert category is not None
+    names: Any = file.text("mesh_names", count)
+    category: Any = file.text("mesh_category", count)
     if len(face_start) != count + 1:
         raise UserError(f"{file.where}: 'mesh_face_start' has {len(face_start) - 1} meshes, expected {count}.")
     found = []
@@ -154,11 +148,7 @@ def _meshes(file: CheckedArrays) -> Sequence[Mesh]:
     return found
 
 
-# uplift's own npz of masks: crops that are clean already, with whatever else is known of them.
-
-
-def _fits(peek: Peek) -> bool:
-    return "masks" in peek.npz_names
+# Read the file as a format: categories, number of masks and side as they are asked for.
 
 
 def _read(peek: Peek, options: MaskOptions) -> MaskData:
@@ -183,4 +173,4 @@ def _read(peek: Peek, options: MaskOptions) -> MaskData:
     return replace(data, notes=(*data.notes, *notes))
 
 
-FORMAT = Format("npz", "uplift's own npz of masks", _fits, _read)
+FORMAT = Format("npz", "uplift's own npz of masks", lambda peek: "masks" in peek.npz_names, _read)

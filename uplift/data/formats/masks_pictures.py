@@ -21,18 +21,14 @@ __all__ = ["LABELS", "MASKS"]
 # A picture for each object.
 
 
-def _are_masks(peek: Peek) -> bool:
-    return bool(peek.pictures)
-
-
 def _read_masks(peek: Peek, options: MaskOptions) -> MaskData:
     notes: list[str] = []
     places = _places_in(peek, options, notes)
     counts: Counter[str] = Counter()
     photos = Photos(options.images)
-    data = gather(_mask_items(places, options, photos, counts), options, peek.where, notes)
-    more = [f"{counts['inverted']:,} masks are black on white, and were inverted"] if counts["inverted"] else []
-    data.notes = (*more, *photos.notes(), *data.notes)
+    data = gather(_mask_items(places, options, photos, counts), options, peek.where, notes, photos)
+    if counts["inverted"]:
+        data.notes = (f"{counts['inverted']:,} masks are black on white, and were inverted", *data.notes)
     return data
 
 
@@ -71,7 +67,7 @@ def _mask_items(
         yield Found(place.name, mask, place.category, photos.of_mask(place.name), order=order)
 
 
-MASKS = Format("png_folder", "pictures of masks, one object each", _are_masks, _read_masks)
+MASKS = Format("png_folder", "pictures of masks, one object each", lambda peek: bool(peek.pictures), _read_masks)
 
 
 # Label images: each number above 0 is an object (DAVIS, Cityscapes, microscopes and annotation tools).
@@ -121,10 +117,10 @@ def _read_labels(peek: Peek, options: MaskOptions) -> MaskData:
         for item in _label_items(places, options, photos, counts)
         if isinstance(item, Skipped) or item.category in taken
     )
-    data = gather(items, options, peek.where, notes)
-    more = [text.format(counts[key]) for key, text in _NOTES.items() if counts[key]]
-    data.notes = (*more, *photos.notes(), *data.notes)
-    return data
+    data = gather(items, options, peek.where, notes, photos)
+    return replace(
+        data, notes=(*(text.format(counts[key]) for key, text in _NOTES.items() if counts[key]), *data.notes)
+    )
 
 
 def _label_items(

@@ -12,7 +12,7 @@ from typing import Any, TypeGuard
 import numpy as np
 
 from uplift.data.formats.base import Format, Peek, ReadOptions
-from uplift.data.formats.csv import Columns, Identity, bodies_of, check, columns_in, is_nameless, read_columns
+from uplift.data.formats.csv import Identity, bodies_of, columns_in, is_nameless, read_columns
 from uplift.data.formats.layouts import HAND21, Layouts, names_for
 from uplift.data.formats.rows import SHARES_NOTE, confidence_of, frame_numbers
 from uplift.data.parsers.json import JsonText, items
@@ -42,23 +42,17 @@ _LARGEST_SHARE = 5.0
 _AT_HIPS = 0.02
 
 
-def _both(side: str) -> tuple[str, ...]:
-    return tuple(f"{side}_hand_{name}" for name in HAND21)
-
-
-def _face(count: int) -> tuple[str, ...]:
-    return tuple(f"face_{number}" for number in range(count))
-
-
+_FACE = tuple(f"face_{number}" for number in range(478))
+_HANDS = tuple(f"{side}_hand_{name}" for side in ("left", "right") for name in HAND21)
 _BODY = "MediaPipe's pose"
 _COUNTS: Layouts = {
     33: (_BODY, _POSE33),
     21: ("a hand", HAND21),
-    468: ("MediaPipe's face", _face(468)),
-    478: ("MediaPipe's face", _face(478)),
-    75: (f"{_BODY} and both hands", (*_POSE33, *_both("left"), *_both("right"))),
-    501: (f"{_BODY} and face", (*_POSE33, *_face(468))),
-    543: (f"{_BODY}, face and both hands", (*_POSE33, *_face(468), *_both("left"), *_both("right"))),
+    468: ("MediaPipe's face", _FACE[:468]),
+    478: ("MediaPipe's face", _FACE),
+    75: (f"{_BODY} and both hands", (*_POSE33, *_HANDS)),
+    501: (f"{_BODY} and face", (*_POSE33, *_FACE[:468])),
+    543: (f"{_BODY}, face and both hands", (*_POSE33, *_FACE[:468], *_HANDS)),
 }
 
 
@@ -139,28 +133,24 @@ def _bodies_in(value: Any, where: str, depth: int) -> Iterator[list[tuple[str, A
     if value is None or value == [] or value == {}:
         return
     if isinstance(value, list):
-        flat = _split(value)
-        if flat is not None:
-            value = flat
+        value = _split(value) or value
         if _is_list_of_marks(value):
             yield [(_name(mark, place), mark) for place, mark in enumerate(value)]
             return
         for one in value:
             yield from _bodies_in(one, where, depth + 1)
-        return
-    if isinstance(value, dict):
+    elif isinstance(value, dict):
         keys = {_plain_key(key): key for key in value}
         known = next((keys[key] for key in _BODIES if key in keys and value[keys[key]]), None)
+        marks = {key: mark for key, mark in value.items() if _is_mark(mark)}
         if known is not None:
             yield from _bodies_in(value[known], where, depth + 1)
-            return
-        marks = {key: mark for key, mark in value.items() if _is_mark(mark)}
-        if marks:
+        elif marks:
             yield list(marks.items())
         elif not any(key in keys for key in _BODIES):
             raise UserError(f"{where}: no landmarks among {', '.join(map(repr, list(value)[:6]))}.")
-        return
-    raise UserError(f"{where}: {value!r:.60}, expected landmarks.")
+    else:
+        raise UserError(f"{where}: {value!r:.60}, expected landmarks.")
 
 
 def _split(value: list[Any]) -> list[list[Any]] | None:
@@ -184,22 +174,21 @@ def _is_mark(value: Any) -> bool:
 
 def _name(mark: Any, place: int) -> str:
     if isinstance(mark, dict) and not _NAMES.isdisjoint(mark):
-        name = next((mark[key] for key in _NAMES_IN_ORDER if key in mark), None)
+        name = next(mark[key] for key in _NAMES_IN_ORDER if key in mark)
         if isinstance(name, str) and name:
             return name
     return str(place)
 
 
-def _values_of(mark: Any) -> tuple[float, float, float] | None:
-    """Return x, y and visibility, NaN for what is null or not there; None where they are not numbers."""
+def _values_of(mark: Any, name: str, where: str) -> tuple[float, float, float]:
+    """Return x, y and visibility, NaN for what is null or not there; raises UserError where they are not numbers."""
+    found: list[Any] = ["no landmark"]
     if isinstance(mark, dict):
         found = [mark.get("x"), mark.get("y"), next((mark[key] for key in _SCORES if key in mark), None)]
     elif isinstance(mark, list) and 2 <= len(mark) <= 5:
         found = [mark[0], mark[1], mark[3] if len(mark) > 3 else None]
-    else:
-        return None
     if not all(one is None or _is_number(one) for one in found):
-        return None
+        raise UserError(f"{where}: landmark '{name}' is {mark!r:.60}, expected numbers x and y.")
     x, y, score = (np.nan if one is None else min(max(float(one), -_LARGEST), _LARGEST) for one in found)
     return x, y, score
 
@@ -257,20 +246,15 @@ def _read_mediapipe_csv(peek: Peek, options: ReadOptions) -> PoseData:
             f"{path} has no columns of landmarks; expected frame, landmark, x, y, z, or x1, y1, z1, v1, x2, ... "
             "of MediaPipe."
         )
-    check(path, columns)
-    columns, notes = _of_the_image(columns)
+    notes: tuple[str, ...] = ()
+    image = {name: joint for name, joint in columns.joints.items() if not _is_world_column(name)}
+    if image and len(image) < len(columns.joints):
+        columns = replace(columns, joints=image)
+        notes = ("world landmarks are left out, those of the image are taken",)
     if any(joint.z is not None for joint in columns.joints.values()):
         notes = (*notes, _NO_DEPTH)
     data = read_columns(path, columns, lambda names: _landmark_names(path, names, options), _without_flags)
     return _placed(replace(data, notes=(*data.notes, *notes)), options)
-
-
-def _of_the_image(columns: Columns) -> tuple[Columns, tuple[str, ...]]:
-    """Return the columns without world landmarks, where there are others."""
-    image = {name: joint for name, joint in columns.joints.items() if not _is_world_column(name)}
-    if not image or len(image) == len(columns.joints):
-        return columns, ()
-    return replace(columns, joints=image), ("world landmarks are left out, those of the image are taken",)
 
 
 def _is_world_column(name: str) -> bool:
@@ -341,8 +325,9 @@ class _Read:
             keys = {_plain_key(key): key for key in frame}
             given = next((frame[keys[key]] for key in _NUMBER if key in keys), None)
             number = float(given) if _is_number(given) else number
-        for body in _bodies_in(frame, self._where(place), 0):
-            self._add_body(body, self._where(place))
+        where = f"{self.path}, frame {place} of the file"
+        for body in _bodies_in(frame, where, 0):
+            self._add_body(body, where)
             self.frame.append(float(place) if number is None else number)
 
     def finished(self, options: ReadOptions) -> PoseData:
@@ -362,9 +347,6 @@ class _Read:
         notes = (*notes, _NO_DEPTH) if self.deep else notes
         return bodies_of(self.path, found, keypoints, _without_flags(scores, keypoints), names, notes)
 
-    def _where(self, place: int) -> str:
-        return f"{self.path}, frame {place} of the file"
-
     def _add_body(self, body: list[tuple[str, Any]], where: str) -> None:
         names = [name for name, _ in body]
         if not self.names:
@@ -376,16 +358,10 @@ class _Read:
         marks = [mark for _, mark in body]
         values = _values_of_all(marks)  # most files are so, and it takes a fifth of the time
         if values is None:
-            values = np.array([self._numbers(name, mark, where) for name, mark in body], np.float64)
+            values = np.array([_values_of(mark, name, where) for name, mark in body], np.float64)
         self.deep = self.deep or any("z" in mark if isinstance(mark, dict) else len(mark) > 2 for mark in marks)
         with np.errstate(over="ignore", invalid="ignore"):
             self.rows.append(values.astype(np.float32))
-
-    def _numbers(self, name: str, mark: Any, where: str) -> tuple[float, float, float]:
-        values = _values_of(mark)
-        if values is None:
-            raise UserError(f"{where}: landmark '{name}' is {mark!r:.60}, expected numbers x and y.")
-        return values
 
 
 def _frames(path: Path, read: _Read) -> Iterator[tuple[int, float | None, Any]]:
@@ -435,11 +411,6 @@ def _frames(path: Path, read: _Read) -> Iterator[tuple[int, float | None, Any]]:
 
 _FRAME_KEYS = ("frame", "frames", "frame_number", "frame_numbers", "frame_idx", "frame_index")
 _FLAGS = ("visibility", "visibilities", "confidence", "scores")
-
-
-def _looks_like_mediapipe_npz(peek: Peek) -> bool:
-    """Return whether an npz has an array that is called landmarks."""
-    return "joint_names" not in peek.npz_names and _chosen(peek.npz_names) is not None
 
 
 def _read_mediapipe_npz(path: Path, options: ReadOptions) -> PoseData:
@@ -499,16 +470,16 @@ def _landmarks(path: Path, name: str, array: np.ndarray) -> np.ndarray:
 
 def _number(arrays: dict[str, np.ndarray], name: str) -> float | None:
     array = arrays.get(name)
-    if array is None or array.size != 1 or array.dtype.kind not in "fiu" or not 0 < float(array.reshape(())) < 1e5:
+    if array is None or array.size != 1 or array.dtype.kind not in "fiu" or not 0 < array.item() < 1e5:
         return None
-    return float(array.reshape(()))
+    return float(array.item())
 
 
 def _size(arrays: dict[str, np.ndarray]) -> tuple[int, int] | None:
     """Return width and height where the file has them."""
     both = arrays.get("image_size")
-    sides = list(both.ravel()) if both is not None else [_number(arrays, side) or 0 for side in ("width", "height")]
-    if len(sides) != 2 or not all(isinstance(n, int | float | np.number) and 1 <= n < 1e6 for n in sides):
+    sides = both.ravel().tolist() if both is not None else [_number(arrays, side) or 0 for side in ("width", "height")]
+    if len(sides) != 2 or not all(_is_number(side) and 1 <= side < 1e6 for side in sides):
         return None
     return int(sides[0]), int(sides[1])
 
@@ -518,7 +489,7 @@ def _size(arrays: dict[str, np.ndarray]) -> tuple[int, int] | None:
 
 def _fits(peek: Peek) -> bool:
     if peek.npz_names:
-        return _looks_like_mediapipe_npz(peek)
+        return "joint_names" not in peek.npz_names and _chosen(peek.npz_names) is not None
     return _looks_like_mediapipe_json(peek) or _looks_like_mediapipe_csv(peek)
 
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from uplift.config.files import replacing
 from uplift.data.formats import KEYPOINT_FORMATS, read
-from uplift.data.formats.base import Format, Peek, ReadOptions
+from uplift.data.formats.base import Format, ReadOptions
 from uplift.data.parsers.files import bytes_of
 from uplift.data.parsers.npz import CheckedArrays, array_headers, read_arrays
 from uplift.data.parsers.pictures import PHOTO_ENDINGS
@@ -63,7 +63,7 @@ def read_npz(path: str | Path) -> PoseData:
         pose=file.floats("pose", (frames, joints, 3)),
         root=file.floats("root", (frames, 3)),
         unit=unit_of(where, arrays, "mm"),
-        identity=_photos({key: _identity(where, arrays, key, frames) for key in IDENTITY_KEYS if key in arrays}),
+        identity=_identity(where, arrays, frames),
         fps=_scalar(where, arrays, "fps"),
         image_size=_image_size(where, arrays),
         focal_px=_scalar(where, arrays, "focal_px"),
@@ -110,26 +110,24 @@ def _confidence(file: CheckedArrays, shape: tuple[int, int]) -> np.ndarray:
     return confidence
 
 
-def _identity(where: str, arrays: dict, name: str, frames: int) -> np.ndarray:
-    array = arrays[name]
-    if array.ndim == 0:
-        array = np.repeat(array, frames)
-    if array.shape != (frames,):
-        raise UserError(f"{where}: '{name}' has shape {array.shape}, expected ({frames},) as 'keypoints' has frames.")
-    return array
-
-
-def _photos(identity: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
-    """Return sequences that are named as photos are, and have no frame numbers, as `image`.
+def _identity(where: str, arrays: dict[str, np.ndarray], frames: int) -> dict[str, np.ndarray]:
+    """Return what the frames are of; sequences named as photos are, without frame numbers, are images.
 
     The people in one photo are not a clip of one body.
     """
-    names = identity.get("sequence")
-    if names is None or names.dtype.kind != "U" or not len(names) or {"frame", "image"} & set(identity):
-        return identity
+    found = {key: arrays[key] for key in IDENTITY_KEYS if key in arrays}
+    found = {key: np.repeat(array, frames) if array.ndim == 0 else array for key, array in found.items()}
+    for name, array in found.items():
+        if array.shape != (frames,):
+            raise UserError(
+                f"{where}: '{name}' has shape {array.shape}, expected ({frames},) as 'keypoints' has frames."
+            )
+    names = found.get("sequence")
+    if names is None or names.dtype.kind != "U" or not frames or {"frame", "image"} & set(found):
+        return found
     if not all(name.lower().endswith(PHOTO_ENDINGS) for name in names.tolist()):
-        return identity
-    return {"image" if key == "sequence" else key: values for key, values in identity.items()}
+        return found
+    return {"image" if key == "sequence" else key: values for key, values in found.items()}
 
 
 def _scalar(where: str, arrays: dict, name: str) -> float | None:
@@ -152,15 +150,12 @@ def _image_size(where: str, arrays: dict) -> tuple[int, int] | None:
     return int(array[0]), int(array[1])
 
 
-def _fits(peek: Peek) -> bool:
-    return peek.ending == ".npz"  # the last to be asked: its errors say in full what is wrong
-
-
-def _read(peek: Peek, options: ReadOptions) -> PoseData:
-    return read_npz(peek.path)
-
-
-FORMAT = Format("npz", "uplift's own npz", _fits, _read)
+FORMAT = Format(
+    "npz",
+    "uplift's own npz",
+    lambda peek: peek.ending == ".npz",  # the last to be asked: its errors say in full what is wrong
+    lambda peek, options: read_npz(peek.path),
+)
 
 
 # Write a `PoseData` in the npz layout of "your own data".

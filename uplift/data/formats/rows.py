@@ -1,4 +1,4 @@
-"""Rows of keypoints as formats find them become `PoseData`: honest confidence, who is who, clips that stand together."""
+"""Rows of keypoints as formats find them become `PoseData`: confidence, tracks, and clips in order of time."""
 
 from __future__ import annotations
 
@@ -27,6 +27,7 @@ __all__ = [
     "frame_numbers",
     "link_bodies",
     "name_of",
+    "named_tracks",
     "pairs_of",
     "pose_data",
     "rows_of",
@@ -176,11 +177,9 @@ class _Bodies:
         """Return which of ``before`` each of ``rows`` is, by their places; those that are new are absent."""
         from scipy.optimize import linear_sum_assignment
 
-        cost = (
-            np.stack([self.apart(rows, np.full(len(rows), one)) for one in before], 1)
-            if len(before)
-            else np.empty((0, 0))
-        )
+        cost = np.empty((len(rows), len(before)))
+        for place, one in enumerate(before):
+            cost[:, place] = self.apart(rows, np.full(len(rows), one))
         pairs = zip(*(places.tolist() for places in linear_sum_assignment(cost)), strict=True)
         return {row: one for row, one in pairs if cost[row, one] <= _FAR}
 
@@ -233,13 +232,13 @@ def _sizes(keypoints: np.ndarray, seen: np.ndarray) -> np.ndarray:
     return np.fmax(np.where(np.isfinite(side), side, 0), least)
 
 
-# Rows of keypoints as readers find them become `PoseData`: honest confidence, who is who, clips that stand together.
+# Rows of keypoints that name their image, or their video and frame, become `PoseData`.
 
 SHARES_NOTE = (
     "coordinates are shares of the image, whose size is not known: taken as square; say image_size=WIDTHxHEIGHT"
 )
 _LINKED = "bodies have no numbers: those of neighbouring frames are linked by place"
-_TWICE = "a track's number stands twice in one frame: bodies are linked by place instead"
+_TWICE = "a track number occurs twice in one frame: bodies are linked by place instead"
 _SOME = "some bodies have no track: they are linked by place, as untracked 0 and so on"
 _NUMBERED = re.compile(r"^(.*?)[ ._-]*?([0-9]{1,15})$", re.DOTALL)
 
@@ -275,9 +274,8 @@ def pose_data(
     found = list(notes)
     if "frame" in identity:
         identity, order = _clips(keypoints, confidence, identity, found)
-        if order is not None:
-            keypoints, confidence = keypoints[order], confidence[order]
-            identity = {key: value[order] for key, value in identity.items()}
+        keypoints, confidence = keypoints[order], confidence[order]
+        identity = {key: value[order] for key, value in identity.items()}
     return PoseData(
         keypoints=keypoints.astype(np.float32, copy=False),
         confidence=confidence,
@@ -300,51 +298,46 @@ def _honest(keypoints: np.ndarray, confidence: np.ndarray) -> tuple[np.ndarray, 
 
 def _clips(
     keypoints: np.ndarray, confidence: np.ndarray, identity: dict[str, np.ndarray], notes: list[str]
-) -> tuple[dict[str, np.ndarray], np.ndarray | None]:
-    """Return the identity with bodies told apart, and the order in which each one's frames stand together."""
-    frame = identity["frame"]
+) -> tuple[dict[str, np.ndarray], np.ndarray]:
+    """Return the identity with a track for each body, and the order that puts the frames of each body together."""
+    identity, frame = dict(identity), identity["frame"]
     _, video = codes_of(identity["sequence"])
     times, time = codes_of(frame)
     places, place = codes_of(video * len(times) + time)
-    several = len(places) < len(frame)
-    track = identity.get("instance", np.full(len(frame), ""))
+    track = identity.pop("instance", np.full(len(frame), ""))
     nameless = track == ""
     if not nameless.all():
         tracks, who = codes_of(track)
         taken = (place * len(tracks) + who)[~nameless]
         if len(np.unique(taken)) < len(taken):
             notes.append(_TWICE)
-            nameless[:] = True
+            track = np.full(len(frame), "")
         elif nameless.any():
             notes.append(_SOME)
-            found = _linked(keypoints, confidence, video, frame, nameless)
-            track = np.where(nameless, np.char.add("untracked ", found), track)
-    elif several:
+    elif len(places) < len(frame):
         notes.append(_LINKED)
-    rest = {key: value for key, value in identity.items() if key != "instance"}
-    if nameless.all():
-        if not several:
-            return rest, _order(video, None, frame)
-        track = _linked(keypoints, confidence, video, frame, nameless)
-    return {**rest, "instance": track}, _order(video, track, frame)
+    else:
+        return identity, np.lexsort([frame, video])
+    track = named_tracks(keypoints, confidence, video, frame, track)
+    return {**identity, "instance": track}, np.lexsort([frame, codes_of(track)[1], video])
 
 
-def _linked(
-    keypoints: np.ndarray, confidence: np.ndarray, video: np.ndarray, frame: np.ndarray, rows: np.ndarray
+def named_tracks(
+    keypoints: Float[np.ndarray, "rows joints 2"],
+    confidence: Float[np.ndarray, "rows joints"],
+    video: np.ndarray,
+    frame: np.ndarray,
+    track: np.ndarray,
 ) -> np.ndarray:
-    """Return (rows,) numbers of bodies as text for those that ``rows`` picks, nothing for others."""
+    """Return (rows,) names of tracks: bodies without one are linked by place, as "untracked 0" where others have one."""
+    nameless = track == ""
+    if not nameless.any():
+        return track
     found = np.full(len(frame), "", dtype="U20")
-    order = np.flatnonzero(rows)[np.argsort(video[rows], kind="stable")]
+    order = np.flatnonzero(nameless)[np.argsort(video[nameless], kind="stable")]
     for here in np.split(order, np.flatnonzero(np.diff(video[order])) + 1):
         found[here] = link_bodies(keypoints[here], confidence[here], frame[here]).astype(str)
-    return found
-
-
-def _order(video: np.ndarray, track: np.ndarray | None, frame: np.ndarray) -> np.ndarray | None:
-    """Return the order by video, body and frame; None where the rows stand so already."""
-    keys = [frame] if track is None else [frame, codes_of(track)[1]]
-    order = np.lexsort([*keys, video])
-    return None if (np.diff(order) == 1).all() else order
+    return found if nameless.all() else np.where(nameless, np.char.add("untracked ", found), track)
 
 
 def seen_by_flag(third: Float[np.ndarray, "rows joints"], notes: list[str]) -> Float[np.ndarray, "rows joints"]:
@@ -426,23 +419,24 @@ class Bodies:
 
         Several images that are numbered as a video's frames are one.
         """
-        known = {"category": texts(self.path, self.category)} if len(set(self.category)) > 1 else {}
         tracks = {"instance": texts(self.path, self.track)} if any(self.track) else {}
-        if all(number is not None for number in self.frame):
-            return {"sequence": texts(self.path, self.name), "frame": np.array(self.frame, np.int64), **tracks, **known}
+        tracks |= self._categories()
+        if None not in self.frame:
+            return {"sequence": texts(self.path, self.name), "frame": np.array(self.frame, np.int64), **tracks}
         names = list(dict.fromkeys(self.name))
         video = video_names(names, self.path.absolute().stem)
         if video is None or any(number is not None for number in self.frame):
             return self.images(self.name)
         place = {name: at for at, name in enumerate(names)}
         rows = np.array([place[name] for name in self.name])
-        sequence, frame = texts(self.path, video[0]), np.array(video[1], np.int64)
-        return {"sequence": sequence[rows], "frame": frame[rows], **tracks, **known}
+        return {"sequence": texts(self.path, video[0])[rows], "frame": np.array(video[1], np.int64)[rows], **tracks}
 
     def images(self, names: Sequence[str]) -> dict[str, np.ndarray]:
         """Return image and number of bodies whose images have these ``names``."""
-        known = {"category": texts(self.path, self.category)} if len(set(self.category)) > 1 else {}
-        return {"image": texts(self.path, names), "instance": np.arange(len(self)).astype(str), **known}
+        return {"image": texts(self.path, names), "instance": np.arange(len(self)).astype(str), **self._categories()}
+
+    def _categories(self) -> dict[str, np.ndarray]:
+        return {"category": texts(self.path, self.category)} if len(set(self.category)) > 1 else {}
 
 
 def track_of(value: Any, where: str, key: str, *, listed: bool = False) -> str:
@@ -505,29 +499,18 @@ def rows_of(
     rows = {key: values[frame] for key, values in identity.items()}
     if len(bodies):
         rows["instance"] = np.array(bodies, np.str_)[body]
-    order = _clips_together(rows)
-    if order is not None:
-        frame, body = frame[order], body[order]
-        rows = {key: values[order] for key, values in rows.items()}
-    complete = seen.shape[1] == 1 and len(frame) == seen.size and order is None
+    if "frame" in rows and "sequence" in rows:  # clips by first appearance, the rows of each by time
+        parts = [rows[key] for key in ("subject", "sequence", "camera", "instance") if key in rows]
+        order = np.lexsort((rows["frame"], by_appearance(parts, len(frame))[0]))
+        frame, body, rows = frame[order], body[order], {key: values[order] for key, values in rows.items()}
     return PoseData(
-        keypoints=keypoints[:, 0] if complete else keypoints[frame, body],
-        confidence=confidence[:, 0] if complete else confidence[frame, body],
+        keypoints=keypoints[frame, body],
+        confidence=confidence[frame, body],
         joint_names=tuple(names),
         identity=rows,
         source=str(path),
         **known,  # type: ignore[arg-type]
     )
-
-
-def _clips_together(rows: dict[str, np.ndarray]) -> np.ndarray | None:
-    """Return the order in which the rows of each clip, clips by first appearance, go up in time; None for as it is."""
-    if "frame" not in rows or "sequence" not in rows:
-        return None
-    count = len(rows["frame"])
-    parts = [rows[key] for key in ("subject", "sequence", "camera", "instance") if key in rows]
-    order = np.lexsort((rows["frame"], by_appearance(parts, count)[0]))
-    return None if (np.diff(order) == 1).all() else order
 
 
 def by_appearance(parts: Sequence[np.ndarray], rows: int) -> tuple[np.ndarray, np.ndarray]:
@@ -536,13 +519,9 @@ def by_appearance(parts: Sequence[np.ndarray], rows: int) -> tuple[np.ndarray, n
     for part in parts:
         _, one = codes_of(part)
         _, code = codes_of(code * (one.max(initial=0) + 1) + one)
-    starts = np.flatnonzero(np.diff(code, prepend=-1))  # equal rows mostly stand together
-    kinds, at = np.unique(code[starts], return_index=True)
-    first = starts[at]
-    order = np.argsort(first, kind="stable")
-    rank = np.empty(len(kinds), np.int64)
-    rank[order] = np.arange(len(kinds))
-    return rank[code], first[order]
+    _, first, code = np.unique(code, return_index=True, return_inverse=True)
+    order = np.argsort(first)
+    return np.argsort(order)[code], first[order]
 
 
 def _check_names(path: Path, names: Sequence[str], what: str) -> None:
@@ -558,22 +537,22 @@ def frame_numbers(
     path: Path, numbers: np.ndarray, lines: np.ndarray | None = None, *, once: bool = False
 ) -> np.ndarray:
     """Return frame numbers as int64; with ``once`` none may come twice. Raises UserError for other numbers."""
+
+    def place(row: int) -> str:
+        return f"row {row}" if lines is None else f"line {lines[row]}"
+
     valid = np.isfinite(numbers) & (numbers >= 0) & (numbers < _LAST_FRAME) & (np.floor(numbers) == numbers)
     if not valid.all():
         row = int(np.argmin(valid))
-        raise UserError(f"{_place(path, lines, row)}: {numbers[row]:g} is not a frame number, expected 0, 1, 2, ...")
+        raise UserError(f"{path}, {place(row)}: {numbers[row]:g} is not a frame number, expected 0, 1, 2, ...")
     frame = numbers.astype(np.int64)
     if once and len(frame) > 1 and not (np.diff(frame) > 0).all():
         order = np.argsort(frame, kind="stable")
         again = np.flatnonzero(np.diff(frame[order]) == 0)
         if len(again):
             row = int(order[again[0] + 1])
-            raise UserError(f"{_place(path, lines, row)}: frame {frame[row]} is there twice: two files in one?")
+            raise UserError(f"{path}, {place(row)}: frame {frame[row]} is there twice: two files in one?")
     return frame
-
-
-def _place(path: Path, lines: np.ndarray | None, row: int) -> str:
-    return f"{path}, row {row}" if lines is None else f"{path}, line {lines[row]}"
 
 
 def confidence_of(path: Path, keypoints: np.ndarray, scores: np.ndarray | None) -> np.ndarray:
