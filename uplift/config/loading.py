@@ -16,15 +16,7 @@ from uplift.config.settings import RENAMED, Settings, all_settings, check_settin
 from uplift.config.yaml_file import Where, read_value, read_yaml
 from uplift.errors import UserError, did_you_mean
 
-__all__ = [
-    "load_settings",
-    "put_override",
-    "read_task",
-    "save_settings",
-    "setting_names",
-    "split_words",
-    "task_path",
-]
+__all__ = ["load_settings", "put_override", "read_task", "save_settings", "setting_names", "split_words", "task_path"]
 
 _MAX_EXTENDS = 10
 

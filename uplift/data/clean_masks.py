@@ -176,9 +176,7 @@ def _components(mask: Bool[np.ndarray, "height width"], connectivity: int) -> In
     return np.asarray(label(mask, connectivity=connectivity))
 
 
-def _largest_piece(
-    mask: Bool[np.ndarray, "height width"],
-) -> tuple[Bool[np.ndarray, "height width"], float]:
+def _largest_piece(mask: Bool[np.ndarray, "height width"]) -> tuple[Bool[np.ndarray, "height width"], float]:
     """Return the piece of most pixels (joined by sides or corners), and the second one's share of its area: 0 where it is alone."""
     numbers = _components(mask, 2)
     if numbers.max(initial=0) < 2:
@@ -319,11 +317,7 @@ def _boxed(mask: np.ndarray, left: int, top: int) -> tuple[np.ndarray, int, int]
 
 
 def clean(
-    items: Iterable[Found | Skipped],
-    options: CleanOptions | None = None,
-    *,
-    most: int | None = None,
-    source: str = "",
+    items: Iterable[Found | Skipped], options: CleanOptions | None = None, *, most: int | None = None, source: str = ""
 ) -> tuple[MaskData, _MaskReport]:
     """Return the masks that are one whole object each, cut out by `clean_mask`, and what became of the others.
 

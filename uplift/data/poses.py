@@ -16,16 +16,7 @@ from uplift.geometry.lens import Lens
 if TYPE_CHECKING:
     from uplift.geometry.normalise import Intrinsics
 
-__all__ = [
-    "IDENTITY_KEYS",
-    "UNITS",
-    "PoseData",
-    "clips_of",
-    "codes_of",
-    "mask_maps",
-    "masks_of",
-    "previous_frames",
-]
+__all__ = ["IDENTITY_KEYS", "UNITS", "PoseData", "clips_of", "codes_of", "mask_maps", "masks_of", "previous_frames"]
 
 # The one container of 2D keypoints and what is known beside them.
 

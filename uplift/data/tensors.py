@@ -19,15 +19,7 @@ from uplift.geometry.normalise import Intrinsics, Normalised, bone_lengths, norm
 from uplift.geometry.rotation import gravity_of, turn
 from uplift.skeleton import Skeleton
 
-__all__ = [
-    "Batch",
-    "TrainingSet",
-    "intrinsics_of",
-    "mean_bones",
-    "to_training_set",
-    "undistorted",
-    "with_labels",
-]
+__all__ = ["Batch", "TrainingSet", "intrinsics_of", "mean_bones", "to_training_set", "undistorted", "with_labels"]
 
 # All frames as tensors on one device: indexed, never loaded again.
 
@@ -78,12 +70,7 @@ class TrainingSet(Samples):
         """Return the training set of cleaned ``data``; its `pose`, `root` and `tilt_deg` are not used."""
         keypoints, confidence = torch.from_numpy(data.keypoints), torch.from_numpy(data.confidence)
         normal = normalise(
-            keypoints,
-            confidence,
-            skeleton.root_index,
-            count_root=count_root,
-            intrinsics=intrinsics,
-            distance=distance,
+            keypoints, confidence, skeleton.root_index, count_root=count_root, intrinsics=intrinsics, distance=distance
         )
         return cls(
             skeleton=skeleton,
@@ -200,11 +187,7 @@ class Batch(Samples):
         if mask_map is not None:
             mask_map = torch.where(which[:, None, None], mask_map * mask_map.new_tensor([-1.0, 1.0, 1.0]), mask_map)
         return replace(
-            self,
-            keypoints=swap(self.keypoints),
-            confidence=swap(self.confidence),
-            labels=labels,
-            mask_map=mask_map,
+            self, keypoints=swap(self.keypoints), confidence=swap(self.confidence), labels=labels, mask_map=mask_map
         )
 
 
@@ -258,10 +241,7 @@ def with_labels(frames: TrainingSet, data: PoseData) -> TrainingSet:
         tilt = gravity_of(real, frames.rotation)[:, 2].clamp(-1, 1).asin()
     labels = (pose / unit[:, None, None]).where((labelled[:, None] & known)[..., None], torch.nan)
     return replace(
-        frames,
-        labels=labels,
-        label_unit=unit.where(labelled, torch.nan),
-        label_tilt=tilt.where(labelled, torch.nan),
+        frames, labels=labels, label_unit=unit.where(labelled, torch.nan), label_tilt=tilt.where(labelled, torch.nan)
     )
 
 

@@ -218,11 +218,7 @@ def match_poses(
     target = _check_frames(prediction, truth, names)
     ours, ours_extra = _pick(prediction.joint_names, skeleton, names[0])
     theirs, theirs_extra = _pick(truth.joint_names, skeleton, names[1])
-    pose, target, seen = (
-        np.asarray(prediction.pose)[:, ours],
-        target[:, theirs],
-        truth.confidence[:, theirs] > 0,
-    )
+    pose, target, seen = (np.asarray(prediction.pose)[:, ours], target[:, theirs], truth.confidence[:, theirs] > 0)
     weight, wanted = counted(pose, target, seen), seen & np.isfinite(target).all(-1)
     kept = weight.sum(1) >= _MIN_JOINTS
     if not kept.any():

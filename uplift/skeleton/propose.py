@@ -250,9 +250,7 @@ def seen_in(
 
 
 def apart(
-    keypoints: Shaped[np.ndarray, "frames joints 2"],
-    visible: Bool[np.ndarray, "frames joints"],
-    names: Sequence[str],
+    keypoints: Shaped[np.ndarray, "frames joints 2"], visible: Bool[np.ndarray, "frames joints"], names: Sequence[str]
 ) -> Float[np.ndarray, "joints joints"]:
     """Return how little a bone is to be expected between two joints: the geometric mean of their mean distance and of
     how much it varies over the frames, in sizes of the body; infinite where no frame shows both.
