@@ -6,8 +6,10 @@ import textwrap
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Bool, Float, Real
+from jaxtyping import Float, Real
 from PIL import Image, ImageDraw, ImageFont
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import shortest_path
 
 from uplift.errors import UserError
 from uplift.skeleton.core import CENTRE, LEFT, RIGHT, Skeleton, joint_sides
@@ -101,13 +103,8 @@ def _plane_figure(skeleton: Skeleton) -> Float[np.ndarray, "joints 2"]:
 
 def _distances(skeleton: Skeleton) -> Float[np.ndarray, "joints joints"]:
     """Return the number of bones between any two joints."""
-    count = len(skeleton.joints)
-    distance = np.full((count, count), np.inf)
-    np.fill_diagonal(distance, 0)
-    distance[tuple(skeleton.bone_indices.T)] = distance[tuple(skeleton.bone_indices.T[::-1])] = 1
-    for via in range(count):
-        distance = np.minimum(distance, distance[:, via, None] + distance[None, via])
-    return distance
+    count, ends = len(skeleton.joints), skeleton.bone_indices.T
+    return shortest_path(coo_matrix((np.ones(ends.shape[1]), ends), (count, count)), directed=False, unweighted=True)
 
 
 def _classical_scaling(distance: Float[np.ndarray, "joints joints"]) -> Float[np.ndarray, "joints axes"]:
@@ -145,7 +142,7 @@ def _upright(place: Float[np.ndarray, "joints 2"], skeleton: Skeleton) -> Float[
     """Turn the figure so that up, or the front of a body seen from above, points up the image."""
     vectors = {name: skeleton.facing_matrix(name) @ place for name in skeleton.facing}
     up = vectors.get("up", np.zeros(2))
-    low = _low_joints(skeleton)
+    low = np.array([any(word in joint.casefold() for word in _LOW_WORDS) for joint in skeleton.joints])
     if not np.linalg.norm(up) > 0.5 and "up" not in vectors and low.any() and not low.all():
         up = place[~low].mean(0) - place[low].mean(0)
     front = vectors.get("front", np.zeros(2))
@@ -159,10 +156,6 @@ def _upright(place: Float[np.ndarray, "joints 2"], skeleton: Skeleton) -> Float[
     left = vectors["left"] @ rotation.T if "left" in vectors else np.array([1.0, 0.0])
     flip = (left[0] < 0) != above
     return turned * np.array([-1.0 if flip else 1.0, 1.0])
-
-
-def _low_joints(skeleton: Skeleton) -> Bool[np.ndarray, " joints"]:
-    return np.array([any(word in joint.casefold() for word in _LOW_WORDS) for joint in skeleton.joints])
 
 
 # The picture: labelled joints, bones in the colours of the sides, facing arrows.
@@ -224,12 +217,10 @@ def _fit(place: Float[np.ndarray, "joints 2"]) -> Float[np.ndarray, "joints 2"]:
 def _text_lines(skeleton: Skeleton, drawn: set[str]) -> list[tuple[str, str]]:
     """Return the lines of text above the picture, each with its colour."""
     title = f"{skeleton.name}: {len(skeleton.joints)} joints, {len(skeleton.bones)} bones, root {skeleton.root}"
-    title += "" if skeleton.gravity else ", no gravity"
-    title += ", rigid" if skeleton.rigid else ""
+    title += ("" if skeleton.gravity else ", no gravity") + (", rigid" if skeleton.rigid else "")
     lines = [(title, "#000000")]
     if skeleton.mirror:
-        lines.append(("its left", _COLOURS[LEFT]))
-        lines.append(("its right", _COLOURS[RIGHT]))
+        lines += [("its left", _COLOURS[LEFT]), ("its right", _COLOURS[RIGHT])]
     for direction, (start, stop) in skeleton.facing.items():
         words = f"{direction}: from {_several(start)} to {_several(stop)}"
         words += "" if direction in drawn else " (into the page or out of it)"
