@@ -217,7 +217,7 @@ def test_the_report_counts_and_names() -> None:
     assert data.category is not None
     assert data.category.tolist() == ["cow"] * 3
     assert data.masks.shape == (3, 64, 64)
-    assert report.masks == 10
+    assert report.kept + report.skipped.total() == 10
     assert report.skipped == {"empty": 5, "border": 1, "unreadable": 1}
     assert report.lines()[0] == "5 of 10 masks skipped: empty (empty0, empty1, empty2, ...)"
     assert "border=keep" in report.lines()[1]

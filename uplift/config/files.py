@@ -14,19 +14,9 @@ from typing import Any, BinaryIO
 from uplift.errors import UserError
 
 __all__ = [
-    "absolute",
-    "data_root",
-    "files_of",
-    "read_torch",
-    "refuse_existing",
-    "refuse_output",
-    "replacing",
-    "save_torch",
-    "shipped",
-    "shipped_names",
-]
-
-# Where shipped files and data sets are.
+    "absolute", "data_root", "files_of", "read_torch", "refuse_existing", "refuse_output", "replacing", "save_torch",
+    "shipped", "shipped_names",
+]  # fmt: skip
 
 _PACKAGE = Path(__file__).resolve().parent.parent
 
@@ -91,9 +81,6 @@ def absolute(path: str) -> str:
     return ",".join(str(Path(part).expanduser().absolute()) for part in path.split(",") if part)
 
 
-# Writing: a file appears complete or not at all.
-
-
 @contextmanager
 def replacing(path: str | Path) -> Iterator[BinaryIO]:
     """Open a temporary file beside ``path`` and put it in the place of ``path`` once it is complete.
@@ -120,9 +107,6 @@ def replacing(path: str | Path) -> Iterator[BinaryIO]:
     except BaseException:
         temporary.unlink(missing_ok=True)
         raise
-
-
-# Files of tensors and plain data, read without running any code.
 
 
 def save_torch(state: dict[str, Any], path: Path) -> None:

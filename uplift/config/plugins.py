@@ -31,7 +31,8 @@ def build(
     """
     found = find_class(use, builtin, where)
     if not issubclass(found, kind):
-        raise UserError(f"{where}: '{use}' is not a subclass of {_public_name(kind)}.")
+        package = kind.__module__.partition(".")[0] + (".nn" if kind.__module__.startswith("torch.nn") else "")
+        raise UserError(f"{where}: '{use}' is not a subclass of {package}.{kind.__name__}.")
     parameters = inspect.signature(found).parameters
     for name in given:
         if name not in parameters and options_of(found) is not None:
@@ -43,7 +44,8 @@ def build(
             if name not in allowed:
                 raise UserError(f"{where}.{name}: '{use}' takes no such option.{did_you_mean(name, allowed)}")
     for name, parameter in parameters.items():
-        if name not in options and name not in given and _is_required(parameter):
+        several = parameter.kind in (parameter.VAR_KEYWORD, parameter.VAR_POSITIONAL)
+        if name not in options and name not in given and parameter.default is parameter.empty and not several:
             raise UserError(f"{where}: '{use}' needs the option '{name}': set {where}.{name}=...")
     try:
         return found(**given, **options)
@@ -60,23 +62,10 @@ def build(
         ) from error
 
 
-def _is_required(parameter: inspect.Parameter) -> bool:
-    return parameter.default is parameter.empty and parameter.kind not in (
-        parameter.VAR_KEYWORD,
-        parameter.VAR_POSITIONAL,
-    )
-
-
-def _public_name(kind: type) -> str:
-    return (
-        f"{kind.__module__.partition('.')[0]}.{'nn.' if kind.__module__.startswith('torch.nn') else ''}{kind.__name__}"
-    )
-
-
 def _check_kinds(found: type, options: Mapping[str, Any], where: str) -> None:
     """Refuse an option whose kind is not that of its default: text for a number, a number for text."""
-    kinds = {bool: ("true or false", (bool,)), int: ("a number", (int, float)), float: ("a number", (int, float))}
-    kinds[str] = ("text", (str,))
+    number = ("a number", (int, float))
+    kinds = {bool: ("true or false", (bool,)), int: number, float: number, str: ("text", (str,))}
     for name, parameter in inspect.signature(found).parameters.items():
         expected, kind = kinds.get(type(parameter.default), ("", ()))
         value = options.get(name, parameter.default)

@@ -13,8 +13,6 @@ from uplift.skeleton import Skeleton
 
 __all__ = ["JUMP", "MIN_VISIBLE", "clean", "joint_neighbours", "jump_of"]
 
-# Whether the frames of a sequence are a video: whether each is much like the one before it.
-
 JUMP = 0.3
 """Frames that mostly move by more than this, in sizes of the body, are not a video: each was seen by another camera."""
 _MOST_ROWS, _MOST_PAIRS = 200_000, 20_000
@@ -41,8 +39,6 @@ def jump_of(data: PoseData) -> float:
     usable = (both.sum(1) >= 3) & (size > 0)
     return float(np.median(moved[usable] / size[usable])) if usable.any() else 0.0
 
-
-# What enters training and prediction: finite numbers, honest confidence, a root in every frame.
 
 MIN_VISIBLE = 3
 _BLOCK = 4096

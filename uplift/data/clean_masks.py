@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -14,8 +14,6 @@ from uplift.data.masks import FILL, Found, MaskData, Skipped
 from uplift.errors import UserError, nearest
 
 __all__ = ["MENDED", "REASONS", "CleanOptions", "Crop", "MaskOptions", "clean", "clean_mask", "covered", "resample"]
-
-# What a user says of masks: how they are read, and which are taken.
 
 
 @dataclass(frozen=True)
@@ -30,7 +28,6 @@ class CleanOptions:
     """Objects in several pieces of similar size: skip, or take the largest."""
 
     def __post_init__(self) -> None:
-        """Refuse what cannot be."""
         if isinstance(self.side, bool) or not isinstance(self.side, int) or not MIN_SIDE <= self.side <= MAX_SIDE:
             raise UserError(f"side={self.side}: expected a whole number of pixels from {MIN_SIDE} to {MAX_SIDE}.")
         for name, valid in (("border", ("skip", "keep")), ("pieces", ("skip", "largest"))):
@@ -41,7 +38,7 @@ class CleanOptions:
 
 @dataclass(frozen=True)
 class MaskOptions(CleanOptions):
-    """What a user says of a file of masks."""
+    """How the masks of a file are read, and which are taken."""
 
     format: str | None = None
     """Name of the format; unset: guessed."""
@@ -53,13 +50,10 @@ class MaskOptions(CleanOptions):
     """Folder of the photos that the masks belong to."""
 
     def __post_init__(self) -> None:
-        """Refuse what cannot be."""
         super().__post_init__()
         if self.most is not None and (isinstance(self.most, bool) or not isinstance(self.most, int) or self.most < 1):
             raise UserError(f"most={self.most}: expected a whole number of masks from 1 up.")
 
-
-# What became of each mask: counts, reasons and a few names.
 
 _MIN_SIDE_PX = 12
 """The longer side of the box of the smallest mask that is taken."""
@@ -107,11 +101,6 @@ class _MaskReport:
     mended: Counter[str] = field(default_factory=Counter)
     """Key of `MENDED` -> how many masks."""
 
-    @property
-    def masks(self) -> int:
-        """How many came in."""
-        return self.kept + self.skipped.total()
-
     def skip(self, name: str, reason: str) -> None:
         """Count one that is not taken."""
         self.skipped[reason] += 1
@@ -119,24 +108,18 @@ class _MaskReport:
         if len(shown) < _SHOWN:
             shown.append(name)
 
-    def reasons(self) -> list[str]:
-        """Return what was skipped, the most frequent reason first, as ``3: empty (a.png, b.png, ...)``."""
-        return [f"{count:,}: {REASONS[key]} ({self._named(key)})" for key, count in self.skipped.most_common()]
-
     def lines(self) -> list[str]:
-        """Return the findings worth telling, one sentence each; none when all masks were whole."""
-        found = [
-            f"{count:,} of {self.masks:,} masks skipped: {REASONS[key]} ({self._named(key)})"
-            for key, count in self.skipped.most_common()
-        ]
+        """Return the findings worth reporting, one sentence each; none when all masks were complete."""
+        masks = self.kept + self.skipped.total()
+        found = [f"{self.skipped[key]:,} of {masks:,} masks skipped: {why}" for key, why in self.reasons()]
         return found + [f"{count:,} of {self.kept:,} masks: {MENDED[key]}" for key, count in self.mended.most_common()]
 
-    def _named(self, reason: str) -> str:
-        more = ", ..." if self.skipped[reason] > len(self.names[reason]) else ""
-        return ", ".join(name if len(name) < 80 else f"...{name[-76:]}" for name in self.names[reason]) + more
-
-
-# Which pixels of an array are the object: a threshold at half of what its numbers span.
+    def reasons(self) -> Iterator[tuple[str, str]]:
+        """Yield why masks were skipped, the most frequent first: key and text, as ``empty (a.png, b.png, ...)``."""
+        for key, count in self.skipped.most_common():
+            more = ", ..." if count > len(self.names[key]) else ""
+            names = (name if len(name) < 80 else f"...{name[-76:]}" for name in self.names[key])
+            yield key, f"{REASONS[key]} ({', '.join(names)}{more})"
 
 
 def covered(mask: np.ndarray) -> np.ndarray:
@@ -170,7 +153,6 @@ _HOLE = 0.001
 
 
 def _components(mask: Bool[np.ndarray, "height width"], connectivity: int) -> Int[np.ndarray, "height width"]:
-    """Return the number of each pixel's connected component from 1 up; 0 outside ``mask``."""
     from skimage.measure import label  # takes half a second to import, and those who only look at files need none
 
     return np.asarray(label(mask, connectivity=connectivity))
@@ -246,8 +228,6 @@ def _weights(
     return weights, first, last
 
 
-# What enters training and prediction: one whole object a mask, centred, at one scale.
-
 _FULL = 0.995
 _THIN_PX = 2
 
@@ -319,7 +299,7 @@ def _boxed(mask: np.ndarray, left: int, top: int) -> tuple[np.ndarray, int, int]
 def clean(
     items: Iterable[Found | Skipped], options: CleanOptions | None = None, *, most: int | None = None, source: str = ""
 ) -> tuple[MaskData, _MaskReport]:
-    """Return the masks that are one whole object each, cut out by `clean_mask`, and what became of the others.
+    """Return the masks that are one complete object each, cut out by `clean_mask`, and what became of the others.
 
     One mask is in memory at a time. With ``most`` no more are looked at once that many are found.
 
@@ -342,8 +322,9 @@ def clean(
             break
     where = f"{source}: " if source else ""
     if not kept:
-        why = f": {'; '.join(report.reasons())}" if report.skipped else ""
-        raise UserError(f"{where}none of {report.masks:,} masks can be used{why}.")
+        why = "; ".join(f"{report.skipped[key]:,}: {text}" for key, text in report.reasons())
+        masks = report.skipped.total()
+        raise UserError(f"{where}none of {masks:,} masks can be used{why and ': '}{why}.")
     return _gathered(sorted(kept, key=lambda one: one[0].order), source), report
 
 

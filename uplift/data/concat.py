@@ -16,8 +16,6 @@ from uplift.errors import UserError
 
 __all__ = ["concat_masks", "concat_poses", "resized"]
 
-# Frames.
-
 
 def concat_poses(parts: Sequence[PoseData]) -> PoseData:
     """Return the frames of all ``parts``, which have the same joints in the same order, one after the other.
@@ -106,9 +104,6 @@ def _alike(values: list[np.ndarray]) -> list[np.ndarray]:
     if any(value.dtype.kind not in "iuf" for value in values):
         return [value.astype(str) for value in values]
     return values
-
-
-# Masks.
 
 
 def concat_masks(parts: Sequence[MaskData]) -> MaskData:

@@ -21,8 +21,6 @@ from uplift.skeleton import Skeleton
 
 __all__ = ["Batch", "TrainingSet", "intrinsics_of", "mean_bones", "to_training_set", "undistorted", "with_labels"]
 
-# All frames as tensors on one device: indexed, never loaded again.
-
 _INPUT = ("keypoints", "confidence", "scale", "distance")
 _BESIDE = ("labels", "label_unit", "label_tilt", "masks", "mask_map")
 

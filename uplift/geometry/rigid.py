@@ -86,9 +86,6 @@ def least_turn(start: Float[np.ndarray, "*#any 3"], end: Float[np.ndarray, "*#an
     return turn / np.linalg.norm(turn, axis=-1, keepdims=True)
 
 
-# Procrustes: the rotation nearest to a matrix.
-
-
 def nearest_rotation(
     matrix: Float[np.ndarray, "*any 3 3"], *, reflect: bool = False
 ) -> tuple[Float[np.ndarray, "*any 3 3"], Float[np.ndarray, "*any"]]:

@@ -16,8 +16,6 @@ if TYPE_CHECKING:
 
 __all__ = ["Surface", "surface_of", "thinned"]
 
-# Occupancy grids to clean, closed meshes: marching cubes, specks and cavities taken away, faces outwards.
-
 _FROM_LEVEL = 1e-4
 """Corners of voxels keep so far from the level: a surface through a corner would have triangles without area."""
 _SHRINK, _SWELL = 0.5, 0.53

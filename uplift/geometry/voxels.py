@@ -153,8 +153,6 @@ def _fans(vertices: np.ndarray, edges: _Edges, agrees: np.ndarray) -> tuple[np.n
     return np.concatenate([vertices, middles]), fans, edges.part[open_ones]
 
 
-# Occupancy from a surface that has no inside of its own: whatever a flood from outside does not reach.
-
 _MOST_SAMPLES = 4_000_000
 
 
@@ -193,8 +191,6 @@ def _samples(corners: np.ndarray, spacing: float) -> np.ndarray:
             found.append((a + u[:, None] * (b - a) + v[:, None] * (c - a)).reshape(-1, 3))
     return np.concatenate(found) if found else np.empty((0, 3))
 
-
-# Occupancy grids of meshes: which voxels lie inside the union of a mesh's closed parts.
 
 _NUDGE = (1.7e-7, 2.9e-7, 2.3e-7)
 """Samples lie beside the voxels' centres by a hair: synthetic edges often lie exactly on them."""

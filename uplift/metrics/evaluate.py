@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 
 from uplift.errors import UserError
 from uplift.metrics.alignment import least_squares_scale
@@ -115,15 +115,11 @@ def _overall(
 
 
 def _per_joint(scores: Scores, skeleton: Skeleton) -> dict[str, dict[str, float]]:
-    """Return each joint's mean of every protocol that has one value a joint."""
-    return {
-        joint: {
-            name: float(scores.joints[name][place])
-            for name in sorted(scores.joints, key=metric_order)
-            if np.isfinite(scores.joints[name][place])
-        }
-        for place, joint in enumerate(skeleton.joints)
+    names = sorted(scores.joints, key=metric_order)
+    columns = {
+        joint: {name: float(scores.joints[name][at]) for name in names} for at, joint in enumerate(skeleton.joints)
     }
+    return {joint: {name: value for name, value in of.items() if np.isfinite(value)} for joint, of in columns.items()}
 
 
 def _truth_notes(matched: Matched, scores: Scores, subject: np.ndarray) -> list[str]:
@@ -188,13 +184,11 @@ def rank_correlation(one: Float[np.ndarray, " joints"], other: Float[np.ndarray,
     """Return Spearman's correlation over at most a million evenly picked pairs; None where one is constant."""
     step = -(-len(one) // _MOST_RANKED)
     ranks = np.stack([_ranks(values[::step]) for values in (one, other)])
-    if (np.ptp(ranks, axis=1) == 0).any():
-        return None
-    return float(np.corrcoef(ranks)[0, 1])
+    return None if (np.ptp(ranks, axis=1) == 0).any() else float(np.corrcoef(ranks)[0, 1])
 
 
 def _ranks(values: np.ndarray) -> np.ndarray:
-    """Return the place of each value in their order, equals in the middle of theirs."""
+    """Return the ranks of values, equal ones their mean; scipy.stats takes half a second to import."""
     _, place, count = np.unique(values, return_inverse=True, return_counts=True)
     return (np.cumsum(count) - (count - 1) / 2)[place]
 
@@ -209,15 +203,10 @@ def _errors(
         pose, truth, seen = matched.rows(rows)
         factor = np.ones(len(rows)) if matched.metric else least_squares_scale(pose, truth, seen)
         mine = spread[rows].astype(np.float64) * np.abs(factor)[:, None]
-        counts = _counts(weight[rows], mine, matched.skeleton.root_index)
+        counts = (weight[rows] > 0) & np.isfinite(mine)
+        counts[:, matched.skeleton.root_index] = False  # its depth is 0 by definition
         off = pose * factor[:, None, None] - truth
         size = np.linalg.norm(off, axis=-1) if in_3d else np.abs(off[..., 2])
         errors.append(size[counts].astype(np.float32))
         scales.append(mine[counts].astype(np.float32))
     return np.concatenate(errors), np.concatenate(scales)
-
-
-def _counts(weight: np.ndarray, spread: np.ndarray, root: int) -> Bool[np.ndarray, "frames joints"]:
-    counts = (weight > 0) & np.isfinite(spread)
-    counts[:, root] = False  # its depth is 0 by definition
-    return counts

@@ -63,10 +63,9 @@ def evaluate_all(
         item = TrueItem(truth, row, filled)
         for title, prediction in predictions.items():
             found[title][row] = score_item(predicted(prediction, row), item, masks[row])
-    groups = _categories(truth) if category is None else np.asarray(category).astype(str)
-    return {
-        title: _gathered(found[title], prediction, truth, name, groups) for title, prediction in predictions.items()
-    }
+    groups = [truth.meshes[shape].category for shape in truth.shape.tolist()] if category is None else category
+    groups = np.asarray(groups).astype(str)
+    return {title: _gathered(found[title], one, truth, name, groups) for title, one in predictions.items()}
 
 
 def _check(title: str, prediction: ShapePrediction, truth: Placed, masks: np.ndarray) -> None:
@@ -106,10 +105,6 @@ def filled_truths(
                 )
             last, filled = shape, np.asarray(fill(mesh, resolution))
         yield row, filled
-
-
-def _categories(truth: Placed) -> np.ndarray:
-    return np.array([truth.meshes[shape].category for shape in truth.shape.tolist()], dtype=str)
 
 
 def _gathered(

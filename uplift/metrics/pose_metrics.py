@@ -13,8 +13,6 @@ __all__ = [
     "joint_errors", "mpjve", "never_seen_so_long", "not_flipped", "share_above", "stress", "symmetry",
 ]  # fmt: skip
 
-# Measures of a predicted pose that need no truth: handedness, steady bones, equal sides.
-
 Poses = Float[np.ndarray, "frames joints 3"]
 PerFrame = Float[np.ndarray, " frames"]
 

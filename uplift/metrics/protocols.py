@@ -133,7 +133,6 @@ def is_error(name: str) -> bool:
 
 
 def _base(name: str) -> str:
-    """Return the metric that ``name`` is a variant of."""
     name = name.removeprefix(BEST_BASELINE)
     for suffix in _SUFFIXES:
         name = name.removesuffix(suffix)

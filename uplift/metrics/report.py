@@ -92,11 +92,9 @@ class AnyEvaluation:
         return _columns(rows, left=(0, len(rows[0]) - 2, len(rows[0]) - 1))
 
     def _shown(self) -> list[str]:
-        """Return the metrics that have a row of their own, in order."""
         return sorted(self.overall, key=metric_order)
 
     def _group_rows(self, groups: Groups, names: Sequence[str], counts: Mapping[str, int]) -> list[list[str]]:
-        """Return a row of figures for each of the largest groups."""
         largest = sorted(groups, key=lambda name: -counts.get(name, 0))[:_MAX_ROWS]
         return [
             [_short(group), f"{counts.get(group, 0):,}", *(self._text(name, groups[group]) for name in names)]
@@ -248,7 +246,6 @@ class ShapeEvaluation(AnyEvaluation):
         ]
 
     def _shown(self) -> list[str]:
-        """Return the metrics of the run itself: the best baselines' are in their columns."""
         return [name for name in super()._shown() if not (self.baselines and name.startswith(BEST_BASELINE))]
 
     def _category_table(self) -> str:

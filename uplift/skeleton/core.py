@@ -190,8 +190,6 @@ def _read_only(array: np.ndarray) -> np.ndarray:
     return array
 
 
-# The two sides: which joint of a mirror pair is the left one, and which bones mirror each other.
-
 CENTRE, LEFT, RIGHT = 0, 1, 2
 
 

@@ -16,8 +16,6 @@ from uplift.skeleton.core import CENTRE, LEFT, RIGHT, Skeleton, joint_sides
 
 __all__ = ["draw_skeleton", "rest_pose", "skeleton_layout"]
 
-# Where each joint goes in the plane: from the rest pose, or from the bones alone.
-
 _AZIMUTHS_DEG = (0.0, 30.0, 55.0, 75.0)
 _LOW_WORDS = ("foot", "toe", "ankle", "heel", "paw", "hoof", "tars", "claw", "leg", "tail")
 _ROUNDS = 300
@@ -207,7 +205,6 @@ def _arrows(skeleton: Skeleton, place: Float[np.ndarray, "joints 2"]) -> dict[st
 
 
 def _fit(place: Float[np.ndarray, "joints 2"]) -> Float[np.ndarray, "joints 2"]:
-    """Scale and shift to the picture's pixels, the shape kept."""
     low, high = place.min(0), place.max(0)
     scale = (_SIZE_PX - 2 * _MARGIN_PX) / max(float((high - low).max()), 1e-9)
     middle = np.array([_SIZE_PX / 2, _MARGIN_PX + scale * (high - low)[1] / 2])
@@ -215,7 +212,6 @@ def _fit(place: Float[np.ndarray, "joints 2"]) -> Float[np.ndarray, "joints 2"]:
 
 
 def _text_lines(skeleton: Skeleton, drawn: set[str]) -> list[tuple[str, str]]:
-    """Return the lines of text above the picture, each with its colour."""
     title = f"{skeleton.name}: {len(skeleton.joints)} joints, {len(skeleton.bones)} bones, root {skeleton.root}"
     title += ("" if skeleton.gravity else ", no gravity") + (", rigid" if skeleton.rigid else "")
     lines = [(title, "#000000")]

@@ -185,7 +185,6 @@ def _places(match: JointMatch, names: Sequence[str], skeleton: Skeleton) -> list
 
 
 def _refusal(names: list[str], skeleton: Skeleton) -> str:
-    """Return what is missing, what was found, the nearest names, and the layouts that were tried."""
     find = _finders(names)[-1]
     missing = [joint for joint in skeleton.joints if find(joint) is None and joint not in skeleton.midpoints]
     hints = [f"'{joint}'{nearest(joint, names)}" for joint in missing[:6]]

@@ -125,7 +125,6 @@ def _known_bones(bones: tuple[Bone, ...], names: list[str]) -> list[Bone]:
 
 
 def _pairs(data: Tracked, names: list[str]) -> list[Bone]:
-    """Return partners (right, left): the file's, and of the other joints those by name."""
     by_name = mirror_pairs(names)
     order = {frozenset(pair): pair for pair in by_name}
     found: list[Bone] = []
@@ -612,7 +611,6 @@ def _valid(facing: dict[str, Ends], skeleton: Skeleton) -> dict[str, Ends]:
 
 
 def _first(skeleton: Skeleton, words: Sequence[str]) -> str | None:
-    """Return the first joint on the midline whose name holds one of the words, by the order of the words."""
     paired = {joint for pair in skeleton.mirror for joint in pair}
     single = [joint for joint in skeleton.joints if joint not in paired]
     return next((j for word in words for j in single if word in j.lower().replace("_", "")), None)
@@ -705,8 +703,6 @@ def _list(key: str, items: Iterable[str]) -> str:
 def _pair_lists(key: str, pairs: Iterable[Sequence[str]]) -> str:
     return _list(key, (f"[{quoted(one)}, {quoted(other)}]" for one, other in pairs))
 
-
-# The commented file that `uplift skeleton new` starts a new skeleton with.
 
 _TEMPLATE = """\
 # A skeleton: the joints of what you track, and what is known about them.

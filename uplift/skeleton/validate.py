@@ -130,9 +130,6 @@ def _check_mirror(skeleton: dict[str, Any], check: _Checker) -> None:
             )
 
 
-# Size: a path along joints with its length in mm, or as a share of the body's height.
-
-
 def _check_size(size: Any, joints: list[str], check: _Checker) -> dict[str, Any]:
     check.kind(size, dict, "a mapping: along and mm, or along and of_height", ("size",))
     if not size:
@@ -155,9 +152,6 @@ def _check_size(size: Any, joints: list[str], check: _Checker) -> dict[str, Any]
     if isinstance(value, bool) or not isinstance(value, (int, float)) or not 0 < value < 1e9:
         check.fail(("size", given[0]), f"found {value!r}; expected a positive number.")
     return {"along": list(along), given[0]: float(value)}
-
-
-# Facing directions: what tells a pose from its mirror image must be able to.
 
 
 def _check_facing(skeleton: dict[str, Any], check: _Checker) -> dict[str, list[list[str]]]:
@@ -349,7 +343,6 @@ def _path(part: tuple) -> str:
 
 
 def _named(value: object) -> str:
-    """Return a value as a user would name it."""
     for kind, name in ((bool, "true or false"), (dict, "a mapping"), (list, "a list"), (type(None), "nothing")):
         if isinstance(value, kind):
             return name
