@@ -53,8 +53,7 @@ def data_root(name: str, root: str | None) -> Path:
 def files_of(path: str | Path) -> list[Path]:
     """Return the files or folders that ``path`` names: itself where it exists, else those between commas or that match ``*``, ``?`` or ``[``.
 
-    Raises:
-        UserError: a file that does not exist, or a pattern without a match.
+    Raises UserError: a file that does not exist, or a pattern without a match.
     """
     if Path(path).exists():
         return [Path(path)]
@@ -126,8 +125,7 @@ def save_torch(state: dict[str, Any], path: Path) -> None:
 def read_torch(path: Path, kind: str) -> dict[str, Any]:
     """Read tensors and plain data; nothing in the file can run.
 
-    Raises:
-        UserError: not there, not such a file, damaged, or holding anything but plain data.
+    Raises UserError: not there, not such a file, damaged, or holding anything but plain data.
     """
     import torch
 

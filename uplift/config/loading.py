@@ -28,8 +28,7 @@ def load_settings(task: str | None = None, overrides: Sequence[str] = (), defaul
     task file are relative to that file (`data.*` to `data.root`), those of overrides to the current
     folder; they are returned absolute where that matters.
 
-    Raises:
-        UserError: an unknown task or key, a value of the wrong type, settings that contradict.
+    Raises UserError: an unknown task or key, a value of the wrong type, settings that contradict.
     """
     path = task_path(task or default)
     merged = read_task(path)
@@ -211,8 +210,7 @@ def split_words(words: Iterable[str], of: Collection[str] | None = None) -> tupl
 
     With the keys ``of`` the command, a word of another key that names an existing file is a plain one.
 
-    Raises:
-        UserError: a key twice.
+    Raises UserError: a key twice.
     """
     plain: list[str] = []
     keyed: dict[str, str] = {}
@@ -230,8 +228,7 @@ def split_words(words: Iterable[str], of: Collection[str] | None = None) -> tupl
 def put_override(data: dict[str, Any], override: str) -> None:
     """Put one ``key=value`` of the command line into plain settings.
 
-    Raises:
-        UserError: not ``key=value``, an unknown key, a group given a value.
+    Raises UserError: not ``key=value``, an unknown key, a group given a value.
     """
     key, equals, text = override.partition("=")
     if not equals or not key:

@@ -24,10 +24,9 @@ def build(
 ) -> Kind:
     """Return an instance of the class that ``use`` names, a subclass of ``kind``, with ``given`` and the user's ``options``.
 
-    Raises:
-        UserError: no such name, file or class, not a subclass of ``kind``, an option that the class does
-            not take or that is of another kind than its default, an argument without a default that
-            was not given, or a user's ``__init__`` that fails.
+    Raises UserError: no such name, file or class, not a subclass of ``kind``, an option that the class does
+    not take or that is of another kind than its default, an argument without a default that
+    was not given, or a user's ``__init__`` that fails.
     """
     found = find_class(use, builtin, where)
     if not issubclass(found, kind):
@@ -76,8 +75,7 @@ def _check_kinds(found: type, options: Mapping[str, Any], where: str) -> None:
 def find_class(use: str, builtin: Mapping[str, str], where: str) -> type:
     """Return the class that ``use`` names: a built-in, or ``file.py:Class``, or ``package.module:Class``.
 
-    Raises:
-        UserError: there is no such class.
+    Raises UserError: there is no such class.
     """
     target = builtin.get(use, use)
     if ":" not in target:

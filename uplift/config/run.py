@@ -73,8 +73,7 @@ class RunFolder:
     def open(cls, path: str | Path) -> RunFolder:
         """Return the run in ``path``, or that of a task's ``last``.
 
-        Raises:
-            UserError: there is no such run; the message names the nearest.
+        Raises UserError: there is no such run; the message names the nearest.
         """
         path = Path(path)
         run = cls(path.resolve() if path.exists() else path)
@@ -197,8 +196,7 @@ class Weights:
 def read_weights(run: str | Path) -> Weights:
     """Read the ``lifter.pt`` of a run (its folder, or runs/<task>/last), or the file itself.
 
-    Raises:
-        UserError: no such run, one that has no weights yet, or a file that cannot be read.
+    Raises UserError: no such run, one that has no weights yet, or a file that cannot be read.
     """
     path = Path(run)
     if not path.is_file():

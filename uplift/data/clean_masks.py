@@ -128,8 +128,7 @@ def covered(mask: np.ndarray) -> np.ndarray:
     An array of two numbers is covered where it has the larger one. Others are cut at half of 1, 255 or 65535,
     whichever is the first that they do not pass. NaN is not covered.
 
-    Raises:
-        UserError: no array of height and width, or none of numbers.
+    Raises UserError: no array of height and width, or none of numbers.
     """
     if mask.ndim != 2 or mask.dtype.kind not in "buif":
         raise UserError(f"A mask is {mask.dtype} of shape {mask.shape}, expected numbers of shape (height, width).")
@@ -252,8 +251,7 @@ def clean_mask(mask: np.ndarray | Found, options: CleanOptions | None = None) ->
     Specks are left out, and holes of a few pixels filled; the longer side of what is left is `FILL` of the crop,
     and the middle of its box the crop's middle. ``mask`` is (height width) of any type that `covered` knows.
 
-    Raises:
-        UserError: no array of height and width, or none of numbers.
+    Raises UserError: no array of height and width, or none of numbers.
     """
     options = options or CleanOptions()
     found = mask if isinstance(mask, Found) else Found("", mask)
@@ -303,8 +301,7 @@ def clean(
 
     One mask is in memory at a time. With ``most`` no more are looked at once that many are found.
 
-    Raises:
-        UserError: none is left: what was wrong with them.
+    Raises UserError: none is left: what was wrong with them.
     """
     options, report = options or CleanOptions(), _MaskReport()
     kept: list[tuple[Found, Crop]] = []

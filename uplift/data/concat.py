@@ -24,8 +24,7 @@ def concat_poses(parts: Sequence[PoseData]) -> PoseData:
     that two parts share is put behind the file's. An image size, frame rate or focal length that is not
     the same everywhere is left out, with a note.
 
-    Raises:
-        UserError: poses in different units, masks of different sides.
+    Raises UserError: poses in different units, masks of different sides.
     """
     if len(parts) == 1:
         return parts[0]
@@ -109,8 +108,7 @@ def _alike(values: list[np.ndarray]) -> list[np.ndarray]:
 def concat_masks(parts: Sequence[MaskData]) -> MaskData:
     """Return the items of all parts, in order, at the resolution of the first; what a part does not know is empty, and its truth then left out.
 
-    Raises:
-        UserError: no part.
+    Raises UserError: no part.
     """
     if not parts:
         raise UserError("No masks to join.")

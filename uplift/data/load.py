@@ -51,8 +51,7 @@ class Loaded:
 def load_data(settings: Settings, skeleton: Skeleton) -> Loaded:
     """Return the training and test frames that ``settings.data`` asks for.
 
-    Raises:
-        UserError: a file that is missing or wrong, other joints, no frames left.
+    Raises UserError: a file that is missing or wrong, other joints, no frames left.
     """
 
     def load(settings: Settings, which: str) -> PoseData:
@@ -103,8 +102,7 @@ def _words(data: PoseData | MaskData) -> tuple[str, str, str]:
 def with_test(settings: Settings, load: Load[Data]) -> tuple[Data, Data | None]:
     """Return the training samples that ``data.select`` leaves, and those of ``data.test`` or ``data.hold_out``.
 
-    Raises:
-        UserError: both are set, or nothing is left to train on.
+    Raises UserError: both are set, or nothing is left to train on.
     """
     chosen = settings.data
     train = load(settings, "train")
@@ -129,8 +127,7 @@ def with_labels_of(settings: Settings, train: Data, load: Load[Data]) -> tuple[D
     With ``data.labelled.only`` the first are the labelled ones alone. The same samples and seed always
     give the same labels.
 
-    Raises:
-        UserError: no such samples, or samples without truth.
+    Raises UserError: no such samples, or samples without truth.
     """
     chosen = settings.data.labelled
     wanted = choice_of(chosen)
@@ -182,8 +179,7 @@ def load_split(settings: Settings, which: str, skeleton: Skeleton) -> PoseData:
 def set_of(settings: Settings, which: str) -> DataSet | None:
     """Return the published data set that the ``train`` or ``test`` frames are a split of; None where they are a file.
 
-    Raises:
-        UserError: no such set, or files of it that are missing, with where they come from.
+    Raises UserError: no such set, or files of it that are missing, with where they come from.
     """
     found = named_set(settings, which)
     if found is None:
@@ -198,8 +194,7 @@ def set_of(settings: Settings, which: str) -> DataSet | None:
 def named_set(settings: Settings, which: str) -> tuple[DataSet, str] | None:
     """Return the published data set of the ``train`` or ``test`` frames and their split, whether its files are there or not.
 
-    Raises:
-        UserError: no such set, an option or a split that it does not have.
+    Raises UserError: no such set, an option or a split that it does not have.
     """
     chosen = settings.data
     split = getattr(chosen, which)
@@ -241,8 +236,7 @@ def find_data(settings: Settings, which: str) -> Path:
 def load_file(path: str | Path, skeleton: Skeleton, options: ReadOptions | None = None) -> PoseData:
     """Read keypoint files (one, several with commas, or a pattern) into the joints of ``skeleton``, matched by name.
 
-    Raises:
-        UserError: as `in_joints_of`, or files of fewer keypoints than anything can be lifted from.
+    Raises UserError: as `in_joints_of`, or files of fewer keypoints than anything can be lifted from.
     """
     parts = []
     for one in files_of(path):
@@ -280,8 +274,7 @@ def read_options(data: DataSettings) -> ReadOptions:
 def in_joints_of(data: PoseData, skeleton: Skeleton) -> PoseData:
     """Return ``data`` with the skeleton's joints in its order, poses relative to its root.
 
-    Raises:
-        UserError: the joints do not fit the skeleton.
+    Raises UserError: the joints do not fit the skeleton.
     """
     keypoints, confidence, pose, notes = data.keypoints, data.confidence, data.pose, data.notes
     complete = (confidence > 0).all() and np.isfinite(keypoints).all()

@@ -38,8 +38,7 @@ def load_masks(settings: Settings) -> LoadedMasks:
 
     A file's own `labelled` does not count: settings alone say what may be learned from.
 
-    Raises:
-        UserError: a file that is missing or wrong, no masks left, labels asked for where no shape is known.
+    Raises UserError: a file that is missing or wrong, no masks left, labels asked for where no shape is known.
     """
     train, test = with_test(settings, load_mask_split)
     notes = _notes("train", train)
@@ -70,8 +69,7 @@ def _notes(which: str, data: MaskData) -> list[str]:
 def load_mask_split(settings: Settings, which: str) -> MaskData:
     """Return the ``train`` or ``test`` masks, simulated or of files.
 
-    Raises:
-        UserError: a file that is missing or wrong, no mask that can be used.
+    Raises UserError: a file that is missing or wrong, no mask that can be used.
     """
     if settings.data.simulate and not (which == "test" and settings.data.test):
         return _simulated(settings, which)

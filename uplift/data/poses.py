@@ -213,8 +213,7 @@ _SMALLEST = 8
 def masks_of(where: str, arrays: dict[str, np.ndarray], frames: int) -> tuple[np.ndarray | None, np.ndarray | None]:
     """Return a file's `masks` as coverage 0..255 and `mask_box` as float32, NaN for frames without one; both None where absent.
 
-    Raises:
-        UserError: one without the other, another type or shape, a box of negative side.
+    Raises UserError: one without the other, another type or shape, a box of negative side.
     """
     masks, box = arrays.get("masks"), arrays.get("mask_box")
     if masks is not None and masks.dtype == np.bool_:

@@ -40,8 +40,7 @@ def chosen_rows(data: PoseData | MaskData, choice: Choice, seed: int = 0) -> Boo
     rows that are left: see `chosen_clips` and `chosen_shapes`. The same data and seed always give the same
     rows, and a larger fraction contains a smaller one.
 
-    Raises:
-        UserError: the file has no such column, no row has such a value, a fraction that leaves none.
+    Raises UserError: the file has no such column, no row has such a value, a fraction that leaves none.
     """
     where = data.source or "the data"
     chosen = np.ones(len(data), bool)
@@ -93,8 +92,7 @@ def _share(data: PoseData | MaskData, rows: np.ndarray, fraction: float, seed: i
 def chosen_clips(clip: Shaped[np.ndarray, " frames"], fraction: float, seed: int) -> Bool[np.ndarray, " frames"]:
     """Return a ``fraction`` of the frames: complete clips in seeded order, the last cut to reach it.
 
-    Raises:
-        UserError: a fraction outside (0, 1], or one that leaves no frame.
+    Raises UserError: a fraction outside (0, 1], or one that leaves no frame.
     """
     count = _count(fraction, len(clip), "frame")
     names, code = np.unique(clip, return_inverse=True)
@@ -107,8 +105,7 @@ def chosen_clips(clip: Shaped[np.ndarray, " frames"], fraction: float, seed: int
 def chosen_shapes(shape: Int[np.ndarray, " masks"], fraction: float, seed: int) -> Bool[np.ndarray, " masks"]:
     """Return the masks of a ``fraction`` of the shapes: all masks of a shape or none.
 
-    Raises:
-        UserError: a fraction outside (0, 1], or one that leaves no shape.
+    Raises UserError: a fraction outside (0, 1], or one that leaves no shape.
     """
     shapes = np.unique(shape)
     count = _count(fraction, len(shapes), "shape")

@@ -93,8 +93,7 @@ class TrainingSet(Samples):
     def concat(cls, parts: Sequence[Any], **changed: Any) -> TrainingSet:
         """Return the frames of all parts, one after the other; what only some know is blank for the others.
 
-        Raises:
-            UserError: masks of different sides.
+        Raises UserError: masks of different sides.
         """
         sides = [part.masks.shape[1] for part in parts if part.masks is not None]
         if len(set(sides)) > 1:
@@ -105,10 +104,8 @@ class TrainingSet(Samples):
         starts = np.cumsum([0, *clips]).tolist()
         clip = torch.cat([part.clip + start for part, start in zip(parts, starts, strict=True)])
         if any(part.rotation is not None for part in parts):  # a camera that was not turned
-            parts = [
-                replace(part, rotation=torch.eye(3).expand(len(part), 3, 3)) if part.rotation is None else part
-                for part in parts
-            ]
+            eye = torch.eye(3)
+            parts = [p if p.rotation is not None else replace(p, rotation=eye.expand(len(p), 3, 3)) for p in parts]
         return super().concat(parts, clip=clip, **changed)
 
     def some(self, most: int, seed: int) -> TrainingSet:
@@ -133,8 +130,7 @@ class TrainingSet(Samples):
     def draw(self, rows: Int[Tensor, " batch"]) -> Batch:
         """Return the frames of ``rows``."""
         columns: dict[str, Any] = {name: getattr(self, name) for name in (*_INPUT, *_BESIDE)}
-        chosen: dict[str, Any] = {name: value if value is None else value[rows] for name, value in columns.items()}
-        return Batch(**chosen, row=rows)
+        return Batch(**{name: None if value is None else value[rows] for name, value in columns.items()}, row=rows)
 
 
 def _masks(
@@ -206,17 +202,18 @@ def to_training_set(data: PoseData, skeleton: Skeleton, settings: LifterSettings
 
 def intrinsics_of(data: PoseData, settings: LifterSettings) -> Intrinsics | None:
     """Return the camera that ``data`` knows and the settings let be used, None otherwise."""
-    if settings.intrinsics == "off" or settings.camera == "orthographic":
-        return None
-    if data.focal_px is None or data.centre_px is None:
+    if not _use_camera(settings) or data.focal_px is None or data.centre_px is None:
         return None
     return Intrinsics(data.focal_px, data.centre_px)
 
 
 def undistorted(data: PoseData, settings: LifterSettings) -> PoseData:
     """Return ``data`` as one ideal camera sees it, where its lenses are known and ``settings`` use them."""
-    use = settings.intrinsics != "off" and settings.camera != "orthographic"
-    return data.straightened() if use else data
+    return data.straightened() if _use_camera(settings) else data
+
+
+def _use_camera(settings: LifterSettings) -> bool:
+    return settings.intrinsics != "off" and settings.camera != "orthographic"
 
 
 def with_labels(frames: TrainingSet, data: PoseData) -> TrainingSet:

@@ -11,19 +11,9 @@ from torch import Tensor
 from uplift.geometry.rigid import quaternion_entries
 
 __all__ = [
-    "about_x",
-    "about_y",
-    "body_tilt",
-    "clip_median",
-    "gravity_of",
-    "least_rotation",
-    "level",
-    "nearest_rotation",
-    "random_rotations",
-    "real_tilt",
-    "turn",
-    "views_about_gravity",
-]
+    "about_x", "about_y", "body_tilt", "clip_median", "gravity_of", "least_rotation", "level", "nearest_rotation",
+    "random_rotations", "real_tilt", "turn", "views_about_gravity",
+]  # fmt: skip
 
 
 def about_x(angle: Float[Tensor, " batch"]) -> Float[Tensor, "batch 3 3"]:

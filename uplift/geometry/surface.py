@@ -73,21 +73,14 @@ def surface_of(
         raise UserError(f"level={level}: the surface lies at an occupancy between 0 and 1.")
     if len(set(occupancy.shape)) != 1 or not np.isfinite(occupancy).all():
         raise ValueError(f"occupancy {occupancy.shape}: expected a cube of finite values")
-    reason = _empty(occupancy, level)
-    if reason:
-        return Surface(None, reason)
+    if occupancy.max() <= level:
+        return Surface(None, f"empty: the largest occupancy is {occupancy.max():.2g}, the surface lies at {level:g}")
     surface = _cut(occupancy, level)
     kept, specks, cavities = _cleaned(surface, least_share, cavity_share)
     if smooth:
         _smoothed(kept, smooth)
     mesh = Mesh(np.asarray(kept.vertices, float), np.asarray(kept.faces, np.int64), name, category)
     return Surface(mesh, "", bool(kept.is_watertight), int(kept.body_count), specks, cavities)
-
-
-def _empty(occupancy: np.ndarray, level: int | float) -> str:
-    if occupancy.max() <= level:
-        return f"empty: the largest occupancy is {occupancy.max():.2g}, the surface lies at {level:g}"
-    return ""
 
 
 def _cut(occupancy: np.ndarray, level: int | float) -> trimesh.Trimesh:

@@ -31,11 +31,6 @@ class _Parts:
     consistent: Bool[np.ndarray, " parts"]
     """Whether a part's triangles agree on what is outside."""
 
-    @property
-    def count(self) -> int:
-        """How many parts there are."""
-        return len(self.consistent)
-
 
 @dataclass(frozen=True)
 class _Edges:
@@ -170,8 +165,7 @@ def _flood_fill(
     index = np.floor(samples).astype(np.int64)
     index = index[((index >= 0) & (index < fine)).all(1)] + 1
     surface[index[:, 2], index[:, 1], index[:, 0]] = True
-    label = np.empty(surface.shape, np.int32)
-    ndimage.label(~surface, output=label)
+    label, _ = ndimage.label(~surface)
     solid = (label != label[0, 0, 0])[1:-1, 1:-1, 1:-1]
     return solid.reshape((resolution, 2) * 3).sum((1, 3, 5)) >= 4
 
@@ -212,9 +206,8 @@ def fill(mesh: Mesh, resolution: int) -> Bool[np.ndarray, "resolution resolution
 
 def coverage(mesh: Mesh, resolution: int, finer: int = 2) -> Float[np.ndarray, "resolution resolution resolution"]:
     """Return how much of each voxel is inside, 0..1: the mean of ``finer`` x ``finer`` x ``finer`` samples."""
-    fine = fill(mesh, resolution * finer)
-    shape = (resolution, finer) * 3
-    return fine.reshape(shape).mean((1, 3, 5), dtype=np.float32)
+    fine = fill(mesh, resolution * finer).reshape((resolution, finer) * 3)
+    return fine.mean((1, 3, 5), dtype=np.float32)
 
 
 def _fill_closed(parts: _Parts, resolution: int) -> np.ndarray:
@@ -222,7 +215,7 @@ def _fill_closed(parts: _Parts, resolution: int) -> np.ndarray:
     ray, face, depth, sign = _crossings(parts.vertices, parts.faces, resolution)
     change = np.zeros((resolution + 1, resolution**2), np.int32)
     if len(ray):
-        group = ray * parts.count + parts.part[face]
+        group = ray * len(parts.consistent) + parts.part[face]
         order = np.lexsort((depth, group))
         group, depth, sign, ray = group[order], depth[order], sign[order], ray[order]
         first = np.concatenate([[True], group[1:] != group[:-1]])
@@ -251,9 +244,8 @@ def _crossings(
     corners = at[faces]
     flat = corners[..., :2]
     low = np.clip(np.ceil(flat.min(1)), 0, resolution).astype(np.int64)
-    extent = np.clip(np.floor(flat.max(1)) + 1, 0, resolution).astype(np.int64) - low
-    extent = np.maximum(extent, 0)
-    count = extent[:, 0] * extent[:, 1]
+    extent = np.maximum(np.clip(np.floor(flat.max(1)) + 1, 0, resolution).astype(np.int64) - low, 0)
+    count = extent.prod(1)
     face = np.repeat(np.arange(len(faces)), count)
     place = np.arange(len(face)) - np.repeat(np.cumsum(count) - count, count)
     x, y = low[face, 0] + place % extent[face, 0], low[face, 1] + place // extent[face, 0]

@@ -46,8 +46,7 @@ def shape_baselines(
     They learn from the true shapes of ``train``; of ``test`` they see the masks alone. Hull and mean
     shape stand in the camera's own frame, the nearest item's shape where it stood in its camera.
 
-    Raises:
-        UserError: the training set has no true shapes, or no items.
+    Raises UserError: the training set has no true shapes, or no items.
     """
     if train.truth is None or not len(train):
         raise UserError(
@@ -75,8 +74,7 @@ def score_with_baselines(
     ``found`` are baselines already made by `shape_baselines`, where several predictions of the same masks are scored;
     ``resolution`` is that of the truth's grid.
 
-    Raises:
-        UserError: training or test masks without true shapes, other numbers of items.
+    Raises UserError: training or test masks without true shapes, other numbers of items.
     """
     if test.truth is None:
         raise UserError(f"{name}: no true shapes to compare with, only masks.")

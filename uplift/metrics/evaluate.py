@@ -34,8 +34,7 @@ def evaluate(prediction: GivenPoses | Prediction, truth: PoseData, skeleton: Ske
     than three joints that count are left out. The calibration of a prediction's spread is measured.
     ``data`` names the truth in the report.
 
-    Raises:
-        UserError: no truth, other joints, other frames, or nothing left to compare.
+    Raises UserError: no truth, other joints, other frames, or nothing left to compare.
     """
     matched, kept, notes = match_poses(prediction, truth, skeleton)
     scores = score(matched)

@@ -41,8 +41,7 @@ def evaluate_shapes(
     far away as the truth's. Sizes, x and y follow from the mask and are compared as they are.
     ``masks`` are the input masks (items side side, 0 to 255), ``name`` names the truth in the report.
 
-    Raises:
-        UserError: different numbers of items, none, or a true mesh that is not in its own unit.
+    Raises UserError: different numbers of items, none, or a true mesh that is not in its own unit.
     """
     return evaluate_all({"": prediction}, truth, masks, name, category, resolution)[""]
 

@@ -5,21 +5,9 @@ from __future__ import annotations
 from typing import NamedTuple
 
 __all__ = [
-    "ACTION_MEAN",
-    "BEST_BASELINE",
-    "JOINTS_14",
-    "LONGEST_SIDE",
-    "MISSING",
-    "PROTOCOLS",
-    "SHAPE_METRICS",
-    "better_is_higher",
-    "figure_text",
-    "is_error",
-    "metric_kind",
-    "metric_meaning",
-    "metric_order",
-    "metric_unit",
-]
+    "ACTION_MEAN", "BEST_BASELINE", "JOINTS_14", "LONGEST_SIDE", "MISSING", "PROTOCOLS", "SHAPE_METRICS",
+    "figure_text", "is_error", "metric_kind", "metric_meaning", "metric_order", "metric_unit",
+]  # fmt: skip
 
 
 class Metric(NamedTuple):
@@ -97,11 +85,6 @@ LONGEST_SIDE = "longest side"
 def metric_kind(name: str) -> str:
     """Return error, length, share, deg or per frame."""
     return _METRICS[_base(name)].kind
-
-
-def better_is_higher(name: str) -> bool:
-    """Return whether more is better."""
-    return _METRICS[_base(name)].better == "higher"
 
 
 def metric_meaning(name: str) -> str:

@@ -208,8 +208,7 @@ def match_poses(
 ) -> tuple[Matched, np.ndarray, list[str]]:
     """Return both over the frames that can be compared, which frames those are, and notes for the reader.
 
-    Raises:
-        UserError: no truth, a joint missing on either side, other frames, or no frame left.
+    Raises UserError: no truth, a joint missing on either side, other frames, or no frame left.
     """
     names = prediction.source or "the prediction", truth.source or "the truth"
     target = _check_frames(prediction, truth, names)

@@ -68,8 +68,7 @@ def propose(data: Tracked, name: str, root: str | None = None, gravity: bool = T
     leave apart is joined by distance (`joining_bones`). The root is ``root``, else the joint on the
     midline nearest the middle of those that are seen well, or a midpoint of a pair that is far nearer.
 
-    Raises:
-        UserError: fewer than three joints that are ever visible, invalid joint names, no such root.
+    Raises UserError: fewer than three joints that are ever visible, invalid joint names, no such root.
     """
     where = f"{data.source}: " if data.source else ""
     visible = seen_in(data.keypoints, data.confidence)
