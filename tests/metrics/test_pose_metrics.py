@@ -252,7 +252,3 @@ def test_shapes_are_those_of_the_signatures():
         assert checked(pose, truth, weight).shape == (30,)
         with pytest.raises(TypeCheckError):
             checked(pose, truth[:, :4], weight)
-
-
-def test_elevation_is_an_absolute_difference():
-    assert metrics.elevation_deg(np.array([3.0, -4.0]), np.array([5.0, -8.0])).tolist() == [2, 4]

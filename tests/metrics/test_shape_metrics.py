@@ -189,7 +189,11 @@ def test_views_are_compared_after_the_best_constant_turn():
 
 def test_every_metric_has_a_meaning_a_unit_and_a_better_way():
     assert [metric_unit(name) for name in ("chamfer", "f_score", "azimuth_deg")] == ["longest side", "", "deg"]
-    assert [name for name, of in SHAPE_METRICS.items() if of.better == "lower"] == ["chamfer", "azimuth_deg", "elevation_deg"]
+    assert [name for name, of in SHAPE_METRICS.items() if of.better == "lower"] == [
+        "chamfer",
+        "azimuth_deg",
+        "elevation_deg",
+    ]
     assert metric_meaning("best_floor_volume_iou") == "the best baseline's: " + metric_meaning("volume_iou")
     names = ["best_floor_volume_iou", "chamfer", "volume_iou"]
     assert sorted(names, key=metric_order) == ["volume_iou", "best_floor_volume_iou", "chamfer"]

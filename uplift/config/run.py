@@ -29,6 +29,12 @@ class RunFolder:
 
     def __init__(self, path: Path):
         self.path = path
+        self.config = path / "config.yaml"
+        """The resolved settings."""
+        self.checkpoints = path / "checkpoints"
+        """Each stage's training state."""
+        self.weights = path / "lifter.pt"
+        """The trained lifter alone."""
 
     @classmethod
     def create(cls, settings: Settings, command: str) -> RunFolder:
@@ -86,21 +92,6 @@ class RunFolder:
         found = [str(p) for p in Path("runs").glob("*/*") if (p / "config.yaml").is_file()]
         none = " There are no runs here yet: `uplift fit task=demo`."
         raise UserError(f"No run {path}.{did_you_mean(str(path), found) or none}")
-
-    @property
-    def config(self) -> Path:
-        """The resolved settings."""
-        return self.path / "config.yaml"
-
-    @property
-    def checkpoints(self) -> Path:
-        """Where each stage's training state is kept."""
-        return self.path / "checkpoints"
-
-    @property
-    def weights(self) -> Path:
-        """The trained lifter alone."""
-        return self.path / "lifter.pt"
 
     def settings(self) -> Settings:
         """Return the settings the run was made with."""

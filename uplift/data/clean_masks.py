@@ -7,13 +7,13 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 
 import numpy as np
-from jaxtyping import Bool, Float, Int, UInt8
+from jaxtyping import Bool, Float, UInt8
 
 from uplift.config.settings import MAX_SIDE, MIN_SIDE
 from uplift.data.masks import FILL, Found, MaskData, Skipped
 from uplift.errors import UserError, nearest
 
-__all__ = ["MENDED", "REASONS", "CleanOptions", "Crop", "MaskOptions", "clean", "clean_mask", "covered", "resample"]
+__all__ = ["CHANGES", "REASONS", "CleanOptions", "Crop", "MaskOptions", "clean", "clean_mask", "covered", "resample"]
 
 
 @dataclass(frozen=True)
@@ -78,13 +78,13 @@ REASONS = {
 }
 """Why a mask is skipped: key -> in words."""
 
-MENDED = {
+CHANGES = {
     "specks": "specks left out",
     "holes": "holes of a few pixels filled",
     "cut": "taken though cut off at the border (border=keep)",
     "largest": "the largest of several pieces taken (pieces=largest)",
 }
-"""What is mended: key -> in words."""
+"""What is changed in a mask: key -> in words."""
 
 _SHOWN = 3
 
@@ -98,8 +98,8 @@ class _MaskReport:
     """Reason, a key of `REASONS` -> how many."""
     names: dict[str, list[str]] = field(default_factory=dict)
     """Reason -> the first few that were skipped for it."""
-    mended: Counter[str] = field(default_factory=Counter)
-    """Key of `MENDED` -> how many masks."""
+    changes: Counter[str] = field(default_factory=Counter)
+    """Key of `CHANGES` -> how many masks."""
 
     def skip(self, name: str, reason: str) -> None:
         """Count one that is not taken."""
@@ -112,7 +112,9 @@ class _MaskReport:
         """Return the findings worth reporting, one sentence each; none when all masks were complete."""
         masks = self.kept + self.skipped.total()
         found = [f"{self.skipped[key]:,} of {masks:,} masks skipped: {why}" for key, why in self.reasons()]
-        return found + [f"{count:,} of {self.kept:,} masks: {MENDED[key]}" for key, count in self.mended.most_common()]
+        return found + [
+            f"{count:,} of {self.kept:,} masks: {CHANGES[key]}" for key, count in self.changes.most_common()
+        ]
 
     def reasons(self) -> Iterator[tuple[str, str]]:
         """Yield why masks were skipped, the most frequent first: key and text, as ``empty (a.png, b.png, ...)``."""
@@ -139,8 +141,8 @@ def covered(mask: np.ndarray) -> np.ndarray:
     low, high = mask.min(), mask.max()
     if low < high and ((mask == low) | (mask == high)).all():
         return mask == high
-    whole = next((most for most in (1, 255, 65535) if high <= most), high)
-    return mask >= whole / 2
+    full = next((most for most in (1, 255, 65535) if high <= most), high)
+    return mask >= full / 2
 
 
 # The pieces and holes of a mask: which is the object, and which are noise.
@@ -151,15 +153,11 @@ _HOLE = 0.001
 """Of the object's area: a smaller hole is noise; one pixel always is."""
 
 
-def _components(mask: Bool[np.ndarray, "height width"], connectivity: int) -> Int[np.ndarray, "height width"]:
-    from skimage.measure import label  # takes half a second to import, and those who only look at files need none
-
-    return np.asarray(label(mask, connectivity=connectivity))
-
-
 def _largest_piece(mask: Bool[np.ndarray, "height width"]) -> tuple[Bool[np.ndarray, "height width"], float]:
     """Return the piece of most pixels (joined by sides or corners), and the second one's share of its area: 0 where it is alone."""
-    numbers = _components(mask, 2)
+    from skimage.measure import label  # takes half a second to import, and those who only look at files need none
+
+    numbers = np.asarray(label(mask, connectivity=2))
     if numbers.max(initial=0) < 2:
         return mask, 0.0
     areas = np.bincount(numbers.reshape(-1))[1:]
@@ -173,7 +171,9 @@ def _fill_noise(mask: Bool[np.ndarray, "height width"]) -> tuple[Bool[np.ndarray
     A hole is joined by sides alone, and does not reach the mask's edge: what lies between the legs of a chair
     is no hole, or a large one, and stays.
     """
-    numbers = _components(~mask, 1)
+    from skimage.measure import label
+
+    numbers = np.asarray(label(~mask, connectivity=1))
     rim = np.concatenate([numbers[0], numbers[-1], numbers[:, 0], numbers[:, -1]])
     areas = np.bincount(numbers.reshape(-1))
     noise = areas <= max(1.0, _HOLE * areas[0])
@@ -241,8 +241,8 @@ class Crop:
     """The crop's centre in the image: x right, y down from its top left corner."""
     scale_px: float
     """Pixels of the image in half the crop's side."""
-    mended: frozenset[str] = frozenset()
-    """Keys of `uplift.data.clean_masks.MENDED`."""
+    changes: frozenset[str] = frozenset()
+    """Keys of `uplift.data.clean_masks.CHANGES`."""
 
 
 def clean_mask(mask: np.ndarray | Found, options: CleanOptions | None = None) -> Crop | str:
@@ -263,29 +263,29 @@ def clean_mask(mask: np.ndarray | Found, options: CleanOptions | None = None) ->
         return "full"
     object_, left, top = _boxed(object_, *found.corner_px)
     object_, second = _largest_piece(object_)
-    mended = set()
+    changes = set()
     if second > 0:
         object_, left, top = _boxed(object_, left, top)
-        mended.add("largest" if second >= _PIECE else "specks")
+        changes.add("largest" if second >= _PIECE else "specks")
     tall, wide = object_.shape
     if max(tall, wide) < _MIN_SIDE_PX:
         return "small"
     slack = found.slack_px
     if left <= slack or top <= slack or left + wide >= width - slack or top + tall >= height - slack:
-        mended.add("cut")
-    if "cut" in mended and options.border == "skip":
+        changes.add("cut")
+    if "cut" in changes and options.border == "skip":
         return "border"
-    if "largest" in mended and options.pieces == "skip":
+    if "largest" in changes and options.pieces == "skip":
         return "pieces"
     if min(tall, wide) < _THIN_PX:
         return "thin"
     object_, holes = _fill_noise(object_)
-    mended |= {"holes"} if holes else set()
+    changes |= {"holes"} if holes else set()
     scale_px = max(tall, wide) / 2 / FILL
     crop = resample(object_, (wide / 2, tall / 2), scale_px, options.side)
     if crop.max() < 128:
         return "thin"
-    return Crop(crop, (left + wide / 2, top + tall / 2), scale_px, frozenset(mended))
+    return Crop(crop, (left + wide / 2, top + tall / 2), scale_px, frozenset(changes))
 
 
 def _boxed(mask: np.ndarray, left: int, top: int) -> tuple[np.ndarray, int, int]:
@@ -314,7 +314,7 @@ def clean(
         item.mask = result.mask  # the picture itself is let go
         kept.append((item, result))
         report.kept += 1
-        report.mended.update(result.mended)
+        report.changes.update(result.changes)
         if most is not None and len(kept) >= most:
             break
     where = f"{source}: " if source else ""

@@ -91,11 +91,8 @@ def _distinct(names: list[np.ndarray], parts: Sequence[PoseData]) -> list[np.nda
     shared = {name for one, own in enumerate(found) for name in own if any(name in o for o in found[:one])}
     if not shared:
         return names
-    distinct = []
-    for values, part in zip(names, parts, strict=True):
-        text = values.astype(str)
-        distinct.append(np.where(np.isin(text, list(shared)), np.char.add(f"{part.source}: ", text), text))
-    return distinct
+    texts = [(part.source, values.astype(str)) for values, part in zip(names, parts, strict=True)]
+    return [np.where(np.isin(t, list(shared)), np.char.add(f"{source}: ", t), t) for source, t in texts]
 
 
 def _alike(values: list[np.ndarray]) -> list[np.ndarray]:

@@ -333,9 +333,8 @@ def _get(data: DataSettings) -> list[str]:
 def _places(data: DataSettings, what: str) -> list[str]:
     if not data.name or Path(data.name).is_absolute():
         return []
-    return [
-        f"Put {what} there, or name another folder: data.root=FOLDER (or UPLIFT_DATA=FOLDER, with a subfolder {data.name}/)."
-    ]
+    other = f"data.root=FOLDER (or UPLIFT_DATA=FOLDER, with a subfolder {data.name}/)"
+    return [f"Put {what} there, or name another folder: {other}."]
 
 
 def _instead(settings: Settings) -> list[str]:

@@ -61,8 +61,8 @@ def load_masks(settings: Settings) -> LoadedMasks:
 
 
 def _notes(which: str, data: MaskData) -> list[str]:
-    several = np.unique(data.category) if data.category is not None else np.array([])
-    kinds = f", {len(several)} categories" if len(several) > 1 else ""
+    several = 0 if data.category is None else len(np.unique(data.category))
+    kinds = f", {several} categories" if several > 1 else ""
     return [f"{which}: {len(data):,} masks from {data.source}{kinds}", *(f"{which}: {note}" for note in data.notes)]
 
 

@@ -69,7 +69,7 @@ class MaskData(Samples):
     labelled: Bool[np.ndarray, " items"] | None = field(default=None, metadata=TRUTH)
     """Items whose truth training may learn from; None: no item's."""
     notes: tuple[str, ...] = ()
-    """What was assumed, mended or skipped, one sentence each."""
+    """What was assumed, changed or skipped, one sentence each."""
     source: str = ""
     extra: dict[str, Shaped[np.ndarray, "items ..."]] = field(default_factory=dict)
     """Whatever a reader knows besides."""

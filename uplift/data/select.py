@@ -15,12 +15,8 @@ from uplift.errors import UserError, did_you_mean
 __all__ = ["choice_of", "chosen_clips", "chosen_rows", "chosen_shapes"]
 
 _CHOOSE_BY = {
-    "subjects": "subject",
-    "actions": "action",
-    "sequences": "sequence",
-    "cameras": "camera",
-    "categories": "category",
-}
+    "subjects": "subject", "actions": "action", "sequences": "sequence", "cameras": "camera", "categories": "category",
+}  # fmt: skip
 """What rows are chosen by, and the column it is compared with."""
 
 Choice = Mapping[str, Sequence[str] | float | None]
@@ -69,9 +65,8 @@ def _with_values(data: PoseData | MaskData, key: str, wanted: list[str], where: 
     """Return which rows have one of the ``wanted`` values; the case of categories does not count."""
     column = data.category if isinstance(data, MaskData) else data.identity.get(key)
     if column is None:
-        hint = "categories are sub-folders, or names in COCO's JSON"
-        if isinstance(data, PoseData):
-            hint = f"identity keys: {', '.join(sorted(data.identity)) or 'none'}"
+        keys = None if isinstance(data, MaskData) else ", ".join(sorted(data.identity)) or "none"
+        hint = f"identity keys: {keys}" if keys else "categories are sub-folders, or names in COCO's JSON"
         raise UserError(f"{where}: cannot choose by {key}: the file has no '{key}' ({hint}).")
     fold = str.casefold if isinstance(data, MaskData) else str
     names, code = codes_of(column)

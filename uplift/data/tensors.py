@@ -15,7 +15,7 @@ from uplift.config.settings import LifterSettings
 from uplift.data.poses import PoseData, mask_maps
 from uplift.data.samples import Samples
 from uplift.errors import UserError
-from uplift.geometry.normalise import Intrinsics, Normalised, bone_lengths, normalise
+from uplift.geometry.normalise import Intrinsics, Normalised, bone_lengths, mirror, normalise
 from uplift.geometry.rotation import gravity_of, turn
 from uplift.skeleton import Skeleton
 
@@ -171,9 +171,7 @@ class Batch(Samples):
         """
 
         def swap(value: Tensor) -> Tensor:
-            flipped = value[:, permutation]
-            if value.ndim == 3:
-                flipped = torch.cat([-flipped[..., :1], flipped[..., 1:]], -1)
+            flipped = mirror(value, permutation) if value.ndim == 3 else value[:, permutation]
             return torch.where(which.view(-1, *[1] * (value.ndim - 1)), flipped, value)
 
         labels = None if self.labels is None else swap(self.labels)

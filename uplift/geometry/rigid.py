@@ -8,14 +8,9 @@ import numpy as np
 from jaxtyping import Float
 
 __all__ = [
-    "least_turn",
-    "nearest_rotation",
-    "quaternion_entries",
-    "quaternion_matrix",
-    "quaternion_product",
-    "rotation_about",
-    "slerp",
-]
+    "least_turn", "nearest_rotation", "quaternion_entries", "quaternion_matrix", "quaternion_product",
+    "rotation_about", "slerp",
+]  # fmt: skip
 
 
 def rotation_about(

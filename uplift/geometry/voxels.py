@@ -54,17 +54,17 @@ def _closed_parts(
     """
     part, edges = _parts_of(faces, len(vertices))
     consistent = _all_of(edges.balance == 0, edges.part, part)
-    whole = consistent | _all_of(edges.count % 2 == 0, edges.part, part)
-    kept = whole[part]
+    closed = consistent | _all_of(edges.count % 2 == 0, edges.part, part)
+    kept = closed[part]
     if kept.all():
         return _Parts(vertices, faces, part, consistent), faces[:0]
     vertices, capped, loose = _close(vertices, _joined(vertices, faces[~kept]))
-    renumber = np.cumsum(whole) - 1
+    renumber = np.cumsum(closed) - 1
     both = _Parts(
         vertices,
         np.concatenate([faces[kept], capped.faces]),
-        np.concatenate([renumber[part[kept]], capped.part + int(whole.sum())]),
-        np.concatenate([consistent[whole], capped.consistent]),
+        np.concatenate([renumber[part[kept]], capped.part + int(closed.sum())]),
+        np.concatenate([consistent[closed], capped.consistent]),
     )
     return both, loose
 
@@ -107,25 +107,25 @@ def _close(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, _Parts,
     volume = np.bincount(all_part, (a * cross).sum(1) / 6, count)
     area = np.bincount(all_part, np.linalg.norm(cross, axis=1) / 2, count)
     solid = agrees & (np.abs(volume) > _SHEET * area**1.5)
-    whole = solid | (even & ~agrees)
-    kept, renumber = whole[all_part], np.cumsum(whole) - 1
-    parts = _Parts(vertices, all_faces[kept], renumber[all_part[kept]], agrees[whole])
-    return vertices, parts, faces[~whole[part]]
+    closed = solid | (even & ~agrees)
+    kept, renumber = closed[all_part], np.cumsum(closed) - 1
+    parts = _Parts(vertices, all_faces[kept], renumber[all_part[kept]], agrees[closed])
+    return vertices, parts, faces[~closed[part]]
 
 
 def _turned_alike(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray, _Edges, np.ndarray]:
     """Return the faces, with those turned over that disagree with their neighbours; their parts, edges, and which agree."""
-    for is_mended in (False, True):
+    for repaired in (False, True):
         part, edges = _parts_of(faces, len(vertices))
         # Two triangles that go along their edge the same way disagree: one of them is inside out.
         agrees = _all_of(np.abs(edges.balance) == edges.count % 2, edges.part, part)
         wrong = ~agrees[part]
-        if is_mended or not wrong.any():
+        if repaired or not wrong.any():
             break
-        mended = trimesh.Trimesh(vertices, faces[wrong], process=False)
-        trimesh.repair.fix_winding(mended)
+        fixed = trimesh.Trimesh(vertices, faces[wrong], process=False)
+        trimesh.repair.fix_winding(fixed)
         faces = faces.copy()
-        faces[wrong] = mended.faces
+        faces[wrong] = fixed.faces
     return faces, part, edges, agrees
 
 

@@ -10,7 +10,7 @@ from jaxtyping import Float
 
 from uplift.errors import UserError
 from uplift.metrics.alignment import least_squares_scale
-from uplift.metrics.pose_metrics import bone_cv, bone_lengths, elevation_deg, facing_sign, has_handedness
+from uplift.metrics.pose_metrics import bone_cv, bone_lengths, facing_sign, has_handedness
 from uplift.metrics.protocols import ACTION_MEAN, MISSING, is_error, metric_order
 from uplift.metrics.report import Evaluation
 from uplift.metrics.scores import GivenPoses, Matched, Scores, match_poses, score
@@ -39,7 +39,8 @@ def evaluate(prediction: GivenPoses | Prediction, truth: PoseData, skeleton: Ske
     matched, kept, notes = match_poses(prediction, truth, skeleton)
     scores = score(matched)
     if prediction.tilt_deg is not None and truth.tilt_deg is not None:
-        scores.frames["elevation_deg"] = elevation_deg(prediction.tilt_deg, truth.tilt_deg)[kept]
+        tilt_deg = np.asarray(prediction.tilt_deg, np.float64)
+        scores.frames["elevation_deg"] = np.abs(tilt_deg - truth.tilt_deg)[kept]
     spread = _spread_of(prediction, skeleton)
     actions, subjects = (_groups(truth.identity, key, kept) for key in ("action", "subject"))
     per_action = _per_group(scores, *actions)
@@ -152,15 +153,11 @@ _MOST_RANKED = 1_000_000
 
 
 def _calibrate(matched: Matched, spread: Float[np.ndarray, "frames joints"]) -> dict[str, Any] | None:
-    """Return the calibration curve of ``spread``, the scale b of a Laplace distribution of each depth.
+    """Return the calibration of ``spread``, the Laplace scale b of each depth, or of the 3D error of joints missing in 2D.
 
-    ``spread`` is in the unit of the matched pose, row by row and joint by joint; of a joint that was
-    missing in 2D it is the scale of its 3D error, as its place in the image is not known. Both are brought to
-    the truth's scale as for `n_mpjpe`; a metric pose stays as it is. ``visible`` and ``missing`` (the
-    joints that were missing in 2D) hold, for each nominal share q, the share of depth errors within
-    -b ln(1 - q), the root left out. ``spread_error`` is the mean difference of the two,
-    ``rank_correlation`` that of spread and error (Spearman); both again for the missing joints. What
-    cannot be measured is absent; None where that is everything.
+    Both are brought to the truth's scale as for `n_mpjpe`; a metric pose stays as it is. ``visible`` and ``missing``
+    hold, for each nominal share q, the share of errors within -b ln(1 - q), the root left out; ``spread_error`` is
+    the mean difference of the two. What cannot be measured is absent; None where that is everything.
     """
     found: dict[str, Any] = {}
     for group, ending, weight in (("visible", "", matched.weight), ("missing", MISSING, matched.unseen)):

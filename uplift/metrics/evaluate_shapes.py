@@ -142,14 +142,10 @@ def _notes(per_item: dict[str, np.ndarray], prediction: ShapePrediction) -> list
     notes = ["depth is relative: each shape was moved along z until its centroid was as far away as the truth's"]
     empty = sum(not (grid > prediction.level).any() for grid in prediction.occupancy)
     if empty:
-        notes.append(
-            f"{empty} of {len(prediction)} predicted shapes are empty, nothing above {prediction.level:g}: "
-            "they score 0, and a chamfer of 1"
-        )
+        what = f"are empty, nothing above {prediction.level:g}: they score 0, and a chamfer of 1"
+        notes.append(f"{empty} of {len(prediction)} predicted shapes {what}")
     own = int(np.isnan(per_item["handedness"]).sum())
     if own:
-        notes.append(
-            f"{own} of {len(prediction)} true shapes are their own mirror image in depth (IoU above {OWN_MIRROR:g}): "
-            "they have no handedness"
-        )
+        what = f"are their own mirror image in depth (IoU above {OWN_MIRROR:g}): they have no handedness"
+        notes.append(f"{own} of {len(prediction)} true shapes {what}")
     return notes

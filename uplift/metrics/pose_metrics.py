@@ -3,17 +3,16 @@
 from __future__ import annotations
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float, Int
 
-from uplift.metrics.alignment import align, clean_pair, length
+from uplift.metrics.alignment import Poses, Weights, align, clean_pair, length
 from uplift.skeleton import Skeleton
 
 __all__ = [
-    "bone_cv", "bone_lengths", "elevation_deg", "facing_sign", "flip_depth", "frame_mean", "has_handedness",
+    "bone_cv", "bone_lengths", "facing_sign", "flip_depth", "frame_mean", "has_handedness",
     "joint_errors", "mpjve", "never_seen_so_long", "not_flipped", "share_above", "stress", "symmetry",
 ]  # fmt: skip
 
-Poses = Float[np.ndarray, "frames joints 3"]
 PerFrame = Float[np.ndarray, " frames"]
 
 
@@ -102,7 +101,6 @@ AUC_THRESHOLDS_MM = np.linspace(0, 150, 31)
 _TIE = 1 + 1e-9
 """Errors of a pose and its depth flip that differ by less than this factor are equal: a flat pose."""
 
-Weights = Float[np.ndarray, "frames joints"] | Bool[np.ndarray, "frames joints"]
 PerJoint = Float[np.ndarray, "frames joints"]
 
 
@@ -153,8 +151,3 @@ def mpjve(pose: Poses, truth: Poses, previous: Int[np.ndarray, " frames"], weigh
     off = pose - truth
     both = weight * weight[previous] * (previous >= 0)[:, None]
     return frame_mean(length(off - off[previous]), both)
-
-
-def elevation_deg(tilt_deg: Float[np.ndarray, " frames"], truth_deg: Float[np.ndarray, " frames"]) -> PerFrame:
-    """Return the absolute error of the camera's tilt; its median is the protocol's figure."""
-    return np.abs(np.asarray(tilt_deg, np.float64) - truth_deg)

@@ -30,14 +30,14 @@ _OF_GRID = ("inside", "empty", "span", "surface")
 
 @dataclass(frozen=True, eq=False)
 class Standing:
-    """An occupancy grid [z, y, x] of its own cube of -1 to 1; own point p is at ``matrix`` @ p + ``origin``."""
+    """An occupancy grid [z, y, x] in the cube of -1 to 1 of its own frame, whose point p is at ``matrix`` @ p + ``origin``."""
 
     occupancy: Float[Tensor, "depth height width"]
     level: float
     matrix: Float[np.ndarray, "3 3"]
-    """From the own frame to the camera's: a rotation times the scale, with a reflection where mirrored."""
+    """From the shape's frame to the camera's: a rotation times the scale, with a reflection where mirrored."""
     origin: Float[np.ndarray, "3"]
-    """Where the own frame's origin is in the camera frame."""
+    """Where the origin of the shape's frame is in the camera frame."""
     distance: float
     """Of the camera; infinite for parallel rays."""
 
@@ -59,7 +59,7 @@ class Standing:
 
     @cached_property
     def surface(self) -> tuple[Float[np.ndarray, "vertices 3"], Int[np.ndarray, "faces 3"]]:
-        """Vertices in the own frame, and faces, of the surface at the level (marching cubes); none of an empty shape."""
+        """Vertices in the shape's frame, and faces, of the surface at the level (marching cubes); none of an empty shape."""
         if self.empty:
             return np.zeros((0, 3)), np.zeros((0, 3), int)
         side = self.occupancy.shape[0]
@@ -91,11 +91,11 @@ class Standing:
 
     @cached_property
     def inverse(self) -> Float[np.ndarray, "3 3"]:
-        """From the camera's directions to the own frame's."""
+        """From the camera's directions to those of the shape's frame."""
         return np.linalg.inv(self.matrix)
 
     def to_camera(self, points: Float[np.ndarray, "*points 3"]) -> Float[np.ndarray, "*points 3"]:
-        """Return points of the own frame in the camera's."""
+        """Return points of the shape's frame in the camera's."""
         return points @ self.matrix.T + self.origin
 
     def inside_at(
@@ -131,23 +131,22 @@ class Standing:
 
 
 def predicted(prediction: ShapePrediction, row: int) -> Standing:
-    """Return a lifted shape where the prediction says it stands."""
-    placed = (prediction.view, prediction.scale, prediction.offset, prediction.distance)
-    return _standing(prediction.occupancy[row], prediction.level, *(part[row] for part in placed))
+    """Return a lifted shape where the prediction puts it."""
+    return _standing(prediction.occupancy[row], prediction.level, prediction, row)
 
 
 def true(truth: Placed, row: int, filled: Bool[np.ndarray, "depth height width"]) -> Standing:
-    """Return a true shape where it stands, given its filled grid."""
-    return _standing(filled, 0.5, *(part[row] for part in (truth.view, truth.scale, truth.offset, truth.distance)))
+    """Return a true shape at its true place, given its filled grid."""
+    return _standing(filled, 0.5, truth, row)
 
 
-def _standing(occupancy: np.ndarray, level: float, view, scale, offset, distance) -> Standing:
+def _standing(occupancy: np.ndarray, level: float, placed: ShapePrediction | Placed, row: int) -> Standing:
     return Standing(
         torch.from_numpy(np.ascontiguousarray(occupancy, np.float32)),
         level,
-        np.asarray(view, np.float64) * float(scale),
-        np.array([*offset, 0.0], np.float64),
-        float(distance),
+        np.asarray(placed.view[row], np.float64) * float(placed.scale[row]),
+        np.array([*placed.offset[row], 0.0], np.float64),
+        float(placed.distance[row]),
     )
 
 
@@ -230,8 +229,6 @@ _POINTS = 10_000
 """Points on each surface."""
 THRESHOLD = 0.02
 """Of the f_score, in the truth's longest side."""
-NOTHING = {"chamfer": 1.0, "f_score": 0.0, "normal_consistency": 0.0}
-"""What a shape without surface scores: its distance is taken for the truth's longest side."""
 
 
 @dataclass(frozen=True)
@@ -297,7 +294,7 @@ def _occupied(inside: Bool[np.ndarray, "depth height width"], points: np.ndarray
 
 
 def _standing_surface(shape: Standing, points: np.ndarray, normals: np.ndarray) -> _Surface:
-    """Return own points and normals in the camera frame; its matrix is a rotation, perhaps mirrored, times a scale."""
+    """Return points and normals of the shape's frame in the camera frame; its matrix is a rotation, perhaps mirrored, times a scale."""
     turned = normals @ shape.matrix.T
     return _Surface(shape.to_camera(points), turned / np.maximum(np.linalg.norm(turned, axis=1), 1e-30)[:, None])
 
@@ -305,7 +302,7 @@ def _standing_surface(shape: Standing, points: np.ndarray, normals: np.ndarray) 
 def compare_surfaces(found: _Surface | None, truth: _Surface, longest: float) -> dict[str, float]:
     """Return chamfer (in ``longest``), f_score and normal_consistency of two surfaces."""
     if found is None:
-        return dict(NOTHING)
+        return {"chamfer": 1.0, "f_score": 0.0, "normal_consistency": 0.0}  # as far as the truth is long
     to_truth, nearest_true = truth.nearest_to(found)
     to_found, nearest_found = found.nearest_to(truth)
     precision, recall = ((away <= THRESHOLD * longest).mean() for away in (to_truth, to_found))
@@ -390,14 +387,14 @@ _CANDIDATES_DEG = np.arange(0, 360, 1.0)
 def azimuth_errors_deg(
     view: Float[np.ndarray, "items 3 3"], truth: Float[np.ndarray, "items 3 3"]
 ) -> Float[np.ndarray, " items"] | None:
-    """Return each view's error about gravity after the one turn of all own frames with the least mean error.
+    """Return each view's error about gravity after the one turn of all shapes' frames with the least mean error.
 
     A shape learnt from masks alone faces anywhere, but all of one kind should face alike. None where
     every view is the same: such shapes are given in the camera's frame, and face nowhere.
     """
     if len(view) < 2 or np.ptp(view, axis=0).max() < 1e-6:
         return None
-    # Where the own z points, against the camera's depth.
+    # Where the shape's z points, against the camera's depth.
     azimuth, true_azimuth = (np.degrees(np.arctan2(-views[:, 2, 0], views[:, 2, 2])) for views in (view, truth))
     off = azimuth - true_azimuth
     errors = np.abs((off - _CANDIDATES_DEG[:, None] + 180) % 360 - 180)
@@ -407,7 +404,7 @@ def azimuth_errors_deg(
 def elevation_errors_deg(
     view: Float[np.ndarray, "items 3 3"], truth: Float[np.ndarray, "items 3 3"]
 ) -> Float[np.ndarray, " items"] | None:
-    """Return each view's error in the tilt against gravity, the own frame's y; None where every view is the same."""
+    """Return each view's error in the tilt against gravity, the y of the shape's frame; None where every view is the same."""
     if len(view) < 2 or np.ptp(view, axis=0).max() < 1e-6:
         return None
     tilt, true_tilt = (np.degrees(np.arcsin(np.clip(views[:, 2, 1], -1, 1))) for views in (view, truth))

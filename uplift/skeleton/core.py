@@ -163,22 +163,18 @@ def _tree_parents(joints: tuple[str, ...], bones: tuple[tuple[str, str], ...], r
 
 def _from_checked(data: dict[str, Any]) -> Skeleton:
     """Return the skeleton of checked data, each bone as (parent, child)."""
-    joints, bones = tuple(data["joints"]), _pairs(data["bones"])
+    joints, bones = tuple(data["joints"]), tuple(map(tuple, data["bones"]))
     parents = _tree_parents(joints, bones, data["root"])
     return Skeleton(
         **{key: data[key] for key in ("name", "root", "gravity", "rigid", "size", "loops", "description")},
         joints=joints,
         bones=tuple((other, one) if parents[one] == other else (one, other) for one, other in bones),
-        mirror=_pairs(data["mirror"]),
+        mirror=tuple(map(tuple, data["mirror"])),
         facing={name: (tuple(start), tuple(end)) for name, (start, end) in data["facing"].items()},
         sources={layout: _tuples(joints) for layout, joints in data["from"].items()},
         body={key: data[key] for key in BODY_KEYS if key in data},
         midpoints=_tuples(data["midpoints"]),
     )
-
-
-def _pairs(pairs: list[list[str]]) -> tuple[tuple[str, str], ...]:
-    return tuple((one, other) for one, other in pairs)
 
 
 def _tuples(parts: dict[str, list[str]]) -> dict[str, tuple[str, ...]]:

@@ -205,7 +205,7 @@ def _off_centre(keypoints: np.ndarray, visible: np.ndarray, places: list[int]) -
 # Which joints a bone may join, by 2D alone: those that stay close and keep their distance.
 
 TOO_LONG = 1.9
-"""`stretched` from which joints have each other's names."""
+"""`stretched` from which on joints seem to have the names of others."""
 
 _MOST_NUMBERS = 2_000_000  # frames x joints x joints at once
 _SMOOTHING = 0.05  # of the mean distance, so that few frames are judged by their distances, not by luck
@@ -222,10 +222,10 @@ def seen_in(
 def apart(
     keypoints: Shaped[np.ndarray, "frames joints 2"], visible: Bool[np.ndarray, "frames joints"], names: Sequence[str]
 ) -> Float[np.ndarray, "joints joints"]:
-    """Return how little a bone is to be expected between two joints: the geometric mean of their mean distance and of
-    how much it varies over the frames, in sizes of the body; infinite where no frame shows both.
+    """Return how unlikely a bone is between two joints; names in a row (tail_1, tail_2) count as closer.
 
-    Names in a row (tail_1, tail_2) count as closer.
+    The geometric mean of their mean distance and of how much it varies over the frames, in sizes of the body;
+    infinite where no frame shows both.
     """
     distance = _distances(*_some_rows(keypoints, visible))
     with warnings.catch_warnings():
@@ -274,24 +274,23 @@ def stretched(
     visible: Bool[np.ndarray, "frames joints"],
     bones: Sequence[Sequence[int]],
 ) -> float:
-    """Return how many times as long as need be the bones are: their mean over that of the shortest lines that join
-    the joints. 1 to 1.6 where the names are right, 2 or more where joints were given each other's; NaN where nothing is seen.
+    """Return the mean length of the bones over that of the shortest lines that join the joints; NaN where none is seen.
+
+    1 to 1.6 where the names are right, 2 or more where joints have the names of others.
     """
     seen = np.flatnonzero(visible.any(0))
-    if len(seen) < 3:
+    at = {int(place): number for number, place in enumerate(seen)}
+    ends = [(at[one], at[other]) for one, other in bones if one in at and other in at]
+    if len(seen) < 3 or not ends:
         return float("nan")
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", RuntimeWarning)
         mean = np.nanmean(_distances(*_some_rows(keypoints[:, seen], visible[:, seen])), axis=0)
-    at = {int(place): number for number, place in enumerate(seen)}
-    ours = [mean[at[one], at[other]] for one, other in bones if one in at and other in at]
-    ours = [length for length in ours if np.isfinite(length)]
-    if not ours:
-        return float("nan")
-    names = [str(number) for number in range(len(seen))]
+    ours = np.array([mean[bone] for bone in ends])
     score = np.where(np.isfinite(mean), mean, np.inf)
-    least = [mean[int(one), int(other)] for one, other in joining_bones(score, names)]
-    return float(np.mean(ours) / max(np.nanmean(least), 1e-9))
+    least = [mean[int(one), int(other)] for one, other in joining_bones(score, [str(n) for n in range(len(seen))])]
+    ours = ours[np.isfinite(ours)]
+    return float(np.mean(ours) / max(np.nanmean(least), 1e-9)) if len(ours) else float("nan")
 
 
 def stretch_of(

@@ -46,7 +46,7 @@ def check_skeleton(data: object, where: Where) -> dict[str, Any]:
     _check_forest(skeleton, check)
     check.pairs(skeleton["mirror"], joints, "mirror", "[right, left]")
     _check_mirror(skeleton, check)
-    skeleton["midpoints"] = check.map_of_parts(skeleton["midpoints"], joints, ("midpoints",), own=True)
+    skeleton["midpoints"] = check.map_of_parts(skeleton["midpoints"], joints, ("midpoints",), midpoints=True)
     check.kind(skeleton["from"], dict, "a mapping of layouts", ("from",))
     skeleton["from"] = {
         layout: check.map_of_parts(parts, joints, ("from", layout)) for layout, parts in skeleton["from"].items()
@@ -240,20 +240,16 @@ def _check_body(skeleton: dict[str, Any], check: _Checker) -> None:
                 if value <= 0:
                     check.fail(part, f"found the length {value} for '{joint}'; expected a number above 0.")
             elif key == "rest":
-                _check_vector(value, part, check)
+                vector = check.kind(value, list, "a vector [x, y, z]", part)
+                if len(vector) != 3:
+                    check.fail(part, f"found {len(vector)} numbers for '{joint}'; expected a vector [x, y, z].")
+                for place, number in enumerate(vector):
+                    check.number(number, (*part, place))
+                if not any(vector):
+                    check.fail(part, f"found the vector {vector} for '{joint}'; expected one with a direction.")
             else:
                 check.kind(value, (dict, list), "limits: a mapping or a list", part)
                 _check_finite(value, part, check)
-
-
-def _check_vector(value: object, part: tuple, check: _Checker) -> None:
-    vector = check.kind(value, list, "a vector [x, y, z]", part)
-    if len(vector) != 3:
-        check.fail(part, f"found {len(vector)} numbers for '{part[-1]}'; expected a vector [x, y, z].")
-    for place, number in enumerate(vector):
-        check.number(number, (*part, place))
-    if not any(vector):
-        check.fail(part, f"found the vector {vector} for '{part[-1]}'; expected one with a direction.")
 
 
 def _check_finite(value: object, part: tuple, check: _Checker) -> None:
@@ -323,17 +319,19 @@ class _Checker:
                 self.fail((*part, place), f"found '{name}' twice in one mean in '{_path(part)}'.")
         return list(names)
 
-    def map_of_parts(self, value: object, joints: list[str], part: tuple, own: bool = False) -> dict[str, list[str]]:
-        """Return a mapping of our joints to lists of parts; with ``own`` the parts are joints of ours too."""
+    def map_of_parts(
+        self, value: object, joints: list[str], part: tuple, midpoints: bool = False
+    ) -> dict[str, list[str]]:
+        """Return a mapping of our joints to lists of parts; those of ``midpoints`` are joints of ours too."""
         given = self.kind(value, dict, "a mapping of joint: name, or joint: [name, name]", part)
         found: dict[str, list[str]] = {}
         for joint, parts in given.items():
             self.joint(joint, joints, (*part, joint))
-            found[joint] = self.parts(parts, (*part, joint), joints if own else None)
-            for name in found[joint] if own else ():
+            found[joint] = self.parts(parts, (*part, joint), joints if midpoints else None)
+            for name in found[joint] if midpoints else ():
                 if name in given:
                     self.fail((*part, joint), f"found midpoint '{joint}' made of '{name}', itself a midpoint.")
-        if not found and not own:
+        if not found and not midpoints:
             self.fail(part, f"found nothing in '{_path(part)}'; expected joint: name.")
         return found
 
