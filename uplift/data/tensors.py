@@ -130,7 +130,8 @@ class TrainingSet(Samples):
     def draw(self, rows: Int[Tensor, " batch"]) -> Batch:
         """Return the frames of ``rows``."""
         columns: dict[str, Any] = {name: getattr(self, name) for name in (*_INPUT, *_BESIDE)}
-        return Batch(**{name: None if value is None else value[rows] for name, value in columns.items()}, row=rows)
+        chosen: dict[str, Any] = {name: value if value is None else value[rows] for name, value in columns.items()}
+        return Batch(**chosen, row=rows)
 
 
 def _masks(

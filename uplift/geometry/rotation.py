@@ -135,12 +135,11 @@ def body_tilt(pose: Float[Tensor, "frames joints 3"]) -> tuple[Float[Tensor, " f
     size = pose.norm(dim=-1).mean(1).clamp_min(1e-6)
     shape = pose / size[:, None, None]
     template = shape[0]
-    for step in range(_ROUNDS + 1):
-        turned = nearest_rotation(shape.mT @ template)
-        away = (shape - template @ turned.mT).square().sum((1, 2))
-        if step < _ROUNDS:
-            usual = away <= away.quantile(0.7) if len(away) < 1_000_000 else torch.ones_like(away, dtype=torch.bool)
-            template = (turned.mT @ shape.mT).mT[usual].mean(0)
+    for _ in range(_ROUNDS):
+        turned, away = _fitted(shape, template)
+        usual = away <= away.quantile(0.7) if len(away) < 1_000_000 else torch.ones_like(away, dtype=torch.bool)
+        template = (turned.mT @ shape.mT).mT[usual].mean(0)
+    turned, away = _fitted(shape, template)
     trust = torch.exp(-away / away.median().clamp_min(1e-9))
     side = turned[:, 0]
     weight = trust
@@ -150,6 +149,12 @@ def body_tilt(pose: Float[Tensor, "frames joints 3"]) -> tuple[Float[Tensor, " f
     up = turned @ upright
     up = torch.where((up[:, 1] * trust).sum() > 0, -up, up)
     return torch.atan2(-up[:, 2], -up[:, 1]), trust
+
+
+def _fitted(shape: Tensor, template: Tensor) -> tuple[Tensor, Tensor]:
+    """Return the rotations of the template that fit the shapes best, and the squared distances that are left."""
+    turned = nearest_rotation(shape.mT @ template)
+    return turned, (shape - template @ turned.mT).square().sum((1, 2))
 
 
 def clip_median(

@@ -165,7 +165,8 @@ def _flood_fill(
     index = np.floor(samples).astype(np.int64)
     index = index[((index >= 0) & (index < fine)).all(1)] + 1
     surface[index[:, 2], index[:, 1], index[:, 0]] = True
-    label, _ = ndimage.label(~surface)
+    label = np.empty(surface.shape, np.int32)
+    ndimage.label(~surface, output=label)
     solid = (label != label[0, 0, 0])[1:-1, 1:-1, 1:-1]
     return solid.reshape((resolution, 2) * 3).sum((1, 3, 5)) >= 4
 
