@@ -64,8 +64,8 @@ class _CleanReport:
     def lines(self) -> list[str]:
         """Return the findings worth reporting, one sentence each."""
         jump = (
-            f"frames of one sequence jump (by {self.jump:.1f} of the body's size from one to the next): they are no "
-            "film of one camera, and each is taken on its own"
+            f"frames of one sequence jump (by {self.jump:.1f} of the body's size from one to the next): they are not "
+            "a video of one camera, and each is a clip of its own"
         )
         of = f"of {self.frames:,} frames dropped"
         found = {

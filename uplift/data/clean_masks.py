@@ -60,7 +60,7 @@ _MIN_SIDE_PX = 12
 
 REASONS = {
     "empty": "empty",
-    "full": "the whole image is covered",
+    "full": "the entire image is covered",
     "border": "the object touches the border of the image, so it is cut off (border=keep takes these)",
     "pieces": "several pieces of similar size (pieces=largest takes the largest of each)",
     "small": f"smaller than {_MIN_SIDE_PX} px",
@@ -100,13 +100,6 @@ class _MaskReport:
     """Reason -> the first few that were skipped for it."""
     changes: Counter[str] = field(default_factory=Counter)
     """Key of `CHANGES` -> how many masks."""
-
-    def skip(self, name: str, reason: str) -> None:
-        """Count one that is not taken."""
-        self.skipped[reason] += 1
-        shown = self.names.setdefault(reason, [])
-        if len(shown) < _SHOWN:
-            shown.append(name)
 
     def lines(self) -> list[str]:
         """Return the findings worth reporting, one sentence each; none when all masks were complete."""
@@ -169,7 +162,7 @@ def _fill_noise(mask: Bool[np.ndarray, "height width"]) -> tuple[Bool[np.ndarray
     """Return a mask without holes that are too small to be real, and how many there were.
 
     A hole is joined by sides alone, and does not reach the mask's edge: what lies between the legs of a chair
-    is no hole, or a large one, and stays.
+    is not a hole, or a large one, and stays.
     """
     from skimage.measure import label
 
@@ -308,7 +301,9 @@ def clean(
     for item in items:
         result = item.reason if isinstance(item, Skipped) else clean_mask(item, options)
         if isinstance(result, str):
-            report.skip(item.name, result)
+            report.skipped[result] += 1
+            if report.skipped[result] <= _SHOWN:
+                report.names.setdefault(result, []).append(item.name)
             continue
         assert isinstance(item, Found)
         item.mask = result.mask  # the picture itself is let go

@@ -20,7 +20,7 @@ __all__ = ["concat_masks", "concat_poses", "resized"]
 def concat_poses(parts: Sequence[PoseData]) -> PoseData:
     """Return the frames of all ``parts``, which have the same joints in the same order, one after the other.
 
-    Sequences stay apart: a part without names of its own is one sequence named as its file, and a name
+    Sequences stay apart: a part without names is one sequence named as its file, and a name
     that two parts share is put behind the file's. An image size, frame rate or focal length that is not
     the same everywhere is left out, with a note.
 

@@ -246,24 +246,21 @@ def load_file(path: str | Path, skeleton: Skeleton, options: ReadOptions | None 
                 f"{data.source}: holds {len(data.joint_names)} keypoints ({', '.join(data.joint_names)}). Nothing can be "
                 f"lifted from fewer than {MIN_VISIBLE}: a pose needs a shape."
             )
-        parts.append(_label_checked(in_joints_of(data, skeleton), skeleton))
+        data = in_joints_of(data, skeleton)
+        stretch = stretch_of(data.keypoints, data.confidence, skeleton)
+        if stretch >= TOO_LONG:
+            note = (
+                f"WARNING: the bones of {skeleton.name} are {stretch:.1f} times as long as the shortest lines that join "
+                "its joints: joints seem to have the names of others "
+                f"(uplift skeleton map {data.source} skeleton={skeleton.name})"
+            )
+            data = replace(data, notes=(*data.notes, note))
+        parts.append(data)
     return concat_poses(parts)
 
 
-def _label_checked(data: PoseData, skeleton: Skeleton) -> PoseData:
-    """Return ``data`` with a note where its joints seem to have each other's names."""
-    stretch = stretch_of(data.keypoints, data.confidence, skeleton)
-    if stretch < TOO_LONG:
-        return data
-    note = (
-        f"WARNING: the bones of {skeleton.name} are {stretch:.1f} times as long as the shortest lines that join its "
-        f"joints: joints seem to have the names of others (uplift skeleton map {data.source} skeleton={skeleton.name})"
-    )
-    return replace(data, notes=(*data.notes, note))
-
-
 def read_options(data: DataSettings) -> ReadOptions:
-    """Return what settings say of the files; raises UserError for an invalid image size or number."""
+    """Return how the settings want files read; raises UserError for an invalid image size or number."""
     size = None if data.image_size is None else size_of(data.image_size, "data.image_size")
     return ReadOptions(
         format=data.format, layout=data.layout, image_size=size, fps=data.fps, focal_px=data.focal_px,

@@ -139,7 +139,7 @@ def known_shapes(data: MaskData) -> MaskData | None:
 
 
 def _unknown(items: int) -> Placed:
-    """Return what stands for shapes that are not known."""
+    """Return a placeholder for shapes that are not known."""
     nothing = Mesh(np.zeros((0, 3)), np.zeros((0, 3), np.int64), "unknown", "")
     view, gap = np.repeat(np.eye(3)[None], items, 0), np.full(items, np.nan)
     return Placed([nothing], np.zeros(items, np.int64), view, gap, np.full((items, 2), np.nan), gap)

@@ -205,7 +205,7 @@ def _usual_steps(clip: np.ndarray, step: np.ndarray) -> np.ndarray:
     return usual[clip]
 
 
-# Masks of the bodies beside their keypoints: crops of the same images, and the way from a keypoint into its crop.
+# Masks of the bodies beside their keypoints: crops of the same images, and where keypoints are in them.
 
 _SMALLEST = 8
 

@@ -156,7 +156,8 @@ def thinned(mesh: Mesh, faces: int) -> Mesh:
         if len(kept) <= faces:
             break
         cell *= max(1.05, np.sqrt(len(kept) / faces))
-    return _ordered(replace(mesh, vertices=_corners(mesh, cells), faces=kept))
+    used, numbers = np.unique(kept, return_inverse=True)  # corners that no triangle has are left out
+    return replace(mesh, vertices=_corners(mesh, cells)[used], faces=numbers.reshape(-1, 3))
 
 
 def _merged(mesh: Mesh, low: np.ndarray, cell: float) -> tuple[np.ndarray, np.ndarray]:
@@ -190,9 +191,3 @@ def _corners(mesh: Mesh, cells: np.ndarray) -> np.ndarray:
     np.maximum.at(reach, cells, np.linalg.norm(mesh.vertices - mean[cells], axis=1))
     length = np.linalg.norm(step, axis=1)
     return mean + step * np.minimum(1, reach / np.maximum(length, 1e-12))[:, None]
-
-
-def _ordered(mesh: Mesh) -> Mesh:
-    """Return the mesh without corners that no triangle has."""
-    used, faces = np.unique(mesh.faces, return_inverse=True)
-    return replace(mesh, vertices=mesh.vertices[used], faces=faces.reshape(-1, 3))

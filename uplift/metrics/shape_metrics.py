@@ -250,7 +250,7 @@ class _Surface:
 
 
 def mesh_surface(mesh: Mesh, truth: Standing, points: int = _POINTS) -> _Surface:
-    """Return points spread evenly over the mesh's outer surface, where ``truth`` (its filled grid) stands.
+    """Return points spread evenly over the mesh's outer surface, in the place of ``truth`` (its filled grid).
 
     A point is inside the union, and left out, where the filled grid is occupied a voxel away on both
     sides of its triangle.

@@ -171,14 +171,10 @@ def _from_checked(data: dict[str, Any]) -> Skeleton:
         bones=tuple((other, one) if parents[one] == other else (one, other) for one, other in bones),
         mirror=tuple(map(tuple, data["mirror"])),
         facing={name: (tuple(start), tuple(end)) for name, (start, end) in data["facing"].items()},
-        sources={layout: _tuples(joints) for layout, joints in data["from"].items()},
+        sources={name: {j: tuple(parts) for j, parts in of.items()} for name, of in data["from"].items()},
         body={key: data[key] for key in BODY_KEYS if key in data},
-        midpoints=_tuples(data["midpoints"]),
+        midpoints={joint: tuple(parts) for joint, parts in data["midpoints"].items()},
     )
-
-
-def _tuples(parts: dict[str, list[str]]) -> dict[str, tuple[str, ...]]:
-    return {joint: tuple(names) for joint, names in parts.items()}
 
 
 def _read_only(array: np.ndarray) -> np.ndarray:
