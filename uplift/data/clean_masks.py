@@ -60,7 +60,7 @@ _MIN_SIDE_PX = 12
 
 REASONS = {
     "empty": "empty",
-    "full": "the entire image is covered",
+    "full": "the whole image is covered",
     "border": "the object touches the border of the image, so it is cut off (border=keep takes these)",
     "pieces": "several pieces of similar size (pieces=largest takes the largest of each)",
     "small": f"smaller than {_MIN_SIDE_PX} px",
