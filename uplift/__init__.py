@@ -26,30 +26,24 @@ __version__ = "0.1.0"
 
 # Loaded when first used: `import uplift` takes no torch, and `uplift --help` answers at once.
 _HOMES = {
-    "DataSet": "uplift.data.datasets.base",
-    "Lift": "uplift.priors.base",
-    "Model": "uplift.models.model",
-    "PoseData": "uplift.data.poses",
-    "Prior": "uplift.priors.base",
-    "ShapeLift": "uplift.priors.base",
-    "ShapePrior": "uplift.priors.base",
-    "Skeleton": "uplift.skeleton",
-    "UserError": "uplift.errors",
-    "WantedFile": "uplift.data.datasets.base",
-    "compare": "uplift.cli.listing",
-    "evaluate": "uplift.cli.evaluate",
-    "evaluate_poses": "uplift.cli.evaluate",
-    "fit": "uplift.cli.fit",
-    "load": "uplift.models.model",
-    "load_skeleton": "uplift.skeleton",
-    "predict": "uplift.cli.predict",
-    "simulate": "uplift.cli.simulate",
+    "cli.evaluate": ("evaluate", "evaluate_poses"),
+    "cli.fit": ("fit",),
+    "cli.listing": ("compare",),
+    "cli.predict": ("predict",),
+    "cli.simulate": ("simulate",),
+    "data.datasets.base": ("DataSet", "WantedFile"),
+    "data.poses": ("PoseData",),
+    "errors": ("UserError",),
+    "models.model": ("Model", "load"),
+    "priors.base": ("Lift", "Prior", "ShapeLift", "ShapePrior"),
+    "skeleton": ("Skeleton", "load_skeleton"),
 }
 
 
 def __getattr__(name: str) -> Any:
-    if name not in _HOMES:
+    home = next((module for module, names in _HOMES.items() if name in names), None)
+    if home is None:
         raise AttributeError(f"module 'uplift' has no attribute '{name}'")
-    value = getattr(import_module(_HOMES[name]), name)
+    value = getattr(import_module(f"uplift.{home}"), name)
     globals()[name] = value
     return value

@@ -1,4 +1,4 @@
-"""One mask becomes one crop: what moves with it, what does not, what is mended and what is refused."""
+"""One mask becomes one crop: what moves with it, what does not, what is changed and what is refused."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from mask_files import blob
 
-from uplift.data.clean_masks import MENDED, REASONS, CleanOptions, Crop, clean, clean_mask, covered
+from uplift.data.clean_masks import CHANGES, REASONS, CleanOptions, Crop, clean, clean_mask, covered
 from uplift.data.masks import FILL, Found, Skipped
 from uplift.errors import UserError
 
@@ -132,12 +132,12 @@ def test_specks_go_and_small_holes_are_filled_but_real_ones_stay() -> None:
     y, x = np.argwhere(mask).mean(0).astype(int)
     noisy[y, x] = False
     crop = crop_of(noisy)
-    assert crop.mended == {"specks", "holes"}
+    assert crop.changes == {"specks", "holes"}
     assert np.array_equal(crop.mask, crop_of(mask).mask)
     real = mask.copy()
     real[y - 4 : y + 4, x - 4 : x + 4] = False
     crop = crop_of(real)
-    assert crop.mended == frozenset()
+    assert crop.changes == frozenset()
     assert crop_of(mask).mask.sum() - crop.mask.sum() == pytest.approx(64 / crop.scale_px**2 * 32**2 * 255, rel=0.02)
 
 
@@ -148,7 +148,7 @@ def test_between_the_legs_of_a_chair_it_stays_open() -> None:
     chair[20:36, 8:10] = chair[20:36, 28:30] = True  # legs
     chair[30:32, 8:30] = True  # the bar between them makes a hole of 7 x 18
     crop = crop_of(chair)
-    assert crop.mended == frozenset()
+    assert crop.changes == frozenset()
     assert crop.mask[45, 32] == 0  # in the hole
 
 
@@ -187,11 +187,11 @@ def test_what_is_refused_and_why(mask: np.ndarray, reason: str) -> None:
 
 def test_options_take_what_is_refused_otherwise() -> None:
     kept = crop_of(CUT, border="keep")
-    assert kept.mended == {"cut"}
+    assert kept.changes == {"cut"}
     padded = np.pad(CUT, ((0, 0), (9, 9)))
     assert np.array_equal(kept.mask, crop_of(padded).mask)
     largest = crop_of(TWO, pieces="largest")
-    assert largest.mended == {"largest"}
+    assert largest.changes == {"largest"}
     assert largest.centre_px == (20, 30)
     assert largest.scale_px == pytest.approx(10 / FILL)
 
@@ -217,7 +217,7 @@ def test_the_report_counts_and_names() -> None:
     assert data.category is not None
     assert data.category.tolist() == ["cow"] * 3
     assert data.masks.shape == (3, 64, 64)
-    assert report.masks == 10
+    assert report.kept + report.skipped.total() == 10
     assert report.skipped == {"empty": 5, "border": 1, "unreadable": 1}
     assert report.lines()[0] == "5 of 10 masks skipped: empty (empty0, empty1, empty2, ...)"
     assert "border=keep" in report.lines()[1]
@@ -239,4 +239,4 @@ def test_options_that_cannot_be(wrong: dict) -> None:
 
 
 def test_every_reason_is_in_words() -> None:
-    assert all(text and not text.endswith(".") for text in [*REASONS.values(), *MENDED.values()])
+    assert all(text and not text.endswith(".") for text in [*REASONS.values(), *CHANGES.values()])

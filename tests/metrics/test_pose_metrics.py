@@ -15,8 +15,9 @@ from jaxtyping import TypeCheckError, jaxtyped
 from scipy.linalg import orthogonal_procrustes
 
 from uplift.metrics import pose_metrics as metrics
-from uplift.metrics.alignment import counted
+from uplift.metrics.alignment import ALIGNED_ERRORS, counted, least_squares_scale, norm_scale
 from uplift.metrics.pose_metrics import facing_sign, has_handedness
+from uplift.metrics.scores import Matched, score
 from uplift.skeleton import Skeleton
 from uplift.skeleton.core import mirrored_bones
 
@@ -32,24 +33,18 @@ BODY = Skeleton.from_dict(
         "gravity": True,
     }
 )
-ERRORS = {
-    "mpjpe": metrics.mpjpe,
-    "mpjpe_gt_scale": partial(metrics.mpjpe_gt_scale, root=ROOT),
-    "n_mpjpe": metrics.n_mpjpe,
-    "n_mpjpe_norm": metrics.n_mpjpe_norm,
-    "p_mpjpe": metrics.p_mpjpe,
-    "p_mpjpe_reflect": metrics.p_mpjpe_reflect,
-    "mpjpe_gt_scale_best_of_flip": partial(metrics.mpjpe_gt_scale_best_of_flip, root=ROOT),
-    "n_mpjpe_best_of_flip": metrics.n_mpjpe_best_of_flip,
-    "p_mpjpe_best_of_flip": metrics.p_mpjpe_best_of_flip,
-}
-OTHERS = {
-    "pck": metrics.pck,
-    "pck_z": metrics.pck_z,
-    "auc": metrics.auc,
-    "stress": metrics.stress,
-    "facing": metrics.facing,
-}
+
+
+def protocol(name: str, pose: np.ndarray, truth: np.ndarray, weight: np.ndarray | None = None) -> np.ndarray:
+    """Return one protocol, frame by frame, of poses in mm."""
+    unseen = np.zeros(pose.shape[:2])
+    matched = Matched(pose, truth, counted(pose, truth, weight), unseen, BODY, metric=True, in_mm=True)
+    return score(matched).frames[name]
+
+
+FLIPPED = ("mpjpe_gt_scale_best_of_flip", "n_mpjpe_best_of_flip", "p_mpjpe_best_of_flip")
+ERRORS = {name: partial(protocol, name) for name in (*ALIGNED_ERRORS, *FLIPPED)}
+OTHERS = {name: partial(protocol, name) for name in ("pck@150", "pck_z@150", "auc", "stress", "facing")}
 SCALED = {name: metric for name, metric in ERRORS.items() if name != "mpjpe"}
 
 
@@ -114,9 +109,9 @@ def test_shares_and_stress_are_those_of_a_loop():
         off = [math.dist(x[j], y[j]) for j in seen]
         pairs = [abs(math.dist(x[i], x[j]) - math.dist(y[i], y[j])) for i, j in itertools.combinations(seen, 2)]
         curve = [sum(e < t for e in off) / len(off) for t in range(0, 151, 5)]
-        assert found["pck"][frame] == pytest.approx(curve[-1])
+        assert found["pck@150"][frame] == pytest.approx(curve[-1])
         assert found["auc"][frame] == pytest.approx(sum(curve) / 31)
-        assert found["pck_z"][frame] == pytest.approx(sum(abs(x[j, 2] - y[j, 2]) < 150 for j in seen) / len(seen))
+        assert found["pck_z@150"][frame] == pytest.approx(sum(abs(x[j, 2] - y[j, 2]) < 150 for j in seen) / len(seen))
         assert found["stress"][frame] == pytest.approx(sum(pairs) / len(pairs))
         kept, flipped = (slow_error("p_mpjpe", p, y, seen) for p in (x, x * [1, 1, -1]))
         assert found["facing"][frame] == (kept <= flipped)
@@ -143,23 +138,23 @@ def test_a_mirrored_pose_costs_unless_the_name_says_otherwise():
     for axis in range(3):
         mirrored = truth.copy()
         mirrored[..., axis] *= -1
-        assert (metrics.p_mpjpe(mirrored, truth) > 20).all()
-        assert np.allclose(metrics.p_mpjpe_reflect(mirrored, truth), 0, atol=1e-8)
+        assert (protocol("p_mpjpe", mirrored, truth) > 20).all()
+        assert np.allclose(protocol("p_mpjpe_reflect", mirrored, truth), 0, atol=1e-8)
     flipped = metrics.flip_depth(truth)
-    assert metrics.facing(truth, truth).all()
-    assert not metrics.facing(flipped, truth).any()
-    assert np.allclose(metrics.p_mpjpe_best_of_flip(flipped, truth), 0, atol=1e-8)
-    assert np.allclose(metrics.n_mpjpe_best_of_flip(flipped, truth), 0, atol=1e-8)
+    assert protocol("facing", truth, truth).all()
+    assert not protocol("facing", flipped, truth).any()
+    assert np.allclose(protocol("p_mpjpe_best_of_flip", flipped, truth), 0, atol=1e-8)
+    assert np.allclose(protocol("n_mpjpe_best_of_flip", flipped, truth), 0, atol=1e-8)
 
 
 def test_alignment_takes_out_rotation_and_place_only_where_it_says_so():
     pose, truth, _ = some_poses()
     turned = pose @ roma.rotvec_to_rotmat(torch.tensor([0.4, -1.0, 2.0])).double().numpy() + 50
-    assert np.allclose(metrics.p_mpjpe(turned, truth), metrics.p_mpjpe(pose, truth))
-    assert np.allclose(metrics.p_mpjpe_reflect(turned, truth), metrics.p_mpjpe_reflect(pose, truth))
-    assert (metrics.n_mpjpe(turned, truth) > metrics.n_mpjpe(pose, truth)).all()
+    assert np.allclose(protocol("p_mpjpe", turned, truth), protocol("p_mpjpe", pose, truth))
+    assert np.allclose(protocol("p_mpjpe_reflect", turned, truth), protocol("p_mpjpe_reflect", pose, truth))
+    assert (protocol("n_mpjpe", turned, truth) > protocol("n_mpjpe", pose, truth)).all()
     deeper = pose + np.array([0, 0, 500])
-    assert (metrics.mpjpe_gt_scale(deeper, truth, ROOT) > metrics.mpjpe_gt_scale(pose, truth, ROOT)).all()
+    assert (protocol("mpjpe_gt_scale", deeper, truth) > protocol("mpjpe_gt_scale", pose, truth)).all()
 
 
 @pytest.mark.parametrize("metric", [*ERRORS, *OTHERS])
@@ -252,19 +247,8 @@ def test_bone_cv_and_symmetry_are_those_of_a_loop():
 
 def test_shapes_are_those_of_the_signatures():
     pose, truth, weight = some_poses()
-    for metric in (
-        metrics.p_mpjpe,
-        metrics.stress,
-        metrics.auc,
-        metrics.pck,
-        metrics.facing,
-        metrics.n_mpjpe,
-    ):
+    for metric in (metrics.stress, least_squares_scale, norm_scale):
         checked = jaxtyped(typechecker=beartype)(metric)
         assert checked(pose, truth, weight).shape == (30,)
         with pytest.raises(TypeCheckError):
             checked(pose, truth[:, :4], weight)
-
-
-def test_elevation_is_an_absolute_difference():
-    assert metrics.elevation_deg(np.array([3.0, -4.0]), np.array([5.0, -8.0])).tolist() == [2, 4]

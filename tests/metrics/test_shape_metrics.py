@@ -9,7 +9,7 @@ import pytest
 from shape_scenes import box, chair, placed, union, views
 
 from uplift.metrics.evaluate_shapes import filled_truths
-from uplift.metrics.protocols import SHAPE_METRICS, better_is_higher, metric_meaning, metric_order, metric_unit
+from uplift.metrics.protocols import SHAPE_METRICS, metric_meaning, metric_order, metric_unit
 from uplift.metrics.shape_metrics import (
     SIDE,
     Silhouette,
@@ -158,7 +158,7 @@ def test_surfaces_of_mesh_and_grid_are_the_same_surface():
 def test_points_inside_a_union_are_no_surface():
     inner = union(box((-1, -1, -1), (1, 1, 1)), box((-0.4, -0.4, -0.4), (0.4, 0.4, 0.4)))
     truth = standing(inner, 0, 0)
-    found = truth.to_own(mesh_surface(inner, truth).points)
+    found = (mesh_surface(inner, truth).points - truth.origin) @ truth.inverse.T
     assert np.abs(found).max(1).min() == pytest.approx(0.9, abs=1e-6)
 
 
@@ -189,7 +189,11 @@ def test_views_are_compared_after_the_best_constant_turn():
 
 def test_every_metric_has_a_meaning_a_unit_and_a_better_way():
     assert [metric_unit(name) for name in ("chamfer", "f_score", "azimuth_deg")] == ["longest side", "", "deg"]
-    assert [name for name in SHAPE_METRICS if not better_is_higher(name)] == ["chamfer", "azimuth_deg", "elevation_deg"]
+    assert [name for name, of in SHAPE_METRICS.items() if of.better == "lower"] == [
+        "chamfer",
+        "azimuth_deg",
+        "elevation_deg",
+    ]
     assert metric_meaning("best_floor_volume_iou") == "the best baseline's: " + metric_meaning("volume_iou")
     names = ["best_floor_volume_iou", "chamfer", "volume_iou"]
     assert sorted(names, key=metric_order) == ["volume_iou", "best_floor_volume_iou", "chamfer"]

@@ -14,19 +14,9 @@ from typing import Any, BinaryIO
 from uplift.errors import UserError
 
 __all__ = [
-    "absolute",
-    "data_root",
-    "files_of",
-    "read_torch",
-    "refuse_existing",
-    "refuse_output",
-    "replacing",
-    "save_torch",
-    "shipped",
-    "shipped_names",
-]
-
-# Where shipped files and data sets are.
+    "absolute", "data_root", "files_of", "read_torch", "refuse_existing", "refuse_output", "replacing", "save_torch",
+    "shipped", "shipped_names",
+]  # fmt: skip
 
 _PACKAGE = Path(__file__).resolve().parent.parent
 
@@ -63,8 +53,7 @@ def data_root(name: str, root: str | None) -> Path:
 def files_of(path: str | Path) -> list[Path]:
     """Return the files or folders that ``path`` names: itself where it exists, else those between commas or that match ``*``, ``?`` or ``[``.
 
-    Raises:
-        UserError: a file that does not exist, or a pattern without a match.
+    Raises UserError: a file that does not exist, or a pattern without a match.
     """
     if Path(path).exists():
         return [Path(path)]
@@ -89,9 +78,6 @@ def absolute(path: str) -> str:
     if Path(path).expanduser().exists():
         return str(Path(path).expanduser().absolute())
     return ",".join(str(Path(part).expanduser().absolute()) for part in path.split(",") if part)
-
-
-# Writing: a file appears complete or not at all.
 
 
 @contextmanager
@@ -122,9 +108,6 @@ def replacing(path: str | Path) -> Iterator[BinaryIO]:
         raise
 
 
-# Files of tensors and plain data, read without running any code.
-
-
 def save_torch(state: dict[str, Any], path: Path) -> None:
     """Write tensors and plain data to ``path``, complete or not at all."""
     import torch
@@ -142,8 +125,7 @@ def save_torch(state: dict[str, Any], path: Path) -> None:
 def read_torch(path: Path, kind: str) -> dict[str, Any]:
     """Read tensors and plain data; nothing in the file can run.
 
-    Raises:
-        UserError: not there, not such a file, damaged, or holding anything but plain data.
+    Raises UserError: not there, not such a file, damaged, or holding anything but plain data.
     """
     import torch
 

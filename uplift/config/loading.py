@@ -16,15 +16,7 @@ from uplift.config.settings import RENAMED, Settings, all_settings, check_settin
 from uplift.config.yaml_file import Where, read_value, read_yaml
 from uplift.errors import UserError, did_you_mean
 
-__all__ = [
-    "load_settings",
-    "put_override",
-    "read_task",
-    "save_settings",
-    "setting_names",
-    "split_words",
-    "task_path",
-]
+__all__ = ["load_settings", "put_override", "read_task", "save_settings", "setting_names", "split_words", "task_path"]
 
 _MAX_EXTENDS = 10
 
@@ -36,8 +28,7 @@ def load_settings(task: str | None = None, overrides: Sequence[str] = (), defaul
     task file are relative to that file (`data.*` to `data.root`), those of overrides to the current
     folder; they are returned absolute where that matters.
 
-    Raises:
-        UserError: an unknown task or key, a value of the wrong type, settings that contradict.
+    Raises UserError: an unknown task or key, a value of the wrong type, settings that contradict.
     """
     path = task_path(task or default)
     merged = read_task(path)
@@ -53,7 +44,7 @@ def load_settings(task: str | None = None, overrides: Sequence[str] = (), defaul
 
 
 def save_settings(settings: Settings, path: Path) -> None:
-    """Write all settings, resolved, as a task file that can be used again."""
+    """Write all settings as a task file that can be used again."""
     path.write_text(yaml.safe_dump(dataclasses.asdict(settings), sort_keys=False, allow_unicode=True))
 
 
@@ -74,10 +65,8 @@ def task_path(task: str) -> Path:
         return path
     if path.suffix in (".yaml", ".yml") or len(path.parts) > 1:
         raise UserError(f"No task file {path} (looked in {path.absolute().parent}).")
-    names = [name for name in shipped_names("tasks") if name != "default"]
-    raise UserError(
-        f"No task '{task}'.{did_you_mean(task, names)} `uplift tasks` lists them; your own task is a .yaml file."
-    )
+    hint = did_you_mean(task, [name for name in shipped_names("tasks") if name != "default"])
+    raise UserError(f"No task '{task}'.{hint} `uplift tasks` lists them; your own task is a .yaml file.")
 
 
 def read_task(path: Path, depth: int = 0) -> dict[str, Any]:
@@ -88,11 +77,10 @@ def read_task(path: Path, depth: int = 0) -> dict[str, Any]:
     base: dict[str, Any] = {}
     parent = data.pop("extends", None)
     if parent is not None:
+        line = where(("extends",))
         if depth >= _MAX_EXTENDS:
-            raise UserError(
-                f"{where(('extends',))}: more than {_MAX_EXTENDS} tasks extend one another. Is there a circle?"
-            )
-        base = read_task(_parent_path(parent, path.parent, where(("extends",))), depth + 1)
+            raise UserError(f"{line}: more than {_MAX_EXTENDS} tasks extend one another. Is there a circle?")
+        base = read_task(_parent_path(parent, path.parent, line), depth + 1)
     if path.name == "config.yaml":  # written by a fit, perhaps of an earlier version
         rename_old(data)
     _check_keys(data, (), where)
@@ -113,7 +101,7 @@ def _parent_path(parent: Any, folder: Path, where: str) -> Path:
 
 
 def _bind_paths(data: dict[str, Any], folder: Path) -> None:
-    """Make what a task file names relative to itself absolute: skeleton, data.root, files of priors, networks and data sets."""
+    """Make the paths of a task file absolute: skeleton, data.root, files of priors, networks and data sets."""
     skeleton = data.get("skeleton")
     if isinstance(skeleton, str) and skeleton.endswith((".yaml", ".yml")):
         data["skeleton"] = str((folder / skeleton).absolute())
@@ -134,12 +122,10 @@ def _class_in(value: Any, folder: Path) -> Any:
 
 
 def _merge(base: dict[str, Any], top: dict[str, Any]) -> dict[str, Any]:
-    merged = dict(base)
-    for key, value in top.items():
-        if isinstance(value, dict) and isinstance(merged.get(key), dict):
-            merged[key] = _merge(merged[key], value)
-        else:
-            merged[key] = value
+    merged = base | top
+    for key in base.keys() & top.keys():
+        if isinstance(base[key], dict) and isinstance(top[key], dict):
+            merged[key] = _merge(base[key], top[key])
     return merged
 
 
@@ -152,7 +138,7 @@ def _check_keys(data: dict[str, Any], above: tuple[str, ...], where: Where) -> N
         if full not in names:
             raise UserError(f"{where(part)}: {_unknown(full, names)}")
         setting = all_settings().get(full)
-        if (setting is None or _is_open(setting.type)) and not isinstance(value, dict):
+        if (setting is None or typing.get_origin(setting.type) is dict) and not isinstance(value, dict):
             raise UserError(f"{where(part)}: '{full}' is {value!r}, expected settings below it.")
         if setting is None:
             _check_keys(value, part, where)
@@ -165,15 +151,9 @@ def _names_below(above: Sequence[str]) -> list[str]:
 
 
 def _unknown(name: str, valid: Iterable[str]) -> str:
-    """Return the message about a name that is not a setting."""
     if name in RENAMED:
         return f"the setting '{name}' is now called '{RENAMED[name]}'."
     return f"unknown setting '{name}'.{did_you_mean(name, valid)}"
-
-
-def _is_open(kind: Any) -> bool:
-    """Return whether a setting takes keys of any name below it."""
-    return typing.get_origin(kind) is dict
 
 
 def _typed(merged: dict[str, Any]) -> Settings:
@@ -205,16 +185,12 @@ def _check_tuples(data: dict[str, Any]) -> None:
                 if value is setting.default:
                     break
             count = len(setting.default)
-            if not isinstance(value, (list, tuple)) or len(value) != count or not all(map(_is_number, value)):
+            try:
+                right = isinstance(value, (list, tuple)) and len([float(number) for number in value]) == count
+            except (TypeError, ValueError):
+                right = False
+            if not right:
                 raise UserError(f"{setting.name}={value!r}: expected {count} numbers, as a,b.")
-
-
-def _is_number(value: Any) -> bool:
-    try:
-        float(value)
-    except (TypeError, ValueError):
-        return False
-    return True
 
 
 def _escape(value: Any) -> Any:
@@ -234,8 +210,7 @@ def split_words(words: Iterable[str], of: Collection[str] | None = None) -> tupl
 
     With the keys ``of`` the command, a word of another key that names an existing file is a plain one.
 
-    Raises:
-        UserError: a key twice.
+    Raises UserError: a key twice.
     """
     plain: list[str] = []
     keyed: dict[str, str] = {}
@@ -253,8 +228,7 @@ def split_words(words: Iterable[str], of: Collection[str] | None = None) -> tupl
 def put_override(data: dict[str, Any], override: str) -> None:
     """Put one ``key=value`` of the command line into plain settings.
 
-    Raises:
-        UserError: not ``key=value``, an unknown key, a group given a value.
+    Raises UserError: not ``key=value``, an unknown key, a group given a value.
     """
     key, equals, text = override.partition("=")
     if not equals or not key:
@@ -270,7 +244,6 @@ def put_override(data: dict[str, Any], override: str) -> None:
 
 
 def _type_of(name: str, override: str) -> Any:
-    """Return the type of a setting; Any below one that takes any keys."""
     if name in all_settings():
         return all_settings()[name].type
     below = setting_names(f"{name}.")
@@ -278,7 +251,7 @@ def _type_of(name: str, override: str) -> Any:
         raise UserError(f"'{override}': '{name}' holds settings: set one of them.{did_you_mean('', below)}")
     for setting in all_settings().values():
         if name.startswith(f"{setting.name}."):
-            if _is_open(setting.type):
+            if typing.get_origin(setting.type) is dict:
                 return Any
             raise UserError(f"'{override}': '{setting.name}' is one setting, with none below it.")
     keys = name.split(".")

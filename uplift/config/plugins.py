@@ -24,14 +24,14 @@ def build(
 ) -> Kind:
     """Return an instance of the class that ``use`` names, a subclass of ``kind``, with ``given`` and the user's ``options``.
 
-    Raises:
-        UserError: no such name, file or class, not a subclass of ``kind``, an option that the class does
-            not take or that is of another kind than its default, an argument without a default that
-            was not given, or a user's ``__init__`` that fails.
+    Raises UserError: no such name, file or class, not a subclass of ``kind``, an option that the class does
+    not take or that is of another kind than its default, an argument without a default that
+    was not given, or a user's ``__init__`` that fails.
     """
     found = find_class(use, builtin, where)
     if not issubclass(found, kind):
-        raise UserError(f"{where}: '{use}' is not a subclass of {_public_name(kind)}.")
+        package = kind.__module__.partition(".")[0] + (".nn" if kind.__module__.startswith("torch.nn") else "")
+        raise UserError(f"{where}: '{use}' is not a subclass of {package}.{kind.__name__}.")
     parameters = inspect.signature(found).parameters
     for name in given:
         if name not in parameters and options_of(found) is not None:
@@ -43,7 +43,8 @@ def build(
             if name not in allowed:
                 raise UserError(f"{where}.{name}: '{use}' takes no such option.{did_you_mean(name, allowed)}")
     for name, parameter in parameters.items():
-        if name not in options and name not in given and _is_required(parameter):
+        several = parameter.kind in (parameter.VAR_KEYWORD, parameter.VAR_POSITIONAL)
+        if name not in options and name not in given and parameter.default is parameter.empty and not several:
             raise UserError(f"{where}: '{use}' needs the option '{name}': set {where}.{name}=...")
     try:
         return found(**given, **options)
@@ -60,23 +61,10 @@ def build(
         ) from error
 
 
-def _is_required(parameter: inspect.Parameter) -> bool:
-    return parameter.default is parameter.empty and parameter.kind not in (
-        parameter.VAR_KEYWORD,
-        parameter.VAR_POSITIONAL,
-    )
-
-
-def _public_name(kind: type) -> str:
-    return (
-        f"{kind.__module__.partition('.')[0]}.{'nn.' if kind.__module__.startswith('torch.nn') else ''}{kind.__name__}"
-    )
-
-
 def _check_kinds(found: type, options: Mapping[str, Any], where: str) -> None:
     """Refuse an option whose kind is not that of its default: text for a number, a number for text."""
-    kinds = {bool: ("true or false", (bool,)), int: ("a number", (int, float)), float: ("a number", (int, float))}
-    kinds[str] = ("text", (str,))
+    number = ("a number", (int, float))
+    kinds = {bool: ("true or false", (bool,)), int: number, float: number, str: ("text", (str,))}
     for name, parameter in inspect.signature(found).parameters.items():
         expected, kind = kinds.get(type(parameter.default), ("", ()))
         value = options.get(name, parameter.default)
@@ -87,8 +75,7 @@ def _check_kinds(found: type, options: Mapping[str, Any], where: str) -> None:
 def find_class(use: str, builtin: Mapping[str, str], where: str) -> type:
     """Return the class that ``use`` names: a built-in, or ``file.py:Class``, or ``package.module:Class``.
 
-    Raises:
-        UserError: there is no such class.
+    Raises UserError: there is no such class.
     """
     target = builtin.get(use, use)
     if ":" not in target:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import datetime
+import itertools
 import json
 import os
 import platform
@@ -27,6 +29,12 @@ class RunFolder:
 
     def __init__(self, path: Path):
         self.path = path
+        self.config = path / "config.yaml"
+        """The resolved settings."""
+        self.checkpoints = path / "checkpoints"
+        """Each stage's training state."""
+        self.weights = path / "lifter.pt"
+        """The trained lifter alone."""
 
     @classmethod
     def create(cls, settings: Settings, command: str) -> RunFolder:
@@ -37,14 +45,11 @@ class RunFolder:
             base.mkdir(parents=True, exist_ok=True)
         except (FileExistsError, NotADirectoryError) as error:
             raise UserError(f"Cannot make the folder {base.absolute()}: something else is in its place.") from error
-        path, attempt = base / stamp, 1
-        while True:
-            try:
+        for attempt in itertools.count(1):
+            path = base / (stamp if attempt == 1 else f"{stamp}_{attempt}")
+            with contextlib.suppress(FileExistsError):
                 path.mkdir()
                 break
-            except FileExistsError:
-                attempt += 1
-                path = base / f"{stamp}_{attempt}"
         run = cls(path)
         if settings.data.train and not settings.data.root:
             # The run finds its data again from any folder, whatever UPLIFT_DATA is then.
@@ -58,7 +63,12 @@ class RunFolder:
 
     def link_last(self) -> None:
         """Point the task's ``last`` to this run, which can now be resumed."""
-        _link_last(self.path.parent / "last", self.path.name)
+        temporary = self.path.with_name(f".last.{os.getpid()}")
+        try:
+            temporary.symlink_to(self.path.name, target_is_directory=True)
+            os.replace(temporary, self.path.with_name("last"))
+        except OSError:  # a file system without links, where `run=.../last` cannot work
+            temporary.unlink(missing_ok=True)
 
     def discard_if_empty(self) -> None:
         """Remove a run that ended before it kept any weights."""
@@ -69,8 +79,7 @@ class RunFolder:
     def open(cls, path: str | Path) -> RunFolder:
         """Return the run in ``path``, or that of a task's ``last``.
 
-        Raises:
-            UserError: there is no such run; the message names the nearest.
+        Raises UserError: there is no such run; the message names the nearest.
         """
         path = Path(path)
         run = cls(path.resolve() if path.exists() else path)
@@ -81,25 +90,8 @@ class RunFolder:
         if path.exists():
             raise UserError(f"{path} is not a run: it has no config.yaml. `uplift fit` writes runs/<task>/<time>.")
         found = [str(p) for p in Path("runs").glob("*/*") if (p / "config.yaml").is_file()]
-        raise UserError(
-            f"No run {path}."
-            + (did_you_mean(str(path), found) if found else " There are no runs here yet: `uplift fit task=demo`.")
-        )
-
-    @property
-    def config(self) -> Path:
-        """The resolved settings."""
-        return self.path / "config.yaml"
-
-    @property
-    def checkpoints(self) -> Path:
-        """Where each stage's training state is kept."""
-        return self.path / "checkpoints"
-
-    @property
-    def weights(self) -> Path:
-        """The trained lifter alone."""
-        return self.path / "lifter.pt"
+        none = " There are no runs here yet: `uplift fit task=demo`."
+        raise UserError(f"No run {path}.{did_you_mean(str(path), found) or none}")
 
     def settings(self) -> Settings:
         """Return the settings the run was made with."""
@@ -121,9 +113,8 @@ class RunFolder:
             return None
         found = _mapping(path)
         if not isinstance(found.get("overall"), dict) or "data" not in found:
-            raise UserError(
-                f"{path} is not an evaluation: no 'data' and 'overall'. `uplift evaluate run=...` writes it again."
-            )
+            again = "`uplift evaluate run=...` writes it again."
+            raise UserError(f"{path} is not an evaluation: no 'data' and 'overall'. {again}")
         return found
 
 
@@ -133,19 +124,8 @@ def _mapping(path: Path) -> dict[str, Any]:
     except ValueError as error:  # not JSON, or not text
         raise UserError(f"{path} is not a complete JSON file: {error}.") from error
     if not isinstance(found, dict):
-        raise UserError(
-            f"{path} holds {type(found).__name__}, expected the content that a fit or an evaluation writes."
-        )
+        raise UserError(f"{path} holds {type(found).__name__}, expected what a fit or an evaluation writes.")
     return found
-
-
-def _link_last(link: Path, target: str) -> None:
-    temporary = link.with_name(f".last.{os.getpid()}")
-    try:
-        temporary.symlink_to(target, target_is_directory=True)
-        os.replace(temporary, link)
-    except OSError:  # a file system without links, where `run=.../last` cannot work
-        temporary.unlink(missing_ok=True)
 
 
 def _facts(settings: Settings, command: str) -> dict[str, Any]:
@@ -172,20 +152,16 @@ def _version(name: str) -> str | None:
 
 def _git() -> dict[str, Any] | None:
     """Return the commit that the package runs from and whether it was changed; None outside git."""
-    where = Path(__file__).resolve().parent
+    git = ["git", "-C", str(Path(__file__).resolve().parent)]
 
     def ask(*words: str) -> str:
-        return subprocess.run(
-            ["git", "-C", str(where), *words], capture_output=True, text=True, check=True, timeout=10
-        ).stdout.strip()
+        done = subprocess.run([*git, *words], capture_output=True, text=True, check=True, timeout=10)
+        return done.stdout.strip()
 
     try:
         return {"commit": ask("rev-parse", "HEAD"), "changed": bool(ask("status", "--porcelain", "-uno"))}
     except (OSError, subprocess.SubprocessError):
         return None
-
-
-# The weights of a run, wherever it is.
 
 
 @dataclass(frozen=True)
@@ -211,8 +187,7 @@ class Weights:
 def read_weights(run: str | Path) -> Weights:
     """Read the ``lifter.pt`` of a run (its folder, or runs/<task>/last), or the file itself.
 
-    Raises:
-        UserError: no such run, one that has no weights yet, or a file that cannot be read.
+    Raises UserError: no such run, one that has no weights yet, or a file that cannot be read.
     """
     path = Path(run)
     if not path.is_file():

@@ -16,27 +16,10 @@ from typing import Any, NamedTuple, Optional, TypeVar
 from uplift.errors import UserError, nearest
 
 __all__ = [
-    "MAX_SIDE",
-    "MIN_SIDE",
-    "RENAMED",
-    "ChoiceSettings",
-    "DataSettings",
-    "LifterSettings",
-    "RefineSettings",
-    "Setting",
-    "Settings",
-    "ShapeSettings",
-    "StageSettings",
-    "StudentSettings",
-    "TeacherSettings",
-    "TrainerSettings",
-    "ViewSettings",
-    "all_settings",
-    "check_settings",
-    "rename_old",
-    "seconds_of",
-    "settings_of",
-]
+    "MAX_SIDE", "MIN_SIDE", "RENAMED", "ChoiceSettings", "DataSettings", "LifterSettings", "RefineSettings", "Setting",
+    "Settings", "ShapeSettings", "StageSettings", "StudentSettings", "TeacherSettings", "TrainerSettings",
+    "ViewSettings", "all_settings", "check_settings", "rename_old", "seconds_of", "settings_of",
+]  # fmt: skip
 
 MIN_SIDE, MAX_SIDE = 8, 1024
 """Pixels along the crop of a mask."""
@@ -227,7 +210,6 @@ class StageSettings:
 
 
 def _with_default(name: str, default: Any) -> Any:
-    """Return a setting of every stage with another default."""
     return field(default=default, metadata=StageSettings.__dataclass_fields__[name].metadata)
 
 
@@ -335,7 +317,6 @@ def all_settings() -> dict[str, Setting]:
 
 
 def _walk(group: Any, above: str, about: Mapping[str, Any]) -> Iterator[Setting]:
-    """Yield the settings of a group, itself described by ``about``."""
     hints = typing.get_type_hints(type(group))
     for one in fields(group):
         name, value, known = above + one.name, getattr(group, one.name), one.metadata
@@ -343,8 +324,8 @@ def _walk(group: Any, above: str, about: Mapping[str, Any]) -> Iterator[Setting]
             yield from _walk(value, f"{name}.", known)
             continue
         help = known["help"] + (f" ({about['help']})" if about.get("help") else "")
-        low, high, choices = known.get("low"), known.get("high"), known.get("choices", ())
-        yield Setting(name, hints[one.name], value, help, low, high, choices, known.get("only", about.get("only")))
+        only, choices = known.get("only", about.get("only")), known.get("choices", ())
+        yield Setting(name, hints[one.name], value, help, known.get("low"), known.get("high"), choices, only)
 
 
 # What settings may be, beyond their types: choices, ranges, what goes with what is lifted, contradictions.
@@ -362,14 +343,15 @@ def check_settings(settings: Settings) -> None:
         elif value is not None:
             _check_value(one, value)
     settings.views.count_root = settings.lifter.radius == "all"
-    _check_stages(settings)
-    _check_trainer(settings.trainer)
-    if settings.lifts == "masks":
-        _check_masks(settings)
+    for wrong, message in (*_contradictions(settings), *(_of_masks(settings) if settings.lifts == "masks" else ())):
+        if wrong:
+            raise UserError(message)
+    if settings.trainer.max_time is not None:
+        seconds_of(settings.trainer.max_time)
 
 
 def _check_default(one: Setting, value: Any, lifts: str) -> None:
-    """Refuse a value of a setting that does not go with what the fit lifts."""
+    """Refuse a value of a setting that only goes with the other kind of fit."""
     if value == one.default or (isinstance(value, list) and tuple(value) == one.default):
         return
     hint = " Start from task=masks for those." if one.only == "masks" else ""
@@ -382,8 +364,8 @@ def _check_default(one: Setting, value: Any, lifts: str) -> None:
 def _check_value(one: Setting, value: Any) -> None:
     """Refuse an unknown choice, or a number out of range, alone or in a list."""
     if one.choices and value not in one.choices:
-        expected = f"expected one of {', '.join(one.choices)}.{nearest(value, one.choices)}"
-        raise UserError(f"{one.name}={value!r}: {expected}")
+        hint = nearest(value, one.choices)
+        raise UserError(f"{one.name}={value!r}: expected one of {', '.join(one.choices)}.{hint}")
     if one.low is None:
         return
     several = isinstance(value, (list, tuple))
@@ -391,44 +373,36 @@ def _check_value(one: Setting, value: Any) -> None:
         low, high = (end[place] if isinstance(end, tuple) else end for end in (one.low, one.high))
         if not low <= number <= high:
             name = f"{one.name}[{place}]" if several else one.name
-            raise UserError(f"{name}={number}: expected a number from {_plain(low)} to {_plain(high)}.")
+            low, high = (f"{end:,}" if isinstance(end, int) else f"{end:g}" for end in (low, high))
+            raise UserError(f"{name}={number}: expected a number from {low} to {high}.")
 
 
-def _plain(number: int | float) -> str:
-    return f"{number:,}" if isinstance(number, int) else f"{number:g}"
+def _contradictions(settings: Settings) -> Iterator[tuple[bool, str]]:
+    student, trainer = settings.student, settings.trainer
+    yield (
+        student.share > 0 and not student.rounds,
+        "student.rounds is empty: give a share for each round, or student.share=0 for no student.",
+    )
+    yield settings.teacher.share <= 0, "teacher.share is 0: the first stage cannot be left out."
+    yield (
+        trainer.max_time is None and trainer.max_steps is None and trainer.max_epochs is None,
+        "Set one of trainer.max_time, trainer.max_steps, trainer.max_epochs: the fit would never end.",
+    )
 
 
-def _check_stages(settings: Settings) -> None:
-    if settings.student.share > 0 and not settings.student.rounds:
-        raise UserError("student.rounds is empty: give a share for each round, or student.share=0 for no student.")
-    if settings.teacher.share <= 0:
-        raise UserError("teacher.share is 0: the first stage cannot be left out.")
-
-
-def _check_masks(settings: Settings) -> None:
+def _of_masks(settings: Settings) -> Iterator[tuple[bool, str]]:
+    """Yield what must not be in a fit of masks, and the message for it."""
     data, shape = settings.data, settings.shape
-    if shape.detail % 2:
-        raise UserError(
-            f"shape.detail={shape.detail}: expected an even number, as the halves of a shape are grids too."
-        )
+    odd = f"shape.detail={shape.detail}: expected an even number, as the halves of a shape are grids too."
+    yield shape.detail % 2 == 1, odd
     shapes = shape.parts * math.prod(shape.splits)
-    if shapes > _MOST_SHAPES:
-        raise UserError(f"shape.parts and shape.splits ask for {shapes:,} shapes, expected at most {_MOST_SHAPES:,}.")
-    size = data.simulate * data.side**2
-    if size > _MOST_BYTES:
-        raise UserError(
-            f"data.simulate={data.simulate} masks of data.side={data.side} take {size / 1e9:,.0f} GB: ask for fewer."
-        )
+    many = f"shape.parts and shape.splits ask for {shapes:,} shapes, expected at most {_MOST_SHAPES:,}."
+    yield shapes > _MOST_SHAPES, many
+    size, masks = data.simulate * data.side**2, f"data.simulate={data.simulate} masks of data.side={data.side}"
+    yield size > _MOST_BYTES, f"{masks} take {size / 1e9:,.0f} GB: ask for fewer."
     for key in ("category", "most", "images", "format"):
-        if data.simulate and getattr(data, key) is not None:
-            raise UserError(f"data.{key} goes with files of masks, but data.simulate={data.simulate} simulates masks.")
-
-
-def _check_trainer(trainer: TrainerSettings) -> None:
-    if trainer.max_time is None and trainer.max_steps is None and trainer.max_epochs is None:
-        raise UserError("Set one of trainer.max_time, trainer.max_steps, trainer.max_epochs: the fit would never end.")
-    if trainer.max_time is not None:
-        seconds_of(trainer.max_time)
+        message = f"data.{key} goes with files of masks, but data.simulate={data.simulate} simulates masks."
+        yield bool(data.simulate) and getattr(data, key) is not None, message
 
 
 def seconds_of(text: str) -> float:
@@ -459,14 +433,12 @@ RENAMED = {
 def rename_old(plain: dict[str, Any]) -> None:
     """Give plain nested settings that an earlier version wrote their present names, in place."""
     for old, new in RENAMED.items():
-        found, parts = plain, old.split(".")
-        for part in parts[:-1]:
-            found = found.get(part, {}) if isinstance(found, dict) else {}
-        if isinstance(found, dict) and parts[-1] in found:
-            value, place = found.pop(parts[-1]), plain
-            for part in new.split(".")[:-1]:
-                place = place.setdefault(part, {})
-            place.setdefault(new.split(".")[-1], value)
+        (*groups, old), new = old.split("."), new.split(".")[-1]  # the group is the same
+        found: Any = plain
+        for group in groups:
+            found = found.get(group) if isinstance(found, dict) else None
+        if isinstance(found, dict) and old in found:
+            found.setdefault(new, found.pop(old))
 
 
 Group = TypeVar("Group")
@@ -483,8 +455,7 @@ def settings_of(kind: type[Group], name: str, plain: dict[str, Any]) -> Group:
 
 
 def _built(kind: Any, plain: dict[str, Any]) -> Any:
-    hints = typing.get_type_hints(kind)
-    given = dict(plain)
+    hints, given = typing.get_type_hints(kind), dict(plain)
     for key in given.keys() & hints.keys():
         if is_dataclass(hints[key]):
             given[key] = _built(hints[key], given[key])

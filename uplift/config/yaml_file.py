@@ -40,16 +40,16 @@ class _Loader(yaml.SafeLoader):
 
     def compose_node(self, parent: Any, index: Any) -> Any:
         event = self.peek_event()
-        if isinstance(event, yaml.AliasEvent):
-            raise _Refused(f"an alias (*{event.anchor}); write the value out instead", event.start_mark.line)
-        if self.depth >= MAX_DEPTH:
-            raise _Refused(f"values nested more than {MAX_DEPTH} deep", event.start_mark.line)
-        tag = getattr(event, "tag", None)
-        if tag not in (None, "!") and tag.removeprefix(_TAG) not in _PLAIN:
-            raise _Refused(f"the YAML tag '{tag}'; only plain text, numbers, lists and mappings", event.start_mark.line)
+        line, tag = event.start_mark.line, getattr(event, "tag", None)
         self.values += 1
+        if isinstance(event, yaml.AliasEvent):
+            raise _Refused(f"an alias (*{event.anchor}); write the value out instead", line)
+        if self.depth >= MAX_DEPTH:
+            raise _Refused(f"values nested more than {MAX_DEPTH} deep", line)
+        if tag not in (None, "!") and tag.removeprefix(_TAG) not in _PLAIN:
+            raise _Refused(f"the YAML tag '{tag}'; only plain text, numbers, lists and mappings", line)
         if self.values > MAX_VALUES:
-            raise _Refused(f"more than {MAX_VALUES:,} values", event.start_mark.line)
+            raise _Refused(f"more than {MAX_VALUES:,} values", line)
         self.depth += 1
         node = super().compose_node(parent, index)
         self.depth -= 1
@@ -68,21 +68,14 @@ _NOT_A_NUMBER = re.compile(r"[-+]?(\d+:|0\d)")
 def read_value(text: str) -> Any:
     """Return the plain data of one value, such as ``0.1`` or ``[hip, nose]``; ``text`` where it is not YAML.
 
-    Raises:
-        UserError: tags, aliases, or deep nesting.
+    Raises UserError: tags, aliases, or deep nesting.
     """
-    loader = None
     try:
-        loader = _Loader(text)
-        node = loader.get_single_node()
-        return None if node is None else _plain(node, loader, (), {})
+        return _parsed(text, {})
     except _Refused as refused:
         raise UserError(f"'{text[:60]}': found {refused}.") from None
     except yaml.YAMLError:
         return text
-    finally:
-        if loader is not None:
-            loader.dispose()
 
 
 def read_yaml(path: Path, kind: str) -> tuple[Any, Where]:
@@ -94,27 +87,19 @@ def read_yaml(path: Path, kind: str) -> tuple[Any, Where]:
     """
     text = _read_text(path, kind)
     lines: dict[tuple, int] = {}
-    loader = None
     try:
-        loader = _Loader(text)
-        node = loader.get_single_node()
-        if node is None:
-            raise UserError(f"{path}, line 1: the file is empty; expected a {kind} in YAML.")
-        data = _plain(node, loader, (), lines)
+        data = _parsed(text, lines)
     except _Refused as refused:
         raise UserError(f"{path}, line {refused.line + 1}: found {refused}. A {kind} file holds plain YAML.") from None
     except yaml.MarkedYAMLError as error:
-        mark = error.problem_mark or error.context_mark
+        mark, problem = error.problem_mark or error.context_mark, error.problem or error.context
         line = mark.line + 1 if mark else 1
-        raise UserError(
-            f"{path}, line {line}: not YAML: {error.problem or error.context}. {_syntax_hint(error)}"
-        ) from None
+        raise UserError(f"{path}, line {line}: not YAML: {problem}. {_syntax_hint(error)}") from None
     except yaml.reader.ReaderError as error:
         line = text.count("\n", 0, error.position) + 1
         raise UserError(f"{path}, line {line}: not a text file: found a control character ({error.reason}).") from None
-    finally:
-        if loader is not None:
-            loader.dispose()
+    if not lines:
+        raise UserError(f"{path}, line 1: the file is empty; expected a {kind} in YAML.")
 
     def where(part: tuple) -> str:
         while part not in lines:
@@ -122,6 +107,16 @@ def read_yaml(path: Path, kind: str) -> tuple[Any, Where]:
         return f"{path}, line {lines[part] + 1}"
 
     return data, where
+
+
+def _parsed(text: str, lines: dict[tuple, int]) -> Any:
+    """Return the plain data and note the line of each part; None and no lines for an empty text."""
+    loader = _Loader(text)
+    try:
+        node = loader.get_single_node()
+        return None if node is None else _plain(node, loader, (), lines)
+    finally:
+        loader.dispose()
 
 
 def _syntax_hint(error: yaml.MarkedYAMLError) -> str:
@@ -136,12 +131,9 @@ def _syntax_hint(error: yaml.MarkedYAMLError) -> str:
 
 
 def _read_text(path: Path, kind: str) -> str:
-    if path.is_dir():
-        raise UserError(f"{path}: found a folder; expected a {kind} file (YAML).")
-    if not path.exists():
-        raise UserError(f"{path}: no such file; expected a {kind} file (YAML).")
     if not path.is_file():
-        raise UserError(f"{path}: not a regular file; expected a {kind} file (YAML).")
+        found = "found a folder" if path.is_dir() else "not a regular file" if path.exists() else "no such file"
+        raise UserError(f"{path}: {found}; expected a {kind} file (YAML).")
     try:
         with path.open("rb") as file:
             raw = file.read(MAX_BYTES + 1)
@@ -169,9 +161,8 @@ def _plain(node: Any, loader: _Loader, part: tuple, lines: dict[tuple, int]) -> 
     try:
         return loader.construct_object(node)
     except (ValueError, KeyError, OverflowError):
-        raise _Refused(
-            f"'{node.value[:40]}', which is not a valid {node.tag.removeprefix(_TAG)}", node.start_mark.line
-        ) from None
+        kind = node.tag.removeprefix(_TAG)
+        raise _Refused(f"'{node.value[:40]}', which is not a valid {kind}", node.start_mark.line) from None
 
 
 def _plain_mapping(node: Any, loader: _Loader, part: tuple, lines: dict[tuple, int]) -> dict[str, Any]:

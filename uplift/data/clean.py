@@ -13,8 +13,6 @@ from uplift.skeleton import Skeleton
 
 __all__ = ["JUMP", "MIN_VISIBLE", "clean", "joint_neighbours", "jump_of"]
 
-# Whether the frames of a sequence are a video: whether each is much like the one before it.
-
 JUMP = 0.3
 """Frames that mostly move by more than this, in sizes of the body, are not a video: each was seen by another camera."""
 _MOST_ROWS, _MOST_PAIRS = 200_000, 20_000
@@ -42,8 +40,6 @@ def jump_of(data: PoseData) -> float:
     return float(np.median(moved[usable] / size[usable])) if usable.any() else 0.0
 
 
-# What enters training and prediction: finite numbers, honest confidence, a root in every frame.
-
 MIN_VISIBLE = 3
 _BLOCK = 4096
 
@@ -66,22 +62,20 @@ class _CleanReport:
     """How far joints mostly move between neighbours in time, in sizes of the body (`uplift.data.clean`)."""
 
     def lines(self) -> list[str]:
-        """Return the findings worth telling, one sentence each; none when there are none."""
-        found = []
-        if self.too_few:
-            found.append(f"{self.too_few:,} of {self.frames:,} frames dropped: fewer than {MIN_VISIBLE} visible joints")
-        if self.all_equal:
-            found.append(f"{self.all_equal:,} of {self.frames:,} frames dropped: all visible joints in one point")
-        if self.missing_joints:
-            found.append(f"{self.missing_joints:,} joints are missing (NaN or confidence 0)")
-        if self.roots_filled:
-            found.append(f"{self.roots_filled:,} frames had no root joint: filled from its visible neighbours")
-        if self.jump > JUMP:
-            found.append(
-                f"frames of one sequence jump (by {self.jump:.1f} of the body's size from one to the next): they are no "
-                "film of one camera, and each is taken on its own"
-            )
-        return found
+        """Return the findings worth reporting, one sentence each."""
+        jump = (
+            f"frames of one sequence jump (by {self.jump:.1f} of the body's size from one to the next): they are not "
+            "a video of one camera, and each is a clip of its own"
+        )
+        of = f"of {self.frames:,} frames dropped"
+        found = {
+            f"{self.too_few:,} {of}: fewer than {MIN_VISIBLE} visible joints": self.too_few,
+            f"{self.all_equal:,} {of}: all visible joints in one point": self.all_equal,
+            f"{self.missing_joints:,} joints are missing (NaN or confidence 0)": self.missing_joints,
+            f"{self.roots_filled:,} frames had no root joint: filled from its visible neighbours": self.roots_filled,
+            jump: self.jump > JUMP,
+        }
+        return [text for text, holds in found.items() if holds]
 
 
 def clean(data: PoseData, skeleton: Skeleton, *, drop: bool = True) -> tuple[PoseData, _CleanReport]:
@@ -93,8 +87,7 @@ def clean(data: PoseData, skeleton: Skeleton, *, drop: bool = True) -> tuple[Pos
     the lifter says where it really is. Sequences whose frames jump are `PoseData.stills`. With ``drop`` off, frames that cannot be lifted stay, with
     every confidence 0, so that an output keeps its rows.
 
-    Raises:
-        UserError: no frame is left, or no keypoint in the whole file is visible.
+    Raises UserError: no frame is left, or no keypoint in the whole file is visible.
     """
     where = f"{data.source}: " if data.source else ""
     if len(data) == 0:
@@ -120,15 +113,9 @@ def clean(data: PoseData, skeleton: Skeleton, *, drop: bool = True) -> tuple[Pos
     data = replace(data, stills=data.stills or jump > JUMP)
     if drop and bad.any():
         data = data.select(~bad)
-    report = _CleanReport(
-        frames=len(bad),
-        too_few=int(too_few.sum()),
-        all_equal=int(all_equal.sum()),
-        missing_joints=int((keypoints.shape[1] - seen[~bad]).sum()),
-        roots_filled=int(filled[~bad].sum()),
-        jump=jump,
-    )
-    return data, report
+    missing = int((keypoints.shape[1] - seen[~bad]).sum())
+    counts = len(bad), int(too_few.sum()), int(all_equal.sum()), missing, int(filled[~bad].sum())
+    return data, _CleanReport(*counts, jump)
 
 
 def _examine(
@@ -167,14 +154,11 @@ def _examine(
 def joint_neighbours(skeleton: Skeleton) -> list[Sequence[int]]:
     """Return, nearest first, the joints at 1, 2, 3, ... bones from the root, as index lists."""
     rings: list[Sequence[int]] = []
-    seen = {skeleton.root_index}
-    ring = [skeleton.root_index]
+    ring = seen = {skeleton.root_index}
     while ring:
-        near = {int(j) for bone in skeleton.bone_indices for i, j in (bone, bone[::-1]) if i in ring} - seen
-        seen |= near
-        ring = sorted(near)
-        if ring:
-            rings.append(ring)
+        near = {int(j) for bone in skeleton.bone_indices for i, j in (bone, bone[::-1]) if i in ring}
+        ring, seen = near - seen, near | seen
+        rings += [sorted(ring)] if ring else []
     return rings
 
 

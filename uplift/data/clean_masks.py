@@ -3,19 +3,17 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 
 import numpy as np
-from jaxtyping import Bool, Float, Int, UInt8
+from jaxtyping import Bool, Float, UInt8
 
 from uplift.config.settings import MAX_SIDE, MIN_SIDE
 from uplift.data.masks import FILL, Found, MaskData, Skipped
 from uplift.errors import UserError, nearest
 
-__all__ = ["MENDED", "REASONS", "CleanOptions", "Crop", "MaskOptions", "clean", "clean_mask", "covered", "resample"]
-
-# What a user says of masks: how they are read, and which are taken.
+__all__ = ["CHANGES", "REASONS", "CleanOptions", "Crop", "MaskOptions", "clean", "clean_mask", "covered", "resample"]
 
 
 @dataclass(frozen=True)
@@ -30,7 +28,6 @@ class CleanOptions:
     """Objects in several pieces of similar size: skip, or take the largest."""
 
     def __post_init__(self) -> None:
-        """Refuse what cannot be."""
         if isinstance(self.side, bool) or not isinstance(self.side, int) or not MIN_SIDE <= self.side <= MAX_SIDE:
             raise UserError(f"side={self.side}: expected a whole number of pixels from {MIN_SIDE} to {MAX_SIDE}.")
         for name, valid in (("border", ("skip", "keep")), ("pieces", ("skip", "largest"))):
@@ -41,7 +38,7 @@ class CleanOptions:
 
 @dataclass(frozen=True)
 class MaskOptions(CleanOptions):
-    """What a user says of a file of masks."""
+    """How the masks of a file are read, and which are taken."""
 
     format: str | None = None
     """Name of the format; unset: guessed."""
@@ -53,13 +50,10 @@ class MaskOptions(CleanOptions):
     """Folder of the photos that the masks belong to."""
 
     def __post_init__(self) -> None:
-        """Refuse what cannot be."""
         super().__post_init__()
         if self.most is not None and (isinstance(self.most, bool) or not isinstance(self.most, int) or self.most < 1):
             raise UserError(f"most={self.most}: expected a whole number of masks from 1 up.")
 
-
-# What became of each mask: counts, reasons and a few names.
 
 _MIN_SIDE_PX = 12
 """The longer side of the box of the smallest mask that is taken."""
@@ -84,13 +78,13 @@ REASONS = {
 }
 """Why a mask is skipped: key -> in words."""
 
-MENDED = {
+CHANGES = {
     "specks": "specks left out",
     "holes": "holes of a few pixels filled",
     "cut": "taken though cut off at the border (border=keep)",
     "largest": "the largest of several pieces taken (pieces=largest)",
 }
-"""What is mended: key -> in words."""
+"""What is changed in a mask: key -> in words."""
 
 _SHOWN = 3
 
@@ -104,39 +98,23 @@ class _MaskReport:
     """Reason, a key of `REASONS` -> how many."""
     names: dict[str, list[str]] = field(default_factory=dict)
     """Reason -> the first few that were skipped for it."""
-    mended: Counter[str] = field(default_factory=Counter)
-    """Key of `MENDED` -> how many masks."""
-
-    @property
-    def masks(self) -> int:
-        """How many came in."""
-        return self.kept + self.skipped.total()
-
-    def skip(self, name: str, reason: str) -> None:
-        """Count one that is not taken."""
-        self.skipped[reason] += 1
-        shown = self.names.setdefault(reason, [])
-        if len(shown) < _SHOWN:
-            shown.append(name)
-
-    def reasons(self) -> list[str]:
-        """Return what was skipped, the most frequent reason first, as ``3: empty (a.png, b.png, ...)``."""
-        return [f"{count:,}: {REASONS[key]} ({self._named(key)})" for key, count in self.skipped.most_common()]
+    changes: Counter[str] = field(default_factory=Counter)
+    """Key of `CHANGES` -> how many masks."""
 
     def lines(self) -> list[str]:
-        """Return the findings worth telling, one sentence each; none when all masks were whole."""
-        found = [
-            f"{count:,} of {self.masks:,} masks skipped: {REASONS[key]} ({self._named(key)})"
-            for key, count in self.skipped.most_common()
+        """Return the findings worth reporting, one sentence each; none when all masks were complete."""
+        masks = self.kept + self.skipped.total()
+        found = [f"{self.skipped[key]:,} of {masks:,} masks skipped: {why}" for key, why in self.reasons()]
+        return found + [
+            f"{count:,} of {self.kept:,} masks: {CHANGES[key]}" for key, count in self.changes.most_common()
         ]
-        return found + [f"{count:,} of {self.kept:,} masks: {MENDED[key]}" for key, count in self.mended.most_common()]
 
-    def _named(self, reason: str) -> str:
-        more = ", ..." if self.skipped[reason] > len(self.names[reason]) else ""
-        return ", ".join(name if len(name) < 80 else f"...{name[-76:]}" for name in self.names[reason]) + more
-
-
-# Which pixels of an array are the object: a threshold at half of what its numbers span.
+    def reasons(self) -> Iterator[tuple[str, str]]:
+        """Yield why masks were skipped, the most frequent first: key and text, as ``empty (a.png, b.png, ...)``."""
+        for key, count in self.skipped.most_common():
+            more = ", ..." if count > len(self.names[key]) else ""
+            names = (name if len(name) < 80 else f"...{name[-76:]}" for name in self.names[key])
+            yield key, f"{REASONS[key]} ({', '.join(names)}{more})"
 
 
 def covered(mask: np.ndarray) -> np.ndarray:
@@ -145,8 +123,7 @@ def covered(mask: np.ndarray) -> np.ndarray:
     An array of two numbers is covered where it has the larger one. Others are cut at half of 1, 255 or 65535,
     whichever is the first that they do not pass. NaN is not covered.
 
-    Raises:
-        UserError: no array of height and width, or none of numbers.
+    Raises UserError: no array of height and width, or none of numbers.
     """
     if mask.ndim != 2 or mask.dtype.kind not in "buif":
         raise UserError(f"A mask is {mask.dtype} of shape {mask.shape}, expected numbers of shape (height, width).")
@@ -157,8 +134,8 @@ def covered(mask: np.ndarray) -> np.ndarray:
     low, high = mask.min(), mask.max()
     if low < high and ((mask == low) | (mask == high)).all():
         return mask == high
-    whole = next((most for most in (1, 255, 65535) if high <= most), high)
-    return mask >= whole / 2
+    full = next((most for most in (1, 255, 65535) if high <= most), high)
+    return mask >= full / 2
 
 
 # The pieces and holes of a mask: which is the object, and which are noise.
@@ -169,18 +146,11 @@ _HOLE = 0.001
 """Of the object's area: a smaller hole is noise; one pixel always is."""
 
 
-def _components(mask: Bool[np.ndarray, "height width"], connectivity: int) -> Int[np.ndarray, "height width"]:
-    """Return the number of each pixel's connected component from 1 up; 0 outside ``mask``."""
+def _largest_piece(mask: Bool[np.ndarray, "height width"]) -> tuple[Bool[np.ndarray, "height width"], float]:
+    """Return the piece of most pixels (joined by sides or corners), and the second one's share of its area: 0 where it is alone."""
     from skimage.measure import label  # takes half a second to import, and those who only look at files need none
 
-    return np.asarray(label(mask, connectivity=connectivity))
-
-
-def _largest_piece(
-    mask: Bool[np.ndarray, "height width"],
-) -> tuple[Bool[np.ndarray, "height width"], float]:
-    """Return the piece of most pixels (joined by sides or corners), and the second one's share of its area: 0 where it is alone."""
-    numbers = _components(mask, 2)
+    numbers = np.asarray(label(mask, connectivity=2))
     if numbers.max(initial=0) < 2:
         return mask, 0.0
     areas = np.bincount(numbers.reshape(-1))[1:]
@@ -192,9 +162,11 @@ def _fill_noise(mask: Bool[np.ndarray, "height width"]) -> tuple[Bool[np.ndarray
     """Return a mask without holes that are too small to be real, and how many there were.
 
     A hole is joined by sides alone, and does not reach the mask's edge: what lies between the legs of a chair
-    is no hole, or a large one, and stays.
+    is not a hole, or a large one, and stays.
     """
-    numbers = _components(~mask, 1)
+    from skimage.measure import label
+
+    numbers = np.asarray(label(~mask, connectivity=1))
     rim = np.concatenate([numbers[0], numbers[-1], numbers[:, 0], numbers[:, -1]])
     areas = np.bincount(numbers.reshape(-1))
     noise = areas <= max(1.0, _HOLE * areas[0])
@@ -248,8 +220,6 @@ def _weights(
     return weights, first, last
 
 
-# What enters training and prediction: one whole object a mask, centred, at one scale.
-
 _FULL = 0.995
 _THIN_PX = 2
 
@@ -264,8 +234,8 @@ class Crop:
     """The crop's centre in the image: x right, y down from its top left corner."""
     scale_px: float
     """Pixels of the image in half the crop's side."""
-    mended: frozenset[str] = frozenset()
-    """Keys of `uplift.data.clean_masks.MENDED`."""
+    changes: frozenset[str] = frozenset()
+    """Keys of `uplift.data.clean_masks.CHANGES`."""
 
 
 def clean_mask(mask: np.ndarray | Found, options: CleanOptions | None = None) -> Crop | str:
@@ -274,8 +244,7 @@ def clean_mask(mask: np.ndarray | Found, options: CleanOptions | None = None) ->
     Specks are left out, and holes of a few pixels filled; the longer side of what is left is `FILL` of the crop,
     and the middle of its box the crop's middle. ``mask`` is (height width) of any type that `covered` knows.
 
-    Raises:
-        UserError: no array of height and width, or none of numbers.
+    Raises UserError: no array of height and width, or none of numbers.
     """
     options = options or CleanOptions()
     found = mask if isinstance(mask, Found) else Found("", mask)
@@ -287,29 +256,29 @@ def clean_mask(mask: np.ndarray | Found, options: CleanOptions | None = None) ->
         return "full"
     object_, left, top = _boxed(object_, *found.corner_px)
     object_, second = _largest_piece(object_)
-    mended = set()
+    changes = set()
     if second > 0:
         object_, left, top = _boxed(object_, left, top)
-        mended.add("largest" if second >= _PIECE else "specks")
+        changes.add("largest" if second >= _PIECE else "specks")
     tall, wide = object_.shape
     if max(tall, wide) < _MIN_SIDE_PX:
         return "small"
     slack = found.slack_px
     if left <= slack or top <= slack or left + wide >= width - slack or top + tall >= height - slack:
-        mended.add("cut")
-    if "cut" in mended and options.border == "skip":
+        changes.add("cut")
+    if "cut" in changes and options.border == "skip":
         return "border"
-    if "largest" in mended and options.pieces == "skip":
+    if "largest" in changes and options.pieces == "skip":
         return "pieces"
     if min(tall, wide) < _THIN_PX:
         return "thin"
     object_, holes = _fill_noise(object_)
-    mended |= {"holes"} if holes else set()
+    changes |= {"holes"} if holes else set()
     scale_px = max(tall, wide) / 2 / FILL
     crop = resample(object_, (wide / 2, tall / 2), scale_px, options.side)
     if crop.max() < 128:
         return "thin"
-    return Crop(crop, (left + wide / 2, top + tall / 2), scale_px, frozenset(mended))
+    return Crop(crop, (left + wide / 2, top + tall / 2), scale_px, frozenset(changes))
 
 
 def _boxed(mask: np.ndarray, left: int, top: int) -> tuple[np.ndarray, int, int]:
@@ -319,37 +288,35 @@ def _boxed(mask: np.ndarray, left: int, top: int) -> tuple[np.ndarray, int, int]
 
 
 def clean(
-    items: Iterable[Found | Skipped],
-    options: CleanOptions | None = None,
-    *,
-    most: int | None = None,
-    source: str = "",
+    items: Iterable[Found | Skipped], options: CleanOptions | None = None, *, most: int | None = None, source: str = ""
 ) -> tuple[MaskData, _MaskReport]:
-    """Return the masks that are one whole object each, cut out by `clean_mask`, and what became of the others.
+    """Return the masks that are one complete object each, cut out by `clean_mask`, and what became of the others.
 
     One mask is in memory at a time. With ``most`` no more are looked at once that many are found.
 
-    Raises:
-        UserError: none is left: what was wrong with them.
+    Raises UserError: none is left: what was wrong with them.
     """
     options, report = options or CleanOptions(), _MaskReport()
     kept: list[tuple[Found, Crop]] = []
     for item in items:
         result = item.reason if isinstance(item, Skipped) else clean_mask(item, options)
         if isinstance(result, str):
-            report.skip(item.name, result)
+            report.skipped[result] += 1
+            if report.skipped[result] <= _SHOWN:
+                report.names.setdefault(result, []).append(item.name)
             continue
         assert isinstance(item, Found)
         item.mask = result.mask  # the picture itself is let go
         kept.append((item, result))
         report.kept += 1
-        report.mended.update(result.mended)
+        report.changes.update(result.changes)
         if most is not None and len(kept) >= most:
             break
     where = f"{source}: " if source else ""
     if not kept:
-        why = f": {'; '.join(report.reasons())}" if report.skipped else ""
-        raise UserError(f"{where}none of {report.masks:,} masks can be used{why}.")
+        why = "; ".join(f"{report.skipped[key]:,}: {text}" for key, text in report.reasons())
+        masks = report.skipped.total()
+        raise UserError(f"{where}none of {masks:,} masks can be used{why and ': '}{why}.")
     return _gathered(sorted(kept, key=lambda one: one[0].order), source), report
 
 

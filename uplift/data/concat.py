@@ -16,18 +16,15 @@ from uplift.errors import UserError
 
 __all__ = ["concat_masks", "concat_poses", "resized"]
 
-# Frames.
-
 
 def concat_poses(parts: Sequence[PoseData]) -> PoseData:
     """Return the frames of all ``parts``, which have the same joints in the same order, one after the other.
 
-    Sequences stay apart: a part without names of its own is one sequence named as its file, and a name
+    Sequences stay apart: a part without names is one sequence named as its file, and a name
     that two parts share is put behind the file's. An image size, frame rate or focal length that is not
     the same everywhere is left out, with a note.
 
-    Raises:
-        UserError: poses in different units, masks of different sides.
+    Raises UserError: poses in different units, masks of different sides.
     """
     if len(parts) == 1:
         return parts[0]
@@ -94,11 +91,8 @@ def _distinct(names: list[np.ndarray], parts: Sequence[PoseData]) -> list[np.nda
     shared = {name for one, own in enumerate(found) for name in own if any(name in o for o in found[:one])}
     if not shared:
         return names
-    distinct = []
-    for values, part in zip(names, parts, strict=True):
-        text = values.astype(str)
-        distinct.append(np.where(np.isin(text, list(shared)), np.char.add(f"{part.source}: ", text), text))
-    return distinct
+    texts = [(part.source, values.astype(str)) for values, part in zip(names, parts, strict=True)]
+    return [np.where(np.isin(t, list(shared)), np.char.add(f"{source}: ", t), t) for source, t in texts]
 
 
 def _alike(values: list[np.ndarray]) -> list[np.ndarray]:
@@ -108,14 +102,10 @@ def _alike(values: list[np.ndarray]) -> list[np.ndarray]:
     return values
 
 
-# Masks.
-
-
 def concat_masks(parts: Sequence[MaskData]) -> MaskData:
     """Return the items of all parts, in order, at the resolution of the first; what a part does not know is empty, and its truth then left out.
 
-    Raises:
-        UserError: no part.
+    Raises UserError: no part.
     """
     if not parts:
         raise UserError("No masks to join.")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -25,20 +26,9 @@ from uplift.skeleton.match import build_joints, build_pose
 from uplift.skeleton.propose import TOO_LONG, stretch_of
 
 __all__ = [
-    "Loaded",
-    "find_data",
-    "how_to_get",
-    "in_joints_of",
-    "load_data",
-    "load_file",
-    "load_split",
-    "named_set",
-    "of_labelled",
-    "read_options",
-    "set_of",
-    "with_labels_of",
-    "with_test",
-]
+    "Loaded", "find_data", "how_to_get", "in_joints_of", "load_data", "load_file", "load_split", "named_set",
+    "of_labelled", "read_options", "set_of", "with_labels_of", "with_test",
+]  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -59,15 +49,13 @@ class Loaded:
 
 
 def load_data(settings: Settings, skeleton: Skeleton) -> Loaded:
-    """Return the training and test frames that ``settings.data`` names.
+    """Return the training and test frames that ``settings.data`` asks for.
 
-    Raises:
-        UserError: a file that is missing or wrong, other joints, no frames left.
+    Raises UserError: a file that is missing or wrong, other joints, no frames left.
     """
 
     def load(settings: Settings, which: str) -> PoseData:
-        chosen = settings.data
-        simulated = chosen.simulate and not (which == "test" and chosen.test)
+        simulated = settings.data.simulate and not (which == "test" and settings.data.test)
         return _simulated(settings, which, skeleton) if simulated else load_split(settings, which, skeleton)
 
     train, test = with_test(settings, load)
@@ -84,12 +72,10 @@ def load_data(settings: Settings, skeleton: Skeleton) -> Loaded:
 def _simulated(settings: Settings, which: str, skeleton: Skeleton) -> PoseData:
     from uplift.data.synthetic.simulate import simulate
 
-    frames, source = settings.data.simulate, f"simulated {skeleton.name}"
-    if which == "train":
-        return replace(simulate(skeleton, frames, seed=settings.seed), source=source)
-    # Other bodies, motions and cameras than any training seed's.
-    data = simulate(skeleton, max(200, frames // 10), seed=settings.seed + 2**31)
-    return replace(data, source=f"{source}, other bodies")
+    frames, seed, source = settings.data.simulate, settings.seed, f"simulated {skeleton.name}"
+    if which == "test":  # other bodies, motions and cameras than any training seed's
+        frames, seed, source = max(200, frames // 10), seed + 2**31, f"{source}, other bodies"
+    return replace(simulate(skeleton, frames, seed=seed), source=source)
 
 
 def _cleaned(which: str, data: PoseData, skeleton: Skeleton, notes: list[str]) -> PoseData:
@@ -116,8 +102,7 @@ def _words(data: PoseData | MaskData) -> tuple[str, str, str]:
 def with_test(settings: Settings, load: Load[Data]) -> tuple[Data, Data | None]:
     """Return the training samples that ``data.select`` leaves, and those of ``data.test`` or ``data.hold_out``.
 
-    Raises:
-        UserError: both are set, or nothing is left to train on.
+    Raises UserError: both are set, or nothing is left to train on.
     """
     chosen = settings.data
     train = load(settings, "train")
@@ -142,17 +127,15 @@ def with_labels_of(settings: Settings, train: Data, load: Load[Data]) -> tuple[D
     With ``data.labelled.only`` the first are the labelled ones alone. The same samples and seed always
     give the same labels.
 
-    Raises:
-        UserError: no such samples, or samples without truth.
+    Raises UserError: no such samples, or samples without truth.
     """
     chosen = settings.data.labelled
     wanted = choice_of(chosen)
     item, truth, needed = _words(train)
     if not wanted and chosen.file is None:
         if chosen.only:
-            raise UserError(
-                f"data.labelled.only is on, but no {item} is labelled: set data.labelled.fraction (1 for all)."
-            )
+            hint = "set data.labelled.fraction (1 for all)"
+            raise UserError(f"data.labelled.only is on, but no {item} is labelled: {hint}.")
         return train, None
     source = train if chosen.file is None else load(of_labelled(settings), "train")
     if (source.truth if isinstance(source, MaskData) else source.pose) is None:
@@ -184,24 +167,19 @@ def load_split(settings: Settings, which: str, skeleton: Skeleton) -> PoseData:
     if source is None:
         data = load_file(find_data(settings, which), skeleton, read_options(settings.data))
     else:
+        options = read_options(settings.data)
+        for name in options.set_names():
+            if name != "min_confidence":
+                raise UserError(f"data.{name} goes with files; a published set (data.use) knows its own.")
         data = in_joints_of(read_cached(source, Path(getattr(settings.data, which)).name), skeleton)
-        data = with_options(data, _of_set(read_options(settings.data)))
+        data = with_options(data, options)
     return replace(data, unit=settings.data.unit) if settings.data.unit else data
-
-
-def _of_set(options: ReadOptions) -> ReadOptions:
-    """Return ``options``; raises UserError for one that a published set fixes itself."""
-    for name in options.set_names():
-        if name != "min_confidence":
-            raise UserError(f"data.{name} goes with files; a published set (data.use) knows its own.")
-    return options
 
 
 def set_of(settings: Settings, which: str) -> DataSet | None:
     """Return the published data set that the ``train`` or ``test`` frames are a split of; None where they are a file.
 
-    Raises:
-        UserError: no such set, or files of it that are missing, with where they come from.
+    Raises UserError: no such set, or files of it that are missing, with where they come from.
     """
     found = named_set(settings, which)
     if found is None:
@@ -209,15 +187,14 @@ def set_of(settings: Settings, which: str) -> DataSet | None:
     source, split = found
     missing = source.missing(split)
     if missing:
-        raise UserError(_missing_files(settings, source, missing))
+        raise UserError(f"{_named(settings, source, missing)}\n{how_to_get(settings, source)}")
     return source
 
 
 def named_set(settings: Settings, which: str) -> tuple[DataSet, str] | None:
     """Return the published data set of the ``train`` or ``test`` frames and their split, whether its files are there or not.
 
-    Raises:
-        UserError: no such set, an option or a split that it does not have.
+    Raises UserError: no such set, an option or a split that it does not have.
     """
     chosen = settings.data
     split = getattr(chosen, which)
@@ -237,15 +214,13 @@ def find_data(settings: Settings, which: str) -> Path:
     """Return the path of the ``train`` or ``test`` file; a UserError that says how to get it where it is not."""
     data = settings.data
     name = getattr(data, which)
-    if not name and settings.lifts == "masks":
-        raise UserError(
-            "No training masks: set data.train=FOLDER (or FILE), or a task that names its own (`uplift tasks`). "
-            "`uplift fit task=masks_demo` needs no data."
-        )
     if not name:
+        kind, where, demo = "data", "FILE (with skeleton=...)", "demo"
+        if settings.lifts == "masks":
+            kind, where, demo = "masks", "FOLDER (or FILE)", "masks_demo"
         raise UserError(
-            "No training data: set data.train=FILE (with skeleton=...), or a task that names its own (`uplift tasks`). "
-            "`uplift fit task=demo` needs no data."
+            f"No training {kind}: set data.train={where}, or a task that names its own (`uplift tasks`). "
+            f"`uplift fit task={demo}` needs no data."
         )
     folder = data_root(data.name, data.root)
     path = (folder / name).absolute()
@@ -259,58 +234,48 @@ def find_data(settings: Settings, which: str) -> Path:
 
 
 def load_file(path: str | Path, skeleton: Skeleton, options: ReadOptions | None = None) -> PoseData:
-    """Read keypoint files (one, several with commas, or a pattern) into the joints of ``skeleton``, matched by name."""
-    return concat_poses(
-        [_label_checked(in_joints_of(_liftable(read(one, options)), skeleton), skeleton) for one in files_of(path)]
-    )
+    """Read keypoint files (one, several with commas, or a pattern) into the joints of ``skeleton``, matched by name.
 
-
-def _liftable(data: PoseData) -> PoseData:
-    """Return ``data``; raises UserError for files of fewer keypoints than anything can be lifted from."""
-    if len(data.joint_names) < MIN_VISIBLE:
-        raise UserError(
-            f"{data.source}: holds {len(data.joint_names)} keypoints ({', '.join(data.joint_names)}). Nothing can be lifted "
-            f"from fewer than {MIN_VISIBLE}: a pose needs a shape."
-        )
-    return data
-
-
-def _label_checked(data: PoseData, skeleton: Skeleton) -> PoseData:
-    """Return ``data`` with a note where its joints seem to have each other's names."""
-    stretch = stretch_of(data.keypoints, data.confidence, skeleton)
-    if stretch < TOO_LONG:
-        return data
-    note = (
-        f"WARNING: the bones of {skeleton.name} are {stretch:.1f} times as long as the shortest lines that join its "
-        f"joints: joints seem to have the names of others (uplift skeleton map {data.source} skeleton={skeleton.name})"
-    )
-    return replace(data, notes=(*data.notes, note))
+    Raises UserError: as `in_joints_of`, or files of fewer keypoints than anything can be lifted from.
+    """
+    parts = []
+    for one in files_of(path):
+        data = read(one, options)
+        if len(data.joint_names) < MIN_VISIBLE:
+            raise UserError(
+                f"{data.source}: holds {len(data.joint_names)} keypoints ({', '.join(data.joint_names)}). Nothing can be "
+                f"lifted from fewer than {MIN_VISIBLE}: a pose needs a shape."
+            )
+        data = in_joints_of(data, skeleton)
+        stretch = stretch_of(data.keypoints, data.confidence, skeleton)
+        if stretch >= TOO_LONG:
+            note = (
+                f"WARNING: the bones of {skeleton.name} are {stretch:.1f} times as long as the shortest lines that join "
+                "its joints: joints seem to have the names of others "
+                f"(uplift skeleton map {data.source} skeleton={skeleton.name})"
+            )
+            data = replace(data, notes=(*data.notes, note))
+        parts.append(data)
+    return concat_poses(parts)
 
 
 def read_options(data: DataSettings) -> ReadOptions:
-    """Return what settings say of the files.
-
-    Raises:
-        UserError: an invalid image size or number.
-    """
+    """Return how the settings want files read; raises UserError for an invalid image size or number."""
+    size = None if data.image_size is None else size_of(data.image_size, "data.image_size")
     return ReadOptions(
-        format=data.format,
-        layout=data.layout,
-        image_size=None if data.image_size is None else size_of(data.image_size, "data.image_size"),
-        fps=data.fps,
-        focal_px=data.focal_px,
+        format=data.format, layout=data.layout, image_size=size, fps=data.fps, focal_px=data.focal_px,
         min_confidence=data.min_confidence,
-    )
+    )  # fmt: skip
 
 
 def in_joints_of(data: PoseData, skeleton: Skeleton) -> PoseData:
     """Return ``data`` with the skeleton's joints in its order, poses relative to its root.
 
-    Raises:
-        UserError: the joints do not fit the skeleton.
+    Raises UserError: the joints do not fit the skeleton.
     """
     keypoints, confidence, pose, notes = data.keypoints, data.confidence, data.pose, data.notes
-    if data.joint_names != skeleton.joints or not _whole(data):  # a full-size data set is not copied for nothing
+    complete = (confidence > 0).all() and np.isfinite(keypoints).all()
+    if data.joint_names != skeleton.joints or not complete:  # a full-size data set is not copied for nothing
         try:
             keypoints, confidence, match = build_joints(keypoints, confidence, data.joint_names, skeleton)
             notes = (*notes, str(match)) if match.layout is not None or match.missing else notes
@@ -326,18 +291,9 @@ def in_joints_of(data: PoseData, skeleton: Skeleton) -> PoseData:
         data,
         keypoints=keypoints.astype(np.float32, copy=False),
         confidence=confidence.astype(np.float32, copy=False),
-        joint_names=skeleton.joints,
         pose=None if pose is None else pose.astype(np.float32, copy=False),
-        root=root,
-        bones=(),
-        mirror=(),
-        notes=notes,
+        **{"joint_names": skeleton.joints, "root": root, "bones": (), "mirror": (), "notes": notes},
     )
-
-
-def _whole(data: PoseData) -> bool:
-    """Return whether every keypoint is there."""
-    return bool((data.confidence > 0).all() and np.isfinite(data.keypoints).all())
 
 
 # Messages for missing files: what is missing, how to get it, where to put it, what runs without.
@@ -346,15 +302,8 @@ _MOST_NAMED = 6
 
 
 def _missing_file(settings: Settings, path: Path) -> str:
-    """Return the message for a file that is not there."""
-    data = settings.data
-    lines = [f"No file {path}" + (f", which task '{settings.task}' needs." if settings.task else ".")]
-    return "\n".join([*lines, *_get(data), *_places(data, "it"), *_instead(settings)])
-
-
-def _missing_files(settings: Settings, source: DataSet, missing: Sequence[WantedFile]) -> str:
-    """Return the message for files of a published set that are not there."""
-    return f"{_named(settings, source, missing)}\n{how_to_get(settings, source)}"
+    first = f"No file {path}" + (f", which task '{settings.task}' needs." if settings.task else ".")
+    return "\n".join([first, *_get(settings.data), *_places(settings.data, "it"), *_instead(settings)])
 
 
 def how_to_get(settings: Settings, source: DataSet | None) -> str:
@@ -367,15 +316,11 @@ def _named(settings: Settings, source: DataSet, missing: Sequence[WantedFile]) -
     needed = f", which task '{settings.task}' needs" if settings.task else ""
     count = f"{len(missing)} file is" if len(missing) == 1 else f"{len(missing)} files are"
     shown = missing[:_MOST_NAMED]
-    names = [_within(file.path, source.folder) for file in shown]
+    names = [str(file.path).removeprefix(f"{source.folder}{os.sep}") for file in shown]
     wide = max(map(len, names))
     lines = [f"{source.title or type(source).__name__}{needed}: {count} not in {source.folder}"]
     lines += [f"  {name:<{wide}}  {file.what}" for name, file in zip(names, shown, strict=True)]
     return "\n".join(lines + [f"  and {len(missing) - len(shown)} more"] * (len(missing) > len(shown)))
-
-
-def _within(path: Path, folder: Path) -> str:
-    return str(path.relative_to(folder)) if path.is_relative_to(folder) else str(path)
 
 
 def _get(data: DataSettings) -> list[str]:
@@ -385,9 +330,8 @@ def _get(data: DataSettings) -> list[str]:
 def _places(data: DataSettings, what: str) -> list[str]:
     if not data.name or Path(data.name).is_absolute():
         return []
-    return [
-        f"Put {what} there, or name another folder: data.root=FOLDER (or UPLIFT_DATA=FOLDER, with a subfolder {data.name}/)."
-    ]
+    other = f"data.root=FOLDER (or UPLIFT_DATA=FOLDER, with a subfolder {data.name}/)"
+    return [f"Put {what} there, or name another folder: {other}."]
 
 
 def _instead(settings: Settings) -> list[str]:

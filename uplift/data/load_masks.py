@@ -38,8 +38,7 @@ def load_masks(settings: Settings) -> LoadedMasks:
 
     A file's own `labelled` does not count: settings alone say what may be learned from.
 
-    Raises:
-        UserError: a file that is missing or wrong, no masks left, labels asked for where no shape is known.
+    Raises UserError: a file that is missing or wrong, no masks left, labels asked for where no shape is known.
     """
     train, test = with_test(settings, load_mask_split)
     notes = _notes("train", train)
@@ -50,9 +49,8 @@ def load_masks(settings: Settings) -> LoadedMasks:
         where = f" from {labelled.source}" if settings.data.labelled.file is not None else ""
         notes.append(f"labelled: {int(labelled.labelled.sum()):,} of these masks, in 3D{where}")
     elif marked:
-        notes.append(
-            f"train: {marked:,} masks are marked as labelled in the file; not used, as data.labelled is not set"
-        )
+        why = "not used, as data.labelled is not set"
+        notes.append(f"train: {marked:,} masks are marked as labelled in the file; {why}")
     if more is not None:
         blank = replace(train, labelled=np.zeros(len(train), bool), truth=train.truth or _unknown(len(train)))
         train = concat_masks([blank, more])
@@ -63,19 +61,15 @@ def load_masks(settings: Settings) -> LoadedMasks:
 
 
 def _notes(which: str, data: MaskData) -> list[str]:
-    several = np.unique(data.category) if data.category is not None else np.array([])
-    kinds = f", {len(several)} categories" if len(several) > 1 else ""
+    several = 0 if data.category is None else len(np.unique(data.category))
+    kinds = f", {several} categories" if several > 1 else ""
     return [f"{which}: {len(data):,} masks from {data.source}{kinds}", *(f"{which}: {note}" for note in data.notes)]
-
-
-# The masks of a file or folder, or simulated ones.
 
 
 def load_mask_split(settings: Settings, which: str) -> MaskData:
     """Return the ``train`` or ``test`` masks, simulated or of files.
 
-    Raises:
-        UserError: a file that is missing or wrong, no mask that can be used.
+    Raises UserError: a file that is missing or wrong, no mask that can be used.
     """
     if settings.data.simulate and not (which == "test" and settings.data.test):
         return _simulated(settings, which)
@@ -85,29 +79,19 @@ def load_mask_split(settings: Settings, which: str) -> MaskData:
     images = chosen.images
     if images is not None:
         images = str((data_root(chosen.name, chosen.root) / images).absolute())
-    return read_masks(
-        find_data(settings, which),
-        format=chosen.format,
-        side=chosen.side,
-        border=chosen.border,
-        pieces=chosen.pieces,
-        category=chosen.category,
-        most=chosen.most,
-        images=images,
-    )
+    options = {key: getattr(chosen, key) for key in ("format", "side", "border", "pieces", "category", "most")}
+    return read_masks(find_data(settings, which), **options, images=images)
 
 
 def _simulated(settings: Settings, which: str) -> MaskData:
     from uplift.data.synthetic.masks import simulate_masks
 
-    chosen, views = settings.data, views_of(settings)
-    if which == "train":
-        data = simulate_masks(chosen.family, chosen.simulate, seed=settings.seed, side=chosen.side, views=views)
-        return replace(data, source=f"simulated {chosen.family}")
-    # Other shapes and cameras than any training seed's.
-    count = max(1, min(_MOST_TEST, chosen.simulate // 10))
-    data = simulate_masks(chosen.family, count, seed=settings.seed + 2**31, side=chosen.side, views=views)
-    return replace(data, source=f"simulated {chosen.family}, other shapes")
+    chosen, seed = settings.data, settings.seed
+    count, source = chosen.simulate, f"simulated {chosen.family}"
+    if which == "test":  # other shapes and cameras than any training seed's
+        count, seed, source = max(1, min(_MOST_TEST, count // 10)), seed + 2**31, f"{source}, other shapes"
+    data = simulate_masks(chosen.family, count, seed=seed, side=chosen.side, views=views_of(settings))
+    return replace(data, source=source)
 
 
 def views_of(settings: Settings):
@@ -155,7 +139,7 @@ def known_shapes(data: MaskData) -> MaskData | None:
 
 
 def _unknown(items: int) -> Placed:
-    """Return what stands for shapes that are not known."""
+    """Return a placeholder for shapes that are not known."""
     nothing = Mesh(np.zeros((0, 3)), np.zeros((0, 3), np.int64), "unknown", "")
     view, gap = np.repeat(np.eye(3)[None], items, 0), np.full(items, np.nan)
     return Placed([nothing], np.zeros(items, np.int64), view, gap, np.full((items, 2), np.nan), gap)

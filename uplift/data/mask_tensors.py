@@ -64,9 +64,6 @@ def to_mask_set(data: MaskData, settings: ShapeSettings) -> MaskSet:
     return MaskSet(torch.cat(crops), torch.cat(spreads), torch.from_numpy(labelled.copy()), view, shape, shapes)
 
 
-# Crops of masks and silhouettes.
-
-
 def moments(image: Float[Tensor, "items side side"]) -> tuple[Float[Tensor, "items 2"], Float[Tensor, "items 2"]]:
     """Return the centroids (x, y) of masks or silhouettes and their spreads along x and y, in half sides of the image.
 

@@ -15,8 +15,6 @@ from uplift.geometry.mesh import Mesh
 
 __all__ = ["FILL", "Found", "MaskData", "Placed", "Skipped"]
 
-# The one container of 2D masks and what is known beside them.
-
 FILL = 0.85
 """Half of the longer side of a mask's box, of the half side of its crop."""
 
@@ -71,16 +69,15 @@ class MaskData(Samples):
     labelled: Bool[np.ndarray, " items"] | None = field(default=None, metadata=TRUTH)
     """Items whose truth training may learn from; None: no item's."""
     notes: tuple[str, ...] = ()
-    """What was assumed, mended or skipped, one sentence each."""
+    """What was assumed, changed or skipped, one sentence each."""
     source: str = ""
     extra: dict[str, Shaped[np.ndarray, "items ..."]] = field(default_factory=dict)
     """Whatever a reader knows besides."""
 
     def __post_init__(self) -> None:
         if self.masks.ndim != 3 or self.masks.shape[1] != self.masks.shape[2] or self.masks.dtype != np.uint8:
-            raise UserError(
-                f"masks are {self.masks.dtype} of shape {self.masks.shape}, expected uint8 (items, side, side)."
-            )
+            found = f"{self.masks.dtype} of shape {self.masks.shape}"
+            raise UserError(f"masks are {found}, expected uint8 (items, side, side).")
         wrong = self.misfit()
         if wrong:
             raise UserError(f"{wrong}, one row for each mask.")
@@ -89,9 +86,6 @@ class MaskData(Samples):
     def side(self) -> int:
         """Pixels along a crop."""
         return self.masks.shape[1]
-
-
-# What a reader returns, one at a time: a mask, or why it was skipped.
 
 
 @dataclass

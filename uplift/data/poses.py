@@ -16,18 +16,7 @@ from uplift.geometry.lens import Lens
 if TYPE_CHECKING:
     from uplift.geometry.normalise import Intrinsics
 
-__all__ = [
-    "IDENTITY_KEYS",
-    "UNITS",
-    "PoseData",
-    "clips_of",
-    "codes_of",
-    "mask_maps",
-    "masks_of",
-    "previous_frames",
-]
-
-# The one container of 2D keypoints and what is known beside them.
+__all__ = ["IDENTITY_KEYS", "UNITS", "PoseData", "clips_of", "codes_of", "mask_maps", "masks_of", "previous_frames"]
 
 UNITS = ("mm", "px", "relative")
 
@@ -128,16 +117,9 @@ class PoseData(Samples):
         if not seen.all():
             straight[~seen] = 0
         bent = ["masks are not used: a lens bends their images"] if self.masks is not None else []
-        straight = straight.astype(np.float32, copy=False)
-        changed = {
-            "focal_px": focal_px,
-            "image_size": size,
-            "lenses": (),
-            "lens": None,
-            "masks": None,
-            "mask_box": None,
-        }
-        return replace(self, keypoints=straight, notes=(*self.notes, *bent), **changed)
+        changed = {"focal_px": focal_px, "image_size": size}
+        changed |= {"lenses": (), "lens": None, "masks": None, "mask_box": None}
+        return replace(self, keypoints=straight.astype(np.float32, copy=False), notes=(*self.notes, *bent), **changed)
 
     def rays(self) -> np.ndarray | None:
         """Return (frames joints 2) keypoints as x/z and y/z of the camera's frame; None where the camera is not known."""
@@ -176,9 +158,6 @@ class PoseData(Samples):
         """Return whether each frame is the next of its clip after the one before it in the file."""
         previous = self.previous()
         return (previous >= 0) & (previous == np.arange(len(self)) - 1)
-
-
-# Which frames belong together, and which follows which.
 
 
 def clips_of(identity: Mapping[str, np.ndarray]) -> Int[np.ndarray, " frames"]:
@@ -226,7 +205,7 @@ def _usual_steps(clip: np.ndarray, step: np.ndarray) -> np.ndarray:
     return usual[clip]
 
 
-# Masks of the bodies beside their keypoints: crops of the same images, and the way from a keypoint into its crop.
+# Masks of the bodies beside their keypoints: crops of the same images, and where keypoints are in them.
 
 _SMALLEST = 8
 
@@ -234,54 +213,49 @@ _SMALLEST = 8
 def masks_of(where: str, arrays: dict[str, np.ndarray], frames: int) -> tuple[np.ndarray | None, np.ndarray | None]:
     """Return a file's `masks` as coverage 0..255 and `mask_box` as float32, NaN for frames without one; both None where absent.
 
-    Raises:
-        UserError: one without the other, another type or shape, a box of negative side.
+    Raises UserError: one without the other, another type or shape, a box of negative side.
     """
     masks, box = arrays.get("masks"), arrays.get("mask_box")
-    if masks is None or box is None:
-        _check_masks(where, masks, box, frames)
-        return None, None
-    if masks.dtype == np.bool_:
+    if masks is not None and masks.dtype == np.bool_:
         masks = masks.astype(np.uint8) * np.uint8(255)
-    if box.dtype.kind in "iuf":
+    if box is not None and box.dtype.kind in "iuf":
         box = box.astype(np.float32)
     _check_masks(where, masks, box, frames)
+    if masks is None or box is None:
+        return None, None
     if masks.size and masks.max() == 1:  # written as 0 and 1
         masks = masks * np.uint8(255)
     without = ~np.isfinite(box).all(1) | (box[:, 2] == 0)
     if (box[~without, 2] < 0).any():
         raise UserError(f"{where}: 'mask_box' has negative sides, expected x0, y0, side in px of each crop.")
-    box = np.where(without[:, None], np.float32(np.nan), box)
-    return masks, box
+    return masks, np.where(without[:, None], np.float32(np.nan), box)
 
 
 def _check_masks(where: str, masks: Any, box: Any, frames: int) -> None:
     """Raise UserError for masks and boxes that cannot be those of ``frames`` frames."""
+    wrong = ""
     if (masks is None) != (box is None):
         there, gone = ("mask_box", "masks") if masks is None else ("masks", "mask_box")
-        raise UserError(
-            f"{where}: '{there}' without '{gone}': a mask needs both, the crops (frames, side, side) and where each is "
-            "in the image, x0, y0, side in px (frames, 3)."
+        wrong = (
+            f"'{there}' without '{gone}': a mask needs both, the crops (frames, side, side) and where each is in the "
+            "image, x0, y0, side in px (frames, 3)"
         )
-    if masks is None:
+    elif masks is None:
         return
-    if masks.ndim != 3 or len(masks) != frames or masks.shape[1] != masks.shape[2] or masks.dtype != np.uint8:
-        raise UserError(
-            f"{where}: 'masks' is {masks.dtype} of shape {masks.shape}, expected uint8 ({frames}, side, side): square "
-            "crops, 0 outside the body and 255 inside; zeros for a frame without a mask."
+    elif masks.ndim != 3 or len(masks) != frames or masks.shape[1] != masks.shape[2] or masks.dtype != np.uint8:
+        wrong = (
+            f"'masks' is {masks.dtype} of shape {masks.shape}, expected uint8 ({frames}, side, side): square crops, 0 "
+            "outside the body and 255 inside; zeros for a frame without a mask"
         )
-    if frames and masks.shape[1] < _SMALLEST:
-        raise UserError(f"{where}: 'masks' are {masks.shape[1]} px a side, expected {_SMALLEST} at least.")
-    if box.shape != (frames, 3) or box.dtype.kind != "f":
-        raise UserError(
-            f"{where}: 'mask_box' is {box.dtype} of shape {box.shape}, expected numbers ({frames}, 3): x0, y0, side of "
-            "each crop, px in the image; NaN for a frame without a mask."
+    elif frames and masks.shape[1] < _SMALLEST:
+        wrong = f"'masks' are {masks.shape[1]} px a side, expected {_SMALLEST} at least"
+    elif box.shape != (frames, 3) or box.dtype.kind != "f":
+        wrong = (
+            f"'mask_box' is {box.dtype} of shape {box.shape}, expected numbers ({frames}, 3): x0, y0, side of each "
+            "crop, px in the image; NaN for a frame without a mask"
         )
-
-
-def _masked_frames(masks: np.ndarray, box: np.ndarray) -> np.ndarray:
-    """Return (frames,) bool: the frame has a place for its mask, and something in it."""
-    return np.isfinite(box).all(1) & (box[:, 2] > 0) & (masks > 127).any((1, 2))
+    if wrong:
+        raise UserError(f"{where}: {wrong}.")
 
 
 def mask_maps(
@@ -297,20 +271,21 @@ def mask_maps(
     its picture is turned back. NaN for frames without a mask.
     """
     assert data.masks is not None and data.mask_box is not None
-    box = np.where(_masked_frames(data.masks, data.mask_box)[:, None], data.mask_box, np.nan).astype(np.float64)
+    box = data.mask_box
+    masked = np.isfinite(box).all(1) & (box[:, 2] > 0) & (data.masks > 127).any((1, 2))  # there, and not empty
+    box = np.where(masked[:, None], box, np.nan).astype(np.float64)
     frames = len(box)
     crop = np.zeros((frames, 3, 3))  # from px of the image
     crop[:, 0, 0] = crop[:, 1, 1] = 2 / box[:, 2]
     crop[:, :2, 2] = -2 * box[:, :2] / box[:, 2:] - 1
     crop[:, 2, 2] = np.where(np.isnan(box[:, 2]), np.nan, 1)
     image = np.zeros((frames, 3, 3))  # from normalised keypoints
+    image[:, 2, 2] = 1
     if rotation is None or intrinsics is None:
         image[:, 0, 0] = image[:, 1, 1] = scale_px
         image[:, :2, 2] = data.keypoints[:, root]
-        image[:, 2, 2] = 1
     else:
         image[:, 0, 0] = image[:, 1, 1] = scale_px / intrinsics.focal_px
-        image[:, 2, 2] = 1
         back = rotation.astype(np.float64).transpose(0, 2, 1)
         x, y = intrinsics.centre_px
         image = np.array([[intrinsics.focal_px, 0, x], [0, intrinsics.focal_px, y], [0, 0, 1]]) @ back @ image

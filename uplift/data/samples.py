@@ -98,7 +98,6 @@ def _has_rows(value: Any) -> bool:
 
 
 def _pick(value: Any, rows: Any) -> Any:
-    """Return some rows of a field."""
     if isinstance(value, dict):
         return {key: _pick(leaf, rows) for key, leaf in value.items()}
     if isinstance(value, list):

@@ -15,12 +15,8 @@ from uplift.errors import UserError, did_you_mean
 __all__ = ["choice_of", "chosen_clips", "chosen_rows", "chosen_shapes"]
 
 _CHOOSE_BY = {
-    "subjects": "subject",
-    "actions": "action",
-    "sequences": "sequence",
-    "cameras": "camera",
-    "categories": "category",
-}
+    "subjects": "subject", "actions": "action", "sequences": "sequence", "cameras": "camera", "categories": "category",
+}  # fmt: skip
 """What rows are chosen by, and the column it is compared with."""
 
 Choice = Mapping[str, Sequence[str] | float | None]
@@ -40,8 +36,7 @@ def chosen_rows(data: PoseData | MaskData, choice: Choice, seed: int = 0) -> Boo
     rows that are left: see `chosen_clips` and `chosen_shapes`. The same data and seed always give the same
     rows, and a larger fraction contains a smaller one.
 
-    Raises:
-        UserError: the file has no such column, no row has such a value, a fraction that leaves none.
+    Raises UserError: the file has no such column, no row has such a value, a fraction that leaves none.
     """
     where = data.source or "the data"
     chosen = np.ones(len(data), bool)
@@ -70,9 +65,8 @@ def _with_values(data: PoseData | MaskData, key: str, wanted: list[str], where: 
     """Return which rows have one of the ``wanted`` values; the case of categories does not count."""
     column = data.category if isinstance(data, MaskData) else data.identity.get(key)
     if column is None:
-        hint = "categories are sub-folders, or names in COCO's JSON"
-        if isinstance(data, PoseData):
-            hint = f"identity keys: {', '.join(sorted(data.identity)) or 'none'}"
+        keys = None if isinstance(data, MaskData) else ", ".join(sorted(data.identity)) or "none"
+        hint = f"identity keys: {keys}" if keys else "categories are sub-folders, or names in COCO's JSON"
         raise UserError(f"{where}: cannot choose by {key}: the file has no '{key}' ({hint}).")
     fold = str.casefold if isinstance(data, MaskData) else str
     names, code = codes_of(column)
@@ -93,8 +87,7 @@ def _share(data: PoseData | MaskData, rows: np.ndarray, fraction: float, seed: i
 def chosen_clips(clip: Shaped[np.ndarray, " frames"], fraction: float, seed: int) -> Bool[np.ndarray, " frames"]:
     """Return a ``fraction`` of the frames: complete clips in seeded order, the last cut to reach it.
 
-    Raises:
-        UserError: a fraction outside (0, 1], or one that leaves no frame.
+    Raises UserError: a fraction outside (0, 1], or one that leaves no frame.
     """
     count = _count(fraction, len(clip), "frame")
     names, code = np.unique(clip, return_inverse=True)
@@ -107,8 +100,7 @@ def chosen_clips(clip: Shaped[np.ndarray, " frames"], fraction: float, seed: int
 def chosen_shapes(shape: Int[np.ndarray, " masks"], fraction: float, seed: int) -> Bool[np.ndarray, " masks"]:
     """Return the masks of a ``fraction`` of the shapes: all masks of a shape or none.
 
-    Raises:
-        UserError: a fraction outside (0, 1], or one that leaves no shape.
+    Raises UserError: a fraction outside (0, 1], or one that leaves no shape.
     """
     shapes = np.unique(shape)
     count = _count(fraction, len(shapes), "shape")

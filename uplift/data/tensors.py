@@ -15,21 +15,11 @@ from uplift.config.settings import LifterSettings
 from uplift.data.poses import PoseData, mask_maps
 from uplift.data.samples import Samples
 from uplift.errors import UserError
-from uplift.geometry.normalise import Intrinsics, Normalised, bone_lengths, normalise
+from uplift.geometry.normalise import Intrinsics, Normalised, bone_lengths, mirror, normalise
 from uplift.geometry.rotation import gravity_of, turn
 from uplift.skeleton import Skeleton
 
-__all__ = [
-    "Batch",
-    "TrainingSet",
-    "intrinsics_of",
-    "mean_bones",
-    "to_training_set",
-    "undistorted",
-    "with_labels",
-]
-
-# All frames as tensors on one device: indexed, never loaded again.
+__all__ = ["Batch", "TrainingSet", "intrinsics_of", "mean_bones", "to_training_set", "undistorted", "with_labels"]
 
 _INPUT = ("keypoints", "confidence", "scale", "distance")
 _BESIDE = ("labels", "label_unit", "label_tilt", "masks", "mask_map")
@@ -78,12 +68,7 @@ class TrainingSet(Samples):
         """Return the training set of cleaned ``data``; its `pose`, `root` and `tilt_deg` are not used."""
         keypoints, confidence = torch.from_numpy(data.keypoints), torch.from_numpy(data.confidence)
         normal = normalise(
-            keypoints,
-            confidence,
-            skeleton.root_index,
-            count_root=count_root,
-            intrinsics=intrinsics,
-            distance=distance,
+            keypoints, confidence, skeleton.root_index, count_root=count_root, intrinsics=intrinsics, distance=distance
         )
         return cls(
             skeleton=skeleton,
@@ -108,8 +93,7 @@ class TrainingSet(Samples):
     def concat(cls, parts: Sequence[Any], **changed: Any) -> TrainingSet:
         """Return the frames of all parts, one after the other; what only some know is blank for the others.
 
-        Raises:
-            UserError: masks of different sides.
+        Raises UserError: masks of different sides.
         """
         sides = [part.masks.shape[1] for part in parts if part.masks is not None]
         if len(set(sides)) > 1:
@@ -120,10 +104,8 @@ class TrainingSet(Samples):
         starts = np.cumsum([0, *clips]).tolist()
         clip = torch.cat([part.clip + start for part, start in zip(parts, starts, strict=True)])
         if any(part.rotation is not None for part in parts):  # a camera that was not turned
-            parts = [
-                replace(part, rotation=torch.eye(3).expand(len(part), 3, 3)) if part.rotation is None else part
-                for part in parts
-            ]
+            eye = torch.eye(3)
+            parts = [p if p.rotation is not None else replace(p, rotation=eye.expand(len(p), 3, 3)) for p in parts]
         return super().concat(parts, clip=clip, **changed)
 
     def some(self, most: int, seed: int) -> TrainingSet:
@@ -190,9 +172,7 @@ class Batch(Samples):
         """
 
         def swap(value: Tensor) -> Tensor:
-            flipped = value[:, permutation]
-            if value.ndim == 3:
-                flipped = torch.cat([-flipped[..., :1], flipped[..., 1:]], -1)
+            flipped = mirror(value, permutation) if value.ndim == 3 else value[:, permutation]
             return torch.where(which.view(-1, *[1] * (value.ndim - 1)), flipped, value)
 
         labels = None if self.labels is None else swap(self.labels)
@@ -200,11 +180,7 @@ class Batch(Samples):
         if mask_map is not None:
             mask_map = torch.where(which[:, None, None], mask_map * mask_map.new_tensor([-1.0, 1.0, 1.0]), mask_map)
         return replace(
-            self,
-            keypoints=swap(self.keypoints),
-            confidence=swap(self.confidence),
-            labels=labels,
-            mask_map=mask_map,
+            self, keypoints=swap(self.keypoints), confidence=swap(self.confidence), labels=labels, mask_map=mask_map
         )
 
 
@@ -225,17 +201,18 @@ def to_training_set(data: PoseData, skeleton: Skeleton, settings: LifterSettings
 
 def intrinsics_of(data: PoseData, settings: LifterSettings) -> Intrinsics | None:
     """Return the camera that ``data`` knows and the settings let be used, None otherwise."""
-    if settings.intrinsics == "off" or settings.camera == "orthographic":
-        return None
-    if data.focal_px is None or data.centre_px is None:
+    if not _use_camera(settings) or data.focal_px is None or data.centre_px is None:
         return None
     return Intrinsics(data.focal_px, data.centre_px)
 
 
 def undistorted(data: PoseData, settings: LifterSettings) -> PoseData:
     """Return ``data`` as one ideal camera sees it, where its lenses are known and ``settings`` use them."""
-    use = settings.intrinsics != "off" and settings.camera != "orthographic"
-    return data.straightened() if use else data
+    return data.straightened() if _use_camera(settings) else data
+
+
+def _use_camera(settings: LifterSettings) -> bool:
+    return settings.intrinsics != "off" and settings.camera != "orthographic"
 
 
 def with_labels(frames: TrainingSet, data: PoseData) -> TrainingSet:
@@ -258,10 +235,7 @@ def with_labels(frames: TrainingSet, data: PoseData) -> TrainingSet:
         tilt = gravity_of(real, frames.rotation)[:, 2].clamp(-1, 1).asin()
     labels = (pose / unit[:, None, None]).where((labelled[:, None] & known)[..., None], torch.nan)
     return replace(
-        frames,
-        labels=labels,
-        label_unit=unit.where(labelled, torch.nan),
-        label_tilt=tilt.where(labelled, torch.nan),
+        frames, labels=labels, label_unit=unit.where(labelled, torch.nan), label_tilt=tilt.where(labelled, torch.nan)
     )
 
 

@@ -13,34 +13,11 @@ from uplift.errors import UserError, did_you_mean
 __all__ = ["Camera", "Orthographic", "Perspective", "build_camera"]
 
 
-@dataclass(frozen=True)
-class Orthographic:
-    """Parallel rays: x and y of the pose are those of the keypoints; ``distance`` does not matter."""
+class Camera:
+    """What both cameras share: ``ratio`` is how much smaller a point at depth z is seen than one at the root's depth."""
 
-    def unproject(
-        self,
-        keypoints: Float[Tensor, "frames joints 2"],
-        depth: Float[Tensor, "frames joints"],
-        distance: Float[Tensor, " frames"],
-    ) -> Float[Tensor, "frames joints 3"]:
-        """Return the pose that ``keypoints`` at ``depth`` are the projection of."""
-        return torch.cat([keypoints, depth.unsqueeze(-1)], -1)
-
-    def project(
-        self, pose: Float[Tensor, "frames joints 3"], distance: Float[Tensor, " frames"]
-    ) -> Float[Tensor, "frames joints 2"]:
-        """Return the 2D keypoints of ``pose``."""
-        return pose[..., :2]
-
-
-@dataclass(frozen=True)
-class Perspective:
-    """A pinhole that looks at the root from ``distance``, in units of the body's mean 2D radius.
-
-    At the root's depth one unit of the pose is one unit of the keypoints, so focal length and
-    distance are one number: focal length over mean radius, both in pixels, where the camera is
-    known, else a guess (ElePose, Wandt et al. 2022, uses 10).
-    """
+    def ratio(self, z: Tensor, distance: Tensor) -> Tensor | float:
+        raise NotImplementedError
 
     def unproject(
         self,
@@ -50,21 +27,35 @@ class Perspective:
     ) -> Float[Tensor, "frames joints 3"]:
         """Return the pose that ``keypoints`` at ``depth`` are the projection of."""
         z = depth.unsqueeze(-1)
-        return torch.cat([keypoints * _ratio(z, distance), z], -1)
+        return torch.cat([keypoints * self.ratio(z, distance), z], -1)
 
     def project(
         self, pose: Float[Tensor, "frames joints 3"], distance: Float[Tensor, " frames"]
     ) -> Float[Tensor, "frames joints 2"]:
         """Return the 2D keypoints of ``pose``."""
-        return pose[..., :2] / _ratio(pose[..., 2:], distance)
+        return pose[..., :2] / self.ratio(pose[..., 2:], distance)
 
 
-def _ratio(z: Tensor, distance: Tensor) -> Tensor:
-    # A point at or behind the pinhole has no image: hold it at a tenth of the distance.
-    return (1 + z / distance[:, None, None]).clamp_min(0.1)
+@dataclass(frozen=True)
+class Orthographic(Camera):
+    """Parallel rays: x and y of the pose are those of the keypoints; ``distance`` does not matter."""
+
+    def ratio(self, z: Tensor, distance: Tensor) -> float:
+        return 1.0
 
 
-Camera = Orthographic | Perspective
+@dataclass(frozen=True)
+class Perspective(Camera):
+    """A pinhole that looks at the root from ``distance``, in units of the body's mean 2D radius.
+
+    At the root's depth one unit of the pose is one unit of the keypoints, so focal length and
+    distance are one number: focal length over mean radius, both in pixels, where the camera is
+    known, else a guess (ElePose, Wandt et al. 2022, uses 10).
+    """
+
+    def ratio(self, z: Tensor, distance: Tensor) -> Tensor:
+        # A point at or behind the pinhole has no image: hold it at a tenth of the distance.
+        return (1 + z / distance[:, None, None]).clamp_min(0.1)
 
 
 def build_camera(name: str) -> Camera:

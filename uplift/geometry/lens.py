@@ -77,9 +77,6 @@ class Lens:
         return 1 + square * (k1 + square * (k2 + square * k3)) + a * x + b * y, (a * square, b * square)
 
 
-_LEAST_JOINTS = 3
-
-
 def place_roots(
     pose: Float[np.ndarray, "frames joints 3"],
     rays: Float[np.ndarray, "frames joints 2"],
@@ -108,6 +105,6 @@ def place_roots(
     vector = np.concatenate([flat, -(weight * (ray * right).sum(-1)).sum(1)[:, None]], 1)
     place = np.full((len(pose), 3), np.nan)
     spread = square - (across**2).sum(1) / np.maximum(total, 1e-12)  # 0 where all are seen in one point
-    solvable = (known.sum(1) >= _LEAST_JOINTS) & (spread > 1e-12 * np.maximum(total, 1e-12))
+    solvable = (known.sum(1) >= 3) & (spread > 1e-12 * np.maximum(total, 1e-12))
     place[solvable] = np.linalg.solve(matrix[solvable], vector[solvable][..., None])[..., 0]
     return place

@@ -12,8 +12,6 @@ from uplift.geometry.rotation import least_rotation
 
 __all__ = ["Intrinsics", "Normalised", "bone_lengths", "mean_radius", "mirror", "normalise", "renormalise"]
 
-# Measures and mirror images of 2D and 3D poses.
-
 _TINY = 1e-8
 
 
@@ -46,9 +44,6 @@ def bone_lengths(
     """Return the length of each bone; its gradient is finite at length 0."""
     difference = pose[:, bones[:, 1]] - pose[:, bones[:, 0]]
     return (difference.square().sum(-1) + _TINY).sqrt()
-
-
-# Root-centred keypoints of mean radius 1.
 
 
 @dataclass(frozen=True)

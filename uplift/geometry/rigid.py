@@ -8,14 +8,9 @@ import numpy as np
 from jaxtyping import Float
 
 __all__ = [
-    "least_turn",
-    "nearest_rotation",
-    "quaternion_entries",
-    "quaternion_matrix",
-    "quaternion_product",
-    "rotation_about",
-    "slerp",
-]
+    "least_turn", "nearest_rotation", "quaternion_entries", "quaternion_matrix", "quaternion_product",
+    "rotation_about", "slerp",
+]  # fmt: skip
 
 
 def rotation_about(
@@ -84,9 +79,6 @@ def least_turn(start: Float[np.ndarray, "*#any 3"], end: Float[np.ndarray, "*#an
     half = np.concatenate([aside, np.zeros_like(cosine)], -1)
     turn = np.where(cosine < -1 + 1e-12, half, turn)
     return turn / np.linalg.norm(turn, axis=-1, keepdims=True)
-
-
-# Procrustes: the rotation nearest to a matrix.
 
 
 def nearest_rotation(

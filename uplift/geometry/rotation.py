@@ -11,19 +11,9 @@ from torch import Tensor
 from uplift.geometry.rigid import quaternion_entries
 
 __all__ = [
-    "about_x",
-    "about_y",
-    "body_tilt",
-    "clip_median",
-    "gravity_of",
-    "least_rotation",
-    "level",
-    "nearest_rotation",
-    "random_rotations",
-    "real_tilt",
-    "turn",
-    "views_about_gravity",
-]
+    "about_x", "about_y", "body_tilt", "clip_median", "gravity_of", "least_rotation", "level", "nearest_rotation",
+    "random_rotations", "real_tilt", "turn", "views_about_gravity",
+]  # fmt: skip
 
 
 def about_x(angle: Float[Tensor, " batch"]) -> Float[Tensor, "batch 3 3"]:
@@ -146,12 +136,10 @@ def body_tilt(pose: Float[Tensor, "frames joints 3"]) -> tuple[Float[Tensor, " f
     shape = pose / size[:, None, None]
     template = shape[0]
     for _ in range(_ROUNDS):
-        turned = nearest_rotation(shape.mT @ template)
-        away = _residual(shape, turned, template)
+        turned, away = _fitted(shape, template)
         usual = away <= away.quantile(0.7) if len(away) < 1_000_000 else torch.ones_like(away, dtype=torch.bool)
         template = (turned.mT @ shape.mT).mT[usual].mean(0)
-    turned = nearest_rotation(shape.mT @ template)
-    away = _residual(shape, turned, template)
+    turned, away = _fitted(shape, template)
     trust = torch.exp(-away / away.median().clamp_min(1e-9))
     side = turned[:, 0]
     weight = trust
@@ -163,8 +151,10 @@ def body_tilt(pose: Float[Tensor, "frames joints 3"]) -> tuple[Float[Tensor, " f
     return torch.atan2(-up[:, 2], -up[:, 1]), trust
 
 
-def _residual(shape: Tensor, turned: Tensor, template: Tensor) -> Tensor:
-    return (shape - template @ turned.mT).square().sum((1, 2))
+def _fitted(shape: Tensor, template: Tensor) -> tuple[Tensor, Tensor]:
+    """Return the rotations of the template that fit the shapes best, and the squared distances that are left."""
+    turned = nearest_rotation(shape.mT @ template)
+    return turned, (shape - template @ turned.mT).square().sum((1, 2))
 
 
 def clip_median(

@@ -16,8 +16,6 @@ if TYPE_CHECKING:
 
 __all__ = ["Surface", "surface_of", "thinned"]
 
-# Occupancy grids to clean, closed meshes: marching cubes, specks and cavities taken away, faces outwards.
-
 _FROM_LEVEL = 1e-4
 """Corners of voxels keep so far from the level: a surface through a corner would have triangles without area."""
 _SHRINK, _SWELL = 0.5, 0.53
@@ -75,21 +73,14 @@ def surface_of(
         raise UserError(f"level={level}: the surface lies at an occupancy between 0 and 1.")
     if len(set(occupancy.shape)) != 1 or not np.isfinite(occupancy).all():
         raise ValueError(f"occupancy {occupancy.shape}: expected a cube of finite values")
-    reason = _empty(occupancy, level)
-    if reason:
-        return Surface(None, reason)
+    if occupancy.max() <= level:
+        return Surface(None, f"empty: the largest occupancy is {occupancy.max():.2g}, the surface lies at {level:g}")
     surface = _cut(occupancy, level)
     kept, specks, cavities = _cleaned(surface, least_share, cavity_share)
     if smooth:
         _smoothed(kept, smooth)
     mesh = Mesh(np.asarray(kept.vertices, float), np.asarray(kept.faces, np.int64), name, category)
     return Surface(mesh, "", bool(kept.is_watertight), int(kept.body_count), specks, cavities)
-
-
-def _empty(occupancy: np.ndarray, level: int | float) -> str:
-    if occupancy.max() <= level:
-        return f"empty: the largest occupancy is {occupancy.max():.2g}, the surface lies at {level:g}"
-    return ""
 
 
 def _cut(occupancy: np.ndarray, level: int | float) -> trimesh.Trimesh:
@@ -165,7 +156,8 @@ def thinned(mesh: Mesh, faces: int) -> Mesh:
         if len(kept) <= faces:
             break
         cell *= max(1.05, np.sqrt(len(kept) / faces))
-    return _ordered(replace(mesh, vertices=_corners(mesh, cells), faces=kept))
+    used, numbers = np.unique(kept, return_inverse=True)  # corners that no triangle has are left out
+    return replace(mesh, vertices=_corners(mesh, cells)[used], faces=numbers.reshape(-1, 3))
 
 
 def _merged(mesh: Mesh, low: np.ndarray, cell: float) -> tuple[np.ndarray, np.ndarray]:
@@ -199,9 +191,3 @@ def _corners(mesh: Mesh, cells: np.ndarray) -> np.ndarray:
     np.maximum.at(reach, cells, np.linalg.norm(mesh.vertices - mean[cells], axis=1))
     length = np.linalg.norm(step, axis=1)
     return mean + step * np.minimum(1, reach / np.maximum(length, 1e-12))[:, None]
-
-
-def _ordered(mesh: Mesh) -> Mesh:
-    """Return the mesh without corners that no triangle has."""
-    used, faces = np.unique(mesh.faces, return_inverse=True)
-    return replace(mesh, vertices=mesh.vertices[used], faces=faces.reshape(-1, 3))

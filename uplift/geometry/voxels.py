@@ -31,11 +31,6 @@ class _Parts:
     consistent: Bool[np.ndarray, " parts"]
     """Whether a part's triangles agree on what is outside."""
 
-    @property
-    def count(self) -> int:
-        """How many parts there are."""
-        return len(self.consistent)
-
 
 @dataclass(frozen=True)
 class _Edges:
@@ -59,17 +54,17 @@ def _closed_parts(
     """
     part, edges = _parts_of(faces, len(vertices))
     consistent = _all_of(edges.balance == 0, edges.part, part)
-    whole = consistent | _all_of(edges.count % 2 == 0, edges.part, part)
-    kept = whole[part]
+    closed = consistent | _all_of(edges.count % 2 == 0, edges.part, part)
+    kept = closed[part]
     if kept.all():
         return _Parts(vertices, faces, part, consistent), faces[:0]
     vertices, capped, loose = _close(vertices, _joined(vertices, faces[~kept]))
-    renumber = np.cumsum(whole) - 1
+    renumber = np.cumsum(closed) - 1
     both = _Parts(
         vertices,
         np.concatenate([faces[kept], capped.faces]),
-        np.concatenate([renumber[part[kept]], capped.part + int(whole.sum())]),
-        np.concatenate([consistent[whole], capped.consistent]),
+        np.concatenate([renumber[part[kept]], capped.part + int(closed.sum())]),
+        np.concatenate([consistent[closed], capped.consistent]),
     )
     return both, loose
 
@@ -112,25 +107,25 @@ def _close(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, _Parts,
     volume = np.bincount(all_part, (a * cross).sum(1) / 6, count)
     area = np.bincount(all_part, np.linalg.norm(cross, axis=1) / 2, count)
     solid = agrees & (np.abs(volume) > _SHEET * area**1.5)
-    whole = solid | (even & ~agrees)
-    kept, renumber = whole[all_part], np.cumsum(whole) - 1
-    parts = _Parts(vertices, all_faces[kept], renumber[all_part[kept]], agrees[whole])
-    return vertices, parts, faces[~whole[part]]
+    closed = solid | (even & ~agrees)
+    kept, renumber = closed[all_part], np.cumsum(closed) - 1
+    parts = _Parts(vertices, all_faces[kept], renumber[all_part[kept]], agrees[closed])
+    return vertices, parts, faces[~closed[part]]
 
 
 def _turned_alike(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray, _Edges, np.ndarray]:
     """Return the faces, with those turned over that disagree with their neighbours; their parts, edges, and which agree."""
-    for is_mended in (False, True):
+    for repaired in (False, True):
         part, edges = _parts_of(faces, len(vertices))
         # Two triangles that go along their edge the same way disagree: one of them is inside out.
         agrees = _all_of(np.abs(edges.balance) == edges.count % 2, edges.part, part)
         wrong = ~agrees[part]
-        if is_mended or not wrong.any():
+        if repaired or not wrong.any():
             break
-        mended = trimesh.Trimesh(vertices, faces[wrong], process=False)
-        trimesh.repair.fix_winding(mended)
+        fixed = trimesh.Trimesh(vertices, faces[wrong], process=False)
+        trimesh.repair.fix_winding(fixed)
         faces = faces.copy()
-        faces[wrong] = mended.faces
+        faces[wrong] = fixed.faces
     return faces, part, edges, agrees
 
 
@@ -152,8 +147,6 @@ def _fans(vertices: np.ndarray, edges: _Edges, agrees: np.ndarray) -> tuple[np.n
     fans = np.stack([np.where(up, high, low), np.where(up, low, high), apex], 1)
     return np.concatenate([vertices, middles]), fans, edges.part[open_ones]
 
-
-# Occupancy from a surface that has no inside of its own: whatever a flood from outside does not reach.
 
 _MOST_SAMPLES = 4_000_000
 
@@ -194,8 +187,6 @@ def _samples(corners: np.ndarray, spacing: float) -> np.ndarray:
     return np.concatenate(found) if found else np.empty((0, 3))
 
 
-# Occupancy grids of meshes: which voxels lie inside the union of a mesh's closed parts.
-
 _NUDGE = (1.7e-7, 2.9e-7, 2.3e-7)
 """Samples lie beside the voxels' centres by a hair: synthetic edges often lie exactly on them."""
 
@@ -216,9 +207,8 @@ def fill(mesh: Mesh, resolution: int) -> Bool[np.ndarray, "resolution resolution
 
 def coverage(mesh: Mesh, resolution: int, finer: int = 2) -> Float[np.ndarray, "resolution resolution resolution"]:
     """Return how much of each voxel is inside, 0..1: the mean of ``finer`` x ``finer`` x ``finer`` samples."""
-    fine = fill(mesh, resolution * finer)
-    shape = (resolution, finer) * 3
-    return fine.reshape(shape).mean((1, 3, 5), dtype=np.float32)
+    fine = fill(mesh, resolution * finer).reshape((resolution, finer) * 3)
+    return fine.mean((1, 3, 5), dtype=np.float32)
 
 
 def _fill_closed(parts: _Parts, resolution: int) -> np.ndarray:
@@ -226,7 +216,7 @@ def _fill_closed(parts: _Parts, resolution: int) -> np.ndarray:
     ray, face, depth, sign = _crossings(parts.vertices, parts.faces, resolution)
     change = np.zeros((resolution + 1, resolution**2), np.int32)
     if len(ray):
-        group = ray * parts.count + parts.part[face]
+        group = ray * len(parts.consistent) + parts.part[face]
         order = np.lexsort((depth, group))
         group, depth, sign, ray = group[order], depth[order], sign[order], ray[order]
         first = np.concatenate([[True], group[1:] != group[:-1]])
@@ -255,9 +245,8 @@ def _crossings(
     corners = at[faces]
     flat = corners[..., :2]
     low = np.clip(np.ceil(flat.min(1)), 0, resolution).astype(np.int64)
-    extent = np.clip(np.floor(flat.max(1)) + 1, 0, resolution).astype(np.int64) - low
-    extent = np.maximum(extent, 0)
-    count = extent[:, 0] * extent[:, 1]
+    extent = np.maximum(np.clip(np.floor(flat.max(1)) + 1, 0, resolution).astype(np.int64) - low, 0)
+    count = extent.prod(1)
     face = np.repeat(np.arange(len(faces)), count)
     place = np.arange(len(face)) - np.repeat(np.cumsum(count) - count, count)
     x, y = low[face, 0] + place % extent[face, 0], low[face, 1] + place // extent[face, 0]

@@ -9,16 +9,9 @@ from uplift.errors import UserError, did_you_mean
 from uplift.geometry.rigid import nearest_rotation
 
 __all__ = [
-    "ALIGNED_ERRORS",
-    "align",
-    "clean_pair",
-    "counted",
-    "least_squares_scale",
-    "length",
-    "norm_scale",
-    "procrustes",
+    "ALIGNED_ERRORS", "align", "clean_pair", "counted", "least_squares_scale", "length", "norm_scale", "procrustes",
     "xy_scale",
-]
+]  # fmt: skip
 
 ALIGNED_ERRORS = ("mpjpe", "mpjpe_gt_scale", "n_mpjpe", "n_mpjpe_norm", "p_mpjpe", "p_mpjpe_reflect")
 """The errors that differ only in the alignment before them, by their protocol names."""

@@ -17,21 +17,13 @@ from uplift.metrics.evaluate_shapes import RESOLUTION as TRUE_RESOLUTION
 from uplift.metrics.evaluate_shapes import evaluate_all, filled_truths
 from uplift.metrics.protocols import BEST_BASELINE, metric_order
 from uplift.metrics.report import ShapeEvaluation
-from uplift.metrics.shape_metrics import Standing, true, voxel_centres
+from uplift.metrics.shape_metrics import true, voxel_centres
 from uplift.models.prediction import ShapePrediction
 
 __all__ = [
-    "best_thickness",
-    "extrusion",
-    "flat_depth",
-    "hull_occupancy",
-    "mask_half",
-    "mean_shape",
-    "nearest_masks",
-    "score_with_baselines",
-    "shape_baselines",
-    "training_truth",
-]
+    "best_thickness", "extrusion", "flat_depth", "hull_occupancy", "mask_half", "mean_shape", "nearest_masks",
+    "score_with_baselines", "shape_baselines", "training_truth",
+]  # fmt: skip
 
 RESOLUTION = 48
 """Voxels along the grids of baselines of shapes, an even number."""
@@ -54,8 +46,7 @@ def shape_baselines(
     They learn from the true shapes of ``train``; of ``test`` they see the masks alone. Hull and mean
     shape stand in the camera's own frame, the nearest item's shape where it stood in its camera.
 
-    Raises:
-        UserError: the training set has no true shapes, or no items.
+    Raises UserError: the training set has no true shapes, or no items.
     """
     if train.truth is None or not len(train):
         raise UserError(
@@ -83,8 +74,7 @@ def score_with_baselines(
     ``found`` are baselines already made by `shape_baselines`, where several predictions of the same masks are scored;
     ``resolution`` is that of the truth's grid.
 
-    Raises:
-        UserError: training or test masks without true shapes, other numbers of items.
+    Raises UserError: training or test masks without true shapes, other numbers of items.
     """
     if test.truth is None:
         raise UserError(f"{name}: no true shapes to compare with, only masks.")
@@ -108,7 +98,7 @@ def _hull(train: _TrainingTruth, test: MaskData) -> ShapePrediction:
     thickness = best_thickness(train)
     occupancy = [hull_occupancy(mask, train.distance, thickness, train.resolution) for mask in test.masks]
     note = f"each mask extruded by {thickness:.2f} of its longer side, the best on the truth of {len(train.half)} training items"
-    return _in_camera("hull", _stacked(occupancy, train.resolution), train.distance, test, note)
+    return _in_camera("hull", occupancy, train, test, note)
 
 
 def _mean_shape(train: _TrainingTruth, test: MaskData) -> ShapePrediction:
@@ -116,26 +106,24 @@ def _mean_shape(train: _TrainingTruth, test: MaskData) -> ShapePrediction:
     occupancy = [_mean_occupancy(mean, mask, train.distance) for mask in test.masks]
     where = "inside each mask" if mean.in_mask else "uncut"
     note = f"mean of {len(train.half)} true training shapes above {mean.level:.2f}, {where}, the best on them"
-    return _in_camera("mean_shape", _stacked(occupancy, train.resolution), train.distance, test, note)
+    return _in_camera("mean_shape", occupancy, train, test, note)
 
 
-def _stacked(occupancy: list[np.ndarray], resolution: int) -> np.ndarray:
-    """Return grids as one array of half precision: baselines of a thousand masks stay below a gigabyte."""
-    return np.array(occupancy, np.float16).reshape(-1, resolution, resolution, resolution)
-
-
-def _in_camera(title: str, occupancy: np.ndarray, distance: float, test: MaskData, note: str) -> ShapePrediction:
+def _in_camera(
+    title: str, occupancy: list[np.ndarray], train: _TrainingTruth, test: MaskData, note: str
+) -> ShapePrediction:
     """Return shapes whose own frame is the camera's, the cube of the crop."""
+    # Half precision: baselines of a thousand masks stay below a gigabyte.
+    grids = np.array(occupancy, np.float16).reshape(-1, *[train.resolution] * 3)
     items = len(test)
     view, zero = np.repeat(np.eye(3)[None], items, 0), np.zeros((items, 2))
-    return _prediction(title, test, note, occupancy, view, np.ones(items), zero, np.full(items, distance))
+    return _prediction(title, test, note, grids, view, np.ones(items), zero, np.full(items, train.distance))
 
 
 def _nearest(train: MaskData, truth: Placed, test: MaskData, resolution: int) -> ShapePrediction:
     rows, mirrored = nearest_masks(test.masks, train.masks)
-    sign = np.where(mirrored, -1.0, 1.0)
     flip = np.ones((len(rows), 3))
-    flip[:, 0] = sign
+    flip[mirrored, 0] = -1
     occupancy = np.zeros((len(rows), resolution, resolution, resolution), np.float16)
     for row, filled in filled_truths(truth, np.unique(rows), resolution):
         for item in np.flatnonzero(rows == row):
@@ -152,9 +140,6 @@ def _prediction(title: str, test: MaskData, note: str, occupancy, view, scale, o
         occupancy, view, scale, offset, distance, test.masks, list(test.names), test.centre_px, test.scale_px,
         title=title, images=test.images, notes=(note,),
     )  # fmt: skip
-
-
-# What baselines of shapes learn from: some of the training truth in the camera frame, with each mask's extrusion.
 
 
 @dataclass(frozen=True)
@@ -188,7 +173,8 @@ def training_truth(train: MaskData, truth: Placed, count: int, resolution: int, 
     place = {int(row): at for at, row in enumerate(rows)}
     for row, filled in filled_truths(truth, rows, resolution):
         shape = true(truth, row, filled)
-        inside[place[row]] = _on_grid(shape, resolution)
+        centred = shape.moved(-shape.depth)
+        inside[place[row]] = centred.inside_at(voxel_centres(resolution), np.eye(3), np.zeros(3))
         volume[place[row]] = shape.volume * (resolution / 2) ** 3
     return _TrainingTruth(
         inside=inside,
@@ -197,11 +183,6 @@ def training_truth(train: MaskData, truth: Placed, count: int, resolution: int, 
         half=np.array([mask_half(train.masks[row]) for row in rows]),
         distance=distance,
     )
-
-
-def _on_grid(shape: Standing, resolution: int) -> Bool[np.ndarray, "depth height width"]:
-    """Return the shape on the camera frame's grid, its centroid at depth 0."""
-    return shape.moved(-shape.depth).inside_at(voxel_centres(resolution), np.eye(3), np.zeros(3))
 
 
 def extrusion(mask: np.ndarray, distance: float, resolution: int) -> Float[np.ndarray, "depth height width"]:
@@ -214,7 +195,6 @@ def extrusion(mask: np.ndarray, distance: float, resolution: int) -> Float[np.nd
 
 @functools.lru_cache(2)
 def _seen_at(distance: float, resolution: int) -> Float[Tensor, "one rows columns 2"]:
-    """Return where each voxel centre of the crop's cube is seen."""
     points = voxel_centres(resolution)
     image = points[..., :2] / (1 + points[..., 2:] / distance).clamp_min(0.05)
     return image.reshape(1, resolution * resolution, resolution, 2)

@@ -6,11 +6,11 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 
 from uplift.errors import UserError
 from uplift.metrics.alignment import least_squares_scale
-from uplift.metrics.pose_metrics import bone_cv, bone_lengths, elevation_deg, facing_sign, has_handedness
+from uplift.metrics.pose_metrics import bone_cv, bone_lengths, facing_sign, has_handedness
 from uplift.metrics.protocols import ACTION_MEAN, MISSING, is_error, metric_order
 from uplift.metrics.report import Evaluation
 from uplift.metrics.scores import GivenPoses, Matched, Scores, match_poses, score
@@ -34,13 +34,13 @@ def evaluate(prediction: GivenPoses | Prediction, truth: PoseData, skeleton: Ske
     than three joints that count are left out. The calibration of a prediction's spread is measured.
     ``data`` names the truth in the report.
 
-    Raises:
-        UserError: no truth, other joints, other frames, or nothing left to compare.
+    Raises UserError: no truth, other joints, other frames, or nothing left to compare.
     """
     matched, kept, notes = match_poses(prediction, truth, skeleton)
     scores = score(matched)
     if prediction.tilt_deg is not None and truth.tilt_deg is not None:
-        scores.frames["elevation_deg"] = elevation_deg(prediction.tilt_deg, truth.tilt_deg)[kept]
+        tilt_deg = np.asarray(prediction.tilt_deg, np.float64)
+        scores.frames["elevation_deg"] = np.abs(tilt_deg - truth.tilt_deg)[kept]
     spread = _spread_of(prediction, skeleton)
     actions, subjects = (_groups(truth.identity, key, kept) for key in ("action", "subject"))
     per_action = _per_group(scores, *actions)
@@ -115,15 +115,11 @@ def _overall(
 
 
 def _per_joint(scores: Scores, skeleton: Skeleton) -> dict[str, dict[str, float]]:
-    """Return each joint's mean of every protocol that has one value a joint."""
-    return {
-        joint: {
-            name: float(scores.joints[name][place])
-            for name in sorted(scores.joints, key=metric_order)
-            if np.isfinite(scores.joints[name][place])
-        }
-        for place, joint in enumerate(skeleton.joints)
+    names = sorted(scores.joints, key=metric_order)
+    columns = {
+        joint: {name: float(scores.joints[name][at]) for name in names} for at, joint in enumerate(skeleton.joints)
     }
+    return {joint: {name: value for name, value in of.items() if np.isfinite(value)} for joint, of in columns.items()}
 
 
 def _truth_notes(matched: Matched, scores: Scores, subject: np.ndarray) -> list[str]:
@@ -157,15 +153,11 @@ _MOST_RANKED = 1_000_000
 
 
 def _calibrate(matched: Matched, spread: Float[np.ndarray, "frames joints"]) -> dict[str, Any] | None:
-    """Return the calibration curve of ``spread``, the scale b of a Laplace distribution of each depth.
+    """Return the calibration of ``spread``, the Laplace scale b of each depth, or of the 3D error of joints missing in 2D.
 
-    ``spread`` is in the unit of the matched pose, row by row and joint by joint; of a joint that was
-    missing in 2D it is the scale of its 3D error, as its place in the image is not known. Both are brought to
-    the truth's scale as for `n_mpjpe`; a metric pose stays as it is. ``visible`` and ``missing`` (the
-    joints that were missing in 2D) hold, for each nominal share q, the share of depth errors within
-    -b ln(1 - q), the root left out. ``spread_error`` is the mean difference of the two,
-    ``rank_correlation`` that of spread and error (Spearman); both again for the missing joints. What
-    cannot be measured is absent; None where that is everything.
+    Both are brought to the truth's scale as for `n_mpjpe`; a metric pose stays as it is. ``visible`` and ``missing``
+    hold, for each nominal share q, the share of errors within -b ln(1 - q), the root left out; ``spread_error`` is
+    the mean difference of the two. What cannot be measured is absent; None where that is everything.
     """
     found: dict[str, Any] = {}
     for group, ending, weight in (("visible", "", matched.weight), ("missing", MISSING, matched.unseen)):
@@ -188,13 +180,11 @@ def rank_correlation(one: Float[np.ndarray, " joints"], other: Float[np.ndarray,
     """Return Spearman's correlation over at most a million evenly picked pairs; None where one is constant."""
     step = -(-len(one) // _MOST_RANKED)
     ranks = np.stack([_ranks(values[::step]) for values in (one, other)])
-    if (np.ptp(ranks, axis=1) == 0).any():
-        return None
-    return float(np.corrcoef(ranks)[0, 1])
+    return None if (np.ptp(ranks, axis=1) == 0).any() else float(np.corrcoef(ranks)[0, 1])
 
 
 def _ranks(values: np.ndarray) -> np.ndarray:
-    """Return the place of each value in their order, equals in the middle of theirs."""
+    """Return the ranks of values, equal ones their mean; scipy.stats takes half a second to import."""
     _, place, count = np.unique(values, return_inverse=True, return_counts=True)
     return (np.cumsum(count) - (count - 1) / 2)[place]
 
@@ -209,15 +199,10 @@ def _errors(
         pose, truth, seen = matched.rows(rows)
         factor = np.ones(len(rows)) if matched.metric else least_squares_scale(pose, truth, seen)
         mine = spread[rows].astype(np.float64) * np.abs(factor)[:, None]
-        counts = _counts(weight[rows], mine, matched.skeleton.root_index)
+        counts = (weight[rows] > 0) & np.isfinite(mine)
+        counts[:, matched.skeleton.root_index] = False  # its depth is 0 by definition
         off = pose * factor[:, None, None] - truth
         size = np.linalg.norm(off, axis=-1) if in_3d else np.abs(off[..., 2])
         errors.append(size[counts].astype(np.float32))
         scales.append(mine[counts].astype(np.float32))
     return np.concatenate(errors), np.concatenate(scales)
-
-
-def _counts(weight: np.ndarray, spread: np.ndarray, root: int) -> Bool[np.ndarray, "frames joints"]:
-    counts = (weight > 0) & np.isfinite(spread)
-    counts[:, root] = False  # its depth is 0 by definition
-    return counts

@@ -41,8 +41,7 @@ def evaluate_shapes(
     far away as the truth's. Sizes, x and y follow from the mask and are compared as they are.
     ``masks`` are the input masks (items side side, 0 to 255), ``name`` names the truth in the report.
 
-    Raises:
-        UserError: different numbers of items, none, or a true mesh that is not in its own unit.
+    Raises UserError: different numbers of items, none, or a true mesh that is not in its own unit.
     """
     return evaluate_all({"": prediction}, truth, masks, name, category, resolution)[""]
 
@@ -63,10 +62,9 @@ def evaluate_all(
         item = TrueItem(truth, row, filled)
         for title, prediction in predictions.items():
             found[title][row] = score_item(predicted(prediction, row), item, masks[row])
-    groups = _categories(truth) if category is None else np.asarray(category).astype(str)
-    return {
-        title: _gathered(found[title], prediction, truth, name, groups) for title, prediction in predictions.items()
-    }
+    groups = [truth.meshes[shape].category for shape in truth.shape.tolist()] if category is None else category
+    groups = np.asarray(groups).astype(str)
+    return {title: _gathered(found[title], one, truth, name, groups) for title, one in predictions.items()}
 
 
 def _check(title: str, prediction: ShapePrediction, truth: Placed, masks: np.ndarray) -> None:
@@ -108,10 +106,6 @@ def filled_truths(
         yield row, filled
 
 
-def _categories(truth: Placed) -> np.ndarray:
-    return np.array([truth.meshes[shape].category for shape in truth.shape.tolist()], dtype=str)
-
-
 def _gathered(
     found: list[dict[str, float]], prediction: ShapePrediction, truth: Placed, name: str, groups: np.ndarray
 ) -> ShapeEvaluation:
@@ -148,14 +142,10 @@ def _notes(per_item: dict[str, np.ndarray], prediction: ShapePrediction) -> list
     notes = ["depth is relative: each shape was moved along z until its centroid was as far away as the truth's"]
     empty = sum(not (grid > prediction.level).any() for grid in prediction.occupancy)
     if empty:
-        notes.append(
-            f"{empty} of {len(prediction)} predicted shapes are empty, nothing above {prediction.level:g}: "
-            "they score 0, and a chamfer of 1"
-        )
+        what = f"are empty, nothing above {prediction.level:g}: they score 0, and a chamfer of 1"
+        notes.append(f"{empty} of {len(prediction)} predicted shapes {what}")
     own = int(np.isnan(per_item["handedness"]).sum())
     if own:
-        notes.append(
-            f"{own} of {len(prediction)} true shapes are their own mirror image in depth (IoU above {OWN_MIRROR:g}): "
-            "they have no handedness"
-        )
+        what = f"are their own mirror image in depth (IoU above {OWN_MIRROR:g}): they have no handedness"
+        notes.append(f"{own} of {len(prediction)} true shapes {what}")
     return notes

@@ -3,42 +3,16 @@
 from __future__ import annotations
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float, Int
 
-from uplift.metrics.alignment import align, clean_pair, counted, length
+from uplift.metrics.alignment import Poses, Weights, align, clean_pair, length
 from uplift.skeleton import Skeleton
 
 __all__ = [
-    "auc",
-    "bone_cv",
-    "bone_lengths",
-    "elevation_deg",
-    "facing",
-    "facing_sign",
-    "flip_depth",
-    "frame_mean",
-    "has_handedness",
-    "joint_errors",
-    "mpjpe",
-    "mpjpe_gt_scale",
-    "mpjpe_gt_scale_best_of_flip",
-    "mpjve",
-    "n_mpjpe",
-    "n_mpjpe_best_of_flip",
-    "n_mpjpe_norm",
-    "never_seen_so_long",
-    "p_mpjpe",
-    "p_mpjpe_best_of_flip",
-    "p_mpjpe_reflect",
-    "pck",
-    "pck_z",
-    "stress",
-    "symmetry",
-]
+    "bone_cv", "bone_lengths", "facing_sign", "flip_depth", "frame_mean", "has_handedness",
+    "joint_errors", "mpjve", "never_seen_so_long", "not_flipped", "share_above", "stress", "symmetry",
+]  # fmt: skip
 
-# Measures of a predicted pose that need no truth: handedness, steady bones, equal sides.
-
-Poses = Float[np.ndarray, "frames joints 3"]
 PerFrame = Float[np.ndarray, " frames"]
 
 
@@ -120,19 +94,18 @@ def symmetry(lengths: Float[np.ndarray, "frames bones"], pairs: Int[np.ndarray, 
     return np.where(count > 0, mean, np.nan)
 
 
-# The protocols that compare a predicted pose with the truth: one pure function each, one value a frame.
+# What the protocols that compare a predicted pose with the truth are made of.
 
 AUC_THRESHOLDS_MM = np.linspace(0, 150, 31)
 
 _TIE = 1 + 1e-9
 """Errors of a pose and its depth flip that differ by less than this factor are equal: a flat pose."""
 
-Weights = Float[np.ndarray, "frames joints"] | Bool[np.ndarray, "frames joints"]
 PerJoint = Float[np.ndarray, "frames joints"]
 
 
 def joint_errors(protocol: str, pose: Poses, truth: Poses, root: int, weight: Weights | None = None) -> PerJoint:
-    """Return each joint's distance to the truth, aligned as ``protocol`` says; NaN where unknown."""
+    """Return each joint's distance to the truth, aligned as ``protocol`` (see `align`) says; NaN where unknown."""
     return length(align(protocol, pose, truth, root, weight) - truth)
 
 
@@ -147,79 +120,13 @@ def flip_depth(pose: Poses) -> Poses:
     return pose * np.array([1, 1, -1], pose.dtype)
 
 
-def mpjpe(pose: Poses, truth: Poses, weight: Weights | None = None) -> PerFrame:
-    """Return the mean joint distance as it is; ``pose`` must be in the truth's unit."""
-    return _mean_error("mpjpe", pose, truth, 0, weight)
-
-
-def mpjpe_gt_scale(pose: Poses, truth: Poses, root: int, weight: Weights | None = None) -> PerFrame:
-    """Return the error at the truth's xy scale of each frame, not re-centred (Kudo et al. 2018)."""
-    return _mean_error("mpjpe_gt_scale", pose, truth, root, weight)
-
-
-def n_mpjpe(pose: Poses, truth: Poses, weight: Weights | None = None) -> PerFrame:
-    """Return the error at the least-squares scale of each frame (Rhodin et al., CVPR 2018)."""
-    return _mean_error("n_mpjpe", pose, truth, 0, weight)
-
-
-def n_mpjpe_norm(pose: Poses, truth: Poses, weight: Weights | None = None) -> PerFrame:
-    """Return the error at the scale norm(truth) / norm(pose) (ElePose, LInKs)."""
-    return _mean_error("n_mpjpe_norm", pose, truth, 0, weight)
-
-
-def p_mpjpe(pose: Poses, truth: Poses, weight: Weights | None = None) -> PerFrame:
-    """Return the error after similarity Procrustes with proper rotations: a mirrored pose is not rewarded."""
-    return _mean_error("p_mpjpe", pose, truth, 0, weight)
-
-
-def p_mpjpe_reflect(pose: Poses, truth: Poses, weight: Weights | None = None) -> PerFrame:
-    """Return the error after similarity Procrustes with reflections allowed (ElePose, LInKs)."""
-    return _mean_error("p_mpjpe_reflect", pose, truth, 0, weight)
-
-
-def mpjpe_gt_scale_best_of_flip(pose: Poses, truth: Poses, root: int, weight: Weights | None = None) -> PerFrame:
-    """Return the smaller `mpjpe_gt_scale` of the pose and its depth flip (the 2018 Kudo validation)."""
-    return np.minimum(*(mpjpe_gt_scale(x, truth, root, weight) for x in (pose, flip_depth(pose))))
-
-
-def n_mpjpe_best_of_flip(pose: Poses, truth: Poses, weight: Weights | None = None) -> PerFrame:
-    """Return the smaller `n_mpjpe` of the pose and its depth flip (C3DPO, ITES)."""
-    return np.minimum(*(n_mpjpe(x, truth, weight) for x in (pose, flip_depth(pose))))
-
-
-def p_mpjpe_best_of_flip(pose: Poses, truth: Poses, weight: Weights | None = None) -> PerFrame:
-    """Return the smaller `p_mpjpe` of the pose and its depth flip; by its nature nearly `p_mpjpe_reflect`."""
-    return np.minimum(*(p_mpjpe(x, truth, weight) for x in (pose, flip_depth(pose))))
-
-
-def facing(pose: Poses, truth: Poses, weight: Weights | None = None) -> PerFrame:
-    """Return 1 where `p_mpjpe` of the pose is at most that of its depth flip, else 0; a flat pose ties: 1."""
-    kept, flipped = (p_mpjpe(x, truth, weight) for x in (pose, flip_depth(pose)))
-    return not_flipped(kept, flipped)
-
-
 def not_flipped(kept: PerFrame, flipped: PerFrame) -> PerFrame:
-    """Return `facing` from the two `p_mpjpe`; NaN where they are."""
+    """Return 1 where the `p_mpjpe` of a pose is at most that of its depth flip, else 0; a flat pose ties: 1."""
     return np.where(np.isfinite(kept), (kept <= flipped * _TIE).astype(np.float64), np.nan)
 
 
-def pck(pose: Poses, truth: Poses, weight: Weights | None = None, threshold_mm: float = 150.0) -> PerFrame:
-    """Return the share of joints nearer than ``threshold_mm`` (MPI-INF-3DHP); poses in mm."""
-    return frame_mean(joint_errors("mpjpe", pose, truth, 0) < threshold_mm, counted(pose, truth, weight))
-
-
-def pck_z(pose: Poses, truth: Poses, weight: Weights | None = None, threshold_mm: float = 150.0) -> PerFrame:
-    """Return the share of joints whose depth alone is nearer than ``threshold_mm`` (Kudo's 3DHP figure)."""
-    return frame_mean(np.abs(pose[..., 2] - truth[..., 2]) < threshold_mm, counted(pose, truth, weight))
-
-
-def auc(pose: Poses, truth: Poses, weight: Weights | None = None) -> PerFrame:
-    """Return the mean PCK over the thresholds 0, 5, ..., 150 mm (MPI-INF-3DHP); at most 30/31, as there."""
-    return frame_mean(share_above(joint_errors("mpjpe", pose, truth, 0)), counted(pose, truth, weight))
-
-
 def share_above(errors_mm: PerJoint) -> PerJoint:
-    """Return the share of the `auc` thresholds that lie above each error."""
+    """Return the share of the thresholds 0, 5, ..., 150 mm above each error (MPI-INF-3DHP); at most 30/31, as there."""
     return 1 - np.searchsorted(AUC_THRESHOLDS_MM, errors_mm, side="right") / len(AUC_THRESHOLDS_MM)
 
 
@@ -244,12 +151,3 @@ def mpjve(pose: Poses, truth: Poses, previous: Int[np.ndarray, " frames"], weigh
     off = pose - truth
     both = weight * weight[previous] * (previous >= 0)[:, None]
     return frame_mean(length(off - off[previous]), both)
-
-
-def elevation_deg(tilt_deg: Float[np.ndarray, " frames"], truth_deg: Float[np.ndarray, " frames"]) -> PerFrame:
-    """Return the absolute error of the camera's tilt; its median is the protocol's figure."""
-    return np.abs(np.asarray(tilt_deg, np.float64) - truth_deg)
-
-
-def _mean_error(protocol: str, pose: Poses, truth: Poses, root: int, weight: Weights | None) -> PerFrame:
-    return frame_mean(joint_errors(protocol, pose, truth, root, weight), counted(pose, truth, weight))

@@ -5,21 +5,9 @@ from __future__ import annotations
 from typing import NamedTuple
 
 __all__ = [
-    "ACTION_MEAN",
-    "BEST_BASELINE",
-    "JOINTS_14",
-    "LONGEST_SIDE",
-    "MISSING",
-    "PROTOCOLS",
-    "SHAPE_METRICS",
-    "better_is_higher",
-    "figure_text",
-    "is_error",
-    "metric_kind",
-    "metric_meaning",
-    "metric_order",
-    "metric_unit",
-]
+    "ACTION_MEAN", "BEST_BASELINE", "JOINTS_14", "LONGEST_SIDE", "MISSING", "PROTOCOLS", "SHAPE_METRICS",
+    "figure_text", "is_error", "metric_kind", "metric_meaning", "metric_order", "metric_unit",
+]  # fmt: skip
 
 
 class Metric(NamedTuple):
@@ -99,11 +87,6 @@ def metric_kind(name: str) -> str:
     return _METRICS[_base(name)].kind
 
 
-def better_is_higher(name: str) -> bool:
-    """Return whether more is better."""
-    return _METRICS[_base(name)].better == "higher"
-
-
 def metric_meaning(name: str) -> str:
     """Return the one-line meaning of a figure."""
     best = "the best baseline's: " if name.startswith(BEST_BASELINE) else ""
@@ -133,7 +116,6 @@ def is_error(name: str) -> bool:
 
 
 def _base(name: str) -> str:
-    """Return the metric that ``name`` is a variant of."""
     name = name.removeprefix(BEST_BASELINE)
     for suffix in _SUFFIXES:
         name = name.removesuffix(suffix)

@@ -29,6 +29,11 @@ Figures = Mapping[str, float]
 Groups = Mapping[str, Figures]
 """Name of an action, joint, category, ... -> its figures."""
 
+_KEYS = {"baselines": "floors"}
+"""Field -> key of evaluation.json, where they differ."""
+_OPTIONAL = ("calibration", "floors")
+"""Keys that are absent where there is nothing in them."""
+
 _MAX_ROWS = 20
 _HEADLINE = ("mpjpe", "mpjpe_gt_scale", "n_mpjpe", "p_mpjpe", "pck@150", "facing")
 _ACTIVITY_HEADLINE = (*_HEADLINE[:-1], "auc", "pck14@150", "auc14", "facing")
@@ -45,10 +50,13 @@ class AnyEvaluation:
     """Of lengths."""
     title: ClassVar[str]
     """What a figure is called in the head of a table."""
+    saved: ClassVar[tuple[str, ...]]
+    """The fields in evaluation.json, in their order."""
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain data for evaluation.json; metrics that do not apply are absent."""
-        raise NotImplementedError
+        found = {_KEYS.get(name, name): getattr(self, name) for name in self.saved}
+        return {key: value for key, value in found.items() if value or key not in _OPTIONAL}
 
     def write_csv(self, path: str | Path) -> None:
         """Write one figure a row: group (overall, action, joint, category, ...), name, protocol, value, unit."""
@@ -64,7 +72,6 @@ class AnyEvaluation:
         return "\n\n".join(part for part in parts if part)
 
     def _rows(self) -> Iterator[list[str]]:
-        """Yield the rows of the CSV below those of ``overall``."""
         raise NotImplementedError
 
     def _tables(self) -> list[str]:
@@ -92,11 +99,9 @@ class AnyEvaluation:
         return _columns(rows, left=(0, len(rows[0]) - 2, len(rows[0]) - 1))
 
     def _shown(self) -> list[str]:
-        """Return the metrics that have a row of their own, in order."""
         return sorted(self.overall, key=metric_order)
 
     def _group_rows(self, groups: Groups, names: Sequence[str], counts: Mapping[str, int]) -> list[list[str]]:
-        """Return a row of figures for each of the largest groups."""
         largest = sorted(groups, key=lambda name: -counts.get(name, 0))[:_MAX_ROWS]
         return [
             [_short(group), f"{counts.get(group, 0):,}", *(self._text(name, groups[group]) for name in names)]
@@ -121,20 +126,7 @@ class Evaluation(AnyEvaluation):
     """What `uplift.metrics.evaluate.evaluate` found of the spread; None for a prediction without one."""
 
     title = "protocol"
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return plain data for evaluation.json; protocols that do not apply are absent."""
-        return {
-            "data": self.data,
-            "unit": self.unit,
-            "frames": self.frames,
-            "overall": self.overall,
-            "per_action": self.per_action,
-            "per_joint": self.per_joint,
-            "per_subject": self.per_subject,
-            **({"calibration": self.calibration} if self.calibration else {}),
-            "notes": self.notes,
-        }
+    saved = ("data", "unit", "frames", "overall", "per_action", "per_joint", "per_subject", "calibration", "notes")
 
     def _rows(self) -> Iterator[list[str]]:
         yield from self._rows_of({"action": self.per_action, "subject": self.per_subject, "joint": self.per_joint})
@@ -220,18 +212,7 @@ class ShapeEvaluation(AnyEvaluation):
     notes: list[str] = field(default_factory=list)
 
     title, unit = "metric", LONGEST_SIDE
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return plain data for evaluation.json; metrics that do not apply are absent."""
-        return {
-            "data": self.data,
-            "unit": self.unit,
-            "items": self.items,
-            "overall": self.overall,
-            "per_category": self.per_category,
-            **({"floors": self.baselines} if self.baselines else {}),
-            "notes": self.notes,
-        }
+    saved = ("data", "unit", "items", "overall", "per_category", "baselines", "notes")
 
     def _rows(self) -> Iterator[list[str]]:
         yield from self._rows_of({"category": self.per_category, "floor": self.baselines})
@@ -248,7 +229,6 @@ class ShapeEvaluation(AnyEvaluation):
         ]
 
     def _shown(self) -> list[str]:
-        """Return the metrics of the run itself: the best baselines' are in their columns."""
         return [name for name in super()._shown() if not (self.baselines and name.startswith(BEST_BASELINE))]
 
     def _category_table(self) -> str:
@@ -273,12 +253,10 @@ def _short(text: str, limit: int = 32) -> str:
 
 def _columns(rows: list[list[str]], left: tuple[int, ...] = (0,)) -> str:
     """Return rows as aligned text: the ``left`` columns to the left, the others to the right."""
-    widths = [max(len(row[place]) for row in rows) for place in range(len(rows[0]))]
-    lines = []
-    for row in rows:
-        cells = (c.ljust(w) if i in left else c.rjust(w) for i, (c, w) in enumerate(zip(row, widths, strict=True)))
-        lines.append("  ".join(cells).rstrip())
-    return "\n".join(lines)
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    sides = ["<" if place in left else ">" for place in range(len(widths))]
+    cells = ([f"{c:{s}{w}}" for c, s, w in zip(row, sides, widths, strict=True)] for row in rows)
+    return "\n".join("  ".join(row).rstrip() for row in cells)
 
 
 # The actions in the order and by the names that papers have in their tables.

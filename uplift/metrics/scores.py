@@ -34,8 +34,6 @@ if TYPE_CHECKING:
 
 __all__ = ["GivenPoses", "Matched", "Scores", "match_poses", "previous_rows", "score"]
 
-# Every protocol of one prediction against one truth, per frame and per joint, chunk by chunk.
-
 _FLIPPED_ERRORS = ("mpjpe_gt_scale", "n_mpjpe", "p_mpjpe")
 """The errors that have a ``*_best_of_flip``."""
 
@@ -111,8 +109,8 @@ def _score_rows(matched: Matched, rows: np.ndarray):
     by_joint, facing = _errors(matched, pose, truth, weight)
     scaled = align(_scale_of(matched), pose, truth, matched.skeleton.root_index, weight)
     if matched.in_mm:
-        by_joint["pck@150"] = (by_joint[_scale_of(matched)] < 150.0).astype(np.float64)
-        by_joint["auc"] = share_above(by_joint[_scale_of(matched)])
+        errors = by_joint[_scale_of(matched)]
+        by_joint |= {"pck@150": (errors < 150.0).astype(np.float64), "auc": share_above(errors)}
         by_joint["pck_z@150"] = (np.abs(scaled - truth)[..., 2] < 150.0).astype(np.float64)
     by_frame = {"stress": stress(scaled, truth, weight), "facing": facing}
     if matched.in_mm and set(JOINTS_14) <= set(matched.skeleton.joints):
@@ -141,8 +139,7 @@ def _errors(matched: Matched, pose, truth, weight) -> tuple[dict[str, np.ndarray
     root = matched.skeleton.root_index
     names = [name for name in ALIGNED_ERRORS if matched.metric or name != "mpjpe"]
     errors = {name: joint_errors(name, pose, truth, root, weight) for name in names}
-    flipped = flip_depth(pose)
-    facing = np.empty(0)
+    flipped, facing = flip_depth(pose), np.empty(0)
     for name in _FLIPPED_ERRORS:
         other = joint_errors(name, flipped, truth, root, weight)
         kept_mean, other_mean = frame_mean(errors[name], weight), frame_mean(other, weight)
@@ -191,7 +188,7 @@ _SCALELESS = ("px", "relative")
 
 @dataclass(frozen=True)
 class GivenPoses:
-    """Anybody's 3D poses: camera frame, relative to the root, in the frames' order of the truth."""
+    """3D poses of any origin: camera frame, relative to the root, in the frames' order of the truth."""
 
     pose: Float[np.ndarray, "frames joints 3"]
     joint_names: tuple[str, ...]
@@ -211,18 +208,13 @@ def match_poses(
 ) -> tuple[Matched, np.ndarray, list[str]]:
     """Return both over the frames that can be compared, which frames those are, and notes for the reader.
 
-    Raises:
-        UserError: no truth, a joint missing on either side, other frames, or no frame left.
+    Raises UserError: no truth, a joint missing on either side, other frames, or no frame left.
     """
     names = prediction.source or "the prediction", truth.source or "the truth"
     target = _check_frames(prediction, truth, names)
     ours, ours_extra = _pick(prediction.joint_names, skeleton, names[0])
     theirs, theirs_extra = _pick(truth.joint_names, skeleton, names[1])
-    pose, target, seen = (
-        np.asarray(prediction.pose)[:, ours],
-        target[:, theirs],
-        truth.confidence[:, theirs] > 0,
-    )
+    pose, target, seen = np.asarray(prediction.pose)[:, ours], target[:, theirs], truth.confidence[:, theirs] > 0
     weight, wanted = counted(pose, target, seen), seen & np.isfinite(target).all(-1)
     kept = weight.sum(1) >= _MIN_JOINTS
     if not kept.any():
@@ -255,7 +247,16 @@ def _check_frames(prediction: GivenPoses | Prediction, truth: PoseData, names: t
             f"{names[0]}: 'pose' has shape {np.shape(prediction.pose)}, expected {expected}: "
             f"(frames joints 3), one row for each frame of {names[1]}."
         )
-    _check_identity(prediction.identity, truth.identity, names)
+    for key in (key for key in truth.identity if key in prediction.identity):
+        one, other = np.asarray(prediction.identity[key]), np.asarray(truth.identity[key])
+        numbers = one.dtype.kind in "iufb" and other.dtype.kind in "iufb"
+        differs = one != other if numbers else one.astype(str) != other.astype(str)
+        if np.shape(one) != np.shape(other) or np.any(differs):
+            row = int(np.argmax(differs)) if np.shape(one) == np.shape(other) else 0
+            raise UserError(
+                f"{names[0]}: '{key}' is not that of {names[1]}: row {row} has {one.flat[row]!s}, expected "
+                f"{other.flat[row]!s}. The frames must be the same, in the same order."
+            )
     return truth.pose
 
 
@@ -279,22 +280,6 @@ def _pick(given: Sequence[str], skeleton: Skeleton, name: str) -> tuple[list[int
 
 def _some(names: list[str]) -> str:
     return ", ".join(names[:8]) + (", ..." if len(names) > 8 else "")
-
-
-def _check_identity(
-    found: Mapping[str, np.ndarray], expected: Mapping[str, np.ndarray], names: tuple[str, str]
-) -> None:
-    """Raise UserError where prediction and truth both name their frames and differ."""
-    for key in (key for key in expected if key in found):
-        one, other = np.asarray(found[key]), np.asarray(expected[key])
-        numbers = one.dtype.kind in "iufb" and other.dtype.kind in "iufb"
-        differs = one != other if numbers else one.astype(str) != other.astype(str)
-        if np.shape(one) != np.shape(other) or np.any(differs):
-            row = int(np.argmax(differs)) if np.shape(one) == np.shape(other) else 0
-            raise UserError(
-                f"{names[0]}: '{key}' is not that of {names[1]}: row {row} has {one.flat[row]!s}, expected "
-                f"{other.flat[row]!s}. The frames must be the same, in the same order."
-            )
 
 
 def _notes(matched: Matched, total: int, unit: str) -> list[str]:

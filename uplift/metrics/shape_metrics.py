@@ -20,42 +20,24 @@ from uplift.geometry.silhouette import cover
 from uplift.models.prediction import ShapePrediction
 
 __all__ = [
-    "OWN_MIRROR",
-    "SIDE",
-    "Silhouette",
-    "Standing",
-    "TrueItem",
-    "azimuth_errors_deg",
-    "compare_surfaces",
-    "elevation_errors_deg",
-    "grid_surface",
-    "handedness",
-    "mesh_surface",
-    "of_mask",
-    "overlap",
-    "predicted",
-    "score_item",
-    "silhouette",
-    "true",
-    "volume_iou",
-    "voxel_centres",
-]
-
-# `Standing`: an occupancy grid where it stands in the camera frame, sampled, moved and mirrored in depth.
+    "OWN_MIRROR", "SIDE", "Silhouette", "Standing", "TrueItem", "azimuth_errors_deg", "compare_surfaces",
+    "elevation_errors_deg", "grid_surface", "handedness", "mesh_surface", "of_mask", "overlap", "predicted",
+    "score_item", "silhouette", "true", "volume_iou", "voxel_centres",
+]  # fmt: skip
 
 _OF_GRID = ("inside", "empty", "span", "surface")
 
 
 @dataclass(frozen=True, eq=False)
 class Standing:
-    """An occupancy grid [z, y, x] of its own cube of -1 to 1; own point p is at ``matrix`` @ p + ``origin``."""
+    """An occupancy grid [z, y, x] in the cube of -1 to 1 of its own frame, whose point p is at ``matrix`` @ p + ``origin``."""
 
     occupancy: Float[Tensor, "depth height width"]
     level: float
     matrix: Float[np.ndarray, "3 3"]
-    """From the own frame to the camera's: a rotation times the scale, with a reflection where mirrored."""
+    """From the shape's frame to the camera's: a rotation times the scale, with a reflection where mirrored."""
     origin: Float[np.ndarray, "3"]
-    """Where the own frame's origin is in the camera frame."""
+    """Where the origin of the shape's frame is in the camera frame."""
     distance: float
     """Of the camera; infinite for parallel rays."""
 
@@ -77,7 +59,7 @@ class Standing:
 
     @cached_property
     def surface(self) -> tuple[Float[np.ndarray, "vertices 3"], Int[np.ndarray, "faces 3"]]:
-        """Vertices in the own frame, and faces, of the surface at the level (marching cubes); none of an empty shape."""
+        """Vertices in the shape's frame, and faces, of the surface at the level (marching cubes); none of an empty shape."""
         if self.empty:
             return np.zeros((0, 3)), np.zeros((0, 3), int)
         side = self.occupancy.shape[0]
@@ -109,16 +91,12 @@ class Standing:
 
     @cached_property
     def inverse(self) -> Float[np.ndarray, "3 3"]:
-        """From the camera's directions to the own frame's."""
+        """From the camera's directions to those of the shape's frame."""
         return np.linalg.inv(self.matrix)
 
     def to_camera(self, points: Float[np.ndarray, "*points 3"]) -> Float[np.ndarray, "*points 3"]:
-        """Return points of the own frame in the camera's."""
+        """Return points of the shape's frame in the camera's."""
         return points @ self.matrix.T + self.origin
-
-    def to_own(self, points: Float[np.ndarray, "*points 3"]) -> Float[np.ndarray, "*points 3"]:
-        """Return points of the camera frame in the own one."""
-        return (points - self.origin) @ self.inverse.T
 
     def inside_at(
         self, points: Float[Tensor, "depth height width 3"], matrix: np.ndarray, origin: np.ndarray
@@ -126,12 +104,10 @@ class Standing:
         """Return which points of another frame are inside; that frame's point p is at ``matrix`` @ p + ``origin``."""
         turn = torch.from_numpy(self.inverse @ matrix).float()
         start = torch.from_numpy(self.inverse @ (origin - self.origin)).float()
-        return (self.sample(points @ turn.T + start) > self.level).numpy()
-
-    def sample(self, points: Float[Tensor, "depth height width 3"]) -> Float[Tensor, "depth height width"]:
-        """Return the occupancy at points of the own frame, between voxels linearly; 0 outside the cube."""
-        found = torch.nn.functional.grid_sample(self.occupancy[None, None], points[None].float(), align_corners=False)
-        return found[0, 0]
+        points = (points @ turn.T + start)[None].float()
+        # Between voxels linearly; 0 outside the cube.
+        found = torch.nn.functional.grid_sample(self.occupancy[None, None], points, align_corners=False)
+        return (found[0, 0] > self.level).numpy()
 
     def moved(self, step: float) -> Standing:
         """Return the shape farther away by ``step``."""
@@ -155,23 +131,22 @@ class Standing:
 
 
 def predicted(prediction: ShapePrediction, row: int) -> Standing:
-    """Return a lifted shape where the prediction says it stands."""
-    placed = (prediction.view, prediction.scale, prediction.offset, prediction.distance)
-    return _standing(prediction.occupancy[row], prediction.level, *(part[row] for part in placed))
+    """Return a lifted shape where the prediction puts it."""
+    return _standing(prediction.occupancy[row], prediction.level, prediction, row)
 
 
 def true(truth: Placed, row: int, filled: Bool[np.ndarray, "depth height width"]) -> Standing:
-    """Return a true shape where it stands, given its filled grid."""
-    return _standing(filled, 0.5, *(part[row] for part in (truth.view, truth.scale, truth.offset, truth.distance)))
+    """Return a true shape at its true place, given its filled grid."""
+    return _standing(filled, 0.5, truth, row)
 
 
-def _standing(occupancy: np.ndarray, level: float, view, scale, offset, distance) -> Standing:
+def _standing(occupancy: np.ndarray, level: float, placed: ShapePrediction | Placed, row: int) -> Standing:
     return Standing(
         torch.from_numpy(np.ascontiguousarray(occupancy, np.float32)),
         level,
-        np.asarray(view, np.float64) * float(scale),
-        np.array([*offset, 0.0], np.float64),
-        float(distance),
+        np.asarray(placed.view[row], np.float64) * float(placed.scale[row]),
+        np.array([*placed.offset[row], 0.0], np.float64),
+        float(placed.distance[row]),
     )
 
 
@@ -216,7 +191,6 @@ def silhouette(shape: Standing, pixel: float) -> Silhouette:
 def _drawn(
     points: Float[np.ndarray, "vertices 3"], faces: Int[np.ndarray, "faces 3"], distance: float, pixel: float
 ) -> Silhouette:
-    """Return the pixels whose centre's ray meets one of the triangles; ``points`` are in the camera frame."""
     if not len(faces):
         return _NOTHING
     image = points[:, :2] / np.maximum(1 + points[:, 2:] / distance, _NEAREST) / pixel
@@ -237,37 +211,16 @@ def of_mask(mask: np.ndarray) -> Silhouette:
 
 def overlap(first: Silhouette, second: Silhouette) -> float:
     """Return the pixels that both cover, of those that either covers; 0 where neither covers any."""
-    low = max(first.row, second.row), max(first.column, second.column)
-    high = [
-        min(a + n, b + m)
-        for a, n, b, m in zip(
-            (first.row, first.column),
-            first.covered.shape,
-            (second.row, second.column),
-            second.covered.shape,
-            strict=True,
-        )
-    ]
-    parts = [
-        s.covered[
-            max(low[0] - s.row, 0) : max(high[0] - s.row, 0), max(low[1] - s.column, 0) : max(high[1] - s.column, 0)
-        ]
-        for s in (first, second)
-    ]
-    shared = int((parts[0] & parts[1]).sum()) if parts[0].size and parts[1].size else 0
+    corner = np.array([[s.row, s.column] for s in (first, second)])
+    low = corner.max(0)
+    high = np.maximum((corner + [s.covered.shape for s in (first, second)]).min(0), low)
+    inside = (
+        s.covered[tuple(slice(a, b) for a, b in zip(low - at, high - at, strict=True))]
+        for s, at in zip((first, second), corner, strict=True)
+    )
+    shared = int(np.logical_and(*inside).sum())
     either = int(first.covered.sum()) + int(second.covered.sum()) - shared
     return shared / either if either else 0.0
-
-
-def _seen_iou(shape: Standing, mask: np.ndarray) -> float:
-    """Return the overlap of a shape's silhouette in its own camera with the input mask's."""
-    return overlap(silhouette(shape, 2 / SIDE), of_mask(mask))
-
-
-def _turns(view: Float[np.ndarray, "3 3"]) -> list[np.ndarray]:
-    """Return the rotations of the camera frame that turn a shape seen from ``view`` about its own y, gravity."""
-    azimuth = torch.deg2rad(torch.tensor(_NEW_AZIMUTHS_DEG, dtype=torch.float64))
-    return [view @ turn @ view.T for turn in about_y(azimuth).numpy()]
 
 
 # Surfaces: points and normals of meshes and of occupancy grids, and how near two of them are.
@@ -276,8 +229,6 @@ _POINTS = 10_000
 """Points on each surface."""
 THRESHOLD = 0.02
 """Of the f_score, in the truth's longest side."""
-NOTHING = {"chamfer": 1.0, "f_score": 0.0, "normal_consistency": 0.0}
-"""What a shape without surface scores: its distance is taken for the truth's longest side."""
 
 
 @dataclass(frozen=True)
@@ -299,7 +250,7 @@ class _Surface:
 
 
 def mesh_surface(mesh: Mesh, truth: Standing, points: int = _POINTS) -> _Surface:
-    """Return points spread evenly over the mesh's outer surface, where ``truth`` (its filled grid) stands.
+    """Return points spread evenly over the mesh's outer surface, in the place of ``truth`` (its filled grid).
 
     A point is inside the union, and left out, where the filled grid is occupied a voxel away on both
     sides of its triangle.
@@ -343,7 +294,7 @@ def _occupied(inside: Bool[np.ndarray, "depth height width"], points: np.ndarray
 
 
 def _standing_surface(shape: Standing, points: np.ndarray, normals: np.ndarray) -> _Surface:
-    """Return own points and normals in the camera frame; its matrix is a rotation, perhaps mirrored, times a scale."""
+    """Return points and normals of the shape's frame in the camera frame; its matrix is a rotation, perhaps mirrored, times a scale."""
     turned = normals @ shape.matrix.T
     return _Surface(shape.to_camera(points), turned / np.maximum(np.linalg.norm(turned, axis=1), 1e-30)[:, None])
 
@@ -351,13 +302,13 @@ def _standing_surface(shape: Standing, points: np.ndarray, normals: np.ndarray) 
 def compare_surfaces(found: _Surface | None, truth: _Surface, longest: float) -> dict[str, float]:
     """Return chamfer (in ``longest``), f_score and normal_consistency of two surfaces."""
     if found is None:
-        return dict(NOTHING)
+        return {"chamfer": 1.0, "f_score": 0.0, "normal_consistency": 0.0}  # as far as the truth is long
     to_truth, nearest_true = truth.nearest_to(found)
     to_found, nearest_found = found.nearest_to(truth)
     precision, recall = ((away <= THRESHOLD * longest).mean() for away in (to_truth, to_found))
     cosines = [
-        np.abs((found.normals * truth.normals[nearest_true]).sum(1)).mean(),
-        np.abs((truth.normals * found.normals[nearest_found]).sum(1)).mean(),
+        np.abs((one.normals * other.normals[nearest]).sum(1)).mean()
+        for one, other, nearest in ((found, truth, nearest_true), (truth, found, nearest_found))
     ]
     return {
         "chamfer": float((to_truth.mean() + to_found.mean()) / 2 / longest),
@@ -388,24 +339,19 @@ def volume_iou(found: Standing, truth: Standing, mirrored: bool = False) -> floa
     points = voxel_centres(side)[truth.span]
     occupied = found.occupied
     if mirrored:
-        points = _other_way(
-            points @ torch.from_numpy(truth.matrix.T).float() + torch.from_numpy(truth.origin).float(), truth
-        )
+        matrix, origin = (torch.from_numpy(part).float() for part in (truth.matrix.T, truth.origin))
+        points = _other_way(points @ matrix + origin, truth)
         inside = found.inside_at(points, np.eye(3), np.zeros(3))
         occupied = _other_way(torch.from_numpy(occupied), truth).numpy()
     else:
         inside = found.inside_at(points, truth.matrix, truth.origin)
-    low, high = (np.array([2 * end / side - 1 for end in ends[::-1]]) for ends in _ends(truth))
-    own = truth.to_own(occupied)
+    z, y, x = truth.span
+    low, high = (2 * np.array(end) / side - 1 for end in ((x.start, y.start, z.start), (x.stop, y.stop, z.stop)))
+    own = (occupied - truth.origin) @ truth.inverse.T
     outside = int(((own < low) | (own > high)).any(1).sum()) * found.voxel**3
-    shared, either = (
-        int(both.sum()) for both in (inside & truth.inside[truth.span], inside | truth.inside[truth.span])
-    )
+    true_inside = truth.inside[truth.span]
+    shared, either = int((inside & true_inside).sum()), int((inside | true_inside).sum())
     return shared * truth.voxel**3 / (either * truth.voxel**3 + outside)
-
-
-def _ends(shape: Standing) -> list[tuple[int, ...]]:
-    return list(zip(*((s.start, s.stop) for s in shape.span), strict=True))
 
 
 def _other_way(points: Tensor, truth: Standing) -> Tensor:
@@ -441,14 +387,16 @@ _CANDIDATES_DEG = np.arange(0, 360, 1.0)
 def azimuth_errors_deg(
     view: Float[np.ndarray, "items 3 3"], truth: Float[np.ndarray, "items 3 3"]
 ) -> Float[np.ndarray, " items"] | None:
-    """Return each view's error about gravity after the one turn of all own frames with the least mean error.
+    """Return each view's error about gravity after the one turn of all shapes' frames with the least mean error.
 
     A shape learnt from masks alone faces anywhere, but all of one kind should face alike. None where
     every view is the same: such shapes are given in the camera's frame, and face nowhere.
     """
     if len(view) < 2 or np.ptp(view, axis=0).max() < 1e-6:
         return None
-    off = _azimuth_deg(view) - _azimuth_deg(truth)
+    # Where the shape's z points, against the camera's depth.
+    azimuth, true_azimuth = (np.degrees(np.arctan2(-views[:, 2, 0], views[:, 2, 2])) for views in (view, truth))
+    off = azimuth - true_azimuth
     errors = np.abs((off - _CANDIDATES_DEG[:, None] + 180) % 360 - 180)
     return errors[errors.mean(1).argmin()]
 
@@ -456,22 +404,11 @@ def azimuth_errors_deg(
 def elevation_errors_deg(
     view: Float[np.ndarray, "items 3 3"], truth: Float[np.ndarray, "items 3 3"]
 ) -> Float[np.ndarray, " items"] | None:
-    """Return each view's error in the tilt against gravity, the own frame's y; None where every view is the same."""
+    """Return each view's error in the tilt against gravity, the y of the shape's frame; None where every view is the same."""
     if len(view) < 2 or np.ptp(view, axis=0).max() < 1e-6:
         return None
-    return np.abs(_tilt_deg(view) - _tilt_deg(truth))
-
-
-def _azimuth_deg(view: np.ndarray) -> np.ndarray:
-    """Return how far each shape is turned about its own y: where its z points, against the camera's depth."""
-    return np.degrees(np.arctan2(-view[:, 2, 0], view[:, 2, 2]))
-
-
-def _tilt_deg(view: np.ndarray) -> np.ndarray:
-    return np.degrees(np.arcsin(np.clip(view[:, 2, 1], -1, 1)))
-
-
-# Every metric of one lifted shape against its truth.
+    tilt, true_tilt = (np.degrees(np.arcsin(np.clip(views[:, 2, 1], -1, 1))) for views in (view, truth))
+    return np.abs(tilt - true_tilt)
 
 
 class TrueItem:
@@ -480,7 +417,9 @@ class TrueItem:
     def __init__(self, truth: Placed, row: int, filled: Bool[np.ndarray, "depth height width"]) -> None:
         self.mesh: Mesh = truth.meshes[int(truth.shape[row])]
         self.standing: Standing = true(truth, row, filled)
-        self.turns = _turns(np.asarray(truth.view[row], np.float64))
+        view = np.asarray(truth.view[row], np.float64)
+        azimuth = torch.deg2rad(torch.tensor(_NEW_AZIMUTHS_DEG, dtype=torch.float64))
+        self.turns = [view @ turn @ view.T for turn in about_y(azimuth).numpy()]
         self.longest = float(np.ptp(self.mesh.vertices, axis=0).max()) * float(truth.scale[row])
 
     @cached_property
@@ -500,18 +439,14 @@ class TrueItem:
         points = self.mesh.vertices @ self.standing.matrix.T
         return [_drawn(points @ turn.T, self.mesh.faces, self.standing.distance, self.pixel) for turn in self.turns]
 
-    def turned(self, shape: Standing, turn: np.ndarray) -> Standing:
-        """Return a shape turned about the truth's origin."""
-        return shape.turned(turn, self.standing.origin)
-
 
 def score_item(found: Standing, truth: TrueItem, mask: np.ndarray) -> dict[str, float]:
     """Return the metrics of one shape; the depths of the centroids are brought together for all but the seen view."""
-    seen = _seen_iou(found, mask)
+    seen = overlap(silhouette(found, 2 / SIDE), of_mask(mask))
     found = found.moved(truth.standing.depth - found.depth)
     volume = volume_iou(found, truth.standing)
     new = [
-        overlap(silhouette(truth.turned(found, turn), truth.pixel), true_one)
+        overlap(silhouette(found.turned(turn, truth.standing.origin), truth.pixel), true_one)
         for turn, true_one in zip(truth.turns, truth.silhouettes, strict=True)
     ]
     return {

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections import deque
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cache, cached_property
@@ -15,7 +15,7 @@ from jaxtyping import Float, Int
 from uplift.config.files import shipped, shipped_names
 from uplift.config.yaml_file import read_yaml
 from uplift.errors import UserError, did_you_mean
-from uplift.skeleton.validate import BODY_KEYS, check_skeleton
+from uplift.skeleton.validate import BODY_KEYS, check_skeleton, direction_weights, mirror_places
 
 __all__ = ["CENTRE", "LEFT", "RIGHT", "Skeleton", "bone_sides", "joint_sides", "load_skeleton", "mirrored_bones"]
 
@@ -68,10 +68,7 @@ class Skeleton:
     @cached_property
     def mirror_permutation(self) -> Int[np.ndarray, " joints"]:
         """For each joint the index of its mirror partner; its own where it has none."""
-        places = np.arange(len(self.joints))
-        for one, other in self.mirror:
-            places[[self.index(one), self.index(other)]] = self.index(other), self.index(one)
-        return _read_only(places)
+        return _read_only(mirror_places(self.joints, self.mirror))
 
     @cached_property
     def bone_mirror_permutation(self) -> Int[np.ndarray, " bones"]:
@@ -91,12 +88,7 @@ class Skeleton:
     @cached_property
     def parents(self) -> dict[str, str | None]:
         """The parent of each joint in the tree found breadth first from the root; None for the root."""
-        return tree_parents(self.joints, self.bones, self.root)
-
-    @cached_property
-    def directions(self) -> tuple[str, ...]:
-        """The facing directions that this skeleton defines, of front, left and up."""
-        return tuple(self.facing)
+        return _tree_parents(self.joints, self.bones, self.root)
 
     def facing_matrix(self, direction: str) -> Float[np.ndarray, " joints"]:
         """Return weights with ``weights @ pose`` = the vector of ``direction`` (front, left or up).
@@ -105,29 +97,21 @@ class Skeleton:
         skeleton does not give the direction.
         """
         if direction not in self.facing:
-            raise UserError(
-                f"Skeleton '{self.name}' gives no facing direction '{direction}'."
-                + did_you_mean(direction, self.facing)
-            )
-        weights = np.zeros(len(self.joints))
-        for sign, end in zip((-1.0, 1.0), self.facing[direction], strict=True):
-            for joint in end:
-                weights[self.index(joint)] += sign / len(end)
-        return weights
+            hint = did_you_mean(direction, self.facing)
+            raise UserError(f"Skeleton '{self.name}' gives no facing direction '{direction}'.{hint}")
+        return direction_weights(self.facing[direction], self.joints)
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain data in the form of the YAML file; `from_dict` turns it back."""
-        data: dict[str, Any] = {"name": self.name, "description": self.description}
-        data |= {"joints": list(self.joints), "root": self.root, "bones": [list(bone) for bone in self.bones]}
-        data |= {"loops": self.loops, "mirror": [list(pair) for pair in self.mirror]}
-        data["facing"] = {name: [list(start), list(end)] for name, (start, end) in self.facing.items()}
-        data |= {"gravity": self.gravity, "rigid": self.rigid}
-        data["midpoints"] = {joint: list(parts) for joint, parts in self.midpoints.items()}
-        data["from"] = {
-            layout: {joint: list(parts) for joint, parts in joints.items()} for layout, joints in self.sources.items()
-        }
-        data["size"] = dict(self.size)
-        return data | {key: self.body[key] for key in BODY_KEYS if key in self.body}
+        return {
+            "name": self.name, "description": self.description, "joints": list(self.joints), "root": self.root,
+            "bones": [list(bone) for bone in self.bones], "loops": self.loops,
+            "mirror": [list(pair) for pair in self.mirror],
+            "facing": {name: [list(start), list(end)] for name, (start, end) in self.facing.items()},
+            "gravity": self.gravity, "rigid": self.rigid, "midpoints": {joint: list(parts) for joint, parts in self.midpoints.items()},
+            "from": {name: {joint: list(parts) for joint, parts in of.items()} for name, of in self.sources.items()},
+            "size": dict(self.size), **{key: self.body[key] for key in BODY_KEYS if key in self.body},
+        }  # fmt: skip
 
     @classmethod
     def from_dict(cls, data: object) -> Skeleton:
@@ -140,7 +124,7 @@ def load_skeleton(name_or_path: str | Path) -> Skeleton:
     """Return a shipped skeleton by its name, or that of a YAML file; raises UserError with file and line."""
     if str(name_or_path) in shipped_names("skeletons"):
         return _load(shipped("skeletons") / f"{name_or_path}.yaml")
-    return _load.__wrapped__(_skeleton_path(name_or_path))  # a user's file may change
+    return _load.__wrapped__(_skeleton_path(str(name_or_path)))  # a user's file may change
 
 
 @cache
@@ -151,63 +135,45 @@ def _load(path: Path) -> Skeleton:
     return _from_checked(check_skeleton(data, where))
 
 
-def _skeleton_path(name_or_path: str | Path) -> Path:
-    text = str(name_or_path)
-    names = shipped_names("skeletons")
-    if text in names:
-        return shipped("skeletons") / f"{text}.yaml"
+def _skeleton_path(text: str) -> Path:
     path = Path(text).expanduser()
     if path.suffix.lower() in (".yaml", ".yml") or len(path.parts) != 1 or path.is_file():
         return path
     beside = path.with_name(path.name + ".yaml")
     if path.name and beside.is_file():
         raise UserError(f"There is no skeleton named '{text}', but a file {beside}. Write skeleton={beside}.")
-    raise UserError(
-        f"There is no skeleton named '{text}': expected a shipped name or the path of a YAML file."
-        + did_you_mean(text, names)
-    )
+    hint = did_you_mean(text, shipped_names("skeletons"))
+    raise UserError(f"There is no skeleton named '{text}': expected a shipped name or the path of a YAML file.{hint}")
 
 
-def tree_parents(joints: tuple[str, ...], bones: tuple[tuple[str, str], ...], root: str) -> dict[str, str | None]:
+def _tree_parents(joints: tuple[str, ...], bones: tuple[tuple[str, str], ...], root: str) -> dict[str, str | None]:
     """Return the parent of every joint that bones connect to ``root``, found breadth first."""
     neighbours: dict[str, list[str]] = {joint: [] for joint in joints}
     for one, other in bones:
         neighbours[one].append(other)
         neighbours[other].append(one)
     parents: dict[str, str | None] = {root: None}
-    queue = deque([root])
-    while queue:
-        joint = queue.popleft()
-        for other in neighbours[joint]:
-            if other not in parents:
-                parents[other] = joint
-                queue.append(other)
+    queue = [root]
+    for joint in queue:
+        new = [other for other in neighbours[joint] if other not in parents]
+        parents |= dict.fromkeys(new, joint)
+        queue += new
     return parents
 
 
 def _from_checked(data: dict[str, Any]) -> Skeleton:
-    """Return the skeleton of checked data, its bones turned to (parent, child)."""
-    joints = tuple(data["joints"])
-    bones = tuple((one, other) for one, other in data["bones"])
-    parents = tree_parents(joints, bones, data["root"])
+    """Return the skeleton of checked data, each bone as (parent, child)."""
+    joints, bones = tuple(data["joints"]), tuple(map(tuple, data["bones"]))
+    parents = _tree_parents(joints, bones, data["root"])
     return Skeleton(
-        name=data["name"],
+        **{key: data[key] for key in ("name", "root", "gravity", "rigid", "size", "loops", "description")},
         joints=joints,
-        root=data["root"],
         bones=tuple((other, one) if parents[one] == other else (one, other) for one, other in bones),
-        mirror=tuple((one, other) for one, other in data["mirror"]),
+        mirror=tuple(map(tuple, data["mirror"])),
         facing={name: (tuple(start), tuple(end)) for name, (start, end) in data["facing"].items()},
-        gravity=data["gravity"],
-        rigid=data["rigid"],
-        sources={
-            layout: {joint: tuple(parts) for joint, parts in joints_of.items()}
-            for layout, joints_of in data["from"].items()
-        },
+        sources={name: {j: tuple(parts) for j, parts in of.items()} for name, of in data["from"].items()},
         body={key: data[key] for key in BODY_KEYS if key in data},
         midpoints={joint: tuple(parts) for joint, parts in data["midpoints"].items()},
-        size=data["size"],
-        loops=data["loops"],
-        description=data["description"],
     )
 
 
@@ -215,8 +181,6 @@ def _read_only(array: np.ndarray) -> np.ndarray:
     array.setflags(write=False)
     return array
 
-
-# The two sides: which joint of a mirror pair is the left one, and which bones mirror each other.
 
 CENTRE, LEFT, RIGHT = 0, 1, 2
 
@@ -253,17 +217,10 @@ def mirrored_bones(skeleton: Skeleton) -> Int[np.ndarray, "pairs 2"]:
 def _left_of(pair: tuple[str, str], to_left: set[str]) -> str | None:
     """Return the left joint of a pair; None where neither the names nor the ``left`` direction decide it."""
     for left_word, right_word in (("left", "right"), ("l", "r")):
-        for left, right in (pair, pair[::-1]):
-            if _differs_by(left.lower(), right.lower(), left_word, right_word):
-                return left
+        for name, other in (pair, pair[::-1]):
+            left, right = name.lower(), other.lower()
+            for at in re.finditer(left_word, left):
+                if left[: at.start()] + right_word + left[at.end() :] == right:
+                    return name
     ends = [name for name in pair if name in to_left]
     return ends[0] if len(ends) == 1 else None
-
-
-def _differs_by(left: str, right: str, left_word: str, right_word: str) -> bool:
-    at = left.find(left_word)
-    while at >= 0:
-        if left[:at] + right_word + left[at + len(left_word) :] == right:
-            return True
-        at = left.find(left_word, at + 1)
-    return False

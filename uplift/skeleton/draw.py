@@ -6,15 +6,15 @@ import textwrap
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Bool, Float, Real
+from jaxtyping import Float, Real
 from PIL import Image, ImageDraw, ImageFont
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import shortest_path
 
 from uplift.errors import UserError
 from uplift.skeleton.core import CENTRE, LEFT, RIGHT, Skeleton, joint_sides
 
 __all__ = ["draw_skeleton", "rest_pose", "skeleton_layout"]
-
-# Where each joint goes in the plane: from the rest pose, or from the bones alone.
 
 _AZIMUTHS_DEG = (0.0, 30.0, 55.0, 75.0)
 _LOW_WORDS = ("foot", "toe", "ankle", "heel", "paw", "hoof", "tars", "claw", "leg", "tail")
@@ -33,8 +33,8 @@ def rest_pose(skeleton: Skeleton) -> Float[np.ndarray, "joints 3"] | None:
     pose = np.zeros((len(skeleton.joints), 3))
     for joint, parent in skeleton.parents.items():
         if parent is not None:
-            way = np.asarray(rest[joint], dtype=float)
-            step = way / np.linalg.norm(way) * lengths.get(joint, usual)
+            direction = np.asarray(rest[joint], dtype=float)
+            step = direction / np.linalg.norm(direction) * lengths.get(joint, usual)
             pose[skeleton.index(joint)] = pose[skeleton.index(parent)] + step
     return pose
 
@@ -84,7 +84,9 @@ def _plane_figure(skeleton: Skeleton) -> Float[np.ndarray, "joints 2"]:
     else:
         space = _classical_scaling(wanted)
         apart = np.linalg.norm(space - space[across], axis=1) / 2
-        even = _main_axis((space + space[across]) / 2)
+        centred = (space + space[across]) / 2
+        centred = centred - centred.mean(0)
+        even = centred @ np.linalg.svd(centred, full_matrices=False)[2][0]  # along the main axis
         place = np.stack([sign * apart, even], axis=1)
     weight = 1 / (wanted + np.eye(len(wanted))) ** 2 * (1 - np.eye(len(wanted)))
     laplacian = np.linalg.pinv(np.diag(weight.sum(1)) - weight)
@@ -101,13 +103,8 @@ def _plane_figure(skeleton: Skeleton) -> Float[np.ndarray, "joints 2"]:
 
 def _distances(skeleton: Skeleton) -> Float[np.ndarray, "joints joints"]:
     """Return the number of bones between any two joints."""
-    count = len(skeleton.joints)
-    distance = np.full((count, count), np.inf)
-    np.fill_diagonal(distance, 0)
-    distance[tuple(skeleton.bone_indices.T)] = distance[tuple(skeleton.bone_indices.T[::-1])] = 1
-    for via in range(count):
-        distance = np.minimum(distance, distance[:, via, None] + distance[None, via])
-    return distance
+    count, ends = len(skeleton.joints), skeleton.bone_indices.T
+    return shortest_path(coo_matrix((np.ones(ends.shape[1]), ends), (count, count)), directed=False, unweighted=True)
 
 
 def _classical_scaling(distance: Float[np.ndarray, "joints joints"]) -> Float[np.ndarray, "joints axes"]:
@@ -115,11 +112,6 @@ def _classical_scaling(distance: Float[np.ndarray, "joints joints"]) -> Float[np
     values, vectors = np.linalg.eigh(-0.5 * centre @ distance**2 @ centre)
     keep = np.argsort(values)[::-1][: min(8, len(values))]
     return vectors[:, keep] * np.sqrt(np.maximum(values[keep], 0))
-
-
-def _main_axis(points: Float[np.ndarray, "joints axes"]) -> Float[np.ndarray, " joints"]:
-    centred = points - points.mean(0)
-    return centred @ np.linalg.svd(centred, full_matrices=False)[2][0]
 
 
 def _fan(skeleton: Skeleton) -> Float[np.ndarray, "joints 2"]:
@@ -145,24 +137,20 @@ def _upright(place: Float[np.ndarray, "joints 2"], skeleton: Skeleton) -> Float[
     """Turn the figure so that up, or the front of a body seen from above, points up the image."""
     vectors = {name: skeleton.facing_matrix(name) @ place for name in skeleton.facing}
     up = vectors.get("up", np.zeros(2))
-    low = _low_joints(skeleton)
+    low = np.array([any(word in joint.casefold() for word in _LOW_WORDS) for joint in skeleton.joints])
     if not np.linalg.norm(up) > 0.5 and "up" not in vectors and low.any() and not low.all():
         up = place[~low].mean(0) - place[low].mean(0)
     front = vectors.get("front", np.zeros(2))
     above = bool(skeleton.mirror) and np.linalg.norm(front) > 1.5 * np.linalg.norm(up)
-    way = front if above else up
-    if np.linalg.norm(way) < 1e-3:
+    direction = front if above else up
+    if np.linalg.norm(direction) < 1e-3:
         return place
-    turn = -np.pi / 2 - np.arctan2(way[1], way[0])
+    turn = -np.pi / 2 - np.arctan2(direction[1], direction[0])
     rotation = np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]])
     turned = place @ rotation.T
     left = vectors["left"] @ rotation.T if "left" in vectors else np.array([1.0, 0.0])
     flip = (left[0] < 0) != above
     return turned * np.array([-1.0 if flip else 1.0, 1.0])
-
-
-def _low_joints(skeleton: Skeleton) -> Bool[np.ndarray, " joints"]:
-    return np.array([any(word in joint.casefold() for word in _LOW_WORDS) for joint in skeleton.joints])
 
 
 # The picture: labelled joints, bones in the colours of the sides, facing arrows.
@@ -203,18 +191,17 @@ def _arrows(skeleton: Skeleton, place: Float[np.ndarray, "joints 2"]) -> dict[st
         name: tuple(place[[skeleton.index(joint) for joint in end]].mean(0) for end in pair)
         for name, pair in skeleton.facing.items()
     }
-    ways = {name: stop - start for name, (start, stop) in ends.items()}
+    vectors = {name: stop - start for name, (start, stop) in ends.items()}
     drawn: dict[str, tuple[np.ndarray, np.ndarray]] = {}
-    for name in sorted(ways, key=lambda name: -np.linalg.norm(ways[name])):
-        length = np.linalg.norm(ways[name])
-        along = [abs(ways[name] @ ways[other]) / length / np.linalg.norm(ways[other]) for other in drawn]
+    for name in sorted(vectors, key=lambda name: -np.linalg.norm(vectors[name])):
+        length = np.linalg.norm(vectors[name])
+        along = [abs(vectors[name] @ vectors[other]) / length / np.linalg.norm(vectors[other]) for other in drawn]
         if length > 8 and max(along, default=0) < 0.95:
-            drawn[name] = (ends[name][0], ends[name][0] + ways[name] / length * max(length, 60))
+            drawn[name] = (ends[name][0], ends[name][0] + vectors[name] / length * max(length, 60))
     return drawn
 
 
 def _fit(place: Float[np.ndarray, "joints 2"]) -> Float[np.ndarray, "joints 2"]:
-    """Scale and shift to the picture's pixels, the shape kept."""
     low, high = place.min(0), place.max(0)
     scale = (_SIZE_PX - 2 * _MARGIN_PX) / max(float((high - low).max()), 1e-9)
     middle = np.array([_SIZE_PX / 2, _MARGIN_PX + scale * (high - low)[1] / 2])
@@ -222,14 +209,11 @@ def _fit(place: Float[np.ndarray, "joints 2"]) -> Float[np.ndarray, "joints 2"]:
 
 
 def _text_lines(skeleton: Skeleton, drawn: set[str]) -> list[tuple[str, str]]:
-    """Return the lines of text above the picture, each with its colour."""
     title = f"{skeleton.name}: {len(skeleton.joints)} joints, {len(skeleton.bones)} bones, root {skeleton.root}"
-    title += "" if skeleton.gravity else ", no gravity"
-    title += ", rigid" if skeleton.rigid else ""
+    title += ("" if skeleton.gravity else ", no gravity") + (", rigid" if skeleton.rigid else "")
     lines = [(title, "#000000")]
     if skeleton.mirror:
-        lines.append(("its left", _COLOURS[LEFT]))
-        lines.append(("its right", _COLOURS[RIGHT]))
+        lines += [("its left", _COLOURS[LEFT]), ("its right", _COLOURS[RIGHT])]
     for direction, (start, stop) in skeleton.facing.items():
         words = f"{direction}: from {_several(start)} to {_several(stop)}"
         words += "" if direction in drawn else " (into the page or out of it)"
@@ -268,10 +252,10 @@ class _Picture:
             self.draw.ellipse([x - r, y - r, x + r, y + r], fill=fill)
 
     def arrow(self, start: np.ndarray, stop: np.ndarray, colour: str) -> None:
-        way = (stop - start) / np.linalg.norm(stop - start)
-        side = np.array([-way[1], way[0]])
-        self.draw.line([self.at(start), self.at(stop - 14 * way)], fill=colour, width=3 * _SHARPEN)
-        head = [stop, stop - 20 * way + 9 * side, stop - 20 * way - 9 * side]
+        direction = (stop - start) / np.linalg.norm(stop - start)
+        side = np.array([-direction[1], direction[0]])
+        self.draw.line([self.at(start), self.at(stop - 14 * direction)], fill=colour, width=3 * _SHARPEN)
+        head = [stop, stop - 20 * direction + 9 * side, stop - 20 * direction - 9 * side]
         self.draw.polygon([self.at(corner) for corner in head], fill=colour)
 
     def labels(self, skeleton: Skeleton, place: Float[np.ndarray, "joints 2"], arrows: list) -> None:
@@ -310,8 +294,8 @@ def _freest(
     best, best_cost = None, np.inf
     for reach in (14, 28):
         for angle in np.radians([0, 180, 35, 145, -35, -145, 90, -90]):
-            way = np.array([np.cos(angle), np.sin(angle)])
-            low = at + way * reach + size * (np.sign(np.round(way, 2)) - 1) / 2
+            direction = np.array([np.cos(angle), np.sin(angle)])
+            low = at + direction * reach + size * (np.sign(np.round(direction, 2)) - 1) / 2
             box = np.concatenate([low, low + size])
             inside = ((points > box[:2] - 3) & (points < box[2:] + 3)).all(1).sum()
             over = ((boxes[:, :2] < box[2:]) & (boxes[:, 2:] > box[:2])).all(1).sum()

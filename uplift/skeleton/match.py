@@ -111,15 +111,14 @@ def build_pose(
 
 
 def _finders(names: list[str]) -> list[Find]:
-    """Return ways to find names: exact, then with capitals, then with blanks, dashes and underscores ignored."""
+    """Return how to find names: exactly, then ignoring capitals, then blanks, dashes and underscores too."""
     letters = lambda name: re.sub(r"[\s_-]+", "", name).casefold()  # noqa: E731
     return [_found_by(names, fold) for fold in (str, str.casefold, letters)]
 
 
 def _found_by(names: list[str], fold: Callable[[str], str]) -> Find:
-    """Find exact names, else the only one that ``fold`` makes equal."""
     exact = {name: place for place, name in enumerate(names)}
-    count = Counter(fold(name) for name in names)
+    count = Counter(map(fold, names))
     folded = {fold(name): place for name, place in exact.items() if count[fold(name)] == 1}
     return lambda name: exact.get(name, folded.get(fold(name)))
 
@@ -185,7 +184,6 @@ def _places(match: JointMatch, names: Sequence[str], skeleton: Skeleton) -> list
 
 
 def _refusal(names: list[str], skeleton: Skeleton) -> str:
-    """Return what is missing, what was found, the nearest names, and the layouts that were tried."""
     find = _finders(names)[-1]
     missing = [joint for joint in skeleton.joints if find(joint) is None and joint not in skeleton.midpoints]
     hints = [f"'{joint}'{nearest(joint, names)}" for joint in missing[:6]]
@@ -198,9 +196,8 @@ def _refusal(names: list[str], skeleton: Skeleton) -> str:
     }
     closest = sorted(lacking, key=lambda layout: len(lacking[layout]))
     for layout in closest[:_MOST_LAYOUTS]:
-        gone = lacking[layout]
-        shown = ", ".join(gone[:3]) + (f" and {len(gone) - 3} more" if len(gone) > 3 else "")
-        text += f" Not {layout} either: no {shown}."
+        more = f" and {len(lacking[layout]) - 3} more" if len(lacking[layout]) > 3 else ""
+        text += f" Not {layout} either: no {', '.join(lacking[layout][:3])}{more}."
     if len(closest) > _MOST_LAYOUTS:
         text += f" Nor {', '.join(closest[_MOST_LAYOUTS:])}."
     return text + " Choose the skeleton the file was made with, or add a `from:` map to the skeleton's YAML."

@@ -6,7 +6,7 @@ import difflib
 import re
 import textwrap
 import warnings
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol, runtime_checkable
 
@@ -17,26 +17,13 @@ from uplift.errors import UserError, did_you_mean
 from uplift.skeleton.core import Skeleton
 
 __all__ = [
-    "TOO_LONG",
-    "apart",
-    "facing_guess",
-    "guess_parts",
-    "joining_bones",
-    "mirror_pairs",
-    "proposal_text",
-    "propose",
-    "quoted",
-    "seen_in",
-    "skeleton_template",
-    "stretch_of",
-    "stretched",
-]
+    "TOO_LONG", "apart", "facing_guess", "guess_parts", "joining_bones", "mirror_pairs", "proposal_text", "propose",
+    "quoted", "seen_in", "skeleton_template", "stretch_of", "stretched",
+]  # fmt: skip
 
 Bone = tuple[str, str]
 Pair = tuple[str, str]
 Ends = tuple[tuple[str, ...], tuple[str, ...]]
-
-# A skeleton for a tracker's file: its names, partners and bones, and guesses where it has none.
 
 _SEEN_WELL = 0.8  # of the joint seen most
 _SELDOM = 0.5  # of the frames
@@ -56,9 +43,7 @@ class Tracked(Protocol):
     mirror: tuple[tuple[str, str], ...]
     source: str
 
-    def __len__(self) -> int:
-        """Return the number of frames."""
-        ...
+    def __len__(self) -> int: ...
 
 
 @dataclass(frozen=True)
@@ -83,8 +68,7 @@ def propose(data: Tracked, name: str, root: str | None = None, gravity: bool = T
     leave apart is joined by distance (`joining_bones`). The root is ``root``, else the joint on the
     midline nearest the middle of those that are seen well, or a midpoint of a pair that is far nearer.
 
-    Raises:
-        UserError: fewer than three joints that are ever visible, invalid joint names, no such root.
+    Raises UserError: fewer than three joints that are ever visible, invalid joint names, no such root.
     """
     where = f"{data.source}: " if data.source else ""
     visible = seen_in(data.keypoints, data.confidence)
@@ -99,14 +83,14 @@ def propose(data: Tracked, name: str, root: str | None = None, gravity: bool = T
     pairs = _pairs(data, names)
     start = root or _best_root(names, pairs, data.keypoints[:, shown], visible[:, shown], score)
     plan = {**_joined(name, names, pairs, known, score, start), "gravity": gravity}
-    skeleton, unmirrored = _checked(plan, pairs)
-    return _Proposal(
-        skeleton,
-        hidden=tuple(n for n, seen in zip(data.joint_names, share, strict=True) if not seen),
-        seldom=tuple(n for n, seen in zip(data.joint_names, share, strict=True) if 0 < seen < _SELDOM),
-        from_file=tuple(known),
-        unmirrored=unmirrored,
-    )
+    hidden = tuple(n for n, seen in zip(data.joint_names, share, strict=True) if not seen)
+    seldom = tuple(n for n, seen in zip(data.joint_names, share, strict=True) if 0 < seen < _SELDOM)
+    try:
+        return _Proposal(Skeleton.from_dict(plan), hidden, seldom, tuple(known))
+    except UserError:  # the file's bones do not allow the partners
+        if not pairs:
+            raise
+        return _Proposal(Skeleton.from_dict({**plan, "mirror": []}), hidden, seldom, tuple(known), tuple(pairs))
 
 
 def _check_joints(data: Tracked, share: np.ndarray, where: str) -> None:
@@ -131,7 +115,7 @@ def _check_joints(data: Tracked, share: np.ndarray, where: str) -> None:
 
 
 def _known_bones(bones: tuple[Bone, ...], names: list[str]) -> list[Bone]:
-    """Return the file's bones between joints that are there, each once."""
+    """Return the file's bones between ``names``, each once."""
     found: dict[frozenset[str], Bone] = {}
     for bone in bones:
         if bone[0] != bone[1] and set(bone) <= set(names):
@@ -139,11 +123,10 @@ def _known_bones(bones: tuple[Bone, ...], names: list[str]) -> list[Bone]:
     return list(found.values())
 
 
-def _pairs(data: Tracked, names: list[str]) -> list[Pair]:
-    """Return partners (right, left): the file's, and of the other joints those by name."""
+def _pairs(data: Tracked, names: list[str]) -> list[Bone]:
     by_name = mirror_pairs(names)
     order = {frozenset(pair): pair for pair in by_name}
-    found: list[Pair] = []
+    found: list[Bone] = []
     used: set[str] = set()
     for one, other in (*data.mirror, *by_name):
         if one != other and {one, other} <= set(names) and not {one, other} & used:
@@ -153,7 +136,7 @@ def _pairs(data: Tracked, names: list[str]) -> list[Pair]:
 
 
 def _joined(
-    name: str, names: list[str], pairs: list[Pair], known: list[Bone], score: np.ndarray, root: str | Pair
+    name: str, names: list[str], pairs: list[Bone], known: list[Bone], score: np.ndarray, root: str | Bone
 ) -> dict[str, Any]:
     """Return the plain data of a skeleton: joints, root and the bones that join them."""
     plan: dict[str, Any] = {"name": name, "joints": list(names), "mirror": [list(pair) for pair in pairs]}
@@ -163,7 +146,10 @@ def _joined(
     if made is None:
         plan["root"] = root
     else:
-        plan["root"] = new = _new_name("middle", names)
+        new = "middle"
+        while new in names:
+            new += "_"
+        plan["root"] = new
         plan["joints"].append(new)
         plan["midpoints"] = {new: list(made)}
         bones = _through(new, made, bones, known)
@@ -182,8 +168,8 @@ def _through(new: str, pair: Pair, bones: list[Bone], known: list[Bone]) -> list
 
 
 def _best_root(
-    names: list[str], pairs: list[Pair], keypoints: np.ndarray, visible: np.ndarray, score: np.ndarray
-) -> str | Pair:
+    names: list[str], pairs: list[Bone], keypoints: np.ndarray, visible: np.ndarray, score: np.ndarray
+) -> str | Bone:
     """Return the joint nearest the middle of the body of those seen well: on the midline, where there are pairs.
 
     A pair, for the point between its joints, where every joint has a partner, or where that point is nearer than
@@ -206,7 +192,7 @@ def _best_root(
 
 
 def _off_centre(keypoints: np.ndarray, visible: np.ndarray, places: list[int]) -> float:
-    """Return how far the mean of some joints is from that of all visible ones, in their spread."""
+    """Return how far the mean of some joints is from that of all visible ones, in units of their spread."""
     rows = np.flatnonzero(visible[:, places].all(1))
     seen = visible[rows][..., None]
     points = np.where(seen, keypoints[rows].astype(np.float64), 0)
@@ -216,26 +202,10 @@ def _off_centre(keypoints: np.ndarray, visible: np.ndarray, places: list[int]) -
     return float(np.mean(away / np.maximum(spread, 1e-9))) if len(rows) else 9.0
 
 
-def _new_name(name: str, names: list[str]) -> str:
-    while name in names:
-        name += "_"
-    return name
-
-
-def _checked(plan: dict[str, Any], pairs: list[Pair]) -> tuple[Skeleton, tuple[Bone, ...]]:
-    """Return the skeleton, without partners where the file's bones do not allow them."""
-    try:
-        return Skeleton.from_dict(plan), ()
-    except UserError:
-        if not pairs:
-            raise
-        return Skeleton.from_dict({**plan, "mirror": []}), tuple(pairs)
-
-
-# Which joints a bone may join, out of 2D alone: those that stay close and keep their distance.
+# Which joints a bone may join, by 2D alone: those that stay close and keep their distance.
 
 TOO_LONG = 1.9
-"""`stretched` from which joints have each other's names."""
+"""`stretched` from which on joints seem to have the names of others."""
 
 _MOST_NUMBERS = 2_000_000  # frames x joints x joints at once
 _SMOOTHING = 0.05  # of the mean distance, so that few frames are judged by their distances, not by luck
@@ -250,14 +220,12 @@ def seen_in(
 
 
 def apart(
-    keypoints: Shaped[np.ndarray, "frames joints 2"],
-    visible: Bool[np.ndarray, "frames joints"],
-    names: Sequence[str],
+    keypoints: Shaped[np.ndarray, "frames joints 2"], visible: Bool[np.ndarray, "frames joints"], names: Sequence[str]
 ) -> Float[np.ndarray, "joints joints"]:
-    """Return how little a bone is to be expected between two joints: the geometric mean of their mean distance and of
-    how much it varies over the frames, in sizes of the body; infinite where no frame shows both.
+    """Return how unlikely a bone is between two joints; names in a row (tail_1, tail_2) count as closer.
 
-    Names in a row (tail_1, tail_2) count as closer.
+    The geometric mean of their mean distance and of how much it varies over the frames, in sizes of the body;
+    infinite where no frame shows both.
     """
     distance = _distances(*_some_rows(keypoints, visible))
     with warnings.catch_warnings():
@@ -286,18 +254,18 @@ def joining_bones(
         across[[at[one], at[other]]] = at[other], at[one]
     score = np.minimum(score, score.max(where=np.isfinite(score), initial=1.0) * 10)
     score = (score + score[across][:, across]) / 2
-    group = _Groups(len(names))
+    group = np.arange(len(names))  # equal where bones join two places so far
     for one, other in known:
-        group.join(at[one], at[other])
-    middle = [place for place in range(len(names)) if across[place] == place]
+        _join(group, at[one], at[other])
+    middle = np.flatnonzero(across == np.arange(len(names))).tolist()
     found: list[tuple[int, int]] = []
     if not middle:  # nothing but pairs: one of them holds the sides together
-        held = [place for place in range(len(names)) if group.of(place) == group.of(int(across[place]))]
+        held = np.flatnonzero(group == group[across]).tolist()
         first = min(held or range(len(names)), key=lambda place: float(score[place, across[place]]))
         middle = [first]
-        found += group.joined((first, int(across[first])))
-    found += _grown(score, middle, across, group, lambda place: across[place] == place)
-    found += _grown(score, range(len(names)), across, group, lambda place: True)
+        found += _join(group, first, int(across[first]))
+    found += _grown(score, middle, across, group)
+    found += _grown(score, range(len(names)), across, group)
     return [(names[one], names[other]) for one, other in found]
 
 
@@ -306,24 +274,23 @@ def stretched(
     visible: Bool[np.ndarray, "frames joints"],
     bones: Sequence[Sequence[int]],
 ) -> float:
-    """Return how many times as long as need be the bones are: their mean over that of the shortest lines that join
-    the joints. 1 to 1.6 where the names are right, 2 or more where joints were given each other's; NaN where nothing is seen.
+    """Return the mean length of the bones over that of the shortest lines that join the joints; NaN where none is seen.
+
+    1 to 1.6 where the names are right, 2 or more where joints have the names of others.
     """
     seen = np.flatnonzero(visible.any(0))
-    if len(seen) < 3:
+    at = {int(place): number for number, place in enumerate(seen)}
+    ends = [(at[one], at[other]) for one, other in bones if one in at and other in at]
+    if len(seen) < 3 or not ends:
         return float("nan")
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", RuntimeWarning)
         mean = np.nanmean(_distances(*_some_rows(keypoints[:, seen], visible[:, seen])), axis=0)
-    at = {int(place): number for number, place in enumerate(seen)}
-    ours = [mean[at[one], at[other]] for one, other in bones if one in at and other in at]
-    ours = [length for length in ours if np.isfinite(length)]
-    if not ours:
-        return float("nan")
-    names = [str(number) for number in range(len(seen))]
+    ours = np.array([mean[bone] for bone in ends])
     score = np.where(np.isfinite(mean), mean, np.inf)
-    least = [mean[int(one), int(other)] for one, other in joining_bones(score, names)]
-    return float(np.mean(ours) / max(np.nanmean(least), 1e-9))
+    least = [mean[int(one), int(other)] for one, other in joining_bones(score, [str(n) for n in range(len(seen))])]
+    ours = ours[np.isfinite(ours)]
+    return float(np.mean(ours) / max(np.nanmean(least), 1e-9)) if len(ours) else float("nan")
 
 
 def stretch_of(
@@ -337,42 +304,28 @@ def stretch_of(
 
 
 def _grown(
-    score: np.ndarray, places: Sequence[int] | range, across: np.ndarray, group: _Groups, may: Callable[[int], bool]
+    score: np.ndarray, places: Sequence[int], across: np.ndarray, group: np.ndarray
 ) -> Iterator[tuple[int, int]]:
     """Join what ``places`` holds to the group of its first joint, the nearest first, each bone with its mirror image."""
-    start = next((place for place in places if may(place) and across[place] == place), places[0])
+    start = next((place for place in places if across[place] == place), places[0])
     while True:
-        inside = [place for place in range(len(score)) if group.of(place) == group.of(start)]
-        outside = [place for place in places if group.of(place) != group.of(start)]
+        inside = np.flatnonzero(group == group[start]).tolist()
+        outside = [place for place in places if group[place] != group[start]]
         if not outside:
             return
         between = score[np.ix_(inside, outside)]
         one, other = np.unravel_index(int(between.argmin()), between.shape)
         bone = inside[int(one)], outside[int(other)]
-        yield from group.joined(bone)
-        yield from group.joined((int(across[bone[0]]), int(across[bone[1]])))
+        yield from _join(group, *bone)
+        yield from _join(group, int(across[bone[0]]), int(across[bone[1]]))
 
 
-class _Groups:
-    """Which places bones join so far."""
-
-    def __init__(self, count: int) -> None:
-        self._group = list(range(count))
-
-    def of(self, place: int) -> int:
-        while self._group[place] != place:
-            self._group[place] = place = self._group[self._group[place]]
-        return place
-
-    def join(self, one: int, other: int) -> None:
-        self._group[self.of(other)] = self.of(one)
-
-    def joined(self, bone: tuple[int, int]) -> list[tuple[int, int]]:
-        """Join two places; the bone, unless they were joined before."""
-        if self.of(bone[0]) == self.of(bone[1]):
-            return []
-        self.join(*bone)
-        return [bone]
+def _join(group: np.ndarray, one: int, other: int) -> list[tuple[int, int]]:
+    """Join two places in ``group``; return the bone, or nothing where they were joined before."""
+    if group[one] == group[other]:
+        return []
+    group[group == group[other]] = group[one]
+    return [(one, other)]
 
 
 def _some_rows(keypoints: np.ndarray, visible: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -407,11 +360,7 @@ def _in_a_row(one: str, other: str) -> bool:
     if len(first) != len(second):
         return False
     differ = [(a, b) for a, b in zip(first, second, strict=True) if a != b]
-    return (
-        len(differ) == 1
-        and all(text.isdigit() for text in differ[0])
-        and abs(int(differ[0][0]) - int(differ[0][1])) == 1
-    )
+    return len(differ) == 1 and all(map(str.isdigit, differ[0])) and abs(int(differ[0][0]) - int(differ[0][1])) == 1
 
 
 # Guesses from the names of joints: partners, sides, and names that mean the same.
@@ -476,7 +425,7 @@ def mirror_pairs(names: Sequence[str]) -> list[tuple[str, str]]:
 
 
 def _name_words(name: str) -> list[str]:
-    """Return the words of a name in lower case: split at capitals, digits and everything that is not a letter."""
+    """Return the words and numbers of a name in lower case."""
     return [word.lower() for word in _WORD.findall(name)]
 
 
@@ -514,9 +463,8 @@ def _swapped(name: str, sign: re.Pattern[str]) -> Iterator[tuple[str, bool]]:
 
 
 def _turned(name: str, match: re.Match[str]) -> str:
-    old = match[0]
-    new = _OTHER[old.lower()]
-    new = new.upper() if old.isupper() else new.capitalize() if old[0].isupper() else new
+    new = _OTHER[match[0].lower()]
+    new = new.upper() if match[0].isupper() else new.capitalize() if match[0][0].isupper() else new
     return name[: match.start()] + new + name[match.end() :]
 
 
@@ -581,32 +529,53 @@ _ACROSS = ("wing", "antenna")  # they may lie on the other side
 _FEET = ("toe", "paw", "foot", "claw", "hoof", "tarsus", "tip", "ankle", "leg")
 
 
+_PROPOSAL = """\
+{head}
+#   uplift skeleton check {file}
+# tells what is wrong and draws it, and
+#   uplift fit skeleton={file} data.train={source}
+# learns to lift it. docs/skeletons.md has every key.
+
+name: {name}
+description: proposed from a file, to be corrected
+
+{joints}
+
+{root}
+
+{bones}
+
+{mirror}
+
+{facing}
+
+# true: it stands or walks on the ground, and the camera is more or less level.
+# false: it may be seen from any side (a hand, a thing that floats); then facing needs `up`.
+gravity: {gravity}
+# rigid: true    # one shape that does not bend (a chair)
+
+# The true length of one bone, for poses in mm.
+# size: {{along: [{one}, {other}], mm: 10}}
+"""
+
+
 def proposal_text(proposal: _Proposal, file: str, source: str) -> str:
     """Return the YAML of a proposal as the file called ``file``; what is not known is in comments."""
     skeleton = proposal.skeleton
+    one, other = map(quoted, skeleton.bones[0])
     head = _comment(
         f"A skeleton proposed from {source}. The names are the file's; everything else is a guess: read it through "
         "and correct it. Then"
     )
-    parts = [
-        f"{head}\n#   uplift skeleton check {file}\n# tells what is wrong and draws it, and\n"
-        f"#   uplift fit skeleton={file} data.train={source}\n# learns to lift it. docs/skeletons.md has every key.",
-        f"name: {quoted(skeleton.name)}\ndescription: proposed from a file, to be corrected",
-        _joints(proposal),
-        _root(skeleton),
-        _bones(proposal),
-        _mirror(proposal),
-        _facing(skeleton),
-        _rest(skeleton),
-    ]
-    return "\n\n".join(parts) + "\n"
+    return _PROPOSAL.format(
+        head=head, file=file, source=source, name=quoted(skeleton.name), joints=_joints(proposal),
+        root=_root(skeleton), bones=_bones(proposal), mirror=_mirror(proposal), facing=_facing(skeleton),
+        gravity=str(skeleton.gravity).lower(), one=one, other=other,
+    )  # fmt: skip
 
 
 def facing_guess(skeleton: Skeleton) -> dict[str, Ends]:
-    """Return the directions that the joints' names suggest; empty where that is too little.
-
-    Directions that a skeleton file would refuse are left out.
-    """
+    """Return the directions that the joints' names suggest; empty where that is too little, or a file would refuse them."""
     sided = [pair for pair in mirror_pairs(skeleton.joints) if set(pair) in map(set, skeleton.mirror)]
     near = {joint: place for place, joint in enumerate(skeleton.parents)}
     sided = sorted(sided, key=lambda pair: (any(word in pair[0].lower() for word in _ACROSS), near[pair[0]]))
@@ -631,37 +600,27 @@ def facing_guess(skeleton: Skeleton) -> dict[str, Ends]:
 
 
 def _valid(facing: dict[str, Ends], skeleton: Skeleton) -> dict[str, Ends]:
-    needed = {"front", "left"} if skeleton.gravity else {"front", "left", "up"}
-    if not needed <= set(facing):
-        return {}
+    plain = {name: [list(end) for end in ends] for name, ends in facing.items()}
     try:
-        Skeleton.from_dict(
-            skeleton.to_dict() | {"facing": {name: [list(e) for e in ends] for name, ends in facing.items()}}
-        )
+        Skeleton.from_dict(skeleton.to_dict() | {"facing": plain})
     except UserError:
         return {}
     return facing
 
 
 def _first(skeleton: Skeleton, words: Sequence[str]) -> str | None:
-    """Return the first joint on the midline whose name holds one of the words, by the order of the words."""
     paired = {joint for pair in skeleton.mirror for joint in pair}
-    for word in words:
-        for joint in skeleton.joints:
-            if joint not in paired and word in joint.lower().replace("_", ""):
-                return joint
-    return None
+    single = [joint for joint in skeleton.joints if joint not in paired]
+    return next((j for word in words for j in single if word in j.lower().replace("_", "")), None)
 
 
 def _joints(proposal: _Proposal) -> str:
-    skeleton = proposal.skeleton
     lines = ["# Names and order of the file."]
     if proposal.hidden:
         lines.append(_comment(f"Left out, as no frame shows them: {', '.join(proposal.hidden)}"))
     if proposal.seldom:
         lines.append(_comment(f"Visible in less than half of the frames: {', '.join(proposal.seldom)}"))
-    lines.append(_list("joints: ", map(quoted, skeleton.joints)))
-    return "\n".join(lines)
+    return "\n".join([*lines, _list("joints: ", map(quoted, proposal.skeleton.joints))])
 
 
 def _root(skeleton: Skeleton) -> str:
@@ -705,38 +664,21 @@ def _mirror(proposal: _Proposal) -> str:
 
 
 def _facing(skeleton: Skeleton) -> str:
-    lines = [
-        _comment(
-            "TODO. What tells a pose from its mirror image, which fits the same 2D: three directions [from, to] of the "
-            "thing itself. Each end is a joint, or a list of joints (their mean). Choose what holds in nearly every "
-            "pose, then take the # away. Without it a fit cannot tell the two apart."
-        )
-    ]
+    head = _comment(
+        "TODO. What tells a pose from its mirror image, which fits the same 2D: three directions [from, to] of the "
+        "thing itself. Each end is a joint, or a list of joints (their mean). Choose what holds in nearly every "
+        "pose, then take the # away. Without it a fit cannot tell the two apart."
+    )
     guess = facing_guess(skeleton)
     if not guess:
-        return "\n".join([*lines, "# facing:", "#   front: [a joint behind, a joint in front]",
+        return "\n".join([head, "# facing:", "#   front: [a joint behind, a joint in front]",
                           "#   left: [a joint on the right, its partner on the left]",
                           "#   up: [a joint below, a joint above]"])  # fmt: skip
-    lines.append("# By the names:\n# facing:")
+    lines = [head, "# By the names:\n# facing:"]
     for direction, ends in guess.items():
         shown = ", ".join(quoted(end[0]) if len(end) == 1 else "[" + ", ".join(map(quoted, end)) + "]" for end in ends)
         lines.append(f"#   {direction}: [{shown}]")
     return "\n".join(lines)
-
-
-def _rest(skeleton: Skeleton) -> str:
-    one, other = skeleton.bones[0]
-    return "\n".join(
-        [
-            "# true: it stands or walks on the ground, and the camera is more or less level.",
-            "# false: it may be seen from any side (a hand, a thing that floats); then facing needs `up`.",
-            f"gravity: {str(skeleton.gravity).lower()}",
-            "# rigid: true    # one shape that does not bend (a chair)",
-            "",
-            "# The true length of one bone, for poses in mm.",
-            f"# size: {{along: [{quoted(one)}, {quoted(other)}], mm: 10}}",
-        ]
-    )
 
 
 def _comment(text: str) -> str:
@@ -759,8 +701,6 @@ def _list(key: str, items: Iterable[str]) -> str:
 def _pair_lists(key: str, pairs: Iterable[Sequence[str]]) -> str:
     return _list(key, (f"[{quoted(one)}, {quoted(other)}]" for one, other in pairs))
 
-
-# The commented file that `uplift skeleton new` starts a new skeleton with.
 
 _TEMPLATE = """\
 # A skeleton: the joints of what you track, and what is known about them.

@@ -1,18 +1,19 @@
-"""Check the plain data of a skeleton file; every fault is named with the line where it stands."""
+"""Check the plain data of a skeleton file; every fault is reported with its line."""
 
 from __future__ import annotations
 
 import copy
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from typing import Any, NoReturn
 
 import numpy as np
+from jaxtyping import Float, Int
 
 from uplift.config.yaml_file import Where
 from uplift.errors import UserError, did_you_mean
 
-__all__ = ["BODY_KEYS", "check_skeleton"]
+__all__ = ["BODY_KEYS", "check_skeleton", "direction_weights", "mirror_places"]
 
 MAX_JOINTS = 1000
 BODY_KEYS = ("proportions", "rest", "limits")
@@ -45,7 +46,7 @@ def check_skeleton(data: object, where: Where) -> dict[str, Any]:
     _check_forest(skeleton, check)
     check.pairs(skeleton["mirror"], joints, "mirror", "[right, left]")
     _check_mirror(skeleton, check)
-    skeleton["midpoints"] = check.map_of_parts(skeleton["midpoints"], joints, ("midpoints",), own=True)
+    skeleton["midpoints"] = check.map_of_parts(skeleton["midpoints"], joints, ("midpoints",), midpoints=True)
     check.kind(skeleton["from"], dict, "a mapping of layouts", ("from",))
     skeleton["from"] = {
         layout: check.map_of_parts(parts, joints, ("from", layout)) for layout, parts in skeleton["from"].items()
@@ -68,7 +69,7 @@ def _check_keys(data: object, check: _Checker) -> dict[str, Any]:
     return {"name": "skeleton"} | copy.deepcopy(_DEFAULTS) | data
 
 
-# Joints and bones: one connected whole, the same on both sides.
+# Joints and bones: connected, and the same on both sides.
 
 
 def _check_joints(joints: object, check: _Checker) -> None:
@@ -86,27 +87,22 @@ def _check_joints(joints: object, check: _Checker) -> None:
 def _check_forest(skeleton: dict[str, Any], check: _Checker) -> None:
     """Check that bones connect all joints, each bone once, and close loops only where that is meant."""
     joints, bones = skeleton["joints"], skeleton["bones"]
-    group = {joint: joint for joint in joints}
-
-    def find(joint: str) -> str:
-        while group[joint] != joint:
-            group[joint] = joint = group[group[joint]]
-        return joint
-
+    group = {joint: joint for joint in joints}  # equal where bones join two joints so far
     seen: set[frozenset] = set()
     for place, (one, other) in enumerate(bones):
         if frozenset((one, other)) in seen:
             check.fail(("bones", place), f"found the bone between '{one}' and '{other}' twice.")
         seen.add(frozenset((one, other)))
-        if find(one) == find(other) and not skeleton["loops"]:
+        if group[one] == group[other] and not skeleton["loops"]:
             check.fail(
                 ("bones", place),
                 f"found a cycle: the bone [{one}, {other}] joins joints that are connected already. Take one bone of "
                 "the cycle out, or, if the thing closes on itself (a chair's seat), write loops: true.",
             )
-        group[find(one)] = find(other)
+        gone = group[one]
+        group = {joint: group[other] if name == gone else name for joint, name in group.items()}
     for place, joint in enumerate(joints):
-        if find(joint) != find(skeleton["root"]):
+        if group[joint] != group[skeleton["root"]]:
             check.fail(("joints", place), f"no bones lead from the root '{skeleton['root']}' to joint '{joint}'.")
 
 
@@ -134,9 +130,6 @@ def _check_mirror(skeleton: dict[str, Any], check: _Checker) -> None:
             )
 
 
-# Size: a path along joints with its length in mm, or as a share of the body's height.
-
-
 def _check_size(size: Any, joints: list[str], check: _Checker) -> dict[str, Any]:
     check.kind(size, dict, "a mapping: along and mm, or along and of_height", ("size",))
     if not size:
@@ -161,9 +154,6 @@ def _check_size(size: Any, joints: list[str], check: _Checker) -> dict[str, Any]
     return {"along": list(along), given[0]: float(value)}
 
 
-# Facing directions: what tells a pose from its mirror image must be able to.
-
-
 def _check_facing(skeleton: dict[str, Any], check: _Checker) -> dict[str, list[list[str]]]:
     """Return facing with each end a list of joints; raises UserError where it cannot tell left from right."""
     given = check.kind(skeleton["facing"], dict, "a mapping of front, left and up", ("facing",))
@@ -179,7 +169,7 @@ def _check_facing(skeleton: dict[str, Any], check: _Checker) -> dict[str, list[l
         if direction not in facing:
             why = "" if skeleton["gravity"] else " (up is needed where gravity is false)"
             check.fail(("facing",), f"'{direction}' is missing; facing needs {' and '.join(needed)}{why}.")
-    weights = {name: _weights(ends, skeleton["joints"]) for name, ends in facing.items()}
+    weights = {name: direction_weights(ends, skeleton["joints"]) for name, ends in facing.items()}
     _check_independent(weights, check)
     if skeleton["mirror"]:
         _check_sides(weights, skeleton, check)
@@ -193,12 +183,21 @@ def _ends(value: object, joints: list[str], part: tuple, check: _Checker) -> lis
     return [check.parts(end, (*part, place), joints) for place, end in enumerate(ends)]
 
 
-def _weights(ends: list[list[str]], joints: list[str]) -> np.ndarray:
+def direction_weights(ends: Sequence[Sequence[str]], joints: Sequence[str]) -> Float[np.ndarray, " joints"]:
+    """Return +1/n for the joints that a direction points to, -1/n for those it comes from."""
     weights = np.zeros(len(joints))
     for sign, end in zip((-1.0, 1.0), ends, strict=True):
         for joint in end:
             weights[joints.index(joint)] += sign / len(end)
     return weights
+
+
+def mirror_places(joints: Sequence[str], pairs: Iterable[Sequence[str]]) -> Int[np.ndarray, " joints"]:
+    """Return for each joint the index of its mirror partner; its own where it has none."""
+    places = np.arange(len(joints))
+    for one, other in pairs:
+        places[[joints.index(one), joints.index(other)]] = joints.index(other), joints.index(one)
+    return places
 
 
 def _check_independent(weights: dict[str, np.ndarray], check: _Checker) -> None:
@@ -213,10 +212,7 @@ def _check_independent(weights: dict[str, np.ndarray], check: _Checker) -> None:
 
 def _check_sides(weights: dict[str, np.ndarray], skeleton: dict[str, Any], check: _Checker) -> None:
     """Check against the mirror pairs: left must cross the body, front and up must not only cross it."""
-    places = np.arange(len(skeleton["joints"]))
-    for pair in skeleton["mirror"]:
-        one, other = (skeleton["joints"].index(joint) for joint in pair)
-        places[[one, other]] = other, one
+    places = mirror_places(skeleton["joints"], skeleton["mirror"])
     for name, direction in weights.items():
         mirrored = direction[places]
         if name == "left" and np.allclose(mirrored, direction):
@@ -233,11 +229,8 @@ def _check_sides(weights: dict[str, np.ndarray], skeleton: dict[str, Any], check
             )
 
 
-# The body for the simulator, which checks what its proportions, rest pose and joint limits mean.
-
-
 def _check_body(skeleton: dict[str, Any], check: _Checker) -> None:
-    """Check proportions (numbers > 0), rest (3-vectors, not zero) and limits (finite numbers) by joint."""
+    """Check the simulator's proportions (numbers > 0), rest (3-vectors, not zero) and limits (finite numbers)."""
     for key in BODY_KEYS:
         for joint, value in check.kind(skeleton.get(key, {}), dict, "a mapping keyed by joint", (key,)).items():
             part = (key, joint)
@@ -247,20 +240,16 @@ def _check_body(skeleton: dict[str, Any], check: _Checker) -> None:
                 if value <= 0:
                     check.fail(part, f"found the length {value} for '{joint}'; expected a number above 0.")
             elif key == "rest":
-                _check_vector(value, part, check)
+                vector = check.kind(value, list, "a vector [x, y, z]", part)
+                if len(vector) != 3:
+                    check.fail(part, f"found {len(vector)} numbers for '{joint}'; expected a vector [x, y, z].")
+                for place, number in enumerate(vector):
+                    check.number(number, (*part, place))
+                if not any(vector):
+                    check.fail(part, f"found the vector {vector} for '{joint}'; expected one with a direction.")
             else:
                 check.kind(value, (dict, list), "limits: a mapping or a list", part)
                 _check_finite(value, part, check)
-
-
-def _check_vector(value: object, part: tuple, check: _Checker) -> None:
-    vector = check.kind(value, list, "a vector [x, y, z]", part)
-    if len(vector) != 3:
-        check.fail(part, f"found {len(vector)} numbers for '{part[-1]}'; expected a vector [x, y, z].")
-    for place, number in enumerate(vector):
-        check.number(number, (*part, place))
-    if not any(vector):
-        check.fail(part, f"found the vector {vector} for '{part[-1]}'; expected one with a direction.")
 
 
 def _check_finite(value: object, part: tuple, check: _Checker) -> None:
@@ -272,11 +261,8 @@ def _check_finite(value: object, part: tuple, check: _Checker) -> None:
         check.number(value, part)
 
 
-# Checks of single values.
-
-
 class _Checker:
-    """Raises UserError that begins with where a part stands."""
+    """Checks of single values; raises UserError that begins with the file and line of a part."""
 
     def __init__(self, where: Where) -> None:
         self.where = where
@@ -285,7 +271,6 @@ class _Checker:
         raise UserError(f"{self.where(part)}: {problem}")
 
     def kind(self, value: object, kind: type | tuple, expected: str, part: tuple) -> Any:
-        """Return the value, of the kind that is expected."""
         if not isinstance(value, kind):
             self.fail(part, f"found {_named(value)} for '{_path(part)}'; expected {expected}.")
         return value
@@ -329,25 +314,24 @@ class _Checker:
         if not names:
             self.fail(part, f"found an empty list in '{_path(part)}'; expected a joint, or a list of joints.")
         for place, name in enumerate(names):
-            if joints is None:
-                self.text(name, (*part, place))
-            else:
-                self.joint(name, joints, (*part, place))
+            self.text(name, (*part, place)) if joints is None else self.joint(name, joints, (*part, place))
             if name in names[:place]:
                 self.fail((*part, place), f"found '{name}' twice in one mean in '{_path(part)}'.")
         return list(names)
 
-    def map_of_parts(self, value: object, joints: list[str], part: tuple, own: bool = False) -> dict[str, list[str]]:
-        """Return a mapping of our joints to lists of parts; with ``own`` the parts are joints of ours too."""
+    def map_of_parts(
+        self, value: object, joints: list[str], part: tuple, midpoints: bool = False
+    ) -> dict[str, list[str]]:
+        """Return a mapping of our joints to lists of parts; those of ``midpoints`` are joints of ours too."""
         given = self.kind(value, dict, "a mapping of joint: name, or joint: [name, name]", part)
         found: dict[str, list[str]] = {}
         for joint, parts in given.items():
             self.joint(joint, joints, (*part, joint))
-            found[joint] = self.parts(parts, (*part, joint), joints if own else None)
-            for name in found[joint] if own else ():
+            found[joint] = self.parts(parts, (*part, joint), joints if midpoints else None)
+            for name in found[joint] if midpoints else ():
                 if name in given:
                     self.fail((*part, joint), f"found midpoint '{joint}' made of '{name}', itself a midpoint.")
-        if not found and not own:
+        if not found and not midpoints:
             self.fail(part, f"found nothing in '{_path(part)}'; expected joint: name.")
         return found
 
@@ -357,9 +341,7 @@ def _path(part: tuple) -> str:
 
 
 def _named(value: object) -> str:
-    """Return a value as a user would name it."""
-    kinds = {bool: "true or false", dict: "a mapping", list: "a list", type(None): "nothing"}
-    for kind, name in kinds.items():
+    for kind, name in ((bool, "true or false"), (dict, "a mapping"), (list, "a list"), (type(None), "nothing")):
         if isinstance(value, kind):
             return name
     shown = str(value)
