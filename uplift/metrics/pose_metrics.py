@@ -1,4 +1,4 @@
-"""The metrics of poses, one pure function each: against the truth, and plausibility that needs none."""
+"""The metrics of poses, as pure functions: errors against the truth, and plausibility that needs none."""
 
 from __future__ import annotations
 
