@@ -10,10 +10,9 @@ import numpy as np
 import pytest
 from tracker_files_json import coco_annotations, coco_results, people, write_json
 
-from uplift.data.datasets.coco import COCO_JOINTS
 from uplift.data.formats import KEYPOINT_FORMATS, read
 from uplift.data.formats.base import ReadOptions
-from uplift.data.formats.layouts import HALPE26, WHOLEBODY133
+from uplift.data.formats.layouts import COCO_JOINTS, HALPE26, WHOLEBODY133
 from uplift.data.poses import PoseData
 from uplift.errors import UserError
 

@@ -8,7 +8,6 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
-from uplift.data.datasets.coco import COCO_JOINTS
 from uplift.data.formats.base import ReadOptions
 from uplift.errors import UserError
 
@@ -27,8 +26,20 @@ __all__ = [
     "numbered",
 ]
 
-# Names of keypoints by their number, for files of trackers that write none.
-
+COCO_JOINTS = (
+    "nose", "left_eye", "right_eye", "left_ear", "right_ear", "left_shoulder", "right_shoulder", "left_elbow",
+    "right_elbow", "left_wrist", "right_wrist", "left_hip", "right_hip", "left_knee", "right_knee", "left_ankle",
+    "right_ankle",
+)  # fmt: skip
+H36M_JOINTS = (
+    "hip", "rhip", "rknee", "rankle", "lhip", "lknee", "lankle", "spine", "thorax", "nose", "headtop",
+    "lshoulder", "lelbow", "lwrist", "rshoulder", "relbow", "rwrist",
+)  # fmt: skip
+"""Those of the skeleton h36m17."""
+HOURGLASS_JOINTS = (
+    "rankle", "rknee", "rhip", "lhip", "lknee", "lankle", "hip", "spine", "thorax", "headtop",
+    "rwrist", "relbow", "rshoulder", "lshoulder", "lelbow", "lwrist",
+)  # fmt: skip
 HALPE26 = (
     *COCO_JOINTS, "head", "neck", "hip", "left_big_toe", "right_big_toe", "left_small_toe", "right_small_toe",
     "left_heel", "right_heel",

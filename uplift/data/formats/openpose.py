@@ -44,7 +44,7 @@ def _read(peek: Peek, options: ReadOptions) -> PoseData:
                 parts[part].add(values, where)
                 rows[part].append(len(file_of))
             file_of.append(number)
-            tracks.append(track_of(person.get("person_id"), where, "person_id", listed=True))
+            tracks.append(track_of(person.get("person_id"), where, "person_id", (int, float)))
     if not file_of:
         raise UserError(
             f"{path}: no person with 2D keypoints ('pose_keypoints_2d' and the like) in {len(files):,} files."

@@ -8,11 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from uplift.data.datasets.coco import COCO_JOINTS
-from uplift.data.datasets.h36m_files import HOURGLASS_JOINTS, JOINTS
 from uplift.data.formats.base import Format, Peek, ReadOptions
 from uplift.data.formats.csv import Identity, bodies_of
-from uplift.data.formats.layouts import Layouts, names_for
+from uplift.data.formats.layouts import COCO_JOINTS, H36M_JOINTS, HOURGLASS_JOINTS, Layouts, names_for
 from uplift.data.formats.rows import confidence_of
 from uplift.data.parsers.pickles import load_object_npz
 from uplift.data.poses import PoseData
@@ -22,7 +20,7 @@ __all__ = ["FORMAT"]
 
 _LEFT = {
     (1, 3, 5, 7, 9, 11, 13, 15): ("COCO", COCO_JOINTS),
-    (4, 5, 6, 11, 12, 13): ("Human3.6M", JOINTS),
+    (4, 5, 6, 11, 12, 13): ("Human3.6M", H36M_JOINTS),
     (3, 4, 5, 13, 14, 15): ("the stacked hourglass", HOURGLASS_JOINTS),
 }
 """The joints that metadata calls the left ones -> layout."""
