@@ -133,7 +133,7 @@ def test_wrong_files_are_refused(tmp_path: Path) -> None:
     assert "expected a list of [x, y]" in changed(keypoints=[1, 2] * 5)
     poses = [{"keypoints": [[1, 2, 3]] * 17, "keypoint_scores": [1] * 17}]
     assert "three coordinates" in refused(path, poses)
-    assert "comes after entries of another kind" in refused(path, [[], mmpose_instance(people(1, 5)[0])])
+    assert "follows entries of another kind" in refused(path, [[], mmpose_instance(people(1, 5)[0])])
     assert "has no 'instance_info'" in refused(path, {"meta_info": {}})
     good["meta_info"]["keypoint_id2name"].pop("3")
     assert "names 4 keypoints, but instances have 5" in refused(path, good)

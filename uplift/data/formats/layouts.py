@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
@@ -23,7 +24,8 @@ __all__ = [
     "WHOLEBODY133",
     "likely_layout",
     "names_for",
-    "numbered",
+    "pairs_by_name",
+    "swapped_names",
 ]
 
 COCO_JOINTS = (
@@ -99,11 +101,6 @@ OPENPOSE: Layouts = {
 KINETICS: Layouts = {17: _COCO17, 18: ("OpenPose's COCO model", OPENPOSE18)}
 
 
-def numbered(count: int) -> tuple[str, ...]:
-    """Return ``keypoint_0`` and so on, for keypoints of which nothing is known."""
-    return tuple(f"keypoint_{number}" for number in range(count))
-
-
 SHIPPED: dict[int, tuple[tuple[str, str], ...]] = {
     25: (("OpenPose's BODY_25", "openpose25"), ("OpenPose's BODY_25B", "openpose25b")),
     17: (("COCO", "coco17"), ("Human3.6M", "h36m17"), ("AP-10K", "ap10k17"), ("MPI-INF-3DHP", "mpi_inf_3dhp17")),
@@ -119,7 +116,7 @@ def names_for(
     """Return the names of ``count`` keypoints that a file does not name, and the notes that say so.
 
     With ``points`` (rows count 2, or 3 with a score) another layout of as many keypoints than the usual is
-    taken where its bones are clearly shorter (`uplift.data.formats.layouts`).
+    taken where its bones are clearly shorter (`likely_layout`).
 
     Raises:
         UserError: the layout that the user names does not have that many.
@@ -142,7 +139,25 @@ def names_for(
         f"keypoints have no names in the file, and no known layout has {count}: named keypoint_0 to "
         f"keypoint_{count - 1}; say layout=SKELETON, or use a skeleton with these names"
     )
-    return numbered(count), (note,)
+    return tuple(f"keypoint_{number}" for number in range(count)), (note,)
+
+
+def pairs_by_name(pairs: Any, names: Sequence[str], first: int = 0) -> tuple[tuple[str, str], ...]:
+    """Return pairs of keypoints, numbered from ``first`` on, by name; without what are not such pairs."""
+    places = range(first, first + len(names))
+    return tuple(
+        (names[pair[0] - first], names[pair[1] - first])
+        for pair in (pairs if isinstance(pairs, list) else [])
+        if isinstance(pair, list) and len(pair) == 2 and all(type(place) is int and place in places for place in pair)
+    )
+
+
+def swapped_names(partners: Any, names: Sequence[str]) -> tuple[tuple[str, str], ...]:
+    """Return the pairs of names that a list with the number of each one's partner swaps; none for anything else."""
+    if not isinstance(partners, list) or len(partners) != len(names):
+        return ()
+    good = [(a, b) for a, b in enumerate(partners) if type(b) is int and a < b < len(names) and partners[b] == a]
+    return tuple((names[a], names[b]) for a, b in good)
 
 
 def _likely(points: np.ndarray, names: tuple[str, ...], shipped: tuple[tuple[str, str], ...]) -> int:

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from uplift.data.formats.base import Format, Peek, ReadOptions
-from uplift.data.formats.layouts import HANDS, OPENPOSE, OPENPOSE_FACE70, names_for, numbered
+from uplift.data.formats.layouts import HANDS, OPENPOSE, OPENPOSE_FACE70, names_for
 from uplift.data.formats.rows import pose_data, split_names, track_of
 from uplift.data.parsers.json import Numbers, json_files, load_json, shown, texts
 from uplift.data.poses import PoseData
@@ -94,11 +94,9 @@ def _joined(
             joints, more = names_for(path, count, OPENPOSE, options, triples)
             notes += more
         else:
-            joints = _NAMES[part] if len(_NAMES[part]) == count else tuple(f"{part}_{name}" for name in numbered(count))
+            joints = _NAMES[part] if len(_NAMES[part]) == count else tuple(f"{part}_keypoint_{n}" for n in range(count))
         if people * count > 20 * numbers.rows * count + 10_000_000:
-            raise UserError(
-                f"{path}: only {numbers.rows:,} of {people:,} people have '{numbers.what}': a damaged file?"
-            )
+            raise UserError(f"{path}: only {numbers.rows:,} of {people:,} people have '{numbers.what}': damaged file?")
         values = np.zeros((people, count, 3), np.float32)
         values[rows[part]] = triples
         found.append(values)
