@@ -19,7 +19,7 @@ from uplift.errors import UserError
 
 __all__ = ["ANALYSIS", "PROJECT"]
 
-# What the JSON inside a SLEAP project says: its skeletons, videos and tracks.
+# The JSON inside a project: its skeletons, videos and tracks.
 
 _BONE, _MIRROR = 1, 2
 """Kinds of links between nodes, as SLEAP numbers them."""
@@ -47,11 +47,7 @@ class _Video:
 
 
 def _bodies_of(file: Hdf5) -> list[_Body]:
-    """Return the skeletons, in the order that instances count them in.
-
-    Raises:
-        UserError: the metadata are not those of a SLEAP project.
-    """
+    """Return the skeletons, in the order that instances count them in; raises UserError for other metadata."""
     raw = file.attribute("metadata", "json")
     if raw is None:
         raise UserError(f"{file.path}: no metadata with the names of the nodes, expected in {file.what}.")
@@ -79,11 +75,9 @@ def _body(graph: dict[str, Any], names: list[str]) -> _Body:
     for link in graph["links"]:
         raw = link["type"]
         if "py/reduce" in raw:
-            kind = int(raw["py/reduce"][1]["py/tuple"][0])
-            kinds[len(kinds) + 1] = kind
+            kind = kinds[len(kinds) + 1] = int(raw["py/reduce"][1]["py/tuple"][0])
         else:
-            back = int(raw["py/id"])
-            kind = kinds.get(back, back)
+            kind = kinds.get(int(raw["py/id"]), int(raw["py/id"]))
         ends[kind].append((name_of[int(link["source"])], name_of[int(link["target"])]))
     title = _clean(graph.get("graph", {}).get("name") or "")
     return _Body(title, tuple(name_of[n] for n in ids), tuple(dict.fromkeys(ends[_BONE])), pairs_of(ends[_MIRROR]))
@@ -125,10 +119,10 @@ def _names(paths: list[str]) -> list[str]:
     """Return a name for each video, with its folder where several videos have one name."""
     names = [video_name(path) for path in paths]
     count = Counter(names)
-    folders = [re.split(r"[\\/]", path)[-2:-1] for path in paths]
-    return distinct(
-        "/".join([*folder, name]) if count[name] > 1 else name for name, folder in zip(names, folders, strict=True)
-    )
+    parts = [
+        re.split(r"[\\/]", path)[-2:-1] if count[name] > 1 else [] for path, name in zip(paths, names, strict=True)
+    ]
+    return distinct("/".join([*folder, name]) for folder, name in zip(parts, names, strict=True))
 
 
 def _source(file: Hdf5, entry: dict[str, Any]) -> str:
@@ -152,21 +146,19 @@ def _source(file: Hdf5, entry: dict[str, Any]) -> str:
 
 
 def _shown(backend: dict[str, Any]) -> tuple[tuple[int, int] | None, float | None]:
-    """Return the size of the pictures and the frames a second, where the project says them."""
+    """Return the size of the pictures and the frames a second, where they are known."""
     shape, fps = backend.get("shape"), backend.get("fps")
-    size = (shape[2], shape[1]) if isinstance(shape, list) and len(shape) == 4 else None
-    if size is None:
-        size = (backend.get("width_"), backend.get("height_"))
-    known = all(isinstance(n, int) and 0 < n < 1_000_000 for n in size)
-    right = isinstance(fps, (int, float)) and 0 < fps < 100_000
-    return (int(size[0]), int(size[1])) if known else None, float(fps) if right else None  # type: ignore[arg-type]
+    full = isinstance(shape, list) and len(shape) == 4
+    width, height = (shape[2], shape[1]) if full else (backend.get("width_"), backend.get("height_"))
+    known = all(isinstance(n, int) and 0 < n < 1_000_000 for n in (width, height))
+    return (width, height) if known else None, float(fps) if isinstance(fps, int | float) and 0 < fps < 1e5 else None
 
 
 def _clean(text: Any) -> str:
     return str(text).encode(errors="replace").decode()
 
 
-# Which instances of a SLEAP project count: those of its frames, one a track, labels before predictions.
+# The instances that count: those of frames, one a track, labels before predictions.
 
 USER, PREDICTED = 0, 1
 """Kinds of instances, as SLEAP numbers them."""
@@ -184,31 +176,23 @@ def _rows_of(file: Hdf5, bodies: int, tracks: int) -> dict[str, np.ndarray]:
     which = np.repeat(start - np.append(0, np.cumsum(count)[:-1]), count) + np.arange(count.sum())
     rows = {name: column[which] for name, column in instances.items()}
     rows["video"], rows["frame"] = np.repeat(frames["video"], count), np.repeat(frames["frame_idx"], count)
-    for name, low, high in (
-        ("instance_type", USER, PREDICTED + 1),
-        ("skeleton", 0, bodies),
-        ("track", -1, tracks),
-        ("frame", 0, 2**40),
-    ):
-        if len(rows[name]) and (rows[name].min() < low or rows[name].max() >= high):
-            raise UserError(
-                f"{file.path}: column '{name}' goes from {rows[name].min()} to {rows[name].max()}, "
-                f"expected {low} to {high - 1}."
-            )
+    ranges = {"instance_type": (USER, PREDICTED), "skeleton": (0, bodies - 1), "track": (-1, tracks - 1)}
+    for name, (low, high) in {**ranges, "frame": (0, 2**40 - 1)}.items():
+        least, most = (rows[name].min(), rows[name].max()) if len(rows[name]) else (low, high)
+        if least < low or most > high:
+            raise UserError(f"{file.path}: column '{name}' goes from {least} to {most}, expected {low} to {high}.")
     return rows
 
 
 def _whole(file: Hdf5, name: str, columns: tuple[str, ...]) -> dict[str, np.ndarray]:
     found = file.table(name, columns)
     for column, values in found.items():
+        right = values <= 2**62
         if values.dtype.kind == "f":
-            right = np.isfinite(values) & (np.abs(values) < 2**53) & (values == np.rint(values))
-        else:
-            right = values <= 2**62
+            right = (np.abs(values) < 2**53) & (values == np.rint(values))
         if not right.all():
-            raise UserError(
-                f"{file.path}: column '{column}' of '{name}' holds {values[~right][0]}, expected whole numbers."
-            )
+            wrong = values[~right][0]
+            raise UserError(f"{file.path}: column '{column}' of '{name}' holds {wrong}, expected whole numbers.")
         found[column] = values.astype(np.int64)
     return found
 
@@ -236,14 +220,13 @@ def _without_replaced(rows: dict[str, np.ndarray]) -> tuple[dict[str, np.ndarray
 def _first_of_each(rows: dict[str, np.ndarray], seen: np.ndarray) -> np.ndarray:
     """Return the indices, in the order of time, of rows that show something, one for each video, frame and track."""
     where = np.flatnonzero(seen)
-    key = _keys_of({name: rows[name][where] for name in ("video", "frame", "track")})
-    first = np.zeros(len(where), bool)
-    first[np.unique(key, return_index=True)[1]] = True
-    where = where[first | (rows["track"][where] < 0)]
+    kept = rows["track"][where] < 0
+    kept[np.unique(_keys_of(rows)[where], return_index=True)[1]] = True
+    where = where[kept]
     return where[np.lexsort((rows["frame"][where], rows["video"][where]))]
 
 
-# Read a project or predictions of SLEAP (.slp): tables of frames, instances and points.
+# Projects and predictions (.slp): tables of frames, instances and points.
 
 _CENTRED_PIXELS, _TOO_NEW = 1.1, 3.0
 """Format numbers: since when (0, 0) is the middle of the first pixel and no longer its corner; what is not known yet."""
@@ -393,8 +376,7 @@ def _read_analysis(peek: Peek, options: ReadOptions) -> PoseData:
         tracks, of_tracks = _track_names(file, points.shape[1])
         video = video_name(file.text("video_path")) or video_name(path.stem)
         identity = {"frame": frame, "sequence": np.full(len(frame), video)}
-        if tracks:
-            identity["instance"] = np.array(tracks)[track]
+        identity |= {"instance": np.array(tracks)[track]} if tracks else {}
         return PoseData(
             keypoints=keypoints[frame, track],
             confidence=confidence[frame, track],
@@ -436,13 +418,9 @@ def _scores(file: Hdf5, order: tuple[str, ...], points: np.ndarray) -> tuple[np.
 
 def _axes_of(file: Hdf5, shape: tuple[int, ...], nodes: int) -> tuple[str, ...]:
     """Return the axes of 'tracks' in the order of the file."""
-    raw = _stated_axes(file, "tracks")
-    if raw:
-        orders = [raw]
-    elif file.attribute("", "transpose") in (None, True, np.True_):
-        orders = list(_OLD_ORDERS)
-    else:
-        orders = list(_OLD_ORDERS[1:])
+    stated = _stated_axes(file, "tracks")
+    transposed = file.attribute("", "transpose") in (None, True)
+    orders = [stated] if stated else _OLD_ORDERS if transposed else _OLD_ORDERS[1:]
     for order in orders:
         sizes = dict(zip(order, shape, strict=False))
         if len(shape) == 4 and sorted(order) == sorted(_AXES) and sizes["xy"] == 2 and sizes["node"] == nodes:
@@ -475,39 +453,31 @@ def _track_names(file: Hdf5, tracks: int) -> tuple[list[str], tuple[str, ...]]:
 
 def _bones(file: Hdf5, names: list[str]) -> tuple[tuple[str, str], ...]:
     """Return the edges whose ends are nodes; some files name them, some number them."""
+    ends: list[str] = []
     if file.has("edge_names"):
         ends = file.texts("edge_names")
-        pairs = list(zip(ends[::2], ends[1::2], strict=False))
     elif file.has("edge_inds"):
         numbers = file.array("edge_inds").ravel().tolist()
         ends = [names[int(n)] if n in range(len(names)) else "" for n in numbers]
-        pairs = list(zip(ends[::2], ends[1::2], strict=False))
-    else:
-        pairs = []
-    known = set(names)
-    return tuple((a, b) for a, b in pairs if a in known and b in known)
+    return tuple(pair for pair in zip(ends[::2], ends[1::2], strict=False) if set(pair) <= set(names))
 
 
 def _mirror(file: Hdf5, names: list[str]) -> tuple[tuple[str, str], ...]:
     raw = file.attribute("", "skeleton_symmetries")
     pairs = from_json(file.path, "'skeleton_symmetries'", str(raw)) if raw is not None else []
-    ends = [tuple(map(str, pair)) for pair in pairs if isinstance(pair, list)] if isinstance(pairs, list) else []
-    return pairs_of((pair[0], pair[1]) for pair in ends if len(pair) == 2 and set(pair) <= set(names))
+    pairs = [pair for pair in pairs if isinstance(pair, list) and len(pair) == 2] if isinstance(pairs, list) else []
+    return pairs_of((a, b) for a, b in pairs if a in names and b in names)
 
 
 def _image_size(file: Hdf5) -> tuple[int, int] | None:
     raw = file.attribute("", "video_backend_metadata")
     video = from_json(file.path, "'video_backend_metadata'", str(raw)) if raw is not None else {}
-    shape = video.get("shape") if isinstance(video, dict) else None
-    if isinstance(shape, list) and len(shape) == 4 and all(isinstance(n, int) and n > 0 for n in shape[1:3]):
-        return shape[2], shape[1]
-    return None
+    return _shown(video)[0] if isinstance(video, dict) else None
 
 
 def _is_analysis(peek: Peek) -> bool:
-    return {"tracks", "node_names"} <= set(peek.hdf5_names) and bool(
-        {"track_occupancy", "track_names"} & set(peek.hdf5_names)
-    )
+    names = set(peek.hdf5_names)
+    return {"tracks", "node_names"} <= names and bool({"track_occupancy", "track_names"} & names)
 
 
 ANALYSIS = Format("sleap_h5", "an analysis file of SLEAP", _is_analysis, _read_analysis)
