@@ -9,6 +9,7 @@ import re
 import zipfile
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from importlib import import_module
@@ -94,11 +95,8 @@ class Formats(Mapping[str, Format[Options, Data]]):
         if found.ending and peek.is_folder:
             kinds = Counter(one.suffix.lower() for one in peek.path.iterdir() if one.is_file())
             others = kinds.total() - kinds[found.ending]
-            notes += (
-                (f"{others} files of other kinds in the folder were left out",)
-                if kinds[found.ending] and others
-                else ()
-            )
+            if kinds[found.ending] and others:
+                notes += (f"{others} files of other kinds in the folder were left out",)
         return replace(data, notes=notes)
 
 
@@ -160,14 +158,10 @@ def _unknown(peek: Peek, formats: Formats) -> UserError:
 
 def _content(peek: Peek) -> str:
     """Return in a few words what a file holds."""
-    if peek.npz_names:
-        return f"its arrays: {', '.join(peek.npz_names[:5])}"
-    if peek.json_keys:
-        return f"its keys: {', '.join(peek.json_keys[:5])}"
+    if names := peek.npz_names or peek.json_keys:
+        return f"its {'arrays' if peek.npz_names else 'keys'}: {', '.join(names[:5])}"
     return f"it begins {peek.text[:60] or peek.start[:16]!r}"
 
-
-# What was given, and what a user says about it.
 
 _START = 65_536
 _TRIES = 100
@@ -247,21 +241,17 @@ class Peek:
     @cached_property
     def text(self) -> str:
         """The start as text; empty where it is not text."""
-        if b"\0" in self.start:
-            return ""
-        return self.start.decode("utf-8-sig", errors="replace")
+        return "" if b"\0" in self.start else self.start.decode("utf-8-sig", errors="replace")
 
     @cached_property
     def lines(self) -> list[str]:
         """The complete lines of the start, without their ends."""
-        found = self.text.splitlines()
-        return found if len(self.start) < _START else found[:-1]
+        return self.text.splitlines()[: -1 if len(self.start) == _START else None]
 
     @cached_property
     def json_sign(self) -> str:
         """``{`` or ``[`` where the file looks like JSON, nothing otherwise."""
-        sign = self.text.lstrip()[:1]
-        return sign if sign in ("{", "[") else ""
+        return self.text.lstrip()[:1] if self.text.lstrip().startswith(("{", "[")) else ""
 
     @cached_property
     def json_keys(self) -> tuple[str, ...]:
@@ -298,23 +288,17 @@ class Peek:
             return ()
 
     @cached_property
-    def first_json(self) -> Peek | None:
-        """The first look at a JSON file, or at the first of a folder that is not an empty list; None without JSON."""
-        if not self.is_folder:
-            return self if self.json_sign else None
-        try:
-            names = heapq.nsmallest(_TRIES, (one.name for one in os.scandir(self.path) if is_json(one.name)))
-        except OSError:
-            return None
-        found = None
-        for name in names:
-            try:
-                found = Peek(self.path / name)
-            except (UserError, OSError):
-                continue
-            if found.json_sign and not re.match(r"\s*[\[{]\s*[\]}]\s*$", found.text):
-                return found
-        return found if found is not None and found.json_sign else None
+    def first_json(self) -> Peek:
+        """The first look at the first JSON file of a folder that is not an empty list; of no folder, this one."""
+        found = self
+        with suppress(OSError):
+            inside = os.scandir(self.path) if self.is_folder else ()
+            for name in heapq.nsmallest(_TRIES, (one.name for one in inside if is_json(one.name))):
+                with suppress(UserError, OSError):
+                    found = Peek(self.path / name)
+                    if found.json_sign and not re.match(r"\s*[\[{]\s*[\]}]\s*$", found.text):
+                        return found
+        return found
 
     def first_file(self, pattern: str) -> Path | None:
         """Return the first file, by name, of a folder that fits ``pattern``; None without one."""

@@ -16,9 +16,8 @@ __all__ = ["FORMAT"]
 
 def _fits(peek: Peek) -> bool:
     first = peek.first_json
-    if first is None or first.json_sign != "{" or "data" not in first.json_keys:
-        return False
-    return '"frame_index"' in first.text or {"label", "label_index"} <= set(first.json_keys)
+    known = '"frame_index"' in first.text or {"label", "label_index"} <= set(first.json_keys)
+    return first.json_sign == "{" and "data" in first.json_keys and known
 
 
 def _read(peek: Peek, options: ReadOptions) -> PoseData:

@@ -18,14 +18,12 @@ __all__ = ["FORMAT"]
 
 def _fits(peek: Peek) -> bool:
     first = peek.first_json
-    if first is None:
-        return False
     keys = set(first.json_keys)
     if first.json_sign == "{":
         return bool(keys & {"meta_info", "instance_info"})
-    if {"frame_id", "instances"} <= keys or {"keypoints", "keypoint_scores"} <= keys:
-        return True
-    return not keys and '"keypoint_scores"' in first.text  # frames as lists in a list
+    if not keys:  # frames as lists in a list
+        return first.json_sign == "[" and '"keypoint_scores"' in first.text
+    return {"frame_id", "instances"} <= keys or {"keypoints", "keypoint_scores"} <= keys
 
 
 @dataclass

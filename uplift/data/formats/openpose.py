@@ -25,7 +25,7 @@ _NAMES = {"hand_left": HANDS["left"], "hand_right": HANDS["right"], "face": OPEN
 
 def _fits(peek: Peek) -> bool:
     first = peek.first_json
-    return first is not None and first.json_sign == "{" and "people" in first.json_keys
+    return first.json_sign == "{" and "people" in first.json_keys
 
 
 def _read(peek: Peek, options: ReadOptions) -> PoseData:

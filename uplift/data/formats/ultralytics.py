@@ -415,12 +415,12 @@ LABELS = Format("ultralytics", "Ultralytics labels", _are_labels, _read_labels, 
 
 def _are_results(peek: Peek) -> bool:
     first = peek.first_json
-    if first is None or first.json_sign != "[":
-        return False
     keys = set(first.json_keys)
     if not keys:  # images as lists in a list
-        return all(f'"{key}"' in first.text for key in ("box", "keypoints", "confidence"))
-    return {"box", "keypoints", "class"} <= keys and "image_id" not in keys
+        found = all(f'"{key}"' in first.text for key in ("box", "keypoints", "confidence"))
+    else:
+        found = {"box", "keypoints", "class"} <= keys and "image_id" not in keys
+    return first.json_sign == "[" and found
 
 
 class _Results:
