@@ -300,10 +300,6 @@ class Peek:
                         return found
         return found
 
-    def first_file(self, pattern: str) -> Path | None:
-        """Return the first file, by name, of a folder that fits ``pattern``; None without one."""
-        return min(self.path.glob(pattern), default=None) if self.is_folder else None
-
 
 def size_of(text: str, name: str = "image_size") -> tuple[int, int]:
     """Return width and height of a text such as 1920x1080.

@@ -164,8 +164,7 @@ def _likely(points: np.ndarray, names: tuple[str, ...], shipped: tuple[tuple[str
     """Return which of the ``shipped`` layouts the points are in; ``names`` are those of the first."""
     seen = np.isfinite(points).all(-1) & (points[..., :2] != 0).any(-1)
     score = np.where(seen, points[..., 2] if points.shape[-1] > 2 else 1, 0)
-    found = [names, *(_names_of(skeleton) for _, skeleton in shipped[1:])]
-    layouts = [(skeleton, joints) for (_, skeleton), joints in zip(shipped, found, strict=True)]
+    layouts = [(shipped[0][1], names), *((skeleton, _names_of(skeleton)) for _, skeleton in shipped[1:])]
     return likely_layout(points[..., :2].astype(np.float32), score.astype(np.float32), layouts)
 
 
@@ -179,17 +178,17 @@ def _names_of(skeleton: str) -> tuple[str, ...]:
 def _names_of_layout(path: Path, count: int, layout: str) -> tuple[str, ...]:
     from uplift.skeleton import load_skeleton
 
-    skeleton = load_skeleton(layout)
-    for names in (skeleton.joints, tuple(joint for joint in skeleton.joints if joint not in skeleton.midpoints)):
+    found = [load_skeleton(layout).joints, _names_of(layout)]
+    for names in found:
         if len(names) == count:
-            return names[:count]
+            return names
     raise UserError(
-        f"{path} has {count} keypoints; layout={layout} has {len(skeleton.joints) - len(skeleton.midpoints)} joints "
-        "that are not midpoints. Expected a skeleton whose joints are the file's keypoints, in its order."
+        f"{path} has {count} keypoints; layout={layout} has {len(found[1])} joints that are not midpoints. Expected a "
+        "skeleton whose joints are the file's keypoints, in its order."
     )
 
 
-# Which of several layouts unnamed keypoints are in: the one whose bones are short.
+# The likely layout of unnamed keypoints: the one whose bones are short.
 
 _CLEARLY = 0.65
 """Another layout than the usual is taken where its bones are this much of the usual one's."""

@@ -25,14 +25,12 @@ _LEFT = {
 }
 """The joints that metadata calls the left ones -> layout."""
 _LAYOUTS: Layouts = {17: _LEFT[1, 3, 5, 7, 9, 11, 13, 15], 16: _LEFT[3, 4, 5, 13, 14, 15]}
-_DETECTED = {"boxes", "keypoints", "metadata"}
 
 
 def _read(peek: Peek, options: ReadOptions) -> PoseData:
     path = peek.path
     arrays = load_object_npz(path, ["positions_2d", "metadata", "boxes", "keypoints"])
-    metadata = arrays.get("metadata", {})
-    metadata = metadata if isinstance(metadata, dict) else {}
+    metadata = arrays["metadata"] if isinstance(arrays.get("metadata"), dict) else {}
     if "positions_2d" in arrays:
         clips = _custom(path, arrays["positions_2d"])
         sizes = metadata.get("video_metadata", {})
@@ -91,7 +89,7 @@ def _detected(path: Path, frames: Any) -> list[Clip]:
                 f"{path}: frame {number} of 'keypoints' is not a pair of lists, as VideoPose3D's detector writes."
             )
         for body in bodies:
-            body = np.asarray(body) if isinstance(body, np.ndarray) else np.empty(0)
+            body = body if isinstance(body, np.ndarray) else np.empty(0)
             if body.ndim != 2 or body.shape[0] != 4 or body.dtype.kind not in "fiu":
                 raise UserError(f"{path}: frame {number}: a body of shape {body.shape}, expected (4, joints) numbers.")
             rows.append(body[[0, 1, 3]].T)
@@ -104,13 +102,9 @@ def _detected(path: Path, frames: Any) -> list[Clip]:
 
 
 def _keypoints(view: Any, where: str) -> np.ndarray:
-    if (
-        not isinstance(view, np.ndarray)
-        or view.dtype.kind not in "fiu"
-        or view.ndim != 3
-        or view.shape[2] not in (2, 3)
-    ):
-        shown = f"{view.dtype} {view.shape}" if isinstance(view, np.ndarray) else type(view).__name__
+    is_array = isinstance(view, np.ndarray)
+    if not is_array or view.dtype.kind not in "fiu" or view.ndim != 3 or view.shape[2] not in (2, 3):
+        shown = f"{view.dtype} {view.shape}" if is_array else type(view).__name__
         raise UserError(f"{where}: {shown}, expected numbers (frames, joints, 2).")
     if not view.shape[1]:
         raise UserError(f"{where}: no joints.")
@@ -123,13 +117,11 @@ def _all(
 ) -> PoseData:
     """Return the clips one after the other."""
     lengths = [len(clip[3]) for clip in clips]
-    texts = {key: [clip[at] for clip in clips] for at, key in enumerate(("sequence", "action", "camera"))}
-    identity = {
-        key: np.repeat(np.array(values), lengths)
-        for key, values in texts.items()
-        if any(values) and not (key == "action" and set(values) == {"custom"})
-    }
-    identity["frame"] = np.concatenate([clip[3] for clip in clips]).astype(np.int64)
+    identity = {"frame": np.concatenate([clip[3] for clip in clips]).astype(np.int64)}
+    for at, key in enumerate(("sequence", "action", "camera")):
+        values = [clip[at] for clip in clips]
+        if any(values) and not (key == "action" and set(values) == {"custom"}):
+            identity[key] = np.repeat(np.array(values), lengths)
     if "action" in identity:  # one video may have several, each with frames from 0
         identity["sequence"] = np.char.add(np.char.add(identity["sequence"], " "), identity["action"])
     scored = {clip[4].shape[2] for clip in clips} == {3}
@@ -176,7 +168,7 @@ def _mapping(path: Path, value: Any, what: str) -> dict[Any, Any]:
 
 def _fits(peek: Peek) -> bool:
     names = set(peek.npz_names)
-    return "positions_2d" in names or (names >= _DETECTED and "joint_names" not in names)
+    return "positions_2d" in names or ({"boxes", "keypoints", "metadata"} <= names and "joint_names" not in names)
 
 
 FORMAT = Format("videopose3d", "2D keypoints of VideoPose3D (npz)", _fits, _read)
