@@ -21,7 +21,6 @@ __all__ = ["ANNOTATIONS", "RESULTS"]
 # COCO annotations with keypoints, of any category: an object with images, annotations and categories.
 
 _PARTS = ("keypoints", "foot_kpts", "face_kpts", "lefthand_kpts", "righthand_kpts")
-_KEYS = {"images", "annotations", "categories"}
 
 
 @dataclass
@@ -42,7 +41,11 @@ class _Category:
 
 def _are_annotations(peek: Peek) -> bool:
     keys = set(peek.json_keys)
-    return peek.json_sign == "{" and bool(_KEYS & keys) and not {"people", "instance_info", "data"} & keys
+    return (
+        peek.json_sign == "{"
+        and bool({"images", "annotations", "categories"} & keys)
+        and not {"people", "instance_info", "data"} & keys
+    )
 
 
 def _read_annotations(peek: Peek, options: ReadOptions) -> PoseData:
@@ -59,13 +62,6 @@ def _read_annotations(peek: Peek, options: ReadOptions) -> PoseData:
     return found.finish(options)
 
 
-def _plain(value: Any, where: str, what: str) -> Any:
-    """Return a number or name as it is; raises UserError for lists, nothing and the like."""
-    if isinstance(value, bool) or not isinstance(value, int | str):
-        raise UserError(f"{where}: '{what}' is {shown(value)}, expected a number or a name.")
-    return value
-
-
 def _text_of(value: Any) -> str | None:
     return str(value) if isinstance(value, int | str) and not isinstance(value, bool) and value != "" else None
 
@@ -75,40 +71,37 @@ class _Annotations:
 
     def __init__(self, path: Path):
         self.path = path
-        self.images: dict[Any, _Image] = {}
-        self.categories: dict[Any, _Category] = {}
-        self.videos: dict[Any, str] = {}
+        self.images: dict[str, _Image] = {}
+        self.categories: dict[str, _Category] = {}
+        self.videos: dict[str, str] = {}
         self.tables: dict[int, Numbers] = {}
         """Number of keypoints -> their x, y, v."""
-        self.rows: dict[int, list[tuple[int, Any, Any, Any, str]]] = {}
+        self.rows: dict[int, list[tuple[int, str, str | None, str | None, str]]] = {}
         """Number of keypoints -> number in the file, image, category, track and id of each annotation."""
         self.seen = 0
         self.kinds: set[str] = set()
         """Keys of annotations without keypoints."""
 
     def image(self, record: dict[str, Any]) -> None:
-        """Take one image."""
         where = f"{self.path}: image {len(self.images)}"
-        number, name = _plain(record.get("id"), where, "id"), record.get("file_name", record.get("id"))
+        number = name_of(record.get("id"), where, "id")
+        name = name_of(record.get("file_name") or record.get("id"), where, "file_name")
         size = record.get("width"), record.get("height")
         known = all(isinstance(side, int) and 0 < side < 10**6 for side in size)
         video = _text_of(record.get("video_id", record.get("vid_id")))
-        name = str(_plain(name, where, "file_name"))
         self.images[number] = _Image(name, size if known else None, video, record.get("frame_id"))
 
     def video(self, record: dict[str, Any]) -> None:
-        """Take one video."""
         number, name = record.get("id"), record.get("name", record.get("file_name"))
         if isinstance(number, int | str) and is_text(name):
             self.videos[str(number)] = str(name)
 
     def category(self, record: dict[str, Any]) -> None:
-        """Take one category."""
         where = f"{self.path}: category {shown(record.get('name', record.get('id')))}"
         joints, edges = record.get("keypoints"), record.get("skeleton")
         if joints is not None and not (isinstance(joints, list) and all(is_text(joint) for joint in joints)):
             raise UserError(f"{where} has keypoints {shown(joints)}, expected a list of names.")
-        number = _plain(record.get("id"), where, "id")
+        number = name_of(record.get("id"), where, "id")
         edges = edges if isinstance(edges, list) else []
         self.categories[number] = _Category(str(record.get("name", number)), tuple(joints) if joints else None, edges)
 
@@ -128,10 +121,9 @@ class _Annotations:
         if count not in self.tables:
             self.tables[count], self.rows[count] = Numbers("keypoints"), []
         self.tables[count].add(values, where)
-        image = _plain(record.get("image_id"), where, "image_id")
+        image = name_of(record.get("image_id"), where, "image_id")
         category = record.get("category_id")
-        if category is not None:
-            _plain(category, where, "category_id")
+        category = None if category is None else name_of(category, where, "category_id")
         track = _text_of(record.get("track_id", record.get("instance_id")))
         self.rows[count].append((self.seen, image, category, track, str(number)))
 
@@ -185,7 +177,7 @@ class _Annotations:
             )
         return joints, count, np.array(kept)
 
-    def _names(self, category: Any, count: int, rows: list[tuple]) -> tuple[str, ...] | None:
+    def _names(self, category: str | None, count: int, rows: list[tuple]) -> tuple[str, ...] | None:
         """Return the names of a category's keypoints; None where the file has none."""
         known = self.categories.get(category)
         if len(self.categories) == 1 and category is None:
@@ -204,11 +196,11 @@ class _Annotations:
 
     def _images(self, rows: list[tuple]) -> list[_Image]:
         if not self.images:
-            return [_Image(str(row[1]), None, None, None) for row in rows]
+            return [_Image(row[1], None, None, None) for row in rows]
         missing = next((row for row in rows if row[1] not in self.images), None)
         if missing is not None:
             raise UserError(
-                f"{self.path}: annotation {missing[4]} is of image {shown(missing[1])}, which is not among its "
+                f"{self.path}: annotation {missing[4]} is of image {missing[1]:.80}, which is not among its "
                 f"{len(self.images):,} images: cut short?"
             )
         return [self.images[row[1]] for row in rows]

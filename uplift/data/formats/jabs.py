@@ -81,8 +81,4 @@ def _mice(file: Hdf5, shape: tuple[int, ...]) -> tuple[np.ndarray, np.ndarray]:
     return np.arange(shape[1]) < count[:, None], number
 
 
-def _fits(peek: Peek) -> bool:
-    return "poseest" in peek.hdf5_names
-
-
-FORMAT = Format("jabs", "a pose file of JABS", _fits, _read)
+FORMAT = Format("jabs", "a pose file of JABS", lambda peek: "poseest" in peek.hdf5_names, _read)

@@ -436,8 +436,5 @@ def _part(path: Path, one: _Container, frames: list[np.ndarray], names: list[str
     return {"keypoints": points[seen], "confidence": confidence[seen], "frame": union[seen]}
 
 
-def _fits(peek: Peek) -> bool:
-    return {"session_start_time", "identifier"} <= set(peek.hdf5_names)
-
-
-FORMAT = Format("nwb", "an NWB file with poses (ndx-pose)", _fits, _read)
+_ROOT = {"session_start_time", "identifier"}
+FORMAT = Format("nwb", "an NWB file with poses (ndx-pose)", lambda peek: set(peek.hdf5_names) >= _ROOT, _read)

@@ -37,13 +37,8 @@ class _Body:
     mirror: tuple[tuple[str, str], ...]
 
 
-@dataclass(frozen=True)
-class _Video:
-    """A video of a project."""
-
-    name: str
-    image_size: tuple[int, int] | None
-    fps: float | None
+_Video = tuple[str, tuple[int, int] | None, float | None]
+"""Name, size of the image and frames a second of a video."""
 
 
 def _bodies_of(file: Hdf5) -> list[_Body]:
@@ -84,7 +79,6 @@ def _body(graph: dict[str, Any], names: list[str]) -> _Body:
 
 
 def _tracks_of(file: Hdf5) -> list[str]:
-    """Return the names of the tracks, made distinct."""
     raw = file.texts("tracks_json") if file.has("tracks_json") else []
     found = [from_json(file.path, f"entry {place} of 'tracks_json'", text) for place, text in enumerate(raw)]
     try:
@@ -94,22 +88,18 @@ def _tracks_of(file: Hdf5) -> list[str]:
 
 
 def _videos_of(file: Hdf5) -> dict[int, _Video]:
-    """Return the videos by the numbers that frames give them, their names made distinct.
-
-    Frames number videos by their place, or, of a project with pictures inside, by those groups.
-    """
+    """Return the videos by the numbers that frames give them: their place, or that of the group with their pictures."""
     raw = file.texts("videos_json") if file.has("videos_json") else []
     entries = [from_json(file.path, f"entry {place} of 'videos_json'", text) for place, text in enumerate(raw)]
     cropped = file.has("video_crops")  # then the file's size is not that of the picture that was tracked
-    used = np.unique(file.table("frames", ("video",))["video"]).tolist()
-    by_place = used == list(range(len(entries)))
+    by_place = np.unique(file.table("frames", ("video",))["video"]).tolist() == list(range(len(entries)))
     found = {}
     try:
         names = _names([_source(file, entry) for entry in entries])
         for place, (entry, name) in enumerate(zip(entries, names, strict=True)):
             inside = re.match(r"video(\d{1,9})/", str(entry["backend"].get("dataset") or ""))
             size, fps = _shown(entry["backend"])
-            found[int(inside[1]) if inside and not by_place else place] = _Video(name, None if cropped else size, fps)
+            found[int(inside[1]) if inside and not by_place else place] = (name, None if cropped else size, fps)
     except _WRONG as error:
         raise UserError(f"{file.path}: 'videos_json' is not as SLEAP writes it ({error!r}).") from error
     return found
@@ -235,10 +225,9 @@ _CENTRED_PIXELS, _TOO_NEW = 1.1, 3.0
 def _read_project(peek: Peek, options: ReadOptions) -> PoseData:
     path = peek.path
     with open_hdf5(path, "a SLEAP project") as file:
-        shift_px = _shift_px(file)
         bodies, tracks, videos = _bodies_of(file), _tracks_of(file), _videos_of(file)
         rows, notes = _without_replaced(_rows_of(file, len(bodies), len(tracks)))
-        names, keypoints, confidence, more = _points(file, rows, bodies, shift_px)
+        names, keypoints, confidence, more = _points(file, rows, bodies, _shift_px(file))
     seen = np.any(confidence > 0, axis=-1)
     kept = _first_of_each(rows, seen)
     if not len(kept):
@@ -257,8 +246,8 @@ def _read_project(peek: Peek, options: ReadOptions) -> PoseData:
         confidence=confidence,
         joint_names=names,
         identity={key: values for key, values in identity.items() if values is not None},
-        image_size=same_or_none(video.image_size for video in seen_in),
-        fps=same_or_none(video.fps for video in seen_in),
+        image_size=same_or_none(size for _, size, _ in seen_in),
+        fps=same_or_none(fps for _, _, fps in seen_in),
         bones=tuple(dict.fromkeys(bone for body in of_bodies for bone in body.bones)),
         mirror=pairs_of(pair for body in of_bodies for pair in body.mirror),
         notes=(*notes, *more, *linked),
@@ -281,7 +270,7 @@ def _videos(path: Path, number: np.ndarray, videos: dict[int, _Video]) -> tuple[
     if unknown and videos:
         raise UserError(f"{path}: frames are of video {unknown[0]}, expected one of {sorted(videos)}.")
     found = [videos[one] for one in used.tolist()] if videos else []
-    return found, np.array([video.name for video in found] or [f"{path.stem} {one}" for one in used])[place]
+    return found, np.array([name for name, *_ in found] or [f"{path.stem} {one}" for one in used])[place]
 
 
 def _points(
@@ -345,11 +334,8 @@ def _instances(
     return names.astype(str), () if alone else ("individuals without a track are linked by place",)
 
 
-def _is_project(peek: Peek) -> bool:
-    return {"frames", "instances", "metadata"} <= set(peek.hdf5_names)
-
-
-PROJECT = Format("sleap_slp", "a project of SLEAP", _is_project, _read_project)
+_ROOT = {"frames", "instances", "metadata"}
+PROJECT = Format("sleap_slp", "a project of SLEAP", lambda peek: set(peek.hdf5_names) >= _ROOT, _read_project)
 
 
 # Analysis files (.h5): one array of all frames, tracks and nodes.
@@ -390,10 +376,7 @@ def _read_analysis(peek: Peek, options: ReadOptions) -> PoseData:
 
 
 def _known_scores(score: np.ndarray, there: np.ndarray) -> tuple[np.ndarray, tuple[str, ...]]:
-    """Return scores with 1 for points that are ``there`` without one, and what was assumed.
-
-    A point without a score was set by hand.
-    """
+    """Return scores with 1 for points that are ``there`` without one, as those set by hand are, and what was assumed."""
     score = np.where(np.isnan(score), np.float32(1), score)
     if there.any() and not (score[there] > 0).any():
         return np.ones_like(score), ("all scores are 0: every point that is there counts as certain",)
@@ -401,7 +384,6 @@ def _known_scores(score: np.ndarray, there: np.ndarray) -> tuple[np.ndarray, tup
 
 
 def _scores(file: Hdf5, order: tuple[str, ...], points: np.ndarray) -> tuple[np.ndarray, tuple[str, ...]]:
-    """Return (frames, tracks, nodes) scores."""
     if not file.has("point_scores"):
         return np.ones(points.shape[:-1], np.float32), ("no point_scores: every point that is there counts as certain",)
     stored = as_float32(file.array("point_scores"))
@@ -417,7 +399,6 @@ def _scores(file: Hdf5, order: tuple[str, ...], points: np.ndarray) -> tuple[np.
 
 
 def _axes_of(file: Hdf5, shape: tuple[int, ...], nodes: int) -> tuple[str, ...]:
-    """Return the axes of 'tracks' in the order of the file."""
     stated = _stated_axes(file, "tracks")
     transposed = file.attribute("", "transpose") in (None, True)
     orders = [stated] if stated else _OLD_ORDERS if transposed else _OLD_ORDERS[1:]
