@@ -100,42 +100,36 @@ class Formats(Mapping[str, Format[Options, Data]]):
         return replace(data, notes=notes)
 
 
-_OTHERS: dict[tuple[str, ...], dict[str, str]] = {
-    (".mp4", ".avi", ".mov", ".mkv", ".webm"): {
-        "keypoints": "a video. Run a tracker on it first, and give its output",
-        "masks": "a video. Cut its objects out first, and give the masks as pictures",
+_VIDEOS, _MODELS = ".mp4 .avi .mov .mkv .webm", ".glb .gltf .obj .ply .stl .off"
+_WEIGHTS, _ARCHIVES = ".pt .pth .ckpt .onnx .safetensors", ".zip .tar .gz .tgz .7z"
+_OTHERS = {
+    "keypoints": {
+        _VIDEOS: "a video. Run a tracker on it first, and give its output",
+        ".png .jpg .jpeg .webp .tif .tiff .bmp .gif": "a picture. Run a tracker on it first, and give its output",
+        ".trc .c3d": "3D marker data without 2D keypoints, which cannot be lifted",
+        ".bvh .asf .amc": "3D motion capture; `uplift data cmu` makes keypoints of it",
+        _MODELS: "a 3D model without keypoints",
+        _WEIGHTS: "the weights of a network, not keypoints",
+        _ARCHIVES: "an archive. Unpack it, and give a file in it",
     },
-    (".png", ".jpg", ".jpeg", ".webp", ".tif", ".tiff", ".bmp", ".gif"): {
-        "keypoints": "a picture. Run a tracker on it first, and give its output"
+    "masks": {
+        _VIDEOS: "a video. Cut its objects out first, and give the masks as pictures",
+        ".csv .h5 .slp .nwb .trc .c3d .bvh .asf .amc": "a file of keypoints or motion, not of masks",
+        _MODELS: "a 3D model, not masks; `uplift data render` makes masks of models",
+        _WEIGHTS: "the weights of a network, not masks",
+        _ARCHIVES: "an archive. Unpack it, and give the folder",
+        ".xml": "XML. Give the pictures of the masks (SegmentationObject in a VOC folder)",
     },
-    (".trc", ".c3d"): {"keypoints": "3D marker data without 2D keypoints, which cannot be lifted"},
-    (".bvh", ".asf", ".amc"): {"keypoints": "3D motion capture; `uplift data cmu` makes keypoints of it"},
-    (".csv", ".h5", ".slp", ".nwb", ".trc", ".c3d", ".bvh", ".asf", ".amc"): {
-        "masks": "a file of keypoints or motion, not of masks"
-    },
-    (".glb", ".gltf", ".obj", ".ply", ".stl", ".off"): {
-        "keypoints": "a 3D model without keypoints",
-        "masks": "a 3D model, not masks; `uplift data render` makes masks of models",
-    },
-    (".pt", ".pth", ".ckpt", ".onnx", ".safetensors"): {
-        "keypoints": "the weights of a network, not keypoints",
-        "masks": "the weights of a network, not masks",
-    },
-    (".zip", ".tar", ".gz", ".tgz", ".7z"): {
-        "keypoints": "an archive. Unpack it, and give a file in it",
-        "masks": "an archive. Unpack it, and give the folder",
-    },
-    (".xml",): {"masks": "XML. Give the pictures of the masks (SegmentationObject in a VOC folder)"},
 }
-"""Endings of files that hold no keypoints or no masks -> what they are instead, for each kind of data."""
+"""Endings of files that hold no keypoints or no masks -> what they are instead."""
 
 
 def _unknown(peek: Peek, formats: Formats) -> UserError:
     """Return the error that says what a file or folder of no known format is."""
     path, what = peek.path, formats.what
-    for endings, instead in _OTHERS.items():
-        if peek.ending in endings and what in instead:
-            return UserError(f"{path} is {instead[what]}.")
+    for endings, instead in _OTHERS[what].items():
+        if peek.ending in endings.split():
+            return UserError(f"{path} is {instead}.")
     if peek.is_empty:
         return UserError(f"{path} is empty (0 bytes), expected {what}.")
     if peek.is_hdf5 and not peek.hdf5_names:
@@ -144,7 +138,10 @@ def _unknown(peek: Peek, formats: Formats) -> UserError:
         )
     known = f"Known formats: {', '.join(formats)}; format=NAME chooses one."
     if not peek.is_folder:
-        return UserError(f"{path} is not in a known format of {what} ({_content(peek)}). {known}")
+        content = f"it begins {peek.text[:60] or peek.start[:16]!r}"
+        if names := peek.npz_names or peek.json_keys:
+            content = f"its {'arrays' if peek.npz_names else 'keys'}: {', '.join(names[:5])}"
+        return UserError(f"{path} is not in a known format of {what} ({content}). {known}")
     inside = sorted(child.name for child in path.iterdir())
     if not inside:
         return UserError(f"{path} is an empty folder, expected files of {what} in it.")
@@ -154,13 +151,6 @@ def _unknown(peek: Peek, formats: Formats) -> UserError:
     if one is not None or len(inside) == 1:
         hint = f" Give a file in it: {path / (one or inside[0])}."
     return UserError(f"{path} is a folder without files of a known format of {what} (in it: {shown}).{hint} {known}")
-
-
-def _content(peek: Peek) -> str:
-    """Return in a few words what a file holds."""
-    if names := peek.npz_names or peek.json_keys:
-        return f"its {'arrays' if peek.npz_names else 'keys'}: {', '.join(names[:5])}"
-    return f"it begins {peek.text[:60] or peek.start[:16]!r}"
 
 
 _START = 65_536

@@ -13,20 +13,10 @@ from uplift.data.formats.base import ReadOptions
 from uplift.errors import UserError
 
 __all__ = [
-    "ALPHAPOSE",
-    "COCO",
-    "HAND21",
-    "KINETICS",
-    "MMPOSE",
-    "MPII16",
-    "OPENPOSE",
-    "OPENPOSE_FACE70",
-    "WHOLEBODY133",
-    "likely_layout",
-    "names_for",
-    "pairs_by_name",
+    "ALPHAPOSE", "COCO", "COCO_JOINTS", "H36M_JOINTS", "HAND21", "HANDS", "HOURGLASS_JOINTS", "KINETICS", "MMPOSE",
+    "MPII16", "OPENPOSE", "OPENPOSE_FACE70", "WHOLEBODY133", "Layouts", "likely_layout", "names_for", "pairs_by_name",
     "swapped_names",
-]
+]  # fmt: skip
 
 COCO_JOINTS = (
     "nose", "left_eye", "right_eye", "left_ear", "right_ear", "left_shoulder", "right_shoulder", "left_elbow",

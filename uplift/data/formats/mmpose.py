@@ -33,8 +33,6 @@ class _Found:
     bodies: Bodies
     keypoints: Numbers = field(default_factory=lambda: Numbers("keypoints"))
     scores: Numbers = field(default_factory=lambda: Numbers("keypoint_scores"))
-    size: int = 0
-    """Coordinates of a keypoint."""
     meta: dict[str, Any] = field(default_factory=dict)
 
     def add(self, instance: Any, file: Path, frame: int | None, where: str) -> None:
@@ -45,13 +43,8 @@ class _Found:
         pairs = isinstance(keypoints, list) and keypoints and isinstance(keypoints[0], list)
         if not pairs or len(keypoints[0]) not in (2, 3):
             raise UserError(f"{where}: 'keypoints' is {shown(keypoints)}, expected a list of [x, y].")
-        self.size = self.size or len(keypoints[0])
-        if len(keypoints[0]) != self.size:
-            raise UserError(f"{where}: a keypoint has {len(keypoints[0])} numbers, those before it have {self.size}.")
         self.keypoints.add(keypoints, where)
         self.scores.add([1.0] * len(keypoints) if scores is None else scores, where)
-        if self.scores.width != len(keypoints):
-            raise UserError(f"{where} has {len(keypoints)} keypoints and {self.scores.width} keypoint_scores.")
         track = instance.get("track_id", instance.get("instance_id"))
         self.bodies.add(file.stem, frame, track_of(track, where, "track_id"))
 
@@ -63,18 +56,18 @@ def _read(peek: Peek, options: ReadOptions) -> PoseData:
         _read_file(found, file)
     if not found.keypoints.rows:
         raise UserError(f"{path}: no instance in {'any file of it' if path.is_dir() else 'it'}.")
-    if found.size == 3:
+    if found.keypoints.width == 3 * (found.scores.width or 0):
         raise UserError(
             f"{path} has keypoints of three coordinates: 3D poses, or a third number that is not a score. Expected 2D "
             "predictions, [x, y] each."
         )
-    keypoints = found.keypoints.array(found.scores.width or 0, 2)
+    keypoints, scores = found.keypoints.pairs(found.scores, path)
     meta = found.meta if options.layout is None else {}
     names, notes = _names(path, meta, keypoints.shape[1]), ()
     if names is None:
         names, notes = names_for(path, keypoints.shape[1], MMPOSE, options, keypoints)
     known = {"bones": pairs_by_name(meta.get("skeleton_links"), names), "mirror": _mirror(meta, names)}
-    return pose_data(path, names, keypoints, found.scores.array(), found.bodies.identity(), notes=notes, **known)
+    return pose_data(path, names, keypoints, scores, found.bodies.identity(), notes=notes, **known)
 
 
 def _read_file(found: _Found, file: Path) -> None:

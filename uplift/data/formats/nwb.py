@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float, Int, Shaped
 
 from uplift.data.formats.base import Format, Peek, ReadOptions
 from uplift.data.formats.rows import as_float32, distinct, link_bodies, same_or_none, video_name, visible_only
@@ -31,12 +31,9 @@ class _Series:
     """Where one keypoint of one body is over time."""
 
     name: str
-    points: np.ndarray
-    """(samples, 2)."""
-    score: np.ndarray
-    """(samples,)."""
-    stamps: np.ndarray
-    """(samples,) seconds."""
+    points: Shaped[np.ndarray, "samples 2"]
+    score: Shaped[np.ndarray, "samples"]
+    stamps_s: Float[np.ndarray, "samples"]
 
 
 @dataclass
@@ -54,7 +51,6 @@ class _Container:
 
 
 def _groups_of(file: Hdf5) -> dict[str, list[str]]:
-    """Return the places of the groups of poses, by kind."""
     found: dict[str, list[str]] = {kind: [] for kind in _KINDS}
     been: set[int] = set()
     waiting = [(name, 1) for name in reversed(file.names()) if name != "specifications"]
@@ -103,20 +99,21 @@ def _series(file: Hdf5, where: str, name: str) -> tuple[_Series, list[str]]:
     frame = file.text(f"{where}/reference_frame")
     if "bottom" in frame.lower():
         notes.append(f"the reference frame is given as '{frame}': y is taken to point down all the same")
-    score = np.ones(len(points), np.float32)
-    if file.has(f"{where}/confidence"):
-        score = file.array(f"{where}/confidence")
-        if score.shape != (len(points),):
-            raise UserError(f"{file.path}: '{where}/confidence' has shape {score.shape}, expected ({len(points)},).")
+    scored = file.has(f"{where}/confidence")
+    score = _values(file, f"{where}/confidence", len(points)) if scored else np.ones(len(points), np.float32)
     return _Series(name, points, score, _stamps(file, where, len(points))), notes
+
+
+def _values(file: Hdf5, name: str, count: int) -> np.ndarray:
+    found = file.array(name)
+    if found.shape != (count,):
+        raise UserError(f"{file.path}: '{name}' has shape {found.shape}, expected ({count},).")
+    return found
 
 
 def _stamps(file: Hdf5, where: str, samples: int) -> np.ndarray:
     if file.has(f"{where}/timestamps"):
-        stamps = file.array(f"{where}/timestamps").astype(np.float64).round(_DIGITS)
-        if stamps.shape != (samples,):
-            raise UserError(f"{file.path}: '{where}/timestamps' has shape {stamps.shape}, expected ({samples},).")
-        return stamps
+        return _values(file, f"{where}/timestamps", samples).astype(np.float64).round(_DIGITS)
     rate = file.attribute(f"{where}/starting_time", "rate")
     if not isinstance(rate, (int, float)) or not 0 < rate < np.inf:
         raise UserError(f"{file.path}: '{where}' has no time stamps and the rate {rate!r}, expected one of them.")
@@ -241,11 +238,8 @@ class _Labels:
             if points.ndim != 2 or points.shape[0] != len(nodes) or points.shape[1] not in (2, 3):
                 shape = f"shape {points.shape}, expected ({len(nodes)}, 2)"
                 raise UserError(f"{file.path}: '{where}/node_locations' has {shape}.")
-            seen = np.ones(len(nodes))
-            if file.has(f"{where}/node_visibility"):
-                seen = file.array(f"{where}/node_visibility").astype(float)
-                if seen.shape != (len(nodes),):
-                    raise UserError(f"{file.path}: '{where}/node_visibility' has shape {seen.shape}.")
+            flagged = file.has(f"{where}/node_visibility")
+            seen = _values(file, f"{where}/node_visibility", len(nodes)) if flagged else np.ones(len(nodes))
             self.found.append((nodes, points[:, :2].astype(float), np.where(seen > 0, 1.0, 0.5)))
             self.of.append((video, int(number) if known else -1, name))
 
@@ -391,7 +385,7 @@ def _sequences(path: Path, containers: list[_Container]) -> list[str]:
 def _numbers(path: Path, containers: list[_Container]) -> tuple[list[list[np.ndarray]], float | None, list[str]]:
     """Return the frame numbers of each series of each body in one video, the step between frames (s), and notes."""
     every = [series for one in containers for series in one.series]
-    stamps, place = _different([series.stamps for series in every])
+    stamps, place = _different([series.stamps_s for series in every])
     step, notes = None, []
     if all(np.isfinite(one).all() and (np.diff(one) > 0).all() for one in stamps):
         union = stamps[0] if len(stamps) == 1 else np.unique(np.concatenate(stamps))

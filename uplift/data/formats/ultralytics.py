@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from jaxtyping import Float
 
 from uplift.data.formats.base import Format, Peek, ReadOptions
 from uplift.data.formats.layouts import COCO, names_for, swapped_names
@@ -278,9 +279,9 @@ class _Labels:
     file: np.ndarray
     line: np.ndarray
     length: np.ndarray
-    """(rows,) numbers in a row."""
-    values: np.ndarray
-    """(rows, longest): class, centre and size of the box, keypoints and what follows; NaN behind the end of a row."""
+    """Numbers in each row."""
+    values: Float[np.ndarray, "rows longest"]
+    """Class, centre and size of the box, keypoints and what follows; NaN behind the end of a row."""
 
 
 def _divide(
@@ -351,11 +352,7 @@ def _tracks(extra: np.ndarray) -> np.ndarray | None:
 
 
 def _read_rows(path: Path, files: list[Path]) -> _Labels:
-    """Return the rows of all files; they may differ in what follows the keypoints.
-
-    Raises:
-        UserError: text that is not a row of a label, or rows with different numbers of keypoints.
-    """
+    """Return the rows of all files; raises UserError where they differ in more than what follows the keypoints."""
     tables: dict[int, Numbers] = {}
     rows: list[tuple[int, int, int]] = []
     for number, file in enumerate(files):
