@@ -24,6 +24,7 @@ _BONES = (
     ("mid_tail", "tip_tail"), ("nose", "left_ear"), ("nose", "right_ear"), ("center_spine", "left_front_paw"),
     ("center_spine", "right_front_paw"), ("base_tail", "left_rear_paw"), ("base_tail", "right_rear_paw"),
 )  # fmt: skip
+_NOTE = "the file does not name its keypoints: they are taken to be the twelve of JABS"
 _MIRROR = (("left_ear", "right_ear"), ("left_front_paw", "right_front_paw"), ("left_rear_paw", "right_rear_paw"))
 
 
@@ -49,15 +50,8 @@ def _read(peek: Peek, options: ReadOptions) -> PoseData:
     identity = {"frame": frame, "sequence": np.full(len(frame), video)}
     if number is not None:
         identity["instance"] = number[frame, mouse].astype(str)
-    return PoseData(
-        keypoints=points[frame, mouse],
-        confidence=confidence[frame, mouse],
-        joint_names=JOINTS,
-        identity=identity,
-        bones=_BONES,
-        mirror=_MIRROR,
-        notes=("the file does not name its keypoints: they are taken to be the twelve of JABS",),
-    )
+    known = {"bones": _BONES, "mirror": _MIRROR, "notes": (_NOTE,)}
+    return PoseData(points[frame, mouse], confidence[frame, mouse], JOINTS, identity=identity, **known)
 
 
 def _mice(file: Hdf5, shape: tuple[int, ...]) -> tuple[np.ndarray, np.ndarray]:

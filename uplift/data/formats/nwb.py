@@ -178,9 +178,7 @@ _DRIFT = 0.02
 _EXACT = 1e-3
 
 
-def frame_numbers(
-    stamps: Float[np.ndarray, "stamps"],
-) -> tuple[Int[np.ndarray, "stamps"], float | None, bool]:
+def frame_numbers(stamps: Float[np.ndarray, "stamps"]) -> tuple[Int[np.ndarray, "stamps"], float | None, bool]:
     """Return (stamps,) frame numbers of rising time stamps, their step in seconds, and whether they are even.
 
     A wait of several steps is a gap of as many frames. Where the first stamp is a whole number of
@@ -275,14 +273,8 @@ class _Labels:
             raise UserError(f"{self.file.path}: no visible keypoint in the training frames.")
         points, confidence = points[rows], confidence[rows]
         identity, notes = self._identity(rows, points, confidence)
-        return PoseData(
-            keypoints=points,
-            confidence=confidence,
-            joint_names=tuple(self.names),
-            identity=identity,
-            bones=tuple(self.bones),
-            notes=notes,
-        )
+        known = {"identity": identity, "bones": tuple(self.bones), "notes": notes}
+        return PoseData(points, confidence, tuple(self.names), **known)
 
     def _identity(
         self, rows: np.ndarray, points: np.ndarray, confidence: np.ndarray
@@ -310,9 +302,7 @@ def _read(peek: Peek, options: ReadOptions) -> PoseData:
         if not places["PoseEstimation"]:
             if places["PoseTraining"]:
                 return _Labels(file, places["PoseTraining"]).data()
-            raise UserError(
-                f"{path}: an NWB file without pose estimates, expected a PoseEstimation (ndx-pose) with its series."
-            )
+            raise UserError(f"{path}: an NWB file without pose estimates, expected a PoseEstimation (ndx-pose).")
         containers, notes = [], []
         for place in places["PoseEstimation"]:
             series, more = _series_of(file, place)

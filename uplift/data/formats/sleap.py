@@ -51,9 +51,7 @@ def _bodies_of(file: Hdf5) -> list[_Body]:
         names = [_clean(node["name"]) for node in metadata["nodes"]]
         bodies = [_body(skeleton.get("nx_graph", skeleton), names) for skeleton in metadata["skeletons"]]
     except _WRONG as error:
-        raise UserError(
-            f"{file.path}: the skeletons in the metadata are not as SLEAP writes them ({error!r})."
-        ) from error
+        raise UserError(f"{file.path}: skeletons in the metadata are not as SLEAP writes them ({error!r}).") from error
     for body in bodies:
         if not body.nodes or len(set(body.nodes)) != len(body.nodes):
             raise UserError(f"{file.path}: skeleton '{body.name}' has nodes {body.nodes!r}, expected each name once.")
@@ -109,10 +107,8 @@ def _names(paths: list[str]) -> list[str]:
     """Return a name for each video, with its folder where several videos have one name."""
     names = [video_name(path) for path in paths]
     count = Counter(names)
-    parts = [
-        re.split(r"[\\/]", path)[-2:-1] if count[name] > 1 else [] for path, name in zip(paths, names, strict=True)
-    ]
-    return distinct("/".join([*folder, name]) for folder, name in zip(parts, names, strict=True))
+    parts = zip((re.split(r"[\\/]", path)[-2:-1] for path in paths), names, strict=True)
+    return distinct("/".join([*folder, name]) if count[name] > 1 else name for folder, name in parts)
 
 
 def _source(file: Hdf5, entry: dict[str, Any]) -> str:
@@ -132,7 +128,7 @@ def _source(file: Hdf5, entry: dict[str, Any]) -> str:
         raw = file.texts(f"{source}/json")[0] if file.has(f"{source}/json") else file.attribute(source, "json")
         above = from_json(file.path, f"the source of {group}", str(raw))
         path = str(above["backend"].get("filename") or above.get("filename") or ".")
-    return _clean(path if path != "." else f"{Path(file.path).stem}_{group}" if group else Path(file.path).stem)
+    return _clean(path if path != "." else f"{file.path.stem}_{group}" if group else file.path.stem)
 
 
 def _shown(backend: dict[str, Any]) -> tuple[tuple[int, int] | None, float | None]:
@@ -363,16 +359,9 @@ def _read_analysis(peek: Peek, options: ReadOptions) -> PoseData:
         video = video_name(file.text("video_path")) or video_name(path.stem)
         identity = {"frame": frame, "sequence": np.full(len(frame), video)}
         identity |= {"instance": np.array(tracks)[track]} if tracks else {}
-        return PoseData(
-            keypoints=keypoints[frame, track],
-            confidence=confidence[frame, track],
-            joint_names=tuple(names),
-            identity=identity,
-            image_size=_image_size(file),
-            bones=_bones(file, names),
-            mirror=_mirror(file, names),
-            notes=(*notes, *of_tracks),
-        )
+        known = {"identity": identity, "notes": notes + of_tracks, "image_size": _image_size(file)}
+        known |= {"bones": _bones(file, names), "mirror": _mirror(file, names)}
+        return PoseData(keypoints[frame, track], confidence[frame, track], tuple(names), **known)
 
 
 def _known_scores(score: np.ndarray, there: np.ndarray) -> tuple[np.ndarray, tuple[str, ...]]:

@@ -35,7 +35,7 @@ __all__ = ["LABELS", "RESULTS"]
 # Text labels and predictions: a file an image, a row a body, coordinates as shares of the image.
 
 _YAML = (".yaml", ".yml")
-_NO_LABELS = ("classes.txt", "labels.txt", "notes.txt")
+_LABEL = re.compile(r"(?!\.|readme|(classes|labels|notes)\.txt$).*\.txt", re.IGNORECASE)
 _LEVELS = 3
 _TRIES = 100
 
@@ -67,14 +67,10 @@ def _label_files(path: Path) -> list[Path]:
     """Return the label files of a folder, or else of labels/ in it, by name."""
     for folder in (path, path / "labels"):
         with suppress(OSError):
-            found = [one.name for one in os.scandir(folder) if _is_label(one.name.lower()) and one.is_file()]
+            found = [one.name for one in os.scandir(folder) if _LABEL.fullmatch(one.name) and one.is_file()]
             if found:
                 return [folder / name for name in sorted(found)]
     return []
-
-
-def _is_label(name: str) -> bool:
-    return name.endswith(".txt") and name not in _NO_LABELS and not name.startswith((".", "readme"))
 
 
 def _read_labels(peek: Peek, options: ReadOptions) -> PoseData:

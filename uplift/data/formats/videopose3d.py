@@ -44,9 +44,7 @@ def _read(peek: Peek, options: ReadOptions) -> PoseData:
         )
     counts = {view.shape[1] for *_, view in clips}
     if len(counts) > 1:
-        raise UserError(
-            f"{path}: videos with {', '.join(map(str, sorted(counts)))} keypoints, expected as many in each."
-        )
+        raise UserError(f"{path}: videos with {', '.join(map(str, sorted(counts)))} keypoints, expected equal numbers.")
     names, notes = _names(path, counts.pop(), metadata, options)
     return _all(path, clips, names, notes, _size(sizes, {clip[0] for clip in clips}))
 
@@ -75,19 +73,14 @@ def _custom(path: Path, table: Any) -> list[Clip]:
 
 
 def _detected(path: Path, frames: Any) -> list[Clip]:
-    """Return the clip of a detector's frames: for each [nothing, (bodies 4 joints)] with x, y, logit and share.
-
-    (infer_video_d2.py of VideoPose3D, whose only class with keypoints is the second.)
-    """
+    """Return the clip of a detector's frames (infer_video_d2.py): [nothing, (bodies 4 joints)] of x, y, logit, share."""
     if not isinstance(frames, np.ndarray | list) or (isinstance(frames, np.ndarray) and frames.ndim == 0):
         raise UserError(f"{path}: 'keypoints' is {type(frames).__name__}, expected a list of frames.")
     rows, numbers = [], []
     for number, frame in enumerate(frames):
         bodies = frame[1] if isinstance(frame, np.ndarray | list | tuple) and len(frame) == 2 else None
         if bodies is None or not isinstance(bodies, np.ndarray | list):
-            raise UserError(
-                f"{path}: frame {number} of 'keypoints' is not a pair of lists, as VideoPose3D's detector writes."
-            )
+            raise UserError(f"{path}: frame {number} of 'keypoints' is not a pair of lists, as the detector writes.")
         for body in bodies:
             body = body if isinstance(body, np.ndarray) else np.empty(0)
             if body.ndim != 2 or body.shape[0] != 4 or body.dtype.kind not in "fiu":
