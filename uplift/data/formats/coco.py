@@ -40,12 +40,8 @@ class _Category:
 
 
 def _are_annotations(peek: Peek) -> bool:
-    keys = set(peek.json_keys)
-    return (
-        peek.json_sign == "{"
-        and bool({"images", "annotations", "categories"} & keys)
-        and not {"people", "instance_info", "data"} & keys
-    )
+    keys = set(peek.json_keys) if peek.json_sign == "{" else set()
+    return bool({"images", "annotations", "categories"} & keys) and not {"people", "instance_info", "data"} & keys
 
 
 def _read_annotations(peek: Peek, options: ReadOptions) -> PoseData:
@@ -76,8 +72,8 @@ class _Annotations:
         self.videos: dict[str, str] = {}
         self.tables: dict[int, Numbers] = {}
         """Number of keypoints -> their x, y, v."""
-        self.rows: dict[int, list[tuple[int, str, str | None, str | None, str]]] = {}
-        """Number of keypoints -> number in the file, image, category, track and id of each annotation."""
+        self.rows: dict[int, list[tuple[str, str | None, str | None, str]]] = {}
+        """Number of keypoints -> image, category, track and id of each annotation."""
         self.seen = 0
         self.kinds: set[str] = set()
         """Keys of annotations without keypoints."""
@@ -125,7 +121,7 @@ class _Annotations:
         category = record.get("category_id")
         category = None if category is None else name_of(category, where, "category_id")
         track = _text_of(record.get("track_id", record.get("instance_id")))
-        self.rows[count].append((self.seen, image, category, track, str(number)))
+        self.rows[count].append((image, category, track, str(number)))
 
     def finish(self, options: ReadOptions) -> PoseData:
         """Return the annotations of the layout that has most of them."""
@@ -140,21 +136,14 @@ class _Annotations:
         values = self.tables[count].array(count, 3)[kept]
         confidence = seen_by_flag(values[..., 2], notes)
         images = self._images(rows)
-        known = self.categories.get(rows[0][2], next(iter(self.categories.values()), None))
+        known = self.categories.get(rows[0][1], next(iter(self.categories.values()), None))
         edges = [] if known is None else known.edges
         bones = pairs_by_name(edges, joints, first=1)
         if len(bones) < len(edges):
             notes.append(f"{len(edges) - len(bones)} lines of the file's skeleton name no keypoint: left out")
-        return pose_data(
-            self.path,
-            joints,
-            values[..., :2],
-            confidence,
-            self._identity(images, rows) | self._classes(rows, joints),
-            notes=notes,
-            bones=bones,
-            image_size=same_or_none(image.size for image in images),
-        )
+        identity = self._identity(images, rows) | self._classes(rows, joints)
+        known = {"bones": bones, "image_size": same_or_none(image.size for image in images)}
+        return pose_data(self.path, joints, values[..., :2], confidence, identity, notes=notes, **known)
 
     def _instead(self) -> str:
         if "caption" in self.kinds:
@@ -165,10 +154,10 @@ class _Annotations:
         """Return names, number and rows of the keypoints of the layout with most annotations."""
         kinds: Counter[tuple[int, tuple[str, ...] | None]] = Counter()
         for count, rows in self.rows.items():
-            for category, found in Counter(row[2] for row in rows).items():
+            for category, found in Counter(row[1] for row in rows).items():
                 kinds[count, self._names(category, count, rows)] += found
         (count, joints), _ = kinds.most_common(1)[0]
-        kept = [n for n, row in enumerate(self.rows[count]) if self._names(row[2], count, self.rows[count]) == joints]
+        kept = [n for n, row in enumerate(self.rows[count]) if self._names(row[1], count, self.rows[count]) == joints]
         left = kinds.total() - len(kept)
         if left:
             notes.append(
@@ -188,22 +177,22 @@ class _Annotations:
             return known.joints
         if count == len(WHOLEBODY133) and len(known.joints) in (17, 133):
             return WHOLEBODY133
-        first = next(row for row in rows if row[2] == category)
+        first = next(row for row in rows if row[1] == category)
         raise UserError(
-            f"{self.path}: annotation {first[4]} has {count} keypoints, but its category '{known.name:.40}' names "
+            f"{self.path}: annotation {first[3]} has {count} keypoints, but its category '{known.name:.40}' names "
             f"{len(known.joints)}. Expected x, y, v of each."
         )
 
     def _images(self, rows: list[tuple]) -> list[_Image]:
         if not self.images:
-            return [_Image(row[1], None, None, None) for row in rows]
-        missing = next((row for row in rows if row[1] not in self.images), None)
+            return [_Image(row[0], None, None, None) for row in rows]
+        missing = next((row for row in rows if row[0] not in self.images), None)
         if missing is not None:
             raise UserError(
-                f"{self.path}: annotation {missing[4]} is of image {missing[1]:.80}, which is not among its "
+                f"{self.path}: annotation {missing[3]} is of image {missing[0]:.80}, which is not among its "
                 f"{len(self.images):,} images: cut short?"
             )
-        return [self.images[row[1]] for row in rows]
+        return [self.images[row[0]] for row in rows]
 
     def _identity(self, images: list[_Image], rows: list[tuple]) -> dict[str, np.ndarray]:
         """Return sequence, frame and track where the file is of videos; image and annotation otherwise."""
@@ -211,18 +200,18 @@ class _Annotations:
             frames = [whole_number(i.frame, f"{self.path}: image '{i.name:.60}'", "frame_id") for i in images]
             sequence = texts(self.path, [self.videos.get(str(i.video), str(i.video)) for i in images])
             found = {"sequence": sequence, "frame": np.array(frames, np.int64)}
-            tracks = texts(self.path, [row[3] or "" for row in rows])
+            tracks = texts(self.path, [row[2] or "" for row in rows])
             return found | {"instance": tracks} if (tracks != "").any() else found
-        image, number = [image.name for image in images], [row[4] for row in rows]
+        image, number = [image.name for image in images], [row[3] for row in rows]
         return {"image": texts(self.path, image), "instance": texts(self.path, number)}
 
     def _classes(self, rows: list[tuple], joints: tuple[str, ...]) -> dict[str, np.ndarray]:
         """Return the categories where there are several of this layout, whether or not they occur."""
         alike = {number for number, category in self.categories.items() if category.joints == joints}
-        if len(alike | {row[2] for row in rows}) < 2:
+        if len(alike | {row[1] for row in rows}) < 2:
             return {}
         names = {number: category.name for number, category in self.categories.items()}
-        return {"category": texts(self.path, [names.get(row[2], str(row[2])) for row in rows])}
+        return {"category": texts(self.path, [names.get(row[1], str(row[1])) for row in rows])}
 
 
 def _flat(record: dict[str, Any], where: str) -> list[Any]:

@@ -1,4 +1,4 @@
-"""Read mouse poses of JABS (_pose_est_v2.h5 to v8): twelve keypoints, stored y before x."""
+"""Mouse poses of JABS (_pose_est_v2.h5 to v8): twelve keypoints, stored y before x."""
 
 from __future__ import annotations
 

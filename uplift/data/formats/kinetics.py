@@ -34,12 +34,12 @@ def _read(peek: Peek, options: ReadOptions) -> PoseData:
 
 
 def _read_file(file: Path, poses: Numbers, scores: Numbers, bodies: Bodies) -> None:
-    known = False
+    found = False
     for key, text in members(file):
         if key != "data":
             text.value()
             continue
-        known = True
+        found = True
         for count, record in enumerate(objects(text, "'data'")):
             where = f"{file}: entry {count}"
             frame = whole_number(record.get("frame_index"), where, "frame_index")
@@ -53,7 +53,7 @@ def _read_file(file: Path, poses: Numbers, scores: Numbers, bodies: Bodies) -> N
                 poses.add(skeleton.get("pose"), here)
                 scores.add(skeleton.get("score"), here)
                 bodies.add(file.stem, frame)
-    if not known:
+    if not found:
         raise UserError(f"{file} has no 'data', expected the frames of a video with their skeletons.")
 
 

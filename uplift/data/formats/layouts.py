@@ -72,9 +72,8 @@ Layouts = Mapping[int, tuple[str, tuple[str, ...]]]
 """Number of keypoints -> what the layout is called, and its names."""
 
 _COCO17 = ("COCO", COCO_JOINTS)
-_WHOLEBODY = ("COCO-WholeBody", WHOLEBODY133)
 _HAND = ("a hand", HAND21)
-COCO: Layouts = {17: _COCO17, 26: ("Halpe", HALPE26), 133: _WHOLEBODY}
+COCO: Layouts = {17: _COCO17, 26: ("Halpe", HALPE26), 133: ("COCO-WholeBody", WHOLEBODY133)}
 ALPHAPOSE: Layouts = {
     **COCO,
     18: ("OpenPose's 18", OPENPOSE18),

@@ -36,7 +36,6 @@ class _Found:
     meta: dict[str, Any] = field(default_factory=dict)
 
     def add(self, instance: Any, file: Path, frame: int | None, where: str) -> None:
-        """Take one body."""
         if not isinstance(instance, dict) or "keypoints" not in instance:
             raise UserError(f"{where} is {shown(instance)}, expected an object with 'keypoints'.")
         keypoints, scores = instance["keypoints"], instance.get("keypoint_scores")

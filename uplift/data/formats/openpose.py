@@ -45,9 +45,7 @@ def _read(peek: Peek, options: ReadOptions) -> PoseData:
                 track = track_of(person.get("person_id"), where, "person_id", (int, float))
                 bodies.add(name or path.absolute().stem, frame, track)
     if not len(bodies):
-        raise UserError(
-            f"{path}: no person with 2D keypoints ('pose_keypoints_2d' and the like) in {len(files):,} files."
-        )
+        raise UserError(f"{path}: no person with 2D keypoints ('pose_keypoints_2d' or others) in {len(files):,} files.")
     values, names, notes = _joined(path, parts, rows, len(bodies), options)
     identity = bodies.identity() if numbered else bodies.images(bodies.name)
     return pose_data(path, names, values[..., :2], values[..., 2], identity, notes=notes)

@@ -367,9 +367,9 @@ def _read_analysis(peek: Peek, options: ReadOptions) -> PoseData:
 def _known_scores(score: np.ndarray, there: np.ndarray) -> tuple[np.ndarray, tuple[str, ...]]:
     """Return scores with 1 for points that are ``there`` without one, as those set by hand are, and what was assumed."""
     score = np.where(np.isnan(score), np.float32(1), score)
-    if there.any() and not (score[there] > 0).any():
-        return np.ones_like(score), ("all scores are 0: every point that is there counts as certain",)
-    return score, ()
+    if (score[there] > 0).any() or not there.any():
+        return score, ()
+    return np.ones_like(score), ("all scores are 0: every point that is there counts as certain",)
 
 
 def _scores(file: Hdf5, order: tuple[str, ...], points: np.ndarray) -> tuple[np.ndarray, tuple[str, ...]]:

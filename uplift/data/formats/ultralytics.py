@@ -409,11 +409,8 @@ LABELS = Format("ultralytics", "Ultralytics labels", _are_labels, _read_labels, 
 def _are_results(peek: Peek) -> bool:
     first = peek.first_json
     keys = set(first.json_keys)
-    if not keys:  # images as lists in a list
-        found = all(f'"{key}"' in first.text for key in ("box", "keypoints", "confidence"))
-    else:
-        found = {"box", "keypoints", "class"} <= keys and "image_id" not in keys
-    return first.json_sign == "[" and found
+    nested = not keys and all(f'"{key}"' in first.text for key in ("box", "keypoints", "confidence"))
+    return first.json_sign == "[" and (nested or ({"box", "keypoints", "class"} <= keys and "image_id" not in keys))
 
 
 class _Results:
@@ -424,7 +421,6 @@ class _Results:
         self.bodies = Bodies(path)
 
     def add(self, body: Any, file: Path, frame: int | None, where: str) -> None:
-        """Take one body."""
         points = body.get("keypoints") if isinstance(body, dict) else None
         if not isinstance(points, dict):
             raise UserError(f"{where} is {shown(body)}, expected an object with keypoints: x, y, visible.")

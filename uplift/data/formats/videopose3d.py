@@ -1,4 +1,4 @@
-"""Read the 2D files of VideoPose3D: its own videos' keypoints (data_2d_custom_*.npz), and its detector's output."""
+"""The 2D files of VideoPose3D: keypoints of videos (data_2d_custom_*.npz), and the output of its detector."""
 
 from __future__ import annotations
 
@@ -108,7 +108,6 @@ def _keypoints(view: Any, where: str) -> np.ndarray:
 def _all(
     path: Path, clips: list[Clip], names: tuple[str, ...], notes: tuple[str, ...], size: tuple[int, int] | None
 ) -> PoseData:
-    """Return the clips one after the other."""
     lengths = [len(clip[3]) for clip in clips]
     identity = {"frame": np.concatenate([clip[3] for clip in clips]).astype(np.int64)}
     for at, key in enumerate(("sequence", "action", "camera")):
