@@ -82,7 +82,7 @@ class _Annotations:
         where = f"{self.path}: image {len(self.images)}"
         number = name_of(record.get("id"), where, "id")
         name = name_of(record.get("file_name") or record.get("id"), where, "file_name")
-        size = record.get("width"), record.get("height")
+        size: Any = record.get("width"), record.get("height")
         known = all(isinstance(side, int) and 0 < side < 10**6 for side in size)
         video = _text_of(record.get("video_id", record.get("vid_id")))
         self.images[number] = _Image(name, size if known else None, video, record.get("frame_id"))
@@ -168,7 +168,7 @@ class _Annotations:
 
     def _names(self, category: str | None, count: int, rows: list[tuple]) -> tuple[str, ...] | None:
         """Return the names of a category's keypoints; None where the file has none."""
-        known = self.categories.get(category)
+        known = self.categories.get(category or "")
         if len(self.categories) == 1 and category is None:
             (known,) = self.categories.values()
         if known is None or known.joints is None:

@@ -131,7 +131,7 @@ def names_for(
     return tuple(f"keypoint_{number}" for number in range(count)), (note,)
 
 
-def pairs_by_name(pairs: Any, names: Sequence[str], first: int = 0) -> tuple[tuple[str, str], ...]:
+def pairs_by_name(pairs: Any, names: tuple[str, ...], first: int = 0) -> tuple[tuple[str, str], ...]:
     """Return pairs of keypoints, numbered from ``first`` on, by name; without what are not such pairs."""
     places = range(first, first + len(names))
     return tuple(
@@ -141,7 +141,7 @@ def pairs_by_name(pairs: Any, names: Sequence[str], first: int = 0) -> tuple[tup
     )
 
 
-def swapped_names(partners: Any, names: Sequence[str]) -> tuple[tuple[str, str], ...]:
+def swapped_names(partners: Any, names: tuple[str, ...]) -> tuple[tuple[str, str], ...]:
     """Return the pairs of names that a list with the number of each one's partner swaps; none for anything else."""
     if not isinstance(partners, list) or len(partners) != len(names):
         return ()

@@ -134,10 +134,11 @@ def _source(file: Hdf5, entry: dict[str, Any]) -> str:
 def _shown(backend: dict[str, Any]) -> tuple[tuple[int, int] | None, float | None]:
     """Return the size of the pictures and the frames a second, where they are known."""
     shape, fps = backend.get("shape"), backend.get("fps")
-    full = isinstance(shape, list) and len(shape) == 4
-    width, height = (shape[2], shape[1]) if full else (backend.get("width_"), backend.get("height_"))
-    known = all(isinstance(n, int) and 0 < n < 1_000_000 for n in (width, height))
-    return (width, height) if known else None, float(fps) if isinstance(fps, int | float) and 0 < fps < 1e5 else None
+    size: Any = (backend.get("width_"), backend.get("height_"))
+    if isinstance(shape, list) and len(shape) == 4:
+        size = (shape[2], shape[1])
+    known = all(isinstance(n, int) and 0 < n < 1_000_000 for n in size)
+    return size if known else None, float(fps) if isinstance(fps, int | float) and 0 < fps < 1e5 else None
 
 
 def _clean(text: Any) -> str:
@@ -151,10 +152,10 @@ USER, PREDICTED = 0, 1
 
 
 def _rows_of(file: Hdf5, bodies: int, tracks: int) -> dict[str, np.ndarray]:
-    """Return columns of whole numbers, a row for each instance that a frame has."""
-    frames = _whole(file, "frames", ("video", "frame_idx", "instance_id_start", "instance_id_end"))
+    """Return columns of integers, a row for each instance that a frame has."""
+    frames = _integers(file, "frames", ("video", "frame_idx", "instance_id_start", "instance_id_end"))
     columns = ("instance_id", "instance_type", "skeleton", "track", "from_predicted", "point_id_start", "point_id_end")
-    instances = _whole(file, "instances", columns)
+    instances = _integers(file, "instances", columns)
     start, count = frames["instance_id_start"], frames["instance_id_end"] - frames["instance_id_start"]
     there = len(instances["track"])
     if ((start < 0) | (count < 0) | (start + count > there)).any() or count.sum() > there:
@@ -170,7 +171,7 @@ def _rows_of(file: Hdf5, bodies: int, tracks: int) -> dict[str, np.ndarray]:
     return rows
 
 
-def _whole(file: Hdf5, name: str, columns: tuple[str, ...]) -> dict[str, np.ndarray]:
+def _integers(file: Hdf5, name: str, columns: tuple[str, ...]) -> dict[str, np.ndarray]:
     found = file.table(name, columns)
     for column, values in found.items():
         right = values <= 2**62
@@ -199,7 +200,7 @@ def _without_replaced(rows: dict[str, np.ndarray]) -> tuple[dict[str, np.ndarray
     replaced = np.isin(rows["instance_id"], rows["from_predicted"][user & (rows["from_predicted"] >= 0)])
     replaced |= tracked & np.isin(key, key[user & tracked])
     replaced &= ~user
-    note = f"{int(replaced.sum()):,} predicted instances are left out, as labelled ones stand in their place"
+    note = f"{int(replaced.sum()):,} predicted instances are left out, as labelled ones take their place"
     return {name: column[~replaced] for name, column in rows.items()}, [note] if replaced.any() else []
 
 

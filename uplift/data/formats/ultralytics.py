@@ -96,7 +96,7 @@ def _read_labels(peek: Peek, options: ReadOptions) -> PoseData:
     else:
         keypoints = keypoints * sizes[:, None]
     identity = _identity(path, files, labels, predicted, tracks, pictures)
-    known = {"mirror": swapped_names(description.partners, names)}
+    known: dict[str, Any] = {"mirror": swapped_names(description.partners, names)}
     if sizes is not None and (sizes == sizes[0]).all():
         known["image_size"] = (int(sizes[0, 0]), int(sizes[0, 1]))
     identity |= description.categories(labels.values[:, 0])
@@ -184,7 +184,7 @@ def _picture_size(picture: Path) -> tuple[int, int]:
 
 @dataclass
 class _Description:
-    """What data.yaml says about the labels."""
+    """What data.yaml says."""
 
     path: Path | None = None
     shape: tuple[int, int] | None = None
@@ -360,7 +360,8 @@ def _read_rows(path: Path, files: list[Path]) -> _Labels:
                 rows.append((number, line, len(values)))
     if not rows:
         raise UserError(f"{path}: all {len(files):,} label files are empty.")
-    labels = _Labels(*np.array(rows).T, np.full((len(rows), max(tables)), np.nan, np.float32))
+    number, line, length = np.array(rows).T
+    labels = _Labels(number, line, length, np.full((len(rows), max(tables)), np.nan, np.float32))
     if max(tables) - min(tables) > 2:
         few = min(tables, key=lambda length: tables[length].rows)
         others = ", ".join(str(length) for length in sorted(tables)[:10] if length != few)

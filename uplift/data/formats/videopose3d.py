@@ -109,7 +109,7 @@ def _all(
     path: Path, clips: list[Clip], names: tuple[str, ...], notes: tuple[str, ...], size: tuple[int, int] | None
 ) -> PoseData:
     lengths = [len(clip[3]) for clip in clips]
-    identity = {"frame": np.concatenate([clip[3] for clip in clips]).astype(np.int64)}
+    identity: dict[str, Any] = {"frame": np.concatenate([clip[3] for clip in clips]).astype(np.int64)}
     for at, key in enumerate(("sequence", "action", "camera")):
         values = [clip[at] for clip in clips]
         if any(values) and not (key == "action" and set(values) == {"custom"}):
