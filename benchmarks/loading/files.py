@@ -8,7 +8,8 @@ import numpy as np
 
 from uplift.config.loading import load_settings
 from uplift.config.settings import Settings
-from uplift.data.datasets.h36m_files import ACTIONS, CAMERAS, JOINTS, OF_32, published
+from uplift.data.datasets.h36m_files import ACTIONS, CAMERAS, OF_32, published
+from uplift.data.formats.layouts import H36M_JOINTS as JOINTS
 from uplift.data.synthetic.simulate import simulate
 from uplift.skeleton import load_skeleton
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from benchmarks.reading.bodies import SIZE_PX, Walk
 from benchmarks.reading.text_files import DLC_PARTS
-from uplift.data.datasets.coco import COCO_JOINTS
+from uplift.data.formats.layouts import COCO_JOINTS
 
 __all__ = [
     "deeplabcut_h5", "jabs", "mediapipe_npz", "npz", "nwb", "sleap_h5", "sleap_slp", "sleap_slp_unnamed", "videopose3d",

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.reading.bodies import SIZE_PX, Chunk, Walk
-from uplift.data.datasets.coco import COCO_JOINTS
+from uplift.data.formats.layouts import COCO_JOINTS
 from uplift.skeleton import load_skeleton
 
 __all__ = [

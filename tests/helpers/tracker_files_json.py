@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from uplift.data.datasets.coco import COCO_JOINTS
+from uplift.data.formats.layouts import COCO_JOINTS
 
 __all__ = [
     "alphapose_list", "alphapose_objects", "alphatracker", "coco_annotations", "coco_results", "kinetics", "mmpose",

@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from uplift.config.loading import load_settings
-from uplift.data.datasets.coco import COCO_JOINTS, Coco
+from uplift.data.datasets.coco import Coco
+from uplift.data.formats.layouts import COCO_JOINTS
 from uplift.data.load import in_joints_of, load_data
 from uplift.data.parsers.json import JsonText, objects, records
 from uplift.data.synthetic.simulate import simulate

@@ -16,7 +16,9 @@ from bodies import refusal
 from uplift.config.loading import load_settings
 from uplift.data.datasets import read_cached
 from uplift.data.datasets.h36m import Human36M
-from uplift.data.datasets.h36m_files import ACTIONS, CAMERAS, HOURGLASS_JOINTS, JOINTS, OF_32, published
+from uplift.data.datasets.h36m_files import ACTIONS, CAMERAS, OF_32, published
+from uplift.data.formats.layouts import H36M_JOINTS as JOINTS
+from uplift.data.formats.layouts import HOURGLASS_JOINTS
 from uplift.data.load import load_data
 from uplift.errors import UserError
 from uplift.skeleton import load_skeleton

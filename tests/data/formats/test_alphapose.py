@@ -8,10 +8,9 @@ import numpy as np
 import pytest
 from tracker_files_json import alphapose_list, alphapose_objects, people, write_json
 
-from uplift.data.datasets.coco import COCO_JOINTS
 from uplift.data.formats import KEYPOINT_FORMATS, read
 from uplift.data.formats.base import ReadOptions
-from uplift.data.formats.layouts import HALPE26, HALPE68, HALPE136, OPENPOSE18, WHOLEBODY133
+from uplift.data.formats.layouts import COCO_JOINTS, HALPE26, HALPE68, HALPE136, OPENPOSE18, WHOLEBODY133
 from uplift.errors import UserError
 
 

@@ -10,10 +10,9 @@ import numpy as np
 import pytest
 from tracker_files_json import coco_annotations, coco_results, people, write_json
 
-from uplift.data.datasets.coco import COCO_JOINTS
 from uplift.data.formats import KEYPOINT_FORMATS, read
 from uplift.data.formats.base import ReadOptions
-from uplift.data.formats.layouts import HALPE26, WHOLEBODY133
+from uplift.data.formats.layouts import COCO_JOINTS, HALPE26, WHOLEBODY133
 from uplift.data.poses import PoseData
 from uplift.errors import UserError
 
@@ -163,7 +162,7 @@ def test_wrong_annotations_are_refused(tmp_path: Path, flat: np.ndarray) -> None
     assert "annotation 102: 'keypoints' is" in changed(keypoints=["x"] * 51)
     assert "annotation 102: 'keypoints' is" in changed(keypoints=[[1, 2], [3]])
     assert "more digits than a pixel" in changed(keypoints=[10**400] * 51)
-    assert "'image_id' is None" in changed(image_id=None)
+    assert "has image_id None" in changed(image_id=None)
     assert "image 999, which is not among its 4 images" in changed(image_id=999)
     content = coco_annotations(flat)
     content["categories"][0]["keypoints"][3] = "nose"

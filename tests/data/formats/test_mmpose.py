@@ -8,10 +8,9 @@ import numpy as np
 import pytest
 from tracker_files_json import mmpose, mmpose_instance, people, write_json
 
-from uplift.data.datasets.coco import COCO_JOINTS
 from uplift.data.formats import KEYPOINT_FORMATS, read
 from uplift.data.formats.base import ReadOptions
-from uplift.data.formats.layouts import HALPE26, HAND21, WHOLEBODY133
+from uplift.data.formats.layouts import COCO_JOINTS, HALPE26, HAND21, WHOLEBODY133
 from uplift.errors import UserError
 
 NAMES = tuple(f"point {n}" for n in range(5))
@@ -128,13 +127,13 @@ def test_wrong_files_are_refused(tmp_path: Path) -> None:
         return refused(path, content)
 
     assert "frame 1, instance 0: 'keypoints' has 8 numbers, but 10" in changed(keypoints=[[1, 2]] * 4)
-    assert "has 3 numbers, those before it have 2" in changed(keypoints=[[1, 2, 3]] * 5)
+    assert "'keypoints' has 15 numbers, but 10" in changed(keypoints=[[1, 2, 3]] * 5)
     assert "'keypoint_scores' has 4 numbers" in changed(keypoint_scores=[1] * 4)
     assert "track_id [3]" in changed(track_id=[3])
     assert "expected a list of [x, y]" in changed(keypoints=[1, 2] * 5)
     poses = [{"keypoints": [[1, 2, 3]] * 17, "keypoint_scores": [1] * 17}]
     assert "three coordinates" in refused(path, poses)
-    assert "comes after entries of another kind" in refused(path, [[], mmpose_instance(people(1, 5)[0])])
+    assert "follows entries of another kind" in refused(path, [[], mmpose_instance(people(1, 5)[0])])
     assert "has no 'instance_info'" in refused(path, {"meta_info": {}})
     good["meta_info"]["keypoint_id2name"].pop("3")
     assert "names 4 keypoints, but instances have 5" in refused(path, good)

@@ -8,10 +8,9 @@ import numpy as np
 import pytest
 from tracker_files_json import alphatracker, kinetics, mpii, people, write_json
 
-from uplift.data.datasets.coco import COCO_JOINTS
 from uplift.data.formats import KEYPOINT_FORMATS, read
 from uplift.data.formats.base import ReadOptions
-from uplift.data.formats.layouts import MPII16, OPENPOSE18
+from uplift.data.formats.layouts import COCO_JOINTS, MPII16, OPENPOSE18
 from uplift.errors import UserError
 
 
@@ -101,8 +100,8 @@ def test_wrong_mpii_is_refused(tmp_path: Path) -> None:
     assert "entry 1: 'joints_vis' has 15 numbers" in refused(tmp_path / "a.json", content, "mpii_json")
     content[1].pop("joints")
     assert "entry 1: 'joints' is None" in refused(tmp_path / "a.json", content, "mpii_json")
-    content[1]["image"] = [5]
-    assert "entry 1 has image [5]" in refused(tmp_path / "a.json", content, "mpii_json")
+    content[1]["image"] = 5
+    assert "entry 1 has image 5" in refused(tmp_path / "a.json", content, "mpii_json")
     assert "empty list" in refused(tmp_path / "a.json", [], "mpii_json")
 
 

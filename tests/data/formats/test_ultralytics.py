@@ -9,9 +9,9 @@ import pytest
 from PIL import Image
 from tracker_files_json import people, ultralytics_list, ultralytics_row, write_json
 
-from uplift.data.datasets.coco import COCO_JOINTS
 from uplift.data.formats import KEYPOINT_FORMATS, read
 from uplift.data.formats.base import ReadOptions
+from uplift.data.formats.layouts import COCO_JOINTS
 from uplift.errors import UserError
 
 BOTH = ((17, 3), (17, 2), (5, 3), (5, 2), (1, 3), (33, 3))

@@ -8,17 +8,13 @@ from typing import Any
 import numpy as np
 
 from uplift.data.datasets.base import DataSet, WantedFile
+from uplift.data.formats.layouts import COCO_JOINTS
 from uplift.data.parsers.json import records
 from uplift.data.poses import PoseData
 from uplift.errors import UserError
 
-__all__ = ["COCO_JOINTS", "Coco"]
+__all__ = ["Coco"]
 
-COCO_JOINTS = (
-    "nose", "left_eye", "right_eye", "left_ear", "right_ear", "left_shoulder", "right_shoulder", "left_elbow",
-    "right_elbow", "left_wrist", "right_wrist", "left_hip", "right_hip", "left_knee", "right_knee", "left_ankle",
-    "right_ankle",
-)  # fmt: skip
 _TORSO = [COCO_JOINTS.index(name) for name in ("left_shoulder", "right_shoulder", "left_hip", "right_hip")]
 _FOLDERS = ("", "annotations")
 _MANY = 4096

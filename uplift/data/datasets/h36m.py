@@ -9,7 +9,8 @@ from pathlib import Path
 import numpy as np
 
 from uplift.data.datasets.base import DataSet, WantedFile
-from uplift.data.datasets.h36m_files import JOINTS, LAYOUTS, Clip, Family, Martinez, OfficialCdf, Pickles, VideoPose3D
+from uplift.data.datasets.h36m_files import LAYOUTS, Clip, Family, Martinez, OfficialCdf, Pickles, VideoPose3D
+from uplift.data.formats.layouts import H36M_JOINTS as JOINTS
 from uplift.data.poses import PoseData
 from uplift.errors import UserError, did_you_mean
 from uplift.geometry.lens import Lens

@@ -11,6 +11,8 @@ from typing import Any, ClassVar
 import numpy as np
 
 from uplift.data.datasets.base import WantedFile
+from uplift.data.formats.layouts import H36M_JOINTS as JOINTS
+from uplift.data.formats.layouts import HOURGLASS_JOINTS
 from uplift.data.parsers.pickles import load_object_npz, load_pickle
 from uplift.errors import UserError, did_you_mean
 from uplift.geometry.lens import Lens
@@ -19,8 +21,6 @@ from uplift.geometry.rigid import quaternion_matrix
 __all__ = [
     "ACTIONS",
     "CAMERAS",
-    "HOURGLASS_JOINTS",
-    "JOINTS",
     "LAYOUTS",
     "OF_32",
     "Clip",
@@ -44,19 +44,8 @@ ACTIONS = (
 
 _OTHER_NAMES = {"TakingPhoto": "Photo", "WalkingDog": "WalkDog"}
 
-JOINTS = (
-    "hip", "rhip", "rknee", "rankle", "lhip", "lknee", "lankle", "spine", "thorax", "nose", "headtop",
-    "lshoulder", "lelbow", "lwrist", "rshoulder", "relbow", "rwrist",
-)  # fmt: skip
-"""Those of the skeleton h36m17."""
-
 OF_32 = (0, 1, 2, 3, 6, 7, 8, 12, 13, 14, 15, 17, 18, 19, 25, 26, 27)
 """Which of the 32 joints of the motion capture these are: the others do not move, or are there twice."""
-
-HOURGLASS_JOINTS = (
-    "rankle", "rknee", "rhip", "lhip", "lknee", "lankle", "hip", "spine", "thorax", "headtop",
-    "rwrist", "relbow", "rshoulder", "lshoulder", "lelbow", "lwrist",
-)  # fmt: skip
 
 
 def _places(joints: tuple[str, ...]) -> dict[str, tuple[int, ...]]:

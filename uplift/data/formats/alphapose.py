@@ -19,8 +19,7 @@ __all__ = ["FORMAT"]
 
 def _fits(peek: Peek) -> bool:
     if peek.is_folder:
-        first = peek.first_json
-        return first is not None and "bodies" in first.json_keys
+        return "bodies" in peek.first_json.json_keys
     keys = set(peek.json_keys)
     if peek.json_sign == "{":
         return "bodies" in keys or (bool(keys) and all(key.lower().endswith(PHOTO_ENDINGS) for key in peek.json_keys))
@@ -30,8 +29,7 @@ def _fits(peek: Peek) -> bool:
 
 def _read(peek: Peek, options: ReadOptions) -> PoseData:
     path = peek.path
-    numbers, bodies = Numbers("keypoints"), Bodies(path)
-    images: list[str] = []
+    numbers, bodies, images = Numbers("keypoints"), Bodies(path), []
     for image, values, track, where in _bodies(path):
         numbers.add(values, where)
         bodies.add(image[: image.rindex(".")] if image.lower().endswith(PHOTO_ENDINGS) else image, track=track)
@@ -41,7 +39,8 @@ def _read(peek: Peek, options: ReadOptions) -> PoseData:
     values = numbers.triples(path)
     names, notes = names_for(path, values.shape[1], ALPHAPOSE, options, values)
     identity = bodies.identity()
-    identity = bodies.images(images) if "image" in identity else identity
+    if "image" in identity:
+        identity = bodies.images(images)
     return pose_data(path, names, values[..., :2], values[..., 2], identity, notes=notes)
 
 
@@ -53,7 +52,8 @@ def _bodies(path: Path) -> Iterator[tuple[str, Any, str, str]]:
             for count, record in entries(file, "the list of results"):
                 where = f"{file}: entry {count}"
                 image = name_of(record.get("image_id"), where, "image_id")
-                yield image, record.get("keypoints"), track_of(record.get("idx"), where, "idx", listed=True), where
+                track = track_of(record.get("idx"), where, "idx", (int, float, str))
+                yield image, record.get("keypoints"), track, where
         elif path.is_dir() or "bodies" in first.json_keys:
             yield from _people(load_json(file), file.stem, str(file))
         else:

@@ -25,7 +25,7 @@ def _read(peek: Peek, options: ReadOptions) -> PoseData:
     points, bodies = Numbers("points"), Bodies(path)
     for count, record in entries(path, "the list of images"):
         where, found = f"{path}: image {count}", record.get("annotations")
-        image = name_of(record.get("filename"), where, "filename")
+        image = name_of(record.get("filename"), where, "filename", number=False)
         if not isinstance(found, list):
             raise UserError(f"{where} has annotations {shown(found)}, expected a list.")
         for number, animal in enumerate(_animals(found, where)):

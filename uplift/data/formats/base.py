@@ -9,6 +9,7 @@ import re
 import zipfile
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from importlib import import_module
@@ -94,50 +95,41 @@ class Formats(Mapping[str, Format[Options, Data]]):
         if found.ending and peek.is_folder:
             kinds = Counter(one.suffix.lower() for one in peek.path.iterdir() if one.is_file())
             others = kinds.total() - kinds[found.ending]
-            notes += (
-                (f"{others} files of other kinds in the folder were left out",)
-                if kinds[found.ending] and others
-                else ()
-            )
+            if kinds[found.ending] and others:
+                notes += (f"{others} files of other kinds in the folder were left out",)
         return replace(data, notes=notes)
 
 
-_OTHERS: dict[tuple[str, ...], dict[str, str]] = {
-    (".mp4", ".avi", ".mov", ".mkv", ".webm"): {
-        "keypoints": "a video. Run a tracker on it first, and give its output",
-        "masks": "a video. Cut its objects out first, and give the masks as pictures",
+_VIDEOS, _MODELS = ".mp4 .avi .mov .mkv .webm", ".glb .gltf .obj .ply .stl .off"
+_WEIGHTS, _ARCHIVES = ".pt .pth .ckpt .onnx .safetensors", ".zip .tar .gz .tgz .7z"
+_OTHERS = {
+    "keypoints": {
+        _VIDEOS: "a video. Run a tracker on it first, and give its output",
+        ".png .jpg .jpeg .webp .tif .tiff .bmp .gif": "a picture. Run a tracker on it first, and give its output",
+        ".trc .c3d": "3D marker data without 2D keypoints, which cannot be lifted",
+        ".bvh .asf .amc": "3D motion capture; `uplift data cmu` makes keypoints of it",
+        _MODELS: "a 3D model without keypoints",
+        _WEIGHTS: "the weights of a network, not keypoints",
+        _ARCHIVES: "an archive. Unpack it, and give a file in it",
     },
-    (".png", ".jpg", ".jpeg", ".webp", ".tif", ".tiff", ".bmp", ".gif"): {
-        "keypoints": "a picture. Run a tracker on it first, and give its output"
+    "masks": {
+        _VIDEOS: "a video. Cut its objects out first, and give the masks as pictures",
+        ".csv .h5 .slp .nwb .trc .c3d .bvh .asf .amc": "a file of keypoints or motion, not of masks",
+        _MODELS: "a 3D model, not masks; `uplift data render` makes masks of models",
+        _WEIGHTS: "the weights of a network, not masks",
+        _ARCHIVES: "an archive. Unpack it, and give the folder",
+        ".xml": "XML. Give the pictures of the masks (SegmentationObject in a VOC folder)",
     },
-    (".trc", ".c3d"): {"keypoints": "3D marker data without 2D keypoints, which cannot be lifted"},
-    (".bvh", ".asf", ".amc"): {"keypoints": "3D motion capture; `uplift data cmu` makes keypoints of it"},
-    (".csv", ".h5", ".slp", ".nwb", ".trc", ".c3d", ".bvh", ".asf", ".amc"): {
-        "masks": "a file of keypoints or motion, not of masks"
-    },
-    (".glb", ".gltf", ".obj", ".ply", ".stl", ".off"): {
-        "keypoints": "a 3D model without keypoints",
-        "masks": "a 3D model, not masks; `uplift data render` makes masks of models",
-    },
-    (".pt", ".pth", ".ckpt", ".onnx", ".safetensors"): {
-        "keypoints": "the weights of a network, not keypoints",
-        "masks": "the weights of a network, not masks",
-    },
-    (".zip", ".tar", ".gz", ".tgz", ".7z"): {
-        "keypoints": "an archive. Unpack it, and give a file in it",
-        "masks": "an archive. Unpack it, and give the folder",
-    },
-    (".xml",): {"masks": "XML. Give the pictures of the masks (SegmentationObject in a VOC folder)"},
 }
-"""Endings of files that hold no keypoints or no masks -> what they are instead, for each kind of data."""
+"""Endings of files that hold no keypoints or no masks -> what they are instead."""
 
 
 def _unknown(peek: Peek, formats: Formats) -> UserError:
     """Return the error that says what a file or folder of no known format is."""
     path, what = peek.path, formats.what
-    for endings, instead in _OTHERS.items():
-        if peek.ending in endings and what in instead:
-            return UserError(f"{path} is {instead[what]}.")
+    for endings, instead in _OTHERS[what].items():
+        if peek.ending in endings.split():
+            return UserError(f"{path} is {instead}.")
     if peek.is_empty:
         return UserError(f"{path} is empty (0 bytes), expected {what}.")
     if peek.is_hdf5 and not peek.hdf5_names:
@@ -146,7 +138,10 @@ def _unknown(peek: Peek, formats: Formats) -> UserError:
         )
     known = f"Known formats: {', '.join(formats)}; format=NAME chooses one."
     if not peek.is_folder:
-        return UserError(f"{path} is not in a known format of {what} ({_content(peek)}). {known}")
+        content = f"it begins {peek.text[:60] or peek.start[:16]!r}"
+        if names := peek.npz_names or peek.json_keys:
+            content = f"its {'arrays' if peek.npz_names else 'keys'}: {', '.join(names[:5])}"
+        return UserError(f"{path} is not in a known format of {what} ({content}). {known}")
     inside = sorted(child.name for child in path.iterdir())
     if not inside:
         return UserError(f"{path} is an empty folder, expected files of {what} in it.")
@@ -157,17 +152,6 @@ def _unknown(peek: Peek, formats: Formats) -> UserError:
         hint = f" Give a file in it: {path / (one or inside[0])}."
     return UserError(f"{path} is a folder without files of a known format of {what} (in it: {shown}).{hint} {known}")
 
-
-def _content(peek: Peek) -> str:
-    """Return in a few words what a file holds."""
-    if peek.npz_names:
-        return f"its arrays: {', '.join(peek.npz_names[:5])}"
-    if peek.json_keys:
-        return f"its keys: {', '.join(peek.json_keys[:5])}"
-    return f"it begins {peek.text[:60] or peek.start[:16]!r}"
-
-
-# What was given, and what a user says about it.
 
 _START = 65_536
 _TRIES = 100
@@ -247,21 +231,17 @@ class Peek:
     @cached_property
     def text(self) -> str:
         """The start as text; empty where it is not text."""
-        if b"\0" in self.start:
-            return ""
-        return self.start.decode("utf-8-sig", errors="replace")
+        return "" if b"\0" in self.start else self.start.decode("utf-8-sig", errors="replace")
 
     @cached_property
     def lines(self) -> list[str]:
         """The complete lines of the start, without their ends."""
-        found = self.text.splitlines()
-        return found if len(self.start) < _START else found[:-1]
+        return self.text.splitlines()[: -1 if len(self.start) == _START else None]
 
     @cached_property
     def json_sign(self) -> str:
         """``{`` or ``[`` where the file looks like JSON, nothing otherwise."""
-        sign = self.text.lstrip()[:1]
-        return sign if sign in ("{", "[") else ""
+        return self.text.lstrip()[:1] if self.text.lstrip().startswith(("{", "[")) else ""
 
     @cached_property
     def json_keys(self) -> tuple[str, ...]:
@@ -298,27 +278,17 @@ class Peek:
             return ()
 
     @cached_property
-    def first_json(self) -> Peek | None:
-        """The first look at a JSON file, or at the first of a folder that is not an empty list; None without JSON."""
-        if not self.is_folder:
-            return self if self.json_sign else None
-        try:
-            names = heapq.nsmallest(_TRIES, (one.name for one in os.scandir(self.path) if is_json(one.name)))
-        except OSError:
-            return None
-        found = None
-        for name in names:
-            try:
-                found = Peek(self.path / name)
-            except (UserError, OSError):
-                continue
-            if found.json_sign and not re.match(r"\s*[\[{]\s*[\]}]\s*$", found.text):
-                return found
-        return found if found is not None and found.json_sign else None
-
-    def first_file(self, pattern: str) -> Path | None:
-        """Return the first file, by name, of a folder that fits ``pattern``; None without one."""
-        return min(self.path.glob(pattern), default=None) if self.is_folder else None
+    def first_json(self) -> Peek:
+        """The first look at the first JSON file of a folder that is not an empty list; of no folder, this one."""
+        found = self
+        with suppress(OSError):
+            inside = os.scandir(self.path) if self.is_folder else ()
+            for name in heapq.nsmallest(_TRIES, (one.name for one in inside if is_json(one.name))):
+                with suppress(UserError, OSError):
+                    found = Peek(self.path / name)
+                    if found.json_sign and not re.match(r"\s*[\[{]\s*[\]}]\s*$", found.text):
+                        return found
+        return found
 
 
 def size_of(text: str, name: str = "image_size") -> tuple[int, int]:

@@ -10,15 +10,17 @@ from typing import Any
 import numpy as np
 
 from uplift.data.formats.base import Format, Peek, ReadOptions
-from uplift.data.formats.layouts import COCO, WHOLEBODY133, names_for
-from uplift.data.formats.rows import Bodies, name_of, pose_data, seen_by_flag
+from uplift.data.formats.layouts import COCO, WHOLEBODY133, names_for, pairs_by_name
+from uplift.data.formats.rows import Bodies, name_of, pose_data, same_or_none, seen_by_flag
 from uplift.data.parsers.json import Numbers, entries, is_text, members, objects, shown, texts, whole_number
 from uplift.data.poses import PoseData
 from uplift.errors import UserError
 
 __all__ = ["ANNOTATIONS", "RESULTS"]
 
-# Images and categories as COCO's annotations hold them.
+# COCO annotations with keypoints, of any category: an object with images, annotations and categories.
+
+_PARTS = ("keypoints", "foot_kpts", "face_kpts", "lefthand_kpts", "righthand_kpts")
 
 
 @dataclass
@@ -37,79 +39,27 @@ class _Category:
     edges: list[Any]
 
 
-def _image_of(record: dict[str, Any], where: str) -> tuple[Any, _Image]:
-    """Return the id and the rest of an image; raises UserError where it has none."""
-    number, name = _plain(record.get("id"), where, "id"), record.get("file_name", record.get("id"))
-    video = record.get("video_id", record.get("vid_id"))
-    width, height = record.get("width"), record.get("height")
-    size = None
-    if isinstance(width, int) and isinstance(height, int) and 0 < width < 10**6 and 0 < height < 10**6:
-        size = (width, height)
-    return number, _Image(str(_plain(name, where, "file_name")), size, _text_of(video), record.get("frame_id"))
-
-
-def _category_of(record: dict[str, Any], where: str) -> tuple[Any, _Category]:
-    """Return the id and the rest of a category; raises UserError where its keypoints are not names."""
-    joints, edges = record.get("keypoints"), record.get("skeleton")
-    if joints is not None and not (isinstance(joints, list) and all(is_text(joint) for joint in joints)):
-        raise UserError(f"{where} has keypoints {shown(joints)}, expected a list of names.")
-    number = _plain(record.get("id"), where, "id")
-    edges = edges if isinstance(edges, list) else []
-    return number, _Category(str(record.get("name", number)), tuple(joints) if joints else None, edges)
-
-
-def _lines_of(category: _Category, joints: tuple[str, ...], notes: list[str]) -> tuple[tuple[str, str], ...]:
-    """Return the lines of a category by name; their places count from 1."""
-    good = [
-        edge
-        for edge in category.edges
-        if isinstance(edge, list)
-        and len(edge) == 2
-        and all(type(place) is int and 1 <= place <= len(joints) for place in edge)
-    ]
-    if len(good) < len(category.edges):
-        notes.append(f"{len(category.edges) - len(good)} lines of the file's skeleton name no keypoint: left out")
-    return tuple((joints[a - 1], joints[b - 1]) for a, b in good)
-
-
-def _common_size(images: list[_Image]) -> tuple[int, int] | None:
-    sizes = {image.size for image in images}
-    return sizes.pop() if len(sizes) == 1 else None
-
-
-def _plain(value: Any, where: str, what: str) -> Any:
-    """Return a number or name as it is; raises UserError for lists, nothing and the like."""
-    if isinstance(value, bool) or not isinstance(value, int | str):
-        raise UserError(f"{where}: '{what}' is {shown(value)}, expected a number or a name.")
-    return value
-
-
-def _text_of(value: Any) -> str | None:
-    return str(value) if isinstance(value, int | str) and not isinstance(value, bool) and value != "" else None
-
-
-# COCO annotations with keypoints, of any category: an object with images, annotations and categories.
-
-_PARTS = ("foot_kpts", "face_kpts", "lefthand_kpts", "righthand_kpts")
-_KEYS = {"images", "annotations", "categories"}
-
-
 def _are_annotations(peek: Peek) -> bool:
-    keys = set(peek.json_keys)
-    return peek.json_sign == "{" and bool(_KEYS & keys) and not {"people", "instance_info", "data"} & keys
+    keys = set(peek.json_keys) if peek.json_sign == "{" else set()
+    return bool({"images", "annotations", "categories"} & keys) and not {"people", "instance_info", "data"} & keys
 
 
 def _read_annotations(peek: Peek, options: ReadOptions) -> PoseData:
     path = peek.path
     found = _Annotations(path)
+    takes = {"images": found.image, "annotations": found.annotation, "categories": found.category}
+    takes["videos"] = found.video
     for key, text in members(path):
-        take = {"images": found.image, "annotations": found.annotation, "categories": found.category}.get(key)
-        if take is None and not (key == "videos" and text.next_sign() == "["):
+        if key not in takes or (key == "videos" and text.next_sign() != "["):
             text.value()
             continue
         for record in objects(text, f"'{key}'"):
-            (take or found.video)(record)
+            takes[key](record)
     return found.finish(options)
+
+
+def _text_of(value: Any) -> str | None:
+    return str(value) if isinstance(value, int | str) and not isinstance(value, bool) and value != "" else None
 
 
 class _Annotations:
@@ -117,33 +67,39 @@ class _Annotations:
 
     def __init__(self, path: Path):
         self.path = path
-        self.images: dict[Any, _Image] = {}
-        self.categories: dict[Any, _Category] = {}
-        self.videos: dict[Any, str] = {}
+        self.images: dict[str, _Image] = {}
+        self.categories: dict[str, _Category] = {}
+        self.videos: dict[str, str] = {}
         self.tables: dict[int, Numbers] = {}
         """Number of keypoints -> their x, y, v."""
-        self.rows: dict[int, list[tuple[int, Any, Any, Any, str]]] = {}
-        """Number of keypoints -> number in the file, image, category, track and id of each annotation."""
+        self.rows: dict[int, list[tuple[str, str | None, str | None, str]]] = {}
+        """Number of keypoints -> image, category, track and id of each annotation."""
         self.seen = 0
         self.kinds: set[str] = set()
         """Keys of annotations without keypoints."""
 
     def image(self, record: dict[str, Any]) -> None:
-        """Take one image."""
-        number, image = _image_of(record, f"{self.path}: image {len(self.images)}")
-        self.images[number] = image
+        where = f"{self.path}: image {len(self.images)}"
+        number = name_of(record.get("id"), where, "id")
+        name = name_of(record.get("file_name") or record.get("id"), where, "file_name")
+        size: Any = record.get("width"), record.get("height")
+        known = all(isinstance(side, int) and 0 < side < 10**6 for side in size)
+        video = _text_of(record.get("video_id", record.get("vid_id")))
+        self.images[number] = _Image(name, size if known else None, video, record.get("frame_id"))
 
     def video(self, record: dict[str, Any]) -> None:
-        """Take one video of a file of videos."""
         number, name = record.get("id"), record.get("name", record.get("file_name"))
         if isinstance(number, int | str) and is_text(name):
             self.videos[str(number)] = str(name)
 
     def category(self, record: dict[str, Any]) -> None:
-        """Take one category."""
         where = f"{self.path}: category {shown(record.get('name', record.get('id')))}"
-        number, category = _category_of(record, where)
-        self.categories[number] = category
+        joints, edges = record.get("keypoints"), record.get("skeleton")
+        if joints is not None and not (isinstance(joints, list) and all(is_text(joint) for joint in joints)):
+            raise UserError(f"{where} has keypoints {shown(joints)}, expected a list of names.")
+        number = name_of(record.get("id"), where, "id")
+        edges = edges if isinstance(edges, list) else []
+        self.categories[number] = _Category(str(record.get("name", number)), tuple(joints) if joints else None, edges)
 
     def annotation(self, record: dict[str, Any]) -> None:
         """Take one annotation, unless it is a crowd or has no keypoints."""
@@ -161,11 +117,11 @@ class _Annotations:
         if count not in self.tables:
             self.tables[count], self.rows[count] = Numbers("keypoints"), []
         self.tables[count].add(values, where)
-        image = _plain(record.get("image_id"), where, "image_id")
+        image = name_of(record.get("image_id"), where, "image_id")
         category = record.get("category_id")
-        category = None if category is None else _plain(category, where, "category_id")
+        category = None if category is None else name_of(category, where, "category_id")
         track = _text_of(record.get("track_id", record.get("instance_id")))
-        self.rows[count].append((self.seen, image, category, track, str(number)))
+        self.rows[count].append((image, category, track, str(number)))
 
     def finish(self, options: ReadOptions) -> PoseData:
         """Return the annotations of the layout that has most of them."""
@@ -180,17 +136,14 @@ class _Annotations:
         values = self.tables[count].array(count, 3)[kept]
         confidence = seen_by_flag(values[..., 2], notes)
         images = self._images(rows)
-        known = self.categories.get(rows[0][2], next(iter(self.categories.values()), None))
-        return pose_data(
-            self.path,
-            joints,
-            values[..., :2],
-            confidence,
-            {**self._identity(images, rows), **self._classes(rows, joints)},
-            notes=notes,
-            bones=() if known is None else _lines_of(known, joints, notes),
-            image_size=_common_size(images),
-        )
+        known = self.categories.get(rows[0][1], next(iter(self.categories.values()), None))
+        edges = [] if known is None else known.edges
+        bones = pairs_by_name(edges, joints, first=1)
+        if len(bones) < len(edges):
+            notes.append(f"{len(edges) - len(bones)} lines of the file's skeleton name no keypoint: left out")
+        identity = self._identity(images, rows) | self._classes(rows, joints)
+        known = {"bones": bones, "image_size": same_or_none(image.size for image in images)}
+        return pose_data(self.path, joints, values[..., :2], confidence, identity, notes=notes, **known)
 
     def _instead(self) -> str:
         if "caption" in self.kinds:
@@ -201,10 +154,10 @@ class _Annotations:
         """Return names, number and rows of the keypoints of the layout with most annotations."""
         kinds: Counter[tuple[int, tuple[str, ...] | None]] = Counter()
         for count, rows in self.rows.items():
-            for category, found in Counter(row[2] for row in rows).items():
+            for category, found in Counter(row[1] for row in rows).items():
                 kinds[count, self._names(category, count, rows)] += found
         (count, joints), _ = kinds.most_common(1)[0]
-        kept = [n for n, row in enumerate(self.rows[count]) if self._names(row[2], count, self.rows[count]) == joints]
+        kept = [n for n, row in enumerate(self.rows[count]) if self._names(row[1], count, self.rows[count]) == joints]
         left = kinds.total() - len(kept)
         if left:
             notes.append(
@@ -213,64 +166,59 @@ class _Annotations:
             )
         return joints, count, np.array(kept)
 
-    def _names(self, category: Any, count: int, rows: list[tuple]) -> tuple[str, ...] | None:
+    def _names(self, category: str | None, count: int, rows: list[tuple]) -> tuple[str, ...] | None:
         """Return the names of a category's keypoints; None where the file has none."""
-        only = len(self.categories) == 1 and category is None
-        known = next(iter(self.categories.values())) if only else self.categories.get(category)
+        known = self.categories.get(category or "")
+        if len(self.categories) == 1 and category is None:
+            (known,) = self.categories.values()
         if known is None or known.joints is None:
             return None
         if len(known.joints) == count:
             return known.joints
         if count == len(WHOLEBODY133) and len(known.joints) in (17, 133):
             return WHOLEBODY133
-        first = next(row for row in rows if row[2] == category)
+        first = next(row for row in rows if row[1] == category)
         raise UserError(
-            f"{self.path}: annotation {first[4]} has {count} keypoints, but its category '{known.name:.40}' names "
+            f"{self.path}: annotation {first[3]} has {count} keypoints, but its category '{known.name:.40}' names "
             f"{len(known.joints)}. Expected x, y, v of each."
         )
 
     def _images(self, rows: list[tuple]) -> list[_Image]:
         if not self.images:
-            return [_Image(str(row[1]), None, None, None) for row in rows]
-        missing = next((row for row in rows if row[1] not in self.images), None)
+            return [_Image(row[0], None, None, None) for row in rows]
+        missing = next((row for row in rows if row[0] not in self.images), None)
         if missing is not None:
             raise UserError(
-                f"{self.path}: annotation {missing[4]} is of image {shown(missing[1])}, which is not among its "
+                f"{self.path}: annotation {missing[3]} is of image {missing[0]:.80}, which is not among its "
                 f"{len(self.images):,} images: cut short?"
             )
-        return [self.images[row[1]] for row in rows]
+        return [self.images[row[0]] for row in rows]
 
     def _identity(self, images: list[_Image], rows: list[tuple]) -> dict[str, np.ndarray]:
         """Return sequence, frame and track where the file is of videos; image and annotation otherwise."""
         if all(image.video is not None and image.frame is not None for image in images):
-            frames = [
-                whole_number(image.frame, f"{self.path}: image '{image.name:.60}'", "frame_id") for image in images
-            ]
-            found = {
-                "sequence": texts(self.path, [self.videos.get(str(i.video), str(i.video)) for i in images]),
-                "frame": np.array(frames, np.int64),
-            }
-            tracks = texts(self.path, [row[3] or "" for row in rows])
-            return {**found, "instance": tracks} if (tracks != "").any() else found
-        return {
-            "image": texts(self.path, [image.name for image in images]),
-            "instance": texts(self.path, [row[4] for row in rows]),
-        }
+            frames = [whole_number(i.frame, f"{self.path}: image '{i.name:.60}'", "frame_id") for i in images]
+            sequence = texts(self.path, [self.videos.get(str(i.video), str(i.video)) for i in images])
+            found = {"sequence": sequence, "frame": np.array(frames, np.int64)}
+            tracks = texts(self.path, [row[2] or "" for row in rows])
+            return found | {"instance": tracks} if (tracks != "").any() else found
+        image, number = [image.name for image in images], [row[3] for row in rows]
+        return {"image": texts(self.path, image), "instance": texts(self.path, number)}
 
     def _classes(self, rows: list[tuple], joints: tuple[str, ...]) -> dict[str, np.ndarray]:
         """Return the categories where there are several of this layout, whether or not they occur."""
         alike = {number for number, category in self.categories.items() if category.joints == joints}
-        if len(alike | {row[2] for row in rows}) < 2:
+        if len(alike | {row[1] for row in rows}) < 2:
             return {}
         names = {number: category.name for number, category in self.categories.items()}
-        return {"category": texts(self.path, [names.get(row[2], str(row[2])) for row in rows])}
+        return {"category": texts(self.path, [names.get(row[1], str(row[1])) for row in rows])}
 
 
 def _flat(record: dict[str, Any], where: str) -> list[Any]:
     """Return x, y, v of all keypoints of an annotation; those of COCO-WholeBody stand in five lists."""
     table, values = Numbers("keypoints"), record["keypoints"]
     if "foot_kpts" in record or "lefthand_kpts" in record:
-        values = [value for part in ("keypoints", *_PARTS) for value in table.flat(record.get(part), where)]
+        values = [value for part in _PARTS for value in table.flat(record.get(part), where)]
     if isinstance(values, list) and values and isinstance(values[0], list):  # triples in place of a flat list
         values = table.flat(values, where)
     if not isinstance(values, list) or len(values) % 3:

@@ -1,4 +1,4 @@
-"""Read mouse poses of JABS (_pose_est_v2.h5 to v8): twelve keypoints, stored y before x."""
+"""Mouse poses of JABS (_pose_est_v2.h5 to v8): twelve keypoints, stored y before x."""
 
 from __future__ import annotations
 
@@ -24,6 +24,7 @@ _BONES = (
     ("mid_tail", "tip_tail"), ("nose", "left_ear"), ("nose", "right_ear"), ("center_spine", "left_front_paw"),
     ("center_spine", "right_front_paw"), ("base_tail", "left_rear_paw"), ("base_tail", "right_rear_paw"),
 )  # fmt: skip
+_NOTE = "the file does not name its keypoints: they are taken to be the twelve of JABS"
 _MIRROR = (("left_ear", "right_ear"), ("left_front_paw", "right_front_paw"), ("left_rear_paw", "right_rear_paw"))
 
 
@@ -49,15 +50,8 @@ def _read(peek: Peek, options: ReadOptions) -> PoseData:
     identity = {"frame": frame, "sequence": np.full(len(frame), video)}
     if number is not None:
         identity["instance"] = number[frame, mouse].astype(str)
-    return PoseData(
-        keypoints=points[frame, mouse],
-        confidence=confidence[frame, mouse],
-        joint_names=JOINTS,
-        identity=identity,
-        bones=_BONES,
-        mirror=_MIRROR,
-        notes=("the file does not name its keypoints: they are taken to be the twelve of JABS",),
-    )
+    known = {"bones": _BONES, "mirror": _MIRROR, "notes": (_NOTE,)}
+    return PoseData(points[frame, mouse], confidence[frame, mouse], JOINTS, identity=identity, **known)
 
 
 def _mice(file: Hdf5, shape: tuple[int, ...]) -> tuple[np.ndarray, np.ndarray]:
@@ -81,8 +75,4 @@ def _mice(file: Hdf5, shape: tuple[int, ...]) -> tuple[np.ndarray, np.ndarray]:
     return np.arange(shape[1]) < count[:, None], number
 
 
-def _fits(peek: Peek) -> bool:
-    return "poseest" in peek.hdf5_names
-
-
-FORMAT = Format("jabs", "a pose file of JABS", _fits, _read)
+FORMAT = Format("jabs", "a pose file of JABS", lambda peek: "poseest" in peek.hdf5_names, _read)

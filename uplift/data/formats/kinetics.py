@@ -16,9 +16,8 @@ __all__ = ["FORMAT"]
 
 def _fits(peek: Peek) -> bool:
     first = peek.first_json
-    if first is None or first.json_sign != "{" or "data" not in first.json_keys:
-        return False
-    return '"frame_index"' in first.text or {"label", "label_index"} <= set(first.json_keys)
+    known = '"frame_index"' in first.text or {"label", "label_index"} <= set(first.json_keys)
+    return first.json_sign == "{" and "data" in first.json_keys and known
 
 
 def _read(peek: Peek, options: ReadOptions) -> PoseData:
@@ -35,12 +34,12 @@ def _read(peek: Peek, options: ReadOptions) -> PoseData:
 
 
 def _read_file(file: Path, poses: Numbers, scores: Numbers, bodies: Bodies) -> None:
-    known = False
+    found = False
     for key, text in members(file):
         if key != "data":
             text.value()
             continue
-        known = True
+        found = True
         for count, record in enumerate(objects(text, "'data'")):
             where = f"{file}: entry {count}"
             frame = whole_number(record.get("frame_index"), where, "frame_index")
@@ -54,7 +53,7 @@ def _read_file(file: Path, poses: Numbers, scores: Numbers, bodies: Bodies) -> N
                 poses.add(skeleton.get("pose"), here)
                 scores.add(skeleton.get("score"), here)
                 bodies.add(file.stem, frame)
-    if not known:
+    if not found:
         raise UserError(f"{file} has no 'data', expected the frames of a video with their skeletons.")
 
 

@@ -4,31 +4,34 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
 
-from uplift.data.datasets.coco import COCO_JOINTS
 from uplift.data.formats.base import ReadOptions
 from uplift.errors import UserError
 
 __all__ = [
-    "ALPHAPOSE",
-    "COCO",
-    "HAND21",
-    "KINETICS",
-    "MMPOSE",
-    "MPII16",
-    "OPENPOSE",
-    "OPENPOSE_FACE70",
-    "WHOLEBODY133",
-    "likely_layout",
-    "names_for",
-    "numbered",
-]
+    "ALPHAPOSE", "COCO", "COCO_JOINTS", "H36M_JOINTS", "HAND21", "HANDS", "HOURGLASS_JOINTS", "KINETICS", "MMPOSE",
+    "MPII16", "OPENPOSE", "OPENPOSE_FACE70", "WHOLEBODY133", "Layouts", "likely_layout", "names_for", "pairs_by_name",
+    "swapped_names",
+]  # fmt: skip
 
-# Names of keypoints by their number, for files of trackers that write none.
-
+COCO_JOINTS = (
+    "nose", "left_eye", "right_eye", "left_ear", "right_ear", "left_shoulder", "right_shoulder", "left_elbow",
+    "right_elbow", "left_wrist", "right_wrist", "left_hip", "right_hip", "left_knee", "right_knee", "left_ankle",
+    "right_ankle",
+)  # fmt: skip
+H36M_JOINTS = (
+    "hip", "rhip", "rknee", "rankle", "lhip", "lknee", "lankle", "spine", "thorax", "nose", "headtop",
+    "lshoulder", "lelbow", "lwrist", "rshoulder", "relbow", "rwrist",
+)  # fmt: skip
+"""Those of the skeleton h36m17."""
+HOURGLASS_JOINTS = (
+    "rankle", "rknee", "rhip", "lhip", "lknee", "lankle", "hip", "spine", "thorax", "headtop",
+    "rwrist", "relbow", "rshoulder", "lshoulder", "lelbow", "lwrist",
+)  # fmt: skip
 HALPE26 = (
     *COCO_JOINTS, "head", "neck", "hip", "left_big_toe", "right_big_toe", "left_small_toe", "right_small_toe",
     "left_heel", "right_heel",
@@ -69,9 +72,8 @@ Layouts = Mapping[int, tuple[str, tuple[str, ...]]]
 """Number of keypoints -> what the layout is called, and its names."""
 
 _COCO17 = ("COCO", COCO_JOINTS)
-_WHOLEBODY = ("COCO-WholeBody", WHOLEBODY133)
 _HAND = ("a hand", HAND21)
-COCO: Layouts = {17: _COCO17, 26: ("Halpe", HALPE26), 133: _WHOLEBODY}
+COCO: Layouts = {17: _COCO17, 26: ("Halpe", HALPE26), 133: ("COCO-WholeBody", WHOLEBODY133)}
 ALPHAPOSE: Layouts = {
     **COCO,
     18: ("OpenPose's 18", OPENPOSE18),
@@ -86,11 +88,6 @@ OPENPOSE: Layouts = {
     15: ("OpenPose's MPI model", OPENPOSE15),
 }
 KINETICS: Layouts = {17: _COCO17, 18: ("OpenPose's COCO model", OPENPOSE18)}
-
-
-def numbered(count: int) -> tuple[str, ...]:
-    """Return ``keypoint_0`` and so on, for keypoints of which nothing is known."""
-    return tuple(f"keypoint_{number}" for number in range(count))
 
 
 SHIPPED: dict[int, tuple[tuple[str, str], ...]] = {
@@ -108,7 +105,7 @@ def names_for(
     """Return the names of ``count`` keypoints that a file does not name, and the notes that say so.
 
     With ``points`` (rows count 2, or 3 with a score) another layout of as many keypoints than the usual is
-    taken where its bones are clearly shorter (`uplift.data.formats.layouts`).
+    taken where its bones are clearly shorter (`likely_layout`).
 
     Raises:
         UserError: the layout that the user names does not have that many.
@@ -131,15 +128,32 @@ def names_for(
         f"keypoints have no names in the file, and no known layout has {count}: named keypoint_0 to "
         f"keypoint_{count - 1}; say layout=SKELETON, or use a skeleton with these names"
     )
-    return numbered(count), (note,)
+    return tuple(f"keypoint_{number}" for number in range(count)), (note,)
+
+
+def pairs_by_name(pairs: Any, names: tuple[str, ...], first: int = 0) -> tuple[tuple[str, str], ...]:
+    """Return pairs of keypoints, numbered from ``first`` on, by name; without what are not such pairs."""
+    places = range(first, first + len(names))
+    return tuple(
+        (names[pair[0] - first], names[pair[1] - first])
+        for pair in (pairs if isinstance(pairs, list) else [])
+        if isinstance(pair, list) and len(pair) == 2 and all(type(place) is int and place in places for place in pair)
+    )
+
+
+def swapped_names(partners: Any, names: tuple[str, ...]) -> tuple[tuple[str, str], ...]:
+    """Return the pairs of names that a list with the number of each one's partner swaps; none for anything else."""
+    if not isinstance(partners, list) or len(partners) != len(names):
+        return ()
+    good = [(a, b) for a, b in enumerate(partners) if type(b) is int and a < b < len(names) and partners[b] == a]
+    return tuple((names[a], names[b]) for a, b in good)
 
 
 def _likely(points: np.ndarray, names: tuple[str, ...], shipped: tuple[tuple[str, str], ...]) -> int:
     """Return which of the ``shipped`` layouts the points are in; ``names`` are those of the first."""
     seen = np.isfinite(points).all(-1) & (points[..., :2] != 0).any(-1)
     score = np.where(seen, points[..., 2] if points.shape[-1] > 2 else 1, 0)
-    found = [names, *(_names_of(skeleton) for _, skeleton in shipped[1:])]
-    layouts = [(skeleton, joints) for (_, skeleton), joints in zip(shipped, found, strict=True)]
+    layouts = [(shipped[0][1], names), *((skeleton, _names_of(skeleton)) for _, skeleton in shipped[1:])]
     return likely_layout(points[..., :2].astype(np.float32), score.astype(np.float32), layouts)
 
 
@@ -153,17 +167,17 @@ def _names_of(skeleton: str) -> tuple[str, ...]:
 def _names_of_layout(path: Path, count: int, layout: str) -> tuple[str, ...]:
     from uplift.skeleton import load_skeleton
 
-    skeleton = load_skeleton(layout)
-    for names in (skeleton.joints, tuple(joint for joint in skeleton.joints if joint not in skeleton.midpoints)):
+    found = [load_skeleton(layout).joints, _names_of(layout)]
+    for names in found:
         if len(names) == count:
-            return names[:count]
+            return names
     raise UserError(
-        f"{path} has {count} keypoints; layout={layout} has {len(skeleton.joints) - len(skeleton.midpoints)} joints "
-        "that are not midpoints. Expected a skeleton whose joints are the file's keypoints, in its order."
+        f"{path} has {count} keypoints; layout={layout} has {len(found[1])} joints that are not midpoints. Expected a "
+        "skeleton whose joints are the file's keypoints, in its order."
     )
 
 
-# Which of several layouts unnamed keypoints are in: the one whose bones are short.
+# The likely layout of unnamed keypoints: the one whose bones are short.
 
 _CLEARLY = 0.65
 """Another layout than the usual is taken where its bones are this much of the usual one's."""

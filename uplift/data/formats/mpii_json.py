@@ -23,7 +23,7 @@ def _read(peek: Peek, options: ReadOptions) -> PoseData:
     joints, visible, bodies = Numbers("joints"), Numbers("joints_vis"), Bodies(path)
     for count, record in entries(path, "the list of people"):
         where = f"{path}: entry {count}"
-        image = name_of(record.get("image"), where, "image")
+        image = name_of(record.get("image"), where, "image", number=False)
         joints.add(record.get("joints"), where)
         visible.add(record.get("joints_vis"), where)
         bodies.add(image)

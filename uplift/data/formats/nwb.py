@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float, Int, Shaped
 
 from uplift.data.formats.base import Format, Peek, ReadOptions
 from uplift.data.formats.rows import as_float32, distinct, link_bodies, same_or_none, video_name, visible_only
@@ -17,7 +17,7 @@ from uplift.errors import UserError
 
 __all__ = ["FORMAT", "frame_numbers"]
 
-# The parts of an NWB file that concern poses: which groups, series, nodes and videos there are.
+# The parts of a file that concern poses: groups, series, nodes and videos.
 
 _KINDS = ("PoseEstimation", "PoseTraining")
 _DEEPEST, _MOST_GROUPS = 8, 100_000
@@ -30,27 +30,27 @@ _PIXELS = ("pixels", "pixel", "px", "")
 class _Series:
     """Where one keypoint of one body is over time."""
 
-    place: str
     name: str
-    points: np.ndarray
-    """(samples, 2) float32."""
-    score: np.ndarray
-    """(samples,) float32."""
-    stamps: np.ndarray
-    """(samples,) seconds."""
+    points: Shaped[np.ndarray, "samples 2"]
+    score: Shaped[np.ndarray, "samples"]
+    stamps_s: Float[np.ndarray, "samples"]
 
 
-@dataclass(frozen=True)
-class _Video:
-    """What is known of the video that poses are from."""
+@dataclass
+class _Container:
+    """One PoseEstimation: one body in one video."""
 
+    module: str
     name: str
+    series: list[_Series]
+    nodes: list[str]
+    bones: list[tuple[str, str]]
+    video: str
     camera: str
     image_size: tuple[int, int] | None
 
 
 def _groups_of(file: Hdf5) -> dict[str, list[str]]:
-    """Return the places of the groups of poses, by kind."""
     found: dict[str, list[str]] = {kind: [] for kind in _KINDS}
     been: set[int] = set()
     waiting = [(name, 1) for name in reversed(file.names()) if name != "specifications"]
@@ -99,21 +99,21 @@ def _series(file: Hdf5, where: str, name: str) -> tuple[_Series, list[str]]:
     frame = file.text(f"{where}/reference_frame")
     if "bottom" in frame.lower():
         notes.append(f"the reference frame is given as '{frame}': y is taken to point down all the same")
-    score = np.ones(len(points), np.float32)
-    if file.has(f"{where}/confidence"):
-        score = file.array(f"{where}/confidence")
-        if score.shape != (len(points),):
-            raise UserError(f"{file.path}: '{where}/confidence' has shape {score.shape}, expected ({len(points)},).")
-    return _Series(where, name, points, score, _stamps(file, where, len(points))), notes
+    scored = file.has(f"{where}/confidence")
+    score = _values(file, f"{where}/confidence", len(points)) if scored else np.ones(len(points), np.float32)
+    return _Series(name, points, score, _stamps(file, where, len(points))), notes
+
+
+def _values(file: Hdf5, name: str, count: int) -> np.ndarray:
+    found = file.array(name)
+    if found.shape != (count,):
+        raise UserError(f"{file.path}: '{name}' has shape {found.shape}, expected ({count},).")
+    return found
 
 
 def _stamps(file: Hdf5, where: str, samples: int) -> np.ndarray:
-    """Return (samples,) seconds."""
     if file.has(f"{where}/timestamps"):
-        stamps = file.array(f"{where}/timestamps").astype(np.float64).round(_DIGITS)
-        if stamps.shape != (samples,):
-            raise UserError(f"{file.path}: '{where}/timestamps' has shape {stamps.shape}, expected ({samples},).")
-        return stamps
+        return _values(file, f"{where}/timestamps", samples).astype(np.float64).round(_DIGITS)
     rate = file.attribute(f"{where}/starting_time", "rate")
     if not isinstance(rate, (int, float)) or not 0 < rate < np.inf:
         raise UserError(f"{file.path}: '{where}' has no time stamps and the rate {rate!r}, expected one of them.")
@@ -148,8 +148,8 @@ def _nodes_and_bones(file: Hdf5, place: str, series: list[str]) -> tuple[list[st
     return [*nodes, *(name for name in series if name not in nodes)], bones
 
 
-def _video_of(file: Hdf5, place: str) -> _Video:
-    """Return what a container says of its video."""
+def _video_of(file: Hdf5, place: str) -> tuple[str, str, tuple[int, int] | None]:
+    """Return the names of a container's video and camera, and the size of the video."""
     links = [f"{place}/{name}" for name in ("source_video", "labeled_video")]
     source = next((link for link in links if file.is_group(link)), None)
     if source is not None:
@@ -158,7 +158,7 @@ def _video_of(file: Hdf5, place: str) -> _Video:
         named, sizes = [f"{place}/original_videos", f"{place}/labeled_videos"], f"{place}/dimensions"
     path = next((text for text in map(file.text, named) if text), "")
     camera = _linked(file, place, "Device", "CalibratedCamera")
-    return _Video(video_name(path), file.own_name(camera) if camera else "", _size(file, sizes))
+    return video_name(path), file.own_name(camera) if camera else "", _size(file, sizes)
 
 
 def _size(file: Hdf5, name: str) -> tuple[int, int] | None:
@@ -169,7 +169,7 @@ def _size(file: Hdf5, name: str) -> tuple[int, int] | None:
     return (int(size[0]), int(size[1])) if (size.reshape(-1, 2) == size[:2]).all() else None
 
 
-# From time stamps of samples to numbers of frames.
+# From time stamps to frame numbers.
 
 _NEAR = 0.2
 """Share of the step between frames that time stamps may be off a whole number of steps."""
@@ -178,9 +178,7 @@ _DRIFT = 0.02
 _EXACT = 1e-3
 
 
-def frame_numbers(
-    stamps: Float[np.ndarray, "stamps"],
-) -> tuple[Int[np.ndarray, "stamps"], float | None, bool]:
+def frame_numbers(stamps: Float[np.ndarray, "stamps"]) -> tuple[Int[np.ndarray, "stamps"], float | None, bool]:
     """Return (stamps,) frame numbers of rising time stamps, their step in seconds, and whether they are even.
 
     A wait of several steps is a gap of as many frames. Where the first stamp is a whole number of
@@ -205,20 +203,11 @@ def frame_numbers(
     return np.append(0, np.cumsum(counts)).astype(np.int64) + int(np.rint(first) if known else 0), step, True
 
 
-# Read hand-labelled frames (PoseTraining of ndx-pose) from an NWB file.
-
-
-def _read_training(file: Hdf5, places: list[str]) -> PoseData:
-    """Return the instances of all training frames.
-
-    Raises:
-        UserError: no instance, or one that does not fit its skeleton.
-    """
-    return _Labels(file, places).data()
+# Hand-labelled frames (PoseTraining).
 
 
 class _Labels:
-    """Collects instance after instance."""
+    """The instances of all training frames."""
 
     def __init__(self, file: Hdf5, places: list[str]):
         self.file = file
@@ -245,22 +234,17 @@ class _Labels:
             nodes = self._skeleton(where)
             points = file.array(f"{where}/node_locations")
             if points.ndim != 2 or points.shape[0] != len(nodes) or points.shape[1] not in (2, 3):
-                raise UserError(
-                    f"{file.path}: '{where}/node_locations' has shape {points.shape}, expected ({len(nodes)}, 2)."
-                )
-            seen = np.ones(len(nodes))
-            if file.has(f"{where}/node_visibility"):
-                seen = file.array(f"{where}/node_visibility").astype(float)
-                if seen.shape != (len(nodes),):
-                    raise UserError(f"{file.path}: '{where}/node_visibility' has shape {seen.shape}.")
+                shape = f"shape {points.shape}, expected ({len(nodes)}, 2)"
+                raise UserError(f"{file.path}: '{where}/node_locations' has {shape}.")
+            flagged = file.has(f"{where}/node_visibility")
+            seen = _values(file, f"{where}/node_visibility", len(nodes)) if flagged else np.ones(len(nodes))
             self.found.append((nodes, points[:, :2].astype(float), np.where(seen > 0, 1.0, 0.5)))
             self.of.append((video, int(number) if known else -1, name))
 
     def _video(self, place: str) -> str:
         key = self.file.place(place)
         if key not in self.videos:
-            paths = self.file.texts(f"{place}/external_file") if self.file.has(f"{place}/external_file") else []
-            self.videos[key] = video_name(paths[0]) if paths else str(len(self.videos))
+            self.videos[key] = video_name(self.file.text(f"{place}/external_file")) or str(len(self.videos))
         return self.videos[key]
 
     def _skeleton(self, place: str) -> list[str]:
@@ -276,7 +260,7 @@ class _Labels:
         return self.skeletons[key]
 
     def data(self) -> PoseData:
-        """Return the instances as rows."""
+        """Return the instances as rows; raises UserError where nothing is visible."""
         check_memory(self.file.path, "the labels", 64 * len(self.found) * len(self.names))
         keypoints = np.full((len(self.found), len(self.names), 2), np.nan)
         score = np.zeros(keypoints.shape[:2])
@@ -289,14 +273,8 @@ class _Labels:
             raise UserError(f"{self.file.path}: no visible keypoint in the training frames.")
         points, confidence = points[rows], confidence[rows]
         identity, notes = self._identity(rows, points, confidence)
-        return PoseData(
-            keypoints=points,
-            confidence=confidence,
-            joint_names=tuple(self.names),
-            identity=identity,
-            bones=tuple(self.bones),
-            notes=notes,
-        )
+        known = {"identity": identity, "bones": tuple(self.bones), "notes": notes}
+        return PoseData(points, confidence, tuple(self.names), **known)
 
     def _identity(
         self, rows: np.ndarray, points: np.ndarray, confidence: np.ndarray
@@ -314,26 +292,7 @@ class _Labels:
         return identity | {"instance": body.astype(str)}, ("individuals have no names: they are linked by place",)
 
 
-# Read pose estimates (ndx-pose) from a file of Neurodata Without Borders (.nwb).
-
-
-@dataclass
-class _Container:
-    """One PoseEstimation: one body in one video."""
-
-    place: str
-    series: list[_Series]
-    nodes: list[str]
-    bones: list[tuple[str, str]]
-    video: _Video
-
-    @property
-    def module(self) -> str:
-        return self.place.rsplit("/", 1)[0]
-
-    @property
-    def name(self) -> str:
-        return self.place.rsplit("/", 1)[1]
+# Pose estimates.
 
 
 def _read(peek: Peek, options: ReadOptions) -> PoseData:
@@ -342,17 +301,16 @@ def _read(peek: Peek, options: ReadOptions) -> PoseData:
         places = _groups_of(file)
         if not places["PoseEstimation"]:
             if places["PoseTraining"]:
-                return _read_training(file, places["PoseTraining"])
-            raise UserError(
-                f"{path}: an NWB file without pose estimates, expected a PoseEstimation (ndx-pose) with its series."
-            )
+                return _Labels(file, places["PoseTraining"]).data()
+            raise UserError(f"{path}: an NWB file without pose estimates, expected a PoseEstimation (ndx-pose).")
         containers, notes = [], []
         for place in places["PoseEstimation"]:
             series, more = _series_of(file, place)
             notes += more
             if series:
                 nodes, bones = _nodes_and_bones(file, place, [one.name for one in series])
-                containers.append(_Container(place, series, nodes, bones, _video_of(file, place)))
+                module, _, name = place.rpartition("/")
+                containers.append(_Container(module, name, series, nodes, bones, *_video_of(file, place)))
         if places["PoseTraining"]:
             notes.append("hand labels for training (PoseTraining) are left out beside the pose estimates")
     if not containers:
@@ -365,7 +323,7 @@ def _data(path: Path, containers: list[_Container], notes: list[str]) -> PoseDat
     sequences = _sequences(path, containers)
     by_video: dict[tuple[str, str], list[_Container]] = {}
     for one, sequence in zip(containers, sequences, strict=True):
-        by_video.setdefault((sequence, one.video.camera), []).append(one)
+        by_video.setdefault((sequence, one.camera), []).append(one)
     parts, steps = [], []
     for (sequence, camera), mine in by_video.items():
         numbers, step, more = _numbers(path, mine)
@@ -382,7 +340,7 @@ def _data(path: Path, containers: list[_Container], notes: list[str]) -> PoseDat
     return PoseData(
         joint_names=tuple(names),
         fps=None if step in (None, 1.0) else round(1 / step, 4),
-        image_size=same_or_none(one.video.image_size for one in containers),
+        image_size=same_or_none(one.image_size for one in containers),
         bones=tuple(dict.fromkeys(bone for one in containers for bone in one.bones)),
         notes=tuple(dict.fromkeys(notes)),
         **_joined(parts),
@@ -392,8 +350,8 @@ def _data(path: Path, containers: list[_Container], notes: list[str]) -> PoseDat
 def _joined(parts: list[dict]) -> dict:
     """Return the rows of all bodies, of one video in the order of time."""
     count = [len(part["frame"]) for part in parts]
-    videos = list(dict.fromkeys((part["sequence"], part["camera"]) for part in parts))
-    video = np.repeat([videos.index((part["sequence"], part["camera"])) for part in parts], count)
+    of = [(part["sequence"], part["camera"]) for part in parts]
+    video = np.repeat([of.index(one) for one in of], count)
     frame = np.concatenate([part["frame"] for part in parts])
     order = np.lexsort((frame, video))
     identity = {"frame": frame[order]}
@@ -407,7 +365,7 @@ def _joined(parts: list[dict]) -> dict:
 
 def _sequences(path: Path, containers: list[_Container]) -> list[str]:
     """Return the video of each container: as it is named there, or the module or file where it is not."""
-    pairs = [(one.module, one.video.name) for one in containers]
+    pairs = [(one.module, one.video) for one in containers]
     several = len({one.module for one in containers}) > 1
     short = [video or (module.rsplit("/", 1)[-1] if several else path.stem) for module, video in dict.fromkeys(pairs)]
     names = dict(zip(dict.fromkeys(pairs), distinct(short), strict=True))
@@ -417,9 +375,9 @@ def _sequences(path: Path, containers: list[_Container]) -> list[str]:
 def _numbers(path: Path, containers: list[_Container]) -> tuple[list[list[np.ndarray]], float | None, list[str]]:
     """Return the frame numbers of each series of each body in one video, the step between frames (s), and notes."""
     every = [series for one in containers for series in one.series]
-    stamps, place = _different([series.stamps for series in every])
+    stamps, place = _different([series.stamps_s for series in every])
     step, notes = None, []
-    if all(map(_rises, stamps)):
+    if all(np.isfinite(one).all() and (np.diff(one) > 0).all() for one in stamps):
         union = stamps[0] if len(stamps) == 1 else np.unique(np.concatenate(stamps))
         numbers, step, even = frame_numbers(union)
         frames = [numbers if one is union else numbers[np.searchsorted(union, one)] for one in stamps]
@@ -429,7 +387,7 @@ def _numbers(path: Path, containers: list[_Container]) -> tuple[list[list[np.nda
         lengths = sorted({len(one) for one in stamps})
         if len(lengths) > 1:
             raise UserError(
-                f"{path}: '{containers[0].place}' has time stamps that do not rise, and series of "
+                f"{path}: '{containers[0].module}/{containers[0].name}' has time stamps that do not rise, and series of "
                 f"{' and '.join(map(str, lengths))} samples: which of them are of one frame is unknown."
             )
         frames = [np.arange(lengths[0])] * len(stamps)
@@ -440,22 +398,9 @@ def _numbers(path: Path, containers: list[_Container]) -> tuple[list[list[np.nda
 
 def _different(arrays: list[np.ndarray]) -> tuple[list[np.ndarray], list[int]]:
     """Return the arrays without those that equal another, and which of them each is: series often share their stamps."""
-    found: list[np.ndarray] = []
-    known: dict[tuple[int, int], int] = {}
-    place = []
-    for array in arrays:
-        key = (len(array), hash(array.tobytes()))
-        same = known.setdefault(key, len(found))
-        if same < len(found) and not np.array_equal(found[same], array):  # alike, but not equal
-            same = len(found)
-        if same == len(found):
-            found.append(array)
-        place.append(same)
-    return found, place
-
-
-def _rises(stamps: np.ndarray) -> bool:
-    return bool(np.isfinite(stamps).all() and (np.diff(stamps) > 0).all())
+    number: dict[bytes, int] = {}
+    place = [number.setdefault(array.tobytes(), len(number)) for array in arrays]
+    return [arrays[place.index(n)] for n in range(len(number))], place
 
 
 def _part(path: Path, one: _Container, frames: list[np.ndarray], names: list[str]) -> dict:
@@ -463,7 +408,7 @@ def _part(path: Path, one: _Container, frames: list[np.ndarray], names: list[str
     different, place = _different(frames)
     union = different[0] if len(different) == 1 else np.unique(np.concatenate(different))
     rows = [slice(None) if frame is union else np.searchsorted(union, frame) for frame in different]
-    check_memory(path, f"'{one.place}'", 32 * len(names) * len(union))
+    check_memory(path, f"'{one.module}/{one.name}'", 32 * len(names) * len(union))
     keypoints = np.full((len(union), len(names), 2), np.nan, np.float32)
     score = np.zeros((len(union), len(names)), np.float32)
     for series, number in zip(one.series, place, strict=True):
@@ -475,8 +420,5 @@ def _part(path: Path, one: _Container, frames: list[np.ndarray], names: list[str
     return {"keypoints": points[seen], "confidence": confidence[seen], "frame": union[seen]}
 
 
-def _fits(peek: Peek) -> bool:
-    return {"session_start_time", "identifier"} <= set(peek.hdf5_names)
-
-
-FORMAT = Format("nwb", "an NWB file with poses (ndx-pose)", _fits, _read)
+_ROOT = {"session_start_time", "identifier"}
+FORMAT = Format("nwb", "an NWB file with poses (ndx-pose)", lambda peek: set(peek.hdf5_names) >= _ROOT, _read)

@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 
 from uplift.data.formats.base import Format, Peek, ReadOptions
-from uplift.data.formats.layouts import HANDS, OPENPOSE, OPENPOSE_FACE70, names_for, numbered
-from uplift.data.formats.rows import pose_data, split_names, track_of
-from uplift.data.parsers.json import Numbers, json_files, load_json, shown, texts
+from uplift.data.formats.layouts import HANDS, OPENPOSE, OPENPOSE_FACE70, names_for
+from uplift.data.formats.rows import Bodies, pose_data, split_names, track_of
+from uplift.data.parsers.json import Numbers, json_files, load_json, shown
 from uplift.data.poses import PoseData
 from uplift.errors import UserError
 
@@ -25,32 +25,29 @@ _NAMES = {"hand_left": HANDS["left"], "hand_right": HANDS["right"], "face": OPEN
 
 def _fits(peek: Peek) -> bool:
     first = peek.first_json
-    return first is not None and first.json_sign == "{" and "people" in first.json_keys
+    return first.json_sign == "{" and "people" in first.json_keys
 
 
 def _read(peek: Peek, options: ReadOptions) -> PoseData:
     path = peek.path
-    files = json_files(path)
+    files, bodies = json_files(path), Bodies(path)
+    stems = [file.stem.removesuffix("_keypoints") for file in files]
+    numbered = split_names(stems)  # a video's frames, unless a name ends with no number
     parts = {part: Numbers(f"{part}_keypoints_2d") for part in _PARTS}
     rows: dict[str, list[int]] = {part: [] for part in _PARTS}
-    file_of: list[int] = []
-    tracks: list[str] = []
-    for number, file in enumerate(files):
+    for file, name, frame in zip(files, *(numbered or (stems, [None] * len(stems))), strict=True):
         for person, where in _people(file):
             filled = _keypoints(person, where)
-            if not filled:
-                continue
             for part, values in filled.items():
                 parts[part].add(values, where)
-                rows[part].append(len(file_of))
-            file_of.append(number)
-            tracks.append(track_of(person.get("person_id"), where, "person_id", listed=True))
-    if not file_of:
-        raise UserError(
-            f"{path}: no person with 2D keypoints ('pose_keypoints_2d' and the like) in {len(files):,} files."
-        )
-    values, names, notes = _joined(path, parts, rows, len(file_of), options)
-    identity = _identity(path, files, file_of, tracks)
+                rows[part].append(len(bodies))
+            if filled:
+                track = track_of(person.get("person_id"), where, "person_id", (int, float))
+                bodies.add(name or path.absolute().stem, frame, track)
+    if not len(bodies):
+        raise UserError(f"{path}: no person with 2D keypoints ('pose_keypoints_2d' or others) in {len(files):,} files.")
+    values, names, notes = _joined(path, parts, rows, len(bodies), options)
+    identity = bodies.identity() if numbered else bodies.images(bodies.name)
     return pose_data(path, names, values[..., :2], values[..., 2], identity, notes=notes)
 
 
@@ -94,28 +91,14 @@ def _joined(
             joints, more = names_for(path, count, OPENPOSE, options, triples)
             notes += more
         else:
-            joints = _NAMES[part] if len(_NAMES[part]) == count else tuple(f"{part}_{name}" for name in numbered(count))
+            joints = _NAMES[part] if len(_NAMES[part]) == count else tuple(f"{part}_keypoint_{n}" for n in range(count))
         if people * count > 20 * numbers.rows * count + 10_000_000:
-            raise UserError(
-                f"{path}: only {numbers.rows:,} of {people:,} people have '{numbers.what}': a damaged file?"
-            )
+            raise UserError(f"{path}: only {numbers.rows:,} of {people:,} people have '{numbers.what}': damaged file?")
         values = np.zeros((people, count, 3), np.float32)
         values[rows[part]] = triples
         found.append(values)
         names += joints
     return np.concatenate(found, 1), tuple(names), notes
-
-
-def _identity(path: Path, files: list[Path], file_of: list[int], tracks: list[str]) -> dict[str, np.ndarray]:
-    """Return sequence and frame by the number that each file's name ends with; the image where one has none."""
-    stems = [file.stem.removesuffix("_keypoints") for file in files]
-    found = split_names(stems)
-    if found is None:
-        image = np.array(stems)[file_of]
-        return {"image": image, "instance": np.arange(len(image)).astype(str)}
-    sequence = np.array([name or path.absolute().stem for name in found[0]])[file_of]
-    identity = {"sequence": sequence, "frame": np.array(found[1], np.int64)[file_of]}
-    return {**identity, "instance": texts(path, tracks)} if any(tracks) else identity
 
 
 FORMAT = Format("openpose", "OpenPose JSON", _fits, _read, ".json")

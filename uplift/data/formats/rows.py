@@ -439,28 +439,29 @@ class Bodies:
         return {"category": texts(self.path, self.category)} if len(set(self.category)) > 1 else {}
 
 
-def track_of(value: Any, where: str, key: str, *, listed: bool = False) -> str:
+def track_of(value: Any, where: str, key: str, kinds: tuple[type, ...] = (int, str)) -> str:
     """Return a track's number or name as text; nothing for None and -1.
 
-    Where it may be ``listed``, it may be in a list; lists of several, as merged tracks have, count as nothing.
+    Where ``kinds`` have float, it may be in a list; lists of several, as merged tracks have, count as nothing.
 
     Raises:
         UserError: anything else.
     """
-    while listed and isinstance(value, list):
+    while float in kinds and isinstance(value, list):
         value = value[0] if len(value) == 1 else None
     if value is None or value == -1:
         return ""
-    if isinstance(value, bool) or not isinstance(value, int | float | str) or value != value:
+    unknown = isinstance(value, bool) or not isinstance(value, kinds) or value != value
+    if unknown or (str not in kinds and value < 0):
         raise UserError(f"{where} has {key} {shown(value)}, expected the number of a track.")
     return str(int(value)) if isinstance(value, float) and value.is_integer() else str(value)
 
 
-def name_of(value: Any, where: str, key: str) -> str:
-    """Return the name or number of an image or class as text; raises UserError for anything else."""
-    if is_text(value) or type(value) is int:
+def name_of(value: Any, where: str, key: str, *, number: bool = True) -> str:
+    """Return the name, or the ``number``, of an image or class as text; raises UserError for anything else."""
+    if is_text(value) or (number and type(value) is int):
         return str(value)
-    raise UserError(f"{where} has {key} {shown(value)}, expected a number or a name.")
+    raise UserError(f"{where} has {key} {shown(value)}, expected a {'number or a ' if number else ''}name.")
 
 
 # From the numbers of a table to rows of keypoints: what is missing, its confidence, and who is seen.

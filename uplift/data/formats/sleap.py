@@ -19,7 +19,7 @@ from uplift.errors import UserError
 
 __all__ = ["ANALYSIS", "PROJECT"]
 
-# What the JSON inside a SLEAP project says: its skeletons, videos and tracks.
+# The JSON inside a project: its skeletons, videos and tracks.
 
 _BONE, _MIRROR = 1, 2
 """Kinds of links between nodes, as SLEAP numbers them."""
@@ -37,21 +37,12 @@ class _Body:
     mirror: tuple[tuple[str, str], ...]
 
 
-@dataclass(frozen=True)
-class _Video:
-    """A video of a project."""
-
-    name: str
-    image_size: tuple[int, int] | None
-    fps: float | None
+_Video = tuple[str, tuple[int, int] | None, float | None]
+"""Name, size of the image and frames a second of a video."""
 
 
 def _bodies_of(file: Hdf5) -> list[_Body]:
-    """Return the skeletons, in the order that instances count them in.
-
-    Raises:
-        UserError: the metadata are not those of a SLEAP project.
-    """
+    """Return the skeletons, in the order that instances count them in; raises UserError for other metadata."""
     raw = file.attribute("metadata", "json")
     if raw is None:
         raise UserError(f"{file.path}: no metadata with the names of the nodes, expected in {file.what}.")
@@ -60,9 +51,7 @@ def _bodies_of(file: Hdf5) -> list[_Body]:
         names = [_clean(node["name"]) for node in metadata["nodes"]]
         bodies = [_body(skeleton.get("nx_graph", skeleton), names) for skeleton in metadata["skeletons"]]
     except _WRONG as error:
-        raise UserError(
-            f"{file.path}: the skeletons in the metadata are not as SLEAP writes them ({error!r})."
-        ) from error
+        raise UserError(f"{file.path}: skeletons in the metadata are not as SLEAP writes them ({error!r}).") from error
     for body in bodies:
         if not body.nodes or len(set(body.nodes)) != len(body.nodes):
             raise UserError(f"{file.path}: skeleton '{body.name}' has nodes {body.nodes!r}, expected each name once.")
@@ -79,18 +68,15 @@ def _body(graph: dict[str, Any], names: list[str]) -> _Body:
     for link in graph["links"]:
         raw = link["type"]
         if "py/reduce" in raw:
-            kind = int(raw["py/reduce"][1]["py/tuple"][0])
-            kinds[len(kinds) + 1] = kind
+            kind = kinds[len(kinds) + 1] = int(raw["py/reduce"][1]["py/tuple"][0])
         else:
-            back = int(raw["py/id"])
-            kind = kinds.get(back, back)
+            kind = kinds.get(int(raw["py/id"]), int(raw["py/id"]))
         ends[kind].append((name_of[int(link["source"])], name_of[int(link["target"])]))
     title = _clean(graph.get("graph", {}).get("name") or "")
     return _Body(title, tuple(name_of[n] for n in ids), tuple(dict.fromkeys(ends[_BONE])), pairs_of(ends[_MIRROR]))
 
 
 def _tracks_of(file: Hdf5) -> list[str]:
-    """Return the names of the tracks, made distinct."""
     raw = file.texts("tracks_json") if file.has("tracks_json") else []
     found = [from_json(file.path, f"entry {place} of 'tracks_json'", text) for place, text in enumerate(raw)]
     try:
@@ -100,22 +86,18 @@ def _tracks_of(file: Hdf5) -> list[str]:
 
 
 def _videos_of(file: Hdf5) -> dict[int, _Video]:
-    """Return the videos by the numbers that frames give them, their names made distinct.
-
-    Frames number videos by their place, or, of a project with pictures inside, by those groups.
-    """
+    """Return the videos by the numbers that frames give them: their place, or that of the group with their pictures."""
     raw = file.texts("videos_json") if file.has("videos_json") else []
     entries = [from_json(file.path, f"entry {place} of 'videos_json'", text) for place, text in enumerate(raw)]
     cropped = file.has("video_crops")  # then the file's size is not that of the picture that was tracked
-    used = np.unique(file.table("frames", ("video",))["video"]).tolist()
-    by_place = used == list(range(len(entries)))
+    by_place = np.unique(file.table("frames", ("video",))["video"]).tolist() == list(range(len(entries)))
     found = {}
     try:
         names = _names([_source(file, entry) for entry in entries])
         for place, (entry, name) in enumerate(zip(entries, names, strict=True)):
             inside = re.match(r"video(\d{1,9})/", str(entry["backend"].get("dataset") or ""))
             size, fps = _shown(entry["backend"])
-            found[int(inside[1]) if inside and not by_place else place] = _Video(name, None if cropped else size, fps)
+            found[int(inside[1]) if inside and not by_place else place] = (name, None if cropped else size, fps)
     except _WRONG as error:
         raise UserError(f"{file.path}: 'videos_json' is not as SLEAP writes it ({error!r}).") from error
     return found
@@ -125,10 +107,8 @@ def _names(paths: list[str]) -> list[str]:
     """Return a name for each video, with its folder where several videos have one name."""
     names = [video_name(path) for path in paths]
     count = Counter(names)
-    folders = [re.split(r"[\\/]", path)[-2:-1] for path in paths]
-    return distinct(
-        "/".join([*folder, name]) if count[name] > 1 else name for name, folder in zip(names, folders, strict=True)
-    )
+    parts = zip((re.split(r"[\\/]", path)[-2:-1] for path in paths), names, strict=True)
+    return distinct("/".join([*folder, name]) if count[name] > 1 else name for folder, name in parts)
 
 
 def _source(file: Hdf5, entry: dict[str, Any]) -> str:
@@ -148,35 +128,34 @@ def _source(file: Hdf5, entry: dict[str, Any]) -> str:
         raw = file.texts(f"{source}/json")[0] if file.has(f"{source}/json") else file.attribute(source, "json")
         above = from_json(file.path, f"the source of {group}", str(raw))
         path = str(above["backend"].get("filename") or above.get("filename") or ".")
-    return _clean(path if path != "." else f"{Path(file.path).stem}_{group}" if group else Path(file.path).stem)
+    return _clean(path if path != "." else f"{file.path.stem}_{group}" if group else file.path.stem)
 
 
 def _shown(backend: dict[str, Any]) -> tuple[tuple[int, int] | None, float | None]:
-    """Return the size of the pictures and the frames a second, where the project says them."""
+    """Return the size of the pictures and the frames a second, where they are known."""
     shape, fps = backend.get("shape"), backend.get("fps")
-    size = (shape[2], shape[1]) if isinstance(shape, list) and len(shape) == 4 else None
-    if size is None:
-        size = (backend.get("width_"), backend.get("height_"))
+    size: Any = (backend.get("width_"), backend.get("height_"))
+    if isinstance(shape, list) and len(shape) == 4:
+        size = (shape[2], shape[1])
     known = all(isinstance(n, int) and 0 < n < 1_000_000 for n in size)
-    right = isinstance(fps, (int, float)) and 0 < fps < 100_000
-    return (int(size[0]), int(size[1])) if known else None, float(fps) if right else None  # type: ignore[arg-type]
+    return size if known else None, float(fps) if isinstance(fps, int | float) and 0 < fps < 1e5 else None
 
 
 def _clean(text: Any) -> str:
     return str(text).encode(errors="replace").decode()
 
 
-# Which instances of a SLEAP project count: those of its frames, one a track, labels before predictions.
+# The instances that count: those of frames, one a track, labels before predictions.
 
 USER, PREDICTED = 0, 1
 """Kinds of instances, as SLEAP numbers them."""
 
 
 def _rows_of(file: Hdf5, bodies: int, tracks: int) -> dict[str, np.ndarray]:
-    """Return columns of whole numbers, a row for each instance that a frame has."""
-    frames = _whole(file, "frames", ("video", "frame_idx", "instance_id_start", "instance_id_end"))
+    """Return columns of integers, a row for each instance that a frame has."""
+    frames = _integers(file, "frames", ("video", "frame_idx", "instance_id_start", "instance_id_end"))
     columns = ("instance_id", "instance_type", "skeleton", "track", "from_predicted", "point_id_start", "point_id_end")
-    instances = _whole(file, "instances", columns)
+    instances = _integers(file, "instances", columns)
     start, count = frames["instance_id_start"], frames["instance_id_end"] - frames["instance_id_start"]
     there = len(instances["track"])
     if ((start < 0) | (count < 0) | (start + count > there)).any() or count.sum() > there:
@@ -184,31 +163,23 @@ def _rows_of(file: Hdf5, bodies: int, tracks: int) -> dict[str, np.ndarray]:
     which = np.repeat(start - np.append(0, np.cumsum(count)[:-1]), count) + np.arange(count.sum())
     rows = {name: column[which] for name, column in instances.items()}
     rows["video"], rows["frame"] = np.repeat(frames["video"], count), np.repeat(frames["frame_idx"], count)
-    for name, low, high in (
-        ("instance_type", USER, PREDICTED + 1),
-        ("skeleton", 0, bodies),
-        ("track", -1, tracks),
-        ("frame", 0, 2**40),
-    ):
-        if len(rows[name]) and (rows[name].min() < low or rows[name].max() >= high):
-            raise UserError(
-                f"{file.path}: column '{name}' goes from {rows[name].min()} to {rows[name].max()}, "
-                f"expected {low} to {high - 1}."
-            )
+    ranges = {"instance_type": (USER, PREDICTED), "skeleton": (0, bodies - 1), "track": (-1, tracks - 1)}
+    for name, (low, high) in {**ranges, "frame": (0, 2**40 - 1)}.items():
+        least, most = (rows[name].min(), rows[name].max()) if len(rows[name]) else (low, high)
+        if least < low or most > high:
+            raise UserError(f"{file.path}: column '{name}' goes from {least} to {most}, expected {low} to {high}.")
     return rows
 
 
-def _whole(file: Hdf5, name: str, columns: tuple[str, ...]) -> dict[str, np.ndarray]:
+def _integers(file: Hdf5, name: str, columns: tuple[str, ...]) -> dict[str, np.ndarray]:
     found = file.table(name, columns)
     for column, values in found.items():
+        right = values <= 2**62
         if values.dtype.kind == "f":
-            right = np.isfinite(values) & (np.abs(values) < 2**53) & (values == np.rint(values))
-        else:
-            right = values <= 2**62
+            right = (np.abs(values) < 2**53) & (values == np.rint(values))
         if not right.all():
-            raise UserError(
-                f"{file.path}: column '{column}' of '{name}' holds {values[~right][0]}, expected whole numbers."
-            )
+            wrong = values[~right][0]
+            raise UserError(f"{file.path}: column '{column}' of '{name}' holds {wrong}, expected whole numbers.")
         found[column] = values.astype(np.int64)
     return found
 
@@ -229,21 +200,20 @@ def _without_replaced(rows: dict[str, np.ndarray]) -> tuple[dict[str, np.ndarray
     replaced = np.isin(rows["instance_id"], rows["from_predicted"][user & (rows["from_predicted"] >= 0)])
     replaced |= tracked & np.isin(key, key[user & tracked])
     replaced &= ~user
-    note = f"{int(replaced.sum()):,} predicted instances are left out, as labelled ones stand in their place"
+    note = f"{int(replaced.sum()):,} predicted instances are left out, as labelled ones take their place"
     return {name: column[~replaced] for name, column in rows.items()}, [note] if replaced.any() else []
 
 
 def _first_of_each(rows: dict[str, np.ndarray], seen: np.ndarray) -> np.ndarray:
     """Return the indices, in the order of time, of rows that show something, one for each video, frame and track."""
     where = np.flatnonzero(seen)
-    key = _keys_of({name: rows[name][where] for name in ("video", "frame", "track")})
-    first = np.zeros(len(where), bool)
-    first[np.unique(key, return_index=True)[1]] = True
-    where = where[first | (rows["track"][where] < 0)]
+    kept = rows["track"][where] < 0
+    kept[np.unique(_keys_of(rows)[where], return_index=True)[1]] = True
+    where = where[kept]
     return where[np.lexsort((rows["frame"][where], rows["video"][where]))]
 
 
-# Read a project or predictions of SLEAP (.slp): tables of frames, instances and points.
+# Projects and predictions (.slp): tables of frames, instances and points.
 
 _CENTRED_PIXELS, _TOO_NEW = 1.1, 3.0
 """Format numbers: since when (0, 0) is the middle of the first pixel and no longer its corner; what is not known yet."""
@@ -252,10 +222,9 @@ _CENTRED_PIXELS, _TOO_NEW = 1.1, 3.0
 def _read_project(peek: Peek, options: ReadOptions) -> PoseData:
     path = peek.path
     with open_hdf5(path, "a SLEAP project") as file:
-        shift_px = _shift_px(file)
         bodies, tracks, videos = _bodies_of(file), _tracks_of(file), _videos_of(file)
         rows, notes = _without_replaced(_rows_of(file, len(bodies), len(tracks)))
-        names, keypoints, confidence, more = _points(file, rows, bodies, shift_px)
+        names, keypoints, confidence, more = _points(file, rows, bodies, _shift_px(file))
     seen = np.any(confidence > 0, axis=-1)
     kept = _first_of_each(rows, seen)
     if not len(kept):
@@ -274,8 +243,8 @@ def _read_project(peek: Peek, options: ReadOptions) -> PoseData:
         confidence=confidence,
         joint_names=names,
         identity={key: values for key, values in identity.items() if values is not None},
-        image_size=same_or_none(video.image_size for video in seen_in),
-        fps=same_or_none(video.fps for video in seen_in),
+        image_size=same_or_none(size for _, size, _ in seen_in),
+        fps=same_or_none(fps for _, _, fps in seen_in),
         bones=tuple(dict.fromkeys(bone for body in of_bodies for bone in body.bones)),
         mirror=pairs_of(pair for body in of_bodies for pair in body.mirror),
         notes=(*notes, *more, *linked),
@@ -298,7 +267,7 @@ def _videos(path: Path, number: np.ndarray, videos: dict[int, _Video]) -> tuple[
     if unknown and videos:
         raise UserError(f"{path}: frames are of video {unknown[0]}, expected one of {sorted(videos)}.")
     found = [videos[one] for one in used.tolist()] if videos else []
-    return found, np.array([video.name for video in found] or [f"{path.stem} {one}" for one in used])[place]
+    return found, np.array([name for name, *_ in found] or [f"{path.stem} {one}" for one in used])[place]
 
 
 def _points(
@@ -362,11 +331,8 @@ def _instances(
     return names.astype(str), () if alone else ("individuals without a track are linked by place",)
 
 
-def _is_project(peek: Peek) -> bool:
-    return {"frames", "instances", "metadata"} <= set(peek.hdf5_names)
-
-
-PROJECT = Format("sleap_slp", "a project of SLEAP", _is_project, _read_project)
+_ROOT = {"frames", "instances", "metadata"}
+PROJECT = Format("sleap_slp", "a project of SLEAP", lambda peek: set(peek.hdf5_names) >= _ROOT, _read_project)
 
 
 # Analysis files (.h5): one array of all frames, tracks and nodes.
@@ -393,33 +359,21 @@ def _read_analysis(peek: Peek, options: ReadOptions) -> PoseData:
         tracks, of_tracks = _track_names(file, points.shape[1])
         video = video_name(file.text("video_path")) or video_name(path.stem)
         identity = {"frame": frame, "sequence": np.full(len(frame), video)}
-        if tracks:
-            identity["instance"] = np.array(tracks)[track]
-        return PoseData(
-            keypoints=keypoints[frame, track],
-            confidence=confidence[frame, track],
-            joint_names=tuple(names),
-            identity=identity,
-            image_size=_image_size(file),
-            bones=_bones(file, names),
-            mirror=_mirror(file, names),
-            notes=(*notes, *of_tracks),
-        )
+        identity |= {"instance": np.array(tracks)[track]} if tracks else {}
+        known = {"identity": identity, "notes": notes + of_tracks, "image_size": _image_size(file)}
+        known |= {"bones": _bones(file, names), "mirror": _mirror(file, names)}
+        return PoseData(keypoints[frame, track], confidence[frame, track], tuple(names), **known)
 
 
 def _known_scores(score: np.ndarray, there: np.ndarray) -> tuple[np.ndarray, tuple[str, ...]]:
-    """Return scores with 1 for points that are ``there`` without one, and what was assumed.
-
-    A point without a score was set by hand.
-    """
+    """Return scores with 1 for points that are ``there`` without one, as those set by hand are, and what was assumed."""
     score = np.where(np.isnan(score), np.float32(1), score)
-    if there.any() and not (score[there] > 0).any():
-        return np.ones_like(score), ("all scores are 0: every point that is there counts as certain",)
-    return score, ()
+    if (score[there] > 0).any() or not there.any():
+        return score, ()
+    return np.ones_like(score), ("all scores are 0: every point that is there counts as certain",)
 
 
 def _scores(file: Hdf5, order: tuple[str, ...], points: np.ndarray) -> tuple[np.ndarray, tuple[str, ...]]:
-    """Return (frames, tracks, nodes) scores."""
     if not file.has("point_scores"):
         return np.ones(points.shape[:-1], np.float32), ("no point_scores: every point that is there counts as certain",)
     stored = as_float32(file.array("point_scores"))
@@ -435,14 +389,9 @@ def _scores(file: Hdf5, order: tuple[str, ...], points: np.ndarray) -> tuple[np.
 
 
 def _axes_of(file: Hdf5, shape: tuple[int, ...], nodes: int) -> tuple[str, ...]:
-    """Return the axes of 'tracks' in the order of the file."""
-    raw = _stated_axes(file, "tracks")
-    if raw:
-        orders = [raw]
-    elif file.attribute("", "transpose") in (None, True, np.True_):
-        orders = list(_OLD_ORDERS)
-    else:
-        orders = list(_OLD_ORDERS[1:])
+    stated = _stated_axes(file, "tracks")
+    transposed = file.attribute("", "transpose") in (None, True)
+    orders = [stated] if stated else _OLD_ORDERS if transposed else _OLD_ORDERS[1:]
     for order in orders:
         sizes = dict(zip(order, shape, strict=False))
         if len(shape) == 4 and sorted(order) == sorted(_AXES) and sizes["xy"] == 2 and sizes["node"] == nodes:
@@ -475,39 +424,31 @@ def _track_names(file: Hdf5, tracks: int) -> tuple[list[str], tuple[str, ...]]:
 
 def _bones(file: Hdf5, names: list[str]) -> tuple[tuple[str, str], ...]:
     """Return the edges whose ends are nodes; some files name them, some number them."""
+    ends: list[str] = []
     if file.has("edge_names"):
         ends = file.texts("edge_names")
-        pairs = list(zip(ends[::2], ends[1::2], strict=False))
     elif file.has("edge_inds"):
         numbers = file.array("edge_inds").ravel().tolist()
         ends = [names[int(n)] if n in range(len(names)) else "" for n in numbers]
-        pairs = list(zip(ends[::2], ends[1::2], strict=False))
-    else:
-        pairs = []
-    known = set(names)
-    return tuple((a, b) for a, b in pairs if a in known and b in known)
+    return tuple(pair for pair in zip(ends[::2], ends[1::2], strict=False) if set(pair) <= set(names))
 
 
 def _mirror(file: Hdf5, names: list[str]) -> tuple[tuple[str, str], ...]:
     raw = file.attribute("", "skeleton_symmetries")
     pairs = from_json(file.path, "'skeleton_symmetries'", str(raw)) if raw is not None else []
-    ends = [tuple(map(str, pair)) for pair in pairs if isinstance(pair, list)] if isinstance(pairs, list) else []
-    return pairs_of((pair[0], pair[1]) for pair in ends if len(pair) == 2 and set(pair) <= set(names))
+    pairs = [pair for pair in pairs if isinstance(pair, list) and len(pair) == 2] if isinstance(pairs, list) else []
+    return pairs_of((a, b) for a, b in pairs if a in names and b in names)
 
 
 def _image_size(file: Hdf5) -> tuple[int, int] | None:
     raw = file.attribute("", "video_backend_metadata")
     video = from_json(file.path, "'video_backend_metadata'", str(raw)) if raw is not None else {}
-    shape = video.get("shape") if isinstance(video, dict) else None
-    if isinstance(shape, list) and len(shape) == 4 and all(isinstance(n, int) and n > 0 for n in shape[1:3]):
-        return shape[2], shape[1]
-    return None
+    return _shown(video)[0] if isinstance(video, dict) else None
 
 
 def _is_analysis(peek: Peek) -> bool:
-    return {"tracks", "node_names"} <= set(peek.hdf5_names) and bool(
-        {"track_occupancy", "track_names"} & set(peek.hdf5_names)
-    )
+    names = set(peek.hdf5_names)
+    return {"tracks", "node_names"} <= names and bool({"track_occupancy", "track_names"} & names)
 
 
 ANALYSIS = Format("sleap_h5", "an analysis file of SLEAP", _is_analysis, _read_analysis)

@@ -2,19 +2,19 @@
 
 from __future__ import annotations
 
-import heapq
 import os
 import re
 import warnings
-from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from jaxtyping import Float
 
 from uplift.data.formats.base import Format, Peek, ReadOptions
-from uplift.data.formats.layouts import COCO, names_for
+from uplift.data.formats.layouts import COCO, names_for, swapped_names
 from uplift.data.formats.rows import (
     SHARES_NOTE,
     Bodies,
@@ -32,44 +32,92 @@ from uplift.errors import UserError
 
 __all__ = ["LABELS", "RESULTS"]
 
-# What stands around Ultralytics' label files: their folder and data.yaml.
+# Text labels and predictions: a file an image, a row a body, coordinates as shares of the image.
 
-_NO_LABELS = ("classes.txt", "labels.txt", "notes.txt")
+_YAML = (".yaml", ".yml")
+_LABEL = re.compile(r"(?!\.|readme|(classes|labels|notes)\.txt$).*\.txt", re.IGNORECASE)
 _LEVELS = 3
+_TRIES = 100
+
+
+def _are_labels(peek: Peek) -> bool:
+    if peek.ending in _YAML:
+        return "kpt_shape" in peek.text
+    if not peek.is_folder:
+        return peek.ending == ".txt" and _is_row(peek)
+    for file in _label_files(peek.path)[:_TRIES]:
+        with suppress(UserError, OSError):
+            return _is_row(Peek(file))
+    return False
+
+
+def _is_row(peek: Peek) -> bool:
+    """Return whether the first line is a class, a box in shares of the image, and more."""
+    first = next((line.split() for line in peek.lines or peek.text.splitlines() if line.strip()), [])
+    try:
+        values = [float(cell) for cell in first[:5]]
+        float(first[-1])
+    except (ValueError, IndexError):
+        return False
+    shares = all(-0.5 <= value <= 1.5 for value in values[1:])
+    return len(first) >= 7 and values[0] >= 0 and values[0].is_integer() and shares
 
 
 def _label_files(path: Path) -> list[Path]:
-    """Return a file itself, or the label files of a folder, or of labels/ in it, with their numbers in order.
-
-    Raises:
-        UserError: none there.
-    """
-    if not path.is_dir():
-        return [path]
+    """Return the label files of a folder, or else of labels/ in it, by name."""
     for folder in (path, path / "labels"):
-        found = [folder / name for name in _label_names(folder)]
-        if found:
-            return sorted(found, key=lambda one: in_order(one.name))
-    raise UserError(f"{path} has no *.txt in it, nor in labels/ below it.")
-
-
-def _first_labels(path: Path, most: int) -> list[Path]:
-    """Return the first label files, by name, of a folder or of labels/ in it; never an exception."""
-    for folder in (path, path / "labels"):
-        try:
-            found = heapq.nsmallest(most, _label_names(folder))
-        except OSError:
-            continue
-        if found:
-            return [folder / name for name in found]
+        with suppress(OSError):
+            found = [one.name for one in os.scandir(folder) if _LABEL.fullmatch(one.name) and one.is_file()]
+            if found:
+                return [folder / name for name in sorted(found)]
     return []
 
 
-def _label_names(folder: Path) -> Iterator[str]:
-    for one in os.scandir(folder) if folder.is_dir() else []:
-        name = one.name.lower()
-        if name.endswith(".txt") and name not in _NO_LABELS and not name.startswith((".", "readme")) and one.is_file():
-            yield one.name
+def _read_labels(peek: Peek, options: ReadOptions) -> PoseData:
+    path = peek.path
+    if path.suffix.lower() in _YAML and path.is_file():
+        folders = [folder for folder in path.parent.glob("**/labels") if folder.is_dir()][:3]
+        shown = ", ".join(map(str, folders)) or "train/labels"
+        raise UserError(f"{path} describes a data set and holds no keypoints. Give a folder of its labels: {shown}.")
+    files = sorted(_label_files(path), key=lambda one: in_order(one.name)) if path.is_dir() else [path]
+    if not files:
+        raise UserError(f"{path} has no *.txt in it, nor in labels/ below it.")
+    labels = _read_rows(path, files)
+    description = _describe(path if path.is_dir() else path.parent)
+    notes: list[str] = []
+    values, predicted, tracks = _divide(path, labels, description, notes)
+    names = description.names_of(path, values.shape[1], options, notes)
+    keypoints, confidence = values[..., :2], (values[..., :2] != 0).any(-1).astype(np.float32)
+    if values.shape[2] == 3:  # predictions blank weak keypoints
+        confidence = np.where(confidence > 0, seen_by_flag(values[..., 2], notes), np.float32(0))
+    pictures, sizes = _picture_sizes(files, labels.file.tolist(), options, notes)
+    if sizes is None:
+        notes.append(SHARES_NOTE)
+    else:
+        keypoints = keypoints * sizes[:, None]
+    identity = _identity(path, files, labels, predicted, tracks, pictures)
+    known: dict[str, Any] = {"mirror": swapped_names(description.partners, names)}
+    if sizes is not None and (sizes == sizes[0]).all():
+        known["image_size"] = (int(sizes[0, 0]), int(sizes[0, 1]))
+    identity |= description.categories(labels.values[:, 0])
+    return pose_data(path, names, keypoints, confidence, identity, notes=notes, **known)
+
+
+def _identity(
+    path: Path, files: list[Path], labels: _Labels, predicted: bool, tracks: np.ndarray | None, pictures: dict[str, str]
+) -> dict[str, np.ndarray]:
+    """Return sequence, frame and track of predictions that are numbered as a video's frames; images otherwise."""
+    stems = [file.stem for file in files]
+    video = video_names(stems, path.absolute().stem) if predicted and len(files) > 1 else None
+    if video is None:
+        image = np.array([pictures.get(stem, stem) for stem in stems])[labels.file]
+        return {"image": image, "instance": labels.line.astype(str)}
+    sequence, frame = np.array(video[0]), np.array(video[1], np.int64)
+    identity = {"sequence": sequence[labels.file], "frame": frame[labels.file]}
+    return identity if tracks is None else identity | {"instance": tracks}
+
+
+# The pictures beside label files, for their sizes.
 
 
 def _picture_sizes(
@@ -131,9 +179,12 @@ def _picture_size(picture: Path) -> tuple[int, int]:
         ) from None
 
 
+# The data.yaml that describes labels.
+
+
 @dataclass
 class _Description:
-    """What data.yaml says of the labels."""
+    """What data.yaml says."""
 
     path: Path | None = None
     shape: tuple[int, int] | None = None
@@ -151,46 +202,28 @@ class _Description:
             raise UserError(f"{self.path}: kpt_names are {len(self.names)}, the labels have {count} keypoints.")
         return self.names
 
-    def mirror(self, names: tuple[str, ...]) -> tuple[tuple[str, str], ...]:
-        """Return the pairs that flip_idx swaps."""
-        other = self.partners
-        if len(other) != len(names) or not all(place < len(names) for place in other):
-            return ()
-        return tuple((names[a], names[b]) for a, b in enumerate(other) if a < b and other[b] == a)
-
-    def categories(self, classes: np.ndarray) -> np.ndarray | None:
-        """Return (rows,) names of classes where there are several; None otherwise."""
-        found = np.unique(classes)
+    def categories(self, classes: np.ndarray) -> dict[str, np.ndarray]:
+        """Return (rows,) names of classes where there are several."""
+        found, place = np.unique(classes, return_inverse=True)
         if len(found) < 2 and len(self.classes) < 2:
-            return None
-        names = np.array([self.classes.get(int(one), str(int(one))) for one in found])
-        return names[np.searchsorted(found, classes)]
+            return {}
+        return {"category": np.array([self.classes.get(int(one), str(int(one))) for one in found])[place]}
 
 
 def _describe(folder: Path) -> _Description:
-    """Return what the data.yaml of a folder of labels says, which stands beside it or up to two folders above.
-
-    Raises:
-        UserError: a data.yaml that has kpt_shape and is damaged.
-    """
+    """Return what the data.yaml in a folder of labels, or up to two folders above, says; a damaged one raises UserError."""
     here = folder.absolute()
     for place in [here, *here.parents][:_LEVELS]:
         for path in sorted([*place.glob("*.yaml"), *place.glob("*.yml")]):
-            if _mentions_shape(path):
-                return _description(path)
+            with suppress(OSError):
+                if path.is_file() and path.stat().st_size < 1_000_000 and b"kpt_shape" in path.read_bytes():
+                    return _description(path)
     return _Description()
-
-
-def _mentions_shape(path: Path) -> bool:
-    try:
-        return path.is_file() and path.stat().st_size < 1_000_000 and b"kpt_shape" in path.read_bytes()
-    except OSError:
-        return False
 
 
 def _description(path: Path) -> _Description:
     data = _plain_yaml(path)
-    shape = _whole_numbers(data.get("kpt_shape"))
+    shape = _integers(data.get("kpt_shape"))
     if len(shape) != 2 or not 0 < shape[0] < 100_000 or shape[1] not in (2, 3):
         raise UserError(f"{path}: kpt_shape is {shown(shape or data.get('kpt_shape'))}, expected [keypoints, 2 or 3].")
     classes, names = data.get("names"), data.get("kpt_names")
@@ -199,13 +232,13 @@ def _description(path: Path) -> _Description:
     if isinstance(classes, list):
         classes = {str(number): name for number, name in enumerate(classes)}
     classes = classes if isinstance(classes, dict) else {}
+    partners = _integers(data.get("flip_idx"))
+    numbered = {n: name for n, name in classes.items() if is_text(name) and re.fullmatch("[0-9]{1,6}", n)}
     return _Description(
         path=path,
         shape=(shape[0], shape[1]),
-        classes={
-            int(n): str(name)[:200] for n, name in classes.items() if is_text(name) and re.fullmatch("[0-9]{1,6}", n)
-        },
-        partners=_whole_numbers(data.get("flip_idx")),
+        classes={int(n): name[:200] for n, name in numbered.items()},
+        partners=partners if max(partners, default=0) < shape[0] else [],
         names=tuple(names) if isinstance(names, list) and names and all(map(is_text, names)) else None,
     )
 
@@ -225,48 +258,34 @@ def _plain_yaml(path: Path) -> dict[str, Any]:
     return data
 
 
-def _whole_numbers(values: Any) -> list[int]:
+def _integers(values: Any) -> list[int]:
     """Return a list of whole numbers; empty for anything else."""
     if not isinstance(values, list) or not all(isinstance(v, str) and re.fullmatch("[0-9]{1,9}", v) for v in values):
         return []
     return [int(value) for value in values]
 
 
-# The rows of Ultralytics' label files, and what their numbers are.
+# The rows of label files, and what their numbers are.
 
 
 @dataclass
 class _Labels:
     """The rows of all label files."""
 
-    file: list[int] = field(default_factory=list)
-    line: list[int] = field(default_factory=list)
-    length: np.ndarray = field(default_factory=lambda: np.empty(0, int))
-    """(rows,) numbers in a row."""
-    values: np.ndarray = field(default_factory=lambda: np.empty((0, 0), np.float32))
-    """(rows, longest), NaN behind the end of a row."""
-    boxes: np.ndarray = field(default_factory=lambda: np.empty((0, 5), np.float32))
-    """(rows, 5): class, centre and size."""
+    file: np.ndarray
+    line: np.ndarray
+    length: np.ndarray
+    """Numbers in each row."""
+    values: Float[np.ndarray, "rows longest"]
+    """Class, centre and size of the box, keypoints and what follows; NaN behind the end of a row."""
 
 
-@dataclass
-class _RowLayout:
-    """What the numbers of a row are."""
+def _divide(
+    path: Path, labels: _Labels, description: _Description, notes: list[str]
+) -> tuple[np.ndarray, bool, np.ndarray | None]:
+    """Return (rows, keypoints, 2 or 3) numbers, whether a network made them, and (rows,) tracks, empty where a row has none.
 
-    count: int
-    values: np.ndarray
-    """(rows, keypoints, 2 or 3)."""
-    predicted: bool
-    """Whether a network made them, not a person."""
-    track: np.ndarray | None
-    """(rows,) text, empty where a row has none."""
-
-
-def _row_layout(path: Path, labels: _Labels, description: _Description, notes: list[str]) -> _RowLayout:
-    """Return how the rows divide: as data.yaml says, or so that keypoints lie in their boxes.
-
-    Raises:
-        UserError: no division fits, or not that of data.yaml.
+    Rows divide as data.yaml says, or so that keypoints lie in their boxes; raises UserError where they do not.
     """
     shortest, longest = int(labels.length.min()), int(labels.length.max())
     if description.shape is not None:
@@ -278,15 +297,14 @@ def _row_layout(path: Path, labels: _Labels, description: _Description, notes: l
             )
     else:
         count, size = _divided(path, labels, shortest, longest)
-        parts = "x, y, v" if size == 3 else "x, y"
         notes.append(
             f"no data.yaml with kpt_shape beside the labels or above: rows of {shortest} numbers are read as {count} "
-            f"keypoints of {parts}"
+            f"keypoints of {'x, y, v' if size == 3 else 'x, y'}"
         )
     end = 5 + count * size
-    values = labels.values[:, 5:end].reshape(len(labels.values), count, size)
+    values = labels.values[:, 5:end].reshape(-1, count, size)
     flags = size == 2 or bool(np.isin(values[..., 2], (0, 1, 2)).all())
-    return _RowLayout(count, values, longest > end or not flags, _tracks(labels.values[:, end:]))
+    return values, longest > end or not flags, _tracks(labels.values[:, end:])
 
 
 def _divided(path: Path, labels: _Labels, shortest: int, longest: int) -> tuple[int, int]:
@@ -312,7 +330,7 @@ def _share_inside(labels: _Labels, count: int, size: int) -> float:
     values = labels.values[:10_000, 5 : 5 + count * size].reshape(-1, count, size)
     if size == 3 and not ((values[..., 2] >= 0) & ((values[..., 2] <= 1) | (values[..., 2] == 2))).all():
         return 0.0
-    centre, side = labels.boxes[:10_000, None, 1:3], labels.boxes[:10_000, None, 3:5]
+    centre, side = labels.values[:10_000, None, 1:3], labels.values[:10_000, None, 3:5]
     inside = np.all(np.abs(values[..., :2] - centre) <= 0.6 * side + 0.01, axis=-1)
     given = np.any(values[..., :2] != 0, axis=-1)
     return float(inside[given].mean()) if given.any() else 0.0
@@ -330,49 +348,39 @@ def _tracks(extra: np.ndarray) -> np.ndarray | None:
 
 
 def _read_rows(path: Path, files: list[Path]) -> _Labels:
-    """Return the rows of all files; they may differ in what follows the keypoints.
-
-    Raises:
-        UserError: text that is not a row of a label, or rows with different numbers of keypoints.
-    """
-    labels = _Labels()
-    by_length: dict[int, Numbers] = {}
-    lengths: list[int] = []
+    """Return the rows of all files; raises UserError where they differ in more than what follows the keypoints."""
+    tables: dict[int, Numbers] = {}
+    rows: list[tuple[int, int, int]] = []
     for number, file in enumerate(files):
         for line, text in enumerate(_text(file).splitlines()):
             if text.strip():
                 where = f"{file}, line {line + 1}"
                 values = _numbers(text, where)
-                by_length.setdefault(len(values), Numbers("keypoints")).add(values, where)
-                lengths.append(len(values))
-                labels.file.append(number)
-                labels.line.append(line)
-    if not lengths:
+                tables.setdefault(len(values), Numbers("keypoints")).add(values, where)
+                rows.append((number, line, len(values)))
+    if not rows:
         raise UserError(f"{path}: all {len(files):,} label files are empty.")
-    labels.length = np.array(lengths)
-    if max(by_length) - min(by_length) > 2:
-        few = min(by_length, key=lambda length: by_length[length].rows)
-        others = ", ".join(str(length) for length in sorted(by_length)[:10] if length != few)
-        raise UserError(
-            f"{_place(files, labels, labels.length == few)} has {few} numbers, other rows {others}. Expected the "
-            "same keypoints in every row."
-        )
-    labels.values = np.full((len(lengths), max(by_length)), np.nan, np.float32)
-    for length, table in by_length.items():
+    number, line, length = np.array(rows).T
+    labels = _Labels(number, line, length, np.full((len(rows), max(tables)), np.nan, np.float32))
+    if max(tables) - min(tables) > 2:
+        few = min(tables, key=lambda length: tables[length].rows)
+        others = ", ".join(str(length) for length in sorted(tables)[:10] if length != few)
+        place = _place(files, labels, labels.length == few)
+        raise UserError(f"{place} has {few} numbers, other rows {others}. Expected the same keypoints in every row.")
+    for length, table in tables.items():
         labels.values[labels.length == length, :length] = table.array()
-    labels.boxes = labels.values[:, :5]
-    kind = labels.boxes[:, 0]
-    wrong = ~np.all(np.isfinite(labels.boxes), axis=1) | (kind < 0) | (kind != np.floor(kind))
+    box, kind = labels.values[:, :5], labels.values[:, 0]
+    wrong = ~np.all(np.isfinite(box), axis=1) | (kind < 0) | (kind != np.floor(kind))
     if wrong.any():
         raise UserError(
-            f"{_place(files, labels, wrong)} begins {labels.boxes[wrong][0].tolist()}, expected a class (a whole "
-            "number from 0 up) and a box of four shares of the image."
+            f"{_place(files, labels, wrong)} begins {box[wrong][0].tolist()}, expected a class (a whole number "
+            "from 0 up) and a box of four shares of the image."
         )
     return labels
 
 
 def _place(files: list[Path], labels: _Labels, rows: np.ndarray) -> str:
-    first = int(np.flatnonzero(rows)[0])
+    first = int(np.argmax(rows))
     return f"{files[labels.file[first]]}, line {labels.line[first] + 1}"
 
 
@@ -393,83 +401,6 @@ def _text(file: Path) -> str:
         raise UserError(f"{file} cannot be read as text: {error}") from None
 
 
-# Ultralytics' text labels and predictions: a file an image, a row a body, coordinates as shares of the image.
-
-_YAML = (".yaml", ".yml")
-_TRIES = 100
-
-
-def _are_labels(peek: Peek) -> bool:
-    if peek.ending in _YAML:
-        return "kpt_shape" in peek.text
-    if not peek.is_folder:
-        return peek.ending == ".txt" and _is_row(peek)
-    for file in _first_labels(peek.path, _TRIES):
-        try:
-            return _is_row(Peek(file))
-        except (UserError, OSError):
-            continue
-    return False
-
-
-def _is_row(peek: Peek) -> bool:
-    """Return whether the first line is a class, a box in shares of the image, and more."""
-    first = next((line.split() for line in peek.lines or peek.text.splitlines() if line.strip()), [])
-    try:
-        values = [float(cell) for cell in first[:5]]
-        float(first[-1])
-    except (ValueError, IndexError):
-        return False
-    shares = all(-0.5 <= value <= 1.5 for value in values[1:])
-    return len(first) >= 7 and values[0] >= 0 and values[0].is_integer() and shares
-
-
-def _read_labels(peek: Peek, options: ReadOptions) -> PoseData:
-    path = peek.path
-    if path.suffix.lower() in _YAML and path.is_file():
-        folders = [folder for folder in path.parent.glob("**/labels") if folder.is_dir()][:3]
-        shown = ", ".join(map(str, folders)) or "train/labels"
-        raise UserError(f"{path} describes a data set and holds no keypoints. Give a folder of its labels: {shown}.")
-    files = _label_files(path)
-    labels = _read_rows(path, files)
-    description = _describe(path if path.is_dir() else path.parent)
-    notes: list[str] = []
-    layout = _row_layout(path, labels, description, notes)
-    names = description.names_of(path, layout.count, options, notes)
-    shares = layout.values[..., :2]
-    if layout.values.shape[2] == 3:
-        confidence = seen_by_flag(layout.values[..., 2], notes)
-        confidence = np.where((shares == 0).all(-1), np.float32(0), confidence)  # predictions blank weak ones so
-    else:
-        confidence = (shares != 0).any(-1).astype(np.float32)
-    pictures, sizes = _picture_sizes(files, labels.file, options, notes)
-    keypoints = shares if sizes is None else shares * sizes[:, None].astype(np.float32)
-    if sizes is None:
-        notes.append(SHARES_NOTE)
-    identity = _identity(path, files, labels, layout, pictures)
-    classes = description.categories(labels.boxes[:, 0])
-    if classes is not None:
-        identity["category"] = classes
-    same = sizes is not None and (sizes == sizes[0]).all()
-    size = (int(sizes[0, 0]), int(sizes[0, 1])) if sizes is not None and same else None
-    mirror = description.mirror(names)
-    return pose_data(path, names, keypoints, confidence, identity, notes=notes, image_size=size, mirror=mirror)
-
-
-def _identity(
-    path: Path, files: list[Path], labels: _Labels, layout: _RowLayout, pictures: dict[str, str]
-) -> dict[str, np.ndarray]:
-    """Return sequence, frame and track of predictions that are numbered as a video's frames; images otherwise."""
-    stems = [file.stem for file in files]
-    video = video_names(stems, path.absolute().stem) if layout.predicted and len(files) > 1 else None
-    if video is None:
-        image = np.array([pictures.get(stem, stem) for stem in stems])[labels.file]
-        return {"image": image, "instance": np.array(labels.line).astype(str)}
-    sequence, frame = np.array(video[0]), np.array(video[1], np.int64)
-    identity = {"sequence": sequence[labels.file], "frame": frame[labels.file]}
-    return identity if layout.track is None else {**identity, "instance": layout.track}
-
-
 LABELS = Format("ultralytics", "Ultralytics labels", _are_labels, _read_labels, ".txt")
 
 
@@ -478,12 +409,9 @@ LABELS = Format("ultralytics", "Ultralytics labels", _are_labels, _read_labels, 
 
 def _are_results(peek: Peek) -> bool:
     first = peek.first_json
-    if first is None or first.json_sign != "[":
-        return False
     keys = set(first.json_keys)
-    if not keys:  # images as lists in a list
-        return all(f'"{key}"' in first.text for key in ("box", "keypoints", "confidence"))
-    return {"box", "keypoints", "class"} <= keys and "image_id" not in keys
+    nested = not keys and all(f'"{key}"' in first.text for key in ("box", "keypoints", "confidence"))
+    return first.json_sign == "[" and (nested or ({"box", "keypoints", "class"} <= keys and "image_id" not in keys))
 
 
 class _Results:
@@ -494,7 +422,6 @@ class _Results:
         self.bodies = Bodies(path)
 
     def add(self, body: Any, file: Path, frame: int | None, where: str) -> None:
-        """Take one body."""
         points = body.get("keypoints") if isinstance(body, dict) else None
         if not isinstance(points, dict):
             raise UserError(f"{where} is {shown(body)}, expected an object with keypoints: x, y, visible.")

@@ -1,4 +1,4 @@
-"""Read the 2D files of VideoPose3D: its own videos' keypoints (data_2d_custom_*.npz), and its detector's output."""
+"""The 2D files of VideoPose3D: keypoints of videos (data_2d_custom_*.npz), and the output of its detector."""
 
 from __future__ import annotations
 
@@ -8,11 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from uplift.data.datasets.coco import COCO_JOINTS
-from uplift.data.datasets.h36m_files import HOURGLASS_JOINTS, JOINTS
 from uplift.data.formats.base import Format, Peek, ReadOptions
 from uplift.data.formats.csv import Identity, bodies_of
-from uplift.data.formats.layouts import Layouts, names_for
+from uplift.data.formats.layouts import COCO_JOINTS, H36M_JOINTS, HOURGLASS_JOINTS, Layouts, names_for
 from uplift.data.formats.rows import confidence_of
 from uplift.data.parsers.pickles import load_object_npz
 from uplift.data.poses import PoseData
@@ -22,19 +20,17 @@ __all__ = ["FORMAT"]
 
 _LEFT = {
     (1, 3, 5, 7, 9, 11, 13, 15): ("COCO", COCO_JOINTS),
-    (4, 5, 6, 11, 12, 13): ("Human3.6M", JOINTS),
+    (4, 5, 6, 11, 12, 13): ("Human3.6M", H36M_JOINTS),
     (3, 4, 5, 13, 14, 15): ("the stacked hourglass", HOURGLASS_JOINTS),
 }
 """The joints that metadata calls the left ones -> layout."""
 _LAYOUTS: Layouts = {17: _LEFT[1, 3, 5, 7, 9, 11, 13, 15], 16: _LEFT[3, 4, 5, 13, 14, 15]}
-_DETECTED = {"boxes", "keypoints", "metadata"}
 
 
 def _read(peek: Peek, options: ReadOptions) -> PoseData:
     path = peek.path
     arrays = load_object_npz(path, ["positions_2d", "metadata", "boxes", "keypoints"])
-    metadata = arrays.get("metadata", {})
-    metadata = metadata if isinstance(metadata, dict) else {}
+    metadata = arrays["metadata"] if isinstance(arrays.get("metadata"), dict) else {}
     if "positions_2d" in arrays:
         clips = _custom(path, arrays["positions_2d"])
         sizes = metadata.get("video_metadata", {})
@@ -48,9 +44,7 @@ def _read(peek: Peek, options: ReadOptions) -> PoseData:
         )
     counts = {view.shape[1] for *_, view in clips}
     if len(counts) > 1:
-        raise UserError(
-            f"{path}: videos with {', '.join(map(str, sorted(counts)))} keypoints, expected as many in each."
-        )
+        raise UserError(f"{path}: videos with {', '.join(map(str, sorted(counts)))} keypoints, expected equal numbers.")
     names, notes = _names(path, counts.pop(), metadata, options)
     return _all(path, clips, names, notes, _size(sizes, {clip[0] for clip in clips}))
 
@@ -79,21 +73,16 @@ def _custom(path: Path, table: Any) -> list[Clip]:
 
 
 def _detected(path: Path, frames: Any) -> list[Clip]:
-    """Return the clip of a detector's frames: for each [nothing, (bodies 4 joints)] with x, y, logit and share.
-
-    (infer_video_d2.py of VideoPose3D, whose only class with keypoints is the second.)
-    """
+    """Return the clip of a detector's frames (infer_video_d2.py): [nothing, (bodies 4 joints)] of x, y, logit, share."""
     if not isinstance(frames, np.ndarray | list) or (isinstance(frames, np.ndarray) and frames.ndim == 0):
         raise UserError(f"{path}: 'keypoints' is {type(frames).__name__}, expected a list of frames.")
     rows, numbers = [], []
     for number, frame in enumerate(frames):
         bodies = frame[1] if isinstance(frame, np.ndarray | list | tuple) and len(frame) == 2 else None
         if bodies is None or not isinstance(bodies, np.ndarray | list):
-            raise UserError(
-                f"{path}: frame {number} of 'keypoints' is not a pair of lists, as VideoPose3D's detector writes."
-            )
+            raise UserError(f"{path}: frame {number} of 'keypoints' is not a pair of lists, as the detector writes.")
         for body in bodies:
-            body = np.asarray(body) if isinstance(body, np.ndarray) else np.empty(0)
+            body = body if isinstance(body, np.ndarray) else np.empty(0)
             if body.ndim != 2 or body.shape[0] != 4 or body.dtype.kind not in "fiu":
                 raise UserError(f"{path}: frame {number}: a body of shape {body.shape}, expected (4, joints) numbers.")
             rows.append(body[[0, 1, 3]].T)
@@ -106,13 +95,9 @@ def _detected(path: Path, frames: Any) -> list[Clip]:
 
 
 def _keypoints(view: Any, where: str) -> np.ndarray:
-    if (
-        not isinstance(view, np.ndarray)
-        or view.dtype.kind not in "fiu"
-        or view.ndim != 3
-        or view.shape[2] not in (2, 3)
-    ):
-        shown = f"{view.dtype} {view.shape}" if isinstance(view, np.ndarray) else type(view).__name__
+    is_array = isinstance(view, np.ndarray)
+    if not is_array or view.dtype.kind not in "fiu" or view.ndim != 3 or view.shape[2] not in (2, 3):
+        shown = f"{view.dtype} {view.shape}" if is_array else type(view).__name__
         raise UserError(f"{where}: {shown}, expected numbers (frames, joints, 2).")
     if not view.shape[1]:
         raise UserError(f"{where}: no joints.")
@@ -123,15 +108,12 @@ def _keypoints(view: Any, where: str) -> np.ndarray:
 def _all(
     path: Path, clips: list[Clip], names: tuple[str, ...], notes: tuple[str, ...], size: tuple[int, int] | None
 ) -> PoseData:
-    """Return the clips one after the other."""
     lengths = [len(clip[3]) for clip in clips]
-    texts = {key: [clip[at] for clip in clips] for at, key in enumerate(("sequence", "action", "camera"))}
-    identity = {
-        key: np.repeat(np.array(values), lengths)
-        for key, values in texts.items()
-        if any(values) and not (key == "action" and set(values) == {"custom"})
-    }
-    identity["frame"] = np.concatenate([clip[3] for clip in clips]).astype(np.int64)
+    identity: dict[str, Any] = {"frame": np.concatenate([clip[3] for clip in clips]).astype(np.int64)}
+    for at, key in enumerate(("sequence", "action", "camera")):
+        values = [clip[at] for clip in clips]
+        if any(values) and not (key == "action" and set(values) == {"custom"}):
+            identity[key] = np.repeat(np.array(values), lengths)
     if "action" in identity:  # one video may have several, each with frames from 0
         identity["sequence"] = np.char.add(np.char.add(identity["sequence"], " "), identity["action"])
     scored = {clip[4].shape[2] for clip in clips} == {3}
@@ -178,7 +160,7 @@ def _mapping(path: Path, value: Any, what: str) -> dict[Any, Any]:
 
 def _fits(peek: Peek) -> bool:
     names = set(peek.npz_names)
-    return "positions_2d" in names or (names >= _DETECTED and "joint_names" not in names)
+    return "positions_2d" in names or ({"boxes", "keypoints", "metadata"} <= names and "joint_names" not in names)
 
 
 FORMAT = Format("videopose3d", "2D keypoints of VideoPose3D (npz)", _fits, _read)
