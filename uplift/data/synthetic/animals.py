@@ -116,7 +116,7 @@ def _head_parts(build: _Build, at: np.ndarray, pitch: int | float) -> list[Part]
         path_z = np.concatenate([[0], np.cumsum(np.cos(turn[1:]))]) * reach + 0.75 * long
         radii = np.linspace(0.55, 0.18, 6) * deep
         parts.append(tube(np.stack([0 * steps, path_y, path_z], 1), radii, sides=8))
-    parts = [part.turned(-pitch, "x") for part in parts]
+    parts = [part.rotated(-pitch, "x") for part in parts]
     return [Part(part.vertices + at, part.faces) for part in parts]
 
 
@@ -127,7 +127,7 @@ def _ears(build: _Build, deep: int | float) -> list[Part]:
         left = [ball(foot + (0.1 * ear, 0.2 * ear, 0), (0.5 * ear, 0.55 * ear, 0.2 * ear))]
     elif build.ears == "fans":
         left = [
-            ball((deep * 0.7 + ear * 0.25, 0, 0.2 * build.head), (ear * 0.45, ear * 0.62, ear * 0.07)).turned(0.5, "y")
+            ball((deep * 0.7 + ear * 0.25, 0, 0.2 * build.head), (ear * 0.45, ear * 0.62, ear * 0.07)).rotated(0.5, "y")
         ]
     else:
         out, up = {"pointed": (0.25, 1.0), "side": (0.95, 0.3), "hanging": (0.35, -0.9)}[build.ears]
@@ -204,7 +204,7 @@ def animal(rng: np.random.Generator) -> Mesh:
         wag=rng.normal(0, 0.3),
         trot=rng.random() < 0.3,
     )
-    built = Builder()
+    built = Builder(rng)
     belly = build.leg
     spine = belly + build.deep / 2
     _trunk(built, build, pose, spine)
@@ -272,8 +272,8 @@ def _neck_and_head(built: Builder, build: _Build, pose: _Pose, spine: int | floa
     pitch = np.deg2rad(build.head_angle) + 0.5 * pose.nod
     parts = _head_parts(build, end, pitch)
     neck_turn, head_turn = 0.5 * pose.look, 0.6 * pose.look
-    parts = [part.turned(head_turn, "y", end) for part in parts]
-    built.add(*(part.turned(neck_turn, "y", foot) for part in [neck.widened(0.85), *parts]))
+    parts = [part.rotated(head_turn, "y", end) for part in parts]
+    built.add(*(part.rotated(neck_turn, "y", foot) for part in [neck.widened(0.85), *parts]))
 
 
 def _tail(built: Builder, build: _Build, pose: _Pose, spine: int | float) -> None:
