@@ -211,7 +211,7 @@ def own_body(skeleton: Skeleton) -> Body:
     )
 
 
-def _with_root(points: tuple[str, ...], angles: dict[str, tuple[float, float]], steps: list) -> dict[str, Any]:
+def _with_root(points: tuple[str, ...], angles: dict[str, tuple], steps: list) -> dict[str, Any]:
     """Return the fields of a `Body` made of its angles and of ``steps`` (angle, point, axis), the root's own first."""
     root = {f"{points[0]} {name}": axis for name, axis in ROOT_ANGLES.items()}
     angles = {**dict.fromkeys(root, (-np.inf, np.inf)), **angles}
