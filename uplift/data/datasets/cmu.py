@@ -14,6 +14,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
+from uplift.data.datasets.base import Rows
 from uplift.data.datasets.h36m_files import JOINTS
 from uplift.data.parsers.json import in_order
 from uplift.data.parsers.mocap import Figure, Tree, open_bvh, read_amc, read_asf, read_lines
@@ -491,35 +492,15 @@ def filmed(
 
     A clip's cameras depend on ``seed`` and its own name, not on the other clips. ``frame`` counts at 120 Hz.
     """
-    lengths = np.array([len(clip.joints) for clip in clips])
-    rows = lengths * rig.cameras
-    keypoints = np.empty((rows.sum(), len(JOINTS), 2), np.float32)
-    pose = np.empty((rows.sum(), len(JOINTS), 3), np.float32)
-    root, tilt = np.empty((rows.sum(), 3), np.float32), np.empty(rows.sum(), np.float32)
-    start = 0
+    rows = Rows(sum(len(clip.joints) for clip in clips) * rig.cameras, JOINTS)
+    step = np.int32(max(1, round(_BASE_FPS / fps)))
     for clip in clips:
         random = np.random.default_rng([seed, zlib.crc32(clip.sequence.encode())])
-        for view in film(clip.joints, rig, random):
-            here = slice(start, start + len(clip.joints))
-            keypoints[here], pose[here], root[here], tilt[here] = view.keypoints, view.pose, view.root, view.tilt_deg
-            start = here.stop
-    texts = {"subject": [clip.subject for clip in clips], "sequence": [clip.sequence for clip in clips]}
-    identity = {key: np.repeat(np.array(values), rows) for key, values in texts.items()}
-    each = np.repeat(lengths, rig.cameras)
-    identity["camera"] = np.repeat(np.tile(np.arange(rig.cameras, dtype=np.int16), len(clips)), each)
-    number = np.concatenate([np.arange(frames, dtype=np.int32) for frames in each])
-    identity["frame"] = number * np.int32(max(1, round(_BASE_FPS / fps)))
-    if actions is not None:
-        identity["action"] = np.repeat(np.array([actions.get(clip.sequence, "unknown") for clip in clips]), rows)
-    return PoseData(
-        keypoints=keypoints,
-        confidence=np.ones(keypoints.shape[:2], np.float32),
-        joint_names=JOINTS,
-        pose=pose,
-        root=root,
-        identity=identity,
-        fps=fps,
-        image_size=rig.image_size,
-        focal_px=rig.focal_px,
-        tilt_deg=tilt,
-    )
+        frame = np.arange(len(clip.joints), dtype=np.int32) * step
+        for camera, view in enumerate(film(clip.joints, rig, random)):
+            identity = {"subject": clip.subject, "sequence": clip.sequence, "camera": np.int16(camera), "frame": frame}
+            if actions is not None:
+                identity["action"] = actions.get(clip.sequence, "unknown")
+            keypoints, pose, confidence, root = rows.next(len(frame), view.tilt_deg, identity)
+            keypoints[:], pose[:], confidence[:], root[:] = view.keypoints, view.pose, 1, view.root
+    return rows.data(fps=fps, image_size=rig.image_size, focal_px=rig.focal_px)
