@@ -73,43 +73,26 @@ _LAYOUTS = (
         "Acclaim skeleton",
         {"lhip": "lfemur", "lknee": "ltibia", "lankle": "lfoot", "lshoulder": "lhumerus", "lelbow": "lradius",
          "lwrist": "lhand"},
-        (("l", "r"),),
-        spine=("upperback",),
-        thorax=("lowerneck",),
-        head="head",
+        (("l", "r"),), spine=("upperback",), thorax=("lowerneck",), head="head",
     ),
     _Layout(
         "cgspeed's conversion for MotionBuilder",
         {"lhip": "LeftUpLeg", "lknee": "LeftLeg", "lankle": "LeftFoot", "lshoulder": "LeftArm",
          "lelbow": "LeftForeArm", "lwrist": "LeftHand"},
-        (("Left", "Right"),),
-        spine=("Spine",),
-        thorax=("Neck",),
-        chest="Spine1",
-        palm="LeftFingerBase",
-        rest_frames=1,
+        (("Left", "Right"),), spine=("Spine",), thorax=("Neck",), chest="Spine1", palm="LeftFingerBase", rest_frames=1,
     ),
     _Layout(
         "cgspeed's conversion for 3ds Max",
         {"lhip": "LeftHip", "lknee": "LeftKnee", "lankle": "LeftAnkle", "lshoulder": "LeftShoulder",
          "lelbow": "LeftElbow", "lwrist": "LeftWrist"},
-        (("Left", "Right"), ("lhand", "rhand")),
-        spine=("Chest",),
-        thorax=("lowerneck",),
-        chest="Chest2",
-        palm="lhand",
+        (("Left", "Right"), ("lhand", "rhand")), spine=("Chest",), thorax=("lowerneck",), chest="Chest2", palm="lhand",
         rest_frames=1,
     ),
     _Layout(
         "the conversion for Poser and DAZ Studio",
         {"lhip": "lThigh", "lknee": "lShin", "lankle": "lFoot", "lshoulder": "lShldr", "lelbow": "lForeArm",
          "lwrist": "lHand"},
-        (("l", "r"),),
-        spine=("abdomen", "chest"),
-        thorax=("lCollar", "rCollar"),
-        rest_frames=4,
-        eyes=True,
-        head="head",
+        (("l", "r"),), spine=("abdomen", "chest"), thorax=("lCollar", "rCollar"), rest_frames=4, eyes=True, head="head",
     ),
 )  # fmt: skip
 
@@ -187,7 +170,7 @@ def _human_joints(figure: Figure, layout: _Layout, unit_mm: float) -> Float[np.n
         points[joint] = np.mean([figure.at(name) for name in names], axis=0)
     if layout.eyes:
         eyes = np.mean([figure.tree.offsets[figure.tree.names.index(name)] for name in ("leftEye", "rightEye")], axis=0)
-        # Eyes are half way up a head; a nose is half way down from them, and a quarter further ahead.
+        # Eyes are at half the height of a head; a nose is halfway down from them, and a quarter further ahead.
         up, ahead = np.array([0, 2 * eyes[1], 0]), np.array([0, eyes[1] / 2, 1.25 * eyes[2]])
     else:
         up = figure.tree.tips[figure.tree.names.index(layout.head)]
@@ -490,7 +473,7 @@ def filmed(
 ) -> PoseData:
     """Return the rows: of each clip all cameras, of each camera all frames.
 
-    A clip's cameras depend on ``seed`` and its own name, not on the other clips. ``frame`` counts at 120 Hz.
+    A clip's cameras depend on ``seed`` and its name, not on the other clips. ``frame`` counts at 120 Hz.
     """
     rows = Rows(sum(len(clip.joints) for clip in clips) * rig.cameras, JOINTS)
     step = np.int32(max(1, round(_BASE_FPS / fps)))

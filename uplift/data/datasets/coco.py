@@ -60,7 +60,12 @@ person_keypoints_val2017.json into the folder, or into annotations/ below it (da
             if key == "annotations":
                 people.add(record)
             elif key == "images":
-                _name_image(path, record, names)
+                number, name = record.get("id"), record.get("file_name")
+                if not isinstance(number, int) or not isinstance(name, str):
+                    raise UserError(
+                        f"{path}: an image has id {number!r} and file_name {name!r}, expected a number and a name."
+                    )
+                names[number] = name
             else:
                 people.category(record)
         data = people.finish(names, self.occluded, self.min_keypoints, self.torso)
@@ -68,13 +73,6 @@ person_keypoints_val2017.json into the folder, or into annotations/ below it (da
         choices = f"{self.min_keypoints} or more keypoints{torso}; occluded ones of confidence {self.occluded:g}"
         data.source = f"{self.title} {split}{self.year} in {self.folder} ({choices})"
         return data
-
-
-def _name_image(path: Path, record: dict[str, Any], names: dict[int, str]) -> None:
-    number, name = record.get("id"), record.get("file_name")
-    if not isinstance(number, int) or not isinstance(name, str):
-        raise UserError(f"{path}: an image has id {number!r} and file_name {name!r}, expected a number and a name.")
-    names[number] = name
 
 
 class _People:
@@ -99,7 +97,9 @@ class _People:
             return
         where = f"{self.path}: annotation {record.get('id', self.seen)}"
         if not isinstance(values, list):
-            raise UserError(f"{where} has no 'keypoints'{_another(record)}. Expected person_keypoints_*.json.")
+            kind = "captions" if "caption" in record else "instances" if "segmentation" in record else ""
+            found = f": these are {kind}" if kind else ""
+            raise UserError(f"{where} has no 'keypoints'{found}. Expected person_keypoints_*.json.")
         if self.count == len(self.flat):
             self.flat = np.concatenate([self.flat, np.zeros_like(self.flat)])
             self.numbers = np.concatenate([self.numbers, np.zeros_like(self.numbers)])
@@ -176,9 +176,3 @@ class _People:
                 f"{self.path}: annotations name image {missing[0]}, which is not among its images: cut short?"
             )
         return np.array([names[int(number)] for number in image])
-
-
-def _another(record: dict[str, Any]) -> str:
-    if "caption" in record:
-        return ": these are captions"
-    return ": these are instances" if "segmentation" in record else ""

@@ -42,25 +42,28 @@ def _assemble(clips: Sequence[Clip], step: int, keypoints: str, source: str) -> 
     return rows.data(fps=RATE / step, source=source)
 
 
-def _fill(rows: Rows, clip: Clip, step: int) -> tuple[float, float]:
-    """Append a clip and return, of its middle frame, how far it is from hip to top of the head (mm) and from the
-    keypoints to the projected pose (px, median)."""
+def _checked(clip: Clip, step: int) -> tuple[np.ndarray, np.ndarray | None]:
+    """Return 3D and 2D of every ``step``-th frame that both have."""
     points = clip.positions(step)
     seen = None if clip.seen is None else clip.seen()
     if seen is not None:
-        if abs(clip.frames - len(seen)) > max(
-            _MORE_FRAMES[0], _MORE_FRAMES[1] * max(clip.frames, len(seen))
-        ) or not len(seen):
+        most = max(_MORE_FRAMES[0], _MORE_FRAMES[1] * max(clip.frames, len(seen)))
+        if abs(clip.frames - len(seen)) > most or not len(seen):
             raise UserError(
                 f"{clip.where}: {clip.frames} frames of 3D and {len(seen)} of 2D, expected as many but for a few at "
                 "the end: 2D of another sequence or rate?"
             )
-        seen = seen[::step]
-        points = points[: len(seen)]
+        points, seen = points[: len(seen[::step])], seen[::step][: len(points)]
     if not (points[..., 2] > 0).all():
         raise UserError(
             f"{clip.where}: not every joint is a number in front of the camera: other coordinates than these files have?"
         )
+    return points, seen
+
+
+def _fill(rows: Rows, clip: Clip, step: int) -> tuple[float, float]:
+    """Append a clip; return hip to top of head (mm) and median pixels from 2D to projected 3D, of its middle frame."""
+    points, seen = _checked(clip, step)
     frame = np.arange(len(points), dtype=np.int32) * step
     identity = {"subject": clip.subject, "action": clip.action, "sequence": clip.sequence, "camera": clip.camera_id}
     lens = clip.camera.lens
@@ -70,7 +73,7 @@ def _fill(rows: Rows, clip: Clip, step: int) -> tuple[float, float]:
     if seen is None:
         keypoints[:], confidence[:] = lens.project(points), 1
     else:
-        _into_joints(seen[: len(points)], clip.layout, keypoints, confidence)
+        _into_joints(seen, clip.layout, keypoints, confidence)
     if not len(points):
         return np.nan, 0.0
     middle = len(points) // 2

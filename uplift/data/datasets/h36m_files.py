@@ -104,7 +104,7 @@ CAMERAS = ("54138969", "55011271", "58860488", "60457274")
 
 @dataclass(frozen=True)
 class _Camera:
-    """A camera and where it stands: a point X of the room, in mm, is R (X - T) in its frame."""
+    """A camera and its position: a point X of the room, in mm, is R (X - T) in its frame."""
 
     lens: Lens
     rotation: np.ndarray = field(compare=False)
@@ -191,8 +191,8 @@ _STANDS = {
 def published(subject: str, camera: str, *, swapped: bool = False) -> _Camera:
     """Return the camera as it stood for ``subject``.
 
-    The set's own projection, and Martinez', multiply p1 with y and p2 with x; VideoPose3D's, which made its
-    ground truth, has them the other way round (``swapped``): some tenths of a pixel.
+    The data set's projection, and Martinez', multiply p1 with y and p2 with x; VideoPose3D's, which made its
+    ground truth, swaps them (``swapped``): some tenths of a pixel.
     """
     focal_px, centre_px, radial, (p1, p2), size = _LENSES[camera]
     stand = np.array(_STANDS[subject][CAMERAS.index(camera)])

@@ -28,7 +28,7 @@ _CAMERA_SETS = {
     "ceiling": (11, 12, 13),
     "all": tuple(range(14)),
 }
-"""The set's own groups: chest height; these with one at the knee and two angled down; all but the ceiling; ..."""
+"""The groups of the data set: chest height; these with one at the knee and two angled down; all but the ceiling; ..."""
 
 _HEADER = "Skeletool Camera Calibration File"
 _SAMPLE = 4000
@@ -219,7 +219,7 @@ class _Sequence(NamedTuple):
 
     def rows(self, rows: slice | np.ndarray) -> _Sequence:
         """Return some of its frames."""
-        return _Sequence(*(None if array is None else array[rows] for array in self))
+        return _Sequence(self.seen[rows], self.points[rows], None if self.universal is None else self.universal[rows])
 
 
 def read_train(path: Path, cameras: Collection[int], universal: bool) -> dict[int, _Sequence]:

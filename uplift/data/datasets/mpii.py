@@ -28,7 +28,7 @@ AUTHORS_JOINTS = (
     "hip", "rhip", "rknee", "rankle", "lhip", "lknee", "lankle", "thorax", "upper_neck", "head_middle", "headtop",
     "lshoulder", "lelbow", "lwrist", "rshoulder", "relbow", "rwrist",
 )  # fmt: skip
-"""The 17 slots of mpii_poses.npy; head_middle is no annotation but the midpoint of its neighbours."""
+"""The 17 slots of mpii_poses.npy; head_middle is not annotated but the midpoint of its neighbours."""
 
 _JOINTS = len(MPII_JOINTS)
 
@@ -65,7 +65,7 @@ def _read_json(path: Path, occluded: float) -> PoseData:
     points, visible, image = [], [], []
     text = JsonText(path)
     if text.next_sign() != "[":
-        raise UserError(f"{path} is no list of people, expected MPII's as train.json has them.")
+        raise UserError(f"{path} is not a list of people, expected MPII's as in train.json.")
     for count, person in enumerate(objects(text, "the people")):
         where = f"{path}: person {count}"
         absent = [key for key in ("image", "joints", "joints_vis") if key not in person]
@@ -116,7 +116,7 @@ def _read_npy(path: Path, occluded: float) -> PoseData:
             raise UserError(f"{names} is not text: {error}") from None
         if len(image) != len(points):
             raise UserError(f"{names} names {len(image):,} images for {len(points):,} people in {path.name}.")
-    return _people(points, np.isfinite(points).all(-1).astype(np.float32), image)
+    return _people(points, np.asarray(np.isfinite(points).all(-1), np.float32), image)
 
 
 # The annotations as published: mpii_human_pose_v1_u12_1.mat.

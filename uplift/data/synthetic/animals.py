@@ -183,7 +183,7 @@ _STEP_OF = {("hind", 1): 0.0, ("fore", 1): 0.25, ("hind", -1): 0.5, ("fore", -1)
 
 @dataclass
 class _Pose:
-    """How one animal stands: angles in radians."""
+    """One animal's pose: angles in radians."""
 
     phase: float
     stride: float

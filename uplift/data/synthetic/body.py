@@ -31,7 +31,7 @@ DEFAULT_LIMITS = {"flexion": (-25.0, 25.0), "abduction": (-15.0, 15.0), "rotatio
 """Degrees, where a skeleton gives no limits."""
 
 ROOT_ANGLES = {"turn": (0.0, -1.0, 0.0), "pitch": (1.0, 0.0, 0.0), "roll": (0.0, 0.0, 1.0)}
-"""Axes of the root's own rotation: turn to its left, pitch forward, roll to its left, in that order."""
+"""Axes of the root's rotation: turn to its left, pitch forward, roll to its left, in that order."""
 
 _FRONT, _UP = np.array([0.0, 0.0, -1.0]), np.array([0.0, -1.0, 0.0])
 
@@ -58,7 +58,7 @@ class Body:
     joints: Float[np.ndarray, "joints points"]
     """Weights: each skeleton joint is a point or a mean of points."""
     scaled_axes: Bool[np.ndarray, " 3"]
-    """Axes along which whole bodies are stretched (rigid objects)."""
+    """Axes along which entire bodies are stretched (rigid objects)."""
     height: tuple[float, float] = (1000.0, 0.0)
     """Mean and standard deviation of the body height, in ``unit``."""
     unit: str = "relative"
@@ -89,7 +89,7 @@ def _angle_axes(direction: Float[np.ndarray, " 3"], side: float) -> dict[str, tu
     abduction = np.cross(along, left) if abs(along @ left) < 0.9 else np.cross(along, _UP)
     axes = {name: axis / np.linalg.norm(axis) for name, axis in (("flexion", flexion), ("abduction", abduction))}
     axes["rotation"] = side * along * np.sign(along @ -_UP or 1.0)
-    return {name: (float(axis[0]), float(axis[1]), float(axis[2])) for name, axis in axes.items()}
+    return {name: tuple(axis.tolist()) for name, axis in axes.items()}
 
 
 def _joint_weights(
@@ -170,7 +170,7 @@ def leg_phases(body: Body, legs: list[list[int]], gait: str) -> Float[np.ndarray
     return 0.5 * (hips[:, 0] < 0) + lag * (rows.max() - rows)
 
 
-# The body that a skeleton's own YAML spells out in proportions, rest directions and limits.
+# The body that a skeleton's YAML describes by proportions, rest directions and limits.
 
 
 def own_body(skeleton: Skeleton) -> Body:
@@ -179,25 +179,13 @@ def own_body(skeleton: Skeleton) -> Body:
     order = _tree_order(skeleton)
     parents = np.array([order.index(p) if (p := skeleton.parents[joint]) is not None else -1 for joint in order])
     offsets = np.array([_offset(skeleton, joint) for joint in order])
-    partner = _partners(skeleton)
-    angles, steps = {}, []
-    if not skeleton.rigid:
-        limits, rest = _all_limits(skeleton), rest_positions(parents, offsets)
-        for point, joint in enumerate(order):
-            direction = _beyond(point, parents, offsets)
-            if direction is None:
-                continue
-            is_right = joint in partner and rest[point, 0] < rest[order.index(partner[joint]), 0]
-            axes = _angle_axes(direction, -1.0 if is_right else 1.0)
-            for name, (low, high) in limits[joint].items():
-                if (low, high) != (0, 0):
-                    angles[f"{joint} {name}"] = (low, high)
-                    steps.append((f"{joint} {name}", point, axes[name]))
     # Mirror partners vary together; in a rigid object so do all bones of one length.
     if skeleton.rigid:
         groups = tuple(f"{np.linalg.norm(offset):.4f}" for offset in offsets)
+        angles, steps = {}, []
     else:
-        groups = tuple(min(joint, partner.get(joint, joint)) for joint in order)
+        groups = tuple(min(joint, _partners(skeleton).get(joint, joint)) for joint in order)
+        angles, steps = _free_angles(skeleton, order, parents, offsets)
     places = {joint: skeleton.midpoints.get(joint, (joint,)) for joint in skeleton.joints}
     return Body(
         points=order,
@@ -209,6 +197,23 @@ def own_body(skeleton: Skeleton) -> Body:
         joints=_joint_weights(skeleton, places, order, "midpoints"),
         scaled_axes=np.full(3, skeleton.rigid),
     )
+
+
+def _free_angles(skeleton: Skeleton, order: tuple[str, ...], parents: np.ndarray, offsets: np.ndarray) -> tuple:
+    """Return the limits of each angle, and steps (angle, point, axis), of joints that have bones to move."""
+    angles, steps = {}, []
+    limits, partner, rest = _all_limits(skeleton), _partners(skeleton), rest_positions(parents, offsets)
+    for point, joint in enumerate(order):
+        direction = _beyond(point, parents, offsets)
+        if direction is None:
+            continue
+        is_right = joint in partner and rest[point, 0] < rest[order.index(partner[joint]), 0]
+        axes = _angle_axes(direction, -1.0 if is_right else 1.0)
+        for name, (low, high) in limits[joint].items():
+            if (low, high) != (0, 0):
+                angles[f"{joint} {name}"] = (low, high)
+                steps.append((f"{joint} {name}", point, axes[name]))
+    return angles, steps
 
 
 def _with_root(points: tuple[str, ...], angles: dict[str, tuple], steps: list) -> dict[str, Any]:

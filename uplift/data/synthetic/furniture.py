@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
@@ -23,13 +24,10 @@ _Size = tuple[Number, Number, Number]
 def _add_feet(built: Builder, kind: str, size: _Size, top: Number) -> None:
     """Add feet below a seat or a table's top."""
     makers = {"sledge": _sledge, "pedestal": _pedestal, "star": _star, "cantilever": _cantilever, "panels": _panels}
-    if kind in makers:
-        makers[kind](built, size, top)
-    else:
-        _legs(built, kind, size, top)
+    makers.get(kind, partial(_legs, kind=kind))(built, size, top)
 
 
-def _legs(built: Builder, kind: str, size: _Size, top: Number) -> None:
+def _legs(built: Builder, size: _Size, top: Number, kind: str) -> None:
     rng = built.rng
     thick = rng.uniform(0.03, 0.065)
     inset = rng.uniform(0.45, 1.2) * thick
@@ -56,7 +54,7 @@ def _stretchers(built: Builder, legs: list, thick: Number) -> None:
     share = built.rng.uniform(0.2, 0.6)
     points = [np.add(foot, share * np.subtract(head, foot)) for head, foot in legs]
     radius = thick * built.rng.uniform(0.2, 0.35)
-    built.pair(rod(*points, radius, sides=6))
+    built.pair(rod(points[0], points[1], radius, sides=6))
     kind = built.rng.choice(["H", "box", "none"])
     for point in {"H": [(points[0] + points[1]) / 2], "box": points, "none": []}[str(kind)]:
         built.add(rod(point, point * (-1, 1, 1), radius, sides=6))
@@ -143,7 +141,7 @@ class _Seat:
     top: float
     thick: float
     lean: float
-    """How far the back's top stands behind its foot, of its height."""
+    """How far the back's top is behind its foot, as a share of its height."""
     back_height: float
 
     def back_at(self, share: Number, across: Number = 0.0) -> tuple[Number, Number, Number]:

@@ -300,22 +300,19 @@ def _act(
     step = time_s[1] - time_s[0] if len(time_s) > 1 else 0
     motion = Motion.empty(clips, len(time_s), len(body.angles))
     speed_deg = rng.normal(0, action.turn_deg_s, (clips, 1)) * (1 + smooth_noise(rng, time_s, clips, 1, 0.3)[..., 0])
-    heading = np.cumsum(speed_deg, 1) * step
-    heading += rng.uniform(0, 360, (clips, 1))
+    heading = np.cumsum(speed_deg, 1) * step + rng.uniform(0, 360, (clips, 1))
     trunk = minimum_jerk(time_s, moves, _trunk_keys(rng, action.trunk, clips, keys))
     pools = [arm_poses[name] for name in action.arms if name != "swing"] or [arm_poses["hang"]]
     arms = _paths(time_s, moves, _arm_keys(rng, pools, clips, keys))
     if action.cycle:
         legs, arms, speed, sway = _stepping(rng, action, time_s, trunk, arms)
-        direction = np.radians(heading)
-        heading = heading + sway
-        velocity = speed[..., None] * np.stack([np.sin(direction), -np.cos(direction)], -1)
+        velocity = speed[..., None] * np.stack([np.sin(np.radians(heading)), -np.cos(np.radians(heading))], -1)
         motion.travel += np.cumsum(velocity, 1) * step
+        heading = heading + sway
     else:
+        places = rng.integers(len(action.legs), size=(clips, 1 if action is ACTIONS["jump"] else keys))
         if action is ACTIONS["jump"]:  # in order
-            places = (np.arange(keys) + rng.integers(len(action.legs), size=(clips, 1))) % len(action.legs)
-        else:
-            places = rng.integers(len(action.legs), size=(clips, keys))
+            places = (np.arange(keys) + places) % len(action.legs)
         names = np.array(action.legs)[places]
         thigh_to_knee, foot, flat = np.split(_paths(time_s, moves, _leg_keys(rng, names)), [4, 5], -1)
         ankle = foot + flat * (thigh_to_knee[..., 3:] - thigh_to_knee[..., :1])

@@ -27,7 +27,7 @@ class Motion:
 
     @classmethod
     def empty(cls, clips: int, frames: int, angles: int) -> Motion:
-        """Return a motion that stands still in the rest pose."""
+        """Return a motion at rest in the rest pose."""
         return cls(
             np.zeros((clips, frames, angles)), np.zeros((clips, frames)), np.zeros((clips, frames, 2)),
             np.full(clips, "", dtype="<U32"),
@@ -186,7 +186,7 @@ def _step(
 
 
 def _turn(rng: np.random.Generator, body: Body, motion: Motion, time_s: np.ndarray, sway: float, gravity: bool) -> None:
-    """Turn whole bodies: a heading that drifts, pitched and rolled by ``sway``. The camera does the rest."""
+    """Rotate the bodies: a heading that drifts, pitch and roll up to ``sway``. The camera does the rest."""
     clips = len(motion.actions)
     root = body.points[0]
     heading = rng.uniform(0, 360, (clips, 1)) if gravity else np.zeros((clips, 1))

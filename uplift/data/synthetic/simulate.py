@@ -130,7 +130,11 @@ def simulate(
     clips = -(-frames // length)
     subject = np.sort(rng.integers(subjects, size=clips)) if subjects else np.arange(clips) // 3
     offsets, height = _random_bodies(rng, body, int(subject.max()) + 1)
-    motion = _move(rng, skeleton, body, clips, np.arange(length) / fps, mode)
+    time_s = np.arange(length) / fps
+    if is_human(skeleton):
+        motion = human_motion(rng, body, clips, time_s, mode)
+    else:
+        motion = own_motion(rng, body, clips, time_s, mode, skeleton.gravity, bodies.leaders(skeleton))
     cameras = _random_cameras(rng, clips, skeleton.gravity, tilt_deg, distance)
     points = _place(body, offsets[subject], motion, skeleton.gravity)
     joints = np.einsum("jp,ctpk->ctjk", body.joints, points)
@@ -178,12 +182,6 @@ def _random_bodies(rng: np.random.Generator, body: Body, count: int) -> tuple[np
         factor = factor * (1 + _ASYMMETRY * rng.normal(size=factor.shape).clip(-3, 3))
     mean, deviation = body.height
     return body.offsets * factor[..., None] * stretch, mean + deviation * rng.normal(size=count).clip(-2.5, 2.5)
-
-
-def _move(rng, skeleton: Skeleton, body: Body, clips: int, time_s: np.ndarray, mode: str | list[str]) -> Motion:
-    if is_human(skeleton):
-        return human_motion(rng, body, clips, time_s, mode)
-    return own_motion(rng, body, clips, time_s, mode, skeleton.gravity, bodies.leaders(skeleton))
 
 
 def _place(
