@@ -373,8 +373,8 @@ WRONG = [
     (POSES, lambda a: {"positions_3d": {f"Train/{s}": t for s, t in a["positions_3d"].items()}}, "has no S9, S11"),
     (POSES, put([1, 2], "positions_3d"), "is a list, expected a dict"),
     (POSES, drop("positions_3d", "S9", "Smoking"), None),  # its second take is there
-    (POSES, renamed("Smoking", "Smokin", "positions_3d", "S9"), "'Smokin' is no action.*Did you mean 'Smoking'"),
-    (POSES, renamed("Smoking", "Smoking  1", "positions_3d", "S9"), "is no action"),
+    (POSES, renamed("Smoking", "Smokin", "positions_3d", "S9"), "'Smokin' is not an action.*Did you mean 'Smoking'"),
+    (POSES, renamed("Smoking", "Smoking  1", "positions_3d", "S9"), "is not an action"),
     (POSES, renamed("Photo", "TakingPhoto 1", "positions_3d", "S9"), "'Photo 1' twice"),
     (POSES, put(lambda p: p[:, :17], "positions_3d", "S9", "Eating"), r"shape \(\d+, 17, 3\), expected \(frames, 32, 3\)"),
     (POSES, put(lambda p: p[..., :2], "positions_3d", "S9", "Eating"), r"shape \(\d+, 32, 2\)"),

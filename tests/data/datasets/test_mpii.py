@@ -216,7 +216,7 @@ def test_wrong_json_files_are_refused(tmp_path: Path, points: np.ndarray) -> Non
     for share in (0.1, 0.5, 0.9):
         assert "damaged at character" in written(text[: int(len(text) * share)])
     assert "is empty" in written("")
-    assert "no list of people" in written({"annotations": []})
+    assert "not a list of people" in written({"annotations": []})
     assert "no 'joints'" in written([{"image": "a.jpg", "center": [1, 2], "scale": 1}])
     assert "expected an object" in written([1, 2])
     assert "no annotated person" in written([])

@@ -8,7 +8,8 @@ import json
 import os
 import shutil
 import tempfile
-from dataclasses import asdict, dataclass, fields
+from collections.abc import Iterable
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -18,9 +19,7 @@ from uplift.data.poses import PoseData, codes_of
 from uplift.errors import UserError, did_you_mean
 from uplift.geometry.lens import Lens
 
-__all__ = ["DataSet", "WantedFile", "cached_facts", "read_cached"]
-
-# `DataSet`: what a published set is called, which of its files are wanted, and how they become `PoseData`.
+__all__ = ["DataSet", "Rows", "WantedFile", "cached_facts", "first_file", "read_cached"]
 
 
 @dataclass(frozen=True)
@@ -44,12 +43,12 @@ class DataSet:
     """
 
     title: ClassVar[str] = ""
-    """As people call it."""
+    """Its common name."""
     about: ClassVar[str] = ""
     """A few lines: where it comes from, what it may be used for, which files go where."""
     splits: ClassVar[tuple[str, ...]] = ("train", "test")
     version: ClassVar[int] = 1
-    """Raised when the same files come out otherwise: what was cached before is then read anew."""
+    """Increase it when the same files give other results: what was cached before is then read anew."""
     cached: ClassVar[bool] = True
     """Whether reading takes long enough to keep the result."""
 
@@ -78,10 +77,63 @@ class DataSet:
         return [file for file in self.files(split) if not file.present]
 
 
+def first_file(places: Iterable[Path]) -> Path:
+    """Return the first of ``places`` that is a file, else the first."""
+    places = list(places)
+    return next((place for place in places if place.is_file()), places[0])
+
+
+class Rows:
+    """Arrays of keypoints with their 3D, allocated once and filled clip by clip."""
+
+    def __init__(self, most: int, joints: tuple[str, ...]):
+        self.joints = joints
+        self.used = 0
+        self.filled = [np.empty((most, len(joints), axes), np.float32) for axes in (2, 3)]
+        self.filled += [np.empty((most, columns), np.float32) for columns in (len(joints), 3)]
+        self.tilt_deg, self.lens = np.empty(most, np.float32), np.empty(most, np.int16)
+        self.lenses: dict[Lens, int] = {}
+        self.parts: list[tuple[int, dict[str, Any]]] = []
+
+    def next(self, count: int, tilt_deg: float, identity: dict[str, Any], lens: Lens | None = None) -> list[np.ndarray]:
+        """Return the next ``count`` rows of keypoints, pose, confidence and root, to be filled.
+
+        ``identity`` has arrays of ``count``, or one value for all.
+        """
+        here = slice(self.used, self.used + count)
+        self.used = here.stop
+        self.tilt_deg[here] = tilt_deg
+        if lens is not None:
+            self.lens[here] = self.lenses.setdefault(lens, len(self.lenses))
+        self.parts.append((count, identity))
+        return [array[here] for array in self.filled]
+
+    def data(self, **facts: Any) -> PoseData:
+        """Return the rows that were filled; ``facts`` are other fields of `PoseData`."""
+        here = slice(self.used)
+        keypoints, pose, confidence, root = (array[here] for array in self.filled)
+        return PoseData(
+            keypoints=keypoints,
+            confidence=confidence,
+            joint_names=self.joints,
+            pose=pose,
+            root=root,
+            tilt_deg=self.tilt_deg[here],
+            identity={
+                key: np.concatenate([np.broadcast_to(part[key], count) for count, part in self.parts])
+                for key in self.parts[0][1]
+            },
+            lenses=tuple(self.lenses),
+            lens=self.lens[here] if self.lenses else None,
+            **facts,
+        )
+
+
 # What was read from a data set's files, kept as plain arrays that load in seconds.
 
 _FORMAT = 1
 _ARRAYS = ("keypoints", "confidence", "pose", "root", "tilt_deg", "lens")
+_FACTS = ("joint_names", "unit", "fps", "image_size", "focal_px", "source")
 
 
 def _cache_folder() -> Path:
@@ -116,7 +168,7 @@ def read_cached(source: DataSet, split: str) -> PoseData:
 
 
 def cached_facts(source: DataSet, split: str) -> dict[str, Any] | None:
-    """Return what the cache says of ``split`` (frames, joints, bytes) without loading it; None where it has nothing."""
+    """Return frames, joints and bytes of ``split`` in the cache without loading it; None where it is not there."""
     place = _place(source, split)
     try:
         facts = json.loads((place / "facts.json").read_text())
@@ -127,18 +179,13 @@ def cached_facts(source: DataSet, split: str) -> dict[str, Any] | None:
 
 
 def _place(source: DataSet, split: str) -> Path:
-    """Return the folder of this split, read in this way (the first hash) from these files (the second)."""
-    files = []
-    for wanted in source.files(split):
-        if wanted.present:
-            state = wanted.path.stat()
-            files.append([str(wanted.path.absolute()), state.st_size, state.st_mtime_ns])
+    """Return the folder of this split, read with these options (the first hash) from these files (the second)."""
+    paths = [wanted.path for wanted in source.files(split) if wanted.present]
+    files = [[str(path.absolute()), path.stat().st_size, path.stat().st_mtime_ns] for path in paths]
     options = {key: value for key, value in vars(source).items() if isinstance(value, (str, int, float, list, tuple))}
-    way = [type(source).__module__, type(source).__name__, split, options, str(source.folder.absolute())]
-    return (
-        _cache_folder()
-        / f"{type(source).__name__.lower()}-{split}-{_hash(way)}-{_hash([_FORMAT, source.version, files])}"
-    )
+    name = type(source).__name__
+    choices = _hash([type(source).__module__, name, split, options, str(source.folder.absolute())])
+    return _cache_folder() / f"{name.lower()}-{split}-{choices}-{_hash([_FORMAT, source.version, files])}"
 
 
 def _hash(value: Any) -> str:
@@ -147,7 +194,7 @@ def _hash(value: Any) -> str:
 
 def _save(data: PoseData, place: Path) -> None:
     place.parent.mkdir(parents=True, exist_ok=True)
-    for stale in place.parent.glob(f"{place.name.rpartition('-')[0]}-*"):  # of files that are no longer so
+    for stale in place.parent.glob(f"{place.name.rpartition('-')[0]}-*"):  # of files that have changed since
         shutil.rmtree(stale, ignore_errors=True)
     building = Path(tempfile.mkdtemp(prefix=".building-", dir=place.parent))
     try:
@@ -159,12 +206,7 @@ def _save(data: PoseData, place: Path) -> None:
             _save_runs(building, key, values)
         facts = {
             "frames": len(data),
-            "joint_names": data.joint_names,
-            "unit": data.unit,
-            "fps": data.fps,
-            "image_size": data.image_size,
-            "focal_px": data.focal_px,
-            "source": data.source,
+            **{name: getattr(data, name) for name in _FACTS},
             "identity": list(data.identity),
             "lenses": [asdict(lens) for lens in data.lenses],
         }
@@ -177,7 +219,7 @@ def _save(data: PoseData, place: Path) -> None:
 
 
 def _save_runs(folder: Path, key: str, values: np.ndarray) -> None:
-    """Keep an identity array as names, and which name stands how often in a row."""
+    """Save an identity array, text as names and the lengths of their runs."""
     if values.dtype.kind not in "US":
         np.save(folder / f"identity_{key}.npy", values)
         return
@@ -204,24 +246,16 @@ def _load(place: Path) -> PoseData:
             identity[key] = np.repeat(runs["names"][runs["code"]], runs["count"])
     return PoseData(
         **arrays,  # type: ignore[arg-type]
-        joint_names=tuple(facts["joint_names"]),
-        unit=facts["unit"],
+        **{name: _as_tuple(facts[name]) for name in _FACTS},
         identity=identity,
-        fps=facts["fps"],
-        image_size=None if facts["image_size"] is None else tuple(facts["image_size"]),
-        focal_px=facts["focal_px"],
-        source=facts["source"],
-        lenses=tuple(_lens(lens) for lens in facts["lenses"]),
+        lenses=tuple(Lens(**{key: _as_tuple(value) for key, value in lens.items()}) for lens in facts["lenses"]),
     )
 
 
 def _mapped(path: Path) -> np.ndarray:
-    """Return an array that is read as it is used, and whose changes stay in memory."""
+    """Return a memory-mapped array whose changes stay in memory."""
     return np.asarray(np.load(path, mmap_mode="c"))
 
 
-def _lens(facts: dict[str, Any]) -> Lens:
-    known = {field.name for field in fields(Lens)}
-    return Lens(
-        **{key: tuple(value) if isinstance(value, list) else value for key, value in facts.items() if key in known}
-    )
+def _as_tuple(value: Any) -> Any:
+    return tuple(value) if isinstance(value, list) else value

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import re
 import zlib
+from collections import Counter
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
@@ -13,23 +14,16 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
-from uplift.data.parsers.mocap import AsfSkeleton, Figure, Tree, open_bvh, read_amc, read_asf, read_lines
+from uplift.data.datasets.base import Rows
+from uplift.data.formats.layouts import H36M_JOINTS as JOINTS
+from uplift.data.parsers.json import in_order
+from uplift.data.parsers.mocap import Figure, Tree, open_bvh, read_amc, read_asf, read_lines
 from uplift.data.poses import PoseData
 from uplift.errors import UserError, did_you_mean
 
 __all__ = [
-    "JOINTS",
-    "Clip",
-    "Rates",
-    "Rig",
-    "Trial",
-    "chosen_test",
-    "film",
-    "filmed",
-    "find_trials",
-    "read_clip",
-    "read_index",
-]
+    "JOINTS", "Clip", "Rates", "Rig", "Trial", "chosen_test", "film", "filmed", "find_trials", "read_clip", "read_index",
+]  # fmt: skip
 
 # How the known conversions of CMU's data name their joints, and which bones they leave out.
 
@@ -47,13 +41,13 @@ class _Layout:
     thorax: tuple[str, ...]
     """The mean of these."""
     chest: str = ""
-    """Where it has children at its own place, the thorax bone was dropped."""
+    """If it has children at its own position, the thorax bone was dropped."""
     palm: str = ""
-    """Where it is at its parent's place, the wrist bone was dropped."""
+    """If it is at its parent's position, the wrist bone was dropped."""
     rest_frames: int = 0
-    """How many frames the conversion spends on a rest pose before the motion, and on the way out of it."""
+    """Frames of a rest pose, and of leaving it, that the conversion puts before the motion."""
     eyes: bool = False
-    """Whether the head is known by its eyes and has no end."""
+    """Whether the head has eyes but no end."""
     head: str = "Head"
 
     def mirrored(self, name: str) -> str:
@@ -64,22 +58,14 @@ class _Layout:
         return name
 
     def sides(self) -> dict[str, str]:
-        """Return our joints of both limbs by the file's names."""
-        both = dict(self.left)
-        for joint, name in self.left.items():
-            both["r" + joint[1:]] = self.mirrored(name)
-        return both
+        """Return the file's names by our joints of both limbs."""
+        return self.left | {"r" + joint[1:]: self.mirrored(name) for joint, name in self.left.items()}
 
     def needed(self) -> list[str]:
         """Return every name of the file that is used."""
         names = [*self.sides().values(), *self.spine, *self.thorax, self.head]
-        if self.palm:
-            names += [self.palm, self.mirrored(self.palm)]
-        if self.chest:
-            names.append(self.chest)
-        if self.eyes:
-            names += ["leftEye", "rightEye"]
-        return list(dict.fromkeys(names))
+        names += [self.palm, self.mirrored(self.palm), self.chest, *(["leftEye", "rightEye"] if self.eyes else [])]
+        return [name for name in dict.fromkeys(names) if name]
 
 
 _LAYOUTS = (
@@ -87,61 +73,39 @@ _LAYOUTS = (
         "Acclaim skeleton",
         {"lhip": "lfemur", "lknee": "ltibia", "lankle": "lfoot", "lshoulder": "lhumerus", "lelbow": "lradius",
          "lwrist": "lhand"},
-        (("l", "r"),),
-        spine=("upperback",),
-        thorax=("lowerneck",),
-        head="head",
+        (("l", "r"),), spine=("upperback",), thorax=("lowerneck",), head="head",
     ),
     _Layout(
         "cgspeed's conversion for MotionBuilder",
         {"lhip": "LeftUpLeg", "lknee": "LeftLeg", "lankle": "LeftFoot", "lshoulder": "LeftArm",
          "lelbow": "LeftForeArm", "lwrist": "LeftHand"},
-        (("Left", "Right"),),
-        spine=("Spine",),
-        thorax=("Neck",),
-        chest="Spine1",
-        palm="LeftFingerBase",
-        rest_frames=1,
+        (("Left", "Right"),), spine=("Spine",), thorax=("Neck",), chest="Spine1", palm="LeftFingerBase", rest_frames=1,
     ),
     _Layout(
         "cgspeed's conversion for 3ds Max",
         {"lhip": "LeftHip", "lknee": "LeftKnee", "lankle": "LeftAnkle", "lshoulder": "LeftShoulder",
          "lelbow": "LeftElbow", "lwrist": "LeftWrist"},
-        (("Left", "Right"), ("lhand", "rhand")),
-        spine=("Chest",),
-        thorax=("lowerneck",),
-        chest="Chest2",
-        palm="lhand",
+        (("Left", "Right"), ("lhand", "rhand")), spine=("Chest",), thorax=("lowerneck",), chest="Chest2", palm="lhand",
         rest_frames=1,
     ),
     _Layout(
         "the conversion for Poser and DAZ Studio",
         {"lhip": "lThigh", "lknee": "lShin", "lankle": "lFoot", "lshoulder": "lShldr", "lelbow": "lForeArm",
          "lwrist": "lHand"},
-        (("l", "r"),),
-        spine=("abdomen", "chest"),
-        thorax=("lCollar", "rCollar"),
-        rest_frames=4,
-        eyes=True,
-        head="head",
+        (("l", "r"),), spine=("abdomen", "chest"), thorax=("lCollar", "rCollar"), rest_frames=4, eyes=True, head="head",
     ),
 )  # fmt: skip
 
 
 def _layout_of(tree: Tree, path: Path) -> _Layout:
-    """Return the layout whose joints are all in ``tree``.
-
-    Raises:
-        UserError: none is.
-    """
+    """Return the layout whose joints are all in ``tree``; raises UserError where none is."""
     missing = {}
     for layout in _LAYOUTS:
-        lost = [name for name in layout.needed() if name not in tree.names]
-        if not lost and not layout.eyes and np.isnan(tree.tips[tree.names.index(layout.head)]).any():
-            raise UserError(f"{path}: joint '{layout.head}' has no End Site: the head has no top.")
-        if not lost:
+        missing[layout.title] = [name for name in layout.needed() if name not in tree.names]
+        if not missing[layout.title]:
+            if not layout.eyes and np.isnan(tree.tips[tree.names.index(layout.head)]).any():
+                raise UserError(f"{path}: joint '{layout.head}' has no End Site: the head has no top.")
             return layout
-        missing[layout.title] = lost
     nearest = min(missing, key=lambda title: len(missing[title]))
     raise UserError(
         f"{path}: joints of no known conversion of CMU's data: {', '.join(tree.names[:40])}. "
@@ -151,13 +115,8 @@ def _layout_of(tree: Tree, path: Path) -> _Layout:
 
 # Human3.6M's 17 joints out of a motion capture figure.
 
-JOINTS = (
-    "hip", "rhip", "rknee", "rankle", "lhip", "lknee", "lankle", "spine", "thorax", "nose", "headtop",
-    "lshoulder", "lelbow", "lwrist", "rshoulder", "relbow", "rwrist",
-)  # fmt: skip
-
-_CGSPEED_MM = 25.4 / 0.45
-_UNITS_MM = {"inches / 0.45, as CMU's": _CGSPEED_MM, "mm": 1.0, "cm": 10.0, "inches": 25.4, "m": 1000.0}
+_UNITS_MM = (25.4 / 0.45, 1.0, 10.0, 25.4, 1000.0)
+"""Inches / 0.45, as CMU's; mm, cm, inches, m."""
 _LEG_MM = (550.0, 1200.0)
 
 
@@ -167,14 +126,12 @@ def _unit_of(tree: Tree, layout: _Layout, path: Path, unit_mm: float | None = No
     Raises:
         UserError: the legs have a length that no person's have.
     """
-    thigh_and_shin = [
-        sum(tree.length(layout.sides()[side + part]) for part in ("knee", "ankle")) for side in ("l", "r")
-    ]
-    leg = float(np.mean(thigh_and_shin))
+    names = layout.sides()
+    leg = float(np.mean([sum(tree.length(names[side + part]) for part in ("knee", "ankle")) for side in "lr"]))
     found = unit_mm
     if found is None:
         middle = np.sqrt(_LEG_MM[0] * _LEG_MM[1])
-        found = min(_UNITS_MM.values(), key=lambda unit: abs(np.log(max(leg, 1e-9) * unit / middle)))
+        found = min(_UNITS_MM, key=lambda unit: abs(np.log(max(leg, 1e-9) * unit / middle)))
     if not _LEG_MM[0] <= leg * found <= _LEG_MM[1]:
         raise UserError(
             f"{path}: thigh and shin are {leg * found:.4g} mm together ({leg:.4g} in the file's unit, taken as "
@@ -183,8 +140,8 @@ def _unit_of(tree: Tree, layout: _Layout, path: Path, unit_mm: float | None = No
     return found
 
 
-def _mended(tree: Tree, layout: _Layout) -> Tree:
-    """Return ``tree`` with the bones put back that the conversion dropped.
+def _with_dropped_bones(tree: Tree, layout: _Layout) -> Tree:
+    """Return ``tree`` with the bones restored that the conversion dropped.
 
     A dropped bone leaves its child where its parent is. The thorax bone comes back as long as the bone
     below it, straight up; the wrist bone comes back as the half of the forearm that CMU's model makes it.
@@ -192,9 +149,7 @@ def _mended(tree: Tree, layout: _Layout) -> Tree:
     offsets = tree.offsets.copy()
     if layout.chest:
         chest = tree.names.index(layout.chest)
-        dropped = [
-            joint for joint, parent in enumerate(tree.parents) if parent == chest and not tree.offsets[joint].any()
-        ]
+        dropped = (np.array(tree.parents) == chest) & ~tree.offsets.any(1)
         offsets[dropped] = (0, tree.length(layout.chest), 0)
     if layout.palm:
         for palm in (layout.palm, layout.mirrored(layout.palm)):
@@ -207,27 +162,22 @@ def _mended(tree: Tree, layout: _Layout) -> Tree:
 def _human_joints(figure: Figure, layout: _Layout, unit_mm: float) -> Float[np.ndarray, "frames 17 3"]:
     """Return the joints in `JOINTS`' order, mm, world (y up).
 
-    ``hip`` is the middle of the hips. ``nose`` is made up: ahead of the joint that the head turns on, by
-    the length of the head's bone.
+    ``hip`` is the middle of the hips. ``nose`` is synthetic: ahead of the head's joint by the length of its bone.
     """
     points = {joint: figure.at(name) for joint, name in layout.sides().items()}
     points["hip"] = (points["lhip"] + points["rhip"]) / 2
     for joint, names in (("spine", layout.spine), ("thorax", layout.thorax)):
         points[joint] = np.mean([figure.at(name) for name in names], axis=0)
-    up, ahead = _head(figure.tree, layout)
+    if layout.eyes:
+        eyes = np.mean([figure.tree.offsets[figure.tree.names.index(name)] for name in ("leftEye", "rightEye")], axis=0)
+        # Eyes are at half the height of a head; a nose is halfway down from them, and a quarter further ahead.
+        up, ahead = np.array([0, 2 * eyes[1], 0]), np.array([0, eyes[1] / 2, 1.25 * eyes[2]])
+    else:
+        up = figure.tree.tips[figure.tree.names.index(layout.head)]
+        ahead = np.array([0, 0, np.linalg.norm(up)])
     points["headtop"] = figure.beyond(layout.head, up)
     points["nose"] = figure.beyond(layout.head, ahead)
     return (np.stack([points[joint] for joint in JOINTS], 1) * unit_mm).astype(np.float32)
-
-
-def _head(tree: Tree, layout: _Layout) -> tuple[np.ndarray, np.ndarray]:
-    """Return the top of the head and the nose, from the joint that the head turns on."""
-    if layout.eyes:
-        eyes = np.mean([tree.offsets[tree.names.index(name)] for name in ("leftEye", "rightEye")], axis=0)
-        # Eyes are half way up a head; a nose is half way down from them, and a quarter further ahead.
-        return np.array([0, 2 * eyes[1], 0]), np.array([0, eyes[1] / 2, 1.25 * eyes[2]])
-    up = tree.tips[tree.names.index(layout.head)]
-    return up, np.array([0, 0, np.linalg.norm(up)])
 
 
 # The index of the CMU data base: what is done in each motion.
@@ -281,21 +231,18 @@ def find_trials(folder: Path, skip: Collection[str] = ()) -> tuple[list[Trial], 
     if not folder.is_dir():
         raise UserError(f"No folder {folder}. Expected one with CMU's .asf and .amc files, or .bvh files made of them.")
     files = _files(folder)
-    skeletons: dict[str, list[Path]] = {}
-    for path in files[".asf"]:
-        skeletons.setdefault(_subject(path.stem), []).append(path)
     found: dict[str, Trial] = {}
     doubled = 0
     skipped = set()
     for path in [*files[".amc"], *files[".bvh"]]:
         trial = _trial(path)
-        if {trial.subject, trial.sequence} & set(skip):
-            skipped |= {trial.subject, trial.sequence} & set(skip)
+        if named := {trial.subject, trial.sequence} & set(skip):
+            skipped |= named
             continue
         other = found.get(trial.sequence)
         if other is None:
-            own = _skeleton_of(path, trial.subject, skeletons) if path.suffix.lower() == ".amc" else None
-            found[trial.sequence] = Trial(path, trial.subject, trial.sequence, own)
+            skeleton = _skeleton_of(path, trial.subject, files[".asf"]) if path.suffix.lower() == ".amc" else None
+            found[trial.sequence] = replace(trial, skeleton=skeleton)
         elif other.path.suffix.lower() == path.suffix.lower():
             raise UserError(f"{other.path} and {path} are both motion {trial.sequence}: keep one of them.")
         else:
@@ -306,22 +253,17 @@ def find_trials(folder: Path, skip: Collection[str] = ()) -> tuple[list[Trial], 
         kinds = ", ".join(f"{len(paths)} {kind}" for kind, paths in files.items())
         raise UserError(f"{folder}: no motions (found {kinds}). Expected .amc files with their .asf, or .bvh files.")
     notes = [f"{doubled} .bvh left out: their .amc, which has all bones, is there"] if doubled else []
-    return sorted(found.values(), key=lambda trial: _order(trial.sequence)), notes
+    return sorted(found.values(), key=lambda trial: in_order(trial.sequence)), notes
 
 
 def _files(folder: Path) -> dict[str, list[Path]]:
     files: dict[str, list[Path]] = {".asf": [], ".amc": [], ".bvh": []}
     for place, folders, names in os.walk(folder):
         folders.sort()
-        for name in sorted(names):
-            path = Path(place, name)
-            if path.suffix.lower() in files and path.is_file() and not name.startswith("."):
+        for path in (Path(place, name) for name in sorted(names) if not name.startswith(".")):
+            if path.suffix.lower() in files and path.is_file():
                 files[path.suffix.lower()].append(path)
     return files
-
-
-def _order(sequence: str) -> list:
-    return [(0, int(part), "") if part.isdigit() else (1, 0, part) for part in re.split(r"(\d+)", sequence) if part]
 
 
 def _trial(path: Path) -> Trial:
@@ -337,8 +279,8 @@ def _subject(stem: str) -> str:
     return f"S{int(stem)}" if re.fullmatch(r"\d{1,9}", stem) else stem
 
 
-def _skeleton_of(path: Path, subject: str, skeletons: dict[str, list[Path]]) -> Path:
-    choices = skeletons.get(subject, [])
+def _skeleton_of(path: Path, subject: str, skeletons: list[Path]) -> Path:
+    choices = [skeleton for skeleton in skeletons if _subject(skeleton.stem) == subject]
     beside = [choice for choice in choices if choice.parent == path.parent]
     if len(beside or choices) == 1:
         return (beside or choices)[0]
@@ -360,9 +302,9 @@ class Rates:
 
     fps: float = 10.0
     amc: float = 120.0
-    """An .amc does not say its rate; CMU's are 120 Hz, some 60 Hz."""
+    """Of .amc files, which do not give it; CMU's are 120 Hz, some 60 Hz."""
     own: dict[str, float] = field(default_factory=dict)
-    """Rates of subjects or motions, in place of anything else."""
+    """Rates of subjects or motions; these override the files."""
 
     def step(self, trial: Trial, rate: float) -> int:
         """Return which frames to keep; raises UserError where ``fps`` does not divide the rate."""
@@ -394,7 +336,7 @@ def read_clip(trial: Trial, rates: Rates, unit_mm: float | None = None) -> Clip:
         UserError: a file that is damaged or another one than it should be.
     """
     if trial.skeleton is not None:
-        skeleton = _skeleton(trial.skeleton)
+        skeleton = _read_skeleton(trial.skeleton)
         layout = _layout_of(skeleton.tree, skeleton.path)
         unit = _unit_of(skeleton.tree, layout, skeleton.path, unit_mm or skeleton.unit_mm)
         figure = read_amc(trial.path, skeleton, rates.step(trial, rates.amc))
@@ -402,39 +344,35 @@ def read_clip(trial: Trial, rates: Rates, unit_mm: float | None = None) -> Clip:
         file = open_bvh(trial.path)
         layout = _layout_of(file.tree, file.path)
         unit = _unit_of(file.tree, layout, file.path, unit_mm)
-        # A captured root is never turned by exactly nothing.
+        # A captured root never has a rotation of exactly zero.
         first = 0 if any(file.row(0)[3:6]) else layout.rest_frames
         if file.frames <= first:
             raise UserError(f"{trial.path}: no frames after the rest pose.")
-        figure = file.figure(first, rates.step(trial, file.rate), _mended(file.tree, layout))
+        figure = file.figure(first, rates.step(trial, file.rate), _with_dropped_bones(file.tree, layout))
     joints = _human_joints(figure, layout, unit)
     if not (np.abs(joints) < _WORLD_MM).all():
         raise UserError(f"{trial.path}: joints farther than a kilometre from the origin: damaged, or another unit.")
     return Clip(trial.subject, trial.sequence, joints)
 
 
-@lru_cache(maxsize=8)
-def _skeleton(path: Path) -> AsfSkeleton:
-    return read_asf(path)
+_read_skeleton = lru_cache(maxsize=8)(read_asf)
 
 
-# Virtual cameras round a motion: fixed, level but for a down-tilt, far enough that nobody leaves the image.
+# Virtual cameras around a motion: fixed, level but for a down-tilt, far enough to keep every joint in the image.
 
-_USED = 0.96  # of the half image, by the joints
 _NEAREST_MM = 500.0
-_JITTER = 0.1
 
 
 @dataclass(frozen=True)
 class Rig:
-    """How many cameras there are and what they are like."""
+    """Number and properties of the cameras."""
 
     cameras: int = 4
     tilt_deg: float = 8.0
     """Mean down-tilt."""
     tilt_sd_deg: float = 2.0
     distance_m: float = 5.0
-    """From the middle of the motion; farther where that takes a joint out of the image."""
+    """From the middle of the motion; farther where a joint would leave the image."""
     focal_px: float = 1145.0
     image_size: tuple[int, int] = (1000, 1000)
 
@@ -454,19 +392,19 @@ class _View:
 def film(joints: Float[np.ndarray, "frames joints 3"], rig: Rig, random: np.random.Generator) -> list[_View]:
     """Return what the cameras see of ``joints`` (mm, world, y up), the first of which is the root.
 
-    They stand evenly round the middle of the motion, the first anywhere, each up to 15 degrees off its
-    place when there are four.
+    They are spaced evenly around the middle of the motion from a random start, each up to a sixth of the spacing off.
     """
-    spin = random.uniform(0, 360)
+    start = random.uniform(0, 360)
     views = []
     middle = (joints.max((0, 1)).astype(np.float64) + joints.min((0, 1))) / 2
     for camera in range(rig.cameras):
-        share = 360 / rig.cameras
-        azimuth = spin + share * (camera + random.uniform(-1, 1) / 6)
+        azimuth = start + 360 / rig.cameras * (camera + random.uniform(-1, 1) / 6)
         tilt = float(np.clip(rig.tilt_deg + rig.tilt_sd_deg * random.standard_normal(), -80, 80))
-        distance = 1000 * rig.distance_m * (1 + _JITTER * random.uniform(-1, 1))
+        distance = 1000 * rig.distance_m * (1 + 0.1 * random.uniform(-1, 1))
         points = (joints - middle) @ _axes(azimuth, tilt).T
-        points[..., 2] += max(distance, _least_distance(points, rig))
+        # Far enough away to see every joint, within 96 % of the half image.
+        needed = rig.focal_px * np.abs(points[..., :2]) / (0.96 * np.array(rig.image_size) / 2) - points[..., 2:]
+        points[..., 2] += max(distance, float(max(needed.max(), _NEAREST_MM - points[..., 2].min())))
         views.append(_view(points, rig, tilt))
     return views
 
@@ -480,17 +418,10 @@ def _axes(azimuth_deg: float, tilt_deg: float) -> Float[np.ndarray, "3 3"]:
     return np.stack([right, np.cross(forward, right), forward])
 
 
-def _least_distance(points: Float[np.ndarray, "frames joints 3"], rig: Rig) -> float:
-    """Return how far the camera must be from the origin of ``points`` to have them all in its image."""
-    half = _USED * np.array(rig.image_size) / 2
-    away = rig.focal_px * np.abs(points[..., :2]) / half - points[..., 2:]
-    return float(max(away.max(), _NEAREST_MM - points[..., 2].min()))
-
-
 def _view(points: np.ndarray, rig: Rig, tilt_deg: float) -> _View:
     root = points[:, 0].astype(np.float32)
     pose = (points - points[:, :1]).astype(np.float32)
-    # From the rounded numbers: what is written projects to what is written.
+    # From the rounded numbers, so that the written pose projects exactly to the written keypoints.
     seen = pose.astype(np.float64) + root[:, None]
     keypoints = rig.focal_px * seen[..., :2] / seen[..., 2:] + np.array(rig.image_size) / 2
     return _View(keypoints.astype(np.float32), pose, root, tilt_deg)
@@ -505,8 +436,8 @@ _BASE_FPS = 120
 def chosen_test(clips: Sequence[Clip], chosen: Sequence[str], seed: int) -> tuple[set[str], str]:
     """Return the sequences of the test file and how they were chosen.
 
-    ``chosen`` names subjects or sequences; without it whole subjects are drawn until they have 15 % of
-    the frames, or whole clips where there is one subject.
+    ``chosen`` names subjects or sequences; without it subjects are drawn until they have 15 % of
+    the frames, or clips where there is only one subject.
 
     Raises:
         UserError: a name that is not there, nothing left to train on.
@@ -524,15 +455,13 @@ def chosen_test(clips: Sequence[Clip], chosen: Sequence[str], seed: int) -> tupl
     if len(clips) < 2:
         raise UserError("One motion only: there must be at least two, one to train on and one to test.")
     by_subject = len(subjects) > 1
-    frames: dict[str, int] = {}
+    frames: Counter[str] = Counter()
     for clip in clips:
-        name = clip.subject if by_subject else clip.sequence
-        frames[name] = frames.get(name, 0) + len(clip.joints)
+        frames[clip.subject if by_subject else clip.sequence] += len(clip.joints)
     order = np.random.default_rng(seed).permutation(list(frames))[: len(frames) - 1].tolist()
     before = np.cumsum([0, *(frames[name] for name in order)])[:-1]
-    picked = [
-        name for name, sum_before in zip(order, before, strict=True) if sum_before < _TEST_SHARE * sum(frames.values())
-    ]
+    enough = _TEST_SHARE * sum(frames.values())
+    picked = [name for name, earlier in zip(order, before, strict=True) if earlier < enough]
     found = {clip.sequence for clip in clips if {clip.subject, clip.sequence} & set(picked)}
     if by_subject:
         return found, f"test: {', '.join(picked)} (subjects drawn with seed={seed}; others: test=S5,S16)"
@@ -544,46 +473,17 @@ def filmed(
 ) -> PoseData:
     """Return the rows: of each clip all cameras, of each camera all frames.
 
-    A clip's cameras depend on ``seed`` and its own name, not on the other clips. ``frame`` counts at 120 Hz.
+    A clip's cameras depend on ``seed`` and its name, not on the other clips. ``frame`` counts at 120 Hz.
     """
-    lengths = np.array([len(clip.joints) for clip in clips])
-    rows = int(lengths.sum()) * rig.cameras
-    keypoints = np.empty((rows, len(JOINTS), 2), np.float32)
-    pose = np.empty((rows, len(JOINTS), 3), np.float32)
-    root, tilt = np.empty((rows, 3), np.float32), np.empty(rows, np.float32)
-    start = 0
+    rows = Rows(sum(len(clip.joints) for clip in clips) * rig.cameras, JOINTS)
+    step = np.int32(max(1, round(_BASE_FPS / fps)))
     for clip in clips:
         random = np.random.default_rng([seed, zlib.crc32(clip.sequence.encode())])
-        for view in film(clip.joints, rig, random):
-            here = slice(start, start + len(clip.joints))
-            keypoints[here], pose[here], root[here], tilt[here] = view.keypoints, view.pose, view.root, view.tilt_deg
-            start = here.stop
-    return PoseData(
-        keypoints=keypoints,
-        confidence=np.ones(keypoints.shape[:2], np.float32),
-        joint_names=JOINTS,
-        pose=pose,
-        root=root,
-        identity=_identity(clips, lengths, rig.cameras, fps, actions),
-        fps=fps,
-        image_size=rig.image_size,
-        focal_px=rig.focal_px,
-        tilt_deg=tilt,
-    )
-
-
-def _identity(
-    clips: Sequence[Clip], lengths: np.ndarray, cameras: int, fps: float, actions: Mapping[str, str] | None
-) -> dict[str, np.ndarray]:
-    rows = lengths * cameras
-    identity = {
-        "subject": np.repeat(np.array([clip.subject for clip in clips]), rows),
-        "sequence": np.repeat(np.array([clip.sequence for clip in clips]), rows),
-        "camera": np.repeat(np.tile(np.arange(cameras, dtype=np.int16), len(clips)), np.repeat(lengths, cameras)),
-        "frame": np.concatenate([np.arange(n, dtype=np.int32) for n in np.repeat(lengths, cameras)])
-        * np.int32(max(1, round(_BASE_FPS / fps))),
-    }
-    if actions is not None:
-        named = np.array([actions.get(clip.sequence, "unknown") for clip in clips])
-        identity["action"] = np.repeat(named, rows)
-    return identity
+        frame = np.arange(len(clip.joints), dtype=np.int32) * step
+        for camera, view in enumerate(film(clip.joints, rig, random)):
+            identity = {"subject": clip.subject, "sequence": clip.sequence, "camera": np.int16(camera), "frame": frame}
+            if actions is not None:
+                identity["action"] = actions.get(clip.sequence, "unknown")
+            keypoints, pose, confidence, root = rows.next(len(frame), view.tilt_deg, identity)
+            keypoints[:], pose[:], confidence[:], root[:] = view.keypoints, view.pose, 1, view.root
+    return rows.data(fps=fps, image_size=rig.image_size, focal_px=rig.focal_px)

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from uplift.data.datasets.base import DataSet, WantedFile
+from uplift.data.datasets.base import DataSet, WantedFile, first_file
 from uplift.data.formats.layouts import COCO_JOINTS
 from uplift.data.parsers.json import records
 from uplift.data.poses import PoseData
@@ -16,7 +16,6 @@ from uplift.errors import UserError
 __all__ = ["Coco"]
 
 _TORSO = [COCO_JOINTS.index(name) for name in ("left_shoulder", "right_shoulder", "left_hip", "right_hip")]
-_FOLDERS = ("", "annotations")
 _MANY = 4096
 
 
@@ -46,8 +45,7 @@ person_keypoints_val2017.json into the folder, or into annotations/ below it (da
     def files(self, split: str) -> list[WantedFile]:
         self.check_split(split)
         name = f"person_keypoints_{split}{self.year}.json"
-        places = [self.folder / folder / name for folder in _FOLDERS]
-        path = next((place for place in places if place.is_file()), places[0])
+        path = first_file([self.folder / name, self.folder / "annotations" / name])
         return [WantedFile(path, f"the keypoints of {split}{self.year} (Train/Val annotations of COCO)")]
 
     def read(self, split: str) -> PoseData:
@@ -58,23 +56,19 @@ person_keypoints_val2017.json into the folder, or into annotations/ below it (da
             if key == "annotations":
                 people.add(record)
             elif key == "images":
-                _name_image(path, record, names)
+                number, name = record.get("id"), record.get("file_name")
+                if not isinstance(number, int) or not isinstance(name, str):
+                    raise UserError(
+                        f"{path}: an image has id {number!r} and file_name {name!r}, expected a number and a name."
+                    )
+                names[number] = name
             else:
                 people.category(record)
         data = people.finish(names, self.occluded, self.min_keypoints, self.torso)
-        data.source = f"{self.title} {split}{self.year} in {self.folder} ({self._choices()})"
-        return data
-
-    def _choices(self) -> str:
         torso = ", shoulders and hips annotated" if self.torso else ""
-        return f"{self.min_keypoints} or more keypoints{torso}; occluded ones of confidence {self.occluded:g}"
-
-
-def _name_image(path: Path, record: dict[str, Any], names: dict[int, str]) -> None:
-    number, name = record.get("id"), record.get("file_name")
-    if not isinstance(number, int) or not isinstance(name, str):
-        raise UserError(f"{path}: an image has id {number!r} and file_name {name!r}, expected a number and a name.")
-    names[number] = name
+        choices = f"{self.min_keypoints} or more keypoints{torso}; occluded ones of confidence {self.occluded:g}"
+        data.source = f"{self.title} {split}{self.year} in {self.folder} ({choices})"
+        return data
 
 
 class _People:
@@ -99,7 +93,9 @@ class _People:
             return
         where = f"{self.path}: annotation {record.get('id', self.seen)}"
         if not isinstance(values, list):
-            raise UserError(f"{where} has no 'keypoints'{_another(record)}. Expected person_keypoints_*.json.")
+            kind = "captions" if "caption" in record else "instances" if "segmentation" in record else ""
+            found = f": these are {kind}" if kind else ""
+            raise UserError(f"{where} has no 'keypoints'{found}. Expected person_keypoints_*.json.")
         if self.count == len(self.flat):
             self.flat = np.concatenate([self.flat, np.zeros_like(self.flat)])
             self.numbers = np.concatenate([self.numbers, np.zeros_like(self.numbers)])
@@ -140,15 +136,15 @@ class _People:
             raise UserError(
                 f"{self.path}: no category 'person' in it (found: {found}). Expected person_keypoints_*.json."
             )
-        for said in (self.wrong[person] for person in self.people if person in self.wrong):
-            raise UserError(f"{said}, expected {self.flat.shape[1]}: x, y, v of {len(COCO_JOINTS)} joints.")
+        for wrong in (self.wrong[person] for person in self.people if person in self.wrong):
+            raise UserError(f"{wrong}, expected {self.flat.shape[1]}: x, y, v of {len(COCO_JOINTS)} joints.")
         category, image, number = self.numbers[: self.count].T
         values = self.flat[: self.count].reshape(-1, len(COCO_JOINTS), 3)
-        if not np.isin(values[..., 2], (0, 1, 2)).all() or not np.isfinite(values).all():
-            wrong = number[~(np.isin(values[..., 2], (0, 1, 2)) & np.isfinite(values).all(-1)).all(1)][0]
+        valid = (np.isin(values[..., 2], (0, 1, 2)) & np.isfinite(values).all(-1)).all(1)
+        if not valid.all():
             raise UserError(
-                f"{self.path}: annotation {wrong} has visibilities other than 0, 1, 2, or no numbers. Scores of a "
-                "detector? Expected annotations."
+                f"{self.path}: annotation {number[~valid][0]} has visibilities other than 0, 1, 2, or no numbers. "
+                "Scores of a detector? Expected annotations."
             )
         labelled = values[..., 2] > 0
         enough = labelled.sum(1) >= least
@@ -176,9 +172,3 @@ class _People:
                 f"{self.path}: annotations name image {missing[0]}, which is not among its images: cut short?"
             )
         return np.array([names[int(number)] for number in image])
-
-
-def _another(record: dict[str, Any]) -> str:
-    if "caption" in record:
-        return ": these are captions"
-    return ": these are instances" if "segmentation" in record else ""

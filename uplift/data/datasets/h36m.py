@@ -8,16 +8,13 @@ from pathlib import Path
 
 import numpy as np
 
-from uplift.data.datasets.base import DataSet, WantedFile
+from uplift.data.datasets.base import DataSet, Rows, WantedFile
 from uplift.data.datasets.h36m_files import LAYOUTS, Clip, Family, Martinez, OfficialCdf, Pickles, VideoPose3D
 from uplift.data.formats.layouts import H36M_JOINTS as JOINTS
 from uplift.data.poses import PoseData
 from uplift.errors import UserError, did_you_mean
-from uplift.geometry.lens import Lens
 
 __all__ = ["Human36M"]
-
-# From clips to `PoseData`: arrays of the final size, filled clip by clip, and checked on the way.
 
 RATE = 50
 _MORE_FRAMES = (50, 0.2)
@@ -26,136 +23,85 @@ _BODY_MM = (250.0, 1500.0)
 """From hip to top of the head, in the median over frames."""
 _OFF_PX = {"gt": 5.0}
 _OFF_DETECTED_PX = 100.0
-"""The keypoints may be as far from the projected pose, in the median over joints, then over a subject's clips."""
+"""How far the keypoints may be from the projected pose, in the median over joints, then over a subject's clips."""
 
 
 def _assemble(clips: Sequence[Clip], step: int, keypoints: str, source: str) -> PoseData:
     """Return every ``step``-th frame of ``clips``, one after another.
 
     Raises:
-        UserError: 2D and 3D that cannot be of one clip, or lengths that are no body's.
+        UserError: 2D and 3D that cannot be of one clip, or lengths of a body that are not a person's.
     """
-    filled = _Arrays(sum(-(-clip.frames // step) for clip in clips))
-    lenses: dict[Lens, int] = {}
-    counts, checks = [], defaultdict(list)
+    rows = Rows(sum(-(-clip.frames // step) for clip in clips), JOINTS)
+    checks = defaultdict(list)
     for clip in clips:
-        pose = clip.positions(step)
-        counts.append(filled.add(clip, pose, step, lenses.setdefault(clip.camera.lens, len(lenses))))
-        checks[clip.subject].append((clip, filled.length_mm(), filled.off_px(clip)))
-    if not filled.at:
+        checks[clip.subject].append((clip, *_fill(rows, clip, step)))
+    if not rows.used:
         raise UserError(f"{source}: no frame in the files.")
     for of_one in checks.values():
         _check_subject(of_one, _OFF_PX.get(keypoints, _OFF_DETECTED_PX))
-    return filled.data(clips, np.array(counts), step, tuple(lenses), source)
+    return rows.data(fps=RATE / step, source=source)
 
 
-class _Arrays:
-    """The arrays of the result and how far they are filled."""
-
-    def __init__(self, frames: int):
-        joints = len(JOINTS)
-        self.at = 0
-        self.start = 0
-        self.keypoints = np.empty((frames, joints, 2), np.float32)
-        self.confidence = np.empty((frames, joints), np.float32)
-        self.pose = np.empty((frames, joints, 3), np.float32)
-        self.root = np.empty((frames, 3), np.float32)
-        self.lens = np.empty(frames, np.int8)
-        self.frame = np.empty(frames, np.int32)
-
-    def add(self, clip: Clip, pose: np.ndarray, step: int, lens: int) -> int:
-        """Take in the clip's frames and return how many there are."""
-        seen = None if clip.seen is None else clip.seen()
-        if seen is not None:
-            _check_lengths(clip, clip.frames, len(seen))
-            seen = seen[::step]
-            pose = pose[: len(seen)]
-        rows = slice(self.at, self.at + len(pose))
-        if seen is None:
-            self.keypoints[rows] = clip.camera.lens.project(pose)
-            self.confidence[rows] = 1
-        else:
-            _into_joints(seen[: len(pose)], clip.layout, self.keypoints[rows], self.confidence[rows])
-        if not (pose[..., 2] > 0).all():
+def _checked(clip: Clip, step: int) -> tuple[np.ndarray, np.ndarray | None]:
+    """Return 3D and 2D of every ``step``-th frame that both have."""
+    points = clip.positions(step)
+    seen = None if clip.seen is None else clip.seen()
+    if seen is not None:
+        most = max(_MORE_FRAMES[0], _MORE_FRAMES[1] * max(clip.frames, len(seen)))
+        if abs(clip.frames - len(seen)) > most or not len(seen):
             raise UserError(
-                f"{clip.where}: not every joint is a number in front of the camera: other coordinates than these files have?"
+                f"{clip.where}: {clip.frames} frames of 3D and {len(seen)} of 2D, expected as many but for a few at "
+                "the end: 2D of another sequence or rate?"
             )
-        self.root[rows] = pose[:, 0]
-        np.subtract(pose, pose[:, :1], out=self.pose[rows])
-        self.lens[rows] = lens
-        self.frame[rows] = np.arange(len(pose), dtype=np.int32) * step
-        self.start, self.at = self.at, self.at + len(pose)
-        return len(pose)
-
-    def length_mm(self) -> float:
-        """Return how far it is from hip to the top of the head in the clip's middle frame."""
-        if self.start == self.at:
-            return np.nan
-        return float(np.linalg.norm(self.pose[(self.start + self.at) // 2, JOINTS.index("headtop")]))
-
-    def off_px(self, clip: Clip) -> float:
-        """Return how far the keypoints of the clip's middle frame are from its projected pose."""
-        if clip.seen is None or self.start == self.at:
-            return 0.0
-        row = (self.start + self.at) // 2
-        projected = clip.camera.lens.project(self.pose[row] + self.root[row])
-        sure = self.confidence[row] > 0
-        return float(np.median(np.linalg.norm(projected - self.keypoints[row], axis=-1)[sure])) if sure.any() else 0.0
-
-    def data(self, clips: Sequence[Clip], counts: np.ndarray, step: int, lenses: tuple[Lens, ...], source: str):
-        """Return what was filled."""
-        texts = {
-            "subject": [clip.subject for clip in clips],
-            "action": [clip.action for clip in clips],
-            "sequence": [clip.sequence for clip in clips],
-            "camera": [clip.camera_id for clip in clips],
-        }
-        identity = {key: np.repeat(np.array(values), counts) for key, values in texts.items()}
-        tilt_deg = np.array([clip.camera.tilt_deg for clip in clips], np.float32)
-        used = slice(self.at)
-        return PoseData(
-            keypoints=self.keypoints[used],
-            confidence=self.confidence[used],
-            joint_names=JOINTS,
-            pose=self.pose[used],
-            root=self.root[used],
-            identity={**identity, "frame": self.frame[used]},
-            fps=RATE / step,
-            tilt_deg=np.repeat(tilt_deg, counts),
-            source=source,
-            lenses=lenses,
-            lens=self.lens[used],
+        points, seen = points[: len(seen[::step])], seen[::step][: len(points)]
+    if not (points[..., 2] > 0).all():
+        raise UserError(
+            f"{clip.where}: not every joint is a number in front of the camera: other coordinates than these files have?"
         )
+    return points, seen
+
+
+def _fill(rows: Rows, clip: Clip, step: int) -> tuple[float, float]:
+    """Append a clip; return hip to top of head (mm) and median pixels from 2D to projected 3D, of its middle frame."""
+    points, seen = _checked(clip, step)
+    frame = np.arange(len(points), dtype=np.int32) * step
+    identity = {"subject": clip.subject, "action": clip.action, "sequence": clip.sequence, "camera": clip.camera_id}
+    lens = clip.camera.lens
+    keypoints, pose, confidence, root = rows.next(len(points), clip.camera.tilt_deg, {**identity, "frame": frame}, lens)
+    root[:] = points[:, 0]
+    np.subtract(points, points[:, :1], out=pose)
+    if seen is None:
+        keypoints[:], confidence[:] = lens.project(points), 1
+    else:
+        _into_joints(seen, clip.layout, keypoints, confidence)
+    if not len(points):
+        return np.nan, 0.0
+    middle = len(points) // 2
+    length_mm = float(np.linalg.norm(pose[middle, JOINTS.index("headtop")]))
+    known = confidence[middle] > 0
+    if seen is None or not known.any():
+        return length_mm, 0.0
+    off = np.linalg.norm(lens.project(pose[middle] + root[middle]) - keypoints[middle], axis=-1)
+    return length_mm, float(np.median(off[known]))
 
 
 def _into_joints(seen: np.ndarray, layout: str, keypoints: np.ndarray, confidence: np.ndarray) -> None:
     """Fill keypoints and confidence in our joints; what the layout lacks or is not finite is missing."""
     if layout == "h36m" and seen.shape[2] == 2:
-        keypoints[:] = seen
-        confidence[:] = 1
+        keypoints[:], confidence[:] = seen, 1
     else:
-        keypoints[:] = 0
-        confidence[:] = 0
+        keypoints[:], confidence[:] = 0, 0
         for joint, places in LAYOUTS[layout].items():
             place = JOINTS.index(joint)
             keypoints[:, place] = seen[:, places, :2].mean(1)
             confidence[:, place] = seen[:, places, 2].min(1) if seen.shape[2] == 3 else 1
-    finite = np.isfinite(keypoints).all(-1)
-    if not finite.all():
-        keypoints[~finite] = 0
-        confidence[~finite] = 0
-
-
-def _check_lengths(clip: Clip, frames: int, seen: int) -> None:
-    if abs(frames - seen) > max(_MORE_FRAMES[0], _MORE_FRAMES[1] * max(frames, seen)) or not seen:
-        raise UserError(
-            f"{clip.where}: {frames} frames of 3D and {seen} of 2D, expected as many but for a few at the end: "
-            "2D of another sequence or rate?"
-        )
+    missing = ~np.isfinite(keypoints).all(-1)
+    keypoints[missing], confidence[missing] = 0, 0
 
 
 def _check_subject(checks: list[tuple[Clip, float, float]], most_px: float) -> None:
-    """Refuse a body of another size than people have, and keypoints that are not where the cameras see the pose."""
+    """Refuse a body that has not the size of a person, and keypoints that are far from the projected pose."""
     clip = checks[0][0]
     length = float(np.nanmedian([length for _, length, _ in checks]))
     if not _BODY_MM[0] < length < _BODY_MM[1]:
@@ -170,8 +116,6 @@ def _check_subject(checks: list[tuple[Clip, float, float]], most_px: float) -> N
             f"expected less than {most_px:.0f}: 2D and 3D of different subjects, sequences or cameras?"
         )
 
-
-# The data set Human3.6M: which files, which keypoints, how many frames a second.
 
 _FAMILIES: dict[str, type[Family]] = {family.name: family for family in (VideoPose3D, Pickles, Martinez, OfficialCdf)}
 _KINDS = ("gt", "projected", "sh", "cpn", "detectron", "sh_mpii")
@@ -223,8 +167,8 @@ class Human36M(DataSet):
         clips = family.clips(split)
         if how == "gt" and clips and clips[0].seen is None:
             how = "gt, projected from the 3D"
-        told = f"Human3.6M {split} in {self.folder} ({family.name}, keypoints {how}, {self.fps} frames/s)"
-        return _assemble(clips, RATE // self.fps, family.keypoints, told)
+        source = f"Human3.6M {split} in {self.folder} ({family.name}, keypoints {how}, {self.fps} frames/s)"
+        return _assemble(clips, RATE // self.fps, family.keypoints, source)
 
     def _family(self) -> Family:
         """Return the first kind of files that is there with the keypoints that are wanted, else one that is missing."""

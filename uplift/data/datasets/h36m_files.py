@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Collection
 from dataclasses import dataclass, field
-from functools import lru_cache
+from functools import lru_cache, partial
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -45,7 +45,7 @@ ACTIONS = (
 _OTHER_NAMES = {"TakingPhoto": "Photo", "WalkingDog": "WalkDog"}
 
 OF_32 = (0, 1, 2, 3, 6, 7, 8, 12, 13, 14, 15, 17, 18, 19, 25, 26, 27)
-"""Which of the 32 joints of the motion capture these are: the others do not move, or are there twice."""
+"""Their indices in the 32 joints of the motion capture; the others do not move, or are there twice."""
 
 
 def _places(joints: tuple[str, ...]) -> dict[str, tuple[int, ...]]:
@@ -63,28 +63,28 @@ LAYOUTS: dict[str, dict[str, tuple[int, ...]]] = {
         "lelbow": (7,), "lwrist": (9,), "rshoulder": (6,), "relbow": (8,), "rwrist": (10,),
     },
 }  # fmt: skip
-"""Layouts of 2D keypoints: our joint to the places it is the mean of. The hourglass network has no nose."""
+"""Layouts of 2D keypoints: our joint -> the keypoints it is the mean of. The hourglass network has no nose."""
 
 
 def _sequence_name(name: str, where: str) -> tuple[str, str] | None:
     """Return action and sequence of a name such as ``WalkingDog 1`` or ``Photo_2``; None for ``_ALL``.
 
     Raises:
-        UserError: no action of the set.
+        UserError: not an action of the set.
     """
     if name.startswith("_"):
         return None
     word, _, number = name.replace("_", " ").strip().partition(" ")
     action = _OTHER_NAMES.get(word, word)
     if action not in ACTIONS or (number and not number.isdigit()):
-        raise UserError(f"{where}: '{name}' is no action of Human3.6M.{did_you_mean(word, (*ACTIONS, *_OTHER_NAMES))}")
+        raise UserError(
+            f"{where}: '{name}' is not an action of Human3.6M.{did_you_mean(word, (*ACTIONS, *_OTHER_NAMES))}"
+        )
     return action, f"{action} {number}".strip()
 
 
-def _is_corrupt(subject: str, sequence: str, camera: str) -> bool:
-    """Return whether it is the one video that cannot be played."""
-    return (subject, sequence, camera) == ("S11", "Directions", "54138969")
-
+_CORRUPT = ("S11", "Directions", "54138969")
+"""Subject, sequence and camera of the one video that cannot be played."""
 
 # Human3.6M's four cameras and where they stood for each subject, as published.
 
@@ -93,7 +93,7 @@ CAMERAS = ("54138969", "55011271", "58860488", "60457274")
 
 @dataclass(frozen=True)
 class _Camera:
-    """A camera and where it stands: a point X of the room, in mm, is R (X - T) in its frame."""
+    """A camera and its position: a point X of the room, in mm, is R (X - T) in its frame."""
 
     lens: Lens
     rotation: np.ndarray = field(compare=False)
@@ -180,8 +180,8 @@ _STANDS = {
 def published(subject: str, camera: str, *, swapped: bool = False) -> _Camera:
     """Return the camera as it stood for ``subject``.
 
-    The set's own projection, and Martinez', multiply p1 with y and p2 with x; VideoPose3D's, which made its
-    ground truth, has them the other way round (``swapped``): some tenths of a pixel.
+    The data set's projection, and Martinez', multiply p1 with y and p2 with x; VideoPose3D's, which made its
+    ground truth, swaps them (``swapped``): some tenths of a pixel.
     """
     focal_px, centre_px, radial, (p1, p2), size = _LENSES[camera]
     stand = np.array(_STANDS[subject][CAMERAS.index(camera)])
@@ -190,7 +190,7 @@ def published(subject: str, camera: str, *, swapped: bool = False) -> _Camera:
     return _Camera(lens, quaternion_matrix(quaternion).T, stand[4:])
 
 
-# `Clip`: one sequence of Human3.6M seen by one camera, and the checks that all of its files share.
+# `Clip`: one sequence of Human3.6M seen by one camera; `Family`: one kind of files that hold such clips.
 
 
 @dataclass(frozen=True)
@@ -203,7 +203,7 @@ class Clip:
     camera_id: str
     camera: _Camera
     where: str
-    """Which file, and what in it, for messages."""
+    """The file, and the place in it, for messages."""
     frames: int
     """Of the motion capture, at 50 Hz."""
     positions: Callable[[int], np.ndarray]
@@ -214,11 +214,16 @@ class Clip:
 
 
 class Family:
-    """One kind of files that Human3.6M comes in."""
+    """One kind of files that Human3.6M comes in; a subclass has `files`, `_open`, `_names` and `_clip`."""
 
-    name: ClassVar[str] = ""
+    name: ClassVar[str]
+    poses: ClassVar[tuple[str, ...]]
+    """Patterns of the files of the 3D, below the folder."""
     files_of: ClassVar[dict[str, str]] = {}
-    """Kind of keypoints to what it is read from."""
+    """Kind of keypoints -> where they are, as part of `found_by`."""
+    found_by: ClassVar[str] = "{}"
+    may_lack: ClassVar[tuple[tuple[str, str], ...]] = ()
+    """Subjects and actions that published files leave out."""
 
     def __init__(self, folder: Path, keypoints: str, partial: bool):
         self.folder, self.keypoints, self.partial = folder, keypoints, partial
@@ -226,20 +231,67 @@ class Family:
     @classmethod
     def is_in(cls, folder: Path) -> bool:
         """Return whether the 3D of this kind is in ``folder``."""
-        raise NotImplementedError
+        return any(any(folder.glob(pattern)) for pattern in cls.poses)
 
     @classmethod
     def offers(cls, folder: Path, keypoints: str) -> bool:
-        """Return whether 2D of this kind is in ``folder``, or needs no file."""
-        raise NotImplementedError
+        """Return whether 2D of this kind is in ``folder``, or can be projected."""
+        place = cls.files_of.get(keypoints)
+        return keypoints in ("gt", "projected") or bool(place and any(folder.glob(cls.found_by.format(place))))
 
     def files(self, split: str) -> list[WantedFile]:
         """Return the files that ``split`` is read from."""
         raise NotImplementedError
 
     def clips(self, split: str) -> list[Clip]:
-        """Return what is in them; raises UserError where they are not as they should be."""
+        """Return the clips of ``split``; raises UserError where the files are not as they should be."""
+        self._open(split)
+        clips = []
+        for subject in _SUBJECTS[split]:
+            for name, action, sequence in self._in_order(subject):
+                for camera_id in CAMERAS:
+                    found = self._clip(subject, name, sequence, camera_id)
+                    if found:
+                        clips.append(Clip(subject, action, sequence, camera_id, *found))
+        return clips
+
+    def _open(self, split: str) -> None:
+        """Read what all clips need."""
+
+    def _names(self, subject: str) -> tuple[list[str], str]:
+        """Return the names of the subject's sequences, and where they are."""
         raise NotImplementedError
+
+    def _clip(self, subject: str, name: str, sequence: str, camera_id: str) -> tuple | None:
+        """Return the fields of a `Clip` from its camera on; None where there is none."""
+        raise NotImplementedError
+
+    def _in_order(self, subject: str) -> list[tuple[str, str, str]]:
+        """Return (name in the file, action, sequence) in the order of the papers' tables.
+
+        Raises:
+            UserError: a name that is not an action, or an action that is missing, but for those in ``may_lack``.
+        """
+        names, where = self._names(subject)
+        known = [(name, *parsed) for name in names if (parsed := _sequence_name(name, where))]
+        there = {action for _, action, _ in known}
+        lacking = [action for action in ACTIONS if action not in there and (subject, action) not in self.may_lack]
+        if lacking and not self.partial:
+            raise UserError(
+                f"{where}: {subject} has no {', '.join(lacking)} ({len(ACTIONS) - len(lacking)} of {len(ACTIONS)} "
+                "actions). Get the rest, or set data.options.partial=true to go on with what is there."
+            )
+        sequences = [sequence for _, _, sequence in known]
+        twice = [sequence for sequence in sequences if sequences.count(sequence) > 1]
+        if twice:
+            raise UserError(f"{where}: {subject} has '{twice[0]}' twice, under two names.")
+        return sorted(known, key=lambda item: (ACTIONS.index(item[1]), item[2]))
+
+    def _in(self, place: str, example: str, what: str) -> list[WantedFile]:
+        """Return the files in a folder; where there are none, the one that should be there first."""
+        folder = self.folder / place
+        found = sorted(path for path in folder.glob(f"*{Path(example).suffix}") if not path.name.startswith("_"))
+        return [WantedFile(path, what) for path in found or [folder / example]]
 
 
 def _table_of(value: Any, where: str, wanted: Collection[str] = ()) -> dict[str, Any]:
@@ -272,58 +324,32 @@ def _kind(value: Any) -> str:
     return f"an array of {value.dtype}, {value.shape}" if isinstance(value, np.ndarray) else f"a {type(value).__name__}"
 
 
-def _in_room(points: np.ndarray, camera: _Camera, factor: float = 1.0) -> Callable[[int], np.ndarray]:
-    """Return `Clip.positions` for (frames, 32, 3) points of the room, ``factor`` mm a unit."""
+def _in_room(points: Callable[[], np.ndarray], camera: _Camera, mm: int = 1) -> Callable[[int], np.ndarray]:
+    """Return `Clip.positions` for (frames, 32, 3) points of the room, ``mm`` millimetres a unit."""
 
     def positions(step: int) -> np.ndarray:
-        chosen = points[::step, OF_32].astype(np.float32)
-        if factor != 1:
-            chosen *= np.float32(factor)
+        chosen = points()[::step, OF_32].astype(np.float32)
+        if mm != 1:
+            chosen *= np.float32(mm)
         return camera.see(chosen)
 
     return positions
 
 
-def _in_order(
-    names: Sequence[str], subject: str, where: str, *, partial: bool, skip: Collection[tuple[str, str]] = ()
-) -> list[tuple[str, str, str]]:
-    """Return (name in the file, action, sequence) in the order of the papers' tables.
-
-    Raises:
-        UserError: a name that is no action, or an action that is missing, but for those in ``skip``.
-    """
-    known = [(name, *parsed) for name in names if (parsed := _sequence_name(name, where))]
-    place = {action: number for number, action in enumerate(ACTIONS)}
-    lacking = [a for a in ACTIONS if a not in {action for _, action, _ in known} and (subject, a) not in skip]
-    if lacking and not partial:
-        raise UserError(
-            f"{where}: {subject} has no {', '.join(lacking)} ({len(ACTIONS) - len(lacking)} of {len(ACTIONS)} actions). "
-            "Get the rest, or set data.options.partial=true to go on with what is there."
-        )
-    sequences = [sequence for _, _, sequence in known]
-    twice = [sequence for sequence in sequences if sequences.count(sequence) > 1]
-    if twice:
-        raise UserError(f"{where}: {subject} has '{twice[0]}' twice, under two names.")
-    return sorted(known, key=lambda item: (place[item[1]], item[2]))
-
-
-def _playable(subject: str, sequence: str) -> list[str]:
-    """Return the cameras that saw a sequence, but for the corrupt video."""
-    return [camera for camera in CAMERAS if not _is_corrupt(subject, sequence, camera)]
-
-
 # The npz files of VideoPose3D: 3D in metres in the room, ground truth and detections in pixels.
 
-_POSES = "data_3d_h36m.npz"
-_MM = 1000.0
-# By number of joints and the places of the left ones, which every file tells in its 'metadata'.
+# By number of joints and the indices of the left ones, which every file has in its 'metadata'.
 _LEFT = {(17, (4, 5, 6, 11, 12, 13)): "h36m", (17, (1, 3, 5, 7, 9, 11, 13, 15)): "coco", (16, (3, 4, 5, 13, 14, 15)): "hourglass"}  # fmt: skip
 
 
 class VideoPose3D(Family):
-    """As written by the scripts of facebookresearch/VideoPose3D (data/prepare_data_h36m.py and beside it)."""
+    """As written by the scripts of facebookresearch/VideoPose3D (data/prepare_data_h36m.py and beside it).
+
+    2D of sequences without 3D is left out, as VideoPose3D does.
+    """
 
     name = "videopose3d"
+    poses = ("data_3d_h36m.npz",)
     files_of: ClassVar[dict[str, str]] = {
         "gt": "data_2d_h36m_gt.npz",
         "cpn": "data_2d_h36m_cpn_ft_h36m_dbb.npz",
@@ -331,104 +357,81 @@ class VideoPose3D(Family):
         "sh": "data_2d_h36m_sh_ft_h36m.npz",
         "sh_mpii": "data_2d_h36m_sh_pt_mpii.npz",
     }
-
-    @classmethod
-    def is_in(cls, folder: Path) -> bool:
-        """Return whether the 3D is there."""
-        return (folder / _POSES).is_file()
-
-    @classmethod
-    def offers(cls, folder: Path, keypoints: str) -> bool:
-        """Return whether these keypoints are there; the ground truth can be projected without its file."""
-        return keypoints in ("gt", "projected") or (folder / cls.files_of.get(keypoints, _POSES + "?")).is_file()
+    may_lack = (("S11", "Directions"),)
 
     def files(self, split: str) -> list[WantedFile]:
         """Return the 3D, and the 2D unless it is projected."""
-        wanted = [WantedFile(self.folder / _POSES, "3D joints of all subjects, as VideoPose3D prepares them")]
-        file = self._keypoints_file()
-        if file:
-            wanted.append(WantedFile(self.folder / file, f"2D keypoints ({self.keypoints}), as VideoPose3D has them"))
+        wanted = [WantedFile(self.folder / self.poses[0], "3D joints of all subjects, as VideoPose3D prepares them")]
+        path = self._keypoints_file()
+        if path:
+            wanted.append(WantedFile(path, f"2D keypoints ({self.keypoints}), as VideoPose3D has them"))
         return wanted
 
-    def _keypoints_file(self) -> str | None:
+    def _keypoints_file(self) -> Path | None:
         file = self.files_of.get(self.keypoints)
-        if self.keypoints == "gt" and not (self.folder / str(file)).is_file():
+        if file is None or (self.keypoints == "gt" and not (self.folder / file).is_file()):
             return None
-        return file
+        return self.folder / file
 
-    def clips(self, split: str) -> list[Clip]:
-        """Return the clips that the 3D has; 2D of other sequences is left out, as VideoPose3D does."""
-        path = self.folder / _POSES
-        poses = _table_of(_array(path, "positions_3d"), f"{path}, 'positions_3d'", _SUBJECTS[split])
-        file = self._keypoints_file()
-        seen, layout = self._seen(self.folder / file, split) if file else (None, "h36m")
-        clips = []
-        for subject in _SUBJECTS[split]:
-            where = f"{path}, '{subject}'"
-            names = list(_table_of(poses[subject], where))
-            for name, action, sequence in _in_order(
-                names, subject, where, partial=self.partial, skip=[("S11", "Directions")]
-            ):
-                points = _points_of(poses[subject][name], f"{where}, '{name}'", (32,), (3,))
-                views = None
-                if seen is not None:
-                    views = _views(seen[subject], name, f"{self.folder / str(file)}, '{subject}'")
-                clips += self._of_one(points, views, layout, subject, action, sequence, f"{where}, '{name}'")
-        return clips
+    def _open(self, split: str) -> None:
+        self.path, self.seen_path = self.folder / self.poses[0], self._keypoints_file()
+        self.points = self._by_subject(_arrays(self.path, ["positions_3d"]), self.path, split)
+        self.layout = "h36m"
+        if self.seen_path:
+            arrays = _arrays(self.seen_path, ["positions_2d", "metadata"])
+            self.layout = self._layout(arrays["metadata"])
+            self.seen = self._by_subject(arrays, self.seen_path, split)
 
-    def _of_one(self, points, views, layout, subject, action, sequence, where) -> list[Clip]:
-        clips = []
-        for number, camera_id in enumerate(CAMERAS):
-            if views is not None and views[number] is None:
-                continue
-            camera = published(subject, camera_id, swapped=self.keypoints == "gt")
-            look = None if views is None else _look(views[number], layout, where, camera_id)
-            clips.append(
-                Clip(subject, action, sequence, camera_id, camera, f"{where}, camera {camera_id}",
-                     len(points), _in_room(points, camera, _MM), look, layout)
-            )  # fmt: skip
-        return clips
+    def _by_subject(self, arrays: dict[str, Any], path: Path, split: str) -> dict[str, Any]:
+        name = next(iter(arrays))
+        return _table_of(arrays[name], f"{path}, '{name}'", _SUBJECTS[split])
 
-    def _seen(self, path: Path, split: str) -> tuple[dict[str, Any], str]:
-        """Return the 2D by subject, sequence and camera, and its layout."""
-        arrays = load_object_npz(path, ["positions_2d", "metadata"])
-        for name in ("positions_2d", "metadata"):
-            if name not in arrays:
-                raise UserError(f"{path} has no array '{name}': another data set's file?")
-        told = _table_of(arrays["metadata"], f"{path}, 'metadata'", ["num_joints", "keypoints_symmetry"])
+    def _layout(self, metadata: Any) -> str:
+        facts = _table_of(metadata, f"{self.seen_path}, 'metadata'", ["num_joints", "keypoints_symmetry"])
         try:
-            left = tuple(int(place) for place in told["keypoints_symmetry"][0])
-            layout = _LEFT[int(told["num_joints"]), left]
+            left = tuple(int(place) for place in facts["keypoints_symmetry"][0])
+            layout = _LEFT[int(facts["num_joints"]), left]
         except (KeyError, TypeError, ValueError, IndexError):
             raise UserError(
-                f"{path}: unknown layout of keypoints (metadata: {str(told)[:200]}), expected that of Human3.6M "
-                "(17 joints), COCO (17) or the stacked hourglass (16)."
+                f"{self.seen_path}: unknown layout of keypoints (metadata: {str(facts)[:200]}), expected that of "
+                "Human3.6M (17 joints), COCO (17) or the stacked hourglass (16)."
             ) from None
-        if layout == "hourglass" and self.keypoints == "sh_mpii":
-            layout = "hourglass_mpii"
-        return _table_of(arrays["positions_2d"], f"{path}, 'positions_2d'", _SUBJECTS[split]), layout
+        return "hourglass_mpii" if layout == "hourglass" and self.keypoints == "sh_mpii" else layout
+
+    def _names(self, subject: str) -> tuple[list[str], str]:
+        where = f"{self.path}, '{subject}'"
+        return list(_table_of(self.points[subject], where)), where
+
+    def _clip(self, subject: str, name: str, sequence: str, camera_id: str) -> tuple | None:
+        where = f"{self.path}, '{subject}', '{name}'"
+        points = _points_of(self.points[subject][name], where, (32,), (3,))
+        where = f"{where}, camera {camera_id}"
+        camera = published(subject, camera_id, swapped=self.keypoints == "gt")
+        seen = None
+        if self.seen_path:
+            view = self._views(subject, name)[CAMERAS.index(camera_id)]
+            if view is None:
+                return None
+            count = 16 if self.layout.startswith("hourglass") else 17
+            array = _points_of(view, f"the 2D of {where}", (count,), (2, 3))
+            seen = partial(np.asarray, array)
+        return camera, where, len(points), _in_room(lambda: points, camera, 1000), seen, self.layout
+
+    def _views(self, subject: str, name: str) -> Any:
+        """Return the four cameras' keypoints of a sequence."""
+        where = f"{self.seen_path}, '{subject}'"
+        views = _table_of(self.seen[subject], where, [name])[name]
+        if not isinstance(views, (list, tuple, np.ndarray)) or len(views) != len(CAMERAS):
+            raise UserError(f"{where}, '{name}' is not a list of {len(CAMERAS)} cameras' keypoints.")
+        return views
 
 
-def _array(path: Path, name: str) -> Any:
-    arrays = load_object_npz(path, [name])
-    if name not in arrays:
-        raise UserError(f"{path} has no array '{name}': another file under this name?")
-    return arrays[name]
-
-
-def _views(sequences: Any, name: str, where: str) -> list[Any]:
-    """Return the four cameras' keypoints of a sequence."""
-    sequences = _table_of(sequences, where, [name])
-    views = sequences[name]
-    if not isinstance(views, (list, tuple, np.ndarray)) or len(views) != len(CAMERAS):
-        raise UserError(f"{where}, '{name}' is no list of {len(CAMERAS)} cameras' keypoints.")
-    return list(views)
-
-
-def _look(view: Any, layout: str, where: str, camera_id: str):
-    count = 16 if layout.startswith("hourglass") else 17
-    array = _points_of(view, f"the 2D of {where}, camera {camera_id}", (count,), (2, 3))
-    return lambda: array
+def _arrays(path: Path, names: list[str]) -> dict[str, Any]:
+    arrays = load_object_npz(path, names)
+    for name in names:
+        if name not in arrays:
+            raise UserError(f"{path} has no array '{name}': another data set's file?")
+    return {name: arrays[name] for name in names}
 
 
 # The pickles that the authors of Kudo et al. 2018 published: 3D in mm in the room, cameras, detections.
@@ -440,17 +443,8 @@ class Pickles(Family):
     """As read by DwangoMediaVillage/3dpose_gan, projection_gan/pose/dataset/pose_dataset.py."""
 
     name = "pickles"
+    poses = ("points_3d.pkl",)
     files_of: ClassVar[dict[str, str]] = {"sh": "sh_detect_2d.pkl"}
-
-    @classmethod
-    def is_in(cls, folder: Path) -> bool:
-        """Return whether the 3D is there."""
-        return (folder / "points_3d.pkl").is_file()
-
-    @classmethod
-    def offers(cls, folder: Path, keypoints: str) -> bool:
-        """Return whether these keypoints are there; the ground truth is projected."""
-        return keypoints in ("gt", "projected") or (keypoints == "sh" and (folder / cls.files_of["sh"]).is_file())
 
     def files(self, split: str) -> list[WantedFile]:
         """Return the 3D, the cameras and the detections."""
@@ -462,44 +456,35 @@ class Pickles(Family):
             wanted.append(WantedFile(self.folder / self.files_of["sh"], "2D detections, from the same place"))
         return wanted
 
-    def clips(self, split: str) -> list[Clip]:
-        """Return the clips without S11's Directions seen by 54138969, as the authors' code leaves them out."""
-        path, cameras_path = self.folder / "points_3d.pkl", self.folder / "cameras.pkl"
-        poses = _table_of(load_pickle(path), str(path), _SUBJECTS[split])
-        cameras = _table_of(load_pickle(cameras_path), str(cameras_path), _SUBJECTS[split])
+    def _open(self, split: str) -> None:
+        self.paths = [file.path for file in self.files(split)]
+        self.tables = [_table_of(load_pickle(path), str(path), _SUBJECTS[split]) for path in self.paths]
+
+    def _names(self, subject: str) -> tuple[list[str], str]:
+        points_at, cameras_at, *seen_at = (f"{path}, '{subject}'" for path in self.paths)
+        points, cameras, *seen = (table[subject] for table in self.tables)
+        cameras = _table_of(cameras, cameras_at, CAMERAS)
+        self.cameras = {c: _camera(cameras[c], f"{cameras_at}, '{c}'") for c in CAMERAS}
+        if seen:
+            views = _table_of(seen[0], seen_at[0])
+            self.views = {parsed[1]: v for name, v in views.items() if (parsed := _sequence_name(name, seen_at[0]))}
+        return list(_table_of(points, points_at)), points_at
+
+    def _clip(self, subject: str, name: str, sequence: str, camera_id: str) -> tuple | None:
+        if (subject, sequence.partition(" ")[0], camera_id) == _CORRUPT:  # both sequences, as the authors' code does
+            return None
+        where = f"{self.paths[0]}, '{subject}', '{name}'"
+        points = _points_of(self.tables[0][subject][name], where, (32,), (3,))
         seen = None
         if self.keypoints == "sh":
-            seen_path = self.folder / self.files_of["sh"]
-            seen = _table_of(load_pickle(seen_path), str(seen_path), _SUBJECTS[split])
-        clips = []
-        for subject in _SUBJECTS[split]:
-            where = f"{path}, '{subject}'"
-            stands = _table_of(cameras[subject], f"{cameras_path}, '{subject}'", CAMERAS)
-            stood = {c: _camera(stands[c], f"{cameras_path}, '{subject}', '{c}'") for c in CAMERAS}
-            looks = None if seen is None else self._by_sequence(seen[subject], subject)
-            names = list(_table_of(poses[subject], where))
-            for name, action, sequence in _in_order(names, subject, where, partial=self.partial):
-                points = _points_of(poses[subject][name], f"{where}, '{name}'", (32,), (3,))
-                for camera_id, camera in stood.items():
-                    if (subject, action, camera_id) == ("S11", "Directions", CAMERAS[0]):
-                        continue
-                    look = None if looks is None else self._look(looks, subject, sequence, camera_id)
-                    at = f"{where}, '{name}', camera {camera_id}"
-                    positions = _in_room(points, camera)
-                    clips.append(Clip(subject, action, sequence, camera_id, camera, at, len(points), positions, look))
-        return clips
-
-    def _look(self, looks: dict[str, Any], subject: str, sequence: str, camera_id: str):
-        where = f"{self.folder / self.files_of['sh']}, '{subject}'"
-        views = _table_of(_table_of(looks, where, [sequence])[sequence], f"{where}, '{sequence}'", [camera_id])
-        return _look_up(views[camera_id], f"{where}, '{sequence}', '{camera_id}'")
-
-    def _by_sequence(self, looks: Any, subject: str) -> dict[str, Any]:
-        where = f"{self.folder / self.files_of['sh']}, '{subject}'"
-        return {parsed[1]: v for name, v in _table_of(looks, where).items() if (parsed := _sequence_name(name, where))}
+            at = f"{self.paths[2]}, '{subject}'"
+            views = _table_of(_table_of(self.views, at, [sequence])[sequence], f"{at}, '{sequence}'", [camera_id])
+            seen = _without_nose(views[camera_id], f"{at}, '{sequence}', '{camera_id}'")
+        camera = self.cameras[camera_id]
+        return camera, f"{where}, camera {camera_id}", len(points), _in_room(lambda: points, camera), seen
 
 
-def _look_up(view: Any, where: str):
+def _without_nose(view: Any, where: str) -> Callable[[], np.ndarray]:
     """Return keypoints whose nose, where it is the middle of thorax and head, counts as missing."""
     array = _points_of(view, where, (17,), (2, 3))
 
@@ -508,35 +493,26 @@ def _look_up(view: Any, where: str):
         if len(array) and np.abs(array[:, 9, :2] - between).max() > 0.01:
             return array
         marked = array.astype(np.float32)
-        marked[:, 9, :2] = np.nan  # the network behind these detections has no nose: it was made up
+        marked[:, 9, :2] = np.nan  # the network behind these detections has no nose: it was interpolated
         return marked
 
     return seen
 
 
-def _camera(told: Any, where: str) -> _Camera:
-    told = _table_of(told, where, list(_SHAPES))
+def _camera(facts: Any, where: str) -> _Camera:
+    """Return the camera whose parameters have the names of Martinez' code, in which p1 goes with y."""
+    facts = _table_of(facts, where, list(_SHAPES))
     values = {}
     for name, shape in _SHAPES.items():
-        value = np.asarray(told[name])
+        value = np.asarray(facts[name])
         if value.dtype.kind not in "fiu" or value.size != np.prod(shape) or not np.isfinite(value).all():
             raise UserError(f"{where}: '{name}' is {value.dtype} of shape {value.shape}, expected {shape} numbers.")
         values[name] = value.astype(float).reshape(shape)
-    return camera_of(**values)
-
-
-def camera_of(R, T, f, c, k, p) -> _Camera:
-    """Return the camera whose parameters have the names of Martinez' code, in which p1 goes with y."""
-    lens = Lens(tuple(f.tolist()), tuple(c.tolist()), tuple(k.tolist()), (float(p[1]), float(p[0])), _image_size(c))
-    return _Camera(lens, R, T)
-
-
-def _image_size(centre: np.ndarray) -> tuple[int, int]:
-    """Return the size of the videos, which the files do not tell: two of the cameras have 1002 rows."""
-
-    known = [published("S1", camera).lens for camera in CAMERAS]
-    nearest = min(known, key=lambda lens: float(np.abs(np.array(lens.centre_px) - centre).sum()))
-    return nearest.image_size or (1000, 1000)
+    focal_px, centre_px, radial, (p1, p2) = (tuple(values[name].tolist()) for name in "fckp")
+    # The files do not give the size of the videos: two of the cameras have 1002 rows.
+    lenses = [published("S1", camera).lens for camera in CAMERAS]
+    nearest = min(lenses, key=lambda lens: float(np.abs(np.array(lens.centre_px) - centre_px).sum()))
+    return _Camera(Lens(focal_px, centre_px, radial, (p2, p1), nearest.image_size), values["R"], values["T"])
 
 
 # The h5 files of Martinez et al. 2017: 3D in mm in the room, hourglass detections in pixels, cameras.
@@ -546,19 +522,9 @@ class Martinez(Family):
     """As read by una-dinosauria/3d-pose-baseline, src/data_utils.py and src/cameras.py."""
 
     name = "martinez"
+    poses = ("S*/MyPoses/3D_positions/*.h5",)
     files_of: ClassVar[dict[str, str]] = {"sh": "StackedHourglassFineTuned240", "sh_mpii": "StackedHourglass"}
-
-    @classmethod
-    def is_in(cls, folder: Path) -> bool:
-        """Return whether any 3D is there."""
-        return any(folder.glob("S*/MyPoses/3D_positions/*.h5"))
-
-    @classmethod
-    def offers(cls, folder: Path, keypoints: str) -> bool:
-        """Return whether these keypoints are there; the ground truth is projected."""
-        if keypoints in ("gt", "projected"):
-            return True
-        return keypoints in cls.files_of and any(folder.glob(f"S*/{cls.files_of[keypoints]}/*.h5"))
+    found_by = "S*/{}/*.h5"
 
     def files(self, split: str) -> list[WantedFile]:
         """Return every file of the split; of a subject without any, the one that should be there first."""
@@ -572,75 +538,52 @@ class Martinez(Family):
             wanted.append(WantedFile(self.folder / "cameras.h5", "the cameras"))
         return wanted
 
-    def _in(self, place: str, example: str, what: str) -> list[WantedFile]:
-        found = sorted((self.folder / place).glob("*.h5"))
-        return [WantedFile(path, what) for path in found or [self.folder / place / example]]
-
-    def clips(self, split: str) -> list[Clip]:
-        """Return the clips that the 3D has."""
-        cameras = self._cameras(split)
-        points = lru_cache(maxsize=1)(_points)  # the clips of one sequence follow one another
-        clips = []
-        for subject in _SUBJECTS[split]:
-            folder = self.folder / subject / "MyPoses" / "3D_positions"
-            looks = self._looks(subject) if self.keypoints in self.files_of else None
-            for name, action, sequence in _in_order(
-                sorted(path.stem for path in folder.glob("*.h5")), subject, str(folder), partial=self.partial
-            ):
-                path = folder / f"{name}.h5"
-                for camera_id in _playable(subject, sequence):
-                    camera = cameras[subject, camera_id]
-                    look = None if looks is None else self._look(looks, subject, sequence, camera_id)
-                    clips.append(
-                        Clip(subject, action, sequence, camera_id, camera, f"{path}, camera {camera_id}",
-                             _frames(path), _lazily(points, path, camera), look, self._layout())
-                    )  # fmt: skip
-        return clips
-
-    def _layout(self) -> str:
-        return {"sh": "hourglass", "sh_mpii": "hourglass_mpii"}.get(self.keypoints, "h36m")
-
-    def _looks(self, subject: str) -> dict[tuple[str, str], Path]:
-        """Return the files of detections by sequence and camera."""
-        folder = self.folder / subject / self.files_of[self.keypoints]
-        found = {}
-        for path in sorted(folder.glob("*.h5")):
-            name, _, camera_id = path.stem.rpartition(".")
-            parsed = _sequence_name(name, str(path))
-            if parsed:
-                found[parsed[1], camera_id] = path
-        return found
-
-    def _look(self, looks: dict, subject: str, sequence: str, camera_id: str) -> Callable[[], np.ndarray]:
-        path = looks.get((sequence, camera_id))
-        if path is None:
-            folder = self.folder / subject / self.files_of[self.keypoints]
-            raise UserError(f"{folder} has no detections of '{sequence}' by camera {camera_id}.")
-        return lambda: _points_of(_read_h5(path, "poses"), f"{path}, 'poses'", (16,), (2, 3))
-
-    def _cameras(self, split: str) -> dict[tuple[str, str], _Camera]:
+    def _open(self, split: str) -> None:
+        self.points = lru_cache(maxsize=1)(_points)  # the clips of one sequence follow one another
+        self.layout = {"sh": "hourglass", "sh_mpii": "hourglass_mpii"}.get(self.keypoints, "h36m")
+        self.cameras = {(s, c): published(s, c) for s in _SUBJECTS[split] for c in CAMERAS}
         path = self.folder / "cameras.h5"
-        if not path.is_file():
-            return {(s, c): published(s, c) for s in _SUBJECTS[split] for c in CAMERAS}
-        cameras = {}
-        for subject in _SUBJECTS[split]:
-            for number in range(1, 5):
-                told = {
-                    key: _read_h5(path, f"subject{subject[1:]}/camera{number}/{key}").astype(float).squeeze()
-                    for key in ("R", "T", "f", "c", "k", "p", "Name")
-                }
-                camera_id = "".join(chr(int(letter)) for letter in np.atleast_1d(told.pop("Name")))
-                if camera_id not in CAMERAS or told["R"].shape != (3, 3) or any(
-                    told[key].shape != (size,) for key, size in zip("Tfckp", (3, 2, 2, 3, 2), strict=True)
-                ):  # fmt: skip
-                    raise UserError(f"{path}: subject{subject[1:]}/camera{number} is no camera of Human3.6M.")
-                told["R"] = told["R"].T  # stored by column
-                cameras[subject, camera_id] = camera_of(**told)
-        return cameras
+        if path.is_file():
+            self.cameras = {}
+            for subject in _SUBJECTS[split]:
+                for number in range(1, 5):
+                    camera_id, camera = _read_camera(path, f"subject{subject[1:]}/camera{number}")
+                    self.cameras[subject, camera_id] = camera
+
+    def _names(self, subject: str) -> tuple[list[str], str]:
+        self.seen = {}
+        if self.keypoints in self.files_of:
+            for path in sorted((self.folder / subject / self.files_of[self.keypoints]).glob("*.h5")):
+                name, _, camera_id = path.stem.rpartition(".")
+                parsed = _sequence_name(name, str(path))
+                if parsed:
+                    self.seen[parsed[1], camera_id] = path
+        folder = self.folder / subject / "MyPoses" / "3D_positions"
+        return sorted(path.stem for path in folder.glob("*.h5")), str(folder)
+
+    def _clip(self, subject: str, name: str, sequence: str, camera_id: str) -> tuple | None:
+        if (subject, sequence, camera_id) == _CORRUPT:
+            return None
+        path, seen = self.folder / subject / "MyPoses" / "3D_positions" / f"{name}.h5", None
+        if self.keypoints in self.files_of:
+            seen_path = self.seen.get((sequence, camera_id))
+            if seen_path is None:
+                folder = self.folder / subject / self.files_of[self.keypoints]
+                raise UserError(f"{folder} has no detections of '{sequence}' by camera {camera_id}.")
+            seen = partial(_read_hourglass, seen_path)
+        frames = _h5(path, "3D_positions", lambda array: array.shape[-1] if array.shape else 0)
+        camera = self.cameras[subject, camera_id]
+        positions = _in_room(partial(self.points, path), camera)
+        return camera, f"{path}, camera {camera_id}", frames, positions, seen, self.layout
 
 
-def _lazily(points: Callable[[Path], np.ndarray], path: Path, camera: _Camera) -> Callable[[int], np.ndarray]:
-    return lambda step: _in_room(points(path), camera)(step)
+def _read_camera(path: Path, place: str) -> tuple[str, _Camera]:
+    facts = {key: _read_h5(path, f"{place}/{key}").astype(float).squeeze() for key in (*_SHAPES, "Name")}
+    camera_id = "".join(chr(int(letter)) for letter in np.atleast_1d(facts.pop("Name")))
+    if camera_id not in CAMERAS or any(facts[key].shape != shape for key, shape in _SHAPES.items()):
+        raise UserError(f"{path}: {place} is not a camera of Human3.6M.")
+    facts["R"] = facts["R"].T  # stored by column
+    return camera_id, _camera(facts, f"{path}: {place}")
 
 
 def _points(path: Path) -> np.ndarray:
@@ -651,14 +594,14 @@ def _points(path: Path) -> np.ndarray:
     return values.T.reshape(-1, 32, 3)
 
 
-def _frames(path: Path) -> int:
-    return _h5(path, "3D_positions", lambda array: array.shape[-1] if array.shape else 0)
+def _read_hourglass(path: Path) -> np.ndarray:
+    return _points_of(_read_h5(path, "poses"), f"{path}, 'poses'", (16,), (2, 3))
 
 
 def _read_h5(path: Path, name: str) -> np.ndarray:
     array = _h5(path, name, lambda found: found[()])
     if not isinstance(array, np.ndarray) or array.dtype.kind not in "fiu":
-        raise UserError(f"{path}: '{name}' holds no numbers.")
+        raise UserError(f"{path}: '{name}' has no numbers.")
     return array
 
 
@@ -689,63 +632,43 @@ class OfficialCdf(Family):
     """As the archives Poses_D2_Positions_S*.tgz and Poses_D3_Positions(_mono)_S*.tgz unpack."""
 
     name = "cdf"
+    poses = (f"S*/{_MONO}/*.cdf", f"S*/{_ROOM}/*.cdf")
 
-    @classmethod
-    def is_in(cls, folder: Path) -> bool:
-        """Return whether any 3D is there."""
-        return any(any(folder.glob(f"S*/{place}/*.cdf")) for place in (_MONO, _ROOM))
-
-    @classmethod
-    def offers(cls, folder: Path, keypoints: str) -> bool:
-        """Return whether these keypoints are there: the ground truth, of a file or projected."""
-        return keypoints in ("gt", "projected")
+    def __init__(self, folder: Path, keypoints: str, partial: bool):
+        super().__init__(folder, keypoints, partial)
+        self.mono = any(folder.glob(self.poses[0]))
+        self.has_2d = keypoints == "gt" and any(folder.glob(f"S*/{_SEEN}/*.cdf"))
+        self.points = lru_cache(maxsize=1)(lambda path: _read_cdf(path, 3))  # clips of a sequence follow one another
 
     def files(self, split: str) -> list[WantedFile]:
         """Return every file of the split; of a subject without any, the one that should be there first."""
         wanted = []
+        of_camera = "Directions 1.54138969.cdf"
         for subject in _SUBJECTS[split]:
-            wanted += self._in(f"{subject}/{self._place()}", f"3D joints (Poses_D3_Positions_{subject}.tgz)")
-            if self._has_2d():
-                wanted += self._in(f"{subject}/{_SEEN}", f"2D joints (Poses_D2_Positions_{subject}.tgz)")
+            place, example = (_MONO, of_camera) if self.mono else (_ROOM, "Directions 1.cdf")
+            wanted += self._in(f"{subject}/{place}", example, f"3D joints (Poses_D3_Positions_{subject}.tgz)")
+            if self.has_2d:
+                wanted += self._in(f"{subject}/{_SEEN}", of_camera, f"2D joints (Poses_D2_Positions_{subject}.tgz)")
         return wanted
 
-    def _in(self, place: str, what: str) -> list[WantedFile]:
-        example = "Directions 1.cdf" if place.endswith(_ROOM) else "Directions 1.54138969.cdf"
-        found = sorted(path for path in (self.folder / place).glob("*.cdf") if not path.name.startswith("_"))
-        return [WantedFile(path, what) for path in found or [self.folder / place / example]]
+    def _names(self, subject: str) -> tuple[list[str], str]:
+        folder = self.folder / subject / (_MONO if self.mono else _ROOM)
+        stems = {path.stem.rpartition(".")[0] if self.mono else path.stem for path in folder.glob("*.cdf")}
+        return sorted(stems), str(folder)
 
-    def _place(self) -> str:
-        return _MONO if any(self.folder.glob(f"S*/{_MONO}/*.cdf")) else _ROOM
-
-    def _has_2d(self) -> bool:
-        return self.keypoints == "gt" and any(self.folder.glob(f"S*/{_SEEN}/*.cdf"))
-
-    def clips(self, split: str) -> list[Clip]:
-        """Return the clips that the 3D has."""
-        points = lru_cache(maxsize=1)(lambda path: _read_cdf(path, 3))  # the clips of one sequence follow one another
-        mono = self._place() == _MONO
-        clips = []
-        for subject in _SUBJECTS[split]:
-            folder = self.folder / subject / self._place()
-            stems = {path.stem.rpartition(".")[0] if mono else path.stem for path in folder.glob("*.cdf")}
-            for name, action, sequence in _in_order(sorted(stems), subject, str(folder), partial=self.partial):
-                for camera_id in _playable(subject, sequence):
-                    camera = published(subject, camera_id)
-                    path = folder / (f"{name}.{camera_id}.cdf" if mono else f"{name}.cdf")
-                    positions = _in_camera(path) if mono else _lazily(points, path, camera)
-                    look = self._look(subject, name, camera_id) if self._has_2d() else None
-                    clips.append(
-                        Clip(subject, action, sequence, camera_id, camera, str(path), _shape(path)[-2], positions, look)
-                    )
-        return clips
-
-    def _look(self, subject: str, name: str, camera_id: str) -> Callable[[], np.ndarray]:
-        path = self.folder / subject / _SEEN / f"{name}.{camera_id}.cdf"
-        return lambda: _read_cdf(path, 2)[:, OF_32]
+    def _clip(self, subject: str, name: str, sequence: str, camera_id: str) -> tuple | None:
+        if (subject, sequence, camera_id) == _CORRUPT:
+            return None
+        camera, file = published(subject, camera_id), f"{name}.{camera_id}.cdf"
+        folder = self.folder / subject
+        path = folder / _MONO / file if self.mono else folder / _ROOM / f"{name}.cdf"
+        positions = partial(_in_camera, path) if self.mono else _in_room(partial(self.points, path), camera)
+        seen = (lambda: _read_cdf(folder / _SEEN / file, 2)[:, OF_32]) if self.has_2d else None
+        return camera, str(path), _shape(path)[-2], positions, seen
 
 
-def _in_camera(path: Path) -> Callable[[int], np.ndarray]:
-    return lambda step: _read_cdf(path, 3)[::step, OF_32].astype(np.float32)
+def _in_camera(path: Path, step: int) -> np.ndarray:
+    return _read_cdf(path, 3)[::step, OF_32].astype(np.float32)
 
 
 def _read_cdf(path: Path, size: int) -> np.ndarray:

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
+from operator import itemgetter
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
 
-from uplift.data.datasets.base import DataSet, WantedFile
+from uplift.data.datasets.base import DataSet, Rows, WantedFile, first_file
 from uplift.data.parsers.matlab import load_mat
 from uplift.data.poses import PoseData
 from uplift.errors import UserError, did_you_mean
@@ -26,7 +28,7 @@ _CAMERA_SETS = {
     "ceiling": (11, 12, 13),
     "all": tuple(range(14)),
 }
-"""The set's own groups: chest height; these with one at the knee and two angled down; all but the ceiling; ..."""
+"""The groups of the data set: chest height; these with one at the knee and two angled down; all but the ceiling; ..."""
 
 _HEADER = "Skeletool Camera Calibration File"
 _SAMPLE = 4000
@@ -70,7 +72,7 @@ def _read_calibration(path: Path) -> dict[int, _Camera]:
     except (OSError, UnicodeDecodeError) as error:
         raise UserError(f"{path} cannot be read as a camera calibration: {error}") from None
     if not lines or not lines[0].startswith(_HEADER):
-        raise UserError(f"{path} does not begin with '{_HEADER} V1.0': no camera.calibration of MPI-INF-3DHP.")
+        raise UserError(f"{path} does not begin with '{_HEADER} V1.0': not a camera.calibration of MPI-INF-3DHP.")
     blocks: list[dict[str, tuple[int, str]]] = []
     for number, line in enumerate(lines[1:], start=2):
         key, _, rest = line.strip().partition(" ")
@@ -95,7 +97,7 @@ def _camera(path: Path, block: dict[str, tuple[int, str]]) -> tuple[int, _Camera
         centre_px=(float(inside[0, 2]), float(inside[1, 2])),
         image_size=(int(size[0]), int(size[1])),
     )
-    return int(name), _Camera(lens, down_tilt_deg(-turn[:, 1]))  # the world's y is up
+    return int(name), _Camera(lens, _down_tilt_deg(-turn[:, 1]))  # the world's y is up
 
 
 def _numbers(path: Path, block: dict[str, tuple[int, str]], key: str, count: int) -> list[float]:
@@ -109,19 +111,19 @@ def _numbers(path: Path, block: dict[str, tuple[int, str]], key: str, count: int
     return values
 
 
-def down_tilt_deg(gravity: np.ndarray) -> float:
+def _down_tilt_deg(gravity: np.ndarray) -> float:
     """Return the tilt of a camera that sees gravity along (x, y, z)."""
     return float(np.degrees(np.arctan2(gravity[2], gravity[1])))
 
 
 def _test_camera(
     focal_mm, aspect, offset_mm, sensor_mm, size, up, right, radial=(0.0, 0.0, 0.0), tangential=(0.0, 0.0)
-):
+) -> _Camera:
     per_mm = np.array(size) / np.array(sensor_mm) * (1, aspect)
     centre = (np.array(sensor_mm) / 2 + offset_mm) * per_mm
     lens = Lens(tuple(focal_mm * per_mm), tuple(centre), radial, tangential, size)
-    turn = np.stack([right, -np.array(up), np.cross(up, right)])
-    return _Camera(lens, down_tilt_deg(-turn[:, 1]))
+    down, forward = -np.array(up), np.cross(up, right)
+    return _Camera(lens, _down_tilt_deg(np.array([-right[1], -down[1], -forward[1]])))
 
 
 def published_cameras(number: int) -> list[_Camera]:
@@ -130,12 +132,10 @@ def published_cameras(number: int) -> list[_Camera]:
     The figures are those of the calibration files that come with the test set, in mm on the sensor.
     """
     if number <= 4:
-        return [
-            _test_camera(
-                7.32506, 1.00044, (-0.0322884, 0.0929296), (10, 10), (2048, 2048),
-                (-0.208215, 0.976233, 0.06014), (0.000575281, 0.0616098, -0.9981),
-            )
-        ]  # fmt: skip
+        return [_test_camera(
+            7.32506, 1.00044, (-0.0322884, 0.0929296), (10, 10), (2048, 2048),
+            (-0.208215, 0.976233, 0.06014), (0.000575281, 0.0616098, -0.9981),
+        )]  # fmt: skip
     outdoors = (
         8.770747185, 0.993236423, (-0.104908645, 0.104899704), (10, 5.625), (1920, 1080),
         (0.025272345, 0.995038509, 0.096227370), (-0.939647257, -0.009210289, 0.342020929),
@@ -152,13 +152,12 @@ def _best_lens(
 
     Where none of ``cameras`` is within two pixels, but one is near, a pinhole fitted to the points is tried, too.
     """
-    found = [(_reprojection_px(camera.lens, points, seen), camera) for camera in cameras]
-    error, best = min(found, key=lambda pair: pair[0])
-    if not _CLOSE_PX < error <= _FAR_PX:
-        return best, error
-    fitted = _Camera(_fit(points, seen, best.lens.image_size), best.tilt_deg)
-    fitted_error = _reprojection_px(fitted.lens, points, seen)
-    return (fitted, fitted_error) if fitted_error < error else (best, error)
+    found = [(camera, _reprojection_px(camera.lens, points, seen)) for camera in cameras]
+    best, error = min(found, key=itemgetter(1))
+    if _CLOSE_PX < error <= _FAR_PX:
+        fitted = _Camera(_fit(points, seen, best.lens.image_size), best.tilt_deg)
+        return min([(best, error), (fitted, _reprojection_px(fitted.lens, points, seen))], key=itemgetter(1))
+    return best, error
 
 
 def _reprojection_px(lens: Lens, points: np.ndarray, seen: np.ndarray) -> float:
@@ -177,7 +176,7 @@ def _sample(points: np.ndarray, seen: np.ndarray) -> tuple[np.ndarray, np.ndarra
 
 
 def _fit(points: np.ndarray, seen: np.ndarray, size: tuple[int, int] | None) -> Lens:
-    """Return the pinhole that fits best by linear least squares, each axis for itself."""
+    """Return the pinhole that fits best by linear least squares, each axis on its own."""
     points, seen = _sample(points, seen)
     solved = []
     for axis in (0, 1):
@@ -205,16 +204,18 @@ ACTIVITIES = (
 """Of the test set, in the order of their numbers from 1."""
 
 
-@dataclass(frozen=True)
-class _Sequence:
+_ANNOTATIONS = ("annot2", "annot3", "univ_annot3")
+
+
+class _Sequence(NamedTuple):
     """What one camera saw in one sequence."""
 
     seen: np.ndarray
     """(frames joints 2) px."""
     points: np.ndarray
-    """(frames joints 3) mm in the camera frame: what was seen."""
+    """(frames joints 3) mm in the camera frame."""
     universal: np.ndarray | None
-    """(frames joints 3) mm: the same scaled to a universal height; None where it was not asked for."""
+    """(frames joints 3) mm: the same scaled to a universal height; None where it was not requested."""
 
     def rows(self, rows: slice | np.ndarray) -> _Sequence:
         """Return some of its frames."""
@@ -227,7 +228,7 @@ def read_train(path: Path, cameras: Collection[int], universal: bool) -> dict[in
     Raises:
         UserError: a file that is damaged or another one, a camera that it does not have.
     """
-    names = _names(universal)
+    names = _ANNOTATIONS if universal else _ANNOTATIONS[:2]
     found = load_mat(path, [*names, "cameras"], cells=cameras)
     _check_names(path, names, found, "annot.mat of a training sequence")
     numbers = np.asarray(found.get("cameras", np.arange(14))).ravel()
@@ -248,14 +249,14 @@ def read_test(path: Path, universal: bool) -> tuple[_Sequence, np.ndarray, np.nd
     Raises:
         UserError: a file that is damaged or another one.
     """
-    names = [*_names(universal), "valid_frame", "activity_annotation"]
-    found = load_mat(path, names)
-    _check_names(path, names, found, "annot_data.mat of a test sequence")
-    arrays = {name: _of_frames(path, name, found[name]) for name in _names(universal)}
-    sequence = _sequence(path, arrays, "the test sequence")
-    flags, activity = (np.asarray(found[name]).ravel() for name in names[-2:])
+    names = _ANNOTATIONS if universal else _ANNOTATIONS[:2]
+    of_frames = ("valid_frame", "activity_annotation")
+    found = load_mat(path, [*names, *of_frames])
+    _check_names(path, (*names, *of_frames), found, "annot_data.mat of a test sequence")
+    sequence = _sequence(path, {name: _of_frames(path, name, found[name]) for name in names}, "the test sequence")
+    flags, activity = (np.asarray(found[name]).ravel() for name in of_frames)
     frames = len(sequence.seen)
-    for name, values in (("valid_frame", flags), ("activity_annotation", activity)):
+    for name, values in zip(of_frames, (flags, activity), strict=True):
         if len(values) != frames:
             raise UserError(f"{path}: '{name}' has {len(values):,} values for {frames:,} frames of 'annot2'.")
     valid = np.flatnonzero(flags == 1)
@@ -269,11 +270,7 @@ def read_test(path: Path, universal: bool) -> tuple[_Sequence, np.ndarray, np.nd
     return sequence.rows(valid), valid, activity.astype(np.int64)
 
 
-def _names(universal: bool) -> list[str]:
-    return ["annot2", "annot3", *(["univ_annot3"] if universal else [])]
-
-
-def _check_names(path: Path, names: list[str], found: dict, expected: str) -> None:
+def _check_names(path: Path, names: Sequence[str], found: dict, expected: str) -> None:
     absent = [name for name in names if name not in found]
     if absent:
         have = ", ".join(found) or "none of what was looked for"
@@ -318,63 +315,19 @@ def _sequence(path: Path, arrays: dict[str, np.ndarray], where: str) -> _Sequenc
     return _Sequence(arrays["annot2"], arrays["annot3"], arrays.get("univ_annot3"))
 
 
-# The frames of many sequences of MPI-INF-3DHP in arrays made once, filled one sequence after the other.
-
-
-class _Rows:
-    """Room for all frames of a split, filled sequence by sequence."""
-
-    def __init__(self, most: int, joints: tuple[str, ...]):
-        self.joints = joints
-        self.used = 0
-        self.keypoints = np.empty((most, len(joints), 2), np.float32)
-        self.pose = np.empty((most, len(joints), 3), np.float32)
-        self.root = np.empty((most, 3), np.float32)
-        self.tilt_deg = np.empty(most, np.float32)
-        self.lens = np.empty(most, np.int16)
-        self.frame = np.empty(most, np.int32)
-        self.lenses: list[Lens] = []
-        self.parts: list[tuple[int, dict]] = []
-
-    def add(self, sequence: _Sequence, camera: _Camera, frames: np.ndarray, identity: dict) -> None:
-        """Put the frames of one sequence seen by one camera behind the others."""
-        here = slice(self.used, self.used + len(sequence.seen))
-        pelvis = self.joints.index("pelvis")
-        if camera.lens not in self.lenses:
-            self.lenses.append(camera.lens)
-        self.keypoints[here] = sequence.seen
-        root = sequence.points[:, pelvis]
-        if sequence.universal is None:
-            self.pose[here] = sequence.points - root[:, None]
-            self.root[here] = root
-        else:
-            # The universal pose is not where the camera saw it; at this root it projects to what was seen.
-            self.pose[here] = sequence.universal - sequence.universal[:, pelvis, None]
-            self.root[here] = root * _scale(sequence.points - root[:, None], self.pose[here])
-        self.tilt_deg[here] = camera.tilt_deg
-        self.lens[here] = self.lenses.index(camera.lens)
-        self.frame[here] = frames
-        self.parts.append((len(sequence.seen), identity))
-        self.used = here.stop
-
-    def finish(self) -> PoseData:
-        """Return what was filled."""
-        here = slice(0, self.used)
-        keys = list(self.parts[0][1])
-        values = {key: [np.broadcast_to(part[key], count) for count, part in self.parts] for key in keys}
-        known = np.isfinite(self.keypoints[here]).all(-1)
-        self.keypoints[here][~known] = 0
-        return PoseData(
-            keypoints=self.keypoints[here],
-            confidence=np.asarray(known, np.float32),
-            joint_names=self.joints,
-            pose=self.pose[here],
-            root=self.root[here],
-            tilt_deg=self.tilt_deg[here],
-            identity={**{key: np.concatenate(parts) for key, parts in values.items()}, "frame": self.frame[here]},
-            lenses=tuple(self.lenses),
-            lens=self.lens[here],
-        )
+def _add(rows: Rows, sequence: _Sequence, camera: _Camera, frames: np.ndarray, identity: dict) -> None:
+    """Append the frames of one sequence seen by one camera."""
+    identity = {**identity, "frame": frames.astype(np.int32)}
+    keypoints, pose, confidence, root = rows.next(len(frames), camera.tilt_deg, identity, camera.lens)
+    keypoints[:] = sequence.seen
+    confidence[:] = np.isfinite(keypoints).all(-1)
+    keypoints[confidence == 0] = 0
+    pelvis = rows.joints.index("pelvis")
+    pose[:], root[:] = sequence.points - sequence.points[:, pelvis, None], sequence.points[:, pelvis]
+    if sequence.universal is not None:
+        # The universal pose is not where the camera saw it; at this root it projects to what was seen.
+        pose[:] = sequence.universal - sequence.universal[:, pelvis, None]
+        root[:] = sequence.points[:, pelvis] * _scale(sequence.points - sequence.points[:, pelvis, None], pose)
 
 
 def _scale(measured: np.ndarray, universal: np.ndarray) -> float:
@@ -385,7 +338,7 @@ def _scale(measured: np.ndarray, universal: np.ndarray) -> float:
     return float((measured * universal).sum()) / size if size else 1.0
 
 
-# MPI-INF-3DHP: markerless motion capture of eight people by 14 cameras, and six test sequences.
+# The data set.
 
 _SEQUENCES = {
     "S1": ((6416, 25), (12430, 50)),
@@ -397,7 +350,7 @@ _SEQUENCES = {
     "S7": ((6239, 25), (6320, 25)),
     "S8": ((6468, 25), (6054, 25)),
 }
-"""Frames that have images, and frames a second, of Seq1 and Seq2."""
+"""Number of frames that have images, and frames a second, of Seq1 and Seq2."""
 _TEST = tuple(f"TS{number}" for number in range(1, 7))
 _FOLDERS = {
     "train": ("", "train", "mpi_inf_3dhp"),
@@ -418,10 +371,7 @@ data.options.subjects=S1,S2 reads some of them."""
 
     def __init__(self, folder: Path, cameras: str = "chest", universal: bool = True, fps: int = 25, subjects: str = ""):
         super().__init__(folder)
-        self.cameras = cameras
-        self.universal = universal
-        self.fps = int(fps)
-        self.subjects = subjects
+        self.cameras, self.universal, self.fps, self.subjects = cameras, universal, int(fps), subjects
         _camera_numbers(cameras)
         if self.fps < 1 or 25 % self.fps or fps != self.fps:
             raise UserError(f"data.options.fps={fps}: expected 25, 5 or 1: sequences have 25 or 50 frames a second.")
@@ -442,18 +392,18 @@ data.options.subjects=S1,S2 reads some of them."""
         files = []
         for subject in self._subjects(split):
             if split == "test":
-                path = self._place(split, f"{subject}/annot_data.mat")
-                files.append(WantedFile(path, f"annotations of {subject} ({subject}/annot_data.mat)"))
-                continue
-            for sequence in ("Seq1", "Seq2"):
-                for name, what in (("annot.mat", "annotations"), ("camera.calibration", "cameras")):
-                    path = f"{subject}/{sequence}/{name}"
-                    files.append(WantedFile(self._place(split, path), f"{what} of {subject} {sequence} ({path})"))
+                wanted = [(f"{subject}/annot_data.mat", f"annotations of {subject}")]
+            else:
+                wanted = [
+                    (f"{subject}/{sequence}/{name}", f"{what} of {subject} {sequence}")
+                    for sequence in ("Seq1", "Seq2")
+                    for name, what in (("annot.mat", "annotations"), ("camera.calibration", "cameras"))
+                ]
+            files += [WantedFile(self._place(split, path), f"{what} ({path})") for path, what in wanted]
         return files
 
     def _place(self, split: str, path: str) -> Path:
-        places = [self.folder / folder / path for folder in _FOLDERS[split]]
-        return next((place for place in places if place.is_file()), places[0])
+        return first_file(self.folder / folder / path for folder in _FOLDERS[split])
 
     def read(self, split: str) -> PoseData:
         self.check_split(split)
@@ -468,29 +418,28 @@ data.options.subjects=S1,S2 reads some of them."""
         cameras = _camera_numbers(self.cameras)
         subjects = self._subjects("train")
         most = sum(-(-count * self.fps // rate) for name in subjects for count, rate in _SEQUENCES[name])
-        rows = _Rows(most * len(cameras), _TRAIN_JOINTS)
+        rows = Rows(most * len(cameras), _TRAIN_JOINTS)
         for subject in subjects:
             for place, (count, rate) in enumerate(_SEQUENCES[subject]):
                 name = f"Seq{place + 1}"
-                path, known = self._known_cameras(subject, name, cameras)
-                step = rate // self.fps
+                path = self._place("train", f"{subject}/{name}/annot.mat")
+                known = self._known_cameras(subject, name, cameras)
                 for camera, sequence in read_train(path, cameras, self.universal).items():
-                    _check_camera(path, known[camera].lens, camera, sequence)
-                    thin = sequence.rows(slice(0, count, step))
-                    frames = np.arange(len(thin.seen))
-                    rows.add(thin, known[camera], frames, {"subject": subject, "sequence": name, "camera": camera})
-        data = rows.finish()
-        data.fps, data.image_size = float(self.fps), (2048, 2048)
-        return data
+                    off = _reprojection_px(known[camera].lens, sequence.points, sequence.seen)
+                    if off > _FAR_PX:
+                        raise UserError(f"camera.calibration beside {_apart(path, off)} (camera {camera})")
+                    thin = sequence.rows(slice(0, count, rate // self.fps))
+                    identity = {"subject": subject, "sequence": name, "camera": camera}
+                    _add(rows, thin, known[camera], np.arange(len(thin.seen)), identity)
+        return rows.data(fps=float(self.fps), image_size=(2048, 2048))
 
-    def _known_cameras(self, subject: str, name: str, cameras: tuple[int, ...]) -> tuple[Path, dict[int, _Camera]]:
-        path = self._place("train", f"{subject}/{name}/annot.mat")
+    def _known_cameras(self, subject: str, name: str, cameras: tuple[int, ...]) -> dict[int, _Camera]:
         calibration = self._place("train", f"{subject}/{name}/camera.calibration")
         known = _read_calibration(calibration)
         absent = [str(camera) for camera in cameras if camera not in known]
         if absent:
             raise UserError(f"{calibration} has no camera {', '.join(absent)} (found {len(known)}): cut short?")
-        return path, known
+        return known
 
     def _read_test(self) -> PoseData:
         found = []
@@ -503,16 +452,10 @@ data.options.subjects=S1,S2 reads some of them."""
                 raise UserError(_apart(path, off))
             identity = {"subject": subject, "sequence": subject, "camera": int(number > 4)}
             found.append((sequence, camera, frames, {**identity, "action": np.array(ACTIVITIES)[activity - 1]}))
-        rows = _Rows(sum(len(sequence.seen) for sequence, *_ in found), _TEST_JOINTS)
+        rows = Rows(sum(len(sequence.seen) for sequence, *_ in found), _TEST_JOINTS)
         for each in found:
-            rows.add(*each)
-        return rows.finish()
-
-
-def _check_camera(path: Path, lens: Lens, camera: int, sequence: _Sequence) -> None:
-    off = _reprojection_px(lens, sequence.points, sequence.seen)
-    if off > _FAR_PX:
-        raise UserError(f"camera.calibration beside {_apart(path, off)} (camera {camera})")
+            _add(rows, *each)
+        return rows.data()
 
 
 def _apart(path: Path, off: float) -> str:

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from uplift.data.datasets.base import DataSet, WantedFile
+from uplift.data.datasets.base import DataSet, WantedFile, first_file
 from uplift.data.formats.npz import read_npz
 from uplift.data.parsers.json import JsonText, objects
 from uplift.data.parsers.matlab import load_mat5
@@ -18,7 +18,7 @@ from uplift.errors import UserError
 
 __all__ = ["AUTHORS_JOINTS", "MPII_JOINTS", "Mpii", "person_in_image"]
 
-# The plain files that MPII Human Pose comes in: the common .json, and the .npy of Kudo et al. 2018.
+# The common .json, and the .npy of Kudo et al. 2018.
 
 MPII_JOINTS = (
     "rankle", "rknee", "rhip", "lhip", "lknee", "lankle", "hip", "thorax", "upper_neck", "headtop", "rwrist", "relbow",
@@ -28,7 +28,7 @@ AUTHORS_JOINTS = (
     "hip", "rhip", "rknee", "rankle", "lhip", "lknee", "lankle", "thorax", "upper_neck", "head_middle", "headtop",
     "lshoulder", "lelbow", "lwrist", "rshoulder", "relbow", "rwrist",
 )  # fmt: skip
-"""The 17 slots of mpii_poses.npy; head_middle is no annotation but the midpoint of its neighbours."""
+"""The 17 slots of mpii_poses.npy; head_middle is not annotated but the midpoint of its neighbours."""
 
 _JOINTS = len(MPII_JOINTS)
 
@@ -50,7 +50,7 @@ def _people(points: np.ndarray, confidence: np.ndarray, image: list[str]) -> Pos
         keypoints=np.where(confidence[..., None] > 0, points, 0).astype(np.float32),
         confidence=confidence.astype(np.float32),
         joint_names=MPII_JOINTS,
-        identity={"image": names, "instance": person_in_image(names)},
+        identity={"image": names, "instance": person_in_image(names)} if image else {},
     )
 
 
@@ -65,7 +65,7 @@ def _read_json(path: Path, occluded: float) -> PoseData:
     points, visible, image = [], [], []
     text = JsonText(path)
     if text.next_sign() != "[":
-        raise UserError(f"{path} is no list of people, expected MPII's as train.json has them.")
+        raise UserError(f"{path} is not a list of people, expected MPII's as in train.json.")
     for count, person in enumerate(objects(text, "the people")):
         where = f"{path}: person {count}"
         absent = [key for key in ("image", "joints", "joints_vis") if key not in person]
@@ -94,7 +94,7 @@ def _floats(values: Any, shape: tuple[int, ...], where: str) -> np.ndarray:
 
 
 def _read_npy(path: Path, occluded: float) -> PoseData:
-    """Return the people of mpii_poses.npy, without its made-up joint; image names from mpii_image_name.txt beside it.
+    """Return the people of mpii_poses.npy, without its interpolated joint; image names from mpii_image_name.txt beside it.
 
     Raises:
         UserError: no array of 34 or 17 x 2 numbers a person, or another number of image names.
@@ -108,22 +108,18 @@ def _read_npy(path: Path, occluded: float) -> PoseData:
         found = f"{array.dtype} of shape {array.shape}" if isinstance(array, np.ndarray) else type(array).__name__
         raise UserError(f"{path} is {found}, expected numbers of shape (people, 34): x, y of 17 joints.")
     points = array.reshape(-1, 17, 2)[:, [AUTHORS_JOINTS.index(name) for name in MPII_JOINTS]].astype(np.float32)
-    seen = np.isfinite(points).all(-1)
-    names = path.with_name("mpii_image_name.txt")
-    if not names.is_file():
-        data = _people(points, np.asarray(seen, np.float32), [""] * len(points))
-        data.identity.clear()
-        return data
-    try:
-        image = names.read_text(encoding="utf-8").split()
-    except UnicodeDecodeError as error:
-        raise UserError(f"{names} is no text: {error}") from None
-    if len(image) != len(points):
-        raise UserError(f"{names} names {len(image):,} images for {len(points):,} people in {path.name}.")
-    return _people(points, np.asarray(seen, np.float32), image)
+    names, image = path.with_name("mpii_image_name.txt"), []
+    if names.is_file():
+        try:
+            image = names.read_text(encoding="utf-8").split()
+        except UnicodeDecodeError as error:
+            raise UserError(f"{names} is not text: {error}") from None
+        if len(image) != len(points):
+            raise UserError(f"{names} names {len(image):,} images for {len(points):,} people in {path.name}.")
+    return _people(points, np.asarray(np.isfinite(points).all(-1), np.float32), image)
 
 
-# The annotations of MPII Human Pose as published: mpii_human_pose_v1_u12_1.mat.
+# The annotations as published: mpii_human_pose_v1_u12_1.mat.
 
 _HEAD = (MPII_JOINTS.index("upper_neck"), MPII_JOINTS.index("headtop"))
 
@@ -141,26 +137,22 @@ def _read_mat(path: Path, occluded: float) -> PoseData:
     annolist, img_train = (_field(release.flat[0], key, where).ravel() for key in ("annolist", "img_train"))
     if len(annolist) != len(img_train):
         raise UserError(f"{where} has {len(annolist):,} images and {len(img_train):,} 'img_train': damaged?")
-    points, confidence, image = [], [], []
+    people, image = [], []
     for number in np.flatnonzero(img_train == 1):
         here = f"{where}.annolist({number + 1})"
-        name = None
-        for person in _structs(annolist[number], "annorect", here):
-            found = _person(person, occluded, here)
-            if found is None:
-                continue
-            name = name or _image_name(annolist[number], here)
-            points.append(found[0])
-            confidence.append(found[1])
-            image.append(name)
+        found = [_person(person, occluded, here) for person in _structs(annolist[number], "annorect", here)]
+        found = [person for person in found if person is not None]
+        people += found
+        image += [_image_name(annolist[number], here)] * len(found) if found else []
     if not image:
         raise UserError(f"{where}: no person in it has annotated points.")
-    return _people(np.array(points), np.array(confidence), image)
+    points, confidence = map(np.array, zip(*people, strict=True))
+    return _people(points, confidence, image)
 
 
 def _person(person: np.void, occluded: float, where: str) -> tuple[np.ndarray, np.ndarray] | None:
     """Return the joints and confidence of one person; None without annotated points."""
-    place, sure = np.zeros((_JOINTS, 2), np.float32), np.zeros(_JOINTS, np.float32)
+    place, confidence = np.zeros((_JOINTS, 2), np.float32), np.zeros(_JOINTS, np.float32)
     holder = _structs(person, "annopoints", where)
     for point in _structs(holder[0], "point", where) if len(holder) else []:
         joint, x, y = (_number(point, key, where) for key in ("id", "x", "y"))
@@ -171,12 +163,12 @@ def _person(person: np.void, occluded: float, where: str) -> tuple[np.ndarray, n
         place[int(joint)] = x, y
         # Upper neck and head top have no visibility: they were taken from the box of the head.
         hidden = _number(point, "is_visible", where) == 0 and joint not in _HEAD
-        sure[int(joint)] = occluded if hidden else 1
-    return (place, sure) if sure.any() or place.any() else None
+        confidence[int(joint)] = occluded if hidden else 1
+    return (place, confidence) if confidence.any() or place.any() else None
 
 
 def _field(struct: np.void, key: str, where: str) -> np.ndarray:
-    if struct.dtype.names is None or key not in struct.dtype.names:
+    if key not in (struct.dtype.names or ()):
         found = ", ".join((struct.dtype.names or ())[:8]) or "none"
         raise UserError(f"{where}: no field '{key}' (found: {found}). Expected MPII's mpii_human_pose_v1_u12_1.mat.")
     return np.asarray(struct[key])
@@ -184,14 +176,12 @@ def _field(struct: np.void, key: str, where: str) -> np.ndarray:
 
 def _structs(struct: np.void, key: str, where: str) -> np.ndarray:
     """Return the structs that a field holds: one, several, or none where it is absent or empty."""
-    if struct.dtype.names is None or key not in struct.dtype.names:
-        return np.empty(0)
-    value = np.asarray(struct[key]).ravel()
-    if value.size and value.dtype.names is None:
-        if value.dtype.kind in "fiub" or value.dtype.kind == "O":
-            return np.empty(0)  # an empty struct is stored as an array of numbers
+    value = np.asarray(struct[key]).ravel() if key in (struct.dtype.names or ()) else np.empty(0)
+    if value.dtype.names is not None:
+        return value
+    if value.size and value.dtype.kind not in "fiubO":  # an empty struct is stored as an array of numbers
         raise UserError(f"{where}: '{key}' is {value.dtype}, expected structs.")
-    return value if value.dtype.names is not None else np.empty(0)
+    return np.empty(0)
 
 
 def _number(struct: np.void, key: str, where: str) -> float | None:
@@ -217,7 +207,7 @@ def _image_name(entry: np.void, where: str) -> str:
     return str(name[0])
 
 
-# MPII Human Pose: 2D annotations of single in-the-wild images, in the forms that people have them.
+# The data set.
 
 _NAMES = {
     "train": (
@@ -252,7 +242,8 @@ data.options.file=NAME chooses where several are there."""
         path = self._file(split)
         names = path.with_name("mpii_image_name.txt")
         extra = [WantedFile(names, "names of images")] if path.suffix == ".npy" and names.is_file() else []
-        return [WantedFile(path, _what(split)), *extra]
+        first = "the annotations as published" if split == "train" else "the validation people of the common split"
+        return [WantedFile(path, f"{first}; or, in its place, {', '.join(_NAMES[split][1:])}"), *extra]
 
     def read(self, split: str) -> PoseData:
         path = self._file(split)
@@ -270,18 +261,11 @@ data.options.file=NAME chooses where several are there."""
     def _file(self, split: str) -> Path:
         if self.file and split == "train":
             return self.folder / Path(self.file).expanduser()
-        places = [self.folder / folder / name for name in _NAMES[split] for folder in _FOLDERS]
-        return next((place for place in places if place.is_file()), places[0])
-
-
-def _what(split: str) -> str:
-    others = ", ".join(_NAMES[split][1:])
-    first = "the annotations as published" if split == "train" else "the validation people of the common split"
-    return f"{first}; or, in its place, {others}"
+        return first_file(self.folder / folder / name for name in _NAMES[split] for folder in _FOLDERS)
 
 
 def _single_images(data: PoseData) -> PoseData:
-    """Return the frames with image names as `image`: people in one image are no clip."""
+    """Return the frames with image names as `image`: people in one image are not a clip."""
     missing = [name for name in AUTHORS_JOINTS if name != "head_middle" and name not in data.joint_names]
     if missing:
         raise UserError(

@@ -1,1 +1,1 @@
-"""Data made up from nothing: bodies in motion, furniture, vehicles, animals, and their masks."""
+"""Synthetic data: bodies in motion, furniture, vehicles, animals, and their masks."""

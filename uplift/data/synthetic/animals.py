@@ -1,4 +1,4 @@
-"""Made-up four-legged animals in the middle of a step; the trunk's length is 1."""
+"""Synthetic four-legged animals in the middle of a step; the trunk's length is 1."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 
-from uplift.data.synthetic.parts import Builder, Part, ball, rod, tube
+from uplift.data.synthetic.parts import Builder, Number, Part, ball, rod, tube
 from uplift.geometry.mesh import Mesh
 
 __all__ = ["animal"]
@@ -18,30 +18,30 @@ __all__ = ["animal"]
 class _Build:
     """One animal's proportions; lengths in lengths of its trunk, angles in degrees above level."""
 
-    deep: int | float
+    deep: Number
     """The chest's height; `wide` its width; `hip` is the hips' size against the chest's."""
-    wide: int | float
-    hip: int | float
-    leg: int | float
+    wide: Number
+    hip: Number
+    leg: Number
     """From the belly to the ground."""
-    leg_thick: int | float
-    neck: int | float
-    neck_angle: int | float
-    neck_thick: int | float
-    head: int | float
-    head_deep: int | float
-    muzzle: int | float
+    leg_thick: Number
+    neck: Number
+    neck_angle: Number
+    neck_thick: Number
+    head: Number
+    head_deep: Number
+    muzzle: Number
     """The muzzle's end against the head's height."""
-    head_angle: int | float
-    ear: int | float
-    tail: int | float
-    tail_thick: int | float
-    tail_angle: int | float
-    horn: int | float = 0.0
+    head_angle: Number
+    ear: Number
+    tail: Number
+    tail_thick: Number
+    tail_angle: Number
+    horn: Number = 0.0
     ears: str = "pointed"
     horns: str = "none"
-    hump: int | float = 0.0
-    snout: int | float = 0.0
+    hump: Number = 0.0
+    snout: Number = 0.0
     """How long a trunk hangs from the head."""
 
 
@@ -96,10 +96,10 @@ def _draw_build(rng: np.random.Generator) -> tuple[str, _Build]:
     return name, _Build(**values)
 
 
-# Heads of made-up animals: skull and muzzle, ears, horns, trunks.
+# Heads: skull and muzzle, ears, horns, trunks.
 
 
-def _head_parts(build: _Build, at: np.ndarray, pitch: int | float) -> list[Part]:
+def _head_parts(build: _Build, at: np.ndarray, pitch: Number) -> list[Part]:
     """Return the parts of a head whose back is ``at`` a point; it looks along +z, raised by ``pitch`` radians."""
     deep, long = build.head_deep / 2, build.head
     z = np.array([-0.08, 0.08, 0.3, 0.55, 0.85, 1.0]) * long
@@ -110,38 +110,37 @@ def _head_parts(build: _Build, at: np.ndarray, pitch: int | float) -> list[Part]
     parts = [skull, *_ears(build, deep), *_horns(build, deep)]
     if build.snout > 0.05:
         steps = np.linspace(0, 1, 6)
-        turn = -0.1 - 1.1 * steps + 1.6 * np.maximum(steps - 0.75, 0)
-        reach = build.snout / 5
-        path_y = np.concatenate([[0], np.cumsum(np.sin(turn[1:]))]) * reach - 0.3 * deep
-        path_z = np.concatenate([[0], np.cumsum(np.cos(turn[1:]))]) * reach + 0.75 * long
-        radii = np.linspace(0.55, 0.18, 6) * deep
-        parts.append(tube(np.stack([0 * steps, path_y, path_z], 1), radii, sides=8))
-    parts = [part.turned(-pitch, "x") for part in parts]
+        y, z = _bent(-0.1 - 1.1 * steps + 1.6 * np.maximum(steps - 0.75, 0)) * (build.snout / 5)
+        path = np.stack([0 * steps, y - 0.3 * deep, z + 0.75 * long], 1)
+        parts.append(tube(path, np.linspace(0.55, 0.18, 6) * deep, sides=8))
+    parts = [part.rotated(-pitch, "x") for part in parts]
     return [Part(part.vertices + at, part.faces) for part in parts]
 
 
-def _ears(build: _Build, deep: int | float) -> list[Part]:
+def _bent(angles: np.ndarray) -> np.ndarray:
+    """Return height and depth of a chain of unit links at ``angles`` (the first is not used), (2, points)."""
+    return np.cumsum([np.sin(angles), np.cos(angles)] * (np.arange(len(angles)) > 0), 1)
+
+
+def _ears(build: _Build, deep: Number) -> list[Part]:
     ear = build.ear
     foot = np.array([deep * 0.5, deep * 0.7, 0.06 * build.head])
     if build.ears == "round":
-        left = [ball(foot + (0.1 * ear, 0.2 * ear, 0), (0.5 * ear, 0.55 * ear, 0.2 * ear))]
+        left = ball(foot + (0.1 * ear, 0.2 * ear, 0), (0.5 * ear, 0.55 * ear, 0.2 * ear))
     elif build.ears == "fans":
-        left = [
-            ball((deep * 0.7 + ear * 0.25, 0, 0.2 * build.head), (ear * 0.45, ear * 0.62, ear * 0.07)).turned(0.5, "y")
-        ]
+        centre = (deep * 0.7 + ear * 0.25, 0, 0.2 * build.head)
+        left = ball(centre, (ear * 0.45, ear * 0.62, ear * 0.07)).rotated(0.5, "y")
     else:
         out, up = {"pointed": (0.25, 1.0), "side": (0.95, 0.3), "hanging": (0.35, -0.9)}[build.ears]
         middle, tip = foot + ear * 0.5 * np.array([out, up, 0]), foot + ear * np.array([out, up, -0.05])
         if build.ears == "hanging":
             foot = foot * (1.3, 0.9, 1)
-        cone = tube(
-            np.array([foot - (0, 0.1 * ear, 0), middle, tip]), (ear * 0.22, ear * 0.24, ear * 0.05), sides=6, flat=0.5
-        )
-        left = [cone]
-    return [made for part in left for made in (part, part.mirrored())]
+        path = np.array([foot - (0, 0.1 * ear, 0), middle, tip])
+        left = tube(path, (ear * 0.22, ear * 0.24, ear * 0.05), sides=6, flat=0.5)
+    return [left, left.mirrored()]
 
 
-def _horns(build: _Build, deep: int | float) -> list[Part]:
+def _horns(build: _Build, deep: Number) -> list[Part]:
     long = build.horn
     if build.horns == "none" or long < 0.02:
         return []
@@ -163,30 +162,35 @@ def _horns(build: _Build, deep: int | float) -> list[Part]:
     if build.horns == "tusks":
         foot = np.array([deep * 0.45, -deep * 0.35, 0.75 * build.head])
     path = np.concatenate([[foot], foot + long * np.array(curves[build.horns])])
-    radii = thick * np.linspace(1.0, 0.25, len(path))
-    left = [tube(path, radii, sides=6)]
+    left = [tube(path, thick * np.linspace(1.0, 0.25, len(path)), sides=6)]
     if build.horns == "antlers":
         for share, out in ((1, (0.05, 0.3, 0.35)), (2, (0.2, 0.35, 0.15))):
             left.append(rod(path[share], path[share] + long * np.array(out), thick * 0.7, thick * 0.25, sides=6))
     return [made for part in left for made in (part, part.mirrored())]
 
 
-# Made-up four-legged animals in the middle of a step; the trunk's length is 1.
+# Animals in the middle of a step.
 
+# Of a fore and a hind leg: place along the trunk, distance from its side; from hip to foot the heights of the joints
+# (shares of the leg's), how far forward of the line from hip to foot they are, radii, and how far each segment folds.
+_LEGS = {
+    "fore": (0.33, 0.85, (1.0, 0.72, 0.44, 0.12, 0.0), (0.03, -0.07, 0.0, 0.0, 0.02), (1.35, 1.25, 0.72, 0.5, 0.62), (0.0, 0.35, -1, -0.6)),
+    "hind": (-0.34, 0.8, (1.0, 0.68, 0.42, 0.12, 0.0), (0.0, 0.09, -0.07, -0.03, 0.0), (1.6, 1.5, 0.72, 0.5, 0.62), (0.0, 0.5, -0.8, -0.3)),
+}  # fmt: skip
 _STEP_OF = {("hind", 1): 0.0, ("fore", 1): 0.25, ("hind", -1): 0.5, ("fore", -1): 0.75}
 """When each foot leaves the ground in a walk, as a share of the stride: hind left, fore left, hind right, fore right."""
 
 
 @dataclass
 class _Pose:
-    """How one animal stands: angles in radians."""
+    """One animal's pose: angles in radians."""
 
     phase: float
     stride: float
     bend: float
-    """How much the spine is bent sideways."""
+    """Sideways curvature of the spine."""
     look: float
-    """How far the head is turned to the left; `nod` upwards."""
+    """How far the head turns to the left; `nod` upwards."""
     nod: float
     wag: float
     trot: bool
@@ -204,9 +208,8 @@ def animal(rng: np.random.Generator) -> Mesh:
         wag=rng.normal(0, 0.3),
         trot=rng.random() < 0.3,
     )
-    built = Builder()
-    belly = build.leg
-    spine = belly + build.deep / 2
+    built = Builder(rng)
+    spine = build.leg + build.deep / 2
     _trunk(built, build, pose, spine)
     for kind, side in _STEP_OF:
         built.add(*_leg(build, pose, kind, side, spine))
@@ -215,7 +218,7 @@ def animal(rng: np.random.Generator) -> Mesh:
     return built.mesh(name)
 
 
-def _trunk(built: Builder, build: _Build, pose: _Pose, spine: int | float) -> None:
+def _trunk(built: Builder, build: _Build, pose: _Pose, spine: Number) -> None:
     z = np.array([-0.5, -0.42, -0.28, -0.05, 0.18, 0.36, 0.47])
     size = np.array([0.45 * build.hip, 0.78 * build.hip, 0.95 * build.hip, 0.5 * (build.hip + 1), 1.0, 0.93, 0.6])
     high = size * build.deep / 2
@@ -228,39 +231,30 @@ def _trunk(built: Builder, build: _Build, pose: _Pose, spine: int | float) -> No
         built.add(ball((pose.bend, spine + build.deep * 0.42, 0.05), (build.wide * 0.32, rise + 0.1, 0.22)))
 
 
-def _leg(build: _Build, pose: _Pose, kind: str, side: int, spine: int | float) -> list[Part]:
-    """Return one leg: its upper end inside the trunk, swung by where it is in the stride, folded while in the air."""
+def _leg(build: _Build, pose: _Pose, kind: str, side: int, spine: Number) -> list[Part]:
+    """Return one leg: its upper end inside the trunk, swung by its phase of the stride, folded in the air."""
     fore = kind == "fore"
+    place, aside, heights, forward, radii, folds = _LEGS[kind]
     start = _STEP_OF["hind", -side] if pose.trot and fore else _STEP_OF[kind, side]
-    turn = 2 * np.pi * (pose.phase + start)
-    swing, lift = pose.stride * np.sin(turn), max(0.0, np.cos(turn)) * pose.stride * 2.2
-    top = spine - 0.1 * build.deep
-    length, thick = top, build.leg_thick / 2
-    # Shares of the leg's height, and how far each joint stands forward of the line from hip to foot.
-    heights = np.array([1.0, 0.72, 0.44, 0.12, 0.0]) if fore else np.array([1.0, 0.68, 0.42, 0.12, 0.0])
-    forward = np.array([0.03, -0.07, 0.0, 0.0, 0.02]) if fore else np.array([0.0, 0.09, -0.07, -0.03, 0.0])
-    forward = forward * (build.leg + 0.1)
-    folds = (
-        np.array([0.0, 0.35 * lift, -lift, -lift * 0.6])
-        if fore
-        else np.array([0.0, 0.5 * lift, -0.8 * lift, -lift * 0.3])
-    )
+    phase = 2 * np.pi * (pose.phase + start)
+    swing, lift = pose.stride * np.sin(phase), max(0.0, np.cos(phase)) * pose.stride * 2.2
+    top, thick = spine - 0.1 * build.deep, build.leg_thick / 2
+    forward = np.array(forward) * (build.leg + 0.1)
+    folds = np.array(folds) * lift
     y, z = [0.0], [forward[0]]
     for k in range(4):
-        down, ahead = (heights[k + 1] - heights[k]) * length, forward[k + 1] - forward[k]
+        down, ahead = (heights[k + 1] - heights[k]) * top, forward[k + 1] - forward[k]
         angle = swing + (folds[k] if k else 0.0) + (folds[1] * 0.5 if k > 1 else 0.0)
         y.append(y[-1] + down * np.cos(angle) + ahead * np.sin(angle))
         z.append(z[-1] - down * np.sin(angle) + ahead * np.cos(angle))
-    place = 0.33 if fore else -0.34
-    x = side * (build.wide / 2 - thick * 1.1) * (0.85 if fore else 0.8 * build.hip)
+    x = side * (build.wide / 2 - thick * 1.1) * (aside if fore else aside * build.hip)
     path = np.stack([x * np.array([0.6, 0.88, 1.0, 1.0, 1.0]), top + np.array(y), place + np.array(z)], 1)
-    radii = thick * (np.array([1.35, 1.25, 0.72, 0.5, 0.62]) if fore else np.array([1.6, 1.5, 0.72, 0.5, 0.62]))
     paw = ball(path[-1] + (0, thick * 0.25, thick * 0.35), (thick * 0.65, thick * 0.4, thick * 0.95))
-    return [tube(path, radii, sides=8, blunt=True), paw]
+    return [tube(path, thick * np.array(radii), sides=8, blunt=True), paw]
 
 
-def _neck_and_head(built: Builder, build: _Build, pose: _Pose, spine: int | float) -> None:
-    """Add neck and head, made straight ahead and then turned to where the animal looks."""
+def _neck_and_head(built: Builder, build: _Build, pose: _Pose, spine: Number) -> None:
+    """Add neck and head, built straight ahead and then rotated to where the animal looks."""
     angle = np.deg2rad(build.neck_angle) + pose.nod
     foot = np.array([0.0, spine + 0.14 * build.deep, 0.36])
     ahead = np.array([0.0, np.sin(angle), np.cos(angle)])
@@ -269,23 +263,18 @@ def _neck_and_head(built: Builder, build: _Build, pose: _Pose, spine: int | floa
     sag = np.array([0.0, -0.06, 0.0]) * build.neck
     path = np.array([foot - ahead * 0.06, foot + 0.45 * (end - foot) + sag, end])
     neck = tube(path, (max(thick * 1.25, 0.3 * build.deep), thick, thick * 0.82), sides=10, flat=1.15, blunt=True)
-    pitch = np.deg2rad(build.head_angle) + 0.5 * pose.nod
-    parts = _head_parts(build, end, pitch)
-    neck_turn, head_turn = 0.5 * pose.look, 0.6 * pose.look
-    parts = [part.turned(head_turn, "y", end) for part in parts]
-    built.add(*(part.turned(neck_turn, "y", foot) for part in [neck.widened(0.85), *parts]))
+    head = _head_parts(build, end, np.deg2rad(build.head_angle) + 0.5 * pose.nod)
+    head = [part.rotated(0.6 * pose.look, "y", end) for part in head]
+    built.add(*(part.rotated(0.5 * pose.look, "y", foot) for part in [neck.widened(0.85), *head]))
 
 
-def _tail(built: Builder, build: _Build, pose: _Pose, spine: int | float) -> None:
+def _tail(built: Builder, build: _Build, pose: _Pose, spine: Number) -> None:
     angle = np.deg2rad(build.tail_angle)
     share = np.linspace(0, 1, 5)
     droop = angle + (0.5 if angle > 0 else -0.3) * (share - 0.3)
-    y = np.concatenate([[0], np.cumsum(np.sin(droop[1:]))]) * build.tail / 4
-    z = -np.concatenate([[0], np.cumsum(np.cos(droop[1:]))]) * build.tail / 4
+    y, z = _bent(droop) * build.tail / 4
     x = np.sin(pose.wag) * share**1.5 * build.tail * 0.6
     foot = (0, spine + (1 - build.hip) * 0.4 * build.deep + 0.24 * build.deep * build.hip, -0.44)
-    bushy = build.tail_thick > 0.09
-    radii = (
-        build.tail_thick / 2 * (np.array([0.6, 1.0, 1.3, 1.2, 0.4]) if bushy else np.array([1.2, 1.0, 0.8, 0.7, 0.8]))
-    )
-    built.add(tube(np.stack([x, y, z], 1) + foot, radii, sides=6, blunt=True))
+    shape = (0.6, 1.0, 1.3, 1.2, 0.4) if build.tail_thick > 0.09 else (1.2, 1.0, 0.8, 0.7, 0.8)  # bushy or not
+    radii = build.tail_thick / 2 * np.array(shape)
+    built.add(tube(np.stack([x, y, -z], 1) + foot, radii, sides=6, blunt=True))

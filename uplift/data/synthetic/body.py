@@ -27,13 +27,11 @@ __all__ = [
     "rest_positions",
 ]
 
-# A body that can be posed: points with a rest position, the angles that turn them and how far those go.
-
 DEFAULT_LIMITS = {"flexion": (-25.0, 25.0), "abduction": (-15.0, 15.0), "rotation": (-10.0, 10.0)}
 """Degrees, where a skeleton gives no limits."""
 
 ROOT_ANGLES = {"turn": (0.0, -1.0, 0.0), "pitch": (1.0, 0.0, 0.0), "roll": (0.0, 0.0, 1.0)}
-"""Axes of the root's own rotation: turn to its left, pitch forward, roll to its left, in that order."""
+"""Axes of the root's rotation: turn to its left, pitch forward, roll to its left, in that order."""
 
 _FRONT, _UP = np.array([0.0, 0.0, -1.0]), np.array([0.0, -1.0, 0.0])
 
@@ -60,7 +58,7 @@ class Body:
     joints: Float[np.ndarray, "joints points"]
     """Weights: each skeleton joint is a point or a mean of points."""
     scaled_axes: Bool[np.ndarray, " 3"]
-    """Axes along which whole bodies are stretched (rigid objects)."""
+    """Axes along which entire bodies are stretched (rigid objects)."""
     height: tuple[float, float] = (1000.0, 0.0)
     """Mean and standard deviation of the body height, in ``unit``."""
     unit: str = "relative"
@@ -89,10 +87,9 @@ def _angle_axes(direction: Float[np.ndarray, " 3"], side: float) -> dict[str, tu
     left = np.array([side, 0.0, 0.0])
     flexion = np.cross(along, _FRONT if abs(along @ _FRONT) < 0.9 else _UP)
     abduction = np.cross(along, left) if abs(along @ left) < 0.9 else np.cross(along, _UP)
-    axes = {"flexion": flexion, "abduction": abduction}
-    axes = {name: axis / np.linalg.norm(axis) for name, axis in axes.items()}
+    axes = {name: axis / np.linalg.norm(axis) for name, axis in (("flexion", flexion), ("abduction", abduction))}
     axes["rotation"] = side * along * np.sign(along @ -_UP or 1.0)
-    return {name: (float(axis[0]), float(axis[1]), float(axis[2])) for name, axis in axes.items()}
+    return {name: tuple(axis.tolist()) for name, axis in axes.items()}
 
 
 def _joint_weights(
@@ -120,9 +117,6 @@ def _joint_weights(
     return weights
 
 
-# Forward kinematics: joint angles to positions.
-
-
 def forward_kinematics(
     body: Body, offsets: Float[np.ndarray, "frames points 3"], angles_deg: Float[np.ndarray, "frames angles"]
 ) -> Float[np.ndarray, "frames points 3"]:
@@ -132,22 +126,19 @@ def forward_kinematics(
     for point, angle, axis in body.steps:
         steps.setdefault(point, []).append((angle, axis))
     positions = np.zeros_like(offsets)
-    turned: dict[int, np.ndarray] = {}
+    rotations: dict[int, np.ndarray] = {}
     for point, parent in enumerate(body.parents):
-        rotation = turned.get(int(parent))
+        rotation = rotations.get(int(parent))
         if parent >= 0:
             offset = offsets[:, point]
-            step = offset if rotation is None else np.einsum("fij,fj->fi", rotation, offset)
-            positions[:, point] = positions[:, parent] + step
+            offset = offset if rotation is None else np.einsum("fij,fj->fi", rotation, offset)
+            positions[:, point] = positions[:, parent] + offset
         for angle, axis in steps.get(point, ()):
             local = rotation_about(axis, angles[:, angle])
             rotation = local if rotation is None else rotation @ local
         if rotation is not None:
-            turned[point] = rotation
+            rotations[point] = rotation
     return positions
-
-
-# Which points of a body are its legs, and in what order they step.
 
 
 def find_legs(body: Body) -> list[list[int]]:
@@ -179,9 +170,7 @@ def leg_phases(body: Body, legs: list[list[int]], gait: str) -> Float[np.ndarray
     return 0.5 * (hips[:, 0] < 0) + lag * (rows.max() - rows)
 
 
-# The body that a skeleton's own YAML spells out in proportions, rest directions and limits.
-
-_OWN_SPREAD = 0.06
+# The body that a skeleton's YAML describes by proportions, rest directions and limits.
 
 
 def own_body(skeleton: Skeleton) -> Body:
@@ -190,34 +179,55 @@ def own_body(skeleton: Skeleton) -> Body:
     order = _tree_order(skeleton)
     parents = np.array([order.index(p) if (p := skeleton.parents[joint]) is not None else -1 for joint in order])
     offsets = np.array([_offset(skeleton, joint) for joint in order])
-    angles = {f"{order[0]} {name}": (-np.inf, np.inf) for name in ROOT_ANGLES}
-    steps = [(f"{order[0]} {name}", 0, axis) for name, axis in ROOT_ANGLES.items()]
-    if not skeleton.rigid:
-        limits = _all_limits(skeleton)
-        for point, joint in enumerate(order):
-            direction = _beyond(point, parents, offsets)
-            if direction is None:
-                continue
-            axes = _angle_axes(direction, _side(skeleton, joint, order, parents, offsets))
-            for name, (low, high) in limits[joint].items():
-                if (low, high) != (0, 0):
-                    angles[f"{joint} {name}"] = (low, high)
-                    steps.append((f"{joint} {name}", point, axes[name]))
-    names = tuple(angles)
-    bounds = np.array(list(angles.values()), dtype=float)
+    # Mirror partners vary together; in a rigid object so do all bones of one length.
+    if skeleton.rigid:
+        groups = tuple(f"{np.linalg.norm(offset):.4f}" for offset in offsets)
+        angles, steps = {}, []
+    else:
+        groups = tuple(min(joint, _partners(skeleton).get(joint, joint)) for joint in order)
+        angles, steps = _free_angles(skeleton, order, parents, offsets)
+    places = {joint: skeleton.midpoints.get(joint, (joint,)) for joint in skeleton.joints}
     return Body(
         points=order,
         parents=parents,
         offsets=offsets,
-        groups=_groups(skeleton, order, offsets),
-        spread=0.08 if skeleton.rigid else _OWN_SPREAD,
-        angles=names,
-        low_deg=bounds[:, 0],
-        high_deg=bounds[:, 1],
-        steps=tuple((point, names.index(name), axis) for name, point, axis in steps),
-        joints=_joint_weights(skeleton, _parts(skeleton), order, "midpoints"),
+        groups=groups,
+        spread=0.08 if skeleton.rigid else 0.06,
+        **_with_root(order, angles, steps),
+        joints=_joint_weights(skeleton, places, order, "midpoints"),
         scaled_axes=np.full(3, skeleton.rigid),
     )
+
+
+def _free_angles(skeleton: Skeleton, order: tuple[str, ...], parents: np.ndarray, offsets: np.ndarray) -> tuple:
+    """Return the limits of each angle, and steps (angle, point, axis), of joints that have bones to move."""
+    angles, steps = {}, []
+    limits, partner, rest = _all_limits(skeleton), _partners(skeleton), rest_positions(parents, offsets)
+    for point, joint in enumerate(order):
+        direction = _beyond(point, parents, offsets)
+        if direction is None:
+            continue
+        is_right = joint in partner and rest[point, 0] < rest[order.index(partner[joint]), 0]
+        axes = _angle_axes(direction, -1.0 if is_right else 1.0)
+        for name, (low, high) in limits[joint].items():
+            if (low, high) != (0, 0):
+                angles[f"{joint} {name}"] = (low, high)
+                steps.append((f"{joint} {name}", point, axes[name]))
+    return angles, steps
+
+
+def _with_root(points: tuple[str, ...], angles: dict[str, tuple], steps: list) -> dict[str, Any]:
+    """Return the fields of a `Body` made of its angles and of ``steps`` (angle, point, axis), the root's own first."""
+    root = {f"{points[0]} {name}": axis for name, axis in ROOT_ANGLES.items()}
+    angles = {**dict.fromkeys(root, (-np.inf, np.inf)), **angles}
+    names, bounds = tuple(angles), np.array(list(angles.values()), dtype=float)
+    steps = [*((name, 0, axis) for name, axis in root.items()), *steps]
+    return {
+        "angles": names,
+        "low_deg": bounds[:, 0],
+        "high_deg": bounds[:, 1],
+        "steps": tuple((point, names.index(name), axis) for name, point, axis in steps),
+    }
 
 
 def leaders(skeleton: Skeleton) -> dict[str, str]:
@@ -238,17 +248,16 @@ def _partners(skeleton: Skeleton) -> dict[str, str]:
 
 
 def _check_complete(skeleton: Skeleton) -> None:
-    for key, example in (("proportions", "0.2"), ("rest", "[0.3, 1, 0]")):
+    partner = _partners(skeleton)
+    for key, example, meaning in (
+        ("proportions", "0.2", "length of the bone to its parent, in body heights"),
+        ("rest", "[0.3, 1, 0]", "direction from its parent in the rest pose: x the body's left, y down, z behind"),
+    ):
         given = skeleton.body.get(key, {})
-        missing = [j for j in skeleton.joints if j != skeleton.root and j not in given and j not in skeleton.midpoints]
-        missing = [joint for joint in missing if _partners(skeleton).get(joint) not in given]
+        placed = {skeleton.root, *skeleton.midpoints, *given, *(partner.get(joint) for joint in given)}
+        missing = [joint for joint in skeleton.joints if joint not in placed]
         if not missing:
             continue
-        meaning = (
-            "length of the bone to its parent, in body heights"
-            if key == "proportions"
-            else ("direction from its parent in the rest pose: x the body's left, y down, z behind")
-        )
         shown = ", ".join(missing[:5]) + (f" and {len(missing) - 5} more" if len(missing) > 5 else "")
         raise UserError(
             f"Skeleton '{skeleton.name}' cannot be simulated: '{key}' lacks {shown}. Add to its YAML "
@@ -277,10 +286,6 @@ def _offset(skeleton: Skeleton, joint: str) -> Float[np.ndarray, " 3"]:
     return length * direction / np.linalg.norm(direction)
 
 
-def _parts(skeleton: Skeleton) -> dict[str, tuple[str, ...]]:
-    return {joint: skeleton.midpoints.get(joint, (joint,)) for joint in skeleton.joints}
-
-
 def _beyond(point: int, parents: np.ndarray, offsets: np.ndarray) -> np.ndarray | None:
     """Return the mean of the bones that a joint moves; None for an end. Falls back to the bone before it."""
     children = np.flatnonzero(parents == point)
@@ -290,23 +295,6 @@ def _beyond(point: int, parents: np.ndarray, offsets: np.ndarray) -> np.ndarray 
     if np.linalg.norm(mean) < 1e-6:
         mean = offsets[children[0]]
     return mean if np.linalg.norm(mean) > 1e-6 else np.array([0.0, 1.0, 0.0])
-
-
-def _side(skeleton: Skeleton, joint: str, order: tuple[str, ...], parents: np.ndarray, offsets: np.ndarray) -> float:
-    """Return -1 for a joint of a mirror pair that lies to the right of its partner, else +1."""
-    partner = _partners(skeleton).get(joint)
-    if partner is None:
-        return 1.0
-    rest = rest_positions(parents, offsets)
-    return -1.0 if rest[order.index(joint), 0] < rest[order.index(partner), 0] else 1.0
-
-
-def _groups(skeleton: Skeleton, order: tuple[str, ...], offsets: np.ndarray) -> tuple[str, ...]:
-    """Mirror partners vary together; in a rigid object so do all bones of one length."""
-    partner = _partners(skeleton)
-    if skeleton.rigid:
-        return tuple(f"{np.linalg.norm(offset):.4f}" for offset in offsets)
-    return tuple(min(joint, partner.get(joint, joint)) for joint in order)
 
 
 def _all_limits(skeleton: Skeleton) -> dict[str, dict[str, tuple[float, float]]]:
@@ -397,12 +385,9 @@ _ANGLES = {
     "left_ankle": {"flexion": ((-1, 0, 0), -50, 28)},
 }  # fmt: skip
 
-_STATURE_MM = (1692.0, 92.0)
-_SPREAD = 0.035
-
 
 def is_human(skeleton: Skeleton) -> bool:
-    """Tell whether the skeleton puts its joints on the human body."""
+    """Return whether the skeleton puts its joints on the human body."""
     return any(isinstance(entry, dict) and _KEY in entry for entry in skeleton.body.get("limits", {}).values())
 
 
@@ -410,22 +395,16 @@ def human_body(skeleton: Skeleton) -> Body:
     """Return the human body with the joints of ``skeleton`` on it; raises UserError where one has no place."""
     table = dict(_both_sides(_POINTS))
     points = tuple(table)
-    angles: dict[str, tuple[float, float]] = {f"pelvis {name}": (-np.inf, np.inf) for name in ROOT_ANGLES}
-    steps = [(f"pelvis {name}", "pelvis", axis) for name, axis in ROOT_ANGLES.items()]
+    angles: dict[str, tuple[float, float]] = {}
+    steps = []
     for point, entries in _both_sides(_ANGLES):
+        side = point.partition("_")[0]
+        sign = -1.0 if side == "right" else 1.0
         for name, (axis, low, high) in entries.items():
-            side = -1.0 if point.startswith("right_") else 1.0
-            mirrored = (float(axis[0]), side * axis[1], side * axis[2])
-            of = (
-                point.partition("_")[0] + "_" + name[1:]
-                if name.startswith("-clavicle")
-                else f"{point} {name.lstrip('-')}"
-            )
-            steps.append((of, point, mirrored))
+            of = f"{side}_{name[1:]}" if name.startswith("-clavicle") else f"{point} {name.lstrip('-')}"
+            steps.append((of, points.index(point), (float(axis[0]), sign * axis[1], sign * axis[2])))
             if not name.startswith("-"):
-                angles[f"{point} {name}"] = (low, high)
-    names = tuple(angles)
-    limits = np.array(list(angles.values()), dtype=float)
+                angles[of] = (low, high)
     offsets = np.array([entry[2:] for entry in table.values()], dtype=float)
     offsets[[point.startswith("right_") for point in points], 0] *= -1
     return Body(
@@ -433,14 +412,11 @@ def human_body(skeleton: Skeleton) -> Body:
         parents=np.array([points.index(entry[0]) if entry[0] else -1 for entry in table.values()]),
         offsets=offsets,
         groups=tuple(entry[1] for entry in table.values()),
-        spread=_SPREAD,
-        angles=names,
-        low_deg=limits[:, 0],
-        high_deg=limits[:, 1],
-        steps=tuple((points.index(point), names.index(name), axis) for name, point, axis in steps),
+        spread=0.035,
+        **_with_root(points, angles, steps),
         joints=_joint_weights(skeleton, _places(skeleton), points, "limits"),
         scaled_axes=np.zeros(3, bool),
-        height=_STATURE_MM,
+        height=(1692.0, 92.0),
         unit="mm",
     )
 

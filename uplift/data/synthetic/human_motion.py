@@ -1,4 +1,4 @@
-"""The motion of a simulated person: actions and postures turned into joint angles over time."""
+"""The motion of a simulated person: from actions and postures to joint angles over time."""
 
 from __future__ import annotations
 
@@ -9,23 +9,14 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from uplift.data.synthetic.body import Body, forward_kinematics
-from uplift.data.synthetic.motion import (
-    Motion,
-    choose_actions,
-    key_times,
-    minimum_jerk_path,
-    periodic_curve,
-    smooth_noise,
-)
+from uplift.data.synthetic.motion import Motion, choose_actions, key_times, minimum_jerk, periodic_curve, smooth_noise
 
 __all__ = ["ACTIONS", "CYCLES", "human_motion"]
-
-# What a simulated person does: each action mixes leg, trunk and arm postures at its own tempo.
 
 
 @dataclass(frozen=True)
 class _Action:
-    """Postures to move between; a step cycle in place of leg postures where there is one."""
+    """Postures to move between at its own tempo; with a step cycle, no leg postures."""
 
     share: float
     """Share of clips when every action is on."""
@@ -34,7 +25,7 @@ class _Action:
     arms: tuple[str, ...]
     """``swing`` swings them with the steps."""
     cycle: str = ""
-    """One of `uplift.data.synthetic.human_motion.CYCLES`."""
+    """A key of `CYCLES`."""
     tempo: float = 1.0
     """Time between postures against the usual one."""
     turn_deg_s: float = 15.0
@@ -167,46 +158,39 @@ _ARMS = {
 
 _DRAWN = 500
 _ANGLES = (
-    "shoulder plane",
-    "shoulder elevation",
-    "shoulder rotation",
-    "elbow flexion",
-    "elbow pronation",
-    "wrist flexion",
-)
+    "shoulder plane", "shoulder elevation", "shoulder rotation", "elbow flexion", "elbow pronation", "wrist flexion",
+)  # fmt: skip
 # Half breadth, height and depth of chest and head, shares of stature (ANSUR II: chest breadth 0.165,
 # chest depth 0.14, head breadth 0.088, head length 0.113).
 _SOLIDS = (((0.0, -0.15, 0.0), (0.082, 0.20, 0.066)), ((0.0, -0.415, -0.015), (0.05, 0.075, 0.06)))
 
 
-class _ArmPoses:
-    """Collision-free arm postures by name."""
+def _arm_poses(rng: np.random.Generator, body: Body) -> dict[str, np.ndarray]:
+    """Return arm postures (poses 6) by name that collide with nothing."""
+    poses = {}
+    for name, ranges in _ARMS.items():
+        low, high = np.array(ranges, dtype=float).T
+        drawn = low + rng.uniform(0, 1, (_DRAWN, len(_ANGLES))) * (high - low)
+        drawn = drawn[_reachable(drawn)]
+        poses[name] = drawn[_clear(body, drawn)]
+    return poses
 
-    def __init__(self, rng: np.random.Generator, body: Body) -> None:
-        self._pools = {}
-        for name, ranges in _ARMS.items():
-            low, high = np.array(ranges, dtype=float).T
-            drawn = low + rng.uniform(0, 1, (_DRAWN, len(_ANGLES))) * (high - low)
-            drawn = drawn[_reachable(drawn)]
-            self._pools[name] = drawn[_clear(body, drawn)]
 
-    def keys(
-        self, rng: np.random.Generator, names: Sequence[str], clips: int, keys: int
-    ) -> Float[np.ndarray, "clips keys 2 6"]:
-        """Return random postures of both arms out of ``names``; two keys in five have both arms alike."""
-        pools = [self._pools[name] for name in names]
-        starts = np.cumsum([0] + [len(pool) for pool in pools[:-1]])
-        sizes = np.array([len(pool) for pool in pools])
-        which = rng.integers(len(pools), size=(clips, keys, 2))
-        row = (rng.uniform(size=which.shape) * sizes[which]).astype(int)
-        drawn = np.concatenate(pools)[starts[which] + row]
-        alike = rng.uniform(size=(clips, keys)) < 0.4
-        drawn[:, :, 1] = np.where(alike[..., None], drawn[:, :, 0], drawn[:, :, 1])
-        return drawn
+def _arm_keys(
+    rng: np.random.Generator, pools: Sequence[np.ndarray], clips: int, keys: int
+) -> Float[np.ndarray, "clips keys 2 6"]:
+    """Return random postures of both arms out of ``pools``; two keys in five have both arms alike."""
+    sizes = np.array([len(pool) for pool in pools])
+    which = rng.integers(len(pools), size=(clips, keys, 2))
+    row = (rng.uniform(size=which.shape) * sizes[which]).astype(int)
+    drawn = np.concatenate(pools)[(np.cumsum(sizes) - sizes)[which] + row]
+    alike = rng.uniform(size=(clips, keys)) < 0.4
+    drawn[:, :, 1] = np.where(alike[..., None], drawn[:, :, 0], drawn[:, :, 1])
+    return drawn
 
 
 def _reachable(arms: Float[np.ndarray, "poses angles"]) -> Bool[np.ndarray, " poses"]:
-    """Tell where the arm can go: backward up to 60 degrees (AAOS 1965), across the chest up to shoulder height."""
+    """Return which poses an arm can reach: backward up to 60 degrees (AAOS 1965), across the chest up to shoulder height."""
     plane, elevation = arms[:, 0], arms[:, 1]
     behind = np.interp(plane, [-90, -40, 0, 40], [60, 90, 140, 175])
     across = np.interp(plane, [100, 130], [175, 100])
@@ -214,7 +198,7 @@ def _reachable(arms: Float[np.ndarray, "poses angles"]) -> Bool[np.ndarray, " po
 
 
 def _clear(body: Body, arms: Float[np.ndarray, "poses angles"]) -> Bool[np.ndarray, " poses"]:
-    """Tell where elbow, forearm and hand of a standing body stay out of its chest and head."""
+    """Return in which poses elbow, forearm and hand of a standing body stay out of its chest and head."""
     angles = np.zeros((len(arms), len(body.angles)))
     for column, name in enumerate(_ANGLES):
         angles[:, body.angles.index(f"left_{name}")] = arms[:, column]
@@ -250,11 +234,12 @@ CYCLES = {
 }  # fmt: skip
 
 
+_OverTime = Float[np.ndarray, "clips frames"]
+_PerClip = Float[np.ndarray, "clips 1"]
+
+
 def _leg_cycle(
-    name: str,
-    phase: Float[np.ndarray, "clips frames"],
-    stride: Float[np.ndarray, "clips 1"],
-    crouch_deg: Float[np.ndarray, "clips 1"],
+    name: str, phase: _OverTime, stride: _PerClip, crouch_deg: _PerClip
 ) -> Float[np.ndarray, "clips frames 2 3"]:
     """Return thigh, knee and ankle of both legs (left first), half a cycle apart.
 
@@ -268,10 +253,7 @@ def _leg_cycle(
 
 
 def _arm_swing(
-    phase: Float[np.ndarray, "clips frames"],
-    swing_deg: Float[np.ndarray, "clips 1"],
-    elbow_deg: Float[np.ndarray, "clips 1"],
-    out_deg: Float[np.ndarray, "clips 1"],
+    phase: _OverTime, swing_deg: _PerClip, elbow_deg: _PerClip, out_deg: _PerClip
 ) -> Float[np.ndarray, "clips frames 2 6"]:
     """Return the arm angles (plane, elevation, rotation, elbow, pronation, wrist) of both swinging arms."""
     both = np.stack([phase, phase + 0.5], -1)
@@ -285,21 +267,10 @@ def _arm_swing(
     return np.stack([plane, elevation, rest + 15, elbow, rest + 70, rest], -1)
 
 
-def _pelvis_cycle(phase: Float[np.ndarray, "clips frames"]) -> Float[np.ndarray, "clips frames 3"]:
-    """Return the pelvis's turn to the left, its list to the left and the trunk's turn against it, unit amplitude.
-
-    At left foot contact the left side of the pelvis is forward (turned to the right) and the
-    shoulders are turned the other way; the pelvis drops on the swinging side in early stance.
-    """
-    turn = -np.cos(2 * np.pi * phase)
-    return np.stack([turn, -np.sin(2 * np.pi * (phase + 0.03)), -2 * turn], -1)
-
-
-# The motion of a simulated person: actions turned into joint angles over time.
+# From actions to joint angles over time.
 
 _STRIDES_HZ = {"walk": (0.6, 1.1), "run": (1.15, 1.6), "climb": (0.4, 0.9)}
 _STRIDE_HEIGHTS = {"walk": 0.8, "run": 1.25, "climb": 0.3}
-_AIRBORNE = ("flight", "split")
 
 
 def human_motion(
@@ -307,13 +278,13 @@ def human_motion(
 ) -> Motion:
     """Return the joint angles of ``clips`` clips of a person in the actions of ``mode``."""
     chosen = choose_actions(rng, {name: action.share for name, action in ACTIONS.items()}, clips, mode)
-    arm_poses = _ArmPoses(rng, body)
-    frames = len(time_s)
-    motion = Motion.empty(clips, frames, len(body.angles))
+    arm_poses = _arm_poses(rng, body)
+    motion = Motion.empty(clips, len(time_s), len(body.angles))
+    motion.actions = chosen
     for name in sorted(set(chosen)):
         rows = np.flatnonzero(chosen == name)
         part = _act(rng, body, ACTIONS[name], len(rows), time_s, arm_poses)
-        motion.put(rows, name, part)
+        motion.angles_deg[rows], motion.lift[rows], motion.travel[rows] = part.angles_deg, part.lift, part.travel
     noise = smooth_noise(rng, time_s, clips, len(body.angles), 0.4)
     motion.angles_deg += noise * np.where(np.isfinite(body.low_deg), 1.2, 0.8)
     motion.angles_deg = motion.angles_deg.clip(body.low_deg, body.high_deg)
@@ -321,63 +292,47 @@ def human_motion(
 
 
 def _act(
-    rng: np.random.Generator, body: Body, action: _Action, clips: int, time_s: np.ndarray, arm_poses: _ArmPoses
+    rng: np.random.Generator, body: Body, action: _Action, clips: int, time_s: np.ndarray, arm_poses: dict
 ) -> Motion:
-    moves = _scaled(key_times(rng, clips, time_s[-1] / action.tempo + 0.1), action.tempo)
-    keys = moves[0].shape[1]
+    starts, durations = key_times(rng, clips, time_s[-1] / action.tempo + 0.1)
+    moves = starts * action.tempo, durations * action.tempo
+    keys = starts.shape[1]
+    step = time_s[1] - time_s[0] if len(time_s) > 1 else 0
     motion = Motion.empty(clips, len(time_s), len(body.angles))
-    heading = np.cumsum(_heading_speed(rng, action, clips, time_s), 1) * (
-        time_s[1] - time_s[0] if len(time_s) > 1 else 0
-    )
-    heading += rng.uniform(0, 360, (clips, 1))
-    trunk = minimum_jerk_path(time_s, moves, _trunk_keys(rng, action.trunk, clips, keys))
-    arms = _paths(time_s, moves, arm_poses.keys(rng, [a for a in action.arms if a != "swing"] or ["hang"], clips, keys))
+    speed_deg = rng.normal(0, action.turn_deg_s, (clips, 1)) * (1 + smooth_noise(rng, time_s, clips, 1, 0.3)[..., 0])
+    heading = np.cumsum(speed_deg, 1) * step + rng.uniform(0, 360, (clips, 1))
+    trunk = minimum_jerk(time_s, moves, _trunk_keys(rng, action.trunk, clips, keys))
+    pools = [arm_poses[name] for name in action.arms if name != "swing"] or [arm_poses["hang"]]
+    arms = _paths(time_s, moves, _arm_keys(rng, pools, clips, keys))
     if action.cycle:
         legs, arms, speed, sway = _stepping(rng, action, time_s, trunk, arms)
-        direction = np.radians(heading)
+        velocity = speed[..., None] * np.stack([np.sin(np.radians(heading)), -np.cos(np.radians(heading))], -1)
+        motion.travel += np.cumsum(velocity, 1) * step
         heading = heading + sway
-        velocity = speed[..., None] * np.stack([np.sin(direction), -np.cos(direction)], -1)
-        motion.travel += np.cumsum(velocity, 1) * (time_s[1] - time_s[0] if len(time_s) > 1 else 0)
     else:
-        names = _leg_names(rng, action.legs, clips, keys, ordered=action is ACTIONS["jump"])
-        legs = _grounded(_paths(time_s, moves, _leg_keys(rng, names)))
-        motion.lift += _lift(time_s, moves, np.isin(names, _AIRBORNE))
+        places = rng.integers(len(action.legs), size=(clips, 1 if action is ACTIONS["jump"] else keys))
+        if action is ACTIONS["jump"]:  # in order
+            places = (np.arange(keys) + places) % len(action.legs)
+        names = np.array(action.legs)[places]
+        thigh_to_knee, foot, flat = np.split(_paths(time_s, moves, _leg_keys(rng, names)), [4, 5], -1)
+        ankle = foot + flat * (thigh_to_knee[..., 3:] - thigh_to_knee[..., :1])
+        legs = np.concatenate([thigh_to_knee, ankle], -1)
+        motion.lift += _lift(time_s, moves, np.isin(names, ("flight", "split")))
     _write(body, motion.angles_deg, heading, legs, trunk, arms)
     return motion
 
 
-def _scaled(moves: tuple[np.ndarray, np.ndarray], tempo: float) -> tuple[np.ndarray, np.ndarray]:
-    return moves[0] * tempo, moves[1] * tempo
-
-
 def _paths(time_s: np.ndarray, moves: tuple[np.ndarray, np.ndarray], keys: np.ndarray) -> np.ndarray:
     """Return paths (clips frames 2 angles) through keys (clips keys 2 angles)."""
-    path = minimum_jerk_path(time_s, moves, keys.reshape(*keys.shape[:2], -1))
+    path = minimum_jerk(time_s, moves, keys.reshape(*keys.shape[:2], -1))
     return path.reshape(*path.shape[:2], 2, -1)
 
 
-def _heading_speed(rng: np.random.Generator, action: _Action, clips: int, time_s: np.ndarray) -> np.ndarray:
-    steady = rng.normal(0, action.turn_deg_s, (clips, 1))
-    return steady * (1 + smooth_noise(rng, time_s, clips, 1, 0.3)[..., 0])
-
-
-def _draw(rng: np.random.Generator, ranges: np.ndarray) -> np.ndarray:
-    return ranges[..., 0] + rng.uniform(0, 1, ranges.shape[:-1]) * (ranges[..., 1] - ranges[..., 0])
-
-
 def _trunk_keys(rng: np.random.Generator, names: tuple[str, ...], clips: int, keys: int) -> np.ndarray:
-    ranges = np.array([_TRUNK[name] for name in names], dtype=float)
-    drawn = _draw(rng, ranges[rng.integers(len(names), size=(clips, keys))])
+    ranges = np.array([_TRUNK[name] for name in names], dtype=float)[rng.integers(len(names), size=(clips, keys))]
+    drawn = ranges[..., 0] + rng.uniform(0, 1, ranges.shape[:-1]) * (ranges[..., 1] - ranges[..., 0])
     drawn[..., [1, 3, 4, 6, 7]] *= rng.choice([-1, 1], (clips, keys, 1))
     return drawn
-
-
-def _leg_names(rng: np.random.Generator, names: tuple[str, ...], clips: int, keys: int, ordered: bool) -> np.ndarray:
-    if ordered:
-        places = (np.arange(keys) + rng.integers(len(names), size=(clips, 1))) % len(names)
-    else:
-        places = rng.integers(len(names), size=(clips, keys))
-    return np.array(names)[places]
 
 
 def _leg_keys(rng: np.random.Generator, names: np.ndarray) -> np.ndarray:
@@ -393,13 +348,6 @@ def _leg_keys(rng: np.random.Generator, names: np.ndarray) -> np.ndarray:
     return np.where(swapped[..., None, None], drawn[:, :, ::-1], drawn)
 
 
-def _grounded(legs: np.ndarray) -> np.ndarray:
-    """Turn thigh, abduction, rotation, knee, foot, flat into thigh, abduction, rotation, knee, ankle."""
-    thigh, knee, foot, flat = (legs[..., i] for i in (0, 3, 4, 5))
-    ankle = foot + flat * (knee - thigh)
-    return np.concatenate([legs[..., :4], ankle[..., None]], -1)
-
-
 def _stepping(
     rng: np.random.Generator, action: _Action, time_s: np.ndarray, trunk: np.ndarray, arms: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
@@ -412,17 +360,20 @@ def _stepping(
     sagittal = _leg_cycle(action.cycle, phase, stride, crouch)
     side = rng.normal([3, -6], [2.5, 5], (clips, 1, 1, 2)) + np.zeros((*phase.shape, 2, 2))
     legs = np.concatenate([sagittal[..., :1], side, sagittal[..., 1:]], -1)
-    moving = action.cycle == "run"
-    swing = rng.uniform(15, 40, (clips, 1)) if moving else rng.uniform(5, 35, (clips, 1))
-    elbow = rng.uniform(60, 105, (clips, 1)) if moving else rng.uniform(10, 40, (clips, 1))
+    running = action.cycle == "run"
+    swing = rng.uniform(15, 40, (clips, 1)) if running else rng.uniform(5, 35, (clips, 1))
+    elbow = rng.uniform(60, 105, (clips, 1)) if running else rng.uniform(10, 40, (clips, 1))
     if "swing" in action.arms:
         swings = (rng.uniform(size=(clips, 1)) < (0.85 if len(action.arms) == 1 else 0.4))[..., None, None]
         arms = np.where(swings, _arm_swing(phase, swing * stride, elbow, rng.uniform(3, 18, (clips, 1))), arms)
-    turn, drop, against = np.moveaxis(_pelvis_cycle(phase) * stride[..., None], -1, 0)
-    trunk[..., 0] += rng.uniform(0, 10, (clips, 1)) if moving else 0
+    # At left foot contact the left side of the pelvis is forward (rotated to the right) and the shoulders are
+    # rotated the other way; the pelvis drops on the swinging side in early stance.
+    turn = -np.cos(2 * np.pi * phase) * stride
+    drop = -np.sin(2 * np.pi * (phase + 0.03)) * stride
+    trunk[..., 0] += rng.uniform(0, 10, (clips, 1)) if running else 0
     trunk[..., 1] += 4 * drop
     trunk[..., 3] -= 4 * drop
-    trunk[..., 4] += 5 * against
+    trunk[..., 4] += 5 * (-2 * turn)
     return legs, arms, rate * stride * _STRIDE_HEIGHTS[action.cycle], 4.5 * turn
 
 

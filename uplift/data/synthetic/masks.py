@@ -1,4 +1,4 @@
-"""Masks with exact truth: made-up or given shapes seen by cameras drawn from a distribution of views."""
+"""Masks with exact truth: synthetic or given shapes seen by cameras drawn from a distribution of views."""
 
 from __future__ import annotations
 
@@ -30,8 +30,6 @@ __all__ = [
     "simulate_masks",
 ]
 
-# Families of made-up shapes: which kinds each draws from, and how often.
-
 _Kind = Callable[[np.random.Generator], Mesh]
 
 _SEATS: dict[_Kind, float] = {chair: 5, armchair: 2, sofa: 2, bench: 1.5, stool: 1.5}
@@ -51,7 +49,7 @@ FAMILIES: dict[str, dict[_Kind, float]] = {
 
 
 def make_shape(family: str, rng: np.random.Generator) -> Mesh:
-    """Return one made-up shape: closed parts whose union is the solid, in its own frame and unit.
+    """Return one synthetic shape: closed parts whose union is the solid, in its own frame and unit.
 
     It stands upright and faces the camera: x is its left, y down, z behind it; its box is centred and
     the longest side 2 `UNIT_HALF`. Parts may overlap. `Mesh.category` names the kind.
@@ -67,21 +65,15 @@ def make_shape(family: str, rng: np.random.Generator) -> Mesh:
 
 
 def make_shapes(family: str, count: int, seed: int) -> list[Mesh]:
-    """Return many made-up shapes, the same for the same seed: shape i is the same however many are made.
+    """Return synthetic shapes, the same for the same seed: shape i is the same however many are made.
 
     Raises:
         UserError: no such family, fewer than one shape.
     """
     if count < 1:
         raise UserError(f"{count} shapes of '{family}' asked for, expected 1 or more.")
-    shapes = []
-    for number in range(count):
-        shape = make_shape(family, np.random.default_rng((seed, number)))
-        shapes.append(replace(shape, name=f"{family}-{seed}-{number}"))
-    return shapes
-
-
-# Masks of meshes as a camera would see them, with where each shape then is.
+    shapes = [make_shape(family, np.random.default_rng((seed, number))) for number in range(count)]
+    return [replace(shape, name=f"{family}-{seed}-{number}") for number, shape in enumerate(shapes)]
 
 
 def frame_mesh(
@@ -89,7 +81,7 @@ def frame_mesh(
 ) -> tuple[float, Float[np.ndarray, " 2"]]:
     """Return the scale and offset that centre a shape's box in its crop, its longer half side `FILL`.
 
-    ``points`` are turned to the camera and in the shape's own units, as ``distance`` is. The camera aims at
+    ``points`` are in the camera's axes and the shape's units, as ``distance`` is. The camera aims at
     the middle of the box it sees, not at the shape's origin: the shape is moved sideways (``offset``) until
     the box's middle is on the optical axis, so `Placed`'s formula is exact, and no image is shifted.
     """
@@ -129,18 +121,14 @@ def render_masks(
         mesh = meshes[number]
         if number not in used:
             used[number] = np.bincount(mesh.faces.ravel(), minlength=len(mesh.vertices)) > 0
-        turned = mesh.vertices @ np.asarray(view[item], float).T
-        scale[item], offset[item] = frame_mesh(turned[used[number]], distance[item])
-        placed = scale[item] * turned
+        rotated = mesh.vertices @ np.asarray(view[item], float).T
+        scale[item], offset[item] = frame_mesh(rotated[used[number]], distance[item])
+        placed = scale[item] * rotated
         placed[:, :2] += offset[item]
         seen = project(placed, scale[item] * distance[item])
         masks[item] = draw_mask((seen + 1) * (side / 2), mesh.faces, side)
-    kept = (array.astype(np.float32) for array in (view, scale, offset, scale * distance))
-    turned_to, scales, offsets, distances = kept
-    return masks, Placed(meshes, shape, turned_to, scales, offsets, distances)
-
-
-# Masks with exact truth: shapes seen by cameras drawn from a distribution of views.
+    placement = (array.astype(np.float32) for array in (view, scale, offset, scale * distance))
+    return masks, Placed(meshes, shape, *placement)
 
 
 @dataclass(frozen=True)
@@ -175,10 +163,10 @@ class ViewChoice:
             raise UserError(f"views: elevation_sd_deg is {self.elevation_sd_deg:g}, expected 0 or more.")
 
 
-def draw_views(count: int, views: ViewChoice, seed: int) -> tuple[
-    Float[np.ndarray, "count 3 3"], Float[np.ndarray, " count"]
-]:  # fmt: skip
-    """Return rotations from the own frame to the cameras', and the cameras' distances in own units."""
+def draw_views(
+    count: int, views: ViewChoice, seed: int
+) -> tuple[Float[np.ndarray, "count 3 3"], Float[np.ndarray, " count"]]:
+    """Return rotations from the shapes' frame to the cameras', and the cameras' distances in the shapes' units."""
     rng = np.random.default_rng((seed, 1))
     low, high = views.distance
     distance = np.full(count, np.inf) if math.isinf(high) else rng.uniform(low, high, count)
@@ -207,8 +195,8 @@ def simulate_masks(
 ) -> MaskData:
     """Return masks of shapes, with the truth beside them; the same for the same seed.
 
-    ``meshes`` are shapes in their own frame and unit, gone through in turn, or the name of a family that
-    shapes are made up from: one for every ``views_per_shape`` items.
+    ``meshes`` are shapes in their own frame and unit, used in turn, or the name of a family to draw
+    shapes from: one for every ``views_per_shape`` items.
 
     Raises:
         UserError: no such family, no meshes, no items, an absurd side.
@@ -223,10 +211,9 @@ def simulate_masks(
     shape = (np.arange(items) // views_per_shape) % len(shapes)
     view, distance = draw_views(items, views or ViewChoice(), seed)
     masks, truth = render_masks(shapes, shape, view, distance, side)
-    names = [shapes[number].name or f"shape-{number}" for number in shape.tolist()]
     return MaskData(
         masks=masks,
-        names=[f"{name}:{item}" for item, name in enumerate(names)],
+        names=[f"{shapes[number].name or f'shape-{number}'}:{item}" for item, number in enumerate(shape.tolist())],
         centre_px=np.full((items, 2), side / 2, np.float32),
         scale_px=np.full(items, side / 2, np.float32),
         category=np.array([shapes[number].category for number in shape.tolist()]),

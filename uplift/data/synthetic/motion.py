@@ -10,9 +10,7 @@ from jaxtyping import Float
 from uplift.data.synthetic.body import ROOT_ANGLES, Body, find_legs, leg_phases
 from uplift.errors import UserError, did_you_mean
 
-__all__ = ["Motion", "choose_actions", "minimum_jerk_path", "own_motion", "periodic_curve", "smooth_noise"]
-
-# The motion of clips before it meets a camera, and the choice of what each clip shows.
+__all__ = ["Motion", "choose_actions", "minimum_jerk", "own_motion", "periodic_curve", "smooth_noise"]
 
 
 @dataclass
@@ -23,22 +21,17 @@ class Motion:
     lift: Float[np.ndarray, "clips frames"]
     """Height of the lowest point above the floor, body heights."""
     travel: Float[np.ndarray, "clips frames 2"]
-    """Way over the floor (x, z), body heights."""
+    """Position on the floor (x, z), body heights."""
     actions: np.ndarray
     """(clips,) names."""
 
     @classmethod
     def empty(cls, clips: int, frames: int, angles: int) -> Motion:
-        """Return a motion that stands still in the rest pose."""
+        """Return a motion at rest in the rest pose."""
         return cls(
             np.zeros((clips, frames, angles)), np.zeros((clips, frames)), np.zeros((clips, frames, 2)),
             np.full(clips, "", dtype="<U32"),
         )  # fmt: skip
-
-    def put(self, rows: np.ndarray, name: str, part: Motion) -> None:
-        """Take ``part`` as the clips of ``rows``."""
-        self.angles_deg[rows], self.lift[rows], self.travel[rows] = part.angles_deg, part.lift, part.travel
-        self.actions[rows] = name
 
 
 def choose_actions(
@@ -61,8 +54,6 @@ def choose_actions(
     return rng.permutation(np.array(wanted, dtype="<U32")[places])
 
 
-# Smooth curves in time: minimum-jerk moves between postures, smooth noise, periodic curves.
-
 _KeyTimes = tuple[np.ndarray, np.ndarray]
 """Start and duration of each move, (clips moves) s."""
 
@@ -76,7 +67,7 @@ def key_times(rng: np.random.Generator, clips: int, seconds: float) -> _KeyTimes
     return starts, gaps * rng.uniform(0.6, 1.0, (clips, moves))
 
 
-def minimum_jerk_path(
+def minimum_jerk(
     time_s: Float[np.ndarray, " frames"], moves: _KeyTimes, values: Float[np.ndarray, "clips keys angles"]
 ) -> Float[np.ndarray, "clips frames angles"]:
     """Return the path through ``values`` with a minimum-jerk move from each to the next (Flash & Hogan 1985)."""
@@ -110,21 +101,14 @@ def periodic_curve(
     return value
 
 
-# Motion of any body: smooth random joint curves within its limits, step cycles where it has legs.
-
 _MOTIONS = {"walk": 0.3, "trot": 0.25, "idle": 0.2, "explore": 0.25}
 """Motions of a body with legs and gravity, with their shares. Every other body has only ``explore``, a rigid one ``turn``."""
 
 
 def own_motion(
-    rng: np.random.Generator,
-    body: Body,
-    clips: int,
-    time_s: Float[np.ndarray, " frames"],
-    mode: str | list[str],
-    gravity: bool,
-    follows: dict[str, str],
-) -> Motion:
+    rng: np.random.Generator, body: Body, clips: int, time_s: Float[np.ndarray, " frames"], mode: str | list[str],
+    gravity: bool, follows: dict[str, str],
+) -> Motion:  # fmt: skip
     """Return the joint angles of ``clips`` clips of a body that is not a person."""
     rigid = len(body.angles) == len(ROOT_ANGLES)
     legs = find_legs(body) if gravity and not rigid else []
@@ -147,9 +131,9 @@ def _wander(
 ) -> np.ndarray:
     """Return angles that wander smoothly over the limits; joints of a chain go partly together."""
     chains = _chains(body)
-    curve = smooth_noise(rng, time_s, clips, int(max(chains)) + 2, 0.35)
-    offset = rng.normal(0, 1.0, (clips, 1, int(max(chains)) + 2))
-    shared = (curve + offset)[..., 1:][..., chains] + 0.7 * (curve + offset)[..., :1]
+    count = int(max(chains)) + 2
+    curve = smooth_noise(rng, time_s, clips, count, 0.35) + rng.normal(0, 1.0, (clips, 1, count))
+    shared = curve[..., 1:][..., chains] + 0.7 * curve[..., :1]
     own = smooth_noise(rng, time_s, clips, len(body.angles), 0.5) + rng.normal(0, 1.0, (clips, 1, len(body.angles)))
     bending = np.array([name.endswith("flexion") for name in body.angles])
     drive = np.where(bending, (0.75 * shared + 0.75 * own) / 1.5, own / 1.4)
@@ -197,19 +181,19 @@ def _step(
                 angles[..., place] = 0.25 * angles[..., place] + size * 0.6 * bend * swing
     speed = rate * size * (0.5 if gait == "walk" else 0.7)
     step = (time_s[1] - time_s[0]) if len(time_s) > 1 else 0.0
-    way = np.cumsum(np.broadcast_to(speed * step, (clips, len(time_s))), 1)
-    return angles, np.stack([np.zeros_like(way), -way], -1)
+    travel = np.cumsum(np.broadcast_to(speed * step, (clips, len(time_s))), 1)
+    return angles, np.stack([np.zeros_like(travel), -travel], -1)
 
 
 def _turn(rng: np.random.Generator, body: Body, motion: Motion, time_s: np.ndarray, sway: float, gravity: bool) -> None:
-    """Turn whole bodies: a heading that drifts, pitched and rolled by ``sway``. The camera does the rest."""
+    """Rotate the bodies: a heading that drifts, pitch and roll up to ``sway``. The camera does the rest."""
     clips = len(motion.actions)
     root = body.points[0]
     heading = rng.uniform(0, 360, (clips, 1)) if gravity else np.zeros((clips, 1))
     drift = 12 * smooth_noise(rng, time_s, clips, 3, 0.25)
-    motion.angles_deg[..., body.angles.index(f"{root} turn")] = heading + 1.5 * drift[..., 0]
-    motion.angles_deg[..., body.angles.index(f"{root} pitch")] = sway * drift[..., 1]
-    motion.angles_deg[..., body.angles.index(f"{root} roll")] = sway * drift[..., 2]
+    values = heading + 1.5 * drift[..., 0], sway * drift[..., 1], sway * drift[..., 2]
+    for name, value in zip(ROOT_ANGLES, values, strict=True):
+        motion.angles_deg[..., body.angle(root, name)] = value
     angle = np.radians(heading)[..., None]
     x, z = motion.travel[..., :1], motion.travel[..., 1:]
     motion.travel = np.concatenate([x * np.cos(angle) - z * np.sin(angle), x * np.sin(angle) + z * np.cos(angle)], -1)

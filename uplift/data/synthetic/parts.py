@@ -1,4 +1,4 @@
-"""How made-up shapes are put together: closed parts (blocks, beams, lofts, balls; y is up) and the `Builder`."""
+"""The closed parts of synthetic shapes (blocks, beams, lofts, balls; y is up) and the `Builder` that collects them."""
 
 from __future__ import annotations
 
@@ -11,9 +11,38 @@ import trimesh
 
 from uplift.geometry.mesh import Mesh
 
-__all__ = ["Builder", "Part", "ball", "beam", "block", "lathe", "loft", "oval", "rod", "rounded", "slab", "tube"]
+__all__ = ["Builder", "Number", "Part", "ball", "beam", "block", "lathe", "loft", "rod", "rounded", "slab", "tube"]
 
-# Closed parts that made-up shapes are put together of: blocks, beams, rods, slabs, lofts, balls; y is up.
+Number = int | float
+_Point = Sequence[Number] | np.ndarray
+
+
+class Part(NamedTuple):
+    """One closed surface, wound outwards; while a shape is built x is its left, y UP and its front +z."""
+
+    vertices: np.ndarray
+    """(vertices, 3)"""
+    faces: np.ndarray
+    """(faces, 3)"""
+
+    def rotated(self, angle: Number, axis: str = "y", about: _Point = (0, 0, 0)) -> Part:
+        """Return the part rotated by ``angle`` radians about an axis through a point (right-handed)."""
+        first, second = {"x": (1, 2), "y": (2, 0), "z": (0, 1)}[axis]
+        moved = self.vertices - np.asarray(about, float)
+        cos, sin = np.cos(angle), np.sin(angle)
+        rotated = moved.copy()
+        rotated[:, first] = cos * moved[:, first] - sin * moved[:, second]
+        rotated[:, second] = sin * moved[:, first] + cos * moved[:, second]
+        return Part(rotated + np.asarray(about, float), self.faces)
+
+    def widened(self, share: Number) -> Part:
+        """Return the part ``share`` times as wide about its own middle."""
+        middle = self.vertices.mean(0)
+        return Part(middle + (self.vertices - middle) * (share, 1, 1), self.faces)
+
+    def mirrored(self) -> Part:
+        """Return the part on the shape's other side."""
+        return Part(self.vertices * (-1, 1, 1), self.faces[:, ::-1])
 
 
 @cache
@@ -45,39 +74,30 @@ def loft(rings: np.ndarray) -> Part:
 def block(low: _Point, high: _Point) -> Part:
     """Return a box between two corners."""
     low, high = np.minimum(low, high), np.maximum(low, high)
-    return beam(
-        ((low[0] + high[0]) / 2, low[1], (low[2] + high[2]) / 2),
-        ((low[0] + high[0]) / 2, high[1], (low[2] + high[2]) / 2),
-        (high[0] - low[0], high[2] - low[2]),
-    )
+    x, z = (low[0] + high[0]) / 2, (low[2] + high[2]) / 2
+    return beam((x, low[1], z), (x, high[1], z), (high[0] - low[0], high[2] - low[2]))
 
 
 def beam(start: _Point, end: _Point, size: _Point, end_size: _Point | None = None, across: str = "xz") -> Part:
     """Return a beam of four sides; its section lies in the two axes ``across``, its sizes are along them."""
-    axes = ["xyz".index(axis) for axis in across]
-    rings = np.empty((2, 4, 3))
-    for ring, centre, extent in zip(rings, (start, end), (size, size if end_size is None else end_size), strict=True):
-        ring[:] = np.asarray(centre, float)
-        ring[:, axes[0]] += np.multiply((-0.5, 0.5, 0.5, -0.5), extent[0])
-        ring[:, axes[1]] += np.multiply((-0.5, -0.5, 0.5, 0.5), extent[1])
+    rings = np.repeat(np.array([start, end], float)[:, None], 4, 1)
+    for ring, extent in zip(rings, (size, size if end_size is None else end_size), strict=True):
+        ring[:, "xyz".index(across[0])] += np.multiply((-0.5, 0.5, 0.5, -0.5), extent[0])
+        ring[:, "xyz".index(across[1])] += np.multiply((-0.5, -0.5, 0.5, 0.5), extent[1])
     return loft(rings)
 
 
-def rod(start: _Point, end: _Point, radius: int | float, end_radius: int | float | None = None, sides: int = 8) -> Part:
+def rod(start: _Point, end: _Point, radius: Number, end_radius: Number | None = None, sides: int = 8) -> Part:
     """Return a round rod, or a cone cut off, between two points."""
     return tube(np.array([start, end], float), (radius, radius if end_radius is None else end_radius), sides)
 
 
 def tube(
-    path: np.ndarray,
-    radii: Sequence[int | float] | np.ndarray,
-    sides: int = 8,
-    flat: np.ndarray | float = 1.0,
-    blunt: bool = False,
+    path: np.ndarray, radii: Sequence[Number] | np.ndarray, sides: int = 8, flat: float = 1.0, blunt: bool = False
 ) -> Part:
     """Return a round tube along a path (points 3); ``flat`` is how much higher than wide its section is.
 
-    Wide is along x wherever the path lets it. A blunt tube's ends are rounded.
+    Wide is along x where the path allows. A blunt tube's ends are rounded.
     """
     path, radii = np.asarray(path, float), np.asarray(radii, float)
     high = radii * flat
@@ -103,29 +123,25 @@ def _blunted(path: np.ndarray, wide: np.ndarray, high: np.ndarray) -> tuple[np.n
     return np.concatenate([start[None], path, end[None]]), wide, high
 
 
-def ball(centre: _Point, radii: _Point | float, fine: int = 1) -> Part:
+def ball(centre: _Point, radii: _PoNumber, fine: int = 1) -> Part:
     """Return an ellipsoid; ``fine`` 1 has 80 faces, 2 has 320."""
     unit = _unit_ball(fine)
     return Part(unit.vertices * np.asarray(radii, float) + np.asarray(centre, float), unit.faces)
 
 
 def lathe(
-    radii: Sequence[int | float] | np.ndarray,
-    heights: Sequence[int | float] | np.ndarray,
-    x: int | float = 0,
-    z: int | float = 0,
-    sides: int = 12,
+    radii: Sequence[Number] | np.ndarray, heights: Sequence[Number] | np.ndarray, x: Number = 0, sides: int = 12
 ) -> Part:
-    """Return a turned body: circles of ``radii`` at ``heights`` about the upright through (x, z)."""
+    """Return a solid of revolution: circles of ``radii`` at ``heights`` about the upright through (x, 0)."""
     angle = 2 * np.pi * np.arange(sides) / sides
     rings = np.empty((len(radii), sides, 3))
     rings[..., 0] = x + np.multiply.outer(radii, np.cos(angle))
-    rings[..., 2] = z + np.multiply.outer(radii, np.sin(angle))
+    rings[..., 2] = np.multiply.outer(radii, np.sin(angle))
     rings[..., 1] = np.asarray(heights, float)[:, None]
     return loft(rings)
 
 
-def slab(outline: np.ndarray, low: int | float, high: int | float, round_by: int | float = 0.0) -> Part:
+def slab(outline: np.ndarray, low: Number, high: Number, round_by: Number = 0.0) -> Part:
     """Return a plate of a convex outline (corners 2) in (x, z), between two heights; its edges drawn in by a share."""
     levels = [(low, 1.0), (high, 1.0)]
     if round_by > 0:
@@ -140,13 +156,9 @@ def slab(outline: np.ndarray, low: int | float, high: int | float, round_by: int
 
 
 def rounded(
-    width: int | float,
-    depth: int | float,
-    back_width: int | float | None = None,
-    power: int | float = 8.0,
-    corners: int = 20,
+    width: Number, depth: Number, back_width: Number | None = None, power: Number = 8.0, corners: int = 20
 ) -> np.ndarray:
-    """Return a rounded rectangle (corners 2) in (x, z): a superellipse, narrower at the back if told."""
+    """Return a rounded rectangle (corners 2) in (x, z): a superellipse, narrower at the back with ``back_width``."""
     angle = 2 * np.pi * (np.arange(corners) + 0.5) / corners
     x, z = np.cos(angle), np.sin(angle)
     outline = np.stack([np.sign(x) * np.abs(x) ** (2 / power), np.sign(z) * np.abs(z) ** (2 / power)], 1)
@@ -155,48 +167,11 @@ def rounded(
     return outline * (width / 2, depth / 2) * np.concatenate([taper, np.ones_like(taper)], 1)
 
 
-def oval(width: int | float, depth: int | float, corners: int = 24) -> np.ndarray:
-    """Return an ellipse (corners 2) in (x, z)."""
-    return rounded(width, depth, power=2.0, corners=corners)
-
-
-# How made-up shapes are put together: `Part`, moved and mirrored, and the `Builder` that collects them.
-
-_Point = Sequence[int | float] | np.ndarray
-
-
-class Part(NamedTuple):
-    """One closed surface, wound outwards; while a shape is built x is its left, y UP and its front +z."""
-
-    vertices: np.ndarray
-    """(vertices, 3)"""
-    faces: np.ndarray
-    """(faces, 3)"""
-
-    def turned(self, angle: int | float, axis: str = "y", about: _Point = (0, 0, 0)) -> Part:
-        """Return the part turned by ``angle`` radians about an axis through a point (right-handed)."""
-        first, second = {"x": (1, 2), "y": (2, 0), "z": (0, 1)}[axis]
-        moved = self.vertices - np.asarray(about, float)
-        cos, sin = np.cos(angle), np.sin(angle)
-        turned = moved.copy()
-        turned[:, first] = cos * moved[:, first] - sin * moved[:, second]
-        turned[:, second] = sin * moved[:, first] + cos * moved[:, second]
-        return Part(turned + np.asarray(about, float), self.faces)
-
-    def widened(self, share: int | float) -> Part:
-        """Return the part ``share`` times as wide about its own middle."""
-        middle = self.vertices.mean(0)
-        return Part(middle + (self.vertices - middle) * (share, 1, 1), self.faces)
-
-    def mirrored(self) -> Part:
-        """Return the part on the shape's other side."""
-        return Part(self.vertices * (-1, 1, 1), self.faces[:, ::-1])
-
-
 class Builder:
     """Collects the parts of one shape."""
 
-    def __init__(self) -> None:
+    def __init__(self, rng: np.random.Generator) -> None:
+        self.rng = rng
         self.parts: list[Part] = []
 
     def add(self, *parts: Part) -> None:
@@ -209,7 +184,7 @@ class Builder:
             self.parts += [part, part.mirrored()]
 
     def mesh(self, category: str) -> Mesh:
-        """Return the shape in the own frame (y down, front -z) and unit."""
+        """Return the shape in its own frame (y down, front -z) and unit."""
         starts = np.cumsum([0] + [len(part.vertices) for part in self.parts[:-1]])
         vertices = np.concatenate([part.vertices for part in self.parts]) * (1.0, -1.0, -1.0)
         faces = np.concatenate([part.faces + start for part, start in zip(self.parts, starts, strict=True)])

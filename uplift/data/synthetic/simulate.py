@@ -8,16 +8,8 @@ import numpy as np
 from jaxtyping import Float
 
 from uplift.data.poses import PoseData
-from uplift.data.synthetic.body import (
-    Body,
-    find_legs,
-    forward_kinematics,
-    human_body,
-    is_human,
-    leaders,
-    own_body,
-    rest_positions,
-)
+from uplift.data.synthetic import body as bodies
+from uplift.data.synthetic.body import Body, forward_kinematics, is_human, rest_positions
 from uplift.data.synthetic.human_motion import human_motion
 from uplift.data.synthetic.motion import Motion, own_motion
 from uplift.errors import UserError
@@ -25,8 +17,6 @@ from uplift.geometry.rigid import quaternion_matrix, rotation_about
 from uplift.skeleton import Skeleton
 
 __all__ = ["as_tracked", "build_body", "level_feet", "rest_pose", "simulate"]
-
-# Random perspective cameras and their projection.
 
 _FOCAL_PX = 1145.0
 _CENTRE_PX = 500.0
@@ -55,46 +45,21 @@ def _random_cameras(
         azimuth = rotation_about((0.0, 1.0, 0.0), rng.uniform(0, 2 * np.pi, clips))
         rotation = rotation_about((1.0, 0.0, 0.0), np.radians(tilt)) @ azimuth
     else:
-        tilt, rotation = None, _random_rotations(rng, clips)
+        tilt = None  # rotations uniform on SO(3), from unit quaternions (Shoemake 1992)
+        w, x, y, z = (q := rng.normal(size=(4, clips))) / np.linalg.norm(q, axis=0)
+        rotation = quaternion_matrix(np.stack([x, y, z, w], -1))
     return _Cameras(rotation, rng.uniform(*distance, clips), rng.uniform(-0.06, 0.06, (clips, 2)), tilt)
 
 
-def _random_rotations(rng: np.random.Generator, count: int) -> Float[np.ndarray, "count 3 3"]:
-    """Return rotations uniform on SO(3), from unit quaternions (Shoemake 1992)."""
-    w, x, y, z = (q := rng.normal(size=(4, count))) / np.linalg.norm(q, axis=0)
-    return quaternion_matrix(np.stack([x, y, z, w], -1))
-
-
-def _project(points: Float[np.ndarray, "*frames 3"]) -> Float[np.ndarray, "*frames 2"]:
-    """Return the pixels of points in the camera frame."""
-    return points[..., :2] / points[..., 2:] * _FOCAL_PX + _CENTRE_PX
-
-
-# Put posed bodies on the floor of a stage.
-
 _STAGE = 2.0
-"""Body heights that a clip's way over the floor spans at most: the volume of a capture studio."""
-
-
-def _on_floor(
-    points: Float[np.ndarray, "clips frames points 3"], lift: Float[np.ndarray, "clips frames"]
-) -> Float[np.ndarray, "clips frames points 3"]:
-    """Return the points moved up or down: y of the lowest is ``-lift``, that of the floor 0."""
-    lowest = points[..., 1].max(-1) + lift
-    return points - lowest[..., None, None] * np.array([0.0, 1.0, 0.0])
-
-
-def _on_stage(travel: Float[np.ndarray, "clips frames 2"]) -> Float[np.ndarray, "clips frames 2"]:
-    """Shrink ways that leave the stage, as on a treadmill."""
-    way = np.ptp(travel, axis=1).max(-1)
-    return travel * (_STAGE / np.maximum(way, _STAGE))[:, None, None]
+"""Body heights that a clip's path over the floor spans at most: the volume of a capture studio."""
 
 
 def level_feet(
     body: Body, points: Float[np.ndarray, "clips frames points 3"]
 ) -> Float[np.ndarray, "clips frames points 3"]:
     """Pitch bodies on four or more legs so that the lowest fore and the lowest hind foot are at one height."""
-    legs = find_legs(body)
+    legs = bodies.find_legs(body)
     rest = rest_positions(body.parents, body.offsets)
     hips = np.array([rest[leg[0], 2] for leg in legs])
     if not len(hips) or np.ptp(hips) < 0.3 * np.ptp(rest, axis=0).max():
@@ -102,25 +67,19 @@ def level_feet(
     share = (hips - hips.min()) / np.ptp(hips)
     fore, hind = ([legs[row][-1] for row in np.flatnonzero(rows)] for rows in (share < 0.3, share > 0.7))
     lowest = [points[..., feet, 1].max(-1) for feet in (fore, hind)]
-    way = points[..., fore, :].mean(-2) - points[..., hind, :].mean(-2)
-    length = np.linalg.norm(way[..., [0, 2]], axis=-1)
+    along = points[..., fore, :].mean(-2) - points[..., hind, :].mean(-2)
+    length = np.linalg.norm(along[..., [0, 2]], axis=-1)
     angle = np.arctan2(lowest[0] - lowest[1], np.maximum(length, 1e-6)).clip(-0.35, 0.35)
-    heading = np.arctan2(way[..., 0], way[..., 2])
-    aside = rotation_about((0.0, 1.0, 0.0), heading)
-    turn = aside @ rotation_about((1.0, 0.0, 0.0), angle) @ np.swapaxes(aside, -1, -2)
-    return np.einsum("ctij,ctpj->ctpi", turn, points)
-
-
-# Simulated keypoints as a tracker gives them: a place and a likelihood for every joint, seen or not.
-
-_SEEN, _GUESSED = (0.8, 1.0), (0.01, 0.3)
+    heading = rotation_about((0.0, 1.0, 0.0), np.arctan2(along[..., 0], along[..., 2]))
+    pitch = heading @ rotation_about((1.0, 0.0, 0.0), angle) @ np.swapaxes(heading, -1, -2)
+    return np.einsum("ctij,ctpj->ctpi", pitch, points)
 
 
 def as_tracked(data: PoseData, seed: int = 0) -> PoseData:
-    """Return the 2D of ``data`` with the missing joints guessed, and likelihoods that tell them apart.
+    """Return the 2D of ``data`` as a tracker gives it: missing joints guessed, with low likelihoods.
 
-    A joint that is missing is put on another joint of the frame, as trackers mistake alike joints for
-    each other, with a likelihood of 0.01 to 0.3; seen joints keep their place and have 0.8 to 1.
+    A missing joint is put on another joint of the frame, as trackers confuse similar joints,
+    with a likelihood of 0.01 to 0.3; visible joints keep their place and have 0.8 to 1.
     """
     rng = np.random.default_rng([seed, 1])
     frames, joints = data.confidence.shape
@@ -130,15 +89,13 @@ def as_tracked(data: PoseData, seed: int = 0) -> PoseData:
     place = rng.integers(0, seen.sum(1).clip(1)[:, None], (frames, joints))
     other = np.take_along_axis(order, place, 1)
     guess = np.take_along_axis(data.keypoints, other[..., None], 1) + rng.normal(0, 5, data.keypoints.shape)
-    likelihood = np.where(seen, rng.uniform(*_SEEN, (frames, joints)), rng.uniform(*_GUESSED, (frames, joints)))
+    likelihood = np.where(seen, rng.uniform(0.8, 1.0, (frames, joints)), rng.uniform(0.01, 0.3, (frames, joints)))
     return replace(
         data.without_truth(),
         keypoints=np.where(seen[..., None], data.keypoints, guess).astype(np.float32),
         confidence=likelihood.astype(np.float32),
     )
 
-
-# Simulate an articulated body in front of random cameras: exact 3D and its 2D, from no data at all.
 
 _ASYMMETRY = 0.008
 """Left and right bones of one person differ by about 1 % (Auerbach & Ruff 2006, J. Human Evolution 50)."""
@@ -173,7 +130,11 @@ def simulate(
     clips = -(-frames // length)
     subject = np.sort(rng.integers(subjects, size=clips)) if subjects else np.arange(clips) // 3
     offsets, height = _random_bodies(rng, body, int(subject.max()) + 1)
-    motion = _move(rng, skeleton, body, clips, np.arange(length) / fps, mode)
+    time_s = np.arange(length) / fps
+    if is_human(skeleton):
+        motion = human_motion(rng, body, clips, time_s, mode)
+    else:
+        motion = own_motion(rng, body, clips, time_s, mode, skeleton.gravity, bodies.leaders(skeleton))
     cameras = _random_cameras(rng, clips, skeleton.gravity, tilt_deg, distance)
     points = _place(body, offsets[subject], motion, skeleton.gravity)
     joints = np.einsum("jp,ctpk->ctjk", body.joints, points)
@@ -182,8 +143,8 @@ def simulate(
 
 
 def build_body(skeleton: Skeleton) -> Body:
-    """Return the body of a skeleton: the human one where it names it, else its own; raises UserError."""
-    return human_body(skeleton) if is_human(skeleton) else own_body(skeleton)
+    """Return the body of a skeleton: the human one where it names it, else that of its proportions; raises UserError."""
+    return bodies.human_body(skeleton) if is_human(skeleton) else bodies.own_body(skeleton)
 
 
 def rest_pose(skeleton: Skeleton) -> Float[np.ndarray, "joints 3"]:
@@ -205,16 +166,15 @@ def _check(frames, subjects, clip_seconds, fps, tilt_deg, distance, noise_px, mi
         "noise_px": (noise_px, noise_px >= 0, "0 or more"),
         "missing": (missing, 0 <= missing < 1, "a share from 0 to below 1"),
     }  # fmt: skip
-    for name, (value, right, expected) in rules.items():
-        if not right:
+    for name, (value, valid, expected) in rules.items():
+        if not valid:
             raise UserError(f"simulate: {name}={value}, expected {expected}.")
 
 
 def _random_bodies(rng: np.random.Generator, body: Body, count: int) -> tuple[np.ndarray, np.ndarray]:
     """Return bone offsets (bodies points 3) in mean body heights, and each body's height in its unit."""
     kinds, group = np.unique(body.groups, return_inverse=True)
-    factor = 1 + body.spread * rng.normal(size=(count, len(kinds))).clip(-2.5, 2.5)
-    factor = factor[:, group]
+    factor = (1 + body.spread * rng.normal(size=(count, len(kinds))).clip(-2.5, 2.5))[:, group]
     stretch = np.ones((count, 1, 3))
     if body.scaled_axes.any():
         stretch = np.where(body.scaled_axes, 1 + 0.15 * rng.normal(size=(count, 1, 3)).clip(-2, 2), 1.0)
@@ -222,12 +182,6 @@ def _random_bodies(rng: np.random.Generator, body: Body, count: int) -> tuple[np
         factor = factor * (1 + _ASYMMETRY * rng.normal(size=factor.shape).clip(-3, 3))
     mean, deviation = body.height
     return body.offsets * factor[..., None] * stretch, mean + deviation * rng.normal(size=count).clip(-2.5, 2.5)
-
-
-def _move(rng, skeleton: Skeleton, body: Body, clips: int, time_s: np.ndarray, mode: str | list[str]) -> Motion:
-    if is_human(skeleton):
-        return human_motion(rng, body, clips, time_s, mode)
-    return own_motion(rng, body, clips, time_s, mode, skeleton.gravity, leaders(skeleton))
 
 
 def _place(
@@ -239,8 +193,11 @@ def _place(
     points = forward_kinematics(body, np.repeat(offsets, frames, 0), angles)
     points = points.reshape(clips, frames, *offsets.shape[1:])
     if gravity:
-        points = _on_floor(level_feet(body, points), motion.lift)
-        points[..., [0, 2]] += _on_stage(motion.travel)[:, :, None]
+        points = level_feet(body, points)
+        lowest = points[..., 1].max(-1) + motion.lift  # y of the lowest point becomes -lift, that of the floor 0
+        points = points - lowest[..., None, None] * np.array([0.0, 1.0, 0.0])
+        reach = np.maximum(np.ptp(motion.travel, axis=1).max(-1), _STAGE)  # as on a treadmill: never off the stage
+        points[..., [0, 2]] += (motion.travel * (_STAGE / reach)[:, None, None])[:, :, None]
     middle = (points.min((1, 2)) + points.max((1, 2))) / 2
     return points - middle[:, None, None]
 
@@ -249,13 +206,12 @@ def _into_camera(
     points: Float[np.ndarray, "clips frames joints 3"], cameras: _Cameras
 ) -> Float[np.ndarray, "clips frames joints 3"]:
     """Return points in the camera frame, the camera far enough away to keep every point in the picture."""
-    turned = np.einsum("cij,ctpj->ctpi", cameras.rotation, points)
-    widest = np.abs(turned[..., :2]).max((1, 2, 3))
-    nearest = turned[..., 2].min((1, 2))
-    distance = np.maximum(cameras.distance, widest / 0.37 - nearest)
-    turned[..., :2] += (cameras.aim * distance[:, None])[:, None, None]
-    turned[..., 2] += distance[:, None, None]
-    return turned
+    rotated = np.einsum("cij,ctpj->ctpi", cameras.rotation, points)
+    widest = np.abs(rotated[..., :2]).max((1, 2, 3))
+    distance = np.maximum(cameras.distance, widest / 0.37 - rotated[..., 2].min((1, 2)))
+    rotated[..., :2] += (cameras.aim * distance[:, None])[:, None, None]
+    rotated[..., 2] += distance[:, None, None]
+    return rotated
 
 
 def _pack(
@@ -265,7 +221,9 @@ def _pack(
     clips, length = seen.shape[:2]
     clip = np.repeat(np.arange(clips), length)[:frames]
     flat = seen.reshape(clips * length, *seen.shape[2:])[:frames]
-    keypoints = _project(flat) + noise_px * rng.normal(size=(*flat.shape[:2], 2))
+    keypoints = (
+        flat[..., :2] / flat[..., 2:] * _FOCAL_PX + _CENTRE_PX + noise_px * rng.normal(size=(*flat.shape[:2], 2))
+    )
     confidence = (rng.uniform(size=flat.shape[:2]) >= missing).astype(np.float32)
     keypoints[confidence == 0] = 0
     root = flat[:, skeleton.root_index]

@@ -1,20 +1,24 @@
-"""Made-up cars, vans, buses, lorries and tractors; lengths in metres."""
+"""Synthetic cars, vans, buses, lorries and tractors; lengths in metres."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from uplift.data.synthetic.parts import Builder, Part, beam, block, loft, rod
+from uplift.data.synthetic.parts import Builder, Number, Part, beam, block, loft, rod
 from uplift.geometry.mesh import Mesh
 
 __all__ = ["bus", "car", "lorry", "pickup", "tractor", "van"]
 
-# What made-up vehicles have in common: hull, cabin, wheels.
+# What vehicles have in common: hull, cabin, wheels.
 
 
-def _hull(stations: np.ndarray) -> Part:
+_Range = tuple[Number, Number]
+
+
+def _hull(stations: list[tuple[Number, ...]]) -> Part:
     """Return a body through sections of z, low, high, half width and how much narrower it is at its top."""
     z, low, high, half, inset = np.asarray(stations, float).T
     x = np.stack([half * 0.9, half, half, half * inset], 1)
@@ -26,13 +30,7 @@ def _hull(stations: np.ndarray) -> Part:
     return loft(rings)
 
 
-def _cabin(
-    width: int | float,
-    ends: tuple[int | float, int | float],
-    heights: tuple[int | float, int | float],
-    slopes: tuple[int | float, int | float],
-    narrow: float,
-) -> Part:
+def _cabin(width: Number, ends: _Range, heights: _Range, slopes: _Range, narrow: float) -> Part:
     """Return the part above the belt: wind screen and rear window lean by ``slopes`` (front, back), sides draw in."""
     (back, front), (low, high), (lean, rear) = ends, heights, slopes
     half, bend = width / 2, high - 0.12 * (high - low)
@@ -45,21 +43,14 @@ def _cabin(
     return loft(np.array(rings))
 
 
-def _add_wheels(
-    built: Builder,
-    rng: np.random.Generator,
-    width: int | float,
-    radius: int | float,
-    axles: tuple[int | float, ...],
-    share: int | float = 1.0,
-) -> None:
+def _add_wheels(built: Builder, width: Number, radius: Number, axles: Sequence[Number], share: Number = 1.0) -> None:
     """Add a wheel at either side of each axle; ``share`` of the body's width is the track's outer edge."""
-    tyre, out = rng.uniform(0.5, 0.75) * radius, width / 2 * share + rng.uniform(-0.01, 0.04)
+    tyre, out = built.rng.uniform(0.5, 0.75) * radius, width / 2 * share + built.rng.uniform(-0.01, 0.04)
     for z in axles:
         built.pair(rod((out - tyre, radius, z), (out, radius, z), radius, sides=16))
 
 
-# Made-up cars, vans and pick-ups; lengths in metres.
+# Cars, vans and pick-ups.
 
 
 @dataclass
@@ -76,19 +67,14 @@ class _Body:
     roof: float
     wheel: float
 
-    @property
-    def nose(self) -> float:
-        """The foremost z."""
-        return self.length / 2
-
-
-_STYLES = ("hatchback", "saloon", "estate", "coupe", "suv")
-_STYLE_WEIGHTS = (0.28, 0.25, 0.17, 0.12, 0.18)
+    def __post_init__(self) -> None:
+        self.nose = self.length / 2
+        self.rise = self.roof - self.belt
 
 
 def car(rng: np.random.Generator) -> Mesh:
     """Return a car: hatchback, saloon, estate, coupe or a tall one for rough roads."""
-    style = str(rng.choice(_STYLES, p=_STYLE_WEIGHTS))
+    style = str(rng.choice(("hatchback", "saloon", "estate", "coupe", "suv"), p=(0.28, 0.25, 0.17, 0.12, 0.18)))
     tall = style == "suv"
     body = _Body(
         length=rng.uniform(3.5, 4.3) if style == "hatchback" else rng.uniform(4.1, 5.1),
@@ -102,15 +88,13 @@ def car(rng: np.random.Generator) -> Mesh:
     boot = {"saloon": rng.uniform(0.14, 0.24), "coupe": rng.uniform(0.08, 0.16)}.get(style, rng.uniform(0.0, 0.03))
     cowl = body.nose - body.length * rng.uniform(0.19, 0.3)
     tail = -body.nose + boot * body.length
-    built = Builder()
+    built = Builder(rng)
     end = body.belt - rng.uniform(0.0, 0.1)
     built.add(_car_hull(rng, body, cowl, end))
-    rise = body.roof - body.belt
     back_slope = {"hatchback": (0.4, 1.0), "estate": (0.1, 0.6), "suv": (0.1, 0.5)}.get(style, (1.0, 1.9))
-    slopes = rise * rng.uniform(0.9, 1.9), min(rise * rng.uniform(*back_slope), (cowl - tail) * 0.45)
+    slopes = body.rise * rng.uniform(0.9, 1.9), min(body.rise * rng.uniform(*back_slope), (cowl - tail) * 0.45)
     built.add(_cabin(body.width * 0.93, (tail, cowl), (body.belt - 0.06, body.roof), slopes, rng.uniform(0.74, 0.9)))
-    _add_wheels(built, rng, body.width, body.wheel, _axles(rng, body))
-    _trim(built, rng, body, cowl, (tail + slopes[1], cowl - slopes[0]))
+    _finish(built, body, cowl, (tail + slopes[1], cowl - slopes[0]))
     return built.mesh(style)
 
 
@@ -120,18 +104,13 @@ def van(rng: np.random.Generator) -> Mesh:
         rng.uniform(4.3, 6.2), rng.uniform(1.75, 2.1), rng.uniform(0.2, 0.35), rng.uniform(0.85, 1.1),
         rng.uniform(1.05, 1.3), rng.uniform(1.85, 2.7), rng.uniform(0.3, 0.38),
     )  # fmt: skip
-    built = Builder()
+    built = Builder(rng)
     cowl = body.nose - rng.uniform(0.35, 0.95)
     built.add(_car_hull(rng, body, cowl, body.belt))
-    rise = body.roof - body.belt
-    slopes = min(rise, 1.0) * rng.uniform(0.5, 1.1), rise * rng.uniform(0.02, 0.15)
-    built.add(
-        _cabin(
-            body.width * 0.97, (-body.nose + 0.03, cowl), (body.belt - 0.06, body.roof), slopes, rng.uniform(0.82, 0.96)
-        )
-    )
-    _add_wheels(built, rng, body.width, body.wheel, _axles(rng, body))
-    _trim(built, rng, body, cowl, (-body.nose + 0.5, cowl - slopes[0]))
+    slopes = min(body.rise, 1.0) * rng.uniform(0.5, 1.1), body.rise * rng.uniform(0.02, 0.15)
+    ends, heights = (-body.nose + 0.03, cowl), (body.belt - 0.06, body.roof)
+    built.add(_cabin(body.width * 0.97, ends, heights, slopes, rng.uniform(0.82, 0.96)))
+    _finish(built, body, cowl, (-body.nose + 0.5, cowl - slopes[0]))
     return built.mesh("van")
 
 
@@ -141,78 +120,66 @@ def pickup(rng: np.random.Generator) -> Mesh:
         rng.uniform(4.7, 5.8), rng.uniform(1.7, 2.05), rng.uniform(0.3, 0.5), rng.uniform(0.85, 1.1),
         rng.uniform(1.08, 1.25), rng.uniform(1.65, 1.95), rng.uniform(0.34, 0.45),
     )  # fmt: skip
-    built = Builder()
+    built = Builder(rng)
     cowl = body.nose - body.length * rng.uniform(0.22, 0.29)
     tail = cowl - body.length * rng.uniform(0.28, 0.42)
     bed = body.floor + rng.uniform(0.25, 0.4)
-    front = _Body(body.nose - tail, body.width, body.floor, body.bonnet, body.belt, body.roof, body.wheel)
+    front = replace(body, length=body.nose - tail)
     shift = (0, 0, body.nose - front.nose)
     hood = _car_hull(rng, front, cowl - shift[2], body.belt)
     built.add(Part(hood.vertices + shift, hood.faces))
-    rise = body.roof - body.belt
-    slopes = rise * rng.uniform(0.7, 1.3), rise * rng.uniform(0.05, 0.3)
+    slopes = body.rise * rng.uniform(0.7, 1.3), body.rise * rng.uniform(0.05, 0.3)
     built.add(_cabin(body.width * 0.93, (tail, cowl), (body.belt - 0.06, body.roof), slopes, rng.uniform(0.78, 0.9)))
     half, rim = body.width / 2 * 0.97, body.belt - rng.uniform(0.0, 0.15)
     built.add(block((-half, body.floor, -body.nose), (half, bed, tail + 0.05)))
     built.pair(block((half - 0.07, bed - 0.01, -body.nose), (half, rim, tail + 0.05)))
     built.add(block((-half, bed - 0.01, -body.nose), (half, rim, -body.nose + 0.07)))
-    _add_wheels(built, rng, body.width, body.wheel, _axles(rng, body))
-    _trim(built, rng, body, cowl, (tail, cowl - slopes[0]))
+    _finish(built, body, cowl, (tail, cowl - slopes[0]))
     return built.mesh("pickup")
 
 
-def _axles(rng: np.random.Generator, body: _Body) -> tuple[int | float, int | float]:
-    return (
-        body.nose - body.wheel - body.length * rng.uniform(0.07, 0.12),
-        -body.nose + body.wheel + body.length * rng.uniform(0.07, 0.14),
-    )
-
-
-def _car_hull(rng: np.random.Generator, body: _Body, cowl: int | float, end: int | float) -> Part:
+def _car_hull(rng: np.random.Generator, body: _Body, cowl: Number, end: Number) -> Part:
     """Return the lower body: bumper, bonnet up to the windscreen's foot, belt, tail."""
     nose, half, low = body.nose, body.width / 2, body.floor
     bumper = low + (body.bonnet - low) * rng.uniform(0.55, 0.8)
-    ends = rng.uniform(0.78, 0.92)
-    inset = rng.uniform(0.84, 0.95)
-    return _hull(
-        np.array([
-            (-nose, low + 0.12, low + (end - low) * rng.uniform(0.6, 0.95), half * ends, inset),
-            (-nose + 0.15, low + 0.03, end, half * 0.96, inset),
-            (-nose * 0.5, low, body.belt, half, inset),
-            (cowl, low, body.belt, half, inset),
-            (nose - 0.3, low, body.bonnet, half * 0.97, inset),
-            (nose - 0.08, low, (body.bonnet + bumper) / 2, half * (ends + 0.06), inset),
-            (nose, low + 0.08, bumper, half * ends * 0.93, inset),
-        ])
-    )  # fmt: skip
+    ends, inset = rng.uniform(0.78, 0.92), rng.uniform(0.84, 0.95)
+    return _hull([
+        (-nose, low + 0.12, low + (end - low) * rng.uniform(0.6, 0.95), half * ends, inset),
+        (-nose + 0.15, low + 0.03, end, half * 0.96, inset),
+        (-nose * 0.5, low, body.belt, half, inset),
+        (cowl, low, body.belt, half, inset),
+        (nose - 0.3, low, body.bonnet, half * 0.97, inset),
+        (nose - 0.08, low, (body.bonnet + bumper) / 2, half * (ends + 0.06), inset),
+        (nose, low + 0.08, bumper, half * ends * 0.93, inset),
+    ])  # fmt: skip
 
 
-def _trim(
-    built: Builder, rng: np.random.Generator, body: _Body, cowl: int | float, roof: tuple[int | float, int | float]
-) -> None:
-    """Add mirrors, and sometimes bars on the roof or a spoiler."""
+def _finish(built: Builder, body: _Body, cowl: Number, roof: _Range) -> None:
+    """Add wheels and mirrors, and sometimes bars on the roof or a spoiler."""
+    rng, nose = built.rng, body.nose
+    front = nose - body.wheel - body.length * rng.uniform(0.07, 0.12)
+    _add_wheels(built, body.width, body.wheel, (front, -nose + body.wheel + body.length * rng.uniform(0.07, 0.14)))
     half, y, z = body.width / 2, body.belt + 0.05, cowl - rng.uniform(0.35, 0.6)
     size = rng.uniform(0.1, 0.2)
-    built.pair(
-        beam((half * 0.85, y, z), (half + size, y + 0.03, z - 0.03), (0.04, 0.05), (size * 0.8, 0.09), across="yz")
-    )
+    sizes = (0.04, 0.05), (size * 0.8, 0.09)
+    built.pair(beam((half * 0.85, y, z), (half + size, y + 0.03, z - 0.03), *sizes, across="yz"))
     if rng.random() < 0.2:
-        x = half * 0.66
-        built.pair(beam((x, body.roof + 0.04, roof[0]), (x, body.roof + 0.04, roof[1]), (0.04, 0.05), across="xy"))
+        x, top = half * 0.66, body.roof
+        built.pair(beam((x, top + 0.04, roof[0]), (x, top + 0.04, roof[1]), (0.04, 0.05), across="xy"))
         for z in roof:
-            built.pair(block((x - 0.02, body.roof - 0.1, z - 0.04), (x + 0.02, body.roof + 0.05, z + 0.04)))
+            built.pair(block((x - 0.02, top - 0.1, z - 0.04), (x + 0.02, top + 0.05, z + 0.04)))
     elif rng.random() < 0.12:
-        y, z = max(body.belt + 0.18, body.roof - 0.35), -body.nose + 0.15
+        y, z = max(body.belt + 0.18, body.roof - 0.35), -nose + 0.15
         built.add(block((-half * 0.8, y, z - 0.12), (half * 0.8, y + 0.03, z + 0.12)))
         built.pair(block((half * 0.6, body.belt * 0.8, z - 0.04), (half * 0.63, y + 0.01, z + 0.06)))
 
 
-# Made-up buses, lorries and tractors; lengths in metres.
+# Buses, lorries and tractors.
 
 
 def bus(rng: np.random.Generator) -> Mesh:
     """Return a bus or a coach, of one floor or two."""
-    built = Builder()
+    built = Builder(rng)
     length, width = rng.uniform(7.0, 13.0), rng.uniform(2.25, 2.6)
     floor, wheel = rng.uniform(0.25, 0.5), rng.uniform(0.42, 0.55)
     high = rng.uniform(3.8, 4.4) if rng.random() < 0.25 else rng.uniform(2.7, 3.6)
@@ -229,44 +196,41 @@ def bus(rng: np.random.Generator) -> Mesh:
     axles = [nose - rng.uniform(0.14, 0.24) * length, -nose + rng.uniform(0.16, 0.28) * length]
     if length > 11 and rng.random() < 0.5:
         axles.append(axles[1] - 2.3 * wheel)
-    _add_wheels(built, rng, width, wheel, tuple(axles), 0.98)
+    _add_wheels(built, width, wheel, axles, 0.98)
     y = high * rng.uniform(0.5, 0.8)
     built.pair(beam((half * 0.8, y + 0.3, nose - lean), (half + 0.15, y, nose + 0.2), (0.05, 0.05)))
     built.pair(block((half + 0.05, y - 0.35, nose + 0.12), (half + 0.25, y + 0.05, nose + 0.22)))
     if rng.random() < 0.5:
-        built.add(
-            block(
-                (-half * 0.6, high - 0.05, -nose * 0.3),
-                (half * 0.6, high + rng.uniform(0.1, 0.3), nose * rng.uniform(0, 0.4)),
-            )
-        )
+        end = (half * 0.6, high + rng.uniform(0.1, 0.3), nose * rng.uniform(0, 0.4))
+        built.add(block((-half * 0.6, high - 0.05, -nose * 0.3), end))
     return built.mesh("bus")
 
 
 def lorry(rng: np.random.Generator) -> Mesh:
     """Return a lorry: a cab over the engine or behind a bonnet, and a box, a flat bed, a tank or a tipper."""
-    built = Builder()
+    built = Builder(rng)
     width, wheel = rng.uniform(2.1, 2.55), rng.uniform(0.42, 0.55)
     frame, high = wheel * 1.9, rng.uniform(2.5, 3.4)
     bonnet = rng.uniform(0.9, 1.6) if rng.random() < 0.3 else 0.0
     cab, load = rng.uniform(1.4, 2.4), rng.uniform(3.0, 9.0)
     nose = (bonnet + cab + load) / 2
     back = nose - bonnet - cab
-    _cab(built, rng, (nose, back, bonnet), (width, wheel * 0.9, high))
+    _cab(built, (nose, back, bonnet), (width, wheel * 0.9, high))
     gap = rng.uniform(0.08, 0.5)
     built.pair(block((0.3, frame - 0.35, -nose + 0.1), (0.5, frame, back + 0.5)))
-    _load(built, rng, (-nose, back - gap), (width, frame, high))
+    _load(built, (-nose, back - gap), (width, frame, high))
     rear = -nose + rng.uniform(0.14, 0.3) * load
     axles = [nose - max(bonnet * 0.5, 0.3) - wheel * 1.3, rear]
     if load > 5:
         axles.append(rear + 2.25 * wheel)
     if load > 7 and rng.random() < 0.7:
         axles.append(back - wheel)
-    _add_wheels(built, rng, width, wheel, tuple(axles), 0.97)
+    _add_wheels(built, width, wheel, axles, 0.97)
     return built.mesh("lorry")
 
 
-def _cab(built: Builder, rng: np.random.Generator, ends: tuple, size: tuple) -> None:
+def _cab(built: Builder, ends: tuple, size: tuple) -> None:
+    rng = built.rng
     nose, back, bonnet = ends
     width, floor, high = size
     front, half = nose - bonnet, width / 2
@@ -275,37 +239,27 @@ def _cab(built: Builder, rng: np.random.Generator, ends: tuple, size: tuple) -> 
     slopes = (high - waist) * rng.uniform(0.05, 0.35), rng.uniform(0.0, 0.08)
     built.add(_cabin(width, (back, front), (waist - 0.02, high), slopes, rng.uniform(0.88, 0.98)))
     if bonnet > 0:
-        sizes = (
-            (width * 0.9, waist - floor),
-            (width * rng.uniform(0.55, 0.8), (waist - floor) * rng.uniform(0.75, 0.95)),
-        )
-        middle = (floor + waist) / 2
-        built.add(
-            beam((0, middle, front - 0.05), (0, middle - (sizes[0][1] - sizes[1][1]) / 2, nose), *sizes, across="xy")
-        )
+        end_size = (width * rng.uniform(0.55, 0.8), (waist - floor) * rng.uniform(0.75, 0.95))
+        start, size = (0, (floor + waist) / 2, front - 0.05), (width * 0.9, waist - floor)
+        end = (0, start[1] - (size[1] - end_size[1]) / 2, nose)
+        built.add(beam(start, end, size, end_size, across="xy"))
         built.pair(block((half * 0.6, floor - 0.1, front), (half * 0.98, floor + 0.45, nose - 0.25)))
     else:
         built.add(block((-half * 0.97, floor * 0.6, front - 0.3), (half * 0.97, floor + 0.2, front + 0.08)))
     y = (waist + high) / 2
     built.pair(block((half + 0.05, y - 0.3, front - 0.35), (half + 0.22, y + 0.3, front - 0.28)))
     built.pair(beam((half * 0.9, y, front - 0.32), (half + 0.15, y, front - 0.32), (0.05, 0.05), across="yz"))
-    if rng.random() < 0.35:  # what leads the wind over the load
-        top = rng.uniform(0.25, 0.7)
+    if rng.random() < 0.35:  # a wind deflector
+        foot, head = (0, high - 0.15, (back + front) / 2 - 0.1), (0, high + rng.uniform(0.25, 0.7), back + 0.3)
         wide = width * 0.8
-        built.add(
-            beam(
-                (0, high - 0.15, (back + front) / 2 - 0.1),
-                (0, high + top, back + 0.3),
-                (wide, (front - back) * 0.6),
-                (wide * 0.9, 0.4),
-            )
-        )
+        built.add(beam(foot, head, (wide, (front - back) * 0.6), (wide * 0.9, 0.4)))
 
 
-def _load(built: Builder, rng: np.random.Generator, ends: tuple[int | float, int | float], size: tuple) -> None:
+def _load(built: Builder, ends: tuple[Number, Number], size: tuple) -> None:
+    rng = built.rng
     back, front = ends
     width, frame, high = size
-    half = width / 2
+    half, middle = width / 2, (back + front) / 2
     kind = rng.choice(["box", "flat", "tank", "tipper"], p=[0.5, 0.18, 0.14, 0.18])
     if kind == "box":
         built.add(block((-half, frame - 0.05, back), (half, high * rng.uniform(0.95, 1.2), front)))
@@ -318,42 +272,29 @@ def _load(built: Builder, rng: np.random.Generator, ends: tuple[int | float, int
     rim = frame + (rng.uniform(0.3, 0.6) if kind == "flat" else rng.uniform(0.7, 1.3))
     built.add(block((-half, frame, front - 0.08), (half, rim + 0.3, front)))
     if kind == "tipper" or rng.random() < 0.6:
-        lean = rng.uniform(0, 0.15)
-        built.pair(
-            beam((half - 0.1, frame, (back + front) / 2), (half + lean, rim, (back + front) / 2), (0.08, front - back))
-        )
+        top = (half + rng.uniform(0, 0.15), rim, middle)
+        built.pair(beam((half - 0.1, frame, middle), top, (0.08, front - back)))
         built.add(block((-half, frame, back), (half, rim - 0.05, back + 0.08)))
 
 
 def tractor(rng: np.random.Generator) -> Mesh:
     """Return a tractor: a narrow bonnet, big wheels behind, a cab or a roll bar."""
-    built = Builder()
+    built = Builder(rng)
     big, small = rng.uniform(0.65, 1.0), rng.uniform(0.35, 0.6)
     length = rng.uniform(2.6, 3.6)
     nose, half = length / 2, rng.uniform(0.3, 0.45)
     rear, front = -nose + big * 0.7, nose - small - rng.uniform(0.0, 0.3)
-    waist, top = rng.uniform(1.15, 1.5), rng.uniform(2.2, 2.9)
-    cowl = rear + rng.uniform(0.5, 0.9)
-    low = small * 1.2
-    drop = rng.uniform(0.02, 0.3)
-    built.add(
-        beam(
-            (0, (low + waist) / 2, cowl - 0.1),
-            (0, (low + waist - drop) / 2, nose),
-            (2 * half, waist - low),
-            (2 * half * 0.8, waist - drop - low),
-            across="xy",
-        )
-    )
+    waist, top, cowl = rng.uniform(1.15, 1.5), rng.uniform(2.2, 2.9), rear + rng.uniform(0.5, 0.9)
+    low, drop = small * 1.2, rng.uniform(0.02, 0.3)
+    start, end = (0, (low + waist) / 2, cowl - 0.1), (0, (low + waist - drop) / 2, nose)
+    built.add(beam(start, end, (2 * half, waist - low), (2 * half * 0.8, waist - drop - low), across="xy"))
     built.add(block((-half * 0.8, low * 0.8, rear - 0.4), (half * 0.8, waist * 0.8, cowl)))
-    track = rng.uniform(0.75, 1.0)
-    tyre = big * rng.uniform(0.4, 0.6)
+    track, tyre = rng.uniform(0.75, 1.0), big * rng.uniform(0.4, 0.6)
     built.pair(rod((track - tyre, big, rear), (track, big, rear), big, sides=20))
     built.pair(rod((track - tyre * 0.75, small, front), (track - 0.1, small, front), small, sides=16))
     built.add(rod((-track + 0.2, small, front), (track - 0.2, small, front), 0.08, sides=6))
     built.pair(block((half * 0.7, big * 1.5, rear - big * 0.8), (track, 2 * big + 0.1, rear + big * 0.6)))
-    floor = min(waist, 1.1)
-    wide = 2 * track * rng.uniform(0.7, 0.85)
+    floor, wide = min(waist, 1.1), 2 * track * rng.uniform(0.7, 0.85)
     if rng.random() < 0.7:
         slopes = rng.uniform(0, 0.3), rng.uniform(0, 0.25)
         built.add(_cabin(wide, (rear - 0.4, cowl + 0.15), (floor, top), slopes, rng.uniform(0.85, 1.0)))
