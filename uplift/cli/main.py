@@ -134,11 +134,7 @@ def _complete(verb: str) -> Callable[..., list[str]]:
     return complete
 
 
-_KEYS = {
-    "evaluate": EVALUATE_KEYS,
-    "predict": PREDICT_KEYS,
-    "simulate": SIMULATE_KEYS,
-}
+_KEYS = {"evaluate": EVALUATE_KEYS, "predict": PREDICT_KEYS, "simulate": SIMULATE_KEYS}
 
 
 def _fit(words: Sequence[str]) -> None:

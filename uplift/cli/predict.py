@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from uplift.cli.kinds import KINDS
-from uplift.cli.parsing import PREDICT_KEYS, SIZE_KEYS, keyed, number, one_of, read_options, whole
+from uplift.cli.parsing import PREDICT_KEYS, SIZE_KEYS, Keys, keyed
 from uplift.config.files import refuse_output
 from uplift.config.loading import load_settings
 from uplift.config.run import Weights, read_weights
@@ -31,39 +31,31 @@ from uplift.models.prediction import Prediction, ShapePrediction
 from uplift.skeleton import Skeleton
 
 __all__ = [
-    "Lifted", "Request", "keypoint_request", "lift_keypoints", "lift_masks", "mask_request", "pose_summary",
-    "predict", "predict_command", "shape_summary",
+    "Request", "keypoint_arguments", "lift_keypoints", "lift_masks", "mask_arguments", "pose_summary", "predict",
+    "predict_command", "shape_summary",
 ]  # fmt: skip
 
 
 @dataclass(frozen=True)
 class Request:
-    """What is to be lifted, and what becomes of it; the fields are the arguments of `predict`."""
+    """What is to be lifted, and what becomes of it: the arguments of `predict`."""
 
     weights: Weights
     input: str | Path
-    output: str | Path | None = None
-    overrides: tuple[str, ...] = ()
-    refine: bool = True
-    constant_bones: bool = False
-    size: Mapping[str, Any] = field(default_factory=dict)
-    reading: ReadOptions | None = None
-    axes: str | None = None
-    page: str | None = None
-    options: Mapping[str, Any] = field(default_factory=dict)
+    output: str | Path | None
+    overrides: tuple[str, ...]
+    refine: bool
+    constant_bones: bool
+    size: Mapping[str, Any]
+    reading: ReadOptions | None
+    axes: str | None
+    page: str | None
+    options: Mapping[str, Any]
 
     @property
     def title(self) -> str:
-        """What the prediction is called: the name of the first file."""
+        """The name of the first file."""
         return Path(str(self.input).split(",")[0]).stem
-
-
-@dataclass(frozen=True)
-class Lifted:
-    """What was lifted, and the files it was written to, with a word on each."""
-
-    prediction: Prediction | ShapePrediction
-    files: dict[Path, str]
 
 
 def predict(
@@ -84,10 +76,10 @@ def predict(
 
     ``input`` is a file or folder in any format that is read, several with commas or a pattern, or ``SET:SPLIT`` of
     a published data set (``file.py:Class:SPLIT`` for a class of yours), whose ``data.root`` and ``data.options.*`` are
-    ``overrides`` such as a fit takes; ``reading`` is what the files do not say. The frames of a clip are lifted
+    ``overrides`` such as a fit takes; ``reading`` is what the files lack. The frames of a clip are lifted
     together unless ``refine`` is off. ``size`` are arguments of `uplift.models.metric_scale.size_from`. ``axes`` are
     those of `uplift.export.scene`, the format's usual ones by default. ``page`` is the kind of an .html, ``viewer`` or
-    ``gallery``, and ``options`` are those of its writer. The files written, with a word on each, are added to ``written``.
+    ``gallery``, and ``options`` are those of its writer. The files written, with a remark on each, are added to ``written``.
 
     With a run that lifts masks, ``options`` (and ``size`` among them) are those of `uplift.export.write` for shapes and
     of `uplift.data.formats.read_masks`; what goes with keypoints is refused.
@@ -100,53 +92,49 @@ def predict(
     request = Request(
         weights, input, output, overrides, refine, constant_bones, size or {}, reading, axes, page, options
     )
-    done: Lifted = KINDS[weights.lifts].predict(request)
+    prediction, files = KINDS[weights.lifts].predict(request)
     if written is not None:
-        written |= done.files
-    return done.prediction
+        written |= files
+    return prediction
 
 
 def predict_command(words: Sequence[str]) -> None:
-    """Lift what the words name, write it, and print what was done."""
-    keys = keyed("predict", words, PREDICT_KEYS, ("run", "input", "output"), open_below=("data.options.",))
+    """Lift, write, and print what was done."""
+    keys = keyed("predict", words, PREDICT_KEYS, ("run", "input", "output"), prefixes=("data.options.",))
     weights = read_weights(keys["run"])
     kind = KINDS[weights.lifts]
     kind.refuse_others("predict", keys, keys["run"])
-    done: Lifted = kind.predict(kind.predict_request(weights, keys))
-    lines = kind.predict_summary(done.prediction)
-    lines += [f"wrote {path}" + (f": {word}" if word else "") for path, word in list(done.files.items())[:5]]
-    lines += [f"and {len(done.files) - 5} more"] * (len(done.files) > 5)
-    lines += [f"look: open {path} in a browser" for path in done.files if path.suffix.lower() == ".html"]
+    overrides = [f"{key}={value}" for key, value in keys.items() if key.startswith("data.")]
+    files: dict[Path, str] = {}
+    arguments = kind.predict_arguments(keys) | {"axes": keys.get("axes"), "page": keys.get("page"), "written": files}
+    lines = kind.predict_summary(predict(weights, keys["input"], keys["output"], *overrides, **arguments))
+    lines += [f"wrote {path}" + (f": {remark}" if remark else "") for path, remark in list(files.items())[:5]]
+    lines += [f"and {len(files) - 5} more"] * (len(files) > 5)
+    lines += [f"look: open {path} in a browser" for path in files if path.suffix.lower() == ".html"]
     print("\n".join(lines))
 
 
 # Keypoints in, poses out.
 
 
-def keypoint_request(weights: Weights, keys: dict[str, str]) -> Request:
-    """Return what the words of the command ask of a run that lifts keypoints."""
+def keypoint_arguments(keys: Keys) -> dict[str, Any]:
+    """Return the arguments of `predict` that the command line gives for keypoints."""
     options: dict[str, Any] = {"images": keys["images"]} if "images" in keys else {}
-    options |= {key: whole("predict", keys, key) for key in ("frames", "seed") if key in keys}
-    size: dict[str, Any] = {key: number("predict", keys, key) for key in SIZE_KEYS if key in keys and key != "bone"}
+    options |= {key: keys.whole(key) for key in ("frames", "seed") if key in keys}
+    size: dict[str, Any] = {key: keys.number(key) for key in SIZE_KEYS if key in keys and key != "bone"}
     if "bone" in keys:
         size["bone"] = tuple(name.strip() for name in keys["bone"].split(","))
-    return Request(
-        weights,
-        keys["input"],
-        keys["output"],
-        tuple(f"{key}={value}" for key, value in keys.items() if key.startswith("data.")),
-        refine=one_of("predict", keys, "refine", ("on", "off"), "on") == "on",
-        constant_bones=one_of("predict", keys, "bones", ("free", "constant"), "free") == "constant",
-        size=size,
-        reading=read_options("predict", keys),
-        axes=keys.get("axes"),
-        page=keys.get("page"),
-        options=options,
-    )
+    return {
+        "refine": keys.one_of("refine", ("on", "off")) == "on",
+        "constant_bones": keys.one_of("bones", ("free", "constant")) == "constant",
+        "size": size,
+        "reading": keys.reading(),
+        **options,
+    }
 
 
-def lift_keypoints(request: Request) -> Lifted:
-    """Lift keypoints and write the poses, if there is an output."""
+def lift_keypoints(request: Request) -> tuple[Prediction, dict[Path, str]]:
+    """Lift keypoints and write the poses, if there is an output; return the files with a remark on each."""
     axes, page, output, options = request.axes, request.page, request.output, request.options
     if axes is not None and axes not in AXES:
         raise UserError(f"axes={axes}: no such axes.{did_you_mean(axes, AXES)}")
@@ -165,7 +153,7 @@ def lift_keypoints(request: Request) -> Lifted:
         data, title=request.title, refine=request.refine, size=size, constant_bones=request.constant_bones
     )
     files = {} if output is None else write(prediction, output, page, axes, **options)
-    return Lifted(prediction if axes is None else in_axes(prediction, axes), files)
+    return prediction if axes is None else in_axes(prediction, axes), files
 
 
 def _read(request: Request, skeleton: Skeleton) -> PoseData:
@@ -179,7 +167,7 @@ def _read(request: Request, skeleton: Skeleton) -> PoseData:
             )
         return load_file(input, skeleton, reading)
     if reading is not None and reading.set_names():
-        raise UserError(f"{reading.set_names()[0]}= goes with files; a published set, input={input}, knows its own.")
+        raise UserError(f"{reading.set_names()[0]}= goes with files, not with a published set, input={input}.")
     named = [f"data.name={use}"] if use in DATA_SETS else []
     if use not in DATA_SETS and ":" not in use:
         raise UserError(
@@ -236,20 +224,18 @@ _READING = ("format", "border", "pieces", "category", "most", "images", "side")
 _OF_MESHES = ("axes", "unit", "height_mm", "length_mm", "smooth", "together")
 
 
-def mask_request(weights: Weights, keys: dict[str, str]) -> Request:
-    """Return what the words of the command ask of a run that lifts masks."""
+def mask_arguments(keys: Keys) -> dict[str, Any]:
+    """Return the arguments of `predict` that the command line gives for masks."""
     options: dict[str, Any] = {key: keys[key] for key in ("unit", *_READING) if key in keys}
-    options |= {key: number("predict", keys, key) for key in ("height_mm", "length_mm") if key in keys}
-    options |= {key: whole("predict", keys, key) for key in ("smooth", "items", "most") if key in keys}
+    options |= {key: keys.number(key) for key in ("height_mm", "length_mm") if key in keys}
+    options |= {key: keys.whole(key) for key in ("smooth", "items", "most") if key in keys}
     if "together" in keys:
-        options["together"] = one_of("predict", keys, "together", ("true", "false"), "true") == "true"
-    return Request(
-        weights, keys["input"], keys["output"], axes=keys.get("axes"), page=keys.get("page"), options=options
-    )
+        options["together"] = keys.one_of("together", ("true", "false")) == "true"
+    return options
 
 
-def lift_masks(request: Request) -> Lifted:
-    """Lift masks and write the shapes, if there is an output."""
+def lift_masks(request: Request) -> tuple[ShapePrediction, dict[Path, str]]:
+    """Lift masks and write the shapes, if there is an output; return the files with a remark on each."""
     if request.overrides or not request.refine or request.constant_bones or request.reading is not None:
         raise UserError(
             f"{request.weights.run} lifts masks: overrides, refine, constant_bones and reading go with keypoints."
@@ -265,7 +251,7 @@ def lift_masks(request: Request) -> Lifted:
     notes = tuple(note for note in data.notes if note not in prediction.notes)
     prediction.notes = (*notes, *prediction.notes)
     files = {} if request.output is None else write(prediction, request.output, request.page, **options)
-    return Lifted(prediction, files)
+    return prediction, files
 
 
 def _check_mesh_output(output: str | Path, page: str | None, options: Mapping[str, Any]) -> None:

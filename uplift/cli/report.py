@@ -285,13 +285,12 @@ def shape_findings(model: ShapeModel, settings: Settings, loaded: LoadedMasks) -
         count = min(MOST, len(data))
         shown = model.predict(data.select(np.arange(count) * len(data) // count), title)
         return Findings(_SHAPES, given, partial(write_shape_page, shown), given[:1])
-    scored = score_shapes(model, loaded.test, loaded.train, title)
-    found = scored.evaluation
+    test, prediction, found = score_shapes(model, loaded.test, loaded.train, title)
     scores = {name: found.per_item[key] for name, key in _SCORES.items() if key in found.per_item}
     return Findings(
         _SHAPES,
         given,
-        partial(write_shape_page, scored.prediction, truth=scored.test.truth, scores=scores),
+        partial(write_shape_page, prediction, truth=test.truth, scores=scores),
         given[:1],
         evaluation=found,
         about=f"{found.data}: {found.items:,} shapes",

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from uplift.cli.parsing import SIMULATE_KEYS, keyed, number, whole
+from uplift.cli.parsing import SIMULATE_KEYS, keyed
 from uplift.config.files import refuse_output
 from uplift.data.poses import PoseData
 from uplift.errors import UserError, nearest
@@ -62,11 +62,10 @@ def simulate(
 def simulate_command(words: Sequence[str]) -> None:
     """Simulate what the words say, write it, and print what was done."""
     keys = keyed("simulate", words, SIMULATE_KEYS, ("skeleton", "output"))
-    found = {key: whole("simulate", keys, key) for key in ("frames", "seed")}
-    found |= {key: number("simulate", keys, key) for key in ("clip_seconds", "noise_px", "missing")}
-    given = {key: value for key, value in (found | {"tracker": keys.get("tracker")}).items() if value is not None}
+    given: dict[str, Any] = {key: keys.whole(key) for key in ("frames", "seed") if key in keys}
+    given |= {key: keys.number(key) for key in ("clip_seconds", "noise_px", "missing") if key in keys}
     written: list[Path] = []
-    data = simulate(keys["skeleton"], keys["output"], written=written, **given)  # type: ignore[arg-type]
+    data = simulate(keys["skeleton"], keys["output"], tracker=keys.get("tracker"), written=written, **given)
     output = Path(keys["output"])
     several = len(written) > 1
     files = f"{len(written)} files, {written[0]} to {written[-1].name}" if several else output

@@ -35,10 +35,10 @@ class Writer:
     holds: str = "all"
     """What one file holds: ``all``; of poses one ``clip``, or one ``body`` of one; of shapes an ``item`` or a ``scene`` of a few."""
 
-    def __call__(self, *arguments: Any, **options: Any) -> str:
-        """Write one file; returns a remark on it, usually empty."""
+    def __call__(self, *arguments: Any, **options: Any) -> Any:
+        """Write one file and return a remark on it, if any; the formats of meshes return the file's bytes."""
         module, _, name = self.where.partition(":")
-        return str(getattr(import_module(module), name)(*arguments, **options) or "")
+        return getattr(import_module(module), name)(*arguments, **options)
 
 
 WRITERS = {
@@ -56,10 +56,10 @@ WRITERS = {
     },
     "shapes": {
         ".html": Writer("uplift.export.shape_page:write_shape_page", "a page to look at", "own"),
-        ".glb": Writer("uplift.export.meshes:write_glb", "meshes, for 3D viewers", "gltf", "scene"),
-        ".obj": Writer("uplift.export.meshes:write_obj", "a mesh, for any 3D program", "gltf", "item"),
-        ".ply": Writer("uplift.export.meshes:write_ply", "a mesh where the camera saw it", "camera", "item"),
-        ".stl": Writer("uplift.export.meshes:write_stl", "a mesh, for printing", "print", "item"),
+        ".glb": Writer("uplift.export.meshes:encode_glb", "meshes, for 3D viewers", "gltf", "scene"),
+        ".obj": Writer("uplift.export.meshes:encode_obj", "a mesh, for any 3D program", "gltf", "item"),
+        ".ply": Writer("uplift.export.meshes:encode_ply", "a mesh where the camera saw it", "camera", "item"),
+        ".stl": Writer("uplift.export.meshes:encode_stl", "a mesh, for printing", "print", "item"),
         ".npz": Writer("uplift.export.meshes:write_npz", "occupancy grids, for Python", "own"),
     },
 }
@@ -158,7 +158,7 @@ def _pose_jobs(prediction: Prediction, writer: Writer, path: str | Path, axes: s
     turned = in_axes(prediction, axes) if axes != prediction.axes else prediction
 
     def job(rows: np.ndarray | None, file: Path) -> str:
-        return writer(turned if rows is None else turned.select(rows), file, **options)
+        return str(writer(turned if rows is None else turned.select(rows), file, **options) or "")
 
     return [(name, partial(job, rows)) for name, rows in parts_of(turned, writer.holds)]
 

@@ -23,19 +23,9 @@ from uplift.models.prediction import Prediction
 from uplift.skeleton.core import bone_sides, joint_sides
 
 __all__ = [
-    "CARD",
-    "HIGH",
-    "SIDES",
-    "WIDE",
-    "FilmDrawing",
-    "FilmScene",
-    "film_palette",
-    "film_scene",
-    "gif_durations_ms",
-    "thinned",
-    "turns_deg",
-    "write_film",
-]
+    "CARD", "HIGH", "SIDES", "WIDE", "FilmDrawing", "FilmScene", "film_palette", "film_scene", "gif_durations_ms",
+    "thinned", "turns_deg", "write_film",
+]  # fmt: skip
 
 Number = int | float
 Colour = tuple[int, ...]

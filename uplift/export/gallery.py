@@ -18,16 +18,9 @@ from uplift.models.prediction import Prediction
 from uplift.skeleton.core import bone_sides, joint_sides
 
 __all__ = [
-    "Crop",
-    "check_options",
-    "chosen_rows",
-    "crop_of",
-    "filled_points",
-    "gallery_text",
-    "photo_svg",
-    "turned",
+    "Crop", "check_options", "chosen_rows", "crop_of", "filled_points", "gallery_text", "photo_svg", "turned",
     "write_gallery",
-]
+]  # fmt: skip
 
 _MOST_FRAMES = 500
 
@@ -208,7 +201,7 @@ class _Sheet:
         about = "gravity" if self.prediction.skeleton.gravity else "the image's vertical"
         notes = [
             f"Each pose is turned about {about} in steps of 30°, as if the camera walked round it; 0° is what the "
-            "camera itself saw. Far limbs are paler.",
+            "camera itself saw. Far limbs are paler."
         ]
         if len(self.rows) < len(self.prediction):
             notes.append("The frames are spread over the input, one at random out of each part of it.")

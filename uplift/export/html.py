@@ -24,20 +24,9 @@ if TYPE_CHECKING:
     from PIL.Image import Image
 
 __all__ = [
-    "Curve",
-    "Photos",
-    "Section",
-    "curve_charts",
-    "fill_page",
-    "jpeg_address",
-    "number_text",
-    "pack",
-    "read_html",
-    "report_html",
-    "scripted_page",
-    "unpack",
-    "write_text",
-]
+    "Curve", "Photos", "Section", "curve_charts", "fill_page", "jpeg_address", "number_text", "pack", "read_html",
+    "report_html", "scripted_page", "unpack", "write_text",
+]  # fmt: skip
 
 Rows = Sequence[Sequence[object]]
 Section = tuple[str, Rows] | tuple[str, Rows, Sequence[object]]

@@ -13,21 +13,9 @@ from uplift.geometry.rigid import least_turn, nearest_rotation, quaternion_matri
 from uplift.models.prediction import Prediction
 
 __all__ = [
-    "AXES",
-    "FROM_LEVEL",
-    "SIDE_COLOURS",
-    "beside",
-    "from_y_down",
-    "held",
-    "in_axes",
-    "known_points",
-    "level_rotations",
-    "matched_truth",
-    "rotations_to",
-    "row_places",
-    "scaled_error",
-    "standing",
-]
+    "AXES", "FROM_LEVEL", "SIDE_COLOURS", "beside", "from_y_down", "held", "in_axes", "known_points",
+    "level_rotations", "matched_truth", "rotations_to", "row_places", "scaled_error", "standing",
+]  # fmt: skip
 
 SIDE_COLOURS = {"centre": (0x4A, 0x50, 0x58), "left": (0x1F, 0x77, 0xB8), "right": (0xD9, 0x63, 0x0F)}
 """sRGB, 0 to 255, in the order of `uplift.skeleton.core.joint_sides`."""
