@@ -86,14 +86,13 @@ class _Report:
             return False
         facts = cached_facts(source, split) if source.cached else None
         if facts:
-            about = f"{facts['frames']:,} frames of {facts['joints']} joints, {_size(facts['bytes'])} in memory"
-            self.lines.append(f"  to load: {about}, from the cache")
-            return True
-        first = "not read before; the first fit reads the files and keeps the arrays"
-        size = _size(sum(_unpacked(file.path) for file in files))
-        self.lines.append(
-            f"  to load: {first if source.cached else 'read anew'}; the files hold {size}, an estimate of the memory"
-        )
+            size = _size(facts["bytes"])
+            cost = f"{facts['frames']:,} frames of {facts['joints']} joints, {size} in memory, from the cache"
+        else:
+            first = "not read before; the first fit reads the files and keeps the arrays"
+            size = _size(sum(_unpacked(file.path) for file in files))
+            cost = f"{first if source.cached else 'read anew'}; the files hold {size}, an estimate of the memory"
+        self.lines.append(f"  to load: {cost}")
         return True
 
     def _file(self, title: str, settings: Settings, which: str) -> bool:
@@ -114,8 +113,7 @@ class _Report:
             return False
         for path in paths:
             try:
-                holds = KINDS[settings.lifts].check_file(path, settings, self.skeleton)
-                self.lines.append(f"  to load: {holds}")
+                self.lines.append(f"  to load: {KINDS[settings.lifts].check_file(path, settings, self.skeleton)}")
             except UserError as error:
                 self.wrong = True
                 self.lines.append(f"  WRONG    {error}")
@@ -132,10 +130,8 @@ class _Report:
         """Return all lines, with where missing files come from and what to do next."""
         for source in self.missing:
             self.lines += ["", *source.splitlines()]
-        if self.missing or self.wrong:
-            what = "put them there" if self.missing else "fix or replace what is wrong"
-            return [*self.lines, "", f"next: {what}, then uplift data check {words}"]
-        return [*self.lines, "", f"next: uplift fit {words}"]
+        fix = "put them there" if self.missing else "fix or replace what is wrong" if self.wrong else ""
+        return [*self.lines, "", f"next: {fix}, then uplift data check {words}" if fix else f"next: uplift fit {words}"]
 
 
 # Keypoints: what is simulated, and what a file holds.

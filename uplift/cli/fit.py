@@ -42,8 +42,7 @@ def fit(task: str | None = None, *overrides: str, resume: str | Path | None = No
             )
         run = RunFolder.open(resume)
         return fit_settings(run.settings(), run)
-    settings = load_settings(task, overrides)
-    return fit_settings(settings)
+    return fit_settings(load_settings(task, overrides))
 
 
 @dataclass(frozen=True)

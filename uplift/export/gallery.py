@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from html import escape
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -25,11 +26,9 @@ __all__ = [
 _MOST_FRAMES = 500
 
 
-def write_gallery(
-    prediction: Prediction, path: str | Path, *, frames: int = 40, seed: int = 0, images: str | Path | None = None
-) -> None:
-    """Write the page of `gallery_text` to ``path``."""
-    write_text(gallery_text(prediction, frames=frames, seed=seed, images=images), path)
+def write_gallery(prediction: Prediction, path: str | Path, **options: Any) -> None:
+    """Write the page of `gallery_text` to ``path`` with these options."""
+    write_text(gallery_text(prediction, **options), path)
 
 
 def gallery_text(prediction: Prediction, *, frames: int = 40, seed: int = 0, images: str | Path | None = None) -> str:
@@ -101,7 +100,8 @@ class _Sheet:
 
     def __init__(self, prediction: Prediction, rows: np.ndarray, photos: Photos | None):
         self.prediction, self.rows, self.photos = prediction, rows, photos
-        self.body = _Body.of(prediction)
+        bones, sides = prediction.bone_indices, joint_sides(prediction.skeleton, prediction.joint_names)
+        self.body = _Body(bones, sides, bone_sides(sides, bones.tolist()))
         self.pose = np.asarray(prediction.pose, np.float64)[rows]
         self.pose[~np.isfinite(self.pose).all(-1)] = np.nan
         level_pose = np.asarray(prediction.level_pose, np.float64)[rows]
@@ -134,18 +134,20 @@ class _Sheet:
             unit = "" if self.prediction.truth_unit == "relative" else f" {self.prediction.truth_unit}"
             about.append(f"error at the best scale (n_mpjpe) {number_text(float(self.error[place]))}{unit}")
         facts = "".join(f"<span>{escape(fact)}</span>" for fact in about)
-        turns = "".join(self._turns(place, name))
         return (
             f'<article class="frame" id="row-{row}" aria-labelledby="name-{row}"><div class="name">'
             f'<h2 id="name-{row}">{name}</h2>{facts}</div>'
-            f'<div class="strip">{self._input(place, name)}<div>{turns}</div></div></article>'
+            f'<div class="strip">{self._input(place, name)}<div>{self._turns(place, name)}</div></div></article>'
         )
 
     def _input(self, place: int, name: str) -> str:
         seen = self.seen[place]
         points = filled_points(self.points[place], seen, self.pose[place])
         crop = crop_of(points)
-        photo = photo_svg(self.photos, self._photo(place), crop) if self.photos else ""
+        photo = ""
+        if self.photos:
+            assert self.name_key is not None  # refused otherwise
+            photo = photo_svg(self.photos, str(self.prediction.identity[self.name_key][self.rows[place]]), crop)
         drawing = _drawn_input(points, ~seen, self.body, crop)
         label = f"Input of {name}: {seen.sum()} of {len(seen)} joints seen" + (", on the photo" if photo else "")
         return (
@@ -153,16 +155,16 @@ class _Sheet:
             "</figure>"
         )
 
-    def _turns(self, place: int, name: str) -> list[str]:
+    def _turns(self, place: int, name: str) -> str:
         pose, level = self.pose[place], self.level[place]
-        centre = np.nanmean(pose, 0)
         shown = [("Lifted", pose, ~self.seen[place])]
         if self.truth is not None and np.isfinite(self.truth[place]).all(-1).any():
             shown.append(("Truth", self.truth[place], np.zeros(len(pose), bool)))
-        views = [turned(found, level, centre, _ANGLES_DEG) for _, found, _ in shown]
-        drawings = _drawn_views(views, [missing for *_, missing in shown], self.body)
+        titles, poses, missing = zip(*shown, strict=True)
+        views = [turned(found, level, np.nanmean(pose, 0), _ANGLES_DEG) for found in poses]
+        drawings = _drawn_views(views, missing, self.body)
         named = len(shown) > 1
-        return [_turned_row(title, name, drawn, named) for (title, *_), drawn in zip(shown, drawings, strict=True)]
+        return "".join(_turned_row(title, name, drawn, named) for title, drawn in zip(titles, drawings, strict=True))
 
     def _name(self, place: int) -> str:
         row, identity = self.rows[place], self.prediction.identity
@@ -172,22 +174,17 @@ class _Sheet:
         parts += [f"frame {identity['frame'][row]}"] if "frame" in identity else []
         return " · ".join(parts) or f"row {row:,}"
 
-    def _photo(self, place: int) -> str:
-        assert self.name_key is not None  # or it was refused
-        return str(self.prediction.identity[self.name_key][self.rows[place]])
-
     def refuse_without_photos(self) -> None:
         """Raise UserError where none of the photos that were asked for could be shown."""
         photos = self.photos
         if photos is None or photos.shown:
             return
-        why = (
-            f"cannot be read: {photos.unreadable[0]}" if photos.unreadable else f"are not there: no {photos.absent[0]}"
-        )
+        unreadable, absent = photos.unreadable, photos.absent
+        why = f"cannot be read: {unreadable[0]}" if unreadable else f"are not there: no {absent[0]}"
         raise UserError(f"images={photos.folder}: the photos of these frames {why}.")
 
     def facts(self) -> list[str]:
-        """Return what stands under the title."""
+        """Return the facts under the title."""
         prediction = self.prediction
         return [
             *(["/".join(Path(prediction.source).parts[-2:])] if prediction.title and prediction.source else []),
@@ -197,7 +194,7 @@ class _Sheet:
         ]
 
     def notes(self) -> list[str]:
-        """Return what a reader should know, a sentence each."""
+        """Return notes for the reader, a sentence each."""
         about = "gravity" if self.prediction.skeleton.gravity else "the image's vertical"
         notes = [
             f"Each pose is turned about {about} in steps of 30°, as if the camera walked round it; 0° is what the "
@@ -209,16 +206,14 @@ class _Sheet:
             truth = ", and the truth is drawn at the size of each pose" if self.truth is not None else ""
             notes.append(f"The scale is not metric: every frame is drawn as large as it fits{truth}.")
         photos = self.photos
-        if photos and photos.absent:
-            notes.append(self._counted(photos.absent, f"not in {Path(str(photos.folder)).name}"))
-        if photos and photos.unreadable:
-            notes.append(self._counted(photos.unreadable, "unusable"))
+        wrong = (
+            {f"not in {Path(str(photos.folder)).name}": photos.absent, "unusable": photos.unreadable} if photos else {}
+        )
+        for what, names in wrong.items():
+            are = "is" if len(names) == 1 else "are"
+            few = ", ".join(names[:3]) + (", ..." if len(names) > 3 else "")
+            notes += [f"{len(names)} of {len(self.rows)} photos {are} {what}: {few}."] if names else []
         return notes
-
-    def _counted(self, names: list[str], what: str) -> str:
-        are = "is" if len(names) == 1 else "are"
-        few = ", ".join(names[:3]) + (", ..." if len(names) > 3 else "")
-        return f"{len(names)} of {len(self.rows)} photos {are} {what}: {few}."
 
 
 def _turned_row(title: str, name: str, drawn: list[str], named: bool) -> str:
@@ -242,17 +237,11 @@ _MARGIN = 0.03
 
 @dataclass(frozen=True)
 class _Body:
-    """What is drawn of every frame alike: bones and the side that each belongs to."""
+    """Bones, and the side of each joint and bone."""
 
     bones: Int[np.ndarray, "bones 2"]
     joint_sides: Sequence[int]
     bone_sides: Sequence[int]
-
-    @classmethod
-    def of(cls, prediction: Prediction) -> _Body:
-        """Return the body of a prediction."""
-        bones, sides = prediction.bone_indices, joint_sides(prediction.skeleton, prediction.joint_names)
-        return cls(bones, sides, bone_sides(sides, bones.tolist()))
 
 
 @dataclass(frozen=True)
@@ -294,17 +283,13 @@ def _drawn_views(
     seen = [_projected(views, _DISTANCE * 3 * size) for views in poses]
     flat = np.concatenate([points[..., :2].reshape(-1, 2) for points in seen])
     flat = flat[np.isfinite(flat).all(1)]
-    half = np.maximum(np.abs(flat[:, 0]).max(initial=1e-9), 1e-9)
+    half = np.abs(flat[:, 0]).max(initial=1e-9)
     low, high = (flat[:, 1].min(), flat[:, 1].max()) if len(flat) else (-1.0, 1.0)
-    room = 1 - 2 * _MARGIN
-    scale = room * min(WIDE / 2 / half, HIGH / max(high - low, 1e-9))
-    drawings = []
-    for points, unseen in zip(seen, missing, strict=True):
-        placed = points.copy()
-        placed[..., 0] = WIDE / 2 + scale * points[..., 0]
-        placed[..., 1] = HIGH / 2 + scale * (points[..., 1] - (low + high) / 2)
-        drawings.append([_figure(view, unseen, body) for view in placed])
-    return drawings
+    scale = (1 - 2 * _MARGIN) * min(WIDE / 2 / half, HIGH / max(high - low, 1e-9))
+    for points in seen:
+        points[..., 0] = WIDE / 2 + scale * points[..., 0]
+        points[..., 1] = HIGH / 2 + scale * (points[..., 1] - (low + high) / 2)
+    return [[_figure(view, unseen, body) for view in points] for points, unseen in zip(seen, missing, strict=True)]
 
 
 def _projected(views: Float[np.ndarray, "views joints 3"], distance: float) -> Float[np.ndarray, "views joints 3"]:
