@@ -37,7 +37,7 @@ __all__ = ["Findings", "pose_findings", "report", "shape_findings"]
 
 @dataclass(frozen=True)
 class _Words:
-    """The layout of the figures of one kind of run, and the texts around them."""
+    """Layout and texts of the report of one kind of run."""
 
     title: str
     metric: str
@@ -55,11 +55,11 @@ class _Words:
 
 @dataclass(frozen=True)
 class Findings:
-    """What a report tells of a fit, whatever that lifts."""
+    """What a report says about a fit of either kind."""
 
     words: _Words
     given: list[str]
-    """What the fit was given, a sentence each: the answer to "did it see 3D?"."""
+    """What the fit learned from, a sentence each: the answer to "did it see 3D?"."""
     write_page: Callable[..., None]
     """Takes the path, and the sections, curves and notes of a page."""
     shown: list[str] = field(default_factory=list)
@@ -77,11 +77,9 @@ class Findings:
         """Return the figures of the run beside those of the baselines, a header first; nothing without an evaluation."""
         if self.evaluation is None:
             return []
-        rows: list[list[object]] = [[self.evaluation.title, "this run", *self.baselines]]
-        for name in self.names:
-            others = [baseline.get(name, "") for baseline in self.baselines.values()]
-            rows.append([name, self.evaluation.overall[name], *others])
-        return rows
+        overalls = [self.evaluation.overall, *self.baselines.values()]
+        header = [self.evaluation.title, "this run", *self.baselines]
+        return [header, *([name, *(overall.get(name, "") for overall in overalls)] for name in self.names)]
 
 
 def report(run: RunFolder, model: Any, settings: Settings, loaded: Any, spent: dict[str, float]) -> None:
@@ -101,11 +99,12 @@ def report(run: RunFolder, model: Any, settings: Settings, loaded: Any, spent: d
 def _head_lines(run: RunFolder, settings: Settings, notes: Sequence[str], spent: dict[str, float]) -> list[str]:
     """Return the first lines of report.md."""
     facts = run.facts()
-    lines = [f"# {settings.task or 'own data'}", "", settings.description.strip(), ""]
-    lines += ["```", facts["command"], "```", ""]
-    lines += [f"- {note}" for note in notes]
-    lines += [f"- {stage}: {seconds:.0f} s of training" for stage, seconds in spent.items()]
-    return [*lines, f"- seed {settings.seed}, {facts['cores']} cores, torch {facts['versions']['torch']}", ""]
+    return [
+        *(f"# {settings.task or 'own data'}", "", settings.description.strip(), "", "```", facts["command"], "```", ""),
+        *(f"- {note}" for note in notes),
+        *(f"- {stage}: {seconds:.0f} s of training" for stage, seconds in spent.items()),
+        *(f"- seed {settings.seed}, {facts['cores']} cores, torch {facts['versions']['torch']}", ""),
+    ]
 
 
 def _figure_lines(found: Findings, rows: list[list[object]]) -> list[str]:
@@ -113,14 +112,11 @@ def _figure_lines(found: Findings, rows: list[list[object]]) -> list[str]:
     if found.evaluation is None:
         return []
     words, (header, *figures) = found.words, rows
-    lines = [f"## {words.title}", "", _line(header, ""), "|" + "---|" * len(header)]
-    lines += [_line([words.metric.format(name), *cells], words.number) for name, *cells in figures]
+    table = [header, *([words.metric.format(name), *cells] for name, *cells in figures)]
+    table = [f"| {' | '.join(_cell(cell, words.number) for cell in cells)} |" for cells in table]
+    lines = [f"## {words.title}", "", table[0], "|" + "---|" * len(header), *table[1:]]
     lines += ["", words.baselines] if found.baselines else []
     return [*lines, "", "```", found.evaluation.table(), "```", ""]
-
-
-def _line(cells: Sequence[object], number: str) -> str:
-    return f"| {' | '.join(_cell(cell, number) for cell in cells)} |"
 
 
 def _cell(cell: object, number: str) -> str:
@@ -158,21 +154,16 @@ def _end_lines(run: RunFolder, found: Findings, rows: list[list[object]], spent:
     ]
 
 
-def _given_lines(settings: Settings, first: str) -> list[str]:
-    """Return ``first``, what a fit learned from, or of a fit that starts from another run, which that is."""
-    if settings.init:
-        return [f"Started from the weights of {settings.init}; see that run for what it learned from."]
-    return [first]
+_STARTED = "Started from the weights of {}; see that run for what it learned from."
 
 
 def _prior_lines(settings: Settings) -> list[str]:
     """Return the priors with a weight above 0, and which of them are user-defined."""
     specs = {n: s for n, s in settings.priors.items() if float(s.get("weight", 1)) > 0}
-    lines = ["Priors (weight): " + ", ".join(f"{n} {float(s.get('weight', 1)):g}" for n, s in specs.items()) + "."]
-    for name, spec in specs.items():
-        if ":" in str(spec.get("use", name)):
-            lines.append(f"Prior {name} is the user's own ({spec['use']}): what it reads is for its author to say.")
-    return lines
+    weights = ", ".join(f"{name} {float(spec.get('weight', 1)):g}" for name, spec in specs.items())
+    foreign = {name: spec["use"] for name, spec in specs.items() if ":" in str(spec.get("use", name))}
+    note = "Prior {} is user-defined ({}): ask its author what it reads."
+    return [f"Priors (weight): {weights}.", *(note.format(*item) for item in foreign.items())]
 
 
 # A fit of keypoints: errors beside those of flat depth.
@@ -224,7 +215,7 @@ def _given_to_poses(settings: Settings, loaded: Loaded) -> list[str]:
             f"Learned from the true poses, root positions and camera tilts of {count:,} labelled frames of {total:,}; "
             "of the others from 2D keypoints alone."
         )
-    lines = _given_lines(settings, first)
+    lines = [_STARTED.format(settings.init) if settings.init else first]
     if settings.data.simulate:
         lines.append(
             "The keypoints are simulated: bodies and motions from published anthropometry and ranges of motion."
@@ -308,7 +299,7 @@ def _given_to_shapes(settings: Settings, loaded: LoadedMasks) -> list[str]:
             f"Learned from the true shapes and views of {int(labelled.sum()):,} labelled masks of {len(labelled):,}; "
             "of the others from masks alone. No category was looked at."
         )
-    lines = _given_lines(settings, first)
+    lines = [_STARTED.format(settings.init) if settings.init else first]
     if data.category or data.select.categories or data.hold_out.categories:
         lines.append("Which masks are used was chosen by their categories.")
     if data.simulate:

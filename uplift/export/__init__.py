@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from uplift.config.files import refuse_existing
-from uplift.errors import UserError, did_you_mean
+from uplift.errors import UserError, did_you_mean, nearest
 from uplift.export.clips import MOST_FILES, arrange
 from uplift.export.scene import in_axes
 from uplift.export.tables import unique
@@ -29,7 +29,7 @@ class Writer:
     where: str
     """module:function of the writer."""
     about: str
-    """What it is, in a few words."""
+    """What the format is, in a few words."""
     axes: str = "camera"
     """The axes it is written in by default."""
     holds: str = "all"
@@ -82,21 +82,20 @@ def writer_for(path: str | Path, page: str | None = None, of: str = "poses") -> 
     Raises:
         UserError: an unknown extension or page, or a page that is not an .html.
     """
-    extension, writers = Path(path).suffix, WRITERS[of]
+    extension, writers = Path(path).suffix.lower(), WRITERS[of]
     if page is not None:
         if page not in PAGES[of]:
             raise UserError(f"page={page}: no such page.{did_you_mean(page, PAGES[of])}")
-        if extension.lower() != ".html":
+        if extension != ".html":
             raise UserError(f"page={page} is an .html, output={path} is not: leave page= out, or name a file .html.")
         return PAGES[of][page]
-    if extension.lower() in writers:
-        return writers[extension.lower()]
+    if extension in writers:
+        return writers[extension]
     valid = ", ".join(sorted(writers))
     if not extension:
         raise UserError(f"output '{path}' has no extension: it chooses the format. Valid for {of}: {valid}.")
-    near = did_you_mean(extension, writers)
-    hint = near if near.startswith(" Did") else ""
-    raise UserError(f"output '{path}': no writer of {of} for '{extension}'.{hint} Valid: {valid}.")
+    hint = nearest(extension, writers)
+    raise UserError(f"output '{path}': no writer of {of} for '{Path(path).suffix}'.{hint} Valid: {valid}.")
 
 
 def write(
@@ -121,8 +120,12 @@ def write(
             folder that does not exist, or a file that exists, of shapes or one of several.
         OSError: a full disk, for example; the unfinished file is removed.
     """
-    of, jobs_of = _JOBS[type(prediction)]
-    jobs = jobs_of(prediction, writer_for(path, page, of), path, axes, **options)
+    if isinstance(prediction, Prediction):
+        jobs = _pose_jobs(prediction, writer_for(path, page), path, axes, **options)
+    else:
+        from uplift.export.meshes import shape_jobs  # what it imports is slow, and poses do not need it
+
+        jobs = shape_jobs(prediction, writer_for(path, page, "shapes"), path, axes, **options)
     paths = paths_of(path, [name for name, _ in jobs])
     return {file: job(file) for file, (_, job) in zip(paths, jobs, strict=True)}
 
@@ -184,15 +187,3 @@ def parts_of(prediction: Prediction, holds: str) -> list[tuple[str, np.ndarray |
             f"for each; the most is {MOST_FILES}. Give fewer files at a time, or write .npz, .json or .csv."
         )
     return parts
-
-
-def _shape_jobs(*arguments: Any, **options: Any) -> list[Job]:
-    # By name, as the writers: trimesh is slow to import, and poses do not need it.
-    return import_module("uplift.export.meshes").shape_jobs(*arguments, **options)
-
-
-_JOBS: dict[type, tuple[str, Callable[..., list[Job]]]] = {
-    Prediction: ("poses", _pose_jobs),
-    ShapePrediction: ("shapes", _shape_jobs),
-}
-"""Type of a prediction -> what it is of, and the files it makes."""

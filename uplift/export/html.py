@@ -111,7 +111,7 @@ def read_html(path: str | Path) -> dict[str, Any]:
 
 
 def _asset(name: str) -> str:
-    """Return a script, style or skeleton that pages are put together of."""
+    """Return a script, style or template."""
     return (_ASSETS / name).read_text(encoding="utf-8")
 
 
@@ -134,12 +134,9 @@ def report_html(sections: Sequence[Section], curves: Mapping[str, Curve]) -> str
 
 def curve_charts(curves: Mapping[str, Curve]) -> str:
     """Return one small chart per curve of (step, value) points; values that are not finite are left out."""
-    charts = []
-    for name, points in curves.items():
-        numbers = [(float(x), float(y)) for x, y in points]
-        finite = [point for point in numbers if all(map(math.isfinite, point))]
-        if finite:
-            charts.append(_chart(name, finite))
+    numbers = {name: [(float(x), float(y)) for x, y in points] for name, points in curves.items()}
+    finite = {name: [point for point in of if all(map(math.isfinite, point))] for name, of in numbers.items()}
+    charts = [_chart(name, points) for name, points in finite.items() if points]
     return f'<div class="charts">{"".join(charts)}</div>' if charts else ""
 
 
@@ -187,7 +184,8 @@ def _thinned(points: list[tuple[float, float]]) -> list[tuple[float, float]]:
 def _table_html(section: Section) -> str:
     """Return a section as a card with a table."""
     title, rows, header = section if len(section) == 3 else (*section, ())
-    if not header and _has_header(rows):
+    texts = [all(isinstance(cell, str) for cell in row) for row in rows]
+    if not header and len(rows) > 1 and len(rows[0]) > 2 and texts[0] and not any(texts[1:]):
         header, rows = rows[0], rows[1:]
     head = f"<thead>{_row(header, 'th')}</thead>" if header else ""
     body = "".join(_row(row, "td") for row in rows)
@@ -196,11 +194,6 @@ def _table_html(section: Section) -> str:
         f'<section class="card{broad}"><h2>{escape(title)}</h2><div class="wide"><table>{head}'
         f"<tbody>{body}</tbody></table></div></section>"
     )
-
-
-def _has_header(rows: Rows) -> bool:
-    texts = [all(isinstance(cell, str) for cell in row) for row in rows]
-    return len(rows) > 1 and len(rows[0]) > 2 and texts[0] and not any(texts[1:])
 
 
 def _row(cells: Sequence[object], tag: str) -> str:

@@ -25,7 +25,7 @@ _SCRIPTS = ("decode", "shape_mesh", "shape_raster", "shape_colours", "shape_stat
 
 
 def write_shape_page(prediction: ShapePrediction, path: str | Path, **options: Any) -> None:
-    """Write the page of `shape_page_text` to ``path``; the options are its own."""
+    """Write the page of `shape_page_text` to ``path`` with these options."""
     write_text(shape_page_text(prediction, **options), path)
 
 
@@ -135,8 +135,12 @@ def _shape_data(
         }
         for item, (name, one) in enumerate(zip(prediction.names, cut, strict=True))
     ]
-    for item, of_truth in _true(truth, meshes, faces):
-        items[item]["truth"] = of_truth
+    if truth is not None:
+        shown = np.unique(truth.shape).tolist()
+        where = {shape: len(meshes) + place for place, shape in enumerate(shown)}
+        meshes += [thinned(truth.meshes[shape], faces) for shape in shown]
+        for item, shape in enumerate(truth.shape):
+            items[item]["truth"] = {"mesh": where[int(shape)], **_standing(truth, item)}
     packed, layout = pack(_arrays(meshes, prediction.masks))
     data = {
         "meshes": [[len(mesh.vertices), len(mesh.faces)] for mesh in meshes],
@@ -147,17 +151,6 @@ def _shape_data(
         "packed": packed,
     }
     return data, cut
-
-
-def _true(truth: Placed | None, meshes: list[Mesh], faces: int) -> list[tuple[int, dict[str, Any]]]:
-    """Return each item's true mesh and place; the meshes that items show are added once each."""
-    if truth is None:
-        return []
-    where = {}
-    for shape in np.unique(truth.shape).tolist():
-        where[shape] = len(meshes)
-        meshes.append(thinned(truth.meshes[shape], faces))
-    return [(item, {"mesh": where[int(shape)], **_standing(truth, item)}) for item, shape in enumerate(truth.shape)]
 
 
 def _standing(placed: ShapePrediction | Placed, item: int) -> dict[str, Any]:
