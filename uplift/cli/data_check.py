@@ -185,9 +185,6 @@ def mask_file(path: Path, settings: Settings, skeleton: Skeleton | None) -> str:
     return f"{count}{found.title}; each is looked at when the fit starts"
 
 
-# Sizes of files.
-
-
 def _unpacked(path: Path) -> int:
     """Return the bytes of a file; of an archive, those of what is packed in it."""
     if zipfile.is_zipfile(path):

@@ -79,9 +79,8 @@ def _shapes(keys: Keys, count: int, seed: int) -> tuple[list[Mesh] | str, str]:
                 f"{_VERB}: '{families[0]}' is a family of simulated shapes and goes alone. "
                 f"Render {' and '.join(sources[:3])} apart. (A folder of that name: ./{families[0]})"
             )
-        for key in _FILE_KEYS:
-            if key in keys:
-                raise UserError(f"{_VERB}: {key}= goes with files of meshes, not with the family '{families[0]}'.")
+        for key in [key for key in _FILE_KEYS if key in keys]:
+            raise UserError(f"{_VERB}: {key}= goes with files of meshes, not with the family '{families[0]}'.")
         return families[0], f"{count:,} simulated shapes of '{families[0]}'"
     for source in sources:
         if not Path(source).expanduser().exists() and Path(source).suffix.lower() not in ENDINGS:
@@ -107,11 +106,8 @@ def _views(keys: Keys) -> ViewChoice:
 
     views = ViewChoice(upright=keys.one_of("upright", ("true", "false")) == "true")
     if not views.upright:
-        for key in ("azimuth_deg", "elevation_deg"):
-            if key in keys:
-                raise UserError(
-                    f"{_VERB}: upright=false draws from all rotations, {key}= has no effect. Leave one out."
-                )
+        for key in [key for key in ("azimuth_deg", "elevation_deg") if key in keys]:
+            raise UserError(f"{_VERB}: upright=false draws from all rotations, {key}= has no effect. Leave one out.")
     if "azimuth_deg" in keys:
         views = replace(views, azimuth_deg=_pair(keys, "azimuth_deg", "from,to", -360, 360))
     if "elevation_deg" in keys:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import datetime
+import itertools
 import json
 from collections.abc import Sequence
 from dataclasses import replace
@@ -70,10 +71,8 @@ def save_evaluation(result: AnyEvaluation, folder: RunFolder) -> None:
     older = folder.path / "evaluations"
     older.mkdir(exist_ok=True)
     stamp = datetime.datetime.now().strftime("%Y-%m-%d_%H-%M-%S")
-    number = 1
-    while (older / f"{stamp}_{number}.json").exists():
-        number += 1
-    for path in (older / f"{stamp}_{number}.json", folder.path / "evaluation.json"):
+    names = (older / f"{stamp}_{number}.json" for number in itertools.count(1))
+    for path in (next(path for path in names if not path.exists()), folder.path / "evaluation.json"):
         with replacing(path) as file:
             file.write(text)
     result.write_csv(folder.path / "evaluation.csv")
@@ -149,16 +148,12 @@ def score_shapes(
         UserError: test masks without true shapes.
     """
     if test.truth is None:
-        raise UserError(
-            f"{test.source or 'the test masks'}: no true shapes to compare with, only masks. `uplift data render` makes "
-            "masks with truth."
-        )
+        where = test.source or "the test masks"
+        raise UserError(f"{where}: no true shapes to compare with. `uplift data render` makes masks with truth.")
     notes = []
     if len(test) > most:
         rows = np.sort(np.random.default_rng(0).choice(len(test), most, replace=False))
-        notes.append(
-            f"{most:,} of {len(test):,} test masks were scored, chosen at random, always the same (items={most})"
-        )
+        notes.append(f"{most:,} of {len(test):,} test masks were scored: a fixed random choice (items={most})")
         test = test.select(rows)
     prediction = model.predict(test.without_truth(), title=title)
     known = None if train is None else known_shapes(train)
@@ -218,13 +213,11 @@ def _numbers(where: str, arrays: dict[str, np.ndarray], key: str, shape: tuple[i
 
 
 def _identity(where: str, arrays: dict[str, np.ndarray], frames: int) -> dict[str, np.ndarray]:
-    found = {}
-    for key in _IDENTITY:
-        if key in arrays:
-            found[key] = np.repeat(arrays[key], frames) if arrays[key].ndim == 0 else arrays[key]
-            if found[key].shape != (frames,):
-                raise UserError(f"{where}: '{key}' has shape {found[key].shape}, expected ({frames},).")
-    return found
+    found = {key: arrays[key] for key in _IDENTITY if key in arrays}
+    for key, values in found.items():
+        if values.shape not in ((), (frames,)):
+            raise UserError(f"{where}: '{key}' has shape {values.shape}, expected ({frames},).")
+    return {key: np.broadcast_to(values, frames) for key, values in found.items()}
 
 
 def _skeleton_of(names: tuple[str, ...], where: str) -> Skeleton:
@@ -240,11 +233,10 @@ def _skeleton_of(names: tuple[str, ...], where: str) -> Skeleton:
         except UserError:
             continue
         raise UserError(
-            f"{where}: joints are not exactly a shipped skeleton's; they fit '{name}': give skeleton={name}."
+            f"{where}: no shipped skeleton has exactly its joints; they fit '{name}': give skeleton={name}."
         )
-    raise UserError(
-        f"{where}: no shipped skeleton has its joints ({', '.join(names[:8])}, ...): give skeleton=FILE.yaml."
-    )
+    shown = ", ".join(names[:8])
+    raise UserError(f"{where}: no shipped skeleton has its joints ({shown}, ...): give skeleton=FILE.yaml.")
 
 
 # The command line.
@@ -256,9 +248,8 @@ def evaluate_command(words: Sequence[str]) -> None:
     if ("run" in keys) == ("poses" in keys):
         raise UserError("evaluate takes run=RUN or poses=FILE. (uplift evaluate --help)")
     if "poses" in keys:
-        for key in ("refine", "items"):
-            if key in keys:
-                raise UserError(f"evaluate poses=FILE takes the poses as they are: {key}= goes with run=.")
+        for key in [key for key in ("refine", "items") if key in keys]:
+            raise UserError(f"evaluate poses=FILE takes the poses as they are: {key}= goes with run=.")
         if "data.test" not in keys:
             raise UserError("evaluate poses=FILE needs data.test=FILE with the true poses.")
         print(evaluate_poses(keys["poses"], keys["data.test"], keys.get("skeleton")).table())

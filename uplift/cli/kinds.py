@@ -61,9 +61,8 @@ class Kind:
             words = other.predict_keys if verb == "predict" else other.evaluate_keys
             for key in keys:
                 if any(key == word or key.startswith(f"{word}.") for word in words):
-                    raise UserError(
-                        f"{verb}: {key}= goes with a run that lifts {other.lifts}; {run} lifts {self.lifts}."
-                    )
+                    kinds = f"a run that lifts {other.lifts}; {run} lifts {self.lifts}"
+                    raise UserError(f"{verb}: {key}= goes with {kinds}.")
 
 
 KINDS = {

@@ -109,8 +109,6 @@ def _protocols(runs: Sequence[RunFolder]) -> tuple[Sequence[str], int]:
     kinds = [KINDS[run.settings().lifts] for run in runs]
     for run, kind in zip(runs, kinds, strict=True):
         if kind is not kinds[0]:
-            raise UserError(
-                f"{runs[0].path} lifts {kinds[0].lifts} and {run.path} lifts {kind.lifts}: they have no metric in common. "
-                "Compare runs of one kind."
-            )
+            both = f"{runs[0].path} lifts {kinds[0].lifts} and {run.path} lifts {kind.lifts}"
+            raise UserError(f"{both}: they have no metric in common. Compare runs of one kind.")
     return kinds[0].compared, max(18, max(map(len, kinds[0].compared)) + 2)

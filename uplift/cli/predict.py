@@ -162,18 +162,14 @@ def _read(request: Request, skeleton: Skeleton) -> PoseData:
     use, colon, split = str(input).rpartition(":")
     if not colon or Path(input).exists():
         if overrides:
-            raise UserError(
-                f"'{overrides[0]}' goes with a data set, input=SET:SPLIT; input={input} is a file, which needs no more."
-            )
+            raise UserError(f"'{overrides[0]}' goes with a data set, input=SET:SPLIT; input={input} is a file.")
         return load_file(input, skeleton, reading)
     if reading is not None and reading.set_names():
         raise UserError(f"{reading.set_names()[0]}= goes with files, not with a published set, input={input}.")
     named = [f"data.name={use}"] if use in DATA_SETS else []
     if use not in DATA_SETS and ":" not in use:
-        raise UserError(
-            f"input={input}: no data set '{use}'.{did_you_mean(use, DATA_SETS)} Your own is file.py:Class:SPLIT; a "
-            "file of keypoints has no colon in its name."
-        )
+        hint = f"{did_you_mean(use, DATA_SETS)} Your own is file.py:Class:SPLIT; a file has no colon in its name."
+        raise UserError(f"input={input}: no data set '{use}'.{hint}")
     settings = load_settings(None, [*named, f"data.use={use}", *overrides])
     if not settings.data.name and settings.data.root is None:
         raise UserError(f"input={input}: where are its files? Give data.root=FOLDER.")
@@ -187,9 +183,8 @@ def pose_summary(found: Prediction) -> list[str]:
     blank = int((found.pose != found.pose).all((1, 2)).sum())
     lines.append(f"lifted {len(found) - blank:,} frames of {found.skeleton.name}, unit {found.unit}")
     if blank:
-        lines.append(
-            f"{blank:,} of {len(found):,} frames cannot be lifted (too few joints, or all in one point): their rows are NaN"
-        )
+        why = "too few joints, or all in one point"
+        lines.append(f"{blank:,} of {len(found):,} frames cannot be lifted ({why}): their rows are NaN")
     if found.filled is not None and found.filled.any():
         share = found.filled[np.isfinite(found.pose[..., 0])]
         lines.append(f"{share.mean():.1%} of joints were not seen and are filled in (`filled`)" if share.size else "")
@@ -237,11 +232,9 @@ def mask_arguments(keys: Keys) -> dict[str, Any]:
 def lift_masks(request: Request) -> tuple[ShapePrediction, dict[Path, str]]:
     """Lift masks and write the shapes, if there is an output; return the files with a remark on each."""
     if request.overrides or not request.refine or request.constant_bones or request.reading is not None:
-        raise UserError(
-            f"{request.weights.run} lifts masks: overrides, refine, constant_bones and reading go with keypoints."
-        )
-    axes = {} if request.axes is None else {"axes": request.axes}
-    options = {**request.options, **request.size, **axes}
+        of_keypoints = "overrides, refine, constant_bones and reading"
+        raise UserError(f"{request.weights.run} lifts masks: {of_keypoints} go with keypoints.")
+    options = {**request.options, **request.size, **({} if request.axes is None else {"axes": request.axes})}
     reading = {key: options.pop(key) for key in _READING if key in options}
     if request.output is not None:
         _check_mesh_output(request.output, request.page, options)
@@ -274,8 +267,5 @@ def shape_summary(found: ShapePrediction) -> list[str]:
     side = found.resolution
     lines = [*found.notes, f"lifted {len(found):,} masks, {side} x {side} x {side} voxels each"]
     empty = sum(not (grid > found.level).any() for grid in found.occupancy)
-    if empty:
-        lines.append(
-            f"{empty:,} of {len(found):,} shapes are empty: nothing of them is above the level {found.level:g}"
-        )
-    return lines
+    note = f"{empty:,} of {len(found):,} shapes are empty: nothing of them is above the level {found.level:g}"
+    return [*lines, note] if empty else lines

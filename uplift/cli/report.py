@@ -92,12 +92,14 @@ def report(run: RunFolder, model: Any, settings: Settings, loaded: Any, spent: d
     with replacing(run.path / "report.md") as file:
         file.write(("\n".join(lines) + "\n").encode())
     sections = [(found.words.title, rows)] if rows else []
-    found.write_page(run.path / "page.html", sections=sections, curves=_curves_of(run), notes=found.given)
+    curves: dict[str, list[tuple[float, float]]] = {}
+    for stage, step, name, value in read_metrics(run.path / "metrics.csv"):
+        curves.setdefault(f"{stage}: {name}", []).append((float(step), float(value)))
+    found.write_page(run.path / "page.html", sections=sections, curves=curves, notes=found.given)
     print("\n".join(_end_lines(run, found, rows, spent)))
 
 
 def _head_lines(run: RunFolder, settings: Settings, notes: Sequence[str], spent: dict[str, float]) -> list[str]:
-    """Return the first lines of report.md."""
     facts = run.facts()
     return [
         *(f"# {settings.task or 'own data'}", "", settings.description.strip(), "", "```", facts["command"], "```", ""),
@@ -108,7 +110,6 @@ def _head_lines(run: RunFolder, settings: Settings, notes: Sequence[str], spent:
 
 
 def _figure_lines(found: Findings, rows: list[list[object]]) -> list[str]:
-    """Return the figures as report.md has them."""
     if found.evaluation is None:
         return []
     words, (header, *figures) = found.words, rows
@@ -121,14 +122,6 @@ def _figure_lines(found: Findings, rows: list[list[object]]) -> list[str]:
 
 def _cell(cell: object, number: str) -> str:
     return format(cell, number) if isinstance(cell, float) else str(cell)
-
-
-def _curves_of(run: RunFolder) -> dict[str, list[tuple[float, float]]]:
-    """Return each curve of metrics.csv: stage and name -> (step, value) points."""
-    curves: dict[str, list[tuple[float, float]]] = {}
-    for stage, step, name, value in read_metrics(run.path / "metrics.csv"):
-        curves.setdefault(f"{stage}: {name}", []).append((float(step), float(value)))
-    return curves
 
 
 def _end_lines(run: RunFolder, found: Findings, rows: list[list[object]], spent: dict[str, float]) -> list[str]:

@@ -233,10 +233,8 @@ def _help(data: PoseData, skeleton: Skeleton) -> list[str]:
     lines += ["# from:", "#   my_tracker:"]
     for joint in skeleton.joints:
         if joint in guesses:
-            parts = [propose.quoted(name) for name in guesses[joint]]
-            lines.append(
-                f"#     {propose.quoted(joint)}: {parts[0] if len(parts) == 1 else '[' + ', '.join(parts) + ']'}"
-            )
+            parts = ", ".join(map(propose.quoted, guesses[joint]))
+            lines.append(f"#     {propose.quoted(joint)}: {parts if len(guesses[joint]) == 1 else f'[{parts}]'}")
         elif joint not in skeleton.midpoints:
             lines.append(f"#     # {propose.quoted(joint)}: nothing is alike")
     return lines

@@ -91,16 +91,12 @@ def euler_zxy(rotation: Float[np.ndarray, "frames 3 3"]) -> Float[np.ndarray, "f
         if locked[now]:  # z and y turn about one axis: z stays
             angles[now, 0] = angles[now - 1, 0] if now else 0.0
             angles[now, 2] = np.sign(angles[now, 1]) * (sum_or_gap[now] - angles[now, 0])
-        if now:
-            angles[now] = _nearest(angles[now], angles[now - 1])
+        if now:  # of the two triples for this rotation, and full turns more or less, the nearest to the frame before
+            z, x, y = angles[now]
+            triples = np.array([[z, x, y], [z + np.pi, np.pi - x, y + np.pi]])
+            triples += 2 * np.pi * np.round((angles[now - 1] - triples) / (2 * np.pi))
+            angles[now] = triples[np.abs(triples - angles[now - 1]).sum(1).argmin()]
     return np.degrees(angles)
-
-
-def _nearest(angles: np.ndarray, before: np.ndarray) -> np.ndarray:
-    """Return the same rotation by the angles nearest to those before."""
-    other = np.array([angles[0] + np.pi, np.pi - angles[1], angles[2] + np.pi])
-    both = [turn + 2 * np.pi * np.round((before - turn) / (2 * np.pi)) for turn in (angles, other)]
-    return min(both, key=lambda turn: float(np.abs(turn - before).sum()))
 
 
 def _text(rig: _Rig, place: np.ndarray, scale: float, rate: float) -> str:

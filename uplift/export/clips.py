@@ -78,9 +78,7 @@ def _codes(labels: Sequence[np.ndarray], rows: int) -> np.ndarray:
         _, inverse = np.unique(label, return_inverse=True)
         codes = np.unique(codes * (inverse.max(initial=0) + 1) + inverse, return_inverse=True)[1]
     _, first, inverse = np.unique(codes, return_index=True, return_inverse=True)
-    rank = np.empty(len(first), np.int64)
-    rank[np.argsort(first)] = np.arange(len(first))
-    return rank[inverse]
+    return np.argsort(np.argsort(first))[inverse]
 
 
 def _names(labels: Sequence[np.ndarray], groups: Sequence[np.ndarray]) -> list[str]:

@@ -59,7 +59,11 @@ def write_film(prediction: Prediction, path: str | Path, fps: int | float | None
         if program:
             _write_mp4(pictures, handle, program, drawing.size, rate * len(moments) / len(clip.frames))
         else:
-            _write_gif(pictures, handle, gif_durations_ms(len(moments), len(clip.frames) / rate))
+            palette = film_palette()
+            small = (picture.quantize(palette=palette, dither=Image.Dither.NONE) for picture in pictures)
+            durations = gif_durations_ms(len(moments), len(clip.frames) / rate)
+            options = {"save_all": True, "duration": durations, "loop": 0, "optimize": False}
+            next(small).save(handle, format="GIF", append_images=small, **options)
 
 
 def thinned(moments: int, rate: float, most: int, fastest: float) -> Int[np.ndarray, " kept"]:
@@ -71,13 +75,6 @@ def gif_durations_ms(frames: int, seconds: float) -> list[int]:
     """Return the duration of each frame, in multiples of the gif's 10 ms, none less than two."""
     ends = np.round(np.linspace(0, max(seconds, 0.02 * frames), frames + 1) * 100).astype(int)
     return (np.diff(ends) * 10).tolist()
-
-
-def _write_gif(pictures: Iterator[Image.Image], handle: BinaryIO, durations: list[int]) -> None:
-    palette = film_palette()
-    small = (picture.quantize(palette=palette, dither=Image.Dither.NONE) for picture in pictures)
-    options = {"save_all": True, "duration": durations, "loop": 0, "optimize": False}
-    next(small).save(handle, format="GIF", append_images=small, **options)
 
 
 def _write_mp4(
@@ -113,10 +110,10 @@ def _write_mp4(
 
 def _ffmpeg(path: str | Path) -> str:
     """Return the ffmpeg of the package imageio-ffmpeg; raises UserError where there is none."""
-    hint = 'pip install "uplift3d[video]". A .gif needs nothing more.'
     try:
         from imageio_ffmpeg import get_ffmpeg_exe
     except ImportError:
+        hint = 'pip install "uplift3d[video]". A .gif needs nothing more.'
         raise UserError(f"cannot write {path}: an .mp4 needs imageio-ffmpeg: {hint}") from None
     try:
         return get_ffmpeg_exe()

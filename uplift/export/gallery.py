@@ -206,10 +206,8 @@ class _Sheet:
             truth = ", and the truth is drawn at the size of each pose" if self.truth is not None else ""
             notes.append(f"The scale is not metric: every frame is drawn as large as it fits{truth}.")
         photos = self.photos
-        wrong = (
-            {f"not in {Path(str(photos.folder)).name}": photos.absent, "unusable": photos.unreadable} if photos else {}
-        )
-        for what, names in wrong.items():
+        where = photos and Path(str(photos.folder)).name
+        for what, names in ((f"not in {where}", photos.absent), ("unusable", photos.unreadable)) if photos else ():
             are = "is" if len(names) == 1 else "are"
             few = ", ".join(names[:3]) + (", ..." if len(names) > 3 else "")
             notes += [f"{len(names)} of {len(self.rows)} photos {are} {what}: {few}."] if names else []
@@ -303,13 +301,14 @@ def _projected(views: Float[np.ndarray, "views joints 3"], distance: float) -> F
 def _figure(points: Float[np.ndarray, "joints 3"], missing: Bool[np.ndarray, " joints"], body: _Body) -> str:
     """Return bones from far to near, each with a rim that parts it from what it hides."""
     depth = points[body.bones, 2].mean(1)
+    tones = np.digitize(depth, (-0.12, 0.12))
     parts = []
     for bone in np.argsort(-depth, kind="stable").tolist():
         start, end = body.bones[bone]
         if not np.isfinite(points[[start, end]]).all():
             continue
         line = _line(points[start], points[end])
-        tone = f"{_SIDES[body.bone_sides[bone]]}{_tone(depth[bone])}"
+        tone = f"{_SIDES[body.bone_sides[bone]]}{tones[bone]}"
         if missing[start] or missing[end]:
             parts.append(f'<path class="{tone} u" d="{line}"/>')
         else:
@@ -392,7 +391,3 @@ def _line(start: np.ndarray, end: np.ndarray) -> str:
 
 def _ring(point: np.ndarray, side: str) -> str:
     return f'<circle class="o{side}" cx="{round(float(point[0]))}" cy="{round(float(point[1]))}" r="9"/>'
-
-
-def _tone(depth: float) -> int:
-    return 0 if depth < -0.12 else 1 if depth < 0.12 else 2

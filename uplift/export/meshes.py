@@ -68,8 +68,12 @@ def shape_jobs(
     left_out = f"without a surface: {', '.join(gone[:3])}{more}" if gone else ""
 
     def job(part: list[int], file: Path) -> str:
+        import trimesh
+
         refuse_existing(file)
-        data = writer([_solid(prediction, item, cut[item], frame) for item in part], frame.about(prediction, part))
+        meshes = [(item, mesh) for item in part if (mesh := cut[item].mesh) is not None]
+        placed = [(frame.placed(mesh, prediction, item), mesh.faces) for item, mesh in meshes]
+        data = writer([trimesh.Trimesh(*solid, process=False) for solid in placed], frame.about(prediction, part))
         with replacing(file) as handle:
             handle.write(data)
         cleaned = [cut[item].summary() for item in part]
@@ -351,13 +355,6 @@ def encode_stl(solids: Sequence[trimesh.Trimesh], about: dict[str, Any]) -> byte
     # A header that begins with "solid" is read as text by many programs.
     header = f"uplift, unit {about['unit']}, axes {about['axes']}, {about['items'][0]['name']}"
     return header.encode("ascii", "replace")[:_STL_HEADER].ljust(_STL_HEADER) + export_stl(solids[0])[_STL_HEADER:]
-
-
-def _solid(prediction: ShapePrediction, item: int, one: Surface, frame: Frame) -> trimesh.Trimesh:
-    import trimesh
-
-    assert one.mesh is not None
-    return trimesh.Trimesh(frame.placed(one.mesh, prediction, item), one.mesh.faces, process=False)
 
 
 def _lines(about: dict[str, Any]) -> list[str]:

@@ -71,10 +71,7 @@ def _page_data(prediction: Prediction, moments: int) -> dict[str, Any]:
     if not len(prediction):
         raise UserError("there is no frame to show on a page: the prediction is empty. Check the input file.")
     if prediction.axes not in ("camera", "opencv"):
-        raise UserError(
-            f"a page shows poses as the camera sees them; these were turned to the axes '{prediction.axes}'. "
-            "Leave axes out for a page."
-        )
+        raise UserError(f"a page shows poses in the camera's axes, these are in '{prediction.axes}': leave axes out.")
     clips = arrange(prediction.identity, len(prediction))
     chosen = choose(clips, max(1, moments), _ROWS_PER_MOMENT * max(1, moments))
     rows = np.concatenate([clip.rows for clip in chosen])

@@ -135,9 +135,6 @@ def level_rotations(
     return rotation, float(departure / max(np.abs(pose).max(initial=0), 1e-12))
 
 
-# Places of roots.
-
-
 def row_places(prediction: Prediction, clip: Clip) -> Float[np.ndarray, "rows 3"]:
     """Return where the root of each row is, in the prediction's axes and unit, NaN where that is not known.
 
@@ -210,9 +207,6 @@ def held(values: Float[np.ndarray, "frames 3"]) -> Float[np.ndarray, "frames 3"]
         return np.zeros_like(values)
     last = np.maximum.accumulate(np.where(known, np.arange(len(values)), -1))
     return values[np.where(last < 0, int(np.argmax(known)), last)]
-
-
-# The truth beside a pose.
 
 
 def matched_truth(

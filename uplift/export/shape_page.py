@@ -57,8 +57,15 @@ def shape_page_text(
         UserError: no item, a truth or score that is not one for each item, no such folder of photos.
     """
     scores = scores or {}
-    _check(prediction, truth, scores)
-    rows = _chosen_items(len(prediction), items)
+    if not len(prediction):
+        raise UserError("there is no shape to show: no mask was lifted.")
+    for name, values in {"truth": truth, **scores}.items():
+        if values is not None and len(values) != len(prediction):
+            raise UserError(f"{name} has {len(values)} rows, expected {len(prediction)}, one for each shape.")
+    if items < 1:
+        raise UserError(f"items={items}: a page shows at least one shape.")
+    shown_count = min(items, len(prediction))
+    rows = np.arange(shown_count) * len(prediction) // shown_count
     shown, true = prediction.select(rows), None if truth is None else truth.select(rows)
     data, cut = _shape_data(shown, true, {name: np.asarray(of, float)[rows] for name, of in scores.items()}, smooth)
     photos, wrong = _photos_of(shown, images)
@@ -77,15 +84,6 @@ def shape_page_text(
         curves=curves,
         things="shapes",
     )
-
-
-def _check(prediction: ShapePrediction, truth: Placed | None, scores: _Scores) -> None:
-    if not len(prediction):
-        raise UserError("there is no shape to show: no mask was lifted.")
-    given = {"truth": truth, **scores}
-    for name, values in given.items():
-        if values is not None and len(values) != len(prediction):
-            raise UserError(f"{name} has {len(values)} rows, expected {len(prediction)}, one for each shape.")
 
 
 def _facts(prediction: ShapePrediction, truth: Placed | None) -> list[str]:
@@ -108,13 +106,6 @@ def _remarks(cut: Sequence[Surface], count: int) -> list[str]:
 _ALL_FACES, _MOST_FACES, _LEAST_FACES = 600_000, 5000, 600
 _FINEST = 2 / 2048
 _MASK_SIDE, _MASK_STEPS = 64, 15
-
-
-def _chosen_items(count: int, most: int) -> np.ndarray:
-    """Return at most so many of ``count`` items, spread evenly; raises UserError for a number below 1."""
-    if most < 1:
-        raise UserError(f"items={most}: a page shows at least one shape.")
-    return np.arange(count) if count <= most else np.arange(most) * count // most
 
 
 def _shape_data(
@@ -184,9 +175,7 @@ def _arrays(meshes: Sequence[Mesh], masks: np.ndarray) -> dict[str, tuple[np.nda
 def _ordered(mesh: Mesh) -> Mesh:
     """Return the mesh with its corners from top to bottom and its triangles by their first corner."""
     order = np.lexsort(np.rint(mesh.vertices / (8 * _FINEST)).T[[2, 0, 1]])
-    place = np.empty(len(order), np.int64)
-    place[order] = np.arange(len(order))
-    faces = place[mesh.faces]
+    faces = np.argsort(order)[mesh.faces]
     start = faces.argmin(1)
     faces = np.take_along_axis(faces, (start[:, None] + np.arange(3)) % 3, 1)
     faces = faces[np.lexsort(faces.T[::-1])]
@@ -204,9 +193,8 @@ def _smaller(masks: np.ndarray) -> np.ndarray:
     return np.asarray(resize(masks.astype(np.float32) / 255, small, order=1, anti_aliasing=True), np.float32)
 
 
-# The part of a photo that a mask's crop shows.
-
 _SIDE_PX = 224
+"""Of an item's photo."""
 
 
 def _photos_of(prediction: ShapePrediction, folder: str | Path | None) -> tuple[list[str], list[str]]:

@@ -212,7 +212,7 @@ def _frames(prediction: Prediction) -> Iterator[str]:
 
 
 def _shaped(shape: tuple[int, ...], style: str) -> str:
-    """Return the text of nested lists of this shape with ``style`` in the place of every number."""
+    """Return nested lists of this shape as text, ``style`` for every number."""
     return style if not shape else "[" + ",".join([_shaped(shape[1:], style)] * shape[0]) + "]"
 
 
