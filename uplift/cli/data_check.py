@@ -28,18 +28,16 @@ __all__ = ["check_data", "keypoint_file", "mask_file", "simulated_keypoints", "s
 
 
 def check_data(words: Sequence[str]) -> tuple[list[str], bool]:
-    """Return the lines on a task's data, and whether a fit has all that it needs.
-
-    Raises:
-        UserError: no such task, set, option or split; no data named.
-    """
+    """Return the lines on a task's data, and whether a fit has all it needs; raises UserError for invalid settings."""
     task = split_words(words)[1].get("task")
     if task == "":
         raise UserError("data check: 'task=' has no value. Expected task=NAME.")
     settings = load_settings(task, [word for word in words if word.partition("=")[0] != "task"])
     report = _Report(settings)
     if settings.data.simulate:
-        report.simulated(settings)
+        what, size = KINDS[settings.lifts].check_simulated(settings, report.skeleton)
+        cost = f"; {_size(size)} in memory" if size else ""
+        report.lines.append(f"train, test: {what}: no files needed{cost}")
     else:
         report.part("train", settings, "train")
         if settings.data.test:
@@ -59,12 +57,6 @@ class _Report:
         """How to get what is not there."""
         self.wrong = False
         self.folder: Path | None = None
-
-    def simulated(self, settings: Settings) -> None:
-        """Add that nothing is needed."""
-        what, size = KINDS[settings.lifts].check_simulated(settings, self.skeleton)
-        cost = f"; {_size(size)} in memory" if size else ""
-        self.lines.append(f"train, test: {what}: no files needed{cost}")
 
     def part(self, title: str, settings: Settings, which: str) -> None:
         """Add what is there of the ``train`` or ``test`` frames of ``settings``."""
@@ -97,13 +89,12 @@ class _Report:
 
     def _file(self, title: str, settings: Settings, which: str) -> bool:
         """Add what is there of a file of keypoints or masks; returns whether it is there."""
-        name = getattr(settings.data, which)
-        if not name:
-            find_data(settings, which)  # raises, naming what to set
-        folder = data_root(settings.data.name, settings.data.root)
+        name, folder = getattr(settings.data, which), data_root(settings.data.name, settings.data.root)
         try:
             paths = files_of(find_data(settings, which))
         except UserError:
+            if not name:
+                raise  # it names what to set
             paths = [(folder / part).absolute() for part in str(name).split(",") if part]
         alone = paths[0].name if paths[0].parent == self.folder else str(paths[0])
         self.lines.append(f"{title}: {alone if len(paths) == 1 else f'{len(paths)} files'}")
@@ -120,11 +111,9 @@ class _Report:
         return True
 
     def _line(self, path: Path, what: str, present: bool) -> None:
-        if present:
-            held = "a folder" if path.is_dir() else _size(path.stat().st_size)
-            self.lines.append(f"  present  {path.name}, {held}")
-        else:
-            self.lines.append(f"  MISSING  {path.name}" + (f": {what}" if what else ""))
+        missing = f"  MISSING  {path.name}" + (f": {what}" if what else "")
+        held = "a folder" if path.is_dir() else _size(path.stat().st_size) if present else ""
+        self.lines.append(f"  present  {path.name}, {held}" if present else missing)
 
     def ended(self, words: str) -> list[str]:
         """Return all lines, with where missing files come from and what to do next."""

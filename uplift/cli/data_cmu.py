@@ -28,11 +28,7 @@ _CREDIT = (
 
 
 def make_cmu_files(words: list[str]) -> Iterator[str]:
-    """Write ``train.npz`` and ``test.npz`` and yield a line on each step.
-
-    Raises:
-        UserError: an invalid setting or file, or an output that exists.
-    """
+    """Write ``train.npz`` and ``test.npz`` and yield a line on each step; raises UserError for an invalid word or file."""
     keys = keyed("data cmu", words, _KEYS, plain=True)
     if len(keys.plain) != 1 or "output" not in keys:
         raise UserError(f"data cmu takes one DIR with .asf, .amc or .bvh files, and output=FOLDER. ({_USE})")

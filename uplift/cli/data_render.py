@@ -34,11 +34,7 @@ _MOST_BYTES = 4_000_000_000
 
 
 def render_masks_command(words: Sequence[str]) -> list[str]:
-    """Render masks into an .npz file, or a folder of .png files with ``truth.npz``; return what to print.
-
-    Raises:
-        UserError: an invalid setting or mesh, or an output that exists.
-    """
+    """Render masks into an .npz file, or a folder of .png files with ``truth.npz``; return what to print."""
     from uplift.data.formats.masks_npz import write_masks_npz
     from uplift.data.synthetic.masks import FAMILIES, simulate_masks
 

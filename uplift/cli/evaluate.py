@@ -113,11 +113,7 @@ MOST = 100
 
 
 def evaluate_masks(folder: RunFolder, model: ShapeModel, test: str | None, items: int = MOST) -> ShapeEvaluation:
-    """Return the metrics of a run on at most ``items`` masks of ``test``, or of the test masks of its settings.
-
-    Raises:
-        UserError: no such masks, or no truth to compare with.
-    """
+    """Return the metrics of a run on at most ``items`` masks of ``test``, or of the test masks of its settings."""
     if items < 1:
         raise UserError(f"items={items}: expected how many masks are scored at most, 1 or more.")
     settings = folder.settings()
@@ -142,10 +138,9 @@ def evaluate_masks(folder: RunFolder, model: ShapeModel, test: str | None, items
 def score_shapes(
     model: ShapeModel, test: MaskData, train: MaskData | None, title: str = "", most: int = MOST
 ) -> tuple[MaskData, ShapePrediction, ShapeEvaluation]:
-    """Return at most ``most`` of the masks, their shapes and metrics, and the baselines' where ``train`` has true shapes.
+    """Return at most ``most`` masks, their shapes and metrics, with baselines where ``train`` has true shapes.
 
-    Raises:
-        UserError: test masks without true shapes.
+    Raises UserError for test masks without true shapes.
     """
     if test.truth is None:
         where = test.source or "the test masks"
@@ -173,8 +168,7 @@ _IDENTITY = ("subject", "action", "sequence", "camera", "frame")
 def evaluate_poses(poses: str | Path, test: str | Path, skeleton: str | None = None) -> Evaluation:
     """Evaluate poses of any origin: an npz with `pose` and `joint_names`, rows as in ``test``.
 
-    Raises:
-        UserError: not such a file, or other joints or frames than the truth.
+    Raises UserError for another file, or other joints or frames than the truth.
     """
     arrays = read_arrays(poses, ("pose", "joint_names", "unit", "tilt_deg", "spread", "axes", *_IDENTITY))
     refuse_other_axes(str(poses), arrays)

@@ -175,7 +175,7 @@ def _by_first_word(functions: dict[str, str], expected: str) -> Callable[[Sequen
     def run(words: Sequence[str]) -> int:
         if not words or words[0] not in functions:
             raise UserError(expected)
-        found = Later(functions[words[0]])(list(words[1:]))
+        found = Later(f"uplift.cli.{functions[words[0]]}")(list(words[1:]))
         lines, complete = found if isinstance(found, tuple) else (found, True)
         for line in lines:
             print(line)
@@ -192,9 +192,9 @@ _RUN: dict[str, Callable[[Sequence[str]], int | None]] = {
     "compare": lambda runs: print(Later("uplift.cli.listing:compare")(runs)),
     "data": _by_first_word(
         {
-            "check": "uplift.cli.data_check:check_data",
-            "cmu": "uplift.cli.data_cmu:make_cmu_files",
-            "render": "uplift.cli.data_render:render_masks_command",
+            "check": "data_check:check_data",
+            "cmu": "data_cmu:make_cmu_files",
+            "render": "data_render:render_masks_command",
         },
         "data: expected `uplift data check task=NAME`, `uplift data cmu FOLDER` or "
         "`uplift data render MESHES output=FILE.npz`.",
@@ -202,11 +202,7 @@ _RUN: dict[str, Callable[[Sequence[str]], int | None]] = {
     "tasks": _list("tasks", "uplift.cli.listing:list_tasks"),
     "skeletons": _list("skeletons", "uplift.cli.listing:list_skeletons"),
     "skeleton": _by_first_word(
-        {
-            "check": "uplift.cli.skeleton:check_skeleton_file",
-            "new": "uplift.cli.skeleton:new_skeleton_file",
-            "map": "uplift.cli.skeleton:map_joints",
-        },
+        {"check": "skeleton:check_skeleton_file", "new": "skeleton:new_skeleton_file", "map": "skeleton:map_joints"},
         "skeleton: expected `uplift skeleton check FILE [output=FILE.png]`, `uplift skeleton new FILE "
         "[--from TRACKER_FILE]` or `uplift skeleton map TRACKER_FILE skeleton=NAME`.",
     ),

@@ -12,13 +12,11 @@ if TYPE_CHECKING:
     from uplift.data.formats.base import ReadOptions
 
 __all__ = [
-    "EVALUATE_KEYS", "POSE_KEYS", "PREDICT_KEYS", "READ_KEYS", "SHAPE_KEYS", "SIMULATE_KEYS", "SIZE_KEYS", "Keys", "keyed",
+    "EVALUATE_KEYS", "POSE_KEYS", "PREDICT_KEYS", "READ_KEYS", "SHAPE_KEYS", "SIMULATE_KEYS", "Keys", "keyed",
 ]  # fmt: skip
 
 READ_KEYS = ("format", "layout", "image_size", "fps", "focal_px", "min_confidence")
 """What any command that reads keypoints takes, as `uplift.data.formats.base.ReadOptions` has it."""
-SIZE_KEYS = ("height_mm", "bone", "bone_mm", "camera_height_mm")
-"""What tells how large a body is, as `uplift.models.metric_scale.size_from` has it."""
 POSE_KEYS = (
     "refine", "frames", "seed", "bones", "bone", "bone_mm", "camera_height_mm", *READ_KEYS[1:], "data.name", "data.root",
 )  # fmt: skip
@@ -68,22 +66,24 @@ class Keys(dict[str, str]):
             raise UserError(f"{self.verb}: {key}={self[key]!r}, expected {what}{limits}.")
         return value
 
-    def whole(
-        self, key: str, default: int | None = None, *, least: int | float = -math.inf, most: int | float = math.inf
-    ) -> Any:
-        """Return the integer of ``key`` within these limits, ``default`` where it is not given."""
-        return self.number(key, default, least=least, most=most, kind=int)
+    def whole(self, key: str, default: int | None = None, **limits: int) -> Any:
+        """Return the integer of ``key`` as `number` does."""
+        return self.number(key, default, kind=int, **limits)
+
+    def given(self, **kinds: type) -> dict[str, Any]:
+        """Return those of these keys that are given, each of its kind: ``int``, ``float`` or ``str``."""
+        found = {key: kind for key, kind in kinds.items() if key in self}
+        return {key: self[key] if kind is str else self.number(key, kind=kind) for key, kind in found.items()}
 
     def listed(self, key: str) -> list[str]:
-        """Return what stands between the commas of ``key``."""
+        """Return the comma-separated parts of ``key``."""
         return [part.strip() for part in self.get(key, "").split(",") if part.strip()]
 
     def reading(self) -> ReadOptions:
         """Return the `uplift.data.formats.base.ReadOptions` of those `READ_KEYS` that are given."""
         from uplift.data.formats.base import ReadOptions, size_of
 
-        given: dict[str, Any] = {key: self[key] for key in ("format", "layout") if key in self}
-        given |= {key: self.number(key) for key in ("fps", "focal_px", "min_confidence") if key in self}
+        given = self.given(format=str, layout=str, fps=float, focal_px=float, min_confidence=float)
         return ReadOptions(**given, image_size=size_of(self["image_size"]) if "image_size" in self else None)
 
 

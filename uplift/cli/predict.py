@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from uplift.cli.kinds import KINDS
-from uplift.cli.parsing import PREDICT_KEYS, SIZE_KEYS, Keys, keyed
+from uplift.cli.parsing import PREDICT_KEYS, Keys, keyed
 from uplift.config.files import refuse_output
 from uplift.config.loading import load_settings
 from uplift.config.run import Weights, read_weights
@@ -119,9 +119,7 @@ def predict_command(words: Sequence[str]) -> None:
 
 def keypoint_arguments(keys: Keys) -> dict[str, Any]:
     """Return the arguments of `predict` that the command line gives for keypoints."""
-    options: dict[str, Any] = {"images": keys["images"]} if "images" in keys else {}
-    options |= {key: keys.whole(key) for key in ("frames", "seed") if key in keys}
-    size: dict[str, Any] = {key: keys.number(key) for key in SIZE_KEYS if key in keys and key != "bone"}
+    size = keys.given(height_mm=float, bone_mm=float, camera_height_mm=float)
     if "bone" in keys:
         size["bone"] = tuple(name.strip() for name in keys["bone"].split(","))
     return {
@@ -129,7 +127,7 @@ def keypoint_arguments(keys: Keys) -> dict[str, Any]:
         "constant_bones": keys.one_of("bones", ("free", "constant")) == "constant",
         "size": size,
         "reading": keys.reading(),
-        **options,
+        **keys.given(images=str, frames=int, seed=int),
     }
 
 
@@ -221,9 +219,8 @@ _OF_MESHES = ("axes", "unit", "height_mm", "length_mm", "smooth", "together")
 
 def mask_arguments(keys: Keys) -> dict[str, Any]:
     """Return the arguments of `predict` that the command line gives for masks."""
-    options: dict[str, Any] = {key: keys[key] for key in ("unit", *_READING) if key in keys}
-    options |= {key: keys.number(key) for key in ("height_mm", "length_mm") if key in keys}
-    options |= {key: keys.whole(key) for key in ("smooth", "items", "most") if key in keys}
+    options = keys.given(unit=str, height_mm=float, length_mm=float, smooth=int, items=int, most=int)
+    options = keys.given(**dict.fromkeys(_READING, str)) | options
     if "together" in keys:
         options["together"] = keys.one_of("together", ("true", "false")) == "true"
     return options

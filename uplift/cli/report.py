@@ -78,7 +78,7 @@ class Findings:
         if self.evaluation is None:
             return []
         overalls = [self.evaluation.overall, *self.baselines.values()]
-        header = [self.evaluation.title, "this run", *self.baselines]
+        header: list[object] = [self.evaluation.title, "this run", *self.baselines]
         return [header, *([name, *(overall.get(name, "") for overall in overalls)] for name in self.names)]
 
 

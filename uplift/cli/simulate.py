@@ -62,10 +62,9 @@ def simulate(
 def simulate_command(words: Sequence[str]) -> None:
     """Simulate what the words say, write it, and print what was done."""
     keys = keyed("simulate", words, SIMULATE_KEYS, ("skeleton", "output"))
-    given: dict[str, Any] = {key: keys.whole(key) for key in ("frames", "seed") if key in keys}
-    given |= {key: keys.number(key) for key in ("clip_seconds", "noise_px", "missing") if key in keys}
+    given = keys.given(frames=int, seed=int, clip_seconds=float, noise_px=float, missing=float, tracker=str)
     written: list[Path] = []
-    data = simulate(keys["skeleton"], keys["output"], tracker=keys.get("tracker"), written=written, **given)
+    data = simulate(keys["skeleton"], keys["output"], written=written, **given)
     output = Path(keys["output"])
     several = len(written) > 1
     files = f"{len(written)} files, {written[0]} to {written[-1].name}" if several else output

@@ -104,11 +104,7 @@ _LIKELY = 1.5  # see `stretched`
 
 
 def map_joints(words: list[str]) -> tuple[list[str], bool]:
-    """Return the lines on how a file's joints make a skeleton's, and whether the file can be lifted.
-
-    Raises:
-        UserError: no such file or skeleton, or one that cannot be read.
-    """
+    """Return the lines on how a file's joints make a skeleton's, and whether the file can be lifted."""
     keys = keyed("skeleton map", words, ("skeleton", *_READING), plain=True)
     if len(keys.plain) != 1 or "skeleton" not in keys:
         raise UserError("skeleton map takes one FILE or FOLDER and skeleton=NAME or skeleton=FILE.yaml.")

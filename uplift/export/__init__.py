@@ -77,11 +77,7 @@ PAGES = {
 
 
 def writer_for(path: str | Path, page: str | None = None, of: str = "poses") -> Writer:
-    """Return the writer ``of`` poses or shapes for the extension of ``path``, or for the kind of ``page``.
-
-    Raises:
-        UserError: an unknown extension or page, or a page that is not an .html.
-    """
+    """Return the writer for the extension of ``path`` or the kind of ``page``; raises UserError for an unknown one."""
     extension, writers = Path(path).suffix.lower(), WRITERS[of]
     if page is not None:
         if page not in PAGES[of]:
@@ -135,11 +131,7 @@ Job = tuple[str, Callable[[Path], str]]
 
 
 def paths_of(path: str | Path, names: Sequence[str]) -> list[Path]:
-    """Return the path of each file: ``path`` itself for one, else its stem with each name behind it.
-
-    Raises:
-        UserError: one of several is there already.
-    """
+    """Return ``path`` for one name, else ``path`` with each name appended to its stem; raises UserError if one exists."""
     path = Path(path)
     if len(names) == 1:
         return [path]
@@ -167,11 +159,7 @@ def _pose_jobs(prediction: Prediction, writer: Writer, path: str | Path, axes: s
 
 
 def parts_of(prediction: Prediction, holds: str) -> list[tuple[str, np.ndarray | None]]:
-    """Return (name, rows) of each file: one with all rows (None), one a clip, or one a body of a clip.
-
-    Raises:
-        UserError: too many files.
-    """
+    """Return (name, rows) of each file: all rows (None), a clip, or a body of a clip; raises UserError for too many."""
     if holds == "all":
         return [("", None)]
     parts: list[tuple[str, np.ndarray | None]] = []

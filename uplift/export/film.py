@@ -18,9 +18,8 @@ from uplift.config.files import replacing
 from uplift.errors import UserError
 from uplift.export.clips import USUAL_FPS, Clip, frame_rate, one_clip
 from uplift.export.gallery import filled_points
-from uplift.export.scene import SIDE_COLOURS, from_y_down, in_axes, known_points, row_places
+from uplift.export.scene import SIDE_COLOURS, Body, body_of, from_y_down, in_axes, known_points, row_places
 from uplift.models.prediction import Prediction
-from uplift.skeleton.core import bone_sides, joint_sides
 
 __all__ = [
     "CARD", "HIGH", "SIDES", "WIDE", "FilmDrawing", "FilmScene", "film_palette", "film_scene", "gif_durations_ms",
@@ -137,8 +136,8 @@ class FilmScene:
     """A clip as it is drawn; world axes are x right, y down with the floor at 0, z away, level."""
 
     title: str
-    names: tuple[str, ...]
-    frames: tuple[int, ...]
+    clip: Clip
+    body: Body
     points: Float[np.ndarray, "moments individuals joints 3"]
     keypoints: Float[np.ndarray, "moments individuals joints 2"]
     unsure: Bool[np.ndarray, "moments individuals joints"]
@@ -151,9 +150,6 @@ class FilmScene:
     floor: bool
     square: float
     """The side of the floor's squares."""
-    bones: list[list[int]]
-    joint_sides: list[int]
-    bone_sides: list[int]
     flat_centre: Float[np.ndarray, "moments 2"]
     """The point of the image that is in the middle, px."""
     flat_reach: tuple[float, float]
@@ -180,12 +176,10 @@ def film_scene(prediction: Prediction, clip: Clip, rate: float) -> FilmScene:
     centre[:, 1] = np.median(centre[:, 1])
     away, flat_away = points - centre[:, None, None], keypoints - flat_centre[:, None, None]
     radius = _most(np.linalg.norm(away, axis=-1))
-    bones = prediction.bone_indices.tolist()
-    sides = joint_sides(prediction.skeleton, prediction.joint_names)
     return FilmScene(
         title=prediction.title or clip.name or prediction.skeleton.name,
-        names=clip.individual_names,
-        frames=clip.frames,
+        clip=clip,
+        body=body_of(prediction),
         points=points,
         keypoints=keypoints,
         unsure=clip.by_moment(unsure.astype(float)) > 0,
@@ -196,9 +190,6 @@ def film_scene(prediction: Prediction, clip: Clip, rate: float) -> FilmScene:
         tall=_most(np.abs(away[..., 1])),
         floor=floor,
         square=_round_length(radius / 3),
-        bones=bones,
-        joint_sides=sides,
-        bone_sides=bone_sides(sides, bones),
         flat_centre=flat_centre,
         flat_reach=(_most(np.abs(flat_away[..., 0])), _most(np.abs(flat_away[..., 1]))),
         image_size=prediction.image_size,
@@ -307,9 +298,9 @@ class FilmDrawing:
             image.paste(drawn.finished(), self._corner(card), self._round[card])
         words, bar = (self._canvas((0, 0, _DEEP[2] - _DEEP[0], height), PAPER) for height in (28, 18))
         seconds = f"   {moment / self.rate:.1f} s" if self.timed else ""
-        words.text((words.wide, 14), f"frame {self.scene.frames[moment]}{seconds}", 18, SOFT, "rm")
+        words.text((words.wide, 14), f"frame {self.scene.clip.frames[moment]}{seconds}", 18, SOFT, "rm")
         bar.line((0, 9), (bar.wide, 9), 3, FAINT)
-        bar.line((0, 9), (bar.wide * moment / max(len(self.scene.frames) - 1, 1), 9), 3, SOFT)
+        bar.line((0, 9), (bar.wide * moment / max(len(self.scene.clip.frames) - 1, 1), 9), 3, SOFT)
         for top, drawn in ((20, words), (606, bar)):
             image.paste(drawn.finished(), self._corner((_DEEP[0], top)))
         return image
@@ -318,7 +309,7 @@ class FilmDrawing:
         scene, canvas = self.scene, _Canvas(WIDE, HIGH, self.scale, PAPER)
         canvas.text((24, 34), scene.title[:60], 22, INK, "lm")
         at = 24.0
-        legend = {"left": SIDES[1], "right": SIDES[2]} if any(scene.joint_sides) else {}
+        legend = {"left": SIDES[1], "right": SIDES[2]} if any(scene.body.joint_sides) else {}
         legend |= {"unsure": _mixed(SIDES[0], PAPER, _PALE)} if scene.unsure.any() else {}
         for name, colour in legend.items():
             canvas.dot((at + 5, 615), 5, colour)
@@ -342,12 +333,14 @@ class FilmDrawing:
             canvas.box(corners.ravel().tolist(), 0, None, FAINT)
         for who, points in enumerate(scene.keypoints[moment] * scale + shift):
             unsure = scene.unsure[moment, who]
-            for (start, end), side in zip(scene.bones, scene.bone_sides, strict=True):
+            for (start, end), side in zip(scene.body.bones, scene.body.bone_sides, strict=True):
                 if np.isfinite(points[[start, end]]).all():
                     pale = bool(unsure[start] or unsure[end])
                     canvas.line(points[start], points[end], 3 if pale else 4.5, _tone(side, -1.0, pale))
             for joint in np.flatnonzero(np.isfinite(points[:, 0])).tolist():
-                canvas.dot(points[joint], 5.5, _tone(scene.joint_sides[joint], -1.0, bool(unsure[joint])), rim=CARD)
+                canvas.dot(
+                    points[joint], 5.5, _tone(scene.body.joint_sides[joint], -1.0, bool(unsure[joint])), rim=CARD
+                )
             self._name(canvas, who, points)
         self._map(canvas, moment)
         canvas.text((16, 20), "keypoints", 15, SOFT, "lm")
@@ -373,17 +366,17 @@ class FilmDrawing:
         if scene.floor:
             self._floor(canvas, moment)
             for points in scene.points[moment]:
-                _shadow(canvas, self._seen(canvas, points * [1.0, 0.0, 1.0], moment), scene.bones)
+                _shadow(canvas, self._seen(canvas, points * [1.0, 0.0, 1.0], moment), scene.body.bones)
         parts, figures = [], [self._seen(canvas, points, moment) for points in scene.points[moment]]
         for points, unsure in zip(figures, scene.unsure[moment], strict=True):
             front = points[:, 2] - 0.15
-            for (start, end), side in zip(scene.bones, scene.bone_sides, strict=True):
+            for (start, end), side in zip(scene.body.bones, scene.body.bone_sides, strict=True):
                 if np.isfinite(points[[start, end], 0]).all():
                     depth = (points[start, 2] + points[end, 2]) / 2
                     front[[start, end]] = np.minimum(front[[start, end]], depth - 1e-3)
                     parts.append((depth, points[start], points[end], side, bool(unsure[start] or unsure[end])))
             for joint in np.flatnonzero(np.isfinite(points[:, 0])).tolist():
-                parts.append((front[joint], points[joint], None, scene.joint_sides[joint], bool(unsure[joint])))
+                parts.append((front[joint], points[joint], None, scene.body.joint_sides[joint], bool(unsure[joint])))
         for part in sorted(parts, key=lambda part: -part[0]):
             _stroke(canvas, *part[1:])
         for who, points in enumerate(figures):
@@ -426,8 +419,10 @@ class FilmDrawing:
 
     def _name(self, canvas: _Canvas, who: int, points: np.ndarray) -> None:
         known = points[np.isfinite(points[:, 0])]
-        if len(self.scene.names) > 1 and len(known):
-            canvas.text((known[:, 0].mean(), known[:, 1].min() - 14), self.scene.names[who], 14, SOFT, "ms")
+        if len(self.scene.clip.individual_names) > 1 and len(known):
+            canvas.text(
+                (known[:, 0].mean(), known[:, 1].min() - 14), self.scene.clip.individual_names[who], 14, SOFT, "ms"
+            )
 
 
 def _stroke(canvas: _Canvas, start: np.ndarray, end: np.ndarray | None, side: int, pale: bool) -> None:
@@ -441,7 +436,7 @@ def _stroke(canvas: _Canvas, start: np.ndarray, end: np.ndarray | None, side: in
     canvas.line(start, end, 0.7 * thick if pale else thick, tone)
 
 
-def _shadow(canvas: _Canvas, points: np.ndarray, bones: list[list[int]]) -> None:
+def _shadow(canvas: _Canvas, points: np.ndarray, bones: Int[np.ndarray, "bones 2"]) -> None:
     for bone in bones:
         if np.isfinite(points[bone, 0]).all():
             canvas.line(points[bone[0]], points[bone[1]], 6, SHADOW)

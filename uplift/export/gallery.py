@@ -9,14 +9,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float
 
 from uplift.errors import UserError
 from uplift.export.html import Photos, fill_page, jpeg_address, number_text, write_text
-from uplift.export.scene import level_rotations, matched_truth, scaled_error
+from uplift.export.scene import Body, body_of, known_points, level_rotations, scaled_error, shown_truth
 from uplift.geometry.rigid import rotation_about
 from uplift.models.prediction import Prediction
-from uplift.skeleton.core import bone_sides, joint_sides
 
 __all__ = [
     "Crop", "check_options", "chosen_rows", "crop_of", "filled_points", "gallery_text", "photo_svg", "turned",
@@ -100,10 +99,7 @@ class _Sheet:
 
     def __init__(self, prediction: Prediction, rows: np.ndarray, photos: Photos | None):
         self.prediction, self.rows, self.photos = prediction, rows, photos
-        bones, sides = prediction.bone_indices, joint_sides(prediction.skeleton, prediction.joint_names)
-        self.body = _Body(bones, sides, bone_sides(sides, bones.tolist()))
-        self.pose = np.asarray(prediction.pose, np.float64)[rows]
-        self.pose[~np.isfinite(self.pose).all(-1)] = np.nan
+        self.body, self.pose = body_of(prediction), known_points(prediction.pose[rows])
         level_pose = np.asarray(prediction.level_pose, np.float64)[rows]
         known = np.isfinite(self.pose) & np.isfinite(level_pose).all(-1, keepdims=True)
         self.level, _ = level_rotations(np.where(known, self.pose, 0), np.where(known, level_pose, 0))
@@ -112,10 +108,9 @@ class _Sheet:
         self.truth = self.error = None
         if prediction.truth is not None:
             truth = np.asarray(prediction.truth, np.float64)[rows]
-            metric = prediction.unit == prediction.truth_unit == "mm"
             known = np.isfinite(truth).all((1, 2))
             self.error = np.where(known, scaled_error(self.pose, truth), np.nan)
-            self.truth = truth if metric else matched_truth(self.pose, truth)
+            self.truth = shown_truth(prediction, self.pose, truth)
         self.name_key = next((key for key in _NAMED if key in prediction.identity), None)
         if photos is not None and self.name_key is None:
             raise UserError(
@@ -234,15 +229,6 @@ _MARGIN = 0.03
 
 
 @dataclass(frozen=True)
-class _Body:
-    """Bones, and the side of each joint and bone."""
-
-    bones: Int[np.ndarray, "bones 2"]
-    joint_sides: Sequence[int]
-    bone_sides: Sequence[int]
-
-
-@dataclass(frozen=True)
 class Crop:
     """A square of the image, in pixels: its left top corner and its side."""
 
@@ -271,7 +257,7 @@ def turned(
 
 
 def _drawn_views(
-    poses: Sequence[Float[np.ndarray, "views joints 3"]], missing: Sequence, body: _Body
+    poses: Sequence[Float[np.ndarray, "views joints 3"]], missing: Sequence, body: Body
 ) -> list[list[str]]:
     """Return one SVG drawing per pose and view, all of them at one scale.
 
@@ -298,7 +284,7 @@ def _projected(views: Float[np.ndarray, "views joints 3"], distance: float) -> F
     return np.concatenate([flat, depth / radius], -1)
 
 
-def _figure(points: Float[np.ndarray, "joints 3"], missing: Bool[np.ndarray, " joints"], body: _Body) -> str:
+def _figure(points: Float[np.ndarray, "joints 3"], missing: Bool[np.ndarray, " joints"], body: Body) -> str:
     """Return bones from far to near, each with a rim that parts it from what it hides."""
     depth = points[body.bones, 2].mean(1)
     tones = np.digitize(depth, (-0.12, 0.12))
@@ -318,7 +304,7 @@ def _figure(points: Float[np.ndarray, "joints 3"], missing: Bool[np.ndarray, " j
 
 
 def _drawn_input(
-    points: Float[np.ndarray, "joints 2"], missing: Bool[np.ndarray, " joints"], body: _Body, crop: Crop
+    points: Float[np.ndarray, "joints 2"], missing: Bool[np.ndarray, " joints"], body: Body, crop: Crop
 ) -> str:
     """Return the keypoints as an SVG drawing; joints that were not seen as rings, with dashed bones."""
     placed = crop.place(points)

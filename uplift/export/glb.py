@@ -12,10 +12,9 @@ from jaxtyping import Float
 
 from uplift.config.files import replacing
 from uplift.export.clips import USUAL_FPS, frame_rate, one_clip, steps
-from uplift.export.scene import SIDE_COLOURS, held, known_points, row_places
+from uplift.export.scene import SIDE_COLOURS, body_of, held, known_points, row_places
 from uplift.geometry.rigid import least_turn, quaternion_matrix, quaternion_product
 from uplift.models.prediction import Prediction
-from uplift.skeleton.core import bone_sides, joint_sides
 
 __all__ = ["bone_rotations", "write_glb"]
 
@@ -103,7 +102,7 @@ def _individual(
     """Add an individual: joints below it, and each bone below the joint that it starts at."""
     top = file.node(name or prediction.skeleton.name)
     mark, (joint_meshes, bone_meshes) = f"{name}:" if name else "", meshes
-    sides = joint_sides(prediction.skeleton, prediction.joint_names)
+    bones, sides, bone_sides = body_of(prediction)
     known = np.isfinite(np.sum(points, axis=-1))
     nodes = []
     for joint, own in enumerate(prediction.joint_names):
@@ -112,12 +111,11 @@ def _individual(
         if not known[:, joint].all():
             shown = np.repeat(known[:, joint, None], 3, 1).astype(float)
             file.animate(nodes[-1], "scale", times, shown, jumps=True)
-    bones = prediction.bone_indices
     step = points[:, bones[:, 1]] - points[:, bones[:, 0]]
     length = np.linalg.norm(step, axis=-1)
     there = np.isfinite(length) & (length > 0)
     turned = bone_rotations(np.where(there[..., None], step / np.where(there, length, 1)[..., None], np.nan))
-    for bone, side in enumerate(bone_sides(sides, bones.tolist())):
+    for bone, side in enumerate(bone_sides):
         start, end = (prediction.joint_names[place] for place in bones[bone])
         node = file.node(f"{mark}{start}-{end}", nodes[bones[bone, 0]], mesh=bone_meshes[side])
         file.animate(node, "rotation", times, turned[:, bone])

@@ -53,8 +53,7 @@ def fill_page(
 ) -> str:
     """Return a page: the shell around the asset ``main``, whose placeholders ``parts`` fill.
 
-    ``beside`` is what stands beside the title and ``end`` what comes behind the main part; ``script`` is the only one
-    that the page's policy allows.
+    ``beside`` goes beside the title and ``end`` behind the main part; the page's policy allows ``script`` alone.
     """
     style = "".join(map(_asset, styles))
     allowed = "" if script is None else f"script-src {_policy_hash(script)}; "
@@ -111,7 +110,6 @@ def read_html(path: str | Path) -> dict[str, Any]:
 
 
 def _asset(name: str) -> str:
-    """Return a script, style or template."""
     return (_ASSETS / name).read_text(encoding="utf-8")
 
 
@@ -182,7 +180,6 @@ def _thinned(points: list[tuple[float, float]]) -> list[tuple[float, float]]:
 
 
 def _table_html(section: Section) -> str:
-    """Return a section as a card with a table."""
     title, rows, header = section if len(section) == 3 else (*section, ())
     texts = [all(isinstance(cell, str) for cell in row) for row in rows]
     if not header and len(rows) > 1 and len(rows[0]) > 2 and texts[0] and not any(texts[1:]):
@@ -278,13 +275,15 @@ class Photos:
         The square is in pixels of the photo as it is stored, as keypoints count them: a camera's note on how it was
         held is not applied. None where there is no such photo, or none that can be shown.
         """
+        from PIL.Image import DecompressionBombError
+
         path = self._find(name)
         if path is None:
             self.absent.append(name)
             return None
         try:
             found = _cut(path, left, top, side, scale)
-        except (OSError, ValueError, SyntaxError) as error:
+        except (OSError, ValueError, SyntaxError, DecompressionBombError) as error:
             self.unreadable.append(f"{name} ({error})")
             return None
         self.shown += 1
@@ -298,22 +297,14 @@ class Photos:
         if self.folder is None:
             return Path(name) if Path(name).is_file() else None
         safe = [] if named.is_absolute() or ".." in named.parts else [named]
-        for part in [*safe, PurePosixPath(named.name)]:
-            for ending in _ENDINGS:
-                path = self.folder / f"{part}{ending}"
-                if path.is_file():
-                    return path
-        return None
+        paths = [self.folder / f"{part}{ending}" for part in (*safe, named.name) for ending in _ENDINGS]
+        return next((path for path in paths if path.is_file()), None)
 
 
 def _cut(path: Path, left: float, top: float, side: float, scale: float) -> tuple[Image, np.ndarray]:
     from PIL import Image
 
-    try:
-        photo = Image.open(path)
-    except Image.DecompressionBombError as error:
-        raise ValueError(str(error)) from error
-    with photo:
+    with Image.open(path) as photo:
         size = f"is {photo.width} x {photo.height} px"
         if photo.width * photo.height > _MOST_PIXELS:
             raise ValueError(f"{size}, more than is opened for a small picture")

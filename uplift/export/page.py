@@ -11,9 +11,8 @@ import numpy as np
 from uplift.errors import UserError
 from uplift.export.clips import Clip, arrange, frame_rate, photos
 from uplift.export.html import Curve, Section, pack, scripted_page, write_text
-from uplift.export.scene import beside, level_rotations, matched_truth, rotations_to, scaled_error, standing
+from uplift.export.scene import beside, body_of, level_rotations, rotations_to, scaled_error, shown_truth, standing
 from uplift.models.prediction import Prediction
-from uplift.skeleton.core import bone_sides, joint_sides
 
 __all__ = ["choose", "page_text", "write_html"]
 
@@ -77,16 +76,15 @@ def _page_data(prediction: Prediction, moments: int) -> dict[str, Any]:
     rows = np.concatenate([clip.rows for clip in chosen])
     arrays, departure = _arrays(prediction, chosen, rows)
     packed, layout = pack(arrays)
-    bones = prediction.bone_indices.tolist()
-    sides = joint_sides(prediction.skeleton, prediction.joint_names)
+    body = body_of(prediction)
     return {
         "unit": prediction.unit,
         "truthUnit": prediction.truth_unit,
         "joints": list(prediction.joint_names),
         "root": prediction.joint_names.index(prediction.skeleton.root),
-        "bones": bones,
-        "jointSides": sides,
-        "boneSides": bone_sides(sides, bones),
+        "bones": body.bones.tolist(),
+        "jointSides": body.joint_sides,
+        "boneSides": body.bone_sides,
         "rooted": prediction.root is not None,
         "noun": "photo" if photos(prediction.identity) else "clip",
         "gravity": bool(prediction.skeleton.gravity),
@@ -152,10 +150,8 @@ def _arrays(
         arrays["spread"] = (np.asarray(prediction.spread, np.float64)[rows], fine)
     if prediction.truth is not None:
         truth = np.asarray(prediction.truth, np.float64)[rows]
-        same = prediction.unit == prediction.truth_unit == "mm"
-        error = scaled_error(pose, truth)
-        arrays["truth"] = (truth if same else matched_truth(pose, truth), fine)
-        arrays["error"] = (error, _size(truth) / _STEPS_PER_SIZE / 4)
+        arrays["truth"] = (shown_truth(prediction, pose, truth), fine)
+        arrays["error"] = (scaled_error(pose, truth), _size(truth) / _STEPS_PER_SIZE / 4)
     return arrays, departure
 
 

@@ -3,22 +3,53 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 
 from uplift.errors import UserError, did_you_mean
 from uplift.export.clips import Clip, arrange
 from uplift.geometry.rigid import least_turn, nearest_rotation, quaternion_matrix
 from uplift.models.prediction import Prediction
+from uplift.skeleton.core import bone_sides, joint_sides
 
 __all__ = [
-    "AXES", "FROM_LEVEL", "SIDE_COLOURS", "beside", "from_y_down", "held", "in_axes", "known_points",
-    "level_rotations", "matched_truth", "rotations_to", "row_places", "scaled_error", "standing",
+    "AXES",
+    "FROM_LEVEL",
+    "SIDE_COLOURS",
+    "Body",
+    "beside",
+    "body_of",
+    "from_y_down",
+    "held",
+    "in_axes",
+    "known_points",
+    "level_rotations",
+    "rotations_to",
+    "row_places",
+    "scaled_error",
+    "shown_truth",
+    "standing",
 ]  # fmt: skip
 
 SIDE_COLOURS = {"centre": (0x4A, 0x50, 0x58), "left": (0x1F, 0x77, 0xB8), "right": (0xD9, 0x63, 0x0F)}
 """sRGB, 0 to 255, in the order of `uplift.skeleton.core.joint_sides`."""
+
+
+class Body(NamedTuple):
+    """Bones as indices of joints, and the side of each joint and bone, a place in `SIDE_COLOURS`."""
+
+    bones: Int[np.ndarray, "bones 2"]
+    joint_sides: list[int]
+    bone_sides: list[int]
+
+
+def body_of(prediction: Prediction) -> Body:
+    """Return the bones and sides of a prediction's skeleton."""
+    bones, sides = prediction.bone_indices, joint_sides(prediction.skeleton, prediction.joint_names)
+    return Body(bones, sides, bone_sides(sides, bones.tolist()))
+
 
 # Axes by name: the camera's, gravity's, and those of programs that read poses.
 
@@ -209,11 +240,12 @@ def held(values: Float[np.ndarray, "frames 3"]) -> Float[np.ndarray, "frames 3"]
     return values[np.where(last < 0, int(np.argmax(known)), last)]
 
 
-def matched_truth(
-    pose: Float[np.ndarray, "frames joints 3"], truth: Float[np.ndarray, "frames joints 3"]
+def shown_truth(
+    prediction: Prediction, pose: Float[np.ndarray, "frames joints 3"], truth: Float[np.ndarray, "frames joints 3"]
 ) -> Float[np.ndarray, "frames joints 3"]:
-    """Return the truth at the scale that brings it nearest to each pose (least squares, never mirrored)."""
-    return truth * _scale(truth, pose)[:, None, None]
+    """Return the truth as it is if it and the poses are in mm, else at the scale nearest to each pose (least squares)."""
+    metric = prediction.unit == prediction.truth_unit == "mm"
+    return truth if metric else truth * _scale(truth, pose)[:, None, None]
 
 
 def scaled_error(

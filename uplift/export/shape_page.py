@@ -75,7 +75,11 @@ def shape_page_text(
     return scripted_page(
         "shape.htm",
         title=prediction.title or "Shapes",
-        facts=_facts(prediction, truth),
+        facts=[
+            f"{len(prediction):,} shape{'s' * (len(prediction) > 1)}",
+            " × ".join([str(prediction.resolution)] * 3) + " voxels",
+            *(["true shapes known"] if truth is not None else []),
+        ],
         styles=["page.css", "shape.css"],
         notes=[*_remarks(cut, len(prediction)), *wrong, *prediction.notes, *notes],
         data=data,
@@ -86,14 +90,7 @@ def shape_page_text(
     )
 
 
-def _facts(prediction: ShapePrediction, truth: Placed | None) -> list[str]:
-    count, side = len(prediction), prediction.resolution
-    facts = [f"{count:,} shape{'s' * (count > 1)}", f"{side} × {side} × {side} voxels"]
-    return [*facts, "true shapes known"] if truth is not None else facts
-
-
 def _remarks(cut: Sequence[Surface], count: int) -> list[str]:
-    """Return remarks on the surfaces for the page's reader."""
     remarks = [] if len(cut) == count else [f"{len(cut)} of {count:,} shapes are shown, spread evenly."]
     empty = sum(one.mesh is None for one in cut)
     if empty:

@@ -112,16 +112,16 @@ def _columns(prediction: Prediction) -> list[tuple[str, str]]:
     """Return the name of each column of numbers and how its numbers are written, in the order of `_csv_arrays`."""
     place, px, share = _NUMBER["place"], _NUMBER["px"], _NUMBER["share"]
     joint = {"x": place, "y": place, "z": place, "u_px": px, "v_px": px, "confidence": share}
-    joint |= {} if prediction.spread is None else {"spread": px}
-    joint |= {} if prediction.filled is None else {"filled": "%d"}
+    optional = {"spread": (prediction.spread, px), "filled": (prediction.filled, "%d")}
+    joint |= {key: style for key, (values, style) in optional.items() if values is not None}
     columns = [(f"{name}_{key}", style) for name in prediction.joint_names for key, style in joint.items()]
     return columns if prediction.tilt_deg is None else [("tilt_deg", px), *columns]
 
 
 def _csv_arrays(prediction: Prediction) -> list[np.ndarray]:
     optional = [values[..., None] for values in (prediction.spread, prediction.filled) if values is not None]
-    of_joints = [prediction.points, _seen_keypoints(prediction), prediction.confidence[..., None], *optional]
-    table = np.concatenate(of_joints, -1)
+    seen = _seen_keypoints(prediction)
+    table = np.concatenate([prediction.points, seen, prediction.confidence[..., None], *optional], -1)
     return [table] if prediction.tilt_deg is None else [prediction.tilt_deg, table]
 
 
@@ -187,7 +187,6 @@ def _head(prediction: Prediction) -> dict[str, Any]:
 
 
 def _frames(prediction: Prediction) -> Iterator[str]:
-    """Yield each frame as one line of JSON."""
     seen, place, px = _seen_keypoints(prediction), _NUMBER["place"], _NUMBER["px"]
     styles = {
         "pose": place,
@@ -239,18 +238,16 @@ def write_npz(prediction: Prediction, path: str | Path) -> None:
 
 
 def _npz_arrays(prediction: Prediction) -> dict[str, np.ndarray]:
-    arrays = {
-        "keypoints": np.asarray(prediction.keypoints, np.float32),
-        "confidence": np.asarray(prediction.confidence, np.float32),
-        "joint_names": np.asarray(prediction.joint_names, np.str_),
-        "pose": np.asarray(prediction.pose, np.float32),
-        "level_pose": np.asarray(prediction.level_pose, np.float32),
-        "unit": np.asarray(prediction.unit),
-        "bones": prediction.bone_indices,
-        "skeleton": np.asarray(prediction.skeleton.name),
-        "axes": np.asarray(prediction.axes),
-    }
-    optional = {
+    found = {
+        "keypoints": (prediction.keypoints, np.float32),
+        "confidence": (prediction.confidence, np.float32),
+        "joint_names": (prediction.joint_names, np.str_),
+        "pose": (prediction.pose, np.float32),
+        "level_pose": (prediction.level_pose, np.float32),
+        "unit": (prediction.unit, np.str_),
+        "bones": (prediction.bone_indices, np.int64),
+        "skeleton": (prediction.skeleton.name, np.str_),
+        "axes": (prediction.axes, np.str_),
         "tilt_deg": (prediction.tilt_deg, np.float32),
         "spread": (prediction.spread, np.float32),
         "root": (prediction.root, np.float32),
@@ -258,7 +255,7 @@ def _npz_arrays(prediction: Prediction) -> dict[str, np.ndarray]:
         "fps": (prediction.fps, np.float32),
         "image_size": (prediction.image_size, np.int64),
     }
-    arrays |= {name: np.asarray(value, kind) for name, (value, kind) in optional.items() if value is not None}
+    arrays = {name: np.asarray(value, kind) for name, (value, kind) in found.items() if value is not None}
     for name, values in prediction.identity.items():
         if name in arrays:
             raise ValueError(f"prediction: identity '{name}' would overwrite the array of that name")
