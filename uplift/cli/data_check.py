@@ -48,18 +48,18 @@ def check_data(words: Sequence[str]) -> tuple[list[str], bool]:
 
 
 class _Report:
-    """The lines, filled part by part."""
+    """The lines to print, filled part by part."""
 
     def __init__(self, settings: Settings):
         self.skeleton: Skeleton | None = load_skeleton(settings.skeleton) if settings.skeleton else None
         self.lines = [f"{settings.task or 'own data'}: {settings.description.strip().splitlines()[0]}"]
         self.missing: dict[str, None] = {}
-        """How to get what is not there."""
+        """How to get what is missing."""
         self.wrong = False
         self.folder: Path | None = None
 
     def part(self, title: str, settings: Settings, which: str) -> None:
-        """Add what is there of the ``train`` or ``test`` frames of ``settings``."""
+        """Report the files of the ``train`` or ``test`` frames of ``settings``."""
         found = named_set(settings, which)
         folder = data_root(settings.data.name, settings.data.root).absolute()
         if settings.data.name and folder != self.folder:
@@ -69,7 +69,7 @@ class _Report:
             self.missing.setdefault(how_to_get(settings, found[0] if found else None))
 
     def _set(self, title: str, source: DataSet, split: str) -> bool:
-        """Add what is there of a split; returns whether it is all there."""
+        """Report the files of a split; returns whether none is missing."""
         self.lines.append(f"{title}: {source.title or type(source).__name__}, split '{split}'")
         files = source.files(split)
         for file in files:
@@ -88,7 +88,7 @@ class _Report:
         return True
 
     def _file(self, title: str, settings: Settings, which: str) -> bool:
-        """Add what is there of a file of keypoints or masks; returns whether it is there."""
+        """Report files of keypoints or masks; returns whether none is missing."""
         name, folder = getattr(settings.data, which), data_root(settings.data.name, settings.data.root)
         try:
             paths = files_of(find_data(settings, which))

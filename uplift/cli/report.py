@@ -40,17 +40,12 @@ class _Words:
     """Layout and texts of the report of one kind of run."""
 
     title: str
-    metric: str
-    """A row's name in report.md, `{}` being the metric."""
-    number: str
-    """A number in report.md."""
-    widths: tuple[int, int]
-    """Of the first two columns in the terminal."""
-    baselines: str
-    """What baselines are, for report.md."""
+    metric: str  # how report.md writes a metric's name
+    number: str  # how report.md writes a number
+    widths: tuple[int, int]  # of the first two columns in the terminal
+    baselines: str  # what baselines are, for report.md
     no_truth: str
-    predict: str
-    """What goes behind ``uplift predict run=...``."""
+    predict: str  # the arguments of the suggested ``uplift predict run=...``
 
 
 @dataclass(frozen=True)
@@ -151,7 +146,6 @@ _STARTED = "Started from the weights of {}; see that run for what it learned fro
 
 
 def _prior_lines(settings: Settings) -> list[str]:
-    """Return the priors with a weight above 0, and which of them are user-defined."""
     specs = {n: s for n, s in settings.priors.items() if float(s.get("weight", 1)) > 0}
     weights = ", ".join(f"{name} {float(spec.get('weight', 1)):g}" for name, spec in specs.items())
     foreign = {name: spec["use"] for name, spec in specs.items() if ":" in str(spec.get("use", name))}

@@ -60,7 +60,7 @@ def simulate(
 
 
 def simulate_command(words: Sequence[str]) -> None:
-    """Simulate what the words say, write it, and print what was done."""
+    """Simulate, write, and print what was done."""
     keys = keyed("simulate", words, SIMULATE_KEYS, ("skeleton", "output"))
     given = keys.given(frames=int, seed=int, clip_seconds=float, noise_px=float, missing=float, tracker=str)
     written: list[Path] = []
@@ -74,7 +74,6 @@ def simulate_command(words: Sequence[str]) -> None:
 
 
 def _checked(output: Path, tracker: str | None) -> Path:
-    """Return ``output``, which can be written."""
     ending = output.suffix.lower()
     if ending not in _ENDINGS:
         raise UserError(f"output={output}: simulated data is written as {' or '.join(_ENDINGS)}.")
@@ -87,7 +86,6 @@ def _checked(output: Path, tracker: str | None) -> Path:
 
 
 def _write(data: PoseData, output: Path, tracker: str | None, seed: int) -> list[Path]:
-    """Write the frames and return the files."""
     if tracker is not None:
         return _write_videos(data, output, seed)
     if output.suffix.lower() == ".csv":

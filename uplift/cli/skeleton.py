@@ -124,7 +124,6 @@ def map_joints(words: list[str]) -> tuple[list[str], bool]:
 
 
 def _counts(data: PoseData) -> str:
-    """Return how many frames, individuals and joints a file has."""
     who = np.unique(data.identity.get("instance", ()))
     frames = f"{len(data):,} frames" + (f" of {len(who):,} individuals" if len(who) > 1 else "")
     kinds = np.unique(data.identity["category"]).tolist() if "category" in data.identity else []
@@ -177,17 +176,13 @@ def _verdict(data: PoseData, skeleton: Skeleton, built: PoseData) -> tuple[str, 
 
 
 def _wrong_order(long: float, data: PoseData, skeleton: Skeleton) -> str:
-    """Say that joints have each other's names, and which layouts with as many keypoints the order fits."""
     text = (
         f"its bones are {long:.1f} times as long as the shortest lines that join these joints (1 to 1.6 where the "
         "names are right). Joints have the names of others: another layout, or another order"
     )
-    fitting = [
-        other.name
-        for other, names in _shipped()
-        if len(names) == len(data.joint_names)
-        and _stretch(replace(data, joint_names=names, pose=None), other) < _LIKELY
-    ]
+    as_long = [(other, names) for other, names in _shipped() if len(names) == len(data.joint_names)]
+    renamed = [(other, replace(data, joint_names=names, pose=None)) for other, names in as_long]
+    fitting = [other.name for other, read_so in renamed if _stretch(read_so, other) < _LIKELY]
     return text + (f". In their order they look like layout={' or layout='.join(fitting)}" if fitting else "")
 
 

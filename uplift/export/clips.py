@@ -107,9 +107,6 @@ def _clip(name: str, rows: np.ndarray, frame: np.ndarray | None, who: np.ndarray
     return Clip(name, *parts, tuple(names.tolist()), tuple(frames.tolist()))
 
 
-# The only clip of a file that moves, its rate, and when each row is.
-
-
 def one_clip(prediction: Prediction, path: str | Path, individuals: bool = True) -> Clip:
     """Return the only clip of a prediction; ``individuals``: it may show several.
 

@@ -206,7 +206,6 @@ def turns_deg(moments: int, rate: float) -> Float[np.ndarray, " moments"]:
 
 
 def _levelled(prediction: Prediction) -> Prediction:
-    """Return the prediction with y down and level."""
     if prediction.axes in ("camera", "opencv"):
         return in_axes(prediction, "level")
     turn = from_y_down(prediction.axes)
@@ -225,7 +224,7 @@ def _floor(points: np.ndarray, rows: np.ndarray, placed: bool) -> np.ndarray:
 
 
 def _keypoints(prediction: Prediction, pose: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return keypoints in full, and which joints are unsure."""
+    """Return keypoints with missing ones filled in, and which joints are unsure."""
     points = np.asarray(prediction.keypoints, float)
     confidence = np.nan_to_num(np.asarray(prediction.confidence, float))
     seen = (confidence > 0) & np.isfinite(np.sum(points, axis=-1))
@@ -324,7 +323,6 @@ class FilmDrawing:
         return round(card[0] * self.scale), round(card[1] * self.scale)
 
     def _flat(self, moment: int) -> _Canvas:
-        """Draw the keypoints, and where they are in the image."""
         scene, canvas = self.scene, self._canvas(_FLAT, CARD)
         scale = min(0.46 * canvas.wide / scene.flat_reach[0], 0.42 * canvas.high / scene.flat_reach[1])
         shift = np.array([canvas.wide / 2, canvas.high / 2 + 8]) - scene.flat_centre[moment] * scale

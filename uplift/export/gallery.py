@@ -119,12 +119,9 @@ class _Sheet:
             )
 
     def frame(self, place: int) -> str:
-        """Return one frame: its name, its input, its views."""
         row, name = self.rows[place], escape(self._name(place))
         unseen = [joint for joint, seen in zip(self.prediction.joint_names, self.seen[place], strict=True) if not seen]
-        about = [f"row {row:,}"]
-        if unseen:
-            about.append(f"not seen: {', '.join(unseen)}")
+        about = [f"row {row:,}", *([f"not seen: {', '.join(unseen)}"] if unseen else [])]
         if self.error is not None and np.isfinite(self.error[place]):
             unit = "" if self.prediction.truth_unit == "relative" else f" {self.prediction.truth_unit}"
             about.append(f"error at the best scale (n_mpjpe) {number_text(float(self.error[place]))}{unit}")
@@ -179,7 +176,6 @@ class _Sheet:
         raise UserError(f"images={photos.folder}: the photos of these frames {why}.")
 
     def facts(self) -> list[str]:
-        """Return the facts under the title."""
         prediction = self.prediction
         return [
             *(["/".join(Path(prediction.source).parts[-2:])] if prediction.title and prediction.source else []),
@@ -338,8 +334,7 @@ def filled_points(
     if spread <= 0:
         return points
     scale = ((flat - flat_mean) * (target - target_mean)).sum() / spread
-    guess = (pose[:, :2] - flat_mean) * scale + target_mean
-    return np.where(seen[:, None], points, guess)
+    return np.where(seen[:, None], points, (pose[:, :2] - flat_mean) * scale + target_mean)
 
 
 def crop_of(points: Float[np.ndarray, "joints 2"]) -> Crop:

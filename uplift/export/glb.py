@@ -19,7 +19,6 @@ from uplift.models.prediction import Prediction
 __all__ = ["bone_rotations", "write_glb"]
 
 _PERSON_M = 1.7
-_M_PER_MM = 0.001
 _JOINT_SHARE, _BONE_SHARE = 0.016, 0.008
 """Radii, as shares of the body."""
 
@@ -36,7 +35,7 @@ def write_glb(prediction: Prediction, path: str | Path, fps: int | float | None 
     rate = frame_rate(prediction, fps)
     points = known_points(prediction.pose) + row_places(prediction, clip)[:, None]
     body = _body_size(known_points(prediction.pose))
-    scale = _M_PER_MM if prediction.unit == "mm" else _PERSON_M / body
+    scale = 0.001 if prediction.unit == "mm" else _PERSON_M / body
     about = {
         "title": prediction.title or clip.name,
         "skeleton": prediction.skeleton.name,
@@ -163,7 +162,6 @@ class _Gltf:
         return self._add("materials", {"name": name, "pbrMetallicRoughness": look})
 
     def mesh(self, name: str, shape: dict[str, Any], material: int) -> int:
-        """Return a mesh of a shape in a material."""
         return self._add("meshes", {"name": name, "primitives": [{**shape, "material": material}]})
 
     def node(self, name: str, parent: int | None = None, **rest: Any) -> int:
@@ -173,17 +171,10 @@ class _Gltf:
             self._lists["nodes"][parent].setdefault("children", []).append(place)
         return place
 
-    def animate(
-        self,
-        node: int,
-        path: str,
-        times: Float[np.ndarray, " times"],
-        values: Float[np.ndarray, "times parts"],
-        jumps: bool = False,
-    ) -> None:
-        """Give a node keyframes (seconds) of its translation, rotation (x y z w) or scale, and the first as it rests.
+    def animate(self, node: int, path: str, times: np.ndarray, values: np.ndarray, jumps: bool = False) -> None:
+        """Give a node keyframes (times in s, times parts) of its translation, rotation (x y z w) or scale.
 
-        ``jumps``: each value stays until the next.
+        It rests at the first. ``jumps``: each value stays until the next.
         """
         values = values.astype(np.float32)
         self._lists["nodes"][node][path] = _short(values[0])
@@ -198,7 +189,6 @@ class _Gltf:
         self._add("channels", {"sampler": sampler, "target": {"node": node, "path": path}})
 
     def to_bytes(self) -> bytes:
-        """Return the file."""
         nodes = self._lists["nodes"]
         below = {child for node in nodes for child in node.get("children", [])}
         motion = {kind: self._lists[kind] for kind in ("samplers", "channels")}

@@ -32,8 +32,7 @@ __all__ = [
 
 # Shapes: a file for all items, for a scene of a few, or for each item that has a surface.
 
-_MOST_TOGETHER = 16
-"""Items that one scene shows side by side by default."""
+_MOST_TOGETHER = 16  # items that one scene shows side by side by default
 _UNITS = ("px", "mm", "crop")
 
 
@@ -290,8 +289,7 @@ def write_npz(prediction: ShapePrediction, path: str | Path) -> None:
 # Mesh files: binary glTF, Wavefront OBJ, Stanford PLY, STL.
 
 _COLOUR = [0.62, 0.55, 0.46, 1.0]
-_APART = 1.25
-"""From middle to middle of neighbours, in widths of the widest."""
+_APART = 1.25  # from middle to middle of neighbours, in widths of the widest
 _STL_HEADER = 80
 
 
@@ -358,7 +356,6 @@ def encode_stl(solids: Sequence[trimesh.Trimesh], about: dict[str, Any]) -> byte
 
 
 def _lines(about: dict[str, Any]) -> list[str]:
-    """Return the facts on one item as comment lines."""
     (item,) = about["items"]
     rest = {key: value for key, value in item.items() if key != "name"}
     return [
