@@ -20,9 +20,7 @@ __all__ = ["compare", "list_skeletons", "list_tasks", "spread"]
 def list_tasks() -> str:
     """Return a line for each shipped task: name, whether its data is present, what it is."""
     lines = []
-    for name in shipped_names("tasks"):
-        if name == "default":
-            continue
+    for name in (name for name in shipped_names("tasks") if name != "default"):
         settings = load_settings(name)
         if settings.data.simulate:
             state = "no data needed"

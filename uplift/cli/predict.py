@@ -177,9 +177,8 @@ def _read(request: Request, skeleton: Skeleton) -> PoseData:
 
 def pose_summary(found: Prediction) -> list[str]:
     """Return what to print about poses."""
-    lines = [*found.notes]
-    blank = int((found.pose != found.pose).all((1, 2)).sum())
-    lines.append(f"lifted {len(found) - blank:,} frames of {found.skeleton.name}, unit {found.unit}")
+    blank = int(np.isnan(found.pose).all((1, 2)).sum())
+    lines = [*found.notes, f"lifted {len(found) - blank:,} frames of {found.skeleton.name}, unit {found.unit}"]
     if blank:
         why = "too few joints, or all in one point"
         lines.append(f"{blank:,} of {len(found):,} frames cannot be lifted ({why}): their rows are NaN")
@@ -190,10 +189,8 @@ def pose_summary(found: Prediction) -> list[str]:
         lines.append(f"placed: the camera is {np.nanmedian(found.root[:, 2]) / 1000:.2f} m away (median)")
     lines += _motion(found)
     if never_seen_so_long(found.pose, found.skeleton) > 0.2:
-        lines.append(
-            "WARNING: many bones are twice as long as they ever look from the camera. Too little training, or a body that "
-            "is only ever seen from one side (docs/how-it-works.md)"
-        )
+        why = "too little training, or a body that is only ever seen from one side (docs/how-it-works.md)"
+        lines.append(f"WARNING: many bones are twice as long as they ever look from the camera: {why}")
     if found.unit == "px":
         height = "height_mm=, or " if "of_height" in found.skeleton.size else ""
         lines.append(f"for millimetres give {height}bone=JOINT,JOINT bone_mm= (docs/output.md)")

@@ -204,9 +204,8 @@ def _given_to_poses(settings: Settings, loaded: Loaded) -> list[str]:
         )
     lines = [_STARTED.format(settings.init) if settings.init else first]
     if settings.data.simulate:
-        lines.append(
-            "The keypoints are simulated: bodies and motions from published anthropometry and ranges of motion."
-        )
+        origin = "bodies and motions from published anthropometry and ranges of motion"
+        lines.append(f"The keypoints are simulated: {origin}.")
     if intrinsics_of(undistorted(loaded.train, settings.lifter), settings.lifter) is not None:
         lines.append("The camera's focal length and image centre, from the file, were used.")
     train = loaded.train
@@ -234,7 +233,7 @@ def _doubts(evaluation: Evaluation) -> list[str]:
     if facing is None or facing > 0.75:
         return []
     return [
-        f"facing {facing:.2f} is near chance: nothing told poses from their mirror images in depth. Look at `facing` in the "
+        f"facing {facing:.2f} is near chance: nothing distinguished poses from their mirror images in depth. Look at `facing` in the "
         "skeleton, and at `gravity`: false for what is seen from every side. Or train longer."
     ]
 

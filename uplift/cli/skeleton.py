@@ -84,8 +84,7 @@ def _write_proposal(path: Path, keys: Keys) -> list[str]:
         f"{len(skeleton.joints)} joints, root {skeleton.root}; {len(skeleton.mirror)} mirror pairs; "
         f"bones: {len(found.from_file)} from the file, {guessed} guessed by distance",
     ]
-    if found.hidden:
-        lines.append(f"left out, as no frame shows them: {', '.join(found.hidden)}")
+    lines += [f"left out, as no frame shows them: {', '.join(found.hidden)}"] if found.hidden else []
     fitting = _fitting_skeletons(data)
     if fitting:
         lines.append(f"shipped skeletons that fit this file as they are: {', '.join(fitting)}: better than a guess")

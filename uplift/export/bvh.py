@@ -22,8 +22,7 @@ from uplift.skeleton.draw import rest_pose
 
 __all__ = ["euler_zxy", "turn_onto", "write_bvh"]
 
-_MOST_REPEATS = 20
-"""Frames in the file for each one there is."""
+_MOST_REPEATS = 20  # frames in the file for each one there is
 
 
 @dataclass(frozen=True)
@@ -130,10 +129,8 @@ def _offset(offset: np.ndarray, scale: float) -> str:
 
 # The rig: bones of one length each, and the rotations that bring them nearest to the poses.
 
-_OWN_JOINT = 2e-4
-"""Share of a bone by which a child may miss before it gets a turn of its own."""
-_WEAK = 1e-5
-"""Weight of the parent's frame, which decides what the bones leave open."""
+_OWN_JOINT = 2e-4  # share of a bone by which a child may miss before it gets a turn of its own
+_WEAK = 1e-5  # weight of the parent's frame, which decides what the bones leave open
 _FOLDED = 0.5
 """1 + cosine of the angle to the rest direction (120 degrees) below which the previous frame counts."""
 _TIP = 0.1
@@ -146,7 +143,7 @@ class _Rig:
     Bones have their median length. A joint with one child turns the least way from its parent's frame, as the
     twist about a bone cannot be seen; where the bone folds back on its rest direction, and the least way is
     undefined, the twist follows from the frame before. A joint with several children turns rigidly onto them (Kabsch,
-    Acta Cryst. A32, 1976), and a child that this misses gets a turn of its own at the same place, which is exact. What
+    Acta Cryst. A32, 1976), and a child that this misses gets a separate turn at the same place, which is exact. What
     is not known holds its last turn. Joints are listed parents first and depth first, as in the file. Raises UserError
     where a joint is nowhere known.
     """
@@ -300,11 +297,11 @@ def _facing(
             pose[skeleton.index(joint)] = pose[skeleton.index(parent)] + rest[joint] * lengths[joint]
     front = skeleton.facing_matrix("front") @ pose
     up = axes @ [0.0, -1.0, 0.0]
-    own_up = up if skeleton.gravity or "up" not in skeleton.facing else skeleton.facing_matrix("up") @ pose
-    own, wanted = _basis(own_up, front), _basis(up, axes @ [0.0, 0.0, -1.0])
-    if own is None or wanted is None:
+    body_up = up if skeleton.gravity or "up" not in skeleton.facing else skeleton.facing_matrix("up") @ pose
+    body, wanted = _basis(body_up, front), _basis(up, axes @ [0.0, 0.0, -1.0])
+    if body is None or wanted is None:
         return rest
-    return {joint: wanted.T @ own @ direction for joint, direction in rest.items()}
+    return {joint: wanted.T @ body @ direction for joint, direction in rest.items()}
 
 
 def _basis(up: np.ndarray, front: np.ndarray) -> Float[np.ndarray, "3 3"] | None:

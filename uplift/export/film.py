@@ -127,8 +127,7 @@ _CONFIDENT = 0.3
 _TURN_S = 18.0
 _SHORT_S = 12.0
 _SWING_DEG_PER_S, _SWING_DEG = 7.0, 60.0
-_MOST = 98.0
-"""Percentile for sizes, which a few outliers must not set."""
+_MOST = 98.0  # percentile for sizes, which a few outliers must not set
 
 
 @dataclass(frozen=True)

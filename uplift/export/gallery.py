@@ -78,14 +78,12 @@ def chosen_rows(prediction: Prediction, count: int, seed: int) -> np.ndarray:
 
 
 def _legend() -> str:
-    kinds = (("l0", "left"), ("r0", "right"), ("m0", "middle"))
-    swatch = '<svg viewBox="0 0 104 48" aria-hidden="true">{}</svg>'
-    lines = [(swatch.format(f'<path class="{kind}" d="M10 24H94"/>'), text) for kind, text in kinds]
+    kinds = {"left": "l0", "right": "r0", "middle": "m0"}
+    drawings = {text: f'<path class="{kind}" d="M10 24H94"/>' for text, kind in kinds.items()}
     unseen = '<path class="m0 u" d="M10 24H80"/><circle class="om" cx="86" cy="24" r="11"/>'
-    return "".join(
-        f"<span>{drawing}{text}</span>"
-        for drawing, text in [*lines, (swatch.format(unseen), "not seen in 2D, filled in")]
-    )
+    drawings |= {"not seen in 2D, filled in": unseen}
+    swatch = '<span><svg viewBox="0 0 104 48" aria-hidden="true">{}</svg>{}</span>'
+    return "".join(swatch.format(drawing, text) for text, drawing in drawings.items())
 
 
 # The frames of a gallery: each with its name, its input and its pose from all sides.
@@ -246,7 +244,7 @@ def turned(
     """Return the pose as cameras see it that walked round it, as high and as tilted as the real one.
 
     ``level`` takes the camera frame to one whose y is gravity. At 0 degrees it is the real camera's view; at 90
-    the camera stands on the image's right.
+    the camera is on the image's right.
     """
     about = rotation_about("y", np.radians(np.asarray(angles_deg, float)))
     return np.einsum("vik,jk->vji", level.T @ about @ level, pose - centre)
@@ -348,8 +346,7 @@ def crop_of(points: Float[np.ndarray, "joints 2"]) -> Crop:
     return Crop(float(left), float(top), side)
 
 
-_SIDE_PX = 320
-"""Of a photo's part, at most."""
+_SIDE_PX = 320  # of a photo's part, at most
 
 
 def photo_svg(photos: Photos, name: str, crop: Crop) -> str:

@@ -19,8 +19,7 @@ from uplift.models.prediction import Prediction
 __all__ = ["bone_rotations", "write_glb"]
 
 _PERSON_M = 1.7
-_JOINT_SHARE, _BONE_SHARE = 0.016, 0.008
-"""Radii, as shares of the body."""
+_JOINT_SHARE, _BONE_SHARE = 0.016, 0.008  # radii, as shares of the body
 
 
 def write_glb(prediction: Prediction, path: str | Path, fps: int | float | None = None) -> None:
@@ -104,8 +103,8 @@ def _individual(
     bones, sides, bone_sides = body_of(prediction)
     known = np.isfinite(np.sum(points, axis=-1))
     nodes = []
-    for joint, own in enumerate(prediction.joint_names):
-        nodes.append(file.node(mark + own, top, mesh=joint_meshes[sides[joint]]))
+    for joint, label in enumerate(prediction.joint_names):
+        nodes.append(file.node(mark + label, top, mesh=joint_meshes[sides[joint]]))
         file.animate(nodes[-1], "translation", times, held(points[:, joint]))
         if not known[:, joint].all():
             shown = np.repeat(known[:, joint, None], 3, 1).astype(float)

@@ -22,8 +22,7 @@ __all__ = ["marker_names", "write_c3d", "write_trc"]
 
 # A trial: markers of one clip, a row for every moment.
 
-_LONGEST_BYTES = 120
-"""Of a marker's name; C3D has room for 127."""
+_LONGEST_BYTES = 120  # of a marker's name; C3D has room for 127
 _MOST_BLANK = 1_000_000
 
 

@@ -154,7 +154,7 @@ class Frame:
     axes: str
     unit: str = "px"
     height_mm: float | None = None
-    """Of every object, along its own y."""
+    """Of every object, along its y."""
     length_mm: float | None = None
     """The longest side of every object's box in its own axes."""
 
@@ -191,7 +191,7 @@ class Frame:
         return float(prediction.scale_px[item]) if self.unit == "px" else 1.0
 
     def about(self, prediction: ShapePrediction, items: list[int]) -> dict[str, Any]:
-        """Return the facts that a file holds beside its meshes: unit, axes, and where its items stand in the photo."""
+        """Return the facts that a file holds beside its meshes: unit, axes, and the place of its items in the photo."""
         return {
             "unit": self.unit,
             "unit_is": self._unit_words(),
@@ -247,7 +247,7 @@ def surfaces(prediction: ShapePrediction, *, frame: str = "own", smooth: int = 0
 
 
 def prediction_surfaces(prediction: ShapePrediction, *, smooth: int = 0) -> list[Surface]:
-    """Return what was cut out of each item's grid, in its own frame, named as the item."""
+    """Return the surface of each item's grid, in the shape's frame, named as the item."""
     return [
         surface_of(np.asarray(grid, np.float32), level=prediction.level, smooth=smooth, name=name)
         for grid, name in zip(prediction.occupancy, prediction.names, strict=True)
@@ -264,7 +264,7 @@ def in_camera(
     return scale * (points @ view.T) + np.append(offset, 0.0)
 
 
-# npz: grids and where they stand, readable without pickle.
+# npz: grids and their places, readable without pickle.
 
 _ARRAYS = {
     "occupancy": np.float16, "view": np.float32, "scale": np.float32, "offset": np.float32, "distance": np.float32,

@@ -197,9 +197,9 @@ def _remarks(prediction: Prediction, clips: list[Clip], chosen: list[Clip], depa
         if prediction.truth is not None:
             remarks.append("The truth is drawn at the size of each prediction.")
     if departure > 0.02:
+        size = f"by up to {departure:.0%} of the pose's size"
         remarks.append(
-            "The level view turns each pose as a whole; the level poses of the data differ from that "
-            f"by up to {departure:.0%} of the pose's size."
+            f"The level view turns each pose as a whole; the level poses of the data differ from that {size}."
         )
     return [*remarks, *prediction.notes]
 

@@ -1,4 +1,4 @@
-"""Where things stand: axes by name, level rotations, places of roots, the truth at a pose's size."""
+"""The scene around poses: axes by name, level rotations, places of roots, the truth at a pose's size."""
 
 from __future__ import annotations
 
@@ -69,8 +69,7 @@ FROM_LEVEL = {
     "opensim": [[1, 0, 0], [0, -1, 0], [0, 0, -1]],
 }
 """Rotations from the level frame to the axes of other programs."""
-_AGREES = 1e-3
-"""Share of a body's size by which its level pose may differ from what the tilt says."""
+_AGREES = 1e-3  # share of a body's size by which its level pose may differ from what the tilt says
 
 
 def in_axes(prediction: Prediction, name: str) -> Prediction:
@@ -94,7 +93,7 @@ def in_axes(prediction: Prediction, name: str) -> Prediction:
 def rotations_to(prediction: Prediction, name: str) -> Float[np.ndarray, "frames 3 3"]:
     """Return the proper rotations R from the camera's axes to ``name``: a point p of a frame is at ``R @ p``.
 
-    The frames of one clip share one rotation, by the median of their gravity: its camera stands, and a
+    The frames of one clip share one rotation, by the median of their gravity: its camera is fixed, and a
     rotation for each frame would shake the root's path. Rows that nothing marks as frames of one film (no
     ``sequence``, ``frame`` or frame rate) have one each. A skeleton without gravity
     has no level: its camera's axes are taken as level. Raises as `in_axes`.
@@ -169,7 +168,7 @@ def level_rotations(
 def row_places(prediction: Prediction, clip: Clip) -> Float[np.ndarray, "rows 3"]:
     """Return where the root of each row is, in the prediction's axes and unit, NaN where that is not known.
 
-    The prediction's own root; else several individuals stand side by side as in the image, and one is at 0.
+    The prediction's root; else several individuals stand side by side as in the image, and one is at 0.
     """
     if prediction.root is not None:
         return known_points(prediction.root[:, None])[:, 0]
@@ -262,7 +261,7 @@ def _scale(moved: np.ndarray, fixed: np.ndarray) -> np.ndarray:
     """Return s of the least |s moved - fixed| per frame; the ratio of sizes where that is not positive."""
     known = np.isfinite(moved) & np.isfinite(fixed)
     moved, fixed = np.where(known, moved, 0.0), np.where(known, fixed, 0.0)
-    own, other = (moved**2).sum((1, 2)), (fixed**2).sum((1, 2))
-    own = np.where(own > 0, own, 1.0)
-    best = (moved * fixed).sum((1, 2)) / own
-    return np.where(best > 0, best, np.sqrt(other / own))
+    norm = (moved**2).sum((1, 2))
+    norm = np.where(norm > 0, norm, 1.0)
+    best = (moved * fixed).sum((1, 2)) / norm
+    return np.where(best > 0, best, np.sqrt((fixed**2).sum((1, 2)) / norm))

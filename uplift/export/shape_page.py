@@ -98,7 +98,7 @@ def _remarks(cut: Sequence[Surface], count: int) -> list[str]:
     return [*remarks, "Meshes are drawn with fewer triangles than the files of shapes have."]
 
 
-# What a page of shapes embeds: small meshes, masks, and where each item stands.
+# What a page of shapes embeds: small meshes, masks, and the place of each item.
 
 _ALL_FACES, _MOST_FACES, _LEAST_FACES = 600_000, 5000, 600
 _FINEST = 2 / 2048
@@ -160,7 +160,11 @@ def _arrays(meshes: Sequence[Mesh], masks: np.ndarray) -> dict[str, tuple[np.nda
     # A last row of zeros: there may be no mesh at all.
     corners = np.concatenate([*(mesh.vertices for mesh in ordered), np.zeros((1, 3))])
     faces = np.concatenate([*(mesh.faces for mesh in ordered), np.zeros((1, 3), np.int64)])
-    small = _smaller(masks)
+    small = masks.astype(np.float32) / 255
+    if small.shape[1] > _MASK_SIDE:
+        from skimage.transform import resize
+
+        small = resize(small, (len(masks), _MASK_SIDE, _MASK_SIDE), order=1, anti_aliasing=True).astype(np.float32)
     steps = np.rint(small * _MASK_STEPS) / _MASK_STEPS
     return {
         "vertices": (corners, _FINEST),
@@ -179,19 +183,7 @@ def _ordered(mesh: Mesh) -> Mesh:
     return Mesh(mesh.vertices[order], faces, mesh.name, mesh.category)
 
 
-def _smaller(masks: np.ndarray) -> np.ndarray:
-    """Return masks 0..1 of at most 64 pixels a side."""
-    side = masks.shape[1]
-    if side <= _MASK_SIDE:
-        return masks.astype(np.float32) / 255
-    from skimage.transform import resize
-
-    small = (len(masks), _MASK_SIDE, _MASK_SIDE)
-    return np.asarray(resize(masks.astype(np.float32) / 255, small, order=1, anti_aliasing=True), np.float32)
-
-
-_SIDE_PX = 224
-"""Of an item's photo."""
+_SIDE_PX = 224  # of an item's photo
 
 
 def _photos_of(prediction: ShapePrediction, folder: str | Path | None) -> tuple[list[str], list[str]]:
