@@ -52,10 +52,7 @@ def make_cmu_files(words: list[str]) -> Iterator[str]:
     yield from _read(trials, rates, unit_mm, clips)
     chosen, how = chosen_test(clips, keys.listed("test"), seed)
     yield how
-    try:
-        output.mkdir(exist_ok=True)
-    except OSError as error:
-        raise UserError(f"output={output}: cannot be created ({error.strerror}).") from error
+    output.mkdir(exist_ok=True)
     for name in ("train", "test"):
         part, path = [clip for clip in clips if (clip.sequence in chosen) == (name == "test")], output / f"{name}.npz"
         data = filmed(part, rig, rates.fps, seed, actions)

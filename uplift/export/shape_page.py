@@ -56,32 +56,28 @@ def shape_page_text(
     Raises:
         UserError: no item, a truth or score that is not one for each item, no such folder of photos.
     """
-    scores = scores or {}
-    if not len(prediction):
+    scores, total, side = scores or {}, len(prediction), prediction.resolution
+    if not total:
         raise UserError("there is no shape to show: no mask was lifted.")
     for name, values in {"truth": truth, **scores}.items():
-        if values is not None and len(values) != len(prediction):
-            raise UserError(f"{name} has {len(values)} rows, expected {len(prediction)}, one for each shape.")
+        if values is not None and len(values) != total:
+            raise UserError(f"{name} has {len(values)} rows, expected {total}, one for each shape.")
     if items < 1:
         raise UserError(f"items={items}: a page shows at least one shape.")
-    shown_count = min(items, len(prediction))
-    rows = np.arange(shown_count) * len(prediction) // shown_count
+    rows = np.arange(min(items, total)) * total // min(items, total)
     shown, true = prediction.select(rows), None if truth is None else truth.select(rows)
     data, cut = _shape_data(shown, true, {name: np.asarray(of, float)[rows] for name, of in scores.items()}, smooth)
     photos, wrong = _photos_of(shown, images)
     for entry, photo in zip(data["items"], photos, strict=True):
         entry |= {"photo": photo} if photo else {}
     data["sheet"] = sheet and len(rows) > 1
+    facts = [f"{total:,} shape{'s' * (total > 1)}", f"{side} × {side} × {side} voxels"]
     return scripted_page(
         "shape.htm",
         title=prediction.title or "Shapes",
-        facts=[
-            f"{len(prediction):,} shape{'s' * (len(prediction) > 1)}",
-            " × ".join([str(prediction.resolution)] * 3) + " voxels",
-            *(["true shapes known"] if truth is not None else []),
-        ],
+        facts=[*facts, "true shapes known"] if truth is not None else facts,
         styles=["page.css", "shape.css"],
-        notes=[*_remarks(cut, len(prediction)), *wrong, *prediction.notes, *notes],
+        notes=[*_remarks(cut, total), *wrong, *prediction.notes, *notes],
         data=data,
         scripts=_SCRIPTS,
         sections=sections,
@@ -164,7 +160,8 @@ def _arrays(meshes: Sequence[Mesh], masks: np.ndarray) -> dict[str, tuple[np.nda
     if small.shape[1] > _MASK_SIDE:
         from skimage.transform import resize
 
-        small = resize(small, (len(masks), _MASK_SIDE, _MASK_SIDE), order=1, anti_aliasing=True).astype(np.float32)
+        side = _MASK_SIDE
+        small = np.asarray(resize(small, (len(masks), side, side), order=1, anti_aliasing=True), np.float32)
     steps = np.rint(small * _MASK_STEPS) / _MASK_STEPS
     return {
         "vertices": (corners, _FINEST),
