@@ -298,7 +298,8 @@ class FilmDrawing:
         seconds = f"   {moment / self.rate:.1f} s" if self.timed else ""
         words.text((words.wide, 14), f"frame {self.scene.clip.frames[moment]}{seconds}", 18, SOFT, "rm")
         bar.line((0, 9), (bar.wide, 9), 3, FAINT)
-        bar.line((0, 9), (bar.wide * moment / max(len(self.scene.clip.frames) - 1, 1), 9), 3, SOFT)
+        done = moment / max(len(self.scene.clip.frames) - 1, 1)
+        bar.line((0, 9), (bar.wide * done, 9), 3, SOFT)
         for top, drawn in ((20, words), (606, bar)):
             image.paste(drawn.finished(), self._corner((_DEEP[0], top)))
         return image
