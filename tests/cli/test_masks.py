@@ -112,7 +112,7 @@ def test_masks_of_ones_own_without_truth(masks: Path, capsys) -> None:
     assert not (last / "evaluation.json").exists()
     assert "2 shapes" in (last / "page.html").read_text()
     assert "is not an evaluation" not in text
-    assert "no test masks of its own" in refusal(capsys, "evaluate", f"run={last}")
+    assert "no test masks: give data.test=FILE" in refusal(capsys, "evaluate", f"run={last}")
     write_masks_npz(simulate_masks("chairs", 5, seed=9, side=48), "truth.npz")
     assert status_of("evaluate", f"run={last}", "data.test=truth.npz") == 0
     text = capsys.readouterr().out

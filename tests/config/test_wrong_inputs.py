@@ -162,7 +162,7 @@ def test_poses_without_truth_and_wrong_files(here: Path, run: Path, capsys: pyte
     write_body(here / "bare.npz", pose=None)
     assert "holds no 'pose'" in refusal(capsys, "evaluate", "poses=poses.npz", "data.test=bare.npz")
     assert "holds no 'pose'" in refusal(capsys, "evaluate", f"run={run}", "data.test=bare.npz")
-    assert "has no test frames of its own" in refusal(capsys, "evaluate", f"run={run}")
+    assert "has no test frames: give data.test=FILE" in refusal(capsys, "evaluate", f"run={run}")
     pickled(here / "trap.npz")
     pose = {"pose": np.load("trap.npz", allow_pickle=False)["root"], "joint_names": np.array(["hip"])}
     assert pose["pose"].shape == (60, 3)

@@ -388,7 +388,7 @@ def test_a_gallery_from_the_command_line(lifter: Path, capsys) -> None:
         (["input=photographs.py:Photographs:tarin", "data.root=files"], "Did you mean 'train'?"),
         (["input=photographs.py:Photographs:test", "data.root=files"], "Photographs: 1 file is not in"),
         (["input=photographs.py:Photographs:train", "data.root=files", "data.options.shift=3"], "'shift_px'"),
-        (["input=files/train.npz", "data.root=files"], "is a file, which needs no more"),
+        (["input=files/train.npz", "data.root=files"], "input=files/train.npz is a file"),
         (["input=files/train.npz", "data.train=x"], "not one of its settings"),
         (["input=files/train.npz", "page=galery"], "Did you mean 'gallery'?"),
         (["input=files/train.npz", "page=gallery", "output=poses.npz"], "page=gallery is an .html"),

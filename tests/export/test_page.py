@@ -126,7 +126,7 @@ def test_filled_joints_are_told_or_those_without_confidence() -> None:
 def test_other_axes_are_refused() -> None:
     sample = prediction(frames=1)
     sample.axes = "blender"
-    with pytest.raises(UserError, match="axes 'blender'"):
+    with pytest.raises(UserError, match="in 'blender'"):
         page_text(sample)
 
 

@@ -28,18 +28,16 @@ __all__ = ["check_data", "keypoint_file", "mask_file", "simulated_keypoints", "s
 
 
 def check_data(words: Sequence[str]) -> tuple[list[str], bool]:
-    """Return the lines on a task's data, and whether a fit has all that it needs.
-
-    Raises:
-        UserError: no such task, set, option or split; no data named.
-    """
+    """Return the lines on a task's data, and whether a fit has all it needs; raises UserError for invalid settings."""
     task = split_words(words)[1].get("task")
     if task == "":
         raise UserError("data check: 'task=' has no value. Expected task=NAME.")
     settings = load_settings(task, [word for word in words if word.partition("=")[0] != "task"])
     report = _Report(settings)
     if settings.data.simulate:
-        report.simulated(settings)
+        what, size = KINDS[settings.lifts].check_simulated(settings, report.skeleton)
+        cost = f"; {_size(size)} in memory" if size else ""
+        report.lines.append(f"train, test: {what}: no files needed{cost}")
     else:
         report.part("train", settings, "train")
         if settings.data.test:
@@ -50,24 +48,18 @@ def check_data(words: Sequence[str]) -> tuple[list[str], bool]:
 
 
 class _Report:
-    """The lines, filled part by part."""
+    """The lines to print, filled part by part."""
 
     def __init__(self, settings: Settings):
         self.skeleton: Skeleton | None = load_skeleton(settings.skeleton) if settings.skeleton else None
         self.lines = [f"{settings.task or 'own data'}: {settings.description.strip().splitlines()[0]}"]
         self.missing: dict[str, None] = {}
-        """How to get what is not there."""
+        """How to get what is missing."""
         self.wrong = False
         self.folder: Path | None = None
 
-    def simulated(self, settings: Settings) -> None:
-        """Add that nothing is needed."""
-        what, size = KINDS[settings.lifts].check_simulated(settings, self.skeleton)
-        cost = f"; {_size(size)} in memory" if size else ""
-        self.lines.append(f"train, test: {what}: no files needed{cost}")
-
     def part(self, title: str, settings: Settings, which: str) -> None:
-        """Add what is there of the ``train`` or ``test`` frames of ``settings``."""
+        """Report the files of the ``train`` or ``test`` frames of ``settings``."""
         found = named_set(settings, which)
         folder = data_root(settings.data.name, settings.data.root).absolute()
         if settings.data.name and folder != self.folder:
@@ -77,7 +69,7 @@ class _Report:
             self.missing.setdefault(how_to_get(settings, found[0] if found else None))
 
     def _set(self, title: str, source: DataSet, split: str) -> bool:
-        """Add what is there of a split; returns whether it is all there."""
+        """Report the files of a split; returns whether none is missing."""
         self.lines.append(f"{title}: {source.title or type(source).__name__}, split '{split}'")
         files = source.files(split)
         for file in files:
@@ -86,25 +78,23 @@ class _Report:
             return False
         facts = cached_facts(source, split) if source.cached else None
         if facts:
-            about = f"{facts['frames']:,} frames of {facts['joints']} joints, {_size(facts['bytes'])} in memory"
-            self.lines.append(f"  to load: {about}, from the cache")
-            return True
-        first = "not read before; the first fit reads the files and keeps the arrays"
-        size = _size(sum(_unpacked(file.path) for file in files))
-        self.lines.append(
-            f"  to load: {first if source.cached else 'read anew'}; the files hold {size}, an estimate of the memory"
-        )
+            size = _size(facts["bytes"])
+            cost = f"{facts['frames']:,} frames of {facts['joints']} joints, {size} in memory, from the cache"
+        else:
+            first = "not read before; the first fit reads the files and keeps the arrays"
+            size = _size(sum(_unpacked(file.path) for file in files))
+            cost = f"{first if source.cached else 'read anew'}; the files hold {size}, an estimate of the memory"
+        self.lines.append(f"  to load: {cost}")
         return True
 
     def _file(self, title: str, settings: Settings, which: str) -> bool:
-        """Add what is there of a file of keypoints or masks; returns whether it is there."""
-        name = getattr(settings.data, which)
-        if not name:
-            find_data(settings, which)  # raises, naming what to set
-        folder = data_root(settings.data.name, settings.data.root)
+        """Report files of keypoints or masks; returns whether none is missing."""
+        name, folder = getattr(settings.data, which), data_root(settings.data.name, settings.data.root)
         try:
             paths = files_of(find_data(settings, which))
         except UserError:
+            if not name:
+                raise  # it names what to set
             paths = [(folder / part).absolute() for part in str(name).split(",") if part]
         alone = paths[0].name if paths[0].parent == self.folder else str(paths[0])
         self.lines.append(f"{title}: {alone if len(paths) == 1 else f'{len(paths)} files'}")
@@ -114,28 +104,23 @@ class _Report:
             return False
         for path in paths:
             try:
-                holds = KINDS[settings.lifts].check_file(path, settings, self.skeleton)
-                self.lines.append(f"  to load: {holds}")
+                self.lines.append(f"  to load: {KINDS[settings.lifts].check_file(path, settings, self.skeleton)}")
             except UserError as error:
                 self.wrong = True
                 self.lines.append(f"  WRONG    {error}")
         return True
 
     def _line(self, path: Path, what: str, present: bool) -> None:
-        if present:
-            held = "a folder" if path.is_dir() else _size(path.stat().st_size)
-            self.lines.append(f"  present  {path.name}, {held}")
-        else:
-            self.lines.append(f"  MISSING  {path.name}" + (f": {what}" if what else ""))
+        missing = f"  MISSING  {path.name}" + (f": {what}" if what else "")
+        held = "a folder" if path.is_dir() else _size(path.stat().st_size) if present else ""
+        self.lines.append(f"  present  {path.name}, {held}" if present else missing)
 
     def ended(self, words: str) -> list[str]:
         """Return all lines, with where missing files come from and what to do next."""
         for source in self.missing:
             self.lines += ["", *source.splitlines()]
-        if self.missing or self.wrong:
-            what = "put them there" if self.missing else "fix or replace what is wrong"
-            return [*self.lines, "", f"next: {what}, then uplift data check {words}"]
-        return [*self.lines, "", f"next: uplift fit {words}"]
+        fix = "put them there" if self.missing else "fix or replace what is wrong" if self.wrong else ""
+        return [*self.lines, "", f"next: {fix}, then uplift data check {words}" if fix else f"next: uplift fit {words}"]
 
 
 # Keypoints: what is simulated, and what a file holds.
@@ -187,9 +172,6 @@ def mask_file(path: Path, settings: Settings, skeleton: Skeleton | None) -> str:
         return f"{len(masks):,} masks of {masks.side} x {masks.side} px, {truth} true shapes"
     count = f"{len(peek.pictures):,} pictures, " if peek.pictures else ""
     return f"{count}{found.title}; each is looked at when the fit starts"
-
-
-# Sizes of files.
 
 
 def _unpacked(path: Path) -> int:

@@ -11,9 +11,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from uplift.cli.parsing import check_keys, one_of, whole
+from uplift.cli.parsing import Keys, keyed
 from uplift.config.files import refuse_output
-from uplift.config.loading import split_words
 from uplift.errors import UserError, did_you_mean
 
 if TYPE_CHECKING:
@@ -35,21 +34,25 @@ _MOST_BYTES = 4_000_000_000
 
 
 def render_masks_command(words: Sequence[str]) -> list[str]:
-    """Render masks into an .npz file, or a folder of .png files with ``truth.npz``; return what to print.
-
-    Raises:
-        UserError: an invalid setting or mesh, or an output that exists.
-    """
+    """Render masks into an .npz file, or a folder of .png files with ``truth.npz``; return what to print."""
     from uplift.data.formats.masks_npz import write_masks_npz
+    from uplift.data.synthetic.masks import FAMILIES, simulate_masks
 
-    sources, keys = _settings(words)
-    items, side = _whole(keys, "items", 2000, 1), _whole(keys, "side", 64, 8, 1024)
-    seed, each = _whole(keys, "seed", 0, 0, 2**31 - 1), _whole(keys, "views", 1, 1)
+    keys = keyed(_VERB, words, RENDER_KEYS, plain=True)
+    if not keys.plain or "output" not in keys:
+        raise UserError(
+            f"{_VERB} takes files of meshes, folders of them, or simulated shapes ({', '.join(FAMILIES)}), "
+            f"and output=FILE.npz or output=FOLDER. ({_USE})"
+        )
+    items, side = keys.whole("items", 2000, least=1, most=10**8), keys.whole("side", 64, least=8, most=1024)
+    seed, each = keys.whole("seed", 0, least=0, most=2**31 - 1), keys.whole("views", 1, least=1, most=10**8)
     if items * side**2 > _MOST_BYTES:
         raise UserError(f"{_VERB}: items={items} of side={side} take {items * side**2 / 1e9:,.0f} GB. Ask for fewer.")
     views, output = _views(keys), _output(keys)
-    shapes, about = _shapes(sources, keys, -(-items // each), seed)
-    data = _rendered(shapes, items, seed, side, views, each, keys.get("category"))
+    shapes, about = _shapes(keys, -(-items // each), seed)
+    data = simulate_masks(shapes, items, seed=seed, side=side, views=views, views_per_shape=each)
+    if "category" in keys:
+        data = replace(data, category=np.full(items, keys["category"]))
     if output.suffix == ".npz":
         write_masks_npz(data, output)
         wrote = f"wrote {output}: {items:,} masks of {side} x {side} px, with the shapes they show"
@@ -59,23 +62,12 @@ def render_masks_command(words: Sequence[str]) -> list[str]:
     return [about, wrote, f"next: uplift fit task=masks data.train={output}"]
 
 
-def _settings(words: Sequence[str]) -> tuple[list[str], dict[str, str]]:
-    sources, keys = split_words(words, RENDER_KEYS)
-    check_keys(_VERB, keys, RENDER_KEYS)
-    if not sources or "output" not in keys:
-        from uplift.data.synthetic.masks import FAMILIES
-
-        raise UserError(
-            f"{_VERB} takes files of meshes, folders of them, or simulated shapes ({', '.join(FAMILIES)}), "
-            f"and output=FILE.npz or output=FOLDER. ({_USE})"
-        )
-    return sources, keys
-
-
-def _shapes(sources: list[str], keys: dict[str, str], count: int, seed: int) -> tuple[list[Mesh] | str, str]:
+def _shapes(keys: Keys, count: int, seed: int) -> tuple[list[Mesh] | str, str]:
     """Return a family's name, or the meshes of files in a random order; and a line on them."""
+    from uplift.data.parsers.meshes import ENDINGS, MeshOptions, find_mesh_files, read_meshes
     from uplift.data.synthetic.masks import FAMILIES
 
+    sources = keys.plain
     families = [source for source in sources if source in FAMILIES]
     if families:
         if len(sources) > 1:
@@ -83,20 +75,17 @@ def _shapes(sources: list[str], keys: dict[str, str], count: int, seed: int) -> 
                 f"{_VERB}: '{families[0]}' is a family of simulated shapes and goes alone. "
                 f"Render {' and '.join(sources[:3])} apart. (A folder of that name: ./{families[0]})"
             )
-        for key in _FILE_KEYS:
-            if key in keys:
-                raise UserError(f"{_VERB}: {key}= goes with files of meshes, not with the family '{families[0]}'.")
+        for key in [key for key in _FILE_KEYS if key in keys]:
+            raise UserError(f"{_VERB}: {key}= goes with files of meshes, not with the family '{families[0]}'.")
         return families[0], f"{count:,} simulated shapes of '{families[0]}'"
-    from uplift.data.parsers.meshes import ENDINGS, MeshOptions, find_mesh_files, read_meshes
-
     for source in sources:
         if not Path(source).expanduser().exists() and Path(source).suffix.lower() not in ENDINGS:
             raise UserError(f"{_VERB}: no file, folder or family of shapes '{source}'.{did_you_mean(source, FAMILIES)}")
     options = MeshOptions(
         up=keys.get("up", "y"),
         front=keys.get("front"),
-        poses=_whole(keys, "poses", MeshOptions.poses, 0),
-        animations=tuple(part.strip() for part in keys.get("animations", "").split(",") if part.strip("- ")),
+        poses=keys.whole("poses", MeshOptions.poses, least=0, most=10**8),
+        animations=tuple(part for part in keys.listed("animations") if part.strip("-")),
         seed=seed,
         category=keys.get("category"),
         most=count,
@@ -108,25 +97,13 @@ def _shapes(sources: list[str], keys: dict[str, str], count: int, seed: int) -> 
     return [meshes[row].in_unit() for row in order], about
 
 
-def _rendered(
-    shapes: list[Mesh] | str, items: int, seed: int, side: int, views: ViewChoice, each: int, category: str | None
-) -> MaskData:
-    from uplift.data.synthetic.masks import simulate_masks
-
-    data = simulate_masks(shapes, items, seed=seed, side=side, views=views, views_per_shape=each)
-    return data if category is None else replace(data, category=np.full(items, category))
-
-
-def _views(keys: dict[str, str]) -> ViewChoice:
+def _views(keys: Keys) -> ViewChoice:
     from uplift.data.synthetic.masks import ViewChoice
 
-    views = ViewChoice(upright=one_of(_VERB, keys, "upright", ("true", "false"), "true") == "true")
+    views = ViewChoice(upright=keys.one_of("upright", ("true", "false")) == "true")
     if not views.upright:
-        for key in ("azimuth_deg", "elevation_deg"):
-            if key in keys:
-                raise UserError(
-                    f"{_VERB}: upright=false draws from all rotations, {key}= has no effect. Leave one out."
-                )
+        for key in [key for key in ("azimuth_deg", "elevation_deg") if key in keys]:
+            raise UserError(f"{_VERB}: upright=false draws from all rotations, {key}= has no effect. Leave one out.")
     if "azimuth_deg" in keys:
         views = replace(views, azimuth_deg=_pair(keys, "azimuth_deg", "from,to", -360, 360))
     if "elevation_deg" in keys:
@@ -140,7 +117,7 @@ def _views(keys: dict[str, str]) -> ViewChoice:
     return views
 
 
-def _output(keys: dict[str, str]) -> Path:
+def _output(keys: Keys) -> Path:
     output = Path(keys["output"]).expanduser()
     if output.suffix.lower() not in ("", ".npz"):
         raise UserError(f"{_VERB}: output={output}: expected a file that ends in .npz, or a folder.")
@@ -174,7 +151,7 @@ def _plain(name: str) -> str:
     return re.sub(r"[^\w.-]+", "_", name).lstrip(".")[:80]
 
 
-def _pair(keys: dict[str, str], key: str, meaning: str, low: float | int, high: float | int) -> tuple[float, float]:
+def _pair(keys: Keys, key: str, meaning: str, low: float | int, high: float | int) -> tuple[float, float]:
     try:
         first, second = (float(part) for part in keys[key].split(","))
     except ValueError:
@@ -182,11 +159,3 @@ def _pair(keys: dict[str, str], key: str, meaning: str, low: float | int, high: 
     if not (low <= first <= high and low <= second <= high) or (meaning == "mean,spread" and second < 0):
         raise UserError(f"{_VERB}: {key}={keys[key]!r}, expected {meaning}: two numbers from {low:g} to {high:g}.")
     return first, second
-
-
-def _whole(keys: dict[str, str], key: str, default: int, low: int, high: int = 10**8) -> int:
-    found = whole(_VERB, keys, key)
-    found = default if found is None else found
-    if not low <= found <= high:
-        raise UserError(f"{_VERB}: {key}={found}, expected a whole number from {low:,} to {high:,}.")
-    return found

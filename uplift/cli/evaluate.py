@@ -3,19 +3,19 @@
 from __future__ import annotations
 
 import datetime
+import itertools
 import json
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from uplift.cli.kinds import KINDS
-from uplift.cli.parsing import EVALUATE_KEYS, keyed, one_of, whole
+from uplift.cli.parsing import EVALUATE_KEYS, keyed
 from uplift.config.files import absolute, replacing, shipped_names
 from uplift.config.run import RunFolder, read_weights
-from uplift.config.settings import Settings
 from uplift.data.clean import clean
 from uplift.data.formats.npz import joint_names_of, refuse_other_axes, unit_of
 from uplift.data.load import load_data, load_file, load_split
@@ -37,22 +37,15 @@ if TYPE_CHECKING:
     from uplift.models.model import Model, ShapeModel
 
 __all__ = [
-    "MOST",
-    "evaluate",
-    "evaluate_command",
-    "evaluate_keypoints",
-    "evaluate_masks",
-    "evaluate_model",
-    "evaluate_poses",
-    "save_evaluation",
-    "score_shapes",
-]
+    "MOST", "evaluate", "evaluate_command", "evaluate_keypoints", "evaluate_masks", "evaluate_model",
+    "evaluate_poses", "save_evaluation", "score_shapes",
+]  # fmt: skip
 
 
 def evaluate(
     run: str | Path, test: str | Path | None = None, *, refine: bool | None = None, items: int | None = None
 ) -> Evaluation | ShapeEvaluation:
-    """Evaluate a run on ``test``, or on its own test data, and write evaluation.json into the run.
+    """Evaluate a run on ``test``, or on the test data of its settings, and write evaluation.json into the run.
 
     The frames of a clip are lifted together unless ``refine`` is off. Of a run that lifts masks at most
     ``items`` are scored.
@@ -78,10 +71,8 @@ def save_evaluation(result: AnyEvaluation, folder: RunFolder) -> None:
     older = folder.path / "evaluations"
     older.mkdir(exist_ok=True)
     stamp = datetime.datetime.now().strftime("%Y-%m-%d_%H-%M-%S")
-    number = 1
-    while (older / f"{stamp}_{number}.json").exists():
-        number += 1
-    for path in (older / f"{stamp}_{number}.json", folder.path / "evaluation.json"):
+    names = (older / f"{stamp}_{number}.json" for number in itertools.count(1))
+    for path in (next(path for path in names if not path.exists()), folder.path / "evaluation.json"):
         with replacing(path) as file:
             file.write(text)
     result.write_csv(folder.path / "evaluation.csv")
@@ -91,26 +82,18 @@ def save_evaluation(result: AnyEvaluation, folder: RunFolder) -> None:
 
 
 def evaluate_keypoints(folder: RunFolder, model: Model, test: str | None, refine: bool = True) -> Evaluation:
-    """Return the protocols of a run on ``test``, or on its own test frames."""
-    truth, name = _test_frames(folder, model.skeleton, test)
-    return evaluate_model(model, truth, name, refine=refine)
-
-
-def _test_frames(folder: RunFolder, skeleton: Skeleton, test: str | None) -> tuple[PoseData, str]:
+    """Return the protocols of a run on ``test``, or on the test frames of its settings."""
     settings = folder.settings()
     if test is not None:
         settings.data.test = absolute(test)
         settings.data.format = settings.data.layout = None  # what is tested on may come from elsewhere
-        data, _ = clean(load_split(settings, "test", skeleton), skeleton)
-        return data, test
-    chosen = settings.data
-    if chosen.test and not chosen.simulate:
-        data, _ = clean(load_split(settings, "test", skeleton), skeleton)
-        return data, data.source
-    data = load_data(settings, skeleton).test
-    if data is None:
-        raise UserError(f"{folder.path} has no test frames of its own: give data.test=FILE.")
-    return data, data.source
+    if test is not None or (settings.data.test and not settings.data.simulate):
+        truth, _ = clean(load_split(settings, "test", model.skeleton), model.skeleton)
+    else:
+        truth = load_data(settings, model.skeleton).test
+        if truth is None:
+            raise UserError(f"{folder.path} has no test frames: give data.test=FILE.")
+    return evaluate_model(model, truth, truth.source if test is None else test, refine=refine)
 
 
 def evaluate_model(model: Model, truth: PoseData, name: str, *, refine: bool = True) -> Evaluation:
@@ -130,55 +113,42 @@ MOST = 100
 
 
 def evaluate_masks(folder: RunFolder, model: ShapeModel, test: str | None, items: int = MOST) -> ShapeEvaluation:
-    """Return the metrics of a run on at most ``items`` masks of ``test``, or of its own test masks.
-
-    Raises:
-        UserError: no such masks, or no truth to compare with.
-    """
+    """Return the metrics of a run on at most ``items`` masks of ``test``, or of the test masks of its settings."""
     if items < 1:
         raise UserError(f"items={items}: expected how many masks are scored at most, 1 or more.")
     settings = folder.settings()
     if test is not None:
         chosen = replace(settings.data, test=absolute(test), train=None, simulate=0, format=None, category=None)
         masks = load_mask_split(replace(settings, data=replace(chosen, images=None, most=None)), "test")
-        train, why = _training_masks(settings)
+        settings.data.test = None
+        train, why = None, ""
+        try:
+            train = load_mask_split(settings, "train")
+        except UserError as error:
+            why = f"the training masks could not be read: {str(error).splitlines()[0]}"
     else:
         loaded = load_masks(settings)
         if loaded.test is None:
-            raise UserError(f"{folder.path} has no test masks of its own: give data.test=FILE.")
+            raise UserError(f"{folder.path} has no test masks: give data.test=FILE.")
         masks, train, why = loaded.test, loaded.train, ""
-    found = score_shapes(model, masks, train, most=items).evaluation
+    *_, found = score_shapes(model, masks, train, most=items)
     return replace(found, notes=[*found.notes, why]) if why else found
-
-
-@dataclass(frozen=True)
-class _ScoredShapes:
-    """The items that were scored, what the lifter made of them, and how good that is."""
-
-    test: MaskData
-    prediction: ShapePrediction
-    evaluation: ShapeEvaluation
 
 
 def score_shapes(
     model: ShapeModel, test: MaskData, train: MaskData | None, title: str = "", most: int = MOST
-) -> _ScoredShapes:
-    """Return every metric of ``model`` on at most ``most`` masks, and the baselines' where ``train`` has true shapes.
+) -> tuple[MaskData, ShapePrediction, ShapeEvaluation]:
+    """Return at most ``most`` masks, their shapes and metrics, with baselines where ``train`` has true shapes.
 
-    Raises:
-        UserError: test masks without true shapes.
+    Raises UserError for test masks without true shapes.
     """
     if test.truth is None:
-        raise UserError(
-            f"{test.source or 'the test masks'}: no true shapes to compare with, only masks. `uplift data render` makes "
-            "masks with truth."
-        )
+        where = test.source or "the test masks"
+        raise UserError(f"{where}: no true shapes to compare with. `uplift data render` makes masks with truth.")
     notes = []
     if len(test) > most:
         rows = np.sort(np.random.default_rng(0).choice(len(test), most, replace=False))
-        notes.append(
-            f"{most:,} of {len(test):,} test masks were scored, chosen at random, always the same (items={most})"
-        )
+        notes.append(f"{most:,} of {len(test):,} test masks were scored: a fixed random choice (items={most})")
         test = test.select(rows)
     prediction = model.predict(test.without_truth(), title=title)
     known = None if train is None else known_shapes(train)
@@ -187,16 +157,7 @@ def score_shapes(
         found = evaluate_shapes(prediction, test.truth, test.masks, test.source, test.category)  # type: ignore[arg-type]
     else:
         found = score_with_baselines(prediction, known, test, test.source)
-    return _ScoredShapes(test, prediction, replace(found, notes=[*found.notes, *notes]))
-
-
-def _training_masks(settings: Settings) -> tuple[MaskData | None, str]:
-    """Return the masks that baselines learn from, or why there are none."""
-    settings.data.test = None
-    try:
-        return load_mask_split(settings, "train"), ""
-    except UserError as error:
-        return None, f"the training masks could not be read: {str(error).splitlines()[0]}"
+    return test, prediction, replace(found, notes=[*found.notes, *notes])
 
 
 # Poses of any origin, from a file.
@@ -207,8 +168,7 @@ _IDENTITY = ("subject", "action", "sequence", "camera", "frame")
 def evaluate_poses(poses: str | Path, test: str | Path, skeleton: str | None = None) -> Evaluation:
     """Evaluate poses of any origin: an npz with `pose` and `joint_names`, rows as in ``test``.
 
-    Raises:
-        UserError: not such a file, or other joints or frames than the truth.
+    Raises UserError for another file, or other joints or frames than the truth.
     """
     arrays = read_arrays(poses, ("pose", "joint_names", "unit", "tilt_deg", "spread", "axes", *_IDENTITY))
     refuse_other_axes(str(poses), arrays)
@@ -247,13 +207,11 @@ def _numbers(where: str, arrays: dict[str, np.ndarray], key: str, shape: tuple[i
 
 
 def _identity(where: str, arrays: dict[str, np.ndarray], frames: int) -> dict[str, np.ndarray]:
-    found = {}
-    for key in _IDENTITY:
-        if key in arrays:
-            found[key] = np.repeat(arrays[key], frames) if arrays[key].ndim == 0 else arrays[key]
-            if found[key].shape != (frames,):
-                raise UserError(f"{where}: '{key}' has shape {found[key].shape}, expected ({frames},).")
-    return found
+    found = {key: arrays[key] for key in _IDENTITY if key in arrays}
+    for key, values in found.items():
+        if values.shape not in ((), (frames,)):
+            raise UserError(f"{where}: '{key}' has shape {values.shape}, expected ({frames},).")
+    return {key: np.broadcast_to(values, frames) for key, values in found.items()}
 
 
 def _skeleton_of(names: tuple[str, ...], where: str) -> Skeleton:
@@ -269,34 +227,31 @@ def _skeleton_of(names: tuple[str, ...], where: str) -> Skeleton:
         except UserError:
             continue
         raise UserError(
-            f"{where}: joints are not exactly a shipped skeleton's; they fit '{name}': give skeleton={name}."
+            f"{where}: no shipped skeleton has exactly its joints; they fit '{name}': give skeleton={name}."
         )
-    raise UserError(
-        f"{where}: no shipped skeleton has its joints ({', '.join(names[:8])}, ...): give skeleton=FILE.yaml."
-    )
+    shown = ", ".join(names[:8])
+    raise UserError(f"{where}: no shipped skeleton has its joints ({shown}, ...): give skeleton=FILE.yaml.")
 
 
-# The command evaluate: its words, and what it prints at the end.
+# The command line.
 
 
 def evaluate_command(words: Sequence[str]) -> None:
-    """Evaluate the run or the poses that the words name, and print all figures."""
+    """Evaluate a run or poses and print all figures."""
     keys = keyed("evaluate", words, EVALUATE_KEYS)
     if ("run" in keys) == ("poses" in keys):
         raise UserError("evaluate takes run=RUN or poses=FILE. (uplift evaluate --help)")
     if "poses" in keys:
-        for key in ("refine", "items"):
-            if key in keys:
-                raise UserError(f"evaluate poses=FILE takes the poses as they are: {key}= goes with run=.")
+        for key in [key for key in ("refine", "items") if key in keys]:
+            raise UserError(f"evaluate poses=FILE takes the poses as they are: {key}= goes with run=.")
         if "data.test" not in keys:
             raise UserError("evaluate poses=FILE needs data.test=FILE with the true poses.")
         print(evaluate_poses(keys["poses"], keys["data.test"], keys.get("skeleton")).table())
         return
     if "skeleton" in keys:
         raise UserError("evaluate run=...: the run knows its skeleton; skeleton= goes with poses=.")
-    refine = one_of("evaluate", keys, "refine", ("on", "off"), "on") == "on" if "refine" in keys else None
-    items = whole("evaluate", keys, "items")
-    print(evaluate(keys["run"], keys.get("data.test"), refine=refine, items=items).table())
+    refine = keys.one_of("refine", ("on", "off")) == "on" if "refine" in keys else None
+    print(evaluate(keys["run"], keys.get("data.test"), refine=refine, items=keys.whole("items")).table())
     folder = RunFolder.open(keys["run"]).path
     print(f"\nwrote {folder}/evaluation.json and evaluation.csv (older ones: evaluations/)")
     print(f"next: uplift compare {folder} OTHER_RUN")

@@ -37,13 +37,10 @@ def fit(task: str | None = None, *overrides: str, resume: str | Path | None = No
     """
     if resume is not None:
         if task or overrides:
-            raise UserError(
-                "resume=RUN goes on with the run's settings: give it no others. For others start from init=RUN."
-            )
+            raise UserError("resume=RUN goes on with the run's settings: give it no others, or start from init=RUN.")
         run = RunFolder.open(resume)
         return fit_settings(run.settings(), run)
-    settings = load_settings(task, overrides)
-    return fit_settings(settings)
+    return fit_settings(load_settings(task, overrides))
 
 
 @dataclass(frozen=True)

@@ -39,9 +39,9 @@ class Kind:
     evaluate: Later
     """(run folder, model, test file or None, options among `evaluate_keys`) -> evaluation."""
     predict: Later
-    """(`uplift.cli.predict.Request`) -> `uplift.cli.predict.Lifted`."""
-    predict_request: Later
-    """(weights, words of the command as a dict) -> `uplift.cli.predict.Request`."""
+    """(`uplift.cli.predict.Request`) -> prediction, and the files written with a remark on each."""
+    predict_arguments: Later
+    """(keys of the command line) -> arguments of `uplift.cli.predict.predict`."""
     predict_summary: Later
     """(prediction) -> lines to print."""
     check_simulated: Later
@@ -61,9 +61,8 @@ class Kind:
             words = other.predict_keys if verb == "predict" else other.evaluate_keys
             for key in keys:
                 if any(key == word or key.startswith(f"{word}.") for word in words):
-                    raise UserError(
-                        f"{verb}: {key}= goes with a run that lifts {other.lifts}; {run} lifts {self.lifts}."
-                    )
+                    kinds = f"a run that lifts {other.lifts}; {run} lifts {self.lifts}"
+                    raise UserError(f"{verb}: {key}= goes with {kinds}.")
 
 
 KINDS = {
@@ -73,7 +72,7 @@ KINDS = {
         report=Later("uplift.cli.report:pose_findings"),
         evaluate=Later("uplift.cli.evaluate:evaluate_keypoints"),
         predict=Later("uplift.cli.predict:lift_keypoints"),
-        predict_request=Later("uplift.cli.predict:keypoint_request"),
+        predict_arguments=Later("uplift.cli.predict:keypoint_arguments"),
         predict_summary=Later("uplift.cli.predict:pose_summary"),
         check_simulated=Later("uplift.cli.data_check:simulated_keypoints"),
         check_file=Later("uplift.cli.data_check:keypoint_file"),
@@ -90,7 +89,7 @@ KINDS = {
         report=Later("uplift.cli.report:shape_findings"),
         evaluate=Later("uplift.cli.evaluate:evaluate_masks"),
         predict=Later("uplift.cli.predict:lift_masks"),
-        predict_request=Later("uplift.cli.predict:mask_request"),
+        predict_arguments=Later("uplift.cli.predict:mask_arguments"),
         predict_summary=Later("uplift.cli.predict:shape_summary"),
         check_simulated=Later("uplift.cli.data_check:simulated_masks"),
         check_file=Later("uplift.cli.data_check:mask_file"),

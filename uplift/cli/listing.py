@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import math
+import statistics
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -20,9 +20,7 @@ __all__ = ["compare", "list_skeletons", "list_tasks", "spread"]
 def list_tasks() -> str:
     """Return a line for each shipped task: name, whether its data is present, what it is."""
     lines = []
-    for name in shipped_names("tasks"):
-        if name == "default":
-            continue
+    for name in (name for name in shipped_names("tasks") if name != "default"):
         settings = load_settings(name)
         if settings.data.simulate:
             state = "no data needed"
@@ -46,9 +44,8 @@ def list_skeletons() -> str:
         skeleton = load_skeleton(name)
         views = "gravity" if skeleton.gravity else "no gravity"
         lines.append(f"{name:<18} {len(skeleton.joints):>3} joints  {views:<10}  {skeleton.description}")
-    return "\n".join(
-        [*lines, "", "uplift skeleton check NAME|FILE draws one; uplift skeleton new FILE starts your own"]
-    )
+    lines += ["", "uplift skeleton check NAME|FILE draws one; uplift skeleton new FILE starts your own"]
+    return "\n".join(lines)
 
 
 # The verb compare: runs side by side, and the spread over seeds.
@@ -63,25 +60,25 @@ def compare(runs: Sequence[str | Path]) -> str:
     if len(runs) < 2:
         raise UserError("compare needs two runs or more: uplift compare runs/a/last runs/b/last")
     folders = [RunFolder.open(run) for run in runs]
-    found = [(folder, folder.evaluation()) for folder in folders]
-    for folder, evaluation in found:
+    evaluations = []
+    for folder in folders:
+        evaluation = folder.evaluation()
         if evaluation is None:
             raise UserError(f"{folder.path} was not evaluated: uplift evaluate run={folder.path} data.test=FILE")
-    evaluations = [e for _, e in found if e is not None]
+        evaluations.append(evaluation)
     shown, wide = _protocols(folders)
-    names = [_label(f.path) for f in folders]
+    marks = [f"[{number}]" for number in range(1, len(folders) + 1)]
     lines = [
-        f"[{i + 1}] {name}  seed {f.facts().get('seed')}"
-        for i, (name, f) in enumerate(zip(names, folders, strict=True))
+        f"{mark} {'/'.join(folder.path.parts[-2:])}  seed {folder.facts().get('seed')}"
+        for mark, folder in zip(marks, folders, strict=True)
     ]
-    tested = {e["data"] for e in evaluations}
-    if len(tested) > 1:
-        lines.append(
-            "Not the same test data: " + "; ".join(f"[{i + 1}] {e['data']}" for i, e in enumerate(evaluations))
-        )
+    tested = [evaluation["data"] for evaluation in evaluations]
+    if len(set(tested)) > 1:
+        different = "; ".join(f"{mark} {data}" for mark, data in zip(marks, tested, strict=True))
+        lines.append(f"Not the same test data: {different}")
     else:
-        lines.append(f"test data: {tested.pop()}")
-    lines += ["", f"{'protocol':<{wide}}" + "".join(f"{f'[{i + 1}]':>10}" for i in range(len(runs)))]
+        lines.append(f"test data: {tested[0]}")
+    lines += ["", f"{'protocol':<{wide}}" + "".join(f"{mark:>10}" for mark in marks)]
     for name in shown:
         values = [e["overall"].get(name) for e in evaluations]
         if any(value is not None for value in values):
@@ -100,9 +97,8 @@ def spread(runs: Sequence[RunFolder]) -> str:
     for name in shown:
         values = [e["overall"][name] for e in evaluations if name in e["overall"]]
         if len(values) == len(evaluations):
-            mean = sum(values) / len(values)
-            sd = math.sqrt(sum((v - mean) ** 2 for v in values) / max(1, len(values) - 1))
-            lines.append(f"{name:<{wide}}{mean:10.3f}{sd:9.3f}")
+            sd = statistics.stdev(values) if len(values) > 1 else 0.0
+            lines.append(f"{name:<{wide}}{statistics.fmean(values):10.3f}{sd:9.3f}")
     return "\n".join(lines)
 
 
@@ -111,12 +107,6 @@ def _protocols(runs: Sequence[RunFolder]) -> tuple[Sequence[str], int]:
     kinds = [KINDS[run.settings().lifts] for run in runs]
     for run, kind in zip(runs, kinds, strict=True):
         if kind is not kinds[0]:
-            raise UserError(
-                f"{runs[0].path} lifts {kinds[0].lifts} and {run.path} lifts {kind.lifts}: they have no metric in common. "
-                "Compare runs of one kind."
-            )
+            both = f"{runs[0].path} lifts {kinds[0].lifts} and {run.path} lifts {kind.lifts}"
+            raise UserError(f"{both}: they have no metric in common. Compare runs of one kind.")
     return kinds[0].compared, max(18, max(map(len, kinds[0].compared)) + 2)
-
-
-def _label(path: Path) -> str:
-    return "/".join(path.parts[-2:])

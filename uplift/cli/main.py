@@ -29,8 +29,8 @@ _VERBS = {
     "skeleton": "skeleton check FILE [output=FILE.png]; skeleton new FILE [--from TRACKER_FILE]; "
     "skeleton map TRACKER_FILE skeleton=NAME",
 }
-# What the user can fix by naming another place; a full disk is not one of these.
-_MENDABLE = (errno.EACCES, errno.EPERM, errno.EROFS, errno.ENAMETOOLONG, errno.ENOTDIR, errno.EISDIR, errno.ELOOP)
+# Errors that another path fixes; a full disk is not one of these.
+_FIXABLE = (errno.EACCES, errno.EPERM, errno.EROFS, errno.ENAMETOOLONG, errno.ENOTDIR, errno.EISDIR, errno.ELOOP)
 _EXAMPLES = """examples:
   uplift fit task=demo                                  no data needed: a minute or two, then a page to look at
   uplift data check task=cmu                            what is there, what is missing, where it comes from
@@ -45,7 +45,7 @@ _EXAMPLES = """examples:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run one command; returns the exit status: 0, 2 for a user's mistake or missing data, 1 for ours, 130 for Ctrl-C."""
+    """Run one command; returns the exit status: 0, 2 for a user's mistake or missing data, 1 for other errors, 130 for Ctrl-C."""
     parser = _parser()
     given = parser.parse_args(_folded(arguments))
     if given.verb is None:
@@ -62,17 +62,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except BrokenPipeError:
         return 1
     except MemoryError:
-        print(
-            "uplift: out of memory. Use fewer frames or masks (data.select.fraction) or smaller batches.",
-            file=sys.stderr,
-        )
+        hint = "Use fewer frames or masks (data.select.fraction) or smaller batches."
+        print(f"uplift: out of memory. {hint}", file=sys.stderr)
         return 1
     except OSError as error:
         where = f" ({error.filename})" if error.filename else ""
-        mine = error.errno in _MENDABLE
-        rest = "" if mine else " What was saved before is complete."
+        fixable = error.errno in _FIXABLE
+        rest = "" if fixable else " What was saved before is complete."
         print(f"uplift: {error.strerror or error}{where}.{rest}", file=sys.stderr)
-        return 2 if mine else 1
+        return 2 if fixable else 1
 
 
 def _folded(arguments: Sequence[str] | None) -> list[str]:
@@ -114,14 +112,8 @@ def _complete(verb: str) -> Callable[..., list[str]]:
         from uplift.config.loading import setting_names
 
         if verb == "skeleton":
-            names = (f"skeleton={name}" for name in shipped_names("skeletons"))
-            return [
-                "check",
-                "new",
-                "map",
-                *names,
-                *(f"{key}=" for key in ("from", "root", "gravity", "format", "layout")),
-            ]
+            keys = [f"{key}=" for key in ("from", "root", "gravity", "format", "layout")]
+            return ["check", "new", "map", *(f"skeleton={name}" for name in shipped_names("skeletons")), *keys]
         if verb == "data":
             return ["check", "cmu", "render", *(f"task={name}" for name in shipped_names("tasks")), "data.root="]
         known = {key: [""] for key in _KEYS.get(verb, ())}
@@ -134,11 +126,7 @@ def _complete(verb: str) -> Callable[..., list[str]]:
     return complete
 
 
-_KEYS = {
-    "evaluate": EVALUATE_KEYS,
-    "predict": PREDICT_KEYS,
-    "simulate": SIMULATE_KEYS,
-}
+_KEYS = {"evaluate": EVALUATE_KEYS, "predict": PREDICT_KEYS, "simulate": SIMULATE_KEYS}
 
 
 def _fit(words: Sequence[str]) -> None:
@@ -172,10 +160,6 @@ def _fit(words: Sequence[str]) -> None:
         print(f"\n{spread(runs)}")
 
 
-def _compare(words: Sequence[str]) -> None:
-    print(Later("uplift.cli.listing:compare")(words))
-
-
 def _list(verb: str, function: str) -> Callable[[Sequence[str]], None]:
     def run(words: Sequence[str]) -> None:
         if words:
@@ -191,7 +175,7 @@ def _by_first_word(functions: dict[str, str], expected: str) -> Callable[[Sequen
     def run(words: Sequence[str]) -> int:
         if not words or words[0] not in functions:
             raise UserError(expected)
-        found = Later(functions[words[0]])(list(words[1:]))
+        found = Later(f"uplift.cli.{functions[words[0]]}")(list(words[1:]))
         lines, complete = found if isinstance(found, tuple) else (found, True)
         for line in lines:
             print(line)
@@ -205,12 +189,12 @@ _RUN: dict[str, Callable[[Sequence[str]], int | None]] = {
     "evaluate": Later("uplift.cli.evaluate:evaluate_command"),
     "predict": Later("uplift.cli.predict:predict_command"),
     "simulate": Later("uplift.cli.simulate:simulate_command"),
-    "compare": _compare,
+    "compare": lambda runs: print(Later("uplift.cli.listing:compare")(runs)),
     "data": _by_first_word(
         {
-            "check": "uplift.cli.data_check:check_data",
-            "cmu": "uplift.cli.data_cmu:make_cmu_files",
-            "render": "uplift.cli.data_render:render_masks_command",
+            "check": "data_check:check_data",
+            "cmu": "data_cmu:make_cmu_files",
+            "render": "data_render:render_masks_command",
         },
         "data: expected `uplift data check task=NAME`, `uplift data cmu FOLDER` or "
         "`uplift data render MESHES output=FILE.npz`.",
@@ -218,11 +202,7 @@ _RUN: dict[str, Callable[[Sequence[str]], int | None]] = {
     "tasks": _list("tasks", "uplift.cli.listing:list_tasks"),
     "skeletons": _list("skeletons", "uplift.cli.listing:list_skeletons"),
     "skeleton": _by_first_word(
-        {
-            "check": "uplift.cli.skeleton:check_skeleton_file",
-            "new": "uplift.cli.skeleton:new_skeleton_file",
-            "map": "uplift.cli.skeleton:map_joints",
-        },
+        {"check": "skeleton:check_skeleton_file", "new": "skeleton:new_skeleton_file", "map": "skeleton:map_joints"},
         "skeleton: expected `uplift skeleton check FILE [output=FILE.png]`, `uplift skeleton new FILE "
         "[--from TRACKER_FILE]` or `uplift skeleton map TRACKER_FILE skeleton=NAME`.",
     ),

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Collection, Mapping, Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from uplift.errors import UserError, did_you_mean, nearest
 
@@ -11,14 +12,11 @@ if TYPE_CHECKING:
     from uplift.data.formats.base import ReadOptions
 
 __all__ = [
-    "EVALUATE_KEYS", "POSE_KEYS", "PREDICT_KEYS", "READ_KEYS", "SHAPE_KEYS", "SIMULATE_KEYS", "SIZE_KEYS", "check_keys", "keyed", "number", "one_of", "read_options",
-    "whole",
+    "EVALUATE_KEYS", "POSE_KEYS", "PREDICT_KEYS", "READ_KEYS", "SHAPE_KEYS", "SIMULATE_KEYS", "Keys", "keyed",
 ]  # fmt: skip
 
 READ_KEYS = ("format", "layout", "image_size", "fps", "focal_px", "min_confidence")
 """What any command that reads keypoints takes, as `uplift.data.formats.base.ReadOptions` has it."""
-SIZE_KEYS = ("height_mm", "bone", "bone_mm", "camera_height_mm")
-"""What tells how large a body is, as `uplift.models.metric_scale.size_from` has it."""
 POSE_KEYS = (
     "refine", "frames", "seed", "bones", "bone", "bone_mm", "camera_height_mm", *READ_KEYS[1:], "data.name", "data.root",
 )  # fmt: skip
@@ -30,73 +28,91 @@ SIMULATE_KEYS = ("skeleton", "output", "frames", "seed", "clip_seconds", "noise_
 EVALUATE_KEYS = ("run", "poses", "data.test", "skeleton", "refine", "items")
 
 
+class Keys(dict[str, str]):
+    """The ``key=value`` words of a verb, and its plain words; its methods raise UserError for an invalid value."""
+
+    def __init__(self, verb: str, values: Mapping[str, str], plain: Sequence[str] = ()):
+        super().__init__(values)
+        self.verb, self.plain = verb, list(plain)
+
+    def one_of(self, key: str, values: Collection[str]) -> str:
+        """Return the value of ``key``, one of ``values``, by default the first."""
+        value = self.get(key, next(iter(values)))
+        if value not in values:
+            raise UserError(f"{self.verb}: {key}={value!r}, expected {' or '.join(values)}.{nearest(value, values)}")
+        return value
+
+    def number(
+        self,
+        key: str,
+        default: Any = None,
+        *,
+        least: int | float = -math.inf,
+        above: int | float = -math.inf,
+        most: int | float = math.inf,
+        kind: type[int] | type[float] = float,
+    ) -> Any:
+        """Return the finite number of ``key`` within these limits, ``default`` where it is not given."""
+        if key not in self:
+            return default
+        try:
+            value = kind(self[key])
+        except ValueError:
+            value = math.nan
+        if not (least <= value <= most and value > above and abs(value) < math.inf):
+            bounds = {"of at least": least, "above": above, "and at most": most}
+            limits = "".join(f" {name} {bound:,}" for name, bound in bounds.items() if abs(bound) < math.inf)
+            what = "a whole number" if kind is int else "a number"
+            raise UserError(f"{self.verb}: {key}={self[key]!r}, expected {what}{limits}.")
+        return value
+
+    def whole(self, key: str, default: int | None = None, **limits: int) -> Any:
+        """Return the integer of ``key`` as `number` does."""
+        return self.number(key, default, kind=int, **limits)
+
+    def given(self, **kinds: type) -> dict[str, Any]:
+        """Return those of these keys that are given, each of its kind: ``int``, ``float`` or ``str``."""
+        found = {key: kind for key, kind in kinds.items() if key in self}
+        return {key: self[key] if kind is str else self.number(key, kind=kind) for key, kind in found.items()}
+
+    def listed(self, key: str) -> list[str]:
+        """Return the comma-separated parts of ``key``."""
+        return [part.strip() for part in self.get(key, "").split(",") if part.strip()]
+
+    def reading(self) -> ReadOptions:
+        """Return the `uplift.data.formats.base.ReadOptions` of those `READ_KEYS` that are given."""
+        from uplift.data.formats.base import ReadOptions, size_of
+
+        given = self.given(format=str, layout=str, fps=float, focal_px=float, min_confidence=float)
+        return ReadOptions(**given, image_size=size_of(self["image_size"]) if "image_size" in self else None)
+
+
 def keyed(
-    verb: str, words: Sequence[str], known: Sequence[str], needed: Sequence[str] = (), open_below: Sequence[str] = ()
-) -> dict[str, str]:
-    """Return the ``key=value`` words as a dict; keys ``open_below`` a prefix are taken as they are.
+    verb: str,
+    words: Sequence[str],
+    known: Sequence[str],
+    needed: Sequence[str] = (),
+    *,
+    prefixes: tuple[str, ...] = (),
+    plain: bool = False,
+) -> Keys:
+    """Return the words of a verb; keys that start with one of ``prefixes`` are taken as they are.
 
     Raises:
-        UserError: not key=value, a key the command does not take, one without a value or twice, one missing.
+        UserError: a word without "=" unless ``plain`` ones are allowed, an unknown key, one without a value or given
+            twice, one missing.
     """
     from uplift.config.loading import split_words  # loads yaml, which `uplift --help` does without
 
-    plain, found = split_words(words)
-    for word in plain:
-        raise UserError(f"{verb}: '{word}' is not one of its settings.{did_you_mean(word, known)}")
-    check_keys(verb, found, known, open_below)
-    for key in needed:
-        if key not in found:
-            raise UserError(f"{verb} needs {key}=... (uplift {verb} --help)")
-    return found
-
-
-def check_keys(verb: str, keys: Mapping[str, str], known: Sequence[str], open_below: Sequence[str] = ()) -> None:
-    """Refuse a key that the command does not take, and one without a value."""
-    for key, value in keys.items():
-        if key not in known and not key.startswith(tuple(open_below) or ("=",)):
+    others, found = split_words(words, known if plain else None)
+    if others and not plain:
+        raise UserError(f"{verb}: '{others[0]}' is not one of its settings.{did_you_mean(others[0], known)}")
+    for key, value in found.items():
+        if key not in known and not key.startswith(prefixes):
             raise UserError(f"{verb}: '{key}={value}' is not one of its settings.{did_you_mean(key, known)}")
         if not value:
             raise UserError(f"{verb}: '{key}=' has no value.")
-
-
-def one_of(verb: str, keys: dict[str, str], key: str, values: Collection[str], default: str) -> str:
-    """Return the value of ``key``, one of ``values``."""
-    value = keys.get(key, default)
-    if value not in values:
-        raise UserError(f"{verb}: {key}={value!r}, expected {' or '.join(values)}.{nearest(value, values)}")
-    return value
-
-
-def whole(verb: str, keys: dict[str, str], key: str) -> int | None:
-    """Return the whole number of ``key``; None where it is not given."""
-    if key not in keys:
-        return None
-    try:
-        return int(keys[key])
-    except ValueError:
-        raise UserError(f"{verb}: {key}={keys[key]!r}, expected a whole number.") from None
-
-
-def number(verb: str, keys: dict[str, str], key: str) -> float | None:
-    """Return the number of ``key``; None where it is not given."""
-    if key not in keys:
-        return None
-    try:
-        return float(keys[key])
-    except ValueError:
-        raise UserError(f"{verb}: {key}={keys[key]!r}, expected a number.") from None
-
-
-def read_options(verb: str, keys: dict[str, str]) -> ReadOptions:
-    """Return the `uplift.data.formats.base.ReadOptions` of those `READ_KEYS` that are given."""
-    from uplift.data.formats.base import ReadOptions, size_of
-
-    told = {
-        "format": keys.get("format"),
-        "layout": keys.get("layout"),
-        "image_size": size_of(keys["image_size"]) if "image_size" in keys else None,
-        "fps": number(verb, keys, "fps"),
-        "focal_px": number(verb, keys, "focal_px"),
-        "min_confidence": number(verb, keys, "min_confidence"),
-    }
-    return ReadOptions(**{key: value for key, value in told.items() if value is not None})
+    for key in needed:
+        if key not in found:
+            raise UserError(f"{verb} needs {key}=... (uplift {verb} --help)")
+    return Keys(verb, found, others)

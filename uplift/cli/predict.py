@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from uplift.cli.kinds import KINDS
-from uplift.cli.parsing import PREDICT_KEYS, SIZE_KEYS, keyed, number, one_of, read_options, whole
+from uplift.cli.parsing import PREDICT_KEYS, Keys, keyed
 from uplift.config.files import refuse_output
 from uplift.config.loading import load_settings
 from uplift.config.run import Weights, read_weights
@@ -31,39 +31,31 @@ from uplift.models.prediction import Prediction, ShapePrediction
 from uplift.skeleton import Skeleton
 
 __all__ = [
-    "Lifted", "Request", "keypoint_request", "lift_keypoints", "lift_masks", "mask_request", "pose_summary",
-    "predict", "predict_command", "shape_summary",
+    "Request", "keypoint_arguments", "lift_keypoints", "lift_masks", "mask_arguments", "pose_summary", "predict",
+    "predict_command", "shape_summary",
 ]  # fmt: skip
 
 
 @dataclass(frozen=True)
 class Request:
-    """What is to be lifted, and what becomes of it; the fields are the arguments of `predict`."""
+    """What is to be lifted, and what becomes of it: the arguments of `predict`."""
 
     weights: Weights
     input: str | Path
-    output: str | Path | None = None
-    overrides: tuple[str, ...] = ()
-    refine: bool = True
-    constant_bones: bool = False
-    size: Mapping[str, Any] = field(default_factory=dict)
-    reading: ReadOptions | None = None
-    axes: str | None = None
-    page: str | None = None
-    options: Mapping[str, Any] = field(default_factory=dict)
+    output: str | Path | None
+    overrides: tuple[str, ...]
+    refine: bool
+    constant_bones: bool
+    size: Mapping[str, Any]
+    reading: ReadOptions | None
+    axes: str | None
+    page: str | None
+    options: Mapping[str, Any]
 
     @property
     def title(self) -> str:
-        """What the prediction is called: the name of the first file."""
+        """The name of the first file."""
         return Path(str(self.input).split(",")[0]).stem
-
-
-@dataclass(frozen=True)
-class Lifted:
-    """What was lifted, and the files it was written to, with a word on each."""
-
-    prediction: Prediction | ShapePrediction
-    files: dict[Path, str]
 
 
 def predict(
@@ -84,10 +76,10 @@ def predict(
 
     ``input`` is a file or folder in any format that is read, several with commas or a pattern, or ``SET:SPLIT`` of
     a published data set (``file.py:Class:SPLIT`` for a class of yours), whose ``data.root`` and ``data.options.*`` are
-    ``overrides`` such as a fit takes; ``reading`` is what the files do not say. The frames of a clip are lifted
+    ``overrides`` such as a fit takes; ``reading`` is what the files lack. The frames of a clip are lifted
     together unless ``refine`` is off. ``size`` are arguments of `uplift.models.metric_scale.size_from`. ``axes`` are
     those of `uplift.export.scene`, the format's usual ones by default. ``page`` is the kind of an .html, ``viewer`` or
-    ``gallery``, and ``options`` are those of its writer. The files written, with a word on each, are added to ``written``.
+    ``gallery``, and ``options`` are those of its writer. The files written, with a remark on each, are added to ``written``.
 
     With a run that lifts masks, ``options`` (and ``size`` among them) are those of `uplift.export.write` for shapes and
     of `uplift.data.formats.read_masks`; what goes with keypoints is refused.
@@ -100,53 +92,47 @@ def predict(
     request = Request(
         weights, input, output, overrides, refine, constant_bones, size or {}, reading, axes, page, options
     )
-    done: Lifted = KINDS[weights.lifts].predict(request)
+    prediction, files = KINDS[weights.lifts].predict(request)
     if written is not None:
-        written |= done.files
-    return done.prediction
+        written |= files
+    return prediction
 
 
 def predict_command(words: Sequence[str]) -> None:
-    """Lift what the words name, write it, and print what was done."""
-    keys = keyed("predict", words, PREDICT_KEYS, ("run", "input", "output"), open_below=("data.options.",))
+    """Lift, write, and print what was done."""
+    keys = keyed("predict", words, PREDICT_KEYS, ("run", "input", "output"), prefixes=("data.options.",))
     weights = read_weights(keys["run"])
     kind = KINDS[weights.lifts]
     kind.refuse_others("predict", keys, keys["run"])
-    done: Lifted = kind.predict(kind.predict_request(weights, keys))
-    lines = kind.predict_summary(done.prediction)
-    lines += [f"wrote {path}" + (f": {word}" if word else "") for path, word in list(done.files.items())[:5]]
-    lines += [f"and {len(done.files) - 5} more"] * (len(done.files) > 5)
-    lines += [f"look: open {path} in a browser" for path in done.files if path.suffix.lower() == ".html"]
+    overrides = [f"{key}={value}" for key, value in keys.items() if key.startswith("data.")]
+    files: dict[Path, str] = {}
+    arguments = kind.predict_arguments(keys) | {"axes": keys.get("axes"), "page": keys.get("page"), "written": files}
+    lines = kind.predict_summary(predict(weights, keys["input"], keys["output"], *overrides, **arguments))
+    lines += [f"wrote {path}" + (f": {remark}" if remark else "") for path, remark in list(files.items())[:5]]
+    lines += [f"and {len(files) - 5} more"] * (len(files) > 5)
+    lines += [f"look: open {path} in a browser" for path in files if path.suffix.lower() == ".html"]
     print("\n".join(lines))
 
 
 # Keypoints in, poses out.
 
 
-def keypoint_request(weights: Weights, keys: dict[str, str]) -> Request:
-    """Return what the words of the command ask of a run that lifts keypoints."""
-    options: dict[str, Any] = {"images": keys["images"]} if "images" in keys else {}
-    options |= {key: whole("predict", keys, key) for key in ("frames", "seed") if key in keys}
-    size: dict[str, Any] = {key: number("predict", keys, key) for key in SIZE_KEYS if key in keys and key != "bone"}
+def keypoint_arguments(keys: Keys) -> dict[str, Any]:
+    """Return the arguments of `predict` that the command line gives for keypoints."""
+    size = keys.given(height_mm=float, bone_mm=float, camera_height_mm=float)
     if "bone" in keys:
         size["bone"] = tuple(name.strip() for name in keys["bone"].split(","))
-    return Request(
-        weights,
-        keys["input"],
-        keys["output"],
-        tuple(f"{key}={value}" for key, value in keys.items() if key.startswith("data.")),
-        refine=one_of("predict", keys, "refine", ("on", "off"), "on") == "on",
-        constant_bones=one_of("predict", keys, "bones", ("free", "constant"), "free") == "constant",
-        size=size,
-        reading=read_options("predict", keys),
-        axes=keys.get("axes"),
-        page=keys.get("page"),
-        options=options,
-    )
+    return {
+        "refine": keys.one_of("refine", ("on", "off")) == "on",
+        "constant_bones": keys.one_of("bones", ("free", "constant")) == "constant",
+        "size": size,
+        "reading": keys.reading(),
+        **keys.given(images=str, frames=int, seed=int),
+    }
 
 
-def lift_keypoints(request: Request) -> Lifted:
-    """Lift keypoints and write the poses, if there is an output."""
+def lift_keypoints(request: Request) -> tuple[Prediction, dict[Path, str]]:
+    """Lift keypoints and write the poses, if there is an output; return the files with a remark on each."""
     axes, page, output, options = request.axes, request.page, request.output, request.options
     if axes is not None and axes not in AXES:
         raise UserError(f"axes={axes}: no such axes.{did_you_mean(axes, AXES)}")
@@ -165,7 +151,7 @@ def lift_keypoints(request: Request) -> Lifted:
         data, title=request.title, refine=request.refine, size=size, constant_bones=request.constant_bones
     )
     files = {} if output is None else write(prediction, output, page, axes, **options)
-    return Lifted(prediction if axes is None else in_axes(prediction, axes), files)
+    return prediction if axes is None else in_axes(prediction, axes), files
 
 
 def _read(request: Request, skeleton: Skeleton) -> PoseData:
@@ -174,18 +160,14 @@ def _read(request: Request, skeleton: Skeleton) -> PoseData:
     use, colon, split = str(input).rpartition(":")
     if not colon or Path(input).exists():
         if overrides:
-            raise UserError(
-                f"'{overrides[0]}' goes with a data set, input=SET:SPLIT; input={input} is a file, which needs no more."
-            )
+            raise UserError(f"'{overrides[0]}' goes with a data set, input=SET:SPLIT; input={input} is a file.")
         return load_file(input, skeleton, reading)
     if reading is not None and reading.set_names():
-        raise UserError(f"{reading.set_names()[0]}= goes with files; a published set, input={input}, knows its own.")
+        raise UserError(f"{reading.set_names()[0]}= goes with files, not with a published set, input={input}.")
     named = [f"data.name={use}"] if use in DATA_SETS else []
     if use not in DATA_SETS and ":" not in use:
-        raise UserError(
-            f"input={input}: no data set '{use}'.{did_you_mean(use, DATA_SETS)} Your own is file.py:Class:SPLIT; a "
-            "file of keypoints has no colon in its name."
-        )
+        hint = f"{did_you_mean(use, DATA_SETS)} Your own is file.py:Class:SPLIT; a file has no colon in its name."
+        raise UserError(f"input={input}: no data set '{use}'.{hint}")
     settings = load_settings(None, [*named, f"data.use={use}", *overrides])
     if not settings.data.name and settings.data.root is None:
         raise UserError(f"input={input}: where are its files? Give data.root=FOLDER.")
@@ -195,13 +177,11 @@ def _read(request: Request, skeleton: Skeleton) -> PoseData:
 
 def pose_summary(found: Prediction) -> list[str]:
     """Return what to print about poses."""
-    lines = [*found.notes]
-    blank = int((found.pose != found.pose).all((1, 2)).sum())
-    lines.append(f"lifted {len(found) - blank:,} frames of {found.skeleton.name}, unit {found.unit}")
+    blank = int(np.isnan(found.pose).all((1, 2)).sum())
+    lines = [*found.notes, f"lifted {len(found) - blank:,} frames of {found.skeleton.name}, unit {found.unit}"]
     if blank:
-        lines.append(
-            f"{blank:,} of {len(found):,} frames cannot be lifted (too few joints, or all in one point): their rows are NaN"
-        )
+        why = "too few joints, or all in one point"
+        lines.append(f"{blank:,} of {len(found):,} frames cannot be lifted ({why}): their rows are NaN")
     if found.filled is not None and found.filled.any():
         share = found.filled[np.isfinite(found.pose[..., 0])]
         lines.append(f"{share.mean():.1%} of joints were not seen and are filled in (`filled`)" if share.size else "")
@@ -209,10 +189,8 @@ def pose_summary(found: Prediction) -> list[str]:
         lines.append(f"placed: the camera is {np.nanmedian(found.root[:, 2]) / 1000:.2f} m away (median)")
     lines += _motion(found)
     if never_seen_so_long(found.pose, found.skeleton) > 0.2:
-        lines.append(
-            "WARNING: many bones are twice as long as they ever look from the camera. Too little training, or a body that "
-            "is only ever seen from one side (docs/how-it-works.md)"
-        )
+        why = "too little training, or a body that is only ever seen from one side (docs/how-it-works.md)"
+        lines.append(f"WARNING: many bones are twice as long as they ever look from the camera: {why}")
     if found.unit == "px":
         height = "height_mm=, or " if "of_height" in found.skeleton.size else ""
         lines.append(f"for millimetres give {height}bone=JOINT,JOINT bone_mm= (docs/output.md)")
@@ -236,26 +214,21 @@ _READING = ("format", "border", "pieces", "category", "most", "images", "side")
 _OF_MESHES = ("axes", "unit", "height_mm", "length_mm", "smooth", "together")
 
 
-def mask_request(weights: Weights, keys: dict[str, str]) -> Request:
-    """Return what the words of the command ask of a run that lifts masks."""
-    options: dict[str, Any] = {key: keys[key] for key in ("unit", *_READING) if key in keys}
-    options |= {key: number("predict", keys, key) for key in ("height_mm", "length_mm") if key in keys}
-    options |= {key: whole("predict", keys, key) for key in ("smooth", "items", "most") if key in keys}
+def mask_arguments(keys: Keys) -> dict[str, Any]:
+    """Return the arguments of `predict` that the command line gives for masks."""
+    options = keys.given(unit=str, height_mm=float, length_mm=float, smooth=int, items=int, most=int)
+    options = keys.given(**dict.fromkeys(_READING, str)) | options
     if "together" in keys:
-        options["together"] = one_of("predict", keys, "together", ("true", "false"), "true") == "true"
-    return Request(
-        weights, keys["input"], keys["output"], axes=keys.get("axes"), page=keys.get("page"), options=options
-    )
+        options["together"] = keys.one_of("together", ("true", "false")) == "true"
+    return options
 
 
-def lift_masks(request: Request) -> Lifted:
-    """Lift masks and write the shapes, if there is an output."""
+def lift_masks(request: Request) -> tuple[ShapePrediction, dict[Path, str]]:
+    """Lift masks and write the shapes, if there is an output; return the files with a remark on each."""
     if request.overrides or not request.refine or request.constant_bones or request.reading is not None:
-        raise UserError(
-            f"{request.weights.run} lifts masks: overrides, refine, constant_bones and reading go with keypoints."
-        )
-    axes = {} if request.axes is None else {"axes": request.axes}
-    options = {**request.options, **request.size, **axes}
+        of_keypoints = "overrides, refine, constant_bones and reading"
+        raise UserError(f"{request.weights.run} lifts masks: {of_keypoints} go with keypoints.")
+    options = {**request.options, **request.size, **({} if request.axes is None else {"axes": request.axes})}
     reading = {key: options.pop(key) for key in _READING if key in options}
     if request.output is not None:
         _check_mesh_output(request.output, request.page, options)
@@ -265,7 +238,7 @@ def lift_masks(request: Request) -> Lifted:
     notes = tuple(note for note in data.notes if note not in prediction.notes)
     prediction.notes = (*notes, *prediction.notes)
     files = {} if request.output is None else write(prediction, request.output, request.page, **options)
-    return Lifted(prediction, files)
+    return prediction, files
 
 
 def _check_mesh_output(output: str | Path, page: str | None, options: Mapping[str, Any]) -> None:
@@ -288,8 +261,5 @@ def shape_summary(found: ShapePrediction) -> list[str]:
     side = found.resolution
     lines = [*found.notes, f"lifted {len(found):,} masks, {side} x {side} x {side} voxels each"]
     empty = sum(not (grid > found.level).any() for grid in found.occupancy)
-    if empty:
-        lines.append(
-            f"{empty:,} of {len(found):,} shapes are empty: nothing of them is above the level {found.level:g}"
-        )
-    return lines
+    note = f"{empty:,} of {len(found):,} shapes are empty: nothing of them is above the level {found.level:g}"
+    return [*lines, note] if empty else lines

@@ -37,29 +37,24 @@ __all__ = ["Findings", "pose_findings", "report", "shape_findings"]
 
 @dataclass(frozen=True)
 class _Words:
-    """The layout of the figures of one kind of run, and the texts around them."""
+    """Layout and texts of the report of one kind of run."""
 
     title: str
-    metric: str
-    """A row's name in report.md, `{}` being the metric."""
-    number: str
-    """A number in report.md."""
-    widths: tuple[int, int]
-    """Of the first two columns in the terminal."""
-    baselines: str
-    """What baselines are, for report.md."""
+    metric: str  # how report.md writes a metric's name
+    number: str  # how report.md writes a number
+    widths: tuple[int, int]  # of the first two columns in the terminal
+    baselines: str  # what baselines are, for report.md
     no_truth: str
-    predict: str
-    """What goes behind ``uplift predict run=...``."""
+    predict: str  # the arguments of the suggested ``uplift predict run=...``
 
 
 @dataclass(frozen=True)
 class Findings:
-    """What a report tells of a fit, whatever that lifts."""
+    """What a report says about a fit of either kind."""
 
     words: _Words
     given: list[str]
-    """What the fit was given, a sentence each: the answer to "did it see 3D?"."""
+    """What the fit learned from, a sentence each: the answer to "did it see 3D?"."""
     write_page: Callable[..., None]
     """Takes the path, and the sections, curves and notes of a page."""
     shown: list[str] = field(default_factory=list)
@@ -77,11 +72,9 @@ class Findings:
         """Return the figures of the run beside those of the baselines, a header first; nothing without an evaluation."""
         if self.evaluation is None:
             return []
-        rows: list[list[object]] = [[self.evaluation.title, "this run", *self.baselines]]
-        for name in self.names:
-            others = [baseline.get(name, "") for baseline in self.baselines.values()]
-            rows.append([name, self.evaluation.overall[name], *others])
-        return rows
+        overalls = [self.evaluation.overall, *self.baselines.values()]
+        header: list[object] = [self.evaluation.title, "this run", *self.baselines]
+        return [header, *([name, *(overall.get(name, "") for overall in overalls)] for name in self.names)]
 
 
 def report(run: RunFolder, model: Any, settings: Settings, loaded: Any, spent: dict[str, float]) -> None:
@@ -94,45 +87,36 @@ def report(run: RunFolder, model: Any, settings: Settings, loaded: Any, spent: d
     with replacing(run.path / "report.md") as file:
         file.write(("\n".join(lines) + "\n").encode())
     sections = [(found.words.title, rows)] if rows else []
-    found.write_page(run.path / "page.html", sections=sections, curves=_curves_of(run), notes=found.given)
+    curves: dict[str, list[tuple[float, float]]] = {}
+    for stage, step, name, value in read_metrics(run.path / "metrics.csv"):
+        curves.setdefault(f"{stage}: {name}", []).append((float(step), float(value)))
+    found.write_page(run.path / "page.html", sections=sections, curves=curves, notes=found.given)
     print("\n".join(_end_lines(run, found, rows, spent)))
 
 
 def _head_lines(run: RunFolder, settings: Settings, notes: Sequence[str], spent: dict[str, float]) -> list[str]:
-    """Return the first lines of report.md."""
     facts = run.facts()
-    lines = [f"# {settings.task or 'own data'}", "", settings.description.strip(), ""]
-    lines += ["```", facts["command"], "```", ""]
-    lines += [f"- {note}" for note in notes]
-    lines += [f"- {stage}: {seconds:.0f} s of training" for stage, seconds in spent.items()]
-    return [*lines, f"- seed {settings.seed}, {facts['cores']} cores, torch {facts['versions']['torch']}", ""]
+    return [
+        *(f"# {settings.task or 'own data'}", "", settings.description.strip(), "", "```", facts["command"], "```", ""),
+        *(f"- {note}" for note in notes),
+        *(f"- {stage}: {seconds:.0f} s of training" for stage, seconds in spent.items()),
+        *(f"- seed {settings.seed}, {facts['cores']} cores, torch {facts['versions']['torch']}", ""),
+    ]
 
 
 def _figure_lines(found: Findings, rows: list[list[object]]) -> list[str]:
-    """Return the figures as report.md has them."""
     if found.evaluation is None:
         return []
     words, (header, *figures) = found.words, rows
-    lines = [f"## {words.title}", "", _line(header, ""), "|" + "---|" * len(header)]
-    lines += [_line([words.metric.format(name), *cells], words.number) for name, *cells in figures]
+    table = [header, *([words.metric.format(name), *cells] for name, *cells in figures)]
+    table = [f"| {' | '.join(_cell(cell, words.number) for cell in cells)} |" for cells in table]
+    lines = [f"## {words.title}", "", table[0], "|" + "---|" * len(header), *table[1:]]
     lines += ["", words.baselines] if found.baselines else []
     return [*lines, "", "```", found.evaluation.table(), "```", ""]
 
 
-def _line(cells: Sequence[object], number: str) -> str:
-    return f"| {' | '.join(_cell(cell, number) for cell in cells)} |"
-
-
 def _cell(cell: object, number: str) -> str:
     return format(cell, number) if isinstance(cell, float) else str(cell)
-
-
-def _curves_of(run: RunFolder) -> dict[str, list[tuple[float, float]]]:
-    """Return each curve of metrics.csv: stage and name -> (step, value) points."""
-    curves: dict[str, list[tuple[float, float]]] = {}
-    for stage, step, name, value in read_metrics(run.path / "metrics.csv"):
-        curves.setdefault(f"{stage}: {name}", []).append((float(step), float(value)))
-    return curves
 
 
 def _end_lines(run: RunFolder, found: Findings, rows: list[list[object]], spent: dict[str, float]) -> list[str]:
@@ -158,21 +142,15 @@ def _end_lines(run: RunFolder, found: Findings, rows: list[list[object]], spent:
     ]
 
 
-def _given_lines(settings: Settings, first: str) -> list[str]:
-    """Return ``first``, what a fit learned from, or of a fit that starts from another run, which that is."""
-    if settings.init:
-        return [f"Started from the weights of {settings.init}; see that run for what it learned from."]
-    return [first]
+_STARTED = "Started from the weights of {}; see that run for what it learned from."
 
 
 def _prior_lines(settings: Settings) -> list[str]:
-    """Return the priors with a weight above 0, and which of them are user-defined."""
     specs = {n: s for n, s in settings.priors.items() if float(s.get("weight", 1)) > 0}
-    lines = ["Priors (weight): " + ", ".join(f"{n} {float(s.get('weight', 1)):g}" for n, s in specs.items()) + "."]
-    for name, spec in specs.items():
-        if ":" in str(spec.get("use", name)):
-            lines.append(f"Prior {name} is the user's own ({spec['use']}): what it reads is for its author to say.")
-    return lines
+    weights = ", ".join(f"{name} {float(spec.get('weight', 1)):g}" for name, spec in specs.items())
+    foreign = {name: spec["use"] for name, spec in specs.items() if ":" in str(spec.get("use", name))}
+    note = "Prior {} is user-defined ({}): ask its author what it reads."
+    return [f"Priors (weight): {weights}.", *(note.format(*item) for item in foreign.items())]
 
 
 # A fit of keypoints: errors beside those of flat depth.
@@ -224,11 +202,10 @@ def _given_to_poses(settings: Settings, loaded: Loaded) -> list[str]:
             f"Learned from the true poses, root positions and camera tilts of {count:,} labelled frames of {total:,}; "
             "of the others from 2D keypoints alone."
         )
-    lines = _given_lines(settings, first)
+    lines = [_STARTED.format(settings.init) if settings.init else first]
     if settings.data.simulate:
-        lines.append(
-            "The keypoints are simulated: bodies and motions from published anthropometry and ranges of motion."
-        )
+        origin = "bodies and motions from published anthropometry and ranges of motion"
+        lines.append(f"The keypoints are simulated: {origin}.")
     if intrinsics_of(undistorted(loaded.train, settings.lifter), settings.lifter) is not None:
         lines.append("The camera's focal length and image centre, from the file, were used.")
     train = loaded.train
@@ -256,7 +233,7 @@ def _doubts(evaluation: Evaluation) -> list[str]:
     if facing is None or facing > 0.75:
         return []
     return [
-        f"facing {facing:.2f} is near chance: nothing told poses from their mirror images in depth. Look at `facing` in the "
+        f"facing {facing:.2f} is near chance: nothing distinguished poses from their mirror images in depth. Look at `facing` in the "
         "skeleton, and at `gravity`: false for what is seen from every side. Or train longer."
     ]
 
@@ -285,13 +262,12 @@ def shape_findings(model: ShapeModel, settings: Settings, loaded: LoadedMasks) -
         count = min(MOST, len(data))
         shown = model.predict(data.select(np.arange(count) * len(data) // count), title)
         return Findings(_SHAPES, given, partial(write_shape_page, shown), given[:1])
-    scored = score_shapes(model, loaded.test, loaded.train, title)
-    found = scored.evaluation
+    test, prediction, found = score_shapes(model, loaded.test, loaded.train, title)
     scores = {name: found.per_item[key] for name, key in _SCORES.items() if key in found.per_item}
     return Findings(
         _SHAPES,
         given,
-        partial(write_shape_page, scored.prediction, truth=scored.test.truth, scores=scores),
+        partial(write_shape_page, prediction, truth=test.truth, scores=scores),
         given[:1],
         evaluation=found,
         about=f"{found.data}: {found.items:,} shapes",
@@ -309,7 +285,7 @@ def _given_to_shapes(settings: Settings, loaded: LoadedMasks) -> list[str]:
             f"Learned from the true shapes and views of {int(labelled.sum()):,} labelled masks of {len(labelled):,}; "
             "of the others from masks alone. No category was looked at."
         )
-    lines = _given_lines(settings, first)
+    lines = [_STARTED.format(settings.init) if settings.init else first]
     if data.category or data.select.categories or data.hold_out.categories:
         lines.append("Which masks are used was chosen by their categories.")
     if data.simulate:

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from uplift.cli.parsing import SIMULATE_KEYS, keyed, number, whole
+from uplift.cli.parsing import SIMULATE_KEYS, keyed
 from uplift.config.files import refuse_output
 from uplift.data.poses import PoseData
 from uplift.errors import UserError, nearest
@@ -60,13 +60,11 @@ def simulate(
 
 
 def simulate_command(words: Sequence[str]) -> None:
-    """Simulate what the words say, write it, and print what was done."""
+    """Simulate, write, and print what was done."""
     keys = keyed("simulate", words, SIMULATE_KEYS, ("skeleton", "output"))
-    found = {key: whole("simulate", keys, key) for key in ("frames", "seed")}
-    found |= {key: number("simulate", keys, key) for key in ("clip_seconds", "noise_px", "missing")}
-    given = {key: value for key, value in (found | {"tracker": keys.get("tracker")}).items() if value is not None}
+    given = keys.given(frames=int, seed=int, clip_seconds=float, noise_px=float, missing=float, tracker=str)
     written: list[Path] = []
-    data = simulate(keys["skeleton"], keys["output"], written=written, **given)  # type: ignore[arg-type]
+    data = simulate(keys["skeleton"], keys["output"], written=written, **given)
     output = Path(keys["output"])
     several = len(written) > 1
     files = f"{len(written)} files, {written[0]} to {written[-1].name}" if several else output
@@ -76,7 +74,6 @@ def simulate_command(words: Sequence[str]) -> None:
 
 
 def _checked(output: Path, tracker: str | None) -> Path:
-    """Return ``output``, which can be written."""
     ending = output.suffix.lower()
     if ending not in _ENDINGS:
         raise UserError(f"output={output}: simulated data is written as {' or '.join(_ENDINGS)}.")
@@ -89,7 +86,6 @@ def _checked(output: Path, tracker: str | None) -> Path:
 
 
 def _write(data: PoseData, output: Path, tracker: str | None, seed: int) -> list[Path]:
-    """Write the frames and return the files."""
     if tracker is not None:
         return _write_videos(data, output, seed)
     if output.suffix.lower() == ".csv":

@@ -2,41 +2,39 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
-from uplift.cli.parsing import check_keys
+from uplift.cli.parsing import Keys, keyed
 from uplift.config.files import refuse_existing, shipped, shipped_names
-from uplift.config.loading import split_words
 from uplift.data.clean import MIN_VISIBLE, clean
 from uplift.data.formats import read
-from uplift.data.formats.base import ReadOptions
 from uplift.data.load import in_joints_of
 from uplift.data.poses import PoseData
 from uplift.errors import UserError
-from uplift.skeleton import Skeleton, load_skeleton
+from uplift.skeleton import Skeleton, load_skeleton, propose
 from uplift.skeleton.match import JointMatch, match_joints
-from uplift.skeleton.propose import TOO_LONG, guess_parts, quoted, stretch_of
 
 __all__ = ["check_skeleton_file", "map_joints", "new_skeleton_file"]
 
-READING = ("format", "layout", "min_confidence")
+_READING = ("format", "layout", "min_confidence")
 
 
 def check_skeleton_file(words: list[str]) -> list[str]:
     """Validate a skeleton, draw it, and return the lines to print."""
     from uplift.skeleton.draw import draw_skeleton
 
-    names, keyed = _keyed_words("check", words, ("output",))
-    if len(names) != 1:
+    keys = keyed("skeleton check", words, ("output",), plain=True)
+    if len(keys.plain) != 1:
         raise UserError("skeleton check takes one FILE (or a shipped name) and output=FILE.png.")
-    skeleton = load_skeleton(names[0])
-    output = Path(keyed.get("output", f"{skeleton.name}.png"))
+    skeleton = load_skeleton(keys.plain[0])
+    output = Path(keys.get("output", f"{skeleton.name}.png"))
     if output.suffix.lower() != ".png":
         raise UserError(f"output={output}: the drawing is a .png.")
-    if "output" in keyed:
+    if "output" in keys:
         refuse_existing(output)
     number = 2
     while output.exists():
@@ -50,57 +48,35 @@ def check_skeleton_file(words: list[str]) -> list[str]:
         f"other layouts it can be built from: {', '.join(skeleton.sources) or 'none'}",
         f"simulator: {'ready' if skeleton.body else 'no proportions given'}",
         f"wrote {output}",
-        f"next: uplift fit skeleton={names[0]} data.train=KEYPOINTS",
+        f"next: uplift fit skeleton={keys.plain[0]} data.train=KEYPOINTS",
     ]
 
 
 def new_skeleton_file(words: list[str]) -> list[str]:
     """Write a commented starting file, or one proposed from a tracker's file, and return the lines to print."""
-    names, keyed = _keyed_words("new", words, ("from", "root", "gravity", *READING))
-    if len(names) != 1:
+    keys = keyed("skeleton new", words, ("from", "root", "gravity", *_READING), plain=True)
+    if len(keys.plain) != 1:
         raise UserError("skeleton new takes one FILE, such as beetle.yaml, and --from TRACKER_FILE if you have one.")
-    path = Path(names[0] if names[0].endswith((".yaml", ".yml")) else f"{names[0]}.yaml")
+    name = keys.plain[0]
+    path = Path(name if name.endswith((".yaml", ".yml")) else f"{name}.yaml")
     refuse_existing(path)
     if not path.parent.is_dir():
         raise UserError(f"No folder {path.parent} to write {path.name} into.")
-    if "from" in keyed:
-        return _write_proposal(path, keyed)
-    if keyed:
-        raise UserError(f"skeleton new: '{next(iter(keyed))}=' goes with --from FILE.")
-    from uplift.skeleton.propose import skeleton_template
-
-    path.write_text(skeleton_template(path.stem))
+    if "from" in keys:
+        return _write_proposal(path, keys)
+    if keys:
+        raise UserError(f"skeleton new: '{next(iter(keys))}=' goes with --from FILE.")
+    path.write_text(propose.skeleton_template(path.stem))
     return [f"wrote {path}", f"next: edit it, then uplift skeleton check {path}"]
 
 
-def _keyed_words(verb: str, words: list[str], known: tuple[str, ...]) -> tuple[list[str], dict[str, str]]:
-    """Return the plain words and the ``key=value`` words; raises UserError for keys that are not ``known``."""
-    names, keyed = split_words(words, known)
-    check_keys(f"skeleton {verb}", keyed, known)
-    return names, keyed
-
-
-def _reading(keyed: dict[str, str]) -> ReadOptions:
-    """Return how a file is to be read."""
-    try:
-        weakest = float(keyed.get("min_confidence", 0))
-    except ValueError:
-        raise UserError(f"min_confidence={keyed['min_confidence']}: expected a number from 0 to 1.") from None
-    if not 0 <= weakest <= 1:
-        raise UserError(f"min_confidence={weakest:g}: expected a number from 0 to 1.")
-    return ReadOptions(format=keyed.get("format"), layout=keyed.get("layout"), min_confidence=weakest)
-
-
-def _write_proposal(path: Path, keyed: dict[str, str]) -> list[str]:
-    from uplift.data.formats import read
-    from uplift.skeleton.propose import facing_guess, proposal_text, propose
-
-    gravity = keyed.get("gravity", "yes").casefold()
+def _write_proposal(path: Path, keys: Keys) -> list[str]:
+    gravity = keys.get("gravity", "yes").casefold()
     if gravity not in ("yes", "no", "true", "false"):
-        raise UserError(f"gravity={keyed['gravity']}: expected yes or no.")
-    data = read(keyed["from"], _reading(keyed))
-    found = propose(data, path.stem, keyed.get("root"), gravity in ("yes", "true"))
-    path.write_text(proposal_text(found, str(path), keyed["from"]))
+        raise UserError(f"gravity={keys['gravity']}: expected yes or no.")
+    data = read(keys["from"], keys.reading())
+    found = propose.propose(data, path.stem, keys.get("root"), gravity in ("yes", "true"))
+    path.write_text(propose.proposal_text(found, str(path), keys["from"]))
     skeleton = found.skeleton
     guessed = len(skeleton.bones) - len(found.from_file)
     lines = [
@@ -108,18 +84,16 @@ def _write_proposal(path: Path, keyed: dict[str, str]) -> list[str]:
         f"{len(skeleton.joints)} joints, root {skeleton.root}; {len(skeleton.mirror)} mirror pairs; "
         f"bones: {len(found.from_file)} from the file, {guessed} guessed by distance",
     ]
-    if found.hidden:
-        lines.append(f"left out, as no frame shows them: {', '.join(found.hidden)}")
-
+    lines += [f"left out, as no frame shows them: {', '.join(found.hidden)}"] if found.hidden else []
     fitting = _fitting_skeletons(data)
     if fitting:
         lines.append(f"shipped skeletons that fit this file as they are: {', '.join(fitting)}: better than a guess")
-    known = "guessed by the names, in comments" if facing_guess(skeleton) else "not known"
+    known = "guessed by the names, in comments" if propose.facing_guess(skeleton) else "not known"
     return [
         *lines,
         f"to do: look at the bones; facing is {known}",
         f"wrote {path}",
-        f"next: edit it, then uplift skeleton check {path}, and uplift skeleton map {keyed['from']} skeleton={path}",
+        f"next: edit it, then uplift skeleton check {path}, and uplift skeleton map {keys['from']} skeleton={path}",
     ]
 
 
@@ -129,17 +103,13 @@ _LIKELY = 1.5  # see `stretched`
 
 
 def map_joints(words: list[str]) -> tuple[list[str], bool]:
-    """Return the lines on how a file's joints make a skeleton's, and whether the file can be lifted.
-
-    Raises:
-        UserError: no such file or skeleton, or one that cannot be read.
-    """
-    names, keyed = _keyed_words("map", words, ("skeleton", *READING))
-    if len(names) != 1 or "skeleton" not in keyed:
+    """Return the lines on how a file's joints make a skeleton's, and whether the file can be lifted."""
+    keys = keyed("skeleton map", words, ("skeleton", *_READING), plain=True)
+    if len(keys.plain) != 1 or "skeleton" not in keys:
         raise UserError("skeleton map takes one FILE or FOLDER and skeleton=NAME or skeleton=FILE.yaml.")
-    skeleton = load_skeleton(keyed["skeleton"])
-    data = read(names[0], _reading(keyed))
-    lines = [f"{names[0]}: {_counts(data)}", *(f"  {note}" for note in data.notes), ""]
+    skeleton = load_skeleton(keys["skeleton"])
+    data = read(keys.plain[0], keys.reading())
+    lines = [f"{keys.plain[0]}: {_counts(data)}", *(f"  {note}" for note in data.notes), ""]
     try:
         match = match_joints(data.joint_names, skeleton)
     except UserError as error:
@@ -147,18 +117,14 @@ def map_joints(words: list[str]) -> tuple[list[str], bool]:
     built = in_joints_of(data, skeleton)
     how = "by name" if match.layout is None else f"by its layout '{match.layout}'"
     lines += [f"{skeleton.name}, {how}:", *_table(match, skeleton, built)]
-    if match.unused:
-        lines.append(f"  unused: {', '.join(match.unused)}")
+    lines += [f"  unused: {', '.join(match.unused)}"] if match.unused else []
     verdict, fits = _verdict(data, skeleton, built)
     return [*lines, "", verdict], fits
 
 
 def _counts(data: PoseData) -> str:
-    """Return how many frames, individuals and joints a file has."""
-    who = data.identity.get("instance")
-    frames = f"{len(data):,} frames"
-    if who is not None and len(np.unique(who)) > 1:
-        frames = f"{len(data):,} frames of {len(np.unique(who)):,} individuals"
+    who = np.unique(data.identity.get("instance", ()))
+    frames = f"{len(data):,} frames" + (f" of {len(who):,} individuals" if len(who) > 1 else "")
     kinds = np.unique(data.identity["category"]).tolist() if "category" in data.identity else []
     shown = f" ({', '.join(map(str, kinds[:6]))}{', ...' if len(kinds) > 6 else ''})" if kinds else ""
     return f"{frames}{shown}, {len(data.joint_names)} joints"
@@ -191,8 +157,10 @@ def _verdict(data: PoseData, skeleton: Skeleton, built: PoseData) -> tuple[str, 
         _, report = clean(built, skeleton, drop=False)
     except UserError as error:
         return f"it cannot be lifted: {error}", False
-    long = max(_stretch(built, skeleton), *(_stretch(data, other) for other in _of_these_names(data)), 0)
-    if long > TOO_LONG:
+    # Shipped skeletons whose files hold just these names know the most bones of the file.
+    others = [other for other, names in _shipped() if set(names) == set(data.joint_names)]
+    long = max(_stretch(built, skeleton), *(_stretch(data, other) for other in others), 0)
+    if long > propose.TOO_LONG:
         return f"it should not be lifted: {_wrong_order(long, data, skeleton)}", False
     good = report.frames - report.too_few - report.all_equal
     text = f"it can be lifted: {good:,} of {report.frames:,} frames show {MIN_VISIBLE} joints or more"
@@ -207,29 +175,20 @@ def _verdict(data: PoseData, skeleton: Skeleton, built: PoseData) -> tuple[str, 
 
 
 def _wrong_order(long: float, data: PoseData, skeleton: Skeleton) -> str:
-    """Say that joints have each other's names, and which layouts with as many keypoints the order fits."""
     text = (
         f"its bones are {long:.1f} times as long as the shortest lines that join these joints (1 to 1.6 where the "
         "names are right). Joints have the names of others: another layout, or another order"
     )
-    fitting = [
-        other.name
-        for other, names in _shipped()
-        if len(names) == len(data.joint_names)
-        and _stretch(replace(data, joint_names=names, pose=None), other) < _LIKELY
-    ]
+    as_long = [(other, names) for other, names in _shipped() if len(names) == len(data.joint_names)]
+    renamed = [(other, replace(data, joint_names=names, pose=None)) for other, names in as_long]
+    fitting = [other.name for other, read_so in renamed if _stretch(read_so, other) < _LIKELY]
     return text + (f". In their order they look like layout={' or layout='.join(fitting)}" if fitting else "")
 
 
 def _stretch(data: PoseData, skeleton: Skeleton) -> float:
     """Return how far the bones of the skeleton are stretched in a file that fits it; 0 where nothing is seen."""
     built = in_joints_of(data, skeleton)
-    return stretch_of(built.keypoints, built.confidence, skeleton)
-
-
-def _of_these_names(data: PoseData) -> list[Skeleton]:
-    """Return the shipped skeletons whose files hold just the names of this one: they know the most bones of it."""
-    return [other for other, names in _shipped() if set(names) == set(data.joint_names)]
+    return propose.stretch_of(built.keypoints, built.confidence, skeleton)
 
 
 def _shipped() -> list[tuple[Skeleton, tuple[str, ...]]]:
@@ -240,7 +199,12 @@ def _shipped() -> list[tuple[Skeleton, tuple[str, ...]]]:
 
 def _fitting_skeletons(data: PoseData) -> list[str]:
     """Return the shipped skeletons that a file's joints make."""
-    return [other.name for other, _ in _shipped() if _fits(data, other)]
+    fitting = []
+    for other, _ in _shipped():
+        with suppress(UserError):
+            match = match_joints(data.joint_names, other)
+            fitting += [other.name] if len(match.missing) <= len(match.parts) else []
+    return fitting
 
 
 def _help(data: PoseData, skeleton: Skeleton) -> list[str]:
@@ -249,28 +213,18 @@ def _help(data: PoseData, skeleton: Skeleton) -> list[str]:
     fitting = [name for name in _fitting_skeletons(data) if name != skeleton.name]
     if fitting:
         lines += [f"shipped skeletons that fit the file: {', '.join(fitting)}", ""]
-    guesses = guess_parts(skeleton, data.joint_names)
+    guesses = propose.guess_parts(skeleton, data.joint_names)
     if not guesses:
-        return [
-            *lines,
-            "no names are alike. If nobody named the joints, layout=SKELETON gives them its names, in order.",
-        ]
+        hint = "no names are alike. If nobody named the joints, layout=SKELETON gives them its names, in order."
+        return [*lines, hint]
     of_ours = skeleton.name in shipped_names("skeletons")
     where = f"a copy of {shipped('skeletons') / skeleton.name}.yaml" if of_ours else "the skeleton's file"
     lines.append(f"# Guesses by name; nothing of it is applied. Keep what is right, without the #, in {where}:")
     lines += ["# from:", "#   my_tracker:"]
     for joint in skeleton.joints:
         if joint in guesses:
-            parts = [quoted(name) for name in guesses[joint]]
-            lines.append(f"#     {quoted(joint)}: {parts[0] if len(parts) == 1 else '[' + ', '.join(parts) + ']'}")
+            parts = ", ".join(map(propose.quoted, guesses[joint]))
+            lines.append(f"#     {propose.quoted(joint)}: {parts if len(guesses[joint]) == 1 else f'[{parts}]'}")
         elif joint not in skeleton.midpoints:
-            lines.append(f"#     # {quoted(joint)}: nothing is alike")
+            lines.append(f"#     # {propose.quoted(joint)}: nothing is alike")
     return lines
-
-
-def _fits(data: PoseData, skeleton: Skeleton) -> bool:
-    try:
-        match = match_joints(data.joint_names, skeleton)
-    except UserError:
-        return False
-    return len(match.missing) <= len(match.parts)

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from uplift.config.files import refuse_existing
-from uplift.errors import UserError, did_you_mean
+from uplift.errors import UserError, did_you_mean, nearest
 from uplift.export.clips import MOST_FILES, arrange
 from uplift.export.scene import in_axes
 from uplift.export.tables import unique
@@ -29,16 +29,16 @@ class Writer:
     where: str
     """module:function of the writer."""
     about: str
-    """What it is, in a few words."""
+    """What the format is, in a few words."""
     axes: str = "camera"
     """The axes it is written in by default."""
     holds: str = "all"
     """What one file holds: ``all``; of poses one ``clip``, or one ``body`` of one; of shapes an ``item`` or a ``scene`` of a few."""
 
-    def __call__(self, *arguments: Any, **options: Any) -> str:
-        """Write one file; returns a remark on it, usually empty."""
+    def __call__(self, *arguments: Any, **options: Any) -> Any:
+        """Write one file and return a remark on it, if any; the formats of meshes return the file's bytes."""
         module, _, name = self.where.partition(":")
-        return str(getattr(import_module(module), name)(*arguments, **options) or "")
+        return getattr(import_module(module), name)(*arguments, **options)
 
 
 WRITERS = {
@@ -56,10 +56,10 @@ WRITERS = {
     },
     "shapes": {
         ".html": Writer("uplift.export.shape_page:write_shape_page", "a page to look at", "own"),
-        ".glb": Writer("uplift.export.meshes:write_glb", "meshes, for 3D viewers", "gltf", "scene"),
-        ".obj": Writer("uplift.export.meshes:write_obj", "a mesh, for any 3D program", "gltf", "item"),
-        ".ply": Writer("uplift.export.meshes:write_ply", "a mesh where the camera saw it", "camera", "item"),
-        ".stl": Writer("uplift.export.meshes:write_stl", "a mesh, for printing", "print", "item"),
+        ".glb": Writer("uplift.export.meshes:encode_glb", "meshes, for 3D viewers", "gltf", "scene"),
+        ".obj": Writer("uplift.export.meshes:encode_obj", "a mesh, for any 3D program", "gltf", "item"),
+        ".ply": Writer("uplift.export.meshes:encode_ply", "a mesh where the camera saw it", "camera", "item"),
+        ".stl": Writer("uplift.export.meshes:encode_stl", "a mesh, for printing", "print", "item"),
         ".npz": Writer("uplift.export.meshes:write_npz", "occupancy grids, for Python", "own"),
     },
 }
@@ -77,26 +77,21 @@ PAGES = {
 
 
 def writer_for(path: str | Path, page: str | None = None, of: str = "poses") -> Writer:
-    """Return the writer ``of`` poses or shapes for the extension of ``path``, or for the kind of ``page``.
-
-    Raises:
-        UserError: an unknown extension or page, or a page that is not an .html.
-    """
-    extension, writers = Path(path).suffix, WRITERS[of]
+    """Return the writer for the extension of ``path`` or the kind of ``page``; raises UserError for an unknown one."""
+    extension, writers = Path(path).suffix.lower(), WRITERS[of]
     if page is not None:
         if page not in PAGES[of]:
             raise UserError(f"page={page}: no such page.{did_you_mean(page, PAGES[of])}")
-        if extension.lower() != ".html":
+        if extension != ".html":
             raise UserError(f"page={page} is an .html, output={path} is not: leave page= out, or name a file .html.")
         return PAGES[of][page]
-    if extension.lower() in writers:
-        return writers[extension.lower()]
+    if extension in writers:
+        return writers[extension]
     valid = ", ".join(sorted(writers))
     if not extension:
         raise UserError(f"output '{path}' has no extension: it chooses the format. Valid for {of}: {valid}.")
-    near = did_you_mean(extension, writers)
-    hint = near if near.startswith(" Did") else ""
-    raise UserError(f"output '{path}': no writer of {of} for '{extension}'.{hint} Valid: {valid}.")
+    hint = nearest(extension, writers)
+    raise UserError(f"output '{path}': no writer of {of} for '{Path(path).suffix}'.{hint} Valid: {valid}.")
 
 
 def write(
@@ -121,8 +116,12 @@ def write(
             folder that does not exist, or a file that exists, of shapes or one of several.
         OSError: a full disk, for example; the unfinished file is removed.
     """
-    of, jobs_of = _JOBS[type(prediction)]
-    jobs = jobs_of(prediction, writer_for(path, page, of), path, axes, **options)
+    if isinstance(prediction, Prediction):
+        jobs = _pose_jobs(prediction, writer_for(path, page), path, axes, **options)
+    else:
+        from uplift.export.meshes import shape_jobs  # what it imports is slow, and poses do not need it
+
+        jobs = shape_jobs(prediction, writer_for(path, page, "shapes"), path, axes, **options)
     paths = paths_of(path, [name for name, _ in jobs])
     return {file: job(file) for file, (_, job) in zip(paths, jobs, strict=True)}
 
@@ -132,11 +131,7 @@ Job = tuple[str, Callable[[Path], str]]
 
 
 def paths_of(path: str | Path, names: Sequence[str]) -> list[Path]:
-    """Return the path of each file: ``path`` itself for one, else its stem with each name behind it.
-
-    Raises:
-        UserError: one of several is there already.
-    """
+    """Return ``path`` for one name, else ``path`` with each name appended to its stem; raises UserError if one exists."""
     path = Path(path)
     if len(names) == 1:
         return [path]
@@ -158,17 +153,13 @@ def _pose_jobs(prediction: Prediction, writer: Writer, path: str | Path, axes: s
     turned = in_axes(prediction, axes) if axes != prediction.axes else prediction
 
     def job(rows: np.ndarray | None, file: Path) -> str:
-        return writer(turned if rows is None else turned.select(rows), file, **options)
+        return str(writer(turned if rows is None else turned.select(rows), file, **options) or "")
 
     return [(name, partial(job, rows)) for name, rows in parts_of(turned, writer.holds)]
 
 
 def parts_of(prediction: Prediction, holds: str) -> list[tuple[str, np.ndarray | None]]:
-    """Return (name, rows) of each file: one with all rows (None), one a clip, or one a body of a clip.
-
-    Raises:
-        UserError: too many files.
-    """
+    """Return (name, rows) of each file: all rows (None), a clip, or a body of a clip; raises UserError for too many."""
     if holds == "all":
         return [("", None)]
     parts: list[tuple[str, np.ndarray | None]] = []
@@ -184,15 +175,3 @@ def parts_of(prediction: Prediction, holds: str) -> list[tuple[str, np.ndarray |
             f"for each; the most is {MOST_FILES}. Give fewer files at a time, or write .npz, .json or .csv."
         )
     return parts
-
-
-def _shape_jobs(*arguments: Any, **options: Any) -> list[Job]:
-    # By name, as the writers: trimesh is slow to import, and poses do not need it.
-    return import_module("uplift.export.meshes").shape_jobs(*arguments, **options)
-
-
-_JOBS: dict[type, tuple[str, Callable[..., list[Job]]]] = {
-    Prediction: ("poses", _pose_jobs),
-    ShapePrediction: ("shapes", _shape_jobs),
-}
-"""Type of a prediction -> what it is of, and the files it makes."""

@@ -22,9 +22,7 @@ from uplift.skeleton.draw import rest_pose
 
 __all__ = ["euler_zxy", "turn_onto", "write_bvh"]
 
-_CM_PER = {"mm": 0.1}
-_MOST_REPEATS = 20
-"""Frames in the file for each one there is."""
+_MOST_REPEATS = 20  # frames in the file for each one there is
 
 
 @dataclass(frozen=True)
@@ -52,7 +50,7 @@ def write_bvh(prediction: Prediction, path: str | Path, fps: int | float | None 
 
     Lengths are centimetres where the prediction is in mm, else as they are; axes as given. Every bone has its
     median length, every direction is kept; the twist about a bone is not observed and left as small as it can be
-    (see `_fit_rig`). A joint or frame that is missing holds what was last known: BVH has no gaps. A joint at the end of
+    (see `_Rig`). A joint or frame that is missing holds what was last known: BVH has no gaps. A joint at the end of
     a limb gets an end site a tenth of its bone further on. Raises UserError for several clips or individuals, where
     no rate is known, and for frame numbers with wide gaps.
     """
@@ -69,13 +67,15 @@ def write_bvh(prediction: Prediction, path: str | Path, fps: int | float | None 
         )
     rows = clip.rows[seen_at(when, np.arange(count, dtype=float))]
     pose = known_points(prediction.pose[rows])
-    place = (
-        np.zeros((count, 3)) if prediction.root is None else held(known_points(prediction.root[rows][:, None])[:, 0])
-    )
-    rig = _fit_rig(prediction, pose)
+    root = np.zeros((count, 1, 3)) if prediction.root is None else known_points(prediction.root[rows][:, None])
+    place = held(root[:, 0])
+    rig = _Rig(prediction, pose)
     with replacing(path) as handle:
-        handle.write(_text(rig, place, _CM_PER.get(prediction.unit, 1.0), rate).encode())
-    return _fit(rig, pose, place, prediction)
+        handle.write(_text(rig, place, 0.1 if prediction.unit == "mm" else 1.0, rate).encode())
+    gap = np.linalg.norm(rig.positions(place) - (pose + place[:, None])[:, rig.sources].transpose(1, 0, 2), axis=-1)
+    gap = gap[np.isfinite(gap)]
+    added = tuple(name for name in rig.tree.names if name not in prediction.joint_names)
+    return _BvhFit(float(gap.max()), float(gap.mean()), prediction.unit, count, added)
 
 
 def euler_zxy(rotation: Float[np.ndarray, "frames 3 3"]) -> Float[np.ndarray, "frames 3"]:
@@ -90,34 +90,24 @@ def euler_zxy(rotation: Float[np.ndarray, "frames 3 3"]) -> Float[np.ndarray, "f
         if locked[now]:  # z and y turn about one axis: z stays
             angles[now, 0] = angles[now - 1, 0] if now else 0.0
             angles[now, 2] = np.sign(angles[now, 1]) * (sum_or_gap[now] - angles[now, 0])
-        if now:
-            angles[now] = _nearest(angles[now], angles[now - 1])
+        if now:  # of the two triples for this rotation, and full turns more or less, the nearest to the frame before
+            z, x, y = angles[now]
+            triples = np.array([[z, x, y], [z + np.pi, np.pi - x, y + np.pi]])
+            triples += 2 * np.pi * np.round((angles[now - 1] - triples) / (2 * np.pi))
+            angles[now] = triples[np.abs(triples - angles[now - 1]).sum(1).argmin()]
     return np.degrees(angles)
 
 
-def _nearest(angles: np.ndarray, before: np.ndarray) -> np.ndarray:
-    """Return the same rotation by the angles nearest to those before."""
-    other = np.array([angles[0] + np.pi, np.pi - angles[1], angles[2] + np.pi])
-    both = [turn + 2 * np.pi * np.round((before - turn) / (2 * np.pi)) for turn in (angles, other)]
-    return min(both, key=lambda turn: float(np.abs(turn - before).sum()))
-
-
 def _text(rig: _Rig, place: np.ndarray, scale: float, rate: float) -> str:
-    names = _plain(rig.tree.names)
-    lines = ["HIERARCHY"]
-    children: dict[int, list[int]] = {joint: [] for joint in range(-1, len(names))}
+    # White space and braces divide the words of the file.
+    names = unique(re.sub(r"[\s{}]+", "_", name) or "_" for name in rig.tree.names)
+    lines, depths = ["HIERARCHY"], [-1]
     for joint, parent in enumerate(rig.tree.parents):
-        children[parent].append(joint)
-    open_joints = [(0, 0)]
-    while open_joints:
-        joint, depth = open_joints.pop()
-        pad = "  " * depth
-        if joint < 0:
-            lines.append(f"{pad}}}")
-            continue
-        lines += _joint_lines(rig, joint, names[joint], pad, scale)
-        open_joints.append((-1, depth))
-        open_joints += [(child, depth + 1) for child in reversed(children[joint])]
+        depth = depths[parent + 1] + 1
+        lines += [f"{'  ' * level}}}" for level in range(depths[-1], depth - 1, -1)]
+        lines += _joint_lines(rig, joint, names[joint], "  " * depth, scale)
+        depths.append(depth)
+    lines += [f"{'  ' * level}}}" for level in range(depths[-1], -1, -1)]
     lines += ["MOTION", f"Frames: {len(place)}", f"Frame Time: {1 / rate:.8f}"]
     values = np.concatenate([place * scale, *map(euler_zxy, rig.turned)], 1)
     lines += [" ".join(f"{value:.5f}" for value in row) for row in values + 0.0]
@@ -125,14 +115,9 @@ def _text(rig: _Rig, place: np.ndarray, scale: float, rate: float) -> str:
 
 
 def _joint_lines(rig: _Rig, joint: int, name: str, pad: str, scale: float) -> list[str]:
-    place, turns = "Xposition Yposition Zposition ", "Zrotation Xrotation Yrotation"
-    root = joint == 0
-    lines = [
-        f"{pad}{'ROOT' if root else 'JOINT'} {name}",
-        f"{pad}{{",
-        f"{pad}  {_offset(rig.tree.offsets[joint], scale)}",
-    ]
-    lines.append(f"{pad}  CHANNELS {6 if root else 3} {place if root else ''}{turns}")
+    kind, place = ("JOINT", "3 ") if joint else ("ROOT", "6 Xposition Yposition Zposition ")
+    lines = [f"{pad}{kind} {name}", f"{pad}{{", f"{pad}  {_offset(rig.tree.offsets[joint], scale)}"]
+    lines.append(f"{pad}  CHANNELS {place}Zrotation Xrotation Yrotation")
     if np.isfinite(tip := rig.tree.tips[joint]).all():
         lines += [f"{pad}  End Site", f"{pad}  {{", f"{pad}    {_offset(tip, scale)}", f"{pad}  }}"]
     return lines
@@ -142,57 +127,77 @@ def _offset(offset: np.ndarray, scale: float) -> str:
     return "OFFSET " + " ".join(f"{value:.6f}" for value in offset * scale + 0.0)
 
 
-def _plain(names: tuple[str, ...]) -> list[str]:
-    """Return names without spaces and braces, which divide the words of the file, each once."""
-    return unique(re.sub(r"[\s{}]+", "_", name) or "_" for name in names)
-
-
-def _fit(rig: _Rig, pose: np.ndarray, place: np.ndarray, prediction: Prediction) -> _BvhFit:
-    gap = np.linalg.norm(
-        rig.positions(place) - (pose + place[:, None])[:, list(rig.sources)].transpose(1, 0, 2), axis=-1
-    )
-    gap = gap[np.isfinite(gap)]
-    added = tuple(name for name in rig.tree.names if name not in prediction.joint_names)
-    return _BvhFit(float(gap.max()), float(gap.mean()), prediction.unit, len(place), added)
-
-
 # The rig: bones of one length each, and the rotations that bring them nearest to the poses.
 
-_OWN_JOINT = 2e-4
-"""Share of a bone by which a child may miss before it gets a turn of its own."""
-_WEAK = 1e-5
-"""Of what the bones leave open, against what they say."""
+_OWN_JOINT = 2e-4  # share of a bone by which a child may miss before it gets a turn of its own
+_WEAK = 1e-5  # weight of the parent's frame, which decides what the bones leave open
 _FOLDED = 0.5
-"""1 + cosine of the angle to the rest direction (120 degrees) below which the frame before has a say."""
+"""1 + cosine of the angle to the rest direction (120 degrees) below which the previous frame counts."""
 _TIP = 0.1
 _SETTLE = 8
 
 
-@dataclass(frozen=True)
 class _Rig:
-    """A tree in the prediction's unit and its motion; ``sources[i]`` is the joint that rig joint i sits on."""
-
-    tree: Tree
-    sources: tuple[int, ...]
-    turned: list[Float[np.ndarray, "frames 3 3"]]
-    """Of each rig joint in its parent's frame."""
-
-    def positions(self, root: Float[np.ndarray, "frames 3"]) -> Float[np.ndarray, "joints frames 3"]:
-        """Return where the rig's joints are."""
-        return Figure.posed(self.tree, root, self.turned).positions
-
-
-def _fit_rig(prediction: Prediction, pose: Float[np.ndarray, "frames joints 3"]) -> _Rig:
-    """Return the rig of a pose (relative to the root, NaN where not known).
+    """The rig of a pose (relative to the root, NaN where not known): a tree in the prediction's unit, and its motion.
 
     Bones have their median length. A joint with one child turns the least way from its parent's frame, as the
     twist about a bone cannot be seen; where the bone folds back on its rest direction, and the least way is
-    undefined, the twist follows from the frame before. A joint with several turns as a whole (Kabsch, Acta Cryst.
-    A32, 1976), and a child that this misses gets a turn of its own at the same place, which is exact. What is not
-    known holds its last turn. Raises UserError where a joint is nowhere known.
+    undefined, the twist follows from the frame before. A joint with several children turns rigidly onto them (Kabsch,
+    Acta Cryst. A32, 1976), and a child that this misses gets a separate turn at the same place, which is exact. What
+    is not known holds its last turn. Joints are listed parents first and depth first, as in the file. Raises UserError
+    where a joint is nowhere known.
     """
-    directions, lengths = _bones(prediction, pose)
-    return _Builder(prediction, directions, lengths, _rest_directions(prediction, directions, lengths)).rig()
+
+    def __init__(self, prediction: Prediction, pose: Float[np.ndarray, "frames joints 3"]):
+        self._directions, self._lengths = _bones(prediction, pose)
+        self._rest = _rest_directions(prediction, self._directions, self._lengths)
+        self._settles = rest_pose(prediction.skeleton) is None
+        self._where = {name: place for place, name in enumerate(prediction.joint_names)}
+        parents = prediction.skeleton.parents
+        self._children: dict[str, list[str]] = {joint: [] for joint in parents}
+        for joint in (name for name in prediction.joint_names if parents.get(name) is not None):
+            self._children[str(parents[joint])].append(joint)
+        self._joints: list[tuple[str, int, np.ndarray, np.ndarray]] = []
+        self.sources: list[int] = []
+        """The joint of the prediction that each joint of the rig sits on."""
+        self.turned: list[Float[np.ndarray, "frames 3 3"]] = []
+        """Of each joint in its parent's frame."""
+        self._add(prediction.skeleton.root, -1, np.zeros(3), np.tile(np.eye(3), (len(pose), 1, 1)))
+        names, above, offsets, tips = zip(*self._joints, strict=True)
+        self.tree = Tree(names, above, np.array(offsets), np.array(tips))
+
+    def positions(self, root: Float[np.ndarray, "frames 3"]) -> Float[np.ndarray, "joints frames 3"]:
+        return Figure.posed(self.tree, root, self.turned).positions
+
+    def _add(self, joint: str, parent: int, offset: np.ndarray, frame: np.ndarray) -> None:
+        children, source = self._children[joint], self._where[joint]
+        turned = self._turned(children, frame) if children else frame
+        tip = np.full(3, np.nan) if children else offset * _TIP
+        place = self._append((joint, parent, offset, tip), source, frame, turned)
+        for child in children:
+            rest, directions, below, basis = self._rest[child], self._directions[child], place, turned
+            if np.nanmax(np.linalg.norm(turned @ rest - directions, axis=-1)) > _OWN_JOINT:
+                basis = turn_onto(rest[None], directions[:, None], turned)
+                bare = f"{joint}_to_{child}", place, np.zeros(3), np.full(3, np.nan)
+                below = self._append(bare, source, turned, basis)
+            self._add(child, below, rest * self._lengths[child], basis)
+
+    def _turned(self, children: list[str], frame: np.ndarray) -> np.ndarray:
+        """Turn a joint onto its children; without a rest pose these first settle at their mean in its frame."""
+        directions = np.stack([self._directions[child] for child in children], 1)
+        for _ in range(_SETTLE if self._settles and len(children) > 1 else 0):
+            turned = turn_onto(np.stack([self._rest[child] for child in children]), directions, frame)
+            for place, child in enumerate(children):
+                mean = np.nanmean(np.einsum("fji,fj->fi", turned, directions[:, place]), 0)
+                if (size := np.linalg.norm(mean)) > 0:
+                    self._rest[child] = mean / size
+        return turn_onto(np.stack([self._rest[child] for child in children]), directions, frame)
+
+    def _append(self, joint: tuple, source: int, frame: np.ndarray, turned: np.ndarray) -> int:
+        self._joints.append(joint)
+        self.sources.append(source)
+        self.turned.append(np.einsum("fji,fjk->fik", frame, turned))
+        return len(self._joints) - 1
 
 
 def turn_onto(
@@ -235,71 +240,6 @@ def _bones(prediction: Prediction, pose: np.ndarray) -> tuple[dict[str, np.ndarr
         lengths[joint] = float(np.median(length[known]))
         directions[joint] = np.where(known[:, None], step / np.where(known, length, 1)[:, None], np.nan)
     return directions, lengths
-
-
-class _Builder:
-    """The rig while it grows, parents first and depth first, as the file lists it."""
-
-    def __init__(self, prediction: Prediction, directions: dict, lengths: dict, rest: dict):
-        self.directions, self.lengths, self.rest = directions, lengths, rest
-        self.loose = rest_pose(prediction.skeleton) is None
-        self.where = {name: place for place, name in enumerate(prediction.joint_names)}
-        self.root, parents = prediction.skeleton.root, prediction.skeleton.parents
-        self.children: dict[str, list[str]] = {joint: [] for joint in parents}
-        for joint in (name for name in prediction.joint_names if parents.get(name) is not None):
-            self.children[str(parents[joint])].append(joint)
-        self.frames = len(next(iter(directions.values())))
-        self.names: list[str] = []
-        self.parents: list[int] = []
-        self.offsets: list[np.ndarray] = []
-        self.tips: list[np.ndarray] = []
-        self.sources: list[int] = []
-        self.turned: list[np.ndarray] = []
-
-    def rig(self) -> _Rig:
-        self._add(self.root, -1, np.zeros(3), np.tile(np.eye(3), (self.frames, 1, 1)))
-        tree = Tree(tuple(self.names), tuple(self.parents), np.array(self.offsets), np.array(self.tips))
-        return _Rig(tree, tuple(self.sources), self.turned)
-
-    def _add(self, joint: str, parent: int, offset: np.ndarray, frame: np.ndarray) -> None:
-        children = self.children[joint]
-        turned, tip = frame, np.full(3, np.nan)
-        if children:
-            turned = self._turned(children, frame)
-        else:
-            tip = offset * _TIP
-        place = self._append(joint, parent, offset, tip, joint, frame, turned)
-        for child in children:
-            step, below, basis = self.rest[child] * self.lengths[child], place, turned
-            miss = np.linalg.norm(turned @ self.rest[child] - self.directions[child], axis=-1)
-            if np.nanmax(miss) > _OWN_JOINT:
-                basis = turn_onto(self._rest([child]), self.directions[child][:, None], turned)
-                name = f"{joint}_to_{child}"
-                below = self._append(name, place, np.zeros(3), np.full(3, np.nan), joint, turned, basis)
-            self._add(child, below, step, basis)
-
-    def _turned(self, children: list[str], frame: np.ndarray) -> np.ndarray:
-        """Turn a joint onto its children; without a rest pose these first settle at their mean in its frame."""
-        directions = np.stack([self.directions[child] for child in children], 1)
-        for _ in range(_SETTLE if self.loose and len(children) > 1 else 0):
-            turned = turn_onto(self._rest(children), directions, frame)
-            for place, child in enumerate(children):
-                mean = np.nanmean(np.einsum("fji,fj->fi", turned, directions[:, place]), 0)
-                if (size := np.linalg.norm(mean)) > 0:
-                    self.rest[child] = mean / size
-        return turn_onto(self._rest(children), directions, frame)
-
-    def _append(self, name, parent: int, offset, tip, source: str, frame, turned) -> int:
-        self.names.append(name)
-        self.parents.append(parent)
-        self.offsets.append(offset)
-        self.tips.append(tip)
-        self.sources.append(self.where[source])
-        self.turned.append(np.einsum("fji,fjk->fik", frame, turned))
-        return len(self.names) - 1
-
-    def _rest(self, children: list[str]) -> np.ndarray:
-        return np.stack([self.rest[child] for child in children])
 
 
 # The rest directions of a rig: the skeleton's rest pose, or the mean shape of the clip.
@@ -357,11 +297,11 @@ def _facing(
             pose[skeleton.index(joint)] = pose[skeleton.index(parent)] + rest[joint] * lengths[joint]
     front = skeleton.facing_matrix("front") @ pose
     up = axes @ [0.0, -1.0, 0.0]
-    own_up = up if skeleton.gravity or "up" not in skeleton.facing else skeleton.facing_matrix("up") @ pose
-    own, wanted = _basis(own_up, front), _basis(up, axes @ [0.0, 0.0, -1.0])
-    if own is None or wanted is None:
+    body_up = up if skeleton.gravity or "up" not in skeleton.facing else skeleton.facing_matrix("up") @ pose
+    body, wanted = _basis(body_up, front), _basis(up, axes @ [0.0, 0.0, -1.0])
+    if body is None or wanted is None:
         return rest
-    return {joint: wanted.T @ own @ direction for joint, direction in rest.items()}
+    return {joint: wanted.T @ body @ direction for joint, direction in rest.items()}
 
 
 def _basis(up: np.ndarray, front: np.ndarray) -> Float[np.ndarray, "3 3"] | None:

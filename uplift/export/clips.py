@@ -78,9 +78,7 @@ def _codes(labels: Sequence[np.ndarray], rows: int) -> np.ndarray:
         _, inverse = np.unique(label, return_inverse=True)
         codes = np.unique(codes * (inverse.max(initial=0) + 1) + inverse, return_inverse=True)[1]
     _, first, inverse = np.unique(codes, return_index=True, return_inverse=True)
-    rank = np.empty(len(first), np.int64)
-    rank[np.argsort(first)] = np.arange(len(first))
-    return rank[inverse]
+    return np.argsort(np.argsort(first))[inverse]
 
 
 def _names(labels: Sequence[np.ndarray], groups: Sequence[np.ndarray]) -> list[str]:
@@ -107,9 +105,6 @@ def _clip(name: str, rows: np.ndarray, frame: np.ndarray | None, who: np.ndarray
     order = np.lexsort((moment, individual))
     parts = rows[order], moment[order], individual[order]
     return Clip(name, *parts, tuple(names.tolist()), tuple(frames.tolist()))
-
-
-# The only clip of a file that moves, its rate, and when each row is.
 
 
 def one_clip(prediction: Prediction, path: str | Path, individuals: bool = True) -> Clip:

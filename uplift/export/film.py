@@ -18,33 +18,20 @@ from uplift.config.files import replacing
 from uplift.errors import UserError
 from uplift.export.clips import USUAL_FPS, Clip, frame_rate, one_clip
 from uplift.export.gallery import filled_points
-from uplift.export.scene import SIDE_COLOURS, from_y_down, in_axes, known_points, row_places
+from uplift.export.scene import SIDE_COLOURS, Body, body_of, from_y_down, in_axes, known_points, row_places
 from uplift.models.prediction import Prediction
-from uplift.skeleton.core import bone_sides, joint_sides
 
 __all__ = [
-    "CARD",
-    "HIGH",
-    "SIDES",
-    "WIDE",
-    "FilmDrawing",
-    "FilmScene",
-    "film_palette",
-    "film_scene",
-    "gif_durations_ms",
-    "thinned",
-    "turns_deg",
-    "write_film",
-]
+    "CARD", "HIGH", "SIDES", "WIDE", "FilmDrawing", "FilmScene", "film_palette", "film_scene", "gif_durations_ms",
+    "thinned", "turns_deg", "write_film",
+]  # fmt: skip
 
 Number = int | float
 Colour = tuple[int, ...]
 Point = Sequence[Number] | np.ndarray
 
 _GIF_FRAMES, _GIF_FPS, _GIF_SCALE = 600, 34.0, 0.625
-_MP4_FPS, _MP4_SCALE = 61.0, 1.0
-_MP4_QUALITY = 20
-"""Of x264: its constant rate factor."""
+_MP4_FPS, _MP4_SCALE, _MP4_CRF = 61.0, 1.0, 20
 
 
 def write_film(prediction: Prediction, path: str | Path, fps: int | float | None = None) -> None:
@@ -71,7 +58,11 @@ def write_film(prediction: Prediction, path: str | Path, fps: int | float | None
         if program:
             _write_mp4(pictures, handle, program, drawing.size, rate * len(moments) / len(clip.frames))
         else:
-            _write_gif(pictures, handle, gif_durations_ms(len(moments), len(clip.frames) / rate))
+            palette = film_palette()
+            small = (picture.quantize(palette=palette, dither=Image.Dither.NONE) for picture in pictures)
+            durations = gif_durations_ms(len(moments), len(clip.frames) / rate)
+            options = {"save_all": True, "duration": durations, "loop": 0, "optimize": False}
+            next(small).save(handle, format="GIF", append_images=small, **options)
 
 
 def thinned(moments: int, rate: float, most: int, fastest: float) -> Int[np.ndarray, " kept"]:
@@ -80,17 +71,9 @@ def thinned(moments: int, rate: float, most: int, fastest: float) -> Int[np.ndar
 
 
 def gif_durations_ms(frames: int, seconds: float) -> list[int]:
-    """Return how long each frame stands, in multiples of the gif's 10 ms, none less than two."""
+    """Return the duration of each frame, in multiples of the gif's 10 ms, none less than two."""
     ends = np.round(np.linspace(0, max(seconds, 0.02 * frames), frames + 1) * 100).astype(int)
     return (np.diff(ends) * 10).tolist()
-
-
-def _write_gif(pictures: Iterator[Image.Image], handle: BinaryIO, durations: list[int]) -> None:
-    palette = film_palette()
-    small = (picture.quantize(palette=palette, dither=Image.Dither.NONE) for picture in pictures)
-    first = next(small)
-    rest = {"save_all": True, "append_images": small, "duration": durations, "loop": 0, "optimize": False}
-    first.save(handle, format="GIF", **rest)
 
 
 def _write_mp4(
@@ -101,7 +84,7 @@ def _write_mp4(
         film = Path(folder) / "film.mp4"
         command = [program, "-y", "-loglevel", "error", "-f", "rawvideo", "-pix_fmt", "rgb24"]
         command += ["-s", f"{size[0]}x{size[1]}", "-r", f"{rate:.6f}", "-i", "-", "-an", "-c:v", "libx264"]
-        command += ["-preset", "veryfast", "-crf", str(_MP4_QUALITY), "-pix_fmt", "yuv420p", "-movflags", "+faststart"]
+        command += ["-preset", "veryfast", "-crf", str(_MP4_CRF), "-pix_fmt", "yuv420p", "-movflags", "+faststart"]
         # Without these, players guess the colours' matrix by the size of the picture.
         command += ["-vf", "scale=out_color_matrix=bt709:out_range=tv", "-color_range", "tv", "-colorspace", "bt709"]
         command += ["-color_primaries", "bt709", "-color_trc", "bt709"]
@@ -126,10 +109,10 @@ def _write_mp4(
 
 def _ffmpeg(path: str | Path) -> str:
     """Return the ffmpeg of the package imageio-ffmpeg; raises UserError where there is none."""
-    hint = 'pip install "uplift3d[video]". A .gif needs nothing more.'
     try:
         from imageio_ffmpeg import get_ffmpeg_exe
     except ImportError:
+        hint = 'pip install "uplift3d[video]". A .gif needs nothing more.'
         raise UserError(f"cannot write {path}: an .mp4 needs imageio-ffmpeg: {hint}") from None
     try:
         return get_ffmpeg_exe()
@@ -144,8 +127,7 @@ _CONFIDENT = 0.3
 _TURN_S = 18.0
 _SHORT_S = 12.0
 _SWING_DEG_PER_S, _SWING_DEG = 7.0, 60.0
-_MOST = 98.0
-"""Percentile for sizes that a few wild joints must not set."""
+_MOST = 98.0  # percentile for sizes, which a few outliers must not set
 
 
 @dataclass(frozen=True)
@@ -153,8 +135,8 @@ class FilmScene:
     """A clip as it is drawn; world axes are x right, y down with the floor at 0, z away, level."""
 
     title: str
-    names: tuple[str, ...]
-    frames: tuple[int, ...]
+    clip: Clip
+    body: Body
     points: Float[np.ndarray, "moments individuals joints 3"]
     keypoints: Float[np.ndarray, "moments individuals joints 2"]
     unsure: Bool[np.ndarray, "moments individuals joints"]
@@ -162,20 +144,16 @@ class FilmScene:
     turn_deg: Float[np.ndarray, " moments"]
     radius: float
     wide: float
-    """How far the poses reach from the centre along the floor."""
     tall: float
-    """How far they reach up and down."""
+    """How far the poses reach from the centre along the floor, and up and down."""
     floor: bool
     square: float
     """The side of the floor's squares."""
-    bones: list[tuple[int, int]]
-    joint_sides: list[int]
-    bone_sides: list[int]
     flat_centre: Float[np.ndarray, "moments 2"]
     """The point of the image that is in the middle, px."""
     flat_reach: tuple[float, float]
     """How far keypoints are from it, px."""
-    image_size: tuple[int, int] | None
+    image_size: Sequence[int] | None
 
 
 def film_scene(prediction: Prediction, clip: Clip, rate: float) -> FilmScene:
@@ -190,19 +168,17 @@ def film_scene(prediction: Prediction, clip: Clip, rate: float) -> FilmScene:
     points = pose + row_places(level, clip)[:, None]
     floor = prediction.skeleton.gravity
     if floor:
-        points[..., 1] -= _floor(points[clip.rows], level.root is not None, points)
+        points[..., 1] -= _floor(points, clip.rows, level.root is not None)
     keypoints, unsure = _keypoints(prediction, pose)
     points, keypoints = clip.by_moment(points), clip.by_moment(keypoints)
     centre, flat_centre = _followed(points, rate), _followed(keypoints, rate)
     centre[:, 1] = np.median(centre[:, 1])
     away, flat_away = points - centre[:, None, None], keypoints - flat_centre[:, None, None]
     radius = _most(np.linalg.norm(away, axis=-1))
-    bones = prediction.bone_indices.tolist()
-    sides = joint_sides(prediction.skeleton, prediction.joint_names)
     return FilmScene(
         title=prediction.title or clip.name or prediction.skeleton.name,
-        names=clip.individual_names,
-        frames=clip.frames,
+        clip=clip,
+        body=body_of(prediction),
         points=points,
         keypoints=keypoints,
         unsure=clip.by_moment(unsure.astype(float)) > 0,
@@ -213,14 +189,9 @@ def film_scene(prediction: Prediction, clip: Clip, rate: float) -> FilmScene:
         tall=_most(np.abs(away[..., 1])),
         floor=floor,
         square=_round_length(radius / 3),
-        bones=[(start, end) for start, end in bones],
-        joint_sides=sides,
-        bone_sides=bone_sides(sides, bones),
         flat_centre=flat_centre,
         flat_reach=(_most(np.abs(flat_away[..., 0])), _most(np.abs(flat_away[..., 1]))),
-        image_size=None
-        if prediction.image_size is None
-        else (int(prediction.image_size[0]), int(prediction.image_size[1])),
+        image_size=prediction.image_size,
     )
 
 
@@ -234,7 +205,6 @@ def turns_deg(moments: int, rate: float) -> Float[np.ndarray, " moments"]:
 
 
 def _levelled(prediction: Prediction) -> Prediction:
-    """Return the prediction with y down and level."""
     if prediction.axes in ("camera", "opencv"):
         return in_axes(prediction, "level")
     turn = from_y_down(prediction.axes)
@@ -242,18 +212,18 @@ def _levelled(prediction: Prediction) -> Prediction:
     return replace(prediction, pose=prediction.pose @ turn, root=root, axes="level")
 
 
-def _floor(rows: np.ndarray, placed: bool, points: np.ndarray) -> np.ndarray:
+def _floor(points: np.ndarray, rows: np.ndarray, placed: bool) -> np.ndarray:
     """Return the floor's y: one where the root has a place, else below each pose."""
-    lowest = np.where(np.isfinite(rows[..., 1]), rows[..., 1], -np.inf).max(1)
+    lowest = np.where(np.isfinite(points[..., 1]), points[..., 1], -np.inf).max(1, keepdims=True)
     if placed:
+        lowest = lowest[rows]
         lowest = lowest[np.isfinite(lowest)]
         return np.asarray(np.percentile(lowest, _MOST) if len(lowest) else 0.0)
-    below = np.where(np.isfinite(points[..., 1]), points[..., 1], -np.inf).max(1, keepdims=True)
-    return np.where(np.isfinite(below), below, 0.0)
+    return np.where(np.isfinite(lowest), lowest, 0.0)
 
 
 def _keypoints(prediction: Prediction, pose: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return keypoints in full, and which joints are unsure."""
+    """Return keypoints with missing ones filled in, and which joints are unsure."""
     points = np.asarray(prediction.keypoints, float)
     confidence = np.nan_to_num(np.asarray(prediction.confidence, float))
     seen = (confidence > 0) & np.isfinite(np.sum(points, axis=-1))
@@ -313,56 +283,46 @@ class FilmDrawing:
         self.scene, self.scale, self.rate, self.timed = scene, scale, rate, timed
         self.size = (round(WIDE * scale), round(HIGH * scale))
         self._still = self._shared()
-        self._round = {card: self._mask(card) for card in (_FLAT, _DEEP)}
+        self._round = {}
+        for card in (_FLAT, _DEEP):
+            mask = self._canvas(card, (0, 0, 0))
+            mask.box((0, 0, mask.wide, mask.high), 10, (255, 255, 255))
+            self._round[card] = mask.finished().convert("L")
 
     def picture(self, moment: int) -> Image.Image:
         """Return the picture of a moment in RGB."""
         image = self._still.copy()
         for card, drawn in ((_FLAT, self._flat(moment)), (_DEEP, self._deep(moment))):
             image.paste(drawn.finished(), self._corner(card), self._round[card])
-        for top, height, drawn in ((20, 28, self._words(moment)), (606, 18, self._bar(moment))):
-            image.paste(drawn.finished(), self._corner((_DEEP[0], top, 0, height)))
+        words, bar = (self._canvas((0, 0, _DEEP[2] - _DEEP[0], height), PAPER) for height in (28, 18))
+        seconds = f"   {moment / self.rate:.1f} s" if self.timed else ""
+        words.text((words.wide, 14), f"frame {self.scene.clip.frames[moment]}{seconds}", 18, SOFT, "rm")
+        bar.line((0, 9), (bar.wide, 9), 3, FAINT)
+        done = moment / max(len(self.scene.clip.frames) - 1, 1)
+        bar.line((0, 9), (bar.wide * done, 9), 3, SOFT)
+        for top, drawn in ((20, words), (606, bar)):
+            image.paste(drawn.finished(), self._corner((_DEEP[0], top)))
         return image
 
     def _shared(self) -> Image.Image:
         scene, canvas = self.scene, _Canvas(WIDE, HIGH, self.scale, PAPER)
         canvas.text((24, 34), scene.title[:60], 22, INK, "lm")
         at = 24.0
-        colours = {"left": SIDES[1], "right": SIDES[2], "unsure": _mixed(SIDES[0], PAPER, _PALE)}
-        shown = {"left": any(scene.joint_sides), "right": any(scene.joint_sides), "unsure": bool(scene.unsure.any())}
-        for name in (name for name in colours if shown[name]):
-            canvas.dot((at + 5, 615), 5, colours[name])
+        legend = {"left": SIDES[1], "right": SIDES[2]} if any(scene.body.joint_sides) else {}
+        legend |= {"unsure": _mixed(SIDES[0], PAPER, _PALE)} if scene.unsure.any() else {}
+        for name, colour in legend.items():
+            canvas.dot((at + 5, 615), 5, colour)
             canvas.text((at + 16, 615), name, 15, SOFT, "lm")
             at += 30 + 9 * len(name)
         return canvas.finished()
 
-    def _mask(self, card: tuple[int, int, int, int]) -> Image.Image:
-        canvas = self._canvas(card, (0, 0, 0))
-        canvas.box((0, 0, canvas.wide, canvas.high), 10, (255, 255, 255))
-        return canvas.finished().convert("L")
-
     def _canvas(self, card: tuple[int, int, int, int], back: Colour) -> _Canvas:
         return _Canvas(card[2] - card[0], card[3] - card[1], self.scale, back)
 
-    def _corner(self, card: tuple[int, int, int, int]) -> tuple[int, int]:
+    def _corner(self, card: Sequence[int]) -> tuple[int, int]:
         return round(card[0] * self.scale), round(card[1] * self.scale)
 
-    def _words(self, moment: int) -> _Canvas:
-        canvas = _Canvas(_DEEP[2] - _DEEP[0], 28, self.scale, PAPER)
-        words = f"frame {self.scene.frames[moment]}"
-        words += f"   {moment / self.rate:.1f} s" if self.timed else ""
-        canvas.text((canvas.wide, 14), words, 18, SOFT, "rm")
-        return canvas
-
-    def _bar(self, moment: int) -> _Canvas:
-        canvas = _Canvas(_DEEP[2] - _DEEP[0], 18, self.scale, PAPER)
-        done = moment / max(len(self.scene.frames) - 1, 1)
-        canvas.line((0, 9), (canvas.wide, 9), 3, FAINT)
-        canvas.line((0, 9), (canvas.wide * done, 9), 3, SOFT)
-        return canvas
-
     def _flat(self, moment: int) -> _Canvas:
-        """Draw the keypoints, and where they are in the image."""
         scene, canvas = self.scene, self._canvas(_FLAT, CARD)
         scale = min(0.46 * canvas.wide / scene.flat_reach[0], 0.42 * canvas.high / scene.flat_reach[1])
         shift = np.array([canvas.wide / 2, canvas.high / 2 + 8]) - scene.flat_centre[moment] * scale
@@ -371,12 +331,14 @@ class FilmDrawing:
             canvas.box(corners.ravel().tolist(), 0, None, FAINT)
         for who, points in enumerate(scene.keypoints[moment] * scale + shift):
             unsure = scene.unsure[moment, who]
-            for (start, end), side in zip(scene.bones, scene.bone_sides, strict=True):
+            for (start, end), side in zip(scene.body.bones, scene.body.bone_sides, strict=True):
                 if np.isfinite(points[[start, end]]).all():
                     pale = bool(unsure[start] or unsure[end])
                     canvas.line(points[start], points[end], 3 if pale else 4.5, _tone(side, -1.0, pale))
             for joint in np.flatnonzero(np.isfinite(points[:, 0])).tolist():
-                canvas.dot(points[joint], 5.5, _tone(scene.joint_sides[joint], -1.0, bool(unsure[joint])), rim=CARD)
+                canvas.dot(
+                    points[joint], 5.5, _tone(scene.body.joint_sides[joint], -1.0, bool(unsure[joint])), rim=CARD
+                )
             self._name(canvas, who, points)
         self._map(canvas, moment)
         canvas.text((16, 20), "keypoints", 15, SOFT, "lm")
@@ -402,17 +364,17 @@ class FilmDrawing:
         if scene.floor:
             self._floor(canvas, moment)
             for points in scene.points[moment]:
-                _shadow(canvas, self._seen(canvas, points * [1.0, 0.0, 1.0], moment), scene.bones)
+                _shadow(canvas, self._seen(canvas, points * [1.0, 0.0, 1.0], moment), scene.body.bones)
         parts, figures = [], [self._seen(canvas, points, moment) for points in scene.points[moment]]
         for points, unsure in zip(figures, scene.unsure[moment], strict=True):
             front = points[:, 2] - 0.15
-            for (start, end), side in zip(scene.bones, scene.bone_sides, strict=True):
+            for (start, end), side in zip(scene.body.bones, scene.body.bone_sides, strict=True):
                 if np.isfinite(points[[start, end], 0]).all():
                     depth = (points[start, 2] + points[end, 2]) / 2
                     front[[start, end]] = np.minimum(front[[start, end]], depth - 1e-3)
                     parts.append((depth, points[start], points[end], side, bool(unsure[start] or unsure[end])))
             for joint in np.flatnonzero(np.isfinite(points[:, 0])).tolist():
-                parts.append((front[joint], points[joint], None, scene.joint_sides[joint], bool(unsure[joint])))
+                parts.append((front[joint], points[joint], None, scene.body.joint_sides[joint], bool(unsure[joint])))
         for part in sorted(parts, key=lambda part: -part[0]):
             _stroke(canvas, *part[1:])
         for who, points in enumerate(figures):
@@ -421,7 +383,7 @@ class FilmDrawing:
         return canvas
 
     def _floor(self, canvas: _Canvas, moment: int) -> None:
-        """Draw squares that stand still in the world and fade away from where the camera looks."""
+        """Draw squares that are fixed in the world and fade away from where the camera looks."""
         scene = self.scene
         step = scene.square
         reach = int(np.ceil(1.6 * max(scene.wide, scene.tall) / step))
@@ -455,8 +417,10 @@ class FilmDrawing:
 
     def _name(self, canvas: _Canvas, who: int, points: np.ndarray) -> None:
         known = points[np.isfinite(points[:, 0])]
-        if len(self.scene.names) > 1 and len(known):
-            canvas.text((known[:, 0].mean(), known[:, 1].min() - 14), self.scene.names[who], 14, SOFT, "ms")
+        if len(self.scene.clip.individual_names) > 1 and len(known):
+            canvas.text(
+                (known[:, 0].mean(), known[:, 1].min() - 14), self.scene.clip.individual_names[who], 14, SOFT, "ms"
+            )
 
 
 def _stroke(canvas: _Canvas, start: np.ndarray, end: np.ndarray | None, side: int, pale: bool) -> None:
@@ -470,9 +434,9 @@ def _stroke(canvas: _Canvas, start: np.ndarray, end: np.ndarray | None, side: in
     canvas.line(start, end, 0.7 * thick if pale else thick, tone)
 
 
-def _shadow(canvas: _Canvas, points: np.ndarray, bones: list[tuple[int, int]]) -> None:
+def _shadow(canvas: _Canvas, points: np.ndarray, bones: Int[np.ndarray, "bones 2"]) -> None:
     for bone in bones:
-        if np.isfinite(points[list(bone), 0]).all():
+        if np.isfinite(points[bone, 0]).all():
             canvas.line(points[bone[0]], points[bone[1]], 6, SHADOW)
             for joint in bone:
                 canvas.dot(points[joint], 2.9, SHADOW)
@@ -504,18 +468,15 @@ def film_palette() -> Image.Image:
     ramps += [[_mixed(side, SHADOW, 0.5) for side in SIDES], [CARD, PAPER]]
     colours = dict.fromkeys(colour for ramp in ramps for colour in ramp)
     # Pillow finds a near colour, not always the nearest: nothing else may be near the two large areas.
-    colours = [one for one in colours if one in (CARD, PAPER) or min(_gap(one, CARD), _gap(one, PAPER)) > 8]
+    areas = np.array([CARD, PAPER])
+    colours = [one for one in colours if one in (CARD, PAPER) or np.abs(areas - one).max(1).min() > 8]
     image = Image.new("P", (1, 1))
     image.putpalette([part for colour in colours for part in colour])
     return image
 
 
-def _gap(one: Colour, other: Colour) -> int:
-    return max(abs(a - b) for a, b in zip(one, other, strict=True))
-
-
 class _Canvas:
-    """A picture so many units wide and high, ``scale`` pixels to a unit, drawn finer and then shrunk."""
+    """A picture so many units wide and high, ``scale`` pixels to a unit, drawn larger and then reduced to smooth edges."""
 
     def __init__(self, wide: Number, high: Number, scale: Number, back: Colour):
         self.wide, self.high = wide, high
@@ -524,12 +485,10 @@ class _Canvas:
         self._draw = ImageDraw.Draw(self._image)
 
     def line(self, start: Point, end: Point, width: Number, colour: Colour) -> None:
-        """Draw a line with flat ends."""
         ends = [(float(point[0]) * self._unit, float(point[1]) * self._unit) for point in (start, end)]
         self._draw.line(ends, fill=colour, width=max(1, round(width * self._unit)))
 
     def dot(self, at: Point, radius: Number, colour: Colour, rim: Colour | None = None) -> None:
-        """Draw a disc, in a thin rim where that has a colour."""
         x, y = float(at[0]) * self._unit, float(at[1]) * self._unit
         for size, fill in ((radius + 1.2, rim), (radius, colour)):
             if fill is not None:
@@ -537,17 +496,14 @@ class _Canvas:
                 self._draw.ellipse([x - r, y - r, x + r, y + r], fill=fill)
 
     def box(self, corners: Sequence[Number], round_by: Number, fill: Colour | None, edge: Colour | None = None) -> None:
-        """Draw a box from left, top, right, bottom."""
         places = [part * self._unit for part in corners]
         width = max(1, round(1.2 * self._unit))
         self._draw.rounded_rectangle(places, round_by * self._unit, fill=fill, outline=edge, width=width)
 
     def text(self, at: Point, words: str, size: Number, colour: Colour, anchor: str) -> None:
-        """Write words, anchored as Pillow names it."""
         font = ImageFont.load_default(size=round(size * self._unit))
         place = float(at[0]) * self._unit, float(at[1]) * self._unit
         self._draw.text(place, words, fill=colour, font=font, anchor=anchor)
 
     def finished(self) -> Image.Image:
-        """Return the picture in its own size."""
         return self._image.reduce(_SHARPEN)

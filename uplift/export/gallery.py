@@ -6,37 +6,28 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from html import escape
 from pathlib import Path
+from typing import Any
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float
 
 from uplift.errors import UserError
 from uplift.export.html import Photos, fill_page, jpeg_address, number_text, write_text
-from uplift.export.scene import level_rotations, matched_truth, scaled_error
+from uplift.export.scene import Body, body_of, known_points, level_rotations, scaled_error, shown_truth
 from uplift.geometry.rigid import rotation_about
 from uplift.models.prediction import Prediction
-from uplift.skeleton.core import bone_sides, joint_sides
 
 __all__ = [
-    "Crop",
-    "check_options",
-    "chosen_rows",
-    "crop_of",
-    "filled_points",
-    "gallery_text",
-    "photo_svg",
-    "turned",
+    "Crop", "check_options", "chosen_rows", "crop_of", "filled_points", "gallery_text", "photo_svg", "turned",
     "write_gallery",
-]
+]  # fmt: skip
 
 _MOST_FRAMES = 500
 
 
-def write_gallery(
-    prediction: Prediction, path: str | Path, *, frames: int = 40, seed: int = 0, images: str | Path | None = None
-) -> None:
-    """Write the page of `gallery_text` to ``path``."""
-    write_text(gallery_text(prediction, frames=frames, seed=seed, images=images), path)
+def write_gallery(prediction: Prediction, path: str | Path, **options: Any) -> None:
+    """Write the page of `gallery_text` to ``path`` with these options."""
+    write_text(gallery_text(prediction, **options), path)
 
 
 def gallery_text(prediction: Prediction, *, frames: int = 40, seed: int = 0, images: str | Path | None = None) -> str:
@@ -87,14 +78,12 @@ def chosen_rows(prediction: Prediction, count: int, seed: int) -> np.ndarray:
 
 
 def _legend() -> str:
-    kinds = (("l0", "left"), ("r0", "right"), ("m0", "middle"))
-    swatch = '<svg viewBox="0 0 104 48" aria-hidden="true">{}</svg>'
-    lines = [(swatch.format(f'<path class="{kind}" d="M10 24H94"/>'), text) for kind, text in kinds]
+    kinds = {"left": "l0", "right": "r0", "middle": "m0"}
+    drawings = {text: f'<path class="{kind}" d="M10 24H94"/>' for text, kind in kinds.items()}
     unseen = '<path class="m0 u" d="M10 24H80"/><circle class="om" cx="86" cy="24" r="11"/>'
-    return "".join(
-        f"<span>{drawing}{text}</span>"
-        for drawing, text in [*lines, (swatch.format(unseen), "not seen in 2D, filled in")]
-    )
+    drawings |= {"not seen in 2D, filled in": unseen}
+    swatch = '<span><svg viewBox="0 0 104 48" aria-hidden="true">{}</svg>{}</span>'
+    return "".join(swatch.format(drawing, text) for text, drawing in drawings.items())
 
 
 # The frames of a gallery: each with its name, its input and its pose from all sides.
@@ -108,9 +97,7 @@ class _Sheet:
 
     def __init__(self, prediction: Prediction, rows: np.ndarray, photos: Photos | None):
         self.prediction, self.rows, self.photos = prediction, rows, photos
-        self.body = _Body.of(prediction)
-        self.pose = np.asarray(prediction.pose, np.float64)[rows]
-        self.pose[~np.isfinite(self.pose).all(-1)] = np.nan
+        self.body, self.pose = body_of(prediction), known_points(prediction.pose[rows])
         level_pose = np.asarray(prediction.level_pose, np.float64)[rows]
         known = np.isfinite(self.pose) & np.isfinite(level_pose).all(-1, keepdims=True)
         self.level, _ = level_rotations(np.where(known, self.pose, 0), np.where(known, level_pose, 0))
@@ -119,10 +106,9 @@ class _Sheet:
         self.truth = self.error = None
         if prediction.truth is not None:
             truth = np.asarray(prediction.truth, np.float64)[rows]
-            metric = prediction.unit == prediction.truth_unit == "mm"
             known = np.isfinite(truth).all((1, 2))
             self.error = np.where(known, scaled_error(self.pose, truth), np.nan)
-            self.truth = truth if metric else matched_truth(self.pose, truth)
+            self.truth = shown_truth(prediction, self.pose, truth)
         self.name_key = next((key for key in _NAMED if key in prediction.identity), None)
         if photos is not None and self.name_key is None:
             raise UserError(
@@ -131,28 +117,27 @@ class _Sheet:
             )
 
     def frame(self, place: int) -> str:
-        """Return one frame: its name, its input, its views."""
         row, name = self.rows[place], escape(self._name(place))
         unseen = [joint for joint, seen in zip(self.prediction.joint_names, self.seen[place], strict=True) if not seen]
-        about = [f"row {row:,}"]
-        if unseen:
-            about.append(f"not seen: {', '.join(unseen)}")
+        about = [f"row {row:,}", *([f"not seen: {', '.join(unseen)}"] if unseen else [])]
         if self.error is not None and np.isfinite(self.error[place]):
             unit = "" if self.prediction.truth_unit == "relative" else f" {self.prediction.truth_unit}"
             about.append(f"error at the best scale (n_mpjpe) {number_text(float(self.error[place]))}{unit}")
         facts = "".join(f"<span>{escape(fact)}</span>" for fact in about)
-        turns = "".join(self._turns(place, name))
         return (
             f'<article class="frame" id="row-{row}" aria-labelledby="name-{row}"><div class="name">'
             f'<h2 id="name-{row}">{name}</h2>{facts}</div>'
-            f'<div class="strip">{self._input(place, name)}<div>{turns}</div></div></article>'
+            f'<div class="strip">{self._input(place, name)}<div>{self._turns(place, name)}</div></div></article>'
         )
 
     def _input(self, place: int, name: str) -> str:
         seen = self.seen[place]
         points = filled_points(self.points[place], seen, self.pose[place])
         crop = crop_of(points)
-        photo = photo_svg(self.photos, self._photo(place), crop) if self.photos else ""
+        photo = ""
+        if self.photos:
+            assert self.name_key is not None  # refused otherwise
+            photo = photo_svg(self.photos, str(self.prediction.identity[self.name_key][self.rows[place]]), crop)
         drawing = _drawn_input(points, ~seen, self.body, crop)
         label = f"Input of {name}: {seen.sum()} of {len(seen)} joints seen" + (", on the photo" if photo else "")
         return (
@@ -160,16 +145,16 @@ class _Sheet:
             "</figure>"
         )
 
-    def _turns(self, place: int, name: str) -> list[str]:
+    def _turns(self, place: int, name: str) -> str:
         pose, level = self.pose[place], self.level[place]
-        centre = np.nanmean(pose, 0)
         shown = [("Lifted", pose, ~self.seen[place])]
         if self.truth is not None and np.isfinite(self.truth[place]).all(-1).any():
             shown.append(("Truth", self.truth[place], np.zeros(len(pose), bool)))
-        views = [turned(found, level, centre, _ANGLES_DEG) for _, found, _ in shown]
-        drawings = _drawn_views(views, [missing for *_, missing in shown], self.body)
+        titles, poses, missing = zip(*shown, strict=True)
+        views = [turned(found, level, np.nanmean(pose, 0), _ANGLES_DEG) for found in poses]
+        drawings = _drawn_views(views, missing, self.body)
         named = len(shown) > 1
-        return [_turned_row(title, name, drawn, named) for (title, *_), drawn in zip(shown, drawings, strict=True)]
+        return "".join(_turned_row(title, name, drawn, named) for title, drawn in zip(titles, drawings, strict=True))
 
     def _name(self, place: int) -> str:
         row, identity = self.rows[place], self.prediction.identity
@@ -179,22 +164,16 @@ class _Sheet:
         parts += [f"frame {identity['frame'][row]}"] if "frame" in identity else []
         return " · ".join(parts) or f"row {row:,}"
 
-    def _photo(self, place: int) -> str:
-        assert self.name_key is not None  # or it was refused
-        return str(self.prediction.identity[self.name_key][self.rows[place]])
-
     def refuse_without_photos(self) -> None:
         """Raise UserError where none of the photos that were asked for could be shown."""
         photos = self.photos
         if photos is None or photos.shown:
             return
-        why = (
-            f"cannot be read: {photos.unreadable[0]}" if photos.unreadable else f"are not there: no {photos.absent[0]}"
-        )
+        unreadable, absent = photos.unreadable, photos.absent
+        why = f"cannot be read: {unreadable[0]}" if unreadable else f"are not there: no {absent[0]}"
         raise UserError(f"images={photos.folder}: the photos of these frames {why}.")
 
     def facts(self) -> list[str]:
-        """Return what stands under the title."""
         prediction = self.prediction
         return [
             *(["/".join(Path(prediction.source).parts[-2:])] if prediction.title and prediction.source else []),
@@ -204,11 +183,11 @@ class _Sheet:
         ]
 
     def notes(self) -> list[str]:
-        """Return what a reader should know, a sentence each."""
+        """Return notes for the reader, a sentence each."""
         about = "gravity" if self.prediction.skeleton.gravity else "the image's vertical"
         notes = [
             f"Each pose is turned about {about} in steps of 30°, as if the camera walked round it; 0° is what the "
-            "camera itself saw. Far limbs are paler.",
+            "camera itself saw. Far limbs are paler."
         ]
         if len(self.rows) < len(self.prediction):
             notes.append("The frames are spread over the input, one at random out of each part of it.")
@@ -216,16 +195,12 @@ class _Sheet:
             truth = ", and the truth is drawn at the size of each pose" if self.truth is not None else ""
             notes.append(f"The scale is not metric: every frame is drawn as large as it fits{truth}.")
         photos = self.photos
-        if photos and photos.absent:
-            notes.append(self._counted(photos.absent, f"not in {Path(str(photos.folder)).name}"))
-        if photos and photos.unreadable:
-            notes.append(self._counted(photos.unreadable, "unusable"))
+        where = photos and Path(str(photos.folder)).name
+        for what, names in ((f"not in {where}", photos.absent), ("unusable", photos.unreadable)) if photos else ():
+            are = "is" if len(names) == 1 else "are"
+            few = ", ".join(names[:3]) + (", ..." if len(names) > 3 else "")
+            notes += [f"{len(names)} of {len(self.rows)} photos {are} {what}: {few}."] if names else []
         return notes
-
-    def _counted(self, names: list[str], what: str) -> str:
-        are = "is" if len(names) == 1 else "are"
-        few = ", ".join(names[:3]) + (", ..." if len(names) > 3 else "")
-        return f"{len(names)} of {len(self.rows)} photos {are} {what}: {few}."
 
 
 def _turned_row(title: str, name: str, drawn: list[str], named: bool) -> str:
@@ -245,21 +220,6 @@ WIDE, HIGH = 400, 480
 _DISTANCE = 10.0
 _SIDES = "mlr"
 _MARGIN = 0.03
-
-
-@dataclass(frozen=True)
-class _Body:
-    """What is drawn of every frame alike: bones and the side that each belongs to."""
-
-    bones: Int[np.ndarray, "bones 2"]
-    joint_sides: Sequence[int]
-    bone_sides: Sequence[int]
-
-    @classmethod
-    def of(cls, prediction: Prediction) -> _Body:
-        """Return the body of a prediction."""
-        bones, sides = prediction.bone_indices, joint_sides(prediction.skeleton, prediction.joint_names)
-        return cls(bones, sides, bone_sides(sides, bones.tolist()))
 
 
 @dataclass(frozen=True)
@@ -284,14 +244,14 @@ def turned(
     """Return the pose as cameras see it that walked round it, as high and as tilted as the real one.
 
     ``level`` takes the camera frame to one whose y is gravity. At 0 degrees it is the real camera's view; at 90
-    the camera stands on the image's right.
+    the camera is on the image's right.
     """
     about = rotation_about("y", np.radians(np.asarray(angles_deg, float)))
     return np.einsum("vik,jk->vji", level.T @ about @ level, pose - centre)
 
 
 def _drawn_views(
-    poses: Sequence[Float[np.ndarray, "views joints 3"]], missing: Sequence, body: _Body
+    poses: Sequence[Float[np.ndarray, "views joints 3"]], missing: Sequence, body: Body
 ) -> list[list[str]]:
     """Return one SVG drawing per pose and view, all of them at one scale.
 
@@ -301,17 +261,13 @@ def _drawn_views(
     seen = [_projected(views, _DISTANCE * 3 * size) for views in poses]
     flat = np.concatenate([points[..., :2].reshape(-1, 2) for points in seen])
     flat = flat[np.isfinite(flat).all(1)]
-    half = np.maximum(np.abs(flat[:, 0]).max(initial=1e-9), 1e-9)
+    half = np.abs(flat[:, 0]).max(initial=1e-9)
     low, high = (flat[:, 1].min(), flat[:, 1].max()) if len(flat) else (-1.0, 1.0)
-    room = 1 - 2 * _MARGIN
-    scale = room * min(WIDE / 2 / half, HIGH / max(high - low, 1e-9))
-    drawings = []
-    for points, unseen in zip(seen, missing, strict=True):
-        placed = points.copy()
-        placed[..., 0] = WIDE / 2 + scale * points[..., 0]
-        placed[..., 1] = HIGH / 2 + scale * (points[..., 1] - (low + high) / 2)
-        drawings.append([_figure(view, unseen, body) for view in placed])
-    return drawings
+    scale = (1 - 2 * _MARGIN) * min(WIDE / 2 / half, HIGH / max(high - low, 1e-9))
+    for points in seen:
+        points[..., 0] = WIDE / 2 + scale * points[..., 0]
+        points[..., 1] = HIGH / 2 + scale * (points[..., 1] - (low + high) / 2)
+    return [[_figure(view, unseen, body) for view in points] for points, unseen in zip(seen, missing, strict=True)]
 
 
 def _projected(views: Float[np.ndarray, "views joints 3"], distance: float) -> Float[np.ndarray, "views joints 3"]:
@@ -322,16 +278,17 @@ def _projected(views: Float[np.ndarray, "views joints 3"], distance: float) -> F
     return np.concatenate([flat, depth / radius], -1)
 
 
-def _figure(points: Float[np.ndarray, "joints 3"], missing: Bool[np.ndarray, " joints"], body: _Body) -> str:
+def _figure(points: Float[np.ndarray, "joints 3"], missing: Bool[np.ndarray, " joints"], body: Body) -> str:
     """Return bones from far to near, each with a rim that parts it from what it hides."""
     depth = points[body.bones, 2].mean(1)
+    tones = np.digitize(depth, (-0.12, 0.12))
     parts = []
     for bone in np.argsort(-depth, kind="stable").tolist():
         start, end = body.bones[bone]
         if not np.isfinite(points[[start, end]]).all():
             continue
         line = _line(points[start], points[end])
-        tone = f"{_SIDES[body.bone_sides[bone]]}{_tone(depth[bone])}"
+        tone = f"{_SIDES[body.bone_sides[bone]]}{tones[bone]}"
         if missing[start] or missing[end]:
             parts.append(f'<path class="{tone} u" d="{line}"/>')
         else:
@@ -341,7 +298,7 @@ def _figure(points: Float[np.ndarray, "joints 3"], missing: Bool[np.ndarray, " j
 
 
 def _drawn_input(
-    points: Float[np.ndarray, "joints 2"], missing: Bool[np.ndarray, " joints"], body: _Body, crop: Crop
+    points: Float[np.ndarray, "joints 2"], missing: Bool[np.ndarray, " joints"], body: Body, crop: Crop
 ) -> str:
     """Return the keypoints as an SVG drawing; joints that were not seen as rings, with dashed bones."""
     placed = crop.place(points)
@@ -375,8 +332,7 @@ def filled_points(
     if spread <= 0:
         return points
     scale = ((flat - flat_mean) * (target - target_mean)).sum() / spread
-    guess = (pose[:, :2] - flat_mean) * scale + target_mean
-    return np.where(seen[:, None], points, guess)
+    return np.where(seen[:, None], points, (pose[:, :2] - flat_mean) * scale + target_mean)
 
 
 def crop_of(points: Float[np.ndarray, "joints 2"]) -> Crop:
@@ -390,8 +346,7 @@ def crop_of(points: Float[np.ndarray, "joints 2"]) -> Crop:
     return Crop(float(left), float(top), side)
 
 
-_SIDE_PX = 320
-"""Of a photo's part, at most."""
+_SIDE_PX = 320  # of a photo's part, at most
 
 
 def photo_svg(photos: Photos, name: str, crop: Crop) -> str:
@@ -414,7 +369,3 @@ def _line(start: np.ndarray, end: np.ndarray) -> str:
 
 def _ring(point: np.ndarray, side: str) -> str:
     return f'<circle class="o{side}" cx="{round(float(point[0]))}" cy="{round(float(point[1]))}" r="9"/>'
-
-
-def _tone(depth: float) -> int:
-    return 0 if depth < -0.12 else 1 if depth < 0.12 else 2

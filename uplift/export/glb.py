@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import struct
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -13,23 +12,14 @@ from jaxtyping import Float
 
 from uplift.config.files import replacing
 from uplift.export.clips import USUAL_FPS, frame_rate, one_clip, steps
-from uplift.export.scene import SIDE_COLOURS, held, known_points, row_places
+from uplift.export.scene import SIDE_COLOURS, body_of, held, known_points, row_places
 from uplift.geometry.rigid import least_turn, quaternion_matrix, quaternion_product
 from uplift.models.prediction import Prediction
-from uplift.skeleton.core import bone_sides, joint_sides
 
 __all__ = ["bone_rotations", "write_glb"]
 
 _PERSON_M = 1.7
-_M_PER_MM = 0.001
-_JOINT_SHARE, _BONE_SHARE = 0.016, 0.008
-"""Radii, as shares of the body."""
-
-
-@dataclass(frozen=True)
-class _Meshes:
-    joints: list[int]
-    bones: list[int]
+_JOINT_SHARE, _BONE_SHARE = 0.016, 0.008  # radii, as shares of the body
 
 
 def write_glb(prediction: Prediction, path: str | Path, fps: int | float | None = None) -> None:
@@ -44,7 +34,7 @@ def write_glb(prediction: Prediction, path: str | Path, fps: int | float | None 
     rate = frame_rate(prediction, fps)
     points = known_points(prediction.pose) + row_places(prediction, clip)[:, None]
     body = _body_size(known_points(prediction.pose))
-    scale = _M_PER_MM if prediction.unit == "mm" else _PERSON_M / body
+    scale = 0.001 if prediction.unit == "mm" else _PERSON_M / body
     about = {
         "title": prediction.title or clip.name,
         "skeleton": prediction.skeleton.name,
@@ -89,7 +79,8 @@ def _body_size(pose: Float[np.ndarray, "frames joints 3"]) -> float:
     return float(np.median(usable)) if len(usable) else 1.0
 
 
-def _meshes(file: _Gltf, size: float) -> _Meshes:
+def _meshes(file: _Gltf, size: float) -> tuple[list[int], list[int]]:
+    """Return the meshes of joints and of bones, by side."""
     from trimesh.creation import cylinder, icosphere
 
     ball, rod = icosphere(subdivisions=2, radius=_JOINT_SHARE * size), cylinder(_BONE_SHARE * size, 1.0, sections=12)
@@ -100,32 +91,31 @@ def _meshes(file: _Gltf, size: float) -> _Meshes:
     colours = [file.material(name, rgb) for name, rgb in SIDE_COLOURS.items()]
     joints = [file.mesh(f"{name} joint", joint, colour) for name, colour in zip(SIDE_COLOURS, colours, strict=True)]
     bones = [file.mesh(f"{name} bone", bone, colour) for name, colour in zip(SIDE_COLOURS, colours, strict=True)]
-    return _Meshes(joints, bones)
+    return joints, bones
 
 
 def _individual(
-    file: _Gltf, prediction: Prediction, name: str, points: np.ndarray, times: np.ndarray, meshes: _Meshes
+    file: _Gltf, prediction: Prediction, name: str, points: np.ndarray, times: np.ndarray, meshes: tuple
 ) -> None:
     """Add an individual: joints below it, and each bone below the joint that it starts at."""
     top = file.node(name or prediction.skeleton.name)
-    mark = f"{name}:" if name else ""
-    sides = joint_sides(prediction.skeleton, prediction.joint_names)
+    mark, (joint_meshes, bone_meshes) = f"{name}:" if name else "", meshes
+    bones, sides, bone_sides = body_of(prediction)
     known = np.isfinite(np.sum(points, axis=-1))
     nodes = []
-    for joint, own in enumerate(prediction.joint_names):
-        nodes.append(file.node(mark + own, top, mesh=meshes.joints[sides[joint]]))
+    for joint, label in enumerate(prediction.joint_names):
+        nodes.append(file.node(mark + label, top, mesh=joint_meshes[sides[joint]]))
         file.animate(nodes[-1], "translation", times, held(points[:, joint]))
         if not known[:, joint].all():
             shown = np.repeat(known[:, joint, None], 3, 1).astype(float)
             file.animate(nodes[-1], "scale", times, shown, jumps=True)
-    bones = prediction.bone_indices
     step = points[:, bones[:, 1]] - points[:, bones[:, 0]]
     length = np.linalg.norm(step, axis=-1)
     there = np.isfinite(length) & (length > 0)
     turned = bone_rotations(np.where(there[..., None], step / np.where(there, length, 1)[..., None], np.nan))
-    for bone, side in enumerate(bone_sides(sides, bones.tolist())):
+    for bone, side in enumerate(bone_sides):
         start, end = (prediction.joint_names[place] for place in bones[bone])
-        node = file.node(f"{mark}{start}-{end}", nodes[bones[bone, 0]], mesh=meshes.bones[side])
+        node = file.node(f"{mark}{start}-{end}", nodes[bones[bone, 0]], mesh=bone_meshes[side])
         file.animate(node, "rotation", times, turned[:, bone])
         size = np.stack([np.ones(len(times)), length[:, bone], np.ones(len(times))], 1)
         file.animate(node, "scale", times, np.where(there[:, bone, None], size, 0.0))
@@ -144,15 +134,14 @@ class _Gltf:
     def __init__(self, name: str, about: dict[str, Any]):
         self._parts: list[bytes] = []
         self._size = 0
-        self._accessors: list[dict[str, Any]] = []
-        self._views: list[dict[str, Any]] = []
-        self._materials: list[dict[str, Any]] = []
-        self._meshes: list[dict[str, Any]] = []
-        self.nodes: list[dict[str, Any]] = []
-        self._samplers: list[dict[str, Any]] = []
-        self._channels: list[dict[str, Any]] = []
+        kinds = ("nodes", "meshes", "materials", "samplers", "channels", "accessors", "bufferViews")
+        self._lists: dict[str, list[dict[str, Any]]] = {kind: [] for kind in kinds}
         self._times: dict[bytes, int] = {}
         self._name, self._about = name, about
+
+    def _add(self, kind: str, item: dict[str, Any]) -> int:
+        self._lists[kind].append(item)
+        return len(self._lists[kind]) - 1
 
     def shape(
         self, vertices: Float[np.ndarray, "vertices 3"], normals: Float[np.ndarray, "vertices 3"], faces: np.ndarray
@@ -169,82 +158,66 @@ class _Gltf:
         colour = np.asarray(rgb) / 255
         linear = np.where(colour <= 0.04045, colour / 12.92, ((colour + 0.055) / 1.055) ** 2.4)
         look = {"baseColorFactor": [*_short(linear), 1.0], "metallicFactor": 0.0, "roughnessFactor": 0.6}
-        self._materials.append({"name": name, "pbrMetallicRoughness": look})
-        return len(self._materials) - 1
+        return self._add("materials", {"name": name, "pbrMetallicRoughness": look})
 
     def mesh(self, name: str, shape: dict[str, Any], material: int) -> int:
-        """Return a mesh of a shape in a material."""
-        self._meshes.append({"name": name, "primitives": [{**shape, "material": material}]})
-        return len(self._meshes) - 1
+        return self._add("meshes", {"name": name, "primitives": [{**shape, "material": material}]})
 
     def node(self, name: str, parent: int | None = None, **rest: Any) -> int:
         """Add a node below ``parent`` and return it; ``rest`` is its ``mesh``, ``translation`` and so on."""
-        self.nodes.append({"name": name, **rest})
+        place = self._add("nodes", {"name": name, **rest})
         if parent is not None:
-            self.nodes[parent].setdefault("children", []).append(len(self.nodes) - 1)
-        return len(self.nodes) - 1
+            self._lists["nodes"][parent].setdefault("children", []).append(place)
+        return place
 
-    def animate(
-        self,
-        node: int,
-        path: str,
-        times: Float[np.ndarray, " times"],
-        values: Float[np.ndarray, "times parts"],
-        jumps: bool = False,
-    ) -> None:
-        """Give a node keyframes (seconds) of its translation, rotation (x y z w) or scale, and the first as it rests.
+    def animate(self, node: int, path: str, times: np.ndarray, values: np.ndarray, jumps: bool = False) -> None:
+        """Give a node keyframes (times in s, times parts) of its translation, rotation (x y z w) or scale.
 
-        ``jumps``: each value stays until the next.
+        It rests at the first. ``jumps``: each value stays until the next.
         """
         values = values.astype(np.float32)
-        self.nodes[node][path] = _short(values[0])
+        self._lists["nodes"][node][path] = _short(values[0])
         # A value that stays the same needs one key.
         if (values == values[0]).all():
             times, values = times[:1], values[:1]
         key = times.astype(np.float32).tobytes()
         if key not in self._times:
             self._times[key] = self._accessor(times.reshape(-1, 1).astype(np.float32), _FLOAT, bounds=True)
-        sampler = {"input": self._times[key], "output": self._accessor(values, _FLOAT)}
-        self._samplers.append({**sampler, "interpolation": "STEP" if jumps else "LINEAR"})
-        self._channels.append({"sampler": len(self._samplers) - 1, "target": {"node": node, "path": path}})
+        keys = {"input": self._times[key], "output": self._accessor(values, _FLOAT)}
+        sampler = self._add("samplers", {**keys, "interpolation": "STEP" if jumps else "LINEAR"})
+        self._add("channels", {"sampler": sampler, "target": {"node": node, "path": path}})
 
     def to_bytes(self) -> bytes:
-        """Return the file."""
-        below = {child for node in self.nodes for child in node.get("children", [])}
+        nodes = self._lists["nodes"]
+        below = {child for node in nodes for child in node.get("children", [])}
+        motion = {kind: self._lists[kind] for kind in ("samplers", "channels")}
         asset = {
             "asset": {"version": "2.0", "generator": "uplift", "extras": self._about},
             "scene": 0,
-            "scenes": [{"name": self._name, "nodes": [n for n in range(len(self.nodes)) if n not in below]}],
-            "nodes": self.nodes,
-            "meshes": self._meshes,
-            "materials": self._materials,
-            "animations": [{"name": self._name, "samplers": self._samplers, "channels": self._channels}],
-            "accessors": self._accessors,
-            "bufferViews": self._views,
+            "scenes": [{"name": self._name, "nodes": [n for n in range(len(nodes)) if n not in below]}],
+            **{kind: self._lists[kind] for kind in ("nodes", "meshes", "materials")},
+            "animations": [{"name": self._name, **motion}],
+            **{kind: self._lists[kind] for kind in ("accessors", "bufferViews")},
             "buffers": [{"byteLength": self._size}],
         }
         text = json.dumps(asset, separators=(",", ":"), ensure_ascii=False).encode()
         text += b" " * (-len(text) % 4)
         binary = b"".join(self._parts)
         head = struct.pack("<4sII", b"glTF", 2, 12 + 8 + len(text) + 8 + len(binary))
-        return (
-            head + struct.pack("<I4s", len(text), b"JSON") + text + struct.pack("<I4s", len(binary), b"BIN\0") + binary
-        )
+        chunks = ((b"JSON", text), (b"BIN\0", binary))
+        return head + b"".join(struct.pack("<I4s", len(data), kind) + data for kind, data in chunks)
 
     def _accessor(self, values: np.ndarray, code: int, target: int | None = None, bounds: bool = False) -> int:
         """Store rows of values in a view of their own, begun at a multiple of four bytes."""
         data = np.ascontiguousarray(values).tobytes()
         view = {"buffer": 0, "byteOffset": self._size, "byteLength": len(data)}
-        self._views.append(view if target is None else {**view, "target": target})
+        place = self._add("bufferViews", view if target is None else {**view, "target": target})
         padded = data + b"\0" * (-len(data) % 4)
         self._parts.append(padded)
         self._size += len(padded)
         kind = {"componentType": code, "count": len(values), "type": _KINDS[values.shape[1]]}
-        accessor = {"bufferView": len(self._views) - 1, **kind}
-        if bounds:
-            accessor |= {"min": values.min(0).tolist(), "max": values.max(0).tolist()}
-        self._accessors.append(accessor)
-        return len(self._accessors) - 1
+        limits = {"min": values.min(0).tolist(), "max": values.max(0).tolist()} if bounds else {}
+        return self._add("accessors", {"bufferView": place, **kind, **limits})
 
 
 def _short(values: np.ndarray) -> list[float]:

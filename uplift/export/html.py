@@ -24,20 +24,9 @@ if TYPE_CHECKING:
     from PIL.Image import Image
 
 __all__ = [
-    "Curve",
-    "Photos",
-    "Section",
-    "curve_charts",
-    "fill_page",
-    "jpeg_address",
-    "number_text",
-    "pack",
-    "read_html",
-    "report_html",
-    "scripted_page",
-    "unpack",
-    "write_text",
-]
+    "Curve", "Photos", "Section", "curve_charts", "fill_page", "jpeg_address", "number_text", "pack", "read_html",
+    "report_html", "scripted_page", "unpack", "write_text",
+]  # fmt: skip
 
 Rows = Sequence[Sequence[object]]
 Section = tuple[str, Rows] | tuple[str, Rows, Sequence[object]]
@@ -64,8 +53,7 @@ def fill_page(
 ) -> str:
     """Return a page: the shell around the asset ``main``, whose placeholders ``parts`` fill.
 
-    ``beside`` is what stands beside the title and ``end`` what comes behind the main part; ``script`` is the only one
-    that the page's policy allows.
+    ``beside`` goes beside the title and ``end`` behind the main part; the page's policy allows ``script`` alone.
     """
     style = "".join(map(_asset, styles))
     allowed = "" if script is None else f"script-src {_policy_hash(script)}; "
@@ -122,7 +110,6 @@ def read_html(path: str | Path) -> dict[str, Any]:
 
 
 def _asset(name: str) -> str:
-    """Return a script, style or skeleton that pages are put together of."""
     return (_ASSETS / name).read_text(encoding="utf-8")
 
 
@@ -145,12 +132,9 @@ def report_html(sections: Sequence[Section], curves: Mapping[str, Curve]) -> str
 
 def curve_charts(curves: Mapping[str, Curve]) -> str:
     """Return one small chart per curve of (step, value) points; values that are not finite are left out."""
-    charts = []
-    for name, points in curves.items():
-        numbers = [(float(x), float(y)) for x, y in points]
-        finite = [point for point in numbers if all(map(math.isfinite, point))]
-        if finite:
-            charts.append(_chart(name, finite))
+    numbers = {name: [(float(x), float(y)) for x, y in points] for name, points in curves.items()}
+    finite = {name: [point for point in of if all(map(math.isfinite, point))] for name, of in numbers.items()}
+    charts = [_chart(name, points) for name, points in finite.items() if points]
     return f'<div class="charts">{"".join(charts)}</div>' if charts else ""
 
 
@@ -196,9 +180,9 @@ def _thinned(points: list[tuple[float, float]]) -> list[tuple[float, float]]:
 
 
 def _table_html(section: Section) -> str:
-    """Return a section as a card with a table."""
     title, rows, header = section if len(section) == 3 else (*section, ())
-    if not header and _has_header(rows):
+    texts = [all(isinstance(cell, str) for cell in row) for row in rows]
+    if not header and len(rows) > 1 and len(rows[0]) > 2 and texts[0] and not any(texts[1:]):
         header, rows = rows[0], rows[1:]
     head = f"<thead>{_row(header, 'th')}</thead>" if header else ""
     body = "".join(_row(row, "td") for row in rows)
@@ -207,11 +191,6 @@ def _table_html(section: Section) -> str:
         f'<section class="card{broad}"><h2>{escape(title)}</h2><div class="wide"><table>{head}'
         f"<tbody>{body}</tbody></table></div></section>"
     )
-
-
-def _has_header(rows: Rows) -> bool:
-    texts = [all(isinstance(cell, str) for cell in row) for row in rows]
-    return len(rows) > 1 and len(rows[0]) > 2 and texts[0] and not any(texts[1:])
 
 
 def _row(cells: Sequence[object], tag: str) -> str:
@@ -296,13 +275,15 @@ class Photos:
         The square is in pixels of the photo as it is stored, as keypoints count them: a camera's note on how it was
         held is not applied. None where there is no such photo, or none that can be shown.
         """
+        from PIL.Image import DecompressionBombError
+
         path = self._find(name)
         if path is None:
             self.absent.append(name)
             return None
         try:
             found = _cut(path, left, top, side, scale)
-        except (OSError, ValueError, SyntaxError) as error:
+        except (OSError, ValueError, SyntaxError, DecompressionBombError) as error:
             self.unreadable.append(f"{name} ({error})")
             return None
         self.shown += 1
@@ -316,22 +297,14 @@ class Photos:
         if self.folder is None:
             return Path(name) if Path(name).is_file() else None
         safe = [] if named.is_absolute() or ".." in named.parts else [named]
-        for part in [*safe, PurePosixPath(named.name)]:
-            for ending in _ENDINGS:
-                path = self.folder / f"{part}{ending}"
-                if path.is_file():
-                    return path
-        return None
+        paths = [self.folder / f"{part}{ending}" for part in (*safe, named.name) for ending in _ENDINGS]
+        return next((path for path in paths if path.is_file()), None)
 
 
 def _cut(path: Path, left: float, top: float, side: float, scale: float) -> tuple[Image, np.ndarray]:
     from PIL import Image
 
-    try:
-        photo = Image.open(path)
-    except Image.DecompressionBombError as error:
-        raise ValueError(str(error)) from error
-    with photo:
+    with Image.open(path) as photo:
         size = f"is {photo.width} x {photo.height} px"
         if photo.width * photo.height > _MOST_PIXELS:
             raise ValueError(f"{size}, more than is opened for a small picture")

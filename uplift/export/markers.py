@@ -22,8 +22,7 @@ __all__ = ["marker_names", "write_c3d", "write_trc"]
 
 # A trial: markers of one clip, a row for every moment.
 
-_LONGEST_BYTES = 120
-"""Of a marker's name; C3D has room for 127."""
+_LONGEST_BYTES = 120  # of a marker's name; C3D has room for 127
 _MOST_BLANK = 1_000_000
 
 
@@ -67,10 +66,9 @@ def _trial_of(prediction: Prediction, path: str | Path, kind: str) -> _Trial:
             f"{path}: {len(numbers)} frames are numbered {numbers[0]} to {numbers[-1]}, which would make {moments} "
             "rows, nearly all blank. Expected 'frame' to count frames; write .csv to keep such numbers."
         )
-    _refuse_doubles(clip, place * individuals + clip.individual, f"{path}: ")
-    points = np.full(
-        (moments, individuals, *prediction.pose.shape[1:]), np.nan, np.result_type(prediction.points, np.float32)
-    )
+    _refuse_doubles(clip, place * individuals + clip.individual, path)
+    shape = moments, individuals, *prediction.pose.shape[1:]
+    points = np.full(shape, np.nan, np.result_type(prediction.points, np.float32))
     points[place, clip.individual] = prediction.points[clip.rows]
     points[~np.isfinite(points).all(-1)] = np.nan
     owners = [f"{name}_" for name in clip.individual_names] if individuals > 1 else [""]
@@ -78,7 +76,7 @@ def _trial_of(prediction: Prediction, path: str | Path, kind: str) -> _Trial:
     return _Trial(names, points.reshape(moments, -1, 3), max(int(numbers[0]) // step, 0), rate)
 
 
-def _refuse_doubles(clip: Clip, cell: np.ndarray, where: str) -> None:
+def _refuse_doubles(clip: Clip, cell: np.ndarray, path: str | Path) -> None:
     """Refuse several rows of one individual at one moment, which ``cell`` numbers."""
     _, first, count = np.unique(cell, return_index=True, return_counts=True)
     if len(first) == len(cell):
@@ -86,7 +84,7 @@ def _refuse_doubles(clip: Clip, cell: np.ndarray, where: str) -> None:
     row = first[count.argmax()]
     frame, name = clip.frames[clip.moment[row]], clip.individual_names[clip.individual[row]]
     raise UserError(
-        f"{where}{count.max()} rows are frame {frame}{f' of {name!r}' if name else ''}. Expected one: name what tells "
+        f"{path}: {count.max()} rows are frame {frame}{f' of {name!r}' if name else ''}. Expected one: name what tells "
         "them apart ('instance', 'camera' or 'sequence'), or write .csv."
     )
 
@@ -114,38 +112,23 @@ def write_trc(prediction: Prediction, path: str | Path) -> None:
     with replacing(path) as handle:
         handle.write(_head(trial, Path(path).name).encode())
         for start in range(0, len(trial.points), _ROWS):
-            rows = numbers(trial.points[start : start + _ROWS])
-            first = trial.start + start
-            lines = (
-                f"{frame + 1}\t{frame / trial.fps:.6f}\t{filled_in(template, row, '')}"
-                for frame, row in enumerate(rows, first)
-            )
-            handle.write("".join(lines).encode())
+            for frame, row in enumerate(numbers(trial.points[start : start + _ROWS]), trial.start + start):
+                handle.write(f"{frame + 1}\t{frame / trial.fps:.6f}\t{filled_in(template, row, '')}".encode())
 
 
 def _head(trial: _Trial, name: str) -> str:
     rate, count = f"{trial.fps:.7g}", len(trial.points)
     called = " ".join(name.encode("utf-8", "replace").decode().split())
-    facts = {
-        "DataRate": rate,
-        "CameraRate": rate,
-        "NumFrames": count,
-        "NumMarkers": len(trial.names),
-        "Units": "mm",
-        "OrigDataRate": rate,
-        "OrigDataStartFrame": trial.start + 1,
-        "OrigNumFrames": count,
-    }
-    axes = "".join(f"X{n}\tY{n}\tZ{n}\t" for n in range(1, len(trial.names) + 1))
+    facts = {"DataRate": rate, "CameraRate": rate, "NumFrames": count, "NumMarkers": len(trial.names), "Units": "mm"}
+    facts |= {"OrigDataRate": rate, "OrigDataStartFrame": trial.start + 1, "OrigNumFrames": count}
     lines = [
         f"PathFileType\t4\t(X/Y/Z)\t{called}",
         "\t".join(facts),
         "\t".join(map(str, facts.values())),
         "Frame#\tTime\t" + "".join(f"{marker}\t\t\t" for marker in trial.names),
-        "\t\t" + axes,
-        "",
+        "\t\t" + "".join(f"X{n}\tY{n}\tZ{n}\t" for n in range(1, len(trial.names) + 1)),
     ]
-    return "\n".join(lines) + "\n"
+    return "\n".join([*lines, "", ""])
 
 
 # C3D: one clip of labelled points, no analog channels.
@@ -166,20 +149,18 @@ def write_c3d(prediction: Prediction, path: str | Path) -> None:
     except ImportError as error:
         raise UserError(f'{path}: writing C3D needs ezc3d: pip install "uplift3d[c3d]".') from error
     trial = _trial_of(prediction, path, "C3D")
-    if len(trial.points) > _MOST_FRAMES:
-        raise UserError(
-            f"{path}: C3D holds {_MOST_FRAMES} frames, found {len(trial.points)}. Write .trc, or shorter clips."
-        )
+    count = len(trial.points)
+    if count > _MOST_FRAMES:
+        raise UserError(f"{path}: C3D holds {_MOST_FRAMES} frames, found {count}. Write .trc, or shorter clips.")
     file = ezc3d.c3d()
     _fill(file, trial, prediction.axes)
     with replacing(path) as handle, tempfile.TemporaryDirectory() as folder:
         written = Path(folder) / "trial.c3d"
         file.write(str(written))
-        least = 16 * trial.points.shape[0] * trial.points.shape[1]
-        if not written.is_file() or written.stat().st_size < least:  # ezc3d does not report a full disk
-            raise OSError(
-                f"{path}: the C3D could not be written completely in {tempfile.gettempdir()}: is the disk full?"
-            )
+        # ezc3d does not report a full disk.
+        if not written.is_file() or written.stat().st_size < 16 * count * len(trial.names):
+            where = tempfile.gettempdir()
+            raise OSError(f"{path}: the C3D could not be written completely in {where}: is the disk full?")
         with written.open("rb") as trial_file:
             shutil.copyfileobj(trial_file, handle)
 

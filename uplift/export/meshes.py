@@ -26,24 +26,13 @@ if TYPE_CHECKING:
     from uplift.export import Job, Writer
 
 __all__ = [
-    "SHAPE_AXES",
-    "Frame",
-    "check_axes",
-    "in_camera",
-    "prediction_surfaces",
-    "shape_jobs",
-    "surfaces",
-    "write_glb",
-    "write_npz",
-    "write_obj",
-    "write_ply",
-    "write_stl",
-]
+    "SHAPE_AXES", "Frame", "encode_glb", "encode_obj", "encode_ply", "encode_stl", "in_camera", "prediction_surfaces",
+    "shape_jobs", "surfaces", "write_npz",
+]  # fmt: skip
 
 # Shapes: a file for all items, for a scene of a few, or for each item that has a surface.
 
-_MOST_TOGETHER = 16
-"""Items that one scene shows side by side by default."""
+_MOST_TOGETHER = 16  # items that one scene shows side by side by default
 _UNITS = ("px", "mm", "crop")
 
 
@@ -66,31 +55,38 @@ def shape_jobs(
 
         def write_all(file: Path) -> str:
             refuse_existing(file)
-            return writer(prediction, file, **options)
+            return str(writer(prediction, file, **options) or "")
 
         return [("", write_all)]
     if options:
         raise UserError(f"{next(iter(options))}= is for a page (.html), not for {Path(path).suffix}.")
     cut = prediction_surfaces(prediction, smooth=smooth)
     parts = _parts(cut, writer.holds, together)
-    left_out = _left_out(prediction, cut)
+    gone = [f"{name} ({one.reason})" for name, one in zip(prediction.names, cut, strict=True) if one.mesh is None]
+    more = f" and {len(gone) - 3} more" if len(gone) > 3 else ""
+    left_out = f"without a surface: {', '.join(gone[:3])}{more}" if gone else ""
 
     def job(part: list[int], file: Path) -> str:
+        import trimesh
+
         refuse_existing(file)
-        remark = writer(prediction, part, [cut[item] for item in part], frame, file)
-        return "; ".join(filter(None, [remark, left_out if part is parts[0] else ""]))
+        meshes = [(item, mesh) for item in part if (mesh := cut[item].mesh) is not None]
+        placed = [(frame.placed(mesh, prediction, item), mesh.faces) for item, mesh in meshes]
+        data = writer([trimesh.Trimesh(*solid, process=False) for solid in placed], frame.about(prediction, part))
+        with replacing(file) as handle:
+            handle.write(data)
+        cleaned = [cut[item].summary() for item in part]
+        if len(part) > 1:
+            cleaned = [f"{number}: {remark}" for number, remark in enumerate(cleaned, 1) if remark]
+        return "; ".join(filter(None, [*cleaned, left_out if part is parts[0] else ""]))
 
     return [(prediction.names[part[0]], partial(job, part)) for part in parts]
 
 
 def _frame(
-    writer: Writer,
-    path: str | Path,
-    axes: str | None,
-    unit: str | None,
-    sizes: Mapping[str, float | int | None],
+    writer: Writer, path: str | Path, axes: str | None, unit: str | None, sizes: Mapping[str, float | int | None]
 ) -> Frame:
-    """Return axes and unit as they were asked for, or raise UserError."""
+    """Return the axes and unit asked for; raises UserError for invalid ones."""
     given = {name: float(value) for name, value in sizes.items() if value is not None}
     asked = [name for name, value in {"axes": axes, "unit": unit, **given}.items() if value is not None]
     if writer.holds == "all" and asked:
@@ -106,7 +102,10 @@ def _frame(
         raise UserError("unit=mm: a mask does not tell how large its object is. Add height_mm= or length_mm=.")
     if given and unit not in (None, "mm"):
         raise UserError(f"unit={unit} and {next(iter(given))}= do not go together: a size makes the unit mm.")
-    return Frame(check_axes(axes or writer.axes), "mm" if given else unit or "px", **given)
+    axes = axes or writer.axes
+    if axes not in SHAPE_AXES:
+        raise UserError(f"axes={axes}: no such axes of shapes.{did_you_mean(axes, SHAPE_AXES)}")
+    return Frame(axes, "mm" if given else unit or "px", **given)
 
 
 def _parts(cut: Sequence[Surface], holds: str, together: bool | None) -> list[list[int]]:
@@ -125,13 +124,6 @@ def _parts(cut: Sequence[Surface], holds: str, together: bool | None) -> list[li
             "write a .glb with together=true, or .npz."
         )
     return [[item] for item in there]
-
-
-def _left_out(prediction: ShapePrediction, cut: Sequence[Surface]) -> str:
-    """Return a remark on the items that have no surface."""
-    gone = [f"{name} ({one.reason})" for name, one in zip(prediction.names, cut, strict=True) if one.mesh is None]
-    more = f" and {len(gone) - 3} more" if len(gone) > 3 else ""
-    return f"without a surface: {', '.join(gone[:3])}{more}" if gone else ""
 
 
 # Axes and unit.
@@ -162,7 +154,7 @@ class Frame:
     axes: str
     unit: str = "px"
     height_mm: float | None = None
-    """Of every object, along its own y."""
+    """Of every object, along its y."""
     length_mm: float | None = None
     """The longest side of every object's box in its own axes."""
 
@@ -199,7 +191,7 @@ class Frame:
         return float(prediction.scale_px[item]) if self.unit == "px" else 1.0
 
     def about(self, prediction: ShapePrediction, items: list[int]) -> dict[str, Any]:
-        """Return the facts that a file holds beside its meshes: unit, axes, and where its items stand in the photo."""
+        """Return the facts that a file holds beside its meshes: unit, axes, and the place of its items in the photo."""
         return {
             "unit": self.unit,
             "unit_is": self._unit_words(),
@@ -217,13 +209,6 @@ class Frame:
         if self.unit == "px":
             return "pixels of the photo that the mask came from, at the object's depth"
         return "half the side of the mask's crop"
-
-
-def check_axes(axes: str) -> str:
-    """Return the name of known axes; raises UserError for others."""
-    if axes not in SHAPE_AXES:
-        raise UserError(f"axes={axes}: no such axes of shapes.{did_you_mean(axes, SHAPE_AXES)}")
-    return axes
 
 
 def _standing(prediction: ShapePrediction, item: int) -> dict[str, Any]:
@@ -253,13 +238,16 @@ def surfaces(prediction: ShapePrediction, *, frame: str = "own", smooth: int = 0
         raise ValueError(f"frame={frame}: expected own or camera")
     found: list[Mesh | None] = []
     for item, one in enumerate(prediction_surfaces(prediction, smooth=smooth)):
-        seen = one.mesh if one.mesh is None or frame == "own" else _placed(one.mesh, prediction, item)
-        found.append(seen)
+        mesh = one.mesh
+        if mesh is not None and frame == "camera":
+            points = in_camera(mesh.vertices, prediction.view[item], prediction.scale[item], prediction.offset[item])
+            mesh = replace(mesh, vertices=np.asarray(points, float))
+        found.append(mesh)
     return found
 
 
 def prediction_surfaces(prediction: ShapePrediction, *, smooth: int = 0) -> list[Surface]:
-    """Return what was cut out of each item's grid, in its own frame, named as the item."""
+    """Return the surface of each item's grid, in the shape's frame, named as the item."""
     return [
         surface_of(np.asarray(grid, np.float32), level=prediction.level, smooth=smooth, name=name)
         for grid, name in zip(prediction.occupancy, prediction.names, strict=True)
@@ -276,12 +264,13 @@ def in_camera(
     return scale * (points @ view.T) + np.append(offset, 0.0)
 
 
-def _placed(mesh: Mesh, prediction: ShapePrediction, item: int) -> Mesh:
-    points = in_camera(mesh.vertices, prediction.view[item], prediction.scale[item], prediction.offset[item])
-    return replace(mesh, vertices=np.asarray(points, float))
+# npz: grids and their places, readable without pickle.
 
-
-# npz: grids and where they stand, readable without pickle.
+_ARRAYS = {
+    "occupancy": np.float16, "view": np.float32, "scale": np.float32, "offset": np.float32, "distance": np.float32,
+    "names": np.str_, "centre_px": np.float32, "scale_px": np.float32, "masks": np.uint8, "level": np.float32,
+    "images": np.str_,
+}  # fmt: skip
 
 
 def write_npz(prediction: ShapePrediction, path: str | Path) -> None:
@@ -291,20 +280,8 @@ def write_npz(prediction: ShapePrediction, path: str | Path) -> None:
     indices along z, y, x. A point p of the own frame is at scale * (view @ p) + (offset, 0) in the camera
     frame, in units of the mask's crop; ``scale_px`` of these are pixels, from ``centre_px``.
     """
-    arrays = {
-        "occupancy": prediction.occupancy.astype(np.float16),
-        "view": np.asarray(prediction.view, np.float32),
-        "scale": np.asarray(prediction.scale, np.float32),
-        "offset": np.asarray(prediction.offset, np.float32),
-        "distance": np.asarray(prediction.distance, np.float32),
-        "names": np.asarray(prediction.names, np.str_),
-        "centre_px": np.asarray(prediction.centre_px, np.float32),
-        "scale_px": np.asarray(prediction.scale_px, np.float32),
-        "masks": np.asarray(prediction.masks, np.uint8),
-        "level": np.asarray(prediction.level, np.float32),
-    }
-    if prediction.images is not None:
-        arrays["images"] = np.asarray(prediction.images, np.str_)
+    found = {name: (getattr(prediction, name), kind) for name, kind in _ARRAYS.items()}
+    arrays = {name: np.asarray(values, kind) for name, (values, kind) in found.items() if values is not None}
     with replacing(path) as handle:
         np.savez_compressed(handle, allow_pickle=False, **arrays)
 
@@ -312,18 +289,14 @@ def write_npz(prediction: ShapePrediction, path: str | Path) -> None:
 # Mesh files: binary glTF, Wavefront OBJ, Stanford PLY, STL.
 
 _COLOUR = [0.62, 0.55, 0.46, 1.0]
-_APART = 1.25
-"""From middle to middle of neighbours, in widths of the widest."""
+_APART = 1.25  # from middle to middle of neighbours, in widths of the widest
 _STL_HEADER = 80
 
 
-def write_glb(
-    prediction: ShapePrediction, items: list[int], cut: Sequence[Surface], frame: Frame, path: str | Path
-) -> str:
-    """Write a scene with a node for each item, side by side along x; returns what was cleaned.
+def encode_glb(solids: Sequence[trimesh.Trimesh], about: dict[str, Any]) -> bytes:
+    """Return a scene with a node for each item, side by side along x, and ``about`` in ``asset.extras``.
 
-    ``asset.extras`` holds unit, axes and where each item stands. Lengths are metres in the glTF 2.0
-    Specification (section 3.4): millimetres become metres; pixels stay pixels.
+    Lengths are metres in the glTF 2.0 Specification (section 3.4): millimetres become metres; pixels stay pixels.
     """
     import trimesh
     from trimesh.exchange.gltf import export_glb
@@ -331,78 +304,58 @@ def write_glb(
     from trimesh.visual.texture import TextureVisuals
 
     look = PBRMaterial("shape", baseColorFactor=_COLOUR, metallicFactor=0.0, roughnessFactor=0.75)
-    solids = [_solid(prediction, item, one, frame) for item, one in zip(items, cut, strict=True)]
-    metric = frame.unit == "mm"
-    for solid in solids if metric else ():
-        solid.apply_scale(0.001)
+    if about["unit"] == "mm":
+        about = about | {"unit": "m", "unit_is": str(about["unit_is"]).replace("millimetres", "metres")}
+        for solid in solids:
+            solid.apply_scale(0.001)
+    several = len(solids) > 1
     step = _APART * max(float(np.ptp(solid.vertices[:, 0])) for solid in solids)
     scene = trimesh.Scene(base_frame="world")
-    for number, (item, solid) in enumerate(zip(items, solids, strict=True)):
+    for number, (item, solid) in enumerate(zip(about["items"], solids, strict=True)):
         solid.visual = TextureVisuals(material=look)
         aside = np.eye(4)
         aside[0, 3] = (number - (len(solids) - 1) / 2) * step
-        name = f"{number + 1} {prediction.names[item]}" if len(items) > 1 else prediction.names[item]
+        name = f"{number + 1} {item['name']}" if several else item["name"]
         scene.add_geometry(solid, name, name, transform=aside)
-    about = frame.about(prediction, items) | {"apart": step if len(items) > 1 else 0.0}
-    if metric:
-        about |= {"unit": "m", "unit_is": str(about["unit_is"]).replace("millimetres", "metres")}
+    extras = about | {"apart": step if several else 0.0}
 
     def describe(tree: dict[str, Any]) -> None:
-        tree["asset"] = {"version": "2.0", "generator": "uplift", "extras": about}
+        tree["asset"] = {"version": "2.0", "generator": "uplift", "extras": extras}
 
-    _save(path, export_glb(scene, include_normals=True, tree_postprocessor=describe))
-    return _remark(cut)
+    return export_glb(scene, include_normals=True, tree_postprocessor=describe)
 
 
-def write_obj(
-    prediction: ShapePrediction, items: list[int], cut: Sequence[Surface], frame: Frame, path: str | Path
-) -> str:
-    """Write one item's corners, normals and triangles, with unit and axes in comment lines."""
+def encode_obj(solids: Sequence[trimesh.Trimesh], about: dict[str, Any]) -> bytes:
+    """Return one item's corners, normals and triangles, with unit and axes in comment lines."""
     from trimesh.exchange.obj import export_obj
 
-    solid = _solid(prediction, items[0], cut[0], frame)
-    header = "\n# ".join(_lines(prediction, items, frame))
-    text = export_obj(solid, include_normals=True, include_color=False, include_texture=False, digits=6, header=header)
-    _save(path, f"{text}\n".encode())
-    return _remark(cut)
+    header = "\n# ".join(_lines(about))
+    text = export_obj(
+        solids[0], include_normals=True, include_color=False, include_texture=False, digits=6, header=header
+    )
+    return f"{text}\n".encode()
 
 
-def write_ply(
-    prediction: ShapePrediction, items: list[int], cut: Sequence[Surface], frame: Frame, path: str | Path
-) -> str:
-    """Write one item's corners with normals and its triangles, binary, with unit and axes in comment lines."""
+def encode_ply(solids: Sequence[trimesh.Trimesh], about: dict[str, Any]) -> bytes:
+    """Return one item's corners with normals and its triangles, binary, with unit and axes in comment lines."""
     from trimesh.exchange.ply import export_ply
 
-    data = export_ply(_solid(prediction, items[0], cut[0], frame), vertex_normal=True)
+    data = export_ply(solids[0], vertex_normal=True)
     first = data.index(b"\n", data.index(b"format ")) + 1
-    comments = "".join(f"comment {line}\n" for line in _lines(prediction, items, frame))
-    _save(path, data[:first] + comments.encode("ascii", "replace") + data[first:])
-    return _remark(cut)
+    comments = "".join(f"comment {line}\n" for line in _lines(about))
+    return data[:first] + comments.encode("ascii", "replace") + data[first:]
 
 
-def write_stl(
-    prediction: ShapePrediction, items: list[int], cut: Sequence[Surface], frame: Frame, path: str | Path
-) -> str:
-    """Write one item's triangles, binary; the 80 letters of the header name unit and axes."""
+def encode_stl(solids: Sequence[trimesh.Trimesh], about: dict[str, Any]) -> bytes:
+    """Return one item's triangles, binary; the 80 letters of the header name unit and axes."""
     from trimesh.exchange.stl import export_stl
 
-    data = export_stl(_solid(prediction, items[0], cut[0], frame))
     # A header that begins with "solid" is read as text by many programs.
-    header = f"uplift, unit {frame.unit}, axes {frame.axes}, {prediction.names[items[0]]}"
-    _save(path, header.encode("ascii", "replace")[:_STL_HEADER].ljust(_STL_HEADER) + data[_STL_HEADER:])
-    return _remark(cut)
+    header = f"uplift, unit {about['unit']}, axes {about['axes']}, {about['items'][0]['name']}"
+    return header.encode("ascii", "replace")[:_STL_HEADER].ljust(_STL_HEADER) + export_stl(solids[0])[_STL_HEADER:]
 
 
-def _solid(prediction: ShapePrediction, item: int, one: Surface, frame: Frame) -> trimesh.Trimesh:
-    import trimesh
-
-    assert one.mesh is not None
-    return trimesh.Trimesh(frame.placed(one.mesh, prediction, item), one.mesh.faces, process=False)
-
-
-def _lines(prediction: ShapePrediction, items: list[int], frame: Frame) -> list[str]:
-    """Return these facts for comment lines, one a line."""
-    about = frame.about(prediction, items)
+def _lines(about: dict[str, Any]) -> list[str]:
     (item,) = about["items"]
     rest = {key: value for key, value in item.items() if key != "name"}
     return [
@@ -412,16 +365,3 @@ def _lines(prediction: ShapePrediction, items: list[int], frame: Frame) -> list[
         f"axes: {about['axes']} ({about['axes_are']}), right-handed",
         f"from the shape's own frame to the camera's, in units of the crop: {json.dumps(rest)}",
     ]
-
-
-def _remark(cut: Sequence[Surface]) -> str:
-    """Return what was cleaned of the surfaces."""
-    words = [one.summary() for one in cut]
-    if len(cut) == 1:
-        return words[0]
-    return "; ".join(f"{number}: {word}" for number, word in enumerate(words, 1) if word)
-
-
-def _save(path: str | Path, data: bytes) -> None:
-    with replacing(path) as handle:
-        handle.write(data)

@@ -9,11 +9,10 @@ from typing import Any
 import numpy as np
 
 from uplift.errors import UserError
-from uplift.export.clips import Clip, arrange, photos
+from uplift.export.clips import Clip, arrange, frame_rate, photos
 from uplift.export.html import Curve, Section, pack, scripted_page, write_text
-from uplift.export.scene import beside, level_rotations, matched_truth, rotations_to, scaled_error, standing
+from uplift.export.scene import beside, body_of, level_rotations, rotations_to, scaled_error, shown_truth, standing
 from uplift.models.prediction import Prediction
-from uplift.skeleton.core import bone_sides, joint_sides
 
 __all__ = ["choose", "page_text", "write_html"]
 
@@ -24,7 +23,7 @@ _SCRIPTS = (
 
 
 def write_html(prediction: Prediction, path: str | Path, **options: Any) -> None:
-    """Write the page of `page_text` to ``path``; the options are its own."""
+    """Write the page of `page_text` to ``path`` with these options."""
     write_text(page_text(prediction, **options), path)
 
 
@@ -71,31 +70,30 @@ def _page_data(prediction: Prediction, moments: int) -> dict[str, Any]:
     if not len(prediction):
         raise UserError("there is no frame to show on a page: the prediction is empty. Check the input file.")
     if prediction.axes not in ("camera", "opencv"):
-        raise UserError(
-            f"a page shows poses as the camera sees them; these were turned to the axes '{prediction.axes}'. "
-            "Leave axes out for a page."
-        )
+        raise UserError(f"a page shows poses in the camera's axes, these are in '{prediction.axes}': leave axes out.")
     clips = arrange(prediction.identity, len(prediction))
     chosen = choose(clips, max(1, moments), _ROWS_PER_MOMENT * max(1, moments))
     rows = np.concatenate([clip.rows for clip in chosen])
     arrays, departure = _arrays(prediction, chosen, rows)
     packed, layout = pack(arrays)
-    bones = prediction.bone_indices.tolist()
-    sides = joint_sides(prediction.skeleton, prediction.joint_names)
+    body = body_of(prediction)
     return {
         "unit": prediction.unit,
         "truthUnit": prediction.truth_unit,
         "joints": list(prediction.joint_names),
         "root": prediction.joint_names.index(prediction.skeleton.root),
-        "bones": bones,
-        "jointSides": sides,
-        "boneSides": bone_sides(sides, bones),
+        "bones": body.bones.tolist(),
+        "jointSides": body.joint_sides,
+        "boneSides": body.bone_sides,
         "rooted": prediction.root is not None,
         "noun": "photo" if photos(prediction.identity) else "clip",
         "gravity": bool(prediction.skeleton.gravity),
-        "fps": _positive(prediction.fps),
+        "fps": frame_rate(prediction, None),
         "imageSize": [int(side) for side in prediction.image_size] if prediction.image_size is not None else None,
-        "clips": _described(chosen),
+        "clips": [
+            {"name": clip.name, "rows": len(clip.rows), "individuals": clip.individual_names, "frames": clip.frames}
+            for clip in chosen
+        ],
         "layout": layout,
         "packed": packed,
         "facts": _facts(prediction, clips),
@@ -128,22 +126,23 @@ def _arrays(
     fine = _size(pose) / _STEPS_PER_SIZE
     fine_px = _size(points - np.nan_to_num(points).mean((0, 1))) / _STEPS_PER_SIZE
     arrays = {
-        "moment": (_stacked(chosen, "moment"), 1.0),
-        "individual": (_stacked(chosen, "individual"), 1.0),
+        "moment": (np.concatenate([clip.moment for clip in chosen]), 1.0),
+        "individual": (np.concatenate([clip.individual for clip in chosen]), 1.0),
         "pose": (pose, fine),
         "keypoints": (points, fine_px),
         "confidence": (confidence, 1 / 255),
         "filled": (confidence <= 0 if prediction.filled is None else np.asarray(prediction.filled, bool)[rows], 1.0),
         "level": (rotation, 1 / _STEPS_PER_SIZE),
     }
+    ends = np.cumsum([len(clip.rows) for clip in chosen]).tolist()
+    parts = [(slice(end - len(clip.rows), end), clip) for end, clip in zip(ends, chosen, strict=True)]
+    stood = []
     if prediction.root is not None:
         root = np.asarray(prediction.root, np.float64)[rows]
         level = rotations_to(prediction, "level")[rows]
-        stood = [standing(root[part], level[part], clip) for part, clip in _parts(chosen)]
+        stood = [standing(root[part], level[part], clip) for part, clip in parts]
     elif any(len(clip.individual_names) > 1 for clip in chosen):
-        stood = [beside(pose[part], points[part], confidence[part] > 0) for part, _ in _parts(chosen)]
-    else:
-        stood = []
+        stood = [beside(pose[part], points[part], confidence[part] > 0) for part, _ in parts]
     if stood:
         place, level_place = map(np.concatenate, zip(*stood, strict=True))
         arrays |= {"place": (place, fine), "levelPlace": (level_place, fine)}
@@ -151,20 +150,9 @@ def _arrays(
         arrays["spread"] = (np.asarray(prediction.spread, np.float64)[rows], fine)
     if prediction.truth is not None:
         truth = np.asarray(prediction.truth, np.float64)[rows]
-        same = prediction.unit == prediction.truth_unit == "mm"
-        error = scaled_error(pose, truth)
-        arrays["truth"] = (truth if same else matched_truth(pose, truth), fine)
-        arrays["error"] = (error, _size(truth) / _STEPS_PER_SIZE / 4)
+        arrays["truth"] = (shown_truth(prediction, pose, truth), fine)
+        arrays["error"] = (scaled_error(pose, truth), _size(truth) / _STEPS_PER_SIZE / 4)
     return arrays, departure
-
-
-def _parts(chosen: list[Clip]) -> list[tuple[slice, Clip]]:
-    ends = np.cumsum([len(clip.rows) for clip in chosen]).tolist()
-    return [(slice(end - len(clip.rows), end), clip) for end, clip in zip(ends, chosen, strict=True)]
-
-
-def _stacked(chosen: list[Clip], name: str) -> np.ndarray:
-    return np.concatenate([getattr(clip, name) for clip in chosen])
 
 
 def _size(values: np.ndarray) -> float:
@@ -174,28 +162,19 @@ def _size(values: np.ndarray) -> float:
     return size if size > 0 else 1.0
 
 
-def _positive(fps: float | None) -> float | None:
-    return float(fps) if fps is not None and np.isfinite(fps) and fps > 0 else None
-
-
-def _described(chosen: list[Clip]) -> list[dict[str, Any]]:
-    return [
-        {"name": clip.name, "rows": len(clip.rows), "individuals": clip.individual_names, "frames": clip.frames}
-        for clip in chosen
-    ]
-
-
 def _facts(prediction: Prediction, clips: list[Clip]) -> list[str]:
     count, stills = sum(len(clip.frames) for clip in clips), photos(prediction.identity)
     people = max((len(clip.individual_names) for clip in clips), default=1)
+    rate = frame_rate(prediction, None)
     facts = [
-        _short(prediction.source) if prediction.title else "",
+        # The last two parts of the path: a page is passed on, and its readers need not know where data is kept.
+        "/".join(Path(prediction.source).parts[-2:]) if prediction.title else "",
         prediction.skeleton.name,
         f"{len(prediction.joint_names)} joints",
         "" if stills else _counted(count, "frame"),
         _counted(len(clips), "photo" if stills else "clip") if len(clips) > 1 or stills else "",
         f"up to {people} individuals at once" if people > 1 else "",
-        f"{_positive(prediction.fps):g} fps" if _positive(prediction.fps) else "",
+        f"{rate:g} fps" if rate else "",
     ]
     return [fact for fact in facts if fact]
 
@@ -218,17 +197,12 @@ def _remarks(prediction: Prediction, clips: list[Clip], chosen: list[Clip], depa
         if prediction.truth is not None:
             remarks.append("The truth is drawn at the size of each prediction.")
     if departure > 0.02:
+        size = f"by up to {departure:.0%} of the pose's size"
         remarks.append(
-            "The level view turns each pose as a whole; the level poses of the data differ from that "
-            f"by up to {departure:.0%} of the pose's size."
+            f"The level view turns each pose as a whole; the level poses of the data differ from that {size}."
         )
     return [*remarks, *prediction.notes]
 
 
 def _counted(count: int, noun: str) -> str:
     return f"{count:,} {noun}" if count == 1 else f"{count:,} {noun}s"
-
-
-def _short(source: str) -> str:
-    """Return the last two parts of a path: a page that is handed on need not tell where its maker keeps data."""
-    return "/".join(Path(source).parts[-2:])

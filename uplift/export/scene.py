@@ -1,36 +1,55 @@
-"""Where things stand: axes by name, level rotations, places of roots, the truth at a pose's size."""
+"""The scene around poses: axes by name, level rotations, places of roots, the truth at a pose's size."""
 
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 
 from uplift.errors import UserError, did_you_mean
 from uplift.export.clips import Clip, arrange
 from uplift.geometry.rigid import least_turn, nearest_rotation, quaternion_matrix
 from uplift.models.prediction import Prediction
+from uplift.skeleton.core import bone_sides, joint_sides
 
 __all__ = [
     "AXES",
     "FROM_LEVEL",
     "SIDE_COLOURS",
+    "Body",
     "beside",
+    "body_of",
     "from_y_down",
     "held",
     "in_axes",
     "known_points",
     "level_rotations",
-    "matched_truth",
     "rotations_to",
     "row_places",
     "scaled_error",
+    "shown_truth",
     "standing",
-]
+]  # fmt: skip
 
 SIDE_COLOURS = {"centre": (0x4A, 0x50, 0x58), "left": (0x1F, 0x77, 0xB8), "right": (0xD9, 0x63, 0x0F)}
 """sRGB, 0 to 255, in the order of `uplift.skeleton.core.joint_sides`."""
+
+
+class Body(NamedTuple):
+    """Bones as indices of joints, and the side of each joint and bone, a place in `SIDE_COLOURS`."""
+
+    bones: Int[np.ndarray, "bones 2"]
+    joint_sides: list[int]
+    bone_sides: list[int]
+
+
+def body_of(prediction: Prediction) -> Body:
+    """Return the bones and sides of a prediction's skeleton."""
+    bones, sides = prediction.bone_indices, joint_sides(prediction.skeleton, prediction.joint_names)
+    return Body(bones, sides, bone_sides(sides, bones.tolist()))
+
 
 # Axes by name: the camera's, gravity's, and those of programs that read poses.
 
@@ -50,8 +69,7 @@ FROM_LEVEL = {
     "opensim": [[1, 0, 0], [0, -1, 0], [0, 0, -1]],
 }
 """Rotations from the level frame to the axes of other programs."""
-_AGREES = 1e-3
-"""Share of a body's size by which its level pose may differ from what the tilt says."""
+_AGREES = 1e-3  # share of a body's size by which its level pose may differ from what the tilt says
 
 
 def in_axes(prediction: Prediction, name: str) -> Prediction:
@@ -75,7 +93,7 @@ def in_axes(prediction: Prediction, name: str) -> Prediction:
 def rotations_to(prediction: Prediction, name: str) -> Float[np.ndarray, "frames 3 3"]:
     """Return the proper rotations R from the camera's axes to ``name``: a point p of a frame is at ``R @ p``.
 
-    The frames of one clip share one rotation, by the median of their gravity: its camera stands, and a
+    The frames of one clip share one rotation, by the median of their gravity: its camera is fixed, and a
     rotation for each frame would shake the root's path. Rows that nothing marks as frames of one film (no
     ``sequence``, ``frame`` or frame rate) have one each. A skeleton without gravity
     has no level: its camera's axes are taken as level. Raises as `in_axes`.
@@ -147,13 +165,10 @@ def level_rotations(
     return rotation, float(departure / max(np.abs(pose).max(initial=0), 1e-12))
 
 
-# Places of roots.
-
-
 def row_places(prediction: Prediction, clip: Clip) -> Float[np.ndarray, "rows 3"]:
     """Return where the root of each row is, in the prediction's axes and unit, NaN where that is not known.
 
-    The prediction's own root; else several individuals stand side by side as in the image, and one is at 0.
+    The prediction's root; else several individuals stand side by side as in the image, and one is at 0.
     """
     if prediction.root is not None:
         return known_points(prediction.root[:, None])[:, 0]
@@ -224,14 +239,12 @@ def held(values: Float[np.ndarray, "frames 3"]) -> Float[np.ndarray, "frames 3"]
     return values[np.where(last < 0, int(np.argmax(known)), last)]
 
 
-# The truth beside a pose.
-
-
-def matched_truth(
-    pose: Float[np.ndarray, "frames joints 3"], truth: Float[np.ndarray, "frames joints 3"]
+def shown_truth(
+    prediction: Prediction, pose: Float[np.ndarray, "frames joints 3"], truth: Float[np.ndarray, "frames joints 3"]
 ) -> Float[np.ndarray, "frames joints 3"]:
-    """Return the truth at the scale that brings it nearest to each pose (least squares, never mirrored)."""
-    return truth * _scale(truth, pose)[:, None, None]
+    """Return the truth as it is if it and the poses are in mm, else at the scale nearest to each pose (least squares)."""
+    metric = prediction.unit == prediction.truth_unit == "mm"
+    return truth if metric else truth * _scale(truth, pose)[:, None, None]
 
 
 def scaled_error(
@@ -248,7 +261,7 @@ def _scale(moved: np.ndarray, fixed: np.ndarray) -> np.ndarray:
     """Return s of the least |s moved - fixed| per frame; the ratio of sizes where that is not positive."""
     known = np.isfinite(moved) & np.isfinite(fixed)
     moved, fixed = np.where(known, moved, 0.0), np.where(known, fixed, 0.0)
-    own, other = (moved**2).sum((1, 2)), (fixed**2).sum((1, 2))
-    own = np.where(own > 0, own, 1.0)
-    best = (moved * fixed).sum((1, 2)) / own
-    return np.where(best > 0, best, np.sqrt(other / own))
+    norm = (moved**2).sum((1, 2))
+    norm = np.where(norm > 0, norm, 1.0)
+    best = (moved * fixed).sum((1, 2)) / norm
+    return np.where(best > 0, best, np.sqrt((fixed**2).sum((1, 2)) / norm))

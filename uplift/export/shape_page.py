@@ -25,7 +25,7 @@ _SCRIPTS = ("decode", "shape_mesh", "shape_raster", "shape_colours", "shape_stat
 
 
 def write_shape_page(prediction: ShapePrediction, path: str | Path, **options: Any) -> None:
-    """Write the page of `shape_page_text` to ``path``; the options are its own."""
+    """Write the page of `shape_page_text` to ``path`` with these options."""
     write_text(shape_page_text(prediction, **options), path)
 
 
@@ -56,21 +56,28 @@ def shape_page_text(
     Raises:
         UserError: no item, a truth or score that is not one for each item, no such folder of photos.
     """
-    scores = scores or {}
-    _check(prediction, truth, scores)
-    rows = _chosen_items(len(prediction), items)
+    scores, total, side = scores or {}, len(prediction), prediction.resolution
+    if not total:
+        raise UserError("there is no shape to show: no mask was lifted.")
+    for name, values in {"truth": truth, **scores}.items():
+        if values is not None and len(values) != total:
+            raise UserError(f"{name} has {len(values)} rows, expected {total}, one for each shape.")
+    if items < 1:
+        raise UserError(f"items={items}: a page shows at least one shape.")
+    rows = np.arange(min(items, total)) * total // min(items, total)
     shown, true = prediction.select(rows), None if truth is None else truth.select(rows)
     data, cut = _shape_data(shown, true, {name: np.asarray(of, float)[rows] for name, of in scores.items()}, smooth)
     photos, wrong = _photos_of(shown, images)
     for entry, photo in zip(data["items"], photos, strict=True):
         entry |= {"photo": photo} if photo else {}
     data["sheet"] = sheet and len(rows) > 1
+    facts = [f"{total:,} shape{'s' * (total > 1)}", f"{side} × {side} × {side} voxels"]
     return scripted_page(
         "shape.htm",
         title=prediction.title or "Shapes",
-        facts=_facts(prediction, truth),
+        facts=[*facts, "true shapes known"] if truth is not None else facts,
         styles=["page.css", "shape.css"],
-        notes=[*_remarks(cut, len(prediction)), *wrong, *prediction.notes, *notes],
+        notes=[*_remarks(cut, total), *wrong, *prediction.notes, *notes],
         data=data,
         scripts=_SCRIPTS,
         sections=sections,
@@ -79,23 +86,7 @@ def shape_page_text(
     )
 
 
-def _check(prediction: ShapePrediction, truth: Placed | None, scores: _Scores) -> None:
-    if not len(prediction):
-        raise UserError("there is no shape to show: no mask was lifted.")
-    given = {"truth": truth, **scores}
-    for name, values in given.items():
-        if values is not None and len(values) != len(prediction):
-            raise UserError(f"{name} has {len(values)} rows, expected {len(prediction)}, one for each shape.")
-
-
-def _facts(prediction: ShapePrediction, truth: Placed | None) -> list[str]:
-    count, side = len(prediction), prediction.resolution
-    facts = [f"{count:,} shape{'s' * (count > 1)}", f"{side} × {side} × {side} voxels"]
-    return [*facts, "true shapes known"] if truth is not None else facts
-
-
 def _remarks(cut: Sequence[Surface], count: int) -> list[str]:
-    """Return remarks on the surfaces for the page's reader."""
     remarks = [] if len(cut) == count else [f"{len(cut)} of {count:,} shapes are shown, spread evenly."]
     empty = sum(one.mesh is None for one in cut)
     if empty:
@@ -103,18 +94,11 @@ def _remarks(cut: Sequence[Surface], count: int) -> list[str]:
     return [*remarks, "Meshes are drawn with fewer triangles than the files of shapes have."]
 
 
-# What a page of shapes embeds: small meshes, masks, and where each item stands.
+# What a page of shapes embeds: small meshes, masks, and the place of each item.
 
 _ALL_FACES, _MOST_FACES, _LEAST_FACES = 600_000, 5000, 600
 _FINEST = 2 / 2048
 _MASK_SIDE, _MASK_STEPS = 64, 15
-
-
-def _chosen_items(count: int, most: int) -> np.ndarray:
-    """Return at most so many of ``count`` items, spread evenly; raises UserError for a number below 1."""
-    if most < 1:
-        raise UserError(f"items={most}: a page shows at least one shape.")
-    return np.arange(count) if count <= most else np.arange(most) * count // most
 
 
 def _shape_data(
@@ -135,8 +119,12 @@ def _shape_data(
         }
         for item, (name, one) in enumerate(zip(prediction.names, cut, strict=True))
     ]
-    for item, of_truth in _true(truth, meshes, faces):
-        items[item]["truth"] = of_truth
+    if truth is not None:
+        shown = np.unique(truth.shape).tolist()
+        where = {shape: len(meshes) + place for place, shape in enumerate(shown)}
+        meshes += [thinned(truth.meshes[shape], faces) for shape in shown]
+        for item, shape in enumerate(truth.shape):
+            items[item]["truth"] = {"mesh": where[int(shape)], **_standing(truth, item)}
     packed, layout = pack(_arrays(meshes, prediction.masks))
     data = {
         "meshes": [[len(mesh.vertices), len(mesh.faces)] for mesh in meshes],
@@ -147,17 +135,6 @@ def _shape_data(
         "packed": packed,
     }
     return data, cut
-
-
-def _true(truth: Placed | None, meshes: list[Mesh], faces: int) -> list[tuple[int, dict[str, Any]]]:
-    """Return each item's true mesh and place; the meshes that items show are added once each."""
-    if truth is None:
-        return []
-    where = {}
-    for shape in np.unique(truth.shape).tolist():
-        where[shape] = len(meshes)
-        meshes.append(thinned(truth.meshes[shape], faces))
-    return [(item, {"mesh": where[int(shape)], **_standing(truth, item)}) for item, shape in enumerate(truth.shape)]
 
 
 def _standing(placed: ShapePrediction | Placed, item: int) -> dict[str, Any]:
@@ -179,7 +156,12 @@ def _arrays(meshes: Sequence[Mesh], masks: np.ndarray) -> dict[str, tuple[np.nda
     # A last row of zeros: there may be no mesh at all.
     corners = np.concatenate([*(mesh.vertices for mesh in ordered), np.zeros((1, 3))])
     faces = np.concatenate([*(mesh.faces for mesh in ordered), np.zeros((1, 3), np.int64)])
-    small = _smaller(masks)
+    small = masks.astype(np.float32) / 255
+    if small.shape[1] > _MASK_SIDE:
+        from skimage.transform import resize
+
+        side = _MASK_SIDE
+        small = np.asarray(resize(small, (len(masks), side, side), order=1, anti_aliasing=True), np.float32)
     steps = np.rint(small * _MASK_STEPS) / _MASK_STEPS
     return {
         "vertices": (corners, _FINEST),
@@ -191,29 +173,14 @@ def _arrays(meshes: Sequence[Mesh], masks: np.ndarray) -> dict[str, tuple[np.nda
 def _ordered(mesh: Mesh) -> Mesh:
     """Return the mesh with its corners from top to bottom and its triangles by their first corner."""
     order = np.lexsort(np.rint(mesh.vertices / (8 * _FINEST)).T[[2, 0, 1]])
-    place = np.empty(len(order), np.int64)
-    place[order] = np.arange(len(order))
-    faces = place[mesh.faces]
+    faces = np.argsort(order)[mesh.faces]
     start = faces.argmin(1)
     faces = np.take_along_axis(faces, (start[:, None] + np.arange(3)) % 3, 1)
     faces = faces[np.lexsort(faces.T[::-1])]
     return Mesh(mesh.vertices[order], faces, mesh.name, mesh.category)
 
 
-def _smaller(masks: np.ndarray) -> np.ndarray:
-    """Return masks 0..1 of at most 64 pixels a side."""
-    side = masks.shape[1]
-    if side <= _MASK_SIDE:
-        return masks.astype(np.float32) / 255
-    from skimage.transform import resize
-
-    small = (len(masks), _MASK_SIDE, _MASK_SIDE)
-    return np.asarray(resize(masks.astype(np.float32) / 255, small, order=1, anti_aliasing=True), np.float32)
-
-
-# The part of a photo that a mask's crop shows.
-
-_SIDE_PX = 224
+_SIDE_PX = 224  # of an item's photo
 
 
 def _photos_of(prediction: ShapePrediction, folder: str | Path | None) -> tuple[list[str], list[str]]:

@@ -26,16 +26,15 @@ _ROWS = 256
 
 
 def plain(values: np.ndarray) -> list[Any]:
-    """Return numbers and texts as Python has them, None for what is not a number; anything else as its text."""
-    return [_plain(value) for value in np.asarray(values).tolist()]
-
-
-def _plain(value: Any) -> Any:
-    if value is None or isinstance(value, bool | int | str):
-        return value
-    if isinstance(value, float):
-        return value if math.isfinite(value) else None
-    return value.decode("utf-8", "replace") if isinstance(value, bytes) else str(value)
+    """Return numbers and texts as Python has them, None for what is not finite; anything else as its text."""
+    found = []
+    for value in np.asarray(values).tolist():
+        if isinstance(value, float) and not math.isfinite(value):
+            value = None
+        elif isinstance(value, bytes):
+            value = value.decode("utf-8", "replace")
+        found.append(value if value is None or isinstance(value, bool | int | float | str) else str(value))
+    return found
 
 
 def _seen_keypoints(prediction: Prediction) -> Float[np.ndarray, "frames joints 2"]:
@@ -86,7 +85,13 @@ def write_csv(prediction: Prediction, path: str | Path) -> None:
     are the keypoint as seen; ``NAME_spread`` and ``NAME_filled`` (0 or 1) are there where they are
     known. What is missing is an empty cell. Raises ValueError where two columns would have one name.
     """
-    facts = _facts(prediction)
+    facts = {
+        "unit": prediction.unit,
+        "axes": prediction.axes,
+        "origin": "root" if prediction.root is None else "camera",
+    }
+    if prediction.fps is not None and math.isfinite(prediction.fps):
+        facts["fps"] = f"{prediction.fps:.7g}"
     columns = _columns(prediction)
     names = [*prediction.identity, *facts, *(name for name, _ in columns)]
     if len(set(names)) < len(names):
@@ -103,31 +108,20 @@ def write_csv(prediction: Prediction, path: str | Path) -> None:
                 handle.write(_bytes(",".join((*label, known)) + filled_in(template, row, "")))
 
 
-def _facts(prediction: Prediction) -> dict[str, str]:
-    """Return what is the same in every row."""
-    origin = "root" if prediction.root is None else "camera"
-    facts = {"unit": prediction.unit, "axes": prediction.axes, "origin": origin}
-    known = prediction.fps is not None and math.isfinite(prediction.fps)
-    return {**facts, "fps": f"{prediction.fps:.7g}"} if known else facts
-
-
 def _columns(prediction: Prediction) -> list[tuple[str, str]]:
     """Return the name of each column of numbers and how its numbers are written, in the order of `_csv_arrays`."""
     place, px, share = _NUMBER["place"], _NUMBER["px"], _NUMBER["share"]
     joint = {"x": place, "y": place, "z": place, "u_px": px, "v_px": px, "confidence": share}
-    if prediction.spread is not None:
-        joint["spread"] = px
-    if prediction.filled is not None:
-        joint["filled"] = "%d"
+    optional = {"spread": (prediction.spread, px), "filled": (prediction.filled, "%d")}
+    joint |= {key: style for key, (values, style) in optional.items() if values is not None}
     columns = [(f"{name}_{key}", style) for name in prediction.joint_names for key, style in joint.items()]
     return columns if prediction.tilt_deg is None else [("tilt_deg", px), *columns]
 
 
 def _csv_arrays(prediction: Prediction) -> list[np.ndarray]:
-    """Return the numbers of each frame (frames ...)."""
     optional = [values[..., None] for values in (prediction.spread, prediction.filled) if values is not None]
-    of_joints = [prediction.points, _seen_keypoints(prediction), prediction.confidence[..., None], *optional]
-    table = np.concatenate(of_joints, -1)
+    seen = _seen_keypoints(prediction)
+    table = np.concatenate([prediction.points, seen, prediction.confidence[..., None], *optional], -1)
     return [table] if prediction.tilt_deg is None else [prediction.tilt_deg, table]
 
 
@@ -145,8 +139,6 @@ def _bytes(text: str) -> bytes:
 
 # Self-describing JSON: one object, one line per frame and individual.
 
-_FORMAT = "uplift poses"
-_VERSION = 1
 _MEANING = {
     "identity": "which frame, and of whom",
     "pose": "joints x [x, y, z], relative to the root joint, in unit and axes",
@@ -165,10 +157,10 @@ def write_json(prediction: Prediction, path: str | Path) -> None:
     Coordinates are rounded to seven significant digits. The text is written part by part and never in memory at once.
     """
     with replacing(path) as handle:
-        lines = (
+        head = [
             f" {json.dumps(key)}: {json.dumps(value, allow_nan=False)},\n" for key, value in _head(prediction).items()
-        )
-        handle.write(("{\n" + "".join(lines) + ' "frames": [').encode())
+        ]
+        handle.write(("{\n" + "".join(head) + ' "frames": [').encode())
         before = "\n  "
         for part in _parts(prediction):
             handle.write((before + ",\n  ".join(_frames(part))).encode())
@@ -178,10 +170,9 @@ def write_json(prediction: Prediction, path: str | Path) -> None:
 
 def _head(prediction: Prediction) -> dict[str, Any]:
     fps = prediction.fps
-    unknown = [name for name in _MEANING if getattr(prediction, name) is None]
     return {
-        "format": _FORMAT,
-        "version": _VERSION,
+        "format": "uplift poses",
+        "version": 1,
         "skeleton": prediction.skeleton.name,
         "joint_names": list(prediction.joint_names),
         "root_joint": prediction.skeleton.root,
@@ -191,43 +182,36 @@ def _head(prediction: Prediction) -> dict[str, Any]:
         "axes_meaning": AXES.get(prediction.axes),
         "fps": float(f"{fps:.7g}") if fps is not None and math.isfinite(fps) else None,
         "image_size": None if prediction.image_size is None else [int(side) for side in prediction.image_size],
-        "fields": {name: meaning for name, meaning in _MEANING.items() if name not in unknown},
+        "fields": {name: meaning for name, meaning in _MEANING.items() if getattr(prediction, name) is not None},
     }
-
-
-def _blocks(prediction: Prediction) -> dict[str, tuple[np.ndarray, str]]:
-    """Return the numbers that each frame holds, with how they are written."""
-    optional: dict[str, tuple[np.ndarray | None, str]] = {
-        "pose": (prediction.pose, _NUMBER["place"]),
-        "root": (prediction.root, _NUMBER["place"]),
-        "keypoints": (_seen_keypoints(prediction), _NUMBER["px"]),
-        "confidence": (prediction.confidence, _NUMBER["share"]),
-        "spread": (prediction.spread, _NUMBER["px"]),
-        "tilt_deg": (prediction.tilt_deg, _NUMBER["px"]),
-    }
-    return {name: (values, style) for name, (values, style) in optional.items() if values is not None}
 
 
 def _frames(prediction: Prediction) -> Iterator[str]:
-    """Yield each frame as one line of JSON."""
-    blocks = _blocks(prediction)
+    seen, place, px = _seen_keypoints(prediction), _NUMBER["place"], _NUMBER["px"]
+    styles = {
+        "pose": place,
+        "root": place,
+        "keypoints": px,
+        "confidence": _NUMBER["share"],
+        "spread": px,
+        "tilt_deg": px,
+    }
+    found = {name: seen if name == "keypoints" else getattr(prediction, name) for name in styles}
+    blocks = {name: (values, styles[name]) for name, values in found.items() if values is not None}
     template = "".join(f', "{name}": {_shaped(values.shape[1:], style)}' for name, (values, style) in blocks.items())
+    filled = None if prediction.filled is None else np.asarray(prediction.filled, bool)
     keys = [json.dumps(key) for key in prediction.identity]
     columns = [plain(values) for values in prediction.identity.values()]
     labels = zip(*columns, strict=True) if columns else ((),) * len(prediction)
     rows = numbers(*(values for values, _ in blocks.values()))
     for index, (label, row) in enumerate(zip(labels, rows, strict=True)):
         known = ", ".join(f"{key}: {json.dumps(value)}" for key, value in zip(keys, label, strict=True))
-        line = f'{{"identity": {{{known}}}{filled_in(template, row, "null")}'
-        if prediction.filled is not None:
-            line += (
-                f', "filled": {json.dumps(np.asarray(prediction.filled[index], bool).tolist(), separators=(",", ":"))}'
-            )
-        yield line + "}"
+        flags = "" if filled is None else f', "filled": {json.dumps(filled[index].tolist(), separators=(",", ":"))}'
+        yield f'{{"identity": {{{known}}}{filled_in(template, row, "null")}{flags}}}'
 
 
 def _shaped(shape: tuple[int, ...], style: str) -> str:
-    """Return the text of nested lists of this shape with ``style`` in the place of every number."""
+    """Return nested lists of this shape as text, ``style`` for every number."""
     return style if not shape else "[" + ",".join([_shaped(shape[1:], style)] * shape[0]) + "]"
 
 
@@ -246,30 +230,24 @@ def write_npz(prediction: Prediction, path: str | Path) -> None:
     arrays = _npz_arrays(prediction)
     with replacing(path) as handle, zipfile.ZipFile(handle, "w") as archive:
         for name, array in arrays.items():
-            _add(archive, name, array)
-
-
-def _add(archive: zipfile.ZipFile, name: str, array: np.ndarray) -> None:
-    entry = zipfile.ZipInfo(f"{name}.npy", date_time=_OLDEST)
-    # Names repeat and shrink a hundredfold; floats hardly shrink and would make writing slow.
-    entry.compress_type = zipfile.ZIP_DEFLATED if array.dtype.kind in "US" else zipfile.ZIP_STORED
-    with archive.open(entry, "w", force_zip64=True) as stream:
-        np.lib.format.write_array(stream, array, allow_pickle=False)
+            entry = zipfile.ZipInfo(f"{name}.npy", date_time=_OLDEST)
+            # Names repeat and shrink a hundredfold; floats hardly shrink and would make writing slow.
+            entry.compress_type = zipfile.ZIP_DEFLATED if array.dtype.kind in "US" else zipfile.ZIP_STORED
+            with archive.open(entry, "w", force_zip64=True) as stream:
+                np.lib.format.write_array(stream, array, allow_pickle=False)
 
 
 def _npz_arrays(prediction: Prediction) -> dict[str, np.ndarray]:
-    arrays = {
-        "keypoints": np.asarray(prediction.keypoints, np.float32),
-        "confidence": np.asarray(prediction.confidence, np.float32),
-        "joint_names": np.asarray(prediction.joint_names, np.str_),
-        "pose": np.asarray(prediction.pose, np.float32),
-        "level_pose": np.asarray(prediction.level_pose, np.float32),
-        "unit": np.asarray(prediction.unit),
-        "bones": prediction.bone_indices,
-        "skeleton": np.asarray(prediction.skeleton.name),
-        "axes": np.asarray(prediction.axes),
-    }
-    optional = {
+    found = {
+        "keypoints": (prediction.keypoints, np.float32),
+        "confidence": (prediction.confidence, np.float32),
+        "joint_names": (prediction.joint_names, np.str_),
+        "pose": (prediction.pose, np.float32),
+        "level_pose": (prediction.level_pose, np.float32),
+        "unit": (prediction.unit, np.str_),
+        "bones": (prediction.bone_indices, np.int64),
+        "skeleton": (prediction.skeleton.name, np.str_),
+        "axes": (prediction.axes, np.str_),
         "tilt_deg": (prediction.tilt_deg, np.float32),
         "spread": (prediction.spread, np.float32),
         "root": (prediction.root, np.float32),
@@ -277,7 +255,7 @@ def _npz_arrays(prediction: Prediction) -> dict[str, np.ndarray]:
         "fps": (prediction.fps, np.float32),
         "image_size": (prediction.image_size, np.int64),
     }
-    arrays |= {name: np.asarray(value, kind) for name, (value, kind) in optional.items() if value is not None}
+    arrays = {name: np.asarray(value, kind) for name, (value, kind) in found.items() if value is not None}
     for name, values in prediction.identity.items():
         if name in arrays:
             raise ValueError(f"prediction: identity '{name}' would overwrite the array of that name")
