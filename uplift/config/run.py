@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import contextlib
 import datetime
-import itertools
 import json
 import os
 import platform
@@ -45,11 +43,14 @@ class RunFolder:
             base.mkdir(parents=True, exist_ok=True)
         except (FileExistsError, NotADirectoryError) as error:
             raise UserError(f"Cannot make the folder {base.absolute()}: something else is in its place.") from error
-        for attempt in itertools.count(1):
-            path = base / (stamp if attempt == 1 else f"{stamp}_{attempt}")
-            with contextlib.suppress(FileExistsError):
+        path, attempt = base / stamp, 1
+        while True:
+            try:
                 path.mkdir()
                 break
+            except FileExistsError:
+                attempt += 1
+                path = base / f"{stamp}_{attempt}"
         run = cls(path)
         if settings.data.train and not settings.data.root:
             # The run finds its data again from any folder, whatever UPLIFT_DATA is then.
