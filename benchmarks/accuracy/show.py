@@ -87,10 +87,10 @@ def _calibration(name: str, found: Results) -> Sheet:
                 values = [mean_and_range([curve[group][share] for curve in some]) for share in shares]
                 values += [
                     mean_and_range([c.get(f"{of}{ending}") for c in some])
-                    for of in ("spread_error", "rank_correlation")
+                    for of in ("uncertainty_error", "rank_correlation")
                 ]
                 rows.append([fit, spent, group, *values])
-    head = ["recipe", "trained", "joints", *shares, "spread_error", "rank_correlation"]
+    head = ["recipe", "trained", "joints", *shares, "uncertainty_error", "rank_correlation"]
     return Sheet(f"{name}: fraction of depth errors inside the interval of", head, rows)
 
 

@@ -174,7 +174,7 @@ def _teacher(run: Path, model: Any) -> Any:
     from uplift.config.run import RunFolder
     from uplift.models.lifter import Lifter
 
-    settings = dataclasses.replace(RunFolder.open(str(run)).settings().lifter, spread=False, denoise=False)
+    settings = dataclasses.replace(RunFolder.open(str(run)).settings().lifter, uncertainty=False, denoise=False)
     lifter = Lifter(model.skeleton, settings)
     state = read_torch(run / "checkpoints" / "teacher.ckpt", "checkpoint")["state_dict"]
     prefix = "averaged.module."

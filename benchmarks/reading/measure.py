@@ -175,7 +175,7 @@ def _prediction(frames: int) -> Prediction:
         fps=_FPS,
         image_size=clip.image_size,
         root=None if clip.root is None else clip.root[rows],
-        spread=np.full(pose.shape[:2], 20.0),
+        uncertainty=np.full(pose.shape[:2], 20.0),
         source="walk",
     )
 

@@ -247,7 +247,7 @@ def test_seeds_are_averaged_with_their_spread(tmp_path: Path, monkeypatch: pytes
     fits = {"ours": {"fit": "task=cmu", "tests": {"other": "x.npz"}, "reference": "theirs"}, "theirs": "task=cmu"}
     found = cells_of("t", {"minutes": [1], "seeds": [0, 1, 2], "fits": fits})
     (tmp_path / "t").mkdir()
-    curve = {"visible": {"0.5": 0.4}, "spread_error": 0.1}
+    curve = {"visible": {"0.5": 0.4}, "uncertainty_error": 0.1}
     for cell, value in zip(found[:4], (10.0, 20.0, 14.0, 30.0), strict=True):
         more = {"tests": {"other": {"p_mpjpe": 2 * value}}, "calibration": curve} if cell.fit.name == "ours" else {}
         more["occlusion"] = {"no_arm": {"p_mpjpe": value, "p_mpjpe_growth": 1.1}}

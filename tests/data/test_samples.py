@@ -61,7 +61,7 @@ EXAMPLES: dict[type[Samples], Samples] = {
     MaskSet: MaskSet(t(8, 8), t(2), t() > 0.5, t(3, 3), torch.arange(N), torch.rand(2, 4, 4, 4)),
     Prediction: Prediction(
         a(J, 3), a(J, 3), "mm", a(J, 2), a(J), SKELETON.joints, SKELETON, a(), {"frame": np.arange(N)}, truth=a(J, 3),
-        spread=a(J), root=a(3), filled=a(J) > 0.5,
+        uncertainty=a(J), root=a(3), filled=a(J) > 0.5,
     ),
     ShapePrediction: ShapePrediction(a(4, 4, 4), a(3, 3), a(), a(2), a(), MASKS, NAMES, a(2), a(), images=TEXT),
     PseudoPoses: PseudoPoses(SKELETON, t(J, 3), t(3), t(), t(J), t(J, 2), t() > 0.5),

@@ -44,8 +44,8 @@ def test_every_number_comes_back(sample: Prediction, tmp_path: Path) -> None:
         np.testing.assert_allclose(found, sample.points[:, joint], rtol=5e-7, atol=1e-12)
         pixels = np.stack([column(rows, f"{name}_{axis}_px") for axis in "uv"], -1)
         np.testing.assert_allclose(pixels, sample.keypoints[:, joint], rtol=5e-6)
-        assert sample.spread is not None and sample.filled is not None
-        np.testing.assert_allclose(column(rows, f"{name}_spread"), sample.spread[:, joint])
+        assert sample.uncertainty is not None and sample.filled is not None
+        np.testing.assert_allclose(column(rows, f"{name}_uncertainty"), sample.uncertainty[:, joint])
         np.testing.assert_array_equal(column(rows, f"{name}_filled"), sample.filled[:, joint])
         np.testing.assert_array_equal(column(rows, f"{name}_confidence"), 1)
     assert [row["instance"] for row in rows] == sample.identity["instance"].tolist()
@@ -78,7 +78,7 @@ def test_what_is_missing_is_an_empty_cell(tmp_path: Path) -> None:
     assert rows[0]["neck_u_px"] == rows[0]["neck_v_px"] == "" and rows[0]["neck_confidence"] == "0"
     assert [row["frame"] for row in rows] == ["1.0", "", "3.0"] and [row["action"] for row in rows] == ["", "a", "b"]
     assert {row["origin"] for row in rows} == {"root"}
-    assert not {"neck_spread", "neck_filled", "fps"} & set(rows[0])
+    assert not {"neck_uncertainty", "neck_filled", "fps"} & set(rows[0])
     assert "nan" not in (tmp_path / "poses.csv").read_text() and "inf" not in (tmp_path / "poses.csv").read_text()
 
 

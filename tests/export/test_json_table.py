@@ -40,7 +40,7 @@ def sample() -> Prediction:
 def test_everything_comes_back(sample: Prediction, tmp_path: Path) -> None:
     write_json(sample, tmp_path / "poses.json")
     found = read(tmp_path / "poses.json")
-    for name, rtol in {"pose": 5e-7, "root": 5e-7, "keypoints": 5e-6, "spread": 5e-6, "tilt_deg": 5e-6}.items():
+    for name, rtol in {"pose": 5e-7, "root": 5e-7, "keypoints": 5e-6, "uncertainty": 5e-6, "tilt_deg": 5e-6}.items():
         np.testing.assert_allclose(column(found, name), getattr(sample, name), rtol=rtol, atol=1e-12)
     np.testing.assert_array_equal(column(found, "confidence"), sample.confidence)
     assert sample.filled is not None

@@ -19,14 +19,14 @@ from uplift.models.prediction import Prediction
 
 @pytest.fixture
 def sample() -> Prediction:
-    return prediction(frames=7, individuals=2, tilt=True, spread=True, truth=True)
+    return prediction(frames=7, individuals=2, tilt=True, uncertainty=True, truth=True)
 
 
 def test_npz_gives_back_what_was_written(sample: Prediction, tmp_path: Path) -> None:
     write(sample, tmp_path / "poses.npz")
     with np.load(tmp_path / "poses.npz", allow_pickle=False) as file:
         found = {key: file[key] for key in file.files}
-    for name in ("keypoints", "confidence", "pose", "level_pose", "tilt_deg", "spread"):
+    for name in ("keypoints", "confidence", "pose", "level_pose", "tilt_deg", "uncertainty"):
         np.testing.assert_array_equal(found[name], np.float32(getattr(sample, name)))
     assert tuple(found["joint_names"]) == sample.joint_names
     assert found["unit"] == "mm" and found["fps"] == 30 and tuple(found["image_size"]) == (640, 480)
@@ -41,7 +41,7 @@ def test_npz_gives_back_what_was_written(sample: Prediction, tmp_path: Path) -> 
 def test_npz_leaves_out_what_is_not_known(tmp_path: Path) -> None:
     write(prediction(frames=2, tilt=False), tmp_path / "poses.npz")
     with np.load(tmp_path / "poses.npz", allow_pickle=False) as file:
-        assert {"tilt_deg", "spread"}.isdisjoint(file.files)
+        assert {"tilt_deg", "uncertainty"}.isdisjoint(file.files)
 
 
 def test_npz_of_object_identity_needs_no_pickle(tmp_path: Path) -> None:

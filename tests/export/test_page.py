@@ -53,7 +53,7 @@ def test_packing_keeps_zero_and_absence() -> None:
 
 
 def test_page_gives_back_the_poses(tmp_path: Path) -> None:
-    sample = prediction(frames=40, truth=True, spread=True)
+    sample = prediction(frames=40, truth=True, uncertainty=True)
     write(sample, tmp_path / "page.html")
     data = read_html(tmp_path / "page.html")
     steps = np.abs(sample.pose).max() / 4096
@@ -162,10 +162,10 @@ def test_text_from_the_data_stays_text(tmp_path: Path) -> None:
 
 
 def test_not_a_number_never_reaches_the_page(tmp_path: Path) -> None:
-    sample = prediction(frames=4, truth=True, spread=True)
+    sample = prediction(frames=4, truth=True, uncertainty=True)
     sample.pose[1, 2], sample.level_pose[1, 2], sample.keypoints[2] = np.nan, np.inf, np.nan
-    assert sample.truth is not None and sample.spread is not None
-    sample.truth[3], sample.confidence[0, 0], sample.spread[2, 1] = np.nan, np.nan, np.nan
+    assert sample.truth is not None and sample.uncertainty is not None
+    sample.truth[3], sample.confidence[0, 0], sample.uncertainty[2, 1] = np.nan, np.nan, np.nan
     write(
         sample, tmp_path / "page.html", sections=[("t", [("x", float("nan"))])], curves={"c": [(0, np.nan), (1, 1.0)]}
     )
@@ -177,7 +177,7 @@ def test_not_a_number_never_reaches_the_page(tmp_path: Path) -> None:
 
 
 def test_thousand_frames_of_three_are_small() -> None:
-    assert len(page_text(prediction(frames=1000, individuals=3, spread=True, rooted=True))) < 700_000
+    assert len(page_text(prediction(frames=1000, individuals=3, uncertainty=True, rooted=True))) < 700_000
 
 
 def test_empty_prediction_is_refused() -> None:

@@ -31,7 +31,7 @@ def show(browser: Browser, tmp_path: Path) -> Open:
 
 def _two_clips() -> Prediction:
     identity = {"sequence": np.repeat(["first", "second"], [60, 20]), "frame": np.r_[0:60, 0:20] * 3}
-    sample = prediction(frames=80, identity=identity, truth=True, spread=True)
+    sample = prediction(frames=80, identity=identity, truth=True, uncertainty=True)
     sample.confidence[:, 3] = 0
     return sample
 
@@ -88,7 +88,7 @@ def test_it_tells_the_joint_and_switches_what_is_drawn(show: Open) -> None:
     for name, setting, value in (
         ("l", "level", False),
         ("t", "truth", False),
-        ("u", "spread", True),
+        ("u", "uncertainty", True),
         ("n", "names", True),
     ):
         assert page.key(name)[setting] is value
@@ -147,7 +147,7 @@ def test_it_draws_unusual_data(case: str, show: Open) -> None:
 
 
 def test_individuals_stand_where_they_are_or_in_place(show: Open) -> None:
-    page = show(prediction(frames=40, individuals=3, rooted=True, spread=True))
+    page = show(prediction(frames=40, individuals=3, rooted=True, uncertainty=True))
     page.key(" ")
     first, last = page.key("Home"), page.key("End")
     roots = np.array([first["roots"], last["roots"]])
@@ -167,7 +167,7 @@ def test_individuals_stand_where_they_are_or_in_place(show: Open) -> None:
 
 
 def test_filled_joints_are_hollow_and_show_their_uncertainty(show: Open) -> None:
-    sample, calm = prediction(frames=2, spread=True), {"prefers_reduced_motion": "reduce"}
+    sample, calm = prediction(frames=2, uncertainty=True), {"prefers_reduced_motion": "reduce"}
     drawn = {show(sample, **calm).ink("deep")[1]}
     sample.filled = np.zeros(sample.confidence.shape, bool)
     sample.filled[:, 4] = True
@@ -177,7 +177,7 @@ def test_filled_joints_are_hollow_and_show_their_uncertainty(show: Open) -> None
     text = page.run("document.getElementById('tip').textContent")
     assert text.startswith("rhand") and "place ± 150 mm" in text and "not seen in 2D, filled in" in text
     assert page.troubles() == []
-    sample.spread = None
+    sample.uncertainty = None
     drawn.add(show(sample, **calm).ink("deep")[1])
     assert len(drawn) == 3
 
@@ -241,7 +241,7 @@ def test_photos_are_stepped_through_and_found_by_name(show: Open) -> None:
 
 
 def test_a_thousand_frames_of_three_play_on_time(show: Open) -> None:
-    page = show(prediction(frames=1000, individuals=3, fps=50.0, rooted=True, spread=True))
+    page = show(prediction(frames=1000, individuals=3, fps=50.0, rooted=True, uncertainty=True))
     start, before = time.monotonic(), page.state()
     page.until("uplift.state().moment > 80", 10)
     took, after = time.monotonic() - start, page.state()

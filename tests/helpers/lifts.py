@@ -64,7 +64,7 @@ def training_set(frames: int = 12, seed: int = 0, skeleton: Skeleton = H36M, **r
 def small_lifter(skeleton: Skeleton = H36M, seed: int = 0, **settings) -> Lifter:
     """Return a small lifter whose depths are not close to 0."""
     torch.manual_seed(seed)
-    settings.setdefault("spread", False)
+    settings.setdefault("uncertainty", False)
     lifter = Lifter(skeleton, LifterSettings(options={"units": 16, "blocks": 1}, **settings))
     with torch.no_grad():
         for parameter in lifter.network.leave.parameters():

@@ -48,7 +48,7 @@ def prediction(
     individuals: int = 1,
     joints: int = 0,
     tilt: bool = True,
-    spread: bool = False,
+    uncertainty: bool = False,
     truth: bool = False,
     rooted: bool = False,
     **more,
@@ -72,7 +72,7 @@ def prediction(
         "root": walk @ tilted(np.array([8.0]))[0] if rooted else None,
         "tilt_deg": angle if tilt else None,
         "identity": {"frame": time * 3, "instance": np.array([f"animal {n}" for n in who])} if individuals > 1 else {},
-        "spread": np.full(pose.shape[:2], 150.0) if spread else None,
+        "uncertainty": np.full(pose.shape[:2], 150.0) if uncertainty else None,
         "truth": pose * 1.1 + random.normal(size=pose.shape) * 20 if truth else None,
         "fps": 30.0, "image_size": (640, 480), "source": "sample.npz", "title": "Sample",
     }  # fmt: skip
@@ -81,8 +81,8 @@ def prediction(
 
 
 def complete_prediction(frames: int) -> Prediction:
-    """Return a prediction of two individuals with root, spread and filled joints, for tables."""
-    sample = prediction(frames=frames, individuals=2, spread=True)
+    """Return a prediction of two individuals with root, uncertainty and filled joints, for tables."""
+    sample = prediction(frames=frames, individuals=2, uncertainty=True)
     rows, joints = sample.pose.shape[:2]
     root = np.random.default_rng(0).normal(size=(rows, 3)) * 1000 + [0, 0, 12345.678]
     return replace(sample, root=root, filled=np.arange(rows * joints).reshape(rows, joints) % 3 == 0)

@@ -39,7 +39,7 @@ def a_guess(truth: PoseData, factor: float = 1.0, unit: str = "mm") -> GivenPose
     pose[..., 2] += rng.laplace(scale=scale)
     pose[:, HUMAN.root_index] = 0
     size = 1.0 if unit == "mm" else 0.004
-    return GivenPoses(pose * size, truth.joint_names, unit, spread=scale * factor * size)
+    return GivenPoses(pose * size, truth.joint_names, unit, uncertainty=scale * factor * size)
 
 
 def found_of(result: Evaluation, group: str = "visible") -> np.ndarray:
@@ -54,7 +54,7 @@ def test_laplace_errors_give_the_nominal_shares(unit: str) -> None:
     result = evaluate(a_guess(truth, unit=unit), truth, HUMAN)
     assert found_of(result) == pytest.approx(NOMINAL, abs=0.01)
     assert result.calibration is not None
-    assert result.calibration["spread_error"] < 0.008
+    assert result.calibration["uncertainty_error"] < 0.008
     assert result.calibration["rank_correlation"] > 0.4
     assert "missing" not in result.calibration
 
@@ -69,47 +69,47 @@ def test_a_spread_of_the_wrong_size_is_seen(factor: float) -> None:
     assert (found_of(wrong) < NOMINAL).all() == (factor < 1)
     assert right.calibration is not None
     assert wrong.calibration is not None
-    assert wrong.calibration["spread_error"] == pytest.approx(np.abs(expected - NOMINAL).mean(), abs=0.01)
+    assert wrong.calibration["uncertainty_error"] == pytest.approx(np.abs(expected - NOMINAL).mean(), abs=0.01)
     assert wrong.calibration["rank_correlation"] == pytest.approx(right.calibration["rank_correlation"])
 
 
 def test_missing_joints_are_told_apart_and_the_root_has_no_part() -> None:
     truth, wrist = a_truth(), HUMAN.index("rwrist")
     guess = a_guess(truth)
-    assert guess.spread is not None
-    guess.spread[:, wrist] /= 2
-    guess.spread[:, HUMAN.root_index] = 1e-9
+    assert guess.uncertainty is not None
+    guess.uncertainty[:, wrist] /= 2
+    guess.uncertainty[:, HUMAN.root_index] = 1e-9
     truth.confidence[:, wrist] = 0
     result = evaluate(guess, truth, HUMAN)
     assert found_of(result) == pytest.approx(NOMINAL, abs=0.01)
     assert found_of(result, "missing") == pytest.approx(1 - np.sqrt(1 - np.array(NOMINAL)), abs=0.03)
     assert result.calibration is not None
-    assert result.calibration["spread_error_missing"] > 5 * result.calibration["spread_error"]
+    assert result.calibration["uncertainty_error_missing"] > 5 * result.calibration["uncertainty_error"]
 
 
 def test_no_spread_no_entry() -> None:
     truth = a_truth()
-    result = evaluate(replace(a_guess(truth), spread=None), truth, HUMAN)
+    result = evaluate(replace(a_guess(truth), uncertainty=None), truth, HUMAN)
     assert result.calibration is None
     assert "calibration" not in result.to_dict()
-    assert "spread_error" not in result.table()
-    blank = evaluate(replace(a_guess(truth), spread=np.full((FRAMES, 17), np.nan)), truth, HUMAN)
+    assert "uncertainty_error" not in result.table()
+    blank = evaluate(replace(a_guess(truth), uncertainty=np.full((FRAMES, 17), np.nan)), truth, HUMAN)
     assert blank.calibration is None
 
 
 def test_what_is_not_asked_for_is_the_same_with_a_spread() -> None:
     truth = a_truth()
-    with_it, without = a_guess(truth), replace(a_guess(truth), spread=None)
+    with_it, without = a_guess(truth), replace(a_guess(truth), uncertainty=None)
     assert evaluate(with_it, truth, HUMAN).overall == evaluate(without, truth, HUMAN).overall
 
 
 def test_joints_are_matched_by_name_and_frames_left_out_with_their_spread() -> None:
     truth, guess = a_truth(), a_guess(a_truth())
-    assert guess.spread is not None
+    assert guess.uncertainty is not None
     truth.confidence[:100, 2:] = 0
     order = np.random.default_rng(1).permutation(17)
     names = tuple(HUMAN.joints[joint] for joint in order)
-    turned = replace(guess, pose=guess.pose[:, order], joint_names=names, spread=guess.spread[:, order])
+    turned = replace(guess, pose=guess.pose[:, order], joint_names=names, uncertainty=guess.uncertainty[:, order])
     assert evaluate(turned, truth, HUMAN).calibration == evaluate(guess, truth, HUMAN).calibration
 
 
@@ -127,27 +127,29 @@ def test_it_is_written_and_printed(tmp_path) -> None:
     assert result.calibration is not None
     assert json.loads(json.dumps(result.to_dict(), allow_nan=False))["calibration"] == result.calibration
     lines = result.table().splitlines()
-    head = next(place for place, line in enumerate(lines) if "spread_error" in line)
+    head = next(place for place, line in enumerate(lines) if "uncertainty_error" in line)
     assert lines[head].split()[-7:-2] == [f"{q:g}" for q in NOMINAL]
     assert lines[head + 1].split()[:2] == ["joints", "visible"]
-    assert float(lines[head + 2].split()[-2]) == pytest.approx(result.calibration["spread_error_missing"], abs=5e-4)
+    assert float(lines[head + 2].split()[-2]) == pytest.approx(
+        result.calibration["uncertainty_error_missing"], abs=5e-4
+    )
     result.write_csv(tmp_path / "evaluation.csv")
     with (tmp_path / "evaluation.csv").open(newline="", encoding="utf-8") as file:
         rows = [row for row in csv.DictReader(file) if row["group"] == "calibration"]
     told = {(row["name"], row["protocol"]): float(row["value"]) for row in rows}
     assert told["missing", "0.9"] == result.calibration["missing"]["0.9"]
-    assert told["", "spread_error"] == result.calibration["spread_error"]
+    assert told["", "uncertainty_error"] == result.calibration["uncertainty_error"]
     assert len(told) == 14
 
 
 def test_impossible_spreads_are_refused_in_words() -> None:
     truth = a_truth()
     guess = replace(a_guess(truth), source="mine.npz")
-    assert guess.spread is not None
-    with pytest.raises(UserError, match=r"mine.npz: 'spread' has shape \(3000, 16\), expected \(3000, 17\)"):
-        evaluate(replace(guess, spread=guess.spread[:, :16]), truth, HUMAN)
-    with pytest.raises(UserError, match=r"'spread' goes down to -"):
-        evaluate(replace(guess, spread=-guess.spread), truth, HUMAN)
+    assert guess.uncertainty is not None
+    with pytest.raises(UserError, match=r"mine.npz: 'uncertainty' has shape \(3000, 16\), expected \(3000, 17\)"):
+        evaluate(replace(guess, uncertainty=guess.uncertainty[:, :16]), truth, HUMAN)
+    with pytest.raises(UserError, match=r"'uncertainty' goes down to -"):
+        evaluate(replace(guess, uncertainty=-guess.uncertainty), truth, HUMAN)
 
 
 @given(st.lists(st.tuples(st.integers(0, 9), st.integers(0, 9)), min_size=2, max_size=30))

@@ -49,7 +49,7 @@ def test_root_free_leaves_the_depth_of_the_root():
 @pytest.mark.parametrize("both_ways", [False, True])
 def test_missing_joints_have_no_influence(both_ways):
     """Whatever coordinates a joint of confidence 0 has, everything comes out the same."""
-    lifter, data = small_lifter(spread=True), training_set(missing=0.4)
+    lifter, data = small_lifter(uncertainty=True), training_set(missing=0.4)
     there = data.confidence[..., None] > 0
     moved = torch.where(there, data.keypoints, torch.randn_like(data.keypoints) * 50)
     call = lifter.lift_both_ways if both_ways else lifter
@@ -99,11 +99,11 @@ def test_a_lifter_that_denoises_moves_what_it_sees():
 
 @pytest.mark.parametrize("both_ways", [False, True])
 def test_the_spread_is_positive_and_the_root_has_none(both_ways):
-    spread = _lift(small_lifter(spread=True), training_set(), both_ways=both_ways).spread
+    spread = _lift(small_lifter(uncertainty=True), training_set(), both_ways=both_ways).uncertainty
     assert spread is not None
     assert not spread[:, H36M.root_index].any()
     assert (spread.sum(1) > 0).all()
-    assert _lift(small_lifter(), training_set()).spread is None
+    assert _lift(small_lifter(), training_set()).uncertainty is None
 
 
 class Symmetric(nn.Module):
@@ -115,7 +115,9 @@ class Symmetric(nn.Module):
 
 
 def test_mirror_commutes_with_a_lifter_that_is_equivariant():
-    lifter = Lifter(H36M, LifterSettings(tilt="level", confidence_input=False, fill=False, spread=False), Symmetric())
+    lifter = Lifter(
+        H36M, LifterSettings(tilt="level", confidence_input=False, fill=False, uncertainty=False), Symmetric()
+    )
     data, swap = training_set(), lifter.mirror_permutation
     once, twice = _lift(lifter, data), _lift(lifter, data, both_ways=True)
     mirrored = lifter(mirror(data.keypoints, swap), data.confidence, data.distance)
@@ -126,7 +128,7 @@ def test_mirror_commutes_with_a_lifter_that_is_equivariant():
 def test_without_mirror_pairs_there_is_no_mirror_image():
     """A mirrored right hand is a left hand: the network never saw one."""
     hand = load_skeleton("hand21")
-    lifter, data = small_lifter(hand, spread=True), training_set(skeleton=hand)
+    lifter, data = small_lifter(hand, uncertainty=True), training_set(skeleton=hand)
     one, other = _lift(lifter, data), _lift(lifter, data, both_ways=True)
     for name, value in vars(one).items():
         assert torch.equal(value, getattr(other, name)), name

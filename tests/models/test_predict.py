@@ -72,8 +72,8 @@ def test_a_size_gives_millimetres_and_a_place(model: Model, film: PoseData):
     assert np.median(both) == pytest.approx(430, rel=0.02)
     ratio = metric.pose[:, 1:] / pixels.pose[:, 1:]
     assert np.allclose(ratio, ratio[:, :1, :1], rtol=1e-3)  # a scale for each frame and nothing else
-    assert metric.spread is not None and pixels.spread is not None
-    np.testing.assert_allclose(metric.spread[:, 1] / pixels.spread[:, 1], ratio[:, 0, 0], rtol=1e-3)
+    assert metric.uncertainty is not None and pixels.uncertainty is not None
+    np.testing.assert_allclose(metric.uncertainty[:, 1] / pixels.uncertainty[:, 1], ratio[:, 0, 0], rtol=1e-3)
     seen = metric.points[..., :2] / metric.points[..., 2:] * film.focal_px + np.array(film.centre_px)
     assert np.median(np.linalg.norm(seen - film.keypoints, axis=-1)) < 2
 

@@ -45,8 +45,8 @@ def words(*more: str) -> list[str]:
     [
         "return (lift.level_pose[..., 1].amax(1) - self.height).square()",
         "return (lift.pose[..., 2].mean() - 1e9).clamp_min(0)  # a hinge that is always satisfied",
-        "return lift.seen.square().mean().double()",
-        "return lift.turned[:, 0].abs().sum(-1).half()",
+        "return lift.reprojected.square().mean().double()",
+        "return lift.rotated[:, 0].abs().sum(-1).half()",
     ],
 )
 def test_a_right_prior_trains(here: Path, loss: str) -> None:
@@ -106,10 +106,13 @@ def test_a_wrong_loss_is_refused(here: Path, capsys: pytest.CaptureFixture, loss
         ("    def __init__(self, skeleton): self.w = torch.nn.Parameter(torch.ones(1))", "Ground.__init__ failed"),
         ("    def __init__(self, skeleton): 1 / 0", "ZeroDivisionError"),
         ("    def prepare(self, data): data.frames", "prepare failed"),
-        ("    def own_loss(self, real, seen): return 3\n    def loss(self, lift): return lift.pose.mean()", "own_loss"),
         (
-            "    def own_loss(self, real): return 3\n    def loss(self, lift): return lift.pose.mean()",
-            "own_loss failed",
+            "    def critic_loss(self, real, seen): return 3\n    def loss(self, lift): return lift.pose.mean()",
+            "critic_loss",
+        ),
+        (
+            "    def critic_loss(self, real): return 3\n    def loss(self, lift): return lift.pose.mean()",
+            "critic_loss failed",
         ),
         (
             "    def metrics(self, lift): return lift.nothing\n    def loss(self, lift): return lift.pose.mean()",

@@ -83,7 +83,9 @@ def test_a_flow_looks_at_its_own_joints_only():
 
 def perfect(lift):
     """Return the lift whose turned views are lifted back to exactly what they were seen of."""
-    lift.__dict__["relifted"] = Lifted(lift.turned / lift.seen_scale[:, None, None], lift.tilt, lift.seen)
+    lift.__dict__["relifted"] = Lifted(
+        lift.rotated / lift.reprojected_scale[:, None, None], lift.tilt, lift.reprojected
+    )
     return lift
 
 
@@ -95,7 +97,7 @@ def test_pairwise_deformation_is_0_for_a_perfect_lifter():
         bent = lift.relifted.pose.clone()
         bent[0, 3] += 0.5
         lift.__dict__["relifted"] = replace(lift.relifted, pose=bent)
-        expected = 0.5 * 3**0.5 * float(lift.seen_scale[0]) / 4  # one of four pairs
+        expected = 0.5 * 3**0.5 * float(lift.reprojected_scale[0]) / 4  # one of four pairs
         assert float(pairwise.loss(lift)) == pytest.approx(expected, abs=1e-5)
 
 
@@ -104,7 +106,7 @@ def test_what_a_pair_has_in_common_is_no_deformation():
         lift = perfect(lift_of_pose(true_pose(bodies(2))))
         shared = turn(torch.randn(1, 17, 3).expand(2, -1, -1), lift.view)
         shared = shared - shared[:, H36M.root_index, None]
-        moved = lift.relifted.pose + shared / lift.seen_scale[:, None, None]
+        moved = lift.relifted.pose + shared / lift.reprojected_scale[:, None, None]
         lift.__dict__["relifted"] = replace(lift.relifted, pose=moved)
         assert float(Pairwise(H36M).loss(lift)) < 1e-5
 

@@ -29,7 +29,7 @@ def _tilted():
 def test_turned_is_the_pose_from_the_view(elevation):
     lift = lift_of(_tilted(), training_set(missing=0.2), elevation=elevation)
     expected = np.einsum("bij,bnj->bni", lift.view.detach().numpy(), lift.pose.detach().numpy())
-    np.testing.assert_allclose(lift.turned.detach().numpy(), expected, atol=1e-12)
+    np.testing.assert_allclose(lift.rotated.detach().numpy(), expected, atol=1e-12)
     torch.testing.assert_close(lift.view @ lift.view.mT, torch.eye(3).expand(len(lift.pose), 3, 3))
 
 
@@ -39,18 +39,18 @@ def test_seen_is_normalised_as_real_keypoints_are(count_root):
     lift = lift_of(_tilted(), data, count_root=count_root)
     weight = lift.confidence.clone()
     weight[:, H36M.root_index] *= count_root
-    for keypoints in (lift.seen, lift.keypoints):
+    for keypoints in (lift.reprojected, lift.keypoints):
         radius = (keypoints.norm(dim=-1) * weight).sum(1) / weight.sum(1)
         torch.testing.assert_close(radius, torch.ones(len(radius)), rtol=0, atol=1e-6)
         assert keypoints[:, H36M.root_index].abs().max() < 1e-12
-    projected = lift.lifter.camera.project(lift.turned, lift.distance)
-    torch.testing.assert_close(lift.seen * lift.seen_scale[:, None, None], projected)
+    projected = lift.lifter.camera.project(lift.rotated, lift.distance)
+    torch.testing.assert_close(lift.reprojected * lift.reprojected_scale[:, None, None], projected)
 
 
 def test_without_renormalisation_seen_is_the_projection():
     lift = lift_of(_tilted(), training_set(), renormalise=False)
-    assert torch.equal(lift.seen, lift.lifter.camera.project(lift.turned, lift.distance))
-    assert (lift.seen_scale == 1).all()
+    assert torch.equal(lift.reprojected, lift.lifter.camera.project(lift.rotated, lift.distance))
+    assert (lift.reprojected_scale == 1).all()
 
 
 def test_level_pose_undoes_the_tilt():
@@ -59,7 +59,7 @@ def test_level_pose_undoes_the_tilt():
     down = torch.stack([torch.zeros_like(lift.tilt), lift.tilt.cos(), lift.tilt.sin()], -1)
     height = (lift.pose * down[:, None]).sum(-1)
     torch.testing.assert_close(lift.level_pose[..., 1], height)
-    torch.testing.assert_close((lift.turned * down[:, None]).sum(-1), height)
+    torch.testing.assert_close((lift.rotated * down[:, None]).sum(-1), height)
 
 
 def test_views_without_gravity_are_any_rotation():
@@ -96,14 +96,14 @@ def test_hidden_joints_are_known_but_not_shown():
 
 def test_relifting_has_the_same_joints_missing():
     lift = lift_of(_tilted(), training_set(missing=0.3))
-    keypoints = torch.where(lift.visible[..., None] > 0, lift.seen, 0.0)
-    expected = lift.lifter(keypoints, lift.confidence, lift.distance / lift.seen_scale)
+    keypoints = torch.where(lift.visible[..., None] > 0, lift.reprojected, 0.0)
+    expected = lift.lifter(keypoints, lift.confidence, lift.distance / lift.reprojected_scale)
     torch.testing.assert_close(lift.relifted.pose, expected.pose)
 
 
 def test_everything_carries_gradients_to_the_lifter():
     lifter = _tilted()
-    for name in ("pose", "level_pose", "turned", "seen"):
+    for name in ("pose", "level_pose", "rotated", "reprojected"):
         lifter.zero_grad()
         getattr(lift_of(lifter, training_set()), name).square().sum().backward()
         assert lifter.network.enter.weight.grad.abs().sum() > 0, name
@@ -113,3 +113,11 @@ def test_weighted_mean():
     value = torch.tensor([[1.0, 2], [3, 100]])
     assert Lift.mean(value, torch.tensor([[1.0, 1], [2, 0]])) == pytest.approx(9 / 4)
     assert Lift.mean(value, torch.zeros(2, 2)) == 0
+
+
+@pytest.mark.parametrize(
+    ("old", "new"), [("seen", "reprojected"), ("seen_scale", "reprojected_scale"), ("turned", "rotated")]
+)
+def test_a_former_name_is_an_error_with_the_new_one(old: str, new: str) -> None:
+    with pytest.raises(AttributeError, match=rf"lift\.{old} is now called lift\.{new}"):
+        getattr(lift_of(small_lifter(), training_set()), old)

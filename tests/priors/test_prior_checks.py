@@ -75,7 +75,7 @@ def test_a_loss_that_never_carries_a_gradient_is_refused_after_twenty_steps(kind
     for step in range(19):
         assert float(checks.loss("mine", lift, step)) == 0
     names = {
-        "poses": "lift.pose, lift.level_pose, lift.turned or lift.seen",
+        "poses": "lift.pose, lift.level_pose, lift.rotated or lift.reprojected",
         "shapes": "lift.logits, lift.occupancy or",
     }
     with pytest.raises(UserError, match=f"no gradient reaches.*{names[kind]}"):
@@ -97,9 +97,13 @@ def test_a_hinge_that_was_once_connected_may_be_satisfied(kind: str, tmp_path: P
     ("body", "hook", "says"),
     [
         ("    def prepare(self, data):\n        data.nothing\n", "prepare", "prepare failed in .*, line 10: Attr"),
-        ("    def own_loss(self, real, seen):\n        return 3\n", "own_loss", "own_loss.* must return one number"),
-        ("    def own_loss(self, real, seen):\n        1 / 0\n", "own_loss", "own_loss failed in .*, line 10"),
-        ("    def own_loss(self, real):\n        return 3\n", "own_loss", "own_loss failed in .*TypeError"),
+        (
+            "    def critic_loss(self, real, seen):\n        return 3\n",
+            "critic_loss",
+            "critic_loss.* must return one number",
+        ),
+        ("    def critic_loss(self, real, seen):\n        1 / 0\n", "critic_loss", "critic_loss failed in .*, line 10"),
+        ("    def critic_loss(self, real):\n        return 3\n", "critic_loss", "critic_loss failed in .*TypeError"),
         ("    def metrics(self, lift):\n        return {'a': 'b'}\n", "metrics", "metrics failed in .*ValueError"),
     ],
 )
@@ -108,7 +112,7 @@ def test_a_wrong_hook_is_refused(kind: str, body: str, hook: str, says: str, tmp
     objective = Objective(priors, {"mine": 1.0})
     call = {
         "prepare": lambda: prepare_priors(priors, object()),
-        "own_loss": lambda: objective.train_adversaries(lift.seen.detach(), lift.seen.detach()),
+        "critic_loss": lambda: objective.train_adversaries(lift.reprojected.detach(), lift.reprojected.detach()),
         "metrics": lambda: objective.metrics(lift),
     }[hook]
     with pytest.raises(UserError, match=f"priors.mine: .*{says}"):
@@ -121,8 +125,8 @@ def test_an_adversary_is_frozen_while_it_judges_and_may_gate(kind: str, tmp_path
         "        self.factor = torch.nn.Parameter(torch.ones(()))\n"
         "        self.fixed = torch.nn.Parameter(torch.ones(()), requires_grad=False)\n"
         "    def loss(self, lift):\n        self.frozen = not self.factor.requires_grad\n"
-        "        return self.factor * lift.seen.mean()\n"
-        "    def own_loss(self, real, seen):\n        self.gate_lifter = True\n"
+        "        return self.factor * lift.reprojected.mean()\n"
+        "    def critic_loss(self, real, seen):\n        self.gate_lifter = True\n"
         "        return self.factor * (real.mean() - seen.mean())\n"
         "    def metrics(self, lift):\n        return {'frozen': float(self.frozen)}\n"
     )
@@ -130,9 +134,9 @@ def test_an_adversary_is_frozen_while_it_judges_and_may_gate(kind: str, tmp_path
     objective, lifter = Objective({"mine": prior}, {"mine": 2.0}), torch.nn.Linear(1, 1)
     assert list(objective.gated_parameters(lifter)) == []
     total, losses = objective.judge(lift, 0)
-    own, own_losses = objective.train_adversaries(lift.seen.detach() + 1, lift.seen.detach())
+    own, critic_losses = objective.train_adversaries(lift.reprojected.detach() + 1, lift.reprojected.detach())
     assert float(total.detach()) == pytest.approx(2 * float(losses["mine"]))
-    assert float(own.detach()) == pytest.approx(float(own_losses["mine_own"])) == pytest.approx(1)
+    assert float(own.detach()) == pytest.approx(float(critic_losses["mine_own"])) == pytest.approx(1)
     assert objective.metrics(lift) == {"mine_frozen": 1.0}
     assert [p.requires_grad for p in prior.parameters()] == [True, False], "what was frozen before stays so"
     assert list(objective.gated_parameters(lifter)) == list(lifter.parameters())

@@ -6,7 +6,7 @@ import csv
 from pathlib import Path
 
 import pytest
-from bodies import own_data, status_of
+from bodies import own_data, refusal, status_of
 
 FLAT_GROUND = '''\
 import uplift
@@ -45,9 +45,9 @@ class Everything(uplift.Prior):
         return self.line(keypoints.flatten(1))[:, 0]
 
     def loss(self, lift):
-        return self.factor * self.judge(lift.seen)
+        return self.factor * self.judge(lift.reprojected)
 
-    def own_loss(self, real, seen):
+    def critic_loss(self, real, seen):
         assert not seen.requires_grad and not real.requires_grad
         return self.judge(real).square().mean() - self.judge(seen).mean() + self.line.weight.square().sum()
 
@@ -176,3 +176,20 @@ def test_missing_file(work, capsys):
         status_of("fit", *own_data(work / "bodies.npz"), "priors.mine.use=nowhere.py:Mine", "priors.mine.weight=1") == 2
     )
     assert "no file" in capsys.readouterr().err
+
+
+def test_a_prior_written_for_a_former_name_is_an_error_with_the_new_one(
+    here: Path, capsys: pytest.CaptureFixture
+) -> None:
+    (here / "old.py").write_text(
+        "import uplift\n\n\nclass Old(uplift.Prior):\n    def loss(self, lift):\n        return lift.turned.mean()\n\n"
+    )
+    words = (*own_data(here / "body.npz"), "priors.old.use=old.py:Old")
+    assert "old.py, line 6: AttributeError: lift.turned is now called lift.rotated" in refusal(capsys, "fit", *words)
+    with open(here / "old.py", "a") as file:
+        file.write("    def own_loss(self, real, seen):\n        return real.mean()\n")
+    assert "own_loss, which is now called critic_loss" in refusal(capsys, "fit", *words)
+
+
+def test_the_former_name_of_a_setting_is_an_error_with_the_new_one(here: Path, capsys: pytest.CaptureFixture) -> None:
+    assert "lifter.uncertainty" in refusal(capsys, "fit", *own_data(here / "body.npz"), "lifter.spread=false")

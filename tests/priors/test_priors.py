@@ -209,7 +209,7 @@ def test_symmetry_without_mirrored_bones_is_refused():
 
 def _oracle(lift: Lift) -> Lift:
     """Return the lift with a lifter that knows the turned pose."""
-    target = turn(lift.pose, lift.view) / lift.seen_scale[:, None, None]
+    target = turn(lift.pose, lift.view) / lift.reprojected_scale[:, None, None]
 
     def lifter(keypoints: Tensor, confidence: Tensor, distance: Tensor) -> Lifted:
         there = confidence[..., None] > 0
@@ -274,12 +274,12 @@ def test_critic_losses_are_the_formulas():
     critic, lift = _prior("critic"), _lift(missing=0.2)
     assert isinstance(critic, Critic)
     with torch.no_grad():
-        fake = critic.network((lift.seen * lift.visible[..., None]).flatten(1))[:, 0].sigmoid()
+        fake = critic.network((lift.reprojected * lift.visible[..., None]).flatten(1))[:, 0].sigmoid()
         real = critic.network(lift.keypoints.flatten(1))[:, 0].sigmoid()
     torch.testing.assert_close(critic.loss(lift), -fake.log())
     minimax = _prior("critic", objective="minimax")
     torch.testing.assert_close(minimax.loss(lift), (1 - fake).log())
-    own = critic.own_loss(lift.keypoints, lift.seen.detach() * lift.visible[..., None])
+    own = critic.critic_loss(lift.keypoints, lift.reprojected.detach() * lift.visible[..., None])
     torch.testing.assert_close(own, -(real.log() + (1 - fake).log()).mean())
     accuracy = (float((real > 0.5).double().mean()) + float((fake < 0.5).double().mean())) / 2
     assert critic.metrics(lift)["accuracy"] == pytest.approx(accuracy)
@@ -302,7 +302,7 @@ def test_own_loss_reaches_only_the_critic_and_loss_only_the_lifter():
         assert parameter.grad is None
         parameter.requires_grad_(True)
     module.zero_grad()
-    critic.own_loss(lift.keypoints, lift.seen.detach() * lift.visible[..., None]).backward()
+    critic.critic_loss(lift.keypoints, lift.reprojected.detach() * lift.visible[..., None]).backward()
     assert all(p.grad is None for p in module.lifter.parameters())
     terms["own"] = {id(p): p.grad.clone() for p in critic.parameters()}
     module.zero_grad()
@@ -322,7 +322,7 @@ def test_gates(real, seen, accuracy, gates):
     critic = _prior("critic", gate=[0.1, 0.9])
     critic.network = nn.Linear(34, 1, bias=False)
     nn.init.ones_(critic.network.weight)
-    critic.own_loss(torch.full((6, 17, 2), float(real)), torch.full((6, 17, 2), float(seen)))
+    critic.critic_loss(torch.full((6, 17, 2), float(real)), torch.full((6, 17, 2), float(seen)))
     assert critic.accuracy == accuracy
     assert (critic.gate_lifter, critic.gate_itself) == gates
 
@@ -337,7 +337,7 @@ def test_both_gates_keep_still_at_their_very_bounds():
         seen[: min(wrong, 10)] = 1
         real = torch.ones(10, 17, 2)
         real[: max(0, wrong - 10)] = -1
-        critic.own_loss(real, seen)
+        critic.critic_loss(real, seen)
         assert critic.accuracy == accuracy
         assert not critic.gate_itself and not critic.gate_lifter
 

@@ -70,7 +70,7 @@ def test_gradients_reach_the_shapes(name: str) -> None:
     prior = build_priors({name: {}})[0][name]
     occupancy = torch.rand(2, 8, 8, 8, requires_grad=True)
     seen = torch.rand(6, 16, 16, requires_grad=True)
-    value = prior.loss(replace(lift_of(occupancy), seen=seen))
+    value = prior.loss(replace(lift_of(occupancy), reprojected=seen))
     assert value.shape == ()
     value.backward()
     slope = seen.grad if name == "mask_critic" else occupancy.grad
@@ -88,14 +88,14 @@ def test_the_critic_learns_to_tell_silhouettes_from_masks() -> None:
     optimizer = torch.optim.Adam(critic.parameters(), 3e-3)
     losses = []
     for _ in range(30):
-        loss = critic.own_loss(real, seen)
+        loss = critic.critic_loss(real, seen)
         optimizer.zero_grad()
         loss.backward()
         optimizer.step()
         losses.append(float(loss.detach()))
     assert losses[-1] < 0.7 * losses[0]
     assert float(critic(real).detach().mean()) > float(critic(seen).detach().mean())
-    like_real, unlike = (replace(lift_of(ball()), seen=shape) for shape in (real, seen))
+    like_real, unlike = (replace(lift_of(ball()), reprojected=shape) for shape in (real, seen))
     assert float(critic.loss(like_real).detach()) < float(critic.loss(unlike).detach())
 
 

@@ -306,7 +306,7 @@ def test_the_turned_pose_is_not_normalised_again():
     lift = module.last_lift
     pose, view = lift.pose.detach().numpy(), lift.view.numpy()
     expected = np.einsum("bij,bnj->bni", view, pose)[..., :2]
-    np.testing.assert_allclose(lift.seen.detach().numpy(), expected, atol=1e-12)
+    np.testing.assert_allclose(lift.reprojected.detach().numpy(), expected, atol=1e-12)
     radius = np.sqrt((expected**2).sum(-1)).sum(1) / (N - 1)
     assert np.abs(radius - 1).max() > 0.01
     assert np.abs(pose[:, H36M.root_index, 2]).min() > 1e-6, "the root's depth is the network's own"

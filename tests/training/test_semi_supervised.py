@@ -205,7 +205,7 @@ def test_a_warm_round_starts_where_the_last_one_ended() -> None:
     assert not same(dict(last.state_dict()), dict(fresh.state_dict()))
     _go_on(fresh, last)
     assert same(dict(last.state_dict()), dict(fresh.state_dict()))
-    wider = small_lifter(seed=3, spread=True)
+    wider = small_lifter(seed=3, uncertainty=True)
     before = {key: value.clone() for key, value in wider.state_dict().items()}
     _go_on(wider, last)
     assert same(before, dict(wider.state_dict()))

@@ -169,19 +169,19 @@ def test_what_a_prior_of_shapes_is_given(data: MaskData) -> None:
 
         def loss(self, lift: ShapeLift) -> Tensor:
             seen.append(lift)
-            return lift.seen.mean() + lift.logits.mean() + lift.occupancy.mean()
+            return lift.reprojected.mean() + lift.logits.mean() + lift.occupancy.mean()
 
     run(training(data, small(), {"listener": Listener()}), 3)
     assert [lift.done for lift in seen] == pytest.approx([0, 1 / 3, 2 / 3])
     lift = seen[0]
     assert lift.logits.shape == lift.occupancy.shape == (2, 12, 12, 12)
-    assert lift.seen.shape == (64, 16, 16)
+    assert lift.reprojected.shape == (64, 16, 16)
     assert lift.masks.shape == (16, 16, 16)
     assert lift.used.shape == (2, 24)
     assert float(lift.used.sum()) == pytest.approx(1, abs=1e-5)
     assert torch.allclose(lift.used, lift.used.flip(1)), "these shapes are their own mirror images"
     assert lift.views.shape == (24, 3, 3)
-    for name in ("logits", "occupancy", "seen"):
+    for name in ("logits", "occupancy", "reprojected"):
         assert getattr(lift, name).requires_grad, name
     assert not lift.used.requires_grad
     assert torch.allclose(lift.occupancy, torch.sigmoid(lift.logits))
@@ -221,7 +221,7 @@ def test_a_critic_is_held_still_while_it_judges(data: MaskData) -> None:
     # The verdict on silhouettes trains shapes, what tells them from masks the critic: never the other way round.
     lift = ShapeLift(*[torch.rand(1, 12, 12, 12)] * 2, torch.rand(8, 16, 16), torch.rand(8, 16, 16),
                      torch.ones(1, 1), torch.eye(3)[None], 0.0)  # fmt: skip
-    own = critic.own_loss(lift.masks, lift.seen)
+    own = critic.critic_loss(lift.masks, lift.reprojected)
     assert own is not None
     own.backward()
     assert all(parameter.grad is not None for parameter in critic.parameters())

@@ -170,7 +170,9 @@ def evaluate_poses(poses: str | Path, test: str | Path, skeleton: str | None = N
 
     Raises UserError for another file, or other joints or frames than the truth.
     """
-    arrays = read_arrays(poses, ("pose", "joint_names", "unit", "tilt_deg", "spread", "axes", *_IDENTITY))
+    arrays = read_arrays(
+        poses, ("pose", "joint_names", "unit", "tilt_deg", "uncertainty", "spread", "axes", *_IDENTITY)
+    )
     refuse_other_axes(str(poses), arrays)
     for key in ("pose", "joint_names"):
         if key not in arrays:
@@ -179,12 +181,13 @@ def evaluate_poses(poses: str | Path, test: str | Path, skeleton: str | None = N
     chosen = load_skeleton(skeleton) if skeleton else _skeleton_of(names, str(poses))
     pose = _numbers(str(poses), arrays, "pose", (None, len(names), 3))
     assert pose is not None
+    uncertainty = "spread" if "spread" in arrays else "uncertainty"  # its name before
     given = GivenPoses(
         pose=pose.astype(np.float64),
         joint_names=names,
         unit=unit_of(str(poses), arrays, "relative"),
         tilt_deg=_numbers(str(poses), arrays, "tilt_deg", (len(pose),)),
-        spread=_numbers(str(poses), arrays, "spread", (len(pose), len(names))),
+        uncertainty=_numbers(str(poses), arrays, uncertainty, (len(pose), len(names))),
         identity=_identity(str(poses), arrays, len(pose)),
         source=str(poses),
     )

@@ -140,7 +140,9 @@ class LifterSettings:
     root_free: bool = _setting(False, "leave the root's own depth in")
     confidence_input: bool = _setting(True, "the network sees confidence beside the keypoints")
     fill: bool = _setting(True, "the network predicts where missing joints are")
-    spread: bool = _setting(True, "the student predicts how far off each depth, or the place of a hidden joint, may be")
+    uncertainty: bool = _setting(
+        True, "the student predicts how far off each depth, or the place of a hidden joint, may be"
+    )
     denoise: Optional[bool] = _setting(
         None, "the student moves seen joints too; unset: where refined clips show that they are noisy"
     )
@@ -419,6 +421,7 @@ def seconds_of(text: str) -> float:
 # Settings under former names: an error where a user gives them, translated where an earlier fit wrote them.
 
 RENAMED = {
+    "lifter.spread": "lifter.uncertainty",
     "shape.hot": "shape.temperature_start",
     "shape.cold": "shape.temperature_end",
     **{

@@ -146,8 +146,8 @@ def _arrays(
     if stood:
         place, level_place = map(np.concatenate, zip(*stood, strict=True))
         arrays |= {"place": (place, fine), "levelPlace": (level_place, fine)}
-    if prediction.spread is not None:
-        arrays["spread"] = (np.asarray(prediction.spread, np.float64)[rows], fine)
+    if prediction.uncertainty is not None:
+        arrays["uncertainty"] = (np.asarray(prediction.uncertainty, np.float64)[rows], fine)
     if prediction.truth is not None:
         truth = np.asarray(prediction.truth, np.float64)[rows]
         arrays["truth"] = (shown_truth(prediction, pose, truth), fine)

@@ -76,7 +76,7 @@ def in_axes(prediction: Prediction, name: str) -> Prediction:
     """Return the same poses, and places of the root where they are known, in the axes called ``name``.
 
     What is not in ``Prediction.axes`` stays as it is: ``level_pose``, the truth, the keypoints, and the
-    spread, which is along the camera's line of sight. Raises UserError for an unknown name, ValueError
+    uncertainty, which is along the camera's line of sight. Raises UserError for an unknown name, ValueError
     for a prediction that is not in the camera's axes any more.
     """
     rotation = rotations_to(prediction, name)

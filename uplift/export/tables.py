@@ -82,7 +82,7 @@ def write_csv(prediction: Prediction, path: str | Path) -> None:
 
     ``NAME_x``, ``NAME_y``, ``NAME_z`` are in the row's ``unit`` and ``axes``, from its ``origin``: the
     ``camera`` where the root has a known place, else the ``root`` joint. ``NAME_u_px`` and ``NAME_v_px``
-    are the keypoint as seen; ``NAME_spread`` and ``NAME_filled`` (0 or 1) are there where they are
+    are the keypoint as seen; ``NAME_uncertainty`` and ``NAME_filled`` (0 or 1) are there where they are
     known. What is missing is an empty cell. Raises ValueError where two columns would have one name.
     """
     facts = {
@@ -112,14 +112,14 @@ def _columns(prediction: Prediction) -> list[tuple[str, str]]:
     """Return the name of each column of numbers and how its numbers are written, in the order of `_csv_arrays`."""
     place, px, share = _NUMBER["place"], _NUMBER["px"], _NUMBER["share"]
     joint = {"x": place, "y": place, "z": place, "u_px": px, "v_px": px, "confidence": share}
-    optional = {"spread": (prediction.spread, px), "filled": (prediction.filled, "%d")}
+    optional = {"uncertainty": (prediction.uncertainty, px), "filled": (prediction.filled, "%d")}
     joint |= {key: style for key, (values, style) in optional.items() if values is not None}
     columns = [(f"{name}_{key}", style) for name in prediction.joint_names for key, style in joint.items()]
     return columns if prediction.tilt_deg is None else [("tilt_deg", px), *columns]
 
 
 def _csv_arrays(prediction: Prediction) -> list[np.ndarray]:
-    optional = [values[..., None] for values in (prediction.spread, prediction.filled) if values is not None]
+    optional = [values[..., None] for values in (prediction.uncertainty, prediction.filled) if values is not None]
     seen = _seen_keypoints(prediction)
     table = np.concatenate([prediction.points, seen, prediction.confidence[..., None], *optional], -1)
     return [table] if prediction.tilt_deg is None else [prediction.tilt_deg, table]
@@ -145,7 +145,7 @@ _MEANING = {
     "root": "[x, y, z] of the root joint, from the camera, in unit and axes",
     "keypoints": "joints x [u, v] as seen, px, u right, v down",
     "confidence": "joints, 0 to 1; 0 is not seen",
-    "spread": "joints, the error to expect of the depth, of a filled joint of its whole place, in unit",
+    "uncertainty": "joints, the error to expect of the depth, of a filled joint of its whole place, in unit",
     "filled": "joints, true where the joint was not seen",
     "tilt_deg": "how far the camera looks down, degrees",
 }
@@ -193,7 +193,7 @@ def _frames(prediction: Prediction) -> Iterator[str]:
         "root": place,
         "keypoints": px,
         "confidence": _NUMBER["share"],
-        "spread": px,
+        "uncertainty": px,
         "tilt_deg": px,
     }
     found = {name: seen if name == "keypoints" else getattr(prediction, name) for name in styles}
@@ -249,7 +249,7 @@ def _npz_arrays(prediction: Prediction) -> dict[str, np.ndarray]:
         "skeleton": (prediction.skeleton.name, np.str_),
         "axes": (prediction.axes, np.str_),
         "tilt_deg": (prediction.tilt_deg, np.float32),
-        "spread": (prediction.spread, np.float32),
+        "uncertainty": (prediction.uncertainty, np.float32),
         "root": (prediction.root, np.float32),
         "filled": (prediction.filled, np.bool_),
         "fps": (prediction.fps, np.float32),

@@ -31,7 +31,7 @@ def evaluate(prediction: GivenPoses | Prediction, truth: PoseData, skeleton: Ske
 
     A joint counts where it was visible in 2D (confidence above 0) and is finite in both poses; the error
     of joints that the prediction filled in is reported beside it as ``*_missing``. Frames with fewer
-    than three joints that count are left out. The calibration of a prediction's spread is measured.
+    than three joints that count are left out. The calibration of a prediction's uncertainty is measured.
     ``data`` names the truth in the report.
 
     Raises UserError: no truth, other joints, other frames, or nothing left to compare.
@@ -41,7 +41,7 @@ def evaluate(prediction: GivenPoses | Prediction, truth: PoseData, skeleton: Ske
     if prediction.tilt_deg is not None and truth.tilt_deg is not None:
         tilt_deg = np.asarray(prediction.tilt_deg, np.float64)
         scores.frames["elevation_deg"] = np.abs(tilt_deg - truth.tilt_deg)[kept]
-    spread = _spread_of(prediction, skeleton)
+    uncertainty = _uncertainty_of(prediction, skeleton)
     actions, subjects = (_groups(truth.identity, key, kept) for key in ("action", "subject"))
     per_action = _per_group(scores, *actions)
     return Evaluation(
@@ -54,22 +54,24 @@ def evaluate(prediction: GivenPoses | Prediction, truth: PoseData, skeleton: Ske
         frames=len(matched.pose),
         action_frames={name: int((actions[1] == place).sum()) for place, name in enumerate(actions[0])},
         notes=[*notes, *_truth_notes(matched, scores, subjects[1])],
-        calibration=None if spread is None else _calibrate(matched, spread[kept]),
+        calibration=None if uncertainty is None else _calibrate(matched, uncertainty[kept]),
     )
 
 
-def _spread_of(prediction: GivenPoses | Prediction, skeleton: Skeleton) -> np.ndarray | None:
-    """Return the prediction's spread in the skeleton's order of joints; raises UserError for an invalid one."""
-    if prediction.spread is None:
+def _uncertainty_of(prediction: GivenPoses | Prediction, skeleton: Skeleton) -> np.ndarray | None:
+    """Return the prediction's uncertainty in the skeleton's order of joints; raises UserError for an invalid one."""
+    if prediction.uncertainty is None:
         return None
-    spread, names = np.asarray(prediction.spread), [str(name) for name in prediction.joint_names]
+    uncertainty, names = np.asarray(prediction.uncertainty), [str(name) for name in prediction.joint_names]
     where = prediction.source or "the prediction"
     expected = (len(prediction.pose), len(names))
-    if spread.shape != expected:
-        raise UserError(f"{where}: 'spread' has shape {spread.shape}, expected {expected}: (frames joints).")
-    if (spread < 0).any():
-        raise UserError(f"{where}: 'spread' goes down to {np.nanmin(spread):g}, expected an error of 0 or more.")
-    return spread[:, [names.index(joint) for joint in skeleton.joints]]
+    if uncertainty.shape != expected:
+        raise UserError(f"{where}: 'uncertainty' has shape {uncertainty.shape}, expected {expected}: (frames joints).")
+    if (uncertainty < 0).any():
+        raise UserError(
+            f"{where}: 'uncertainty' goes down to {np.nanmin(uncertainty):g}, expected an error of 0 or more."
+        )
+    return uncertainty[:, [names.index(joint) for joint in skeleton.joints]]
 
 
 def _groups(identity: Mapping[str, np.ndarray], key: str, kept: np.ndarray) -> tuple[list[str], np.ndarray]:
@@ -143,7 +145,7 @@ def _truth_notes(matched: Matched, scores: Scores, subject: np.ndarray) -> list[
     return notes
 
 
-# Calibration: how often the error lies inside the interval that the prediction's spread gives.
+# Calibration: how often the error lies inside the interval that the prediction's uncertainty gives.
 
 NOMINAL = (0.25, 0.5, 0.75, 0.9, 0.95)
 """The shares of errors that the intervals should hold."""
@@ -152,19 +154,19 @@ _CHUNK = 8192
 _MOST_RANKED = 1_000_000
 
 
-def _calibrate(matched: Matched, spread: Float[np.ndarray, "frames joints"]) -> dict[str, Any] | None:
-    """Return the calibration of ``spread``, the Laplace scale b of each depth, or of the 3D error of joints missing in 2D.
+def _calibrate(matched: Matched, uncertainty: Float[np.ndarray, "frames joints"]) -> dict[str, Any] | None:
+    """Return the calibration of ``uncertainty``, the Laplace scale b of each depth, or of the 3D error of joints missing in 2D.
 
     Both are brought to the truth's scale as for `n_mpjpe`; a metric pose stays as it is. ``visible`` and ``missing``
-    hold, for each nominal share q, the share of errors within -b ln(1 - q), the root left out; ``spread_error`` is
+    hold, for each nominal share q, the share of errors within -b ln(1 - q), the root left out; ``uncertainty_error`` is
     the mean difference of the two. What cannot be measured is absent; None where that is everything.
     """
     found: dict[str, Any] = {}
     for group, ending, weight in (("visible", "", matched.weight), ("missing", MISSING, matched.unseen)):
-        error, scale = _errors(matched, spread, weight, in_3d=group == "missing")
+        error, scale = _errors(matched, uncertainty, weight, in_3d=group == "missing")
         if len(error):
             found[group] = coverage_of(error, scale)
-            found[f"spread_error{ending}"] = float(np.mean([abs(float(q) - s) for q, s in found[group].items()]))
+            found[f"uncertainty_error{ending}"] = float(np.mean([abs(float(q) - s) for q, s in found[group].items()]))
             correlation = rank_correlation(error, scale)
             if correlation is not None:
                 found[f"rank_correlation{ending}"] = correlation
@@ -190,7 +192,7 @@ def _ranks(values: np.ndarray) -> np.ndarray:
 
 
 def _errors(
-    matched: Matched, spread: np.ndarray, weight: Float[np.ndarray, "frames joints"], *, in_3d: bool
+    matched: Matched, uncertainty: np.ndarray, weight: Float[np.ndarray, "frames joints"], *, in_3d: bool
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return the depth errors of the joints that ``weight`` counts, or their errors ``in_3d``, and their spreads, in the truth's unit."""
     errors, scales = [np.empty(0, np.float32)], [np.empty(0, np.float32)]
@@ -198,7 +200,7 @@ def _errors(
         rows = np.arange(start, min(start + _CHUNK, len(matched.pose)))
         pose, truth, seen = matched.rows(rows)
         factor = np.ones(len(rows)) if matched.metric else least_squares_scale(pose, truth, seen)
-        mine = spread[rows].astype(np.float64) * np.abs(factor)[:, None]
+        mine = uncertainty[rows].astype(np.float64) * np.abs(factor)[:, None]
         counts = (weight[rows] > 0) & np.isfinite(mine)
         counts[:, matched.skeleton.root_index] = False  # its depth is 0 by definition
         off = pose * factor[:, None, None] - truth

@@ -123,7 +123,7 @@ class Evaluation(AnyEvaluation):
     action_frames: dict[str, int] = field(default_factory=dict)
     notes: list[str] = field(default_factory=list)
     calibration: dict[str, Any] | None = None
-    """What `uplift.metrics.evaluate.evaluate` found of the spread; None for a prediction without one."""
+    """What `uplift.metrics.evaluate.evaluate` found of the uncertainty; None for a prediction without one."""
 
     title = "protocol"
     saved = ("data", "unit", "frames", "overall", "per_action", "per_joint", "per_subject", "calibration", "notes")
@@ -181,14 +181,14 @@ class Evaluation(AnyEvaluation):
         return _columns([["per joint", *names], *rows])
 
     def _calibration_table(self) -> str:
-        """Return the shares of depth errors inside the intervals that the spread gives; nothing without one."""
+        """Return the shares of depth errors inside the intervals that the uncertainty gives; nothing without one."""
         found = self.calibration or {}
         groups = [(name, ending) for name, ending in (("visible", ""), ("missing", MISSING)) if name in found]
         if not groups:
             return ""
-        rows = [["depth errors inside the interval of", *found[groups[0][0]], "spread_error", "rank_correlation"]]
+        rows = [["depth errors inside the interval of", *found[groups[0][0]], "uncertainty_error", "rank_correlation"]]
         for name, ending in groups:
-            others = [found.get(f"{figure}{ending}") for figure in ("spread_error", "rank_correlation")]
+            others = [found.get(f"{figure}{ending}") for figure in ("uncertainty_error", "rank_correlation")]
             shown = [*found[name].values(), *others]
             rows.append([f"joints {name}", *("-" if value is None else f"{value:.3f}" for value in shown)])
         return _columns(rows)

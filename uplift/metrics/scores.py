@@ -199,7 +199,7 @@ class GivenPoses:
     identity: Mapping[str, np.ndarray] = field(default_factory=dict)
     """Checked against the truth's where both have a key."""
     source: str = ""
-    spread: np.ndarray | None = None
+    uncertainty: np.ndarray | None = None
     """(frames joints), the expected absolute error of each depth (a Laplace scale), in the pose's unit."""
 
 

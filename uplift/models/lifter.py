@@ -17,7 +17,7 @@ from uplift.skeleton import Skeleton
 
 __all__ = ["Lifted", "Lifter"]
 
-_LOG_SPREAD = (-5.0, 2.0)
+_LOG_UNCERTAINTY = (-5.0, 2.0)
 
 
 @dataclass(frozen=True)
@@ -30,7 +30,7 @@ class Lifted(Samples):
     """Down-tilt of the camera, radians; 0 without gravity or where the camera is assumed to be level."""
     keypoints: Float[Tensor, "batch joints 2"]
     """The keypoints that `pose` projects to: those given, with missing joints filled in."""
-    spread: Float[Tensor, "batch joints"] | None = None
+    uncertainty: Float[Tensor, "batch joints"] | None = None
     """The expected absolute error of each depth, in units; None where the lifter was not trained to predict it."""
 
 
@@ -39,7 +39,7 @@ class Lifter(nn.Module):
 
     ``tilt`` is ``predicted`` (one per pose), ``learned`` (one for all) or ``level``. With ``fill`` the
     network also predicts where missing joints are; without, they stay at the root. With ``denoise`` it
-    also moves visible joints, and with ``spread`` it predicts the error of each depth.
+    also moves visible joints, and with ``uncertainty`` it predicts the error of each depth.
     With ``root_free`` the root's depth is not subtracted, as in the code of Kudo et al. 2018.
     """
 
@@ -54,11 +54,11 @@ class Lifter(nn.Module):
         self.skeleton, self.camera = skeleton, build_camera(settings.camera)
         self.tilt = settings.tilt if skeleton.gravity else "level"
         self.confidence_input, self.root_free = settings.confidence_input, settings.root_free
-        self.fill, self.spread = settings.fill, settings.spread
+        self.fill, self.uncertainty = settings.fill, settings.uncertainty
         self.denoise = bool(settings.denoise) and settings.fill
         if network is None:
             joints = len(skeleton.joints)
-            outputs = joints * (1 + 2 * self.fill + self.spread) + (self.tilt == "predicted")
+            outputs = joints * (1 + 2 * self.fill + self.uncertainty) + (self.tilt == "predicted")
             inputs = joints * (3 if self.confidence_input else 2)
             network = build_network(settings.network, inputs, outputs, settings.options)
         self.network = network
@@ -91,12 +91,12 @@ class Lifter(nn.Module):
             keypoints = keypoints + guessed if self.denoise else torch.where(visible, keypoints, guessed)
             # A missing root had its neighbours as a stand-in; from here on the origin is the predicted root.
             keypoints = keypoints - keypoints[:, self.skeleton.root_index, None]
-        spread = None
-        if self.spread:
+        uncertainty = None
+        if self.uncertainty:
             first = joints * (1 + 2 * self.fill)
-            spread = output[:, first : first + joints].clamp(*_LOG_SPREAD).exp()
-            spread = spread.index_fill(1, self.root_place, 0.0)
-        return Lifted(self.camera.unproject(keypoints, depth, distance), self._tilt(output), keypoints, spread)
+            uncertainty = output[:, first : first + joints].clamp(*_LOG_UNCERTAINTY).exp()
+            uncertainty = uncertainty.index_fill(1, self.root_place, 0.0)
+        return Lifted(self.camera.unproject(keypoints, depth, distance), self._tilt(output), keypoints, uncertainty)
 
     def _tilt(self, output: Tensor) -> Tensor:
         if self.tilt == "predicted":
@@ -128,8 +128,8 @@ class Lifter(nn.Module):
         mirrored = self(mirror(keypoints, swap), confidence[:, swap], distance)
         depth = (straight.pose[..., 2] + mirrored.pose[:, swap, 2]) / 2
         filled = (straight.keypoints + mirror(mirrored.keypoints, swap)) / 2
-        spread = None
-        if straight.spread is not None and mirrored.spread is not None:
-            spread = (straight.spread + mirrored.spread[:, swap]) / 2
+        uncertainty = None
+        if straight.uncertainty is not None and mirrored.uncertainty is not None:
+            uncertainty = (straight.uncertainty + mirrored.uncertainty[:, swap]) / 2
         pose = self.camera.unproject(filled, depth, distance)
-        return Lifted(pose, (straight.tilt + mirrored.tilt) / 2, filled, spread)
+        return Lifted(pose, (straight.tilt + mirrored.tilt) / 2, filled, uncertainty)

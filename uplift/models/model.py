@@ -208,12 +208,12 @@ class Model(_Saved):
     ) -> Prediction:
         """Return ``pose``, in pixels, as a prediction; in mm if the scale is known."""
         gravity, with_gravity = inferred.gravity, self.skeleton.gravity
-        spread = None if inferred.spread is None else inferred.spread.cpu().numpy()
+        uncertainty = None if inferred.uncertainty is None else inferred.uncertainty.cpu().numpy()
         rays = None
         if mm_per_px is not None:
             rays = data.rays()
             pose = (pose * mm_per_px[:, None, None]).astype(np.float32)
-            spread = None if spread is None else (spread * mm_per_px[:, None]).astype(np.float32)
+            uncertainty = None if uncertainty is None else (uncertainty * mm_per_px[:, None]).astype(np.float32)
         level_pose = to_level(pose, gravity) if with_gravity else pose.copy()
         blank = (data.confidence > 0).sum(1) == 0
         pose[blank], level_pose[blank] = np.nan, np.nan
@@ -231,7 +231,7 @@ class Model(_Saved):
             image_size=data.image_size,
             truth=data.pose,
             truth_unit=data.unit,
-            spread=spread,
+            uncertainty=uncertainty,
             root=None if rays is None else place_roots(pose, rays, data.confidence).astype(np.float32),
             filled=data.confidence == 0,
             source=data.source,

@@ -52,7 +52,7 @@ class InferredPoses:
     pose: Float[Tensor, "frames joints 3"]
     gravity: Float[Tensor, "frames 3"]
     """Unit vectors."""
-    spread: Float[Tensor, "frames joints"] | None
+    uncertainty: Float[Tensor, "frames joints"] | None
     """The expected error of each depth, pixels."""
     mm_per_px: Float[Tensor, " frames"] | None
     """For bodies as large as the labelled ones; None without labels."""
@@ -70,9 +70,9 @@ def infer(lifter: Lifter, data: PoseData, settings: LifterSettings, *, refine: b
     if frames.rotation is not None:
         pose = turn(pose, frames.rotation.mT)
     gravity = gravity_of(real_tilt(lifted.tilt, frames.rotation), None)
-    spread = None if lifted.spread is None else lifted.spread * frames.scale[:, None]
+    uncertainty = None if lifted.uncertainty is None else lifted.uncertainty * frames.scale[:, None]
     unit_mm = lifter.unit_mm(lifted.pose)
-    return InferredPoses(pose, gravity, spread, None if unit_mm is None else unit_mm / frames.scale)
+    return InferredPoses(pose, gravity, uncertainty, None if unit_mm is None else unit_mm / frames.scale)
 
 
 def _lift_and_refine(
@@ -117,7 +117,7 @@ def refine_lifted(lifted: Lifted, frames: TrainingSet, camera: Camera, settings:
     pose = refine_clips(frames, as_measured(frames, lifted.keypoints), lifted.pose[..., 2], camera, settings)
     tilt = clip_median(real_tilt(lifted.tilt, frames.rotation), torch.ones_like(lifted.tilt), frames.clip)
     seen = gravity_of(tilt, frames.rotation)[:, 2].clamp(-1, 1).asin()
-    return Lifted(pose, seen, camera.project(pose, frames.distance), lifted.spread)
+    return Lifted(pose, seen, camera.project(pose, frames.distance), lifted.uncertainty)
 
 
 # Gap interpolation: a joint that a neighbouring frame shows is put where the refined pose has it.

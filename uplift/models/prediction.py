@@ -23,7 +23,7 @@ class Prediction(Samples):
 
     ``pose`` is relative to the root in ``axes``: those of the camera (x right, y down, z away) unless it was
     converted; ``level_pose`` is the camera-frame pose with the estimated tilt undone. ``root`` is the position of
-    the root joint, in ``unit`` and ``axes``, where known. ``spread`` is the uncertainty of the depth in ``unit``,
+    the root joint, in ``unit`` and ``axes``, where known. ``uncertainty`` is the uncertainty of the depth in ``unit``,
     ``filled`` marks joints that were not visible. ``truth`` is relative to the root, camera frame, in
     ``truth_unit``. Raises ValueError if the arrays do not fit together.
     """
@@ -41,7 +41,7 @@ class Prediction(Samples):
     image_size: tuple[int, int] | None = None
     truth: Float[np.ndarray, "frames joints 3"] | None = None
     truth_unit: str = "mm"
-    spread: Float[np.ndarray, "frames joints"] | None = None
+    uncertainty: Float[np.ndarray, "frames joints"] | None = None
     root: Float[np.ndarray, "frames 3"] | None = None
     filled: Bool[np.ndarray, "frames joints"] | None = None
     axes: str = "camera"

@@ -73,7 +73,10 @@ def build_priors(
 
 def _build(use: str, options: Mapping[str, Any], where: str, skeleton: Skeleton | None) -> Prior:
     wanted, source = ("shapes", "masks") if skeleton is None else ("poses", "keypoints")
-    judges = getattr(find_class(use, PRIORS, where), "judges", wanted)
+    found = find_class(use, PRIORS, where)
+    judges = getattr(found, "judges", wanted)
+    if hasattr(found, "own_loss"):
+        raise UserError(f"{where}: '{use}' has a method own_loss, which is now called critic_loss: rename it.")
     if judges != wanted:
         raise UserError(f"{where}: '{use}' judges {judges}, and this task lifts {source} to {wanted}.")
     if skeleton is None:

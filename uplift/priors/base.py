@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, ClassVar, Literal
+from typing import TYPE_CHECKING, Any, ClassVar, Literal, Never
 
 import torch
 from jaxtyping import Bool, Float, Int, UInt8
@@ -31,6 +31,15 @@ def joint_distance(
     return ((first - second).square().sum(-1) + 1e-12).sqrt()
 
 
+def _former(old: str, new: str) -> Any:
+    """Return a property for the former name of an attribute: using it is an error that gives the new name."""
+
+    def refuse(lift: object) -> Never:
+        raise AttributeError(f"lift.{old} is now called lift.{new}")
+
+    return property(refuse)
+
+
 @dataclass(frozen=True)
 class Lift:
     """A batch of lifted poses with one random view each; lengths are in units of the mean 2D radius.
@@ -39,7 +48,10 @@ class Lift:
     the lifter.
     """
 
-    differentiable: ClassVar[tuple[str, ...]] = ("pose", "level_pose", "turned", "seen")
+    differentiable: ClassVar[tuple[str, ...]] = ("pose", "level_pose", "rotated", "reprojected")
+    seen = _former("seen", "reprojected")
+    seen_scale = _former("seen_scale", "reprojected_scale")
+    turned = _former("turned", "rotated")
 
     skeleton: Skeleton
     keypoints: Float[Tensor, "batch joints 2"]
@@ -89,23 +101,23 @@ class Lift:
         return turn(self.pose, level(self.tilt)) if self.skeleton.gravity else self.pose
 
     @cached_property
-    def turned(self) -> Float[Tensor, "batch joints 3"]:
+    def rotated(self) -> Float[Tensor, "batch joints 3"]:
         """The pose in the new camera's frame."""
         return turn(self.pose, self.view)
 
     @cached_property
-    def seen(self) -> Float[Tensor, "batch joints 2"]:
-        """The 2D keypoints of `turned`, normalised as real ones are; missing joints included."""
-        return self._seen[0]
+    def reprojected(self) -> Float[Tensor, "batch joints 2"]:
+        """The 2D keypoints of `rotated`, normalised as real ones are; missing joints included."""
+        return self._reprojected[0]
 
     @cached_property
-    def seen_scale(self) -> Float[Tensor, " batch"]:
-        """Units of `turned` per unit of `seen`: the radius that `seen` was divided by."""
-        return self._seen[1]
+    def reprojected_scale(self) -> Float[Tensor, " batch"]:
+        """Units of `rotated` per unit of `reprojected`: the radius that `reprojected` was divided by."""
+        return self._reprojected[1]
 
     @cached_property
-    def _seen(self) -> tuple[Tensor, Tensor]:
-        projected = self.lifter.camera.project(self.turned, self.distance)
+    def _reprojected(self) -> tuple[Tensor, Tensor]:
+        projected = self.lifter.camera.project(self.rotated, self.distance)
         if not self.renormalise_views:
             return projected, projected.new_ones(len(projected))
         root = self.skeleton.root_index
@@ -127,9 +139,9 @@ class Lift:
 
     @cached_property
     def relifted(self) -> Lifted:
-        """The view `seen`, lifted again by the same lifter with the same joints missing."""
-        keypoints = self.seen * self.visible.unsqueeze(-1)
-        return self.lifter(keypoints, self.confidence, self.distance / self.seen_scale)
+        """The view `reprojected`, lifted again by the same lifter with the same joints missing."""
+        keypoints = self.reprojected * self.visible.unsqueeze(-1)
+        return self.lifter(keypoints, self.confidence, self.distance / self.reprojected_scale)
 
     @staticmethod
     def mean(value: Tensor, weight: Tensor) -> Tensor:
@@ -142,7 +154,8 @@ class Lift:
 class ShapeLift:
     """A batch of masks and the shapes that explain them; the fields of `differentiable` carry gradients to the shapes."""
 
-    differentiable: ClassVar[tuple[str, ...]] = ("logits", "occupancy", "seen")
+    differentiable: ClassVar[tuple[str, ...]] = ("logits", "occupancy", "reprojected")
+    seen = _former("seen", "reprojected")
     loss_shapes: ClassVar[tuple[tuple[int, ...], ...]] = ((),)
     """The shapes that a loss may have: one number."""
 
@@ -150,7 +163,7 @@ class ShapeLift:
     """Logits of `occupancy` in the shape frame: indices run along z, y, x; y is down, the front is -z."""
     occupancy: Float[Tensor, "shapes depth height width"]
     """0..1 for each voxel."""
-    seen: Float[Tensor, "turned side side"]
+    reprojected: Float[Tensor, "reprojected side side"]
     """Silhouettes of the shapes from random views, cropped as masks are."""
     masks: Float[Tensor, "items side side"]
     """The real masks of this step, cropped the same way."""
@@ -198,14 +211,16 @@ class Prior(nn.Module):
         """Return the penalty, lower is better: one number, or for poses one for each frame."""
         raise NotImplementedError(f"{type(self).__name__} has no loss(self, lift)")
 
-    def own_loss(self, real: Float[Tensor, "batch ..."], seen: Float[Tensor, "views ..."]) -> Float[Tensor, ""] | None:
+    def critic_loss(
+        self, real: Float[Tensor, "batch ..."], reprojected: Float[Tensor, "views ..."]
+    ) -> Float[Tensor, ""] | None:
         """Return what the prior's own parameters are trained on, or None.
 
         A prior that overrides this is adversarial: its parameters are frozen while `loss` trains the lifter.
 
         Args:
             real: keypoints (batch joints 2) of the data, missing joints 0; or masks (batch side side).
-            seen: random views, detached: keypoints with the same joints missing, or silhouettes.
+            reprojected: random views, detached: keypoints with the same joints missing, or silhouettes.
         """
         return None
 

@@ -24,8 +24,8 @@ class Consistency(Prior):
 
     def loss(self, lift: Lift) -> Tensor:
         """Return the mean joint error in 3D plus ``back`` times that of the keypoints after the inverse rotation."""
-        scale = lift.seen_scale[:, None, None]
-        target = (lift.turned / scale).detach() if self.detach else lift.turned / scale
+        scale = lift.reprojected_scale[:, None, None]
+        target = (lift.rotated / scale).detach() if self.detach else lift.rotated / scale
         again = lift.relifted.pose
         root = self.skeleton.root_index
         error = joint_distance(again - again[:, root, None], target - target[:, root, None])

@@ -52,13 +52,13 @@ class Critic(Prior):
 
     def loss(self, lift: Lift) -> Tensor:
         """Return the loss of rotated views under the critic: low where they look real."""
-        logits = self.judge(lift.seen * lift.visible.unsqueeze(-1))
+        logits = self.judge(lift.reprojected * lift.visible.unsqueeze(-1))
         return -softplus(logits) if self.objective == "minimax" else softplus(-logits)
 
-    def own_loss(self, real: Tensor, seen: Tensor) -> Tensor:
-        """Return the cross-entropy of classifying ``real`` and ``seen``."""
-        on_real, on_seen = self.judge(real), self.judge(seen)
-        share = ((on_real > 0).sum() + (on_seen < 0).sum()) / (2 * len(on_real))
+    def critic_loss(self, real: Tensor, reprojected: Tensor) -> Tensor:
+        """Return the cross-entropy of classifying ``real`` and ``reprojected``."""
+        on_real, on_reprojected = self.judge(real), self.judge(reprojected)
+        share = ((on_real > 0).sum() + (on_reprojected < 0).sum()) / (2 * len(on_real))
         if torch.distributed.is_available() and torch.distributed.is_initialized():
             # All ranks open and close the gates together, or their weights would drift apart.
             torch.distributed.all_reduce(share)
@@ -67,7 +67,7 @@ class Critic(Prior):
         if self.gate is not None:
             self.gate_lifter = self.accuracy < self.gate[0]
             self.gate_itself = self.accuracy > self.gate[1]
-        return softplus(-on_real).mean() + softplus(on_seen).mean()
+        return softplus(-on_real).mean() + softplus(on_reprojected).mean()
 
     def metrics(self, lift: Lift) -> dict[str, float]:
         """Return the accuracy on the batch: 0.5 if the two are indistinguishable."""

@@ -37,14 +37,14 @@ class MaskCritic(ShapePrior):
 
     def loss(self, lift: ShapeLift) -> Float[Tensor, ""]:
         """Return the loss of silhouettes under the critic: low where they look real."""
-        return nn.functional.softplus(-self(lift.seen)).mean()
+        return nn.functional.softplus(-self(lift.reprojected)).mean()
 
-    def own_loss(
-        self, real: Float[Tensor, "items side side"], seen: Float[Tensor, "turned side side"]
+    def critic_loss(
+        self, real: Float[Tensor, "items side side"], reprojected: Float[Tensor, "reprojected side side"]
     ) -> Float[Tensor, ""]:
         """Return the cross-entropy of classifying the two, and the gradient penalty."""
         real = real.detach().requires_grad_()
         verdict = self(real)
         slope = torch.autograd.grad(verdict.sum(), real, create_graph=True)[0].square().sum((1, 2)).mean()
-        apart = nn.functional.softplus(-verdict).mean() + nn.functional.softplus(self(seen)).mean()
+        apart = nn.functional.softplus(-verdict).mean() + nn.functional.softplus(self(reprojected)).mean()
         return apart + self.gradient_penalty * slope

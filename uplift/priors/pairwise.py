@@ -19,7 +19,7 @@ class Pairwise(Prior):
 
     def loss(self, lift: Lift) -> Tensor:
         """Return the mean over pairs of the norm of the change over all joints."""
-        again = turn(lift.relifted.pose * lift.seen_scale[:, None, None], lift.view.mT)
+        again = turn(lift.relifted.pose * lift.reprojected_scale[:, None, None], lift.view.mT)
         root = self.skeleton.root_index
         change = (lift.pose - lift.pose[:, root, None]) - (again - again[:, root, None])
         pairs = len(change) // 2 * 2

@@ -61,8 +61,10 @@ class AdversarialTraining(LifterTraining[Lifter, TrainingSet]):
         lift = self.last_lift = make_lift(self.lifter, batch, self.views, self.settings.hide)
         judged, losses = self.terms.judge(lift, self.global_step)
         real = batch if self.settings.same_real else self._batch()
-        own, own_losses = self.terms.train_adversaries(real.keypoints, lift.seen.detach() * lift.visible.unsqueeze(-1))
-        total, logged = judged + own, {**losses, **own_losses}
+        own, critic_losses = self.terms.train_adversaries(
+            real.keypoints, lift.reprojected.detach() * lift.visible.unsqueeze(-1)
+        )
+        total, logged = judged + own, {**losses, **critic_losses}
         if self.maker is not None:
             term = self.sampler.share * self._labelled_views_loss(self.maker)
             total = total + self.terms.weights["labelled"] * term

@@ -43,7 +43,7 @@ class Objective:
 
     def __init__(self, priors: Mapping[str, Prior], weights: Mapping[str, float]):
         self.priors, self.weights = dict(priors), dict(weights)
-        self.adversarial = [name for name, prior in priors.items() if type(prior).own_loss is not Prior.own_loss]
+        self.adversarial = [name for name, prior in priors.items() if type(prior).critic_loss is not Prior.critic_loss]
         self._connected: set[str] = set()
         self._calls = dict.fromkeys(priors, 0)
 
@@ -89,21 +89,21 @@ class Objective:
                 ".numpy() or comparisons in place of differences."
             )
 
-    def train_adversaries(self, real: Tensor, seen: Tensor) -> tuple[Tensor, Logged]:
+    def train_adversaries(self, real: Tensor, reprojected: Tensor) -> tuple[Tensor, Logged]:
         """Return the sum of the losses that adversarial priors are trained on, and each of them by name.
 
-        ``seen`` are detached views of what was lifted, ``real`` the same of the data. Raises UserError for a loss
+        ``reprojected`` are detached views of what was lifted, ``real`` the same of the data. Raises UserError for a loss
         that fails, or is not one number that depends on the prior's parameters.
         """
         total, losses = real.new_zeros(()), Logged()
         for name in self.adversarial:
-            with _blame(name, self.priors[name], "own_loss"):
-                own = self.priors[name].own_loss(real, seen)
+            with _blame(name, self.priors[name], "critic_loss"):
+                own = self.priors[name].critic_loss(real, reprojected)
             if own is None:
                 continue
             if not isinstance(own, Tensor) or own.shape != () or not own.requires_grad:
                 raise UserError(
-                    f"priors.{name}: own_loss(real, seen) must return one number (a tensor of shape ()) that depends "
+                    f"priors.{name}: critic_loss(real, reprojected) must return one number (a tensor of shape ()) that depends "
                     "on the prior's own parameters."
                 )
             total = total + own

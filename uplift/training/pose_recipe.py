@@ -43,8 +43,8 @@ class PoseRecipe(Recipe):
             raise UserError(
                 "No prior is on: nothing would train the lifter. Set priors.NAME.use and priors.NAME.weight."
             )
-        # Only students learn to predict the spread and to correct visible joints.
-        self.chosen = dataclasses.replace(settings.lifter, spread=False, denoise=False)
+        # Only students learn to predict the uncertainty and to correct visible joints.
+        self.chosen = dataclasses.replace(settings.lifter, uncertainty=False, denoise=False)
         self.first = self._lifter(self.chosen)
         if settings.init and not self.supervised and not (run and (run.checkpoints / "teacher.ckpt").is_file()):
             _start_from(self.first, settings.init)

@@ -193,8 +193,8 @@ class MixtureTraining(LifterTraining[ShapeMixture, MaskSet]):
         if self.priors:
             lift = self.last_lift = self._lift(drawn)
             judged, losses = self.terms.judge(lift, self.global_step)
-            own, own_losses = self.terms.train_adversaries(lift.masks[:_SEEN], lift.seen.detach())
-            loss, logged = loss + judged + own, {**logged, **losses, **own_losses}
+            own, critic_losses = self.terms.train_adversaries(lift.masks[:_SEEN], lift.reprojected.detach())
+            loss, logged = loss + judged + own, {**logged, **losses, **critic_losses}
         return loss, logged
 
     @property

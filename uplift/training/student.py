@@ -16,7 +16,7 @@ __all__ = ["StudentTraining"]
 
 _BATCHES_AT_ONCE = 16
 """Batches of views that are made together: a single one is mostly overhead."""
-_SPREAD_WEIGHT = 0.05
+_UNCERTAINTY_WEIGHT = 0.05
 
 
 class StudentTraining(LifterTraining[Lifter, PseudoPoses]):
@@ -50,7 +50,7 @@ class StudentTraining(LifterTraining[Lifter, PseudoPoses]):
         )
 
     def objective(self) -> tuple[Tensor, Logged]:
-        """Return the error of the depths, and of the keypoints, spread and tilt where the lifter predicts them."""
+        """Return the error of the depths, and of the keypoints, uncertainty and tilt where the lifter predicts them."""
         views, lifter = self._batch(), self.lifter
         lifted = lifter(views.input, views.confidence, views.distance)
         known = views.weight.sum().clamp_min(1)
@@ -64,9 +64,9 @@ class StudentTraining(LifterTraining[Lifter, PseudoPoses]):
             error = ((lifted.keypoints - views.keypoints).abs().sum(-1) * weight).sum()
             loss = loss + error / known
             logged["fill"] = error.detach() / weight.sum().clamp_min(1)
-        if lifted.spread is not None:
-            loss = loss + _SPREAD_WEIGHT * _spread_loss(lifted, views, lifted.spread) / known
-            logged["spread"] = lifted.spread.detach().mean()
+        if lifted.uncertainty is not None:
+            loss = loss + _UNCERTAINTY_WEIGHT * _uncertainty_loss(lifted, views, lifted.uncertainty) / known
+            logged["uncertainty"] = lifted.uncertainty.detach().mean()
         if lifter.tilt == "predicted":
             tilt = tilt_error(lifted, views)
             loss = loss + TILT_WEIGHT * tilt
@@ -86,12 +86,12 @@ class StudentTraining(LifterTraining[Lifter, PseudoPoses]):
         return self._made[1].select(slice(place * size, (place + 1) * size))
 
 
-def _spread_loss(lifted: Lifted, views: ShownViews, spread: Tensor) -> Tensor:
-    """Return the sum of the negative log-likelihoods of the errors under Laplace distributions of scale ``spread``.
+def _uncertainty_loss(lifted: Lifted, views: ShownViews, uncertainty: Tensor) -> Tensor:
+    """Return the sum of the negative log-likelihoods of the errors under Laplace distributions of scale ``uncertainty``.
 
     The error is that of the depth, or of the position where a joint is hidden. Poses do not learn from it.
     """
-    scale = spread.clamp_min(1e-6)
+    scale = uncertainty.clamp_min(1e-6)
     difference = (lifted.pose - views.pose).detach()
     error = torch.where(views.confidence == 0, difference.norm(dim=-1), difference[..., 2].abs())
-    return ((error / scale + scale.log()) * views.weight * (spread > 0)).sum()
+    return ((error / scale + scale.log()) * views.weight * (uncertainty > 0)).sum()

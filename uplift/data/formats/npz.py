@@ -31,7 +31,7 @@ __all__ = [
 
 _KNOWN = {
     "keypoints", "confidence", "joint_names", "pose", "root", "unit", "fps", "image_size", "focal_px",
-    "bones", "tilt_deg", "level_pose", "spread", "filled", "axes", "skeleton", "masks", "mask_box",
+    "bones", "tilt_deg", "level_pose", "uncertainty", "spread", "filled", "axes", "skeleton", "masks", "mask_box",
     *IDENTITY_KEYS,
 }  # fmt: skip
 _MOST_CONFIDENT = 2.0  # heat maps peak a little over 1, and COCO marks visible joints with 2

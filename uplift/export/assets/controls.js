@@ -1,5 +1,5 @@
 // Controls: the buttons, what is offered of them, and the start.
-const NEEDS = { truth: 'truth', spread: 'spread', placed: 'place' };
+const NEEDS = { truth: 'truth', uncertainty: 'uncertainty', placed: 'place' };
 
 function show() {
   const pressed = (button, on) => button.setAttribute('aria-pressed', on);
@@ -53,8 +53,8 @@ function offer(arrays) {
   byId('place-box').hidden = !arrays.place;
   if (!meta.rooted) document.querySelector('[data-placed="1"]').textContent = 'As in the image';
   byId('legend-missing').hidden = filled.codes.every((_, k) => value(filled, k) < 0.5);
-  byId('legend-spread').hidden = !arrays.spread || byId('legend-missing').hidden;
-  for (const name of ['truth', 'spread']) document.querySelector(`[data-toggle=${name}]`).hidden = !arrays[name];
+  byId('legend-uncertainty').hidden = !arrays.uncertainty || byId('legend-missing').hidden;
+  for (const name of ['truth', 'uncertainty']) document.querySelector(`[data-toggle=${name}]`).hidden = !arrays[name];
 }
 
 async function start() {

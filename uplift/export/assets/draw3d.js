@@ -126,7 +126,7 @@ function draw3d(ctx, width, height, look) {
   ctx.lineCap = 'butt'; ctx.lineJoin = 'round';
   thickness(size.lengths, look.scale, 5.5, kept.boneWidths, kept.jointRadii);
   if (floored()) for (const figure of figures) drawShadow(ctx, look, figure, size, colours);
-  if (kept.arrays.spread) for (const figure of figures) drawSpread(ctx, look, figure, state.spread, colours);
+  if (kept.arrays.uncertainty) for (const figure of figures) drawSpread(ctx, look, figure, state.uncertainty, colours);
   sortByDepth(figures);
   for (let n = 0; n < sorted.count; n++) {
     const figure = figures[(sorted.order[n] / EACH) | 0], k = sorted.order[n] % EACH;

@@ -66,8 +66,8 @@ function nearest(event, field, stride) {
 function describe(figure, joint) {
   const K = kept.arrays.keypoints, k = 2 * (figure.row * J + joint), who = figure.name ? ` · ${figure.name}` : '';
   const at = [0, 1, 2].map((a) => tidy(figure.world[3 * joint + a] - figure.shift[a])).join('  ');
-  const unit = meta.unit === 'relative' ? '' : ' ' + meta.unit, spread = spreadOf(figure, joint);
-  const depth = spread >= 0 ? `\n${filledAt(figure, joint) ? 'place' : 'depth'} ± ${tidy(spread)}${unit}` : '';
+  const unit = meta.unit === 'relative' ? '' : ' ' + meta.unit, uncertainty = spreadOf(figure, joint);
+  const depth = uncertainty >= 0 ? `\n${filledAt(figure, joint) ? 'place' : 'depth'} ± ${tidy(uncertainty)}${unit}` : '';
   const sure = `confidence ${sureOf(figure, joint).toFixed(2)}`;
   const seen = K.codes[k] === ABSENT ? '' : `2D  ${tidy(value(K, k))}  ${tidy(value(K, k + 1))} px · `;
   const input = filledAt(figure, joint) ? `not seen in 2D, filled in · ${sure}` : seen + sure;

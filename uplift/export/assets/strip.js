@@ -4,7 +4,7 @@ const length = (v, unit) => tidy(v) + (unit === 'relative' ? '' : ' ' + unit);
 const STRIPS = [
   { array: 'error', fromZero: true, tell: (v) => `error at the best scale (n_mpjpe): ${length(v, meta.truthUnit)}` },
   { array: 'confidence', tell: (v) => `mean 2D confidence ${v.toFixed(2)}` },
-  { array: 'spread', tell: (v) => `mean uncertainty ± ${length(v, meta.unit)}` },
+  { array: 'uncertainty', tell: (v) => `mean uncertainty ± ${length(v, meta.unit)}` },
 ];
 
 // The mean over individuals and joints of an array at each moment, NaN where nothing is known.
