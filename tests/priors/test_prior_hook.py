@@ -178,17 +178,21 @@ def test_missing_file(work, capsys):
     assert "no file" in capsys.readouterr().err
 
 
-def test_a_prior_written_for_a_former_name_is_an_error_with_the_new_one(
-    here: Path, capsys: pytest.CaptureFixture
+@pytest.mark.parametrize(
+    ("hook", "says"),
+    [
+        (
+            "loss(self, lift):\n        return lift.turned.mean()",
+            "line 6: AttributeError: lift.turned is now called lift.rotated",
+        ),
+        ("own_loss(self, real, seen):\n        return real.mean()", "own_loss, which is now called critic_loss"),
+    ],
+)
+def test_a_former_name_in_a_prior_is_an_error_with_the_new_one(
+    hook: str, says: str, here: Path, capsys: pytest.CaptureFixture
 ) -> None:
-    (here / "old.py").write_text(
-        "import uplift\n\n\nclass Old(uplift.Prior):\n    def loss(self, lift):\n        return lift.turned.mean()\n\n"
-    )
-    words = (*own_data(here / "body.npz"), "priors.old.use=old.py:Old")
-    assert "old.py, line 6: AttributeError: lift.turned is now called lift.rotated" in refusal(capsys, "fit", *words)
-    with open(here / "old.py", "a") as file:
-        file.write("    def own_loss(self, real, seen):\n        return real.mean()\n")
-    assert "own_loss, which is now called critic_loss" in refusal(capsys, "fit", *words)
+    (here / "old.py").write_text(f"import uplift\n\n\nclass Old(uplift.Prior):\n    def {hook}\n")
+    assert says in refusal(capsys, "fit", *own_data(here / "body.npz"), "priors.old.use=old.py:Old")
 
 
 def test_the_former_name_of_a_setting_is_an_error_with_the_new_one(here: Path, capsys: pytest.CaptureFixture) -> None:
