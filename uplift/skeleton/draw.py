@@ -8,8 +8,6 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float, Real
 from PIL import Image, ImageDraw, ImageFont
-from scipy.sparse import coo_matrix
-from scipy.sparse.csgraph import shortest_path
 
 from uplift.errors import UserError
 from uplift.skeleton.core import CENTRE, LEFT, RIGHT, Skeleton, joint_sides
@@ -103,6 +101,9 @@ def _plane_figure(skeleton: Skeleton) -> Float[np.ndarray, "joints 2"]:
 
 def _distances(skeleton: Skeleton) -> Float[np.ndarray, "joints joints"]:
     """Return the number of bones between any two joints."""
+    from scipy.sparse import coo_matrix  # slow to import, and the writers need only the rest pose
+    from scipy.sparse.csgraph import shortest_path
+
     count, ends = len(skeleton.joints), skeleton.bone_indices.T
     return shortest_path(coo_matrix((np.ones(ends.shape[1]), ends), (count, count)), directed=False, unweighted=True)
 

@@ -79,9 +79,9 @@ function drawJoint(ctx, figure, j, colours) {
 }
 
 // A joint that was filled in has a ball as large as its expected error; the depth of one that was seen has a bar, on demand.
-function drawSpread(ctx, look, figure, all, colours) {
+function drawUncertainty(ctx, look, figure, all, colours) {
   for (let j = 0; j < J; j++) {
-    const radius = filledAt(figure, j) ? spreadOf(figure, j) * look.scale * figure.points[4 * j + 3] : NaN;
+    const radius = filledAt(figure, j) ? uncertaintyOf(figure, j) * look.scale * figure.points[4 * j + 3] : NaN;
     if (!(radius > 0)) continue;
     ctx.globalAlpha = 0.16;
     ctx.fillStyle = rampOf(figure, HUES.joints[j])[2];
@@ -99,7 +99,7 @@ function drawBars(ctx, look, figure, colours) {
     ctx.strokeStyle = rampOf(figure, hue)[3];
     ctx.beginPath();
     for (let j = 0; j < J; j++) {
-      const s = spreadOf(figure, j), k = 3 * j;
+      const s = uncertaintyOf(figure, j), k = 3 * j;
       if (HUES.joints[j] !== hue || !(s > 0) || Number.isNaN(W[k]) || filledAt(figure, j)) continue;
       look(W[k] - s * dx, W[k + 1] - s * dy, W[k + 2] - s * dz, edge);
       look(W[k] + s * dx, W[k + 1] + s * dy, W[k + 2] + s * dz, edge, 4);
@@ -126,7 +126,7 @@ function draw3d(ctx, width, height, look) {
   ctx.lineCap = 'butt'; ctx.lineJoin = 'round';
   thickness(size.lengths, look.scale, 5.5, kept.boneWidths, kept.jointRadii);
   if (floored()) for (const figure of figures) drawShadow(ctx, look, figure, size, colours);
-  if (kept.arrays.uncertainty) for (const figure of figures) drawSpread(ctx, look, figure, state.uncertainty, colours);
+  if (kept.arrays.uncertainty) for (const figure of figures) drawUncertainty(ctx, look, figure, state.uncertainty, colours);
   sortByDepth(figures);
   for (let n = 0; n < sorted.count; n++) {
     const figure = figures[(sorted.order[n] / EACH) | 0], k = sorted.order[n] % EACH;

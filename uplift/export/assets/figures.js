@@ -10,7 +10,7 @@ function newFigure() {
 
 const sureOf = (figure, j) => Math.min(1, value(kept.arrays.confidence, figure.row * J + j));
 const filledAt = (figure, j) => value(kept.arrays.filled, figure.row * J + j) > 0.5;
-const spreadOf = (figure, j) => (kept.arrays.uncertainty ? value(kept.arrays.uncertainty, figure.row * J + j) : NaN);
+const uncertaintyOf = (figure, j) => (kept.arrays.uncertainty ? value(kept.arrays.uncertainty, figure.row * J + j) : NaN);
 
 // Fills kept.figures with the individuals of this moment that are not hidden.
 function fillFigures(look, see) {

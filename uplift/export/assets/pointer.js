@@ -66,7 +66,7 @@ function nearest(event, field, stride) {
 function describe(figure, joint) {
   const K = kept.arrays.keypoints, k = 2 * (figure.row * J + joint), who = figure.name ? ` · ${figure.name}` : '';
   const at = [0, 1, 2].map((a) => tidy(figure.world[3 * joint + a] - figure.shift[a])).join('  ');
-  const unit = meta.unit === 'relative' ? '' : ' ' + meta.unit, uncertainty = spreadOf(figure, joint);
+  const unit = meta.unit === 'relative' ? '' : ' ' + meta.unit, uncertainty = uncertaintyOf(figure, joint);
   const depth = uncertainty >= 0 ? `\n${filledAt(figure, joint) ? 'place' : 'depth'} ± ${tidy(uncertainty)}${unit}` : '';
   const sure = `confidence ${sureOf(figure, joint).toFixed(2)}`;
   const seen = K.codes[k] === ABSENT ? '' : `2D  ${tidy(value(K, k))}  ${tidy(value(K, k + 1))} px · `;
