@@ -285,7 +285,7 @@ def _identify(
 def _again(values: dict[str, np.ndarray], rows: int) -> int | None:
     """Return a row whose frame another row of its clip has already; None without one."""
     _, first = by_appearance([values[key] for key in (*_CLIP, "frame", "image") if key in values], rows)
-    again = np.setdiff1d(np.arange(rows), first)
+    again = np.delete(np.arange(rows), first)
     named = again[values["instance"][again] != ""] if "instance" in values else again[:0]
     return next(iter((named if len(named) else again).tolist()), None)
 
@@ -400,7 +400,7 @@ def _placed(table: Table, column: int, found: Identity) -> tuple[list[str], np.n
     names, joint = _joints(table, column)
     place = group * len(names) + joint
     code, one = by_appearance([place], len(table))
-    again = np.setdiff1d(np.arange(len(table)), one)
+    again = np.delete(np.arange(len(table)), one)
     if len(again):
         two, frame = again[0], found.values.get("frame")
         where = "" if frame is None else f" of frame {frame[two]}"
