@@ -49,14 +49,21 @@ def _places_in(peek: Peek, options: MaskOptions, notes: list[str]) -> list[Place
     return [place for place in places if place.category in taken]
 
 
+def _opened(places: list[Place], options: MaskOptions) -> Iterator[tuple[int, Place, Picture | Skipped]]:
+    """Yield the order, place and picture of each place; why not where a picture cannot be opened."""
+    for order, place in shuffled(places, options):
+        try:
+            yield order, place, open_picture(place.path)
+        except PictureError as error:
+            yield order, place, Skipped(place.name, str(error))
+
+
 def _mask_items(
     places: list[Place], options: MaskOptions, photos: Photos, counts: Counter[str]
 ) -> Iterator[Found | Skipped]:
-    for order, place in shuffled(places, options):
-        try:
-            picture = open_picture(place.path)
-        except PictureError as error:
-            yield Skipped(place.name, str(error))
+    for order, place, picture in _opened(places, options):
+        if isinstance(picture, Skipped):
+            yield picture
             continue
         kind = _kind_of(picture)
         if kind in ("labels", "photo"):
@@ -126,11 +133,9 @@ def _read_labels(peek: Peek, options: MaskOptions) -> MaskData:
 def _label_items(
     places: list[Place], options: MaskOptions, photos: Photos, counts: Counter[str]
 ) -> Iterator[Found | Skipped]:
-    for order, place in shuffled(places, options):
-        try:
-            picture = open_picture(place.path)
-        except PictureError as error:
-            yield Skipped(place.name, str(error))
+    for order, place, picture in _opened(places, options):
+        if isinstance(picture, Skipped):
+            yield picture
             continue
         if picture.alpha:
             counts["alpha"] += 1
