@@ -71,3 +71,11 @@ def test_no_text_is_read_as_another_number(parsed, cells):
                 parsed([cell])
         else:
             np.testing.assert_array_equal(parsed([cell]), [expected])
+
+
+def test_a_line_that_is_too_long_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("uplift.data.parsers.table._LONGEST_LINE", 1 << 20)
+    path = tmp_path / "a.csv"
+    path.write_text("a,b\n1,2\n" + "3," + "4" * (1 << 20) + "\n")
+    with pytest.raises(UserError, match=r"a\.csv, line 3: longer than 1 MB"):
+        Table.read(path, 1, [0, 1])

@@ -3,19 +3,23 @@
 from __future__ import annotations
 
 import os
+import struct
 import warnings
+import zlib
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 from PIL import Image
 
-from uplift.data.parsers.files import DAMAGE
 from uplift.data.parsers.json import in_order
 from uplift.data.parsers.outlines import MAX_PIXELS
 from uplift.errors import UserError
 
 __all__ = ["ENDINGS", "PHOTO_ENDINGS", "Photos", "Picture", "PictureError", "Place", "open_picture", "pictures_of"]
+
+_DAMAGE = (OSError, ValueError, SyntaxError, EOFError, IndexError, KeyError, TypeError, struct.error, zlib.error)
+"""What Pillow raises on a damaged picture; memory that runs out is not the picture's fault."""
 
 PHOTO_ENDINGS = (".jpg", ".jpeg", ".png", ".bmp", ".webp", ".tif", ".tiff")
 ENDINGS = (*PHOTO_ENDINGS, ".gif", ".pgm", ".pbm", ".ppm")
@@ -59,7 +63,7 @@ def open_picture(path: Path) -> Picture:
                 return _numbers(image, image.format in ("JPEG", "WEBP"))
     except Image.DecompressionBombError:
         raise PictureError("huge") from None
-    except (SyntaxError, *DAMAGE):
+    except _DAMAGE:
         raise PictureError("unreadable") from None
 
 

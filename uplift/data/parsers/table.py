@@ -18,6 +18,7 @@ __all__ = ["Table", "Words", "first_lines", "header_of"]
 
 _START = 1 << 16
 _LONGEST_HEADER = 1 << 24
+_LONGEST_LINE = 1 << 26
 _MISSING = {"", "nan", "na", "n/a", "#n/a", "null", "none", "nil", "-", "--", "-nan", "<na>"}
 _SWAPPED = str.maketrans(",.", ".,")
 _NUMBER = re.compile(r"[+-]?([0-9]+[.]?[0-9]*|[.][0-9]+)([eE][+-]?[0-9]+)?")
@@ -142,6 +143,8 @@ def _checked_lines(file: TextIO, path: Path, header: list[list[str]], separator:
     skipped: list[int] = []
     above, width, empty = len(header), len(header[-1]), separator + " \r\n"
     for number, line in enumerate(file, 1):
+        if len(line) > _LONGEST_LINE:
+            raise UserError(f"{path}, line {number}: longer than {_LONGEST_LINE >> 20} MB, expected a table.")
         plain = '"' not in line and "\0" not in line  # nearly all lines: counted here, as a call for each costs as much
         if plain and not above and line.count(separator) == width - 1 and line.strip(empty):
             lines.append(number)
