@@ -134,6 +134,8 @@ def test_other_files_are_refused(tmp_path: Path) -> None:
     assert "person 0 is 'me'" in refused(folder)
     write_json(other, {"people": [{"person_id": ["x"], "pose_keypoints_2d": [1, 2, 0.5] * 25}]})
     assert "person_id 'x'" in refused(folder)
+    write_json(other, {"people": [{"person_id": [1, 2], "pose_keypoints_2d": [1, 2, 0.5] * 25}]})
+    assert "person_id" in refused(folder)
     assert "no person with 2D keypoints" in refused(write_json(tmp_path / "b_1.json", openpose_frame([])))
     assert "has no *.json" in refused((tmp_path / "empty").absolute()) if (tmp_path / "empty").mkdir() is None else ""
     assert "layout=rat23" in refused(write_video(tmp_path / "c", video(3)), layout="rat23")

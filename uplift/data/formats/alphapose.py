@@ -52,7 +52,10 @@ def _bodies(path: Path) -> Iterator[tuple[str, Any, str, str]]:
             for count, record in entries(file, "the list of results"):
                 where = f"{file}: entry {count}"
                 image = name_of(record.get("image_id"), where, "image_id")
-                track = track_of(record.get("idx"), where, "idx", (int, float, str))
+                number = record.get("idx")
+                while isinstance(number, list):  # several are those of a merged track
+                    number = number[0] if len(number) == 1 else None
+                track = track_of(number, where, "idx", (int, float, str))
                 yield image, record.get("keypoints"), track, where
         elif path.is_dir() or "bodies" in first.json_keys:
             yield from _people(load_json(file), file.stem, str(file))

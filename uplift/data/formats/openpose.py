@@ -42,7 +42,10 @@ def _read(peek: Peek, options: ReadOptions) -> PoseData:
                 parts[part].add(values, where)
                 rows[part].append(len(bodies))
             if filled:
-                track = track_of(person.get("person_id"), where, "person_id", (int, float))
+                number = person.get("person_id")
+                if isinstance(number, list) and len(number) < 2:
+                    number = number[0] if number else None
+                track = track_of(number, where, "person_id", (int, float))
                 bodies.add(name or path.absolute().stem, frame, track)
     if not len(bodies):
         raise UserError(f"{path}: no person with 2D keypoints ('pose_keypoints_2d' or others) in {len(files):,} files.")

@@ -442,13 +442,9 @@ class Bodies:
 def track_of(value: Any, where: str, key: str, kinds: tuple[type, ...] = (int, str)) -> str:
     """Return a track's number or name as text; nothing for None and -1.
 
-    Where ``kinds`` have float, it may be in a list; lists of several, as merged tracks have, count as nothing.
-
     Raises:
-        UserError: anything else.
+        UserError: a value that is not of ``kinds``, or negative where names are not among them.
     """
-    while float in kinds and isinstance(value, list):
-        value = value[0] if len(value) == 1 else None
     if value is None or value == -1:
         return ""
     unknown = isinstance(value, bool) or not isinstance(value, kinds) or value != value
