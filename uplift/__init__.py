@@ -12,15 +12,21 @@ if TYPE_CHECKING:
     from uplift.cli.predict import predict
     from uplift.cli.simulate import simulate
     from uplift.data.datasets.base import DataSet, WantedFile
+    from uplift.data.module import KeypointData, MaskDataModule
     from uplift.data.poses import PoseData
     from uplift.errors import UserError
     from uplift.models.model import Model, load
     from uplift.priors.base import Lift, Prior, ShapeLift, ShapePrior
     from uplift.skeleton import Skeleton, load_skeleton
+    from uplift.training.lifting import LiftingModule
+    from uplift.training.shapes import ShapeModule
+    from uplift.training.student import StudentLoss, StudentModule
+    from uplift.training.views import Views
 
 __all__ = [
-    "DataSet", "Lift", "Model", "PoseData", "Prior", "ShapeLift", "ShapePrior", "Skeleton", "UserError", "WantedFile", "compare", "evaluate",
-    "evaluate_poses", "fit", "load", "load_skeleton", "predict", "simulate",
+    "DataSet", "KeypointData", "Lift", "LiftingModule", "MaskDataModule", "Model", "PoseData", "Prior", "ShapeLift",
+    "ShapeModule", "ShapePrior", "Skeleton", "StudentLoss", "StudentModule", "UserError", "Views", "WantedFile", "compare",
+    "evaluate", "evaluate_poses", "fit", "load", "load_skeleton", "predict", "simulate",
 ]  # fmt: skip
 __version__ = "0.1.0"
 
@@ -32,11 +38,16 @@ _HOMES = {
     "cli.predict": ("predict",),
     "cli.simulate": ("simulate",),
     "data.datasets.base": ("DataSet", "WantedFile"),
+    "data.module": ("KeypointData", "MaskDataModule"),
     "data.poses": ("PoseData",),
     "errors": ("UserError",),
     "models.model": ("Model", "load"),
     "priors.base": ("Lift", "Prior", "ShapeLift", "ShapePrior"),
     "skeleton": ("Skeleton", "load_skeleton"),
+    "training.lifting": ("LiftingModule",),
+    "training.shapes": ("ShapeModule",),
+    "training.student": ("StudentLoss", "StudentModule"),
+    "training.views": ("Views",),
 }
 
 

@@ -17,7 +17,8 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from uplift.cli.evaluate import evaluate_model, save_evaluation
+from uplift.cli.evaluate import save_evaluation
+from uplift.metrics.evaluate import evaluate_model
 from uplift.config.loading import load_settings
 from uplift.config.run import RunFolder
 from uplift.config.settings import Settings

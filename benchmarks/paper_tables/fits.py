@@ -241,7 +241,7 @@ def _evaluation(run: RunFolder, table: str) -> dict[str, Any]:
 
 def _on_training_data(run: RunFolder) -> dict[str, Any]:
     """Return the run's scores on training frames, on which the paper's figure was computed."""
-    from uplift.cli.evaluate import evaluate_model
+    from uplift.metrics.evaluate import evaluate_model
     from uplift.data.clean import clean
     from uplift.data.load import load_split
     from uplift.data.select import chosen_clips

@@ -17,7 +17,7 @@ from uplift.data.clean import clean
 from uplift.data.load import load_data, load_split
 from uplift.skeleton import load_skeleton
 from uplift.training.pose_recipe import training_frames
-from uplift.training.sampler import LabelledSampler
+from uplift.data.sampler import LabelledSampler
 
 
 @pytest.fixture(scope="module")

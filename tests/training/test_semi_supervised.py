@@ -20,7 +20,7 @@ from uplift.priors.handedness import Handedness
 from uplift.priors.labelled import Labelled
 from uplift.training.pose_recipe import PoseRecipe, _go_on
 from uplift.training.pseudo_labels import lift_all, true_poses
-from uplift.training.sampler import LabelledSampler
+from uplift.data.sampler import LabelledSampler
 
 
 def fitted(folder: Path, *words: str, **changes) -> tuple[dict[str, torch.Tensor], str]:

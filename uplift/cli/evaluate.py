@@ -22,10 +22,10 @@ from uplift.data.load import load_data, load_file, load_split
 from uplift.data.load_masks import known_shapes, load_mask_split, load_masks
 from uplift.data.masks import MaskData
 from uplift.data.parsers.npz import read_arrays
-from uplift.data.poses import PoseData
 from uplift.errors import UserError
 from uplift.metrics.baselines import score_with_baselines
 from uplift.metrics.evaluate import evaluate as score
+from uplift.metrics.evaluate import evaluate_model
 from uplift.metrics.evaluate_shapes import evaluate_shapes
 from uplift.metrics.report import AnyEvaluation, Evaluation, ShapeEvaluation
 from uplift.metrics.scores import GivenPoses
@@ -37,7 +37,7 @@ if TYPE_CHECKING:
     from uplift.models.model import Model, ShapeModel
 
 __all__ = [
-    "MOST", "evaluate", "evaluate_command", "evaluate_keypoints", "evaluate_masks", "evaluate_model",
+    "MOST", "evaluate", "evaluate_command", "evaluate_keypoints", "evaluate_masks",
     "evaluate_poses", "save_evaluation", "score_shapes",
 ]  # fmt: skip
 
@@ -94,16 +94,6 @@ def evaluate_keypoints(folder: RunFolder, model: Model, test: str | None, refine
         if truth is None:
             raise UserError(f"{folder.path} has no test frames: give data.test=FILE.")
     return evaluate_model(model, truth, truth.source if test is None else test, refine=refine)
-
-
-def evaluate_model(model: Model, truth: PoseData, name: str, *, refine: bool = True) -> Evaluation:
-    """Return every protocol of ``model`` on cleaned frames with poses."""
-    if truth.pose is None:
-        raise UserError(f"{name}: holds no 'pose' (frames, joints, 3) to compare with, only keypoints.")
-    result = score(model.predict(truth, refine=refine), truth, model.skeleton, name)
-    if model.refines(truth, refine):
-        result.notes.append("the frames of each clip were lifted together (refine=off: each on its own)")
-    return result
 
 
 # A run that lifts masks: every metric of shapes, beside baselines where training shapes are known.

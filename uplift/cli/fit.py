@@ -81,6 +81,7 @@ def fit_settings(settings: Settings, run: RunFolder | None = None) -> RunFolder:
 def prepare_keypoints(settings: Settings, run: RunFolder | None) -> Prepared:
     """Load keypoints and their recipe, which goes on from the checkpoints of ``run``."""
     from uplift.data.load import load_data
+    from uplift.data.module import KeypointData
     from uplift.skeleton import load_skeleton
     from uplift.training.pose_recipe import PoseRecipe
 
@@ -88,16 +89,18 @@ def prepare_keypoints(settings: Settings, run: RunFolder | None) -> Prepared:
         raise UserError("No skeleton: set skeleton=NAME (`uplift skeletons` lists them) or skeleton=FILE.yaml.")
     skeleton = load_skeleton(settings.skeleton)
     loaded = load_data(settings, skeleton)
-    return Prepared(f"skeleton {skeleton.name}", loaded, PoseRecipe(settings, skeleton, loaded, run))
+    recipe = PoseRecipe(settings, KeypointData.of(loaded, skeleton, settings), run)
+    return Prepared(f"skeleton {skeleton.name}", loaded, recipe)
 
 
 def prepare_masks(settings: Settings, run: RunFolder | None) -> Prepared:
     """Load masks and their recipe, which finds the checkpoints of a run itself."""
     from uplift.data.load_masks import load_masks
+    from uplift.data.module import MaskDataModule
     from uplift.training.shape_recipe import ShapeRecipe
 
     loaded = load_masks(settings)
-    return Prepared("masks", loaded, ShapeRecipe(settings, loaded.for_training()))
+    return Prepared("masks", loaded, ShapeRecipe(settings, MaskDataModule.of(loaded, settings)))
 
 
 def _run_of_all_ranks(run: RunFolder | None, settings: Settings) -> RunFolder:

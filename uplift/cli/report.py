@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from uplift.cli.evaluate import MOST, evaluate_model, save_evaluation, score_shapes
+from uplift.cli.evaluate import MOST, save_evaluation, score_shapes
 from uplift.cli.kinds import KINDS
 from uplift.config.files import replacing
 from uplift.config.run import RunFolder
@@ -19,7 +19,7 @@ from uplift.data.tensors import intrinsics_of, undistorted
 from uplift.export.page import write_html
 from uplift.export.shape_page import write_shape_page
 from uplift.metrics.baselines import flat_depth
-from uplift.metrics.evaluate import TRUTH_SIGN
+from uplift.metrics.evaluate import TRUTH_SIGN, evaluate_model
 from uplift.metrics.evaluate import evaluate as score
 from uplift.metrics.protocols import BEST_BASELINE
 from uplift.metrics.report import AnyEvaluation, Evaluation

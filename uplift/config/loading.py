@@ -5,18 +5,35 @@ from __future__ import annotations
 import dataclasses
 import re
 import typing
-from collections.abc import Collection, Iterable, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import yaml
 
 from uplift.config.files import absolute, shipped, shipped_names
-from uplift.config.settings import RENAMED, Settings, all_settings, check_settings, rename_old
+from uplift.config.settings import (
+    RENAMED,
+    TRAINER_FLAGS,
+    TRAINER_FLAGS_OF_FIT,
+    Settings,
+    all_settings,
+    check_settings,
+    rename_old,
+)
 from uplift.config.yaml_file import Where, read_value, read_yaml
 from uplift.errors import UserError, did_you_mean
 
-__all__ = ["load_settings", "put_override", "read_task", "save_settings", "setting_names", "split_words", "task_path"]
+__all__ = [
+    "load_settings",
+    "put_override",
+    "read_task",
+    "save_settings",
+    "setting_names",
+    "settings_from",
+    "split_words",
+    "task_path",
+]
 
 _MAX_EXTENDS = 10
 
@@ -39,6 +56,20 @@ def load_settings(task: str | None = None, overrides: Sequence[str] = (), defaul
     settings = _typed(merged)
     if task and not settings.data.name and settings.data.root is None:
         settings.data.root = str(path.parent.absolute())  # a user's task file names files beside it
+    check_settings(settings)
+    return settings
+
+
+def settings_from(plain: Mapping[str, Any], task: str = "default") -> Settings:
+    """Return the settings of ``task`` with plain nested ones over them, as `load_settings` checks them.
+
+    ``priors`` replace those of the task.
+    """
+    merged = read_task(task_path(task))
+    given = {key: value for key, value in plain.items() if value is not None}
+    _check_keys({key: value for key, value in given.items() if key != "priors"}, (), lambda path: ".".join(path))
+    merged = _merge(merged, given) | {key: given[key] for key in ("priors",) if key in given}
+    settings = _typed({**merged, "task": "" if task == "default" else task})
     check_settings(settings)
     return settings
 
@@ -83,6 +114,7 @@ def read_task(path: Path, depth: int = 0) -> dict[str, Any]:
         base = read_task(_parent_path(parent, path.parent, line), depth + 1)
     if path.name == "config.yaml":  # written by a fit, perhaps of an earlier version
         rename_old(data)
+    _gather_flags(data)
     _check_keys(data, (), where)
     _bind_paths(data, path.parent)
     return _merge(base, data)
@@ -100,6 +132,21 @@ def _parent_path(parent: Any, folder: Path, where: str) -> Path:
         raise UserError(f"{where}: extends: {error}") from None
 
 
+_CLASSES = (
+    "module", "lifter.network", "data.use", "data.format", "views.use", "student.network", "student.loss", "student.module",
+)  # fmt: skip
+"""Settings that may name a class of the user's as ``file.py:Class``."""
+_GROUPS_OF_CLASSES = ("priors", "callbacks", "loggers")
+"""Groups whose parts name one as ``use``."""
+
+
+def _holder(data: dict[str, Any], name: str) -> dict[str, Any]:
+    """Return the group that holds a setting; an empty one where it is not set."""
+    for key in name.split(".")[:-1]:
+        data = data.get(key) or {}
+    return data
+
+
 def _bind_paths(data: dict[str, Any], folder: Path) -> None:
     """Make the paths of a task file absolute: skeleton, data.root, files of priors, networks and data sets."""
     skeleton = data.get("skeleton")
@@ -108,10 +155,11 @@ def _bind_paths(data: dict[str, Any], folder: Path) -> None:
     root = (data.get("data") or {}).get("root")
     if isinstance(root, str) and root:
         data["data"]["root"] = str((folder / Path(root).expanduser()).absolute())
-    specs = [spec for spec in (data.get("priors") or {}).values() if isinstance(spec, dict)]
-    named = [(data.get("lifter") or {}, "network"), (data.get("data") or {}, "use"), *((spec, "use") for spec in specs)]
-    for holder, key in named:
-        if key in holder:
+    groups = [data.get(name) or {} for name in _GROUPS_OF_CLASSES]
+    specs = [spec for group in groups for spec in group.values() if isinstance(spec, dict)]
+    holders = [(_holder(data, name), name.split(".")[-1]) for name in _CLASSES]
+    for holder, key in [*holders, *((spec, "use") for spec in specs)]:
+        if isinstance(holder.get(key), str):
             holder[key] = _class_in(holder[key], folder)
 
 
@@ -144,6 +192,15 @@ def _check_keys(data: dict[str, Any], above: tuple[str, ...], where: Where) -> N
             _check_keys(value, part, where)
 
 
+def _gather_flags(data: dict[str, Any]) -> None:
+    """Put flags of Lightning's Trainer among plain ``trainer`` settings below ``trainer.flags``, in place."""
+    trainer = data.get("trainer")
+    if isinstance(trainer, dict):
+        flags = {name: trainer.pop(name) for name in list(trainer) if name in TRAINER_FLAGS}
+        if flags and isinstance(trainer.setdefault("flags", {}), dict):
+            trainer["flags"] |= flags
+
+
 def _names_below(above: Sequence[str]) -> list[str]:
     """Return the full names of the settings and groups right below a group."""
     start, depth = "".join(f"{key}." for key in above), len(above) + 1
@@ -153,6 +210,11 @@ def _names_below(above: Sequence[str]) -> list[str]:
 def _unknown(name: str, valid: Iterable[str]) -> str:
     if name in RENAMED:
         return f"the setting '{name}' is now called '{RENAMED[name]}'."
+    group, _, flag = name.partition(".")
+    if group == "trainer":
+        if flag in TRAINER_FLAGS_OF_FIT:
+            return f"'{name}' is not for a fit to set: {TRAINER_FLAGS_OF_FIT[flag]}."
+        valid = [*valid, *(f"trainer.{one}" for one in TRAINER_FLAGS)]
     return f"unknown setting '{name}'.{did_you_mean(name, valid)}"
 
 
@@ -169,9 +231,11 @@ def _typed(merged: dict[str, Any]) -> Settings:
         text = str(error).splitlines()[0]
         raise UserError(f"Setting '{key}': {text}." if key else f"Settings: {text}.") from None
     assert isinstance(settings, Settings)
-    for name, spec in settings.priors.items():
-        if not isinstance(spec, dict):
-            raise UserError(f"priors.{name} is {spec!r}, expected settings: use, weight and options of the prior.")
+    for group in _GROUPS_OF_CLASSES:
+        for name, spec in getattr(settings, group).items():
+            if not isinstance(spec, dict):
+                what = "use, weight and options of the prior" if group == "priors" else "use, and options of the class"
+                raise UserError(f"{group}.{name} is {spec!r}, expected settings: {what}.")
     return settings
 
 
@@ -231,6 +295,8 @@ def put_override(data: dict[str, Any], override: str) -> None:
     Raises UserError: not ``key=value``, an unknown key, a group given a value.
     """
     key, equals, text = override.partition("=")
+    if key.startswith("trainer.") and key.removeprefix("trainer.") in TRAINER_FLAGS:
+        key = f"trainer.flags.{key.removeprefix('trainer.')}"
     if not equals or not key:
         near = f" Did you mean task={override}?" if override in shipped_names("tasks") else ""
         raise UserError(f"'{override}': expected key=value, such as trainer.max_time=00:10:00.{near}")
@@ -286,4 +352,6 @@ def _from_here(keys: list[str], value: Any) -> Any:
         or (name == "skeleton" and value.endswith((".yaml", ".yml")))
     ):
         return str(Path(value).expanduser().absolute())
-    return _class_in(value, Path()) if keys[-1] == "use" or name == "lifter.network" else value
+    if name == "data.val" and not re.fullmatch(r"[\d.]+", value):
+        return absolute(value)
+    return _class_in(value, Path()) if keys[-1] == "use" or name in _CLASSES else value

@@ -7,20 +7,30 @@ import importlib.util
 import inspect
 import sys
 import traceback
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from types import ModuleType
 from typing import Any, TypeVar
 
 from uplift.errors import UserError, did_you_mean
 
-__all__ = ["build", "find_class", "options_of"]
+__all__ = ["blame", "build", "find_class", "options_of"]
 
 Kind = TypeVar("Kind")
 
+_PACKAGE = Path(__file__).resolve().parent.parent
+
 
 def build(
-    use: str, builtin: Mapping[str, str], options: Mapping[str, Any], where: str, kind: type[Kind], **given: Any
+    use: str,
+    builtin: Mapping[str, str],
+    options: Mapping[str, Any],
+    where: str,
+    kind: type[Kind],
+    *,
+    setting: str | None = None,
+    **given: Any,
 ) -> Kind:
     """Return an instance of the class that ``use`` names, a subclass of ``kind``, with ``given`` and the user's ``options``.
 
@@ -28,7 +38,7 @@ def build(
     not take or that is of another kind than its default, an argument without a default that
     was not given, or a user's ``__init__`` that fails.
     """
-    found = find_class(use, builtin, where)
+    found = find_class(use, builtin, where, setting)
     if not issubclass(found, kind):
         package = kind.__module__.partition(".")[0] + (".nn" if kind.__module__.startswith("torch.nn") else "")
         raise UserError(f"{where}: '{use}' is not a subclass of {package}.{kind.__name__}.")
@@ -72,23 +82,21 @@ def _check_kinds(found: type, options: Mapping[str, Any], where: str) -> None:
             raise UserError(f"{where}.{name}={value!r}: expected {expected}, such as {parameter.default!r}.")
 
 
-def find_class(use: str, builtin: Mapping[str, str], where: str) -> type:
+def find_class(use: str, builtin: Mapping[str, str], where: str, setting: str | None = None) -> type:
     """Return the class that ``use`` names: a built-in, or ``file.py:Class``, or ``package.module:Class``.
 
-    Raises UserError: there is no such class.
+    Messages name the ``setting``, by default ``where.use``. Raises UserError: there is no such class.
     """
-    target = builtin.get(use, use)
+    target, setting = builtin.get(use, use), setting or f"{where}.use"
     if ":" not in target:
-        raise UserError(
-            f"{where}.use={use!r}: no such built-in.{did_you_mean(use, builtin)} "
-            "Your own is named file.py:Class or package.module:Class."
-        )
+        none = f"no such built-in.{did_you_mean(use, builtin)} Your own is named" if builtin else "expected"
+        raise UserError(f"{setting}={use!r}: {none} file.py:Class or package.module:Class.")
     module_name, _, class_name = target.rpartition(":")
-    module = _load_file(module_name, where) if module_name.endswith(".py") else _load_module(module_name, where)
+    module = _load_file(module_name, setting) if module_name.endswith(".py") else _load_module(module_name, setting)
     found = getattr(module, class_name, None)
     if not isinstance(found, type):
         classes = [name for name, value in vars(module).items() if isinstance(value, type)]
-        raise UserError(f"{where}.use={use!r}: no class '{class_name}' there.{did_you_mean(class_name, classes)}")
+        raise UserError(f"{setting}={use!r}: no class '{class_name}' there.{did_you_mean(class_name, classes)}")
     return found
 
 
@@ -100,10 +108,10 @@ def options_of(found: type, skip: tuple[str, ...] = ()) -> dict[str, Any] | None
     return {name: p.default for name, p in parameters.items() if name not in skip}
 
 
-def _load_file(name: str, where: str) -> ModuleType:
+def _load_file(name: str, setting: str) -> ModuleType:
     path = Path(name).expanduser().absolute()
     if not path.is_file():
-        raise UserError(f"{where}.use: no file {path}.")
+        raise UserError(f"{setting}: no file {path}.")
     key = f"uplift_user_{abs(hash(str(path)))}_{path.stem}"
     if key in sys.modules:
         return sys.modules[key]
@@ -115,12 +123,34 @@ def _load_file(name: str, where: str) -> ModuleType:
         spec.loader.exec_module(module)
     except (Exception, SystemExit) as error:
         del sys.modules[key]
-        raise UserError(f"{where}.use: {path} does not run: {type(error).__name__}: {error}") from error
+        raise UserError(f"{setting}: {path} does not run: {type(error).__name__}: {error}") from error
     return module
 
 
-def _load_module(name: str, where: str) -> ModuleType:
+def _load_module(name: str, setting: str) -> ModuleType:
     try:
         return importlib.import_module(name)
     except (Exception, SystemExit) as error:  # whatever a user's module raises on import
-        raise UserError(f"{where}.use: cannot import '{name}': {type(error).__name__}: {error}") from error
+        raise UserError(f"{setting}: cannot import '{name}': {type(error).__name__}: {error}") from error
+
+
+@contextmanager
+def blame(where: str, plugin: object, hook: str) -> Iterator[None]:
+    """Turn an error inside a user's class, the setting ``where``, into a `UserError` that names file and line."""
+    try:
+        yield
+    except UserError:
+        raise
+    except Exception as error:
+        module = type(plugin).__module__
+        if module.startswith("uplift."):
+            raise
+        frames = [
+            frame
+            for frame in traceback.extract_tb(error.__traceback__)
+            if _PACKAGE not in Path(frame.filename).resolve().parents and "site-packages" not in frame.filename
+        ]
+        # A hook with wrong arguments, or whose result cannot be read, fails in the package's frames alone.
+        file = getattr(sys.modules.get(module), "__file__", None) or module
+        place = f"{frames[0].filename}, line {frames[0].lineno}" if frames else f"{type(plugin).__name__} of {file}"
+        raise UserError(f"{where}: {hook} failed in {place}: {type(error).__name__}: {error}") from error

@@ -16,7 +16,7 @@ from typing import Any, NamedTuple, Optional, TypeVar
 from uplift.errors import UserError, nearest
 
 __all__ = [
-    "MAX_SIDE", "MIN_SIDE", "RENAMED", "ChoiceSettings", "DataSettings", "LifterSettings", "RefineSettings", "Setting",
+    "MAX_SIDE", "MIN_SIDE", "RENAMED", "TRAINER_FLAGS", "TRAINER_FLAGS_OF_FIT", "ChoiceSettings", "DataSettings", "LifterSettings", "RefineSettings", "Setting",
     "Settings", "ShapeSettings", "StageSettings", "StudentSettings", "TeacherSettings", "TrainerSettings",
     "ViewSettings", "all_settings", "check_settings", "rename_old", "seconds_of", "settings_of",
 ]  # fmt: skip
@@ -80,6 +80,9 @@ class DataSettings:
     )
     options: dict[str, Any] = _setting({}, "options of that reader", only="keypoints")
     train: Optional[str] = _setting(None, "file or folder to train on, several with commas or *, or the set's split")
+    val: Optional[str] = _setting(
+        None, "file, folder or split to validate on during the fit, or a share of the training data such as 0.1"
+    )
     test: Optional[str] = _setting(None, "file, folder or split to evaluate on after the fit")
     format: Optional[str] = _setting(None, "format of the files: deeplabcut, openpose, coco, ...; unset: guessed")
     layout: Optional[str] = _setting(
@@ -160,6 +163,8 @@ class ViewSettings:
         "tilt of new views: batch (another pose's), normal (batch mean and sd), same",
         choices=("batch", "normal", "same"),
     )
+    use: Optional[str] = _setting(None, "views of your own: file.py:Class; unset: as these settings say")
+    options: dict[str, Any] = _setting({}, "options of that class")
     renormalise: bool = _setting(True, "bring views to mean radius 1, as real keypoints are")
     count_root: bool = _setting(True, "set from lifter.radius")
 
@@ -249,6 +254,9 @@ class StudentSettings(StageSettings):
     turn: bool = _setting(True, "show poses from everywhere; off: each from where it was seen")
     mix: float = _setting(0.7, "share of poses that take limbs of others", low=0, high=1)
     mix_limb: float = _setting(0.4, "chance of each limb of such a pose", low=0, high=1)
+    loss: Optional[str] = _setting(None, "loss of your own: file.py:Class; unset: absolute errors")
+    loss_options: dict[str, Any] = _setting({}, "options of that class")
+    module: Optional[str] = _setting(None, "module of your own, a subclass of uplift.StudentModule: file.py:Class")
 
 
 @dataclass
@@ -271,7 +279,10 @@ class TrainerSettings:
     accelerator: str = _setting("auto", "accelerator of Lightning's Trainer")
     devices: str = _setting("auto", "devices of Lightning's Trainer")
     precision: str = _setting("32-true", "precision of Lightning's Trainer")
-    logger: Optional[str] = _setting(None, "logger beside metrics.csv: tensorboard, wandb")
+    logger: Optional[str] = _setting(
+        None, "loggers beside metrics.csv, several with commas: tensorboard, wandb, csv, mlflow, comet"
+    )
+    flags: dict[str, Any] = _setting({}, "any other flag of Lightning's Trainer, given as trainer.NAME")
 
 
 @dataclass
@@ -284,6 +295,9 @@ class Settings:
     skeleton: str = _setting("", "a shipped name, or a YAML file", only="keypoints")
     seed: int = _setting(0, "seed of everything random", low=0, high=2**31 - 1)
     init: Optional[str] = _setting(None, "run whose weights to start from")
+    module: Optional[str] = _setting(
+        None, "module of your own, a subclass of uplift.LiftingModule or uplift.ShapeModule: file.py:Class"
+    )
     data: DataSettings = _group(DataSettings)
     lifter: LifterSettings = _group(LifterSettings)
     shape: ShapeSettings = _group(ShapeSettings, only="masks")
@@ -292,6 +306,30 @@ class Settings:
     teacher: TeacherSettings = _group(TeacherSettings)
     student: StudentSettings = _group(StudentSettings)
     trainer: TrainerSettings = _group(TrainerSettings)
+    callbacks: dict[str, Any] = _setting({}, "name: {use, the callback's own options}; Lightning's own by their names")
+    loggers: dict[str, Any] = _setting({}, "name: {use, the logger's own options}; see trainer.logger")
+
+
+TRAINER_FLAGS = (
+    "accumulate_grad_batches", "benchmark", "check_val_every_n_epoch", "detect_anomaly", "deterministic",
+    "enable_autolog_hparams", "enable_model_summary", "enable_progress_bar", "fast_dev_run", "gradient_clip_algorithm",
+    "gradient_clip_val", "inference_mode", "limit_predict_batches", "limit_test_batches", "limit_train_batches",
+    "limit_val_batches", "min_epochs", "min_steps", "num_nodes", "num_sanity_val_steps",
+    "overfit_batches", "profiler", "reload_dataloaders_every_n_epochs", "strategy", "sync_batchnorm",
+    "use_distributed_sampler", "val_check_interval",
+)  # fmt: skip
+"""Flags of Lightning's Trainer that a user may set beside `TrainerSettings`, as ``trainer.NAME``."""
+TRAINER_FLAGS_OF_FIT = {
+    "callbacks": "name them as callbacks.NAME.use=...",
+    "logger": "",
+    "log_every_n_steps": "set trainer.log_every",
+    "default_root_dir": "a fit writes into its run folder",
+    "enable_checkpointing": "checkpoints make a fit resumable; see trainer.checkpoint_every",
+    "plugins": "a fit uses its own",
+    "barebones": "a fit needs its callbacks",
+    "model_registry": "a fit writes lifter.pt",
+}
+"""Flags that a fit sets itself, and what to do instead."""
 
 
 # The settings as a list: what checks, command-line completion and help read.

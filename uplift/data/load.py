@@ -48,16 +48,17 @@ class Loaded:
         return self.train.unit if self.more is None else self.more.unit
 
 
-def load_data(settings: Settings, skeleton: Skeleton) -> Loaded:
-    """Return the training and test frames that ``settings.data`` asks for.
+def load_data(settings: Settings, skeleton: Skeleton, load: Load[PoseData] | None = None) -> Loaded:
+    """Return the training and test frames that ``settings.data`` asks for, or that ``load`` returns.
 
     Raises UserError: a file that is missing or wrong, other joints, no frames left.
     """
 
-    def load(settings: Settings, which: str) -> PoseData:
+    def load_or_simulate(settings: Settings, which: str) -> PoseData:
         simulated = settings.data.simulate and not (which == "test" and settings.data.test)
         return _simulated(settings, which, skeleton) if simulated else load_split(settings, which, skeleton)
 
+    load = load or load_or_simulate
     train, test = with_test(settings, load)
     train, more = with_labels_of(settings, train, load)
     notes: list[str] = []

@@ -9,7 +9,7 @@ import numpy as np
 from uplift.config.files import data_root
 from uplift.config.settings import Settings
 from uplift.data.concat import concat_masks
-from uplift.data.load import find_data, with_labels_of, with_test
+from uplift.data.load import Load, find_data, with_labels_of, with_test
 from uplift.data.masks import MaskData, Placed
 from uplift.geometry.mesh import Mesh
 
@@ -33,17 +33,20 @@ class LoadedMasks:
         return replace(self, train=truth_of_labelled(self.train), test=test)
 
 
-def load_masks(settings: Settings) -> LoadedMasks:
-    """Return the training and test masks that ``settings.data`` names; the same settings give the same masks.
+def load_masks(settings: Settings, load: Load[MaskData] | None = None) -> LoadedMasks:
+    """Return the training and test masks that ``settings.data`` names, or that ``load`` returns.
+
+    The same settings give the same masks.
 
     A file's own `labelled` does not count: settings alone say what may be learned from.
 
     Raises UserError: a file that is missing or wrong, no masks left, labels asked for where no shape is known.
     """
-    train, test = with_test(settings, load_mask_split)
+    load = load or load_mask_split
+    train, test = with_test(settings, load)
     notes = _notes("train", train)
     marked = 0 if train.labelled is None else int(train.labelled.sum())
-    train, more = with_labels_of(settings, replace(train, labelled=None), load_mask_split)
+    train, more = with_labels_of(settings, replace(train, labelled=None), load)
     labelled = train if more is None else more
     if labelled.labelled is not None:
         where = f" from {labelled.source}" if settings.data.labelled.file is not None else ""

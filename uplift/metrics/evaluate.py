@@ -18,9 +18,10 @@ from uplift.skeleton import Skeleton
 
 if TYPE_CHECKING:
     from uplift.data.poses import PoseData
+    from uplift.models.model import Model
     from uplift.models.prediction import Prediction
 
-__all__ = ["NOMINAL", "TRUTH_SIGN", "coverage_of", "evaluate", "rank_correlation"]
+__all__ = ["NOMINAL", "TRUTH_SIGN", "coverage_of", "evaluate", "evaluate_model", "rank_correlation"]
 
 TRUTH_SIGN = "facing_sign of the truth itself:"
 """Beginning of the note on how often the truth has the handedness of the skeleton."""
@@ -56,6 +57,16 @@ def evaluate(prediction: GivenPoses | Prediction, truth: PoseData, skeleton: Ske
         notes=[*notes, *_truth_notes(matched, scores, subjects[1])],
         calibration=None if uncertainty is None else _calibrate(matched, uncertainty[kept]),
     )
+
+
+def evaluate_model(model: Model, truth: PoseData, name: str, *, refine: bool = True) -> Evaluation:
+    """Return every protocol of ``model`` on cleaned frames with poses."""
+    if truth.pose is None:
+        raise UserError(f"{name}: holds no 'pose' (frames, joints, 3) to compare with, only keypoints.")
+    result = evaluate(model.predict(truth, refine=refine), truth, model.skeleton, name)
+    if model.refines(truth, refine):
+        result.notes.append("the frames of each clip were lifted together (refine=off: each on its own)")
+    return result
 
 
 def _uncertainty_of(prediction: GivenPoses | Prediction, skeleton: Skeleton) -> np.ndarray | None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 
 import numpy as np
-from jaxtyping import Bool
+from jaxtyping import Bool, Float
 
 from uplift.data.masks import Placed
 from uplift.errors import UserError
@@ -18,10 +18,11 @@ from uplift.metrics.shape_metrics import (
     elevation_errors_deg,
     predicted,
     score_item,
+    seen_overlap,
 )
 from uplift.models.prediction import ShapePrediction
 
-__all__ = ["RESOLUTION", "evaluate_all", "evaluate_shapes", "filled_truths"]
+__all__ = ["RESOLUTION", "evaluate_all", "evaluate_shapes", "filled_truths", "silhouettes_seen"]
 
 RESOLUTION = 64
 """Voxels along the grid that the truth is filled on."""
@@ -65,6 +66,12 @@ def evaluate_all(
     groups = [truth.meshes[shape].category for shape in truth.shape.tolist()] if category is None else category
     groups = np.asarray(groups).astype(str)
     return {title: _gathered(found[title], one, truth, name, groups) for title, one in predictions.items()}
+
+
+def silhouettes_seen(prediction: ShapePrediction, masks: np.ndarray) -> Float[np.ndarray, " items"]:
+    """Return the metric silhouette_iou_seen of each item, which needs no truth; ``masks`` are the input masks."""
+    found = (predicted(prediction, row) for row in range(len(prediction)))
+    return np.array([seen_overlap(one, mask) for one, mask in zip(found, masks, strict=True)])
 
 
 def _check(title: str, prediction: ShapePrediction, truth: Placed, masks: np.ndarray) -> None:

@@ -22,7 +22,7 @@ from uplift.models.prediction import ShapePrediction
 __all__ = [
     "OWN_MIRROR", "SIDE", "Silhouette", "Standing", "TrueItem", "azimuth_errors_deg", "compare_surfaces",
     "elevation_errors_deg", "grid_surface", "handedness", "mesh_surface", "of_mask", "overlap", "predicted",
-    "score_item", "silhouette", "true", "volume_iou", "voxel_centres",
+    "score_item", "seen_overlap", "silhouette", "true", "volume_iou", "voxel_centres",
 ]  # fmt: skip
 
 _OF_GRID = ("inside", "empty", "span", "surface")
@@ -440,9 +440,14 @@ class TrueItem:
         return [_drawn(points @ turn.T, self.mesh.faces, self.standing.distance, self.pixel) for turn in self.turns]
 
 
+def seen_overlap(found: Standing, mask: np.ndarray) -> float:
+    """Return the IoU of a shape's silhouette in the input view and the input mask."""
+    return overlap(silhouette(found, 2 / SIDE), of_mask(mask))
+
+
 def score_item(found: Standing, truth: TrueItem, mask: np.ndarray) -> dict[str, float]:
     """Return the metrics of one shape; the depths of the centroids are brought together for all but the seen view."""
-    seen = overlap(silhouette(found, 2 / SIDE), of_mask(mask))
+    seen = seen_overlap(found, mask)
     found = found.moved(truth.standing.depth - found.depth)
     volume = volume_iou(found, truth.standing)
     new = [

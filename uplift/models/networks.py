@@ -10,10 +10,10 @@ from jaxtyping import Float
 from torch import Tensor, nn
 from torch.nn.functional import leaky_relu
 
-from uplift.config.plugins import build
+from uplift.config.plugins import build, find_class, options_of
 from uplift.errors import UserError, did_you_mean
 
-__all__ = ["CouplingFlow", "KudoNetwork", "ResidualNetwork", "build_network"]
+__all__ = ["CouplingFlow", "KudoNetwork", "ResidualNetwork", "build_network", "fitting_options"]
 
 
 class KudoNetwork(nn.Module):
@@ -124,7 +124,24 @@ class CouplingFlow(nn.Module):
         return 0.5 * latent.square().sum(1) - volume
 
 
+_SIZES = ("inputs", "outputs")
 NETWORKS = {"kudo": "uplift.models.networks:KudoNetwork", "residual": "uplift.models.networks:ResidualNetwork"}
+
+
+def fitting_options(use: str, options: Mapping[str, Any]) -> tuple[dict[str, Any], list[str]]:
+    """Return the options for the network ``use``, and the names of those that are left out: of built-in networks alone.
+
+    A recipe's options are those of its own network. Where another is named, what that one does not take and a built-in
+    one does is left out; any other option stays, for `build_network` to refuse.
+    """
+    if use not in NETWORKS and ":" not in use:
+        return dict(options), []
+    taken = options_of(find_class(use, NETWORKS, "", "lifter.network"), skip=_SIZES)
+    if taken is None:
+        return dict(options), []
+    builtin = {name for other in NETWORKS for name in options_of(find_class(other, NETWORKS, other), skip=_SIZES) or ()}
+    left_out = [name for name in options if name not in taken and name in builtin]
+    return {name: value for name, value in options.items() if name not in left_out}, left_out
 
 
 def build_network(

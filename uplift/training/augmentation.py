@@ -11,6 +11,7 @@ from torch.nn.functional import normalize
 
 from uplift.config.settings import StudentSettings
 from uplift.data.clean import MIN_VISIBLE, joint_neighbours
+from uplift.data.sampler import LabelledSampler
 from uplift.data.samples import Samples
 from uplift.geometry.camera import Camera
 from uplift.geometry.normalise import mirror, renormalise
@@ -18,7 +19,6 @@ from uplift.geometry.rotation import about_y, least_rotation, nearest_rotation, 
 from uplift.models.lifter import Lifted
 from uplift.skeleton import Skeleton
 from uplift.training.pseudo_labels import PseudoPoses
-from uplift.training.sampler import LabelledSampler
 
 __all__ = ["TILT_WEIGHT", "LimbMixer", "ShownViews", "ViewMaker", "depth_error", "tilt_error"]
 

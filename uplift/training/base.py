@@ -1,23 +1,26 @@
-"""`LifterTraining`, the base of all training of lifters: random streams, schedule, optimiser, averaged weights."""
+"""`TrainingModule`, the base of all training: random streams, schedule, optimiser, averaged weights, validation."""
 
 from __future__ import annotations
 
+import dataclasses
 import math
-from collections.abc import Iterable
-from itertools import count
+from collections.abc import Mapping
 from typing import Any, Generic, TypeVar, cast
 
 import lightning as L
 import torch
+from lightning.pytorch.callbacks import Timer
 from torch import Tensor, nn
 from torch.optim.swa_utils import AveragedModel
 
-from uplift.config.settings import StageSettings
+from uplift.config.loading import settings_from
+from uplift.config.settings import Settings, StageSettings
 from uplift.data.samples import Samples
-from uplift.priors.base import Lift, ShapeLift
+from uplift.errors import UserError, did_you_mean
+from uplift.priors.base import Lift, Prior, ShapeLift
 from uplift.training.objective import Logged, Objective
 
-__all__ = ["LifterTraining", "stream_seed"]
+__all__ = ["TrainingModule", "plain_settings", "prior_specs", "stage_settings", "stream_seed"]
 
 
 def stream_seed(seed: int, rank: int, step: int) -> int:
@@ -47,62 +50,164 @@ LifterT = TypeVar("LifterT", bound=nn.Module)
 DataT = TypeVar("DataT", bound=Samples)
 
 
-class LifterTraining(L.LightningModule, Generic[LifterT, DataT]):
-    """Train ``lifter`` with automatic optimisation: one optimiser, one backward pass per step.
+class TrainingModule(L.LightningModule, Generic[LifterT, DataT]):
+    """Train a lifter with automatic optimisation: one optimiser, one backward pass per step.
 
-    A subclass writes `objective`. `final` is the trained lifter: its averaged weights where
-    `StageSettings.average` is set. ``terms`` are the priors that judge it, if any; their own parameters are
-    trained at ``prior_rate``, or the lifter's rate.
+    A subclass writes `prepare`, which takes the training data from a data module before the first step, and
+    `objective`, the loss of a batch. The learning rate follows `schedule` over `done`, the share of the training that
+    is over: of ``max_steps`` or ``max_epochs`` of the trainer, or of the time of a `lightning` ``Timer``, whichever
+    is further.
     """
 
+    settings: StageSettings
+    lifter: LifterT
+    averaged: AveragedModel | None
+    terms: Objective
+    """The priors that judge the lifter, if any."""
+    frames: DataT | None = None
+    """The training data on the module's device, in the lifter's units; None before `prepare`."""
     logged: Logged
     """The terms of the last step."""
     last_lift: Lift | ShapeLift | None = None
     """What priors judged in the last step."""
+    done: float = 0.0
+    """Share of the training that is over, 0..1."""
+    log_prefix: str = "train"
+    """Terms are logged as ``train/NAME``."""
+    first_step: int = 0
+    """Steps of earlier stages, which loggers count on from."""
+    prior_rate: float | None = None
+    """The learning rate of the priors' own parameters; the lifter's where it is None."""
+    _total_steps: float = math.inf
+    _timers: tuple[Timer, ...] = ()
+    _accumulated: int = 1
+    _micro_batch: int = 0
+    _log_every: int = 0
 
-    def __init__(
-        self,
-        lifter: LifterT,
-        data: DataT,
-        settings: StageSettings,
-        seed: int,
-        terms: Objective | None = None,
-        prior_rate: float | None = None,
-    ):
-        super().__init__()
-        self.lifter, self.data, self.settings, self.seed = lifter, data, settings, seed
-        self.done = 0.0
-        """Share of the stage that is over, 0..1; kept by `uplift.training.callbacks.Budget`."""
-        self.averaged: AveragedModel | None = None
+    def set_up(self, lifter: LifterT, settings: StageSettings, seed: int, terms: Objective | None = None) -> None:
+        """Set what the training works on; the last call of a subclass's ``__init__``."""
+        self.lifter, self.settings, self.seed, self.logged = lifter, settings, seed, {}
+        self.averaged = None
         if settings.average:
             self.averaged = AveragedModel(lifter, multi_avg_fn=_average(settings.average))
             # Nothing trains them, and ranks must not wait for their gradients.
             self.averaged.requires_grad_(False)
         self.terms = terms or Objective({}, {})
         self.priors = nn.ModuleDict(self.terms.priors)
-        self.prior_rate = prior_rate or settings.learning_rate
 
     @property
     def final(self) -> LifterT:
-        """The lifter to evaluate and predict with."""
+        """The lifter to evaluate and predict with: its averaged weights where `StageSettings.average` is set."""
         return self.lifter if self.averaged is None else cast(LifterT, self.averaged.module)
 
-    def objective(self) -> tuple[Tensor, Logged]:
-        """Return the loss of one random batch and the numbers to log."""
+    # What a subclass writes.
+
+    def prepare(self, data: Any) -> None:
+        """Take the training data from the data module ``data``, before the first step and before a checkpoint is loaded."""
         raise NotImplementedError
+
+    def objective(self, batch: Any) -> tuple[Tensor, Logged]:
+        """Return the loss of ``batch`` and the numbers to log.
+
+        Args:
+            batch: what the data loader gave: how many frames to draw from `frames`, or a batch of data.
+        """
+        raise NotImplementedError
+
+    def figures(self, batch: Any) -> dict[str, float]:
+        """Return the metrics of validation or test data by name."""
+        raise NotImplementedError
+
+    # Data and steps.
+
+    def setup(self, stage: str) -> None:
+        """Prepare for training with the trainer's data module, unless `prepare` was called before."""
+        if stage == "fit" and self.frames is None:
+            self.prepare(self.trainer.datamodule)  # type: ignore[attr-defined]
+
+    def on_fit_start(self) -> None:
+        """Move the training data to the module's device."""
+        if self.frames is not None:
+            self.frames = self.frames.to(self.device)
+
+    def on_train_start(self) -> None:
+        """Look up what ends the training."""
+        self._total_steps = self.trainer.estimated_stepping_batches
+        callbacks: list[L.Callback] = self.trainer.callbacks  # type: ignore[attr-defined]
+        self._timers = tuple(c for c in callbacks if isinstance(c, Timer) and c.time_remaining() is not None)
+        self._accumulated = self.trainer.accumulate_grad_batches
+        self._log_every = max(1, self.trainer.log_every_n_steps)  # type: ignore[attr-defined]
+
+    def on_train_end(self) -> None:
+        """Log no more."""
+        self._log_every = 0
+
+    def on_train_batch_start(self, batch: Any, batch_idx: int) -> None:
+        """Set the learning rate for the share of the training that is over."""
+        self.update_done()
+        factor = self.schedule(self.done)
+        for group in self.optimizers().param_groups:  # type: ignore[union-attr]
+            group["lr"] = group["peak"] * factor
+
+    def update_done(self) -> None:
+        """Set `done` for the steps and the time so far."""
+        shares = [self.trainer.global_step / self._total_steps]
+        for timer in self._timers:
+            spent = timer.time_elapsed()
+            shares.append(spent / (spent + (timer.time_remaining() or 0.0)))
+        done = min(1.0, max(shares))
+        if self._timers and self.trainer.world_size > 1:  # ranks must agree on the learning rate
+            done = float(self.trainer.strategy.broadcast(done))
+        self.done = done
+
+    def training_step(self, batch: Any, batch_idx: int) -> Tensor:
+        """Seed this step's random stream and return the loss of ``batch``, or of a batch drawn from the stream."""
+        self._micro_batch = batch_idx % self._accumulated
+        torch.manual_seed(stream_seed(self.seed, self.global_rank, self.stream_step))
+        loss, self.logged = self.objective(batch)
+        if self._log_every and ((self.global_step + 1) % self._log_every == 0 or self.trainer.is_last_batch):
+            self._log_terms(loss)
+        return loss
+
+    @property
+    def stream_step(self) -> int:
+        """The number of this step's random stream: that of the optimiser's step, or of the batches within it."""
+        return self.global_step * self._accumulated + self._micro_batch
+
+    def _log_terms(self, loss: Tensor) -> None:
+        """Log every term, what the priors measure, and the loss."""
+        values: Mapping[str, Any] = {**self.logged, "loss": loss.detach()}
+        if self.last_lift is not None:
+            values = {**values, **self.terms.metrics(self.last_lift)}
+        self.log_dict({f"{self.log_prefix}/{name}": value for name, value in values.items()}, batch_size=1)  # type: ignore[arg-type]
+        if self.first_step:
+            self.log("step", float(self.first_step + self.global_step), batch_size=1)
+
+    # Validation and test.
+
+    def validation_step(self, batch: Any, batch_idx: int) -> None:
+        """Log the figures of validation data as ``val/NAME``."""
+        self._log_figures("val", batch)
+
+    def test_step(self, batch: Any, batch_idx: int) -> None:
+        """Log the figures of test data as ``test/NAME``."""
+        self._log_figures("test", batch)
+
+    def _log_figures(self, prefix: str, batch: Any) -> None:
+        # Figures are those of `uplift evaluate`, in full precision; every rank computes the same.
+        with torch.autocast(self.device.type, enabled=False):
+            found = self.figures(batch)
+        values = {f"{prefix}/{name}": float(value) for name, value in found.items()}
+        if self.first_step and self.trainer.state.fn == "fit":
+            values["step"] = float(self.first_step + self.global_step)
+        self.log_dict(values, batch_size=1)
+
+    # Optimisation.
 
     def parameter_groups(self) -> list[dict[str, Any]]:
         """Return the optimiser's groups: the lifter's, and one for each prior that has parameters."""
         lifter = {"params": list(self.lifter.parameters()), "lr": self.settings.learning_rate, "name": "lifter"}
-        return [lifter, *self.terms.parameter_groups(self.prior_rate)]
-
-    def train_dataloader(self) -> Iterable[int]:
-        """Return an endless count of steps: the data are on the device, and each step draws a batch."""
-        return count()
-
-    def on_fit_start(self) -> None:
-        """Move the data set to the model's device."""
-        self.data = self.data.to(self.device)
+        return [lifter, *self.terms.parameter_groups(self.prior_rate or self.settings.learning_rate)]
 
     def configure_optimizers(self) -> torch.optim.Optimizer:
         """Return one Adam over all groups; each keeps its peak rate for the schedule."""
@@ -111,12 +216,6 @@ class LifterTraining(L.LightningModule, Generic[LifterT, DataT]):
         # The fused kernel needs floating-point parameters of one device type, which ours are.
         return torch.optim.Adam(groups, betas=(s.beta1, s.beta2), weight_decay=s.weight_decay, fused=True)
 
-    def on_train_batch_start(self, batch: int, batch_idx: int) -> None:
-        """Set the learning rate for the share of the stage that is over."""
-        factor = self.schedule(self.done)
-        for group in self.optimizers().param_groups:  # type: ignore[union-attr]
-            group["lr"] = group["peak"] * factor
-
     def schedule(self, done: float) -> float:
         """Return the learning rate's factor: warm up, constant to `decay_from`, half a cosine down to 2 %."""
         warm = min(1.0, (done + 1e-3) / self.settings.warm_up) if self.settings.warm_up else 1.0
@@ -124,16 +223,6 @@ class LifterTraining(L.LightningModule, Generic[LifterT, DataT]):
             return warm
         over = max(0.0, (done - self.settings.decay_from) / (1 - self.settings.decay_from))
         return warm * (0.02 + 0.98 * 0.5 * (1 + math.cos(math.pi * min(1.0, over))))
-
-    def training_step(self, batch: int, batch_idx: int) -> Tensor:
-        """Seed this step's random stream and return the loss of a batch drawn from it."""
-        torch.manual_seed(stream_seed(self.seed, self.global_rank, self.global_step))
-        loss, self.logged = self.objective()
-        return loss
-
-    def on_save_checkpoint(self, checkpoint: dict[str, Any]) -> None:
-        """Keep how much of the stage is over."""
-        checkpoint["done"] = self.done
 
     def on_before_optimizer_step(self, optimizer: torch.optim.Optimizer) -> None:
         """Remove the gradients of gated parameters: Adam then skips them, momentum and decay included."""
@@ -145,3 +234,48 @@ class LifterTraining(L.LightningModule, Generic[LifterT, DataT]):
         super().optimizer_step(*arguments, **options)
         if self.averaged is not None:
             self.averaged.update_parameters(self.lifter)
+
+    def on_save_checkpoint(self, checkpoint: dict[str, Any]) -> None:
+        """Keep how much of the training is over."""
+        checkpoint["done"] = self.done
+
+
+# What modules are built from: settings as plain data, and priors in any form.
+
+_OF_DATA = {"batch_size": "batch_size=... of the data module", "share": "the length of the trainer's fit"}
+
+
+def stage_settings(group: str, training: Mapping[str, Any], task: str = "default", **plain: Any) -> Settings:
+    """Return the settings of a module: those of the recipe ``task`` with ``training``, of the group ``teacher`` or ``student``.
+
+    Raises UserError: an option that there is not, an invalid value.
+    """
+    default = settings_from({}, task)
+    known = [one.name for one in dataclasses.fields(getattr(default, group)) if one.name not in _OF_DATA]
+    for name in training:
+        if name in _OF_DATA:
+            raise UserError(f"{name} is not an option of a module: it is set by {_OF_DATA[name]}.")
+        if name not in known:
+            raise UserError(f"'{name}' is not an option of a module.{did_you_mean(name, known)}")
+    return settings_from({**plain, group: dict(training)}, task)
+
+
+def plain_settings(settings: Any) -> dict[str, Any]:
+    """Return settings as plain data, without what belongs to the data module or the fit."""
+    return {key: value for key, value in dataclasses.asdict(settings).items() if key not in _OF_DATA}
+
+
+def prior_specs(priors: Mapping[str, Any] | None) -> tuple[dict[str, Any] | None, dict[str, Any]]:
+    """Return the settings of the priors, and those that were given as classes or objects."""
+    if priors is None:
+        return None, {}
+    given = {name: spec for name, spec in priors.items() if isinstance(spec, (type, Prior))}
+    specs = {}
+    for name, spec in priors.items():
+        if isinstance(spec, Mapping):
+            specs[name] = dict(spec)
+        elif isinstance(spec, str):
+            specs[name] = {"use": spec}
+        elif name not in given:
+            specs[name] = {"weight": spec}
+    return specs, given

@@ -8,17 +8,20 @@ import sys
 import threading
 import time
 from collections.abc import Callable
+from datetime import timedelta
 from pathlib import Path
 from statistics import median_high
 from typing import Any
 
 import lightning as L
 import torch
+from lightning.pytorch.callbacks import ModelCheckpoint, Timer, TQDMProgressBar
+from lightning.pytorch.callbacks.progress.tqdm_progress import Tqdm
 from lightning.pytorch.plugins.io import TorchCheckpointIO
 
 from uplift.config.files import read_torch, save_torch
 from uplift.errors import UserError
-from uplift.training.base import LifterTraining
+from uplift.training.base import TrainingModule
 
 __all__ = [
     "AtomicCheckpointIO",
@@ -80,35 +83,44 @@ class Threads(L.Callback):
 
 
 class AtomicCheckpointIO(TorchCheckpointIO):
-    """Writes each checkpoint completely or not at all, so that a kill or a full disk leaves the last one."""
+    """Writes each checkpoint completely or not at all, so that a kill or a full disk leaves the last one.
+
+    ``on_save`` is called after each.
+    """
+
+    def __init__(self, on_save: Callable[[], None] | None = None):
+        super().__init__()
+        self.on_save = on_save
 
     def save_checkpoint(self, checkpoint: dict[str, Any], path: Any, storage_options: Any = None) -> None:
         """Write tensors and plain data to ``path``."""
         save_torch(checkpoint, Path(path))
+        if self.on_save is not None:
+            self.on_save()
 
 
-class Checkpoints(L.Callback):
-    """Save the stage to ``path`` every ``seconds`` or ``steps`` and at its end.
+class Checkpoints(ModelCheckpoint):
+    """Save the stage to ``path`` every ``seconds`` or ``steps`` and at its end, each time over the last.
 
     The trainer must have the plugin `AtomicCheckpointIO`.
     """
 
-    def __init__(self, path: Path, *, seconds: float, steps: int | None, on_save: Callable[[], None] | None = None):
-        self.path, self.seconds, self.steps, self.on_save = path, seconds, steps, on_save
-        self._last = time.monotonic()
+    def __init__(self, path: Path, *, seconds: float, steps: int | None):
+        when: dict[str, Any] = {"train_time_interval": timedelta(seconds=seconds)}
+        if steps:
+            when = {"every_n_train_steps": steps}
+        super().__init__(path.parent, path.stem, save_on_train_epoch_end=False, enable_version_counter=False, **when)
+        self.path = path
 
-    def on_train_batch_end(self, trainer: L.Trainer, module: LifterTraining, *rest: Any) -> None:  # type: ignore[override]
-        """Save when it is due."""
-        overdue = time.monotonic() - self._last > self.seconds
-        due = trainer.global_step % self.steps == 0 if self.steps else overdue
-        if due or trainer.should_stop:
+    def on_train_batch_end(self, trainer: L.Trainer, module: TrainingModule, *rest: Any) -> None:  # type: ignore[override]
+        """Save when it is due, and when the stage is over."""
+        if (module.done >= 1 or trainer.should_stop) and not trainer.fast_dev_run:  # type: ignore[attr-defined]
             trainer.save_checkpoint(self.path)
-            if trainer.is_global_zero and self.on_save:
-                self.on_save()
-            self._last = time.monotonic()
+        else:
+            super().on_train_batch_end(trainer, module, *rest)
 
 
-def checked_checkpoint(path: Path, module: LifterTraining) -> dict[str, Any]:
+def checked_checkpoint(path: Path, module: TrainingModule) -> dict[str, Any]:
     """Return the checkpoint of a stage; raises UserError if it is damaged or does not fit ``module``."""
     state = read_torch(path, "checkpoint")
     found, expected = state.get("state_dict"), module.state_dict()
@@ -127,35 +139,58 @@ def checked_checkpoint(path: Path, module: LifterTraining) -> dict[str, Any]:
 # Progress: one line on a terminal, rows in metrics.csv.
 
 
-class Progress(L.Callback):
-    """One line that is rewritten on a terminal; elsewhere, a line for every tenth of the stage."""
+class Progress(TQDMProgressBar):
+    """A bar over the share of the stage that is over in a terminal; elsewhere, a line for every tenth of it."""
 
-    def __init__(self, stage: str, budget: Budget, stream: Any = None):
-        self.stage, self.budget, self.stream = stage, budget, stream or sys.stderr
-        self._tenth, self._shown = -1, 0.0
+    def __init__(self, stage: str, clock: Budget, stream: Any = None):
+        super().__init__()
+        self.stage, self.clock, self.stream = stage, clock, stream or sys.stderr
+        self._tenth, self._first, self._start = -1, 0, 0.0
         self._smooth: dict[str, float] = {}
+        if not self.stream.isatty():
+            self.disable()
 
-    def on_train_batch_end(self, trainer: L.Trainer, module: LifterTraining, *rest: Any) -> None:  # type: ignore[override]
-        """Show the line when it is time to."""
-        if not trainer.is_global_zero:
+    def init_train_tqdm(self) -> Tqdm:
+        """Return a bar of a hundred percent."""
+        bar = super().init_train_tqdm()
+        bar.total, bar.bar_format = 100.0, "{desc} {percentage:3.0f} % |{bar:12}| {postfix}"
+        bar.set_description(f"{self.stage:9s}")
+        return bar
+
+    def on_train_start(self, trainer: L.Trainer, module: Any) -> None:
+        """Start counting steps and seconds."""
+        super().on_train_start(trainer, module)
+        self._first, self._start = trainer.global_step, time.monotonic()
+
+    def on_train_epoch_start(self, *rest: Any) -> None:
+        """Go on: a stage is one bar."""
+
+    def on_train_batch_end(self, trainer: L.Trainer, module: TrainingModule, *rest: Any) -> None:  # type: ignore[override]
+        """Show the state when it is time to."""
+        tenth, over = int(module.done * 10), module.done >= 1 or trainer.should_stop
+        live = not self.is_disabled
+        due = trainer.global_step % 20 == 0 if live else tenth != self._tenth and trainer.is_global_zero
+        if not (due or over) or (not live and not trainer.is_global_zero):
             return
-        live, tenth, now = self.stream.isatty(), int(module.done * 10), time.monotonic()
-        if (live and now - self._shown < 0.5 and not trainer.should_stop) or (not live and tenth == self._tenth):
-            return
-        self._tenth, self._shown = tenth, now
+        self._tenth = tenth
         for name, value in module.logged.items():
             before = self._smooth.get(name, float(value))
             self._smooth[name] = 0.6 * before + 0.4 * float(value)
-        text = self._line(trainer, module)
-        self.stream.write((f"\r\033[K{text}" if live else text) + ("\n" if trainer.should_stop or not live else ""))
-        self.stream.flush()
+        text = self._text(trainer, module.done)
+        if live:
+            self.train_progress_bar.n = 100 * module.done
+            self.train_progress_bar.set_postfix_str(text)
+        else:
+            self.stream.write(f"{self.stage:9s} {100 * module.done:3.0f} %  {text}\n")
+            self.stream.flush()
 
-    def _line(self, trainer: L.Trainer, module: LifterTraining) -> str:
-        done = module.done
-        left = self.budget.spent * (1 - done) / done if done > 0.01 else float("nan")
+    def _text(self, trainer: L.Trainer, done: float) -> str:
+        step, spent = trainer.global_step, self.clock.time_elapsed()
+        speed = (step - self._first) / max(1e-9, time.monotonic() - self._start)
+        left = spent * (1 - done) / done if done > 0.01 else float("nan")
         clock = f"{int(left) // 60}:{int(left) % 60:02d} left" if left == left else "..."
         losses = "  ".join(f"{name} {value:.3f}" for name, value in list(self._smooth.items())[:8])
-        return f"{self.stage:8s} {100 * done:3.0f} %  step {trainer.global_step:,}  {clock}  {losses}"
+        return f"step {step:,}  {speed:.3g} steps/s  {clock}  {losses}"
 
 
 class MetricsFile(L.Callback):
@@ -176,7 +211,7 @@ class MetricsFile(L.Callback):
         with open(self.path, "w", newline="") as file:
             csv.writer(file).writerows([["stage", "step", "name", "value"], *kept])
 
-    def on_train_batch_end(self, trainer: L.Trainer, module: LifterTraining, *rest: Any) -> None:  # type: ignore[override]
+    def on_train_batch_end(self, trainer: L.Trainer, module: TrainingModule, *rest: Any) -> None:  # type: ignore[override]
         """Append rows when it is time to."""
         if not trainer.is_global_zero or trainer.global_step % self.every:
             return
@@ -185,8 +220,6 @@ class MetricsFile(L.Callback):
             values |= module.terms.metrics(module.last_lift)
         with open(self.path, "a", newline="") as file:
             csv.writer(file).writerows([self.stage, step, name, f"{value:.6g}"] for name, value in values.items())
-        for logger in trainer.loggers:
-            logger.log_metrics({f"{self.stage}/{name}": value for name, value in values.items()}, step)
 
 
 def read_metrics(path: Path) -> list[list[str]]:
@@ -197,56 +230,40 @@ def read_metrics(path: Path) -> list[list[str]]:
         return [row for row in csv.reader(file) if len(row) == 4 and row[1].isdigit()]
 
 
-# Budget: a stage ends when its steps or its time are over, or on Ctrl-C.
+# Budget: a stage ends when its time is over, or on Ctrl-C.
 
 
 class Interrupted(Exception):
     """The user pressed Ctrl-C; the training state has been saved."""
 
 
-class Budget(L.Callback):
-    """Moves `LifterTraining.done` from 0 to 1 and stops there; a resumed stage continues its time.
+class Budget(Timer):
+    """Stops a stage after ``seconds``, which go on where an interrupted fit stopped them; None for no limit of time.
 
     Ctrl-C or SIGTERM ends the stage after the current step; a second one ends it at once.
     """
 
-    def __init__(self, *, steps: int | None, seconds: float | None, spent: float = 0.0):
-        self.steps, self.seconds, self.spent = steps, seconds, spent
-        self.first_step_s: float | None = None
+    def __init__(self, seconds: float | None, spent: float = 0.0):
+        super().__init__(None if seconds is None else timedelta(seconds=seconds), verbose=False)
+        self.load_state_dict({"spent": spent})
         self.interrupted = False
 
-    def on_train_start(self, trainer: L.Trainer, module: LifterTraining) -> None:  # type: ignore[override]
-        """Start the clock where a resumed stage stopped it."""
+    def on_train_start(self, trainer: L.Trainer, module: Any) -> None:
+        """Start the clock."""
         self._catch(signal.SIGTERM)  # here, as Lightning has just installed its handler
-        self._before, self._start = self.spent, time.monotonic()
-        self.on_train_batch_start(trainer, module)
+        super().on_train_start(trainer, module)
 
-    def on_train_batch_end(self, trainer: L.Trainer, module: Any, *rest: Any) -> None:
-        """Stop when the stage is over or was interrupted."""
-        if self.first_step_s is None:
-            self.first_step_s = time.monotonic() - self._start
-        self.on_train_batch_start(trainer, module)
-        if module.done >= 1 or self.interrupted:
+    def on_train_batch_end(self, trainer: L.Trainer, module: TrainingModule, *rest: Any) -> None:  # type: ignore[override]
+        """Stop when the time is over or the user interrupted."""
+        super().on_train_batch_end(trainer, module, *rest)
+        module.update_done()
+        if self.interrupted:
             trainer.should_stop = True
 
-    def on_train_batch_start(self, trainer: L.Trainer, module: Any, *rest: Any) -> None:
-        """Set what share of the stage is over."""
-        self.spent = self._before + time.monotonic() - self._start
-        shares = [trainer.global_step / self.steps if self.steps else 0.0]
-        if self.seconds:
-            spent = self.spent
-            if trainer.world_size > 1:  # all ranks must stop at the same step
-                spent = float(trainer.strategy.broadcast(torch.tensor(spent)))
-            shares.append(spent / self.seconds)
-        module.done = min(1.0, max(shares))
-
-    def state_dict(self) -> dict[str, float]:
-        """Return the time spent so far, seconds."""
-        return {"spent": self.spent}
-
-    def load_state_dict(self, state: dict[str, float]) -> None:
-        """Restore the time that an earlier process spent."""
-        self.spent = float(state["spent"])
+    def load_state_dict(self, state_dict: dict[str, Any]) -> None:
+        """Restore the time that an earlier process spent; ``spent`` is what earlier versions wrote."""
+        spent = state_dict.get("spent")
+        super().load_state_dict(state_dict if spent is None else {"time_elapsed": {"train": float(spent)}})
 
     def __enter__(self) -> Budget:
         self._handlers = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
@@ -259,7 +276,7 @@ class Budget(L.Callback):
                 signal.signal(number, handler)
 
     def _catch(self, number: int) -> None:
-        """Record the signal instead of its default action."""
+        """Record the signal instead of acting at once."""
 
         def ask(number: int, frame: object) -> None:
             if self.interrupted:

@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-import sys
-import traceback
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
-from pathlib import Path
 from typing import Any
 
 import torch
 from torch import Tensor, nn
 
+from uplift.config.plugins import blame
 from uplift.errors import UserError
 from uplift.priors.base import Lift, Prior, ShapeLift
 
@@ -23,13 +21,12 @@ _PATIENCE = 20
 """Calls after which a loss that has never carried a gradient is rejected."""
 _SYNC_EVERY = 50
 """Steps between checks of a loss on an accelerator, where each one waits for the device."""
-_PACKAGE = Path(__file__).resolve().parent.parent
 
 
 def prepare_priors(priors: Mapping[str, Prior], data: Any) -> None:
     """Show every prior the training data."""
     for name, prior in priors.items():
-        with _blame(name, prior, "prepare"):
+        with blame(f"priors.{name}", prior, "prepare"):
             prior.prepare(data)
 
 
@@ -47,6 +44,11 @@ class Objective:
         self._connected: set[str] = set()
         self._calls = dict.fromkeys(priors, 0)
 
+    def leave_out(self, name: str) -> None:
+        """Judge without the prior ``name``, if there is one."""
+        self.priors.pop(name, None)
+        self.adversarial = [other for other in self.adversarial if other != name]
+
     def judge(self, lift: Lift | ShapeLift, step: int) -> tuple[Tensor, Logged]:
         """Return the weighted sum of the priors' losses, which trains the lifter, and each loss by name."""
         total, losses = torch.zeros(()), Logged()
@@ -59,7 +61,7 @@ class Objective:
 
     def loss(self, name: str, lift: Lift | ShapeLift, step: int) -> Tensor:
         """Return one prior's loss as one number; raises UserError if it fails or does not pass the checks."""
-        with _blame(name, self.priors[name], "loss"):
+        with blame(f"priors.{name}", self.priors[name], "loss"):
             value = self.priors[name].loss(lift)
         if not isinstance(value, Tensor) or value.shape not in lift.loss_shapes:
             found = f"shape {tuple(value.shape)}" if isinstance(value, Tensor) else type(value).__name__
@@ -97,7 +99,7 @@ class Objective:
         """
         total, losses = real.new_zeros(()), Logged()
         for name in self.adversarial:
-            with _blame(name, self.priors[name], "critic_loss"):
+            with blame(f"priors.{name}", self.priors[name], "critic_loss"):
                 own = self.priors[name].critic_loss(real, reprojected)
             if own is None:
                 continue
@@ -115,7 +117,7 @@ class Objective:
         """Return what the priors want logged."""
         found = {}
         for name, prior in self.priors.items():
-            with _blame(name, prior, "metrics"):
+            with blame(f"priors.{name}", prior, "metrics"):
                 found |= {f"{name}_{key}": float(value) for key, value in prior.metrics(lift).items()}
         return found
 
@@ -144,25 +146,3 @@ def _frozen(modules: Iterable[nn.Module]) -> Iterator[None]:
     finally:
         for parameter in parameters:
             parameter.requires_grad_(True)
-
-
-@contextmanager
-def _blame(name: str, prior: Prior, hook: str) -> Iterator[None]:
-    """Turn an error inside a user's prior into a `UserError` that names file and line."""
-    try:
-        yield
-    except UserError:
-        raise
-    except Exception as error:
-        module = type(prior).__module__
-        if module.startswith("uplift."):
-            raise
-        frames = [
-            frame
-            for frame in traceback.extract_tb(error.__traceback__)
-            if _PACKAGE not in Path(frame.filename).resolve().parents and "site-packages" not in frame.filename
-        ]
-        # A hook with wrong arguments, or whose result cannot be read, fails in the package's frames alone.
-        file = getattr(sys.modules.get(module), "__file__", None) or module
-        where = f"{frames[0].filename}, line {frames[0].lineno}" if frames else f"{type(prior).__name__} of {file}"
-        raise UserError(f"priors.{name}: {hook} failed in {where}: {type(error).__name__}: {error}") from error

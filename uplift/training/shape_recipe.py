@@ -2,25 +2,25 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from collections.abc import Sequence
 from itertools import accumulate
 from operator import mul
 
 import numpy as np
-import torch
 
 from uplift.config.run import RunFolder
 from uplift.config.settings import Settings, ShapeSettings
-from uplift.data.load_masks import LoadedMasks
-from uplift.data.mask_tensors import as_tensor, to_mask_set
+from uplift.data.mask_tensors import as_tensor
+from uplift.data.module import MaskDataModule
 from uplift.errors import UserError
-from uplift.models.mixture import AZIMUTHS, ShapeMixture, split
+from uplift.models.mixture import AZIMUTHS, ShapeMixture
 from uplift.models.model import ShapeModel, load_shapes
 from uplift.models.shape_lifter import choose_iso_threshold
-from uplift.training.objective import prepare_priors
-from uplift.training.shapes import MixtureTraining
-from uplift.training.stages import Recipe
+from uplift.training.base import plain_settings
+from uplift.training.shapes import ShapeModule
+from uplift.training.stages import Recipe, module_class
 
 __all__ = ["ShapeRecipe"]
 
@@ -35,45 +35,47 @@ _FIRST_SHARE = 0.25
 class ShapeRecipe(Recipe):
     """A few shapes and the views of the masks (`shape.parts`), then stages that split every shape (`shape.splits`)."""
 
-    def __init__(self, settings: Settings, loaded: LoadedMasks):
-        super().__init__(settings, settings.priors, None)
-        labelled, shape = loaded.train.labelled if settings.data.labelled.only else None, settings.shape
-        self.train_data = loaded.train if labelled is None else loaded.train.select(labelled)
-        self.data = to_mask_set(self.train_data, shape)
-        torch.manual_seed(settings.seed)
-        self.start = _start_from(settings.init, shape) if settings.init else None
-        self.mixture = ShapeMixture(shape) if self.start is None else self.start
-        parts = len(self.mixture.logits)
-        self.splits = _worth_it(parts, shape.splits, len(self.data)) if self.start is None else []
-        self.share_budget(_shares(self.splits), len(self.data))
-        counts = list(accumulate([parts, *self.splits], mul))
-        self.notes.append(
-            f"a mixture of {', then '.join(map(str, counts))} shapes of {shape.detail}^3 voxels"
-            + (", each its own mirror image" if shape.symmetric else "")
+    def __init__(self, settings: Settings, data: MaskDataModule):
+        super().__init__(settings)
+        self.data, shape = data, settings.shape
+        count = len(data.mask_set(shape))
+        start = _start_from(settings.init, shape) if settings.init else None
+        parts, azimuths = (shape.parts, AZIMUTHS) if start is None else start.azimuth_bias.shape
+        build = module_class(settings.module, "module", ShapeModule)
+        self.module = build(
+            shape=dataclasses.asdict(shape),
+            priors=settings.priors,
+            parts=parts,
+            azimuths=azimuths,
+            hot=start is None,
+            seed=settings.seed,
+            **plain_settings(settings.teacher),
         )
+        if start is not None:
+            self.module.start_from(start)
+        self.splits = _worth_it(parts, shape.splits, count) if start is None else []
+        self.share_budget(_shares(self.splits), count)
+        counts = list(accumulate([parts, *self.splits], mul))
+        self.notes += [
+            *self.module.notes,
+            f"a mixture of {', then '.join(map(str, counts))} shapes of {shape.detail}^3 voxels"
+            + (", each its own mirror image" if shape.symmetric else ""),
+        ]
 
     def train(self, run: RunFolder) -> ShapeModel:
         """Return the model after its stages."""
-        prepare_priors(self.priors, self.data)
-        mixture = self._stage(run, "shapes", self.mixture, hot=self.start is None)
+        settings, module = self.settings, self.module
+        self.stage(run, "shapes", module, self.data, settings.teacher.batch_size)
         for number, times in enumerate(self.splits, 1):
-            torch.manual_seed(self.settings.seed + number)
-            mixture = self._stage(run, f"split_{number}", split(mixture, times, 2 * AZIMUTHS), hot=False)
-        model, count = ShapeModel(mixture, self.settings.shape), len(self.train_data)
-        masks = self.train_data.masks[np.linspace(0, count - 1, min(_MOST_FOR_THRESHOLD, count)).astype(int)]
-        lifted = model.lift(masks, resolution=self.settings.shape.detail)
+            module = module.split(times, seed=settings.seed + number)
+            self.stage(run, f"split_{number}", module, self.data, settings.teacher.batch_size)
+        mixture = module.final.cpu().eval()
+        mixture.projector = module.lifter.projector
+        model, count = ShapeModel(mixture, settings.shape), len(self.data.masks)
+        masks = self.data.masks.masks[np.linspace(0, count - 1, min(_MOST_FOR_THRESHOLD, count)).astype(int)]
+        lifted = model.lift(masks, resolution=settings.shape.detail)
         mixture.level.fill_(choose_iso_threshold(lifted, as_tensor(masks)))
         return model
-
-    def _stage(self, run: RunFolder, name: str, mixture: ShapeMixture, *, hot: bool) -> ShapeMixture:
-        def build() -> MixtureTraining:
-            mixture.silhouettes([0])  # makes the projector's matrices, which take a while
-            terms = self.priors, self.weights
-            return MixtureTraining(mixture, self.data, self.settings.teacher, *terms, self.settings.seed, hot)
-
-        trained = self.stage(run, name, build).cpu().eval()
-        trained.projector = mixture.projector
-        return trained
 
 
 def _worth_it(parts: int, splits: Sequence[int], masks: int) -> list[int]:

@@ -2,20 +2,32 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
 
+import numpy as np
 import torch
-from jaxtyping import Float
+from jaxtyping import Float, UInt8
 from torch import Tensor, nn
 
 from uplift.config.settings import TeacherSettings
 from uplift.data.mask_tensors import MaskSet
-from uplift.models.mixture import LEAST, MOST, Drawn, ShapeMixture, temperature_at
+from uplift.data.masks import MaskData
+from uplift.data.module import MaskDataModule
+from uplift.errors import UserError
+from uplift.metrics.evaluate_shapes import evaluate_shapes, silhouettes_seen
+from uplift.models.mixture import AZIMUTHS, LEAST, MOST, Drawn, ShapeMixture, split, temperature_at
+from uplift.models.model import ShapeModel
+from uplift.models.prediction import ShapePrediction
+from uplift.models.shape_lifter import LiftedShapes
+from uplift.priors import build_priors
 from uplift.priors.base import Prior, ShapeLift
-from uplift.training.base import LifterTraining
-from uplift.training.objective import Logged, Objective
+from uplift.training.base import TrainingModule, plain_settings, prior_specs, stage_settings
+from uplift.training.objective import Logged, Objective, prepare_priors
 
-__all__ = ["EStepStatistics", "MixtureTraining"]
+__all__ = ["EStepStatistics", "ShapeModule"]
 
 # The expectation step: which masks each shape explains from each view, as the sums that the gradient needs.
 
@@ -135,39 +147,153 @@ _PRIOR_LEARNING_RATE = 1e-3
 """Of the priors' own parameters, as the shapes' rate is too high for networks."""
 
 
-class MixtureTraining(LifterTraining[ShapeMixture, MaskSet]):
-    """Expectation and maximisation of a mixture, with weighted priors; one backward pass per step.
+class ShapeModule(TrainingModule[ShapeMixture, MaskSet]):
+    """Learn a mixture of shapes from masks by expectation and maximisation, with weighted priors; one backward pass per step.
 
     Once in ``every`` steps the expectation step runs over all masks (`EStepStatistics`); in between, the
     shapes learn to explain those masks better, each step from a few views. With ``hot`` the temperature of
     the likelihood falls from ``shape.temperature_start`` to ``shape.temperature_end`` (deterministic annealing):
     views stay uncertain while the shapes are. Otherwise it is ``shape.temperature_end``, and azimuths keep their
     balance.
+
+    Example::
+
+        data = uplift.MaskDataModule(2000, family="chairs")
+        module = uplift.ShapeModule()
+        lightning.Trainer(max_steps=500).fit(module, data)
+        finer = module.split(4)
+
+    Hooks for subclasses: `configure_lifter`, `configure_priors`, `objective`, and those of Lightning.
+
+    Args:
+        shape: settings ``shape.NAME`` by name.
+        priors: for each prior its weight, its settings, its class or a `uplift.ShapePrior`; none by default.
+        parts: how many shapes; ``shape.parts`` if None.
+        azimuths: how many azimuths there are views from.
+        hot: whether the temperature falls.
+        seed: of the shapes and of all random numbers.
+        training: settings ``teacher.NAME`` by name: ``learning_rate``, ``decay_from``, ...
+
+    Raises:
+        UserError: an unknown or invalid setting.
     """
 
     settings: TeacherSettings
+    prepared: bool = False
+    """Whether the priors were shown the masks."""
 
     def __init__(
         self,
-        mixture: ShapeMixture,
-        data: MaskSet,
-        settings: TeacherSettings,
-        priors: Mapping[str, Prior],
-        weights: Mapping[str, float],
-        seed: int,
+        *,
+        shape: Mapping[str, Any] | None = None,
+        priors: Mapping[str, Any] | None = None,
+        parts: int | None = None,
+        azimuths: int = AZIMUTHS,
         hot: bool = True,
+        seed: int = 0,
+        **training: Any,
     ):
-        rate = settings.prior_learning_rate or _PRIOR_LEARNING_RATE
-        super().__init__(mixture, data, settings, seed, Objective(priors, weights), rate)
-        self.hot = hot
+        super().__init__()
+        specs, self._given_priors = prior_specs(priors)
+        chosen = stage_settings("teacher", training, "masks", shape=shape, priors=specs, seed=seed)
+        self.shape_settings, self.prior_specs = chosen.shape, chosen.priors
+        self.parts, self.azimuths, self.hot = parts or chosen.shape.parts, azimuths, hot
+        self.save_hyperparameters(
+            {
+                "shape": dataclasses.asdict(chosen.shape), "priors": chosen.priors, "parts": self.parts,
+                "azimuths": azimuths, "hot": hot, "seed": seed, **plain_settings(chosen.teacher),
+            }
+        )  # fmt: skip
+        with torch.random.fork_rng(devices=[]):
+            torch.manual_seed(seed)
+            terms = Objective(*self.configure_priors())
+            torch.manual_seed(seed)
+            mixture = self.configure_lifter()
+            self._stream = torch.get_rng_state()
         self.every = _OFTEN if hot else _SELDOM
-        pooled = 1 if hot or mixture.settings.crop % 2 else 2
-        self.statistics = EStepStatistics(mixture, bool(data.labelled.any()), pooled)
+        self.prior_rate = chosen.teacher.prior_learning_rate or _PRIOR_LEARNING_RATE
+        self.set_up(mixture, chosen.teacher, seed, terms)
+        self.statistics = EStepStatistics(mixture, False, self._pooled)
+
+    @property
+    def _pooled(self) -> int:
+        return 1 if self.hot or self.shape_settings.crop % 2 else 2
+
+    def configure_lifter(self) -> ShapeMixture:
+        """Return the untrained mixture of shapes."""
+        return ShapeMixture(self.shape_settings, self.parts, self.azimuths)
+
+    def configure_priors(self) -> tuple[dict[str, Prior], dict[str, float]]:
+        """Return the priors by name, and their weights."""
+        priors, weights, self.notes = build_priors(self.prior_specs)
+        for name, given in self._given_priors.items():
+            priors[name] = given if isinstance(given, Prior) else given()
+            weights.setdefault(name, 1.0)
+        return priors, weights
+
+    def prepare(self, data: MaskDataModule) -> None:
+        """Take the training masks, show them to the priors, and look at their labels."""
+        if not isinstance(data, MaskDataModule):
+            raise UserError(f"ShapeModule trains on a uplift.MaskDataModule, found {type(data).__name__}.")
+        self.frames = data.mask_set(self.shape_settings)
+        if not self.prepared:
+            with torch.random.fork_rng(devices=[]):
+                torch.set_rng_state(self._stream)
+                prepare_priors(self.terms.priors, self.frames)
+            self.prepared = True
+        self.statistics = EStepStatistics(self.lifter, bool(self.frames.labelled.any()), self._pooled)
+        self.lifter.silhouettes([0])  # makes the projector's matrices, which take a while
+
+    def split(self, times: int, azimuths: int = 2 * AZIMUTHS, seed: int = 0) -> ShapeModule:
+        """Return a module that goes on from this one with ``times`` as many shapes, and views from ``azimuths``.
+
+        ``seed`` is that of the noise that tells copies of a shape apart. The priors are the same objects.
+        """
+        with torch.random.fork_rng(devices=[]):
+            torch.manual_seed(seed)
+            before = self.final.cpu()
+            before.projector = self.lifter.projector
+            made = split(before, times, azimuths)
+        parts, azimuths = made.azimuth_bias.shape
+        module = type(self)(**{**self.hparams, "parts": parts, "azimuths": azimuths, "hot": False})
+        module.start_from(made)
+        module.terms, module.priors, module.prepared = self.terms, self.priors, self.prepared
+        return module
+
+    def start_from(self, mixture: ShapeMixture) -> None:
+        """Copy the shapes of another mixture of the same sizes."""
+        for one in {self.lifter, self.final}:
+            one.load_state_dict(mixture.state_dict())
+        self.lifter.projector = mixture.projector
+
+    def model(self) -> ShapeModel:
+        """Return the trained mixture as people use it: `predict`, `save`."""
+        return ShapeModel(self.final.eval(), self.shape_settings)
+
+    def save(self, path: str | Path) -> None:
+        """Write `model` to one file, which `uplift.load` and the command line take."""
+        self.model().save(Path(path))
+
+    def forward(self, masks: UInt8[np.ndarray, "items side side"]) -> LiftedShapes:
+        """Return the shapes of masks, 0..255, cropped as `uplift.data.masks.MaskData` has them."""
+        return self.model().lift(masks)
+
+    def predict_step(self, batch: MaskData, batch_idx: int) -> ShapePrediction:
+        """Return a shape for every mask, as ``uplift predict`` computes it."""
+        with torch.autocast(self.device.type, enabled=False):
+            return self.model().predict(batch)
+
+    def figures(self, batch: MaskData) -> dict[str, float]:
+        """Return every metric of shapes by name where true shapes are known, and the fit of silhouettes where not."""
+        prediction = self.model().predict(batch.without_truth())
+        if batch.truth is None or not np.isfinite(batch.truth.scale).all():
+            return {"silhouette_iou_seen": float(np.mean(silhouettes_seen(prediction, batch.masks)))}
+        return evaluate_shapes(prediction, batch.truth, batch.masks, batch.source, batch.category).overall
 
     @property
     def mirrors(self) -> bool:
         """Whether priors see half of the masks mirrored: only where shapes are their own mirror image."""
-        return self.settings.mirror and self.lifter.settings.symmetric
+        return self.settings.mirror and self.shape_settings.symmetric
 
     @property
     def temperature(self) -> float:
@@ -175,11 +301,12 @@ class MixtureTraining(LifterTraining[ShapeMixture, MaskSet]):
         start, end = self.lifter.settings.temperature_start, self.lifter.settings.temperature_end
         return temperature_at(self.done, start, end) if self.hot else end
 
-    def objective(self) -> tuple[Tensor, Logged]:
-        """Return the loss from a few random views and its terms."""
+    def objective(self, batch: int) -> tuple[Tensor, Logged]:
+        """Return the loss from a few random views and its terms; priors are given ``batch`` masks."""
         mixture, statistics = self.lifter, self.statistics
-        if self.global_step % self.every == 0:
-            statistics.update(mixture, self.data, self.temperature)
+        assert self.frames is not None
+        if self.stream_step % self.every == 0:
+            statistics.update(mixture, self.frames, self.temperature)
             mixture.balance(self.used, *(_BALANCE_HOT if self.hot else _BALANCE_COLD))
         count = len(mixture.grid.drawn)
         rows = torch.randperm(count)[:_VIEWS].tolist()
@@ -190,8 +317,8 @@ class MixtureTraining(LifterTraining[ShapeMixture, MaskSet]):
         if statistics.labels:
             truth = statistics.label_loss(mixture.full_logits)
             loss, logged["truth"] = loss + _TRUTH_WEIGHT * truth, truth.detach()
-        if self.priors:
-            lift = self.last_lift = self._lift(drawn)
+        if self.terms.priors:
+            lift = self.last_lift = self._lift(drawn, batch)
             judged, losses = self.terms.judge(lift, self.global_step)
             own, critic_losses = self.terms.train_adversaries(lift.masks[:_SEEN], lift.reprojected.detach())
             loss, logged = loss + judged + own, {**logged, **losses, **critic_losses}
@@ -203,9 +330,9 @@ class MixtureTraining(LifterTraining[ShapeMixture, MaskSet]):
         used = self.lifter.grid.for_all_views(self.statistics.weight)
         return used / used.sum().clamp_min(1e-9)
 
-    def _lift(self, drawn: Drawn) -> ShapeLift:
+    def _lift(self, drawn: Drawn, count: int) -> ShapeLift:
         """Return what priors judge in this step."""
-        masks = self._masks()
+        masks = self._masks(count)
         flat = drawn.cut.flatten(0, 1)
         seen = flat[torch.randint(len(flat), (_SEEN,), device=flat.device)]
         if self.lifter.grid.mirrored is not None:  # the views that are not rendered see mirror images
@@ -213,9 +340,11 @@ class MixtureTraining(LifterTraining[ShapeMixture, MaskSet]):
         views = self.lifter.grid.views.to(masks)
         return ShapeLift(self.lifter.full_logits, self.lifter.occupancy, seen, masks, self.used, views, self.done)
 
-    def _masks(self) -> Float[Tensor, "items side side"]:
+    def _masks(self, count: int) -> Float[Tensor, "items side side"]:
         """Return a batch of real masks, half of them mirrored if shapes are their own mirror image."""
-        rows = torch.randint(len(self.data), (self.settings.batch_size,), device=self.data.crops.device)
+        assert self.frames is not None
+        crops = self.frames.crops
+        rows = torch.randint(len(crops), (count,), device=crops.device)
         flipped = torch.rand(len(rows), device=rows.device) < (0.5 if self.mirrors else 0.0)
-        masks = self.data.crops[rows]
+        masks = crops[rows]
         return torch.where(flipped[:, None, None], masks.flip(-1), masks)

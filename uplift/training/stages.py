@@ -1,7 +1,8 @@
-"""`Recipe`, the stages of a fit, and `run_stage`, which runs one with its budget, checkpoints and progress."""
+"""`Recipe`, the stages of a fit, and `run_stage`, which runs one with its budget, checkpoints, loggers and progress."""
 
 from __future__ import annotations
 
+import inspect
 import logging
 import time
 import warnings
@@ -13,17 +14,15 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 import lightning as L
-import torch
 from lightning.fabric.utilities.exceptions import MisconfigurationException
-from lightning.pytorch import loggers
-from torch import nn
+from lightning.pytorch import callbacks as lightning_callbacks
+from lightning.pytorch.loggers import Logger
 
+from uplift.config.plugins import build, find_class
 from uplift.config.run import RunFolder
 from uplift.config.settings import Settings, TrainerSettings, seconds_of
 from uplift.errors import UserError
-from uplift.priors import build_priors
-from uplift.skeleton import Skeleton
-from uplift.training.base import LifterTraining
+from uplift.training.base import TrainingModule
 from uplift.training.callbacks import (
     AtomicCheckpointIO,
     Budget,
@@ -35,38 +34,72 @@ from uplift.training.callbacks import (
     checked_checkpoint,
 )
 
-__all__ = ["Recipe", "StageBudget", "run_stage", "stage_budgets"]
+__all__ = [
+    "Recipe",
+    "StageBudget",
+    "StageRecord",
+    "build_callbacks",
+    "build_loggers",
+    "module_class",
+    "run_stage",
+    "stage_budgets",
+]
 
-LifterT = TypeVar("LifterT", bound=nn.Module)
+ModuleT = TypeVar("ModuleT", bound=TrainingModule)
 
 
 class Recipe:
-    """The stages of one fit; a subclass defines them and what each learns from the one before it.
+    """The stages of one fit; a subclass defines them and what each learns from the one before it."""
 
-    ``priors`` are the settings of the priors, ``skeleton`` is None for priors of shapes.
-    """
-
-    def __init__(self, settings: Settings, priors: Mapping[str, Any], skeleton: Skeleton | None):
+    def __init__(self, settings: Settings):
         self.settings = settings
+        self.notes: list[str] = []
         self.budgets: dict[str, StageBudget] = {}
         self.spent: dict[str, float] = {}
         """Seconds that each stage took."""
-        torch.manual_seed(settings.seed)
-        self.priors, self.weights, self.notes = build_priors(priors, skeleton)
+        self._steps = 0
+        self._loggers: list[Logger] | None = None
+        build_callbacks(settings.callbacks)  # what is wrong with them is said before any training
 
     def share_budget(self, shares: Mapping[str, float], frames: int) -> None:
         """Split the fit's steps and time over its stages by their shares; an epoch is so many ``frames``."""
-        budgets = stage_budgets(self.settings.trainer, list(shares.values()), frames, self.settings.teacher.batch_size)
+        trainer = self.settings.trainer
+        frames_a_step = self.settings.teacher.batch_size * int(trainer.flags.get("accumulate_grad_batches", 1))
+        budgets = stage_budgets(trainer, list(shares.values()), frames, frames_a_step)
         self.budgets = dict(zip(shares, budgets, strict=True))
 
-    def stage(self, run: RunFolder, name: str, build: Callable[[], LifterTraining[LifterT, Any]]) -> LifterT:
-        """Build the training of one stage, run it and return its lifter; building counts for its budget."""
+    def stage(self, run: RunFolder, name: str, module: TrainingModule, data: Any, batch_size: int) -> None:
+        """Train ``module`` for the budget of the stage ``name``; preparing it counts for that."""
         start = time.monotonic()
-        training = build()
-        before = time.monotonic() - start
-        clock = run_stage(name, training, self.settings.trainer, self.budgets[name], run.path, before, run.link_last)
-        self.spent[name] = clock.spent
-        return training.final
+        if self._loggers is None:  # one of each for all stages
+            self._loggers = build_loggers(self.settings, run.path)
+        module.prepare(data)
+        data.batch_size = batch_size
+        module.log_prefix, module.first_step = name, self._steps
+        record = run_stage(
+            name,
+            module,
+            data,
+            self.settings.trainer,
+            self.budgets[name],
+            run.path,
+            before=time.monotonic() - start,
+            on_save=run.link_last,
+            callbacks=build_callbacks(self.settings.callbacks),
+            loggers=self._loggers,
+        )
+        self.spent[name] = record.spent
+        self._steps += record.steps
+
+
+def module_class(use: str | None, where: str, default: type[ModuleT]) -> type[ModuleT]:
+    """Return the class of modules that the setting ``where`` names; raises UserError for what is not a ``default``."""
+    if use is None:
+        return default
+    found = find_class(use, {}, where, where)
+    if not issubclass(found, default):
+        raise UserError(f"{where}: '{use}' is not a subclass of uplift.{default.__name__}.")
+    return found
 
 
 @dataclass(frozen=True)
@@ -75,6 +108,15 @@ class StageBudget:
 
     steps: int | None
     seconds: float | None
+
+
+@dataclass(frozen=True)
+class StageRecord:
+    """What a stage took."""
+
+    spent: float
+    """Seconds."""
+    steps: int
 
 
 def stage_budgets(trainer: TrainerSettings, shares: Sequence[float], frames: int, batch_size: int) -> list[StageBudget]:
@@ -97,13 +139,17 @@ def stage_budgets(trainer: TrainerSettings, shares: Sequence[float], frames: int
 
 def run_stage(
     name: str,
-    module: LifterTraining,
+    module: TrainingModule,
+    data: L.LightningDataModule,
     settings: TrainerSettings,
     budget: StageBudget,
     folder: Path,
+    *,
     before: float = 0.0,
     on_save: Callable[[], None] | None = None,
-) -> Budget:
+    callbacks: Sequence[L.Callback] = (),
+    loggers: Sequence[Logger] = (),
+) -> StageRecord:
     """Train ``module`` for its budget, or for the rest of it if the run's ``folder`` has a checkpoint of this stage.
 
     ``before`` are seconds of the budget that are already spent; ``on_save`` is called after each checkpoint.
@@ -113,62 +159,115 @@ def run_stage(
         UserError: a checkpoint that does not fit, settings that Lightning refuses.
     """
     path = folder / "checkpoints" / f"{name}.ckpt"
-    clock = Budget(steps=budget.steps, seconds=budget.seconds, spent=min(before, 0.5 * (budget.seconds or 0)))
+    clock = Budget(budget.seconds, spent=min(before, 0.5 * (budget.seconds or 0)))
     resume = path.is_file()
     if resume and (state := checked_checkpoint(path, module))["done"] >= 1:
         module.load_state_dict(state["state_dict"])
         clock.load_state_dict(state["callbacks"][clock.state_key])
-        return clock
-    saver = Checkpoints(path, seconds=settings.checkpoint_every, steps=settings.checkpoint_steps, on_save=on_save)
-    metrics = MetricsFile(folder / "metrics.csv", name, settings.log_every)
-    callbacks: list[L.Callback] = [clock, Progress(name, clock), metrics, saver]
+        return StageRecord(clock.time_elapsed(), state["global_step"])
+    own: list[L.Callback] = [clock, *callbacks, MetricsFile(folder / "metrics.csv", name, settings.log_every)]
+    if settings.flags.get("enable_progress_bar", True):
+        own.append(Progress(name, clock))
     if settings.threads is None and budget.steps is None:
-        callbacks.append(Threads())
+        own.append(Threads())
+    own.append(Checkpoints(path, seconds=settings.checkpoint_every, steps=settings.checkpoint_steps))
     with clock, _quiet():
-        trainer = _trainer(settings, callbacks, folder)
-        trainer.fit(module, ckpt_path=str(path) if resume else None, weights_only=True)
+        flags = _trainer_flags(settings, budget, has_val=data.val is not None)  # type: ignore[attr-defined]
+        io = AtomicCheckpointIO(on_save)
+        trainer = _trainer(
+            settings, flags, callbacks=own, logger=list(loggers) or False, plugins=io, default_root_dir=folder
+        )
+        trainer.fit(module, datamodule=data, ckpt_path=str(path) if resume else None, weights_only=True)
+        if not clock.interrupted and module.done < 1:  # a callback such as EarlyStopping ended it
+            module.done = 1.0
+            trainer.save_checkpoint(path)
     if clock.interrupted:
         raise Interrupted(folder)
-    return clock
+    return StageRecord(clock.time_elapsed(), trainer.global_step)
 
 
-def _trainer(settings: TrainerSettings, callbacks: list[L.Callback], folder: Path) -> L.Trainer:
+# The trainer.
+
+_VALIDATIONS = 10
+"""Validations in a stage of a set number of steps."""
+_VALIDATE_EVERY = 1000
+"""Steps between validations in a stage by time."""
+
+
+def _trainer_flags(settings: TrainerSettings, budget: StageBudget, *, has_val: bool) -> dict[str, Any]:
+    """Return the flags of the trainer of a stage: ours, and the user's over them."""
     devices: int | str = int(settings.devices) if settings.devices.lstrip("-").isdigit() else settings.devices
+    every = _VALIDATE_EVERY if budget.steps is None else max(1, budget.steps // _VALIDATIONS)
+    validation = {"val_check_interval": every, "check_val_every_n_epoch": None} if has_val else {"limit_val_batches": 0}
+    return {
+        "accelerator": settings.accelerator,
+        "devices": devices,
+        "precision": settings.precision,
+        "max_epochs": -1,
+        "max_steps": budget.steps or -1,
+        "log_every_n_steps": settings.log_every,
+        "enable_model_summary": False,
+        "num_sanity_val_steps": 0,
+        "use_distributed_sampler": False,
+        **validation,
+        **settings.flags,
+    }
+
+
+def _trainer(settings: TrainerSettings, flags: Mapping[str, Any], **ours: Any) -> L.Trainer:
     try:
-        return L.Trainer(
-            accelerator=settings.accelerator,
-            devices=devices,
-            precision=settings.precision,  # type: ignore[arg-type]
-            logger=_logger(settings.logger, folder),
-            callbacks=callbacks,
-            plugins=AtomicCheckpointIO(),
-            max_epochs=-1,
-            enable_checkpointing=False,
-            enable_progress_bar=False,
-            enable_model_summary=False,
-            num_sanity_val_steps=0,
-            use_distributed_sampler=False,
-            default_root_dir=folder,
-        )
+        return L.Trainer(**flags, **ours)
     except (ValueError, TypeError, RuntimeError, MisconfigurationException) as error:
-        raise UserError(
-            f"Lightning refuses trainer.accelerator={settings.accelerator}, trainer.devices={settings.devices}, "
-            f"trainer.precision={settings.precision}: {error}"
-        ) from error
+        named = {name: getattr(settings, name) for name in ("accelerator", "devices", "precision")} | settings.flags
+        given = ", ".join(f"trainer.{name}={value}" for name, value in named.items())
+        raise UserError(f"Lightning refuses {given}: {error}") from error
 
 
-def _logger(name: str | None, folder: Path):
-    if name in (None, "none", "csv"):
-        return False
-    kinds = {"tensorboard": "TensorBoardLogger", "wandb": "WandbLogger"}
-    if name not in kinds:
-        raise UserError(
-            f"trainer.logger={name!r}: expected one of {', '.join(kinds)}, or none (metrics.csv is always written)."
-        )
-    try:
-        return getattr(loggers, kinds[name])(save_dir=str(folder), name=name)
-    except ModuleNotFoundError as error:
-        raise UserError(f"trainer.logger={name}: {str(error).splitlines()[0]}") from error
+CALLBACKS = {
+    name: f"lightning.pytorch.callbacks:{name}"
+    for name in lightning_callbacks.__all__
+    if name not in ("Callback", "Checkpoint", "ProgressBar", "Timer")
+}
+LOGGERS = {
+    "tensorboard": "lightning.pytorch.loggers:TensorBoardLogger",
+    "wandb": "lightning.pytorch.loggers:WandbLogger",
+    "csv": "lightning.pytorch.loggers:CSVLogger",
+    "mlflow": "lightning.pytorch.loggers:MLFlowLogger",
+    "comet": "lightning.pytorch.loggers:CometLogger",
+}
+
+
+def build_callbacks(specs: Mapping[str, Any]) -> list[L.Callback]:
+    """Return the callbacks that ``callbacks.NAME`` set: Lightning's by name, or ``file.py:Class``, with options.
+
+    Raises UserError: an unknown class or option.
+    """
+    built = []
+    for name, spec in specs.items():
+        options = dict(spec)
+        use = str(options.pop("use", name))
+        built.append(build(use, CALLBACKS, options, f"callbacks.{name}", L.Callback))
+    return built
+
+
+def build_loggers(settings: Settings, folder: Path) -> list[Logger]:
+    """Return the loggers that ``trainer.logger`` and ``loggers.NAME`` set, which write into the run's folder.
+
+    Raises UserError: an unknown class or option, or one that is not installed.
+    """
+    named = [name.strip() for name in (settings.trainer.logger or "").split(",")]
+    specs = {name: {} for name in named if name not in ("", "none")} | settings.loggers
+    built = []
+    for name, spec in specs.items():
+        options, where = dict(spec), f"loggers.{name}"
+        use = str(options.pop("use", name))
+        taken = inspect.signature(find_class(use, LOGGERS, where)).parameters
+        ours = {"save_dir": str(folder), "name": name, "version": ""}
+        if use != "tensorboard":  # the others number the processes of a fit, or name their runs themselves
+            ours.pop("version")
+        defaults = {key: value for key, value in ours.items() if key in taken and key not in options}
+        built.append(build(use, LOGGERS, options, where, Logger, **defaults))
+    return built
 
 
 @contextmanager

@@ -1,65 +1,63 @@
-"""The second stage: a new lifter learns from pseudo labels, augmented and seen from all sides."""
+"""`StudentModule`, the second stage: a new lifter learns from pseudo labels, augmented and seen from all sides."""
 
 from __future__ import annotations
 
+import dataclasses
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
 import torch
-from torch import Tensor
+from torch import Tensor, nn
 
-from uplift.config.settings import StudentSettings, ViewSettings
+from uplift.config.plugins import blame, build
+from uplift.config.settings import LifterSettings, Settings, StudentSettings
+from uplift.data.module import KeypointData, skeleton_of
+from uplift.errors import UserError
 from uplift.models.lifter import Lifted, Lifter
+from uplift.models.model import Model
+from uplift.skeleton import Skeleton
 from uplift.training.augmentation import TILT_WEIGHT, ShownViews, ViewMaker, depth_error, tilt_error
-from uplift.training.base import LifterTraining, stream_seed
+from uplift.training.base import plain_settings, stage_settings, stream_seed
+from uplift.training.lifting import KeypointModule
 from uplift.training.objective import Logged
-from uplift.training.pseudo_labels import PseudoPoses
+from uplift.training.pseudo_labels import PseudoPoses, lift_all, true_poses
 
-__all__ = ["StudentTraining"]
+__all__ = ["StudentLoss", "StudentModule", "student_settings"]
 
 _BATCHES_AT_ONCE = 16
 """Batches of views that are made together: a single one is mostly overhead."""
 _UNCERTAINTY_WEIGHT = 0.05
 
 
-class StudentTraining(LifterTraining[Lifter, PseudoPoses]):
-    """Lift random augmented views of the teacher's poses back to those poses.
+class StudentLoss(nn.Module):
+    """How far a student is from the poses it is shown: absolute errors; subclass it for another loss.
 
-    The teacher saw each pose from one side only; the student sees it from all sides, with limbs of other poses,
-    and generalises better. It learns from nothing but what the teacher made of 2D keypoints.
+    A subclass is named as ``student.loss=my.py:MyLoss``; options are keyword arguments of ``__init__``, set below
+    ``student.loss_options``.
     """
 
-    settings: StudentSettings
+    def __init__(self, skeleton: Skeleton):
+        super().__init__()
+        self.skeleton = skeleton
 
-    def __init__(
-        self,
-        lifter: Lifter,
-        data: PseudoPoses,
-        settings: StudentSettings,
-        views: ViewSettings,
-        seed: int,
-        labelled_share: float | None = None,
-    ):
-        super().__init__(lifter, data, settings, seed)
-        self.labelled_share, self.views = labelled_share, views
-        self._made: tuple[int, ShownViews] | None = None
+    def forward(self, lifted: Lifted, views: ShownViews, lifter: Lifter) -> tuple[Tensor, Logged]:
+        """Return one number, and the terms to log, by name.
 
-    def on_fit_start(self) -> None:
-        """Move the poses to the model's device and split them into limbs."""
-        super().on_fit_start()
-        count_root, share = self.views.count_root, self.labelled_share
-        self.maker = ViewMaker(
-            self.data, self.lifter.camera, self.settings, count_root=count_root, labelled_share=share
-        )
+        Depths count, and keypoints, uncertainty and tilt where the lifter predicts them.
 
-    def objective(self) -> tuple[Tensor, Logged]:
-        """Return the error of the depths, and of the keypoints, uncertainty and tilt where the lifter predicts them."""
-        views, lifter = self._batch(), self.lifter
-        lifted = lifter(views.input, views.confidence, views.distance)
+        Args:
+            lifted: what the lifter makes of ``views.input``.
+            views: the input and the true keypoints, poses and tilts, in the same units.
+            lifter: says what it predicts: ``fill``, ``denoise``, ``uncertainty``, ``tilt``.
+        """
         known = views.weight.sum().clamp_min(1)
         loss = depth_error(lifted, views)
         logged: Logged = {"depth": loss.detach()}
-        if lifter.denoise or (lifter.fill and self.settings.occlude):
+        hidden = views.confidence == 0
+        if lifter.denoise or (lifter.fill and self.occludes):
             # Visible joints that the lifter leaves in place do not count, unless the root is missing.
-            hidden = views.confidence == 0
-            moved = hidden | hidden[:, self.data.skeleton.root_index, None]
+            moved = hidden | hidden[:, self.skeleton.root_index, None]
             weight = views.weight if lifter.denoise else views.weight * moved
             error = ((lifted.keypoints - views.keypoints).abs().sum(-1) * weight).sum()
             loss = loss + error / known
@@ -73,17 +71,8 @@ class StudentTraining(LifterTraining[Lifter, PseudoPoses]):
             logged["tilt"] = tilt.detach()
         return loss, logged
 
-    def _batch(self) -> ShownViews:
-        """Return this step's views."""
-        size = self.settings.batch_size
-        chunk, place = divmod(self.global_step, _BATCHES_AT_ONCE)
-        if self._made is None or self._made[0] != chunk:
-            # Each chunk has its own random stream, so that a resumed fit makes the same one again.
-            torch.manual_seed(stream_seed(self.seed + 1, self.global_rank, chunk))
-            with torch.no_grad():
-                self._made = (chunk, self.maker(size * _BATCHES_AT_ONCE))
-            torch.manual_seed(stream_seed(self.seed, self.global_rank, self.global_step))
-        return self._made[1].select(slice(place * size, (place + 1) * size))
+    occludes: bool = True
+    """Whether views have hidden joints."""
 
 
 def _uncertainty_loss(lifted: Lifted, views: ShownViews, uncertainty: Tensor) -> Tensor:
@@ -95,3 +84,178 @@ def _uncertainty_loss(lifted: Lifted, views: ShownViews, uncertainty: Tensor) ->
     difference = (lifted.pose - views.pose).detach()
     error = torch.where(views.confidence == 0, difference.norm(dim=-1), difference[..., 2].abs())
     return ((error / scale + scale.log()) * views.weight * (uncertainty > 0)).sum()
+
+
+class StudentModule(KeypointModule):
+    """Lift random augmented views of a teacher's poses back to those poses.
+
+    The teacher saw each pose from one side only; the student sees it from all sides, with limbs of other poses,
+    and generalises better. It learns from nothing but what the teacher made of 2D keypoints. Where every frame is
+    labelled it learns from the labels, and needs no teacher.
+
+    Example::
+
+        student = uplift.StudentModule(data.skeleton, teacher=module)
+
+    Hooks for subclasses: `configure_lifter`, `configure_loss`, `objective`, and those of Lightning.
+
+    Args:
+        skeleton: a `uplift.Skeleton`, a shipped name, or a YAML file.
+        teacher: a trained module, a `uplift.Model`, or a run or file that `uplift.load` takes; or see `learn_from`.
+            It is not part of the student's checkpoint.
+        lifter: settings ``lifter.NAME`` by name; those of the default recipe's last student if None.
+        seed: of the weights and of all random numbers.
+        training: settings ``student.NAME`` by name: ``learning_rate``, ``occlude``, ``mix``, ``frames``, ...
+
+    Raises:
+        UserError: an unknown or invalid setting.
+    """
+
+    settings: StudentSettings
+    frames: PseudoPoses | None = None
+
+    def __init__(
+        self,
+        skeleton: Skeleton | str | Path | Mapping[str, Any],
+        *,
+        teacher: Any = None,
+        lifter: Mapping[str, Any] | None = None,
+        seed: int = 0,
+        **training: Any,
+    ):
+        super().__init__()
+        self.skeleton = skeleton_of(skeleton)
+        chosen = stage_settings("student", training, lifter=lifter, seed=seed)
+        self.lifter_settings = chosen.lifter if lifter is not None else student_settings(chosen, last=True)
+        self.save_hyperparameters(
+            {
+                "skeleton": self.skeleton.to_dict(), "lifter": plain_settings(self.lifter_settings), "seed": seed,
+                **plain_settings(chosen.student),
+            }
+        )  # fmt: skip
+        with torch.random.fork_rng(devices=[]):
+            torch.manual_seed(seed)
+            lifter_module = self.configure_lifter()
+        self.learn_from(teacher)
+        self.set_up(lifter_module, chosen.student, seed)
+        self.loss = self.configure_loss()
+        self._made: tuple[int, ShownViews] | None = None
+
+    def learn_from(self, teacher: Any) -> None:
+        """Set the teacher, as the argument of that name does; None for none."""
+        self._teacher = (teacher,)  # in a tuple it is no submodule: neither trained nor saved
+
+    def configure_loss(self) -> nn.Module:
+        """Return the loss: a `uplift.StudentLoss`, or any module that takes what it takes."""
+        use, options = self.settings.loss, self.settings.loss_options
+        if use is not None:
+            return build(
+                use, {}, options, "student.loss_options", StudentLoss, setting="student.loss", skeleton=self.skeleton
+            )
+        if options:
+            raise UserError("student.loss_options are those of a class of your own: set student.loss=file.py:Class.")
+        loss = StudentLoss(self.skeleton)
+        loss.occludes = bool(self.settings.occlude)
+        return loss
+
+    def prepare(self, data: KeypointData) -> None:
+        """Take the teacher's poses of the training frames, or the labels if every frame has one."""
+        data = self._checked(data)
+        self._take_sizes(data)
+        frames = data.frames(self.lifter_settings)
+        (given,) = self._teacher
+        teacher = None if given is None else _lifter_of(given)
+        if bool(frames.labelled.all()):
+            poses = true_poses(frames, self.lifter.camera, tilted=self.lifter.tilt != "level")
+        elif teacher is None:
+            raise UserError(
+                "StudentModule needs teacher=... (a trained module, a model or a run), or labels of every frame."
+            )
+        else:
+            poses = lift_all(teacher, frames.some(self.settings.frames, self.seed), self.settings.refine)
+        if teacher is not None and self.settings.warm:
+            self._start_from(teacher)
+        self._set_denoise(noisy=poses.noise is not None and self.settings.noise)
+        self.frames, self.labelled_share = poses, data.labelled_share
+
+    def _start_from(self, teacher: Lifter) -> None:
+        """Copy the weights of the teacher, if the networks are the same."""
+        shapes = [[(key, value.shape) for key, value in one.state_dict().items()] for one in (self.lifter, teacher)]
+        if shapes[0] == shapes[1]:
+            for lifter in self.lifters():
+                lifter.load_state_dict(teacher.state_dict())
+
+    def _set_denoise(self, *, noisy: bool) -> None:
+        """Let the lifter move visible joints, where that is set or the keypoints are ``noisy``."""
+        denoise = noisy if self.lifter_settings.denoise is None else self.lifter_settings.denoise
+        self.lifter_settings = dataclasses.replace(self.lifter_settings, denoise=denoise)
+        self.hparams["lifter"]["denoise"] = denoise
+        for lifter in self.lifters():
+            lifter.denoise = bool(denoise) and lifter.fill
+
+    def on_fit_start(self) -> None:
+        """Move the poses to the module's device and split them into limbs."""
+        super().on_fit_start()
+        assert self.frames is not None
+        count_root, share = self.lifter_settings.radius == "all", self.labelled_share
+        self.maker = ViewMaker(
+            self.frames, self.lifter.camera, self.settings, count_root=count_root, labelled_share=share
+        )
+
+    def objective(self, batch: int | ShownViews) -> tuple[Tensor, Logged]:
+        """Return the loss of views and its terms.
+
+        Args:
+            batch: how many views of the teacher's poses to make, or views.
+        """
+        views = batch if isinstance(batch, ShownViews) else self._views(batch)
+        lifted = self.lifter(views.input, views.confidence, views.distance)
+        with blame("student.loss", self.loss, "forward"):
+            found = self.loss(lifted, views, self.lifter)
+        loss, logged = found if isinstance(found, tuple) else (found, {})
+        if not isinstance(loss, Tensor) or loss.shape != () or not loss.requires_grad:
+            raise UserError(
+                "student.loss must return one number (a tensor of shape ()) that depends on what was lifted."
+            )
+        return loss, logged
+
+    def parameter_groups(self) -> list[dict[str, Any]]:
+        """Return the optimiser's groups: the lifter's, and the loss's where it has parameters."""
+        of_loss = list(self.loss.parameters())
+        group = {"params": of_loss, "lr": self.settings.learning_rate, "name": "loss"}
+        return [*super().parameter_groups(), *([group] if of_loss else [])]
+
+    def _views(self, size: int) -> ShownViews:
+        """Return this step's views."""
+        chunk, place = divmod(self.stream_step, _BATCHES_AT_ONCE)
+        if self._made is None or self._made[0] != chunk:
+            # Each chunk has its own random stream, so that a resumed fit makes the same one again.
+            torch.manual_seed(stream_seed(self.seed + 1, self.global_rank, chunk))
+            with torch.no_grad():
+                self._made = (chunk, self.maker(size * _BATCHES_AT_ONCE))
+            torch.manual_seed(stream_seed(self.seed, self.global_rank, self.stream_step))
+        return self._made[1].select(slice(place * size, (place + 1) * size))
+
+
+def _lifter_of(teacher: Any) -> Lifter:
+    """Return the lifter of a module, a model, a run, or a lifter itself."""
+    if isinstance(teacher, KeypointModule):
+        return teacher.final
+    if isinstance(teacher, Lifter):
+        return teacher
+    if not isinstance(teacher, Model):
+        from uplift.models.model import load_poses
+
+        teacher = load_poses(teacher)
+    return teacher.lifter
+
+
+def student_settings(settings: Settings, *, last: bool) -> LifterSettings:
+    """Return the lifter settings of a student, the ``last`` one or not."""
+    student, lifter = settings.student, settings.lifter
+    options = lifter.options if student.network is None else {}
+    return dataclasses.replace(
+        lifter,
+        network=student.network or lifter.network,
+        options={**options, **student.options, **(student.last_options if last else {})},
+    )

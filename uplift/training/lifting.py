@@ -1,0 +1,308 @@
+"""`LiftingModule`: learn to lift from 2D alone: lift, rotate, and apply the priors (Kudo et al. 2018, generalised)."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from uplift.config.settings import LifterSettings, StudentSettings, TeacherSettings, ViewSettings
+from uplift.data.module import KeypointData, skeleton_of
+from uplift.data.poses import PoseData
+from uplift.data.sampler import LabelledSampler
+from uplift.data.tensors import Batch, TrainingSet
+from uplift.errors import UserError
+from uplift.geometry.normalise import normalise
+from uplift.metrics.evaluate import evaluate_model
+from uplift.metrics.unlabelled import score_2d
+from uplift.models.lifter import Lifter
+from uplift.models.model import Model
+from uplift.models.prediction import Prediction
+from uplift.priors import build_priors
+from uplift.priors.base import Lift, Prior
+from uplift.skeleton import Skeleton
+from uplift.training.augmentation import TILT_WEIGHT, ViewMaker, depth_error, tilt_error
+from uplift.training.base import TrainingModule, plain_settings, prior_specs, stage_settings
+from uplift.training.objective import Logged, Objective, prepare_priors
+from uplift.training.pseudo_labels import PseudoPoses, true_poses
+from uplift.training.views import ViewFunction, build_views, checked_view
+
+__all__ = ["KeypointModule", "LiftingModule", "make_lift"]
+
+
+class KeypointModule(TrainingModule[Lifter, Any]):
+    """What modules that train a lifter of keypoints share: the lifter's settings, inference, and figures."""
+
+    skeleton: Skeleton
+    lifter_settings: LifterSettings
+
+    def configure_lifter(self) -> Lifter:
+        """Return the untrained lifter. A subclass may pass ``network=`` to `Lifter`, any module of its sizes."""
+        return Lifter(self.skeleton, self.lifter_settings)
+
+    def lifters(self) -> list[Lifter]:
+        """Return the lifter, and the one of averaged weights where there is one."""
+        return [self.lifter] if self.averaged is None else [self.lifter, self.final]
+
+    def model(self) -> Model:
+        """Return the trained lifter as people use it: call it on pixels, `predict`, `save`."""
+        return Model(self.final.eval(), self.skeleton, self.lifter_settings)
+
+    def save(self, path: str | Path) -> None:
+        """Write `model` to one file, which `uplift.load` and the command line take."""
+        self.model().save(Path(path))
+
+    def to_batch(
+        self, keypoints: Float[Tensor, "batch joints 2"], confidence: Float[Tensor, "batch joints"] | None = None
+    ) -> Batch:
+        """Return keypoints in pixels as a batch in the lifter's units; gradients reach the keypoints.
+
+        Args:
+            keypoints: joints as in ``self.skeleton.joints``.
+            confidence: 0..1, 0 is missing; all 1 if None.
+        """
+        if confidence is None:
+            confidence = torch.ones_like(keypoints[..., 0])
+        count_root = self.lifter_settings.radius == "all"
+        root, distance = self.skeleton.root_index, self.lifter_settings.distance
+        normal = normalise(keypoints, confidence, root, count_root=count_root, distance=distance)
+        return Batch(normal.keypoints, confidence, normal.scale_px, normal.distance)
+
+    def forward(
+        self, keypoints: Float[Tensor, "batch joints 2"], confidence: Float[Tensor, "batch joints"] | None = None
+    ) -> Float[Tensor, "batch joints 3"]:
+        """Return poses relative to the root, in pixels at the root's depth; camera frame: x right, y down, z away.
+
+        Gradients reach the keypoints and the lifter. Takes what `to_batch` takes.
+        """
+        batch = self.to_batch(keypoints, confidence)
+        return self.lifter(batch.keypoints, batch.confidence, batch.distance).pose * batch.scale[:, None, None]
+
+    def predict_step(self, batch: PoseData, batch_idx: int) -> Prediction:
+        """Return `Model.predict` of the frames, as ``uplift predict`` computes it."""
+        with torch.autocast(self.device.type, enabled=False):
+            return self.model().predict(batch)
+
+    def figures(self, batch: PoseData) -> dict[str, float]:
+        """Return every protocol by name where ``batch`` has true poses, and a score of the 2D alone where it has none."""
+        if batch.pose is None:
+            return score_2d(self.model(), batch)
+        return evaluate_model(self.model(), batch, batch.source).overall
+
+    def _checked(self, data: Any) -> KeypointData:
+        """Return the data module; raises UserError for none, or for another skeleton."""
+        if not isinstance(data, KeypointData):
+            raise UserError(
+                f"{type(self).__name__} trains on a uplift.KeypointData, found {type(data).__name__}: "
+                "trainer.fit(module, datamodule=data). With loaders of your own, call module.prepare(data) first."
+            )
+        if data.skeleton.joints != self.skeleton.joints:
+            raise UserError(
+                f"the data have skeleton '{data.skeleton.name}' ({len(data.skeleton.joints)} joints), the module "
+                f"'{self.skeleton.name}' ({len(self.skeleton.joints)} joints): build it with data.skeleton."
+            )
+        return data
+
+    def _take_sizes(self, data: KeypointData) -> None:
+        """Set the size of the labelled bodies, where it is known."""
+        bone_mm = data.bone_mm(self.lifter_settings)
+        if bone_mm is not None:
+            for lifter in self.lifters():
+                lifter.bone_mm.copy_(bone_mm.nan_to_num())
+
+
+class LiftingModule(KeypointModule):
+    """Learn to lift from 2D alone: weighted priors judge lifted poses and one random view of each.
+
+    With labelled frames, the ``labelled`` prior also learns from random views of them.
+
+    Example::
+
+        module = uplift.LiftingModule(data.skeleton, priors={"flow": 1.0, "bones": {"weight": 10.0}})
+
+    Hooks for subclasses: `configure_lifter`, `configure_priors`, `configure_views`, `objective`, and those of
+    Lightning. Random numbers of a step depend on ``seed``, the rank and the step alone.
+
+    Args:
+        skeleton: a `uplift.Skeleton`, a shipped name, or a YAML file.
+        priors: for each prior its weight, its settings (``use``, ``weight`` and options), its class or a
+            `uplift.Prior`; those of the default recipe if None.
+        lifter: settings ``lifter.NAME`` by name: ``network``, ``options``, ``camera``, ``tilt``, ...
+        views: settings ``views.NAME`` by name.
+        seed: of the weights and of all random numbers.
+        training: settings ``teacher.NAME`` by name: ``learning_rate``, ``decay_from``, ``average``, ...
+
+    Raises:
+        UserError: an unknown or invalid setting, a prior that does not fit the skeleton.
+    """
+
+    settings: TeacherSettings
+    frames: TrainingSet | None = None
+
+    def __init__(
+        self,
+        skeleton: Skeleton | str | Path | Mapping[str, Any],
+        *,
+        priors: Mapping[str, Any] | None = None,
+        lifter: Mapping[str, Any] | None = None,
+        views: Mapping[str, Any] | None = None,
+        seed: int = 0,
+        **training: Any,
+    ):
+        super().__init__()
+        self.skeleton = skeleton_of(skeleton)
+        specs, self._given_priors = prior_specs(priors)
+        chosen = stage_settings("teacher", training, priors=specs, lifter=lifter, views=views, seed=seed)
+        # Only students learn to predict the uncertainty and to correct visible joints.
+        self.lifter_settings = dataclasses.replace(chosen.lifter, uncertainty=False, denoise=False)
+        self.view_settings, self.prior_specs = chosen.views, chosen.priors
+        views_plain = {key: value for key, value in plain_settings(chosen.views).items() if key != "count_root"}
+        self.save_hyperparameters(
+            {
+                "skeleton": self.skeleton.to_dict(), "priors": chosen.priors, "lifter": plain_settings(self.lifter_settings),
+                "views": views_plain, "seed": seed, **plain_settings(chosen.teacher),
+            }
+        )  # fmt: skip
+        self.notes: list[str] = []
+        """What was left out of the priors, one sentence each."""
+        with torch.random.fork_rng(devices=[]):
+            torch.manual_seed(seed)
+            terms = Objective(*self.configure_priors())
+            lifter_module = self.configure_lifter()
+            self._stream = torch.get_rng_state()
+        self.draw_views = self.configure_views()
+        self.prior_rate = chosen.teacher.prior_learning_rate
+        self.truth: PseudoPoses | None = None
+        self.maker: ViewMaker | None = None
+        self.set_up(lifter_module, chosen.teacher, seed, terms)
+
+    # Hooks.
+
+    def configure_priors(self) -> tuple[dict[str, Prior], dict[str, float]]:
+        """Return the priors by name, and their weights."""
+        priors, weights, self.notes = build_priors(self.prior_specs, self.skeleton)
+        for name, given in self._given_priors.items():
+            priors[name] = given if isinstance(given, Prior) else given(self.skeleton)
+            weights.setdefault(name, 1.0)
+        if not priors:
+            raise UserError(
+                "No prior is on: nothing would train the lifter. Set priors.NAME.use and priors.NAME.weight."
+            )
+        return priors, weights
+
+    def configure_views(self) -> ViewFunction:
+        """Return what makes new views of lifted poses: a `uplift.Views`, or any function of `Lifted`."""
+        return build_views(self.view_settings, self.skeleton)
+
+    # Training.
+
+    def prepare(self, data: KeypointData) -> None:
+        """Take the training frames, show them to the priors, and look at their labels."""
+        data = self._checked(data)
+        self._take_sizes(data)
+        frames = self.frames = data.frames(self.lifter_settings)
+        self.labelled_share = data.labelled_share
+        self.sampler = LabelledSampler(frames.labelled, self.labelled_share)
+        labelled = bool(frames.labelled.any())
+        if not labelled and self.prior_specs.get("labelled", {}).get("if_possible"):
+            self.terms.leave_out("labelled")
+        with torch.random.fork_rng(devices=[]):
+            torch.set_rng_state(self._stream)
+            prepare_priors(self.terms.priors, frames)
+        if labelled and "labelled" in self.terms.priors:
+            truth = frames.select(frames.labelled)
+            self.truth = true_poses(truth, self.lifter.camera, tilted=self.lifter.tilt != "level")
+
+    def on_fit_start(self) -> None:
+        """Move the frames to the module's device."""
+        super().on_fit_start()
+        if self.frames is not None:
+            self.sampler = LabelledSampler(self.frames.labelled, self.labelled_share)
+        if self.truth is not None:
+            truth, count_root = self.truth.to(self.device), self.view_settings.count_root
+            self.maker = ViewMaker(truth, self.lifter.camera, StudentSettings(), count_root=count_root)
+
+    def objective(self, batch: Any) -> tuple[Tensor, Logged]:
+        """Return the weighted sum of all terms, and each term; `last_lift` is what was judged.
+
+        Args:
+            batch: how many of `frames` to draw; or a `Batch`; or keypoints (batch joints 2) in pixels, alone, as
+                (keypoints, confidence), or as a mapping with those names.
+        """
+        drawn = self._mirrored(self._batch(batch))
+        lift = self.last_lift = self.lift(drawn)
+        judged, losses = self.terms.judge(lift, self.global_step)
+        again = isinstance(batch, int) and not self.settings.same_real
+        real = self._mirrored(self._batch(batch)) if again else drawn
+        own, critic_losses = self.terms.train_adversaries(
+            real.keypoints, lift.reprojected.detach() * lift.visible.unsqueeze(-1)
+        )
+        total, logged = judged + own, {**losses, **critic_losses}
+        if self.maker is not None and isinstance(batch, int):
+            term = self.sampler.share * self._labelled_views_loss(self.maker, batch)
+            total = total + self.terms.weights["labelled"] * term
+            logged["labelled_views"] = term.detach()
+        return total, logged
+
+    def lift(self, batch: Batch) -> Lift:
+        """Return the lifted batch with one new view of each pose."""
+        return make_lift(self.lifter, batch, self.draw_views, self.view_settings, self.settings.hide)
+
+    def _labelled_views_loss(self, maker: ViewMaker, count: int) -> Tensor:
+        """Return the error on random views of the labelled poses: a few frames show a body from a few sides only."""
+        with torch.no_grad():
+            views = maker(count)
+        lifted = self.lifter(views.input, views.confidence, views.distance)
+        loss = depth_error(lifted, views)
+        if self.lifter.tilt == "predicted":
+            loss = loss + TILT_WEIGHT * tilt_error(lifted, views)
+        return loss
+
+    def _batch(self, given: Any) -> Batch:
+        """Return a random batch of ``given`` frames, or the batch that is given."""
+        if isinstance(given, Batch):
+            return given
+        if isinstance(given, int):
+            if self.frames is None:
+                raise UserError("the module has no training frames: call module.prepare(data) first.")
+            return self.frames.draw(self.sampler(given))
+        if isinstance(given, Mapping):
+            return self.to_batch(given["keypoints"], given.get("confidence"))
+        return self.to_batch(*given) if isinstance(given, (tuple, list)) else self.to_batch(given)
+
+    def _mirrored(self, batch: Batch) -> Batch:
+        """Return the batch, half of it mirrored if the skeleton has a mirror image."""
+        if not (self.settings.mirror and self.skeleton.has_mirror_image):
+            return batch
+        which = torch.rand(len(batch), device=batch.keypoints.device) < 0.5
+        return batch.mirrored(which, self.lifter.mirror_permutation)
+
+
+def make_lift(lifter: Lifter, batch: Batch, views: ViewFunction, settings: ViewSettings, hide: float = 0.0) -> Lift:
+    """Return the lifted batch with one view of ``views`` each; a share ``hide`` of joints is hidden from the lifter."""
+    hidden = torch.zeros_like(batch.confidence, dtype=torch.bool)
+    if hide:
+        hidden = (torch.rand_like(batch.confidence) < hide) & (batch.confidence > 0)
+        hidden[:, lifter.skeleton.root_index] = False
+    lifted = lifter(batch.keypoints, batch.confidence.masked_fill(hidden, 0), batch.distance)
+    return Lift(
+        skeleton=lifter.skeleton,
+        keypoints=batch.keypoints,
+        confidence=batch.confidence,
+        hidden=hidden,
+        pose=lifted.pose,
+        tilt=lifted.tilt,
+        lifted_keypoints=lifted.keypoints,
+        view=checked_view(views, lifted),
+        scale=batch.scale,
+        distance=batch.distance,
+        lifter=lifter,
+        **batch.beside(),
+        renormalise_views=settings.renormalise,
+        count_root=settings.count_root,
+    )
