@@ -56,6 +56,19 @@ class _Steps(Iterable[int]):
         """Take nothing."""
 
 
+class _Once(Iterable[SamplesT]):
+    """A loader of one batch."""
+
+    def __init__(self, samples: SamplesT):
+        self.samples = samples
+
+    def __len__(self) -> int:
+        return 1
+
+    def __iter__(self) -> Iterator[SamplesT]:
+        return iter([self.samples])
+
+
 class _Data(L.LightningDataModule, Generic[SamplesT, LoadedT]):
     """Loads once, when it is first needed; holds out ``val`` of the training samples; draws batches of ``batch_size``."""
 
@@ -152,18 +165,18 @@ class _Data(L.LightningDataModule, Generic[SamplesT, LoadedT]):
         ranks = self.trainer.world_size if self.trainer is not None else 1
         return _Steps(self.batch_size, max(1, -(-len(self.train_samples) // (self.batch_size * ranks))))
 
-    def val_dataloader(self) -> list[SamplesT]:
-        """Return the validation samples as one batch: figures need complete clips; nothing without any."""
-        return [] if self.val_samples is None else [self.val_samples]
+    def val_dataloader(self) -> Iterable[SamplesT]:
+        """Return the validation samples as one batch, as figures need complete clips; nothing without any."""
+        return [] if self.val_samples is None else _Once(self.val_samples)
 
-    def test_dataloader(self) -> list[SamplesT]:
+    def test_dataloader(self) -> Iterable[SamplesT]:
         """Return the test samples as one batch."""
-        return [self.test_samples]
+        return _Once(self.test_samples)
 
-    def predict_dataloader(self) -> list[SamplesT]:
+    def predict_dataloader(self) -> Iterable[SamplesT]:
         """Return the samples to lift as one batch; those of the test where there are no others."""
         given = self.given.get("predict")
-        return [self.test_samples if given is None else self._read(given, "predict")]
+        return _Once(self.test_samples if given is None else self._read(given, "predict"))
 
 
 def _data_settings(train: Any, lifts: str, options: Mapping[str, Any], **plain: Any) -> Settings:

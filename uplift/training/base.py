@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from typing import Any, Generic, TypeVar, cast
 
 import lightning as L
@@ -20,7 +21,7 @@ from uplift.errors import UserError, did_you_mean
 from uplift.priors.base import Lift, Prior, ShapeLift
 from uplift.training.objective import Logged, Objective
 
-__all__ = ["TrainingModule", "plain_settings", "prior_specs", "stage_settings", "stream_seed"]
+__all__ = ["TrainingModule", "plain_settings", "prior_specs", "saved_priors", "stage_settings", "stream_seed"]
 
 
 def stream_seed(seed: int, rank: int, step: int) -> int:
@@ -131,18 +132,23 @@ class TrainingModule(L.LightningModule, Generic[LifterT, DataT]):
             self.frames = self.frames.to(self.device)
 
     def on_train_start(self) -> None:
-        """Look up what ends the training."""
+        """Look up what ends the training, and set the learning rate of the first step."""
         self._total_steps = self.trainer.estimated_stepping_batches
         callbacks: list[L.Callback] = self.trainer.callbacks  # type: ignore[attr-defined]
         self._timers = tuple(c for c in callbacks if isinstance(c, Timer) and c.time_remaining() is not None)
         self._accumulated = self.trainer.accumulate_grad_batches
         self._log_every = max(1, self.trainer.log_every_n_steps)  # type: ignore[attr-defined]
+        self._set_rates()
 
     def on_train_end(self) -> None:
         """Log no more."""
         self._log_every = 0
 
-    def on_train_batch_start(self, batch: Any, batch_idx: int) -> None:
+    def on_train_batch_end(self, *rest: Any) -> None:
+        """Set the learning rate of the next step."""
+        self._set_rates()
+
+    def _set_rates(self) -> None:
         """Set the learning rate for the share of the training that is over."""
         self.update_done()
         factor = self.schedule(self.done)
@@ -194,13 +200,18 @@ class TrainingModule(L.LightningModule, Generic[LifterT, DataT]):
         self._log_figures("test", batch)
 
     def _log_figures(self, prefix: str, batch: Any) -> None:
-        # Figures are those of `uplift evaluate`, in full precision; every rank computes the same.
-        with torch.autocast(self.device.type, enabled=False):
+        with self.inference():  # every rank computes the same
             found = self.figures(batch)
         values = {f"{prefix}/{name}": float(value) for name, value in found.items()}
         if self.first_step and self.trainer.state.fn == "fit":
             values["step"] = float(self.first_step + self.global_step)
         self.log_dict(values, batch_size=1)
+
+    @contextmanager
+    def inference(self) -> Iterator[None]:
+        """Compute as ``uplift evaluate`` and ``uplift predict`` do: in full precision, gradients where refinement needs them."""
+        with torch.inference_mode(False), torch.no_grad(), torch.autocast(self.device.type, enabled=False):
+            yield
 
     # Optimisation.
 
@@ -266,16 +277,33 @@ def plain_settings(settings: Any) -> dict[str, Any]:
 
 
 def prior_specs(priors: Mapping[str, Any] | None) -> tuple[dict[str, Any] | None, dict[str, Any]]:
-    """Return the settings of the priors, and those that were given as classes or objects."""
+    """Return the settings of the priors, and those that were given as classes or objects.
+
+    Raises UserError: a checkpoint's priors, where some were given as objects, which it does not hold.
+    """
     if priors is None:
         return None, {}
-    given = {name: spec for name, spec in priors.items() if isinstance(spec, (type, Prior))}
-    specs = {}
+    specs: dict[str, Any] = {}
+    given: dict[str, Any] = {}
     for name, spec in priors.items():
-        if isinstance(spec, Mapping):
+        if isinstance(spec, Mapping) and _OBJECT in spec:
+            raise UserError(
+                f"the prior '{name}' was given as a Python object ({spec[_OBJECT]}), which a checkpoint does not hold: "
+                "pass priors=... again, as the module had them."
+            )
+        if isinstance(spec, (type, Prior)):
+            given[name] = spec
+        elif isinstance(spec, Mapping):
             specs[name] = dict(spec)
-        elif isinstance(spec, str):
-            specs[name] = {"use": spec}
-        elif name not in given:
-            specs[name] = {"weight": spec}
+        else:
+            specs[name] = {"use": spec} if isinstance(spec, str) else {"weight": spec}
     return specs, given
+
+
+_OBJECT = "given_as_object"
+
+
+def saved_priors(specs: Mapping[str, Any], given: Mapping[str, Any]) -> dict[str, Any]:
+    """Return what a checkpoint keeps of the priors: their settings, and a note of each that was an object."""
+    names = {name: getattr(one, "__name__", type(one).__name__) for name, one in given.items()}
+    return {**specs, **{name: {_OBJECT: named} for name, named in names.items()}}

@@ -27,7 +27,7 @@ from uplift.priors import build_priors
 from uplift.priors.base import Lift, Prior
 from uplift.skeleton import Skeleton
 from uplift.training.augmentation import TILT_WEIGHT, ViewMaker, depth_error, tilt_error
-from uplift.training.base import TrainingModule, plain_settings, prior_specs, stage_settings
+from uplift.training.base import TrainingModule, plain_settings, prior_specs, saved_priors, stage_settings
 from uplift.training.objective import Logged, Objective, prepare_priors
 from uplift.training.pseudo_labels import PseudoPoses, true_poses
 from uplift.training.views import ViewFunction, build_views, checked_view
@@ -85,7 +85,7 @@ class KeypointModule(TrainingModule[Lifter, Any]):
 
     def predict_step(self, batch: PoseData, batch_idx: int) -> Prediction:
         """Return `Model.predict` of the frames, as ``uplift predict`` computes it."""
-        with torch.autocast(self.device.type, enabled=False):
+        with self.inference():
             return self.model().predict(batch)
 
     def figures(self, batch: PoseData) -> dict[str, float]:
@@ -164,7 +164,7 @@ class LiftingModule(KeypointModule):
         views_plain = {key: value for key, value in plain_settings(chosen.views).items() if key != "count_root"}
         self.save_hyperparameters(
             {
-                "skeleton": self.skeleton.to_dict(), "priors": chosen.priors, "lifter": plain_settings(self.lifter_settings),
+                "skeleton": self.skeleton.to_dict(), "priors": saved_priors(chosen.priors, self._given_priors), "lifter": plain_settings(self.lifter_settings),
                 "views": views_plain, "seed": seed, **plain_settings(chosen.teacher),
             }
         )  # fmt: skip
@@ -201,7 +201,7 @@ class LiftingModule(KeypointModule):
 
     # Training.
 
-    def prepare(self, data: KeypointData) -> None:
+    def prepare(self, data: KeypointData | Any) -> None:
         """Take the training frames, show them to the priors, and look at their labels."""
         data = self._checked(data)
         self._take_sizes(data)

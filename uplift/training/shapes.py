@@ -24,7 +24,7 @@ from uplift.models.prediction import ShapePrediction
 from uplift.models.shape_lifter import LiftedShapes
 from uplift.priors import build_priors
 from uplift.priors.base import Prior, ShapeLift
-from uplift.training.base import TrainingModule, plain_settings, prior_specs, stage_settings
+from uplift.training.base import TrainingModule, plain_settings, prior_specs, saved_priors, stage_settings
 from uplift.training.objective import Logged, Objective, prepare_priors
 
 __all__ = ["EStepStatistics", "ShapeModule"]
@@ -200,7 +200,7 @@ class ShapeModule(TrainingModule[ShapeMixture, MaskSet]):
         self.parts, self.azimuths, self.hot = parts or chosen.shape.parts, azimuths, hot
         self.save_hyperparameters(
             {
-                "shape": dataclasses.asdict(chosen.shape), "priors": chosen.priors, "parts": self.parts,
+                "shape": dataclasses.asdict(chosen.shape), "priors": saved_priors(chosen.priors, self._given_priors), "parts": self.parts,
                 "azimuths": azimuths, "hot": hot, "seed": seed, **plain_settings(chosen.teacher),
             }
         )  # fmt: skip
@@ -231,7 +231,7 @@ class ShapeModule(TrainingModule[ShapeMixture, MaskSet]):
             weights.setdefault(name, 1.0)
         return priors, weights
 
-    def prepare(self, data: MaskDataModule) -> None:
+    def prepare(self, data: MaskDataModule | Any) -> None:
         """Take the training masks, show them to the priors, and look at their labels."""
         if not isinstance(data, MaskDataModule):
             raise UserError(f"ShapeModule trains on a uplift.MaskDataModule, found {type(data).__name__}.")
@@ -280,7 +280,7 @@ class ShapeModule(TrainingModule[ShapeMixture, MaskSet]):
 
     def predict_step(self, batch: MaskData, batch_idx: int) -> ShapePrediction:
         """Return a shape for every mask, as ``uplift predict`` computes it."""
-        with torch.autocast(self.device.type, enabled=False):
+        with self.inference():
             return self.model().predict(batch)
 
     def figures(self, batch: MaskData) -> dict[str, float]:

@@ -158,7 +158,7 @@ class StudentModule(KeypointModule):
         loss.occludes = bool(self.settings.occlude)
         return loss
 
-    def prepare(self, data: KeypointData) -> None:
+    def prepare(self, data: KeypointData | Any) -> None:
         """Take the teacher's poses of the training frames, or the labels if every frame has one."""
         data = self._checked(data)
         self._take_sizes(data)
