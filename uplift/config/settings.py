@@ -320,8 +320,7 @@ TRAINER_FLAGS = (
 )  # fmt: skip
 """Flags of Lightning's Trainer that a user may set beside `TrainerSettings`, as ``trainer.NAME``."""
 TRAINER_FLAGS_OF_FIT = {
-    "callbacks": "name them as callbacks.NAME.use=...",
-    "logger": "",
+    "callbacks": "name them as callbacks.NAME.use=file.py:Class",
     "log_every_n_steps": "set trainer.log_every",
     "default_root_dir": "a fit writes into its run folder",
     "enable_checkpointing": "checkpoints make a fit resumable; see trainer.checkpoint_every",

@@ -204,7 +204,7 @@ class TrainingModule(L.LightningModule, Generic[LifterT, DataT]):
             found = self.figures(batch)
         values = {f"{prefix}/{name}": float(value) for name, value in found.items()}
         if self.first_step and self.trainer.state.fn == "fit":
-            values["step"] = float(self.first_step + self.global_step)
+            values["step"] = float(self.first_step + self.global_step - 1)
         self.log_dict(values, batch_size=1)
 
     @contextmanager

@@ -171,7 +171,7 @@ def run_stage(
     if settings.threads is None and budget.steps is None:
         own.append(Threads())
     own.append(Checkpoints(path, seconds=settings.checkpoint_every, steps=settings.checkpoint_steps))
-    with clock, _quiet():
+    with clock, _quiet("profiler" in settings.flags):
         flags = _trainer_flags(settings, budget, has_val=data.val is not None)  # type: ignore[attr-defined]
         io = AtomicCheckpointIO(on_save)
         trainer = _trainer(
@@ -271,9 +271,10 @@ def build_loggers(settings: Settings, folder: Path) -> list[Logger]:
 
 
 @contextmanager
-def _quiet() -> Iterator[None]:
-    """Silence messages of Lightning that repeat or contradict ours."""
+def _quiet(profiled: bool) -> Iterator[None]:
+    """Silence messages of Lightning that repeat or contradict ours; not where its report is what was asked for."""
     names = [n for n in logging.root.manager.loggerDict if n.split(".")[0] in ("lightning", "lightning_fabric")]
+    names = [] if profiled else names
     levels = {logging.getLogger(name): logging.getLogger(name).level for name in names}
     for logger in levels:
         logger.setLevel(logging.ERROR)
