@@ -24,6 +24,7 @@ from uplift.data.masks import MaskData
 from uplift.data.tensors import TrainingSet
 from uplift.metrics.protocols import PROTOCOLS
 from uplift.priors import PRIORS
+from uplift.priors.flow import Flow
 from uplift.skeleton import load_skeleton
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -279,6 +280,32 @@ def test_the_python_page_runs_from_top_to_bottom(tmp_path: Path, monkeypatch: py
     assert session["one"].shape == (17, 3)  # type: ignore[attr-defined]
     assert "Did you mean 'h36m17'" in capsys.readouterr().out
     assert Path("poses.npz").is_file()
+
+
+def test_the_lightning_page_runs_from_top_to_bottom(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys) -> None:
+    """Blocks that are files are written, all others run, and its commands with a few steps."""
+    pytest.importorskip("optuna")
+    page = ROOT / "docs/lightning.md"
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.syspath_prepend(str(tmp_path))
+    make = Flow.__init__
+    monkeypatch.setattr(Flow, "__init__", lambda *given, steps=0, **more: make(*given, steps=20, **more))
+    files = _files(page, "python")
+    for name, text in files.items():
+        Path(name).write_text(text)
+    session: dict[str, object] = {}
+    for block in _blocks(page, "python"):
+        if block not in files.values():
+            exec(block, session)
+    assert session["poses"].pose.shape == (1000, 17, 3)  # type: ignore[attr-defined]
+    assert "step 9: train/bones" in capsys.readouterr().out
+    for name in ("walker.pt", "student.pt", "chairs.pt"):
+        assert uplift.load(name)
+    commands = [shlex.split(command)[1:] for command in _commands(page) if command.startswith("uplift fit task=demo ")]
+    assert len(commands) == 5
+    small = [word for word in SMALL if not word.startswith(("lifter.options", "student.options"))]
+    for verb, *words in commands:
+        assert status_of(verb, *(word for word in words if "tensorboard" not in word), *small) == 0
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
