@@ -20,7 +20,7 @@ from uplift.data.parsers.files import HDF5_START
 from uplift.data.parsers.json import is_json
 from uplift.errors import UserError, nearest
 
-__all__ = ["Format", "Formats", "Peek", "ReadOptions", "size_of"]
+__all__ = ["FileFormat", "Formats", "Peek", "ReadOptions", "size_of"]
 
 Options = TypeVar("Options", bound=Any)
 """`ReadOptions` for keypoints, `uplift.data.clean_masks.MaskOptions` for masks."""
@@ -29,7 +29,7 @@ Data = TypeVar("Data", bound=Any)
 
 
 @dataclass(frozen=True)
-class Format(Generic[Options, Data]):
+class FileFormat(Generic[Options, Data]):
     """A format of keypoints or masks: how to tell it from others, and how to read it."""
 
     name: str
@@ -44,14 +44,14 @@ class Format(Generic[Options, Data]):
     """Of the files that are read of a folder; a note counts the others."""
 
 
-class Formats(Mapping[str, Format[Options, Data]]):
+class Formats(Mapping[str, FileFormat[Options, Data]]):
     """The formats of one kind of data by name, the most specific first: the first that fits a file reads it."""
 
     def __init__(self, what: str, places: dict[str, str]):
-        """``what`` is "keypoints" or "masks"; ``places`` say ``module:NAME`` of each `Format`, imported when asked for."""
+        """``what`` is "keypoints" or "masks"; ``places`` say ``module:NAME`` of each `FileFormat`, imported when asked for."""
         self.what, self._places = what, places
 
-    def __getitem__(self, name: str) -> Format[Options, Data]:
+    def __getitem__(self, name: str) -> FileFormat[Options, Data]:
         module, _, attribute = self._places[name].partition(":")
         return getattr(import_module(module), attribute)
 
@@ -61,13 +61,13 @@ class Formats(Mapping[str, Format[Options, Data]]):
     def __len__(self) -> int:
         return len(self._places)
 
-    def named(self, name: str, where: str = "format") -> Format[Options, Data]:
+    def named(self, name: str, where: str = "format") -> FileFormat[Options, Data]:
         """Return the format that a user names in the option ``where``; raises UserError for an unknown name."""
         if name not in self:
             raise UserError(f"{where}={name}: no such format.{nearest(name, self)} Known: {', '.join(self)}.")
         return self[name]
 
-    def guess(self, peek: Peek | str | Path) -> Format[Options, Data]:
+    def guess(self, peek: Peek | str | Path) -> FileFormat[Options, Data]:
         """Return the first format that the file or folder looks like.
 
         Raises:

@@ -13,7 +13,7 @@ import numpy as np
 from uplift.config.files import replacing
 from uplift.data.clean_masks import MaskOptions
 from uplift.data.concat import concat_masks, resized
-from uplift.data.formats.base import Format, Peek
+from uplift.data.formats.base import FileFormat, Peek
 from uplift.data.formats.masks import shuffled, wanted
 from uplift.data.masks import MaskData, Placed
 from uplift.data.parsers.npz import CheckedArrays, read_arrays
@@ -173,4 +173,4 @@ def _read(peek: Peek, options: MaskOptions) -> MaskData:
     return replace(data, notes=(*data.notes, *notes))
 
 
-FORMAT = Format("npz", "uplift's own npz of masks", lambda peek: "masks" in peek.npz_names, _read)
+FORMAT = FileFormat("npz", "uplift's own npz of masks", lambda peek: "masks" in peek.npz_names, _read)

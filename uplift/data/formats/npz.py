@@ -9,7 +9,7 @@ import numpy as np
 
 from uplift.config.files import replacing
 from uplift.data.formats import KEYPOINT_FORMATS, read
-from uplift.data.formats.base import Format, ReadOptions
+from uplift.data.formats.base import FileFormat, ReadOptions
 from uplift.data.parsers.files import bytes_of
 from uplift.data.parsers.npz import CheckedArrays, array_headers, read_arrays
 from uplift.data.parsers.pictures import PHOTO_ENDINGS
@@ -150,7 +150,7 @@ def _image_size(where: str, arrays: dict) -> tuple[int, int] | None:
     return int(array[0]), int(array[1])
 
 
-FORMAT = Format(
+FORMAT = FileFormat(
     "npz",
     "uplift's own npz",
     lambda peek: peek.ending == ".npz",  # the last to be asked: its errors say in full what is wrong
