@@ -12,6 +12,9 @@ if TYPE_CHECKING:
     from uplift.cli.predict import predict
     from uplift.cli.simulate import simulate
     from uplift.data.datasets.base import DataSet, WantedFile
+    from uplift.data.formats.masks_own import MaskFormat
+    from uplift.data.formats.own import Format
+    from uplift.data.masks import MaskData
     from uplift.data.poses import PoseData
     from uplift.errors import UserError
     from uplift.models.model import Model, load
@@ -19,8 +22,8 @@ if TYPE_CHECKING:
     from uplift.skeleton import Skeleton, load_skeleton
 
 __all__ = [
-    "DataSet", "Lift", "Model", "PoseData", "Prior", "ShapeLift", "ShapePrior", "Skeleton", "UserError", "WantedFile", "compare", "evaluate",
-    "evaluate_poses", "fit", "load", "load_skeleton", "predict", "simulate",
+    "DataSet", "Format", "Lift", "MaskData", "MaskFormat", "Model", "PoseData", "Prior", "ShapeLift", "ShapePrior", "Skeleton", "UserError",
+    "WantedFile", "compare", "evaluate", "evaluate_poses", "fit", "load", "load_skeleton", "predict", "simulate",
 ]  # fmt: skip
 __version__ = "0.1.0"
 
@@ -32,6 +35,9 @@ _HOMES = {
     "cli.predict": ("predict",),
     "cli.simulate": ("simulate",),
     "data.datasets.base": ("DataSet", "WantedFile"),
+    "data.formats.masks_own": ("MaskFormat",),
+    "data.formats.own": ("Format",),
+    "data.masks": ("MaskData",),
     "data.poses": ("PoseData",),
     "errors": ("UserError",),
     "models.model": ("Model", "load"),

@@ -101,7 +101,7 @@ def _parent_path(parent: Any, folder: Path, where: str) -> Path:
 
 
 def _bind_paths(data: dict[str, Any], folder: Path) -> None:
-    """Make the paths of a task file absolute: skeleton, data.root, files of priors, networks and data sets."""
+    """Make the paths of a task file absolute: skeleton, data.root, files of priors, networks, data sets and formats."""
     skeleton = data.get("skeleton")
     if isinstance(skeleton, str) and skeleton.endswith((".yaml", ".yml")):
         data["skeleton"] = str((folder / skeleton).absolute())
@@ -109,7 +109,13 @@ def _bind_paths(data: dict[str, Any], folder: Path) -> None:
     if isinstance(root, str) and root:
         data["data"]["root"] = str((folder / Path(root).expanduser()).absolute())
     specs = [spec for spec in (data.get("priors") or {}).values() if isinstance(spec, dict)]
-    named = [(data.get("lifter") or {}, "network"), (data.get("data") or {}, "use"), *((spec, "use") for spec in specs)]
+    files = data.get("data") or {}
+    named = [
+        (data.get("lifter") or {}, "network"),
+        (files, "use"),
+        (files, "format"),
+        *((spec, "use") for spec in specs),
+    ]
     for holder, key in named:
         if key in holder:
             holder[key] = _class_in(holder[key], folder)
@@ -286,4 +292,4 @@ def _from_here(keys: list[str], value: Any) -> Any:
         or (name == "skeleton" and value.endswith((".yaml", ".yml")))
     ):
         return str(Path(value).expanduser().absolute())
-    return _class_in(value, Path()) if keys[-1] == "use" or name == "lifter.network" else value
+    return _class_in(value, Path()) if keys[-1] == "use" or name in ("lifter.network", "data.format") else value

@@ -7,15 +7,17 @@ import importlib.util
 import inspect
 import sys
 import traceback
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from types import ModuleType
 from typing import Any, TypeVar
 
 from uplift.errors import UserError, did_you_mean
 
-__all__ = ["build", "find_class", "options_of"]
+__all__ = ["blame", "build", "find_class", "line_of", "options_of"]
 
+_PACKAGE = Path(__file__).resolve().parents[1]
 Kind = TypeVar("Kind")
 
 
@@ -46,19 +48,37 @@ def build(
         several = parameter.kind in (parameter.VAR_KEYWORD, parameter.VAR_POSITIONAL)
         if name not in options and name not in given and parameter.default is parameter.empty and not several:
             raise UserError(f"{where}: '{use}' needs the option '{name}': set {where}.{name}=...")
-    try:
+    with blame(f"{where}: {found.__name__}.__init__", found):
         return found(**given, **options)
+
+
+@contextmanager
+def blame(what: str, found: type) -> Iterator[None]:
+    """Turn an error in a method of a user's class, ``what`` for the message, into a `UserError` that names file and line."""
+    try:
+        yield
     except UserError:
         raise
-    except Exception as error:
+    except (Exception, SystemExit) as error:
         if found.__module__.startswith("uplift."):
             raise
-        trace = traceback.extract_tb(error.__traceback__)
-        last = next((f for f in reversed(trace) if "site-packages" not in f.filename), trace[-1])
-        raise UserError(
-            f"{where}: {found.__name__}.__init__ failed in {last.filename}, line {last.lineno}: "
-            f"{type(error).__name__}: {error}"
-        ) from error
+        kind = type(error).__name__
+        raise UserError(f"{what} failed in {line_of(error, found)}: {kind}: {error}".rstrip(": ")) from error
+
+
+def line_of(error: BaseException, found: type) -> str:
+    """Return the line of the user's file that an error came from: the last one in the file of the class, else the first elsewhere."""
+    file = getattr(sys.modules.get(found.__module__), "__file__", None) or found.__module__
+    trace = traceback.extract_tb(error.__traceback__)
+    own = [frame for frame in trace if frame.filename == file]
+    theirs = [
+        frame
+        for frame in trace
+        if _PACKAGE not in Path(frame.filename).resolve().parents and "site-packages" not in frame.filename
+    ]
+    # A method with wrong arguments fails in the package's frames alone.
+    last = (own or theirs[:1] or [None])[-1]
+    return f"{found.__name__} of {file}" if last is None else f"{last.filename}, line {last.lineno}"
 
 
 def _check_kinds(found: type, options: Mapping[str, Any], where: str) -> None:
@@ -72,15 +92,18 @@ def _check_kinds(found: type, options: Mapping[str, Any], where: str) -> None:
             raise UserError(f"{where}.{name}={value!r}: expected {expected}, such as {parameter.default!r}.")
 
 
-def find_class(use: str, builtin: Mapping[str, str], where: str) -> type:
+def find_class(use: str, builtin: Mapping[str, str], where: str, key: str = ".use") -> type:
     """Return the class that ``use`` names: a built-in, or ``file.py:Class``, or ``package.module:Class``.
+
+    ``where`` and ``key`` are the setting that names it, for messages.
 
     Raises UserError: there is no such class.
     """
+    where += key
     target = builtin.get(use, use)
     if ":" not in target:
         raise UserError(
-            f"{where}.use={use!r}: no such built-in.{did_you_mean(use, builtin)} "
+            f"{where}={use!r}: no such built-in.{did_you_mean(use, builtin)} "
             "Your own is named file.py:Class or package.module:Class."
         )
     module_name, _, class_name = target.rpartition(":")
@@ -88,7 +111,7 @@ def find_class(use: str, builtin: Mapping[str, str], where: str) -> type:
     found = getattr(module, class_name, None)
     if not isinstance(found, type):
         classes = [name for name, value in vars(module).items() if isinstance(value, type)]
-        raise UserError(f"{where}.use={use!r}: no class '{class_name}' there.{did_you_mean(class_name, classes)}")
+        raise UserError(f"{where}={use!r}: no class '{class_name}' there.{did_you_mean(class_name, classes)}")
     return found
 
 
@@ -103,7 +126,7 @@ def options_of(found: type, skip: tuple[str, ...] = ()) -> dict[str, Any] | None
 def _load_file(name: str, where: str) -> ModuleType:
     path = Path(name).expanduser().absolute()
     if not path.is_file():
-        raise UserError(f"{where}.use: no file {path}.")
+        raise UserError(f"{where}: no file {path}.")
     key = f"uplift_user_{abs(hash(str(path)))}_{path.stem}"
     if key in sys.modules:
         return sys.modules[key]
@@ -115,7 +138,7 @@ def _load_file(name: str, where: str) -> ModuleType:
         spec.loader.exec_module(module)
     except (Exception, SystemExit) as error:
         del sys.modules[key]
-        raise UserError(f"{where}.use: {path} does not run: {type(error).__name__}: {error}") from error
+        raise UserError(f"{where}: {path} does not run: {type(error).__name__}: {error}") from error
     return module
 
 
@@ -123,4 +146,4 @@ def _load_module(name: str, where: str) -> ModuleType:
     try:
         return importlib.import_module(name)
     except (Exception, SystemExit) as error:  # whatever a user's module raises on import
-        raise UserError(f"{where}.use: cannot import '{name}': {type(error).__name__}: {error}") from error
+        raise UserError(f"{where}: cannot import '{name}': {type(error).__name__}: {error}") from error

@@ -21,6 +21,7 @@ __all__ = [
     "contents_of",
     "joint_names_of",
     "memory_of",
+    "poses_of",
     "read_npz",
     "refuse_other_axes",
     "unit_of",
@@ -43,8 +44,16 @@ def read_npz(path: str | Path) -> PoseData:
     Raises:
         UserError: missing or unknown arrays, wrong types or shapes, arrays of different lengths.
     """
-    arrays = read_arrays(path, _KNOWN, others=False)
-    where, file = str(path), CheckedArrays(str(path), arrays)
+    return poses_of(str(path), read_arrays(path, _KNOWN, others=False))
+
+
+def poses_of(where: str, arrays: dict[str, np.ndarray]) -> PoseData:
+    """Return the `PoseData` of arrays of that layout; ``where`` they are from, for messages.
+
+    Raises:
+        UserError: missing arrays, wrong types, shapes or ranges, arrays of different lengths.
+    """
+    file = CheckedArrays(where, arrays)
     for needed in ("keypoints", "joint_names"):
         if needed not in arrays:
             raise UserError(
