@@ -121,7 +121,8 @@ def _found(item: Any, number: int, path: Path, made: Made) -> Found:
     where = f"{made.where(path)}: mask {number}"
     if not isinstance(item, Found):
         named = isinstance(item, tuple) and len(item) == 2 and isinstance(item[0], str)
-        item = Found(*item) if named else Found(f"{path.name}:{number}", item)
+        name, given = item if named else (f"{path.name}:{number}", item)
+        item = Found(name, given)  # pyright: ignore[reportArgumentType] (checked below)
     mask: Any = item.mask
     if not isinstance(mask, np.ndarray):
         raise UserError(

@@ -208,6 +208,8 @@ class _Contents:
     has_pose: bool
     memory: int
     """Bytes of the arrays."""
+    read_as: str = ""
+    """The note on the format; empty for an npz of this project."""
 
 
 def contents_of(path: Path, options: ReadOptions | None = None) -> _Contents:
@@ -222,7 +224,8 @@ def contents_of(path: Path, options: ReadOptions | None = None) -> _Contents:
         arrays = {name for name in ("pose", "root", "tilt_deg") if getattr(data, name) is not None}
         memory = memory_of(arrays, len(data), len(data.joint_names))
         identity = sum(values.nbytes for values in data.identity.values())
-        return _Contents(len(data), data.joint_names, data.pose is not None, memory + identity)
+        read_as = next((note for note in data.notes if note.startswith("read as ")), "")
+        return _Contents(len(data), data.joint_names, data.pose is not None, memory + identity, read_as)
     small, headers = read_arrays(path, ("joint_names",)), array_headers(path)
     shape = headers["keypoints"][0] if "keypoints" in headers else ()
     if "joint_names" not in small or len(shape) != 3:
