@@ -86,7 +86,7 @@ def evaluate_keypoints(folder: RunFolder, model: Model, test: str | None, refine
     settings = folder.settings()
     if test is not None:
         settings.data.test = absolute(test)
-        settings.data.format = format_of_run(settings.data, test)  # what is tested on may come from elsewhere
+        settings.data.format = format_of_run(settings, test)  # what is tested on may come from elsewhere
         settings.data.layout = None
     if test is not None or (settings.data.test and not settings.data.simulate):
         truth, _ = clean(load_split(settings, "test", model.skeleton), model.skeleton)
@@ -119,7 +119,7 @@ def evaluate_masks(folder: RunFolder, model: ShapeModel, test: str | None, items
         raise UserError(f"items={items}: expected how many masks are scored at most, 1 or more.")
     settings = folder.settings()
     if test is not None:
-        format = format_of_run(settings.data, test)
+        format = format_of_run(settings, test)
         chosen = replace(settings.data, test=absolute(test), simulate=0, format=format, category=None)
         masks = load_mask_split(replace(settings, data=replace(chosen, images=None, most=None)), "test")
         settings.data.test = None

@@ -163,7 +163,7 @@ def _read(request: Request, skeleton: Skeleton) -> PoseData:
             raise UserError(f"'{overrides[0]}' goes with a data set, input=SET:SPLIT; input={input} is a file.")
         trained = request.weights.settings()
         if trained is not None and (reading is None or reading.format is None):
-            reading = replace(reading or ReadOptions(), format=format_of_run(trained.data, input))
+            reading = replace(reading or ReadOptions(), format=format_of_run(trained, input))
         return load_file(input, skeleton, reading)
     if reading is not None and reading.set_names():
         raise UserError(f"{reading.set_names()[0]}= goes with files, not with a published set, input={input}.")
@@ -237,7 +237,7 @@ def lift_masks(request: Request) -> tuple[ShapePrediction, dict[Path, str]]:
         _check_mesh_output(request.output, request.page, options)
     model, trained = load_shapes(request.weights), request.weights.settings()
     if trained is not None:
-        reading = {"side": trained.data.side, "format": format_of_run(trained.data, request.input), **reading}
+        reading = {"side": trained.data.side, "format": format_of_run(trained, request.input), **reading}
     data = read_masks(request.input, **reading)
     prediction = model.predict(data.without_truth(), title=request.title)
     notes = tuple(note for note in data.notes if note not in prediction.notes)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TypeVar
@@ -15,7 +16,7 @@ from uplift.config.settings import DataSettings, Settings
 from uplift.data.clean import MIN_VISIBLE, clean
 from uplift.data.concat import concat_poses
 from uplift.data.datasets import DATA_SETS, DataSet, WantedFile, data_set, read_cached
-from uplift.data.formats import read, with_options
+from uplift.data.formats import KEYPOINT_FORMATS, MASK_FORMATS, read, with_options
 from uplift.data.formats.base import ReadOptions, size_of
 from uplift.data.masks import MaskData
 from uplift.data.poses import PoseData
@@ -270,13 +271,23 @@ def format_of(data: DataSettings, path: str | Path) -> str | None:
     return None if _is_own(data.format) and npz == [True, False] else data.format
 
 
-def format_of_run(data: DataSettings, path: str | Path) -> str | None:
-    """Return the format in which a run with these settings reads a file that they do not name, None where it is guessed.
+def format_of_run(settings: Settings, path: str | Path) -> str | None:
+    """Return the format in which a run reads a file or folder that its settings do not name, None where it is guessed.
 
-    That is a user's own where the file ends as those that the run was trained on.
+    That is a user's own where a file ends as the format says, or as what the run was trained on where it says nothing.
     """
-    ending, trained = ("" if Path(name).is_dir() else Path(name).suffix.lower() for name in (path, str(data.train)))
-    return data.format if _is_own(data.format) and ending == trained else None
+    data, path = settings.data, Path(path)
+    if not _is_own(data.format):
+        return None
+    ending = ""
+    with suppress(UserError):  # a class that is gone is not needed for other files
+        formats = MASK_FORMATS if settings.lifts == "masks" else KEYPOINT_FORMATS
+        ending = formats.named(str(data.format)).ending
+    if ending:
+        names = [one.name for one in path.iterdir()] if path.is_dir() else [path.name]
+        return data.format if any(name.lower().endswith(ending) for name in names) else None
+    found, trained = ("" if one.is_dir() else one.suffix.lower() for one in (path, Path(str(data.train))))
+    return data.format if found == trained else None
 
 
 def _is_own(format: str | None) -> bool:
