@@ -229,7 +229,6 @@ def test_the_format_of_the_trackers_page(tmp_path: Path, monkeypatch: pytest.Mon
     page = ROOT / "docs/trackers.md"
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(jaxtyping.config, "jaxtyping_disable", True)  # a user's code may give lists
-    Path("beetle.yaml").write_text(_files(ROOT / "docs/skeletons.md", "yaml")["beetle.yaml"])
     Path("my_reader.py").write_text(_files(page, "python")["my_reader.py"])
     printed = next(block for block in _blocks(page, "") if block.startswith("frame head thorax"))
     first, *lines = printed.splitlines()
@@ -239,10 +238,10 @@ def test_the_format_of_the_trackers_page(tmp_path: Path, monkeypatch: pytest.Mon
         Path(path).write_text("\n".join([first, *lines, *bent]) + "\n")
     found = read("tracks", ReadOptions(format="my_reader.py:MyFormat"))
     assert found.keypoints[:2].tolist()[0][0] == pytest.approx([412.4, 300.1])
-    assert found.confidence[1].tolist() == pytest.approx([0.98, 0.95, 0])
+    assert found.confidence[1].tolist() == pytest.approx([0.98, 0.91, 0])
     assert found.identity["frame"].tolist() == list(range(30))
     commands = [command for command in _commands(page) if "tracks" in command or "new.trk" in command]
-    assert [command.split()[1] for command in commands] == ["skeleton", "data", "fit", "predict"]
+    assert [command.split()[1] for command in commands] == ["skeleton", "skeleton", "data", "fit", "predict"]
     for command in commands:
         words = shlex.split(command)[1:]
         assert status_of(words[0], *(QUICK if words[0] == "fit" else ()), *words[1:]) == 0, command

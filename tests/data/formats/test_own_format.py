@@ -201,7 +201,7 @@ def test_skeleton_map_and_new(mine: Path, capsys) -> None:
     assert "tracks: 30 frames, 17 joints\n  read as Text files of my tracker (my_reader.py:MyFormat)" in text
     assert "it can be lifted: 30 of 30 frames" in text
     assert status_of("skeleton", "new", "new.yaml", "--from", "tracks", f"format={OWN}") == 0
-    assert uplift.load_skeleton("new.yaml").joints
+    assert f"uplift skeleton map tracks format={OWN} skeleton=new.yaml" in capsys.readouterr().out
     assert set(uplift.load_skeleton("new.yaml").joints) == set(body_arrays()["joint_names"].tolist())
 
 
