@@ -12,6 +12,9 @@ if TYPE_CHECKING:
     from uplift.cli.predict import predict
     from uplift.cli.simulate import simulate
     from uplift.data.datasets.base import DataSet, WantedFile
+    from uplift.data.formats.masks_own import MaskFormat
+    from uplift.data.formats.own import Format
+    from uplift.data.masks import MaskData
     from uplift.data.module import KeypointData, MaskDataModule
     from uplift.data.poses import PoseData
     from uplift.errors import UserError
@@ -24,9 +27,9 @@ if TYPE_CHECKING:
     from uplift.training.views import Views
 
 __all__ = [
-    "DataSet", "KeypointData", "Lift", "LiftingModule", "MaskDataModule", "Model", "PoseData", "Prior", "ShapeLift",
-    "ShapeModule", "ShapePrior", "Skeleton", "StudentLoss", "StudentModule", "UserError", "Views", "WantedFile", "compare",
-    "evaluate", "evaluate_poses", "fit", "load", "load_skeleton", "predict", "simulate",
+    "DataSet", "Format", "KeypointData", "Lift", "LiftingModule", "MaskData", "MaskDataModule", "MaskFormat", "Model",
+    "PoseData", "Prior", "ShapeLift", "ShapeModule", "ShapePrior", "Skeleton", "StudentLoss", "StudentModule", "UserError",
+    "Views", "WantedFile", "compare", "evaluate", "evaluate_poses", "fit", "load", "load_skeleton", "predict", "simulate",
 ]  # fmt: skip
 __version__ = "0.1.0"
 
@@ -38,6 +41,9 @@ _HOMES = {
     "cli.predict": ("predict",),
     "cli.simulate": ("simulate",),
     "data.datasets.base": ("DataSet", "WantedFile"),
+    "data.formats.masks_own": ("MaskFormat",),
+    "data.formats.own": ("Format",),
+    "data.masks": ("MaskData",),
     "data.module": ("KeypointData", "MaskDataModule"),
     "data.poses": ("PoseData",),
     "errors": ("UserError",),

@@ -7,6 +7,8 @@ import shlex
 from dataclasses import fields
 from pathlib import Path
 
+import jaxtyping
+import numpy as np
 import pytest
 import yaml
 from bodies import QUICK, last_words, status_of
@@ -18,7 +20,8 @@ from uplift.config.files import shipped_names
 from uplift.config.loading import load_settings, put_override, setting_names
 from uplift.config.plugins import find_class, options_of
 from uplift.config.settings import Settings
-from uplift.data.formats import read
+from uplift.data.formats import read, read_masks
+from uplift.data.formats.base import ReadOptions
 from uplift.data.mask_tensors import MaskSet
 from uplift.data.masks import MaskData
 from uplift.data.tensors import TrainingSet
@@ -221,6 +224,41 @@ def test_the_arrays_of_the_data_page(tmp_path: Path, monkeypatch: pytest.MonkeyP
     assert read("beetle.npz").joint_names == ("head", "thorax", "abdomen_tip")
     text = page.read_text()
     assert all(f"`{name}`" in text for name in _KNOWN)
+
+
+def test_the_format_of_the_trackers_page(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys) -> None:
+    page = ROOT / "docs/trackers.md"
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(jaxtyping.config, "jaxtyping_disable", True)  # a user's code may give lists
+    Path("my_reader.py").write_text(_files(page, "python")["my_reader.py"])
+    printed = next(block for block in _blocks(page, "") if block.startswith("frame head thorax"))
+    first, *lines = printed.splitlines()
+    bent = [" ".join([str(frame), *lines[0].split()[1:-2], f"{332 + frame} 0.9"]) for frame in range(2, 30)]
+    Path("tracks").mkdir()
+    for path in ("tracks/a.trk", "new.trk"):
+        Path(path).write_text("\n".join([first, *lines, *bent]) + "\n")
+    found = read("tracks", ReadOptions(format="my_reader.py:MyFormat"))
+    assert found.keypoints[:2].tolist()[0][0] == pytest.approx([412.4, 300.1])
+    assert found.confidence[1].tolist() == pytest.approx([0.98, 0.91, 0])
+    assert found.identity["frame"].tolist() == list(range(30))
+    commands = [command for command in _commands(page) if "tracks" in command or "new.trk" in command]
+    assert [command.split()[1] for command in commands] == ["skeleton", "skeleton", "data", "fit", "predict"]
+    for command in commands:
+        words = shlex.split(command)[1:]
+        assert status_of(words[0], *(QUICK if words[0] == "fit" else ()), *words[1:]) == 0, command
+    assert "it can be lifted: 29 of 30 frames" in capsys.readouterr().out
+    assert Path("poses.html").is_file()
+
+
+def test_the_format_of_the_masks_page(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("my_masks.py").write_text(_files(ROOT / "docs/masks-input.md", "python")["my_masks.py"])
+    labels = np.zeros((60, 80), np.int64)
+    labels[10:30, 10:40], labels[40:55, 30:70] = 2, 5
+    np.save("new.npy", labels)
+    found = read_masks("new.npy", format="my_masks.py:MyMasks")
+    assert found.names == ["new:2", "new:5"]
+    assert found.centre_px.tolist() == [[25, 20], [50, 47.5]]
 
 
 def test_the_task_of_the_settings_page(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -15,11 +15,12 @@ from uplift.config.loading import load_settings, split_words
 from uplift.config.settings import Settings
 from uplift.data.datasets import DataSet
 from uplift.data.datasets.base import cached_facts
-from uplift.data.formats import MASK_FORMATS
+from uplift.data.formats import MASK_FORMATS, read_masks
 from uplift.data.formats.base import Peek
 from uplift.data.formats.masks_npz import read_masks_npz
 from uplift.data.formats.npz import contents_of, memory_of
-from uplift.data.load import find_data, how_to_get, named_set, of_labelled, read_options
+from uplift.data.load import find_data, format_of, how_to_get, named_set, of_labelled, read_options
+from uplift.data.masks import MaskData
 from uplift.errors import UserError, did_you_mean
 from uplift.skeleton import Skeleton, load_skeleton
 from uplift.skeleton.match import build_joints
@@ -137,7 +138,7 @@ def simulated_keypoints(settings: Settings, skeleton: Skeleton | None) -> tuple[
 
 def keypoint_file(path: Path, settings: Settings, skeleton: Skeleton | None) -> str:
     """Return frames, joints and memory of a file; raises UserError for one that a fit would refuse."""
-    found = contents_of(path, read_options(settings.data))
+    found = contents_of(path, read_options(settings.data, path))
     joints = len(found.joint_names)
     if skeleton is not None:
         blank = np.zeros((1, joints, 2), np.float32), np.ones((1, joints), np.float32)
@@ -146,7 +147,8 @@ def keypoint_file(path: Path, settings: Settings, skeleton: Skeleton | None) -> 
         except UserError as error:
             raise UserError(f"{path}: {error}") from None
     poses = "with" if found.has_pose else "no"
-    return f"{found.frames:,} frames of {joints} joints, {poses} poses, {_size(found.memory)} in memory"
+    how = f"; {found.read_as}" if found.read_as else ""
+    return f"{found.frames:,} frames of {joints} joints, {poses} poses, {_size(found.memory)} in memory{how}"
 
 
 # Masks: what is simulated, and what a file or folder holds, without opening every picture.
@@ -164,14 +166,19 @@ def simulated_masks(settings: Settings, skeleton: Skeleton | None) -> tuple[str,
 
 def mask_file(path: Path, settings: Settings, skeleton: Skeleton | None) -> str:
     """Return in a few words what a file or folder holds; raises UserError where that is not masks."""
-    peek, chosen = Peek(path), settings.data.format
+    peek, chosen = Peek(path), format_of(settings.data, path)
     found = MASK_FORMATS.guess(peek) if chosen is None else MASK_FORMATS.named(chosen, "data.format")
-    if found.name == "npz":
-        masks = read_masks_npz(path)
-        truth = "no" if masks.truth is None else "with"
-        return f"{len(masks):,} masks of {masks.side} x {masks.side} px, {truth} true shapes"
+    if found.name == "npz" or found.name not in MASK_FORMATS:  # a user's own is tried out
+        masks = read_masks_npz(path) if found.name == "npz" else _own_masks(path, settings, found.name)
+        truth, how = "no" if masks.truth is None else "with", "" if found.name == "npz" else f"; {masks.notes[0]}"
+        return f"{len(masks):,} masks of {masks.side} x {masks.side} px, {truth} true shapes{how}"
     count = f"{len(peek.pictures):,} pictures, " if peek.pictures else ""
     return f"{count}{found.title}; each is looked at when the fit starts"
+
+
+def _own_masks(path: Path, settings: Settings, format: str) -> MaskData:
+    options = {key: getattr(settings.data, key) for key in ("side", "border", "pieces", "category", "most")}
+    return read_masks(path, format=format, **options)
 
 
 def _unpacked(path: Path) -> int:

@@ -18,7 +18,7 @@ from uplift.config.files import absolute, replacing, shipped_names
 from uplift.config.run import RunFolder, read_weights
 from uplift.data.clean import clean
 from uplift.data.formats.npz import joint_names_of, refuse_other_axes, unit_of
-from uplift.data.load import load_data, load_file, load_split
+from uplift.data.load import format_of_run, load_data, load_file, load_split
 from uplift.data.load_masks import known_shapes, load_mask_split, load_masks
 from uplift.data.masks import MaskData
 from uplift.data.parsers.npz import read_arrays
@@ -86,7 +86,8 @@ def evaluate_keypoints(folder: RunFolder, model: Model, test: str | None, refine
     settings = folder.settings()
     if test is not None:
         settings.data.test = absolute(test)
-        settings.data.format = settings.data.layout = None  # what is tested on may come from elsewhere
+        settings.data.format = format_of_run(settings, test)  # what is tested on may come from elsewhere
+        settings.data.layout = None
     if test is not None or (settings.data.test and not settings.data.simulate):
         truth, _ = clean(load_split(settings, "test", model.skeleton), model.skeleton)
     else:
@@ -108,7 +109,8 @@ def evaluate_masks(folder: RunFolder, model: ShapeModel, test: str | None, items
         raise UserError(f"items={items}: expected how many masks are scored at most, 1 or more.")
     settings = folder.settings()
     if test is not None:
-        chosen = replace(settings.data, test=absolute(test), train=None, simulate=0, format=None, category=None)
+        format = format_of_run(settings, test)
+        chosen = replace(settings.data, test=absolute(test), simulate=0, format=format, category=None)
         masks = load_mask_split(replace(settings, data=replace(chosen, images=None, most=None)), "test")
         settings.data.test = None
         train, why = None, ""

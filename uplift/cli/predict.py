@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +18,7 @@ from uplift.data.clean import clean
 from uplift.data.datasets import DATA_SETS
 from uplift.data.formats import read_masks
 from uplift.data.formats.base import ReadOptions
-from uplift.data.load import load_file, load_split
+from uplift.data.load import format_of_run, load_file, load_split
 from uplift.data.poses import PoseData
 from uplift.errors import UserError, did_you_mean
 from uplift.export import write, writer_for
@@ -161,6 +161,9 @@ def _read(request: Request, skeleton: Skeleton) -> PoseData:
     if not colon or Path(input).exists():
         if overrides:
             raise UserError(f"'{overrides[0]}' goes with a data set, input=SET:SPLIT; input={input} is a file.")
+        trained = request.weights.settings()
+        if trained is not None and (reading is None or reading.format is None):
+            reading = replace(reading or ReadOptions(), format=format_of_run(trained, input))
         return load_file(input, skeleton, reading)
     if reading is not None and reading.set_names():
         raise UserError(f"{reading.set_names()[0]}= goes with files, not with a published set, input={input}.")
@@ -233,7 +236,9 @@ def lift_masks(request: Request) -> tuple[ShapePrediction, dict[Path, str]]:
     if request.output is not None:
         _check_mesh_output(request.output, request.page, options)
     model, trained = load_shapes(request.weights), request.weights.settings()
-    data = read_masks(request.input, **{**({"side": trained.data.side} if trained else {}), **reading})
+    if trained is not None:
+        reading = {"side": trained.data.side, "format": format_of_run(trained, request.input), **reading}
+    data = read_masks(request.input, **reading)
     prediction = model.predict(data.without_truth(), title=request.title)
     notes = tuple(note for note in data.notes if note not in prediction.notes)
     prediction.notes = (*notes, *prediction.notes)

@@ -88,12 +88,13 @@ def _write_proposal(path: Path, keys: Keys) -> list[str]:
     fitting = _fitting_skeletons(data)
     if fitting:
         lines.append(f"shipped skeletons that fit this file as they are: {', '.join(fitting)}: better than a guess")
+    how = f" format={keys['format']}" if "format" in keys else ""
     known = "guessed by the names, in comments" if propose.facing_guess(skeleton) else "not known"
     return [
         *lines,
         f"to do: look at the bones; facing is {known}",
         f"wrote {path}",
-        f"next: edit it, then uplift skeleton check {path}, and uplift skeleton map {keys['from']} skeleton={path}",
+        f"next: edit it, then uplift skeleton check {path}, and uplift skeleton map {keys['from']}{how} skeleton={path}",
     ]
 
 

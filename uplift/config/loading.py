@@ -148,7 +148,7 @@ def _holder(data: dict[str, Any], name: str) -> dict[str, Any]:
 
 
 def _bind_paths(data: dict[str, Any], folder: Path) -> None:
-    """Make the paths of a task file absolute: skeleton, data.root, files of priors, networks and data sets."""
+    """Make the paths of a task file absolute: skeleton, data.root, files of priors, networks, data sets and formats."""
     skeleton = data.get("skeleton")
     if isinstance(skeleton, str) and skeleton.endswith((".yaml", ".yml")):
         data["skeleton"] = str((folder / skeleton).absolute())

@@ -15,11 +15,10 @@ from typing import Any, TypeVar
 
 from uplift.errors import UserError, did_you_mean
 
-__all__ = ["blame", "build", "find_class", "options_of"]
+__all__ = ["blame", "build", "find_class", "line_of", "options_of"]
 
+_PACKAGE = Path(__file__).resolve().parents[1]
 Kind = TypeVar("Kind")
-
-_PACKAGE = Path(__file__).resolve().parent.parent
 
 
 def build(
@@ -38,7 +37,7 @@ def build(
     not take or that is of another kind than its default, an argument without a default that
     was not given, or a user's ``__init__`` that fails.
     """
-    found = find_class(use, builtin, where, setting)
+    found = find_class(use, builtin, setting or f"{where}.use")
     if not issubclass(found, kind):
         package = kind.__module__.partition(".")[0] + (".nn" if kind.__module__.startswith("torch.nn") else "")
         raise UserError(f"{where}: '{use}' is not a subclass of {package}.{kind.__name__}.")
@@ -56,19 +55,37 @@ def build(
         several = parameter.kind in (parameter.VAR_KEYWORD, parameter.VAR_POSITIONAL)
         if name not in options and name not in given and parameter.default is parameter.empty and not several:
             raise UserError(f"{where}: '{use}' needs the option '{name}': set {where}.{name}=...")
-    try:
+    with blame(f"{where}: {found.__name__}.__init__", found):
         return found(**given, **options)
+
+
+@contextmanager
+def blame(what: str, found: type) -> Iterator[None]:
+    """Turn an error in a method of a user's class, ``what`` for the message, into a `UserError` that names file and line."""
+    try:
+        yield
     except UserError:
         raise
-    except Exception as error:
+    except (Exception, SystemExit) as error:
         if found.__module__.startswith("uplift."):
             raise
-        trace = traceback.extract_tb(error.__traceback__)
-        last = next((f for f in reversed(trace) if "site-packages" not in f.filename), trace[-1])
-        raise UserError(
-            f"{where}: {found.__name__}.__init__ failed in {last.filename}, line {last.lineno}: "
-            f"{type(error).__name__}: {error}"
-        ) from error
+        kind = type(error).__name__
+        raise UserError(f"{what} failed in {line_of(error, found)}: {kind}: {error}".rstrip(": ")) from error
+
+
+def line_of(error: BaseException, found: type) -> str:
+    """Return the line of the user's file that an error came from: the last one in the file of the class, else the first elsewhere."""
+    file = getattr(sys.modules.get(found.__module__), "__file__", None) or found.__module__
+    trace = traceback.extract_tb(error.__traceback__)
+    own = [frame for frame in trace if frame.filename == file]
+    theirs = [
+        frame
+        for frame in trace
+        if _PACKAGE not in Path(frame.filename).resolve().parents and "site-packages" not in frame.filename
+    ]
+    # A method with wrong arguments fails in the package's frames alone.
+    last = (own or theirs[:1] or [None])[-1]
+    return f"{found.__name__} of {file}" if last is None else f"{last.filename}, line {last.lineno}"
 
 
 def _check_kinds(found: type, options: Mapping[str, Any], where: str) -> None:
@@ -82,12 +99,12 @@ def _check_kinds(found: type, options: Mapping[str, Any], where: str) -> None:
             raise UserError(f"{where}.{name}={value!r}: expected {expected}, such as {parameter.default!r}.")
 
 
-def find_class(use: str, builtin: Mapping[str, str], where: str, setting: str | None = None) -> type:
+def find_class(use: str, builtin: Mapping[str, str], setting: str) -> type:
     """Return the class that ``use`` names: a built-in, or ``file.py:Class``, or ``package.module:Class``.
 
-    Messages name the ``setting``, by default ``where.use``. Raises UserError: there is no such class.
+    ``setting`` is the name of the setting, for messages. Raises UserError: there is no such class.
     """
-    target, setting = builtin.get(use, use), setting or f"{where}.use"
+    target = builtin.get(use, use)
     if ":" not in target:
         none = f"no such built-in.{did_you_mean(use, builtin)} Your own is named" if builtin else "expected"
         raise UserError(f"{setting}={use!r}: {none} file.py:Class or package.module:Class.")
@@ -132,25 +149,3 @@ def _load_module(name: str, setting: str) -> ModuleType:
         return importlib.import_module(name)
     except (Exception, SystemExit) as error:  # whatever a user's module raises on import
         raise UserError(f"{setting}: cannot import '{name}': {type(error).__name__}: {error}") from error
-
-
-@contextmanager
-def blame(where: str, plugin: object, hook: str) -> Iterator[None]:
-    """Turn an error inside a user's class, the setting ``where``, into a `UserError` that names file and line."""
-    try:
-        yield
-    except UserError:
-        raise
-    except Exception as error:
-        module = type(plugin).__module__
-        if module.startswith("uplift."):
-            raise
-        frames = [
-            frame
-            for frame in traceback.extract_tb(error.__traceback__)
-            if _PACKAGE not in Path(frame.filename).resolve().parents and "site-packages" not in frame.filename
-        ]
-        # A hook with wrong arguments, or whose result cannot be read, fails in the package's frames alone.
-        file = getattr(sys.modules.get(module), "__file__", None) or module
-        place = f"{frames[0].filename}, line {frames[0].lineno}" if frames else f"{type(plugin).__name__} of {file}"
-        raise UserError(f"{where}: {hook} failed in {place}: {type(error).__name__}: {error}") from error

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TypeVar
@@ -15,7 +16,7 @@ from uplift.config.settings import DataSettings, Settings
 from uplift.data.clean import MIN_VISIBLE, clean
 from uplift.data.concat import concat_poses
 from uplift.data.datasets import DATA_SETS, DataSet, WantedFile, data_set, read_cached
-from uplift.data.formats import read, with_options
+from uplift.data.formats import KEYPOINT_FORMATS, MASK_FORMATS, read, with_options
 from uplift.data.formats.base import ReadOptions, size_of
 from uplift.data.masks import MaskData
 from uplift.data.poses import PoseData
@@ -26,8 +27,8 @@ from uplift.skeleton.match import build_joints, build_pose
 from uplift.skeleton.propose import TOO_LONG, stretch_of
 
 __all__ = [
-    "Loaded", "find_data", "how_to_get", "in_joints_of", "load_data", "load_file", "load_split", "named_set",
-    "of_labelled", "read_options", "set_of", "with_labels_of", "with_test",
+    "Loaded", "find_data", "format_of", "format_of_run", "how_to_get", "in_joints_of", "load_data", "load_file", "load_split",
+    "named_set", "of_labelled", "read_options", "set_of", "with_labels_of", "with_test",
 ]  # fmt: skip
 
 
@@ -153,7 +154,8 @@ def of_labelled(settings: Settings) -> Settings:
     """Return settings whose ``train`` samples are those of ``data.labelled.file``: a file, or SET:SPLIT in the set's own folder."""
     named = str(settings.data.labelled.file)
     use, colon, split = named.partition(":")
-    data = replace(settings.data, simulate=0, most=None, use=None, train=named)
+    format = format_of(settings.data, named)
+    data = replace(settings.data, simulate=0, most=None, use=None, train=named, format=format)
     if colon and use in DATA_SETS:
         data = replace(data, name=use, root=None, use=use, options={}, train=split, unit=None)
     return replace(settings, data=data)
@@ -166,7 +168,8 @@ def load_split(settings: Settings, which: str, skeleton: Skeleton) -> PoseData:
     """Return the ``train`` or ``test`` frames of ``settings`` in the skeleton's joints, not cleaned."""
     source = set_of(settings, which)
     if source is None:
-        data = load_file(find_data(settings, which), skeleton, read_options(settings.data))
+        path = find_data(settings, which)
+        data = load_file(path, skeleton, read_options(settings.data, path))
     else:
         options = read_options(settings.data)
         for name in options.set_names():
@@ -260,11 +263,44 @@ def load_file(path: str | Path, skeleton: Skeleton, options: ReadOptions | None 
     return concat_poses(parts)
 
 
-def read_options(data: DataSettings) -> ReadOptions:
-    """Return how the settings want files read; raises UserError for an invalid image size or number."""
+def format_of(data: DataSettings, path: str | Path) -> str | None:
+    """Return the format of a file of the settings, None where it is guessed.
+
+    A user's own format is that of all files but of this project's npz beside others: truth to test on comes in these.
+    """
+    npz = [str(name or "").lower().endswith(".npz") for name in (path, data.train)]
+    return None if _is_own(data.format) and npz == [True, False] else data.format
+
+
+def format_of_run(settings: Settings, path: str | Path) -> str | None:
+    """Return the format in which a run reads a file or folder that its settings do not name, None where it is guessed.
+
+    That is a user's own where a file ends as the format says, or as what the run was trained on where it says nothing.
+    """
+    data, path = settings.data, Path(path)
+    if not _is_own(data.format):
+        return None
+    ending = ""
+    with suppress(UserError):  # a class that is gone is not needed for other files
+        formats = MASK_FORMATS if settings.lifts == "masks" else KEYPOINT_FORMATS
+        ending = formats.named(str(data.format)).ending
+    if ending:
+        names = [one.name for one in path.iterdir()] if path.is_dir() else [path.name]
+        return data.format if any(name.lower().endswith(ending) for name in names) else None
+    found, trained = ("" if one.is_dir() else one.suffix.lower() for one in (path, Path(str(data.train))))
+    return data.format if found == trained else None
+
+
+def _is_own(format: str | None) -> bool:
+    return format is not None and ":" in format
+
+
+def read_options(data: DataSettings, path: str | Path | None = None) -> ReadOptions:
+    """Return how the settings want files, or this one, read; raises UserError for an invalid image size or number."""
     size = None if data.image_size is None else size_of(data.image_size, "data.image_size")
+    format = data.format if path is None else format_of(data, path)
     return ReadOptions(
-        format=data.format, layout=data.layout, image_size=size, fps=data.fps, focal_px=data.focal_px,
+        format=format, layout=data.layout, image_size=size, fps=data.fps, focal_px=data.focal_px,
         min_confidence=data.min_confidence,
     )  # fmt: skip
 

@@ -9,7 +9,7 @@ import numpy as np
 from uplift.config.files import data_root
 from uplift.config.settings import Settings
 from uplift.data.concat import concat_masks
-from uplift.data.load import Load, find_data, with_labels_of, with_test
+from uplift.data.load import Load, find_data, format_of, with_labels_of, with_test
 from uplift.data.masks import MaskData, Placed
 from uplift.geometry.mesh import Mesh
 
@@ -82,8 +82,9 @@ def load_mask_split(settings: Settings, which: str) -> MaskData:
     images = chosen.images
     if images is not None:
         images = str((data_root(chosen.name, chosen.root) / images).absolute())
-    options = {key: getattr(chosen, key) for key in ("format", "side", "border", "pieces", "category", "most")}
-    return read_masks(find_data(settings, which), **options, images=images)
+    options = {key: getattr(chosen, key) for key in ("side", "border", "pieces", "category", "most")}
+    path = find_data(settings, which)
+    return read_masks(path, **options, format=format_of(chosen, path), images=images)
 
 
 def _simulated(settings: Settings, which: str) -> MaskData:

@@ -75,6 +75,8 @@ class MaskData(Samples):
     """Whatever a reader knows besides."""
 
     def __post_init__(self) -> None:
+        if not isinstance(self.masks, np.ndarray):
+            raise UserError(f"masks are {type(self.masks).__name__}, expected an array, uint8 (items, side, side).")
         if self.masks.ndim != 3 or self.masks.shape[1] != self.masks.shape[2] or self.masks.dtype != np.uint8:
             found = f"{self.masks.dtype} of shape {self.masks.shape}"
             raise UserError(f"masks are {found}, expected uint8 (items, side, side).")

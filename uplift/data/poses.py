@@ -89,12 +89,17 @@ class PoseData(Samples):
 
     def __post_init__(self) -> None:
         self.joint_names = tuple(str(name) for name in self.joint_names)
+        where = f"{self.source}: " if self.source else ""
+        self.keypoints = _numbers(where, "keypoints", self.keypoints)
+        self.confidence = _numbers(where, "confidence", self.confidence)
+        if not all(isinstance(values, np.ndarray) for values in self.identity.values()):
+            self.identity = {key: _column(values, len(self.keypoints)) for key, values in self.identity.items()}
         _check_masks(self.source or "the data", self.masks, self.mask_box, len(self))
         wrong = self.misfit()
         if not wrong and len(self.joint_names) != self.keypoints.shape[1]:
             wrong = f"{len(self.joint_names)} joint names for {self.keypoints.shape[1]} joints in 'keypoints'"
         if wrong:
-            raise UserError(f"{self.source}: {wrong}." if self.source else f"{wrong}.")
+            raise UserError(f"{where}{wrong}.")
 
     @property
     def centre_px(self) -> tuple[float, float] | None:
@@ -158,6 +163,26 @@ class PoseData(Samples):
         """Return whether each frame is the next of its clip after the one before it in the file."""
         previous = self.previous()
         return (previous >= 0) & (previous == np.arange(len(self)) - 1)
+
+
+def _numbers(where: str, name: str, values: Any) -> np.ndarray:
+    """Return what was given as an array of real numbers: lists and whole numbers as float32, arrays of floats as they are."""
+    if isinstance(values, np.ndarray) and values.dtype.kind == "f":
+        return values
+    try:
+        array = np.asarray(values)
+    except ValueError:  # rows of different lengths
+        raise UserError(f"{where}'{name}' has rows of different lengths, expected one array of numbers.") from None
+    if array.ndim == 0 or array.dtype.kind not in "fiub":
+        kind = type(values).__name__ if array.ndim == 0 else f"{array.dtype} of shape {array.shape}"
+        raise UserError(f"{where}'{name}' is {kind}, expected an array of numbers.")
+    return array.astype(np.float32)
+
+
+def _column(values: Any, frames: int) -> np.ndarray:
+    """Return values of frames as an array; one value holds for all of them."""
+    array = np.asarray(values)
+    return np.repeat(array, frames) if array.ndim == 0 else array
 
 
 def clips_of(identity: Mapping[str, np.ndarray]) -> Int[np.ndarray, " frames"]:

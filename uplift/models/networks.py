@@ -136,7 +136,7 @@ def fitting_options(use: str, options: Mapping[str, Any]) -> tuple[dict[str, Any
     """
     if use not in NETWORKS and ":" not in use:
         return dict(options), []
-    taken = options_of(find_class(use, NETWORKS, "", "lifter.network"), skip=_SIZES)
+    taken = options_of(find_class(use, NETWORKS, "lifter.network"), skip=_SIZES)
     if taken is None:
         return dict(options), []
     builtin = {name for other in NETWORKS for name in options_of(find_class(other, NETWORKS, other), skip=_SIZES) or ()}

@@ -73,7 +73,7 @@ def build_priors(
 
 def _build(use: str, options: Mapping[str, Any], where: str, skeleton: Skeleton | None) -> Prior:
     wanted, source = ("shapes", "masks") if skeleton is None else ("poses", "keypoints")
-    found = find_class(use, PRIORS, where)
+    found = find_class(use, PRIORS, f"{where}.use")
     judges = getattr(found, "judges", wanted)
     if hasattr(found, "own_loss"):
         raise UserError(f"{where}: '{use}' has a method own_loss, which is now called critic_loss: rename it.")

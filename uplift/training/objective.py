@@ -26,7 +26,7 @@ _SYNC_EVERY = 50
 def prepare_priors(priors: Mapping[str, Prior], data: Any) -> None:
     """Show every prior the training data."""
     for name, prior in priors.items():
-        with blame(f"priors.{name}", prior, "prepare"):
+        with blame(f"priors.{name}: prepare", type(prior)):
             prior.prepare(data)
 
 
@@ -61,7 +61,7 @@ class Objective:
 
     def loss(self, name: str, lift: Lift | ShapeLift, step: int) -> Tensor:
         """Return one prior's loss as one number; raises UserError if it fails or does not pass the checks."""
-        with blame(f"priors.{name}", self.priors[name], "loss"):
+        with blame(f"priors.{name}: loss", type(self.priors[name])):
             value = self.priors[name].loss(lift)
         if not isinstance(value, Tensor) or value.shape not in lift.loss_shapes:
             found = f"shape {tuple(value.shape)}" if isinstance(value, Tensor) else type(value).__name__
@@ -99,7 +99,7 @@ class Objective:
         """
         total, losses = real.new_zeros(()), Logged()
         for name in self.adversarial:
-            with blame(f"priors.{name}", self.priors[name], "critic_loss"):
+            with blame(f"priors.{name}: critic_loss", type(self.priors[name])):
                 own = self.priors[name].critic_loss(real, reprojected)
             if own is None:
                 continue
@@ -117,7 +117,7 @@ class Objective:
         """Return what the priors want logged."""
         found = {}
         for name, prior in self.priors.items():
-            with blame(f"priors.{name}", prior, "metrics"):
+            with blame(f"priors.{name}: metrics", type(prior)):
                 found |= {f"{name}_{key}": float(value) for key, value in prior.metrics(lift).items()}
         return found
 

@@ -96,7 +96,7 @@ def module_class(use: str | None, where: str, default: type[ModuleT]) -> type[Mo
     """Return the class of modules that the setting ``where`` names; raises UserError for what is not a ``default``."""
     if use is None:
         return default
-    found = find_class(use, {}, where, where)
+    found = find_class(use, {}, where)
     if not issubclass(found, default):
         raise UserError(f"{where}: '{use}' is not a subclass of uplift.{default.__name__}.")
     return found
@@ -261,7 +261,7 @@ def build_loggers(settings: Settings, folder: Path) -> list[Logger]:
     for name, spec in specs.items():
         options, where = dict(spec), f"loggers.{name}"
         use = str(options.pop("use", name))
-        taken = inspect.signature(find_class(use, LOGGERS, where)).parameters
+        taken = inspect.signature(find_class(use, LOGGERS, f"{where}.use")).parameters
         ours = {"save_dir": str(folder), "name": name, "version": ""}
         if use != "tensorboard":  # the others number the processes of a fit, or name their runs themselves
             ours.pop("version")

@@ -210,7 +210,7 @@ class StudentModule(KeypointModule):
         """
         views = batch if isinstance(batch, ShownViews) else self._views(batch)
         lifted = self.lifter(views.input, views.confidence, views.distance)
-        with blame("student.loss", self.loss, "forward"):
+        with blame("student.loss: forward", type(self.loss)):
             found = self.loss(lifted, views, self.lifter)
         loss, logged = found if isinstance(found, tuple) else (found, {})
         if not isinstance(loss, Tensor) or loss.shape != () or not loss.requires_grad:

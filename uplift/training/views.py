@@ -79,7 +79,7 @@ def checked_view(views: ViewFunction, lifted: Lifted) -> Float[Tensor, "batch 3 
     """Return the views of a batch; raises UserError where a user's function fails or gives no rotations."""
     if isinstance(views, RandomViews):
         return views(lifted)
-    with blame("views", views, "__call__"):
+    with blame("views: __call__", type(views)):
         found = views(lifted)
     expected = (len(lifted.tilt), 3, 3)
     if not isinstance(found, Tensor) or found.shape != expected:

@@ -44,6 +44,7 @@ KEYPOINT_FORMATS: Formats[ReadOptions, PoseData] = Formats(
         "jabs": "uplift.data.formats.jabs:FORMAT",
         "npz": "uplift.data.formats.npz:FORMAT",
     },
+    own="uplift.data.formats.own:own_keypoints",
 )
 MASK_FORMATS: Formats[MaskOptions, MaskData] = Formats(
     "masks",
@@ -53,6 +54,7 @@ MASK_FORMATS: Formats[MaskOptions, MaskData] = Formats(
         "labels": "uplift.data.formats.masks_pictures:LABELS",
         "png_folder": "uplift.data.formats.masks_pictures:MASKS",
     },
+    own="uplift.data.formats.masks_own:own_masks",
 )
 
 

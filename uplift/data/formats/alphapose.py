@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from uplift.data.formats.base import Format, Peek, ReadOptions
+from uplift.data.formats.base import FileFormat, Peek, ReadOptions
 from uplift.data.formats.layouts import ALPHAPOSE, names_for
 from uplift.data.formats.rows import Bodies, name_of, pose_data, track_of
 from uplift.data.parsers.json import Numbers, entries, json_files, load_json, members, shown
@@ -76,4 +76,4 @@ def _people(value: Any, image: str, where: str) -> Iterator[tuple[str, Any, str,
         yield image, body.get("joints", body.get("pose_keypoints_2d")), "", place
 
 
-FORMAT = Format("alphapose", "AlphaPose results", _fits, _read, ".json")
+FORMAT = FileFormat("alphapose", "AlphaPose results", _fits, _read, ".json")

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from uplift.data.formats.base import Format, Peek, ReadOptions
+from uplift.data.formats.base import FileFormat, Peek, ReadOptions
 from uplift.data.formats.layouts import names_for
 from uplift.data.formats.rows import Bodies, name_of, pose_data
 from uplift.data.parsers.json import Numbers, entries, shown
@@ -61,4 +61,4 @@ def _animals(annotations: list[Any], where: str) -> list[list[list[Any]]]:
     return found
 
 
-FORMAT = Format("alphatracker", "AlphaTracker labels", _fits, _read)
+FORMAT = FileFormat("alphatracker", "AlphaTracker labels", _fits, _read)

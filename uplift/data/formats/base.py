@@ -20,7 +20,7 @@ from uplift.data.parsers.files import HDF5_START
 from uplift.data.parsers.json import is_json
 from uplift.errors import UserError, nearest
 
-__all__ = ["Format", "Formats", "Peek", "ReadOptions", "size_of"]
+__all__ = ["FileFormat", "Formats", "Peek", "ReadOptions", "size_of"]
 
 Options = TypeVar("Options", bound=Any)
 """`ReadOptions` for keypoints, `uplift.data.clean_masks.MaskOptions` for masks."""
@@ -29,7 +29,7 @@ Data = TypeVar("Data", bound=Any)
 
 
 @dataclass(frozen=True)
-class Format(Generic[Options, Data]):
+class FileFormat(Generic[Options, Data]):
     """A format of keypoints or masks: how to tell it from others, and how to read it."""
 
     name: str
@@ -44,16 +44,18 @@ class Format(Generic[Options, Data]):
     """Of the files that are read of a folder; a note counts the others."""
 
 
-class Formats(Mapping[str, Format[Options, Data]]):
+class Formats(Mapping[str, FileFormat[Options, Data]]):
     """The formats of one kind of data by name, the most specific first: the first that fits a file reads it."""
 
-    def __init__(self, what: str, places: dict[str, str]):
-        """``what`` is "keypoints" or "masks"; ``places`` say ``module:NAME`` of each `Format`, imported when asked for."""
-        self.what, self._places = what, places
+    def __init__(self, what: str, places: dict[str, str], own: str):
+        """``what`` is "keypoints" or "masks"; ``places`` say ``module:NAME`` of each `FileFormat`, imported when asked for.
 
-    def __getitem__(self, name: str) -> Format[Options, Data]:
-        module, _, attribute = self._places[name].partition(":")
-        return getattr(import_module(module), attribute)
+        ``own`` says it of a function that makes a `FileFormat` of a user's class, given its name and the option.
+        """
+        self.what, self._places, self._own = what, places, own
+
+    def __getitem__(self, name: str) -> FileFormat[Options, Data]:
+        return _imported(self._places[name])
 
     def __iter__(self) -> Iterator[str]:
         return iter(self._places)
@@ -61,13 +63,22 @@ class Formats(Mapping[str, Format[Options, Data]]):
     def __len__(self) -> int:
         return len(self._places)
 
-    def named(self, name: str, where: str = "format") -> Format[Options, Data]:
-        """Return the format that a user names in the option ``where``; raises UserError for an unknown name."""
-        if name not in self:
-            raise UserError(f"{where}={name}: no such format.{nearest(name, self)} Known: {', '.join(self)}.")
-        return self[name]
+    def named(self, name: str, where: str = "format") -> FileFormat[Options, Data]:
+        """Return the format that a user names in the option ``where``, of this package or a class of the user's own.
 
-    def guess(self, peek: Peek | str | Path) -> Format[Options, Data]:
+        Raises:
+            UserError: an unknown name, no such file or class, or a class that is no format.
+        """
+        if name in self:
+            return self[name]
+        if ":" in name:
+            return _imported(self._own)(name, where)
+        own = "Your own is file.py:Class or package.module:Class"
+        if name.endswith(".py"):
+            raise UserError(f"{where}={name}: which class of that file? {own}.")
+        raise UserError(f"{where}={name}: no such format.{nearest(name, self)} Known: {', '.join(self)}. {own}.")
+
+    def guess(self, peek: Peek | str | Path) -> FileFormat[Options, Data]:
         """Return the first format that the file or folder looks like.
 
         Raises:
@@ -93,11 +104,17 @@ class Formats(Mapping[str, Format[Options, Data]]):
         guessed = "" if options.format else f" (guessed; format={found.name})"
         notes = (f"read as {found.title}{guessed}", *data.notes)
         if found.ending and peek.is_folder:
-            kinds = Counter(one.suffix.lower() for one in peek.path.iterdir() if one.is_file())
-            others = kinds.total() - kinds[found.ending]
-            if kinds[found.ending] and others:
+            right = Counter(one.name.lower().endswith(found.ending) for one in peek.path.iterdir() if one.is_file())
+            others = right[False]
+            if right[True] and others:
                 notes += (f"{others} files of other kinds in the folder were left out",)
         return replace(data, notes=notes)
+
+
+def _imported(place: str) -> Any:
+    """Return what ``place``, a ``module:NAME``, names."""
+    module, _, attribute = place.partition(":")
+    return getattr(import_module(module), attribute)
 
 
 _VIDEOS, _MODELS = ".mp4 .avi .mov .mkv .webm", ".glb .gltf .obj .ply .stl .off"

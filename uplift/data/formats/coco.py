@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from uplift.data.formats.base import Format, Peek, ReadOptions
+from uplift.data.formats.base import FileFormat, Peek, ReadOptions
 from uplift.data.formats.layouts import COCO, WHOLEBODY133, names_for, pairs_by_name
 from uplift.data.formats.rows import Bodies, name_of, pose_data, same_or_none, seen_by_flag
 from uplift.data.parsers.json import Numbers, entries, is_text, members, objects, shown, texts, whole_number
@@ -227,7 +227,7 @@ def _flat(record: dict[str, Any], where: str) -> list[Any]:
     return values
 
 
-ANNOTATIONS = Format("coco", "COCO annotations", _are_annotations, _read_annotations)
+ANNOTATIONS = FileFormat("coco", "COCO annotations", _are_annotations, _read_annotations)
 
 
 # Results of a detector: a list with one body an entry, the number of its image, its keypoints and a score.
@@ -254,4 +254,4 @@ def _read_results(peek: Peek, options: ReadOptions) -> PoseData:
     return pose_data(path, names, values[..., :2], confidence, bodies.images(bodies.name), notes=notes)
 
 
-RESULTS = Format("coco_results", "COCO results", _are_results, _read_results)
+RESULTS = FileFormat("coco_results", "COCO results", _are_results, _read_results)

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from uplift.config.files import replacing
-from uplift.data.formats.base import Format, Peek, ReadOptions
+from uplift.data.formats.base import FileFormat, Peek, ReadOptions
 from uplift.data.formats.layouts import names_for
 from uplift.data.formats.rows import by_appearance, confidence_of, frame_numbers, named_tracks, rows_of, seen_by_flag
 from uplift.data.parsers.table import Table, header_of
@@ -468,7 +468,7 @@ def _read(peek: Peek, options: ReadOptions) -> PoseData:
     )
 
 
-FORMAT = Format("csv", "plain csv", lambda peek: columns_in(peek) is not None, _read)
+FORMAT = FileFormat("csv", "plain csv", lambda peek: columns_in(peek) is not None, _read)
 
 
 # Write the 2D of a `PoseData` as a plain csv: one row a frame and individual, NAME_x, NAME_y, NAME_confidence.

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from uplift.data.formats.base import Format, Peek
+from uplift.data.formats.base import FileFormat, Peek
 from uplift.data.formats.csv import write_table
 from uplift.data.formats.rows import by_appearance, frame_numbers, rows_of
 from uplift.data.parsers.files import bytes_of, check_memory, reason_of
@@ -349,7 +349,7 @@ def _fits(peek: Peek) -> bool:
         return False
 
 
-FORMAT = Format(
+FORMAT = FileFormat(
     "deeplabcut",
     "DeepLabCut or Lightning Pose (csv, h5)",
     _fits,

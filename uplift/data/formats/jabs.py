@@ -6,7 +6,7 @@ import re
 
 import numpy as np
 
-from uplift.data.formats.base import Format, Peek, ReadOptions
+from uplift.data.formats.base import FileFormat, Peek, ReadOptions
 from uplift.data.formats.rows import visible_only
 from uplift.data.parsers.hdf5 import Hdf5, open_hdf5
 from uplift.data.poses import PoseData
@@ -75,4 +75,4 @@ def _mice(file: Hdf5, shape: tuple[int, ...]) -> tuple[np.ndarray, np.ndarray]:
     return np.arange(shape[1]) < count[:, None], number
 
 
-FORMAT = Format("jabs", "a pose file of JABS", lambda peek: "poseest" in peek.hdf5_names, _read)
+FORMAT = FileFormat("jabs", "a pose file of JABS", lambda peek: "poseest" in peek.hdf5_names, _read)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from uplift.data.formats.base import Format, Peek, ReadOptions
+from uplift.data.formats.base import FileFormat, Peek, ReadOptions
 from uplift.data.formats.layouts import KINETICS, names_for
 from uplift.data.formats.rows import Bodies, pose_data, shares_to_pixels
 from uplift.data.parsers.json import Numbers, json_files, members, objects, shown, whole_number
@@ -57,4 +57,4 @@ def _read_file(file: Path, poses: Numbers, scores: Numbers, bodies: Bodies) -> N
         raise UserError(f"{file} has no 'data', expected the frames of a video with their skeletons.")
 
 
-FORMAT = Format("kinetics_skeleton", "Kinetics skeletons (ST-GCN)", _fits, _read, ".json")
+FORMAT = FileFormat("kinetics_skeleton", "Kinetics skeletons (ST-GCN)", _fits, _read, ".json")

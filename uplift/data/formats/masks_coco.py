@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from uplift.data.clean_masks import MaskOptions
-from uplift.data.formats.base import Format, Peek
+from uplift.data.formats.base import FileFormat, Peek
 from uplift.data.formats.masks import gather, shuffled, wanted
 from uplift.data.masks import Found, MaskData, Skipped
 from uplift.data.parsers.json import JsonText, entries, is_text, members, objects
@@ -242,4 +242,4 @@ def _key(value: Any) -> str | None:
     return str(value)[:200] if isinstance(value, int | str) and not isinstance(value, bool) else None
 
 
-FORMAT = Format("coco", "COCO's JSON with segmentations", _fits, _read)
+FORMAT = FileFormat("coco", "COCO's JSON with segmentations", _fits, _read)

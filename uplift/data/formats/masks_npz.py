@@ -13,14 +13,14 @@ import numpy as np
 from uplift.config.files import replacing
 from uplift.data.clean_masks import MaskOptions
 from uplift.data.concat import concat_masks, resized
-from uplift.data.formats.base import Format, Peek
+from uplift.data.formats.base import FileFormat, Peek
 from uplift.data.formats.masks import shuffled, wanted
 from uplift.data.masks import MaskData, Placed
 from uplift.data.parsers.npz import CheckedArrays, read_arrays
 from uplift.errors import UserError
 from uplift.geometry.mesh import Mesh
 
-__all__ = ["FORMAT", "read_masks_npz", "write_masks_npz"]
+__all__ = ["FORMAT", "arrays_of", "chosen", "masks_of_arrays", "read_masks_npz", "write_masks_npz"]
 
 _PLACED = ("shape", "view", "scale", "offset", "distance")
 _MESHES = ("mesh_vertices", "mesh_vertex_start", "mesh_faces", "mesh_face_start", "mesh_names", "mesh_category")
@@ -32,10 +32,21 @@ _TURN_ERROR = 1e-3
 
 
 def write_masks_npz(data: MaskData, path: str | Path) -> None:
-    """Write masks, names, crops, labels and the truth; the same data gives the same bytes.
+    """Write masks, names, crops, labels and the truth; the same data gives the same bytes."""
+    with replacing(path) as handle, zipfile.ZipFile(handle, "w") as archive:
+        for name, array in arrays_of(data).items():
+            entry = zipfile.ZipInfo(f"{name}.npy", date_time=_OLDEST)
+            # Masks are mostly 0 and 255 and shrink tenfold; vertices and rotations hardly at all.
+            entry.compress_type = zipfile.ZIP_STORED if array.dtype.kind == "f" else zipfile.ZIP_DEFLATED
+            with archive.open(entry, "w", force_zip64=True) as stream:
+                np.lib.format.write_array(stream, np.ascontiguousarray(array), allow_pickle=False)
 
-    Meshes are written one behind the other: ``mesh_vertex_start`` (meshes + 1) says where each begins, and
-    ``mesh_faces`` count from there. `MaskData.extra` is not written.
+
+def arrays_of(data: MaskData) -> dict[str, np.ndarray]:
+    """Return the arrays of masks by their names in the file.
+
+    Meshes stand one behind the other: ``mesh_vertex_start`` (meshes + 1) says where each begins, and
+    ``mesh_faces`` count from there. `MaskData.extra` is left out.
     """
     arrays = {
         "masks": data.masks,
@@ -50,13 +61,7 @@ def write_masks_npz(data: MaskData, path: str | Path) -> None:
             arrays[name] = np.asarray(getattr(data, name), kind)
     if data.truth is not None:
         arrays |= _truth_arrays(data.truth)
-    with replacing(path) as handle, zipfile.ZipFile(handle, "w") as archive:
-        for name, array in arrays.items():
-            entry = zipfile.ZipInfo(f"{name}.npy", date_time=_OLDEST)
-            # Masks are mostly 0 and 255 and shrink tenfold; vertices and rotations hardly at all.
-            entry.compress_type = zipfile.ZIP_STORED if array.dtype.kind == "f" else zipfile.ZIP_DEFLATED
-            with archive.open(entry, "w", force_zip64=True) as stream:
-                np.lib.format.write_array(stream, np.ascontiguousarray(array), allow_pickle=False)
+    return arrays
 
 
 def _truth_arrays(truth: Placed) -> dict[str, np.ndarray]:
@@ -79,20 +84,32 @@ def read_masks_npz(path: str | Path) -> MaskData:
     Raises:
         UserError: missing or unknown arrays, wrong kinds, shapes or ranges, invalid meshes.
     """
-    arrays = read_arrays(path, _KNOWN, others=False)
-    file = CheckedArrays(str(path), arrays)
+    return masks_of_arrays(str(path), read_arrays(path, _KNOWN, others=False), Path(path).stem)
+
+
+def masks_of_arrays(where: str, arrays: dict[str, np.ndarray], name: str) -> MaskData:
+    """Return the `MaskData` of arrays of that layout; ``where`` they are from, for messages, and what masks without names are named after.
+
+    Raises:
+        UserError: no array ``masks``, wrong kinds, shapes or ranges, invalid meshes.
+    """
+    file = CheckedArrays(where, arrays)
     if "masks" not in arrays:
         found = ", ".join(sorted(arrays)) or "nothing"
-        raise UserError(f"{path}: no array 'masks' (found: {found}). Expected uint8 masks (items, side, side), 0..255.")
+        raise UserError(
+            f"{where}: no array 'masks' (found: {found}). Expected uint8 masks (items, side, side), 0..255."
+        )
     masks = arrays["masks"]
     if masks.dtype != np.uint8 or masks.ndim != 3 or masks.shape[1] != masks.shape[2] or not masks.size:
-        raise UserError(f"{path}: 'masks' is {masks.dtype} of shape {masks.shape}, expected uint8 (items, side, side).")
+        raise UserError(
+            f"{where}: 'masks' is {masks.dtype} of shape {masks.shape}, expected uint8 (items, side, side)."
+        )
     items, side = masks.shape[:2]
     names, notes = file.text("names", items), file.text("notes", None)
     centre, scale = file.numbers("centre_px", (items, 2)), file.numbers("scale_px", (items,), above=0)
     return MaskData(
         masks=masks,
-        names=[f"{Path(path).stem}:{item}" for item in range(items)] if names is None else names.tolist(),
+        names=[f"{name}:{item}" for item in range(items)] if names is None else names.tolist(),
         centre_px=np.full((items, 2), side / 2, np.float32) if centre is None else centre,
         scale_px=np.full(items, side / 2, np.float32) if scale is None else scale,
         category=file.text("category", items),
@@ -100,7 +117,7 @@ def read_masks_npz(path: str | Path) -> MaskData:
         labelled=file.flags("labelled", items),
         truth=_truth(file, items),
         notes=() if notes is None else tuple(notes.tolist()),
-        source=str(path),
+        source=where,
     )
 
 
@@ -152,8 +169,15 @@ def _meshes(file: CheckedArrays) -> Sequence[Mesh]:
 
 
 def _read(peek: Peek, options: MaskOptions) -> MaskData:
-    data = concat_masks([read_masks_npz(path) for path in peek.paths])
-    where = peek.where
+    return chosen(concat_masks([read_masks_npz(path) for path in peek.paths]), options, peek.where)
+
+
+def chosen(data: MaskData, options: MaskOptions, where: str) -> MaskData:
+    """Return the masks, already cut out, that ``options`` ask for, at their side.
+
+    Raises:
+        UserError: no mask, a category that is not there, or a folder of photos for masks that name theirs.
+    """
     notes: list[str] = []
     if options.images is not None:
         raise UserError(f"images={options.images}: {where} names its photos itself; leave images= out.")
@@ -173,4 +197,4 @@ def _read(peek: Peek, options: MaskOptions) -> MaskData:
     return replace(data, notes=(*data.notes, *notes))
 
 
-FORMAT = Format("npz", "uplift's own npz of masks", lambda peek: "masks" in peek.npz_names, _read)
+FORMAT = FileFormat("npz", "uplift's own npz of masks", lambda peek: "masks" in peek.npz_names, _read)

@@ -10,7 +10,7 @@ import numpy as np
 from scipy.ndimage import find_objects
 
 from uplift.data.clean_masks import MaskOptions
-from uplift.data.formats.base import Format, Peek
+from uplift.data.formats.base import FileFormat, Peek
 from uplift.data.formats.masks import gather, shuffled, wanted
 from uplift.data.masks import Found, MaskData, Skipped
 from uplift.data.parsers.pictures import Photos, Picture, PictureError, Place, open_picture, pictures_of
@@ -74,7 +74,7 @@ def _mask_items(
         yield Found(place.name, mask, place.category, photos.of_mask(place.name), order=order)
 
 
-MASKS = Format("png_folder", "pictures of masks, one object each", lambda peek: bool(peek.pictures), _read_masks)
+MASKS = FileFormat("png_folder", "pictures of masks, one object each", lambda peek: bool(peek.pictures), _read_masks)
 
 
 # Label images: each number above 0 is an object (DAVIS, Cityscapes, microscopes and annotation tools).
@@ -188,7 +188,7 @@ def _numbered(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return np.flatnonzero(there), np.cumsum(there, dtype=np.int32)[values]
 
 
-LABELS = Format("labels", "label images, an object for each number above 0", _are_labels, _read_labels)
+LABELS = FileFormat("labels", "label images, an object for each number above 0", _are_labels, _read_labels)
 
 
 # What a picture is: a mask of one object, labels of several, a photo, or nothing at all.

@@ -11,7 +11,7 @@ from typing import Any, TypeGuard
 
 import numpy as np
 
-from uplift.data.formats.base import Format, Peek, ReadOptions
+from uplift.data.formats.base import FileFormat, Peek, ReadOptions
 from uplift.data.formats.csv import Identity, bodies_of, columns_in, is_nameless, read_columns
 from uplift.data.formats.layouts import HAND21, Layouts, names_for
 from uplift.data.formats.rows import SHARES_NOTE, confidence_of, frame_numbers
@@ -499,4 +499,4 @@ def _read(peek: Peek, options: ReadOptions) -> PoseData:
     return _read_mediapipe_json(peek.path, options) if peek.json_sign else _read_mediapipe_csv(peek, options)
 
 
-FORMAT = Format("mediapipe", "landmarks of MediaPipe (csv, json, npz)", _fits, _read)
+FORMAT = FileFormat("mediapipe", "landmarks of MediaPipe (csv, json, npz)", _fits, _read)

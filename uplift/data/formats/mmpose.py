@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from uplift.data.formats.base import Format, Peek, ReadOptions
+from uplift.data.formats.base import FileFormat, Peek, ReadOptions
 from uplift.data.formats.layouts import MMPOSE, names_for, pairs_by_name, swapped_names
 from uplift.data.formats.rows import Bodies, pose_data, track_of
 from uplift.data.parsers.json import JsonText, Numbers, is_text, items, json_files, members, shown, whole_number
@@ -129,4 +129,4 @@ def _mirror(meta: dict[str, Any], names: tuple[str, ...]) -> tuple[tuple[str, st
     return tuple(dict.fromkeys((a, b) if names.index(a) < names.index(b) else (b, a) for a, b in pairs))
 
 
-FORMAT = Format("mmpose", "MMPose predictions", _fits, _read, ".json")
+FORMAT = FileFormat("mmpose", "MMPose predictions", _fits, _read, ".json")

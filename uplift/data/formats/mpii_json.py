@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from uplift.data.formats.base import Format, Peek, ReadOptions
+from uplift.data.formats.base import FileFormat, Peek, ReadOptions
 from uplift.data.formats.layouts import MPII16, names_for
 from uplift.data.formats.rows import Bodies, name_of, pose_data
 from uplift.data.parsers.json import Numbers, entries
@@ -35,4 +35,4 @@ def _read(peek: Peek, options: ReadOptions) -> PoseData:
     return pose_data(path, names, keypoints, confidence, bodies.images(bodies.name), notes=notes)
 
 
-FORMAT = Format("mpii_json", "MPII JSON", _fits, _read)
+FORMAT = FileFormat("mpii_json", "MPII JSON", _fits, _read)

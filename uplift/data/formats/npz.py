@@ -9,7 +9,7 @@ import numpy as np
 
 from uplift.config.files import replacing
 from uplift.data.formats import KEYPOINT_FORMATS, read
-from uplift.data.formats.base import Format, ReadOptions
+from uplift.data.formats.base import FileFormat, ReadOptions
 from uplift.data.parsers.files import bytes_of
 from uplift.data.parsers.npz import CheckedArrays, array_headers, read_arrays
 from uplift.data.parsers.pictures import PHOTO_ENDINGS
@@ -21,6 +21,7 @@ __all__ = [
     "contents_of",
     "joint_names_of",
     "memory_of",
+    "poses_of",
     "read_npz",
     "refuse_other_axes",
     "unit_of",
@@ -43,8 +44,16 @@ def read_npz(path: str | Path) -> PoseData:
     Raises:
         UserError: missing or unknown arrays, wrong types or shapes, arrays of different lengths.
     """
-    arrays = read_arrays(path, _KNOWN, others=False)
-    where, file = str(path), CheckedArrays(str(path), arrays)
+    return poses_of(str(path), read_arrays(path, _KNOWN, others=False))
+
+
+def poses_of(where: str, arrays: dict[str, np.ndarray]) -> PoseData:
+    """Return the `PoseData` of arrays of that layout; ``where`` they are from, for messages.
+
+    Raises:
+        UserError: missing arrays, wrong types, shapes or ranges, arrays of different lengths.
+    """
+    file = CheckedArrays(where, arrays)
     for needed in ("keypoints", "joint_names"):
         if needed not in arrays:
             raise UserError(
@@ -150,7 +159,7 @@ def _image_size(where: str, arrays: dict) -> tuple[int, int] | None:
     return int(array[0]), int(array[1])
 
 
-FORMAT = Format(
+FORMAT = FileFormat(
     "npz",
     "uplift's own npz",
     lambda peek: peek.ending == ".npz",  # the last to be asked: its errors say in full what is wrong
@@ -199,6 +208,8 @@ class _Contents:
     has_pose: bool
     memory: int
     """Bytes of the arrays."""
+    read_as: str = ""
+    """The note on the format; empty for an npz of this project."""
 
 
 def contents_of(path: Path, options: ReadOptions | None = None) -> _Contents:
@@ -213,7 +224,8 @@ def contents_of(path: Path, options: ReadOptions | None = None) -> _Contents:
         arrays = {name for name in ("pose", "root", "tilt_deg") if getattr(data, name) is not None}
         memory = memory_of(arrays, len(data), len(data.joint_names))
         identity = sum(values.nbytes for values in data.identity.values())
-        return _Contents(len(data), data.joint_names, data.pose is not None, memory + identity)
+        read_as = next((note for note in data.notes if note.startswith("read as ")), "")
+        return _Contents(len(data), data.joint_names, data.pose is not None, memory + identity, read_as)
     small, headers = read_arrays(path, ("joint_names",)), array_headers(path)
     shape = headers["keypoints"][0] if "keypoints" in headers else ()
     if "joint_names" not in small or len(shape) != 3:

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float, Int, Shaped
 
-from uplift.data.formats.base import Format, Peek, ReadOptions
+from uplift.data.formats.base import FileFormat, Peek, ReadOptions
 from uplift.data.formats.rows import as_float32, distinct, link_bodies, same_or_none, video_name, visible_only
 from uplift.data.parsers.files import check_memory
 from uplift.data.parsers.hdf5 import Hdf5, open_hdf5
@@ -421,4 +421,4 @@ def _part(path: Path, one: _Container, frames: list[np.ndarray], names: list[str
 
 
 _ROOT = {"session_start_time", "identifier"}
-FORMAT = Format("nwb", "an NWB file with poses (ndx-pose)", lambda peek: set(peek.hdf5_names) >= _ROOT, _read)
+FORMAT = FileFormat("nwb", "an NWB file with poses (ndx-pose)", lambda peek: set(peek.hdf5_names) >= _ROOT, _read)

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from uplift.data.formats.base import Format, Peek, ReadOptions
+from uplift.data.formats.base import FileFormat, Peek, ReadOptions
 from uplift.data.formats.layouts import HANDS, OPENPOSE, OPENPOSE_FACE70, names_for
 from uplift.data.formats.rows import Bodies, pose_data, split_names, track_of
 from uplift.data.parsers.json import Numbers, json_files, load_json, shown
@@ -104,4 +104,4 @@ def _joined(
     return np.concatenate(found, 1), tuple(names), notes
 
 
-FORMAT = Format("openpose", "OpenPose JSON", _fits, _read, ".json")
+FORMAT = FileFormat("openpose", "OpenPose JSON", _fits, _read, ".json")

@@ -25,6 +25,7 @@ __all__ = [
     "confidence_of",
     "distinct",
     "frame_numbers",
+    "honest",
     "link_bodies",
     "name_of",
     "named_tracks",
@@ -264,7 +265,7 @@ def pose_data(
     twice = [name for name, count in Counter(names).items() if count > 1]
     if twice:
         raise UserError(f"{path} names '{twice[0]:.60}' twice among its keypoints; names must differ.")
-    keypoints, confidence = _honest(keypoints, confidence)
+    keypoints, confidence = honest(keypoints, confidence)
     seen = np.any(confidence > 0, axis=1)
     if not seen.any():
         raise UserError(f"{path} has no visible keypoint in it ({len(seen):,} bodies, {len(names)} keypoints each).")
@@ -287,7 +288,7 @@ def pose_data(
     )
 
 
-def _honest(keypoints: np.ndarray, confidence: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def honest(keypoints: np.ndarray, confidence: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return keypoints that are numbers or NaN, and a confidence of 0 to 1 that is 0 where they are NaN."""
     confidence = np.clip(np.nan_to_num(confidence, nan=0, posinf=0, neginf=0), 0, 1).astype(np.float32, copy=False)
     finite = np.all(np.isfinite(keypoints), axis=-1)

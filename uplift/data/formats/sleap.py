@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from uplift.data.formats.base import Format, Peek, ReadOptions
+from uplift.data.formats.base import FileFormat, Peek, ReadOptions
 from uplift.data.formats.rows import as_float32, distinct, link_bodies, pairs_of, same_or_none, video_name, visible_only
 from uplift.data.parsers.files import check_memory
 from uplift.data.parsers.hdf5 import Hdf5, from_json, open_hdf5
@@ -332,7 +332,7 @@ def _instances(
 
 
 _ROOT = {"frames", "instances", "metadata"}
-PROJECT = Format("sleap_slp", "a project of SLEAP", lambda peek: set(peek.hdf5_names) >= _ROOT, _read_project)
+PROJECT = FileFormat("sleap_slp", "a project of SLEAP", lambda peek: set(peek.hdf5_names) >= _ROOT, _read_project)
 
 
 # Analysis files (.h5): one array of all frames, tracks and nodes.
@@ -451,4 +451,4 @@ def _is_analysis(peek: Peek) -> bool:
     return {"tracks", "node_names"} <= names and bool({"track_occupancy", "track_names"} & names)
 
 
-ANALYSIS = Format("sleap_h5", "an analysis file of SLEAP", _is_analysis, _read_analysis)
+ANALYSIS = FileFormat("sleap_h5", "an analysis file of SLEAP", _is_analysis, _read_analysis)

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from uplift.data.formats.base import Format, Peek, ReadOptions
+from uplift.data.formats.base import FileFormat, Peek, ReadOptions
 from uplift.data.formats.layouts import COCO, names_for, swapped_names
 from uplift.data.formats.rows import (
     SHARES_NOTE,
@@ -401,7 +401,7 @@ def _text(file: Path) -> str:
         raise UserError(f"{file} cannot be read as text: {error}") from None
 
 
-LABELS = Format("ultralytics", "Ultralytics labels", _are_labels, _read_labels, ".txt")
+LABELS = FileFormat("ultralytics", "Ultralytics labels", _are_labels, _read_labels, ".txt")
 
 
 # Results as JSON: the list that ``to_json()`` gives for an image, or a list of such lists.
@@ -456,4 +456,4 @@ def _read_results(peek: Peek, options: ReadOptions) -> PoseData:
     return pose_data(path, names, keypoints, confidence, found.bodies.identity(), notes=notes)
 
 
-RESULTS = Format("ultralytics_json", "Ultralytics results (JSON)", _are_results, _read_results, ".json")
+RESULTS = FileFormat("ultralytics_json", "Ultralytics results (JSON)", _are_results, _read_results, ".json")

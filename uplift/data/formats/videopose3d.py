@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from uplift.data.formats.base import Format, Peek, ReadOptions
+from uplift.data.formats.base import FileFormat, Peek, ReadOptions
 from uplift.data.formats.csv import Identity, bodies_of
 from uplift.data.formats.layouts import COCO_JOINTS, H36M_JOINTS, HOURGLASS_JOINTS, Layouts, names_for
 from uplift.data.formats.rows import confidence_of
@@ -163,4 +163,4 @@ def _fits(peek: Peek) -> bool:
     return "positions_2d" in names or ({"boxes", "keypoints", "metadata"} <= names and "joint_names" not in names)
 
 
-FORMAT = Format("videopose3d", "2D keypoints of VideoPose3D (npz)", _fits, _read)
+FORMAT = FileFormat("videopose3d", "2D keypoints of VideoPose3D (npz)", _fits, _read)
