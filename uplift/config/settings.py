@@ -84,7 +84,9 @@ class DataSettings:
         None, "file, folder or split to validate on during the fit, or a share of the training data such as 0.1"
     )
     test: Optional[str] = _setting(None, "file, folder or split to evaluate on after the fit")
-    format: Optional[str] = _setting(None, "format of the files: deeplabcut, openpose, coco, ..., or file.py:Class; unset: guessed")
+    format: Optional[str] = _setting(
+        None, "format of the files: deeplabcut, openpose, coco, ..., or file.py:Class; unset: guessed"
+    )
     layout: Optional[str] = _setting(
         None, "skeleton whose joints name the keypoints of files without names", only="keypoints"
     )

@@ -12,6 +12,7 @@ from typing import TypeVar
 import numpy as np
 
 from uplift.config.files import data_root, files_of
+from uplift.config.progress import progress
 from uplift.config.settings import DataSettings, Settings
 from uplift.data.clean import MIN_VISIBLE, clean
 from uplift.data.concat import concat_poses
@@ -243,7 +244,7 @@ def load_file(path: str | Path, skeleton: Skeleton, options: ReadOptions | None 
     Raises UserError: as `in_joints_of`, or files of fewer keypoints than anything can be lifted from.
     """
     parts = []
-    for one in files_of(path):
+    for one in progress(files_of(path), "reading files"):
         data = read(one, options)
         if len(data.joint_names) < MIN_VISIBLE:
             raise UserError(

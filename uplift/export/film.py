@@ -15,6 +15,7 @@ from jaxtyping import Bool, Float, Int
 from PIL import Image, ImageDraw, ImageFont
 
 from uplift.config.files import replacing
+from uplift.config.progress import progress
 from uplift.errors import UserError
 from uplift.export.clips import USUAL_FPS, Clip, frame_rate, one_clip
 from uplift.export.gallery import filled_points
@@ -53,7 +54,7 @@ def write_film(prediction: Prediction, path: str | Path, fps: int | float | None
     scale, most, fastest = (_MP4_SCALE, len(clip.frames), _MP4_FPS) if program else (_GIF_SCALE, _GIF_FRAMES, _GIF_FPS)
     moments = thinned(len(clip.frames), rate, most, fastest)
     drawing = FilmDrawing(scene, scale, rate, timed=known is not None)
-    pictures = (drawing.picture(moment) for moment in moments.tolist())
+    pictures = (drawing.picture(moment) for moment in progress(moments.tolist(), "drawing frames"))
     with replacing(path) as handle:
         if program:
             _write_mp4(pictures, handle, program, drawing.size, rate * len(moments) / len(clip.frames))

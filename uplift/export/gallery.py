@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool, Float
 
+from uplift.config.progress import progress
 from uplift.errors import UserError
 from uplift.export.html import Photos, fill_page, jpeg_address, number_text, write_text
 from uplift.export.scene import Body, body_of, known_points, level_rotations, scaled_error, shown_truth
@@ -43,7 +44,7 @@ def gallery_text(prediction: Prediction, *, frames: int = 40, seed: int = 0, ima
     photos = check_options(frames=frames, seed=seed, images=images)
     rows = chosen_rows(prediction, frames, seed)
     sheet = _Sheet(prediction, rows, photos)
-    drawn = "\n".join(sheet.frame(place) for place in range(len(rows)))
+    drawn = "\n".join(sheet.frame(place) for place in progress(range(len(rows)), "drawing frames"))
     sheet.refuse_without_photos()
     return fill_page(
         "gallery.htm",

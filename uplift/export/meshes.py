@@ -13,6 +13,7 @@ import numpy as np
 from jaxtyping import Float
 
 from uplift.config.files import refuse_existing, replacing
+from uplift.config.progress import progress
 from uplift.errors import UserError, did_you_mean
 from uplift.export.clips import MOST_FILES
 from uplift.export.scene import FROM_LEVEL
@@ -250,7 +251,9 @@ def prediction_surfaces(prediction: ShapePrediction, *, smooth: int = 0) -> list
     """Return the surface of each item's grid, in the shape's frame, named as the item."""
     return [
         surface_of(np.asarray(grid, np.float32), level=prediction.level, smooth=smooth, name=name)
-        for grid, name in zip(prediction.occupancy, prediction.names, strict=True)
+        for grid, name in progress(
+            zip(prediction.occupancy, prediction.names, strict=True), "surfaces", len(prediction)
+        )
     ]
 
 

@@ -7,6 +7,7 @@ from collections.abc import Iterator, Mapping
 import numpy as np
 from jaxtyping import Bool, Float
 
+from uplift.config.progress import progress
 from uplift.data.masks import Placed
 from uplift.errors import UserError
 from uplift.metrics.protocols import metric_kind, metric_order
@@ -59,7 +60,7 @@ def evaluate_all(
     for title, prediction in predictions.items():
         _check(title or "the prediction", prediction, truth, masks)
     found: dict[str, list[dict[str, float]]] = {title: [{}] * len(truth) for title in predictions}
-    for row, filled in filled_truths(truth, np.arange(len(truth)), resolution):
+    for row, filled in progress(filled_truths(truth, np.arange(len(truth)), resolution), "scoring shapes", len(truth)):
         item = TrueItem(truth, row, filled)
         for title, prediction in predictions.items():
             found[title][row] = score_item(predicted(prediction, row), item, masks[row])

@@ -14,6 +14,7 @@ from jaxtyping import Float
 from torch import Tensor, nn
 
 from uplift.config.files import save_torch
+from uplift.config.progress import progress
 from uplift.config.run import Weights, read_weights
 from uplift.config.settings import LifterSettings, ShapeSettings, settings_of
 from uplift.data.clean import clean
@@ -291,7 +292,7 @@ class ShapeModel(_Saved):
         temperature = _TEMPERATURE_FACTOR * self.settings.temperature_end
         parts = [as_tensor(masks[start : start + _CHUNK]) for start in range(0, len(masks), _CHUNK)]
         lift = partial(lift_masks, self.lifter, drawn=drawn, resolution=resolution, temperature=temperature)
-        return LiftedShapes.concat([lift(part) for part in parts])
+        return LiftedShapes.concat([lift(part) for part in progress(parts, "lifting masks, by 50")])
 
     def predict(self, data: MaskData, title: str = "") -> ShapePrediction:
         """Return a shape for every mask: expected occupancy, and the iso threshold of its surface.

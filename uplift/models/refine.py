@@ -7,6 +7,7 @@ from jaxtyping import Float, Int
 from torch import Tensor
 from torch.nn.functional import huber_loss
 
+from uplift.config.progress import progress
 from uplift.config.settings import RefineSettings
 from uplift.data.tensors import TrainingSet
 from uplift.geometry.camera import Camera
@@ -74,16 +75,24 @@ def refine_clips(
     frames_of = torch.bincount(data.clip)
     edges = torch.nn.functional.pad(frames_of.cumsum(0), (1, 0))
     order = torch.argsort(data.clip, stable=True)
-    start = 0
-    while start < len(frames_of):
-        stop = int(torch.searchsorted(edges, edges[start] + _BLOCK_FRAMES, right=True)) - 1
-        stop = max(start + 1, min(stop, len(frames_of)))
+    blocks = _blocks(edges)
+    for start, stop in progress(blocks, "refining clips") if len(blocks) > 1 else blocks:
         rows = order[int(edges[start]) : int(edges[stop])]
         alone = frames_of[data.clip[rows]] < 2
         solved = _solve(_Problem(data, rows, keypoints[rows], depth[rows], camera, settings), settings)
         refined[rows] = torch.where(alone[:, None, None], refined[rows], solved)
-        start = stop
     return refined
+
+
+def _blocks(edges: Int[Tensor, " clips_and_one"]) -> list[tuple[int, int]]:
+    """Return the first and the last clip (exclusive) of blocks of clips that are solved together."""
+    start, clips, blocks = 0, len(edges) - 1, []
+    while start < clips:
+        stop = int(torch.searchsorted(edges, edges[start] + _BLOCK_FRAMES, right=True)) - 1
+        stop = max(start + 1, min(stop, clips))
+        blocks.append((start, stop))
+        start = stop
+    return blocks
 
 
 @torch.enable_grad()

@@ -9,6 +9,7 @@ from dataclasses import replace
 import numpy as np
 from scipy.ndimage import find_objects
 
+from uplift.config.progress import progress
 from uplift.data.clean_masks import MaskOptions
 from uplift.data.formats.base import FileFormat, Peek
 from uplift.data.formats.masks import gather, shuffled, wanted
@@ -51,7 +52,7 @@ def _places_in(peek: Peek, options: MaskOptions, notes: list[str]) -> list[Place
 
 def _opened(places: list[Place], options: MaskOptions) -> Iterator[tuple[int, Place, Picture | Skipped]]:
     """Yield the order, place and picture of each place; why not where a picture cannot be opened."""
-    for order, place in shuffled(places, options):
+    for order, place in progress(shuffled(places, options), "reading pictures", len(places)):
         try:
             yield order, place, open_picture(place.path)
         except PictureError as error:

@@ -10,6 +10,7 @@ import numpy as np
 import torch
 from jaxtyping import Float, Int, UInt8
 
+from uplift.config.progress import progress
 from uplift.data.masks import FILL, MaskData, Placed
 from uplift.data.synthetic.animals import animal
 from uplift.data.synthetic.furniture import armchair, bed, bench, cabinet, chair, desk, shelf, sofa, stool, table
@@ -72,7 +73,10 @@ def make_shapes(family: str, count: int, seed: int) -> list[Mesh]:
     """
     if count < 1:
         raise UserError(f"{count} shapes of '{family}' asked for, expected 1 or more.")
-    shapes = [make_shape(family, np.random.default_rng((seed, number))) for number in range(count)]
+    shapes = [
+        make_shape(family, np.random.default_rng((seed, number)))
+        for number in progress(range(count), "simulating shapes")
+    ]
     return [replace(shape, name=f"{family}-{seed}-{number}") for number, shape in enumerate(shapes)]
 
 
@@ -117,7 +121,7 @@ def render_masks(
     masks = np.empty((items, side, side), np.uint8)
     scale, offset = np.empty(items), np.empty((items, 2))
     used: dict[int, np.ndarray] = {}
-    for item, number in enumerate(shape.tolist()):
+    for item, number in enumerate(progress(shape.tolist(), "rendering masks")):
         mesh = meshes[number]
         if number not in used:
             used[number] = np.bincount(mesh.faces.ravel(), minlength=len(mesh.vertices)) > 0
