@@ -14,13 +14,15 @@ import uplift
 from uplift.config.loading import load_settings
 from uplift.config.settings import RefineSettings
 from uplift.data.load import load_data
+from uplift.data.module import KeypointData
+from uplift.data.sampler import LabelledSampler
 from uplift.geometry.camera import build_camera
 from uplift.priors.bones import Bones
 from uplift.priors.handedness import Handedness
 from uplift.priors.labelled import Labelled
-from uplift.training.pose_recipe import PoseRecipe, _go_on
+from uplift.training.pose_recipe import PoseRecipe
 from uplift.training.pseudo_labels import lift_all, true_poses
-from uplift.data.sampler import LabelledSampler
+from uplift.training.student import StudentModule
 
 
 def fitted(folder: Path, *words: str, **changes) -> tuple[dict[str, torch.Tensor], str]:
@@ -186,7 +188,7 @@ def stages(tmp_path: Path, *words: str) -> PoseRecipe:
     """Return the stages of a quick fit, not trained."""
     write_body(tmp_path / "a.npz")
     settings = load_settings(None, last_words("skeleton=h36m17", f"data.train={tmp_path / 'a.npz'}", *QUICK, *words))
-    return PoseRecipe(settings, H36M, load_data(settings, H36M), None)
+    return PoseRecipe(settings, KeypointData.of(load_data(settings, H36M), H36M, settings), None)
 
 
 def test_labels_take_the_place_of_the_teachers_time(tmp_path: Path) -> None:
