@@ -10,8 +10,8 @@ import pytest
 import torch
 from bodies import QUICK, own_data, refusal, status_of
 from lifts import H36M, lift_of, permuted, small_lifter
-from modules import lifting_module
 from masked_bodies import HIDDEN, WHOLE
+from modules import lifting_module
 
 from uplift.data.formats.npz import write_keypoints
 from uplift.data.poses import PoseData

@@ -381,9 +381,7 @@ def test_weight_0_leaves_a_prior_out():
 def _training(skeleton, specs, frames: int = 16) -> LiftingModule:
     torch.manual_seed(0)
     priors, weights, _ = build_priors(specs, skeleton)
-    return lifting_module(
-        small_lifter(skeleton), training_set(frames, skeleton=skeleton, missing=0.1), priors, weights
-    )
+    return lifting_module(small_lifter(skeleton), training_set(frames, skeleton=skeleton, missing=0.1), priors, weights)
 
 
 @pytest.mark.parametrize("name", shipped_names("skeletons"))
