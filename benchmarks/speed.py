@@ -21,17 +21,17 @@ from benchmarks.common import ROOT, facts, write_json
 from benchmarks.stepping import stepper, student, teacher, untrained_poses
 from uplift.config.loading import load_settings
 from uplift.config.settings import LifterSettings, TrainerSettings
+from uplift.data.module import KeypointData
 from uplift.data.poses import PoseData
 from uplift.data.synthetic.simulate import simulate
 from uplift.data.tensors import TrainingSet
 from uplift.models.lifter import Lifter
 from uplift.models.model import Model
 from uplift.skeleton import load_skeleton
-from uplift.training.adversarial import AdversarialTraining
-from uplift.training.base import LifterTraining
-from uplift.training.pose_recipe import student_settings
+from uplift.training.base import TrainingModule
+from uplift.training.lifting import LiftingModule
 from uplift.training.stages import StageBudget, run_stage
-from uplift.training.student import StudentTraining
+from uplift.training.student import StudentModule, student_settings
 
 _ROUNDS, _WARM_UP = 3, 16
 
@@ -70,23 +70,22 @@ def peak() -> float:
 
 def training(task: str, batch: int, data: PoseData) -> dict[str, object]:
     """Return the speed of a training step relative to the peak, and the overhead of Lightning."""
-    module = _teacher(task, batch, data)
-    found: dict[str, object] = {"teacher": _steps(lambda: _teacher(task, batch, data), module)}
+    found: dict[str, object] = {"teacher": _steps(lambda: _teacher(task, batch, data), batch)}
     if task == "default":
-        found["student"] = _steps(lambda: _student(batch, data), _student(batch, data))
+        found["student"] = _steps(lambda: _student(batch, data), batch)
     return found
 
 
-def _steps(make: Callable[[], LifterTraining], module: LifterTraining) -> dict[str, float]:
-    flops = _flops(module)
-    count = 100 if module.settings.batch_size < 100 else 10
+def _steps(make: Callable[[], TrainingModule], batch: int) -> dict[str, float]:
+    flops = _flops(make(), batch)
+    count = 100 if batch < 100 else 10
     ratios, overheads, with_trainer = [], [], []
     for _ in range(_ROUNDS):
         top = peak()
-        run = stepper(make())
+        run = stepper(make(), batch)
         run(_WARM_UP)
         bare = run(count) / count
-        seconds = _trainer_loop(make(), count)
+        seconds = _trainer_loop(make(), batch, count)
         ratios.append(flops / seconds / top)
         overheads.append(seconds / bare - 1)
         with_trainer.append(seconds)
@@ -98,19 +97,23 @@ def _steps(make: Callable[[], LifterTraining], module: LifterTraining) -> dict[s
     }
 
 
-def _flops(module: LifterTraining) -> float:
+def _flops(module: TrainingModule, batch: int) -> float:
     """Return the matrix-product FLOPs of one step, forward and backward."""
-    stepper(module)(1)
+    stepper(module, batch)(1)
     with FlopCounterMode(display=False) as counter:
-        module.objective()[0].backward()
+        module.objective(batch)[0].backward()
     return float(counter.get_total_flops())
 
 
-def _trainer_loop(module: LifterTraining, count: int) -> float:
+def _trainer_loop(module: TrainingModule, batch: int, count: int) -> float:
     """Return seconds per step of a complete stage: Lightning, progress, metrics."""
     with tempfile.TemporaryDirectory() as folder:
         (Path(folder) / "checkpoints").mkdir()
         settings = TrainerSettings(checkpoint_every=1e9)
+        # The module has its frames: of these data, which are small, only the batch size counts.
+        skeleton = load_skeleton("h36m17")
+        data = KeypointData(simulate(skeleton, 100, seed=0), skeleton, val=None, batch_size=batch)
+        data.endless = True
         marks: list[float] = []
         hook = module.on_train_batch_end
 
@@ -120,7 +123,7 @@ def _trainer_loop(module: LifterTraining, count: int) -> float:
 
         module.on_train_batch_end = mark  # type: ignore[method-assign]
         with open(os.devnull, "w") as null, contextlib.redirect_stderr(null):
-            run_stage("bench", module, settings, StageBudget(_WARM_UP + count, None), Path(folder))
+            run_stage("bench", module, data, settings, StageBudget(_WARM_UP + count, None), Path(folder))
     return (marks[-1] - marks[_WARM_UP - 1]) / count
 
 
@@ -128,21 +131,21 @@ def _training_set(data: PoseData, count_root: bool) -> TrainingSet:
     return TrainingSet.of(data, load_skeleton("h36m17"), count_root=count_root)
 
 
-def _teacher(task: str, batch: int, data: PoseData) -> AdversarialTraining:
+def _teacher(task: str, batch: int, data: PoseData) -> LiftingModule:
     settings = load_settings(task, [f"teacher.batch_size={batch}", "skeleton=h36m17"])
     if "flow" in settings.priors:
         settings.priors["flow"]["steps"] = 20
     return teacher(settings, _training_set(data, settings.views.count_root))
 
 
-def _student(batch: int, data: PoseData) -> StudentTraining:
+def _student(batch: int, data: PoseData) -> StudentModule:
     settings = load_settings(None, [f"student.batch_size={batch}", "skeleton=h36m17"])
     return student(settings, untrained_poses(settings, _training_set(data, settings.views.count_root)))
 
 
 def _model() -> Model:
     settings = load_settings(None, ["skeleton=h36m17"])
-    chosen: LifterSettings = student_settings(settings, noisy=False, last=True)
+    chosen: LifterSettings = student_settings(settings, last=True)
     skeleton = load_skeleton("h36m17")
     return Model(Lifter(skeleton, chosen).eval(), skeleton, chosen)
 

@@ -2,33 +2,38 @@
 
 from __future__ import annotations
 
+import dataclasses
 import time
 from collections.abc import Callable
 
-import torch
-
 from uplift.config.settings import Settings
+from uplift.data.sampler import LabelledSampler
 from uplift.data.tensors import TrainingSet
 from uplift.models.lifter import Lifter
-from uplift.priors import build_priors
-from uplift.training.adversarial import AdversarialTraining
-from uplift.training.base import LifterTraining
-from uplift.training.pose_recipe import student_settings
+from uplift.training.base import TrainingModule, plain_settings
+from uplift.training.lifting import LiftingModule
+from uplift.training.objective import prepare_priors
 from uplift.training.pseudo_labels import PseudoPoses, lift_all
-from uplift.training.student import StudentTraining
+from uplift.training.student import StudentModule, student_settings
 
 __all__ = ["stepper", "student", "teacher", "untrained_poses"]
 
 
-def teacher(settings: Settings, frames: TrainingSet) -> AdversarialTraining:
+def teacher(settings: Settings, frames: TrainingSet) -> LiftingModule:
     """Return the training of a teacher on ``frames``, of which none is labelled."""
-    torch.manual_seed(0)
     wanted = {name: spec for name, spec in settings.priors.items() if name != "labelled"}  # no frame is labelled
-    priors, weights, _ = build_priors(wanted, frames.skeleton)
-    for prior in priors.values():
-        prior.prepare(frames)
-    lifter = Lifter(frames.skeleton, settings.lifter)
-    return AdversarialTraining(lifter, frames, settings.teacher, settings.views, priors, weights, 0)
+    views = {key: value for key, value in dataclasses.asdict(settings.views).items() if key != "count_root"}
+    module = LiftingModule(
+        frames.skeleton,
+        priors=wanted,
+        lifter=dataclasses.asdict(settings.lifter),
+        views=views,
+        **plain_settings(settings.teacher),
+    )
+    prepare_priors(module.terms.priors, frames)
+    module.frames, module.labelled_share = frames, None
+    module.sampler = LabelledSampler(frames.labelled, None)
+    return module
 
 
 def untrained_poses(settings: Settings, frames: TrainingSet) -> PseudoPoses:
@@ -38,14 +43,16 @@ def untrained_poses(settings: Settings, frames: TrainingSet) -> PseudoPoses:
     return lift_all(lifter, frames.some(settings.student.frames, 1), settings.student.refine)
 
 
-def student(settings: Settings, poses: PseudoPoses) -> StudentTraining:
+def student(settings: Settings, poses: PseudoPoses) -> StudentModule:
     """Return the training of the last student on ``poses``."""
-    torch.manual_seed(1)
-    chosen = student_settings(settings, noisy=False, last=True)
-    return StudentTraining(Lifter(poses.skeleton, chosen), poses, settings.student, settings.views, 0)
+    chosen = dataclasses.replace(student_settings(settings, last=True), denoise=False)
+    plain = plain_settings(settings.student)
+    module = StudentModule(poses.skeleton, lifter=dataclasses.asdict(chosen), seed=1, **plain)
+    module.frames, module.labelled_share = poses, None
+    return module
 
 
-def stepper(module: LifterTraining) -> Callable[[int], float]:
+def stepper(module: TrainingModule, batch_size: int) -> Callable[[int], float]:
     """Return a function that runs a number of training steps without a trainer and returns the seconds they took."""
     kind = type(module)
     module.__class__ = type(kind.__name__, (kind,), {"global_step": property(lambda self: self.__dict__["steps"])})
@@ -56,12 +63,13 @@ def stepper(module: LifterTraining) -> Callable[[int], float]:
     def run(count: int) -> float:
         start = time.perf_counter()
         for step in range(module.global_step, module.global_step + count):
-            loss = module.training_step(step, step)
+            loss = module.training_step(batch_size, step)
             optimizer.zero_grad()
             loss.backward()
             module.on_before_optimizer_step(optimizer)
             optimizer.step()
-            module.on_train_batch_end(None, step, step)
+            if module.averaged is not None:
+                module.averaged.update_parameters(module.lifter)
             module.__dict__["steps"] += 1
         return time.perf_counter() - start
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import shlex
 import sys
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import numpy as np
@@ -18,23 +18,22 @@ from jaxtyping import Float
 from torch import Tensor
 
 from uplift.cli.evaluate import save_evaluation
-from uplift.metrics.evaluate import evaluate_model
 from uplift.config.loading import load_settings
 from uplift.config.run import RunFolder
 from uplift.config.settings import Settings
 from uplift.data.load import Loaded, load_data
+from uplift.data.module import KeypointData
 from uplift.data.poses import PoseData
 from uplift.data.tensors import TrainingSet, to_training_set
 from uplift.errors import UserError
 from uplift.geometry.camera import build_camera
 from uplift.geometry.rotation import least_rotation, turn
-from uplift.models.lifter import Lifter
-from uplift.models.model import Model
+from uplift.metrics.evaluate import evaluate_model
 from uplift.skeleton import Skeleton, load_skeleton
-from uplift.training.pose_recipe import student_settings
+from uplift.training.base import plain_settings
 from uplift.training.pseudo_labels import PseudoPoses
 from uplift.training.stages import run_stage, stage_budgets
-from uplift.training.student import StudentTraining
+from uplift.training.student import StudentModule, student_settings
 
 __all__ = ["gravity_in_camera", "gravity_of_recurring_poses", "load_labelled", "train_twin", "true_poses"]
 
@@ -61,9 +60,14 @@ def train_twin(settings: Settings) -> RunFolder:
     skeleton = load_skeleton(settings.skeleton)
     loaded = load_labelled(settings, skeleton)
     poses, note = true_poses(settings, skeleton, loaded.train)
-    chosen = student_settings(settings, noisy=poses.noise is not None, last=True)
-    torch.manual_seed(settings.seed + 1)
-    training = StudentTraining(Lifter(skeleton, chosen), poses, settings.student, settings.views, settings.seed + 1)
+    chosen = student_settings(settings, last=True)
+    if chosen.denoise is None:
+        chosen = replace(chosen, denoise=poses.noise is not None)
+    plain = plain_settings(settings.student)
+    module = StudentModule(skeleton, lifter=asdict(chosen), seed=settings.seed + 1, **plain)
+    module.frames, module.labelled_share = poses, None
+    data = KeypointData.of(loaded, skeleton, replace(settings, data=replace(settings.data, val=None)))
+    data.batch_size = settings.student.batch_size
     [budget] = stage_budgets(settings.trainer, [1.0], len(poses), settings.student.batch_size)
     settings = replace(
         settings, task=f"{settings.task or 'own'}_twin", description="Supervised twin, trained on true poses."
@@ -72,8 +76,9 @@ def train_twin(settings: Settings) -> RunFolder:
     print(
         "\n".join([f"supervised twin, {len(poses):,} labelled frames; gravity: {note}", f"run: {run.path}"]), flush=True
     )
-    run_stage("twin", training, settings.trainer, budget, run.path)
-    model = Model(training.final.cpu().eval(), skeleton, chosen)
+    run_stage("twin", module, data, settings.trainer, budget, run.path)
+    module.cpu()
+    model = module.model()
     model.save(run.weights)
     run.link_last()
     if loaded.test is not None and loaded.test.pose is not None:

@@ -17,7 +17,7 @@ from uplift.data.poses import PoseData
 from uplift.skeleton import load_skeleton
 
 if TYPE_CHECKING:  # loading is measured without what training imports
-    from uplift.training.base import LifterTraining
+    from uplift.training.base import TrainingModule
 
 __all__ = ["SMALL", "load", "train"]
 
@@ -38,10 +38,10 @@ def load(folder: str | Path) -> dict[str, Any]:
     found["load_peak_gb"] = _peak_gb()
     parts = [part for part in (loaded.train, loaded.test) if part is not None]
     found |= {"frames": sum(map(len, parts)), "arrays_gb": sum(map(_bytes, parts)) / 1e9}
-    from uplift.training.pose_recipe import training_frames
+    from uplift.data.module import KeypointData
 
     start = time.perf_counter()
-    frames = training_frames(loaded, skeleton, settings)
+    frames = KeypointData.of(loaded, skeleton, settings).frames(settings.lifter)
     return {
         **found,
         "training_set_s": time.perf_counter() - start,
@@ -64,26 +64,27 @@ def train(folder: str | Path) -> dict[str, Any]:
     import torch
 
     from benchmarks.stepping import student, teacher, untrained_poses
-    from uplift.training.pose_recipe import training_frames
+    from uplift.data.module import KeypointData
 
     torch.set_num_threads(1)
     settings = settings_of(folder, "priors.flow.steps=20")
     skeleton = load_skeleton(settings.skeleton)
     loaded = load_data(settings, skeleton)
-    full = training_frames(loaded, skeleton, settings)
+    full = KeypointData.of(loaded, skeleton, settings).frames(settings.lifter)
     small = full.select(torch.arange(min(SMALL, len(full))))
     found: dict[str, Any] = {"threads": 1, "frames": len(full), "small_frames": len(small)}
-    found["teacher"] = _compare(teacher(settings, full), teacher(settings, small))
+    found["teacher"] = _compare(teacher(settings, full), teacher(settings, small), settings.teacher.batch_size)
     poses = [untrained_poses(settings, frames) for frames in (full, small)]
-    found["student"] = _compare(*(student(settings, of) for of in poses)) | {"frames": len(poses[0])}
+    found["student"] = _compare(*(student(settings, of) for of in poses), settings.student.batch_size)
+    found["student"]["frames"] = len(poses[0])
     return found
 
 
-def _compare(large: LifterTraining, small: LifterTraining) -> dict[str, float]:
+def _compare(large: TrainingModule, small: TrainingModule, batch_size: int) -> dict[str, float]:
     """Return the speed on both sets; they alternate, so that other load on the machine slows both equally."""
     from benchmarks.stepping import stepper
 
-    runs = [stepper(large), stepper(small)]
+    runs = [stepper(large, batch_size), stepper(small, batch_size)]
     for run in runs:
         run(_WARM_UP)
     seconds = np.empty((_TURNS, 2))

@@ -241,10 +241,10 @@ def _evaluation(run: RunFolder, table: str) -> dict[str, Any]:
 
 def _on_training_data(run: RunFolder) -> dict[str, Any]:
     """Return the run's scores on training frames, on which the paper's figure was computed."""
-    from uplift.metrics.evaluate import evaluate_model
     from uplift.data.clean import clean
     from uplift.data.load import load_split
     from uplift.data.select import chosen_clips
+    from uplift.metrics.evaluate import evaluate_model
     from uplift.models.model import load
 
     settings: Settings = run.settings()

@@ -75,12 +75,13 @@ def _seconds(settings: Any) -> float:
     """Train, and return the seconds without what came before the first step."""
     from uplift.config.run import RunFolder
     from uplift.data.load_masks import load_masks
+    from uplift.data.module import MaskDataModule
     from uplift.training.shape_recipe import ShapeRecipe
 
     with tempfile.TemporaryDirectory() as folder, contextlib.chdir(folder), contextlib.redirect_stdout(sys.stderr):
-        loaded = load_masks(settings)
+        data = MaskDataModule.of(load_masks(settings), settings)
         run = RunFolder.create(settings, "python -m benchmarks.shapes cost")
-        recipe = ShapeRecipe(settings, loaded.for_training())
+        recipe = ShapeRecipe(settings, data)
         recipe.train(RunFolder(Path(run.path).absolute()))
     return sum(recipe.spent.values())
 

@@ -15,9 +15,9 @@ from benchmarks.loading.files import settings_of, write_full_size
 from benchmarks.stepping import stepper, teacher
 from uplift.data.clean import clean
 from uplift.data.load import load_data, load_split
-from uplift.skeleton import load_skeleton
-from uplift.training.pose_recipe import training_frames
+from uplift.data.module import KeypointData
 from uplift.data.sampler import LabelledSampler
+from uplift.skeleton import load_skeleton
 
 
 @pytest.fixture(scope="module")
@@ -89,12 +89,12 @@ def test_steps_draw_different_rows(full, monkeypatch, tmp_path):
     monkeypatch.setenv("UPLIFT_CACHE", str(tmp_path))
     settings = settings_of(full, "priors.flow.steps=1", "teacher.batch_size=16")
     skeleton = load_skeleton("h36m17")
-    frames = training_frames(load_data(settings, skeleton), skeleton, settings)
+    frames = KeypointData.of(load_data(settings, skeleton), skeleton, settings).frames(settings.lifter)
     module = teacher(settings, frames)
     drawn, draw = [], LabelledSampler.__call__
     monkeypatch.setattr(LabelledSampler, "__call__", lambda self, count: drawn.append(draw(self, count)) or drawn[-1])
     before = [p.detach().clone() for p in module.lifter.parameters()]
-    stepper(module)(2)
+    stepper(module, 16)(2)
     assert not torch.equal(drawn[0], drawn[-1])
     assert any(not torch.equal(a, b) for a, b in zip(before, module.lifter.parameters(), strict=True))
 

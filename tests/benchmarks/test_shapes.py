@@ -158,10 +158,10 @@ def test_the_cost_of_a_step_excludes_the_setup(
         def train(self, run: RunFolder) -> None:
             assert run.config.is_file()
 
-    masks = SimpleNamespace(for_training=lambda: None)
     for name, what in (
         ("training.shape_recipe", {"ShapeRecipe": Recipe}),
-        ("data.load_masks", {"load_masks": lambda _: masks}),
+        ("data.load_masks", {"load_masks": lambda _: None}),
+        ("data.module", {"MaskDataModule": SimpleNamespace(of=lambda loaded, settings: loaded)}),
     ):
         module = ModuleType(f"uplift.{name}")
         vars(module).update(what)

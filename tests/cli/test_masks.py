@@ -81,15 +81,15 @@ def test_what_a_fit_prints(lifter: list, capsys) -> None:
         "uplift predict run=runs/masks_demo/last input=MASKS output=shapes.html",
     ):  # fmt: skip
         assert part in text or part == "best"
-    assert lifter[0].train.truth is None
-    assert lifter[0].test is not None
-    assert lifter[0].test.truth is None
+    assert lifter[0].masks.truth is None
+    assert lifter[0].loaded.test is not None
+    assert lifter[0].loaded.test.truth is None
 
 
 def test_a_fit_of_a_few_known_shapes_is_given_these_alone(lifter: list, capsys) -> None:
     assert status_of("fit", *DEMO, "data.labelled.fraction=0.2") == 0
     assert "Learned from the true shapes and views of 4 labelled masks of 20;" in capsys.readouterr().out
-    train = lifter[0].train
+    train = lifter[0].masks
     assert int(train.labelled.sum()) == 4
     assert np.isfinite(train.truth.scale).tolist() == train.labelled.tolist()
     assert len(train.truth.meshes) == 5

@@ -95,7 +95,12 @@ def test_what_is_of_another_kind_is_never_made(own: str) -> None:
 def test_what_is_not_there_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, use: str, says: str) -> None:
     monkeypatch.chdir(tmp_path)
     with pytest.raises(UserError, match=says):
-        find_class(use, {}, "here")
+        find_class(use, {"mine": "torch.nn:Linear"}, "here")
+
+
+def test_no_built_in_is_promised_where_there_is_none() -> None:
+    with pytest.raises(UserError, match=r"here\.use='own': expected file\.py:Class or package\.module:Class"):
+        find_class("own", {}, "here")
 
 
 @pytest.mark.parametrize("content", ["1/0", "def", "import nothing_such", "import sys; sys.exit(0)", "\x00"])

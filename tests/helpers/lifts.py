@@ -18,7 +18,8 @@ from uplift.data.tensors import TrainingSet, to_training_set, with_labels
 from uplift.models.lifter import Lifter
 from uplift.priors.base import Lift
 from uplift.skeleton import Skeleton, load_skeleton
-from uplift.training.adversarial import make_lift
+from uplift.training.lifting import make_lift
+from uplift.training.views import build_views
 
 H36M = load_skeleton("h36m17")
 
@@ -75,7 +76,9 @@ def small_lifter(skeleton: Skeleton = H36M, seed: int = 0, **settings) -> Lifter
 def lift_of(lifter: Lifter, data: TrainingSet, seed: int = 0, hide: float = 0.0, **views) -> Lift:
     """Return one lift of all frames of ``data``."""
     torch.manual_seed(seed)
-    return make_lift(lifter, data.draw(torch.arange(len(data))), ViewSettings(**views), hide)
+    settings = ViewSettings(**views)
+    make_views = build_views(settings, lifter.skeleton)
+    return make_lift(lifter, data.draw(torch.arange(len(data))), make_views, settings, hide)
 
 
 def lift_of_pose(pose: Tensor, skeleton: Skeleton = H36M, confidence: Tensor | None = None, seed: int = 0) -> Lift:

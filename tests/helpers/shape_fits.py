@@ -15,11 +15,12 @@ from torch import Tensor
 from uplift.config.loading import load_settings
 from uplift.config.run import RunFolder
 from uplift.data.load_masks import LoadedMasks, load_masks
+from uplift.data.module import MaskDataModule
 from uplift.models.model import ShapeModel
 from uplift.training import shape_recipe as recipe_module
 from uplift.training.callbacks import Interrupted
 from uplift.training.shape_recipe import ShapeRecipe
-from uplift.training.shapes import MixtureTraining
+from uplift.training.shapes import ShapeModule
 
 __all__ = ["SMALL", "STAGES", "fit_of", "interrupt", "many", "noted", "same", "trained"]
 
@@ -35,7 +36,7 @@ STAGES = ("data.simulate=130", "shape.parts=1", "shape.splits=2,2", "trainer.max
 @lru_cache
 def many() -> LoadedMasks:
     """Return the masks of `STAGES`, which take a while to simulate."""
-    return load_masks(load_settings("masks_demo", last_words(*SMALL, *STAGES))).for_training()
+    return load_masks(load_settings("masks_demo", last_words(*SMALL, *STAGES)))
 
 
 def fit_of(folder: Path, *words: str, loaded: LoadedMasks | None = None) -> tuple[ShapeRecipe, ShapeModel]:
@@ -45,7 +46,7 @@ def fit_of(folder: Path, *words: str, loaded: LoadedMasks | None = None) -> tupl
     run = RunFolder(folder)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(recipe_module, "_MOST_FOR_THRESHOLD", 8)
-        recipe = ShapeRecipe(settings, loaded or load_masks(settings).for_training())
+        recipe = ShapeRecipe(settings, MaskDataModule.of(loaded or load_masks(settings), settings))
         model = recipe.train(run)
     assert all(seconds > 0 for seconds in recipe.spent.values())
     return recipe, model
@@ -65,25 +66,25 @@ def same(one: ShapeModel, other: ShapeModel) -> bool:
 def noted(patch: pytest.MonkeyPatch) -> list[tuple[int, int, float]]:
     """Return a list that records every step: number of shapes, step of the stage, temperature."""
     taken: list[tuple[int, int, float]] = []
-    objective = MixtureTraining.objective
+    objective = ShapeModule.objective
 
-    def noting(module: MixtureTraining) -> tuple[Tensor, dict[str, float | Tensor]]:
+    def noting(module: ShapeModule, batch: int) -> tuple[Tensor, dict[str, float | Tensor]]:
         taken.append((len(module.lifter.logits), module.global_step, module.temperature))
-        return objective(module)
+        return objective(module, batch)
 
-    patch.setattr(MixtureTraining, "objective", noting)
+    patch.setattr(ShapeModule, "objective", noting)
     return taken
 
 
 def interrupt(folder: Path, shapes: int, step: int, *words: str, loaded: LoadedMasks | None = None) -> None:
     """Fit, and press Ctrl-C in a step of the stage with so many shapes."""
-    objective = MixtureTraining.objective
+    objective = ShapeModule.objective
 
-    def pressing(module: MixtureTraining) -> tuple[Tensor, dict[str, float | Tensor]]:
+    def pressing(module: ShapeModule, batch: int) -> tuple[Tensor, dict[str, float | Tensor]]:
         if (len(module.lifter.logits), module.global_step) == (shapes, step):
             os.kill(os.getpid(), signal.SIGINT)
-        return objective(module)
+        return objective(module, batch)
 
     with pytest.MonkeyPatch.context() as patch, pytest.raises(Interrupted):
-        patch.setattr(MixtureTraining, "objective", pressing)
+        patch.setattr(ShapeModule, "objective", pressing)
         trained(folder, *words, loaded=loaded)

@@ -16,8 +16,8 @@ from uplift.cli import evaluate
 from uplift.config.files import save_torch
 from uplift.config.run import RunFolder, Weights
 from uplift.config.settings import Settings, ShapeSettings
-from uplift.data.load_masks import LoadedMasks
 from uplift.data.masks import MaskData
+from uplift.data.module import MaskDataModule
 from uplift.metrics import baselines
 from uplift.metrics import shape_metrics as shape_item
 from uplift.metrics.baselines import score_with_baselines, shape_baselines
@@ -63,19 +63,19 @@ def _thick(thick: float) -> ShapeMixture:
     return mixture
 
 
-def stand_in(patch: pytest.MonkeyPatch, stop: bool = False) -> list[LoadedMasks]:
+def stand_in(patch: pytest.MonkeyPatch, stop: bool = False) -> list[MaskDataModule]:
     """Replace the lifter, its training and the baselines by quick ones; return the data of each training.
 
     ``stop``: simulate Ctrl-C once there is a checkpoint.
     """
-    given: list[LoadedMasks] = []
+    given: list[MaskDataModule] = []
 
     class ShapeRecipe:
         """Trains by guessing."""
 
-        def __init__(self, settings: Settings, loaded: LoadedMasks):
+        def __init__(self, settings: Settings, data: MaskDataModule):
             self.settings, self.notes, self.spent = settings, ["a stand-in"], {"guess": 0.5}
-            given.append(loaded)
+            given.append(data)
 
         def train(self, run: RunFolder) -> Any:
             (run.checkpoints / "guess.ckpt").write_bytes(b"guessed")

@@ -11,8 +11,8 @@ import torch
 from bodies import QUICK, own_data, refusal, status_of
 from lifts import H36M, lift_of, permuted, small_lifter
 from masked_bodies import HIDDEN, WHOLE
+from modules import lifting_module
 
-from uplift.config.settings import TeacherSettings, ViewSettings
 from uplift.data.formats.npz import write_keypoints
 from uplift.data.poses import PoseData
 from uplift.data.tensors import TrainingSet
@@ -20,7 +20,6 @@ from uplift.errors import UserError
 from uplift.geometry.normalise import Intrinsics
 from uplift.priors import build_priors
 from uplift.priors.mask import Mask, into_crop, sample_field, signed_distances, unit_of
-from uplift.training.adversarial import AdversarialTraining
 
 
 def prepared(data: TrainingSet, **options) -> Mask:
@@ -180,12 +179,9 @@ def _gradients(data: PoseData, *, mask: bool = False) -> list[torch.Tensor]:
     priors = build_priors({"bones": {}, **({"mask": {}} if mask else {})}, H36M)[0]
     for prior in priors.values():
         prior.prepare(frames)
-    weights = dict.fromkeys(priors, 1.0)
-    settings = TeacherSettings(batch_size=32)
-    module = AdversarialTraining(small_lifter(), frames, settings, ViewSettings(), priors, weights, 0)
-    module.__class__ = type("Still", (AdversarialTraining,), {"global_step": 0, "device": torch.device("cpu")})
+    module = lifting_module(small_lifter(), frames, priors)
     torch.manual_seed(1)
-    module.objective()[0].backward()
+    module.objective(32)[0].backward()
     return [p.grad.clone() for p in module.lifter.parameters() if p.grad is not None]
 
 

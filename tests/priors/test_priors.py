@@ -11,11 +11,11 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from lifts import H36M, bodies, doubles, lift_of, lift_of_pose, permuted, small_lifter, training_set, true_pose
+from modules import lifting_module
 from torch import Tensor, nn
 
 from uplift.config.files import shipped_names
 from uplift.config.loading import load_settings
-from uplift.config.settings import TeacherSettings, ViewSettings
 from uplift.errors import UserError
 from uplift.geometry.rotation import turn
 from uplift.models.lifter import Lifted
@@ -29,7 +29,7 @@ from uplift.priors.labelled import Labelled
 from uplift.priors.symmetry import Symmetry
 from uplift.skeleton import load_skeleton
 from uplift.skeleton.core import mirrored_bones
-from uplift.training.adversarial import AdversarialTraining
+from uplift.training.lifting import LiftingModule
 
 SEEDS = st.integers(0, 2**31 - 1)
 SHAPES = ("compactness", "mask_critic", "shape_symmetry", "smoothness")  # those: test_shape_priors.py
@@ -291,7 +291,7 @@ def test_own_loss_reaches_only_the_critic_and_loss_only_the_lifter():
     module.settings.mirror = False
     critic = module.priors["critic"]
     torch.manual_seed(0)
-    module.objective()
+    module.objective(16)
     lift = module.last_lift
     terms = {"loss": None, "own": None}
     for parameter in critic.parameters():
@@ -307,7 +307,7 @@ def test_own_loss_reaches_only_the_critic_and_loss_only_the_lifter():
     terms["own"] = {id(p): p.grad.clone() for p in critic.parameters()}
     module.zero_grad()
     torch.manual_seed(0)
-    module.objective()[0].backward()
+    module.objective(16)[0].backward()
     for parameter in module.lifter.parameters():
         torch.testing.assert_close(parameter.grad, terms["loss"][id(parameter)])
     for parameter in critic.parameters():
@@ -378,13 +378,10 @@ def test_weight_0_leaves_a_prior_out():
 # All shipped skeletons
 
 
-def _training(skeleton, specs, frames: int = 16) -> AdversarialTraining:
+def _training(skeleton, specs, frames: int = 16) -> LiftingModule:
     torch.manual_seed(0)
     priors, weights, _ = build_priors(specs, skeleton)
-    return AdversarialTraining(
-        small_lifter(skeleton), training_set(frames, skeleton=skeleton, missing=0.1), TeacherSettings(batch_size=frames),
-        ViewSettings(), priors, weights, seed=0,
-    )  # fmt: skip
+    return lifting_module(small_lifter(skeleton), training_set(frames, skeleton=skeleton, missing=0.1), priors, weights)
 
 
 @pytest.mark.parametrize("name", shipped_names("skeletons"))
@@ -399,14 +396,14 @@ def test_every_shipped_skeleton_trains(name):
     }
     specs |= {"critic": {"units": 8, "blocks": 1}, "flow": {"units": 8, "steps": 3}}
     module = _training(skeleton, specs)
-    module.priors["flow"].prepare(module.data)
+    module.priors["flow"].prepare(module.frames)
     module.settings.hide = 0.2
     optimiser = torch.optim.Adam(module.parameter_groups(), lr=1e-3)
     reached: set[str] = set()
     for step in range(2):
         torch.manual_seed(step)
         optimiser.zero_grad()
-        total, logged = module.objective()
+        total, logged = module.objective(16)
         assert total.isfinite() and all(torch.as_tensor(v).isfinite() for v in logged.values())
         total.backward()
         for key, parameter in module.named_parameters():

@@ -11,13 +11,14 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from lifts import H36M, small_lifter, training_set
+from modules import lifting_module
 
-from uplift.config.settings import TeacherSettings, ViewSettings
+from uplift.config.settings import TeacherSettings
 from uplift.priors.base import Prior
 from uplift.priors.bones import Bones
 from uplift.priors.critic import Critic
-from uplift.training.adversarial import AdversarialTraining
-from uplift.training.base import LifterTraining, stream_seed
+from uplift.training.base import TrainingModule, stream_seed
+from uplift.training.lifting import LiftingModule
 
 NUMBERS = st.integers(0, 2**31 - 1)
 
@@ -43,26 +44,18 @@ def test_no_two_streams_are_the_same():
     assert sum(first) / len(first) == pytest.approx(0.5, abs=0.06)
 
 
-def _module(seed: int = 0, priors=None, **given) -> AdversarialTraining:
+def _module(seed: int = 0, priors=None, **given) -> LiftingModule:
     torch.manual_seed(seed)
     priors = {"bones": Bones(H36M), "critic": Critic(H36M, units=8, blocks=1)} if priors is None else priors
-    chosen = {"batch_size": 8, "learning_rate": 1e-2, "decay_from": 1.0, "average": None, **given}
-    return AdversarialTraining(
-        small_lifter(),
-        training_set(40),
-        TeacherSettings(**chosen),
-        ViewSettings(),
-        priors,
-        dict.fromkeys(priors, 1.0),
-        0,
-    )
+    chosen = {"learning_rate": 1e-2, "decay_from": 1.0, "average": None, **given}
+    return lifting_module(small_lifter(), training_set(40), priors, **chosen)
 
 
-def _fit(module: LifterTraining, steps: int, *callbacks: L.Callback) -> None:
+def _fit(module: TrainingModule, steps: int, *callbacks: L.Callback) -> None:
     L.Trainer(
         max_steps=steps, accelerator="cpu", logger=False, enable_checkpointing=False, enable_progress_bar=False,
         enable_model_summary=False, callbacks=list(callbacks),
-    ).fit(module)  # fmt: skip
+    ).fit(module, itertools.repeat(8))  # fmt: skip
 
 
 class Seen(L.Callback):
@@ -113,8 +106,8 @@ def test_ranks_draw_different_frames(monkeypatch):
     drawn = []
     for rank in (0, 1):
         module = _module()
-        monkeypatch.setattr(AdversarialTraining, "global_rank", rank, raising=False)
-        module.training_step(0, 0)
+        monkeypatch.setattr(LiftingModule, "global_rank", rank, raising=False)
+        module.training_step(8, 0)
         drawn.append(module.last_lift.keypoints)
     assert not torch.equal(*drawn)
 
@@ -141,17 +134,10 @@ _SCHEDULED = _module()
 def test_the_schedule_scales_every_groups_own_rate():
     module = _module(learning_rate=1e-2, prior_learning_rate=3e-3, decay_from=0.0)
     seen = Seen()
-    _fit(module, 5, Halves(), seen)
+    _fit(module, 5, seen)
     for step, rates in enumerate(seen.rates):
-        factor = module.schedule(step / 4)
+        factor = module.schedule(step / 5)
         assert rates == pytest.approx([1e-2 * factor, 3e-3 * factor])
-
-
-class Halves(L.Callback):
-    """Let the stage be over after five steps."""
-
-    def on_train_batch_start(self, trainer, module, batch, batch_idx):
-        module.done = batch_idx / 4
 
 
 class Gated(Prior):

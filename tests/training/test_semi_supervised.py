@@ -8,19 +8,21 @@ import numpy as np
 import pytest
 import torch
 from bodies import QUICK, body_arrays, last_words, status_of, write_body
-from lifts import H36M, labelled_frames, lift_of, seen_bodies, small_lifter
+from lifts import H36M, bodies, labelled_frames, lift_of, seen_bodies, small_lifter
 
 import uplift
 from uplift.config.loading import load_settings
 from uplift.config.settings import RefineSettings
 from uplift.data.load import load_data
+from uplift.data.module import KeypointData
+from uplift.data.sampler import LabelledSampler
 from uplift.geometry.camera import build_camera
 from uplift.priors.bones import Bones
 from uplift.priors.handedness import Handedness
 from uplift.priors.labelled import Labelled
-from uplift.training.pose_recipe import PoseRecipe, _go_on
+from uplift.training.pose_recipe import PoseRecipe
 from uplift.training.pseudo_labels import lift_all, true_poses
-from uplift.data.sampler import LabelledSampler
+from uplift.training.student import StudentModule
 
 
 def fitted(folder: Path, *words: str, **changes) -> tuple[dict[str, torch.Tensor], str]:
@@ -186,7 +188,7 @@ def stages(tmp_path: Path, *words: str) -> PoseRecipe:
     """Return the stages of a quick fit, not trained."""
     write_body(tmp_path / "a.npz")
     settings = load_settings(None, last_words("skeleton=h36m17", f"data.train={tmp_path / 'a.npz'}", *QUICK, *words))
-    return PoseRecipe(settings, H36M, load_data(settings, H36M), None)
+    return PoseRecipe(settings, KeypointData.of(load_data(settings, H36M), H36M, settings), None)
 
 
 def test_labels_take_the_place_of_the_teachers_time(tmp_path: Path) -> None:
@@ -201,14 +203,23 @@ def test_labels_take_the_place_of_the_teachers_time(tmp_path: Path) -> None:
 
 
 def test_a_warm_round_starts_where_the_last_one_ended() -> None:
-    last, fresh = small_lifter(seed=1), small_lifter(seed=2)
-    assert not same(dict(last.state_dict()), dict(fresh.state_dict()))
-    _go_on(fresh, last)
-    assert same(dict(last.state_dict()), dict(fresh.state_dict()))
-    wider = small_lifter(seed=3, uncertainty=True)
-    before = {key: value.clone() for key, value in wider.state_dict().items()}
-    _go_on(wider, last)
-    assert same(before, dict(wider.state_dict()))
+    data, last = KeypointData(bodies(40), H36M, val=None), small_lifter(seed=1)
+    options = {"units": 16, "blocks": 1}
+
+    def student(*, warm: bool, uncertainty: bool = False) -> StudentModule:
+        lifter = {"options": options, "uncertainty": uncertainty}
+        module = StudentModule(H36M, teacher=last, lifter=lifter, seed=2, warm=warm, refine={"iterations": 0})
+        module.before = {key: value.clone() for key, value in module.lifter.state_dict().items()}
+        module.prepare(data)
+        return module
+
+    fresh, warm = student(warm=False), student(warm=True)
+    assert same(fresh.before, dict(fresh.lifter.state_dict()))
+    assert not same(dict(last.state_dict()), fresh.before)
+    for lifter in (warm.lifter, warm.final):
+        assert same(dict(last.state_dict()), dict(lifter.state_dict()))
+    wider = student(warm=True, uncertainty=True)
+    assert same(wider.before, dict(wider.lifter.state_dict()))
 
 
 def test_a_fit_goes_on_from_a_run_and_keeps_its_own_labels_sizes(tmp_path: Path) -> None:

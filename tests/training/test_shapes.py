@@ -8,20 +8,21 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
+from modules import shape_module
 from shape_mixtures import chair, masks_of, mixture_of, small
 from torch import Tensor, nn
 
-from uplift.config.settings import ShapeSettings, TeacherSettings
+from uplift.config.settings import ShapeSettings
 from uplift.data.mask_tensors import MaskSet, to_mask_set
 from uplift.data.masks import MaskData
 from uplift.errors import UserError
 from uplift.models.mixture import Drawn, ShapeMixture, temperature_at
 from uplift.priors import build_priors
 from uplift.priors.base import ShapeLift, ShapePrior
-from uplift.training.shapes import EStepStatistics, MixtureTraining
+from uplift.training.shapes import EStepStatistics, ShapeModule
 
 
-class Alone(MixtureTraining):
+class Alone(ShapeModule):
     """Without Lightning, which counts the steps."""
 
     global_step = 0  # type: ignore[assignment]
@@ -32,20 +33,18 @@ def training(
 ) -> Alone:
     """Return the training of a fresh mixture."""
     torch.manual_seed(0)
-    teacher = TeacherSettings(**{"batch_size": 16, "learning_rate": 0.05, "average": None, **more})
-    given = priors or {}
-    weights = dict.fromkeys(given, 1.0)
-    return Alone(ShapeMixture(settings), to_mask_set(data, settings), teacher, given, weights, 0, hot)
+    teacher = {"learning_rate": 0.05, "average": None, **more}
+    return shape_module(ShapeMixture(settings), to_mask_set(data, settings), priors, hot=hot, kind=Alone, **teacher)
 
 
-def run(module: Alone, steps: int) -> list[dict[str, float]]:
+def run(module: Alone, steps: int, batch_size: int = 16) -> list[dict[str, float]]:
     """Take steps as Lightning would, without it; return what was logged."""
     optimizer = torch.optim.Adam(module.parameter_groups())
     logged = []
     for step in range(steps):
         torch.manual_seed(step)
         module.done, module.global_step = step / steps, step
-        loss, numbers = module.objective()
+        loss, numbers = module.objective(batch_size)
         optimizer.zero_grad()
         loss.backward()
         optimizer.step()
@@ -118,11 +117,11 @@ def test_all_masks_are_explained_once_in_many_steps(
 
     monkeypatch.setattr(EStepStatistics, "update", counting)
     settings = small(temperature_start=0.1, temperature_end=0.03)
-    module = training(data, settings, hot=hot, batch_size=4)
+    module = training(data, settings, hot=hot)
     module.lifter.azimuth_bias[:, 3] += 1
     module.lifter.azimuth_bias -= module.lifter.azimuth_bias.mean()
     azimuths = module.lifter.azimuth_bias.clone()
-    logged = run(module, 27)
+    logged = run(module, 27, batch_size=4)
     assert [step for step, _ in made] == list(range(0, 27, every))
     expected = [temperature_at(step / 27, 0.1, 0.03) if hot else 0.03 for step, _ in made]
     assert [temperature for _, temperature in made] == pytest.approx(expected)
@@ -214,7 +213,7 @@ def test_a_critic_is_held_still_while_it_judges(data: MaskData) -> None:
     critic = priors["mask_critic"]
     before = [parameter.detach().clone() for parameter in critic.parameters()]
     torch.manual_seed(0)
-    logged = module.objective()[1]
+    logged = module.objective(16)[1]
     assert {"energy", "mask_critic", "mask_critic_own"} <= logged.keys()
     assert all(parameter.requires_grad for parameter in critic.parameters())
     assert [group["name"] for group in module.parameter_groups()] == ["lifter", "mask_critic"]
@@ -233,9 +232,8 @@ def test_a_mixture_that_knows_its_shape_costs_less(data: MaskData) -> None:
     settings = small(detail=16, crop=20, parts=1)
     energies = []
     for mixture in (ShapeMixture(settings), mixture_of((0,), settings)):
-        teacher = TeacherSettings(batch_size=30, average=None)
-        module = MixtureTraining(mixture, to_mask_set(data, settings), teacher, {}, {}, 0)
+        module = shape_module(mixture, to_mask_set(data, settings), average=None)
         torch.manual_seed(0)
         module.done = 1.0
-        energies.append(float(module.objective()[1]["energy"]))
+        energies.append(float(module.objective(30)[1]["energy"]))
     assert energies[1] < 0.8 * energies[0]

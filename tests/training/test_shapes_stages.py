@@ -12,6 +12,7 @@ from shape_fits import SMALL, STAGES, fit_of, interrupt, many, noted, same, trai
 import uplift
 from uplift.config.loading import load_settings
 from uplift.data.load_masks import load_masks
+from uplift.data.module import MaskDataModule
 from uplift.errors import UserError
 from uplift.models.model import ShapeModel
 from uplift.training import shape_recipe as recipe_module
@@ -53,9 +54,9 @@ def test_shapes_of_few_masks_are_not_split(masks: int, splits: list[int], monkey
     monkeypatch.setattr(recipe_module, "_LEAST_MASKS", 5)
     words = last_words(*SMALL, f"data.simulate={masks}", "shape.parts=1", "shape.splits=2,2,3")
     settings = load_settings("masks_demo", words)
-    loaded = load_masks(settings).for_training()
-    assert len(loaded.train) == masks
-    recipe = ShapeRecipe(settings, loaded)
+    data = MaskDataModule.of(load_masks(settings), settings)
+    assert len(data.masks) == masks
+    recipe = ShapeRecipe(settings, data)
     assert recipe.splits == splits
     steps = [budget.steps or 0 for budget in recipe.budgets.values()]
     assert len(steps) == len(splits) + 1

@@ -6,8 +6,9 @@ from dataclasses import replace
 
 import pytest
 import torch
+from modules import student_module
 
-from uplift.config.settings import LifterSettings, StudentSettings, ViewSettings
+from uplift.config.settings import LifterSettings, StudentSettings
 from uplift.data.clean import clean
 from uplift.data.synthetic.simulate import simulate
 from uplift.data.tensors import TrainingSet
@@ -17,10 +18,11 @@ from uplift.models.lifter import Lifter
 from uplift.skeleton import load_skeleton
 from uplift.training.augmentation import ShownViews, ViewMaker
 from uplift.training.pseudo_labels import PseudoPoses
-from uplift.training.student import StudentTraining
+from uplift.training.student import StudentModule
 
 SKELETON = load_skeleton("h36m17")
 ROOT = SKELETON.root_index
+BATCH = StudentSettings().batch_size
 
 
 @pytest.fixture(scope="module")
@@ -37,13 +39,10 @@ def views_of(poses: PseudoPoses, count: int, **settings: float) -> ShownViews:
     return ViewMaker(poses, Perspective(), StudentSettings(**settings), count_root=False)(count)
 
 
-def training(poses: PseudoPoses, lifter: LifterSettings | None = None, **settings: float) -> StudentTraining:
+def training(poses: PseudoPoses, lifter: LifterSettings | None = None, **settings: float) -> StudentModule:
     torch.manual_seed(0)
     made = Lifter(poses.skeleton, lifter or LifterSettings(options={"units": 16}))
-    module = StudentTraining(made, poses, StudentSettings(**settings), ViewSettings(count_root=False), 0)
-    module.on_fit_start()
-    module.maker = ViewMaker(poses, module.lifter.camera, module.settings, count_root=False)
-    return module
+    return student_module(made, poses, **settings)
 
 
 def test_views_are_projections_of_their_targets(poses):
@@ -128,14 +127,14 @@ def test_missing_joints_have_no_say_in_the_loss(poses):
         pose = poses.pose.clone()
         pose[:, wrist] += wrong
         module = training(replace(poses, pose=pose, confidence=confidence), occlude=0.0, mix=0.0, mirror=False)
-        losses.append(module.objective()[1]["depth"])
+        losses.append(module.objective(BATCH)[1]["depth"])
     torch.testing.assert_close(losses[0], losses[1])
 
 
 def test_every_output_of_the_network_learns(poses):
     noisy = replace(poses, noise=torch.randn(300, 17, 2) * 0.02)
     module = training(noisy, LifterSettings(options={"units": 16}, denoise=True), occlude=0.4)
-    module.objective()[0].backward()
+    module.objective(BATCH)[0].backward()
     gradient = module.lifter.network.leave.weight.grad
     silent = (gradient.abs().sum(1) == 0).nonzero()[:, 0].tolist()
     # Only the root's spread has nothing to say: its depth is 0.

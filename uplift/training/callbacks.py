@@ -255,10 +255,14 @@ class Budget(Timer):
 
     def on_train_batch_end(self, trainer: L.Trainer, module: TrainingModule, *rest: Any) -> None:  # type: ignore[override]
         """Stop when the time is over or the user interrupted."""
+        super().on_train_end(trainer, module)  # time counts to the end of the last step, and checkpoints have the same
         super().on_train_batch_end(trainer, module, *rest)
         module.update_done()
         if self.interrupted:
             trainer.should_stop = True
+
+    def on_train_end(self, *rest: Any) -> None:
+        """Leave the time as the last step's end set it."""
 
     def load_state_dict(self, state_dict: dict[str, Any]) -> None:
         """Restore the time that an earlier process spent; ``spent`` is what earlier versions wrote."""

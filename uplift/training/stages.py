@@ -261,12 +261,13 @@ def build_loggers(settings: Settings, folder: Path) -> list[Logger]:
     for name, spec in specs.items():
         options, where = dict(spec), f"loggers.{name}"
         use = str(options.pop("use", name))
-        taken = inspect.signature(find_class(use, LOGGERS, f"{where}.use")).parameters
+        setting = f"{where}.use" if name in settings.loggers else "trainer.logger"
+        taken = inspect.signature(find_class(use, LOGGERS, setting)).parameters
         ours = {"save_dir": str(folder), "name": name, "version": ""}
         if use != "tensorboard":  # the others number the processes of a fit, or name their runs themselves
             ours.pop("version")
         defaults = {key: value for key, value in ours.items() if key in taken and key not in options}
-        built.append(build(use, LOGGERS, options, where, Logger, **defaults))
+        built.append(build(use, LOGGERS, options, where, Logger, setting=setting, **defaults))
     return built
 
 
