@@ -99,7 +99,7 @@ def test_what_is_not_there_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPa
 
 
 def test_no_built_in_is_promised_where_there_is_none() -> None:
-    with pytest.raises(UserError, match=r"here\.use='own': expected file\.py:Class or package\.module:Class"):
+    with pytest.raises(UserError, match=r"here='own': expected file\.py:Class or package\.module:Class"):
         find_class("own", {}, "here")
 
 
