@@ -226,7 +226,7 @@ def test_classes_of_the_users_own(
     fit, here: Path, monkeypatch: pytest.MonkeyPatch, words: tuple[str, ...], name: str
 ) -> None:
     """They take part, the run is evaluated from another folder, and an interrupted fit would find them again."""
-    plain, usual = fit()
+    _, usual = fit()
     changed = [*words, *(["lifter.options={}"] if "network" in words[0] else [])]
     run, found = fit(*changed)
     assert name in found
