@@ -16,6 +16,7 @@ from lightning.pytorch.loggers import CSVLogger
 from torch import nn
 
 import uplift
+from uplift.metrics.evaluate_shapes import evaluate_shapes
 from uplift.models.lifter import Lifter
 
 SMALL: dict[str, Any] = {"options": {"units": 16, "blocks": 1}}
@@ -371,3 +372,89 @@ def test_checkpoints_are_plain_data(here: Path) -> None:
     state = torch.load("a.ckpt", weights_only=True)
     assert json.dumps(state["hyper_parameters"])
     assert state["hyper_parameters"]["skeleton"]["root"] == "hip"
+
+
+@pytest.mark.parametrize("kind", ["deeplabcut", "simulated", "arrays", "poses"])
+def test_data_of_any_origin(here: Path, kind: str) -> None:
+    """The same ten lines on a tracker's csv, the simulator, arrays and `PoseData`."""
+    if kind == "deeplabcut":
+        uplift.simulate("h36m17", "film.csv", frames=90, clip_seconds=1.5, tracker="deeplabcut")
+        given: Any = "film_*.csv"
+    elif kind == "simulated":
+        given = 90
+    else:
+        arrays = body_arrays(90)
+        given = (arrays["keypoints"], np.ones((90, 17)))
+        if kind == "poses":
+            given = uplift.PoseData(*given, tuple(reversed(arrays["joint_names"].tolist())), stills=True)
+            given.keypoints[:] = given.keypoints[:, ::-1]
+    data = uplift.KeypointData(given, "h36m17", val=0.2, batch_size=16)
+    module = module_of()
+    trainer = fit(module, data, max_epochs=1)
+    assert trainer.global_step == -(-len(data.train_samples) // 16)
+    assert len(data.train_samples) + len(data.val_samples) in range(80, 91)
+    known = "val/p_mpjpe" if kind == "simulated" else "val/score_2d"
+    assert np.isfinite(float(trainer.callback_metrics[known]))
+    clips = [
+        set(zip(*(np.asarray(part.identity[key]) for key in ("sequence",)), strict=True))
+        for part in (data.train_samples, data.val_samples)
+        if "sequence" in part.identity
+    ]
+    assert len(clips) < 2 or not clips[0] & clips[1] or kind == "deeplabcut"
+
+
+SHAPE: dict[str, Any] = {"detail": 12, "crop": 16, "parts": 2, "resolution": 12, "elevation_deg": (20.0, 1.0)}
+
+
+def test_masks_have_the_same_two_classes(here: Path) -> None:
+    data = uplift.MaskDataModule(60, family="chairs", side=32, batch_size=16, shape=SHAPE)
+    module = uplift.ShapeModule(shape=SHAPE, priors={"smoothness": 0.1, "mask_critic": {"weight": 0.1}})
+    saver = ModelCheckpoint("masks", "{step}", monitor=None, every_n_train_steps=1, save_top_k=-1)
+    flags: dict[str, Any] = {"max_epochs": 3, "enable_checkpointing": True, "log_every_n_steps": 1}
+    trainer = fit(module, data, callbacks=[saver], **flags)
+    assert trainer.global_step == 3 * -(-len(data.train_samples) // 16) == 12
+    assert {
+        "train/energy",
+        "train/silhouettes",
+        "train/smoothness",
+        "val/volume_iou",
+    } <= trainer.callback_metrics.keys()
+    assert data.train_samples.truth is None and data.val_samples.truth is not None
+    for step in (1, 5, 8):
+        again = uplift.ShapeModule(shape=SHAPE, priors={"smoothness": 0.1, "mask_critic": {"weight": 0.1}})
+        fit(again, data, ckpt_path=f"masks/step={step}.ckpt", callbacks=[ModelCheckpoint("others")], **flags)
+        assert same(weights(again), weights(module)), step
+    loaded = uplift.ShapeModule.load_from_checkpoint("masks/step=12.ckpt")
+    assert same(weights(loaded), weights(module))
+    (found,) = trainer.test(loaded, data, verbose=False)
+    (prediction,) = trainer.predict(loaded, data)
+    assert len(prediction) == len(data.test_samples) and 0 <= found["test/volume_iou"] <= 1
+    loaded.save("shapes.pt")
+    prediction = uplift.load("shapes.pt").predict(data.test_samples.without_truth())
+    expected = evaluate_shapes(prediction, data.test_samples.truth, data.test_samples.masks, "", None).overall
+    assert {name: found[f"test/{name}"] for name in expected} == pytest.approx(expected, rel=1e-6)
+    finer = module.split(2)
+    fit(finer, data, max_steps=2)
+    assert len(finer.lifter.logits) == 4 and finer.priors is module.priors
+    unknown = uplift.MaskDataModule(data.train_samples.without_truth(), val=0.2, batch_size=16)
+    assert "val/silhouette_iou_seen" in fit(loaded, unknown, max_epochs=1).callback_metrics
+
+
+class Lighter(uplift.ShapeModule):
+    """A term of its own."""
+
+    def objective(self, batch: int) -> tuple[torch.Tensor, dict[str, Any]]:
+        loss, terms = super().objective(batch)
+        light = self.lifter.occupancy.mean()
+        return loss + 10 * light, {**terms, "light": light.detach()}
+
+
+def test_a_subclass_for_masks(here: Path) -> None:
+    data = uplift.MaskDataModule(30, family="chairs", side=32, batch_size=16, shape=SHAPE, val=0)
+    module, plain = Lighter(shape=SHAPE), uplift.ShapeModule(shape=SHAPE)
+    for one in (module, plain):
+        fit(one, data, max_steps=6)
+    assert "light" in module.logged and module.lifter.occupancy.mean() < plain.lifter.occupancy.mean()
+    assert isinstance(module.split(2), Lighter)
+    with pytest.raises(uplift.UserError, match="trains on a uplift.MaskDataModule"):
+        fit(uplift.ShapeModule(shape=SHAPE), data_of(here), max_steps=1)
