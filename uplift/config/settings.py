@@ -8,6 +8,7 @@ import copy
 import functools
 import math
 import re
+import types
 import typing
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, fields, is_dataclass
@@ -16,9 +17,10 @@ from typing import Any, NamedTuple, Optional, TypeVar
 from uplift.errors import UserError, nearest
 
 __all__ = [
-    "MAX_SIDE", "MIN_SIDE", "RENAMED", "ChoiceSettings", "DataSettings", "LifterSettings", "RefineSettings", "Setting",
-    "Settings", "ShapeSettings", "StageSettings", "StudentSettings", "TeacherSettings", "TrainerSettings",
-    "ViewSettings", "all_settings", "check_settings", "rename_old", "seconds_of", "settings_of",
+    "MAX_SIDE", "MIN_SIDE", "PRIOR_SETTINGS", "RENAMED", "ChoiceSettings", "DataSettings", "LifterSettings",
+    "RefineSettings", "Setting", "Settings", "ShapeSettings", "StageSettings", "StudentSettings", "TeacherSettings",
+    "TrainerSettings", "ViewSettings", "all_groups", "all_settings", "check_settings", "range_text", "rename_old",
+    "seconds_of", "settings_of",
 ]  # fmt: skip
 
 MIN_SIDE, MAX_SIDE = 8, 1024
@@ -54,7 +56,7 @@ class ChoiceSettings:
     cameras: list[str] = _setting([], "cameras to take", only="keypoints")
     categories: list[str] = _setting([], "categories of masks to take", only="masks")
     fraction: Optional[float] = _setting(
-        None, "share of those frames, as complete clips in seeded order; of masks by shape"
+        None, "share of those frames, as complete clips in seeded order; of masks by shape", low=1e-9, high=1
     )
 
 
@@ -86,9 +88,15 @@ class DataSettings:
         None, "skeleton whose joints name the keypoints of files without names", only="keypoints"
     )
     image_size: Optional[str] = _setting(None, "image size of files that do not give it: 1920x1080", only="keypoints")
-    fps: Optional[float] = _setting(None, "frames per second of files that do not give it", only="keypoints")
-    focal_px: Optional[float] = _setting(None, "focal length of the camera in pixels, where known", only="keypoints")
-    min_confidence: float = _setting(0.0, "keypoints of less confidence count as missing", only="keypoints")
+    fps: Optional[float] = _setting(
+        None, "frames per second of files that do not give it", low=1e-9, high=1e10, only="keypoints"
+    )
+    focal_px: Optional[float] = _setting(
+        None, "focal length of the camera in pixels, where known", low=1e-9, high=1e10, only="keypoints"
+    )
+    min_confidence: float = _setting(
+        0.0, "keypoints of less confidence count as missing", low=0, high=1, only="keypoints"
+    )
     simulate: int = _setting(0, "frames, or masks, to simulate instead of reading a file", low=0, high=10**8)
     family: str = _setting("chairs", "family of synthetic shapes whose masks are simulated", only="masks")
     side: int = _setting(64, "pixels along a mask's crop", low=MIN_SIDE, high=MAX_SIDE, only="masks")
@@ -311,6 +319,58 @@ class Setting(NamedTuple):
     only: str | None
     """What a fit must lift for the setting to count, "keypoints" or "masks"; None: either."""
 
+    @property
+    def kind(self) -> Any:
+        """The type without "or None"."""
+        kinds = [kind for kind in typing.get_args(self.type) if kind is not type(None)]
+        return kinds[0] if typing.get_origin(self.type) in (typing.Union, types.UnionType) else self.type
+
+    @property
+    def accepts(self) -> str:
+        """What a value may be, in words that follow "expected", such as "a whole number from 1 to 64"."""
+        if self.choices:
+            return f"one of {', '.join(self.choices)}"
+        form, parts = typing.get_origin(self.kind), typing.get_args(self.kind)
+        limits = range_text(self.low, self.high)
+        if form is tuple:
+            colon = ":" if isinstance(self.low, tuple) else ""
+            return f"{_SEVERAL[parts[0]]} {','.join('abcd'[: len(parts)])}{colon} {limits}".rstrip()
+        if form is list:
+            return f"{_SEVERAL[parts[0]]} {limits}".rstrip() + ", with commas"
+        return f"{_ONE.get(form or self.kind, 'a value')} {limits}".rstrip()
+
+
+_ONE = {
+    bool: "true or false", int: "a whole number", float: "a number", str: "text", dict: "settings below it",
+}  # fmt: skip
+_SEVERAL = {int: "whole numbers", float: "numbers", str: "names"}
+
+
+def range_text(low: Any, high: Any) -> str:
+    """Return a range in words, such as "from 1 to 64", "above 0" or nothing where there are no limits."""
+    if isinstance(low, tuple) and isinstance(high, tuple):
+        return ", ".join(f"{name} {range_text(*pair)}" for name, *pair in zip("abcd", low, high, strict=False))
+    top = "" if high is None or high >= _UNBOUNDED else _number_text(high)
+    if low is None:
+        return f"of at most {top}" if top else ""
+    if 0 < low < _TINY:
+        return f"above 0 and at most {top}" if top else "above 0"
+    return f"from {_number_text(low)} to {top}" if top else f"of at least {_number_text(low)}"
+
+
+_UNBOUNDED, _TINY = 1e10, 1e-5
+"""Limits beyond these keep nonsense out and are not told."""
+
+
+def _number_text(value: int | float) -> str:
+    """Return a number as a person writes it: 1,024 or 0.001 or 1e6."""
+    short = f"{value:g}"
+    if float(short) != value:
+        return f"{value:,}"
+    if value == int(value) and abs(value) < 1e6:
+        return f"{int(value):,}"
+    return re.sub(r"e([+-])0*", lambda sign: f"e{sign[1].strip('+')}", short)
+
 
 @functools.cache
 def all_settings() -> dict[str, Setting]:
@@ -328,6 +388,35 @@ def _walk(group: Any, above: str, about: Mapping[str, Any]) -> Iterator[Setting]
         help = known["help"] + (f" ({about['help']})" if about.get("help") else "")
         only, choices = known.get("only", about.get("only")), known.get("choices", ())
         yield Setting(name, hints[one.name], value, help, known.get("low"), known.get("high"), choices, only)
+
+
+def all_groups() -> dict[str, str]:
+    """Return what each group of settings is for, by its full name; that of the settings outside all groups is ""."""
+    return dict(_walk_groups(Settings(), ""))
+
+
+def _walk_groups(group: Any, name: str) -> Iterator[tuple[str, str]]:
+    yield name, (type(group).__doc__ or "").splitlines()[0].rstrip(".")
+    for one in fields(group):
+        value = getattr(group, one.name)
+        if is_dataclass(value):
+            (below, help), *deeper = _walk_groups(value, f"{name}.{one.name}".lstrip("."))
+            about = one.metadata["help"]
+            yield below, f"{help} ({about})" if about else help
+            yield from deeper
+
+
+PRIOR_SETTINGS = {
+    one.name: one
+    for one in (
+        Setting("use", Optional[str], None, "the class: a built-in prior, file.py:Class or package.module:Class; unset: "
+                "the built-in prior of this name", None, None, (), None),
+        Setting("weight", float, 1.0, "factor on its penalty; 0 leaves it out", 0, None, (), None),
+        Setting("if_possible", bool, False, "leave it out, with a note, where the skeleton lacks what it needs",
+                None, None, (), None),
+    )
+}  # fmt: skip
+"""What each of ``priors`` takes beside the options of its class."""
 
 
 # What settings may be, beyond their types: choices, ranges, what goes with what is lifted, contradictions.
@@ -375,8 +464,7 @@ def _check_value(one: Setting, value: Any) -> None:
         low, high = (end[place] if isinstance(end, tuple) else end for end in (one.low, one.high))
         if not low <= number <= high:
             name = f"{one.name}[{place}]" if several else one.name
-            low, high = (f"{end:,}" if isinstance(end, int) else f"{end:g}" for end in (low, high))
-            raise UserError(f"{name}={number}: expected a number from {low} to {high}.")
+            raise UserError(f"{name}={number}: expected a number {range_text(low, high)}.")
 
 
 def _contradictions(settings: Settings) -> Iterator[tuple[bool, str]]:
