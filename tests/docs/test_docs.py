@@ -12,8 +12,8 @@ import yaml
 from bodies import QUICK, last_words, status_of
 
 import uplift
-from uplift.cli.data_render import RENDER_KEYS
 from uplift.cli.main import _KEYS, _RUN
+from uplift.cli.verbs import VERBS
 from uplift.config.files import shipped_names
 from uplift.config.loading import load_settings, put_override, setting_names
 from uplift.config.plugins import find_class, options_of
@@ -141,7 +141,7 @@ def test_commands_parse(page: str, command: str) -> None:
     elif verb == "data":
         assert words[0] in ("check", "cmu", "render")
         if words[0] == "render":
-            assert {word.partition("=")[0] for word in words if "=" in word} <= set(RENDER_KEYS)
+            assert {word.partition("=")[0] for word in words if "=" in word} <= set(VERBS["data render"].settings)
         for word in words[1:] if words[0] == "check" else ():
             _check_fit_word(word)
     elif verb in _KEYS:
@@ -311,4 +311,4 @@ def test_mask_formats_shape_writers_and_metrics_are_documented() -> None:
     assert [ending for ending in WRITERS["shapes"] if f"| `{ending}` |" not in output] == []
     assert [name for name in SHAPE_METRICS if f"| `{name}` |" not in metrics] == []
     page = (ROOT / "docs/masks-data.md").read_text()
-    assert [key for key in RENDER_KEYS if f"| `{key}=` |" not in page] == []
+    assert [key for key in VERBS["data render"].settings if f"| `{key}=` |" not in page] == []

@@ -10,7 +10,7 @@ from collections.abc import Callable, Sequence
 
 from uplift import __version__
 from uplift.cli.kinds import Later
-from uplift.cli.parsing import EVALUATE_KEYS, PREDICT_KEYS, SIMULATE_KEYS
+from uplift.cli.verbs import VERBS
 from uplift.errors import UserError
 
 __all__ = ["main"]
@@ -126,7 +126,7 @@ def _complete(verb: str) -> Callable[..., list[str]]:
     return complete
 
 
-_KEYS = {"evaluate": EVALUATE_KEYS, "predict": PREDICT_KEYS, "simulate": SIMULATE_KEYS}
+_KEYS = {verb: VERBS[verb].settings for verb in ("evaluate", "predict", "simulate")}
 
 
 def _fit(words: Sequence[str]) -> None:

@@ -162,7 +162,9 @@ class LifterSettings:
 class ViewSettings:
     """How lifted poses are turned. Without gravity views are uniform on SO(3)."""
 
-    azimuth_deg: tuple[float, float] = _setting((-180.0, 180.0), "range of the turn about gravity", low=-360, high=360)
+    azimuth_deg: tuple[float, float] = _setting(
+        (-180.0, 180.0), "from,to: degrees that a view is turned about gravity", low=-360, high=360
+    )
     elevation: str = _setting(
         "batch",
         "tilt of new views: batch (another pose's), normal (batch mean and sd), same",
@@ -180,7 +182,7 @@ class ShapeSettings:
     gravity: bool = _setting(True, "shapes stand upright; false: seen from anywhere, views uniform on SO(3)")
     symmetric: bool = _setting(True, "shapes are their own mirror image, left and right")
     elevation_deg: tuple[float, float] = _setting(
-        (15.0, 10.0), "mean and sd of how far down the cameras look", low=(-90, 0), high=(90, 90)
+        (15.0, 10.0), "mean,sd: degrees that the cameras look down", low=(-90, 0), high=(90, 90)
     )
     distance: float = _setting(6.0, "distance of the camera, in half sides of a shape's box", low=2, high=1e4)
     parts: int = _setting(4, "shapes that the kind of object is a mixture of, at first", low=1, high=64)
@@ -326,15 +328,23 @@ class Setting(NamedTuple):
         return kinds[0] if typing.get_origin(self.type) in (typing.Union, types.UnionType) else self.type
 
     @property
+    def parts(self) -> tuple[str, ...]:
+        """The names of the numbers of a pair: its help may begin with them, as in "from,to: ..."."""
+        named = re.match(r"(\w+),(\w+): ", self.help)
+        return named.groups() if named else ("a", "b")
+
+    @property
     def accepts(self) -> str:
         """What a value may be, in words that follow "expected", such as "a whole number from 1 to 64"."""
         if self.choices:
-            return f"one of {', '.join(self.choices)}"
+            return " or ".join(self.choices) if len(self.choices) < 3 else f"one of {', '.join(self.choices)}"
         form, parts = typing.get_origin(self.kind), typing.get_args(self.kind)
+        if isinstance(self.low, tuple):
+            ends = zip(self.parts, self.low, self.high, strict=True)
+            return f"{','.join(self.parts)}: " + ", ".join(f"{part} {range_text(*pair)}" for part, *pair in ends)
         limits = range_text(self.low, self.high)
         if form is tuple:
-            colon = ":" if isinstance(self.low, tuple) else ""
-            return f"{_SEVERAL[parts[0]]} {','.join('abcd'[: len(parts)])}{colon} {limits}".rstrip()
+            return f"{','.join(self.parts)}, {_SEVERAL[parts[0]]} {limits}".rstrip()
         if form is list:
             return f"{_SEVERAL[parts[0]]} {limits}".rstrip() + ", with commas"
         return f"{_ONE.get(form or self.kind, 'a value')} {limits}".rstrip()
@@ -348,8 +358,6 @@ _SEVERAL = {int: "whole numbers", float: "numbers", str: "names"}
 
 def range_text(low: Any, high: Any) -> str:
     """Return a range in words, such as "from 1 to 64", "above 0" or nothing where there are no limits."""
-    if isinstance(low, tuple) and isinstance(high, tuple):
-        return ", ".join(f"{name} {range_text(*pair)}" for name, *pair in zip("abcd", low, high, strict=False))
     top = "" if high is None or high >= _UNBOUNDED else _number_text(high)
     if low is None:
         return f"of at most {top}" if top else ""
@@ -456,7 +464,7 @@ def _check_value(one: Setting, value: Any) -> None:
     """Refuse an unknown choice, or a number out of range, alone or in a list."""
     if one.choices and value not in one.choices:
         hint = nearest(value, one.choices)
-        raise UserError(f"{one.name}={value!r}: expected one of {', '.join(one.choices)}.{hint}")
+        raise UserError(f"{one.name}={value!r}: expected {one.accepts}.{hint}")
     if one.low is None:
         return
     several = isinstance(value, (list, tuple))
