@@ -27,7 +27,9 @@ from uplift.export.gallery import _MOST_FRAMES, check_options
 from uplift.export.meshes import _UNITS, SHAPE_AXES, shape_jobs
 from uplift.export.scene import AXES
 
-OWN_TABLES = {name: verb.settings for name, verb in VERBS.items() if verb.settings and name not in ("fit", "data check")}
+OWN_TABLES = {
+    name: verb.settings for name, verb in VERBS.items() if verb.settings and name not in ("fit", "data check")
+}
 EVERY = [(verb, one) for verb, table in OWN_TABLES.items() for one in table.values()]
 IDS = [f"{verb} {one.name}" for verb, one in EVERY]
 

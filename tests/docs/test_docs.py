@@ -12,7 +12,7 @@ import yaml
 from bodies import QUICK, last_words, status_of
 
 import uplift
-from uplift.cli.main import _KEYS, _RUN
+from uplift.cli.main import _RUN
 from uplift.cli.verbs import VERBS
 from uplift.config.files import shipped_names
 from uplift.config.loading import load_settings, put_override, setting_names
@@ -144,8 +144,8 @@ def test_commands_parse(page: str, command: str) -> None:
             assert {word.partition("=")[0] for word in words if "=" in word} <= set(VERBS["data render"].settings)
         for word in words[1:] if words[0] == "check" else ():
             _check_fit_word(word)
-    elif verb in _KEYS:
-        assert {word.partition("=")[0] for word in words} <= set(_KEYS[verb])
+    elif verb in ("evaluate", "predict", "simulate"):
+        assert {word.partition("=")[0] for word in words} <= set(VERBS[verb].settings)
     elif verb == "fit":
         for word in words:
             _check_fit_word(word)

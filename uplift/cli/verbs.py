@@ -178,7 +178,7 @@ VERBS = {
     ),
     "predict": Verb(
         "lift keypoints or masks to 3D",
-        ("predict run=RUN input=FILE output=FILE.html|.npz|.csv|.bvh|.glb|...",),
+        ("predict run=RUN input=FILE output=FILE.html|.npz|.csv|.glb|...",),
         settings=PREDICT,
     ),
     "simulate": Verb(

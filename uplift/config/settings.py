@@ -375,7 +375,7 @@ def _number_text(value: int | float) -> str:
     short = f"{value:g}"
     if float(short) != value:
         return f"{value:,}"
-    if value == int(value) and abs(value) < 1e6:
+    if value == int(value) and abs(value) < 1e9:
         return f"{int(value):,}"
     return re.sub(r"e([+-])0*", lambda sign: f"e{sign[1].strip('+')}", short)
 
