@@ -167,6 +167,8 @@ def value_text(value: Any) -> str:
         return str(value).lower()
     if isinstance(value, (list, tuple)):
         return ",".join(map(value_text, value))
+    if isinstance(value, dict) and all(isinstance(inner, dict) for inner in value.values()):
+        return ", ".join(value)
     if isinstance(value, dict):
         return " ".join(f"{key}={value_text(inner)}" for key, inner in value.items())
     return f"{value:g}" if isinstance(value, float) and float(f"{value:g}") == value else str(value)

@@ -189,6 +189,10 @@ _RUN: dict[str, Callable[[Sequence[str]], int | None]] = {
         "skeleton: expected `uplift skeleton check FILE [output=FILE.png]`, `uplift skeleton new FILE "
         "[--from TRACKER_FILE]` or `uplift skeleton map TRACKER_FILE skeleton=NAME`.",
     ),
+    "schema": _by_first_word(
+        {"task": "schema:write_task_schema", "skeleton": "schema:write_skeleton_schema"},
+        "schema: expected `uplift schema task` or `uplift schema skeleton`.",
+    ),
 }
 
 if __name__ == "__main__":

@@ -232,6 +232,16 @@ VERBS = {
         {"TRACKER_FILE": "file or folder of keypoints in any format that is read"},
         _table(_key("skeleton", str, NEEDED, "a shipped name, or a YAML file")) | _MODEL_KEYS,
     ),
+    "schema task": Verb(
+        "write the JSON schema of task files, for editors",
+        ("schema task [output=FILE.json]",),
+        settings=_table(_key("output", str, "task.schema.json", "new .json file")),
+    ),
+    "schema skeleton": Verb(
+        "write the JSON schema of skeleton files, for editors",
+        ("schema skeleton [output=FILE.json]",),
+        settings=_table(_key("output", str, "skeleton.schema.json", "new .json file")),
+    ),
 }  # fmt: skip
 """Every verb by its name; those of two words share the first."""
 
