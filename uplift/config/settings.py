@@ -76,11 +76,11 @@ class DataSettings:
     """Where the 2D keypoints or masks come from."""
 
     name: str = _setting("", "name of the data set; its folder is $UPLIFT_DATA/<name>, else data/<name>")
-    root: Optional[str] = _setting(None, "folder of the data set's own files, in place of that")
+    root: Optional[str] = _setting(None, "folder of the data set's own files, in place of data.name's")
     use: Optional[str] = _setting(
         None, "reader of a published data set: h36m, mpii, ..., or file.py:Class; unset: files", only="keypoints"
     )
-    options: dict[str, Any] = _setting({}, "options of that reader", only="keypoints")
+    options: dict[str, Any] = _setting({}, "options of the reader data.use", only="keypoints")
     train: Optional[str] = _setting(None, "file or folder to train on, several with commas or *, or the set's split")
     test: Optional[str] = _setting(None, "file, folder or split to evaluate on after the fit")
     format: Optional[str] = _setting(None, "format of the files: deeplabcut, openpose, coco, ...; unset: guessed")
@@ -100,8 +100,15 @@ class DataSettings:
     simulate: int = _setting(0, "frames, or masks, to simulate instead of reading a file", low=0, high=10**8)
     family: str = _setting("chairs", "family of synthetic shapes whose masks are simulated", only="masks")
     side: int = _setting(64, "pixels along a mask's crop", low=MIN_SIDE, high=MAX_SIDE, only="masks")
-    border: str = _setting("skip", "masks that touch the border of their image", choices=("skip", "keep"), only="masks")
-    pieces: str = _setting("skip", "masks of several pieces", choices=("skip", "largest"), only="masks")
+    border: str = _setting(
+        "skip", "masks that touch the border of their image: skip or keep them", choices=("skip", "keep"), only="masks"
+    )
+    pieces: str = _setting(
+        "skip",
+        "masks in several pieces of similar size: skip them, or take the largest piece",
+        choices=("skip", "largest"),
+        only="masks",
+    )
     category: Optional[str] = _setting(None, "only masks of this category, several with commas", only="masks")
     most: Optional[int] = _setting(None, "masks at most, spread over the files", low=1, high=10**8, only="masks")
     images: Optional[str] = _setting(None, "folder of the photos that masks belong to", only="masks")
@@ -131,7 +138,7 @@ class LifterSettings:
     """The network and the geometry around it."""
 
     network: str = _setting("residual", "the network: kudo, residual, or file.py:Class")
-    options: dict[str, Any] = _setting({}, "options of the network")
+    options: dict[str, Any] = _setting({}, "options of lifter.network")
     camera: str = _setting("perspective", "camera model", choices=("orthographic", "perspective"))
     intrinsics: str = _setting(
         "auto", "auto: use the file's focal_px and image_size where it has them; off: never", choices=("auto", "off")
@@ -171,7 +178,7 @@ class ViewSettings:
         choices=("batch", "normal", "same"),
     )
     renormalise: bool = _setting(True, "bring views to mean radius 1, as real keypoints are")
-    count_root: bool = _setting(True, "set from lifter.radius")
+    count_root: bool = _setting(True, "set from lifter.radius; not yours to set")
 
 
 @dataclass
@@ -245,10 +252,15 @@ class StudentSettings(StageSettings):
     beta1: float = _with_default("beta1", 0.9)
     warm_up: float = _with_default("warm_up", 0.05)
     decay_from: float = _with_default("decay_from", 0.0)
-    rounds: list[float] = _setting([0.35, 0.65], "share of the stage for each round", low=1e-6, high=1e6)
+    rounds: list[float] = _setting(
+        [0.35, 0.65],
+        "share of the stage for each round; each trains a new student on the poses of the last",
+        low=1e-6,
+        high=1e6,
+    )
     network: Optional[str] = _setting(None, "the student's network, where it is not lifter.network")
-    options: dict[str, Any] = _setting({}, "options of that network, over lifter.options")
-    last_options: dict[str, Any] = _setting({}, "options over these, in the last round")
+    options: dict[str, Any] = _setting({}, "options of the student's network, over lifter.options")
+    last_options: dict[str, Any] = _setting({}, "options over student.options, in the last round")
     warm: bool = _setting(False, "a round goes on with the last round's weights where its network is the same")
     occlude: float = _setting(0.0, "share of views in which joints are hidden: some of them, or a limb", low=0, high=1)
     noise: bool = _setting(True, "add to the views what refinement found wrong in the keypoints")
@@ -289,16 +301,22 @@ class Settings:
     """All settings of a fit."""
 
     task: str = _setting("", "name of the task file")
-    description: str = _setting("", "one line about the task")
-    lifts: str = _setting("keypoints", "what is lifted to 3D", choices=("keypoints", "masks"))
+    description: str = _setting("", "one line about the task; shown by uplift tasks and in the report")
+    lifts: str = _setting(
+        "keypoints",
+        "what is lifted to 3D; settings that go with the other kind are refused",
+        choices=("keypoints", "masks"),
+    )
     skeleton: str = _setting("", "a shipped name, or a YAML file", only="keypoints")
     seed: int = _setting(0, "seed of everything random", low=0, high=2**31 - 1)
-    init: Optional[str] = _setting(None, "run whose weights to start from")
+    init: Optional[str] = _setting(
+        None, "run whose weights the fit starts from; its network and joints must be the same"
+    )
     data: DataSettings = _group(DataSettings)
     lifter: LifterSettings = _group(LifterSettings)
     shape: ShapeSettings = _group(ShapeSettings, only="masks")
     views: ViewSettings = _group(ViewSettings)
-    priors: dict[str, Any] = _setting({}, "name: {use, weight, the prior's own options}")
+    priors: dict[str, Any] = _setting({}, "name: {use, weight, if_possible, the prior's own options}")
     teacher: TeacherSettings = _group(TeacherSettings)
     student: StudentSettings = _group(StudentSettings)
     trainer: TrainerSettings = _group(TrainerSettings)
