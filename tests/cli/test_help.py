@@ -214,6 +214,17 @@ def test_a_narrow_and_a_wide_terminal(capsys: pytest.CaptureFixture, monkeypatch
         assert most - 12 < max(map(len, text.splitlines())) <= max(most, 72)
 
 
+def test_names_are_bold_in_a_terminal(capsys: pytest.CaptureFixture, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv("NO_COLOR", raising=False)
+    plain = shown(capsys, "simulate", "--help")
+    monkeypatch.setattr("sys.stdout.isatty", lambda: True, raising=False)
+    styled = shown(capsys, "simulate", "--help")
+    assert "  \033[1mframes\033[0m " in styled
+    assert re.sub(r"\033\[\d?m", "", styled) == plain
+    monkeypatch.setenv("NO_COLOR", "1")
+    assert shown(capsys, "simulate", "--help") == plain
+
+
 # Tab completion.
 
 

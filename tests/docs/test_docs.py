@@ -137,7 +137,7 @@ def test_links_are_valid(page: Path, link: str) -> None:
 def test_commands_parse(page: str, command: str) -> None:
     verb, *words = shlex.split(command)[1:]
     if "--help" in words:
-        assert "my_priors.py:MyPrior" in words or help_text([verb, *words])
+        assert words[-1] in ("my_priors.py:MyPrior", "ground.py:FlatGround") or help_text([verb, *words])
         return
     assert verb in _RUN
     if verb == "skeleton":

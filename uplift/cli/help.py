@@ -13,7 +13,7 @@ from uplift.cli.verbs import NEEDED, VERBS, sub_verbs
 from uplift.config.settings import PRIOR_SETTINGS, Setting, all_groups
 from uplift.errors import UserError, did_you_mean
 
-__all__ = ["help_text", "option_settings", "overview", "topics", "value_text"]
+__all__ = ["bold_names", "help_text", "option_settings", "overview", "topics", "value_text"]
 
 _INDENT = 2
 _CLASSES = {"lifter.network": "lifter.options", "student.network": "student.options", "data.use": "data.options"}
@@ -30,7 +30,7 @@ def help_text(words: Sequence[str]) -> str:
     at = next(place for place, word in enumerate(words) if word in ("--help", "-h"))
     before, after = list(words[:at]), list(words[at + 1 :])
     given = [word for word in (*before[1:], *after) if "=" in word]
-    asked = [word for word in after if "=" not in word]
+    asked = [word for word in after if "=" not in word and not word.startswith("-")]
     if not before:
         return overview()
     verb, plain = before[0], [word for word in before[1:] if "=" not in word]
@@ -44,6 +44,11 @@ def help_text(words: Sequence[str]) -> str:
     if not asked:
         return _lines(_whole(verb, table, given))
     return "\n\n".join(_lines(_topic(verb, table, topic)) for topic in asked)
+
+
+def bold_names(text: str) -> str:
+    """Return a help text with the names of its entries in bold, for a terminal."""
+    return re.sub(r"^(  )(\S+)(?=  |$)", "\\1\033[1m\\2\033[0m", text, flags=re.M)
 
 
 def _lines(lines: Iterable[str]) -> str:
@@ -108,7 +113,7 @@ def _whole(verb: str, table: Mapping[str, Setting], given: Sequence[str]) -> Ite
     one = VERBS[verb]
     yield from [*_usage(one.usage), "", one.about[:1].upper() + one.about[1:] + "."]
     if one.words:
-        yield from ["", *(_row(name, about, 16) for name, about in one.words.items())]
+        yield from ["", *(_row(name, about, len(name) + _INDENT) for name, about in one.words.items())]
     if verb in ("fit", "data check"):
         yield from _fit_whole(verb, table, given)
         return

@@ -12,7 +12,7 @@ import typing
 from collections.abc import Callable, Sequence
 
 from uplift import __version__
-from uplift.cli.help import help_text, topics
+from uplift.cli.help import bold_names, help_text, topics
 from uplift.cli.kinds import Later
 from uplift.cli.verbs import VERBS, sub_verbs
 from uplift.config.settings import Setting
@@ -26,16 +26,13 @@ _FIXABLE = (errno.EACCES, errno.EPERM, errno.EROFS, errno.ENAMETOOLONG, errno.EN
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run one command; returns the exit status: 0, 2 for a user's mistake or missing data, 1 for other errors, 130 for Ctrl-C."""
-    parser = _parser()
-    words = _folded(arguments)
-    asks = not words or {"--help", "-h"} & set(words)
-    given = (
-        None if asks and words[:1] in ([], *([word] for word in (*_RUN, "--help", "-h"))) else parser.parse_args(words)
-    )
+    parser, words = _parser(), _folded(arguments)
     try:
-        if given is None:
-            print(help_text(words or ["--help"]))
+        if _asks_for_help(words):
+            text = help_text(words or ["--help"])
+            print(bold_names(text) if sys.stdout.isatty() and "NO_COLOR" not in os.environ else text)
             return 0
+        given = parser.parse_args(words)
         return _RUN[given.verb](given.settings) or 0
     except UserError as error:
         print(f"uplift: {error}", file=sys.stderr)
@@ -55,6 +52,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
         rest = "" if fixable else " What was saved before is complete."
         print(f"uplift: {error.strerror or error}{where}.{rest}", file=sys.stderr)
         return 2 if fixable else 1
+
+
+def _asks_for_help(words: Sequence[str]) -> bool:
+    """Return whether the words are to be answered with help: none, or ``--help`` of the program or of a verb."""
+    return not words or (bool({"--help", "-h"} & set(words)) and words[0] in (*_RUN, "--help", "-h"))
 
 
 def _folded(arguments: Sequence[str] | None) -> list[str]:

@@ -362,9 +362,9 @@ class Setting(NamedTuple):
             return f"{','.join(self.parts)}: " + ", ".join(f"{part} {range_text(*pair)}" for part, *pair in ends)
         limits = range_text(self.low, self.high)
         if form is tuple:
-            return f"{','.join(self.parts)}, {_SEVERAL[parts[0]]} {limits}".rstrip()
+            return f"{','.join(self.parts)}, {_SEVERAL.get(parts[0], 'values')} {limits}".rstrip()
         if form is list:
-            return f"{_SEVERAL[parts[0]]} {limits}".rstrip() + ", with commas"
+            return f"{_SEVERAL.get(parts[0], 'values')} {limits}".rstrip() + ", with commas"
         return f"{_ONE.get(form or self.kind, 'a value')} {limits}".rstrip()
 
 
