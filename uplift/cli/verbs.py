@@ -63,7 +63,7 @@ _ALL_KEYS = _table(
     _key("page", Optional[str], None, "kind of an .html; unset: viewer", choices=("viewer", "gallery")),
     _key("axes", Optional[str], None, "axes of the output; unset: the format's usual ones",
          choices=("camera", "level", "opencv", "blender", "opensim", "own", "gltf", "print")),
-    _key("height_mm", Optional[float], None, "height of each body or object, millimetres", 1e-9, 1e10),
+    _key("height_mm", Optional[float], None, "height of each body or object, millimetres", 1e-9, 1e9),
     _key("images", Optional[str], None, "folder of photos that a page shows beside the results"),
     _of_fit("format"),
 )  # fmt: skip
@@ -71,8 +71,8 @@ POSE_KEYS = _table(
     _key("refine", str, "on", "lift the frames of a clip together; off: each on its own", choices=("on", "off")),
     _key("bones", str, "free", "constant: bones of one length over a clip", choices=("free", "constant")),
     _key("bone", list[str], [], "joints along a known length, with bone_mm=: rhip,rknee"),
-    _key("bone_mm", Optional[float], None, "that length, millimetres", 1e-9, 1e10),
-    _key("camera_height_mm", Optional[float], None, "height of the camera above the ground, millimetres", 1e-9, 1e10),
+    _key("bone_mm", Optional[float], None, "that length, millimetres", 1e-9, 1e9),
+    _key("camera_height_mm", Optional[float], None, "height of the camera above the ground, millimetres", 1e-9, 1e9),
     *(one for name, one in READ_KEYS.items() if name != "format"),
     _key("frames", int, 40, "frames that page=gallery shows", 1, 500),
     _key("seed", int, 0, "seed of the choice of those frames", *_SEED_LIMITS),
@@ -84,7 +84,7 @@ SHAPE_KEYS = _table(
     *map(_of_fit, ("border", "pieces", "category", "most")),
     _key("unit", Optional[str], None, "unit of meshes: px of the photo, crop (half a mask's side), or mm, with a size; "
          "unset: px, or mm with a size", choices=("px", "mm", "crop")),
-    _key("length_mm", Optional[float], None, "length of the longest side of each object, millimetres", 1e-9, 1e10),
+    _key("length_mm", Optional[float], None, "length of the longest side of each object, millimetres", 1e-9, 1e9),
     _key("smooth", int, 4, "rounds of smoothing of meshes, which keep the volume", 0, 10_000),
     _key("together", Optional[str], None, "all shapes side by side in one .glb; unset: up to 16",
          choices=("true", "false")),
@@ -107,8 +107,8 @@ SIMULATE = _table(
     _key("output", str, NEEDED, "new file: .npz with the true poses, .csv with the 2D alone"),
     _key("frames", int, 20000, "frames", 1, _MOST_ITEMS),
     _key("seed", int, 0, "seed of everything random", *_SEED_LIMITS),
-    _key("clip_seconds", float, 3.0, "length of a clip, seconds", 1e-9, 1e10),
-    _key("noise_px", float, 0.0, "noise of the keypoints, standard deviation in pixels", 0, 1e10),
+    _key("clip_seconds", float, 3.0, "length of a clip, seconds", 1e-9, 1e9),
+    _key("noise_px", float, 0.0, "noise of the keypoints, standard deviation in pixels", 0, 1e9),
     _key("missing", float, 0.0, "share of joints left out", 0, 0.99),
     _key("tracker", Optional[str], None, "write the .csv as this tracker does, a file for each clip",
          choices=("deeplabcut",)),
@@ -132,7 +132,7 @@ _CMU = _table(
     _key("rate", list[str], ["120"], "frames per second of .amc files, and of subjects or motions: 120,S60:60"),
     _key("skip", list[str], [], "subjects or motions to leave out"),
     _key("unit_mm", Optional[float], None, "millimetres in the files' unit of length; unset: told from the files",
-         1e-9, 1e10),
+         1e-9, 1e9),
 )  # fmt: skip
 _RENDER = _table(
     _key("output", str, NEEDED, "new .npz file, or new folder: a .png for each mask, and truth.npz"),

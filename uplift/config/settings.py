@@ -89,10 +89,10 @@ class DataSettings:
     )
     image_size: Optional[str] = _setting(None, "image size of files that do not give it: 1920x1080", only="keypoints")
     fps: Optional[float] = _setting(
-        None, "frames per second of files that do not give it", low=1e-9, high=1e10, only="keypoints"
+        None, "frames per second of files that do not give it", low=1e-9, high=1e9, only="keypoints"
     )
     focal_px: Optional[float] = _setting(
-        None, "focal length of the camera in pixels, where known", low=1e-9, high=1e10, only="keypoints"
+        None, "focal length of the camera in pixels, where known", low=1e-9, high=1e9, only="keypoints"
     )
     min_confidence: float = _setting(
         0.0, "keypoints of less confidence count as missing", low=0, high=1, only="keypoints"
@@ -376,7 +376,8 @@ _SEVERAL = {int: "whole numbers", float: "numbers", str: "names"}
 
 def range_text(low: Any, high: Any) -> str:
     """Return a range in words, such as "from 1 to 64", "above 0" or nothing where there are no limits."""
-    top = "" if high is None or high >= _UNBOUNDED else _number_text(high)
+    nonsense = high is not None and high >= _HUGE and float(f"{high:g}") == high
+    top = "" if high is None or nonsense else _number_text(high)
     if low is None:
         return f"of at most {top}" if top else ""
     if 0 < low < _TINY:
@@ -384,8 +385,8 @@ def range_text(low: Any, high: Any) -> str:
     return f"from {_number_text(low)} to {top}" if top else f"of at least {_number_text(low)}"
 
 
-_UNBOUNDED, _TINY = 1e10, 1e-5
-"""Limits beyond these keep nonsense out and are not told."""
+_HUGE, _TINY = 1e9, 1e-5
+"""Round limits beyond these keep nonsense out and are not told."""
 
 
 def _number_text(value: int | float) -> str:
