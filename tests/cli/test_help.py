@@ -24,6 +24,8 @@ from uplift.priors import PRIORS
 pytestmark = pytest.mark.usefixtures("here")
 
 PRIOR = '''
+from torch import nn
+
 import uplift
 
 class Flat(uplift.Prior):
@@ -39,6 +41,16 @@ class Flat(uplift.Prior):
 
     def __init__(self, skeleton, *, slack=0.05, feet=("rankle",), strict):
         super().__init__(skeleton)
+
+class Net(nn.Module):
+    """A network.
+
+    Args:
+        width (int): of the layers.
+    """
+
+    def __init__(self, inputs, outputs, *, width=3, **rest):
+        super().__init__()
 
 class Thing:
     pass
@@ -124,7 +136,7 @@ def test_the_defaults_of_a_task(capsys: pytest.CaptureFixture) -> None:
     assert listed["seed"].endswith("default 7]")
     assert listed["task"].endswith("default cmu]")
     assert listed == entries(shown(capsys, "fit", "--help", "task=cmu", "seed=7"))
-    assert "bones" in shown(capsys, "fit", "task=cmu", "--help", "priors").partition("in this task:")[2]
+    assert "bones" in shown(capsys, "fit", "task=cmu", "--help", "priors").partition("in this fit:")[2]
 
 
 def test_the_priors_are_listed(capsys: pytest.CaptureFixture) -> None:
@@ -169,6 +181,10 @@ def test_a_class_of_ones_own(here: Path, capsys: pytest.CaptureFixture) -> None:
         assert "default rankle" in listed["feet"]
         assert "needed" in listed["strict"]
         assert set(listed) >= set(PRIOR_SETTINGS)
+    network = shown(capsys, "fit", "--help", "my.py:Net")
+    assert entries(network) == {"lifter.options.width": "of the layers [whole number; default 3]"}
+    assert "any other option (**rest)" in network
+    assert "--help: no file" in refusal(capsys, "fit", "--help", "none.py:Flat")
     assert "expected a prior, a network or a data set" in refusal(capsys, "fit", "--help", "my.py:Thing")
     assert "no class 'Flut' there. Did you mean 'Flat'?" in refusal(capsys, "fit", "--help", "my.py:Flut")
 

@@ -7,7 +7,7 @@ import re
 import shutil
 import textwrap
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from typing import Any
+from typing import Any, NoReturn
 
 from uplift.cli.verbs import NEEDED, VERBS, sub_verbs
 from uplift.config.settings import PRIOR_SETTINGS, Setting, all_groups
@@ -43,7 +43,7 @@ def help_text(words: Sequence[str]) -> str:
     table = {one.name: one for one in _with_task(verb, given)} if given else dict(VERBS[verb].settings)
     if not asked:
         return _lines(_whole(verb, table, given))
-    return "\n\n".join(_lines(_topic(verb, table, topic)) for topic in asked)
+    return "\n\n".join(_lines(_topic(verb, table, topic.rstrip("."))) for topic in asked)
 
 
 def bold_names(text: str) -> str:
@@ -55,7 +55,7 @@ def _lines(lines: Iterable[str]) -> str:
     return "\n".join(line.rstrip() for line in lines)
 
 
-def _unknown(topic: str, valid: Iterable[str], verb: str) -> Any:
+def _unknown(topic: str, valid: Iterable[str], verb: str) -> NoReturn:
     raise UserError(f"{verb} --help {topic}: there is no '{topic}'.{did_you_mean(topic, valid)}")
 
 
@@ -149,7 +149,7 @@ def _entries(settings: Iterable[Setting], wide: int | None = None) -> Iterator[s
     settings = list(settings)
     wide = wide or _name_width(settings)
     for one in settings:
-        about = _plain(one.help.removeprefix(f"{','.join(one.parts)}: ")).removesuffix(".")
+        about = re.sub(r"(?<!\.)\.$", "", _plain(one.help.removeprefix(f"{','.join(one.parts)}: ")))
         if about:
             yield _row(one.name, about, wide)
         yield _row("" if about else one.name, f"[{_facts(one)}]", wide)
@@ -212,13 +212,14 @@ def _found(plain: Mapping[str, Any], one: Setting) -> Any:
 
 
 def _fit_whole(verb: str, table: Mapping[str, Setting], given: Sequence[str]) -> Iterator[str]:
+    of_task = (
+        f"an empty task file; uplift {verb} task=NAME --help shows those of a task, and task=default what a fit "
+        "without a task starts from"
+    )
     intro = (
         "Settings are key=value words; a list is a,b, nothing is null. A typo is answered with the nearest name. "
-        f"Defaults are those of {' '.join(given)}." if given else
-        "Settings are key=value words; a list is a,b, nothing is null. A typo is answered with the nearest name. "
-        f"Defaults are those of an empty task file; uplift {verb} task=NAME --help shows those of a task, and "
-        "task=default what a fit without a task starts from."
-    )  # fmt: skip
+        f"Defaults are those of {' '.join(given) or of_task}."
+    )
     yield from ["", *textwrap.wrap(intro, _width())]
     for group in ("", *(group for group in all_groups() if group)):
         yield from ["", *_group(group, table)]
@@ -314,7 +315,7 @@ def _arguments(doc: str) -> dict[str, str]:
     found: dict[str, str] = {}
     names: list[str] = []
     for line in textwrap.dedent(section[1]).splitlines() if section else ():
-        entry = re.match(r"(\w[\w, ]*): *(.*)", line)
+        entry = re.match(r"(\w[\w, ]*)(?: \([^)]*\))?: *(.*)", line)
         if entry:
             names = [name.strip() for name in entry[1].split(",")]
         for name in names if line.strip() else ():
@@ -325,7 +326,11 @@ def _arguments(doc: str) -> dict[str, str]:
 def _description(found: type) -> list[str]:
     """Return the paragraphs of a class's docstring above its sections."""
     doc = inspect.getdoc(found) if found.__doc__ else ""
-    paragraphs = re.split(r"^(?:Args|Raises|Example)\b.*:", doc or "", maxsplit=1, flags=re.M)[0].strip().split("\n\n")
+    paragraphs = (
+        re.split(r"^(?:(?:Args|Raises|Example)\b.*:|Parameters$)", doc or "", maxsplit=1, flags=re.M)[0]
+        .strip()
+        .split("\n\n")
+    )
     return [_plain(" ".join(paragraph.split())) for paragraph in paragraphs]
 
 
@@ -340,8 +345,9 @@ def _class_help(
     options = [*option_settings(found, skip), *more]
     named = [one._replace(name=prefix + one.name) for one in options]
     yield from ["", *_entries(named)] if named else ["", "  no options"]
-    if any(one.kind is one.VAR_KEYWORD for one in inspect.signature(found).parameters.values()):
-        yield from ["", "and further options, which go to what it is made of"]
+    for one in inspect.signature(found).parameters.values():
+        if one.kind is one.VAR_KEYWORD:
+            yield from ["", f"and any other option (**{one.name})"]
 
 
 def _priors(topic: str, table: Mapping[str, Setting]) -> Iterator[str]:
@@ -366,7 +372,7 @@ def _priors(topic: str, table: Mapping[str, Setting]) -> Iterator[str]:
         return
     yield from _class_help(f"priors.{name}", found, ("skeleton",), f"priors.{name}.", more)
     if spec:
-        yield from ["", f"  in this task: {value_text(spec)}"]
+        yield from ["", f"  in this fit: {value_text(spec)}"]
 
 
 def _all_priors(priors: Mapping[str, str], in_task: Mapping[str, Any]) -> Iterator[str]:
@@ -388,7 +394,7 @@ def _all_priors(priors: Mapping[str, str], in_task: Mapping[str, Any]) -> Iterat
     if in_task:
         yield from [
             "",
-            "in this task:",
+            "in this fit:",
             *(_row(name, value_text(spec) or "weight=1", 16) for name, spec in in_task.items()),
         ]
     yield from ["", "A prior of your own: priors.NAME.use=file.py:Class (docs/priors.md)."]
@@ -414,7 +420,10 @@ def _classes(options: str) -> Iterator[str]:
 def _own_class(use: str) -> Iterator[str]:
     from uplift.config.plugins import find_class
 
-    found = find_class(use, {}, "--help")
+    try:
+        found = find_class(use, {}, "--help")
+    except UserError as error:
+        raise UserError(str(error).replace("--help.use", "--help", 1)) from None
     from torch import nn
 
     from uplift.data.datasets import DataSet

@@ -183,7 +183,7 @@ class ViewSettings:
 
 @dataclass
 class ShapeSettings:
-    """What is lifted from masks: `lifts: masks`."""
+    """What is lifted from masks, with ``lifts: masks``."""
 
     resolution: int = _setting(32, "voxels along the grid of a shape", low=8, high=256)
     gravity: bool = _setting(True, "shapes stand upright; false: seen from anywhere, views uniform on SO(3)")
