@@ -55,10 +55,10 @@ def run_cell(cell: Cell, cores: set[int]) -> None:
 
 def _check_words(cell: Cell) -> None:
     """Reject arguments that `uplift evaluate` does not know, before anything is trained."""
-    from uplift.cli.main import _KEYS
+    from uplift.cli.verbs import EVALUATE
 
     for name, test in cell.fit.tests.items():
-        unknown = [word for word in shlex.split(test.words) if word.partition("=")[0] not in _KEYS["evaluate"]]
+        unknown = [word for word in shlex.split(test.words) if word.partition("=")[0] not in EVALUATE]
         if unknown:
             raise BenchmarkError(f"test {name}: `uplift evaluate` does not accept {', '.join(unknown)}")
 

@@ -184,7 +184,7 @@ def test_the_command_ends_with_the_verdict(here, capsys):
     assert "0.0% of frames" in capsys.readouterr().out
     for words, said in (
         ([], "takes one FILE or FOLDER"),
-        (["coco.npz"], "skeleton=NAME"),
+        (["coco.npz"], "needs skeleton="),
         (["none.npz", "skeleton=coco17"], "No file none.npz"),
         (["coco.npz", "skeleton=coco18"], "Did you mean 'coco17'"),
         (["coco.npz", "skeleton=coco17", "formt=npz"], "Did you mean 'format'"),

@@ -179,7 +179,7 @@ def test_a_circle_of_two(here: Path) -> None:
         ("trainer.max_steps.now=5", "'trainer.max_steps' is one setting, with none below it"),
         ("trainer.max_steps=many", "trainer.max_steps"),
         ("trainer.max_steps=1.5", "trainer.max_steps"),
-        ("trainer.max_steps=0", "trainer.max_steps=0: expected a number from 1"),
+        ("trainer.max_steps=0", "trainer.max_steps=0: expected a number of at least 1"),
         ("trainer.max_time=90", "trainer.max_time='90': expected hours:minutes:seconds"),
         ("trainer.max_time=10m", "expected hours:minutes:seconds"),
         ("trainer.max_time=00:10", "expected hours:minutes:seconds"),

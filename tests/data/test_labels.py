@@ -127,7 +127,7 @@ def test_labelled_frames_of_another_file_and_layout(here: Path) -> None:
     ("words", "says"),
     [
         (["data.labelled.only=true"], "data.labelled.fraction"),
-        (["data.labelled.fraction=2"], "expected more than 0 and at most 1"),
+        (["data.labelled.fraction=2"], "expected a number above 0 and at most 1"),
         (["data.labelled.subjects=S9"], "no frame with subject 'S9'"),
         (["data.labelled.subject=S1"], "Did you mean 'data.labelled.subjects'?"),
         (["data.labelled.file=nowhere.npz"], "No file"),

@@ -201,7 +201,7 @@ def test_files_of_a_task_lie_beside_it(tmp_path: Path, monkeypatch: pytest.Monke
         (("data.train=seats.npz", "data.labelled.file=gone.npz"), "No file"),
         (("data.train=seats.npz", "data.test=seats.npz", "data.hold_out.fraction=0.5"), "data.test and data.hold_out"),
         (("data.train=seats.npz", "data.hold_out.fraction=1"), "leaves no mask to train on"),
-        (("data.train=seats.npz", "data.select.fraction=1.5"), "more than 0 and at most 1"),
+        (("data.train=seats.npz", "data.select.fraction=1.5"), "above 0 and at most 1"),
         (("data.train=seats.npz,photos",), "of several kinds"),
         (("data.train=seats.npz", "data.format=coco"), "seats.npz"),
         (("data.train=seats.npz", "data.test=nowhere.npz"), "No file"),

@@ -288,7 +288,7 @@ def test_the_command_writes_once_and_says_what_is_next(here, capsys):
     for words, said in (
         (["--from"], "'from=' has no value"),
         (["--from", "none.npz"], "No file none.npz"),
-        (["--from", "fly.npz", "gravity=maybe"], "expected yes or no"),
+        (["--from", "fly.npz", "gravity=maybe"], "expected one of yes, no"),
         (["root=thorax"], "goes with --from"),
         (["--from", "fly.npz", "rot=thorax"], "Did you mean 'root'"),
         (["--from", "fly.npz", "min_confidence=2"], "from 0 to 1"),

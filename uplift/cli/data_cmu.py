@@ -6,7 +6,8 @@ import time
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
-from uplift.cli.parsing import Keys, keyed
+from uplift.cli.parsing import Keys, checked, keyed
+from uplift.cli.verbs import VERBS
 from uplift.config.files import refuse_existing, refuse_output
 from uplift.data.datasets.cmu import Clip, Rates, Rig, Trial, chosen_test, filmed, find_trials, read_clip, read_index
 from uplift.data.formats.base import size_of
@@ -15,12 +16,8 @@ from uplift.errors import UserError
 
 __all__ = ["make_cmu_files"]
 
-_KEYS = (
-    "output", "fps", "cameras", "tilt", "tilt_sd", "distance", "focal_px", "image_size", "seed", "test", "index",
-    "rate", "skip", "unit_mm",
-)  # fmt: skip
-_USE = "data cmu DIR output=FOLDER [fps=10 cameras=4 tilt=8 seed=0 test=S5,S16 index=FILE]"
 _EVERY_S = 5.0
+_RATE = VERBS["data cmu"].settings["fps"]._replace(name="rate", high=10_000)
 _CREDIT = (
     "The data used in this project was obtained from mocap.cs.cmu.edu. "
     "The database was created with funding from NSF EIA-0196217."
@@ -29,14 +26,14 @@ _CREDIT = (
 
 def make_cmu_files(words: list[str]) -> Iterator[str]:
     """Write ``train.npz`` and ``test.npz`` and yield a line on each step; raises UserError for an invalid word or file."""
-    keys = keyed("data cmu", words, _KEYS, plain=True)
-    if len(keys.plain) != 1 or "output" not in keys:
-        raise UserError(f"data cmu takes one DIR with .asf, .amc or .bvh files, and output=FOLDER. ({_USE})")
+    keys = keyed("data cmu", words)
+    if len(keys.plain) != 1:
+        raise UserError("data cmu takes one FOLDER with .asf, .amc or .bvh files. (uplift data cmu --help)")
     folder = Path(keys.plain[0]).expanduser()
     rates, rig = _rates(keys), _rig(keys)
-    seed, unit_mm = keys.whole("seed", 0, least=0), keys.number("unit_mm", above=0)
+    seed, unit_mm = keys.value("seed"), keys.value("unit_mm")
     output = _output(keys)
-    trials, notes = find_trials(folder, keys.listed("skip"))
+    trials, notes = find_trials(folder, keys.value("skip"))
     unknown = set(rates.own) - {trial.subject for trial in trials} - {trial.sequence for trial in trials}
     if unknown:
         raise UserError(f"rate={sorted(unknown)[0]}:...: no such subject or motion in {folder}.")
@@ -50,7 +47,7 @@ def make_cmu_files(words: list[str]) -> Iterator[str]:
         yield f"actions from {index}"
     clips: list[Clip] = []
     yield from _read(trials, rates, unit_mm, clips)
-    chosen, how = chosen_test(clips, keys.listed("test"), seed)
+    chosen, how = chosen_test(clips, keys.value("test"), seed)
     yield how
     output.mkdir(exist_ok=True)
     for name in ("train", "test"):
@@ -91,22 +88,22 @@ def _output(keys: Keys) -> Path:
 
 def _rig(keys: Keys) -> Rig:
     return Rig(
-        cameras=keys.whole("cameras", Rig.cameras, least=1, most=100),
-        tilt_deg=keys.number("tilt", Rig.tilt_deg, least=-60, most=60),
-        tilt_sd_deg=keys.number("tilt_sd", Rig.tilt_sd_deg, least=0, most=30),
-        distance_m=keys.number("distance", Rig.distance_m, least=1, most=1000),
-        focal_px=keys.number("focal_px", Rig.focal_px, above=0, most=1e6),
-        image_size=size_of(keys.get("image_size", "1000x1000")),
+        cameras=keys.value("cameras"),
+        tilt_deg=keys.value("tilt"),
+        tilt_sd_deg=keys.value("tilt_sd"),
+        distance_m=keys.value("distance"),
+        focal_px=keys.value("focal_px"),
+        image_size=size_of(keys.value("image_size")),
     )
 
 
 def _rates(keys: Keys) -> Rates:
     amc, own = Rates.amc, {}
-    for part in keys.listed("rate"):
+    for part in keys.value("rate"):
         name, colon, value = part.rpartition(":")
-        rate = Keys("data cmu", {"rate": value}).number("rate", above=0, most=10_000)
+        rate = checked(_RATE, value, "data cmu")
         if colon:
             own[name] = rate
         else:
             amc = rate
-    return Rates(fps=keys.number("fps", Rates.fps, above=0, most=1000), amc=amc, own=own)
+    return Rates(fps=keys.value("fps"), amc=amc, own=own)

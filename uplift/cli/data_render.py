@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import re
 from collections.abc import Sequence
 from dataclasses import replace
@@ -20,16 +19,10 @@ if TYPE_CHECKING:
     from uplift.data.synthetic.masks import ViewChoice
     from uplift.geometry.mesh import Mesh
 
-__all__ = ["RENDER_KEYS", "render_masks_command"]
+__all__ = ["render_masks_command"]
 
 _VERB = "data render"
 _FILE_KEYS = ("poses", "animations", "up", "front")
-RENDER_KEYS = (
-    "output", "items", "seed", "side", "azimuth_deg", "elevation_deg", "distance", "upright", "views", "category",
-    *_FILE_KEYS,
-)  # fmt: skip
-"""What the verb takes besides meshes."""
-_USE = "data render MESHES... output=masks.npz|FOLDER [items=2000 seed=0 side=64]"
 _MOST_BYTES = 4_000_000_000
 
 
@@ -38,14 +31,13 @@ def render_masks_command(words: Sequence[str]) -> list[str]:
     from uplift.data.formats.masks_npz import write_masks_npz
     from uplift.data.synthetic.masks import FAMILIES, simulate_masks
 
-    keys = keyed(_VERB, words, RENDER_KEYS, plain=True)
-    if not keys.plain or "output" not in keys:
+    keys = keyed(_VERB, words)
+    if not keys.plain:
         raise UserError(
             f"{_VERB} takes files of meshes, folders of them, or simulated shapes ({', '.join(FAMILIES)}), "
-            f"and output=FILE.npz or output=FOLDER. ({_USE})"
+            f"and output=FILE.npz or output=FOLDER. (uplift {_VERB} --help)"
         )
-    items, side = keys.whole("items", 2000, least=1, most=10**8), keys.whole("side", 64, least=8, most=1024)
-    seed, each = keys.whole("seed", 0, least=0, most=2**31 - 1), keys.whole("views", 1, least=1, most=10**8)
+    items, side, seed, each = (keys.value(key) for key in ("items", "side", "seed", "views"))
     if items * side**2 > _MOST_BYTES:
         raise UserError(f"{_VERB}: items={items} of side={side} take {items * side**2 / 1e9:,.0f} GB. Ask for fewer.")
     views, output = _views(keys), _output(keys)
@@ -82,10 +74,10 @@ def _shapes(keys: Keys, count: int, seed: int) -> tuple[list[Mesh] | str, str]:
         if not Path(source).expanduser().exists() and Path(source).suffix.lower() not in ENDINGS:
             raise UserError(f"{_VERB}: no file, folder or family of shapes '{source}'.{did_you_mean(source, FAMILIES)}")
     options = MeshOptions(
-        up=keys.get("up", "y"),
-        front=keys.get("front"),
-        poses=keys.whole("poses", MeshOptions.poses, least=0, most=10**8),
-        animations=tuple(part for part in keys.listed("animations") if part.strip("-")),
+        up=keys.value("up"),
+        front=keys.value("front"),
+        poses=keys.value("poses"),
+        animations=tuple(part for part in keys.value("animations") if part.strip("-")),
         seed=seed,
         category=keys.get("category"),
         most=count,
@@ -100,20 +92,20 @@ def _shapes(keys: Keys, count: int, seed: int) -> tuple[list[Mesh] | str, str]:
 def _views(keys: Keys) -> ViewChoice:
     from uplift.data.synthetic.masks import ViewChoice
 
-    views = ViewChoice(upright=keys.one_of("upright", ("true", "false")) == "true")
+    views = ViewChoice(upright=keys.value("upright") == "true")
     if not views.upright:
         for key in [key for key in ("azimuth_deg", "elevation_deg") if key in keys]:
             raise UserError(f"{_VERB}: upright=false draws from all rotations, {key}= has no effect. Leave one out.")
     if "azimuth_deg" in keys:
-        views = replace(views, azimuth_deg=_pair(keys, "azimuth_deg", "from,to", -360, 360))
+        views = replace(views, azimuth_deg=keys.value("azimuth_deg"))
     if "elevation_deg" in keys:
-        mean, sd = _pair(keys, "elevation_deg", "mean,spread", -90, 90)
+        mean, sd = keys.value("elevation_deg")
         low, high = views.elevation_deg
         # The range cuts off what is rare: it must not cut off what is asked for.
         wide = (max(min(low, mean - 2 * sd), -90.0), min(max(high, mean + 2 * sd), 90.0))
         views = replace(views, elevation_mean_deg=mean, elevation_sd_deg=sd, elevation_deg=wide)
     if "distance" in keys:
-        views = replace(views, distance=_pair(keys, "distance", "from,to", 2, math.inf))
+        views = replace(views, distance=keys.value("distance"))
     return views
 
 
@@ -149,13 +141,3 @@ def _write_folder(data: MaskData, folder: Path) -> None:
 def _plain(name: str) -> str:
     """Return a name that any disk takes."""
     return re.sub(r"[^\w.-]+", "_", name).lstrip(".")[:80]
-
-
-def _pair(keys: Keys, key: str, meaning: str, low: float | int, high: float | int) -> tuple[float, float]:
-    try:
-        first, second = (float(part) for part in keys[key].split(","))
-    except ValueError:
-        first = second = math.nan
-    if not (low <= first <= high and low <= second <= high) or (meaning == "mean,spread" and second < 0):
-        raise UserError(f"{_VERB}: {key}={keys[key]!r}, expected {meaning}: two numbers from {low:g} to {high:g}.")
-    return first, second

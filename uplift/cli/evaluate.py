@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from uplift.cli.kinds import KINDS
-from uplift.cli.parsing import EVALUATE_KEYS, keyed
+from uplift.cli.parsing import keyed
 from uplift.config.files import absolute, replacing, shipped_names
 from uplift.config.run import RunFolder, read_weights
 from uplift.data.clean import clean
@@ -233,7 +233,7 @@ def _skeleton_of(names: tuple[str, ...], where: str) -> Skeleton:
 
 def evaluate_command(words: Sequence[str]) -> None:
     """Evaluate a run or poses and print all figures."""
-    keys = keyed("evaluate", words, EVALUATE_KEYS)
+    keys = keyed("evaluate", words)
     if ("run" in keys) == ("poses" in keys):
         raise UserError("evaluate takes run=RUN or poses=FILE. (uplift evaluate --help)")
     if "poses" in keys:
@@ -245,8 +245,9 @@ def evaluate_command(words: Sequence[str]) -> None:
         return
     if "skeleton" in keys:
         raise UserError("evaluate run=...: the run knows its skeleton; skeleton= goes with poses=.")
-    refine = keys.one_of("refine", ("on", "off")) == "on" if "refine" in keys else None
-    print(evaluate(keys["run"], keys.get("data.test"), refine=refine, items=keys.whole("items")).table())
+    refine, items = keys.given("refine").get("refine"), keys.given("items").get("items")
+    refined = None if refine is None else refine == "on"
+    print(evaluate(keys["run"], keys.get("data.test"), refine=refined, items=items).table())
     folder = RunFolder.open(keys["run"]).path
     print(f"\nwrote {folder}/evaluation.json and evaluation.csv (older ones: evaluations/)")
     print(f"next: uplift compare {folder} OTHER_RUN")

@@ -8,7 +8,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
-from uplift.cli.parsing import POSE_KEYS, SHAPE_KEYS
+from uplift.cli.verbs import EVALUATE, POSE_KEYS, SHAPE_KEYS
 from uplift.errors import UserError
 from uplift.metrics.protocols import BEST_BASELINE, SHAPE_METRICS
 
@@ -65,6 +65,10 @@ class Kind:
                     raise UserError(f"{verb}: {key}= goes with {kinds}.")
 
 
+def _evaluate_keys(lifts: str) -> tuple[str, ...]:
+    return tuple(name for name, one in EVALUATE.items() if one.only == lifts)
+
+
 KINDS = {
     "keypoints": Kind(
         lifts="keypoints",
@@ -76,8 +80,8 @@ KINDS = {
         predict_summary=Later("uplift.cli.predict:pose_summary"),
         check_simulated=Later("uplift.cli.data_check:simulated_keypoints"),
         check_file=Later("uplift.cli.data_check:keypoint_file"),
-        predict_keys=(*POSE_KEYS, "data.options"),
-        evaluate_keys=("refine",),
+        predict_keys=tuple(POSE_KEYS),
+        evaluate_keys=_evaluate_keys("keypoints"),
         compared=(
             "p_mpjpe", "n_mpjpe", "mpjpe_gt_scale", "mpjpe", "p_mpjpe_reflect", "pck@150", "auc", "mpjve",
             "facing", "facing_sign", "elevation_deg", "bone_cv", "symmetry",
@@ -93,8 +97,8 @@ KINDS = {
         predict_summary=Later("uplift.cli.predict:shape_summary"),
         check_simulated=Later("uplift.cli.data_check:simulated_masks"),
         check_file=Later("uplift.cli.data_check:mask_file"),
-        predict_keys=SHAPE_KEYS,
-        evaluate_keys=("items",),
+        predict_keys=tuple(SHAPE_KEYS),
+        evaluate_keys=_evaluate_keys("masks"),
         compared=tuple(one for name in SHAPE_METRICS for one in (name, BEST_BASELINE + name)),
     ),
 }  # fmt: skip

@@ -5,53 +5,34 @@ from __future__ import annotations
 
 import argparse
 import errno
+import functools
+import os
 import sys
+import typing
 from collections.abc import Callable, Sequence
 
 from uplift import __version__
+from uplift.cli.help import bold_names, help_text, topics
 from uplift.cli.kinds import Later
-from uplift.cli.parsing import EVALUATE_KEYS, PREDICT_KEYS, SIMULATE_KEYS
+from uplift.cli.verbs import VERBS, sub_verbs
+from uplift.config.settings import Setting
 from uplift.errors import UserError
 
 __all__ = ["main"]
 
-_VERBS = {
-    "fit": "train a lifter: fit task=NAME, or fit skeleton=NAME data.train=FILE, or fit task=masks data.train=FOLDER; "
-    "also resume=RUN",
-    "evaluate": "every protocol: evaluate run=RUN [data.test=FILE], or evaluate poses=FILE data.test=FILE",
-    "predict": "lift keypoints or masks: predict run=RUN input=FILE|FOLDER|SET:SPLIT output=FILE.html|.npz|.csv|.bvh|.glb|...",
-    "simulate": "simulated bodies with exact poses: simulate skeleton=NAME output=FILE.npz|.csv [frames=20000 seed=0]",
-    "compare": "runs side by side: compare RUN RUN ...",
-    "data": "data check task=NAME [data.root=FOLDER]: what is there and what is missing; data cmu FOLDER; "
-    "data render MESHES... output=FILE.npz|FOLDER: masks of meshes or of simulated shapes",
-    "tasks": "list the tasks and whether their data is present",
-    "skeletons": "list the shipped skeletons",
-    "skeleton": "skeleton check FILE [output=FILE.png]; skeleton new FILE [--from TRACKER_FILE]; "
-    "skeleton map TRACKER_FILE skeleton=NAME",
-}
 # Errors that another path fixes; a full disk is not one of these.
 _FIXABLE = (errno.EACCES, errno.EPERM, errno.EROFS, errno.ENAMETOOLONG, errno.ENOTDIR, errno.EISDIR, errno.ELOOP)
-_EXAMPLES = """examples:
-  uplift fit task=demo                                  no data needed: a minute or two, then a page to look at
-  uplift data check task=cmu                            what is there, what is missing, where it comes from
-  uplift fit task=cmu trainer.max_time=00:04:00         any setting as key=value
-  uplift fit skeleton=beetle.yaml data.train=beetle.npz your own data
-  uplift evaluate run=runs/cmu/last
-  uplift predict run=runs/cmu/last input=keypoints.npz output=poses.html
-  uplift predict run=runs/mpii/last input=mpii:train output=gallery.html page=gallery
-  uplift fit task=masks_demo                            shapes from masks, no data needed: ten minutes
-  uplift predict run=runs/masks_demo/last input=masks output=shapes.glb
-"""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run one command; returns the exit status: 0, 2 for a user's mistake or missing data, 1 for other errors, 130 for Ctrl-C."""
-    parser = _parser()
-    given = parser.parse_args(_folded(arguments))
-    if given.verb is None:
-        parser.print_help()
-        return 0
+    parser, words = _parser(), _folded(arguments)
     try:
+        if _asks_for_help(words):
+            text = help_text(words or ["--help"])
+            print(bold_names(text) if sys.stdout.isatty() and "NO_COLOR" not in os.environ else text)
+            return 0
+        given = parser.parse_args(words)
         return _RUN[given.verb](given.settings) or 0
     except UserError as error:
         print(f"uplift: {error}", file=sys.stderr)
@@ -73,6 +54,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return 2 if fixable else 1
 
 
+def _asks_for_help(words: Sequence[str]) -> bool:
+    """Return whether the words are to be answered with help: none, or ``--help`` of the program or of a verb."""
+    return not words or (bool({"--help", "-h"} & set(words)) and words[0] in (*_RUN, "--help", "-h"))
+
+
 def _folded(arguments: Sequence[str] | None) -> list[str]:
     """Return the words with ``--from FILE`` of skeleton new as ``from=FILE``: argparse takes no words after an option."""
     words = list(sys.argv[1:] if arguments is None else arguments)
@@ -85,18 +71,15 @@ def _folded(arguments: Sequence[str] | None) -> list[str]:
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
-        prog="uplift",
-        description="Lift 2D keypoints or masks of anything to 3D, learning from 2D alone.",
-        epilog=_EXAMPLES,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
+    parser = argparse.ArgumentParser(prog="uplift", usage="uplift VERB [key=value ...] (uplift --help)", add_help=False)
     parser.add_argument("--version", action="version", version=f"uplift {__version__}")
-    verbs = parser.add_subparsers(dest="verb", metavar="VERB")
-    for verb, text in _VERBS.items():
-        sub = verbs.add_parser(verb, help=text, description=text)
-        words = sub.add_argument("settings", nargs="*", metavar="key=value" if verb != "compare" else "RUN")
-        words.completer = _complete(verb)  # type: ignore[attr-defined]
+    parser.add_argument("--help", "-h", action="store_true")
+    verbs = parser.add_subparsers(dest="verb", metavar="VERB", required=True)
+    for verb in _RUN:
+        sub = verbs.add_parser(verb, usage=f"uplift {verb} [key=value ...] (uplift {verb} --help)", add_help=False)
+        sub.add_argument("--help", "-h", action="store_true")
+        words = sub.add_argument("settings", nargs="*")
+        words.completer = functools.partial(_complete, verb)  # type: ignore[attr-defined]
     try:
         import argcomplete
 
@@ -106,27 +89,29 @@ def _parser() -> argparse.ArgumentParser:
     return parser
 
 
-def _complete(verb: str) -> Callable[..., list[str]]:
-    def complete(prefix: str, **rest: object) -> list[str]:
+def _complete(verb: str, prefix: str, **rest: object) -> list[str]:
+    """Return the words that may follow ``uplift VERB``: names of settings, or the values of one."""
+    below, typed = sub_verbs(verb), os.environ.get("COMP_LINE", "").split()
+    action = next((word for word in typed if word in below), None)
+    if below and action is None:
+        return list(below)
+    name = f"{verb} {action}" if action else verb
+    if {"--help", "-h"} & set(typed):
+        return topics(name)
+    key, equals, _ = prefix.partition("=")
+    known = {one.name: one for one in VERBS[name].settings.values() if typing.get_origin(one.kind) is not dict}
+    if not equals:
+        return [f"{key}=" for key in known]
+    return [f"{key}={value}" for value in (_values(known[key]) if key in known else ())]
+
+
+def _values(setting: Setting) -> list[str]:
+    """Return the values that a setting is completed with; none where they are not a few."""
+    if setting.name in ("task", "skeleton", "layout", "data.layout"):
         from uplift.config.files import shipped_names
-        from uplift.config.loading import setting_names
 
-        if verb == "skeleton":
-            keys = [f"{key}=" for key in ("from", "root", "gravity", "format", "layout")]
-            return ["check", "new", "map", *(f"skeleton={name}" for name in shipped_names("skeletons")), *keys]
-        if verb == "data":
-            return ["check", "cmu", "render", *(f"task={name}" for name in shipped_names("tasks")), "data.root="]
-        known = {key: [""] for key in _KEYS.get(verb, ())}
-        if verb == "fit":
-            known |= {name: [""] for name in setting_names()} | {"resume": [""]}
-            known["task"] = [name for name in shipped_names("tasks") if name != "default"]
-        known["skeleton"] = shipped_names("skeletons")
-        return [f"{key}={value}" for key, values in known.items() for value in values]
-
-    return complete
-
-
-_KEYS = {"evaluate": EVALUATE_KEYS, "predict": PREDICT_KEYS, "simulate": SIMULATE_KEYS}
+        return [name for name in shipped_names("tasks" if setting.name == "task" else "skeletons") if name != "default"]
+    return list(setting.choices) or (["true", "false"] if setting.kind is bool else [])
 
 
 def _fit(words: Sequence[str]) -> None:
@@ -205,6 +190,10 @@ _RUN: dict[str, Callable[[Sequence[str]], int | None]] = {
         {"check": "skeleton:check_skeleton_file", "new": "skeleton:new_skeleton_file", "map": "skeleton:map_joints"},
         "skeleton: expected `uplift skeleton check FILE [output=FILE.png]`, `uplift skeleton new FILE "
         "[--from TRACKER_FILE]` or `uplift skeleton map TRACKER_FILE skeleton=NAME`.",
+    ),
+    "schema": _by_first_word(
+        {"task": "schema:write_task_schema", "skeleton": "schema:write_skeleton_schema"},
+        "schema: expected `uplift schema task` or `uplift schema skeleton`.",
     ),
 }
 

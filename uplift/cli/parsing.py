@@ -1,118 +1,116 @@
-"""The ``key=value`` words of a command: which it takes, and what they are."""
+"""The ``key=value`` words of a verb, read and checked as the table of its settings says."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Mapping, Sequence
+import re
+import typing
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
+from uplift.cli.verbs import NEEDED, READ_KEYS, VERBS
+from uplift.config.settings import Setting
 from uplift.errors import UserError, did_you_mean, nearest
 
 if TYPE_CHECKING:
     from uplift.data.formats.base import ReadOptions
 
-__all__ = [
-    "EVALUATE_KEYS", "POSE_KEYS", "PREDICT_KEYS", "READ_KEYS", "SHAPE_KEYS", "SIMULATE_KEYS", "Keys", "keyed",
-]  # fmt: skip
-
-READ_KEYS = ("format", "layout", "image_size", "fps", "focal_px", "min_confidence")
-"""What any command that reads keypoints takes, as `uplift.data.formats.base.ReadOptions` has it."""
-POSE_KEYS = (
-    "refine", "frames", "seed", "bones", "bone", "bone_mm", "camera_height_mm", *READ_KEYS[1:], "data.name", "data.root",
-)  # fmt: skip
-"""What predict takes for keypoints alone."""
-SHAPE_KEYS = ("border", "pieces", "category", "most", "unit", "length_mm", "smooth", "together", "items")
-"""What predict takes for masks alone."""
-PREDICT_KEYS = ("run", "input", "output", "page", "images", "axes", "format", "height_mm", *POSE_KEYS, *SHAPE_KEYS)
-SIMULATE_KEYS = ("skeleton", "output", "frames", "seed", "clip_seconds", "noise_px", "missing", "tracker")
-EVALUATE_KEYS = ("run", "poses", "data.test", "skeleton", "refine", "items")
+__all__ = ["Keys", "checked", "keyed"]
 
 
 class Keys(dict[str, str]):
-    """The ``key=value`` words of a verb, and its plain words; its methods raise UserError for an invalid value."""
+    """The ``key=value`` words of a verb as they were given, and its plain words."""
 
     def __init__(self, verb: str, values: Mapping[str, str], plain: Sequence[str] = ()):
         super().__init__(values)
         self.verb, self.plain = verb, list(plain)
 
-    def one_of(self, key: str, values: Collection[str]) -> str:
-        """Return the value of ``key``, one of ``values``, by default the first."""
-        value = self.get(key, next(iter(values)))
-        if value not in values:
-            raise UserError(f"{self.verb}: {key}={value!r}, expected {' or '.join(values)}.{nearest(value, values)}")
-        return value
+    def value(self, key: str) -> Any:
+        """Return the value of ``key`` as its setting has it, its default where it is not given.
 
-    def number(
-        self,
-        key: str,
-        default: Any = None,
-        *,
-        least: int | float = -math.inf,
-        above: int | float = -math.inf,
-        most: int | float = math.inf,
-        kind: type[int] | type[float] = float,
-    ) -> Any:
-        """Return the finite number of ``key`` within these limits, ``default`` where it is not given."""
-        if key not in self:
-            return default
-        try:
-            value = kind(self[key])
-        except ValueError:
-            value = math.nan
-        if not (least <= value <= most and value > above and abs(value) < math.inf):
-            bounds = {"of at least": least, "above": above, "and at most": most}
-            limits = "".join(f" {name} {bound:,}" for name, bound in bounds.items() if abs(bound) < math.inf)
-            what = "a whole number" if kind is int else "a number"
-            raise UserError(f"{self.verb}: {key}={self[key]!r}, expected {what}{limits}.")
-        return value
+        Raises UserError for a value that the setting does not accept.
+        """
+        setting = VERBS[self.verb].settings[key]
+        return checked(setting, self[key], self.verb) if key in self else setting.default
 
-    def whole(self, key: str, default: int | None = None, **limits: int) -> Any:
-        """Return the integer of ``key`` as `number` does."""
-        return self.number(key, default, kind=int, **limits)
-
-    def given(self, **kinds: type) -> dict[str, Any]:
-        """Return those of these keys that are given, each of its kind: ``int``, ``float`` or ``str``."""
-        found = {key: kind for key, kind in kinds.items() if key in self}
-        return {key: self[key] if kind is str else self.number(key, kind=kind) for key, kind in found.items()}
-
-    def listed(self, key: str) -> list[str]:
-        """Return the comma-separated parts of ``key``."""
-        return [part.strip() for part in self.get(key, "").split(",") if part.strip()]
+    def given(self, *keys: str) -> dict[str, Any]:
+        """Return the values of those of ``keys`` that are given."""
+        return {key: self.value(key) for key in keys if key in self}
 
     def reading(self) -> ReadOptions:
         """Return the `uplift.data.formats.base.ReadOptions` of those `READ_KEYS` that are given."""
         from uplift.data.formats.base import ReadOptions, size_of
 
-        given = self.given(format=str, layout=str, fps=float, focal_px=float, min_confidence=float)
-        return ReadOptions(**given, image_size=size_of(self["image_size"]) if "image_size" in self else None)
+        given = self.given(*READ_KEYS)
+        if "image_size" in given:
+            given["image_size"] = size_of(given["image_size"])
+        return ReadOptions(**given)
 
 
-def keyed(
-    verb: str,
-    words: Sequence[str],
-    known: Sequence[str],
-    needed: Sequence[str] = (),
-    *,
-    prefixes: tuple[str, ...] = (),
-    plain: bool = False,
-) -> Keys:
-    """Return the words of a verb; keys that start with one of ``prefixes`` are taken as they are.
+def checked(setting: Setting, text: str, verb: str) -> Any:
+    """Return ``text`` as the value of a setting of ``verb``; raises UserError where it does not accept that."""
+    value = _read(setting, text)
+    if value is None:
+        near = nearest(text, setting.choices)
+        shown = text if re.fullmatch(r"[-+\d.,e]+", text) else repr(text)
+        raise UserError(f"{verb}: {setting.name}={shown}, expected {setting.accepts}.{near}")
+    return value
+
+
+def _read(setting: Setting, text: str) -> Any:
+    """Return the value, None where the setting does not accept ``text``."""
+    if setting.choices:
+        return text.casefold() if text.casefold() in setting.choices else None
+    form, parts = typing.get_origin(setting.kind), typing.get_args(setting.kind)
+    if form not in (list, tuple):
+        return text if setting.kind is str else _number(setting.kind, text, setting.low, setting.high)
+    words = [part.strip() for part in text.split(",") if part.strip()]
+    if parts[0] is str:
+        return words
+    count = len(parts) if form is tuple else len(words)
+    ends = [end if isinstance(end, tuple) else (end,) * count for end in (setting.low, setting.high)]
+    if len(words) != count:
+        return None
+    numbers = tuple(_number(parts[0], *word) for word in zip(words, *ends, strict=True))
+    return None if None in numbers else form(numbers)
+
+
+def _number(kind: type[int] | type[float], text: str, low: Any, high: Any) -> Any:
+    """Return the number, None where ``text`` is none between ``low`` and ``high``; infinite only if ``high`` is."""
+    try:
+        value = kind(text)
+    except ValueError:
+        return None
+    low, high = (-math.inf if low is None else low), (math.inf if high is None else high)
+    return value if low <= value <= high else None
+
+
+def keyed(verb: str, words: Sequence[str]) -> Keys:
+    """Return the words of a verb: those that `VERBS` lists, with plain ones where it has some.
 
     Raises:
-        UserError: a word without "=" unless ``plain`` ones are allowed, an unknown key, one without a value or given
-            twice, one missing.
+        UserError: a word without "=" where the verb takes none, an unknown key, one without a value or given twice,
+            one missing.
     """
     from uplift.config.loading import split_words  # loads yaml, which `uplift --help` does without
 
+    known, plain = VERBS[verb].settings, bool(VERBS[verb].words)
+    open_groups = tuple(f"{name}." for name, one in known.items() if _is_group(one))
+    needed = [name for name, one in known.items() if one.default is NEEDED]
+    known = [name for name, one in known.items() if not _is_group(one)]
     others, found = split_words(words, known if plain else None)
     if others and not plain:
         raise UserError(f"{verb}: '{others[0]}' is not one of its settings.{did_you_mean(others[0], known)}")
     for key, value in found.items():
-        if key not in known and not key.startswith(prefixes):
+        if key not in known and not key.startswith(open_groups):
             raise UserError(f"{verb}: '{key}={value}' is not one of its settings.{did_you_mean(key, known)}")
         if not value:
             raise UserError(f"{verb}: '{key}=' has no value.")
     for key in needed:
-        if key not in found:
-            raise UserError(f"{verb} needs {key}=... (uplift {verb} --help)")
+        if key not in found and (others or not plain):
+            raise UserError(f"{verb} needs {key}=...: {VERBS[verb].settings[key].help}. (uplift {verb} --help)")
     return Keys(verb, found, others)
+
+
+def _is_group(setting: Setting) -> bool:
+    return typing.get_origin(setting.kind) is dict

@@ -10,7 +10,8 @@ from typing import Any
 import numpy as np
 
 from uplift.cli.kinds import KINDS
-from uplift.cli.parsing import PREDICT_KEYS, Keys, keyed
+from uplift.cli.parsing import Keys, keyed
+from uplift.cli.verbs import SHAPE_KEYS
 from uplift.config.files import refuse_output
 from uplift.config.loading import load_settings
 from uplift.config.run import Weights, read_weights
@@ -100,7 +101,7 @@ def predict(
 
 def predict_command(words: Sequence[str]) -> None:
     """Lift, write, and print what was done."""
-    keys = keyed("predict", words, PREDICT_KEYS, ("run", "input", "output"), prefixes=("data.options.",))
+    keys = keyed("predict", words)
     weights = read_weights(keys["run"])
     kind = KINDS[weights.lifts]
     kind.refuse_others("predict", keys, keys["run"])
@@ -119,15 +120,15 @@ def predict_command(words: Sequence[str]) -> None:
 
 def keypoint_arguments(keys: Keys) -> dict[str, Any]:
     """Return the arguments of `predict` that the command line gives for keypoints."""
-    size = keys.given(height_mm=float, bone_mm=float, camera_height_mm=float)
+    size = keys.given("height_mm", "bone_mm", "camera_height_mm")
     if "bone" in keys:
-        size["bone"] = tuple(name.strip() for name in keys["bone"].split(","))
+        size["bone"] = tuple(keys.value("bone"))
     return {
-        "refine": keys.one_of("refine", ("on", "off")) == "on",
-        "constant_bones": keys.one_of("bones", ("free", "constant")) == "constant",
+        "refine": keys.value("refine") == "on",
+        "constant_bones": keys.value("bones") == "constant",
         "size": size,
         "reading": keys.reading(),
-        **keys.given(images=str, frames=int, seed=int),
+        **keys.given("images", "frames", "seed"),
     }
 
 
@@ -219,10 +220,9 @@ _OF_MESHES = ("axes", "unit", "height_mm", "length_mm", "smooth", "together")
 
 def mask_arguments(keys: Keys) -> dict[str, Any]:
     """Return the arguments of `predict` that the command line gives for masks."""
-    options = keys.given(unit=str, height_mm=float, length_mm=float, smooth=int, items=int, most=int)
-    options = keys.given(**dict.fromkeys(_READING, str)) | options
-    if "together" in keys:
-        options["together"] = keys.one_of("together", ("true", "false")) == "true"
+    options = keys.given("format", "images", "height_mm", *SHAPE_KEYS)
+    if "together" in options:
+        options["together"] = options["together"] == "true"
     return options
 
 

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from uplift.cli.parsing import SIMULATE_KEYS, keyed
+from uplift.cli.parsing import keyed
 from uplift.config.files import refuse_output
 from uplift.data.poses import PoseData
 from uplift.errors import UserError, nearest
@@ -61,8 +61,8 @@ def simulate(
 
 def simulate_command(words: Sequence[str]) -> None:
     """Simulate, write, and print what was done."""
-    keys = keyed("simulate", words, SIMULATE_KEYS, ("skeleton", "output"))
-    given = keys.given(frames=int, seed=int, clip_seconds=float, noise_px=float, missing=float, tracker=str)
+    keys = keyed("simulate", words)
+    given = keys.given("frames", "seed", "clip_seconds", "noise_px", "missing", "tracker")
     written: list[Path] = []
     data = simulate(keys["skeleton"], keys["output"], written=written, **given)
     output = Path(keys["output"])

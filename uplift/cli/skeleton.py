@@ -20,14 +20,12 @@ from uplift.skeleton.match import JointMatch, match_joints
 
 __all__ = ["check_skeleton_file", "map_joints", "new_skeleton_file"]
 
-_READING = ("format", "layout", "min_confidence")
-
 
 def check_skeleton_file(words: list[str]) -> list[str]:
     """Validate a skeleton, draw it, and return the lines to print."""
     from uplift.skeleton.draw import draw_skeleton
 
-    keys = keyed("skeleton check", words, ("output",), plain=True)
+    keys = keyed("skeleton check", words)
     if len(keys.plain) != 1:
         raise UserError("skeleton check takes one FILE (or a shipped name) and output=FILE.png.")
     skeleton = load_skeleton(keys.plain[0])
@@ -54,7 +52,7 @@ def check_skeleton_file(words: list[str]) -> list[str]:
 
 def new_skeleton_file(words: list[str]) -> list[str]:
     """Write a commented starting file, or one proposed from a tracker's file, and return the lines to print."""
-    keys = keyed("skeleton new", words, ("from", "root", "gravity", *_READING), plain=True)
+    keys = keyed("skeleton new", words)
     if len(keys.plain) != 1:
         raise UserError("skeleton new takes one FILE, such as beetle.yaml, and --from TRACKER_FILE if you have one.")
     name = keys.plain[0]
@@ -71,9 +69,7 @@ def new_skeleton_file(words: list[str]) -> list[str]:
 
 
 def _write_proposal(path: Path, keys: Keys) -> list[str]:
-    gravity = keys.get("gravity", "yes").casefold()
-    if gravity not in ("yes", "no", "true", "false"):
-        raise UserError(f"gravity={keys['gravity']}: expected yes or no.")
+    gravity = keys.value("gravity")
     data = read(keys["from"], keys.reading())
     found = propose.propose(data, path.stem, keys.get("root"), gravity in ("yes", "true"))
     path.write_text(propose.proposal_text(found, str(path), keys["from"]))
@@ -105,8 +101,8 @@ _LIKELY = 1.5  # see `stretched`
 
 def map_joints(words: list[str]) -> tuple[list[str], bool]:
     """Return the lines on how a file's joints make a skeleton's, and whether the file can be lifted."""
-    keys = keyed("skeleton map", words, ("skeleton", *_READING), plain=True)
-    if len(keys.plain) != 1 or "skeleton" not in keys:
+    keys = keyed("skeleton map", words)
+    if len(keys.plain) != 1:
         raise UserError("skeleton map takes one FILE or FOLDER and skeleton=NAME or skeleton=FILE.yaml.")
     skeleton = load_skeleton(keys["skeleton"])
     data = read(keys.plain[0], keys.reading())

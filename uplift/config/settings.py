@@ -8,6 +8,7 @@ import copy
 import functools
 import math
 import re
+import types
 import typing
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, fields, is_dataclass
@@ -16,9 +17,10 @@ from typing import Any, NamedTuple, Optional, TypeVar
 from uplift.errors import UserError, nearest
 
 __all__ = [
-    "MAX_SIDE", "MIN_SIDE", "RENAMED", "TRAINER_FLAGS", "TRAINER_FLAGS_OF_FIT", "ChoiceSettings", "DataSettings", "LifterSettings", "RefineSettings", "Setting",
-    "Settings", "ShapeSettings", "StageSettings", "StudentSettings", "TeacherSettings", "TrainerSettings",
-    "ViewSettings", "all_settings", "check_settings", "rename_old", "seconds_of", "settings_of",
+    "MAX_SIDE", "MIN_SIDE", "PRIOR_SETTINGS", "RENAMED", "TRAINER_FLAGS", "TRAINER_FLAGS_OF_FIT", "ChoiceSettings", "DataSettings", "LifterSettings",
+    "RefineSettings", "Setting", "Settings", "ShapeSettings", "StageSettings", "StudentSettings", "TeacherSettings",
+    "TrainerSettings", "ViewSettings", "all_groups", "all_settings", "check_settings", "range_text", "rename_old",
+    "seconds_of", "settings_of",
 ]  # fmt: skip
 
 MIN_SIDE, MAX_SIDE = 8, 1024
@@ -54,7 +56,7 @@ class ChoiceSettings:
     cameras: list[str] = _setting([], "cameras to take", only="keypoints")
     categories: list[str] = _setting([], "categories of masks to take", only="masks")
     fraction: Optional[float] = _setting(
-        None, "share of those frames, as complete clips in seeded order; of masks by shape"
+        None, "share of those frames, as complete clips in seeded order; of masks by shape", low=1e-9, high=1
     )
 
 
@@ -74,11 +76,11 @@ class DataSettings:
     """Where the 2D keypoints or masks come from."""
 
     name: str = _setting("", "name of the data set; its folder is $UPLIFT_DATA/<name>, else data/<name>")
-    root: Optional[str] = _setting(None, "folder of the data set's own files, in place of that")
+    root: Optional[str] = _setting(None, "folder of the data set's own files, in place of data.name's")
     use: Optional[str] = _setting(
         None, "reader of a published data set: h36m, mpii, ..., or file.py:Class; unset: files", only="keypoints"
     )
-    options: dict[str, Any] = _setting({}, "options of that reader", only="keypoints")
+    options: dict[str, Any] = _setting({}, "options of the reader data.use", only="keypoints")
     train: Optional[str] = _setting(None, "file or folder to train on, several with commas or *, or the set's split")
     val: Optional[str] = _setting(
         None, "file, folder or split to validate on during the fit, or a share of the training data such as 0.1"
@@ -91,14 +93,27 @@ class DataSettings:
         None, "skeleton whose joints name the keypoints of files without names", only="keypoints"
     )
     image_size: Optional[str] = _setting(None, "image size of files that do not give it: 1920x1080", only="keypoints")
-    fps: Optional[float] = _setting(None, "frames per second of files that do not give it", only="keypoints")
-    focal_px: Optional[float] = _setting(None, "focal length of the camera in pixels, where known", only="keypoints")
-    min_confidence: float = _setting(0.0, "keypoints of less confidence count as missing", only="keypoints")
+    fps: Optional[float] = _setting(
+        None, "frames per second of files that do not give it", low=1e-9, high=1e9, only="keypoints"
+    )
+    focal_px: Optional[float] = _setting(
+        None, "focal length of the camera in pixels, where known", low=1e-9, high=1e9, only="keypoints"
+    )
+    min_confidence: float = _setting(
+        0.0, "keypoints of less confidence count as missing", low=0, high=1, only="keypoints"
+    )
     simulate: int = _setting(0, "frames, or masks, to simulate instead of reading a file", low=0, high=10**8)
     family: str = _setting("chairs", "family of synthetic shapes whose masks are simulated", only="masks")
     side: int = _setting(64, "pixels along a mask's crop", low=MIN_SIDE, high=MAX_SIDE, only="masks")
-    border: str = _setting("skip", "masks that touch the border of their image", choices=("skip", "keep"), only="masks")
-    pieces: str = _setting("skip", "masks of several pieces", choices=("skip", "largest"), only="masks")
+    border: str = _setting(
+        "skip", "masks that touch the border of their image: skip or keep them", choices=("skip", "keep"), only="masks"
+    )
+    pieces: str = _setting(
+        "skip",
+        "masks in several pieces of similar size: skip them, or take the largest piece",
+        choices=("skip", "largest"),
+        only="masks",
+    )
     category: Optional[str] = _setting(None, "only masks of this category, several with commas", only="masks")
     most: Optional[int] = _setting(None, "masks at most, spread over the files", low=1, high=10**8, only="masks")
     images: Optional[str] = _setting(None, "folder of the photos that masks belong to", only="masks")
@@ -128,7 +143,7 @@ class LifterSettings:
     """The network and the geometry around it."""
 
     network: str = _setting("residual", "the network: kudo, residual, or file.py:Class")
-    options: dict[str, Any] = _setting({}, "options of the network")
+    options: dict[str, Any] = _setting({}, "options of lifter.network")
     camera: str = _setting("perspective", "camera model", choices=("orthographic", "perspective"))
     intrinsics: str = _setting(
         "auto", "auto: use the file's focal_px and image_size where it has them; off: never", choices=("auto", "off")
@@ -159,7 +174,9 @@ class LifterSettings:
 class ViewSettings:
     """How lifted poses are turned. Without gravity views are uniform on SO(3)."""
 
-    azimuth_deg: tuple[float, float] = _setting((-180.0, 180.0), "range of the turn about gravity", low=-360, high=360)
+    azimuth_deg: tuple[float, float] = _setting(
+        (-180.0, 180.0), "from,to: degrees that a view is turned about gravity", low=-360, high=360
+    )
     elevation: str = _setting(
         "batch",
         "tilt of new views: batch (another pose's), normal (batch mean and sd), same",
@@ -168,18 +185,18 @@ class ViewSettings:
     use: Optional[str] = _setting(None, "views of your own: file.py:Class; unset: as these settings say")
     options: dict[str, Any] = _setting({}, "options of that class")
     renormalise: bool = _setting(True, "bring views to mean radius 1, as real keypoints are")
-    count_root: bool = _setting(True, "set from lifter.radius")
+    count_root: bool = _setting(True, "set from lifter.radius; not yours to set")
 
 
 @dataclass
 class ShapeSettings:
-    """What is lifted from masks: `lifts: masks`."""
+    """What is lifted from masks, with ``lifts: masks``."""
 
     resolution: int = _setting(32, "voxels along the grid of a shape", low=8, high=256)
     gravity: bool = _setting(True, "shapes stand upright; false: seen from anywhere, views uniform on SO(3)")
     symmetric: bool = _setting(True, "shapes are their own mirror image, left and right")
     elevation_deg: tuple[float, float] = _setting(
-        (15.0, 10.0), "mean and sd of how far down the cameras look", low=(-90, 0), high=(90, 90)
+        (15.0, 10.0), "mean,sd: degrees that the cameras look down", low=(-90, 0), high=(90, 90)
     )
     distance: float = _setting(6.0, "distance of the camera, in half sides of a shape's box", low=2, high=1e4)
     parts: int = _setting(4, "shapes that the kind of object is a mixture of, at first", low=1, high=64)
@@ -242,10 +259,15 @@ class StudentSettings(StageSettings):
     beta1: float = _with_default("beta1", 0.9)
     warm_up: float = _with_default("warm_up", 0.05)
     decay_from: float = _with_default("decay_from", 0.0)
-    rounds: list[float] = _setting([0.35, 0.65], "share of the stage for each round", low=1e-6, high=1e6)
+    rounds: list[float] = _setting(
+        [0.35, 0.65],
+        "share of the stage for each round; each trains a new student on the poses of the last",
+        low=1e-6,
+        high=1e6,
+    )
     network: Optional[str] = _setting(None, "the student's network, where it is not lifter.network")
-    options: dict[str, Any] = _setting({}, "options of that network, over lifter.options")
-    last_options: dict[str, Any] = _setting({}, "options over these, in the last round")
+    options: dict[str, Any] = _setting({}, "options of the student's network, over lifter.options")
+    last_options: dict[str, Any] = _setting({}, "options over student.options, in the last round")
     warm: bool = _setting(False, "a round goes on with the last round's weights where its network is the same")
     occlude: float = _setting(0.0, "share of views in which joints are hidden: some of them, or a limb", low=0, high=1)
     noise: bool = _setting(True, "add to the views what refinement found wrong in the keypoints")
@@ -292,11 +314,17 @@ class Settings:
     """All settings of a fit."""
 
     task: str = _setting("", "name of the task file")
-    description: str = _setting("", "one line about the task")
-    lifts: str = _setting("keypoints", "what is lifted to 3D", choices=("keypoints", "masks"))
+    description: str = _setting("", "one line about the task; shown by uplift tasks and in the report")
+    lifts: str = _setting(
+        "keypoints",
+        "what is lifted to 3D; settings that go with the other kind are refused",
+        choices=("keypoints", "masks"),
+    )
     skeleton: str = _setting("", "a shipped name, or a YAML file", only="keypoints")
     seed: int = _setting(0, "seed of everything random", low=0, high=2**31 - 1)
-    init: Optional[str] = _setting(None, "run whose weights to start from")
+    init: Optional[str] = _setting(
+        None, "run whose weights the fit starts from; its network and joints must be the same"
+    )
     module: Optional[str] = _setting(
         None, "module of your own, a subclass of uplift.LiftingModule or uplift.ShapeModule: file.py:Class"
     )
@@ -304,7 +332,7 @@ class Settings:
     lifter: LifterSettings = _group(LifterSettings)
     shape: ShapeSettings = _group(ShapeSettings, only="masks")
     views: ViewSettings = _group(ViewSettings)
-    priors: dict[str, Any] = _setting({}, "name: {use, weight, the prior's own options}")
+    priors: dict[str, Any] = _setting({}, "name: {use, weight, if_possible, the prior's own options}")
     teacher: TeacherSettings = _group(TeacherSettings)
     student: StudentSettings = _group(StudentSettings)
     trainer: TrainerSettings = _group(TrainerSettings)
@@ -350,6 +378,65 @@ class Setting(NamedTuple):
     only: str | None
     """What a fit must lift for the setting to count, "keypoints" or "masks"; None: either."""
 
+    @property
+    def kind(self) -> Any:
+        """The type without "or None"."""
+        kinds = [kind for kind in typing.get_args(self.type) if kind is not type(None)]
+        return kinds[0] if typing.get_origin(self.type) in (typing.Union, types.UnionType) else self.type
+
+    @property
+    def parts(self) -> tuple[str, ...]:
+        """The names of the numbers of a pair: its help may begin with them, as in "from,to: ..."."""
+        named = re.match(r"(\w+),(\w+): ", self.help)
+        return named.groups() if named else ("a", "b")
+
+    @property
+    def accepts(self) -> str:
+        """What a value may be, in words that follow "expected", such as "a whole number from 1 to 64"."""
+        if self.choices:
+            return " or ".join(self.choices) if len(self.choices) < 3 else f"one of {', '.join(self.choices)}"
+        form, parts = typing.get_origin(self.kind), typing.get_args(self.kind)
+        if isinstance(self.low, tuple):
+            ends = zip(self.parts, self.low, self.high, strict=True)
+            return f"{','.join(self.parts)}: " + ", ".join(f"{part} {range_text(*pair)}" for part, *pair in ends)
+        limits = range_text(self.low, self.high)
+        if form is tuple:
+            return f"{','.join(self.parts)}, {_SEVERAL.get(parts[0], 'values')} {limits}".rstrip()
+        if form is list:
+            return f"{_SEVERAL.get(parts[0], 'values')} {limits}".rstrip() + ", with commas"
+        return f"{_ONE.get(form or self.kind, 'a value')} {limits}".rstrip()
+
+
+_ONE = {
+    bool: "true or false", int: "a whole number", float: "a number", str: "text", dict: "settings below it",
+}  # fmt: skip
+_SEVERAL = {int: "whole numbers", float: "numbers", str: "names"}
+
+
+def range_text(low: Any, high: Any) -> str:
+    """Return a range in words, such as "from 1 to 64", "above 0" or nothing where there are no limits."""
+    nonsense = high is not None and high >= _HUGE and float(f"{high:g}") == high
+    top = "" if high is None or nonsense else _number_text(high)
+    if low is None:
+        return f"of at most {top}" if top else ""
+    if 0 < low < _TINY:
+        return f"above 0 and at most {top}" if top else "above 0"
+    return f"from {_number_text(low)} to {top}" if top else f"of at least {_number_text(low)}"
+
+
+_HUGE, _TINY = 1e9, 1e-5
+"""Round limits beyond these keep nonsense out and are not told."""
+
+
+def _number_text(value: int | float) -> str:
+    """Return a number as a person writes it: 1,024 or 0.001 or 1e6."""
+    short = f"{value:g}"
+    if float(short) != value:
+        return f"{value:,}"
+    if value == int(value) and abs(value) < 1e9:
+        return f"{int(value):,}"
+    return re.sub(r"e([+-])0*", lambda sign: f"e{sign[1].strip('+')}", short)
+
 
 @functools.cache
 def all_settings() -> dict[str, Setting]:
@@ -367,6 +454,35 @@ def _walk(group: Any, above: str, about: Mapping[str, Any]) -> Iterator[Setting]
         help = known["help"] + (f" ({about['help']})" if about.get("help") else "")
         only, choices = known.get("only", about.get("only")), known.get("choices", ())
         yield Setting(name, hints[one.name], value, help, known.get("low"), known.get("high"), choices, only)
+
+
+def all_groups() -> dict[str, str]:
+    """Return what each group of settings is for, by its full name; that of the settings outside all groups is ""."""
+    return dict(_walk_groups(Settings(), ""))
+
+
+def _walk_groups(group: Any, name: str) -> Iterator[tuple[str, str]]:
+    yield name, (type(group).__doc__ or "").splitlines()[0].rstrip(".")
+    for one in fields(group):
+        value = getattr(group, one.name)
+        if is_dataclass(value):
+            (below, help), *deeper = _walk_groups(value, f"{name}.{one.name}".lstrip("."))
+            about = one.metadata["help"]
+            yield below, f"{help} ({about})" if about else help
+            yield from deeper
+
+
+PRIOR_SETTINGS = {
+    one.name: one
+    for one in (
+        Setting("use", Optional[str], None, "the class: a built-in prior, file.py:Class or package.module:Class; unset: "
+                "the built-in prior of this name", None, None, (), None),
+        Setting("weight", float, 1.0, "factor on its penalty; 0 leaves it out", 0, None, (), None),
+        Setting("if_possible", bool, False, "leave it out, with a note, where the skeleton lacks what it needs",
+                None, None, (), None),
+    )
+}  # fmt: skip
+"""What each of ``priors`` takes beside the options of its class."""
 
 
 # What settings may be, beyond their types: choices, ranges, what goes with what is lifted, contradictions.
@@ -406,7 +522,7 @@ def _check_value(one: Setting, value: Any) -> None:
     """Refuse an unknown choice, or a number out of range, alone or in a list."""
     if one.choices and value not in one.choices:
         hint = nearest(value, one.choices)
-        raise UserError(f"{one.name}={value!r}: expected one of {', '.join(one.choices)}.{hint}")
+        raise UserError(f"{one.name}={value!r}: expected {one.accepts}.{hint}")
     if one.low is None:
         return
     several = isinstance(value, (list, tuple))
@@ -414,8 +530,7 @@ def _check_value(one: Setting, value: Any) -> None:
         low, high = (end[place] if isinstance(end, tuple) else end for end in (one.low, one.high))
         if not low <= number <= high:
             name = f"{one.name}[{place}]" if several else one.name
-            low, high = (f"{end:,}" if isinstance(end, int) else f"{end:g}" for end in (low, high))
-            raise UserError(f"{name}={number}: expected a number from {low} to {high}.")
+            raise UserError(f"{name}={number}: expected a number {range_text(low, high)}.")
 
 
 def _contradictions(settings: Settings) -> Iterator[tuple[bool, str]]:

@@ -20,8 +20,14 @@ class KudoNetwork(nn.Module):
     """Four linear layers with one skip connection, no normalisation (Kudo et al. 2018, 3.2).
 
     The skip connection, from the first layer's output to the third's before its activation, and the slope are
-    those of the authors' code; the paper does not give them. Weights start from a Gaussian of standard deviation
-    ``std``, 0.14 in the paper and 0.02 in the code. Biases start at 0.
+    those of the authors' code; the paper does not give them. Weights start from a Gaussian, biases at 0.
+
+    Args:
+        inputs: numbers in.
+        outputs: numbers out.
+        units: width of the layers.
+        slope: of the leaky ReLU below 0.
+        std: standard deviation of the first weights, 0.14 in the paper and 0.02 in the code.
     """
 
     def __init__(self, inputs: int, outputs: int, *, units: int = 1024, slope: float = 0.2, std: float = 0.14):
@@ -42,10 +48,17 @@ class KudoNetwork(nn.Module):
 
 
 class ResidualNetwork(nn.Module):
-    """One linear layer in, ``blocks`` residual pairs, one linear layer out (after Martinez et al. 2017).
+    """One linear layer in, residual pairs of layers, one linear layer out (after Martinez et al. 2017).
 
     No batch normalisation: the statistics of a batch of rotated poses are not those of real ones.
-    ``norm`` normalises each pair's input over its units (layer normalisation).
+
+    Args:
+        inputs: numbers in.
+        outputs: numbers out.
+        units: width of the layers.
+        blocks: how many residual pairs.
+        slope: of the leaky ReLU below 0.
+        norm: whether each pair's input is normalised over its units (layer normalisation).
     """
 
     def __init__(

@@ -8,6 +8,7 @@ from typing import Any
 from torch import nn
 
 from uplift.config.plugins import build, find_class
+from uplift.config.settings import PRIOR_SETTINGS
 from uplift.errors import NotForThisSkeleton, UserError
 from uplift.priors.base import Prior, ShapePrior
 from uplift.skeleton import Skeleton
@@ -54,10 +55,10 @@ def build_priors(
         if not name.isidentifier() or hasattr(nn.ModuleDict, name):
             raise UserError(f"{where}: '{name}' cannot be a prior's name. Choose another word: letters, digits and _.")
         options = dict(spec)
-        use, weight = str(options.pop("use", name)), options.pop("weight", 1.0)
-        if_possible = options.pop("if_possible", False)
+        use = str(options.pop("use", name))
+        weight, if_possible = (options.pop(key, PRIOR_SETTINGS[key].default) for key in ("weight", "if_possible"))
         if isinstance(weight, bool) or not isinstance(weight, (int, float)) or not 0 <= weight < float("inf"):
-            raise UserError(f"{where}.weight={weight!r}: expected a number of at least 0.")
+            raise UserError(f"{where}.weight={weight!r}: expected {PRIOR_SETTINGS['weight'].accepts}.")
         if weight == 0:
             continue
         try:

@@ -15,7 +15,11 @@ class Consistency(Prior):
     """The rotated view, lifted again, gives the rotated pose, and rotated back the keypoints.
 
     After Chen et al. 2019 (self-consistency) and ElePose (Wandt et al. 2022, L_3D and L_2D).
-    ``detach`` fixes the rotated pose, so that only the second lift learns; ``back`` weighs the keypoints.
+
+    Args:
+        skeleton: of the poses.
+        detach: whether the rotated pose is fixed, so that only the second lift learns.
+        back: weight of the keypoints.
     """
 
     def __init__(self, skeleton: Skeleton, *, detach: bool = False, back: float = 1.0):

@@ -24,7 +24,9 @@ class Critic(Prior):
         objective: ``minimax``, log(1 - D) as printed, or ``non_saturating``, -log D as in the authors' code.
         gate: (low, high): below an accuracy of low the lifter is not updated, above high the critic is not;
             None always updates both.
-        network: family of the network; ``units`` and ``options`` are its options.
+        network: name of the network, or file.py:Class.
+        units: width of its layers.
+        options: its other options.
     """
 
     def __init__(

@@ -21,16 +21,19 @@ __all__ = ["Flow"]
 class Flow(Prior):
     """Negative log-likelihood of the rotated view, in nats, under a frozen flow (ElePose, Wandt et al. 2022, 3.2).
 
-    Before the first step the flow is fitted to the real keypoints with Adam (``steps``, ``batch_size``,
-    ``learning_rate``). As normalised keypoints lie on a surface (their mean radius is 1), on which a density is
+    Before the first step the flow is fitted to the real keypoints with Adam. As normalised keypoints lie on a surface (their mean radius is 1), on which a density is
     unbounded, noise is added to them. Missing joints are imputed.
 
     Args:
         skeleton: of the poses.
         joints: names of the joints that count; all if empty.
         axes: whitened principal components that the flow acts on.
-        blocks: affine coupling blocks, with layers of ``units``.
+        blocks: affine coupling blocks.
+        units: width of the layers of a block.
         noise: standard deviation, in mean 2D radii.
+        steps: optimiser steps of the flow's fit.
+        batch_size: frames a step of it.
+        learning_rate: Adam's.
     """
 
     mean: Tensor

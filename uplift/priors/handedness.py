@@ -52,7 +52,7 @@ class Handedness(Prior):
     Args:
         skeleton: with directions ``front`` and ``left``, and ``up`` if it has no gravity.
         front, left: replace the skeleton's directions, as ``[from, to]``.
-        planar: see `handedness`.
+        planar: whether the angle is measured in the plane normal to up.
         frame: of up, if the skeleton does not give it: ``level`` with the estimated tilt undone, or ``camera``.
         margin: the least sine that costs nothing.
         labels: whether directions that most labelled poses contradict are reversed, with a warning.

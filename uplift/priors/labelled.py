@@ -19,8 +19,11 @@ class Labelled(Prior):
     Errors are in the labels' unit (mm where it is known), so that small and large bodies in the image count the
     same, divided by the average length of one unit of the model, so that the weight means the same for every
     skeleton. The mean is over the full batch, unlabelled frames counting as 0, so that a labelled frame weighs
-    the same among few and among many. ``elevation`` is the weight of the camera's tilt, in radians, where it is
-    labelled; 0 leaves it to the other priors.
+    the same among few and among many.
+
+    Args:
+        skeleton: of the poses.
+        elevation: weight of the camera's tilt, in radians, where it is labelled; 0 leaves it to the other priors.
     """
 
     usual_unit: Tensor

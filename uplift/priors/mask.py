@@ -130,13 +130,18 @@ _FEW_INSIDE = 0.5
 class Mask(Prior):
     """Projected bones as capsules against the mask of the same frame.
 
-    ``inside`` weighs how far points along the bones are outside the mask, summed over the bones, beyond what is
-    usual for bones with visible ends; ``explained`` weighs how far points of the mask, as many as there are bones,
-    are from the nearest capsule. Capsules have the thickness measured on the masks, times ``thickness``. Of each
-    mask ``pixels`` points count, taken where no visible bone explains it. Frames without a mask cost nothing.
+    Points along the bones should not be outside the mask, beyond what is usual for bones with visible ends, and
+    points of the mask should be near a capsule. Frames without a mask cost nothing.
 
     Both terms are about the image alone, as the camera saw it: they move joints that the lifter fills in (or
     corrects), and do not constrain the depth of visible joints.
+
+    Args:
+        skeleton: of the poses.
+        inside: weight of how far points along the bones are outside the mask, summed over the bones.
+        explained: weight of how far points of the mask, as many as there are bones, are from the nearest capsule.
+        thickness: factor on the capsules' thickness, which is measured on the masks.
+        pixels: points of each mask that count, taken where no visible bone explains it.
     """
 
     bones: Tensor

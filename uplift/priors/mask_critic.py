@@ -16,6 +16,10 @@ class MaskCritic(ShapePrior):
 
     Both are blurred first, as shapes of a mixture have no sharp edges and must not be recognised by that. The
     gradient of the network at real masks is penalised (Mescheder et al. 2018, R1).
+
+    Args:
+        units: channels of the first layer.
+        gradient_penalty: weight of that penalty.
     """
 
     blur: Tensor

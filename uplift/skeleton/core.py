@@ -15,7 +15,8 @@ from jaxtyping import Float, Int
 from uplift.config.files import shipped, shipped_names
 from uplift.config.yaml_file import read_yaml
 from uplift.errors import UserError, did_you_mean
-from uplift.skeleton.validate import BODY_KEYS, check_skeleton, direction_weights, mirror_places
+from uplift.skeleton.schema import BODY_KEYS
+from uplift.skeleton.validate import check_skeleton, direction_weights, mirror_places
 
 __all__ = ["CENTRE", "LEFT", "RIGHT", "Skeleton", "bone_sides", "joint_sides", "load_skeleton", "mirrored_bones"]
 

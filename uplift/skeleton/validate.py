@@ -12,20 +12,9 @@ from jaxtyping import Float, Int
 
 from uplift.config.yaml_file import Where
 from uplift.errors import UserError, did_you_mean
+from uplift.skeleton.schema import BODY_KEYS, DEFAULTS, DIRECTIONS, KEYS, MAX_JOINTS, REQUIRED, SIZE_KEYS
 
-__all__ = ["BODY_KEYS", "check_skeleton", "direction_weights", "mirror_places"]
-
-MAX_JOINTS = 1000
-BODY_KEYS = ("proportions", "rest", "limits")
-
-_REQUIRED = ("joints", "root", "bones")
-_DEFAULTS: dict[str, Any] = {
-    "description": "", "loops": False, "mirror": [], "facing": {}, "gravity": True, "rigid": False,
-    "midpoints": {}, "from": {}, "size": {},
-}  # fmt: skip
-_KEYS = ("name", *_REQUIRED, *_DEFAULTS, *BODY_KEYS)
-_DIRECTIONS = ("front", "left", "up")
-_SIZE_KEYS = ("along", "mm", "of_height")
+__all__ = ["check_skeleton", "direction_weights", "mirror_places"]
 
 
 def check_skeleton(data: object, where: Where) -> dict[str, Any]:
@@ -61,12 +50,12 @@ def _check_keys(data: object, check: _Checker) -> dict[str, Any]:
     if not isinstance(data, dict):
         check.fail((), f"found {_named(data)}; expected a skeleton, a mapping with joints, root and bones.")
     for key in data:
-        if key not in _KEYS:
-            check.fail((key,), f"found the unknown key '{key}'.{did_you_mean(key, _KEYS)}")
-    for key in _REQUIRED:
+        if key not in KEYS:
+            check.fail((key,), f"found the unknown key '{key}'.{did_you_mean(key, KEYS)}")
+    for key in REQUIRED:
         if key not in data:
-            check.fail((), f"'{key}' is missing; a skeleton needs {', '.join(_REQUIRED)}.")
-    return {"name": "skeleton"} | copy.deepcopy(_DEFAULTS) | data
+            check.fail((), f"'{key}' is missing; a skeleton needs {', '.join(REQUIRED)}.")
+    return {"name": "skeleton"} | copy.deepcopy(DEFAULTS) | data
 
 
 # Joints and bones: connected, and the same on both sides.
@@ -135,8 +124,8 @@ def _check_size(size: Any, joints: list[str], check: _Checker) -> dict[str, Any]
     if not size:
         return {}
     for key in size:
-        if key not in _SIZE_KEYS:
-            check.fail(("size", key), f"found the unknown key '{key}'.{did_you_mean(str(key), _SIZE_KEYS)}")
+        if key not in SIZE_KEYS:
+            check.fail(("size", key), f"found the unknown key '{key}'.{did_you_mean(str(key), SIZE_KEYS)}")
     along = check.kind(size.get("along"), list, "a list of two or more joints", ("size", "along"))
     if len(along) < 2:
         check.fail(("size", "along"), f"found {len(along)} joint; expected two or more, from one end to the other.")
@@ -158,13 +147,13 @@ def _check_facing(skeleton: dict[str, Any], check: _Checker) -> dict[str, list[l
     """Return facing with each end a list of joints; raises UserError where it cannot tell left from right."""
     given = check.kind(skeleton["facing"], dict, "a mapping of front, left and up", ("facing",))
     for direction in given:
-        if direction not in _DIRECTIONS:
-            hint = did_you_mean(direction, _DIRECTIONS)
+        if direction not in DIRECTIONS:
+            hint = did_you_mean(direction, DIRECTIONS)
             check.fail(("facing", direction), f"found the unknown facing direction '{direction}'.{hint}")
     facing = {name: _ends(given[name], skeleton["joints"], ("facing", name), check) for name in given}
     if not facing:
         return {}
-    needed = ("front", "left") if skeleton["gravity"] else _DIRECTIONS
+    needed = ("front", "left") if skeleton["gravity"] else DIRECTIONS
     for direction in needed:
         if direction not in facing:
             why = "" if skeleton["gravity"] else " (up is needed where gravity is false)"

@@ -20,7 +20,15 @@ _MANY = 4096
 
 
 class Coco(DataSet):
-    """Everyone with enough annotated joints; crowds and unannotated people are left out."""
+    """Everyone with enough annotated joints; crowds and unannotated people are left out.
+
+    Args:
+        folder: with the files.
+        year: of the files, 2017 or 2014.
+        min_keypoints: annotated joints that a person needs.
+        torso: whether a person needs both shoulders and both hips.
+        occluded: confidence of joints that were annotated though hidden.
+    """
 
     title = "COCO person keypoints"
     about = """\

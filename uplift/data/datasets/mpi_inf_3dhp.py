@@ -359,7 +359,15 @@ _FOLDERS = {
 
 
 class MpiInf3dhp(DataSet):
-    """Training sequences seen by some of the 14 cameras, and the valid frames of the test set."""
+    """Training sequences seen by some of the 14 cameras, and the valid frames of the test set.
+
+    Args:
+        folder: with the files.
+        cameras: chest, vnect, relevant, ceiling, all, or numbers with commas.
+        universal: whether poses are those of a body of one size.
+        fps: frames a second of the training sequences, 25, 5 or 1.
+        subjects: with commas; all if empty.
+    """
 
     title = "MPI-INF-3DHP"
     about = """\

@@ -220,7 +220,13 @@ _FOLDERS = ("", "annot", "annotations", "mpii_human_pose_v1_u12_2")
 
 
 class Mpii(DataSet):
-    """Everyone who is annotated; joints that were annotated though hidden have a lower confidence."""
+    """Everyone who is annotated; joints that were annotated though hidden have a lower confidence.
+
+    Args:
+        folder: with the files.
+        file: name of the file to read; the first that is there if empty.
+        occluded: confidence of joints that were annotated though hidden.
+    """
 
     title = "MPII Human Pose"
     about = """\

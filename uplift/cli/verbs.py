@@ -1,0 +1,251 @@
+"""What each verb takes: the words and the ``key=value`` settings that parsing, `--help`, completion and docs share."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from types import MappingProxyType
+from typing import Any, NamedTuple, Optional
+
+from uplift.config.settings import MAX_SIDE, MIN_SIDE, Setting, all_settings
+
+__all__ = [
+    "EVALUATE", "NEEDED", "POSE_KEYS", "PREDICT", "READ_KEYS", "SHAPE_KEYS", "SIMULATE", "VERBS", "Verb", "sub_verbs",
+]  # fmt: skip
+
+NEEDED: Any = type("Needed", (), {"__repr__": lambda self: "needed"})()
+"""The default of a setting that must be given."""
+
+Table = dict[str, Setting]
+
+
+class Verb(NamedTuple):
+    """A verb of the command line, or one of the actions of ``data`` and ``skeleton``."""
+
+    about: str
+    """One line."""
+    usage: tuple[str, ...]
+    """Its forms, without ``uplift``."""
+    words: Mapping[str, str] = MappingProxyType({})
+    """What its plain words are."""
+    settings: Mapping[str, Setting] = MappingProxyType({})
+    notes: tuple[str, ...] = ()
+    """Paragraphs below the settings."""
+
+
+def _table(*settings: Setting) -> Table:
+    return {one.name: one for one in settings}
+
+
+def _key(name: str, kind: Any, default: Any, help: str, low: Any = None, high: Any = None, **more: Any) -> Setting:
+    return Setting(name, kind, default, help, low, high, more.get("choices", ()), more.get("only"))
+
+
+def _of_fit(name: str, **changed: Any) -> Setting:
+    """Return a setting of `uplift fit` below ``data.`` as a setting of a verb."""
+    return all_settings()[f"data.{name}"]._replace(name=name, only=None)._replace(**changed)
+
+
+_SEED_LIMITS = (0, 2**31 - 1)
+_MOST_ITEMS = 10**8
+
+# Reading files of keypoints: the fields of `uplift.data.formats.base.ReadOptions`.
+
+READ_KEYS = _table(*map(_of_fit, ("format", "layout", "image_size", "fps", "focal_px", "min_confidence")))
+"""What any command that reads keypoints takes."""
+_MODEL_KEYS = _table(*(READ_KEYS[key] for key in ("format", "layout", "min_confidence")))
+
+# predict: what goes with every run, with keypoints alone, with masks alone.
+
+_ALL_KEYS = _table(
+    _key("run", str, NEEDED, "run folder, or its lifter.pt"),
+    _key("input", str, NEEDED, "file or folder, several with commas or *, or SET:SPLIT of a published set"),
+    _key("output", str, NEEDED, "new file; its ending is the format: .html .npz .csv .bvh .glb ..."),
+    _key("page", Optional[str], None, "kind of an .html; unset: viewer", choices=("viewer", "gallery")),
+    _key("axes", Optional[str], None, "axes of the output; unset: the format's usual ones",
+         choices=("camera", "level", "opencv", "blender", "opensim", "own", "gltf", "print")),
+    _key("height_mm", Optional[float], None, "height of each body or object, millimetres", 1e-9, 1e9),
+    _key("images", Optional[str], None, "folder of photos that a page shows beside the results"),
+    _of_fit("format"),
+)  # fmt: skip
+POSE_KEYS = _table(
+    _key("refine", str, "on", "lift the frames of a clip together; off: each on its own", choices=("on", "off")),
+    _key("bones", str, "free", "constant: bones of one length over a clip", choices=("free", "constant")),
+    _key("bone", list[str], [], "joints along a known length, with bone_mm=: rhip,rknee"),
+    _key("bone_mm", Optional[float], None, "that length, millimetres", 1e-9, 1e9),
+    _key("camera_height_mm", Optional[float], None, "height of the camera above the ground, millimetres", 1e-9, 1e9),
+    *(one for name, one in READ_KEYS.items() if name != "format"),
+    _key("frames", int, 40, "frames that page=gallery shows", 1, 500),
+    _key("seed", int, 0, "seed of the choice of those frames", *_SEED_LIMITS),
+    *(all_settings()[f"data.{name}"] for name in ("name", "root", "options")),
+)  # fmt: skip
+"""What predict takes for keypoints alone."""
+POSE_KEYS = {name: one._replace(only="keypoints") for name, one in POSE_KEYS.items()}
+SHAPE_KEYS = _table(
+    *map(_of_fit, ("border", "pieces", "category", "most")),
+    _key("unit", Optional[str], None, "unit of meshes: px of the photo, crop (half a mask's side), or mm, with a size; "
+         "unset: px, or mm with a size", choices=("px", "mm", "crop")),
+    _key("length_mm", Optional[float], None, "length of the longest side of each object, millimetres", 1e-9, 1e9),
+    _key("smooth", int, 4, "rounds of smoothing of meshes, which keep the volume", 0, 10_000),
+    _key("together", Optional[str], None, "all shapes side by side in one .glb; unset: up to 16",
+         choices=("true", "false")),
+    _key("items", Optional[int], None, "shapes at most that a page shows", 1, _MOST_ITEMS),
+)  # fmt: skip
+"""What predict takes for masks alone."""
+SHAPE_KEYS = {name: one._replace(only="masks") for name, one in SHAPE_KEYS.items()}
+PREDICT = _ALL_KEYS | POSE_KEYS | SHAPE_KEYS
+
+EVALUATE = _table(
+    _key("run", Optional[str], None, "run folder to evaluate"),
+    _key("poses", Optional[str], None, "in place of a run: poses from a file, such as predict writes"),
+    _key("data.test", Optional[str], None, "file with the truth; unset: the test data of the run"),
+    _key("skeleton", Optional[str], None, "skeleton of poses=; unset: the shipped one whose joints those are"),
+    POSE_KEYS["refine"],
+    _key("items", int, 100, "masks at most that are scored", 1, _MOST_ITEMS, only="masks"),
+)
+SIMULATE = _table(
+    _key("skeleton", str, NEEDED, "a shipped name, or a YAML file; it must say how the body is built"),
+    _key("output", str, NEEDED, "new file: .npz with the true poses, .csv with the 2D alone"),
+    _key("frames", int, 20000, "frames", 1, _MOST_ITEMS),
+    _key("seed", int, 0, "seed of everything random", *_SEED_LIMITS),
+    _key("clip_seconds", float, 3.0, "length of a clip, seconds", 1e-9, 1e9),
+    _key("noise_px", float, 0.0, "noise of the keypoints, standard deviation in pixels", 0, 1e9),
+    _key("missing", float, 0.0, "share of joints left out", 0, 0.99),
+    _key("tracker", Optional[str], None, "write the .csv as this tracker does, a file for each clip",
+         choices=("deeplabcut",)),
+)  # fmt: skip
+
+# data cmu, data render.
+
+_CMU = _table(
+    _key("output", str, NEEDED, "folder that gets train.npz and test.npz; neither may exist"),
+    _key("fps", float, 10.0, "frames per second that are kept; must divide the capture rate", 1e-9, 1000),
+    _key("cameras", int, 4, "fixed cameras around each motion", 1, 100),
+    _key("tilt", float, 8.0, "how far down they look, mean in degrees", -60, 60),
+    _key("tilt_sd", float, 2.0, "standard deviation of that", 0, 30),
+    _key("distance", float, 5.0, "metres to the middle of the motion, give or take a tenth; more where the subject "
+         "would leave the image", 1, 1000),
+    _key("focal_px", float, 1145.0, "focal length, pixels", 1e-9, 1e6),
+    _key("image_size", str, "1000x1000", "width and height of the images, pixels"),
+    _key("seed", int, 0, "seed of the cameras and of the test subjects", *_SEED_LIMITS),
+    _key("test", list[str], [], "subjects or motions of the test file, S5,35_01; empty: drawn, 15 % of the frames"),
+    _key("index", Optional[str], None, "file with lines of a motion, a tab and what it is; unset: found by its name"),
+    _key("rate", list[str], ["120"], "frames per second of .amc files, and of subjects or motions: 120,S60:60"),
+    _key("skip", list[str], [], "subjects or motions to leave out"),
+    _key("unit_mm", Optional[float], None, "millimetres in the files' unit of length; unset: told from the files",
+         1e-9, 1e9),
+)  # fmt: skip
+_RENDER = _table(
+    _key("output", str, NEEDED, "new .npz file, or new folder: a .png for each mask, and truth.npz"),
+    _key("items", int, 2000, "how many masks", 1, _MOST_ITEMS),
+    _key("views", int, 1, "masks of each shape, one after the other", 1, _MOST_ITEMS),
+    _key("side", int, 64, "pixels along a mask", MIN_SIDE, MAX_SIDE),
+    _key("seed", int, 0, "seed of everything random", *_SEED_LIMITS),
+    _key("azimuth_deg", tuple[float, float], (-180.0, 180.0), "from,to: degrees that the object is turned about "
+         "gravity, uniform; 0 faces the camera", -360, 360),
+    _key("elevation_deg", tuple[float, float], (15.0, 10.0), "mean,spread: degrees that cameras look down; normal, cut "
+         "off at -10 and 60 or at twice the spread, whichever is wider", (-90, 0), (90, 90)),
+    _key("distance", tuple[float, float], (4.0, 8.0), "from,to: distance of the camera, uniform; a shape's longest "
+         "side is 1.8; inf,inf for parallel rays", 2, float("inf")),
+    _key("upright", str, "true", "false: uniform over all rotations, for what has no up", choices=("true", "false")),
+    _key("category", Optional[str], None, "name of the kind of all masks, in place of each file's"),
+    _key("poses", int, 20, "files with animations: moments drawn from each; 0: the pose it has at rest", 0, _MOST_ITEMS),
+    _key("animations", list[str], [], "files with animations: parts of the names of those to draw from, Walk,Gallop; "
+         "with a minus those to leave out, -Death; empty: all"),
+    _key("up", str, "y", "axis of the files that points up", choices=("x", "y", "z", "-x", "-y", "-z")),
+    _key("front", Optional[str], None, "axis of the files the object looks along; unset: z, or -y where up is z or -z",
+         choices=("x", "y", "z", "-x", "-y", "-z")),
+)  # fmt: skip
+
+# fit, and the verbs themselves.
+
+_FIT_WORDS = _table(
+    all_settings()["task"]._replace(help="a shipped task or a YAML file; uplift tasks lists them"),
+    _key("resume", Optional[str], None, "run folder of a fit that was stopped: it goes on; takes no other settings"),
+)
+_FIT = _FIT_WORDS | {name: one for name, one in all_settings().items() if name != "task"}
+
+VERBS = {
+    "fit": Verb(
+        "train a lifter of keypoints or masks",
+        ("fit task=NAME [key=value ...]", "fit skeleton=NAME data.train=FILE", "fit task=masks data.train=FOLDER",
+         "fit resume=RUN"),
+        settings=_FIT,
+    ),
+    "evaluate": Verb(
+        "every metric of a run, or of poses from a file",
+        ("evaluate run=RUN [data.test=FILE]", "evaluate poses=FILE data.test=FILE"),
+        settings=EVALUATE,
+    ),
+    "predict": Verb(
+        "lift keypoints or masks to 3D",
+        ("predict run=RUN input=FILE output=FILE.html|.npz|.csv|.glb|...",),
+        settings=PREDICT,
+    ),
+    "simulate": Verb(
+        "simulated bodies with exact poses",
+        ("simulate skeleton=NAME output=FILE.npz|.csv",),
+        settings=SIMULATE,
+    ),
+    "compare": Verb(
+        "evaluated runs side by side",
+        ("compare RUN RUN ...",),
+        {"RUN": "run folder with an evaluation; two or more"},
+    ),
+    "data check": Verb(
+        "which data a task needs, and what of it is there",
+        ("data check task=NAME [key=value ...]",),
+        settings={name: one for name, one in _FIT.items() if name != "resume"},
+    ),
+    "data cmu": Verb(
+        "training and test data from CMU's motion capture files",
+        ("data cmu FOLDER output=FOLDER",),
+        {"FOLDER": "folder with .asf, .amc or .bvh files"},
+        _CMU,
+    ),
+    "data render": Verb(
+        "masks of meshes or of simulated shapes, with the shapes",
+        ("data render MESHES ... output=FILE.npz|FOLDER",),
+        {"MESHES": "files of meshes, folders of them, or one family of simulated shapes such as chairs"},
+        _RENDER,
+    ),
+    "tasks": Verb("the shipped tasks, and whether their data is there", ("tasks",)),
+    "skeletons": Verb("the shipped skeletons", ("skeletons",)),
+    "skeleton check": Verb(
+        "check a skeleton and draw it",
+        ("skeleton check FILE|NAME [output=FILE.png]",),
+        {"FILE": "skeleton as YAML, or a shipped name"},
+        _table(_key("output", Optional[str], None, "new .png; unset: named after the skeleton")),
+    ),
+    "skeleton new": Verb(
+        "start a skeleton of your own, or propose one from a tracker's file",
+        ("skeleton new FILE", "skeleton new FILE --from TRACKER_FILE"),
+        {"FILE": "new YAML file"},
+        _table(
+            _key("from", Optional[str], None, "file of a tracker, whose joints it is proposed for; also --from FILE"),
+            _key("root", Optional[str], None, "joint that is the root; unset: guessed"),
+            _key("gravity", str, "yes", "whether the thing stands upright", choices=("yes", "no", "true", "false")),
+        ) | _MODEL_KEYS,
+    ),
+    "skeleton map": Verb(
+        "which joint of a tracker's file goes where in a skeleton",
+        ("skeleton map TRACKER_FILE skeleton=NAME",),
+        {"TRACKER_FILE": "file or folder of keypoints in any format that is read"},
+        _table(_key("skeleton", str, NEEDED, "a shipped name, or a YAML file")) | _MODEL_KEYS,
+    ),
+    "schema task": Verb(
+        "write the JSON schema of task files, for editors",
+        ("schema task [output=FILE.json]",),
+        settings=_table(_key("output", str, "task.schema.json", "new .json file")),
+    ),
+    "schema skeleton": Verb(
+        "write the JSON schema of skeleton files, for editors",
+        ("schema skeleton [output=FILE.json]",),
+        settings=_table(_key("output", str, "skeleton.schema.json", "new .json file")),
+    ),
+}  # fmt: skip
+"""Every verb by its name; those of two words share the first."""
+
+
+def sub_verbs(verb: str) -> dict[str, Verb]:
+    """Return the actions of ``data`` and ``skeleton`` by their own name; none for other verbs."""
+    return {name.partition(" ")[2]: one for name, one in VERBS.items() if name.startswith(f"{verb} ")}
