@@ -10,7 +10,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any, NoReturn
 
 from uplift.cli.verbs import NEEDED, VERBS, sub_verbs
-from uplift.config.settings import PRIOR_SETTINGS, Setting, all_groups
+from uplift.config.settings import PRIOR_SETTINGS, TRAINER_FLAGS, Setting, all_groups
 from uplift.errors import UserError, did_you_mean
 
 __all__ = ["bold_names", "help_text", "option_settings", "overview", "topics", "value_text"]
@@ -254,7 +254,10 @@ def _group(group: str, table: Mapping[str, Setting]) -> Iterator[str]:
 def topics(verb: str) -> list[str]:
     """Return what may follow ``--help``, without what only a class that is not loaded knows."""
     names = list(VERBS[verb].settings)
-    return [*(group for group in all_groups() if group), *names] if verb in ("fit", "data check") else names
+    if verb not in ("fit", "data check"):
+        return names
+    flags = (f"trainer.{name}" for name in TRAINER_FLAGS)
+    return [*(group for group in all_groups() if group), *names, *flags]
 
 
 def _topic(verb: str, table: Mapping[str, Setting], topic: str) -> Iterator[str]:
@@ -266,6 +269,10 @@ def _topic(verb: str, table: Mapping[str, Setting], topic: str) -> Iterator[str]
         yield from _own_class(topic)
     elif topic == "priors" or topic.startswith("priors."):
         yield from _priors(topic, table)
+    elif topic.partition(".")[0] in ("callbacks", "loggers"):
+        yield from _of_lightning(topic, table)
+    elif topic == "trainer.flags" or topic.removeprefix("trainer.") in TRAINER_FLAGS:
+        yield from _flags(topic)
     elif topic in holders or topic.rpartition(".")[0] in holders:
         yield from _entries(table[name] for name in (topic, topic.rpartition(".")[0]) if name in table)
         options = _CLASSES.get(topic, topic if topic in table else topic.rpartition(".")[0])
@@ -417,13 +424,43 @@ def _classes(options: str) -> Iterator[str]:
         yield from ["", *_class_help(title.format(name), found, given, f"{options}.")]
 
 
+def _of_lightning(topic: str, table: Mapping[str, Setting]) -> Iterator[str]:
+    """Yield the callbacks or loggers there are, or the options of one."""
+    from uplift.config.plugins import find_class
+    from uplift.training.stages import CALLBACKS, LOGGERS
+
+    group, _, name = topic.partition(".")
+    builtin = CALLBACKS if group == "callbacks" else LOGGERS
+    if not name:
+        yield from _entries([table[group]])
+        yield from ["", *textwrap.wrap(f"Lightning's: {', '.join(builtin)}.", _width())]
+        hint = f"Options of one: uplift fit --help {group}.NAME. Your own: {group}.NAME.use=file.py:Class (docs/lightning.md)."
+        yield from textwrap.wrap(hint, _width())
+        return
+    if name not in builtin:
+        _unknown(topic, (f"{group}.{one}" for one in builtin), "uplift fit")
+    found = find_class(name, builtin, topic)
+    yield from [*textwrap.wrap(f"{topic}: {_description(found)[0]}", _width()), ""]
+    yield from _entries(_in_short(one, f"{topic}.") for one in option_settings(found)) or ["  no options"]
+
+
+def _flags(topic: str) -> Iterator[str]:
+    """Yield one flag of Lightning's Trainer, or all that a fit takes beside its settings."""
+    from lightning import Trainer
+
+    wanted = TRAINER_FLAGS if topic == "trainer.flags" else [topic.removeprefix("trainer.")]
+    if topic == "trainer.flags":
+        yield from ["flags of Lightning's Trainer that every stage is given, as Lightning describes them", ""]
+    found = {one.name: one for one in option_settings(Trainer)}
+    yield from _entries(
+        [found[name]._replace(name=f"trainer.{name}", help=_plain(found[name].help)) for name in wanted]
+    )
+
+
 def _own_class(use: str) -> Iterator[str]:
     from uplift.config.plugins import find_class
 
-    try:
-        found = find_class(use, {}, "--help")
-    except UserError as error:
-        raise UserError(str(error).replace("--help.use", "--help", 1)) from None
+    found = find_class(use, {}, "--help")
     from torch import nn
 
     from uplift.data.datasets import DataSet

@@ -15,7 +15,7 @@ from uplift import __version__
 from uplift.cli.help import bold_names, help_text, topics
 from uplift.cli.kinds import Later
 from uplift.cli.verbs import VERBS, sub_verbs
-from uplift.config.settings import Setting
+from uplift.config.settings import TRAINER_FLAGS, Setting
 from uplift.errors import UserError
 
 __all__ = ["main"]
@@ -101,7 +101,8 @@ def _complete(verb: str, prefix: str, **rest: object) -> list[str]:
     key, equals, _ = prefix.partition("=")
     known = {one.name: one for one in VERBS[name].settings.values() if typing.get_origin(one.kind) is not dict}
     if not equals:
-        return [f"{key}=" for key in known]
+        flags = [f"trainer.{flag}" for flag in TRAINER_FLAGS] if name == "fit" else []
+        return [f"{key}=" for key in (*known, *flags)]
     return [f"{key}={value}" for value in (_values(known[key]) if key in known else ())]
 
 

@@ -6,7 +6,7 @@ import typing
 from collections.abc import Iterable, Mapping
 from typing import Any
 
-from uplift.config.settings import PRIOR_SETTINGS, Setting, all_groups, all_settings
+from uplift.config.settings import PRIOR_SETTINGS, TRAINER_FLAGS, Setting, all_groups, all_settings
 
 __all__ = ["DRAFT", "setting_schema", "task_schema"]
 
@@ -40,6 +40,11 @@ def task_schema(
         *above, last = one.name.split(".")
         _below(schema, above)["properties"][last] = setting_schema(one)
     schema["properties"]["priors"] = _priors(priors or {})
+    trainer = schema["properties"]["trainer"]["properties"]
+    trainer |= {name: {"description": f"the flag {name} of Lightning's Trainer"} for name in TRAINER_FLAGS}
+    for group in ("callbacks", "loggers"):
+        use = {"type": "string", "description": "Lightning's class by name, or file.py:Class; unset: that of this name"}
+        schema["properties"][group]["additionalProperties"] = {"type": "object", "properties": {"use": use}}
     options = _options_of_networks(networks or {})
     for holder in ("lifter.options", "student.options", "student.last_options"):
         *above, last = holder.split(".")
