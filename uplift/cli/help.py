@@ -452,9 +452,12 @@ def _flags(topic: str) -> Iterator[str]:
     if topic == "trainer.flags":
         yield from ["flags of Lightning's Trainer that every stage is given, as Lightning describes them", ""]
     found = {one.name: one for one in option_settings(Trainer)}
-    yield from _entries(
-        [found[name]._replace(name=f"trainer.{name}", help=_plain(found[name].help)) for name in wanted]
-    )
+    yield from _entries([_in_short(found[name], "trainer.") for name in wanted])
+
+
+def _in_short(one: Setting, prefix: str) -> Setting:
+    """Return an option of a class of Lightning's with the first sentence of its description."""
+    return one._replace(name=prefix + one.name, help=re.split(r"\.(?= |$)", _plain(one.help))[0])
 
 
 def _own_class(use: str) -> Iterator[str]:
