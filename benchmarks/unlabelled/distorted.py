@@ -6,9 +6,10 @@ import dataclasses
 from collections.abc import Callable
 
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 
 from uplift.models.lifter import Lifted, Lifter
+from uplift.models.model import Model
 
 __all__ = ["CHANGES", "Distorted"]
 
@@ -38,26 +39,18 @@ CHANGES: dict[str, Callable[[Tensor, Tensor], Tensor]] = {
 """By name, what a depth (frames joints) of keypoints (frames joints 2) is changed to."""
 
 
-class Distorted(nn.Module):
-    """A lifter whose depths, in units of the mean 2D radius, are changed; it stands in for `uplift.models.lifter.Lifter`."""
+class Distorted(Lifter):
+    """A trained lifter whose depths, in units of the mean 2D radius, are changed."""
 
-    def __init__(self, lifter: Lifter, change: Callable[[Tensor, Tensor], Tensor]):
-        super().__init__()
-        self.lifter, self.change = lifter, change
-        self.skeleton, self.camera = lifter.skeleton, lifter.camera
+    def __init__(self, model: Model, change: Callable[[Tensor, Tensor], Tensor]):
+        super().__init__(model.skeleton, model.settings)
+        self.load_state_dict(model.lifter.state_dict())
+        self.change = change
+        self.eval()
 
     def forward(self, keypoints: Tensor, confidence: Tensor, distance: Tensor) -> Lifted:
-        """Lift one way."""
-        return self._changed(self.lifter(keypoints, confidence, distance), distance)
-
-    def lift_both_ways(self, keypoints: Tensor, confidence: Tensor, distance: Tensor) -> Lifted:
-        """Lift the keypoints and their mirror image."""
-        return self._changed(self.lifter.lift_both_ways(keypoints, confidence, distance), distance)
-
-    def unit_mm(self, pose: Tensor) -> None:
-        """Return that the size of bodies is not known."""
-
-    def _changed(self, lifted: Lifted, distance: Tensor) -> Lifted:
+        """Lift, and change the depths."""
+        lifted = super().forward(keypoints, confidence, distance)
         depth = self.change(lifted.pose[..., 2], lifted.keypoints)
         depth = depth - depth[:, self.skeleton.root_index, None]
         return dataclasses.replace(lifted, pose=self.camera.unproject(lifted.keypoints, depth, distance))

@@ -96,7 +96,7 @@ def _lifters(model: Model, data: PoseData, names: list[str]) -> Iterator[tuple[s
             torch.manual_seed(0)
             yield name, dataclasses.replace(model, lifter=Lifter(model.skeleton, model.settings).eval())
         else:
-            yield name, dataclasses.replace(model, lifter=Distorted(model.lifter, CHANGES[change]))
+            yield name, dataclasses.replace(model, lifter=Distorted(model, CHANGES[change]))
 
 
 def _measured(model: Model, data: PoseData) -> dict[str, Any]:
