@@ -33,6 +33,7 @@ ERRORS = ("p_mpjpe", "n_mpjpe", "mpjpe_gt_scale")
 
 _FITS = Path(__file__).resolve().parent / "fits.yaml"
 _ALSO = ("facing", "facing_sign")
+_FEWER = (100, 500)
 
 
 @dataclass(frozen=True)
@@ -105,10 +106,11 @@ def _measured(model: Model, data: PoseData) -> dict[str, Any]:
     start = time.monotonic()
     score = score_2d(model, data)
     seconds = time.monotonic() - start
+    fewer = {f"score_2d of {most} frames": score_2d(model, data, most=most)["score_2d"] for most in _FEWER}
     return {
         "errors": {name: float(found[name]) for name in (*ERRORS, *_ALSO) if name in found},
         "score": score,
-        "candidates": candidates(model, data),
+        "candidates": {**candidates(model, data), **fewer},
         "seconds": round(seconds, 2),
     }
 

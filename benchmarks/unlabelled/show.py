@@ -18,7 +18,9 @@ _SHOWN = ("score_2d", "strange", "unreached", "relift", "uneven", "bones", "mirr
 
 
 def spearman(one: np.ndarray, other: np.ndarray) -> float:
-    """Return the correlation of the ranks, ties sharing theirs."""
+    """Return the correlation of the ranks, ties sharing theirs; NaN for fewer than three."""
+    if len(one) < 3:
+        return float("nan")
     ranks = [_ranks(values) for values in (one, other)]
     return float(np.corrcoef(*ranks)[0, 1])
 

@@ -112,11 +112,11 @@ def small_lifter(skeleton: Skeleton = HUMAN) -> Model:
 def test_wrong_lifters_score_worse(change: Change, skeleton: Skeleton, request: pytest.FixtureRequest) -> None:
     if skeleton is HAND and "flipped]" in request.node.name and "half" not in request.node.name:
         pytest.skip("without gravity, and so without a left side, a depth flip cannot be told")
-    assert scored(change, skeleton=skeleton)["score_2d"] > 1.1 * scored(skeleton=skeleton)["score_2d"]
+    assert scored(change, skeleton=skeleton)["score_2d"] > scored(skeleton=skeleton)["score_2d"] + 0.03
 
 
 def test_an_untrained_network_scores_worse() -> None:
-    assert score_2d(small_lifter(), bodies())["score_2d"] > 1.5 * scored()["score_2d"]
+    assert score_2d(small_lifter(), bodies())["score_2d"] > scored()["score_2d"] + 0.1
 
 
 def test_the_score_is_the_weighted_sum_of_the_figures() -> None:
