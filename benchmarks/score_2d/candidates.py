@@ -14,7 +14,7 @@ from uplift.data.tensors import TrainingSet, to_training_set
 from uplift.geometry.normalise import bone_lengths
 from uplift.geometry.rotation import level, turn
 from uplift.metrics.pose_metrics import symmetry
-from uplift.metrics.unlabelled import _bone_ends, _distances, _relifted, _scenes, _view
+from uplift.metrics.score_2d import _bone_ends, _distances, _relifted, _scenes, _view
 from uplift.models.lifter import Lifted
 from uplift.models.model import Model
 from uplift.models.predict import lift_frames

@@ -16,18 +16,18 @@ import torch
 import yaml
 
 from benchmarks.common import ROOT, data_folder, facts, run_uplift, store, stored
-from benchmarks.unlabelled.candidates import candidates
-from benchmarks.unlabelled.distorted import CHANGES, Distorted
+from benchmarks.score_2d.candidates import candidates
+from benchmarks.score_2d.distorted import CHANGES, Distorted
 from uplift.data.load import load_file
 from uplift.data.poses import PoseData
 from uplift.metrics.evaluate import evaluate
-from uplift.metrics.unlabelled import score_2d
+from uplift.metrics.score_2d import score_2d
 from uplift.models.lifter import Lifter
 from uplift.models.model import Model, load_poses
 
 __all__ = ["ERRORS", "RESULTS", "Family", "families", "run_family"]
 
-RESULTS = ROOT / "benchmarks" / "results" / "unlabelled.json"
+RESULTS = ROOT / "benchmarks" / "results" / "score_2d.json"
 ERRORS = ("p_mpjpe", "n_mpjpe", "mpjpe_gt_scale")
 """The errors against the truth that the score should order lifters as."""
 

@@ -10,13 +10,13 @@ import numpy as np
 import pytest
 from bodies import QUICK, status_of, write_body
 
-from benchmarks.unlabelled import __main__ as runner
-from benchmarks.unlabelled import lifters
-from benchmarks.unlabelled.distorted import CHANGES
-from benchmarks.unlabelled.lifters import ERRORS, Family, families, run_family
-from benchmarks.unlabelled.show import lifter_sheet, rank_sheet, spearman
+from benchmarks.score_2d import __main__ as runner
+from benchmarks.score_2d import lifters
+from benchmarks.score_2d.distorted import CHANGES
+from benchmarks.score_2d.lifters import ERRORS, Family, families, run_family
+from benchmarks.score_2d.show import lifter_sheet, rank_sheet, spearman
 from uplift.config.loading import load_settings
-from uplift.metrics.unlabelled import WEIGHTS
+from uplift.metrics.score_2d import WEIGHTS
 
 
 @pytest.mark.parametrize("name", families())
@@ -59,7 +59,7 @@ def _in_this_process(verb: str, words: list[str], folder: Path, cores: set[int])
 
 
 def test_a_run_stores_every_lifter_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys) -> None:
-    monkeypatch.setattr(lifters, "RESULTS", tmp_path / "unlabelled.json")
+    monkeypatch.setattr(lifters, "RESULTS", tmp_path / "score_2d.json")
     monkeypatch.setenv("UPLIFT_DATA", str(tmp_path))
     monkeypatch.setenv("UPLIFT_BENCHMARK_CACHE", str(tmp_path / "cache"))
     file = write_body(tmp_path / "body.npz")

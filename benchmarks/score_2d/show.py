@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks.common import Sheet
-from benchmarks.unlabelled.lifters import ERRORS
+from benchmarks.score_2d.lifters import ERRORS
 
 __all__ = ["lifter_sheet", "rank_sheet", "spearman"]
 

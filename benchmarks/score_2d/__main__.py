@@ -2,7 +2,7 @@
 
 Families of short fits (fits.yaml) and distorted lifters are measured on held-out frames. `cmu` is the family that the
 score was chosen on, the others confirm it. Needs UPLIFT_DATA; fits are kept in UPLIFT_BENCHMARK_CACHE or
-~/.cache/uplift, and results stored in benchmarks/results/unlabelled.json are not computed again.
+~/.cache/uplift, and results stored in benchmarks/results/score_2d.json are not computed again.
 """
 
 from __future__ import annotations
@@ -15,9 +15,9 @@ from pathlib import Path
 import torch
 
 from benchmarks.common import BenchmarkError, markdown, stored, table_parser, text
-from benchmarks.unlabelled import lifters
-from benchmarks.unlabelled.lifters import families, run_family
-from benchmarks.unlabelled.show import lifter_sheet, rank_sheet
+from benchmarks.score_2d import lifters
+from benchmarks.score_2d.lifters import families, run_family
+from benchmarks.score_2d.show import lifter_sheet, rank_sheet
 from uplift.errors import UserError
 
 __all__ = ["main"]
@@ -26,7 +26,7 @@ __all__ = ["main"]
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run what is not stored yet and print the tables; 1 if something failed."""
     known = families()
-    parser = table_parser("unlabelled", __doc__)
+    parser = table_parser("score_2d", __doc__)
     parser.add_argument("families", nargs="*", help=f"any of {', '.join(known)}; default: all")
     parser.add_argument("--lifters", action="store_true", help="print every lifter, too")
     given = parser.parse_args(arguments)
@@ -58,7 +58,7 @@ def _show(name: str, as_markdown: bool, every: bool) -> None:
 
 
 def _cache() -> Path:
-    return Path(os.environ.get("UPLIFT_BENCHMARK_CACHE") or "~/.cache/uplift").expanduser() / "unlabelled"
+    return Path(os.environ.get("UPLIFT_BENCHMARK_CACHE") or "~/.cache/uplift").expanduser() / "score_2d"
 
 
 if __name__ == "__main__":

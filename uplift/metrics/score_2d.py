@@ -1,4 +1,19 @@
-"""`score_2d`: how good a lifter is, from 2D alone, to choose between lifters where there is no truth."""
+"""`score_2d`: how good a lifter of keypoints is, from 2D alone, to choose between lifters where there is no truth.
+
+The score is a sum of figures, each a length in mean 2D radii of the body, as errors are:
+
+- ``strange``: distance of a rotated view to the nearest real picture of another scene, beyond that between real
+  pictures (a correctly lifted pose still looks real when it is turned: Kudo et al. 2018);
+- ``unreached``: distance of a real picture to the nearest rotated view, likewise: large where all poses are alike.
+  The sum of both is a Chamfer distance between two sets of pictures; no critic has to be trained;
+- ``bones``: mean absolute deviation of a bone from its median over a body, with all frames brought to one size;
+- ``mirrored``: share of frames with the wrong handedness, times twice the mean depth, which is how far a depth flip
+  moves a joint. Real bodies twist, so that a skeleton's share may be above 0 for the truth;
+- ``relift``: error of a view that is lifted again, after the best rotation and scale (self-consistency: Chen et al.
+  2019). It sees poses that are flipped at random, which the pictures do not;
+- ``uneven``: Wasserstein distance between the extents of bones across and along the line of sight, in the level
+  frame: the two are distributed equally over bodies that are seen from all sides.
+"""
 
 from __future__ import annotations
 
@@ -28,7 +43,7 @@ from uplift.skeleton import Skeleton
 __all__ = ["WEIGHTS", "score_2d"]
 
 WEIGHTS = {"strange": 1.0, "unreached": 1.0, "bones": 1.0, "mirrored": 1.0, "relift": 0.2, "uneven": 0.2}
-"""What each figure of `score_2d` counts in the score; all are lengths in mean 2D radii of the body."""
+"""How much each figure counts in the score."""
 
 FEWEST = 20
 """Frames that a score needs."""
@@ -50,23 +65,12 @@ def score_2d(
     most: int = 2000,
     azimuth_deg: tuple[float, float] = (-180.0, 180.0),
 ) -> dict[str, float]:
-    """Return ``score_2d``, lower is better, and the figures that it is the sum of (times `WEIGHTS`), from 2D alone.
+    """Return ``score_2d``, lower is better, and the figures that it is the sum of, times their `WEIGHTS`.
 
-    Frames are lifted one by one, and each pose is seen from random views about gravity, or from anywhere without
-    gravity. All figures are lengths in mean 2D radii of the body, as errors are; what the data or the skeleton does
-    not allow is left out. The score has no absolute meaning: compare lifters of one skeleton on the same frames,
-    with the same ``seed`` and ``most``. Nothing of `pose`, `root` and `tilt_deg` is used.
-
-    - ``strange``: distance of a view to the nearest real picture of another scene, in excess of that of real ones (a
-      correct pose still looks real when it is turned: Kudo et al. 2018);
-    - ``unreached``: the same of real pictures to the nearest view, which is large where all poses are alike. The sum
-      of both is a Chamfer distance of two sets of pictures, free of critics and of their training;
-    - ``relift``: error of a view that is lifted again, after the best rotation (consistency: Chen et al. 2019);
-    - ``uneven``: Wasserstein distance of the spread of bones across and along the line of sight, in the level frame:
-      over bodies seen from all sides the two are equal. Left out with a narrower ``azimuth_deg``;
-    - ``bones``: mean absolute deviation of each bone from its median over a body, all frames of it equally large;
-    - ``mirrored``: share of frames with the wrong handedness (see `facing_sign`), times twice the mean depth, which
-      is how far a depth flip moves a joint. A skeleton's share may be above 0 for real bodies.
+    Frames are lifted one by one, and each pose is seen from random views: about gravity, or from anywhere without it.
+    What the data or the skeleton does not allow is left out. A score has no meaning by itself, and may be below 0:
+    compare lifters of one skeleton on the same frames, with the same ``seed`` and ``most``. `pose`, `root` and
+    `tilt_deg` of the data are not used. The score of poses that are not finite is infinite.
 
     Args:
         model: lifter, skeleton and settings; its lifter is left as it was.
@@ -83,14 +87,15 @@ def score_2d(
     with _evaluating(model.lifter):
         lifted = lift_frames(model.lifter, frames, both_ways=model.settings.both_ways)
         views = [_view(model, frames, lifted, generator, azimuth_deg) for _ in range(_VIEWS)]
+        if not all(view.keypoints.isfinite().all() for view in views):
+            return {"score_2d": math.inf}
         relift = _relift(model, frames, lifted, views[0])
     pictures = torch.stack([view.keypoints for view in views])
     figures = {**_two_samples(frames, pictures, _scenes(data)), "relift": relift}
-    figures |= (
-        _uneven(frames, lifted, azimuth_deg) | _bones(frames, lifted, bodies_of(data)) | _mirrored(frames, lifted)
-    )
-    figures = {name: value for name, value in figures.items() if math.isfinite(value)}
-    return {"score_2d": sum(WEIGHTS[name] * value for name, value in figures.items()), **figures}
+    figures |= {**_uneven(frames, lifted, azimuth_deg), **_bones(frames, lifted, data), **_mirrored(frames, lifted)}
+    total = sum(WEIGHTS[name] * value for name, value in figures.items())
+    finite = {name: value for name, value in figures.items() if math.isfinite(value)}
+    return {"score_2d": total if len(finite) == len(figures) else math.inf, **finite}
 
 
 def _frames(model: Model, data: PoseData, generator: torch.Generator, most: int) -> tuple[PoseData, TrainingSet]:
@@ -157,6 +162,8 @@ def _rotations(
 def _relift(model: Model, frames: TrainingSet, lifted: Lifted, view: _View) -> float:
     """Return the mean distance of the joints of a view lifted again to the pose, after the best rotation and scale."""
     again = _relifted(model, frames, view)
+    if not again.isfinite().all():
+        return math.inf
     weight = (frames.confidence > 0).to(again.dtype)
     return float((_aligned_distance(again, lifted.pose, weight) * weight).sum() / weight.sum())
 
@@ -194,6 +201,8 @@ def _two_samples(
     seen = (frames.confidence > 0).to(pictures.dtype)
     same = (scene[:, None] == scene).to(seen.device)
     usual = _nearest(_distances(frames.keypoints, frames.keypoints, seen), same)
+    if usual.isnan().all():
+        return {}
     strange, unreached = [], []
     for view in pictures:
         apart = _distances(view, frames.keypoints, seen)
@@ -257,12 +266,15 @@ def _bone_ends(frames: TrainingSet) -> tuple[Int[Tensor, "bones 2"], Bool[Tensor
     return pairs, (frames.confidence > 0)[:, pairs].all(-1)
 
 
-def _bones(frames: TrainingSet, lifted: Lifted, body: Int[np.ndarray, " frames"]) -> dict[str, float]:
+def _bones(frames: TrainingSet, lifted: Lifted, data: PoseData) -> dict[str, float]:
     """Return how much bones vary over the frames of a body; over all frames where bodies have too few each."""
     pairs, seen = _bone_ends(frames)
+    if not seen.any():
+        return {}
     lengths = bone_lengths(lifted.pose, pairs).where(seen, torch.nan)
     size = (lengths / lengths.nanmean(0)).nanmean(1, keepdim=True)
     lengths = lengths / size
+    body = bodies_of(data)
     numbers, counts = np.unique(body, return_counts=True)
     groups = [
         torch.from_numpy(body == one) for one, count in zip(numbers, counts, strict=True) if count >= _FEWEST_BODY

@@ -20,7 +20,7 @@ from uplift.errors import UserError
 from uplift.geometry.camera import build_camera
 from uplift.geometry.normalise import renormalise
 from uplift.geometry.rotation import random_rotations, turn, views_about_gravity
-from uplift.metrics.unlabelled import WEIGHTS, score_2d
+from uplift.metrics.score_2d import WEIGHTS, score_2d
 from uplift.models.lifter import Lifted, Lifter
 from uplift.models.model import Model
 from uplift.skeleton import Skeleton, load_skeleton
@@ -184,6 +184,10 @@ def test_figures_that_cannot_be_measured_are_left_out() -> None:
     plain = dataclasses.replace(HUMAN, facing={}, mirror=())
     assert "mirrored" not in score_2d(small_lifter(plain), bodies())
     assert "uneven" not in score_2d(small_lifter(), bodies(), azimuth_deg=(-60.0, 60.0))
+
+
+def test_poses_that_are_not_finite_score_worst() -> None:
+    assert scored(lambda depth, keypoints: depth / (keypoints[:, :1, 0] > 0)) == {"score_2d": float("inf")}
 
 
 def test_too_few_frames_are_refused() -> None:

@@ -1,1 +1,0 @@
-"""How well the score without truth ranks lifters: `python -m benchmarks.unlabelled`."""
