@@ -31,29 +31,31 @@ def _ranks(values: np.ndarray) -> np.ndarray:
 
 
 def rank_sheet(family: str, results: Results) -> Sheet:
-    """Return Spearman's correlation of each figure with each error, of fits alone and with distorted ones, and the regret.
+    """Return Spearman's correlation of each figure with each error, of fits alone and with distorted ones, and regrets.
 
-    The regret is how much larger, in `p_mpjpe`, the error of the lifter with the least figure is than the least error.
+    A regret is how much larger the error of the lifter with the least figure is than the least error.
     """
     mine = {key.partition("/")[2]: result for key, result in results.items() if key.startswith(f"{family}/")}
     kinds = {"fits": [name for name in mine if ", " not in name], "all": list(mine)}
-    head = ["figure", *(f"{error}, {kind}" for error in ERRORS for kind in kinds), "regret, fits", "regret, all"]
-    rows = []
+    pairs = [(error, kind) for error in ERRORS for kind in kinds]
+    found = []
     for figure in _figures(mine):
-        cells = [
-            spearman(_column(mine, names, figure), _errors(mine, names, error))
-            for error in ERRORS
-            for names in kinds.values()
-        ]
-        regrets = [_regret(_column(mine, names, figure), _errors(mine, names, "p_mpjpe")) for names in kinds.values()]
-        rows.append((figure, cells, regrets))
-    rows.sort(key=lambda row: -np.nan_to_num(np.mean(row[1])))
-    count = f"{len(kinds['fits'])} fits, {len(mine) - len(kinds['fits'])} distorted"
-    shown = [
-        [figure, *(f"{cell:.2f}" for cell in cells), *(f"{regret:.0%}" for regret in regrets)]
-        for figure, cells, regrets in rows
+        measured = {kind: _column(mine, names, figure) for kind, names in kinds.items()}
+        true = {(error, kind): _errors(mine, kinds[kind], error) for error, kind in pairs}
+        ranks = [spearman(measured[kind], true[error, kind]) for error, kind in pairs]
+        found.append((figure, ranks, [_regret(measured[kind], true[error, kind]) for error, kind in pairs]))
+    found.sort(key=lambda row: -np.nan_to_num(np.mean(row[1])))
+    head = [
+        "figure",
+        *(f"{error}, {kind}" for error, kind in pairs),
+        *(f"regret {error}, {kind}" for error, kind in pairs),
     ]
-    return Sheet(f"{family}: {count}", head, shown)
+    rows = [
+        [figure, *(f"{rank:.2f}" for rank in ranks), *(f"{one:.0%}" for one in regrets)]
+        for figure, ranks, regrets in found
+    ]
+    count = f"{len(kinds['fits'])} fits, {len(mine) - len(kinds['fits'])} distorted"
+    return Sheet(f"{family}: {count}", head, rows)
 
 
 def _figures(mine: Results) -> list[str]:
