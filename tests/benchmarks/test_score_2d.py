@@ -43,12 +43,13 @@ def test_tables_rank_figures_and_name_the_regret() -> None:
         "a/good": result(50, 0.1),
         "a/bad": result(75, 0.2),
         "a/good, flat": result(100, 0.0),
+        "a/worst": result(90, 0.3),
         "b/other": result(1, 1),
     }
     sheet = rank_sheet("a", stored)
     rows = {row[0]: row[1:] for row in sheet.rows}
     assert rows["score_2d"][0] == "1.00" and rows["MMD"][0] == "-1.00"
-    assert rows["score_2d"][-2:] == ["0%", "100%"] and len(rows["score_2d"]) == 4 * len(ERRORS)
+    assert rows["score_2d"][-2:] == ["0%", "100%"] and len(rows["score_2d"]) == 5 * len(ERRORS)
     assert [row[0] for row in lifter_sheet("a", stored).rows] == ["good", "bad", "worst", "good, flat"]
 
 
