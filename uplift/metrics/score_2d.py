@@ -45,7 +45,7 @@ __all__ = ["WEIGHTS", "score_2d"]
 WEIGHTS = {"strange": 1.0, "unreached": 1.0, "bones": 1.0, "mirrored": 1.0, "relift": 0.2, "uneven": 0.2}
 """How much each figure counts in the score."""
 
-FEWEST = 20
+_FEWEST = 20
 """Frames that a score needs."""
 _VIEWS = 3
 """Random views of each pose that are compared with real pictures."""
@@ -101,8 +101,8 @@ def score_2d(
 def _frames(model: Model, data: PoseData, generator: torch.Generator, most: int) -> tuple[PoseData, TrainingSet]:
     """Return at most ``most`` frames that can be lifted, in their order, and the same in the model's units."""
     data, _ = clean(data.without_truth(), model.skeleton)
-    if len(data) < FEWEST:
-        raise UserError(f"{data.source or 'the data'}: {len(data)} frames can be lifted, expected {FEWEST} or more.")
+    if len(data) < _FEWEST:
+        raise UserError(f"{data.source or 'the data'}: {len(data)} frames can be lifted, expected {_FEWEST} or more.")
     rows = torch.randperm(len(data), generator=generator)[:most].sort().values.numpy()
     data = data.select(rows)
     device = next(model.lifter.parameters()).device
