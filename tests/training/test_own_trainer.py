@@ -96,9 +96,12 @@ def uplift_evaluation(lifter: Path, test: Path) -> dict[str, float]:
 def test_without_truth_a_score_of_the_2d_alone_is_logged(here: Path) -> None:
     arrays = body_arrays(120)
     data = uplift.KeypointData((arrays["keypoints"], np.ones((120, 17))), "h36m17", val=0.2, batch_size=16)
-    trainer = fit(module_of(), data, max_epochs=1)
-    found = trainer.callback_metrics
-    assert float(found["val/score_2d"]) >= 0 and "val/p_mpjpe" not in found
+    found = fit(module_of(), data, max_epochs=1).callback_metrics
+    assert {"val/score_2d", "val/unrealistic", "val/uncovered"} <= found.keys() and "val/p_mpjpe" not in found
+    assert np.isfinite(float(found["val/score_2d"]))
+    few = uplift.KeypointData((arrays["keypoints"], np.ones((120, 17))), "h36m17", val=0.1, batch_size=16)
+    with pytest.raises(uplift.UserError, match="expected 20 or more"):
+        fit(module_of(), few, max_epochs=1)
 
 
 def test_a_fit_that_goes_on_from_a_checkpoint_ends_bit_identical(here: Path) -> None:
@@ -388,7 +391,7 @@ def test_data_of_any_origin(here: Path, kind: str) -> None:
         if kind == "poses":
             given = uplift.PoseData(*given, tuple(reversed(arrays["joint_names"].tolist())), stills=True)
             given.keypoints[:] = given.keypoints[:, ::-1]
-    data = uplift.KeypointData(given, "h36m17", val=0.2, batch_size=16)
+    data = uplift.KeypointData(given, "h36m17", val=0.3, batch_size=16)
     module = module_of()
     trainer = fit(module, data, max_epochs=1)
     assert trainer.global_step == -(-len(data.train_samples) // 16)

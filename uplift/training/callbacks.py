@@ -152,10 +152,13 @@ class Progress(TQDMProgressBar):
 
     def init_train_tqdm(self) -> Tqdm:
         """Return a bar of a hundred percent."""
-        bar = super().init_train_tqdm()
-        bar.total, bar.bar_format = 100.0, "{desc} {percentage:3.0f} % |{bar:12}| {postfix}"
-        bar.set_description(f"{self.stage:9s}")
-        return bar
+        shape = "{desc} {percentage:3.0f} % |{bar:12}| {unit}"
+        given = {"bar_format": shape, "file": self.stream, "dynamic_ncols": True, "disable": self.is_disabled}
+        return Tqdm(desc=f"{self.stage:9s}", total=100.0, unit="", **given)
+
+    def init_validation_tqdm(self) -> Tqdm:
+        """Return no bar: validation is one batch."""
+        return Tqdm(disable=True)
 
     def on_train_start(self, trainer: L.Trainer, module: Any) -> None:
         """Start counting steps and seconds."""
@@ -178,8 +181,8 @@ class Progress(TQDMProgressBar):
             self._smooth[name] = 0.6 * before + 0.4 * float(value)
         text = self._text(trainer, module.done)
         if live:
-            self.train_progress_bar.n = 100 * module.done
-            self.train_progress_bar.set_postfix_str(text)
+            self.train_progress_bar.n, self.train_progress_bar.unit = 100 * module.done, text
+            self.train_progress_bar.refresh()
         else:
             self.stream.write(f"{self.stage:9s} {100 * module.done:3.0f} %  {text}\n")
             self.stream.flush()

@@ -19,7 +19,7 @@ from uplift.data.tensors import Batch, TrainingSet
 from uplift.errors import UserError
 from uplift.geometry.normalise import normalise
 from uplift.metrics.evaluate import evaluate_model
-from uplift.metrics.unlabelled import score_2d
+from uplift.metrics.score_2d import score_2d
 from uplift.models.lifter import Lifter
 from uplift.models.model import Model
 from uplift.models.prediction import Prediction
@@ -40,6 +40,8 @@ class KeypointModule(TrainingModule[Lifter, Any]):
 
     skeleton: Skeleton
     lifter_settings: LifterSettings
+    azimuth_deg: tuple[float, float] = (-180.0, 180.0)
+    """The range of the turn about gravity that bodies are seen from."""
 
     def configure_lifter(self) -> Lifter:
         """Return the untrained lifter. A subclass may pass ``network=`` to `Lifter`, any module of its sizes."""
@@ -91,7 +93,7 @@ class KeypointModule(TrainingModule[Lifter, Any]):
     def figures(self, batch: PoseData) -> dict[str, float]:
         """Return every protocol by name where ``batch`` has true poses, and a score of the 2D alone where it has none."""
         if batch.pose is None:
-            return score_2d(self.model(), batch)
+            return score_2d(self.model(), batch, azimuth_deg=self.azimuth_deg)
         return evaluate_model(self.model(), batch, batch.source).overall
 
     def _checked(self, data: Any) -> KeypointData:
@@ -161,6 +163,7 @@ class LiftingModule(KeypointModule):
         # Only students learn to predict the uncertainty and to correct visible joints.
         self.lifter_settings = dataclasses.replace(chosen.lifter, uncertainty=False, denoise=False)
         self.view_settings, self.prior_specs = chosen.views, chosen.priors
+        self.azimuth_deg = chosen.views.azimuth_deg
         views_plain = {key: value for key, value in plain_settings(chosen.views).items() if key != "count_root"}
         self.save_hyperparameters(
             {

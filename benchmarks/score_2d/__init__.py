@@ -1,0 +1,1 @@
+"""How well the score without truth ranks lifters: `python -m benchmarks.score_2d`."""
