@@ -325,7 +325,7 @@ def test_loaders_of_the_users_own(here: Path) -> None:
 ERRORS = [
     (lambda here: uplift.LiftingModule("h36m17", lerning_rate=1e-3), "'lerning_rate' is not an option of a module. Did you mean 'learning_rate'"),
     (lambda here: uplift.LiftingModule("h36m17", batch_size=8), "batch_size is not an option of a module"),
-    (lambda here: uplift.LiftingModule("h36m17", learning_rate=-1.0), "teacher.learning_rate=-1.0: expected a number from"),
+    (lambda here: uplift.LiftingModule("h36m17", learning_rate=-1.0), "teacher.learning_rate=-1.0: expected a number above 0"),
     (lambda here: uplift.LiftingModule("h36m17", priors={"flwo": 1.0}), "no such built-in. Did you mean 'flow'"),
     (lambda here: uplift.LiftingModule("h36m17", priors={}), "No prior is on"),
     (lambda here: uplift.LiftingModule("h36m17", lifter={"network": "kodu"}), "no such network. Valid: kudo, residual"),
