@@ -16,7 +16,7 @@ from uplift.cli.main import _RUN, _complete, main
 from uplift.cli.verbs import NEEDED, VERBS
 from uplift.config.loading import load_settings
 from uplift.config.plugins import find_class
-from uplift.config.settings import PRIOR_SETTINGS, Setting, all_groups, all_settings
+from uplift.config.settings import PRIOR_SETTINGS, TRAINER_FLAGS, Setting, all_groups, all_settings
 from uplift.data.datasets import DATA_SETS
 from uplift.models.networks import NETWORKS
 from uplift.priors import PRIORS
@@ -273,3 +273,63 @@ def test_completion_as_the_shell_asks_for_it() -> None:
         env={**environment, "PYTHONPATH": str(Path(__file__).resolve().parents[2]), "PATH": "/usr/bin"},
     )  # fmt: skip
     assert done.stdout.strip() == "lifter.camera="
+
+
+def test_callbacks_loggers_and_flags_of_lightning(capsys: pytest.CaptureFixture) -> None:
+    assert main(["fit", "--help", "callbacks"]) == 0
+    text = capsys.readouterr().out
+    assert "EarlyStopping" in text and "callbacks.NAME.use=file.py:Class" in text
+    assert main(["fit", "--help", "callbacks.EarlyStopping"]) == 0
+    text = capsys.readouterr().out
+    assert "callbacks.EarlyStopping.patience" in text and "default 3" in text and "needed" in text
+    assert main(["fit", "--help", "loggers.csv"]) == 0
+    assert "loggers.csv.save_dir" in capsys.readouterr().out
+    assert main(["fit", "--help", "trainer.flags"]) == 0
+    text = capsys.readouterr().out
+    assert all(f"trainer.{name}" in text for name in TRAINER_FLAGS)
+    assert main(["fit", "--help", "trainer.gradient_clip_val"]) == 0
+    assert "clip gradients" in capsys.readouterr().out
+    assert "Did you mean 'callbacks.EarlyStopping'?" in refusal(capsys, "fit", "--help", "callbacks.EarlyStoping")
+    assert "Did you mean 'trainer.gradient_clip_val'?" in refusal(capsys, "fit", "--help", "trainer.gradient_clip_vall")
+
+
+MINE = '''
+import lightning as L
+import uplift
+
+class MyViews(uplift.Views):
+    """From the side."""
+    def __init__(self, skeleton, *, degrees=90.0):
+        super().__init__(skeleton)
+
+class MyLoss(uplift.StudentLoss):
+    """Squares."""
+
+class MyModule(uplift.LiftingModule):
+    """Shallow poses."""
+    def __init__(self, skeleton, *, strength=0.1, **options):
+        super().__init__(skeleton, **options)
+
+class MyCallback(L.Callback):
+    """Notes."""
+    def __init__(self, *, every=3):
+        pass
+
+class MyFormat(uplift.Format):
+    """Text files."""
+    def read(self, path, options):
+        pass
+'''
+
+
+def test_classes_of_every_kind(here: Path, capsys: pytest.CaptureFixture) -> None:
+    (here / "mine.py").write_text(MINE)
+    expected = {
+        "MyViews": ("views: From the side", "views.options.degrees"), "MyLoss": ("a student's loss: Squares", "no options"),
+        "MyModule": ("a module: Shallow poses", "strength"), "MyCallback": ("a callback: Notes", "callbacks.NAME.every"),
+        "MyFormat": ("a file format: Text files", "no options"),
+    }  # fmt: skip
+    for name, texts in expected.items():
+        assert main(["fit", "--help", f"mine.py:{name}"]) == 0
+        found = " ".join(capsys.readouterr().out.split())
+        assert all(text in found for text in texts), found

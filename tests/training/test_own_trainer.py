@@ -204,6 +204,31 @@ def test_a_student_learns_from_a_module(here: Path) -> None:
     assert alone.model().predict(data.test_samples).unit == "mm"
 
 
+def test_a_second_fit_takes_the_data_it_is_given(here: Path) -> None:
+    module, first = module_of(), data_of(here)
+    fit(module, first, max_steps=1)
+    frames = module.frames
+    fit(module, first, max_steps=1)
+    assert torch.equal(module.frames.keypoints, frames.keypoints)
+    second = uplift.KeypointData(write_body(here / "c.npz", frames=80, seed=9), "h36m17", val=0, batch_size=16)
+    fit(module, second, max_steps=1)
+    assert len(module.frames) == 80
+
+
+class Plain(uplift.LiftingModule):
+    """An optimiser and a schedule of its own."""
+
+    def configure_optimizers(self) -> Any:
+        optimizer = torch.optim.SGD(self.parameters(), lr=0.1)
+        return [optimizer], [torch.optim.lr_scheduler.StepLR(optimizer, 1, 0.5)]
+
+
+def test_an_optimiser_of_ones_own_keeps_its_schedule(here: Path) -> None:
+    draws = Draws()
+    fit(module_of(Plain), data_of(here), max_epochs=2, callbacks=[draws])
+    assert draws.rates == pytest.approx([0.1] * 6 + [0.05] * 6)
+
+
 def test_labels_take_part(here: Path) -> None:
     draws, module = Draws(), module_of(priors={**PRIORS, "labelled": 40.0})
     fit(module, data_of(here, labelled=0.5), max_steps=2, callbacks=[draws])

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import shlex
 import sys
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -89,8 +89,9 @@ def prepare_keypoints(settings: Settings, run: RunFolder | None) -> Prepared:
         raise UserError("No skeleton: set skeleton=NAME (`uplift skeletons` lists them) or skeleton=FILE.yaml.")
     skeleton = load_skeleton(settings.skeleton)
     loaded = load_data(settings, skeleton)
-    recipe = PoseRecipe(settings, KeypointData.of(loaded, skeleton, settings), run)
-    return Prepared(f"skeleton {skeleton.name}", loaded, recipe)
+    data = KeypointData.of(loaded, skeleton, settings)
+    recipe = PoseRecipe(settings, data, run)
+    return Prepared(f"skeleton {skeleton.name}", replace(loaded, train=data.train_samples, notes=data.notes), recipe)
 
 
 def prepare_masks(settings: Settings, run: RunFolder | None) -> Prepared:
@@ -100,7 +101,9 @@ def prepare_masks(settings: Settings, run: RunFolder | None) -> Prepared:
     from uplift.training.shape_recipe import ShapeRecipe
 
     loaded = load_masks(settings)
-    return Prepared("masks", loaded, ShapeRecipe(settings, MaskDataModule.of(loaded, settings)))
+    data = MaskDataModule.of(loaded, settings)
+    recipe = ShapeRecipe(settings, data)
+    return Prepared("masks", replace(loaded, notes=data.notes), recipe)
 
 
 def _run_of_all_ranks(run: RunFolder | None, settings: Settings) -> RunFolder:

@@ -7,6 +7,7 @@ import re
 import shutil
 import textwrap
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from importlib import import_module
 from typing import Any, NoReturn
 
 from uplift.cli.verbs import NEEDED, VERBS, sub_verbs
@@ -461,19 +462,28 @@ def _in_short(one: Setting, prefix: str) -> Setting:
 
 
 def _own_class(use: str) -> Iterator[str]:
+    """Yield the help of a class of the user's, of any kind that a fit takes."""
     from uplift.config.plugins import find_class
 
     found = find_class(use, {}, "--help")
-    from torch import nn
+    for name, title, given, prefix, more in _KINDS_OF_CLASSES:
+        module, _, kind = name.partition(":")
+        if issubclass(found, getattr(import_module(module), kind)):
+            yield from _class_help(f"{use}, {title}", found, given, prefix, more)
+            return
+    titles = ", ".join(title for _, title, *_ in _KINDS_OF_CLASSES)
+    raise UserError(f"--help {use}: expected {titles}; {found.__name__} is none of them.")
 
-    from uplift.data.datasets import DataSet
-    from uplift.priors import Prior
 
-    if issubclass(found, Prior):
-        yield from _class_help(f"{use}, a prior", found, ("skeleton",), "priors.NAME.", PRIOR_SETTINGS.values())
-    elif issubclass(found, nn.Module):
-        yield from _class_help(f"{use}, a network", found, ("inputs", "outputs"), "lifter.options.")
-    elif issubclass(found, DataSet):
-        yield from _class_help(f"{use}, a data set", found, ("folder",), "data.options.")
-    else:
-        raise UserError(f"--help {use}: expected a prior, a network or a data set; {found.__name__} is none of them.")
+_KINDS_OF_CLASSES: tuple[tuple[str, str, tuple[str, ...], str, Iterable[Setting]], ...] = (
+    ("uplift.priors:Prior", "a prior", ("skeleton",), "priors.NAME.", tuple(PRIOR_SETTINGS.values())),
+    ("uplift.training.student:StudentLoss", "a student's loss", ("skeleton",), "student.loss_options.", ()),
+    ("uplift.training.views:Views", "views", ("skeleton",), "views.options.", ()),
+    ("uplift.training.base:TrainingModule", "a module", ("skeleton",), "", ()),
+    ("uplift.data.datasets:DataSet", "a data set", ("folder",), "data.options.", ()),
+    ("uplift.data.formats.own:OwnFormat", "a file format", (), "", ()),
+    ("lightning:Callback", "a callback", (), "callbacks.NAME.", ()),
+    ("lightning.pytorch.loggers:Logger", "a logger", ("save_dir", "name", "version"), "loggers.NAME.", ()),
+    ("torch.nn:Module", "a network", ("inputs", "outputs"), "lifter.options.", ()),
+)
+"""Base classes with what a class of theirs is, the arguments that it is given, and where its options are set."""

@@ -123,10 +123,12 @@ class _Data(L.LightningDataModule, Generic[SamplesT, LoadedT]):
             if len(samples) < 2:
                 raise UserError(f"val={share}: there is one sample to train on, and none to hold out.")
             rows = self._split(samples, float(share))
-            loaded = replace(loaded, train=samples.select(~rows))  # type: ignore[type-var]
+            note = f"val: {int(rows.sum()):,} of the training samples are held out"
+            loaded = replace(loaded, train=samples.select(~rows), notes=[*loaded.notes, note])  # type: ignore[type-var]
             self._val = samples.select(rows)
         elif share is not None and not isinstance(share, (int, float)):
             self._val = self._read(share, "val")
+            loaded = replace(loaded, notes=[*loaded.notes, f"val: {len(self._val):,} from {self._val.source}"])  # type: ignore[type-var, attr-defined]
         self.loaded = self._for_training(loaded)  # type: ignore[arg-type]
         return self.loaded
 

@@ -67,6 +67,8 @@ class TrainingModule(L.LightningModule, Generic[LifterT, DataT]):
     """The priors that judge the lifter, if any."""
     frames: DataT | None = None
     """The training data on the module's device, in the lifter's units; None before `prepare`."""
+    prepared_with: Any = None
+    """The data module that `prepare` took the training data from."""
     logged: Logged
     """The terms of the last step."""
     last_lift: Lift | ShapeLift | None = None
@@ -122,9 +124,10 @@ class TrainingModule(L.LightningModule, Generic[LifterT, DataT]):
     # Data and steps.
 
     def setup(self, stage: str) -> None:
-        """Prepare for training with the trainer's data module, unless `prepare` was called before."""
-        if stage == "fit" and self.frames is None:
-            self.prepare(self.trainer.datamodule)  # type: ignore[attr-defined]
+        """Prepare for training with the trainer's data module, unless that was done before."""
+        data = self.trainer.datamodule  # type: ignore[attr-defined]
+        if stage == "fit" and (self.frames is None or data not in (None, self.prepared_with)):
+            self.prepare(data)
 
     def on_fit_start(self) -> None:
         """Move the training data to the module's device."""
@@ -149,11 +152,13 @@ class TrainingModule(L.LightningModule, Generic[LifterT, DataT]):
         self._set_rates()
 
     def _set_rates(self) -> None:
-        """Set the learning rate for the share of the training that is over."""
+        """Set the learning rate for the share of the training that is over; not that of a subclass's own optimisers."""
         self.update_done()
-        factor = self.schedule(self.done)
-        for group in self.optimizers().param_groups:  # type: ignore[union-attr]
-            group["lr"] = group["peak"] * factor
+        factor, optimizers = self.schedule(self.done), self.optimizers()
+        for optimizer in optimizers if isinstance(optimizers, list) else [optimizers]:
+            for group in optimizer.param_groups:
+                if "peak" in group:
+                    group["lr"] = group["peak"] * factor
 
     def update_done(self) -> None:
         """Set `done` for the steps and the time so far."""

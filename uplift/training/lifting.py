@@ -11,7 +11,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from uplift.config.settings import LifterSettings, StudentSettings, TeacherSettings, ViewSettings
+from uplift.config.settings import LifterSettings, Settings, StudentSettings, TeacherSettings, ViewSettings
 from uplift.data.module import KeypointData, skeleton_of
 from uplift.data.poses import PoseData
 from uplift.data.sampler import LabelledSampler
@@ -108,6 +108,7 @@ class KeypointModule(TrainingModule[Lifter, Any]):
                 f"the data have skeleton '{data.skeleton.name}' ({len(data.skeleton.joints)} joints), the module "
                 f"'{self.skeleton.name}' ({len(self.skeleton.joints)} joints): build it with data.skeleton."
             )
+        self.prepared_with = data
         return data
 
     def _take_sizes(self, data: KeypointData) -> None:
@@ -163,14 +164,8 @@ class LiftingModule(KeypointModule):
         # Only students learn to predict the uncertainty and to correct visible joints.
         self.lifter_settings = dataclasses.replace(chosen.lifter, uncertainty=False, denoise=False)
         self.view_settings, self.prior_specs = chosen.views, chosen.priors
-        self.azimuth_deg = chosen.views.azimuth_deg
-        views_plain = {key: value for key, value in plain_settings(chosen.views).items() if key != "count_root"}
-        self.save_hyperparameters(
-            {
-                "skeleton": self.skeleton.to_dict(), "priors": saved_priors(chosen.priors, self._given_priors), "lifter": plain_settings(self.lifter_settings),
-                "views": views_plain, "seed": seed, **plain_settings(chosen.teacher),
-            }
-        )  # fmt: skip
+        self.azimuth_deg, self.prior_rate = chosen.views.azimuth_deg, chosen.teacher.prior_learning_rate
+        self._keep_hyperparameters(chosen)
         self.notes: list[str] = []
         """What was left out of the priors, one sentence each."""
         with torch.random.fork_rng(devices=[]):
@@ -179,10 +174,23 @@ class LiftingModule(KeypointModule):
             lifter_module = self.configure_lifter()
             self._stream = torch.get_rng_state()
         self.draw_views = self.configure_views()
-        self.prior_rate = chosen.teacher.prior_learning_rate
         self.truth: PseudoPoses | None = None
         self.maker: ViewMaker | None = None
         self.set_up(lifter_module, chosen.teacher, seed, terms)
+
+    def _keep_hyperparameters(self, chosen: Settings) -> None:
+        """Save the arguments as plain data: a checkpoint holds nothing that can run."""
+        views = {key: value for key, value in plain_settings(chosen.views).items() if key != "count_root"}
+        self.save_hyperparameters(
+            {
+                "skeleton": self.skeleton.to_dict(),
+                "priors": saved_priors(chosen.priors, self._given_priors),
+                "lifter": plain_settings(self.lifter_settings),
+                "views": views,
+                "seed": chosen.seed,
+                **plain_settings(chosen.teacher),
+            }
+        )
 
     # Hooks.
 
@@ -208,6 +216,7 @@ class LiftingModule(KeypointModule):
         """Take the training frames, show them to the priors, and look at their labels."""
         data = self._checked(data)
         self._take_sizes(data)
+        self.truth = self.maker = None
         frames = self.frames = data.frames(self.lifter_settings)
         self.labelled_share = data.labelled_share
         self.sampler = LabelledSampler(frames.labelled, self.labelled_share)

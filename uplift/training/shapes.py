@@ -235,7 +235,7 @@ class ShapeModule(TrainingModule[ShapeMixture, MaskSet]):
         """Take the training masks, show them to the priors, and look at their labels."""
         if not isinstance(data, MaskDataModule):
             raise UserError(f"ShapeModule trains on a uplift.MaskDataModule, found {type(data).__name__}.")
-        self.frames = data.mask_set(self.shape_settings)
+        self.prepared_with, self.frames = data, data.mask_set(self.shape_settings)
         if not self.prepared:
             with torch.random.fork_rng(devices=[]):
                 torch.set_rng_state(self._stream)

@@ -165,18 +165,15 @@ def run_stage(
         module.load_state_dict(state["state_dict"])
         clock.load_state_dict(state["callbacks"][clock.state_key])
         return StageRecord(clock.time_elapsed(), state["global_step"])
-    own: list[L.Callback] = [clock, *callbacks, MetricsFile(folder / "metrics.csv", name, settings.log_every)]
-    if settings.flags.get("enable_progress_bar", True):
-        own.append(Progress(name, clock))
-    if settings.threads is None and budget.steps is None:
-        own.append(Threads())
-    own.append(Checkpoints(path, seconds=settings.checkpoint_every, steps=settings.checkpoint_steps))
+    flags = _trainer_flags(settings, budget, has_val=data.val is not None)  # type: ignore[attr-defined]
+    ours = {
+        "callbacks": _stage_callbacks(path, clock, settings, budget, callbacks),
+        "logger": list(loggers) or False,
+        "plugins": AtomicCheckpointIO(on_save),
+        "default_root_dir": folder,
+    }
     with clock, _quiet("profiler" in settings.flags):
-        flags = _trainer_flags(settings, budget, has_val=data.val is not None)  # type: ignore[attr-defined]
-        io = AtomicCheckpointIO(on_save)
-        trainer = _trainer(
-            settings, flags, callbacks=own, logger=list(loggers) or False, plugins=io, default_root_dir=folder
-        )
+        trainer = _trainer(settings, flags, **ours)
         trainer.fit(module, datamodule=data, ckpt_path=str(path) if resume else None, weights_only=True)
         if not clock.interrupted and module.done < 1:  # a callback such as EarlyStopping ended it
             module.done = 1.0
@@ -184,6 +181,19 @@ def run_stage(
     if clock.interrupted:
         raise Interrupted(folder)
     return StageRecord(clock.time_elapsed(), trainer.global_step)
+
+
+def _stage_callbacks(
+    path: Path, clock: Budget, settings: TrainerSettings, budget: StageBudget, given: Sequence[L.Callback]
+) -> list[L.Callback]:
+    """Return the callbacks of the stage whose checkpoint is ``path``: ours, and those ``given`` by the user."""
+    metrics = MetricsFile(path.parent.parent / "metrics.csv", path.stem, settings.log_every)
+    callbacks: list[L.Callback] = [clock, *given, metrics]
+    if settings.flags.get("enable_progress_bar", True):
+        callbacks.append(Progress(path.stem, clock))
+    if settings.threads is None and budget.steps is None:
+        callbacks.append(Threads())
+    return [*callbacks, Checkpoints(path, seconds=settings.checkpoint_every, steps=settings.checkpoint_steps)]
 
 
 # The trainer.
