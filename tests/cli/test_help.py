@@ -247,9 +247,8 @@ def test_names_are_bold_in_a_terminal(capsys: pytest.CaptureFixture, monkeypatch
 def test_completion(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("COMP_LINE", "uplift fit ")
     names = _complete("fit", "")
-    assert {f"{one.name}=" for one in all_settings().values() if typing.get_origin(one.kind) is not dict} | {
-        "resume="
-    } == set(names)
+    listed = {f"{one.name}=" for one in all_settings().values() if typing.get_origin(one.kind) is not dict}
+    assert listed | {"resume="} | {f"trainer.{name}=" for name in TRAINER_FLAGS} == set(names)
     assert _complete("fit", "lifter.camera=") == ["lifter.camera=orthographic", "lifter.camera=perspective"]
     assert _complete("fit", "lifter.fill=t") == ["lifter.fill=true", "lifter.fill=false"]
     assert "task=cmu" in _complete("fit", "task=")

@@ -5,13 +5,14 @@ from __future__ import annotations
 import csv
 import dataclasses
 import inspect
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import lightning as L
 import pytest
 import torch
-from bodies import QUICK, own_data, refusal, status_of, write_body
+from bodies import QUICK, last_words, own_data, refusal, status_of, write_body
 
 from uplift.config.run import RunFolder
 from uplift.config.settings import TRAINER_FLAGS, TRAINER_FLAGS_OF_FIT, TrainerSettings
@@ -111,22 +112,33 @@ class NoCallback:
 '''  # fmt: skip
 
 
+def fitted(*words: str) -> tuple[Path, dict[str, list[float]]]:
+    """Return the run of a fit in the current folder, and its metrics by stage and name."""
+    assert status_of("fit", *words) == 0
+    folder = RunFolder.open("runs/h36m17").path
+    found: dict[str, list[float]] = {}
+    with open(folder / "metrics.csv", newline="") as file:
+        for row in csv.DictReader(file):
+            found.setdefault(f"{row['stage']}/{row['name']}", []).append(float(row["value"]))
+    return folder, found
+
+
 @pytest.fixture
-def fit(here: Path):
-    """Return a function that fits with more words, and returns the run and its metrics by stage and name."""
+def fit(here: Path) -> Callable[..., tuple[Path, dict[str, list[float]]]]:
+    """Return `fitted` with the words of a quick fit before those that it is given."""
     (here / "my.py").write_text(MINE)
     words = own_data(here / "a.npz")
+    return lambda *more: fitted(*last_words(*words, *more))
 
-    def run(*more: str) -> tuple[Path, dict[str, list[float]]]:
-        assert status_of("fit", *words, *more) == 0
-        folder = RunFolder.open("runs/h36m17").path
-        found: dict[str, list[float]] = {}
-        with open(folder / "metrics.csv", newline="") as file:
-            for row in csv.DictReader(file):
-                found.setdefault(f"{row['stage']}/{row['name']}", []).append(float(row["value"]))
-        return folder, found
 
-    return run
+@pytest.fixture(scope="module")
+def usual(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, list[float]]]:
+    """Return `fitted` without any words of one's own."""
+    folder = tmp_path_factory.mktemp("usual")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(folder)
+        run, found = fitted(*own_data(folder / "a.npz"))
+    return folder / run, found
 
 
 def weights(run: Path) -> dict[str, torch.Tensor]:
@@ -146,8 +158,8 @@ def test_every_flag_of_lightnings_trainer_is_set_or_taken_or_refused() -> None:
     assert not set(TRAINER_FLAGS) & (ours | set(TRAINER_FLAGS_OF_FIT))
 
 
-def test_flags_reach_the_trainer_and_stay_with_the_run(fit, here: Path) -> None:
-    plain, _ = fit()
+def test_flags_reach_the_trainer_and_stay_with_the_run(fit, here: Path, usual) -> None:
+    plain, _ = usual
     words = ("callbacks.mine.use=my.py:MyCallback", "callbacks.mine.path=seen.txt", "callbacks.mine.every=2")
     clipped, _ = fit("trainer.gradient_clip_val=0.01", *words)
     assert (here / "seen.txt").read_text() == "teacher 2 0.01\nteacher 4 0.01\n" + "".join(
@@ -223,14 +235,13 @@ def test_early_stopping_ends_a_stage_for_good(fit, here: Path) -> None:
     ],
 )
 def test_classes_of_the_users_own(
-    fit, here: Path, monkeypatch: pytest.MonkeyPatch, words: tuple[str, ...], name: str
+    fit, usual, here: Path, monkeypatch: pytest.MonkeyPatch, words: tuple[str, ...], name: str
 ) -> None:
     """They take part, the run is evaluated from another folder, and an interrupted fit would find them again."""
-    _, usual = fit()
     changed = [*words, *(["lifter.options={}"] if "network" in words[0] else [])]
     run, found = fit(*changed)
     assert name in found
-    assert found[name] != usual.get(name)
+    assert found[name] != usual[1].get(name)
     (here / "elsewhere").mkdir()
     monkeypatch.chdir(here / "elsewhere")
     (run / "checkpoints" / "student_1.ckpt").unlink()

@@ -393,7 +393,7 @@ def test_a_gallery_from_the_command_line(lifter: Path, capsys) -> None:
         (["input=files/train.npz", "page=galery"], "Did you mean 'gallery'?"),
         (["input=files/train.npz", "page=gallery", "output=poses.npz"], "page=gallery is an .html"),
         (["input=files/train.npz", "page=gallery", "frames=many"], "frames='many', expected a whole number"),
-        (["input=files/train.npz", "page=gallery", "frames=0"], "1 to 500 frames"),
+        (["input=files/train.npz", "page=gallery", "frames=0"], "from 1 to 500"),
         (["input=files/train.npz", "page=gallery", "seed=-1"], "seed=-1"),
         (["input=files/train.npz", "page=gallery", "images=files"], "no clip00"),
         (["input=files/train.npz", "page=viewer", "frames=3"], "frames= goes with page=gallery"),

@@ -219,14 +219,14 @@ class Plain(uplift.LiftingModule):
     """An optimiser and a schedule of its own."""
 
     def configure_optimizers(self) -> Any:
-        optimizer = torch.optim.SGD(self.parameters(), lr=0.1)
+        optimizer = torch.optim.SGD(self.parameters(), lr=1e-4)
         return [optimizer], [torch.optim.lr_scheduler.StepLR(optimizer, 1, 0.5)]
 
 
 def test_an_optimiser_of_ones_own_keeps_its_schedule(here: Path) -> None:
     draws = Draws()
     fit(module_of(Plain), data_of(here), max_epochs=2, callbacks=[draws])
-    assert draws.rates == pytest.approx([0.1] * 6 + [0.05] * 6)
+    assert draws.rates == pytest.approx([1e-4] * 6 + [0.5e-4] * 6)
 
 
 def test_labels_take_part(here: Path) -> None:
@@ -236,6 +236,7 @@ def test_labels_take_part(here: Path) -> None:
     assert (module.lifter.bone_mm > 50).all() and torch.equal(module.final.bone_mm, module.lifter.bone_mm)
     default = uplift.LiftingModule("h36m17", lifter=SMALL)
     assert "labelled" in default.priors
+    default.priors["flow"].steps = 3
     default.prepare(data_of(here))
     assert "labelled" not in default.terms.priors
 
@@ -435,7 +436,7 @@ SHAPE: dict[str, Any] = {"detail": 12, "crop": 16, "parts": 2, "resolution": 12,
 
 
 def test_masks_have_the_same_two_classes(here: Path) -> None:
-    data = uplift.MaskDataModule(60, family="chairs", side=32, batch_size=16, shape=SHAPE)
+    data = uplift.MaskDataModule(60, family="chairs", side=32, batch_size=16, shape=SHAPE, val=0.05)
     module = uplift.ShapeModule(shape=SHAPE, priors={"smoothness": 0.1, "mask_critic": {"weight": 0.1}})
     saver = ModelCheckpoint("masks", "{step}", monitor=None, every_n_train_steps=1, save_top_k=-1)
     flags: dict[str, Any] = {"max_epochs": 3, "enable_checkpointing": True, "log_every_n_steps": 1}
@@ -448,7 +449,7 @@ def test_masks_have_the_same_two_classes(here: Path) -> None:
         "val/volume_iou",
     } <= trainer.callback_metrics.keys()
     assert data.train_samples.truth is None and data.val_samples.truth is not None
-    for step in (1, 5, 8):
+    for step in (5, 8):
         again = uplift.ShapeModule(shape=SHAPE, priors={"smoothness": 0.1, "mask_critic": {"weight": 0.1}})
         fit(again, data, ckpt_path=f"masks/step={step}.ckpt", callbacks=[ModelCheckpoint("others")], **flags)
         assert same(weights(again), weights(module)), step
