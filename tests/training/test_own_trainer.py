@@ -286,6 +286,30 @@ def test_subclasses_are_small_and_load_again(here: Path) -> None:
     assert same(weights(Wide.load_from_checkpoint("wide.ckpt")), weights(wide))
 
 
+NET = """
+from torch import nn
+
+class Net(nn.Module):
+    def __init__(self, inputs, outputs):
+        super().__init__()
+        self.layer = nn.Linear(inputs, outputs)
+
+    def forward(self, features):
+        return self.layer(features)
+"""
+
+
+def test_a_network_of_a_file_is_found_from_anywhere(here: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (here / "net.py").write_text(NET)
+    data, module = data_of(here), module_of(lifter={"network": "net.py:Net"})
+    fit(module, data, max_steps=1).save_checkpoint("a.ckpt")
+    module.save("a.pt")
+    (here / "elsewhere").mkdir()
+    monkeypatch.chdir(here / "elsewhere")
+    assert same(weights(uplift.LiftingModule.load_from_checkpoint("../a.ckpt")), weights(module))
+    assert uplift.load("../a.pt").predict(data.test_samples).pose.shape == (60, 17, 3)
+
+
 class Wrong(uplift.LiftingModule):
     """Views that are no rotations."""
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import dataclasses
 import re
 import typing
@@ -63,10 +64,11 @@ def load_settings(task: str | None = None, overrides: Sequence[str] = (), defaul
 def settings_from(plain: Mapping[str, Any], task: str = "default") -> Settings:
     """Return the settings of ``task`` with plain nested ones over them, as `load_settings` checks them.
 
-    ``priors`` replace those of the task.
+    ``priors`` replace those of the task. Files of classes are relative to the current folder, and become absolute.
     """
     merged = read_task(task_path(task))
-    given = {key: value for key, value in plain.items() if value is not None}
+    given = copy.deepcopy({key: value for key, value in plain.items() if value is not None})
+    _bind_paths(given, Path.cwd())
     _check_keys({key: value for key, value in given.items() if key != "priors"}, (), lambda path: ".".join(path))
     merged = _merge(merged, given) | {key: given[key] for key in ("priors",) if key in given}
     settings = _typed({**merged, "task": "" if task == "default" else task})

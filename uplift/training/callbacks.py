@@ -139,13 +139,17 @@ def checked_checkpoint(path: Path, module: TrainingModule) -> dict[str, Any]:
 # Progress: one line on a terminal, rows in metrics.csv.
 
 
+_REFRESH_S = 0.5
+"""Between looks of the bar."""
+
+
 class Progress(TQDMProgressBar):
     """A bar over the share of the stage that is over in a terminal; elsewhere, a line for every tenth of it."""
 
     def __init__(self, stage: str, clock: Budget, stream: Any = None):
         super().__init__()
         self.stage, self.clock, self.stream = stage, clock, stream or sys.stderr
-        self._tenth, self._first, self._start = -1, 0, 0.0
+        self._tenth, self._first, self._start, self._shown = -1, 0, 0.0, 0.0
         self._smooth: dict[str, float] = {}
         if not self.stream.isatty():
             self.disable()
@@ -170,12 +174,12 @@ class Progress(TQDMProgressBar):
 
     def on_train_batch_end(self, trainer: L.Trainer, module: TrainingModule, *rest: Any) -> None:  # type: ignore[override]
         """Show the state when it is time to."""
-        tenth, over = int(module.done * 10), module.done >= 1 or trainer.should_stop
-        live = not self.is_disabled
-        due = trainer.global_step % 20 == 0 if live else tenth != self._tenth and trainer.is_global_zero
-        if not (due or over) or (not live and not trainer.is_global_zero):
+        tenth, now, live = int(module.done * 10), time.monotonic(), not self.is_disabled
+        over = module.done >= 1 or trainer.should_stop
+        due = now - self._shown > _REFRESH_S if live else tenth != self._tenth
+        if not trainer.is_global_zero or not (due or over):
             return
-        self._tenth = tenth
+        self._tenth, self._shown = tenth, now
         for name, value in module.logged.items():
             before = self._smooth.get(name, float(value))
             self._smooth[name] = 0.6 * before + 0.4 * float(value)
