@@ -37,6 +37,27 @@ def test_a_run_that_kept_nothing_is_removed_and_last_stays(here: Path) -> None:
     assert kept.path.exists()
 
 
+def test_nothing_of_a_users_is_removed_or_replaced(here: Path) -> None:
+    """Neither a resumed run's folder, nor notes in a new one, nor a file called last."""
+    noted = made()
+    (noted.path / "notes.txt").write_text("mine")
+    noted.discard_if_empty()
+    assert (noted.path / "notes.txt").read_text() == "mine" and noted.config.is_file()
+    resumed = RunFolder.open(made().path)
+    resumed.discard_if_empty()
+    assert resumed.config.is_file()
+    for other in ("file", "folder"):
+        run = RunFolder.create(load_settings("rat"), "uplift fit task=rat")
+        last = run.path.with_name("last")
+        if other == "file":
+            last.write_text("mine")
+        else:
+            last.unlink()
+            last.mkdir()
+        run.link_last()
+        assert not last.is_symlink() and (last.is_dir() or last.read_text() == "mine")
+
+
 def test_what_a_run_was_made_with(here: Path) -> None:
     run = made("demo", "seed=3", "trainer.max_steps=5")
     assert run.path.parent == Path("runs/demo")

@@ -6,9 +6,9 @@ import datetime
 import json
 import os
 import platform
-import shutil
 import subprocess
 import sys
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from importlib import metadata
 from pathlib import Path
@@ -33,6 +33,8 @@ class RunFolder:
         """Each stage's training state."""
         self.weights = path / "lifter.pt"
         """The trained lifter alone."""
+        self.created = False
+        """Whether this process made the folder."""
 
     @classmethod
     def create(cls, settings: Settings, command: str) -> RunFolder:
@@ -52,6 +54,7 @@ class RunFolder:
                 attempt += 1
                 path = base / f"{stamp}_{attempt}"
         run = cls(path)
+        run.created = True
         if settings.data.train and not settings.data.root:
             # The run finds its data again from any folder, whatever UPLIFT_DATA is then.
             root = str(data_root(settings.data.name, None).absolute())
@@ -63,18 +66,27 @@ class RunFolder:
         return run
 
     def link_last(self) -> None:
-        """Point the task's ``last`` to this run, which can now be resumed."""
+        """Point the task's ``last`` to this run, which can now be resumed; what else has that name is left alone."""
+        last = self.path.with_name("last")
+        if last.exists() and not last.is_symlink():
+            return
         temporary = self.path.with_name(f".last.{os.getpid()}")
         try:
             temporary.symlink_to(self.path.name, target_is_directory=True)
-            os.replace(temporary, self.path.with_name("last"))
+            os.replace(temporary, last)
         except OSError:  # a file system without links, where `run=.../last` cannot work
             temporary.unlink(missing_ok=True)
 
     def discard_if_empty(self) -> None:
-        """Remove a run that ended before it kept any weights."""
-        if not any(self.checkpoints.glob("*.ckpt")) and not self.weights.exists():
-            shutil.rmtree(self.path, ignore_errors=True)
+        """Remove a run that this process made, and that ended before anything else came into its folder."""
+        ours = [self.config, self.path / "run.json", self.path / "metrics.csv"]
+        if not self.created or not set(self.path.iterdir()) <= {*ours, self.checkpoints}:
+            return
+        with suppress(OSError):  # a folder that is not empty stays
+            self.checkpoints.rmdir()
+            for path in ours:
+                path.unlink(missing_ok=True)
+            self.path.rmdir()
 
     @classmethod
     def open(cls, path: str | Path) -> RunFolder:
