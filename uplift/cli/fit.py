@@ -13,7 +13,7 @@ import torch
 from lightning.pytorch.utilities.rank_zero import rank_zero_only
 
 from uplift.cli.kinds import KINDS
-from uplift.cli.report import report
+from uplift.cli.report import Training, report
 from uplift.config.loading import load_settings
 from uplift.config.run import RunFolder
 from uplift.config.settings import Settings
@@ -52,7 +52,7 @@ class Prepared:
     loaded: Any
     """The data, with `notes`."""
     recipe: Any
-    """With `notes`, `spent` and `train(run)`, which returns a model with `save(path)`."""
+    """With `notes`, `spent`, `steps` and `train(run)`, which returns a model with `save(path)`."""
 
 
 def fit_settings(settings: Settings, run: RunFolder | None = None) -> RunFolder:
@@ -74,7 +74,7 @@ def fit_settings(settings: Settings, run: RunFolder | None = None) -> RunFolder:
     if rank_zero_only.rank == 0:
         model.save(run.weights)
         run.link_last()
-        report(run, model, settings, fit.loaded, fit.recipe.spent)
+        report(run, model, settings, fit.loaded, Training(fit.recipe.spent, getattr(fit.recipe, "steps", {})))
     return run
 
 

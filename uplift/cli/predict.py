@@ -14,7 +14,7 @@ from uplift.cli.parsing import Keys, keyed
 from uplift.cli.verbs import SHAPE_KEYS
 from uplift.config.files import refuse_output
 from uplift.config.loading import load_settings
-from uplift.config.run import Weights, read_weights
+from uplift.config.run import RunFolder, Weights, read_weights
 from uplift.data.clean import clean
 from uplift.data.datasets import DATA_SETS
 from uplift.data.formats import read_masks
@@ -109,6 +109,7 @@ def predict_command(words: Sequence[str]) -> None:
     files: dict[Path, str] = {}
     arguments = kind.predict_arguments(keys) | {"axes": keys.get("axes"), "page": keys.get("page"), "written": files}
     lines = kind.predict_summary(predict(weights, keys["input"], keys["output"], *overrides, **arguments))
+    lines += RunFolder(weights.path.parent).short_fit()
     lines += [f"wrote {path}" + (f": {remark}" if remark else "") for path, remark in list(files.items())[:5]]
     lines += [f"and {len(files) - 5} more"] * (len(files) > 5)
     lines += [f"look: open {path} in a browser" for path in files if path.suffix.lower() == ".html"]

@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from uplift.data.poses import PoseData
     from uplift.models.model import Model, ShapeModel
 
-__all__ = ["Findings", "pose_findings", "report", "shape_findings"]
+__all__ = ["Findings", "Training", "pose_findings", "report", "shape_findings"]
 
 
 @dataclass(frozen=True)
@@ -77,29 +77,51 @@ class Findings:
         return [header, *([name, *(overall.get(name, "") for overall in overalls)] for name in self.names)]
 
 
-def report(run: RunFolder, model: Any, settings: Settings, loaded: Any, spent: dict[str, float]) -> None:
+@dataclass(frozen=True)
+class Training:
+    """How long each stage of a fit trained."""
+
+    spent: Mapping[str, float]
+    """Seconds."""
+    steps: Mapping[str, int]
+
+    def lines(self) -> list[str]:
+        """Return a line for each stage."""
+        return [
+            f"{stage}: {seconds:.0f} s of training"
+            + (
+                f", {self.steps[stage]:,} steps, {self.steps[stage] / max(seconds, 1e-9):.3g} a second"
+                if stage in self.steps
+                else ""
+            )
+            for stage, seconds in self.spent.items()
+        ]
+
+
+def report(run: RunFolder, model: Any, settings: Settings, loaded: Any, training: Training) -> None:
     """Evaluate where there is a truth, write report.md and page.html, and print what comes next."""
     found: Findings = KINDS[settings.lifts].report(model, settings, loaded)
     if found.evaluation is not None:
         save_evaluation(found.evaluation, run)
-    rows = found.rows()
-    lines = [*_head_lines(run, settings, [*loaded.notes, *found.given], spent), *_figure_lines(found, rows)]
+    run.add_facts(steps=dict(training.steps), seconds=dict(training.spent))
+    rows, short = found.rows(), run.short_fit()
+    notes = [*short, *loaded.notes, *found.given, *training.lines()]
+    lines = [*_head_lines(run, settings, notes), *_figure_lines(found, rows)]
     with replacing(run.path / "report.md") as file:
         file.write(("\n".join(lines) + "\n").encode())
     sections = [(found.words.title, rows)] if rows else []
     curves: dict[str, list[tuple[float, float]]] = {}
     for stage, step, name, value in read_metrics(run.path / "metrics.csv"):
         curves.setdefault(f"{stage}: {name}", []).append((float(step), float(value)))
-    found.write_page(run.path / "page.html", sections=sections, curves=curves, notes=found.given)
-    print("\n".join(_end_lines(run, found, rows, spent)))
+    found.write_page(run.path / "page.html", sections=sections, curves=curves, notes=[*short, *found.given])
+    print("\n".join(_end_lines(run, found, rows, training)))
 
 
-def _head_lines(run: RunFolder, settings: Settings, notes: Sequence[str], spent: dict[str, float]) -> list[str]:
+def _head_lines(run: RunFolder, settings: Settings, notes: Sequence[str]) -> list[str]:
     facts = run.facts()
     return [
         *(f"# {settings.task or 'own data'}", "", settings.description.strip(), "", "```", facts["command"], "```", ""),
         *(f"- {note}" for note in notes),
-        *(f"- {stage}: {seconds:.0f} s of training" for stage, seconds in spent.items()),
         *(f"- seed {settings.seed}, {facts['cores']} cores, torch {facts['versions']['torch']}", ""),
     ]
 
@@ -119,9 +141,9 @@ def _cell(cell: object, number: str) -> str:
     return format(cell, number) if isinstance(cell, float) else str(cell)
 
 
-def _end_lines(run: RunFolder, found: Findings, rows: list[list[object]], spent: dict[str, float]) -> list[str]:
+def _end_lines(run: RunFolder, found: Findings, rows: list[list[object]], training: Training) -> list[str]:
     """Return what a fit prints at its end: figures, what it wrote, what comes next."""
-    lines = [f"\ntrained for {sum(spent.values()):.0f} s", *found.shown]
+    lines = [f"\ntrained for {sum(training.spent.values()):.0f} s", *run.short_fit(), *found.shown]
     if rows:
         lines += [f"\n{found.about}\n"]
         wide, narrow = found.words.widths
@@ -145,8 +167,11 @@ def _end_lines(run: RunFolder, found: Findings, rows: list[list[object]], spent:
 _STARTED = "Started from the weights of {}; see that run for what it learned from."
 
 
-def _prior_lines(settings: Settings) -> list[str]:
-    specs = {n: s for n, s in settings.priors.items() if float(s.get("weight", 1)) > 0}
+def _prior_lines(settings: Settings, labelled: bool) -> list[str]:
+    """Return which priors judged; that of labels only where there are any."""
+    specs = {
+        n: s for n, s in settings.priors.items() if float(s.get("weight", 1)) > 0 and (labelled or n != "labelled")
+    }
     weights = ", ".join(f"{name} {float(spec.get('weight', 1)):g}" for name, spec in specs.items())
     foreign = {name: spec["use"] for name, spec in specs.items() if ":" in str(spec.get("use", name))}
     note = "Prior {} is user-defined ({}): ask its author what it reads."
@@ -211,7 +236,7 @@ def _given_to_poses(settings: Settings, loaded: Loaded) -> list[str]:
     train = loaded.train
     if settings.student.share and settings.student.refine.iterations and len(np.unique(train.clips())) < len(train):
         lines.append("Which frames make a clip was used: one body and a smooth motion in each.")
-    return [*lines, *_prior_lines(settings)]
+    return [*lines, *_prior_lines(settings, labelled=bool(labels))]
 
 
 def _some_rows(data: PoseData, most: int = 1500) -> np.ndarray:
@@ -295,4 +320,4 @@ def _given_to_shapes(settings: Settings, loaded: LoadedMasks) -> list[str]:
     assumed += [f"cameras look down by {mean:g} degrees, give or take {sd:g}"] * shape.gravity
     assumed += ["shapes are their own mirror image, left and right"] * shape.symmetric
     lines.append(f"Assumed (shape.*): {'; '.join(assumed)}.")
-    return [*lines, *(_prior_lines(settings) if settings.priors else [])]
+    return [*lines, *(_prior_lines(settings, labelled=True) if settings.priors else [])]

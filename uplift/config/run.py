@@ -19,7 +19,13 @@ from uplift.config.loading import load_settings, save_settings
 from uplift.config.settings import Settings
 from uplift.errors import UserError, did_you_mean
 
-__all__ = ["RunFolder", "Weights", "read_weights"]
+__all__ = ["USUAL_STEPS", "RunFolder", "Weights", "read_weights"]
+
+
+USUAL_STEPS = 10_000
+"""Steps of the default recipe in its ten minutes on one core."""
+_SHORT = 0.1
+"""Share of them below which results are expected to be poor."""
 
 
 class RunFolder:
@@ -118,6 +124,22 @@ class RunFolder:
             return _mapping(self.path / "run.json")
         except OSError as error:
             raise UserError(f"{self.path / 'run.json'} cannot be read: {error.strerror}.") from error
+
+    def add_facts(self, **more: Any) -> None:
+        """Add to run.json."""
+        with replacing(self.path / "run.json") as file:
+            file.write(json.dumps(self.facts() | more, indent=2).encode())
+
+    def short_fit(self) -> list[str]:
+        """Return a warning where the fit took few steps beside a usual one; nothing where that is not known."""
+        known = (self.path / "run.json").is_file()
+        steps = sum(self.facts().get("steps", {}).values()) if known else 0
+        if not steps or steps >= _SHORT * USUAL_STEPS:
+            return []
+        share = f"{steps:,} steps, {100 * steps / USUAL_STEPS:.2g} % of the {USUAL_STEPS:,} of a usual fit"
+        return [
+            f"WARNING: a short fit: {share}. Expect poor results; train longer (trainer.max_time, trainer.max_steps)."
+        ]
 
     def evaluation(self) -> dict[str, Any] | None:
         """Return evaluation.json, None where the run was not evaluated."""

@@ -57,7 +57,8 @@ class Recipe:
         self.budgets: dict[str, StageBudget] = {}
         self.spent: dict[str, float] = {}
         """Seconds that each stage took."""
-        self._steps = 0
+        self.steps: dict[str, int] = {}
+        """Steps that each stage took."""
         self._loggers: list[Logger] | None = None
         build_callbacks(settings.callbacks)  # what is wrong with them is said before any training
 
@@ -76,7 +77,7 @@ class Recipe:
             self._loggers = build_loggers(self.settings, run.path)
         module.prepare(data)
         data.batch_size = batch_size
-        module.log_prefix, module.first_step = name, self._steps
+        module.log_prefix, module.first_step = name, sum(self.steps.values())
         record = run_stage(
             name,
             module,
@@ -89,8 +90,7 @@ class Recipe:
             callbacks=build_callbacks(self.settings.callbacks),
             loggers=self._loggers,
         )
-        self.spent[name] = record.spent
-        self._steps += record.steps
+        self.spent[name], self.steps[name] = record.spent, record.steps
 
 
 def module_class(use: str | None, where: str, default: type[ModuleT]) -> type[ModuleT]:
