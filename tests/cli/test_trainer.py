@@ -109,6 +109,11 @@ class MyLogger(L.pytorch.loggers.logger.Logger):
 
 class NoCallback:
     pass
+
+
+class Raises(L.Callback):
+    def on_train_start(self, trainer, module):
+        raise ValueError("what a pity")
 '''  # fmt: skip
 
 
@@ -287,6 +292,10 @@ ERRORS = [
     ("views.use=my.py:NoViews", "my.py, line"),
     ("views.options.degrees=3", "set views.use=file.py:Class"),
     ("student.loss=my.py:MyViews", "is not a subclass of uplift.StudentLoss"),
+    ("callbacks.LearningRateMonitor.logging_interval=step", "Lightning refuses the fit"),
+    ("callbacks.bad.use=my.py:Raises", "my.py, line"),
+    ("trainer.accumulate_grad_batches=x", "expected a whole number of at least 1"),
+    ("trainer.flags.nonsense=1", "no such flag"),
     ("data.val=none.npz", "No file"),
     ("data.val=1.5", "expected a share"),
 ]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import copy
 import dataclasses
 import re
 import typing
@@ -67,13 +66,25 @@ def settings_from(plain: Mapping[str, Any], task: str = "default") -> Settings:
     ``priors`` replace those of the task. Files of classes are relative to the current folder, and become absolute.
     """
     merged = read_task(task_path(task))
-    given = copy.deepcopy({key: value for key, value in plain.items() if value is not None})
+    given = {key: _as_plain(value) for key, value in plain.items() if value is not None}
     _bind_paths(given, Path.cwd())
     _check_keys({key: value for key, value in given.items() if key != "priors"}, (), lambda path: ".".join(path))
     merged = _merge(merged, given) | {key: given[key] for key in ("priors",) if key in given}
     settings = _typed({**merged, "task": "" if task == "default" else task})
     check_settings(settings)
     return settings
+
+
+def _as_plain(value: Any) -> Any:
+    """Return a copy with numbers of numpy and torch as Python's, dataclasses and tuples as plain data."""
+    if dataclasses.is_dataclass(value) and not isinstance(value, type):
+        value = dataclasses.asdict(value)
+    if isinstance(value, Mapping):
+        return {key: _as_plain(inner) for key, inner in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_as_plain(inner) for inner in value]
+    single = getattr(value, "ndim", None) == 0 and hasattr(value, "item")
+    return value.item() if single else value  # type: ignore[union-attr]
 
 
 def save_settings(settings: Settings, path: Path) -> None:

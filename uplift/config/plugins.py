@@ -15,8 +15,10 @@ from typing import Any, TypeVar
 
 from uplift.errors import UserError, did_you_mean
 
-__all__ = ["blame", "build", "find_class", "line_of", "options_of"]
+__all__ = ["blame", "build", "find_class", "line_of", "options_of", "users_line"]
 
+_USERS = "uplift_user_"
+"""Beginning of the names of modules that are files of users."""
 _PACKAGE = Path(__file__).resolve().parents[1]
 Kind = TypeVar("Kind")
 
@@ -71,6 +73,13 @@ def blame(what: str, found: type) -> Iterator[None]:
             raise
         kind = type(error).__name__
         raise UserError(f"{what} failed in {line_of(error, found)}: {kind}: {error}".rstrip(": ")) from error
+
+
+def users_line(error: BaseException) -> str | None:
+    """Return the last line of a user's plug-in file that an error went through; None where it went through none."""
+    files = {getattr(module, "__file__", None) for name, module in sys.modules.items() if name.startswith(_USERS)}
+    found = [frame for frame in traceback.extract_tb(error.__traceback__) if frame.filename in files]
+    return f"{found[-1].filename}, line {found[-1].lineno}" if found else None
 
 
 def line_of(error: BaseException, found: type) -> str:
@@ -129,7 +138,7 @@ def _load_file(name: str, setting: str) -> ModuleType:
     path = Path(name).expanduser().absolute()
     if not path.is_file():
         raise UserError(f"{setting}: no file {path}.")
-    key = f"uplift_user_{abs(hash(str(path)))}_{path.stem}"
+    key = f"{_USERS}{abs(hash(str(path)))}_{path.stem}"
     if key in sys.modules:
         return sys.modules[key]
     spec = importlib.util.spec_from_file_location(key, path)

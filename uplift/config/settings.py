@@ -303,9 +303,7 @@ class TrainerSettings:
     accelerator: str = _setting("auto", "accelerator of Lightning's Trainer")
     devices: str = _setting("auto", "devices of Lightning's Trainer")
     precision: str = _setting("32-true", "precision of Lightning's Trainer")
-    logger: Optional[str] = _setting(
-        None, "loggers beside metrics.csv, several with commas: tensorboard, wandb, csv, mlflow, comet"
-    )
+    logger: Optional[str] = _setting(None, "loggers beside metrics.csv, several with commas: tensorboard, wandb, csv")
     flags: dict[str, Any] = _setting({}, "any other flag of Lightning's Trainer, given as trainer.NAME")
 
 
@@ -539,6 +537,12 @@ def _contradictions(settings: Settings) -> Iterator[tuple[bool, str]]:
         student.share > 0 and not student.rounds,
         "student.rounds is empty: give a share for each round, or student.share=0 for no student.",
     )
+    flags = trainer.flags
+    unknown = next((name for name in flags if name not in TRAINER_FLAGS), "")
+    yield bool(unknown), f"trainer.flags.{unknown}: no such flag for a fit.{nearest(unknown, TRAINER_FLAGS)}"
+    count = flags.get("accumulate_grad_batches", 1)
+    whole = isinstance(count, int) and not isinstance(count, bool) and count >= 1
+    yield not whole, f"trainer.accumulate_grad_batches={count!r}: expected a whole number of at least 1."
     yield settings.teacher.share <= 0, "teacher.share is 0: the first stage cannot be left out."
     yield (
         trainer.max_time is None and trainer.max_steps is None and trainer.max_epochs is None,

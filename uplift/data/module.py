@@ -75,8 +75,9 @@ class _Data(L.LightningDataModule, Generic[SamplesT, LoadedT]):
     endless = False
     """Whether an epoch never ends, as in a fit by time."""
 
-    def __init__(self, settings: Settings, given: Mapping[str, Any], val: float | Any | None, batch_size: int):
+    def __init__(self, settings: Settings, given: Mapping[str, Any], val: float | Any | None, batch_size: Any):
         super().__init__()
+        batch_size = _plain_number(batch_size)
         if isinstance(batch_size, bool) or not isinstance(batch_size, int) or batch_size < 2:
             raise UserError(f"batch_size={batch_size!r}: expected a whole number of at least 2.")
         if isinstance(val, bool) or (isinstance(val, (int, float)) and not 0 <= val < 1):
@@ -86,6 +87,15 @@ class _Data(L.LightningDataModule, Generic[SamplesT, LoadedT]):
         """What was read, with `notes` on it; None before `setup`."""
         self._val: SamplesT | None = None
         self._test: Any = None
+
+    def __str__(self) -> str:
+        """Return what the data are, without reading them."""
+        read = "not read yet" if self.loaded is None else "; ".join(self.notes)
+        return f"{type(self).__name__} of {self._source()}: {read}"
+
+    def _source(self) -> str:
+        given = self.given["train"]
+        return str(given) if isinstance(given, (str, Path, int)) else type(given).__name__
 
     @abstractmethod
     def _load(self) -> LoadedT:
@@ -117,7 +127,7 @@ class _Data(L.LightningDataModule, Generic[SamplesT, LoadedT]):
                 f"There are no training data: give {type(self).__name__}(train=...) files, data or a number."
             )
         loaded = train if isinstance(train, (Loaded, LoadedMasks)) else self._load()
-        self._test, share = loaded.test, self.val
+        self._test, share = self._test or loaded.test, self.val
         if isinstance(share, (int, float)) and share:
             samples: Any = loaded.train
             if len(samples) < 2:
@@ -146,9 +156,10 @@ class _Data(L.LightningDataModule, Generic[SamplesT, LoadedT]):
     @property
     def test_samples(self) -> SamplesT:
         """What is tested on; raises UserError where no test data were given."""
-        if self.given.get("test") is not None:
-            return self._read(self.given["test"], "test")
-        self._load_once()
+        if self._test is None and self.given.get("test") is not None:
+            self._test = self._read(self.given["test"], "test")
+        if self._test is None:
+            self._load_once()
         if self._test is None:
             raise UserError("There are no test data: give test=FILE (or hold_out={'fraction': 0.1}).")
         return self._test
@@ -205,6 +216,11 @@ def _place(given: str | Path, options: Mapping[str, Any], which: str) -> dict[st
         return {"name": options.get("name") or use, "use": use, which: split}
     in_folder = options.get("root") or options.get("name")
     return {which: str(given) if in_folder else absolute(str(given))}
+
+
+def _plain_number(value: Any) -> Any:
+    """Return a number of numpy or torch as Python's; anything else as it is."""
+    return value.item() if getattr(value, "ndim", None) == 0 and hasattr(value, "item") else value
 
 
 def _labelled(labelled: float | Mapping[str, Any] | None) -> dict[str, Any]:
@@ -271,7 +287,7 @@ class KeypointData(_Data[PoseData, Loaded]):
         val: Any = 0.1,
         test: Any = None,
         predict: Any = None,
-        batch_size: int = 256,
+        batch_size: Any = 256,
         labelled: float | Mapping[str, Any] | None = None,
         seed: int = 0,
         **options: Any,
@@ -281,7 +297,7 @@ class KeypointData(_Data[PoseData, Loaded]):
                 "KeypointData needs skeleton=NAME (`uplift skeletons` lists them), FILE.yaml or a Skeleton."
             )
         self.skeleton = skeleton_of(skeleton)
-        options = {**options, **_labelled(labelled)}
+        options, train = {**options, **_labelled(labelled)}, _plain_number(train)
         settings = _data_settings(train, "keypoints", options, seed=seed)
         super().__init__(settings, {"train": train, "test": test, "predict": predict}, val, batch_size)
         self._frames: dict[tuple, TrainingSet] = {}
@@ -393,12 +409,12 @@ class MaskDataModule(_Data[MaskData, LoadedMasks]):
         val: Any = 0.1,
         test: Any = None,
         predict: Any = None,
-        batch_size: int = 512,
+        batch_size: Any = 512,
         labelled: float | Mapping[str, Any] | None = None,
         seed: int = 0,
         **options: Any,
     ):
-        options = {**options, **_labelled(labelled)}
+        options, train = {**options, **_labelled(labelled)}, _plain_number(train)
         settings = _data_settings(train, "masks", options, shape=shape, seed=seed)
         super().__init__(settings, {"train": train, "test": test, "predict": predict}, val, batch_size)
         self._sets: dict[tuple, MaskSet] = {}

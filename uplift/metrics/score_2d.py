@@ -40,12 +40,12 @@ from uplift.models.model import Model
 from uplift.models.predict import bodies_of, lift_frames
 from uplift.skeleton import Skeleton
 
-__all__ = ["WEIGHTS", "score_2d"]
+__all__ = ["LEAST_FRAMES", "WEIGHTS", "score_2d"]
 
 WEIGHTS = {"unrealistic": 1.0, "uncovered": 1.0, "bones": 1.0, "mirrored": 1.0, "relift": 0.2, "uneven": 0.2}
 """How much each figure counts in the score."""
 
-_FEWEST = 20
+LEAST_FRAMES = 20
 """Frames that a score needs."""
 _VIEWS = 3
 """Random views of each pose that are compared with real pictures."""
@@ -101,9 +101,9 @@ def score_2d(
 def _frames(model: Model, data: PoseData, generator: torch.Generator, most: int) -> tuple[PoseData, TrainingSet]:
     """Return at most ``most`` frames that can be lifted, in their order, and the same in the model's units."""
     data, _ = clean(data.without_truth(), model.skeleton)
-    if len(data) < _FEWEST:
+    if len(data) < LEAST_FRAMES:
         raise UserError(
-            f"{data.source or 'the data'}: {len(data)} frames can be lifted, expected {_FEWEST} or more to compare pictures with (of held-out frames: raise val=)."
+            f"{data.source or 'the data'}: {len(data)} frames can be lifted, expected {LEAST_FRAMES} or more to compare pictures with (of held-out frames: raise val=)."
         )
     rows = torch.randperm(len(data), generator=generator)[:most].sort().values.numpy()
     data = data.select(rows)

@@ -82,7 +82,7 @@ class Lifter(nn.Module):
         features = keypoints.flatten(1)
         if self.confidence_input:
             features = torch.cat([features, confidence], 1)
-        output = self.network(features)
+        output = self.network(features).to(features.dtype)  # geometry is in full precision
         depth = output[:, :joints]
         if not self.root_free:
             depth = depth - depth[:, self.skeleton.root_index, None]

@@ -97,6 +97,11 @@ class _Saved:
         """Return the model that `save` wrote, without running code; raises UserError for other or damaged files."""
         path, state = weights.path, weights.state
         version = state.get("uplift_format")
+        if "state_dict" in state and "hyper_parameters" in state:
+            raise UserError(
+                f"{path} is a checkpoint of Lightning's, expected a lifter: "
+                "uplift.LiftingModule.load_from_checkpoint(...).save(FILE.pt) makes one."
+            )
         if version not in cls.formats or weights.lifts != cls.lifts:
             raise UserError(
                 f"{path} is not a lifter of {cls.lifts} that this version can read: uplift_format is {version!r} and it "

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import dataclasses
 import math
+import weakref
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
+from pathlib import Path
 from typing import Any, Generic, TypeVar, cast
 
 import lightning as L
@@ -14,6 +16,7 @@ from lightning.pytorch.callbacks import Timer
 from torch import Tensor, nn
 from torch.optim.swa_utils import AveragedModel
 
+from uplift.config.files import read_torch
 from uplift.config.loading import settings_from
 from uplift.config.settings import Settings, StageSettings
 from uplift.data.samples import Samples
@@ -21,7 +24,7 @@ from uplift.errors import UserError, did_you_mean
 from uplift.priors.base import Lift, Prior, ShapeLift
 from uplift.training.objective import Logged, Objective
 
-__all__ = ["TrainingModule", "plain_settings", "prior_specs", "saved_priors", "stage_settings", "stream_seed"]
+__all__ = ["TrainingModule", "plain_settings", "prior_specs", "saved_priors", "seeded", "stage_settings", "stream_seed"]
 
 
 def stream_seed(seed: int, rank: int, step: int) -> int:
@@ -36,15 +39,27 @@ def stream_seed(seed: int, rank: int, step: int) -> int:
     return mixed >> 1
 
 
-def _average(decay: float):
-    """Return the rule of an exponential moving average, with a shorter memory over the first steps."""
+@contextmanager
+def seeded(seed: int) -> Iterator[None]:
+    """Draw from the stream of ``seed`` on the CPU, and leave the user's random numbers as they were."""
+    before = torch.get_rng_state()
+    torch.default_generator.manual_seed(seed)
+    try:
+        yield
+    finally:
+        torch.set_rng_state(before)
+
+
+@dataclasses.dataclass(frozen=True)
+class _Average:
+    """The rule of an exponential moving average, with a shorter memory over the first steps."""
+
+    decay: float
 
     @torch.no_grad()
-    def update(averaged: Any, current: Any, updates: Tensor | int) -> None:
+    def __call__(self, averaged: Any, current: Any, updates: Tensor | int) -> None:
         so_far = float(updates)
-        torch._foreach_lerp_(averaged, current, 1 - min(decay, (1 + so_far) / (10 + so_far)))
-
-    return update
+        torch._foreach_lerp_(averaged, current, 1 - min(self.decay, (1 + so_far) / (10 + so_far)))
 
 
 LifterT = TypeVar("LifterT", bound=nn.Module)
@@ -67,7 +82,7 @@ class TrainingModule(L.LightningModule, Generic[LifterT, DataT]):
     """The priors that judge the lifter, if any."""
     frames: DataT | None = None
     """The training data on the module's device, in the lifter's units; None before `prepare`."""
-    prepared_with: Any = None
+    prepared_with: weakref.ref[Any] | None = None
     """The data module that `prepare` took the training data from."""
     logged: Logged
     """The terms of the last step."""
@@ -92,7 +107,7 @@ class TrainingModule(L.LightningModule, Generic[LifterT, DataT]):
         self.lifter, self.settings, self.seed, self.logged = lifter, settings, seed, {}
         self.averaged = None
         if settings.average:
-            self.averaged = AveragedModel(lifter, multi_avg_fn=_average(settings.average))
+            self.averaged = AveragedModel(lifter, multi_avg_fn=_Average(settings.average))
             # Nothing trains them, and ranks must not wait for their gradients.
             self.averaged.requires_grad_(False)
         self.terms = terms or Objective({}, {})
@@ -126,7 +141,8 @@ class TrainingModule(L.LightningModule, Generic[LifterT, DataT]):
     def setup(self, stage: str) -> None:
         """Prepare for training with the trainer's data module, unless that was done before."""
         data = self.trainer.datamodule  # type: ignore[attr-defined]
-        if stage == "fit" and (self.frames is None or data not in (None, self.prepared_with)):
+        known = None if self.prepared_with is None else self.prepared_with()
+        if stage == "fit" and (self.frames is None or (data is not None and data is not known)):
             self.prepare(data)
 
     def on_fit_start(self) -> None:
@@ -136,16 +152,18 @@ class TrainingModule(L.LightningModule, Generic[LifterT, DataT]):
 
     def on_train_start(self) -> None:
         """Look up what ends the training, and set the learning rate of the first step."""
-        self._total_steps = self.trainer.estimated_stepping_batches
+        steps = self.trainer.estimated_stepping_batches
+        self._total_steps = steps if steps > 0 else math.inf  # not known: a loader without a length
         callbacks: list[L.Callback] = self.trainer.callbacks  # type: ignore[attr-defined]
         self._timers = tuple(c for c in callbacks if isinstance(c, Timer) and c.time_remaining() is not None)
-        self._accumulated = self.trainer.accumulate_grad_batches
+        self._random = torch.get_rng_state()
         self._log_every = max(1, self.trainer.log_every_n_steps)  # type: ignore[attr-defined]
         self._set_rates()
 
     def on_train_end(self) -> None:
-        """Log no more."""
-        self._log_every = 0
+        """Log no more, give the user's random numbers back, and let go of the last step's graph."""
+        self._log_every, self.last_lift = 0, None
+        torch.set_rng_state(self._random)
 
     def on_train_batch_end(self, *rest: Any) -> None:
         """Set the learning rate of the next step."""
@@ -162,7 +180,7 @@ class TrainingModule(L.LightningModule, Generic[LifterT, DataT]):
 
     def update_done(self) -> None:
         """Set `done` for the steps and the time so far."""
-        shares = [self.trainer.global_step / self._total_steps]
+        shares = [0.0, self.trainer.global_step / self._total_steps]
         for timer in self._timers:
             spent = timer.time_elapsed()
             shares.append(spent / (spent + (timer.time_remaining() or 0.0)))
@@ -173,6 +191,7 @@ class TrainingModule(L.LightningModule, Generic[LifterT, DataT]):
 
     def training_step(self, batch: Any, batch_idx: int) -> Tensor:
         """Seed this step's random stream and return the loss of ``batch``, or of a batch drawn from the stream."""
+        self._accumulated = self.trainer.accumulate_grad_batches if self._log_every else 1
         self._micro_batch = batch_idx % self._accumulated
         torch.manual_seed(stream_seed(self.seed, self.global_rank, self.stream_step))
         loss, self.logged = self.objective(batch)
@@ -182,7 +201,7 @@ class TrainingModule(L.LightningModule, Generic[LifterT, DataT]):
 
     @property
     def stream_step(self) -> int:
-        """The number of this step's random stream: that of the optimiser's step, or of the batches within it."""
+        """The number of this step's random stream: of the optimiser's step and of the batch within it."""
         return self.global_step * self._accumulated + self._micro_batch
 
     def _log_terms(self, loss: Tensor) -> None:
@@ -215,8 +234,26 @@ class TrainingModule(L.LightningModule, Generic[LifterT, DataT]):
     @contextmanager
     def inference(self) -> Iterator[None]:
         """Compute as ``uplift evaluate`` and ``uplift predict`` do: in full precision, gradients where refinement needs them."""
-        with torch.inference_mode(False), torch.no_grad(), torch.autocast(self.device.type, enabled=False):
+        with torch.inference_mode(False), torch.no_grad(), self.full_precision():
             yield
+
+    def full_precision(self) -> Any:
+        """Return a context without mixed precision: geometry needs all digits."""
+        return torch.autocast(self.device.type, enabled=False)
+
+    @classmethod
+    def load_from_checkpoint(cls, checkpoint_path: Any, **given: Any) -> Any:  # type: ignore[override]
+        """Return the module of a checkpoint, as Lightning does; nothing but tensors and plain data is read from it.
+
+        Networks, priors and other classes that it names as ``file.py:Class`` or ``package.module:Class`` are imported.
+
+        Raises:
+            UserError: not a checkpoint, or one that names a file without its folder, as it would run what lies nearby.
+        """
+        state = read_torch(Path(checkpoint_path), "checkpoint")
+        found = {key: value for key, value in state.get("hyper_parameters", {}).items() if key not in given}
+        _refuse_nearby(found, str(checkpoint_path))
+        return super().load_from_checkpoint(checkpoint_path, weights_only=True, **given)
 
     # Optimisation.
 
@@ -229,8 +266,9 @@ class TrainingModule(L.LightningModule, Generic[LifterT, DataT]):
         """Return one Adam over all groups; each keeps its peak rate for the schedule."""
         groups = [{**group, "peak": group["lr"]} for group in self.parameter_groups()]
         s = self.settings
-        # The fused kernel needs floating-point parameters of one device type, which ours are.
-        return torch.optim.Adam(groups, betas=(s.beta1, s.beta2), weight_decay=s.weight_decay, fused=True)
+        # The fused kernel unscales gradients itself, which Lightning refuses to clip in mixed precision.
+        fused = not ("mixed" in str(self.trainer.precision) and self.trainer.gradient_clip_val)
+        return torch.optim.Adam(groups, betas=(s.beta1, s.beta2), weight_decay=s.weight_decay, fused=fused)
 
     def schedule(self, done: float) -> float:
         """Return the learning rate's factor: warm up, constant to `decay_from`, half a cosine down to 2 %."""
@@ -256,9 +294,28 @@ class TrainingModule(L.LightningModule, Generic[LifterT, DataT]):
         checkpoint["done"] = self.done
 
 
+def _refuse_nearby(value: Any, path: str) -> None:
+    """Refuse relative paths to classes: a module stores the full path."""
+    if isinstance(value, Mapping):
+        value = list(value.values())
+    if isinstance(value, (list, tuple)):
+        for part in value:
+            _refuse_nearby(part, path)
+    elif isinstance(value, str):
+        file, colon, _ = value.rpartition(":")
+        if colon and file.endswith(".py") and not Path(file).is_absolute():
+            raise UserError(f"{path} names '{value}' without its folder: not loaded, as it would run that file.")
+
+
 # What modules are built from: settings as plain data, and priors in any form.
 
-_OF_DATA = {"batch_size": "batch_size=... of the data module", "share": "the length of the trainer's fit"}
+_OF_DATA = {
+    "batch_size": "batch_size=... of the data module",
+    "share": "the length of the trainer's fit",
+    "rounds": "as many modules, each the teacher of the next",
+    **dict.fromkeys(("network", "options", "last_options"), "lifter={'network': ..., 'options': ...}"),
+    "module": "the class itself",
+}
 
 
 def stage_settings(group: str, training: Mapping[str, Any], task: str = "default", **plain: Any) -> Settings:
@@ -296,8 +353,9 @@ def prior_specs(priors: Mapping[str, Any] | None) -> tuple[dict[str, Any] | None
                 f"the prior '{name}' was given as a Python object ({spec[_OBJECT]}), which a checkpoint does not hold: "
                 "pass priors=... again, as the module had them."
             )
-        if isinstance(spec, (type, Prior)):
-            given[name] = spec
+        use = spec.get("use") if isinstance(spec, Mapping) else spec
+        if isinstance(use, (type, Prior)):
+            given[name] = (use, float(spec.get("weight", 1.0)) if isinstance(spec, Mapping) else 1.0)
         elif isinstance(spec, Mapping):
             specs[name] = dict(spec)
         else:
@@ -310,5 +368,5 @@ _OBJECT = "given_as_object"
 
 def saved_priors(specs: Mapping[str, Any], given: Mapping[str, Any]) -> dict[str, Any]:
     """Return what a checkpoint keeps of the priors: their settings, and a note of each that was an object."""
-    names = {name: getattr(one, "__name__", type(one).__name__) for name, one in given.items()}
+    names = {name: getattr(one, "__name__", type(one).__name__) for name, (one, _) in given.items()}
     return {**specs, **{name: {_OBJECT: named} for name, named in names.items()}}

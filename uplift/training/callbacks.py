@@ -78,6 +78,10 @@ class Threads(L.Callback):
         """Set all threads again for the rest of the program."""
         torch.set_num_threads(self.most)
 
+    def on_exception(self, *rest: Any) -> None:
+        """Do as at the end."""
+        self.on_train_end()
+
 
 # Checkpoints: the training state, so that a killed fit continues where it was.
 
@@ -99,6 +103,11 @@ class AtomicCheckpointIO(TorchCheckpointIO):
             self.on_save()
 
 
+def _between_steps(trainer: L.Trainer, rest: tuple[Any, ...]) -> bool:
+    """Return whether a batch ends a step of the optimiser, from the last arguments of ``on_train_batch_end``."""
+    return (rest[-1] + 1) % trainer.accumulate_grad_batches == 0 or trainer.is_last_batch
+
+
 class Checkpoints(ModelCheckpoint):
     """Save the stage to ``path`` every ``seconds`` or ``steps`` and at its end, each time over the last.
 
@@ -114,6 +123,8 @@ class Checkpoints(ModelCheckpoint):
 
     def on_train_batch_end(self, trainer: L.Trainer, module: TrainingModule, *rest: Any) -> None:  # type: ignore[override]
         """Save when it is due, and when the stage is over."""
+        if not _between_steps(trainer, rest):
+            return
         if (module.done >= 1 or trainer.should_stop) and not trainer.fast_dev_run:  # type: ignore[attr-defined]
             trainer.save_checkpoint(self.path)
         else:
@@ -208,7 +219,7 @@ class MetricsFile(L.Callback):
     """
 
     def __init__(self, path: Path, stage: str, every: int):
-        self.path, self.stage, self.every = path, stage, every
+        self.path, self.stage, self.every, self._last = path, stage, every, 0
 
     def on_train_start(self, trainer: L.Trainer, module: Any) -> None:
         """Remove what a killed process wrote after its last checkpoint."""
@@ -220,8 +231,9 @@ class MetricsFile(L.Callback):
 
     def on_train_batch_end(self, trainer: L.Trainer, module: TrainingModule, *rest: Any) -> None:  # type: ignore[override]
         """Append rows when it is time to."""
-        if not trainer.is_global_zero or trainer.global_step % self.every:
+        if not trainer.is_global_zero or trainer.global_step % self.every or trainer.global_step == self._last:
             return
+        self._last = trainer.global_step
         step, values = trainer.global_step, {name: float(value) for name, value in module.logged.items()}
         if module.last_lift is not None:
             values |= module.terms.metrics(module.last_lift)
@@ -265,8 +277,8 @@ class Budget(Timer):
         super().on_train_end(trainer, module)  # time counts to the end of the last step, and checkpoints have the same
         super().on_train_batch_end(trainer, module, *rest)
         module.update_done()
-        if self.interrupted:
-            trainer.should_stop = True
+        if _between_steps(trainer, rest) and trainer.strategy.reduce_boolean_decision(self.interrupted, all=False):
+            self.interrupted = trainer.should_stop = True
 
     def on_train_end(self, *rest: Any) -> None:
         """Leave the time as the last step's end set it."""

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import copy
 import dataclasses
+import warnings
+import weakref
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -11,6 +14,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from uplift.config.files import refuse_existing
 from uplift.config.settings import LifterSettings, Settings, StudentSettings, TeacherSettings, ViewSettings
 from uplift.data.module import KeypointData, skeleton_of
 from uplift.data.poses import PoseData
@@ -19,7 +23,7 @@ from uplift.data.tensors import Batch, TrainingSet
 from uplift.errors import UserError
 from uplift.geometry.normalise import normalise
 from uplift.metrics.evaluate import evaluate_model
-from uplift.metrics.score_2d import score_2d
+from uplift.metrics.score_2d import LEAST_FRAMES, score_2d
 from uplift.models.lifter import Lifter
 from uplift.models.model import Model
 from uplift.models.prediction import Prediction
@@ -27,7 +31,7 @@ from uplift.priors import build_priors
 from uplift.priors.base import Lift, Prior
 from uplift.skeleton import Skeleton
 from uplift.training.augmentation import TILT_WEIGHT, ViewMaker, depth_error, tilt_error
-from uplift.training.base import TrainingModule, plain_settings, prior_specs, saved_priors, stage_settings
+from uplift.training.base import TrainingModule, plain_settings, prior_specs, saved_priors, seeded, stage_settings
 from uplift.training.objective import Logged, Objective, prepare_priors
 from uplift.training.pseudo_labels import PseudoPoses, true_poses
 from uplift.training.views import ViewFunction, build_views, checked_view
@@ -40,6 +44,7 @@ class KeypointModule(TrainingModule[Lifter, Any]):
 
     skeleton: Skeleton
     lifter_settings: LifterSettings
+    _sized: bool = False
     azimuth_deg: tuple[float, float] = (-180.0, 180.0)
     """The range of the turn about gravity that bodies are seen from."""
 
@@ -52,11 +57,12 @@ class KeypointModule(TrainingModule[Lifter, Any]):
         return [self.lifter] if self.averaged is None else [self.lifter, self.final]
 
     def model(self) -> Model:
-        """Return the trained lifter as people use it: call it on pixels, `predict`, `save`."""
-        return Model(self.final.eval(), self.skeleton, self.lifter_settings)
+        """Return a copy of the trained lifter as people use it: call it on pixels, `predict`, `save`."""
+        return Model(copy.deepcopy(self.final).eval(), self.skeleton, self.lifter_settings)
 
     def save(self, path: str | Path) -> None:
-        """Write `model` to one file, which `uplift.load` and the command line take."""
+        """Write `model` to one file, which `uplift.load` and the command line take; raises UserError where it exists."""
+        refuse_existing(Path(path))
         self.model().save(Path(path))
 
     def to_batch(
@@ -70,6 +76,8 @@ class KeypointModule(TrainingModule[Lifter, Any]):
         """
         if confidence is None:
             confidence = torch.ones_like(keypoints[..., 0])
+        known = keypoints.isfinite().all(-1)
+        keypoints, confidence = keypoints.where(known[..., None], 0.0), confidence.where(known, 0.0)
         count_root = self.lifter_settings.radius == "all"
         root, distance = self.skeleton.root_index, self.lifter_settings.distance
         normal = normalise(keypoints, confidence, root, count_root=count_root, distance=distance)
@@ -93,6 +101,13 @@ class KeypointModule(TrainingModule[Lifter, Any]):
     def figures(self, batch: PoseData) -> dict[str, float]:
         """Return every protocol by name where ``batch`` has true poses, and a score of the 2D alone where it has none."""
         if batch.pose is None:
+            if len(batch) < LEAST_FRAMES:
+                warnings.warn(
+                    f"val: {len(batch)} frames are too few for a score without truth, expected {LEAST_FRAMES} or more: "
+                    "hold out more (val=0.3), or none (val=0). Nothing is logged.",
+                    stacklevel=1,
+                )
+                return {}
             return score_2d(self.model(), batch, azimuth_deg=self.azimuth_deg)
         return evaluate_model(self.model(), batch, batch.source).overall
 
@@ -108,13 +123,16 @@ class KeypointModule(TrainingModule[Lifter, Any]):
                 f"the data have skeleton '{data.skeleton.name}' ({len(data.skeleton.joints)} joints), the module "
                 f"'{self.skeleton.name}' ({len(self.skeleton.joints)} joints): build it with data.skeleton."
             )
-        self.prepared_with = data
+        self.prepared_with = weakref.ref(data)
         return data
 
     def _take_sizes(self, data: KeypointData) -> None:
         """Set the size of the labelled bodies, where it is known."""
         bone_mm = data.bone_mm(self.lifter_settings)
+        if bone_mm is None and self._sized:  # those of other bodies
+            bone_mm = torch.zeros_like(self.lifter.bone_mm)
         if bone_mm is not None:
+            self._sized = True
             for lifter in self.lifters():
                 lifter.bone_mm.copy_(bone_mm.nan_to_num())
 
@@ -168,8 +186,7 @@ class LiftingModule(KeypointModule):
         self._keep_hyperparameters(chosen)
         self.notes: list[str] = []
         """What was left out of the priors, one sentence each."""
-        with torch.random.fork_rng(devices=[]):
-            torch.manual_seed(seed)
+        with seeded(seed):
             terms = Objective(*self.configure_priors())
             lifter_module = self.configure_lifter()
             self._stream = torch.get_rng_state()
@@ -180,12 +197,12 @@ class LiftingModule(KeypointModule):
 
     def _keep_hyperparameters(self, chosen: Settings) -> None:
         """Save the arguments as plain data: a checkpoint holds nothing that can run."""
-        views = {key: value for key, value in plain_settings(chosen.views).items() if key != "count_root"}
+        views = {key: value for key, value in dataclasses.asdict(chosen.views).items() if key != "count_root"}
         self.save_hyperparameters(
             {
                 "skeleton": self.skeleton.to_dict(),
                 "priors": saved_priors(chosen.priors, self._given_priors),
-                "lifter": plain_settings(self.lifter_settings),
+                "lifter": dataclasses.asdict(self.lifter_settings),
                 "views": views,
                 "seed": chosen.seed,
                 **plain_settings(chosen.teacher),
@@ -197,9 +214,9 @@ class LiftingModule(KeypointModule):
     def configure_priors(self) -> tuple[dict[str, Prior], dict[str, float]]:
         """Return the priors by name, and their weights."""
         priors, weights, self.notes = build_priors(self.prior_specs, self.skeleton)
-        for name, given in self._given_priors.items():
+        for name, (given, weight) in self._given_priors.items():
             priors[name] = given if isinstance(given, Prior) else given(self.skeleton)
-            weights.setdefault(name, 1.0)
+            weights[name] = weight
         if not priors:
             raise UserError(
                 "No prior is on: nothing would train the lifter. Set priors.NAME.use and priors.NAME.weight."
@@ -221,23 +238,16 @@ class LiftingModule(KeypointModule):
         self.labelled_share = data.labelled_share
         self.sampler = LabelledSampler(frames.labelled, self.labelled_share)
         labelled = bool(frames.labelled.any())
-        if not labelled and self.prior_specs.get("labelled", {}).get("if_possible"):
+        unlabelled = not labelled and self.prior_specs.get("labelled", {}).get("if_possible")
+        self.terms = Objective(dict(self.priors.items()), self.terms.weights)  # type: ignore[arg-type]
+        if unlabelled:
             self.terms.leave_out("labelled")
-        with torch.random.fork_rng(devices=[]):
+        with seeded(0):
             torch.set_rng_state(self._stream)
             prepare_priors(self.terms.priors, frames)
         if labelled and "labelled" in self.terms.priors:
             truth = frames.select(frames.labelled)
             self.truth = true_poses(truth, self.lifter.camera, tilted=self.lifter.tilt != "level")
-
-    def on_fit_start(self) -> None:
-        """Move the frames to the module's device."""
-        super().on_fit_start()
-        if self.frames is not None:
-            self.sampler = LabelledSampler(self.frames.labelled, self.labelled_share)
-        if self.truth is not None:
-            truth, count_root = self.truth.to(self.device), self.view_settings.count_root
-            self.maker = ViewMaker(truth, self.lifter.camera, StudentSettings(), count_root=count_root)
 
     def objective(self, batch: Any) -> tuple[Tensor, Logged]:
         """Return the weighted sum of all terms, and each term; `last_lift` is what was judged.
@@ -248,27 +258,32 @@ class LiftingModule(KeypointModule):
         """
         drawn = self._mirrored(self._batch(batch))
         lift = self.last_lift = self.lift(drawn)
-        judged, losses = self.terms.judge(lift, self.global_step)
-        again = isinstance(batch, int) and not self.settings.same_real
-        real = self._mirrored(self._batch(batch)) if again else drawn
-        own, critic_losses = self.terms.train_adversaries(
-            real.keypoints, lift.reprojected.detach() * lift.visible.unsqueeze(-1)
-        )
-        total, logged = judged + own, {**losses, **critic_losses}
-        if self.maker is not None and isinstance(batch, int):
-            term = self.sampler.share * self._labelled_views_loss(self.maker, batch)
-            total = total + self.terms.weights["labelled"] * term
-            logged["labelled_views"] = term.detach()
+        with self.full_precision():
+            judged, losses = self.terms.judge(lift, self.global_step)
+            again = isinstance(batch, int) and not self.settings.same_real
+            real = self._mirrored(self._batch(batch)) if again else drawn
+            own, critic_losses = self.terms.train_adversaries(
+                real.keypoints, lift.reprojected.detach() * lift.visible.unsqueeze(-1)
+            )
+            total, logged = judged + own, {**losses, **critic_losses}
+            if self.truth is not None and isinstance(batch, int):
+                term = self.sampler.share * self._labelled_views_loss(batch)
+                total = total + self.terms.weights["labelled"] * term
+                logged["labelled_views"] = term.detach()
         return total, logged
 
     def lift(self, batch: Batch) -> Lift:
         """Return the lifted batch with one new view of each pose."""
         return make_lift(self.lifter, batch, self.draw_views, self.view_settings, self.settings.hide)
 
-    def _labelled_views_loss(self, maker: ViewMaker, count: int) -> Tensor:
+    def _labelled_views_loss(self, count: int) -> Tensor:
         """Return the error on random views of the labelled poses: a few frames show a body from a few sides only."""
+        if self.maker is None or self.maker.poses.pose.device != self.device:
+            assert self.truth is not None
+            truth, count_root = self.truth.to(self.device), self.view_settings.count_root
+            self.maker = ViewMaker(truth, self.lifter.camera, StudentSettings(), count_root=count_root)
         with torch.no_grad():
-            views = maker(count)
+            views = self.maker(count)
         lifted = self.lifter(views.input, views.confidence, views.distance)
         loss = depth_error(lifted, views)
         if self.lifter.tilt == "predicted":
@@ -282,6 +297,10 @@ class LiftingModule(KeypointModule):
         if isinstance(given, int):
             if self.frames is None:
                 raise UserError("the module has no training frames: call module.prepare(data) first.")
+            if self.frames.keypoints.device != self.device:
+                self.frames = self.frames.to(self.device)
+            if self.sampler.device != self.frames.keypoints.device:
+                self.sampler = LabelledSampler(self.frames.labelled, self.labelled_share)
             return self.frames.draw(self.sampler(given))
         if isinstance(given, Mapping):
             return self.to_batch(given["keypoints"], given.get("confidence"))
@@ -302,6 +321,8 @@ def make_lift(lifter: Lifter, batch: Batch, views: ViewFunction, settings: ViewS
         hidden = (torch.rand_like(batch.confidence) < hide) & (batch.confidence > 0)
         hidden[:, lifter.skeleton.root_index] = False
     lifted = lifter(batch.keypoints, batch.confidence.masked_fill(hidden, 0), batch.distance)
+    with torch.autocast(lifted.pose.device.type, enabled=False):
+        view = checked_view(views, lifted)
     return Lift(
         skeleton=lifter.skeleton,
         keypoints=batch.keypoints,
@@ -310,7 +331,7 @@ def make_lift(lifter: Lifter, batch: Batch, views: ViewFunction, settings: ViewS
         pose=lifted.pose,
         tilt=lifted.tilt,
         lifted_keypoints=lifted.keypoints,
-        view=checked_view(views, lifted),
+        view=view,
         scale=batch.scale,
         distance=batch.distance,
         lifter=lifter,

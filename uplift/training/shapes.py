@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import copy
 import dataclasses
+import weakref
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -12,6 +14,7 @@ import torch
 from jaxtyping import Float, UInt8
 from torch import Tensor, nn
 
+from uplift.config.files import refuse_existing
 from uplift.config.settings import TeacherSettings
 from uplift.data.mask_tensors import MaskSet
 from uplift.data.masks import MaskData
@@ -24,7 +27,7 @@ from uplift.models.prediction import ShapePrediction
 from uplift.models.shape_lifter import LiftedShapes
 from uplift.priors import build_priors
 from uplift.priors.base import Prior, ShapeLift
-from uplift.training.base import TrainingModule, plain_settings, prior_specs, saved_priors, stage_settings
+from uplift.training.base import TrainingModule, plain_settings, prior_specs, saved_priors, seeded, stage_settings
 from uplift.training.objective import Logged, Objective, prepare_priors
 
 __all__ = ["EStepStatistics", "ShapeModule"]
@@ -141,6 +144,7 @@ _BALANCE_HOT = (0.3, 0.09)
 _BALANCE_COLD = (0.0, 0.2)
 """Rates at which azimuths and shapes are balanced at each expectation; the few masks of a late shape need not show
 all azimuths."""
+_MOST_VALIDATED = 20
 _TRUTH_WEIGHT = 3.0
 _SIZE_WEIGHT = 1.0
 _PRIOR_LEARNING_RATE = 1e-3
@@ -158,7 +162,7 @@ class ShapeModule(TrainingModule[ShapeMixture, MaskSet]):
 
     Example::
 
-        data = uplift.MaskDataModule(2000, family="chairs")
+        data = uplift.MaskDataModule(2000, family="chairs", val=0.01)
         module = uplift.ShapeModule()
         lightning.Trainer(max_steps=500).fit(module, data)
         finer = module.split(4)
@@ -179,8 +183,7 @@ class ShapeModule(TrainingModule[ShapeMixture, MaskSet]):
     """
 
     settings: TeacherSettings
-    prepared: bool = False
-    """Whether the priors were shown the masks."""
+    _priors_are_prepared: bool = False
 
     def __init__(
         self,
@@ -194,6 +197,8 @@ class ShapeModule(TrainingModule[ShapeMixture, MaskSet]):
         **training: Any,
     ):
         super().__init__()
+        if min(parts or 1, azimuths) < 1 or parts == 0:
+            raise UserError(f"parts={parts}, azimuths={azimuths}: expected whole numbers of at least 1.")
         specs, self._given_priors = prior_specs(priors)
         chosen = stage_settings("teacher", training, "masks", shape=shape, priors=specs, seed=seed)
         self.shape_settings, self.prior_specs = chosen.shape, chosen.priors
@@ -204,10 +209,9 @@ class ShapeModule(TrainingModule[ShapeMixture, MaskSet]):
                 "azimuths": azimuths, "hot": hot, "seed": seed, **plain_settings(chosen.teacher),
             }
         )  # fmt: skip
-        with torch.random.fork_rng(devices=[]):
-            torch.manual_seed(seed)
+        with seeded(seed):
             terms = Objective(*self.configure_priors())
-            torch.manual_seed(seed)
+        with seeded(seed):
             mixture = self.configure_lifter()
             self._stream = torch.get_rng_state()
         self.every = _OFTEN if hot else _SELDOM
@@ -226,39 +230,52 @@ class ShapeModule(TrainingModule[ShapeMixture, MaskSet]):
     def configure_priors(self) -> tuple[dict[str, Prior], dict[str, float]]:
         """Return the priors by name, and their weights."""
         priors, weights, self.notes = build_priors(self.prior_specs)
-        for name, given in self._given_priors.items():
+        for name, (given, weight) in self._given_priors.items():
             priors[name] = given if isinstance(given, Prior) else given()
-            weights.setdefault(name, 1.0)
+            weights[name] = weight
         return priors, weights
 
     def prepare(self, data: MaskDataModule | Any) -> None:
         """Take the training masks, show them to the priors, and look at their labels."""
         if not isinstance(data, MaskDataModule):
             raise UserError(f"ShapeModule trains on a uplift.MaskDataModule, found {type(data).__name__}.")
-        self.prepared_with, self.frames = data, data.mask_set(self.shape_settings)
-        if not self.prepared:
-            with torch.random.fork_rng(devices=[]):
+        self.prepared_with, self.frames = weakref.ref(data), data.mask_set(self.shape_settings)
+        if not self._priors_are_prepared:
+            with seeded(0):
                 torch.set_rng_state(self._stream)
                 prepare_priors(self.terms.priors, self.frames)
-            self.prepared = True
+        self._priors_are_prepared = False  # other data, if any, are shown to them
         self.statistics = EStepStatistics(self.lifter, bool(self.frames.labelled.any()), self._pooled)
         self.lifter.silhouettes([0])  # makes the projector's matrices, which take a while
+
+    def on_load_checkpoint(self, checkpoint: dict[str, Any]) -> None:
+        """Make room for the true shapes of labelled masks, where the checkpoint has them."""
+        labels = checkpoint["state_dict"]["statistics.truth"].shape[-1] > 1
+        self.statistics = EStepStatistics(self.lifter, labels, self._pooled).to(self.device)
 
     def split(self, times: int, azimuths: int = 2 * AZIMUTHS, seed: int = 0) -> ShapeModule:
         """Return a module that goes on from this one with ``times`` as many shapes, and views from ``azimuths``.
 
         ``seed`` is that of the noise that tells copies of a shape apart. The priors are the same objects.
         """
-        with torch.random.fork_rng(devices=[]):
-            torch.manual_seed(seed)
-            before = self.final.cpu()
-            before.projector = self.lifter.projector
-            made = split(before, times, azimuths)
+        with seeded(seed):
+            made = split(self._copied(), times, azimuths)
         parts, azimuths = made.azimuth_bias.shape
-        module = type(self)(**{**self.hparams, "parts": parts, "azimuths": azimuths, "hot": False})
+        changed = {"priors": {}, "parts": parts, "azimuths": azimuths, "hot": False}
+        module = type(self)(**{**self.hparams, **changed})
+        module.hparams["priors"] = self.hparams["priors"]
         module.start_from(made)
-        module.terms, module.priors, module.prepared = self.terms, self.priors, self.prepared
+        module.terms, module.priors, module.prior_specs = self.terms, self.priors, self.prior_specs
+        module._given_priors, module._priors_are_prepared = self._given_priors, self.prepared_with is not None
         return module
+
+    def _copied(self) -> ShapeMixture:
+        """Return a copy of the trained mixture on the CPU; the projector, which is large, is shared."""
+        final, projector = self.final, self.lifter.projector
+        final.projector = self.lifter.projector = None
+        copied = copy.deepcopy(final).cpu().eval()
+        final.projector = self.lifter.projector = copied.projector = projector
+        return copied
 
     def start_from(self, mixture: ShapeMixture) -> None:
         """Copy the shapes of another mixture of the same sizes."""
@@ -267,11 +284,12 @@ class ShapeModule(TrainingModule[ShapeMixture, MaskSet]):
         self.lifter.projector = mixture.projector
 
     def model(self) -> ShapeModel:
-        """Return the trained mixture as people use it: `predict`, `save`."""
-        return ShapeModel(self.final.eval(), self.shape_settings)
+        """Return a copy of the trained mixture as people use it: `predict`, `save`."""
+        return ShapeModel(self._copied(), self.shape_settings)
 
     def save(self, path: str | Path) -> None:
-        """Write `model` to one file, which `uplift.load` and the command line take."""
+        """Write `model` to one file, which `uplift.load` and the command line take; raises UserError where it exists."""
+        refuse_existing(Path(path))
         self.model().save(Path(path))
 
     def forward(self, masks: UInt8[np.ndarray, "items side side"]) -> LiftedShapes:
@@ -284,7 +302,12 @@ class ShapeModule(TrainingModule[ShapeMixture, MaskSet]):
             return self.model().predict(batch)
 
     def figures(self, batch: MaskData) -> dict[str, float]:
-        """Return every metric of shapes by name where true shapes are known, and the fit of silhouettes where not."""
+        """Return every metric of shapes by name where true shapes are known, and the fit of silhouettes where not.
+
+        During a fit at most 20 of the masks are scored, a fixed choice: each takes a third of a second.
+        """
+        if self._log_every and len(batch) > _MOST_VALIDATED:
+            batch = batch.select(np.linspace(0, len(batch) - 1, _MOST_VALIDATED).astype(int))
         prediction = self.model().predict(batch.without_truth())
         if batch.truth is None or not np.isfinite(batch.truth.scale).all():
             return {"silhouette_iou_seen": float(np.mean(silhouettes_seen(prediction, batch.masks)))}

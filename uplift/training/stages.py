@@ -18,7 +18,7 @@ from lightning.fabric.utilities.exceptions import MisconfigurationException
 from lightning.pytorch import callbacks as lightning_callbacks
 from lightning.pytorch.loggers import Logger
 
-from uplift.config.plugins import build, find_class
+from uplift.config.plugins import build, find_class, users_line
 from uplift.config.run import RunFolder
 from uplift.config.settings import Settings, TrainerSettings, seconds_of
 from uplift.errors import UserError
@@ -175,13 +175,30 @@ def run_stage(
     }
     with clock, _quiet("profiler" in settings.flags):
         trainer = _trainer(settings, flags, **ours)
-        trainer.fit(module, datamodule=data, ckpt_path=str(path) if resume else None, weights_only=True)
+        with _users_errors():
+            trainer.fit(module, datamodule=data, ckpt_path=str(path) if resume else None, weights_only=True)
         if not clock.interrupted and module.done < 1:  # a callback such as EarlyStopping ended it
             module.done = 1.0
             trainer.save_checkpoint(path)
     if clock.interrupted:
         raise Interrupted(folder)
     return StageRecord(clock.time_elapsed(), trainer.global_step)
+
+
+@contextmanager
+def _users_errors() -> Iterator[None]:
+    """Turn what Lightning refuses, and an error in a user's callback, logger or module, into a `UserError`."""
+    try:
+        yield
+    except MisconfigurationException as error:
+        raise UserError(f"Lightning refuses the fit: {error}") from error
+    except (UserError, OSError, MemoryError):
+        raise
+    except Exception as error:
+        where = users_line(error)
+        if where is None:
+            raise
+        raise UserError(f"{where}: {type(error).__name__}: {error}") from error
 
 
 def _stage_callbacks(
@@ -234,17 +251,18 @@ def _trainer(settings: TrainerSettings, flags: Mapping[str, Any], **ours: Any) -
         raise UserError(f"Lightning refuses {given}: {error}") from error
 
 
+_NOT_FOR_FITS = (
+    "Callback", "Checkpoint", "ProgressBar", "Timer", "RichProgressBar", "TQDMProgressBar", "LearningRateFinder",
+    "BatchSizeFinder", "BaseFinetuning", "BackboneFinetuning", "BasePredictionWriter", "LambdaCallback",
+)  # fmt: skip
+"""Bases, those that a fit has itself, and those that need functions or a rate without our schedule."""
 CALLBACKS = {
-    name: f"lightning.pytorch.callbacks:{name}"
-    for name in lightning_callbacks.__all__
-    if name not in ("Callback", "Checkpoint", "ProgressBar", "Timer")
+    name: f"lightning.pytorch.callbacks:{name}" for name in lightning_callbacks.__all__ if name not in _NOT_FOR_FITS
 }
 LOGGERS = {
     "tensorboard": "lightning.pytorch.loggers:TensorBoardLogger",
     "wandb": "lightning.pytorch.loggers:WandbLogger",
     "csv": "lightning.pytorch.loggers:CSVLogger",
-    "mlflow": "lightning.pytorch.loggers:MLFlowLogger",
-    "comet": "lightning.pytorch.loggers:CometLogger",
 }
 
 

@@ -18,7 +18,7 @@ from uplift.models.lifter import Lifted, Lifter
 from uplift.models.model import Model
 from uplift.skeleton import Skeleton
 from uplift.training.augmentation import TILT_WEIGHT, ShownViews, ViewMaker, depth_error, tilt_error
-from uplift.training.base import plain_settings, stage_settings, stream_seed
+from uplift.training.base import plain_settings, seeded, stage_settings, stream_seed
 from uplift.training.lifting import KeypointModule
 from uplift.training.objective import Logged
 from uplift.training.pseudo_labels import PseudoPoses, lift_all, true_poses
@@ -129,17 +129,17 @@ class StudentModule(KeypointModule):
         self.lifter_settings = chosen.lifter if lifter is not None else student_settings(chosen, last=True)
         self.save_hyperparameters(
             {
-                "skeleton": self.skeleton.to_dict(), "lifter": plain_settings(self.lifter_settings), "seed": seed,
+                "skeleton": self.skeleton.to_dict(), "lifter": dataclasses.asdict(self.lifter_settings), "seed": seed,
                 **plain_settings(chosen.student),
             }
         )  # fmt: skip
-        with torch.random.fork_rng(devices=[]):
-            torch.manual_seed(seed)
-            lifter_module = self.configure_lifter()
+        self._denoise = self.lifter_settings.denoise
         self.learn_from(teacher)
-        self.set_up(lifter_module, chosen.student, seed)
-        self.loss = self.configure_loss()
-        self._made: tuple[int, ShownViews] | None = None
+        with seeded(seed):
+            self.set_up(self.configure_lifter(), chosen.student, seed)
+            self.loss = self.configure_loss()
+        self._made: tuple[int, int, ShownViews] | None = None
+        self._maker: ViewMaker | None = None
 
     def learn_from(self, teacher: Any) -> None:
         """Set the teacher, as the argument of that name does; None for none."""
@@ -177,6 +177,7 @@ class StudentModule(KeypointModule):
             self._start_from(teacher)
         self._set_denoise(noisy=poses.noise is not None and self.settings.noise)
         self.frames, self.labelled_share = poses, data.labelled_share
+        self._made = self._maker = None
 
     def _start_from(self, teacher: Lifter) -> None:
         """Copy the weights of the teacher, if the networks are the same."""
@@ -187,20 +188,22 @@ class StudentModule(KeypointModule):
 
     def _set_denoise(self, *, noisy: bool) -> None:
         """Let the lifter move visible joints, where that is set or the keypoints are ``noisy``."""
-        denoise = noisy if self.lifter_settings.denoise is None else self.lifter_settings.denoise
+        denoise = noisy if self._denoise is None else self._denoise
         self.lifter_settings = dataclasses.replace(self.lifter_settings, denoise=denoise)
         self.hparams["lifter"]["denoise"] = denoise
         for lifter in self.lifters():
             lifter.denoise = bool(denoise) and lifter.fill
 
-    def on_fit_start(self) -> None:
-        """Move the poses to the module's device and split them into limbs."""
-        super().on_fit_start()
-        assert self.frames is not None
-        count_root, share = self.lifter_settings.radius == "all", self.labelled_share
-        self.maker = ViewMaker(
-            self.frames, self.lifter.camera, self.settings, count_root=count_root, labelled_share=share
-        )
+    @property
+    def maker(self) -> ViewMaker:
+        """What makes views of the teacher's poses, on the module's device."""
+        if self.frames is None:
+            raise UserError("the module has no poses to learn from: call module.prepare(data) first.")
+        if self._maker is None or self._maker.poses.pose.device != self.device:
+            count_root, share = self.lifter_settings.radius == "all", self.labelled_share
+            frames, camera = self.frames.to(self.device), self.lifter.camera
+            self._maker = ViewMaker(frames, camera, self.settings, count_root=count_root, labelled_share=share)
+        return self._maker
 
     def objective(self, batch: int | ShownViews) -> tuple[Tensor, Logged]:
         """Return the loss of views and its terms.
@@ -217,6 +220,10 @@ class StudentModule(KeypointModule):
             raise UserError(
                 "student.loss must return one number (a tensor of shape ()) that depends on what was lifted."
             )
+        if loss.device.type == "cpu" and not bool(torch.isfinite(loss)):
+            raise UserError(
+                f"student.loss: loss is {loss.item()} at step {self.global_step}: look for a division by 0."
+            )
         return loss, logged
 
     def parameter_groups(self) -> list[dict[str, Any]]:
@@ -228,13 +235,13 @@ class StudentModule(KeypointModule):
     def _views(self, size: int) -> ShownViews:
         """Return this step's views."""
         chunk, place = divmod(self.stream_step, _BATCHES_AT_ONCE)
-        if self._made is None or self._made[0] != chunk:
+        if self._made is None or self._made[:2] != (chunk, size):
             # Each chunk has its own random stream, so that a resumed fit makes the same one again.
             torch.manual_seed(stream_seed(self.seed + 1, self.global_rank, chunk))
-            with torch.no_grad():
-                self._made = (chunk, self.maker(size * _BATCHES_AT_ONCE))
+            with torch.no_grad(), self.full_precision():
+                self._made = (chunk, size, self.maker(size * _BATCHES_AT_ONCE))
             torch.manual_seed(stream_seed(self.seed, self.global_rank, self.stream_step))
-        return self._made[1].select(slice(place * size, (place + 1) * size))
+        return self._made[2].select(slice(place * size, (place + 1) * size))
 
 
 def _lifter_of(teacher: Any) -> Lifter:
