@@ -238,7 +238,7 @@ def bodies_of(
     Raises:
         UserError: one body twice in one frame; as `rows_of`.
     """
-    confidence = confidence_of(path, keypoints, scores)
+    confidence = confidence_of(keypoints, scores)
     _identify(path, found, keypoints, confidence, lines)
     return rows_of(
         path,

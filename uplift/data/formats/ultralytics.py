@@ -15,15 +15,8 @@ from jaxtyping import Float
 
 from uplift.data.formats.base import FileFormat, Peek, ReadOptions
 from uplift.data.formats.layouts import COCO, names_for, swapped_names
-from uplift.data.formats.rows import (
-    SHARES_NOTE,
-    Bodies,
-    pose_data,
-    seen_by_flag,
-    shares_to_pixels,
-    track_of,
-    video_names,
-)
+from uplift.data.formats.rows import Bodies, pose_data, seen_by_flag, track_of, video_names
+from uplift.data.formats.scales import SHARES_NOTE
 from uplift.data.parsers.files import reason_of
 from uplift.data.parsers.json import JsonText, Numbers, in_order, is_text, items, json_files, shown
 from uplift.data.parsers.pictures import PHOTO_ENDINGS
@@ -401,7 +394,7 @@ def _text(file: Path) -> str:
         raise UserError(f"{file} cannot be read as text: {error}") from None
 
 
-LABELS = FileFormat("ultralytics", "Ultralytics labels", _are_labels, _read_labels, ".txt")
+LABELS = FileFormat("ultralytics", "Ultralytics labels", _are_labels, _read_labels, ".txt", "placed")
 
 
 # Results as JSON: the list that ``to_json()`` gives for an image, or a list of such lists.
@@ -449,11 +442,10 @@ def _read_results(peek: Peek, options: ReadOptions) -> PoseData:
     if not len(found.bodies):
         raise UserError(f"{path} has no bodies, expected results of Ultralytics.")
     keypoints = np.stack([found.x.array(), found.y.array()], -1)
-    names, named = names_for(path, keypoints.shape[1], {17: COCO[17]}, options, keypoints)
+    names, notes = names_for(path, keypoints.shape[1], {17: COCO[17]}, options, keypoints)
     blank = (keypoints == 0).all(-1)  # what weak keypoints are set to
     confidence = np.where(blank, np.float32(0), found.seen.array())
-    keypoints, notes = shares_to_pixels(keypoints, options, named)
     return pose_data(path, names, keypoints, confidence, found.bodies.identity(), notes=notes)
 
 
-RESULTS = FileFormat("ultralytics_json", "Ultralytics results (JSON)", _are_results, _read_results, ".json")
+RESULTS = FileFormat("ultralytics_json", "Ultralytics results (JSON)", _are_results, _read_results, ".json", "shares")

@@ -119,7 +119,7 @@ def _all(
     scored = {clip[4].shape[2] for clip in clips} == {3}
     keypoints = np.concatenate([clip[4][..., :2] for clip in clips])
     scores = np.concatenate([clip[4][..., 2] for clip in clips]) if scored else None
-    seen = (confidence_of(path, keypoints, scores) > 0).any(1)
+    seen = (confidence_of(keypoints, scores) > 0).any(1)
     identity = {key: values[seen] for key, values in identity.items()}
     found = Identity(identity, image_size=size)
     return bodies_of(path, found, keypoints[seen], None if scores is None else scores[seen], names, notes)
