@@ -11,6 +11,7 @@ import numpy as np
 
 from uplift.config.files import files_of
 from uplift.data.formats.base import Formats, Peek, ReadOptions
+from uplift.data.formats.layouts import with_layout
 from uplift.data.formats.scales import in_pixels, with_sure_confidence
 from uplift.data.poses import PoseData
 
@@ -70,7 +71,8 @@ def read(path: str | Path, options: ReadOptions | None = None) -> PoseData:
     options, peek = options or ReadOptions(), Peek(path)
     found = KEYPOINT_FORMATS.chosen(peek, options)
     data = KEYPOINT_FORMATS.read(peek, options, found)
-    return checked(replace(data, source=data.source or str(path)), options, found.coordinates)
+    data = with_layout(replace(data, source=data.source or str(path)), options)
+    return checked(data, options, found.coordinates)
 
 
 def checked(data: PoseData, options: ReadOptions, coordinates: str = "px") -> PoseData:

@@ -12,8 +12,8 @@ from typing import Any, TypeGuard
 import numpy as np
 
 from uplift.data.formats.base import FileFormat, Peek, ReadOptions
-from uplift.data.formats.csv import Identity, bodies_of, columns_in, is_nameless, read_columns
-from uplift.data.formats.layouts import HAND21, Layouts, names_for
+from uplift.data.formats.csv import Identity, bodies_of, columns_in, read_columns
+from uplift.data.formats.layouts import HAND21, Layouts, is_nameless, names_for
 from uplift.data.formats.rows import confidence_of, frame_numbers
 from uplift.data.formats.scales import SHARES_NOTE
 from uplift.data.parsers.json import JsonText, items
@@ -254,7 +254,7 @@ def _read_mediapipe_csv(peek: Peek, options: ReadOptions) -> PoseData:
         notes = ("world landmarks are left out, those of the image are taken",)
     if any(joint.z is not None for joint in columns.joints.values()):
         notes = (*notes, _NO_DEPTH)
-    data = read_columns(path, columns, lambda names: _landmark_names(path, names, options), _without_flags)
+    data = read_columns(path, columns, lambda names, _: _landmark_names(path, names, options), _without_flags)
     return _placed(replace(data, notes=(*data.notes, *notes)), options)
 
 
