@@ -241,6 +241,16 @@ def test_layouts_that_fit_as_well_are_named(tmp_path: Path) -> None:
     assert not any("fit as well" in note for note in whole.notes)
 
 
+@pytest.mark.parametrize("count", [15, 16, 17, 18, 21, 25])
+def test_points_in_a_ring_or_a_row_are_no_body(tmp_path: Path, count: int) -> None:
+    turn = np.arange(count) * 2 * np.pi / count
+    ring = np.stack([500 + 400 * np.cos(turn), 500 + 300 * np.sin(turn), np.full(count, 0.9)], -1)
+    row = np.stack([10.0 + 20 * np.arange(count), 500 - 3.0 * np.arange(count), np.full(count, 0.9)], -1)
+    for number, points in enumerate((ring, row)):
+        data = read(csv(tmp_path / f"{number}.csv", np.repeat(points[None], 5, 0)))
+        assert data.joint_names[:2] == ("keypoint_0", "keypoint_1")
+
+
 def test_a_layout_has_no_effect_on_files_with_names(tmp_path: Path) -> None:
     named = tmp_path / "a.csv"
     named.write_text("frame,tip_x,tip_y,end_x,end_y\n0,10,20,30,40\n1,11,20,31,40\n")
