@@ -12,6 +12,7 @@ from uplift.cli.parsing import Keys, keyed
 from uplift.config.files import refuse_existing, shipped, shipped_names
 from uplift.data.clean import MIN_VISIBLE, clean
 from uplift.data.formats import read
+from uplift.data.formats.layouts import is_nameless
 from uplift.data.load import in_joints_of
 from uplift.data.poses import PoseData
 from uplift.errors import UserError
@@ -179,7 +180,18 @@ def _wrong_order(long: float, data: PoseData, skeleton: Skeleton) -> str:
     as_long = [(other, names) for other, names in _shipped() if len(names) == len(data.joint_names)]
     renamed = [(other, replace(data, joint_names=names, pose=None)) for other, names in as_long]
     fitting = [other.name for other, read_so in renamed if _stretch(read_so, other) < _LIKELY]
-    return text + (f". In their order they look like layout={' or layout='.join(fitting)}" if fitting else "")
+    if not fitting:
+        return text
+    how = "" if _unnamed(data) else f". {_NAMED}: correct its names"
+    return f"{text}. In their order they look like layout={' or layout='.join(fitting)}{how}"
+
+
+def _unnamed(data: PoseData) -> bool:
+    """Return whether the joints have no names in the file: numbers alone, or those of a layout that was guessed."""
+    return is_nameless(data.joint_names) or any("no names in the file" in note for note in data.notes)
+
+
+_NAMED = "layout= has no effect here, as the file names its joints"
 
 
 def _stretch(data: PoseData, skeleton: Skeleton) -> float:
@@ -212,8 +224,10 @@ def _help(data: PoseData, skeleton: Skeleton) -> list[str]:
         lines += [f"shipped skeletons that fit the file: {', '.join(fitting)}", ""]
     guesses = propose.guess_parts(skeleton, data.joint_names)
     if not guesses:
-        hint = "no names are alike. If nobody named the joints, layout=SKELETON gives them its names, in order."
-        return [*lines, hint]
+        how = f"{_NAMED}. Write a from: for its names, or correct them."
+        if _unnamed(data):
+            how = "Nobody named the joints: layout=SKELETON gives them its names, in order."
+        return [*lines, f"no names are alike. {how}"]
     of_ours = skeleton.name in shipped_names("skeletons")
     where = f"a copy of {shipped('skeletons') / skeleton.name}.yaml" if of_ours else "the skeleton's file"
     lines.append(f"# Guesses by name; nothing of it is applied. Keep what is right, without the #, in {where}:")

@@ -52,7 +52,7 @@ _MOST_ITEMS = 10**8
 
 READ_KEYS = _table(*map(_of_fit, ("format", "layout", "image_size", "fps", "focal_px", "min_confidence")))
 """What any command that reads keypoints takes."""
-_MODEL_KEYS = _table(*(READ_KEYS[key] for key in ("format", "layout", "min_confidence")))
+_MODEL_KEYS = _table(*(READ_KEYS[key] for key in ("format", "layout", "image_size", "min_confidence")))
 
 # predict: what goes with every run, with keypoints alone, with masks alone.
 

@@ -17,7 +17,8 @@ from uplift.config.loading import settings_from
 from uplift.config.settings import DataSettings, LifterSettings, Settings, ShapeSettings
 from uplift.data.clean import clean
 from uplift.data.datasets import DATA_SETS
-from uplift.data.load import Loaded, in_joints_of, load_data, load_split
+from uplift.data.formats import checked
+from uplift.data.load import Loaded, in_joints_of, load_data, load_split, read_options
 from uplift.data.load_masks import LoadedMasks, load_mask_split, load_masks
 from uplift.data.mask_tensors import MaskSet, to_mask_set
 from uplift.data.masks import MaskData
@@ -341,7 +342,11 @@ class KeypointData(_Data[PoseData, Loaded]):
         return load_data(self.settings, self.skeleton, load)
 
     def _samples(self, given: Any) -> PoseData:
-        """Return arrays or data as `PoseData`."""
+        """Return arrays or data as `PoseData`, in pixels and with what the options say of them."""
+        return checked(self._as_poses(given), read_options(self.settings.data))
+
+    def _as_poses(self, given: Any) -> PoseData:
+        """Return arrays or data as `PoseData`, as they are."""
         if isinstance(given, PoseData):
             return given
         if isinstance(given, Mapping):

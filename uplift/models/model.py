@@ -18,6 +18,7 @@ from uplift.config.progress import progress
 from uplift.config.run import Weights, read_weights
 from uplift.config.settings import LifterSettings, ShapeSettings, settings_of
 from uplift.data.clean import clean
+from uplift.data.formats.scales import in_pixels, with_sure_confidence
 from uplift.data.mask_tensors import as_tensor
 from uplift.data.masks import MaskData
 from uplift.data.poses import PoseData
@@ -151,7 +152,7 @@ class Model(_Saved):
             confidence: (frames joints), 0..1; 0 means missing. All 1 if None.
 
         Raises:
-            UserError: a wrong shape, or nothing that can be lifted.
+            UserError: a wrong shape, shares of an image in place of pixels, or nothing that can be lifted.
         """
         array = _float_array(keypoints)
         single = array.ndim == 2
@@ -163,7 +164,8 @@ class Model(_Saved):
             )
         weight = np.ones(array.shape[:2], np.float32) if confidence is None else _float_array(confidence)
         weight = weight[None] if weight.ndim == 1 else weight
-        pose = self.predict(PoseData(array, weight, self.skeleton.joints)).pose
+        data = in_pixels(with_sure_confidence(PoseData(array, weight, self.skeleton.joints)))
+        pose = self.predict(data).pose
         pose = pose[0] if single else pose
         return torch.from_numpy(pose).to(keypoints.device) if isinstance(keypoints, Tensor) else pose
 

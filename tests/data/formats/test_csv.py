@@ -203,7 +203,7 @@ WRONG = [
     ("frame,nose_x,nose_y\n1e17,1,2\n", "is not a frame number"),
     ("frame,nose_x,nose_y\n0,inf,2\n", "'inf' in the column 'nose_x' is not a number"),
     ("frame,nose_x,nose_y\n0,1e300,2\n", "expected pixels within an image"),
-    ("frame,nose_x,nose_y,nose_score\n0,1,2,87\n", "confidence goes up to 87"),
+    ("frame,nose_x,nose_y,nose_score\n0,1,2,870\n", "confidence goes from 0 to 870"),
     ("frame,id,nose_x,nose_y\n0,a,1,2\n0,a,3,4\n", "'a' is in frame 0 twice"),
     ("frame,joint,x,y\n0,a,1,2\n0,a,3,4\n", "line 3: 'a' of frame 0 is there twice (first on line 2)"),
     ("frame,joint,x,y\n0,a,1,2\n0,,3,4\n", "line 3: no name of a joint"),

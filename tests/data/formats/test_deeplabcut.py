@@ -201,7 +201,7 @@ def test_wrong_tables_are_told(tmp_path: Path):
     assert "line 5: 'abc' in the column 's nose y' is not a number" in wrong(tmp_path, HEAD + "0,1,2,1\n1,2,abc,1\n")
     assert "line 6: frame 0 is there twice" in wrong(tmp_path, HEAD + "0,1,2,1\n1,2,3,1\n0,1,2,1\n")
     assert "x, y and z: 3D" in wrong(tmp_path, HEAD.replace("likelihood", "z") + "0,1,2,1\n")
-    assert "confidence goes up to 87" in wrong(tmp_path, HEAD + "0,1,2,87\n")
+    assert "confidence goes from 0 to 870" in wrong(tmp_path, HEAD + "0,1,2,870\n")
     assert "-1 is not a frame number" in wrong(tmp_path, HEAD + "0,1,2,1\n-1,1,2,1\n")
     assert "0.5 is not a frame number" in wrong(tmp_path, HEAD + "0.5,1,2,1\n")
     assert "twice" in wrong(tmp_path, HEAD.replace("likelihood", "x") + "0,1,2,1\n")

@@ -93,6 +93,18 @@ def test_confidence_over_one_is_clipped(tmp_path) -> None:
     assert read(write_jabs(tmp_path / "a.h5", points, score)).confidence[1, 2] == 1
 
 
+def test_a_layout_names_the_keypoints_and_percentages_are_divided(tmp_path) -> None:
+    points, score = made(3)
+    skeleton = tmp_path / "mouse.yaml"
+    names = [f"part_{letter}" for letter in "abcdefghijkl"]
+    bones = [[names[0], name] for name in names[1:]]
+    skeleton.write_text(f"name: mouse\njoints: {names}\nroot: part_a\nbones: {bones}\n")
+    data = read(write_jabs(tmp_path / "a.h5", points, score * 100), ReadOptions(layout=str(skeleton)))
+    assert list(data.joint_names) == names and data.bones == ()
+    assert not any("no effect" in note for note in data.notes)
+    np.testing.assert_allclose(data.confidence, score, rtol=1e-5)
+
+
 def test_damaged_files_are_refused_or_read(tmp_path) -> None:
     whole = write_jabs(tmp_path / "whole.h5", *made(9))
     found = outcomes(whole, lambda path: read(path, ReadOptions(format="jabs")), 48)

@@ -53,9 +53,12 @@ def test_a_real_file_of_deeplabcut(benchmark_data) -> None:
 
 
 def test_a_real_file_of_the_first_version(benchmark_data) -> None:
-    data = read(benchmark_data("trackers/nwb/0.1.1_poseestimation_nodes_edges.nwb"))
-    assert at(data, "front_left_paw", frame=0) == pytest.approx((0.3187111, 0.9808701, 0.737818), rel=1e-6)
-    assert at(data, "front_right_paw", frame=99) == pytest.approx((0.7577127, 0.7804109, 0.395285), rel=1e-6)
+    path = benchmark_data("trackers/nwb/0.1.1_poseestimation_nodes_edges.nwb")  # of random shares of an image
+    with pytest.raises(UserError, match="image_size=WIDTHxHEIGHT"):
+        read(path)
+    data = read(path, ReadOptions(image_size=(1000, 100)))
+    assert at(data, "front_left_paw", frame=0) == pytest.approx((318.7111, 98.08701, 0.737818), rel=1e-6)
+    assert at(data, "front_right_paw", frame=99) == pytest.approx((757.7127, 78.04109, 0.395285), rel=1e-6)
     assert data.bones == (("front_left_paw", "front_right_paw"),) and data.fps == 9.9
     assert "third coordinate" in " ".join(data.notes)
 

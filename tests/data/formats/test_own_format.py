@@ -328,7 +328,10 @@ AS = r"x.dat, as mine_\d+.py:Mine read it: "
         ("return uplift.PoseData(np.zeros((0, 3, 2)), np.ones((0, 3)), GOOD[2])", AS + "no frames"),
         ("return uplift.PoseData(GOOD[0] * np.nan, *GOOD[1:])", AS + "no keypoint in 2 frames is visible"),
         ("return uplift.PoseData(GOOD[0], GOOD[1] * 0, GOOD[2])", AS + "no keypoint in 2 frames is visible"),
-        ("return uplift.PoseData(GOOD[0], GOOD[1] * 98, GOOD[2])", AS + "'confidence' goes up to 98, expected 0..1"),
+        (
+            "return uplift.PoseData(GOOD[0], GOOD[1] * 980, GOOD[2])",
+            "x.dat: confidence goes from 0 to 9[0-9]+, expected 0 to 1",
+        ),
         ("return uplift.PoseData(GOOD[0][:, :, [0, 1, 1]], *GOOD[1:])", AT + r"'keypoints' has shape \(2, 3, 3\)"),
         ("return uplift.PoseData(GOOD[0].reshape(2, 6), *GOOD[1:])", AT + r"'keypoints' has shape \(2, 6\)"),
         ("return uplift.PoseData([[[1, 2], [3]]], *GOOD[1:])", AT + "'keypoints' has rows of different lengths"),

@@ -11,13 +11,15 @@ import numpy as np
 
 from uplift.config.files import files_of
 from uplift.data.formats.base import Formats, Peek, ReadOptions
+from uplift.data.formats.layouts import with_layout
+from uplift.data.formats.scales import in_pixels, with_sure_confidence
 from uplift.data.poses import PoseData
 
 if TYPE_CHECKING:
     from uplift.data.clean_masks import MaskOptions
     from uplift.data.masks import MaskData
 
-__all__ = ["KEYPOINT_FORMATS", "MASK_FORMATS", "read", "read_masks", "with_options"]
+__all__ = ["KEYPOINT_FORMATS", "MASK_FORMATS", "checked", "read", "read_masks", "with_options"]
 
 KEYPOINT_FORMATS: Formats[ReadOptions, PoseData] = Formats(
     "keypoints",
@@ -64,11 +66,25 @@ def read(path: str | Path, options: ReadOptions | None = None) -> PoseData:
     `PoseData.notes` say which format that was, and what was assumed.
 
     Raises:
-        UserError: no such file, no known format, or a file that is not what it looks like.
+        UserError: no such file, no known format, a file that is not what it looks like, or as `checked`.
     """
-    options = options or ReadOptions()
-    data = KEYPOINT_FORMATS.read(Peek(path), options)
-    return with_options(replace(data, source=data.source or str(path)), options)
+    options, peek = options or ReadOptions(), Peek(path)
+    found = KEYPOINT_FORMATS.chosen(peek, options)
+    data = KEYPOINT_FORMATS.read(peek, options, found)
+    data = with_layout(replace(data, source=data.source or str(path)), options)
+    return checked(data, options, found.coordinates)
+
+
+def checked(data: PoseData, options: ReadOptions, coordinates: str = "px") -> PoseData:
+    """Return what was read or given as pixels with confidences from 0 to 1, and with what the user says about it.
+
+    ``coordinates`` are those of `FileFormat`.
+
+    Raises:
+        UserError: coordinates or confidences on a scale that is not known (`uplift.data.formats.scales`).
+    """
+    data = with_options(with_sure_confidence(data), options)
+    return data if coordinates == "placed" else in_pixels(data, square=coordinates == "shares")
 
 
 def with_options(data: PoseData, options: ReadOptions) -> PoseData:

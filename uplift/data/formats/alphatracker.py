@@ -35,11 +35,7 @@ def _read(peek: Peek, options: ReadOptions) -> PoseData:
     if not len(bodies):
         raise UserError(f"{path} has no animal with points, expected labels of AlphaTracker.")
     keypoints = points.array((points.width or 0) // 2, 2)
-    if options.layout is not None:
-        names, notes = names_for(path, keypoints.shape[1], {}, options)
-    else:
-        names = tuple(f"point_{number}" for number in range(keypoints.shape[1]))
-        notes = ("points have no names in the file: named point_0 and so on, in the file's order",)
+    names, notes = names_for(path, keypoints.shape[1], {}, options, keypoints, "point")
     confidence = np.all(np.isfinite(keypoints), axis=-1).astype(np.float32)
     identity = bodies.images(bodies.name) | {"instance": np.array(bodies.track)}
     return pose_data(path, names, keypoints, confidence, identity, notes=notes)

@@ -14,7 +14,7 @@ from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from importlib import import_module
 from pathlib import Path
-from typing import Any, Generic, TypeVar
+from typing import Any, Generic, Literal, TypeVar
 
 from uplift.data.parsers.files import HDF5_START
 from uplift.data.parsers.json import is_json
@@ -42,6 +42,9 @@ class FileFormat(Generic[Options, Data]):
     """Reads everything; raises UserError for what is not of this format, damaged, or empty."""
     ending: str = ""
     """Of the files that are read of a folder; a note counts the others."""
+    coordinates: Literal["px", "shares", "placed"] = "px"
+    """What keypoints are in: pixels; shares of the image as often as not, of a square one where its size is not known;
+    or the reader sees to it itself."""
 
 
 class Formats(Mapping[str, FileFormat[Options, Data]]):
@@ -93,9 +96,13 @@ class Formats(Mapping[str, FileFormat[Options, Data]]):
                 return found
         raise _unknown(peek, self)
 
-    def read(self, peek: Peek, options: Options) -> Data:
-        """Read what was given, in the format that is named or guessed; the notes say which that is."""
-        found = self.guess(peek) if options.format is None else self.named(options.format)
+    def chosen(self, peek: Peek, options: Options) -> FileFormat[Options, Data]:
+        """Return the format that is named, or the first that fits; raises UserError as `named` and `guess`."""
+        return self.guess(peek) if options.format is None else self.named(options.format)
+
+    def read(self, peek: Peek, options: Options, found: FileFormat[Options, Data] | None = None) -> Data:
+        """Read what was given, in the format ``found`` (unset: as `chosen`); the notes say which that is."""
+        found = found or self.chosen(peek, options)
         if peek.is_empty:
             raise UserError(f"{peek.path} is empty (0 bytes), expected {self.what}.")
         data = found.read(peek, options)

@@ -129,11 +129,11 @@ class _Annotations:
             raise UserError(f"{self.path}: none of its {self.seen:,} annotations has keypoints{self._instead()}.")
         notes: list[str] = []
         joints, count, kept = self._layout(notes)
-        if joints is None or options.layout is not None:
-            joints, more = names_for(self.path, count, COCO, options)
-            notes += more
         rows = [self.rows[count][place] for place in kept]
         values = self.tables[count].array(count, 3)[kept]
+        if joints is None or options.layout is not None:
+            joints, more = names_for(self.path, count, COCO, options, values)
+            notes += more
         confidence = seen_by_flag(values[..., 2], notes)
         images = self._images(rows)
         known = self.categories.get(rows[0][1], next(iter(self.categories.values()), None))

@@ -14,7 +14,7 @@ import numpy as np
 
 from uplift.config.files import replacing
 from uplift.data.formats.base import FileFormat, Peek, ReadOptions
-from uplift.data.formats.layouts import names_for
+from uplift.data.formats.layouts import is_nameless, names_for
 from uplift.data.formats.rows import by_appearance, confidence_of, frame_numbers, named_tracks, rows_of, seen_by_flag
 from uplift.data.parsers.table import Table, header_of
 from uplift.data.poses import IDENTITY_KEYS, PoseData
@@ -27,7 +27,6 @@ __all__ = [
     "bodies_of",
     "columns_in",
     "columns_of",
-    "is_nameless",
     "read_columns",
     "write_keypoints_csv",
     "write_table",
@@ -69,7 +68,6 @@ _WORD = rf"(?P<what>x|y|z|{_SCORE})(?:_?(?:px|pixels?|coord|coordinate|pos))?"
 _SUFFIX = re.compile(rf"(?P<name>.*\S)\s*[-_./:(\[ ]\s*{_WORD}\s*[)\]]?", re.IGNORECASE)
 _PREFIX = re.compile(rf"{_WORD}\s*(?:[-_./:(\[ ]\s*(?P<name>\S.*?)|(?P<number>\d+))\s*[)\]]?", re.IGNORECASE)
 _ALONE = re.compile(rf"(?P<name>)(?P<number>)(?:(?:pos|coord|px|pixel)_?)?{_WORD}", re.IGNORECASE)
-_NUMBERED = re.compile(r"(?:(?:keypoint|kpt|kp|joint|landmark|point|marker|part|node|p|j)[_ ]?)?\d+", re.IGNORECASE)
 _SEEN = {"_u_px": "_x", "_v_px": "_y"}
 _PREDICTED = re.compile(r"_u_px$|_v_px$|(?<!_)_[xyz]$")
 _BOX = ("bbox", "box", "bounding_box", "bb")
@@ -148,11 +146,6 @@ def columns_of(header: Sequence[str]) -> Columns | None:
     used |= {found.name, found.frame, found.time, *found.identity.values(), *found.facts.values()}
     found.others = tuple(head for place, head in enumerate(header) if place not in used and head)
     return found
-
-
-def is_nameless(names: Sequence[str]) -> bool:
-    """Return whether the names are numbers and no more."""
-    return all(_NUMBERED.fullmatch(name) for name in names)
 
 
 def _joints_in(
@@ -238,7 +231,7 @@ def bodies_of(
     Raises:
         UserError: one body twice in one frame; as `rows_of`.
     """
-    confidence = confidence_of(path, keypoints, scores)
+    confidence = confidence_of(keypoints, scores)
     _identify(path, found, keypoints, confidence, lines)
     return rows_of(
         path,
@@ -339,8 +332,8 @@ def _one(table: Table, column: int) -> float | None:
 
 # Read the keypoints: joints side by side, or one row for each joint of each frame.
 
-_Named = Callable[[Sequence[str]], tuple[Sequence[str], Sequence[str]]]
-"""Makes joint names of those that a file has, and notes that say how."""
+_Named = Callable[[Sequence[str], np.ndarray], tuple[Sequence[str], Sequence[str]]]
+"""Makes joint names of those that a file has and of its keypoints (rows joints 2), and notes that say how."""
 _Rated = Callable[[np.ndarray | None, np.ndarray], np.ndarray | None]
 """Changes the scores (rows joints) of keypoints (rows joints 2) before they are taken as confidence."""
 
@@ -366,7 +359,8 @@ def read_columns(path: Path, columns: Columns, named: _Named, rated: _Rated | No
         scores = seen_by_flag(scores, found.notes)
     if rated is not None:
         scores = rated(scores, keypoints)
-    names, notes = named(names)
+    shown = keypoints if scores is None else np.where((scores > 0)[..., None], keypoints, np.float32(np.nan))
+    names, notes = named(names, shown)
     if columns.others:
         shown = ", ".join(columns.others[:8]) + (", ..." if len(columns.others) > 8 else "")
         notes = (f"columns left out: {shown}", *notes)
@@ -463,9 +457,11 @@ def _read(peek: Peek, options: ReadOptions) -> PoseData:
             f"{path}: {what} x, y and z: 3D points, no 2D keypoints. Give the tracker's 2D output; for landmarks of "
             "MediaPipe, whose z is left out, say format=mediapipe."
         )
-    return read_columns(
-        path, columns, lambda names: names_for(path, len(names), {}, options) if is_nameless(names) else (names, ())
-    )
+
+    def named(names: Sequence[str], points: np.ndarray) -> tuple[Sequence[str], Sequence[str]]:
+        return names_for(path, len(names), {}, options, points) if is_nameless(names) else (names, ())
+
+    return read_columns(path, columns, named)
 
 
 FORMAT = FileFormat("csv", "plain csv", lambda peek: columns_in(peek) is not None, _read)

@@ -7,6 +7,7 @@ import re
 import numpy as np
 
 from uplift.data.formats.base import FileFormat, Peek, ReadOptions
+from uplift.data.formats.layouts import names_for
 from uplift.data.formats.rows import visible_only
 from uplift.data.parsers.hdf5 import Hdf5, open_hdf5
 from uplift.data.poses import PoseData
@@ -24,7 +25,7 @@ _BONES = (
     ("mid_tail", "tip_tail"), ("nose", "left_ear"), ("nose", "right_ear"), ("center_spine", "left_front_paw"),
     ("center_spine", "right_front_paw"), ("base_tail", "left_rear_paw"), ("base_tail", "right_rear_paw"),
 )  # fmt: skip
-_NOTE = "the file does not name its keypoints: they are taken to be the twelve of JABS"
+_NOTE = "the file does not name its keypoints: they are taken to be the twelve of JABS; layout=SKELETON names others"
 _MIRROR = (("left_ear", "right_ear"), ("left_front_paw", "right_front_paw"), ("left_rear_paw", "right_rear_paw"))
 
 
@@ -50,8 +51,10 @@ def _read(peek: Peek, options: ReadOptions) -> PoseData:
     identity = {"frame": frame, "sequence": np.full(len(frame), video)}
     if number is not None:
         identity["instance"] = number[frame, mouse].astype(str)
-    known = {"bones": _BONES, "mirror": _MIRROR, "notes": (_NOTE,)}
-    return PoseData(points[frame, mouse], confidence[frame, mouse], JOINTS, identity=identity, **known)
+    names, known = JOINTS, {"bones": _BONES, "mirror": _MIRROR, "notes": (_NOTE,)}
+    if options.layout is not None:
+        names, known = names_for(path, len(JOINTS), {}, options)[0], {}
+    return PoseData(points[frame, mouse], confidence[frame, mouse], names, identity=identity, **known)
 
 
 def _mice(file: Hdf5, shape: tuple[int, ...]) -> tuple[np.ndarray, np.ndarray]:

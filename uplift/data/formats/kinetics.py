@@ -6,7 +6,7 @@ from pathlib import Path
 
 from uplift.data.formats.base import FileFormat, Peek, ReadOptions
 from uplift.data.formats.layouts import KINETICS, names_for
-from uplift.data.formats.rows import Bodies, pose_data, shares_to_pixels
+from uplift.data.formats.rows import Bodies, pose_data
 from uplift.data.parsers.json import Numbers, json_files, members, objects, shown, whole_number
 from uplift.data.poses import PoseData
 from uplift.errors import UserError
@@ -28,8 +28,7 @@ def _read(peek: Peek, options: ReadOptions) -> PoseData:
     if not len(bodies):
         raise UserError(f"{path} has no skeleton in any frame.")
     keypoints, confidence = poses.pairs(scores, path)
-    names, named = names_for(path, keypoints.shape[1], KINETICS, options, keypoints)
-    keypoints, notes = shares_to_pixels(keypoints, options, named)
+    names, notes = names_for(path, keypoints.shape[1], KINETICS, options, keypoints)
     return pose_data(path, names, keypoints, confidence, bodies.identity(), notes=notes)
 
 
@@ -57,4 +56,4 @@ def _read_file(file: Path, poses: Numbers, scores: Numbers, bodies: Bodies) -> N
         raise UserError(f"{file} has no 'data', expected the frames of a video with their skeletons.")
 
 
-FORMAT = FileFormat("kinetics_skeleton", "Kinetics skeletons (ST-GCN)", _fits, _read, ".json")
+FORMAT = FileFormat("kinetics_skeleton", "Kinetics skeletons (ST-GCN)", _fits, _read, ".json", "shares")

@@ -12,9 +12,10 @@ from typing import Any, TypeGuard
 import numpy as np
 
 from uplift.data.formats.base import FileFormat, Peek, ReadOptions
-from uplift.data.formats.csv import Identity, bodies_of, columns_in, is_nameless, read_columns
-from uplift.data.formats.layouts import HAND21, Layouts, names_for
-from uplift.data.formats.rows import SHARES_NOTE, confidence_of, frame_numbers
+from uplift.data.formats.csv import Identity, bodies_of, columns_in, read_columns
+from uplift.data.formats.layouts import HAND21, Layouts, is_nameless, names_for
+from uplift.data.formats.rows import confidence_of, frame_numbers
+from uplift.data.formats.scales import SHARES_NOTE
 from uplift.data.parsers.json import JsonText, items
 from uplift.data.parsers.npz import read_arrays
 from uplift.data.poses import PoseData
@@ -253,7 +254,7 @@ def _read_mediapipe_csv(peek: Peek, options: ReadOptions) -> PoseData:
         notes = ("world landmarks are left out, those of the image are taken",)
     if any(joint.z is not None for joint in columns.joints.values()):
         notes = (*notes, _NO_DEPTH)
-    data = read_columns(path, columns, lambda names: _landmark_names(path, names, options), _without_flags)
+    data = read_columns(path, columns, lambda names, _: _landmark_names(path, names, options), _without_flags)
     return _placed(replace(data, notes=(*data.notes, *notes)), options)
 
 
@@ -440,7 +441,7 @@ def _read_mediapipe_npz(path: Path, options: ReadOptions) -> PoseData:
     found = Identity({"sequence": np.full(frames * bodies, path.stem), "frame": np.repeat(frame, bodies)}, notes=notes)
     names, more = _landmark_names(path, [str(number) for number in range(joints)], options)
     found.fps, found.image_size = _number(arrays, "fps"), _size(arrays)
-    seen = (confidence_of(path, keypoints, scores) > 0).any(1)  # places for bodies that a frame does not have
+    seen = (confidence_of(keypoints, scores) > 0).any(1)  # places for bodies that a frame does not have
     found.values = {key: value[seen] for key, value in found.values.items()}
     data = bodies_of(path, found, keypoints[seen], None if scores is None else scores[seen], names, more)
     return _placed(data, options)
@@ -499,4 +500,4 @@ def _read(peek: Peek, options: ReadOptions) -> PoseData:
     return _read_mediapipe_json(peek.path, options) if peek.json_sign else _read_mediapipe_csv(peek, options)
 
 
-FORMAT = FileFormat("mediapipe", "landmarks of MediaPipe (csv, json, npz)", _fits, _read)
+FORMAT = FileFormat("mediapipe", "landmarks of MediaPipe (csv, json, npz)", _fits, _read, coordinates="placed")

@@ -6,6 +6,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from uplift.data.formats.base import FileFormat, Peek, ReadOptions
 from uplift.data.formats.layouts import MMPOSE, names_for, pairs_by_name, swapped_names
 from uplift.data.formats.rows import Bodies, pose_data, track_of
@@ -14,6 +16,9 @@ from uplift.data.poses import PoseData
 from uplift.errors import UserError
 
 __all__ = ["FORMAT"]
+
+_CLOSE, _HIGHEST_PEAK = 1.5, 20.0
+"""Scores between these are peaks of RTMPose's own scale: heat maps stay below, per cent goes beyond."""
 
 
 def _fits(peek: Peek) -> bool:
@@ -61,12 +66,23 @@ def _read(peek: Peek, options: ReadOptions) -> PoseData:
             "predictions, [x, y] each."
         )
     keypoints, scores = found.keypoints.pairs(found.scores, path)
+    scores, raw = _sure(scores)
     meta = found.meta if options.layout is None else {}
     names, notes = _names(path, meta, keypoints.shape[1]), ()
     if names is None:
         names, notes = names_for(path, keypoints.shape[1], MMPOSE, options, keypoints)
     known = {"bones": pairs_by_name(meta.get("skeleton_links"), names), "mirror": _mirror(meta, names)}
-    return pose_data(path, names, keypoints, scores, found.bodies.identity(), notes=notes, **known)
+    return pose_data(path, names, keypoints, scores, found.bodies.identity(), notes=(*notes, *raw), **known)
+
+
+def _sure(scores: np.ndarray) -> tuple[np.ndarray, tuple[str, ...]]:
+    """Return scores of at most 1, and a note where RTMPose's own go far beyond it, which are no shares."""
+    most = float(np.nanmax(scores, initial=0))
+    if not _CLOSE < most < _HIGHEST_PEAK:
+        return scores, ()
+    return np.minimum(scores, np.float32(1)), (
+        f"scores go up to {most:.3g}, as RTMPose's do: those over 1 are taken as 1",
+    )
 
 
 def _read_file(found: _Found, file: Path) -> None:

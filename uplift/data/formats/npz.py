@@ -8,10 +8,10 @@ from pathlib import Path
 import numpy as np
 
 from uplift.config.files import replacing
-from uplift.data.formats import KEYPOINT_FORMATS, read
+from uplift.data.formats import KEYPOINT_FORMATS, checked, read
 from uplift.data.formats.base import FileFormat, ReadOptions
 from uplift.data.parsers.files import bytes_of
-from uplift.data.parsers.npz import CheckedArrays, array_headers, read_arrays
+from uplift.data.parsers.npz import CheckedArrays, array_headers, first_rows, read_arrays
 from uplift.data.parsers.pictures import PHOTO_ENDINGS
 from uplift.data.poses import IDENTITY_KEYS, UNITS, PoseData, masks_of
 from uplift.errors import UserError
@@ -35,7 +35,6 @@ _KNOWN = {
     "bones", "tilt_deg", "level_pose", "uncertainty", "spread", "filled", "axes", "skeleton", "masks", "mask_box",
     *IDENTITY_KEYS,
 }  # fmt: skip
-_MOST_CONFIDENT = 2.0  # heat maps peak a little over 1, and COCO marks visible joints with 2
 
 
 def read_npz(path: str | Path) -> PoseData:
@@ -111,12 +110,7 @@ def unit_of(where: str, arrays: dict[str, np.ndarray], default: str) -> str:
 
 def _confidence(file: CheckedArrays, shape: tuple[int, int]) -> np.ndarray:
     confidence = file.floats("confidence", shape)
-    if confidence is None:
-        return np.ones(shape, np.float32)
-    most = np.max(confidence, initial=0, where=np.isfinite(confidence))
-    if most > _MOST_CONFIDENT:
-        raise UserError(f"{file.where}: 'confidence' goes up to {most:g}, expected 0..1: divide percentages by 100.")
-    return confidence
+    return np.ones(shape, np.float32) if confidence is None else confidence
 
 
 def _identity(where: str, arrays: dict[str, np.ndarray], frames: int) -> dict[str, np.ndarray]:
@@ -193,10 +187,12 @@ def write_keypoints(data: PoseData, path: str | Path) -> None:
         np.savez_compressed(file, **arrays)  # type: ignore[arg-type]
 
 
-# What a file of keypoints holds: of an npz out of its headers alone, nothing loaded but the joint names.
+# What a file of keypoints holds: of an npz out of its headers alone, little loaded but the joint names.
 
 _PER_JOINT = {"keypoints": 2, "pose": 3}  # numbers of four bytes, whatever the file has
 _PER_FRAME = {"root": 3, "tilt_deg": 1}
+_FIRST = 2000
+"""Frames that are looked at for the scale of their numbers."""
 
 
 @dataclass(frozen=True)
@@ -234,8 +230,16 @@ def contents_of(path: Path, options: ReadOptions | None = None) -> _Contents:
     names = joint_names_of(str(path), small)
     if len(names) != joints:
         raise UserError(f"{path}: {len(names)} joint names for {joints} joints in 'keypoints'.")
+    _check_scales(path, small, set(headers), options)
     identity = sum(bytes_of(*headers[key]) for key in IDENTITY_KEYS if key in headers)
     return _Contents(frames, names, "pose" in headers, memory_of(set(headers), frames, joints) + identity)
+
+
+def _check_scales(path: Path, small: dict[str, np.ndarray], names: set[str], options: ReadOptions) -> None:
+    """Raise UserError where the first frames are in no pixels, or of no confidence that is known."""
+    size = read_arrays(path, ("image_size",)) if "image_size" in names else {}
+    start = {name: first_rows(path, name, _FIRST) for name in ("keypoints", "confidence") if name in names}
+    checked(poses_of(str(path), {**small, **size, **start}), options)
 
 
 def memory_of(arrays: set[str], frames: int, joints: int) -> int:

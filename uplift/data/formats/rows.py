@@ -12,13 +12,11 @@ from typing import Any, TypeVar
 import numpy as np
 from jaxtyping import Float, Float32, Num
 
-from uplift.data.formats.base import ReadOptions
 from uplift.data.parsers.json import is_text, shown, texts
 from uplift.data.poses import PoseData, codes_of
 from uplift.errors import UserError
 
 __all__ = [
-    "SHARES_NOTE",
     "Bodies",
     "as_float32",
     "by_appearance",
@@ -34,7 +32,6 @@ __all__ = [
     "rows_of",
     "same_or_none",
     "seen_by_flag",
-    "shares_to_pixels",
     "split_names",
     "track_of",
     "video_name",
@@ -50,14 +47,12 @@ _T = TypeVar("_T")
 def visible_only(
     keypoints: Num[np.ndarray, "... 2"], score: Num[np.ndarray, "..."]
 ) -> tuple[Float32[np.ndarray, "... 2"], Float32[np.ndarray, "..."]]:
-    """Return keypoints with NaN, and confidence 0..1 with 0, where a coordinate is not a number or the score is not over 0.
-
-    Scores over 1 are clipped: heat maps peak a little over it.
-    """
+    """Return keypoints with NaN where a coordinate is not a number or the score is not over 0, and scores with 0 for NaN."""
     score = as_float32(score)
-    seen = np.isfinite(as_float32(keypoints)).all(-1) & (score > 0)
+    there = np.isfinite(as_float32(keypoints)).all(-1) & ~np.isnan(score)
+    seen = there & (score > 0)
     keypoints = np.where(seen[..., None], as_float32(keypoints), np.float32(np.nan))
-    return keypoints, np.where(seen, np.minimum(score, np.float32(1)), np.float32(0))
+    return keypoints, np.where(there, score, np.float32(0))
 
 
 def as_float32(values: Num[np.ndarray, "..."]) -> Float32[np.ndarray, "..."]:
@@ -235,9 +230,6 @@ def _sizes(keypoints: np.ndarray, seen: np.ndarray) -> np.ndarray:
 
 # Rows of keypoints that name their image, or their video and frame, become `PoseData`.
 
-SHARES_NOTE = (
-    "coordinates are shares of the image, whose size is not known: taken as square; say image_size=WIDTHxHEIGHT"
-)
 _LINKED = "bodies have no numbers: those of neighbouring frames are linked by place"
 _TWICE = "a track number occurs twice in one frame: bodies are linked by place instead"
 _SOME = "some bodies have no track: they are linked by place, as untracked 0 and so on"
@@ -256,7 +248,7 @@ def pose_data(
 ) -> PoseData:
     """Return the rows with a visible joint as `PoseData`, clip by clip where there are videos.
 
-    Scores above 1 are taken as 1. In a video an ``instance`` that is empty, or not there although
+    In a video an ``instance`` that is empty, or not there although
     a frame has several bodies, is found by linking. ``known`` are further fields of `PoseData`.
 
     Raises:
@@ -289,8 +281,8 @@ def pose_data(
 
 
 def honest(keypoints: np.ndarray, confidence: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return keypoints that are numbers or NaN, and a confidence of 0 to 1 that is 0 where they are NaN."""
-    confidence = np.clip(np.nan_to_num(confidence, nan=0, posinf=0, neginf=0), 0, 1).astype(np.float32, copy=False)
+    """Return keypoints that are numbers or NaN, and a confidence that is a number, and 0 where they are NaN."""
+    confidence = np.nan_to_num(confidence, nan=0, posinf=0, neginf=0).astype(np.float32, copy=False)
     finite = np.all(np.isfinite(keypoints), axis=-1)
     if finite.all():
         return keypoints, confidence
@@ -352,17 +344,6 @@ def seen_by_flag(third: Float[np.ndarray, "rows joints"], notes: list[str]) -> F
         return third / np.float32(2)
     notes.append("flags are 0 and 1 only: 1 is taken as visible, not as COCO's 'occluded'")
     return third
-
-
-def shares_to_pixels(
-    keypoints: Float[np.ndarray, "rows joints 2"], options: ReadOptions, notes: Sequence[str]
-) -> tuple[Float[np.ndarray, "rows joints 2"], tuple[str, ...]]:
-    """Return keypoints that are all shares of the image in pixels, or as they are where its size is not known; and notes."""
-    if not (np.nan_to_num(np.abs(keypoints), posinf=2) <= 1).all():
-        return keypoints, tuple(notes)
-    if options.image_size is None:
-        return keypoints, (*notes, SHARES_NOTE)
-    return keypoints * np.array(options.image_size, np.float32), tuple(notes)
 
 
 def split_names(stems: Sequence[str]) -> tuple[list[str], list[int]] | None:
@@ -464,7 +445,6 @@ def name_of(value: Any, where: str, key: str, *, number: bool = True) -> str:
 # From the numbers of a table to rows of keypoints: what is missing, its confidence, and who is seen.
 
 _FARTHEST_PX = 1e7
-_MOST_CONFIDENT = 2.0  # heat maps peak a little over 1
 _LAST_FRAME = 2**53
 
 
@@ -484,11 +464,11 @@ def rows_of(
     scores that are NaN or at most 0, and, where the file has no scores, keypoints at exactly (0, 0).
 
     Raises:
-        UserError: coordinates beyond any image, scores that are not between 0 and 1, a name twice, no visible joint.
+        UserError: coordinates beyond any image, a name twice, no visible joint.
     """
     _check_names(path, names, "joint")
     _check_names(path, bodies, "individual")
-    confidence = confidence_of(path, keypoints, scores)
+    confidence = confidence_of(keypoints, scores)
     _check_distance(path, keypoints, confidence, names)
     seen: np.ndarray = np.any(confidence > 0, axis=-1)
     if not seen.any():
@@ -553,16 +533,12 @@ def frame_numbers(
     return frame
 
 
-def confidence_of(path: Path, keypoints: np.ndarray, scores: np.ndarray | None) -> np.ndarray:
-    """Return the confidence of each keypoint, 0..1, 0 where it is missing. Raises UserError for scores that are not between 0 and 1."""
+def confidence_of(keypoints: np.ndarray, scores: np.ndarray | None) -> np.ndarray:
+    """Return the confidence of each keypoint, on the scale of its score, 0 where it is missing."""
     finite = ~np.isnan(keypoints).any(-1)
     if scores is None:
         return (finite & (keypoints != 0).any(-1)).astype(np.float32)
-    scores = np.where(finite & ~np.isnan(scores), scores, np.float32(0))
-    most = scores.max(initial=0)
-    if most > _MOST_CONFIDENT:
-        raise UserError(f"{path}: confidence goes up to {most:g}, expected 0..1: divide percentages by 100.")
-    return np.clip(scores, 0, 1).astype(np.float32)
+    return np.where(finite & ~np.isnan(scores), scores, np.float32(0)).astype(np.float32)
 
 
 def _check_distance(path: Path, keypoints: np.ndarray, confidence: np.ndarray, names: Sequence[str]) -> None:

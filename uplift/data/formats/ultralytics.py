@@ -15,15 +15,8 @@ from jaxtyping import Float
 
 from uplift.data.formats.base import FileFormat, Peek, ReadOptions
 from uplift.data.formats.layouts import COCO, names_for, swapped_names
-from uplift.data.formats.rows import (
-    SHARES_NOTE,
-    Bodies,
-    pose_data,
-    seen_by_flag,
-    shares_to_pixels,
-    track_of,
-    video_names,
-)
+from uplift.data.formats.rows import Bodies, pose_data, seen_by_flag, track_of, video_names
+from uplift.data.formats.scales import SHARES_NOTE
 from uplift.data.parsers.files import reason_of
 from uplift.data.parsers.json import JsonText, Numbers, in_order, is_text, items, json_files, shown
 from uplift.data.parsers.pictures import PHOTO_ENDINGS
@@ -86,7 +79,7 @@ def _read_labels(peek: Peek, options: ReadOptions) -> PoseData:
     description = _describe(path if path.is_dir() else path.parent)
     notes: list[str] = []
     values, predicted, tracks = _divide(path, labels, description, notes)
-    names = description.names_of(path, values.shape[1], options, notes)
+    names = description.names_of(path, values, options, notes)
     keypoints, confidence = values[..., :2], (values[..., :2] != 0).any(-1).astype(np.float32)
     if values.shape[2] == 3:  # predictions blank weak keypoints
         confidence = np.where(confidence > 0, seen_by_flag(values[..., 2], notes), np.float32(0))
@@ -192,14 +185,16 @@ class _Description:
     partners: list[int] = field(default_factory=list)
     names: tuple[str, ...] | None = None
 
-    def names_of(self, path: Path, count: int, options: ReadOptions, notes: list[str]) -> tuple[str, ...]:
-        """Return the names of the keypoints; raises UserError where data.yaml has another number of them."""
+    def names_of(self, path: Path, values: np.ndarray, options: ReadOptions, notes: list[str]) -> tuple[str, ...]:
+        """Return the names of (rows, keypoints, 2 or 3) keypoints; raises UserError where data.yaml has another number of them."""
         if self.names is None or options.layout is not None:
-            names, more = names_for(path, count, {17: COCO[17]}, options)
+            names, more = names_for(path, values.shape[1], COCO, options, values)
             notes += more
             return names
-        if len(self.names) != count:
-            raise UserError(f"{self.path}: kpt_names are {len(self.names)}, the labels have {count} keypoints.")
+        if len(self.names) != values.shape[1]:
+            raise UserError(
+                f"{self.path}: kpt_names are {len(self.names)}, the labels have {values.shape[1]} keypoints."
+            )
         return self.names
 
     def categories(self, classes: np.ndarray) -> dict[str, np.ndarray]:
@@ -401,7 +396,7 @@ def _text(file: Path) -> str:
         raise UserError(f"{file} cannot be read as text: {error}") from None
 
 
-LABELS = FileFormat("ultralytics", "Ultralytics labels", _are_labels, _read_labels, ".txt")
+LABELS = FileFormat("ultralytics", "Ultralytics labels", _are_labels, _read_labels, ".txt", "placed")
 
 
 # Results as JSON: the list that ``to_json()`` gives for an image, or a list of such lists.
@@ -449,11 +444,10 @@ def _read_results(peek: Peek, options: ReadOptions) -> PoseData:
     if not len(found.bodies):
         raise UserError(f"{path} has no bodies, expected results of Ultralytics.")
     keypoints = np.stack([found.x.array(), found.y.array()], -1)
-    names, named = names_for(path, keypoints.shape[1], {17: COCO[17]}, options, keypoints)
+    names, notes = names_for(path, keypoints.shape[1], COCO, options, keypoints)
     blank = (keypoints == 0).all(-1)  # what weak keypoints are set to
     confidence = np.where(blank, np.float32(0), found.seen.array())
-    keypoints, notes = shares_to_pixels(keypoints, options, named)
     return pose_data(path, names, keypoints, confidence, found.bodies.identity(), notes=notes)
 
 
-RESULTS = FileFormat("ultralytics_json", "Ultralytics results (JSON)", _are_results, _read_results, ".json")
+RESULTS = FileFormat("ultralytics_json", "Ultralytics results (JSON)", _are_results, _read_results, ".json", "shares")

@@ -45,7 +45,7 @@ def _read(peek: Peek, options: ReadOptions) -> PoseData:
     counts = {view.shape[1] for *_, view in clips}
     if len(counts) > 1:
         raise UserError(f"{path}: videos with {', '.join(map(str, sorted(counts)))} keypoints, expected equal numbers.")
-    names, notes = _names(path, counts.pop(), metadata, options)
+    names, notes = _names(path, clips, metadata, options)
     return _all(path, clips, names, notes, _size(sizes, {clip[0] for clip in clips}))
 
 
@@ -119,16 +119,17 @@ def _all(
     scored = {clip[4].shape[2] for clip in clips} == {3}
     keypoints = np.concatenate([clip[4][..., :2] for clip in clips])
     scores = np.concatenate([clip[4][..., 2] for clip in clips]) if scored else None
-    seen = (confidence_of(path, keypoints, scores) > 0).any(1)
+    seen = (confidence_of(keypoints, scores) > 0).any(1)
     identity = {key: values[seen] for key, values in identity.items()}
     found = Identity(identity, image_size=size)
     return bodies_of(path, found, keypoints[seen], None if scores is None else scores[seen], names, notes)
 
 
 def _names(
-    path: Path, count: int, metadata: Mapping[Any, Any], options: ReadOptions
+    path: Path, clips: list[Clip], metadata: Mapping[Any, Any], options: ReadOptions
 ) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Return the names of the layout that the metadata give by its name or its left joints, else by the count."""
+    """Return the names of the layout that the metadata give by its name or its left joints, else those that fit."""
+    count = clips[0][4].shape[1]
     name, sides = metadata.get("layout_name"), metadata.get("keypoints_symmetry")
     try:
         left = tuple(int(place) for place in sides[0]) if sides is not None else ()
@@ -137,7 +138,8 @@ def _names(
     known = _LEFT.get(left) or {"coco": _LAYOUTS[17], "h36m": _LEFT[4, 5, 6, 11, 12, 13]}.get(str(name))
     if options.layout is None and known is not None and len(known[1]) == count:
         return known[1], (f"keypoints are taken as {known[0]}'s, as the metadata say",)
-    return names_for(path, count, _LAYOUTS, options)
+    some = np.concatenate([points[:: 1 + len(points) // 100] for *_, points in clips])
+    return names_for(path, count, _LAYOUTS, options, some)
 
 
 def _size(sizes: Any, videos: set[str]) -> tuple[int, int] | None:

@@ -12,7 +12,7 @@ import numpy as np
 from uplift.data.parsers.files import bytes_of, check_memory, damage_as_error, existing_file
 from uplift.errors import UserError, did_you_mean
 
-__all__ = ["CheckedArrays", "array_headers", "read_arrays", "read_header"]
+__all__ = ["CheckedArrays", "array_headers", "first_rows", "read_arrays", "read_header"]
 
 _MAX_HEADER_BYTES = 10_000
 _Header = tuple[tuple[int, ...], np.dtype]
@@ -51,6 +51,16 @@ def array_headers(path: str | Path) -> dict[str, _Header]:
     path = existing_file(path, "an .npz file")
     with damage_as_error(path, "an .npz file"), zipfile.ZipFile(path) as archive:
         return dict(_header(path, archive, member) for member in archive.infolist())
+
+
+def first_rows(path: Path, name: str, rows: int) -> np.ndarray:
+    """Return up to ``rows`` rows of an array that `array_headers` has found, nothing else loaded."""
+    with damage_as_error(path, "an .npz file"), zipfile.ZipFile(path) as archive, archive.open(f"{name}.npy") as file:
+        shape, by_columns, dtype = read_header(file)
+        if by_columns or not shape:
+            return read_arrays(path, (name,))[name][:rows]
+        kept = (min(rows, shape[0]), *shape[1:])
+        return np.frombuffer(file.read(bytes_of(kept, dtype)), dtype).reshape(kept)
 
 
 def _header(path: Path, archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> tuple[str, _Header]:
