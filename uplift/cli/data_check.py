@@ -17,6 +17,7 @@ from uplift.data.datasets import DataSet
 from uplift.data.datasets.base import cached_facts
 from uplift.data.formats import MASK_FORMATS, read_masks
 from uplift.data.formats.base import Peek
+from uplift.data.formats.deeplabcut_files import keypoint_files
 from uplift.data.formats.masks_npz import read_masks_npz
 from uplift.data.formats.npz import contents_of, memory_of
 from uplift.data.load import find_data, format_of, how_to_get, named_set, of_labelled, read_options
@@ -97,8 +98,12 @@ class _Report:
             if not name:
                 raise  # it names what to set
             paths = [(folder / part).absolute() for part in str(name).split(",") if part]
+        left_out: list[str] = []
+        if settings.lifts == "keypoints":
+            paths, left_out = keypoint_files(paths)
         alone = paths[0].name if paths[0].parent == self.folder else str(paths[0])
         self.lines.append(f"{title}: {alone if len(paths) == 1 else f'{len(paths)} files'}")
+        self.lines += [f"  {note}" for note in left_out]
         for path in paths:
             self._line(path, "", path.exists())
         if not all(path.exists() for path in paths):

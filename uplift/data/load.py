@@ -19,6 +19,7 @@ from uplift.data.concat import concat_poses
 from uplift.data.datasets import DATA_SETS, DataSet, WantedFile, data_set, read_cached
 from uplift.data.formats import KEYPOINT_FORMATS, MASK_FORMATS, read, with_options
 from uplift.data.formats.base import ReadOptions, size_of
+from uplift.data.formats.deeplabcut_files import keypoint_files
 from uplift.data.masks import MaskData
 from uplift.data.poses import PoseData
 from uplift.data.select import choice_of, chosen_rows
@@ -244,7 +245,8 @@ def load_file(path: str | Path, skeleton: Skeleton, options: ReadOptions | None 
     Raises UserError: as `in_joints_of`, or files of fewer keypoints than anything can be lifted from.
     """
     parts = []
-    for one in progress(files_of(path), "reading files"):
+    files, left_out = keypoint_files(files_of(path))
+    for one in progress(files, "reading files"):
         data = read(one, options)
         if len(data.joint_names) < MIN_VISIBLE:
             raise UserError(
@@ -261,7 +263,8 @@ def load_file(path: str | Path, skeleton: Skeleton, options: ReadOptions | None 
             )
             data = replace(data, notes=(*data.notes, note))
         parts.append(data)
-    return concat_poses(parts)
+    found = concat_poses(parts)
+    return replace(found, notes=(*left_out, *found.notes)) if left_out else found
 
 
 def format_of(data: DataSettings, path: str | Path) -> str | None:
