@@ -11,7 +11,8 @@ from typing import TypeVar
 
 import numpy as np
 
-from uplift.config.files import data_root, files_of
+from uplift.config.files import data_root, files_of, shipped_names
+from uplift.config.loading import read_task, task_path
 from uplift.config.progress import progress
 from uplift.config.settings import DataSettings, Settings
 from uplift.data.clean import MIN_VISIBLE, clean
@@ -30,7 +31,7 @@ from uplift.skeleton.propose import TOO_LONG, stretch_of
 
 __all__ = [
     "Loaded", "find_data", "format_of", "format_of_run", "how_to_get", "in_joints_of", "load_data", "load_file", "load_split",
-    "named_set", "of_labelled", "read_options", "set_of", "with_labels_of", "with_test",
+    "named_set", "not_simulated", "of_labelled", "read_options", "set_of", "with_labels_of", "with_test",
 ]  # fmt: skip
 
 
@@ -64,13 +65,22 @@ def load_data(settings: Settings, skeleton: Skeleton, load: Load[PoseData] | Non
     load = load or load_or_simulate
     train, test = with_test(settings, load)
     train, more = with_labels_of(settings, train, load)
-    notes: list[str] = []
+    notes = not_simulated(settings)
     train = _cleaned("train", train, skeleton, notes)
     if train.labelled is not None:
         notes.append(f"labelled: {int(train.labelled.sum()):,} of these frames, in 3D")
     more = None if more is None else _cleaned("labelled", more, skeleton, notes)
     test = None if test is None else _cleaned("test", test, skeleton, notes)
     return Loaded(train, test, notes, more)
+
+
+def not_simulated(settings: Settings) -> list[str]:
+    """Return the note on a task that simulates what it trains on, where the user gives files; nothing otherwise."""
+    data = settings.data
+    if not data.train or data.simulate or settings.task not in shipped_names("tasks"):
+        return []
+    simulated = (read_task(task_path(settings.task)).get("data") or {}).get("simulate")
+    return [f"data.train is given: what task '{settings.task}' simulates is not used"] if simulated else []
 
 
 def _simulated(settings: Settings, which: str, skeleton: Skeleton) -> PoseData:
