@@ -144,6 +144,9 @@ def lift_keypoints(request: Request) -> tuple[Prediction, dict[Path, str]]:
             raise UserError(f"{next(iter(options))}= goes with page=gallery.")
         if page == "gallery":
             check_options(**options)
+        if options.get("images") is not None and request.reading is not None:
+            for key in {"flip_x", "flip_y", "rotate"} & set(request.reading.set_names()):
+                raise UserError(f"{key}= turns the keypoints and not the photos of images=: give one of the two.")
         refuse_output(Path(output))
     model = load_poses(request.weights)
     size = size_from(model.skeleton, **request.size)

@@ -14,6 +14,7 @@ from uplift.data.clean import MIN_VISIBLE, clean
 from uplift.data.formats import read
 from uplift.data.load import in_joints_of
 from uplift.data.poses import PoseData
+from uplift.data.upright import upright_notes
 from uplift.errors import UserError
 from uplift.skeleton import Skeleton, load_skeleton, propose
 from uplift.skeleton.match import JointMatch, match_joints
@@ -116,7 +117,7 @@ def map_joints(words: list[str]) -> tuple[list[str], bool]:
     lines += [f"{skeleton.name}, {how}:", *_table(match, skeleton, built)]
     lines += [f"  unused: {', '.join(match.unused)}"] if match.unused else []
     verdict, fits = _verdict(data, skeleton, built)
-    return [*lines, "", verdict], fits
+    return [*lines, *upright_notes([built], skeleton), "", verdict], fits
 
 
 def _counts(data: PoseData) -> str:

@@ -24,6 +24,7 @@ from uplift.data.formats.deeplabcut_files import keypoint_files
 from uplift.data.masks import MaskData
 from uplift.data.poses import PoseData
 from uplift.data.select import choice_of, chosen_rows
+from uplift.data.upright import upright_notes
 from uplift.errors import UserError
 from uplift.skeleton import Skeleton
 from uplift.skeleton.match import build_joints, build_pose
@@ -273,8 +274,8 @@ def load_file(path: str | Path, skeleton: Skeleton, options: ReadOptions | None 
             )
             data = replace(data, notes=(*data.notes, note))
         parts.append(data)
-    found = concat_poses(parts)
-    return replace(found, notes=(*left_out, *found.notes)) if left_out else found
+    found, lying = concat_poses(parts), upright_notes(parts, skeleton)
+    return replace(found, notes=(*left_out, *found.notes, *lying)) if left_out or lying else found
 
 
 def format_of(data: DataSettings, path: str | Path) -> str | None:
@@ -315,7 +316,7 @@ def read_options(data: DataSettings, path: str | Path | None = None) -> ReadOpti
     format = data.format if path is None else format_of(data, path)
     return ReadOptions(
         format=format, layout=data.layout, image_size=size, fps=data.fps, focal_px=data.focal_px,
-        min_confidence=data.min_confidence,
+        min_confidence=data.min_confidence, flip_x=data.flip_x, flip_y=data.flip_y, rotate=data.rotate,
     )  # fmt: skip
 
 

@@ -12,6 +12,7 @@ import numpy as np
 from uplift.config.files import files_of
 from uplift.data.formats.base import Formats, Peek, ReadOptions
 from uplift.data.poses import PoseData
+from uplift.data.turned import turned
 
 if TYPE_CHECKING:
     from uplift.data.clean_masks import MaskOptions
@@ -81,7 +82,7 @@ def with_options(data: PoseData, options: ReadOptions) -> PoseData:
         if weak.any():
             note = f"{int(weak.sum()):,} keypoints of confidence below {options.min_confidence:g} are taken as missing"
             data = replace(data, notes=(*data.notes, note))
-    return data
+    return turned(data, flip_x=options.flip_x, flip_y=options.flip_y, rotate=options.rotate)
 
 
 def read_masks(
