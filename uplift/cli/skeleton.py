@@ -11,6 +11,7 @@ import numpy as np
 from uplift.cli.parsing import Keys, keyed
 from uplift.config.files import refuse_existing, shipped, shipped_names
 from uplift.data.clean import MIN_VISIBLE, clean
+from uplift.data.far import without_far
 from uplift.data.formats import read
 from uplift.data.load import in_joints_of
 from uplift.data.poses import PoseData
@@ -106,7 +107,7 @@ def map_joints(words: list[str]) -> tuple[list[str], bool]:
     if len(keys.plain) != 1:
         raise UserError("skeleton map takes one FILE or FOLDER and skeleton=NAME or skeleton=FILE.yaml.")
     skeleton = load_skeleton(keys["skeleton"])
-    data = read(keys.plain[0], keys.reading())
+    data = without_far(read(keys.plain[0], keys.reading()))
     lines = [f"{keys.plain[0]}: {_counts(data)}", *(f"  {note}" for note in data.notes), ""]
     try:
         match = match_joints(data.joint_names, skeleton)

@@ -18,6 +18,7 @@ from uplift.config.settings import DataSettings, Settings
 from uplift.data.clean import MIN_VISIBLE, clean
 from uplift.data.concat import concat_poses
 from uplift.data.datasets import DATA_SETS, DataSet, WantedFile, data_set, read_cached
+from uplift.data.far import without_far
 from uplift.data.formats import KEYPOINT_FORMATS, MASK_FORMATS, read, with_options
 from uplift.data.formats.base import ReadOptions, size_of
 from uplift.data.formats.deeplabcut_files import keypoint_files
@@ -258,7 +259,7 @@ def load_file(path: str | Path, skeleton: Skeleton, options: ReadOptions | None 
     parts = []
     files, left_out = keypoint_files(files_of(path))
     for one in progress(files, "reading files"):
-        data = read(one, options)
+        data = without_far(read(one, options))
         if len(data.joint_names) < MIN_VISIBLE:
             raise UserError(
                 f"{data.source}: holds {len(data.joint_names)} keypoints ({', '.join(data.joint_names)}). Nothing can be "

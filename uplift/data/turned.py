@@ -53,7 +53,7 @@ def _placed(data: PoseData, matrix: np.ndarray) -> tuple[np.ndarray, tuple[int, 
             f"{_formula('x', matrix[0], across)}, {_formula('y', matrix[1], down)}",
         )
     points = data.keypoints[(data.confidence > 0) & np.isfinite(data.keypoints).all(-1)].astype(np.float64)
-    middle = (points.min(0) + points.max(0)) / 2 if len(points) else np.zeros(2)
+    middle = np.median(points, 0) if len(points) else np.zeros(2)
     how = (
         f"about the middle of the keypoints ({middle[0]:.0f}, {middle[1]:.0f}), as the size of the image is not known: "
         "where they are in the image is not, either, and the camera's centre needs image_size=WIDTHxHEIGHT"
