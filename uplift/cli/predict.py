@@ -26,6 +26,7 @@ from uplift.export import write, writer_for
 from uplift.export.gallery import check_options
 from uplift.export.scene import AXES, in_axes
 from uplift.metrics.pose_metrics import bone_cv, bone_lengths, never_seen_so_long
+from uplift.models.likely_size import odd_size, small_size
 from uplift.models.metric_scale import size_from
 from uplift.models.model import load_poses, load_shapes
 from uplift.models.prediction import Prediction, ShapePrediction
@@ -151,6 +152,8 @@ def lift_keypoints(request: Request) -> tuple[Prediction, dict[Path, str]]:
     model = load_poses(request.weights)
     size = size_from(model.skeleton, **request.size)
     data = _read(request, model.skeleton)
+    if odd := odd_size(model.skeleton, request.size):
+        data = replace(data, notes=(*data.notes, odd))
     clean(data, model.skeleton)  # refuses a file with nothing to lift, before any work
     prediction = model.predict(
         data, title=request.title, refine=request.refine, size=size, constant_bones=request.constant_bones
@@ -245,7 +248,8 @@ def lift_masks(request: Request) -> tuple[ShapePrediction, dict[Path, str]]:
     data = read_masks(request.input, **reading)
     prediction = model.predict(data.without_truth(), title=request.title)
     notes = tuple(note for note in data.notes if note not in prediction.notes)
-    prediction.notes = (*notes, *prediction.notes)
+    small = small_size({key: options.get(key) for key in ("height_mm", "length_mm")})
+    prediction.notes = (*notes, *prediction.notes, *([small] if small else []))
     files = {} if request.output is None else write(prediction, request.output, request.page, **options)
     return prediction, files
 

@@ -6,16 +6,15 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from uplift.data.human import standing_human
 from uplift.data.poses import PoseData
-from uplift.skeleton import Skeleton, load_skeleton
+from uplift.skeleton import Skeleton
 
 __all__ = ["upright_notes", "ups_of"]
 
 _MOST = 0.6
 """The share of frames in which a body may lie or hang the same way before it is said."""
 _MOST_FRAMES = 20_000
-_FEWEST = 12
-"""Joints with COCO's names that make a skeleton a human one."""
 _WAYS = {
     "upside down": "where y grows upwards in the file add flip_y=true, where the film is upside down rotate=180",
     "lying, with their upper end to the right": "where the film is turned add rotate=270",
@@ -68,7 +67,7 @@ def ups_of(data: PoseData, skeleton: Skeleton) -> np.ndarray:
         low, high = (_mean(keypoints[:, end], seen[:, end]) for end in ends)
         ups = high - low
     else:
-        ups = _by_height(keypoints, seen, _heights(skeleton))
+        ups = _by_height(keypoints, seen, -standing_human(skeleton)[:, 1])
     return ups[np.isfinite(ups).all(1) & ups.any(1)]
 
 
@@ -85,16 +84,3 @@ def _mean(points: np.ndarray, seen: np.ndarray) -> np.ndarray:
     """Return the mean of the visible points of each frame; NaN where none is."""
     count = seen.sum(1, keepdims=True)
     return np.where(count > 0, np.where(seen[..., None], points, 0).sum(1) / np.maximum(count, 1), np.nan)
-
-
-def _heights(skeleton: Skeleton) -> np.ndarray:
-    """Return how high each joint of a standing human is, in body heights; NaN for joints that are not known as such."""
-    from uplift.data.synthetic.body import is_human
-    from uplift.data.synthetic.simulate import rest_pose
-
-    if is_human(skeleton):
-        return -rest_pose(skeleton)[:, 1]
-    usual = load_skeleton("coco17")
-    known = dict(zip(usual.joints, -rest_pose(usual)[:, 1], strict=True))
-    heights = np.array([known.get(joint, np.nan) for joint in skeleton.joints])
-    return heights if np.isfinite(heights).sum() >= _FEWEST else np.full(len(heights), np.nan)
