@@ -32,7 +32,7 @@ def test_a_filtered_file_stands_for_the_unfiltered_one(tmp_path: Path):
     found = load_file(tmp_path / "*.csv", CHAIN)
     assert len(found) == 12 + 7
     np.testing.assert_array_equal(found.keypoints[:12, 0, 0], filtered.iloc[:, 0].to_numpy(np.float32))
-    assert f"{VIDEO}.csv left out: {VIDEO}_filtered.csv hold the same" in found.notes
+    assert f"{VIDEO}.csv left out: the same as in {VIDEO}_filtered.csv" in found.notes
 
 
 def test_by_products_do_not_stop_a_fit(tmp_path: Path):

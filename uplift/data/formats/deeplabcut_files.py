@@ -36,7 +36,7 @@ def keypoint_files(paths: Sequence[Path]) -> tuple[list[Path], list[str]]:
         best.setdefault(_video(one), one)
     chosen = set(best.values())
     twice = [one for one in kept if one not in chosen]
-    notes = [f"{_named(twice)} left out: {_named([best[_video(one)] for one in twice])} hold the same"] * bool(twice)
+    notes = [f"{_named(twice)} left out: the same as in {_named([best[_video(one)] for one in twice])}"] * bool(twice)
     notes += [f"{_named(others)} left out: no keypoints, but what a tracker or a camera writes beside them"] * bool(
         others
     )
