@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from uplift.cli.data_check import check_data
+from uplift.cli.predict import _with_turns
 from uplift.cli.skeleton import map_joints
 from uplift.config.loading import load_settings
 from uplift.data.formats import read
@@ -168,6 +169,14 @@ def test_frames_with_poses_stay_as_they_are() -> None:
     found = turned(data, rotate=90)
     assert found.keypoints.tolist() == data.keypoints.tolist()
     assert "rotate=90 is not done: the file has poses" in found.notes[0]
+
+
+def test_predict_says_what_the_training_files_needed(tmp_path: Path) -> None:
+    data = read(film(tmp_path / "a.csv", "flip_y"))
+    trained = load_settings(None, ["data.flip_y=true", "data.rotate=90"]).data
+    said = "the run was trained on files that flip_y=true rotate=90 put upright: add it where this input is like them"
+    assert _with_turns(data, trained, ReadOptions()).notes[-1] == said
+    assert _with_turns(data, trained, ReadOptions(flip_y=True, rotate=90)).notes == data.notes
 
 
 def test_other_angles_are_refused() -> None:

@@ -15,6 +15,7 @@ from uplift.cli.verbs import SHAPE_KEYS
 from uplift.config.files import refuse_output
 from uplift.config.loading import load_settings
 from uplift.config.run import RunFolder, Weights, read_weights
+from uplift.config.settings import DataSettings
 from uplift.data.clean import clean
 from uplift.data.datasets import DATA_SETS
 from uplift.data.formats import read_masks
@@ -172,7 +173,8 @@ def _read(request: Request, skeleton: Skeleton) -> PoseData:
         trained = request.weights.settings()
         if trained is not None and (reading is None or reading.format is None):
             reading = replace(reading or ReadOptions(), format=format_of_run(trained, input))
-        return load_file(input, skeleton, reading)
+        found = load_file(input, skeleton, reading)
+        return found if trained is None else _with_turns(found, trained.data, reading or ReadOptions())
     if reading is not None and reading.set_names():
         raise UserError(f"{reading.set_names()[0]}= goes with files, not with a published set, input={input}.")
     named = [f"data.name={use}"] if use in DATA_SETS else []
@@ -184,6 +186,16 @@ def _read(request: Request, skeleton: Skeleton) -> PoseData:
         raise UserError(f"input={input}: where are its files? Give data.root=FOLDER.")
     settings.data.train = split
     return load_split(settings, "train", skeleton)
+
+
+def _with_turns(data: PoseData, trained: DataSettings, reading: ReadOptions) -> PoseData:
+    """Return ``data`` with a note where the files of the training were flipped or turned, and these are not."""
+    turns = [key for key in ("flip_x", "flip_y", "rotate") if getattr(trained, key) and not getattr(reading, key)]
+    if not turns:
+        return data
+    asked = " ".join(f"{key}={str(getattr(trained, key)).lower()}" for key in turns)
+    note = f"the run was trained on files that {asked} put upright: add it where this input is like them"
+    return replace(data, notes=(*data.notes, note))
 
 
 def pose_summary(found: Prediction) -> list[str]:
