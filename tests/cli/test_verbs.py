@@ -46,6 +46,8 @@ def valid_text(setting: Setting) -> str:
         return setting.choices[-1]
     if setting.kind is str:
         return "text"
+    if setting.kind is bool:
+        return "true"
     if setting.kind in (int, float):
         return str(setting.low)
     return "1,2" if setting.low is None else ",".join(map(str, setting.default))

@@ -11,6 +11,7 @@ from mask_files import blob, save
 from shape_stand_in import stand_in
 
 from uplift.config.loading import load_settings
+from uplift.data.load_masks import load_masks
 
 pytestmark = pytest.mark.usefixtures("here")
 
@@ -93,3 +94,9 @@ def test_fits_of_keypoints_refuse_what_is_of_masks(words: tuple[str, ...], says:
 @pytest.mark.parametrize(("word", "splits"), [("", []), ("3", [3]), ("32,32", [32, 32]), ("[2,64]", [2, 64])])
 def test_splits_that_may_be(word: str, splits: list[int]) -> None:
     assert load_settings("masks_demo", [f"shape.splits={word}", "shape.parts=4"]).shape.splits == splits
+
+
+def test_masks_that_are_given_win_over_what_a_task_simulates(masks: Path) -> None:
+    found = load_masks(load_settings("masks_demo", ["data.train=masks"]))
+    assert found.notes[0] == "data.train is given: what task 'masks_demo' simulates is not used"
+    assert "simulated" not in found.train.source

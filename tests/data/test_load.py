@@ -143,3 +143,34 @@ def test_simulated_test_bodies_are_others(here: Path) -> None:
     assert (len(found.train), len(found.test)) == (40, 200)
     assert found.test.pose is not None
     assert not np.isin(found.train.keypoints, found.test.keypoints).all()
+
+
+# What is trained on: files or what a task simulates.
+
+
+def test_files_that_are_given_win_over_what_a_task_simulates(here: Path) -> None:
+    write_body(here / "a.npz")
+    found = loaded("data.train=a.npz", task="demo")
+    assert len(found.train) == 60
+    assert found.test is None
+    assert found.notes[:2] == [
+        "data.train is given: what task 'demo' simulates is not used",
+        f"train: 60 frames from {here / 'a.npz'}",
+    ]
+    (here / "mine.yaml").write_text("extends: demo\ndata: {train: a.npz}\n")
+    assert len(loaded(task="mine.yaml").train) == 60
+
+
+def test_simulated_bodies_that_are_given_win_over_the_files_of_a_task(here: Path) -> None:
+    (here / "mine.yaml").write_text("skeleton: h36m17\ndata: {train: nowhere.npz}\n")
+    assert len(loaded("data.simulate=50", task="mine.yaml").train) == 50
+
+
+def test_files_and_simulated_bodies_together_are_refused(here: Path) -> None:
+    with pytest.raises(
+        UserError, match=r"data\.train=.*a\.npz and data\.simulate=50 are both set.*Leave one of them out"
+    ):
+        loaded("data.train=a.npz", "data.simulate=50")
+    (here / "mine.yaml").write_text("skeleton: h36m17\ndata: {train: a.npz, simulate: 50}\n")
+    with pytest.raises(UserError, match=r"mine\.yaml: data\.train=a\.npz and data\.simulate=50"):
+        loaded(task="mine.yaml")

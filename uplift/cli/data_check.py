@@ -17,9 +17,10 @@ from uplift.data.datasets import DataSet
 from uplift.data.datasets.base import cached_facts
 from uplift.data.formats import MASK_FORMATS, read_masks
 from uplift.data.formats.base import Peek
+from uplift.data.formats.deeplabcut_files import keypoint_files
 from uplift.data.formats.masks_npz import read_masks_npz
 from uplift.data.formats.npz import contents_of, memory_of
-from uplift.data.load import find_data, format_of, how_to_get, named_set, of_labelled, read_options
+from uplift.data.load import find_data, format_of, how_to_get, load_file, named_set, of_labelled, read_options
 from uplift.data.masks import MaskData
 from uplift.errors import UserError, did_you_mean
 from uplift.skeleton import Skeleton, load_skeleton
@@ -97,8 +98,12 @@ class _Report:
             if not name:
                 raise  # it names what to set
             paths = [(folder / part).absolute() for part in str(name).split(",") if part]
+        left_out: list[str] = []
+        if settings.lifts == "keypoints":
+            paths, left_out = keypoint_files(paths)
         alone = paths[0].name if paths[0].parent == self.folder else str(paths[0])
         self.lines.append(f"{title}: {alone if len(paths) == 1 else f'{len(paths)} files'}")
+        self.lines += [f"  {note}" for note in left_out]
         for path in paths:
             self._line(path, "", path.exists())
         if not all(path.exists() for path in paths):
@@ -126,6 +131,8 @@ class _Report:
 
 # Keypoints: what is simulated, and what a file holds.
 
+_MOST_LOOKED_AT = 500_000_000
+"""Bytes of a file that is read for what is odd about its numbers."""
 _SIMULATED = {"keypoints", "pose", "root", "tilt_deg"}
 
 
@@ -148,7 +155,11 @@ def keypoint_file(path: Path, settings: Settings, skeleton: Skeleton | None) -> 
             raise UserError(f"{path}: {error}") from None
     poses = "with" if found.has_pose else "no"
     how = f"; {found.read_as}" if found.read_as else ""
-    return f"{found.frames:,} frames of {joints} joints, {poses} poses, {_size(found.memory)} in memory{how}"
+    lines = [f"{found.frames:,} frames of {joints} joints, {poses} poses, {_size(found.memory)} in memory{how}"]
+    if skeleton is not None and found.memory < _MOST_LOOKED_AT:
+        notes = load_file(path, skeleton, read_options(settings.data, path)).notes
+        lines += [f"  {note}" for note in notes if note.startswith("WARNING")]
+    return "\n".join(lines)
 
 
 # Masks: what is simulated, and what a file or folder holds, without opening every picture.

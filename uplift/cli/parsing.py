@@ -61,6 +61,8 @@ def _read(setting: Setting, text: str) -> Any:
     """Return the value, None where the setting does not accept ``text``."""
     if setting.choices:
         return text.casefold() if text.casefold() in setting.choices else None
+    if setting.kind is bool:
+        return {"true": True, "false": False}.get(text.casefold())
     form, parts = typing.get_origin(setting.kind), typing.get_args(setting.kind)
     if form not in (list, tuple):
         return text if setting.kind is str else _number(setting.kind, text, setting.low, setting.high)

@@ -15,6 +15,7 @@ from uplift.cli.verbs import SHAPE_KEYS
 from uplift.config.files import refuse_output
 from uplift.config.loading import load_settings
 from uplift.config.run import RunFolder, Weights, read_weights
+from uplift.config.settings import DataSettings
 from uplift.data.clean import clean
 from uplift.data.datasets import DATA_SETS
 from uplift.data.formats import read_masks
@@ -26,6 +27,7 @@ from uplift.export import write, writer_for
 from uplift.export.gallery import check_options
 from uplift.export.scene import AXES, in_axes
 from uplift.metrics.pose_metrics import bone_cv, bone_lengths, never_seen_so_long
+from uplift.models.likely_size import odd_size, small_size
 from uplift.models.metric_scale import size_from
 from uplift.models.model import load_poses, load_shapes
 from uplift.models.prediction import Prediction, ShapePrediction
@@ -144,10 +146,15 @@ def lift_keypoints(request: Request) -> tuple[Prediction, dict[Path, str]]:
             raise UserError(f"{next(iter(options))}= goes with page=gallery.")
         if page == "gallery":
             check_options(**options)
+        if options.get("images") is not None and request.reading is not None:
+            for key in {"flip_x", "flip_y", "rotate"} & set(request.reading.set_names()):
+                raise UserError(f"{key}= turns the keypoints and not the photos of images=: give one of the two.")
         refuse_output(Path(output))
     model = load_poses(request.weights)
     size = size_from(model.skeleton, **request.size)
     data = _read(request, model.skeleton)
+    if odd := odd_size(model.skeleton, request.size):
+        data = replace(data, notes=(*data.notes, odd))
     clean(data, model.skeleton)  # refuses a file with nothing to lift, before any work
     prediction = model.predict(
         data, title=request.title, refine=request.refine, size=size, constant_bones=request.constant_bones
@@ -166,7 +173,8 @@ def _read(request: Request, skeleton: Skeleton) -> PoseData:
         trained = request.weights.settings()
         if trained is not None and (reading is None or reading.format is None):
             reading = replace(reading or ReadOptions(), format=format_of_run(trained, input))
-        return load_file(input, skeleton, reading)
+        found = load_file(input, skeleton, reading)
+        return found if trained is None else _with_turns(found, trained.data, reading or ReadOptions())
     if reading is not None and reading.set_names():
         raise UserError(f"{reading.set_names()[0]}= goes with files, not with a published set, input={input}.")
     named = [f"data.name={use}"] if use in DATA_SETS else []
@@ -178,6 +186,16 @@ def _read(request: Request, skeleton: Skeleton) -> PoseData:
         raise UserError(f"input={input}: where are its files? Give data.root=FOLDER.")
     settings.data.train = split
     return load_split(settings, "train", skeleton)
+
+
+def _with_turns(data: PoseData, trained: DataSettings, reading: ReadOptions) -> PoseData:
+    """Return ``data`` with a note where the files of the training were flipped or turned, and these are not."""
+    turns = [key for key in ("flip_x", "flip_y", "rotate") if getattr(trained, key) and not getattr(reading, key)]
+    if not turns:
+        return data
+    asked = " ".join(f"{key}={str(getattr(trained, key)).lower()}" for key in turns)
+    note = f"the run was trained on files that {asked} put upright: add it where this input is like them"
+    return replace(data, notes=(*data.notes, note))
 
 
 def pose_summary(found: Prediction) -> list[str]:
@@ -242,7 +260,8 @@ def lift_masks(request: Request) -> tuple[ShapePrediction, dict[Path, str]]:
     data = read_masks(request.input, **reading)
     prediction = model.predict(data.without_truth(), title=request.title)
     notes = tuple(note for note in data.notes if note not in prediction.notes)
-    prediction.notes = (*notes, *prediction.notes)
+    small = small_size({key: options.get(key) for key in ("height_mm", "length_mm")})
+    prediction.notes = (*notes, *prediction.notes, *([small] if small else []))
     files = {} if request.output is None else write(prediction, request.output, request.page, **options)
     return prediction, files
 

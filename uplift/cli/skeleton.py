@@ -11,10 +11,12 @@ import numpy as np
 from uplift.cli.parsing import Keys, keyed
 from uplift.config.files import refuse_existing, shipped, shipped_names
 from uplift.data.clean import MIN_VISIBLE, clean
+from uplift.data.far import without_far
 from uplift.data.formats import read
 from uplift.data.formats.layouts import is_nameless
 from uplift.data.load import in_joints_of
 from uplift.data.poses import PoseData
+from uplift.data.upright import upright_notes
 from uplift.errors import UserError
 from uplift.skeleton import Skeleton, load_skeleton, propose
 from uplift.skeleton.match import JointMatch, match_joints
@@ -106,7 +108,7 @@ def map_joints(words: list[str]) -> tuple[list[str], bool]:
     if len(keys.plain) != 1:
         raise UserError("skeleton map takes one FILE or FOLDER and skeleton=NAME or skeleton=FILE.yaml.")
     skeleton = load_skeleton(keys["skeleton"])
-    data = read(keys.plain[0], keys.reading())
+    data = without_far(read(keys.plain[0], keys.reading()))
     lines = [f"{keys.plain[0]}: {_counts(data)}", *(f"  {note}" for note in data.notes), ""]
     try:
         match = match_joints(data.joint_names, skeleton)
@@ -117,7 +119,7 @@ def map_joints(words: list[str]) -> tuple[list[str], bool]:
     lines += [f"{skeleton.name}, {how}:", *_table(match, skeleton, built)]
     lines += [f"  unused: {', '.join(match.unused)}"] if match.unused else []
     verdict, fits = _verdict(data, skeleton, built)
-    return [*lines, "", verdict], fits
+    return [*lines, *upright_notes([built], skeleton), "", verdict], fits
 
 
 def _counts(data: PoseData) -> str:

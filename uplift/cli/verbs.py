@@ -50,9 +50,11 @@ _MOST_ITEMS = 10**8
 
 # Reading files of keypoints: the fields of `uplift.data.formats.base.ReadOptions`.
 
-READ_KEYS = _table(*map(_of_fit, ("format", "layout", "image_size", "fps", "focal_px", "min_confidence")))
+READ_KEYS = _table(
+    *map(_of_fit, ("format", "layout", "image_size", "fps", "focal_px", "min_confidence", "flip_x", "flip_y", "rotate"))
+)
 """What any command that reads keypoints takes."""
-_MODEL_KEYS = _table(*(READ_KEYS[key] for key in ("format", "layout", "image_size", "min_confidence")))
+_MODEL_KEYS = _table(*(READ_KEYS[key] for key in READ_KEYS if key not in ("fps", "focal_px")))
 
 # predict: what goes with every run, with keypoints alone, with masks alone.
 

@@ -50,7 +50,11 @@ def load_settings(task: str | None = None, overrides: Sequence[str] = (), defaul
     path = task_path(task or default)
     merged = read_task(path)
     merged["task"] = path.stem if task else ""
-    split_words(overrides)  # refuses a key given twice
+    words = split_words(overrides)[1]  # refuses a key given twice
+    given: dict[str, Any] = {}
+    for key in words.keys() & {"data.train", "data.simulate"}:
+        put_override(given, f"{key}={words[key]}")
+    _choose_source(merged, given)
     for override in overrides:
         put_override(merged, override)
     settings = _typed(merged)
@@ -69,6 +73,7 @@ def settings_from(plain: Mapping[str, Any], task: str = "default") -> Settings:
     given = {key: _as_plain(value) for key, value in plain.items() if value is not None}
     _bind_paths(given, Path.cwd())
     _check_keys({key: value for key, value in given.items() if key != "priors"}, (), lambda path: ".".join(path))
+    _choose_source(merged, given)
     merged = _merge(merged, given) | {key: given[key] for key in ("priors",) if key in given}
     settings = _typed({**merged, "task": "" if task == "default" else task})
     check_settings(settings)
@@ -130,7 +135,26 @@ def read_task(path: Path, depth: int = 0) -> dict[str, Any]:
     _gather_flags(data)
     _check_keys(data, (), where)
     _bind_paths(data, path.parent)
+    if path.name != "config.yaml":  # of a run, which has trained on the one or the other
+        _choose_source(base, data, f"{path}: ")
     return _merge(base, data)
+
+
+def _choose_source(below: dict[str, Any], given: dict[str, Any], where: str = "") -> None:
+    """Set aside, in place, the ``data.simulate`` or ``data.train`` of a task where the other is given on top of it.
+
+    Raises UserError: both are given.
+    """
+    given, below = (data if isinstance(data := plain.get("data"), dict) else {} for plain in (given, below))
+    if given.get("train") and given.get("simulate"):
+        raise UserError(
+            f"{where}data.train={given['train']} and data.simulate={given['simulate']} are both set, and a fit trains on "
+            "files or on what it simulates. Leave one of them out."
+        )
+    if given.get("train") and below.get("simulate"):
+        below["simulate"] = 0
+    elif given.get("simulate") and below.get("train"):
+        below["train"] = None
 
 
 def _parent_path(parent: Any, folder: Path, where: str) -> Path:

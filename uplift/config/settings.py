@@ -102,6 +102,11 @@ class DataSettings:
     min_confidence: float = _setting(
         0.0, "keypoints of less confidence count as missing", low=0, high=1, only="keypoints"
     )
+    flip_x: bool = _setting(False, "x counts from the right, as in mirror images: turn it round", only="keypoints")
+    flip_y: bool = _setting(False, "y counts from the bottom of the image: turn it round", only="keypoints")
+    rotate: int = _setting(
+        0, "degrees clockwise that put turned images upright: 0, 90, 180 or 270", low=0, high=270, only="keypoints"
+    )
     simulate: int = _setting(0, "frames, or masks, to simulate instead of reading a file", low=0, high=10**8)
     family: str = _setting("chairs", "family of synthetic shapes whose masks are simulated", only="masks")
     side: int = _setting(64, "pixels along a mask's crop", low=MIN_SIDE, high=MAX_SIDE, only="masks")

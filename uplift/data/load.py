@@ -11,17 +11,21 @@ from typing import TypeVar
 
 import numpy as np
 
-from uplift.config.files import data_root, files_of
+from uplift.config.files import data_root, files_of, shipped_names
+from uplift.config.loading import read_task, task_path
 from uplift.config.progress import progress
 from uplift.config.settings import DataSettings, Settings
 from uplift.data.clean import MIN_VISIBLE, clean
 from uplift.data.concat import concat_poses
 from uplift.data.datasets import DATA_SETS, DataSet, WantedFile, data_set, read_cached
+from uplift.data.far import without_far
 from uplift.data.formats import KEYPOINT_FORMATS, MASK_FORMATS, read, with_options
 from uplift.data.formats.base import ReadOptions, size_of
+from uplift.data.formats.deeplabcut_files import keypoint_files
 from uplift.data.masks import MaskData
 from uplift.data.poses import PoseData
 from uplift.data.select import choice_of, chosen_rows
+from uplift.data.upright import upright_notes
 from uplift.errors import UserError
 from uplift.skeleton import Skeleton
 from uplift.skeleton.match import build_joints, build_pose
@@ -29,7 +33,7 @@ from uplift.skeleton.propose import TOO_LONG, stretch_of
 
 __all__ = [
     "Loaded", "find_data", "format_of", "format_of_run", "how_to_get", "in_joints_of", "load_data", "load_file", "load_split",
-    "named_set", "of_labelled", "read_options", "set_of", "with_labels_of", "with_test",
+    "named_set", "not_simulated", "of_labelled", "read_options", "set_of", "with_labels_of", "with_test",
 ]  # fmt: skip
 
 
@@ -63,13 +67,22 @@ def load_data(settings: Settings, skeleton: Skeleton, load: Load[PoseData] | Non
     load = load or load_or_simulate
     train, test = with_test(settings, load)
     train, more = with_labels_of(settings, train, load)
-    notes: list[str] = []
+    notes = not_simulated(settings)
     train = _cleaned("train", train, skeleton, notes)
     if train.labelled is not None:
         notes.append(f"labelled: {int(train.labelled.sum()):,} of these frames, in 3D")
     more = None if more is None else _cleaned("labelled", more, skeleton, notes)
     test = None if test is None else _cleaned("test", test, skeleton, notes)
     return Loaded(train, test, notes, more)
+
+
+def not_simulated(settings: Settings) -> list[str]:
+    """Return the note on a task that simulates what it trains on, where the user gives files; nothing otherwise."""
+    data = settings.data
+    if not data.train or data.simulate or settings.task not in shipped_names("tasks"):
+        return []
+    simulated = (read_task(task_path(settings.task)).get("data") or {}).get("simulate")
+    return [f"data.train is given: what task '{settings.task}' simulates is not used"] if simulated else []
 
 
 def _simulated(settings: Settings, which: str, skeleton: Skeleton) -> PoseData:
@@ -244,8 +257,9 @@ def load_file(path: str | Path, skeleton: Skeleton, options: ReadOptions | None 
     Raises UserError: as `in_joints_of`, or files of fewer keypoints than anything can be lifted from.
     """
     parts = []
-    for one in progress(files_of(path), "reading files"):
-        data = read(one, options)
+    files, left_out = keypoint_files(files_of(path))
+    for one in progress(files, "reading files"):
+        data = without_far(read(one, options))
         if len(data.joint_names) < MIN_VISIBLE:
             raise UserError(
                 f"{data.source}: holds {len(data.joint_names)} keypoints ({', '.join(data.joint_names)}). Nothing can be "
@@ -261,7 +275,8 @@ def load_file(path: str | Path, skeleton: Skeleton, options: ReadOptions | None 
             )
             data = replace(data, notes=(*data.notes, note))
         parts.append(data)
-    return concat_poses(parts)
+    found, lying = concat_poses(parts), upright_notes(parts, skeleton)
+    return replace(found, notes=(*left_out, *found.notes, *lying)) if left_out or lying else found
 
 
 def format_of(data: DataSettings, path: str | Path) -> str | None:
@@ -302,7 +317,7 @@ def read_options(data: DataSettings, path: str | Path | None = None) -> ReadOpti
     format = data.format if path is None else format_of(data, path)
     return ReadOptions(
         format=format, layout=data.layout, image_size=size, fps=data.fps, focal_px=data.focal_px,
-        min_confidence=data.min_confidence,
+        min_confidence=data.min_confidence, flip_x=data.flip_x, flip_y=data.flip_y, rotate=data.rotate,
     )  # fmt: skip
 
 

@@ -9,7 +9,7 @@ import numpy as np
 from uplift.config.files import data_root
 from uplift.config.settings import Settings
 from uplift.data.concat import concat_masks
-from uplift.data.load import Load, find_data, format_of, with_labels_of, with_test
+from uplift.data.load import Load, find_data, format_of, not_simulated, with_labels_of, with_test
 from uplift.data.masks import MaskData, Placed
 from uplift.geometry.mesh import Mesh
 
@@ -44,7 +44,7 @@ def load_masks(settings: Settings, load: Load[MaskData] | None = None) -> Loaded
     """
     load = load or load_mask_split
     train, test = with_test(settings, load)
-    notes = _notes("train", train)
+    notes = [*not_simulated(settings), *_notes("train", train)]
     marked = 0 if train.labelled is None else int(train.labelled.sum())
     train, more = with_labels_of(settings, replace(train, labelled=None), load)
     labelled = train if more is None else more

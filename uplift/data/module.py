@@ -17,6 +17,7 @@ from uplift.config.loading import settings_from
 from uplift.config.settings import DataSettings, LifterSettings, Settings, ShapeSettings
 from uplift.data.clean import clean
 from uplift.data.datasets import DATA_SETS
+from uplift.data.far import without_far
 from uplift.data.formats import checked
 from uplift.data.load import Loaded, in_joints_of, load_data, load_split, read_options
 from uplift.data.load_masks import LoadedMasks, load_mask_split, load_masks
@@ -333,7 +334,7 @@ class KeypointData(_Data[PoseData, Loaded]):
         train = self.given["train"]
         if isinstance(train, (str, Path, int)):
             return load_data(self.settings, self.skeleton)
-        poses = in_joints_of(self._samples(train), self.skeleton)
+        poses = in_joints_of(without_far(self._samples(train)), self.skeleton)
 
         def load(settings: Settings, which: str) -> PoseData:
             named = settings.data.train if which == "train" else settings.data.test
@@ -369,7 +370,7 @@ class KeypointData(_Data[PoseData, Loaded]):
             chosen = replace(chosen, **_place(given, vars(chosen), "test"))
             poses = load_split(replace(self.settings, data=chosen), "test", self.skeleton)
         else:
-            poses = in_joints_of(self._samples(given), self.skeleton)
+            poses = in_joints_of(without_far(self._samples(given)), self.skeleton)
         return poses if which == "predict" else clean(poses, self.skeleton)[0]
 
     def _split(self, train: PoseData, share: float) -> np.ndarray:

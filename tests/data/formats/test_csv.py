@@ -195,7 +195,8 @@ def test_our_own_predictions_are_read_as_what_was_seen(tmp_path: Path):
 
 
 WRONG = [
-    ("frame,nose_x,nose_y\n0,1,2\n1,2\n", "line 3: 2 cells, expected 3"),
+    ("frame,nose_x,nose_y\n0,1,2\n1,2", "line 3: 2 cells, expected 3"),
+    ("frame,nose_x,nose_y\n0,1,2\n1,2,3,4\n", "line 3: 4 cells, expected 3"),
     ("frame,nose_x,nose_y\n0,1,2\n\n1,2,z\n", "line 4: 'z' in the column 'nose_y' is not a number"),
     ("frame,nose_x,nose_y,nose_x\n0,1,2,3\n", "the column 'nose_x' is there twice"),
     ("frame,nose_x,nose_y,nose_z\n0,1,2,3\n", "x, y and z: 3D points"),

@@ -197,7 +197,8 @@ HEAD = "scorer,s,s,s\nbodyparts,nose,nose,nose\ncoords,x,y,likelihood\n"
 
 
 def test_wrong_tables_are_told(tmp_path: Path):
-    assert "line 5: 3 cells, expected 4" in wrong(tmp_path, HEAD + "0,1,2,1\n1,2,3\n")
+    assert "line 5: 3 cells, expected 4" in wrong(tmp_path, HEAD + "0,1,2,1\n1,2,3")
+    assert "line 5: 5 cells, expected 4" in wrong(tmp_path, HEAD + "0,1,2,1\n1,2,3,1,4\n")
     assert "line 5: 'abc' in the column 's nose y' is not a number" in wrong(tmp_path, HEAD + "0,1,2,1\n1,2,abc,1\n")
     assert "line 6: frame 0 is there twice" in wrong(tmp_path, HEAD + "0,1,2,1\n1,2,3,1\n0,1,2,1\n")
     assert "x, y and z: 3D" in wrong(tmp_path, HEAD.replace("likelihood", "z") + "0,1,2,1\n")

@@ -14,6 +14,7 @@ from uplift.data.formats.base import Formats, Peek, ReadOptions
 from uplift.data.formats.layouts import with_layout
 from uplift.data.formats.scales import in_pixels, with_sure_confidence
 from uplift.data.poses import PoseData
+from uplift.data.turned import turned
 
 if TYPE_CHECKING:
     from uplift.data.clean_masks import MaskOptions
@@ -97,7 +98,7 @@ def with_options(data: PoseData, options: ReadOptions) -> PoseData:
         if weak.any():
             note = f"{int(weak.sum()):,} keypoints of confidence below {options.min_confidence:g} are taken as missing"
             data = replace(data, notes=(*data.notes, note))
-    return data
+    return turned(data, flip_x=options.flip_x, flip_y=options.flip_y, rotate=options.rotate)
 
 
 def read_masks(

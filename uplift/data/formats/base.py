@@ -198,6 +198,12 @@ class ReadOptions:
     """Focal length of the camera, px."""
     min_confidence: float = 0.0
     """Keypoints of less confidence count as missing."""
+    flip_x: bool = False
+    """x is counted from the right side of the image (`uplift.data.turned`)."""
+    flip_y: bool = False
+    """y is counted from the bottom of the image."""
+    rotate: int = 0
+    """Degrees clockwise by which the image is turned to stand upright, after the flips: 0, 90, 180 or 270."""
 
     def __post_init__(self) -> None:
         """Refuse what cannot be."""
@@ -207,6 +213,8 @@ class ReadOptions:
                 raise UserError(f"{name}={value}: expected a positive number.")
         if not 0 <= self.min_confidence <= 1:
             raise UserError(f"min_confidence={self.min_confidence}: expected a share from 0 to 1.")
+        if self.rotate not in (0, 90, 180, 270):
+            raise UserError(f"rotate={self.rotate}: expected 0, 90, 180 or 270 degrees clockwise.")
 
     def set_names(self) -> list[str]:
         """Return the names of the options that differ from their defaults."""

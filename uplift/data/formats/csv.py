@@ -198,7 +198,7 @@ def _identity_of(table: Table, columns: Columns) -> Identity:
         UserError: invalid frame numbers, image size or rate.
     """
     values = {role: table.words[place].values() for role, place in columns.identity.items()}
-    found = Identity({role: text for role, text in values.items() if (text != "").any()})
+    found = Identity({role: text for role, text in values.items() if (text != "").any()}, notes=list(table.notes))
     if "sequence" not in found.values and ("image" not in found.values or columns.frame is not None):
         found.values["sequence"] = np.full(len(table), table.path.stem)
     frame = None if columns.frame is None else frame_numbers(table.path, table.exact[columns.frame], table.lines)

@@ -6,8 +6,9 @@ import io
 import pickle
 import re
 import struct
+from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import product
 from pathlib import Path
 from typing import Any
@@ -20,7 +21,7 @@ from uplift.data.formats.rows import by_appearance, frame_numbers, rows_of
 from uplift.data.parsers.files import bytes_of, check_memory, reason_of
 from uplift.data.parsers.hdf5 import h5py_missing
 from uplift.data.parsers.pickles import Source, Unpickler
-from uplift.data.parsers.table import Table, first_lines, header_of
+from uplift.data.parsers.table import Table, first_lines, first_rows, header_of
 from uplift.data.poses import PoseData
 from uplift.errors import UserError, did_you_mean
 
@@ -125,41 +126,66 @@ def _read_deeplabcut_csv(peek: Peek) -> PoseData:
         )
     rows = len(levels)
     header, _ = header_of(path, rows)
+    numbered = int(header[0][0] != levels[0])  # pandas wrote its own numbers of the rows before the file's
+    header = [row[numbered:] for row in header]
     indices = next((at for at in range(1, len(header[0])) if any(row[at] for row in header)), len(header[0]))
-    layout = _layout_of(path, list(zip(*(row[indices:] for row in header), strict=True)))
-    below = header_of(path, rows + 1)[0][-1]
+    names = [_unnumbered(header[0]), *header[1:]]
+    layout = _layout_of(path, list(zip(*(row[indices:] for row in names), strict=True)))
+    below = first_rows(path, rows + 1)[0][-1][numbered:] or [""]
     if not any(below[indices:]):  # the name of the index, or an image without labels: no keypoints either way
         rows += 1
-        below = header_of(path, rows + 1)[0][-1]
+        below = first_rows(path, rows + 1)[0][-1][numbered:] or [""]
     by_image = indices > 1 or not below[0].replace(".", "", 1).isdecimal()
+    places = range(numbered, numbered + indices)
     table = Table.read(
         path,
         rows,
-        (layout.columns + indices).tolist(),
-        exact=() if by_image else (0,),
-        words=range(indices) if by_image else (),
+        (layout.columns + numbered + indices).tolist(),
+        exact=() if by_image else (numbered,),
+        words=places if by_image else (),
     )
-    index = _images(table, indices) if by_image else table.exact[0]
+    index = _images(table, places) if by_image else table.exact[numbered]
+    layout = replace(layout, notes=(*layout.notes, *table.notes))
     return _pose_data(path, layout, table.numbers, index, table.lines)
+
+
+def _unnumbered(cells: Sequence[str]) -> list[str]:
+    """Return names without the numbers that pandas gives to those it has read before: S, S.1, S.2 are S, S, S."""
+    times: Counter[str] = Counter()
+    names = []
+    for cell in cells:
+        name, dot, number = cell.rpartition(".")
+        again = dot and number.isdecimal() and times[name] == int(number) > 0
+        names.append(name if again else cell)
+        times[names[-1]] += 1
+    return names
+
+
+_NUMBERED = re.compile(r"(Unnamed: 0)?[,;\t]")
+"""What begins the header where pandas wrote its own numbers of the rows before the file's."""
 
 
 def _csv_levels(peek: Peek) -> tuple[str, ...] | None:
     """Return the rows of the header; None where it is not one of DeepLabCut."""
-    if not peek.text.lstrip('\r\n "').startswith(_LEVELS[0][0]):
+    start = peek.text.lstrip('\r\n "')
+    numbered = _NUMBERED.match(start)
+    if not start[numbered.end() if numbered else 0 :].lstrip('" ').startswith(_LEVELS[0][0]):
         return None
+    place = 1 if numbered else 0
     for levels in _LEVELS:
         try:
             lines = first_lines(peek.path, len(levels))
         except (UserError, OSError):
             return None
-        if tuple(re.split("[,;\t]", line, maxsplit=1)[0].strip(' "') for line in lines) == levels:
+        cells = [re.split("[,;\t]", line, maxsplit=place + 1) for line in lines]
+        if all(len(row) > place for row in cells) and tuple(row[place].strip(' "') for row in cells) == levels:
             return levels
     return None
 
 
-def _images(table: Table, columns: int) -> np.ndarray:
+def _images(table: Table, columns: Sequence[int]) -> np.ndarray:
     """Return (rows,) paths of images, whose folders may stand in separate columns."""
-    values = [table.words[place].values().tolist() for place in range(columns)]
+    values = [table.words[place].values().tolist() for place in columns]
     paths = ["/".join(part for part in parts if part).replace("\\", "/") for parts in zip(*values, strict=True)]
     if not all(paths):
         raise UserError(f"{table.path}, line {table.lines[paths.index('')]}: no name of an image.")

@@ -14,7 +14,7 @@ import numpy as np
 from uplift.data.parsers.files import check_memory, reason_of
 from uplift.errors import UserError
 
-__all__ = ["Table", "Words", "first_lines", "header_of"]
+__all__ = ["Table", "Words", "first_lines", "first_rows", "header_of"]
 
 _START = 1 << 16
 _LONGEST_HEADER = 1 << 24
@@ -51,6 +51,8 @@ class Table:
     words: dict[int, Words]
     lines: np.ndarray
     """(rows,) line numbers in the file, from 1."""
+    notes: tuple[str, ...] = ()
+    """What was assumed."""
 
     def __len__(self) -> int:
         return len(self.lines)
@@ -62,17 +64,19 @@ class Table:
         """Read the file below ``rows`` header lines: ``numbers``, ``exact`` and ``words`` are places of columns.
 
         Raises:
-            UserError: no text, no rows, rows of different lengths, or a cell that is not a number where one must be.
+            UserError: no text, no rows, rows longer than the header, a file that ends within a row, or a cell that
+                is not a number where one must be.
         """
         check_memory(path, "it", path.stat().st_size)
         header, separator = header_of(path, rows)
         kinds: dict[int, type] = dict.fromkeys(numbers, np.float32) | dict.fromkeys(exact, np.float64)
         with path.open(encoding="utf-8-sig", errors="surrogateescape") as file:  # other bytes: see `_words`
-            lines, skipped = _checked_lines(file, path, header, separator)
+            lines, skipped, short = _checked_lines(file, path, header, separator)
             if not len(lines):
                 raise UserError(f"{path}: no row below the header.")
             options = {
-                "sep": separator, "header": None, "skiprows": skipped, "usecols": sorted({*kinds, *words}),
+                "sep": separator, "header": None, "names": range(len(header[-1])), "index_col": False,
+                "skiprows": skipped, "usecols": sorted({*kinds, *words}),
                 "keep_default_na": False, "skipinitialspace": True, "encoding_errors": "surrogateescape",
             }  # fmt: skip
             frame = _parsed(file, kinds, options)
@@ -85,7 +89,15 @@ class Table:
             {place: frame[place].to_numpy() for place in exact},
             {place: _words(frame[place]) for place in words},
             lines,
+            _short_notes(short, lines),
         )
+
+
+def _short_notes(short: list[int], lines: np.ndarray) -> tuple[str, ...]:
+    """Return the note on rows, by their line, without their last cells."""
+    if not short:
+        return ()
+    return (f"{len(short):,} of {len(lines):,} rows end early (first in line {short[0]}): their last cells are empty",)
 
 
 def header_of(path: Path, rows: int) -> tuple[list[list[str]], str]:
@@ -94,16 +106,25 @@ def header_of(path: Path, rows: int) -> tuple[list[list[str]], str]:
     Raises:
         UserError: no text, fewer lines, or rows of different lengths.
     """
-    lines = first_lines(path, rows)
-    separator = max(",;\t", key=lambda sign: (lines[0].count(sign), sign == ","))
-    try:
-        cells = [[cell.strip() for cell in row] for row in csv.reader(lines, delimiter=separator)]
-    except csv.Error as error:
-        raise UserError(f"{path}: the header cannot be read: {error}.") from None
+    cells, separator = first_rows(path, rows)
     if any(len(row) != len(cells[0]) for row in cells):
         lengths = ", ".join(str(len(row)) for row in cells)
         raise UserError(f"{path}: its first rows have {lengths} cells, expected as many in each.")
     return cells, separator
+
+
+def first_rows(path: Path, rows: int) -> tuple[list[list[str]], str]:
+    """Return what `header_of` does; rows may have different lengths.
+
+    Raises:
+        UserError: no text, or fewer lines.
+    """
+    lines = first_lines(path, rows)
+    separator = max(",;\t", key=lambda sign: (lines[0].count(sign), sign == ","))
+    try:
+        return [[cell.strip() for cell in row] for row in csv.reader(lines, delimiter=separator)], separator
+    except csv.Error as error:
+        raise UserError(f"{path}: the header cannot be read: {error}.") from None
 
 
 def first_lines(path: Path, rows: int) -> list[str]:
@@ -134,13 +155,18 @@ def _decoded(text: bytes, *, cut: bool = False) -> str:
         return text.decode("cp1252", errors="replace")
 
 
-def _checked_lines(file: TextIO, path: Path, header: list[list[str]], separator: str) -> tuple[np.ndarray, list[int]]:
-    """Return the numbers, from 1, of the lines that hold rows, and the places, from 0, of header and empty lines.
+def _checked_lines(
+    file: TextIO, path: Path, header: list[list[str]], separator: str
+) -> tuple[np.ndarray, list[int], list[int]]:
+    """Return the numbers, from 1, of the lines that hold rows, the places, from 0, of header and empty lines, and the
+    numbers of rows without their last cells.
 
-    pandas would fill short rows with NaN, read on over line ends in quotes, and end a number at a zero byte.
+    Spreadsheets leave out empty cells at the end of a row; a file that was cut ends within a line. pandas would fill
+    both with NaN, read on over line ends in quotes, and end a number at a zero byte.
     """
     lines: list[int] = []
     skipped: list[int] = []
+    short: list[int] = []
     above, width, empty = len(header), len(header[-1]), separator + " \r\n"
     for number, line in enumerate(file, 1):
         if len(line) > _LONGEST_LINE:
@@ -155,16 +181,17 @@ def _checked_lines(file: TextIO, path: Path, header: list[list[str]], separator:
             skipped.append(number - 1)
             continue
         cells = _cells_in(path, number, line, separator)
-        if cells != width:
+        if cells > width or (cells < width and not line.endswith("\n")):
             raise UserError(
                 f"{path}, line {number}: {cells} cells, expected {width} as the header has: "
-                "truncated, or two files in one?"
+                f"{'two files in one?' if cells > width else 'the file ends within the row. Truncated?'}"
             )
-        if line.strip(empty):
-            lines.append(number)
-        else:
+        if not line.strip(empty):
             skipped.append(number - 1)
-    return np.array(lines, np.int64), skipped
+            continue
+        lines.append(number)
+        short += [number] if cells < width else []
+    return np.array(lines, np.int64), skipped, short
 
 
 def _cells_in(path: Path, number: int, line: str, separator: str) -> int:
@@ -217,6 +244,7 @@ def _parsed_one_by_one(
         frame = pd.read_csv(file, dtype=object, na_filter=False, **options)
     except ValueError as error:
         raise UserError(f"{path} cannot be read as a table: {reason_of(error)}.") from None
+    frame = frame.fillna("")  # cells that a short row lacks
     commas = options["sep"] != "," and any(frame[place].str.contains(",").any() for place in kinds)
     for place, kind in kinds.items():
         cells = frame[place].str.strip().tolist()
@@ -240,7 +268,7 @@ def _number(cell: str) -> float | None:
 def _words(column: Any) -> Words:
     import pandas as pd
 
-    codes, texts = pd.factorize(column)
+    codes, texts = pd.factorize(column.fillna(""))  # a short row lacks its last cells
     texts = [_decoded(text.encode(errors="surrogateescape")).strip() for text in texts]
     same, names = pd.factorize(np.array(texts, object))
     return Words(same[codes], names.tolist())
