@@ -185,7 +185,7 @@ def test_a_class_of_ones_own(here: Path, capsys: pytest.CaptureFixture) -> None:
     assert entries(network) == {"lifter.options.width": "of the layers [whole number; default 3]"}
     assert "any other option (**rest)" in network
     assert "--help: no file" in refusal(capsys, "fit", "--help", "none.py:Flat")
-    assert "expected a prior, a network or a data set" in refusal(capsys, "fit", "--help", "my.py:Thing")
+    assert "expected a prior, a student's loss, views" in refusal(capsys, "fit", "--help", "my.py:Thing")
     assert "no class 'Flut' there. Did you mean 'Flat'?" in refusal(capsys, "fit", "--help", "my.py:Flut")
 
 
