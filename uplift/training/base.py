@@ -100,6 +100,7 @@ class TrainingModule(L.LightningModule, Generic[LifterT, DataT]):
     _timers: tuple[Timer, ...] = ()
     _accumulated: int = 1
     _micro_batch: int = 0
+    _clips_in_mixed_precision: bool = False
     _log_every: int = 0
 
     def set_up(self, lifter: LifterT, settings: StageSettings, seed: int, terms: Objective | None = None) -> None:
@@ -140,6 +141,8 @@ class TrainingModule(L.LightningModule, Generic[LifterT, DataT]):
 
     def setup(self, stage: str) -> None:
         """Prepare for training with the trainer's data module, unless that was done before."""
+        clips = bool(self.trainer.gradient_clip_val)
+        self._clips_in_mixed_precision = clips and "mixed" in str(self.trainer.precision)
         data = self.trainer.datamodule  # type: ignore[attr-defined]
         known = None if self.prepared_with is None else self.prepared_with()
         if stage == "fit" and (self.frames is None or (data is not None and data is not known)):
@@ -267,7 +270,7 @@ class TrainingModule(L.LightningModule, Generic[LifterT, DataT]):
         groups = [{**group, "peak": group["lr"]} for group in self.parameter_groups()]
         s = self.settings
         # The fused kernel unscales gradients itself, which Lightning refuses to clip in mixed precision.
-        fused = not ("mixed" in str(self.trainer.precision) and self.trainer.gradient_clip_val)
+        fused = not self._clips_in_mixed_precision
         return torch.optim.Adam(groups, betas=(s.beta1, s.beta2), weight_decay=s.weight_decay, fused=fused)
 
     def schedule(self, done: float) -> float:
