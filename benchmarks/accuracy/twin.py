@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import shlex
 import sys
-import weakref
 from dataclasses import asdict, replace
 from pathlib import Path
 
@@ -68,7 +67,7 @@ def train_twin(settings: Settings) -> RunFolder:
     module = StudentModule(skeleton, lifter=asdict(chosen), seed=settings.seed + 1, **plain)
     module.frames, module.labelled_share = poses, None
     data = KeypointData.of(loaded, skeleton, replace(settings, data=replace(settings.data, val=None)))
-    data.batch_size, module.prepared_with = settings.student.batch_size, weakref.ref(data)
+    data.batch_size = settings.student.batch_size
     [budget] = stage_budgets(settings.trainer, [1.0], len(poses), settings.student.batch_size)
     settings = replace(
         settings, task=f"{settings.task or 'own'}_twin", description="Supervised twin, trained on true poses."

@@ -83,7 +83,7 @@ class TrainingModule(L.LightningModule, Generic[LifterT, DataT]):
     frames: DataT | None = None
     """The training data on the module's device, in the lifter's units; None before `prepare`."""
     prepared_with: weakref.ref[Any] | None = None
-    """The data module that `prepare` took the training data from."""
+    """The data module that `prepare` took the training data from; None where `frames` were set directly."""
     logged: Logged
     """The terms of the last step."""
     last_lift: Lift | ShapeLift | None = None
@@ -144,8 +144,8 @@ class TrainingModule(L.LightningModule, Generic[LifterT, DataT]):
         clips = bool(self.trainer.gradient_clip_val)
         self._clips_in_mixed_precision = clips and "mixed" in str(self.trainer.precision)
         data = self.trainer.datamodule  # type: ignore[attr-defined]
-        known = None if self.prepared_with is None else self.prepared_with()
-        if stage == "fit" and (self.frames is None or (data is not None and data is not known)):
+        other = self.prepared_with is not None and data is not None and data is not self.prepared_with()
+        if stage == "fit" and (self.frames is None or other):
             self.prepare(data)
 
     def on_fit_start(self) -> None:
