@@ -586,7 +586,12 @@ def test_mixed_precision_takes_every_prior_and_clips(here: Path) -> None:
         name: {"weight": 1.0} for name in ("bones", "pairwise", "handedness", "consistency", "symmetry", "critic")
     }
     priors["flow"] = {"weight": 1.0, "steps": 3}
-    fit(module_of(priors=priors), data_of(here), precision="bf16-mixed", gradient_clip_val=1.0, max_steps=3)
+    module = module_of(priors=priors)
+    before = weights(module)["lifter.network.enter.weight"]
+    fit(module, data_of(here), precision="bf16-mixed", gradient_clip_val=1.0, max_steps=3)
+    after = weights(module)["lifter.network.enter.weight"]
+    assert after.isfinite().all() and not torch.equal(before, after)
+    assert module.logged.keys() >= set(priors) and all(torch.as_tensor(v).isfinite() for v in module.logged.values())
 
 
 def test_numbers_of_numpy_and_priors_with_weights(here: Path) -> None:
@@ -595,6 +600,8 @@ def test_numbers_of_numpy_and_priors_with_weights(here: Path) -> None:
     priors = {"bones": {"use": Bones, "weight": np.float64(3)}, "symmetry": np.float32(0.5)}
     module = module_of(priors=priors, learning_rate=np.float32(1e-3))
     assert module.terms.weights == {"bones": 3.0, "symmetry": 0.5}
+    with pytest.raises(uplift.UserError, match="cannot be set beside a class"):
+        module_of(priors={"bones": {"use": Bones, "labels": False}})
     assert len(uplift.KeypointData(np.int64(40), "h36m17", val=0, batch_size=np.int64(8)).train_samples) == 40
 
 

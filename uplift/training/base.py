@@ -24,7 +24,16 @@ from uplift.errors import UserError, did_you_mean
 from uplift.priors.base import Lift, Prior, ShapeLift
 from uplift.training.objective import Logged, Objective
 
-__all__ = ["TrainingModule", "plain_settings", "prior_specs", "saved_priors", "seeded", "stage_settings", "stream_seed"]
+__all__ = [
+    "TrainingModule",
+    "add_given",
+    "plain_settings",
+    "prior_specs",
+    "saved_priors",
+    "seeded",
+    "stage_settings",
+    "stream_seed",
+]
 
 
 def stream_seed(seed: int, rank: int, step: int) -> int:
@@ -245,7 +254,7 @@ class TrainingModule(L.LightningModule, Generic[LifterT, DataT]):
         return torch.autocast(self.device.type, enabled=False)
 
     @classmethod
-    def load_from_checkpoint(cls, checkpoint_path: Any, **given: Any) -> Any:  # type: ignore[override]
+    def load_from_checkpoint(cls, checkpoint_path: Any, map_location: Any = None, **given: Any) -> Any:  # type: ignore[override]
         """Return the module of a checkpoint, as Lightning does; nothing but tensors and plain data is read from it.
 
         Networks, priors and other classes that it names as ``file.py:Class`` or ``package.module:Class`` are imported.
@@ -256,7 +265,7 @@ class TrainingModule(L.LightningModule, Generic[LifterT, DataT]):
         state = read_torch(Path(checkpoint_path), "checkpoint")
         found = {key: value for key, value in state.get("hyper_parameters", {}).items() if key not in given}
         _refuse_nearby(found, str(checkpoint_path))
-        return super().load_from_checkpoint(checkpoint_path, weights_only=True, **given)
+        return super().load_from_checkpoint(checkpoint_path, map_location, **{**given, "weights_only": True})
 
     # Optimisation.
 
@@ -326,8 +335,7 @@ def stage_settings(group: str, training: Mapping[str, Any], task: str = "default
 
     Raises UserError: an option that there is not, an invalid value.
     """
-    default = settings_from({}, task)
-    known = [one.name for one in dataclasses.fields(getattr(default, group)) if one.name not in _OF_DATA]
+    known = [one.name for one in dataclasses.fields(getattr(Settings(), group)) if one.name not in _OF_DATA]
     for name in training:
         if name in _OF_DATA:
             raise UserError(f"{name} is not an option of a module: it is set by {_OF_DATA[name]}.")
@@ -358,7 +366,13 @@ def prior_specs(priors: Mapping[str, Any] | None) -> tuple[dict[str, Any] | None
             )
         use = spec.get("use") if isinstance(spec, Mapping) else spec
         if isinstance(use, (type, Prior)):
-            given[name] = (use, float(spec.get("weight", 1.0)) if isinstance(spec, Mapping) else 1.0)
+            more = dict(spec) if isinstance(spec, Mapping) else {}
+            given[name] = (use, float(more.pop("weight", 1.0)))
+            if set(more) - {"use"}:
+                raise UserError(
+                    f"priors.{name}: {', '.join(set(more) - {'use'})} cannot be set beside a class or an object: "
+                    "give an object with its options, or name the class as file.py:Class."
+                )
         elif isinstance(spec, Mapping):
             specs[name] = dict(spec)
         else:
@@ -367,6 +381,12 @@ def prior_specs(priors: Mapping[str, Any] | None) -> tuple[dict[str, Any] | None
 
 
 _OBJECT = "given_as_object"
+
+
+def add_given(priors: dict[str, Prior], weights: dict[str, float], given: Mapping[str, Any], *skeleton: Any) -> None:
+    """Add priors that were given as classes or objects, in place; classes are made with ``skeleton``, if any."""
+    for name, (one, weight) in given.items():
+        priors[name], weights[name] = one if isinstance(one, Prior) else one(*skeleton), weight
 
 
 def saved_priors(specs: Mapping[str, Any], given: Mapping[str, Any]) -> dict[str, Any]:

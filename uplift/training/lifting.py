@@ -31,7 +31,15 @@ from uplift.priors import build_priors
 from uplift.priors.base import Lift, Prior
 from uplift.skeleton import Skeleton
 from uplift.training.augmentation import TILT_WEIGHT, ViewMaker, depth_error, tilt_error
-from uplift.training.base import TrainingModule, plain_settings, prior_specs, saved_priors, seeded, stage_settings
+from uplift.training.base import (
+    TrainingModule,
+    add_given,
+    plain_settings,
+    prior_specs,
+    saved_priors,
+    seeded,
+    stage_settings,
+)
 from uplift.training.objective import Logged, Objective, prepare_priors
 from uplift.training.pseudo_labels import PseudoPoses, true_poses
 from uplift.training.views import ViewFunction, build_views, checked_view
@@ -214,9 +222,7 @@ class LiftingModule(KeypointModule):
     def configure_priors(self) -> tuple[dict[str, Prior], dict[str, float]]:
         """Return the priors by name, and their weights."""
         priors, weights, self.notes = build_priors(self.prior_specs, self.skeleton)
-        for name, (given, weight) in self._given_priors.items():
-            priors[name] = given if isinstance(given, Prior) else given(self.skeleton)
-            weights[name] = weight
+        add_given(priors, weights, self._given_priors, self.skeleton)
         if not priors:
             raise UserError(
                 "No prior is on: nothing would train the lifter. Set priors.NAME.use and priors.NAME.weight."

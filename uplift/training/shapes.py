@@ -27,7 +27,15 @@ from uplift.models.prediction import ShapePrediction
 from uplift.models.shape_lifter import LiftedShapes
 from uplift.priors import build_priors
 from uplift.priors.base import Prior, ShapeLift
-from uplift.training.base import TrainingModule, plain_settings, prior_specs, saved_priors, seeded, stage_settings
+from uplift.training.base import (
+    TrainingModule,
+    add_given,
+    plain_settings,
+    prior_specs,
+    saved_priors,
+    seeded,
+    stage_settings,
+)
 from uplift.training.objective import Logged, Objective, prepare_priors
 
 __all__ = ["EStepStatistics", "ShapeModule"]
@@ -230,9 +238,7 @@ class ShapeModule(TrainingModule[ShapeMixture, MaskSet]):
     def configure_priors(self) -> tuple[dict[str, Prior], dict[str, float]]:
         """Return the priors by name, and their weights."""
         priors, weights, self.notes = build_priors(self.prior_specs)
-        for name, (given, weight) in self._given_priors.items():
-            priors[name] = given if isinstance(given, Prior) else given()
-            weights[name] = weight
+        add_given(priors, weights, self._given_priors)
         return priors, weights
 
     def prepare(self, data: MaskDataModule | Any) -> None:

@@ -65,8 +65,7 @@ class Recipe:
     def share_budget(self, shares: Mapping[str, float], frames: int) -> None:
         """Split the fit's steps and time over its stages by their shares; an epoch is so many ``frames``."""
         trainer = self.settings.trainer
-        accumulated = trainer.flags.get("accumulate_grad_batches", 1)  # Lightning refuses what is no number, later
-        frames_a_step = self.settings.teacher.batch_size * (accumulated if isinstance(accumulated, int) else 1)
+        frames_a_step = self.settings.teacher.batch_size * trainer.flags.get("accumulate_grad_batches", 1)
         budgets = stage_budgets(trainer, list(shares.values()), frames, frames_a_step)
         self.budgets = dict(zip(shares, budgets, strict=True))
 
