@@ -169,20 +169,24 @@ def test_the_end_of_a_fit_names_a_run_that_is_there(here: Path, capsys: pytest.C
     assert f"uplift predict run={run} " in printed
 
 
-def test_a_short_fit_says_so_everywhere(here: Path, capsys: pytest.CaptureFixture) -> None:
+def test_a_short_fit_and_an_idle_prior_are_said_everywhere(here: Path, capsys: pytest.CaptureFixture) -> None:
     """In what the fit prints, its report and page, and again where it predicts; labels are named only where there are any."""
-    assert status_of("fit", *own_data(here / "a.npz")) == 0
+    (here / "idle.py").write_text(
+        "import uplift\nclass Idle(uplift.Prior):\n    def loss(self, lift):\n        return 0 * lift.pose.sum()\n"
+    )
+    assert status_of("fit", *own_data(here / "a.npz"), "priors.mine.use=idle.py:Idle") == 0
     run = RunFolder.open("runs/h36m17").path
     expected = "a short fit: 10 steps, 0.1 % of the 10,000 of a usual fit"
-    assert expected in capsys.readouterr().out
-    report = (run / "report.md").read_text()
-    assert expected in report and expected in (run / "page.html").read_text()
+    idle = "priors.mine had no gradient in any of 4 steps"
+    printed, report = capsys.readouterr().out, (run / "report.md").read_text()
+    for text in (printed, report, (run / "page.html").read_text()):
+        assert expected in text and text.count("no gradient") == text.count(idle) == 1
     assert "- teacher: " in report and "4 steps" in report and "6 steps" in report
     assert "Priors (weight): flow" in report and "labelled" not in report
     assert RunFolder(run).facts()["steps"] == {"teacher": 4, "student_1": 6}
     assert status_of("predict", f"run={run}", "input=a.npz", "output=poses.npz") == 0
     assert expected in capsys.readouterr().out
-    RunFolder(run).add_facts(steps={"teacher": 400, "student_1": 700})
-    assert RunFolder(run).short_fit() == []
+    RunFolder(run).add_facts(steps={"teacher": 400, "student_1": 700}, idle_priors={})
+    assert RunFolder(run).warnings() == []
     assert status_of("fit", *own_data(here / "a.npz"), "data.labelled.fraction=0.5") == 0
     assert "labelled 40" in (RunFolder.open("runs/h36m17").path / "report.md").read_text()

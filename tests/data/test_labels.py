@@ -111,6 +111,22 @@ def test_subjects_and_actions_choose_before_the_fraction(here: Path) -> None:
     assert set(found.identity["action"][~found.labelled]) == {"walk"}
 
 
+def test_semi_h36m_labels_a_tenth_of_every_video_of_s1_and_leaves_its_rest_out(here: Path) -> None:
+    """As VideoPose3D does: two videos of ten frames have one labelled frame each, and 40 frames are of others."""
+    write_body(here / "a.npz")
+    plain = load_settings("semi_h36m").data.labelled
+    assert (plain.subjects, plain.fraction, plain.of_each_clip, plain.rest) == (["S1"], 0.1, True, "leave_out")
+    words = ("data.labelled.subjects=S1", "data.labelled.fraction=0.1", "data.labelled.of_each_clip=true")
+    kept, found = chosen(here, *words), chosen(here, *words, "data.labelled.rest=leave_out")
+    assert (len(kept), len(found)) == (60, 42)
+    for data in (kept, found):
+        assert sorted(np.unique(data.clips()[data.labelled], return_counts=True)[1]) == [1, 1]
+        assert set(data.identity["subject"][data.labelled]) == {"S1"}
+    assert found.labelled[found.identity["subject"] == "S1"].all()
+    only = chosen(here, *words, "data.labelled.rest=leave_out", "data.labelled.only=true")
+    np.testing.assert_array_equal(only.keypoints, kept.keypoints[kept.labelled])
+
+
 def test_labelled_frames_of_another_file_and_layout(here: Path) -> None:
     write_body(here / "a.npz", pose=None, root=None, tilt_deg=None)
     write_body(here / "b.npz", frames=20, seed=3, skeleton="mpii16")

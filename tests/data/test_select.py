@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from uplift.data.poses import PoseData
-from uplift.data.select import chosen_clips, chosen_rows
+from uplift.data.select import chosen_clips, chosen_rows, chosen_windows
 from uplift.errors import UserError
 
 
@@ -99,3 +99,43 @@ def test_clips_are_one_subject_sequence_camera_and_instance() -> None:
     assert len(set(two.clips())) == 12
     del two.identity["sequence"]
     assert len(set(two.clips())) == 60
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    sizes=st.lists(st.integers(1, 40), min_size=1, max_size=8),
+    fraction=st.floats(0.01, 1),
+    more=st.floats(0, 1),
+    seed=st.integers(0, 9),
+)
+def test_a_window_of_each_clip_is_frames_in_a_row_and_larger_ones_contain_smaller(sizes, fraction, more, seed) -> None:
+    clip = np.repeat(np.arange(len(sizes)), sizes)
+    frame = np.concatenate([np.random.default_rng(seed).permutation(size) for size in sizes])
+    counts = [round(fraction * size) for size in sizes]
+    if not sum(counts) or not round(fraction * len(clip)):
+        with pytest.raises(UserError, match="fraction"):
+            chosen_windows(clip, frame, fraction, seed)
+        return
+    mask = chosen_windows(clip, frame, fraction, seed)
+    for name, count in enumerate(counts):
+        taken = np.sort(frame[(clip == name) & mask])
+        assert len(taken) == count and (np.diff(taken) == 1).all(), "one run of frame numbers"
+    assert (chosen_windows(clip, frame, min(1.0, fraction + more), seed) | ~mask).all()
+
+
+@pytest.mark.parametrize(("length", "first", "count"), [(1383, 403, 138), (2478, 1653, 248), (3000, 1898, 300)])
+def test_windows_are_those_of_videopose3d(length: int, first: int, count: int) -> None:
+    """The first frames were computed with ``sha256sum`` of the length, its first four bytes from low to high."""
+    mask = chosen_windows(np.zeros(length, int), np.arange(length), 0.1, 0)
+    np.testing.assert_array_equal(np.flatnonzero(mask), np.arange(first, first + count))
+    assert np.flatnonzero(chosen_windows(np.zeros(length, int), np.arange(length), 0.1, 1))[0] != first
+
+
+def test_the_cameras_of_a_take_share_their_window_and_other_subjects_have_none() -> None:
+    two = data()
+    two.identity["camera"] = np.tile([0, 1], 30)
+    mask = chosen_rows(two, {"subjects": ["S1"], "fraction": 0.4, "of_each_clip": True})
+    assert set(two.identity["subject"][mask]) == {"S1"}
+    assert len(set(two.clips()[mask])) == len(set(two.clips()[two.identity["subject"] == "S1"]))
+    with pytest.raises(UserError, match="of_each_clip=true needs a fraction"):
+        chosen_rows(two, {"of_each_clip": True})

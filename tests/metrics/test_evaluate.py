@@ -124,6 +124,17 @@ def test_metric_error_needs_a_metric_prediction_and_pck_needs_mm():
     assert other.overall["p_mpjpe"] == pytest.approx(relative.overall["p_mpjpe"])
 
 
+def test_small_bodies_have_no_pck_as_150_mm_is_most_of_them():
+    truth = some_truth()
+    small = replace(truth, pose=truth.pose * np.float32(75 / np.ptp(truth.pose, axis=1).max()))
+    found = evaluate(guess(small, "mm"), small, HUMAN)
+    assert "mpjpe" in found.overall and not any(name.startswith(("pck", "auc")) for name in found.overall)
+    (note,) = [note for note in found.notes if "pck" in note]
+    size = float(note.split(" mm;")[0].split()[-1])
+    assert 50 < size <= 75 * 3**0.5, note
+    assert not any("pck" in line and "150" in line for line in found.table().splitlines() if note not in line)
+
+
 def test_joints_are_matched_by_name():
     truth = some_truth()
     given = guess(truth)

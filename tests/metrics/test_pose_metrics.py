@@ -38,7 +38,7 @@ BODY = Skeleton.from_dict(
 def protocol(name: str, pose: np.ndarray, truth: np.ndarray, weight: np.ndarray | None = None) -> np.ndarray:
     """Return one protocol, frame by frame, of poses in mm."""
     unseen = np.zeros(pose.shape[:2])
-    matched = Matched(pose, truth, counted(pose, truth, weight), unseen, BODY, metric=True, in_mm=True)
+    matched = Matched(pose, truth, counted(pose, truth, weight), unseen, BODY, metric=True, pck=True)
     return score(matched).frames[name]
 
 

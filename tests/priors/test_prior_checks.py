@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import warnings
 from pathlib import Path
 
 import pytest
@@ -90,6 +91,39 @@ def test_a_hinge_that_was_once_connected_may_be_satisfied(kind: str, tmp_path: P
     for step in range(40):
         object.__setattr__(lift, "on", step == 3)
         checks.loss("mine", lift, step)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize(
+    ("line", "steps"),
+    [
+        ("return value.sum() * 0", 150),
+        ("return value.square().mean()", None),
+        ("self.calls = getattr(self, 'calls', 0) + 1; return value.mean() * (self.calls > 60)", None),
+    ],
+)
+def test_priors_that_never_had_a_gradient_are_named(kind: str, line: str, steps: int | None, tmp_path: Path) -> None:
+    lift = lift_for(kind)
+    kept = Objective({"mine": mine(kind, loss_of(kind, line), tmp_path)}, {"mine": 1.0})
+    with warnings.catch_warnings(record=True) as said:
+        warnings.simplefilter("always")
+        for step in range(150):
+            kept.judge(lift, step)
+    assert kept.idle == ({} if steps is None else {"mine": steps})
+    texts = [str(w.message) for w in said if "gradient" in str(w.message)]
+    assert [text[:47] for text in texts] == ["priors.mine had no gradient in any of 100 steps"] * (steps is not None)
+
+
+def test_a_prior_of_weight_zero_may_be_idle(tmp_path: Path) -> None:
+    prior = mine("poses", loss_of("poses", "return value.sum() * 0"), tmp_path)
+    assert Objective({"mine": prior}, {"mine": 0.0}).idle == {}
+
+
+def test_a_prior_of_the_lifters_own_weights_is_not_idle(tmp_path: Path) -> None:
+    decay = "return sum(p.square().sum() for p in lift.lifter.parameters())"
+    kept = Objective({"mine": mine("poses", loss_of("poses", decay), tmp_path)}, {"mine": 1.0})
+    kept.judge(lift_for("poses"), 0)
+    assert kept.idle == {}
 
 
 @pytest.mark.parametrize("kind", KINDS)

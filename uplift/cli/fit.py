@@ -52,7 +52,7 @@ class Prepared:
     loaded: Any
     """The data, with `notes`."""
     recipe: Any
-    """With `notes`, `spent`, `steps` and `train(run)`, which returns a model with `save(path)`."""
+    """With `notes`, `spent`, `steps`, `idle_priors` and `train(run)`, which returns a model with `save(path)`."""
 
 
 def fit_settings(settings: Settings, run: RunFolder | None = None) -> RunFolder:
@@ -74,7 +74,7 @@ def fit_settings(settings: Settings, run: RunFolder | None = None) -> RunFolder:
     if rank_zero_only.rank == 0:
         model.save(run.weights)
         run.link_last()
-        report(run, model, settings, fit.loaded, Training(fit.recipe.spent, getattr(fit.recipe, "steps", {})))
+        report(run, model, settings, fit.loaded, Training(fit.recipe.spent, fit.recipe.steps, fit.recipe.idle_priors))
     return run
 
 

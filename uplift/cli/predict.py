@@ -111,7 +111,7 @@ def predict_command(words: Sequence[str]) -> None:
     files: dict[Path, str] = {}
     arguments = kind.predict_arguments(keys) | {"axes": keys.get("axes"), "page": keys.get("page"), "written": files}
     lines = kind.predict_summary(predict(weights, keys["input"], keys["output"], *overrides, **arguments))
-    lines += RunFolder(weights.path.parent).short_fit()
+    lines += RunFolder(weights.path.parent).warnings()
     lines += [f"wrote {path}" + (f": {remark}" if remark else "") for path, remark in list(files.items())[:5]]
     lines += [f"and {len(files) - 5} more"] * (len(files) > 5)
     lines += [f"look: open {path} in a browser" for path in files if path.suffix.lower() == ".html"]
@@ -228,7 +228,7 @@ def _motion(found: Prediction) -> list[str]:
     lengths = bone_lengths(found.pose, found.skeleton)
     lengths = lengths / np.maximum(lengths.sum(1, keepdims=True), 1e-9) if found.unit != "mm" else lengths
     varies = bone_cv(lengths, np.unique(clips, return_inverse=True)[1])
-    return [f"bones vary by {varies:.1%} over a clip (bone_cv); bones=constant makes them the same"] * (varies > 1e-4)
+    return [f"bones vary by {varies:.1%} within a clip; bones=constant makes them the same"] * (varies > 1e-4)
 
 
 # Masks in, shapes out.

@@ -84,6 +84,8 @@ class Training:
     spent: Mapping[str, float]
     """Seconds."""
     steps: Mapping[str, int]
+    idle_priors: Mapping[str, int]
+    """Steps of the priors that had no gradient in any of them."""
 
     def lines(self) -> list[str]:
         """Return a line for each stage."""
@@ -103,9 +105,9 @@ def report(run: RunFolder, model: Any, settings: Settings, loaded: Any, training
     found: Findings = KINDS[settings.lifts].report(model, settings, loaded)
     if found.evaluation is not None:
         save_evaluation(found.evaluation, run)
-    run.add_facts(steps=dict(training.steps), seconds=dict(training.spent))
-    rows, short = found.rows(), run.short_fit()
-    notes = [*short, *loaded.notes, *found.given, *training.lines()]
+    run.add_facts(steps=dict(training.steps), seconds=dict(training.spent), idle_priors=dict(training.idle_priors))
+    rows, doubtful = found.rows(), run.warnings()
+    notes = [*doubtful, *loaded.notes, *found.given, *training.lines()]
     lines = [*_head_lines(run, settings, notes), *_figure_lines(found, rows)]
     with replacing(run.path / "report.md") as file:
         file.write(("\n".join(lines) + "\n").encode())
@@ -113,7 +115,7 @@ def report(run: RunFolder, model: Any, settings: Settings, loaded: Any, training
     curves: dict[str, list[tuple[float, float]]] = {}
     for stage, step, name, value in read_metrics(run.path / "metrics.csv"):
         curves.setdefault(f"{stage}: {name}", []).append((float(step), float(value)))
-    found.write_page(run.path / "page.html", sections=sections, curves=curves, notes=[*short, *found.given])
+    found.write_page(run.path / "page.html", sections=sections, curves=curves, notes=[*doubtful, *found.given])
     print("\n".join(_end_lines(run, found, rows, training)))
 
 
@@ -143,7 +145,7 @@ def _cell(cell: object, number: str) -> str:
 
 def _end_lines(run: RunFolder, found: Findings, rows: list[list[object]], training: Training) -> list[str]:
     """Return what a fit prints at its end: figures, what it wrote, what comes next."""
-    lines = [f"\ntrained for {sum(training.spent.values()):.0f} s", *run.short_fit(), *found.shown]
+    lines = [f"\ntrained for {sum(training.spent.values()):.0f} s", *run.warnings(), *found.shown]
     if rows:
         lines += [f"\n{found.about}\n"]
         wide, narrow = found.words.widths

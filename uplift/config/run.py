@@ -19,13 +19,19 @@ from uplift.config.loading import load_settings, save_settings
 from uplift.config.settings import Settings
 from uplift.errors import UserError, did_you_mean
 
-__all__ = ["USUAL_STEPS", "RunFolder", "Weights", "read_weights"]
+__all__ = ["USUAL_STEPS", "RunFolder", "Weights", "idle_prior", "read_weights"]
 
 
 USUAL_STEPS = 10_000
 """Steps of the default recipe in its ten minutes on one core."""
 _SHORT = 0.1
 """Share of them below which results are expected to be poor."""
+
+
+def idle_prior(name: str, steps: int) -> str:
+    """Return the warning about a prior that had no gradient in any of so many steps."""
+    why = "a satisfied hinge, or a loss that does not depend on what was lifted (.detach(), a comparison, times 0)?"
+    return f"priors.{name} had no gradient in any of {steps:,} steps, so no effect: {why}"
 
 
 class RunFolder:
@@ -130,16 +136,15 @@ class RunFolder:
         with replacing(self.path / "run.json") as file:
             file.write(json.dumps(self.facts() | more, indent=2).encode())
 
-    def short_fit(self) -> list[str]:
-        """Return a warning where the fit took few steps beside a usual one; nothing where that is not known."""
-        known = (self.path / "run.json").is_file()
-        steps = sum(self.facts().get("steps", {}).values()) if known else 0
-        if not steps or steps >= _SHORT * USUAL_STEPS:
-            return []
-        share = f"{steps:,} steps, {100 * steps / USUAL_STEPS:.2g} % of the {USUAL_STEPS:,} of a usual fit"
-        return [
-            f"WARNING: a short fit: {share}. Expect poor results; train longer (trainer.max_time, trainer.max_steps)."
-        ]
+    def warnings(self) -> list[str]:
+        """Return what casts doubt on the fit: few steps beside a usual one, priors without effect; nothing if not known."""
+        facts = self.facts() if (self.path / "run.json").is_file() else {}
+        steps, lines = sum(facts.get("steps", {}).values()), []
+        if 0 < steps < _SHORT * USUAL_STEPS:
+            share = f"{steps:,} steps, {100 * steps / USUAL_STEPS:.2g} % of the {USUAL_STEPS:,} of a usual fit"
+            hint = "Expect poor results; train longer (trainer.max_time, trainer.max_steps)."
+            lines.append(f"WARNING: a short fit: {share}. {hint}")
+        return lines + [f"WARNING: {idle_prior(name, steps)}" for name, steps in facts.get("idle_priors", {}).items()]
 
     def evaluation(self) -> dict[str, Any] | None:
         """Return evaluation.json, None where the run was not evaluated."""

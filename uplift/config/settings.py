@@ -58,6 +58,9 @@ class ChoiceSettings:
     fraction: Optional[float] = _setting(
         None, "share of those frames, as complete clips in seeded order; of masks by shape", low=1e-9, high=1
     )
+    of_each_clip: bool = _setting(
+        False, "take the fraction from every clip, frames in a row, in place of complete clips", only="keypoints"
+    )
 
 
 @dataclass
@@ -66,6 +69,11 @@ class _LabelledSettings(ChoiceSettings):
 
     file: Optional[str] = _setting(None, "other frames with poses: FILE, or SET:SPLIT of a published set")
     only: bool = _setting(False, "leave all other frames out: supervised training")
+    rest: str = _setting(
+        "2d",
+        "what the fraction leaves of the chosen frames: learn from their 2D, or leave them out",
+        choices=("2d", "leave_out"),
+    )
     share: Optional[float] = _setting(
         0.9, "most of a batch that is labelled; unset: as many as there are among the frames", low=0.001, high=0.999
     )

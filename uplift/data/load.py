@@ -159,7 +159,8 @@ def with_labels_of(settings: Settings, train: Data, load: Load[Data]) -> tuple[D
     rows = chosen_rows(source, wanted, settings.seed)
     labelled = replace(source, labelled=rows)
     if chosen.file is None:
-        return (labelled.select(rows) if chosen.only else labelled), None
+        kept = rows | ~chosen_rows(source, {**wanted, "fraction": 1}) if chosen.rest == "leave_out" else rows | True
+        return labelled.select(rows if chosen.only else kept), None
     more = labelled.select(rows)
     return (more, None) if chosen.only else (train, more)
 

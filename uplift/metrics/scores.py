@@ -53,7 +53,8 @@ class Matched:
     skeleton: Skeleton
     metric: bool
     """The prediction is in the truth's unit of length."""
-    in_mm: bool
+    pck: bool
+    """Whether 150 mm says something: the truth is in mm, of bodies that are large enough."""
     previous: Int[np.ndarray, " frames"] | None = None
     """The row of the frame before in the clip, or -1; None where clips are not known."""
     coverage: float = 1.0
@@ -108,12 +109,12 @@ def _score_rows(matched: Matched, rows: np.ndarray):
     pose, truth, weight = matched.rows(rows)
     by_joint, facing = _errors(matched, pose, truth, weight)
     scaled = align(_scale_of(matched), pose, truth, matched.skeleton.root_index, weight)
-    if matched.in_mm:
+    if matched.pck:
         errors = by_joint[_scale_of(matched)]
         by_joint |= {"pck@150": (errors < 150.0).astype(np.float64), "auc": share_above(errors)}
         by_joint["pck_z@150"] = (np.abs(scaled - truth)[..., 2] < 150.0).astype(np.float64)
     by_frame = {"stress": stress(scaled, truth, weight), "facing": facing}
-    if matched.in_mm and set(JOINTS_14) <= set(matched.skeleton.joints):
+    if matched.pck and set(JOINTS_14) <= set(matched.skeleton.joints):
         places = [matched.skeleton.index(joint) for joint in JOINTS_14]
         for name, found in (("pck14@150", "pck@150"), ("auc14", "auc")):
             by_frame[name] = frame_mean(by_joint[found][:, places], weight[:, places])
@@ -183,6 +184,8 @@ def previous_rows(identity: Mapping[str, np.ndarray]) -> Int[np.ndarray, " frame
 # Put a prediction and its truth side by side: joints by name, frames by row, and what counts.
 
 _MIN_JOINTS = 3
+_LEAST_SIZE = 500.0
+"""mm; for smaller bodies, such as hands and mice, 150 mm is more than 30 % of their size, and nearly any pose passes."""
 _SCALELESS = ("px", "relative")
 
 
@@ -222,6 +225,7 @@ def match_poses(
             f"{names[0]}: no frame has {_MIN_JOINTS} joints that are finite there, visible in 2D and known "
             f"in {names[1]}: nothing to compare."
         )
+    size = _body_size(target[kept], weight[kept])
     matched = Matched(
         pose=pose[kept],
         truth=target[kept],
@@ -229,12 +233,18 @@ def match_poses(
         unseen=counted(pose, target, ~seen)[kept],
         skeleton=skeleton,
         metric=prediction.unit == truth.unit and truth.unit not in _SCALELESS,
-        in_mm=truth.unit == "mm",
+        pck=truth.unit == "mm" and size >= _LEAST_SIZE,
         previous=previous_rows({key: np.asarray(value)[kept] for key, value in truth.identity.items()}),
         coverage=float(weight[wanted].sum() / wanted.sum()),
     )
-    notes = [*ours_extra, *theirs_extra, *_notes(matched, len(kept), truth.unit), *_pose_notes(matched)]
+    notes = [*ours_extra, *theirs_extra, *_notes(matched, len(kept), truth.unit, size), *_pose_notes(matched)]
     return matched, kept, notes
+
+
+def _body_size(pose: Float[np.ndarray, "frames joints 3"], weight: Float[np.ndarray, "frames joints"]) -> float:
+    """Return the median diagonal of the box around the joints that count."""
+    known = np.where((weight > 0)[..., None], pose, np.nan)
+    return float(np.median(length(np.nanmax(known, axis=1) - np.nanmin(known, axis=1))))
 
 
 def _check_frames(prediction: GivenPoses | Prediction, truth: PoseData, names: tuple[str, str]) -> np.ndarray:
@@ -282,7 +292,7 @@ def _some(names: list[str]) -> str:
     return ", ".join(names[:8]) + (", ..." if len(names) > 8 else "")
 
 
-def _notes(matched: Matched, total: int, unit: str) -> list[str]:
+def _notes(matched: Matched, total: int, unit: str, size: float) -> list[str]:
     """Return what a reader must know to compare these figures with others."""
     skeleton = matched.skeleton
     notes = [f"{len(skeleton.joints)} joints, root '{skeleton.root}' included; overall is the mean over frames"]
@@ -290,10 +300,12 @@ def _notes(matched: Matched, total: int, unit: str) -> list[str]:
     if left:
         notes.append(f"{left:,} of {total:,} frames left out: fewer than {_MIN_JOINTS} joints to compare")
     scale = f"the metric pose ({unit})" if matched.metric else "the pose at n_mpjpe scale"
-    shares = "pck, auc, " if matched.in_mm else ""
+    shares = "pck, auc, " if matched.pck else ""
     notes.append(f"{shares}stress, mpjve and bone_cv use {scale}")
-    if not matched.in_mm:
+    if unit != "mm":
         notes.append(f"no pck and auc: the truth's unit is '{unit}', not mm")
+    elif not matched.pck:
+        notes.append(f"no pck and auc: 150 mm is too much for bodies of {size:.3g} mm; they need {_LEAST_SIZE:g}")
     if matched.coverage < 1:
         notes.append(f"the prediction has {matched.coverage:.2%} of the joints it should; no mean has the others")
     unseen = int(matched.unseen.sum())

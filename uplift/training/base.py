@@ -302,8 +302,12 @@ class TrainingModule(L.LightningModule, Generic[LifterT, DataT]):
             self.averaged.update_parameters(self.lifter)
 
     def on_save_checkpoint(self, checkpoint: dict[str, Any]) -> None:
-        """Keep how much of the training is over."""
-        checkpoint["done"] = self.done
+        """Keep how much of the training is over, and which priors had no gradient so far."""
+        checkpoint["done"], checkpoint["idle_priors"] = self.done, dict(self.terms.idle)
+
+    def on_load_checkpoint(self, checkpoint: dict[str, Any]) -> None:
+        """Go on watching the priors that had no gradient so far."""
+        self.terms.idle = dict(checkpoint.get("idle_priors", self.terms.idle))
 
 
 def _refuse_nearby(value: Any, path: str) -> None:

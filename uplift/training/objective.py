@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from typing import Any
@@ -10,6 +11,7 @@ import torch
 from torch import Tensor, nn
 
 from uplift.config.plugins import blame
+from uplift.config.run import idle_prior
 from uplift.errors import UserError
 from uplift.priors.base import Lift, Prior, ShapeLift
 
@@ -19,6 +21,8 @@ Logged = dict[str, float | Tensor]
 
 _PATIENCE = 20
 """Calls after which a loss that has never carried a gradient is rejected."""
+_WATCHED = 100
+"""Steps in which a prior is expected to have had a gradient; after them, the rest are looked at only every so often."""
 _SYNC_EVERY = 50
 """Steps between checks of a loss on an accelerator, where each one waits for the device."""
 
@@ -35,7 +39,8 @@ class Objective:
 
     What would fail silently is rejected: no gradient, NaN, a wrong shape. A loss is connected if it carries a
     gradient to something trainable. A constant 0 may be a satisfied hinge written with an ``if``: it is rejected
-    after twenty calls without a gradient.
+    after twenty calls without a gradient. A gradient that is 0 may belong to a satisfied hinge too: `idle` names the
+    priors that have had no other so far.
     """
 
     def __init__(self, priors: Mapping[str, Prior], weights: Mapping[str, float]):
@@ -43,10 +48,13 @@ class Objective:
         self.adversarial = [name for name, prior in priors.items() if type(prior).critic_loss is not Prior.critic_loss]
         self._connected: set[str] = set()
         self._calls = dict.fromkeys(priors, 0)
+        self.idle = {name: 0 for name in priors if weights[name] != 0}
+        """Steps without a gradient, of the priors that never had one; those of weight 0 are not expected to."""
 
     def leave_out(self, name: str) -> None:
         """Judge without the prior ``name``, if there is one."""
         self.priors.pop(name, None)
+        self.idle.pop(name, None)
         self.adversarial = [other for other in self.adversarial if other != name]
 
     def judge(self, lift: Lift | ShapeLift, step: int) -> tuple[Tensor, Logged]:
@@ -55,6 +63,8 @@ class Objective:
         with _frozen(self.priors[name] for name in self.adversarial):
             for name in self.priors:
                 loss = self.loss(name, lift, step)
+                if name in self.idle:
+                    self._watch(name, loss, lift)
                 total = total + self.weights[name] * loss
                 losses[name] = loss.detach()
         return total, losses
@@ -90,6 +100,15 @@ class Objective:
                 f"or the prior's own parameters). Compute it from {', '.join(first)} or {last}, without .detach(), "
                 ".numpy() or comparisons in place of differences."
             )
+
+    def _watch(self, name: str, loss: Tensor, lift: Lift | ShapeLift) -> None:
+        """Look whether ``loss`` moves anything that is trained, until it has done so once."""
+        steps = self.idle[name] = self.idle[name] + 1
+        due = steps <= _WATCHED or steps % _WATCHED == 0
+        if due and loss.requires_grad and _any_gradient(loss, [*_lifted(lift), *self.priors[name].parameters()]):
+            del self.idle[name]
+        elif steps == _WATCHED:
+            warnings.warn(idle_prior(name, _WATCHED), stacklevel=2)
 
     def train_adversaries(self, real: Tensor, reprojected: Tensor) -> tuple[Tensor, Logged]:
         """Return the sum of the losses that adversarial priors are trained on, and each of them by name.
@@ -133,6 +152,18 @@ class Objective:
                 yield from prior.parameters()
             if prior.gate_lifter:
                 yield from lifter.parameters()
+
+
+def _lifted(lift: Lift | ShapeLift) -> Iterator[Tensor]:
+    """Return the tensors of ``lift`` that a loss can be computed from."""
+    for value in vars(lift).values():
+        yield from value.parameters() if isinstance(value, nn.Module) else [value] if isinstance(value, Tensor) else []
+
+
+def _any_gradient(loss: Tensor, of: Iterable[Tensor]) -> bool:
+    trained = [part for part in of if part.requires_grad]
+    gradients = torch.autograd.grad(loss, trained, retain_graph=True, allow_unused=True)
+    return any(bool(part.any()) for part in gradients if part is not None)
 
 
 @contextmanager

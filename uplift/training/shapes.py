@@ -256,6 +256,7 @@ class ShapeModule(TrainingModule[ShapeMixture, MaskSet]):
 
     def on_load_checkpoint(self, checkpoint: dict[str, Any]) -> None:
         """Make room for the true shapes of labelled masks, where the checkpoint has them."""
+        super().on_load_checkpoint(checkpoint)
         labels = checkpoint["state_dict"]["statistics.truth"].shape[-1] > 1
         self.statistics = EStepStatistics(self.lifter, labels, self._pooled).to(self.device)
 

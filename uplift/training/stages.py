@@ -59,6 +59,8 @@ class Recipe:
         """Seconds that each stage took."""
         self.steps: dict[str, int] = {}
         """Steps that each stage took."""
+        self.idle_priors: dict[str, int] = {}
+        """Steps of the priors that had no gradient in any of them."""
         self._loggers: list[Logger] | None = None
         build_callbacks(settings.callbacks)  # what is wrong with them is said before any training
 
@@ -90,6 +92,7 @@ class Recipe:
             loggers=self._loggers,
         )
         self.spent[name], self.steps[name] = record.spent, record.steps
+        self.idle_priors |= module.terms.idle
 
 
 def module_class(use: str | None, where: str, default: type[ModuleT]) -> type[ModuleT]:
@@ -162,6 +165,7 @@ def run_stage(
     clock = Budget(budget.seconds, spent=min(before, 0.5 * (budget.seconds or 0)))
     resume = path.is_file()
     if resume and (state := checked_checkpoint(path, module))["done"] >= 1:
+        module.on_load_checkpoint(state)
         module.load_state_dict(state["state_dict"])
         clock.load_state_dict(state["callbacks"][clock.state_key])
         return StageRecord(clock.time_elapsed(), state["global_step"])
