@@ -83,7 +83,7 @@ def test_fit_refuses(words: tuple[str, ...], says: str, masks: Path, capsys) -> 
         (("shape.splits=2",), "shape.splits is set, but this fit lifts keypoints"),
         (
             ("data.select.categories=cow",),
-            "it goes with masks. Choose by subjects, actions, sequences, cameras, fraction.",
+            "it goes with masks. Choose by subjects, actions, sequences, cameras, fraction, of_each_clip.",
         ),
     ],
 )

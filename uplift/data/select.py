@@ -20,7 +20,7 @@ _CHOOSE_BY = {
 }  # fmt: skip
 """What rows are chosen by, and the column it is compared with."""
 
-Choice = Mapping[str, Sequence[str] | float | None]
+Choice = Mapping[str, Sequence[str] | float | bool | None]
 
 
 def choice_of(settings: ChoiceSettings) -> Choice:
