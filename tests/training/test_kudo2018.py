@@ -290,7 +290,9 @@ def test_settings_are_the_published_ones(preset):
         assert (t.learning_rate, t.beta1, t.beta2, t.weight_decay) == (2e-4, 0.5, 0.999, 1e-5)
 
 
-@pytest.mark.parametrize(("preset", "std"), [("kudo2018_code", 0.02), ("kudo2018_paper", 0.14)])
+@pytest.mark.parametrize(
+    ("preset", "std"), [("kudo2018_code", 0.02), ("kudo2018_paper", 0.02), ("kudo2018_printed", 0.14)]
+)
 def test_initial_weights(preset, std):
     settings = load_settings(preset)
     torch.manual_seed(0)
@@ -302,6 +304,16 @@ def test_initial_weights(preset, std):
         for w in weights:
             assert float(w.detach().std()) == pytest.approx(std, rel=0.08)
         assert all(not p.any() for p in net.parameters() if p.ndim == 1)
+
+
+def test_the_weights_of_the_printed_paper_start_far_outside_of_any_body():
+    """Mean size of the first depths in mean 2D radii, of random keypoints: a body is about 1 deep."""
+    depths = {}
+    for preset in ("kudo2018_code", "kudo2018_paper", "kudo2018_printed"):
+        torch.manual_seed(0)
+        lifter = Lifter(H36M, load_settings(preset).lifter)
+        depths[preset] = float(lifter.network(torch.randn(200, 2 * N)).detach().abs().mean())
+    assert max(depths["kudo2018_code"], depths["kudo2018_paper"]) < 0.1 and depths["kudo2018_printed"] > 10
 
 
 def test_the_turned_pose_is_not_normalised_again():
