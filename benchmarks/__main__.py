@@ -10,7 +10,6 @@ python -m benchmarks.quadruped_masks       animals with missing joints: what mas
 python -m benchmarks.shapes COMMAND ...    shapes from masks: demo, families, twin, semi, animals, cost
 python -m benchmarks.settings_tables       the tables of settings in the documentation, from the code (make docs)
 python -m benchmarks.score_2d [FAMILY ...] how well figures without truth order lifters as their errors do
-python -m benchmarks.paper_tables [TABLE]  Tables 1 and 2 and the 3DHP figure of Kudo et al. 2018, with your data
 
 Real data is read from UPLIFT_DATA. Results are stored in benchmarks/results/; stored results are not computed again."""
 )

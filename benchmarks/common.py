@@ -10,11 +10,11 @@ import shlex
 import subprocess
 import sys
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from uplift.config.files import replacing
+from uplift.metrics.report import Sheet
 
 __all__ = [
     "ROOT", "BenchmarkError", "Sheet", "data_folder", "facts", "markdown", "max_time", "mean_and_range", "measure_apart",
@@ -142,32 +142,7 @@ def run_missing(path: Path, jobs: Mapping[str, Callable[[], object]]) -> int:
 
 # Tables
 
-
-@dataclass(frozen=True)
-class Sheet:
-    """A table: title, column heads, rows of cells."""
-
-    title: str
-    head: list[str]
-    rows: list[list[str]]
-
-
-def text(sheet: Sheet) -> str:
-    """Return a table with aligned columns."""
-    lines = [sheet.head, *sheet.rows]
-    widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
-    padded = (
-        [cell.rjust(width) if column else cell.ljust(width) for column, (cell, width) in enumerate(zip(row, widths, strict=True))]
-        for row in lines
-    )  # fmt: skip
-    return "\n".join(["", sheet.title, *("  ".join(row) for row in padded)])
-
-
-def markdown(sheet: Sheet) -> str:
-    """Return a table in Markdown."""
-    rule = ["---", *("---:" for _ in sheet.head[1:])]
-    lines = ["| " + " | ".join(row) + " |" for row in (sheet.head, rule, *sheet.rows)]
-    return "\n".join(["", f"**{sheet.title}**", "", *lines])
+text, markdown = Sheet.text, Sheet.markdown
 
 
 def mean_and_range(values: Sequence[float | None], form: str = ".3f") -> str:

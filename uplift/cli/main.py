@@ -176,6 +176,7 @@ _RUN: dict[str, Callable[[Sequence[str]], int | None]] = {
     "predict": Later("uplift.cli.predict:predict_command"),
     "simulate": Later("uplift.cli.simulate:simulate_command"),
     "compare": lambda runs: print(Later("uplift.cli.listing:compare")(runs)),
+    "tables": Later("uplift.cli.tables:tables_command"),
     "data": _by_first_word(
         {
             "check": "data_check:check_data",

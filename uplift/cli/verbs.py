@@ -193,6 +193,19 @@ VERBS = {
         ("compare RUN RUN ...",),
         {"RUN": "run folder with an evaluation; two or more"},
     ),
+    "tables": Verb(
+        "the tables of Kudo et al. 2018: published rows beside fits on your own copy of the data",
+        ("tables [table1 table2 3dhp] [task=NAME] [key=value ...]", "tables run=RUN", "tables show=true"),
+        {"TABLE": "table1, table2 (Human3.6M) or 3dhp (MPI-INF-3DHP); without any: all"},
+        _table(
+            _key("task", list[str], [], "tasks to fit in place of the table's"),
+            _key("run", list[str], [], "finished runs to use as they are, in place of fitting"),
+            _key("seeds", list[int], [0, 1, 2], "a fit for each seed", *_SEED_LIMITS),
+            _key("show", bool, False, "published rows and stored results alone; nothing is fitted"),
+            _key("markdown", bool, False, "tables in Markdown"),
+        ),
+        ("Any setting of `uplift fit` holds for all fits: data.root=FOLDER, trainer.max_time=00:30:00.",),
+    ),
     "data check": Verb(
         "which data a task needs, and what of it is there",
         ("data check task=NAME [key=value ...]",),

@@ -22,7 +22,7 @@ from uplift.metrics.protocols import (
     metric_unit,
 )
 
-__all__ = ["AnyEvaluation", "Evaluation", "ShapeEvaluation", "paper_order"]
+__all__ = ["AnyEvaluation", "Evaluation", "ShapeEvaluation", "Sheet", "paper_order"]
 
 Figures = Mapping[str, float]
 """Metric -> value."""
@@ -257,6 +257,25 @@ def _columns(rows: list[list[str]], left: tuple[int, ...] = (0,)) -> str:
     sides = ["<" if place in left else ">" for place in range(len(widths))]
     cells = ([f"{c:{s}{w}}" for c, s, w in zip(row, sides, widths, strict=True)] for row in rows)
     return "\n".join("  ".join(row).rstrip() for row in cells)
+
+
+@dataclass(frozen=True)
+class Sheet:
+    """A table: title, column heads, rows of cells."""
+
+    title: str
+    head: list[str]
+    rows: list[list[str]]
+
+    def text(self) -> str:
+        """Return it with aligned columns."""
+        return f"\n{self.title}\n{_columns([self.head, *self.rows])}"
+
+    def markdown(self) -> str:
+        """Return it in Markdown."""
+        rule = ["---", *("---:" for _ in self.head[1:])]
+        lines = ["| " + " | ".join(row) + " |" for row in (self.head, rule, *self.rows)]
+        return "\n".join(["", f"**{self.title}**", "", *lines])
 
 
 # The actions in the order and by the names that papers have in their tables.

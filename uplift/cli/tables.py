@@ -1,4 +1,4 @@
-"""The fits of each table: what is fitted on which data, and its stored result."""
+"""The verb tables: Tables 1 and 2 and the 3DHP figure of Kudo et al. 2018, with the published rows and your own fits."""
 
 from __future__ import annotations
 
@@ -6,27 +6,27 @@ import dataclasses
 import hashlib
 import json
 import re
+import sys
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from benchmarks.common import ROOT, facts, write_json
+from uplift.config.files import replacing
 from uplift.config.loading import load_settings
-from uplift.config.settings import Settings
-from uplift.errors import UserError
+from uplift.config.settings import Settings, seconds_of
+from uplift.errors import UserError, did_you_mean
+from uplift.metrics.kudo2018 import TITLES, notes_of, sheets_of
 
 if TYPE_CHECKING:
     from uplift.config.run import RunFolder
 
-__all__ = [
-    "RESULTS", "TABLES", "Recipe", "Table", "fit_recipe", "need_data", "place_of", "read_result", "table_of", "take_run",
-    "uses_of",
-]  # fmt: skip
+__all__ = ["tables_command"]
 
-RESULTS = ROOT / "benchmarks" / "results" / "paper_tables"
+RESULTS = Path("runs") / "tables"
+"""Where results are stored, in the current folder."""
 
 _NOT_HASHED = ("task", "description", "seed")
 _OF_THE_MACHINE = ("threads", "checkpoint_every", "checkpoint_steps", "log_every", "logger", "accelerator", "devices")
@@ -34,11 +34,80 @@ _TRAIN_FRAMES = 60_000
 """Training frames, complete clips at random, on which the 3DHP figure of the paper is computed."""
 
 
+def tables_command(words: Sequence[str]) -> int:
+    """Fit what was asked for, or use existing runs and results, and print the tables; 2 if data is missing.
+
+    Raises UserError for an invalid word.
+    """
+    chosen, missing = _chosen(words), {}
+    if chosen.show:
+        shown = {table: sorted((RESULTS / table).glob("*.json")) for table in chosen.tables or TABLES}
+    elif chosen.runs:
+        shown = _taken(chosen)
+    else:
+        recipes = _recipes(chosen)
+        missing = _missing(recipes)
+        shown = _fitted([recipe for recipe in recipes if recipe.table not in missing])
+    for table, places in shown.items():
+        sheets = sheets_of(table, [read_result(place) for place in dict.fromkeys(places)])
+        print("\n".join(sheet.markdown() if chosen.markdown else sheet.text() for sheet in sheets))
+        print("\n" + "\n".join(f"- {note}" for note in notes_of(table)), flush=True)
+        if places:
+            print(f"\nresults: {RESULTS / table}/")
+    for number, (table, error) in enumerate(missing.items()):  # the first message in full, one line of the others
+        message = str(error) if not number else str(error).splitlines()[0]
+        print(f"uplift: no {table}: {message}", file=sys.stderr)
+    return 2 if missing else 0
+
+
+@dataclass
+class _Words:
+    """The arguments of the command line, by kind."""
+
+    tables: list[str] = field(default_factory=list)
+    tasks: list[str] = field(default_factory=list)
+    runs: list[str] = field(default_factory=list)
+    more: list[str] = field(default_factory=list)
+    """Settings of the fits."""
+    seeds: Sequence[int] = (0, 1, 2)
+    show: bool = False
+    markdown: bool = False
+
+
+def _chosen(words: Sequence[str]) -> _Words:
+    found = _Words()
+    for word in words:
+        key, equals, value = word.partition("=")
+        if word in TABLES:
+            found.tables.append(word)
+        elif not equals:
+            raise UserError(
+                f"tables: no table '{word}'.{did_you_mean(word, TABLES)} Expected any of {', '.join(TABLES)}."
+            )
+        elif key in ("task", "run"):
+            (found.tasks if key == "task" else found.runs).extend(value.split(","))
+        elif key in ("show", "markdown", "seeds"):
+            setattr(found, key, _value(key, value))
+        elif key == "seed":
+            raise UserError("tables: seeds are set with seeds=0,1,2.")
+        else:
+            found.more.append(word)
+    if found.runs and (found.tasks or found.more):
+        raise UserError("tables: run=RUN uses a run as it is: leave out task= and settings, or fit again without run=.")
+    return found
+
+
+def _value(key: str, text: str) -> Any:
+    from uplift.cli.parsing import checked
+    from uplift.cli.verbs import VERBS
+
+    return checked(VERBS["tables"].settings[key], text, "tables")
+
+
 @dataclass(frozen=True)
 class Table:
     """A table or figure of the paper: its data set, and the tasks fitted for it."""
 
-    title: str
     use: str
     tasks: tuple[str, ...]
     words: tuple[str, ...] = ()
@@ -53,14 +122,18 @@ _H36M = (
 _KUDO = ("kudo2018_code", "kudo2018_paper")
 TABLES = {
     "table1": Table(
-        "Table 1: Human3.6M, ground-truth 2D", "h36m", ("h36m", *_KUDO),
+        "h36m", ("h36m", *_KUDO),
         (*_H36M, "data.options.keypoints=gt"), ("gt", "projected"),
     ),
     "table2": Table(
-        "Table 2: Human3.6M, detected 2D", "h36m", ("h36m_detected", *_KUDO),
+        "h36m", ("h36m_detected", *_KUDO),
         (*_H36M, "data.options.keypoints=detected"), ("detected", "sh", "sh_mpii", "cpn", "detectron"),
     ),
-    "3dhp": Table("MPI-INF-3DHP", "mpi_inf_3dhp", ("mpi_inf_3dhp",)),
+    "3dhp": Table(
+        "mpi_inf_3dhp", ("mpi_inf_3dhp", *_KUDO),
+        ("data.name=mpi_inf_3dhp", "data.use=mpi_inf_3dhp", "data.train=train", "data.test=test",
+         "skeleton=mpi_inf_3dhp17", "priors.handedness.front=null", "priors.handedness.left=null"),
+    ),
 }  # fmt: skip
 
 
@@ -78,8 +151,8 @@ class Recipe:
         """Return the recipe on the table's data; the user's settings ``words`` replace the table's."""
         chosen = load_settings(task).data
         moved = () if _is_of(chosen.use, chosen.options.get("keypoints"), TABLES[table]) else TABLES[table].words
-        if chosen.use != TABLES[table].use and not moved:
-            raise UserError(f"task {task} uses other data than {TABLES[table].title}.")
+        if chosen.use not in (None, TABLES[table].use):
+            raise UserError(f"task {task} uses other data than {TITLES[table]}.")
         given = {word.partition("=")[0] for word in words}
         kept = (word for word in moved if word.partition("=")[0] not in given)
         return cls(table, task, (*kept, *words), seed)
@@ -97,6 +170,44 @@ class Recipe:
 
 def _is_of(use: str | None, keypoints: str | None, table: Table) -> bool:
     return use == table.use and (not table.keypoints or (keypoints or "gt") in table.keypoints)
+
+
+def _taken(chosen: _Words) -> dict[str, list[Path]]:
+    shown: dict[str, list[Path]] = {table: [] for table in chosen.tables}
+    for run in chosen.runs:
+        table, place = take_run(run)
+        if chosen.tables and table not in chosen.tables:
+            raise UserError(f"{run} belongs to {table}, not to {', '.join(chosen.tables)}.")
+        shown.setdefault(table, []).append(place)
+    return shown
+
+
+def _recipes(chosen: _Words) -> list[Recipe]:
+    return [
+        Recipe.of(table, task, chosen.more, seed)
+        for table in chosen.tables or TABLES
+        for seed in chosen.seeds
+        for task in chosen.tasks or TABLES[table].tasks
+    ]
+
+
+def _missing(recipes: Sequence[Recipe]) -> dict[str, UserError]:
+    """Return the tables without data, with what is missing, before anything is trained."""
+    found: dict[str, UserError] = {}
+    for recipe in recipes:
+        if recipe.table not in found and not place_of(recipe.table, recipe.settings()).is_file():
+            try:
+                need_data(recipe)
+            except UserError as error:
+                found[recipe.table] = error
+    return found
+
+
+def _fitted(recipes: Sequence[Recipe]) -> dict[str, list[Path]]:
+    shown: dict[str, list[Path]] = {}
+    for recipe in recipes:
+        shown.setdefault(recipe.table, []).append(fit_recipe(recipe))
+    return shown
 
 
 def table_of(settings: Settings, where: str) -> str:
@@ -120,8 +231,7 @@ def _budget_of(settings: Settings) -> str:
     trainer = settings.trainer
     parts = []
     if trainer.max_time:
-        hours, minutes, seconds = (float(part) for part in str(trainer.max_time).split(":"))
-        parts.append(f"{60 * hours + minutes + seconds / 60:.4g}min")
+        parts.append(f"{seconds_of(trainer.max_time) / 60:.4g}min")
     if trainer.max_epochs:
         parts.append(f"{trainer.max_epochs:g}epochs")
     if trainer.max_steps:
@@ -183,8 +293,10 @@ def fit_recipe(recipe: Recipe) -> Path:
     print(f"run {recipe.command}", flush=True)
     try:
         run = uplift.fit(recipe.task, *recipe.words, f"seed={recipe.seed}")
-    except Interrupted:
-        raise KeyboardInterrupt from None
+    except Interrupted as stopped:
+        again = f"uplift fit resume={stopped}, then uplift tables run={stopped}"
+        print(f"\nstopped and saved: repeat the command, or {again}", file=sys.stderr)
+        raise KeyboardInterrupt from stopped
     return _store(run, recipe.table, recipe.command)
 
 
@@ -210,8 +322,7 @@ def _store(run: RunFolder, table: str, command: str) -> Path:
     result: dict[str, Any] = {
         "command": command,
         "seed": settings.seed,
-        **facts(),
-        "fitted_by": {"commit": ((fitted.get("git") or {}).get("commit") or "")[:7], "started": fitted.get("started")},
+        "fitted_by": {key: fitted.get(key) for key in ("started", "git", "versions", "python", "cores")},
         "table": table,
         "task": settings.task,
         "budget": _budget_of(settings),
@@ -222,7 +333,9 @@ def _store(run: RunFolder, table: str, command: str) -> Path:
     }
     if table == "3dhp":
         result["train"] = _on_training_data(run)
-    write_json(place, result)
+    place.parent.mkdir(parents=True, exist_ok=True)
+    with replacing(place) as file:
+        file.write((json.dumps(result, indent=1) + "\n").encode())
     return place
 
 
@@ -245,10 +358,10 @@ def _on_training_data(run: RunFolder) -> dict[str, Any]:
     from uplift.data.load import load_split
     from uplift.data.select import chosen_clips
     from uplift.metrics.evaluate import evaluate_model
-    from uplift.models.model import load
+    from uplift.models.model import load_poses
 
     settings: Settings = run.settings()
-    model = load(run.path)
+    model = load_poses(run.path)
     data = load_split(settings, "train", model.skeleton)
     if len(data) > _TRAIN_FRAMES:
         data = data.select(np.flatnonzero(chosen_clips(data.clips(), _TRAIN_FRAMES / len(data), 0)))
