@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import inspect
 import math
+import typing
 from dataclasses import MISSING, fields, is_dataclass
 
 import pytest
@@ -75,6 +76,8 @@ def beyond_limits(setting: Setting) -> list[str]:
         return [str(setting.low - 1), "many", "nan", *high, *(["1.5"] if setting.kind is int else [])]
     if setting.low is None:
         return []
+    if typing.get_origin(setting.kind) is list:
+        return [str(setting.low - 1), f"1,{setting.high + 1}", "1,1.5", "a,b"]
     low = setting.low[0] if isinstance(setting.low, tuple) else setting.low
     return ["1", "1,2,3", f"{low - 1},5", "nan,5", "a,b"]
 

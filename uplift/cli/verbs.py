@@ -194,8 +194,8 @@ VERBS = {
         {"RUN": "run folder with an evaluation; two or more"},
     ),
     "tables": Verb(
-        "the tables of Kudo et al. 2018: published rows beside fits on your own copy of the data",
-        ("tables [table1 table2 3dhp] [task=NAME] [key=value ...]", "tables run=RUN", "tables show=true"),
+        "the tables of Kudo et al. 2018, published rows and your own fits",
+        ("tables [TABLE ...] [task=NAME] [key=value ...]", "tables run=RUN", "tables show=true"),
         {"TABLE": "table1, table2 (Human3.6M) or 3dhp (MPI-INF-3DHP); without any: all"},
         _table(
             _key("task", list[str], [], "tasks to fit in place of the table's"),
