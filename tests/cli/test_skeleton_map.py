@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -37,7 +38,7 @@ def told(monkeypatch):
     """Return a function from data and words to the text and the verdict."""
 
     def run(data: PoseData, *words: str) -> tuple[str, bool]:
-        monkeypatch.setattr(skeleton_map, "read", lambda path, options: data)
+        monkeypatch.setattr(skeleton_map, "read_files", lambda *_: ([data], []))
         lines, fits = map_joints(["file.json", *words])
         return "\n".join(lines), fits
 
@@ -183,7 +184,7 @@ def test_the_command_ends_with_the_verdict(here, capsys):
     assert main(["skeleton", "map", "coco.npz", "skeleton=coco17", "min_confidence=0.6"]) == 2
     assert "0.0% of frames" in capsys.readouterr().out
     for words, said in (
-        ([], "takes one FILE or FOLDER"),
+        ([], "takes a FILE or FOLDER"),
         (["coco.npz"], "needs skeleton="),
         (["none.npz", "skeleton=coco17"], "No file none.npz"),
         (["coco.npz", "skeleton=coco18"], "Did you mean 'coco17'"),
@@ -198,3 +199,40 @@ def test_a_file_with_an_equals_sign_in_its_name_is_a_file(here, capsys):
     data = people()
     np.savez("run.rng=0.npz", keypoints=data.keypoints, joint_names=np.array(COCO))
     assert main(["skeleton", "map", "run.rng=0.npz", "skeleton=coco17"]) == 0
+
+
+def write_csv(file: str, names, frames: int, scale: float = 1.0) -> None:
+    """Write the person with the joints in the order of ``names``, as a plain table."""
+    data = people(frames=frames)
+    places = [COCO.index(name) for name in names]
+    header = ",".join(f"{name}_{what}" for name in names for what in "xy")
+    np.savetxt(file, data.keypoints[:, places].reshape(frames, -1) * scale, delimiter=",", header=header, comments="")
+
+
+@pytest.mark.parametrize("words", [["*.csv"], ["a.csv,b.csv"], ["a.csv", "b.csv"]], ids=["pattern", "commas", "shell"])
+def test_several_files_are_one_table_whatever_the_order_of_their_columns(here, capsys, words):
+    write_csv("a.csv", COCO, 10)
+    write_csv("b.csv", COCO[::-1], 20)
+    assert main(["skeleton", "map", *words, "skeleton=coco17"]) == 0
+    told = capsys.readouterr().out
+    assert f"{','.join(words)}: 30 frames, 17 joints" in told and "30 of 30 frames" in told
+    assert main(["skeleton", "new", "mine.yaml", "--from", *words]) == 0
+    assert yaml.safe_load(Path("mine.yaml").read_text())["joints"][:17] == list(COCO)
+
+
+def test_files_of_other_joints_are_told_one_by_one(here, capsys):
+    write_csv("a.csv", COCO, 10)
+    write_csv("b.csv", COCO[:9], 20)
+    assert main(["skeleton", "map", "*.csv", "skeleton=coco17"]) == 2
+    told = capsys.readouterr().out
+    assert "a.csv: 10 frames, 17 joints" in told and "b.csv: 20 frames, 9 joints" in told
+    assert main(["skeleton", "new", "mine.yaml", "--from", "*.csv"]) == 2
+    assert "the files have different joints" in capsys.readouterr().err and not Path("mine.yaml").exists()
+
+
+def test_shares_of_the_image_need_its_size(here, capsys):
+    write_csv("a.csv", COCO, 10, 0.001)
+    assert main(["skeleton", "map", "a.csv", "skeleton=coco17"]) == 2
+    assert "image_size=" in capsys.readouterr().err
+    assert main(["skeleton", "map", "a.csv", "skeleton=coco17", "image_size=1000x1000"]) == 0
+    assert main(["skeleton", "new", "mine.yaml", "--from", "a.csv", "image_size=1000x1000"]) == 0

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
@@ -11,10 +12,9 @@ import numpy as np
 from uplift.cli.parsing import Keys, keyed
 from uplift.config.files import refuse_existing, shipped, shipped_names
 from uplift.data.clean import MIN_VISIBLE, clean
-from uplift.data.far import without_far
-from uplift.data.formats import read
+from uplift.data.concat import concat_poses
 from uplift.data.formats.layouts import is_nameless
-from uplift.data.load import in_joints_of
+from uplift.data.load import in_joints_of, read_files
 from uplift.data.poses import PoseData
 from uplift.data.upright import upright_notes
 from uplift.errors import UserError
@@ -56,7 +56,7 @@ def check_skeleton_file(words: list[str]) -> list[str]:
 def new_skeleton_file(words: list[str]) -> list[str]:
     """Write a commented starting file, or one proposed from a tracker's file, and return the lines to print."""
     keys = keyed("skeleton new", words)
-    if len(keys.plain) != 1:
+    if not keys.plain or ("from" not in keys and len(keys.plain) > 1):
         raise UserError("skeleton new takes one FILE, such as beetle.yaml, and --from TRACKER_FILE if you have one.")
     name = keys.plain[0]
     path = Path(name if name.endswith((".yaml", ".yml")) else f"{name}.yaml")
@@ -72,10 +72,15 @@ def new_skeleton_file(words: list[str]) -> list[str]:
 
 
 def _write_proposal(path: Path, keys: Keys) -> list[str]:
-    gravity = keys.value("gravity")
-    data = read(keys["from"], keys.reading())
+    gravity, source = keys.value("gravity"), ",".join([keys["from"], *keys.plain[1:]])
+    data, *others = _tracked([keys["from"], *keys.plain[1:]], keys)  # a shell puts several words for one pattern
+    if others:
+        raise UserError(
+            f"{source}: the files have different joints ({', '.join(data.joint_names[:5])}, ... in {data.source}; "
+            f"{', '.join(others[0].joint_names[:5])}, ... in {others[0].source}). Give files of one kind."
+        )
     found = propose.propose(data, path.stem, keys.get("root"), gravity in ("yes", "true"))
-    path.write_text(propose.proposal_text(found, str(path), keys["from"]))
+    path.write_text(propose.proposal_text(found, str(path), source))
     skeleton = found.skeleton
     guessed = len(skeleton.bones) - len(found.from_file)
     lines = [
@@ -93,7 +98,7 @@ def _write_proposal(path: Path, keys: Keys) -> list[str]:
         *lines,
         f"to do: look at the bones; facing is {known}",
         f"wrote {path}",
-        f"next: edit it, then uplift skeleton check {path}, and uplift skeleton map {keys['from']}{how} skeleton={path}",
+        f"next: edit it, then uplift skeleton check {path}, and uplift skeleton map {source}{how} skeleton={path}",
     ]
 
 
@@ -103,13 +108,24 @@ _LIKELY = 1.5  # see `stretched`
 
 
 def map_joints(words: list[str]) -> tuple[list[str], bool]:
-    """Return the lines on how a file's joints make a skeleton's, and whether the file can be lifted."""
+    """Return the lines on how the joints of files make a skeleton's, and whether all of the files can be lifted."""
     keys = keyed("skeleton map", words)
-    if len(keys.plain) != 1:
-        raise UserError("skeleton map takes one FILE or FOLDER and skeleton=NAME or skeleton=FILE.yaml.")
+    if not keys.plain:
+        raise UserError("skeleton map takes a FILE or FOLDER, or several, and skeleton=NAME or skeleton=FILE.yaml.")
     skeleton = load_skeleton(keys["skeleton"])
-    data = without_far(read(keys.plain[0], keys.reading()))
-    lines = [f"{keys.plain[0]}: {_counts(data)}", *(f"  {note}" for note in data.notes), ""]
+    kinds = _tracked(keys.plain, keys, skeleton)
+    lines: list[str] = []
+    fits = True
+    for data in kinds:
+        told, good = _map_of(data, skeleton, ",".join(keys.plain) if len(kinds) == 1 else data.source)
+        lines += [*([""] if lines else []), *told]
+        fits &= good
+    return lines, fits
+
+
+def _map_of(data: PoseData, skeleton: Skeleton, source: str) -> tuple[list[str], bool]:
+    """Return the lines on one set of joints, and whether it can be lifted."""
+    lines = [f"{source}: {_counts(data)}", *(f"  {note}" for note in data.notes), ""]
     try:
         match = match_joints(data.joint_names, skeleton)
     except UserError as error:
@@ -120,6 +136,27 @@ def map_joints(words: list[str]) -> tuple[list[str], bool]:
     lines += [f"  unused: {', '.join(match.unused)}"] if match.unused else []
     verdict, fits = _verdict(data, skeleton, built)
     return [*lines, *upright_notes([built], skeleton), "", verdict], fits
+
+
+def _tracked(paths: Sequence[str], keys: Keys, skeleton: Skeleton | None = None) -> list[PoseData]:
+    """Return what the files hold that ``paths`` mean, those of the same joints together."""
+    files, left_out = read_files(paths, keys.reading(), skeleton)
+    kinds: dict[frozenset[str], list[PoseData]] = {}
+    for data in files:
+        alike = kinds.setdefault(frozenset(data.joint_names), [])
+        alike.append(_in_order(data, alike[0].joint_names) if alike else data)
+    joined = [concat_poses(alike) for alike in kinds.values()]
+    return [replace(joined[0], notes=(*left_out, *joined[0].notes)), *joined[1:]]
+
+
+def _in_order(data: PoseData, names: tuple[str, ...]) -> PoseData:
+    """Return ``data`` with its joints in the order of ``names``."""
+    if data.joint_names == names:
+        return data
+    order = [data.joint_names.index(name) for name in names]
+    pose = None if data.pose is None else data.pose[:, order]
+    keypoints, confidence = data.keypoints[:, order], data.confidence[:, order]
+    return replace(data, keypoints=keypoints, confidence=confidence, pose=pose, joint_names=names)
 
 
 def _counts(data: PoseData) -> str:

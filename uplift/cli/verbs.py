@@ -54,7 +54,6 @@ READ_KEYS = _table(
     *map(_of_fit, ("format", "layout", "image_size", "fps", "focal_px", "min_confidence", "flip_x", "flip_y", "rotate"))
 )
 """What any command that reads keypoints takes."""
-_MODEL_KEYS = _table(*(READ_KEYS[key] for key in READ_KEYS if key not in ("fps", "focal_px")))
 
 # predict: what goes with every run, with keypoints alone, with masks alone.
 
@@ -236,16 +235,17 @@ VERBS = {
         ("skeleton new FILE", "skeleton new FILE --from TRACKER_FILE"),
         {"FILE": "new YAML file"},
         _table(
-            _key("from", Optional[str], None, "file of a tracker, whose joints it is proposed for; also --from FILE"),
+            _key("from", Optional[str], None, "file or folder of a tracker, several with commas or *, whose joints it is proposed "
+                 "for; also --from FILE"),
             _key("root", Optional[str], None, "joint that is the root; unset: guessed"),
             _key("gravity", str, "yes", "whether the thing stands upright", choices=("yes", "no", "true", "false")),
-        ) | _MODEL_KEYS,
+        ) | READ_KEYS,
     ),
     "skeleton map": Verb(
         "which joint of a tracker's file goes where in a skeleton",
         ("skeleton map TRACKER_FILE skeleton=NAME",),
-        {"TRACKER_FILE": "file or folder of keypoints in any format that is read"},
-        _table(_key("skeleton", str, NEEDED, "a shipped name, or a YAML file")) | _MODEL_KEYS,
+        {"TRACKER_FILE": "file or folder of keypoints in any format that is read, several with commas or *"},
+        _table(_key("skeleton", str, NEEDED, "a shipped name, or a YAML file")) | READ_KEYS,
     ),
     "schema task": Verb(
         "write the JSON schema of task files, for editors",

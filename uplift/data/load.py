@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -22,6 +22,7 @@ from uplift.data.far import without_far
 from uplift.data.formats import KEYPOINT_FORMATS, MASK_FORMATS, read, with_options
 from uplift.data.formats.base import ReadOptions, size_of
 from uplift.data.formats.deeplabcut_files import keypoint_files
+from uplift.data.individuals import by_individuals
 from uplift.data.masks import MaskData
 from uplift.data.poses import PoseData
 from uplift.data.select import choice_of, chosen_rows
@@ -33,7 +34,7 @@ from uplift.skeleton.propose import TOO_LONG, stretch_of
 
 __all__ = [
     "Loaded", "find_data", "format_of", "format_of_run", "how_to_get", "in_joints_of", "load_data", "load_file", "load_split",
-    "named_set", "not_simulated", "of_labelled", "read_options", "set_of", "with_labels_of", "with_test",
+    "named_set", "not_simulated", "of_labelled", "read_files", "read_options", "set_of", "with_labels_of", "with_test",
 ]  # fmt: skip
 
 
@@ -258,9 +259,8 @@ def load_file(path: str | Path, skeleton: Skeleton, options: ReadOptions | None 
     Raises UserError: as `in_joints_of`, or files of fewer keypoints than anything can be lifted from.
     """
     parts = []
-    files, left_out = keypoint_files(files_of(path))
-    for one in progress(files, "reading files"):
-        data = without_far(read(one, options))
+    found, left_out = read_files(path, options, skeleton)
+    for data in found:
         if len(data.joint_names) < MIN_VISIBLE:
             raise UserError(
                 f"{data.source}: holds {len(data.joint_names)} keypoints ({', '.join(data.joint_names)}). Nothing can be "
@@ -276,8 +276,24 @@ def load_file(path: str | Path, skeleton: Skeleton, options: ReadOptions | None 
             )
             data = replace(data, notes=(*data.notes, note))
         parts.append(data)
-    found, lying = concat_poses(parts), upright_notes(parts, skeleton)
-    return replace(found, notes=(*left_out, *found.notes, *lying)) if left_out or lying else found
+    joined, lying = concat_poses(parts), upright_notes(parts, skeleton)
+    return replace(joined, notes=(*left_out, *joined.notes, *lying)) if left_out or lying else joined
+
+
+def read_files(
+    paths: str | Path | Sequence[str], options: ReadOptions | None, skeleton: Skeleton | None = None
+) -> tuple[Iterator[PoseData], list[str]]:
+    """Return each keypoint file that ``paths`` mean (one, several with commas, or a pattern), and notes on those left out.
+
+    Each is read as it comes, by its own joints: individuals apart (`uplift.data.individuals`), without keypoints that
+    are far from everything else.
+
+    Raises UserError: no such file, and as `uplift.data.formats.read`.
+    """
+    words = [paths] if isinstance(paths, str | Path) else paths
+    files, left_out = keypoint_files(list(dict.fromkeys(one for word in words for one in files_of(word))))
+    parts = (read(one, options) for one in progress(files, "reading files"))
+    return (without_far(by_individuals(part, skeleton)) for part in parts), left_out
 
 
 def format_of(data: DataSettings, path: str | Path) -> str | None:
