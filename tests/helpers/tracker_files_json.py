@@ -172,6 +172,19 @@ def mpii(flat: np.ndarray) -> list[dict[str, Any]]:
     ]
 
 
+def mpii_selves(flat: np.ndarray, size: tuple[int, int] = (1280, 720)) -> list[dict[str, Any]]:
+    """Return people of (rows, joints, 3) as Convolutional Pose Machines list them, two in an image."""
+    people = [[[*map(float, joint)] for joint in person] for person in flat]
+    return [
+        {
+            "dataset": "MPI", "isValidation": 0.0, "img_paths": f"{row // 2:09d}.jpg", "img_width": float(size[0]),
+            "img_height": float(size[1]), "objpos": [594.0, 257.0], "joint_self": person, "scale_provided": 3.021,
+            "joint_others": people[row ^ 1] if row ^ 1 < len(people) else [], "numOtherPeople": 1.0,
+        }
+        for row, person in enumerate(people)
+    ]  # fmt: skip
+
+
 def alphatracker(images: list[list[np.ndarray]]) -> list[dict[str, Any]]:
     """Return AlphaTracker's labels of animals of (points, 2), given by image."""
 

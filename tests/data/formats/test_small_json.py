@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from tracker_files_json import alphatracker, kinetics, mpii, people, write_json
+from tracker_files_json import alphatracker, kinetics, mpii, mpii_selves, people, write_json
 
 from uplift.data.formats import KEYPOINT_FORMATS, read
 from uplift.data.formats.base import ReadOptions
@@ -115,6 +115,36 @@ def test_real_mpii(benchmark_data) -> None:
     assert data.confidence[0, 0] == 1
     np.testing.assert_array_equal(data.keypoints[4, 9], np.float32([591.3663, 117.4341]))
     assert data.joint_names[9] == "headtop"
+
+
+@pytest.mark.parametrize(("names", "root"), [(MPII16, False), (MPII16, True), (COCO_JOINTS, False)])
+def test_joint_self_comes_back(tmp_path: Path, names: tuple[str, ...], root: bool) -> None:
+    """Visible, hidden, at (0, 0) and not labelled; the other people of an image are no bodies of their own."""
+    values = np.random.default_rng(0).uniform(20, 600, (4, len(names), 3)).round(3)
+    values[..., 2] = 1
+    values[1, 3, 2], values[1, 4], values[2, 5, 2] = 0, 0, 2
+    content = [*mpii_selves(values), {"dataset": "MPI", "isValidation": 0.0, "joint_self": []}]
+    path = write_json(tmp_path / "a.json", {"root": content} if root else content)
+    assert KEYPOINT_FORMATS.guess(path).name == "mpii_json"
+    data = read(path)
+    expected = np.ones((4, len(names)))
+    expected[1, 3], expected[1, 4], expected[2, 5] = 0.5, 0, 0
+    np.testing.assert_array_equal(data.confidence, expected)
+    np.testing.assert_array_equal(data.keypoints[expected > 0], values[expected > 0][:, :2].astype(np.float32))
+    assert data.joint_names == names and data.image_size == (1280, 720)
+    assert data.identity["image"].tolist() == ["000000000.jpg"] * 2 + ["000000001.jpg"] * 2
+    content[2]["img_width"] = 640.0
+    assert read(write_json(tmp_path / "b.json", content)).image_size is None
+
+
+def test_wrong_joint_self_is_refused(tmp_path: Path) -> None:
+    content = mpii_selves(people(3, 16))
+    content[1]["joint_self"].pop()
+    assert "entry 1: 'joint_self' has 45 numbers, but 48" in refused(tmp_path / "a.json", content, "mpii_json")
+    content[1]["img_paths"] = 5
+    content[1]["joint_self"] = content[0]["joint_self"]
+    assert "entry 1 has img_paths 5" in refused(tmp_path / "a.json", content, "mpii_json")
+    assert "nobody with 'joint_self'" in refused(tmp_path / "a.json", [{"joint_self": []}], "mpii_json")
 
 
 def test_alphatracker_comes_back(tmp_path: Path) -> None:
