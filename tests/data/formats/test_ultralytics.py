@@ -148,6 +148,55 @@ def test_names_and_classes_of_data_yaml(tmp_path: Path) -> None:
     assert read(folder).joint_names[4] == "keypoint_4"
 
 
+@pytest.mark.parametrize(
+    ("labels", "said"),
+    [
+        ("labels/{}", {"path": "../datasets/mine", "train": "images/train", "val": "images/val"}),
+        ("labels/{}", {"path": "/content/datasets/mine", "train": "train.txt", "val": "val.txt"}),
+        ("{}/labels", {"train": "../train/images", "val": "../val/images"}),
+        ("{}", {"path": "mine", "train": "train", "val": ["val"]}),
+        ("labels/{}", {}),
+    ],
+    ids=["images beside labels", "lists of pictures", "Roboflow", "pictures beside labels", "no splits named"],
+)
+def test_the_root_of_a_data_set_is_its_training_split(tmp_path: Path, labels: str, said: dict) -> None:
+    values, root = shares(6, 5, flags=True), tmp_path / "mine"
+    values[:, 1, 2] = 2
+    for split, rows in (("train", values[:4]), ("val", values[4:])):
+        folder = write_labels(root / labels.format(split), [[ultralytics_row(one)] for one in rows])
+        pictures = Path(str(folder).replace("labels", "images"))
+        pictures.mkdir(parents=True, exist_ok=True)
+        names = [f"./{pictures.relative_to(root)}/img{number}.jpg" for number in range(len(rows))]
+        for name in names:
+            Image.new("L", (640, 480)).save(root / name)
+        (root / f"{split}.txt").write_text("\n".join(names))
+    if labels != "labels/{}" or said.get("train") != "train.txt":
+        (root / "train.txt").unlink(), (root / "val.txt").unlink()
+    more = "".join(f"{key}: {value}\n" for key, value in said.items())
+    describe(root / "data.yaml", 5, more=f"{more}test:\nflip_idx: [0, 2, 1, 3, 4]\n")
+    for path in (root, root / "data.yaml") if said else (root,):
+        assert KEYPOINT_FORMATS.guess(path).name == "ultralytics"
+        data = read(path)
+        np.testing.assert_allclose(data.keypoints, values[:4, :, :2] * (640, 480), rtol=1e-6)
+        assert data.identity["image"].tolist() == [f"img{number}.jpg" for number in range(4)]
+        assert data.mirror == (("keypoint_1", "keypoint_2"),)
+        where = f"the split 'train' of data.yaml; not read: val ({root / labels.format('val')})"
+        assert (where in data.notes) == bool(said)
+
+
+def test_a_data_set_does_not_reach_out_of_its_folder(tmp_path: Path) -> None:
+    write_labels(tmp_path / "other/labels", [[ultralytics_row(one)] for one in shares(3, 5)])
+    for said in ("train: ../other/images", f"path: {tmp_path}\ntrain: other/images", f"train: {tmp_path}/other/labels"):
+        describe(tmp_path / "mine/data.yaml", 5, more=f"{said}\n")
+        assert "no labels are where it says" in refused(tmp_path / "mine/data.yaml")
+    (tmp_path / "mine/labels").symlink_to(tmp_path / "other/labels")
+    (tmp_path / "mine/list.txt").write_text(
+        f"images/img0.jpg\n{tmp_path}/other/images/img0.jpg\n../other/images/img0.jpg\n"
+    )
+    describe(tmp_path / "mine/data.yaml", 5, more="train: list.txt\n")
+    assert "no labels are where it says" in refused(tmp_path / "mine/data.yaml")
+
+
 def test_one_file(tmp_path: Path) -> None:
     values = shares(3, 17, flags=True)
     path = write_labels(tmp_path, [[ultralytics_row(one) for one in values]]) / "img0.txt"
@@ -160,7 +209,7 @@ def test_one_file(tmp_path: Path) -> None:
 def test_other_files_are_refused(tmp_path: Path) -> None:
     folder = write_labels(tmp_path / "labels", [[ultralytics_row(one)] for one in shares(3, 17)])
     describe(tmp_path / "data.yaml", 17)
-    with pytest.raises(UserError, match="describes a data set and holds no keypoints.*labels"):
+    with pytest.raises(UserError, match="describes a data set, and no labels are where it says.*labels"):
         read(tmp_path / "data.yaml")
     describe(tmp_path / "data.yaml", 12)
     assert "rows have 56 numbers, but" in refused(folder)

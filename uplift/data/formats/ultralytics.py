@@ -38,9 +38,10 @@ def _are_labels(peek: Peek) -> bool:
         return "kpt_shape" in peek.text
     if not peek.is_folder:
         return peek.ending == ".txt" and _is_row(peek)
-    for file in _label_files(peek.path)[:_TRIES]:
-        with suppress(UserError, OSError):
-            return _is_row(Peek(file))
+    with suppress(UserError, OSError):
+        for file in _files_in(peek.path)[0][:_TRIES]:
+            with suppress(UserError, OSError):
+                return _is_row(Peek(file))
     return False
 
 
@@ -56,28 +57,90 @@ def _is_row(peek: Peek) -> bool:
     return len(first) >= 7 and values[0] >= 0 and values[0].is_integer() and shares
 
 
-def _label_files(path: Path) -> list[Path]:
-    """Return the label files of a folder, or else of labels/ in it, by name."""
-    for folder in (path, path / "labels"):
-        with suppress(OSError):
-            found = [one.name for one in os.scandir(folder) if _LABEL.fullmatch(one.name) and one.is_file()]
-            if found:
-                return [folder / name for name in sorted(found)]
+def _files_in(path: Path) -> tuple[list[Path], list[str]]:
+    """Return the label files of a data set's training split, of a folder, or of labels/ in it, and notes."""
+    described = _yaml_in(path)
+    with suppress(UserError):  # a damaged one says so when the keypoints are described
+        files, notes = ([], []) if described is None else _split_files(described)
+        if files:
+            return files, notes
+    places = (path, path / "labels", path / "labels" / "train", path / "train" / "labels")
+    return next(filter(None, map(_label_files, places)), []), []
+
+
+def _label_files(folder: Path) -> list[Path]:
+    """Return the label files of a folder, in order."""
+    with suppress(OSError):
+        found = [one.name for one in os.scandir(folder) if _LABEL.fullmatch(one.name) and one.is_file()]
+        return [folder / name for name in sorted(found, key=in_order)]
     return []
+
+
+_SPLITS = ("train", "val", "test")
+
+
+def _split_files(described: Path) -> tuple[list[Path], list[str]]:
+    """Return the label files of the first split that a data.yaml names and that is there, and a note on the others."""
+    data = _plain_yaml(described)
+    found: dict[str, list[Path]] = {}
+    for split in _SPLITS:
+        named = data.get(split)
+        places = [one for one in (named if isinstance(named, list) else [named]) if is_text(one)]
+        found[split] = [file for place in places for file in _labels_at(described.parent, data.get("path"), place)]
+    there = [split for split, files in found.items() if files]
+    if not there:
+        return [], []
+    others = [f"{split} ({found[split][0].parent})" for split in there[1:]]
+    note = f"the split '{there[0]}' of {described.name}" + (f"; not read: {', '.join(others)}" if others else "")
+    return found[there[0]], [note]
+
+
+def _labels_at(root: Path, base: Any, place: str) -> list[Path]:
+    """Return the label files of the pictures that a data.yaml in ``root`` means: a folder of them, or a list; none outside ``root``.
+
+    The folder that it says it is in (``base``) is mostly that of another machine.
+    """
+    inside = root.resolve()
+    for where in (root / (base if is_text(base) else "") / place, root / place, root / place.removeprefix("../")):
+        if inside not in (where.resolve(), *where.resolve().parents):
+            continue
+        if where.is_dir():
+            files = _label_files(_of_pictures(where)) or _label_files(where) or _label_files(where / "labels")
+        else:
+            lines = _text(where).splitlines() if where.suffix.lower() == ".txt" and where.is_file() else []
+            files = [_of_pictures(root / line.strip()).with_suffix(".txt") for line in lines if line.strip()]
+            files = [file for file in files if inside in file.resolve().parents and file.is_file()]
+        if files:
+            return files
+    return []
+
+
+def _of_pictures(path: Path) -> Path:
+    """Return where the labels of a picture or a folder of them are: in labels/ in place of the last images/."""
+    parts = list(path.parts)
+    if "images" in parts:
+        parts[len(parts) - 1 - parts[::-1].index("images")] = "labels"
+    return Path(*parts)
 
 
 def _read_labels(peek: Peek, options: ReadOptions) -> PoseData:
     path = peek.path
-    if path.suffix.lower() in _YAML and path.is_file():
-        folders = [folder for folder in path.parent.glob("**/labels") if folder.is_dir()][:3]
-        shown = ", ".join(map(str, folders)) or "train/labels"
-        raise UserError(f"{path} describes a data set and holds no keypoints. Give a folder of its labels: {shown}.")
-    files = sorted(_label_files(path), key=lambda one: in_order(one.name)) if path.is_dir() else [path]
-    if not files:
-        raise UserError(f"{path} has no *.txt in it, nor in labels/ below it.")
+    if path.is_dir():
+        files, notes = _files_in(path)
+        if not files:
+            raise UserError(f"{path} has no *.txt in it, nor in labels/ below it.")
+    elif path.suffix.lower() in _YAML:
+        files, notes = _split_files(path)
+        if not files:
+            folders = [folder for folder in path.parent.glob("**/labels") if folder.is_dir()][:3]
+            shown = ", ".join(map(str, folders)) or "train/labels"
+            raise UserError(
+                f"{path} describes a data set, and no labels are where it says. Give a folder of its labels: {shown}."
+            )
+    else:
+        files, notes = [path], []
     labels = _read_rows(path, files)
-    description = _describe(path if path.is_dir() else path.parent)
-    notes: list[str] = []
+    description = _describe(files[0].parent)
     values, predicted, tracks = _divide(path, labels, description, notes)
     names = description.names_of(path, values, options, notes)
     keypoints, confidence = values[..., :2], (values[..., :2] != 0).any(-1).astype(np.float32)
@@ -97,13 +160,18 @@ def _read_labels(peek: Peek, options: ReadOptions) -> PoseData:
 
 
 def _identity(
-    path: Path, files: list[Path], labels: _Labels, predicted: bool, tracks: np.ndarray | None, pictures: dict[str, str]
+    path: Path,
+    files: list[Path],
+    labels: _Labels,
+    predicted: bool,
+    tracks: np.ndarray | None,
+    pictures: dict[Path, Path],
 ) -> dict[str, np.ndarray]:
     """Return sequence, frame and track of predictions that are numbered as a video's frames; images otherwise."""
     stems = [file.stem for file in files]
     video = video_names(stems, path.absolute().stem) if predicted and len(files) > 1 else None
     if video is None:
-        image = np.array([pictures.get(stem, stem) for stem in stems])[labels.file]
+        image = np.array([pictures[file].name if file in pictures else file.stem for file in files])[labels.file]
         return {"image": image, "instance": labels.line.astype(str)}
     sequence, frame = np.array(video[0]), np.array(video[1], np.int64)
     identity = {"sequence": sequence[labels.file], "frame": frame[labels.file]}
@@ -115,19 +183,19 @@ def _identity(
 
 def _picture_sizes(
     files: list[Path], rows: list[int], options: ReadOptions, notes: list[str]
-) -> tuple[dict[str, str], np.ndarray | None]:
-    """Return the picture's name of each label file, and (rows, 2) sizes in px; None where they are not known.
+) -> tuple[dict[Path, Path], np.ndarray | None]:
+    """Return the picture of each label file that has one, and (rows, 2) sizes in px; None where they are not known.
 
     Pictures are looked for beside the labels, and in images/ where the labels are in labels/.
     """
-    found = _pictures_beside(files[0].absolute().parent)
-    names = {file.stem: found[file.stem].name for file in files if file.stem in found}
+    beside = {folder: _pictures_beside(folder.absolute()) for folder in dict.fromkeys(file.parent for file in files)}
+    found = {file: beside[file.parent][file.stem] for file in files if file.stem in beside[file.parent]}
     if options.image_size is not None:
-        return names, np.tile(np.array(options.image_size, np.float32), (len(rows), 1))
-    if not names:
-        return names, None
+        return found, np.tile(np.array(options.image_size, np.float32), (len(rows), 1))
+    if not found:
+        return found, None
     used = sorted(set(rows))
-    known = {row: _picture_size(found[files[row].stem]) for row in used if files[row].stem in found}
+    known = {row: _picture_size(found[files[row]]) for row in used if files[row] in found}
     sizes = set(known.values())
     without = [row for row in used if row not in known]
     if without and len(sizes) != 1:
@@ -138,7 +206,7 @@ def _picture_sizes(
     if without:
         notes.append(f"{len(without):,} labels have no picture: their size is taken to be that of the others")
     other = next(iter(sizes))
-    return names, np.array([known.get(row, other) for row in rows], np.float32)
+    return found, np.array([known.get(row, other) for row in rows], np.float32)
 
 
 def _pictures_beside(folder: Path) -> dict[str, Path]:
@@ -208,12 +276,17 @@ class _Description:
 def _describe(folder: Path) -> _Description:
     """Return what the data.yaml in a folder of labels, or up to two folders above, says; a damaged one raises UserError."""
     here = folder.absolute()
-    for place in [here, *here.parents][:_LEVELS]:
-        for path in sorted([*place.glob("*.yaml"), *place.glob("*.yml")]):
-            with suppress(OSError):
-                if path.is_file() and path.stat().st_size < 1_000_000 and b"kpt_shape" in path.read_bytes():
-                    return _description(path)
-    return _Description()
+    found = next(filter(None, map(_yaml_in, [here, *here.parents][:_LEVELS])), None)
+    return _Description() if found is None else _description(found)
+
+
+def _yaml_in(folder: Path) -> Path | None:
+    """Return the YAML file in a folder that describes keypoints; None without one."""
+    for path in sorted([*folder.glob("*.yaml"), *folder.glob("*.yml")]):
+        with suppress(OSError):
+            if path.is_file() and path.stat().st_size < 1_000_000 and b"kpt_shape" in path.read_bytes():
+                return path
+    return None
 
 
 def _description(path: Path) -> _Description:
