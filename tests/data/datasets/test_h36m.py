@@ -285,8 +285,9 @@ def test_the_first_kind_that_is_there_with_such_keypoints_is_read(there, tmp_pat
     assert chosen(keypoints="detected").startswith("pickles, keypoints sh,")
     assert chosen(keypoints="sh").startswith("pickles, keypoints sh,")
     assert chosen(keypoints="detected", source="videopose3d").startswith("videopose3d, keypoints cpn,")
-    missing = Human36M(tmp_path, "detectron").missing("test")
-    assert [file.path.name for file in missing] == ["data_2d_h36m_detectron_ft_h36m.npz"]
+    for keypoints, trained in (("detectron", "ft_h36m"), ("detectron_coco", "pt_coco")):
+        missing = Human36M(tmp_path, keypoints).missing("test")
+        assert [file.path.name for file in missing] == [f"data_2d_h36m_detectron_{trained}.npz"]
 
 
 def test_training_subjects_and_their_old_names(tmp_path):

@@ -107,6 +107,25 @@ def test_what_pynwb_writes(tmp_path) -> None:
     assert set(data.identity["sequence"]) == {"open field"} and "instance" not in data.identity
 
 
+@pytest.mark.parametrize("place", ["processing/behavior/mouse", "mouse", ""])
+def test_poses_without_the_root_of_nwb_are_found(tmp_path, place: str) -> None:
+    """Groups of ndx-pose that were copied into a file of their own: no session, no specifications, no attributes above."""
+    write_nwb(tmp_path / "whole.nwb", {"behavior/mouse": body(*NODES)})
+    with h5py.File(tmp_path / "whole.nwb") as whole, h5py.File(tmp_path / "part.h5", "w") as part:
+        for name in whole["processing/behavior/mouse"] if not place else [""]:
+            whole.copy(f"processing/behavior/mouse/{name}", part, name or place, expand_soft=True)
+        if not place:
+            part.attrs["neurodata_type"] = "PoseEstimation"
+    assert KEYPOINT_FORMATS.guess(tmp_path / "part.h5").name == "nwb"
+    data, whole = read(tmp_path / "part.h5"), read(tmp_path / "whole.nwb")
+    np.testing.assert_array_equal(data.keypoints, whole.keypoints)
+    assert (data.joint_names, data.bones, data.fps) == (whole.joint_names, whole.bones, 25) and len(data) == 4
+    with h5py.File(tmp_path / "other.h5", "w") as other:
+        other["processing/behavior/mouse/data"] = np.zeros((4, 2))
+    with pytest.raises(UserError, match="not in a known format"):
+        read(tmp_path / "other.h5")
+
+
 def test_hand_labels_that_pynwb_writes(tmp_path) -> None:
     pynwb, ndx_pose, file = _pynwb_file()
     skeleton = ndx_pose.Skeleton(name="mouse", nodes=list(NODES), edges=np.array([(0, 1)], "u1"))

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from tracker_files_tables import damaged, videopose3d_custom, videopose3d_detected
+from tracker_files_tables import COCO_METADATA, damaged, videopose3d_custom, videopose3d_detected
 
 from uplift.data.formats import KEYPOINT_FORMATS, read
 from uplift.data.formats.base import ReadOptions
@@ -61,6 +61,21 @@ def test_cameras_and_actions_of_a_set(tmp_path: Path):
     assert data.clips().max() == 4
     assert set(data.identity["action"]) == {"Walking 1", "Posing"}
     assert data.identity["camera"].tolist()[:12] == [n for n in "0123" for _ in range(3)]
+    assert set(data.identity["subject"]) == {"S1"}
+
+
+def test_a_camera_without_video_has_no_frames(tmp_path: Path):
+    """As data_2d_h36m_detectron_pt_coco.npz: subjects, actions, four cameras of which one was not played."""
+    views = [keypoints(3), None, keypoints(4, seed=2), keypoints(3, seed=3)]
+    table = {"S1": {"Directions": views}, "S5": {"Directions": [keypoints(2, seed=4)] * 4}}
+    path = tmp_path / "data_2d_h36m_detectron_pt_coco.npz"
+    np.savez_compressed(path, positions_2d=table, metadata=COCO_METADATA)  # type: ignore[arg-type]
+    data = read(path)
+    assert data.joint_names == COCO.joints[:17]
+    first = data.identity["subject"] == "S1"
+    assert data.identity["camera"][first].tolist() == ["0"] * 3 + ["2"] * 4 + ["3"] * 3
+    np.testing.assert_array_equal(data.keypoints[first][3:7], views[2])
+    assert set(data.identity["sequence"]) == {"S1 Directions", "S5 Directions"} and data.clips().max() == 6
 
 
 def test_the_detectors_output(tmp_path: Path):

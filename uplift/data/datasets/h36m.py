@@ -118,8 +118,8 @@ def _check_subject(checks: list[tuple[Clip, float, float]], most_px: float) -> N
 
 
 _FAMILIES: dict[str, type[Family]] = {family.name: family for family in (VideoPose3D, Pickles, Martinez, OfficialCdf)}
-_KINDS = ("gt", "projected", "sh", "cpn", "detectron", "sh_mpii")
-_DETECTORS = ("sh", "cpn", "detectron", "sh_mpii")
+_DETECTORS = ("sh", "cpn", "detectron", "sh_mpii", "detectron_coco")
+_KINDS = ("gt", "projected", *_DETECTORS)
 
 
 class Human36M(DataSet):
@@ -128,7 +128,7 @@ class Human36M(DataSet):
     Args:
         folder: where the files are.
         keypoints: ``gt``, ``projected`` (the ground truth made anew from the 3D), ``sh``, ``cpn``,
-            ``detectron``, ``sh_mpii``, or ``detected``: the first of these detectors that is there.
+            ``detectron``, ``sh_mpii``, ``detectron_coco``, or ``detected``: the first of these detectors that is there.
         fps: frames a second, 50 or a divisor of it.
         source: which kind of files: ``videopose3d``, ``pickles``, ``martinez``, ``cdf``, or ``auto``: the
             first of these that is there and has such keypoints.

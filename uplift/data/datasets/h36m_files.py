@@ -354,6 +354,7 @@ class VideoPose3D(Family):
         "gt": "data_2d_h36m_gt.npz",
         "cpn": "data_2d_h36m_cpn_ft_h36m_dbb.npz",
         "detectron": "data_2d_h36m_detectron_ft_h36m.npz",
+        "detectron_coco": "data_2d_h36m_detectron_pt_coco.npz",
         "sh": "data_2d_h36m_sh_ft_h36m.npz",
         "sh_mpii": "data_2d_h36m_sh_pt_mpii.npz",
     }

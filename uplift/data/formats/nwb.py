@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -53,7 +54,7 @@ class _Container:
 def _groups_of(file: Hdf5) -> dict[str, list[str]]:
     found: dict[str, list[str]] = {kind: [] for kind in _KINDS}
     been: set[int] = set()
-    waiting = [(name, 1) for name in reversed(file.names()) if name != "specifications"]
+    waiting = [("", 0)]
     while waiting:
         place, depth = waiting.pop()
         if not file.is_group(place) or file.place(place) in been:
@@ -65,8 +66,9 @@ def _groups_of(file: Hdf5) -> dict[str, list[str]]:
         if kind in _KINDS:
             found[kind].append(place)
         elif depth < _DEEPEST:
-            waiting += [(f"{place}/{name}", depth + 1) for name in reversed(file.names(place))]
-    return found
+            below = [name for name in reversed(file.names(place)) if place or name != "specifications"]
+            waiting += [(f"{place}/{name}", depth + 1) for name in below]
+    return {kind: [place.strip("/") for place in places] for kind, places in found.items()}
 
 
 def _series_of(file: Hdf5, place: str) -> tuple[list[_Series], list[str]]:
@@ -421,4 +423,15 @@ def _part(path: Path, one: _Container, frames: list[np.ndarray], names: list[str
 
 
 _ROOT = {"session_start_time", "identifier"}
-FORMAT = FileFormat("nwb", "an NWB file with poses (ndx-pose)", lambda peek: set(peek.hdf5_names) >= _ROOT, _read)
+
+
+def _fits(peek: Peek) -> bool:
+    """Return whether an HDF5 file has the root of NWB, or, where it was made without, groups of poses."""
+    if not peek.is_hdf5 or set(peek.hdf5_names) >= _ROOT:
+        return peek.is_hdf5
+    with suppress(UserError), open_hdf5(peek.path, "an NWB file") as file:
+        return any(_groups_of(file).values())
+    return False
+
+
+FORMAT = FileFormat("nwb", "an NWB file with poses (ndx-pose)", _fits, _read)

@@ -1,4 +1,4 @@
-"""The 2D files of VideoPose3D: keypoints of videos (data_2d_custom_*.npz), and the output of its detector."""
+"""The 2D files of VideoPose3D: keypoints of videos (data_2d_custom_*.npz) or of a data set (data_2d_h36m_*), and its detector's."""
 
 from __future__ import annotations
 
@@ -64,6 +64,8 @@ def _custom(path: Path, table: Any) -> list[Clip]:
             if not isinstance(views, list | tuple | np.ndarray):
                 raise UserError(f"{where}: {type(views).__name__}, expected a list of arrays, one for each camera.")
             for camera, view in enumerate(views):
+                if view is None:  # no video of this camera
+                    continue
                 keypoints = _keypoints(view, where)
                 several = str(camera) if len(views) > 1 else ""
                 clips.append((str(video), str(action), several, np.arange(len(keypoints)), keypoints))
@@ -73,7 +75,10 @@ def _custom(path: Path, table: Any) -> list[Clip]:
 
 
 def _detected(path: Path, frames: Any) -> list[Clip]:
-    """Return the clip of a detector's frames (infer_video_d2.py): [nothing, (bodies 4 joints)] of x, y, logit, share."""
+    """Return the clip of a detector's frames (infer_video_d2.py): [nothing, (bodies 4 joints)] of x, y, logit, share.
+
+    Rows that follow, such as places by soft argmax, are not read.
+    """
     if not isinstance(frames, np.ndarray | list) or (isinstance(frames, np.ndarray) and frames.ndim == 0):
         raise UserError(f"{path}: 'keypoints' is {type(frames).__name__}, expected a list of frames.")
     rows, numbers = [], []
@@ -83,7 +88,7 @@ def _detected(path: Path, frames: Any) -> list[Clip]:
             raise UserError(f"{path}: frame {number} of 'keypoints' is not a pair of lists, as the detector writes.")
         for body in bodies:
             body = body if isinstance(body, np.ndarray) else np.empty(0)
-            if body.ndim != 2 or body.shape[0] != 4 or body.dtype.kind not in "fiu":
+            if body.ndim != 2 or body.shape[0] < 4 or body.dtype.kind not in "fiu":
                 raise UserError(f"{path}: frame {number}: a body of shape {body.shape}, expected (4, joints) numbers.")
             rows.append(body[[0, 1, 3]].T)
             numbers.append(number)
@@ -114,7 +119,8 @@ def _all(
         values = [clip[at] for clip in clips]
         if any(values) and not (key == "action" and set(values) == {"custom"}):
             identity[key] = np.repeat(np.array(values), lengths)
-    if "action" in identity:  # one video may have several, each with frames from 0
+    if "action" in identity:  # what has several is a subject, each action with frames from 0
+        identity["subject"] = identity["sequence"]
         identity["sequence"] = np.char.add(np.char.add(identity["sequence"], " "), identity["action"])
     scored = {clip[4].shape[2] for clip in clips} == {3}
     keypoints = np.concatenate([clip[4][..., :2] for clip in clips])
