@@ -2,14 +2,20 @@
 
 from __future__ import annotations
 
+import gzip
+import json
+import pickle
+import zipfile
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pytest
 
 from uplift.data.formats import KEYPOINT_FORMATS, read
 from uplift.data.formats.base import Peek, ReadOptions, size_of
 from uplift.data.load import load_file
+from uplift.data.parsers.json import load_json
 from uplift.errors import UserError
 from uplift.skeleton import load_skeleton
 
@@ -104,3 +110,90 @@ def test_files_of_two_points_are_refused_with_the_reason(benchmark_data):
         assert np.isfinite(read(path).keypoints[read(path).confidence > 0]).all()
         with pytest.raises(UserError, match="holds 2 keypoints"):
             load_file(path, load_skeleton("rat23"))
+
+
+def _npy(path: Path) -> None:
+    with path.open("wb") as file:
+        np.save(file, np.zeros((3, 2, 2)))
+
+
+def _mat(path: Path) -> None:
+    from scipy.io import savemat
+
+    savemat(path, {"keypoints": np.zeros((3, 4))})
+
+
+def _xlsx(path: Path) -> None:
+    with zipfile.ZipFile(path, "w") as archive:
+        for name in ("[Content_Types].xml", "_rels/.rels", "xl/workbook.xml", "xl/worksheets/sheet1.xml"):
+            archive.writestr(name, "<x/>")
+
+
+@pytest.mark.parametrize(
+    ("write", "what", "how"),
+    [
+        (_npy, "a bare NumPy array", "np.savez"),
+        (lambda path: path.write_bytes(pickle.dumps({"keypoints": np.zeros(3)})), "a Python pickle", "np.savez"),
+        (_mat, "a MATLAB file", "writetable"),
+        (_xlsx, "an Excel file", "as CSV"),
+        (lambda path: pd.DataFrame({"x": [1.5]}).to_json(path, orient="records", lines=True), None, None),
+        (lambda path: path.write_text('{"x": 1}\n\n{"x": 2}\n'), "several JSON values", "jq -s"),
+        (lambda path: path.write_text('[{"x": 1}]\n[{"x": 2}]\n'), "several JSON values", "jq -s"),
+        (lambda path: path.write_bytes(gzip.compress(b"a,b\n1,2\n")), "compressed", "Unpack"),
+        (lambda path: path.write_bytes("frame,nose_x,nose_y\n0,1,2\n".encode("utf-16-le")), "text in UTF-16", "UTF-8"),
+        (
+            lambda path: path.write_bytes("frame,nose_x,nose_y\n0,1,2\n".encode("utf-32")),
+            "text in UTF-16 or UTF-32",
+            "UTF-8",
+        ),
+        (lambda path: path.write_text("<?xml version='1.0'?><annotations/>"), "XML", "COCO"),
+        (lambda path: path.write_text("\n<!DOCTYPE html><html>"), "a web page", "link"),
+        (
+            lambda path: path.write_text("version https://git-lfs.github.com/spec/v1\noid"),
+            "a pointer of Git LFS",
+            "git lfs pull",
+        ),
+    ],
+)
+def test_what_is_not_read_says_what_it_is_and_what_to_do(tmp_path: Path, write, what, how):
+    """Whatever the ending of its name; a list of formats helps nobody here."""
+    write(tmp_path / "a.data")
+    with pytest.raises(UserError) as caught:
+        read(tmp_path / "a.data")
+    said = str(caught.value)
+    if what is None:  # one value is JSON, of no known format
+        assert "its keys: x" in said
+    else:
+        assert said.startswith(f"{tmp_path / 'a.data'} is {what}") and how in said and "Known formats" not in said
+
+
+def test_json_lines_of_a_known_format_are_told_too(tmp_path: Path):
+    frame = '{"version": 1.3, "people": [{"pose_keypoints_2d": [' + ", ".join(["1"] * 75) + "]}]}\n"
+    (tmp_path / "a.json").write_text(frame * 2)
+    with pytest.raises(UserError, match="JSON lines hold one value a line.*jq -s"):
+        read(tmp_path / "a.json")
+
+
+@pytest.mark.parametrize("encoding", ["utf-16", "utf-16-be", "utf-8-sig"])
+@pytest.mark.parametrize("separator", [",", "\t"])
+def test_text_in_utf_16_is_read(tmp_path: Path, encoding: str, separator: str):
+    """As Excel saves Unicode text, and PowerShell what is sent to a file."""
+    text = TABLE + "".join(f"{n},{n},2,0.9,3,{n}.5,0.4,5,6,1\n" for n in range(3))
+    text = text.replace("tail", "Schwänzchen").replace(",", separator)
+    mark = "\ufeff" if encoding == "utf-16-be" else ""
+    (tmp_path / "a.csv").write_bytes((mark + text).encode(encoding))
+    (tmp_path / "b.csv").write_text(text, encoding="utf-8")
+    data, plain = read(tmp_path / "a.csv"), read(tmp_path / "b.csv")
+    np.testing.assert_array_equal(data.keypoints, plain.keypoints)
+    assert data.joint_names == plain.joint_names and "Schwänzchen" in data.joint_names
+    boxes = {"nose": [1, 2]}
+    (tmp_path / "a.json").write_bytes((mark + json.dumps(boxes)).encode(encoding))
+    assert load_json(tmp_path / "a.json") == boxes
+
+
+def test_a_damaged_file_in_utf_16_is_one_error(tmp_path: Path):
+    whole = (TABLE + "0,0,2,0.9,3,0.5,0.4,5,6,1\n").encode("utf-16")
+    for end in range(1, len(whole), 7):
+        (tmp_path / "a.csv").write_bytes(whole[:end])
+        with pytest.raises(UserError):
+            read(tmp_path / "a.csv", ReadOptions(format="csv"))

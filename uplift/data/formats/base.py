@@ -16,8 +16,8 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any, Generic, Literal, TypeVar
 
-from uplift.data.parsers.files import HDF5_START
-from uplift.data.parsers.json import is_json
+from uplift.data.parsers.files import HDF5_START, encoding_of
+from uplift.data.parsers.json import JSON_LINES, is_json
 from uplift.errors import UserError, nearest
 
 __all__ = ["FileFormat", "Formats", "Peek", "ReadOptions", "size_of"]
@@ -148,6 +148,66 @@ _OTHERS = {
 """Endings of files that hold no keypoints or no masks -> what they are instead."""
 
 
+_SAVE = {
+    "keypoints": "np.savez('keypoints.npz', keypoints=..., joint_names=[...]) of (frames, joints, 2) (docs/your-data.md)",
+    "masks": "np.savez('masks.npz', masks=...) of (items, rows, columns) (docs/masks-input.md)",
+}
+_AS_CSV = "save the table as CSV in UTF-8, a row a frame (docs/trackers.md)"
+_PICKLE = "a Python pickle: it can run code when it is opened, and so is not. Open it where it was made, and {save}."
+_STARTS = {
+    (b"\x93NUMPY",): "a bare NumPy array, which names nothing. np.load it, and {save}.",
+    (b"\x80\2", b"\x80\3", b"\x80\4", b"\x80\5"): _PICKLE,
+    (b"MATLAB 5.0", b"MATLAB 7.3"): "a MATLAB file. In MATLAB writetable(TABLE, 'keypoints.csv'); or in Python "
+    "scipy.io.loadmat it (h5py from version 7.3 on), and {save}.",
+    (b"\xd0\xcf\x11\xe0",): f"an old Excel file. In Excel, {_AS_CSV}.",
+    (b"PAR1", b"ARROW1"): "a Parquet or Feather table. In Python, pandas.read_parquet (or read_feather) and to_csv.",
+    (b"SQLite format 3",): f"an SQLite database. From it, {_AS_CSV}.",
+    (b"\x1f\x8b", b"BZh", b"\xfd7zXZ", b"7z\xbc\xaf", b"\x28\xb5\x2f\xfd", b"Rar!"): "compressed. Unpack it.",
+    (b"version https://git-lfs",): "a pointer of Git LFS, not the file itself. Fetch that: git lfs pull.",
+}
+"""What files that are not read begin with -> what they are, and what to do."""
+_PACKED = {
+    "xl/": f"an Excel file. In Excel, {_AS_CSV}.",
+    "content.xml": f"an OpenDocument file. In its program, {_AS_CSV}.",
+}
+"""The same by what a zip archive has in it."""
+
+
+def _content_of(peek: Peek, save: str) -> str:
+    """Return what a file that is not read holds, by its content, and what to do; nothing where that is not known."""
+    text = peek.text.lstrip()[:40].lower()
+    known = [instead for starts, instead in _STARTS.items() if peek.start.startswith(starts)]
+    known += [what for name, what in _PACKED.items() if any(one.startswith(name) for one in peek.npz_names)]
+    known += [_PICKLE] if peek.ending in (".pkl", ".pickle") else []
+    if text.startswith(("<!doctype html", "<html")):
+        known.append("a web page. Was a link saved in place of the file?")
+    elif text.startswith("<?xml"):
+        known.append("XML. Export the annotations as COCO (JSON), which CVAT and others can.")
+    elif _are_json_lines(peek):
+        known.append(f"several JSON values. {JSON_LINES}")
+    elif _is_wide(peek.start[:1000]):
+        known.append("text in UTF-16 or UTF-32 that does not say so. Save it as UTF-8.")
+    return known[0].format(save=save) if known else ""
+
+
+def _are_json_lines(peek: Peek) -> bool:
+    lines = [line for line in peek.lines if line.strip()][:2]
+    with suppress(ValueError, RecursionError):
+        return len(lines) == 2 and all(isinstance(json.loads(line), dict | list) for line in lines)
+    return peek.ending in (".jsonl", ".ndjson")
+
+
+def _is_wide(start: bytes) -> bool:
+    """Return whether half of the bytes are the zeros of letters of two or four bytes."""
+    quarters = [start[place::4] for place in range(4)]
+    zero = [quarter.count(0) > 0.9 * len(quarter) for quarter in quarters]
+    return (
+        len(start) >= 16
+        and zero[0] != zero[-1]
+        and not any(a.count(0) and not z for a, z in zip(quarters, zero, strict=True))
+    )
+
+
 def _unknown(peek: Peek, formats: Formats) -> UserError:
     """Return the error that says what a file or folder of no known format is."""
     path, what = peek.path, formats.what
@@ -160,6 +220,8 @@ def _unknown(peek: Peek, formats: Formats) -> UserError:
         return UserError(
             f'{path} is an HDF5 file that cannot be opened: damaged, or h5py is missing (pip install "uplift3d[trackers]").'
         )
+    if instead := _content_of(peek, _SAVE[what]):
+        return UserError(f"{path} is {instead}")
     known = f"Known formats: {', '.join(formats)}; format=NAME chooses one."
     if not peek.is_folder:
         content = f"it begins {peek.text[:60] or peek.start[:16]!r}"
@@ -263,7 +325,9 @@ class Peek:
     @cached_property
     def text(self) -> str:
         """The start as text; empty where it is not text."""
-        return "" if b"\0" in self.start else self.start.decode("utf-8-sig", errors="replace")
+        encoding = encoding_of(self.start)
+        is_text = encoding == "utf-16" or b"\0" not in self.start
+        return self.start.decode(encoding, errors="replace") if is_text else ""
 
     @cached_property
     def lines(self) -> list[str]:

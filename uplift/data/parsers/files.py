@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import codecs
 import os
 import pickle
 import struct
@@ -16,7 +17,8 @@ import numpy as np
 from uplift.errors import UserError
 
 __all__ = [
-    "DAMAGE", "HDF5_START", "bytes_of", "check_memory", "damage_as_error", "existing_file", "read_bytes", "reason_of",
+    "DAMAGE", "HDF5_START", "bytes_of", "check_memory", "damage_as_error", "encoding_of", "existing_file", "read_bytes",
+    "reason_of",
 ]  # fmt: skip
 
 HDF5_START = b"\x89HDF\r\n\x1a\n"
@@ -47,6 +49,14 @@ def read_bytes(path: Path) -> bytes:
         return path.read_bytes()
     except OSError as error:
         raise UserError(f"{path}: cannot be read ({error.strerror or error}).") from error
+
+
+def encoding_of(start: bytes) -> str:
+    """Return the encoding of text that begins with these bytes: UTF-16 where its mark says so, else UTF-8 with or without one."""
+    is_utf16 = start.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)) and not start.startswith(
+        codecs.BOM_UTF32_LE
+    )
+    return "utf-16" if is_utf16 else "utf-8-sig"
 
 
 def reason_of(error: BaseException) -> str:

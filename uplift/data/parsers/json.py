@@ -14,15 +14,18 @@ from typing import Any
 
 import numpy as np
 
+from uplift.data.parsers.files import encoding_of
 from uplift.errors import UserError
 
 __all__ = [
-    "JsonText", "Numbers", "entries", "in_order", "is_json", "is_text", "items", "json_files", "load_json", "members",
+    "JSON_LINES", "JsonText", "Numbers", "entries", "in_order", "is_json", "is_text", "items", "json_files", "load_json", "members",
     "objects", "records", "shown", "texts", "whole_number",
 ]  # fmt: skip
 
 # Large files of records: the text is in memory, never all of its objects.
 
+JSON_LINES = "JSON lines hold one value a line: make one list of them (`jq -s . LINES.jsonl > LIST.json`)."
+"""What to do with a file of several values."""
 _SPACE = re.compile(r"[ \t\n\r]*")
 _SCAN = json.JSONDecoder().raw_decode
 
@@ -63,7 +66,9 @@ class JsonText:
         self.path = path
         self.at = 0
         try:
-            self.text = path.read_text(encoding="utf-8-sig")
+            with path.open("rb") as file:
+                encoding = encoding_of(file.read(4))
+            self.text = path.read_text(encoding=encoding)
         except (OSError, UnicodeDecodeError) as error:
             raise UserError(f"{path} cannot be read as JSON: {error}") from None
         if not self.next_sign():
@@ -101,8 +106,10 @@ class JsonText:
         """Raise UserError where anything follows."""
         if self.next_sign():
             near = self.text[self.at : self.at + 40]
+            several = f" {JSON_LINES}" if near[0] in "{[" else ""
             raise UserError(
-                f"{self.path} is not a complete JSON file: it ends at character {self.at:,}, and more follows: {near!r}."
+                f"{self.path} is not a complete JSON file: it ends at character {self.at:,}, and more follows: "
+                f"{near!r}.{several}"
             )
 
     def _pass(self, sign: str) -> None:

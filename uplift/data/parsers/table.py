@@ -11,7 +11,7 @@ from typing import Any, TextIO
 
 import numpy as np
 
-from uplift.data.parsers.files import check_memory, reason_of
+from uplift.data.parsers.files import check_memory, encoding_of, reason_of
 from uplift.errors import UserError
 
 __all__ = ["Table", "Words", "first_lines", "first_rows", "header_of"]
@@ -70,7 +70,7 @@ class Table:
         check_memory(path, "it", path.stat().st_size)
         header, separator = header_of(path, rows)
         kinds: dict[int, type] = dict.fromkeys(numbers, np.float32) | dict.fromkeys(exact, np.float64)
-        with path.open(encoding="utf-8-sig", errors="surrogateescape") as file:  # other bytes: see `_words`
+        with _opened(path) as file:
             lines, skipped, short = _checked_lines(file, path, header, separator)
             if not len(lines):
                 raise UserError(f"{path}: no row below the header.")
@@ -91,6 +91,12 @@ class Table:
             lines,
             _short_notes(short, lines),
         )
+
+
+def _opened(path: Path) -> TextIO:
+    with path.open("rb") as file:
+        encoding = encoding_of(file.read(4))
+    return path.open(encoding=encoding, errors="replace" if encoding == "utf-16" else "surrogateescape")  # see `_words`
 
 
 def _short_notes(short: list[int], lines: np.ndarray) -> tuple[str, ...]:
@@ -137,7 +143,9 @@ def first_lines(path: Path, rows: int) -> list[str]:
         start, lines = b"", []
         while len(start) <= _LONGEST_HEADER and len(lines) <= rows and (block := file.read(_START)):
             start += block
-            lines = [line for line in _decoded(start, cut=True).splitlines() if line.strip()]
+            utf16 = encoding_of(start) == "utf-16"
+            text = start.decode("utf-16", errors="replace") if utf16 else _decoded(start, cut=True)
+            lines = [line for line in text.splitlines() if line.strip()]
     if "\0" in "".join(lines[:rows]):
         raise UserError(f"{path} is not text, expected a table.")
     if len(lines) < rows:
