@@ -12,6 +12,7 @@ import pytest
 from writers_samples import prediction
 
 from uplift.errors import UserError
+from uplift.export import write
 from uplift.export.markers import write_c3d
 from uplift.export.scene import in_axes
 from uplift.models.prediction import Prediction
@@ -67,18 +68,29 @@ def test_what_is_missing_has_residual_minus_one_and_gaps_are_kept(ezc3d, tmp_pat
 
 
 def test_the_bytes_are_those_of_the_format(ezc3d, tmp_path: Path) -> None:
-    sample = walking(3, individuals=2)
-    sample.pose[4] = np.nan
+    sample = walking(3)
+    sample.pose[1] = np.nan
     write_c3d(sample, tmp_path / "walk.c3d")
     content = (tmp_path / "walk.c3d").read_bytes()
     joints = len(sample.joint_names)
     _, points, analog, first, last = struct.unpack("<5H", content[:10])
-    assert content[1] == 0x50 and (points, analog, first, last) == (2 * joints, 0, 1, 3)
+    assert content[1] == 0x50 and (points, analog, first, last) == (joints, 0, 1, 3)
     data = 512 * (struct.unpack("<H", content[16:18])[0] - 1)
-    table = np.frombuffer(content[data : data + 16 * 3 * points], "<f4").reshape(3, 2, joints, 4)
-    np.testing.assert_allclose(table[:, 0, :, :3], sample.points[:3], rtol=1e-6, atol=1e-4)
-    np.testing.assert_array_equal(table[1, 1], [[0, 0, 0, -1]] * joints)
-    assert b"animal_0_hip" in content and b"animal_1_rfoot" in content
+    table = np.frombuffer(content[data : data + 16 * 3 * points], "<f4").reshape(3, joints, 4)
+    np.testing.assert_allclose(table[[0, 2], :, :3], sample.points[[0, 2]], rtol=1e-6, atol=1e-4)
+    np.testing.assert_array_equal(table[1], [[0, 0, 0, -1]] * joints)
+    assert b"hip" in content and b"rfoot" in content
+
+
+def test_each_person_has_a_file(ezc3d, tmp_path: Path) -> None:
+    sample = walking(4, individuals=2)
+    files = write(sample, tmp_path / "walk.c3d", axes="camera")
+    assert [path.name for path in files] == ["walk_clip-1-animal-0.c3d", "walk_clip-1-animal-1.c3d"]
+    for number, path in enumerate(files):
+        found = ezc3d.c3d(str(path))
+        assert found["parameters"]["POINT"]["LABELS"]["value"] == list(sample.joint_names)
+        points = found["data"]["points"][:3].transpose(2, 1, 0)
+        np.testing.assert_allclose(points, sample.points[4 * number : 4 * number + 4], rtol=1e-6, atol=1e-4)
 
 
 def test_names_and_many_markers_come_back(ezc3d, tmp_path: Path) -> None:
@@ -124,8 +136,8 @@ def test_what_a_c3d_cannot_hold_is_refused(ezc3d, change: dict, told: str, tmp_p
 
 
 def test_same_poses_give_the_same_bytes(ezc3d, tmp_path: Path) -> None:
-    write_c3d(walking(5, 2), tmp_path / "a.c3d")
-    write_c3d(walking(5, 2), tmp_path / "B.C3D")
+    write_c3d(walking(5), tmp_path / "a.c3d")
+    write_c3d(walking(5), tmp_path / "B.C3D")
     assert (tmp_path / "a.c3d").read_bytes() == (tmp_path / "B.C3D").read_bytes()
 
 

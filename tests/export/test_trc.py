@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 from writers_samples import prediction
 
 from uplift.errors import UserError
+from uplift.export import write
 from uplift.export.markers import marker_names, write_trc
 from uplift.export.scene import in_axes
 from uplift.models.prediction import Prediction
@@ -125,15 +126,54 @@ def test_a_thinned_out_film_has_no_blanks(tmp_path: Path) -> None:
     np.testing.assert_allclose(found.points, sample.pose[[0, 1, 3, 2]], atol=6e-6)
 
 
-def test_individuals_are_told_apart_by_their_names(tmp_path: Path) -> None:
-    sample = prediction(frames=3, individuals=2).select(np.array([0, 1, 2, 4, 5]))
-    write_trc(sample, tmp_path / "walk.trc")
-    found = read(tmp_path / "walk.trc")
-    joints = sample.joint_names
-    assert found.markers == [f"animal_{who}_{joint}" for who in (0, 1) for joint in joints]
-    np.testing.assert_allclose(found.points[:, : len(joints)], sample.pose[:3], atol=6e-6)
-    assert np.isnan(found.points[0, len(joints) :]).all()
-    np.testing.assert_allclose(found.points[1:, len(joints) :], sample.pose[3:], atol=6e-6)
+def people(rows: list[tuple[str, int]]) -> Prediction:
+    """Return a prediction of who is seen in which frame of one video, at 30 frames a second."""
+    sample = prediction(frames=len(rows))
+    who, frames = np.array([one for one, _ in rows]), np.array([frame for _, frame in rows])
+    identity = {"sequence": np.full(len(rows), "walk"), "instance": who, "frame": frames}
+    return replace(sample, identity=identity)
+
+
+def test_each_person_has_a_file_in_the_time_of_the_video(tmp_path: Path) -> None:
+    """Anna is seen in every second frame, and Ben later: no frame of theirs is nearer or farther than the video has it."""
+    rows = [
+        ("Anna", 1),
+        ("Anna", 3),
+        ("Anna", 7),
+        *(("Ben", frame) for frame in (2, 3, 4)),
+        *(("Eve", f) for f in range(9)),
+    ]
+    sample = people(rows)
+    files = write(sample, tmp_path / "poses.trc", axes="camera")
+    assert [path.name for path in files] == [f"poses_walk-{who}.trc" for who in ("Anna", "Ben", "Eve")]
+    for path, who, frames in zip(files, ("Anna", "Ben", "Eve"), ([1, 3, 7], [2, 3, 4], list(range(9))), strict=True):
+        found = read(path)
+        assert found.markers == list(sample.joint_names)
+        np.testing.assert_array_equal(found.frame, np.arange(frames[0], frames[-1] + 1) + 1)
+        np.testing.assert_allclose(found.time, np.arange(frames[0], frames[-1] + 1) / 30, atol=1e-6)
+        seen = np.isfinite(found.points).all((1, 2))
+        assert (np.flatnonzero(seen) + frames[0]).tolist() == frames
+        mine = sample.identity["instance"] == who
+        np.testing.assert_allclose(found.points[seen], sample.pose[mine], atol=6e-6)
+    write(sample, tmp_path / "poses.bvh", axes="camera")
+    text = (tmp_path / "poses_walk-Anna.bvh").read_text()
+    assert "Frames: 7\n" in text and f"Frame Time: {1 / 30:.8f}" in text
+    with pytest.raises(UserError, match="holds one individual, found 3: Anna, Ben, Eve"):
+        write_trc(sample, tmp_path / "all.trc")
+    with pytest.raises(UserError, match="of 'Bob' was asked for, found 3: Anna, Ben, Eve"):
+        write_trc(sample, tmp_path / "bob.trc", "Bob")
+
+
+def test_a_ghost_of_one_frame_has_no_file_and_is_named(tmp_path: Path) -> None:
+    rows = [("1", 0), ("1", 1), ("2", 1), ("3", 0), ("3", 1), ("4", 0), ("4", 1)]
+    sample = people(rows)
+    sample.pose[4] = sample.pose[5:] = np.nan  # the third is lifted in one frame, the fourth in none
+    for name in ("poses.trc", "poses.c3d", "poses.bvh"):
+        files = write(sample, tmp_path / name)
+        assert list(files) == [tmp_path / name]
+        assert "no file for 3 bodies that are in one frame of a clip alone (2, 3, 4)" in files[tmp_path / name]
+    photo = people([("1", 0), ("2", 0)])
+    assert len(write(photo, tmp_path / "photo.trc")) == 2  # all of a photo's people are in one frame
 
 
 @given(
@@ -190,5 +230,5 @@ def test_no_frames_are_refused(tmp_path: Path) -> None:
 def test_same_poses_give_the_same_bytes(tmp_path: Path) -> None:
     for folder in ("a", "b"):
         (tmp_path / folder).mkdir()
-        write_trc(prediction(frames=5, individuals=3), tmp_path / folder / "walk.trc")
+        write_trc(prediction(frames=5), tmp_path / folder / "walk.trc")
     assert (tmp_path / "a/walk.trc").read_bytes() == (tmp_path / "b/walk.trc").read_bytes()

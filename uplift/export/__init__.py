@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from functools import partial
 from importlib import import_module
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -19,7 +19,7 @@ from uplift.export.scene import in_axes
 from uplift.export.tables import unique
 from uplift.models.prediction import Prediction, ShapePrediction
 
-__all__ = ["PAGES", "WRITERS", "Job", "Writer", "parts_of", "paths_of", "write", "writer_for"]
+__all__ = ["PAGES", "WRITERS", "Job", "Part", "Writer", "parts_of", "paths_of", "write", "writer_for"]
 
 
 @dataclass(frozen=True)
@@ -47,8 +47,8 @@ WRITERS = {
         ".npz": Writer("uplift.export.tables:write_npz", "arrays, for Python"),
         ".json": Writer("uplift.export.tables:write_json", "all of it as text, for any language"),
         ".csv": Writer("uplift.export.tables:write_csv", "a table, one row a frame and body"),
-        ".trc": Writer("uplift.export.markers:write_trc", "markers, for OpenSim", "opensim", "clip"),
-        ".c3d": Writer("uplift.export.markers:write_c3d", "points, for biomechanics programs", "opensim", "clip"),
+        ".trc": Writer("uplift.export.markers:write_trc", "markers, for OpenSim", "opensim", "body"),
+        ".c3d": Writer("uplift.export.markers:write_c3d", "points, for biomechanics programs", "opensim", "body"),
         ".bvh": Writer("uplift.export.bvh:write_bvh", "a skeleton that moves, for animation", "opensim", "body"),
         ".glb": Writer("uplift.export.glb:write_glb", "an animated scene, for 3D viewers", "opensim", "clip"),
         ".gif": Writer("uplift.export.film:write_film", "a short film", "camera", "clip"),
@@ -152,26 +152,54 @@ def _pose_jobs(prediction: Prediction, writer: Writer, path: str | Path, axes: s
         raise UserError(f"axes={axes}: a page turns poses itself; axes go with the other formats.")
     turned = in_axes(prediction, axes) if axes != prediction.axes else prediction
 
-    def job(rows: np.ndarray | None, file: Path) -> str:
-        return str(writer(turned if rows is None else turned.select(rows), file, **options) or "")
+    parts, ghosts = parts_of(turned, writer.holds)
+    gone = f"{', '.join(ghosts[:3])}{', ...' if len(ghosts) > 3 else ''}"
+    left_out = f"no file for {len(ghosts)} bodies that are in one frame of a clip alone ({gone})" if ghosts else ""
 
-    return [(name, partial(job, rows)) for name, rows in parts_of(turned, writer.holds)]
+    def job(part: Part, file: Path) -> str:
+        which = {} if part.individual is None else {"individual": part.individual}
+        remark = writer(turned if part.rows is None else turned.select(part.rows), file, **which, **options)
+        return "; ".join(filter(None, [str(remark or ""), left_out if part is parts[0] else ""]))
+
+    return [(part.name, partial(job, part)) for part in parts]
 
 
-def parts_of(prediction: Prediction, holds: str) -> list[tuple[str, np.ndarray | None]]:
-    """Return (name, rows) of each file: all rows (None), a clip, or a body of a clip; raises UserError for too many."""
+class Part(NamedTuple):
+    """What goes into one file."""
+
+    name: str
+    rows: np.ndarray | None = None
+    """None for all."""
+    individual: str | None = None
+    """Which of several that the rows show."""
+
+
+def parts_of(prediction: Prediction, holds: str) -> tuple[list[Part], list[str]]:
+    """Return what each file has: all rows, a clip, or a body of a clip; and the bodies that get none.
+
+    These are lifted in one frame of a clip, or none, in which others are lifted in more: one frame is no motion, but
+    mostly a ghost of the tracker's. Raises UserError for too many files.
+    """
     if holds == "all":
-        return [("", None)]
-    parts: list[tuple[str, np.ndarray | None]] = []
+        return [Part("")], []
+    parts: list[Part] = []
+    ghosts: list[str] = []
     for clip in arrange(prediction.identity, len(prediction)):
-        if holds == "clip":
-            parts.append((clip.name, np.sort(clip.rows)))
+        rows, names = np.sort(clip.rows), clip.individual_names
+        if holds == "clip" or len(names) == 1:
+            parts.append(Part(clip.name if holds == "clip" else f"{clip.name} {names[0]}".strip(), rows))
             continue
-        for number, name in enumerate(clip.individual_names):
-            parts.append((f"{clip.name} {name}".strip(), np.sort(clip.rows[clip.individual == number])))
+        lifted = np.isfinite(prediction.pose[clip.rows]).all(-1).any(1)
+        frames = np.bincount(clip.individual[lifted], minlength=len(names))
+        least = min(2, int(frames.max()))
+        for name, count in zip(names, frames.tolist(), strict=True):
+            if count >= least:
+                parts.append(Part(f"{clip.name} {name}".strip(), rows, name))
+            else:
+                ghosts.append(name)
     if len(parts) > MOST_FILES:
         raise UserError(
             f"the prediction has {len(parts):,} {'clips' if holds == 'clip' else 'bodies'}, and this format needs a file "
             f"for each; the most is {MOST_FILES}. Give fewer files at a time, or write .npz, .json or .csv."
         )
-    return parts
+    return parts, ghosts

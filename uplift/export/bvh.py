@@ -12,7 +12,7 @@ from jaxtyping import Float
 from uplift.config.files import replacing
 from uplift.data.parsers.mocap import Figure, Tree
 from uplift.errors import UserError
-from uplift.export.clips import frame_rate, one_clip, seen_at, steps
+from uplift.export.clips import frame_rate, one_body, seen_at, steps
 from uplift.export.scene import from_y_down, held, known_points
 from uplift.export.tables import unique
 from uplift.geometry.rigid import nearest_rotation
@@ -45,8 +45,10 @@ class _BvhFit:
         )
 
 
-def write_bvh(prediction: Prediction, path: str | Path, fps: int | float | None = None) -> _BvhFit:
-    """Write one clip of one individual and return how well it fits; ``fps`` replaces the prediction's.
+def write_bvh(
+    prediction: Prediction, path: str | Path, fps: int | float | None = None, individual: str | None = None
+) -> _BvhFit:
+    """Write one individual of a clip, ``individual`` of several, and return how well it fits; ``fps`` replaces the prediction's.
 
     Lengths are centimetres where the prediction is in mm, else as they are; axes as given. Every bone has its
     median length, every direction is kept; the twist about a bone is not observed and left as small as it can be
@@ -54,15 +56,17 @@ def write_bvh(prediction: Prediction, path: str | Path, fps: int | float | None 
     a limb gets an end site a tenth of its bone further on. Raises UserError for several clips or individuals, where
     no rate is known, and for frame numbers with wide gaps.
     """
-    clip = one_clip(prediction, path, individuals=False)
+    clip = one_body(prediction, path, individual)
     rate = frame_rate(prediction, fps)
     if rate is None:
         raise UserError(f"cannot write {path}: a .bvh needs frames a second, which the input does not say. Add fps=30.")
-    when = steps(clip)
+    when = steps(clip)[clip.moment]
+    when -= when[0]
     count = round(float(when[-1])) + 1
     if count > _MOST_REPEATS * len(when):
         raise UserError(
-            f"cannot write {path}: a .bvh has no gaps, and the frames {clip.frames[0]} to {clip.frames[-1]} hold only "
+            f"cannot write {path}: a .bvh has no gaps, and the frames {clip.frames[clip.moment[0]]} to "
+            f"{clip.frames[clip.moment[-1]]} hold only "
             f"{len(when):,} poses. Write each stretch of frames on its own, or a .glb."
         )
     rows = clip.rows[seen_at(when, np.arange(count, dtype=float))]

@@ -12,7 +12,9 @@ from jaxtyping import Float, Int
 from uplift.errors import UserError
 from uplift.models.prediction import Prediction
 
-__all__ = ["MOST_FILES", "USUAL_FPS", "Clip", "arrange", "frame_rate", "one_clip", "photos", "seen_at", "steps"]
+__all__ = [
+    "MOST_FILES", "USUAL_FPS", "Clip", "arrange", "frame_rate", "one_body", "one_clip", "photos", "seen_at", "steps",
+]  # fmt: skip
 
 MOST_FILES = 500
 """That one prediction is written to."""
@@ -38,6 +40,13 @@ class Clip:
         found = np.full((len(self.frames), len(self.individual_names), *values.shape[1:]), np.nan)
         found[self.moment, self.individual] = values[self.rows]
         return found
+
+    def only(self, individual: str) -> Clip:
+        """Return the clip with the rows of one individual, and the moments of all."""
+        keep = self.individual == self.individual_names.index(individual)
+        return Clip(
+            self.name, self.rows[keep], self.moment[keep], np.zeros(keep.sum(), int), (individual,), self.frames
+        )
 
     def first(self, moments: int) -> Clip:
         """Return the clip cut after so many moments."""
@@ -107,24 +116,34 @@ def _clip(name: str, rows: np.ndarray, frame: np.ndarray | None, who: np.ndarray
     return Clip(name, *parts, tuple(names.tolist()), tuple(frames.tolist()))
 
 
-def one_clip(prediction: Prediction, path: str | Path, individuals: bool = True) -> Clip:
-    """Return the only clip of a prediction; ``individuals``: it may show several.
-
-    Raises UserError for no clip, several, or more individuals than the format holds.
-    """
+def one_clip(prediction: Prediction, path: str | Path) -> Clip:
+    """Return the only clip of a prediction; raises UserError for none or several."""
     if not len(prediction):
         raise UserError(f"cannot write {path}: the prediction is empty. Check the input file.")
     clips = arrange(prediction.identity, len(prediction))
     if len(clips) > 1:
         names = ", ".join(clip.name for clip in clips[:3]) + (", ..." if len(clips) > 3 else "")
         raise UserError(f"cannot write {path}: a {Path(path).suffix} holds one clip, found {len(clips)}: {names}.")
-    names = clips[0].individual_names
-    if len(names) > 1 and not individuals:
-        raise UserError(
-            f"cannot write {path}: a {Path(path).suffix} holds one individual, found {len(names)}: "
-            f"{', '.join(names[:5])}{', ...' if len(names) > 5 else ''}. Write one file for each."
-        )
     return clips[0]
+
+
+def one_body(prediction: Prediction, path: str | Path, individual: str | None = None) -> Clip:
+    """Return the only clip of a prediction with the rows of ``individual``, unset: of its only one.
+
+    The moments are those of all individuals: where one is seen in every second frame, frames are no farther apart.
+    Raises UserError as `one_clip`, for several individuals, and for one that is not there.
+    """
+    clip = one_clip(prediction, path)
+    names = clip.individual_names
+    if individual is None and len(names) == 1:
+        return clip
+    if individual not in names:
+        shown = f"{', '.join(names[:5])}{', ...' if len(names) > 5 else ''}"
+        wanted = "holds one individual" if individual is None else f"of '{individual}' was asked for"
+        raise UserError(
+            f"cannot write {path}: a {Path(path).suffix} {wanted}, found {len(names)}: {shown}. Write one file for each."
+        )
+    return clip.only(str(individual))
 
 
 def frame_rate(prediction: Prediction, fps: int | float | None) -> float | None:

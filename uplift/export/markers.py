@@ -13,7 +13,7 @@ import numpy as np
 
 from uplift.config.files import replacing
 from uplift.errors import UserError
-from uplift.export.clips import Clip, frame_rate, one_clip
+from uplift.export.clips import Clip, frame_rate, one_body
 from uplift.export.scene import AXES
 from uplift.export.tables import filled_in, numbers, unique
 from uplift.models.prediction import Prediction
@@ -28,7 +28,7 @@ _MOST_BLANK = 1_000_000
 
 @dataclass(frozen=True)
 class _Trial:
-    """One clip: ``points`` (moments markers 3) in mm, NaN where missing; the first is frame ``start``, from 0."""
+    """One body: ``points`` (moments markers 3) in mm, NaN where missing; the first is frame ``start``, from 0."""
 
     names: tuple[str, ...]
     points: np.ndarray
@@ -36,16 +36,14 @@ class _Trial:
     fps: float
 
 
-def _trial_of(prediction: Prediction, path: str | Path, kind: str) -> _Trial:
-    """Return the markers of the only clip of ``prediction``, gaps between its frames as blank moments.
+def _trial_of(prediction: Prediction, path: str | Path, individual: str | None, kind: str) -> _Trial:
+    """Return the markers of one body of the only clip of ``prediction``, gaps between its frames as blank moments.
 
-    Frames are as far apart as the largest step that divides all distances of their numbers: thinned out
-    films have no blanks, and ``start`` counts in those steps. Markers are the joints; of several individuals
-    each has its name in front, as ``INDIVIDUAL_JOINT``. ``kind`` is what the file is called in errors.
+    Frames are as far apart as the largest step that divides all distances of the clip's numbers: thinned out
+    films have no blanks, and ``start`` counts in those steps. ``kind`` is what the file is called in errors.
 
     Raises:
-        UserError: poses that are not in mm, no frame rate, not exactly one clip, or rows that no
-            individual tells apart.
+        UserError: poses that are not in mm, no frame rate, not exactly one clip and body, or a body twice in a frame.
     """
     if prediction.unit != "mm":
         raise UserError(
@@ -56,33 +54,29 @@ def _trial_of(prediction: Prediction, path: str | Path, kind: str) -> _Trial:
     if rate is None:
         found = "is not known" if prediction.fps is None else f"is {prediction.fps}"
         raise UserError(f"{path}: {kind} needs the frame rate, which {found}. Give it: fps=30.")
-    clip = one_clip(prediction, path)
+    clip = one_body(prediction, path, individual)
     numbers = np.asarray(clip.frames, np.int64)
     step = int(np.gcd.reduce(np.diff(numbers))) or 1
     place = ((numbers - numbers[0]) // step)[clip.moment]
-    moments, individuals = int(place.max()) + 1, len(clip.individual_names)
-    if moments > _MOST_BLANK and moments > 100 * len(numbers):
+    first, moments = int(place.min()), int(np.ptp(place)) + 1
+    if moments > _MOST_BLANK and moments > 100 * len(clip.rows):
         raise UserError(
-            f"{path}: {len(numbers)} frames are numbered {numbers[0]} to {numbers[-1]}, which would make {moments} "
+            f"{path}: {len(clip.rows)} frames are numbered {numbers[0]} to {numbers[-1]}, which would make {moments} "
             "rows, nearly all blank. Expected 'frame' to count frames; write .csv to keep such numbers."
         )
-    _refuse_doubles(clip, place * individuals + clip.individual, path)
-    shape = moments, individuals, *prediction.pose.shape[1:]
-    points = np.full(shape, np.nan, np.result_type(prediction.points, np.float32))
-    points[place, clip.individual] = prediction.points[clip.rows]
+    _refuse_doubles(clip, place, path)
+    points = np.full((moments, *prediction.pose.shape[1:]), np.nan, np.result_type(prediction.points, np.float32))
+    points[place - first] = prediction.points[clip.rows]
     points[~np.isfinite(points).all(-1)] = np.nan
-    owners = [f"{name}_" for name in clip.individual_names] if individuals > 1 else [""]
-    names = marker_names([owner + joint for owner in owners for joint in prediction.joint_names])
-    return _Trial(names, points.reshape(moments, -1, 3), max(int(numbers[0]) // step, 0), rate)
+    return _Trial(marker_names(prediction.joint_names), points, max(int(numbers[0]) // step + first, 0), rate)
 
 
-def _refuse_doubles(clip: Clip, cell: np.ndarray, path: str | Path) -> None:
-    """Refuse several rows of one individual at one moment, which ``cell`` numbers."""
-    _, first, count = np.unique(cell, return_index=True, return_counts=True)
-    if len(first) == len(cell):
+def _refuse_doubles(clip: Clip, place: np.ndarray, path: str | Path) -> None:
+    """Refuse several rows of the individual in one frame, at one ``place``."""
+    _, first, count = np.unique(place, return_index=True, return_counts=True)
+    if len(first) == len(place):
         return
-    row = first[count.argmax()]
-    frame, name = clip.frames[clip.moment[row]], clip.individual_names[clip.individual[row]]
+    name, frame = clip.individual_names[0], clip.frames[clip.moment[first[count.argmax()]]]
     raise UserError(
         f"{path}: {count.max()} rows are frame {frame}{f' of {name!r}' if name else ''}. Expected one: name what tells "
         "them apart ('instance', 'camera' or 'sequence'), or write .csv."
@@ -95,18 +89,18 @@ def marker_names(names: Sequence[str]) -> tuple[str, ...]:
     return tuple(unique([name.decode(errors="ignore") or "_" for name in plain]))
 
 
-# TRC, the marker file of OpenSim: one clip, tabs, blank cells for what is missing.
+# TRC, the marker file of OpenSim: one body, tabs, blank cells for what is missing.
 
 _ROWS = 512
 
 
-def write_trc(prediction: Prediction, path: str | Path) -> None:
-    """Write one clip in mm, in the axes the prediction is in; frames count from 1, frame 1 is at 0 s.
+def write_trc(prediction: Prediction, path: str | Path, individual: str | None = None) -> None:
+    """Write one body of one clip in mm, in the axes the prediction is in; frames count from 1, frame 1 is at 0 s.
 
-    Joint names lose their white space. Frames that are not there are blank rows. Raises UserError for
-    poses without a size in mm or a frame rate, and for more than one clip.
+    ``individual`` is which, of several. Joint names lose their white space. Frames that are not there are blank rows.
+    Raises UserError for poses without a size in mm or a frame rate, and for more than one clip or body.
     """
-    trial = _trial_of(prediction, path, "TRC")
+    trial = _trial_of(prediction, path, individual, "TRC")
     # OpenSim drops an empty cell at the end of a line, so that every line of markers ends in a tab.
     template = "\t".join(["%.5f"] * (3 * len(trial.names))) + "\t\n"
     with replacing(path) as handle:
@@ -131,24 +125,24 @@ def _head(trial: _Trial, name: str) -> str:
     return "\n".join([*lines, "", ""])
 
 
-# C3D: one clip of labelled points, no analog channels.
+# C3D: one body of labelled points, no analog channels.
 
 _MOST_FRAMES = 65_535
 _SCREEN_UP = {"camera": "-Y", "opencv": "-Y", "level": "-Y", "blender": "+Z", "opensim": "+Y"}
 
 
-def write_c3d(prediction: Prediction, path: str | Path) -> None:
-    """Write one clip in mm, in the axes the prediction is in; a missing point has residual -1.
+def write_c3d(prediction: Prediction, path: str | Path, individual: str | None = None) -> None:
+    """Write one body of one clip in mm, in the axes the prediction is in; a missing point has residual -1.
 
-    Numbers are 32-bit. ``UPLIFT:AXES`` names the axes. Frames count from 1 as in the video, or from the
+    ``individual`` is which, of several. Numbers are 32-bit. ``UPLIFT:AXES`` names the axes. Frames count from 1 as in the video, or from the
     first of the clip where their numbers do not fit the format's 16 bits. Raises UserError without
-    ezc3d, for poses without a size in mm or a frame rate, more than one clip, or 65,536 frames.
+    ezc3d, for poses without a size in mm or a frame rate, more than one clip or body, or 65,536 frames.
     """
     try:
         import ezc3d
     except ImportError as error:
         raise UserError(f'{path}: writing C3D needs ezc3d: pip install "uplift3d[c3d]".') from error
-    trial = _trial_of(prediction, path, "C3D")
+    trial = _trial_of(prediction, path, individual, "C3D")
     count = len(trial.points)
     if count > _MOST_FRAMES:
         raise UserError(f"{path}: C3D holds {_MOST_FRAMES} frames, found {count}. Write .trc, or shorter clips.")
