@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -174,6 +175,7 @@ def _read(request: Request, skeleton: Skeleton) -> PoseData:
         if trained is not None and (reading is None or reading.format is None):
             reading = replace(reading or ReadOptions(), format=format_of_run(trained, input))
         found = load_file(input, skeleton, reading)
+        found = replace(found, notes=(*found.notes, *_cameras_of_one_scene(found)))
         return found if trained is None else _with_turns(found, trained.data, reading or ReadOptions())
     if reading is not None and reading.set_names():
         raise UserError(f"{reading.set_names()[0]}= goes with files, not with a published set, input={input}.")
@@ -186,6 +188,32 @@ def _read(request: Request, skeleton: Skeleton) -> PoseData:
         raise UserError(f"input={input}: where are its files? Give data.root=FOLDER.")
     settings.data.train = split
     return load_split(settings, "train", skeleton)
+
+
+_CAMERA = re.compile(r"(?<![a-z])(?:(?:camera|cam|view)[\s_.-]*(?:\d+|[a-rt-z](?![a-z]))|c\d+)(?!\d)", re.IGNORECASE)
+
+
+def _cameras_of_one_scene(data: PoseData) -> list[str]:
+    """Return a note where clips seem to be seen by several cameras at once: names that differ in the camera alone, in the same frames."""
+    sequence, frame = data.identity.get("sequence"), data.identity.get("frame")
+    if sequence is None or frame is None:
+        return []
+    camera = data.identity.get("camera", np.full(len(data), ""))
+    frames: dict[str, dict[str, np.ndarray]] = {}
+    names, code = np.unique(np.stack([sequence.astype(str), camera.astype(str)]), axis=1, return_inverse=True)
+    for place, (name, named) in enumerate(names.T.tolist()):
+        seen_by = " ".join([*(found[0] for found in _CAMERA.finditer(name)), *filter(None, [named])])
+        if seen_by:
+            frames.setdefault(_CAMERA.sub("", name), {})[seen_by] = np.unique(frame[code == place])
+    for scene in frames.values():
+        cameras, (first, *others) = list(scene), list(scene.values())
+        if any(2 * len(np.intersect1d(first, other)) >= min(len(first), len(other)) for other in others):
+            shown = ", ".join(cameras[:4]) + (", ..." if len(cameras) > 4 else "")
+            return [
+                f"these look like {len(cameras)} cameras of one scene ({shown}): each is lifted by itself, in its own axes; "
+                "views are not combined (docs/output.md)"
+            ]
+    return []
 
 
 def _with_turns(data: PoseData, trained: DataSettings, reading: ReadOptions) -> PoseData:
