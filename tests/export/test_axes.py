@@ -4,8 +4,10 @@ from __future__ import annotations
 
 from copy import deepcopy
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
+import pygltflib
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -13,12 +15,14 @@ from scipy.spatial.transform import Rotation
 from writers_samples import prediction
 
 from uplift.errors import UserError
+from uplift.export import write
 from uplift.export.scene import AXES, in_axes, rotations_to
 from uplift.models.prediction import Prediction
 
-LEVEL = ("level", "blender", "opensim")
-DOWN = {"camera": None, "opencv": None, "level": (0, 1, 0), "blender": (0, 0, -1), "opensim": (0, -1, 0)}
-AWAY = {"level": (0, 0, 1), "blender": (0, 1, 0), "opensim": (0, 0, -1)}
+LEVEL = ("level", "blender", "opensim", "unity")
+DOWN = {"camera": None, "opencv": None, "level": (0, 1, 0), "blender": (0, 0, -1), "opensim": (0, -1, 0), "unity": (0, -1, 0)}  # fmt: skip
+AWAY = {"level": (0, 0, 1), "blender": (0, 1, 0), "opensim": (0, 0, -1), "unity": (0, 0, 1)}
+HAND = dict.fromkeys(AXES, 1) | {"unity": -1}
 
 
 def seen_with(gravity: np.ndarray, frames: int = 4, tilt: bool = False, **more) -> Prediction:
@@ -57,7 +61,7 @@ def test_axes_keep_bodies_and_put_gravity_where_they_say(name: str, gravity: tup
     assert turned.root is not None and sample.root is not None
     np.testing.assert_allclose(np.linalg.norm(turned.root, axis=-1), np.linalg.norm(sample.root, axis=-1))
     rotation = rotations_to(sample, name)
-    np.testing.assert_allclose(np.linalg.det(rotation), 1)
+    np.testing.assert_allclose(np.linalg.det(rotation), HAND[name])
     np.testing.assert_allclose(np.einsum("fki,fjk->fji", rotation, turned.points), sample.points, atol=1e-8)
     if DOWN[name] is not None:
         unit = np.array(gravity) / np.linalg.norm(gravity)
@@ -79,8 +83,35 @@ def test_what_is_away_stays_away_and_left_stays_left(name: str) -> None:
     left = points[:, names.index("lhand")] - points[:, names.index("rhand")]
     before = sample.pose[:, names.index("lhand")] - sample.pose[:, names.index("rhand")]
     facing = rotation @ [0, 0, -1]  # towards the camera
-    signs = np.sign((np.cross(up, facing) * left).sum(-1))
+    signs = HAND[name] * np.sign((np.cross(up, facing) * left).sum(-1))  # the cross product turns with the hand
     np.testing.assert_array_equal(signs, np.sign((np.cross(sample.pose[:, 1], [0, 0, -1]) * before).sum(-1)))
+
+
+def test_unity_shows_the_body_that_its_importer_makes_of_a_glb(tmp_path: Path) -> None:
+    """UnityGLTF negates x of what a glTF holds: with the turn of an importer about y, these are our axes, and no mirror image."""
+    sample = prediction(frames=3, tilt=False, rooted=True)
+    unity = in_axes(sample, "unity").points
+    write(sample, tmp_path / "a.glb")
+    scene = pygltflib.GLTF2().load(str(tmp_path / "a.glb"))
+    nodes = {node.name: node.translation for node in scene.nodes if node.translation}
+    imported = np.array([nodes[joint] for joint in sample.joint_names]) * 1000 * [-1, 1, 1]
+    middle = imported.mean(0), unity[0].mean(0)
+    turn, off = Rotation.align_vectors(unity[0] - middle[1], imported - middle[0])  # proper rotations alone
+    assert off < 1 and turn.magnitude() == pytest.approx(np.pi) and abs(turn.as_rotvec()[1]) == pytest.approx(np.pi)
+    assert Rotation.align_vectors((unity[0] - middle[1]) * [-1, 1, 1], imported - middle[0])[1] > 50
+    # Seen by Unity's camera, which looks along +z with y up, joints are where the image has them.
+    level = sample.level_pose[0]
+    np.testing.assert_allclose(
+        in_axes(sample, "unity").pose[0], np.stack([level[:, 0], -level[:, 1], level[:, 2]], 1), atol=1e-9
+    )
+
+
+@pytest.mark.parametrize("ending", [".glb", ".bvh"])
+def test_right_handed_formats_refuse_unity(tmp_path: Path, ending: str) -> None:
+    with pytest.raises(UserError, match=f"a {ending} is right-handed wherever it is read.*Leave axes= out"):
+        write(prediction(frames=3), tmp_path / f"a{ending}", axes="unity")
+    for other in (".trc", ".csv", ".json", ".npz", ".gif"):
+        write(prediction(frames=3), tmp_path / f"a{other}", axes="unity")
 
 
 def test_a_single_frame_comes_out_as_its_level_pose() -> None:

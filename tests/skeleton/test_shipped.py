@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from functools import cache
 
 import numpy as np
@@ -9,6 +10,7 @@ import pytest
 
 from uplift.config.files import shipped_names
 from uplift.errors import UserError
+from uplift.models.metric_scale import KnownLength, size_from
 from uplift.skeleton import Skeleton
 from uplift.skeleton import load_skeleton as load
 from uplift.skeleton.draw import rest_pose
@@ -140,3 +142,17 @@ def test_directions_hold_in_true_poses_of_other_layouts(folder, name, share, ben
         pose = build_pose(data["pose"][::3].astype(float), data["joint_names"].tolist(), skeleton)
     assert (handedness(skeleton, pose) > 0).mean() >= share
     assert (handedness(skeleton, pose * [1, 1, -1]) > 0).mean() <= 1 - share
+
+
+LEG = ("hip", "knee", "ankle")
+OF_PEOPLE = [name for name in NAMES if all(part in " ".join(load_skeleton(name).joints).lower() for part in LEG)]
+OF_PEOPLE.remove("rat23")
+
+
+@pytest.mark.parametrize("name", OF_PEOPLE)
+def test_the_height_of_a_person_gives_the_length_of_a_leg(name):
+    """Hip 0.530 and ankle 0.039 of the stature above the ground: Winter, Biomechanics and Motor Control, fig. 4.1."""
+    assert {*PEOPLE, "mpi_inf_3dhp28"} <= set(OF_PEOPLE)
+    found = size_from(load_skeleton(name), height_mm=1750.0)
+    assert isinstance(found, KnownLength) and found.mm == pytest.approx((0.530 - 0.039) * 1750)
+    assert [joint.lower().endswith(part) for joint, part in zip(found.along[::-1], LEG, strict=True)] == [True] * 3

@@ -24,9 +24,9 @@ from uplift.data.formats.base import ReadOptions
 from uplift.data.load import format_of_run, load_file, load_split
 from uplift.data.poses import PoseData
 from uplift.errors import UserError, did_you_mean
-from uplift.export import write, writer_for
+from uplift.export import check_axes, write, writer_for
 from uplift.export.gallery import check_options
-from uplift.export.scene import AXES, in_axes
+from uplift.export.scene import in_axes
 from uplift.metrics.pose_metrics import bone_cv, bone_lengths, never_seen_so_long
 from uplift.models.likely_size import odd_size, small_size
 from uplift.models.metric_scale import size_from
@@ -139,8 +139,7 @@ def keypoint_arguments(keys: Keys) -> dict[str, Any]:
 def lift_keypoints(request: Request) -> tuple[Prediction, dict[Path, str]]:
     """Lift keypoints and write the poses, if there is an output; return the files with a remark on each."""
     axes, page, output, options = request.axes, request.page, request.output, request.options
-    if axes is not None and axes not in AXES:
-        raise UserError(f"axes={axes}: no such axes.{did_you_mean(axes, AXES)}")
+    check_axes(output or "", axes)
     if output is not None:  # before any work
         writer_for(output, page)
         if options and page != "gallery":

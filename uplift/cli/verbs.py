@@ -63,7 +63,7 @@ _ALL_KEYS = _table(
     _key("output", str, NEEDED, "new file; its ending is the format: .html .npz .csv .bvh .glb ..."),
     _key("page", Optional[str], None, "kind of an .html; unset: viewer", choices=("viewer", "gallery")),
     _key("axes", Optional[str], None, "axes of the output; unset: the format's usual ones",
-         choices=("camera", "level", "opencv", "blender", "opensim", "own", "gltf", "print")),
+         choices=("camera", "level", "opencv", "blender", "opensim", "unity", "own", "gltf", "print")),
     _key("height_mm", Optional[float], None, "height of each body or object, millimetres", 1e-9, 1e9),
     _key("images", Optional[str], None, "folder of photos that a page shows beside the results"),
     _of_fit("format"),

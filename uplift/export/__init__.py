@@ -15,11 +15,11 @@ import numpy as np
 from uplift.config.files import refuse_existing
 from uplift.errors import UserError, did_you_mean, nearest
 from uplift.export.clips import MOST_FILES, arrange
-from uplift.export.scene import in_axes
+from uplift.export.scene import AXES, in_axes
 from uplift.export.tables import unique
 from uplift.models.prediction import Prediction, ShapePrediction
 
-__all__ = ["PAGES", "WRITERS", "Job", "Part", "Writer", "parts_of", "paths_of", "write", "writer_for"]
+__all__ = ["PAGES", "WRITERS", "Job", "Part", "Writer", "check_axes", "parts_of", "paths_of", "write", "writer_for"]
 
 
 @dataclass(frozen=True)
@@ -148,8 +148,7 @@ def paths_of(path: str | Path, names: Sequence[str]) -> list[Path]:
 
 def _pose_jobs(prediction: Prediction, writer: Writer, path: str | Path, axes: str | None, **options: Any) -> list[Job]:
     axes = axes or writer.axes
-    if Path(path).suffix.lower() == ".html" and axes not in ("camera", "opencv"):
-        raise UserError(f"axes={axes}: a page turns poses itself; axes go with the other formats.")
+    check_axes(path, axes)
     turned = in_axes(prediction, axes) if axes != prediction.axes else prediction
 
     parts, ghosts = parts_of(turned, writer.holds)
@@ -162,6 +161,22 @@ def _pose_jobs(prediction: Prediction, writer: Writer, path: str | Path, axes: s
         return "; ".join(filter(None, [str(remark or ""), left_out if part is parts[0] else ""]))
 
     return [(part.name, partial(job, part)) for part in parts]
+
+
+def check_axes(path: str | Path, axes: str | None) -> None:
+    """Raise UserError for axes that a format of poses cannot be written in."""
+    ending = Path(path).suffix.lower()
+    if axes is None:
+        return
+    if axes not in AXES:
+        raise UserError(f"axes={axes}: no such axes.{did_you_mean(axes, AXES)}")
+    if ending == ".html" and axes not in ("camera", "opencv"):
+        raise UserError(f"axes={axes}: a page turns poses itself; axes go with the other formats.")
+    if axes == "unity" and ending in (".glb", ".bvh"):
+        raise UserError(
+            f"axes=unity is left-handed, and a {ending} is right-handed wherever it is read: Unity's importers turn it "
+            "themselves. Leave axes= out."
+        )
 
 
 class Part(NamedTuple):

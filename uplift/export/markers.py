@@ -128,7 +128,7 @@ def _head(trial: _Trial, name: str) -> str:
 # C3D: one body of labelled points, no analog channels.
 
 _MOST_FRAMES = 65_535
-_SCREEN_UP = {"camera": "-Y", "opencv": "-Y", "level": "-Y", "blender": "+Z", "opensim": "+Y"}
+_SCREEN_UP = {"camera": "-Y", "opencv": "-Y", "level": "-Y", "blender": "+Z", "opensim": "+Y", "unity": "+Y"}
 
 
 def write_c3d(prediction: Prediction, path: str | Path, individual: str | None = None) -> None:

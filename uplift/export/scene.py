@@ -59,16 +59,18 @@ AXES = {
     "opencv": "another name of camera: x right in the image, y down, z away from the camera",
     "blender": "z up, x right, y away from the camera, level",
     "opensim": "y up, x right, z towards the camera, level",
+    "unity": "y up, x right, z away from the camera, level; left-handed, as Unity is",
 }
-"""The names `in_axes` knows and what they mean; all are right-handed, so left stays left."""
+"""The names `in_axes` knows and what they mean; all but unity are right-handed. Left stays left, in Unity too."""
 
 _AS_SEEN = ("camera", "opencv")
 FROM_LEVEL = {
     "level": [[1, 0, 0], [0, 1, 0], [0, 0, 1]],
     "blender": [[1, 0, 0], [0, 0, 1], [0, -1, 0]],
     "opensim": [[1, 0, 0], [0, -1, 0], [0, 0, -1]],
+    "unity": [[1, 0, 0], [0, -1, 0], [0, 0, 1]],
 }
-"""Rotations from the level frame to the axes of other programs."""
+"""From the level frame to the axes of other programs: rotations, and a mirror image for left-handed ones."""
 _AGREES = 1e-3  # share of a body's size by which its level pose may differ from what the tilt says
 
 
@@ -91,7 +93,7 @@ def in_axes(prediction: Prediction, name: str) -> Prediction:
 
 
 def rotations_to(prediction: Prediction, name: str) -> Float[np.ndarray, "frames 3 3"]:
-    """Return the proper rotations R from the camera's axes to ``name``: a point p of a frame is at ``R @ p``.
+    """Return the rotations R from the camera's axes to ``name``, mirrored for left-handed ones: a point p of a frame is at ``R @ p``.
 
     The frames of one clip share one rotation, by the median of their gravity: its camera is fixed, and a
     rotation for each frame would shake the root's path. Rows that nothing marks as frames of one film (no
@@ -148,7 +150,7 @@ def _steady(gravity: np.ndarray, prediction: Prediction) -> Float[np.ndarray, "f
 
 
 def from_y_down(axes: str) -> Float[np.ndarray, "3 3"]:
-    """Return the rotation from axes with x right, y down and z away to those of a name of `uplift.export.scene`."""
+    """Return what takes axes with x right, y down and z away to those of a name of `uplift.export.scene`."""
     return np.array(FROM_LEVEL.get(axes, FROM_LEVEL["level"]), float)
 
 
