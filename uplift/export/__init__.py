@@ -204,7 +204,7 @@ def parts_of(prediction: Prediction, holds: str) -> tuple[list[Part], list[str]]
         if holds == "clip" or len(names) == 1:
             parts.append(Part(clip.name if holds == "clip" else f"{clip.name} {names[0]}".strip(), rows))
             continue
-        lifted = np.isfinite(prediction.pose[clip.rows]).all(-1).any(1)
+        lifted = np.any(np.isfinite(prediction.pose[clip.rows]).all(-1), axis=1)
         frames = np.bincount(clip.individual[lifted], minlength=len(names))
         least = min(2, int(frames.max()))
         for name, count in zip(names, frames.tolist(), strict=True):

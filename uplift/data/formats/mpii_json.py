@@ -85,10 +85,9 @@ def _read_selves(peek: Peek, options: ReadOptions) -> PoseData:
 
 def _size(record: dict[str, Any]) -> tuple[int, int] | None:
     """Return width and height of a person's image, px; None where they are not said."""
-    sides = record.get("img_width"), record.get("img_height")
-    if not all(type(side) in (int, float) and 1 <= side < 1e6 for side in sides):
-        return None
-    return int(sides[0]), int(sides[1])
+    sides = [record.get(key) for key in ("img_width", "img_height")]
+    known = [int(side) for side in sides if isinstance(side, int | float) and 1 <= side < 1e6]
+    return (known[0], known[1]) if len(known) == 2 else None
 
 
 def _people(path: Path, in_root: bool) -> Iterator[tuple[int, dict[str, Any]]]:

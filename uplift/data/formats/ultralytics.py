@@ -85,7 +85,7 @@ def _split_files(described: Path) -> tuple[list[Path], list[str]]:
     found: dict[str, list[Path]] = {}
     for split in _SPLITS:
         named = data.get(split)
-        places = [one for one in (named if isinstance(named, list) else [named]) if is_text(one)]
+        places = [str(one) for one in (named if isinstance(named, list) else [named]) if is_text(one)]
         found[split] = [file for place in places for file in _labels_at(described.parent, data.get("path"), place)]
     there = [split for split, files in found.items() if files]
     if not there:
@@ -123,22 +123,28 @@ def _of_pictures(path: Path) -> Path:
     return Path(*parts)
 
 
-def _read_labels(peek: Peek, options: ReadOptions) -> PoseData:
-    path = peek.path
+def _labels_of(path: Path) -> tuple[list[Path], list[str]]:
+    """Return the label files that a path means, and notes; raises UserError where there are none."""
     if path.is_dir():
         files, notes = _files_in(path)
         if not files:
             raise UserError(f"{path} has no *.txt in it, nor in labels/ below it.")
-    elif path.suffix.lower() in _YAML:
-        files, notes = _split_files(path)
-        if not files:
-            folders = [folder for folder in path.parent.glob("**/labels") if folder.is_dir()][:3]
-            shown = ", ".join(map(str, folders)) or "train/labels"
-            raise UserError(
-                f"{path} describes a data set, and no labels are where it says. Give a folder of its labels: {shown}."
-            )
-    else:
-        files, notes = [path], []
+        return files, notes
+    if path.suffix.lower() not in _YAML:
+        return [path], []
+    files, notes = _split_files(path)
+    if not files:
+        folders = [folder for folder in path.parent.glob("**/labels") if folder.is_dir()][:3]
+        shown = ", ".join(map(str, folders)) or "train/labels"
+        raise UserError(
+            f"{path} describes a data set, and no labels are where it says. Give a folder of its labels: {shown}."
+        )
+    return files, notes
+
+
+def _read_labels(peek: Peek, options: ReadOptions) -> PoseData:
+    path = peek.path
+    files, notes = _labels_of(path)
     labels = _read_rows(path, files)
     description = _describe(files[0].parent)
     values, predicted, tracks = _divide(path, labels, description, notes)
