@@ -22,6 +22,8 @@ __all__ = ["FORMAT", "frame_numbers"]
 
 _KINDS = ("PoseEstimation", "PoseTraining")
 _DEEPEST, _MOST_GROUPS = 8, 100_000
+_MOST_LOOKED_AT = 2_000
+"""Groups that a file without NWB's root is searched for poses in."""
 _DIGITS = 6
 """Of time stamps, s: beyond these, equal times of two series differ by rounding."""
 _PIXELS = ("pixels", "pixel", "px", "")
@@ -51,7 +53,8 @@ class _Container:
     image_size: tuple[int, int] | None
 
 
-def _groups_of(file: Hdf5) -> dict[str, list[str]]:
+def _groups_of(file: Hdf5, most: int = _MOST_GROUPS) -> dict[str, list[str]]:
+    """Return the places of each of `_KINDS`; raises UserError for more groups than ``most``."""
     found: dict[str, list[str]] = {kind: [] for kind in _KINDS}
     been: set[int] = set()
     waiting = [("", 0)]
@@ -60,8 +63,8 @@ def _groups_of(file: Hdf5) -> dict[str, list[str]]:
         if not file.is_group(place) or file.place(place) in been:
             continue
         been.add(file.place(place))
-        if len(been) > _MOST_GROUPS:
-            raise UserError(f"{file.path}: more than {_MOST_GROUPS:,} groups, expected an NWB file.")
+        if len(been) > most:
+            raise UserError(f"{file.path}: more than {most:,} groups, expected an NWB file.")
         kind = file.attribute(place, "neurodata_type")
         if kind in _KINDS:
             found[kind].append(place)
@@ -430,7 +433,7 @@ def _fits(peek: Peek) -> bool:
     if not peek.is_hdf5 or set(peek.hdf5_names) >= _ROOT:
         return peek.is_hdf5
     with suppress(UserError), open_hdf5(peek.path, "an NWB file") as file:
-        return any(_groups_of(file).values())
+        return any(_groups_of(file, _MOST_LOOKED_AT).values())
     return False
 
 
