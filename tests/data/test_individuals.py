@@ -8,8 +8,11 @@ from itertools import product
 import numpy as np
 import pytest
 
+from uplift.cli.data_check import keypoint_file
+from uplift.config.settings import LifterSettings, Settings
 from uplift.data.individuals import by_individuals
 from uplift.data.load import load_file
+from uplift.data.module import KeypointData
 from uplift.data.poses import PoseData
 from uplift.skeleton import Skeleton
 
@@ -130,3 +133,9 @@ def test_corners_of_the_cage_are_left_out_where_a_skeleton_says_what_an_animal_i
     assert len(found) == 40 and set(found.identity["instance"]) == {"B", "W"}
     assert any("4 other joints left out" in note for note in found.notes)
     assert found.clips().max() == 1
+    settings = Settings()
+    assert "20 frames of 32 joints" in keypoint_file(tmp_path / "cage.csv", settings, SKELETON)
+    for given in (str(tmp_path / "cage.csv"), data):
+        module = KeypointData(given, skeleton=SKELETON, val=0)
+        module.setup("fit")
+        assert len(module.frames(LifterSettings())) == 40

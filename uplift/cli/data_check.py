@@ -20,11 +20,21 @@ from uplift.data.formats.base import Peek
 from uplift.data.formats.deeplabcut_files import keypoint_files
 from uplift.data.formats.masks_npz import read_masks_npz
 from uplift.data.formats.npz import contents_of, memory_of
-from uplift.data.load import find_data, format_of, how_to_get, load_file, named_set, of_labelled, read_options
+from uplift.data.individuals import by_individuals
+from uplift.data.load import (
+    find_data,
+    format_of,
+    how_to_get,
+    in_joints_of,
+    load_file,
+    named_set,
+    of_labelled,
+    read_options,
+)  # fmt: skip
 from uplift.data.masks import MaskData
+from uplift.data.poses import PoseData
 from uplift.errors import UserError, did_you_mean
 from uplift.skeleton import Skeleton, load_skeleton
-from uplift.skeleton.match import build_joints
 
 __all__ = ["check_data", "keypoint_file", "mask_file", "simulated_keypoints", "simulated_masks"]
 
@@ -149,10 +159,7 @@ def keypoint_file(path: Path, settings: Settings, skeleton: Skeleton | None) -> 
     joints = len(found.joint_names)
     if skeleton is not None:
         blank = np.zeros((1, joints, 2), np.float32), np.ones((1, joints), np.float32)
-        try:
-            build_joints(*blank, found.joint_names, skeleton)
-        except UserError as error:
-            raise UserError(f"{path}: {error}") from None
+        in_joints_of(by_individuals(PoseData(*blank, found.joint_names, source=str(path)), skeleton), skeleton)
     poses = "with" if found.has_pose else "no"
     how = f"; {found.read_as}" if found.read_as else ""
     lines = [f"{found.frames:,} frames of {joints} joints, {poses} poses, {_size(found.memory)} in memory{how}"]

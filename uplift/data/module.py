@@ -19,6 +19,7 @@ from uplift.data.clean import clean
 from uplift.data.datasets import DATA_SETS
 from uplift.data.far import without_far
 from uplift.data.formats import checked
+from uplift.data.individuals import by_individuals
 from uplift.data.load import Loaded, in_joints_of, load_data, load_split, read_options
 from uplift.data.load_masks import LoadedMasks, load_mask_split, load_masks
 from uplift.data.mask_tensors import MaskSet, to_mask_set
@@ -334,13 +335,17 @@ class KeypointData(_Data[PoseData, Loaded]):
         train = self.given["train"]
         if isinstance(train, (str, Path, int)):
             return load_data(self.settings, self.skeleton)
-        poses = in_joints_of(without_far(self._samples(train)), self.skeleton)
+        poses = self._in_joints(train)
 
         def load(settings: Settings, which: str) -> PoseData:
             named = settings.data.train if which == "train" else settings.data.test
             return load_split(settings, which, self.skeleton) if named else poses
 
         return load_data(self.settings, self.skeleton, load)
+
+    def _in_joints(self, given: Any) -> PoseData:
+        """Return samples in the skeleton's joints, as those of a file are read."""
+        return in_joints_of(without_far(by_individuals(self._samples(given), self.skeleton)), self.skeleton)
 
     def _samples(self, given: Any) -> PoseData:
         """Return arrays or data as `PoseData`, in pixels and with what the options say of them."""
@@ -370,7 +375,7 @@ class KeypointData(_Data[PoseData, Loaded]):
             chosen = replace(chosen, **_place(given, vars(chosen), "test"))
             poses = load_split(replace(self.settings, data=chosen), "test", self.skeleton)
         else:
-            poses = in_joints_of(without_far(self._samples(given)), self.skeleton)
+            poses = self._in_joints(given)
         return poses if which == "predict" else clean(poses, self.skeleton)[0]
 
     def _split(self, train: PoseData, share: float) -> np.ndarray:
