@@ -5,6 +5,7 @@ from __future__ import annotations
 import glob
 import os
 import secrets
+import stat
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -14,8 +15,8 @@ from typing import Any, BinaryIO
 from uplift.errors import UserError
 
 __all__ = [
-    "absolute", "data_root", "files_of", "read_torch", "refuse_existing", "refuse_output", "replacing", "save_torch",
-    "shipped", "shipped_names",
+    "absolute", "data_root", "files_of", "read_torch", "refuse_existing", "refuse_output", "refuse_special", "replacing",
+    "save_torch", "shipped", "shipped_names",
 ]  # fmt: skip
 
 _PACKAGE = Path(__file__).resolve().parent.parent
@@ -53,9 +54,10 @@ def data_root(name: str, root: str | None) -> Path:
 def files_of(path: str | Path) -> list[Path]:
     """Return the files or folders that ``path`` names: itself where it exists, else those between commas or that match ``*``, ``?`` or ``[``.
 
-    Raises UserError: a file that does not exist, or a pattern without a match.
+    Raises UserError: a file that does not exist, a pattern without a match, a pipe or a device.
     """
     if Path(path).exists():
+        refuse_special(Path(path))
         return [Path(path)]
     found: list[Path] = []
     for part in str(path).split(","):
@@ -70,7 +72,19 @@ def files_of(path: str | Path) -> list[Path]:
     if missing or not found:
         where = missing[0] if missing else Path(path)
         raise UserError(f"No file {where} (looked in {where.absolute().parent}).")
+    for one in found:
+        refuse_special(one)
     return list(dict.fromkeys(found))
+
+
+def refuse_special(path: Path) -> None:
+    """Raise UserError for a pipe, a device or a socket: reading one may never end, or wait for ever."""
+    try:
+        mode = path.stat().st_mode
+    except (OSError, ValueError):  # not there, or not to be looked at: whoever opens it says so
+        return
+    if not (stat.S_ISREG(mode) or stat.S_ISDIR(mode)):
+        raise UserError(f"{path} is a pipe or a device, expected a file or a folder: save its content to a file first.")
 
 
 def absolute(path: str) -> str:

@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 
+from uplift.data.parsers.files import read_bytes
 from uplift.errors import UserError
 
 __all__ = [
@@ -63,8 +64,8 @@ class JsonText:
         self.path = path
         self.at = 0
         try:
-            self.text = path.read_text(encoding="utf-8-sig")
-        except (OSError, UnicodeDecodeError) as error:
+            self.text = read_bytes(path).decode("utf-8-sig")
+        except UnicodeDecodeError as error:
             raise UserError(f"{path} cannot be read as JSON: {error}") from None
         if not self.next_sign():
             raise UserError(f"{path} is empty, expected JSON.")
