@@ -68,7 +68,7 @@ def test_own_network_from_a_file(tmp_path):
         ("residul", {}, r"lifter\.network='residul'.*Did you mean 'residual'"),
         ("residual", {"unit": 3}, r"lifter\.options\.unit: .*Did you mean 'units'"),
         ("residual", {"units": "many"}, r"lifter\.options\.units='many'"),
-        ("residual", {"units": 0}, r"lifter\.options\.units=0: expected a whole number of at least 1"),
+        ("residual", {"units": 0}, r"lifter\.options\.units=0: expected a whole number from 1 to"),
         ("residual", {"blocks": 1.5}, r"lifter\.options\.blocks=1\.5"),
         ("kudo", {"slope": "steep"}, r"lifter\.options\.slope='steep': expected a number"),
         ("uplift.errors:UserError", {}, r"not a subclass of torch\.nn\.Module"),

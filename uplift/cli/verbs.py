@@ -107,7 +107,7 @@ EVALUATE = _table(
 SIMULATE = _table(
     _key("skeleton", str, NEEDED, "a shipped name, or a YAML file; it must say how the body is built"),
     _key("output", str, NEEDED, "new file: .npz with the true poses, .csv with the 2D alone"),
-    _key("frames", int, 20000, "frames", 1, _MOST_ITEMS),
+    _key("frames", int, 20000, "frames", 1, 10**7),
     _key("seed", int, 0, "seed of everything random", *_SEED_LIMITS),
     _key("clip_seconds", float, 3.0, "length of a clip, seconds", 1e-9, 1e9),
     _key("noise_px", float, 0.0, "noise of the keypoints, standard deviation in pixels", 0, 1e9),
