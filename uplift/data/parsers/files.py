@@ -18,7 +18,7 @@ from uplift.errors import UserError
 
 __all__ = [
     "DAMAGE", "HDF5_START", "bytes_of", "check_claim", "check_memory", "damage_as_error", "existing_file", "read_bytes",
-    "reason_of",
+    "reason_of", "refuse_more_than_memory",
 ]  # fmt: skip
 
 HDF5_START = b"\x89HDF\r\n\x1a\n"
@@ -100,16 +100,21 @@ def check_memory(path: Path, what: str, size: int, stored: int | None = None) ->
     ``stored`` is how many bytes of a packed file it comes from: what unpacks to very much more than any real data
     (a "bomb") is refused as well, unless the variable UPLIFT_MAX_UNPACKED_GB allows as much.
     """
-    memory = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
-    if size > memory // 2:
-        raise UserError(
-            f"{path}: {what} would take {size / 1e9:.1f} GB, more than half of this machine's memory "
-            f"({memory / 1e9:.1f} GB). Split it into smaller files."
-        )
+    refuse_more_than_memory(f"{path}: {what}", size, "Split it into smaller files")
     if stored is not None and size > max(_MOST_UNPACKED, _MOST_PACKED * stored, _allowed_bytes()):
         raise UserError(
             f"{path}: {what} would unpack from {stored / 1e6:.1f} MB to {size / 1e9:.1f} GB, as files that are made to "
             f"fill the memory do. If you trust it: {_UNPACKED}={-(-size // 10**9)} before the command."
+        )
+
+
+def refuse_more_than_memory(what: str, size: int, instead: str) -> None:
+    """Raise UserError where so many bytes are more than half of this machine's memory; ``instead`` says what to do."""
+    memory = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
+    if size > memory // 2:
+        raise UserError(
+            f"{what} would take {size / 1e9:,.1f} GB, more than half of this machine's memory "
+            f"({memory / 1e9:,.1f} GB). {instead}."
         )
 
 
