@@ -61,10 +61,10 @@ def fit_settings(settings: Settings, run: RunFolder | None = None) -> RunFolder:
         torch.set_num_threads(settings.trainer.threads)
     fit: Prepared = KINDS[settings.lifts].fit(settings, run)
     run = _run_of_all_ranks(run, settings)
-    if rank_zero_only.rank == 0:
-        print(f"uplift fit: {settings.task or 'own data'}, {fit.about}, seed {settings.seed}")
-        print("\n".join([*fit.loaded.notes, *fit.recipe.notes, f"run: {run.path}"]), flush=True)
     try:
+        if rank_zero_only.rank == 0:
+            print(f"uplift fit: {settings.task or 'own data'}, {fit.about}, seed {settings.seed}")
+            print("\n".join([*fit.loaded.notes, *fit.recipe.notes, f"run: {run.path}"]), flush=True)
         model = fit.recipe.train(run)
     except KeyboardInterrupt:  # between stages, where nothing watches for it; checkpoints are complete
         raise Interrupted(run.path) from None

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
@@ -9,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from uplift.cli.parsing import Keys, keyed
-from uplift.config.files import refuse_existing, shipped, shipped_names
+from uplift.config.files import Existing, refuse_existing, replacing, shipped, shipped_names
 from uplift.data.clean import MIN_VISIBLE, clean
 from uplift.data.far import without_far
 from uplift.data.formats import read
@@ -35,13 +36,15 @@ def check_skeleton_file(words: list[str]) -> list[str]:
     output = Path(keys.get("output", f"{skeleton.name}.png"))
     if output.suffix.lower() != ".png":
         raise UserError(f"output={output}: the drawing is a .png.")
-    if "output" in keys:
-        refuse_existing(output)
-    number = 2
-    while output.exists():
-        output = Path(f"{skeleton.name}_{number}.png")
-        number += 1
-    draw_skeleton(skeleton, output)
+    for number in itertools.count(2):
+        try:
+            refuse_existing(output)
+            draw_skeleton(skeleton, output)
+            break
+        except Existing:
+            if "output" in keys:
+                raise
+            output = Path(f"{skeleton.name}_{number}.png")
     facing = ", ".join(skeleton.facing) or "none: the depth-mirrored pose cannot be told from the true one"
     return [
         f"{skeleton.name}: {len(skeleton.joints)} joints, {len(skeleton.bones)} bones, root {skeleton.root}",
@@ -67,15 +70,20 @@ def new_skeleton_file(words: list[str]) -> list[str]:
         return _write_proposal(path, keys)
     if keys:
         raise UserError(f"skeleton new: '{next(iter(keys))}=' goes with --from FILE.")
-    path.write_text(propose.skeleton_template(path.stem))
+    _write(path, propose.skeleton_template(path.stem))
     return [f"wrote {path}", f"next: edit it, then uplift skeleton check {path}"]
+
+
+def _write(path: Path, text: str) -> None:
+    with replacing(path) as file:
+        file.write(text.encode())
 
 
 def _write_proposal(path: Path, keys: Keys) -> list[str]:
     gravity = keys.value("gravity")
     data = read(keys["from"], keys.reading())
     found = propose.propose(data, path.stem, keys.get("root"), gravity in ("yes", "true"))
-    path.write_text(propose.proposal_text(found, str(path), keys["from"]))
+    _write(path, propose.proposal_text(found, str(path), keys["from"]))
     skeleton = found.skeleton
     guessed = len(skeleton.bones) - len(found.from_file)
     lines = [
