@@ -617,9 +617,9 @@ def _primitive(document: _Document, entry: dict[str, Any], whose: str) -> _Primi
     if not isinstance(attributes, dict):
         raise document.wrong(f"{whose} has triangles without attributes")
     vertices = document.floats(attributes.get("POSITION"), "VEC3", f"'POSITION' of {whose}")
+    document.count(len(document.objects(entry, "targets", whose)) * vertices.size)
     faces = _faces(document, entry, len(vertices), whose)
     joints, weights = _influences(document, attributes, len(vertices), whose)
-    document.count(len(document.objects(entry, "targets", whose)) * vertices.size)
     moves = [
         document.floats(target["POSITION"], "VEC3", f"a morph target of {whose}")
         if "POSITION" in target
