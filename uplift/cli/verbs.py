@@ -150,7 +150,7 @@ _RENDER = _table(
          "side is 1.8; inf,inf for parallel rays", 2, float("inf")),
     _key("upright", str, "true", "false: uniform over all rotations, for what has no up", choices=("true", "false")),
     _key("category", Optional[str], None, "name of the kind of all masks, in place of each file's"),
-    _key("poses", int, 20, "files with animations: moments drawn from each; 0: the pose it has at rest", 0, _MOST_ITEMS),
+    _key("poses", int, 20, "files with animations: moments drawn from each; 0: the pose it has at rest", 0, 100_000),
     _key("animations", list[str], [], "files with animations: parts of the names of those to draw from, Walk,Gallop; "
          "with a minus those to leave out, -Death; empty: all"),
     _key("up", str, "y", "axis of the files that points up", choices=("x", "y", "z", "-x", "-y", "-z")),

@@ -15,7 +15,7 @@ from importlib import metadata
 from pathlib import Path
 from typing import Any
 
-from uplift.config.files import Existing, building, clear_parts, data_root, read_torch, replacing
+from uplift.config.files import Existing, building, clear_parts, data_root, read_torch, refuse_special, replacing
 from uplift.config.loading import load_settings, save_settings
 from uplift.config.settings import Settings
 from uplift.errors import UserError, did_you_mean
@@ -158,6 +158,7 @@ class RunFolder:
 
 
 def _mapping(path: Path) -> dict[str, Any]:
+    refuse_special(path)
     try:
         found = json.loads(path.read_bytes())
     except ValueError as error:  # not JSON, or not text

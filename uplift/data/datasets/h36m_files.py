@@ -616,8 +616,8 @@ def _h5(path: Path, name: str, take: Callable[[Any], Any]) -> Any:
             found = file.get(name)
             if not isinstance(found, h5py.Dataset):
                 raise UserError(f"{path} has no '{name}' (found: {', '.join(list(file)[:10]) or 'nothing'}).")
-            if found.nbytes > 4 * max(path.stat().st_size, 1 << 20) * 1000:
-                raise UserError(f"{path}: '{name}' claims {found.nbytes:,} bytes: damaged file.")
+            size = check_claim(f"{path}: '{name}'", found.shape, found.dtype)
+            check_memory(path, f"'{name}'", size, path.stat().st_size)
             return take(found)
     except (OSError, ValueError, TypeError, KeyError, RuntimeError, MemoryError) as error:
         raise UserError(f"{path} cannot be read as HDF5 ({error}): truncated, or another format?") from error

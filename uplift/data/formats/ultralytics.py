@@ -391,8 +391,8 @@ def _numbers(text: str, where: str) -> list[float]:
 
 def _text(file: Path) -> str:
     try:
-        return file.read_text(encoding="utf-8-sig")
-    except (OSError, UnicodeDecodeError) as error:
+        return read_bytes(file).decode("utf-8-sig")
+    except UnicodeDecodeError as error:
         raise UserError(f"{file} cannot be read as text: {error}") from None
 
 
