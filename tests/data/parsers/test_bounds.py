@@ -113,14 +113,22 @@ def wide_table(folder: Path) -> Path:
     return folder / "a.csv"
 
 
+def joints_of_their_own(folder: Path) -> Path:
+    """Return a table whose every row is of another frame and another joint."""
+    rows = "".join(f"{row},j{row},1,1\n" for row in range(9000))
+    (folder / "a.csv").write_text(f"frame,joint,x,y\n{rows}")
+    return folder / "a.csv"
+
+
 @pytest.mark.parametrize(
     ("made", "message"),
     [
+        (joints_of_their_own, "a table of 9,000 joints in 9,000 frames would grow from 0.1 MB to 1.0 GB"),
         (endless_names, r"'joint_names' has shape \(10000000000,\) and not a byte of data"),
         (endless_frames, r"'keypoints' has shape \(10000000000, 0, 2\) and not a byte of data"),
         (long_header, "'keypoints' is damaged"),
-        (packed_npz, r"it would unpack from \d\.\d MB to 0\.3 GB.*UPLIFT_MAX_UNPACKED_GB=1 before"),
-        (packed_hdf5, r"'tracks' would unpack from \d\.\d MB to 5\.1 GB.*UPLIFT_MAX_UNPACKED_GB=6"),
+        (packed_npz, r"it would grow from \d\.\d MB to 0\.3 GB.*UPLIFT_MAX_UNPACKED_GB=1 before"),
+        (packed_hdf5, r"'tracks' would grow from \d\.\d MB to 5\.1 GB.*UPLIFT_MAX_UNPACKED_GB=6"),
         (endless_hdf5, r"'tracks' has shape \(0, 2, 3, 10000000000\) and not a byte"),
         (wide_table, "a table of 150,000 columns, expected at most 100,000"),
     ],
@@ -136,7 +144,7 @@ def test_who_trusts_a_packed_file_reads_it(tmp_path: Path, monkeypatch: pytest.M
     frames = 100_000
     names = member((8,), "<U1", "".join("abcdefgh").encode("utf-32-le"))
     path = npz(tmp_path / "a.npz", keypoints=member((frames, 8, 2), "<f4", bytes(frames * 64)), joint_names=names)
-    with pytest.raises(UserError, match="would unpack"):
+    with pytest.raises(UserError, match="would grow"):
         read(path)
     monkeypatch.setenv("UPLIFT_MAX_UNPACKED_GB", "1")
     assert len(read(path)) == frames

@@ -103,8 +103,8 @@ def check_memory(path: Path, what: str, size: int, stored: int | None = None) ->
     refuse_more_than_memory(f"{path}: {what}", size, "Split it into smaller files")
     if stored is not None and size > max(_MOST_UNPACKED, _MOST_PACKED * stored, _allowed_bytes()):
         raise UserError(
-            f"{path}: {what} would unpack from {stored / 1e6:.1f} MB to {size / 1e9:.1f} GB, as files that are made to "
-            f"fill the memory do. If you trust it: {_UNPACKED}={-(-size // 10**9)} before the command."
+            f"{path}: {what} would grow from {stored / 1e6:.1f} MB to {size / 1e9:.1f} GB, as in files that are made to "
+            f"fill the memory. If you trust it, put {_UNPACKED}={-(-size // 10**9)} before the command."
         )
 
 
