@@ -19,6 +19,7 @@ from uplift.config.run import RunFolder
 from uplift.config.settings import Settings
 from uplift.errors import UserError
 from uplift.training.callbacks import Interrupted
+from uplift.training.stages import devices_of
 
 __all__ = ["Prepared", "fit", "fit_settings", "prepare_keypoints", "prepare_masks"]
 
@@ -59,6 +60,7 @@ def fit_settings(settings: Settings, run: RunFolder | None = None) -> RunFolder:
     """Train as ``settings`` say, in a new run folder or going on in ``run``."""
     if settings.trainer.threads:
         torch.set_num_threads(settings.trainer.threads)
+    devices_of(settings.trainer)  # before any data is read
     fit: Prepared = KINDS[settings.lifts].fit(settings, run)
     run = _run_of_all_ranks(run, settings)
     try:

@@ -42,6 +42,7 @@ __all__ = [
     "StageRecord",
     "build_callbacks",
     "build_loggers",
+    "devices_of",
     "module_class",
     "run_stage",
     "stage_budgets",
@@ -233,7 +234,7 @@ def _trainer_flags(settings: TrainerSettings, budget: StageBudget, *, has_val: b
     validation = {"val_check_interval": every, "check_val_every_n_epoch": None} if has_val else {"limit_val_batches": 0}
     return {
         "accelerator": settings.accelerator,
-        "devices": _devices(settings),
+        "devices": devices_of(settings),
         "precision": settings.precision,
         "max_epochs": -1,
         "max_steps": budget.steps or -1,
@@ -250,7 +251,7 @@ _MOST_PROCESSES = 4
 """On a processor of fewer cores: for trying out how several devices share the work."""
 
 
-def _devices(settings: TrainerSettings) -> int | str:
+def devices_of(settings: TrainerSettings) -> int | str:
     """Return Lightning's ``devices``; raises UserError for more processes than there are cores, or computers that nothing starts."""
     nodes = settings.flags.get("num_nodes", 1)
     if nodes != 1 and not {"MASTER_ADDR", "SLURM_JOB_ID", "LSB_JOBID"} & set(os.environ):
