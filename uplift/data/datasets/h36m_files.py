@@ -13,6 +13,7 @@ import numpy as np
 from uplift.data.datasets.base import WantedFile
 from uplift.data.formats.layouts import H36M_JOINTS as JOINTS
 from uplift.data.formats.layouts import HOURGLASS_JOINTS
+from uplift.data.parsers.files import check_claim, check_memory
 from uplift.data.parsers.pickles import load_object_npz, load_pickle
 from uplift.errors import UserError, did_you_mean
 from uplift.geometry.lens import Lens

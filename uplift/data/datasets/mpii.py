@@ -11,6 +11,7 @@ import numpy as np
 
 from uplift.data.datasets.base import DataSet, WantedFile, first_file
 from uplift.data.formats.npz import read_npz
+from uplift.data.parsers.files import read_bytes
 from uplift.data.parsers.json import JsonText, objects
 from uplift.data.parsers.matlab import load_mat5
 from uplift.data.poses import PoseData

@@ -17,7 +17,7 @@ from uplift.data.formats.base import FileFormat, Peek, ReadOptions
 from uplift.data.formats.layouts import COCO, names_for, swapped_names
 from uplift.data.formats.rows import Bodies, pose_data, seen_by_flag, track_of, video_names
 from uplift.data.formats.scales import SHARES_NOTE
-from uplift.data.parsers.files import reason_of
+from uplift.data.parsers.files import read_bytes, reason_of
 from uplift.data.parsers.json import JsonText, Numbers, in_order, is_text, items, json_files, shown
 from uplift.data.parsers.pictures import PHOTO_ENDINGS
 from uplift.data.poses import PoseData
