@@ -6,6 +6,7 @@ import errno
 import os
 import resource
 import subprocess
+import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -14,7 +15,7 @@ import pytest
 import torch
 from bodies import write_body
 
-from uplift.config.files import read_torch, replacing, save_torch
+from uplift.config.files import Existing, building, clear_parts, read_torch, refuse_existing, replacing, save_torch
 from uplift.data.formats.npz import write_keypoints
 from uplift.data.load import load_file
 from uplift.errors import UserError
@@ -120,3 +121,70 @@ def test_a_link_is_written_through(tmp_path: Path) -> None:
         file.write(b"new")
     assert (tmp_path / "link.bin").is_symlink()
     assert (tmp_path / "real.bin").read_bytes() == b"new"
+
+
+# Several commands, and commands that were killed.
+
+
+def test_of_two_commands_the_second_is_refused(tmp_path: Path) -> None:
+    """Both find nothing at first, and both write; what is first stays, and a third overwrites what nobody asked about."""
+    path = tmp_path / "a.csv"
+    refuse_existing(path)
+    with pytest.raises(Existing, match=r"a\.csv: another command has made it meanwhile"), replacing(path) as late:
+        late.write(b"second")
+        path.write_bytes(b"first")  # as another process would, which this one's check came before
+    assert path.read_bytes() == b"first" and os.listdir(tmp_path) == ["a.csv"]
+    with pytest.raises(Existing, match="exists already and is not overwritten"):
+        refuse_existing(path)
+    with replacing(path) as file:
+        file.write(b"newest")
+    assert path.read_bytes() == b"newest"
+
+
+def test_of_two_folders_the_second_is_refused(tmp_path: Path) -> None:
+    made = tmp_path / "out"
+    with pytest.raises(Existing, match="another command has made it meanwhile"), building(made) as second:
+        (second / "a.txt").write_text("second")
+        with building(made) as first:
+            (first / "a.txt").write_text("first")
+    assert (made / "a.txt").read_text() == "first" and os.listdir(tmp_path) == ["out"]
+    (tmp_path / "empty").mkdir()
+    with building(tmp_path / "empty") as folder:
+        (folder / "b.txt").write_text("taken")
+    assert os.listdir(tmp_path / "empty") == ["b.txt"]
+    with pytest.raises(KeyboardInterrupt), building(tmp_path / "never") as folder:
+        (folder / "b.txt").write_text("half")
+        raise KeyboardInterrupt
+    assert sorted(os.listdir(tmp_path)) == ["empty", "out"]
+
+
+_KILLED = """
+import os, signal, sys
+from uplift.config.files import building, replacing
+with replacing(sys.argv[1]) as file, building(sys.argv[2]) as folder:
+    file.write(b"half")
+    (folder / "half").write_text("half")
+    os.kill(os.getpid(), signal.SIGKILL)
+"""
+
+
+def test_what_a_killed_command_left_is_cleared_by_the_next(tmp_path: Path) -> None:
+    """The temporary files of the same target alone, never those of a process that lives, nor of another machine."""
+    done = subprocess.run([sys.executable, "-c", _KILLED, tmp_path / "a.bin", tmp_path / "runs"], timeout=60)
+    (left,) = tmp_path.glob(".a.bin.*.part")
+    (folder,) = tmp_path.glob(".runs.*.part")
+    assert done.returncode == -9
+    dead = left.name.rpartition("-")[0].rpartition("-")[2]
+    others = [left.name.replace(f"-{dead}-", f"x-{dead}-"), left.name.replace(f"-{dead}-", "-1-"), ".a.bin.mine.part"]
+    for name in others:
+        (tmp_path / name).write_bytes(b"another's")
+    with replacing(tmp_path / "b.bin") as file:
+        file.write(b"else")
+    assert left.exists() and folder.is_dir()
+    with replacing(tmp_path / "a.bin") as file:
+        file.write(b"whole")
+        with replacing(tmp_path / "a.bin") as again:  # the one around it lives
+            again.write(b"inner")
+    assert (tmp_path / "a.bin").read_bytes() == b"whole" and not left.exists() and folder.is_dir()
+    clear_parts(tmp_path)
+    assert sorted(os.listdir(tmp_path)) == sorted(["a.bin", "b.bin", *others])

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import errno
 import json
+import os
 from pathlib import Path
 
 import pytest
@@ -68,6 +70,22 @@ def test_what_a_run_was_made_with(here: Path) -> None:
     settings = run.settings()
     assert (settings.task, settings.seed, settings.trainer.max_steps) == ("demo", 3, 5)
     assert (here / "runs/demo/last").resolve() == (here / run.path)
+
+
+@pytest.mark.parametrize("error", [KeyboardInterrupt(), OSError(errno.ENOSPC, "No space left on device")])
+@pytest.mark.parametrize("step", ["save_settings", "_facts"])
+def test_a_run_that_was_not_made_to_its_end_leaves_nothing(
+    here: Path, monkeypatch: pytest.MonkeyPatch, step: str, error: BaseException
+) -> None:
+    """A folder of a run is there with all that resuming needs, or not at all."""
+
+    def fail(*_: object) -> None:
+        raise error
+
+    monkeypatch.setattr(f"uplift.config.run.{step}", fail)
+    with pytest.raises(type(error)):
+        RunFolder.create(load_settings("demo"), "uplift fit task=demo")
+    assert os.listdir(here / "runs/demo") == []
 
 
 def test_two_runs_in_one_second_are_two_runs(here: Path) -> None:

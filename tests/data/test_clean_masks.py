@@ -102,6 +102,26 @@ def test_a_crop_goes_back_to_where_it_was(seed: int) -> None:
     assert area == pytest.approx(mask.sum(), rel=0.03)
 
 
+def test_a_huge_mask_is_the_crop_of_a_small_one() -> None:
+    """Of an object in more than 16 million pixels not all are looked at; what it is and where stays."""
+    tall, wide = 2700, 2100
+
+    def ellipse(factor: float) -> Crop:
+        y, x = np.ogrid[: round(5800 * factor), : round(4600 * factor)]
+        inside = ((y - 2901 * factor) / tall) ** 2 + ((x - 2307 * factor) / wide) ** 2 < factor**2
+        if factor == 1:
+            inside[5793:, 4593:] = True  # a speck
+        found = clean_mask(inside, CleanOptions(side=64, border="keep"))
+        assert isinstance(found, Crop)
+        return found
+
+    huge, small = ellipse(1), ellipse(0.1)
+    assert np.abs(huge.mask.astype(int) - small.mask).mean() < 0.5
+    assert huge.centre_px == pytest.approx((2307, 2901), abs=2)
+    assert huge.scale_px == pytest.approx(tall / FILL, abs=2)
+    assert huge.changes == {"specks"} and not small.changes
+
+
 def test_any_type_of_mask_is_cut_at_half() -> None:
     mask = blob(seed=3)
     one = crop_of(mask).mask

@@ -13,7 +13,7 @@ from uplift.data.masks import FILL
 from uplift.data.synthetic.masks import frame_mesh, make_shapes, render_masks
 from uplift.geometry.mesh import Mesh
 from uplift.geometry.rotation import random_rotations
-from uplift.geometry.silhouette import draw_mask, project
+from uplift.geometry.silhouette import cover, draw_mask, project
 
 _SIDE = 64
 
@@ -117,3 +117,12 @@ def test_a_box_filling_its_crop() -> None:
     assert abs(rows.mean() - (_SIDE - 1) / 2) <= 0.5
     assert abs(columns.mean() - (_SIDE - 1) / 2) <= 0.5
     assert truth.scale[0] == pytest.approx(FILL / 0.9, rel=1e-6)
+
+
+def test_triangles_are_taken_a_few_at_a_time_all_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
+    """So that a million of them do not fill the memory."""
+    rng = np.random.default_rng(0)
+    points, faces = rng.uniform(-4, 36, (60, 2)), rng.integers(0, 60, (40, 3))
+    whole = cover(points, faces, 32)
+    monkeypatch.setattr("uplift.geometry.silhouette._SPANS", 70)
+    assert np.array_equal(cover(points, faces, 32), whole) and 0 < whole.sum() < whole.size

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -16,6 +17,7 @@ from torch import Tensor, nn
 
 from uplift.config.files import shipped_names
 from uplift.config.loading import load_settings
+from uplift.config.plugins import find_class
 from uplift.errors import UserError
 from uplift.geometry.rotation import turn
 from uplift.models.lifter import Lifted
@@ -415,3 +417,17 @@ def test_every_shipped_skeleton_trains(name):
     fixed = ("averaged", "priors.flow")
     trained = {key for key, _ in module.named_parameters() if not key.startswith(fixed)}
     assert reached == trained
+
+
+@pytest.mark.parametrize("name", PRIORS)
+def test_every_whole_number_of_a_prior_has_a_range(name: str) -> None:
+    """A prior of a million blocks costs hours before the first step."""
+    found = find_class(name, PRIORS, "priors")
+    whole = {key: one.default for key, one in inspect.signature(found).parameters.items() if type(one.default) is int}
+    ranges = getattr(found, "ranges", {})
+    assert set(whole) <= set(ranges)
+    for key, (low, high) in ranges.items():
+        assert low <= whole[key] <= high
+        for wrong in (low - 1, high + 1, float(low), True):
+            with pytest.raises(UserError, match=rf"priors\.{name}\.{key}={wrong}: expected"):
+                build_priors({name: {key: wrong}}, None if found.judges == "shapes" else load_skeleton("h36m17"))

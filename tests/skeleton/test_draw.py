@@ -77,5 +77,5 @@ def test_odd_skeletons_are_drawn(tmp_path):
 
 
 def test_a_path_that_cannot_be_written_is_a_clear_error(tmp_path):
-    with pytest.raises(UserError, match="cannot be written"):
+    with pytest.raises(UserError, match="cannot write"):
         draw_skeleton(load_skeleton("chair10"), tmp_path / "nowhere" / "s.png")

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from uplift.cli.parsing import Keys, keyed
-from uplift.config.files import refuse_output
+from uplift.config.files import building, refuse_output
 from uplift.errors import UserError, did_you_mean
 
 if TYPE_CHECKING:
@@ -49,7 +49,8 @@ def render_masks_command(words: Sequence[str]) -> list[str]:
         write_masks_npz(data, output)
         wrote = f"wrote {output}: {items:,} masks of {side} x {side} px, with the shapes they show"
     else:
-        _write_folder(data, output)
+        with building(output) as folder:
+            _write_folder(data, folder)
         wrote = f"wrote {output}: {items:,} .png files of {side} x {side} px, and truth.npz with the shapes they show"
     return [about, wrote, f"next: uplift fit task=masks data.train={output}"]
 

@@ -6,6 +6,7 @@ import datetime
 import itertools
 import json
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -14,7 +15,7 @@ import numpy as np
 
 from uplift.cli.kinds import KINDS
 from uplift.cli.parsing import keyed
-from uplift.config.files import absolute, replacing, shipped_names
+from uplift.config.files import Existing, absolute, refuse_existing, replacing, shipped_names
 from uplift.config.run import RunFolder, read_weights
 from uplift.data.clean import clean
 from uplift.data.formats.npz import joint_names_of, refuse_other_axes, unit_of
@@ -71,10 +72,14 @@ def save_evaluation(result: AnyEvaluation, folder: RunFolder) -> None:
     older = folder.path / "evaluations"
     older.mkdir(exist_ok=True)
     stamp = datetime.datetime.now().strftime("%Y-%m-%d_%H-%M-%S")
-    names = (older / f"{stamp}_{number}.json" for number in itertools.count(1))
-    for path in (next(path for path in names if not path.exists()), folder.path / "evaluation.json"):
-        with replacing(path) as file:
-            file.write(text)
+    for number in itertools.count(1):
+        with suppress(Existing):  # another evaluation of this second
+            refuse_existing(older / f"{stamp}_{number}.json")
+            with replacing(older / f"{stamp}_{number}.json") as file:
+                file.write(text)
+            break
+    with replacing(folder.path / "evaluation.json") as file:
+        file.write(text)
     result.write_csv(folder.path / "evaluation.csv")
 
 

@@ -19,6 +19,7 @@ from uplift.config.run import RunFolder
 from uplift.config.settings import Settings
 from uplift.errors import UserError
 from uplift.training.callbacks import Interrupted
+from uplift.training.stages import devices_of
 
 __all__ = ["Prepared", "fit", "fit_settings", "prepare_keypoints", "prepare_masks"]
 
@@ -59,12 +60,13 @@ def fit_settings(settings: Settings, run: RunFolder | None = None) -> RunFolder:
     """Train as ``settings`` say, in a new run folder or going on in ``run``."""
     if settings.trainer.threads:
         torch.set_num_threads(settings.trainer.threads)
+    devices_of(settings.trainer)  # before any data is read
     fit: Prepared = KINDS[settings.lifts].fit(settings, run)
     run = _run_of_all_ranks(run, settings)
-    if rank_zero_only.rank == 0:
-        print(f"uplift fit: {settings.task or 'own data'}, {fit.about}, seed {settings.seed}")
-        print("\n".join([*fit.loaded.notes, *fit.recipe.notes, f"run: {run.path}"]), flush=True)
     try:
+        if rank_zero_only.rank == 0:
+            print(f"uplift fit: {settings.task or 'own data'}, {fit.about}, seed {settings.seed}")
+            print("\n".join([*fit.loaded.notes, *fit.recipe.notes, f"run: {run.path}"]), flush=True)
         model = fit.recipe.train(run)
     except KeyboardInterrupt:  # between stages, where nothing watches for it; checkpoints are complete
         raise Interrupted(run.path) from None

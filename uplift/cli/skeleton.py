@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import replace
@@ -10,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from uplift.cli.parsing import Keys, keyed
-from uplift.config.files import refuse_existing, shipped, shipped_names
+from uplift.config.files import Existing, refuse_existing, replacing, shipped, shipped_names
 from uplift.data.clean import MIN_VISIBLE, clean
 from uplift.data.concat import concat_poses
 from uplift.data.formats.layouts import is_nameless
@@ -35,13 +36,15 @@ def check_skeleton_file(words: list[str]) -> list[str]:
     output = Path(keys.get("output", f"{skeleton.name}.png"))
     if output.suffix.lower() != ".png":
         raise UserError(f"output={output}: the drawing is a .png.")
-    if "output" in keys:
-        refuse_existing(output)
-    number = 2
-    while output.exists():
-        output = Path(f"{skeleton.name}_{number}.png")
-        number += 1
-    draw_skeleton(skeleton, output)
+    for number in itertools.count(2):
+        try:
+            refuse_existing(output)
+            draw_skeleton(skeleton, output)
+            break
+        except Existing:
+            if "output" in keys:
+                raise
+            output = Path(f"{skeleton.name}_{number}.png")
     facing = ", ".join(skeleton.facing) or "none: the depth-mirrored pose cannot be told from the true one"
     return [
         f"{skeleton.name}: {len(skeleton.joints)} joints, {len(skeleton.bones)} bones, root {skeleton.root}",
@@ -67,8 +70,13 @@ def new_skeleton_file(words: list[str]) -> list[str]:
         return _write_proposal(path, keys)
     if keys:
         raise UserError(f"skeleton new: '{next(iter(keys))}=' goes with --from FILE.")
-    path.write_text(propose.skeleton_template(path.stem))
+    _write(path, propose.skeleton_template(path.stem))
     return [f"wrote {path}", f"next: edit it, then uplift skeleton check {path}"]
+
+
+def _write(path: Path, text: str) -> None:
+    with replacing(path) as file:
+        file.write(text.encode())
 
 
 def _write_proposal(path: Path, keys: Keys) -> list[str]:
@@ -80,7 +88,7 @@ def _write_proposal(path: Path, keys: Keys) -> list[str]:
             f"{', '.join(others[0].joint_names[:5])}, ... in {others[0].source}). Give files of one kind."
         )
     found = propose.propose(data, path.stem, keys.get("root"), gravity in ("yes", "true"))
-    path.write_text(propose.proposal_text(found, str(path), source))
+    _write(path, propose.proposal_text(found, str(path), source))
     skeleton = found.skeleton
     guessed = len(skeleton.bones) - len(found.from_file)
     lines = [

@@ -106,7 +106,7 @@ EVALUATE = _table(
 SIMULATE = _table(
     _key("skeleton", str, NEEDED, "a shipped name, or a YAML file; it must say how the body is built"),
     _key("output", str, NEEDED, "new file: .npz with the true poses, .csv with the 2D alone"),
-    _key("frames", int, 20000, "frames", 1, _MOST_ITEMS),
+    _key("frames", int, 20000, "frames", 1, 10**7),
     _key("seed", int, 0, "seed of everything random", *_SEED_LIMITS),
     _key("clip_seconds", float, 3.0, "length of a clip, seconds", 1e-9, 1e9),
     _key("noise_px", float, 0.0, "noise of the keypoints, standard deviation in pixels", 0, 1e9),
@@ -149,7 +149,7 @@ _RENDER = _table(
          "side is 1.8; inf,inf for parallel rays", 2, float("inf")),
     _key("upright", str, "true", "false: uniform over all rotations, for what has no up", choices=("true", "false")),
     _key("category", Optional[str], None, "name of the kind of all masks, in place of each file's"),
-    _key("poses", int, 20, "files with animations: moments drawn from each; 0: the pose it has at rest", 0, _MOST_ITEMS),
+    _key("poses", int, 20, "files with animations: moments drawn from each; 0: the pose it has at rest", 0, 100_000),
     _key("animations", list[str], [], "files with animations: parts of the names of those to draw from, Walk,Gallop; "
          "with a minus those to leave out, -Death; empty: all"),
     _key("up", str, "y", "axis of the files that points up", choices=("x", "y", "z", "-x", "-y", "-z")),

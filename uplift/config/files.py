@@ -2,20 +2,25 @@
 
 from __future__ import annotations
 
+import errno
 import glob
 import os
+import platform
+import re
 import secrets
+import shutil
+import stat
 import warnings
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, BinaryIO
 
 from uplift.errors import UserError
 
 __all__ = [
-    "absolute", "data_root", "files_of", "read_torch", "refuse_existing", "refuse_output", "replacing", "save_torch",
-    "shipped", "shipped_names",
+    "Existing", "absolute", "building", "clear_parts", "data_root", "files_of", "read_torch", "refuse_existing", "refuse_output", "refuse_special", "replacing",
+    "save_torch", "shipped", "shipped_names",
 ]  # fmt: skip
 
 _PACKAGE = Path(__file__).resolve().parent.parent
@@ -53,9 +58,10 @@ def data_root(name: str, root: str | None) -> Path:
 def files_of(path: str | Path) -> list[Path]:
     """Return the files or folders that ``path`` names: itself where it exists, else those between commas or that match ``*``, ``?`` or ``[``.
 
-    Raises UserError: a file that does not exist, or a pattern without a match.
+    Raises UserError: a file that does not exist, a pattern without a match, a pipe or a device.
     """
     if Path(path).exists():
+        refuse_special(Path(path))
         return [Path(path)]
     found: list[Path] = []
     for part in str(path).split(","):
@@ -70,7 +76,19 @@ def files_of(path: str | Path) -> list[Path]:
     if missing or not found:
         where = missing[0] if missing else Path(path)
         raise UserError(f"No file {where} (looked in {where.absolute().parent}).")
+    for one in found:
+        refuse_special(one)
     return list(dict.fromkeys(found))
+
+
+def refuse_special(path: Path) -> None:
+    """Raise UserError for a pipe, a device or a socket: reading one may never end, or wait for ever."""
+    try:
+        mode = path.stat().st_mode
+    except (OSError, ValueError):  # not there, or not to be looked at: whoever opens it says so
+        return
+    if not (stat.S_ISREG(mode) or stat.S_ISDIR(mode)):
+        raise UserError(f"{path} is a pipe or a device, expected a file or a folder: save its content to a file first.")
 
 
 def absolute(path: str) -> str:
@@ -80,19 +98,31 @@ def absolute(path: str) -> str:
     return ",".join(str(Path(part).expanduser().absolute()) for part in path.split(",") if part)
 
 
+# Writing: complete or not at all, and never over what another command has made meanwhile.
+
+
+class Existing(UserError):
+    """What was to be made is there already."""
+
+
+_NEW: set[Path] = set()
+"""Files that `refuse_existing` did not find, and that `replacing` must not put in the place of another."""
+
+
 @contextmanager
 def replacing(path: str | Path) -> Iterator[BinaryIO]:
     """Open a temporary file beside ``path`` and put it in the place of ``path`` once it is complete.
 
-    Any failure (a full disk, Ctrl-C) removes the temporary file, leaves what was at ``path``
-    untouched and propagates. Raises UserError where ``path`` cannot be a file.
+    Any failure (a full disk, Ctrl-C) removes the temporary file, leaves what was at ``path`` untouched and
+    propagates. A file that `refuse_existing` was asked about is only made where there is still none.
+    Raises UserError where ``path`` cannot be a file.
     """
-    target = Path(os.path.realpath(Path(path).expanduser()))
+    target = _real(path)
     if not target.parent.is_dir():
         raise UserError(f"cannot write {path}: the folder {target.parent} does not exist. Create it first.")
     if target.exists() and not target.is_file():
         raise UserError(f"cannot write {path}: it exists and is not an ordinary file. Choose another name.")
-    temporary = target.with_name(f".{target.name[:80]}.{secrets.token_hex(4)}.part")
+    temporary = _part_of(target)
     try:
         handle = open(temporary, "xb")  # noqa: SIM115 (closed below, before the file is moved)
     except PermissionError as error:
@@ -102,10 +132,89 @@ def replacing(path: str | Path) -> Iterator[BinaryIO]:
             yield handle
             handle.flush()
             os.fsync(handle.fileno())
+        if target in _NEW:
+            _claim(target)
         os.replace(temporary, target)
     except BaseException:
         temporary.unlink(missing_ok=True)
         raise
+    finally:
+        _NEW.discard(target)
+
+
+def _claim(target: Path) -> None:
+    """Make an empty file, which is atomic: of two commands only one can. Raises Existing for the other."""
+    try:
+        os.close(os.open(target, os.O_CREAT | os.O_EXCL | os.O_WRONLY))
+    except FileExistsError:
+        raise Existing(
+            f"{target}: another command has made it meanwhile. Run this one again with another name."
+        ) from None
+
+
+@contextmanager
+def building(path: str | Path) -> Iterator[Path]:
+    """Make a temporary folder beside ``path`` and put it in the place of ``path``, which is empty or absent, once it is complete.
+
+    Any failure removes the temporary folder and propagates. Raises Existing where something is in ``path`` by then.
+    """
+    target = _real(path)
+    temporary = _part_of(target)
+    temporary.mkdir()
+    try:
+        yield temporary
+        try:
+            os.replace(temporary, target)
+        except OSError as error:
+            if error.errno in (errno.ENOTEMPTY, errno.EEXIST, errno.ENOTDIR):
+                raise Existing(f"{target}: another command has made it meanwhile. Choose another name.") from None
+            raise
+    except BaseException:
+        shutil.rmtree(temporary, ignore_errors=True)
+        raise
+
+
+def _real(path: str | Path) -> Path:
+    return Path(os.path.realpath(Path(path).expanduser()))
+
+
+_PART = re.compile(r"\..*\.(?P<host>[\w]*)-(?P<process>[0-9]+)-[0-9a-f]{8}\.part")
+
+
+def _part_of(target: Path) -> Path:
+    """Return a name for what is to become ``target``, and remove what earlier commands that were killed left of theirs."""
+    start = f".{target.name[:80]}."
+    clear_parts(target.parent, start)
+    return target.with_name(f"{start}{_host()}-{os.getpid()}-{secrets.token_hex(4)}.part")
+
+
+def clear_parts(folder: Path, start: str = ".") -> None:
+    """Remove the temporary files and folders whose names have that start and whose process on this machine is gone."""
+    try:
+        names = [name for name in os.listdir(folder) if name.startswith(start) and name.endswith(".part")]
+    except OSError:
+        return
+    for name in names:
+        found = _PART.fullmatch(name)
+        if found and found["host"] == _host() and not _runs(int(found["process"])):
+            path = folder / name
+            with suppress(OSError):
+                shutil.rmtree(path) if path.is_dir() and not path.is_symlink() else path.unlink()
+
+
+def _host() -> str:
+    return re.sub(r"\W", "_", platform.node())[:40]
+
+
+def _runs(process: int) -> bool:
+    """Return whether there is a process of that number."""
+    try:
+        os.kill(process, 0)
+    except ProcessLookupError:
+        return False
+    except (OSError, OverflowError):  # another user's, or no number of a process
+        return True
+    return True
 
 
 def save_torch(state: dict[str, Any], path: Path) -> None:
@@ -147,9 +256,10 @@ def read_torch(path: Path, kind: str) -> dict[str, Any]:
 
 
 def refuse_existing(path: Path) -> None:
-    """Raise UserError where ``path`` is there already: what a user has is not overwritten."""
+    """Raise Existing where ``path`` is there already: what a user has is not overwritten, by `replacing` neither."""
     if path.exists():
-        raise UserError(f"{path} exists already and is not overwritten: remove it or choose another name.")
+        raise Existing(f"{path} exists already and is not overwritten: remove it or choose another name.")
+    _NEW.add(_real(path))
 
 
 def refuse_output(path: Path) -> None:

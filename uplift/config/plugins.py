@@ -98,7 +98,7 @@ def line_of(error: BaseException, found: type) -> str:
 
 
 def _check_kinds(found: type, options: Mapping[str, Any], where: str) -> None:
-    """Refuse an option whose kind is not that of its default: text for a number, a number for text."""
+    """Refuse an option whose kind is not that of its default, or a whole number out of the class's ``ranges``, if it has any."""
     number = ("a number", (int, float))
     kinds = {bool: ("true or false", (bool,)), int: number, float: number, str: ("text", (str,))}
     for name, parameter in inspect.signature(found).parameters.items():
@@ -106,6 +106,10 @@ def _check_kinds(found: type, options: Mapping[str, Any], where: str) -> None:
         value = options.get(name, parameter.default)
         if expected and (not isinstance(value, kind) or (isinstance(value, bool) and kind != (bool,))):
             raise UserError(f"{where}.{name}={value!r}: expected {expected}, such as {parameter.default!r}.")
+    for name, (low, high) in getattr(found, "ranges", {}).items():
+        value = options.get(name, low)
+        if not isinstance(value, int) or not low <= value <= high:
+            raise UserError(f"{where}.{name}={value!r}: expected a whole number from {low:,} to {high:,}.")
 
 
 def find_class(use: str, builtin: Mapping[str, str], setting: str) -> type:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import datetime
+import itertools
 import json
 import os
 import platform
@@ -14,7 +15,7 @@ from importlib import metadata
 from pathlib import Path
 from typing import Any
 
-from uplift.config.files import data_root, read_torch, replacing
+from uplift.config.files import Existing, building, clear_parts, data_root, read_torch, refuse_special, replacing
 from uplift.config.loading import load_settings, save_settings
 from uplift.config.settings import Settings
 from uplift.errors import UserError, did_you_mean
@@ -57,24 +58,22 @@ class RunFolder:
             base.mkdir(parents=True, exist_ok=True)
         except (FileExistsError, NotADirectoryError) as error:
             raise UserError(f"Cannot make the folder {base.absolute()}: something else is in its place.") from error
-        path, attempt = base / stamp, 1
-        while True:
-            try:
-                path.mkdir()
-                break
-            except FileExistsError:
-                attempt += 1
-                path = base / f"{stamp}_{attempt}"
-        run = cls(path)
-        run.created = True
         if settings.data.train and not settings.data.root:
             # The run finds its data again from any folder, whatever UPLIFT_DATA is then.
             root = str(data_root(settings.data.name, None).absolute())
             settings = replace(settings, data=replace(settings.data, root=root))
-        save_settings(settings, run.config)
-        with replacing(path / "run.json") as file:
-            file.write(json.dumps(_facts(settings, command), indent=2).encode())
-        run.checkpoints.mkdir()
+        clear_parts(base)
+        for attempt in itertools.count(1):
+            path = base / (stamp if attempt == 1 else f"{stamp}_{attempt}")
+            with suppress(Existing), building(path) as made:
+                run = cls(made)
+                save_settings(settings, run.config)
+                with replacing(made / "run.json") as file:
+                    file.write(json.dumps(_facts(settings, command), indent=2).encode())
+                run.checkpoints.mkdir()
+                break
+        run = cls(path)
+        run.created = True
         return run
 
     def link_last(self) -> None:
@@ -159,6 +158,7 @@ class RunFolder:
 
 
 def _mapping(path: Path) -> dict[str, Any]:
+    refuse_special(path)
     try:
         found = json.loads(path.read_bytes())
     except ValueError as error:  # not JSON, or not text

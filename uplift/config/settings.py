@@ -115,7 +115,7 @@ class DataSettings:
     rotate: int = _setting(
         0, "degrees clockwise that put turned images upright: 0, 90, 180 or 270", low=0, high=270, only="keypoints"
     )
-    simulate: int = _setting(0, "frames, or masks, to simulate instead of reading a file", low=0, high=10**8)
+    simulate: int = _setting(0, "frames, or masks, to simulate instead of reading a file", low=0, high=10**7)
     family: str = _setting("chairs", "family of synthetic shapes whose masks are simulated", only="masks")
     side: int = _setting(64, "pixels along a mask's crop", low=MIN_SIDE, high=MAX_SIDE, only="masks")
     border: str = _setting(
@@ -235,7 +235,7 @@ class StageSettings:
     """One stage of training and its optimiser."""
 
     share: float = _setting(1.0, "share of the fit's budget; 0 leaves the stage out", low=0, high=1e6)
-    batch_size: int = _setting(512, "frames per step", low=2, high=1 << 20)
+    batch_size: int = _setting(512, "frames per step", low=2, high=1 << 17)
     learning_rate: float = _setting(5e-4, "Adam's learning rate", low=1e-12, high=10)
     beta1: float = _setting(0.5, "Adam's beta 1", low=0, high=0.99999)
     beta2: float = _setting(0.99, "Adam's beta 2", low=0, high=0.9999999)
@@ -500,6 +500,10 @@ PRIOR_SETTINGS = {
 
 _MOST_BYTES = 4_000_000_000
 _MOST_SHAPES = 4096
+_MOST_VOXELS = 1 << 28
+"""Of all shapes of a mixture: 1 GB, and three times as much with their optimiser."""
+_MOST_BATCHES = 100_000
+_MOST_ROUNDS = 100
 
 
 def check_settings(settings: Settings) -> None:
@@ -554,8 +558,10 @@ def _contradictions(settings: Settings) -> Iterator[tuple[bool, str]]:
     unknown = next((name for name in flags if name not in TRAINER_FLAGS), "")
     yield bool(unknown), f"trainer.flags.{unknown}: no such flag for a fit.{nearest(unknown, TRAINER_FLAGS)}"
     count = flags.get("accumulate_grad_batches", 1)
-    whole = isinstance(count, int) and not isinstance(count, bool) and count >= 1
-    yield not whole, f"trainer.accumulate_grad_batches={count!r}: expected a whole number of at least 1."
+    whole = isinstance(count, int) and not isinstance(count, bool) and 1 <= count <= _MOST_BATCHES
+    yield not whole, f"trainer.accumulate_grad_batches={count!r}: expected a whole number from 1 to {_MOST_BATCHES:,}."
+    rounds = len(student.rounds)
+    yield rounds > _MOST_ROUNDS, f"student.rounds has {rounds:,} rounds, expected at most {_MOST_ROUNDS}."
     yield settings.teacher.share <= 0, "teacher.share is 0: the first stage cannot be left out."
     yield (
         trainer.max_time is None and trainer.max_steps is None and trainer.max_epochs is None,
@@ -571,6 +577,11 @@ def _of_masks(settings: Settings) -> Iterator[tuple[bool, str]]:
     shapes = shape.parts * math.prod(shape.splits)
     many = f"shape.parts and shape.splits ask for {shapes:,} shapes, expected at most {_MOST_SHAPES:,}."
     yield shapes > _MOST_SHAPES, many
+    voxels = shapes * shape.detail**3
+    fine = (
+        f"{shapes:,} shapes of shape.detail={shape.detail} have {voxels:,} voxels, expected at most {_MOST_VOXELS:,}."
+    )
+    yield voxels > _MOST_VOXELS, fine
     size, masks = data.simulate * data.side**2, f"data.simulate={data.simulate} masks of data.side={data.side}"
     yield size > _MOST_BYTES, f"{masks} take {size / 1e9:,.0f} GB: ask for fewer."
     for key in ("category", "most", "images", "format"):

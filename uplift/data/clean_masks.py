@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
@@ -72,6 +73,8 @@ REASONS = {
     "no_image": "an image that the file does not have",
     "unreadable": "no picture, or a damaged one",
     "huge": "more than 100 million pixels",
+    "wide": "more than 50 million pixels in colours or of 32 bits",
+    "scattered": "labels that are scattered over all of the picture, not objects",
     "photo": "a photo or drawing of many shades, not a mask",
     "labels": "several labels in one picture (format=labels takes each as an object)",
     "no_background": "no pixel is 0, the background of a label image",
@@ -222,6 +225,8 @@ def _weights(
 
 _FULL = 0.995
 _THIN_PX = 2
+_MOST_PX = 1 << 24
+"""Pixels in the box of an object: of a larger one every second or third along each axis is as good for a small crop."""
 
 
 @dataclass(frozen=True)
@@ -255,12 +260,15 @@ def clean_mask(mask: np.ndarray | Found, options: CleanOptions | None = None) ->
     if np.count_nonzero(object_) >= _FULL * width * height:
         return "full"
     object_, left, top = _boxed(object_, *found.corner_px)
-    object_, second = _largest_piece(object_)
+    bottom, right = top + object_.shape[0], left + object_.shape[1]
+    step = math.isqrt((object_.size - 1) // _MOST_PX) + 1
+    object_, second = _largest_piece(object_[::step, ::step])
     changes = set()
     if second > 0:
-        object_, left, top = _boxed(object_, left, top)
+        object_, left, top = _boxed(object_, left, top, step)
         changes.add("largest" if second >= _PIECE else "specks")
-    tall, wide = object_.shape
+    tall = min(object_.shape[0] * step, bottom - top)
+    wide = min(object_.shape[1] * step, right - left)
     if max(tall, wide) < _MIN_SIDE_PX:
         return "small"
     slack = found.slack_px
@@ -275,16 +283,20 @@ def clean_mask(mask: np.ndarray | Found, options: CleanOptions | None = None) ->
     object_, holes = _fill_noise(object_)
     changes |= {"holes"} if holes else set()
     scale_px = max(tall, wide) / 2 / FILL
-    crop = resample(object_, (wide / 2, tall / 2), scale_px, options.side)
+    crop = resample(object_, (wide / 2 / step, tall / 2 / step), scale_px / step, options.side)
     if crop.max() < 128:
         return "thin"
     return Crop(crop, (left + wide / 2, top + tall / 2), scale_px, frozenset(changes))
 
 
-def _boxed(mask: np.ndarray, left: int, top: int) -> tuple[np.ndarray, int, int]:
-    """Return the part of a mask inside its box, and where that is if the mask's corner is at (left, top)."""
+def _boxed(mask: np.ndarray, left: int, top: int, step: int = 1) -> tuple[np.ndarray, int, int]:
+    """Return the part of a mask inside its box, and where that is if the mask's corner is at (left, top).
+
+    ``step`` says how many pixels of the image are one of the mask's.
+    """
     rows, columns = np.flatnonzero(mask.any(1)), np.flatnonzero(mask.any(0))
-    return mask[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1], left + int(columns[0]), top + int(rows[0])
+    inside = mask[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]
+    return inside, left + step * int(columns[0]), top + step * int(rows[0])
 
 
 def clean(

@@ -9,6 +9,8 @@ __all__ = ["cover", "draw_mask", "project"]
 
 _FINER = 4
 """Samples along a pixel's side: 16 a pixel."""
+_SPANS = 1 << 22
+"""Rows of triangles that are in memory at a time."""
 
 
 def draw_mask(
@@ -28,11 +30,14 @@ def cover(
     points: Float[np.ndarray, "vertices 2"], faces: Int[np.ndarray, "faces 3"], side: int
 ) -> Bool[np.ndarray, "side side"]:
     """Return the pixels whose centre a triangle covers; points as `draw_mask` has them."""
-    starts, ends, rows = _spans(np.asarray(points, float)[faces], side)
+    points, width = np.asarray(points, float), side + 1
+    change = np.zeros(side * width, np.int64)
+    block = max(1, _SPANS // side)  # a triangle has a span in each row at most
+    for start in range(0, len(faces), block):
+        starts, ends, rows = _spans(points[faces[start : start + block]], side)
+        change += np.bincount(rows * width + starts, minlength=side * width)
+        change -= np.bincount(rows * width + ends, minlength=side * width)
     # A sample is covered where more spans of its row have begun than have ended.
-    width = side + 1
-    change = np.bincount(rows * width + starts, minlength=side * width)
-    change = change - np.bincount(rows * width + ends, minlength=side * width)
     return np.cumsum(change.reshape(side, width), 1)[:, :-1] > 0
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import io
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -11,6 +12,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
+from uplift.config.files import replacing
 from uplift.metrics.protocols import (
     ACTION_MEAN,
     BEST_BASELINE,
@@ -60,11 +62,13 @@ class AnyEvaluation:
 
     def write_csv(self, path: str | Path) -> None:
         """Write one figure a row: group (overall, action, joint, category, ...), name, protocol, value, unit."""
-        with Path(path).open("w", newline="", encoding="utf-8") as file:
-            writer = csv.writer(file)
-            writer.writerow(["group", "name", "protocol", "value", "unit"])
-            writer.writerows(["overall", "", *self._cells(name, value)] for name, value in self.overall.items())
-            writer.writerows(self._rows())
+        text = io.StringIO(newline="")
+        writer = csv.writer(text)
+        writer.writerow(["group", "name", "protocol", "value", "unit"])
+        writer.writerows(["overall", "", *self._cells(name, value)] for name, value in self.overall.items())
+        writer.writerows(self._rows())
+        with replacing(path) as file:
+            file.write(text.getvalue().encode())
 
     def table(self) -> str:
         """Return all of it as aligned plain text for the terminal."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, ClassVar
 
 import torch
 from jaxtyping import Float
@@ -14,6 +14,11 @@ from uplift.config.plugins import build, find_class, options_of
 from uplift.errors import UserError, did_you_mean
 
 __all__ = ["CouplingFlow", "KudoNetwork", "ResidualNetwork", "build_network", "fitting_options"]
+
+
+_MOST_UNITS, _MOST_BLOCKS = 16_384, 256
+_MOST_WEIGHTS = 200_000_000
+"""Of a built-in network, 3 GB with their optimiser: a hundred times those of the largest recipe."""
 
 
 class KudoNetwork(nn.Module):
@@ -29,6 +34,8 @@ class KudoNetwork(nn.Module):
         slope: of the leaky ReLU below 0.
         std: standard deviation of the first weights: the code's 0.02; with the 0.14 that the paper prints nothing is learned.
     """
+
+    ranges: ClassVar = {"units": (1, _MOST_UNITS)}
 
     def __init__(self, inputs: int, outputs: int, *, units: int = 1024, slope: float = 0.2, std: float = 0.02):
         super().__init__()
@@ -60,6 +67,8 @@ class ResidualNetwork(nn.Module):
         slope: of the leaky ReLU below 0.
         norm: whether each pair's input is normalised over its units (layer normalisation).
     """
+
+    ranges: ClassVar = {"units": (1, _MOST_UNITS), "blocks": (1, _MOST_BLOCKS)}
 
     def __init__(
         self, inputs: int, outputs: int, *, units: int = 256, blocks: int = 2, slope: float = 0.2, norm: bool = False
@@ -170,8 +179,12 @@ def build_network(
         raise UserError(
             f"{setting}: no such network.{did_you_mean(use, NETWORKS)} A custom one is named file.py:Class."
         )
-    for name in ("units", "blocks"):
-        size = options.get(name, 1)
-        if isinstance(size, bool) or not isinstance(size, int) or not 1 <= size <= 1 << 20:
-            raise UserError(f"{where}.{name}={size!r}: expected a whole number of at least 1.")
+    units, blocks = options.get("units", 1), options.get("blocks", 1)
+    if use in NETWORKS and isinstance(units, int) and isinstance(blocks, int):
+        weights = 2 * units**2 * blocks
+        if units <= _MOST_UNITS and blocks <= _MOST_BLOCKS and weights > _MOST_WEIGHTS:
+            raise UserError(
+                f"{where}: {blocks} blocks of {units:,} units are {weights:,} weights, expected at most "
+                f"{_MOST_WEIGHTS:,}. A larger network can be your own, file.py:Class."
+            )
     return build(use, NETWORKS, options, where, nn.Module, inputs=inputs, outputs=outputs)

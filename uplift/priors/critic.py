@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, ClassVar
 
 import torch
 from torch import Tensor
@@ -28,6 +28,8 @@ class Critic(Prior):
         units: width of its layers.
         options: its other options.
     """
+
+    ranges: ClassVar = {"units": (1, 16_384)}
 
     def __init__(
         self,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from typing import ClassVar
 
 import torch
 from torch import Tensor, nn
@@ -36,6 +37,9 @@ class Flow(Prior):
         learning_rate: Adam's.
     """
 
+    ranges: ClassVar = {
+        "axes": (1, 10_000), "blocks": (1, 256), "units": (1, 2048), "steps": (1, 10**6), "batch_size": (2, 1 << 17),
+    }  # fmt: skip
     mean: Tensor
     whiten: Tensor
     usual: Tensor

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import ClassVar
+
 import numpy as np
 import torch
 from jaxtyping import Float, Int, UInt8
@@ -147,6 +149,7 @@ class Mask(Prior):
     bones: Tensor
     partners: Tensor
     along: Tensor
+    ranges: ClassVar = {"pixels": (1, 4096)}
     radii: Tensor
     """(bones,) thickness, in units."""
     usual: Tensor
@@ -168,8 +171,6 @@ class Mask(Prior):
         for name, value in (("inside", inside), ("explained", explained), ("thickness", thickness)):
             if value < 0:
                 raise UserError(f"priors.mask.{name}={value}: expected at least 0.")
-        if pixels < 1:
-            raise UserError(f"priors.mask.pixels={pixels}: expected at least 1.")
         self.inside, self.explained, self.thickness, self.pixels = inside, explained, thickness, pixels
         # `prepare` measures all of them anew, so no checkpoint contains them; the last three have a row per frame.
         buffers = {

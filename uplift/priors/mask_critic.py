@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import ClassVar
+
 import torch
 from jaxtyping import Float
 from torch import Tensor, nn
@@ -22,6 +24,7 @@ class MaskCritic(ShapePrior):
         gradient_penalty: weight of that penalty.
     """
 
+    ranges: ClassVar = {"units": (1, 512)}
     blur: Tensor
 
     def __init__(self, units: int = 24, gradient_penalty: float = 1.0):

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float, Real
 from PIL import Image, ImageDraw, ImageFont
 
-from uplift.errors import UserError
+from uplift.config.files import replacing
 from uplift.skeleton.core import CENTRE, LEFT, RIGHT, Skeleton, joint_sides
 
 __all__ = ["draw_skeleton", "rest_pose", "skeleton_layout"]
@@ -166,7 +166,7 @@ _MOST_LABELS = 300
 
 
 def draw_skeleton(skeleton: Skeleton, path: str | Path) -> None:
-    """Write a PNG of the skeleton; raises UserError where the file cannot be written."""
+    """Write a PNG of the skeleton; raises UserError where there is no folder for it."""
     place = _fit(skeleton_layout(skeleton))
     arrows = _arrows(skeleton, place)
     height = round(float(place[:, 1].max())) + _MARGIN_PX
@@ -278,10 +278,8 @@ class _Picture:
         shrunk = self.image.resize(
             (self.image.width // _SHARPEN, self.image.height // _SHARPEN), Image.Resampling.LANCZOS
         )
-        try:
-            shrunk.save(path, format="PNG")
-        except OSError as error:
-            raise UserError(f"{path}: cannot be written ({error.strerror or error}).") from None
+        with replacing(path) as file:
+            shrunk.save(file, format="PNG")
 
 
 def _freest(

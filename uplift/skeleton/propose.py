@@ -15,6 +15,7 @@ from jaxtyping import Bool, Float, Shaped
 
 from uplift.errors import UserError, did_you_mean
 from uplift.skeleton.core import Skeleton
+from uplift.skeleton.schema import MAX_JOINTS
 
 __all__ = [
     "TOO_LONG", "apart", "facing_guess", "guess_parts", "joining_bones", "mirror_pairs", "proposal_text", "propose",
@@ -95,6 +96,8 @@ def propose(data: Tracked, name: str, root: str | None = None, gravity: bool = T
 
 def _check_joints(data: Tracked, share: np.ndarray, where: str) -> None:
     joints = len(data.joint_names)
+    if joints > MAX_JOINTS:
+        raise UserError(f"{where}found {joints:,} joints; a skeleton has {MAX_JOINTS:,} at most.")
     if joints < 3:
         shown = f" ({', '.join(data.joint_names)})" if joints else ""
         raise UserError(f"{where}found {joints} joints{shown}; a skeleton needs 3 or more.")

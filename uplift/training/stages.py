@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import inspect
 import logging
+import os
 import time
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -14,6 +15,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 import lightning as L
+import torch
 from lightning.fabric.utilities.exceptions import MisconfigurationException
 from lightning.pytorch import callbacks as lightning_callbacks
 from lightning.pytorch.loggers import Logger
@@ -40,6 +42,7 @@ __all__ = [
     "StageRecord",
     "build_callbacks",
     "build_loggers",
+    "devices_of",
     "module_class",
     "run_stage",
     "stage_budgets",
@@ -227,12 +230,11 @@ _VALIDATE_EVERY = 1000
 
 def _trainer_flags(settings: TrainerSettings, budget: StageBudget, *, has_val: bool) -> dict[str, Any]:
     """Return the flags of the trainer of a stage: ours, and the user's over them."""
-    devices: int | str = int(settings.devices) if settings.devices.lstrip("-").isdigit() else settings.devices
     every = _VALIDATE_EVERY if budget.steps is None else max(1, budget.steps // _VALIDATIONS)
     validation = {"val_check_interval": every, "check_val_every_n_epoch": None} if has_val else {"limit_val_batches": 0}
     return {
         "accelerator": settings.accelerator,
-        "devices": devices,
+        "devices": devices_of(settings),
         "precision": settings.precision,
         "max_epochs": -1,
         "max_steps": budget.steps or -1,
@@ -243,6 +245,27 @@ def _trainer_flags(settings: TrainerSettings, budget: StageBudget, *, has_val: b
         **validation,
         **settings.flags,
     }
+
+
+_MOST_PROCESSES = 4
+"""On a processor of fewer cores: for trying out how several devices share the work."""
+
+
+def devices_of(settings: TrainerSettings) -> int | str:
+    """Return Lightning's ``devices``; raises UserError for more processes than there are cores, or computers that nothing starts."""
+    nodes = settings.flags.get("num_nodes", 1)
+    if nodes != 1 and not {"MASTER_ADDR", "SLURM_JOB_ID", "LSB_JOBID"} & set(os.environ):
+        raise UserError(
+            f"trainer.num_nodes={nodes}: the fit would wait for other computers, and no cluster has started this one "
+            "(MASTER_ADDR is not set)."
+        )
+    if not settings.devices.lstrip("-").isdigit():
+        return settings.devices
+    count, most = int(settings.devices), max(_MOST_PROCESSES, os.cpu_count() or 1)
+    on_cpu = settings.accelerator == "cpu" or (settings.accelerator == "auto" and not torch.cuda.is_available())
+    if on_cpu and count > most:
+        raise UserError(f"trainer.devices={count}: a process for each, expected at most {most} on this machine.")
+    return count
 
 
 def _trainer(settings: TrainerSettings, flags: Mapping[str, Any], **ours: Any) -> L.Trainer:

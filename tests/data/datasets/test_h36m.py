@@ -472,7 +472,7 @@ def test_wrong_h5_files(there, tmp_path):
             read.read("test")
     with h5py.File(tmp_path / name, "w") as file:
         file.create_dataset("3D_positions", (96, 10**10), "f8", chunks=(96, 1000))  # eight terabytes of nothing
-    with pytest.raises(UserError, match=r"Eating.h5.*claims"):
+    with pytest.raises(UserError, match=r"Eating.h5.*would take"):
         read.read("test")
     for path in (tmp_path / "S9/StackedHourglassFineTuned240").glob("Posing.55011271.h5"):
         path.unlink()

@@ -7,7 +7,7 @@ import hashlib
 import json
 import os
 import shutil
-import tempfile
+import zlib
 from collections.abc import Iterable
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -15,6 +15,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
+from uplift.config.files import building, clear_parts, replacing
 from uplift.data.poses import PoseData, codes_of
 from uplift.errors import UserError, did_you_mean
 from uplift.geometry.lens import Lens
@@ -131,7 +132,7 @@ class Rows:
 
 # What was read from a data set's files, kept as plain arrays that load in seconds.
 
-_FORMAT = 1
+_FORMAT = 2
 _ARRAYS = ("keypoints", "confidence", "pose", "root", "tilt_deg", "lens")
 _FACTS = ("joint_names", "unit", "fps", "image_size", "focal_px", "source")
 
@@ -157,12 +158,10 @@ def read_cached(source: DataSet, split: str) -> PoseData:
     if not source.cached:
         return source.read(split)
     place = _place(source, split)
-    try:
+    with contextlib.suppress(Exception):  # not there, or damaged in whatever way: it is only a cache
         return _load(place)
-    except (OSError, ValueError, KeyError, TypeError):
-        pass  # not there, or damaged: it is only a cache
     data = source.read(split)
-    with contextlib.suppress(OSError):  # no space or no permission: the next fit reads the files again
+    with contextlib.suppress(OSError, UserError):  # no space, no permission, or another process was first
         _save(data, place)
     return data
 
@@ -171,10 +170,10 @@ def cached_facts(source: DataSet, split: str) -> dict[str, Any] | None:
     """Return frames, joints and bytes of ``split`` in the cache without loading it; None where it is not there."""
     place = _place(source, split)
     try:
-        facts = json.loads((place / "facts.json").read_text())
-        size = sum(file.stat().st_size for file in place.iterdir())
+        facts = _facts(place)
+        size = sum(size for size, _ in facts["files"].values())
         return {"frames": facts["frames"], "joints": len(facts["joint_names"]), "bytes": size}
-    except (OSError, ValueError, KeyError):
+    except (OSError, ValueError, LookupError, TypeError, AttributeError):
         return None
 
 
@@ -194,28 +193,48 @@ def _hash(value: Any) -> str:
 
 def _save(data: PoseData, place: Path) -> None:
     place.parent.mkdir(parents=True, exist_ok=True)
-    for stale in place.parent.glob(f"{place.name.rpartition('-')[0]}-*"):  # of files that have changed since
+    clear_parts(place.parent)
+    for stale in place.parent.glob(
+        f"{place.name.rpartition('-')[0]}-*"
+    ):  # damaged, or of files that have changed since
         shutil.rmtree(stale, ignore_errors=True)
-    building = Path(tempfile.mkdtemp(prefix=".building-", dir=place.parent))
-    try:
+        if not stale.is_dir():
+            stale.unlink(missing_ok=True)
+    with building(place) as folder:
         for name in _ARRAYS:
             array = getattr(data, name)
             if array is not None:
-                np.save(building / f"{name}.npy", array)
+                np.save(folder / f"{name}.npy", array)
         for key, values in data.identity.items():
-            _save_runs(building, key, values)
+            _save_runs(folder, key, values)
         facts = {
             "frames": len(data),
             **{name: getattr(data, name) for name in _FACTS},
             "identity": list(data.identity),
             "lenses": [asdict(lens) for lens in data.lenses],
+            "files": {path.name: _checksum(path) for path in sorted(folder.iterdir())},
         }
-        (building / "facts.json").write_text(json.dumps(facts))
-        os.replace(building, place)
-    except OSError:
-        shutil.rmtree(building, ignore_errors=True)
-        if not place.is_dir():  # another process may have been first
-            raise
+        text = json.dumps(facts).encode()
+        with replacing(folder / "facts.json") as file:
+            file.write(b"%08x\n" % zlib.crc32(text) + text)
+
+
+def _checksum(path: Path) -> list[int]:
+    """Return the length and the checksum of a file, once it is on the disk."""
+    code = 0
+    with path.open("rb") as file:
+        os.fsync(file.fileno())
+        while block := file.read(1 << 22):
+            code = zlib.crc32(block, code)
+        return [file.tell(), code]
+
+
+def _facts(place: Path) -> dict[str, Any]:
+    """Return what is known of a folder of the cache; raises ValueError where that is damaged."""
+    code, _, text = (place / "facts.json").read_bytes().partition(b"\n")
+    if code != b"%08x" % zlib.crc32(text):
+        raise ValueError("another checksum")
+    return json.loads(text)
 
 
 def _save_runs(folder: Path, key: str, values: np.ndarray) -> None:
@@ -234,7 +253,9 @@ def _save_runs(folder: Path, key: str, values: np.ndarray) -> None:
 
 
 def _load(place: Path) -> PoseData:
-    facts = json.loads((place / "facts.json").read_text())
+    facts = _facts(place)
+    if any(_checksum(place / name) != known for name, known in facts["files"].items()):
+        raise ValueError("another checksum")
     arrays = {name: _mapped(place / f"{name}.npy") for name in _ARRAYS if (place / f"{name}.npy").is_file()}
     identity = {}
     for key in facts["identity"]:

@@ -13,6 +13,7 @@ import numpy as np
 from uplift.data.datasets.base import WantedFile
 from uplift.data.formats.layouts import H36M_JOINTS as JOINTS
 from uplift.data.formats.layouts import HOURGLASS_JOINTS
+from uplift.data.parsers.files import check_claim, check_memory
 from uplift.data.parsers.pickles import load_object_npz, load_pickle
 from uplift.errors import UserError, did_you_mean
 from uplift.geometry.lens import Lens
@@ -617,8 +618,8 @@ def _h5(path: Path, name: str, take: Callable[[Any], Any]) -> Any:
             found = file.get(name)
             if not isinstance(found, h5py.Dataset):
                 raise UserError(f"{path} has no '{name}' (found: {', '.join(list(file)[:10]) or 'nothing'}).")
-            if found.nbytes > 4 * max(path.stat().st_size, 1 << 20) * 1000:
-                raise UserError(f"{path}: '{name}' claims {found.nbytes:,} bytes: damaged file.")
+            size = check_claim(f"{path}: '{name}'", found.shape, found.dtype)
+            check_memory(path, f"'{name}'", size, path.stat().st_size)
             return take(found)
     except (OSError, ValueError, TypeError, KeyError, RuntimeError, MemoryError) as error:
         raise UserError(f"{path} cannot be read as HDF5 ({error}): truncated, or another format?") from error

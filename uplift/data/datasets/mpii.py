@@ -11,6 +11,7 @@ import numpy as np
 
 from uplift.data.datasets.base import DataSet, WantedFile, first_file
 from uplift.data.formats.npz import read_npz
+from uplift.data.parsers.files import read_bytes
 from uplift.data.parsers.json import JsonText, objects
 from uplift.data.parsers.matlab import load_mat5
 from uplift.data.poses import PoseData
@@ -100,8 +101,7 @@ def _read_npy(path: Path, occluded: float) -> PoseData:
         UserError: no array of 34 or 17 x 2 numbers a person, or another number of image names.
     """
     try:
-        content = path.read_bytes()
-        array = np.load(io.BytesIO(content), allow_pickle=False)
+        array = np.load(io.BytesIO(read_bytes(path)), allow_pickle=False)
     except (OSError, ValueError, EOFError, MemoryError) as error:
         raise UserError(f"{path} cannot be read as .npy: {error}") from None
     if not isinstance(array, np.ndarray) or array.dtype.kind not in "fiu" or array.shape[1:] not in ((34,), (17, 2)):

@@ -16,6 +16,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any, Generic, Literal, TypeVar
 
+from uplift.config.files import refuse_special
 from uplift.data.parsers.files import HDF5_START, encoding_of
 from uplift.data.parsers.json import JSON_LINES, is_json
 from uplift.errors import UserError, nearest
@@ -293,6 +294,8 @@ class Peek:
     def __init__(self, paths: str | Path | Sequence[Path]):
         self.paths = [Path(paths)] if isinstance(paths, str | Path) else list(paths)
         self.path = self.paths[0]
+        for path in self.paths:
+            refuse_special(path)
         if not self.path.exists():
             raise UserError(f"No file {self.path} (looked in {self.path.absolute().parent}).")
         self.is_folder = self.path.is_dir()

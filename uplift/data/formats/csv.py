@@ -16,6 +16,7 @@ from uplift.config.files import replacing
 from uplift.data.formats.base import FileFormat, Peek, ReadOptions
 from uplift.data.formats.layouts import is_nameless, names_for
 from uplift.data.formats.rows import by_appearance, confidence_of, frame_numbers, named_tracks, rows_of, seen_by_flag
+from uplift.data.parsers.files import check_memory
 from uplift.data.parsers.table import Table, header_of
 from uplift.data.poses import IDENTITY_KEYS, PoseData
 from uplift.errors import UserError
@@ -392,6 +393,8 @@ def _placed(table: Table, column: int, found: Identity) -> tuple[list[str], np.n
     keys = [found.values[key] for key in found.values if key not in ("action", "category")]
     group, first = by_appearance(keys, len(table))
     names, joint = _joints(table, column)
+    what = f"a table of {len(names):,} joints in {len(first):,} frames"
+    check_memory(table.path, what, 12 * len(names) * len(first), table.path.stat().st_size)
     place = group * len(names) + joint
     code, one = by_appearance([place], len(table))
     again = np.delete(np.arange(len(table)), one)

@@ -18,7 +18,7 @@ import numpy as np
 from uplift.data.formats.base import FileFormat, Peek
 from uplift.data.formats.csv import write_table
 from uplift.data.formats.rows import by_appearance, frame_numbers, rows_of
-from uplift.data.parsers.files import bytes_of, check_memory, reason_of
+from uplift.data.parsers.files import check_claim, check_memory, reason_of
 from uplift.data.parsers.hdf5 import h5py_missing
 from uplift.data.parsers.pickles import Source, Unpickler
 from uplift.data.parsers.table import Table, first_lines, first_rows, header_of
@@ -263,7 +263,7 @@ def _appendable(path: Path, group: Any) -> tuple[list[tuple[str, ...]], np.ndarr
     columns = [_names(path, column) for column in axes[0][1]]
     place = {column: at for at, column in enumerate(columns)}
     rows = table[()]
-    numbers = np.full((len(rows), len(columns)), np.nan)
+    numbers = _empty(path, len(rows), len(columns))
     for field in rows.dtype.names:
         if field.startswith("values_block_"):
             _check_numbers(path, rows[field].dtype)
@@ -282,7 +282,7 @@ def _fixed(path: Path, group: Any) -> tuple[list[tuple[str, ...]], np.ndarray, n
         index = np.array(["/".join(part for part in parts if part) for parts in zip(*parts, strict=True)], np.str_)
     else:
         index = _index(path, _array(path, group, "axis1")[()], encoding)
-    numbers = np.full((len(index), len(columns)), np.nan)
+    numbers = _empty(path, len(index), len(columns))
     for block in range(int(group.attrs["nblocks"])):
         items = list(zip(*_h5_levels(path, group, f"block{block}_items", encoding), strict=True))
         values = _array(path, group, f"block{block}_values")
@@ -290,6 +290,12 @@ def _fixed(path: Path, group: Any) -> tuple[list[tuple[str, ...]], np.ndarray, n
         values = values[()] if values.attrs.get("transposed", 0) else values[()].T
         numbers[:, [place[item] for item in items]] = values.reshape(len(index), len(items))
     return columns, numbers, index
+
+
+def _empty(path: Path, rows: int, columns: int) -> np.ndarray:
+    """Return (rows, columns) NaN; raises UserError for very much more than the file has bytes."""
+    check_memory(path, f"a table of {rows:,} rows and {columns:,} columns", rows * columns * 8, path.stat().st_size)
+    return np.full((rows, columns), np.nan)
 
 
 def _h5_levels(path: Path, group: Any, name: str, encoding: str) -> list[list[str]]:
@@ -331,10 +337,10 @@ def _array(path: Path, group: Any, name: str, *, records: bool = False) -> Any:
         )
     if (item.dtype.names is not None) != records or item.dtype.itemsize > 1 << 24:
         raise ValueError(f"'{name}' holds {str(item.dtype)[:60]}")
-    claimed = bytes_of(item.shape, item.dtype)
+    claimed = check_claim(f"{path}: '{name}'", item.shape, item.dtype)
     if claimed > path.stat().st_size * _MOST_PACKED:
         raise UserError(f"{path}: '{name}' claims {claimed / 1e9:.3g} GB, more than the file can hold.")
-    check_memory(path, f"'{name}'", claimed)
+    check_memory(path, f"'{name}'", claimed, path.stat().st_size)
     return item
 
 

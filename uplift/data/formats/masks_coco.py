@@ -14,7 +14,13 @@ from uplift.data.formats.base import FileFormat, Peek
 from uplift.data.formats.masks import gather, shuffled, wanted
 from uplift.data.masks import Found, MaskData, Skipped
 from uplift.data.parsers.json import JsonText, entries, is_text, members, objects
-from uplift.data.parsers.outlines import window_of_polygons, window_of_runs
+from uplift.data.parsers.outlines import (
+    MAX_PIXELS,
+    pixels_of_polygons,
+    pixels_of_runs,
+    window_of_polygons,
+    window_of_runs,
+)
 from uplift.data.parsers.pictures import Photos
 from uplift.errors import UserError
 
@@ -177,8 +183,49 @@ def _read(peek: Peek, options: MaskOptions) -> MaskData:
     jobs = [(file, record) for file in files for record in file.records if file.category_of(record) in taken]
     if not jobs:
         raise UserError(f"{where} has no annotations, expected COCO's, with a 'segmentation' each.")
+    _check_pixels(jobs, options, where)
     photos = Photos(options.images)
     return gather(_items(jobs, options, photos), options, where, _unsized(jobs), photos)
+
+
+_SMALL_PIXELS = 300_000_000
+_PIXELS_A_BYTE = 20_000
+"""Pixels to look at for each byte of a file: a coarse outline of all of a 4k photo has fewer."""
+
+
+def _check_pixels(jobs: list[tuple[_File, _Record]], options: MaskOptions, where: str) -> None:
+    """Raise UserError where outlines in few bytes would take hours: those that claim to be huge, again and again."""
+    size = sum(path.stat().st_size for path in {file.path for file, _ in jobs})
+    allowed = _SMALL_PIXELS + _PIXELS_A_BYTE * size
+    share = min(1.0, (options.most or len(jobs)) / len(jobs))
+    found = [(record.outline, file.images.get(record.image, _Image("", None)).size) for file, record in jobs]
+    outlines = [(outline, size) for outline, size in found if isinstance(outline, _Outline)]
+    for pixels_of in (_most_pixels, _pixels):  # the first is quick, and seldom too many
+        pixels = share * min(sum(pixels_of(*one) for one in outlines), 10**18)
+        if pixels <= allowed:
+            return
+    raise UserError(
+        f"{where}: its {len(jobs):,} outlines cover {pixels:,.0f} pixels in a file of {size / 1e6:.1f} MB, as no real "
+        "ones do. Scale images and outlines down, or take a few of them (most=10; data.most=10 of a fit)."
+    )
+
+
+def _most_pixels(outline: _Outline, image_size: tuple[int, int] | None) -> int:
+    """Return no fewer than `_pixels` of an outline in an image of ordinary size."""
+    if not image_size or not outline.polygons:
+        return MAX_PIXELS
+    width, height = image_size
+    return len(outline.polygons) * width * height + 10 * height * sum(map(len, outline.polygons))
+
+
+def _pixels(outline: _Outline, image_size: tuple[int, int] | None) -> int:
+    """Return how many pixels reading an outline looks at; none where it will be refused."""
+    try:
+        if outline.polygons:
+            return pixels_of_polygons([one.astype(np.float64) for one in outline.polygons], image_size)
+        return pixels_of_runs(outline.counts, outline.size)
+    except (OverflowError, ValueError):
+        return 0
 
 
 def _unsized(jobs: list[tuple[_File, _Record]]) -> list[str]:

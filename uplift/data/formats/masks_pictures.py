@@ -80,6 +80,10 @@ MASKS = FileFormat("png_folder", "pictures of masks, one object each", lambda pe
 
 # Label images: each number above 0 is an object (DAVIS, Cityscapes, microscopes and annotation tools).
 
+_MOST_IDS = 1 << 24
+"""Numbers that the three bytes of a colour hold: more take a table of them too much memory."""
+_MOST_OVERLAP = 20
+"""How many times the boxes of a picture's objects may cover it: those of objects next to each other overlap a little."""
 _TRIES = 12
 """Pictures that are opened to tell label images from masks."""
 _CITYSCAPES = "_instanceIds.png"
@@ -162,6 +166,10 @@ def _objects(
         place.name.removesuffix(f"_gtFine{_CITYSCAPES}") + "_leftImg8bit.png" if cityscapes else place.name
     )
     windows = find_objects(numbers)
+    boxes = sum((one[0].stop - one[0].start) * (one[1].stop - one[1].start) for one in windows if one)
+    if boxes > _MOST_OVERLAP * values.size:
+        yield Skipped(place.name, "scattered")
+        return
     for number, (id_, window) in enumerate(zip(ids.tolist(), windows, strict=True), 1):
         if id_ == 0 or id_ == void or window is None:
             continue
@@ -182,10 +190,12 @@ def _objects(
 
 def _numbered(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return the ids of a label image, rising, and the image with 1 for the first, 2 for the second, and so on."""
-    if values.dtype not in (np.uint8, np.uint16):
+    most = values.max()
+    if values.dtype.kind not in "iu" or most >= _MOST_IDS or most >= max(values.size, 1 << 16):
         ids, numbers = np.unique(values.astype(np.int64), return_inverse=True)
         return ids, numbers.reshape(values.shape).astype(np.int32) + 1
-    there = np.bincount(values.reshape(-1)) > 0  # far quicker than sorting them
+    there = np.zeros(int(most) + 1, bool)  # far quicker than sorting them
+    there[values] = True
     return np.flatnonzero(there), np.cumsum(there, dtype=np.int32)[values]
 
 
@@ -204,6 +214,8 @@ _RINGING = 32
 """Grey levels that a lossy picture may be off by, of 255."""
 _CONTRAST = 32
 """Grey levels between black and white, at least, of what a lossy picture shows."""
+_BLOCK = 1 << 24
+"""Pixels that are counted at a time, as counting takes eight bytes for each."""
 _REGION = 0.0005
 """Share of the picture that a label covers at least, apart from its edge."""
 
@@ -265,7 +277,7 @@ def _inner(values: np.ndarray) -> np.ndarray:
 def _regions(inner: np.ndarray, size: int) -> np.ndarray:
     """Return the values that cover more than specks."""
     if inner.dtype in (np.uint8, np.uint16):
-        counts = np.bincount(inner)
+        counts = sum(np.bincount(part, minlength=65536) for part in np.array_split(inner, 1 + inner.size // _BLOCK))
         return np.flatnonzero(counts >= max(4, _REGION * size))
     found, counts = np.unique(inner, return_counts=True)
     return found[counts >= max(4, _REGION * size)]

@@ -266,7 +266,8 @@ class _Labels:
 
     def data(self) -> PoseData:
         """Return the instances as rows; raises UserError where nothing is visible."""
-        check_memory(self.file.path, "the labels", 64 * len(self.found) * len(self.names))
+        size = 64 * len(self.found) * len(self.names)
+        check_memory(self.file.path, "the labels", size, self.file.path.stat().st_size)
         keypoints = np.full((len(self.found), len(self.names), 2), np.nan)
         score = np.zeros(keypoints.shape[:2])
         for row, (nodes, points, seen) in enumerate(self.found):
@@ -413,7 +414,8 @@ def _part(path: Path, one: _Container, frames: list[np.ndarray], names: list[str
     different, place = _different(frames)
     union = different[0] if len(different) == 1 else np.unique(np.concatenate(different))
     rows = [slice(None) if frame is union else np.searchsorted(union, frame) for frame in different]
-    check_memory(path, f"'{one.module}/{one.name}'", 32 * len(names) * len(union))
+    size = 32 * len(names) * len(union)
+    check_memory(path, f"'{one.module}/{one.name}'", size, path.stat().st_size)
     keypoints = np.full((len(union), len(names), 2), np.nan, np.float32)
     score = np.zeros((len(union), len(names)), np.float32)
     for series, number in zip(one.series, place, strict=True):

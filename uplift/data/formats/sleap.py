@@ -276,7 +276,8 @@ def _points(
     """Return joint names, keypoints, confidence, and what was assumed of scores."""
     used = np.unique(rows["skeleton"]).tolist()
     names = list(dict.fromkeys(node for body in used for node in bodies[body].nodes))
-    check_memory(file.path, f"points of {len(names):,} nodes", 64 * len(rows["track"]) * len(names))
+    size = 64 * len(rows["track"]) * len(names)
+    check_memory(file.path, f"points of {len(names):,} nodes", size, file.path.stat().st_size)
     keypoints = np.full((len(rows["track"]), len(names), 2), np.nan, np.float32)
     score = np.zeros(keypoints.shape[:2], np.float32)
     notes: tuple[str, ...] = ()

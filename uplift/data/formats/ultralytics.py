@@ -17,7 +17,7 @@ from uplift.data.formats.base import FileFormat, Peek, ReadOptions
 from uplift.data.formats.layouts import COCO, names_for, swapped_names
 from uplift.data.formats.rows import Bodies, pose_data, seen_by_flag, track_of, video_names
 from uplift.data.formats.scales import SHARES_NOTE
-from uplift.data.parsers.files import reason_of
+from uplift.data.parsers.files import read_bytes, reason_of
 from uplift.data.parsers.json import JsonText, Numbers, in_order, is_text, items, json_files, shown
 from uplift.data.parsers.pictures import PHOTO_ENDINGS
 from uplift.data.poses import PoseData
@@ -470,8 +470,8 @@ def _numbers(text: str, where: str) -> list[float]:
 
 def _text(file: Path) -> str:
     try:
-        return file.read_text(encoding="utf-8-sig")
-    except (OSError, UnicodeDecodeError) as error:
+        return read_bytes(file).decode("utf-8-sig")
+    except UnicodeDecodeError as error:
         raise UserError(f"{file} cannot be read as text: {error}") from None
 
 

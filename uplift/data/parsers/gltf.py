@@ -6,7 +6,7 @@ import base64
 import binascii
 import json
 import struct
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -25,6 +25,8 @@ __all__ = ["GltfFile"]
 _TO_OWN = np.array([1.0, -1.0, -1.0])
 """glTF has y up and the front at +z: half a turn about x makes it y down and the front at -z."""
 _MOST_VERTICES = 20_000_000
+_MOST_PARTS = 10_000
+"""Meshes times where they are shown, primitive by primitive: each costs time in each pose, whatever its size."""
 
 
 class GltfFile:
@@ -100,7 +102,10 @@ _HARMLESS = ("KHR_mesh_quantization", "KHR_texture_", "KHR_materials_", "EXT_tex
 _COMPONENTS = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
 _WIDTHS = {"SCALAR": 1, "VEC3": 3, "VEC4": 4, "MAT4": 16}
 _MOST_EMPTY = 5_000_000
-"""Rows of an accessor without data, which costs a file nothing to claim."""
+"""Rows of all accessors without data, which cost a file nothing to claim."""
+_MOST_DECODED = 16
+"""Numbers for each byte of the file, over what a small one may have: many accessors can read the same bytes."""
+_SMALL = 20_000_000
 
 
 class _Document:
@@ -120,6 +125,8 @@ class _Document:
         self.tree: dict[str, Any] = tree if isinstance(tree, dict) else {}
         self._check_kind()
         self.lists = {kind: self.objects(self.tree, kind, "the file") for kind in _LISTS}
+        self._decoded: dict[tuple[str, str, str], np.ndarray] = {}
+        self._count = self._empty = 0
         self.buffers = [self._buffer(number, entry, binary) for number, entry in enumerate(self.lists["buffers"])]
 
     def wrong(self, what: str) -> UserError:
@@ -217,7 +224,27 @@ class _Document:
         return found
 
     def floats(self, index: Any, kind: str, whose: str) -> Float[np.ndarray, "rows width"]:
-        """Return an accessor's numbers, normalised integers as -1..1 or 0..1."""
+        """Return an accessor's numbers, normalised integers as -1..1 or 0..1; they are shared, not to be changed."""
+        return self._once(self._as_floats, index, kind, whose)
+
+    def integers(self, index: Any, kind: str, whose: str) -> Int[np.ndarray, "rows width"]:
+        """Return an accessor's whole numbers, 0 or more; they are shared, not to be changed."""
+        return self._once(self._as_integers, index, kind, whose)
+
+    def _once(self, decoded: Callable[..., np.ndarray], index: Any, kind: str, whose: str) -> np.ndarray:
+        """Return what ``decoded`` does, from before where it is known: parts often share one list of vertices."""
+        key = (decoded.__name__, str(index), kind)
+        if key not in self._decoded:
+            self._decoded[key] = decoded(index, kind, whose)
+        return self._decoded[key]
+
+    def count(self, numbers: int) -> None:
+        """Count numbers that are read; raises UserError for many more than the file has bytes."""
+        self._count += numbers
+        if self._count > _SMALL + _MOST_DECODED * sum(map(len, self.buffers)):
+            raise self.wrong(f"its accessors read the same bytes again and again, {self._count:,} numbers by now")
+
+    def _as_floats(self, index: Any, kind: str, whose: str) -> np.ndarray:
         accessor, found = self._rows(index, kind, whose)
         values = found.astype(np.float64)
         if accessor.get("normalized") is True and found.dtype.kind in "iu":
@@ -226,8 +253,7 @@ class _Document:
             raise self.wrong(f"{whose} has numbers that are not finite")
         return values
 
-    def integers(self, index: Any, kind: str, whose: str) -> Int[np.ndarray, "rows width"]:
-        """Return an accessor's whole numbers, 0 or more."""
+    def _as_integers(self, index: Any, kind: str, whose: str) -> np.ndarray:
         _, found = self._rows(index, kind, whose)
         if found.dtype.kind != "u":
             raise self.wrong(f"{whose} are not unsigned whole numbers")
@@ -241,10 +267,12 @@ class _Document:
         dtype = self._component(accessor, name)
         if "bufferView" in accessor:
             found = self._viewed(accessor, dtype, shape, name)
-        elif shape[0] <= _MOST_EMPTY:
-            found = np.zeros(shape, dtype)
         else:
-            raise self.wrong(f"{name} claims {shape[0]:,} rows and has no data")
+            self._empty += shape[0]
+            if self._empty > _MOST_EMPTY:
+                raise self.wrong(f"{name} claims {shape[0]:,} rows and has no data")
+            found = np.zeros(shape, dtype)
+        self.count(found.size)
         return accessor, self._changed(accessor, found, name) if "sparse" in accessor else found
 
     def _component(self, entry: dict[str, Any], name: str) -> np.dtype:
@@ -515,10 +543,15 @@ class _Primitive:
 
 
 def _read_parts(document: _Document, nodes: _Nodes) -> list[_Part]:
+    primitives = sum(len(document.objects(entry, "primitives", "a mesh")) for entry in document.lists["meshes"])
+    if primitives > _MOST_PARTS:
+        raise UserError(
+            f"{document.path}: {primitives:,} separate parts, expected at most {_MOST_PARTS:,}. Join them before export."
+        )
     meshes = [_primitives(document, entry, f"mesh {number}") for number, entry in enumerate(document.lists["meshes"])]
     skins = [_skin(document, entry, f"skin {number}") for number, entry in enumerate(document.lists["skins"])]
     shown = _shown(document, nodes)
-    found, count = [], 0
+    shapes, count, parts = [], 0, 0
     for node, entry in enumerate(document.lists["nodes"]):
         if "mesh" not in entry:
             continue
@@ -528,11 +561,13 @@ def _read_parts(document: _Document, nodes: _Nodes) -> list[_Part]:
         if skin is not None and last >= len(skin.joints):
             raise document.wrong(f"mesh {number} refers to joint {last} of its skin")
         count += sum(len(primitive.vertices) for primitive in meshes[number])
-        if count > _MOST_VERTICES:
-            raise document.wrong(f"it shows more than {_MOST_VERTICES:,} vertices")
+        parts += len(meshes[number])
+        if count > _MOST_VERTICES or parts > _MOST_PARTS:
+            found = f"{_MOST_VERTICES:,} vertices" if count > _MOST_VERTICES else f"{_MOST_PARTS:,} separate parts"
+            raise UserError(f"{document.path}: shows more than {found}. Join its parts, or simplify it, before export.")
         if node in shown:
-            found.append(_Part(node, meshes[number], skin, _morph(document, entry, number, meshes[number])))
-    return found
+            shapes.append(_Part(node, meshes[number], skin, _morph(document, entry, number, meshes[number])))
+    return shapes
 
 
 def _shown(document: _Document, nodes: _Nodes) -> set[int]:
@@ -582,6 +617,7 @@ def _primitive(document: _Document, entry: dict[str, Any], whose: str) -> _Primi
     if not isinstance(attributes, dict):
         raise document.wrong(f"{whose} has triangles without attributes")
     vertices = document.floats(attributes.get("POSITION"), "VEC3", f"'POSITION' of {whose}")
+    document.count(len(document.objects(entry, "targets", whose)) * vertices.size)
     faces = _faces(document, entry, len(vertices), whose)
     joints, weights = _influences(document, attributes, len(vertices), whose)
     moves = [

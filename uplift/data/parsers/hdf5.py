@@ -13,7 +13,8 @@ from typing import Any
 
 import numpy as np
 
-from uplift.data.parsers.files import HDF5_START, bytes_of, check_memory, damage_as_error
+from uplift.config.files import refuse_special
+from uplift.data.parsers.files import HDF5_START, bytes_of, check_claim, check_memory, damage_as_error
 from uplift.errors import UserError
 
 __all__ = ["Hdf5", "from_json", "h5py_missing", "open_hdf5"]
@@ -63,6 +64,7 @@ def open_hdf5(path: Path, what: str) -> Iterator[Hdf5]:
     Raises:
         UserError: not HDF5, damaged, or h5py is not installed.
     """
+    refuse_special(path)
     if path.is_dir():
         raise UserError(f"{path} is a folder, expected {what} (HDF5).")
     try:
@@ -169,12 +171,14 @@ class Hdf5:
             raise UserError(f"{self.path}: no array '{name}', expected in {self.what}.")
         if item.shape is None or item.external or item.is_virtual:
             raise UserError(f"{self.path}: '{name}' has no values in this file, and no other is opened.")
-        claimed, stored = bytes_of(item.shape, item.dtype), item.id.get_storage_size()
+        claimed = check_claim(f"{self.path}: '{name}'", item.shape, item.dtype)
+        stored = item.id.get_storage_size()
         chunk = bytes_of(item.chunks or (), item.dtype)
         if claimed > max(_SMALL, _MOST_PACKED * stored) or chunk > 4 * _SMALL + claimed:
             raise UserError(f"{self.path}: '{name}' claims {claimed:,} bytes but holds {stored:,}: damaged file.")
         self._taken += claimed
-        check_memory(self.path, f"'{name}'" if self._taken == claimed else f"all up to '{name}'", self._taken)
+        what = f"'{name}'" if self._taken == claimed else f"all up to '{name}'"
+        check_memory(self.path, what, self._taken, self.path.stat().st_size)
         return item
 
     @_one_error

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from uplift.data.parsers.files import encoding_of
+from uplift.data.parsers.files import encoding_of, read_bytes
 from uplift.errors import UserError
 
 __all__ = [
@@ -66,10 +66,9 @@ class JsonText:
         self.path = path
         self.at = 0
         try:
-            with path.open("rb") as file:
-                encoding = encoding_of(file.read(4))
-            self.text = path.read_text(encoding=encoding)
-        except (OSError, UnicodeDecodeError) as error:
+            content = read_bytes(path)
+            self.text = content.decode(encoding_of(content[:4]))
+        except UnicodeDecodeError as error:
             raise UserError(f"{path} cannot be read as JSON: {error}") from None
         if not self.next_sign():
             raise UserError(f"{path} is empty, expected JSON.")

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from uplift.data.parsers.files import HDF5_START, bytes_of, check_memory, damage_as_error, existing_file
+from uplift.data.parsers.files import HDF5_START, check_claim, check_memory, damage_as_error, existing_file
 from uplift.errors import UserError
 
 __all__ = ["load_mat", "load_mat5"]
@@ -61,7 +61,8 @@ def load_mat5(path: Path, names: Collection[str]) -> dict[str, Any]:
     with damage_as_error(path, "a MATLAB file", MatReadError):
         shapes = {name: shape for name, shape, _ in whosmat(path)}
         for name, shape in shapes.items():
-            check_memory(path, f"'{name}'", bytes_of(shape, np.dtype(float)))
+            size = check_claim(f"{path}: '{name}'", shape, np.dtype(float))
+            check_memory(path, f"'{name}'", size, path.stat().st_size)
         wanted = [name for name in names if name in shapes]
         found = loadmat(path, variable_names=wanted, verify_compressed_data_integrity=True) if wanted else {}
     return {name: found[name] for name in wanted if name in found}
@@ -83,7 +84,8 @@ def _from_hdf5(path: Path, file: Any, name: str, cells: Collection[int] | None) 
         raise UserError(f"{path}: '{name}' is a struct, expected an array or a cell array.")
     if h5py.check_ref_dtype(item.dtype) is None:
         return _array(path, name, item)
-    check_memory(path, f"'{name}'", bytes_of(item.shape, np.dtype(float)))
+    size = check_claim(f"{path}: '{name}'", item.shape, np.dtype(float))
+    check_memory(path, f"'{name}'", size, path.stat().st_size)
     places = item[()].T.ravel("F")
     return [
         _array(path, name, file[place]) if cells is None or number in cells else np.empty((0, 0))
@@ -95,7 +97,8 @@ def _array(path: Path, name: str, item: Any) -> np.ndarray:
     """Return a dataset of numbers with MATLAB's order of axes, which HDF5 stores the other way round."""
     if item.dtype.kind not in "fiub" or item.external or item.is_virtual:
         raise UserError(f"{path}: '{name}' is not a plain array of numbers (found {item.dtype}).")
-    check_memory(path, f"'{name}'", bytes_of(item.shape, item.dtype))
+    size = check_claim(f"{path}: '{name}'", item.shape, item.dtype)
+    check_memory(path, f"'{name}'", size, path.stat().st_size)
     if item.attrs.get("MATLAB_empty", 0):
         return np.empty((0, 0))
     return item[()].T

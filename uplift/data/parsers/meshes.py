@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
+from uplift.config.files import refuse_special
 from uplift.data.parsers.files import read_bytes, reason_of
 from uplift.data.parsers.gltf import GltfFile
 from uplift.errors import UserError, did_you_mean
@@ -23,6 +24,8 @@ ENDINGS = (".glb", ".gltf", ".obj", ".off", ".ply", ".stl")
 """Files of meshes that are read."""
 _AXES = {"x": (1, 0, 0), "y": (0, 1, 0), "z": (0, 0, 1), "-x": (-1, 0, 0), "-y": (0, -1, 0), "-z": (0, 0, -1)}
 _FRONTS = {"y": "z", "-y": "z", "z": "-y", "-z": "-y"}
+_LONGEST_LINE = 100_000
+"""Characters of a line of text: a face of ten thousand corners has no more."""
 _FLAT = 1e-5
 """Thickness of a shape, as a share of its size, that counts as flat."""
 _MERGED = 1e-6
@@ -76,6 +79,7 @@ def find_mesh_files(sources: str | Path | Sequence[str | Path]) -> list[tuple[Pa
     found: dict[Path, str] = {}
     for source in given:
         path = Path(source).expanduser()
+        refuse_special(path)
         if path.is_dir():
             files = [file for file in sorted(path.rglob("*")) if _is_mesh(file, path)]
             if not files:
@@ -150,6 +154,9 @@ def _static(path: Path) -> Mesh:
 
     content = read_bytes(path)
     kind = path.suffix.lower()[1:]
+    longest = max(map(len, content.split(b"\n"))) if kind in ("obj", "off") else 0
+    if longest > _LONGEST_LINE:
+        raise UserError(f"{path}: a line of {longest:,} characters. Expected faces of a few corners: triangulate it.")
     try:
         found = trimesh.load_mesh(io.BytesIO(content), file_type=kind, process=False, skip_materials=True)
         vertices, faces = np.asarray(found.vertices, np.float64), np.asarray(getattr(found, "faces", []))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import zipfile
 from collections.abc import Collection
 from pathlib import Path
@@ -9,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from uplift.data.parsers.files import bytes_of, check_memory, damage_as_error, existing_file
+from uplift.data.parsers.files import bytes_of, check_claim, check_memory, damage_as_error, existing_file
 from uplift.errors import UserError, did_you_mean
 
 __all__ = ["CheckedArrays", "array_headers", "first_rows", "read_arrays", "read_header"]
@@ -37,7 +38,7 @@ def read_arrays(
     if unknown is not None and names is not None:
         raise UserError(f"{path}: unknown array '{unknown}'.{did_you_mean(unknown, sorted(names))}")
     wanted = [name for name in headers if names is None or name in names]
-    check_memory(path, "it", sum(bytes_of(*headers[name]) for name in wanted))
+    check_memory(path, "it", sum(bytes_of(*headers[name]) for name in wanted), path.stat().st_size)
     with damage_as_error(path, "an .npz file"), np.load(path, allow_pickle=False) as file:
         return {name: file[name] for name in wanted}
 
@@ -78,16 +79,20 @@ def _header(path: Path, archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> tu
             f"{path}: '{name}' holds pickled Python objects, which could run code and are never "
             "opened. Save plain numbers or text: np.savez(file, keypoints=array.astype('float32'), ...)."
         )
-    if (claimed := bytes_of(shape, dtype)) != stored:
+    if (claimed := check_claim(f"{path}: '{name}'", shape, dtype)) != stored:
         raise UserError(f"{path}: '{name}' claims {claimed:,} bytes but holds {stored:,}: damaged file.")
     return name, (shape, dtype)
 
 
 def read_header(file: Any) -> tuple[tuple[int, ...], bool, np.dtype]:
     """Return shape, whether columns come first, and dtype of the array that a file begins with; raises ValueError."""
-    version = np.lib.format.read_magic(file)
+    start = file.tell()
+    head = io.BytesIO(file.read(_MAX_HEADER_BYTES))  # NumPy would read as long a header as the file announces
+    version = np.lib.format.read_magic(head)
     read = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
-    return read(file, max_header_size=_MAX_HEADER_BYTES)
+    found = read(head, max_header_size=_MAX_HEADER_BYTES)
+    file.seek(start + head.tell())
+    return found
 
 
 class CheckedArrays:

@@ -223,7 +223,7 @@ def load_object_npz(path: str | Path, names: Collection[str] | None = None) -> d
     path = existing_file(path, "an .npz file")
     with damage_as_error(path, "an .npz file"), zipfile.ZipFile(path) as archive:
         members = [m for m in archive.infolist() if names is None or m.filename.removesuffix(".npy") in names]
-        check_memory(path, "it", sum(member.file_size for member in members))
+        check_memory(path, "it", sum(member.file_size for member in members), path.stat().st_size)
         return {m.filename.removesuffix(".npy"): _read_member(path, archive, m) for m in members}
 
 

@@ -51,14 +51,19 @@ def open_picture(path: Path) -> Picture:
     """Return a picture's numbers; of several frames, the first.
 
     Raises:
-        PictureError: not a picture, damaged, or of more than `MAX_PIXELS`.
+        PictureError: not a picture, damaged, or of more than `MAX_PIXELS`; half of them in colours or of 32 bits.
     """
+    if not path.is_file():  # a pipe or a device, which may never end
+        raise PictureError("unreadable")
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # of large pictures: refused below, before anything is decoded
             with Image.open(path, formats=_KINDS) as image:
-                if image.width * image.height > MAX_PIXELS:
+                pixels = image.width * image.height
+                if pixels > MAX_PIXELS:
                     raise PictureError("huge")
+                if pixels > MAX_PIXELS // 2 and (len(image.getbands()) > 1 or image.mode in ("I", "F")):
+                    raise PictureError("wide")
                 image.load()
                 return _numbers(image, image.format in ("JPEG", "WEBP"))
     except Image.DecompressionBombError:
@@ -81,13 +86,13 @@ def _numbers(image: Image.Image, lossy: bool) -> Picture:
         return Picture(np.maximum(np.asarray(image), 0))  # 16 bits and more
     if image.mode == "F":
         return Picture(np.nan_to_num(np.asarray(image), nan=0.0, posinf=0.0, neginf=0.0))
-    return _colours(np.asarray(image.convert("RGB")), lossy)
+    return _colours(image.convert("RGB"), lossy)
 
 
 def _palette(image: Image.Image) -> Picture:
     """Return a palette picture's ids, or its grey levels where all its colours are grey."""
     ids = np.asarray(image)
-    used = np.flatnonzero(np.bincount(ids.reshape(-1), minlength=256))
+    used = np.flatnonzero(image.histogram())
     transparent = image.info.get("transparency")
     colours = np.zeros((256, 3), np.int64)
     table = np.array(image.getpalette("RGB") or [], np.int64)[: 3 * 256].reshape(-1, 3)
@@ -101,15 +106,22 @@ def _palette(image: Image.Image) -> Picture:
     return Picture(ids, shades=_shades(colours)[ids])
 
 
-def _colours(rgb: np.ndarray, lossy: bool) -> Picture:
+def _colours(image: Image.Image, lossy: bool) -> Picture:
     """Return a colour picture's grey levels where it has no colours, else their ids."""
-    spread = rgb.max(-1).astype(np.int16) - rgb.min(-1)
+    red, green, blue = (np.asarray(image.getchannel(name)) for name in "RGB")
+    spread = np.maximum(np.maximum(red, green), blue) - np.minimum(np.minimum(red, green), blue)
     if spread.max(initial=0) <= (_JPEG_HUE if lossy else 0):
-        return Picture(np.ascontiguousarray(rgb[..., 1]), lossy=lossy)
-    shades = _shades(rgb)
+        return Picture(green, lossy=lossy)
+    shades = np.empty_like(green)
+    for row in range(len(green)):  # row by row: as wide numbers all of it would take much memory
+        shades[row] = _shades(np.stack([red[row], green[row], blue[row]], -1))
     if lossy:
         return Picture(shades, lossy=True)
-    return Picture(rgb.astype(np.int32) @ np.array([1, 256, 65536], np.int32), shades=shades)
+    ids = blue.astype(np.int32)
+    for channel in (green, red):
+        ids <<= 8
+        ids |= channel
+    return Picture(ids, shades=shades)
 
 
 def _shades(colours: np.ndarray) -> np.ndarray:

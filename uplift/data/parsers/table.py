@@ -17,7 +17,9 @@ from uplift.errors import UserError
 __all__ = ["Table", "Words", "first_lines", "first_rows", "header_of"]
 
 _START = 1 << 16
-_LONGEST_HEADER = 1 << 24
+_LONGEST_HEADER = 1 << 22
+_MOST_COLUMNS = 100_000
+"""Twenty animals of 133 keypoints have 8,000."""
 _LONGEST_LINE = 1 << 26
 _MISSING = {"", "nan", "na", "n/a", "#n/a", "null", "none", "nil", "-", "--", "-nan", "<na>"}
 _SWAPPED = str.maketrans(",.", ".,")
@@ -127,6 +129,9 @@ def first_rows(path: Path, rows: int) -> tuple[list[list[str]], str]:
     """
     lines = first_lines(path, rows)
     separator = max(",;\t", key=lambda sign: (lines[0].count(sign), sign == ","))
+    columns = max(line.count(separator) for line in lines) + 1
+    if columns > _MOST_COLUMNS:
+        raise UserError(f"{path}: a table of {columns:,} columns, expected at most {_MOST_COLUMNS:,}.")
     try:
         return [[cell.strip() for cell in row] for row in csv.reader(lines, delimiter=separator)], separator
     except csv.Error as error:
@@ -146,6 +151,8 @@ def first_lines(path: Path, rows: int) -> list[str]:
             utf16 = encoding_of(start) == "utf-16"
             text = start.decode("utf-16", errors="replace") if utf16 else _decoded(start, cut=True)
             lines = [line for line in text.splitlines() if line.strip()]
+    if len(start) > _LONGEST_HEADER and len(lines) < rows:
+        raise UserError(f"{path}: its header is longer than {_LONGEST_HEADER >> 20} MB, expected a table.")
     if "\0" in "".join(lines[:rows]):
         raise UserError(f"{path} is not text, expected a table.")
     if len(lines) < rows:

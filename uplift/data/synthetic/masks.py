@@ -12,6 +12,7 @@ from jaxtyping import Float, Int, UInt8
 
 from uplift.config.progress import progress
 from uplift.data.masks import FILL, MaskData, Placed
+from uplift.data.parsers.files import refuse_more_than_memory
 from uplift.data.synthetic.animals import animal
 from uplift.data.synthetic.furniture import armchair, bed, bench, cabinet, chair, desk, shelf, sofa, stool, table
 from uplift.data.synthetic.vehicles import bus, car, lorry, pickup, tractor, van
@@ -31,6 +32,8 @@ __all__ = [
     "simulate_masks",
 ]
 
+_BYTES_A_SHAPE = 30_000
+"""Of a simulated mesh, about."""
 _Kind = Callable[[np.random.Generator], Mesh]
 
 _SEATS: dict[_Kind, float] = {chair: 5, armchair: 2, sofa: 2, bench: 1.5, stool: 1.5}
@@ -73,6 +76,7 @@ def make_shapes(family: str, count: int, seed: int) -> list[Mesh]:
     """
     if count < 1:
         raise UserError(f"{count} shapes of '{family}' asked for, expected 1 or more.")
+    refuse_more_than_memory(f"{count:,} shapes of '{family}'", count * _BYTES_A_SHAPE, "Simulate fewer")
     shapes = [
         make_shape(family, np.random.default_rng((seed, number)))
         for number in progress(range(count), "simulating shapes")

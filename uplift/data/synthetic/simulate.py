@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float
 
+from uplift.data.parsers.files import refuse_more_than_memory
 from uplift.data.poses import PoseData
 from uplift.data.synthetic import body as bodies
 from uplift.data.synthetic.body import Body, forward_kinematics, is_human, rest_positions
@@ -21,6 +22,8 @@ __all__ = ["as_tracked", "build_body", "level_feet", "rest_pose", "simulate"]
 _FOCAL_PX = 1145.0
 _CENTRE_PX = 500.0
 _IMAGE_SIZE = (1000, 1000)
+_BYTES_A_POINT = 200
+"""Memory for each frame and point of a body while it is placed: rotations, angles, positions."""
 
 
 @dataclass(frozen=True)
@@ -125,6 +128,8 @@ def simulate(
     """
     _check(frames, subjects, clip_seconds, fps, tilt_deg, distance, noise_px, missing)
     body = build_body(skeleton)
+    size = frames * len(body.parents) * _BYTES_A_POINT
+    refuse_more_than_memory(f"simulate: frames={frames:,}", size, "Simulate fewer, or several files of them")
     rng = np.random.default_rng(seed)
     length = min(frames, max(1, round(clip_seconds * fps)))
     clips = -(-frames // length)
