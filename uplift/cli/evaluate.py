@@ -22,7 +22,7 @@ from uplift.data.load import format_of_run, load_data, load_file, load_split
 from uplift.data.load_masks import known_shapes, load_mask_split, load_masks
 from uplift.data.masks import MaskData
 from uplift.data.parsers.npz import read_arrays
-from uplift.errors import UserError
+from uplift.errors import UserError, listed
 from uplift.metrics.baselines import score_with_baselines
 from uplift.metrics.evaluate import evaluate as score
 from uplift.metrics.evaluate import evaluate_model
@@ -168,7 +168,7 @@ def evaluate_poses(poses: str | Path, test: str | Path, skeleton: str | None = N
     refuse_other_axes(str(poses), arrays)
     for key in ("pose", "joint_names"):
         if key not in arrays:
-            raise UserError(f"{poses}: no array '{key}' (found: {', '.join(sorted(arrays)) or 'none that is needed'}).")
+            raise UserError(f"{poses}: no array '{key}' (found: {listed(sorted(arrays)) or 'none that is needed'}).")
     names = joint_names_of(str(poses), arrays)
     chosen = load_skeleton(skeleton) if skeleton else _skeleton_of(names, str(poses))
     pose = _numbers(str(poses), arrays, "pose", (None, len(names), 3))
@@ -224,8 +224,7 @@ def _skeleton_of(names: tuple[str, ...], where: str) -> Skeleton:
         raise UserError(
             f"{where}: no shipped skeleton has exactly its joints; they fit '{name}': give skeleton={name}."
         )
-    shown = ", ".join(names[:8])
-    raise UserError(f"{where}: no shipped skeleton has its joints ({shown}, ...): give skeleton=FILE.yaml.")
+    raise UserError(f"{where}: no shipped skeleton has its joints ({listed(names)}): give skeleton=FILE.yaml.")
 
 
 # The command line.

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float, Int
 
-from uplift.errors import UserError
+from uplift.errors import UserError, listed
 from uplift.models.prediction import Prediction
 
 __all__ = ["MOST_FILES", "USUAL_FPS", "Clip", "arrange", "frame_rate", "one_clip", "photos", "seen_at", "steps"]
@@ -116,13 +116,13 @@ def one_clip(prediction: Prediction, path: str | Path, individuals: bool = True)
         raise UserError(f"cannot write {path}: the prediction is empty. Check the input file.")
     clips = arrange(prediction.identity, len(prediction))
     if len(clips) > 1:
-        names = ", ".join(clip.name for clip in clips[:3]) + (", ..." if len(clips) > 3 else "")
+        names = listed((clip.name for clip in clips), 3)
         raise UserError(f"cannot write {path}: a {Path(path).suffix} holds one clip, found {len(clips)}: {names}.")
     names = clips[0].individual_names
     if len(names) > 1 and not individuals:
         raise UserError(
             f"cannot write {path}: a {Path(path).suffix} holds one individual, found {len(names)}: "
-            f"{', '.join(names[:5])}{', ...' if len(names) > 5 else ''}. Write one file for each."
+            f"{listed(names, 5)}. Write one file for each."
         )
     return clips[0]
 

@@ -14,7 +14,7 @@ from uplift.data.parsers.files import bytes_of
 from uplift.data.parsers.npz import CheckedArrays, array_headers, first_rows, read_arrays
 from uplift.data.parsers.pictures import PHOTO_ENDINGS
 from uplift.data.poses import IDENTITY_KEYS, UNITS, PoseData, masks_of
-from uplift.errors import UserError
+from uplift.errors import UserError, listed
 
 __all__ = [
     "FORMAT",
@@ -56,7 +56,7 @@ def poses_of(where: str, arrays: dict[str, np.ndarray]) -> PoseData:
     for needed in ("keypoints", "joint_names"):
         if needed not in arrays:
             raise UserError(
-                f"{where}: no array '{needed}' (found: {', '.join(sorted(arrays)) or 'nothing'}). Expected at "
+                f"{where}: no array '{needed}' (found: {listed(sorted(arrays)) or 'nothing'}). Expected at "
                 "least 'keypoints' (frames, joints, 2) in pixels and 'joint_names' (joints,)."
             )
     refuse_other_axes(where, arrays)
