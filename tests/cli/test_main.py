@@ -91,7 +91,10 @@ def test_an_unknown_verb_or_flag_ends_with_status_2(words: list[str], capsys: py
         (["simulate", "skeleton=h36m17", "output=a.txt"], "written as .npz or .csv"),
         (["simulate", "skeleton=h36m17", "output=a.csv", "tracker=deeplabcat"], "Did you mean 'deeplabcut'?"),
         (["simulate", "skeleton=h36m17", "output=a.npz", "tracker=deeplabcut"], "are .csv"),
-        (["simulate", "skeleton=h36m17", "output=a.csv", "tracker=deeplabcut", "frames=99999"], "clip_seconds=30"),
+        (
+            ["simulate", "skeleton=h36m17", "output=a.csv", "tracker=deeplabcut", "frames=3100", "clip_seconds=0.1"],
+            "clip_seconds=30",
+        ),
         (["simulate", "skeleton=h36m17", "output=a.npz", "frames=many"], "frames='many', expected a whole number"),
         (["simulate", "skeleton=h36m17", "output=a.npz", "frames=0"], "frames=0"),
         (["simulate", "skeleton=h36m17", "output=a.npz", "seed=-1"], "seed"),
@@ -238,11 +241,32 @@ def test_a_fit_tells_what_it_dropped_and_filled(here: Path, capsys: pytest.Captu
     assert "6 of 60 frames dropped" in (here / "runs/h36m17/last/report.md").read_text()
 
 
-def test_the_demo_needs_no_data(here: Path, capsys: pytest.CaptureFixture) -> None:
+def test_the_demo_needs_no_data_and_may_be_quiet(here: Path, capsys: pytest.CaptureFixture) -> None:
     words = ["task=demo", "data.simulate=200", *QUICK, "trainer.max_steps=3"]
-    assert status_of("fit", *words) == 0
-    assert "p_mpjpe" in capsys.readouterr().out
-    assert (here / "runs/demo/last/page.html").is_file()
+    assert status_of("fit", "--quiet", *words) == 0
+    said, run = capsys.readouterr(), (here / "runs/demo/last").resolve().relative_to(here)
+    assert said.out == f"wrote {run}/: lifter.pt, report.md, page.html, evaluation.json\n"
+    assert re.fullmatch(r"WARNING: a short fit: 3 steps.*\n", said.err)
+    assert "p_mpjpe" in (run / "evaluation.json").read_text() and (run / "page.html").is_file()
+
+
+def test_quiet_leaves_what_was_written_and_answers(fitted: Path, here: Path, capsys: pytest.CaptureFixture) -> None:
+    run, b = the_runs(fitted)[1], fitted / "b.npz"
+    for words, wrote in {
+        ("simulate", "skeleton=h36m17", "output=s.npz", "frames=20", "-q"): "s.npz",
+        ("-q", "skeleton", "new", "new.yaml"): "new.yaml",
+        ("predict", "--quiet", f"run={run}", f"input={b}", "output=poses.npz"): "poses.npz",
+        ("evaluate", f"run={run}", "-q"): f"{run}/evaluation.json",
+    }.items():
+        assert main(list(words)) == 0
+        said = capsys.readouterr()
+        assert said.out.startswith(f"wrote {wrote}") and said.out.count("\n") == 1
+        assert all("WARNING" in line for line in said.err.splitlines())
+    assert main(["-q", "data", "check", "task=demo"]) == 0
+    assert "no files needed" in capsys.readouterr().out
+    assert "did you mean" in refusal(capsys, "predict", "-q", f"run={run}", f"input={b}", "outptu=a.npz").lower()
+    assert main(["simulate", "skeleton=h36m17", "output=t.npz", "frames=20"]) == 0
+    assert "simulated 20 frames" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize(

@@ -15,6 +15,7 @@ import numpy as np
 from uplift.cli.kinds import KINDS
 from uplift.cli.parsing import keyed
 from uplift.config.files import absolute, replacing, shipped_names
+from uplift.config.progress import say
 from uplift.config.run import RunFolder, read_weights
 from uplift.data.clean import clean
 from uplift.data.formats.npz import joint_names_of, refuse_other_axes, unit_of
@@ -246,7 +247,7 @@ def evaluate_command(words: Sequence[str]) -> None:
         raise UserError("evaluate run=...: the run knows its skeleton; skeleton= goes with poses=.")
     refine, items = keys.given("refine").get("refine"), keys.given("items").get("items")
     refined = None if refine is None else refine == "on"
-    print(evaluate(keys["run"], keys.get("data.test"), refine=refined, items=items).table())
+    say(evaluate(keys["run"], keys.get("data.test"), refine=refined, items=items).table())
     folder = RunFolder.open(keys["run"]).path
-    print(f"\nwrote {folder}/evaluation.json and evaluation.csv (older ones: evaluations/)")
-    print(f"next: uplift compare {folder} OTHER_RUN")
+    say(f"\nwrote {folder}/evaluation.json and evaluation.csv (older ones: evaluations/)")
+    say(f"next: uplift compare {folder} OTHER_RUN")

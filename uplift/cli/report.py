@@ -13,6 +13,7 @@ import numpy as np
 from uplift.cli.evaluate import MOST, save_evaluation, score_shapes
 from uplift.cli.kinds import KINDS
 from uplift.config.files import replacing
+from uplift.config.progress import say
 from uplift.config.run import RunFolder
 from uplift.config.settings import Settings
 from uplift.data.tensors import intrinsics_of, undistorted
@@ -116,7 +117,7 @@ def report(run: RunFolder, model: Any, settings: Settings, loaded: Any, training
     for stage, step, name, value in read_metrics(run.path / "metrics.csv"):
         curves.setdefault(f"{stage}: {name}", []).append((float(step), float(value)))
     found.write_page(run.path / "page.html", sections=sections, curves=curves, notes=[*doubtful, *found.given])
-    print("\n".join(_end_lines(run, found, rows, training)))
+    say("\n".join(_end_lines(run, found, rows, training)))
 
 
 def _head_lines(run: RunFolder, settings: Settings, notes: Sequence[str]) -> list[str]:
