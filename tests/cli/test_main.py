@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+import os
 import re
 import subprocess
 import sys
@@ -166,8 +168,40 @@ def test_evaluate_of_a_run_is_what_the_fit_said(fitted: Path, capsys: pytest.Cap
     assert "p_mpjpe" in capsys.readouterr().out
     assert (run / "evaluation.json").read_text() == before
     assert len(list((run / "evaluations").iterdir())) == older + 1
-    assert main(["evaluate", f"run={run}", f"data.test={fitted / 'a.npz'}"]) == 0
+    assert main(["evaluate", f"run={run}", f"data.test={fitted / 'a.npz'}", "evaluation=on-a"]) == 0
     assert str(fitted / "a.npz") in (run / "evaluation.json").read_text()
+    assert (run / "evaluations/on-a.json").read_text() == (run / "evaluation.json").read_text()
+    assert "already" in refusal(capsys, "evaluate", f"run={run}", "evaluation=on-a")
+    assert "expected a name" in refusal(capsys, "evaluate", f"run={run}", "evaluation=../a")
+
+
+def test_compare_takes_the_evaluation_that_is_asked_for(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
+    def table(*words: str) -> list[str]:
+        assert main(["compare", "one", "two", *words]) == 0
+        return capsys.readouterr().out.split()[-3:]
+
+    for run, errors in {"one": (11, 12, 13), "two": (21, 22, 23)}.items():
+        (tmp_path / run / "evaluations").mkdir(parents=True)
+        (tmp_path / run / "config.yaml").write_text("seed: 0\n")
+        (tmp_path / run / "run.json").write_text("{}")
+        for age, (data, name, error) in enumerate(
+            zip(("a.npz", "b.npz", "b.npz"), ("old", "zz", "aa"), errors, strict=True)
+        ):
+            found = tmp_path / run / f"evaluations/{name}.json"
+            found.write_text(json.dumps({"data": str(tmp_path / data), "overall": {"mpjpe": error}}))
+            os.utime(found, (age, age))
+        (tmp_path / run / "evaluation.json").write_text(found.read_text())
+    assert table() == table("data.test=b.npz") == ["mpjpe", "13.000", "23.000"]
+    assert table("data.test=a.npz") == table("evaluation=old") == ["mpjpe", "11.000", "21.000"]
+    assert table("evaluation=zz,old.json") == ["mpjpe", "12.000", "21.000"]
+    for words, says in {
+        ("data.test=c.npz",): "was not evaluated on c.npz (but on",
+        ("evaluation=odl",): "Did you mean 'old'?",
+        ("evaluation=old,zz,aa",): "3 names for 2 runs",
+        ("evaluation=old", "data.test=a.npz"): "Give one of them",
+        ("evaluations=old",): "Did you mean 'evaluation'?",
+    }.items():
+        assert says in refusal(capsys, "compare", "one", "two", *words)
 
 
 def test_evaluate_of_predicted_poses_is_that_of_the_run(fitted: Path, here: Path, capsys) -> None:

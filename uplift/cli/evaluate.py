@@ -5,6 +5,7 @@ from __future__ import annotations
 import datetime
 import itertools
 import json
+import re
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -44,36 +45,51 @@ __all__ = [
 
 
 def evaluate(
-    run: str | Path, test: str | Path | None = None, *, refine: bool | None = None, items: int | None = None
+    run: str | Path,
+    test: str | Path | None = None,
+    *,
+    refine: bool | None = None,
+    items: int | None = None,
+    name: str | None = None,
 ) -> Evaluation | ShapeEvaluation:
     """Evaluate a run on ``test``, or on the test data of its settings, and write evaluation.json into the run.
 
     The frames of a clip are lifted together unless ``refine`` is off. Of a run that lifts masks at most
-    ``items`` are scored.
+    ``items`` are scored. The evaluation is kept in the run under ``name``, by default date and time.
 
     Raises:
-        UserError: no such run, no truth to compare with, an argument that goes with the other kind of run.
+        UserError: no such run, no truth to compare with, an argument that goes with the other kind of run, a name
+            that is taken or cannot be one.
     """
     from uplift.models.model import load
 
     folder = RunFolder.open(run)
+    if name is not None:
+        _check_name(folder, name)
     weights = read_weights(folder.path)
     kind = KINDS[weights.lifts]
     given = {key: value for key, value in {"refine": refine, "items": items}.items() if value is not None}
     kind.refuse_others("evaluate", given, folder.path)
     result = kind.evaluate(folder, load(weights), None if test is None else str(test), **given)
-    save_evaluation(result, folder)
+    save_evaluation(result, folder, name)
     return result
 
 
-def save_evaluation(result: AnyEvaluation, folder: RunFolder) -> None:
-    """Write evaluation.json (always the newest), its CSV, and a dated copy under evaluations/."""
+def _check_name(folder: RunFolder, name: str) -> None:
+    if not re.fullmatch(r"[^\W_][\w.-]{0,99}", name) or name.endswith(".json"):
+        raise UserError(f"evaluation={name}: expected a name of letters, digits, '-', '_' and '.', such as stairs.")
+    if (folder.evaluations / f"{name}.json").exists():
+        raise UserError(f"evaluation={name}: {folder.path} has an evaluation of this name already. Choose another.")
+
+
+def save_evaluation(result: AnyEvaluation, folder: RunFolder, name: str | None = None) -> None:
+    """Write evaluation.json (always the newest), its CSV, and a copy under evaluations/, named by the time if unset."""
     text = json.dumps(result.to_dict(), indent=1).encode()
-    older = folder.path / "evaluations"
+    older = folder.evaluations
     older.mkdir(exist_ok=True)
     stamp = datetime.datetime.now().strftime("%Y-%m-%d_%H-%M-%S")
-    names = (older / f"{stamp}_{number}.json" for number in itertools.count(1))
-    for path in (next(path for path in names if not path.exists()), folder.path / "evaluation.json"):
+    free = next(one for n in itertools.count(1) if not (older / f"{(one := f'{stamp}_{n}')}.json").exists())
+    for path in (older / f"{name or free}.json", folder.path / "evaluation.json"):
         with replacing(path) as file:
             file.write(text)
     result.write_csv(folder.path / "evaluation.csv")
@@ -237,7 +253,7 @@ def evaluate_command(words: Sequence[str]) -> None:
     if ("run" in keys) == ("poses" in keys):
         raise UserError("evaluate takes run=RUN or poses=FILE. (uplift evaluate --help)")
     if "poses" in keys:
-        for key in [key for key in ("refine", "items") if key in keys]:
+        for key in [key for key in ("refine", "items", "evaluation") if key in keys]:
             raise UserError(f"evaluate poses=FILE takes the poses as they are: {key}= goes with run=.")
         if "data.test" not in keys:
             raise UserError("evaluate poses=FILE needs data.test=FILE with the true poses.")
@@ -246,8 +262,8 @@ def evaluate_command(words: Sequence[str]) -> None:
     if "skeleton" in keys:
         raise UserError("evaluate run=...: the run knows its skeleton; skeleton= goes with poses=.")
     refine, items = keys.given("refine").get("refine"), keys.given("items").get("items")
-    refined = None if refine is None else refine == "on"
-    say(evaluate(keys["run"], keys.get("data.test"), refine=refined, items=items).table())
+    refined, name = None if refine is None else refine == "on", keys.get("evaluation")
+    say(evaluate(keys["run"], keys.get("data.test"), refine=refined, items=items, name=name).table())
     folder = RunFolder.open(keys["run"]).path
     say(f"\nwrote {folder}/evaluation.json and evaluation.csv (older ones: evaluations/)")
     say(f"next: uplift compare {folder} OTHER_RUN")

@@ -188,7 +188,7 @@ _RUN: dict[str, Callable[[Sequence[str]], int | None]] = {
     "evaluate": Later("uplift.cli.evaluate:evaluate_command"),
     "predict": Later("uplift.cli.predict:predict_command"),
     "simulate": Later("uplift.cli.simulate:simulate_command"),
-    "compare": lambda runs: print(Later("uplift.cli.listing:compare")(runs)),
+    "compare": Later("uplift.cli.listing:compare_command"),
     "tables": Later("uplift.cli.tables:tables_command"),
     "data": _by_first_word(
         {
