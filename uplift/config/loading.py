@@ -75,7 +75,7 @@ def settings_from(plain: Mapping[str, Any], task: str = "default") -> Settings:
     given = {key: _as_plain(value) for key, value in plain.items() if value is not None}
     _bind_paths(given, Path.cwd())
     _check_keys({key: value for key, value in given.items() if key != "priors"}, (), lambda path: ".".join(path))
-    _put_seconds(given)
+    _put_texts(given)
     _choose_source(merged, given)
     merged = _merge(merged, given) | {key: given[key] for key in ("priors",) if key in given}
     settings = _typed({**merged, "task": "" if task == "default" else task})
@@ -137,7 +137,7 @@ def read_task(path: Path, depth: int = 0) -> dict[str, Any]:
         rename_old(data)
     _gather_flags(data)
     _check_keys(data, (), where)
-    _put_seconds(data)
+    _put_texts(data)
     _bind_paths(data, path.parent)
     if path.name != "config.yaml":  # of a run, which has trained on the one or the other
         _choose_source(base, data, f"{path}: ")
@@ -242,8 +242,11 @@ def _gather_flags(data: dict[str, Any]) -> None:
             trainer["flags"] |= flags
 
 
-def _put_seconds(data: dict[str, Any]) -> None:
-    """Put a duration by units, ``trainer: {max_time: {minutes: 10}}``, as a text of seconds, in place."""
+def _put_texts(data: dict[str, Any]) -> None:
+    """Put mappings as the texts that they may also be written as, in place: times by units, focal lengths by camera."""
+    chosen = data.get("data")
+    if isinstance(chosen, dict) and isinstance(lengths := chosen.get("focal_px"), dict):
+        chosen["focal_px"] = ",".join(f"{camera}:{length}" for camera, length in lengths.items())
     trainer = data.get("trainer")
     if isinstance(trainer, dict) and isinstance(trainer.get("max_time"), (dict, timedelta)):
         trainer["max_time"] = f"{seconds_of(trainer['max_time']):.12g}"
@@ -356,7 +359,7 @@ def put_override(data: dict[str, Any], override: str) -> None:
             raise UserError(f"'{override}': '{above}' is not a group of settings.")
     data[keys[-1]] = read_value(value) if key == "trainer.max_time" and str(value).startswith("{") else value
     if key == "trainer.max_time":
-        _put_seconds({"trainer": data})
+        _put_texts({"trainer": data})
 
 
 def _type_of(name: str, override: str) -> Any:

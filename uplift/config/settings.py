@@ -106,8 +106,8 @@ class DataSettings:
     fps: Optional[float] = _setting(
         None, "frames per second of files that do not give it", low=1e-9, high=1e9, only="keypoints"
     )
-    focal_px: Optional[float] = _setting(
-        None, "focal length of the camera in pixels, where known", low=1e-9, high=1e9, only="keypoints"
+    focal_px: Optional[str] = _setting(
+        None, "focal length in pixels, where known; of several cameras left:1145,right:1200", only="keypoints"
     )
     min_confidence: float = _setting(
         0.0, "keypoints of less confidence count as missing", low=0, high=1, only="keypoints"
