@@ -281,7 +281,11 @@ def test_the_demo_needs_no_data_and_may_be_quiet(here: Path, capsys: pytest.Capt
     said, run = capsys.readouterr(), (here / "runs/demo/last").resolve().relative_to(here)
     assert said.out == f"wrote {run}/: lifter.pt, report.md, page.html, evaluation.json\n"
     assert re.fullmatch(r"WARNING: a short fit: 3 steps.*\n", said.err)
-    assert "p_mpjpe" in (run / "evaluation.json").read_text() and (run / "page.html").is_file()
+    assert "p_mpjpe" in (run / "evaluation.json").read_text()
+    page = (run / "page.html").read_text()
+    assert (
+        "Joint error, aligned<small>p_mpjpe · mm, lower is better</small>" in page and "there are no curves" not in page
+    )
 
 
 def test_quiet_leaves_what_was_written_and_answers(fitted: Path, here: Path, capsys: pytest.CaptureFixture) -> None:

@@ -17,12 +17,20 @@ from uplift.config.progress import say
 from uplift.config.run import RunFolder
 from uplift.config.settings import Settings
 from uplift.data.tensors import intrinsics_of, undistorted
+from uplift.export.html import Section, Term
 from uplift.export.page import write_html
 from uplift.export.shape_page import write_shape_page
 from uplift.metrics.baselines import flat_depth
 from uplift.metrics.evaluate import TRUTH_SIGN, evaluate_model
 from uplift.metrics.evaluate import evaluate as score
-from uplift.metrics.protocols import BEST_BASELINE
+from uplift.metrics.protocols import (
+    BEST_BASELINE,
+    figure_text,
+    metric_better,
+    metric_label,
+    metric_meaning,
+    metric_unit,
+)
 from uplift.metrics.report import AnyEvaluation, Evaluation
 from uplift.metrics.scores import GivenPoses
 from uplift.training.callbacks import read_metrics
@@ -77,6 +85,32 @@ class Findings:
         header: list[object] = [self.evaluation.title, "this run", *self.baselines]
         return [header, *([name, *(overall.get(name, "") for overall in overalls)] for name in self.names)]
 
+    def section(self) -> list[Section]:
+        """Return the figures as a table of a page: plain names beside those of the field, with units."""
+        if self.evaluation is None:
+            return []
+        (_, *header), *rows = self.rows()
+        unit = self.evaluation.unit
+        table = [
+            [
+                _term(str(name), unit),
+                *(figure_text(str(name), cell, unit) if isinstance(cell, float) else cell for cell in cells),
+            ]
+            for name, *cells in rows
+        ]
+        return [(self.words.title, table, ["Measure", *(_BASELINES.get(str(name), str(name)) for name in header)])]
+
+
+_BASELINES = {"hull": "visual hull", "mean_shape": "mean shape", "nearest": "nearest shape"}
+"""What pages call the baselines whose names are not words."""
+
+
+def _term(name: str, unit: str) -> Term:
+    units = {"": "0 to 1", "deg": "degrees"}
+    how = f"{units.get(metric_unit(name, unit), metric_unit(name, unit))}, {metric_better(name)} is better"
+    label = metric_label(name)
+    return Term(label[:1].upper() + label[1:], f"{name} · {how}", metric_meaning(name))
+
 
 @dataclass(frozen=True)
 class Training:
@@ -112,11 +146,10 @@ def report(run: RunFolder, model: Any, settings: Settings, loaded: Any, training
     lines = [*_head_lines(run, settings, notes), *_figure_lines(found, rows)]
     with replacing(run.path / "report.md") as file:
         file.write(("\n".join(lines) + "\n").encode())
-    sections = [(found.words.title, rows)] if rows else []
     curves: dict[str, list[tuple[float, float]]] = {}
     for stage, step, name, value in read_metrics(run.path / "metrics.csv"):
         curves.setdefault(f"{stage}: {name}", []).append((float(step), float(value)))
-    found.write_page(run.path / "page.html", sections=sections, curves=curves, notes=[*doubtful, *found.given])
+    found.write_page(run.path / "page.html", sections=found.section(), curves=curves, notes=[*doubtful, *found.given])
     say("\n".join(_end_lines(run, found, rows, training)))
 
 
@@ -278,7 +311,11 @@ _SHAPES = _Words(
     "`uplift evaluate run=... data.test=FILE` does, on masks with truth.",
     predict="input=MASKS output=shapes.html",
 )
-_SCORES = {"volume IoU": "volume_iou", "unseen silhouettes": "silhouette_iou_unseen", "chamfer": "chamfer"}
+_SCORES = {
+    "volume overlap": "volume_iou",
+    "overlap in new views": "silhouette_iou_unseen",
+    "surface distance": "chamfer",
+}
 
 
 def shape_findings(model: ShapeModel, settings: Settings, loaded: LoadedMasks) -> Findings:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +12,18 @@ from jaxtyping import Float, Int
 from uplift.errors import UserError, listed
 from uplift.models.prediction import Prediction
 
-__all__ = ["MOST_FILES", "USUAL_FPS", "Clip", "arrange", "frame_rate", "one_clip", "photos", "seen_at", "steps"]
+__all__ = [
+    "MOST_FILES",
+    "USUAL_FPS",
+    "Clip",
+    "arrange",
+    "frame_rate",
+    "one_clip",
+    "photos",
+    "seen_at",
+    "steps",
+    "titled",
+]
 
 MOST_FILES = 500
 """That one prediction is written to."""
@@ -32,6 +43,8 @@ class Clip:
     individual: np.ndarray
     individual_names: tuple[str, ...]
     frames: tuple[int, ...]
+    title: str = ""
+    """The name for people: where a part of it is a number alone, it says of what."""
 
     def by_moment(self, values: np.ndarray) -> np.ndarray:
         """Return values of all rows (rows ...) as (moments individuals ...), NaN where an individual is not there."""
@@ -43,7 +56,7 @@ class Clip:
         """Return the clip cut after so many moments."""
         keep = self.moment < moments
         parts = self.rows[keep], self.moment[keep], self.individual[keep]
-        return Clip(self.name, *parts, self.individual_names, self.frames[:moments])
+        return Clip(self.name, *parts, self.individual_names, self.frames[:moments], self.title)
 
 
 def arrange(identity: dict[str, np.ndarray], rows: int) -> list[Clip]:
@@ -61,9 +74,19 @@ def arrange(identity: dict[str, np.ndarray], rows: int) -> list[Clip]:
     codes = _codes(labels, rows)
     order = np.argsort(codes, kind="stable")
     groups = np.split(order, np.flatnonzero(np.diff(codes[order])) + 1) if rows else []
-    names = _names(labels, groups)
+    names, titles = _names(labels, groups), _names(labels, groups, keys)
     who = np.asarray(identity[instance]).astype(str) if instance else None
-    return [_clip(name, group, identity.get("frame"), who) for name, group in zip(names, groups, strict=True)]
+    clips = [_clip(name, group, identity.get("frame"), who) for name, group in zip(names, groups, strict=True)]
+    return [replace(clip, title=title) for clip, title in zip(clips, titles, strict=True)]
+
+
+_WORDS = {"sequence": "clip", "instance": "individual"}
+
+
+def titled(key: str, value: object) -> str:
+    """Return the value of an identity for people: "camera 0" where it is a number alone, which says nothing."""
+    text = str(value)
+    return f"{_WORDS.get(key, key)} {text}" if text.isdecimal() else text
 
 
 def photos(identity: dict[str, np.ndarray]) -> bool:
@@ -81,11 +104,14 @@ def _codes(labels: Sequence[np.ndarray], rows: int) -> np.ndarray:
     return np.argsort(np.argsort(first))[inverse]
 
 
-def _names(labels: Sequence[np.ndarray], groups: Sequence[np.ndarray]) -> list[str]:
-    """Return a name per clip out of the labels that differ between clips."""
+def _names(labels: Sequence[np.ndarray], groups: Sequence[np.ndarray], keys: Sequence[str] = ()) -> list[str]:
+    """Return a name per clip out of the labels that differ between clips; for people, where their ``keys`` are given."""
     firsts = [group[0] for group in groups]
-    telling = [label for label in labels if len(set(label[firsts])) > 1] or list(labels[:1])
-    return [" · ".join(str(label[row]) for label in telling) or f"clip {n + 1}" for n, row in enumerate(firsts)]
+    telling = [place for place, label in enumerate(labels) if len(set(label[firsts])) > 1] or list(range(len(labels)))[
+        :1
+    ]
+    text = lambda place, row: titled(keys[place], labels[place][row]) if keys else str(labels[place][row])  # noqa: E731
+    return [" · ".join(text(place, row) for place in telling) or f"clip {n + 1}" for n, row in enumerate(firsts)]
 
 
 def _clip(name: str, rows: np.ndarray, frame: np.ndarray | None, who: np.ndarray | None) -> Clip:
