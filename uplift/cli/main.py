@@ -165,6 +165,10 @@ def _list(verb: str, function: str) -> Callable[[Sequence[str]], None]:
     return run
 
 
+_ANSWERS = ("data_check:check_data", "skeleton:map_joints")
+"""What is asked for what it prints, and says it even where it is to be quiet."""
+
+
 def _by_first_word(functions: dict[str, str], expected: str) -> Callable[[Sequence[str]], int]:
     """Return a verb that prints the lines of the function that its first word names."""
 
@@ -173,11 +177,9 @@ def _by_first_word(functions: dict[str, str], expected: str) -> Callable[[Sequen
             raise UserError(expected)
         found = Later(f"uplift.cli.{functions[words[0]]}")(list(words[1:]))
         lines, complete = found if isinstance(found, tuple) else (found, True)
-        text = "\n".join(lines)
-        if any(line.startswith("wrote ") for line in text.splitlines()):
-            Later("uplift.config.progress:say")(text)
-        else:  # the answer to a question
-            print(text)
+        show = print if functions[words[0]] in _ANSWERS else Later("uplift.config.progress:say")
+        for line in lines:
+            show(line)
         return 0 if complete else 2
 
     return run

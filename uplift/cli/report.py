@@ -55,6 +55,7 @@ class _Words:
     baselines: str  # what baselines are, for report.md
     no_truth: str
     predict: str  # the arguments of the suggested ``uplift predict run=...``
+    stages: tuple[str, ...] = ()  # what the stages of the curves are, for a page
 
 
 @dataclass(frozen=True)
@@ -149,7 +150,12 @@ def report(run: RunFolder, model: Any, settings: Settings, loaded: Any, training
     curves: dict[str, list[tuple[float, float]]] = {}
     for stage, step, name, value in read_metrics(run.path / "metrics.csv"):
         curves.setdefault(f"{stage}: {name}", []).append((float(step), float(value)))
-    found.write_page(run.path / "page.html", sections=found.section(), curves=curves, notes=[*doubtful, *found.given])
+    found.write_page(
+        run.path / "page.html",
+        sections=found.section(),
+        curves=curves,
+        notes=[*doubtful, *found.given, *found.words.stages],
+    )
     say("\n".join(_end_lines(run, found, rows, training)))
 
 
@@ -224,6 +230,10 @@ _POSES = _Words(
     baselines="Flat depth is the observed 2D with every depth 0: what any lifter must beat.",
     no_truth="No test poses: nothing to evaluate. `uplift evaluate run=... data.test=FILE` does, on frames with truth.",
     predict="input=KEYPOINTS output=poses.html",
+    stages=(
+        "Stages: the teacher learns from the priors, which judge lifted poses and how they look when turned; each student "
+        "learns from the poses of the stage before it.",
+    ),
 )
 _HEADLINES = ("mpjpe", "p_mpjpe", "n_mpjpe", "mpjpe_gt_scale", "facing", "facing_sign", "elevation_deg")
 
