@@ -110,7 +110,10 @@ def _names(labels: Sequence[np.ndarray], groups: Sequence[np.ndarray], keys: Seq
     telling = [place for place, label in enumerate(labels) if len(set(label[firsts])) > 1] or list(range(len(labels)))[
         :1
     ]
-    text = lambda place, row: titled(keys[place], labels[place][row]) if keys else str(labels[place][row])  # noqa: E731
+
+    def text(place: int, row: int) -> str:
+        return titled(keys[place], labels[place][row]) if keys else str(labels[place][row])
+
     return [" · ".join(text(place, row) for place in telling) or f"clip {n + 1}" for n, row in enumerate(firsts)]
 
 
