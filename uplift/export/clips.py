@@ -106,7 +106,7 @@ def _codes(labels: Sequence[np.ndarray], rows: int) -> np.ndarray:
 
 def _names(labels: Sequence[np.ndarray], groups: Sequence[np.ndarray], keys: Sequence[str] = ()) -> list[str]:
     """Return a name per clip out of the labels that differ between clips; for people, where their ``keys`` are given."""
-    firsts = [group[0] for group in groups]
+    firsts = [int(group[0]) for group in groups]
     telling = [place for place, label in enumerate(labels) if len(set(label[firsts])) > 1] or list(range(len(labels)))[
         :1
     ]
