@@ -1,11 +1,11 @@
-"""Errors that a user can fix, and the nearest-name hint for their messages."""
+"""Errors that a user can fix, and what their messages share: the nearest name, and lists of names."""
 
 from __future__ import annotations
 
 import difflib
 from collections.abc import Iterable
 
-__all__ = ["NotForThisSkeleton", "UserError", "did_you_mean", "nearest"]
+__all__ = ["NotForThisSkeleton", "UserError", "did_you_mean", "listed", "nearest"]
 
 
 class UserError(Exception):
@@ -18,6 +18,13 @@ class UserError(Exception):
 
 class NotForThisSkeleton(UserError):
     """A prior cannot judge this skeleton; with ``if_possible`` it is then left out."""
+
+
+def listed(names: Iterable[object], most: int = 10) -> str:
+    """Return names with commas, the first ``most`` of many: ``"nose, neck and 106 more"``."""
+    texts = [str(name) for name in names]
+    more = f" and {len(texts) - most:,} more" if len(texts) > most else ""
+    return ", ".join(texts[:most]) + more
 
 
 def did_you_mean(found: str, valid: Iterable[str]) -> str:

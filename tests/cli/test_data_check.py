@@ -258,3 +258,33 @@ def test_every_shipped_task_says_so_in_a_few_lines(task: str, here: Path, capsys
     assert ("task=semi_cmu` runs on open data" in message) == (name != "cmu" and "masks" not in demo)
     assert status_of("data", "check", f"task={task}") == 2
     assert "MISSING" in capsys.readouterr().out
+
+
+def test_many_files_take_few_lines(here: Path, capsys) -> None:
+    actions = "Directions Discussion Eating Greeting Phoning Photo Posing Purchases Sitting SittingDown Smoking Waiting"
+    for subject in ("S1", "S5", "S6", "S7", "S8", "S9", "S11"):
+        for kind in ("D2_Positions", "D3_Positions_mono"):
+            folder = here / "h36m" / subject / "MyPoseFeatures" / kind
+            folder.mkdir(parents=True)
+            for action in f"{actions} WalkDog WalkTogether Walking".split():
+                name = (
+                    {"Photo": "TakingPhoto", "WalkDog": "WalkingDog"}.get(action, action) if subject == "S5" else action
+                )
+                for end in ("", " 1"):
+                    (folder / f"{name}{end}.54138969.cdf").write_bytes(bytes(500))
+    assert status_of("data", "check", "task=h36m", f"data.root={here / 'h36m'}") == 0
+    present = [line for line in capsys.readouterr().out.splitlines() if line.startswith("  present")]
+    assert len(present) == 7 * 15  # a line a subject and action, of 840 files
+    assert (
+        present[0] == "  present  S1 Directions: 4 files, 2.0 kB" and "  present  S5 Photo: 4 files, 2.0 kB" in present
+    )
+
+
+def test_a_pattern_of_many_files_takes_few_lines_too(here: Path, capsys) -> None:
+    for number in range(13):
+        write_body(here / f"v{number:02}.npz", 5)
+    write_body(here / "v12.npz", 5, joint_names=np.array([f"j{n}" for n in range(17)]))
+    assert status_of("data", "check", "skeleton=h36m17", "data.train=v*.npz") == 2
+    text = capsys.readouterr().out
+    assert text.count("present") == 1 and ": 13 files, " in text
+    assert text.count("to load: 5 frames") == 10 and "  and 2 more\n  WRONG    " in text and "v12.npz" in text

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+import os
 import re
 import subprocess
 import sys
@@ -91,7 +93,10 @@ def test_an_unknown_verb_or_flag_ends_with_status_2(words: list[str], capsys: py
         (["simulate", "skeleton=h36m17", "output=a.txt"], "written as .npz or .csv"),
         (["simulate", "skeleton=h36m17", "output=a.csv", "tracker=deeplabcat"], "Did you mean 'deeplabcut'?"),
         (["simulate", "skeleton=h36m17", "output=a.npz", "tracker=deeplabcut"], "are .csv"),
-        (["simulate", "skeleton=h36m17", "output=a.csv", "tracker=deeplabcut", "frames=99999"], "clip_seconds=30"),
+        (
+            ["simulate", "skeleton=h36m17", "output=a.csv", "tracker=deeplabcut", "frames=3100", "clip_seconds=0.1"],
+            "clip_seconds=30",
+        ),
         (["simulate", "skeleton=h36m17", "output=a.npz", "frames=many"], "frames='many', expected a whole number"),
         (["simulate", "skeleton=h36m17", "output=a.npz", "frames=0"], "frames=0"),
         (["simulate", "skeleton=h36m17", "output=a.npz", "seed=-1"], "seed"),
@@ -163,8 +168,40 @@ def test_evaluate_of_a_run_is_what_the_fit_said(fitted: Path, capsys: pytest.Cap
     assert "p_mpjpe" in capsys.readouterr().out
     assert (run / "evaluation.json").read_text() == before
     assert len(list((run / "evaluations").iterdir())) == older + 1
-    assert main(["evaluate", f"run={run}", f"data.test={fitted / 'a.npz'}"]) == 0
+    assert main(["evaluate", f"run={run}", f"data.test={fitted / 'a.npz'}", "evaluation=on-a"]) == 0
     assert str(fitted / "a.npz") in (run / "evaluation.json").read_text()
+    assert (run / "evaluations/on-a.json").read_text() == (run / "evaluation.json").read_text()
+    assert "already" in refusal(capsys, "evaluate", f"run={run}", "evaluation=on-a")
+    assert "expected a name" in refusal(capsys, "evaluate", f"run={run}", "evaluation=../a")
+
+
+def test_compare_takes_the_evaluation_that_is_asked_for(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
+    def table(*words: str) -> list[str]:
+        assert main(["compare", "one", "two", *words]) == 0
+        return capsys.readouterr().out.split()[-3:]
+
+    for run, errors in {"one": (11, 12, 13), "two": (21, 22, 23)}.items():
+        (tmp_path / run / "evaluations").mkdir(parents=True)
+        (tmp_path / run / "config.yaml").write_text("seed: 0\n")
+        (tmp_path / run / "run.json").write_text("{}")
+        for age, (data, name, error) in enumerate(
+            zip(("a.npz", "b.npz", "b.npz"), ("old", "zz", "aa"), errors, strict=True)
+        ):
+            found = tmp_path / run / f"evaluations/{name}.json"
+            found.write_text(json.dumps({"data": str(tmp_path / data), "overall": {"mpjpe": error}}))
+            os.utime(found, (age, age))
+        (tmp_path / run / "evaluation.json").write_text(found.read_text())
+    assert table() == table("data.test=b.npz") == ["mpjpe", "13.000", "23.000"]
+    assert table("data.test=a.npz") == table("evaluation=old") == ["mpjpe", "11.000", "21.000"]
+    assert table("evaluation=zz,old.json") == ["mpjpe", "12.000", "21.000"]
+    for words, says in {
+        ("data.test=c.npz",): "was not evaluated on c.npz (but on",
+        ("evaluation=odl",): "Did you mean 'old'?",
+        ("evaluation=old,zz,aa",): "3 names for 2 runs",
+        ("evaluation=old", "data.test=a.npz"): "Give one of them",
+        ("evaluations=old",): "Did you mean 'evaluation'?",
+    }.items():
+        assert says in refusal(capsys, "compare", "one", "two", *words)
 
 
 def test_evaluate_of_predicted_poses_is_that_of_the_run(fitted: Path, here: Path, capsys) -> None:
@@ -238,11 +275,36 @@ def test_a_fit_tells_what_it_dropped_and_filled(here: Path, capsys: pytest.Captu
     assert "6 of 60 frames dropped" in (here / "runs/h36m17/last/report.md").read_text()
 
 
-def test_the_demo_needs_no_data(here: Path, capsys: pytest.CaptureFixture) -> None:
+def test_the_demo_needs_no_data_and_may_be_quiet(here: Path, capsys: pytest.CaptureFixture) -> None:
     words = ["task=demo", "data.simulate=200", *QUICK, "trainer.max_steps=3"]
-    assert status_of("fit", *words) == 0
-    assert "p_mpjpe" in capsys.readouterr().out
-    assert (here / "runs/demo/last/page.html").is_file()
+    assert status_of("fit", "--quiet", *words) == 0
+    said, run = capsys.readouterr(), (here / "runs/demo/last").resolve().relative_to(here)
+    assert said.out == f"wrote {run}/: lifter.pt, report.md, page.html, evaluation.json\n"
+    assert re.fullmatch(r"WARNING: a short fit: 3 steps.*\n", said.err)
+    assert "p_mpjpe" in (run / "evaluation.json").read_text()
+    page = (run / "page.html").read_text()
+    assert (
+        "Joint error, aligned<small>p_mpjpe · mm, lower is better</small>" in page and "there are no curves" not in page
+    )
+
+
+def test_quiet_leaves_what_was_written_and_answers(fitted: Path, here: Path, capsys: pytest.CaptureFixture) -> None:
+    run, b = the_runs(fitted)[1], fitted / "b.npz"
+    for words, wrote in {
+        ("simulate", "skeleton=h36m17", "output=s.npz", "frames=20", "-q"): "s.npz",
+        ("-q", "skeleton", "new", "new.yaml"): "new.yaml",
+        ("predict", "--quiet", f"run={run}", f"input={b}", "output=poses.npz"): "poses.npz",
+        ("evaluate", f"run={run}", "-q"): f"{run}/evaluation.json",
+    }.items():
+        assert main(list(words)) == 0
+        said = capsys.readouterr()
+        assert said.out.startswith(f"wrote {wrote}") and said.out.count("\n") == 1
+        assert all("WARNING" in line for line in said.err.splitlines())
+    assert main(["-q", "data", "check", "task=demo"]) == 0
+    assert "no files needed" in capsys.readouterr().out
+    assert "did you mean" in refusal(capsys, "predict", "-q", f"run={run}", f"input={b}", "outptu=a.npz").lower()
+    assert main(["simulate", "skeleton=h36m17", "output=t.npz", "frames=20"]) == 0
+    assert "simulated 20 frames" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize(

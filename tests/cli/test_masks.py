@@ -69,7 +69,7 @@ def test_a_fit_leaves_what_a_fit_of_keypoints_leaves(trained: Path) -> None:
     page = (trained / "page.html").read_text()
     assert "true shapes known" in page
     assert "guess: loss" in page
-    assert "volume IoU" in page
+    assert "Overlap of the volumes (IoU)<small>volume_iou" in page
 
 
 def test_what_a_fit_prints(lifter: list, capsys) -> None:

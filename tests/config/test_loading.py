@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+from datetime import timedelta
 from pathlib import Path
 
 import pytest
 import yaml
 from bodies import refusal
+from lightning.pytorch.callbacks import Timer
 
 from uplift.config.files import shipped_names
-from uplift.config.loading import load_settings, read_task, save_settings, setting_names, task_path
+from uplift.config.loading import load_settings, read_task, save_settings, setting_names, settings_from, task_path
 from uplift.config.settings import RENAMED, all_settings, seconds_of
+from uplift.config.yaml_file import read_value
 from uplift.errors import UserError
+from uplift.training.stages import stage_budgets
 
 
 @pytest.fixture(autouse=True)
@@ -146,7 +150,8 @@ def test_durations_need_no_quotes_in_a_task_file(here: Path) -> None:
         ("- a\n", "expected settings as `key: value`"),
         ("", "the file is empty"),
         ("seed: 1\nseed: 2\n", "the key 'seed' twice"),
-        ("trainer: {max_time: 90}\n", "expected hours:minutes:seconds"),
+        ("trainer: {max_time: {minuts: 2}}\n", "expected seconds, hours:minutes:seconds such as 00:10:00, or units"),
+        ("trainer: {max_time: [1, 2]}\n", "trainer.max_time"),
     ],
 )
 def test_a_wrong_task_file(here: Path, content: str, says: str) -> None:
@@ -180,11 +185,13 @@ def test_a_circle_of_two(here: Path) -> None:
         ("trainer.max_steps=many", "trainer.max_steps"),
         ("trainer.max_steps=1.5", "trainer.max_steps"),
         ("trainer.max_steps=0", "trainer.max_steps=0: expected a number of at least 1"),
-        ("trainer.max_time=90", "trainer.max_time='90': expected hours:minutes:seconds"),
-        ("trainer.max_time=10m", "expected hours:minutes:seconds"),
-        ("trainer.max_time=00:10", "expected hours:minutes:seconds"),
+        ("trainer.max_time=10m", "trainer.max_time='10m': expected seconds, hours:minutes:seconds"),
+        ("trainer.max_time=00:10", "expected seconds, hours:minutes:seconds"),
+        ("trainer.max_time=0", "no time to train in"),
+        ("trainer.max_time=inf", "expected seconds"),
+        ("trainer.max_time=99999999999999:00:00", "expected at most 1e+09 seconds"),
         ("trainer.max_time=00:00:00", "no time to train in"),
-        ("trainer.max_time=-1:00:00", "expected hours:minutes:seconds"),
+        ("trainer.max_time=-1:00:00", "expected seconds"),
         ("trainer.max_time=null", "the fit would never end"),
         ("trainer.threads=0", "trainer.threads=0"),
         ("trainer.threads=100000", "expected a number from 1 to 1,024"),
@@ -255,10 +262,25 @@ def test_every_setting_describes_itself() -> None:
 
 
 @pytest.mark.parametrize(
-    ("text", "seconds"), [("00:10:00", 600), ("1:00:00", 3600), ("00:00:20.5", 20.5), ("01:00:00:00", 86400)]
-)
-def test_max_time_is_read(text: str, seconds: float) -> None:
-    assert seconds_of(text) == seconds
+    ("text", "seconds"),
+    [
+        ("00:10:00", 600), ("1:00:00", 3600), ("00:00:20.5", 20.5), ("01:00:00:00", 86400), ("90", 90), ("1.5", 1.5),
+        ("{minutes: 1, seconds: 30}", 90), ("{days: 1, hours: 1}", 90_000),
+    ],
+)  # fmt: skip
+def test_max_time_is_read(text: str, seconds: float, here: Path) -> None:
+    (here / "a.yaml").write_text(f"trainer: {{max_time: {text}}}\n")
+    (here / "b.yaml").write_text("extends: a.yaml\nseed: 2\n")
+    as_word = load_settings(None, [f"trainer.max_time={text}"])
+    for settings in (as_word, load_settings("b.yaml"), settings_from({"trainer": {"max_time": read_value(text)}})):
+        assert seconds_of(settings.trainer.max_time) == seconds
+    times = stage_budgets(as_word.trainer, [1.0, 3.0], 100, 10)
+    assert [one.seconds for one in times] == [seconds / 4, 3 * seconds / 4]
+
+
+def test_max_time_is_what_lightning_takes() -> None:
+    for given in ("00:00:01:30", {"minutes": 1, "seconds": 30}, timedelta(seconds=90)):
+        assert seconds_of(given) == Timer(given).time_remaining("train") == 90
 
 
 @pytest.mark.parametrize(

@@ -8,7 +8,7 @@ import sys
 import pytest
 
 from uplift.config import progress as module
-from uplift.config.progress import progress
+from uplift.config.progress import is_quiet, progress, quiet
 
 
 class Terminal(io.StringIO):
@@ -29,6 +29,12 @@ def test_short_work_shows_nothing_and_parts_come_in_order(capsys: pytest.Capture
     assert list(progress(range(5), "reading")) == [0, 1, 2, 3, 4]
     assert list(progress(iter("abc"), "reading")) == ["a", "b", "c"]
     assert capsys.readouterr().err == ""
+
+
+def test_quiet_shows_no_progress(slow: None, capsys: pytest.CaptureFixture) -> None:
+    with quiet():
+        assert list(progress(range(10), "reading files")) == list(range(10))
+    assert capsys.readouterr().err == "" and not is_quiet()
 
 
 def test_lines_in_a_file(slow: None, capsys: pytest.CaptureFixture) -> None:

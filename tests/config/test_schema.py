@@ -97,6 +97,8 @@ TASKS = {
     "a group": ("extends: default\nlifter: {camera: orthographic, distance: 12}\n", True),
     "a name that looks like a number": ("data: {select: {subjects: [1, S5]}}\n", True),
     "nothing for what may be unset": ("trainer: {max_time: null, max_steps: 10}\n", True),
+    "a time by units": ("trainer: {max_time: {minutes: 1, seconds: 30}}\n", True),
+    "focal lengths by camera": ("data: {focal_px: {left: 1145, right: 1200}}\n", True),
     "a pair": ("views: {azimuth_deg: [-90, 90]}\n", True),
     "a prior of one's own": ("priors: {mine: {use: 'my.py:Mine', weight: 2, anything: [1, 2]}}\n", True),
     "an option of a prior": ("priors: {bones: {slack: 0.1}}\n", True),

@@ -18,7 +18,8 @@ from uplift.skeleton import load_skeleton
 
 
 def part(source: str, frames: int = 4, **more) -> PoseData:
-    return PoseData(np.ones((frames, 3, 2), np.float32), np.ones((frames, 3), np.float32), ("a", "b", "c"),
+    more.setdefault("keypoints", np.ones((frames, 3, 2), np.float32))
+    return PoseData(confidence=np.ones((frames, 3), np.float32), joint_names=("a", "b", "c"),
                     source=source, **more)  # fmt: skip
 
 
@@ -115,3 +116,17 @@ def test_rows_of_a_clip_are_brought_together_in_time():
     assert ordered.follows().tolist() == [False, True, True, True, False, True]
     loose = replace(data, identity={})
     assert loose.in_order().tolist() == list(range(6))
+
+
+def test_cameras_of_several_files_keep_their_focal_lengths():
+    """A point at x/z = 0.1, y/z = -0.2 of each camera is at the same place for both, once they are one camera."""
+    sizes, focals = [(1000, 800), (640, 480)], [900.0, 450.0]
+    parts = []
+    for name, (width, height), focal in zip("ab", sizes, focals, strict=True):
+        keypoints = np.tile(np.float32([width / 2 + 0.1 * focal, height / 2 - 0.2 * focal]), (4, 3, 1))
+        parts.append(part(f"{name}.csv", focal_px=focal, image_size=(width, height), keypoints=keypoints))
+    both = concat_poses(parts)
+    np.testing.assert_allclose(both.rays(), np.tile([0.1, -0.2], (8, 3, 1)), atol=1e-6)
+    assert both.straightened().focal_px == 675 and both.notes == ()
+    unknown = concat_poses([parts[0], part("c.csv", image_size=(640, 480))])
+    assert unknown.rays() is None and "focal_px is not the same in all 2 files and is not used" in unknown.notes

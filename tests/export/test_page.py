@@ -16,7 +16,7 @@ from writers_samples import figure, prediction
 from uplift.errors import UserError
 from uplift.export import write
 from uplift.export.clips import arrange
-from uplift.export.html import curve_charts, pack, read_html, unpack
+from uplift.export.html import _ASSETS, Term, curve_charts, pack, read_html, report_html, unpack
 from uplift.export.page import choose, page_text
 from uplift.models.prediction import Prediction
 from uplift.skeleton import Skeleton
@@ -136,6 +136,45 @@ def test_photos_are_counted_as_such() -> None:
     assert "3 photos" in text and "3 frames" not in text and "3 clips" not in text
 
 
+def test_numbers_in_names_say_of_what(tmp_path: Path) -> None:
+    identity = {
+        "sequence": np.repeat(["000000", "walk"], 2),
+        "camera": np.array([0, 1, 0, 0]),
+        "instance": np.arange(4) % 2,
+    }
+    clips = arrange(identity, 4)
+    assert [clip.title for clip in clips] == ["clip 000000 · camera 0", "clip 000000 · camera 1", "walk · camera 0"]
+    assert [clip.name for clip in clips] == ["000000 · 0", "000000 · 1", "walk · 0"]  # in names of files
+    write(prediction(frames=4, identity=identity), tmp_path / "page.html")
+    shown = read_html(tmp_path / "page.html")["clips"]
+    assert [clip["individuals"] for clip in shown] == [
+        ["individual 0"],
+        ["individual 1"],
+        ["individual 0", "individual 1"],
+    ]
+
+
+def _luminance(colour: str) -> float:
+    """Return the relative luminance of WCAG 2."""
+    parts = [int(colour[at : at + 2], 16) / 255 for at in (1, 3, 5)]
+    linear = [part / 12.92 if part <= 0.04045 else ((part + 0.055) / 1.055) ** 2.4 for part in parts]
+    return 0.2126 * linear[0] + 0.7152 * linear[1] + 0.0722 * linear[2]
+
+
+@pytest.mark.parametrize("sheet", ["page.css", "gallery.css"])
+def test_text_can_be_read_in_light_and_dark(sheet: str) -> None:
+    themes = [
+        dict(re.findall(r"--(\w+): (#\w{6})", block))
+        for block in re.findall(r"{[^{}]*--paper:[^{}]*}", (_ASSETS / sheet).read_text())
+    ]
+    assert len(themes) == 2
+    for theme in themes:
+        for text in ("ink", "soft"):
+            for ground in ("paper", "card"):
+                low, high = sorted(_luminance(theme[name]) for name in (text, ground))
+                assert (high + 0.05) / (low + 0.05) >= 4.5, (theme[text], theme[ground])
+
+
 def test_page_needs_nothing_from_outside() -> None:
     text = page_text(prediction(frames=3, truth=True), curves={"loss": [(0, 1.0), (1, 0.5)]})
     assert "http://" not in text and "https://" not in text
@@ -241,11 +280,23 @@ def test_sides_come_from_names_then_from_facing_then_from_order() -> None:
 def test_a_row_of_titles_becomes_the_header() -> None:
     numbers = [["protocol", "this run", "flat"], ["p_mpjpe", 61.25, 121.0], ["facing", np.float32(0.9871), ""]]
     text = page_text(prediction(frames=1), sections=[("Errors", numbers), ("Settings", [("task", "cmu"), ("seed", 0)])])
-    assert text.count("<thead>") == 1 and '<th scope="row">protocol</th>' in text.split("</thead>")[0]
+    assert text.count("<thead>") == 1 and '<th scope="col">protocol</th>' in text.split("</thead>")[0]
     assert "<td>61.2</td>" in text and "<td>0.987</td>" in text and '<th scope="row">task</th><td>cmu</td>' in text
 
 
 def test_charts_survive_flat_single_and_long_curves() -> None:
     curves = {"flat": [(0, 1.0), (9, 1.0)], "one": [(5, 2.0)], "long": [(n, n % 7) for n in range(9000)], "none": []}
     text = curve_charts(curves)
-    assert text.count("<svg") == 3 and "nan" not in text and len(text) < 20_000
+    assert text.count("<svg") == 2 and "nan" not in text and len(text) < 20_000
+    assert "Logged once: one: 2, at step 5." in text  # a single point makes no line
+    for shown, says in (({}, True), (curves, False), (None, False)):
+        assert ("there are no curves" in report_html([], shown)) is says
+
+
+def test_a_term_of_the_field_stands_below_plain_words() -> None:
+    cell = Term("Joint error", "<mpjpe> · mm", 'a "meaning"')
+    text = report_html([("Errors", [[cell, 12.0]], ["Measure", "this run"])], None)
+    assert (
+        '<th scope="row" title="a &quot;meaning&quot;">Joint error<small>&lt;mpjpe&gt; · mm</small></th><td>12</td>'
+        in text
+    )

@@ -122,6 +122,31 @@ def test_it_follows_the_scheme_and_narrow_windows(show: Open) -> None:
     assert page.troubles() == []
 
 
+def test_a_phone_hits_every_button_and_swipes_past_the_poses(show: Open) -> None:
+    two = prediction(
+        frames=20, individuals=2, identity={"sequence": np.repeat(["0", "1"], 20)}, rooted=True, uncertainty=True
+    )
+    page = show(two, width=390, height=700, prefers_reduced_motion="reduce")
+    assert page.small_targets() == []
+    assert page.run("document.documentElement.scrollWidth") <= 390
+    home = page.state()
+    page.run("scrollTo(0, 0)")
+    page.swipe("deep", down=-250)
+    page.until("scrollY > 100")
+    assert (page.state()["yaw"], page.state()["pitch"]) == (home["yaw"], home["pitch"])
+    page.swipe("deep", across=-120, down=-20)
+    assert page.state()["yaw"] > home["yaw"] + 0.5 and page.state()["pitch"] < home["pitch"]
+    assert page.troubles() == []
+
+
+def test_the_legend_tells_of_uncertainty_while_it_is_drawn(show: Open) -> None:
+    page = show(prediction(frames=3, uncertainty=True), prefers_reduced_motion="reduce")
+    shown = "[...document.querySelectorAll('.legend > span')].filter((e) => e.checkVisibility()).map((e) => e.innerText).join()"
+    assert "expected error" not in page.run(shown)
+    page.key("u")
+    assert "expected error of a depth" in page.run(shown)
+
+
 def test_reduced_motion_neither_plays_nor_glides(show: Open) -> None:
     page = show(_two_clips(), prefers_reduced_motion="reduce")
     assert not page.state()["playing"]

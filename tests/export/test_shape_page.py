@@ -97,6 +97,16 @@ def test_more_items_than_asked_for_are_spread_evenly(tmp_path: Path) -> None:
     assert "3 of 9 shapes are shown" in (tmp_path / "a.html").read_text()
 
 
+def test_items_have_names_for_people_and_keep_their_own(tmp_path: Path) -> None:
+    names = ["chairs-2147483648-0:0", "photos/a.jpg:7", "photos/a.jpg:9", "b.png"]
+    sample = shapes(4)
+    sample.names = names
+    write_shape_page(sample, tmp_path / "a.html")
+    data = read_html(tmp_path / "a.html")
+    assert [one["name"] for one in data["items"]] == ["chairs 1", "a.jpg · 1", "a.jpg · 2", "b.png"]
+    assert [one["id"] for one in data["items"]] == names
+
+
 def test_photos_are_cut_to_the_crop(tmp_path: Path) -> None:
     sample = shapes(3)
     pixels = np.zeros((440, 640, 3), np.uint8)
@@ -158,6 +168,20 @@ def test_silhouettes_of_the_true_shape_are_compared_from_all_sides(
     write_shape_page(sample, tmp_path / "mirrored.html", truth=_truth(sample, mirrored=True))
     page = Page(browser, tmp_path / "mirrored.html", 760, 700)
     assert min(page.state()["turns"]) < 0.85
+
+
+def test_a_phone_hits_every_button_and_swipes_past_the_shape(browser: Browser, tmp_path: Path) -> None:
+    sample = shapes(2)
+    write_shape_page(sample, tmp_path / "a.html", truth=_truth(sample))
+    page = Page(browser, tmp_path / "a.html", 390, 700)
+    assert page.small_targets() == [] and page.run("document.documentElement.scrollWidth") <= 390
+    before = page.state()
+    page.run("scrollTo(0, 0)")
+    page.swipe("deep", down=-250)
+    page.until("scrollY > 100")
+    assert page.state()["turn"] == before["turn"]
+    page.swipe("deep", across=-120)
+    assert page.state()["turn"] > 0.5
 
 
 def test_it_turns_by_keys_pointer_and_buttons(show: Open) -> None:

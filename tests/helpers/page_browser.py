@@ -127,6 +127,24 @@ class Page:
         """Send one real mouse event at page coordinates."""
         self.call("Input.dispatchMouseEvent", type=kind, x=x, y=y, **more)
 
+    def swipe(self, element: str, across: float = 0, down: float = 0) -> None:
+        """Drag one finger over an element, from its middle, slowly enough for the browser to tell what is meant."""
+        self.call("Emulation.setTouchEmulationEnabled", enabled=True, maxTouchPoints=2)
+        x, y = self.middle(element)
+        for kind, share in (("touchStart", 0.0), *(("touchMove", step / 10) for step in range(1, 11))):
+            at = {"x": x + share * across, "y": y + share * down, "id": 0}
+            self.call("Input.dispatchTouchEvent", type=kind, touchPoints=[at])
+            time.sleep(0.02)
+        self.call("Input.dispatchTouchEvent", type="touchEnd", touchPoints=[])
+        self.frames()
+
+    def small_targets(self, least: float = 44) -> list[str]:
+        """Return the controls that are shown and that a finger may miss: less than ``least`` px wide or high."""
+        return self.run(
+            "[...document.querySelectorAll('button, select, input')].filter((e) => { const b = e.getBoundingClientRect();"
+            f"return e.checkVisibility() && Math.min(b.width, b.height) < {least} - 0.01; }}).map((e) => e.id || e.outerHTML)"
+        )
+
     def middle(self, element: str) -> tuple[float, float]:
         """Return the middle of an element, scrolled into view."""
         return tuple(self.run(

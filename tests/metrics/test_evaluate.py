@@ -16,7 +16,7 @@ from uplift.metrics import pose_metrics as metrics
 from uplift.metrics.alignment import ALIGNED_ERRORS
 from uplift.metrics.baselines import flat_depth
 from uplift.metrics.evaluate import evaluate
-from uplift.metrics.protocols import PROTOCOLS
+from uplift.metrics.protocols import PROTOCOLS, SHAPE_METRICS, metric_label
 from uplift.metrics.scores import GivenPoses, previous_rows
 from uplift.skeleton import Skeleton, load_skeleton
 
@@ -388,3 +388,10 @@ def test_real_motion_capture_has_the_known_floor(benchmark_data):
     assert mirrored.overall["p_mpjpe_reflect"] < 1e-2
     assert mirrored.overall["facing"] < 0.01
     assert mirrored.overall["facing_sign"] < 0.05
+
+
+def test_every_metric_has_a_name_in_words() -> None:
+    for names in (PROTOCOLS, SHAPE_METRICS):
+        labels = [metric_label(name) for name in names]
+        assert len(set(labels)) == len(labels) and not any("_" in label for label in labels)
+    assert metric_label("p_mpjpe_action_mean") == "joint error, aligned, mean of action means"

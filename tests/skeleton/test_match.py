@@ -210,3 +210,14 @@ def test_shapes_as_annotated():
     keypoints, confidence = random_joints(COCO)
     typed = jaxtyped(typechecker=beartype)(build_joints)
     assert typed(keypoints, confidence, COCO, load_skeleton("h36m17"))[0].shape == (5, 17, 2)
+
+
+def test_names_without_a_use_are_told_up_to_ten() -> None:
+    body = "nose left_eye right_eye left_ear right_ear left_shoulder right_shoulder left_elbow right_elbow left_wrist "
+    body += "right_wrist left_hip right_hip left_knee right_knee left_ankle right_ankle"
+    whole = body.split() + [f"face-{n}" for n in range(116)]
+    match = match_joints(whole, load_skeleton("coco17"))
+    first = ", ".join(f"face-{n}" for n in range(10))
+    assert str(match).endswith(f"; unused: {first} and 106 more")
+    with pytest.raises(UserError, match=r"Found: j0, j1, j2, j3, j4, j5, j6, j7, j8, j9 and 123 more\."):
+        match_joints([f"j{n}" for n in range(133)], load_skeleton("coco17"))

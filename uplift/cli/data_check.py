@@ -13,7 +13,7 @@ from uplift.cli.kinds import KINDS
 from uplift.config.files import data_root, files_of
 from uplift.config.loading import load_settings, split_words
 from uplift.config.settings import Settings
-from uplift.data.datasets import DataSet
+from uplift.data.datasets import DataSet, WantedFile
 from uplift.data.datasets.base import cached_facts
 from uplift.data.formats import MASK_FORMATS, read_masks
 from uplift.data.formats.base import Peek
@@ -84,8 +84,12 @@ class _Report:
         """Report the files of a split; returns whether none is missing."""
         self.lines.append(f"{title}: {source.title or type(source).__name__}, split '{split}'")
         files = source.files(split)
+        parts: dict[str, list[WantedFile]] = {}
         for file in files:
-            self._line(file.path, file.what, file.present)
+            parts.setdefault(file.part or str(file.path), []).append(file)
+        for part, some in parts.items():
+            absent = [f"{file.path.name}: {file.what}" for file in some if not file.present]
+            self._part(part, [file.path for file in some if file.present], absent)
         if source.missing(split):
             return False
         facts = cached_facts(source, split) if source.cached else None
@@ -114,22 +118,33 @@ class _Report:
         alone = paths[0].name if paths[0].parent == self.folder else str(paths[0])
         self.lines.append(f"{title}: {alone if len(paths) == 1 else f'{len(paths)} files'}")
         self.lines += [f"  {note}" for note in left_out]
+        folders: dict[Path, list[Path]] = {}
         for path in paths:
-            self._line(path, "", path.exists())
+            folders.setdefault(path if len(paths) <= _MOST_LINES else path.parent, []).append(path)
+        for folder, some in folders.items():
+            absent = [path.name for path in some if not path.exists()]
+            self._part(folder.name, [path for path in some if path.exists()], absent)
         if not all(path.exists() for path in paths):
             return False
+        loads, wrong = [], []
         for path in paths:
             try:
-                self.lines.append(f"  to load: {KINDS[settings.lifts].check_file(path, settings, self.skeleton)}")
+                loads.append(f"  to load: {KINDS[settings.lifts].check_file(path, settings, self.skeleton)}")
             except UserError as error:
-                self.wrong = True
-                self.lines.append(f"  WRONG    {error}")
+                wrong.append(f"  WRONG    {error}")
+        self.wrong |= bool(wrong)
+        loads.sort(key=lambda line: "\n  WARNING" not in line)  # what is odd is among the first, which are shown
+        self.lines += [*_first(loads), *_first(wrong)]
         return True
 
-    def _line(self, path: Path, what: str, present: bool) -> None:
-        missing = f"  MISSING  {path.name}" + (f": {what}" if what else "")
-        held = "a folder" if path.is_dir() else _size(path.stat().st_size) if present else ""
-        self.lines.append(f"  present  {path.name}, {held}" if present else missing)
+    def _part(self, title: str, present: list[Path], absent: list[str]) -> None:
+        """Add a line on the files of one part that are there, and one on each of the first that are not."""
+        size = _size(sum(path.stat().st_size for path in present))
+        if len(present) == 1:
+            self.lines.append(f"  present  {present[0].name}, {'a folder' if present[0].is_dir() else size}")
+        elif present:
+            self.lines.append(f"  present  {title}: {len(present):,} files, {size}")
+        self.lines += _first([f"  MISSING  {file}" for file in absent])
 
     def ended(self, words: str) -> list[str]:
         """Return all lines, with where missing files come from and what to do next."""
@@ -137,6 +152,14 @@ class _Report:
             self.lines += ["", *source.splitlines()]
         fix = "put them there" if self.missing else "fix or replace what is wrong" if self.wrong else ""
         return [*self.lines, "", f"next: {fix}, then uplift data check {words}" if fix else f"next: uplift fit {words}"]
+
+
+_MOST_LINES = 10
+
+
+def _first(lines: list[str]) -> list[str]:
+    """Return the first of many lines, and how many more there are."""
+    return [*lines[:_MOST_LINES], *([f"  and {len(lines) - _MOST_LINES:,} more"] if len(lines) > _MOST_LINES else [])]
 
 
 # Keypoints: what is simulated, and what a file holds.

@@ -5,8 +5,8 @@ from __future__ import annotations
 import datetime
 import itertools
 import json
+import re
 from collections.abc import Sequence
-from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -16,6 +16,7 @@ import numpy as np
 from uplift.cli.kinds import KINDS
 from uplift.cli.parsing import keyed
 from uplift.config.files import Existing, absolute, refuse_existing, replacing, shipped_names
+from uplift.config.progress import say
 from uplift.config.run import RunFolder, read_weights
 from uplift.data.clean import clean
 from uplift.data.formats.npz import joint_names_of, refuse_other_axes, unit_of
@@ -23,7 +24,7 @@ from uplift.data.load import format_of_run, load_data, load_file, load_split
 from uplift.data.load_masks import known_shapes, load_mask_split, load_masks
 from uplift.data.masks import MaskData
 from uplift.data.parsers.npz import read_arrays
-from uplift.errors import UserError
+from uplift.errors import UserError, listed
 from uplift.metrics.baselines import score_with_baselines
 from uplift.metrics.evaluate import evaluate as score
 from uplift.metrics.evaluate import evaluate_model
@@ -44,40 +45,58 @@ __all__ = [
 
 
 def evaluate(
-    run: str | Path, test: str | Path | None = None, *, refine: bool | None = None, items: int | None = None
+    run: str | Path,
+    test: str | Path | None = None,
+    *,
+    refine: bool | None = None,
+    items: int | None = None,
+    name: str | None = None,
 ) -> Evaluation | ShapeEvaluation:
     """Evaluate a run on ``test``, or on the test data of its settings, and write evaluation.json into the run.
 
     The frames of a clip are lifted together unless ``refine`` is off. Of a run that lifts masks at most
-    ``items`` are scored.
+    ``items`` are scored. The evaluation is kept in the run under ``name``, by default date and time.
 
     Raises:
-        UserError: no such run, no truth to compare with, an argument that goes with the other kind of run.
+        UserError: no such run, no truth to compare with, an argument that goes with the other kind of run, a name
+            that is taken or cannot be one.
     """
     from uplift.models.model import load
 
     folder = RunFolder.open(run)
+    if name is not None:
+        _check_name(folder, name)
     weights = read_weights(folder.path)
     kind = KINDS[weights.lifts]
     given = {key: value for key, value in {"refine": refine, "items": items}.items() if value is not None}
     kind.refuse_others("evaluate", given, folder.path)
     result = kind.evaluate(folder, load(weights), None if test is None else str(test), **given)
-    save_evaluation(result, folder)
+    save_evaluation(result, folder, name)
     return result
 
 
-def save_evaluation(result: AnyEvaluation, folder: RunFolder) -> None:
-    """Write evaluation.json (always the newest), its CSV, and a dated copy under evaluations/."""
+def _check_name(folder: RunFolder, name: str) -> None:
+    if not re.fullmatch(r"[^\W_][\w.-]{0,99}", name) or name.endswith(".json"):
+        raise UserError(f"evaluation={name}: expected a name of letters, digits, '-', '_' and '.', such as stairs.")
+    if (folder.evaluations / f"{name}.json").exists():
+        raise UserError(f"evaluation={name}: {folder.path} has an evaluation of this name already. Choose another.")
+
+
+def save_evaluation(result: AnyEvaluation, folder: RunFolder, name: str | None = None) -> None:
+    """Write evaluation.json (always the newest), its CSV, and a copy under evaluations/, named by the time if unset."""
     text = json.dumps(result.to_dict(), indent=1).encode()
-    older = folder.path / "evaluations"
+    older = folder.evaluations
     older.mkdir(exist_ok=True)
     stamp = datetime.datetime.now().strftime("%Y-%m-%d_%H-%M-%S")
-    for number in itertools.count(1):
-        with suppress(Existing):  # another evaluation of this second
-            refuse_existing(older / f"{stamp}_{number}.json")
-            with replacing(older / f"{stamp}_{number}.json") as file:
+    for one in [name] if name else (f"{stamp}_{number}" for number in itertools.count(1)):
+        try:
+            refuse_existing(older / f"{one}.json")
+            with replacing(older / f"{one}.json") as file:
                 file.write(text)
             break
+        except Existing:  # another evaluation of this second
+            if name:
+                raise
     with replacing(folder.path / "evaluation.json") as file:
         file.write(text)
     result.write_csv(folder.path / "evaluation.csv")
@@ -173,7 +192,7 @@ def evaluate_poses(poses: str | Path, test: str | Path, skeleton: str | None = N
     refuse_other_axes(str(poses), arrays)
     for key in ("pose", "joint_names"):
         if key not in arrays:
-            raise UserError(f"{poses}: no array '{key}' (found: {', '.join(sorted(arrays)) or 'none that is needed'}).")
+            raise UserError(f"{poses}: no array '{key}' (found: {listed(sorted(arrays)) or 'none that is needed'}).")
     names = joint_names_of(str(poses), arrays)
     chosen = load_skeleton(skeleton) if skeleton else _skeleton_of(names, str(poses))
     pose = _numbers(str(poses), arrays, "pose", (None, len(names), 3))
@@ -229,8 +248,7 @@ def _skeleton_of(names: tuple[str, ...], where: str) -> Skeleton:
         raise UserError(
             f"{where}: no shipped skeleton has exactly its joints; they fit '{name}': give skeleton={name}."
         )
-    shown = ", ".join(names[:8])
-    raise UserError(f"{where}: no shipped skeleton has its joints ({shown}, ...): give skeleton=FILE.yaml.")
+    raise UserError(f"{where}: no shipped skeleton has its joints ({listed(names)}): give skeleton=FILE.yaml.")
 
 
 # The command line.
@@ -242,7 +260,7 @@ def evaluate_command(words: Sequence[str]) -> None:
     if ("run" in keys) == ("poses" in keys):
         raise UserError("evaluate takes run=RUN or poses=FILE. (uplift evaluate --help)")
     if "poses" in keys:
-        for key in [key for key in ("refine", "items") if key in keys]:
+        for key in [key for key in ("refine", "items", "evaluation") if key in keys]:
             raise UserError(f"evaluate poses=FILE takes the poses as they are: {key}= goes with run=.")
         if "data.test" not in keys:
             raise UserError("evaluate poses=FILE needs data.test=FILE with the true poses.")
@@ -251,8 +269,8 @@ def evaluate_command(words: Sequence[str]) -> None:
     if "skeleton" in keys:
         raise UserError("evaluate run=...: the run knows its skeleton; skeleton= goes with poses=.")
     refine, items = keys.given("refine").get("refine"), keys.given("items").get("items")
-    refined = None if refine is None else refine == "on"
-    print(evaluate(keys["run"], keys.get("data.test"), refine=refined, items=items).table())
+    refined, name = None if refine is None else refine == "on", keys.get("evaluation")
+    say(evaluate(keys["run"], keys.get("data.test"), refine=refined, items=items, name=name).table())
     folder = RunFolder.open(keys["run"]).path
-    print(f"\nwrote {folder}/evaluation.json and evaluation.csv (older ones: evaluations/)")
-    print(f"next: uplift compare {folder} OTHER_RUN")
+    say(f"\nwrote {folder}/evaluation.json and evaluation.csv (older ones: evaluations/)")
+    say(f"next: uplift compare {folder} OTHER_RUN")

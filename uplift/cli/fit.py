@@ -15,6 +15,7 @@ from lightning.pytorch.utilities.rank_zero import rank_zero_only
 from uplift.cli.kinds import KINDS
 from uplift.cli.report import Training, report
 from uplift.config.loading import load_settings
+from uplift.config.progress import say
 from uplift.config.run import RunFolder
 from uplift.config.settings import Settings
 from uplift.errors import UserError
@@ -65,8 +66,8 @@ def fit_settings(settings: Settings, run: RunFolder | None = None) -> RunFolder:
     run = _run_of_all_ranks(run, settings)
     try:
         if rank_zero_only.rank == 0:
-            print(f"uplift fit: {settings.task or 'own data'}, {fit.about}, seed {settings.seed}")
-            print("\n".join([*fit.loaded.notes, *fit.recipe.notes, f"run: {run.path}"]), flush=True)
+            first = f"uplift fit: {settings.task or 'own data'}, {fit.about}, seed {settings.seed}"
+            say("\n".join([first, *fit.loaded.notes, *fit.recipe.notes, f"run: {run.path}"]))
         model = fit.recipe.train(run)
     except KeyboardInterrupt:  # between stages, where nothing watches for it; checkpoints are complete
         raise Interrupted(run.path) from None

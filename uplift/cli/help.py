@@ -88,6 +88,7 @@ def overview() -> str:
             *_EXAMPLES.splitlines(),
             "",
             "uplift VERB --help lists the settings of a verb; uplift --version.",
+            "-q or --quiet with any verb: only warnings, errors, and what was written.",
         ]
     )
 

@@ -5,16 +5,18 @@ from __future__ import annotations
 import statistics
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 from uplift.cli.kinds import KINDS
-from uplift.config.files import shipped_names
+from uplift.cli.parsing import keyed
+from uplift.config.files import absolute, shipped_names
 from uplift.config.loading import load_settings
 from uplift.config.run import RunFolder
 from uplift.data.load import find_data, set_of
-from uplift.errors import UserError
+from uplift.errors import UserError, listed
 from uplift.skeleton import load_skeleton
 
-__all__ = ["compare", "list_skeletons", "list_tasks", "spread"]
+__all__ = ["compare", "compare_command", "list_skeletons", "list_tasks", "spread"]
 
 
 def list_tasks() -> str:
@@ -51,21 +53,33 @@ def list_skeletons() -> str:
 # The verb compare: runs side by side, and the spread over seeds.
 
 
-def compare(runs: Sequence[str | Path]) -> str:
+def compare_command(words: Sequence[str]) -> None:
+    """Print the table of `compare`."""
+    keys = keyed("compare", words)
+    print(compare(keys.plain, evaluation=keys.value("evaluation"), test=keys.get("data.test")))
+
+
+def compare(runs: Sequence[str | Path], *, evaluation: str | Sequence[str] = (), test: str | Path | None = None) -> str:
     """Return a table with a row for each protocol and a column for each run.
 
+    The newest evaluation of each run is shown: of all, of those on the file ``test``, or else the one that is called
+    ``evaluation``, one name for all runs or one for each.
+
     Raises:
-        UserError: fewer than two runs, one that was never evaluated, or runs that lift different things.
+        UserError: fewer than two runs, one that was never evaluated (so), or runs that lift different things.
     """
     if len(runs) < 2:
         raise UserError("compare needs two runs or more: uplift compare runs/a/last runs/b/last")
+    names = [evaluation] if isinstance(evaluation, str) else list(evaluation)
+    if names and test is not None:
+        raise UserError("compare: evaluation= and data.test= both say which evaluation. Give one of them.")
+    if len(names) not in (0, 1, len(runs)):
+        raise UserError(
+            f"evaluation={','.join(names)}: {len(names)} names for {len(runs)} runs. Give one, or one each."
+        )
     folders = [RunFolder.open(run) for run in runs]
-    evaluations = []
-    for folder in folders:
-        evaluation = folder.evaluation()
-        if evaluation is None:
-            raise UserError(f"{folder.path} was not evaluated: uplift evaluate run={folder.path} data.test=FILE")
-        evaluations.append(evaluation)
+    wanted = names * (len(runs) if len(names) == 1 else 1) or [None] * len(runs)
+    evaluations = [_evaluation(folder, name, test) for folder, name in zip(folders, wanted, strict=True)]
     shown, wide = _protocols(folders)
     marks = [f"[{number}]" for number in range(1, len(folders) + 1)]
     lines = [
@@ -84,6 +98,23 @@ def compare(runs: Sequence[str | Path]) -> str:
         if any(value is not None for value in values):
             lines.append(f"{name:<{wide}}" + "".join(f"{v:10.3f}" if v is not None else f"{'-':>10}" for v in values))
     return "\n".join(lines)
+
+
+def _evaluation(folder: RunFolder, name: str | None, test: str | Path | None) -> dict[str, Any]:
+    """Return the evaluation of a run of that name, the newest on a test file, or the newest."""
+    again = f"uplift evaluate run={folder.path} data.test="
+    if test is None:
+        found = folder.evaluation(name)
+        if found is None:
+            raise UserError(f"{folder.path} was not evaluated: {again}FILE")
+        return found
+    by_age = sorted(folder.evaluations.glob("*.json"), key=lambda path: (path.stat().st_mtime_ns, path.name))
+    every = [found for path in reversed(by_age) if (found := folder.evaluation(path.stem))]
+    on = [found for found in every if absolute(str(found["data"])) == absolute(str(test))]
+    if not on:
+        known = listed(dict.fromkeys(found["data"] for found in every)) or "nothing"
+        raise UserError(f"{folder.path} was not evaluated on {test} (but on {known}): {again}{test}")
+    return on[0]
 
 
 def spread(runs: Sequence[RunFolder]) -> str:

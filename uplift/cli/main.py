@@ -20,6 +20,8 @@ from uplift.errors import UserError
 
 __all__ = ["main"]
 
+_QUIET = ("--quiet", "-q")
+
 # Errors that another path fixes; a full disk is not one of these.
 _FIXABLE = (errno.EACCES, errno.EPERM, errno.EROFS, errno.ENAMETOOLONG, errno.ENOTDIR, errno.EISDIR, errno.ELOOP)
 
@@ -33,7 +35,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
             print(bold_names(text) if sys.stdout.isatty() and "NO_COLOR" not in os.environ else text)
             return 0
         given = parser.parse_args(words)
-        return _RUN[given.verb](given.settings) or 0
+        with Later("uplift.config.progress:quiet")(given.quiet):
+            return _RUN[given.verb](given.settings) or 0
     except UserError as error:
         print(f"uplift: {error}", file=sys.stderr)
         return 2
@@ -60,8 +63,14 @@ def _asks_for_help(words: Sequence[str]) -> bool:
 
 
 def _folded(arguments: Sequence[str] | None) -> list[str]:
-    """Return the words with ``--from FILE`` of skeleton new as ``from=FILE``: argparse takes no words after an option."""
-    words = list(sys.argv[1:] if arguments is None else arguments)
+    """Return the words with ``--from FILE`` of skeleton new as ``from=FILE``, and ``--quiet`` last.
+
+    Argparse takes no words after an option.
+    """
+    given = list(sys.argv[1:] if arguments is None else arguments)
+    words = [word for word in given if word not in _QUIET]
+    if len(words) < len(given):
+        words.append(_QUIET[0])
     if words[:1] == ["skeleton"]:
         words = [f"from={word[7:]}" if word.startswith("--from=") else word for word in words]
         while "--from" in words:
@@ -78,6 +87,7 @@ def _parser() -> argparse.ArgumentParser:
     for verb in _RUN:
         sub = verbs.add_parser(verb, usage=f"uplift {verb} [key=value ...] (uplift {verb} --help)", add_help=False)
         sub.add_argument("--help", "-h", action="store_true")
+        sub.add_argument(*_QUIET, action="store_true")
         words = sub.add_argument("settings", nargs="*")
         words.completer = functools.partial(_complete, verb)  # type: ignore[attr-defined]
     try:
@@ -155,6 +165,10 @@ def _list(verb: str, function: str) -> Callable[[Sequence[str]], None]:
     return run
 
 
+_ANSWERS = ("data_check:check_data", "skeleton:map_joints")
+"""What is asked for what it prints, and says it even where it is to be quiet."""
+
+
 def _by_first_word(functions: dict[str, str], expected: str) -> Callable[[Sequence[str]], int]:
     """Return a verb that prints the lines of the function that its first word names."""
 
@@ -163,8 +177,9 @@ def _by_first_word(functions: dict[str, str], expected: str) -> Callable[[Sequen
             raise UserError(expected)
         found = Later(f"uplift.cli.{functions[words[0]]}")(list(words[1:]))
         lines, complete = found if isinstance(found, tuple) else (found, True)
+        show = print if functions[words[0]] in _ANSWERS else Later("uplift.config.progress:say")
         for line in lines:
-            print(line)
+            show(line)
         return 0 if complete else 2
 
     return run
@@ -175,7 +190,7 @@ _RUN: dict[str, Callable[[Sequence[str]], int | None]] = {
     "evaluate": Later("uplift.cli.evaluate:evaluate_command"),
     "predict": Later("uplift.cli.predict:predict_command"),
     "simulate": Later("uplift.cli.simulate:simulate_command"),
-    "compare": lambda runs: print(Later("uplift.cli.listing:compare")(runs)),
+    "compare": Later("uplift.cli.listing:compare_command"),
     "tables": Later("uplift.cli.tables:tables_command"),
     "data": _by_first_word(
         {

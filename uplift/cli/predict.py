@@ -15,6 +15,7 @@ from uplift.cli.parsing import Keys, keyed
 from uplift.cli.verbs import SHAPE_KEYS
 from uplift.config.files import refuse_output
 from uplift.config.loading import load_settings
+from uplift.config.progress import say
 from uplift.config.run import RunFolder, Weights, read_weights
 from uplift.config.settings import DataSettings
 from uplift.data.clean import clean
@@ -116,7 +117,7 @@ def predict_command(words: Sequence[str]) -> None:
     lines += [f"wrote {path}" + (f": {remark}" if remark else "") for path, remark in list(files.items())[:5]]
     lines += [f"and {len(files) - 5} more"] * (len(files) > 5)
     lines += [f"look: open {path} in a browser" for path in files if path.suffix.lower() == ".html"]
-    print("\n".join(lines))
+    say("\n".join(lines))
 
 
 # Keypoints in, poses out.

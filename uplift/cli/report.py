@@ -13,15 +13,24 @@ import numpy as np
 from uplift.cli.evaluate import MOST, save_evaluation, score_shapes
 from uplift.cli.kinds import KINDS
 from uplift.config.files import replacing
+from uplift.config.progress import say
 from uplift.config.run import RunFolder
 from uplift.config.settings import Settings
 from uplift.data.tensors import intrinsics_of, undistorted
+from uplift.export.html import Section, Term
 from uplift.export.page import write_html
 from uplift.export.shape_page import write_shape_page
 from uplift.metrics.baselines import flat_depth
 from uplift.metrics.evaluate import TRUTH_SIGN, evaluate_model
 from uplift.metrics.evaluate import evaluate as score
-from uplift.metrics.protocols import BEST_BASELINE
+from uplift.metrics.protocols import (
+    BEST_BASELINE,
+    figure_text,
+    metric_better,
+    metric_label,
+    metric_meaning,
+    metric_unit,
+)
 from uplift.metrics.report import AnyEvaluation, Evaluation
 from uplift.metrics.scores import GivenPoses
 from uplift.training.callbacks import read_metrics
@@ -46,6 +55,7 @@ class _Words:
     baselines: str  # what baselines are, for report.md
     no_truth: str
     predict: str  # the arguments of the suggested ``uplift predict run=...``
+    stages: tuple[str, ...] = ()  # what the stages of the curves are, for a page
 
 
 @dataclass(frozen=True)
@@ -75,6 +85,32 @@ class Findings:
         overalls = [self.evaluation.overall, *self.baselines.values()]
         header: list[object] = [self.evaluation.title, "this run", *self.baselines]
         return [header, *([name, *(overall.get(name, "") for overall in overalls)] for name in self.names)]
+
+    def section(self) -> list[Section]:
+        """Return the figures as a table of a page: plain names beside those of the field, with units."""
+        if self.evaluation is None:
+            return []
+        (_, *header), *rows = self.rows()
+        unit = self.evaluation.unit
+        table = [
+            [
+                _term(str(name), unit),
+                *(figure_text(str(name), cell, unit) if isinstance(cell, float) else cell for cell in cells),
+            ]
+            for name, *cells in rows
+        ]
+        return [(self.words.title, table, ["Measure", *(_BASELINES.get(str(name), str(name)) for name in header)])]
+
+
+_BASELINES = {"hull": "visual hull", "mean_shape": "mean shape", "nearest": "nearest shape"}
+"""What pages call the baselines whose names are not words."""
+
+
+def _term(name: str, unit: str) -> Term:
+    units = {"": "0 to 1", "deg": "degrees"}
+    how = f"{units.get(metric_unit(name, unit), metric_unit(name, unit))}, {metric_better(name)} is better"
+    label = metric_label(name)
+    return Term(label[:1].upper() + label[1:], f"{name} · {how}", metric_meaning(name))
 
 
 @dataclass(frozen=True)
@@ -111,12 +147,16 @@ def report(run: RunFolder, model: Any, settings: Settings, loaded: Any, training
     lines = [*_head_lines(run, settings, notes), *_figure_lines(found, rows)]
     with replacing(run.path / "report.md") as file:
         file.write(("\n".join(lines) + "\n").encode())
-    sections = [(found.words.title, rows)] if rows else []
     curves: dict[str, list[tuple[float, float]]] = {}
     for stage, step, name, value in read_metrics(run.path / "metrics.csv"):
         curves.setdefault(f"{stage}: {name}", []).append((float(step), float(value)))
-    found.write_page(run.path / "page.html", sections=sections, curves=curves, notes=[*doubtful, *found.given])
-    print("\n".join(_end_lines(run, found, rows, training)))
+    found.write_page(
+        run.path / "page.html",
+        sections=found.section(),
+        curves=curves,
+        notes=[*doubtful, *found.given, *found.words.stages],
+    )
+    say("\n".join(_end_lines(run, found, rows, training)))
 
 
 def _head_lines(run: RunFolder, settings: Settings, notes: Sequence[str]) -> list[str]:
@@ -190,6 +230,10 @@ _POSES = _Words(
     baselines="Flat depth is the observed 2D with every depth 0: what any lifter must beat.",
     no_truth="No test poses: nothing to evaluate. `uplift evaluate run=... data.test=FILE` does, on frames with truth.",
     predict="input=KEYPOINTS output=poses.html",
+    stages=(
+        "Stages: the teacher learns from the priors, which judge lifted poses and how they look when turned; each student "
+        "learns from the poses of the stage before it.",
+    ),
 )
 _HEADLINES = ("mpjpe", "p_mpjpe", "n_mpjpe", "mpjpe_gt_scale", "facing", "facing_sign", "elevation_deg")
 
@@ -277,7 +321,11 @@ _SHAPES = _Words(
     "`uplift evaluate run=... data.test=FILE` does, on masks with truth.",
     predict="input=MASKS output=shapes.html",
 )
-_SCORES = {"volume IoU": "volume_iou", "unseen silhouettes": "silhouette_iou_unseen", "chamfer": "chamfer"}
+_SCORES = {
+    "volume overlap": "volume_iou",
+    "overlap in new views": "silhouette_iou_unseen",
+    "surface distance": "chamfer",
+}
 
 
 def shape_findings(model: ShapeModel, settings: Settings, loaded: LoadedMasks) -> Findings:

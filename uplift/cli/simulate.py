@@ -10,6 +10,7 @@ import numpy as np
 
 from uplift.cli.parsing import keyed
 from uplift.config.files import refuse_output
+from uplift.config.progress import say
 from uplift.data.poses import PoseData
 from uplift.errors import UserError, nearest
 from uplift.skeleton import Skeleton, load_skeleton
@@ -69,8 +70,8 @@ def simulate_command(words: Sequence[str]) -> None:
     several = len(written) > 1
     files = f"{len(written)} files, {written[0]} to {written[-1].name}" if several else output
     train = f"'{output.with_name(f'{output.stem}_*{output.suffix}')}'" if several else output
-    print(f"simulated {len(data):,} frames of {keys['skeleton']}\nwrote {files}")
-    print(f"next: uplift fit skeleton={keys['skeleton']} data.train={train}")
+    say(f"simulated {len(data):,} frames of {keys['skeleton']}\nwrote {files}")
+    say(f"next: uplift fit skeleton={keys['skeleton']} data.train={train}")
 
 
 def _checked(output: Path, tracker: str | None) -> Path:

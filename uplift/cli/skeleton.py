@@ -18,7 +18,7 @@ from uplift.data.formats.layouts import is_nameless
 from uplift.data.load import in_joints_of, read_files
 from uplift.data.poses import PoseData
 from uplift.data.upright import upright_notes
-from uplift.errors import UserError
+from uplift.errors import UserError, listed
 from uplift.skeleton import Skeleton, load_skeleton, propose
 from uplift.skeleton.match import JointMatch, match_joints
 
@@ -96,7 +96,7 @@ def _write_proposal(path: Path, keys: Keys) -> list[str]:
         f"{len(skeleton.joints)} joints, root {skeleton.root}; {len(skeleton.mirror)} mirror pairs; "
         f"bones: {len(found.from_file)} from the file, {guessed} guessed by distance",
     ]
-    lines += [f"left out, as no frame shows them: {', '.join(found.hidden)}"] if found.hidden else []
+    lines += [f"left out, as no frame shows them: {listed(found.hidden)}"] if found.hidden else []
     fitting = _fitting_skeletons(data)
     if fitting:
         lines.append(f"shipped skeletons that fit this file as they are: {', '.join(fitting)}: better than a guess")
@@ -141,7 +141,7 @@ def _map_of(data: PoseData, skeleton: Skeleton, source: str) -> tuple[list[str],
     built = in_joints_of(data, skeleton)
     how = "by name" if match.layout is None else f"by its layout '{match.layout}'"
     lines += [f"{skeleton.name}, {how}:", *_table(match, skeleton, built)]
-    lines += [f"  unused: {', '.join(match.unused)}"] if match.unused else []
+    lines += [f"  unused: {listed(match.unused)}"] if match.unused else []
     verdict, fits = _verdict(data, skeleton, built)
     return [*lines, *upright_notes([built], skeleton), "", verdict], fits
 

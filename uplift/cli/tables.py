@@ -16,6 +16,7 @@ import numpy as np
 
 from uplift.config.files import replacing
 from uplift.config.loading import load_settings
+from uplift.config.progress import say
 from uplift.config.settings import Settings, seconds_of
 from uplift.errors import UserError, did_you_mean
 from uplift.metrics.kudo2018 import TITLES, notes_of, sheets_of
@@ -288,9 +289,9 @@ def fit_recipe(recipe: Recipe) -> Path:
 
     place = place_of(recipe.table, recipe.settings())
     if place.is_file():
-        print(f"stored {place.name}", flush=True)
+        say(f"stored {place.name}")
         return place
-    print(f"run {recipe.command}", flush=True)
+    say(f"run {recipe.command}")
     try:
         run = uplift.fit(recipe.task, *recipe.words, f"seed={recipe.seed}")
     except Interrupted as stopped:

@@ -102,6 +102,11 @@ EVALUATE = _table(
     _key("skeleton", Optional[str], None, "skeleton of poses=; unset: the shipped one whose joints those are"),
     POSE_KEYS["refine"],
     _key("items", int, 100, "masks at most that are scored", 1, _MOST_ITEMS, only="masks"),
+    _key("evaluation", Optional[str], None, "name that the evaluation is kept under in the run; unset: date and time"),
+)
+_COMPARE = _table(
+    _key("evaluation", list[str], [], "name of the evaluation, or one for each run with commas; unset: the newest"),
+    _key("data.test", Optional[str], None, "the newest evaluation on this file, in place of the newest of all"),
 )
 SIMULATE = _table(
     _key("skeleton", str, NEEDED, "a shipped name, or a YAML file; it must say how the body is built"),
@@ -189,8 +194,9 @@ VERBS = {
     ),
     "compare": Verb(
         "evaluated runs side by side",
-        ("compare RUN RUN ...",),
+        ("compare RUN RUN ... [data.test=FILE]", "compare RUN RUN ... evaluation=NAME"),
         {"RUN": "run folder with an evaluation; two or more"},
+        _COMPARE,
     ),
     "tables": Verb(
         "the tables of Kudo et al. 2018, published rows and your own fits",

@@ -6,6 +6,7 @@ import dataclasses
 import re
 import typing
 from collections.abc import Collection, Iterable, Mapping, Sequence
+from datetime import timedelta
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +21,7 @@ from uplift.config.settings import (
     all_settings,
     check_settings,
     rename_old,
+    seconds_of,
 )
 from uplift.config.yaml_file import Where, read_value, read_yaml
 from uplift.errors import UserError, did_you_mean
@@ -73,6 +75,7 @@ def settings_from(plain: Mapping[str, Any], task: str = "default") -> Settings:
     given = {key: _as_plain(value) for key, value in plain.items() if value is not None}
     _bind_paths(given, Path.cwd())
     _check_keys({key: value for key, value in given.items() if key != "priors"}, (), lambda path: ".".join(path))
+    _put_texts(given)
     _choose_source(merged, given)
     merged = _merge(merged, given) | {key: given[key] for key in ("priors",) if key in given}
     settings = _typed({**merged, "task": "" if task == "default" else task})
@@ -134,6 +137,7 @@ def read_task(path: Path, depth: int = 0) -> dict[str, Any]:
         rename_old(data)
     _gather_flags(data)
     _check_keys(data, (), where)
+    _put_texts(data)
     _bind_paths(data, path.parent)
     if path.name != "config.yaml":  # of a run, which has trained on the one or the other
         _choose_source(base, data, f"{path}: ")
@@ -236,6 +240,16 @@ def _gather_flags(data: dict[str, Any]) -> None:
         flags = {name: trainer.pop(name) for name in list(trainer) if name in TRAINER_FLAGS}
         if flags and isinstance(trainer.setdefault("flags", {}), dict):
             trainer["flags"] |= flags
+
+
+def _put_texts(data: dict[str, Any]) -> None:
+    """Put mappings as the texts that they may also be written as, in place: times by units, focal lengths by camera."""
+    chosen = data.get("data")
+    if isinstance(chosen, dict) and isinstance(lengths := chosen.get("focal_px"), dict):
+        chosen["focal_px"] = ",".join(f"{camera}:{length}" for camera, length in lengths.items())
+    trainer = data.get("trainer")
+    if isinstance(trainer, dict) and isinstance(trainer.get("max_time"), (dict, timedelta)):
+        trainer["max_time"] = f"{seconds_of(trainer['max_time']):.12g}"
 
 
 def _names_below(above: Sequence[str]) -> list[str]:
@@ -343,7 +357,9 @@ def put_override(data: dict[str, Any], override: str) -> None:
         data = data.setdefault(above, {})
         if not isinstance(data, dict):
             raise UserError(f"'{override}': '{above}' is not a group of settings.")
-    data[keys[-1]] = value
+    data[keys[-1]] = read_value(value) if key == "trainer.max_time" and str(value).startswith("{") else value
+    if key == "trainer.max_time":
+        _put_texts({"trainer": data})
 
 
 def _type_of(name: str, override: str) -> Any:

@@ -1,15 +1,47 @@
-"""`progress`, how far long work is: a bar in a terminal, plain lines elsewhere, nothing for short work."""
+"""What is said while something is done: `say` a text, `progress` of long work, and `quiet`, with less of both."""
 
 from __future__ import annotations
 
 import sys
 import time
 from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
 from typing import TypeVar
 
 from tqdm import tqdm
 
-__all__ = ["progress"]
+__all__ = ["is_quiet", "progress", "quiet", "say"]
+
+_QUIET = ContextVar("quiet", default=False)
+
+
+@contextmanager
+def quiet(on: bool = True) -> Iterator[None]:
+    """Within, `say` tells only warnings and what was written, and `progress` nothing."""
+    before = _QUIET.set(on)
+    try:
+        yield
+    finally:
+        _QUIET.reset(before)
+
+
+def is_quiet() -> bool:
+    """Return whether `quiet` holds."""
+    return _QUIET.get()
+
+
+def say(text: str) -> None:
+    """Print what is done on standard output; where it is `quiet`, ``wrote ...`` alone, and warnings on standard error."""
+    if not is_quiet():
+        print(text, flush=True)
+        return
+    for line in text.splitlines():
+        if "WARNING" in line:
+            print(line, file=sys.stderr, flush=True)
+        elif line.startswith("wrote "):
+            print(line, flush=True)
+
 
 _SILENT_S = 2.0
 """Work of less than this shows nothing."""
@@ -25,6 +57,9 @@ def progress(parts: Iterable[T], what: str, total: int | None = None) -> Iterato
     ``what`` is the work in a few words; ``total`` is how many parts there are, where they do not say it themselves.
     """
     total = len(parts) if total is None and hasattr(parts, "__len__") else total  # type: ignore[arg-type]
+    if is_quiet():
+        yield from parts
+        return
     if sys.stderr.isatty():
         yield from tqdm(parts, what, total, leave=False, delay=_SILENT_S, unit="", dynamic_ncols=True, file=sys.stderr)
         return

@@ -46,6 +46,8 @@ class RunFolder:
         """Each stage's training state."""
         self.weights = path / "lifter.pt"
         """The trained lifter alone."""
+        self.evaluations = path / "evaluations"
+        """Every evaluation, by its name."""
         self.created = False
         """Whether this process made the folder."""
 
@@ -145,11 +147,21 @@ class RunFolder:
             lines.append(f"WARNING: a short fit: {share}. {hint}")
         return lines + [f"WARNING: {idle_prior(name, steps)}" for name, steps in facts.get("idle_priors", {}).items()]
 
-    def evaluation(self) -> dict[str, Any] | None:
-        """Return evaluation.json, None where the run was not evaluated."""
-        path = self.path / "evaluation.json"
+    def evaluation(self, name: str | None = None) -> dict[str, Any] | None:
+        """Return evaluation.json, None where the run was not evaluated; with a ``name`` that of ``evaluations/``.
+
+        Raises UserError: no evaluation of that name, or a file that is none.
+        """
+        path = (
+            self.path / "evaluation.json" if name is None else self.evaluations / f"{name.removesuffix('.json')}.json"
+        )
         if not path.is_file():
-            return None
+            if name is None:
+                return None
+            known = sorted(one.stem for one in self.evaluations.glob("*.json"))
+            raise UserError(
+                f"evaluation={name}: {self.path} has no evaluation of this name.{did_you_mean(name, known)}"
+            )
         found = _mapping(path)
         if not isinstance(found.get("overall"), dict) or "data" not in found:
             again = "`uplift evaluate run=...` writes it again."

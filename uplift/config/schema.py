@@ -41,6 +41,8 @@ def task_schema(
         _below(schema, above)["properties"][last] = setting_schema(one)
     schema["properties"]["priors"] = _priors(priors or {})
     trainer = schema["properties"]["trainer"]["properties"]
+    trainer["max_time"]["type"].append("object")  # times by units, lengths by camera
+    schema["properties"]["data"]["properties"]["focal_px"]["type"].append("object")
     trainer |= {name: {"description": f"the flag {name} of Lightning's Trainer"} for name in TRAINER_FLAGS}
     for group in ("callbacks", "loggers"):
         use = {"type": "string", "description": "Lightning's class by name, or file.py:Class; unset: that of this name"}

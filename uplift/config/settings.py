@@ -11,7 +11,9 @@ import re
 import types
 import typing
 from collections.abc import Callable, Iterator, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field, fields, is_dataclass
+from datetime import timedelta
 from typing import Any, NamedTuple, Optional, TypeVar
 
 from uplift.errors import UserError, nearest
@@ -104,8 +106,8 @@ class DataSettings:
     fps: Optional[float] = _setting(
         None, "frames per second of files that do not give it", low=1e-9, high=1e9, only="keypoints"
     )
-    focal_px: Optional[float] = _setting(
-        None, "focal length of the camera in pixels, where known", low=1e-9, high=1e9, only="keypoints"
+    focal_px: Optional[str] = _setting(
+        None, "focal length in pixels, where known; of several cameras left:1145,right:1200", only="keypoints"
     )
     min_confidence: float = _setting(
         0.0, "keypoints of less confidence count as missing", low=0, high=1, only="keypoints"
@@ -300,7 +302,9 @@ class StudentSettings(StageSettings):
 class TrainerSettings:
     """How long, on what, and what is kept."""
 
-    max_time: Optional[str] = _setting("00:10:00", "hours:minutes:seconds of training; schedules stretch to it")
+    max_time: Optional[str] = _setting(
+        "00:10:00", "length of the training: seconds or hours:minutes:seconds; schedules stretch to it"
+    )
     max_steps: Optional[int] = _setting(None, "optimiser steps of the fit", low=1, high=10**12)
     max_epochs: Optional[float] = _setting(
         None, "length of the fit in passes over the training frames", low=1e-9, high=1e9
@@ -589,15 +593,33 @@ def _of_masks(settings: Settings) -> Iterator[tuple[bool, str]]:
         yield bool(data.simulate) and getattr(data, key) is not None, message
 
 
-def seconds_of(text: str) -> float:
-    """Return the seconds of ``hours:minutes:seconds`` (or ``days:hours:minutes:seconds``)."""
-    if not re.fullmatch(r"(\d+:){2,3}\d+(\.\d+)?", text):
-        raise UserError(f"trainer.max_time={text!r}: expected hours:minutes:seconds, such as 00:10:00.")
-    parts = [float(part) for part in text.split(":")]
-    seconds = sum(part * unit for part, unit in zip(reversed(parts), (1, 60, 3600, 86400), strict=False))
-    if seconds <= 0:
-        raise UserError(f"trainer.max_time={text!r}: no time to train in.")
+def seconds_of(value: Any) -> float:
+    """Return the seconds of a duration as Lightning's Trainer and people write it.
+
+    That is a number of seconds, ``hours:minutes:seconds``, ``days:hours:minutes:seconds``, or units by name such as
+    ``{"minutes": 10}``, those of `datetime.timedelta`. Raises UserError for anything else.
+    """
+    span = value
+    if isinstance(value, Mapping):
+        with suppress(TypeError, OverflowError):
+            span = timedelta(**value)
+    seconds = span.total_seconds() if isinstance(span, timedelta) else _seconds_of_text(str(value).strip())
+    if seconds is None:
+        forms = "seconds, hours:minutes:seconds such as 00:10:00, or units such as {minutes: 10}"
+        raise UserError(f"trainer.max_time={value!r}: expected {forms}.")
+    if not 0 < seconds <= _HUGE:
+        why = "no time to train in" if seconds <= 0 else f"expected at most {_HUGE:.0e} seconds"
+        raise UserError(f"trainer.max_time={value!r}: {why}.")
     return seconds
+
+
+def _seconds_of_text(text: str) -> float | None:
+    if re.fullmatch(r"\d+(\.\d*)?|\.\d+", text):
+        return float(text)
+    if not re.fullmatch(r"(\d+:){2,3}\d+(\.\d+)?", text):
+        return None
+    parts = [float(part) for part in text.split(":")]
+    return sum(part * unit for part, unit in zip(reversed(parts), (1, 60, 3600, 86400), strict=False))
 
 
 # Settings under former names: an error where a user gives them, translated where an earlier fit wrote them.

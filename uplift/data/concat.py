@@ -6,6 +6,7 @@ import re
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -13,6 +14,7 @@ from uplift.data.clean_masks import resample
 from uplift.data.masks import MaskData
 from uplift.data.poses import IDENTITY_KEYS, PoseData
 from uplift.errors import UserError
+from uplift.geometry.lens import Lens
 
 __all__ = ["concat_masks", "concat_poses", "resized"]
 
@@ -21,8 +23,8 @@ def concat_poses(parts: Sequence[PoseData]) -> PoseData:
     """Return the frames of all ``parts``, which have the same joints in the same order, one after the other.
 
     Sequences stay apart: a part without names is one sequence named as its file, and a name
-    that two parts share is put behind the file's. An image size, frame rate or focal length that is not
-    the same everywhere is left out, with a note.
+    that two parts share is put behind the file's. Known cameras that differ become `PoseData.lenses`. Another image
+    size, frame rate or focal length that is not the same everywhere is left out, with a note.
 
     Raises UserError: poses in different units, masks of different sides.
     """
@@ -35,11 +37,11 @@ def concat_poses(parts: Sequence[PoseData]) -> PoseData:
         if len(values) > 1:
             found = " and ".join(map(str, sorted(values)))
             raise UserError(f"{_files(parts)}: {what.format(found)}; files must agree to be joined.")
-    common = {}
+    common: dict[str, Any] = _lenses(parts)
     for name in ("fps", "image_size", "focal_px"):
         values = {getattr(part, name) for part in parts}
         common[name] = values.pop() if len(values) == 1 else None
-        if values and common[name] is None:
+        if values and common[name] is None and (name == "fps" or not common.get("lenses")):
             notes.append(f"{name} is not the same in all {len(parts)} files and is not used")
     return PoseData.concat(
         parts,
@@ -49,6 +51,23 @@ def concat_poses(parts: Sequence[PoseData]) -> PoseData:
         notes=tuple(notes),
         **common,
     )
+
+
+def _lenses(parts: Sequence[PoseData]) -> dict[str, Any]:
+    """Return the cameras of parts that all know theirs, where they differ; nothing elsewhere, or where masks would go with it."""
+    cameras = {(part.focal_px, part.image_size, part.lenses) for part in parts}
+    known = all(part.lenses or (part.focal_px and part.image_size) for part in parts)
+    if len(cameras) == 1:
+        return {}
+    if not known or any(part.masks is not None for part in parts):
+        return {"lenses": (), "lens": None}
+    lenses: dict[Lens, int] = {}
+    rows = []
+    for part in parts:
+        own = part.lenses or (Lens.ideal(part.focal_px or 0.0, part.image_size or (0, 0)),)
+        places = np.array([lenses.setdefault(lens, len(lenses)) for lens in own], np.int16)
+        rows.append(places[np.zeros(len(part), int) if part.lens is None else part.lens])
+    return {"lenses": tuple(lenses), "lens": np.concatenate(rows)}
 
 
 def _common_notes(parts: Sequence[PoseData]) -> list[str]:

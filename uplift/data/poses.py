@@ -106,6 +106,17 @@ class PoseData(Samples):
         """The middle of the image, taken as the pixel of the optical axis; None without an image size."""
         return None if self.image_size is None else (self.image_size[0] / 2, self.image_size[1] / 2)
 
+    def with_focal_px(self, focal_px: Float[np.ndarray, " frames"]) -> PoseData:
+        """Return the frames with the focal length of each, in pixels; where they differ the image size must be known."""
+        values, lens = np.unique(focal_px, return_inverse=True)
+        if len(values) == 1:
+            return replace(self, focal_px=float(values[0]), lenses=(), lens=None)
+        if self.image_size is None:
+            note = "focal_px is not the same in all frames, needs image_size=WIDTHxHEIGHT then, and is not used"
+            return replace(self, focal_px=None, lenses=(), lens=None, notes=(*self.notes, note))
+        lenses = tuple(Lens.ideal(float(value), self.image_size) for value in values)
+        return replace(self, focal_px=None, lenses=lenses, lens=lens.astype(np.int16))
+
     def straightened(self) -> PoseData:
         """Return the frames as one ideal camera without distortion sees them; the same where no lenses are known."""
         if self.lens is None:
@@ -121,7 +132,7 @@ class PoseData(Samples):
             seen = seen | (self.root_filled[:, None] & (self.keypoints != 0).any(-1))
         if not seen.all():
             straight[~seen] = 0
-        bent = ["masks are not used: a lens bends their images"] if self.masks is not None else []
+        bent = ["masks are not used: the lenses bend their images, or differ"] if self.masks is not None else []
         changed = {"focal_px": focal_px, "image_size": size}
         changed |= {"lenses": (), "lens": None, "masks": None, "mask_box": None}
         return replace(self, keypoints=straight.astype(np.float32, copy=False), notes=(*self.notes, *bent), **changed)

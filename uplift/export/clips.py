@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float, Int
 
-from uplift.errors import UserError
+from uplift.errors import UserError, listed
 from uplift.models.prediction import Prediction
 
 __all__ = [
-    "MOST_FILES", "USUAL_FPS", "Clip", "arrange", "frame_rate", "one_body", "one_clip", "photos", "seen_at", "steps",
+    "MOST_FILES", "USUAL_FPS", "Clip", "arrange", "frame_rate", "one_body", "one_clip", "photos", "seen_at", "steps", "titled",
 ]  # fmt: skip
 
 MOST_FILES = 500
@@ -34,6 +34,8 @@ class Clip:
     individual: np.ndarray
     individual_names: tuple[str, ...]
     frames: tuple[int, ...]
+    title: str = ""
+    """The name for people: where a part of it is a number alone, it says of what."""
 
     def by_moment(self, values: np.ndarray) -> np.ndarray:
         """Return values of all rows (rows ...) as (moments individuals ...), NaN where an individual is not there."""
@@ -52,7 +54,7 @@ class Clip:
         """Return the clip cut after so many moments."""
         keep = self.moment < moments
         parts = self.rows[keep], self.moment[keep], self.individual[keep]
-        return Clip(self.name, *parts, self.individual_names, self.frames[:moments])
+        return Clip(self.name, *parts, self.individual_names, self.frames[:moments], self.title)
 
 
 def arrange(identity: dict[str, np.ndarray], rows: int) -> list[Clip]:
@@ -70,9 +72,19 @@ def arrange(identity: dict[str, np.ndarray], rows: int) -> list[Clip]:
     codes = _codes(labels, rows)
     order = np.argsort(codes, kind="stable")
     groups = np.split(order, np.flatnonzero(np.diff(codes[order])) + 1) if rows else []
-    names = _names(labels, groups)
+    names, titles = _names(labels, groups), _names(labels, groups, keys)
     who = np.asarray(identity[instance]).astype(str) if instance else None
-    return [_clip(name, group, identity.get("frame"), who) for name, group in zip(names, groups, strict=True)]
+    clips = [_clip(name, group, identity.get("frame"), who) for name, group in zip(names, groups, strict=True)]
+    return [replace(clip, title=title) for clip, title in zip(clips, titles, strict=True)]
+
+
+_WORDS = {"sequence": "clip", "instance": "individual"}
+
+
+def titled(key: str, value: object) -> str:
+    """Return the value of an identity for people: "camera 0" where it is a number alone, which says nothing."""
+    text = str(value)
+    return f"{_WORDS.get(key, key)} {text}" if text.isdecimal() else text
 
 
 def photos(identity: dict[str, np.ndarray]) -> bool:
@@ -90,11 +102,17 @@ def _codes(labels: Sequence[np.ndarray], rows: int) -> np.ndarray:
     return np.argsort(np.argsort(first))[inverse]
 
 
-def _names(labels: Sequence[np.ndarray], groups: Sequence[np.ndarray]) -> list[str]:
-    """Return a name per clip out of the labels that differ between clips."""
-    firsts = [group[0] for group in groups]
-    telling = [label for label in labels if len(set(label[firsts])) > 1] or list(labels[:1])
-    return [" · ".join(str(label[row]) for label in telling) or f"clip {n + 1}" for n, row in enumerate(firsts)]
+def _names(labels: Sequence[np.ndarray], groups: Sequence[np.ndarray], keys: Sequence[str] = ()) -> list[str]:
+    """Return a name per clip out of the labels that differ between clips; for people, where their ``keys`` are given."""
+    firsts = [int(group[0]) for group in groups]
+    telling = [place for place, label in enumerate(labels) if len(set(label[firsts])) > 1] or list(range(len(labels)))[
+        :1
+    ]
+
+    def text(place: int, row: int) -> str:
+        return titled(keys[place], labels[place][row]) if keys else str(labels[place][row])
+
+    return [" · ".join(text(place, row) for place in telling) or f"clip {n + 1}" for n, row in enumerate(firsts)]
 
 
 def _clip(name: str, rows: np.ndarray, frame: np.ndarray | None, who: np.ndarray | None) -> Clip:
@@ -122,7 +140,7 @@ def one_clip(prediction: Prediction, path: str | Path) -> Clip:
         raise UserError(f"cannot write {path}: the prediction is empty. Check the input file.")
     clips = arrange(prediction.identity, len(prediction))
     if len(clips) > 1:
-        names = ", ".join(clip.name for clip in clips[:3]) + (", ..." if len(clips) > 3 else "")
+        names = listed((clip.name for clip in clips), 3)
         raise UserError(f"cannot write {path}: a {Path(path).suffix} holds one clip, found {len(clips)}: {names}.")
     return clips[0]
 
@@ -138,10 +156,9 @@ def one_body(prediction: Prediction, path: str | Path, individual: str | None = 
     if individual is None and len(names) == 1:
         return clip
     if individual not in names:
-        shown = f"{', '.join(names[:5])}{', ...' if len(names) > 5 else ''}"
         wanted = "holds one individual" if individual is None else f"of '{individual}' was asked for"
         raise UserError(
-            f"cannot write {path}: a {Path(path).suffix} {wanted}, found {len(names)}: {shown}. Write one file for each."
+            f"cannot write {path}: a {Path(path).suffix} {wanted}, found {len(names)}: {listed(names, 5)}. Write one file for each."
         )
     return clip.only(str(individual))
 

@@ -12,7 +12,8 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from uplift.config.progress import progress
-from uplift.errors import UserError
+from uplift.errors import UserError, listed
+from uplift.export.clips import titled
 from uplift.export.html import Photos, fill_page, jpeg_address, number_text, write_text
 from uplift.export.scene import Body, body_of, known_points, level_rotations, scaled_error, shown_truth
 from uplift.geometry.rigid import rotation_about
@@ -120,7 +121,7 @@ class _Sheet:
     def frame(self, place: int) -> str:
         row, name = self.rows[place], escape(self._name(place))
         unseen = [joint for joint, seen in zip(self.prediction.joint_names, self.seen[place], strict=True) if not seen]
-        about = [f"row {row:,}", *([f"not seen: {', '.join(unseen)}"] if unseen else [])]
+        about = [f"row {row:,} of the input", *([f"not seen: {listed(unseen)}"] if unseen else [])]
         if self.error is not None and np.isfinite(self.error[place]):
             unit = "" if self.prediction.truth_unit == "relative" else f" {self.prediction.truth_unit}"
             about.append(f"error at the best scale (n_mpjpe) {number_text(float(self.error[place]))}{unit}")
@@ -161,9 +162,9 @@ class _Sheet:
         row, identity = self.rows[place], self.prediction.identity
         if "image" in identity:
             return str(identity["image"][row])
-        parts = [str(identity[key][row]) for key in ("subject", "action", "sequence", "camera") if key in identity]
-        parts += [f"frame {identity['frame'][row]}"] if "frame" in identity else []
-        return " · ".join(parts) or f"row {row:,}"
+        keys = ("subject", "action", "sequence", "camera", "instance", "frame")
+        parts = [titled(key, identity[key][row]) for key in keys if key in identity]
+        return " · ".join(part for part in parts if part) or f"row {row:,}"
 
     def refuse_without_photos(self) -> None:
         """Raise UserError where none of the photos that were asked for could be shown."""
@@ -199,8 +200,7 @@ class _Sheet:
         where = photos and Path(str(photos.folder)).name
         for what, names in ((f"not in {where}", photos.absent), ("unusable", photos.unreadable)) if photos else ():
             are = "is" if len(names) == 1 else "are"
-            few = ", ".join(names[:3]) + (", ..." if len(names) > 3 else "")
-            notes += [f"{len(names)} of {len(self.rows)} photos {are} {what}: {few}."] if names else []
+            notes += [f"{len(names)} of {len(self.rows)} photos {are} {what}: {listed(names, 3)}."] if names else []
         return notes
 
 

@@ -13,7 +13,7 @@ from collections.abc import Mapping, Sequence
 from html import escape
 from itertools import pairwise
 from pathlib import Path, PurePosixPath
-from typing import TYPE_CHECKING, Any, SupportsFloat
+from typing import TYPE_CHECKING, Any, NamedTuple, SupportsFloat
 
 import numpy as np
 
@@ -24,9 +24,19 @@ if TYPE_CHECKING:
     from PIL.Image import Image
 
 __all__ = [
-    "Curve", "Photos", "Section", "curve_charts", "fill_page", "jpeg_address", "number_text", "pack", "read_html",
+    "Curve", "Photos", "Section", "Term", "curve_charts", "fill_page", "jpeg_address", "number_text", "pack", "read_html",
     "report_html", "scripted_page", "unpack", "write_text",
 ]  # fmt: skip
+
+
+class Term(NamedTuple):
+    """A cell of a table that says what it is: a plain text, and small below it the term of the field."""
+
+    text: str
+    term: str
+    meaning: str = ""
+    """A line for who points at it."""
+
 
 Rows = Sequence[Sequence[object]]
 Section = tuple[str, Rows] | tuple[str, Rows, Sequence[object]]
@@ -88,7 +98,7 @@ def scripted_page(
         end=_asset("end.htm"),
         script="(() => {\n'use strict';\n" + "\n".join(_asset(f"{name}.js") for name in scripts) + "})();\n",
         data=json.dumps(data, ensure_ascii=True, allow_nan=False, separators=(",", ":")).replace("<", "\\u003c"),
-        report=report_html(sections, curves or {}),
+        report=report_html(sections, curves),
         **parts,
     )
 
@@ -123,19 +133,36 @@ def _policy_hash(text: str) -> str:
 _WIDTH, _HEIGHT, _MOST_POINTS = 240, 84, 240
 
 
-def report_html(sections: Sequence[Section], curves: Mapping[str, Curve]) -> str:
-    """Return a card for each section and one for all curves."""
-    charts = curve_charts(curves)
-    card = f'<section class="card broad"><h2>Training</h2>{charts}</section>' if charts else ""
-    return "".join(map(_table_html, sections)) + card
+_CURVES = "Losses and measures of each stage over its steps, each on its own scale; names are those of metrics.csv."
+_NO_CURVES = "The fit ended before anything was logged (every trainer.log_every steps): there are no curves."
+
+
+def report_html(sections: Sequence[Section], curves: Mapping[str, Curve] | None) -> str:
+    """Return a card for each section and one for all curves; without any curves of a fit it says so."""
+    card = ""
+    if curves is not None:
+        charts = curve_charts(curves)
+        about = f"<p>{_CURVES}</p>" if "<figure" in charts else "" if charts else f"<p>{_NO_CURVES}</p>"
+        card = f'<section class="card broad"><h2>Training</h2>{about}{charts}</section>'
+    alone = len(sections) == 1
+    return "".join(_table_html(section, broad=alone) for section in sections) + card
 
 
 def curve_charts(curves: Mapping[str, Curve]) -> str:
-    """Return one small chart per curve of (step, value) points; values that are not finite are left out."""
+    """Return one small chart per curve of (step, value) points; a single point, which makes no line, in words.
+
+    Values that are not finite are left out.
+    """
     numbers = {name: [(float(x), float(y)) for x, y in points] for name, points in curves.items()}
     finite = {name: [point for point in of if all(map(math.isfinite, point))] for name, of in numbers.items()}
-    charts = [_chart(name, points) for name, points in finite.items() if points]
-    return f'<div class="charts">{"".join(charts)}</div>' if charts else ""
+    charts = [_chart(name, points) for name, points in finite.items() if len(points) > 1]
+    alone = [
+        f"{escape(name)}: {number_text(of[0][1])}, at step {number_text(of[0][0])}"
+        for name, of in finite.items()
+        if len(of) == 1
+    ]
+    words = f"<p>Logged once: {'; '.join(alone)}.</p>" if alone else ""
+    return (f'<div class="charts">{"".join(charts)}</div>' if charts else "") + words
 
 
 def number_text(value: object) -> str:
@@ -179,24 +206,28 @@ def _thinned(points: list[tuple[float, float]]) -> list[tuple[float, float]]:
     return [points[0], *means[1:-1], points[-1]]
 
 
-def _table_html(section: Section) -> str:
+def _table_html(section: Section, broad: bool) -> str:
     title, rows, header = section if len(section) == 3 else (*section, ())
     texts = [all(isinstance(cell, str) for cell in row) for row in rows]
     if not header and len(rows) > 1 and len(rows[0]) > 2 and texts[0] and not any(texts[1:]):
         header, rows = rows[0], rows[1:]
     head = f"<thead>{_row(header, 'th')}</thead>" if header else ""
     body = "".join(_row(row, "td") for row in rows)
-    broad = " broad" if max(map(len, rows), default=0) > 6 else ""
+    wide = " broad" if broad or max(map(len, rows), default=0) > 6 else ""
     return (
-        f'<section class="card{broad}"><h2>{escape(title)}</h2><div class="wide"><table>{head}'
+        f'<section class="card{wide}"><h2>{escape(title)}</h2><div class="wide"><table>{head}'
         f"<tbody>{body}</tbody></table></div></section>"
     )
 
 
 def _row(cells: Sequence[object], tag: str) -> str:
     first, *others = [cell.item() if isinstance(cell, np.generic) else cell for cell in cells] or [""]
-    rest = "".join(f"<{tag}>{escape(number_text(cell))}</{tag}>" for cell in others)
-    return f'<tr><th scope="row">{escape(number_text(first))}</th>{rest}</tr>'
+    scope, of_others = ("col", ' scope="col"') if tag == "th" else ("row", "")
+    rest = "".join(f"<{tag}{of_others}>{escape(number_text(cell))}</{tag}>" for cell in others)
+    if not isinstance(first, Term):
+        return f'<tr><th scope="{scope}">{escape(number_text(first))}</th>{rest}</tr>'
+    text, term, meaning = map(escape, first)
+    return f'<tr><th scope="{scope}" title="{meaning}">{text}<small>{term}</small></th>{rest}</tr>'
 
 
 # Arrays as a short text for a page: quantised to steps, differenced over rows, deflated, base64.

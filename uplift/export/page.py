@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from uplift.errors import UserError
-from uplift.export.clips import Clip, arrange, frame_rate, photos
+from uplift.export.clips import Clip, arrange, frame_rate, photos, titled
 from uplift.export.html import Curve, Section, pack, scripted_page, write_text
 from uplift.export.scene import beside, body_of, level_rotations, rotations_to, scaled_error, shown_truth, standing
 from uplift.models.prediction import Prediction
@@ -91,7 +91,12 @@ def _page_data(prediction: Prediction, moments: int) -> dict[str, Any]:
         "fps": frame_rate(prediction, None),
         "imageSize": [int(side) for side in prediction.image_size] if prediction.image_size is not None else None,
         "clips": [
-            {"name": clip.name, "rows": len(clip.rows), "individuals": clip.individual_names, "frames": clip.frames}
+            {
+                "name": clip.title,
+                "rows": len(clip.rows),
+                "individuals": [titled("individual", name) for name in clip.individual_names],
+                "frames": clip.frames,
+            }
             for clip in chosen
         ],
         "layout": layout,

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import re
+from collections import Counter
 from collections.abc import Mapping, Sequence
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 from typing import Any
 
 import numpy as np
@@ -111,13 +113,14 @@ def _shape_data(
     places = iter(range(len(meshes)))
     items = [
         {
-            "name": name,
+            "name": title,
+            "id": name,
             "mesh": -1 if one.mesh is None else next(places),
             "about": one.summary(),
             "scores": [_number(scores[kind][item]) for kind in scores],
             **_standing(prediction, item),
         }
-        for item, (name, one) in enumerate(zip(prediction.names, cut, strict=True))
+        for item, (name, title, one) in enumerate(zip(prediction.names, _titles(prediction.names), cut, strict=True))
     ]
     if truth is not None:
         shown = np.unique(truth.shape).tolist()
@@ -135,6 +138,24 @@ def _shape_data(
         "packed": packed,
     }
     return data, cut
+
+
+def _titles(names: Sequence[str]) -> list[str]:
+    """Return names for people: without folders, seeds and numbers of items, and numbered where they are then the same."""
+    short = [
+        re.sub(r"^([a-z]+)-\d+-(\d+)$", lambda found: f"{found[1]} {int(found[2]) + 1}", _stem(name)) for name in names
+    ]
+    count, met = Counter(short), Counter[str]()
+    titles = []
+    for name in short:
+        met[name] += 1
+        titles.append(f"{name} · {met[name]}" if count[name] > 1 else name)
+    return titles
+
+
+def _stem(name: str) -> str:
+    """Return the last part of a path, without the ``:3`` of an item; all of it where nothing else is there."""
+    return re.sub(r":\d+$", "", PurePosixPath(name).name) or name
 
 
 def _standing(placed: ShapePrediction | Placed, item: int) -> dict[str, Any]:

@@ -30,6 +30,11 @@ class Lens:
     tangential: tuple[float, float] = (0.0, 0.0)
     image_size: tuple[int, int] | None = None
 
+    @classmethod
+    def ideal(cls, focal_px: float, image_size: tuple[int, int]) -> Lens:
+        """Return a lens without distortion whose optical axis is the middle of the image."""
+        return cls((focal_px, focal_px), (image_size[0] / 2, image_size[1] / 2), image_size=image_size)
+
     @property
     def bends(self) -> bool:
         """Whether there is any distortion."""

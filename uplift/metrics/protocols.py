@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 __all__ = [
     "ACTION_MEAN", "BEST_BASELINE", "JOINTS_14", "LONGEST_SIDE", "MISSING", "PROTOCOLS", "SHAPE_METRICS",
-    "figure_text", "is_error", "metric_kind", "metric_meaning", "metric_order", "metric_unit",
+    "figure_text", "is_error", "metric_better", "metric_kind", "metric_label", "metric_meaning", "metric_order", "metric_unit",
 ]  # fmt: skip
 
 
@@ -80,6 +80,49 @@ JOINTS_14 = (
 
 LONGEST_SIDE = "longest side"
 """The unit of length of shapes: the longest side of the true shape."""
+
+
+_LABELS = {
+    "mpjpe": "joint error",
+    "mpjpe_gt_scale": "joint error, at the true scale",
+    "n_mpjpe": "joint error, at the best scale",
+    "n_mpjpe_norm": "joint error, at the true size",
+    "p_mpjpe": "joint error, aligned",
+    "p_mpjpe_reflect": "joint error, aligned or mirrored",
+    "mpjpe_gt_scale_best_of_flip": "joint error, at the true scale, the better depth sign",
+    "n_mpjpe_best_of_flip": "joint error, at the best scale, the better depth sign",
+    "p_mpjpe_best_of_flip": "joint error, aligned, the better depth sign",
+    "mpjve": "error of the motion",
+    "stress": "error of distances between joints",
+    "facing": "right way round in depth",
+    "facing_sign": "right handedness",
+    "elevation_deg": "error of the camera's tilt",
+    "bone_cv": "variation of bone lengths",
+    "symmetry": "difference of left and right bones",
+    "coverage": "joints predicted",
+    "volume_iou": "overlap of the volumes (IoU)",
+    "silhouette_iou_seen": "overlap of silhouettes, seen view (IoU)",
+    "silhouette_iou_unseen": "overlap of silhouettes, new views (IoU)",
+    "chamfer": "distance of the surfaces (chamfer)",
+    "f_score": "surface within 2 % (F-score)",
+    "normal_consistency": "agreement of surface directions",
+    "handedness": "right way round in depth",
+    "azimuth_deg": "error of the view about gravity",
+}
+"""What people who do not know the names call them; elsewhere the meaning is short enough."""
+
+
+def metric_label(name: str) -> str:
+    """Return a plain name of a figure, such as "joint error, aligned" for ``p_mpjpe``."""
+    base = _base(name)
+    best = "the best baseline's: " if name.startswith(BEST_BASELINE) else ""
+    ends = "".join(text for end, text in _SUFFIXES.items() if name.endswith(end))
+    return best + _LABELS.get(base, _METRICS[base].meaning) + ends
+
+
+def metric_better(name: str) -> str:
+    """Return ``lower`` or ``higher``: which figures are better."""
+    return _METRICS[_base(name)].better
 
 
 def metric_kind(name: str) -> str:

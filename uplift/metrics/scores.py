@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from uplift.data.poses import PoseData, clips_of, previous_frames
-from uplift.errors import UserError
+from uplift.errors import UserError, listed
 from uplift.metrics.alignment import ALIGNED_ERRORS, align, counted, length
 from uplift.metrics.pose_metrics import (
     bone_lengths,
@@ -276,20 +276,16 @@ def _pick(given: Sequence[str], skeleton: Skeleton, name: str) -> tuple[list[int
     extra = [joint for joint in given if joint not in skeleton.joints]
     lacking = [joint for joint in skeleton.joints if joint not in given]
     if lacking:
-        instead = f" It has {_some(extra)} instead." if extra else ""
+        instead = f" It has {listed(extra)} instead." if extra else ""
         raise UserError(
             f"{name}: lacks {len(lacking)} of the {len(skeleton.joints)} joints of skeleton "
-            f"'{skeleton.name}': {_some(lacking)}.{instead} Joints are matched by name."
+            f"'{skeleton.name}': {listed(lacking)}.{instead} Joints are matched by name."
         )
     twice = [joint for joint in skeleton.joints if given.count(joint) > 1]
     if twice:
         raise UserError(f"{name}: joint '{twice[0]}' is there {given.count(twice[0])} times; names must differ.")
-    note = f"left out, as skeleton '{skeleton.name}' does not have them: {', '.join(extra)} of {name}"
+    note = f"left out, as skeleton '{skeleton.name}' does not have them: {listed(extra)} of {name}"
     return [given.index(joint) for joint in skeleton.joints], [note] if extra else []
-
-
-def _some(names: list[str]) -> str:
-    return ", ".join(names[:8]) + (", ..." if len(names) > 8 else "")
 
 
 def _notes(matched: Matched, total: int, unit: str, size: float) -> list[str]:

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from uplift.errors import UserError, nearest
+from uplift.errors import UserError, listed, nearest
 from uplift.skeleton.core import Skeleton
 
 __all__ = ["JointMatch", "build_joints", "build_pose", "match_joints"]
@@ -38,9 +38,9 @@ class JointMatch:
     def __str__(self) -> str:
         text = "joints by name" if self.layout is None else f"joints built from: {self.layout}"
         means = [joint for joint, parts in self.parts.items() if len(parts) > 1]
-        text += f"; means: {', '.join(means)}" if means else ""
-        text += f"; missing: {', '.join(self.missing)}" if self.missing else ""
-        return text + (f"; unused: {', '.join(self.unused)}" if self.unused else "")
+        text += f"; means: {listed(means)}" if means else ""
+        text += f"; missing: {listed(self.missing)}" if self.missing else ""
+        return text + (f"; unused: {listed(self.unused)}" if self.unused else "")
 
 
 def match_joints(names: Sequence[str], skeleton: Skeleton) -> JointMatch:
@@ -186,18 +186,15 @@ def _places(match: JointMatch, names: Sequence[str], skeleton: Skeleton) -> list
 def _refusal(names: list[str], skeleton: Skeleton) -> str:
     find = _finders(names)[-1]
     missing = [joint for joint in skeleton.joints if find(joint) is None and joint not in skeleton.midpoints]
-    hints = [f"'{joint}'{nearest(joint, names)}" for joint in missing[:6]]
-    more = f" and {len(missing) - 6} more" if len(missing) > 6 else ""
-    text = f"the joints do not fit skeleton '{skeleton.name}': missing {', '.join(hints)}{more}."
-    text += f" Found: {', '.join(names[:40])}{', ...' if len(names) > 40 else ''}."
+    hints = listed((f"'{joint}'{nearest(joint, names)}" for joint in missing), 6)
+    text = f"the joints do not fit skeleton '{skeleton.name}': missing {hints}. Found: {listed(names)}."
     lacking = {
         layout: list(dict.fromkeys(part for parts in joints.values() for part in parts if find(part) is None))
         for layout, joints in skeleton.sources.items()
     }
     closest = sorted(lacking, key=lambda layout: len(lacking[layout]))
     for layout in closest[:_MOST_LAYOUTS]:
-        more = f" and {len(lacking[layout]) - 3} more" if len(lacking[layout]) > 3 else ""
-        text += f" Not {layout} either: no {', '.join(lacking[layout][:3])}{more}."
+        text += f" Not {layout} either: no {listed(lacking[layout], 3)}."
     if len(closest) > _MOST_LAYOUTS:
         text += f" Nor {', '.join(closest[_MOST_LAYOUTS:])}."
     return text + " Choose the skeleton the file was made with, or add a `from:` map to the skeleton's YAML."

@@ -13,7 +13,7 @@ from typing import Any, Protocol, runtime_checkable
 import numpy as np
 from jaxtyping import Bool, Float, Shaped
 
-from uplift.errors import UserError, did_you_mean
+from uplift.errors import UserError, did_you_mean, listed
 from uplift.skeleton.core import Skeleton
 from uplift.skeleton.schema import MAX_JOINTS
 
@@ -104,7 +104,7 @@ def _check_joints(data: Tracked, share: np.ndarray, where: str) -> None:
     if not len(data):
         raise UserError(f"{where}no frames: where the joints are is not known, so no bones can be proposed.")
     if (share > 0).sum() < 3:
-        seen = ", ".join(n for n, s in zip(data.joint_names, share, strict=True) if s) or "none"
+        seen = listed(n for n, s in zip(data.joint_names, share, strict=True) if s) or "none"
         raise UserError(
             f"{where}only {int((share > 0).sum())} of {joints} joints are visible in any of {len(data):,} frames "
             f"({seen}); a skeleton needs 3 or more. Visible is: confidence above 0 and finite coordinates."

@@ -21,6 +21,7 @@ from lightning.pytorch import callbacks as lightning_callbacks
 from lightning.pytorch.loggers import Logger
 
 from uplift.config.plugins import build, find_class, users_line
+from uplift.config.progress import is_quiet
 from uplift.config.run import RunFolder
 from uplift.config.settings import Settings, TrainerSettings, seconds_of
 from uplift.errors import UserError
@@ -213,7 +214,7 @@ def _stage_callbacks(
     """Return the callbacks of the stage whose checkpoint is ``path``: ours, and those ``given`` by the user."""
     metrics = MetricsFile(path.parent.parent / "metrics.csv", path.stem, settings.log_every)
     callbacks: list[L.Callback] = [clock, *given, metrics]
-    if settings.flags.get("enable_progress_bar", True):
+    if settings.flags.get("enable_progress_bar", True) and not is_quiet():
         callbacks.append(Progress(path.stem, clock))
     if settings.threads is None and budget.steps is None:
         callbacks.append(Threads())
@@ -244,6 +245,7 @@ def _trainer_flags(settings: TrainerSettings, budget: StageBudget, *, has_val: b
         "use_distributed_sampler": False,
         **validation,
         **settings.flags,
+        **({"enable_progress_bar": False} if is_quiet() else {}),
     }
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import gzip
 import json
 import pickle
+import re
 import zipfile
 from pathlib import Path
 
@@ -197,3 +198,36 @@ def test_a_damaged_file_in_utf_16_is_one_error(tmp_path: Path):
         (tmp_path / "a.csv").write_bytes(whole[:end])
         with pytest.raises(UserError):
             read(tmp_path / "a.csv", ReadOptions(format="csv"))
+
+
+@pytest.mark.parametrize(
+    "focal",
+    ["left:900,*r*:450", {"left": 900.0, "right": 450.0}, np.repeat([900.0, 450.0], 2)],
+    ids=["text", "dict", "array"],
+)
+def test_each_camera_has_its_focal_length(focal, tmp_path: Path) -> None:
+    wide = np.repeat([900.0, 450.0], 2)[:, None]  # of the frame's camera
+    keypoints = np.stack([500 + 0.1 * wide, 400 - 0.2 * wide], -1) + np.zeros((4, 3, 1))
+    each = {"focal_px": focal} if isinstance(focal, np.ndarray) else {}
+    np.savez(
+        tmp_path / "a.npz", keypoints=keypoints, joint_names=list("abc"), camera=np.repeat(["left", "right"], 2), **each
+    )
+    options = ReadOptions(image_size=(1000, 800), focal_px=None if each else focal)
+    np.testing.assert_allclose(read(tmp_path / "a.npz", options).rays(), np.tile([0.1, -0.2], (4, 3, 1)), atol=1e-6)
+    without = read(tmp_path / "a.npz", ReadOptions(focal_px=options.focal_px))
+    assert without.rays() is None and "needs image_size=" in without.notes[-1]
+
+
+@pytest.mark.parametrize(
+    ("focal", "says"),
+    [
+        ("left:900", "focal_px= names left and has none for right. Name each camera"),
+        ("left:900,700", "expected pixels, such as 1145, or those of several cameras: left:1145,right:1200"),
+        ("0", "expected pixels"), ("nan", "expected pixels"), ("", "expected pixels"), ("a:b", "expected pixels"), ({}, "expected pixels"),
+    ],
+)  # fmt: skip
+def test_wrong_focal_lengths(focal, says: str, tmp_path: Path) -> None:
+    keypoints = np.ones((2, 3, 2))
+    np.savez(tmp_path / "a.npz", keypoints=keypoints, joint_names=list("abc"), camera=["left", "right"])
+    with pytest.raises(UserError, match=re.escape(says)):
+        read(tmp_path / "a.npz", ReadOptions(focal_px=focal))

@@ -30,6 +30,8 @@ class WantedFile:
     path: Path
     what: str
     """What it holds and where it comes from, in a few words."""
+    part: str = ""
+    """What it is one of many files of, such as a subject and action: `uplift data check` has one line for these."""
 
     @property
     def present(self) -> bool:

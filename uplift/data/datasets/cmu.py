@@ -19,7 +19,7 @@ from uplift.data.formats.layouts import H36M_JOINTS as JOINTS
 from uplift.data.parsers.json import in_order
 from uplift.data.parsers.mocap import Figure, Tree, open_bvh, read_amc, read_asf, read_lines
 from uplift.data.poses import PoseData
-from uplift.errors import UserError, did_you_mean
+from uplift.errors import UserError, did_you_mean, listed
 
 __all__ = [
     "JOINTS", "Clip", "Rates", "Rig", "Trial", "chosen_test", "film", "filmed", "find_trials", "read_clip", "read_index",
@@ -108,8 +108,8 @@ def _layout_of(tree: Tree, path: Path) -> _Layout:
             return layout
     nearest = min(missing, key=lambda title: len(missing[title]))
     raise UserError(
-        f"{path}: joints of no known conversion of CMU's data: {', '.join(tree.names[:40])}. "
-        f"Nearest is {nearest}, without {', '.join(missing[nearest][:8])}."
+        f"{path}: joints of no known conversion of CMU's data: {listed(tree.names)}. "
+        f"Nearest is {nearest}, without {listed(missing[nearest])}."
     )
 
 

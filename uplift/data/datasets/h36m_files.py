@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Collection
 from dataclasses import dataclass, field
 from functools import lru_cache, partial
@@ -15,7 +16,7 @@ from uplift.data.formats.layouts import H36M_JOINTS as JOINTS
 from uplift.data.formats.layouts import HOURGLASS_JOINTS
 from uplift.data.parsers.files import check_claim, check_memory
 from uplift.data.parsers.pickles import load_object_npz, load_pickle
-from uplift.errors import UserError, did_you_mean
+from uplift.errors import UserError, did_you_mean, listed
 from uplift.geometry.lens import Lens
 from uplift.geometry.rigid import quaternion_matrix
 
@@ -67,6 +68,12 @@ LAYOUTS: dict[str, dict[str, tuple[int, ...]]] = {
 """Layouts of 2D keypoints: our joint -> the keypoints it is the mean of. The hourglass network has no nose."""
 
 
+def _action(name: str) -> str:
+    """Return the action of a name such as ``WalkingDog 1`` or ``Photo_2.54138969.h5``, known or not."""
+    word = re.split(r"[ _.]", name.strip(), maxsplit=1)[0]
+    return _OTHER_NAMES.get(word, word)
+
+
 def _sequence_name(name: str, where: str) -> tuple[str, str] | None:
     """Return action and sequence of a name such as ``WalkingDog 1`` or ``Photo_2``; None for ``_ALL``.
 
@@ -76,7 +83,7 @@ def _sequence_name(name: str, where: str) -> tuple[str, str] | None:
     if name.startswith("_"):
         return None
     word, _, number = name.replace("_", " ").strip().partition(" ")
-    action = _OTHER_NAMES.get(word, word)
+    action = _action(name)
     if action not in ACTIONS or (number and not number.isdigit()):
         raise UserError(
             f"{where}: '{name}' is not an action of Human3.6M.{did_you_mean(word, (*ACTIONS, *_OTHER_NAMES))}"
@@ -288,11 +295,11 @@ class Family:
             raise UserError(f"{where}: {subject} has '{twice[0]}' twice, under two names.")
         return sorted(known, key=lambda item: (ACTIONS.index(item[1]), item[2]))
 
-    def _in(self, place: str, example: str, what: str) -> list[WantedFile]:
-        """Return the files in a folder; where there are none, the one that should be there first."""
-        folder = self.folder / place
+    def _in(self, subject: str, place: str, example: str, what: str) -> list[WantedFile]:
+        """Return the files in a folder of a subject; where there are none, the one that should be there first."""
+        folder = self.folder / subject / place
         found = sorted(path for path in folder.glob(f"*{Path(example).suffix}") if not path.name.startswith("_"))
-        return [WantedFile(path, what) for path in found or [folder / example]]
+        return [WantedFile(path, what, f"{subject} {_action(path.name)}") for path in found or [folder / example]]
 
 
 def _table_of(value: Any, where: str, wanted: Collection[str] = ()) -> dict[str, Any]:
@@ -301,7 +308,7 @@ def _table_of(value: Any, where: str, wanted: Collection[str] = ()) -> dict[str,
         raise UserError(f"{where} is {_kind(value)}, expected a dict by name.")
     lacking = [key for key in wanted if key not in value]
     if lacking:
-        found = ", ".join(sorted(value)[:12]) + (", ..." if len(value) > 12 else "")
+        found = listed(sorted(value))
         raise UserError(
             f"{where} has no {', '.join(lacking)} (found: {found or 'nothing'}): part of the file, or another's?"
         )
@@ -532,10 +539,10 @@ class Martinez(Family):
         """Return every file of the split; of a subject without any, the one that should be there first."""
         wanted = []
         for subject in _SUBJECTS[split]:
-            wanted += self._in(f"{subject}/MyPoses/3D_positions", "Directions 1.h5", "3D joints (h36m.zip)")
+            wanted += self._in(subject, "MyPoses/3D_positions", "Directions 1.h5", "3D joints (h36m.zip)")
             if self.keypoints in self.files_of:
-                place = f"{subject}/{self.files_of[self.keypoints]}"
-                wanted += self._in(place, "Directions_1.54138969.h5", "2D detections of the stacked hourglass")
+                place, example = self.files_of[self.keypoints], "Directions_1.54138969.h5"
+                wanted += self._in(subject, place, example, "2D detections of the stacked hourglass")
         if (self.folder / "cameras.h5").is_file():
             wanted.append(WantedFile(self.folder / "cameras.h5", "the cameras"))
         return wanted
@@ -617,7 +624,7 @@ def _h5(path: Path, name: str, take: Callable[[Any], Any]) -> Any:
         with h5py.File(path, "r") as file:
             found = file.get(name)
             if not isinstance(found, h5py.Dataset):
-                raise UserError(f"{path} has no '{name}' (found: {', '.join(list(file)[:10]) or 'nothing'}).")
+                raise UserError(f"{path} has no '{name}' (found: {listed(file) or 'nothing'}).")
             size = check_claim(f"{path}: '{name}'", found.shape, found.dtype)
             check_memory(path, f"'{name}'", size, path.stat().st_size)
             return take(found)
@@ -648,9 +655,9 @@ class OfficialCdf(Family):
         of_camera = "Directions 1.54138969.cdf"
         for subject in _SUBJECTS[split]:
             place, example = (_MONO, of_camera) if self.mono else (_ROOM, "Directions 1.cdf")
-            wanted += self._in(f"{subject}/{place}", example, f"3D joints (Poses_D3_Positions_{subject}.tgz)")
+            wanted += self._in(subject, place, example, f"3D joints (Poses_D3_Positions_{subject}.tgz)")
             if self.has_2d:
-                wanted += self._in(f"{subject}/{_SEEN}", of_camera, f"2D joints (Poses_D2_Positions_{subject}.tgz)")
+                wanted += self._in(subject, _SEEN, of_camera, f"2D joints (Poses_D2_Positions_{subject}.tgz)")
         return wanted
 
     def _names(self, subject: str) -> tuple[list[str], str]:

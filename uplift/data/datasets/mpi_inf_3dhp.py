@@ -14,7 +14,7 @@ from jaxtyping import Float
 from uplift.data.datasets.base import DataSet, Rows, WantedFile, first_file
 from uplift.data.parsers.matlab import load_mat
 from uplift.data.poses import PoseData
-from uplift.errors import UserError, did_you_mean
+from uplift.errors import UserError, did_you_mean, listed
 from uplift.geometry.lens import Lens
 
 __all__ = ["ACTIVITIES", "MpiInf3dhp", "published_cameras"]
@@ -273,7 +273,7 @@ def read_test(path: Path, universal: bool) -> tuple[_Sequence, np.ndarray, np.nd
 def _check_names(path: Path, names: Sequence[str], found: dict, expected: str) -> None:
     absent = [name for name in names if name not in found]
     if absent:
-        have = ", ".join(found) or "none of what was looked for"
+        have = listed(found) or "none of what was looked for"
         raise UserError(f"{path}: no '{absent[0]}' in it (found: {have}). Expected the {expected}.")
 
 

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from fnmatch import fnmatchcase
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -15,6 +16,7 @@ from uplift.data.formats.layouts import with_layout
 from uplift.data.formats.scales import in_pixels, with_sure_confidence
 from uplift.data.poses import PoseData
 from uplift.data.turned import turned
+from uplift.errors import UserError, listed
 
 if TYPE_CHECKING:
     from uplift.data.clean_masks import MaskOptions
@@ -90,8 +92,10 @@ def checked(data: PoseData, options: ReadOptions, coordinates: str = "px") -> Po
 
 def with_options(data: PoseData, options: ReadOptions) -> PoseData:
     """Return ``data`` with what the user says about it in place of what the file says."""
-    given = {name: getattr(options, name) for name in ("image_size", "fps", "focal_px")}
+    given = {name: getattr(options, name) for name in ("image_size", "fps")}
     data = replace(data, **{name: value for name, value in given.items() if value is not None})
+    if options.focal_px is not None:
+        data = data.with_focal_px(_focal_px_of(data, options.focal_px))
     if options.min_confidence > 0:
         weak = (data.confidence > 0) & ~(data.confidence >= options.min_confidence)
         data = replace(data, confidence=np.where(weak, np.float32(0), data.confidence))
@@ -99,6 +103,24 @@ def with_options(data: PoseData, options: ReadOptions) -> PoseData:
             note = f"{int(weak.sum()):,} keypoints of confidence below {options.min_confidence:g} are taken as missing"
             data = replace(data, notes=(*data.notes, note))
     return turned(data, flip_x=options.flip_x, flip_y=options.flip_y, rotate=options.rotate)
+
+
+def _focal_px_of(data: PoseData, focal_px: Any) -> np.ndarray:
+    """Return the focal length of each frame: that of its camera's, sequence's or file's name where there are several."""
+    if not isinstance(focal_px, Mapping):
+        return np.full(len(data), focal_px, float)
+    file = Path(data.source)
+    found = np.full(len(data), np.nan)
+    columns = [data.identity[key].astype(str) for key in ("camera", "sequence") if key in data.identity]
+    for column in [*columns, *(np.full(len(data), name) for name in (file.name, file.stem))]:
+        for name in np.unique(column).tolist():
+            value = next((value for camera, value in focal_px.items() if fnmatchcase(name, camera)), np.nan)
+            found = np.where(np.isnan(found) & (column == name), value, found)
+    if np.isnan(found).any():
+        without = listed(dict.fromkeys(columns[0][np.isnan(found)].tolist())) if columns else file.name
+        hint = "Name each camera, sequence or file, or give one number."
+        raise UserError(f"{data.source}: focal_px= names {listed(focal_px)} and has none for {without}. {hint}")
+    return found
 
 
 def read_masks(

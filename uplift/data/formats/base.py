@@ -257,8 +257,8 @@ class ReadOptions:
     """Width and height of the image or video, px."""
     fps: float | None = None
     """Frames a second."""
-    focal_px: float | None = None
-    """Focal length of the camera, px."""
+    focal_px: float | str | Mapping[str, float] | None = None
+    """Focal length of the camera, px; of several, a text or mapping of `focal_lengths`."""
     min_confidence: float = 0.0
     """Keypoints of less confidence count as missing."""
     flip_x: bool = False
@@ -270,10 +270,10 @@ class ReadOptions:
 
     def __post_init__(self) -> None:
         """Refuse what cannot be."""
-        for name in ("fps", "focal_px"):
-            value = getattr(self, name)
-            if value is not None and not (0 < value < 1e9):
-                raise UserError(f"{name}={value}: expected a positive number.")
+        if self.fps is not None and not (0 < self.fps < 1e9):
+            raise UserError(f"fps={self.fps}: expected a positive number.")
+        if self.focal_px is not None:
+            object.__setattr__(self, "focal_px", focal_lengths(self.focal_px))
         if not 0 <= self.min_confidence <= 1:
             raise UserError(f"min_confidence={self.min_confidence}: expected a share from 0 to 1.")
         if self.rotate not in (0, 90, 180, 270):
@@ -400,6 +400,32 @@ def size_of(text: str, name: str = "image_size") -> tuple[int, int]:
     if not found or not all(int(side) for side in found.groups()):
         raise UserError(f"{name}={text!r}: expected width and height in pixels, such as 1920x1080.")
     return int(found[1]), int(found[2])
+
+
+def focal_lengths(given: float | str | Mapping[str, Any], name: str = "focal_px") -> float | dict[str, float]:
+    """Return a focal length in pixels, or those of cameras by their name.
+
+    Several are written ``left:1145,right:1200``, or given as a mapping. A name is that of a camera, sequence or file,
+    and may be a pattern, such as ``*_left*``. Raises UserError for anything else.
+    """
+    several = given
+    if isinstance(given, str) and ":" in given:
+        several = {camera.strip(): length for camera, _, length in (part.rpartition(":") for part in given.split(","))}
+    try:
+        if not isinstance(several, Mapping):
+            return _focal_length(given)
+        if several and all(several):
+            return {str(camera): _focal_length(length) for camera, length in several.items()}
+        raise ValueError("a length without a camera, or none")
+    except (TypeError, ValueError):
+        forms = "pixels, such as 1145, or those of several cameras: left:1145,right:1200"
+        raise UserError(f"{name}={given}: expected {forms}.") from None
+
+
+def _focal_length(value: Any) -> float:
+    if not 0 < float(value) < 1e9:
+        raise ValueError(value)
+    return float(value)
 
 
 _TOKEN = re.compile(r'"((?:[^"\\]|\\.)*)"(\s*:)?|[{}\[\]]')

@@ -23,7 +23,7 @@ from uplift.data.parsers.hdf5 import h5py_missing
 from uplift.data.parsers.pickles import Source, Unpickler
 from uplift.data.parsers.table import Table, first_lines, first_rows, header_of
 from uplift.data.poses import PoseData
-from uplift.errors import UserError, did_you_mean
+from uplift.errors import UserError, did_you_mean, listed
 
 __all__ = ["FORMAT", "write_deeplabcut_csv"]
 
@@ -60,10 +60,10 @@ def _layout_of(path: Path, columns: Sequence[tuple[str, ...]]) -> _Layout:
         raise UserError(f"{path} has x, y and z: 3D poses, which cannot be lifted; expected 2D keypoints.")
     if not known:
         near = did_you_mean(others[0], _LOCATION) if others else ""
-        raise UserError(f"{path}: no coords x and y in it (found {', '.join(others) or 'nothing'}).{near}")
+        raise UserError(f"{path}: no coords x and y in it (found {listed(others) or 'nothing'}).{near}")
     scorers = tuple(dict.fromkeys(column[0] for column in known))
     if len(scorers) > 1:
-        raise UserError(f"{path}: columns of {len(scorers)} scorers ({', '.join(scorers[:4])}), expected one.")
+        raise UserError(f"{path}: columns of {len(scorers)} scorers ({listed(scorers)}), expected one.")
     individuals = tuple(dict.fromkeys(column[1] for column in known))
     bodyparts = tuple(dict.fromkeys(column[2] for column in known))
     if not all(bodyparts):
@@ -78,7 +78,7 @@ def _layout_of(path: Path, columns: Sequence[tuple[str, ...]]) -> _Layout:
     half = (places[..., :2] >= 0).sum(-1) == 1
     if half.any():
         raise UserError(f"{path}: '{bodyparts[int(np.argwhere(half)[0, 1])]}' has x or y and not the other.")
-    notes = (f"left out: {', '.join(others[:6])}{', ...' if len(others) > 6 else ''}",) if others else ()
+    notes = (f"left out: {listed(others)}",) if others else ()
     used = np.unique(places[places >= 0])
     places = np.where(places >= 0, np.searchsorted(used, places), -1)
     return _Layout(bodyparts, individuals, used, places, notes)
@@ -252,7 +252,7 @@ def _key(path: Path, keys: list[str]) -> str:
     if not chosen:
         raise UserError(f"{path}: no table of pandas in it, expected one such as 'df_with_missing'.")
     if len(chosen) > 1:
-        raise UserError(f"{path}: {len(chosen)} tables ({', '.join(chosen[:6])}), expected one.")
+        raise UserError(f"{path}: {len(chosen)} tables ({listed(chosen)}), expected one.")
     return chosen[0]
 
 

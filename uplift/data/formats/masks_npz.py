@@ -17,7 +17,7 @@ from uplift.data.formats.base import FileFormat, Peek
 from uplift.data.formats.masks import shuffled, wanted
 from uplift.data.masks import MaskData, Placed
 from uplift.data.parsers.npz import CheckedArrays, read_arrays
-from uplift.errors import UserError
+from uplift.errors import UserError, listed
 from uplift.geometry.mesh import Mesh
 
 __all__ = ["FORMAT", "arrays_of", "chosen", "masks_of_arrays", "read_masks_npz", "write_masks_npz"]
@@ -95,7 +95,7 @@ def masks_of_arrays(where: str, arrays: dict[str, np.ndarray], name: str) -> Mas
     """
     file = CheckedArrays(where, arrays)
     if "masks" not in arrays:
-        found = ", ".join(sorted(arrays)) or "nothing"
+        found = listed(sorted(arrays)) or "nothing"
         raise UserError(
             f"{where}: no array 'masks' (found: {found}). Expected uint8 masks (items, side, side), 0..255."
         )

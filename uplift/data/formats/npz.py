@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +14,7 @@ from uplift.data.parsers.files import bytes_of
 from uplift.data.parsers.npz import CheckedArrays, array_headers, first_rows, read_arrays
 from uplift.data.parsers.pictures import PHOTO_ENDINGS
 from uplift.data.poses import IDENTITY_KEYS, UNITS, PoseData, masks_of
-from uplift.errors import UserError
+from uplift.errors import UserError, listed
 
 __all__ = [
     "FORMAT",
@@ -37,16 +37,16 @@ _KNOWN = {
 }  # fmt: skip
 
 
-def read_npz(path: str | Path) -> PoseData:
+def read_npz(path: str | Path, image_size: tuple[int, int] | None = None) -> PoseData:
     """Read an npz file of the documented layout (docs/your-data.md) into a `PoseData`.
 
     Raises:
         UserError: missing or unknown arrays, wrong types or shapes, arrays of different lengths.
     """
-    return poses_of(str(path), read_arrays(path, _KNOWN, others=False))
+    return poses_of(str(path), read_arrays(path, _KNOWN, others=False), image_size)
 
 
-def poses_of(where: str, arrays: dict[str, np.ndarray]) -> PoseData:
+def poses_of(where: str, arrays: dict[str, np.ndarray], image_size: tuple[int, int] | None = None) -> PoseData:
     """Return the `PoseData` of arrays of that layout; ``where`` they are from, for messages.
 
     Raises:
@@ -56,7 +56,7 @@ def poses_of(where: str, arrays: dict[str, np.ndarray]) -> PoseData:
     for needed in ("keypoints", "joint_names"):
         if needed not in arrays:
             raise UserError(
-                f"{where}: no array '{needed}' (found: {', '.join(sorted(arrays)) or 'nothing'}). Expected at "
+                f"{where}: no array '{needed}' (found: {listed(sorted(arrays)) or 'nothing'}). Expected at "
                 "least 'keypoints' (frames, joints, 2) in pixels and 'joint_names' (joints,)."
             )
     refuse_other_axes(where, arrays)
@@ -64,7 +64,7 @@ def poses_of(where: str, arrays: dict[str, np.ndarray]) -> PoseData:
     assert keypoints is not None  # it is one of the needed
     frames, joints = keypoints.shape[:2]
     masks, mask_box = masks_of(where, arrays, frames)
-    return PoseData(
+    data = PoseData(
         keypoints=keypoints,
         confidence=_confidence(file, (frames, joints)),
         joint_names=joint_names_of(where, arrays),
@@ -73,13 +73,16 @@ def poses_of(where: str, arrays: dict[str, np.ndarray]) -> PoseData:
         unit=unit_of(where, arrays, "mm"),
         identity=_identity(where, arrays, frames),
         fps=_scalar(where, arrays, "fps"),
-        image_size=_image_size(where, arrays),
-        focal_px=_scalar(where, arrays, "focal_px"),
+        image_size=image_size or _image_size(where, arrays),
         tilt_deg=file.floats("tilt_deg", (frames,)),
         masks=masks,
         mask_box=mask_box,
         source=where,
     )
+    each = arrays["focal_px"].shape == (frames,) if frames > 1 and "focal_px" in arrays else False
+    if each:
+        return data.with_focal_px(_positive(where, arrays, "focal_px"))
+    return replace(data, focal_px=_scalar(where, arrays, "focal_px"))
 
 
 def joint_names_of(where: str, arrays: dict[str, np.ndarray]) -> tuple[str, ...]:
@@ -133,12 +136,17 @@ def _identity(where: str, arrays: dict[str, np.ndarray], frames: int) -> dict[st
     return {"image" if key == "sequence" else key: values for key, values in found.items()}
 
 
-def _scalar(where: str, arrays: dict, name: str) -> float | None:
-    if name not in arrays:
-        return None
+def _positive(where: str, arrays: dict, name: str) -> np.ndarray:
     array = arrays[name].ravel()
     if array.dtype.kind not in "fiu" or not array.size or not (np.isfinite(array) & (array > 0)).all():
         raise UserError(f"{where}: '{name}' is {arrays[name]!r}, expected one positive number.")
+    return array
+
+
+def _scalar(where: str, arrays: dict, name: str) -> float | None:
+    if name not in arrays:
+        return None
+    array = _positive(where, arrays, name)
     if (array != array[0]).any():
         raise UserError(f"{where}: '{name}' goes from {array.min():g} to {array.max():g}, expected one number a file.")
     return float(array[0])
@@ -157,7 +165,7 @@ FORMAT = FileFormat(
     "npz",
     "uplift's own npz",
     lambda peek: peek.ending == ".npz",  # the last to be asked: its errors say in full what is wrong
-    lambda peek, options: read_npz(peek.path),
+    lambda peek, options: read_npz(peek.path, options.image_size),
 )
 
 

@@ -14,7 +14,7 @@ from uplift.data.formats.layouts import COCO_JOINTS, H36M_JOINTS, HOURGLASS_JOIN
 from uplift.data.formats.rows import confidence_of
 from uplift.data.parsers.pickles import load_object_npz
 from uplift.data.poses import PoseData
-from uplift.errors import UserError
+from uplift.errors import UserError, listed
 
 __all__ = ["FORMAT"]
 
@@ -40,11 +40,11 @@ def _read(peek: Peek, options: ReadOptions) -> PoseData:
     else:
         raise UserError(
             f"{path}: no 'positions_2d' in it, as VideoPose3D's data_2d_custom_*.npz have, and no 'keypoints', as its "
-            f"detector's files have (found: {', '.join(sorted(arrays)) or 'nothing'})."
+            f"detector's files have (found: {listed(sorted(arrays)) or 'nothing'})."
         )
     counts = {view.shape[1] for *_, view in clips}
     if len(counts) > 1:
-        raise UserError(f"{path}: videos with {', '.join(map(str, sorted(counts)))} keypoints, expected equal numbers.")
+        raise UserError(f"{path}: videos with {listed(sorted(counts))} keypoints, expected equal numbers.")
     names, notes = _names(path, clips, metadata, options)
     return _all(path, clips, names, notes, _size(sizes, {clip[0] for clip in clips}))
 

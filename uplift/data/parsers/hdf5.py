@@ -15,7 +15,7 @@ import numpy as np
 
 from uplift.config.files import refuse_special
 from uplift.data.parsers.files import HDF5_START, bytes_of, check_claim, check_memory, damage_as_error
-from uplift.errors import UserError
+from uplift.errors import UserError, listed
 
 __all__ = ["Hdf5", "from_json", "h5py_missing", "open_hdf5"]
 
@@ -245,8 +245,7 @@ class Hdf5:
             raise UserError(f"{self.path}: '{name}' is not a table (found {item.dtype} of shape {item.shape}).")
         for column in columns:
             if column not in found or found[column].ndim != 1 or found[column].dtype.kind not in "fiub":
-                columns_there = ", ".join(map(str, named))
-                raise UserError(f"{self.path}: table '{name}' has no column '{column}' of numbers ({columns_there}).")
+                raise UserError(f"{self.path}: table '{name}' has no column '{column}' of numbers ({listed(named)}).")
         return {column: found[column] for column in columns}
 
     @_one_error

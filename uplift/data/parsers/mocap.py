@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Float
 
 from uplift.data.parsers.files import read_bytes
-from uplift.errors import UserError
+from uplift.errors import UserError, listed
 from uplift.geometry.rigid import rotation_about
 
 __all__ = ["AsfSkeleton", "Figure", "Tree", "open_bvh", "read_amc", "read_asf", "read_lines"]
@@ -183,7 +183,7 @@ def read_asf(path: Path) -> AsfSkeleton:
     sections = _sections(file)
     for needed in (":root", ":bonedata", ":hierarchy"):
         if needed not in sections:
-            found = ", ".join(sections) or "no sections"
+            found = listed(sections) or "no sections"
             raise UserError(f"{path}: no section {needed} (found: {found}). Truncated, or not an Acclaim skeleton?")
     unit_mm, degrees = _units(file, sections.get(":units", []))
     root, position = _root(file, sections[":root"])
@@ -312,7 +312,7 @@ def _hierarchy(file: _File, rows: _Rows, bones: dict[str, _Bone]) -> Tree:
             parents.append(places[parent])
     lost = [name for name in bones if name not in places]
     if lost:
-        raise UserError(f"{file.path}: bones without a parent in :hierarchy: {', '.join(lost[:10])}.")
+        raise UserError(f"{file.path}: bones without a parent in :hierarchy: {listed(lost)}.")
     ordered = [bones[name] for name in places if name != "root"]
     tips = np.array([[0.0, 0.0, 0.0], *(np.multiply(bone.direction, bone.length) for bone in ordered)])
     # A bone starts where its parent ends.
@@ -384,7 +384,7 @@ class _AmcFile(_File):
             words = line.split()
             if len(words) == 1 and words[0].isdecimal() and len(words[0]) < 19:
                 if missing:
-                    raise self.fault(number, f"frame {last} ends without {_listed(missing)}.")
+                    raise self.fault(number, f"frame {last} ends without {listed(sorted(missing))}.")
                 if last is not None and int(words[0]) != last + 1:
                     raise self.fault(number, f"frame {int(words[0])} follows frame {last}: frames are missing.")
                 last, missing = int(words[0]), set(self._widths)
@@ -394,7 +394,7 @@ class _AmcFile(_File):
                 what = "a second time" if words[0] in self._widths else f"which moves nothing in {self._skeleton}"
                 raise self.fault(number, f"found {_shown(line)} in frame {last}, {what}.")
         if missing:
-            what = f"frame {last} ends without {_listed(missing)}: the file is truncated."
+            what = f"frame {last} ends without {listed(sorted(missing))}: the file is truncated."
             raise self.fault(self._places[-1], what)
 
     def values(self, step: int) -> dict[str, Float[np.ndarray, "frames values"]]:
@@ -435,11 +435,6 @@ class _AmcFile(_File):
                 expected = f"expected '{name}' and {_count(width)} ({self._skeleton})."
                 return self.fault(self._places[place], f"found {_shown(self._frames[place])}, {expected}")
         return self.fault(self._places[start], "this frame does not fit the skeleton.")
-
-
-def _listed(names: set[str]) -> str:
-    found = sorted(names)
-    return ", ".join(found[:6]) + (f" and {len(found) - 6} more" if len(found) > 6 else "")
 
 
 # Biovision hierarchies (``.bvh``): a tree of joints with channels, then a line of values for each frame.

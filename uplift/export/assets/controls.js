@@ -12,6 +12,7 @@ function show() {
   for (const item of document.querySelectorAll('[data-sides]')) item.hidden = state.tint || !meta.jointSides.some(Boolean);
   byId('people').classList.toggle('tinted', state.tint);
   byId('legend-truth').hidden = !state.truth;
+  byId('legend-bars').hidden = !state.uncertainty;
   tellPeople();
   paint();
 }

@@ -1,16 +1,16 @@
 // Pointer: dragging turns, two fingers zoom and move, and the joint under it tells what is known of it.
 const held = new Map();
 const TAP = 6;
-let moved = 0;
+let moved = 0, before = null;
 
 function pinch() { const [a, b] = [...held.values()]; return Math.hypot(a.x - b.x, a.y - b.y); }
 
 function drag(event) {
   const was = held.get(event.pointerId), dx = event.clientX - was.x, dy = event.clientY - was.y;
-  const before = held.size === 2 ? pinch() : 0;
+  const apart = held.size === 2 ? pinch() : 0;
   moved += Math.hypot(dx, dy);
   Object.assign(was, { x: event.clientX, y: event.clientY });
-  if (held.size === 2) { zoomBy(pinch() / Math.max(before, 1)); state.panX += dx / 2; state.panY += dy / 2; }
+  if (held.size === 2) { zoomBy(pinch() / Math.max(apart, 1)); state.panX += dx / 2; state.panY += dy / 2; }
   else if (event.shiftKey || event.buttons & 4) { state.panX += dx; state.panY += dy; }
   else turnBy(-dx * 0.008, dy * 0.008);
   paint();
@@ -19,7 +19,7 @@ function drag(event) {
 function wirePointer(deep) {
   deep.addEventListener('pointerdown', (event) => {
     try { deep.setPointerCapture(event.pointerId); } catch { /* a pointer that is already gone */ }
-    if (!held.size) moved = 0;
+    if (!held.size) { moved = 0; before = { yaw: state.yaw, pitch: state.pitch, spin: state.spin }; }
     held.set(event.pointerId, { x: event.clientX, y: event.clientY });
     clock.glide = null; state.spin = false; deep.classList.add('held'); pointAt(null); show();
   });
@@ -29,6 +29,8 @@ function wirePointer(deep) {
       held.delete(event.pointerId);
       deep.classList.toggle('held', held.size > 0);
       if (name === 'pointerup' && moved < TAP) pointAt(event, 'points', 4);
+      // The browser took the swipe to scroll the page: nothing was to be turned.
+      if (name === 'pointercancel') { Object.assign(state, before); show(); run(); }
     });
   }
   deep.addEventListener('wheel', (event) => { event.preventDefault(); zoomBy(Math.exp(-event.deltaY * (event.deltaMode ? 0.04 : 0.0015))); }, { passive: false });

@@ -46,9 +46,11 @@ function sortBy(name) {
 }
 
 function wirePointer(deep) {
+  let start = null;
   const spread = () => { const [a, b] = [...held.values()]; return Math.hypot(a.x - b.x, a.y - b.y); };
   deep.addEventListener('pointerdown', (event) => {
     try { deep.setPointerCapture(event.pointerId); } catch { /* a pointer that is already gone */ }
+    if (!held.size) start = { turn: state.turn, lift: state.lift };
     held.set(event.pointerId, { x: event.clientX, y: event.clientY });
     state.spin = false; deep.classList.add('held'); show();
   });
@@ -62,7 +64,10 @@ function wirePointer(deep) {
     else turnBy(-dx * 0.009, dy * 0.009);
   });
   for (const name of ['pointerup', 'pointercancel']) {
-    deep.addEventListener(name, (event) => { held.delete(event.pointerId); deep.classList.toggle('held', held.size > 0); });
+    deep.addEventListener(name, (event) => {
+      held.delete(event.pointerId); deep.classList.toggle('held', held.size > 0);
+      if (name === 'pointercancel') { Object.assign(state, start); moved(); } // the browser scrolls the page instead
+    });
   }
   deep.addEventListener('wheel', (event) => { event.preventDefault(); zoomBy(Math.exp(-event.deltaY * (event.deltaMode ? 0.04 : 0.0015))); }, { passive: false });
   deep.addEventListener('dblclick', () => { Object.assign(state, SEEN); show(); });

@@ -7,7 +7,7 @@ function makeTile(item) {
   row.className = 'pair'; name.className = 'tile-name'; facts.className = 'tile-facts';
   const canvases = Array.from({ length: one.truth ? 3 : 2 }, () => row.appendChild(document.createElement('canvas')));
   for (const canvas of canvases) canvas.setAttribute('aria-hidden', 'true');
-  name.textContent = one.name; name.title = one.name;
+  name.textContent = one.name; name.title = one.id;
   tile.append(row, name, facts);
   tile.onclick = () => { openItem(item); setSheet(false); byId('deep').focus({ preventScroll: true }); };
   return { tile, canvases, facts, item, drawn: false, seen: false };
@@ -24,7 +24,7 @@ function drawTile(entry) {
     else tellNothing(ctx, '', width, height);
   }
   const parts = one.scores.map((v, k) => `${meta.scoreNames[k]} ${figure(v)}`);
-  entry.facts.textContent = [...(parts.length ? parts : [`seen IoU ${figure(agree)}`]), one.about].filter(Boolean).join(' · ');
+  entry.facts.textContent = [...(parts.length ? parts : [`overlap (IoU) ${figure(agree)}`]), one.about].filter(Boolean).join(' · ');
   entry.drawn = true;
 }
 

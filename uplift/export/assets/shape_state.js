@@ -34,10 +34,10 @@ function drawFlat() {
 
 function tell() {
   const one = meta.items[state.item], view = turned(one.view, state.turn, state.lift);
-  write('flat-note', `${state.photo && kept.photos.has(state.item) ? 'photo, ' : ''}IoU ${figure(kept.agree)}`);
+  write('flat-note', `${state.photo && kept.photos.has(state.item) ? 'photo, ' : ''}overlap (IoU) ${figure(kept.agree)}`);
   write('deep-note', `turned ${degrees(azimuthOf(view))}°, from ${Math.abs(degrees(tiltOf(view)))}° ${tiltOf(view) < -0.004 ? 'below' : 'above'}`);
   const mean = kept.turns.reduce((a, b) => a + b, 0) / kept.turns.length;
-  write('turns-note', Number.isFinite(mean) ? `against the true silhouettes, mean IoU ${figure(mean)}` : '');
+  write('turns-note', Number.isFinite(mean) ? `against the true silhouettes, mean overlap (IoU) ${figure(mean)}` : '');
   write('about', [...one.scores.map((v, k) => `${meta.scoreNames[k]} ${figure(v)}`), one.about].filter(Boolean).join(' · '));
 }
 

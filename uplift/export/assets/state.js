@@ -62,7 +62,7 @@ function tell() {
   const size = meta.imageSize ? `${meta.imageSize[0]} × ${meta.imageSize[1]} px` : 'pixels';
   write('flat-note', size + (unseen ? ` · ${unseen} of ${J * kept.figures.length} joints not seen` : ''));
   const scale = meta.unit === 'mm' && floored() ? ` · squares of ${squareText()}` : '';
-  write('deep-note', (state.level ? 'level frame' : 'camera frame') + scale);
+  write('deep-note', (state.level ? 'tilt of the camera undone' : 'as the camera is held') + scale);
   const now = kept.strip ? kept.strip.values[state.moment] : NaN;
   write('strip-note', now >= 0 ? kept.strip.tell(now) : '');
 }
