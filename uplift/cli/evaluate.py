@@ -15,7 +15,8 @@ import numpy as np
 from uplift.cli.kinds import KINDS
 from uplift.cli.parsing import keyed
 from uplift.config.files import absolute, replacing, shipped_names
-from uplift.config.run import RunFolder, read_weights
+from uplift.config.run import RunFolder, data_id, read_weights
+from uplift.config.trust import Trust, consents
 from uplift.data.clean import clean
 from uplift.data.formats.npz import joint_names_of, refuse_other_axes, unit_of
 from uplift.data.load import format_of_run, load_data, load_file, load_split
@@ -42,13 +43,19 @@ __all__ = [
 ]  # fmt: skip
 
 
+@consents
 def evaluate(
-    run: str | Path, test: str | Path | None = None, *, refine: bool | None = None, items: int | None = None
+    run: str | Path,
+    test: str | Path | None = None,
+    *,
+    refine: bool | None = None,
+    items: int | None = None,
+    trust: Trust = None,
 ) -> Evaluation | ShapeEvaluation:
     """Evaluate a run on ``test``, or on the test data of its settings, and write evaluation.json into the run.
 
     The frames of a clip are lifted together unless ``refine`` is off. Of a run that lifts masks at most
-    ``items`` are scored.
+    ``items`` are scored. ``trust`` are files and modules of code that may run where the run names it.
 
     Raises:
         UserError: no such run, no truth to compare with, an argument that goes with the other kind of run.
@@ -67,7 +74,7 @@ def evaluate(
 
 def save_evaluation(result: AnyEvaluation, folder: RunFolder) -> None:
     """Write evaluation.json (always the newest), its CSV, and a dated copy under evaluations/."""
-    text = json.dumps(result.to_dict(), indent=1).encode()
+    text = json.dumps({**result.to_dict(), "data_id": data_id(result.data)}, indent=1).encode()
     older = folder.path / "evaluations"
     older.mkdir(exist_ok=True)
     stamp = datetime.datetime.now().strftime("%Y-%m-%d_%H-%M-%S")

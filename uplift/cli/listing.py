@@ -9,7 +9,7 @@ from pathlib import Path
 from uplift.cli.kinds import KINDS
 from uplift.config.files import shipped_names
 from uplift.config.loading import load_settings
-from uplift.config.run import RunFolder
+from uplift.config.run import RunFolder, data_id
 from uplift.data.load import find_data, set_of
 from uplift.errors import UserError
 from uplift.skeleton import load_skeleton
@@ -64,7 +64,8 @@ def compare(runs: Sequence[str | Path]) -> str:
     for folder in folders:
         evaluation = folder.evaluation()
         if evaluation is None:
-            raise UserError(f"{folder.path} was not evaluated: uplift evaluate run={folder.path} data.test=FILE")
+            words = f"run={folder.path} data.test=FILE{folder.trust_to_lift()}"
+            raise UserError(f"{folder.path} was not evaluated: uplift evaluate {words}")
         evaluations.append(evaluation)
     shown, wide = _protocols(folders)
     marks = [f"[{number}]" for number in range(1, len(folders) + 1)]
@@ -73,7 +74,8 @@ def compare(runs: Sequence[str | Path]) -> str:
         for mark, folder in zip(marks, folders, strict=True)
     ]
     tested = [evaluation["data"] for evaluation in evaluations]
-    if len(set(tested)) > 1:
+    # Files of one name may be several; those of earlier versions have the whole path for a name.
+    if len({evaluation.get("data_id") or data_id(str(evaluation["data"])) for evaluation in evaluations}) > 1:
         different = "; ".join(f"{mark} {data}" for mark, data in zip(marks, tested, strict=True))
         lines.append(f"Not the same test data: {different}")
     else:

@@ -48,12 +48,26 @@ def _of_fit(name: str, **changed: Any) -> Setting:
 _SEED_LIMITS = (0, 2**31 - 1)
 _MOST_ITEMS = 10**8
 
+_TRUST = _table(
+    _key(
+        "trust",
+        list[str],
+        [],
+        "code that may run where a file names it: my_priors.py, or my_package.nets; several with commas",
+    )
+)
+"""What any command takes that opens a task, a run or a lifter; what words of the command name needs none."""
+
 # Reading files of keypoints: the fields of `uplift.data.formats.base.ReadOptions`.
 
 READ_KEYS = _table(
     *map(_of_fit, ("format", "layout", "image_size", "fps", "focal_px", "min_confidence", "flip_x", "flip_y", "rotate"))
 )
 """What any command that reads keypoints takes."""
+
+_CSV_SAFE = _key(
+    "csv_safe", bool, False, "put an apostrophe before names in a .csv that a spreadsheet would run as formulas"
+)
 
 # predict: what goes with every run, with keypoints alone, with masks alone.
 
@@ -77,6 +91,7 @@ POSE_KEYS = _table(
     *(one for name, one in READ_KEYS.items() if name != "format"),
     _key("frames", int, 40, "frames that page=gallery shows", 1, 500),
     _key("seed", int, 0, "seed of the choice of those frames", *_SEED_LIMITS),
+    _CSV_SAFE,
     *(all_settings()[f"data.{name}"] for name in ("name", "root", "options")),
 )  # fmt: skip
 """What predict takes for keypoints alone."""
@@ -93,7 +108,7 @@ SHAPE_KEYS = _table(
 )  # fmt: skip
 """What predict takes for masks alone."""
 SHAPE_KEYS = {name: one._replace(only="masks") for name, one in SHAPE_KEYS.items()}
-PREDICT = _ALL_KEYS | POSE_KEYS | SHAPE_KEYS
+PREDICT = _ALL_KEYS | _TRUST | POSE_KEYS | SHAPE_KEYS
 
 EVALUATE = _table(
     _key("run", Optional[str], None, "run folder to evaluate"),
@@ -102,6 +117,7 @@ EVALUATE = _table(
     _key("skeleton", Optional[str], None, "skeleton of poses=; unset: the shipped one whose joints those are"),
     POSE_KEYS["refine"],
     _key("items", int, 100, "masks at most that are scored", 1, _MOST_ITEMS, only="masks"),
+    *_TRUST.values(),
 )
 SIMULATE = _table(
     _key("skeleton", str, NEEDED, "a shipped name, or a YAML file; it must say how the body is built"),
@@ -113,6 +129,7 @@ SIMULATE = _table(
     _key("missing", float, 0.0, "share of joints left out", 0, 0.99),
     _key("tracker", Optional[str], None, "write the .csv as this tracker does, a file for each clip",
          choices=("deeplabcut",)),
+    _CSV_SAFE,
 )  # fmt: skip
 
 # data cmu, data render.
@@ -162,6 +179,7 @@ _RENDER = _table(
 _FIT_WORDS = _table(
     all_settings()["task"]._replace(help="a shipped task or a YAML file; uplift tasks lists them"),
     _key("resume", Optional[str], None, "run folder of a fit that was stopped: it goes on; takes no other settings"),
+    *_TRUST.values(),
 )
 _FIT = _FIT_WORDS | {name: one for name, one in all_settings().items() if name != "task"}
 
@@ -191,6 +209,7 @@ VERBS = {
         "evaluated runs side by side",
         ("compare RUN RUN ...",),
         {"RUN": "run folder with an evaluation; two or more"},
+        _TRUST,
     ),
     "tables": Verb(
         "the tables of Kudo et al. 2018, published rows and your own fits",

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float, Int
 
+from uplift.config.files import without_folders
 from uplift.errors import UserError
 from uplift.models.prediction import Prediction
 
@@ -94,7 +95,10 @@ def _names(labels: Sequence[np.ndarray], groups: Sequence[np.ndarray]) -> list[s
     """Return a name per clip out of the labels that differ between clips."""
     firsts = [group[0] for group in groups]
     telling = [label for label in labels if len(set(label[firsts])) > 1] or list(labels[:1])
-    return [" · ".join(str(label[row]) for label in telling) or f"clip {n + 1}" for n, row in enumerate(firsts)]
+    return [
+        " · ".join(without_folders(str(label[row])) for label in telling) or f"clip {n + 1}"
+        for n, row in enumerate(firsts)
+    ]
 
 
 def _clip(name: str, rows: np.ndarray, frame: np.ndarray | None, who: np.ndarray | None) -> Clip:

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool, Float
 
+from uplift.config.files import without_folders
 from uplift.config.progress import progress
 from uplift.errors import UserError
 from uplift.export.html import Photos, fill_page, jpeg_address, number_text, write_text
@@ -160,8 +161,12 @@ class _Sheet:
     def _name(self, place: int) -> str:
         row, identity = self.rows[place], self.prediction.identity
         if "image" in identity:
-            return str(identity["image"][row])
-        parts = [str(identity[key][row]) for key in ("subject", "action", "sequence", "camera") if key in identity]
+            return without_folders(str(identity["image"][row]))
+        parts = [
+            without_folders(str(identity[key][row]))
+            for key in ("subject", "action", "sequence", "camera")
+            if key in identity
+        ]
         parts += [f"frame {identity['frame'][row]}"] if "frame" in identity else []
         return " · ".join(parts) or f"row {row:,}"
 
@@ -177,7 +182,7 @@ class _Sheet:
     def facts(self) -> list[str]:
         prediction = self.prediction
         return [
-            *(["/".join(Path(prediction.source).parts[-2:])] if prediction.title and prediction.source else []),
+            *([Path(prediction.source).name] if prediction.title and prediction.source else []),
             prediction.skeleton.name,
             f"{len(prediction.joint_names)} joints",
             f"{len(self.rows):,} of {len(prediction):,} frames",

@@ -165,13 +165,13 @@ def build_network(
     Raises:
         UserError: no such network or option (a setting below ``where``), invalid sizes.
     """
+    setting = f"{where.removesuffix('.options')}.network"
     if use not in NETWORKS and ":" not in use:
-        setting = f"{where.removesuffix('.options')}.network={use!r}"
         raise UserError(
-            f"{setting}: no such network.{did_you_mean(use, NETWORKS)} A custom one is named file.py:Class."
+            f"{setting}={use!r}: no such network.{did_you_mean(use, NETWORKS)} A custom one is named file.py:Class."
         )
     for name in ("units", "blocks"):
         size = options.get(name, 1)
         if isinstance(size, bool) or not isinstance(size, int) or not 1 <= size <= 1 << 20:
             raise UserError(f"{where}.{name}={size!r}: expected a whole number of at least 1.")
-    return build(use, NETWORKS, options, where, nn.Module, inputs=inputs, outputs=outputs)
+    return build(use, NETWORKS, options, where, nn.Module, setting=setting, inputs=inputs, outputs=outputs)

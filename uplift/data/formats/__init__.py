@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from uplift.config.files import files_of
+from uplift.config.trust import consents
 from uplift.data.formats.base import Formats, Peek, ReadOptions
 from uplift.data.formats.layouts import with_layout
 from uplift.data.formats.scales import in_pixels, with_sure_confidence
@@ -61,6 +62,7 @@ MASK_FORMATS: Formats[MaskOptions, MaskData] = Formats(
 )
 
 
+@consents
 def read(path: str | Path, options: ReadOptions | None = None) -> PoseData:
     """Read a file or folder of keypoints in the format that is named or guessed.
 
@@ -101,6 +103,7 @@ def with_options(data: PoseData, options: ReadOptions) -> PoseData:
     return turned(data, flip_x=options.flip_x, flip_y=options.flip_y, rotate=options.rotate)
 
 
+@consents
 def read_masks(
     path: str | Path,
     *,
