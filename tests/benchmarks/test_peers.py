@@ -25,6 +25,8 @@ sys.path.insert(0, str(ROOT))
 
 from benchmarks.accuracy import floors, twin  # noqa: E402
 
+pytestmark = pytest.mark.usefixtures("trusting")
+
 PEERS = ROOT / "benchmarks" / "accuracy" / "peers"
 TASKS = ("elepose", "links")
 

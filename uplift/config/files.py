@@ -102,7 +102,7 @@ def names_from(folder: Path, paths: Sequence[str | Path]) -> list[str]:
     What is no absolute path, such as the name of a file, stays as it is.
     """
     there = os.path.realpath(folder)
-    real = [os.path.realpath(path) if os.path.isabs(path) or Path(path).exists() else "" for path in paths]
+    real = [os.path.realpath(path) if path and (os.path.isabs(path) or Path(path).exists()) else "" for path in paths]
     outside = {os.path.dirname(one) for one in real if one and not Path(one).is_relative_to(there)}
     shared = os.path.commonpath(outside) if outside else there
     return [
