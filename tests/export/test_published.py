@@ -70,7 +70,7 @@ def test_no_output_of_poses_names_a_folder_of_this_machine(
 
 @pytest.mark.parametrize("ending", WRITERS["shapes"])
 def test_no_output_of_shapes_names_a_folder_of_this_machine(ending: str, marked: Path, tmp_path: Path) -> None:
-    sample = shapes(2)
+    sample = shapes(2, names=[str(marked / "a.jpg:1"), "b"])
     sample.notes, sample.images = (
         (f"{marked}/a.npz: odd",),
         np.array([str(marked / "a.jpg"), str(marked / "b" / "c.jpg")]),

@@ -16,7 +16,7 @@ from uplift.cli.help import bold_names, help_text, topics
 from uplift.cli.kinds import Later
 from uplift.cli.verbs import VERBS, sub_verbs
 from uplift.config.settings import TRAINER_FLAGS, Setting
-from uplift.config.trust import consents
+from uplift.config.trust import consent_of, granted
 from uplift.errors import UserError
 
 __all__ = ["main"]
@@ -30,7 +30,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser = _parser()
     try:
         words, trust = _without_trust(_folded(arguments))
-        return _run(parser, trust=trust, words=words)
+        help_wanted = _asks_for_help(words)
+        # Words without a key may be names of files, which a shell found for a pattern: no consent.
+        with granted(consent_of([word for word in words if help_wanted or "=" in word], trust)):
+            return _run(parser, words)
     except UserError as error:
         print(f"uplift: {error}", file=sys.stderr)
         return 2
@@ -51,8 +54,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return 2 if fixable else 1
 
 
-@consents  # to the classes that the words of the command name, and to no other
-def _run(parser: argparse.ArgumentParser, words: list[str], trust: list[str]) -> int:
+def _run(parser: argparse.ArgumentParser, words: list[str]) -> int:
     if _asks_for_help(words):
         text = help_text(words or ["--help"])
         print(bold_names(text) if sys.stdout.isatty() and "NO_COLOR" not in os.environ else text)

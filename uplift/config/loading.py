@@ -202,8 +202,12 @@ def _bind_paths(data: dict[str, Any], folder: Path) -> None:
 
 
 def classes_of(data: dict[str, Any]) -> dict[str, str]:
-    """Return the settings that name a class as ``file.py:Class`` or ``package.module:Class``, in full, with the class."""
-    return {name: holder[key] for name, holder, key in _holders_of_classes(data) if ":" in holder[key]}
+    """Return the settings that name a class as ``file.py:Class`` or ``package.module:Class``, in full, with the class.
+
+    Priors of weight 0 do not count: they are left out.
+    """
+    found = [one for one in _holders_of_classes(data) if ":" in one[1][one[2]]]
+    return {name: holder[key] for name, holder, key in found if key != "use" or holder.get("weight", 1) != 0}
 
 
 def trust_of(settings: Settings, *groups: str) -> str:

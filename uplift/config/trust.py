@@ -14,7 +14,7 @@ from typing import Any, ParamSpec, TypeVar
 
 from uplift.errors import UserError
 
-__all__ = ["Consent", "Trust", "consents", "granted", "named_in", "place_of", "require", "trust_words"]
+__all__ = ["Consent", "Trust", "consent_of", "consents", "granted", "named_in", "place_of", "require", "trust_words"]
 
 Consent = frozenset[str]
 """Real paths of files, and names of modules with all below them, whose code may run."""
@@ -41,10 +41,15 @@ def consents(function: Callable[Given, Result]) -> Callable[Given, Result]:
     @functools.wraps(function)
     def asked(*given: Given.args, **options: Given.kwargs) -> Result:
         words = [*given, *options.values()] if _NOW.get() is None else []
-        with granted(_named(words) | _trusted(options.get("trust"))):
+        with granted(consent_of(words, options.get("trust"))):
             return function(*given, **options)
 
     return asked
+
+
+def consent_of(words: Iterable[Any], trust: Any = None) -> Consent:
+    """Return the code of the classes that ``words`` name, and of ``trust=``; raises UserError for a file that is not there."""
+    return _named(words) | _trusted(trust)
 
 
 @contextmanager
@@ -119,7 +124,7 @@ def _named(words: Iterable[Any]) -> Consent:
 
 
 def _trusted(trust: Any) -> Consent:
-    """Return the files and modules of ``trust=``; raises UserError for a file that is not there."""
+    """Return the files and modules of ``trust=``."""
     if trust is None:
         return Consent()
     given = [trust] if isinstance(trust, (str, Path)) else list(trust)

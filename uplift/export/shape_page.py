@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from uplift.config.files import without_folders
 from uplift.data.masks import Placed
 from uplift.errors import UserError
 from uplift.export.html import Curve, Photos, Section, jpeg_address, pack, scripted_page, write_text
@@ -111,7 +112,7 @@ def _shape_data(
     places = iter(range(len(meshes)))
     items = [
         {
-            "name": name,
+            "name": without_folders(name),
             "mesh": -1 if one.mesh is None else next(places),
             "about": one.summary(),
             "scores": [_number(scores[kind][item]) for kind in scores],
