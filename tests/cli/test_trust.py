@@ -188,9 +188,9 @@ def test_the_settings_of_a_run_run_nothing_by_themselves(key: str, setting: str,
         ("fit", f"resume={run}"),
         ("predict", f"run={run}", "input=a.npz", "output=b.csv"),
     ):
-        if words[0] != "predict":
-            assert f"{setting}=" in refusal(capsys, *words)
-        status_of(*words)
+        capsys.readouterr()
+        status = status_of(*words)
+        assert words[0] == "predict" or (status == 2 and f"{setting}=" in capsys.readouterr().err)
         assert not ran()
     assert status_of("evaluate", f"run={run}", "trust=evil.py") == 2
     assert ran()

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from jaxtyping import Float
 
-from uplift.config.files import names_from, refuse_existing, replacing, without_folders
+from uplift.config.files import names_from, refuse_existing, replacing
 from uplift.config.progress import progress
 from uplift.errors import UserError, did_you_mean
 from uplift.export.clips import MOST_FILES
@@ -216,7 +216,7 @@ def _standing(prediction: ShapePrediction, item: int) -> dict[str, Any]:
     """Return one item's name and place: own frame to camera, in units of the crop."""
     distance = float(prediction.distance[item])
     return {
-        "name": without_folders(prediction.names[item]),
+        "name": prediction.names[item],
         "view": np.round(prediction.view[item], 6).tolist(),
         "scale": round(float(prediction.scale[item]), 6),
         "offset": np.round(prediction.offset[item], 6).tolist(),

@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 
-from uplift.config.files import without_folders
 from uplift.data.masks import Placed
 from uplift.errors import UserError
 from uplift.export.html import Curve, Photos, Section, jpeg_address, pack, scripted_page, write_text
@@ -112,7 +111,7 @@ def _shape_data(
     places = iter(range(len(meshes)))
     items = [
         {
-            "name": without_folders(name),
+            "name": name,
             "mesh": -1 if one.mesh is None else next(places),
             "about": one.summary(),
             "scores": [_number(scores[kind][item]) for kind in scores],
