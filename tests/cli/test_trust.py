@@ -134,7 +134,7 @@ def test_what_is_trusted_is_one_file(capsys: pytest.CaptureFixture) -> None:
     message = refusal(capsys, "fit", "task=evil.yaml", "trust=other/evil.py")
     assert message.rstrip().endswith("add trust=evil.py,strange_module"), "both at once"
     assert "no name of code" in refusal(capsys, "fit", "task=evil.yaml", "trust=run/lifter.pt")
-    assert "not there" in refusal(capsys, "fit", "task=evil.yaml", "trust=none.py")
+    assert "no such file" in refusal(capsys, "fit", "task=evil.yaml", "trust=none.py")
     assert not ran()
 
 

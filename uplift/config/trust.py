@@ -118,8 +118,9 @@ def _named(words: Iterable[Any]) -> Consent:
             found |= _named(word.values())
         elif isinstance(word, (list, tuple)) and all(isinstance(one, (str, Mapping)) for one in word):
             found |= _named(word)
-        elif isinstance(getattr(word, "format", None), str):  # options of reading a file
-            found |= _named([word.format])
+        else:  # options of reading a file
+            format = getattr(word, "format", None)
+            found |= _named([format]) if isinstance(format, str) else set()
     return Consent(found)
 
 
@@ -135,14 +136,14 @@ def _trusted(trust: Any) -> Consent:
 
 
 def _trusted_place(part: str) -> str:
-    if re.fullmatch(r"[^\W\d]\w*(\.\w+)*", part) and not part.endswith(".py"):
-        return part
-    match = re.fullmatch(r"(.+\.py)(:\w+)?", part)
-    path = None if match is None else Path(match[1]).expanduser()
-    if path is None or not path.is_file():
-        missing = "a file that is not there" if path is not None else "no name of code"
+    place = re.sub(r":\w+$", "", part)  # of file.py:Class
+    if not place.endswith(".py") and re.fullmatch(r"[^\W\d]\w*(\.\w+)*", place):
+        return place
+    path = Path(place).expanduser()
+    if not place.endswith(".py") or not path.is_file():
+        found = "no such file" if place.endswith(".py") else "no name of code"
         raise UserError(
-            f"trust={part}: found {missing}, expected the .py file or the module whose classes may run, such as "
-            "trust=my_priors.py, trust=[a.py,b.py] or trust=my_package.nets."
+            f"trust={part}: {found}, expected the .py file or the module whose classes may run, such as "
+            "trust=my_priors.py, trust=a.py,b.py or trust=my_package.nets."
         )
     return os.path.realpath(path)

@@ -506,7 +506,8 @@ def write_table(
     NaN is an empty cell. With ``csv_safe`` names that a spreadsheet would run as a formula begin with an apostrophe.
     """
     if csv_safe:
-        header, columns = ([[_safe(cell) for cell in cells] for cells in part] for part in (header, columns))
+        header = [[safe_cell(cell) for cell in cells] for cells in header]
+        columns = [[safe_cell(cell) if isinstance(cell, str) else cell for cell in cells] for cells in columns]
     numbers = numbers.astype(np.float32, copy=False)
     with replacing(path) as handle:
         text = io.TextIOWrapper(handle, encoding="utf-8", newline="")
@@ -519,10 +520,6 @@ def write_table(
             lines.writerows([*first, *row] for first, row in zip(beside, cells, strict=True))
         text.flush()
         text.detach()
-
-
-def _safe(value: object) -> object:
-    return safe_cell(value) if isinstance(value, str) else value
 
 
 def _beside(data: PoseData) -> dict[str, np.ndarray]:
