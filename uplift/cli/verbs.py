@@ -221,6 +221,7 @@ VERBS = {
             _key("seeds", list[int], [0, 1, 2], "a fit for each seed", *_SEED_LIMITS),
             _key("show", bool, False, "published rows and stored results alone; nothing is fitted"),
             _key("markdown", bool, False, "tables in Markdown"),
+            *_TRUST.values(),
         ),
         ("Any setting of `uplift fit` holds for all fits: data.root=FOLDER, trainer.max_time=00:30:00.",),
     ),
