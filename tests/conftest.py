@@ -42,6 +42,12 @@ def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path
 
 
+@pytest.fixture
+def trusting(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let any class be loaded that a test names: tests/cli/test_trust.py is about which may be."""
+    monkeypatch.setattr("uplift.config.plugins.require", lambda asked: None)
+
+
 @pytest.fixture(scope="module")
 def browser(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Browser]:
     """Yield a headless browser for the tests of a module; they are skipped without Chromium."""

@@ -108,7 +108,8 @@ class _Work:
         return {"overall": json.loads(text)["overall"]}
 
     def _evaluate(self, run: Path, test: Target) -> dict[str, float]:
-        words = [f"data.test={test.data}", *shlex.split(test.words)]
+        trust = [word for word in shlex.split(self.cell.fit.command) if word.startswith("trust=")]
+        words = [f"data.test={test.data}", *shlex.split(test.words), *trust]
         self._run(["-m", "uplift.cli.main", "evaluate", f"run={run}", *words], run=run)
         return _evaluation_of(run)["overall"]
 

@@ -25,6 +25,8 @@ sys.path.insert(0, str(ROOT))
 
 from benchmarks.accuracy import floors, twin  # noqa: E402
 
+pytestmark = pytest.mark.usefixtures("trusting")
+
 PEERS = ROOT / "benchmarks" / "accuracy" / "peers"
 TASKS = ("elepose", "links")
 
@@ -86,7 +88,7 @@ def test_a_peers_task_trains_from_any_folder(task, tmp_path, monkeypatch, capsys
     flows = [name for name in load_settings(str(PEERS / f"{task}.yaml")).priors if name.startswith("flow")]
     small = [word for name in flows for word in (f"priors.{name}.steps=3", f"priors.{name}.units=8")]
     status = status_of(
-        "fit", f"task={PEERS / task}.yaml", "data.train=null", "data.test=null", "data.simulate=300",
+        "fit", f"task={PEERS / task}.yaml", f"trust={PEERS / 'bone_ratios.py'},{PEERS / 'halves.py'}", "data.train=null", "data.test=null", "data.simulate=300",
         "lifter.options.units=8", "lifter.options.blocks=1", "teacher.batch_size=16", *small,
         "trainer.max_time=null", "trainer.max_steps=4", "trainer.log_every=1", "trainer.threads=1",
     )  # fmt: skip

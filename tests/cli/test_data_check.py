@@ -18,7 +18,7 @@ from uplift.config.loading import load_settings
 from uplift.data.datasets import read_cached
 from uplift.data.formats import read
 
-pytestmark = pytest.mark.usefixtures("here")
+pytestmark = pytest.mark.usefixtures("here", "trusting")
 
 SET = """
 from uplift.data.datasets import DataSet, WantedFile
@@ -145,7 +145,7 @@ def test_labelled_frames_of_another_file(beetles: Path, here: Path, capsys) -> N
     assert status_of("data", "check", *words) == 0
     text = capsys.readouterr().out
     assert re.search(r"labelled: .*labels.npz\n  present  labels.npz, .*\n  to load: 7 frames of 17 joints", text)
-    assert text.endswith("next: uplift fit task=beetles.yaml data.labelled.file=labels.npz\n")
+    assert text.endswith("next: uplift fit task=beetles.yaml data.labelled.file=labels.npz trust=beetles.py\n")
 
 
 def test_a_set_with_files_missing(beetles: Path, capsys) -> None:
@@ -203,7 +203,7 @@ def test_wrong_words(words: list[str], says: str, beetles: Path, capsys) -> None
 
 
 def test_it_loads_nothing_heavy(beetles: Path) -> None:
-    script = "import sys\nfrom uplift.cli.main import main\nassert main(['data', 'check', 'task=beetles.yaml']) == 0\n"
+    script = "import sys\nfrom uplift.cli.main import main\nassert main(['data', 'check', 'task=beetles.yaml', 'trust=beetles.py']) == 0\n"
     script += "assert not set(sys.modules) & {'torch', 'lightning', 'skimage', 'scipy'}"
     done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, timeout=60)
     assert done.returncode == 0, done.stderr
@@ -229,7 +229,7 @@ def test_the_tasks_list_tells_sets_apart(beetles: Path, monkeypatch: pytest.Monk
 def test_a_fit_without_its_set_says_what_where_and_what_else(beetles: Path, here: Path, capsys) -> None:
     for file in beetles.iterdir():
         file.unlink()
-    message = refusal(capsys, "fit", "task=beetles.yaml")
+    message = refusal(capsys, "fit", "task=beetles.yaml", "trust=beetles.py")
     assert message.splitlines() == [
         f"uplift: Beetles 3.6, which task 'beetles' needs: 2 files are not in {beetles}",
         "  train_2d.npz  2D keypoints",
@@ -241,7 +241,7 @@ def test_a_fit_without_its_set_says_what_where_and_what_else(beetles: Path, here
     ]
     assert not (here / "runs").exists()
     (beetles / "poses.bin").write_bytes(b"x")
-    assert "1 file is not in" in refusal(capsys, "fit", "task=beetles.yaml")
+    assert "1 file is not in" in refusal(capsys, "fit", "task=beetles.yaml", "trust=beetles.py")
 
 
 WITH_DATA = [name for name in shipped_names("tasks") if load_settings(name).data.train]

@@ -248,7 +248,7 @@ def test_completion(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("COMP_LINE", "uplift fit ")
     names = _complete("fit", "")
     listed = {f"{one.name}=" for one in all_settings().values() if typing.get_origin(one.kind) is not dict}
-    assert listed | {"resume="} | {f"trainer.{name}=" for name in TRAINER_FLAGS} == set(names)
+    assert listed | {"resume=", "trust="} | {f"trainer.{name}=" for name in TRAINER_FLAGS} == set(names)
     assert _complete("fit", "lifter.camera=") == ["lifter.camera=orthographic", "lifter.camera=perspective"]
     assert _complete("fit", "lifter.fill=t") == ["lifter.fill=true", "lifter.fill=false"]
     assert "task=cmu" in _complete("fit", "task=")

@@ -185,7 +185,7 @@ def test_each_kind_of_run_has_its_own_words() -> None:
 
 def test_fit_and_data_check_take_all_settings() -> None:
     settings = all_settings()
-    for verb, more in (("fit", {"resume"}), ("data check", set())):
+    for verb, more in (("fit", {"resume", "trust"}), ("data check", {"trust"})):
         table = VERBS[verb].settings
         assert set(table) == set(settings) | more
         assert all(table[name] == one for name, one in settings.items() if name != "task")

@@ -10,6 +10,8 @@ from torch import nn
 from uplift.config.plugins import build, find_class, options_of
 from uplift.errors import UserError
 
+pytestmark = pytest.mark.usefixtures("trusting")
+
 OWN = """
 from torch import nn
 

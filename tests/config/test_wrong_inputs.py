@@ -221,7 +221,7 @@ LIFTERS = {
     "an unknown network": (lambda r: write_other_network(r, network="nothing"), "nothing"),
     "a network that is none": (
         lambda r: write_other_network(r, network="subprocess:Popen", options={}),
-        "not a subclass",
+        "runs only with your consent",
     ),
     "a camera that is none": (lambda r: write_other_network(r, camera="pinhole"), "pinhole"),
 }

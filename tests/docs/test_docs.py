@@ -169,7 +169,7 @@ def _check_fit_word(word: str) -> None:
     key, _, value = word.partition("=")
     if key == "task":
         assert value in (*shipped_names("tasks"), "NAME") or value.endswith(".yaml")
-    elif key not in ("resume", "seed"):
+    elif key not in ("resume", "seed", "trust"):
         put_override({}, word)
     path = key.split(".")
     known = PRIORS

@@ -22,7 +22,7 @@ def test_every_verb_and_group_has_its_table() -> None:
     fit = {group for what in BLOCKS if what[0] == "fit" for group in what[1:]}
     assert fit == {group or "." for group in all_groups()}
     shown = {" ".join(what[:2]) if " ".join(what[:2]) in VERBS else what[0] for what in BLOCKS}
-    several = {"fit", "data check", "skeleton check", "schema task", "schema skeleton"}
+    several = {"fit", "compare", "data check", "skeleton check", "schema task", "schema skeleton"}
     assert {name for name, one in VERBS.items() if one.settings} - several <= shown
     assert ["verbs"] in BLOCKS
     assert {what[1] for what in BLOCKS if what[0] == "predict"} >= {"both", "keypoints", "masks"}

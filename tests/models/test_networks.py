@@ -9,6 +9,8 @@ import torch
 from uplift.errors import UserError
 from uplift.models.networks import build_network
 
+pytestmark = pytest.mark.usefixtures("trusting")
+
 
 def _leaky(x: np.ndarray, slope: float) -> np.ndarray:
     return np.maximum(x, slope * x)

@@ -16,6 +16,8 @@ from uplift.priors import PRIORS, build_priors
 from uplift.priors.base import Lift, Prior, ShapeLift
 from uplift.training.objective import Objective, prepare_priors
 
+pytestmark = pytest.mark.usefixtures("trusting")
+
 KINDS = ["poses", "shapes"]
 HEADS = {
     "poses": "class Mine(uplift.Prior):\n    def __init__(self, skeleton, *, share=0.5):\n        super().__init__(skeleton)\n",

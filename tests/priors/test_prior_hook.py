@@ -110,7 +110,7 @@ def test_in_a_task_file_paths_are_relative_to_it(work):
         "extends: default\nskeleton: h36m17\npriors:\n  ground: {use: 'my_priors.py:FlatGround', weight: 0.1, height: 0.2}\n"
     )
     words = [w for w in own_data(work / "bodies.npz") if not w.startswith("skeleton=")]
-    assert status_of("fit", "task=tasks/mine.yaml", *words) == 0
+    assert status_of("fit", "task=tasks/mine.yaml", "trust=tasks/my_priors.py", *words) == 0
     assert "ground" in _metrics(work)
 
 

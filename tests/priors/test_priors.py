@@ -33,6 +33,8 @@ from uplift.skeleton import load_skeleton
 from uplift.skeleton.core import mirrored_bones
 from uplift.training.lifting import LiftingModule
 
+pytestmark = pytest.mark.usefixtures("trusting")
+
 SEEDS = st.integers(0, 2**31 - 1)
 SHAPES = ("compactness", "mask_critic", "shape_symmetry", "smoothness")  # those: test_shape_priors.py
 ON_KEYPOINTS = [name for name in PRIORS if name != "mask" and name not in SHAPES]  # that one: test_mask.py

@@ -15,6 +15,8 @@ from uplift.priors.base import ShapeLift, ShapePrior
 from uplift.priors.mask_critic import MaskCritic
 from uplift.priors.shape_grids import Compactness, ShapeSymmetry, Smoothness
 
+pytestmark = pytest.mark.usefixtures("trusting")
+
 
 def lift_of(occupancy: Tensor, done: float = 1.0) -> ShapeLift:
     """Return what a prior sees of these grids."""

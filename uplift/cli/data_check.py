@@ -10,8 +10,8 @@ from pathlib import Path
 import numpy as np
 
 from uplift.cli.kinds import KINDS
-from uplift.config.files import data_root, files_of
-from uplift.config.loading import load_settings, split_words
+from uplift.config.files import data_root, files_of, shipped_names
+from uplift.config.loading import load_settings, split_words, trust_of
 from uplift.config.settings import Settings
 from uplift.data.datasets import DataSet, WantedFile
 from uplift.data.datasets.base import cached_facts
@@ -56,7 +56,8 @@ def check_data(words: Sequence[str]) -> tuple[list[str], bool]:
             report.part("test", settings, "test")
     if settings.data.labelled.file:
         report.part("labelled", of_labelled(settings), "train")
-    return report.ended(shlex.join(words)), not report.missing and not report.wrong
+    trust = "" if settings.task in shipped_names("tasks") else trust_of(settings)
+    return report.ended(f"{shlex.join(words)}{trust}"), not report.missing and not report.wrong
 
 
 class _Report:

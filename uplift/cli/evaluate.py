@@ -17,7 +17,8 @@ from uplift.cli.kinds import KINDS
 from uplift.cli.parsing import keyed
 from uplift.config.files import Existing, absolute, refuse_existing, replacing, shipped_names
 from uplift.config.progress import say
-from uplift.config.run import RunFolder, read_weights
+from uplift.config.run import RunFolder, data_id, read_weights
+from uplift.config.trust import Trust, consents
 from uplift.data.clean import clean
 from uplift.data.formats.npz import joint_names_of, refuse_other_axes, unit_of
 from uplift.data.load import format_of_run, load_data, load_file, load_split
@@ -44,6 +45,7 @@ __all__ = [
 ]  # fmt: skip
 
 
+@consents
 def evaluate(
     run: str | Path,
     test: str | Path | None = None,
@@ -51,11 +53,13 @@ def evaluate(
     refine: bool | None = None,
     items: int | None = None,
     name: str | None = None,
+    trust: Trust = None,
 ) -> Evaluation | ShapeEvaluation:
     """Evaluate a run on ``test``, or on the test data of its settings, and write evaluation.json into the run.
 
     The frames of a clip are lifted together unless ``refine`` is off. Of a run that lifts masks at most
-    ``items`` are scored. The evaluation is kept in the run under ``name``, by default date and time.
+    ``items`` are scored. The evaluation is kept in the run under ``name``, by default date and time. ``trust`` are
+    files and modules of code that may run where the run names it.
 
     Raises:
         UserError: no such run, no truth to compare with, an argument that goes with the other kind of run, a name
@@ -84,7 +88,7 @@ def _check_name(folder: RunFolder, name: str) -> None:
 
 def save_evaluation(result: AnyEvaluation, folder: RunFolder, name: str | None = None) -> None:
     """Write evaluation.json (always the newest), its CSV, and a copy under evaluations/, named by the time if unset."""
-    text = json.dumps(result.to_dict(), indent=1).encode()
+    text = json.dumps({**result.to_dict(), "data_id": data_id(result.data)}, indent=1).encode()
     older = folder.evaluations
     older.mkdir(exist_ok=True)
     stamp = datetime.datetime.now().strftime("%Y-%m-%d_%H-%M-%S")

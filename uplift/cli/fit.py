@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import shlex
 import sys
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -14,24 +14,30 @@ from lightning.pytorch.utilities.rank_zero import rank_zero_only
 
 from uplift.cli.kinds import KINDS
 from uplift.cli.report import Training, report
-from uplift.config.loading import load_settings
+from uplift.config.loading import classes_of, load_settings
 from uplift.config.progress import say
 from uplift.config.run import RunFolder
 from uplift.config.settings import Settings
+from uplift.config.trust import Trust, consents, require
+from uplift.data.datasets import DATA_SETS
 from uplift.errors import UserError
+from uplift.models.networks import NETWORKS
+from uplift.priors import PRIORS
 from uplift.training.callbacks import Interrupted
-from uplift.training.stages import devices_of
+from uplift.training.stages import CALLBACKS, LOGGERS, devices_of
 
 __all__ = ["Prepared", "fit", "fit_settings", "prepare_keypoints", "prepare_masks"]
 
 _RUN_VARIABLE = "UPLIFT_RUN_OF_THIS_FIT"
 
 
-def fit(task: str | None = None, *overrides: str, resume: str | Path | None = None) -> RunFolder:
+@consents
+def fit(task: str | None = None, *overrides: str, resume: str | Path | None = None, trust: Trust = None) -> RunFolder:
     """Train a lifter and return its run folder, as ``uplift fit`` does.
 
     ``overrides`` are ``key=value`` texts. With ``resume`` an interrupted run goes on with the
-    settings it was started with.
+    settings it was started with. ``trust`` are files and modules of code that may run where a task file or a run
+    names it, such as ``"my_priors.py"``.
 
     Raises:
         UserError: anything wrong with settings, data or skeleton.
@@ -59,6 +65,9 @@ class Prepared:
 
 def fit_settings(settings: Settings, run: RunFolder | None = None) -> RunFolder:
     """Train as ``settings`` say, in a new run folder or going on in ``run``."""
+    # What a task file names is asked for together, before any work; the built-in ones are not.
+    builtin = {*PRIORS.values(), *NETWORKS.values(), *DATA_SETS.values(), *CALLBACKS.values(), *LOGGERS.values()}
+    require({name: use for name, use in classes_of(asdict(settings)).items() if use not in builtin})
     if settings.trainer.threads:
         torch.set_num_threads(settings.trainer.threads)
     devices_of(settings.trainer)  # before any data is read

@@ -11,7 +11,7 @@ from uplift.cli.kinds import KINDS
 from uplift.cli.parsing import keyed
 from uplift.config.files import absolute, shipped_names
 from uplift.config.loading import load_settings
-from uplift.config.run import RunFolder
+from uplift.config.run import RunFolder, data_id
 from uplift.data.load import find_data, set_of
 from uplift.errors import UserError, listed
 from uplift.skeleton import load_skeleton
@@ -87,7 +87,7 @@ def compare(runs: Sequence[str | Path], *, evaluation: str | Sequence[str] = (),
         for mark, folder in zip(marks, folders, strict=True)
     ]
     tested = [evaluation["data"] for evaluation in evaluations]
-    if len(set(tested)) > 1:
+    if len({_id_of(evaluation) for evaluation in evaluations}) > 1:  # files of one name may be several
         different = "; ".join(f"{mark} {data}" for mark, data in zip(marks, tested, strict=True))
         lines.append(f"Not the same test data: {different}")
     else:
@@ -102,7 +102,7 @@ def compare(runs: Sequence[str | Path], *, evaluation: str | Sequence[str] = (),
 
 def _evaluation(folder: RunFolder, name: str | None, test: str | Path | None) -> dict[str, Any]:
     """Return the evaluation of a run of that name, the newest on a test file, or the newest."""
-    again = f"uplift evaluate run={folder.path} data.test="
+    again = f"uplift evaluate run={folder.path}{folder.trust_to_lift()} data.test="
     if test is None:
         found = folder.evaluation(name)
         if found is None:
@@ -110,11 +110,16 @@ def _evaluation(folder: RunFolder, name: str | None, test: str | Path | None) ->
         return found
     by_age = sorted(folder.evaluations.glob("*.json"), key=lambda path: (path.stat().st_mtime_ns, path.name))
     every = [found for path in reversed(by_age) if (found := folder.evaluation(path.stem))]
-    on = [found for found in every if absolute(str(found["data"])) == absolute(str(test))]
+    on = [found for found in every if _id_of(found) in (data_id(str(test)), data_id(absolute(str(test))))]
     if not on:
         known = listed(dict.fromkeys(found["data"] for found in every)) or "nothing"
         raise UserError(f"{folder.path} was not evaluated on {test} (but on {known}): {again}{test}")
     return on[0]
+
+
+def _id_of(evaluation: dict[str, Any]) -> str:
+    """Return what tells the test data of an evaluation; those of earlier versions have the whole path for a name."""
+    return evaluation.get("data_id") or data_id(str(evaluation["data"]))
 
 
 def spread(runs: Sequence[RunFolder]) -> str:

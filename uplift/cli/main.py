@@ -16,6 +16,7 @@ from uplift.cli.help import bold_names, help_text, topics
 from uplift.cli.kinds import Later
 from uplift.cli.verbs import VERBS, sub_verbs
 from uplift.config.settings import TRAINER_FLAGS, Setting
+from uplift.config.trust import consent_of, granted
 from uplift.errors import UserError
 
 __all__ = ["main"]
@@ -28,15 +29,13 @@ _FIXABLE = (errno.EACCES, errno.EPERM, errno.EROFS, errno.ENAMETOOLONG, errno.EN
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run one command; returns the exit status: 0, 2 for a user's mistake or missing data, 1 for other errors, 130 for Ctrl-C."""
-    parser, words = _parser(), _folded(arguments)
+    parser = _parser()
     try:
-        if _asks_for_help(words):
-            text = help_text(words or ["--help"])
-            print(bold_names(text) if sys.stdout.isatty() and "NO_COLOR" not in os.environ else text)
-            return 0
-        given = parser.parse_args(words)
-        with Later("uplift.config.progress:quiet")(given.quiet):
-            return _RUN[given.verb](given.settings) or 0
+        words, trust = _without_trust(_folded(arguments))
+        help_wanted = _asks_for_help(words)
+        # Words without a key may be names of files, which a shell found for a pattern: no consent.
+        with granted(consent_of([word for word in words if help_wanted or "=" in word], trust)):
+            return _run(parser, words)
     except UserError as error:
         print(f"uplift: {error}", file=sys.stderr)
         return 2
@@ -57,25 +56,46 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return 2 if fixable else 1
 
 
+def _run(parser: argparse.ArgumentParser, words: list[str]) -> int:
+    if _asks_for_help(words):
+        text = help_text(words or ["--help"])
+        print(bold_names(text) if sys.stdout.isatty() and "NO_COLOR" not in os.environ else text)
+        return 0
+    given = parser.parse_args(words)
+    with Later("uplift.config.progress:quiet")(given.quiet):
+        return _RUN[given.verb](given.settings) or 0
+
+
+def _without_trust(words: list[str]) -> tuple[list[str], list[str]]:
+    """Return the words without those of ``trust=``, where the verb takes it, and its values."""
+    verb = next((name for name in (" ".join(words[:2]), *words[:1]) if name in VERBS), "")
+    if not verb or "trust" not in VERBS[verb].settings:
+        return words, []
+    found = [word.removeprefix("trust=") for word in words if word.startswith("trust=")]
+    if "" in found:
+        raise UserError(f"{verb}: 'trust=' has no value. Expected trust=FILE.py.")
+    return [word for word in words if not word.startswith("trust=")], found
+
+
 def _asks_for_help(words: Sequence[str]) -> bool:
     """Return whether the words are to be answered with help: none, or ``--help`` of the program or of a verb."""
     return not words or (bool({"--help", "-h"} & set(words)) and words[0] in (*_RUN, "--help", "-h"))
 
 
 def _folded(arguments: Sequence[str] | None) -> list[str]:
-    """Return the words with ``--from FILE`` of skeleton new as ``from=FILE``, and ``--quiet`` last.
+    """Return the words with ``--trust FILE``, and ``--from FILE`` of skeleton new, as ``trust=FILE`` and ``from=FILE``.
 
-    Argparse takes no words after an option.
+    ``--quiet`` comes last: argparse takes no words after an option.
     """
     given = list(sys.argv[1:] if arguments is None else arguments)
     words = [word for word in given if word not in _QUIET]
     if len(words) < len(given):
         words.append(_QUIET[0])
-    if words[:1] == ["skeleton"]:
-        words = [f"from={word[7:]}" if word.startswith("--from=") else word for word in words]
-        while "--from" in words:
-            at = words.index("--from")
-            words[at : at + 2] = [f"from={''.join(words[at + 1 : at + 2])}"]
+    for option in ("trust", "from") if words[:1] == ["skeleton"] else ("trust",):
+        words = [word[2:] if word.startswith(f"--{option}=") else word for word in words]
+        while f"--{option}" in words:
+            at = words.index(f"--{option}")
+            words[at : at + 2] = [f"{option}={''.join(words[at + 1 : at + 2])}"]
     return words
 
 
@@ -126,7 +146,7 @@ def _values(setting: Setting) -> list[str]:
 
 
 def _fit(words: Sequence[str]) -> None:
-    from uplift.config.loading import load_settings, split_words
+    from uplift.config.loading import load_settings, split_words, trust_of
 
     plain, given = split_words(words)
     for key, expected in (("task", "TASK"), ("resume", "RUN")):
@@ -141,6 +161,7 @@ def _fit(words: Sequence[str]) -> None:
     wanted = [] if resume else [load_settings(task, [*overrides, *seed]) for seed in seeds]
     from uplift.cli.fit import fit, fit_settings
     from uplift.cli.listing import spread
+    from uplift.config.run import RunFolder
     from uplift.training.callbacks import Interrupted
 
     runs = []
@@ -150,7 +171,8 @@ def _fit(words: Sequence[str]) -> None:
         for settings in wanted:
             runs.append(fit_settings(settings))
     except Interrupted as stopped:
-        print(f"\nstopped and saved. Go on with: uplift fit resume={stopped}", file=sys.stderr)
+        words = f"resume={stopped}{trust_of(RunFolder.open(str(stopped)).settings())}"
+        print(f"\nstopped and saved. Go on with: uplift fit {words}", file=sys.stderr)
         raise KeyboardInterrupt from stopped
     if len(runs) > 1:
         print(f"\n{spread(runs)}")

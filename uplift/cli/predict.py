@@ -18,6 +18,7 @@ from uplift.config.loading import load_settings
 from uplift.config.progress import say
 from uplift.config.run import RunFolder, Weights, read_weights
 from uplift.config.settings import DataSettings
+from uplift.config.trust import Trust, consents
 from uplift.data.clean import clean
 from uplift.data.datasets import DATA_SETS
 from uplift.data.formats import read_masks
@@ -63,6 +64,7 @@ class Request:
         return Path(str(self.input).split(",")[0]).stem
 
 
+@consents
 def predict(
     run: str | Path | Weights,
     input: str | Path,
@@ -75,6 +77,7 @@ def predict(
     axes: str | None = None,
     page: str | None = None,
     written: dict[Path, str] | None = None,
+    trust: Trust = None,
     **options: Any,
 ) -> Prediction | ShapePrediction:
     """Lift the keypoints or masks of ``input`` with the model of ``run`` and write them to ``output``, if given.
@@ -84,7 +87,8 @@ def predict(
     ``overrides`` such as a fit takes; ``reading`` is what the files lack. The frames of a clip are lifted
     together unless ``refine`` is off. ``size`` are arguments of `uplift.models.metric_scale.size_from`. ``axes`` are
     those of `uplift.export.scene`, the format's usual ones by default. ``page`` is the kind of an .html, ``viewer`` or
-    ``gallery``, and ``options`` are those of its writer. The files written, with a remark on each, are added to ``written``.
+    ``gallery``, and ``options`` are those of its writer. The files written, with a remark on each, are added to ``written``. ``trust`` are files and modules of
+    code that may run where the run names it, such as ``"my_nets.py"``.
 
     With a run that lifts masks, ``options`` (and ``size`` among them) are those of `uplift.export.write` for shapes and
     of `uplift.data.formats.read_masks`; what goes with keypoints is refused.
@@ -133,7 +137,7 @@ def keypoint_arguments(keys: Keys) -> dict[str, Any]:
         "constant_bones": keys.value("bones") == "constant",
         "size": size,
         "reading": keys.reading(),
-        **keys.given("images", "frames", "seed"),
+        **keys.given("images", "frames", "seed", "csv_safe"),
     }
 
 
@@ -143,8 +147,11 @@ def lift_keypoints(request: Request) -> tuple[Prediction, dict[Path, str]]:
     check_axes(output or "", axes)
     if output is not None:  # before any work
         writer_for(output, page)
-        if options and page != "gallery":
-            raise UserError(f"{next(iter(options))}= goes with page=gallery.")
+        for key in options:
+            if key == "csv_safe" and Path(output).suffix.lower() != ".csv":
+                raise UserError(f"csv_safe= goes with output=FILE.csv, not with {output}.")
+            if key != "csv_safe" and page != "gallery":
+                raise UserError(f"{key}= goes with page=gallery.")
         if page == "gallery":
             check_options(**options)
         if options.get("images") is not None and request.reading is not None:

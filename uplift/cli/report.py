@@ -12,7 +12,7 @@ import numpy as np
 
 from uplift.cli.evaluate import MOST, save_evaluation, score_shapes
 from uplift.cli.kinds import KINDS
-from uplift.config.files import replacing
+from uplift.config.files import replacing, without_folders
 from uplift.config.progress import say
 from uplift.config.run import RunFolder
 from uplift.config.settings import Settings
@@ -146,7 +146,7 @@ def report(run: RunFolder, model: Any, settings: Settings, loaded: Any, training
     notes = [*doubtful, *loaded.notes, *found.given, *training.lines()]
     lines = [*_head_lines(run, settings, notes), *_figure_lines(found, rows)]
     with replacing(run.path / "report.md") as file:
-        file.write(("\n".join(lines) + "\n").encode())
+        file.write("".join(f"{without_folders(line)}\n" for line in lines).encode())
     curves: dict[str, list[tuple[float, float]]] = {}
     for stage, step, name, value in read_metrics(run.path / "metrics.csv"):
         curves.setdefault(f"{stage}: {name}", []).append((float(step), float(value)))
@@ -197,12 +197,13 @@ def _end_lines(run: RunFolder, found: Findings, rows: list[list[object]], traini
         lines.append(found.words.no_truth)
     last = run.path.parent / "last"
     shown = last if last.is_symlink() and last.resolve() == run.path.resolve() else run.path
+    trust = run.trust_to_lift()
     return [
         *lines,
         f"\nwrote {run.path}/: lifter.pt, report.md, page.html" + (", evaluation.json" if rows else ""),
         f"look: open {run.path / 'page.html'} in a browser",
-        f"next: uplift evaluate run={shown}",
-        f"      uplift predict run={shown} {found.words.predict}",
+        f"next: uplift evaluate run={shown}{trust}",
+        f"      uplift predict run={shown} {found.words.predict}{trust}",
     ]
 
 

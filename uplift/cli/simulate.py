@@ -29,6 +29,7 @@ def simulate(
     frames: int = 20000,
     seed: int = 0,
     tracker: str | None = None,
+    csv_safe: bool = False,
     written: list[Path] | None = None,
     **options: Any,
 ) -> PoseData:
@@ -36,6 +37,7 @@ def simulate(
 
     An .npz has the exact poses too, a .csv the 2D alone. With ``tracker`` (``deeplabcut``) the .csv is what
     that tracker would have written: its layout, a file for each clip, a guess where a joint is missing.
+    With ``csv_safe`` names that a spreadsheet would run as a formula begin with an apostrophe in a .csv.
     ``options`` are those of `uplift.data.synthetic.simulate`. The files written are added to ``written``.
 
     Raises:
@@ -54,7 +56,7 @@ def simulate(
     chosen = skeleton if isinstance(skeleton, Skeleton) else load_skeleton(skeleton)
     data = run(chosen, frames, seed=seed, **options)
     if output is not None:
-        files = _write(data, output, tracker, seed)
+        files = _write(data, output, tracker, seed, csv_safe)
         if written is not None:
             written += files
     return data
@@ -63,7 +65,7 @@ def simulate(
 def simulate_command(words: Sequence[str]) -> None:
     """Simulate, write, and print what was done."""
     keys = keyed("simulate", words)
-    given = keys.given("frames", "seed", "clip_seconds", "noise_px", "missing", "tracker")
+    given = keys.given("frames", "seed", "clip_seconds", "noise_px", "missing", "tracker", "csv_safe")
     written: list[Path] = []
     data = simulate(keys["skeleton"], keys["output"], written=written, **given)
     output = Path(keys["output"])
@@ -86,13 +88,13 @@ def _checked(output: Path, tracker: str | None) -> Path:
     return output
 
 
-def _write(data: PoseData, output: Path, tracker: str | None, seed: int) -> list[Path]:
+def _write(data: PoseData, output: Path, tracker: str | None, seed: int, csv_safe: bool) -> list[Path]:
     if tracker is not None:
-        return _write_videos(data, output, seed)
+        return _write_videos(data, output, seed, csv_safe)
     if output.suffix.lower() == ".csv":
         from uplift.data.formats.csv import write_keypoints_csv
 
-        write_keypoints_csv(data.without_truth(), output)
+        write_keypoints_csv(data.without_truth(), output, csv_safe=csv_safe)
     else:
         from uplift.data.formats.npz import write_keypoints
 
@@ -100,7 +102,7 @@ def _write(data: PoseData, output: Path, tracker: str | None, seed: int) -> list
     return [output]
 
 
-def _write_videos(data: PoseData, output: Path, seed: int) -> list[Path]:
+def _write_videos(data: PoseData, output: Path, seed: int, csv_safe: bool) -> list[Path]:
     """Write a file for each clip, in DeepLabCut's layout."""
     from uplift.data.formats.deeplabcut import write_deeplabcut_csv
     from uplift.data.synthetic.simulate import as_tracked
@@ -115,5 +117,5 @@ def _write_videos(data: PoseData, output: Path, seed: int) -> list[Path]:
     tracked = as_tracked(data, seed)
     paths = paths_of(output, [str(clip) for clip in clips])
     for clip, path in zip(clips, paths, strict=True):
-        write_deeplabcut_csv(tracked.select(data.identity["sequence"] == clip), path)
+        write_deeplabcut_csv(tracked.select(data.identity["sequence"] == clip), path, csv_safe=csv_safe)
     return paths

@@ -48,12 +48,26 @@ def _of_fit(name: str, **changed: Any) -> Setting:
 _SEED_LIMITS = (0, 2**31 - 1)
 _MOST_ITEMS = 10**8
 
+_TRUST = _table(
+    _key(
+        "trust",
+        list[str],
+        [],
+        "code that may run where a file names it: my_priors.py, or my_package.nets; several with commas",
+    )
+)
+"""What any command takes that opens a task, a run or a lifter; what words of the command name needs none."""
+
 # Reading files of keypoints: the fields of `uplift.data.formats.base.ReadOptions`.
 
 READ_KEYS = _table(
     *map(_of_fit, ("format", "layout", "image_size", "fps", "focal_px", "min_confidence", "flip_x", "flip_y", "rotate"))
 )
 """What any command that reads keypoints takes."""
+
+_CSV_SAFE = _key(
+    "csv_safe", bool, False, "put an apostrophe before names in a .csv that a spreadsheet would run as formulas"
+)
 
 # predict: what goes with every run, with keypoints alone, with masks alone.
 
@@ -77,6 +91,7 @@ POSE_KEYS = _table(
     *(one for name, one in READ_KEYS.items() if name != "format"),
     _key("frames", int, 40, "frames that page=gallery shows", 1, 500),
     _key("seed", int, 0, "seed of the choice of those frames", *_SEED_LIMITS),
+    _CSV_SAFE,
     *(all_settings()[f"data.{name}"] for name in ("name", "root", "options")),
 )  # fmt: skip
 """What predict takes for keypoints alone."""
@@ -93,7 +108,7 @@ SHAPE_KEYS = _table(
 )  # fmt: skip
 """What predict takes for masks alone."""
 SHAPE_KEYS = {name: one._replace(only="masks") for name, one in SHAPE_KEYS.items()}
-PREDICT = _ALL_KEYS | POSE_KEYS | SHAPE_KEYS
+PREDICT = _ALL_KEYS | _TRUST | POSE_KEYS | SHAPE_KEYS
 
 EVALUATE = _table(
     _key("run", Optional[str], None, "run folder to evaluate"),
@@ -103,10 +118,12 @@ EVALUATE = _table(
     POSE_KEYS["refine"],
     _key("items", int, 100, "masks at most that are scored", 1, _MOST_ITEMS, only="masks"),
     _key("evaluation", Optional[str], None, "name that the evaluation is kept under in the run; unset: date and time"),
+    *_TRUST.values(),
 )
 _COMPARE = _table(
     _key("evaluation", list[str], [], "name of the evaluation, or one for each run with commas; unset: the newest"),
     _key("data.test", Optional[str], None, "the newest evaluation on this file, in place of the newest of all"),
+    *_TRUST.values(),
 )
 SIMULATE = _table(
     _key("skeleton", str, NEEDED, "a shipped name, or a YAML file; it must say how the body is built"),
@@ -118,6 +135,7 @@ SIMULATE = _table(
     _key("missing", float, 0.0, "share of joints left out", 0, 0.99),
     _key("tracker", Optional[str], None, "write the .csv as this tracker does, a file for each clip",
          choices=("deeplabcut",)),
+    _CSV_SAFE,
 )  # fmt: skip
 
 # data cmu, data render.
@@ -167,6 +185,7 @@ _RENDER = _table(
 _FIT_WORDS = _table(
     all_settings()["task"]._replace(help="a shipped task or a YAML file; uplift tasks lists them"),
     _key("resume", Optional[str], None, "run folder of a fit that was stopped: it goes on; takes no other settings"),
+    *_TRUST.values(),
 )
 _FIT = _FIT_WORDS | {name: one for name, one in all_settings().items() if name != "task"}
 
@@ -208,6 +227,7 @@ VERBS = {
             _key("seeds", list[int], [0, 1, 2], "a fit for each seed", *_SEED_LIMITS),
             _key("show", bool, False, "published rows and stored results alone; nothing is fitted"),
             _key("markdown", bool, False, "tables in Markdown"),
+            *_TRUST.values(),
         ),
         ("Any setting of `uplift fit` holds for all fits: data.root=FOLDER, trainer.max_time=00:30:00.",),
     ),

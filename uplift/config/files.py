@@ -11,7 +11,7 @@ import secrets
 import shutil
 import stat
 import warnings
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -19,8 +19,9 @@ from typing import Any, BinaryIO
 from uplift.errors import UserError
 
 __all__ = [
-    "Existing", "absolute", "building", "clear_parts", "data_root", "files_of", "read_torch", "refuse_existing", "refuse_output", "refuse_special", "replacing",
-    "save_torch", "shipped", "shipped_names",
+    "Existing", "absolute", "building", "clear_parts", "data_root", "files_of", "inside", "names_from", "read_torch",
+    "refuse_existing", "refuse_output", "refuse_special", "replacing", "save_torch", "shipped", "shipped_names",
+    "without_folders",
 ]  # fmt: skip
 
 _PACKAGE = Path(__file__).resolve().parent.parent
@@ -96,6 +97,64 @@ def absolute(path: str) -> str:
     if Path(path).expanduser().exists():
         return str(Path(path).expanduser().absolute())
     return ",".join(str(Path(part).expanduser().absolute()) for part in path.split(",") if part)
+
+
+# Names found in files: what they mean, and what they say.
+
+
+def inside(folder: Path, name: str) -> Path | None:
+    """Return what a name that was found in a file means: a place in ``folder``; None for one that leads out of it.
+
+    Links are resolved first: whoever made the file may have made the links beside it too.
+    """
+    path = folder / name
+    try:
+        return path if Path(os.path.realpath(path)).is_relative_to(os.path.realpath(folder)) else None
+    except (OSError, ValueError):  # a name that no file can have
+        return None
+
+
+def names_from(folder: Path, paths: Sequence[str | Path]) -> list[str]:
+    """Return paths by names that say nothing of this machine: from ``folder`` what lies in it, else from the folder they share.
+
+    What is no absolute path, such as the name of a file, stays as it is.
+    """
+    there = os.path.realpath(folder)
+    real = [os.path.realpath(path) if path and (os.path.isabs(path) or Path(path).exists()) else "" for path in paths]
+    outside = {os.path.dirname(one) for one in real if one and not Path(one).is_relative_to(there)}
+    shared = os.path.commonpath(outside) if outside else there
+    return [
+        Path(os.path.relpath(one, there if Path(one).is_relative_to(there) else shared)).as_posix()
+        if one
+        else str(path)
+        for one, path in zip(real, paths, strict=True)
+    ]
+
+
+_ABSOLUTE = re.compile(r"(?<![\w/.~\\-])(?:[A-Za-z]:)?([/\\])(?=[^\s/\\])")
+"""Where an absolute path begins in a text."""
+_PART = re.compile(r"[^\s'\"`,;:()<>=]+")
+"""A folder's name that needs no look at the disk to be told from other words."""
+
+
+def without_folders(text: str) -> str:
+    """Return a text for others to read: files by their names, without the folders of absolute paths."""
+    kept, at = "", 0
+    for found in _ABSOLUTE.finditer(text):
+        end = _end_of_folder(text, found.start(), found[1])
+        if found.start() >= at and end > found.end():
+            kept, at = kept + text[at : found.start()], end
+    return kept + text[at:]
+
+
+def _end_of_folder(text: str, start: int, slash: str) -> int:
+    """Return the end of the folders of the path at ``start``: names with spaces and other signs are those on the disk."""
+    here = text.index(slash, start)
+    while (following := text.find(slash, here + 1)) > 0:
+        if not _PART.fullmatch(text[here + 1 : following]) and not os.path.isdir(text[start:following]):
+            break
+        here = following
+    return here + 1
 
 
 # Writing: complete or not at all, and never over what another command has made meanwhile.

@@ -23,10 +23,12 @@ from uplift.config.settings import (
     rename_old,
     seconds_of,
 )
+from uplift.config.trust import named_in, trust_words
 from uplift.config.yaml_file import Where, read_value, read_yaml
 from uplift.errors import UserError, did_you_mean
 
 __all__ = [
+    "classes_of",
     "load_settings",
     "put_override",
     "read_task",
@@ -35,6 +37,7 @@ __all__ = [
     "settings_from",
     "split_words",
     "task_path",
+    "trust_of",
 ]
 
 _MAX_EXTENDS = 10
@@ -139,6 +142,7 @@ def read_task(path: Path, depth: int = 0) -> dict[str, Any]:
     _check_keys(data, (), where)
     _put_texts(data)
     _bind_paths(data, path.parent)
+    named_in(classes_of(data).values(), str(path))
     if path.name != "config.yaml":  # of a run, which has trained on the one or the other
         _choose_source(base, data, f"{path}: ")
     return _merge(base, data)
@@ -184,7 +188,8 @@ _GROUPS_OF_CLASSES = ("priors", "callbacks", "loggers")
 def _holder(data: dict[str, Any], name: str) -> dict[str, Any]:
     """Return the group that holds a setting; an empty one where it is not set."""
     for key in name.split(".")[:-1]:
-        data = data.get(key) or {}
+        inner = data.get(key)
+        data = inner if isinstance(inner, dict) else {}
     return data
 
 
@@ -196,12 +201,36 @@ def _bind_paths(data: dict[str, Any], folder: Path) -> None:
     root = (data.get("data") or {}).get("root")
     if isinstance(root, str) and root:
         data["data"]["root"] = str((folder / Path(root).expanduser()).absolute())
-    groups = [data.get(name) or {} for name in _GROUPS_OF_CLASSES]
-    specs = [spec for group in groups for spec in group.values() if isinstance(spec, dict)]
-    holders = [(_holder(data, name), name.split(".")[-1]) for name in _CLASSES]
-    for holder, key in [*holders, *((spec, "use") for spec in specs)]:
-        if isinstance(holder.get(key), str):
-            holder[key] = _class_in(holder[key], folder)
+    for _, holder, key in _holders_of_classes(data):
+        holder[key] = _class_in(holder[key], folder)
+
+
+def classes_of(data: dict[str, Any]) -> dict[str, str]:
+    """Return the settings that name a class as ``file.py:Class`` or ``package.module:Class``, in full, with the class.
+
+    Priors of weight 0 do not count: they are left out.
+    """
+    found = [one for one in _holders_of_classes(data) if ":" in one[1][one[2]]]
+    return {name: holder[key] for name, holder, key in found if key != "use" or holder.get("weight", 1) != 0}
+
+
+def trust_of(settings: Settings, *groups: str) -> str:
+    """Return the words that a command on a run of these settings needs, `` trust=...``, empty where it runs no other code.
+
+    ``groups`` are beginnings of the settings that count; all by default.
+    """
+    uses = (use for name, use in classes_of(dataclasses.asdict(settings)).items() if name.startswith(groups or ""))
+    words = trust_words(uses)
+    return f" {words}" if words else ""
+
+
+def _holders_of_classes(data: dict[str, Any]) -> list[tuple[str, dict[str, Any], str]]:
+    """Return each setting that names a class: in full, and the group that holds it with its key there."""
+    found = [(name, _holder(data, name), name.split(".")[-1]) for name in _CLASSES]
+    for group in _GROUPS_OF_CLASSES:
+        parts = _holder(data, f"{group}.use").items()
+        found += [(f"{group}.{name}.use", spec, "use") for name, spec in parts if isinstance(spec, dict)]
+    return [one for one in found if isinstance(one[1].get(one[2]), str)]
 
 
 def _class_in(value: Any, folder: Path) -> Any:

@@ -13,6 +13,7 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any, TypeVar
 
+from uplift.config.trust import place_of, require
 from uplift.errors import UserError, did_you_mean
 
 __all__ = ["blame", "build", "find_class", "line_of", "options_of", "users_line"]
@@ -115,14 +116,22 @@ def _check_kinds(found: type, options: Mapping[str, Any], where: str) -> None:
 def find_class(use: str, builtin: Mapping[str, str], setting: str) -> type:
     """Return the class that ``use`` names: a built-in, or ``file.py:Class``, or ``package.module:Class``.
 
-    ``setting`` is the name of the setting, for messages. Raises UserError: there is no such class.
+    ``setting`` is the name of the setting, for messages.
+
+    Raises UserError: there is no such class, or the user did not consent to its code (`uplift.config.trust`).
     """
     target = builtin.get(use, use)
     if ":" not in target:
         none = f"no such built-in.{did_you_mean(use, builtin)} Your own is named" if builtin else "expected"
         raise UserError(f"{setting}={use!r}: {none} file.py:Class or package.module:Class.")
     module_name, _, class_name = target.rpartition(":")
-    module = _load_file(module_name, setting) if module_name.endswith(".py") else _load_module(module_name, setting)
+    if module_name.endswith(".py") and not Path(module_name).expanduser().is_file():
+        raise UserError(f"{setting}: no file {Path(module_name).expanduser().absolute()}.")
+    if target not in builtin.values():
+        require({setting: use})
+    module = (
+        _load_file(place_of(target), setting) if module_name.endswith(".py") else _load_module(module_name, setting)
+    )
     found = getattr(module, class_name, None)
     if not isinstance(found, type):
         classes = [name for name, value in vars(module).items() if isinstance(value, type)]
@@ -139,9 +148,7 @@ def options_of(found: type, skip: tuple[str, ...] = ()) -> dict[str, Any] | None
 
 
 def _load_file(name: str, setting: str) -> ModuleType:
-    path = Path(name).expanduser().absolute()
-    if not path.is_file():
-        raise UserError(f"{setting}: no file {path}.")
+    path = Path(name)
     key = f"{_USERS}{abs(hash(str(path)))}_{path.stem}"
     if key in sys.modules:
         return sys.modules[key]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import datetime
+import hashlib
 import itertools
 import json
 import os
@@ -15,12 +16,21 @@ from importlib import metadata
 from pathlib import Path
 from typing import Any
 
-from uplift.config.files import Existing, building, clear_parts, data_root, read_torch, refuse_special, replacing
-from uplift.config.loading import load_settings, save_settings
+from uplift.config.files import (
+    Existing,
+    absolute,
+    building,
+    clear_parts,
+    data_root,
+    read_torch,
+    refuse_special,
+    replacing,
+)
+from uplift.config.loading import load_settings, save_settings, trust_of
 from uplift.config.settings import Settings
 from uplift.errors import UserError, did_you_mean
 
-__all__ = ["USUAL_STEPS", "RunFolder", "Weights", "idle_prior", "read_weights"]
+__all__ = ["USUAL_STEPS", "RunFolder", "Weights", "data_id", "idle_prior", "read_weights"]
 
 
 USUAL_STEPS = 10_000
@@ -125,6 +135,10 @@ class RunFolder:
         settings.task = self.facts().get("task", "")
         return settings
 
+    def trust_to_lift(self) -> str:
+        """Return the words by which the user consents to code that lifting with the run needs; empty where it needs none."""
+        return trust_of(self.settings(), "lifter.", "student.network", "data.")
+
     def facts(self) -> dict[str, Any]:
         """Return run.json: command, versions, seed, git state, machine."""
         try:
@@ -167,6 +181,12 @@ class RunFolder:
             again = "`uplift evaluate run=...` writes it again."
             raise UserError(f"{path} is not an evaluation: no 'data' and 'overall'. {again}")
         return found
+
+
+def data_id(name: str) -> str:
+    """Return what tells test data apart in evaluation.json, where files have names without folders: a hash of the full path."""
+    name = absolute(name) if Path(name.partition(",")[0]).expanduser().exists() else name
+    return hashlib.sha256(name.encode(errors="replace")).hexdigest()[:12]
 
 
 def _mapping(path: Path) -> dict[str, Any]:
@@ -247,6 +267,7 @@ def read_weights(run: str | Path) -> Weights:
         path = folder.weights
         if not path.is_file():
             raise UserError(
-                f"{folder.path} has no lifter.pt yet: its fit was ended early. `uplift fit resume={folder.path}` finishes it."
+                f"{folder.path} has no lifter.pt yet: its fit was ended early. "
+                f"`uplift fit resume={folder.path}{trust_of(folder.settings())}` finishes it."
             )
     return Weights(str(run), path, read_torch(path, "lifter"))

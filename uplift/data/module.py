@@ -15,6 +15,7 @@ import numpy as np
 from uplift.config.files import absolute
 from uplift.config.loading import settings_from
 from uplift.config.settings import DataSettings, LifterSettings, Settings, ShapeSettings
+from uplift.config.trust import consents, granted
 from uplift.data.clean import clean
 from uplift.data.datasets import DATA_SETS
 from uplift.data.far import without_far
@@ -90,6 +91,8 @@ class _Data(L.LightningDataModule, Generic[SamplesT, LoadedT]):
         """What was read, with `notes` on it; None before `setup`."""
         self._val: SamplesT | None = None
         self._test: Any = None
+        with granted() as consent:
+            self._consent = consent
 
     def __str__(self) -> str:
         """Return what the data are, without reading them."""
@@ -122,8 +125,12 @@ class _Data(L.LightningDataModule, Generic[SamplesT, LoadedT]):
             self._load_once()
 
     def _load_once(self) -> LoadedT:
-        if self.loaded is not None:
-            return self.loaded
+        if self.loaded is None:
+            with granted(self._consent):
+                self.loaded = self._loaded()
+        return self.loaded
+
+    def _loaded(self) -> LoadedT:
         train = self.given["train"]
         if train is None:
             raise UserError(
@@ -142,8 +149,11 @@ class _Data(L.LightningDataModule, Generic[SamplesT, LoadedT]):
         elif share is not None and not isinstance(share, (int, float)):
             self._val = self._read(share, "val")
             loaded = replace(loaded, notes=[*loaded.notes, f"val: {len(self._val):,} from {self._val.source}"])  # type: ignore[type-var, attr-defined]
-        self.loaded = self._for_training(loaded)  # type: ignore[arg-type]
-        return self.loaded
+        return self._for_training(loaded)  # type: ignore[arg-type]
+
+    def _read_given(self, which: str) -> SamplesT:
+        with granted(self._consent):
+            return self._read(self.given[which], which)
 
     @property
     def train_samples(self) -> SamplesT:
@@ -160,7 +170,7 @@ class _Data(L.LightningDataModule, Generic[SamplesT, LoadedT]):
     def test_samples(self) -> SamplesT:
         """What is tested on; raises UserError where no test data were given."""
         if self._test is None and self.given.get("test") is not None:
-            self._test = self._read(self.given["test"], "test")
+            self._test = self._read_given("test")
         if self._test is None:
             self._load_once()
         if self._test is None:
@@ -191,8 +201,12 @@ class _Data(L.LightningDataModule, Generic[SamplesT, LoadedT]):
 
     def predict_dataloader(self) -> Iterable[SamplesT]:
         """Return the samples to lift as one batch; those of the test where there are no others."""
-        given = self.given.get("predict")
-        return _Once(self.test_samples if given is None else self._read(given, "predict"))
+        return _Once(self.test_samples if self.given.get("predict") is None else self._read_given("predict"))
+
+    @classmethod
+    def load_from_checkpoint(cls, *given: Any, **options: Any) -> Any:
+        """Do as Lightning does; nothing but tensors and plain data is read."""
+        return super().load_from_checkpoint(*given, **{**options, "weights_only": True})
 
 
 def _data_settings(train: Any, lifts: str, options: Mapping[str, Any], **plain: Any) -> Settings:
@@ -282,6 +296,7 @@ class KeypointData(_Data[PoseData, Loaded]):
         UserError: a file that is missing or wrong, an invalid option, no frames left; files are read in `setup`.
     """
 
+    @consents
     def __init__(
         self,
         train: Any = None,
@@ -412,6 +427,7 @@ class MaskDataModule(_Data[MaskData, LoadedMasks]):
         UserError: a file that is missing or wrong, an invalid option, no masks left; files are read in `setup`.
     """
 
+    @consents
     def __init__(
         self,
         train: Any = None,

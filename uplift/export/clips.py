@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float, Int
 
+from uplift.config.files import without_folders
 from uplift.errors import UserError, listed
 from uplift.models.prediction import Prediction
 
@@ -110,7 +111,8 @@ def _names(labels: Sequence[np.ndarray], groups: Sequence[np.ndarray], keys: Seq
     ]
 
     def text(place: int, row: int) -> str:
-        return titled(keys[place], labels[place][row]) if keys else str(labels[place][row])
+        label = without_folders(str(labels[place][row]))
+        return titled(keys[place], label) if keys else label
 
     return [" · ".join(text(place, row) for place in telling) or f"clip {n + 1}" for n, row in enumerate(firsts)]
 

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool, Float
 
+from uplift.config.files import without_folders
 from uplift.config.progress import progress
 from uplift.errors import UserError, listed
 from uplift.export.clips import titled
@@ -161,9 +162,9 @@ class _Sheet:
     def _name(self, place: int) -> str:
         row, identity = self.rows[place], self.prediction.identity
         if "image" in identity:
-            return str(identity["image"][row])
+            return without_folders(str(identity["image"][row]))
         keys = ("subject", "action", "sequence", "camera", "instance", "frame")
-        parts = [titled(key, identity[key][row]) for key in keys if key in identity]
+        parts = [titled(key, without_folders(str(identity[key][row]))) for key in keys if key in identity]
         return " · ".join(part for part in parts if part) or f"row {row:,}"
 
     def refuse_without_photos(self) -> None:
@@ -178,7 +179,7 @@ class _Sheet:
     def facts(self) -> list[str]:
         prediction = self.prediction
         return [
-            *(["/".join(Path(prediction.source).parts[-2:])] if prediction.title and prediction.source else []),
+            *([Path(prediction.source).name] if prediction.title and prediction.source else []),
             prediction.skeleton.name,
             f"{len(prediction.joint_names)} joints",
             f"{len(self.rows):,} of {len(prediction):,} frames",

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, SupportsFloat
 
 import numpy as np
 
-from uplift.config.files import replacing
+from uplift.config.files import inside, replacing, without_folders
 from uplift.errors import UserError
 
 if TYPE_CHECKING:
@@ -63,16 +63,17 @@ def fill_page(
 ) -> str:
     """Return a page: the shell around the asset ``main``, whose placeholders ``parts`` fill.
 
-    ``beside`` goes beside the title and ``end`` behind the main part; the page's policy allows ``script`` alone.
+    ``beside`` goes beside the title and ``end`` behind the main part; the page's policy allows ``script`` alone. A page is
+    passed on: title, facts and notes name files without their folders.
     """
     style = "".join(map(_asset, styles))
     allowed = "" if script is None else f"script-src {_policy_hash(script)}; "
     parts |= {
         "policy": f"default-src 'none'; {allowed}style-src {_policy_hash(style)}; img-src data:",
-        "title": escape(title),
-        "facts": " · ".join(f"<span>{escape(fact)}</span>" for fact in facts),
+        "title": escape(without_folders(title)),
+        "facts": " · ".join(f"<span>{escape(without_folders(fact))}</span>" for fact in facts),
         "style": style,
-        "notes": "".join(f"<li>{escape(note)}</li>" for note in notes),
+        "notes": "".join(f"<li>{escape(without_folders(note))}</li>" for note in notes),
         "script": script or "",
     }
     shell = _asset("shell.htm")
@@ -321,15 +322,17 @@ class Photos:
         return found
 
     def _find(self, name: str) -> Path | None:
-        """Return the photo's file: as it is named, or by its last part, never outside of the folder."""
+        """Return the photo's file: as it is named, or by its last part, never outside of the folder.
+
+        Without a folder the names are paths that readers have looked at (`uplift.data.parsers.pictures.Photos`).
+        """
         named = PurePosixPath(name)
         if not named.name:
             return None
         if self.folder is None:
             return Path(name) if Path(name).is_file() else None
-        safe = [] if named.is_absolute() or ".." in named.parts else [named]
-        paths = [self.folder / f"{part}{ending}" for part in (*safe, named.name) for ending in _ENDINGS]
-        return next((path for path in paths if path.is_file()), None)
+        paths = (inside(self.folder, f"{part}{ending}") for part in (named, named.name) for ending in _ENDINGS)
+        return next((path for path in paths if path is not None and path.is_file()), None)
 
 
 def _cut(path: Path, left: float, top: float, side: float, scale: float) -> tuple[Image, np.ndarray]:

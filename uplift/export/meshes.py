@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from jaxtyping import Float
 
-from uplift.config.files import refuse_existing, replacing
+from uplift.config.files import names_from, refuse_existing, replacing
 from uplift.config.progress import progress
 from uplift.errors import UserError, did_you_mean
 from uplift.export.clips import MOST_FILES
@@ -284,6 +284,8 @@ def write_npz(prediction: ShapePrediction, path: str | Path) -> None:
     frame, in units of the mask's crop; ``scale_px`` of these are pixels, from ``centre_px``.
     """
     found = {name: (getattr(prediction, name), kind) for name, kind in _ARRAYS.items()}
+    if prediction.images is not None:
+        found["images"] = (names_from(Path(path).parent, prediction.images.tolist()), np.str_)
     arrays = {name: np.asarray(values, kind) for name, (values, kind) in found.items() if values is not None}
     with replacing(path) as handle:
         np.savez_compressed(handle, allow_pickle=False, **arrays)

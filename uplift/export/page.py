@@ -172,8 +172,7 @@ def _facts(prediction: Prediction, clips: list[Clip]) -> list[str]:
     people = max((len(clip.individual_names) for clip in clips), default=1)
     rate = frame_rate(prediction, None)
     facts = [
-        # The last two parts of the path: a page is passed on, and its readers need not know where data is kept.
-        "/".join(Path(prediction.source).parts[-2:]) if prediction.title else "",
+        Path(prediction.source).name if prediction.title else "",
         prediction.skeleton.name,
         f"{len(prediction.joint_names)} joints",
         "" if stills else _counted(count, "frame"),

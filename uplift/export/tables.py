@@ -6,6 +6,7 @@ import json
 import math
 import zipfile
 from collections.abc import Callable, Iterable, Iterator
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +14,7 @@ import numpy as np
 from jaxtyping import Float
 
 from uplift.config.files import replacing
+from uplift.data.parsers.table import safe_cell
 from uplift.export.scene import AXES
 from uplift.models.prediction import Prediction
 
@@ -77,14 +79,16 @@ def unique(names: Iterable[str], same: Callable[[str], str] = str) -> list[str]:
 # CSV: one row per frame and individual, for spreadsheets, R and pandas.
 
 
-def write_csv(prediction: Prediction, path: str | Path) -> None:
+def write_csv(prediction: Prediction, path: str | Path, *, csv_safe: bool = False) -> None:
     """Write identity, unit and axes, then of every joint its place, keypoint and confidence; UTF-8, commas.
 
     ``NAME_x``, ``NAME_y``, ``NAME_z`` are in the row's ``unit`` and ``axes``, from its ``origin``: the
     ``camera`` where the root has a known place, else the ``root`` joint. ``NAME_u_px`` and ``NAME_v_px``
     are the keypoint as seen; ``NAME_uncertainty`` and ``NAME_filled`` (0 or 1) are there where they are
-    known. What is missing is an empty cell. Raises ValueError where two columns would have one name.
+    known. What is missing is an empty cell. With ``csv_safe`` names that a spreadsheet would run as a formula
+    begin with an apostrophe. Raises ValueError where two columns would have one name.
     """
+    cell = partial(_cell, safe=csv_safe)
     facts = {
         "unit": prediction.unit,
         "axes": prediction.axes,
@@ -98,11 +102,11 @@ def write_csv(prediction: Prediction, path: str | Path) -> None:
         twice = sorted({name for name in names if names.count(name) > 1})
         raise ValueError(f"prediction: several columns would be called {', '.join(twice)}")
     template = ",".join(style for _, style in columns) + "\n"
-    known = ",".join(map(_cell, facts.values())) + ","
+    known = ",".join(map(cell, facts.values())) + ","
     with replacing(path) as handle:
-        handle.write(_bytes(",".join(map(_cell, names)) + "\n"))
+        handle.write(_bytes(",".join(map(cell, names)) + "\n"))
         for part in _parts(prediction):
-            keys = [[_cell(value) for value in plain(values)] for values in part.identity.values()]
+            keys = [[cell(value) for value in plain(values)] for values in part.identity.values()]
             labels = zip(*keys, strict=True) if keys else ((),) * len(part)
             for label, row in zip(labels, numbers(*_csv_arrays(part)), strict=True):
                 handle.write(_bytes(",".join((*label, known)) + filled_in(template, row, "")))
@@ -125,9 +129,10 @@ def _csv_arrays(prediction: Prediction) -> list[np.ndarray]:
     return [table] if prediction.tilt_deg is None else [prediction.tilt_deg, table]
 
 
-def _cell(value: object) -> str:
+def _cell(value: object, safe: bool = False) -> str:
     """Return a value as the text of one cell, in quotes where it would not be one cell without."""
     text = "" if value is None else str(value)
+    text = safe_cell(text) if safe and isinstance(value, str) else text
     if text.strip() != text or any(sign in text for sign in ',"\r\n'):
         return '"' + text.replace('"', '""') + '"'
     return text

@@ -12,7 +12,8 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from uplift.config.files import replacing
+from uplift.config.files import replacing, without_folders
+from uplift.data.parsers.table import safe_cell
 from uplift.metrics.protocols import (
     ACTION_MEAN,
     BEST_BASELINE,
@@ -56,17 +57,21 @@ class AnyEvaluation:
     """The fields in evaluation.json, in their order."""
 
     def to_dict(self) -> dict[str, Any]:
-        """Return plain data for evaluation.json; metrics that do not apply are absent."""
+        """Return plain data for evaluation.json; metrics that do not apply are absent, and files named without folders."""
         found = {_KEYS.get(name, name): getattr(self, name) for name in self.saved}
+        found |= {"data": without_folders(self.data), "notes": [without_folders(note) for note in self.notes]}
         return {key: value for key, value in found.items() if value or key not in _OPTIONAL}
 
     def write_csv(self, path: str | Path) -> None:
-        """Write one figure a row: group (overall, action, joint, category, ...), name, protocol, value, unit."""
+        """Write one figure a row: group (overall, action, joint, category, ...), name, protocol, value, unit.
+
+        Names that a spreadsheet would run as a formula begin with an apostrophe.
+        """
         text = io.StringIO(newline="")
         writer = csv.writer(text)
         writer.writerow(["group", "name", "protocol", "value", "unit"])
         writer.writerows(["overall", "", *self._cells(name, value)] for name, value in self.overall.items())
-        writer.writerows(self._rows())
+        writer.writerows([group, safe_cell(name), *figure] for group, name, *figure in self._rows())
         with replacing(path) as file:
             file.write(text.getvalue().encode())
 

@@ -17,6 +17,7 @@ from uplift.config.files import save_torch
 from uplift.config.progress import progress
 from uplift.config.run import Weights, read_weights
 from uplift.config.settings import LifterSettings, ShapeSettings, settings_of
+from uplift.config.trust import Trust, consents
 from uplift.data.clean import clean
 from uplift.data.formats.scales import in_pixels, with_sure_confidence
 from uplift.data.mask_tensors import as_tensor
@@ -35,22 +36,29 @@ from uplift.skeleton import Skeleton
 __all__ = ["Model", "ShapeModel", "load", "load_poses", "load_shapes"]
 
 
-def load(run: str | Path | Weights) -> Model | ShapeModel:
+@consents
+def load(run: str | Path | Weights, *, trust: Trust = None) -> Model | ShapeModel:
     """Return the model of a run (its folder, or runs/<task>/last), of a ``lifter.pt``, or of weights that were read.
 
+    Args:
+        run: what to load.
+        trust: files and modules of code that may run, such as ``"my_nets.py"``, where the run has a network of its own.
+
     Raises:
-        UserError: no such run, one without weights yet, or a file that cannot be read.
+        UserError: no such run, one without weights yet, a file that cannot be read, or code that is not in ``trust``.
     """
     weights = run if isinstance(run, Weights) else read_weights(run)
     return (ShapeModel if weights.lifts == ShapeModel.lifts else Model).from_weights(weights)
 
 
-def load_poses(run: str | Path | Weights) -> Model:
+@consents
+def load_poses(run: str | Path | Weights, *, trust: Trust = None) -> Model:
     """Return `load` of a run that lifts keypoints; raises UserError for a run that lifts masks."""
     return _load_as(Model, run)
 
 
-def load_shapes(run: str | Path | Weights) -> ShapeModel:
+@consents
+def load_shapes(run: str | Path | Weights, *, trust: Trust = None) -> ShapeModel:
     """Return `load` of a run that lifts masks; raises UserError for a run that lifts keypoints."""
     return _load_as(ShapeModel, run)
 
@@ -95,7 +103,7 @@ class _Saved:
 
     @classmethod
     def from_weights(cls: type[SavedT], weights: Weights) -> SavedT:
-        """Return the model that `save` wrote, without running code; raises UserError for other or damaged files."""
+        """Return the model that `save` wrote; raises UserError for other or damaged files, and for code without consent."""
         path, state = weights.path, weights.state
         version = state.get("uplift_format")
         if "state_dict" in state and "hyper_parameters" in state:
@@ -259,19 +267,11 @@ class Model(_Saved):
     def _untrained(cls, state: dict[str, Any]) -> Model:
         skeleton = Skeleton.from_dict(state["skeleton"])
         settings = settings_of(LifterSettings, "lifter", state["lifter"])
-        _refuse_nearby_code(settings.network)
         return cls(Lifter(skeleton, settings), skeleton, settings)
 
 
 def _float_array(values: Any) -> np.ndarray:
     return np.array(values.detach().cpu() if isinstance(values, Tensor) else values, np.float32)
-
-
-def _refuse_nearby_code(network: str) -> None:
-    """Refuse a relative path to a network: a fit stores the full path, and this would run code that came with the file."""
-    file, colon, _ = str(network).rpartition(":")
-    if colon and file.endswith(".py") and not Path(file).is_absolute():
-        raise UserError(f"names the network '{network}' without its folder: not opened, as it would run that file.")
 
 
 # A lifter of masks.

@@ -174,10 +174,10 @@ def build_network(
     Raises:
         UserError: no such network or option (a setting below ``where``), invalid sizes.
     """
+    setting = f"{where.removesuffix('.options')}.network"
     if use not in NETWORKS and ":" not in use:
-        setting = f"{where.removesuffix('.options')}.network={use!r}"
         raise UserError(
-            f"{setting}: no such network.{did_you_mean(use, NETWORKS)} A custom one is named file.py:Class."
+            f"{setting}={use!r}: no such network.{did_you_mean(use, NETWORKS)} A custom one is named file.py:Class."
         )
     units, blocks = options.get("units", 1), options.get("blocks", 1)
     if use in NETWORKS and isinstance(units, int) and isinstance(blocks, int):
@@ -187,4 +187,4 @@ def build_network(
                 f"{where}: {blocks} blocks of {units:,} units are {weights:,} weights, expected at most "
                 f"{_MOST_WEIGHTS:,}. A larger network can be your own, file.py:Class."
             )
-    return build(use, NETWORKS, options, where, nn.Module, inputs=inputs, outputs=outputs)
+    return build(use, NETWORKS, options, where, nn.Module, setting=setting, inputs=inputs, outputs=outputs)

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from jaxtyping import Bool, Float, Int, Shaped, UInt8
 
+from uplift.config.files import without_folders
 from uplift.data.poses import UNITS
 from uplift.data.samples import Samples
 
@@ -92,6 +93,7 @@ class ShapePrediction(Samples):
     masks: UInt8[np.ndarray, "items side side"]
     """The lifted masks."""
     names: list[str]
+    """Without folders of the machine: they go into every output."""
     centre_px: np.ndarray
     scale_px: np.ndarray
     level: float = 0.5
@@ -99,6 +101,10 @@ class ShapePrediction(Samples):
     title: str = ""
     images: np.ndarray | None = None
     notes: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        """Take the folders of absolute paths off the names."""
+        self.names = list(map(without_folders, self.names))
 
     @property
     def resolution(self) -> int:

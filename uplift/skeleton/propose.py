@@ -13,6 +13,7 @@ from typing import Any, Protocol, runtime_checkable
 import numpy as np
 from jaxtyping import Bool, Float, Shaped
 
+from uplift.config.files import without_folders
 from uplift.errors import UserError, did_you_mean, listed
 from uplift.skeleton.core import Skeleton
 from uplift.skeleton.schema import MAX_JOINTS
@@ -567,7 +568,7 @@ def proposal_text(proposal: _Proposal, file: str, source: str) -> str:
     skeleton = proposal.skeleton
     one, other = map(quoted, skeleton.bones[0])
     head = _comment(
-        f"A skeleton proposed from {source}. The names are the file's; everything else is a guess: read it through "
+        f"A skeleton proposed from {without_folders(source)}. The names are the file's; everything else is a guess: read it through "
         "and correct it. Then"
     )
     return _PROPOSAL.format(

@@ -19,6 +19,7 @@ from torch.optim.swa_utils import AveragedModel
 from uplift.config.files import read_torch
 from uplift.config.loading import settings_from
 from uplift.config.settings import Settings, StageSettings
+from uplift.config.trust import Trust, consents
 from uplift.data.samples import Samples
 from uplift.errors import UserError, did_you_mean
 from uplift.priors.base import Lift, Prior, ShapeLift
@@ -254,18 +255,31 @@ class TrainingModule(L.LightningModule, Generic[LifterT, DataT]):
         return torch.autocast(self.device.type, enabled=False)
 
     @classmethod
-    def load_from_checkpoint(cls, checkpoint_path: Any, map_location: Any = None, **given: Any) -> Any:  # type: ignore[override]
+    @consents
+    def load_from_checkpoint(  # type: ignore[override]
+        cls, checkpoint_path: Any, map_location: Any = None, *, trust: Trust = None, **given: Any
+    ) -> Any:
         """Return the module of a checkpoint, as Lightning does; nothing but tensors and plain data is read from it.
 
-        Networks, priors and other classes that it names as ``file.py:Class`` or ``package.module:Class`` are imported.
+        Args:
+            checkpoint_path: a file.
+            map_location: as Lightning's.
+            trust: files and modules of code that may run, such as ``"my_priors.py"``, where the checkpoint names classes.
+            given: arguments of the module in place of those of the checkpoint.
 
         Raises:
-            UserError: not a checkpoint, or one that names a file without its folder, as it would run what lies nearby.
+            UserError: not a checkpoint, or one that names a class of code that is not in ``trust``.
         """
         state = read_torch(Path(checkpoint_path), "checkpoint")
-        found = {key: value for key, value in state.get("hyper_parameters", {}).items() if key not in given}
-        _refuse_nearby(found, str(checkpoint_path))
-        return super().load_from_checkpoint(checkpoint_path, map_location, **{**given, "weights_only": True})
+        kept = state.get("hyper_parameters")
+        if isinstance(kept, Mapping) and "_instantiator" in kept:  # Lightning would import what it names
+            raise UserError(
+                f"{checkpoint_path} names a function that is to make the module: not loaded, as it would run it."
+            )
+        try:
+            return super().load_from_checkpoint(checkpoint_path, map_location, **{**given, "weights_only": True})
+        except UserError as error:
+            raise UserError(f"{checkpoint_path}: {error}") from error
 
     # Optimisation.
 
@@ -308,19 +322,6 @@ class TrainingModule(L.LightningModule, Generic[LifterT, DataT]):
     def on_load_checkpoint(self, checkpoint: dict[str, Any]) -> None:
         """Go on watching the priors that had no gradient so far."""
         self.terms.idle = dict(checkpoint.get("idle_priors", self.terms.idle))
-
-
-def _refuse_nearby(value: Any, path: str) -> None:
-    """Refuse relative paths to classes: a module stores the full path."""
-    if isinstance(value, Mapping):
-        value = list(value.values())
-    if isinstance(value, (list, tuple)):
-        for part in value:
-            _refuse_nearby(part, path)
-    elif isinstance(value, str):
-        file, colon, _ = value.rpartition(":")
-        if colon and file.endswith(".py") and not Path(file).is_absolute():
-            raise UserError(f"{path} names '{value}' without its folder: not loaded, as it would run that file.")
 
 
 # What modules are built from: settings as plain data, and priors in any form.

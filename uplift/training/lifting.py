@@ -16,6 +16,7 @@ from torch import Tensor
 
 from uplift.config.files import refuse_existing
 from uplift.config.settings import LifterSettings, Settings, StudentSettings, TeacherSettings, ViewSettings
+from uplift.config.trust import consents
 from uplift.data.module import KeypointData, skeleton_of
 from uplift.data.poses import PoseData
 from uplift.data.sampler import LabelledSampler
@@ -173,6 +174,7 @@ class LiftingModule(KeypointModule):
     settings: TeacherSettings
     frames: TrainingSet | None = None
 
+    @consents
     def __init__(
         self,
         skeleton: Skeleton | str | Path | Mapping[str, Any],

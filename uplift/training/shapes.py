@@ -16,6 +16,7 @@ from torch import Tensor, nn
 
 from uplift.config.files import refuse_existing
 from uplift.config.settings import TeacherSettings
+from uplift.config.trust import consents
 from uplift.data.mask_tensors import MaskSet
 from uplift.data.masks import MaskData
 from uplift.data.module import MaskDataModule
@@ -193,6 +194,7 @@ class ShapeModule(TrainingModule[ShapeMixture, MaskSet]):
     settings: TeacherSettings
     _priors_are_prepared: bool = False
 
+    @consents
     def __init__(
         self,
         *,

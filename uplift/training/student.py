@@ -12,6 +12,7 @@ from torch import Tensor, nn
 
 from uplift.config.plugins import blame, build
 from uplift.config.settings import LifterSettings, Settings, StudentSettings
+from uplift.config.trust import consents
 from uplift.data.module import KeypointData, skeleton_of
 from uplift.errors import UserError
 from uplift.models.lifter import Lifted, Lifter
@@ -102,6 +103,7 @@ class StudentModule(KeypointModule):
     Args:
         skeleton: a `uplift.Skeleton`, a shipped name, or a YAML file.
         teacher: a trained module, a `uplift.Model`, or a run or file that `uplift.load` takes; or see `learn_from`.
+            One with a network of its own is given as ``uplift.load(run, trust="my_nets.py")``.
             It is not part of the student's checkpoint.
         lifter: settings ``lifter.NAME`` by name; those of the default recipe's last student if None.
         seed: of the weights and of all random numbers.
@@ -114,6 +116,7 @@ class StudentModule(KeypointModule):
     settings: StudentSettings
     frames: PseudoPoses | None = None
 
+    @consents
     def __init__(
         self,
         skeleton: Skeleton | str | Path | Mapping[str, Any],

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from mask_files import blob
+from mask_files import blob, save
 
 from uplift.data.clean_masks import clean
 from uplift.data.formats import read_masks
@@ -48,5 +48,7 @@ def test_options(files: Path) -> None:
     small = read_masks(f"{files}/a.npz", side=32)
     assert small.masks.shape == (5, 32, 32)
     assert "crops of 64 px are resampled to 32 px" in small.notes
-    with pytest.raises(UserError, match="leave images= out"):
-        read_masks(f"{files}/a.npz", images=str(files))
+    save(files / "photos" / "3.png", np.zeros((9, 9), np.uint8))
+    photos = read_masks(f"{files}/a.npz", images=str(files / "photos"))
+    assert photos.images is not None and photos.images.tolist() == ["", "", "", str(files / "photos" / "3.png"), ""]
+    assert any("4 masks have no photo" in note for note in photos.notes)

@@ -172,10 +172,13 @@ def test_lists_and_arrays_of_any_numbers(tmp_path_factory, keypoints: list, scor
     file.write_text(ARRAYS)
     (folder / "any.bin").write_text("x")
     from uplift.config.plugins import find_class
+    from uplift.config.trust import granted
 
     confidence = [scores[3 * row : 3 * row + 3] for row in range(len(keypoints))]
     rows = (keypoints, confidence) if kind == "list" else (np.array(keypoints, kind), np.array(confidence, kind))
-    find_class(f"{file}:Held", {}, "format").held = (*rows, ["a", "b", "c"])  # type: ignore[attr-defined]
+    with granted(frozenset({str(file.resolve())})):
+        held = find_class(f"{file}:Held", {}, "format")
+    held.held = (*rows, ["a", "b", "c"])  # type: ignore[attr-defined]
     expected = np.zeros((len(keypoints), 3), np.float32)
     for row, joints in enumerate(keypoints):
         for joint, (x, y) in enumerate(joints):
@@ -224,7 +227,7 @@ def test_a_run_is_used_from_other_folders(mine: Path, monkeypatch: pytest.Monkey
     (mine / "tracks/c.trk").write_text(text_of(body_arrays(), slice(20, 40), pose=True))
     (mine / "work").mkdir()
     monkeypatch.chdir(mine / "work")
-    assert status_of("fit", "task=../mine.yaml", *QUICK) == 0
+    assert status_of("fit", "task=../mine.yaml", "trust=../my_reader.py", *QUICK) == 0
     assert "train: read as Text files of my tracker (my_reader.py:MyFormat)" in capsys.readouterr().out
     run = (mine / "work/runs/mine/last").resolve()
     kept = yaml.safe_load((run / "config.yaml").read_text())["data"]["format"]
@@ -233,13 +236,14 @@ def test_a_run_is_used_from_other_folders(mine: Path, monkeypatch: pytest.Monkey
 
     (mine / "else").mkdir()
     monkeypatch.chdir(mine / "else")
-    assert uplift.evaluate(run).frames == 20
+    trust = "../my_reader.py"
+    assert uplift.evaluate(run, trust=trust).frames == 20
     write_body(mine / "truth.npz", 12, seed=5)
     assert uplift.evaluate(run, mine / "truth.npz").frames == 12  # which is guessed
     Path("more.trk").write_text(text_of(body_arrays(), slice(0, 8), pose=True))
-    assert uplift.evaluate(run, "more.trk").frames == 8
-    for words in ([], [f"format=../{OWN}"]):
-        assert status_of("predict", f"run={run}", "input=more.trk", f"output=out{len(words)}.npz", *words) == 0
+    assert uplift.evaluate(run, "more.trk", trust=trust).frames == 8
+    for words in ([f"trust={trust}"], [f"trust={trust}", f"format=../{OWN}"]):
+        assert status_of("predict", f"run={run}", "input=more.trk", f"output=out{len(words) - 1}.npz", *words) == 0
         assert "lifted 8 frames" in capsys.readouterr().out
     assert np.array_equal(np.load("out0.npz")["keypoints"], body_arrays()["keypoints"][:8])
     assert np.array_equal(np.load("out0.npz")["pose"], np.load("out1.npz")["pose"])
@@ -247,7 +251,7 @@ def test_a_run_is_used_from_other_folders(mine: Path, monkeypatch: pytest.Monkey
     (run / "lifter.pt").unlink()
     for state in (run / "checkpoints").iterdir():  # as if ended before the first of them
         state.unlink()
-    assert status_of("fit", f"resume={run}") == 0
+    assert status_of("fit", f"resume={run}", f"trust={trust}") == 0
     assert (run / "lifter.pt").is_file()
 
 

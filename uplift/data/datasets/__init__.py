@@ -25,4 +25,4 @@ def data_set(use: str, folder: Path, options: Mapping[str, Any]) -> DataSet:
     Raises:
         UserError: no such data set, or an option that it does not take.
     """
-    return build(use, DATA_SETS, options, "data.options", DataSet, folder=folder)
+    return build(use, DATA_SETS, options, "data.options", DataSet, setting="data.use", folder=folder)

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from uplift.config.files import files_of
+from uplift.config.trust import consents
 from uplift.data.formats.base import Formats, Peek, ReadOptions
 from uplift.data.formats.layouts import with_layout
 from uplift.data.formats.scales import in_pixels, with_sure_confidence
@@ -63,6 +64,7 @@ MASK_FORMATS: Formats[MaskOptions, MaskData] = Formats(
 )
 
 
+@consents
 def read(path: str | Path, options: ReadOptions | None = None) -> PoseData:
     """Read a file or folder of keypoints in the format that is named or guessed.
 
@@ -123,6 +125,7 @@ def _focal_px_of(data: PoseData, focal_px: Any) -> np.ndarray:
     return found
 
 
+@consents
 def read_masks(
     path: str | Path,
     *,

@@ -17,7 +17,7 @@ from uplift.data.formats.base import FileFormat, Peek, ReadOptions
 from uplift.data.formats.layouts import is_nameless, names_for
 from uplift.data.formats.rows import by_appearance, confidence_of, frame_numbers, named_tracks, rows_of, seen_by_flag
 from uplift.data.parsers.files import check_memory
-from uplift.data.parsers.table import Table, header_of
+from uplift.data.parsers.table import Table, header_of, safe_cell
 from uplift.data.poses import IDENTITY_KEYS, PoseData
 from uplift.errors import UserError
 
@@ -476,10 +476,10 @@ _BLOCK = 4096
 """Rows whose text is made at once."""
 
 
-def write_keypoints_csv(data: PoseData, path: str | Path) -> None:
+def write_keypoints_csv(data: PoseData, path: str | Path, *, csv_safe: bool = False) -> None:
     """Write keypoints, confidence, identity, times and image size; format=csv reads them back the same.
 
-    NaN is an empty cell. What came from 3D is not written.
+    NaN is an empty cell. What came from 3D is not written. ``csv_safe`` is as in `write_table`.
 
     Raises:
         UserError: joint names that a header of a csv cannot hold.
@@ -494,16 +494,23 @@ def write_keypoints_csv(data: PoseData, path: str | Path) -> None:
         )
     beside = _beside(data)
     numbers = np.concatenate([data.keypoints, data.confidence[..., None]], -1).reshape(len(data), len(header))
-    write_table(path, [[*beside, *header]], [column.tolist() for column in beside.values()], numbers)
+    write_table(path, [[*beside, *header]], [column.tolist() for column in beside.values()], numbers, csv_safe)
 
 
 def write_table(
-    path: str | Path, header: Sequence[Sequence[str]], columns: Sequence[Sequence[object]], numbers: np.ndarray
+    path: str | Path,
+    header: Sequence[Sequence[str]],
+    columns: Sequence[Sequence[object]],
+    numbers: np.ndarray,
+    csv_safe: bool = False,
 ) -> None:
     """Write rows of ``columns`` and (rows, cells) ``numbers``: float32 in the shortest text that is read back the same.
 
-    NaN is an empty cell.
+    NaN is an empty cell. With ``csv_safe`` names that a spreadsheet would run as a formula begin with an apostrophe.
     """
+    if csv_safe:
+        header = [[safe_cell(cell) for cell in cells] for cells in header]
+        columns = [[safe_cell(cell) if isinstance(cell, str) else cell for cell in cells] for cells in columns]
     numbers = numbers.astype(np.float32, copy=False)
     with replacing(path) as handle:
         text = io.TextIOWrapper(handle, encoding="utf-8", newline="")

@@ -392,11 +392,11 @@ FORMAT = FileFormat(
 # Write the 2D of a `PoseData` in DeepLabCut's csv layout: one video, or labelled images.
 
 
-def write_deeplabcut_csv(data: PoseData, path: str | Path) -> None:
+def write_deeplabcut_csv(data: PoseData, path: str | Path, *, csv_safe: bool = False) -> None:
     """Write scorer, individuals (where there are any), bodyparts and coords x, y, likelihood.
 
     The index is the frame, or the image where rows are images. The layout holds nothing else: no
-    rate, no subject, no action; the video's name is that of the file.
+    rate, no subject, no action; the video's name is that of the file. ``csv_safe`` is as in `write_table`.
 
     Raises:
         UserError: more than one video, or one individual twice in a frame.
@@ -417,7 +417,7 @@ def write_deeplabcut_csv(data: PoseData, path: str | Path) -> None:
     header = [[level, *cells] for level, cells in zip(_LEVELS[1], zip(*columns, strict=True), strict=True)]
     if "instance" not in data.identity:
         del header[1]
-    write_table(path, header, [order], numbers.reshape(len(order), -1))
+    write_table(path, header, [order], numbers.reshape(len(order), -1), csv_safe)
 
 
 def _csv_index(data: PoseData, path: str | Path) -> tuple[np.ndarray, list]:

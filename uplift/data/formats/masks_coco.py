@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from uplift.config.files import without_folders
 from uplift.data.clean_masks import MaskOptions
 from uplift.data.formats.base import FileFormat, Peek
 from uplift.data.formats.masks import gather, shuffled, wanted
@@ -262,7 +263,7 @@ def _load(path: Path) -> _File:
 def _items(jobs: list[tuple[_File, _Record]], options: MaskOptions, photos: Photos) -> Iterator[Found | Skipped]:
     for order, (file, record) in shuffled(jobs, options):
         image = file.images.get(record.image, _Image(record.image or "", None))
-        name = f"{image.name or file.path.name}:{record.number}"
+        name = f"{without_folders(image.name) or file.path.name}:{record.number}"
         try:
             if isinstance(record.outline, str):
                 raise _RecordError(record.outline)
@@ -276,7 +277,7 @@ def _items(jobs: list[tuple[_File, _Record]], options: MaskOptions, photos: Phot
             name,
             mask,
             file.category_of(record),
-            photos.of_name(image.name) if image.name else "",
+            photos.of_name(image.name, file.path) if image.name else "",
             corner_px=corner,
             image_size=size or _UNKNOWN,
             slack_px=_SLACK_PX if record.outline.polygons else 0,

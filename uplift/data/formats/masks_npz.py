@@ -10,13 +10,14 @@ from typing import Any
 
 import numpy as np
 
-from uplift.config.files import replacing
+from uplift.config.files import names_from, replacing, without_folders
 from uplift.data.clean_masks import MaskOptions
 from uplift.data.concat import concat_masks, resized
 from uplift.data.formats.base import FileFormat, Peek
 from uplift.data.formats.masks import shuffled, wanted
 from uplift.data.masks import MaskData, Placed
 from uplift.data.parsers.npz import CheckedArrays, read_arrays
+from uplift.data.parsers.pictures import Photos
 from uplift.errors import UserError, listed
 from uplift.geometry.mesh import Mesh
 
@@ -32,7 +33,13 @@ _TURN_ERROR = 1e-3
 
 
 def write_masks_npz(data: MaskData, path: str | Path) -> None:
-    """Write masks, names, crops, labels and the truth; the same data gives the same bytes."""
+    """Write masks, names, crops, labels and the truth; the same data gives the same bytes.
+
+    Photos are named from the folder of the file, and the source without its folders: files are passed on.
+    """
+    images = None if data.images is None else np.array(names_from(Path(path).parent, data.images.tolist()))
+    notes = tuple(map(without_folders, data.notes))
+    data = replace(data, images=images, notes=notes, source=without_folders(data.source))
     with replacing(path) as handle, zipfile.ZipFile(handle, "w") as archive:
         for name, array in arrays_of(data).items():
             entry = zipfile.ZipInfo(f"{name}.npy", date_time=_OLDEST)
@@ -78,13 +85,27 @@ def _truth_arrays(truth: Placed) -> dict[str, np.ndarray]:
     }
 
 
-def read_masks_npz(path: str | Path) -> MaskData:
+def read_masks_npz(path: str | Path, photos: Photos | None = None) -> MaskData:
     """Read masks written by `write_masks_npz`, or by hand in the same layout; only ``masks`` must be there.
+
+    Their photos are those of ``photos``, by default those in the file's folder.
 
     Raises:
         UserError: missing or unknown arrays, wrong kinds, shapes or ranges, invalid meshes.
     """
-    return masks_of_arrays(str(path), read_arrays(path, _KNOWN, others=False), Path(path).stem)
+    found = masks_of_arrays(str(path), read_arrays(path, _KNOWN, others=False), Path(path).stem)
+    return with_photos(found, photos or Photos(None), Path(path))
+
+
+def with_photos(data: MaskData, photos: Photos, file: Path) -> MaskData:
+    """Return masks with the paths of the photos that ``file`` names, and of masks that name none those named as they are."""
+    named = [""] * len(data) if data.images is None else data.images.tolist()
+    if data.images is None and photos.folder is None:
+        return data
+    pairs = zip(named, data.names, strict=True)
+    return replace(
+        data, images=np.array([photos.of_name(one, file) if one else photos.of_mask(own) for one, own in pairs])
+    )
 
 
 def masks_of_arrays(where: str, arrays: dict[str, np.ndarray], name: str) -> MaskData:
@@ -169,18 +190,17 @@ def _meshes(file: CheckedArrays) -> Sequence[Mesh]:
 
 
 def _read(peek: Peek, options: MaskOptions) -> MaskData:
-    return chosen(concat_masks([read_masks_npz(path) for path in peek.paths]), options, peek.where)
+    photos = Photos(options.images)
+    return chosen(concat_masks([read_masks_npz(path, photos) for path in peek.paths]), options, peek.where, photos)
 
 
-def chosen(data: MaskData, options: MaskOptions, where: str) -> MaskData:
-    """Return the masks, already cut out, that ``options`` ask for, at their side.
+def chosen(data: MaskData, options: MaskOptions, where: str, photos: Photos) -> MaskData:
+    """Return the masks, already cut out, that ``options`` ask for, at their side, with the notes of ``photos``.
 
     Raises:
-        UserError: no mask, a category that is not there, or a folder of photos for masks that name theirs.
+        UserError: no mask, or a category that is not there.
     """
-    notes: list[str] = []
-    if options.images is not None:
-        raise UserError(f"images={options.images}: {where} names its photos itself; leave images= out.")
+    notes = photos.notes()
     if options.category:
         names = np.full(len(data), "") if data.category is None else data.category
         taken = wanted(options, set(names.tolist()), where)

@@ -14,7 +14,7 @@ from uplift.data.clean_masks import MaskOptions, clean
 from uplift.data.concat import concat_masks
 from uplift.data.formats.base import FileFormat, Peek
 from uplift.data.formats.masks import wanted
-from uplift.data.formats.masks_npz import arrays_of, chosen, masks_of_arrays
+from uplift.data.formats.masks_npz import arrays_of, chosen, masks_of_arrays, with_photos
 from uplift.data.formats.own import Made, OwnFormat, own_format
 from uplift.data.masks import Found, MaskData
 from uplift.data.parsers.pictures import Photos
@@ -52,7 +52,7 @@ def _read(made: Made, peek: Peek, options: MaskOptions) -> MaskData:
     masks = _chosen(made, files, options, photos, ready)
     first = next(masks, None)
     if ready:
-        return chosen(concat_masks(ready), options, peek.where)
+        return chosen(concat_masks(ready), options, peek.where, photos)
     if first is None:
         raise UserError(f"{made.where(files[0])}: {type(made.maker).__name__}.read gave no mask.")
     data, report = clean(chain([first], masks), options, most=options.most, source=peek.where)
@@ -73,13 +73,14 @@ def _chosen(
     for path in files:
         given = made.run(path, lambda path=path: made.maker.read(path, options))
         if isinstance(given, MaskData):
-            ready.append(_checked(given, path, made))
+            ready.append(with_photos(_checked(given, path, made), photos, path))
         else:
             for number, item in enumerate(_steps(made, path, _several(given, made, path))):
                 found = _found(item, number, path, made)
                 seen.add(found.category)
                 if not asked or found.category.casefold() in asked:
-                    found.image, found.order = found.image or photos.of_mask(found.name), order
+                    found.image = photos.of_name(found.image, path) if found.image else photos.of_mask(found.name)
+                    found.order = order
                     yield found
                 order += 1
         if ready and order:

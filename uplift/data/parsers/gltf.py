@@ -15,6 +15,7 @@ from urllib.parse import unquote
 import numpy as np
 from jaxtyping import Float, Int
 
+from uplift.config.files import inside
 from uplift.data.parsers.files import read_bytes
 from uplift.errors import UserError, did_you_mean
 from uplift.geometry.mesh import Mesh
@@ -183,10 +184,9 @@ class _Document:
         return found[:length]
 
     def _beside(self, uri: str, length: int) -> bytes:
-        name = Path(unquote(uri))
-        if ":" in uri or "\0" in str(name) or name.is_absolute() or ".." in name.parts:
+        file = None if ":" in uri else inside(self.path.parent, unquote(uri))
+        if file is None:
             raise UserError(f"{self.path}: its buffer is at '{uri[:80]}', expected a file beside it.")
-        file = self.path.parent / name
         try:
             if not file.is_file():
                 raise UserError(f"{self.path}: its buffer {file} is missing. Put it beside the .gltf file.")

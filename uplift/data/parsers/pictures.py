@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
+from uplift.config.files import inside
 from uplift.data.parsers.json import in_order
 from uplift.data.parsers.outlines import MAX_PIXELS
 from uplift.errors import UserError
@@ -130,7 +131,9 @@ def _shades(colours: np.ndarray) -> np.ndarray:
 
 
 class Photos:
-    """The pictures in the folder given as ``images=``; without one, names are as the file has them.
+    """The pictures in the folder given as ``images=``; without one, those in the folder of the file that names them.
+
+    A name that leads out of that folder, by itself or over links, is left out: a stranger's file shows no other photo.
 
     Raises:
         UserError: no such folder, or no picture in it.
@@ -140,6 +143,8 @@ class Photos:
         self.folder = None if folder is None else Path(folder)
         self.missing = 0
         """Photos that were asked for and do not exist."""
+        self.elsewhere: list[str] = []
+        """Names that lead out of the folder."""
         self._files: dict[str, str] = {}
         if self.folder is None:
             return
@@ -153,9 +158,11 @@ class Photos:
         if not self._files:
             raise UserError(f"images={folder}: no picture in that folder.")
 
-    def of_name(self, name: str) -> str:
-        """Return the photo of that file name; where it is not in the folder, nothing."""
-        return name if self.folder is None else self._found(name, Path(name).name)
+    def of_name(self, name: str, file: Path) -> str:
+        """Return the photo that ``file`` names so; nothing where it is not in the folder."""
+        if self.folder is not None:
+            return self._found(name, Path(name).name)
+        return self._inside(file if file.is_dir() else file.parent, name) if name else ""
 
     def of_mask(self, name: str) -> str:
         """Return the photo named as a mask is, apart from the ending; nothing without a folder of photos."""
@@ -166,12 +173,23 @@ class Photos:
 
     def notes(self) -> list[str]:
         """Return a note on photos that are missing, if any."""
-        return [f"{self.missing:,} masks have no photo in {self.folder}"] if self.missing else []
+        notes = [f"{self.missing:,} masks have no photo in {self.folder}"] if self.missing else []
+        if self.elsewhere:
+            where = "beside the file that names them" if self.folder is None else f"in {self.folder}"
+            named = f"{len(self.elsewhere):,} photos, such as {self.elsewhere[0][:80]!r}"
+            notes.append(f"{named}, are not {where} and are left out: images=FOLDER says where photos are")
+        return notes
 
     def _found(self, *keys: str) -> str:
         photo = next((self._files[key] for key in keys if key in self._files), "")
         self.missing += not photo
-        return photo
+        return self._inside(self.folder, os.path.relpath(photo, self.folder)) if photo and self.folder else ""
+
+    def _inside(self, folder: Path, name: str) -> str:
+        found = inside(folder, name)
+        if found is None:
+            self.elsewhere.append(name)
+        return "" if found is None else str(found)
 
 
 @dataclass(frozen=True)
@@ -194,7 +212,7 @@ def pictures_of(paths: list[Path]) -> tuple[list[Place], list[str]]:
     others: list[str] = []
     for path in paths:
         if not path.is_dir():
-            found.append(Place(path, str(path) if folders else path.name, ""))
+            found.append(Place(path, path.name, ""))
             continue
         for file in _files(path):
             inside = file.relative_to(path)

@@ -14,7 +14,7 @@ import numpy as np
 from uplift.data.parsers.files import check_memory, encoding_of, reason_of
 from uplift.errors import UserError
 
-__all__ = ["Table", "Words", "first_lines", "first_rows", "header_of"]
+__all__ = ["Table", "Words", "first_lines", "first_rows", "header_of", "safe_cell"]
 
 _START = 1 << 16
 _LONGEST_HEADER = 1 << 22
@@ -23,6 +23,8 @@ _MOST_COLUMNS = 100_000
 _LONGEST_LINE = 1 << 26
 _MISSING = {"", "nan", "na", "n/a", "#n/a", "null", "none", "nil", "-", "--", "-nan", "<na>"}
 _SWAPPED = str.maketrans(",.", ".,")
+_FORMULA = re.compile(r"(^|[;,\t\r\n])(?=\s*[=+\-@\uff1d\uff0b\uff0d\uff20]|[\t\r])")
+"""Where a cell begins, or would in a spreadsheet with another separator, with what makes it a formula."""
 _NUMBER = re.compile(r"[+-]?([0-9]+[.]?[0-9]*|[.][0-9]+)([eE][+-]?[0-9]+)?")
 
 
@@ -287,3 +289,11 @@ def _words(column: Any) -> Words:
     texts = [_decoded(text.encode(errors="surrogateescape")).strip() for text in texts]
     same, names = pd.factorize(np.array(texts, object))
     return Words(same[codes], names.tolist())
+
+
+# Tables that are written.
+
+
+def safe_cell(text: str) -> str:
+    """Return a name so that no spreadsheet runs it: an apostrophe before ``= + - @``, tab and return; numbers as they are."""
+    return text if _NUMBER.fullmatch(text) else _FORMULA.sub(r"\1'", text)
