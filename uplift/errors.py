@@ -5,7 +5,7 @@ from __future__ import annotations
 import difflib
 from collections.abc import Iterable
 
-__all__ = ["NotForThisSkeleton", "UserError", "did_you_mean", "listed", "nearest"]
+__all__ = ["MissingFiles", "NotForThisSkeleton", "UserError", "did_you_mean", "listed", "nearest"]
 
 
 class UserError(Exception):
@@ -14,6 +14,10 @@ class UserError(Exception):
     The message says what was found, what was expected, where, and what to do. The command line
     prints it without a traceback and exits with status 2.
     """
+
+
+class MissingFiles(UserError):
+    """Files of a published data set that are not there; lines below the first say how to get them."""
 
 
 class NotForThisSkeleton(UserError):

@@ -230,6 +230,8 @@ def test_a_circle_of_two(here: Path) -> None:
         ("priors.x.y=!!python/object/apply:os.getcwd []", "YAML tag"),
         ("priors.x.y=" + "[" * 200, "nested more than"),
         ("priors.x.y=&a [*a]", "alias"),
+        ('priors.x.y=!!int ""', "not a valid int"),
+        ('trainer.max_steps=!!float ""', "not a valid float"),
     ],
 )
 def test_a_wrong_override(override: str, says: str) -> None:

@@ -137,12 +137,27 @@ def test_damaged_facts_and_evaluations_are_named(content: bytes) -> None:
             read()
 
 
-def test_an_evaluation_without_its_parts_is_named() -> None:
+@pytest.mark.parametrize(
+    "found",
+    [
+        {"overall": {}}, {"data": "a", "overall": []}, {"data": ["a"], "overall": {}}, {"data": "a", "overall": {"b": "c"}},
+        {"data": "a", "overall": {"b": None}},
+    ],
+)  # fmt: skip
+def test_an_evaluation_without_its_parts_is_named(found: dict) -> None:
     run = made()
     assert run.evaluation() is None
-    (run.path / "evaluation.json").write_text(json.dumps({"overall": {}}))
+    (run.path / "evaluation.json").write_text(json.dumps(found))
     with pytest.raises(UserError, match="is not an evaluation"):
         run.evaluation()
+
+
+@pytest.mark.parametrize("found", [{"task": 3}, {"steps": [1]}, {"steps": {"teacher": "many"}}])
+def test_facts_of_other_kinds_are_named(found: dict) -> None:
+    run = made()
+    (run.path / "run.json").write_text(json.dumps(found))
+    with pytest.raises(UserError, match=r"run\.json"):
+        run.short_fit()
 
 
 @pytest.mark.parametrize("place", ["runs", "runs/demo"])
@@ -181,10 +196,13 @@ def test_a_run_folder_that_cannot_be_written(here: Path, monkeypatch: pytest.Mon
 
 def test_the_end_of_a_fit_names_a_run_that_is_there(here: Path, capsys: pytest.CaptureFixture) -> None:
     (here / "runs/h36m17/last").mkdir(parents=True)
-    assert status_of("fit", *own_data(here / "a.npz"), "student.share=0", "trainer.max_steps=1") == 0
+    train = own_data(here / os.fsdecode(b"caf\xe9.npz"))  # its name is in no text
+    assert status_of("fit", *train, "student.share=0", "trainer.max_steps=1") == 0
     printed = capsys.readouterr().out
     (run,) = [path for path in Path("runs/h36m17").iterdir() if path.name != "last"]
     assert f"uplift predict run={run} " in printed
+    assert "caf\\udce9.npz" in (run / "report.md").read_text("utf-8")
+    assert os.fsencode(RunFolder.open(run).settings().data.train or "").endswith(b"/caf\xe9.npz")
 
 
 def test_a_short_fit_and_an_idle_prior_are_said_everywhere(here: Path, capsys: pytest.CaptureFixture) -> None:

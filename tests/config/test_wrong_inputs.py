@@ -223,6 +223,17 @@ LIFTERS = {
         lambda r: write_other_network(r, network="subprocess:Popen", options={}),
         "runs only with your consent",
     ),
+    "a list for a number": (
+        lambda r: write_other_network(r, refine={"iterations": [1]}),
+        "iterations",
+    ),
+    "a number out of range": (lambda r: write_other_network(r, camera_noise=-1), "lifter.pt"),
+    "weights that are not finite": (
+        lambda r: write_changed(
+            r, state={k: v * float("nan") if v.dim() == 2 else v for k, v in whole(r)["state"].items()}
+        ),
+        "weights that are not finite",
+    ),
     "a camera that is none": (lambda r: write_other_network(r, camera="pinhole"), "pinhole"),
 }
 
@@ -306,6 +317,25 @@ def test_lightnings_refusals_are_ours(here: Path, capsys: pytest.CaptureFixture)
         "trainer.devices=0", "trainer.devices=-2", "trainer.logger=paper",
     ):  # fmt: skip
         assert setting in refusal(capsys, *words, setting).replace("'", "")
+
+
+@pytest.mark.parametrize(
+    ("setting", "says"),
+    [
+        ("accelerator=tpu", "trainer.accelerator=tpu"),
+        ("accelerator=abacus", "trainer.accelerator=abacus"),
+        ("precision=7", "trainer.precision='7': expected one of 32-true"),
+        ("precision=64-true", "trainer.precision='64-true': expected one of 32-true"),
+        ("strategy=none", "trainer.strategy=none"),
+        ("profiler=[a]", "trainer.profiler=['a']: expected text"),
+        ("detect_anomaly=x", "trainer.detect_anomaly='x': expected true or false"),
+        ("min_steps=1.5", "trainer.min_steps=1.5: expected a whole number"),
+        ("gradient_clip_val=true", "trainer.gradient_clip_val=True: expected a whole number or a number"),
+    ],
+)
+def test_flags_are_refused_before_data_is_read(setting: str, says: str, here: Path, capsys) -> None:
+    (here / "a.npz").write_text("no data")
+    assert says in refusal(capsys, "fit", "skeleton=h36m17", "data.train=a.npz", f"trainer.{setting}")
 
 
 def test_test_frames_of_other_joints_are_refused_before_the_fit(here: Path, capsys: pytest.CaptureFixture) -> None:

@@ -65,7 +65,8 @@ class _Report:
 
     def __init__(self, settings: Settings):
         self.skeleton: Skeleton | None = load_skeleton(settings.skeleton) if settings.skeleton else None
-        self.lines = [f"{settings.task or 'own data'}: {settings.description.strip().splitlines()[0]}"]
+        about = settings.description.strip().partition("\n")[0]
+        self.lines = [f"{settings.task or 'own data'}: {about}"]
         self.missing: dict[str, None] = {}
         """How to get what is missing."""
         self.wrong = False

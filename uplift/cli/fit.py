@@ -24,7 +24,7 @@ from uplift.errors import UserError
 from uplift.models.networks import NETWORKS
 from uplift.priors import PRIORS
 from uplift.training.callbacks import Interrupted
-from uplift.training.stages import CALLBACKS, LOGGERS, devices_of
+from uplift.training.stages import CALLBACKS, LOGGERS, check_trainer
 
 __all__ = ["Prepared", "fit", "fit_settings", "prepare_keypoints", "prepare_masks"]
 
@@ -70,7 +70,7 @@ def fit_settings(settings: Settings, run: RunFolder | None = None) -> RunFolder:
     require({name: use for name, use in classes_of(asdict(settings)).items() if use not in builtin})
     if settings.trainer.threads:
         torch.set_num_threads(settings.trainer.threads)
-    devices_of(settings.trainer)  # before any data is read
+    check_trainer(settings.trainer)  # before any data is read
     fit: Prepared = KINDS[settings.lifts].fit(settings, run)
     run = _run_of_all_ranks(run, settings)
     try:

@@ -4,63 +4,51 @@
 from __future__ import annotations
 
 import argparse
-import errno
 import functools
 import os
 import sys
 import typing
 from collections.abc import Callable, Sequence
+from typing import NoReturn
 
 from uplift import __version__
+from uplift.cli.failures import clear_output, status_of
 from uplift.cli.help import bold_names, help_text, topics
 from uplift.cli.kinds import Later
 from uplift.cli.verbs import VERBS, sub_verbs
 from uplift.config.settings import TRAINER_FLAGS, Setting
 from uplift.config.trust import consent_of, granted
-from uplift.errors import UserError
+from uplift.errors import UserError, nearest
 
 __all__ = ["main"]
 
 _QUIET = ("--quiet", "-q")
 
-# Errors that another path fixes; a full disk is not one of these.
-_FIXABLE = (errno.EACCES, errno.EPERM, errno.EROFS, errno.ENAMETOOLONG, errno.ENOTDIR, errno.EISDIR, errno.ELOOP)
-
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run one command; returns the exit status: 0, 2 for a user's mistake or missing data, 1 for other errors, 130 for Ctrl-C."""
+    words = _folded(arguments)
+    with clear_output():
+        try:
+            words, trust = _without_trust(words)
+            help_wanted = _asks_for_help(words)
+            # Words without a key may be names of files, which a shell found for a pattern: no consent.
+            with granted(consent_of([word for word in words if help_wanted or "=" in word], trust)):
+                return _run(words)
+        except (Exception, KeyboardInterrupt) as error:
+            return status_of(error, words)
+
+
+def _run(words: list[str]) -> int:
     parser = _parser()
-    try:
-        words, trust = _without_trust(_folded(arguments))
-        help_wanted = _asks_for_help(words)
-        # Words without a key may be names of files, which a shell found for a pattern: no consent.
-        with granted(consent_of([word for word in words if help_wanted or "=" in word], trust)):
-            return _run(parser, words)
-    except UserError as error:
-        print(f"uplift: {error}", file=sys.stderr)
-        return 2
-    except KeyboardInterrupt:
-        print("\nuplift: interrupted", file=sys.stderr)
-        return 130
-    except BrokenPipeError:
-        return 1
-    except MemoryError:
-        hint = "Use fewer frames or masks (data.select.fraction) or smaller batches."
-        print(f"uplift: out of memory. {hint}", file=sys.stderr)
-        return 1
-    except OSError as error:
-        where = f" ({error.filename})" if error.filename else ""
-        fixable = error.errno in _FIXABLE
-        rest = "" if fixable else " What was saved before is complete."
-        print(f"uplift: {error.strerror or error}{where}.{rest}", file=sys.stderr)
-        return 2 if fixable else 1
-
-
-def _run(parser: argparse.ArgumentParser, words: list[str]) -> int:
     if _asks_for_help(words):
         text = help_text(words or ["--help"])
         print(bold_names(text) if sys.stdout.isatty() and "NO_COLOR" not in os.environ else text)
         return 0
+    if words[0] not in (*_RUN, *_QUIET, "--version"):
+        raise UserError(
+            f"no command '{words[0]}'.{nearest(words[0], _RUN)} There are {', '.join(_RUN)}. (uplift --help)"
+        )
     given = parser.parse_args(words)
     with Later("uplift.config.progress:quiet")(given.quiet):
         return _RUN[given.verb](given.settings) or 0
@@ -99,8 +87,16 @@ def _folded(arguments: Sequence[str] | None) -> list[str]:
     return words
 
 
+class _Parser(argparse.ArgumentParser):
+    """Says what is wrong as everything else does."""
+
+    def error(self, message: str) -> NoReturn:
+        """Raise UserError."""
+        raise UserError(f"{message}. Settings are key=value words. ({self.prog} --help)")
+
+
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(prog="uplift", usage="uplift VERB [key=value ...] (uplift --help)", add_help=False)
+    parser = _Parser(prog="uplift", usage="uplift VERB [key=value ...] (uplift --help)", add_help=False)
     parser.add_argument("--version", action="version", version=f"uplift {__version__}")
     parser.add_argument("--help", "-h", action="store_true")
     verbs = parser.add_subparsers(dest="verb", metavar="VERB", required=True)

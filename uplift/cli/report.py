@@ -12,7 +12,7 @@ import numpy as np
 
 from uplift.cli.evaluate import MOST, save_evaluation, score_shapes
 from uplift.cli.kinds import KINDS
-from uplift.config.files import replacing, without_folders
+from uplift.config.files import as_bytes, replacing, without_folders
 from uplift.config.progress import say
 from uplift.config.run import RunFolder
 from uplift.config.settings import Settings
@@ -146,7 +146,7 @@ def report(run: RunFolder, model: Any, settings: Settings, loaded: Any, training
     notes = [*doubtful, *loaded.notes, *found.given, *training.lines()]
     lines = [*_head_lines(run, settings, notes), *_figure_lines(found, rows)]
     with replacing(run.path / "report.md") as file:
-        file.write("".join(f"{without_folders(line)}\n" for line in lines).encode())
+        file.write(as_bytes("".join(f"{without_folders(line)}\n" for line in lines)))
     curves: dict[str, list[tuple[float, float]]] = {}
     for stage, step, name, value in read_metrics(run.path / "metrics.csv"):
         curves.setdefault(f"{stage}: {name}", []).append((float(step), float(value)))

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from uplift.cli.parsing import Keys, keyed
-from uplift.config.files import Existing, refuse_existing, replacing, shipped, shipped_names
+from uplift.config.files import Existing, as_bytes, refuse_existing, replacing, shipped, shipped_names
 from uplift.data.clean import MIN_VISIBLE, clean
 from uplift.data.concat import concat_poses
 from uplift.data.formats.layouts import is_nameless
@@ -76,7 +76,7 @@ def new_skeleton_file(words: list[str]) -> list[str]:
 
 def _write(path: Path, text: str) -> None:
     with replacing(path) as file:
-        file.write(text.encode())
+        file.write(as_bytes(text))
 
 
 def _write_proposal(path: Path, keys: Keys) -> list[str]:

@@ -19,7 +19,7 @@ from typing import Any, BinaryIO
 from uplift.errors import UserError
 
 __all__ = [
-    "Existing", "absolute", "building", "clear_parts", "data_root", "files_of", "inside", "names_from", "read_torch",
+    "Existing", "absolute", "as_bytes", "building", "clear_parts", "data_root", "files_of", "inside", "names_from", "read_torch",
     "refuse_existing", "refuse_output", "refuse_special", "replacing", "save_torch", "shipped", "shipped_names",
     "without_folders",
 ]  # fmt: skip
@@ -274,6 +274,11 @@ def _runs(process: int) -> bool:
     except (OSError, OverflowError):  # another user's, or no number of a process
         return True
     return True
+
+
+def as_bytes(text: str) -> bytes:
+    """Return text in UTF-8; what is no text in it, such as a byte of a file's name in another encoding, as an escape."""
+    return text.encode("utf-8", "backslashreplace")
 
 
 def save_torch(state: dict[str, Any], path: Path) -> None:

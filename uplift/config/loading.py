@@ -100,7 +100,7 @@ def _as_plain(value: Any) -> Any:
 
 def save_settings(settings: Settings, path: Path) -> None:
     """Write all settings as a task file that can be used again."""
-    path.write_text(yaml.safe_dump(dataclasses.asdict(settings), sort_keys=False, allow_unicode=True))
+    path.write_bytes(yaml.safe_dump(dataclasses.asdict(settings), sort_keys=False, allow_unicode=True).encode())
 
 
 def setting_names(below: str = "") -> list[str]:

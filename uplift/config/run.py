@@ -142,9 +142,15 @@ class RunFolder:
     def facts(self) -> dict[str, Any]:
         """Return run.json: command, versions, seed, git state, machine."""
         try:
-            return _mapping(self.path / "run.json")
+            found = _mapping(self.path / "run.json")
         except OSError as error:
             raise UserError(f"{self.path / 'run.json'} cannot be read: {error.strerror}.") from error
+        steps = found.get("steps", {})
+        if not isinstance(found.get("task", ""), str) or not isinstance(steps, dict):
+            raise UserError(f"{self.path / 'run.json'} is not what a fit writes: 'task' is text, 'steps' are by stage.")
+        if not all(type(count) is int for count in steps.values()):
+            raise UserError(f"{self.path / 'run.json'}: 'steps' are {steps!r:.80}, expected whole numbers.")
+        return found
 
     def add_facts(self, **more: Any) -> None:
         """Add to run.json."""
@@ -177,9 +183,11 @@ class RunFolder:
                 f"evaluation={name}: {self.path} has no evaluation of this name.{did_you_mean(name, known)}"
             )
         found = _mapping(path)
-        if not isinstance(found.get("overall"), dict) or "data" not in found:
+        overall = found.get("overall")
+        figures = isinstance(overall, dict) and all(type(value) in (int, float) for value in overall.values())
+        if not figures or not isinstance(found.get("data"), str):
             again = "`uplift evaluate run=...` writes it again."
-            raise UserError(f"{path} is not an evaluation: no 'data' and 'overall'. {again}")
+            raise UserError(f"{path} is not an evaluation: no 'data' and no figures in 'overall'. {again}")
         return found
 
 
@@ -193,7 +201,7 @@ def _mapping(path: Path) -> dict[str, Any]:
     refuse_special(path)
     try:
         found = json.loads(path.read_bytes())
-    except ValueError as error:  # not JSON, or not text
+    except (ValueError, RecursionError) as error:  # not JSON, not text, or nested without end
         raise UserError(f"{path} is not a complete JSON file: {error}.") from error
     if not isinstance(found, dict):
         raise UserError(f"{path} holds {type(found).__name__}, expected what a fit or an evaluation writes.")

@@ -319,7 +319,11 @@ class TrainerSettings:
     )
     accelerator: str = _setting("auto", "accelerator of Lightning's Trainer")
     devices: str = _setting("auto", "devices of Lightning's Trainer")
-    precision: str = _setting("32-true", "precision of Lightning's Trainer")
+    precision: str = _setting(
+        "32-true",
+        "precision of Lightning's Trainer: 16 and bf16 are mixed, as geometry needs all digits",
+        choices=("32-true", "16-mixed", "bf16-mixed", "32", "16", "bf16"),
+    )
     logger: Optional[str] = _setting(None, "loggers beside metrics.csv, several with commas: tensorboard, wandb, csv")
     flags: dict[str, Any] = _setting({}, "any other flag of Lightning's Trainer, given as trainer.NAME")
 
@@ -654,11 +658,39 @@ Group = TypeVar("Group")
 def settings_of(kind: type[Group], name: str, plain: dict[str, Any]) -> Group:
     """Return the settings called ``name``, such as "lifter", that a fit of this or an earlier version saved.
 
-    Raises TypeError, ValueError or AttributeError for anything else.
+    Raises UserError for a value of another kind or out of range; TypeError, ValueError or AttributeError for anything else.
     """
     named = {name: copy.deepcopy(plain)}
     rename_old(named)
-    return _built(kind, named[name])
+    found = _built(kind, named[name])
+    for one in all_settings().values():
+        if one.name.startswith(f"{name}."):
+            value = functools.reduce(getattr, one.name.split(".")[1:], found)
+            if not _is_of(one.type, value):
+                raise UserError(f"{one.name}={value!r:.80}: expected {one.accepts}.")
+            if value is not None:
+                _check_value(one._replace(low=_earlier(one.low)), value)
+    return found
+
+
+def _earlier(low: Any) -> Any:
+    """Return the least that an earlier version may have saved: lower bounds have been raised, signs have not changed."""
+    if isinstance(low, tuple):
+        return tuple(map(_earlier, low))
+    return 1e-12 if low is not None and low > 0 else low
+
+
+def _is_of(hint: Any, value: Any) -> bool:
+    """Return whether a value is what the type hint of a setting says; a whole number is a number too."""
+    parts = typing.get_args(hint)
+    if hint is Any or (value is None and type(None) in parts):
+        return True
+    if typing.get_origin(hint) in (list, tuple):
+        return isinstance(value, (list, tuple)) and all(_is_of(parts[0], part) for part in value)
+    if parts and typing.get_origin(hint) is not dict:
+        return any(_is_of(part, value) for part in parts)
+    kinds = (int, float) if hint is float else (typing.get_origin(hint) or hint,)
+    return isinstance(value, kinds) and (hint is bool or not isinstance(value, bool))
 
 
 def _built(kind: Any, plain: dict[str, Any]) -> Any:

@@ -160,7 +160,7 @@ def _plain(node: Any, loader: _Loader, part: tuple, lines: dict[tuple, int]) -> 
         return node.value
     try:
         return loader.construct_object(node)
-    except (ValueError, KeyError, OverflowError):
+    except Exception:  # whatever PyYAML raises: IndexError for !!int ""
         kind = node.tag.removeprefix(_TAG)
         raise _Refused(f"'{node.value[:40]}', which is not a valid {kind}", node.start_mark.line) from None
 

@@ -27,7 +27,7 @@ from uplift.data.masks import MaskData
 from uplift.data.poses import PoseData
 from uplift.data.select import choice_of, chosen_rows
 from uplift.data.upright import upright_notes
-from uplift.errors import UserError
+from uplift.errors import MissingFiles, UserError
 from uplift.skeleton import Skeleton
 from uplift.skeleton.match import build_joints, build_pose
 from uplift.skeleton.propose import TOO_LONG, stretch_of
@@ -207,7 +207,7 @@ def set_of(settings: Settings, which: str) -> DataSet | None:
     source, split = found
     missing = source.missing(split)
     if missing:
-        raise UserError(f"{_named(settings, source, missing)}\n{how_to_get(settings, source)}")
+        raise MissingFiles(f"{_named(settings, source, missing)}\n{how_to_get(settings, source)}")
     return source
 
 
@@ -248,7 +248,7 @@ def find_data(settings: Settings, which: str) -> Path:
         return path
     several = ",".join(str((folder / part).absolute()) for part in str(name).split(",") if part)
     if not any(sign in several for sign in ",*?["):
-        raise UserError(_missing_file(settings, path))
+        raise MissingFiles(_missing_file(settings, path))
     files_of(several)  # says which is missing
     return Path(several)
 

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
-from uplift.config.files import replacing
+from uplift.config.files import as_bytes, replacing
 from uplift.data.parsers.mocap import Figure, Tree
 from uplift.errors import UserError
 from uplift.export.clips import frame_rate, one_body, seen_at, steps
@@ -75,7 +75,7 @@ def write_bvh(
     place = held(root[:, 0])
     rig = _Rig(prediction, pose)
     with replacing(path) as handle:
-        handle.write(_text(rig, place, 0.1 if prediction.unit == "mm" else 1.0, rate).encode())
+        handle.write(as_bytes(_text(rig, place, 0.1 if prediction.unit == "mm" else 1.0, rate)))
     gap = np.linalg.norm(rig.positions(place) - (pose + place[:, None])[:, rig.sources].transpose(1, 0, 2), axis=-1)
     gap = gap[np.isfinite(gap)]
     added = tuple(name for name in rig.tree.names if name not in prediction.joint_names)

@@ -200,7 +200,7 @@ class _Gltf:
             **{kind: self._lists[kind] for kind in ("accessors", "bufferViews")},
             "buffers": [{"byteLength": self._size}],
         }
-        text = json.dumps(asset, separators=(",", ":"), ensure_ascii=False).encode()
+        text = json.dumps(asset, separators=(",", ":"), ensure_ascii=False).encode("utf-8", "replace")
         text += b" " * (-len(text) % 4)
         binary = b"".join(self._parts)
         head = struct.pack("<4sII", b"glTF", 2, 12 + 8 + len(text) + 8 + len(binary))

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, SupportsFloat
 
 import numpy as np
 
-from uplift.config.files import inside, replacing, without_folders
+from uplift.config.files import as_bytes, inside, replacing, without_folders
 from uplift.errors import UserError
 
 if TYPE_CHECKING:
@@ -107,7 +107,7 @@ def scripted_page(
 def write_text(text: str, path: str | Path) -> None:
     """Write a page; the file is complete or absent."""
     with replacing(path) as handle:
-        handle.write(text.encode("utf-8"))
+        handle.write(as_bytes(text))
 
 
 def read_html(path: str | Path) -> dict[str, Any]:

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from jaxtyping import Float
 
-from uplift.config.files import names_from, refuse_existing, replacing
+from uplift.config.files import as_bytes, names_from, refuse_existing, replacing
 from uplift.config.progress import progress
 from uplift.errors import UserError, did_you_mean
 from uplift.export.clips import MOST_FILES
@@ -338,7 +338,7 @@ def encode_obj(solids: Sequence[trimesh.Trimesh], about: dict[str, Any]) -> byte
     text = export_obj(
         solids[0], include_normals=True, include_color=False, include_texture=False, digits=6, header=header
     )
-    return f"{text}\n".encode()
+    return as_bytes(f"{text}\n")
 
 
 def encode_ply(solids: Sequence[trimesh.Trimesh], about: dict[str, Any]) -> bytes:

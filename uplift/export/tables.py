@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from uplift.config.files import replacing
+from uplift.config.files import as_bytes, replacing
 from uplift.data.parsers.table import safe_cell
 from uplift.export.scene import AXES
 from uplift.models.prediction import Prediction
@@ -104,12 +104,12 @@ def write_csv(prediction: Prediction, path: str | Path, *, csv_safe: bool = Fals
     template = ",".join(style for _, style in columns) + "\n"
     known = ",".join(map(cell, facts.values())) + ","
     with replacing(path) as handle:
-        handle.write(_bytes(",".join(map(cell, names)) + "\n"))
+        handle.write(as_bytes(",".join(map(cell, names)) + "\n"))
         for part in _parts(prediction):
             keys = [[cell(value) for value in plain(values)] for values in part.identity.values()]
             labels = zip(*keys, strict=True) if keys else ((),) * len(part)
             for label, row in zip(labels, numbers(*_csv_arrays(part)), strict=True):
-                handle.write(_bytes(",".join((*label, known)) + filled_in(template, row, "")))
+                handle.write(as_bytes(",".join((*label, known)) + filled_in(template, row, "")))
 
 
 def _columns(prediction: Prediction) -> list[tuple[str, str]]:
@@ -136,10 +136,6 @@ def _cell(value: object, safe: bool = False) -> str:
     if text.strip() != text or any(sign in text for sign in ',"\r\n'):
         return '"' + text.replace('"', '""') + '"'
     return text
-
-
-def _bytes(text: str) -> bytes:
-    return text.encode("utf-8", "backslashreplace")
 
 
 # Self-describing JSON: one object, one line per frame and individual.

@@ -12,7 +12,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from uplift.config.files import replacing, without_folders
+from uplift.config.files import as_bytes, replacing, without_folders
 from uplift.data.parsers.table import safe_cell
 from uplift.metrics.protocols import (
     ACTION_MEAN,
@@ -73,7 +73,7 @@ class AnyEvaluation:
         writer.writerows(["overall", "", *self._cells(name, value)] for name, value in self.overall.items())
         writer.writerows([group, safe_cell(name), *figure] for group, name, *figure in self._rows())
         with replacing(path) as file:
-            file.write(text.getvalue().encode())
+            file.write(as_bytes(text.getvalue()))
 
     def table(self) -> str:
         """Return all of it as aligned plain text for the terminal."""

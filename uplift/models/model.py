@@ -122,8 +122,10 @@ class _Saved:
             model.lifter.load_state_dict({**later, **state["state"]})
         except UserError as error:
             raise UserError(f"{path}: {error}") from error
-        except (KeyError, TypeError, ValueError, RuntimeError, AttributeError) as error:
-            raise UserError(f"{path} is not a valid lifter: {str(error).splitlines()[0]}") from error
+        except Exception as error:  # whatever a description that is none leads to
+            raise UserError(f"{path} is not a valid lifter: {' '.join(str(error).split())[:200]}") from error
+        if not all(weight.isfinite().all() for weight in model.lifter.parameters()):
+            raise UserError(f"{path} is not a valid lifter: it holds weights that are not finite. Fit again.")
         model.lifter.eval()
         return model
 

@@ -226,7 +226,7 @@ class MetricsFile(L.Callback):
         if not trainer.is_global_zero:
             return
         kept = [r for r in read_metrics(self.path) if r[0] != self.stage or int(r[1]) <= trainer.global_step]
-        with open(self.path, "w", newline="") as file:
+        with open(self.path, "w", newline="", encoding="utf-8", errors="backslashreplace") as file:
             csv.writer(file).writerows([["stage", "step", "name", "value"], *kept])
 
     def on_train_batch_end(self, trainer: L.Trainer, module: TrainingModule, *rest: Any) -> None:  # type: ignore[override]
@@ -237,7 +237,7 @@ class MetricsFile(L.Callback):
         step, values = trainer.global_step, {name: float(value) for name, value in module.logged.items()}
         if module.last_lift is not None:
             values |= module.terms.metrics(module.last_lift)
-        with open(self.path, "a", newline="") as file:
+        with open(self.path, "a", newline="", encoding="utf-8", errors="backslashreplace") as file:
             csv.writer(file).writerows([self.stage, step, name, f"{value:.6g}"] for name, value in values.items())
 
 
@@ -245,7 +245,7 @@ def read_metrics(path: Path) -> list[list[str]]:
     """Return the rows of a metrics.csv without its header and without a line that a kill cut short."""
     if not path.is_file():
         return []
-    with open(path, newline="") as file:
+    with open(path, newline="", encoding="utf-8", errors="replace") as file:
         return [row for row in csv.reader(file) if len(row) == 4 and row[1].isdigit()]
 
 

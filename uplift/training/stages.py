@@ -6,6 +6,7 @@ import inspect
 import logging
 import os
 import time
+import typing
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -43,7 +44,7 @@ __all__ = [
     "StageRecord",
     "build_callbacks",
     "build_loggers",
-    "devices_of",
+    "check_trainer",
     "module_class",
     "run_stage",
     "stage_budgets",
@@ -168,6 +169,8 @@ def run_stage(
     path = folder / "checkpoints" / f"{name}.ckpt"
     clock = Budget(budget.seconds, spent=min(before, 0.5 * (budget.seconds or 0)))
     resume = path.is_file()
+    if path.is_dir():
+        raise UserError(f"{path} is a folder, where the checkpoint of this stage would be. Remove or rename it.")
     if resume and (state := checked_checkpoint(path, module))["done"] >= 1:
         module.on_load_checkpoint(state)
         module.load_state_dict(state["state_dict"])
@@ -235,7 +238,7 @@ def _trainer_flags(settings: TrainerSettings, budget: StageBudget, *, has_val: b
     validation = {"val_check_interval": every, "check_val_every_n_epoch": None} if has_val else {"limit_val_batches": 0}
     return {
         "accelerator": settings.accelerator,
-        "devices": devices_of(settings),
+        "devices": _devices_of(settings),
         "precision": settings.precision,
         "max_epochs": -1,
         "max_steps": budget.steps or -1,
@@ -253,7 +256,7 @@ _MOST_PROCESSES = 4
 """On a processor of fewer cores: for trying out how several devices share the work."""
 
 
-def devices_of(settings: TrainerSettings) -> int | str:
+def _devices_of(settings: TrainerSettings) -> int | str:
     """Return Lightning's ``devices``; raises UserError for more processes than there are cores, or computers that nothing starts."""
     nodes = settings.flags.get("num_nodes", 1)
     if nodes != 1 and not {"MASTER_ADDR", "SLURM_JOB_ID", "LSB_JOBID"} & set(os.environ):
@@ -270,13 +273,40 @@ def devices_of(settings: TrainerSettings) -> int | str:
     return count
 
 
+def check_trainer(settings: TrainerSettings) -> None:
+    """Raise UserError where Lightning refuses a flag, or this machine lacks the accelerator or devices: before any data is read."""
+    hints = typing.get_type_hints(L.Trainer.__init__)
+    for name, value in settings.flags.items():
+        kinds = tuple(_kinds(hints[name]))
+        if not isinstance(value, kinds) or (isinstance(value, bool) and bool not in kinds):
+            expected = " or ".join(dict.fromkeys(_KINDS[kind] for kind in kinds if kind in _KINDS))
+            raise UserError(f"trainer.{name}={value!r}: expected {expected}.")
+    flags = _trainer_flags(settings, StageBudget(1, None), has_val=False)
+    with _quiet(profiled=False):
+        _trainer(settings, flags, logger=False, enable_checkpointing=False)
+
+
+_KINDS = {bool: "true or false", int: "a whole number", float: "a number", str: "text", dict: "a mapping"}
+
+
+def _kinds(hint: Any) -> Iterator[type]:
+    """Yield the classes that a type hint admits; a number may be a whole one."""
+    if typing.get_origin(hint) is typing.Literal:
+        yield from map(type, typing.get_args(hint))
+    elif typing.get_args(hint):
+        for part in typing.get_args(hint):
+            yield from _kinds(part)
+    elif isinstance(hint, type):
+        yield from (int, float) if hint is float else (hint,)
+
+
 def _trainer(settings: TrainerSettings, flags: Mapping[str, Any], **ours: Any) -> L.Trainer:
     try:
         return L.Trainer(**flags, **ours)
-    except (ValueError, TypeError, RuntimeError, MisconfigurationException) as error:
+    except Exception as error:  # of any kind: a package that is missing too
         named = {name: getattr(settings, name) for name in ("accelerator", "devices", "precision")} | settings.flags
         given = ", ".join(f"trainer.{name}={value}" for name, value in named.items())
-        raise UserError(f"Lightning refuses {given}: {error}") from error
+        raise UserError(f"Lightning refuses {given}: {' '.join(str(error).split())}") from error
 
 
 _NOT_FOR_FITS = (

@@ -357,10 +357,10 @@ AS = r"x.dat, as mine_\d+.py:Mine read it: "
         ("return uplift.PoseData(*GOOD, identity={'sequnce': 'a'})", AS + r"identity\['sequnce'\].* mean 'sequence'"),
         (
             "return uplift.PoseData(*GOOD, identity={'frame': ['a', 'b']})",
-            AS + r"identity\['frame'\] is <U1, expected nu",
+            AS + r"'frame' is <U1, expected nu",
         ),
-        ("return uplift.PoseData(*GOOD, identity={'frame': [1, np.nan]})", AS + r"identity\['frame'\] is not finite"),
-        ("return uplift.PoseData(*GOOD, identity={'camera': [{}, {}]})", AS + r"identity\['camera'\] is object"),
+        ("return uplift.PoseData(*GOOD, identity={'frame': [1, np.nan]})", AS + r"'frame' is not finite"),
+        ("return uplift.PoseData(*GOOD, identity={'camera': [{}, {}]})", AS + r"'camera' is object"),
         (
             "return uplift.PoseData(*GOOD, identity={'frame': [1, 2, 3]})",
             AT + r"'frame' has shape \(3,\), expected \(2,\)",

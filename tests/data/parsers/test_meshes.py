@@ -129,6 +129,8 @@ WRONG = {
     ),
     "nan.obj": (f"{VERTICES}v nan 0 0\nf 1 2 3\nf 1 2 5\n", "1 of 4 vertices are not finite"),
     "flat.obj": (f"{VERTICES}f 1 2 3\n", "flat"),
+    "one corner.obj": ("v 0 0 0\nf 1 1 1\n", "flat"),
+    "an edge.obj": ("v 0 0 0\nv 1 0 0\nf 1 2 1\n", "flat"),
     "dot.obj": ("v 1 1 1\nv 1 1 1\nv 1 1 1\nf 1 2 3\n", "flat"),
     "cut.stl": ("\0" * 80 + "\x7f\x7f\0\0", "no triangles"),
     "cut.ply": (PLY.replace("ascii", "binary_little_endian"), "damaged, or not a .ply file"),

@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import io
-import pickle
 import re
-import struct
 from collections import Counter
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from itertools import product
 from pathlib import Path
@@ -18,7 +17,7 @@ import numpy as np
 from uplift.data.formats.base import FileFormat, Peek
 from uplift.data.formats.csv import write_table
 from uplift.data.formats.rows import by_appearance, frame_numbers, rows_of
-from uplift.data.parsers.files import check_claim, check_memory, reason_of
+from uplift.data.parsers.files import check_claim, check_memory, damage_as_error
 from uplift.data.parsers.hdf5 import h5py_missing
 from uplift.data.parsers.pickles import Source, Unpickler
 from uplift.data.parsers.table import Table, first_lines, first_rows, header_of
@@ -199,10 +198,6 @@ def _images(table: Table, columns: Sequence[int]) -> np.ndarray:
 # that are pickles, lists of names, go through the unpickler that runs nothing; arrays of objects are refused.
 _KEYS = ("df_with_missing", "tracks")
 _MOST_PACKED = 1100  # zlib makes data a thousandth at best
-_DAMAGE = (
-    OSError, RuntimeError, ValueError, LookupError, TypeError, AttributeError, MemoryError, OverflowError,
-    NotImplementedError, EOFError, ArithmeticError, ImportError, pickle.UnpicklingError, struct.error,
-)  # fmt: skip
 
 
 def _read_deeplabcut_h5(path: Path) -> PoseData:
@@ -215,14 +210,9 @@ def _read_deeplabcut_h5(path: Path) -> PoseData:
         import h5py
     except ImportError:
         raise h5py_missing(path) from None
-    try:
-        with h5py.File(path, "r") as file:
-            group: Any = file[_key(path, _tables(file))]
-            columns, numbers, index = _appendable(path, group) if "table" in group else _fixed(path, group)
-    except _DAMAGE as error:
-        raise UserError(
-            f"{path} cannot be read as a table of pandas: truncated or damaged? ({reason_of(error)})"
-        ) from error
+    with damage_as_error(path, "a table of pandas"), h5py.File(path, "r") as file:
+        group: Any = file[_key(path, _tables(file))]
+        columns, numbers, index = _appendable(path, group) if "table" in group else _fixed(path, group)
     if not columns or len({len(column) for column in columns}) != 1 or len(columns[0]) not in (3, 4):
         raise UserError(
             f"{path}: columns of {len(columns[0]) if columns else 0} levels, expected {', '.join(_LEVELS[0])}, "
@@ -372,13 +362,12 @@ def _as_text(value: Any) -> str:
 def _fits(peek: Peek) -> bool:
     if not peek.is_hdf5:
         return _csv_levels(peek) is not None
-    try:
+    with suppress(Exception):  # whatever h5py raises: then it is of another format
         import h5py
 
         with h5py.File(peek.path, "r") as file:
             return bool(_tables(file))
-    except (*_DAMAGE, RecursionError):
-        return False
+    return False
 
 
 FORMAT = FileFormat(

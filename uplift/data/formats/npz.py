@@ -128,12 +128,26 @@ def _identity(where: str, arrays: dict[str, np.ndarray], frames: int) -> dict[st
             raise UserError(
                 f"{where}: '{name}' has shape {array.shape}, expected ({frames},) as 'keypoints' has frames."
             )
+        found[name] = _column(where, name, array)
     names = found.get("sequence")
     if names is None or names.dtype.kind != "U" or not frames or {"frame", "image"} & set(found):
         return found
     if not all(name.lower().endswith(PHOTO_ENDINGS) for name in names.tolist()):
         return found
     return {"image" if key == "sequence" else key: values for key, values in found.items()}
+
+
+def _column(where: str, key: str, values: np.ndarray) -> np.ndarray:
+    """Return what the frames are of as text or numbers; raises UserError for anything else."""
+    if values.dtype.kind == "O" and all(isinstance(value, str) for value in values):
+        values = values.astype(str)
+    if values.dtype.kind == "S":
+        values = np.char.decode(values, "utf-8", "replace")
+    kinds, expected = ("iuf", "numbers") if key == "frame" else ("iufUb", "text or numbers")
+    if values.dtype.kind not in kinds or (values.dtype.kind == "f" and not np.isfinite(values).all()):
+        shown = "not finite" if values.dtype.kind in kinds else f"{values.dtype}"
+        raise UserError(f"{where}: '{key}' is {shown}, expected {expected} (frames,).")
+    return values
 
 
 def _positive(where: str, arrays: dict, name: str) -> np.ndarray:

@@ -217,23 +217,11 @@ def _arrays(data: PoseData, where: str) -> dict[str, np.ndarray]:
     for key in data.identity:
         if key not in IDENTITY_KEYS:
             raise UserError(f"{where}: identity['{key}'] is not known.{did_you_mean(str(key), IDENTITY_KEYS)}")
-    identity = {key: _column(where, key, values) for key, values in data.identity.items()}
     names = {one.name for one in fields(data)} - _APART - _NEVER
     given = {name: getattr(data, name) for name in names if getattr(data, name) is not None}
     if data.pose is None and data.root is None:
         given.pop("unit")
-    return {name: np.asarray(value) for name, value in given.items()} | identity
-
-
-def _column(where: str, key: str, values: np.ndarray) -> np.ndarray:
-    """Return a column of the identity as text or numbers; raises UserError for anything else."""
-    if values.dtype.kind == "O" and all(isinstance(value, str) for value in values.ravel()):
-        values = values.astype(str)
-    kinds, expected = ("iuf", "numbers") if key == "frame" else ("iufUb", "text or numbers")
-    if values.dtype.kind not in kinds or (values.dtype.kind == "f" and not np.isfinite(values).all()):
-        shown = "not finite" if values.dtype.kind in kinds else f"{values.dtype}"
-        raise UserError(f"{where}: identity['{key}'] is {shown}, expected {expected} (frames,).")
-    return values
+    return {name: np.asarray(value) for name, value in given.items()} | data.identity
 
 
 def _lens(data: PoseData, where: str) -> np.ndarray | None:

@@ -125,7 +125,7 @@ def _source(file: Hdf5, entry: dict[str, Any]) -> str:
     group = str(backend.get("dataset") or "").split("/")[0]
     source = f"{group}/source_video"
     if group and file.has(source):
-        raw = file.texts(f"{source}/json")[0] if file.has(f"{source}/json") else file.attribute(source, "json")
+        raw = file.text(f"{source}/json") if file.has(f"{source}/json") else file.attribute(source, "json")
         above = from_json(file.path, f"the source of {group}", str(raw))
         path = str(above["backend"].get("filename") or above.get("filename") or ".")
     return _clean(path if path != "." else f"{file.path.stem}_{group}" if group else file.path.stem)

@@ -267,7 +267,7 @@ class Hdf5:
 
     @_one_error
     def attribute(self, name: str, key: str) -> Any:
-        """Return an attribute as text, number or array; None without one."""
+        """Return an attribute as text, number or tuple of them; None without one."""
         import h5py
 
         found = self._find(name)
@@ -282,6 +282,8 @@ class Hdf5:
             value = value.ravel()[0]
         if isinstance(value, np.ndarray) and value.dtype == np.uint8:  # text as bytes
             value = value.tobytes()
+        if isinstance(value, np.ndarray):  # compared with texts and numbers, and looked up by, as they are
+            value = tuple(value.ravel().tolist())
         if isinstance(value, np.generic):
             value = value.item()
         return _clean(value) if isinstance(value, (str, bytes)) else value

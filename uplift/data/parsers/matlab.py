@@ -53,12 +53,11 @@ def load_mat5(path: Path, names: Collection[str]) -> dict[str, Any]:
     """
     try:
         from scipy.io import loadmat, whosmat
-        from scipy.io.matlab import MatReadError
     except ImportError:
         raise UserError(f'{path}: reading MATLAB files needs scipy: pip install "uplift3d[mat]".') from None
     if _is_hdf5(path):
         raise UserError(f"{path} is a MATLAB v7.3 file, expected one of an older generation: save it with '-v7'.")
-    with damage_as_error(path, "a MATLAB file", MatReadError):
+    with damage_as_error(path, "a MATLAB file"):
         shapes = {name: shape for name, shape, _ in whosmat(path)}
         for name, shape in shapes.items():
             size = check_claim(f"{path}: '{name}'", shape, np.dtype(float))

@@ -168,6 +168,11 @@ def _static(path: Path) -> Mesh:
     return Mesh(vertices.reshape(-1, 3), faces.astype(np.int64).reshape(-1, 3), path.stem)
 
 
+def _is_flat(spread: np.ndarray) -> bool:
+    """Return whether the least of three variances is nothing beside the largest."""
+    return bool(spread[0] <= _FLAT**2 * spread[-1])
+
+
 def _cleaned(path: Path, vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return vertices and faces without duplicates, faces without area and unused vertices."""
     if faces.min() < 0 or faces.max() >= len(vertices):
@@ -178,8 +183,8 @@ def _cleaned(path: Path, vertices: np.ndarray, faces: np.ndarray) -> tuple[np.nd
         count = int((~np.isfinite(vertices)).any(1).sum())
         raise UserError(f"{path}: {count:,} of {len(vertices):,} vertices are not finite. Export it again.")
     size = float(np.ptp(vertices, axis=0).max())
-    spread = np.linalg.eigvalsh(np.cov((vertices / max(size, 1e-300)).T))
-    if not np.isfinite(size) or spread[0] <= _FLAT**2 * spread[-1]:
+    corners = vertices / max(size, 1e-300)
+    if not np.isfinite(size) or len(corners) < 4 or _is_flat(np.linalg.eigvalsh(np.cov(corners.T))):
         raise UserError(f"{path}: flat, or without a size (its longest side is {size:.4g}). Expected a solid shape.")
     steps = np.round((vertices - vertices.min(0)) / (_MERGED * size)).astype(np.int64)
     _, first, twin = np.unique(steps, axis=0, return_index=True, return_inverse=True)

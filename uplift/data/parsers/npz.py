@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import sys
 import zipfile
 from collections.abc import Collection
 from pathlib import Path
@@ -40,7 +41,16 @@ def read_arrays(
     wanted = [name for name in headers if names is None or name in names]
     check_memory(path, "it", sum(bytes_of(*headers[name]) for name in wanted), path.stat().st_size)
     with damage_as_error(path, "an .npz file"), np.load(path, allow_pickle=False) as file:
-        return {name: file[name] for name in wanted}
+        return {name: _sound(name, file[name]) for name in wanted}
+
+
+def _sound(name: str, array: np.ndarray) -> np.ndarray:
+    """Return an array, if its text is of characters; raises ValueError for numbers that are none, which break later."""
+    if array.dtype.kind == "U" and array.dtype.itemsize and array.size:
+        codes = np.ascontiguousarray(array).reshape(-1).view(array.dtype.byteorder.replace("|", "=") + "u4")
+        if codes.max() > sys.maxunicode:
+            raise ValueError(f"'{name}' holds text of characters that do not exist")
+    return array
 
 
 def array_headers(path: str | Path) -> dict[str, _Header]:
