@@ -129,6 +129,7 @@ WRONG = {
     ),
     "nan.obj": (f"{VERTICES}v nan 0 0\nf 1 2 3\nf 1 2 5\n", "1 of 4 vertices are not finite"),
     "flat.obj": (f"{VERTICES}f 1 2 3\n", "flat"),
+    "corners of two numbers.obj": ("v 0 0\nv 1 0\nv 0 1\nv 1 1\nf 1 2 3\nf 1 2 4\n", "2 numbers each, expected 3"),
     "one corner.obj": ("v 0 0 0\nf 1 1 1\n", "flat"),
     "an edge.obj": ("v 0 0 0\nv 1 0 0\nf 1 2 1\n", "flat"),
     "dot.obj": ("v 1 1 1\nv 1 1 1\nv 1 1 1\nf 1 2 3\n", "flat"),

@@ -163,6 +163,8 @@ def _static(path: Path) -> Mesh:
     except Exception as error:  # a foreign file can break its parser in any way
         reason = "" if isinstance(error, ImportError) else f" ({reason_of(error)})"
         raise UserError(f"{path}: damaged, or not a .{kind} file{reason}. Export it again.") from error
+    if vertices.size and (vertices.ndim != 2 or vertices.shape[1] != 3):
+        raise UserError(f"{path}: its vertices have {vertices.shape[-1]} numbers each, expected 3. Export it again.")
     if not vertices.size or not faces.size:
         raise UserError(f"{path}: no triangles in it. Expected a mesh, not points, lines or text.")
     return Mesh(vertices.reshape(-1, 3), faces.astype(np.int64).reshape(-1, 3), path.stem)
