@@ -66,13 +66,15 @@ def run_case(
     place = folder / f"case{number}"
     shutil.rmtree(place, ignore_errors=True)
     place.mkdir(parents=True)
-    before = _resident()
     child = os.fork()
     if not child:
         _child(random.Random(f"{seed} {number}"), samples, commands, place)
     _, status, used = os.wait4(child, 0)
-    seconds, extra = used.ru_utime + used.ru_stime, max(used.ru_maxrss * 1024 - before, 0)
-    name, done, words = json.loads((place / _MADE).read_text()) if (place / _MADE).exists() else ("?", "?", [])
+    seconds = used.ru_utime + used.ru_stime
+    name, done, words, before = (
+        json.loads((place / _MADE).read_text()) if (place / _MADE).exists() else ("?", "?", [], 0)
+    )
+    extra = used.ru_maxrss * 1024 - before
     out, err = ((place / one).read_text(errors="replace") if (place / one).exists() else "" for one in _OUTPUT)
     verdict = _verdict(status, out, err, seconds, extra)
     held = verdict in ("done", "refused")
@@ -166,7 +168,7 @@ def _child(rng: random.Random, samples: Sequence[Sample], commands: Sequence[tup
             os.dup2(os.open(name, os.O_WRONLY | os.O_CREAT | os.O_APPEND), number)
         with warnings.catch_warnings(action="ignore"):
             made = _case(rng, samples, commands, place)
-        (place / _MADE).write_text(json.dumps(made))
+        (place / _MADE).write_text(json.dumps([*made, _resident()]))
         words = made[2]
         sys.stdout = open(1, "w", encoding="utf-8", closefd=False)  # noqa: SIM115
         sys.stderr = open(2, "w", encoding="utf-8", errors="backslashreplace", closefd=False)  # noqa: SIM115
