@@ -157,7 +157,7 @@ def test_facts_of_other_kinds_are_named(found: dict) -> None:
     run = made()
     (run.path / "run.json").write_text(json.dumps(found))
     with pytest.raises(UserError, match=r"run\.json"):
-        run.short_fit()
+        run.facts()
 
 
 @pytest.mark.parametrize("place", ["runs", "runs/demo"])
