@@ -133,7 +133,7 @@ def names_from(folder: Path, paths: Sequence[str | Path]) -> list[str]:
 
 _ABSOLUTE = re.compile(r"(?<![\w/.~\\-])(?:[A-Za-z]:)?([/\\])(?=[^\s/\\])")
 """Where an absolute path begins in a text."""
-_PART = re.compile(r"[^\s'\"`,;:()<>=]+")
+_FOLDER = re.compile(r"[^\s'\"`,;:()<>=]+")
 """A folder's name that needs no look at the disk to be told from other words."""
 
 
@@ -151,7 +151,7 @@ def _end_of_folder(text: str, start: int, slash: str) -> int:
     """Return the end of the folders of the path at ``start``: names with spaces and other signs are those on the disk."""
     here = text.index(slash, start)
     while (following := text.find(slash, here + 1)) > 0:
-        if not _PART.fullmatch(text[here + 1 : following]) and not os.path.isdir(text[start:following]):
+        if not _FOLDER.fullmatch(text[here + 1 : following]) and not os.path.isdir(text[start:following]):
             break
         here = following
     return here + 1
