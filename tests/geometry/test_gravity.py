@@ -83,3 +83,5 @@ def test_the_median_of_a_clip():
     value = torch.tensor([5.0, 1.0, 9.0, 7.0, 2.0, 4.0])
     median = clip_median(value, torch.tensor([1.0, 1, 1, 3, 1, 1]), clip)
     assert median.tolist() == [7, 2, 2, 7, 2, 4]
+    weightless = clip_median(value, torch.tensor([0.0, 1, 1, 0, 1, 0]), clip)
+    assert weightless.tolist() == [5, 2, 2, 5, 2, 4]  # of its own clip whatever the trust
