@@ -18,7 +18,7 @@ from collections import defaultdict
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from types import CodeType, FunctionType
+from types import FunctionType
 from typing import Any
 
 import pytest
@@ -81,7 +81,11 @@ class Judge:
         for file in self.files:
             importlib.import_module(file.removesuffix(".py").replace("/", ".").removesuffix(".__init__"))
         self.items = {item.nodeid: item for item in session.items}
-        self.work(self, self._covered())
+        coverage = self._covered()
+        self.functions = _functions()
+        gc.collect()
+        gc.freeze()  # or every fork would copy what its collector looks at
+        self.work(self, coverage)
         return True
 
     # Which lines a test runs.
@@ -106,7 +110,7 @@ class Judge:
         return [json.loads(line) for line in self.traced.read_text().splitlines()] if self.traced.exists() else []
 
     def _trace(self, items: Sequence[Any]) -> int:
-        tracer = _Tracer(self.files)
+        tracer = _Tracer()
         with self.traced.open("a") as out:
             for item, after in zip(items, [*items[1:], None], strict=True):
                 start, tracer.lines = time.perf_counter(), set()
@@ -142,7 +146,7 @@ class Judge:
         """Return killed, timeout, survived, or invalid: such code cannot be put in."""
 
         def run() -> int:
-            if not _put_in(mutant):
+            if not _put_in(mutant, self.functions):
                 return _INVALID
             chosen = [self.items[test] for test in tests]
             for item, after in zip(chosen, [*chosen[1:], None], strict=True):
@@ -183,10 +187,10 @@ def _in_fork(run: Callable[[], int], seconds: int) -> int:
 
 
 class _Tracer:
-    """Notes the lines of some files that are run."""
+    """Notes the lines of the package that are run."""
 
-    def __init__(self, files: Sequence[str]):
-        self.names = {str(ROOT / file): file for file in files}
+    def __init__(self) -> None:
+        self.names: dict[str, str | None] = {}
         self.lines: Lines = set()
 
     def start(self) -> None:
@@ -196,7 +200,10 @@ class _Tracer:
         sys.settrace(None)
 
     def _call(self, frame: Any, event: str, argument: Any) -> Any:
-        name = self.names.get(frame.f_code.co_filename)
+        file = frame.f_code.co_filename
+        if file not in self.names:
+            self.names[file] = file.removeprefix(f"{ROOT}/") if file.startswith(f"{ROOT}/uplift/") else None
+        name = self.names[file]
         if name is None:
             return None
         self.lines.add((name, frame.f_lineno))
@@ -210,14 +217,25 @@ class _Tracer:
 
 # Put a mutant into the modules of this process.
 
+Functions = dict[tuple[str, str], list[FunctionType]]
+"""By file and qualified name: a decorated one hides in what decorates it."""
 
-def _put_in(mutant: Mutant) -> bool:
+
+def _functions() -> Functions:
+    found: Functions = defaultdict(list)
+    for one in gc.get_objects():
+        if type(one) is FunctionType and one.__code__.co_filename.startswith(f"{ROOT}/uplift/"):
+            found[one.__code__.co_filename.removeprefix(f"{ROOT}/"), one.__code__.co_qualname].append(one)
+    return found
+
+
+def _put_in(mutant: Mutant, known: Functions) -> bool:
     """Return whether the mutant could be put in the place of the original."""
     assert mutant.code is not None
     module = sys.modules[mutant.path.removesuffix(".py").replace("/", ".").removesuffix(".__init__")]
     if mutant.kind == "constant":
         return _put_constant(mutant.function, vars(module)[mutant.function], eval(mutant.code, vars(module)))
-    functions = [one for one in gc.get_objects() if type(one) is FunctionType and _is_of(one.__code__, mutant)]
+    functions = known.get((mutant.path, mutant.function), [])
     if mutant.kind == "default":
         value = eval(mutant.code, vars(module))
         return bool([_put_default(function, mutant.place, value) for function in functions])
@@ -227,10 +245,6 @@ def _put_in(mutant: Mutant) -> bool:
     for function in functions:
         function.__code__ = code
     return bool(functions)
-
-
-def _is_of(code: CodeType, mutant: Mutant) -> bool:
-    return code.co_qualname == mutant.function and code.co_filename == str(ROOT / mutant.path)
 
 
 def _put_constant(name: str, old: Any, new: Any) -> bool:
