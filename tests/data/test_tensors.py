@@ -126,6 +126,9 @@ def test_a_camera_is_used_where_it_is_known_and_wanted() -> None:
     assert straight.focal_px == 1150 and straight.image_size == (1000, 900)
     expected = lens.rays(data.keypoints.astype(float)) * 1150 + (500, 450)
     np.testing.assert_allclose(straight.keypoints, expected, atol=1e-3)
+    made = [to_training_set(one, H36M, LifterSettings()) for one in (bent, straight)]
+    for name in ("keypoints", "scale", "rotation"):
+        assert torch.equal(*(getattr(one, name) for one in made))
     everywhere = LifterSettings(distance=7.0, radius="all", intrinsics="off")
     assert (to_training_set(data, H36M, everywhere).distance == 7).all()
 
