@@ -67,6 +67,26 @@ def test_rigid_bodies_tell_the_tilt_exactly_and_others_are_not_trusted():
     torch.testing.assert_close(upside_down[~strange], tilt[~strange], atol=2e-3, rtol=0)
 
 
+def test_neither_size_nor_a_turn_of_the_camera_changes_the_trust():
+    generator = torch.Generator().manual_seed(2)
+    body, noise = torch.randn(12, 3, generator=generator), torch.randn(60, 12, 3, generator=generator)
+    azimuth, tilt, size = torch.rand(3, 60, generator=generator)
+    pose = turn(body + 0.2 * noise, about_x(0.4 * tilt) @ about_y(6.3 * azimuth)).double()
+    found, trust = body_tilt(pose)
+    scaled = body_tilt(pose * (0.2 + 3 * size.double())[:, None, None])
+    down = body_tilt(turn(pose, about_x(torch.full((60,), 0.3, dtype=torch.float64))))
+    torch.testing.assert_close(scaled, (found, trust), rtol=1e-6, atol=1e-6)
+    torch.testing.assert_close(down, (found + 0.3, trust), rtol=1e-6, atol=1e-6)
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_two_frames_of_a_body_are_enough_to_stand_it_upright(seed):
+    body = torch.randn(12, 3, generator=torch.Generator().manual_seed(seed), dtype=torch.float64)
+    tilt = torch.tensor([0.1, 0.1, 0.3], dtype=torch.float64)
+    pose = turn(body.expand(3, 12, 3), about_x(tilt) @ about_y(torch.tensor([0.0, 1.5, 3.0], dtype=torch.float64)))
+    torch.testing.assert_close(body_tilt(pose)[0], tilt, atol=1e-3, rtol=0)
+
+
 def test_the_median_is_the_least_value_that_half_of_the_weight_does_not_exceed():
     generator = torch.Generator().manual_seed(1)
     value, weight = torch.rand(2, 60, generator=generator)

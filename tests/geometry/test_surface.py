@@ -90,6 +90,7 @@ def test_specks_go_and_second_parts_stay() -> None:
     assert (found.specks, found.pieces) == (1, 2) and "1 speck removed" in found.summary()
     assert _solid(found.mesh).bounds[0, 1] > -0.5
     assert surface_of(grid, least_share=0).pieces == 3
+    assert surface_of(grid, least_share=1).pieces == 1  # the largest is never too small
 
 
 def test_small_cavities_are_filled_and_large_ones_kept() -> None:
