@@ -106,7 +106,7 @@ class _Run:
         seconds = round(time.perf_counter() - start, 1)
         self.found.append({
             "path": mutant.path, "line": mutant.line, "function": mutant.function, "change": mutant.change,
-            "outcome": outcome, "tests": len(tests), "seconds": seconds,
+            "outcome": outcome, "by": judge.killer, "tests": len(tests), "seconds": seconds,
         })  # fmt: skip
         if outcome == "survived":
             judge.say(f"{mutant.path}:{mutant.line} {mutant.function}: {mutant.change} ({len(tests)} tests)")

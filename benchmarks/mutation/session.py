@@ -143,7 +143,8 @@ class Judge:
         return chosen
 
     def outcome(self, mutant: Mutant, tests: Sequence[str]) -> str:
-        """Return killed, timeout, survived, or invalid: such code cannot be put in."""
+        """Return killed, timeout, survived, or invalid: such code cannot be put in; `killer` is the test that failed."""
+        self.killer, told = "", self.traced.with_suffix(".killer")
 
         def run() -> int:
             if not _put_in(mutant, self.functions):
@@ -151,10 +152,14 @@ class Judge:
             chosen = [self.items[test] for test in tests]
             for item, after in zip(chosen, [*chosen[1:], None], strict=True):
                 if any(report.failed for report in runtestprotocol(item, log=False, nextitem=after)):
+                    told.write_text(item.nodeid)
                     return _KILLED
             return _SURVIVED
 
         status = _in_fork(run, int(10 + 4 * self.budget.a_mutant))
+        if told.exists():
+            self.killer = told.read_text()
+            told.unlink()
         if os.WIFSIGNALED(status):
             return "timeout"
         return {_SURVIVED: "survived", _INVALID: "invalid"}.get(os.WEXITSTATUS(status), "killed")
