@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from uplift.config.settings import LifterSettings, RefineSettings
 from uplift.data.poses import PoseData
-from uplift.data.tensors import to_training_set
+from uplift.data.tensors import intrinsics_of, to_training_set
 from uplift.geometry.camera import Perspective
 from uplift.models import predict
 from uplift.models.metric_scale import KnownLength
@@ -21,6 +21,7 @@ from uplift.models.predict import (
     bodies_of,
     gap_joints,
     infer,
+    interpolate_gaps,
     lift_frames,
     mm_per_pixel,
     refine_lifted,
@@ -113,6 +114,31 @@ def test_gaps_are_what_a_neighbour_in_time_shows() -> None:
         assert np.array_equal(found[row], expected), row
 
 
+@pytest.mark.parametrize("known", [True, False])
+def test_a_gap_is_filled_where_the_lifted_joint_is_in_the_image_with_the_usual_confidence(known: bool) -> None:
+    data, settings = film(), LifterSettings(intrinsics="auto" if known else "off")
+    confidence = np.random.default_rng(0).choice(np.float32([0.2, 0.3, 0.9]), (40, 17), p=[0.2, 0.5, 0.3])
+    confidence[5, 3], confidence[30, 13], confidence[30, 2] = 0, 0, 0
+    confidence[[29, 31], 2] = 0  # in frame 30 no neighbour shows it
+    data = replace(data, confidence=confidence)
+    frames, camera = to_training_set(data, H36M, settings), intrinsics_of(data, settings)
+    lifted = lift_frames(small_lifter(), frames)
+    found = interpolate_gaps(data, frames, lifted, camera)
+    assert found is not None
+    gaps = np.argwhere((found.keypoints != data.keypoints).any(-1) | (found.confidence != confidence)).tolist()
+    assert gaps == [[5, 3], [29, 2], [30, 13], [31, 2]]
+    for row, joint in ([5, 3], [30, 13]):
+        point = lifted.keypoints[row, joint].double().numpy()
+        if known:
+            ray = frames.rotation[row].double().numpy().T @ [*(point / float(frames.distance[row])), 1]
+            expected = ray[:2] / ray[2] * 1145 + 500
+        else:
+            expected = data.keypoints[row, H36M.root_index] + point * float(frames.scale[row])
+        np.testing.assert_allclose(found.keypoints[row, joint], expected, atol=0.01)
+        assert found.confidence[row, joint] == np.float32(0.3)
+    assert interpolate_gaps(film(), frames, lifted, camera) is None
+
+
 def test_bones_become_their_medians_and_keep_their_sum_and_steady_bodies_stay() -> None:
     pose = seen_bodies().pose.astype(np.float64)
     start, end = H36M.bone_indices.T
@@ -145,6 +171,7 @@ def test_bodies_are_subjects_and_instances_else_clips_else_one() -> None:
     assert len(set(bodies_of(named))) == 4
     assert bodies_of(replace(named, identity={"subject": named.identity["subject"]})).tolist() == [0, 1] * 20
     assert not bodies_of(replace(data, identity={})).any()
+    assert len(bodies_of(data.select(slice(0, 0)))) == 0
 
 
 def test_the_scale_is_that_of_the_size_given_then_the_skeletons_then_the_labels() -> None:
