@@ -139,3 +139,12 @@ def test_the_cameras_of_a_take_share_their_window_and_other_subjects_have_none()
     assert len(set(two.clips()[mask])) == len(set(two.clips()[two.identity["subject"] == "S1"]))
     with pytest.raises(UserError, match="of_each_clip=true needs a fraction"):
         chosen_rows(two, {"of_each_clip": True})
+
+
+def test_a_clip_is_cut_after_its_first_frames_and_the_seed_is_0() -> None:
+    assert np.flatnonzero(chosen_clips(np.zeros(1000, int), 0.4, 3)).tolist() == list(range(400))
+    by_default, seeds = (
+        chosen_rows(data(), {"fraction": 0.3}),
+        [chosen_rows(data(), {"fraction": 0.3}, n) for n in (0, 1)],
+    )
+    assert (by_default == seeds[0]).all() and (by_default != seeds[1]).any()

@@ -98,7 +98,7 @@ def test_masks_stay_where_mirrored_keypoints_are_led_back_to() -> None:
 def test_masks_are_led_to_by_what_leads_back_to_pixels() -> None:
     """(u, v) of a joint in its crop, from -1 at its upper left to 1, by the pixel of the joint; NaN without a mask."""
     data = replace(seen_bodies().select(slice(0, 3)), labelled=None)
-    box = np.array([[100, 50, 800], [300, 200, 400], [0, 0, np.nan]], np.float32)
+    box = np.array([[100, -50, 800], [300, 200, 400], [0, 0, np.nan]], np.float32)
     masks = np.full((3, 8, 8), 255, np.uint8)
     data = replace(data, masks=masks, mask_box=box)
     expected = 2 * (data.keypoints - box[:, None, :2]) / box[:, None, 2:] - 1

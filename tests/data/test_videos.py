@@ -72,5 +72,10 @@ def test_a_quarter_turn_of_a_line_moves_it_by_a_known_share_of_its_size():
     frame = {**data.identity, "frame": np.array([4, 5, 9])}
     assert jump_of(replace(data, identity=frame)) == pytest.approx(turn)  # frame 9 does not follow frame 5
     assert jump_of(replace(data, identity=frame).select([2, 1, 0])) == pytest.approx(turn)
+    four = np.concatenate([keypoints, keypoints[:, :1] * 9], 1)  # a joint that frame 0 or frame 1 does not show
+    for row in (0, 1):
+        shown = np.c_[sure, np.arange(3) != row].astype(np.float32)
+        one = PoseData(four, shown, tuple("abcde"), identity=data.identity).select([0, 1])
+        assert jump_of(one) == pytest.approx(turn)
     unseen = replace(data, confidence=sure * np.array([1, 0, 1, 0], np.float32))
     assert jump_of(unseen) == 0  # two joints are too few
