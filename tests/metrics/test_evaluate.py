@@ -67,7 +67,7 @@ def error(name: str, pose: np.ndarray, truth: np.ndarray, weight: np.ndarray | N
 
 def test_overall_is_what_the_single_protocols_say():
     truth = some_truth()
-    given = guess(truth, tilt_deg=np.full(90, 2.0))
+    given = guess(truth, tilt_deg=np.full(90, 0.2))
     pose, target = given.pose, truth.pose.astype(float)
     scaled = pose * ((pose * target).sum((1, 2)) / (pose**2).sum((1, 2)))[:, None, None]
     off = np.linalg.norm(scaled - target, axis=-1)
@@ -85,7 +85,7 @@ def test_overall_is_what_the_single_protocols_say():
     found = evaluate(given, truth, HUMAN)
     for name, values in expected.items():
         assert found.overall[name] == pytest.approx(np.nanmean(values), rel=1e-6), name
-    assert found.overall["elevation_deg"] == pytest.approx(np.median(np.abs(2 - truth.tilt_deg)))
+    assert found.overall["elevation_deg"] == pytest.approx(np.median(np.abs(0.2 - truth.tilt_deg)))
     lengths = metrics.bone_lengths(scaled, HUMAN)
     assert found.overall["bone_cv"] == pytest.approx(metrics.bone_cv(lengths, np.arange(90) // 30), rel=1e-5)
     leftover = {name for name in found.overall if not name.endswith("_action_mean")} - set(expected)

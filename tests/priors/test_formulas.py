@@ -17,7 +17,7 @@ from uplift.priors.base import Lift
 from uplift.priors.bones import Bones
 from uplift.priors.consistency import Consistency
 from uplift.priors.flow import Flow
-from uplift.priors.imputation import _draw
+from uplift.priors.imputation import _draw, impute_gaussian
 from uplift.priors.labelled import Labelled
 from uplift.priors.symmetry import Symmetry
 
@@ -112,9 +112,10 @@ def test_labels_count_in_their_own_unit_over_the_usual_one_and_the_tilt_in_radia
     assert prior.metrics(lift)["labelled_error"] == pytest.approx(np.mean(errors))
 
 
+@pytest.mark.parametrize("root_free", [False, True])
 @pytest.mark.parametrize("back", [0.0, 0.5])
-def test_consistency_is_the_error_of_the_second_lift_and_of_the_way_back(back: float) -> None:
-    lift = a_lift()
+def test_consistency_is_the_error_of_the_second_lift_and_of_the_way_back(back: float, root_free: bool) -> None:
+    lift = lift_of(small_lifter(root_free=root_free), training_set(6, missing=0.3))
     seen, view = lift.confidence.numpy() > 0, lift.view.detach().numpy()
     scale = lift.reprojected_scale.detach().numpy()[:, None, None]
     rotated = np.einsum("fij,fnj->fni", view, lift.pose.detach().numpy())
@@ -144,6 +145,13 @@ def test_missing_values_are_drawn_from_the_gaussian_given_the_others() -> None:
     spread = float((covariance[3, 3] - weights @ covariance[:3, 3]).sqrt())
     assert float(drawn[:, 3].mean()) == pytest.approx(expected, abs=4 * spread / 141)
     assert float(drawn[:, 3].std()) == pytest.approx(spread, rel=0.03)
+
+
+def test_a_joint_that_is_never_seen_is_imputed_too() -> None:
+    data = training_set(20, missing=0.2)
+    never = data.confidence * (torch.arange(17) != 6)
+    filled = impute_gaussian(data.keypoints * (never > 0)[..., None], never)
+    assert filled.isfinite().all() and filled[:, 6].abs().max() < 1  # about the origin, with hardly any spread
 
 
 def test_a_flow_acts_on_whitened_axes_and_costs_a_logarithm_above_the_usual() -> None:
