@@ -89,3 +89,10 @@ def test_every_way_to_read_tells_it(tmp_path: Path) -> None:
     for verb, lines in told.items():
         assert "d in frame 7 at (1,000,000, -1,000,000)" in "\n".join(lines), verb
     assert (module.train_samples.confidence == 0).sum() == 1
+
+
+def test_far_is_from_the_files_middle_wherever_that_is() -> None:
+    points = walk() + 100_000
+    points[7, 3] = 0
+    found = without_far(data_of(points.astype(np.float32)))
+    assert np.argwhere(found.confidence == 0).tolist() == [[7, 3]]

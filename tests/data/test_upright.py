@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from lifts import seen_bodies
 
 from uplift.cli.data_check import check_data
 from uplift.cli.predict import _with_turns
@@ -182,3 +184,14 @@ def test_predict_says_what_the_training_files_needed(tmp_path: Path) -> None:
 def test_other_angles_are_refused() -> None:
     with pytest.raises(UserError, match="rotate=45: expected 0, 90, 180 or 270"):
         ReadOptions(rotate=45)
+
+
+def test_without_an_image_size_the_turn_is_about_the_middle_of_what_is_visible():
+    data = replace(seen_bodies(), pose=None, root=None, image_size=None, focal_px=None)
+    hidden = data.confidence * (np.arange(17) > 3).astype(np.float32)
+    points = data.keypoints.copy()
+    points[:, :4] = -5000
+    found = turned(replace(data, keypoints=points, confidence=hidden), rotate=180)
+    middle = np.median(data.keypoints[:, 4:].reshape(-1, 2).astype(float), axis=0)
+    np.testing.assert_allclose(found.keypoints[:, 4:], 2 * middle - data.keypoints[:, 4:], atol=1e-2)
+    np.testing.assert_array_equal(found.keypoints[:, :4], -5000)

@@ -16,7 +16,7 @@ from uplift.metrics import pose_metrics as metrics
 from uplift.metrics.alignment import ALIGNED_ERRORS
 from uplift.metrics.baselines import flat_depth
 from uplift.metrics.evaluate import evaluate
-from uplift.metrics.protocols import PROTOCOLS, SHAPE_METRICS, metric_label
+from uplift.metrics.protocols import PROTOCOLS, SHAPE_METRICS, metric_label, metric_order
 from uplift.metrics.scores import GivenPoses, previous_rows
 from uplift.skeleton import Skeleton, load_skeleton
 
@@ -395,3 +395,8 @@ def test_every_metric_has_a_name_in_words() -> None:
         labels = [metric_label(name) for name in names]
         assert len(set(labels)) == len(labels) and not any("_" in label for label in labels)
     assert metric_label("p_mpjpe_action_mean") == "joint error, aligned, mean of action means"
+
+def test_a_figure_comes_before_its_variants():
+    names = ["p_mpjpe_missing", "n_mpjpe", "p_mpjpe_action_mean", "pck@150", "p_mpjpe", "mpjpe"]
+    expected = ["mpjpe", "n_mpjpe", "p_mpjpe", "p_mpjpe_action_mean", "p_mpjpe_missing", "pck@150"]
+    assert sorted(names, key=metric_order) == expected

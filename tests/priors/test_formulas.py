@@ -12,7 +12,7 @@ import torch
 from lifts import H36M, doubles, lift_of, small_lifter, training_set
 from torch import nn
 
-from uplift.models.networks import build_network
+from uplift.models.networks import CouplingFlow, build_network
 from uplift.priors.base import Lift
 from uplift.priors.bones import Bones
 from uplift.priors.consistency import Consistency
@@ -174,6 +174,20 @@ def test_a_flow_acts_on_whitened_axes_and_costs_a_logarithm_above_the_usual() ->
     expected = [5 * math.log1p(one / 5) if one > 0 else one for one in above]
     assert min(above) < 0 < max(above)
     np.testing.assert_allclose(prior.loss(lift).detach(), expected, rtol=1e-6, atol=1e-9)
+
+
+def test_a_block_of_a_flow_scales_and_shifts_half_of_a_vector_by_a_bounded_amount() -> None:
+    flow = CouplingFlow(5, blocks=1, units=3)
+    log_scale, shift = torch.tensor([0.5, -1.0, 9.0]), torch.tensor([0.1, 0.2, 0.3])
+    flow.nets[0][2].bias.data = torch.cat([log_scale, shift])  # type: ignore[index]
+    vector, rotation = torch.randn(4, 5), flow.rotations[0]
+    bounded = 2 * torch.tanh(log_scale / 2)
+    expected = torch.cat([vector[:, :2], vector[:, 2:] * bounded.exp() + shift], 1) @ rotation
+    latent, volume = flow(vector)
+    torch.testing.assert_close(latent, expected)
+    torch.testing.assert_close(volume, bounded.sum().expand(4))
+    torch.testing.assert_close(flow.surprise(vector), expected.square().sum(1) / 2 - bounded.sum())
+    torch.testing.assert_close(rotation @ rotation.mT, torch.eye(5), atol=1e-6, rtol=0)
 
 
 def test_a_flow_is_fitted_at_a_rate_that_falls_along_a_cosine_to_a_fiftieth(monkeypatch: pytest.MonkeyPatch) -> None:
