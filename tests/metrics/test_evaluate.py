@@ -396,6 +396,7 @@ def test_every_metric_has_a_name_in_words() -> None:
         assert len(set(labels)) == len(labels) and not any("_" in label for label in labels)
     assert metric_label("p_mpjpe_action_mean") == "joint error, aligned, mean of action means"
 
+
 def test_a_figure_comes_before_its_variants():
     names = ["p_mpjpe_missing", "n_mpjpe", "p_mpjpe_action_mean", "pck@150", "p_mpjpe", "mpjpe"]
     expected = ["mpjpe", "n_mpjpe", "p_mpjpe", "p_mpjpe_action_mean", "p_mpjpe_missing", "pck@150"]
