@@ -15,9 +15,11 @@ from uplift.cli.skeleton import map_joints
 from uplift.config.loading import load_settings
 from uplift.data.formats import read
 from uplift.data.formats.base import ReadOptions
+from uplift.data.human import standing_human
 from uplift.data.load import load_data, load_file
 from uplift.data.poses import PoseData
 from uplift.data.turned import turned
+from uplift.data.upright import upright_notes
 from uplift.errors import UserError
 from uplift.geometry.lens import Lens
 from uplift.skeleton import load_skeleton
@@ -195,3 +197,19 @@ def test_without_an_image_size_the_turn_is_about_the_middle_of_what_is_visible()
     middle = np.median(data.keypoints[:, 4:].reshape(-1, 2).astype(float), axis=0)
     np.testing.assert_allclose(found.keypoints[:, 4:], 2 * middle - data.keypoints[:, 4:], atol=1e-2)
     np.testing.assert_array_equal(found.keypoints[:, :4], -5000)
+
+
+def test_frames_that_do_not_stand_are_counted_and_three_files_are_named():
+    skeleton = load_skeleton("h36m17")
+    line = 900 - 800 * -standing_human(skeleton)[:, 1:2]
+    standing = np.concatenate([np.full((17, 1), 500.0), line], 1)
+    frames = np.stack([standing * [1, -1] + [0, 1000]] * 8 + [standing] * 2).astype(np.float32)
+    parts = [PoseData(frames, np.ones((10, 17), np.float32), skeleton.joints, source=name) for name in "abcde"]
+    upright = PoseData(frames[8:], np.ones((2, 17), np.float32), skeleton.joints, source="f")
+    (note,) = upright_notes([*parts, upright], skeleton)
+    assert "in 40 of 50 frames of a, b, c and 2 more the bodies are upside down" in note
+    sideways = [replace(part, keypoints=part.keypoints[:, :, ::-1].copy()) for part in parts]
+    (note,) = upright_notes(sideways[:1], skeleton)
+    assert "in 8 of 10 frames the bodies are lying, with their upper end to the right" in note
+    (note,) = upright_notes([replace(sideways[0], keypoints=sideways[0].keypoints * [-1, 1])], skeleton)
+    assert "with their upper end to the left" in note
