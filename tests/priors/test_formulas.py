@@ -17,6 +17,7 @@ from uplift.priors.base import Lift
 from uplift.priors.bones import Bones
 from uplift.priors.consistency import Consistency
 from uplift.priors.flow import Flow
+from uplift.priors.handedness import Handedness
 from uplift.priors.imputation import _draw, impute_gaussian
 from uplift.priors.labelled import Labelled
 from uplift.priors.symmetry import Symmetry
@@ -84,6 +85,27 @@ def test_symmetry_is_the_difference_of_sides_over_the_mean_of_what_is_seen() -> 
         size = np.mean(known) if known else 1
         found += [abs(left - right) / size for left, right in known]
     assert float(Symmetry(H36M).loss(lift).detach()) == pytest.approx(np.mean(found), rel=1e-6)
+
+
+@pytest.mark.parametrize("planar", [False, True])
+def test_handedness_is_of_the_means_of_the_visible_joints_of_each_end(planar: bool) -> None:
+    lift, expected = a_lift(12), []
+    pose, seen = lift.level_pose.detach().numpy(), lift.confidence.numpy() > 0
+    for f in range(12):
+        ends = {
+            name: [[H36M.index(joint) for joint in end if seen[f, H36M.index(joint)]] for end in H36M.facing[name]]
+            for name in ("front", "left")
+        }
+        if not all(all(sides) for sides in ends.values()):
+            continue
+        front, left = (pose[f, to].mean(0) - pose[f, start].mean(0) for start, to in ends.values())
+        sine = np.cross([0, -1, 0], front) @ left
+        flat = np.array([1, 0, 1]) if planar else 1
+        sine /= np.linalg.norm(front * flat) * np.linalg.norm(left * flat)
+        expected.append(max(0.3 - sine, 0))
+    assert len(expected) > 2
+    found = Handedness(H36M, planar=planar, margin=0.3).loss(lift).detach()
+    assert float(found) == pytest.approx(np.mean(expected), rel=1e-6)
 
 
 def test_labels_count_in_their_own_unit_over_the_usual_one_and_the_tilt_in_radians() -> None:
