@@ -401,3 +401,14 @@ def test_a_figure_comes_before_its_variants():
     names = ["p_mpjpe_missing", "n_mpjpe", "p_mpjpe_action_mean", "pck@150", "p_mpjpe", "mpjpe"]
     expected = ["mpjpe", "n_mpjpe", "p_mpjpe", "p_mpjpe_action_mean", "p_mpjpe_missing", "pck@150"]
     assert sorted(names, key=metric_order) == expected
+
+
+def test_frames_of_actions_are_counted_and_the_truths_own_steadiness_is_told():
+    truth = some_truth()
+    found = evaluate(guess(truth), truth, HUMAN)
+    assert found.action_frames == {"sit": 23, "walk": 67}  # every fourth of 90, from the first on
+    start, end = HUMAN.bone_indices.T
+    lengths = np.linalg.norm(truth.pose[:, end].astype(float) - truth.pose[:, start], axis=-1)
+    of_subjects = [(rows.std(0) / rows.mean(0)).mean() for rows in np.split(lengths, 3)]
+    told = next(note for note in found.notes if "bone_cv of the truth itself" in note)
+    assert f"{np.mean(of_subjects):.4f}" in told
