@@ -8,6 +8,7 @@ python -m benchmarks.loading               a data set of Human3.6M's size: loadi
 python -m benchmarks.reading               reading a million bodies in each format, writing predictions in each
 python -m benchmarks.quadruped_masks       animals with missing joints: what masks add to keypoints
 python -m benchmarks.shapes COMMAND ...    shapes from masks: demo, families, twin, semi, animals, cost
+python -m benchmarks.mutation [MODULES]    which share of small bugs the tests notice, module by module
 python -m benchmarks.settings_tables       the tables of settings in the documentation, from the code (make docs)
 python -m benchmarks.score_2d [FAMILY ...] how well figures without truth order lifters as their errors do
 

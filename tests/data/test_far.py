@@ -89,3 +89,22 @@ def test_every_way_to_read_tells_it(tmp_path: Path) -> None:
     for verb, lines in told.items():
         assert "d in frame 7 at (1,000,000, -1,000,000)" in "\n".join(lines), verb
     assert (module.train_samples.confidence == 0).sum() == 1
+
+
+def test_far_is_from_the_files_middle_wherever_that_is() -> None:
+    points = walk() + 100_000
+    points[7, 3] = 0
+    found = without_far(data_of(points.astype(np.float32)))
+    assert np.argwhere(found.confidence == 0).tolist() == [[7, 3]]
+
+
+@pytest.mark.parametrize(
+    ("others", "slip", "taken"),
+    [(500, 500 + 0.99 * 4500, False), (500, 500 + 1.01 * 4500, True), (4640, 5090, True), (4800, 5090, False)],
+)
+def test_far_is_five_times_nine_tenths_of_the_file_and_twenty_times_the_frames_spread(others, slip, taken) -> None:
+    """Bodies without extent from 0 to 1000: nine tenths are 900 px, a fiftieth of that, 18 px, is the least spread."""
+    points = np.zeros((20_001, 5, 2), np.float32)
+    points[:, :, 0] = np.linspace(0, 1000, 20_001)[:, None]
+    points[77, :, 0] = [others, others, slip, others, others]
+    assert np.argwhere(without_far(data_of(points)).confidence == 0).tolist() == ([[77, 2]] if taken else [])

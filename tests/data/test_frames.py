@@ -82,3 +82,11 @@ def test_metrics_refinement_and_interpolation_go_by_the_same_rule():
     confidence = data.confidence.copy()
     confidence[[2, 10], 4] = 0  # one joint of each clip is hidden for a frame
     assert np.argwhere(gap_joints(replace(data, confidence=confidence))).tolist() == [[2, 4], [10, 4]]
+
+
+def test_columns_may_be_lists_or_one_value_for_all_frames() -> None:
+    data = PoseData(np.zeros((3, 2, 2)), np.ones((3, 2)), ("a", "b"))
+    data.identity = {"sequence": ["x", "y", "y"], "camera": 7}  # as users give them, whose types nobody checks
+    data.__post_init__()
+    assert data.identity["sequence"].tolist() == ["x", "y", "y"] and data.identity["camera"].tolist() == [7, 7, 7]
+    assert data.select([2]).identity["camera"].tolist() == [7]

@@ -17,6 +17,7 @@ from uplift.data.load import load_data
 from uplift.data.poses import PoseData
 from uplift.data.tensors import TrainingSet, mean_bones, to_training_set, with_labels
 from uplift.geometry.camera import build_camera
+from uplift.training.pseudo_labels import true_poses
 
 
 def test_a_label_projects_to_its_keypoints() -> None:
@@ -60,6 +61,50 @@ def test_mean_bones_are_those_of_the_labelled_bodies_in_mm() -> None:
     expected = np.linalg.norm(data.pose[:20, end] - data.pose[:20, start], axis=-1).mean(0)
     np.testing.assert_allclose(mean_bones(labelled_frames(data)).numpy(), expected, rtol=1e-4)
     assert mean_bones(labelled_frames(replace(data, labelled=None))) is None
+
+
+def test_a_mirrored_frame_has_its_label_mirrored() -> None:
+    batch = labelled_frames(seen_bodies()).draw(torch.arange(40))
+    batch = replace(batch, confidence=torch.linspace(0.1, 1, 17).expand(40, 17))
+    which = torch.arange(40) % 2 == 0
+    mirrored = batch.mirrored(which, torch.tensor(H36M.mirror_permutation))
+    projected = build_camera("perspective").project(mirrored.labels, mirrored.distance)
+    torch.testing.assert_close(projected, mirrored.keypoints, atol=2e-4, rtol=0)
+    left, right = H36M.index("lwrist"), H36M.index("rwrist")
+    torch.testing.assert_close(mirrored.labels[::2, left], batch.labels[::2, right] * torch.tensor([-1.0, 1, 1]))
+    assert torch.equal(mirrored.confidence[::2, left], batch.confidence[::2, right])
+    for name in ("keypoints", "confidence", "labels"):
+        assert torch.equal(getattr(mirrored, name)[1::2], getattr(batch, name)[1::2])
+
+
+@pytest.mark.parametrize("tilt_deg", [-10.0, 0.0, 25.0])
+def test_a_camera_that_looks_down_at_a_body_below_its_axis_looks_down_by_both_angles(tilt_deg: float) -> None:
+    """The camera that looks at the root: its own tilt, and the angle below the axis that the root is seen at."""
+    data = seen_bodies()
+    below = np.radians(np.linspace(-15, 15, 40))
+    root = H36M.root_index
+    seen = np.stack([np.full(40, 500.0), 500 + 1145 * np.tan(below)], -1)
+    keypoints = data.keypoints - data.keypoints[:, [root]] + seen[:, None]
+    data = replace(data, keypoints=keypoints.astype(np.float32), tilt_deg=np.full(40, tilt_deg))
+    expected = np.radians(tilt_deg) + below
+    np.testing.assert_allclose(labelled_frames(data).label_tilt, expected, atol=1e-4)
+    np.testing.assert_allclose(labelled_frames(data, intrinsics="off").label_tilt, np.radians(tilt_deg), atol=1e-5)
+
+
+@pytest.mark.parametrize("camera", ["known", "unknown"])
+def test_labelled_bodies_that_stand_are_upright_whatever_the_tilt(camera: str) -> None:
+    """A body is a line along gravity, which a camera tilted down by t sees at (0, cos t, sin t)."""
+    tilt = np.radians(np.linspace(-20, 40, 40))
+    down = np.stack([np.zeros(40), np.cos(tilt), np.sin(tilt)], -1)
+    pose = (np.linspace(0, -1500, 17)[:, None] * down[:, None]).astype(np.float32)
+    place = np.array([300.0, -200.0, 4000.0])
+    seen = (pose + place)[..., :2] / (pose + place)[..., 2:] * 1145 + 500
+    root = np.broadcast_to(place, (40, 3)).astype(np.float32)
+    data = seen_bodies(pose=pose, keypoints=seen.astype(np.float32), root=root)
+    data = replace(data, tilt_deg=np.degrees(tilt))
+    frames = labelled_frames(data, intrinsics="off" if camera == "unknown" else "auto")
+    top = true_poses(frames, build_camera("perspective")).pose[:, -1]
+    torch.testing.assert_close(top / top.norm(dim=-1, keepdim=True), torch.tensor([0.0, -1, 0]).expand(40, 3))
 
 
 def test_joined_keeps_both_and_mixes_no_clips() -> None:

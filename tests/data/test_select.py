@@ -139,3 +139,14 @@ def test_the_cameras_of_a_take_share_their_window_and_other_subjects_have_none()
     assert len(set(two.clips()[mask])) == len(set(two.clips()[two.identity["subject"] == "S1"]))
     with pytest.raises(UserError, match="of_each_clip=true needs a fraction"):
         chosen_rows(two, {"of_each_clip": True})
+
+
+def test_a_clip_is_cut_after_its_first_frames_and_the_seed_is_0() -> None:
+    clip = np.arange(3000) % 3
+    counts = [np.flatnonzero(chosen_clips(clip, 0.5, 3)[clip == one]).tolist() for one in range(3)]
+    assert sorted(counts, key=len) == [[], list(range(500)), list(range(1000))]
+    by_default, seeds = (
+        chosen_rows(data(), {"fraction": 0.3}),
+        [chosen_rows(data(), {"fraction": 0.3}, n) for n in (0, 1)],
+    )
+    assert (by_default == seeds[0]).all() and (by_default != seeds[1]).any()

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from lifts import seen_bodies
 
 from uplift.cli.data_check import check_data
 from uplift.cli.predict import _with_turns
@@ -13,9 +15,11 @@ from uplift.cli.skeleton import map_joints
 from uplift.config.loading import load_settings
 from uplift.data.formats import read
 from uplift.data.formats.base import ReadOptions
+from uplift.data.human import standing_human
 from uplift.data.load import load_data, load_file
 from uplift.data.poses import PoseData
 from uplift.data.turned import turned
+from uplift.data.upright import upright_notes
 from uplift.errors import UserError
 from uplift.geometry.lens import Lens
 from uplift.skeleton import load_skeleton
@@ -182,3 +186,30 @@ def test_predict_says_what_the_training_files_needed(tmp_path: Path) -> None:
 def test_other_angles_are_refused() -> None:
     with pytest.raises(UserError, match="rotate=45: expected 0, 90, 180 or 270"):
         ReadOptions(rotate=45)
+
+
+def test_without_an_image_size_the_turn_is_about_the_middle_of_what_is_visible():
+    data = replace(seen_bodies(), pose=None, root=None, image_size=None, focal_px=None)
+    hidden = data.confidence * (np.arange(17) > 3).astype(np.float32)
+    points = data.keypoints.copy()
+    points[:, :4] = -5000
+    found = turned(replace(data, keypoints=points, confidence=hidden), rotate=180)
+    middle = np.median(data.keypoints[:, 4:].reshape(-1, 2).astype(float), axis=0)
+    np.testing.assert_allclose(found.keypoints[:, 4:], 2 * middle - data.keypoints[:, 4:], atol=1e-2)
+    np.testing.assert_array_equal(found.keypoints[:, :4], -5000)
+
+
+def test_frames_that_do_not_stand_are_counted_and_three_files_are_named():
+    skeleton = load_skeleton("h36m17")
+    line = 900 - 800 * -standing_human(skeleton)[:, 1:2]
+    standing = np.concatenate([np.full((17, 1), 500.0), line], 1)
+    frames = np.stack([standing * [1, -1] + [0, 1000]] * 8 + [standing] * 2).astype(np.float32)
+    parts = [PoseData(frames, np.ones((10, 17), np.float32), skeleton.joints, source=name) for name in "abcde"]
+    upright = PoseData(frames[8:], np.ones((2, 17), np.float32), skeleton.joints, source="f")
+    (note,) = upright_notes([*parts, upright], skeleton)
+    assert "in 40 of 50 frames of a, b, c and 2 more the bodies are upside down" in note
+    sideways = [replace(part, keypoints=part.keypoints[:, :, ::-1].copy()) for part in parts]
+    (note,) = upright_notes(sideways[:1], skeleton)
+    assert "in 8 of 10 frames the bodies are lying, with their upper end to the right" in note
+    (note,) = upright_notes([replace(sideways[0], keypoints=sideways[0].keypoints * [-1, 1])], skeleton)
+    assert "with their upper end to the left" in note

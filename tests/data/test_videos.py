@@ -57,3 +57,25 @@ def test_real_sets(name: str, film: bool, benchmark_data):
 
     data = read(benchmark_data(name))
     assert (jump_of(data) < JUMP / 2) if film else (jump_of(data) > 2 * JUMP)
+
+
+def test_a_quarter_turn_of_a_line_moves_it_by_a_known_share_of_its_size():
+    """Ends at -1 and 1 and a middle: the root mean square from the middle is sqrt(2/3), the ends move by sqrt(2)."""
+    line = np.array([[-1, 0], [1, 0], [0, 0], [50, 50]], np.float32)
+    across = np.array([[0, -1], [0, 1], [0, 0], [-90, 7]], np.float32) + [30, 40]
+    sure = np.array([[1, 1, 1, 0.0]] * 3, np.float32)  # the last joint is never seen
+    keypoints = np.stack([line, across, across]).astype(np.float32)
+    data = PoseData(keypoints, sure, tuple("abcd"), identity={"sequence": np.array(["x"] * 3)})
+    turn = 2 * np.sqrt(2) / 3 / np.sqrt(2 / 3)
+    assert jump_of(data.select([0, 1])) == pytest.approx(turn)
+    assert jump_of(data) == pytest.approx(turn / 2)  # the median of a turn and of a rest
+    frame = {**data.identity, "frame": np.array([4, 5, 9])}
+    assert jump_of(replace(data, identity=frame)) == pytest.approx(turn)  # frame 9 does not follow frame 5
+    assert jump_of(replace(data, identity=frame).select([2, 1, 0])) == pytest.approx(turn)
+    four = np.concatenate([keypoints, keypoints[:, :1] * 9], 1)  # a joint that frame 0 or frame 1 does not show
+    for row in (0, 1):
+        shown = np.c_[sure, np.arange(3) != row].astype(np.float32)
+        one = PoseData(four, shown, tuple("abcde"), identity=data.identity).select([0, 1])
+        assert jump_of(one) == pytest.approx(turn)
+    unseen = replace(data, confidence=sure * np.array([1, 0, 1, 0], np.float32))
+    assert jump_of(unseen) == 0  # two joints are too few

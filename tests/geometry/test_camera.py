@@ -49,8 +49,9 @@ def test_perspective_is_a_pinhole(seed, distance):
 
 
 def test_what_is_behind_the_pinhole_stays_finite():
-    pose = torch.tensor([[[1.0, 1, -10], [1, 1, -30], [0, 0, 0]]], requires_grad=True)
+    pose = torch.tensor([[[1.0, 1, -10], [1, 1, -30], [0, 0, 0], [1, 1, -8.9]]], requires_grad=True)
     seen = Perspective().project(pose, torch.tensor([10.0]))
+    torch.testing.assert_close(seen[0, :, 0], torch.tensor([10.0, 10, 0, 1 / 0.11]))  # as at a tenth of the distance
     seen.sum().backward()
     assert seen.isfinite().all()
     assert pose.grad is not None and pose.grad.isfinite().all()

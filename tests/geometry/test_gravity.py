@@ -51,8 +51,57 @@ def test_bodies_tell_the_tilt(tilts):
     assert (trust > 0).all()
 
 
+def test_rigid_bodies_tell_the_tilt_exactly_and_others_are_not_trusted():
+    """Bodies of many sizes that turn about gravity alone; a tenth of them are of another shape and lie anyhow."""
+    generator = torch.Generator().manual_seed(0)
+    body, other = torch.randn(2, 12, 3, generator=generator, dtype=torch.float64)
+    body -= body.mean(0)
+    azimuth, tilt, size = torch.rand(3, 400, generator=generator, dtype=torch.float64)
+    tilt, strange = 0.9 * tilt - 0.3, torch.arange(400) % 10 == 3
+    pose = turn(body.expand(400, 12, 3), about_x(tilt) @ about_y(6.3 * azimuth)) * (0.5 + size)[:, None, None]
+    pose[strange] = turn(other.expand(400, 12, 3), about_x(9 * tilt) @ about_y(6.3 * azimuth))[strange]
+    found, trust = body_tilt(pose)
+    torch.testing.assert_close(found[~strange], tilt[~strange], atol=2e-3, rtol=0)
+    assert trust[strange].max() < 1e-3 < 0.1 < trust[~strange].median() <= 1
+    upside_down, _ = body_tilt(turn(pose, about_x(torch.full((400,), torch.pi, dtype=torch.float64))))
+    torch.testing.assert_close(upside_down[~strange], tilt[~strange], atol=2e-3, rtol=0)
+
+
+def test_neither_size_nor_a_turn_of_the_camera_changes_the_trust():
+    generator = torch.Generator().manual_seed(2)
+    body, noise = torch.randn(12, 3, generator=generator), torch.randn(60, 12, 3, generator=generator)
+    azimuth, tilt, size = torch.rand(3, 60, generator=generator)
+    pose = turn(body + 0.2 * noise, about_x(0.4 * tilt) @ about_y(6.3 * azimuth)).double()
+    found, trust = body_tilt(pose)
+    scaled = body_tilt(pose * (0.2 + 3 * size.double())[:, None, None])
+    down = body_tilt(turn(pose, about_x(torch.full((60,), 0.3, dtype=torch.float64))))
+    torch.testing.assert_close(scaled, (found, trust), rtol=1e-6, atol=1e-6)
+    torch.testing.assert_close(down, (found + 0.3, trust), rtol=1e-6, atol=1e-6)
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_two_frames_of_a_body_are_enough_to_stand_it_upright(seed):
+    body = torch.randn(12, 3, generator=torch.Generator().manual_seed(seed), dtype=torch.float64)
+    tilt = torch.tensor([0.1, 0.1, 0.3], dtype=torch.float64)
+    pose = turn(body.expand(3, 12, 3), about_x(tilt) @ about_y(torch.tensor([0.0, 1.5, 3.0], dtype=torch.float64)))
+    torch.testing.assert_close(body_tilt(pose)[0], tilt, atol=1e-3, rtol=0)
+
+
+def test_the_median_is_the_least_value_that_half_of_the_weight_does_not_exceed():
+    generator = torch.Generator().manual_seed(1)
+    value, weight = torch.rand(2, 60, generator=generator)
+    clip = torch.randint(7, (60,), generator=generator)
+    for number in range(7):
+        mine = clip == number
+        below = [weight[mine & (value <= one)].sum() for one in value[mine]]
+        expected = min(one for one, sum in zip(value[mine], below, strict=True) if sum >= weight[mine].sum() / 2)
+        assert (clip_median(value, weight, clip)[mine] == expected).all()
+
+
 def test_the_median_of_a_clip():
     clip = torch.tensor([1, 0, 0, 1, 0, 2])
     value = torch.tensor([5.0, 1.0, 9.0, 7.0, 2.0, 4.0])
     median = clip_median(value, torch.tensor([1.0, 1, 1, 3, 1, 1]), clip)
     assert median.tolist() == [7, 2, 2, 7, 2, 4]
+    weightless = clip_median(value, torch.tensor([0.0, 1, 1, 0, 1, 0]), clip)
+    assert weightless.tolist() == [5, 2, 2, 5, 2, 4]  # of its own clip whatever the trust

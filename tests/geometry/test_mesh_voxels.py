@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from uplift.data.synthetic.masks import make_shapes
 from uplift.geometry.mesh import Mesh
-from uplift.geometry.voxels import coverage, fill
+from uplift.geometry.voxels import _NUDGE, coverage, fill
 
 
 def _mesh(*made: trimesh.Trimesh) -> Mesh:
@@ -62,6 +62,29 @@ def test_edges_on_voxel_centres_are_no_trouble() -> None:
     at = _centres(16)[0, 0, :, 0]
     low, high = (float(at[3]),) * 3, (float(at[12]),) * 3
     assert fill(_mesh(_box(low, high)), 16).sum() in {n for m in range(9, 11) for n in (m * m * 9, m * m * 10)}
+
+
+def test_a_ray_along_the_wall_between_two_boxes_is_in_one_of_them() -> None:
+    at = _centres(16)[0, 0, :, 0]
+    wall = tuple(float(at[8]) - nudge for nudge in _NUDGE)  # where the samples lie, to the last digit
+    first, second = _box((-0.6, -0.6, -0.6), (wall[0], 0.6, 0.6)), _box((wall[0], -0.6, -0.6), (0.6, 0.6, 0.6))
+    whole = fill(_mesh(_box((-0.6,) * 3, (0.6,) * 3)), 16)
+    np.testing.assert_array_equal(fill(_mesh(first, second), 16), whole)
+    apart = [fill(_mesh(one), 16)[:, :, 8].sum() for one in (first, second)]
+    assert sorted(apart) == [0, whole[:, :, 8].sum()]
+
+
+@pytest.mark.parametrize(("share", "sheet"), [(0.9, True), (1.15, False)])
+@pytest.mark.parametrize("side", [0.6, 1.8])
+def test_a_box_without_lid_is_a_sheet_below_a_thousandth_of_its_area_to_the_power_of_three_halves(
+    side: float, share: float, sheet: bool
+) -> None:
+    """Between two layers of samples: as a solid it holds none of them, as a sheet it is about a voxel thick."""
+    high = share * 1e-3 * (2 * side**2) ** 1.5 / side**2
+    box = _box((-side / 2, -side / 2, 0), (side / 2, side / 2, high))
+    open_ones = box.triangles_center[:, 2] < 0.99 * high
+    mesh = Mesh(np.array(box.vertices, float), np.array(box.faces)[open_ones])
+    assert fill(mesh, 16).any() == sheet
 
 
 def test_overlapping_boxes_are_one_solid() -> None:

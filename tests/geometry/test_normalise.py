@@ -145,3 +145,13 @@ def test_a_frame_without_extent_stays_finite():
     for confidence in (torch.ones(2, 9), torch.zeros(2, 9)):
         normal = normalise(keypoints, confidence, ROOT, intrinsics=Intrinsics(900.0, (500.0, 500.0)))
         assert normal.keypoints.isfinite().all() and normal.distance.isfinite().all()
+
+
+def test_what_is_behind_the_turned_camera_is_held_at_a_twentieth_of_the_focal_length():
+    """A root 60 degrees to the right, joints 60 and 80 degrees to the left: 120 and 140 degrees apart."""
+    off = torch.tensor([[60.0, -60, -80, 0]], dtype=torch.float64).deg2rad()
+    keypoints = torch.stack([100 * off.tan(), torch.zeros(1, 4)], -1)
+    normal = normalise(keypoints, torch.ones(1, 4).double(), 0, intrinsics=Intrinsics(100.0, (0.0, 0.0)))
+    x = (off - off[0, 0]).sin() / off.cos()  # of rays (tan, 0, 1), turned
+    expected = 100 * x / ((off - off[0, 0]).cos() / off.cos()).clamp_min(0.05)
+    torch.testing.assert_close(normal.keypoints[..., 0] * normal.scale_px, expected, rtol=1e-6, atol=1e-6)

@@ -23,6 +23,19 @@ def test_a_pose_twice_as_large_is_twice_as_far():
     np.testing.assert_allclose(place_roots(2 * POSE, RAYS, SURE), 2 * ROOT, rtol=1e-6)
 
 
+def test_the_place_is_that_of_weighted_least_squares():
+    rng = np.random.default_rng(1)
+    rays, weight = RAYS + rng.normal(0, 0.01, RAYS.shape), rng.uniform(0, 1, SURE.shape).astype(np.float32)
+    found = place_roots(POSE, rays, weight)
+    for frame in range(60):
+        # x + X = ray (z + Z), for x and y of each joint.
+        left = np.array([row for x, y in rays[frame] for row in ((1, 0, -x), (0, 1, -y))])
+        right = (rays[frame] * POSE[frame, :, 2:] - POSE[frame, :, :2]).ravel()
+        root = np.sqrt(np.repeat(weight[frame].astype(float), 2))
+        expected = np.linalg.lstsq(left * root[:, None], right * root, rcond=None)[0]
+        np.testing.assert_allclose(found[frame], expected, rtol=1e-8)
+
+
 def test_what_is_not_seen_has_no_say():
     rays, sure = RAYS.copy(), SURE.copy()
     rays[:, 4], sure[:, 4] = 77.0, 0

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import trimesh
@@ -88,6 +90,7 @@ def test_specks_go_and_second_parts_stay() -> None:
     assert (found.specks, found.pieces) == (1, 2) and "1 speck removed" in found.summary()
     assert _solid(found.mesh).bounds[0, 1] > -0.5
     assert surface_of(grid, least_share=0).pieces == 3
+    assert surface_of(grid, least_share=1).pieces == 1  # the largest is never too small
 
 
 def test_small_cavities_are_filled_and_large_ones_kept() -> None:
@@ -153,3 +156,7 @@ def test_thinned_meshes_are_small_and_lie_on_the_same_surface(faces: int) -> Non
         assert abs(_solid(small).volume / _solid(whole).volume - 1) < (0.04 if faces < 1000 else 0.015)
         np.testing.assert_allclose(_solid(small).bounds, _solid(whole).bounds, atol=0.04)
     assert thinned(small, 10**6) is small
+    tiny = thinned(replace(whole, vertices=whole.vertices / 1000), faces)
+    np.testing.assert_array_equal(tiny.faces, small.faces)  # whatever the mesh's unit
+    np.testing.assert_allclose(tiny.vertices * 1000, small.vertices, atol=1e-6)
+    assert thinned(small, len(small.faces)) is small

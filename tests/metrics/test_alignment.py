@@ -8,7 +8,15 @@ import roma
 import torch
 
 from uplift.errors import UserError
-from uplift.metrics.alignment import ALIGNED_ERRORS, align, least_squares_scale, norm_scale, procrustes, xy_scale
+from uplift.metrics.alignment import (
+    ALIGNED_ERRORS,
+    align,
+    counted,
+    least_squares_scale,
+    norm_scale,
+    procrustes,
+    xy_scale,
+)
 
 JOINTS = 9
 
@@ -141,3 +149,15 @@ def test_unknown_protocol_is_refused_with_the_nearest_name():
     pose, truth = poses("close")
     with pytest.raises(UserError, match=r"'pmpjpe'.*'p_mpjpe'"):
         align("pmpjpe", pose, truth, 0)
+
+
+@pytest.mark.parametrize("axis", [0, 1, 2])
+@pytest.mark.parametrize("odd", [np.nan, np.inf])
+def test_a_joint_that_lacks_one_coordinate_does_not_count(axis, odd):
+    pose, truth = np.ones((2, 3, 4, 3))
+    pose[0, 1, axis], truth[2, 3, axis] = odd, odd
+    expected = np.ones((3, 4))
+    expected[0, 1] = expected[2, 3] = 0
+    np.testing.assert_array_equal(counted(pose, truth), expected)
+    np.testing.assert_array_equal(counted(pose, truth, np.full((3, 4), 0.5)), expected / 2)
+    np.testing.assert_array_equal(counted(pose, truth, np.full((3, 4), -1.0)), expected * 0)

@@ -16,7 +16,7 @@ from uplift.metrics import pose_metrics as metrics
 from uplift.metrics.alignment import ALIGNED_ERRORS
 from uplift.metrics.baselines import flat_depth
 from uplift.metrics.evaluate import evaluate
-from uplift.metrics.protocols import PROTOCOLS, SHAPE_METRICS, metric_label
+from uplift.metrics.protocols import PROTOCOLS, SHAPE_METRICS, metric_label, metric_order
 from uplift.metrics.scores import GivenPoses, previous_rows
 from uplift.skeleton import Skeleton, load_skeleton
 
@@ -67,7 +67,7 @@ def error(name: str, pose: np.ndarray, truth: np.ndarray, weight: np.ndarray | N
 
 def test_overall_is_what_the_single_protocols_say():
     truth = some_truth()
-    given = guess(truth, tilt_deg=np.full(90, 2.0))
+    given = guess(truth, tilt_deg=np.full(90, 0.2))
     pose, target = given.pose, truth.pose.astype(float)
     scaled = pose * ((pose * target).sum((1, 2)) / (pose**2).sum((1, 2)))[:, None, None]
     off = np.linalg.norm(scaled - target, axis=-1)
@@ -85,7 +85,7 @@ def test_overall_is_what_the_single_protocols_say():
     found = evaluate(given, truth, HUMAN)
     for name, values in expected.items():
         assert found.overall[name] == pytest.approx(np.nanmean(values), rel=1e-6), name
-    assert found.overall["elevation_deg"] == pytest.approx(np.median(np.abs(2 - truth.tilt_deg)))
+    assert found.overall["elevation_deg"] == pytest.approx(np.median(np.abs(0.2 - truth.tilt_deg)))
     lengths = metrics.bone_lengths(scaled, HUMAN)
     assert found.overall["bone_cv"] == pytest.approx(metrics.bone_cv(lengths, np.arange(90) // 30), rel=1e-5)
     leftover = {name for name in found.overall if not name.endswith("_action_mean")} - set(expected)
@@ -395,3 +395,20 @@ def test_every_metric_has_a_name_in_words() -> None:
         labels = [metric_label(name) for name in names]
         assert len(set(labels)) == len(labels) and not any("_" in label for label in labels)
     assert metric_label("p_mpjpe_action_mean") == "joint error, aligned, mean of action means"
+
+
+def test_a_figure_comes_before_its_variants():
+    names = ["p_mpjpe_missing", "n_mpjpe", "p_mpjpe_action_mean", "pck@150", "p_mpjpe", "mpjpe"]
+    expected = ["mpjpe", "n_mpjpe", "p_mpjpe", "p_mpjpe_action_mean", "p_mpjpe_missing", "pck@150"]
+    assert sorted(names, key=metric_order) == expected
+
+
+def test_frames_of_actions_are_counted_and_the_truths_own_steadiness_is_told():
+    truth = some_truth()
+    found = evaluate(guess(truth), truth, HUMAN)
+    assert found.action_frames == {"sit": 23, "walk": 67}  # every fourth of 90, from the first on
+    start, end = HUMAN.bone_indices.T
+    lengths = np.linalg.norm(truth.pose[:, end].astype(float) - truth.pose[:, start], axis=-1)
+    of_subjects = [(rows.std(0) / rows.mean(0)).mean() for rows in np.split(lengths, 3)]
+    told = next(note for note in found.notes if "bone_cv of the truth itself" in note)
+    assert f"{np.mean(of_subjects):.4f}" in told

@@ -228,6 +228,14 @@ def test_facing_sign_knows_left_from_right_from_every_side():
     assert np.isnan(facing_sign(unknown, BODY)).all()
 
 
+@pytest.mark.parametrize("unit", [1e-4, 1e4])
+def test_facing_sign_does_not_depend_on_the_unit(unit):
+    pose = np.random.default_rng(0).normal(size=(200, 6, 3))
+    found = facing_sign(pose, BODY)
+    assert 0.3 < found.mean() < 0.7
+    np.testing.assert_array_equal(facing_sign(pose * unit, BODY), found)
+
+
 def test_bone_cv_and_symmetry_are_those_of_a_loop():
     rng = np.random.default_rng(5)
     pose = body().repeat(12, 0) + rng.normal(size=(12, 6, 3))

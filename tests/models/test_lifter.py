@@ -152,3 +152,30 @@ def test_fresh_lifters_start_near_a_level_camera():
     torch.manual_seed(0)
     lifter = Lifter(H36M, LifterSettings())
     assert _lift(lifter, training_set(50)).tilt.abs().max() < 0.1
+
+
+@pytest.mark.parametrize("denoise", [False, True])
+def test_the_outputs_are_depths_then_places_then_logs_of_spreads_then_a_third_of_the_tilt(denoise):
+    """Saved lifters are read by these places: none may move."""
+    told = torch.arange(5 * (4 * 17 + 1), dtype=torch.float64).reshape(5, -1).sin() * 4
+
+    class Fixed(nn.Module):
+        def forward(self, features: Tensor) -> Tensor:
+            assert torch.equal(features[:, 34:], data.confidence)
+            assert torch.equal(features[:, :34].reshape(5, 17, 2), data.keypoints * (data.confidence > 0)[..., None])
+            return told
+
+    data = training_set(5, missing=0.3)
+    settings = LifterSettings(tilt="predicted", uncertainty=True, denoise=denoise, camera="orthographic")
+    lifted, root = _lift(Lifter(H36M, settings, Fixed()), data), H36M.root_index
+    depth, spread = told[:, :17], told[:, 51:68].clamp(-5, 2).exp()
+    torch.testing.assert_close(lifted.pose[..., 2], depth - depth[:, [root]])
+    places = told[:, 17:51].reshape(5, 17, 2)
+    seen = (data.confidence > 0)[..., None]
+    expected = data.keypoints * seen + places if denoise else torch.where(seen, data.keypoints, places)
+    torch.testing.assert_close(lifted.keypoints, expected - expected[:, [root]])
+    others = [joint for joint in range(17) if joint != root]
+    assert lifted.uncertainty is not None
+    torch.testing.assert_close(lifted.uncertainty[:, others], spread[:, others])
+    assert told[:, 51:68].min() < -3.9 and told[:, 51:68].max() > 2  # the bound below is far off
+    torch.testing.assert_close(lifted.tilt, 0.3 * told[:, 68])

@@ -55,3 +55,8 @@ def test_of_other_bodies_only_what_is_very_small_is_told() -> None:
     assert odd_size(BEETLE, given | {"bone_mm": 6.0}) is None
     assert small_size({"height_mm": None, "length_mm": 0.45}) is not None
     assert small_size({"height_mm": 450, "smooth": 2}) is None
+
+
+def test_five_millimetres_are_not_small() -> None:
+    assert small_size({"bone_mm": 5.0}) is None and small_size({"bone": 1.0, "bone_mm": None}) is None
+    assert "bone_mm=4990" in str(small_size({"height_mm": 1700.0, "bone_mm": 4.99}))

@@ -9,7 +9,14 @@ from bodies import body_arrays
 from uplift.data.synthetic.simulate import simulate
 from uplift.errors import UserError
 from uplift.geometry.lens import place_roots
-from uplift.models.metric_scale import CameraHeight, KnownLength, mm_by_camera_height, mm_per_unit, size_from
+from uplift.models.metric_scale import (
+    CameraHeight,
+    KnownLength,
+    median_by_body,
+    mm_by_camera_height,
+    mm_per_unit,
+    size_from,
+)
 from uplift.models.predict import with_constant_bones
 from uplift.skeleton import Skeleton, load_skeleton
 
@@ -82,6 +89,41 @@ def test_the_height_of_the_camera_tells_the_size_of_those_who_stand():
         found.append(np.median(lengths(shrunk[rows] * factor[:, None, None]).sum(1) / lengths(pose[rows]).sum(1)))
     assert len(found) > 2
     assert np.abs(np.array(found) - 1).max() < 0.06
+
+
+def test_the_size_is_the_median_over_the_frames_of_a_body_that_are_below_the_camera():
+    """Frame by frame: a size in mm is all bones' length times the camera's height over how far the lowest joint is below."""
+    rng = np.random.default_rng(4)
+    pose = POSE[:8] * rng.uniform(0.5, 2, (8, 1, 1))
+    body = np.array([0, 0, 0, 0, 1, 1, 1, 2])
+    gravity = np.array([0.0, 0.8, 0.6])
+    place = pose + rng.uniform(500, 3000, (8, 1))[..., None] * gravity + [3000, 0, 0]
+    place[1] -= 9000 * gravity  # above the camera
+    place[3, 5] = np.nan  # one joint without a place
+    place[7] -= 9000 * gravity  # a body that is always above it: the median of the others
+    total, sizes = lengths(pose).sum(1), np.full(8, np.nan)
+    for frame in range(8):
+        below = max(float(joint @ gravity) for joint in place[frame] if np.isfinite(joint).all())
+        sizes[frame] = 1600 / below * total[frame] if below > 0 else np.nan
+    expected = [np.nanmedian(sizes[body == one]) if one < 2 else np.nanmedian(sizes) for one in body]
+    found = mm_by_camera_height(pose, place, np.tile(gravity, (8, 1)), SKELETON, body, CameraHeight(1600.0))
+    np.testing.assert_allclose(found, expected / total)
+
+
+def test_half_of_the_frames_below_the_camera_are_enough():
+    gravity = np.tile([0.0, 1.0, 0.0], (4, 1))
+    place = POSE[:4] + np.array([[[0, 9000.0, 0]], [[0, 9000, 0]], [[0, -9000, 0]], [[0, -9000, 0]]])
+    size = CameraHeight(1500.0)
+    assert np.isfinite(mm_by_camera_height(POSE[:4], place, gravity, SKELETON, np.arange(4), size)).all()
+    with pytest.raises(UserError, match="above the camera"):
+        mm_by_camera_height(POSE[1:4], place[1:], gravity[1:], SKELETON, np.arange(3), size)
+
+
+def test_medians_are_of_what_is_known_of_a_body():
+    values = np.array([[1.0, 5], [3, np.nan], [8, 7], [np.nan, np.nan]])
+    found = median_by_body(values, np.array([0, 0, 0, 1]))
+    np.testing.assert_array_equal(found[:3], [[3, 6]] * 3)
+    assert np.isnan(found[3]).all()
 
 
 def test_bodies_over_the_camera_tell_no_size():

@@ -23,6 +23,7 @@ from uplift.metrics.pose_metrics import never_seen_so_long
 from uplift.models.lifter import Lifter
 from uplift.models.metric_scale import KnownLength
 from uplift.models.model import Model
+from uplift.models.predict import infer
 from uplift.skeleton import Skeleton, load_skeleton
 
 SKELETON = load_skeleton("h36m17")
@@ -76,6 +77,19 @@ def test_a_size_gives_millimetres_and_a_place(model: Model, film: PoseData):
     np.testing.assert_allclose(metric.uncertainty[:, 1] / pixels.uncertainty[:, 1], ratio[:, 0, 0], rtol=1e-3)
     seen = metric.points[..., :2] / metric.points[..., 2:] * film.focal_px + np.array(film.centre_px)
     assert np.median(np.linalg.norm(seen - film.keypoints, axis=-1)) < 2
+
+
+@pytest.mark.parametrize("refine", [False, True])
+def test_a_pose_lies_on_the_rays_of_its_keypoints(model: Model, film: PoseData, refine: bool):
+    """Root and joints: in pixels at the root's depth, the root is at a focal length along its ray."""
+    shift = np.array([[-400.0, 250.0]])  # far from the middle, where the camera that looks at the root is turned most
+    data = replace(film, keypoints=(film.keypoints + shift).astype(np.float32))
+    pose = infer(model.lifter, data, model.settings, refine=refine).pose.double().numpy()
+    rays = np.concatenate([data.keypoints - np.array(data.centre_px), np.full((120, 17, 1), data.focal_px)], -1)
+    place = rays[:, SKELETON.root_index] / np.linalg.norm(rays[:, SKELETON.root_index], axis=-1, keepdims=True)
+    points = pose + data.focal_px * place[:, None]
+    seen = points[..., :2] / points[..., 2:] * data.focal_px + np.array(data.centre_px)
+    np.testing.assert_allclose(seen, data.keypoints, atol=0.02)
 
 
 def test_without_a_known_camera_there_is_no_place(model: Model, film: PoseData):

@@ -168,5 +168,5 @@ def clip_median(
     total = weight[order].double().cumsum(0)
     before = torch.cat([total.new_zeros(1), total])[ends - counts]
     half = before + (total[ends - 1] - before) / 2
-    place = torch.minimum(torch.searchsorted(total, half), ends - 1)
+    place = torch.clamp(torch.searchsorted(total, half), ends - counts, ends - 1)  # without weight, its first
     return value[order[place]][clip]

@@ -119,9 +119,9 @@ def _down_tilt_deg(gravity: np.ndarray) -> float:
 def _test_camera(
     focal_mm, aspect, offset_mm, sensor_mm, size, up, right, radial=(0.0, 0.0, 0.0), tangential=(0.0, 0.0)
 ) -> _Camera:
-    per_mm = np.array(size) / np.array(sensor_mm) * (1, aspect)
-    centre = (np.array(sensor_mm) / 2 + offset_mm) * per_mm
-    lens = Lens(tuple(focal_mm * per_mm), tuple(centre), radial, tangential, size)
+    per_mm = np.array(size) / np.array(sensor_mm)
+    centre = (np.array(sensor_mm) / 2 + offset_mm) * per_mm  # the sensor's middle is the image's, whatever the aspect
+    lens = Lens(tuple(focal_mm * per_mm * (1, aspect)), tuple(centre), radial, tangential, size)
     down, forward = -np.array(up), np.cross(up, right)
     return _Camera(lens, _down_tilt_deg(np.array([-right[1], -down[1], -forward[1]])))
 
