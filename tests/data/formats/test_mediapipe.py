@@ -76,6 +76,14 @@ def test_every_layout_gives_the_same(tmp_path: Path, layout):
     assert not match_joints(data.joint_names, load_skeleton("mediapipe33")).missing
 
 
+def test_a_blank_first_line_is_no_header(tmp_path: Path):
+    path = variants(tmp_path, landmarks())["long"]
+    path.write_text("\n" + path.read_text())
+    assert KEYPOINT_FORMATS.guess(path).name == "mediapipe" and len(read(path, SIZE)) == 7
+    path.write_text("\nframe,joint,x,y,confidence\n\n0,nose,1,2,0.5\n")  # another's
+    assert KEYPOINT_FORMATS.guess(path).name != "mediapipe"
+
+
 @pytest.mark.parametrize("layout", LAYOUTS)
 def test_without_a_size_shares_stay_and_a_note_says_so(tmp_path: Path, layout):
     values = landmarks()

@@ -72,3 +72,14 @@ def test_text_of_characters_that_do_not_exist(code: int, tmp_path: Path) -> None
     np.savez(tmp_path / "a.npz", joint_names=text)
     with pytest.raises(UserError, match="holds text of characters that do not exist"):
         read_arrays(tmp_path / "a.npz")
+
+
+def test_a_header_of_python_2_is_read_without_a_word(tmp_path: Path, recwarn: pytest.WarningsRecorder) -> None:
+    plain = io.BytesIO()
+    np.save(plain, np.arange(3.0))
+    header = plain.getvalue().replace(b"(3,), }", b"(3L,),}")  # as long as before
+    assert header != plain.getvalue()
+    with zipfile.ZipFile(tmp_path / "a.npz", "w") as archive:
+        archive.writestr("a.npy", header)
+    np.testing.assert_array_equal(read_arrays(tmp_path / "a.npz", ("a",))["a"], [0, 1, 2])
+    assert not recwarn.list

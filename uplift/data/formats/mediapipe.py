@@ -228,11 +228,14 @@ def _looks_like_mediapipe_csv(peek: Peek) -> bool:
         names = [name for name in columns.joints if not _is_world_column(name)] or list(columns.joints)
         deep = all(joint.z is not None for joint in columns.joints.values())
         return _is_mediapipe(names) or (is_nameless(names) and len(names) in _COUNTS and deep)
-    head = peek.lines[0].replace(";", ",").replace("\t", ",").split(",")[columns.name]
-    cells = [line.replace(";", ",").replace("\t", ",").split(",") for line in peek.lines[1:600]]
-    names = [row[columns.name].strip(' "') for row in cells if len(row) > columns.name]
+    lines = [line for line in peek.lines if line.strip()][:600]
+    head, *names = [
+        row[columns.name].strip(' "')
+        for row in (line.replace(";", ",").replace("\t", ",").split(",") for line in lines)
+        if len(row) > columns.name
+    ]
     numbered = is_nameless(names) and columns.joints[""].z is not None and bool(names)
-    return _is_mediapipe(names) or (numbered and ("landmark" in head.casefold() or head.strip(' "').casefold() == "id"))
+    return _is_mediapipe(names) or (numbered and ("landmark" in head.casefold() or head.casefold() == "id"))
 
 
 def _read_mediapipe_csv(peek: Peek, options: ReadOptions) -> PoseData:

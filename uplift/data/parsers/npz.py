@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import io
 import sys
+import warnings
 import zipfile
-from collections.abc import Collection
+from collections.abc import Collection, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -40,8 +42,16 @@ def read_arrays(
         raise UserError(f"{path}: unknown array '{unknown}'.{did_you_mean(unknown, sorted(names))}")
     wanted = [name for name in headers if names is None or name in names]
     check_memory(path, "it", sum(bytes_of(*headers[name]) for name in wanted), path.stat().st_size)
-    with damage_as_error(path, "an .npz file"), np.load(path, allow_pickle=False) as file:
+    with damage_as_error(path, "an .npz file"), _no_warnings(), np.load(path, allow_pickle=False) as file:
         return {name: _sound(name, file[name]) for name in wanted}
+
+
+@contextmanager
+def _no_warnings() -> Iterator[None]:
+    """Let NumPy read headers of Python 2 as it reads any, without a word."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        yield
 
 
 def _sound(name: str, array: np.ndarray) -> np.ndarray:
@@ -100,7 +110,8 @@ def read_header(file: Any) -> tuple[tuple[int, ...], bool, np.dtype]:
     head = io.BytesIO(file.read(_MAX_HEADER_BYTES))  # NumPy would read as long a header as the file announces
     version = np.lib.format.read_magic(head)
     read = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
-    found = read(head, max_header_size=_MAX_HEADER_BYTES)
+    with _no_warnings():
+        found = read(head, max_header_size=_MAX_HEADER_BYTES)
     file.seek(start + head.tell())
     return found
 
