@@ -273,7 +273,7 @@ ERRORS = [
     ("trainer.callbacks=1", "name them as callbacks.NAME.use=file.py:Class"),
     ("trainer.log_every_n_steps=1", "set trainer.log_every"),
     ("trainer.strategy=fsdpx", "trainer.strategy=fsdpx"),
-    ("trainer.gradient_clip_val=abc", "should be an int or a float"),
+    ("trainer.gradient_clip_val=abc", "expected a whole number or a number"),
     ("callbacks.EarlyStoping.monitor=x", "Did you mean 'EarlyStopping'?"),
     (
         "callbacks.EarlyStopping.monitr=x",

@@ -28,7 +28,7 @@ def test_kudo_network_is_four_layers_with_one_skip():
     np.testing.assert_allclose(found, h3 @ w4.T + b4, atol=1e-12)
 
 
-@pytest.mark.parametrize(("std", "given"), [(0.14, {}), (0.02, {"std": 0.02})])
+@pytest.mark.parametrize(("std", "given"), [(0.02, {}), (0.14, {"std": 0.14})])
 def test_kudo_initial_weights(std, given):
     torch.manual_seed(0)
     for parameter in build_network("kudo", 34, 17, given).parameters():

@@ -146,10 +146,11 @@ class Mask(Prior):
         pixels: points of each mask that count, taken where no visible bone explains it.
     """
 
+    ranges: ClassVar = {"pixels": (1, 4096)}
+
     bones: Tensor
     partners: Tensor
     along: Tensor
-    ranges: ClassVar = {"pixels": (1, 4096)}
     radii: Tensor
     """(bones,) thickness, in units."""
     usual: Tensor
@@ -171,6 +172,8 @@ class Mask(Prior):
         for name, value in (("inside", inside), ("explained", explained), ("thickness", thickness)):
             if value < 0:
                 raise UserError(f"priors.mask.{name}={value}: expected at least 0.")
+        if pixels < 1:
+            raise UserError(f"priors.mask.pixels={pixels}: expected at least 1.")
         self.inside, self.explained, self.thickness, self.pixels = inside, explained, thickness, pixels
         # `prepare` measures all of them anew, so no checkpoint contains them; the last three have a row per frame.
         buffers = {

@@ -169,7 +169,7 @@ def test_a_truncated_file_is_refused_wherever_it_ends(tmp_path: Path, flat: np.n
         message = refused(tmp_path, text[:end])
         assert NAME in message
         assert "damaged" in message
-    (tmp_path / NAME).write_bytes(b"\xff\xfe{}")
+    (tmp_path / NAME).write_bytes(b"\xff\xff{}")
     assert "cannot be read as JSON" in refused(tmp_path)
 
 

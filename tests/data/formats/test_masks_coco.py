@@ -121,7 +121,7 @@ def test_polygons_and_runs_give_the_same_crop(tmp_path: Path) -> None:
     assert data.category is not None
     assert data.images is not None
     assert data.category.tolist() == ["horse", "cow"] * 2
-    assert data.images.tolist() == ["field.jpg"] * 4
+    assert data.images.tolist() == [str(tmp_path / "field.jpg")] * 4
     assert data.notes == ("read as COCO's JSON with segmentations (guessed; format=coco)",)
 
 
