@@ -229,6 +229,8 @@ def test_a_circle_of_two(here: Path) -> None:
         ("priors.flow.weight.x=3", "'weight' is not a group of settings"),
         ("priors.x.y=!!python/object/apply:os.getcwd []", "YAML tag"),
         ("priors.x.y=" + "[" * 200, "nested more than"),
+        ("priors.x.y=" + "9" * 400, "a whole number of 400 digits"),
+        ("teacher.beta1=" + "9" * 400, "a whole number of 400 digits"),
         ("priors.x.y=&a [*a]", "alias"),
         ('priors.x.y=!!int ""', "not a valid int"),
         ('trainer.max_steps=!!float ""', "not a valid float"),

@@ -19,6 +19,7 @@ Where = Callable[[tuple], str]
 MAX_BYTES = 1_000_000
 MAX_DEPTH = 20
 MAX_VALUES = 60_000
+MAX_INTEGER = 2**63
 
 _TAG = "tag:yaml.org,2002:"
 _PLAIN = {"str", "int", "float", "bool", "null", "timestamp", "map", "seq"}
@@ -159,10 +160,13 @@ def _plain(node: Any, loader: _Loader, part: tuple, lines: dict[tuple, int]) -> 
     if node.tag in (_TAG + "str", _TAG + "timestamp", "!") or _NOT_A_NUMBER.match(node.value):
         return node.value
     try:
-        return loader.construct_object(node)
+        value = loader.construct_object(node)
     except Exception:  # whatever PyYAML raises: IndexError for !!int ""
         kind = node.tag.removeprefix(_TAG)
         raise _Refused(f"'{node.value[:40]}', which is not a valid {kind}", node.start_mark.line) from None
+    if isinstance(value, int) and abs(value) > MAX_INTEGER:  # larger ones are no float, or endless work
+        raise _Refused(f"a whole number of {len(str(value))} digits, too large for any setting", node.start_mark.line)
+    return value
 
 
 def _plain_mapping(node: Any, loader: _Loader, part: tuple, lines: dict[tuple, int]) -> dict[str, Any]:
