@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import os
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -16,6 +17,12 @@ if "PYTEST_XDIST_WORKER" in os.environ:
 # Deterministic examples: a failure can be reproduced.
 settings.register_profile("steady", derandomize=True, deadline=None)
 settings.load_profile("steady")
+
+
+def pytest_collection_finish() -> None:
+    """Keep what imports and collection made out of every later garbage collection; each fit collects several times."""
+    gc.collect()
+    gc.freeze()
 
 
 @pytest.fixture

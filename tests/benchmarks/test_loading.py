@@ -24,7 +24,9 @@ from uplift.skeleton import load_skeleton
 def full(tmp_path_factory):
     folder = tmp_path_factory.mktemp("full")
     write_full_size(folder, 1000, keypoints=("gt", "cpn"))
-    return folder
+    with pytest.MonkeyPatch.context() as patch:  # what one test has read, the next finds in the cache
+        patch.setenv("UPLIFT_CACHE", str(tmp_path_factory.mktemp("cache")))
+        yield folder
 
 
 def test_the_set_is_loaded_twice_and_the_result_stored(full, tmp_path, capsys, monkeypatch):
@@ -55,8 +57,7 @@ def test_an_exceeded_limit_is_reported(tmp_path, capsys, monkeypatch):
     assert held == {"first load, s < 60": True, "load from the cache, s < 5": True, "peak memory, GB < 6": False}
 
 
-def test_the_files_have_the_structure_of_the_real_ones(full, monkeypatch, tmp_path):
-    monkeypatch.setenv("UPLIFT_CACHE", str(tmp_path))
+def test_the_files_have_the_structure_of_the_real_ones(full, monkeypatch):
     settings = settings_of(full)
     data = load_data(settings, load_skeleton("h36m17"))
     assert data.test is not None and data.train.pose is not None
@@ -68,8 +69,7 @@ def test_the_files_have_the_structure_of_the_real_ones(full, monkeypatch, tmp_pa
     assert np.abs(noise).mean() == pytest.approx(3 * np.sqrt(2 / np.pi), rel=0.05)
 
 
-def test_both_stages_are_measured_on_both_sets(full, monkeypatch, tmp_path):
-    monkeypatch.setenv("UPLIFT_CACHE", str(tmp_path))
+def test_both_stages_are_measured_on_both_sets(full, monkeypatch):
     for name, value in (("SMALL", 500), ("_WARM_UP", 1), ("_STEPS", 1), ("_TURNS", 2)):
         monkeypatch.setattr(measure, name, value)
     monkeypatch.setattr(measure, "settings_of", lambda folder, *_: settings_of(
@@ -85,8 +85,7 @@ def test_both_stages_are_measured_on_both_sets(full, monkeypatch, tmp_path):
         assert found[stage]["steps_per_s"] > 0 and found[stage]["ratio"] > 0
 
 
-def test_steps_draw_different_rows(full, monkeypatch, tmp_path):
-    monkeypatch.setenv("UPLIFT_CACHE", str(tmp_path))
+def test_steps_draw_different_rows(full, monkeypatch):
     settings = settings_of(full, "priors.flow.steps=1", "teacher.batch_size=16")
     skeleton = load_skeleton("h36m17")
     frames = KeypointData.of(load_data(settings, skeleton), skeleton, settings).frames(settings.lifter)
@@ -99,8 +98,7 @@ def test_steps_draw_different_rows(full, monkeypatch, tmp_path):
     assert any(not torch.equal(a, b) for a, b in zip(before, module.lifter.parameters(), strict=True))
 
 
-def test_cleaning_in_blocks_gives_the_same_result(full, monkeypatch, tmp_path):
-    monkeypatch.setenv("UPLIFT_CACHE", str(tmp_path))
+def test_cleaning_in_blocks_gives_the_same_result(full, monkeypatch):
     settings, skeleton = settings_of(full), load_skeleton("h36m17")
     for _ in range(2):  # changes in memory do not reach the cache
         loaded = load_split(settings, "test", skeleton)

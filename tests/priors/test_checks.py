@@ -59,25 +59,16 @@ def test_a_right_prior_trains(here: Path, loss: str) -> None:
     ("loss", "says"),
     [
         ("return lift.pose.detach().square().mean()", NO_GRADIENT),
-        ("return torch.tensor(1.0)", NO_GRADIENT),
         ("return torch.zeros(len(lift.pose))", NO_GRADIENT),
         ("return torch.from_numpy(lift.pose.detach().numpy()).mean()", NO_GRADIENT),
-        ("return (lift.pose[..., 1] > 0).float().mean()", NO_GRADIENT),
         ("return lift.keypoints.square().mean()", NO_GRADIENT),
-        ("return (lift.pose[..., 1] > 0).sum()", NO_GRADIENT),
         ("return (lift.pose[..., 1] > -1e9).all(1)", NO_GRADIENT),
         ("return lift.pose.mean() * float('nan')", "loss is nan at step 0"),
         ("return (lift.pose[:, 0] - lift.pose[:, 0]).norm(dim=-1).log()", "loss is -inf at step 0"),
         ("return lift.pose", "returned shape (16, 17, 3), expected one number"),
         ("return lift.pose.mean((1, 2))[:5]", "returned shape (5,)"),
-        ("return 0.5", "returned float, expected one number"),
-        ("return None", "returned NoneType, expected one number"),
-        ("pass", "returned NoneType"),
-        ("return lift.poses.mean()", "AttributeError"),
         ("return lift.pose[:, 99].mean()", "IndexError"),
         ("raise RuntimeError('no ground')", "RuntimeError: no ground"),
-        ("return 1 / 0", "ZeroDivisionError"),
-        ("return lift.pose.square().sum().to(torch.complex64)", "complex"),
     ],
 )
 def test_a_wrong_loss_is_refused(here: Path, capsys: pytest.CaptureFixture, loss: str, says: str) -> None:
@@ -111,18 +102,10 @@ def test_a_wrong_loss_is_refused(here: Path, capsys: pytest.CaptureFixture, loss
             "critic_loss",
         ),
         (
-            "    def critic_loss(self, real): return 3\n    def loss(self, lift): return lift.pose.mean()",
-            "critic_loss failed",
-        ),
-        (
             "    def metrics(self, lift): return lift.nothing\n    def loss(self, lift): return lift.pose.mean()",
             "metrics failed",
         ),
         ("    def metrics(self, lift): return 3\n    def loss(self, lift): return lift.pose.mean()", "metrics"),
-        (
-            "    def metrics(self, lift): return {'a': 'b'}\n    def loss(self, lift): return lift.pose.mean()",
-            "metrics",
-        ),
     ],
 )
 def test_a_wrong_class_is_refused(here: Path, capsys: pytest.CaptureFixture, body: str, says: str) -> None:
