@@ -5,6 +5,7 @@ from __future__ import annotations
 import errno
 import json
 import os
+import re
 from pathlib import Path
 
 import pytest
@@ -226,3 +227,20 @@ def test_a_short_fit_and_an_idle_prior_are_said_everywhere(here: Path, capsys: p
     assert RunFolder(run).warnings() == []
     assert status_of("fit", *own_data(here / "a.npz"), "data.labelled.fraction=0.5") == 0
     assert "labelled 40" in (RunFolder.open("runs/h36m17").path / "report.md").read_text()
+
+
+@pytest.mark.parametrize(
+    ("facts", "says"),
+    [
+        ('{"versions": []}', "'versions' is not a value for each name"),
+        ('{"task": 3}', "'task' is not text"),
+        ('{"command": ["uplift"]}', "'command' is not text"),
+        ('{"steps": [1]}', "'steps' is not a value for each name"),
+        ('{"idle_priors": {"mine": "many"}}', "'idle_priors' are {'mine': 'many'}, expected whole numbers"),
+        ("[]", "holds list"),
+    ],
+)
+def test_facts_that_no_fit_writes_are_refused(facts: str, says: str, tmp_path: Path) -> None:
+    (tmp_path / "run.json").write_text(facts)
+    with pytest.raises(UserError, match=re.escape(says)):
+        RunFolder(tmp_path).facts()

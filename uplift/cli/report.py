@@ -162,9 +162,18 @@ def report(run: RunFolder, model: Any, settings: Settings, loaded: Any, training
 def _head_lines(run: RunFolder, settings: Settings, notes: Sequence[str]) -> list[str]:
     facts = run.facts()
     return [
-        *(f"# {settings.task or 'own data'}", "", settings.description.strip(), "", "```", facts["command"], "```", ""),
+        *(
+            f"# {settings.task or 'own data'}",
+            "",
+            settings.description.strip(),
+            "",
+            "```",
+            facts.get("command", ""),
+            "```",
+            "",
+        ),
         *(f"- {note}" for note in notes),
-        *(f"- seed {settings.seed}, {facts['cores']} cores, torch {facts['versions']['torch']}", ""),
+        *(f"- seed {settings.seed}, {facts.get('cores')} cores, torch {facts.get('versions', {}).get('torch')}", ""),
     ]
 
 

@@ -45,6 +45,10 @@ def idle_prior(name: str, steps: int) -> str:
     return f"priors.{name} had no gradient in any of {steps:,} steps, so no effect: {why}"
 
 
+_KINDS_OF_FACTS = {"task": str, "command": str, "versions": dict, "steps": dict, "idle_priors": dict}
+"""Of what is used again; the rest is for readers."""
+
+
 class RunFolder:
     """A run on disk. `create` makes a new one, `open` finds one that is there."""
 
@@ -145,11 +149,13 @@ class RunFolder:
             found = _mapping(self.path / "run.json")
         except OSError as error:
             raise UserError(f"{self.path / 'run.json'} cannot be read: {error.strerror}.") from error
-        steps = found.get("steps", {})
-        if not isinstance(found.get("task", ""), str) or not isinstance(steps, dict):
-            raise UserError(f"{self.path / 'run.json'} is not what a fit writes: 'task' is text, 'steps' are by stage.")
-        if not all(type(count) is int for count in steps.values()):
-            raise UserError(f"{self.path / 'run.json'}: 'steps' are {steps!r:.80}, expected whole numbers.")
+        for key, kind in _KINDS_OF_FACTS.items():
+            if not isinstance(found.get(key, kind()), kind):
+                what = "text" if kind is str else "a value for each name"
+                raise UserError(f"{self.path / 'run.json'} is not what a fit writes: '{key}' is not {what}.")
+        for key in ("steps", "idle_priors"):
+            if not all(type(count) is int for count in found.get(key, {}).values()):
+                raise UserError(f"{self.path / 'run.json'}: '{key}' are {found[key]!r:.80}, expected whole numbers.")
         return found
 
     def add_facts(self, **more: Any) -> None:

@@ -90,6 +90,16 @@ def test_shares_of_an_image_of_known_size_are_pixels(tmp_path: Path, name: str) 
     assert any("shares of the image, turned into pixels of its 1088x1920" in note for note in data.notes)
 
 
+@pytest.mark.parametrize("turn", [{"flip_y": True}, {"flip_x": True}, {"rotate": 90}, {"rotate": 180}])
+def test_shares_are_pixels_before_they_are_turned(tmp_path: Path, turn: dict) -> None:
+    pixels = read(write_csv(tmp_path / "pixels.csv", PIXELS, SURE), ReadOptions(image_size=SIZE, **turn))
+    shares = read(write_csv(tmp_path / "shares.csv", PIXELS / SIZE, SURE), ReadOptions(image_size=SIZE, **turn))
+    np.testing.assert_allclose(shares.keypoints, pixels.keypoints, atol=0.01)
+    assert shares.image_size == pixels.image_size
+    if "flip_y" in turn:
+        np.testing.assert_allclose(shares.keypoints[..., 1], SIZE[1] - PIXELS[..., 1], atol=0.01)
+
+
 @every_writer
 def test_shares_of_an_image_of_unknown_size_are_refused(tmp_path: Path, name: str) -> None:
     path = WRITERS[name](tmp_path / name, PIXELS / SIZE, SURE)

@@ -88,12 +88,11 @@ def checked(data: PoseData, options: ReadOptions, coordinates: str = "px") -> Po
     Raises:
         UserError: coordinates or confidences on a scale that is not known (`uplift.data.formats.scales`).
     """
-    data = with_options(with_sure_confidence(data), options)
-    return data if coordinates == "placed" else in_pixels(data, square=coordinates == "shares")
+    return with_options(with_sure_confidence(data), options, coordinates)
 
 
-def with_options(data: PoseData, options: ReadOptions) -> PoseData:
-    """Return ``data`` with what the user says about it in place of what the file says."""
+def with_options(data: PoseData, options: ReadOptions, coordinates: str = "placed") -> PoseData:
+    """Return ``data`` with what the user says about it in place of what the file says; in pixels, unless they are ``placed``."""
     given = {name: getattr(options, name) for name in ("image_size", "fps")}
     data = replace(data, **{name: value for name, value in given.items() if value is not None})
     if options.focal_px is not None:
@@ -104,6 +103,8 @@ def with_options(data: PoseData, options: ReadOptions) -> PoseData:
         if weak.any():
             note = f"{int(weak.sum()):,} keypoints of confidence below {options.min_confidence:g} are taken as missing"
             data = replace(data, notes=(*data.notes, note))
+    if coordinates != "placed":  # before they are turned, in an image whose size is one in pixels
+        data = in_pixels(data, square=coordinates == "shares")
     return turned(data, flip_x=options.flip_x, flip_y=options.flip_y, rotate=options.rotate)
 
 
