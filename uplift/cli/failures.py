@@ -17,11 +17,12 @@ from pathlib import Path
 
 from uplift.errors import MissingFiles, UserError
 
-__all__ = ["clear_output", "status_of"]
+__all__ = ["RUN_VARIABLE", "clear_output", "status_of"]
 
 DEBUG = "UPLIFT_DEBUG"
 """Environment variable that shows the traceback of an unexpected error in place of the file that has it."""
-_RUN_VARIABLE = "UPLIFT_RUN_OF_THIS_FIT"
+RUN_VARIABLE = "UPLIFT_RUN_OF_THIS_FIT"
+"""Environment variable with the run folder of the fit that is under way, for its other processes and its traceback."""
 _PACKAGE = Path(__file__).resolve().parents[1]
 _LONGEST_COMMAND = 300
 _CONTROL = re.compile(r"[\x00-\x1f\x7f-\x9f\u2028-\u202e\u2066-\u2069]")
@@ -106,8 +107,8 @@ def _command(words: Sequence[str]) -> str:
 
 def _saved(error: BaseException) -> str:
     """Write the traceback into the folder of the run, else among the temporary files; return where it is."""
-    run = Path(os.environ.get(_RUN_VARIABLE, ""))
-    folder = run if _RUN_VARIABLE in os.environ and run.is_dir() else None
+    run = Path(os.environ.get(RUN_VARIABLE, ""))
+    folder = run if RUN_VARIABLE in os.environ and run.is_dir() else None
     try:
         # A new file that nobody else can read or has put there.
         with tempfile.NamedTemporaryFile(

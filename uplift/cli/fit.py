@@ -12,6 +12,7 @@ from typing import Any
 import torch
 from lightning.pytorch.utilities.rank_zero import rank_zero_only
 
+from uplift.cli.failures import RUN_VARIABLE
 from uplift.cli.kinds import KINDS
 from uplift.cli.report import Training, report
 from uplift.config.loading import classes_of, load_settings
@@ -27,8 +28,6 @@ from uplift.training.callbacks import Interrupted
 from uplift.training.stages import CALLBACKS, LOGGERS, check_trainer
 
 __all__ = ["Prepared", "fit", "fit_settings", "prepare_keypoints", "prepare_masks"]
-
-_RUN_VARIABLE = "UPLIFT_RUN_OF_THIS_FIT"
 
 
 @consents
@@ -120,12 +119,12 @@ def prepare_masks(settings: Settings, run: RunFolder | None) -> Prepared:
 
 def _run_of_all_ranks(run: RunFolder | None, settings: Settings) -> RunFolder:
     """Return one folder for all processes: Lightning starts this command again for every further rank."""
-    if rank_zero_only.rank != 0 and _RUN_VARIABLE in os.environ:
-        return RunFolder.open(os.environ[_RUN_VARIABLE])
+    if rank_zero_only.rank != 0 and RUN_VARIABLE in os.environ:
+        return RunFolder.open(os.environ[RUN_VARIABLE])
     if run is None:
         started = Path(sys.argv[0])
         ours = started.stem == "uplift" or started.parts[-2:] == ("cli", "main.py")
         words = sys.argv[1:] if ours else [f"({started.name})"]
         run = RunFolder.create(settings, shlex.join(["uplift", *words]))
-    os.environ[_RUN_VARIABLE] = str(run.path.absolute())
+    os.environ[RUN_VARIABLE] = str(run.path.absolute())
     return run

@@ -14,6 +14,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from uplift.cli.parsing import checked
+from uplift.cli.verbs import VERBS
 from uplift.config.files import replacing
 from uplift.config.loading import load_settings
 from uplift.config.progress import say
@@ -99,9 +101,6 @@ def _chosen(words: Sequence[str]) -> _Words:
 
 
 def _value(key: str, text: str) -> Any:
-    from uplift.cli.parsing import checked
-    from uplift.cli.verbs import VERBS
-
     return checked(VERBS["tables"].settings[key], text, "tables")
 
 
