@@ -213,7 +213,7 @@ class StudentModule(KeypointModule):
         if self._maker is None or self._maker.poses.pose.device != self.device:
             count_root, share = self.lifter_settings.radius == "all", self.labelled_share
             frames, camera = self.frames.to(self.device), self.lifter.camera
-            settings = self.settings if self.lifter.signs is not None else replace(self.settings, any_way=0)
+            settings = self.settings if self.lifter.signs is not None else replace(self.settings, any_way=0.0)
             self._maker = ViewMaker(frames, camera, settings, count_root=count_root, labelled_share=share)
         return self._maker
 
