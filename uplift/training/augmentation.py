@@ -270,8 +270,7 @@ class ViewMaker:
         exact = (shown.keypoints - shown.keypoints[:, root, None]) / radius[:, None, None]
         tilt = torch.asin(shown.gravity[:, 2].clamp(-1, 1))
         pose, told = shown.pose / radius[:, None, None], shown.told / radius
-        if self.usual_distance is not None:
-            told = told.nan_to_num(self.usual_distance)
+        told = told.nan_to_num(self.usual_distance or 0.0)
         distance = shown.distance / radius
         return ShownViews(noisy, confidence, exact, pose, tilt, shown.gravity, distance, weight, told, shown.guessed)
 
@@ -296,10 +295,8 @@ class ViewMaker:
         if self.usual_distance is None:
             return self._by_own_cameras(level, rows)
         own = torch.rand(len(rows), device=rows.device) < self.settings.own_share
-        turned = own if self.poses.guessed is None else own & self.poses.guessed[rows]
-        own = own & ~turned if self.poses.guessed is not None else own
         first, second = own.nonzero()[:, 0], (~own).nonzero()[:, 0]
-        parts = [self._by_own_cameras(level[first], rows[first]), self._by_any_camera(level[second], turned[second])]
+        parts = [self._by_own_cameras(level[first], rows[first]), self._by_any_camera(level[second])]
         order = torch.cat([first, second]).argsort()
         return _Shown(*(torch.cat(both)[order] for both in zip(*parts, strict=True)))
 
@@ -307,17 +304,18 @@ class ViewMaker:
         """Return the level poses of ``rows`` as cameras like their own see them."""
         pose, gravity = self._rotated(level, rows)
         distance = self.poses.distance[rows]
-        guessed = torch.zeros_like(rows, dtype=torch.bool)
-        return _Shown(pose, gravity, self.camera.project(pose, distance), distance, distance, guessed)
+        guessed = torch.zeros_like(rows, dtype=torch.bool) if self.poses.guessed is None else self.poses.guessed[rows]
+        told = distance.masked_fill(guessed, math.nan)
+        return _Shown(pose, gravity, self.camera.project(pose, distance), distance, told, guessed)
 
-    def _by_any_camera(self, level: Tensor, own_gravity: Tensor) -> _Shown:
-        """Return level poses as any camera sees them, with gravity like the training data's where that is asked for.
+    def _by_any_camera(self, level: Tensor) -> _Shown:
+        """Return level poses as any camera sees them.
 
         Where the focal length is unknown, all is as if it were the guessed one: the camera is turned to where the root
         then seems to be, and the distance that goes with the guess is off by the same factor.
         """
         count, device = len(level), level.device
-        view = self._any_views(own_gravity)
+        view = self._any_views(count, device)
         low, high = (math.log(end) for end in self.settings.distance)
         distance = (low + (high - low) * torch.rand(count, device=device)).exp()
         aside = _ASIDE * (2 * torch.rand(count, 2, device=device) - 1)
@@ -339,19 +337,15 @@ class ViewMaker:
         gravity = (look @ view)[:, :, 1]
         return _Shown(turn(pose, look), gravity, keypoints, distance, told.masked_fill(straight, math.nan), guessed)
 
-    def _any_views(self, own_gravity: Tensor) -> Tensor:
+    def _any_views(self, count: int, device: torch.device) -> Tensor:
         """Return the rotations from the level frame to random cameras."""
-        count, device = len(own_gravity), own_gravity.device
         if not self.poses.skeleton.gravity:
             return random_rotations(count, device)
         (low, high), most = (math.radians(end) for end in self.settings.tilt_deg), math.radians(self.settings.roll_deg)
         tilt = low + (high - low) * torch.rand(count, device=device)
         roll = most * (2 * torch.rand(count, device=device) - 1)
-        view = about_z(roll) @ level(tilt).mT
-        gravity = self.poses.gravity[self._draw(count)]
-        like_own = least_rotation(gravity, gravity.new_tensor([0.0, 1.0, 0.0])).mT
-        view = torch.where(own_gravity[:, None, None], like_own, view)
-        return view @ about_y(2 * torch.pi * torch.rand(count, device=device))
+        azimuth = 2 * torch.pi * torch.rand(count, device=device)
+        return about_z(roll) @ level(tilt).mT @ about_y(azimuth)
 
     def _rotated(self, pose: Tensor, rows: Tensor) -> tuple[Tensor, Tensor]:
         """Return the level poses of ``rows`` in the frames of random cameras (or the real ones), and gravity there."""
