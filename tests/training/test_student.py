@@ -194,6 +194,8 @@ def test_a_share_of_the_views_is_from_cameras_like_their_own(standing):
     assert 0.25 < like_own.float().mean() < 0.35
     assert (like_own & views.guessed).sum() == 0
     unknown = replace(standing, guessed=torch.ones(300, dtype=torch.bool))
+    alone = views_of(unknown, 50, mix=0.0)
+    assert torch.equal(alone.told, alone.distance), "a student of own cameras is given what it is to use"
     views = views_of_any_camera(unknown, 2000, own_share=1.0)
     assert views.guessed.all() and (views.told == 10).all(), "as keypoints of an unknown camera are lifted"
 

@@ -270,7 +270,8 @@ class ViewMaker:
         exact = (shown.keypoints - shown.keypoints[:, root, None]) / radius[:, None, None]
         tilt = torch.asin(shown.gravity[:, 2].clamp(-1, 1))
         pose, told = shown.pose / radius[:, None, None], shown.told / radius
-        told = told.nan_to_num(self.usual_distance or 0.0)
+        if self.usual_distance is not None:
+            told = told.nan_to_num(self.usual_distance)
         distance = shown.distance / radius
         return ShownViews(noisy, confidence, exact, pose, tilt, shown.gravity, distance, weight, told, shown.guessed)
 
@@ -305,7 +306,7 @@ class ViewMaker:
         pose, gravity = self._rotated(level, rows)
         distance = self.poses.distance[rows]
         guessed = torch.zeros_like(rows, dtype=torch.bool) if self.poses.guessed is None else self.poses.guessed[rows]
-        told = distance.masked_fill(guessed, math.nan)
+        told = distance if self.usual_distance is None else distance.masked_fill(guessed, math.nan)
         return _Shown(pose, gravity, self.camera.project(pose, distance), distance, told, guessed)
 
     def _by_any_camera(self, level: Tensor) -> _Shown:
