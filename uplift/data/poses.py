@@ -44,7 +44,7 @@ class PoseData(Samples):
     """Frames of 2D keypoints; poses where they are known.
 
     Missing joints have confidence 0 and keypoint 0 once `uplift.data.clean.clean` has run; a
-    reader may leave NaN. The truth (`pose`, `root`, `tilt_deg`) is never an input of training
+    reader may leave NaN. The truth (`pose`, `root`, `tilt_deg`, `gravity`) is never an input of training
     from 2D alone.
     """
 
@@ -64,7 +64,9 @@ class PoseData(Samples):
     image_size: tuple[int, int] | None = None
     focal_px: float | None = None
     tilt_deg: Float[np.ndarray, " frames"] | None = field(default=None, metadata=TRUTH)
-    """Down-tilt of the camera: gravity is (0, cos, sin) in the camera frame."""
+    """Down-tilt of the camera: gravity is (0, cos, sin) in the frame of a camera without roll."""
+    gravity: Float[np.ndarray, "frames 3"] | None = field(default=None, metadata=TRUTH)
+    """Unit vectors in the camera frame, for cameras that may roll; None: not known but for `tilt_deg`."""
     root_filled: Bool[np.ndarray, " frames"] | None = None
     """The root was missing; its keypoint is the mean of its neighbours, its confidence 0."""
     labelled: Bool[np.ndarray, " frames"] | None = field(default=None, metadata=TRUTH)

@@ -244,6 +244,7 @@ class Model(_Saved):
             joint_names=self.skeleton.joints,
             skeleton=self.skeleton,
             tilt_deg=gravity[:, 2].clamp(-1, 1).asin().rad2deg().cpu().numpy() if with_gravity else None,
+            gravity=gravity.cpu().numpy() if with_gravity else None,
             identity=data.identity,
             fps=data.fps,
             image_size=data.image_size,
