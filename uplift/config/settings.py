@@ -189,6 +189,9 @@ class LifterSettings:
     )
     both_ways: bool = _setting(True, "predict as the mean over the keypoints and their mirror image")
     refine: RefineSettings = _group(lambda: RefineSettings(smooth=1.0, near=0.5), "predicted clips")
+    cameras: str = _setting(
+        "own", "set from student.cameras for the last student; not yours to set", choices=("own", "any")
+    )
 
 
 @dataclass
@@ -299,6 +302,23 @@ class StudentSettings(StageSettings):
     turn: bool = _setting(True, "show poses from everywhere; off: each from where it was seen")
     any_way: float = _setting(
         0.15, "share of views turned any way, not about gravity alone: depth signs are learned from them", low=0, high=1
+    )
+    cameras: str = _setting(
+        "any",
+        "cameras that the last student learns: any, as the settings below say, with tilt, roll and distance estimated "
+        "for every frame; own: those of the training data",
+        choices=("any", "own"),
+    )
+    own_share: float = _setting(
+        0.75, "of any cameras: the share of views from those of the training data", low=0, high=1
+    )
+    tilt_deg: tuple[float, float] = _setting((-30.0, 60.0), "from,to: tilts of any cameras", low=-90, high=90)
+    roll_deg: float = _setting(30.0, "largest roll of any cameras, either way", low=0, high=180)
+    distance: tuple[float, float] = _setting(
+        (4.0, 25.0), "from,to: distances of any cameras, in mean 2D radii of the body", low=2, high=1e4
+    )
+    unknown_focal: float = _setting(
+        0.6, "share of the views of any cameras whose focal length is hidden and guessed", low=0, high=1
     )
     mix: float = _setting(0.7, "share of poses that take limbs of others", low=0, high=1)
     mix_limb: float = _setting(0.4, "chance of each limb of such a pose", low=0, high=1)
