@@ -174,12 +174,18 @@ class LifterSettings:
     radius: str = _setting("without_root", "joints the normalising mean runs over", choices=("all", "without_root"))
     root_free: bool = _setting(False, "leave the root's own depth in")
     confidence_input: bool = _setting(True, "the network sees confidence beside the keypoints")
+    confidence: Optional[str] = _setting(
+        None,
+        "what the network sees of it: calibrated (by how keypoints jump in time), seen (1 or 0, refinement sees more), given; "
+        "unset: seen where training knows exact keypoints only, else calibrated",
+        choices=("calibrated", "seen", "given"),
+    )
     fill: bool = _setting(True, "the network predicts where missing joints are")
     uncertainty: bool = _setting(
         True, "the student predicts how far off each depth, or the place of a hidden joint, may be"
     )
     denoise: Optional[bool] = _setting(
-        None, "the student moves seen joints too; unset: where refined clips show that they are noisy"
+        None, "the student moves seen joints too, the less the surer; unset: where its views have errors"
     )
     both_ways: bool = _setting(True, "predict as the mean over the keypoints and their mirror image")
     refine: RefineSettings = _group(lambda: RefineSettings(smooth=1.0, near=0.5), "predicted clips")
@@ -286,6 +292,9 @@ class StudentSettings(StageSettings):
     warm: bool = _setting(False, "a round goes on with the last round's weights where its network is the same")
     occlude: float = _setting(0.0, "share of views in which joints are hidden: some of them, or a limb", low=0, high=1)
     noise: bool = _setting(True, "add to the views what refinement found wrong in the keypoints")
+    detector: float = _setting(
+        0.5, "share of views with made-up errors of a detector, where keypoints are exact", low=0, high=1
+    )
     refine: RefineSettings = _group(RefineSettings, "poses to learn from")
     frames: int = _setting(
         60_000, "frames at most that are lifted and refined for a round, complete clips at random", low=1, high=10**12
