@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from uplift.config.settings import LifterSettings
+from uplift.data.clean import MIN_VISIBLE, fill_root
 from uplift.data.poses import PoseData
+from uplift.skeleton import Skeleton
 
-__all__ = ["HALF_ERROR", "calibrated_confidence", "confidence_of"]
+__all__ = ["HALF_ERROR", "calibrated", "calibrated_confidence", "confidence_of"]
 
 HALF_ERROR = 0.05
 """Expected error, in mean 2D radii, of a keypoint of confidence 0.5."""
@@ -20,6 +23,8 @@ _PRIOR_VALUES = 50
 _PRIOR_WEIGHT = 5
 """Of the typical detector in each bin, in observations."""
 _MOST_ERROR = 0.5
+_HIDDEN = 0.15
+"""Expected error, in mean 2D radii, above which a keypoint is worse than none."""
 _EDGES = np.concatenate([0.25 * 2.0 ** np.arange(-6, 0), np.linspace(0.25, 0.95, 8)])
 """Between bins of ranks: fine at the low end, where gross errors are."""
 _LEAST_IN_BIN = 60
@@ -28,6 +33,24 @@ _MOST_FRAMES = 2000
 _ITERATIONS = 60
 _MEAN_OVER_RMS = np.sqrt(np.pi) / 2
 """Of the length of a Gaussian error in the plane."""
+
+
+def calibrated(data: PoseData, skeleton: Skeleton, settings: LifterSettings) -> PoseData:
+    """Return cleaned ``data`` with `calibrated_confidence`, unless ``settings`` take that of the file.
+
+    Keypoints with an expected error of more than `_HIDDEN` are missing, where enough others are seen: a lifter fills
+    them in better.
+    """
+    if settings.confidence == "given":
+        return data
+    confidence = calibrated_confidence(data)
+    sure = confidence >= confidence_of(np.float32(_HIDDEN))
+    hidden = (confidence > 0) & ~sure & (sure.sum(1, keepdims=True) >= MIN_VISIBLE)
+    if not hidden.any():
+        return replace(data, confidence=confidence)
+    confidence[hidden] = 0
+    keypoints, filled = fill_root(data.keypoints.copy(), confidence, skeleton)
+    return replace(data, keypoints=keypoints, confidence=confidence, root_filled=filled)
 
 
 def confidence_of(error: Float[np.ndarray, "*any"]) -> Float[np.ndarray, "*any"]:

@@ -12,7 +12,6 @@ from jaxtyping import Bool, Float, Int, UInt8
 from torch import Tensor
 
 from uplift.config.settings import LifterSettings
-from uplift.data.confidence import calibrated_confidence
 from uplift.data.poses import PoseData, mask_maps
 from uplift.data.samples import Samples
 from uplift.errors import UserError
@@ -191,8 +190,6 @@ class Batch(Samples):
 def to_training_set(data: PoseData, skeleton: Skeleton, settings: LifterSettings) -> TrainingSet:
     """Return cleaned ``data`` in the units and the camera of ``settings``."""
     data = undistorted(data, settings)
-    if settings.confidence != "given":
-        data = replace(data, confidence=calibrated_confidence(data))
     return TrainingSet.of(
         data,
         skeleton,

@@ -10,6 +10,7 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from uplift.config.settings import LifterSettings, RefineSettings
+from uplift.data.confidence import calibrated
 from uplift.data.poses import PoseData, codes_of
 from uplift.data.tensors import TrainingSet, intrinsics_of, to_training_set, undistorted
 from uplift.errors import UserError
@@ -60,7 +61,7 @@ class InferredPoses:
 
 def infer(lifter: Lifter, data: PoseData, settings: LifterSettings, *, refine: bool) -> InferredPoses:
     """Return the poses of cleaned ``data``, optionally refined by clip, with short gaps interpolated."""
-    seen = undistorted(data, settings)
+    seen = calibrated(undistorted(data, settings), lifter.skeleton, settings)
     frames, lifted = _lift_and_refine(lifter, seen, settings, refine)
     if refine:
         filled = interpolate_gaps(seen, frames, lifted, intrinsics_of(seen, settings))

@@ -186,6 +186,7 @@ class ViewMaker:
         self.swap = torch.tensor(skeleton.mirror_permutation, device=device)
         self.rings = [list(ring) for ring in joint_neighbours(skeleton)]
         self.limbs = _limbs(skeleton).to(device)
+        self.doubtful = bool(((poses.confidence > 0) & (poses.confidence < 1)).any())
         self.detector = _Detector(skeleton, self.limbs) if settings.detector else None
         self.mixer = LimbMixer(poses.pose, skeleton) if settings.mix > 0 and not skeleton.rigid else None
 
@@ -203,6 +204,10 @@ class ViewMaker:
             other = self._draw(count)
             seen = projected + poses.noise[other]
             confidence = poses.confidence[other] * (weight > 0)
+        elif self.doubtful and self.settings.noise:
+            confidence = poses.confidence[self._draw(count)] * (weight > 0)
+            error = HALF_ERROR / confidence.clamp_min(_LEAST_CONFIDENCE) - HALF_ERROR
+            seen = projected + torch.randn_like(projected) * (error / _MEAN_LENGTH)[..., None]
         elif self.detector is not None:
             seen, confidence = self.detector(projected, weight, self.settings.detector)
         confidence = self._hide(confidence)
@@ -267,6 +272,7 @@ _JOINT_SPREAD = 0.5
 _MOST_GROSS = 0.15
 """Largest share of gross errors in a view."""
 _GROSS_ERRORS = (0.1, 0.5)
+_LEAST_CONFIDENCE = 0.05
 _SURE_GROSS = 0.1
 """Share of gross errors that the confidence does not tell."""
 _SWAPPED = 0.15
