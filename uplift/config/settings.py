@@ -174,18 +174,18 @@ class LifterSettings:
     radius: str = _setting("without_root", "joints the normalising mean runs over", choices=("all", "without_root"))
     root_free: bool = _setting(False, "leave the root's own depth in")
     confidence_input: bool = _setting(True, "the network sees confidence beside the keypoints")
-    confidence: Optional[str] = _setting(
-        None,
-        "what the network sees of it: calibrated (by how keypoints jump in time), seen (1 or 0, refinement sees more), given; "
-        "unset: seen where training knows exact keypoints only, else calibrated",
-        choices=("calibrated", "seen", "given"),
+    confidence: str = _setting(
+        "calibrated",
+        "calibrated: refinement knows errors by how keypoints of each confidence jump in time, the network whether a joint is "
+        "seen; given: both see that of the file",
+        choices=("calibrated", "given"),
     )
     fill: bool = _setting(True, "the network predicts where missing joints are")
     uncertainty: bool = _setting(
         True, "the student predicts how far off each depth, or the place of a hidden joint, may be"
     )
     denoise: Optional[bool] = _setting(
-        None, "the student moves seen joints too, the less the surer; unset: where its views have errors"
+        None, "the student moves seen joints too; unset: where student.noise adds errors to them"
     )
     both_ways: bool = _setting(True, "predict as the mean over the keypoints and their mirror image")
     refine: RefineSettings = _group(lambda: RefineSettings(smooth=1.0, near=0.5), "predicted clips")
@@ -291,10 +291,7 @@ class StudentSettings(StageSettings):
     last_options: dict[str, Any] = _setting({}, "options over student.options, in the last round")
     warm: bool = _setting(False, "a round goes on with the last round's weights where its network is the same")
     occlude: float = _setting(0.0, "share of views in which joints are hidden: some of them, or a limb", low=0, high=1)
-    noise: bool = _setting(True, "add to the views what refinement found wrong in the keypoints")
-    detector: float = _setting(
-        0.5, "share of views with made-up errors of a detector, where keypoints are exact", low=0, high=1
-    )
+    noise: bool = _setting(False, "add to the views what refinement found wrong in the keypoints")
     refine: RefineSettings = _group(RefineSettings, "poses to learn from")
     frames: int = _setting(
         60_000, "frames at most that are lifted and refined for a round, complete clips at random", low=1, high=10**12
@@ -302,6 +299,9 @@ class StudentSettings(StageSettings):
     turn: bool = _setting(True, "show poses from everywhere; off: each from where it was seen")
     mix: float = _setting(0.7, "share of poses that take limbs of others", low=0, high=1)
     mix_limb: float = _setting(0.4, "chance of each limb of such a pose", low=0, high=1)
+    stretch: float = _setting(
+        0.0, "how much bones of a view are longer or shorter: standard deviation of the log", low=0, high=1
+    )
     loss: Optional[str] = _setting(None, "loss of your own: file.py:Class; unset: absolute errors")
     loss_options: dict[str, Any] = _setting({}, "options of that class")
     module: Optional[str] = _setting(None, "module of your own, a subclass of uplift.StudentModule: file.py:Class")

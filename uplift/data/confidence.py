@@ -12,9 +12,9 @@ from uplift.data.clean import MIN_VISIBLE, fill_root
 from uplift.data.poses import PoseData
 from uplift.skeleton import Skeleton
 
-__all__ = ["HALF_ERROR", "calibrated", "calibrated_confidence", "confidence_of"]
+__all__ = ["calibrated"]
 
-HALF_ERROR = 0.05
+_HALF_ERROR = 0.05
 """Expected error, in mean 2D radii, of a keypoint of confidence 0.5."""
 _PRIOR_ERROR = 0.01
 """Of the median keypoint of a typical detector, in mean 2D radii; errors are taken to go as 1 / rank - 1."""
@@ -25,6 +25,8 @@ _PRIOR_WEIGHT = 5
 _MOST_ERROR = 0.5
 _HIDDEN = 0.15
 """Expected error, in mean 2D radii, above which a keypoint is worse than none."""
+_MOST_REST = 0.05
+"""Share of what a jump explains that may be left: quick motion, out and back within two frames, leaves more."""
 _EDGES = np.concatenate([0.25 * 2.0 ** np.arange(-6, 0), np.linspace(0.25, 0.95, 8)])
 """Between bins of ranks: fine at the low end, where gross errors are."""
 _LEAST_IN_BIN = 60
@@ -36,16 +38,19 @@ _MEAN_OVER_RMS = np.sqrt(np.pi) / 2
 
 
 def calibrated(data: PoseData, skeleton: Skeleton, settings: LifterSettings) -> PoseData:
-    """Return cleaned ``data`` with `calibrated_confidence`, unless ``settings`` take that of the file.
+    """Return cleaned ``data`` with confidences on a scale of its own errors, unless ``settings`` take those of the file.
 
-    Keypoints with an expected error of more than `_HIDDEN` are missing, where enough others are seen: a lifter fills
-    them in better.
+    1 is exact, 0.5 off by 5 % of the body (`_HALF_ERROR`). Only the order of the confidences counts, so every strictly
+    increasing rescaling of them gives the same. Keypoints with an expected error of more than `_HIDDEN`, and those that
+    jump by more and back, are missing where enough others are seen: a lifter fills them in better.
     """
     if settings.confidence == "given":
         return data
-    confidence = calibrated_confidence(data)
-    sure = confidence >= confidence_of(np.float32(_HIDDEN))
-    hidden = (confidence > 0) & ~sure & (sure.sum(1, keepdims=True) >= MIN_VISIBLE)
+    seen = data.confidence > 0
+    found = _Accelerations.of(data, seen)
+    confidence = _confidence(data.confidence, seen, found)
+    sure = (confidence >= _HALF_ERROR / (_HALF_ERROR + _HIDDEN)) & ~found.jumps()
+    hidden = seen & ~sure & (sure.sum(1, keepdims=True) >= MIN_VISIBLE)
     if not hidden.any():
         return replace(data, confidence=confidence)
     confidence[hidden] = 0
@@ -53,35 +58,30 @@ def calibrated(data: PoseData, skeleton: Skeleton, settings: LifterSettings) -> 
     return replace(data, keypoints=keypoints, confidence=confidence, root_filled=filled)
 
 
-def confidence_of(error: Float[np.ndarray, "*any"]) -> Float[np.ndarray, "*any"]:
-    """Return the calibrated confidence of keypoints with an expected ``error``, mean 2D radii: 1 is exact."""
-    return HALF_ERROR / (HALF_ERROR + error)
+def _confidence(
+    confidence: Float[np.ndarray, "frames joints"], seen: Bool[np.ndarray, "frames joints"], found: _Accelerations
+) -> Float[np.ndarray, "frames joints"]:
+    """Return the confidence by each rank's expected error, from how far keypoints jump in time.
 
-
-def calibrated_confidence(data: PoseData) -> Float[np.ndarray, "frames joints"]:
-    """Return the confidences of cleaned ``data`` on a scale of its own errors: 1 is exact, 0.5 off by 5 % of the body.
-
-    Only the order of the confidences counts, so every strictly increasing rescaling of them gives the same. The
-    expected error of each rank is the maximum of the likelihood of all second differences in time, if keypoints have
-    Gaussian errors of a variance by rank, and joints Gaussian accelerations of a variance by joint: variance components of
-    exponential variables (|second difference|^2), by the multiplicative updates of Fevotte, Bertin and Durrieu
-    2009. Errors do not decrease with confidence. Motion that looks like errors is told from them by
-    the correlation of neighbouring second differences, negative for independent errors. Without clips, and where
-    motion hides the errors, ranks are worth what they are in a typical detector. Equal confidences, and those of a
-    few frames, say nothing: keypoints then are exact (1) or missing (0).
+    The errors are the maximum of the likelihood of all second differences in time, if keypoints have Gaussian errors of a
+    variance by rank, and joints Gaussian accelerations of a variance by joint: variance components of exponential variables
+    (|second difference|^2), by the multiplicative updates of Fevotte, Bertin and Durrieu 2009. They do not
+    increase with confidence. Motion that looks like errors is told from them by the correlation of neighbouring second
+    differences, negative for independent errors. Without clips, and where motion hides the errors, ranks are worth what they
+    are in a typical detector. Equal confidences, and those of a few frames, say nothing: keypoints then are exact (1) or
+    missing (0).
     """
-    confidence, seen = data.confidence, data.confidence > 0
     values = np.sort(confidence[seen])
     rank = (np.searchsorted(values, confidence, side="right") + _PRIOR_VALUES) / (len(values) + _PRIOR_VALUES)
     centres, bin_of = _bins(rank, seen)
     if len(centres) == 1:
         return seen.astype(np.float32)
     prior = np.minimum(_PRIOR_ERROR * (1 / centres - 1), _MOST_ERROR) / _MEAN_OVER_RMS
-    variance = _variances(data, bin_of, seen, np.maximum(prior, 1e-6) ** 2)
+    variance = _variances(_Observed.of(found, bin_of), seen.shape[1], np.maximum(prior, 1e-6) ** 2)
     counts = np.bincount(bin_of[seen], minlength=len(centres))
     error = _MEAN_OVER_RMS * np.sqrt(_not_increasing(variance, counts))
-    sure = confidence_of(np.interp(rank, centres, np.minimum(error, _MOST_ERROR)))
-    return np.where(seen, sure, 0).astype(np.float32)
+    error = np.interp(rank, centres, np.minimum(error, _MOST_ERROR))
+    return np.where(seen, _HALF_ERROR / (_HALF_ERROR + error), 0).astype(np.float32)
 
 
 def _bins(
@@ -101,23 +101,71 @@ def _bins(
 
 
 @dataclass(frozen=True)
-class _Seconds:
-    """Second differences of joints over three frames, relative to the body's, in mean 2D radii."""
+class _Accelerations:
+    """Second differences of all joints over three frames, relative to the body's, in mean 2D radii."""
+
+    value: Float[np.ndarray, "frames joints 2"]
+    """At the middle frame; 0 where not known."""
+    known: Bool[np.ndarray, "frames joints"]
+
+    @classmethod
+    def of(cls, data: PoseData, seen: Bool[np.ndarray, "frames joints"]) -> _Accelerations:
+        """Return those of ``data``, of joints that are seen in all three frames."""
+        value, known = np.zeros(data.keypoints.shape), np.zeros(seen.shape, bool)
+        follows = data.follows()
+        at = np.flatnonzero(follows[1:-1] & follows[2:]) + 1
+        if len(at):
+            points = data.keypoints
+            whole = seen[at - 1] & seen[at] & seen[at + 1]
+            scale = _radius(points[at], seen[at])[:, None]
+            known[at] = whole & (scale > 0)
+            second = points[at - 1] - 2 * points[at] + points[at + 1]
+            value[at] = _relative(second, whole) / np.maximum(scale, 1e-9)[..., None]
+        return cls(value, known)
+
+    def jumps(self) -> Bool[np.ndarray, "frames joints"]:
+        """Return the keypoints that jump out and back by more than what would be filled in, whatever their confidence.
+
+        A jump of one frame makes three second differences of 1, -2 and 1 times its length; what else they hold has to
+        be little.
+        """
+        before, at, after = self.value[:-2], self.value[1:-1], self.value[2:]
+        jump = np.square((before - 2 * at + after) / 6).sum(-1)
+        rest = np.square(before).sum(-1) + np.square(at).sum(-1) + np.square(after).sum(-1) - 6 * jump
+        three = self.known[:-2] & self.known[1:-1] & self.known[2:]
+        found = np.zeros(self.known.shape, bool)
+        found[1:-1] = three & (jump > _HIDDEN**2) & (rest < _MOST_REST * 6 * jump)
+        return found
+
+
+@dataclass(frozen=True)
+class _Observed:
+    """What variances are estimated from: accelerations of some thousand frames at most."""
 
     square: Float[np.ndarray, " all"]
     joint: Int[np.ndarray, " all"]
     bins: Int[np.ndarray, "3 all"]
     """Of the frame before, the middle one and the one after."""
     product: Float[np.ndarray, " all"]
-    """With the second difference one frame later; NaN where there is none."""
+    """With the acceleration one frame later; NaN where there is none."""
+
+    @classmethod
+    def of(cls, found: _Accelerations, bin_of: Int[np.ndarray, "frames joints"]) -> _Observed:
+        """Return those of frames spread evenly over the data."""
+        at = np.flatnonzero(found.known.any(1))
+        at = at[:: max(1, len(at) // _MOST_FRAMES)]
+        known, value, next_one = found.known[at], found.value[at], np.minimum(at + 1, len(bin_of) - 1)
+        later = known & found.known[next_one] & (next_one > at)[:, None]
+        product = np.where(later, (value * found.value[next_one]).sum(-1), np.nan)
+        bins = np.stack([bin_of[at - 1][known], bin_of[at][known], bin_of[next_one][known]])
+        return cls(np.square(value).sum(-1)[known], np.nonzero(known)[1], bins, product[known])
 
 
-def _variances(data: PoseData, bin_of: np.ndarray, seen: np.ndarray, prior: np.ndarray) -> np.ndarray:
+def _variances(found: _Observed, joints: int, prior: Float[np.ndarray, " bins"]) -> Float[np.ndarray, " bins"]:
     """Return the variance (of both coordinates together) of errors in each bin, in squared mean radii."""
-    found = _seconds(data, bin_of, seen)
     if not len(found.square):
         return prior
-    joints, bins = data.confidence.shape[1], len(prior)
+    bins = len(prior)
     before, middle, after = found.bins
 
     def sums(value: np.ndarray) -> np.ndarray:
@@ -135,7 +183,7 @@ def _variances(data: PoseData, bin_of: np.ndarray, seen: np.ndarray, prior: np.n
     return np.maximum(error - _motion_among(error, motion, found), 0)
 
 
-def _motion_among(error: np.ndarray, motion: np.ndarray, found: _Seconds) -> float:
+def _motion_among(error: np.ndarray, motion: np.ndarray, found: _Observed) -> float:
     """Return how much of each variance is motion of the stillest joint, which second differences alone cannot tell.
 
     The product of neighbouring second differences is negative on average for independent errors. What it has more is
@@ -149,29 +197,6 @@ def _motion_among(error: np.ndarray, motion: np.ndarray, found: _Seconds) -> flo
     sums = [[(weight * one * other).sum() for other in (4, moved)] for one in (4, moved)]
     right = [(weight * one * more).sum() for one in (4, moved)]
     return max(0.0, float(np.linalg.lstsq(np.array(sums), np.array(right), rcond=None)[0][0]))
-
-
-def _seconds(data: PoseData, bin_of: np.ndarray, seen: np.ndarray) -> _Seconds:
-    """Return second differences in time, of some thousand frames at most."""
-    follows = np.append(data.follows(), np.zeros(3, bool))
-    at = np.flatnonzero(follows[1:-2] & follows[2:-1]) + 1
-    at = at[:: max(1, len(at) // _MOST_FRAMES)]
-    rows = at[:, None] + np.arange(-1, 3)
-    rows[~follows[at + 2], 3] = rows[~follows[at + 2], 2]
-    points, shown = data.keypoints[rows].astype(np.float64), seen[rows]
-    whole = shown[:, :3].all(1)
-    first = _relative(points[:, 0] - 2 * points[:, 1] + points[:, 2], whole)
-    later = whole & shown[:, 3] & follows[at + 2, None]
-    second = _relative(points[:, 1] - 2 * points[:, 2] + points[:, 3], later)
-    scale = _radius(points[:, 1], shown[:, 1])[:, None, None]
-    usable = whole & (scale[..., 0] > 0)
-    product = np.where(later & usable, (first * second).sum(-1) / np.maximum(scale[..., 0], 1e-9) ** 2, np.nan)
-    return _Seconds(
-        square=np.square(first / np.maximum(scale, 1e-9)).sum(-1)[usable],
-        joint=np.nonzero(usable)[1],
-        bins=bin_of[rows[:, :3]].transpose(1, 0, 2)[:, usable],
-        product=product[usable],
-    )
 
 
 def _relative(value: Float[np.ndarray, "frames joints 2"], seen: Bool[np.ndarray, "frames joints"]) -> np.ndarray:

@@ -39,7 +39,7 @@ class Lifter(nn.Module):
 
     ``tilt`` is ``predicted`` (one per pose), ``learned`` (one for all) or ``level``. With ``fill`` the
     network also predicts where missing joints are; without, they stay at the root. With ``denoise`` it
-    also moves visible joints that are not sure, and with ``uncertainty`` it predicts the error of each depth.
+    also moves visible joints, and with ``uncertainty`` it predicts the error of each depth.
     With ``root_free`` the root's depth is not subtracted, as in the code of Kudo et al. 2018.
     """
 
@@ -56,7 +56,7 @@ class Lifter(nn.Module):
         self.confidence_input, self.root_free = settings.confidence_input, settings.root_free
         self.fill, self.uncertainty = settings.fill, settings.uncertainty
         self.denoise = bool(settings.denoise) and settings.fill
-        self.confidence = settings.confidence
+        self.calibrated = settings.confidence == "calibrated"
         if network is None:
             joints = len(skeleton.joints)
             outputs = joints * (1 + 2 * self.fill + self.uncertainty) + (self.tilt == "predicted")
@@ -80,7 +80,7 @@ class Lifter(nn.Module):
         joints = len(self.skeleton.joints)
         visible = (confidence > 0).unsqueeze(-1)
         keypoints = keypoints * visible
-        if self.confidence == "seen":
+        if self.calibrated:  # a network that is shown errors learns the rest of its poses more slowly
             confidence = visible.squeeze(-1).to(confidence.dtype)
         features = keypoints.flatten(1)
         if self.confidence_input:
@@ -91,7 +91,7 @@ class Lifter(nn.Module):
             depth = depth - depth[:, self.skeleton.root_index, None]
         if self.fill:
             guessed = output[:, joints : 3 * joints].reshape(-1, joints, 2)
-            keypoints = self._moved(keypoints, guessed, confidence)
+            keypoints = keypoints + guessed if self.denoise else torch.where(visible, keypoints, guessed)
             # A missing root had its neighbours as a stand-in; from here on the origin is the predicted root.
             keypoints = keypoints - keypoints[:, self.skeleton.root_index, None]
         uncertainty = None
@@ -100,18 +100,6 @@ class Lifter(nn.Module):
             uncertainty = output[:, first : first + joints].clamp(*_LOG_UNCERTAINTY).exp()
             uncertainty = uncertainty.index_fill(1, self.root_place, 0.0)
         return Lifted(self.camera.unproject(keypoints, depth, distance), self._tilt(output), keypoints, uncertainty)
-
-    def _moved(self, keypoints: Tensor, guessed: Tensor, confidence: Tensor) -> Tensor:
-        """Return the keypoints with missing joints put where they are ``guessed``, and doubtful ones moved with `denoise`.
-
-        An error of e times `HALF_ERROR` has the calibrated confidence 1 / (1 + e), so that guesses are of the size
-        1 + e: small numbers for sure joints too, and none is needed for an exact one.
-        """
-        if self.denoise and self.confidence == "given":
-            return keypoints + guessed
-        if self.denoise:
-            return torch.addcmul(keypoints, 1 - confidence.unsqueeze(-1), guessed)
-        return torch.where((confidence > 0).unsqueeze(-1), keypoints, guessed)
 
     def _tilt(self, output: Tensor) -> Tensor:
         if self.tilt == "predicted":

@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import partial
 
 import torch
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float, Int
 from torch import Tensor
 from torch.nn.functional import normalize
 
 from uplift.config.settings import StudentSettings
 from uplift.data.clean import MIN_VISIBLE, joint_neighbours
-from uplift.data.confidence import HALF_ERROR
 from uplift.data.sampler import LabelledSampler
 from uplift.data.samples import Samples
 from uplift.geometry.camera import Camera
@@ -28,6 +26,7 @@ __all__ = ["TILT_WEIGHT", "LimbMixer", "ShownViews", "ViewMaker", "depth_error",
 
 _TEMPLATE_FRAMES = 20_000
 _TINY = 1e-6
+_MOST_SHORT = 3.0
 
 
 @dataclass(frozen=True)
@@ -64,6 +63,13 @@ class LimbMixer:
             self._path[_below(joint, children), bone] = 1
         self._bones = pose[:, ends] - pose[:, [parents[joint] for joint in ends]]
         self._lengths = self._bones.norm(dim=-1, keepdim=True).clamp_min(_TINY)
+        twin = [bone_of.get(skeleton.mirror_permutation[joint], bone) for bone, joint in enumerate(ends)]
+        self._group = torch.tensor([min(bone, other) for bone, other in enumerate(twin)], device=pose.device)
+        """(bones,): a bone and its mirror image have one number."""
+        usual = self._lengths[..., 0].median(0).values
+        usual = (usual + usual[twin]) / 2
+        self._spread = (1 + (usual.mean() / usual.clamp_min(_TINY)).square().clamp_max(_MOST_SHORT**2)).sqrt()
+        """(bones,): what sets apart bodies, a share of each bone, and definitions of joints, as much for all bones."""
         branching = [j for j in order if len(children[j]) >= 2]
         frames = []
         self._limbs: list[_Limb] = []
@@ -81,7 +87,13 @@ class LimbMixer:
         self._frames = torch.stack(frames, 1) if frames else pose.new_zeros(len(pose), 0, 3, 3)
 
     def __call__(
-        self, rows: Int[Tensor, " batch"], confidence: Float[Tensor, "frames joints"], *, share: float, limb: float
+        self,
+        rows: Int[Tensor, " batch"],
+        confidence: Float[Tensor, "frames joints"],
+        *,
+        share: float,
+        limb: float,
+        stretch: float = 0.0,
     ) -> tuple[Float[Tensor, "batch joints 3"], Float[Tensor, "batch joints"]]:
         """Return the poses of ``rows`` with limbs of others in the batch, and each joint's confidence.
 
@@ -103,6 +115,9 @@ class LimbMixer:
             mixed[at, part.joints] = confidence[givers[:, None], part.joints] * seen
             for inner in part.inner:
                 frames[takers, inner] = rotation @ self._frames[givers, inner]
+        if stretch:
+            log = stretch * self._spread * torch.randn(count, len(self._spread), device=rows.device)
+            bones = bones * log[:, self._group].exp().unsqueeze(-1)
         return self._path @ bones, mixed
 
 
@@ -186,8 +201,6 @@ class ViewMaker:
         self.swap = torch.tensor(skeleton.mirror_permutation, device=device)
         self.rings = [list(ring) for ring in joint_neighbours(skeleton)]
         self.limbs = _limbs(skeleton).to(device)
-        self.doubtful = bool(((poses.confidence > 0) & (poses.confidence < 1)).any())
-        self.detector = _Detector(skeleton, self.limbs) if settings.detector else None
         self.mixer = LimbMixer(poses.pose, skeleton) if settings.mix > 0 and not skeleton.rigid else None
 
     def __call__(self, count: int) -> ShownViews:
@@ -204,12 +217,6 @@ class ViewMaker:
             other = self._draw(count)
             seen = projected + poses.noise[other]
             confidence = poses.confidence[other] * (weight > 0)
-        elif self.doubtful and self.settings.noise:
-            confidence = poses.confidence[self._draw(count)] * (weight > 0)
-            error = HALF_ERROR / confidence.clamp_min(_LEAST_CONFIDENCE) - HALF_ERROR
-            seen = projected + torch.randn_like(projected) * (error / _MEAN_LENGTH)[..., None]
-        elif self.detector is not None:
-            seen, confidence = self.detector(projected, weight, self.settings.detector)
         confidence = self._hide(confidence)
         # The radius is that of the visible joints, as in real data. A view with too few of them has no weight.
         few = ((confidence > 0).sum(1, keepdim=True)) < MIN_VISIBLE
@@ -229,7 +236,9 @@ class ViewMaker:
         if self.mixer is None:
             pose, confidence = poses.pose[rows], poses.confidence[rows]
         else:
-            pose, confidence = self.mixer(rows, poses.confidence, share=settings.mix, limb=settings.mix_limb)
+            pose, confidence = self.mixer(
+                rows, poses.confidence, share=settings.mix, limb=settings.mix_limb, stretch=settings.stretch
+            )
         if self.mirrors:
             flip = torch.rand(len(rows), device=rows.device) < 0.5
             pose = torch.where(flip[:, None, None], mirror(pose, self.swap), pose)
@@ -261,64 +270,6 @@ class ViewMaker:
             hidden = torch.where(torch.rand(count, 1, device=device) < _LIMB_SHARE, limb, hidden)
         hidden &= torch.rand(count, 1, device=device) < self.settings.occlude
         return confidence.masked_fill(hidden, 0)
-
-
-# Errors as detectors make them, each with the confidence that it has once calibrated (`uplift.data.confidence`).
-
-_ERRORS = (0.002, 0.06)
-"""Mean error in a view, mean 2D radii: from the best of detectors to one that is just about of use."""
-_JOINT_SPREAD = 0.5
-"""Standard deviation of the log of joints' mean errors in a view."""
-_MOST_GROSS = 0.15
-"""Largest share of gross errors in a view."""
-_GROSS_ERRORS = (0.1, 0.5)
-_LEAST_CONFIDENCE = 0.05
-_SURE_GROSS = 0.1
-"""Share of gross errors that the confidence does not tell."""
-_SWAPPED = 0.15
-"""Share of views that have the left and the right of a limb swapped; half of them tell."""
-
-
-class _Detector:
-    """Makes errors of a size and a confidence of their own in each view: noise, gross errors, swapped limbs."""
-
-    def __init__(self, skeleton: Skeleton, limbs: Bool[Tensor, "limbs joints"]):
-        self.swap = torch.tensor(skeleton.mirror_permutation, device=limbs.device)
-        paired = self.swap != torch.arange(len(self.swap), device=limbs.device)
-        self.pairs = (limbs | limbs[:, self.swap]) & paired
-        """(pairs joints): a limb and its mirror image."""
-        self.pairs = self.pairs[self.pairs.any(1)]
-
-    def __call__(
-        self, keypoints: Float[Tensor, "views joints 2"], weight: Float[Tensor, "views joints"], share: float
-    ) -> tuple[Float[Tensor, "views joints 2"], Float[Tensor, "views joints"]]:
-        """Return ``keypoints``, in mean radii, with errors in a ``share`` of the views, and their confidence."""
-        views, device = len(keypoints), keypoints.device
-        uniform = partial(torch.rand, device=device)
-        error = _log_uniform(_ERRORS, uniform(views, 1)) * (_JOINT_SPREAD * torch.randn_like(weight)).exp()
-        gross = uniform(weight.shape) < _MOST_GROSS * uniform(views, 1)
-        large = torch.where(gross, _log_uniform(_GROSS_ERRORS, uniform(weight.shape)), error)
-        told = torch.where(uniform(weight.shape) < _SURE_GROSS, error, large)
-        seen = keypoints
-        if len(self.pairs):
-            pair = self.pairs[torch.randint(len(self.pairs), (views,), device=device)]
-            swapped = pair & (uniform(views, 1) < _SWAPPED)
-            seen = torch.where(swapped[..., None], keypoints[:, self.swap], keypoints)
-            gap = (seen - keypoints).norm(dim=-1)
-            told = torch.where(uniform(views, 1) < 0.5, torch.maximum(told, gap), told)
-        seen = seen + torch.randn_like(seen) * (large / _MEAN_LENGTH)[..., None]
-        noisy = uniform(views, 1) < share
-        confidence = torch.where(noisy, HALF_ERROR / (HALF_ERROR + told), 1.0) * (weight > 0)
-        return torch.where(noisy[..., None], seen, keypoints), confidence
-
-
-_MEAN_LENGTH = (torch.pi / 2) ** 0.5
-"""Of a pair of independent normal numbers."""
-
-
-def _log_uniform(limits: tuple[float, float], share: Tensor) -> Tensor:
-    low, high = limits
-    return low * (high / low) ** share
 
 
 def _stand_in(keypoints: Tensor, confidence: Tensor, root: int, rings: list[list[int]]) -> Tensor:

@@ -54,8 +54,6 @@ class KeypointModule(TrainingModule[Lifter, Any]):
     skeleton: Skeleton
     lifter_settings: LifterSettings
     _sized: bool = False
-    _confidence: str | None = None
-    """`LifterSettings.confidence` as it was set."""
     azimuth_deg: tuple[float, float] = (-180.0, 180.0)
     """The range of the turn about gravity that bodies are seen from."""
 
@@ -137,16 +135,6 @@ class KeypointModule(TrainingModule[Lifter, Any]):
         self.prepared_with = weakref.ref(data)
         return data
 
-    def _set_confidence(self, confidence: Float[Tensor, "frames joints"], *, noisy: bool) -> None:
-        """Let the lifter see how sure keypoints are, where that is set or training shows it some that are not."""
-        chosen = self._confidence
-        if chosen is None:
-            chosen = "calibrated" if noisy or bool(((confidence > 0) & (confidence < 1)).any()) else "seen"
-        self.lifter_settings = dataclasses.replace(self.lifter_settings, confidence=chosen)
-        self.hparams["lifter"]["confidence"] = chosen
-        for lifter in self.lifters():
-            lifter.confidence = chosen
-
     def _take_sizes(self, data: KeypointData) -> None:
         """Set the size of the labelled bodies, where it is known."""
         bone_mm = data.bone_mm(self.lifter_settings)
@@ -203,7 +191,6 @@ class LiftingModule(KeypointModule):
         chosen = stage_settings("teacher", training, priors=specs, lifter=lifter, views=views, seed=seed)
         # Only students learn to predict the uncertainty and to correct visible joints.
         self.lifter_settings = dataclasses.replace(chosen.lifter, uncertainty=False, denoise=False)
-        self._confidence = self.lifter_settings.confidence
         self.view_settings, self.prior_specs = chosen.views, chosen.priors
         self.azimuth_deg, self.prior_rate = chosen.views.azimuth_deg, chosen.teacher.prior_learning_rate
         self._keep_hyperparameters(chosen)
@@ -257,7 +244,6 @@ class LiftingModule(KeypointModule):
         self.truth = self.maker = None
         frames = self.frames = data.frames(self.lifter_settings)
         self.labelled_share = data.labelled_share
-        self._set_confidence(frames.confidence, noisy=False)
         self.sampler = LabelledSampler(frames.labelled, self.labelled_share)
         labelled = bool(frames.labelled.any())
         unlabelled = not labelled and self.prior_specs.get("labelled", {}).get("if_possible")
@@ -303,7 +289,7 @@ class LiftingModule(KeypointModule):
         if self.maker is None or self.maker.poses.pose.device != self.device:
             assert self.truth is not None
             truth, count_root = self.truth.to(self.device), self.view_settings.count_root
-            self.maker = ViewMaker(truth, self.lifter.camera, StudentSettings(detector=0), count_root=count_root)
+            self.maker = ViewMaker(truth, self.lifter.camera, StudentSettings(), count_root=count_root)
         with torch.no_grad():
             views = self.maker(count)
         lifted = self.lifter(views.input, views.confidence, views.distance)

@@ -136,7 +136,7 @@ class StudentModule(KeypointModule):
                 **plain_settings(chosen.student),
             }
         )  # fmt: skip
-        self._denoise, self._confidence = self.lifter_settings.denoise, self.lifter_settings.confidence
+        self._denoise = self.lifter_settings.denoise
         self.learn_from(teacher)
         with seeded(seed):
             self.set_up(self.configure_lifter(), chosen.student, seed)
@@ -178,9 +178,7 @@ class StudentModule(KeypointModule):
             poses = lift_all(teacher, frames.some(self.settings.frames, self.seed), self.settings.refine)
         if teacher is not None and self.settings.warm:
             self._start_from(teacher)
-        noisy = bool(self.settings.detector) or (poses.noise is not None and self.settings.noise)
-        self._set_denoise(noisy=noisy)
-        self._set_confidence(poses.confidence, noisy=noisy)
+        self._set_denoise(noisy=poses.noise is not None and self.settings.noise)
         self.frames, self.labelled_share = poses, data.labelled_share
         self._made = self._maker = None
 
@@ -192,7 +190,7 @@ class StudentModule(KeypointModule):
                 lifter.load_state_dict(teacher.state_dict())
 
     def _set_denoise(self, *, noisy: bool) -> None:
-        """Let the lifter move visible joints, where that is set or views are ``noisy``."""
+        """Let the lifter move visible joints, where that is set or the keypoints are ``noisy``."""
         denoise = noisy if self._denoise is None else self._denoise
         self.lifter_settings = dataclasses.replace(self.lifter_settings, denoise=denoise)
         self.hparams["lifter"]["denoise"] = denoise
