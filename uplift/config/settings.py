@@ -174,6 +174,12 @@ class LifterSettings:
     radius: str = _setting("without_root", "joints the normalising mean runs over", choices=("all", "without_root"))
     root_free: bool = _setting(False, "leave the root's own depth in")
     confidence_input: bool = _setting(True, "the network sees confidence beside the keypoints")
+    confidence: str = _setting(
+        "calibrated",
+        "calibrated: refinement knows errors by how keypoints of each confidence jump in time, the network whether a joint is "
+        "seen; given: both see that of the file",
+        choices=("calibrated", "given"),
+    )
     fill: bool = _setting(True, "the network predicts where missing joints are")
     uncertainty: bool = _setting(
         True, "the student predicts how far off each depth, or the place of a hidden joint, may be"
@@ -185,7 +191,7 @@ class LifterSettings:
         high=16_384,
     )
     denoise: Optional[bool] = _setting(
-        None, "the student moves seen joints too; unset: where refined clips show that they are noisy"
+        None, "the student moves seen joints too; unset: where student.noise adds errors to them"
     )
     both_ways: bool = _setting(True, "predict as the mean over the keypoints and their mirror image")
     refine: RefineSettings = _group(lambda: RefineSettings(smooth=1.0, near=0.5), "predicted clips")
@@ -294,7 +300,7 @@ class StudentSettings(StageSettings):
     last_options: dict[str, Any] = _setting({}, "options over student.options, in the last round")
     warm: bool = _setting(False, "a round goes on with the last round's weights where its network is the same")
     occlude: float = _setting(0.0, "share of views in which joints are hidden: some of them, or a limb", low=0, high=1)
-    noise: bool = _setting(True, "add to the views what refinement found wrong in the keypoints")
+    noise: bool = _setting(False, "add to the views what refinement found wrong in the keypoints")
     refine: RefineSettings = _group(RefineSettings, "poses to learn from")
     frames: int = _setting(
         60_000, "frames at most that are lifted and refined for a round, complete clips at random", low=1, high=10**12
@@ -322,6 +328,9 @@ class StudentSettings(StageSettings):
     )
     mix: float = _setting(0.7, "share of poses that take limbs of others", low=0, high=1)
     mix_limb: float = _setting(0.4, "chance of each limb of such a pose", low=0, high=1)
+    stretch: float = _setting(
+        0.0, "how much bones of a view are longer or shorter: standard deviation of the log", low=0, high=1
+    )
     loss: Optional[str] = _setting(None, "loss of your own: file.py:Class; unset: absolute errors")
     loss_options: dict[str, Any] = _setting({}, "options of that class")
     module: Optional[str] = _setting(None, "module of your own, a subclass of uplift.StudentModule: file.py:Class")

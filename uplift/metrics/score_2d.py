@@ -28,6 +28,7 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from uplift.data.clean import clean
+from uplift.data.confidence import calibrated
 from uplift.data.poses import PoseData, codes_of
 from uplift.data.tensors import TrainingSet, to_training_set
 from uplift.errors import UserError
@@ -107,7 +108,7 @@ def _frames(model: Model, data: PoseData, generator: torch.Generator, most: int)
             f"{data.source or 'the data'}: {len(data)} frames can be lifted, expected {LEAST_FRAMES} or more to compare pictures with (of held-out frames: raise val=)."
         )
     rows = torch.randperm(len(data), generator=generator)[:most].sort().values.numpy()
-    data = data.select(rows)
+    data = calibrated(data, model.skeleton, model.settings).select(rows)
     device = next(model.lifter.parameters()).device
     return data, to_training_set(data, model.skeleton, model.settings).to(device)
 

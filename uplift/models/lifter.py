@@ -78,6 +78,7 @@ class Lifter(nn.Module):
         self.confidence_input, self.root_free = settings.confidence_input, settings.root_free
         self.fill, self.uncertainty = settings.fill, settings.uncertainty
         self.denoise = bool(settings.denoise) and settings.fill
+        self.calibrated = settings.confidence == "calibrated"
         self.any_camera = settings.cameras == "any"
         self.gravity = self.any_camera and self.tilt == "predicted"
         joints = len(skeleton.joints)
@@ -116,6 +117,8 @@ class Lifter(nn.Module):
         joints = len(self.skeleton.joints)
         visible = (confidence > 0).unsqueeze(-1)
         keypoints = keypoints * visible
+        if self.calibrated:  # a network that is shown errors learns the rest of its poses more slowly
+            confidence = visible.squeeze(-1).to(confidence.dtype)
         features = keypoints.flatten(1)
         if self.confidence_input:
             features = torch.cat([features, confidence], 1)

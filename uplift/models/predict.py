@@ -10,6 +10,7 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from uplift.config.settings import LifterSettings, RefineSettings
+from uplift.data.confidence import calibrated
 from uplift.data.poses import PoseData
 from uplift.data.tensors import TrainingSet, intrinsics_of, to_training_set, undistorted
 from uplift.errors import UserError
@@ -80,7 +81,7 @@ def infer(
         solve: whether depth signs are decided along clips, by a lifter that predicts them; as ``refine`` if None.
         hypotheses: how many poses to return for each frame, beside the answer, by such a lifter.
     """
-    seen = undistorted(data, settings)
+    seen = calibrated(undistorted(data, settings), lifter.skeleton, settings)
     frames, lifted = _lift_and_refine(lifter, seen, settings, refine)
     if refine:
         filled = interpolate_gaps(seen, frames, lifted, intrinsics_of(seen, settings))

@@ -37,6 +37,7 @@ __all__ = [
 
 _TEMPLATE_FRAMES = 20_000
 _TINY = 1e-6
+_MOST_SHORT = 3.0
 
 
 @dataclass(frozen=True)
@@ -73,6 +74,13 @@ class LimbMixer:
             self._path[_below(joint, children), bone] = 1
         self._bones = pose[:, ends] - pose[:, [parents[joint] for joint in ends]]
         self._lengths = self._bones.norm(dim=-1, keepdim=True).clamp_min(_TINY)
+        twin = [bone_of.get(skeleton.mirror_permutation[joint], bone) for bone, joint in enumerate(ends)]
+        self._group = torch.tensor([min(bone, other) for bone, other in enumerate(twin)], device=pose.device)
+        """(bones,): a bone and its mirror image have one number."""
+        usual = self._lengths[..., 0].median(0).values
+        usual = (usual + usual[twin]) / 2
+        self._spread = (1 + (usual.mean() / usual.clamp_min(_TINY)).square().clamp_max(_MOST_SHORT**2)).sqrt()
+        """(bones,): what sets apart bodies, a share of each bone, and definitions of joints, as much for all bones."""
         branching = [j for j in order if len(children[j]) >= 2]
         frames = []
         self._limbs: list[_Limb] = []
@@ -90,7 +98,13 @@ class LimbMixer:
         self._frames = torch.stack(frames, 1) if frames else pose.new_zeros(len(pose), 0, 3, 3)
 
     def __call__(
-        self, rows: Int[Tensor, " batch"], confidence: Float[Tensor, "frames joints"], *, share: float, limb: float
+        self,
+        rows: Int[Tensor, " batch"],
+        confidence: Float[Tensor, "frames joints"],
+        *,
+        share: float,
+        limb: float,
+        stretch: float = 0.0,
     ) -> tuple[Float[Tensor, "batch joints 3"], Float[Tensor, "batch joints"]]:
         """Return the poses of ``rows`` with limbs of others in the batch, and each joint's confidence.
 
@@ -112,6 +126,9 @@ class LimbMixer:
             mixed[at, part.joints] = confidence[givers[:, None], part.joints] * seen
             for inner in part.inner:
                 frames[takers, inner] = rotation @ self._frames[givers, inner]
+        if stretch:
+            log = stretch * self._spread * torch.randn(count, len(self._spread), device=rows.device)
+            bones = bones * log[:, self._group].exp().unsqueeze(-1)
         return self._path @ bones, mixed
 
 
@@ -291,7 +308,9 @@ class ViewMaker:
         if self.mixer is None:
             pose, confidence = poses.pose[rows], poses.confidence[rows]
         else:
-            pose, confidence = self.mixer(rows, poses.confidence, share=settings.mix, limb=settings.mix_limb)
+            pose, confidence = self.mixer(
+                rows, poses.confidence, share=settings.mix, limb=settings.mix_limb, stretch=settings.stretch
+            )
         if self.mirrors:
             flip = torch.rand(len(rows), device=rows.device) < 0.5
             pose = torch.where(flip[:, None, None], mirror(pose, self.swap), pose)
