@@ -52,6 +52,8 @@ class InferredPoses:
     pose: Float[Tensor, "frames joints 3"]
     gravity: Float[Tensor, "frames 3"]
     """Unit vectors."""
+    gravity_by_frame: Float[Tensor, "frames 3"]
+    """The same as each frame alone has it, where ``gravity`` is one for a clip."""
     uncertainty: Float[Tensor, "frames joints"] | None
     """The expected error of each depth, pixels."""
     mm_per_px: Float[Tensor, " frames"] | None
@@ -61,29 +63,33 @@ class InferredPoses:
 def infer(lifter: Lifter, data: PoseData, settings: LifterSettings, *, refine: bool) -> InferredPoses:
     """Return the poses of cleaned ``data``, optionally refined by clip, with short gaps interpolated."""
     seen = undistorted(data, settings)
-    frames, lifted = _lift_and_refine(lifter, seen, settings, refine)
+    frames, lifted, alone = _lift_and_refine(lifter, seen, settings, refine)
     if refine:
         filled = interpolate_gaps(seen, frames, lifted, intrinsics_of(seen, settings))
         if filled is not None:  # with fewer gaps, the visible joints are lifted better too
-            frames, lifted = _lift_and_refine(lifter, filled, settings, refine)
+            frames, lifted, alone = _lift_and_refine(lifter, filled, settings, refine)
     pose = lifted.pose * frames.scale[:, None, None]
     if frames.rotation is not None:
         pose = turn(pose, frames.rotation.mT)
-    gravity = gravity_of(real_tilt(lifted.tilt, frames.rotation), None)
+    gravity, by_frame = (_real_gravity(one, frames) for one in (lifted, alone))
     uncertainty = None if lifted.uncertainty is None else lifted.uncertainty * frames.scale[:, None]
     unit_mm = lifter.unit_mm(lifted.pose)
-    return InferredPoses(pose, gravity, uncertainty, None if unit_mm is None else unit_mm / frames.scale)
+    return InferredPoses(pose, gravity, by_frame, uncertainty, None if unit_mm is None else unit_mm / frames.scale)
 
 
 def _lift_and_refine(
     lifter: Lifter, data: PoseData, settings: LifterSettings, refine: bool
-) -> tuple[TrainingSet, Lifted]:
-    """Return ``data`` in the model's units, and its poses."""
+) -> tuple[TrainingSet, Lifted, Lifted]:
+    """Return ``data`` in the model's units, its poses, and those of each frame alone."""
     frames = to_training_set(data, lifter.skeleton, settings).to(next(lifter.parameters()).device)
-    lifted = lift_frames(lifter, frames, both_ways=settings.both_ways)
-    if refine:
-        lifted = refine_lifted(lifted, frames, lifter.camera, settings.refine)
-    return frames, lifted
+    alone = lift_frames(lifter, frames, both_ways=settings.both_ways)
+    lifted = refine_lifted(alone, frames, lifter.camera, settings.refine) if refine else alone
+    return frames, lifted, alone
+
+
+def _real_gravity(lifted: Lifted, frames: TrainingSet) -> Float[Tensor, "frames 3"]:
+    """Return gravity in the frame of the real camera, unit vectors."""
+    return gravity_of(real_tilt(lifted.tilt, frames.rotation), None)
 
 
 # Lift many frames, and refine those of each clip together.
