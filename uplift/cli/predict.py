@@ -54,12 +54,12 @@ class Request:
     refine: bool
     constant_bones: bool
     size: Mapping[str, Any]
-    camera: KnownCamera | None
-    ground: bool
     reading: ReadOptions | None
     axes: str | None
     page: str | None
     options: Mapping[str, Any]
+    camera: KnownCamera | None = None
+    ground: bool = False
 
     @property
     def title(self) -> str:
@@ -111,12 +111,12 @@ def predict(
         refine,
         constant_bones,
         size or {},
-        camera,
-        ground,
         reading,
         axes,
         page,
         options,
+        camera,
+        ground,
     )
     prediction, files = KINDS[weights.lifts].predict(request)
     if written is not None:

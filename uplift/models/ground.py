@@ -75,7 +75,7 @@ def put_on_ground(
         skeleton: its ``contacts`` are the joints that may stand.
     """
     points = pose + root[:, None].astype(np.float64)
-    known = np.isfinite(points).all((1, 2))
+    known = np.asarray(np.isfinite(points).all((1, 2)))
     contacts = contact_joints(skeleton, points[known], gravity[known])
     why_not = _no_ground(data, skeleton, contacts)
     if why_not:
@@ -85,10 +85,11 @@ def put_on_ground(
     ground = Ground(np.full_like(root, np.nan), np.full_like(root, np.nan), np.zeros(pose.shape[:2], bool))
     found: list[_Standing | str] = []
     for motion, rows in _motions(points, sights, gravity, data, contacts):
-        found.append(_stand(motion, limbs))
-        if isinstance(found[-1], _Standing):
-            points[rows], ground.contact[rows] = found[-1].points, found[-1].contact
-            ground.point[rows], ground.normal[rows] = found[-1].point, -found[-1].normal
+        one = _stand(motion, limbs)
+        found.append(one)
+        if isinstance(one, _Standing):
+            points[rows], ground.contact[rows] = one.points, one.contact
+            ground.point[rows], ground.normal[rows] = one.point, -one.normal
     if not any(isinstance(one, _Standing) for one in found):
         ground = None
     moved = np.where(known[:, None], points[:, skeleton.root_index], root)
@@ -262,9 +263,9 @@ def _stand(motion: _Motion, limbs: _Limbs) -> _Standing | str:
     steps = _likeliest(still + _UNLIKELY)
     for _ in range(_ROUNDS):
         contact = _of_frames(steps)
-        if contact.any(1).sum() < _LEAST_CONTACT * motion.known.sum():
+        if contact.any(1).sum() < max(_LEAST_CONTACT * motion.known.sum(), 2):
             return "no foot stands still for long"
-        frame, foot = np.nonzero(contact)
+        frame, foot = np.nonzero(contact & (motion.confidence[:, feet] > 0))
         plane = _plane(motion.sights[frame, feet[foot]], motion.points[frame, feet[foot]], motion.gravity, reach)
         steps = _likeliest(still + _level(motion.points[:, feet] @ plane[0] - plane[1], reach))
     if not steps.any() or plane is None:
@@ -320,8 +321,9 @@ def _still(motion: _Motion, feet: np.ndarray, reach: float) -> Float[np.ndarray,
     better = 2 * np.log(moving / still) - across**2 / 2 * (still**-2 - moving**-2)
     spread = np.hypot(moving, depth)
     better += np.log(spread / depth) - (far[last] - far[first]) ** 2 / 2 * (depth**-2 - spread**-2)
-    better = np.where((motion.confidence[first][:, feet] > 0) & (motion.confidence[last][:, feet] > 0), better, 0.0)
-    in_time = motion.follows[1:, None] & np.isfinite(better)
+    seen = motion.confidence[:, feet] > 0
+    better = np.where(seen[first] & seen[last], better, _UNLIKELY)
+    in_time = (motion.follows[1:] & motion.known[1:] & motion.known[:-1])[:, None] & np.isfinite(better)
     return np.where(in_time, np.maximum(better, _OUTLIER), -np.inf)
 
 
@@ -493,7 +495,7 @@ def _solve(
         sunk = above[place[above] @ plane[0] > plane[1]]
         bent.add([(sunk, plane[0] / (_ON_PLANE * reach))], np.full(len(sunk), plane[1] / (_ON_PLANE * reach)))
         more, more_right = bent.normal()
-        place = spsolve((matrix + more).tocsc(), right + more_right).reshape(-1, 3)
+        place = np.asarray(spsolve((matrix + more).tocsc(), right + more_right)).reshape(-1, 3)
     shift = np.where(known[:, None, None], place.reshape(first.shape) - first, 0.0)
     return motion.points + shift[:, limbs.carried]
 
