@@ -15,7 +15,7 @@ import numpy as np
 
 from uplift.cli.kinds import KINDS
 from uplift.cli.parsing import keyed, known_camera
-from uplift.cli.verbs import CAMERA_KEYS
+from uplift.cli.verbs import CAMERA_KEYS, REFINE
 from uplift.config.files import Existing, absolute, refuse_existing, replacing, shipped_names
 from uplift.config.progress import say
 from uplift.config.run import RunFolder, data_id, read_weights
@@ -52,7 +52,7 @@ def evaluate(
     run: str | Path,
     test: str | Path | None = None,
     *,
-    refine: bool | None = None,
+    refine: bool | str | None = None,
     items: int | None = None,
     camera: KnownCamera | None = None,
     name: str | None = None,
@@ -114,7 +114,7 @@ def save_evaluation(result: AnyEvaluation, folder: RunFolder, name: str | None =
 
 
 def evaluate_keypoints(
-    folder: RunFolder, model: Model, test: str | None, refine: bool = True, camera: KnownCamera | None = None
+    folder: RunFolder, model: Model, test: str | None, refine: bool | str = True, camera: KnownCamera | None = None
 ) -> Evaluation:
     """Return the protocols of a run on ``test``, or on the test frames of its settings."""
     settings = folder.settings()
@@ -279,7 +279,7 @@ def evaluate_command(words: Sequence[str]) -> None:
     if "skeleton" in keys:
         raise UserError("evaluate run=...: the run knows its skeleton; skeleton= goes with poses=.")
     refine, items = keys.given("refine").get("refine"), keys.given("items").get("items")
-    refined, name = None if refine is None else refine == "on", keys.get("evaluation")
+    refined, name = None if refine is None else REFINE[refine], keys.get("evaluation")
     camera = known_camera(keys)
     say(evaluate(keys["run"], keys.get("data.test"), refine=refined, items=items, camera=camera, name=name).table())
     folder = RunFolder.open(keys["run"]).path

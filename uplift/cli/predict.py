@@ -12,7 +12,7 @@ import numpy as np
 
 from uplift.cli.kinds import KINDS
 from uplift.cli.parsing import Keys, keyed, known_camera
-from uplift.cli.verbs import SHAPE_KEYS
+from uplift.cli.verbs import REFINE, SHAPE_KEYS
 from uplift.config.files import refuse_output
 from uplift.config.loading import load_settings
 from uplift.config.progress import say
@@ -51,7 +51,8 @@ class Request:
     input: str | Path
     output: str | Path | None
     overrides: tuple[str, ...]
-    refine: bool
+    refine: bool | str
+    hypotheses: int
     constant_bones: bool
     size: Mapping[str, Any]
     reading: ReadOptions | None
@@ -73,7 +74,8 @@ def predict(
     input: str | Path,
     output: str | Path | None = None,
     *overrides: str,
-    refine: bool = True,
+    refine: bool | str = True,
+    hypotheses: int = 0,
     constant_bones: bool = False,
     size: Mapping[str, Any] | None = None,
     camera: KnownCamera | None = None,
@@ -90,7 +92,8 @@ def predict(
     ``input`` is a file or folder in any format that is read, several with commas or a pattern, or ``SET:SPLIT`` of
     a published data set (``file.py:Class:SPLIT`` for a class of yours), whose ``data.root`` and ``data.options.*`` are
     ``overrides`` such as a fit takes; ``reading`` is what the files lack. The frames of a clip are lifted
-    together unless ``refine`` is off. ``size`` are arguments of `uplift.models.metric_scale.size_from`. ``camera`` is
+    together unless ``refine`` is off (or ``"causal"``: as far as a live picture allows). ``hypotheses`` are so many poses of
+    each frame, with their probabilities. ``size`` are arguments of `uplift.models.metric_scale.size_from`. ``camera`` is
     what is known of how the camera stands, and ``ground`` keeps standing feet where they are. ``axes`` are those of `uplift.export.scene`, the format's usual ones by default. ``page`` is the kind of an .html, ``viewer`` or
     ``gallery``, and ``options`` are those of its writer. The files written, with a remark on each, are added to ``written``. ``trust`` are files and modules of
     code that may run where the run names it, such as ``"my_nets.py"``.
@@ -109,6 +112,7 @@ def predict(
         output,
         overrides,
         refine,
+        hypotheses,
         constant_bones,
         size or {},
         reading,
@@ -150,7 +154,8 @@ def keypoint_arguments(keys: Keys) -> dict[str, Any]:
     if "bone" in keys:
         size["bone"] = tuple(keys.value("bone"))
     return {
-        "refine": keys.value("refine") == "on",
+        "refine": REFINE[keys.value("refine")],
+        "hypotheses": keys.value("hypotheses"),
         "constant_bones": keys.value("bones") == "constant",
         "size": size,
         "camera": known_camera(keys),
@@ -176,6 +181,8 @@ def lift_keypoints(request: Request) -> tuple[Prediction, dict[Path, str]]:
         if options.get("images") is not None and request.reading is not None:
             for key in {"flip_x", "flip_y", "rotate"} & set(request.reading.set_names()):
                 raise UserError(f"{key}= turns the keypoints and not the photos of images=: give one of the two.")
+        if request.hypotheses and Path(output).suffix.lower() != ".npz":
+            raise UserError(f"hypotheses= goes with output=FILE.npz, which can hold several poses, not with {output}.")
         refuse_output(Path(output))
     model = load_poses(request.weights)
     size = size_from(model.skeleton, **request.size)
@@ -187,6 +194,7 @@ def lift_keypoints(request: Request) -> tuple[Prediction, dict[Path, str]]:
         data,
         title=request.title,
         refine=request.refine,
+        hypotheses=request.hypotheses,
         size=size,
         constant_bones=request.constant_bones,
         camera=request.camera,
@@ -309,14 +317,15 @@ def lift_masks(request: Request) -> tuple[ShapePrediction, dict[Path, str]]:
     """Lift masks and write the shapes, if there is an output; return the files with a remark on each."""
     others = (
         request.overrides,
-        not request.refine,
+        request.refine is not True,
+        request.hypotheses,
         request.constant_bones,
         request.reading,
         request.camera,
         request.ground,
     )
     if any(others):
-        of_keypoints = "overrides, refine, constant_bones, reading, camera and ground"
+        of_keypoints = "overrides, refine, hypotheses, constant_bones, reading, camera and ground"
         raise UserError(f"{request.weights.run} lifts masks: {of_keypoints} go with keypoints.")
     options = {**request.options, **request.size, **({} if request.axes is None else {"axes": request.axes})}
     reading = {key: options.pop(key) for key in _READING if key in options}

@@ -9,7 +9,18 @@ from typing import Any, NamedTuple, Optional
 from uplift.config.settings import MAX_SIDE, MIN_SIDE, Setting, all_settings
 
 __all__ = [
-    "CAMERA_KEYS", "EVALUATE", "NEEDED", "POSE_KEYS", "PREDICT", "READ_KEYS", "SHAPE_KEYS", "SIMULATE", "VERBS", "Verb", "sub_verbs",
+    "CAMERA_KEYS",
+    "EVALUATE",
+    "NEEDED",
+    "POSE_KEYS",
+    "PREDICT",
+    "READ_KEYS",
+    "REFINE",
+    "SHAPE_KEYS",
+    "SIMULATE",
+    "VERBS",
+    "Verb",
+    "sub_verbs",
 ]  # fmt: skip
 
 NEEDED: Any = type("Needed", (), {"__repr__": lambda self: "needed"})()
@@ -76,6 +87,9 @@ _CSV_SAFE = _key(
     "csv_safe", bool, False, "put an apostrophe before names in a .csv that a spreadsheet would run as formulas"
 )
 
+REFINE = {"on": True, "off": False, "causal": "causal"}
+"""Values of ``refine=``, as arguments in Python."""
+
 # predict: what goes with every run, with keypoints alone, with masks alone.
 
 _ALL_KEYS = _table(
@@ -90,7 +104,9 @@ _ALL_KEYS = _table(
     _of_fit("format"),
 )  # fmt: skip
 POSE_KEYS = _table(
-    _key("refine", str, "on", "lift the frames of a clip together; off: each on its own", choices=("on", "off")),
+    _key("refine", str, "on", "lift the frames of a clip together; off: each on its own; causal: with those up to half a "
+         "second later, as live use can", choices=tuple(REFINE)),
+    _key("hypotheses", int, 0, "poses of each frame that are likely, with their probabilities, into an .npz", 0, 64),
     _key("bones", str, "free", "constant: bones of one length over a clip", choices=("free", "constant")),
     _key("bone", list[str], [], "joints along a known length, with bone_mm=: rhip,rknee"),
     _key("bone_mm", Optional[float], None, "that length, millimetres", 1e-9, 1e9),

@@ -61,14 +61,15 @@ def evaluate(prediction: GivenPoses | Prediction, truth: PoseData, skeleton: Ske
 
 
 def evaluate_model(
-    model: Model, truth: PoseData, name: str, *, refine: bool = True, camera: KnownCamera | None = None
+    model: Model, truth: PoseData, name: str, *, refine: bool | str = True, camera: KnownCamera | None = None
 ) -> Evaluation:
     """Return every protocol of ``model`` on cleaned frames with poses; ``camera`` is known in place of estimates."""
     if truth.pose is None:
         raise UserError(f"{name}: holds no 'pose' (frames, joints, 3) to compare with, only keypoints.")
     result = evaluate(model.predict(truth, refine=refine, camera=camera), truth, model.skeleton, name)
     if model.refines(truth, refine):
-        result.notes.append("the frames of each clip were lifted together (refine=off: each on its own)")
+        how = "with those up to half a second later" if refine == "causal" else "together"
+        result.notes.append(f"the frames of each clip were lifted {how} (refine=off: each on its own)")
     return result
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any, ClassVar, TypeVar
@@ -25,6 +25,7 @@ from uplift.data.masks import MaskData
 from uplift.data.poses import PoseData
 from uplift.errors import UserError
 from uplift.geometry.lens import place_roots
+from uplift.models.causal import causal_windows
 from uplift.models.ground import put_on_ground
 from uplift.models.known_camera import KnownCamera, about_cameras, with_guessed_focal
 from uplift.models.lifter import Lifter
@@ -186,7 +187,7 @@ class Model(_Saved):
         data: PoseData,
         title: str = "",
         *,
-        refine: bool = True,
+        refine: bool | str = True,
         size: Size | None = None,
         constant_bones: bool = False,
         hypotheses: int = 0,
@@ -202,7 +203,8 @@ class Model(_Saved):
             data: with the skeleton's joints in its order.
             title: of the prediction.
             refine: whether frames of one clip are lifted together (`uplift.models.refine`): one body, one camera
-                tilt, smooth motion, and short gaps interpolated.
+                tilt, smooth motion, depth signs, and short gaps interpolated; ``"causal"``: by what was seen up to half a
+                second after each frame (`uplift.models.causal`).
             size: the body's known size.
             constant_bones: whether each body gets one length for every bone.
             hypotheses: how many poses to return for each frame, with their probabilities; 0 for none beside ``pose``.
@@ -224,13 +226,19 @@ class Model(_Saved):
             raise UserError(
                 f"hypotheses={hypotheses}: this lifter does not say which way bones may point: fit with lifter.signs=512."
             )
+        if refine == "causal" and ground:
+            raise UserError("ground=true looks at whole clips: it does not go with refine=causal.")
+        if refine == "causal":
+            windows, rows = causal_windows(data)
+            options = {"size": size, "constant_bones": constant_bones, "camera": camera, "hypotheses": hypotheses}
+            return replace(self.predict(windows, title, **options).select(rows), identity=data.identity)
         data, _ = clean(data, self.skeleton, drop=False)
         inferred = infer(
             self.lifter,
             data,
             self.settings,
             refine=self.refines(data, refine),
-            solve=refine and self.settings.refine.iterations > 0,
+            solve=bool(refine) and self.settings.refine.iterations > 0,
             hypotheses=hypotheses,
         )
         inferred, data = self._seen_by(inferred, data, camera)
@@ -317,10 +325,10 @@ class Model(_Saved):
             notes=data.notes,
         )
 
-    def refines(self, data: PoseData, refine: bool = True) -> bool:
+    def refines(self, data: PoseData, refine: bool | str = True) -> bool:
         """Return whether `predict` refines: it is on, and ``data`` has clips of several frames."""
         clips = data.clips()
-        return refine and self.settings.refine.iterations > 0 and bool(clips.max(initial=-1) + 1 < len(clips))
+        return bool(refine) and self.settings.refine.iterations > 0 and bool(clips.max(initial=-1) + 1 < len(clips))
 
     def _description(self) -> dict[str, Any]:
         return {"skeleton": self.skeleton.to_dict(), "lifter": dataclasses.asdict(self.settings)}
