@@ -49,29 +49,29 @@ TEXT = np.array(list("abcdef"))
 EXAMPLES: dict[type[Samples], Samples] = {
     PoseData: PoseData(
         a(J, 2), a(J), SKELETON.joints, a(J, 3), a(3), identity={"frame": np.arange(N), "subject": TEXT}, tilt_deg=a(),
-        root_filled=a() > 0.5, labelled=a() > 0.5, masks=MASKS, mask_box=a(3), lens=np.zeros(N, int),
+        gravity=a(3), root_filled=a() > 0.5, labelled=a() > 0.5, masks=MASKS, mask_box=a(3), lens=np.zeros(N, int),
     ),
     Placed: placed(),
     MaskData: MaskData(MASKS, NAMES, a(2), a(), TEXT, TEXT, placed(), a() > 0.5, extra={"area": a(2)}),
     TrainingSet: TrainingSet(
-        SKELETON, t(J, 2), t(J), t(), t(), torch.arange(N), torch.arange(N) > 0, t(3, 3), t(J, 3), t(), t(),
-        torch.from_numpy(MASKS), t(3, 3),
+        SKELETON, t(J, 2), t(J), t(), t(), torch.arange(N), torch.arange(N) > 0, torch.arange(N), 10.0, t(3, 3), t(J, 3), t(),
+        t(), torch.from_numpy(MASKS), t(3, 3), t() > 0.5,
     ),
-    Batch: Batch(t(J, 2), t(J), t(), t(), t(J, 3), t(), t(), torch.from_numpy(MASKS), t(3, 3), torch.arange(N)),
+    Batch: Batch(t(J, 2), t(J), t(), t(), t(J, 3), t(), t(), torch.from_numpy(MASKS), t(3, 3), torch.arange(N), t() > 0.5),
     MaskSet: MaskSet(t(8, 8), t(2), t() > 0.5, t(3, 3), torch.arange(N), torch.rand(2, 4, 4, 4)),
     Prediction: Prediction(
         a(J, 3), a(J, 3), "mm", a(J, 2), a(J), SKELETON.joints, SKELETON, a(), {"frame": np.arange(N)}, truth=a(J, 3),
-        uncertainty=a(J), root=a(3), filled=a(J) > 0.5,
+        uncertainty=a(J), root=a(3), filled=a(J) > 0.5, gravity=a(3), hypotheses=a(2, J, 3), weights=a(2),
     ),
     ShapePrediction: ShapePrediction(a(4, 4, 4), a(3, 3), a(), a(2), a(), MASKS, NAMES, a(2), a(), images=TEXT),
-    PseudoPoses: PseudoPoses(SKELETON, t(J, 3), t(3), t(), t(J), t(J, 2), t() > 0.5),
-    ShownViews: ShownViews(t(J, 2), t(J), t(J, 2), t(J, 3), t(), t(), t(J)),
-    Lifted: Lifted(t(J, 3), t(), t(J, 2), t(J)),
+    PseudoPoses: PseudoPoses(SKELETON, t(J, 3), t(3), t(), t(J), t(J, 2), t() > 0.5, t() > 0.5),
+    ShownViews: ShownViews(t(J, 2), t(J), t(J, 2), t(J, 3), t(), t(3), t(), t(J), t(), t() > 0.5, t() > 0.5),
+    Lifted: Lifted(t(J, 3), t(), t(J, 2), t(J), t(3), t(), t(12)),
     LiftedShapes: LiftedShapes(t(4, 4, 4), t(3, 3), t(), t(2), t()),
 }  # fmt: skip
 examples = pytest.mark.parametrize("samples", EXAMPLES.values(), ids=lambda samples: type(samples).__name__)
 # What a selection gives new numbers, by class.
-RENUMBERED = {TrainingSet: {"clip", "follows"}}
+RENUMBERED = {TrainingSet: {"clip", "body", "follows"}}
 
 
 def rows_of(samples: Samples) -> dict[str, Any]:
@@ -154,7 +154,7 @@ def test_nothing_from_3d_is_left_without_truth(samples: Samples):
     bare = samples.without_truth()
     gone = {name for name, value in vars(bare).items() if value is None and getattr(samples, name) is not None}
     assert gone == (
-        {"pose", "root", "tilt_deg", "labelled"} if isinstance(samples, PoseData) else {"truth", "labelled"}
+        {"pose", "root", "tilt_deg", "gravity", "labelled"} if isinstance(samples, PoseData) else {"truth", "labelled"}
     )
     assert (len(bare) == N and bare.without_truth() == bare) or same(bare, bare.without_truth())
 

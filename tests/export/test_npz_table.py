@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import zipfile
+from dataclasses import replace
 from pathlib import Path
 
 import jaxtyping
@@ -12,8 +13,10 @@ import pytest
 from writers_samples import figure, prediction
 
 from uplift.config.files import replacing
+from uplift.data.formats.npz import read_npz, write_keypoints
 from uplift.errors import UserError
 from uplift.export import WRITERS, write
+from uplift.geometry.gravity import gravity_at
 from uplift.models.prediction import Prediction
 
 
@@ -36,6 +39,29 @@ def test_npz_gives_back_what_was_written(sample: Prediction, tmp_path: Path) -> 
     named = {(sample.joint_names[a], sample.joint_names[b]) for a, b in found["bones"]}
     assert named == set(sample.skeleton.bones)
     assert "truth" not in found
+
+
+def test_npz_gives_back_hypotheses_and_gravity_which_reads_as_truth(sample: Prediction, tmp_path: Path) -> None:
+    random = np.random.default_rng(0)
+    sample = replace(
+        sample,
+        hypotheses=np.stack([sample.pose, -sample.pose, 2 * sample.pose], 1),
+        weights=random.dirichlet([3, 2, 1], len(sample)),
+        tilt_deg=np.full(len(sample), 20.0),
+        gravity=gravity_at(np.full(len(sample), 20.0), np.full(len(sample), -12.0)),
+    )
+    write(sample, tmp_path / "poses.npz")
+    with np.load(tmp_path / "poses.npz", allow_pickle=False) as file:
+        for name in ("hypotheses", "weights", "gravity", "roll_deg"):
+            np.testing.assert_array_equal(file[name], np.float32(getattr(sample, name)))
+    assert sample.roll_deg is not None and sample.gravity is not None
+    np.testing.assert_allclose(sample.roll_deg, -12)
+    back = read_npz(tmp_path / "poses.npz")
+    assert back.tilt_deg is not None and back.gravity is not None
+    np.testing.assert_allclose(back.gravity, sample.gravity, atol=1e-6)
+    np.testing.assert_allclose(back.tilt_deg, 20)
+    write_keypoints(back, tmp_path / "again.npz")
+    np.testing.assert_array_equal(read_npz(tmp_path / "again.npz").gravity, back.gravity)
 
 
 def test_npz_leaves_out_what_is_not_known(tmp_path: Path) -> None:
@@ -128,7 +154,14 @@ def test_a_link_is_followed(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     "change",
-    [{"confidence": np.ones((3, 2))}, {"unit": "cm"}, {"tilt_deg": np.ones(4)}, {"identity": {"frame": np.ones(9)}}],
+    [
+        {"confidence": np.ones((3, 2))},
+        {"unit": "cm"},
+        {"tilt_deg": np.ones(4)},
+        {"identity": {"frame": np.ones(9)}},
+        {"weights": np.ones((3, 5))},
+        {"hypotheses": np.ones((3, 5, 7, 3)), "weights": np.ones((3, 4))},
+    ],
 )
 def test_prediction_refuses_what_does_not_fit(change: dict, monkeypatch: pytest.MonkeyPatch) -> None:
     good = prediction(frames=3)

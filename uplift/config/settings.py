@@ -184,11 +184,20 @@ class LifterSettings:
     uncertainty: bool = _setting(
         True, "the student predicts how far off each depth, or the place of a hidden joint, may be"
     )
+    signs: int = _setting(
+        0,
+        "units of a second network of the student, which says how likely each bone points away from the camera; 0: none",
+        low=0,
+        high=16_384,
+    )
     denoise: Optional[bool] = _setting(
         None, "the student moves seen joints too; unset: where student.noise adds errors to them"
     )
     both_ways: bool = _setting(True, "predict as the mean over the keypoints and their mirror image")
     refine: RefineSettings = _group(lambda: RefineSettings(smooth=1.0, near=0.5), "predicted clips")
+    cameras: str = _setting(
+        "own", "set from student.cameras for the last student; not yours to set", choices=("own", "any")
+    )
 
 
 @dataclass
@@ -297,6 +306,26 @@ class StudentSettings(StageSettings):
         60_000, "frames at most that are lifted and refined for a round, complete clips at random", low=1, high=10**12
     )
     turn: bool = _setting(True, "show poses from everywhere; off: each from where it was seen")
+    any_way: float = _setting(
+        0.15, "share of views turned any way, not about gravity alone: depth signs are learned from them", low=0, high=1
+    )
+    cameras: str = _setting(
+        "any",
+        "cameras that the last student learns: any, as the settings below say, with tilt, roll and distance estimated "
+        "for every frame; own: those of the training data",
+        choices=("any", "own"),
+    )
+    own_share: float = _setting(
+        0.75, "of any cameras: the share of views from those of the training data", low=0, high=1
+    )
+    tilt_deg: tuple[float, float] = _setting((-30.0, 60.0), "from,to: tilts of any cameras", low=-90, high=90)
+    roll_deg: float = _setting(30.0, "largest roll of any cameras, either way", low=0, high=180)
+    distance: tuple[float, float] = _setting(
+        (4.0, 25.0), "from,to: distances of any cameras, in mean 2D radii of the body", low=2, high=1e4
+    )
+    unknown_focal: float = _setting(
+        0.6, "share of the views of any cameras whose focal length is hidden and guessed", low=0, high=1
+    )
     mix: float = _setting(0.7, "share of poses that take limbs of others", low=0, high=1)
     mix_limb: float = _setting(0.4, "chance of each limb of such a pose", low=0, high=1)
     stretch: float = _setting(

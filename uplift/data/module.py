@@ -335,7 +335,8 @@ class KeypointData(_Data[PoseData, Loaded]):
 
     def frames(self, settings: LifterSettings) -> TrainingSet:
         """Return the training frames in the units and the camera of ``settings``, with the labels that may be used."""
-        key = (settings.camera, settings.intrinsics, settings.distance, settings.radius, settings.confidence == "given")
+        used = ("camera", "intrinsics", "distance", "radius", "cameras")
+        key = (*(getattr(settings, name) for name in used), settings.confidence == "given")
         if key not in self._frames:
             loaded = self._load_once()
             files = [part for part in (loaded.train, loaded.more) if part is not None]

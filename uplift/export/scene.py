@@ -10,6 +10,7 @@ from jaxtyping import Bool, Float, Int
 
 from uplift.errors import UserError, did_you_mean
 from uplift.export.clips import Clip, arrange
+from uplift.geometry.gravity import gravity_at
 from uplift.geometry.rigid import least_turn, nearest_rotation, quaternion_matrix
 from uplift.models.prediction import Prediction
 from uplift.skeleton.core import bone_sides, joint_sides
@@ -77,7 +78,7 @@ _AGREES = 1e-3  # share of a body's size by which its level pose may differ from
 def in_axes(prediction: Prediction, name: str) -> Prediction:
     """Return the same poses, and places of the root where they are known, in the axes called ``name``.
 
-    What is not in ``Prediction.axes`` stays as it is: ``level_pose``, the truth, the keypoints, and the
+    What is not in ``Prediction.axes`` stays as it is: ``level_pose``, gravity, the truth, the keypoints, and the
     uncertainty, which is along the camera's line of sight. Raises UserError for an unknown name, ValueError
     for a prediction that is not in the camera's axes any more.
     """
@@ -85,11 +86,17 @@ def in_axes(prediction: Prediction, name: str) -> Prediction:
     if name in _AS_SEEN:
         return replace(prediction, axes=name)
     rotation = rotation.astype(np.result_type(prediction.pose, np.float32))
-    pose = prediction.pose @ rotation.transpose(0, 2, 1)
+    pose, hypotheses = prediction.pose @ rotation.transpose(0, 2, 1), prediction.hypotheses
+    if hypotheses is not None:
+        hypotheses = hypotheses @ rotation.transpose(0, 2, 1)[:, None]
     root = prediction.root
     if root is not None:
         root = np.einsum("fik,fk->fi", rotation.astype(np.result_type(root, np.float32)), root)
-    return replace(prediction, pose=pose, root=root, axes=name)
+    ground = prediction.ground
+    if ground is not None:
+        point, normal = (np.einsum("fik,fk->fi", rotation, one) for one in (ground.point, ground.normal))
+        ground = replace(ground, point=point, normal=normal)
+    return replace(prediction, pose=pose, hypotheses=hypotheses, root=root, ground=ground, axes=name)
 
 
 def rotations_to(prediction: Prediction, name: str) -> Float[np.ndarray, "frames 3 3"]:
@@ -114,16 +121,18 @@ def rotations_to(prediction: Prediction, name: str) -> Float[np.ndarray, "frames
 
 
 def _gravities(prediction: Prediction) -> Float[np.ndarray, "frames 3"]:
-    """Return each frame's gravity in the camera's axes, NaN where neither tilt nor level pose gives it.
+    """Return each frame's gravity in the camera's axes, NaN where neither the prediction nor its level pose gives it.
 
-    The tilt's where the level pose agrees, else that of the rotation between pose and level pose.
+    What the prediction says where the level pose agrees, else that of the rotation between pose and level pose.
     """
     known = np.asarray(np.isfinite(prediction.pose).all(-1) & np.isfinite(prediction.level_pose).all(-1))
     pose = np.where(known[..., None], prediction.pose, 0.0)
     levelled = np.where(known[..., None], prediction.level_pose, 0.0)
     size = np.abs(pose).max((1, 2), initial=0)
-    tilt = np.radians(np.full(len(prediction), np.nan) if prediction.tilt_deg is None else prediction.tilt_deg)
-    gravity = np.stack([np.zeros(len(tilt)), np.cos(tilt), np.sin(tilt)], -1)
+    if prediction.gravity is not None:
+        gravity = prediction.gravity.astype(np.float64)
+    else:
+        gravity = gravity_at(np.full(len(prediction), np.nan) if prediction.tilt_deg is None else prediction.tilt_deg)
     gap = np.abs(np.einsum("fji,fi->fj", pose, gravity) - levelled[..., 1]).max(1, initial=0)
     differs = ~(gap <= _AGREES * size)
     if differs.any():

@@ -119,14 +119,20 @@ def _columns(prediction: Prediction) -> list[tuple[str, str]]:
     optional = {"uncertainty": (prediction.uncertainty, px), "filled": (prediction.filled, "%d")}
     joint |= {key: style for key, (values, style) in optional.items() if values is not None}
     columns = [(f"{name}_{key}", style) for name in prediction.joint_names for key, style in joint.items()]
-    return columns if prediction.tilt_deg is None else [("tilt_deg", px), *columns]
+    return [*((name, px) for name in _camera_angles(prediction)), *columns]
 
 
 def _csv_arrays(prediction: Prediction) -> list[np.ndarray]:
     optional = [values[..., None] for values in (prediction.uncertainty, prediction.filled) if values is not None]
     seen = _seen_keypoints(prediction)
     table = np.concatenate([prediction.points, seen, prediction.confidence[..., None], *optional], -1)
-    return [table] if prediction.tilt_deg is None else [prediction.tilt_deg, table]
+    return [*_camera_angles(prediction).values(), table]
+
+
+def _camera_angles(prediction: Prediction) -> dict[str, np.ndarray]:
+    """Return the camera's tilt and roll, those that are known."""
+    angles = {"tilt_deg": prediction.tilt_deg, "roll_deg": prediction.roll_deg}
+    return {name: values for name, values in angles.items() if values is not None}
 
 
 def _cell(value: object, safe: bool = False) -> str:
@@ -149,6 +155,13 @@ _MEANING = {
     "uncertainty": "joints, the error to expect of the depth, of a filled joint of its whole place, in unit",
     "filled": "joints, true where the joint was not seen",
     "tilt_deg": "how far the camera looks down, degrees",
+    "roll_deg": "how far up leans to the right in the image, degrees",
+    "gravity": "[x, y, z], a unit vector in the camera's axes (x right, y down, z away)",
+    "hypotheses": "whole poses that fit the keypoints, the most likely first, each as in pose",
+    "weights": "hypotheses, how likely each is, 0 to 1",
+    "ground_point": "[x, y, z] of a point on the ground, from the camera, in unit and axes",
+    "ground_normal": "[x, y, z], a unit vector that points up from the ground, in axes",
+    "contact": "joints, true where the joint stands on the ground",
 }
 
 
@@ -196,18 +209,27 @@ def _frames(prediction: Prediction) -> Iterator[str]:
         "confidence": _NUMBER["share"],
         "uncertainty": px,
         "tilt_deg": px,
+        "roll_deg": px,
+        "gravity": place,
+        "hypotheses": place,
+        "weights": _NUMBER["share"],
+        "ground_point": place,
+        "ground_normal": place,
     }
     found = {name: seen if name == "keypoints" else getattr(prediction, name) for name in styles}
     blocks = {name: (values, styles[name]) for name, values in found.items() if values is not None}
     template = "".join(f', "{name}": {_shaped(values.shape[1:], style)}' for name, (values, style) in blocks.items())
-    filled = None if prediction.filled is None else np.asarray(prediction.filled, bool)
+    marks = {name: getattr(prediction, name) for name in ("filled", "contact")}
+    marks = {name: np.asarray(values, bool) for name, values in marks.items() if values is not None}
     keys = [json.dumps(key) for key in prediction.identity]
     columns = [plain(values) for values in prediction.identity.values()]
     labels = zip(*columns, strict=True) if columns else ((),) * len(prediction)
     rows = numbers(*(values for values, _ in blocks.values()))
     for index, (label, row) in enumerate(zip(labels, rows, strict=True)):
         known = ", ".join(f"{key}: {json.dumps(value)}" for key, value in zip(keys, label, strict=True))
-        flags = "" if filled is None else f', "filled": {json.dumps(filled[index].tolist(), separators=(",", ":"))}'
+        flags = "".join(
+            f', "{name}": {json.dumps(values[index].tolist(), separators=(",", ":"))}' for name, values in marks.items()
+        )
         yield f'{{"identity": {{{known}}}{filled_in(template, row, "null")}{flags}}}'
 
 
@@ -222,11 +244,12 @@ _OLDEST = (1980, 1, 1, 0, 0, 0)
 
 
 def write_npz(prediction: Prediction, path: str | Path) -> None:
-    """Write keypoints, poses, unit, tilt, names, bones and identity; the same poses give the same bytes.
+    """Write keypoints, poses, unit, gravity, names, bones and identity; the same poses give the same bytes.
 
     ``pose`` and ``level_pose`` (frames joints 3) are in ``unit``, relative to the root; ``bones``
-    (bones 2) indexes ``joint_names``; ``root`` (frames 3) is its place where that is known. The truth is not
-    written: ``pose`` is the prediction.
+    (bones 2) indexes ``joint_names``; ``root`` (frames 3) is its place where that is known; ``hypotheses``
+    (frames hypotheses joints 3) and their ``weights`` (frames hypotheses), ``ground_point``, ``ground_normal``
+    (frames 3) and ``contact`` (frames joints) are there where they were asked for. The truth is not written: ``pose`` is the prediction.
     """
     arrays = _npz_arrays(prediction)
     with replacing(path) as handle, zipfile.ZipFile(handle, "w") as archive:
@@ -250,6 +273,13 @@ def _npz_arrays(prediction: Prediction) -> dict[str, np.ndarray]:
         "skeleton": (prediction.skeleton.name, np.str_),
         "axes": (prediction.axes, np.str_),
         "tilt_deg": (prediction.tilt_deg, np.float32),
+        "roll_deg": (prediction.roll_deg, np.float32),
+        "gravity": (prediction.gravity, np.float32),
+        "hypotheses": (prediction.hypotheses, np.float32),
+        "weights": (prediction.weights, np.float32),
+        "ground_point": (prediction.ground_point, np.float32),
+        "ground_normal": (prediction.ground_normal, np.float32),
+        "contact": (prediction.contact, np.bool_),
         "uncertainty": (prediction.uncertainty, np.float32),
         "root": (prediction.root, np.float32),
         "filled": (prediction.filled, np.bool_),

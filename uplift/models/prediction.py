@@ -11,6 +11,8 @@ from jaxtyping import Bool, Float, Int, Shaped, UInt8
 from uplift.config.files import without_folders
 from uplift.data.poses import UNITS
 from uplift.data.samples import Samples
+from uplift.geometry.gravity import roll_of
+from uplift.models.ground import Ground
 
 if TYPE_CHECKING:
     from uplift.skeleton import Skeleton
@@ -25,7 +27,10 @@ class Prediction(Samples):
     ``pose`` is relative to the root in ``axes``: those of the camera (x right, y down, z away) unless it was
     converted; ``level_pose`` is the camera-frame pose with the estimated tilt undone. ``root`` is the position of
     the root joint, in ``unit`` and ``axes``, where known. ``uncertainty`` is the uncertainty of the depth in ``unit``,
-    ``filled`` marks joints that were not visible. ``truth`` is relative to the root, camera frame, in
+    ``filled`` marks joints that were not visible. ``gravity`` are unit vectors in the real camera's frame, whatever
+    ``axes`` says. ``hypotheses`` are whole poses like ``pose`` that fit the keypoints, in the order of their
+    ``weights``, the most likely first; weights are probabilities, 1 in sum. ``ground`` is what
+    `uplift.models.ground` found, in ``unit`` and ``axes``. ``truth`` is relative to the root, camera frame, in
     ``truth_unit``. Raises ValueError if the arrays do not fit together.
     """
 
@@ -45,6 +50,10 @@ class Prediction(Samples):
     uncertainty: Float[np.ndarray, "frames joints"] | None = None
     root: Float[np.ndarray, "frames 3"] | None = None
     filled: Bool[np.ndarray, "frames joints"] | None = None
+    gravity: Float[np.ndarray, "frames 3"] | None = None
+    hypotheses: Float[np.ndarray, "frames hypotheses joints 3"] | None = None
+    weights: Float[np.ndarray, "frames hypotheses"] | None = None
+    ground: Ground | None = None
     axes: str = "camera"
     source: str = ""
     title: str = ""
@@ -59,6 +68,8 @@ class Prediction(Samples):
         for unit in (self.unit, self.truth_unit):
             if unit not in UNITS:
                 raise ValueError(f"prediction: unit '{unit}' is not one of {', '.join(UNITS)}")
+        if (self.hypotheses is None) != (self.weights is None):
+            raise ValueError("prediction: hypotheses and weights go together, expected both or neither")
         unknown = {name for bone in self.skeleton.bones for name in bone} - set(self.joint_names)
         if unknown:
             raise ValueError(f"prediction: bones name unknown joints: {', '.join(sorted(unknown))}")
@@ -67,6 +78,26 @@ class Prediction(Samples):
     def points(self) -> np.ndarray:
         """Joint positions (frames, joints, 3); relative to the root if its position is unknown."""
         return self.pose if self.root is None else self.pose + self.root[:, None]
+
+    @property
+    def roll_deg(self) -> Float[np.ndarray, " frames"] | None:
+        """The camera's roll: positive where "up" leans to the right in the image; None without `gravity`."""
+        return None if self.gravity is None else roll_of(self.gravity)
+
+    @property
+    def ground_point(self) -> Float[np.ndarray, "frames 3"] | None:
+        """A point on the ground; None where none was asked for or found."""
+        return None if self.ground is None else self.ground.point
+
+    @property
+    def ground_normal(self) -> Float[np.ndarray, "frames 3"] | None:
+        """Unit vectors that point up from the ground."""
+        return None if self.ground is None else self.ground.normal
+
+    @property
+    def contact(self) -> Bool[np.ndarray, "frames joints"] | None:
+        """Joints that stand on the ground."""
+        return None if self.ground is None else self.ground.contact
 
     @property
     def bone_indices(self) -> Int[np.ndarray, "bones 2"]:

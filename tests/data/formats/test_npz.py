@@ -80,6 +80,17 @@ def test_scalars_may_be_given_for_every_frame(tmp_path: Path) -> None:
     assert list(data.identity["subject"]) == ["S9"] * 6
 
 
+def test_gravity_and_the_angles_it_has_are_read_either_way(tmp_path: Path) -> None:
+    angles = {"tilt_deg": np.array([20.0, -5, np.nan]), "roll_deg": np.array([-14.0, 30, 0])}
+    by_angles = read_npz(write_body(tmp_path / "a.npz", 3, **angles))
+    assert by_angles.gravity is not None and by_angles.gravity[0, 0] > 0 > by_angles.gravity[1, 2]
+    gravity = 9.81 * by_angles.gravity.astype(np.float64)
+    by_gravity = read_npz(write_body(tmp_path / "b.npz", 3, gravity=gravity, tilt_deg=None))
+    np.testing.assert_allclose(by_gravity.tilt_deg, angles["tilt_deg"], atol=1e-5)
+    np.testing.assert_allclose(by_gravity.gravity, by_angles.gravity, atol=1e-6)
+    assert read_npz(write_body(tmp_path / "c.npz", 3)).gravity is None
+
+
 def test_a_prediction_is_readable_as_input(tmp_path: Path) -> None:
     changed = {"skeleton": np.array("h36m17"), "level_pose": np.zeros((4, 17, 3)), "unit": np.array("px")}
     np.savez(tmp_path / "b.npz", **{**body_arrays(4), **changed})
@@ -103,6 +114,12 @@ def test_a_prediction_is_readable_as_input(tmp_path: Path) -> None:
             "'confidence' is float64 of shape (6, 16), expected numbers of shape (6, 17)",
         ),
         ({"pose": np.zeros((5, 17, 3))}, "of shape (5, 17, 3), expected numbers of shape (6, 17, 3)"),
+        ({"gravity": np.zeros((6, 3))}, "'gravity' is 0 in row 0, expected a direction in the camera's frame"),
+        (
+            {"gravity": np.full((6, 3), (0.1, 0.9, 0.4))},
+            "'gravity' says a tilt of 23.8 and a roll of -6.3 degrees in row",
+        ),
+        ({"tilt_deg": None, "roll_deg": np.zeros(6)}, "'roll_deg' without 'tilt_deg', expected both, or 'gravity'"),
         ({"root": np.zeros((5, 3))}, "of shape (5, 3), expected numbers of shape (6, 3)"),
         ({"subject": np.array(["a"] * 5)}, "'subject' has shape (5,), expected (6,)"),
         ({"joint_names": np.arange(17)}, "'joint_names' is int64"),

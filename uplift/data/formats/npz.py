@@ -15,6 +15,7 @@ from uplift.data.parsers.npz import CheckedArrays, array_headers, first_rows, re
 from uplift.data.parsers.pictures import PHOTO_ENDINGS
 from uplift.data.poses import IDENTITY_KEYS, UNITS, PoseData, masks_of
 from uplift.errors import UserError, listed
+from uplift.geometry.gravity import angle_deg, gravity_at, roll_of, tilt_of
 
 __all__ = [
     "FORMAT",
@@ -32,7 +33,9 @@ __all__ = [
 
 _KNOWN = {
     "keypoints", "confidence", "joint_names", "pose", "root", "unit", "fps", "image_size", "focal_px",
-    "bones", "tilt_deg", "level_pose", "uncertainty", "spread", "filled", "axes", "skeleton", "masks", "mask_box",
+    "bones", "tilt_deg", "roll_deg", "gravity", "level_pose", "uncertainty", "spread", "filled", "hypotheses", "weights",
+    "ground_point", "ground_normal", "contact",
+    "axes", "skeleton", "masks", "mask_box",
     *IDENTITY_KEYS,
 }  # fmt: skip
 
@@ -64,6 +67,7 @@ def poses_of(where: str, arrays: dict[str, np.ndarray], image_size: tuple[int, i
     assert keypoints is not None  # it is one of the needed
     frames, joints = keypoints.shape[:2]
     masks, mask_box = masks_of(where, arrays, frames)
+    tilt_deg, gravity = camera_of(file, frames)
     data = PoseData(
         keypoints=keypoints,
         confidence=_confidence(file, (frames, joints)),
@@ -74,7 +78,8 @@ def poses_of(where: str, arrays: dict[str, np.ndarray], image_size: tuple[int, i
         identity=_identity(where, arrays, frames),
         fps=_scalar(where, arrays, "fps"),
         image_size=image_size or _image_size(where, arrays),
-        tilt_deg=file.floats("tilt_deg", (frames,)),
+        tilt_deg=tilt_deg,
+        gravity=gravity,
         masks=masks,
         mask_box=mask_box,
         source=where,
@@ -91,6 +96,47 @@ def joint_names_of(where: str, arrays: dict[str, np.ndarray]) -> tuple[str, ...]
     if names.ndim != 1 or names.dtype.kind not in "US":
         raise UserError(f"{where}: 'joint_names' is {names.dtype} of shape {names.shape}, expected text (joints,).")
     return tuple(n.decode(errors="replace") if isinstance(n, bytes) else str(n) for n in names)
+
+
+_AGREES_DEG = 1.0
+"""By how much the gravity of a file may differ from its tilt and roll."""
+
+
+def camera_of(file: CheckedArrays, frames: int) -> tuple[np.ndarray | None, np.ndarray | None]:
+    """Return the cameras' `tilt_deg` (frames,) and `gravity` (frames 3) of a file; None for what it does not say.
+
+    Gravity is the file's, or follows from `tilt_deg` and `roll_deg`; the tilt is the file's, or that of gravity.
+
+    Raises:
+        UserError: a roll without a tilt, a gravity of length 0, or one that says another tilt or roll than the file.
+    """
+    tilt_deg, roll_deg = (file.floats(name, (frames,)) for name in ("tilt_deg", "roll_deg"))
+    gravity = file.floats("gravity", (frames, 3))
+    if gravity is None:
+        if roll_deg is not None and tilt_deg is None:
+            raise UserError(f"{file.where}: 'roll_deg' without 'tilt_deg', expected both, or 'gravity' (frames, 3).")
+        return tilt_deg, None if roll_deg is None or tilt_deg is None else _float32(gravity_at(tilt_deg, roll_deg))
+    size = np.linalg.norm(gravity, axis=1, keepdims=True)
+    if (size == 0).any():
+        row = int(np.argmin(size))
+        raise UserError(
+            f"{file.where}: 'gravity' is 0 in row {row}, expected a direction in the camera's frame, or NaN."
+        )
+    gravity = gravity / size
+    tilt, roll = tilt_of(gravity), roll_of(gravity)
+    angles = gravity_at(tilt if tilt_deg is None else tilt_deg, roll if roll_deg is None else roll_deg)
+    off = angle_deg(gravity, angles)
+    if (off > _AGREES_DEG).any():
+        row = int(np.nanargmax(off))
+        raise UserError(
+            f"{file.where}: 'gravity' says a tilt of {tilt[row]:.1f} and a roll of {roll[row]:.1f} degrees in row {row}, "
+            f"'tilt_deg' or 'roll_deg' another: tilt is asin(z), roll atan2(-x, y) of gravity. Leave one of them out."
+        )
+    return _float32(tilt) if tilt_deg is None else tilt_deg, gravity
+
+
+def _float32(values: np.ndarray) -> np.ndarray:
+    return values.astype(np.float32)
 
 
 def refuse_other_axes(where: str, arrays: dict[str, np.ndarray]) -> None:
@@ -195,7 +241,7 @@ def write_keypoints(data: PoseData, path: str | Path) -> None:
         "unit": np.array(data.unit),
         **data.identity,
     }
-    for name in ("pose", "root", "tilt_deg"):
+    for name in ("pose", "root", "tilt_deg", "gravity"):
         value = getattr(data, name)
         if value is not None:
             arrays[name] = value.astype(np.float32)
@@ -212,7 +258,7 @@ def write_keypoints(data: PoseData, path: str | Path) -> None:
 # What a file of keypoints holds: of an npz out of its headers alone, little loaded but the joint names.
 
 _PER_JOINT = {"keypoints": 2, "pose": 3}  # numbers of four bytes, whatever the file has
-_PER_FRAME = {"root": 3, "tilt_deg": 1}
+_PER_FRAME = {"root": 3, "tilt_deg": 1, "gravity": 3}
 _FIRST = 2000
 """Frames that are looked at for the scale of their numbers."""
 
@@ -239,7 +285,7 @@ def contents_of(path: Path, options: ReadOptions | None = None) -> _Contents:
     options = options or ReadOptions()
     if (options.format or KEYPOINT_FORMATS.guess(path).name) != "npz":
         data = read(path, options)
-        arrays = {name for name in ("pose", "root", "tilt_deg") if getattr(data, name) is not None}
+        arrays = {name for name in ("pose", "root", "tilt_deg", "gravity") if getattr(data, name) is not None}
         memory = memory_of(arrays, len(data), len(data.joint_names))
         identity = sum(values.nbytes for values in data.identity.values())
         read_as = next((note for note in data.notes if note.startswith("read as ")), "")
