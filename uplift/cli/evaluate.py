@@ -14,7 +14,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from uplift.cli.kinds import KINDS
-from uplift.cli.parsing import keyed
+from uplift.cli.parsing import keyed, known_camera
+from uplift.cli.verbs import CAMERA_KEYS
 from uplift.config.files import Existing, absolute, refuse_existing, replacing, shipped_names
 from uplift.config.progress import say
 from uplift.config.run import RunFolder, data_id, read_weights
@@ -32,6 +33,7 @@ from uplift.metrics.evaluate import evaluate_model
 from uplift.metrics.evaluate_shapes import evaluate_shapes
 from uplift.metrics.report import AnyEvaluation, Evaluation, ShapeEvaluation
 from uplift.metrics.scores import GivenPoses
+from uplift.models.known_camera import KnownCamera
 from uplift.models.prediction import ShapePrediction
 from uplift.skeleton import Skeleton, load_skeleton
 from uplift.skeleton.match import match_joints
@@ -52,13 +54,14 @@ def evaluate(
     *,
     refine: bool | None = None,
     items: int | None = None,
+    camera: KnownCamera | None = None,
     name: str | None = None,
     trust: Trust = None,
 ) -> Evaluation | ShapeEvaluation:
     """Evaluate a run on ``test``, or on the test data of its settings, and write evaluation.json into the run.
 
     The frames of a clip are lifted together unless ``refine`` is off. Of a run that lifts masks at most
-    ``items`` are scored. The evaluation is kept in the run under ``name``, by default date and time. ``trust`` are
+    ``items`` are scored. ``camera`` is what is known of how the cameras stand, in place of estimates. The evaluation is kept in the run under ``name``, by default date and time. ``trust`` are
     files and modules of code that may run where the run names it.
 
     Raises:
@@ -72,7 +75,8 @@ def evaluate(
         _check_name(folder, name)
     weights = read_weights(folder.path)
     kind = KINDS[weights.lifts]
-    given = {key: value for key, value in {"refine": refine, "items": items}.items() if value is not None}
+    given = {"refine": refine, "items": items, "camera": camera}
+    given = {key: value for key, value in given.items() if value is not None}
     kind.refuse_others("evaluate", given, folder.path)
     result = kind.evaluate(folder, load(weights), None if test is None else str(test), **given)
     save_evaluation(result, folder, name)
@@ -109,7 +113,9 @@ def save_evaluation(result: AnyEvaluation, folder: RunFolder, name: str | None =
 # A run that lifts keypoints: every protocol of poses.
 
 
-def evaluate_keypoints(folder: RunFolder, model: Model, test: str | None, refine: bool = True) -> Evaluation:
+def evaluate_keypoints(
+    folder: RunFolder, model: Model, test: str | None, refine: bool = True, camera: KnownCamera | None = None
+) -> Evaluation:
     """Return the protocols of a run on ``test``, or on the test frames of its settings."""
     settings = folder.settings()
     if test is not None:
@@ -122,7 +128,7 @@ def evaluate_keypoints(folder: RunFolder, model: Model, test: str | None, refine
         truth = load_data(settings, model.skeleton).test
         if truth is None:
             raise UserError(f"{folder.path} has no test frames: give data.test=FILE.")
-    return evaluate_model(model, truth, truth.source if test is None else test, refine=refine)
+    return evaluate_model(model, truth, truth.source if test is None else test, refine=refine, camera=camera)
 
 
 # A run that lifts masks: every metric of shapes, beside baselines where training shapes are known.
@@ -264,7 +270,7 @@ def evaluate_command(words: Sequence[str]) -> None:
     if ("run" in keys) == ("poses" in keys):
         raise UserError("evaluate takes run=RUN or poses=FILE. (uplift evaluate --help)")
     if "poses" in keys:
-        for key in [key for key in ("refine", "items", "evaluation") if key in keys]:
+        for key in [key for key in ("refine", "items", "evaluation", *CAMERA_KEYS) if key in keys]:
             raise UserError(f"evaluate poses=FILE takes the poses as they are: {key}= goes with run=.")
         if "data.test" not in keys:
             raise UserError("evaluate poses=FILE needs data.test=FILE with the true poses.")
@@ -274,7 +280,8 @@ def evaluate_command(words: Sequence[str]) -> None:
         raise UserError("evaluate run=...: the run knows its skeleton; skeleton= goes with poses=.")
     refine, items = keys.given("refine").get("refine"), keys.given("items").get("items")
     refined, name = None if refine is None else refine == "on", keys.get("evaluation")
-    say(evaluate(keys["run"], keys.get("data.test"), refine=refined, items=items, name=name).table())
+    camera = known_camera(keys)
+    say(evaluate(keys["run"], keys.get("data.test"), refine=refined, items=items, camera=camera, name=name).table())
     folder = RunFolder.open(keys["run"]).path
     say(f"\nwrote {folder}/evaluation.json and evaluation.csv (older ones: evaluations/)")
     say(f"next: uplift compare {folder} OTHER_RUN")

@@ -18,6 +18,7 @@ from uplift.skeleton import Skeleton
 
 if TYPE_CHECKING:
     from uplift.data.poses import PoseData
+    from uplift.models.known_camera import KnownCamera
     from uplift.models.model import Model
     from uplift.models.prediction import Prediction
 
@@ -59,11 +60,13 @@ def evaluate(prediction: GivenPoses | Prediction, truth: PoseData, skeleton: Ske
     )
 
 
-def evaluate_model(model: Model, truth: PoseData, name: str, *, refine: bool = True) -> Evaluation:
-    """Return every protocol of ``model`` on cleaned frames with poses."""
+def evaluate_model(
+    model: Model, truth: PoseData, name: str, *, refine: bool = True, camera: KnownCamera | None = None
+) -> Evaluation:
+    """Return every protocol of ``model`` on cleaned frames with poses; ``camera`` is known in place of estimates."""
     if truth.pose is None:
         raise UserError(f"{name}: holds no 'pose' (frames, joints, 3) to compare with, only keypoints.")
-    result = evaluate(model.predict(truth, refine=refine), truth, model.skeleton, name)
+    result = evaluate(model.predict(truth, refine=refine, camera=camera), truth, model.skeleton, name)
     if model.refines(truth, refine):
         result.notes.append("the frames of each clip were lifted together (refine=off: each on its own)")
     return result
