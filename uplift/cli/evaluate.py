@@ -20,11 +20,11 @@ from uplift.config.progress import say
 from uplift.config.run import RunFolder, data_id, read_weights
 from uplift.config.trust import Trust, consents
 from uplift.data.clean import clean
-from uplift.data.formats.npz import joint_names_of, refuse_other_axes, unit_of
+from uplift.data.formats.npz import camera_of, joint_names_of, refuse_other_axes, unit_of
 from uplift.data.load import format_of_run, load_data, load_file, load_split
 from uplift.data.load_masks import known_shapes, load_mask_split, load_masks
 from uplift.data.masks import MaskData
-from uplift.data.parsers.npz import read_arrays
+from uplift.data.parsers.npz import CheckedArrays, read_arrays
 from uplift.errors import UserError, listed
 from uplift.metrics.baselines import score_with_baselines
 from uplift.metrics.evaluate import evaluate as score
@@ -183,6 +183,10 @@ def score_shapes(
 # Poses of any origin, from a file.
 
 _IDENTITY = ("subject", "action", "sequence", "camera", "frame")
+_READ = (
+    "pose", "joint_names", "unit", "tilt_deg", "roll_deg", "gravity", "uncertainty", "spread", "hypotheses", "weights",
+    "axes", *_IDENTITY,
+)  # fmt: skip
 
 
 def evaluate_poses(poses: str | Path, test: str | Path, skeleton: str | None = None) -> Evaluation:
@@ -190,9 +194,7 @@ def evaluate_poses(poses: str | Path, test: str | Path, skeleton: str | None = N
 
     Raises UserError for another file, or other joints or frames than the truth.
     """
-    arrays = read_arrays(
-        poses, ("pose", "joint_names", "unit", "tilt_deg", "uncertainty", "spread", "axes", *_IDENTITY)
-    )
+    arrays = read_arrays(poses, _READ)
     refuse_other_axes(str(poses), arrays)
     for key in ("pose", "joint_names"):
         if key not in arrays:
@@ -201,12 +203,16 @@ def evaluate_poses(poses: str | Path, test: str | Path, skeleton: str | None = N
     chosen = load_skeleton(skeleton) if skeleton else _skeleton_of(names, str(poses))
     pose = _numbers(str(poses), arrays, "pose", (None, len(names), 3))
     assert pose is not None
+    tilt_deg, gravity = camera_of(CheckedArrays(str(poses), arrays), len(pose))
     uncertainty = "spread" if "spread" in arrays else "uncertainty"  # its name before
     given = GivenPoses(
         pose=pose.astype(np.float64),
         joint_names=names,
         unit=unit_of(str(poses), arrays, "relative"),
-        tilt_deg=_numbers(str(poses), arrays, "tilt_deg", (len(pose),)),
+        tilt_deg=tilt_deg,
+        gravity=gravity,
+        hypotheses=arrays.get("hypotheses"),
+        weights=arrays.get("weights"),
         uncertainty=_numbers(str(poses), arrays, uncertainty, (len(pose), len(names))),
         identity=_identity(str(poses), arrays, len(pose)),
         source=str(poses),

@@ -11,6 +11,7 @@ from uplift.data.poses import PoseData
 from uplift.geometry.gravity import gravity_at, roll_of, tilt_of
 from uplift.metrics.protocols import CLIP
 from uplift.metrics.scores import GivenPoses, Scores
+
 if TYPE_CHECKING:
     from uplift.models.prediction import Prediction
 
@@ -98,7 +99,10 @@ def by_trunk_angle(scores: Scores, angle: Float[np.ndarray, " frames"]) -> dict[
     for low, high in TRUNK_BINS:
         rows = (angle >= low) & ((angle < high) | (high == TRUNK_BINS[-1][1]))
         if rows.any():
-            figures = {"p_mpjpe": scores.frames["p_mpjpe"][rows].mean(), "flipped": 1 - scores.frames["facing"][rows].mean()}
+            figures = {
+                "p_mpjpe": scores.frames["p_mpjpe"][rows].mean(),
+                "flipped": 1 - scores.frames["facing"][rows].mean(),
+            }
             wrong = scores.wrong[rows]
             if np.isfinite(wrong).any():
                 figures["wrong_signs"] = np.nanmean(wrong)

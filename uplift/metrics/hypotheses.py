@@ -36,7 +36,7 @@ def evaluate_hypotheses(
     Raises:
         UserError: hypotheses or weights of another shape, or weights that are no probabilities.
     """
-    if prediction.hypotheses is None or prediction.weights is None:
+    if prediction.hypotheses is None and prediction.weights is None:
         return None
     poses, weights = _checked(prediction, skeleton)
     poses, weights = poses[kept], weights[kept].astype(np.float64)
@@ -56,17 +56,23 @@ def evaluate_hypotheses(
 
 def _checked(prediction: GivenPoses | Prediction, skeleton: Skeleton) -> tuple[np.ndarray, np.ndarray]:
     """Return the hypotheses in the skeleton's order of joints, and their weights."""
-    poses, weights = np.asarray(prediction.hypotheses), np.asarray(prediction.weights)
     where, names = prediction.source or "the prediction", [str(name) for name in prediction.joint_names]
+    if prediction.hypotheses is None or prediction.weights is None:
+        there, gone = ("hypotheses", "weights") if prediction.weights is None else ("weights", "hypotheses")
+        raise UserError(f"{where}: '{there}' without '{gone}', expected both.")
+    poses, weights = np.asarray(prediction.hypotheses), np.asarray(prediction.weights)
     frames, count = len(prediction.pose), poses.shape[1] if poses.ndim == 4 else 0
     for name, array, expected in (
         ("hypotheses", poses, (frames, count, len(names), 3)),
         ("weights", weights, (frames, count)),
     ):
-        if array.shape != expected or not count:
-            shape = "(frames hypotheses joints 3)" if name == "hypotheses" else "(frames hypotheses)"
-            raise UserError(f"{where}: '{name}' has shape {array.shape}, expected {shape}, {frames:,} frames.")
-    wrong = ~((weights >= 0).all(1) & (np.abs(weights.sum(1, dtype=np.float64) - 1) <= _SUM)) & np.isfinite(weights).all(1)
+        if array.shape != expected or not count or array.dtype.kind not in "fiu":
+            axes = "(frames hypotheses joints 3)" if name == "hypotheses" else "(frames hypotheses)"
+            found = f"'{name}' has shape {array.shape} of {array.dtype}"
+            raise UserError(f"{where}: {found}, expected numbers {axes} of {frames:,} frames and {len(names)} joints.")
+    wrong = ~((weights >= 0).all(1) & (np.abs(weights.sum(1, dtype=np.float64) - 1) <= _SUM)) & np.isfinite(
+        weights
+    ).all(1)
     if wrong.any():
         row = int(np.argmax(wrong))
         shown = ", ".join(f"{weight:.3g}" for weight in weights[row])

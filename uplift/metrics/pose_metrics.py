@@ -130,9 +130,7 @@ _OUT_OF_PLANE = 0.3
 """Share of its length by which a bone must leave the image plane for its depth sign to count."""
 
 
-def wrong_signs(
-    pose: Poses, truth: Poses, weight: Weights, skeleton: Skeleton
-) -> Float[np.ndarray, "frames bones"]:
+def wrong_signs(pose: Poses, truth: Poses, weight: Weights, skeleton: Skeleton) -> Float[np.ndarray, "frames bones"]:
     """Return 1 for each bone that leads to the wrong side of the image plane, 0 for the right one, 1/2 for none.
 
     NaN for bones that do not count: those with an unknown end, and those that leave the plane by at most 0.3 of

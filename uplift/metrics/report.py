@@ -156,7 +156,9 @@ class Evaluation(AnyEvaluation):
             yield from (["calibration", group, protocol, repr(value), ""] for protocol, value in figures)
         for section, groups in (("trunk", self.by_trunk_angle), ("signs", self.signs)):
             for name, figures in groups.items():
-                yield from ([section, name, figure, repr(value), self._unit(figure)] for figure, value in figures.items())
+                yield from (
+                    [section, name, figure, repr(value), self._unit(figure)] for figure, value in figures.items()
+                )
         for name, value in (self.hypotheses or {}).items():
             if name != "calibration":
                 yield ["hypotheses", "", name, repr(value), self.unit if name in _HYPOTHESIS_ERRORS else ""]
@@ -226,7 +228,6 @@ class Evaluation(AnyEvaluation):
             shown = [*found[name].values(), *others]
             rows.append([f"joints {name}", *("-" if value is None else f"{value:.3f}" for value in shown)])
         return _columns(rows)
-
 
     def _trunk_table(self) -> str:
         if not self.by_trunk_angle:
