@@ -40,7 +40,7 @@ PROTOCOLS = {
     "stress": Metric("length", "lower", "difference of all pairwise joint distances"),
     "facing": Metric("share", "higher", "frames no farther from the truth than their depth flip"),
     "facing_sign": Metric("share", "higher", "frames with the right handedness (needs no truth)"),
-    "wrong_signs": Metric("share", "lower", "bones with the wrong depth sign, of those that leave the image plane"),
+    "wrong_signs": Metric("share", "lower", "wrong depth signs, of bones that leave the image plane"),
     "elevation_deg": _ELEVATION,
     "roll_deg": Metric("deg", "lower", "median error of the camera's roll"),
     "bone_cv": Metric("share", "lower", "variation of each bone's length within a subject"),

@@ -28,7 +28,7 @@ from uplift.metrics.protocols import (
 
 __all__ = ["AnyEvaluation", "Evaluation", "ShapeEvaluation", "Sheet", "paper_order"]
 
-Figures = Mapping[str, float]
+Figures = Mapping[str, int | float]
 """Metric -> value."""
 Groups = Mapping[str, Figures]
 """Name of an action, joint, category, ... -> its figures."""
@@ -234,8 +234,7 @@ class Evaluation(AnyEvaluation):
             return ""
         rows = [["trunk's angle from upright, deg", "frames", "share", "p_mpjpe", "flipped", "wrong_signs"]]
         for name, of in self.by_trunk_angle.items():
-            figures = (self._text(figure, of) for figure in ("p_mpjpe", "wrong_signs"))
-            error, wrong = figures
+            error, wrong = (self._text(figure, of) for figure in ("p_mpjpe", "wrong_signs"))
             rows.append([name, f"{of['frames']:,}", f"{of['share']:.3f}", error, f"{of['flipped']:.3f}", wrong])
         return _columns(rows)
 
