@@ -18,7 +18,6 @@ from uplift.models import predict
 from uplift.models.metric_scale import KnownLength
 from uplift.models.predict import (
     as_measured,
-    bodies_of,
     gap_joints,
     infer,
     interpolate_gaps,
@@ -164,14 +163,14 @@ def test_bones_become_their_medians_and_keep_their_sum_and_steady_bodies_stay() 
 
 def test_bodies_are_subjects_and_instances_else_clips_else_one() -> None:
     data = film()
-    assert bodies_of(data).tolist() == BODY.tolist()
+    assert data.bodies().tolist() == BODY.tolist()
     named = replace(
         data, identity={**data.identity, "subject": np.tile(["x", "y"], 20), "instance": np.repeat([0, 1], 20)}
     )
-    assert len(set(bodies_of(named))) == 4
-    assert bodies_of(replace(named, identity={"subject": named.identity["subject"]})).tolist() == [0, 1] * 20
-    assert not bodies_of(replace(data, identity={})).any()
-    assert len(bodies_of(data.select(slice(0, 0)))) == 0
+    assert len(set(named.bodies())) == 4
+    assert replace(named, identity={"subject": named.identity["subject"]}).bodies().tolist() == [0, 1] * 20
+    assert not replace(data, identity={}).bodies().any()
+    assert len(data.select(slice(0, 0)).bodies()) == 0
 
 
 def test_the_scale_is_that_of_the_size_given_then_the_skeletons_then_the_labels() -> None:

@@ -178,6 +178,12 @@ class LifterSettings:
     uncertainty: bool = _setting(
         True, "the student predicts how far off each depth, or the place of a hidden joint, may be"
     )
+    signs: int = _setting(
+        0,
+        "units of a second network of the student, which says how likely each bone points away from the camera; 0: none",
+        low=0,
+        high=16_384,
+    )
     denoise: Optional[bool] = _setting(
         None, "the student moves seen joints too; unset: where refined clips show that they are noisy"
     )
@@ -291,6 +297,9 @@ class StudentSettings(StageSettings):
         60_000, "frames at most that are lifted and refined for a round, complete clips at random", low=1, high=10**12
     )
     turn: bool = _setting(True, "show poses from everywhere; off: each from where it was seen")
+    any_way: float = _setting(
+        0.15, "share of views turned any way, not about gravity alone: depth signs are learned from them", low=0, high=1
+    )
     mix: float = _setting(0.7, "share of poses that take limbs of others", low=0, high=1)
     mix_limb: float = _setting(0.4, "chance of each limb of such a pose", low=0, high=1)
     loss: Optional[str] = _setting(None, "loss of your own: file.py:Class; unset: absolute errors")

@@ -42,6 +42,10 @@ class TrainingSet(Samples):
     """Frames of one clip have one number, from 0 without gaps."""
     follows: Bool[Tensor, " frames"]
     """Whether a frame is the next in time to the one before it in the file."""
+    body: Int[Tensor, " frames"]
+    """Frames of one body have one number, from 0 without gaps (`PoseData.bodies`)."""
+    fps: float | None = None
+    """Frames per second, where known."""
     rotation: Float[Tensor, "frames 3 3"] | None = None
     """From the real camera's frame to that of one turned to look at the root; None without intrinsics."""
     labels: Float[Tensor, "frames joints 3"] | None = None
@@ -78,6 +82,8 @@ class TrainingSet(Samples):
             distance=normal.distance,
             clip=torch.from_numpy(data.clips()),
             follows=torch.from_numpy(data.follows()),
+            body=torch.from_numpy(data.bodies()),
+            fps=data.fps,
             rotation=normal.rotation,
             **_masks(data, skeleton, normal, intrinsics),
         )
@@ -87,7 +93,8 @@ class TrainingSet(Samples):
         chosen = super().select(rows)
         place = torch.arange(len(self), device=self.clip.device)[rows]
         follows = chosen.follows & (place.diff(prepend=place[:1] - 2) == 1)
-        return replace(chosen, clip=torch.unique(chosen.clip, return_inverse=True)[1], follows=follows)
+        clip, body = (torch.unique(value, return_inverse=True)[1] for value in (chosen.clip, chosen.body))
+        return replace(chosen, clip=clip, body=body, follows=follows)
 
     @classmethod
     def concat(cls, parts: Sequence[Any], **changed: Any) -> TrainingSet:
@@ -100,13 +107,14 @@ class TrainingSet(Samples):
             raise UserError(
                 f"Labelled frames have masks of {sides[1]} px a side, the others of {sides[0]}: expected the same."
             )
-        clips = [int(part.clip.max()) + 1 if len(part) else 0 for part in parts[:-1]]
-        starts = np.cumsum([0, *clips]).tolist()
-        clip = torch.cat([part.clip + start for part, start in zip(parts, starts, strict=True)])
+        for name in ("clip", "body"):
+            counts = [int(getattr(part, name).max()) + 1 if len(part) else 0 for part in parts[:-1]]
+            starts = np.cumsum([0, *counts]).tolist()
+            changed[name] = torch.cat([getattr(part, name) + start for part, start in zip(parts, starts, strict=True)])
         if any(part.rotation is not None for part in parts):  # a camera that was not turned
             eye = torch.eye(3)
             parts = [p if p.rotation is not None else replace(p, rotation=eye.expand(len(p), 3, 3)) for p in parts]
-        return super().concat(parts, clip=clip, **changed)
+        return super().concat(parts, **changed)
 
     def some(self, most: int, seed: int) -> TrainingSet:
         """Return about ``most`` frames, complete clips in seeded order and all that are labelled; the set itself if it has no more."""

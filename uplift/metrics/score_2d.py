@@ -37,7 +37,7 @@ from uplift.geometry.rotation import level, nearest_rotation, turn, views_about_
 from uplift.metrics.pose_metrics import facing_sign, has_handedness
 from uplift.models.lifter import Lifted
 from uplift.models.model import Model
-from uplift.models.predict import bodies_of, lift_frames
+from uplift.models.predict import lift_frames
 from uplift.skeleton import Skeleton
 
 __all__ = ["LEAST_FRAMES", "WEIGHTS", "score_2d"]
@@ -276,7 +276,7 @@ def _bones(frames: TrainingSet, lifted: Lifted, data: PoseData) -> dict[str, flo
     lengths = bone_lengths(lifted.pose, pairs).where(seen, torch.nan)
     size = (lengths / lengths.nanmean(0)).nanmean(1, keepdim=True)
     lengths = lengths / size
-    body = bodies_of(data)
+    body = data.bodies()
     numbers, counts = np.unique(body, return_counts=True)
     groups = [
         torch.from_numpy(body == one) for one, count in zip(numbers, counts, strict=True) if count >= _FEWEST_BODY

@@ -12,7 +12,8 @@ from uplift.config.settings import LifterSettings
 from uplift.data.samples import Samples
 from uplift.geometry.camera import build_camera
 from uplift.geometry.normalise import bone_lengths, mirror
-from uplift.models.networks import build_network
+from uplift.models.networks import ResidualNetwork, build_network
+from uplift.models.signs import SignChains
 from uplift.skeleton import Skeleton
 
 __all__ = ["Lifted", "Lifter"]
@@ -32,6 +33,8 @@ class Lifted(Samples):
     """The keypoints that `pose` projects to: those given, with missing joints filled in."""
     uncertainty: Float[Tensor, "batch joints"] | None = None
     """The expected absolute error of each depth, in units; None where the lifter was not trained to predict it."""
+    signs: Float[Tensor, "batch states"] | None = None
+    """Log-odds of depth signs, the states of all chains (`uplift.models.signs`); None where the lifter does not predict them."""
 
 
 class Lifter(nn.Module):
@@ -39,7 +42,8 @@ class Lifter(nn.Module):
 
     ``tilt`` is ``predicted`` (one per pose), ``learned`` (one for all) or ``level``. With ``fill`` the
     network also predicts where missing joints are; without, they stay at the root. With ``denoise`` it
-    also moves visible joints, and with ``uncertainty`` it predicts the error of each depth.
+    also moves visible joints, and with ``uncertainty`` it predicts the error of each depth. With ``signs`` a second
+    network of that many units predicts the depth signs of bones.
     With ``root_free`` the root's depth is not subtracted, as in the code of Kudo et al. 2018.
     """
 
@@ -56,12 +60,17 @@ class Lifter(nn.Module):
         self.confidence_input, self.root_free = settings.confidence_input, settings.root_free
         self.fill, self.uncertainty = settings.fill, settings.uncertainty
         self.denoise = bool(settings.denoise) and settings.fill
+        joints = len(skeleton.joints)
         if network is None:
-            joints = len(skeleton.joints)
             outputs = joints * (1 + 2 * self.fill + self.uncertainty) + (self.tilt == "predicted")
             inputs = joints * (3 if self.confidence_input else 2)
             network = build_network(settings.network, inputs, outputs, settings.options)
         self.network = network
+        self.chains = SignChains(skeleton)
+        self.signs = None
+        if settings.signs:
+            inputs = joints * (3 if self.confidence_input else 2)
+            self.signs = ResidualNetwork(inputs + 1, sum(self.chains.counts), units=settings.signs, slope=0.1)
         if self.tilt == "learned":
             self.common_tilt = nn.Parameter(torch.zeros(()))
         self.register_buffer("bone_mm", torch.zeros(len(skeleton.bones)))
@@ -96,7 +105,14 @@ class Lifter(nn.Module):
             first = joints * (1 + 2 * self.fill)
             uncertainty = output[:, first : first + joints].clamp(*_LOG_UNCERTAINTY).exp()
             uncertainty = uncertainty.index_fill(1, self.root_place, 0.0)
-        return Lifted(self.camera.unproject(keypoints, depth, distance), self._tilt(output), keypoints, uncertainty)
+        pose = self.camera.unproject(keypoints, depth, distance)
+        signs = self._signs(features, distance)
+        return Lifted(pose, self._tilt(output), keypoints, uncertainty, signs)
+
+    def _signs(self, features: Tensor, distance: Tensor) -> Tensor | None:
+        if self.signs is None:
+            return None
+        return self.signs(torch.cat([features, 10 / distance[:, None]], 1)).to(features.dtype)
 
     def _tilt(self, output: Tensor) -> Tensor:
         if self.tilt == "predicted":
@@ -132,4 +148,8 @@ class Lifter(nn.Module):
         if straight.uncertainty is not None and mirrored.uncertainty is not None:
             uncertainty = (straight.uncertainty + mirrored.uncertainty[:, swap]) / 2
         pose = self.camera.unproject(filled, depth, distance)
-        return Lifted(pose, (straight.tilt + mirrored.tilt) / 2, filled, uncertainty)
+        signs = None
+        if straight.signs is not None and mirrored.signs is not None:
+            both = self.chains.mirrored is not None
+            signs = self.chains.mean(straight.signs, mirrored.signs) if both else straight.signs
+        return Lifted(pose, (straight.tilt + mirrored.tilt) / 2, filled, uncertainty, signs)

@@ -1,4 +1,4 @@
-"""The steps of inference: lift, refine by clip, interpolate gaps, constant bones, metric scale, level frame."""
+"""The steps of inference: lift, refine by clip, interpolate gaps, depth signs, constant bones, metric scale, level frame."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from uplift.config.settings import LifterSettings, RefineSettings
-from uplift.data.poses import PoseData, codes_of
+from uplift.data.poses import PoseData
 from uplift.data.tensors import TrainingSet, intrinsics_of, to_training_set, undistorted
 from uplift.errors import UserError
 from uplift.geometry.camera import Camera
@@ -28,12 +28,12 @@ from uplift.models.metric_scale import (
     size_of_skeleton,
 )
 from uplift.models.refine import refine_clips
+from uplift.models.signs import Hypotheses, Solution, solve_signs, spread_hypotheses
 from uplift.skeleton import Skeleton
 
 __all__ = [
     "InferredPoses",
     "as_measured",
-    "bodies_of",
     "gap_joints",
     "infer",
     "interpolate_gaps",
@@ -56,23 +56,61 @@ class InferredPoses:
     """The expected error of each depth, pixels."""
     mm_per_px: Float[Tensor, " frames"] | None
     """For bodies as large as the labelled ones; None without labels."""
+    hypotheses: Hypotheses | None = None
+    """Whole poses that are likely; None where they were not asked for."""
 
 
-def infer(lifter: Lifter, data: PoseData, settings: LifterSettings, *, refine: bool) -> InferredPoses:
-    """Return the poses of cleaned ``data``, optionally refined by clip, with short gaps interpolated."""
+def infer(
+    lifter: Lifter,
+    data: PoseData,
+    settings: LifterSettings,
+    *,
+    refine: bool,
+    solve: bool | None = None,
+    hypotheses: int = 0,
+) -> InferredPoses:
+    """Return the poses of cleaned ``data``.
+
+    Args:
+        lifter, settings: what lifts.
+        data: keypoints, cleaned.
+        refine: whether clips are refined, and short gaps interpolated.
+        solve: whether depth signs are decided along clips, by a lifter that predicts them; as ``refine`` if None.
+        hypotheses: how many poses to return for each frame, beside the answer, by such a lifter.
+    """
     seen = undistorted(data, settings)
     frames, lifted = _lift_and_refine(lifter, seen, settings, refine)
     if refine:
         filled = interpolate_gaps(seen, frames, lifted, intrinsics_of(seen, settings))
         if filled is not None:  # with fewer gaps, the visible joints are lifted better too
             frames, lifted = _lift_and_refine(lifter, filled, settings, refine)
-    pose = lifted.pose * frames.scale[:, None, None]
-    if frames.rotation is not None:
-        pose = turn(pose, frames.rotation.mT)
+    several = None
+    if lifted.signs is not None and (solve or hypotheses or (refine and solve is None)):
+        solution = solve_signs(frames, lifted.pose, lifted.signs, lifter.camera, lifter.chains)
+        lifted = _solved(lifted, solution)
+        several = _in_pixels(spread_hypotheses(solution, hypotheses), frames) if hypotheses else None
+    pose = _to_real(lifted.pose * frames.scale[:, None, None], frames)
     gravity = gravity_of(real_tilt(lifted.tilt, frames.rotation), None)
     uncertainty = None if lifted.uncertainty is None else lifted.uncertainty * frames.scale[:, None]
     unit_mm = lifter.unit_mm(lifted.pose)
-    return InferredPoses(pose, gravity, uncertainty, None if unit_mm is None else unit_mm / frames.scale)
+    return InferredPoses(pose, gravity, uncertainty, None if unit_mm is None else unit_mm / frames.scale, several)
+
+
+def _solved(lifted: Lifted, solution: Solution) -> Lifted:
+    """Return the poses with their depth signs decided, and the uncertainty that comes with those."""
+    uncertainty = lifted.uncertainty
+    if uncertainty is not None:
+        uncertainty = (uncertainty.square() + solution.deviation.square()).sqrt()
+    return replace(lifted, pose=solution.pose, uncertainty=uncertainty)
+
+
+def _to_real(pose: Float[Tensor, "frames ... joints 3"], frames: TrainingSet) -> Float[Tensor, "frames ... joints 3"]:
+    """Return poses in the frame of the real camera."""
+    return pose if frames.rotation is None else torch.einsum("f...x,fxy->f...y", pose, frames.rotation)
+
+
+def _in_pixels(several: Hypotheses, frames: TrainingSet) -> Hypotheses:
+    return replace(several, pose=_to_real(several.pose * frames.scale[:, None, None, None], frames))
 
 
 def _lift_and_refine(
@@ -117,7 +155,7 @@ def refine_lifted(lifted: Lifted, frames: TrainingSet, camera: Camera, settings:
     pose = refine_clips(frames, as_measured(frames, lifted.keypoints), lifted.pose[..., 2], camera, settings)
     tilt = clip_median(real_tilt(lifted.tilt, frames.rotation), torch.ones_like(lifted.tilt), frames.clip)
     seen = gravity_of(tilt, frames.rotation)[:, 2].clamp(-1, 1).asin()
-    return Lifted(pose, seen, camera.project(pose, frames.distance), lifted.uncertainty)
+    return replace(lifted, pose=pose, tilt=seen, keypoints=camera.project(pose, frames.distance))
 
 
 # Gap interpolation: a joint that a neighbouring frame shows is put where the refined pose has it.
@@ -210,15 +248,6 @@ def _exact(pose: np.ndarray, skeleton: Skeleton, lengths: np.ndarray) -> np.ndar
 
 
 # Metric scale and level frame.
-
-
-def bodies_of(data: PoseData) -> Int[np.ndarray, " frames"]:
-    """Return the number of each frame's body: by subject if they are named, else by clip, else one for all."""
-    if "subject" in data.identity:
-        both = [data.identity[key].astype(str) for key in ("subject", "instance") if key in data.identity]
-        return codes_of(np.array([" ".join(names) for names in zip(*both, strict=True)]))[1]
-    clips = data.clips()
-    return clips if clips.max(initial=-1) + 1 < len(clips) else np.zeros_like(clips)
 
 
 def mm_per_pixel(

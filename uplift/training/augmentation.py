@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 from torch import Tensor
 from torch.nn.functional import normalize
 
@@ -151,6 +151,12 @@ class ShownViews(Samples):
     distance: Float[Tensor, " views"]
     weight: Float[Tensor, "views joints"]
     """Confidence of the poses; 0 where there is nothing to learn."""
+    upright: Bool[Tensor, " views"]
+    """Whether bodies stand as they were seen; others are turned over, any way, for depth signs alone."""
+
+    def only_upright(self) -> ShownViews:
+        """Return the views with nothing to learn from those that are turned over."""
+        return replace(self, weight=self.weight * self.upright[:, None])
 
 
 def depth_error(lifted: Lifted, views: ShownViews) -> Float[Tensor, ""]:
@@ -161,7 +167,7 @@ def depth_error(lifted: Lifted, views: ShownViews) -> Float[Tensor, ""]:
 
 def tilt_error(lifted: Lifted, views: ShownViews) -> Float[Tensor, ""]:
     """Return the mean absolute error of the tilts, in radians."""
-    return (lifted.tilt - views.tilt).abs().mean()
+    return ((lifted.tilt - views.tilt).abs() * views.upright).mean()
 
 
 class ViewMaker:
@@ -191,6 +197,7 @@ class ViewMaker:
         poses, root = self.poses, self.poses.skeleton.root_index
         rows = self.sampler(count)
         pose, weight = self._mixed(rows)
+        pose, upright = self._turned_over(pose)
         pose, gravity = self._rotated(pose, rows)
         distance = poses.distance[rows]
         projected = self.camera.project(pose, distance)
@@ -208,7 +215,8 @@ class ViewMaker:
         noisy, radius = renormalise(seen, counted, root, count_root=self.count_root)
         exact = (projected - projected[:, root, None]) / radius[:, None, None]
         tilt = torch.asin(gravity[:, 2].clamp(-1, 1))
-        return ShownViews(noisy, confidence, exact, pose / radius[:, None, None], tilt, distance / radius, weight)
+        pose = pose / radius[:, None, None]
+        return ShownViews(noisy, confidence, exact, pose, tilt, distance / radius, weight, upright)
 
     def _draw(self, count: int) -> Tensor:
         return torch.randint(len(self.poses), (count,), device=self.poses.pose.device)
@@ -225,6 +233,15 @@ class ViewMaker:
             pose = torch.where(flip[:, None, None], mirror(pose, self.swap), pose)
             confidence = torch.where(flip[:, None], confidence[:, self.swap], confidence)
         return pose, confidence
+
+    def _turned_over(self, pose: Tensor) -> tuple[Tensor, Tensor]:
+        """Return the poses, some turned any way (a handstand is a standing body turned over), and which are not."""
+        upright = torch.ones(len(pose), dtype=torch.bool, device=pose.device)
+        if not (self.settings.any_way and self.settings.turn and self.poses.skeleton.gravity):
+            return pose, upright
+        upright = torch.rand(len(pose), device=pose.device) >= self.settings.any_way
+        turned = turn(pose, random_rotations(len(pose), pose.device))
+        return torch.where(upright[:, None, None], pose, turned), upright
 
     def _rotated(self, pose: Tensor, rows: Tensor) -> tuple[Tensor, Tensor]:
         """Return the level poses of ``rows`` in the frames of random cameras (or the real ones), and gravity there."""

@@ -189,8 +189,8 @@ class LiftingModule(KeypointModule):
         self.skeleton = skeleton_of(skeleton)
         specs, self._given_priors = prior_specs(priors)
         chosen = stage_settings("teacher", training, priors=specs, lifter=lifter, views=views, seed=seed)
-        # Only students learn to predict the uncertainty and to correct visible joints.
-        self.lifter_settings = dataclasses.replace(chosen.lifter, uncertainty=False, denoise=False)
+        # Only students learn to predict the uncertainty and depth signs, and to correct visible joints.
+        self.lifter_settings = dataclasses.replace(chosen.lifter, uncertainty=False, denoise=False, signs=0)
         self.view_settings, self.prior_specs = chosen.views, chosen.priors
         self.azimuth_deg, self.prior_rate = chosen.views.azimuth_deg, chosen.teacher.prior_learning_rate
         self._keep_hyperparameters(chosen)

@@ -16,6 +16,7 @@ from uplift.geometry.rotation import body_tilt, clip_median, gravity_of, least_r
 from uplift.models.lifter import Lifter
 from uplift.models.predict import as_measured, lift_frames
 from uplift.models.refine import has_clips, refine_clips
+from uplift.models.signs import solve_signs
 from uplift.skeleton import Skeleton
 
 __all__ = ["PseudoPoses", "lift_all", "true_poses"]
@@ -45,12 +46,17 @@ class PseudoPoses(Samples):
 
 @torch.no_grad()
 def lift_all(lifter: Lifter, data: TrainingSet, refine: RefineSettings) -> PseudoPoses:
-    """Return every training frame lifted by ``lifter``, averaged with its mirror image, refined by clip, or its label."""
+    """Return every training frame lifted by ``lifter``, averaged with its mirror image, refined by clip, or its label.
+
+    Depth signs are decided along clips where the lifter predicts them.
+    """
     data = data.to(next(lifter.parameters()).device)
     lifted = lift_frames(lifter, data)
     pose, refined = lifted.pose, bool(refine.iterations) and has_clips(data)
     if refined:
         pose = refine_clips(data, as_measured(data, lifted.keypoints), pose[..., 2], lifter.camera, refine)
+    if lifted.signs is not None and refine.iterations:
+        pose = solve_signs(data, pose, lifted.signs, lifter.camera, lifter.chains).pose
     if data.labels is not None:
         pose = torch.where(data.labels.isfinite(), data.labels, pose)
     tilt = real_tilt(lifted.tilt, data.rotation)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -29,6 +30,8 @@ __all__ = ["StudentLoss", "StudentModule", "student_settings"]
 _BATCHES_AT_ONCE = 16
 """Batches of views that are made together: a single one is mostly overhead."""
 _UNCERTAINTY_WEIGHT = 0.05
+_SIGN_WEIGHT = 0.05
+"""Of the cross-entropy; Adam makes the learning of a network of its own nearly independent of it."""
 
 
 class StudentLoss(nn.Module):
@@ -45,13 +48,14 @@ class StudentLoss(nn.Module):
     def forward(self, lifted: Lifted, views: ShownViews, lifter: Lifter) -> tuple[Tensor, Logged]:
         """Return one number, and the terms to log, by name.
 
-        Depths count, and keypoints, uncertainty and tilt where the lifter predicts them.
+        Depths count, and keypoints, uncertainty, depth signs and tilt where the lifter predicts them.
 
         Args:
             lifted: what the lifter makes of ``views.input``.
             views: the input and the true keypoints, poses and tilts, in the same units.
             lifter: says what it predicts: ``fill``, ``denoise``, ``uncertainty``, ``tilt``.
         """
+        turned, views = views, views.only_upright()
         known = views.weight.sum().clamp_min(1)
         loss = depth_error(lifted, views)
         logged: Logged = {"depth": loss.detach()}
@@ -66,6 +70,10 @@ class StudentLoss(nn.Module):
         if lifted.uncertainty is not None:
             loss = loss + _UNCERTAINTY_WEIGHT * _uncertainty_loss(lifted, views, lifted.uncertainty) / known
             logged["uncertainty"] = lifted.uncertainty.detach().mean()
+        if lifted.signs is not None:
+            signs = lifter.chains.loss(lifted.signs, lifter.chains.states(turned.pose, turned.distance), turned.weight)
+            loss = loss + _SIGN_WEIGHT * signs
+            logged["signs"] = signs.detach()
         if lifter.tilt == "predicted":
             tilt = tilt_error(lifted, views)
             loss = loss + TILT_WEIGHT * tilt
@@ -205,7 +213,8 @@ class StudentModule(KeypointModule):
         if self._maker is None or self._maker.poses.pose.device != self.device:
             count_root, share = self.lifter_settings.radius == "all", self.labelled_share
             frames, camera = self.frames.to(self.device), self.lifter.camera
-            self._maker = ViewMaker(frames, camera, self.settings, count_root=count_root, labelled_share=share)
+            settings = self.settings if self.lifter.signs is not None else replace(self.settings, any_way=0.0)
+            self._maker = ViewMaker(frames, camera, settings, count_root=count_root, labelled_share=share)
         return self._maker
 
     def objective(self, batch: int | ShownViews) -> tuple[Tensor, Logged]:
