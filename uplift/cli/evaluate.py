@@ -51,14 +51,15 @@ def evaluate(
     test: str | Path | None = None,
     *,
     refine: bool | None = None,
+    hypotheses: int | None = None,
     items: int | None = None,
     name: str | None = None,
     trust: Trust = None,
 ) -> Evaluation | ShapeEvaluation:
     """Evaluate a run on ``test``, or on the test data of its settings, and write evaluation.json into the run.
 
-    The frames of a clip are lifted together unless ``refine`` is off. Of a run that lifts masks at most
-    ``items`` are scored. The evaluation is kept in the run under ``name``, by default date and time. ``trust`` are
+    The frames of a clip are lifted together unless ``refine`` is off. With ``hypotheses`` so many poses of each
+    frame are judged beside the answer, with their probabilities. Of a run that lifts masks at most ``items`` are scored. The evaluation is kept in the run under ``name``, by default date and time. ``trust`` are
     files and modules of code that may run where the run names it.
 
     Raises:
@@ -72,7 +73,8 @@ def evaluate(
         _check_name(folder, name)
     weights = read_weights(folder.path)
     kind = KINDS[weights.lifts]
-    given = {key: value for key, value in {"refine": refine, "items": items}.items() if value is not None}
+    given = {"refine": refine, "hypotheses": hypotheses, "items": items}
+    given = {key: value for key, value in given.items() if value is not None}
     kind.refuse_others("evaluate", given, folder.path)
     result = kind.evaluate(folder, load(weights), None if test is None else str(test), **given)
     save_evaluation(result, folder, name)
@@ -109,7 +111,9 @@ def save_evaluation(result: AnyEvaluation, folder: RunFolder, name: str | None =
 # A run that lifts keypoints: every protocol of poses.
 
 
-def evaluate_keypoints(folder: RunFolder, model: Model, test: str | None, refine: bool = True) -> Evaluation:
+def evaluate_keypoints(
+    folder: RunFolder, model: Model, test: str | None, refine: bool = True, hypotheses: int = 0
+) -> Evaluation:
     """Return the protocols of a run on ``test``, or on the test frames of its settings."""
     settings = folder.settings()
     if test is not None:
@@ -122,7 +126,8 @@ def evaluate_keypoints(folder: RunFolder, model: Model, test: str | None, refine
         truth = load_data(settings, model.skeleton).test
         if truth is None:
             raise UserError(f"{folder.path} has no test frames: give data.test=FILE.")
-    return evaluate_model(model, truth, truth.source if test is None else test, refine=refine)
+    name = truth.source if test is None else test
+    return evaluate_model(model, truth, name, refine=refine, hypotheses=hypotheses)
 
 
 # A run that lifts masks: every metric of shapes, beside baselines where training shapes are known.
@@ -270,7 +275,7 @@ def evaluate_command(words: Sequence[str]) -> None:
     if ("run" in keys) == ("poses" in keys):
         raise UserError("evaluate takes run=RUN or poses=FILE. (uplift evaluate --help)")
     if "poses" in keys:
-        for key in [key for key in ("refine", "items", "evaluation") if key in keys]:
+        for key in [key for key in ("refine", "hypotheses", "items", "evaluation") if key in keys]:
             raise UserError(f"evaluate poses=FILE takes the poses as they are: {key}= goes with run=.")
         if "data.test" not in keys:
             raise UserError("evaluate poses=FILE needs data.test=FILE with the true poses.")
@@ -278,9 +283,10 @@ def evaluate_command(words: Sequence[str]) -> None:
         return
     if "skeleton" in keys:
         raise UserError("evaluate run=...: the run knows its skeleton; skeleton= goes with poses=.")
-    refine, items = keys.given("refine").get("refine"), keys.given("items").get("items")
-    refined, name = None if refine is None else refine == "on", keys.get("evaluation")
-    say(evaluate(keys["run"], keys.get("data.test"), refine=refined, items=items, name=name).table())
+    refine = keys.given("refine").get("refine")
+    options = keys.given("hypotheses") | keys.given("items") | {"name": keys.get("evaluation")}
+    refined = None if refine is None else refine == "on"
+    say(evaluate(keys["run"], keys.get("data.test"), refine=refined, **options).table())
     folder = RunFolder.open(keys["run"]).path
     say(f"\nwrote {folder}/evaluation.json and evaluation.csv (older ones: evaluations/)")
     say(f"next: uplift compare {folder} OTHER_RUN")

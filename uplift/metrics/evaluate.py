@@ -72,11 +72,11 @@ def evaluate(prediction: GivenPoses | Prediction, truth: PoseData, skeleton: Ske
     )
 
 
-def evaluate_model(model: Model, truth: PoseData, name: str, *, refine: bool = True) -> Evaluation:
-    """Return every protocol of ``model`` on cleaned frames with poses."""
+def evaluate_model(model: Model, truth: PoseData, name: str, *, refine: bool = True, hypotheses: int = 0) -> Evaluation:
+    """Return every protocol of ``model`` on cleaned frames with poses, and what so many ``hypotheses`` are worth."""
     if truth.pose is None:
         raise UserError(f"{name}: holds no 'pose' (frames, joints, 3) to compare with, only keypoints.")
-    result = evaluate(model.predict(truth, refine=refine), truth, model.skeleton, name)
+    result = evaluate(model.predict(truth, refine=refine, hypotheses=hypotheses), truth, model.skeleton, name)
     if model.refines(truth, refine):
         result.notes.append("the frames of each clip were lifted together (refine=off: each on its own)")
     return result

@@ -38,8 +38,7 @@ def evaluate_hypotheses(
     """
     if prediction.hypotheses is None and prediction.weights is None:
         return None
-    poses, weights = _checked(prediction, skeleton)
-    poses, weights = poses[kept], weights[kept].astype(np.float64)
+    poses, weights = _checked(prediction, kept, skeleton)
     errors = _errors(poses, matched)
     some = np.isfinite(errors).any(1)
     errors, weights = errors[some], weights[some]
@@ -54,8 +53,10 @@ def evaluate_hypotheses(
     }
 
 
-def _checked(prediction: GivenPoses | Prediction, skeleton: Skeleton) -> tuple[np.ndarray, np.ndarray]:
-    """Return the hypotheses in the skeleton's order of joints, and their weights."""
+def _checked(
+    prediction: GivenPoses | Prediction, kept: np.ndarray, skeleton: Skeleton
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return the hypotheses of the ``kept`` frames in the skeleton's order of joints, and their weights."""
     where, names = prediction.source or "the prediction", [str(name) for name in prediction.joint_names]
     if prediction.hypotheses is None or prediction.weights is None:
         there, gone = ("hypotheses", "weights") if prediction.weights is None else ("weights", "hypotheses")
@@ -70,14 +71,13 @@ def _checked(prediction: GivenPoses | Prediction, skeleton: Skeleton) -> tuple[n
             axes = "(frames hypotheses joints 3)" if name == "hypotheses" else "(frames hypotheses)"
             found = f"'{name}' has shape {array.shape} of {array.dtype}"
             raise UserError(f"{where}: {found}, expected numbers {axes} of {frames:,} frames and {len(names)} joints.")
-    wrong = ~((weights >= 0).all(1) & (np.abs(weights.sum(1, dtype=np.float64) - 1) <= _SUM)) & np.isfinite(
-        weights
-    ).all(1)
+    wrong = kept & ~((weights >= 0).all(1) & (np.abs(weights.sum(1, dtype=np.float64) - 1) <= _SUM))
     if wrong.any():
         row = int(np.argmax(wrong))
         shown = ", ".join(f"{weight:.3g}" for weight in weights[row])
         raise UserError(f"{where}: 'weights' of row {row} are {shown}, expected probabilities that are 1 in sum.")
-    return poses[:, :, [names.index(joint) for joint in skeleton.joints]], weights
+    order = [names.index(joint) for joint in skeleton.joints]
+    return poses[kept][:, :, order], weights[kept].astype(np.float64)
 
 
 def _errors(poses: np.ndarray, matched: Matched) -> Float[np.ndarray, "frames hypotheses"]:
