@@ -21,7 +21,7 @@ from uplift.skeleton import Skeleton
 
 __all__ = ["Batch", "TrainingSet", "intrinsics_of", "mean_bones", "to_training_set", "undistorted", "with_labels"]
 
-_INPUT = ("keypoints", "confidence", "scale", "distance")
+_INPUT = ("keypoints", "confidence", "scale", "distance", "guessed")
 _BESIDE = ("labels", "label_unit", "label_tilt", "masks", "mask_map")
 
 
@@ -58,6 +58,8 @@ class TrainingSet(Samples):
     """Crops of the images: 0 outside the body, 255 inside; None where the data has none."""
     mask_map: Float[Tensor, "frames 3 3"] | None = None
     """What takes normalised keypoints (x, y, 1) to the crop, (u w, v w, w): u, v from -1 to 1 over it. NaN without a mask."""
+    guessed: Bool[Tensor, " frames"] | None = None
+    """Frames whose `distance` is no more than a guess, for a lifter that estimates it; None for one that does not."""
 
     @classmethod
     def of(
@@ -68,6 +70,7 @@ class TrainingSet(Samples):
         count_root: bool = True,
         intrinsics: Intrinsics | None = None,
         distance: float = 10.0,
+        guessed: bool | None = None,
     ) -> TrainingSet:
         """Return the training set of cleaned ``data``; its `pose`, `root` and `tilt_deg` are not used."""
         keypoints, confidence = torch.from_numpy(data.keypoints), torch.from_numpy(data.confidence)
@@ -84,6 +87,7 @@ class TrainingSet(Samples):
             follows=torch.from_numpy(data.follows()),
             body=torch.from_numpy(data.bodies()),
             fps=data.fps,
+            guessed=None if guessed is None else torch.full((len(data),), guessed),
             rotation=normal.rotation,
             **_masks(data, skeleton, normal, intrinsics),
         )
@@ -168,6 +172,8 @@ class Batch(Samples):
     mask_map: Float[Tensor, "batch 3 3"] | None = None
     row: Int[Tensor, " batch"] | None = None
     """Which frames of the training set they are."""
+    guessed: Bool[Tensor, " batch"] | None = None
+    """Where `distance` is a guess; None: nowhere."""
 
     def beside(self) -> dict[str, Any]:
         """Return what is known of the frames beside their keypoints, by name: labels, masks, their rows."""
@@ -198,20 +204,28 @@ class Batch(Samples):
 def to_training_set(data: PoseData, skeleton: Skeleton, settings: LifterSettings) -> TrainingSet:
     """Return cleaned ``data`` in the units and the camera of ``settings``."""
     data = undistorted(data, settings)
+    known = _use_camera(settings) and data.focal_px is not None and data.centre_px is not None
     return TrainingSet.of(
         data,
         skeleton,
         count_root=settings.radius == "all",
         intrinsics=intrinsics_of(data, settings),
         distance=settings.distance,
+        guessed=not known if settings.cameras == "any" else None,
     )
 
 
 def intrinsics_of(data: PoseData, settings: LifterSettings) -> Intrinsics | None:
-    """Return the camera that ``data`` knows and the settings let be used, None otherwise."""
-    if not _use_camera(settings) or data.focal_px is None or data.centre_px is None:
+    """Return the camera that ``data`` knows and the settings let be used, None otherwise.
+
+    For a lifter of any cameras an unknown focal length is taken to be the longest side of the image: the lifter
+    expects to be told one that is wrong.
+    """
+    if not _use_camera(settings) or data.image_size is None or data.centre_px is None:
         return None
-    return Intrinsics(data.focal_px, data.centre_px)
+    guess = float(max(data.image_size)) if settings.cameras == "any" else None
+    focal_px = data.focal_px or guess
+    return None if focal_px is None else Intrinsics(focal_px, data.centre_px)
 
 
 def undistorted(data: PoseData, settings: LifterSettings) -> PoseData:
@@ -254,7 +268,7 @@ def _label_units(
     both = ((frames.confidence > 0) & known).unsqueeze(-1)
     flat = pose[..., :2] * both
     by_keypoints = flat.square().sum((1, 2)) / (flat * frames.keypoints).sum((1, 2)).clamp_min(1e-9)
-    if frames.rotation is None or root is None:
+    if frames.rotation is None or root is None or (frames.guessed is not None and bool(frames.guessed.any())):
         return by_keypoints
     by_distance = torch.from_numpy(root).norm(dim=-1) / frames.distance
     return torch.where(by_distance.isfinite() & (by_distance > 0), by_distance, by_keypoints)

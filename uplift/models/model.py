@@ -286,7 +286,8 @@ class Model(_Saved):
     @classmethod
     def _untrained(cls, state: dict[str, Any]) -> Model:
         skeleton = Skeleton.from_dict(state["skeleton"])
-        settings = settings_of(LifterSettings, "lifter", state["lifter"])
+        # A lifter from before confidences were calibrated has learned from those of its files.
+        settings = settings_of(LifterSettings, "lifter", {"confidence": "given", **state["lifter"]})
         return cls(Lifter(skeleton, settings), skeleton, settings)
 
 
