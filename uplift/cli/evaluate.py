@@ -14,7 +14,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from uplift.cli.kinds import KINDS
-from uplift.cli.parsing import keyed
+from uplift.cli.parsing import keyed, known_camera
+from uplift.cli.verbs import CAMERA_KEYS
 from uplift.config.files import Existing, absolute, refuse_existing, replacing, shipped_names
 from uplift.config.progress import say
 from uplift.config.run import RunFolder, data_id, read_weights
@@ -32,6 +33,7 @@ from uplift.metrics.evaluate import evaluate_model
 from uplift.metrics.evaluate_shapes import evaluate_shapes
 from uplift.metrics.report import AnyEvaluation, Evaluation, ShapeEvaluation
 from uplift.metrics.scores import GivenPoses
+from uplift.models.known_camera import KnownCamera
 from uplift.models.prediction import ShapePrediction
 from uplift.skeleton import Skeleton, load_skeleton
 from uplift.skeleton.match import match_joints
@@ -53,13 +55,16 @@ def evaluate(
     refine: bool | None = None,
     hypotheses: int | None = None,
     items: int | None = None,
+    camera: KnownCamera | None = None,
     name: str | None = None,
     trust: Trust = None,
 ) -> Evaluation | ShapeEvaluation:
     """Evaluate a run on ``test``, or on the test data of its settings, and write evaluation.json into the run.
 
     The frames of a clip are lifted together unless ``refine`` is off. With ``hypotheses`` so many poses of each
-    frame are judged beside the answer, with their probabilities. Of a run that lifts masks at most ``items`` are scored. The evaluation is kept in the run under ``name``, by default date and time. ``trust`` are
+    frame are judged beside the answer, with their probabilities. Of a run that lifts masks at most ``items`` are
+    scored. ``camera`` is what is known of how the cameras stand, in place of estimates. The evaluation is kept in
+    the run under ``name``, by default date and time. ``trust`` are
     files and modules of code that may run where the run names it.
 
     Raises:
@@ -73,7 +78,7 @@ def evaluate(
         _check_name(folder, name)
     weights = read_weights(folder.path)
     kind = KINDS[weights.lifts]
-    given = {"refine": refine, "hypotheses": hypotheses, "items": items}
+    given = {"refine": refine, "hypotheses": hypotheses, "items": items, "camera": camera}
     given = {key: value for key, value in given.items() if value is not None}
     kind.refuse_others("evaluate", given, folder.path)
     result = kind.evaluate(folder, load(weights), None if test is None else str(test), **given)
@@ -112,7 +117,12 @@ def save_evaluation(result: AnyEvaluation, folder: RunFolder, name: str | None =
 
 
 def evaluate_keypoints(
-    folder: RunFolder, model: Model, test: str | None, refine: bool = True, hypotheses: int = 0
+    folder: RunFolder,
+    model: Model,
+    test: str | None,
+    refine: bool = True,
+    hypotheses: int = 0,
+    camera: KnownCamera | None = None,
 ) -> Evaluation:
     """Return the protocols of a run on ``test``, or on the test frames of its settings."""
     settings = folder.settings()
@@ -127,7 +137,7 @@ def evaluate_keypoints(
         if truth is None:
             raise UserError(f"{folder.path} has no test frames: give data.test=FILE.")
     name = truth.source if test is None else test
-    return evaluate_model(model, truth, name, refine=refine, hypotheses=hypotheses)
+    return evaluate_model(model, truth, name, refine=refine, hypotheses=hypotheses, camera=camera)
 
 
 # A run that lifts masks: every metric of shapes, beside baselines where training shapes are known.
@@ -275,7 +285,7 @@ def evaluate_command(words: Sequence[str]) -> None:
     if ("run" in keys) == ("poses" in keys):
         raise UserError("evaluate takes run=RUN or poses=FILE. (uplift evaluate --help)")
     if "poses" in keys:
-        for key in [key for key in ("refine", "hypotheses", "items", "evaluation") if key in keys]:
+        for key in [key for key in ("refine", "hypotheses", "items", "evaluation", *CAMERA_KEYS) if key in keys]:
             raise UserError(f"evaluate poses=FILE takes the poses as they are: {key}= goes with run=.")
         if "data.test" not in keys:
             raise UserError("evaluate poses=FILE needs data.test=FILE with the true poses.")
@@ -285,8 +295,8 @@ def evaluate_command(words: Sequence[str]) -> None:
         raise UserError("evaluate run=...: the run knows its skeleton; skeleton= goes with poses=.")
     refine = keys.given("refine").get("refine")
     options = keys.given("hypotheses") | keys.given("items") | {"name": keys.get("evaluation")}
-    refined = None if refine is None else refine == "on"
-    say(evaluate(keys["run"], keys.get("data.test"), refine=refined, **options).table())
+    refined, camera = None if refine is None else refine == "on", known_camera(keys)
+    say(evaluate(keys["run"], keys.get("data.test"), refine=refined, camera=camera, **options).table())
     folder = RunFolder.open(keys["run"]).path
     say(f"\nwrote {folder}/evaluation.json and evaluation.csv (older ones: evaluations/)")
     say(f"next: uplift compare {folder} OTHER_RUN")

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from uplift.cli.kinds import KINDS
-from uplift.cli.parsing import Keys, keyed
+from uplift.cli.parsing import Keys, keyed, known_camera
 from uplift.cli.verbs import SHAPE_KEYS
 from uplift.config.files import refuse_output
 from uplift.config.loading import load_settings
@@ -30,6 +30,7 @@ from uplift.export import check_axes, write, writer_for
 from uplift.export.gallery import check_options
 from uplift.export.scene import in_axes
 from uplift.metrics.pose_metrics import bone_cv, bone_lengths, never_seen_so_long
+from uplift.models.known_camera import KnownCamera
 from uplift.models.likely_size import odd_size, small_size
 from uplift.models.metric_scale import size_from
 from uplift.models.model import load_poses, load_shapes
@@ -57,6 +58,8 @@ class Request:
     axes: str | None
     page: str | None
     options: Mapping[str, Any]
+    camera: KnownCamera | None = None
+    ground: bool = False
 
     @property
     def title(self) -> str:
@@ -73,6 +76,8 @@ def predict(
     refine: bool = True,
     constant_bones: bool = False,
     size: Mapping[str, Any] | None = None,
+    camera: KnownCamera | None = None,
+    ground: bool = False,
     reading: ReadOptions | None = None,
     axes: str | None = None,
     page: str | None = None,
@@ -85,8 +90,8 @@ def predict(
     ``input`` is a file or folder in any format that is read, several with commas or a pattern, or ``SET:SPLIT`` of
     a published data set (``file.py:Class:SPLIT`` for a class of yours), whose ``data.root`` and ``data.options.*`` are
     ``overrides`` such as a fit takes; ``reading`` is what the files lack. The frames of a clip are lifted
-    together unless ``refine`` is off. ``size`` are arguments of `uplift.models.metric_scale.size_from`. ``axes`` are
-    those of `uplift.export.scene`, the format's usual ones by default. ``page`` is the kind of an .html, ``viewer`` or
+    together unless ``refine`` is off. ``size`` are arguments of `uplift.models.metric_scale.size_from`. ``camera`` is
+    what is known of how the camera stands, and ``ground`` keeps standing feet where they are. ``axes`` are those of `uplift.export.scene`, the format's usual ones by default. ``page`` is the kind of an .html, ``viewer`` or
     ``gallery``, and ``options`` are those of its writer. The files written, with a remark on each, are added to ``written``. ``trust`` are files and modules of
     code that may run where the run names it, such as ``"my_nets.py"``.
 
@@ -99,7 +104,19 @@ def predict(
     """
     weights = run if isinstance(run, Weights) else read_weights(run)
     request = Request(
-        weights, input, output, overrides, refine, constant_bones, size or {}, reading, axes, page, options
+        weights,
+        input,
+        output,
+        overrides,
+        refine,
+        constant_bones,
+        size or {},
+        reading,
+        axes,
+        page,
+        options,
+        camera,
+        ground,
     )
     prediction, files = KINDS[weights.lifts].predict(request)
     if written is not None:
@@ -136,6 +153,8 @@ def keypoint_arguments(keys: Keys) -> dict[str, Any]:
         "refine": keys.value("refine") == "on",
         "constant_bones": keys.value("bones") == "constant",
         "size": size,
+        "camera": known_camera(keys),
+        "ground": keys.value("ground"),
         "reading": keys.reading(),
         **keys.given("images", "frames", "seed", "csv_safe"),
     }
@@ -165,7 +184,13 @@ def lift_keypoints(request: Request) -> tuple[Prediction, dict[Path, str]]:
         data = replace(data, notes=(*data.notes, odd))
     clean(data, model.skeleton)  # refuses a file with nothing to lift, before any work
     prediction = model.predict(
-        data, title=request.title, refine=request.refine, size=size, constant_bones=request.constant_bones
+        data,
+        title=request.title,
+        refine=request.refine,
+        size=size,
+        constant_bones=request.constant_bones,
+        camera=request.camera,
+        ground=request.ground,
     )
     files = {} if output is None else write(prediction, output, page, axes, **options)
     return prediction if axes is None else in_axes(prediction, axes), files
@@ -282,8 +307,16 @@ def mask_arguments(keys: Keys) -> dict[str, Any]:
 
 def lift_masks(request: Request) -> tuple[ShapePrediction, dict[Path, str]]:
     """Lift masks and write the shapes, if there is an output; return the files with a remark on each."""
-    if request.overrides or not request.refine or request.constant_bones or request.reading is not None:
-        of_keypoints = "overrides, refine, constant_bones and reading"
+    others = (
+        request.overrides,
+        not request.refine,
+        request.constant_bones,
+        request.reading,
+        request.camera,
+        request.ground,
+    )
+    if any(others):
+        of_keypoints = "overrides, refine, constant_bones, reading, camera and ground"
         raise UserError(f"{request.weights.run} lifts masks: {of_keypoints} go with keypoints.")
     options = {**request.options, **request.size, **({} if request.axes is None else {"axes": request.axes})}
     reading = {key: options.pop(key) for key in _READING if key in options}

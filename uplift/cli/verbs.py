@@ -9,7 +9,7 @@ from typing import Any, NamedTuple, Optional
 from uplift.config.settings import MAX_SIDE, MIN_SIDE, Setting, all_settings
 
 __all__ = [
-    "EVALUATE", "NEEDED", "POSE_KEYS", "PREDICT", "READ_KEYS", "SHAPE_KEYS", "SIMULATE", "VERBS", "Verb", "sub_verbs",
+    "CAMERA_KEYS", "EVALUATE", "NEEDED", "POSE_KEYS", "PREDICT", "READ_KEYS", "SHAPE_KEYS", "SIMULATE", "VERBS", "Verb", "sub_verbs",
 ]  # fmt: skip
 
 NEEDED: Any = type("Needed", (), {"__repr__": lambda self: "needed"})()
@@ -65,6 +65,13 @@ READ_KEYS = _table(
 )
 """What any command that reads keypoints takes."""
 
+CAMERA_KEYS = _table(
+    _key("camera.tilt_deg", Optional[float], None, "how far the camera looks down, where known; unset: estimated", -90, 90),
+    _key("camera.roll_deg", Optional[float], None, "how far up leans to the right in the image, where known; unset: "
+         "estimated", -180, 180),
+)  # fmt: skip
+"""How the camera stands, in place of estimates."""
+
 _CSV_SAFE = _key(
     "csv_safe", bool, False, "put an apostrophe before names in a .csv that a spreadsheet would run as formulas"
 )
@@ -88,6 +95,8 @@ POSE_KEYS = _table(
     _key("bone", list[str], [], "joints along a known length, with bone_mm=: rhip,rknee"),
     _key("bone_mm", Optional[float], None, "that length, millimetres", 1e-9, 1e9),
     _key("camera_height_mm", Optional[float], None, "height of the camera above the ground, millimetres", 1e-9, 1e9),
+    *CAMERA_KEYS.values(),
+    _key("ground", bool, False, "true: find the ground, and keep standing feet where they are; needs a size"),
     *(one for name, one in READ_KEYS.items() if name != "format"),
     _key("frames", int, 40, "frames that page=gallery shows", 1, 500),
     _key("seed", int, 0, "seed of the choice of those frames", *_SEED_LIMITS),
@@ -125,6 +134,7 @@ EVALUATE = _table(
         100,
         only="keypoints",
     ),
+    *(POSE_KEYS[name] for name in CAMERA_KEYS),
     _key("items", int, 100, "masks at most that are scored", 1, _MOST_ITEMS, only="masks"),
     _key("evaluation", Optional[str], None, "name that the evaluation is kept under in the run; unset: date and time"),
     *_TRUST.values(),

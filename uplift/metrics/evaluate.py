@@ -26,6 +26,7 @@ from uplift.skeleton import Skeleton
 
 if TYPE_CHECKING:
     from uplift.data.poses import PoseData
+    from uplift.models.known_camera import KnownCamera
     from uplift.models.model import Model
     from uplift.models.prediction import Prediction
 
@@ -72,11 +73,23 @@ def evaluate(prediction: GivenPoses | Prediction, truth: PoseData, skeleton: Ske
     )
 
 
-def evaluate_model(model: Model, truth: PoseData, name: str, *, refine: bool = True, hypotheses: int = 0) -> Evaluation:
-    """Return every protocol of ``model`` on cleaned frames with poses, and what so many ``hypotheses`` are worth."""
+def evaluate_model(
+    model: Model,
+    truth: PoseData,
+    name: str,
+    *,
+    refine: bool = True,
+    hypotheses: int = 0,
+    camera: KnownCamera | None = None,
+) -> Evaluation:
+    """Return every protocol of ``model`` on cleaned frames with poses, and what so many ``hypotheses`` are worth.
+
+    ``camera`` is known in place of estimates.
+    """
     if truth.pose is None:
         raise UserError(f"{name}: holds no 'pose' (frames, joints, 3) to compare with, only keypoints.")
-    result = evaluate(model.predict(truth, refine=refine, hypotheses=hypotheses), truth, model.skeleton, name)
+    prediction = model.predict(truth, refine=refine, hypotheses=hypotheses, camera=camera)
+    result = evaluate(prediction, truth, model.skeleton, name)
     if model.refines(truth, refine):
         result.notes.append("the frames of each clip were lifted together (refine=off: each on its own)")
     return result

@@ -55,6 +55,8 @@ class InferredPoses:
     pose: Float[Tensor, "frames joints 3"]
     gravity: Float[Tensor, "frames 3"]
     """Unit vectors."""
+    gravity_by_frame: Float[Tensor, "frames 3"]
+    """The same as each frame alone has it, where ``gravity`` is one for a clip."""
     uncertainty: Float[Tensor, "frames joints"] | None
     """The expected error of each depth, pixels."""
     mm_per_px: Float[Tensor, " frames"] | None
@@ -82,11 +84,11 @@ def infer(
         hypotheses: how many poses to return for each frame, beside the answer, by such a lifter.
     """
     seen = calibrated(undistorted(data, settings), lifter.skeleton, settings)
-    frames, lifted = _lift_and_refine(lifter, seen, settings, refine)
+    frames, lifted, alone = _lift_and_refine(lifter, seen, settings, refine)
     if refine:
         filled = interpolate_gaps(seen, frames, lifted, intrinsics_of(seen, settings))
         if filled is not None:  # with fewer gaps, the visible joints are lifted better too
-            frames, lifted = _lift_and_refine(lifter, filled, settings, refine)
+            frames, lifted, alone = _lift_and_refine(lifter, filled, settings, refine)
     several = None
     if lifted.signs is not None and (solve or hypotheses or (refine and solve is None)):
         placed = frames if lifted.distance is None else replace(frames, distance=lifted.distance)
@@ -94,10 +96,11 @@ def infer(
         lifted = _solved(lifted, solution)
         several = _in_pixels(spread_hypotheses(solution, hypotheses), frames) if hypotheses else None
     pose = _to_real(lifted.pose * frames.scale[:, None, None], frames)
-    gravity = _real_gravity(lifted, frames)
+    gravity, by_frame = (_real_gravity(one, frames) for one in (lifted, alone))
     uncertainty = None if lifted.uncertainty is None else lifted.uncertainty * frames.scale[:, None]
     unit_mm = lifter.unit_mm(lifted.pose)
-    return InferredPoses(pose, gravity, uncertainty, None if unit_mm is None else unit_mm / frames.scale, several)
+    mm_per_px = None if unit_mm is None else unit_mm / frames.scale
+    return InferredPoses(pose, gravity, by_frame, uncertainty, mm_per_px, several)
 
 
 def _solved(lifted: Lifted, solution: Solution) -> Lifted:
@@ -119,13 +122,12 @@ def _in_pixels(several: Hypotheses, frames: TrainingSet) -> Hypotheses:
 
 def _lift_and_refine(
     lifter: Lifter, data: PoseData, settings: LifterSettings, refine: bool
-) -> tuple[TrainingSet, Lifted]:
-    """Return ``data`` in the model's units, and its poses."""
+) -> tuple[TrainingSet, Lifted, Lifted]:
+    """Return ``data`` in the model's units, its poses, and those of each frame alone."""
     frames = to_training_set(data, lifter.skeleton, settings).to(next(lifter.parameters()).device)
-    lifted = lift_frames(lifter, frames, both_ways=settings.both_ways)
-    if refine:
-        lifted = refine_lifted(lifted, frames, lifter.camera, settings.refine)
-    return frames, lifted
+    alone = lift_frames(lifter, frames, both_ways=settings.both_ways)
+    lifted = refine_lifted(alone, frames, lifter.camera, settings.refine) if refine else alone
+    return frames, lifted, alone
 
 
 # Lift many frames, and refine those of each clip together.

@@ -59,8 +59,8 @@ class SignChains:
         known = skeleton.has_mirror_image and all(image in self.chains for image in images)
         return [self.chains.index(image) for image in images] if known else None
 
-    def split(self, logits: Float[Tensor, "frames states"]) -> list[Float[Tensor, "frames states_of_chain"]]:
-        """Return the log-probabilities of each chain's states from ``logits`` of all."""
+    def split(self, logits: Float[Tensor, "frames states"]) -> list[Tensor]:
+        """Return the log-probabilities (frames states) of each chain's states from ``logits`` of all."""
         return [log_softmax(part, 1) for part in logits.split(self.counts, 1)]
 
     def mean(
@@ -381,8 +381,8 @@ class Solution:
     """The mean over all states, in the units and the camera of the frames; it projects to the keypoints of the pose given."""
     deviation: Float[Tensor, "frames joints"]
     """Standard deviation of each joint's place along its line of sight, in units, as far as it comes from the signs."""
-    likely: list[Float[Tensor, "frames states"]]
-    """For each chain the probabilities of its states."""
+    likely: list[Tensor]
+    """For each chain the probabilities (frames states) of its states."""
     scene: _Scene
     size: Float[Tensor, " frames"]
     """Units of the scene in one unit."""

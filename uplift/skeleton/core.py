@@ -40,6 +40,7 @@ class Skeleton:
     midpoints: dict[str, tuple[str, ...]] = field(default_factory=dict)
     size: dict[str, Any] = field(default_factory=dict)
     loops: bool = False
+    contacts: tuple[str, ...] = ()
     description: str = ""
     trunk: Direction | tuple[()] = ()
 
@@ -120,7 +121,7 @@ class Skeleton:
             "mirror": [list(pair) for pair in self.mirror],
             "facing": {name: [list(start), list(end)] for name, (start, end) in self.facing.items()},
             **({"trunk": [list(end) for end in self.trunk]} if self.trunk else {}),
-            "gravity": self.gravity, "rigid": self.rigid, "midpoints": {joint: list(parts) for joint, parts in self.midpoints.items()},
+            "gravity": self.gravity, "rigid": self.rigid, "contacts": list(self.contacts), "midpoints": {joint: list(parts) for joint, parts in self.midpoints.items()},
             "from": {name: {joint: list(parts) for joint, parts in of.items()} for name, of in self.sources.items()},
             "size": dict(self.size), **{key: self.body[key] for key in BODY_KEYS if key in self.body},
         }  # fmt: skip
@@ -182,6 +183,7 @@ def _from_checked(data: dict[str, Any]) -> Skeleton:
         joints=joints,
         bones=tuple((other, one) if parents[one] == other else (one, other) for one, other in bones),
         mirror=tuple(map(tuple, data["mirror"])),
+        contacts=tuple(data["contacts"]),
         facing={name: (tuple(start), tuple(end)) for name, (start, end) in data["facing"].items()},
         sources={name: {j: tuple(parts) for j, parts in of.items()} for name, of in data["from"].items()},
         body={key: data[key] for key in BODY_KEYS if key in data},

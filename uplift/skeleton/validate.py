@@ -35,6 +35,7 @@ def check_skeleton(data: object, where: Where) -> dict[str, Any]:
     _check_forest(skeleton, check)
     check.pairs(skeleton["mirror"], joints, "mirror", "[right, left]")
     _check_mirror(skeleton, check)
+    _check_contacts(skeleton, check)
     skeleton["midpoints"] = check.map_of_parts(skeleton["midpoints"], joints, ("midpoints",), midpoints=True)
     check.kind(skeleton["from"], dict, "a mapping of layouts", ("from",))
     skeleton["from"] = {
@@ -118,6 +119,19 @@ def _check_mirror(skeleton: dict[str, Any], check: _Checker) -> None:
                 f"'{one}' and '{other}' mirror each other, but the joints that hang from them, "
                 f"'{ours[0]}' and '{theirs[0]}', are in no pair. Add [{ours[0]}, {theirs[0]}] to mirror.",
             )
+
+
+def _check_contacts(skeleton: dict[str, Any], check: _Checker) -> None:
+    """Check that what stands on the ground are joints beyond the root, each named once, under gravity."""
+    contacts = check.kind(skeleton["contacts"], list, "a list of joints that stand on the ground", ("contacts",))
+    if contacts and not skeleton["gravity"]:
+        check.fail(("contacts",), "found contacts, but gravity is false: nothing stands on a ground without it.")
+    for place, joint in enumerate(contacts):
+        check.joint(joint, skeleton["joints"], ("contacts", place))
+        if joint in contacts[:place]:
+            check.fail(("contacts", place), f"found '{joint}' twice in 'contacts'.")
+        if joint == skeleton["root"]:
+            check.fail(("contacts", place), f"found the root '{joint}' in 'contacts'; expected ends of limbs.")
 
 
 def _check_size(size: Any, joints: list[str], check: _Checker) -> dict[str, Any]:

@@ -35,6 +35,7 @@ __all__ = [
 _KNOWN = {
     "keypoints", "confidence", "joint_names", "pose", "root", "unit", "fps", "image_size", "focal_px",
     "bones", "tilt_deg", "roll_deg", "gravity", "level_pose", "uncertainty", "spread", "filled", "hypotheses", "weights",
+    "ground_point", "ground_normal", "contact",
     "axes", "skeleton", "masks", "mask_box",
     *IDENTITY_KEYS,
 }  # fmt: skip
