@@ -85,7 +85,7 @@ def about_cameras(
     estimated. Behind +- is the spread of single
     frames, the standard deviation of a normal distribution with their median deviation.
     """
-    lifted = (data.confidence > 0).any(1)
+    lifted = np.asarray((data.confidence > 0).any(1))
     if not lifted.any():
         return ()
     names = _views(data)
@@ -95,7 +95,7 @@ def about_cameras(
         return (f"cameras of {len(views):,} clips: {angles}; {_focal(data, focal_px, lifted)}",)
     lines = []
     for name in views:
-        rows = lifted & (names == name)
+        rows = np.asarray(lifted & (names == name))
         which = f"camera of {name}" if len(views) > 1 else "camera"
         lines.append(f"{which}: {_angles(by_frame[rows], used[rows], known)}; {_focal(data, focal_px, rows)}")
     return tuple(lines)
