@@ -219,8 +219,8 @@ class Model(_Saved):
         camera, ground = camera or KnownCamera(), ground and self._may_stand(size)
         order = data.in_order()
         if (np.diff(order) < 0).any():  # neighbours in time must be neighbours in the rows
-            options = {"refine": refine, "size": size, "constant_bones": constant_bones, "camera": camera}
-            options |= {"ground": ground, "hypotheses": hypotheses}
+            options = {"refine": refine, "size": size, "constant_bones": constant_bones, "hypotheses": hypotheses}
+            options |= {"camera": camera, "ground": ground}
             return self.predict(data.select(order), title, **options).select(np.argsort(order))
         if hypotheses and self.lifter.signs is None:
             raise UserError(
@@ -242,7 +242,8 @@ class Model(_Saved):
             hypotheses=hypotheses,
         )
         inferred, data = self._seen_by(inferred, data, camera)
-        data = with_guessed_focal(data) if ground and self.skeleton.gravity else data
+        if ground and self.skeleton.gravity:
+            data = with_guessed_focal(data, None if inferred.focal_px is None else inferred.focal_px.cpu().numpy())
         pose, body = inferred.pose.cpu().numpy(), data.bodies()
         if constant_bones:
             pose = with_constant_bones(pose, self.skeleton, body)
@@ -265,7 +266,8 @@ class Model(_Saved):
         if not self.skeleton.gravity:
             return inferred, data
         used = camera.gravity(inferred.gravity.cpu().numpy())
-        notes = about_cameras(data, inferred.gravity_by_frame.cpu().numpy(), used, camera)
+        focal_px = None if inferred.focal_px is None else inferred.focal_px.cpu().numpy()
+        notes = about_cameras(data, inferred.gravity_by_frame.cpu().numpy(), used, camera, focal_px)
         gravity = torch.from_numpy(used).to(inferred.gravity)
         return dataclasses.replace(inferred, gravity=gravity), dataclasses.replace(data, notes=(*data.notes, *notes))
 
