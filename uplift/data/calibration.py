@@ -212,12 +212,12 @@ def write_cameras(cameras: Sequence[SceneCamera], path: str | Path, *, unit: str
         assert one.rotation is not None and one.translation is not None
         lens, place = one.lens, one.translation / (1000 if unit == "mm" else 1)
         (fx, fy), (cx, cy), (k1, k2, k3) = lens.focal_px, lens.centre_px, lens.radial
-        p2, p1 = lens.tangential
+        p2, p1 = lens.tangential if lens.opencv else np.divide(lens.tangential, 2)  # as near as OpenCV's form comes
         values = {
             "name": json.dumps(one.name),
             "size": [float(side) for side in lens.image_size or (0, 0)],
-            "matrix": [[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]],
-            "distortions": [k1, k2, p1, p2, *([k3] if k3 else [])],
+            "matrix": [[float(fx), 0.0, float(cx)], [0.0, float(fy), float(cy)], [0.0, 0.0, 1.0]],
+            "distortions": [float(k) for k in (k1, k2, p1, p2, *([k3] if k3 else []))],
             "rotation": _to_vector(one.rotation).tolist(),
             "translation": place.tolist(),
             "fisheye": "false",

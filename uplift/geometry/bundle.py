@@ -12,8 +12,8 @@ from uplift.geometry.multiview import (
     Cameras,
     Points,
     Seen,
+    intersection,
     noise_of,
-    triangulate,
     trust_of,
     weighted_median,
 )
@@ -38,7 +38,8 @@ def adjust_cameras(cameras: Cameras, seen: Seen, focal_sd: Float[np.ndarray, " v
         seen: the keypoints; points that fewer than two cameras see do not count.
         focal_sd: standard deviation of the logarithm of each focal length about its value; 0 holds it.
     """
-    points = triangulate(cameras, seen)
+    # The points in the middle of all rays, not those that two views agree on: the cost would leave them there.
+    points = intersection(cameras, seen, seen.weight)
     known = np.isfinite(points).all(-1)
     problem = _Problem(replace(seen, weight=seen.weight * known), cameras.focal_px, focal_sd)
     points = np.nan_to_num(points)

@@ -16,7 +16,7 @@ from uplift.geometry.lens import place_roots
 from uplift.geometry.rigid import nearest_rotation
 
 __all__ = [
-    "CUT", "ROUND_MEDIAN", "Cameras", "Points", "Seen", "cameras_from_poses", "noise_of", "pull_of_keypoints", "triangulate",
+    "CUT", "ROUND_MEDIAN", "Cameras", "Points", "Seen", "cameras_from_poses", "intersection", "noise_of", "pull_of_keypoints", "triangulate",
     "trust_of", "weighted_median",
 ]  # fmt: skip
 
@@ -29,6 +29,8 @@ ROUND_MEDIAN = 1.1774
 """The median distance from the middle of a round normal distribution, in standard deviations."""
 _NEAREST = 0.1
 """Points at or behind a camera are held this far before it."""
+_AS_MANY = 20
+"""Keypoints of a joint that count as much as all others of its view."""
 _FINEST_PX = 0.25
 """Keypoints are never taken as more exact than this."""
 
@@ -98,16 +100,18 @@ def noise_of(
     """Return the standard deviation of the keypoints of each view and joint, pixels, robust to those that are wrong.
 
     It makes up for what a detector's confidences mean: only their ratios within one view and joint count. Where few
-    keypoints of a joint are known, it is drawn to that of the view.
+    keypoints of a joint are known, it is drawn to that of the view; and half-way to that of all, as points follow a view
+    that is trusted most, which then seems to be exact.
     """
     far = np.linalg.norm(errors, axis=-1)
+    every = max(weighted_median(far, weight), _FINEST_PX)
     noise = np.empty((len(far), 1, far.shape[2]))
     for view, (away, trust) in enumerate(zip(far, weight, strict=True)):
         usual = weighted_median(away, trust)
         own = np.array([weighted_median(*one) for one in zip(away.T, trust.T, strict=True)])
         count = (trust > 0).sum(0)
-        noise[view, 0] = np.sqrt((count * own**2 + 20 * usual**2) / (count + 20))
-    return np.maximum(noise / ROUND_MEDIAN, _FINEST_PX)
+        noise[view, 0] = np.sqrt((count * own**2 + _AS_MANY * usual**2) / (count + _AS_MANY))
+    return np.maximum(np.sqrt(np.maximum(noise, every / 4) * every) / ROUND_MEDIAN, _FINEST_PX)
 
 
 def trust_of(
@@ -199,14 +203,14 @@ def triangulate(cameras: Cameras, seen: Seen) -> Points:
     Of the points by all cameras and by any two, the one that most keypoints agree with is taken, so that one camera
     that is wrong does not spoil it; from there by robust least squares.
     """
-    first = _intersection(cameras, seen, seen.weight)
+    first = intersection(cameras, seen, seen.weight)
     known = np.isfinite(first).all(-1)
     noise = noise_of(cameras.errors(np.nan_to_num(first), seen), seen.weight * known)
     views = range(len(seen.weight))
     best, least = first, np.full(known.shape, np.inf)
     for chosen in [tuple(views), *(combinations(views, 2) if len(views) > 2 else [])]:
         of_chosen = np.isin(views, chosen)[:, None, None]
-        point = _intersection(cameras, seen, seen.weight * of_chosen)
+        point = intersection(cameras, seen, seen.weight * of_chosen)
         far = (cameras.errors(np.nan_to_num(point), seen) ** 2).sum(-1) / (CUT * noise) ** 2
         cost = np.where(np.isfinite(point).all(-1), (seen.weight * far / (1 + far)).sum(0), np.inf)
         best, least = np.where((cost < least)[..., None], point, best), np.minimum(cost, least)
@@ -218,8 +222,8 @@ def triangulate(cameras: Cameras, seen: Seen) -> Points:
     return np.where(known[..., None], points, np.nan)
 
 
-def _intersection(cameras: Cameras, seen: Seen, weight: np.ndarray) -> np.ndarray:
-    """Return the points nearest to the rays of the keypoints; NaN where fewer than two count, or rays are parallel."""
+def intersection(cameras: Cameras, seen: Seen, weight: np.ndarray) -> np.ndarray:
+    """Return the points nearest to the rays of all keypoints; NaN where fewer than two count, or rays are parallel."""
     ray = np.concatenate([seen.pixels / cameras.focal_px[:, None, None, None], np.ones((*weight.shape, 1))], -1)
     ray = np.einsum("vfja,vab->vfjb", ray / np.linalg.norm(ray, axis=-1, keepdims=True), cameras.rotation)
     centre = -np.einsum("vab,va->vb", cameras.rotation, cameras.translation)
