@@ -22,7 +22,9 @@ from uplift.geometry.multiview import (
 
 __all__ = ["fuse"]
 
-_ROUNDS, _MOST_STEPS = 10, 40
+_ROUNDS, _FIRST_ROUNDS, _MOST_STEPS = 10, 4, 40
+_NEIGHBOURS = 10
+"""How often the cost of a frame is averaged with those of its neighbours before views are left out by it."""
 _LENGTH_SD = 0.03
 """Standard deviation of a bone's length over a clip, as a share of it: joints are not found where they are to the mm."""
 _CHI3_MEDIAN = 2.366
@@ -56,10 +58,7 @@ def fuse(
         triples: frames of one body that follow one another.
     """
     problem = _Problem(cameras, seen, lifted, bones, triples)
-    points = problem.start()
-    for _ in range(_ROUNDS):
-        terms = problem.terms(points)
-        points = points - terms.step()
+    points = problem.solved(problem.best_start(), _ROUNDS)
     # Of one moment alone: a detector's errors last, and steady motion does not make up for them.
     terms = problem.terms(points)
     own = np.linalg.inv(replace(terms, triples=terms.triples[:0], steady=terms.steady[:0]).diagonal())
@@ -129,7 +128,15 @@ def _spread_over(
 class _Problem:
     """What is known of the bodies, and the cost about given places of their joints."""
 
-    def __init__(self, cameras: Cameras, seen: Seen, lifted: np.ndarray, bones: np.ndarray, triples: np.ndarray):
+    def __init__(
+        self,
+        cameras: Cameras,
+        seen: Seen,
+        lifted: np.ndarray,
+        bones: np.ndarray,
+        triples: np.ndarray,
+        bone_sd: np.ndarray | None = None,
+    ):
         self.cameras, self.seen, self.lifted, self.bones, self.triples = cameras, seen, lifted, bones, triples
         parent, child = bones.T
         self.there = (seen.weight > 0).any(-1)
@@ -137,7 +144,7 @@ class _Problem:
         self.along = lifted[:, :, child] - lifted[:, :, parent]
         trust = np.maximum(seen.weight, _UNSEEN)
         self.trust = np.sqrt(trust[:, :, child] * trust[:, :, parent]) * self.there[..., None]
-        self.bone_sd = self._disagreement()
+        self.bone_sd = self._disagreement() if bone_sd is None else bone_sd
         self.known = (seen.weight > 0).sum(0) > 1
         self.acceleration: np.ndarray | None = None
 
@@ -164,6 +171,40 @@ class _Problem:
             place = place_roots(self.lifted[view, rows] @ rotation.T, rays, self.seen.weight[view, rows])
             root[rows] = (place - self.cameras.translation[view]) @ rotation
         return np.where(known[..., None], points, np.nan_to_num(root)[:, None] + mean)
+
+    def best_start(self) -> Points:
+        """Return, frame by frame, the best of the bodies by all views and by all but one: a view may have lost its body."""
+        found = [self.solved(self.start(), _FIRST_ROUNDS)]
+        noise = noise_of(self.cameras.errors(found[0], self.seen), self.seen.weight)
+        for view in range(len(self.there)):
+            weight = self.seen.weight.copy()
+            weight[view] = 0
+            others = _Problem(
+                self.cameras, Seen(self.seen.pixels, weight), self.lifted, self.bones, self.triples, self.bone_sd
+            )
+            found.append(others.solved(others.start(), _FIRST_ROUNDS))
+        cost = np.stack([self._cost(points, noise) for points in found])
+        for _ in range(_NEIGHBOURS):  # a body is lost for more than a frame
+            before, here, after = self.triples.T
+            cost[:, here] = (cost[:, before] + cost[:, here] + cost[:, after]) / 3
+        return np.stack(found)[cost.argmin(0), np.arange(cost.shape[1])]
+
+    def _cost(self, points: Points, noise: np.ndarray) -> Float[np.ndarray, " frames"]:
+        """Return how much each frame disagrees with what is seen, lifted, and as long as ever."""
+        off = (self.cameras.errors(points, self.seen) ** 2).sum(-1) / (CUT * noise) ** 2
+        along = points[:, self.bones[:, 1]] - points[:, self.bones[:, 0]]
+        apart = ((self.along - along) ** 2).sum(-1) / (CUT * self.bone_sd) ** 2
+        length = np.linalg.norm(along, axis=-1)
+        usual = np.median(length, axis=0)
+        longer = ((length - usual) / (CUT * _LENGTH_SD * usual + 1e-9)) ** 2
+        cost = (self.seen.weight * off / (1 + off)).sum((0, 2)) + (longer / (1 + longer)).sum(1)
+        return cost + (self.trust * apart / (1 + apart)).sum((0, 2))
+
+    def solved(self, points: Points, rounds: int) -> Points:
+        """Return the joints after steps that start at ``points``."""
+        for _ in range(rounds):
+            points = points - self.terms(points).step()
+        return points
 
     def terms(self, points: Points) -> _Terms:
         """Return the cost about ``points``, to second order."""
