@@ -18,7 +18,7 @@ from uplift.data.parsers.files import existing_file, read_bytes, reason_of
 from uplift.data.parsers.json import load_json
 from uplift.errors import UserError
 from uplift.geometry.lens import Lens
-from uplift.geometry.rigid import rotation_about
+from uplift.geometry.rigid import rotation_by
 
 __all__ = ["SceneCamera", "match_cameras", "read_cameras", "write_cameras"]
 
@@ -136,7 +136,7 @@ def _camera(where: str, key: str, table: dict[str, Any]) -> SceneCamera:
         raise UserError(
             f"{where}: 'rotation' is a vector of Rodrigues (3 numbers) or 3 x 3, and goes with 'translation'."
         )
-    rotation = rotation if rotation.shape == (3, 3) else _from_vector(rotation)
+    rotation = rotation if rotation.shape == (3, 3) else rotation_by(rotation)
     if np.abs(rotation @ rotation.T - np.eye(3)).max() > 1e-3 or np.linalg.det(rotation) < 0:
         raise UserError(f"{where}: 'rotation' is no rotation: its rows are not at right angles, or it mirrors.")
     return SceneCamera(str(table.get("name", key)), lens, rotation, translation)
@@ -154,13 +154,6 @@ def _numbers(where: str, table: dict[str, Any], key: str, shape: tuple[int, ...]
         expected = "numbers" if shape is None else f"{' x '.join(map(str, shape))} numbers"
         raise UserError(f"{where}: '{key}' is {str(table.get(key))[:40]}, expected {expected}.")
     return values
-
-
-def _from_vector(vector: np.ndarray) -> np.ndarray:
-    """Return the rotation about a vector by its length, radians (Rodrigues)."""
-    angle = np.linalg.norm(vector)
-    x, y, z = (vector / max(angle, 1e-12)).tolist()
-    return rotation_about((x, y, z), angle)
 
 
 def _to_vector(rotation: np.ndarray) -> np.ndarray:

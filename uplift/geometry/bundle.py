@@ -17,7 +17,7 @@ from uplift.geometry.multiview import (
     trust_of,
     weighted_median,
 )
-from uplift.geometry.rigid import rotation_about
+from uplift.geometry.rigid import rotation_by
 
 __all__ = ["adjust_cameras"]
 
@@ -137,7 +137,8 @@ def _damped_inverse(matrix: np.ndarray, damping: float) -> np.ndarray:
 
 def _moved(cameras: Cameras, step: Float[np.ndarray, "views 7"]) -> Cameras:
     """Return the cameras turned, shifted and zoomed."""
-    angle = np.linalg.norm(step[:, :3], axis=-1)
-    axis = step[:, :3] / np.maximum(angle, 1e-12)[:, None]
-    turn = np.stack([rotation_about(tuple(one), how) for one, how in zip(axis, angle, strict=True)])
-    return Cameras(turn @ cameras.rotation, cameras.translation + step[:, 3:6], cameras.focal_px * np.exp(step[:, 6]))
+    return Cameras(
+        rotation_by(step[:, :3]) @ cameras.rotation,
+        cameras.translation + step[:, 3:6],
+        cameras.focal_px * np.exp(step[:, 6]),
+    )
