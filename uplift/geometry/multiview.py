@@ -214,7 +214,7 @@ def triangulate(cameras: Cameras, seen: Seen) -> Points:
         far = (cameras.errors(np.nan_to_num(point), seen) ** 2).sum(-1) / (CUT * noise) ** 2
         cost = np.where(np.isfinite(point).all(-1), (seen.weight * far / (1 + far)).sum(0), np.inf)
         best, least = np.where((cost < least)[..., None], point, best), np.minimum(cost, least)
-    points, known = np.nan_to_num(best), np.isfinite(best).all(-1)
+    points, known = np.nan_to_num(best), np.isfinite(best[..., 0])
     for _ in range(_STEPS):
         gradient, matrix = pull_of_keypoints(cameras, seen, points, noise)
         size = np.trace(matrix, axis1=-2, axis2=-1)[..., None, None]

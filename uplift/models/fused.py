@@ -79,8 +79,7 @@ class _Terms:
     def diagonal(self) -> Float[np.ndarray, "frames joints 3 3"]:
         """Return the curvature of each joint with all others held."""
         total, held = self.own.copy(), np.zeros(self.own.shape[:2])
-        for side in (0, 1):
-            np.add.at(total, (slice(None), self.bones[:, side]), self.stiff)
+        total += np.einsum("bj,fbxy->fjxy", np.abs(_ends(self.bones, total.shape[1])), self.stiff)
         for place, share in enumerate((1, 4, 1)):
             np.add.at(held, self.triples[:, place], share * self.steady)
         return total + (held + 1e-12)[..., None, None] * np.eye(3)
@@ -110,6 +109,14 @@ class _Terms:
         return -x
 
 
+def _ends(bones: np.ndarray, joints: int) -> Float[np.ndarray, "bones joints"]:
+    """Return 1 at the child of each bone, -1 at its parent."""
+    ends = np.zeros((len(bones), joints))
+    ends[range(len(bones)), bones[:, 1]] = 1
+    ends[range(len(bones)), bones[:, 0]] = -1
+    return ends
+
+
 def _second(x: Points, triples: np.ndarray) -> np.ndarray:
     return x[triples[:, 0]] - 2 * x[triples[:, 1]] + x[triples[:, 2]]
 
@@ -118,8 +125,7 @@ def _spread_over(
     y: Points, of_bones: np.ndarray, bones: np.ndarray, of_triples: np.ndarray, triples: np.ndarray
 ) -> Points:
     """Return ``y`` with the pulls of bones added to their ends, and those of accelerations to their frames."""
-    np.add.at(y, (slice(None), bones[:, 1]), of_bones)
-    np.add.at(y, (slice(None), bones[:, 0]), -of_bones)
+    y = y + np.einsum("bj,fbx->fjx", _ends(bones, y.shape[1]), of_bones)
     for place, share in enumerate((1, -2, 1)):
         np.add.at(y, triples[:, place], share * of_triples)
     return y
@@ -139,7 +145,7 @@ class _Problem:
     ):
         self.cameras, self.seen, self.lifted, self.bones, self.triples = cameras, seen, lifted, bones, triples
         parent, child = bones.T
-        self.there = (seen.weight > 0).any(-1)
+        self.there = seen.weight.max(-1) > 0
         """(views frames) whether a camera sees anything of the body."""
         self.along = lifted[:, :, child] - lifted[:, :, parent]
         trust = np.maximum(seen.weight, _UNSEEN)
@@ -161,7 +167,7 @@ class _Problem:
         """Return the triangulated joints; the others as lifted, about those or where their own camera sees the root."""
         points, there = triangulate(self.cameras, self.seen), self.there[..., None, None]
         mean = (self.lifted * there).sum(0) / np.maximum(there.sum(0), 1)
-        known = np.isfinite(points).all(-1)
+        known = np.isfinite(points[..., 0])
         root = np.full((len(points), 3), np.nan)
         for frame in np.flatnonzero(known.any(1)):
             root[frame] = np.median((points - mean)[frame, known[frame]], axis=0)

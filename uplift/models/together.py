@@ -209,15 +209,14 @@ class Scene:
         lenses, guessed = zip(*map(_lens_of, views), strict=True)
         pixels, weight, poses = [], [], []
         for view, lens, found, at in zip(views, lenses, lifted, rows, strict=True):
-            there = (at >= 0)[:, None] & np.isfinite(found.pose[at]).all((1, 2))[:, None]
+            there = ((at >= 0) & np.isfinite(found.pose[at]).all((1, 2)))[:, None]
             trust = np.where(there, view.confidence[at], 0).astype(np.float64)
             rays = lens.rays(view.keypoints.astype(np.float64))[at]
             pixels.append(np.where(trust[..., None] > 0, rays * np.mean(lens.focal_px), 0))
             weight.append(trust)
             poses.append(np.where(there[..., None], _unit_bones(found.pose[at].astype(np.float64), skeleton), 0))
-        gravity = None
-        if all(found.gravity is not None for found in lifted):
-            gravity = np.stack([_direction(found.gravity) for found in lifted])
+        known = [_direction(found.gravity) for found in lifted if found.gravity is not None]
+        gravity = np.stack(known) if len(known) == len(lifted) else None
         seen = Seen(np.stack(pixels), np.stack(weight))
         return cls(view_names(views), moments, seen, np.stack(poses), list(lenses), list(guessed), gravity)
 
@@ -348,7 +347,10 @@ def placed_cameras(cameras: Sequence[SceneCamera]) -> Cameras | None:
         raise UserError(f"camera {without[0]} has no 'rotation' and 'translation', others have: expected all or none.")
     if without:
         return None
-    rotation, translation = np.stack([one.rotation for one in cameras]), np.stack([one.translation for one in cameras])
+    places = [
+        (one.rotation, one.translation) for one in cameras if one.rotation is not None and one.translation is not None
+    ]
+    rotation, translation = map(np.stack, zip(*places, strict=True))
     return Cameras(rotation, translation, np.array([one.focal_px for one in cameras]))
 
 
