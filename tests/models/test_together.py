@@ -21,6 +21,7 @@ from uplift.data.poses import PoseData
 from uplift.data.synthetic.simulate import simulate
 from uplift.errors import UserError
 from uplift.geometry.lens import Lens
+from uplift.models import together
 from uplift.models.lifter import Lifter
 from uplift.models.metric_scale import KnownLength
 from uplift.models.model import Model
@@ -215,6 +216,15 @@ def test_two_bodies_stay_apart(model: NoisyLifter):
     body, _ = model.predict_together(both)
     assert body.identity["instance"].tolist() == ["anna"] * FRAMES + ["bert"] * FRAMES
     assert np.median(off_mm(body, np.concatenate([world, other]), cameras[0])) < 6
+
+
+def test_long_clips_are_solved_in_blocks(model: NoisyLifter, monkeypatch: pytest.MonkeyPatch):
+    views, _, _ = scene()
+    whole, _ = model.predict_together(views)
+    monkeypatch.setattr(together, "_BLOCK", 25)
+    parts, _ = model.predict_together(views)
+    apart = np.linalg.norm(parts.points - whole.points, axis=-1)
+    assert np.median(apart) < 1 and apart.max() < 0.1 * np.ptp(whole.pose)
 
 
 # Which frames go together.

@@ -44,6 +44,10 @@ class Seen:
     weight: Float[np.ndarray, "views frames joints"]
     """0..1, 0 = missing."""
 
+    def at(self, frames: np.ndarray) -> Seen:
+        """Return some of the frames."""
+        return Seen(self.pixels[:, frames], self.weight[:, frames])
+
 
 @dataclass(frozen=True)
 class Cameras:

@@ -36,6 +36,8 @@ _FEWEST = 5
 """Frames that a camera must share with the others."""
 _MOST_FRAMES = 200
 """Well-spread frames that cameras are found by: more change nothing and take time."""
+_BLOCK, _OVERLAP = 4000, 20
+"""Frames of a block, and of the blocks beside it that are solved with it."""
 _GUESSED_SD = 0.2
 """Standard deviation of the logarithm of a focal length about the guess, the longer side of the image."""
 _BAD_PX = 0.05
@@ -294,44 +296,63 @@ def solve(scene: Scene, skeleton: Skeleton, placed: Cameras | None = None) -> So
     Cameras that are not given are found from the lifted poses, then by bundle adjustment on up to 200 frames; focal
     lengths that were guessed move with it.
     """
-    bones = skeleton.bone_indices
-    cameras = placed.from_first() if placed is not None else _found(scene)
-    scale = _bone_scale(scene, triangulate(cameras, scene.seen), bones)
+    several = _spread_frames(scene)
+    cameras = placed.from_first() if placed is not None else _found(scene, several)
+    scale = _bone_scale(scene, cameras, several, skeleton.bone_indices)
     if placed is None:
         cameras, scale = cameras.scaled(1 / scale), 1.0
-    lifted = scene.poses @ cameras.rotation[:, None] * scale  # row vectors times R: to the world
-    points, spread = fuse(cameras, scene.seen, lifted, bones, scene.moments.triples())
-    blank = ~(scene.seen.weight > 0).any((0, 2))
-    points[blank], spread[blank] = np.nan, np.nan
+    points, spread = _fused(cameras, scene, scale, skeleton.bone_indices)
     far = np.linalg.norm(cameras.errors(np.nan_to_num(points), scene.seen), axis=-1)
     error = np.array([weighted_median(*one) for one in zip(far, scene.seen.weight, strict=True)])
     gravity = None if scene.gravity is None else _direction(np.einsum("vab,va->vb", cameras.rotation, scene.gravity))
     return SolvedScene(cameras, points, spread, gravity, error)
 
 
-def _found(scene: Scene) -> Cameras:
+def _spread_frames(scene: Scene) -> Int[np.ndarray, " frames"]:
+    """Return well-spread frames that two cameras or more see; raises UserError without any."""
+    several = np.flatnonzero(((scene.seen.weight > 0).sum(2) > 2).sum(0) > 1)
+    if not len(several):
+        raise UserError("together: no frame shows a body to two cameras.")
+    return several[np.linspace(0, len(several) - 1, min(len(several), _MOST_FRAMES)).round().astype(int)]
+
+
+def _found(scene: Scene, frames: np.ndarray) -> Cameras:
     """Return the cameras that the poses and then the keypoints agree with best."""
     cameras = cameras_from_poses(scene.poses, scene.seen, scene.focal_px)
-    several = np.flatnonzero(((scene.seen.weight > 0).sum(2) > 2).sum(0) > 1)
-    chosen = several[np.linspace(0, len(several) - 1, min(len(several), _MOST_FRAMES)).round().astype(int)]
-    seen = Seen(scene.seen.pixels[:, chosen], scene.seen.weight[:, chosen])
-    return adjust_cameras(cameras, seen, np.where(scene.guessed, _GUESSED_SD, 0.0))
+    return adjust_cameras(cameras, scene.seen.at(frames), np.where(scene.guessed, _GUESSED_SD, 0.0))
 
 
-def _bone_scale(scene: Scene, points: Points, bones: np.ndarray) -> float:
+def _bone_scale(scene: Scene, cameras: Cameras, frames: np.ndarray, bones: np.ndarray) -> float:
     """Return how many units of the world a unit of the lifted poses is: the median over bones of the ratio of lengths."""
     parent, child = bones.T
+    points, there = triangulate(cameras, scene.seen.at(frames)), scene.seen.weight[:, frames].max(-1) > 0
     length = np.linalg.norm(points[:, child] - points[:, parent], axis=-1)
-    lifted = np.linalg.norm(scene.poses[:, :, child] - scene.poses[:, :, parent], axis=-1)
-    there = (scene.seen.weight > 0).any(-1)
-    ratios = []
-    for bone in range(len(bones)):
-        known = np.isfinite(length[:, bone])
-        if known.any():
-            ratios.append(np.median(length[known, bone]) / max(np.median(lifted[there][:, bone]), 1e-9))
-    if not ratios:
-        raise UserError("together: no joint is seen by two cameras in one frame.")
-    return float(np.median(ratios))
+    lifted = np.linalg.norm(scene.poses[:, frames][:, :, child] - scene.poses[:, frames][:, :, parent], axis=-1)[there]
+    seen = np.isfinite(length).sum(0) > 0
+    if not seen.any():
+        raise UserError("together: no bone is seen by two cameras in one frame.")
+    return float(
+        np.median(np.nanmedian(length[:, seen], axis=0) / np.maximum(np.median(lifted[:, seen], axis=0), 1e-9))
+    )
+
+
+def _fused(cameras: Cameras, scene: Scene, scale: float, bones: np.ndarray) -> tuple[Points, np.ndarray]:
+    """Return the joints in the world and their errors; NaN where no camera sees the body. In blocks, which fit into memory."""
+    kept = np.flatnonzero(scene.seen.weight.max((0, 2)) > 0)
+    place = np.full(scene.seen.weight.shape[1] + 1, -1)
+    place[kept] = np.arange(len(kept))
+    triples = place[scene.moments.triples()]
+    triples = triples[triples.min(1, initial=0) >= 0]
+    points = np.full((len(place) - 1, *scene.poses.shape[2:]), np.nan)
+    spread = points[..., 0].copy()
+    for start in range(0, len(kept), _BLOCK):
+        low, high = max(0, start - _OVERLAP), min(len(kept), start + _BLOCK + _OVERLAP)
+        rows, inside = kept[low:high], triples[((triples >= low) & (triples < high)).all(1)] - low
+        lifted = scene.poses[:, rows] @ cameras.rotation[:, None] * scale  # row vectors times R: to the world
+        found, off = fuse(cameras, scene.seen.at(rows), lifted, bones, inside)
+        core = slice(start - low, start - low + _BLOCK)
+        points[rows[core]], spread[rows[core]] = found[core], off[core]
+    return points, spread
 
 
 # Cameras in and out, and the prediction.
