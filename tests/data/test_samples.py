@@ -54,24 +54,24 @@ EXAMPLES: dict[type[Samples], Samples] = {
     Placed: placed(),
     MaskData: MaskData(MASKS, NAMES, a(2), a(), TEXT, TEXT, placed(), a() > 0.5, extra={"area": a(2)}),
     TrainingSet: TrainingSet(
-        SKELETON, t(J, 2), t(J), t(), t(), torch.arange(N), torch.arange(N) > 0, t(3, 3), t(J, 3), t(), t(),
-        torch.from_numpy(MASKS), t(3, 3),
+        SKELETON, t(J, 2), t(J), t(), t(), torch.arange(N), torch.arange(N) > 0, torch.arange(N), 10.0, t(3, 3), t(J, 3), t(),
+        t(), torch.from_numpy(MASKS), t(3, 3), t() > 0.5,
     ),
-    Batch: Batch(t(J, 2), t(J), t(), t(), t(J, 3), t(), t(), torch.from_numpy(MASKS), t(3, 3), torch.arange(N)),
+    Batch: Batch(t(J, 2), t(J), t(), t(), t(J, 3), t(), t(), torch.from_numpy(MASKS), t(3, 3), torch.arange(N), t() > 0.5),
     MaskSet: MaskSet(t(8, 8), t(2), t() > 0.5, t(3, 3), torch.arange(N), torch.rand(2, 4, 4, 4)),
     Prediction: Prediction(
         a(J, 3), a(J, 3), "mm", a(J, 2), a(J), SKELETON.joints, SKELETON, a(), {"frame": np.arange(N)}, truth=a(J, 3),
         uncertainty=a(J), root=a(3), filled=a(J) > 0.5, gravity=a(3), hypotheses=a(2, J, 3), weights=a(2),
     ),
     ShapePrediction: ShapePrediction(a(4, 4, 4), a(3, 3), a(), a(2), a(), MASKS, NAMES, a(2), a(), images=TEXT),
-    PseudoPoses: PseudoPoses(SKELETON, t(J, 3), t(3), t(), t(J), t(J, 2), t() > 0.5),
-    ShownViews: ShownViews(t(J, 2), t(J), t(J, 2), t(J, 3), t(), t(), t(J)),
-    Lifted: Lifted(t(J, 3), t(), t(J, 2), t(J)),
+    PseudoPoses: PseudoPoses(SKELETON, t(J, 3), t(3), t(), t(J), t(J, 2), t() > 0.5, t() > 0.5),
+    ShownViews: ShownViews(t(J, 2), t(J), t(J, 2), t(J, 3), t(), t(3), t(), t(J), t(), t() > 0.5, t() > 0.5),
+    Lifted: Lifted(t(J, 3), t(), t(J, 2), t(J), t(3), t(), t(12)),
     LiftedShapes: LiftedShapes(t(4, 4, 4), t(3, 3), t(), t(2), t()),
 }  # fmt: skip
 examples = pytest.mark.parametrize("samples", EXAMPLES.values(), ids=lambda samples: type(samples).__name__)
 # What a selection gives new numbers, by class.
-RENUMBERED = {TrainingSet: {"clip", "follows"}}
+RENUMBERED = {TrainingSet: {"clip", "body", "follows"}}
 
 
 def rows_of(samples: Samples) -> dict[str, Any]:

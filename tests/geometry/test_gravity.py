@@ -9,6 +9,7 @@ from uplift.geometry.rotation import (
     about_x,
     about_y,
     body_tilt,
+    clip_direction,
     clip_median,
     gravity_of,
     least_rotation,
@@ -105,3 +106,15 @@ def test_the_median_of_a_clip():
     assert median.tolist() == [7, 2, 2, 7, 2, 4]
     weightless = clip_median(value, torch.tensor([0.0, 1, 1, 0, 1, 0]), clip)
     assert weightless.tolist() == [5, 2, 2, 5, 2, 4]  # of its own clip whatever the trust
+
+
+def test_a_clips_direction_is_its_median_whatever_a_minority_says():
+    torch.manual_seed(0)
+    down = torch.tensor([0.2, 0.9, 0.3])
+    vector = torch.cat([down + 0.02 * torch.randn(60, 3), torch.tensor([[0.9, -0.3, 0.2]]).expand(25, 3), -down[None]])
+    clip = torch.tensor([0] * 85 + [1])
+    found = clip_direction(vector, clip)
+    assert (found[:85] == found[0]).all()
+    assert torch.rad2deg((found[0] @ down / down.norm()).acos()) < 2
+    torch.testing.assert_close(found[85], -down / down.norm())
+    torch.testing.assert_close(clip_direction(vector * 3, clip), found)

@@ -18,7 +18,6 @@ from uplift.models import predict
 from uplift.models.metric_scale import KnownLength
 from uplift.models.predict import (
     as_measured,
-    bodies_of,
     gap_joints,
     infer,
     interpolate_gaps,
@@ -164,14 +163,14 @@ def test_bones_become_their_medians_and_keep_their_sum_and_steady_bodies_stay() 
 
 def test_bodies_are_subjects_and_instances_else_clips_else_one() -> None:
     data = film()
-    assert bodies_of(data).tolist() == BODY.tolist()
+    assert data.bodies().tolist() == BODY.tolist()
     named = replace(
         data, identity={**data.identity, "subject": np.tile(["x", "y"], 20), "instance": np.repeat([0, 1], 20)}
     )
-    assert len(set(bodies_of(named))) == 4
-    assert bodies_of(replace(named, identity={"subject": named.identity["subject"]})).tolist() == [0, 1] * 20
-    assert not bodies_of(replace(data, identity={})).any()
-    assert len(bodies_of(data.select(slice(0, 0)))) == 0
+    assert len(set(named.bodies())) == 4
+    assert replace(named, identity={"subject": named.identity["subject"]}).bodies().tolist() == [0, 1] * 20
+    assert not replace(data, identity={}).bodies().any()
+    assert len(data.select(slice(0, 0)).bodies()) == 0
 
 
 def test_the_scale_is_that_of_the_size_given_then_the_skeletons_then_the_labels() -> None:
@@ -194,3 +193,61 @@ def test_level_poses_are_turned_the_least_way_that_brings_gravity_down() -> None
     turn = axis / np.linalg.norm(axis, axis=-1, keepdims=True) * np.arccos(gravity[:, 1:2])
     expected = [Rotation.from_rotvec(one).apply(points) for one, points in zip(turn, pose, strict=True)]
     np.testing.assert_allclose(to_level(pose, torch.from_numpy(gravity).float()), expected, atol=1e-5)
+
+
+# A lifter of any cameras.
+
+ANY = LifterSettings(cameras="any")
+
+
+def any_lifter():
+    """Return a lifter that says one gravity, and that guessed distances are 1.5 times too near."""
+    lifter = small_lifter(cameras="any")
+    first = len(H36M.joints) * 3
+    with torch.no_grad():
+        for parameter in lifter.network.leave.parameters():
+            parameter[first:] = 0
+        lifter.network.leave.bias[first:] = torch.tensor([np.log(1.5), 0.3, 0.2, -0.4])
+    return lifter
+
+
+def test_an_unknown_focal_length_is_the_longest_side_of_the_image_and_the_distance_a_guess() -> None:
+    known, unknown = film(image_size=(1920, 1080)), film(image_size=(1920, 1080), focal_px=None)
+    guess = replace(unknown, focal_px=1920.0)
+    for given, same, guessed in ((known, known, False), (unknown, guess, True)):
+        found, expected = to_training_set(given, H36M, ANY), to_training_set(same, H36M, SETTINGS)
+        assert all(torch.equal(getattr(found, key), getattr(expected, key)) for key in ("distance", "rotation"))
+        assert (found.guessed == guessed).all() and expected.guessed is None
+    for data in (film(focal_px=None, image_size=None), unknown):  # as before where nothing is known
+        found = to_training_set(data, H36M, ANY if data.image_size is None else SETTINGS)
+        assert found.rotation is None and (found.distance == 10).all()
+
+
+def test_the_gravity_of_any_camera_is_one_for_each_clip_with_its_roll() -> None:
+    data, lifter = film(focal_px=None), any_lifter()
+    frames, lifted = to_training_set(data, H36M, ANY), lift_frames(lifter, to_training_set(data, H36M, ANY))
+    said = lifter(frames.keypoints, frames.confidence, frames.distance, frames.guessed).gravity
+    torch.testing.assert_close(said, torch.tensor([[0.3, 1.2, -0.4]]).expand(40, 3))
+    # With the mirror image of it, nothing is left of the roll in the frame of the camera that looks at the root.
+    torch.testing.assert_close(lifted.gravity, torch.tensor([[0.0, 1.2, -0.4]]).expand(40, 3), atol=1e-6, rtol=0)
+    real = torch.einsum("fji,fj->fi", frames.rotation, lifted.gravity)
+    single = infer(lifter, data, ANY, refine=False)
+    torch.testing.assert_close(single.gravity, real / real.norm(dim=-1, keepdim=True))
+    refined = infer(lifter, data, ANY, refine=True).gravity
+    for clip in (slice(0, 20), slice(20, 40)):
+        torch.testing.assert_close(refined[clip], refined[clip][:1].expand(20, 3))
+        off = (refined[clip][0] - single.gravity[clip]).norm(dim=-1)
+        spread = (single.gravity[clip][:, None] - single.gravity[clip]).norm(dim=-1).sum(0)
+        assert off.sum() <= spread.min() * 1.01, "no frame is nearer to all others"
+
+
+def test_a_guessed_distance_is_corrected_and_a_known_one_stays() -> None:
+    lifter = any_lifter()
+    for data, factor in ((film(), 1.0), (film(focal_px=None), 1.5)):
+        frames = to_training_set(data, H36M, ANY)
+        lifted = lift_frames(lifter, frames)
+        torch.testing.assert_close(lifted.distance, frames.distance * factor)
+        projected = Perspective().project(lifted.pose, frames.distance * factor)
+        torch.testing.assert_close(projected, lifted.keypoints, atol=1e-5, rtol=1e-5)
+        refined = refine_lifted(lifted, frames, Perspective(), RefineSettings(iterations=1))
+        torch.testing.assert_close(refined.distance, frames.distance * factor)

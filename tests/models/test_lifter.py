@@ -49,13 +49,12 @@ def test_root_free_leaves_the_depth_of_the_root():
 @pytest.mark.parametrize("both_ways", [False, True])
 def test_missing_joints_have_no_influence(both_ways):
     """Whatever coordinates a joint of confidence 0 has, everything comes out the same."""
-    lifter, data = small_lifter(uncertainty=True), training_set(missing=0.4)
+    lifter, data = small_lifter(uncertainty=True, cameras="any"), training_set(missing=0.4)
     there = data.confidence[..., None] > 0
     moved = torch.where(there, data.keypoints, torch.randn_like(data.keypoints) * 50)
     call = lifter.lift_both_ways if both_ways else lifter
     one, other = _lift(lifter, data, both_ways=both_ways), call(moved, data.confidence, data.distance)
-    for name, value in vars(one).items():
-        assert torch.equal(value, getattr(other, name)), name
+    assert all(torch.equal(value, getattr(other, name)) for name, value in vars(one).items())
 
 
 def test_without_filling_missing_joints_stay_at_the_root():
@@ -130,8 +129,8 @@ def test_without_mirror_pairs_there_is_no_mirror_image():
     hand = load_skeleton("hand21")
     lifter, data = small_lifter(hand, uncertainty=True), training_set(skeleton=hand)
     one, other = _lift(lifter, data), _lift(lifter, data, both_ways=True)
-    for name, value in vars(one).items():
-        assert torch.equal(value, getattr(other, name)), name
+    assert torch.equal(one.pose, other.pose)
+    assert torch.equal(one.uncertainty, other.uncertainty)
 
 
 def test_tilts():

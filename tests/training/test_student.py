@@ -139,3 +139,71 @@ def test_every_output_of_the_network_learns(poses):
     silent = (gradient.abs().sum(1) == 0).nonzero()[:, 0].tolist()
     # Only the root's spread has nothing to say: its depth is 0.
     assert silent == [3 * 17 + ROOT]
+
+
+# Any cameras.
+
+
+def views_of_any_camera(poses: PseudoPoses, count: int, **settings) -> ShownViews:
+    torch.manual_seed(0)
+    chosen = StudentSettings(**{"own_share": 0.0, "mix": 0.0, "mirror": False, **settings})
+    return ViewMaker(poses, Perspective(), chosen, count_root=False, usual_distance=10.0)(count)
+
+
+@pytest.fixture
+def standing(poses) -> PseudoPoses:
+    """Bodies whose joints lie along gravity: each view of them shows where that points."""
+    return replace(poses, pose=poses.pose * 0 + torch.linspace(0, 1, 17)[:, None] * torch.tensor([0.0, 1, 0]))
+
+
+def test_any_camera_of_known_focal_length_is_a_pinhole_that_looks_at_the_root(poses):
+    views = views_of_any_camera(poses, 400, unknown_focal=0.0)
+    torch.testing.assert_close(views.keypoints, Perspective().project(views.pose, views.distance), atol=1e-4, rtol=1e-4)
+    assert torch.equal(views.told, views.distance)
+    assert not views.guessed.any()
+
+
+def test_any_camera_has_the_tilt_the_roll_and_the_distance_of_the_settings(standing, monkeypatch):
+    monkeypatch.setattr("uplift.training.augmentation._ASIDE", 0.0)
+    views = views_of_any_camera(standing, 4000, tilt_deg=(-10.0, 40.0), roll_deg=20.0, distance=(5.0, 20.0))
+    down = views.pose[:, -1] / views.pose[:, -1].norm(dim=-1, keepdim=True)
+    torch.testing.assert_close(views.gravity, down, atol=1e-5, rtol=1e-5)
+    torch.testing.assert_close(views.tilt, down[:, 2].asin(), atol=1e-5, rtol=1e-5)
+    tilt, roll = down[:, 2].asin().rad2deg(), torch.atan2(-down[:, 0], down[:, 1]).rad2deg()
+    assert (-10 <= tilt.min() < -9) and (39 < tilt.max() <= 40)
+    assert (-20 <= roll.min() < -19) and (19 < roll.max() <= 20)
+    far = views.distance * (views.pose[:, 16].norm(dim=-1) ** -1)  # in lengths of the body
+    assert (5 <= far.min() * (1 + 1e-5) < 5.1) and (19.8 < far.max() <= 20 * (1 + 1e-5))
+
+
+def test_a_guessed_focal_length_is_off_and_so_is_the_distance_that_is_told(poses, monkeypatch):
+    monkeypatch.setattr("uplift.training.augmentation._ASIDE", 0.0)
+    views = views_of_any_camera(poses, 4000, unknown_focal=1.0)
+    # In the middle of the image the keypoints are the same whatever the focal length.
+    torch.testing.assert_close(views.keypoints, Perspective().project(views.pose, views.distance), atol=1e-4, rtol=1e-4)
+    blind = views.told == 10
+    assert 0.1 < blind.float().mean() < 0.2
+    off = (views.told / views.distance).log()[~blind]
+    assert abs(off.mean()) < 0.03 and off.std() == pytest.approx(0.35, abs=0.03)
+    assert views.guessed.all()
+
+
+def test_a_share_of_the_views_is_from_cameras_like_their_own(standing):
+    views = views_of_any_camera(standing, 2000, own_share=0.3)
+    like_own = (views.gravity - standing.gravity[0]).norm(dim=-1) < 1e-4
+    assert 0.25 < like_own.float().mean() < 0.35
+    assert (like_own & views.guessed).sum() == 0
+    unknown = replace(standing, guessed=torch.ones(300, dtype=torch.bool))
+    alone = views_of(unknown, 50, mix=0.0)
+    assert torch.equal(alone.told, alone.distance), "a student of own cameras is given what it is to use"
+    views = views_of_any_camera(unknown, 2000, own_share=1.0)
+    assert views.guessed.all() and (views.told == 10).all(), "as keypoints of an unknown camera are lifted"
+
+
+def test_a_student_of_any_cameras_is_told_the_distance_and_learns_gravity(poses):
+    lifter = LifterSettings(options={"units": 16}, cameras="any")
+    module = training(poses, lifter, occlude=0.4)
+    module.objective(BATCH)[0].backward()
+    gradient = module.lifter.network
+    assert (gradient.leave.weight.grad.abs().sum(1) == 0).nonzero()[:, 0].tolist() == [3 * 17 + ROOT]
+    assert (gradient.enter.weight.grad.abs().sum(0)[-2:] > 0).all()

@@ -174,15 +174,30 @@ class LifterSettings:
     radius: str = _setting("without_root", "joints the normalising mean runs over", choices=("all", "without_root"))
     root_free: bool = _setting(False, "leave the root's own depth in")
     confidence_input: bool = _setting(True, "the network sees confidence beside the keypoints")
+    confidence: str = _setting(
+        "calibrated",
+        "calibrated: refinement knows errors by how keypoints of each confidence jump in time, the network whether a joint is "
+        "seen; given: both see that of the file",
+        choices=("calibrated", "given"),
+    )
     fill: bool = _setting(True, "the network predicts where missing joints are")
     uncertainty: bool = _setting(
         True, "the student predicts how far off each depth, or the place of a hidden joint, may be"
     )
+    signs: int = _setting(
+        0,
+        "units of a second network of the student, which says how likely each bone points away from the camera; 0: none",
+        low=0,
+        high=16_384,
+    )
     denoise: Optional[bool] = _setting(
-        None, "the student moves seen joints too; unset: where refined clips show that they are noisy"
+        None, "the student moves seen joints too; unset: where student.noise adds errors to them"
     )
     both_ways: bool = _setting(True, "predict as the mean over the keypoints and their mirror image")
     refine: RefineSettings = _group(lambda: RefineSettings(smooth=1.0, near=0.5), "predicted clips")
+    cameras: str = _setting(
+        "own", "set from student.cameras for the last student; not yours to set", choices=("own", "any")
+    )
 
 
 @dataclass
@@ -285,14 +300,37 @@ class StudentSettings(StageSettings):
     last_options: dict[str, Any] = _setting({}, "options over student.options, in the last round")
     warm: bool = _setting(False, "a round goes on with the last round's weights where its network is the same")
     occlude: float = _setting(0.0, "share of views in which joints are hidden: some of them, or a limb", low=0, high=1)
-    noise: bool = _setting(True, "add to the views what refinement found wrong in the keypoints")
+    noise: bool = _setting(False, "add to the views what refinement found wrong in the keypoints")
     refine: RefineSettings = _group(RefineSettings, "poses to learn from")
     frames: int = _setting(
         60_000, "frames at most that are lifted and refined for a round, complete clips at random", low=1, high=10**12
     )
     turn: bool = _setting(True, "show poses from everywhere; off: each from where it was seen")
+    any_way: float = _setting(
+        0.15, "share of views turned any way, not about gravity alone: depth signs are learned from them", low=0, high=1
+    )
+    cameras: str = _setting(
+        "any",
+        "cameras that the last student learns: any, as the settings below say, with tilt, roll and distance estimated "
+        "for every frame; own: those of the training data",
+        choices=("any", "own"),
+    )
+    own_share: float = _setting(
+        0.75, "of any cameras: the share of views from those of the training data", low=0, high=1
+    )
+    tilt_deg: tuple[float, float] = _setting((-30.0, 60.0), "from,to: tilts of any cameras", low=-90, high=90)
+    roll_deg: float = _setting(30.0, "largest roll of any cameras, either way", low=0, high=180)
+    distance: tuple[float, float] = _setting(
+        (4.0, 25.0), "from,to: distances of any cameras, in mean 2D radii of the body", low=2, high=1e4
+    )
+    unknown_focal: float = _setting(
+        0.6, "share of the views of any cameras whose focal length is hidden and guessed", low=0, high=1
+    )
     mix: float = _setting(0.7, "share of poses that take limbs of others", low=0, high=1)
     mix_limb: float = _setting(0.4, "chance of each limb of such a pose", low=0, high=1)
+    stretch: float = _setting(
+        0.0, "how much bones of a view are longer or shorter: standard deviation of the log", low=0, high=1
+    )
     loss: Optional[str] = _setting(None, "loss of your own: file.py:Class; unset: absolute errors")
     loss_options: dict[str, Any] = _setting({}, "options of that class")
     module: Optional[str] = _setting(None, "module of your own, a subclass of uplift.StudentModule: file.py:Class")

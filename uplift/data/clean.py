@@ -11,7 +11,7 @@ from uplift.data.poses import PoseData
 from uplift.errors import UserError
 from uplift.skeleton import Skeleton
 
-__all__ = ["JUMP", "MIN_VISIBLE", "clean", "joint_neighbours", "jump_of"]
+__all__ = ["JUMP", "MIN_VISIBLE", "clean", "fill_root", "joint_neighbours", "jump_of"]
 
 JUMP = 0.3
 """Frames that mostly move by more than this, in sizes of the body, are not a video: each was seen by another camera."""
@@ -107,7 +107,7 @@ def clean(data: PoseData, skeleton: Skeleton, *, drop: bool = True) -> tuple[Pos
         )
     confidence[bad] = 0
     keypoints[bad] = 0
-    keypoints, filled = _fill_root(keypoints, confidence, skeleton)
+    keypoints, filled = fill_root(keypoints, confidence, skeleton)
     data = replace(data, keypoints=keypoints, confidence=confidence, root_filled=filled)
     jump = 0.0 if "sequence" not in data.identity or data.stills else jump_of(data)
     data = replace(data, stills=data.stills or jump > JUMP)
@@ -162,7 +162,7 @@ def joint_neighbours(skeleton: Skeleton) -> list[Sequence[int]]:
     return rings
 
 
-def _fill_root(keypoints: np.ndarray, confidence: np.ndarray, skeleton: Skeleton) -> tuple[np.ndarray, np.ndarray]:
+def fill_root(keypoints: np.ndarray, confidence: np.ndarray, skeleton: Skeleton) -> tuple[np.ndarray, np.ndarray]:
     """Return the keypoints with missing roots at the mean of their neighbours, and which those are."""
     root = skeleton.root_index
     missing = (confidence[:, root] == 0) & (confidence > 0).any(1)

@@ -17,6 +17,7 @@ from uplift.config.loading import settings_from
 from uplift.config.settings import DataSettings, LifterSettings, Settings, ShapeSettings
 from uplift.config.trust import consents, granted
 from uplift.data.clean import clean
+from uplift.data.confidence import calibrated
 from uplift.data.datasets import DATA_SETS
 from uplift.data.far import without_far
 from uplift.data.formats import checked
@@ -334,10 +335,12 @@ class KeypointData(_Data[PoseData, Loaded]):
 
     def frames(self, settings: LifterSettings) -> TrainingSet:
         """Return the training frames in the units and the camera of ``settings``, with the labels that may be used."""
-        key = (settings.camera, settings.intrinsics, settings.distance, settings.radius)
+        used = ("camera", "intrinsics", "distance", "radius", "cameras")
+        key = (*(getattr(settings, name) for name in used), settings.confidence == "given")
         if key not in self._frames:
             loaded = self._load_once()
             files = [part for part in (loaded.train, loaded.more) if part is not None]
+            files = [calibrated(part, self.skeleton, settings) for part in files]
             parts = [with_labels(to_training_set(part, self.skeleton, settings), part) for part in files]
             self._frames[key] = parts[0] if len(parts) == 1 else TrainingSet.concat(parts)
         return self._frames[key]

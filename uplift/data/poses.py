@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
@@ -168,6 +168,13 @@ class PoseData(Samples):
             return np.arange(len(self), dtype=np.int64)
         return clips_of(self.identity)
 
+    def bodies(self) -> Int[np.ndarray, " frames"]:
+        """Return the number of each frame's body, from 0 without gaps: by subject if they are named, else by clip, else one for all."""
+        if "subject" in self.identity:
+            return clips_of(self.identity, ("subject", "instance"))
+        clips = self.clips()
+        return clips if clips.max(initial=-1) + 1 < len(clips) else np.zeros_like(clips)
+
     def previous(self) -> Int[np.ndarray, " frames"]:
         """Return the row of the frame before each in its clip, -1 without one (see `previous_frames`)."""
         return previous_frames(self.clips(), self.identity.get("frame"))
@@ -198,9 +205,11 @@ def _column(values: Any, frames: int) -> np.ndarray:
     return np.repeat(array, frames) if array.ndim == 0 else array
 
 
-def clips_of(identity: Mapping[str, np.ndarray]) -> Int[np.ndarray, " frames"]:
-    """Return clip numbers from 0 without gaps: one for all frames of one subject, sequence, camera and instance."""
-    keys = [identity[key] for key in ("subject", "sequence", "camera", "instance") if key in identity]
+def clips_of(
+    identity: Mapping[str, np.ndarray], by: Sequence[str] = ("subject", "sequence", "camera", "instance")
+) -> Int[np.ndarray, " frames"]:
+    """Return clip numbers from 0 without gaps: one for all frames that are alike in what ``by`` names."""
+    keys = [identity[key] for key in by if key in identity]
     clip = np.zeros(len(keys[0]), np.int64)
     for key in keys:
         _, code = codes_of(key)

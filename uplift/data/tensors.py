@@ -21,7 +21,7 @@ from uplift.skeleton import Skeleton
 
 __all__ = ["Batch", "TrainingSet", "intrinsics_of", "mean_bones", "to_training_set", "undistorted", "with_labels"]
 
-_INPUT = ("keypoints", "confidence", "scale", "distance")
+_INPUT = ("keypoints", "confidence", "scale", "distance", "guessed")
 _BESIDE = ("labels", "label_unit", "label_tilt", "masks", "mask_map")
 
 
@@ -42,6 +42,10 @@ class TrainingSet(Samples):
     """Frames of one clip have one number, from 0 without gaps."""
     follows: Bool[Tensor, " frames"]
     """Whether a frame is the next in time to the one before it in the file."""
+    body: Int[Tensor, " frames"]
+    """Frames of one body have one number, from 0 without gaps (`PoseData.bodies`)."""
+    fps: float | None = None
+    """Frames per second, where known."""
     rotation: Float[Tensor, "frames 3 3"] | None = None
     """From the real camera's frame to that of one turned to look at the root; None without intrinsics."""
     labels: Float[Tensor, "frames joints 3"] | None = None
@@ -54,6 +58,8 @@ class TrainingSet(Samples):
     """Crops of the images: 0 outside the body, 255 inside; None where the data has none."""
     mask_map: Float[Tensor, "frames 3 3"] | None = None
     """What takes normalised keypoints (x, y, 1) to the crop, (u w, v w, w): u, v from -1 to 1 over it. NaN without a mask."""
+    guessed: Bool[Tensor, " frames"] | None = None
+    """Frames whose `distance` is no more than a guess, for a lifter that estimates it; None for one that does not."""
 
     @classmethod
     def of(
@@ -64,6 +70,7 @@ class TrainingSet(Samples):
         count_root: bool = True,
         intrinsics: Intrinsics | None = None,
         distance: float = 10.0,
+        guessed: bool | None = None,
     ) -> TrainingSet:
         """Return the training set of cleaned ``data``; its `pose`, `root` and `tilt_deg` are not used."""
         keypoints, confidence = torch.from_numpy(data.keypoints), torch.from_numpy(data.confidence)
@@ -78,6 +85,9 @@ class TrainingSet(Samples):
             distance=normal.distance,
             clip=torch.from_numpy(data.clips()),
             follows=torch.from_numpy(data.follows()),
+            body=torch.from_numpy(data.bodies()),
+            fps=data.fps,
+            guessed=None if guessed is None else torch.full((len(data),), guessed),
             rotation=normal.rotation,
             **_masks(data, skeleton, normal, intrinsics),
         )
@@ -87,7 +97,8 @@ class TrainingSet(Samples):
         chosen = super().select(rows)
         place = torch.arange(len(self), device=self.clip.device)[rows]
         follows = chosen.follows & (place.diff(prepend=place[:1] - 2) == 1)
-        return replace(chosen, clip=torch.unique(chosen.clip, return_inverse=True)[1], follows=follows)
+        clip, body = (torch.unique(value, return_inverse=True)[1] for value in (chosen.clip, chosen.body))
+        return replace(chosen, clip=clip, body=body, follows=follows)
 
     @classmethod
     def concat(cls, parts: Sequence[Any], **changed: Any) -> TrainingSet:
@@ -100,13 +111,14 @@ class TrainingSet(Samples):
             raise UserError(
                 f"Labelled frames have masks of {sides[1]} px a side, the others of {sides[0]}: expected the same."
             )
-        clips = [int(part.clip.max()) + 1 if len(part) else 0 for part in parts[:-1]]
-        starts = np.cumsum([0, *clips]).tolist()
-        clip = torch.cat([part.clip + start for part, start in zip(parts, starts, strict=True)])
+        for name in ("clip", "body"):
+            counts = [int(getattr(part, name).max()) + 1 if len(part) else 0 for part in parts[:-1]]
+            starts = np.cumsum([0, *counts]).tolist()
+            changed[name] = torch.cat([getattr(part, name) + start for part, start in zip(parts, starts, strict=True)])
         if any(part.rotation is not None for part in parts):  # a camera that was not turned
             eye = torch.eye(3)
             parts = [p if p.rotation is not None else replace(p, rotation=eye.expand(len(p), 3, 3)) for p in parts]
-        return super().concat(parts, clip=clip, **changed)
+        return super().concat(parts, **changed)
 
     def some(self, most: int, seed: int) -> TrainingSet:
         """Return about ``most`` frames, complete clips in seeded order and all that are labelled; the set itself if it has no more."""
@@ -160,6 +172,8 @@ class Batch(Samples):
     mask_map: Float[Tensor, "batch 3 3"] | None = None
     row: Int[Tensor, " batch"] | None = None
     """Which frames of the training set they are."""
+    guessed: Bool[Tensor, " batch"] | None = None
+    """Where `distance` is a guess; None: nowhere."""
 
     def beside(self) -> dict[str, Any]:
         """Return what is known of the frames beside their keypoints, by name: labels, masks, their rows."""
@@ -190,20 +204,28 @@ class Batch(Samples):
 def to_training_set(data: PoseData, skeleton: Skeleton, settings: LifterSettings) -> TrainingSet:
     """Return cleaned ``data`` in the units and the camera of ``settings``."""
     data = undistorted(data, settings)
+    known = _use_camera(settings) and data.focal_px is not None and data.centre_px is not None
     return TrainingSet.of(
         data,
         skeleton,
         count_root=settings.radius == "all",
         intrinsics=intrinsics_of(data, settings),
         distance=settings.distance,
+        guessed=not known if settings.cameras == "any" else None,
     )
 
 
 def intrinsics_of(data: PoseData, settings: LifterSettings) -> Intrinsics | None:
-    """Return the camera that ``data`` knows and the settings let be used, None otherwise."""
-    if not _use_camera(settings) or data.focal_px is None or data.centre_px is None:
+    """Return the camera that ``data`` knows and the settings let be used, None otherwise.
+
+    For a lifter of any cameras an unknown focal length is taken to be the longest side of the image: the lifter
+    expects to be told one that is wrong.
+    """
+    if not _use_camera(settings) or data.image_size is None or data.centre_px is None:
         return None
-    return Intrinsics(data.focal_px, data.centre_px)
+    guess = float(max(data.image_size)) if settings.cameras == "any" else None
+    focal_px = data.focal_px or guess
+    return None if focal_px is None else Intrinsics(focal_px, data.centre_px)
 
 
 def undistorted(data: PoseData, settings: LifterSettings) -> PoseData:
@@ -246,7 +268,7 @@ def _label_units(
     both = ((frames.confidence > 0) & known).unsqueeze(-1)
     flat = pose[..., :2] * both
     by_keypoints = flat.square().sum((1, 2)) / (flat * frames.keypoints).sum((1, 2)).clamp_min(1e-9)
-    if frames.rotation is None or root is None:
+    if frames.rotation is None or root is None or (frames.guessed is not None and bool(frames.guessed.any())):
         return by_keypoints
     by_distance = torch.from_numpy(root).norm(dim=-1) / frames.distance
     return torch.where(by_distance.isfinite() & (by_distance > 0), by_distance, by_keypoints)

@@ -11,7 +11,7 @@ from torch import Tensor
 from uplift.geometry.rigid import quaternion_entries
 
 __all__ = [
-    "about_x", "about_y", "body_tilt", "clip_median", "gravity_of", "least_rotation", "level", "nearest_rotation",
+    "about_x", "about_y", "about_z", "body_tilt", "clip_direction", "clip_median", "gravity_of", "least_rotation", "level", "nearest_rotation",
     "random_rotations", "real_tilt", "turn", "views_about_gravity",
 ]  # fmt: skip
 
@@ -24,6 +24,11 @@ def about_x(angle: Float[Tensor, " batch"]) -> Float[Tensor, "batch 3 3"]:
 def about_y(angle: Float[Tensor, " batch"]) -> Float[Tensor, "batch 3 3"]:
     """Return rotations about y, gravity in the level frame: x' = x cos + z sin (Kudo et al. 2018, eq. 1)."""
     return _plane_rotation(angle, 2, 0)
+
+
+def about_z(angle: Float[Tensor, " batch"]) -> Float[Tensor, "batch 3 3"]:
+    """Return rotations about z, the direction away from the camera: x turns towards y for a positive angle."""
+    return _plane_rotation(angle, 0, 1)
 
 
 def _plane_rotation(angle: Tensor, first: int, second: int) -> Tensor:
@@ -170,3 +175,18 @@ def clip_median(
     half = before + (total[ends - 1] - before) / 2
     place = torch.clamp(torch.searchsorted(total, half), ends - counts, ends - 1)  # without weight, its first
     return value[order[place]][clip]
+
+
+def clip_direction(vector: Float[Tensor, "frames 3"], clip: Int[Tensor, " frames"]) -> Float[Tensor, "frames 3"]:
+    """Return, for each frame, the unit vector along the median of its clip's vectors; long ones count more.
+
+    The geometric median of the directions (Weiszfeld 1937), which a minority of frames far off does not move.
+    """
+    length = vector.norm(dim=-1, keepdim=True).clamp_min(1e-6)
+    unit, weight, count = vector / length, length, int(clip.max()) + 1 if len(clip) else 0
+    median = unit
+    for _ in range(_ROUNDS):
+        total = vector.new_zeros(count, 3).index_add_(0, clip, unit * weight)
+        median = torch.nn.functional.normalize(total, dim=-1)[clip]
+        weight = length / ((unit - median).norm(dim=-1, keepdim=True) + _SLACK / 10)
+    return median

@@ -28,16 +28,17 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from uplift.data.clean import clean
+from uplift.data.confidence import calibrated
 from uplift.data.poses import PoseData, codes_of
 from uplift.data.tensors import TrainingSet, to_training_set
 from uplift.errors import UserError
 from uplift.geometry.normalise import bone_lengths, renormalise
 from uplift.geometry.rigid import quaternion_entries
-from uplift.geometry.rotation import level, nearest_rotation, turn, views_about_gravity
+from uplift.geometry.rotation import about_y, nearest_rotation, turn
 from uplift.metrics.pose_metrics import facing_sign, has_handedness
 from uplift.models.lifter import Lifted
 from uplift.models.model import Model
-from uplift.models.predict import bodies_of, lift_frames
+from uplift.models.predict import lift_frames, with_estimated_distance
 from uplift.skeleton import Skeleton
 
 __all__ = ["LEAST_FRAMES", "WEIGHTS", "score_2d"]
@@ -86,6 +87,7 @@ def score_2d(
     data, frames = _frames(model, data, generator, most)
     with _evaluating(model.lifter):
         lifted = lift_frames(model.lifter, frames, both_ways=model.settings.both_ways)
+        frames = with_estimated_distance(frames, lifted)
         views = [_view(model, frames, lifted, generator, azimuth_deg) for _ in range(_VIEWS)]
         if not all(view.keypoints.isfinite().all() for view in views):
             return {"score_2d": math.inf}
@@ -106,7 +108,7 @@ def _frames(model: Model, data: PoseData, generator: torch.Generator, most: int)
             f"{data.source or 'the data'}: {len(data)} frames can be lifted, expected {LEAST_FRAMES} or more to compare pictures with (of held-out frames: raise val=)."
         )
     rows = torch.randperm(len(data), generator=generator)[:most].sort().values.numpy()
-    data = data.select(rows)
+    data = calibrated(data, model.skeleton, model.settings).select(rows)
     device = next(model.lifter.parameters()).device
     return data, to_training_set(data, model.skeleton, model.settings).to(device)
 
@@ -141,7 +143,7 @@ def _view(
     model: Model, frames: TrainingSet, lifted: Lifted, generator: torch.Generator, azimuth_deg: tuple[float, float]
 ) -> _View:
     """Return a random view of each pose through the tilt of another frame's camera."""
-    rotation = _rotations(lifted.tilt, generator, azimuth_deg, model.skeleton.gravity)
+    rotation = _rotations(lifted, generator, azimuth_deg, model.skeleton.gravity)
     seen = model.lifter.camera.project(turn(lifted.pose, rotation), frames.distance)
     count_root = model.settings.radius == "all"
     keypoints, scale = renormalise(seen, frames.confidence, model.skeleton.root_index, count_root=count_root)
@@ -149,16 +151,16 @@ def _view(
 
 
 def _rotations(
-    tilt: Float[Tensor, " frames"], generator: torch.Generator, azimuth_deg: tuple[float, float], gravity: bool
+    lifted: Lifted, generator: torch.Generator, azimuth_deg: tuple[float, float], gravity: bool
 ) -> Float[Tensor, "frames 3 3"]:
-    count = len(tilt)
+    count, levelled = len(lifted), lifted.levelling()
     if not gravity:  # uniform on SO(3), from unit quaternions (Shoemake 1992)
         quaternion = torch.nn.functional.normalize(torch.randn(count, 4, generator=generator), dim=-1)
-        return torch.stack(quaternion_entries(*quaternion.unbind(-1)), -1).reshape(count, 3, 3).to(tilt)
+        return torch.stack(quaternion_entries(*quaternion.unbind(-1)), -1).reshape(count, 3, 3).to(levelled)
     low, high = (math.radians(angle) for angle in azimuth_deg)
-    azimuth = (low + (high - low) * torch.rand(count, generator=generator)).to(tilt)
-    other = torch.randperm(count, generator=generator).to(tilt.device)
-    return views_about_gravity(tilt, azimuth, tilt[other])
+    azimuth = (low + (high - low) * torch.rand(count, generator=generator)).to(levelled)
+    other = torch.randperm(count, generator=generator).to(levelled.device)
+    return levelled[other].mT @ about_y(azimuth) @ levelled
 
 
 def _relift(model: Model, frames: TrainingSet, lifted: Lifted, view: _View) -> float:
@@ -254,7 +256,7 @@ def _uneven(frames: TrainingSet, lifted: Lifted, azimuth_deg: tuple[float, float
     gravity = frames.skeleton.gravity
     if gravity and azimuth_deg[1] - azimuth_deg[0] < 360:
         return {}
-    pose = turn(lifted.pose, level(lifted.tilt)) if gravity else lifted.pose
+    pose = turn(lifted.pose, lifted.levelling()) if gravity else lifted.pose
     pairs, seen = _bone_ends(frames)
     bones = pose[:, pairs[:, 1]] - pose[:, pairs[:, 0]]
     found = [bones[rows, place] for place, rows in enumerate(seen.unbind(1)) if int(rows.sum()) >= _FEWEST_BODY]
@@ -276,7 +278,7 @@ def _bones(frames: TrainingSet, lifted: Lifted, data: PoseData) -> dict[str, flo
     lengths = bone_lengths(lifted.pose, pairs).where(seen, torch.nan)
     size = (lengths / lengths.nanmean(0)).nanmean(1, keepdim=True)
     lengths = lengths / size
-    body = bodies_of(data)
+    body = data.bodies()
     numbers, counts = np.unique(body, return_counts=True)
     groups = [
         torch.from_numpy(body == one) for one, count in zip(numbers, counts, strict=True) if count >= _FEWEST_BODY
@@ -297,7 +299,7 @@ def _mirrored(frames: TrainingSet, lifted: Lifted) -> dict[str, float]:
     if not has_handedness(skeleton):
         return {}
     seen = (frames.confidence > 0)[..., None]
-    pose = turn(lifted.pose, level(lifted.tilt)) if skeleton.gravity else lifted.pose
+    pose = turn(lifted.pose, lifted.levelling()) if skeleton.gravity else lifted.pose
     sign = facing_sign(pose.where(seen, torch.nan).cpu().numpy(), skeleton)
     known = np.isfinite(sign)
     if not known.any():

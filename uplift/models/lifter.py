@@ -5,19 +5,24 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from torch import Tensor, nn
+from torch.nn.functional import normalize
 
 from uplift.config.settings import LifterSettings
 from uplift.data.samples import Samples
 from uplift.geometry.camera import build_camera
 from uplift.geometry.normalise import bone_lengths, mirror
-from uplift.models.networks import build_network
+from uplift.geometry.rotation import least_rotation, level
+from uplift.models.networks import ResidualNetwork, build_network
+from uplift.models.signs import SignChains
 from uplift.skeleton import Skeleton
 
 __all__ = ["Lifted", "Lifter"]
 
 _LOG_UNCERTAINTY = (-5.0, 2.0)
+_USUAL_DISTANCE = 10.0
+"""In units, where the network's input for the distance is 0."""
 
 
 @dataclass(frozen=True)
@@ -32,6 +37,20 @@ class Lifted(Samples):
     """The keypoints that `pose` projects to: those given, with missing joints filled in."""
     uncertainty: Float[Tensor, "batch joints"] | None = None
     """The expected absolute error of each depth, in units; None where the lifter was not trained to predict it."""
+    gravity: Float[Tensor, "batch 3"] | None = None
+    """Its direction, in the frame of the camera that looks at the root; the length, about 1, says how sure it is.
+    None where only the tilt is predicted."""
+    distance: Float[Tensor, " batch"] | None = None
+    """Of the camera to the root, in units: the one given, or the lifter's estimate where that is a guess; None for a
+    lifter that does not estimate it."""
+    signs: Float[Tensor, "batch states"] | None = None
+    """Log-odds of depth signs, the states of all chains (`uplift.models.signs`); None where the lifter does not predict them."""
+
+    def levelling(self) -> Float[Tensor, "batch 3 3"]:
+        """Return the rotations that take the poses to the level frame, where y is gravity."""
+        if self.gravity is None:
+            return level(self.tilt)
+        return least_rotation(self.gravity, self.gravity.new_tensor([0.0, 1.0, 0.0]))
 
 
 class Lifter(nn.Module):
@@ -39,8 +58,11 @@ class Lifter(nn.Module):
 
     ``tilt`` is ``predicted`` (one per pose), ``learned`` (one for all) or ``level``. With ``fill`` the
     network also predicts where missing joints are; without, they stay at the root. With ``denoise`` it
-    also moves visible joints, and with ``uncertainty`` it predicts the error of each depth.
+    also moves visible joints, and with ``uncertainty`` it predicts the error of each depth. With ``signs`` a second
+    network of that many units predicts the depth signs of bones.
     With ``root_free`` the root's depth is not subtracted, as in the code of Kudo et al. 2018.
+    A lifter for ``any_camera`` is told the distance, corrects it where it is a guess, and with gravity predicts its
+    direction, roll included, in place of the tilt.
     """
 
     mirror_permutation: Tensor
@@ -56,12 +78,20 @@ class Lifter(nn.Module):
         self.confidence_input, self.root_free = settings.confidence_input, settings.root_free
         self.fill, self.uncertainty = settings.fill, settings.uncertainty
         self.denoise = bool(settings.denoise) and settings.fill
+        self.calibrated = settings.confidence == "calibrated"
+        self.any_camera = settings.cameras == "any"
+        self.gravity = self.any_camera and self.tilt == "predicted"
+        joints = len(skeleton.joints)
+        inputs = joints * (3 if self.confidence_input else 2) + 2 * self.any_camera
         if network is None:
-            joints = len(skeleton.joints)
-            outputs = joints * (1 + 2 * self.fill + self.uncertainty) + (self.tilt == "predicted")
-            inputs = joints * (3 if self.confidence_input else 2)
+            camera = self.any_camera + (3 if self.gravity else self.tilt == "predicted")
+            outputs = joints * (1 + 2 * self.fill + self.uncertainty) + camera
             network = build_network(settings.network, inputs, outputs, settings.options)
         self.network = network
+        self.chains = SignChains(skeleton)
+        self.signs = None
+        if settings.signs:
+            self.signs = ResidualNetwork(inputs + 1, sum(self.chains.counts), units=settings.signs, slope=0.1)
         if self.tilt == "learned":
             self.common_tilt = nn.Parameter(torch.zeros(()))
         self.register_buffer("bone_mm", torch.zeros(len(skeleton.bones)))
@@ -74,21 +104,35 @@ class Lifter(nn.Module):
         keypoints: Float[Tensor, "batch joints 2"],
         confidence: Float[Tensor, "batch joints"],
         distance: Float[Tensor, " batch"],
+        guessed: Bool[Tensor, " batch"] | None = None,
     ) -> Lifted:
-        """Lift normalised keypoints; a joint of confidence 0 is ignored wherever it is."""
+        """Lift normalised keypoints; a joint of confidence 0 is ignored wherever it is.
+
+        Args:
+            keypoints: about the root, mean radius 1.
+            confidence: 0..1; 0 is missing.
+            distance: of the camera to the root, in units.
+            guessed: where the distance is a guess, which a lifter for any camera corrects; None: nowhere.
+        """
         joints = len(self.skeleton.joints)
         visible = (confidence > 0).unsqueeze(-1)
         keypoints = keypoints * visible
+        if self.calibrated:  # a network that is shown errors learns the rest of its poses more slowly
+            confidence = visible.squeeze(-1).to(confidence.dtype)
         features = keypoints.flatten(1)
         if self.confidence_input:
             features = torch.cat([features, confidence], 1)
+        if self.any_camera:
+            guessed = torch.zeros_like(distance, dtype=torch.bool) if guessed is None else guessed
+            far = (distance / _USUAL_DISTANCE).log().clamp(-2, 2)
+            features = torch.cat([features, torch.stack([far, guessed.to(far.dtype)], 1)], 1)
         output = self.network(features).to(features.dtype)  # geometry is in full precision
         depth = output[:, :joints]
         if not self.root_free:
             depth = depth - depth[:, self.skeleton.root_index, None]
         if self.fill:
-            guessed = output[:, joints : 3 * joints].reshape(-1, joints, 2)
-            keypoints = keypoints + guessed if self.denoise else torch.where(visible, keypoints, guessed)
+            filled = output[:, joints : 3 * joints].reshape(-1, joints, 2)
+            keypoints = keypoints + filled if self.denoise else torch.where(visible, keypoints, filled)
             # A missing root had its neighbours as a stand-in; from here on the origin is the predicted root.
             keypoints = keypoints - keypoints[:, self.skeleton.root_index, None]
         uncertainty = None
@@ -96,7 +140,21 @@ class Lifter(nn.Module):
             first = joints * (1 + 2 * self.fill)
             uncertainty = output[:, first : first + joints].clamp(*_LOG_UNCERTAINTY).exp()
             uncertainty = uncertainty.index_fill(1, self.root_place, 0.0)
-        return Lifted(self.camera.unproject(keypoints, depth, distance), self._tilt(output), keypoints, uncertainty)
+        gravity = estimated = None
+        signs = self._signs(features, distance)
+        if self.any_camera:
+            assert guessed is not None
+            first = joints * (1 + 2 * self.fill + self.uncertainty)
+            distance = estimated = distance * (output[:, first] * guessed).clamp(-2, 2).exp()
+            gravity = _upright(output[:, first + 1 :]) if self.gravity else None
+        tilt = self._tilt(output) if gravity is None else _tilt_of(gravity)
+        pose = self.camera.unproject(keypoints, depth, distance)
+        return Lifted(pose, tilt, keypoints, uncertainty, gravity, estimated, signs)
+
+    def _signs(self, features: Tensor, distance: Tensor) -> Tensor | None:
+        if self.signs is None:
+            return None
+        return self.signs(torch.cat([features, 10 / distance[:, None]], 1)).to(features.dtype)
 
     def _tilt(self, output: Tensor) -> Tensor:
         if self.tilt == "predicted":
@@ -119,17 +177,39 @@ class Lifter(nn.Module):
         keypoints: Float[Tensor, "batch joints 2"],
         confidence: Float[Tensor, "batch joints"],
         distance: Float[Tensor, " batch"],
+        guessed: Bool[Tensor, " batch"] | None = None,
     ) -> Lifted:
         """Return the mean of the lifted keypoints and their lifted mirror image, if any (after Pavllo et al. 2019)."""
-        straight = self(keypoints, confidence, distance)
+        straight = self(keypoints, confidence, distance, guessed)
         if not self.skeleton.has_mirror_image:
             return straight
         swap = self.mirror_permutation
-        mirrored = self(mirror(keypoints, swap), confidence[:, swap], distance)
+        mirrored = self(mirror(keypoints, swap), confidence[:, swap], distance, guessed)
         depth = (straight.pose[..., 2] + mirrored.pose[:, swap, 2]) / 2
         filled = (straight.keypoints + mirror(mirrored.keypoints, swap)) / 2
         uncertainty = None
         if straight.uncertainty is not None and mirrored.uncertainty is not None:
             uncertainty = (straight.uncertainty + mirrored.uncertainty[:, swap]) / 2
+        gravity, tilt = None, (straight.tilt + mirrored.tilt) / 2
+        if straight.gravity is not None and mirrored.gravity is not None:
+            gravity = (straight.gravity + mirrored.gravity * mirrored.gravity.new_tensor([-1.0, 1.0, 1.0])) / 2
+            tilt = _tilt_of(gravity)
+        if straight.distance is not None and mirrored.distance is not None:
+            distance = estimated = (straight.distance * mirrored.distance).sqrt()
+        else:
+            estimated = None
         pose = self.camera.unproject(filled, depth, distance)
-        return Lifted(pose, (straight.tilt + mirrored.tilt) / 2, filled, uncertainty)
+        signs = None
+        if straight.signs is not None and mirrored.signs is not None:
+            both = self.chains.mirrored is not None
+            signs = self.chains.mean(straight.signs, mirrored.signs) if both else straight.signs
+        return Lifted(pose, tilt, filled, uncertainty, gravity, estimated, signs)
+
+
+def _upright(output: Tensor) -> Tensor:
+    """Return gravity as the network says it, relative to that of a level camera."""
+    return output + output.new_tensor([0.0, 1.0, 0.0])
+
+
+def _tilt_of(gravity: Tensor) -> Tensor:
+    return normalize(gravity, dim=-1)[:, 2].clamp(-1, 1).asin()

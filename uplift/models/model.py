@@ -30,7 +30,7 @@ from uplift.geometry.lens import place_roots
 from uplift.models.lifter import Lifter
 from uplift.models.metric_scale import Size
 from uplift.models.mixture import ShapeMixture
-from uplift.models.predict import InferredPoses, bodies_of, infer, mm_per_pixel, to_level, with_constant_bones
+from uplift.models.predict import InferredPoses, infer, mm_per_pixel, to_level, with_constant_bones
 from uplift.models.prediction import Prediction, ShapePrediction
 from uplift.models.shape_lifter import LiftedShapes, lift_masks
 from uplift.models.together import (
@@ -199,6 +199,7 @@ class Model(_Saved):
         refine: bool = True,
         size: Size | None = None,
         constant_bones: bool = False,
+        hypotheses: int = 0,
     ) -> Prediction:
         """Return the pose of every frame of ``data``; NaN where fewer than three joints are visible.
 
@@ -212,17 +213,30 @@ class Model(_Saved):
                 tilt, smooth motion, and short gaps interpolated.
             size: the body's known size.
             constant_bones: whether each body gets one length for every bone.
+            hypotheses: how many poses to return for each frame, with their probabilities; 0 for none beside ``pose``.
 
         Raises:
-            UserError: a size that does not give the scale; constant bones of a skeleton whose bones form loops.
+            UserError: a size that does not give the scale; constant bones of a skeleton whose bones form loops;
+                hypotheses of a lifter that does not predict depth signs.
         """
         order = data.in_order()
         if (np.diff(order) < 0).any():  # neighbours in time must be neighbours in the rows
-            options = {"refine": refine, "size": size, "constant_bones": constant_bones}
+            options = {"refine": refine, "size": size, "constant_bones": constant_bones, "hypotheses": hypotheses}
             return self.predict(data.select(order), title, **options).select(np.argsort(order))
+        if hypotheses and self.lifter.signs is None:
+            raise UserError(
+                f"hypotheses={hypotheses}: this lifter does not say which way bones may point: fit with lifter.signs=512."
+            )
         data, _ = clean(data, self.skeleton, drop=False)
-        inferred = infer(self.lifter, data, self.settings, refine=self.refines(data, refine))
-        pose, body = inferred.pose.cpu().numpy(), bodies_of(data)
+        inferred = infer(
+            self.lifter,
+            data,
+            self.settings,
+            refine=self.refines(data, refine),
+            solve=refine and self.settings.refine.iterations > 0,
+            hypotheses=hypotheses,
+        )
+        pose, body = inferred.pose.cpu().numpy(), data.bodies()
         if constant_bones:
             pose = with_constant_bones(pose, self.skeleton, body)
         mm_per_px = mm_per_pixel(inferred, pose, data, self.skeleton, body, size)
@@ -237,7 +251,8 @@ class Model(_Saved):
         title: str,
     ) -> Prediction:
         """Return ``pose``, in pixels, as a prediction; in mm if the scale is known."""
-        gravity, with_gravity = inferred.gravity, self.skeleton.gravity
+        gravity, with_gravity, several = inferred.gravity, self.skeleton.gravity, inferred.hypotheses
+        unit = np.ones(len(pose), np.float32) if mm_per_px is None else mm_per_px
         uncertainty = None if inferred.uncertainty is None else inferred.uncertainty.cpu().numpy()
         rays = None
         if mm_per_px is not None:
@@ -265,6 +280,8 @@ class Model(_Saved):
             uncertainty=uncertainty,
             root=None if rays is None else place_roots(pose, rays, data.confidence).astype(np.float32),
             filled=data.confidence == 0,
+            hypotheses=None if several is None else several.pose.cpu().numpy() * unit[:, None, None, None],
+            weights=None if several is None else several.weight.cpu().numpy(),
             source=data.source,
             title=title,
             notes=data.notes,
@@ -328,7 +345,8 @@ class Model(_Saved):
     @classmethod
     def _untrained(cls, state: dict[str, Any]) -> Model:
         skeleton = Skeleton.from_dict(state["skeleton"])
-        settings = settings_of(LifterSettings, "lifter", state["lifter"])
+        # A lifter from before confidences were calibrated has learned from those of its files.
+        settings = settings_of(LifterSettings, "lifter", {"confidence": "given", **state["lifter"]})
         return cls(Lifter(skeleton, settings), skeleton, settings)
 
 

@@ -1,4 +1,4 @@
-"""The steps of inference: lift, refine by clip, interpolate gaps, constant bones, metric scale, level frame."""
+"""The steps of inference: lift, refine by clip, interpolate gaps, depth signs, constant bones, metric scale, level frame."""
 
 from __future__ import annotations
 
@@ -10,13 +10,14 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from uplift.config.settings import LifterSettings, RefineSettings
-from uplift.data.poses import PoseData, codes_of
+from uplift.data.confidence import calibrated
+from uplift.data.poses import PoseData
 from uplift.data.tensors import TrainingSet, intrinsics_of, to_training_set, undistorted
 from uplift.errors import UserError
 from uplift.geometry.camera import Camera
 from uplift.geometry.lens import place_roots
 from uplift.geometry.normalise import Intrinsics
-from uplift.geometry.rotation import clip_median, gravity_of, least_rotation, real_tilt, turn
+from uplift.geometry.rotation import clip_direction, clip_median, gravity_of, least_rotation, real_tilt, turn
 from uplift.models.lifter import Lifted, Lifter
 from uplift.models.metric_scale import (
     CameraHeight,
@@ -28,12 +29,13 @@ from uplift.models.metric_scale import (
     size_of_skeleton,
 )
 from uplift.models.refine import refine_clips
+from uplift.models.signs import Hypotheses, Solution, solve_signs, spread_hypotheses
 from uplift.skeleton import Skeleton
 
 __all__ = [
     "InferredPoses",
     "as_measured",
-    "bodies_of",
+    "clip_gravity",
     "gap_joints",
     "infer",
     "interpolate_gaps",
@@ -42,6 +44,7 @@ __all__ = [
     "refine_lifted",
     "to_level",
     "with_constant_bones",
+    "with_estimated_distance",
 ]
 
 
@@ -56,23 +59,62 @@ class InferredPoses:
     """The expected error of each depth, pixels."""
     mm_per_px: Float[Tensor, " frames"] | None
     """For bodies as large as the labelled ones; None without labels."""
+    hypotheses: Hypotheses | None = None
+    """Whole poses that are likely; None where they were not asked for."""
 
 
-def infer(lifter: Lifter, data: PoseData, settings: LifterSettings, *, refine: bool) -> InferredPoses:
-    """Return the poses of cleaned ``data``, optionally refined by clip, with short gaps interpolated."""
-    seen = undistorted(data, settings)
+def infer(
+    lifter: Lifter,
+    data: PoseData,
+    settings: LifterSettings,
+    *,
+    refine: bool,
+    solve: bool | None = None,
+    hypotheses: int = 0,
+) -> InferredPoses:
+    """Return the poses of cleaned ``data``.
+
+    Args:
+        lifter, settings: what lifts.
+        data: keypoints, cleaned.
+        refine: whether clips are refined, and short gaps interpolated.
+        solve: whether depth signs are decided along clips, by a lifter that predicts them; as ``refine`` if None.
+        hypotheses: how many poses to return for each frame, beside the answer, by such a lifter.
+    """
+    seen = calibrated(undistorted(data, settings), lifter.skeleton, settings)
     frames, lifted = _lift_and_refine(lifter, seen, settings, refine)
     if refine:
         filled = interpolate_gaps(seen, frames, lifted, intrinsics_of(seen, settings))
         if filled is not None:  # with fewer gaps, the visible joints are lifted better too
             frames, lifted = _lift_and_refine(lifter, filled, settings, refine)
-    pose = lifted.pose * frames.scale[:, None, None]
-    if frames.rotation is not None:
-        pose = turn(pose, frames.rotation.mT)
-    gravity = gravity_of(real_tilt(lifted.tilt, frames.rotation), None)
+    several = None
+    if lifted.signs is not None and (solve or hypotheses or (refine and solve is None)):
+        placed = frames if lifted.distance is None else replace(frames, distance=lifted.distance)
+        solution = solve_signs(placed, lifted.pose, lifted.signs, lifter.camera, lifter.chains)
+        lifted = _solved(lifted, solution)
+        several = _in_pixels(spread_hypotheses(solution, hypotheses), frames) if hypotheses else None
+    pose = _to_real(lifted.pose * frames.scale[:, None, None], frames)
+    gravity = _real_gravity(lifted, frames)
     uncertainty = None if lifted.uncertainty is None else lifted.uncertainty * frames.scale[:, None]
     unit_mm = lifter.unit_mm(lifted.pose)
-    return InferredPoses(pose, gravity, uncertainty, None if unit_mm is None else unit_mm / frames.scale)
+    return InferredPoses(pose, gravity, uncertainty, None if unit_mm is None else unit_mm / frames.scale, several)
+
+
+def _solved(lifted: Lifted, solution: Solution) -> Lifted:
+    """Return the poses with their depth signs decided, and the uncertainty that comes with those."""
+    uncertainty = lifted.uncertainty
+    if uncertainty is not None:
+        uncertainty = (uncertainty.square() + solution.deviation.square()).sqrt()
+    return replace(lifted, pose=solution.pose, uncertainty=uncertainty)
+
+
+def _to_real(pose: Float[Tensor, "frames *any 3"], frames: TrainingSet) -> Float[Tensor, "frames *any 3"]:
+    """Return poses or directions in the frame of the real camera."""
+    return pose if frames.rotation is None else torch.einsum("f...x,fxy->f...y", pose, frames.rotation)
+
+
+def _in_pixels(several: Hypotheses, frames: TrainingSet) -> Hypotheses:
+    return replace(several, pose=_to_real(several.pose * frames.scale[:, None, None, None], frames))
 
 
 def _lift_and_refine(
@@ -96,7 +138,10 @@ _CHUNK = 8192
 def lift_frames(lifter: Lifter, frames: TrainingSet, *, both_ways: bool = True) -> Lifted:
     """Return every frame lifted, averaged with its mirror image if ``both_ways``."""
     lift = lifter.lift_both_ways if both_ways else lifter
-    chunks = zip(*(part.split(_CHUNK) for part in (frames.keypoints, frames.confidence, frames.distance)), strict=True)
+    given = [frames.keypoints, frames.confidence, frames.distance]
+    if frames.guessed is not None:
+        given.append(frames.guessed)
+    chunks = zip(*(part.split(_CHUNK) for part in given), strict=True)
     return Lifted.concat([lift(*chunk) for chunk in chunks])
 
 
@@ -113,11 +158,44 @@ def as_measured(frames: TrainingSet, keypoints: Float[Tensor, "frames joints 2"]
 
 @torch.no_grad()
 def refine_lifted(lifted: Lifted, frames: TrainingSet, camera: Camera, settings: RefineSettings) -> Lifted:
-    """Return poses of which each clip has one body, a smooth motion and one tilt of the real camera."""
+    """Return poses of which each clip has one body, a smooth motion, and one gravity and focal length of its camera."""
+    frames = with_estimated_distance(frames, lifted)
     pose = refine_clips(frames, as_measured(frames, lifted.keypoints), lifted.pose[..., 2], camera, settings)
-    tilt = clip_median(real_tilt(lifted.tilt, frames.rotation), torch.ones_like(lifted.tilt), frames.clip)
-    seen = gravity_of(tilt, frames.rotation)[:, 2].clamp(-1, 1).asin()
-    return Lifted(pose, seen, camera.project(pose, frames.distance), lifted.uncertainty)
+    gravity = clip_gravity(lifted, frames)
+    seen = gravity[:, 2].clamp(-1, 1).asin()
+    return replace(
+        lifted,
+        pose=pose,
+        tilt=seen,
+        keypoints=camera.project(pose, frames.distance),
+        gravity=None if lifted.gravity is None else gravity,
+        distance=None if lifted.distance is None else frames.distance,
+    )
+
+
+def clip_gravity(lifted: Lifted, frames: TrainingSet) -> Float[Tensor, "frames 3"]:
+    """Return gravity in the frames of the cameras that look at the root; a clip's real camera has one."""
+    if lifted.gravity is None:
+        tilt = clip_median(real_tilt(lifted.tilt, frames.rotation), torch.ones_like(lifted.tilt), frames.clip)
+        return gravity_of(tilt, frames.rotation)
+    gravity = clip_direction(_to_real(lifted.gravity, frames), frames.clip)
+    return gravity if frames.rotation is None else turn(gravity[:, None], frames.rotation)[:, 0]
+
+
+def with_estimated_distance(frames: TrainingSet, lifted: Lifted) -> TrainingSet:
+    """Return ``frames`` at the distances that the lifter estimates: each clip's camera has one focal length."""
+    if lifted.distance is None or frames.guessed is None:
+        return frames
+    ratio = lifted.distance / frames.distance
+    pooled = clip_median(ratio, torch.ones_like(ratio), frames.clip)
+    return replace(frames, distance=torch.where(frames.guessed, frames.distance * pooled, frames.distance))
+
+
+def _real_gravity(lifted: Lifted, frames: TrainingSet) -> Tensor:
+    """Return gravity in the frame of the real camera, unit vectors."""
+    if lifted.gravity is None:
+        return gravity_of(real_tilt(lifted.tilt, frames.rotation), None)
+    return torch.nn.functional.normalize(_to_real(lifted.gravity, frames), dim=-1)
 
 
 # Gap interpolation: a joint that a neighbouring frame shows is put where the refined pose has it.
@@ -210,15 +288,6 @@ def _exact(pose: np.ndarray, skeleton: Skeleton, lengths: np.ndarray) -> np.ndar
 
 
 # Metric scale and level frame.
-
-
-def bodies_of(data: PoseData) -> Int[np.ndarray, " frames"]:
-    """Return the number of each frame's body: by subject if they are named, else by clip, else one for all."""
-    if "subject" in data.identity:
-        both = [data.identity[key].astype(str) for key in ("subject", "instance") if key in data.identity]
-        return codes_of(np.array([" ".join(names) for names in zip(*both, strict=True)]))[1]
-    clips = data.clips()
-    return clips if clips.max(initial=-1) + 1 < len(clips) else np.zeros_like(clips)
 
 
 def mm_per_pixel(

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
+from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import torch
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 from torch import Tensor
 from torch.nn.functional import normalize
 
@@ -15,17 +17,27 @@ from uplift.data.sampler import LabelledSampler
 from uplift.data.samples import Samples
 from uplift.geometry.camera import Camera
 from uplift.geometry.normalise import mirror, renormalise
-from uplift.geometry.rotation import about_y, least_rotation, nearest_rotation, random_rotations, turn
+from uplift.geometry.rotation import about_y, about_z, least_rotation, level, nearest_rotation, random_rotations, turn
 from uplift.models.lifter import Lifted
 from uplift.skeleton import Skeleton
 from uplift.training.pseudo_labels import PseudoPoses
 
-__all__ = ["TILT_WEIGHT", "LimbMixer", "ShownViews", "ViewMaker", "depth_error", "tilt_error"]
+__all__ = [
+    "TILT_WEIGHT",
+    "LimbMixer",
+    "ShownViews",
+    "ViewMaker",
+    "depth_error",
+    "distance_error",
+    "gravity_error",
+    "tilt_error",
+]
 
 # Limb mixing: new poses from limbs of one pose on the body of another.
 
 _TEMPLATE_FRAMES = 20_000
 _TINY = 1e-6
+_MOST_SHORT = 3.0
 
 
 @dataclass(frozen=True)
@@ -62,6 +74,13 @@ class LimbMixer:
             self._path[_below(joint, children), bone] = 1
         self._bones = pose[:, ends] - pose[:, [parents[joint] for joint in ends]]
         self._lengths = self._bones.norm(dim=-1, keepdim=True).clamp_min(_TINY)
+        twin = [bone_of.get(skeleton.mirror_permutation[joint], bone) for bone, joint in enumerate(ends)]
+        self._group = torch.tensor([min(bone, other) for bone, other in enumerate(twin)], device=pose.device)
+        """(bones,): a bone and its mirror image have one number."""
+        usual = self._lengths[..., 0].median(0).values
+        usual = (usual + usual[twin]) / 2
+        self._spread = (1 + (usual.mean() / usual.clamp_min(_TINY)).square().clamp_max(_MOST_SHORT**2)).sqrt()
+        """(bones,): what sets apart bodies, a share of each bone, and definitions of joints, as much for all bones."""
         branching = [j for j in order if len(children[j]) >= 2]
         frames = []
         self._limbs: list[_Limb] = []
@@ -79,7 +98,13 @@ class LimbMixer:
         self._frames = torch.stack(frames, 1) if frames else pose.new_zeros(len(pose), 0, 3, 3)
 
     def __call__(
-        self, rows: Int[Tensor, " batch"], confidence: Float[Tensor, "frames joints"], *, share: float, limb: float
+        self,
+        rows: Int[Tensor, " batch"],
+        confidence: Float[Tensor, "frames joints"],
+        *,
+        share: float,
+        limb: float,
+        stretch: float = 0.0,
     ) -> tuple[Float[Tensor, "batch joints 3"], Float[Tensor, "batch joints"]]:
         """Return the poses of ``rows`` with limbs of others in the batch, and each joint's confidence.
 
@@ -101,6 +126,9 @@ class LimbMixer:
             mixed[at, part.joints] = confidence[givers[:, None], part.joints] * seen
             for inner in part.inner:
                 frames[takers, inner] = rotation @ self._frames[givers, inner]
+        if stretch:
+            log = stretch * self._spread * torch.randn(count, len(self._spread), device=rows.device)
+            bones = bones * log[:, self._group].exp().unsqueeze(-1)
         return self._path @ bones, mixed
 
 
@@ -148,9 +176,22 @@ class ShownViews(Samples):
     """Keypoints without noise, relative to the true root."""
     pose: Float[Tensor, "views joints 3"]
     tilt: Float[Tensor, " views"]
+    """Radians."""
+    gravity: Float[Tensor, "views 3"]
+    """Its direction in the frame of the camera that looks at the root."""
     distance: Float[Tensor, " views"]
     weight: Float[Tensor, "views joints"]
     """Confidence of the poses; 0 where there is nothing to learn."""
+    told: Float[Tensor, " views"]
+    """The distance that the lifter is told; `distance`, or a guess."""
+    guessed: Bool[Tensor, " views"]
+    """Where it is a guess."""
+    upright: Bool[Tensor, " views"]
+    """Whether bodies stand as they were seen; others are turned over, any way, for depth signs alone."""
+
+    def only_upright(self) -> ShownViews:
+        """Return the views with nothing to learn from those that are turned over."""
+        return replace(self, weight=self.weight * self.upright[:, None])
 
 
 def depth_error(lifted: Lifted, views: ShownViews) -> Float[Tensor, ""]:
@@ -161,11 +202,54 @@ def depth_error(lifted: Lifted, views: ShownViews) -> Float[Tensor, ""]:
 
 def tilt_error(lifted: Lifted, views: ShownViews) -> Float[Tensor, ""]:
     """Return the mean absolute error of the tilts, in radians."""
-    return (lifted.tilt - views.tilt).abs().mean()
+    return ((lifted.tilt - views.tilt).abs() * views.upright).mean()
+
+
+def gravity_error(lifted: Lifted, views: ShownViews) -> Float[Tensor, ""]:
+    """Return the mean distance of gravity from its true unit vector.
+
+    It is least at the median of what gravity may be, whose length tells how sure it is.
+    """
+    assert lifted.gravity is not None
+    return ((lifted.gravity - views.gravity).norm(dim=-1) * views.upright).mean()
+
+
+def distance_error(lifted: Lifted, views: ShownViews) -> Float[Tensor, ""]:
+    """Return the mean absolute error of the logarithm of the guessed distances."""
+    assert lifted.distance is not None
+    error = (lifted.distance / views.distance).log().abs() * views.guessed
+    return error.sum() / views.guessed.sum().clamp_min(1)
+
+
+_FOCAL_SPREAD = 0.35
+"""Standard deviation of the logarithm of a guessed focal length over the true one: lenses have 0.7 to 1.5 of the image's
+longest side."""
+_NO_IMAGE = 0.15
+"""Share of the views with a guessed distance whose image size is unknown too: no camera can be turned to the root."""
+_ASIDE = 0.3
+"""Largest x/z and y/z of the root in any cameras."""
+_NEAREST = 0.1
+"""Of the distance: a joint at or behind the pinhole is held there, as `Perspective` does."""
+
+
+class _Shown(NamedTuple):
+    """Poses as cameras see them that are turned to the root, in the units of the poses; see `ShownViews`."""
+
+    pose: Tensor
+    gravity: Tensor
+    keypoints: Tensor
+    distance: Tensor
+    told: Tensor
+    """NaN where not even a guess is known."""
+    guessed: Tensor
 
 
 class ViewMaker:
-    """Makes random augmented views of ``poses``, with torch's global random numbers."""
+    """Makes random augmented views of ``poses``, with torch's global random numbers.
+
+    They are seen by the cameras of the poses; with ``usual_distance``, which is what a camera of unknown distance is
+    told, all but `StudentSettings.own_share` of them by any camera.
+    """
 
     def __init__(
         self,
@@ -175,7 +259,9 @@ class ViewMaker:
         *,
         count_root: bool,
         labelled_share: float | None = None,
+        usual_distance: float | None = None,
     ):
+        self.usual_distance = usual_distance
         self.poses, self.camera, self.settings, self.count_root = poses, camera, settings, count_root
         labelled = torch.zeros_like(poses.distance, dtype=torch.bool) if poses.labelled is None else poses.labelled
         self.sampler = LabelledSampler(labelled, labelled_share)
@@ -191,14 +277,13 @@ class ViewMaker:
         poses, root = self.poses, self.poses.skeleton.root_index
         rows = self.sampler(count)
         pose, weight = self._mixed(rows)
-        pose, gravity = self._rotated(pose, rows)
-        distance = poses.distance[rows]
-        projected = self.camera.project(pose, distance)
-        seen, confidence = projected.clone(), weight
+        pose, upright = self._turned_over(pose)
+        shown = self._shown(pose, rows)
+        seen, confidence = shown.keypoints.clone(), weight
         if poses.noise is not None and self.settings.noise:
             # Error and confidence of one real frame belong together.
             other = self._draw(count)
-            seen = projected + poses.noise[other]
+            seen = seen + poses.noise[other]
             confidence = poses.confidence[other] * (weight > 0)
         confidence = self._hide(confidence)
         # The radius is that of the visible joints, as in real data. A view with too few of them has no weight.
@@ -206,9 +291,13 @@ class ViewMaker:
         weight, counted = weight.masked_fill(few, 0), confidence.masked_fill(few, 1)
         seen[:, root] = _stand_in(seen, confidence, root, self.rings)
         noisy, radius = renormalise(seen, counted, root, count_root=self.count_root)
-        exact = (projected - projected[:, root, None]) / radius[:, None, None]
-        tilt = torch.asin(gravity[:, 2].clamp(-1, 1))
-        return ShownViews(noisy, confidence, exact, pose / radius[:, None, None], tilt, distance / radius, weight)
+        exact = (shown.keypoints - shown.keypoints[:, root, None]) / radius[:, None, None]
+        tilt = torch.asin(shown.gravity[:, 2].clamp(-1, 1))
+        pose, told = shown.pose / radius[:, None, None], shown.told / radius
+        if self.usual_distance is not None:
+            told = told.nan_to_num(self.usual_distance)
+        camera = (tilt, shown.gravity, shown.distance / radius)
+        return ShownViews(noisy, confidence, exact, pose, *camera, weight, told, shown.guessed, upright)
 
     def _draw(self, count: int) -> Tensor:
         return torch.randint(len(self.poses), (count,), device=self.poses.pose.device)
@@ -219,12 +308,80 @@ class ViewMaker:
         if self.mixer is None:
             pose, confidence = poses.pose[rows], poses.confidence[rows]
         else:
-            pose, confidence = self.mixer(rows, poses.confidence, share=settings.mix, limb=settings.mix_limb)
+            pose, confidence = self.mixer(
+                rows, poses.confidence, share=settings.mix, limb=settings.mix_limb, stretch=settings.stretch
+            )
         if self.mirrors:
             flip = torch.rand(len(rows), device=rows.device) < 0.5
             pose = torch.where(flip[:, None, None], mirror(pose, self.swap), pose)
             confidence = torch.where(flip[:, None], confidence[:, self.swap], confidence)
         return pose, confidence
+
+    def _turned_over(self, pose: Tensor) -> tuple[Tensor, Tensor]:
+        """Return the poses, some turned any way (a handstand is a standing body turned over), and which are not."""
+        upright = torch.ones(len(pose), dtype=torch.bool, device=pose.device)
+        if not (self.settings.any_way and self.settings.turn and self.poses.skeleton.gravity):
+            return pose, upright
+        upright = torch.rand(len(pose), device=pose.device) >= self.settings.any_way
+        turned = turn(pose, random_rotations(len(pose), pose.device))
+        return torch.where(upright[:, None, None], pose, turned), upright
+
+    def _shown(self, level: Tensor, rows: Tensor) -> _Shown:
+        """Return the level poses of ``rows`` as cameras see them."""
+        if self.usual_distance is None:
+            return self._by_own_cameras(level, rows)
+        own = torch.rand(len(rows), device=rows.device) < self.settings.own_share
+        first, second = own.nonzero()[:, 0], (~own).nonzero()[:, 0]
+        parts = [self._by_own_cameras(level[first], rows[first]), self._by_any_camera(level[second])]
+        order = torch.cat([first, second]).argsort()
+        return _Shown(*(torch.cat(both)[order] for both in zip(*parts, strict=True)))
+
+    def _by_own_cameras(self, level: Tensor, rows: Tensor) -> _Shown:
+        """Return the level poses of ``rows`` as cameras like their own see them."""
+        pose, gravity = self._rotated(level, rows)
+        distance = self.poses.distance[rows]
+        guessed = torch.zeros_like(rows, dtype=torch.bool) if self.poses.guessed is None else self.poses.guessed[rows]
+        told = distance if self.usual_distance is None else distance.masked_fill(guessed, math.nan)
+        return _Shown(pose, gravity, self.camera.project(pose, distance), distance, told, guessed)
+
+    def _by_any_camera(self, level: Tensor) -> _Shown:
+        """Return level poses as any camera sees them.
+
+        Where the focal length is unknown, all is as if it were the guessed one: the camera is turned to where the root
+        then seems to be, and the distance that goes with the guess is off by the same factor.
+        """
+        count, device = len(level), level.device
+        view = self._any_views(count, device)
+        low, high = (math.log(end) for end in self.settings.distance)
+        distance = (low + (high - low) * torch.rand(count, device=device)).exp()
+        aside = _ASIDE * (2 * torch.rand(count, 2, device=device) - 1)
+        ahead = normalize(torch.cat([aside, torch.ones_like(aside[:, :1])], 1), dim=-1)
+        guessed = torch.rand(count, device=device) < self.settings.unknown_focal
+        wrong = torch.where(guessed, (_FOCAL_SPREAD * torch.randn(count, device=device)).exp(), 1.0)
+        straight = guessed & (torch.rand(count, device=device) < _NO_IMAGE)
+        pose = turn(level, view)
+        place = pose + (distance[:, None] * ahead)[:, None]
+        rays = place[..., :2] / torch.maximum(place[..., 2:], _NEAREST * distance[:, None, None]) / wrong[:, None, None]
+        rays = torch.cat([rays, torch.ones_like(rays[..., :1])], -1)
+        root = self.poses.skeleton.root_index
+        look = least_rotation(rays[:, root], rays.new_tensor([0.0, 0.0, 1.0]))
+        look = torch.where(straight[:, None, None], torch.eye(3, device=device), look)
+        rays = turn(rays, look)
+        told = distance * wrong
+        keypoints = rays[..., :2] / rays[..., 2:].clamp_min(_NEAREST) * told[:, None, None]
+        keypoints = keypoints - keypoints[:, root, None]
+        gravity = (look @ view)[:, :, 1]
+        return _Shown(turn(pose, look), gravity, keypoints, distance, told.masked_fill(straight, math.nan), guessed)
+
+    def _any_views(self, count: int, device: torch.device) -> Tensor:
+        """Return the rotations from the level frame to random cameras."""
+        if not self.poses.skeleton.gravity:
+            return random_rotations(count, device)
+        (low, high), most = (math.radians(end) for end in self.settings.tilt_deg), math.radians(self.settings.roll_deg)
+        tilt = low + (high - low) * torch.rand(count, device=device)
+        roll = most * (2 * torch.rand(count, device=device) - 1)
+        azimuth = 2 * torch.pi * torch.rand(count, device=device)
+        return about_z(roll) @ level(tilt).mT @ about_y(azimuth)
 
     def _rotated(self, pose: Tensor, rows: Tensor) -> tuple[Tensor, Tensor]:
         """Return the level poses of ``rows`` in the frames of random cameras (or the real ones), and gravity there."""

@@ -90,7 +90,8 @@ class KeypointModule(TrainingModule[Lifter, Any]):
         count_root = self.lifter_settings.radius == "all"
         root, distance = self.skeleton.root_index, self.lifter_settings.distance
         normal = normalise(keypoints, confidence, root, count_root=count_root, distance=distance)
-        return Batch(normal.keypoints, confidence, normal.scale_px, normal.distance)
+        guessed = torch.ones_like(normal.distance, dtype=torch.bool)
+        return Batch(normal.keypoints, confidence, normal.scale_px, normal.distance, guessed=guessed)
 
     def forward(
         self, keypoints: Float[Tensor, "batch joints 2"], confidence: Float[Tensor, "batch joints"] | None = None
@@ -100,7 +101,8 @@ class KeypointModule(TrainingModule[Lifter, Any]):
         Gradients reach the keypoints and the lifter. Takes what `to_batch` takes.
         """
         batch = self.to_batch(keypoints, confidence)
-        return self.lifter(batch.keypoints, batch.confidence, batch.distance).pose * batch.scale[:, None, None]
+        lifted = self.lifter(batch.keypoints, batch.confidence, batch.distance, batch.guessed)
+        return lifted.pose * batch.scale[:, None, None]
 
     def predict_step(self, batch: PoseData, batch_idx: int) -> Prediction:
         """Return `Model.predict` of the frames, as ``uplift predict`` computes it."""
@@ -189,8 +191,9 @@ class LiftingModule(KeypointModule):
         self.skeleton = skeleton_of(skeleton)
         specs, self._given_priors = prior_specs(priors)
         chosen = stage_settings("teacher", training, priors=specs, lifter=lifter, views=views, seed=seed)
-        # Only students learn to predict the uncertainty and to correct visible joints.
-        self.lifter_settings = dataclasses.replace(chosen.lifter, uncertainty=False, denoise=False)
+        # Only students learn to predict the uncertainty and depth signs, to correct visible joints, and to estimate any camera.
+        unused = {"uncertainty": False, "signs": 0, "denoise": False, "cameras": "own"}
+        self.lifter_settings = dataclasses.replace(chosen.lifter, **unused)
         self.view_settings, self.prior_specs = chosen.views, chosen.priors
         self.azimuth_deg, self.prior_rate = chosen.views.azimuth_deg, chosen.teacher.prior_learning_rate
         self._keep_hyperparameters(chosen)

@@ -14,8 +14,9 @@ from uplift.data.tensors import TrainingSet
 from uplift.geometry.camera import Camera
 from uplift.geometry.rotation import body_tilt, clip_median, gravity_of, least_rotation, real_tilt, turn
 from uplift.models.lifter import Lifter
-from uplift.models.predict import as_measured, lift_frames
+from uplift.models.predict import as_measured, clip_gravity, lift_frames, with_estimated_distance
 from uplift.models.refine import has_clips, refine_clips
+from uplift.models.signs import solve_signs
 from uplift.skeleton import Skeleton
 
 __all__ = ["PseudoPoses", "lift_all", "true_poses"]
@@ -41,23 +42,34 @@ class PseudoPoses(Samples):
     """Keypoints minus projections of the refined poses; None where that is negligible or unknown."""
     labelled: Bool[Tensor, " frames"] | None = None
     """Which poses are ground truth; None without any."""
+    guessed: Bool[Tensor, " frames"] | None = None
+    """Where `distance` is no more than a guess; None: nowhere."""
 
 
 @torch.no_grad()
 def lift_all(lifter: Lifter, data: TrainingSet, refine: RefineSettings) -> PseudoPoses:
-    """Return every training frame lifted by ``lifter``, averaged with its mirror image, refined by clip, or its label."""
+    """Return every training frame lifted by ``lifter``, averaged with its mirror image, refined by clip, or its label.
+
+    Depth signs are decided along clips where the lifter predicts them.
+    """
     data = data.to(next(lifter.parameters()).device)
     lifted = lift_frames(lifter, data)
+    data = with_estimated_distance(data, lifted)
     pose, refined = lifted.pose, bool(refine.iterations) and has_clips(data)
     if refined:
         pose = refine_clips(data, as_measured(data, lifted.keypoints), pose[..., 2], lifter.camera, refine)
+    if lifted.signs is not None and refine.iterations:
+        pose = solve_signs(data, pose, lifted.signs, lifter.camera, lifter.chains).pose
     if data.labels is not None:
         pose = torch.where(data.labels.isfinite(), data.labels, pose)
-    tilt = real_tilt(lifted.tilt, data.rotation)
-    if lifter.tilt == "predicted" and has_clips(data):
-        tilt = _body_tilts(data, pose)
+    if lifted.gravity is not None:
+        gravity = clip_gravity(lifted, data)
+    elif lifter.tilt == "predicted" and has_clips(data):
+        gravity = gravity_of(_body_tilts(data, pose), data.rotation)
+    else:
+        gravity = gravity_of(real_tilt(lifted.tilt, data.rotation), data.rotation)
     noise = _noise(data, pose, data.confidence, lifter.camera) if refined else None
-    return _levelled(data, pose, data.confidence, tilt, noise)
+    return _levelled(data, pose, data.confidence, gravity, noise)
 
 
 @torch.no_grad()
@@ -73,18 +85,24 @@ def true_poses(data: TrainingSet, camera: Camera, *, tilted: bool = True) -> Pse
     # The position of an invisible joint is known too; a joint without a label is not learned from.
     confidence = torch.where(data.confidence > 0, data.confidence, torch.ones_like(data.confidence)) * known
     tilt = _body_tilts(data, pose) if tilted else torch.zeros_like(data.distance)
-    return _levelled(data, pose, confidence, tilt, _noise(data, pose, data.confidence * known, camera))
+    gravity = gravity_of(tilt, data.rotation)
+    return _levelled(data, pose, confidence, gravity, _noise(data, pose, data.confidence * known, camera))
 
 
-def _levelled(data: TrainingSet, pose: Tensor, confidence: Tensor, tilt: Tensor, noise: Tensor | None) -> PseudoPoses:
-    """Return poses in the level frame; ``tilt`` is that of the real cameras where it is not labelled."""
+def _levelled(
+    data: TrainingSet, pose: Tensor, confidence: Tensor, gravity: Tensor, noise: Tensor | None
+) -> PseudoPoses:
+    """Return poses in the level frame; ``gravity`` is as the cameras see it that look at the root, unless labelled."""
     labelled = None if data.labels is None else data.labelled
     if data.label_tilt is not None and data.skeleton.gravity:
-        tilt = torch.where(data.label_tilt.isfinite(), real_tilt(data.label_tilt, data.rotation), tilt)
-    gravity = gravity_of(tilt, data.rotation)
+        known = gravity_of(real_tilt(data.label_tilt, data.rotation), data.rotation)
+        gravity = torch.where(known.isfinite(), known, gravity)
     if data.skeleton.gravity:
         pose = turn(pose, least_rotation(gravity, gravity.new_tensor([0.0, 1.0, 0.0])))
-    return PseudoPoses(data.skeleton, pose, gravity, data.distance, confidence, noise, labelled)
+    guessed = data.guessed
+    if guessed is None and data.rotation is None:
+        guessed = torch.ones_like(data.follows)
+    return PseudoPoses(data.skeleton, pose, gravity, data.distance, confidence, noise, labelled, guessed)
 
 
 def _body_tilts(data: TrainingSet, pose: Tensor) -> Tensor:

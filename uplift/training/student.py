@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +19,15 @@ from uplift.errors import UserError
 from uplift.models.lifter import Lifted, Lifter
 from uplift.models.model import Model
 from uplift.skeleton import Skeleton
-from uplift.training.augmentation import TILT_WEIGHT, ShownViews, ViewMaker, depth_error, tilt_error
+from uplift.training.augmentation import (
+    TILT_WEIGHT,
+    ShownViews,
+    ViewMaker,
+    depth_error,
+    distance_error,
+    gravity_error,
+    tilt_error,
+)
 from uplift.training.base import plain_settings, seeded, stage_settings, stream_seed
 from uplift.training.lifting import KeypointModule
 from uplift.training.objective import Logged
@@ -29,6 +38,10 @@ __all__ = ["StudentLoss", "StudentModule", "student_settings"]
 _BATCHES_AT_ONCE = 16
 """Batches of views that are made together: a single one is mostly overhead."""
 _UNCERTAINTY_WEIGHT = 0.05
+_SIGN_WEIGHT = 0.05
+"""Of the cross-entropy; Adam makes the learning of a network of its own nearly independent of it."""
+_GRAVITY_WEIGHT = 0.3
+_DISTANCE_WEIGHT = 0.05
 
 
 class StudentLoss(nn.Module):
@@ -45,13 +58,14 @@ class StudentLoss(nn.Module):
     def forward(self, lifted: Lifted, views: ShownViews, lifter: Lifter) -> tuple[Tensor, Logged]:
         """Return one number, and the terms to log, by name.
 
-        Depths count, and keypoints, uncertainty and tilt where the lifter predicts them.
+        Depths count, and keypoints, uncertainty, depth signs, tilt or gravity, and distance where the lifter predicts them.
 
         Args:
             lifted: what the lifter makes of ``views.input``.
-            views: the input and the true keypoints, poses and tilts, in the same units.
+            views: the input and the true keypoints, poses, gravity and distances, in the same units.
             lifter: says what it predicts: ``fill``, ``denoise``, ``uncertainty``, ``tilt``.
         """
+        turned, views = views, views.only_upright()
         known = views.weight.sum().clamp_min(1)
         loss = depth_error(lifted, views)
         logged: Logged = {"depth": loss.detach()}
@@ -66,10 +80,22 @@ class StudentLoss(nn.Module):
         if lifted.uncertainty is not None:
             loss = loss + _UNCERTAINTY_WEIGHT * _uncertainty_loss(lifted, views, lifted.uncertainty) / known
             logged["uncertainty"] = lifted.uncertainty.detach().mean()
-        if lifter.tilt == "predicted":
+        if lifted.signs is not None:
+            signs = lifter.chains.loss(lifted.signs, lifter.chains.states(turned.pose, turned.distance), turned.weight)
+            loss = loss + _SIGN_WEIGHT * signs
+            logged["signs"] = signs.detach()
+        if lifted.gravity is not None:
+            gravity = gravity_error(lifted, views)
+            loss = loss + _GRAVITY_WEIGHT * gravity
+            logged["gravity"] = gravity.detach()
+        elif lifter.tilt == "predicted":
             tilt = tilt_error(lifted, views)
             loss = loss + TILT_WEIGHT * tilt
             logged["tilt"] = tilt.detach()
+        if lifted.distance is not None:
+            distance = distance_error(lifted, views)
+            loss = loss + _DISTANCE_WEIGHT * distance
+            logged["distance"] = distance.detach()
         return loss, logged
 
     occludes: bool = True
@@ -129,7 +155,11 @@ class StudentModule(KeypointModule):
         super().__init__()
         self.skeleton = skeleton_of(skeleton)
         chosen = stage_settings("student", training, lifter=lifter, seed=seed)
-        self.lifter_settings = chosen.lifter if lifter is not None else student_settings(chosen, last=True)
+        if lifter is None:
+            self.lifter_settings = student_settings(chosen, last=True)
+        else:
+            cameras = chosen.lifter.cameras if "cameras" in lifter else _cameras(chosen)
+            self.lifter_settings = dataclasses.replace(chosen.lifter, cameras=cameras)
         self.save_hyperparameters(
             {
                 "skeleton": self.skeleton.to_dict(), "lifter": dataclasses.asdict(self.lifter_settings), "seed": seed,
@@ -165,9 +195,10 @@ class StudentModule(KeypointModule):
         """Take the teacher's poses of the training frames, or the labels if every frame has one."""
         data = self._checked(data)
         self._take_sizes(data)
-        frames = data.frames(self.lifter_settings)
         (given,) = self._teacher
         teacher = None if given is None else _lifter_of(given)
+        any_camera = teacher is not None and teacher.any_camera
+        frames = data.frames(dataclasses.replace(self.lifter_settings, cameras="any" if any_camera else "own"))
         if bool(frames.labelled.all()):
             poses = true_poses(frames, self.lifter.camera, tilted=self.lifter.tilt != "level")
         elif teacher is None:
@@ -205,7 +236,11 @@ class StudentModule(KeypointModule):
         if self._maker is None or self._maker.poses.pose.device != self.device:
             count_root, share = self.lifter_settings.radius == "all", self.labelled_share
             frames, camera = self.frames.to(self.device), self.lifter.camera
-            self._maker = ViewMaker(frames, camera, self.settings, count_root=count_root, labelled_share=share)
+            settings = self.settings if self.lifter.signs is not None else replace(self.settings, any_way=0.0)
+            usual = self.lifter_settings.distance if self.lifter.any_camera else None
+            self._maker = ViewMaker(
+                frames, camera, settings, count_root=count_root, labelled_share=share, usual_distance=usual
+            )
         return self._maker
 
     def objective(self, batch: int | ShownViews) -> tuple[Tensor, Logged]:
@@ -215,7 +250,7 @@ class StudentModule(KeypointModule):
             batch: how many views of the teacher's poses to make, or views.
         """
         views = batch if isinstance(batch, ShownViews) else self._views(batch)
-        lifted = self.lifter(views.input, views.confidence, views.distance)
+        lifted = self.lifter(views.input, views.confidence, views.told, views.guessed)
         with blame("student.loss: forward", type(self.loss)):
             found = self.loss(lifted, views, self.lifter)
         loss, logged = found if isinstance(found, tuple) else (found, {})
@@ -266,6 +301,17 @@ def student_settings(settings: Settings, *, last: bool) -> LifterSettings:
     options = lifter.options if student.network is None else {}
     return dataclasses.replace(
         lifter,
+        cameras=_cameras(settings) if last else "own",
         network=student.network or lifter.network,
         options={**options, **student.options, **(student.last_options if last else {})},
     )
+
+
+def _cameras(settings: Settings) -> str:
+    """Return which cameras the last student learns: its data's own where no others can be made of them.
+
+    Parallel rays have no distance, and a tilt that is not predicted is that of the data's cameras.
+    """
+    lifter, student = settings.lifter, settings.student
+    made = lifter.camera == "perspective" and lifter.tilt == "predicted" and student.turn
+    return student.cameras if made else "own"
