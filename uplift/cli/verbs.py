@@ -101,6 +101,8 @@ _ALL_KEYS = _table(
          choices=("camera", "level", "opencv", "blender", "opensim", "unity", "own", "gltf", "print")),
     _key("height_mm", Optional[float], None, "height of each body or object, millimetres", 1e-9, 1e9),
     _key("images", Optional[str], None, "folder of photos that a page shows beside the results"),
+    _key("together", Optional[str], None, "keypoints: true solves the files, or the cameras of a file, as views of one "
+         "scene; masks: true puts all shapes side by side in one .glb, unset: up to 16", choices=("true", "false")),
     _of_fit("format"),
 )  # fmt: skip
 POSE_KEYS = _table(
@@ -113,6 +115,9 @@ POSE_KEYS = _table(
     _key("camera_height_mm", Optional[float], None, "height of the camera above the ground, millimetres", 1e-9, 1e9),
     *CAMERA_KEYS.values(),
     _key("ground", bool, False, "true: find the ground, and keep standing feet where they are; needs a size"),
+    _key("cameras", Optional[str], None, "with together=true: calibrated cameras, .toml of Pose2Sim or Anipose, or .json"),
+    _key("cameras_unit", Optional[str], None, "unit of the places in it; unset: told from the file", choices=("mm", "m")),
+    _key("cameras_output", Optional[str], None, "with together=true: new .toml file for the cameras that are found"),
     *(one for name, one in READ_KEYS.items() if name != "format"),
     _key("frames", int, 40, "frames that page=gallery shows", 1, 500),
     _key("seed", int, 0, "seed of the choice of those frames", *_SEED_LIMITS),
@@ -127,8 +132,6 @@ SHAPE_KEYS = _table(
          "unset: px, or mm with a size", choices=("px", "mm", "crop")),
     _key("length_mm", Optional[float], None, "length of the longest side of each object, millimetres", 1e-9, 1e9),
     _key("smooth", int, 4, "rounds of smoothing of meshes, which keep the volume", 0, 10_000),
-    _key("together", Optional[str], None, "all shapes side by side in one .glb; unset: up to 16",
-         choices=("true", "false")),
     _key("items", Optional[int], None, "shapes at most that a page shows", 1, _MOST_ITEMS),
 )  # fmt: skip
 """What predict takes for masks alone."""
