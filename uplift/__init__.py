@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from uplift.data.module import KeypointData, MaskDataModule
     from uplift.data.poses import PoseData
     from uplift.errors import UserError
+    from uplift.models.known_camera import KnownCamera
     from uplift.models.model import Model, load
     from uplift.priors.base import Lift, Prior, ShapeLift, ShapePrior
     from uplift.skeleton import Skeleton, load_skeleton
@@ -27,7 +28,7 @@ if TYPE_CHECKING:
     from uplift.training.views import Views
 
 __all__ = [
-    "DataSet", "Format", "KeypointData", "Lift", "LiftingModule", "MaskData", "MaskDataModule", "MaskFormat", "Model",
+    "DataSet", "Format", "KeypointData", "KnownCamera", "Lift", "LiftingModule", "MaskData", "MaskDataModule", "MaskFormat", "Model",
     "PoseData", "Prior", "ShapeLift", "ShapeModule", "ShapePrior", "Skeleton", "StudentLoss", "StudentModule", "UserError",
     "Views", "WantedFile", "compare", "evaluate", "evaluate_poses", "fit", "load", "load_skeleton", "predict", "simulate",
 ]  # fmt: skip
@@ -47,6 +48,7 @@ _HOMES = {
     "data.module": ("KeypointData", "MaskDataModule"),
     "data.poses": ("PoseData",),
     "errors": ("UserError",),
+    "models.known_camera": ("KnownCamera",),
     "models.model": ("Model", "load"),
     "priors.base": ("Lift", "Prior", "ShapeLift", "ShapePrior"),
     "skeleton": ("Skeleton", "load_skeleton"),

@@ -8,14 +8,15 @@ import typing
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
-from uplift.cli.verbs import NEEDED, READ_KEYS, VERBS
+from uplift.cli.verbs import CAMERA_KEYS, NEEDED, READ_KEYS, VERBS
 from uplift.config.settings import Setting
 from uplift.errors import UserError, did_you_mean, nearest
 
 if TYPE_CHECKING:
     from uplift.data.formats.base import ReadOptions
+    from uplift.models.known_camera import KnownCamera
 
-__all__ = ["Keys", "checked", "keyed"]
+__all__ = ["Keys", "checked", "keyed", "known_camera"]
 
 
 class Keys(dict[str, str]):
@@ -45,6 +46,14 @@ class Keys(dict[str, str]):
         if "image_size" in given:
             given["image_size"] = size_of(given["image_size"])
         return ReadOptions(**given)
+
+
+def known_camera(keys: Keys) -> KnownCamera | None:
+    """Return what words of predict or evaluate say of how the camera stands; None where they say nothing."""
+    from uplift.models.known_camera import KnownCamera
+
+    given = {name.partition(".")[2]: value for name, value in keys.given(*CAMERA_KEYS).items()}
+    return KnownCamera(**given) if given else None
 
 
 def checked(setting: Setting, text: str, verb: str) -> Any:

@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 
 from uplift.cli.kinds import KINDS
-from uplift.cli.parsing import Keys, keyed
+from uplift.cli.parsing import Keys, keyed, known_camera
 from uplift.cli.together import TOGETHER_KEYS, check_together, lift_views, views_of, write_found
-from uplift.cli.verbs import SHAPE_KEYS
+from uplift.cli.verbs import REFINE, SHAPE_KEYS
 from uplift.config.files import refuse_output
 from uplift.config.loading import load_settings
 from uplift.config.progress import say
@@ -30,6 +30,7 @@ from uplift.export import check_axes, write, writer_for
 from uplift.export.gallery import check_options
 from uplift.export.scene import in_axes
 from uplift.metrics.pose_metrics import bone_cv, bone_lengths, never_seen_so_long
+from uplift.models.known_camera import KnownCamera
 from uplift.models.likely_size import odd_size, small_size
 from uplift.models.metric_scale import size_from
 from uplift.models.model import load_poses, load_shapes
@@ -51,13 +52,16 @@ class Request:
     input: str | Path
     output: str | Path | None
     overrides: tuple[str, ...]
-    refine: bool
+    refine: bool | str
+    hypotheses: int
     constant_bones: bool
     size: Mapping[str, Any]
     reading: ReadOptions | None
     axes: str | None
     page: str | None
     options: Mapping[str, Any]
+    camera: KnownCamera | None = None
+    ground: bool = False
 
     @property
     def title(self) -> str:
@@ -71,9 +75,12 @@ def predict(
     input: str | Path,
     output: str | Path | None = None,
     *overrides: str,
-    refine: bool = True,
+    refine: bool | str = True,
+    hypotheses: int = 0,
     constant_bones: bool = False,
     size: Mapping[str, Any] | None = None,
+    camera: KnownCamera | None = None,
+    ground: bool = False,
     reading: ReadOptions | None = None,
     axes: str | None = None,
     page: str | None = None,
@@ -86,8 +93,9 @@ def predict(
     ``input`` is a file or folder in any format that is read, several with commas or a pattern, or ``SET:SPLIT`` of
     a published data set (``file.py:Class:SPLIT`` for a class of yours), whose ``data.root`` and ``data.options.*`` are
     ``overrides`` such as a fit takes; ``reading`` is what the files lack. The frames of a clip are lifted
-    together unless ``refine`` is off. ``size`` are arguments of `uplift.models.metric_scale.size_from`. ``axes`` are
-    those of `uplift.export.scene`, the format's usual ones by default. ``page`` is the kind of an .html, ``viewer`` or
+    together unless ``refine`` is off (or ``"causal"``: as far as a live picture allows). ``hypotheses`` are so many poses of
+    each frame, with their probabilities. ``size`` are arguments of `uplift.models.metric_scale.size_from`. ``camera`` is
+    what is known of how the camera stands, and ``ground`` keeps standing feet where they are. ``axes`` are those of `uplift.export.scene`, the format's usual ones by default. ``page`` is the kind of an .html, ``viewer`` or
     ``gallery``, and ``options`` are those of its writer. The files written, with a remark on each, are added to ``written``. ``trust`` are files and modules of
     code that may run where the run names it, such as ``"my_nets.py"``.
 
@@ -100,7 +108,20 @@ def predict(
     """
     weights = run if isinstance(run, Weights) else read_weights(run)
     request = Request(
-        weights, input, output, overrides, refine, constant_bones, size or {}, reading, axes, page, options
+        weights,
+        input,
+        output,
+        overrides,
+        refine,
+        hypotheses,
+        constant_bones,
+        size or {},
+        reading,
+        axes,
+        page,
+        options,
+        camera,
+        ground,
     )
     prediction, files = KINDS[weights.lifts].predict(request)
     if written is not None:
@@ -134,9 +155,12 @@ def keypoint_arguments(keys: Keys) -> dict[str, Any]:
     if "bone" in keys:
         size["bone"] = tuple(keys.value("bone"))
     return {
-        "refine": keys.value("refine") == "on",
+        "refine": REFINE[keys.value("refine")],
+        "hypotheses": keys.value("hypotheses"),
         "constant_bones": keys.value("bones") == "constant",
         "size": size,
+        "camera": known_camera(keys),
+        "ground": keys.value("ground"),
         "reading": keys.reading(),
         **keys.given("images", "frames", "seed", "csv_safe", "together", *TOGETHER_KEYS),
     }
@@ -159,6 +183,8 @@ def lift_keypoints(request: Request) -> tuple[Prediction, dict[Path, str]]:
         if options.get("images") is not None and request.reading is not None:
             for key in {"flip_x", "flip_y", "rotate"} & set(request.reading.set_names()):
                 raise UserError(f"{key}= turns the keypoints and not the photos of images=: give one of the two.")
+        if request.hypotheses and Path(output).suffix.lower() != ".npz":
+            raise UserError(f"hypotheses= goes with output=FILE.npz, which can hold several poses, not with {output}.")
         refuse_output(Path(output))
     model = load_poses(request.weights)
     how = {
@@ -168,13 +194,19 @@ def lift_keypoints(request: Request) -> tuple[Prediction, dict[Path, str]]:
         "constant_bones": request.constant_bones,
     }
     cameras = []
+    if together and (request.hypotheses or request.camera or request.ground or request.refine == "causal"):
+        raise UserError(
+            "together=true does not go with hypotheses=, camera.tilt_deg=, camera.roll_deg=, ground= or refine=causal: these are "
+            "for one camera."
+        )
     if together:
         views = views_of(request.input, lambda path: _read(replace(request, input=path), model.skeleton, alone=False))
         prediction, cameras = lift_views(model, views, together, **how)
     else:
         data = _read(request, model.skeleton)
         clean(data, model.skeleton)  # refuses a file with nothing to lift, before any work
-        prediction = model.predict(data, **how)
+        more = {"hypotheses": request.hypotheses, "camera": request.camera, "ground": request.ground}
+        prediction = model.predict(data, **how, **more)
     if odd := odd_size(model.skeleton, request.size):
         prediction = replace(prediction, notes=(*prediction.notes, odd))
     files = {} if output is None else write(prediction, output, page, axes, **options)
@@ -292,8 +324,17 @@ def mask_arguments(keys: Keys) -> dict[str, Any]:
 
 def lift_masks(request: Request) -> tuple[ShapePrediction, dict[Path, str]]:
     """Lift masks and write the shapes, if there is an output; return the files with a remark on each."""
-    if request.overrides or not request.refine or request.constant_bones or request.reading is not None:
-        of_keypoints = "overrides, refine, constant_bones and reading"
+    others = (
+        request.overrides,
+        request.refine is not True,
+        request.hypotheses,
+        request.constant_bones,
+        request.reading,
+        request.camera,
+        request.ground,
+    )
+    if any(others):
+        of_keypoints = "overrides, refine, hypotheses, constant_bones, reading, camera and ground"
         raise UserError(f"{request.weights.run} lifts masks: {of_keypoints} go with keypoints.")
     options = {**request.options, **request.size, **({} if request.axes is None else {"axes": request.axes})}
     reading = {key: options.pop(key) for key in _READING if key in options}

@@ -9,7 +9,18 @@ from typing import Any, NamedTuple, Optional
 from uplift.config.settings import MAX_SIDE, MIN_SIDE, Setting, all_settings
 
 __all__ = [
-    "EVALUATE", "NEEDED", "POSE_KEYS", "PREDICT", "READ_KEYS", "SHAPE_KEYS", "SIMULATE", "VERBS", "Verb", "sub_verbs",
+    "CAMERA_KEYS",
+    "EVALUATE",
+    "NEEDED",
+    "POSE_KEYS",
+    "PREDICT",
+    "READ_KEYS",
+    "REFINE",
+    "SHAPE_KEYS",
+    "SIMULATE",
+    "VERBS",
+    "Verb",
+    "sub_verbs",
 ]  # fmt: skip
 
 NEEDED: Any = type("Needed", (), {"__repr__": lambda self: "needed"})()
@@ -65,9 +76,19 @@ READ_KEYS = _table(
 )
 """What any command that reads keypoints takes."""
 
+CAMERA_KEYS = _table(
+    _key("camera.tilt_deg", Optional[float], None, "how far the camera looks down, where known; unset: estimated", -90, 90),
+    _key("camera.roll_deg", Optional[float], None, "how far up leans to the right in the image, where known; unset: "
+         "estimated", -180, 180),
+)  # fmt: skip
+"""How the camera stands, in place of estimates."""
+
 _CSV_SAFE = _key(
     "csv_safe", bool, False, "put an apostrophe before names in a .csv that a spreadsheet would run as formulas"
 )
+
+REFINE = {"on": True, "off": False, "causal": "causal"}
+"""Values of ``refine=``, as arguments in Python."""
 
 # predict: what goes with every run, with keypoints alone, with masks alone.
 
@@ -85,11 +106,15 @@ _ALL_KEYS = _table(
     _of_fit("format"),
 )  # fmt: skip
 POSE_KEYS = _table(
-    _key("refine", str, "on", "lift the frames of a clip together; off: each on its own", choices=("on", "off")),
+    _key("refine", str, "on", "lift the frames of a clip together; off: each on its own; causal: with those up to half a "
+         "second later, as live use can", choices=tuple(REFINE)),
+    _key("hypotheses", int, 0, "poses of each frame that are likely, with their probabilities, into an .npz", 0, 64),
     _key("bones", str, "free", "constant: bones of one length over a clip", choices=("free", "constant")),
     _key("bone", list[str], [], "joints along a known length, with bone_mm=: rhip,rknee"),
     _key("bone_mm", Optional[float], None, "that length, millimetres", 1e-9, 1e9),
     _key("camera_height_mm", Optional[float], None, "height of the camera above the ground, millimetres", 1e-9, 1e9),
+    *CAMERA_KEYS.values(),
+    _key("ground", bool, False, "true: find the ground, and keep standing feet where they are; needs a size"),
     _key("cameras", Optional[str], None, "with together=true: calibrated cameras, .toml of Pose2Sim or Anipose, or .json"),
     _key("cameras_unit", Optional[str], None, "unit of the places in it; unset: told from the file", choices=("mm", "m")),
     _key("cameras_output", Optional[str], None, "with together=true: new .toml file for the cameras that are found"),
@@ -119,6 +144,16 @@ EVALUATE = _table(
     _key("data.test", Optional[str], None, "file with the truth; unset: the test data of the run"),
     _key("skeleton", Optional[str], None, "skeleton of poses=; unset: the shipped one whose joints those are"),
     POSE_KEYS["refine"],
+    _key(
+        "hypotheses",
+        int,
+        0,
+        "whole poses of each frame whose errors and probabilities are judged; 0: none",
+        0,
+        100,
+        only="keypoints",
+    ),
+    *(POSE_KEYS[name] for name in CAMERA_KEYS),
     _key("items", int, 100, "masks at most that are scored", 1, _MOST_ITEMS, only="masks"),
     _key("evaluation", Optional[str], None, "name that the evaluation is kept under in the run; unset: date and time"),
     *_TRUST.values(),

@@ -161,15 +161,15 @@ def film_scene(prediction: Prediction, clip: Clip, rate: float) -> FilmScene:
     """Return what a clip shows at so many frames a second.
 
     Joints that were filled, not seen or seen with little confidence are unsure; where they have no keypoint it is that
-    of the pose. Under gravity the floor is at the lowest feet: of the clip where the root's place is known, else
-    of each pose.
+    of the pose. Under gravity the floor is the ground where that was found, else at the lowest feet: of the clip where
+    the root's place is known, else of each pose.
     """
     level = _levelled(prediction)
     pose = known_points(level.pose)
     points = pose + row_places(level, clip)[:, None]
     floor = prediction.skeleton.gravity
     if floor:
-        points[..., 1] -= _floor(points, clip.rows, level.root is not None)
+        points[..., 1] -= _floor(level, points, clip.rows)
     keypoints, unsure = _keypoints(prediction, pose)
     points, keypoints = clip.by_moment(points), clip.by_moment(keypoints)
     centre, flat_centre = _followed(points, rate), _followed(keypoints, rate)
@@ -210,13 +210,18 @@ def _levelled(prediction: Prediction) -> Prediction:
         return in_axes(prediction, "level")
     turn = from_y_down(prediction.axes)
     root = None if prediction.root is None else prediction.root @ turn
-    return replace(prediction, pose=prediction.pose @ turn, root=root, axes="level")
+    ground = prediction.ground
+    if ground is not None:
+        ground = replace(ground, point=ground.point @ turn, normal=ground.normal @ turn)
+    return replace(prediction, pose=prediction.pose @ turn, root=root, ground=ground, axes="level")
 
 
-def _floor(points: np.ndarray, rows: np.ndarray, placed: bool) -> np.ndarray:
-    """Return the floor's y: one where the root has a place, else below each pose."""
+def _floor(level: Prediction, points: np.ndarray, rows: np.ndarray) -> np.ndarray:
+    """Return the floor's y: one where the ground or the root has a place, else below each pose."""
+    if level.ground is not None and np.isfinite(level.ground.point[rows]).any():
+        return np.asarray(np.nanmedian(level.ground.point[rows, 1]))
     lowest = np.where(np.isfinite(points[..., 1]), points[..., 1], -np.inf).max(1, keepdims=True)
-    if placed:
+    if level.root is not None:
         lowest = lowest[rows]
         lowest = lowest[np.isfinite(lowest)]
         return np.asarray(np.percentile(lowest, _MOST) if len(lowest) else 0.0)

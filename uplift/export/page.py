@@ -11,7 +11,15 @@ import numpy as np
 from uplift.errors import UserError
 from uplift.export.clips import Clip, arrange, frame_rate, photos, titled
 from uplift.export.html import Curve, Section, pack, scripted_page, write_text
-from uplift.export.scene import beside, body_of, level_rotations, rotations_to, scaled_error, shown_truth, standing
+from uplift.export.scene import (
+    beside,
+    body_of,
+    level_rotations,
+    rotations_to,
+    scaled_error,
+    shown_truth,
+    standing,
+)
 from uplift.models.prediction import Prediction
 
 __all__ = ["choose", "page_text", "write_html"]
@@ -151,6 +159,9 @@ def _arrays(
     if stood:
         place, level_place = map(np.concatenate, zip(*stood, strict=True))
         arrays |= {"place": (place, fine), "levelPlace": (level_place, fine)}
+    if prediction.ground is not None:
+        point = np.einsum("fk,fk->f", rotations_to(prediction, "level")[:, 1], prediction.ground.point)
+        arrays["floor"] = (point[rows], fine)
     if prediction.uncertainty is not None:
         arrays["uncertainty"] = (np.asarray(prediction.uncertainty, np.float64)[rows], fine)
     if prediction.truth is not None:

@@ -92,7 +92,11 @@ def in_axes(prediction: Prediction, name: str) -> Prediction:
     root = prediction.root
     if root is not None:
         root = np.einsum("fik,fk->fi", rotation.astype(np.result_type(root, np.float32)), root)
-    return replace(prediction, pose=pose, hypotheses=hypotheses, root=root, axes=name)
+    ground = prediction.ground
+    if ground is not None:
+        point, normal = (np.einsum("fik,fk->fi", rotation, one) for one in (ground.point, ground.normal))
+        ground = replace(ground, point=point, normal=normal)
+    return replace(prediction, pose=pose, hypotheses=hypotheses, root=root, ground=ground, axes=name)
 
 
 def rotations_to(prediction: Prediction, name: str) -> Float[np.ndarray, "frames 3 3"]:

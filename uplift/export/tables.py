@@ -159,6 +159,9 @@ _MEANING = {
     "gravity": "[x, y, z], a unit vector in the camera's axes (x right, y down, z away)",
     "hypotheses": "whole poses that fit the keypoints, the most likely first, each as in pose",
     "weights": "hypotheses, how likely each is, 0 to 1",
+    "ground_point": "[x, y, z] of a point on the ground, from the camera, in unit and axes",
+    "ground_normal": "[x, y, z], a unit vector that points up from the ground, in axes",
+    "contact": "joints, true where the joint stands on the ground",
 }
 
 
@@ -210,18 +213,23 @@ def _frames(prediction: Prediction) -> Iterator[str]:
         "gravity": place,
         "hypotheses": place,
         "weights": _NUMBER["share"],
+        "ground_point": place,
+        "ground_normal": place,
     }
     found = {name: seen if name == "keypoints" else getattr(prediction, name) for name in styles}
     blocks = {name: (values, styles[name]) for name, values in found.items() if values is not None}
     template = "".join(f', "{name}": {_shaped(values.shape[1:], style)}' for name, (values, style) in blocks.items())
-    filled = None if prediction.filled is None else np.asarray(prediction.filled, bool)
+    marks = {name: getattr(prediction, name) for name in ("filled", "contact")}
+    marks = {name: np.asarray(values, bool) for name, values in marks.items() if values is not None}
     keys = [json.dumps(key) for key in prediction.identity]
     columns = [plain(values) for values in prediction.identity.values()]
     labels = zip(*columns, strict=True) if columns else ((),) * len(prediction)
     rows = numbers(*(values for values, _ in blocks.values()))
     for index, (label, row) in enumerate(zip(labels, rows, strict=True)):
         known = ", ".join(f"{key}: {json.dumps(value)}" for key, value in zip(keys, label, strict=True))
-        flags = "" if filled is None else f', "filled": {json.dumps(filled[index].tolist(), separators=(",", ":"))}'
+        flags = "".join(
+            f', "{name}": {json.dumps(values[index].tolist(), separators=(",", ":"))}' for name, values in marks.items()
+        )
         yield f'{{"identity": {{{known}}}{filled_in(template, row, "null")}{flags}}}'
 
 
@@ -240,8 +248,8 @@ def write_npz(prediction: Prediction, path: str | Path) -> None:
 
     ``pose`` and ``level_pose`` (frames joints 3) are in ``unit``, relative to the root; ``bones``
     (bones 2) indexes ``joint_names``; ``root`` (frames 3) is its place where that is known; ``hypotheses``
-    (frames hypotheses joints 3) and their ``weights`` (frames hypotheses) are there where they were asked for. The
-    truth is not written: ``pose`` is the prediction.
+    (frames hypotheses joints 3) and their ``weights`` (frames hypotheses), ``ground_point``, ``ground_normal``
+    (frames 3) and ``contact`` (frames joints) are there where they were asked for. The truth is not written: ``pose`` is the prediction.
     """
     arrays = _npz_arrays(prediction)
     with replacing(path) as handle, zipfile.ZipFile(handle, "w") as archive:
@@ -269,6 +277,9 @@ def _npz_arrays(prediction: Prediction) -> dict[str, np.ndarray]:
         "gravity": (prediction.gravity, np.float32),
         "hypotheses": (prediction.hypotheses, np.float32),
         "weights": (prediction.weights, np.float32),
+        "ground_point": (prediction.ground_point, np.float32),
+        "ground_normal": (prediction.ground_normal, np.float32),
+        "contact": (prediction.contact, np.bool_),
         "uncertainty": (prediction.uncertainty, np.float32),
         "root": (prediction.root, np.float32),
         "filled": (prediction.filled, np.bool_),

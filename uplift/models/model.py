@@ -27,8 +27,11 @@ from uplift.data.masks import MaskData
 from uplift.data.poses import PoseData
 from uplift.errors import UserError
 from uplift.geometry.lens import place_roots
+from uplift.models.causal import causal_windows
+from uplift.models.ground import put_on_ground
+from uplift.models.known_camera import KnownCamera, about_cameras, with_guessed_focal
 from uplift.models.lifter import Lifter
-from uplift.models.metric_scale import Size
+from uplift.models.metric_scale import Size, size_of_skeleton
 from uplift.models.mixture import ShapeMixture
 from uplift.models.predict import InferredPoses, infer, mm_per_pixel, to_level, with_constant_bones
 from uplift.models.prediction import Prediction, ShapePrediction
@@ -196,10 +199,12 @@ class Model(_Saved):
         data: PoseData,
         title: str = "",
         *,
-        refine: bool = True,
+        refine: bool | str = True,
         size: Size | None = None,
         constant_bones: bool = False,
         hypotheses: int = 0,
+        camera: KnownCamera | None = None,
+        ground: bool = False,
     ) -> Prediction:
         """Return the pose of every frame of ``data``; NaN where fewer than three joints are visible.
 
@@ -210,37 +215,84 @@ class Model(_Saved):
             data: with the skeleton's joints in its order.
             title: of the prediction.
             refine: whether frames of one clip are lifted together (`uplift.models.refine`): one body, one camera
-                tilt, smooth motion, and short gaps interpolated.
+                tilt, smooth motion, depth signs, and short gaps interpolated; ``"causal"``: by what was seen up to half a
+                second after each frame (`uplift.models.causal`).
             size: the body's known size.
             constant_bones: whether each body gets one length for every bone.
             hypotheses: how many poses to return for each frame, with their probabilities; 0 for none beside ``pose``.
+            camera: how the camera stands, where it is known.
+            ground: whether to find the ground, and keep standing feet on it where they are (`uplift.models.ground`).
 
         Raises:
             UserError: a size that does not give the scale; constant bones of a skeleton whose bones form loops;
-                hypotheses of a lifter that does not predict depth signs.
+                hypotheses of a lifter that does not predict depth signs; a ground without a size or the size of the
+                image.
         """
+        camera, ground = camera or KnownCamera(), ground and self._may_stand(size)
         order = data.in_order()
         if (np.diff(order) < 0).any():  # neighbours in time must be neighbours in the rows
             options = {"refine": refine, "size": size, "constant_bones": constant_bones, "hypotheses": hypotheses}
+            options |= {"camera": camera, "ground": ground}
             return self.predict(data.select(order), title, **options).select(np.argsort(order))
         if hypotheses and self.lifter.signs is None:
             raise UserError(
                 f"hypotheses={hypotheses}: this lifter does not say which way bones may point: fit with lifter.signs=512."
             )
+        if refine == "causal" and ground:
+            raise UserError("ground=true looks at whole clips: it does not go with refine=causal.")
+        if refine == "causal":
+            windows, rows = causal_windows(data)
+            options = {"size": size, "constant_bones": constant_bones, "camera": camera, "hypotheses": hypotheses}
+            return replace(self.predict(windows, title, **options).select(rows), identity=data.identity)
         data, _ = clean(data, self.skeleton, drop=False)
         inferred = infer(
             self.lifter,
             data,
             self.settings,
             refine=self.refines(data, refine),
-            solve=refine and self.settings.refine.iterations > 0,
+            solve=bool(refine) and self.settings.refine.iterations > 0,
             hypotheses=hypotheses,
         )
+        inferred, data = self._seen_by(inferred, data, camera)
+        if ground and self.skeleton.gravity:
+            data = with_guessed_focal(data, None if inferred.focal_px is None else inferred.focal_px.cpu().numpy())
         pose, body = inferred.pose.cpu().numpy(), data.bodies()
         if constant_bones:
             pose = with_constant_bones(pose, self.skeleton, body)
         mm_per_px = mm_per_pixel(inferred, pose, data, self.skeleton, body, size)
-        return self._prediction(data, inferred, pose, mm_per_px, title)
+        prediction = self._prediction(data, inferred, pose, mm_per_px, title)
+        return self._on_ground(prediction, data) if ground else prediction
+
+    def _may_stand(self, size: Size | None) -> bool:
+        """Return True; raises UserError where nothing tells lengths in millimetres, without which there is no ground."""
+        known = size or size_of_skeleton(self.skeleton) or (self.lifter.bone_mm > 0).any()
+        if self.skeleton.gravity and not known:
+            height = "height_mm=..., or " if "of_height" in self.skeleton.size else ""
+            raise UserError(
+                f"ground=true needs millimetres: give {height}bone=JOINT,JOINT bone_mm=... (docs/output.md)"
+            )
+        return True
+
+    def _seen_by(self, inferred: InferredPoses, data: PoseData, camera: KnownCamera) -> tuple[InferredPoses, PoseData]:
+        """Return what was inferred with gravity as ``camera`` has it, and ``data`` with a note on the cameras."""
+        if not self.skeleton.gravity:
+            return inferred, data
+        used = camera.gravity(inferred.gravity.cpu().numpy())
+        focal_px = None if inferred.focal_px is None else inferred.focal_px.cpu().numpy()
+        notes = about_cameras(data, inferred.gravity_by_frame.cpu().numpy(), used, camera, focal_px)
+        gravity = torch.from_numpy(used).to(inferred.gravity)
+        return dataclasses.replace(inferred, gravity=gravity), dataclasses.replace(data, notes=(*data.notes, *notes))
+
+    def _on_ground(self, prediction: Prediction, data: PoseData) -> Prediction:
+        """Return the poses with standing feet on the ground; as they are, with a note, where there is no gravity."""
+        rays, root, gravity = data.rays(), prediction.root, prediction.gravity
+        if gravity is None or rays is None or root is None:
+            note = f"ground: poses are as they were lifted: the skeleton '{self.skeleton.name}' has no gravity"
+            return dataclasses.replace(prediction, notes=(*prediction.notes, note))
+        found = put_on_ground(prediction.pose, root, gravity, data, rays, self.skeleton)
+        level_pose = to_level(found.pose, torch.from_numpy(gravity))
+        notes = (*prediction.notes, *found.notes)
+        return dataclasses.replace(prediction, **found._asdict() | {"level_pose": level_pose, "notes": notes})
 
     def _prediction(
         self,
@@ -334,10 +386,10 @@ class Model(_Saved):
         solved = solve(scene, self.skeleton, placed)
         return as_prediction(solved, scene, views, lifted, title, size, placed is not None, constant_bones)
 
-    def refines(self, data: PoseData, refine: bool = True) -> bool:
+    def refines(self, data: PoseData, refine: bool | str = True) -> bool:
         """Return whether `predict` refines: it is on, and ``data`` has clips of several frames."""
         clips = data.clips()
-        return refine and self.settings.refine.iterations > 0 and bool(clips.max(initial=-1) + 1 < len(clips))
+        return bool(refine) and self.settings.refine.iterations > 0 and bool(clips.max(initial=-1) + 1 < len(clips))
 
     def _description(self) -> dict[str, Any]:
         return {"skeleton": self.skeleton.to_dict(), "lifter": dataclasses.asdict(self.settings)}

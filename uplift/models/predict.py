@@ -55,12 +55,16 @@ class InferredPoses:
     pose: Float[Tensor, "frames joints 3"]
     gravity: Float[Tensor, "frames 3"]
     """Unit vectors."""
+    gravity_by_frame: Float[Tensor, "frames 3"]
+    """The same as each frame alone has it, where ``gravity`` is one for a clip."""
     uncertainty: Float[Tensor, "frames joints"] | None
     """The expected error of each depth, pixels."""
     mm_per_px: Float[Tensor, " frames"] | None
     """For bodies as large as the labelled ones; None without labels."""
     hypotheses: Hypotheses | None = None
     """Whole poses that are likely; None where they were not asked for."""
+    focal_px: Float[Tensor, " frames"] | None = None
+    """As estimated; None where it is given, or the lifter does not estimate it."""
 
 
 def infer(
@@ -82,11 +86,11 @@ def infer(
         hypotheses: how many poses to return for each frame, beside the answer, by such a lifter.
     """
     seen = calibrated(undistorted(data, settings), lifter.skeleton, settings)
-    frames, lifted = _lift_and_refine(lifter, seen, settings, refine)
+    frames, lifted, alone = _lift_and_refine(lifter, seen, settings, refine)
     if refine:
         filled = interpolate_gaps(seen, frames, lifted, intrinsics_of(seen, settings))
         if filled is not None:  # with fewer gaps, the visible joints are lifted better too
-            frames, lifted = _lift_and_refine(lifter, filled, settings, refine)
+            frames, lifted, alone = _lift_and_refine(lifter, filled, settings, refine)
     several = None
     if lifted.signs is not None and (solve or hypotheses or (refine and solve is None)):
         placed = frames if lifted.distance is None else replace(frames, distance=lifted.distance)
@@ -94,10 +98,12 @@ def infer(
         lifted = _solved(lifted, solution)
         several = _in_pixels(spread_hypotheses(solution, hypotheses), frames) if hypotheses else None
     pose = _to_real(lifted.pose * frames.scale[:, None, None], frames)
-    gravity = _real_gravity(lifted, frames)
+    gravity, by_frame = (_real_gravity(one, frames) for one in (lifted, alone))
     uncertainty = None if lifted.uncertainty is None else lifted.uncertainty * frames.scale[:, None]
     unit_mm = lifter.unit_mm(lifted.pose)
-    return InferredPoses(pose, gravity, uncertainty, None if unit_mm is None else unit_mm / frames.scale, several)
+    mm_per_px = None if unit_mm is None else unit_mm / frames.scale
+    focal_px = _focal_px(alone, frames, seen, settings)
+    return InferredPoses(pose, gravity, by_frame, uncertainty, mm_per_px, several, focal_px)
 
 
 def _solved(lifted: Lifted, solution: Solution) -> Lifted:
@@ -119,13 +125,23 @@ def _in_pixels(several: Hypotheses, frames: TrainingSet) -> Hypotheses:
 
 def _lift_and_refine(
     lifter: Lifter, data: PoseData, settings: LifterSettings, refine: bool
-) -> tuple[TrainingSet, Lifted]:
-    """Return ``data`` in the model's units, and its poses."""
+) -> tuple[TrainingSet, Lifted, Lifted]:
+    """Return ``data`` in the model's units, its poses, and those of each frame alone."""
     frames = to_training_set(data, lifter.skeleton, settings).to(next(lifter.parameters()).device)
-    lifted = lift_frames(lifter, frames, both_ways=settings.both_ways)
-    if refine:
-        lifted = refine_lifted(lifted, frames, lifter.camera, settings.refine)
-    return frames, lifted
+    alone = lift_frames(lifter, frames, both_ways=settings.both_ways)
+    lifted = refine_lifted(alone, frames, lifter.camera, settings.refine) if refine else alone
+    return frames, lifted, alone
+
+
+def _focal_px(
+    alone: Lifted, frames: TrainingSet, data: PoseData, settings: LifterSettings
+) -> Float[Tensor, " frames"] | None:
+    """Return each clip's focal length as the lifter estimates it; None where it is given, or the lifter does not."""
+    guess = intrinsics_of(data, settings)
+    if guess is None or alone.distance is None or frames.guessed is None or not frames.guessed.any():
+        return None
+    ratio = alone.distance / frames.distance  # at one size in the image, distance and focal length grow together
+    return guess.focal_px * clip_median(ratio, torch.ones_like(ratio), frames.clip)
 
 
 # Lift many frames, and refine those of each clip together.

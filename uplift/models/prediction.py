@@ -12,6 +12,7 @@ from uplift.config.files import without_folders
 from uplift.data.poses import UNITS
 from uplift.data.samples import Samples
 from uplift.geometry.gravity import roll_of
+from uplift.models.ground import Ground
 
 if TYPE_CHECKING:
     from uplift.skeleton import Skeleton
@@ -28,8 +29,9 @@ class Prediction(Samples):
     the root joint, in ``unit`` and ``axes``, where known. ``uncertainty`` is the uncertainty of the depth in ``unit``,
     ``filled`` marks joints that were not visible. ``gravity`` are unit vectors in the real camera's frame, whatever
     ``axes`` says. ``hypotheses`` are whole poses like ``pose`` that fit the keypoints, in the order of their
-    ``weights``, the most likely first; weights are probabilities, 1 in sum. ``truth`` is relative to the root, camera
-    frame, in ``truth_unit``. Raises ValueError if the arrays do not fit together.
+    ``weights``, the most likely first; weights are probabilities, 1 in sum. ``ground`` is what
+    `uplift.models.ground` found, in ``unit`` and ``axes``. ``truth`` is relative to the root, camera frame, in
+    ``truth_unit``. Raises ValueError if the arrays do not fit together.
     """
 
     pose: Float[np.ndarray, "frames joints 3"]
@@ -51,6 +53,7 @@ class Prediction(Samples):
     gravity: Float[np.ndarray, "frames 3"] | None = None
     hypotheses: Float[np.ndarray, "frames hypotheses joints 3"] | None = None
     weights: Float[np.ndarray, "frames hypotheses"] | None = None
+    ground: Ground | None = None
     axes: str = "camera"
     source: str = ""
     title: str = ""
@@ -80,6 +83,21 @@ class Prediction(Samples):
     def roll_deg(self) -> Float[np.ndarray, " frames"] | None:
         """The camera's roll: positive where "up" leans to the right in the image; None without `gravity`."""
         return None if self.gravity is None else roll_of(self.gravity)
+
+    @property
+    def ground_point(self) -> Float[np.ndarray, "frames 3"] | None:
+        """A point on the ground; None where none was asked for or found."""
+        return None if self.ground is None else self.ground.point
+
+    @property
+    def ground_normal(self) -> Float[np.ndarray, "frames 3"] | None:
+        """Unit vectors that point up from the ground."""
+        return None if self.ground is None else self.ground.normal
+
+    @property
+    def contact(self) -> Bool[np.ndarray, "frames joints"] | None:
+        """Joints that stand on the ground."""
+        return None if self.ground is None else self.ground.contact
 
     @property
     def bone_indices(self) -> Int[np.ndarray, "bones 2"]:

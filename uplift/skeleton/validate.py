@@ -35,6 +35,7 @@ def check_skeleton(data: object, where: Where) -> dict[str, Any]:
     _check_forest(skeleton, check)
     check.pairs(skeleton["mirror"], joints, "mirror", "[right, left]")
     _check_mirror(skeleton, check)
+    _check_contacts(skeleton, check)
     skeleton["midpoints"] = check.map_of_parts(skeleton["midpoints"], joints, ("midpoints",), midpoints=True)
     check.kind(skeleton["from"], dict, "a mapping of layouts", ("from",))
     skeleton["from"] = {
@@ -42,6 +43,7 @@ def check_skeleton(data: object, where: Where) -> dict[str, Any]:
     }
     skeleton["size"] = _check_size(skeleton["size"], joints, check)
     skeleton["facing"] = _check_facing(skeleton, check)
+    skeleton["trunk"] = _check_trunk(skeleton, check)
     _check_body(skeleton, check)
     return skeleton
 
@@ -119,6 +121,19 @@ def _check_mirror(skeleton: dict[str, Any], check: _Checker) -> None:
             )
 
 
+def _check_contacts(skeleton: dict[str, Any], check: _Checker) -> None:
+    """Check that what stands on the ground are joints beyond the root, each named once, under gravity."""
+    contacts = check.kind(skeleton["contacts"], list, "a list of joints that stand on the ground", ("contacts",))
+    if contacts and not skeleton["gravity"]:
+        check.fail(("contacts",), "found contacts, but gravity is false: nothing stands on a ground without it.")
+    for place, joint in enumerate(contacts):
+        check.joint(joint, skeleton["joints"], ("contacts", place))
+        if joint in contacts[:place]:
+            check.fail(("contacts", place), f"found '{joint}' twice in 'contacts'.")
+        if joint == skeleton["root"]:
+            check.fail(("contacts", place), f"found the root '{joint}' in 'contacts'; expected ends of limbs.")
+
+
 def _check_size(size: Any, joints: list[str], check: _Checker) -> dict[str, Any]:
     check.kind(size, dict, "a mapping: along and mm, or along and of_height", ("size",))
     if not size:
@@ -163,6 +178,16 @@ def _check_facing(skeleton: dict[str, Any], check: _Checker) -> dict[str, list[l
     if skeleton["mirror"]:
         _check_sides(weights, skeleton, check)
     return facing
+
+
+def _check_trunk(skeleton: dict[str, Any], check: _Checker) -> list[list[str]]:
+    """Return the trunk with each end a list of joints, empty where it is not given."""
+    if "trunk" not in skeleton:
+        return []
+    ends = _ends(skeleton["trunk"], skeleton["joints"], ("trunk",), check)
+    if np.abs(direction_weights(ends, skeleton["joints"])).max() < 1e-9:
+        check.fail(("trunk",), "found 'trunk' from and to the same place; it has no direction.")
+    return ends
 
 
 def _ends(value: object, joints: list[str], part: tuple, check: _Checker) -> list[list[str]]:

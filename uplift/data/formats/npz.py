@@ -19,6 +19,7 @@ from uplift.geometry.gravity import angle_deg, gravity_at, roll_of, tilt_of
 
 __all__ = [
     "FORMAT",
+    "camera_of",
     "contents_of",
     "joint_names_of",
     "memory_of",
@@ -34,6 +35,7 @@ __all__ = [
 _KNOWN = {
     "keypoints", "confidence", "joint_names", "pose", "root", "unit", "fps", "image_size", "focal_px",
     "bones", "tilt_deg", "roll_deg", "gravity", "level_pose", "uncertainty", "spread", "filled", "hypotheses", "weights",
+    "ground_point", "ground_normal", "contact",
     "axes", "skeleton", "masks", "mask_box",
     *IDENTITY_KEYS,
 }  # fmt: skip

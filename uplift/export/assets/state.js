@@ -80,6 +80,8 @@ function go(moment) {
 function measureClip() {
   kept.slots = lineUp(kept.arrays, clipNow());
   kept.size = measure(kept.arrays, clipNow());
+  const { floor } = kept.arrays, [[row]] = clipNow().moments;
+  if (floor && floor.codes[row] !== ABSENT) kept.size.floor = value(floor, row);
   if (!floored() || !(meta.rooted && state.placed)) kept.size.floor = 0;
   kept.bounds = measureFlat(kept.arrays, clipNow());
 }
