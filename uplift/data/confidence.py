@@ -169,7 +169,8 @@ def _variances(found: _Observed, joints: int, prior: Float[np.ndarray, " bins"])
     before, middle, after = found.bins
 
     def sums(value: np.ndarray) -> np.ndarray:
-        return sum(w * np.bincount(at, value, bins) for w, at in ((1, before), (4, middle), (1, after)))
+        at_ends = np.bincount(before, value, bins) + np.bincount(after, value, bins)
+        return at_ends + 4 * np.bincount(middle, value, bins)
 
     error = np.full(bins, np.median(found.square) / 12 + 1e-9)
     motion = np.full(joints, np.median(found.square) / 2 + 1e-9)
