@@ -24,9 +24,9 @@ from uplift.skeleton import Skeleton, load_skeleton
 SIZE = ["bone=rhip,rknee,rankle", "bone_mm=860"]
 
 
-def flat_run(folder: Path, skeleton: Skeleton = SKELETON) -> Path:
+def flat_run(folder: Path, skeleton: Skeleton = SKELETON, cameras: str = "own") -> Path:
     """Save a lifter that says that all joints are as far away as the root, and that the camera is level."""
-    settings = LifterSettings(options={"units": 16, "blocks": 1})
+    settings = LifterSettings(options={"units": 16, "blocks": 1}, cameras=cameras)
     lifter = Lifter(skeleton, settings).eval()
     with torch.no_grad():
         for weight in lifter.parameters():
@@ -86,6 +86,10 @@ def test_what_the_ground_needs(words: list[str], here: Path, capsys: pytest.Capt
     assert "focal length not known" in said
     assert "the focal length is not known: 1000 px, the longest side of the image, is taken (focal_px=)" in said
     assert "ground: " in said and "sliding" in said
+    any_camera = ["predict", f"run={flat_run(here, cameras='any')}", "input=unknown.npz", "output=d.npz"]
+    assert main([*any_camera, "ground=true", "camera.tilt_deg=10", *SIZE]) == 0
+    said = capsys.readouterr().out  # a lifter that corrects nothing leaves the longest side
+    assert "focal length estimated (1,000 px)" in said and "not known" not in said and "sliding" in said
     hand = load_skeleton("hand21")
     np.savez(here / "hand.npz", keypoints=np.random.default_rng(0).uniform(0, 99, (9, 21, 2)), joint_names=hand.joints)
     assert main(["predict", f"run={flat_run(here, hand)}", "input=hand.npz", "output=c.npz", "ground=true"]) == 0

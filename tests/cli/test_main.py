@@ -180,6 +180,11 @@ def test_evaluate_of_a_run_is_what_the_fit_said(fitted: Path, capsys: pytest.Cap
     assert main(["evaluate", f"run={run}", f"data.test={fitted / 'a.npz'}", "evaluation=on-a"]) == 0
     assert json.loads((run / "evaluation.json").read_text())["data"] == "a.npz"
     assert (run / "evaluations/on-a.json").read_text() == (run / "evaluation.json").read_text()
+    assert main(["evaluate", f"run={run}", f"data.test={fitted / 'a.npz'}", "camera.tilt_deg=50"]) == 0
+    off = np.abs(50 - np.load(fitted / "a.npz")["tilt_deg"])
+    assert json.loads((run / "evaluation.json").read_text())["overall"]["elevation_deg"] == pytest.approx(
+        np.median(off)
+    )
     assert "already" in refusal(capsys, "evaluate", f"run={run}", "evaluation=on-a")
     assert "expected a name" in refusal(capsys, "evaluate", f"run={run}", "evaluation=../a")
 

@@ -18,6 +18,7 @@ from uplift.data.masks import MaskData, Placed
 from uplift.data.poses import PoseData
 from uplift.data.samples import SHARED, TRUTH, Samples
 from uplift.data.tensors import Batch, TrainingSet
+from uplift.models.ground import Ground
 from uplift.models.lifter import Lifted
 from uplift.models.prediction import Prediction, ShapePrediction
 from uplift.models.shape_lifter import LiftedShapes
@@ -62,7 +63,9 @@ EXAMPLES: dict[type[Samples], Samples] = {
     Prediction: Prediction(
         a(J, 3), a(J, 3), "mm", a(J, 2), a(J), SKELETON.joints, SKELETON, a(), {"frame": np.arange(N)}, truth=a(J, 3),
         uncertainty=a(J), root=a(3), filled=a(J) > 0.5, gravity=a(3), hypotheses=a(2, J, 3), weights=a(2),
+        ground=Ground(a(3), a(3), a(J) > 0.5),
     ),
+    Ground: Ground(a(3), a(3), a(J) > 0.5),
     ShapePrediction: ShapePrediction(a(4, 4, 4), a(3, 3), a(), a(2), a(), MASKS, NAMES, a(2), a(), images=TEXT),
     PseudoPoses: PseudoPoses(SKELETON, t(J, 3), t(3), t(), t(J), t(J, 2), t() > 0.5, t() > 0.5),
     ShownViews: ShownViews(t(J, 2), t(J), t(J, 2), t(J, 3), t(), t(3), t(), t(J), t(), t() > 0.5, t() > 0.5),

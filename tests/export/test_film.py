@@ -31,7 +31,8 @@ from uplift.export.film import (
     turns_deg,
     write_film,
 )
-from uplift.export.scene import in_axes
+from uplift.export.scene import in_axes, rotations_to
+from uplift.models.ground import Ground
 from uplift.models.prediction import Prediction
 
 _LEFT_HALF, _RIGHT_HALF = slice(24, 536), slice(560, 1256)
@@ -256,3 +257,16 @@ def test_importing_the_writers_loads_no_heavy_package() -> None:
     code += "print([name for name in ('torch', 'trimesh', 'imageio_ffmpeg', 'scipy') if name in sys.modules])"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "[]"
+
+
+def test_the_floor_is_the_ground_that_was_found():
+    sample = prediction(20, rooted=True)  # its feet are 600 below the camera
+    assert sample.root is not None
+    level = in_axes(sample, "level")
+    low = level.points[..., 1].max(1)
+    up, down = (np.tile(tilt, (20, 1)) for tilt in ([0.0, -1.0, 0.0], [0.0, 650.0, 4000.0]))
+    rotation = rotations_to(sample, "level")[0]
+    ground = Ground(down @ rotation, up @ rotation, np.zeros(sample.confidence.shape, bool))
+    for name in ("camera", "blender"):
+        scene = scene_of(in_axes(replace(sample, ground=ground), name))
+        np.testing.assert_allclose(scene.points[:, 0, :, 1].max(1), low - 650, atol=1e-3)

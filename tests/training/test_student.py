@@ -90,7 +90,7 @@ def test_noise_comes_with_the_confidence_of_its_frame(poses):
     torch.manual_seed(1)
     confidence = torch.rand_like(poses.confidence) * 0.8 + 0.1
     noise = (confidence * 0.01).unsqueeze(-1).expand(-1, -1, 2).clone()
-    views = views_of(replace(poses, confidence=confidence, noise=noise), 300)
+    views = views_of(replace(poses, confidence=confidence, noise=noise), 300, noise=True)
     # What the network sees is off by the noise, less that of the root, in units of the radius that is shown.
     off = (views.input - views.keypoints)[..., 0]
     expected = 0.01 * (views.confidence - views.confidence[:, [ROOT]])

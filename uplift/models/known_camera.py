@@ -44,8 +44,10 @@ class KnownCamera:
         return gravity_at(tilt, roll).astype(estimated.dtype)
 
 
-def with_guessed_focal(data: PoseData) -> PoseData:
-    """Return ``data`` with a focal length where none is known: the longest side of the image, with a note.
+def with_guessed_focal(data: PoseData, estimated: Float[np.ndarray, " frames"] | None = None) -> PoseData:
+    """Return ``data`` with a focal length where none is known: as estimated, else the longest side of the image.
+
+    The guess is said in a note.
 
     Raises:
         UserError: neither a camera nor the size of the image is known.
@@ -57,6 +59,8 @@ def with_guessed_focal(data: PoseData) -> PoseData:
             "ground=true needs the camera: add focal_px=... and image_size=WIDTHxHEIGHT, or image_size= alone, and the "
             "focal length is guessed."
         )
+    if estimated is not None:
+        return data.with_focal_px(estimated.astype(np.float64))
     guess = float(max(data.image_size))
     note = f"the focal length is not known: {guess:g} px, the longest side of the image, is taken (focal_px=)"
     return replace(data, focal_px=guess, lenses=(), lens=None, notes=(*data.notes, note))
@@ -69,30 +73,42 @@ _NO_ROLL_DEG = 1e-3
 
 
 def about_cameras(
-    data: PoseData, by_frame: Float[np.ndarray, "frames 3"], used: Float[np.ndarray, "frames 3"], known: KnownCamera
+    data: PoseData,
+    by_frame: Float[np.ndarray, "frames 3"],
+    used: Float[np.ndarray, "frames 3"],
+    known: KnownCamera,
+    focal_px: Float[np.ndarray, " frames"] | None = None,
 ) -> tuple[str, ...]:
     """Return a line for the camera of each clip, or one for all where they are many: angles, and how surely.
 
-    ``by_frame`` is gravity as each frame alone has it, ``used`` that of the poses. Behind +- is the spread of single
+    ``by_frame`` is gravity as each frame alone has it, ``used`` that of the poses, ``focal_px`` as
+    estimated. Behind +- is the spread of single
     frames, the standard deviation of a normal distribution with their median deviation.
     """
-    lifted = (data.confidence > 0).any(1)
+    lifted = np.asarray((data.confidence > 0).any(1))
     if not lifted.any():
         return ()
     names = _views(data)
     views = list(dict.fromkeys(names[lifted].tolist()))
-    focal = "focal length not known"
-    if data.lens is not None or data.focal_px is not None:
-        focal = "focal length given" + (f" ({data.focal_px:,.0f} px)" if data.focal_px is not None else "")
     if len(views) > _MOST_LINES:
         angles = _angles(by_frame[lifted], used[lifted], known, many=True)
-        return (f"cameras of {len(views):,} clips: {angles}; {focal}",)
+        return (f"cameras of {len(views):,} clips: {angles}; {_focal(data, focal_px, lifted)}",)
     lines = []
     for name in views:
-        rows = lifted & (names == name)
+        rows = np.asarray(lifted & (names == name))
         which = f"camera of {name}" if len(views) > 1 else "camera"
-        lines.append(f"{which}: {_angles(by_frame[rows], used[rows], known)}; {focal}")
+        lines.append(f"{which}: {_angles(by_frame[rows], used[rows], known)}; {_focal(data, focal_px, rows)}")
     return tuple(lines)
+
+
+def _focal(data: PoseData, estimated: np.ndarray | None, rows: np.ndarray) -> str:
+    if data.lens is not None or data.focal_px is not None:
+        return "focal length given" + (f" ({data.focal_px:,.0f} px)" if data.focal_px is not None else "")
+    return (
+        "focal length not known"
+        if estimated is None
+        else f"focal length estimated ({np.median(estimated[rows]):,.0f} px)"
+    )
 
 
 def _views(data: PoseData) -> np.ndarray:

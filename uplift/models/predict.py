@@ -63,6 +63,8 @@ class InferredPoses:
     """For bodies as large as the labelled ones; None without labels."""
     hypotheses: Hypotheses | None = None
     """Whole poses that are likely; None where they were not asked for."""
+    focal_px: Float[Tensor, " frames"] | None = None
+    """As estimated; None where it is given, or the lifter does not estimate it."""
 
 
 def infer(
@@ -100,7 +102,8 @@ def infer(
     uncertainty = None if lifted.uncertainty is None else lifted.uncertainty * frames.scale[:, None]
     unit_mm = lifter.unit_mm(lifted.pose)
     mm_per_px = None if unit_mm is None else unit_mm / frames.scale
-    return InferredPoses(pose, gravity, by_frame, uncertainty, mm_per_px, several)
+    focal_px = _focal_px(alone, frames, seen, settings)
+    return InferredPoses(pose, gravity, by_frame, uncertainty, mm_per_px, several, focal_px)
 
 
 def _solved(lifted: Lifted, solution: Solution) -> Lifted:
@@ -128,6 +131,17 @@ def _lift_and_refine(
     alone = lift_frames(lifter, frames, both_ways=settings.both_ways)
     lifted = refine_lifted(alone, frames, lifter.camera, settings.refine) if refine else alone
     return frames, lifted, alone
+
+
+def _focal_px(
+    alone: Lifted, frames: TrainingSet, data: PoseData, settings: LifterSettings
+) -> Float[Tensor, " frames"] | None:
+    """Return each clip's focal length as the lifter estimates it; None where it is given, or the lifter does not."""
+    guess = intrinsics_of(data, settings)
+    if guess is None or alone.distance is None or frames.guessed is None or not frames.guessed.any():
+        return None
+    ratio = alone.distance / frames.distance  # at one size in the image, distance and focal length grow together
+    return guess.focal_px * clip_median(ratio, torch.ones_like(ratio), frames.clip)
 
 
 # Lift many frames, and refine those of each clip together.
