@@ -80,6 +80,7 @@ def run_cells(cells: Sequence[Cell], jobs: int) -> int:
 def _prepare(cells: Sequence[Cell]) -> None:
     """Build the rigs once, before parallel jobs would."""
     words = [cell.fit.command for cell in cells] + [t.data for cell in cells for t in cell.fit.tests.values()]
+    words += [cell.fit.test or "" for cell in cells]
     if any("{rigs}" in word for word in words):
         print(f"rigs: {fill_in('{rigs}')}", flush=True)
 

@@ -7,14 +7,16 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from benchmarks.accuracy.rigs import RIGS
+from benchmarks.accuracy.rigs import MADE
 from benchmarks.common import ROOT, max_time
 
-__all__ = ["RESULTS", "Cell", "Fit", "Target", "cells_of", "place", "read_fit"]
+__all__ = ["PROBES", "RESULTS", "Cell", "Fit", "Target", "cells_of", "place", "read_fit"]
 
 RESULTS = ROOT / "benchmarks" / "results" / "accuracy"
 
-_FIT_KEYS = {"fit", "run", "floor", "train", "test", "tests", "skeleton", "occlusion", "reference"}
+PROBES = ("occlusion", "mended", "video")
+"""Modules of this folder that measure more of a run; the key of the same name turns one on."""
+_FIT_KEYS = {"fit", "run", "floor", "train", "test", "tests", "skeleton", "reference", *PROBES}
 
 
 @dataclass(frozen=True)
@@ -40,7 +42,8 @@ class Fit:
     """The file on which `overall` is evaluated; default: the test frames of the fit."""
     skeleton: str = ""
     tests: dict[str, Target] = field(default_factory=dict)
-    occlusion: bool = False
+    probes: tuple[str, ...] = ()
+    """Those of `PROBES` that are wanted."""
     reference: str | None = None
 
 
@@ -82,7 +85,7 @@ class Cell:
 
 
 def read_fit(name: str, entry: str | dict[str, Any], table: dict[str, Any]) -> Fit:
-    """Return a fit of cells.yaml; `test`, `tests`, `occlusion` and `reference` default to those of its table.
+    """Return a fit of cells.yaml; `test`, `tests`, `reference` and probes default to those of its table.
 
     Raises:
         ValueError: an unknown key, or not exactly one of `fit`, `run` and `floor`.
@@ -96,7 +99,7 @@ def read_fit(name: str, entry: str | dict[str, Any], table: dict[str, Any]) -> F
     floor = entry.get("floor")
     if floor and not all(entry.get(key) for key in ("train", "test", "skeleton")):
         raise ValueError(f"{name}: a floor needs train, test and skeleton")
-    chosen = {key: entry.get(key, table.get(key)) for key in ("test", "tests", "occlusion", "reference")}
+    chosen = {key: entry.get(key, table.get(key)) for key in ("test", "tests", "reference", *PROBES)}
     return Fit(
         name=name,
         command=entry.get("fit") or entry.get("run") or "",
@@ -106,7 +109,7 @@ def read_fit(name: str, entry: str | dict[str, Any], table: dict[str, Any]) -> F
         test=place(chosen["test"]) if chosen["test"] else None,
         skeleton=entry.get("skeleton", ""),
         tests={} if floor else {key: _read_test(value) for key, value in (chosen["tests"] or {}).items()},
-        occlusion=bool(chosen["occlusion"]) and not floor,
+        probes=() if floor else tuple(name for name in PROBES if chosen[name]),
         reference=chosen["reference"],
     )
 
@@ -116,9 +119,10 @@ def _read_test(value: str | dict[str, str]) -> Target:
 
 
 def place(data: str) -> str:
-    """Return a file with its placeholder: the rigs' folder for the name of a rig, else the data folder."""
-    if data in RIGS:
-        return f"{{rigs}}/{data}/test.npz"
+    """Return a file with its placeholder: the rigs' folder for a rig (RIG or RIG/SPLIT), else the data folder."""
+    rig, _, split = data.partition("/")
+    if rig in MADE:
+        return f"{{rigs}}/{rig}/{split or 'test'}.npz"
     return data if data.startswith("{") else f"{{data}}/{data}"
 
 

@@ -14,7 +14,7 @@ import yaml
 from bodies import QUICK, status_of, write_body
 
 from benchmarks.accuracy import __main__ as runner
-from benchmarks.accuracy import cells, occlusion, work
+from benchmarks.accuracy import cells, mended, occlusion, video, work
 from benchmarks.accuracy.cells import cells_of, read_fit
 from benchmarks.accuracy.occlusion import LIMBS, growth, hidden_joints, occlusion_table, show, write_occluded
 from benchmarks.accuracy.rigs import RIGS, TEST_SUBJECTS, build_rigs, camera_axes, film
@@ -26,6 +26,7 @@ from uplift.config.settings import LifterSettings
 from uplift.data.formats import read
 from uplift.errors import UserError
 from uplift.metrics.pose_metrics import facing_sign
+from uplift.metrics.scores import Scores
 from uplift.models.lifter import Lifter
 from uplift.models.model import Model
 from uplift.skeleton import load_skeleton
@@ -57,13 +58,23 @@ def a_world(seconds: float = 1.5) -> dict[str, np.ndarray]:
 
 @pytest.mark.parametrize("name", RIGS)
 def test_projecting_a_rigs_poses_gives_its_keypoints(name: str) -> None:
-    found = film(a_world(), RIGS[name], "train")
+    rig = RIGS[name]
+    found = film(a_world(), rig, rig.splits[0])
     points = found["pose"].astype(np.float64) + found["root"][:, None]
-    seen = points[..., :2] / points[..., 2:] * found["focal_px"] + found["image_size"] / 2
-    assert np.abs(seen - found["keypoints"]).max() < 1e-2
-    assert points[..., 2].min() >= 2000
+    rays, centred = points[..., :2] / points[..., 2:], found["keypoints"] - found["image_size"] / 2
+    clip = found["camera"] + 10 * np.unique(found["sequence"], return_inverse=True)[1]
+    focals = []
+    for one in np.unique(clip):  # the focal length of each clip, from all its joints
+        here, there = rays[clip == one], centred[clip == one]
+        focals.append((here * there).sum() / (here * here).sum())
+        assert np.abs(here * focals[-1] - there).max() < 1e-2
+    if name == "wide":
+        assert "focal_px" not in found and 800 <= min(focals) < 1400 and 1800 < max(focals) <= 2400
+    else:
+        assert focals == pytest.approx(np.full(len(focals), found["focal_px"]), rel=1e-6)
+    assert points[..., 2].min() >= rig.nearest_mm
     assert found["keypoints"].min() > -200.1
-    assert found["keypoints"].max() < 1200.1
+    assert (found["keypoints"].max((0, 1)) < found["image_size"] + 200.1).all()
     assert (found["pose"][:, 0] == 0).all()
 
 
@@ -78,8 +89,25 @@ def test_a_rigs_tilt_is_that_of_gravity(name: str) -> None:
         turn, *_ = np.linalg.lstsq((body - body[0]) * 1000, found["pose"][row].astype(np.float64), rcond=None)
         assert np.linalg.det(turn) == pytest.approx(1, abs=1e-4)
         gravity = np.array([0, -1.0, 0]) @ turn
-        tilt = np.radians(found["tilt_deg"][row])
-        assert gravity == pytest.approx([0, np.cos(tilt), np.sin(tilt)], abs=1e-4)
+        assert gravity[2] == pytest.approx(np.sin(np.radians(found["tilt_deg"][row])), abs=1e-4)
+        assert gravity == pytest.approx(found["gravity"][row] if name == "wide" else [0, *gravity[1:]], abs=1e-4)
+    assert ("gravity" in found) == (name == "wide")
+
+
+def test_the_wide_rig_has_cameras_of_every_kind() -> None:
+    found = film(a_world(), RIGS["wide"], "test")
+    clips = {}
+    for row, key in enumerate(zip(found["sequence"], found["camera"], strict=True)):
+        clips.setdefault(key, []).append(row)
+    gravity = np.stack([found["gravity"][rows[0]] for rows in clips.values()])
+    roll = np.degrees(np.arctan2(-gravity[:, 0], gravity[:, 1]))
+    assert all((found["gravity"][rows] == found["gravity"][rows[0]]).all() for rows in clips.values())
+    assert (
+        len(clips) == len(set(found["tilt_deg"])) and found["tilt_deg"].min() >= -20 and found["tilt_deg"].max() <= 50
+    )
+    assert np.ptp(roll) > 15 and np.abs(roll).max() <= 25
+    assert np.ptp(found["root"][:, 2]) > 2000
+    assert set(film(a_world(), RIGS["wide"], "unseen")["subject"]) == {"S2"}
 
 
 def test_rigs_share_no_subject_and_know_their_tilts() -> None:
@@ -106,12 +134,16 @@ def test_camera_axes_are_a_rotation_without_roll() -> None:
 def test_rig_files_are_data_files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "cmu").mkdir()
     np.savez(tmp_path / "cmu" / "world.npz", **a_world())  # type: ignore[arg-type]
+    write_body(tmp_path / "cmu" / "train.npz", subject=np.array(["S1", "S2", "S17"] * 20))
     monkeypatch.setenv("UPLIFT_DATA", str(tmp_path))
     monkeypatch.setenv("UPLIFT_BENCHMARK_CACHE", str(tmp_path / "cache"))
     built = build_rigs(tmp_path / "one")
     assert [str(path.relative_to(tmp_path / "one")) for path in built] == [
-        f"{rig}/{split}.npz" for rig in RIGS for split in ("train", "test")
-    ]
+        f"{rig}/{split}.npz" for rig in ("mixed", "fixed30") for split in ("train", "test")
+    ] + ["wide/test.npz", "wide/unseen.npz", "unseen/train.npz", "unseen/test.npz"]
+    held_out, known = read(built[-1]), read(built[-2])
+    assert set(held_out.identity["subject"]) == {"S2", "S17"} and set(known.identity["subject"]) == {"S1"}
+    assert len(held_out) == 40 and held_out.gravity is None and read(built[-4]).gravity is not None
     data = read(built[0])
     assert (data.joint_names, data.fps, data.image_size, data.focal_px) == (HUMAN.joints, 10, (1000, 1000), 1145)
     assert data.follows().sum() == len(data) - 9
@@ -120,6 +152,8 @@ def test_rig_files_are_data_files(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
     assert cached.read_bytes() == built[0].read_bytes()
     (tmp_path / "cmu" / "world.npz").unlink()
     assert fill_in("{rigs}") == str(cached.parent.parent)
+    assert cells.place("wide") == "{rigs}/wide/test.npz" and cells.place("unseen/train") == "{rigs}/unseen/train.npz"
+    assert cells.place("cmu/test.npz") == "{data}/cmu/test.npz"
     with pytest.raises(UserError, match="made from cmu/world.npz"):
         build_rigs(tmp_path / "two")
 
@@ -220,7 +254,7 @@ def test_baselines_have_no_minutes_and_no_seeds() -> None:
     found = cells_of("t", table)
     assert [(cell.fit.name, cell.minutes, cell.seed) for cell in found if cell.fit.floor] == [("flat", None, None)]
     assert len(found) == 5
-    assert [cell.fit.occlusion for cell in found[:2]] == [False, True]
+    assert [cell.fit.probes for cell in found[:2]] == [(), ("occlusion",)]
     assert {cell.minutes for cell in cells_of("t", table, minutes=0.5)} == {None, 0.5}
 
 
@@ -252,7 +286,7 @@ def test_seeds_are_averaged_with_their_spread(tmp_path: Path, monkeypatch: pytes
         more = {"tests": {"other": {"p_mpjpe": 2 * value}}, "calibration": curve} if cell.fit.name == "ours" else {}
         more["occlusion"] = {"no_arm": {"p_mpjpe": value, "p_mpjpe_growth": 1.1}}
         cell.path.write_text(json.dumps({"overall": {"p_mpjpe": value}, **more}))
-    errors, occlusion, calibration = sheets_of("t", {}, found)
+    errors, occlusion, calibration = sheets_of("t", {}, found)[:3]
     ours, other, theirs = errors.rows
     assert ours[:4] == ["ours", "1min", "2", "12.000 (10.000 to 14.000)"]
     assert other[:4] == ["ours, on other", "1min", "2", "24.000 (20.000 to 28.000)"]
@@ -300,8 +334,14 @@ def _in_this_process(self, words, *, run=None, shown=True) -> str:
     filled = [fill_in(word) for word in words]
     with contextlib.chdir(self.folder), pytest.MonkeyPatch.context() as patch:
         patch.setattr("sys.argv", filled[1:])
-        assert (occlusion.main() if "occlusion" in filled[1] else status_of(*filled[2:])) == 0
+        probe = next((module for module in (occlusion, mended, video) if module.__name__ in filled[1]), None)
+        assert (probe.main() if probe else status_of(*filled[2:])) == 0
     return ""
+
+
+def _no_fit(self, words, **more) -> str:
+    assert "fit" not in words
+    return _in_this_process(self, words, **more)
 
 
 def test_a_cell_from_the_fit_to_its_result(
@@ -311,7 +351,10 @@ def test_a_cell_from_the_fit_to_its_result(
     monkeypatch.setenv("UPLIFT_DATA", str(tmp_path))
     words = ["skeleton=h36m17", "data.train={data}/train.npz", *(w for w in QUICK if "max_time" not in w)]
     monkeypatch.setattr(work._Work, "_run", _in_this_process)
-    fit = {"fit": shlex.join(words), "test": "train.npz", "tests": {"other": "other.npz"}, "occlusion": True}
+    monkeypatch.setenv("UPLIFT_BENCHMARK_CACHE", str(tmp_path / "cache"))
+    monkeypatch.setattr(work, "facts", lambda: {"commit": "abc", "changed": False})
+    probes = {"occlusion": True, "mended": True}
+    fit = {"fit": shlex.join(words), "test": "train.npz", "tests": {"other": "other.npz"}, **probes}
     a_table(tmp_path, monkeypatch, own=fit)
     assert runner.main(["t"]) == 0
     result = json.loads((tmp_path / "results/t/own_0.1min_seed0.json").read_text())
@@ -322,8 +365,17 @@ def test_a_cell_from_the_fit_to_its_result(
     assert result["overall"]["p_mpjpe"] > 0
     assert result["tests"]["other"]["p_mpjpe"] != result["overall"]["p_mpjpe"]
     assert set(result["occlusion"]) == {"missing20", "missing20_root", *LIMBS}
+    assert result["mended"]["frames"] == 60 and result["mended"]["flips_made"] >= 0
+    assert sum(of["share"] for of in result["by_trunk_angle"].values()) == pytest.approx(1)
+    assert set(result["sections"]["other"]) == {"by_trunk_angle", "signs"}
     assert result["wall_seconds"] > 0
     assert result["lifter_bytes"] > 0
+    # Another table with the same fit takes the run that was kept.
+    monkeypatch.setattr(work._Work, "_run", _no_fit)
+    (again,) = cells_of("again", {"minutes": [0.1], "seeds": [0], "fits": {"own": fit | dict.fromkeys(probes, False)}})
+    run_cell(again, os.sched_getaffinity(0))
+    assert (kept := again.result()) is not None and "mended" not in kept
+    assert kept["commands"][:2] == result["commands"][:2] and kept["overall"] == result["overall"]
     train.unlink()
     other.unlink()
     before = capsys.readouterr().out
@@ -364,3 +416,66 @@ def test_a_missing_data_folder_is_reported(monkeypatch: pytest.MonkeyPatch) -> N
     assert fill_in("data.train={data}/x.npz task={here}/y.yaml", shown=True) == (
         "data.train=$UPLIFT_DATA/x.npz task=benchmarks/accuracy/y.yaml"
     )
+
+
+def test_sections_of_several_seeds_and_tests_are_shown(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(cells, "RESULTS", tmp_path)
+    table = {"minutes": [1], "seeds": [0, 1], "fits": {"a": {"fit": "task=cmu", "tests": {"unseen": "x.npz"}}}}
+    found = cells_of("t", table)
+    (tmp_path / "t").mkdir()
+    for cell, value in zip(found, (10.0, 20.0), strict=True):
+        camera = {
+            "p_mpjpe": value,
+            "roll_deg": 3.0,
+            "roll_deg_clip": 2.0,
+            "elevation_deg_clip": 1.0,
+            "wrong_signs": 0.1,
+        }
+        worth = {"count": 5, "likeliest": value, "expected": value, "best_of": 5.0, "weight_error": 0.1}
+        worth["calibration"] = {"0.5-0.6": {"said": 0.55, "found": value / 40, "hypotheses": 7}}
+        trunk = {"60-90": {"frames": 9, "share": 0.5, "p_mpjpe": 3 * value, "flipped": 0.2, "wrong_signs": 0.1}}
+        result = {
+            "overall": camera, "tests": {"unseen": {"p_mpjpe": 2 * value}}, "by_trunk_angle": trunk,
+            "sections": {"unseen": {"signs": {"hip-rhip": {"wrong": value / 100, "frames": 4}}, "hypotheses": worth}},
+            "mended": {"frames": 8, "flips_made": value}, "video": {"blazepose": {"mean": {"p_mpjpe": value, "facing": 1.0}}},
+        }  # fmt: skip
+        cell.path.write_text(json.dumps(result))
+    sheets = {sheet.title.removeprefix("t").removeprefix(": "): sheet for sheet in sheets_of("t", {}, found)}
+    assert sheets[""].head[-4:] == ["wrong_signs", "elevation_deg_clip", "roll_deg", "roll_deg_clip"]
+    assert sheets["by the trunk's angle from upright"].rows[0][:2] == ["a", "1min"]
+    assert sheets["by the trunk's angle from upright"].rows[0][2:6:3] == ["60-90", "45.0 (30.0 to 60.0)"]
+    assert sheets["depth signs"].rows == [["a, on unseen", "1min", "hip-rhip", "4 (4 to 4)", "0.150 (0.100 to 0.200)"]]
+    assert sheets["clips against single frames"].rows[0][2:] == ["8 (8 to 8)", "15 (10 to 20)"]
+    assert sheets["hypotheses, p_mpjpe"].rows[0][3] == "15.0 (10.0 to 20.0)"
+    assert sheets["weights of hypotheses"].rows[0][2:] == [
+        "0.5-0.6",
+        "7 (7 to 7)",
+        "0.550 (0.550 to 0.550)",
+        "0.375 (0.250 to 0.500)",
+    ]
+    assert sheets["the real video, 13 joints"].rows[0][2:6] == ["blazepose", "mean", "-", "15.0 (10.0 to 20.0)"]
+
+
+def test_clips_against_single_frames_counts_what_changed() -> None:
+    signs = np.array([[0, 1, np.nan], [1, 1, 0], [0, 0, 0], [1, 0, np.nan]])
+    single = Scores({"facing": np.array([1.0, 1, 0, 0]), "p_mpjpe": np.array([10.0, 20, 30, 5])}, wrong=signs)
+    after = np.array([[1, 1, np.nan], [0, 0, 0], [0, 0, 1], [1, 0, np.nan]])
+    together = Scores({"facing": np.array([0.0, 1, 1, 1]), "p_mpjpe": np.array([12.0, 14, 31, 9])}, wrong=after)
+    found = mended.differences(single, together, np.array([0, 0, 1, 2]))
+    assert (found["flips_made"], found["flips_mended"]) == (1, 2)
+    assert (found["signs"], found["signs_made"], found["signs_mended"]) == (10, 2, 2)
+    assert (found["clips"], found["clips_better"], found["clips_worse"]) == (1, 1, 0)
+
+
+def test_the_real_video_is_scored_over_the_joints_that_detectors_share(benchmark_data, lifter: Path) -> None:
+    folder = benchmark_data("beam/cameras.json").parent
+    found = video.video(lifter, folder)
+    assert set(found) == set(video.DETECTORS)
+    # The figures of the file's own README, worked out apart: flat depth, MediaPipe's own 3D, frames that count.
+    blazepose = found["blazepose"]
+    assert [round(blazepose[f"cam{n}"]["flat"]) for n in video.CAMERAS] == [126, 94, 149, 104]
+    assert [round(blazepose[f"cam{n}"]["mediapipe"]) for n in video.CAMERAS] == [79, 72, 92, 88]
+    assert [blazepose[f"cam{n}"]["frames"] for n in video.CAMERAS] == [100, 67, 100, 100]
+    assert [round(found["body25b"][f"cam{n}"]["flat"]) for n in video.CAMERAS] == [134, 92, 148, 97]
+    assert blazepose["mean"]["flat"] == pytest.approx(np.mean([blazepose[f"cam{n}"]["flat"] for n in video.CAMERAS]))
+    assert {"tilt_deg", "roll_deg", "facing", "p_mpjpe"} <= set(blazepose["cam1"])

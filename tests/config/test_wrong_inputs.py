@@ -135,7 +135,7 @@ def test_a_wrong_data_file(kind: str, verb: str, here: Path, run: Path, capsys: 
     [
         ({"pose": None}, "no array 'pose'"),
         ({"joint_names": None}, "no array 'joint_names'"),
-        ({"pose": np.zeros((59, 17, 3))}, "expected numbers (59,)"),
+        ({"pose": np.zeros((59, 17, 3))}, "expected numbers of shape (59,)"),
         ({"pose": np.zeros((59, 17, 3)), **dict.fromkeys(("tilt_deg", *IDENTITY))}, "'pose' has shape (59, 17, 3)"),
         ({"pose": np.zeros((60, 17, 2))}, "'pose' is float64 of shape (60, 17, 2)"),
         ({"pose": np.full((60, 17, 3), "x")}, "'pose' is <U1"),
@@ -146,6 +146,12 @@ def test_a_wrong_data_file(kind: str, verb: str, here: Path, run: Path, capsys: 
         ({"unit": np.array("cm")}, "'unit' is 'cm'"),
         ({"tilt_deg": np.zeros(3)}, "'tilt_deg' is float64 of shape (3,)"),
         ({"tilt_deg": np.array(["x"] * 60)}, "'tilt_deg'"),
+        ({"hypotheses": np.zeros((60, 5, 17, 3))}, "'hypotheses' without 'weights'"),
+        ({"hypotheses": np.zeros((60, 17, 3)), "weights": np.ones((60, 1))}, "'hypotheses' has shape (60, 17, 3)"),
+        (
+            {"hypotheses": np.zeros((60, 2, 17, 3)), "weights": np.ones((60, 2))},
+            "'weights' of row 0 are 1, 1, expected",
+        ),
         ({"subject": np.array(["S9"] * 60)}, "'subject' is not that of"),
         ({"sequence": np.array(["a"] * 59)}, "'sequence' has shape (59,)"),
         ({"frame": np.arange(60)[::-1]}, "'frame' is not that of"),

@@ -89,7 +89,7 @@ def test_overall_is_what_the_single_protocols_say():
     lengths = metrics.bone_lengths(scaled, HUMAN)
     assert found.overall["bone_cv"] == pytest.approx(metrics.bone_cv(lengths, np.arange(90) // 30), rel=1e-5)
     leftover = {name for name in found.overall if not name.endswith("_action_mean")} - set(expected)
-    assert leftover == {"elevation_deg", "bone_cv", "symmetry"}
+    assert leftover == {"elevation_deg", "elevation_deg_clip", "wrong_signs", "bone_cv", "symmetry"}
 
 
 def test_groups_and_joints_derive_from_the_same_numbers():
@@ -353,8 +353,8 @@ def test_every_figure_has_a_name_in_the_list_of_protocols():
     truth = some_truth()
     truth.confidence[:, 3] = 0
     found = evaluate(guess(truth, "mm", tilt_deg=truth.tilt_deg), truth, HUMAN)
-    bases = {name.removesuffix("_action_mean").removesuffix("_missing") for name in found.overall}
-    assert bases == set(PROTOCOLS) - {"coverage", "pck14@150", "auc14"}
+    bases = {name.removesuffix("_action_mean").removesuffix("_missing").removesuffix("_clip") for name in found.overall}
+    assert bases == set(PROTOCOLS) - {"coverage", "pck14@150", "auc14", "roll_deg"}
 
 
 def read_truth(path: Path, skeleton: Skeleton) -> PoseData:

@@ -117,6 +117,28 @@ def test_shares_and_stress_are_those_of_a_loop():
         assert found["facing"][frame] == (kept <= flipped)
 
 
+def test_signs_are_those_of_a_loop_over_bones_that_leave_the_plane():
+    pose, truth, weight = some_poses()
+    pose[3, BODY.index("nose"), 2] = pose[3, BODY.index("neck"), 2]
+    found = metrics.wrong_signs(pose, truth, weight, BODY)
+    for frame, bone in itertools.product(range(len(pose)), range(len(BODY.bones))):
+        one, other = (BODY.index(joint) for joint in BODY.bones[bone])
+        dx, dy, dz = truth[frame, other] - truth[frame, one]
+        counts = weight[frame, one] and weight[frame, other] and abs(dz) > 0.3 * math.hypot(dx, dy, dz)
+        depth = pose[frame, other, 2] - pose[frame, one, 2]
+        expected = (0.5 if depth == 0 else float((depth > 0) != (dz > 0))) if counts else math.nan
+        assert found[frame, bone] == pytest.approx(expected, nan_ok=True)
+    assert 0.5 in found and {0, 1} < set(found[np.isfinite(found)])
+
+
+def test_a_depth_flip_turns_every_sign_and_size_turns_none():
+    pose, truth, weight = some_poses()
+    found = metrics.wrong_signs(pose, truth, weight, BODY)
+    np.testing.assert_array_equal(metrics.wrong_signs(metrics.flip_depth(pose), truth, weight, BODY), 1 - found)
+    np.testing.assert_array_equal(metrics.wrong_signs(7 * pose, truth / 9, weight, BODY), found)
+    assert np.nansum(metrics.wrong_signs(truth, truth, weight, BODY)) == 0
+
+
 def test_mpjve_is_that_of_a_loop_and_needs_a_frame_before():
     pose, truth, weight = some_poses(8)
     previous = np.array([-1, 0, 1, -1, 3, 2, -1, 0])

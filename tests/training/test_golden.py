@@ -44,5 +44,6 @@ def test_a_fit_gives_what_it_gave(name: str, here: Path) -> None:
         GOLDEN.write_text(json.dumps(kept | {name: found}, indent=0) + "\n")
     expected = json.loads(GOLDEN.read_text())[name]
     # Other processors round otherwise, and steps amplify it: what is moved or joined wrongly shows far above that.
-    assert found == pytest.approx(expected, rel=0.01, abs=1e-4)
+    # A metric that is newer than the record is not in it.
+    assert {name: found.get(name) for name in expected} == pytest.approx(expected, rel=0.01, abs=1e-4)
     assert len(found) > 20

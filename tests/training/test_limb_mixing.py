@@ -40,6 +40,22 @@ def test_the_receiver_keeps_its_bone_lengths():
     assert (mixed - pose + pose[:, :1]).abs().amax((1, 2)).gt(0.05).float().mean() > 0.9
 
 
+def test_stretching_keeps_directions_and_symmetry_and_short_bones_vary_more():
+    pose = poses()
+    torch.manual_seed(0)
+    mixed, _ = LimbMixer(pose, SKELETON)(torch.arange(200), known(), share=0.0, limb=0.0, stretch=0.05)
+    factor = (lengths(mixed) / lengths(pose)).log()
+    start, end = torch.as_tensor(SKELETON.bone_indices.copy()).T
+    directions = [(one[:, end] - one[:, start]) / lengths(one)[..., None] for one in (mixed, pose)]
+    torch.testing.assert_close(*directions, atol=1e-3, rtol=0)
+    torch.testing.assert_close(factor, factor[:, list(SKELETON.bone_mirror_permutation)], atol=1e-3, rtol=0)
+    spread = {
+        SKELETON.joints[child]: float(factor[:, bone].std()) for bone, (_, child) in enumerate(SKELETON.bone_indices)
+    }
+    short, long = spread["rhip"], spread["rknee"]
+    assert 0.04 < long < 0.09 < short < 0.2
+
+
 def test_mixing_turns_with_the_body():
     """Turning every pose turns every mixed pose: a limb keeps its angles to the body it hangs on."""
     pose = poses()

@@ -17,6 +17,7 @@ TRUTH = {
         "pose": RNG.normal(0, 1e4, (60, 17, 3)),
         "root": RNG.normal(0, 1e6, (60, 3)),
         "tilt_deg": RNG.uniform(-90, 90, 60),
+        "roll_deg": np.random.default_rng(8).uniform(-90, 90, 60),
     },
     "nan": {"pose": np.full((60, 17, 3), np.nan), "root": np.full((60, 3), np.nan), "tilt_deg": np.full(60, np.nan)},
     "absent": {"pose": None, "root": None, "tilt_deg": None},

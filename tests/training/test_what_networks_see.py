@@ -1,4 +1,4 @@
-"""What a network is shown, in training and after it, is what the data say: confidences and distances as they are."""
+"""What a network is shown, in training and after it: confidences as settings say, distances as they are."""
 
 from __future__ import annotations
 
@@ -42,16 +42,20 @@ def student_of(lifter: Lifter, frames: TrainingSet) -> Callable[[], object]:
 
 def prediction_of(lifter: Lifter, frames: TrainingSet) -> Callable[[], object]:
     data = replace(bodies(40), confidence=np.full((40, 17), 0.4, np.float32))
-    return lambda: Model(lifter, H36M, LifterSettings()).predict(data)
+    settings = LifterSettings(confidence="calibrated" if lifter.calibrated else "given")
+    return lambda: Model(lifter, H36M, settings).predict(data)
 
 
+@pytest.mark.parametrize(("confidence", "expected"), [("given", 0.4), ("calibrated", 1.0)])
 @pytest.mark.parametrize("use", [teacher_of, student_of, prediction_of])
-def test_the_network_is_given_the_confidence(frames: TrainingSet, use: Callable) -> None:
-    lifter, seen = small_lifter(), []
+def test_the_network_is_given_the_confidence(
+    frames: TrainingSet, use: Callable, confidence: str, expected: float
+) -> None:
+    lifter, seen = small_lifter(confidence=confidence), []
     run = use(lifter, frames)
     lifter.network.register_forward_pre_hook(lambda module, given: seen.append(given[0][:, 2 * 17 :]))
     run()
-    assert seen and all(torch.equal(shown, torch.full_like(shown, 0.4)) for shown in seen)
+    assert seen and all(torch.equal(shown, torch.full_like(shown, expected)) for shown in seen)
 
 
 def reach(pose: Tensor, distance: Tensor) -> Tensor:
@@ -84,7 +88,7 @@ def test_the_teacher_lifts_each_frame_at_its_own_distance(frames: TrainingSet) -
 def test_the_student_is_shown_each_body_at_the_distance_it_was_seen_from(frames: TrainingSet) -> None:
     poses: PseudoPoses = lift_all(small_lifter(), frames, RefineSettings(iterations=0))
     lifter = small_lifter()
-    module = student_module(lifter, poses, mix=0.0)
+    module = student_module(lifter, poses, mix=0.0, stretch=0.0)
     views = module.maker(64)
     known, found = reach(poses.pose, poses.distance), reach(views.pose, views.distance)
     assert known.max() / known.min() > 2

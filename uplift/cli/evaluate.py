@@ -15,17 +15,17 @@ import numpy as np
 
 from uplift.cli.kinds import KINDS
 from uplift.cli.parsing import keyed, known_camera
-from uplift.cli.verbs import CAMERA_KEYS
+from uplift.cli.verbs import CAMERA_KEYS, REFINE
 from uplift.config.files import Existing, absolute, refuse_existing, replacing, shipped_names
 from uplift.config.progress import say
 from uplift.config.run import RunFolder, data_id, read_weights
 from uplift.config.trust import Trust, consents
 from uplift.data.clean import clean
-from uplift.data.formats.npz import joint_names_of, refuse_other_axes, unit_of
+from uplift.data.formats.npz import camera_of, joint_names_of, refuse_other_axes, unit_of
 from uplift.data.load import format_of_run, load_data, load_file, load_split
 from uplift.data.load_masks import known_shapes, load_mask_split, load_masks
 from uplift.data.masks import MaskData
-from uplift.data.parsers.npz import read_arrays
+from uplift.data.parsers.npz import CheckedArrays, read_arrays
 from uplift.errors import UserError, listed
 from uplift.metrics.baselines import score_with_baselines
 from uplift.metrics.evaluate import evaluate as score
@@ -52,7 +52,8 @@ def evaluate(
     run: str | Path,
     test: str | Path | None = None,
     *,
-    refine: bool | None = None,
+    refine: bool | str | None = None,
+    hypotheses: int | None = None,
     items: int | None = None,
     camera: KnownCamera | None = None,
     name: str | None = None,
@@ -60,8 +61,10 @@ def evaluate(
 ) -> Evaluation | ShapeEvaluation:
     """Evaluate a run on ``test``, or on the test data of its settings, and write evaluation.json into the run.
 
-    The frames of a clip are lifted together unless ``refine`` is off. Of a run that lifts masks at most
-    ``items`` are scored. ``camera`` is what is known of how the cameras stand, in place of estimates. The evaluation is kept in the run under ``name``, by default date and time. ``trust`` are
+    The frames of a clip are lifted together unless ``refine`` is off. With ``hypotheses`` so many poses of each
+    frame are judged beside the answer, with their probabilities. Of a run that lifts masks at most ``items`` are
+    scored. ``camera`` is what is known of how the cameras stand, in place of estimates. The evaluation is kept in
+    the run under ``name``, by default date and time. ``trust`` are
     files and modules of code that may run where the run names it.
 
     Raises:
@@ -75,7 +78,7 @@ def evaluate(
         _check_name(folder, name)
     weights = read_weights(folder.path)
     kind = KINDS[weights.lifts]
-    given = {"refine": refine, "items": items, "camera": camera}
+    given = {"refine": refine, "hypotheses": hypotheses, "items": items, "camera": camera}
     given = {key: value for key, value in given.items() if value is not None}
     kind.refuse_others("evaluate", given, folder.path)
     result = kind.evaluate(folder, load(weights), None if test is None else str(test), **given)
@@ -114,7 +117,12 @@ def save_evaluation(result: AnyEvaluation, folder: RunFolder, name: str | None =
 
 
 def evaluate_keypoints(
-    folder: RunFolder, model: Model, test: str | None, refine: bool = True, camera: KnownCamera | None = None
+    folder: RunFolder,
+    model: Model,
+    test: str | None,
+    refine: bool | str = True,
+    hypotheses: int = 0,
+    camera: KnownCamera | None = None,
 ) -> Evaluation:
     """Return the protocols of a run on ``test``, or on the test frames of its settings."""
     settings = folder.settings()
@@ -128,7 +136,8 @@ def evaluate_keypoints(
         truth = load_data(settings, model.skeleton).test
         if truth is None:
             raise UserError(f"{folder.path} has no test frames: give data.test=FILE.")
-    return evaluate_model(model, truth, truth.source if test is None else test, refine=refine, camera=camera)
+    name = truth.source if test is None else test
+    return evaluate_model(model, truth, name, refine=refine, hypotheses=hypotheses, camera=camera)
 
 
 # A run that lifts masks: every metric of shapes, beside baselines where training shapes are known.
@@ -189,6 +198,10 @@ def score_shapes(
 # Poses of any origin, from a file.
 
 _IDENTITY = ("subject", "action", "sequence", "camera", "frame")
+_READ = (
+    "pose", "joint_names", "unit", "tilt_deg", "roll_deg", "gravity", "uncertainty", "spread", "hypotheses", "weights",
+    "axes", *_IDENTITY,
+)  # fmt: skip
 
 
 def evaluate_poses(poses: str | Path, test: str | Path, skeleton: str | None = None) -> Evaluation:
@@ -196,9 +209,7 @@ def evaluate_poses(poses: str | Path, test: str | Path, skeleton: str | None = N
 
     Raises UserError for another file, or other joints or frames than the truth.
     """
-    arrays = read_arrays(
-        poses, ("pose", "joint_names", "unit", "tilt_deg", "uncertainty", "spread", "axes", *_IDENTITY)
-    )
+    arrays = read_arrays(poses, _READ)
     refuse_other_axes(str(poses), arrays)
     for key in ("pose", "joint_names"):
         if key not in arrays:
@@ -207,12 +218,16 @@ def evaluate_poses(poses: str | Path, test: str | Path, skeleton: str | None = N
     chosen = load_skeleton(skeleton) if skeleton else _skeleton_of(names, str(poses))
     pose = _numbers(str(poses), arrays, "pose", (None, len(names), 3))
     assert pose is not None
+    tilt_deg, gravity = camera_of(CheckedArrays(str(poses), arrays), len(pose))
     uncertainty = "spread" if "spread" in arrays else "uncertainty"  # its name before
     given = GivenPoses(
         pose=pose.astype(np.float64),
         joint_names=names,
         unit=unit_of(str(poses), arrays, "relative"),
-        tilt_deg=_numbers(str(poses), arrays, "tilt_deg", (len(pose),)),
+        tilt_deg=tilt_deg,
+        gravity=gravity,
+        hypotheses=arrays.get("hypotheses"),
+        weights=arrays.get("weights"),
         uncertainty=_numbers(str(poses), arrays, uncertainty, (len(pose), len(names))),
         identity=_identity(str(poses), arrays, len(pose)),
         source=str(poses),
@@ -270,7 +285,7 @@ def evaluate_command(words: Sequence[str]) -> None:
     if ("run" in keys) == ("poses" in keys):
         raise UserError("evaluate takes run=RUN or poses=FILE. (uplift evaluate --help)")
     if "poses" in keys:
-        for key in [key for key in ("refine", "items", "evaluation", *CAMERA_KEYS) if key in keys]:
+        for key in [key for key in ("refine", "hypotheses", "items", "evaluation", *CAMERA_KEYS) if key in keys]:
             raise UserError(f"evaluate poses=FILE takes the poses as they are: {key}= goes with run=.")
         if "data.test" not in keys:
             raise UserError("evaluate poses=FILE needs data.test=FILE with the true poses.")
@@ -278,10 +293,10 @@ def evaluate_command(words: Sequence[str]) -> None:
         return
     if "skeleton" in keys:
         raise UserError("evaluate run=...: the run knows its skeleton; skeleton= goes with poses=.")
-    refine, items = keys.given("refine").get("refine"), keys.given("items").get("items")
-    refined, name = None if refine is None else refine == "on", keys.get("evaluation")
-    camera = known_camera(keys)
-    say(evaluate(keys["run"], keys.get("data.test"), refine=refined, items=items, camera=camera, name=name).table())
+    refine = keys.given("refine").get("refine")
+    options: dict[str, Any] = keys.given("hypotheses") | keys.given("items") | {"name": keys.get("evaluation")}
+    refined, camera = None if refine is None else REFINE[refine], known_camera(keys)
+    say(evaluate(keys["run"], keys.get("data.test"), refine=refined, camera=camera, **options).table())
     folder = RunFolder.open(keys["run"]).path
     say(f"\nwrote {folder}/evaluation.json and evaluation.csv (older ones: evaluations/)")
     say(f"next: uplift compare {folder} OTHER_RUN")

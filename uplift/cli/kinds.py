@@ -84,7 +84,7 @@ KINDS = {
         evaluate_keys=_evaluate_keys("keypoints"),
         compared=(
             "p_mpjpe", "n_mpjpe", "mpjpe_gt_scale", "mpjpe", "p_mpjpe_reflect", "pck@150", "auc", "mpjve",
-            "facing", "facing_sign", "elevation_deg", "bone_cv", "symmetry",
+            "facing", "facing_sign", "wrong_signs", "elevation_deg", "roll_deg", "bone_cv", "symmetry",
         ),
     ),
     "masks": Kind(

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -12,7 +11,8 @@ import numpy as np
 
 from uplift.cli.kinds import KINDS
 from uplift.cli.parsing import Keys, keyed, known_camera
-from uplift.cli.verbs import SHAPE_KEYS
+from uplift.cli.together import TOGETHER_KEYS, check_together, lift_views, views_of, write_found
+from uplift.cli.verbs import REFINE, SHAPE_KEYS
 from uplift.config.files import refuse_output
 from uplift.config.loading import load_settings
 from uplift.config.progress import say
@@ -35,6 +35,7 @@ from uplift.models.likely_size import odd_size, small_size
 from uplift.models.metric_scale import size_from
 from uplift.models.model import load_poses, load_shapes
 from uplift.models.prediction import Prediction, ShapePrediction
+from uplift.models.together import CAMERA_NAME
 from uplift.skeleton import Skeleton
 
 __all__ = [
@@ -51,7 +52,8 @@ class Request:
     input: str | Path
     output: str | Path | None
     overrides: tuple[str, ...]
-    refine: bool
+    refine: bool | str
+    hypotheses: int
     constant_bones: bool
     size: Mapping[str, Any]
     reading: ReadOptions | None
@@ -73,7 +75,8 @@ def predict(
     input: str | Path,
     output: str | Path | None = None,
     *overrides: str,
-    refine: bool = True,
+    refine: bool | str = True,
+    hypotheses: int = 0,
     constant_bones: bool = False,
     size: Mapping[str, Any] | None = None,
     camera: KnownCamera | None = None,
@@ -90,7 +93,8 @@ def predict(
     ``input`` is a file or folder in any format that is read, several with commas or a pattern, or ``SET:SPLIT`` of
     a published data set (``file.py:Class:SPLIT`` for a class of yours), whose ``data.root`` and ``data.options.*`` are
     ``overrides`` such as a fit takes; ``reading`` is what the files lack. The frames of a clip are lifted
-    together unless ``refine`` is off. ``size`` are arguments of `uplift.models.metric_scale.size_from`. ``camera`` is
+    together unless ``refine`` is off (or ``"causal"``: as far as a live picture allows). ``hypotheses`` are so many poses of
+    each frame, with their probabilities. ``size`` are arguments of `uplift.models.metric_scale.size_from`. ``camera`` is
     what is known of how the camera stands, and ``ground`` keeps standing feet where they are. ``axes`` are those of `uplift.export.scene`, the format's usual ones by default. ``page`` is the kind of an .html, ``viewer`` or
     ``gallery``, and ``options`` are those of its writer. The files written, with a remark on each, are added to ``written``. ``trust`` are files and modules of
     code that may run where the run names it, such as ``"my_nets.py"``.
@@ -109,6 +113,7 @@ def predict(
         output,
         overrides,
         refine,
+        hypotheses,
         constant_bones,
         size or {},
         reading,
@@ -150,19 +155,21 @@ def keypoint_arguments(keys: Keys) -> dict[str, Any]:
     if "bone" in keys:
         size["bone"] = tuple(keys.value("bone"))
     return {
-        "refine": keys.value("refine") == "on",
+        "refine": REFINE[keys.value("refine")],
+        "hypotheses": keys.value("hypotheses"),
         "constant_bones": keys.value("bones") == "constant",
         "size": size,
         "camera": known_camera(keys),
         "ground": keys.value("ground"),
         "reading": keys.reading(),
-        **keys.given("images", "frames", "seed", "csv_safe"),
+        **keys.given("images", "frames", "seed", "csv_safe", "together", *TOGETHER_KEYS),
     }
 
 
 def lift_keypoints(request: Request) -> tuple[Prediction, dict[Path, str]]:
     """Lift keypoints and write the poses, if there is an output; return the files with a remark on each."""
-    axes, page, output, options = request.axes, request.page, request.output, request.options
+    axes, page, output, options = request.axes, request.page, request.output, dict(request.options)
+    together = check_together(options, output)
     check_axes(output or "", axes)
     if output is not None:  # before any work
         writer_for(output, page)
@@ -176,28 +183,41 @@ def lift_keypoints(request: Request) -> tuple[Prediction, dict[Path, str]]:
         if options.get("images") is not None and request.reading is not None:
             for key in {"flip_x", "flip_y", "rotate"} & set(request.reading.set_names()):
                 raise UserError(f"{key}= turns the keypoints and not the photos of images=: give one of the two.")
+        if request.hypotheses and Path(output).suffix.lower() != ".npz":
+            raise UserError(f"hypotheses= goes with output=FILE.npz, which can hold several poses, not with {output}.")
         refuse_output(Path(output))
     model = load_poses(request.weights)
-    size = size_from(model.skeleton, **request.size)
-    data = _read(request, model.skeleton)
+    how = {
+        "title": request.title,
+        "refine": request.refine,
+        "size": size_from(model.skeleton, **request.size),
+        "constant_bones": request.constant_bones,
+    }
+    cameras = []
+    if together and (request.hypotheses or request.camera or request.ground or request.refine == "causal"):
+        raise UserError(
+            "together=true does not go with hypotheses=, camera.tilt_deg=, camera.roll_deg=, ground= or refine=causal: these are "
+            "for one camera."
+        )
+    if together:
+        views = views_of(request.input, lambda path: _read(replace(request, input=path), model.skeleton, alone=False))
+        prediction, cameras = lift_views(model, views, together, **how)
+    else:
+        data = _read(request, model.skeleton)
+        clean(data, model.skeleton)  # refuses a file with nothing to lift, before any work
+        more = {"hypotheses": request.hypotheses, "camera": request.camera, "ground": request.ground}
+        prediction = model.predict(data, **how, **more)
     if odd := odd_size(model.skeleton, request.size):
-        data = replace(data, notes=(*data.notes, odd))
-    clean(data, model.skeleton)  # refuses a file with nothing to lift, before any work
-    prediction = model.predict(
-        data,
-        title=request.title,
-        refine=request.refine,
-        size=size,
-        constant_bones=request.constant_bones,
-        camera=request.camera,
-        ground=request.ground,
-    )
+        prediction = replace(prediction, notes=(*prediction.notes, odd))
     files = {} if output is None else write(prediction, output, page, axes, **options)
+    if "cameras_output" in together:
+        write_found(prediction, cameras, together["cameras_output"])
+        files[Path(together["cameras_output"])] = f"{len(cameras)} cameras"
     return prediction if axes is None else in_axes(prediction, axes), files
 
 
-def _read(request: Request, skeleton: Skeleton) -> PoseData:
-    """Return the keypoints of files, or of a split of a data set."""
+def _read(request: Request, skeleton: Skeleton, *, alone: bool = True) -> PoseData:
+    """Return the keypoints of files, or of a split of a data set; a note says where cameras that are lifted ``alone`` show one scene."""
     input, overrides, reading = request.input, request.overrides, request.reading
     use, colon, split = str(input).rpartition(":")
     if not colon or Path(input).exists():
@@ -207,7 +227,7 @@ def _read(request: Request, skeleton: Skeleton) -> PoseData:
         if trained is not None and (reading is None or reading.format is None):
             reading = replace(reading or ReadOptions(), format=format_of_run(trained, input))
         found = load_file(input, skeleton, reading)
-        found = replace(found, notes=(*found.notes, *_cameras_of_one_scene(found)))
+        found = replace(found, notes=(*found.notes, *_cameras_of_one_scene(found))) if alone else found
         return found if trained is None else _with_turns(found, trained.data, reading or ReadOptions())
     if reading is not None and reading.set_names():
         raise UserError(f"{reading.set_names()[0]}= goes with files, not with a published set, input={input}.")
@@ -222,9 +242,6 @@ def _read(request: Request, skeleton: Skeleton) -> PoseData:
     return load_split(settings, "train", skeleton)
 
 
-_CAMERA = re.compile(r"(?<![a-z])(?:(?:camera|cam|view)[\s_.-]*(?:\d+|[a-rt-z](?![a-z]))|c\d+)(?!\d)", re.IGNORECASE)
-
-
 def _cameras_of_one_scene(data: PoseData) -> list[str]:
     """Return a note where clips seem to be seen by several cameras at once: names that differ in the camera alone, in the same frames."""
     sequence, frame = data.identity.get("sequence"), data.identity.get("frame")
@@ -234,16 +251,16 @@ def _cameras_of_one_scene(data: PoseData) -> list[str]:
     frames: dict[str, dict[str, np.ndarray]] = {}
     names, code = np.unique(np.stack([sequence.astype(str), camera.astype(str)]), axis=1, return_inverse=True)
     for place, (name, named) in enumerate(names.T.tolist()):
-        seen_by = " ".join([*(found[0] for found in _CAMERA.finditer(name)), *filter(None, [named])])
+        seen_by = " ".join([*(found[0] for found in CAMERA_NAME.finditer(name)), *filter(None, [named])])
         if seen_by:
-            frames.setdefault(_CAMERA.sub("", name), {})[seen_by] = np.unique(frame[code == place])
+            frames.setdefault(CAMERA_NAME.sub("", name), {})[seen_by] = np.unique(frame[code == place])
     for scene in frames.values():
         cameras, (first, *others) = list(scene), list(scene.values())
         if any(2 * len(np.intersect1d(first, other)) >= min(len(first), len(other)) for other in others):
             shown = ", ".join(cameras[:4]) + (", ..." if len(cameras) > 4 else "")
             return [
                 f"these look like {len(cameras)} cameras of one scene ({shown}): each is lifted by itself, in its own axes; "
-                "views are not combined (docs/output.md)"
+                "together=true makes one body of them (docs/several-cameras.md)"
             ]
     return []
 
@@ -268,7 +285,7 @@ def pose_summary(found: Prediction) -> list[str]:
     if found.filled is not None and found.filled.any():
         share = found.filled[np.isfinite(found.pose[..., 0])]
         lines.append(f"{share.mean():.1%} of joints were not seen and are filled in (`filled`)" if share.size else "")
-    if found.root is not None and np.isfinite(found.root).any():
+    if found.root is not None and found.unit == "mm" and np.isfinite(found.root).any():
         lines.append(f"placed: the camera is {np.nanmedian(found.root[:, 2]) / 1000:.2f} m away (median)")
     lines += _motion(found)
     if never_seen_so_long(found.pose, found.skeleton) > 0.2:
@@ -299,7 +316,7 @@ _OF_MESHES = ("axes", "unit", "height_mm", "length_mm", "smooth", "together")
 
 def mask_arguments(keys: Keys) -> dict[str, Any]:
     """Return the arguments of `predict` that the command line gives for masks."""
-    options = keys.given("format", "images", "height_mm", *SHAPE_KEYS)
+    options = keys.given("format", "images", "height_mm", "together", *SHAPE_KEYS)
     if "together" in options:
         options["together"] = options["together"] == "true"
     return options
@@ -309,14 +326,15 @@ def lift_masks(request: Request) -> tuple[ShapePrediction, dict[Path, str]]:
     """Lift masks and write the shapes, if there is an output; return the files with a remark on each."""
     others = (
         request.overrides,
-        not request.refine,
+        request.refine is not True,
+        request.hypotheses,
         request.constant_bones,
         request.reading,
         request.camera,
         request.ground,
     )
     if any(others):
-        of_keypoints = "overrides, refine, constant_bones, reading, camera and ground"
+        of_keypoints = "overrides, refine, hypotheses, constant_bones, reading, camera and ground"
         raise UserError(f"{request.weights.run} lifts masks: {of_keypoints} go with keypoints.")
     options = {**request.options, **request.size, **({} if request.axes is None else {"axes": request.axes})}
     reading = {key: options.pop(key) for key in _READING if key in options}

@@ -9,7 +9,18 @@ from typing import Any, NamedTuple, Optional
 from uplift.config.settings import MAX_SIDE, MIN_SIDE, Setting, all_settings
 
 __all__ = [
-    "CAMERA_KEYS", "EVALUATE", "NEEDED", "POSE_KEYS", "PREDICT", "READ_KEYS", "SHAPE_KEYS", "SIMULATE", "VERBS", "Verb", "sub_verbs",
+    "CAMERA_KEYS",
+    "EVALUATE",
+    "NEEDED",
+    "POSE_KEYS",
+    "PREDICT",
+    "READ_KEYS",
+    "REFINE",
+    "SHAPE_KEYS",
+    "SIMULATE",
+    "VERBS",
+    "Verb",
+    "sub_verbs",
 ]  # fmt: skip
 
 NEEDED: Any = type("Needed", (), {"__repr__": lambda self: "needed"})()
@@ -76,6 +87,9 @@ _CSV_SAFE = _key(
     "csv_safe", bool, False, "put an apostrophe before names in a .csv that a spreadsheet would run as formulas"
 )
 
+REFINE = {"on": True, "off": False, "causal": "causal"}
+"""Values of ``refine=``, as arguments in Python."""
+
 # predict: what goes with every run, with keypoints alone, with masks alone.
 
 _ALL_KEYS = _table(
@@ -87,16 +101,23 @@ _ALL_KEYS = _table(
          choices=("camera", "level", "opencv", "blender", "opensim", "unity", "own", "gltf", "print")),
     _key("height_mm", Optional[float], None, "height of each body or object, millimetres", 1e-9, 1e9),
     _key("images", Optional[str], None, "folder of photos that a page shows beside the results"),
+    _key("together", Optional[str], None, "keypoints: true solves the files, or the cameras of a file, as views of one "
+         "scene; masks: true puts all shapes side by side in one .glb, unset: up to 16", choices=("true", "false")),
     _of_fit("format"),
 )  # fmt: skip
 POSE_KEYS = _table(
-    _key("refine", str, "on", "lift the frames of a clip together; off: each on its own", choices=("on", "off")),
+    _key("refine", str, "on", "lift the frames of a clip together; off: each on its own; causal: with those up to half a "
+         "second later, as live use can", choices=tuple(REFINE)),
+    _key("hypotheses", int, 0, "poses of each frame that are likely, with their probabilities, into an .npz", 0, 64),
     _key("bones", str, "free", "constant: bones of one length over a clip", choices=("free", "constant")),
     _key("bone", list[str], [], "joints along a known length, with bone_mm=: rhip,rknee"),
     _key("bone_mm", Optional[float], None, "that length, millimetres", 1e-9, 1e9),
     _key("camera_height_mm", Optional[float], None, "height of the camera above the ground, millimetres", 1e-9, 1e9),
     *CAMERA_KEYS.values(),
     _key("ground", bool, False, "true: find the ground, and keep standing feet where they are; needs a size"),
+    _key("cameras", Optional[str], None, "with together=true: calibrated cameras, .toml of Pose2Sim or Anipose, or .json"),
+    _key("cameras_unit", Optional[str], None, "unit of the places in it; unset: told from the file", choices=("mm", "m")),
+    _key("cameras_output", Optional[str], None, "with together=true: new .toml file for the cameras that are found"),
     *(one for name, one in READ_KEYS.items() if name != "format"),
     _key("frames", int, 40, "frames that page=gallery shows", 1, 500),
     _key("seed", int, 0, "seed of the choice of those frames", *_SEED_LIMITS),
@@ -111,8 +132,6 @@ SHAPE_KEYS = _table(
          "unset: px, or mm with a size", choices=("px", "mm", "crop")),
     _key("length_mm", Optional[float], None, "length of the longest side of each object, millimetres", 1e-9, 1e9),
     _key("smooth", int, 4, "rounds of smoothing of meshes, which keep the volume", 0, 10_000),
-    _key("together", Optional[str], None, "all shapes side by side in one .glb; unset: up to 16",
-         choices=("true", "false")),
     _key("items", Optional[int], None, "shapes at most that a page shows", 1, _MOST_ITEMS),
 )  # fmt: skip
 """What predict takes for masks alone."""
@@ -125,6 +144,15 @@ EVALUATE = _table(
     _key("data.test", Optional[str], None, "file with the truth; unset: the test data of the run"),
     _key("skeleton", Optional[str], None, "skeleton of poses=; unset: the shipped one whose joints those are"),
     POSE_KEYS["refine"],
+    _key(
+        "hypotheses",
+        int,
+        0,
+        "whole poses of each frame whose errors and probabilities are judged; 0: none",
+        0,
+        100,
+        only="keypoints",
+    ),
     *(POSE_KEYS[name] for name in CAMERA_KEYS),
     _key("items", int, 100, "masks at most that are scored", 1, _MOST_ITEMS, only="masks"),
     _key("evaluation", Optional[str], None, "name that the evaluation is kept under in the run; unset: date and time"),

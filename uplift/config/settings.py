@@ -329,7 +329,10 @@ class StudentSettings(StageSettings):
     mix: float = _setting(0.7, "share of poses that take limbs of others", low=0, high=1)
     mix_limb: float = _setting(0.4, "chance of each limb of such a pose", low=0, high=1)
     stretch: float = _setting(
-        0.0, "how much bones of a view are longer or shorter: standard deviation of the log", low=0, high=1
+        0.03,
+        "standard deviation of the log of a view's bone lengths, left and right alike; short bones vary more",
+        low=0,
+        high=1,
     )
     loss: Optional[str] = _setting(None, "loss of your own: file.py:Class; unset: absolute errors")
     loss_options: dict[str, Any] = _setting({}, "options of that class")

@@ -12,11 +12,18 @@ from uplift.errors import UserError, did_you_mean
 
 __all__ = ["Camera", "Orthographic", "Perspective", "build_camera"]
 
+_NEAREST = 0.1
+"""Share of the distance at which a point at or behind the pinhole is held: it has no image."""
+
 
 class Camera:
     """What both cameras share: ``ratio`` is how much smaller a point at depth z is seen than one at the root's depth."""
 
     def ratio(self, z: Tensor, distance: Tensor) -> Tensor | float:
+        raise NotImplementedError
+
+    def slope(self, z: Tensor, distance: Tensor) -> Tensor | float:
+        """Return the derivative of `ratio` by z."""
         raise NotImplementedError
 
     def unproject(
@@ -43,6 +50,9 @@ class Orthographic(Camera):
     def ratio(self, z: Tensor, distance: Tensor) -> float:
         return 1.0
 
+    def slope(self, z: Tensor, distance: Tensor) -> float:
+        return 0.0
+
 
 @dataclass(frozen=True)
 class Perspective(Camera):
@@ -54,8 +64,10 @@ class Perspective(Camera):
     """
 
     def ratio(self, z: Tensor, distance: Tensor) -> Tensor:
-        # A point at or behind the pinhole has no image: hold it at a tenth of the distance.
-        return (1 + z / distance[:, None, None]).clamp_min(0.1)
+        return (1 + z / distance[:, None, None]).clamp_min(_NEAREST)
+
+    def slope(self, z: Tensor, distance: Tensor) -> Tensor:
+        return (self.ratio(z, distance) > _NEAREST).to(z.dtype) / distance[:, None, None]
 
 
 def build_camera(name: str) -> Camera:

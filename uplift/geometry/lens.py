@@ -19,7 +19,7 @@ class Lens:
 
     With x, y the undistorted ray and r2 = x² + y², the distorted ray is (x, y) times
     1 + k1 r2 + k2 r2² + k3 r2³ + a x + b y, plus (a, b) r2; `radial` is (k1, k2, k3) and `tangential`
-    (a, b). OpenCV has 2 a x and 2 b y there.
+    (a, b). OpenCV has 2 a x and 2 b y there, and (b, a) for its p1, p2: so does a lens that is `opencv`.
     """
 
     focal_px: tuple[float, float]
@@ -29,6 +29,7 @@ class Lens:
     radial: tuple[float, float, float] = (0.0, 0.0, 0.0)
     tangential: tuple[float, float] = (0.0, 0.0)
     image_size: tuple[int, int] | None = None
+    opencv: bool = False
 
     @classmethod
     def ideal(cls, focal_px: float, image_size: tuple[int, int]) -> Lens:
@@ -79,7 +80,8 @@ class Lens:
         square = x * x + y * y
         k1, k2, k3 = self.radial
         a, b = self.tangential
-        return 1 + square * (k1 + square * (k2 + square * k3)) + a * x + b * y, (a * square, b * square)
+        c, d = (2 * a, 2 * b) if self.opencv else (a, b)
+        return 1 + square * (k1 + square * (k2 + square * k3)) + c * x + d * y, (a * square, b * square)
 
 
 def place_roots(

@@ -9,7 +9,7 @@ from jaxtyping import Float
 
 __all__ = [
     "least_turn", "nearest_rotation", "quaternion_entries", "quaternion_matrix", "quaternion_product",
-    "rotation_about", "slerp",
+    "rotation_about", "rotation_by", "slerp",
 ]  # fmt: skip
 
 
@@ -30,6 +30,12 @@ def rotation_about(
     cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]], dtype=angle_rad.dtype)
     sine, cosine = sine[..., None, None], cosine[..., None, None]
     return np.eye(3, dtype=angle_rad.dtype) + sine * cross + (1 - cosine) * (cross @ cross)
+
+
+def rotation_by(vector: Float[np.ndarray, "*any 3"]) -> Float[np.ndarray, "*any 3 3"]:
+    """Return the right-handed rotations about vectors by their lengths, radians (Rodrigues; OpenCV's rvec)."""
+    half = np.linalg.norm(vector, axis=-1, keepdims=True) / 2
+    return quaternion_matrix(np.concatenate([vector / 2 * np.sinc(half / np.pi), np.cos(half)], -1))
 
 
 # Quaternions: unit ones are rotations.

@@ -10,8 +10,16 @@ from jaxtyping import Float
 
 from uplift.errors import UserError
 from uplift.metrics.alignment import least_squares_scale
+from uplift.metrics.gravity_errors import (
+    by_trunk_angle,
+    camera_errors,
+    pooled_camera_errors,
+    true_gravity,
+    trunk_angle,
+)
+from uplift.metrics.hypotheses import evaluate_hypotheses
 from uplift.metrics.pose_metrics import bone_cv, bone_lengths, facing_sign, has_handedness
-from uplift.metrics.protocols import ACTION_MEAN, MISSING, is_error, metric_order
+from uplift.metrics.protocols import ACTION_MEAN, MISSING, is_error, metric_kind, metric_order
 from uplift.metrics.report import Evaluation
 from uplift.metrics.scores import GivenPoses, Matched, Scores, match_poses, score
 from uplift.skeleton import Skeleton
@@ -33,42 +41,58 @@ def evaluate(prediction: GivenPoses | Prediction, truth: PoseData, skeleton: Ske
 
     A joint counts where it was visible in 2D (confidence above 0) and is finite in both poses; the error
     of joints that the prediction filled in is reported beside it as ``*_missing``. Frames with fewer
-    than three joints that count are left out. The calibration of a prediction's uncertainty is measured.
-    ``data`` names the truth in the report.
+    than three joints that count are left out. What a prediction says of itself is measured, too: the calibration
+    of its uncertainty, its hypotheses and their weights. ``data`` names the truth in the report.
 
     Raises UserError: no truth, other joints, other frames, or nothing left to compare.
     """
     matched, kept, notes = match_poses(prediction, truth, skeleton)
     scores = score(matched)
-    if prediction.tilt_deg is not None and truth.tilt_deg is not None:
-        tilt_deg = np.asarray(prediction.tilt_deg, np.float64)
-        scores.frames["elevation_deg"] = np.abs(tilt_deg - truth.tilt_deg)[kept]
+    scores.frames |= {name: values[kept] for name, values in camera_errors(prediction, truth).items()}
     uncertainty = _uncertainty_of(prediction, skeleton)
     actions, subjects = (_groups(truth.identity, key, kept) for key in ("action", "subject"))
     per_action = _per_group(scores, *actions)
+    overall = _overall(scores, per_action, subjects[1], matched.coverage)
+    if "sequence" in truth.identity and not truth.stills:
+        overall |= pooled_camera_errors(prediction, truth, truth.clips(), kept)
+    trunk, why = _by_trunk_angle(scores, matched, truth, kept)
     return Evaluation(
         data=data or truth.source,
-        overall=_overall(scores, per_action, subjects[1], matched.coverage),
+        overall={name: overall[name] for name in sorted(overall, key=metric_order)},
         per_action=per_action,
         per_joint=_per_joint(scores, skeleton),
         per_subject=_per_group(scores, *subjects),
         unit=truth.unit,
         frames=len(matched.pose),
         action_frames={name: int((actions[1] == place).sum()) for place, name in enumerate(actions[0])},
-        notes=[*notes, *_truth_notes(matched, scores, subjects[1])],
+        notes=[*notes, *_truth_notes(matched, scores, subjects[1]), *why],
         calibration=None if uncertainty is None else _calibrate(matched, uncertainty[kept]),
+        by_trunk_angle=trunk,
+        signs=_signs(scores, skeleton),
+        hypotheses=evaluate_hypotheses(prediction, matched, kept, skeleton),
     )
 
 
 def evaluate_model(
-    model: Model, truth: PoseData, name: str, *, refine: bool = True, camera: KnownCamera | None = None
+    model: Model,
+    truth: PoseData,
+    name: str,
+    *,
+    refine: bool | str = True,
+    hypotheses: int = 0,
+    camera: KnownCamera | None = None,
 ) -> Evaluation:
-    """Return every protocol of ``model`` on cleaned frames with poses; ``camera`` is known in place of estimates."""
+    """Return every protocol of ``model`` on cleaned frames with poses, and what so many ``hypotheses`` are worth.
+
+    ``camera`` is known in place of estimates.
+    """
     if truth.pose is None:
         raise UserError(f"{name}: holds no 'pose' (frames, joints, 3) to compare with, only keypoints.")
-    result = evaluate(model.predict(truth, refine=refine, camera=camera), truth, model.skeleton, name)
+    prediction = model.predict(truth, refine=refine, hypotheses=hypotheses, camera=camera)
+    result = evaluate(prediction, truth, model.skeleton, name)
     if model.refines(truth, refine):
-        result.notes.append("the frames of each clip were lifted together (refine=off: each on its own)")
+        how = "with those up to half a second later" if refine == "causal" else "together"
+        result.notes.append(f"the frames of each clip were lifted {how} (refine=off: each on its own)")
     return result
 
 
@@ -97,13 +121,13 @@ def _groups(identity: Mapping[str, np.ndarray], key: str, kept: np.ndarray) -> t
 
 
 def _per_group(scores: Scores, names: list[str], code: np.ndarray) -> dict[str, dict[str, float]]:
-    """Return the mean of every protocol in each group (the median of elevation_deg), where it has values."""
+    """Return the mean of every protocol in each group (the median of angles), where it has values."""
     groups: dict[str, dict[str, float]] = {name: {} for name in names}
     for protocol in sorted(scores.frames, key=metric_order):
         values = scores.frames[protocol]
         known = np.isfinite(values)
         count = np.bincount(code[known], minlength=len(names))
-        if protocol == "elevation_deg":
+        if metric_kind(protocol) == "deg":
             figures = [np.median(values[known & (code == g)]) if count[g] else 0.0 for g in range(len(names))]
         else:
             figures = np.bincount(code[known], values[known], minlength=len(names)) / np.maximum(count, 1)
@@ -127,7 +151,32 @@ def _overall(
         overall["bone_cv"] = steady
     if coverage < 1:
         overall["coverage"] = coverage
-    return {name: overall[name] for name in sorted(overall, key=metric_order)}
+    if np.isfinite(scores.wrong).any():
+        overall["wrong_signs"] = float(np.nanmean(scores.wrong, dtype=np.float64))
+    return overall
+
+
+def _signs(scores: Scores, skeleton: Skeleton) -> dict[str, dict[str, int | float]]:
+    """Return for each bone the share of ``wrong`` depth signs, and the number of ``frames`` in which it counts."""
+    count = np.isfinite(scores.wrong).sum(0)
+    wrong = np.nansum(scores.wrong, axis=0, dtype=np.float64) / np.maximum(count, 1)
+    bones = zip(skeleton.bones, wrong.tolist(), count.tolist(), strict=True)
+    return {"-".join(bone): {"wrong": share, "frames": frames} for bone, share, frames in bones if frames}
+
+
+def _by_trunk_angle(
+    scores: Scores, matched: Matched, truth: PoseData, kept: np.ndarray
+) -> tuple[dict[str, dict[str, int | float]], list[str]]:
+    """Return the errors by the trunk's angle, and a note where they cannot be told apart by it but gravity matters."""
+    skeleton, gravity = matched.skeleton, true_gravity(truth)
+    if not skeleton.gravity:
+        return {}, []
+    if skeleton.upright is None:
+        return {}, [f"no by_trunk_angle: skeleton '{skeleton.name}' gives no trunk, and no up in facing"]
+    if gravity is None:
+        return {}, ["no by_trunk_angle: the truth has no tilt_deg and no gravity"]
+    angle = trunk_angle(matched.truth, gravity[kept], skeleton.upright)
+    return by_trunk_angle(scores, angle), []
 
 
 def _per_joint(scores: Scores, skeleton: Skeleton) -> dict[str, dict[str, float]]:

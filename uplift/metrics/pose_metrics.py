@@ -11,6 +11,7 @@ from uplift.skeleton import Skeleton
 __all__ = [
     "bone_cv", "bone_lengths", "facing_sign", "flip_depth", "frame_mean", "has_handedness",
     "joint_errors", "mpjve", "never_seen_so_long", "not_flipped", "share_above", "stress", "symmetry",
+    "wrong_signs",
 ]  # fmt: skip
 
 PerFrame = Float[np.ndarray, " frames"]
@@ -123,6 +124,23 @@ def flip_depth(pose: Poses) -> Poses:
 def not_flipped(kept: PerFrame, flipped: PerFrame) -> PerFrame:
     """Return 1 where the `p_mpjpe` of a pose is at most that of its depth flip, else 0; a flat pose ties: 1."""
     return np.where(np.isfinite(kept), (kept <= flipped * _TIE).astype(np.float64), np.nan)
+
+
+_OUT_OF_PLANE = 0.3
+"""Share of its length by which a bone must leave the image plane for its depth sign to count."""
+
+
+def wrong_signs(pose: Poses, truth: Poses, weight: Weights, skeleton: Skeleton) -> Float[np.ndarray, "frames bones"]:
+    """Return 1 for each bone that leads to the wrong side of the image plane, 0 for the right one, 1/2 for none.
+
+    NaN for bones that do not count: those with an unknown end, and those that leave the plane by at most 0.3 of
+    their true length.
+    """
+    parent, child = skeleton.bone_indices.T
+    true, found = truth[:, child] - truth[:, parent], pose[:, child, 2] - pose[:, parent, 2]
+    counts = (weight[:, parent] > 0) & (weight[:, child] > 0)
+    counts &= np.abs(true[..., 2]) > _OUT_OF_PLANE * length(true)
+    return np.where(counts, (1 - np.sign(found) * np.sign(true[..., 2])) / 2, np.nan)
 
 
 def share_above(errors_mm: PerJoint) -> PerJoint:

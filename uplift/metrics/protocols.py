@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 __all__ = [
-    "ACTION_MEAN", "BEST_BASELINE", "JOINTS_14", "LONGEST_SIDE", "MISSING", "PROTOCOLS", "SHAPE_METRICS",
+    "ACTION_MEAN", "BEST_BASELINE", "CLIP", "JOINTS_14", "LONGEST_SIDE", "MISSING", "PROTOCOLS", "SHAPE_METRICS",
     "figure_text", "is_error", "metric_better", "metric_kind", "metric_label", "metric_meaning", "metric_order", "metric_unit",
 ]  # fmt: skip
 
@@ -40,7 +40,9 @@ PROTOCOLS = {
     "stress": Metric("length", "lower", "difference of all pairwise joint distances"),
     "facing": Metric("share", "higher", "frames no farther from the truth than their depth flip"),
     "facing_sign": Metric("share", "higher", "frames with the right handedness (needs no truth)"),
+    "wrong_signs": Metric("share", "lower", "wrong depth signs, of bones that leave the image plane"),
     "elevation_deg": _ELEVATION,
+    "roll_deg": Metric("deg", "lower", "median error of the camera's roll"),
     "bone_cv": Metric("share", "lower", "variation of each bone's length within a subject"),
     "symmetry": Metric("share", "lower", "left/right difference of bone lengths"),
     "coverage": Metric("share", "higher", "joints that the prediction has"),
@@ -68,7 +70,9 @@ ACTION_MEAN = "_action_mean"
 """Ending of a frame error's mean of action means."""
 MISSING = "_missing"
 """Ending of the error of joints that were missing in 2D and that the prediction filled in."""
-_SUFFIXES = {ACTION_MEAN: ", mean of action means", MISSING: ", joints missing in 2D"}
+CLIP = "_clip"
+"""Ending of the error of an angle of the camera that is pooled over each clip."""
+_SUFFIXES = {ACTION_MEAN: ", mean of action means", MISSING: ", joints missing in 2D", CLIP: ", pooled over each clip"}
 BEST_BASELINE = "best_floor_"
 """Beginning of the name of the best baseline's figure."""
 
@@ -96,7 +100,9 @@ _LABELS = {
     "stress": "error of distances between joints",
     "facing": "right way round in depth",
     "facing_sign": "right handedness",
+    "wrong_signs": "bones with the wrong depth sign",
     "elevation_deg": "error of the camera's tilt",
+    "roll_deg": "error of the camera's roll",
     "bone_cv": "variation of bone lengths",
     "symmetry": "difference of left and right bones",
     "coverage": "joints predicted",

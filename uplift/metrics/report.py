@@ -20,6 +20,7 @@ from uplift.metrics.protocols import (
     LONGEST_SIDE,
     MISSING,
     figure_text,
+    is_error,
     metric_meaning,
     metric_order,
     metric_unit,
@@ -27,17 +28,18 @@ from uplift.metrics.protocols import (
 
 __all__ = ["AnyEvaluation", "Evaluation", "ShapeEvaluation", "Sheet", "paper_order"]
 
-Figures = Mapping[str, float]
+Figures = Mapping[str, int | float]
 """Metric -> value."""
 Groups = Mapping[str, Figures]
 """Name of an action, joint, category, ... -> its figures."""
 
 _KEYS = {"baselines": "floors"}
 """Field -> key of evaluation.json, where they differ."""
-_OPTIONAL = ("calibration", "floors")
+_OPTIONAL = ("calibration", "by_trunk_angle", "signs", "hypotheses", "floors")
 """Keys that are absent where there is nothing in them."""
 
 _MAX_ROWS = 20
+_HYPOTHESIS_ERRORS = ("likeliest", "expected", "best_of")
 _HEADLINE = ("mpjpe", "mpjpe_gt_scale", "n_mpjpe", "p_mpjpe", "pck@150", "facing")
 _ACTIVITY_HEADLINE = (*_HEADLINE[:-1], "auc", "pck14@150", "auc14", "facing")
 
@@ -133,9 +135,18 @@ class Evaluation(AnyEvaluation):
     notes: list[str] = field(default_factory=list)
     calibration: dict[str, Any] | None = None
     """What `uplift.metrics.evaluate.evaluate` found of the uncertainty; None for a prediction without one."""
+    by_trunk_angle: dict[str, dict[str, int | float]] = field(default_factory=dict)
+    """Degrees from upright, such as 15-30 -> what `uplift.metrics.gravity_errors.by_trunk_angle` says of these frames."""
+    signs: dict[str, dict[str, int | float]] = field(default_factory=dict)
+    """Bone -> the share of its depth signs that are ``wrong``, and the number of ``frames`` in which it counts."""
+    hypotheses: dict[str, Any] | None = None
+    """What `uplift.metrics.hypotheses.evaluate_hypotheses` found; None for a prediction without any."""
 
     title = "protocol"
-    saved = ("data", "unit", "frames", "overall", "per_action", "per_joint", "per_subject", "calibration", "notes")
+    saved = (
+        "data", "unit", "frames", "overall", "per_action", "per_joint", "per_subject", "calibration", "by_trunk_angle",
+        "signs", "hypotheses", "notes",
+    )  # fmt: skip
 
     def _rows(self) -> Iterator[list[str]]:
         yield from self._rows_of({"action": self.per_action, "subject": self.per_subject, "joint": self.per_joint})
@@ -143,6 +154,19 @@ class Evaluation(AnyEvaluation):
             figures = found.items() if isinstance(found, dict) else [(name, found)]
             group = name if isinstance(found, dict) else ""
             yield from (["calibration", group, protocol, repr(value), ""] for protocol, value in figures)
+        for section, groups in (("trunk", self.by_trunk_angle), ("signs", self.signs)):
+            for name, figures in groups.items():
+                yield from (
+                    [section, name, figure, repr(value), self._unit(figure)] for figure, value in figures.items()
+                )
+        for name, value in (self.hypotheses or {}).items():
+            if name != "calibration":
+                yield ["hypotheses", "", name, repr(value), self.unit if name in _HYPOTHESIS_ERRORS else ""]
+        for name, figures in (self.hypotheses or {}).get("calibration", {}).items():
+            yield from (["hypotheses", name, figure, repr(value), ""] for figure, value in figures.items())
+
+    def _unit(self, figure: str) -> str:
+        return self.unit if is_error(figure) else ""
 
     def _tables(self) -> list[str]:
         ends = len(ACTION_MEAN)
@@ -153,6 +177,9 @@ class Evaluation(AnyEvaluation):
             self._action_table() if self.per_action else "",
             self._joint_table(),
             self._calibration_table(),
+            self._trunk_table(),
+            self._sign_table(),
+            self._hypothesis_table(),
         ]
 
     def _shown(self) -> list[str]:
@@ -201,6 +228,33 @@ class Evaluation(AnyEvaluation):
             shown = [*found[name].values(), *others]
             rows.append([f"joints {name}", *("-" if value is None else f"{value:.3f}" for value in shown)])
         return _columns(rows)
+
+    def _trunk_table(self) -> str:
+        if not self.by_trunk_angle:
+            return ""
+        rows = [["trunk's angle from upright, deg", "frames", "share", "p_mpjpe", "flipped", "wrong_signs"]]
+        for name, of in self.by_trunk_angle.items():
+            error, wrong = (self._text(figure, of) for figure in ("p_mpjpe", "wrong_signs"))
+            rows.append([name, f"{of['frames']:,}", f"{of['share']:.3f}", error, f"{of['flipped']:.3f}", wrong])
+        return _columns(rows)
+
+    def _sign_table(self) -> str:
+        """Return the bones with the most wrong signs."""
+        worst = sorted(self.signs, key=lambda bone: -self.signs[bone]["wrong"])[:_MAX_ROWS]
+        rows = [[bone, f"{self.signs[bone]['frames']:,}", f"{self.signs[bone]['wrong']:.3f}"] for bone in worst]
+        more = _more(len(self.signs) - len(rows), "bones", "wrong signs")
+        return _columns([["depth signs", "frames", "wrong"], *rows]) + more if rows else ""
+
+    def _hypothesis_table(self) -> str:
+        found = self.hypotheses
+        if not found:
+            return ""
+        head = [f"{found['count']} hypotheses, p_mpjpe", "value"]
+        rows = [[name, f"{found[name]:.1f}"] for name in _HYPOTHESIS_ERRORS]
+        said = [["said to be as likely as", "hypotheses", "mean", "share that is the best of its frame"]]
+        for name, of in found["calibration"].items():
+            said.append([name, f"{of['hypotheses']:,}", f"{of['said']:.3f}", f"{of['found']:.3f}"])
+        return f"{_columns([head, *rows])}\n\n{_columns(said)}"
 
 
 @dataclass(frozen=True)

@@ -24,6 +24,7 @@ from uplift.metrics.pose_metrics import (
     share_above,
     stress,
     symmetry,
+    wrong_signs,
 )
 from uplift.metrics.protocols import JOINTS_14, MISSING
 from uplift.skeleton import Skeleton
@@ -75,13 +76,15 @@ class Scores:
     """Mean over the frames in which the joint counts, NaN where it never does."""
     lengths: Float[np.ndarray, "frames bones"] = field(default_factory=lambda: np.empty((0, 0)))
     """Bone lengths at the metric or `n_mpjpe` scale."""
+    wrong: Float[np.ndarray, "frames bones"] = field(default_factory=lambda: np.empty((0, 0)))
+    """1 where a bone's depth sign is wrong, 0 where it is right, NaN where it does not count (`wrong_signs`)."""
 
 
 def score(matched: Matched) -> Scores:
     """Return every protocol the data allows; memory stays that of one chunk beside the results."""
     frames: dict[str, list[np.ndarray]] = {}
     sums: dict[str, np.ndarray] = {}
-    lengths = []
+    lengths, wrong = [], []
     total = len(matched.pose)
     for start in range(0, total, _CHUNK):
         rows = np.arange(start, min(start + _CHUNK, total))
@@ -95,12 +98,14 @@ def score(matched: Matched) -> Scores:
         for name, values in by_frame.items():
             frames.setdefault(name, []).append(values)
         lengths.append(bones.astype(np.float32))
+        wrong.append(wrong_signs(*matched.rows(rows), matched.skeleton).astype(np.float32))
     often = matched.weight.sum(0)
     often[often == 0] = np.nan
     return Scores(
         frames={name: np.concatenate(parts) for name, parts in frames.items()},
         joints={name: part / often for name, part in sums.items()},
         lengths=np.concatenate(lengths),
+        wrong=np.concatenate(wrong),
     )
 
 
@@ -204,6 +209,12 @@ class GivenPoses:
     source: str = ""
     uncertainty: np.ndarray | None = None
     """(frames joints), the expected absolute error of each depth (a Laplace scale), in the pose's unit."""
+    gravity: np.ndarray | None = None
+    """(frames 3), unit vectors of the estimated gravity in the camera's frame."""
+    hypotheses: np.ndarray | None = None
+    """(frames hypotheses joints 3), further poses, the most likely first."""
+    weights: np.ndarray | None = None
+    """(frames hypotheses), their probabilities."""
 
 
 def match_poses(

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import dataclasses
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any, ClassVar, TypeVar
@@ -18,6 +19,7 @@ from uplift.config.progress import progress
 from uplift.config.run import Weights, read_weights
 from uplift.config.settings import LifterSettings, ShapeSettings, settings_of
 from uplift.config.trust import Trust, consents
+from uplift.data.calibration import SceneCamera, match_cameras
 from uplift.data.clean import clean
 from uplift.data.formats.scales import in_pixels, with_sure_confidence
 from uplift.data.mask_tensors import as_tensor
@@ -25,6 +27,7 @@ from uplift.data.masks import MaskData
 from uplift.data.poses import PoseData
 from uplift.errors import UserError
 from uplift.geometry.lens import place_roots
+from uplift.models.causal import causal_windows
 from uplift.models.ground import put_on_ground
 from uplift.models.known_camera import KnownCamera, about_cameras, with_guessed_focal
 from uplift.models.lifter import Lifter
@@ -33,6 +36,16 @@ from uplift.models.mixture import ShapeMixture
 from uplift.models.predict import InferredPoses, infer, mm_per_pixel, to_level, with_constant_bones
 from uplift.models.prediction import Prediction, ShapePrediction
 from uplift.models.shape_lifter import LiftedShapes, lift_masks
+from uplift.models.together import (
+    Scene,
+    alone,
+    as_prediction,
+    match_views,
+    placed_cameras,
+    solve,
+    view_names,
+    with_lenses,
+)
 from uplift.skeleton import Skeleton
 
 __all__ = ["Model", "ShapeModel", "load", "load_poses", "load_shapes"]
@@ -186,7 +199,7 @@ class Model(_Saved):
         data: PoseData,
         title: str = "",
         *,
-        refine: bool = True,
+        refine: bool | str = True,
         size: Size | None = None,
         constant_bones: bool = False,
         hypotheses: int = 0,
@@ -202,7 +215,8 @@ class Model(_Saved):
             data: with the skeleton's joints in its order.
             title: of the prediction.
             refine: whether frames of one clip are lifted together (`uplift.models.refine`): one body, one camera
-                tilt, smooth motion, and short gaps interpolated.
+                tilt, smooth motion, depth signs, and short gaps interpolated; ``"causal"``: by what was seen up to half a
+                second after each frame (`uplift.models.causal`).
             size: the body's known size.
             constant_bones: whether each body gets one length for every bone.
             hypotheses: how many poses to return for each frame, with their probabilities; 0 for none beside ``pose``.
@@ -224,13 +238,19 @@ class Model(_Saved):
             raise UserError(
                 f"hypotheses={hypotheses}: this lifter does not say which way bones may point: fit with lifter.signs=512."
             )
+        if refine == "causal" and ground:
+            raise UserError("ground=true looks at whole clips: it does not go with refine=causal.")
+        if refine == "causal":
+            windows, rows = causal_windows(data)
+            options = {"size": size, "constant_bones": constant_bones, "camera": camera, "hypotheses": hypotheses}
+            return replace(self.predict(windows, title, **options).select(rows), identity=data.identity)
         data, _ = clean(data, self.skeleton, drop=False)
         inferred = infer(
             self.lifter,
             data,
             self.settings,
             refine=self.refines(data, refine),
-            solve=refine and self.settings.refine.iterations > 0,
+            solve=bool(refine) and self.settings.refine.iterations > 0,
             hypotheses=hypotheses,
         )
         inferred, data = self._seen_by(inferred, data, camera)
@@ -319,10 +339,57 @@ class Model(_Saved):
             notes=data.notes,
         )
 
-    def refines(self, data: PoseData, refine: bool = True) -> bool:
+    def predict_together(
+        self,
+        views: Sequence[PoseData],
+        title: str = "",
+        *,
+        cameras: Sequence[SceneCamera] | None = None,
+        refine: bool = True,
+        size: Size | None = None,
+        constant_bones: bool = False,
+    ) -> tuple[Prediction, list[SceneCamera]]:
+        """Return one body for every moment that several cameras see, in the first camera's frame, and the cameras.
+
+        Each view is lifted as `predict` does; where the cameras are follows from the poses and is adjusted to the
+        keypoints, and a body is where all of them see it (`uplift.models.together`). Cameras stand still, and are
+        the same in all that is given. In mm if placed ``cameras``, ``size``, the skeleton or labelled bodies give the
+        scale, else in pixels of the first camera at the body's median distance; ``root`` is known either way.
+        One view gives what `predict` gives.
+
+        Args:
+            views: a camera each; joints in the skeleton's order, frames matched by number (by row without any), bodies
+                by ``subject`` and ``instance`` where several are seen at a time.
+            title: of the prediction.
+            cameras: calibrated ones, by name; those without a place have only their lens used.
+            refine: whether frames of one clip are lifted together, and move smoothly.
+            size: the body's known size.
+            constant_bones: whether each body gets one length for every bone.
+
+        Raises:
+            UserError: views without frames in common, cameras that do not fit them, two sizes, and as `predict`.
+        """
+        if not views:
+            raise UserError("together: no view is given.")
+        given = None if cameras is None else match_cameras(cameras, view_names(views))
+        views = list(views) if given is None else with_lenses(views, given)
+        if len(views) == 1:
+            prediction = self.predict(views[0], title, refine=refine, size=size, constant_bones=constant_bones)
+            return prediction, alone(views[0])
+        placed = None if given is None else placed_cameras(given)
+        if placed is not None and size is not None:
+            raise UserError("placed cameras give the scale: leave out height_mm=, bone_mm= or camera_height_mm=.")
+        views = [clean(view, self.skeleton, drop=False)[0] for view in views]
+        lifted = [self.predict(view, refine=refine) for view in views]
+        moments = match_views(views)
+        scene = Scene.of(views, lifted, moments if refine else replace(moments, film=False))
+        solved = solve(scene, self.skeleton, placed)
+        return as_prediction(solved, scene, views, lifted, title, size, placed is not None, constant_bones)
+
+    def refines(self, data: PoseData, refine: bool | str = True) -> bool:
         """Return whether `predict` refines: it is on, and ``data`` has clips of several frames."""
         clips = data.clips()
-        return refine and self.settings.refine.iterations > 0 and bool(clips.max(initial=-1) + 1 < len(clips))
+        return bool(refine) and self.settings.refine.iterations > 0 and bool(clips.max(initial=-1) + 1 < len(clips))
 
     def _description(self) -> dict[str, Any]:
         return {"skeleton": self.skeleton.to_dict(), "lifter": dataclasses.asdict(self.settings)}

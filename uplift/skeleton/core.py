@@ -42,6 +42,7 @@ class Skeleton:
     loops: bool = False
     contacts: tuple[str, ...] = ()
     description: str = ""
+    trunk: Direction | tuple[()] = ()
 
     def __hash__(self) -> int:
         return hash((self.name, self.joints, self.root, self.bones))
@@ -103,6 +104,15 @@ class Skeleton:
             raise UserError(f"Skeleton '{self.name}' gives no facing direction '{direction}'.{hint}")
         return direction_weights(self.facing[direction], self.joints)
 
+    @cached_property
+    def upright(self) -> Float[np.ndarray, " joints"] | None:
+        """Weights with ``upright @ pose`` = the vector that points up when the body is upright: its trunk, else facing's up.
+
+        None where the skeleton gives neither.
+        """
+        ends = self.trunk or self.facing.get("up")
+        return _read_only(direction_weights(ends, self.joints)) if ends else None
+
     def to_dict(self) -> dict[str, Any]:
         """Return plain data in the form of the YAML file; `from_dict` turns it back."""
         return {
@@ -110,6 +120,7 @@ class Skeleton:
             "bones": [list(bone) for bone in self.bones], "loops": self.loops,
             "mirror": [list(pair) for pair in self.mirror],
             "facing": {name: [list(start), list(end)] for name, (start, end) in self.facing.items()},
+            **({"trunk": [list(end) for end in self.trunk]} if self.trunk else {}),
             "gravity": self.gravity, "rigid": self.rigid, "contacts": list(self.contacts), "midpoints": {joint: list(parts) for joint, parts in self.midpoints.items()},
             "from": {name: {joint: list(parts) for joint, parts in of.items()} for name, of in self.sources.items()},
             "size": dict(self.size), **{key: self.body[key] for key in BODY_KEYS if key in self.body},
@@ -177,6 +188,7 @@ def _from_checked(data: dict[str, Any]) -> Skeleton:
         sources={name: {j: tuple(parts) for j, parts in of.items()} for name, of in data["from"].items()},
         body={key: data[key] for key in BODY_KEYS if key in data},
         midpoints={joint: tuple(parts) for joint, parts in data["midpoints"].items()},
+        trunk=tuple(map(tuple, data["trunk"])),  # type: ignore[arg-type]
     )
 
 

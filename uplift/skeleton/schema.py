@@ -85,6 +85,7 @@ _PROPERTIES: dict[str, dict[str, Any]] = {
     "loops": _switch(False, "true: bones may close loops, as the seat of a chair does"),
     "mirror": _pairs("pairs [right, left]; joints on the midline are in none", default=[]),
     "facing": _FACING,
+    "trunk": _direction("up along the body when it is upright, where that is not facing's up; errors are told apart by its angle"),
     "gravity": _switch(True, "true: it stands on the ground and is turned about the vertical; false: every way"),
     "rigid": _switch(False, "true: one shape that does not bend"),
     "contacts": {

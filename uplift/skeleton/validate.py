@@ -43,6 +43,7 @@ def check_skeleton(data: object, where: Where) -> dict[str, Any]:
     }
     skeleton["size"] = _check_size(skeleton["size"], joints, check)
     skeleton["facing"] = _check_facing(skeleton, check)
+    skeleton["trunk"] = _check_trunk(skeleton, check)
     _check_body(skeleton, check)
     return skeleton
 
@@ -177,6 +178,16 @@ def _check_facing(skeleton: dict[str, Any], check: _Checker) -> dict[str, list[l
     if skeleton["mirror"]:
         _check_sides(weights, skeleton, check)
     return facing
+
+
+def _check_trunk(skeleton: dict[str, Any], check: _Checker) -> list[list[str]]:
+    """Return the trunk with each end a list of joints, empty where it is not given."""
+    if "trunk" not in skeleton:
+        return []
+    ends = _ends(skeleton["trunk"], skeleton["joints"], ("trunk",), check)
+    if np.abs(direction_weights(ends, skeleton["joints"])).max() < 1e-9:
+        check.fail(("trunk",), "found 'trunk' from and to the same place; it has no direction.")
+    return ends
 
 
 def _ends(value: object, joints: list[str], part: tuple, check: _Checker) -> list[list[str]]:

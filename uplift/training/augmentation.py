@@ -37,7 +37,10 @@ __all__ = [
 
 _TEMPLATE_FRAMES = 20_000
 _TINY = 1e-6
-_MOST_SHORT = 3.0
+_JOINT_OFFSET = 0.5
+"""Length of bones, in mean 2D radii, that vary by as much for ideas of where joints are as for bodies."""
+_MOST_STRETCH = 3.0
+"""Of short bones, beside 1 of long ones."""
 
 
 @dataclass(frozen=True)
@@ -79,8 +82,8 @@ class LimbMixer:
         """(bones,): a bone and its mirror image have one number."""
         usual = self._lengths[..., 0].median(0).values
         usual = (usual + usual[twin]) / 2
-        self._spread = (1 + (usual.mean() / usual.clamp_min(_TINY)).square().clamp_max(_MOST_SHORT**2)).sqrt()
-        """(bones,): what sets apart bodies, a share of each bone, and definitions of joints, as much for all bones."""
+        self._spread = (1 + (_JOINT_OFFSET / usual.clamp_min(_TINY)).square().clamp_max(_MOST_STRETCH**2)).sqrt()
+        """(bones,): bodies differ by a share of each bone, ideas of where a joint is by the same length for all."""
         branching = [j for j in order if len(children[j]) >= 2]
         frames = []
         self._limbs: list[_Limb] = []
@@ -108,7 +111,9 @@ class LimbMixer:
     ) -> tuple[Float[Tensor, "batch joints 3"], Float[Tensor, "batch joints"]]:
         """Return the poses of ``rows`` with limbs of others in the batch, and each joint's confidence.
 
-        A ``share`` of the poses takes part, and each of their limbs is swapped with probability ``limb``.
+        A ``share`` of the poses takes part, and each of their limbs is swapped with probability ``limb``. The log of each
+        bone's length varies by ``stretch``, by more for short bones and as much on the left as on the right: so do
+        bodies, and where trackers think that joints are.
         """
         bones, frames, mixed = self._bones[rows], self._frames[rows], confidence[rows]
         count = len(rows)
@@ -206,10 +211,7 @@ def tilt_error(lifted: Lifted, views: ShownViews) -> Float[Tensor, ""]:
 
 
 def gravity_error(lifted: Lifted, views: ShownViews) -> Float[Tensor, ""]:
-    """Return the mean distance of gravity from its true unit vector.
-
-    It is least at the median of what gravity may be, whose length tells how sure it is.
-    """
+    """Return the mean distance of gravity from its true unit vector."""
     assert lifted.gravity is not None
     return ((lifted.gravity - views.gravity).norm(dim=-1) * views.upright).mean()
 
@@ -270,7 +272,8 @@ class ViewMaker:
         self.swap = torch.tensor(skeleton.mirror_permutation, device=device)
         self.rings = [list(ring) for ring in joint_neighbours(skeleton)]
         self.limbs = _limbs(skeleton).to(device)
-        self.mixer = LimbMixer(poses.pose, skeleton) if settings.mix > 0 and not skeleton.rigid else None
+        mixes = (settings.mix or settings.stretch) and not skeleton.rigid
+        self.mixer = LimbMixer(poses.pose, skeleton) if mixes else None
 
     def __call__(self, count: int) -> ShownViews:
         """Return ``count`` views."""

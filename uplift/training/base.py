@@ -246,7 +246,7 @@ class TrainingModule(L.LightningModule, Generic[LifterT, DataT]):
 
     @contextmanager
     def inference(self) -> Iterator[None]:
-        """Compute as ``uplift evaluate`` and ``uplift predict`` do: in full precision, gradients where refinement needs them."""
+        """Compute as ``uplift evaluate`` and ``uplift predict`` do: in full precision, whatever mode the trainer is in."""
         with torch.inference_mode(False), torch.no_grad(), self.full_precision():
             yield
 

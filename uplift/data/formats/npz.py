@@ -19,6 +19,7 @@ from uplift.geometry.gravity import angle_deg, gravity_at, roll_of, tilt_of
 
 __all__ = [
     "FORMAT",
+    "camera_of",
     "contents_of",
     "joint_names_of",
     "memory_of",
