@@ -11,8 +11,8 @@ from lifts import H36M, bodies, seen_bodies, small_lifter
 from scipy.spatial.transform import Rotation
 
 from uplift.config.settings import LifterSettings, RefineSettings
-from uplift.data.poses import PoseData
 from uplift.data.confidence import calibrated
+from uplift.data.poses import PoseData
 from uplift.data.tensors import intrinsics_of, to_training_set
 from uplift.geometry.camera import Perspective
 from uplift.models import predict
