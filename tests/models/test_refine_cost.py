@@ -119,7 +119,7 @@ def gradient_by_autograd(frames: TrainingSet, camera: str, settings: RefineSetti
     leaves = {name: values[name].detach().requires_grad_() for name in NAMES}
     with torch.enable_grad():
         terms = costs(frames, camera, settings, start, **leaves)
-        found = torch.autograd.grad(sum(terms.values()), list(leaves.values()))
+        found = torch.autograd.grad(torch.stack(list(terms.values())).sum(), list(leaves.values()))
     return dict(zip(NAMES, found, strict=True))
 
 
