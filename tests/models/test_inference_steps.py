@@ -11,6 +11,7 @@ from lifts import H36M, bodies, seen_bodies, small_lifter
 from scipy.spatial.transform import Rotation
 
 from uplift.config.settings import LifterSettings, RefineSettings
+from uplift.data.confidence import calibrated
 from uplift.data.poses import PoseData
 from uplift.data.tensors import intrinsics_of, to_training_set
 from uplift.geometry.camera import Perspective
@@ -225,7 +226,8 @@ def test_an_unknown_focal_length_is_the_longest_side_of_the_image_and_the_distan
 
 def test_the_gravity_of_any_camera_is_one_for_each_clip_with_its_roll() -> None:
     data, lifter = film(focal_px=None), any_lifter()
-    frames, lifted = to_training_set(data, H36M, ANY), lift_frames(lifter, to_training_set(data, H36M, ANY))
+    frames = to_training_set(calibrated(data, H36M, ANY), H36M, ANY)
+    lifted = lift_frames(lifter, frames)
     said = lifter(frames.keypoints, frames.confidence, frames.distance, frames.guessed).gravity
     torch.testing.assert_close(said, torch.tensor([[0.3, 1.2, -0.4]]).expand(40, 3))
     # With the mirror image of it, nothing is left of the roll in the frame of the camera that looks at the root.

@@ -112,7 +112,7 @@ def test_gravity_in_the_views_is_that_of_the_data(poses):
     """A camera that looks aside rolls a little; the views have that roll, and the tilt is what is asked for."""
     rolled = torch.nn.functional.normalize(torch.tensor([[0.2, 0.9, 0.3]]), dim=-1).expand(300, 3)
     standing = replace(poses, pose=poses.pose * 0 + torch.linspace(0, 1, 17)[:, None] * torch.tensor([0.0, 1, 0]))
-    views = views_of(replace(standing, gravity=rolled), 50, mix=0.0)
+    views = views_of(replace(standing, gravity=rolled), 50, mix=0.0, any_way=0.0, stretch=0.0)
     upright = torch.nn.functional.normalize(views.pose[:, -1], dim=-1)
     torch.testing.assert_close(upright, rolled[:50], atol=1e-5, rtol=1e-5)
     torch.testing.assert_close(views.tilt, rolled[:50, 2].asin())
@@ -146,7 +146,8 @@ def test_every_output_of_the_network_learns(poses):
 
 def views_of_any_camera(poses: PseudoPoses, count: int, **settings) -> ShownViews:
     torch.manual_seed(0)
-    chosen = StudentSettings(**{"own_share": 0.0, "mix": 0.0, "mirror": False, **settings})
+    still = {"mix": 0.0, "mirror": False, "any_way": 0.0, "stretch": 0.0}
+    chosen = StudentSettings(**{"own_share": 0.0, **still, **settings})
     return ViewMaker(poses, Perspective(), chosen, count_root=False, usual_distance=10.0)(count)
 
 

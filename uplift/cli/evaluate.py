@@ -9,7 +9,7 @@ import re
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -294,7 +294,7 @@ def evaluate_command(words: Sequence[str]) -> None:
     if "skeleton" in keys:
         raise UserError("evaluate run=...: the run knows its skeleton; skeleton= goes with poses=.")
     refine = keys.given("refine").get("refine")
-    options = keys.given("hypotheses") | keys.given("items") | {"name": keys.get("evaluation")}
+    options: dict[str, Any] = keys.given("hypotheses") | keys.given("items") | {"name": keys.get("evaluation")}
     refined, camera = None if refine is None else REFINE[refine], known_camera(keys)
     say(evaluate(keys["run"], keys.get("data.test"), refine=refined, camera=camera, **options).table())
     folder = RunFolder.open(keys["run"]).path

@@ -316,7 +316,7 @@ class StudentSettings(StageSettings):
         choices=("any", "own"),
     )
     own_share: float = _setting(
-        0.75, "of any cameras: the share of views from those of the training data", low=0, high=1
+        0.7, "of any cameras: the share of views from those of the training data", low=0, high=1
     )
     tilt_deg: tuple[float, float] = _setting((-30.0, 60.0), "from,to: tilts of any cameras", low=-90, high=90)
     roll_deg: float = _setting(30.0, "largest roll of any cameras, either way", low=0, high=180)

@@ -169,7 +169,8 @@ def _variances(found: _Observed, joints: int, prior: Float[np.ndarray, " bins"])
     before, middle, after = found.bins
 
     def sums(value: np.ndarray) -> np.ndarray:
-        return sum(w * np.bincount(at, value, bins) for w, at in ((1, before), (4, middle), (1, after)))
+        at_ends = np.bincount(before, value, bins) + np.bincount(after, value, bins)
+        return at_ends + 4 * np.bincount(middle, value, bins)
 
     error = np.full(bins, np.median(found.square) / 12 + 1e-9)
     motion = np.full(joints, np.median(found.square) / 2 + 1e-9)
@@ -184,19 +185,23 @@ def _variances(found: _Observed, joints: int, prior: Float[np.ndarray, " bins"])
 
 
 def _motion_among(error: np.ndarray, motion: np.ndarray, found: _Observed) -> float:
-    """Return how much of each variance is motion of the stillest joint, which second differences alone cannot tell.
+    """Return how much of each error's variance is motion, below 0 where motion's have errors: squares cannot tell a common part.
 
     The product of neighbouring second differences is negative on average for independent errors. What it has more is
-    motion: a share of each joint's, and the same for all joints if motion was taken for errors.
+    a share of each joint's motion, and the same for all joints if motion was taken for errors.
     """
     both = np.isfinite(found.product)
-    _, middle, after = found.bins[:, both]
+    if not both.any():
+        return 0.0
+    before, now, after = error[found.bins[:, both]]
     moved = motion[found.joint[both]]
-    weight = 1 / (6 * error[middle] + moved) ** 2
-    more = found.product[both] + 2 * (error[middle] + error[after])
-    sums = [[(weight * one * other).sum() for other in (4, moved)] for one in (4, moved)]
-    right = [(weight * one * more).sum() for one in (4, moved)]
-    return max(0.0, float(np.linalg.lstsq(np.array(sums), np.array(right), rcond=None)[0][0]))
+    weight = 1 / ((before + 4 * now + after + moved) * (now + 4 * after + moved))
+    more = found.product[both] + 2 * (now + after)
+    mean_moved, mean_more = np.average(moved, weights=weight), np.average(more, weights=weight)
+    spread = (weight * np.square(moved - mean_moved)).sum()
+    share = (weight * (moved - mean_moved) * more).sum() / max(spread, 1e-30)
+    common = (mean_more - np.clip(share, 0, 1) * mean_moved) / 4
+    return max(float(common), -motion.min() / 6)
 
 
 def _relative(value: Float[np.ndarray, "frames joints 2"], seen: Bool[np.ndarray, "frames joints"]) -> np.ndarray:

@@ -38,8 +38,8 @@ class Lifted(Samples):
     uncertainty: Float[Tensor, "batch joints"] | None = None
     """The expected absolute error of each depth, in units; None where the lifter was not trained to predict it."""
     gravity: Float[Tensor, "batch 3"] | None = None
-    """Its direction, in the frame of the camera that looks at the root; the length, about 1, says how sure it is.
-    None where only the tilt is predicted."""
+    """Its direction, in the frame of the camera that looks at the root, of a length near 1; None where only the tilt is
+    predicted."""
     distance: Float[Tensor, " batch"] | None = None
     """Of the camera to the root, in units: the one given, or the lifter's estimate where that is a guess; None for a
     lifter that does not estimate it."""

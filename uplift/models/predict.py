@@ -106,11 +106,15 @@ def infer(
     return InferredPoses(pose, gravity, by_frame, uncertainty, mm_per_px, several, focal_px)
 
 
+_CLIP_UNCERTAINTY = 0.8
+"""Of a pose with bones of its body and signs of its clip, beside that of a frame alone."""
+
+
 def _solved(lifted: Lifted, solution: Solution) -> Lifted:
     """Return the poses with their depth signs decided, and the uncertainty that comes with those."""
     uncertainty = lifted.uncertainty
     if uncertainty is not None:
-        uncertainty = (uncertainty.square() + solution.deviation.square()).sqrt()
+        uncertainty = _CLIP_UNCERTAINTY * (uncertainty.square() + solution.deviation.square()).sqrt()
     return replace(lifted, pose=solution.pose, uncertainty=uncertainty)
 
 

@@ -211,10 +211,7 @@ def tilt_error(lifted: Lifted, views: ShownViews) -> Float[Tensor, ""]:
 
 
 def gravity_error(lifted: Lifted, views: ShownViews) -> Float[Tensor, ""]:
-    """Return the mean distance of gravity from its true unit vector.
-
-    It is least at the median of what gravity may be, whose length tells how sure it is.
-    """
+    """Return the mean distance of gravity from its true unit vector."""
     assert lifted.gravity is not None
     return ((lifted.gravity - views.gravity).norm(dim=-1) * views.upright).mean()
 
