@@ -19,7 +19,7 @@ from uplift.geometry.normalise import bone_lengths
 
 __all__ = ["has_clips", "refine_clips"]
 
-_BLOCK_FRAMES = 2000
+_BLOCK_FRAMES = 4000
 """Frames solved for together: few enough to stay in the processor's cache."""
 _BLOCK_FRAMES_ELSEWHERE = 50_000
 """On other devices: enough to keep them busy."""
