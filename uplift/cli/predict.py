@@ -171,21 +171,7 @@ def lift_keypoints(request: Request) -> tuple[Prediction, dict[Path, str]]:
     axes, page, output, options = request.axes, request.page, request.output, dict(request.options)
     together = check_together(options, output)
     check_axes(output or "", axes)
-    if output is not None:  # before any work
-        writer_for(output, page)
-        for key in options:
-            if key == "csv_safe" and Path(output).suffix.lower() != ".csv":
-                raise UserError(f"csv_safe= goes with output=FILE.csv, not with {output}.")
-            if key != "csv_safe" and page != "gallery":
-                raise UserError(f"{key}= goes with page=gallery.")
-        if page == "gallery":
-            check_options(**options)
-        if options.get("images") is not None and request.reading is not None:
-            for key in {"flip_x", "flip_y", "rotate"} & set(request.reading.set_names()):
-                raise UserError(f"{key}= turns the keypoints and not the photos of images=: give one of the two.")
-        if request.hypotheses and Path(output).suffix.lower() != ".npz":
-            raise UserError(f"hypotheses= goes with output=FILE.npz, which can hold several poses, not with {output}.")
-        refuse_output(Path(output))
+    _check_request(request, together, options)
     model = load_poses(request.weights)
     how = {
         "title": request.title,
@@ -194,11 +180,6 @@ def lift_keypoints(request: Request) -> tuple[Prediction, dict[Path, str]]:
         "constant_bones": request.constant_bones,
     }
     cameras = []
-    if together and (request.hypotheses or request.camera or request.ground or request.refine == "causal"):
-        raise UserError(
-            "together=true does not go with hypotheses=, camera.tilt_deg=, camera.roll_deg=, ground= or refine=causal: these are "
-            "for one camera."
-        )
     if together:
         views = views_of(request.input, lambda path: _read(replace(request, input=path), model.skeleton, alone=False))
         prediction, cameras = lift_views(model, views, together, **how)
@@ -214,6 +195,32 @@ def lift_keypoints(request: Request) -> tuple[Prediction, dict[Path, str]]:
         write_found(prediction, cameras, together["cameras_output"])
         files[Path(together["cameras_output"])] = f"{len(cameras)} cameras"
     return prediction if axes is None else in_axes(prediction, axes), files
+
+
+def _check_request(request: Request, together: Mapping[str, Any], options: Mapping[str, Any]) -> None:
+    """Refuse what does not go together, and outputs that cannot be written: before any work."""
+    if together and (request.hypotheses or request.camera or request.ground or request.refine == "causal"):
+        raise UserError(
+            "together=true does not go with hypotheses=, camera.tilt_deg=, camera.roll_deg=, ground= or refine=causal: these "
+            "are for one camera."
+        )
+    page, output = request.page, request.output
+    if output is None:
+        return
+    writer_for(output, page)
+    for key in options:
+        if key == "csv_safe" and Path(output).suffix.lower() != ".csv":
+            raise UserError(f"csv_safe= goes with output=FILE.csv, not with {output}.")
+        if key != "csv_safe" and page != "gallery":
+            raise UserError(f"{key}= goes with page=gallery.")
+    if page == "gallery":
+        check_options(**options)
+    if options.get("images") is not None and request.reading is not None:
+        for key in {"flip_x", "flip_y", "rotate"} & set(request.reading.set_names()):
+            raise UserError(f"{key}= turns the keypoints and not the photos of images=: give one of the two.")
+    if request.hypotheses and Path(output).suffix.lower() != ".npz":
+        raise UserError(f"hypotheses= goes with output=FILE.npz, which can hold several poses, not with {output}.")
+    refuse_output(Path(output))
 
 
 def _read(request: Request, skeleton: Skeleton, *, alone: bool = True) -> PoseData:

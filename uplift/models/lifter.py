@@ -119,13 +119,8 @@ class Lifter(nn.Module):
         keypoints = keypoints * visible
         if self.calibrated:  # a network that is shown errors learns the rest of its poses more slowly
             confidence = visible.squeeze(-1).to(confidence.dtype)
-        features = keypoints.flatten(1)
-        if self.confidence_input:
-            features = torch.cat([features, confidence], 1)
-        if self.any_camera:
-            guessed = torch.zeros_like(distance, dtype=torch.bool) if guessed is None else guessed
-            far = (distance / _USUAL_DISTANCE).log().clamp(-2, 2)
-            features = torch.cat([features, torch.stack([far, guessed.to(far.dtype)], 1)], 1)
+        guessed = torch.zeros_like(distance, dtype=torch.bool) if guessed is None else guessed
+        features = self._features(keypoints, confidence, distance, guessed)
         output = self.network(features).to(features.dtype)  # geometry is in full precision
         depth = output[:, :joints]
         if not self.root_free:
@@ -143,13 +138,21 @@ class Lifter(nn.Module):
         gravity = estimated = None
         signs = self._signs(features, distance)
         if self.any_camera:
-            assert guessed is not None
             first = joints * (1 + 2 * self.fill + self.uncertainty)
             distance = estimated = distance * (output[:, first] * guessed).clamp(-2, 2).exp()
             gravity = _upright(output[:, first + 1 :]) if self.gravity else None
         tilt = self._tilt(output) if gravity is None else _tilt_of(gravity)
         pose = self.camera.unproject(keypoints, depth, distance)
         return Lifted(pose, tilt, keypoints, uncertainty, gravity, estimated, signs)
+
+    def _features(self, keypoints: Tensor, confidence: Tensor, distance: Tensor, guessed: Tensor) -> Tensor:
+        """Return what the network sees."""
+        parts = [keypoints.flatten(1)]
+        if self.confidence_input:
+            parts.append(confidence)
+        if self.any_camera:
+            parts += [(distance / _USUAL_DISTANCE).log().clamp(-2, 2)[:, None], guessed.to(distance.dtype)[:, None]]
+        return torch.cat(parts, 1)
 
     def _signs(self, features: Tensor, distance: Tensor) -> Tensor | None:
         if self.signs is None:
