@@ -174,7 +174,8 @@ def _teacher(run: Path, model: Any) -> Any:
     from uplift.config.run import RunFolder
     from uplift.models.lifter import Lifter
 
-    settings = dataclasses.replace(RunFolder.open(str(run)).settings().lifter, uncertainty=False, denoise=False)
+    of_teacher = {"uncertainty": False, "denoise": False, "signs": 0, "cameras": "own"}
+    settings = dataclasses.replace(RunFolder.open(str(run)).settings().lifter, **of_teacher)
     lifter = Lifter(model.skeleton, settings)
     state = read_torch(run / "checkpoints" / "teacher.ckpt", "checkpoint")["state_dict"]
     prefix = "averaged.module."

@@ -48,9 +48,9 @@ class Distorted(Lifter):
         self.change = change
         self.eval()
 
-    def forward(self, keypoints: Tensor, confidence: Tensor, distance: Tensor) -> Lifted:
+    def forward(self, keypoints: Tensor, confidence: Tensor, distance: Tensor, guessed: Tensor | None = None) -> Lifted:
         """Lift, and change the depths."""
-        lifted = super().forward(keypoints, confidence, distance)
+        lifted = super().forward(keypoints, confidence, distance, guessed)
         depth = self.change(lifted.pose[..., 2], lifted.keypoints)
         depth = depth - depth[:, self.skeleton.root_index, None]
         return dataclasses.replace(lifted, pose=self.camera.unproject(lifted.keypoints, depth, distance))

@@ -264,14 +264,14 @@ def test_completion(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_completion_as_the_shell_asks_for_it() -> None:
-    line = "uplift fit lifter.cam"
+    line = "uplift fit lifter.root"
     environment = {"_ARGCOMPLETE": "1", "COMP_LINE": line, "COMP_POINT": str(len(line)), "_ARGCOMPLETE_IFS": "\n"}
     script = "import os, sys\nos.dup2(1, 8)\nsys.argv[0] = 'uplift'\nfrom uplift.cli.main import main\nmain()"
     done = subprocess.run(
         [sys.executable, "-c", script], capture_output=True, text=True, timeout=60,
         env={**environment, "PYTHONPATH": str(Path(__file__).resolve().parents[2]), "PATH": "/usr/bin"},
     )  # fmt: skip
-    assert done.stdout.strip() == "lifter.camera="
+    assert done.stdout.strip() == "lifter.root_free="
 
 
 def test_callbacks_loggers_and_flags_of_lightning(capsys: pytest.CaptureFixture) -> None:

@@ -207,7 +207,7 @@ def test_a_warm_round_starts_where_the_last_one_ended() -> None:
     options = {"units": 16, "blocks": 1}
 
     def student(*, warm: bool, uncertainty: bool = False) -> StudentModule:
-        lifter = {"options": options, "uncertainty": uncertainty}
+        lifter = {"options": options, "uncertainty": uncertainty, "cameras": "own", "signs": 0}
         module = StudentModule(H36M, teacher=last, lifter=lifter, seed=2, warm=warm, refine={"iterations": 0})
         module.before = {key: value.clone() for key, value in module.lifter.state_dict().items()}
         module.prepare(data)

@@ -301,7 +301,7 @@ def student_settings(settings: Settings, *, last: bool) -> LifterSettings:
     options = lifter.options if student.network is None else {}
     return dataclasses.replace(
         lifter,
-        cameras=_cameras(settings) if last else "own",
+        cameras=_cameras(settings) if last or student.warm else "own",  # a warm round goes on with one network
         network=student.network or lifter.network,
         options={**options, **student.options, **(student.last_options if last else {})},
     )
