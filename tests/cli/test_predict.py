@@ -25,7 +25,7 @@ def write_csv(file: Path, first: int = 0, camera: str = "") -> None:
 
 def notes_of(pattern: str) -> str:
     weights = Weights("run", Path("nowhere/lifter.pt"), {})
-    request = Request(weights, pattern, None, (), True, 0, False, {}, None, False, None, None, None, {})
+    request = Request(weights, pattern, None, (), True, 0, False, {}, None, None, None, {})
     return "; ".join(note for note in _read(request, SKELETON).notes if "cameras of one scene" in note)
 
 
