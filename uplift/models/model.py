@@ -27,7 +27,7 @@ from uplift.data.masks import MaskData
 from uplift.data.poses import PoseData
 from uplift.errors import UserError
 from uplift.geometry.lens import place_roots
-from uplift.models.causal import causal_windows
+from uplift.models.causal import LAG_SECONDS, causal_windows
 from uplift.models.ground import put_on_ground
 from uplift.models.known_camera import KnownCamera, about_cameras, with_guessed_focal
 from uplift.models.lifter import Lifter
@@ -243,7 +243,9 @@ class Model(_Saved):
         if refine == "causal":
             windows, rows = causal_windows(data)
             options = {"size": size, "constant_bones": constant_bones, "camera": camera, "hypotheses": hypotheses}
-            return replace(self.predict(windows, title, **options).select(rows), identity=data.identity)
+            live = self.predict(windows, title, **options).select(rows)
+            note = f"each frame is lifted by what was seen up to {LAG_SECONDS:g} s after it"
+            return replace(live, identity=data.identity, notes=(*data.notes, note))
         data, _ = clean(data, self.skeleton, drop=False)
         inferred = infer(
             self.lifter,
