@@ -90,7 +90,7 @@ class Lifter(nn.Module):
         self.network = network
         self.chains = SignChains(skeleton)
         self.signs = None
-        if settings.signs:
+        if settings.signs and not skeleton.rigid:  # all bones of a rigid body turn at once, which depths say better
             self.signs = ResidualNetwork(inputs + 1, sum(self.chains.counts), units=settings.signs, slope=0.1)
         if self.tilt == "learned":
             self.common_tilt = nn.Parameter(torch.zeros(()))

@@ -238,7 +238,9 @@ _ACCELERATION = 0.2
 _SPEED = 0.6
 """Of the joints of chains of many states, in units of the scene per frame at `_RATE`."""
 _EVIDENCE = 0.5
-"""Exponent of what the lifter says of one frame: errors of neighbouring frames are alike."""
+"""Exponent of what the lifter says of a frame that has neighbours: their errors are alike."""
+_ALONE = 0.75
+"""Weight of the answer, beside the pose given, for a frame without neighbours, whose size is less certain."""
 _LEAST = -9.0
 """Log-probability: no state is ruled out by one frame."""
 _SECOND_ORDER = 8
@@ -420,11 +422,13 @@ def solve_signs(
     fps = frames.fps or _USUAL_FPS
     stride = max(1, round(fps / _RATE))
     windows = list(_windows(frames, stride)) if bool(frames.follows.any()) else []
+    follows = frames.follows | pad(frames.follows[1:], (0, 1))
+    evidence = torch.where(follows, _EVIDENCE, 1.0)[:, None]
     found, deviation, likely = torch.zeros_like(pose), torch.zeros_like(pose[..., 0]), []
     for place, (chain, part) in enumerate(zip(chains.chains, chains.split(logits), strict=True)):
         start = chain[0][0]
         ends = scene.ends(place, found[:, start])
-        seen = (_EVIDENCE * part.clamp_min(_LEAST)).softmax(1)
+        seen = (evidence * part.clamp_min(_LEAST)).softmax(1)
         state = _smooth(_marginals(ends, seen, windows, stride * _RATE / fps), frames, stride)
         mean = torch.einsum("fs,fsbx->fbx", state, ends)
         spread = torch.einsum("fs,fsb->fb", state, (ends - mean[:, None]).square().sum(-1))
@@ -433,7 +437,8 @@ def solve_signs(
         deviation[:, children] = (spread + deviation[:, [start]].square()).sqrt()
         likely.append(state)
     solution = Solution(pose, deviation / size[:, None], likely, scene, size, frames.rotation)
-    return replace(solution, pose=solution.in_units(found))
+    weight = torch.where(follows, 1.0, _ALONE)[:, None, None]
+    return replace(solution, pose=torch.lerp(pose, solution.in_units(found), weight))
 
 
 def _smooth(state: Float[Tensor, "frames states"], frames: TrainingSet, stride: int) -> Float[Tensor, "frames states"]:
