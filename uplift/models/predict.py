@@ -94,7 +94,7 @@ def infer(
     several = None
     if lifted.signs is not None and (solve or hypotheses or (refine and solve is None)):
         placed = frames if lifted.distance is None else replace(frames, distance=lifted.distance)
-        solution = solve_signs(placed, lifted.pose, lifted.signs, lifter.camera, lifter.chains)
+        solution = solve_signs(placed, lifted.pose, lifted.signs, lifter.camera, lifter.chains, lifted.uncertainty)
         lifted = _solved(lifted, solution)
         several = _in_pixels(spread_hypotheses(solution, hypotheses), frames) if hypotheses else None
     pose = _to_real(lifted.pose * frames.scale[:, None, None], frames)

@@ -239,8 +239,6 @@ _SPEED = 0.6
 """Of the joints of chains of many states, in units of the scene per frame at `_RATE`."""
 _EVIDENCE = 0.5
 """Exponent of what the lifter says of a frame that has neighbours: their errors are alike."""
-_ALONE = 0.75
-"""Weight of the answer, beside the pose given, for a frame without neighbours, whose size is less certain."""
 _LEAST = -9.0
 """Log-probability: no state is ruled out by one frame."""
 _SECOND_ORDER = 8
@@ -405,11 +403,13 @@ def solve_signs(
     logits: Float[Tensor, "frames states"],
     camera: Camera,
     chains: SignChains,
+    uncertainty: Float[Tensor, "frames joints"] | None = None,
 ) -> Solution:
     """Return poses with the bones of each body and the depth signs that are likely, given whole clips.
 
     Bones have one length for all frames of a body. Each chain's states are weighed by what the lifter says of each
-    frame and by how joints then move along the clip; chains start at the mean of those before them.
+    frame and by how joints then move along the clip; chains start at the mean of those before them. In frames without
+    neighbours the answer is a weighted mean with the pose given.
 
     Args:
         frames: for clips, bodies and cameras.
@@ -417,6 +417,7 @@ def solve_signs(
         logits: of the states of all chains, as a lifter with `Lifter.chains` predicts them.
         camera: the lifter's projection.
         chains: those of the skeleton.
+        uncertainty: of the depths of ``pose``, in units, where it is known.
     """
     scene, size = _scene_of(frames, pose, camera, chains)
     fps = frames.fps or _USUAL_FPS
@@ -437,8 +438,18 @@ def solve_signs(
         deviation[:, children] = (spread + deviation[:, [start]].square()).sqrt()
         likely.append(state)
     solution = Solution(pose, deviation / size[:, None], likely, scene, size, frames.rotation)
-    weight = torch.where(follows, 1.0, _ALONE)[:, None, None]
-    return replace(solution, pose=torch.lerp(pose, solution.in_units(found), weight))
+    weight = torch.where(follows[:, None], 1.0, _weight_alone(solution.deviation, uncertainty))
+    return replace(solution, pose=torch.lerp(pose, solution.in_units(found), weight[..., None]))
+
+
+def _weight_alone(deviation: Tensor, uncertainty: Tensor | None) -> Float[Tensor, "frames joints"]:
+    """Return the weight of the answer, beside the pose given, in frames without neighbours.
+
+    Where the signs leave little open the answer knows no more than the pose, but takes all bones for stiff.
+    """
+    if uncertainty is None:
+        return torch.full_like(deviation, 0.5)
+    return deviation / (deviation + uncertainty).clamp_min(1e-9)
 
 
 def _smooth(state: Float[Tensor, "frames states"], frames: TrainingSet, stride: int) -> Float[Tensor, "frames states"]:

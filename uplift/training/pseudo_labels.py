@@ -59,7 +59,7 @@ def lift_all(lifter: Lifter, data: TrainingSet, refine: RefineSettings) -> Pseud
     if refined:
         pose = refine_clips(data, as_measured(data, lifted.keypoints), pose[..., 2], lifter.camera, refine)
     if lifted.signs is not None and refine.iterations:
-        pose = solve_signs(data, pose, lifted.signs, lifter.camera, lifter.chains).pose
+        pose = solve_signs(data, pose, lifted.signs, lifter.camera, lifter.chains, lifted.uncertainty).pose
     if data.labels is not None:
         pose = torch.where(data.labels.isfinite(), data.labels, pose)
     if lifted.gravity is not None:
