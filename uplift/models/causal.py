@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Int
 
 from uplift.data.poses import PoseData, previous_frames
+from uplift.models.signs import USUAL_FPS
 
 __all__ = ["LAG_SECONDS", "causal_windows"]
 
@@ -16,7 +17,6 @@ LAG_SECONDS = 0.5
 """How much later than a frame the last one is that may change its pose."""
 _PAST_SECONDS = 3.0
 """Of a clip that is lifted together: bodies are learned from it, and a longer one changes little."""
-_USUAL_FPS = 30.0
 
 
 def causal_windows(data: PoseData) -> tuple[PoseData, Int[np.ndarray, " frames"]]:
@@ -27,7 +27,7 @@ def causal_windows(data: PoseData) -> tuple[PoseData, Int[np.ndarray, " frames"]
     A clip is a body of its own; what is known of all clips together (their mean body, what confidences are worth) is
     that of the whole file. ``data`` are in the order of `PoseData.in_order`.
     """
-    fps = data.fps or _USUAL_FPS
+    fps = data.fps or USUAL_FPS
     hop = max(1, round(LAG_SECONDS * fps / 2))
     past = max(hop, round(_PAST_SECONDS * fps))
     follows = previous_frames(data.clips(), data.identity.get("frame")) >= 0

@@ -157,7 +157,7 @@ class Lifter(nn.Module):
     def _signs(self, features: Tensor, distance: Tensor) -> Tensor | None:
         if self.signs is None:
             return None
-        return self.signs(torch.cat([features, 10 / distance[:, None]], 1)).to(features.dtype)
+        return self.signs(torch.cat([features, _USUAL_DISTANCE / distance[:, None]], 1)).to(features.dtype)
 
     def _tilt(self, output: Tensor) -> Tensor:
         if self.tilt == "predicted":

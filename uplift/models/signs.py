@@ -24,7 +24,7 @@ from uplift.geometry.normalise import bone_lengths
 from uplift.geometry.rotation import turn
 from uplift.skeleton import Skeleton
 
-__all__ = ["Hypotheses", "SignChains", "Solution", "solve_signs", "spread_hypotheses"]
+__all__ = ["USUAL_FPS", "Hypotheses", "SignChains", "Solution", "solve_signs", "spread_hypotheses"]
 
 # The chains of a skeleton, and the states of their bones.
 
@@ -141,8 +141,6 @@ class _Scene:
     """Its direction, of length 1."""
     length: Float[Tensor, "frames bones"]
     """As in `SignChains.bones`."""
-    pose: Float[Tensor, "frames joints 3"]
-    """As given."""
 
     def ends(self, place: int, start: Float[Tensor, "frames 3"]) -> Float[Tensor, "frames states bones 3"]:
         """Return the far ends of a chain's bones in all of its states.
@@ -153,9 +151,7 @@ class _Scene:
         for number, (_, child) in enumerate(self.chains.chains[place]):
             point, ray = self.point[:, child, None], self.ray[:, child, None]
             length = self.length[:, self.chains.starts[place] + number, None]
-            off = at - point
-            along = (off * ray).sum(-1)
-            half = (length.square() - off.square().sum(-1) + along.square()).clamp_min(0).sqrt()
+            along, half = _meets(at - point, ray, length)
             both = torch.stack([along - half, along + half], -1)
             at = (point[:, :, None] + ray[:, :, None] * both[..., None]).flatten(1, 2)
             columns = [*(column.repeat_interleave(2, 1) for column in columns), at]
@@ -165,17 +161,21 @@ class _Scene:
         self, rows: Int[Tensor, " frames"], states: Int[Tensor, "frames poses chains"]
     ) -> Float[Tensor, "frames poses joints 3"]:
         """Return the poses of frames ``rows`` that the states of all chains describe."""
-        result = self.pose.new_zeros(*states.shape[:2], self.pose.shape[1], 3)
+        result = self.point.new_zeros(*states.shape[:2], *self.point.shape[1:])
         for place, chain in enumerate(self.chains.chains):
             for number, (parent, child) in enumerate(chain):
                 sign = 2 * (states[..., place] >> (len(chain) - 1 - number) & 1) - 1
                 point, ray = self.point[rows, None, child], self.ray[rows, None, child]
-                off = result[:, :, parent] - point
-                along = (off * ray).sum(-1)
                 length = self.length[rows, None, self.chains.starts[place] + number]
-                half = (length.square() - off.square().sum(-1) + along.square()).clamp_min(0).sqrt()
+                along, half = _meets(result[:, :, parent] - point, ray, length)
                 result[:, :, child] = point + ray * (along + sign * half)[..., None]
         return result
+
+
+def _meets(off: Tensor, ray: Tensor, length: Tensor) -> tuple[Tensor, Tensor]:
+    """Return how far along rays the nearest points to ``off`` are, and from there the points ``length`` away from it."""
+    along = (off * ray).sum(-1)
+    return along, (length.square() - off.square().sum(-1) + along.square()).clamp_min(0).sqrt()
 
 
 def _scene_of(frames: TrainingSet, pose: Tensor, camera: Camera, chains: SignChains) -> tuple[_Scene, Tensor]:
@@ -194,7 +194,7 @@ def _scene_of(frames: TrainingSet, pose: Tensor, camera: Camera, chains: SignCha
     off = pose[:, parent] - point[:, child]
     reach = (off - (off * ray[:, child]).sum(-1, keepdim=True) * ray[:, child]).norm(dim=-1)
     length = _body_lengths(lengths * size[:, None], reach, frames.body, _limb_bones(frames.skeleton, chains))
-    return _Scene(chains, point, ray, length, pose), size
+    return _Scene(chains, point, ray, length), size
 
 
 def _limb_bones(skeleton: Skeleton, chains: SignChains) -> Bool[Tensor, " bones"]:
@@ -231,7 +231,7 @@ def _body_lengths(
 
 _RATE = 10.0
 """Frames per second at which frames are compared; clips of more are taken apart into some of about this rate."""
-_USUAL_FPS = 30.0
+USUAL_FPS = 30.0
 """Of clips that do not say."""
 _ACCELERATION = 0.2
 """Of a joint, in units of the scene per frame squared at `_RATE`, from which it counts: 20 m/s^2 of a human."""
@@ -378,7 +378,8 @@ class Solution:
     """Poses as `solve_signs` finds them."""
 
     pose: Float[Tensor, "frames joints 3"]
-    """The mean over all states, in the units and the camera of the frames; it projects to the keypoints of the pose given."""
+    """The mean over all states, in the units and the camera of the frames, in frames without neighbours mixed with the pose
+    given; it projects to the same keypoints."""
     deviation: Float[Tensor, "frames joints"]
     """Standard deviation of each joint's place along its line of sight, in units, as far as it comes from the signs."""
     likely: list[Tensor]
@@ -420,7 +421,7 @@ def solve_signs(
         uncertainty: of the depths of ``pose``, in units, where it is known.
     """
     scene, size = _scene_of(frames, pose, camera, chains)
-    fps = frames.fps or _USUAL_FPS
+    fps = frames.fps or USUAL_FPS
     stride = max(1, round(fps / _RATE))
     windows = list(_windows(frames, stride)) if bool(frames.follows.any()) else []
     follows = frames.follows | pad(frames.follows[1:], (0, 1))
