@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 import torch
 from bodies import body_arrays, refusal
+from lifts import H36M, small_lifter
 
 from uplift.cli.main import main
 from uplift.config.settings import LifterSettings
@@ -19,6 +20,7 @@ from uplift.data.formats.deeplabcut import write_deeplabcut_csv
 from uplift.data.load import load_file
 from uplift.data.poses import PoseData
 from uplift.data.synthetic.simulate import simulate
+from uplift.errors import UserError
 from uplift.metrics.pose_metrics import never_seen_so_long
 from uplift.models.lifter import Lifter
 from uplift.models.metric_scale import KnownLength
@@ -204,3 +206,16 @@ def test_bones_longer_than_they_ever_look_are_warned_of():
     deep = pose * np.array([1, 1, 5.0], np.float32)
     assert never_seen_so_long(deep, SKELETON) > 0.3
     assert np.isnan(never_seen_so_long(pose * np.nan, SKELETON))
+
+
+def test_hypotheses_of_a_frame_without_any_joint_are_as_blank_as_its_pose() -> None:
+    data = simulate(H36M, frames=12, seed=0)
+    confidence = data.confidence.copy()
+    confidence[5] = 0
+    model = Model(small_lifter(signs=8), H36M, LifterSettings(signs=8))
+    found = model.predict(replace(data, confidence=confidence), hypotheses=3)
+    assert found.hypotheses is not None
+    assert np.isnan(found.pose[5]).all() and np.isnan(found.hypotheses[5]).all()
+    assert np.isfinite(np.delete(found.hypotheses, 5, 0)).all()
+    with pytest.raises(UserError, match="lifter.signs"):
+        Model(small_lifter(), H36M, LifterSettings()).predict(data, hypotheses=3)

@@ -251,8 +251,7 @@ class Model(_Saved):
             self.lifter,
             data,
             self.settings,
-            refine=self.refines(data, refine),
-            solve=bool(refine) and self.settings.refine.iterations > 0,
+            refine=bool(refine) and self.settings.refine.iterations > 0,
             hypotheses=hypotheses,
         )
         inferred, data = self._seen_by(inferred, data, camera)
@@ -316,6 +315,9 @@ class Model(_Saved):
         level_pose = to_level(pose, gravity) if with_gravity else pose.copy()
         blank = (data.confidence > 0).sum(1) == 0
         pose[blank], level_pose[blank] = np.nan, np.nan
+        hypotheses = None if several is None else several.pose.cpu().numpy() * unit[:, None, None, None]
+        if hypotheses is not None:
+            hypotheses[blank] = np.nan
         return Prediction(
             pose=pose,
             level_pose=level_pose,
@@ -334,7 +336,7 @@ class Model(_Saved):
             uncertainty=uncertainty,
             root=None if rays is None else place_roots(pose, rays, data.confidence).astype(np.float32),
             filled=data.confidence == 0,
-            hypotheses=None if several is None else several.pose.cpu().numpy() * unit[:, None, None, None],
+            hypotheses=hypotheses,
             weights=None if several is None else several.weight.cpu().numpy(),
             source=data.source,
             title=title,

@@ -73,7 +73,6 @@ def infer(
     settings: LifterSettings,
     *,
     refine: bool,
-    solve: bool | None = None,
     hypotheses: int = 0,
 ) -> InferredPoses:
     """Return the poses of cleaned ``data``.
@@ -81,8 +80,7 @@ def infer(
     Args:
         lifter, settings: what lifts.
         data: keypoints, cleaned.
-        refine: whether clips are refined, and short gaps interpolated.
-        solve: whether depth signs are decided along clips, by a lifter that predicts them; as ``refine`` if None.
+        refine: whether clips are refined, short gaps interpolated, and depth signs decided by a lifter that predicts them.
         hypotheses: how many poses to return for each frame, beside the answer, by such a lifter.
     """
     seen = calibrated(undistorted(data, settings), lifter.skeleton, settings)
@@ -92,7 +90,7 @@ def infer(
         if filled is not None:  # with fewer gaps, the visible joints are lifted better too
             frames, lifted, alone = _lift_and_refine(lifter, filled, settings, refine)
     several = None
-    if lifted.signs is not None and (solve or hypotheses or (refine and solve is None)):
+    if lifted.signs is not None and (refine or hypotheses):
         placed = frames if lifted.distance is None else replace(frames, distance=lifted.distance)
         solution = solve_signs(placed, lifted.pose, lifted.signs, lifter.camera, lifter.chains, lifted.uncertainty)
         lifted = _solved(lifted, solution)
