@@ -1,0 +1,204 @@
+"""Joint angles of poses, as a skeleton's ``angles:`` name them: flexion, abduction, rotation, by geometry alone.
+
+Every angle measures one segment, a direction from one point of the body to another:
+
+- ``from``: the angle between the segment and this direction, 0 to 180. With ``about``: the turn from it to the segment
+  about that axis, right-handed, both projected onto the plane across the axis.
+- ``towards``: the angle of the segment out of the plane across this direction, -90 to 90; with ``from`` the direction is
+  first made perpendicular to that, so that a segment along ``from`` has 0.
+
+A turn about an axis fixed in the proximal segment and an angle out of the plane across it are the first two rotations
+of the joint coordinate system of Grood and Suntay (1983, J. Biomech. Eng. 105), which the recommendations of the ISB
+(Wu et al. 2002, 2005, J. Biomech. 35, 38) use; a turn about the distal segment is the third.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+
+from uplift.config.files import shipped_names
+from uplift.errors import UserError, listed
+from uplift.geometry.rigid import nearest_rotation
+from uplift.models.prediction import Prediction
+from uplift.skeleton import Skeleton, load_skeleton
+from uplift.skeleton.core import Angle, Way
+
+__all__ = ["Angles", "angles_of", "joint_angles", "wrapped"]
+
+_LEAST_SINE = np.sin(np.radians(10.0))
+"""A direction closer to an axis than ten degrees leaves the turn about it to chance."""
+_LEVEL = {"up": (0.0, -1.0, 0.0), "down": (0.0, 1.0, 0.0), "image_right": (1.0, 0.0, 0.0), "image_left": (-1.0, 0.0, 0.0)}
+
+
+@dataclass(frozen=True)
+class Angles:
+    """Joint angles of frames, degrees."""
+
+    values: Float[np.ndarray, "frames angles"]
+    """In (-180, 180]; NaN where a joint is missing or a direction is along the axis it would be turned about."""
+    names: tuple[str, ...]
+    uncertainty: Float[np.ndarray, "frames angles"] | None = None
+    """The error to expect of each value (mean absolute), where that of the joints is known."""
+
+
+def angles_of(skeleton: Skeleton) -> dict[str, Angle]:
+    """Return the angles of a skeleton on both sides; those of the shipped one where a run kept an older copy without any."""
+    if not skeleton.angles and skeleton.name in shipped_names("skeletons"):
+        newer = load_skeleton(skeleton.name)
+        skeleton = newer if newer.joints == skeleton.joints else skeleton
+    return skeleton.both_sides
+
+
+def joint_angles(pose: Float[np.ndarray, "frames joints 3"] | Prediction, skeleton: Skeleton | None = None) -> Angles:
+    """Return the angles that the skeleton names.
+
+    Args:
+        pose: a prediction; or poses of the skeleton's joints in level axes (x right, y down, z away), any unit, NaN
+            where a joint is missing.
+        skeleton: of poses that are an array; a prediction brings its own.
+
+    The ``uncertainty`` of a prediction's angles is propagated from that of its joints' depths, and of the places of
+    joints that were not seen: each is moved by its own there and back, and the halves of what that changes add in
+    squares, as for errors that have nothing to do with each other.
+
+    Raises:
+        UserError: the skeleton names no angles, or joints are not there at all.
+    """
+    body = pose.skeleton if isinstance(pose, Prediction) else skeleton
+    if body is None:
+        raise ValueError("joint_angles: poses without a skeleton, expected skeleton=")
+    wanted = angles_of(body)
+    if not wanted:
+        raise UserError(f"skeleton '{body.name}' names no joint angles: write angles: in its YAML (docs/angles.md).")
+    scene = _scene_of(pose) if isinstance(pose, Prediction) else _Scene(_points(pose, body.joints), np.eye(3)[None])
+    absent = sorted({joint for angle in wanted.values() for joint in _joints(angle)} - set(scene.points))
+    if absent:
+        raise UserError(f"skeleton '{body.name}': its angles need joints that are not there: {listed(absent)}.")
+    values = np.stack([_measured(angle, scene) for angle in wanted.values()], -1)
+    spread = None
+    if isinstance(pose, Prediction) and pose.uncertainty is not None:
+        columns = [_spread(angle, scene, pose, values[:, k]) for k, angle in enumerate(wanted.values())]
+        spread = np.where(np.isfinite(values), np.stack(columns, -1), np.nan).astype(np.float32)
+    return Angles(values.astype(np.float32), tuple(wanted), spread)
+
+
+def wrapped(degrees: Float[np.ndarray, "*any"]) -> Float[np.ndarray, "*any"]:
+    """Return the same angles in (-180, 180]."""
+    return 180.0 - (180.0 - degrees) % 360.0
+
+
+# The body of every frame: joints by name, and the level frame in the same axes.
+
+
+@dataclass
+class _Scene:
+    points: dict[str, Float[np.ndarray, "frames 3"]]
+    level: Float[np.ndarray, "frames_or_1 3 3"]
+    """Rotations from the axes of the points to the level frame."""
+
+    def moved(self, joint: str, by: Float[np.ndarray, "frames 3"]) -> _Scene:
+        """Return the scene with one joint elsewhere."""
+        return _Scene({**self.points, joint: self.points[joint] + by}, self.level)
+
+
+def _points(pose: np.ndarray, joints: tuple[str, ...]) -> dict[str, np.ndarray]:
+    pose = np.asarray(pose, np.float64)
+    pose = np.where(np.isfinite(pose).all(-1, keepdims=True), pose, np.nan)
+    return {joint: pose[:, place] for place, joint in enumerate(joints)}
+
+
+def _scene_of(prediction: Prediction) -> _Scene:
+    """Return the poses in their own axes: the camera's, in which the uncertainty is along z."""
+    pose, level = (np.nan_to_num(np.asarray(of, np.float64)) for of in (prediction.pose, prediction.level_pose))
+    rotation, _ = nearest_rotation(np.einsum("fji,fjk->fik", level, pose))
+    return _Scene(_points(prediction.pose, prediction.joint_names), rotation)
+
+
+def _joints(angle: Angle) -> set[str]:
+    ways = [way for way in angle[:4] if way is not None and not isinstance(way, str)]
+    return {joint for way in ways for end in way for joint in end}
+
+
+# One angle.
+
+
+def _measured(angle: Angle, scene: _Scene) -> Float[np.ndarray, " frames"]:
+    """Return an angle in degrees, in (-180, 180]."""
+    segment = _along(angle.segment, scene)
+    start = None if angle.start is None else _along(angle.start, scene)
+    if angle.towards is not None:
+        towards = _along(angle.towards, scene)
+        found = _asin(segment, towards if start is None else _unit(towards - _dot(towards, start) * start))
+    elif angle.about is None:
+        found = _between(segment, start)
+    else:
+        about = _along(angle.about, scene)
+        segment, start = (_across(way, about) for way in (segment, start))
+        found = np.arctan2((np.cross(start, segment) * about).sum(-1), (start * segment).sum(-1))
+    return wrapped(np.degrees(found) - angle.zero)
+
+
+def _along(way: Way, scene: _Scene) -> Float[np.ndarray, "frames 3"]:
+    """Return a direction as unit vectors, NaN where it has no length."""
+    if isinstance(way, str):
+        # The rows of a rotation to the level frame are its axes.
+        level = np.einsum("k,fkc->fc", np.array(_LEVEL[way]), scene.level)
+        return np.broadcast_to(level, next(iter(scene.points.values())).shape)
+    start, *ends = (np.mean([scene.points[joint] for joint in end], 0) for end in way)
+    return _unit(ends[0] - start if len(ends) == 1 else np.cross(ends[0] - start, ends[1] - start))
+
+
+def _unit(vector: Float[np.ndarray, "frames 3"]) -> Float[np.ndarray, "frames 3"]:
+    length = np.linalg.norm(vector, axis=-1, keepdims=True)
+    return vector / np.where(length > 1e-9, length, np.nan)
+
+
+def _dot(one: np.ndarray, other: np.ndarray) -> Float[np.ndarray, "frames 1"]:
+    return (one * other).sum(-1, keepdims=True)
+
+
+def _across(way: np.ndarray, axis: np.ndarray) -> Float[np.ndarray, "frames 3"]:
+    """Return what of a unit direction is across an axis; NaN where that is next to nothing."""
+    rest = way - _dot(way, axis) * axis
+    return np.where(np.linalg.norm(rest, axis=-1, keepdims=True) >= _LEAST_SINE, rest, np.nan)
+
+
+def _between(one: np.ndarray, other: np.ndarray) -> Float[np.ndarray, " frames"]:
+    """Return the angle between unit vectors, exact for small ones too (Kahan 2006)."""
+    return 2 * np.arctan2(np.linalg.norm(one - other, axis=-1), np.linalg.norm(one + other, axis=-1))
+
+
+def _asin(one: np.ndarray, other: np.ndarray) -> Float[np.ndarray, " frames"]:
+    return np.pi / 2 - _between(one, other)
+
+
+# The error to expect.
+
+
+def _spread(angle: Angle, scene: _Scene, prediction: Prediction, value: np.ndarray) -> Float[np.ndarray, " frames"]:
+    """Return how far off an angle may be: what its joints' own uncertainties change, added in squares."""
+    assert prediction.uncertainty is not None
+    filled = prediction.filled
+    total = np.zeros(len(value))
+    for joint in sorted(_joints(angle)):
+        place = prediction.joint_names.index(joint)
+        off = np.asarray(prediction.uncertainty[:, place], np.float64)[:, None]
+        hidden = np.zeros(len(value), bool) if filled is None else np.asarray(filled[:, place], bool)
+        if (off > 0).any():
+            total += _change(angle, scene, joint, off * [0.0, 0.0, 1.0], value) ** 2
+        if hidden.any():  # its whole place is uncertain, not its depth alone: the error is of a length in 3D
+            share = np.where(hidden[:, None], off / np.sqrt(3), 0.0)
+            sideways = [_change(angle, scene, joint, share * axis, value) ** 2 for axis in np.eye(3)]
+            depth = _change(angle, scene, joint, off * [0.0, 0.0, 1.0], value) ** 2
+            total += np.where(hidden, sum(sideways) - depth, 0.0)
+    return np.sqrt(total)
+
+
+def _change(angle: Angle, scene: _Scene, joint: str, by: np.ndarray, value: np.ndarray) -> Float[np.ndarray, " frames"]:
+    """Return half of what moving a joint there and back changes; where one of them has no angle, what the other does."""
+    steps = np.stack([np.abs(wrapped(_measured(angle, scene.moved(joint, way)) - value)) for way in (by, -by)])
+    known = np.isfinite(steps)
+    return np.where(known, steps, 0).sum(0) / np.maximum(known.sum(0), 1)
