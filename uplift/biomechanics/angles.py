@@ -14,6 +14,7 @@ of the joint coordinate system of Grood and Suntay (1983, J. Biomech. Eng. 105),
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -30,7 +31,6 @@ __all__ = ["Angles", "angles_of", "joint_angles", "wrapped"]
 
 _LEAST_SINE = np.sin(np.radians(10.0))
 """A direction closer to an axis than ten degrees leaves the turn about it to chance."""
-_LEVEL = {"up": (0.0, -1.0, 0.0), "down": (0.0, 1.0, 0.0), "image_right": (1.0, 0.0, 0.0), "image_left": (-1.0, 0.0, 0.0)}
 
 
 @dataclass(frozen=True)
@@ -73,7 +73,7 @@ def joint_angles(pose: Float[np.ndarray, "frames joints 3"] | Prediction, skelet
     wanted = angles_of(body)
     if not wanted:
         raise UserError(f"skeleton '{body.name}' names no joint angles: write angles: in its YAML (docs/angles.md).")
-    scene = _scene_of(pose) if isinstance(pose, Prediction) else _Scene(_points(pose, body.joints), np.eye(3)[None])
+    scene = _scene_of(pose) if isinstance(pose, Prediction) else _scene(pose, body.joints, np.eye(3)[None])
     absent = sorted({joint for angle in wanted.values() for joint in _joints(angle)} - set(scene.points))
     if absent:
         raise UserError(f"skeleton '{body.name}': its angles need joints that are not there: {listed(absent)}.")
@@ -90,31 +90,38 @@ def wrapped(degrees: Float[np.ndarray, "*any"]) -> Float[np.ndarray, "*any"]:
     return 180.0 - (180.0 - degrees) % 360.0
 
 
-# The body of every frame: joints by name, and the level frame in the same axes.
+# The body of every frame: joints by name, and the level frame in the same axes. Vectors are (3 frames) in here: sums
+# over their first axis are several times as fast.
+
+_Vectors = Float[np.ndarray, "3 frames"]
 
 
 @dataclass
 class _Scene:
-    points: dict[str, Float[np.ndarray, "frames 3"]]
-    level: Float[np.ndarray, "frames_or_1 3 3"]
-    """Rotations from the axes of the points to the level frame."""
+    points: dict[str, _Vectors]
+    level: dict[str, _Vectors]
+    """The directions of the level frame."""
 
-    def moved(self, joint: str, by: Float[np.ndarray, "frames 3"]) -> _Scene:
+    def moved(self, joint: str, by: _Vectors) -> _Scene:
         """Return the scene with one joint elsewhere."""
         return _Scene({**self.points, joint: self.points[joint] + by}, self.level)
 
 
-def _points(pose: np.ndarray, joints: tuple[str, ...]) -> dict[str, np.ndarray]:
-    pose = np.asarray(pose, np.float64)
-    pose = np.where(np.isfinite(pose).all(-1, keepdims=True), pose, np.nan)
-    return {joint: pose[:, place] for place, joint in enumerate(joints)}
+def _scene(pose: np.ndarray, joints: Sequence[str], level: Float[np.ndarray, "frames_or_1 3 3"]) -> _Scene:
+    """Return the scene of poses; ``level`` are rotations from their axes to the level frame."""
+    pose = np.ascontiguousarray(np.asarray(pose, np.float64).transpose(1, 2, 0))
+    pose[~np.isfinite(pose).all(1)[:, None].repeat(3, 1)] = np.nan
+    # The rows of a rotation to the level frame are its axes.
+    right, down = (np.broadcast_to(level[:, row].T, pose.shape[1:]) for row in (0, 1))
+    names = {"up": -down, "down": down, "image_right": right, "image_left": -right}
+    return _Scene(dict(zip(joints, pose, strict=True)), names)
 
 
 def _scene_of(prediction: Prediction) -> _Scene:
     """Return the poses in their own axes: the camera's, in which the uncertainty is along z."""
     pose, level = (np.nan_to_num(np.asarray(of, np.float64)) for of in (prediction.pose, prediction.level_pose))
     rotation, _ = nearest_rotation(np.einsum("fji,fjk->fik", level, pose))
-    return _Scene(_points(prediction.pose, prediction.joint_names), rotation)
+    return _scene(prediction.pose, prediction.joint_names, rotation)
 
 
 def _joints(angle: Angle) -> set[str]:
@@ -131,48 +138,49 @@ def _measured(angle: Angle, scene: _Scene) -> Float[np.ndarray, " frames"]:
     start = None if angle.start is None else _along(angle.start, scene)
     if angle.towards is not None:
         towards = _along(angle.towards, scene)
-        found = _asin(segment, towards if start is None else _unit(towards - _dot(towards, start) * start))
+        towards = towards if start is None else _unit(towards - _dot(towards, start) * start)
+        found = np.pi / 2 - _between(segment, towards)
     elif angle.about is None:
         found = _between(segment, start)
     else:
         about = _along(angle.about, scene)
         segment, start = (_across(way, about) for way in (segment, start))
-        found = np.arctan2((np.cross(start, segment) * about).sum(-1), (start * segment).sum(-1))
+        found = np.arctan2(_dot(_cross(start, segment), about), _dot(start, segment))
     return wrapped(np.degrees(found) - angle.zero)
 
 
-def _along(way: Way, scene: _Scene) -> Float[np.ndarray, "frames 3"]:
+def _along(way: Way, scene: _Scene) -> _Vectors:
     """Return a direction as unit vectors, NaN where it has no length."""
     if isinstance(way, str):
-        # The rows of a rotation to the level frame are its axes.
-        level = np.einsum("k,fkc->fc", np.array(_LEVEL[way]), scene.level)
-        return np.broadcast_to(level, next(iter(scene.points.values())).shape)
-    start, *ends = (np.mean([scene.points[joint] for joint in end], 0) for end in way)
-    return _unit(ends[0] - start if len(ends) == 1 else np.cross(ends[0] - start, ends[1] - start))
+        return scene.level[way]
+    start, *ends = (sum(scene.points[joint] for joint in end) / len(end) for end in way)
+    return _unit(ends[0] - start if len(ends) == 1 else _cross(ends[0] - start, ends[1] - start))
 
 
-def _unit(vector: Float[np.ndarray, "frames 3"]) -> Float[np.ndarray, "frames 3"]:
-    length = np.linalg.norm(vector, axis=-1, keepdims=True)
+def _dot(one: np.ndarray, other: np.ndarray) -> Float[np.ndarray, " frames"]:
+    return one[0] * other[0] + one[1] * other[1] + one[2] * other[2]
+
+
+def _cross(one: np.ndarray, other: np.ndarray) -> _Vectors:
+    (a, b, c), (x, y, z) = one, other
+    return np.stack([b * z - c * y, c * x - a * z, a * y - b * x])
+
+
+def _unit(vector: np.ndarray) -> _Vectors:
+    length = np.sqrt(_dot(vector, vector))
     return vector / np.where(length > 1e-9, length, np.nan)
 
 
-def _dot(one: np.ndarray, other: np.ndarray) -> Float[np.ndarray, "frames 1"]:
-    return (one * other).sum(-1, keepdims=True)
-
-
-def _across(way: np.ndarray, axis: np.ndarray) -> Float[np.ndarray, "frames 3"]:
+def _across(way: np.ndarray, axis: np.ndarray) -> _Vectors:
     """Return what of a unit direction is across an axis; NaN where that is next to nothing."""
     rest = way - _dot(way, axis) * axis
-    return np.where(np.linalg.norm(rest, axis=-1, keepdims=True) >= _LEAST_SINE, rest, np.nan)
+    return np.where(_dot(rest, rest) >= _LEAST_SINE**2, rest, np.nan)
 
 
 def _between(one: np.ndarray, other: np.ndarray) -> Float[np.ndarray, " frames"]:
     """Return the angle between unit vectors, exact for small ones too (Kahan 2006)."""
-    return 2 * np.arctan2(np.linalg.norm(one - other, axis=-1), np.linalg.norm(one + other, axis=-1))
-
-
-def _asin(one: np.ndarray, other: np.ndarray) -> Float[np.ndarray, " frames"]:
-    return np.pi / 2 - _between(one, other)
+    apart, along = one - other, one + other
+    return 2 * np.arctan2(np.sqrt(_dot(apart, apart)), np.sqrt(_dot(along, along)))
 
 
 # The error to expect.
@@ -181,19 +189,18 @@ def _asin(one: np.ndarray, other: np.ndarray) -> Float[np.ndarray, " frames"]:
 def _spread(angle: Angle, scene: _Scene, prediction: Prediction, value: np.ndarray) -> Float[np.ndarray, " frames"]:
     """Return how far off an angle may be: what its joints' own uncertainties change, added in squares."""
     assert prediction.uncertainty is not None
-    filled = prediction.filled
     total = np.zeros(len(value))
     for joint in sorted(_joints(angle)):
         place = prediction.joint_names.index(joint)
-        off = np.asarray(prediction.uncertainty[:, place], np.float64)[:, None]
-        hidden = np.zeros(len(value), bool) if filled is None else np.asarray(filled[:, place], bool)
-        if (off > 0).any():
-            total += _change(angle, scene, joint, off * [0.0, 0.0, 1.0], value) ** 2
-        if hidden.any():  # its whole place is uncertain, not its depth alone: the error is of a length in 3D
-            share = np.where(hidden[:, None], off / np.sqrt(3), 0.0)
-            sideways = [_change(angle, scene, joint, share * axis, value) ** 2 for axis in np.eye(3)]
-            depth = _change(angle, scene, joint, off * [0.0, 0.0, 1.0], value) ** 2
-            total += np.where(hidden, sum(sideways) - depth, 0.0)
+        off = np.asarray(prediction.uncertainty[:, place], np.float64)
+        hidden = np.zeros(len(off), bool) if prediction.filled is None else np.asarray(prediction.filled[:, place], bool)
+        # Of a joint that was not seen it is the error of its place, a length in 3D.
+        off = np.where(hidden, off / np.sqrt(3), off)
+        for axis, rows in ((2, off > 0), (0, hidden), (1, hidden)):
+            if rows.any():
+                by = np.zeros((3, len(off)))
+                by[axis] = np.where(rows, off, 0.0)
+                total += _change(angle, scene, joint, by, value) ** 2
     return np.sqrt(total)
 
 
