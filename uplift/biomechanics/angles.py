@@ -14,8 +14,9 @@ of the joint coordinate system of Grood and Suntay (1983, J. Biomech. Eng. 105),
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
@@ -73,16 +74,33 @@ def joint_angles(pose: Float[np.ndarray, "frames joints 3"] | Prediction, skelet
     wanted = angles_of(body)
     if not wanted:
         raise UserError(f"skeleton '{body.name}' names no joint angles: write angles: in its YAML (docs/angles.md).")
-    scene = _scene_of(pose) if isinstance(pose, Prediction) else _scene(pose, body.joints, np.eye(3)[None])
-    absent = sorted({joint for angle in wanted.values() for joint in _joints(angle)} - set(scene.points))
+    joints = pose.joint_names if isinstance(pose, Prediction) else body.joints
+    absent = sorted({joint for angle in wanted.values() for joint in _joints(angle)} - set(joints))
     if absent:
         raise UserError(f"skeleton '{body.name}': its angles need joints that are not there: {listed(absent)}.")
-    values = np.stack([_measured(angle, scene) for angle in wanted.values()], -1)
-    spread = None
-    if isinstance(pose, Prediction) and pose.uncertainty is not None:
-        columns = [_spread(angle, scene, pose, values[:, k]) for k, angle in enumerate(wanted.values())]
-        spread = np.where(np.isfinite(values), np.stack(columns, -1), np.nan).astype(np.float32)
-    return Angles(values.astype(np.float32), tuple(wanted), spread)
+    parts = [slice(start, start + _ROWS) for start in range(0, max(len(pose), 1), _ROWS)]
+    if not isinstance(pose, Prediction):
+        level = np.eye(3)[None]
+        values = [_all_measured(wanted, _scene(pose[part], joints, level)) for part in parts]
+        return Angles(np.concatenate(values), tuple(wanted))
+    found = [_of_prediction(wanted, pose.select(part)) for part in parts]
+    values = np.concatenate([values for values, _ in found])
+    spread = None if pose.uncertainty is None else np.concatenate([spread for _, spread in found])
+    return Angles(values, tuple(wanted), spread)
+
+
+def _of_prediction(wanted: Mapping[str, Angle], prediction: Prediction) -> tuple[np.ndarray, np.ndarray]:
+    """Return the angles of a few frames, and how far off each may be, 0 where that is not known."""
+    scene = _scene_of(prediction)
+    values = _all_measured(wanted, scene)
+    if prediction.uncertainty is None:
+        return values, np.zeros_like(values)
+    spread = [_spread(angle, scene, prediction, values[:, k]) for k, angle in enumerate(wanted.values())]
+    return values, np.where(np.isfinite(values), np.stack(spread, -1), np.nan).astype(np.float32)
+
+
+def _all_measured(wanted: Mapping[str, Angle], scene: _Scene) -> Float[np.ndarray, "frames angles"]:
+    return np.stack([_measured(angle, scene) for angle in wanted.values()], -1).astype(np.float32)
 
 
 def wrapped(degrees: Float[np.ndarray, "*any"]) -> Float[np.ndarray, "*any"]:
@@ -90,21 +108,18 @@ def wrapped(degrees: Float[np.ndarray, "*any"]) -> Float[np.ndarray, "*any"]:
     return 180.0 - (180.0 - degrees) % 360.0
 
 
-# The body of every frame: joints by name, and the level frame in the same axes. Vectors are (3 frames) in here: sums
+# The body of every frame: joints by name, and the level frame in the same axes. Vectors are (3 ... frames) in here: sums
 # over their first axis are several times as fast.
 
-_Vectors = Float[np.ndarray, "3 frames"]
+_ROWS = 2048
+_Vectors = Float[np.ndarray, "3 *any frames"]
+_Numbers = Float[np.ndarray, "*any frames"]
 
 
-@dataclass
-class _Scene:
+class _Scene(NamedTuple):
     points: dict[str, _Vectors]
     level: dict[str, _Vectors]
     """The directions of the level frame."""
-
-    def moved(self, joint: str, by: _Vectors) -> _Scene:
-        """Return the scene with one joint elsewhere."""
-        return _Scene({**self.points, joint: self.points[joint] + by}, self.level)
 
 
 def _scene(pose: np.ndarray, joints: Sequence[str], level: Float[np.ndarray, "frames_or_1 3 3"]) -> _Scene:
@@ -132,7 +147,7 @@ def _joints(angle: Angle) -> set[str]:
 # One angle.
 
 
-def _measured(angle: Angle, scene: _Scene) -> Float[np.ndarray, " frames"]:
+def _measured(angle: Angle, scene: _Scene) -> _Numbers:
     """Return an angle in degrees, in (-180, 180]."""
     segment = _along(angle.segment, scene)
     start = None if angle.start is None else _along(angle.start, scene)
@@ -149,7 +164,7 @@ def _measured(angle: Angle, scene: _Scene) -> Float[np.ndarray, " frames"]:
     return wrapped(np.degrees(found) - angle.zero)
 
 
-def _along(way: Way, scene: _Scene) -> _Vectors:
+def _along(way: Way, scene: _Scene) -> np.ndarray:
     """Return a direction as unit vectors, NaN where it has no length."""
     if isinstance(way, str):
         return scene.level[way]
@@ -157,27 +172,27 @@ def _along(way: Way, scene: _Scene) -> _Vectors:
     return _unit(ends[0] - start if len(ends) == 1 else _cross(ends[0] - start, ends[1] - start))
 
 
-def _dot(one: np.ndarray, other: np.ndarray) -> Float[np.ndarray, " frames"]:
+def _dot(one: np.ndarray, other: np.ndarray) -> np.ndarray:
     return one[0] * other[0] + one[1] * other[1] + one[2] * other[2]
 
 
-def _cross(one: np.ndarray, other: np.ndarray) -> _Vectors:
+def _cross(one: np.ndarray, other: np.ndarray) -> np.ndarray:
     (a, b, c), (x, y, z) = one, other
     return np.stack([b * z - c * y, c * x - a * z, a * y - b * x])
 
 
-def _unit(vector: np.ndarray) -> _Vectors:
+def _unit(vector: np.ndarray) -> np.ndarray:
     length = np.sqrt(_dot(vector, vector))
     return vector / np.where(length > 1e-9, length, np.nan)
 
 
-def _across(way: np.ndarray, axis: np.ndarray) -> _Vectors:
+def _across(way: np.ndarray, axis: np.ndarray) -> np.ndarray:
     """Return what of a unit direction is across an axis; NaN where that is next to nothing."""
     rest = way - _dot(way, axis) * axis
     return np.where(_dot(rest, rest) >= _LEAST_SINE**2, rest, np.nan)
 
 
-def _between(one: np.ndarray, other: np.ndarray) -> Float[np.ndarray, " frames"]:
+def _between(one: np.ndarray, other: np.ndarray) -> np.ndarray:
     """Return the angle between unit vectors, exact for small ones too (Kahan 2006)."""
     apart, along = one - other, one + other
     return 2 * np.arctan2(np.sqrt(_dot(apart, apart)), np.sqrt(_dot(along, along)))
@@ -187,25 +202,26 @@ def _between(one: np.ndarray, other: np.ndarray) -> Float[np.ndarray, " frames"]
 
 
 def _spread(angle: Angle, scene: _Scene, prediction: Prediction, value: np.ndarray) -> Float[np.ndarray, " frames"]:
-    """Return how far off an angle may be: what its joints' own uncertainties change, added in squares."""
+    """Return how far off an angle may be: what the uncertainty of each of its joints changes, added in squares.
+
+    A joint is moved there and back, and half of the difference counts; where one of the two has no angle, what the
+    other changes.
+    """
     assert prediction.uncertainty is not None
-    total = np.zeros(len(value))
-    for joint in sorted(_joints(angle)):
-        place = prediction.joint_names.index(joint)
-        off = np.asarray(prediction.uncertainty[:, place], np.float64)
-        hidden = np.zeros(len(off), bool) if prediction.filled is None else np.asarray(prediction.filled[:, place], bool)
-        # Of a joint that was not seen it is the error of its place, a length in 3D.
-        off = np.where(hidden, off / np.sqrt(3), off)
-        for axis, rows in ((2, off > 0), (0, hidden), (1, hidden)):
-            if rows.any():
-                by = np.zeros((3, len(off)))
-                by[axis] = np.where(rows, off, 0.0)
-                total += _change(angle, scene, joint, by, value) ** 2
-    return np.sqrt(total)
-
-
-def _change(angle: Angle, scene: _Scene, joint: str, by: np.ndarray, value: np.ndarray) -> Float[np.ndarray, " frames"]:
-    """Return half of what moving a joint there and back changes; where one of them has no angle, what the other does."""
-    steps = np.stack([np.abs(wrapped(_measured(angle, scene.moved(joint, way)) - value)) for way in (by, -by)])
-    known = np.isfinite(steps)
-    return np.where(known, steps, 0).sum(0) / np.maximum(known.sum(0), 1)
+    joints = sorted(_joints(angle))
+    places = [prediction.joint_names.index(joint) for joint in joints]
+    off = np.asarray(prediction.uncertainty, np.float64)[:, places].T
+    hidden = np.zeros(off.shape, bool) if prediction.filled is None else np.asarray(prediction.filled, bool)[:, places].T
+    # Of a joint that was not seen it is the error of its place, a length in 3D; of others that of the depth.
+    off = np.where(hidden, off / np.sqrt(3), off)
+    steps = [(place, 2) for place in range(len(joints))]
+    steps += [(place, axis) for place in np.flatnonzero(hidden.any(1)).tolist() for axis in (0, 1)]
+    points = {joint: np.tile(scene.points[joint][:, None, None], (1, 2, len(steps), 1)) for joint in joints}
+    for step, (place, axis) in enumerate(steps):
+        by = off[place] if axis == 2 else np.where(hidden[place], off[place], 0.0)
+        points[joints[place]][axis, :, step] += np.stack([by, -by])
+    level = {name: way[:, None, None] for name, way in scene.level.items()}
+    changes = np.abs(wrapped(_measured(angle, _Scene(points, level)) - value))
+    known = np.isfinite(changes)
+    change = np.where(known, changes, 0).sum(0) / np.maximum(known.sum(0), 1)
+    return np.sqrt((change**2).sum(0))
