@@ -62,8 +62,8 @@ def joint_angles(pose: Float[np.ndarray, "frames joints 3"] | Prediction, skelet
         skeleton: of poses that are an array; a prediction brings its own.
 
     The ``uncertainty`` of a prediction's angles is propagated from that of its joints' depths, and of the places of
-    joints that were not seen: each is moved by its own there and back, and the halves of what that changes add in
-    squares, as for errors that have nothing to do with each other.
+    joints that were not seen. Errors of depth are taken to add up along the bones from the root, so that two joints of
+    one limb share those of the bones before them. What the keypoints and the tilt of the camera are off is not in it.
 
     Raises:
         UserError: the skeleton names no angles, or joints are not there at all.
@@ -202,26 +202,46 @@ def _between(one: np.ndarray, other: np.ndarray) -> np.ndarray:
 
 
 def _spread(angle: Angle, scene: _Scene, prediction: Prediction, value: np.ndarray) -> Float[np.ndarray, " frames"]:
-    """Return how far off an angle may be: what the uncertainty of each of its joints changes, added in squares.
+    """Return how far off an angle may be: what each independent part of the errors of its joints changes, in squares.
 
-    A joint is moved there and back, and half of the difference counts; where one of the two has no angle, what the
+    Each part is added and taken away, and half of the difference counts; where one of the two has no angle, what the
     other changes.
     """
-    assert prediction.uncertainty is not None
     joints = sorted(_joints(angle))
-    places = [prediction.joint_names.index(joint) for joint in joints]
-    off = np.asarray(prediction.uncertainty, np.float64)[:, places].T
-    hidden = np.zeros(off.shape, bool) if prediction.filled is None else np.asarray(prediction.filled, bool)[:, places].T
-    # Of a joint that was not seen it is the error of its place, a length in 3D; of others that of the depth.
-    off = np.where(hidden, off / np.sqrt(3), off)
-    steps = [(place, 2) for place in range(len(joints))]
-    steps += [(place, axis) for place in np.flatnonzero(hidden.any(1)).tolist() for axis in (0, 1)]
+    steps = _steps(joints, prediction)
     points = {joint: np.tile(scene.points[joint][:, None, None], (1, 2, len(steps), 1)) for joint in joints}
-    for step, (place, axis) in enumerate(steps):
-        by = off[place] if axis == 2 else np.where(hidden[place], off[place], 0.0)
-        points[joints[place]][axis, :, step] += np.stack([by, -by])
+    for step, (moved, axis, by) in enumerate(steps):
+        for joint in moved:
+            points[joint][axis, :, step] += np.stack([by, -by])
     level = {name: way[:, None, None] for name, way in scene.level.items()}
     changes = np.abs(wrapped(_measured(angle, _Scene(points, level)) - value))
     known = np.isfinite(changes)
     change = np.where(known, changes, 0).sum(0) / np.maximum(known.sum(0), 1)
     return np.sqrt((change**2).sum(0))
+
+
+def _steps(joints: Sequence[str], prediction: Prediction) -> list[tuple[list[str], int, np.ndarray]]:
+    """Return the independent parts of the errors of joints: which move together, along which axis, how far.
+
+    Errors of depth add up along the bones from the root: a joint has its parent's, and what its own variance has
+    more. Of a joint that was not seen the uncertainty is of its place, a length in 3D, and its own across the view.
+    """
+    assert prediction.uncertainty is not None
+    parents, steps = prediction.skeleton.parents, []
+    off = dict(zip(prediction.joint_names, np.asarray(prediction.uncertainty, np.float64).T, strict=True))
+    if prediction.filled is not None:
+        hidden = dict(zip(prediction.joint_names, np.asarray(prediction.filled, bool).T, strict=True))
+        off = {joint: np.where(hidden[joint], by / np.sqrt(3), by) for joint, by in off.items()}
+        for joint in (joint for joint in joints if hidden[joint].any()):
+            steps += [([joint], axis, np.where(hidden[joint], off[joint], 0.0)) for axis in (0, 1)]
+    beyond: dict[str, list[str]] = {}
+    for joint in joints:
+        at: str | None = joint
+        while at is not None:
+            beyond.setdefault(at, []).append(joint)
+            at = parents[at]
+    for joint, moved in beyond.items():
+        parent = parents[joint]
+        before = 0.0 if parent is None else off[parent]
+        steps.append((moved, 2, np.sqrt(np.maximum(off[joint] ** 2 - before**2, 0))))
+    return steps
