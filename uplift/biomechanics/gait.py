@@ -7,7 +7,9 @@ That needs no place of the body in the room, so that one camera, a treadmill, an
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
+from itertools import pairwise
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -15,12 +17,14 @@ from jaxtyping import Bool, Float
 from uplift.errors import UserError
 from uplift.skeleton import Skeleton
 
-__all__ = ["Foot", "Gait", "Stride", "feet_of", "gait_of"]
+__all__ = ["MEASURES", "Foot", "Gait", "Stride", "feet_of", "gait_of", "mean_of"]
 
 _LEAST_REACH = 0.2
 """A foot that walks goes at least so far from behind to ahead, in lengths of its leg."""
 _LOW = 0.3
 """A foot strikes less than so many leg lengths above its lowest place: a kick ends high."""
+_FLAT = (0.1, 0.5)
+"""Shares of a stance between which the foot is flat: before it the heel comes down, after it the heel rises."""
 _CUT_HZ = 6.0
 """Of the low-pass filter of places over time (Winter 2009, Biomechanics and Motor Control of Human Movement, 2.2)."""
 
@@ -58,7 +62,7 @@ class Gait:
     strides: tuple[Stride, ...]
     feet: tuple[str, ...]
     asymmetry: dict[str, dict[str, float]] = field(default_factory=dict)
-    """Right foot of a pair -> measure -> 100 |R - L| / ((R + L) / 2) of the means (Robinson et al. 1987)."""
+    """The feet of a pair -> measure -> 100 |R - L| / ((R + L) / 2) of the means (Robinson et al. 1987)."""
     why_not: str = ""
 
 
@@ -70,10 +74,14 @@ MEASURES = (
 
 
 def feet_of(skeleton: Skeleton) -> list[Foot]:
-    """Return the limbs that stand, by the skeleton's ``contacts``; raises UserError without them or without gravity."""
+    """Return the limbs that stand, by the skeleton's ``contacts``; raises UserError without these, gravity or facing."""
     if not skeleton.gravity or not skeleton.contacts:
         lacks = "gravity is false" if not skeleton.gravity else "it names no contacts"
-        raise UserError(f"gait needs joints that stand on the ground, and skeleton '{skeleton.name}' has none: {lacks}.")
+        raise UserError(
+            f"gait needs joints that stand on the ground, and skeleton '{skeleton.name}' has none: {lacks}."
+        )
+    if not skeleton.facing:
+        raise UserError(f"gait needs to know which way is ahead: skeleton '{skeleton.name}' has no facing.")
     places = {joint: place for place, joint in enumerate(skeleton.joints)}
     across = skeleton.mirror_permutation
     limbs: dict[str, list[list[str]]] = {}
@@ -132,6 +140,7 @@ def gait_of(
 # The way of every foot along the heading.
 
 _LEAST_FRAMES = 12
+_LEAST_STRIDES = 3
 
 
 @dataclass(frozen=True)
@@ -187,8 +196,6 @@ def _heading(pose: np.ndarray, skeleton: Skeleton) -> Float[np.ndarray, "frames 
 
     A person's hips say it better than the knees, a long back better than the shoulders.
     """
-    if not skeleton.facing:
-        raise UserError(f"gait needs to know which way is ahead: skeleton '{skeleton.name}' has no facing.")
     left, front = (skeleton.facing_matrix(name) @ pose * [1.0, 0.0, 1.0] for name in ("left", "front"))
     square = np.stack([left[:, 2], left[:, 1], -left[:, 0]], -1)  # a quarter turn about the vertical
     longer = np.median(np.linalg.norm(front, axis=-1)) > np.median(np.linalg.norm(left, axis=-1))
@@ -220,28 +227,33 @@ def _edges(stands: Bool[np.ndarray, " frames"], time: Float[np.ndarray, " frames
 
 def _strides(walk: _Walk, feet: list[Foot], events: list[_Events]) -> list[Stride]:
     """Return every stride that has one toe-off between its two strikes."""
-    found = []
+    found, speeds = [], _speeds(walk, events)
     for place, (foot, (strikes, offs)) in enumerate(zip(feet, events, strict=True)):
         number = 0
-        for strike, end in zip(strikes[:-1], strikes[1:], strict=True):
+        for strike, end in pairwise(strikes):
             inside = offs[(offs > strike) & (offs < end)]
             if len(inside) != 1:
                 continue
             number += 1
             off = float(inside[0])
-            measures = _measure(walk, place, foot.partner, events, (float(strike), off, float(end)))
+            measures = _measure(walk, speeds, place, foot.partner, events, (float(strike), off, float(end)))
             found.append(Stride(foot.name, number, float(strike), off, float(end), measures))
     return found
 
 
-def _measure(walk: _Walk, foot: int, other: int, events: list[_Events], times: tuple[float, float, float]) -> dict[str, float]:
+def _measure(
+    walk: _Walk, speeds: np.ndarray, foot: int, other: int, events: list[_Events], times: tuple[float, float, float]
+) -> dict[str, float]:
     strike, off, end = times
     stride = end - strike
-    before = events[other][0][(events[other][0] < end) & (events[other][0] > end - stride)] if other != foot else np.empty(0)
+    before = (
+        events[other][0][(events[other][0] < end) & (events[other][0] > end - stride)] if other != foot else np.empty(0)
+    )
     step = float(end - before[-1]) if len(before) else np.nan
     at = min(int(np.searchsorted(walk.time, end)), len(walk.time) - 1)
     apart = float(walk.heel[foot, at] - walk.heel[other, at]) if len(before) else np.nan
-    speed = _speed(walk, foot, strike, off)
+    over = speeds[:, (walk.time >= strike) & (walk.time <= end)]
+    speed = float(np.mean(over[np.isfinite(over)])) if np.isfinite(over).any() else np.nan
     return {
         "stride_time_s": stride, "stance_time_s": off - strike, "stance_percent": 100 * (off - strike) / stride,
         "swing_percent": 100 * (end - off) / stride,
@@ -251,14 +263,18 @@ def _measure(walk: _Walk, foot: int, other: int, events: list[_Events], times: t
     }  # fmt: skip
 
 
-def _speed(walk: _Walk, foot: int, strike: float, off: float) -> float:
-    """Return how fast the body goes over the foot that stands, in the middle of its stance, unit a second."""
-    start, end = strike + 0.2 * (off - strike), strike + 0.7 * (off - strike)
-    rows = (walk.time >= start) & (walk.time <= end)
-    if rows.sum() < 2:
-        return np.nan
-    middle = (walk.heel[foot, rows] + walk.toe[foot, rows]) / 2
-    return float(-np.polyfit(walk.time[rows], middle, 1)[0])
+def _speeds(walk: _Walk, events: list[_Events]) -> Float[np.ndarray, "feet times"]:
+    """Return how fast the body goes over each foot while that is flat on the ground, unit a second; NaN at other times."""
+    found = np.full(walk.heel.shape, np.nan)
+    for foot, (strikes, offs) in enumerate(events):
+        speed = -np.gradient(walk.heel[foot], walk.time)
+        for strike in strikes:
+            after = offs[offs > strike]
+            if len(after):
+                start, end = (strike + share * (after[0] - strike) for share in _FLAT)
+                rows = (walk.time >= start) & (walk.time <= end)
+                found[foot, rows] = speed[rows]
+    return found
 
 
 def _both_stand(other: _Events, strike: float, off: float) -> float:
@@ -277,16 +293,16 @@ def _both_stand(other: _Events, strike: float, off: float) -> float:
 
 
 def _not_walking(strides: list[Stride], feet: list[Foot]) -> str:
-    """Return why strides are no walk: too few, or feet of a pair that do not take turns."""
+    """Return why strides are no walk; empty where the feet of a pair take turns, or one without a partner goes on."""
     for place, foot in enumerate(feet):
-        other = feet[foot.partner].name
-        if foot.partner <= place and foot.partner != place:
-            continue
-        mine = sorted((one.strike_s, one.foot) for one in strides if one.foot in (foot.name, other))
-        turns = sum(one[1] != after[1] for one, after in zip(mine, mine[1:], strict=False))
-        if len(mine) >= 2 and (foot.partner == place or turns >= 1):
+        mine = [one for one in strides if one.foot == foot.name]
+        others = [one.strike_s for one in strides if one.foot == feet[foot.partner].name]
+        if foot.partner == place and len(mine) >= _LEAST_STRIDES:
             return ""
-    return "no foot strikes the ground again and again: no walking or running was found"
+        turns = [one for one in mine if sum(one.strike_s < other < one.end_s for other in others) == 1]
+        if turns and len(mine) + len(others) >= _LEAST_STRIDES:
+            return ""
+    return f"no two feet that take turns for {_LEAST_STRIDES} strides: no walking or running was found"
 
 
 def _asymmetry(strides: list[Stride], feet: list[Foot]) -> dict[str, dict[str, float]]:
@@ -297,11 +313,18 @@ def _asymmetry(strides: list[Stride], feet: list[Foot]) -> dict[str, dict[str, f
             continue
         sides = [[one.measures for one in strides if one.foot == name] for name in (foot.name, feet[foot.partner].name)]
         if all(sides):
-            means = [{key: float(np.nanmean([one[key] for one in side])) for key in side[0]} for side in sides]
-            found[foot.name] = {
-                key: 200 * abs(means[0][key] - means[1][key]) / (means[0][key] + means[1][key]) for key in _COMPARED
+            means = [{key: mean_of([one[key] for one in side]) for key in _COMPARED} for side in sides]
+            found[f"{foot.name}/{feet[foot.partner].name}"] = {
+                key: 200 * abs(one - means[1][key]) / (one + means[1][key]) for key, one in means[0].items()
             }
     return found
+
+
+def mean_of(values: Sequence[float] | np.ndarray) -> float:
+    """Return the mean of what is known; NaN where nothing is."""
+    known = np.array(values, float)
+    known = known[np.isfinite(known)]
+    return float(known.mean()) if len(known) else float("nan")
 
 
 _COMPARED = ("stride_time_s", "stance_time_s", "step_time_s", "step_length")

@@ -146,10 +146,16 @@ def predict_command(words: Sequence[str]) -> None:
     arguments = kind.predict_arguments(keys) | {"axes": keys.get("axes"), "page": keys.get("page"), "written": files}
     lines = kind.predict_summary(predict(weights, keys["input"], keys["output"], *overrides, **arguments))
     lines += RunFolder(weights.path.parent).warnings()
-    lines += [f"wrote {path}" + (f": {remark}" if remark else "") for path, remark in list(files.items())[:5]]
-    lines += [f"and {len(files) - 5} more"] * (len(files) > 5)
+    shown = [path for name in dict.fromkeys(path.suffix for path in files) for path in _first_of(name, files)]
+    lines += [f"wrote {path}" + (f": {files[path]}" if files[path] else "") for path in shown]
+    lines += [f"and {len(files) - len(shown)} more"] * (len(files) > len(shown))
     lines += [f"look: open {path} in a browser" for path in files if path.suffix.lower() == ".html"]
     say("\n".join(lines))
+
+
+def _first_of(ending: str, files: Mapping[Path, str]) -> list[Path]:
+    """Return the first five files with this ending."""
+    return [path for path in files if path.suffix == ending][:5]
 
 
 # Keypoints in, poses out.
@@ -239,7 +245,9 @@ def _check_request(request: Request, together: Mapping[str, Any], options: Mappi
 def _refuse_outputs(outputs: Sequence[str]) -> None:
     for output in outputs:
         if outputs.count(output) > 1:
-            raise UserError(f"output={','.join(outputs)}: '{output}' is there twice. Give every file a name of its own.")
+            raise UserError(
+                f"output={','.join(outputs)}: '{output}' is there twice. Give every file a name of its own."
+            )
         refuse_output(Path(output))
 
 
@@ -258,7 +266,9 @@ def _write_all(prediction: Prediction, request: Request, options: Mapping[str, A
     for output in request.outputs:
         page, table = _is_page(output), Path(output).suffix.lower() == ".csv"
         mine = {key: value for key, value in options.items() if (table if key == "csv_safe" else page)}
-        files |= write(prediction, output, request.page if page else None, request.axes if _has_axes(output) else None, **mine)
+        files |= write(
+            prediction, output, request.page if page else None, request.axes if _has_axes(output) else None, **mine
+        )
     return files
 
 

@@ -68,6 +68,7 @@ WRITERS = {
 }
 MEASURES = {
     "angles.csv": Writer("uplift.export.measures:write_angles_csv", "joint angles, a row a frame and body"),
+    "gait.csv": Writer("uplift.export.measures:write_gait_csv", "gait, a row a stride, with mean and sd"),
     ".mot": Writer("uplift.export.measures:write_mot", "joint angles, for OpenSim", holds="body"),
 }
 """What is measured of poses: by the ending, or by the last word of the name before it, as in ``walk_angles.csv``."""
