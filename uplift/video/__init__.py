@@ -1,0 +1,1 @@
+"""From pictures to keypoints: frames of videos, detectors, people followed over time."""
