@@ -1,1 +1,1 @@
-"""From pictures to keypoints: frames of videos, detectors, people followed over time."""
+"""Videos, pictures and cameras in: their frames, one at a time, and the keypoints of everyone in them."""
