@@ -7,6 +7,8 @@ landmarks of this one, and the first network is only asked where someone was los
 
 from __future__ import annotations
 
+import os
+import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import ClassVar, NamedTuple
@@ -18,7 +20,7 @@ from PIL import Image
 from uplift.data.formats.layouts import HAND21, POSE33
 from uplift.errors import UserError
 from uplift.video.detector import Detector
-from uplift.video.weights import network_file
+from uplift.video.weights import find_network
 
 __all__ = ["BlazeHand", "BlazePose"]
 
@@ -74,12 +76,22 @@ def _crop(image: UInt8[np.ndarray, "height width 3"], region: _Region, side: int
 class _Network:
     """A .tflite network with one picture as its input."""
 
-    def __init__(self, name: str, weights: str, threads: int):
-        self._runtime = _interpreter()(model_content=network_file(name, weights), num_threads=threads)
-        self._runtime.allocate_tensors()
-        (self._input,) = self._runtime.get_input_details()
-        self._outputs = self._runtime.get_output_details()
-        self.side = int(self._input["shape"][1])
+    def __init__(self, name: str, weights: str, threads: int, outputs: Sequence[int]):
+        """``outputs`` are the sizes that the first of them must have."""
+        content = find_network(name, weights)
+        try:
+            self._runtime = _interpreter()(model_content=content, num_threads=threads or min(os.cpu_count() or 1, 4))
+            self._runtime.allocate_tensors()
+            (self._input,), self._outputs = self._runtime.get_input_details(), self._runtime.get_output_details()
+        except (ValueError, RuntimeError) as error:
+            reason = str(error).splitlines()[0][:100]
+            raise UserError(f"{name}: the file is damaged, or not a network that LiteRT runs ({reason}).") from None
+        self.side = int(self._input["shape"][-2])
+        found = [int(np.prod(one["shape"])) for one in self._outputs][: len(outputs)]
+        if found != list(outputs) or list(self._input["shape"]) != [1, self.side, self.side, 3]:
+            raise UserError(
+                f"{name}: another network than MediaPipe's: outputs of {found} numbers, expected {outputs}."
+            )
 
     def run(self, picture: Float32[np.ndarray, "side side 3"]) -> list[np.ndarray]:
         """Return the outputs in the network's order, without their axis of one picture."""
@@ -89,11 +101,21 @@ class _Network:
 
 
 def _interpreter() -> Callable:
+    """Return LiteRT's interpreter; raises UserError where it is not installed."""
     try:
-        from ai_edge_litert.interpreter import Interpreter
+        from ai_edge_litert.interpreter import Interpreter  # pyright: ignore[reportMissingImports]
     except ImportError:
-        raise UserError("TODO") from None
+        python = ".".join(map(str, sys.version_info[:2]))
+        if sys.version_info >= _TOO_NEW:
+            raise UserError(
+                f"detector=mediapipe runs on ai-edge-litert, which has no wheel for Python {python}: use Python 3.11 to "
+                "3.13, or a detector of your own, detector=my.py:MyDetector (docs/video.md)."
+            ) from None
+        raise UserError('detector=mediapipe runs on ai-edge-litert: pip install "uplift3d[video]".') from None
     return Interpreter
+
+
+_TOO_NEW = (3, 14)
 
 
 def _sigmoid(values: np.ndarray) -> np.ndarray:
@@ -203,8 +225,14 @@ class _Blaze(Detector):
         points = np.array([one.points for one in seen], np.float32).reshape(-1, len(self.names), 2)
         return points, np.array([one.confidence for one in seen], np.float32).reshape(-1, len(self.names))
 
+    def forget(self) -> None:
+        """Look for everyone anew."""
+        self._regions = []
+
     def _look(self, image: np.ndarray, regions: Sequence[_Region]) -> list[_Seen]:
-        return _distinct([one for one in (self._landmarks(image, region) for region in regions) if one.presence > _SURE])
+        return _distinct(
+            [one for one in (self._landmarks(image, region) for region in regions) if one.presence > _SURE]
+        )
 
     def _find(self, image: np.ndarray) -> list[_Region]:
         raise NotImplementedError
@@ -217,7 +245,9 @@ def _distinct(seen: Sequence[_Seen]) -> list[_Seen]:
     """Return those who are not someone surer again."""
     kept: list[_Seen] = []
     for one in sorted(seen, key=lambda one: -one.presence):
-        if not any(np.linalg.norm(one.points - other.points, axis=-1).mean() < _TWICE * other.next.side for other in kept):
+        if not any(
+            np.linalg.norm(one.points - other.points, axis=-1).mean() < _TWICE * other.next.side for other in kept
+        ):
             kept.append(one)
     return kept
 
@@ -237,8 +267,10 @@ class BlazePose(_Blaze):
 
     def __init__(self, people: int = 5, every: int = 10, model: str = "full", weights: str = "", threads: int = 1):
         super().__init__(people, every)
-        self._finder = _Finder(_Network("pose_detection", weights, threads), (8, 16, 32, 32, 32), -1.0)
-        self._network = _Network(f"pose_landmark_{model}", weights, threads)
+        self._finder = _Finder(
+            _Network("pose_detection", weights, threads, (2254 * 12, 2254)), (8, 16, 32, 32, 32), -1.0
+        )
+        self._network = _Network(f"pose_landmark_{model}", weights, threads, (39 * 5, 1, 256 * 256, 64 * 64 * 39))
 
     def _find(self, image: np.ndarray) -> list[_Region]:
         return [_along(found[2], found[3]) for found in self._finder.find(image)]
@@ -282,8 +314,10 @@ class BlazeHand(_Blaze):
 
     def __init__(self, people: int = 2, every: int = 10, model: str = "full", weights: str = "", threads: int = 1):
         super().__init__(people, every)
-        self._finder = _Finder(_Network(f"palm_detection_{model}", weights, threads), (8, 16, 16, 16), 0.0)
-        self._network = _Network(f"hand_landmark_{model}", weights, threads)
+        self._finder = _Finder(
+            _Network(f"palm_detection_{model}", weights, threads, (2016 * 18, 2016)), (8, 16, 16, 16), 0.0
+        )
+        self._network = _Network(f"hand_landmark_{model}", weights, threads, (21 * 3, 1, 1))
 
     def _find(self, image: np.ndarray) -> list[_Region]:
         return [_palm(found) for found in self._finder.find(image)]
