@@ -9,7 +9,8 @@ from __future__ import annotations
 
 import os
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import ClassVar, NamedTuple
 
@@ -78,10 +79,11 @@ class _Network:
 
     def __init__(self, name: str, weights: str, threads: int, outputs: Sequence[int]):
         """``outputs`` are the sizes that the first of them must have."""
-        content = find_network(name, weights)
+        make, content = _interpreter(), find_network(name, weights)
         try:
-            self._runtime = _interpreter()(model_content=content, num_threads=threads or min(os.cpu_count() or 1, 4))
-            self._runtime.allocate_tensors()
+            with _hushed():
+                self._runtime = make(model_content=content, num_threads=threads or min(os.cpu_count() or 1, 4))
+                self._runtime.allocate_tensors()
             (self._input,), self._outputs = self._runtime.get_input_details(), self._runtime.get_output_details()
         except (ValueError, RuntimeError) as error:
             reason = str(error).splitlines()[0][:100]
@@ -116,6 +118,19 @@ def _interpreter() -> Callable:
 
 
 _TOO_NEW = (3, 14)
+
+
+@contextmanager
+def _hushed() -> Iterator[None]:
+    """Keep what LiteRT says of its own from standard error, which its library writes to past Python."""
+    kept, nowhere = os.dup(2), os.open(os.devnull, os.O_WRONLY)
+    try:
+        os.dup2(nowhere, 2)
+        yield
+    finally:
+        os.dup2(kept, 2)
+        os.close(kept)
+        os.close(nowhere)
 
 
 def _sigmoid(values: np.ndarray) -> np.ndarray:
@@ -203,7 +218,7 @@ class _Blaze(Detector):
     """What the detectors of bodies and of hands share."""
 
     names: ClassVar[tuple[str, ...]] = ()
-    ranges: ClassVar[dict[str, tuple[int, int]]] = {"people": (1, 100), "every": (1, 100_000), "threads": (1, 256)}
+    ranges: ClassVar[dict[str, tuple[int, int]]] = {"people": (1, 100), "every": (1, 100_000), "threads": (0, 256)}
 
     def __init__(self, people: int, every: int):
         self._most, self._every = people, every
@@ -264,8 +279,9 @@ class BlazePose(_Blaze):
     """
 
     names: ClassVar[tuple[str, ...]] = POSE33
+    networks: ClassVar[tuple[str, ...]] = ("pose_detection", "pose_landmark_full")
 
-    def __init__(self, people: int = 5, every: int = 10, model: str = "full", weights: str = "", threads: int = 1):
+    def __init__(self, people: int = 5, every: int = 10, model: str = "full", weights: str = "", threads: int = 0):
         super().__init__(people, every)
         self._finder = _Finder(
             _Network("pose_detection", weights, threads, (2254 * 12, 2254)), (8, 16, 32, 32, 32), -1.0
@@ -311,8 +327,9 @@ class BlazeHand(_Blaze):
     """``detector=mediapipe_hand``: 21 landmarks of hands."""
 
     names: ClassVar[tuple[str, ...]] = HAND21
+    networks: ClassVar[tuple[str, ...]] = ("palm_detection_full", "hand_landmark_full")
 
-    def __init__(self, people: int = 2, every: int = 10, model: str = "full", weights: str = "", threads: int = 1):
+    def __init__(self, people: int = 2, every: int = 10, model: str = "full", weights: str = "", threads: int = 0):
         super().__init__(people, every)
         self._finder = _Finder(
             _Network(f"palm_detection_{model}", weights, threads, (2016 * 18, 2016)), (8, 16, 16, 16), 0.0
@@ -324,7 +341,7 @@ class BlazeHand(_Blaze):
 
     def _landmarks(self, image: np.ndarray, region: _Region) -> _Seen:
         side = self._network.side
-        flat, presence, right, _ = self._network.run(_crop(image, region, side))
+        flat, presence, *_ = self._network.run(_crop(image, region, side))
         points = region.to_frame(flat.reshape(-1, 3)[:, :2] / side)
         return _Seen(points, np.full(len(points), presence[0]), float(presence[0]), _hand(points))
 

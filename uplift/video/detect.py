@@ -49,7 +49,7 @@ def detect_in(source: str | Path, how: Detection, skeleton: Skeleton | None = No
     parts = []
     for one in _videos(source):
         with open_frames(one) as frames:
-            detector = make_detector(how.detector, how.options, skeleton, people=how.people)
+            detector = make_detector(how.detector, how.options, skeleton)
             try:
                 parts.append(keypoints_of(frames, detector, how.people))
             finally:
