@@ -24,7 +24,7 @@ class CameraFrames(Frames):
 
     def __init__(self, source: str, name: str):
         super().__init__(source)
-        self._av = need_av(source)
+        self._av = need_av(f"{source}: a camera")
         self._container = self._opened(name)
         stream = self._container.streams.video[0]
         rate = float(stream.average_rate or stream.guessed_rate or USUAL_FPS)
