@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from uplift.cli.detect import check_keypoints_output, keypoints_in
 from uplift.cli.kinds import KINDS
 from uplift.cli.parsing import Keys, keyed, known_camera
 from uplift.cli.together import TOGETHER_KEYS, check_together, lift_views, views_of, write_found
@@ -21,9 +22,10 @@ from uplift.config.settings import DataSettings
 from uplift.config.trust import Trust, consents
 from uplift.data.clean import clean
 from uplift.data.datasets import DATA_SETS
+from uplift.data.far import without_far
 from uplift.data.formats import read_masks
 from uplift.data.formats.base import ReadOptions
-from uplift.data.load import format_of_run, load_file, load_split
+from uplift.data.load import format_of_run, in_skeleton, load_file, load_split
 from uplift.data.poses import PoseData
 from uplift.errors import UserError, did_you_mean
 from uplift.export import check_axes, write, writer_for
@@ -37,6 +39,9 @@ from uplift.models.model import load_poses, load_shapes
 from uplift.models.prediction import Prediction, ShapePrediction
 from uplift.models.together import CAMERA_NAME
 from uplift.skeleton import Skeleton
+from uplift.video.detect import Detection
+from uplift.video.detector import Detector
+from uplift.video.frames import is_frames
 
 __all__ = [
     "Request", "keypoint_arguments", "lift_keypoints", "lift_masks", "mask_arguments", "pose_summary", "predict",
@@ -62,6 +67,8 @@ class Request:
     options: Mapping[str, Any]
     camera: KnownCamera | None = None
     ground: bool = False
+    detection: Detection = field(default_factory=Detection)
+    keypoints: str | Path | None = None
 
     @property
     def title(self) -> str:
@@ -81,6 +88,10 @@ def predict(
     size: Mapping[str, Any] | None = None,
     camera: KnownCamera | None = None,
     ground: bool = False,
+    detector: str | Detector | None = None,
+    detector_options: Mapping[str, Any] | None = None,
+    people: int | None = None,
+    keypoints: str | Path | None = None,
     reading: ReadOptions | None = None,
     axes: str | None = None,
     page: str | None = None,
@@ -90,7 +101,8 @@ def predict(
 ) -> Prediction | ShapePrediction:
     """Lift the keypoints or masks of ``input`` with the model of ``run`` and write them to ``output``, if given.
 
-    ``input`` is a file or folder in any format that is read, several with commas or a pattern, or ``SET:SPLIT`` of
+    ``input`` is a file or folder in any format that is read, several with commas or a pattern, a video or pictures in which
+    keypoints are found as `uplift.detect` does, and written to ``keypoints`` (.npz or .csv), if given, or ``SET:SPLIT`` of
     a published data set (``file.py:Class:SPLIT`` for a class of yours), whose ``data.root`` and ``data.options.*`` are
     ``overrides`` such as a fit takes; ``reading`` is what the files lack. The frames of a clip are lifted
     together unless ``refine`` is off (or ``"causal"``: as far as a live picture allows). ``hypotheses`` are so many poses of
@@ -122,6 +134,8 @@ def predict(
         options,
         camera,
         ground,
+        Detection(detector, detector_options or {}, people),
+        keypoints,
     )
     prediction, files = KINDS[weights.lifts].predict(request)
     if written is not None:
@@ -161,6 +175,8 @@ def keypoint_arguments(keys: Keys) -> dict[str, Any]:
         "size": size,
         "camera": known_camera(keys),
         "ground": keys.value("ground"),
+        **keys.detection(),
+        "keypoints": keys.value("keypoints"),
         "reading": keys.reading(),
         **keys.given("images", "frames", "seed", "csv_safe", "together", *TOGETHER_KEYS),
     }
@@ -191,6 +207,8 @@ def lift_keypoints(request: Request) -> tuple[Prediction, dict[Path, str]]:
     if odd := odd_size(model.skeleton, request.size):
         prediction = replace(prediction, notes=(*prediction.notes, odd))
     files = {} if output is None else write(prediction, output, page, axes, **options)
+    if request.keypoints is not None:
+        files[Path(request.keypoints)] = "the 2D"
     if "cameras_output" in together:
         write_found(prediction, cameras, together["cameras_output"])
         files[Path(together["cameras_output"])] = f"{len(cameras)} cameras"
@@ -204,6 +222,7 @@ def _check_request(request: Request, together: Mapping[str, Any], options: Mappi
             "together=true does not go with hypotheses=, camera.tilt_deg=, camera.roll_deg=, ground= or refine=causal: these "
             "are for one camera."
         )
+    _check_frames(request, together)
     page, output = request.page, request.output
     if output is None:
         return
@@ -223,9 +242,25 @@ def _check_request(request: Request, together: Mapping[str, Any], options: Mappi
     refuse_output(Path(output))
 
 
+def _check_frames(request: Request, together: Mapping[str, Any]) -> None:
+    """Refuse what goes with videos and pictures alone, and with neither."""
+    if not is_frames(request.input):
+        given = [name for name, value in vars(request.detection).items() if value]
+        given += ["keypoints"] if request.keypoints is not None else []
+        if given:
+            name = "detector.options" if given[0] == "options" else given[0]
+            raise UserError(f"{name}= goes with a video or pictures as input=; {request.input} is none.")
+    elif request.keypoints is not None and together:
+        raise UserError("keypoints= goes with one video, not with together=true: uplift detect writes those of each.")
+    elif request.keypoints is not None:
+        check_keypoints_output(request.keypoints, "keypoints")
+
+
 def _read(request: Request, skeleton: Skeleton, *, alone: bool = True) -> PoseData:
     """Return the keypoints of files, or of a split of a data set; a note says where cameras that are lifted ``alone`` show one scene."""
     input, overrides, reading = request.input, request.overrides, request.reading
+    if is_frames(input):
+        return _read_frames(request, skeleton)
     use, colon, split = str(input).rpartition(":")
     if not colon or Path(input).exists():
         if overrides:
@@ -247,6 +282,16 @@ def _read(request: Request, skeleton: Skeleton, *, alone: bool = True) -> PoseDa
         raise UserError(f"input={input}: where are its files? Give data.root=FOLDER.")
     settings.data.train = split
     return load_split(settings, "train", skeleton)
+
+
+def _read_frames(request: Request, skeleton: Skeleton) -> PoseData:
+    """Return the keypoints of videos or pictures in the joints of a skeleton, and keep them in a file where that is asked for."""
+    if request.overrides:
+        raise UserError(
+            f"'{request.overrides[0]}' goes with a data set, input=SET:SPLIT; input={request.input} does not."
+        )
+    found = keypoints_in(request.input, request.keypoints, request.detection, skeleton, request.reading)
+    return in_skeleton([without_far(found)], [], skeleton)
 
 
 def _cameras_of_one_scene(data: PoseData) -> list[str]:
