@@ -27,9 +27,7 @@ class PoseRecipe(Recipe):
     All of them are built before any is trained, so that a setting that one of them refuses costs no training.
     """
 
-    def __init__(
-        self, settings: Settings, data: KeypointData, run: RunFolder | None, start: WarmStart | None = None
-    ):
+    def __init__(self, settings: Settings, data: KeypointData, run: RunFolder | None, start: WarmStart | None = None):
         super().__init__(settings)
         self.data, self.skeleton = data, data.skeleton
         labelled = data.frames(settings.lifter).labelled

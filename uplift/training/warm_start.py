@@ -18,6 +18,8 @@ __all__ = ["WarmStart"]
 
 _OF_THE_FIT = ("refine", "both_ways", "intrinsics", "denoise")
 """Of the settings of a lifter: what does not make its network."""
+_WARM_UP = 0.1
+"""Least of the teacher: Adam's first steps are as long as all others, and would undo what the weights know."""
 
 
 @dataclass
@@ -48,13 +50,14 @@ class WarmStart:
         lifter = replace(given, **kept)
         changed = [one for one in _texts(lifter, usual) if not one.startswith(tuple(_OF_THE_FIT))]
         if changed:
-            self.notes.append(f"init: networks are as the one there, in place of this fit's settings: {listed(changed)}")
-        student = replace(
-            settings.student, network=None, options={}, last_options={}, warm=True, cameras=given.cameras
-        )
+            self.notes.append(
+                f"init: networks are as the one there, in place of this fit's settings: {listed(changed)}"
+            )
+        student = replace(settings.student, network=None, options={}, last_options={}, warm=True, cameras=given.cameras)
+        teacher = replace(settings.teacher, warm_up=max(settings.teacher.warm_up, _WARM_UP))
         views = replace(settings.views, count_root=lifter.radius == "all")
         init = str(self.path) if Path(self.name).expanduser().exists() else self.name  # `last` will be another run
-        return replace(settings, lifter=lifter, student=student, views=views, init=init)
+        return replace(settings, lifter=lifter, teacher=teacher, student=student, views=views, init=init)
 
     def _refuse_another_network(self, settings: Settings) -> None:
         """Raise UserError where the user, and not the recipe, names a network that is another one."""
@@ -68,7 +71,9 @@ class WarmStart:
             wanted[f"lifter.options.{name}"] = (value, given.options.get(name, "its default"))
         for name, (asked, found) in wanted.items():
             if asked != found:
-                raise UserError(f"{name}={asked}, but init={self.name} has another network, with {found}: leave it out.")
+                raise UserError(
+                    f"{name}={asked}, but init={self.name} has another network, with {found}: leave it out."
+                )
 
     def into(self, module: KeypointModule) -> None:
         """Copy the weights into the first module that is trained, and note which joints they know."""
@@ -103,5 +108,3 @@ def _text(value: Any) -> str:
     if isinstance(value, dict):
         return "{" + ", ".join(f"{name}: {_text(inner)}" for name, inner in value.items()) + "}"
     return str(value).lower() if isinstance(value, bool) else str(value)
-
-
