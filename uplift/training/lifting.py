@@ -82,7 +82,10 @@ class KeypointModule(TrainingModule[Lifter, Any]):
             UserError: too few joints in common, or a network of another kind or size.
         """
         model = given if isinstance(given, Model) else load_poses(given)
-        return [copy_weights(lifter, model.lifter) for lifter in self.lifters()][0]
+        shared: dict[str, tuple[str, ...]] = {}
+        for lifter in self.lifters():
+            shared = copy_weights(lifter, model.lifter)
+        return shared
 
     def save(self, path: str | Path) -> None:
         """Write `model` to one file, which `uplift.load` and the command line take; raises UserError where it exists."""
