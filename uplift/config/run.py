@@ -48,7 +48,7 @@ def idle_prior(name: str, steps: int) -> str:
     return f"priors.{name} had no gradient in any of {steps:,} steps, so no effect: {why}"
 
 
-_KINDS_OF_FACTS = {"task": str, "command": str, "versions": dict, "steps": dict, "idle_priors": dict}
+_KINDS_OF_FACTS = {"task": str, "command": str, "versions": dict, "steps": dict, "idle_priors": dict, "init": dict}
 """Of what is used again; the rest is for readers."""
 
 
