@@ -83,6 +83,8 @@ DETECTOR_KEYS = _table(
          "class of yours, my.py:MyDetector; unset: the built-in that finds the skeleton's joints"),
     _key("detector.options", dict[str, Any], {}, "options of that class"),
     _key("people", Optional[int], None, "at most so many people or animals, the largest and longest in the picture; unset: all", 1, 1000),
+    _key("video.start_s", Optional[float], None, "where to begin in a video, seconds from its beginning", 0, 1e7),
+    _key("video.end_s", Optional[float], None, "where to stop; of a camera, how long it is watched", 1e-3, 1e7),
 )  # fmt: skip
 """How keypoints are found in videos and pictures."""
 
@@ -103,7 +105,7 @@ REFINE = {"on": True, "off": False, "causal": "causal"}
 # predict: what goes with every run, with keypoints alone, with masks alone.
 
 _ALL_KEYS = _table(
-    _key("run", str, NEEDED, "run folder, or its lifter.pt"),
+    _key("run", str, NEEDED, "run folder, a lifter's file (.pt, .safetensors), or a ready lifter (uplift lifters)"),
     _key("input", str, NEEDED, "file or folder of keypoints, a video, pictures, several with commas or *, or SET:SPLIT of a "
          "published set"),
     _key("output", str, NEEDED, "new file; its ending is the format: .html .npz .csv .bvh .glb ..."),
@@ -126,6 +128,8 @@ POSE_KEYS = _table(
     _key("camera_height_mm", Optional[float], None, "height of the camera above the ground, millimetres", 1e-9, 1e9),
     *DETECTOR_KEYS.values(),
     _key("keypoints", Optional[str], None, "with a video or pictures: new .npz or .csv file for the 2D"),
+    _key("video", Optional[str], None, "video or folder of pictures that the keypoints were found in, shown behind them on a page or "
+         "in a film; several with commas, named as the clips; unset: the input, where that is one"),
     *CAMERA_KEYS.values(),
     _key("ground", bool, False, "true: find the ground, and keep standing feet where they are; needs a size"),
     _key("cameras", Optional[str], None, "with together=true: calibrated cameras, .toml of Pose2Sim or Anipose, or .json"),
@@ -152,7 +156,7 @@ SHAPE_KEYS = {name: one._replace(only="masks") for name, one in SHAPE_KEYS.items
 PREDICT = _ALL_KEYS | _TRUST | POSE_KEYS | SHAPE_KEYS
 
 EVALUATE = _table(
-    _key("run", Optional[str], None, "run folder to evaluate"),
+    _key("run", Optional[str], None, "run folder to evaluate, or a ready lifter or lifter's file, with data.test="),
     _key("poses", Optional[str], None, "in place of a run: poses from a file, such as predict writes"),
     _key("data.test", Optional[str], None, "file with the truth; unset: the test data of the run"),
     _key("skeleton", Optional[str], None, "skeleton of poses=; unset: the shipped one whose joints those are"),
@@ -325,6 +329,11 @@ VERBS = {
     ),
     "tasks": Verb("the shipped tasks, and whether their data is there", ("tasks",)),
     "skeletons": Verb("the shipped skeletons", ("skeletons",)),
+    "lifters": Verb(
+        "the ready lifters, or the model card of one",
+        ("lifters", "lifters NAME"),
+        {"NAME": "a ready lifter, which run= takes"},
+    ),
     "skeleton check": Verb(
         "check a skeleton and draw it",
         ("skeleton check FILE|NAME [output=FILE.png]",),
