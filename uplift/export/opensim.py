@@ -3,24 +3,27 @@
 from __future__ import annotations
 
 import importlib.util
-import shutil
+import json
 import subprocess
 import sys
 import tempfile
 import xml.etree.ElementTree as ET
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import ExitStack
+from dataclasses import replace
 from pathlib import Path
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
 
-from uplift.config.files import refuse_existing, replacing
+from uplift.config.files import as_bytes, refuse_existing, replacing
 from uplift.config.progress import progress
 from uplift.errors import UserError
 from uplift.export.clips import one_body
-from uplift.export.human_model import HumanModel, human_model, model_xml
+from uplift.export.human_model import Coordinate, HumanModel, human_model, model_xml
 from uplift.export.markers import Trial, trial_of, write_trc
+from uplift.export.scene import held
 from uplift.models.prediction import Prediction
 
 __all__ = ["beside_model", "write_opensim"]
@@ -28,13 +31,14 @@ __all__ = ["beside_model", "write_opensim"]
 _NOISE_MM = 20.0
 """Of a joint that is seen: joints that are less sure than this weigh less."""
 _KEEP_STILL = 1e-6
-"""Weight, m2/rad2, that holds angles near 0 where markers do not show them: the turn of a stretched limb about itself."""
+"""Weight, m2/rad2, that holds angles near 0 where markers do not show them: the turn of a straight limb about itself."""
+_ACCURACY = 1e-6
 
 
 def beside_model(path: str | Path) -> list[Path]:
-    """Return the files that are written beside a model ``path``: markers, set-up, motion, and errors of the markers."""
+    """Return the files that are written beside a model ``path``: markers, motion, errors of the markers, set-up."""
     path = Path(path)
-    return [path.with_name(f"{path.stem}{end}") for end in (".trc", "_ik.xml", "_ik.mot", "_ik_marker_errors.sto")]
+    return [path.with_name(f"{path.stem}{end}") for end in (".trc", "_ik.mot", "_ik_marker_errors.sto", "_ik.xml")]
 
 
 def write_opensim(
@@ -43,49 +47,36 @@ def write_opensim(
     """Write the scaled model of one body, run OpenSim's inverse kinematics, and return how near the markers come.
 
     ``path`` is the model, ``.osim``; beside it go the files of `beside_model`. Poses are in mm with y up, a clip of one
-    body, ``individual`` of several. The model is `uplift.export.human_model.human_model`, ``mass_kg`` heavy. Frames without a pose are blank in the
-    markers and left out of the motion. Angles are in degrees, places in metres.
+    body, ``individual`` of several. The model is `uplift.export.human_model.human_model`, ``mass_kg`` heavy. Frames
+    without a pose are blank in the markers and left out of the motion. Angles are in degrees, places in metres.
 
     Raises:
         UserError: without opensim, as `uplift.export.markers.write_trc` and `human_model`, one of the files exists, or
             OpenSim cannot solve it.
     """
-    _refuse_without_library(path)
+    if importlib.util.find_spec("opensim") is None:
+        raise UserError(f'{path}: inverse kinematics needs OpenSim: pip install "uplift3d[opensim]".')
     trial = trial_of(prediction, path, individual, "OpenSim's model")
     path = Path(path)
     for file in beside_model(path):
         refuse_existing(file)
-    clip = one_body(prediction, path, individual)
     model = human_model(prediction.skeleton, prediction.joint_names, trial.points, mass_kg or 70.0)
-    model = _renamed(model, dict(zip(prediction.joint_names, trial.names, strict=True)))
-    weights = _weights(prediction, clip.rows, trial)
+    names = dict(zip(prediction.joint_names, trial.names, strict=True))
+    model = replace(model, markers={names[joint]: place for joint, place in model.markers.items()})
+    weights = _weights(prediction, one_body(prediction, path, individual).rows, trial)
     with tempfile.TemporaryDirectory() as folder:
         files = [Path(folder) / file.name for file in (path, *beside_model(path))]
         about = f"{prediction.skeleton.name}: lengths by uplift from 2D keypoints; masses: de Leva 1996, J Biomech 29"
         files[0].write_bytes(model_xml(model, path.stem, about))
         write_trc(prediction, files[1], individual)
-        files[2].write_bytes(_setup(model, files, weights, trial))
-        _run(files, path, len(trial.points))
-        blank = _without_blanks(files[3], trial)
-        _without_blanks(files[4], trial)
-        errors = _errors_mm(files[4])
+        motion = _solve(model, files, weights, trial, path)
+        files[2].write_bytes(_motion_text(model, motion))
+        files[3].write_bytes(_errors_text(motion))
+        files[4].write_bytes(_setup(model, files, weights, motion))
         with ExitStack() as stack:
             for file, target in zip(files, (path, *beside_model(path)), strict=True):
-                handle = stack.enter_context(replacing(target))
-                with file.open("rb") as written:
-                    shutil.copyfileobj(written, handle)
-    return _remark(path, errors, blank, model)
-
-
-def _refuse_without_library(path: str | Path) -> None:
-    if importlib.util.find_spec("opensim") is None:
-        raise UserError(f'{path}: inverse kinematics needs OpenSim: pip install "uplift3d[opensim]".')
-
-
-def _renamed(model: HumanModel, names: dict[str, str]) -> HumanModel:
-    """Return the model with its markers by the names of the marker file."""
-    markers = {names[joint]: place for joint, place in model.markers.items()}
-    return HumanModel(model.segments, model.shifts, markers, model.unseen)
+                stack.enter_context(replacing(target)).write(file.read_bytes())
+    return _remark(path, motion, len(trial.points), model)
 
 
 def _weights(prediction: Prediction, rows: np.ndarray, trial: Trial) -> dict[str, float]:
@@ -101,100 +92,141 @@ def _weights(prediction: Prediction, rows: np.ndarray, trial: Trial) -> dict[str
 # Inverse kinematics.
 
 
-def _setup(model: HumanModel, files: list[Path], weights: dict[str, float], trial: Trial) -> bytes:
+class _Motion(NamedTuple):
+    """What was solved: ``values`` are radians and metres in the order of ``names``, ``errors`` metres, NaN of blank markers."""
+
+    time: Float[np.ndarray, " frames"]
+    names: tuple[str, ...]
+    values: Float[np.ndarray, "frames coordinates"]
+    errors: Float[np.ndarray, "frames markers"]
+    markers: tuple[str, ...]
+
+
+def _coordinates(model: HumanModel) -> list[Coordinate]:
+    """Return all coordinates of the model, those of the pelvis's place first."""
+    return [*model.shifts, *(turn for segment in model.segments for turn in segment.turns if turn)]
+
+
+def _solve(model: HumanModel, files: list[Path], weights: dict[str, float], trial: Trial, path: Path) -> _Motion:
+    """Return the solution of every frame that has a pose; raises UserError with OpenSim's reason.
+
+    In a process of its own: OpenSim's libraries and torch's end in a crash when one process has both.
+    """
+    coordinates = _coordinates(model)
+    # A frame without a pose has no solution; one that lacks a joint starts there as the frame before.
+    start = np.concatenate([held(one.start[:, None]) * (1.0 if one.metres else np.pi / 180) for one in coordinates], 1)
+    posed = np.flatnonzero(np.isfinite(trial.points).all(-1).any(1))
+    job = {
+        "model": files[0].name, "markers": files[1].name, "accuracy": _ACCURACY,
+        "weights": {marker: weights[marker] for marker in model.markers},
+        "still": {one.name: _KEEP_STILL for one in coordinates if not one.name.startswith("pelvis")},
+        "coordinates": [one.name for one in coordinates],
+        "start": start[posed].tolist(), "times": ((trial.start + posed) / trial.fps).tolist(),
+    }  # fmt: skip
+    _run(job, files[0].parent, path)
+    values, errors = (np.load(files[0].with_name(f"{name}.npy")) for name in ("values", "errors"))
+    return _Motion(np.array(job["times"]), tuple(job["coordinates"]), values, errors, tuple(model.markers))
+
+
+def _run(job: dict[str, Any], folder: Path, path: Path) -> None:
+    (folder / "job.json").write_text(json.dumps(job))
+    # -P: the file's folder has an opensim.py too.
+    command = [sys.executable, "-P", str(Path(__file__).with_name("opensim_solver.py")), "job.json"]
+    pipes: dict[str, Any] = {"stdout": subprocess.PIPE, "stderr": subprocess.STDOUT, "text": True, "errors": "replace"}
+    said: list[str] = []
+    with subprocess.Popen(command, cwd=folder, **pipes) as program:
+        try:
+            for _ in progress(_solved(program.stdout, said), "inverse kinematics", len(job["times"])):
+                pass
+        except BaseException:
+            program.kill()
+            raise
+    if program.returncode:
+        raise UserError(
+            f"{path}: OpenSim's inverse kinematics stopped (status {program.returncode}): "
+            f"{' '.join(said[-3:])[:300] or 'it gave no reason'}"
+        )
+
+
+def _solved(output: Iterable[str], said: list[str]) -> Iterator[None]:
+    """Yield for every frame that is solved, and put what else is said into ``said``."""
+    for line in map(str.strip, output):
+        if line == "solved":
+            yield
+        elif line:
+            said.append(line)
+
+
+# What is written beside the model and its markers.
+
+
+def _motion_text(model: HumanModel, motion: _Motion) -> bytes:
+    """Return OpenSim's motion file: degrees and metres."""
+    unit = np.array([1.0 if one.metres else 180 / np.pi for one in _coordinates(model)])
+    head = [
+        "Coordinates",
+        "version=1",
+        *_size(motion, len(unit)),
+        "inDegrees=yes",
+        "",
+        "Units are S.I. units (second, meters, Newtons, ...)",
+    ]
+    head += ["Angles are in degrees.", "", "endheader"]
+    return _table(head, motion.names, motion.time, motion.values * unit)
+
+
+def _errors_text(motion: _Motion) -> bytes:
+    """Return the errors of the markers as OpenSim's tool writes them: metres."""
+    squared = motion.errors**2
+    columns = np.stack([np.nansum(squared, 1), np.sqrt(np.nanmean(squared, 1)), np.nanmax(motion.errors, 1)], 1)
+    head = ["Model Marker Errors from IK", "version=1", *_size(motion, 3), "inDegrees=no", "endheader"]
+    return _table(head, ("total_squared_error", "marker_error_RMS", "marker_error_max"), motion.time, columns)
+
+
+def _size(motion: _Motion, columns: int) -> list[str]:
+    return [f"nRows={len(motion.time)}", f"nColumns={columns + 1}"]
+
+
+def _table(head: Sequence[str], names: Sequence[str], time: np.ndarray, columns: np.ndarray) -> bytes:
+    rows = [
+        "\t".join([f"{when:.6f}", *(f"{value + 0.0:.8f}" for value in row)])
+        for when, row in zip(time, columns, strict=True)
+    ]
+    return as_bytes("\n".join([*head, "\t".join(["time", *names]), *rows, ""]))
+
+
+def _setup(model: HumanModel, files: list[Path], weights: dict[str, float], motion: _Motion) -> bytes:
     """Return the set-up of OpenSim's Inverse Kinematics Tool, with the names of files in the same folder."""
     root = ET.Element("OpenSimDocument", Version="40000")
-    tool = ET.SubElement(root, "InverseKinematicsTool", name=f"{files[0].stem}")
-    ends = trial.start / trial.fps, (trial.start + len(trial.points) - 1) / trial.fps
+    tool = ET.SubElement(root, "InverseKinematicsTool", name=f"{files[0].stem}_again")
     facts = {
-        "results_directory": "./", "model_file": files[0].name, "constraint_weight": "Inf", "accuracy": "1e-6",
-        "time_range": f"{ends[0]:.6f} {ends[1]:.6f}", "output_motion_file": files[3].name, "report_errors": "true",
-        "marker_file": files[1].name,
+        "results_directory": "./", "model_file": files[0].name, "constraint_weight": "Inf", "accuracy": f"{_ACCURACY:g}",
+        "time_range": f"{motion.time[0]:.6f} {motion.time[-1]:.6f}", "output_motion_file": f"{files[0].stem}_again_ik.mot",
+        "report_errors": "true", "marker_file": files[1].name,
     }  # fmt: skip
+    tasks = [("IKMarkerTask", marker, {"weight": f"{weights[marker]:.4g}"}) for marker in model.markers]
+    still = {"weight": f"{_KEEP_STILL:g}", "value_type": "manual_value", "value": "0"}
+    turns = [name for name in motion.names if not name.startswith("pelvis")]
+    tasks += [("IKCoordinateTask", name, still) for name in turns]
     for tag, text in facts.items():
         ET.SubElement(tool, tag).text = text
-    tasks = ET.SubElement(ET.SubElement(tool, "IKTaskSet"), "objects")
-    for marker in model.markers:
-        task = ET.SubElement(tasks, "IKMarkerTask", name=marker)
-        ET.SubElement(task, "apply").text = "true"
-        ET.SubElement(task, "weight").text = f"{weights[marker]:.4g}"
-    for segment in model.segments:
-        for turn in filter(None, segment.turns if segment.parent else ()):
-            task = ET.SubElement(tasks, "IKCoordinateTask", name=turn.name)
-            ET.SubElement(task, "apply").text = "true"
-            ET.SubElement(task, "weight").text = f"{_KEEP_STILL:g}"
-            ET.SubElement(task, "value_type").text = "default_value"
+    objects = ET.SubElement(ET.SubElement(tool, "IKTaskSet"), "objects")
+    for kind, name, more in tasks:
+        task = ET.SubElement(objects, kind, name=name)
+        for tag, text in {"apply": "true", **more}.items():
+            ET.SubElement(task, tag).text = text
     ET.indent(root, "\t")
     return ET.tostring(root, encoding="UTF-8", xml_declaration=True)
 
 
-_TOOL = "import opensim, sys; sys.exit(not opensim.InverseKinematicsTool(sys.argv[1]).run())"
-
-
-def _run(files: list[Path], path: Path, frames: int) -> None:
-    """Run the tool as its set-up file says; raises UserError with OpenSim's reason.
-
-    In a process of its own: OpenSim's libraries and torch's end in a crash when one process has both, and the tool
-    logs into the folder that it runs in.
-    """
-    command = [sys.executable, "-c", _TOOL, files[2].name]
-    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.STDOUT, "text": True, "errors": "replace"}
-    last = ""
-    with subprocess.Popen(command, cwd=files[2].parent, **pipes) as tool:  # type: ignore[call-overload]
-        try:
-            for line in progress(_frames(tool.stdout), "inverse kinematics", frames):
-                last = line
-        except BaseException:
-            tool.kill()
-            raise
-    if tool.returncode or not files[3].is_file():
-        raise UserError(f"{path}: OpenSim's inverse kinematics stopped (status {tool.returncode}): {last[:300]}")
-
-
-def _frames(output: Iterable[str]) -> Iterator[str]:
-    """Yield what is said of each frame, and at the end what was said last of an error, or at all."""
-    last = error = ""
-    for line in map(str.strip, output):
-        if line.startswith("[info] Frame "):
-            yield line
-        error = line if "rror" in line or "xception" in line else error
-        last = line or last
-    yield error or last
-
-
-def _table(file: Path) -> tuple[list[str], list[str], Float[np.ndarray, "rows columns"]]:
-    """Return the header, the names of the columns and the numbers of a ``.mot`` or ``.sto``."""
-    lines = file.read_text().splitlines()
-    start = lines.index("endheader") + 1
-    numbers = [[float(cell) for cell in line.split()] for line in lines[start + 1 :] if line.strip()]
-    return lines[:start], lines[start].split(), np.array(numbers)
-
-
-def _without_blanks(file: Path, trial: Trial) -> int:
-    """Take out the rows of moments without markers, in which OpenSim repeats what was before, and return how many."""
-    blank = ~np.isfinite(trial.points).all(-1).any(1)
-    if not blank.any():
-        return 0
-    head, columns, numbers = _table(file)
-    moment = np.rint(numbers[:, 0] * trial.fps).astype(int) - trial.start
-    kept = numbers[~blank[np.clip(moment, 0, len(blank) - 1)]]
-    head = [f"nRows={len(kept)}" if line.startswith("nRows=") else line for line in head]
-    rows = ["\t".join(f"{value:.8f}" for value in row) for row in kept]
-    file.write_text("\n".join([*head, "\t".join(columns), *rows, ""]))
-    return len(numbers) - len(kept)
-
-
-def _errors_mm(file: Path) -> tuple[float, float]:
-    """Return the RMS and the largest of the errors of all markers in all frames, mm."""
-    _, columns, numbers = _table(file)
-    rms, largest = (numbers[:, columns.index(name)] * 1000 for name in ("marker_error_RMS", "marker_error_max"))
-    return float(np.sqrt(np.mean(rms**2))), float(largest.max())
-
-
-def _remark(path: Path, errors: tuple[float, float], blank: int, model: HumanModel) -> str:
-    files = ", ".join(file.name for file in beside_model(path))
-    parts = [f"with {files}", f"marker errors {errors[0]:.0f} mm RMS, {errors[1]:.0f} mm at most"]
-    if blank:
+def _remark(path: Path, motion: _Motion, moments: int, model: HumanModel) -> str:
+    errors = 1000 * motion.errors
+    worst = motion.markers[int(np.nanmax(errors, 0).argmax())]
+    parts = [
+        f"with {', '.join(file.name for file in beside_model(path))}",
+        f"marker errors {np.sqrt(np.nanmean(errors**2)):.0f} mm RMS, {np.nanmax(errors):.0f} mm at most ({worst})",
+    ]
+    if blank := moments - len(motion.time):
         parts.append(f"{blank:,} frames without a pose are not in the motion")
     if model.unseen:
         names = dict.fromkeys(name.removesuffix("_r").removesuffix("_l") for name in model.unseen)
