@@ -30,7 +30,8 @@ def copy_weights(into: Lifter, given: Lifter) -> Shared:
 
     Lifters with the same joints, inputs and outputs lift alike from then on. Otherwise the layers between stay as they
     are and the ends are matched by what each number is: inputs of joints that ``given`` does not know count for nothing
-    at first, and outputs that it does not have keep the weights that they have.
+    at first, and outputs that it does not have keep the weights that they have. Depth signs are known where all chains
+    of bones are the same (`Lifter.knows_signs`).
 
     Raises:
         UserError: skeletons with too few joints in common, networks of other kinds or sizes.
@@ -46,7 +47,11 @@ def copy_weights(into: Lifter, given: Lifter) -> Shared:
     _copy_network(into.network, given.network, inputs, outputs)
     if into.signs is not None and given.signs is not None:
         inputs = torch.block_diag(inputs, torch.ones(1, 1))  # after the others, the inverse distance
-        _copy_network(into.signs, given.signs, inputs, _sign_matrix(into, given, shared))
+        outputs = _sign_matrix(into, given, shared)
+        _copy_network(into.signs, given.signs, inputs, outputs)
+        if not outputs.any(1).all():  # half of them would decide poses as well as all: what is not learned is not known
+            into.signs.leave.weight.zero_()
+            into.signs.leave.bias.zero_()
     if into.tilt == given.tilt == "learned":
         into.common_tilt.copy_(given.common_tilt)
     return shared
