@@ -37,10 +37,11 @@ def copy_weights(into: Lifter, given: Lifter) -> Shared:
         UserError: skeletons with too few joints in common, networks of other kinds or sizes.
     """
     shared = _checked(shared_joints(into.skeleton, given.skeleton), into.skeleton, given.skeleton)
-    weights = {key: value.shape for key, value in given.state_dict().items()}
-    if into.skeleton.joints == given.skeleton.joints and _shapes(into) == weights:
-        into.load_state_dict(given.state_dict())
-        return shared
+    if _body(into.skeleton) == _body(given.skeleton):
+        if _shapes(into) == _shapes(given):
+            into.load_state_dict(given.state_dict())
+            return shared
+        into.bone_mm.copy_(given.bone_mm)
     back = _as_inputs(given.skeleton, shared)
     inputs = _input_matrix(into.input_names(), given.input_names(), back, into.skeleton, given.skeleton)
     outputs = _output_matrix(into.output_names(), given.output_names(), shared)
@@ -49,12 +50,16 @@ def copy_weights(into: Lifter, given: Lifter) -> Shared:
         inputs = torch.block_diag(inputs, torch.ones(1, 1))  # after the others, the inverse distance
         outputs = _sign_matrix(into, given, shared)
         _copy_network(into.signs, given.signs, inputs, outputs)
-        if not outputs.any(1).all():  # half of them would decide poses as well as all: what is not learned is not known
+        if not outputs.any(1).all():  # weights that nobody has trained would decide poses
             into.signs.leave.weight.zero_()
             into.signs.leave.bias.zero_()
     if into.tilt == given.tilt == "learned":
         into.common_tilt.copy_(given.common_tilt)
     return shared
+
+
+def _body(skeleton: Skeleton) -> tuple[object, ...]:
+    return skeleton.joints, skeleton.root, skeleton.bones
 
 
 def _shapes(lifter: nn.Module) -> dict[str, torch.Size]:
