@@ -11,6 +11,7 @@ import numpy as np
 
 from uplift.cli.detect import check_keypoints_output, keypoints_in
 from uplift.cli.kinds import KINDS
+from uplift.cli.lifters import hint_for
 from uplift.cli.parsing import Keys, keyed, known_camera
 from uplift.cli.together import TOGETHER_KEYS, check_together, lift_views, views_of, write_found
 from uplift.cli.verbs import REFINE, SHAPE_KEYS
@@ -32,13 +33,15 @@ from uplift.export import check_axes, write, writer_for
 from uplift.export.gallery import check_options
 from uplift.export.scene import in_axes
 from uplift.metrics.pose_metrics import bone_cv, bone_lengths, never_seen_so_long
+from uplift.models.known_body import check_body
 from uplift.models.known_camera import KnownCamera
 from uplift.models.likely_size import odd_size, small_size
 from uplift.models.metric_scale import size_from
-from uplift.models.model import load_poses, load_shapes
+from uplift.models.model import Model, load_poses, load_shapes
 from uplift.models.prediction import Prediction, ShapePrediction
 from uplift.models.together import CAMERA_NAME
 from uplift.skeleton import Skeleton
+from uplift.skeleton.match import WrongJoints
 from uplift.video.detect import Detection
 from uplift.video.detector import Detector
 from uplift.video.frames import is_frames
@@ -69,6 +72,7 @@ class Request:
     ground: bool = False
     detection: Detection = field(default_factory=Detection)
     keypoints: str | Path | None = None
+    check: bool = True
 
     @property
     def title(self) -> str:
@@ -97,6 +101,7 @@ def predict(
     reading: ReadOptions | None = None,
     axes: str | None = None,
     page: str | None = None,
+    check: bool = True,
     written: dict[Path, str] | None = None,
     trust: Trust = None,
     **options: Any,
@@ -110,14 +115,15 @@ def predict(
     together unless ``refine`` is off (or ``"causal"``: as far as a live picture allows). ``hypotheses`` are so many poses of
     each frame, with their probabilities. ``size`` are arguments of `uplift.models.metric_scale.size_from`. ``camera`` is
     what is known of how the camera stands, and ``ground`` keeps standing feet where they are. ``axes`` are those of `uplift.export.scene`, the format's usual ones by default. ``page`` is the kind of an .html, ``viewer`` or
-    ``gallery``, and ``options`` are those of its writer. The files written, with a remark on each, are added to ``written``. ``trust`` are files and modules of
+    ``gallery``, and ``options`` are those of its writer. Without ``check`` a ready lifter lifts what does not look like the
+    body that it knows (`uplift.models.known_body`), too. The files written, with a remark on each, are added to ``written``. ``trust`` are files and modules of
     code that may run where the run names it, such as ``"my_nets.py"``.
 
     With a run that lifts masks, ``options`` (and ``size`` among them) are those of `uplift.export.write` for shapes and
     of `uplift.data.formats.read_masks`; what goes with keypoints is refused.
 
     Raises:
-        UserError: no such run or input, joints that do not fit the model's skeleton, no mask that can be used, an
+        UserError: no such run or input, joints that do not fit the model's skeleton, another body than a ready lifter's, no mask that can be used, an
             output that exists already or cannot be written.
     """
     weights = run if isinstance(run, Weights) else read_weights(run)
@@ -138,6 +144,7 @@ def predict(
         ground,
         Detection(detector, detector_options or {}, people, start_s, end_s),
         keypoints,
+        check,
     )
     prediction, files = KINDS[weights.lifts].predict(request)
     if written is not None:
@@ -180,6 +187,7 @@ def keypoint_arguments(keys: Keys) -> dict[str, Any]:
         "ground": keys.value("ground"),
         **keys.detection(),
         "keypoints": keys.value("keypoints"),
+        "check": keys.value("check"),
         "reading": keys.reading(),
         **keys.given("images", "video", "frames", "seed", "csv_safe", "together", *TOGETHER_KEYS),
     }
@@ -202,14 +210,16 @@ def lift_keypoints(request: Request) -> tuple[Prediction, dict[Path, str]]:
     cameras = []
     if together:
         views = views_of(request.input, lambda path: _read(replace(request, input=path), model.skeleton, alone=False))
+        strange = _check(request, model, views)
         prediction, cameras = lift_views(model, views, together, **how)
     else:
         data = _read(request, model.skeleton)
         clean(data, model.skeleton)  # refuses a file with nothing to lift, before any work
+        strange = _check(request, model, [data])
         more = {"hypotheses": request.hypotheses, "camera": request.camera, "ground": request.ground}
         prediction = model.predict(data, **how, **more)
-    if odd := odd_size(model.skeleton, request.size):
-        prediction = replace(prediction, notes=(*prediction.notes, odd))
+    odd = odd_size(model.skeleton, request.size)
+    prediction = replace(prediction, notes=(*prediction.notes, *([odd] if odd else []), *strange))
     files = {} if output is None else write(prediction, output, page, axes, **options)
     if request.keypoints is not None:
         files[Path(request.keypoints)] = "the 2D"
@@ -217,6 +227,15 @@ def lift_keypoints(request: Request) -> tuple[Prediction, dict[Path, str]]:
         write_found(prediction, cameras, together["cameras_output"])
         files[Path(together["cameras_output"])] = f"{len(cameras)} cameras"
     return prediction if axes is None else in_axes(prediction, axes), files
+
+
+def _check(request: Request, model: Model, views: Sequence[PoseData]) -> list[str]:
+    """Return warnings about views that hardly show the body that the lifter knows; a ready one refuses other bodies."""
+    if not request.check:
+        return []
+    weights = request.weights
+    found = [check_body(model, view, weights.run, refuse=weights.ready) for view in views]
+    return list(dict.fromkeys(filter(None, found)))
 
 
 def _check_request(request: Request, together: Mapping[str, Any], options: Mapping[str, Any]) -> None:
@@ -289,6 +308,16 @@ def _check_frames(request: Request, together: Mapping[str, Any]) -> None:
 
 
 def _read(request: Request, skeleton: Skeleton, *, alone: bool = True) -> PoseData:
+    """Return the keypoints of the input; raises UserError that names a lifter that fits, where another body's joints are in it."""
+    try:
+        return _keypoints(request, skeleton, alone=alone)
+    except WrongJoints as error:
+        hint = hint_for(error.names, request.weights.run)
+        known = f"{request.input}: {request.weights.run} knows {skeleton.name} ({skeleton.description})"
+        raise UserError(f"{known}; {hint}" if request.weights.ready and hint else f"{error} {hint}".strip()) from None
+
+
+def _keypoints(request: Request, skeleton: Skeleton, *, alone: bool = True) -> PoseData:
     """Return the keypoints of files, or of a split of a data set; a note says where cameras that are lifted ``alone`` show one scene."""
     input, overrides, reading = request.input, request.overrides, request.reading
     if is_frames(input):

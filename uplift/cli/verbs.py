@@ -136,6 +136,7 @@ POSE_KEYS = _table(
     _key("cameras_unit", Optional[str], None, "unit of the places in it; unset: told from the file", choices=("mm", "m")),
     _key("cameras_output", Optional[str], None, "with together=true: new .toml file for the cameras that are found"),
     *(one for name, one in READ_KEYS.items() if name != "format"),
+    _key("check", bool, True, "false: a ready lifter lifts what does not look like the body that it knows, too"),
     _key("frames", int, 40, "frames that page=gallery shows", 1, 500),
     _key("seed", int, 0, "seed of the choice of those frames", *_SEED_LIMITS),
     _CSV_SAFE,

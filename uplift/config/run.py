@@ -269,6 +269,8 @@ class Weights:
     """The run or file as it was named, for messages."""
     path: Path
     state: dict[str, Any]
+    ready: bool = False
+    """Whether it is a ready lifter of this package."""
     note: str = ""
     """Which lifter it is, where the name alone does not say so."""
 
@@ -296,15 +298,16 @@ def read_weights(run: str | Path) -> Weights:
     Raises UserError: no such run or lifter, a run that has no weights yet, or a file that cannot be read.
     """
     path, note = Path(run), ""
-    if not path.is_file():
-        ready, folder = str(run) in shipped_names("lifters"), _run_in(path)
-        if ready and folder is None:
-            path, note = shipped("lifters") / f"{run}{ENDING}", f"lifter: {run}, ready-made (uplift lifters {run})"
-        else:
-            note = f"lifter: the run in the folder {run}, not the ready one of that name" if ready else ""
-            path = _weights_of(folder or _unknown(run))
+    folder = None if path.is_file() else _run_in(path)
+    named = not path.is_file() and str(run) in shipped_names("lifters")
+    ready = named and folder is None
+    if ready:
+        path, note = shipped("lifters") / f"{run}{ENDING}", f"lifter: {run}, ready-made (uplift lifters {run})"
+    elif not path.is_file():
+        note = f"lifter: the run in the folder {run}, not the ready one of that name" if named else ""
+        path = _weights_of(folder or _unknown(run))
     read = read_safe if path.suffix.lower() == ENDING else read_torch
-    return Weights(str(run), path, read(path, "lifter"), note)
+    return Weights(str(run), path, read(path, "lifter"), ready, note)
 
 
 def _run_in(path: Path) -> RunFolder | None:
