@@ -17,7 +17,7 @@ from uplift.cli.verbs import REFINE, SHAPE_KEYS
 from uplift.config.files import refuse_output
 from uplift.config.loading import load_settings
 from uplift.config.progress import say
-from uplift.config.run import RunFolder, Weights, read_weights
+from uplift.config.run import Weights, read_weights
 from uplift.config.settings import DataSettings
 from uplift.config.trust import Trust, consents
 from uplift.data.clean import clean
@@ -152,8 +152,9 @@ def predict_command(words: Sequence[str]) -> None:
     overrides = [f"{key}={value}" for key, value in keys.items() if key.startswith("data.")]
     files: dict[Path, str] = {}
     arguments = kind.predict_arguments(keys) | {"axes": keys.get("axes"), "page": keys.get("page"), "written": files}
-    lines = kind.predict_summary(predict(weights, keys["input"], keys["output"], *overrides, **arguments))
-    lines += RunFolder(weights.path.parent).warnings()
+    lines = [weights.note] * bool(weights.note)
+    lines += kind.predict_summary(predict(weights, keys["input"], keys["output"], *overrides, **arguments))
+    lines += [] if weights.folder is None else weights.folder.warnings()
     lines += [f"wrote {path}" + (f": {remark}" if remark else "") for path, remark in list(files.items())[:5]]
     lines += [f"and {len(files) - 5} more"] * (len(files) > 5)
     lines += [f"look: open {path} in a browser" for path in files if path.suffix.lower() == ".html"]

@@ -103,7 +103,7 @@ REFINE = {"on": True, "off": False, "causal": "causal"}
 # predict: what goes with every run, with keypoints alone, with masks alone.
 
 _ALL_KEYS = _table(
-    _key("run", str, NEEDED, "run folder, or its lifter.pt"),
+    _key("run", str, NEEDED, "run folder, a lifter's file (.pt, .safetensors), or a ready lifter (uplift lifters)"),
     _key("input", str, NEEDED, "file or folder of keypoints, a video, pictures, several with commas or *, or SET:SPLIT of a "
          "published set"),
     _key("output", str, NEEDED, "new file; its ending is the format: .html .npz .csv .bvh .glb ..."),
@@ -152,7 +152,7 @@ SHAPE_KEYS = {name: one._replace(only="masks") for name, one in SHAPE_KEYS.items
 PREDICT = _ALL_KEYS | _TRUST | POSE_KEYS | SHAPE_KEYS
 
 EVALUATE = _table(
-    _key("run", Optional[str], None, "run folder to evaluate"),
+    _key("run", Optional[str], None, "run folder to evaluate, or a ready lifter or lifter's file, with data.test="),
     _key("poses", Optional[str], None, "in place of a run: poses from a file, such as predict writes"),
     _key("data.test", Optional[str], None, "file with the truth; unset: the test data of the run"),
     _key("skeleton", Optional[str], None, "skeleton of poses=; unset: the shipped one whose joints those are"),
@@ -325,6 +325,11 @@ VERBS = {
     ),
     "tasks": Verb("the shipped tasks, and whether their data is there", ("tasks",)),
     "skeletons": Verb("the shipped skeletons", ("skeletons",)),
+    "lifters": Verb(
+        "the ready lifters, or the model card of one",
+        ("lifters", "lifters NAME"),
+        {"NAME": "a ready lifter, which run= takes"},
+    ),
     "skeleton check": Verb(
         "check a skeleton and draw it",
         ("skeleton check FILE|NAME [output=FILE.png]",),
