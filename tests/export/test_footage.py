@@ -58,10 +58,10 @@ def test_videos_go_with_clips_by_name(video, tmp_path):
     sample = prediction(12, identity=identity, image_size=_SIZE)
     clips = arrange(sample.identity, 12)
     footage = Footage(f"{video},{tmp_path / 'b.mp4'}", sample)
-    assert footage.of(clips) == [True, True, False]
+    assert footage.of(clips, 3) == [True, True, False]
     assert [shown(next(footage.images(clip, [1], alone=False))[1]) for clip in clips[:2]] == [11, 1]
     with pytest.raises(UserError, match="3 clips, and none has its name"):
-        Footage(video.rename(tmp_path / "x.mp4"), sample).of(clips)
+        Footage(video.rename(tmp_path / "x.mp4"), sample).of(clips, 3)
 
 
 def test_pictures_go_by_name_or_by_number(tmp_path):

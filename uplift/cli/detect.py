@@ -41,6 +41,8 @@ def detect(
     detector: str | Detector | None = None,
     detector_options: Mapping[str, Any] | None = None,
     people: int | None = None,
+    start_s: int | float | None = None,
+    end_s: int | float | None = None,
     skeleton: str | Path | Skeleton | None = None,
     reading: ReadOptions | None = None,
     csv_safe: bool = False,
@@ -50,7 +52,8 @@ def detect(
 
     The output is an .npz or .csv, which `uplift.predict` and fits read. ``detector`` is a built-in, ``file.py:Class`` or an
     object of a subclass of `uplift.Detector`; without one it is the built-in that finds the joints of ``skeleton``, or bodies.
-    ``people`` is how many there are at most: the largest and longest in the picture. ``reading`` is what the user knows of
+    ``people`` is how many there are at most: the largest and longest in the picture. ``start_s`` and ``end_s`` are the part of
+    a video that is looked at, seconds. ``reading`` is what the user knows of
     the video.
 
     Raises:
@@ -62,7 +65,7 @@ def detect(
     if output is not None:
         check_keypoints_output(output, "output")
     chosen = skeleton if isinstance(skeleton, Skeleton) or skeleton is None else load_skeleton(skeleton)
-    how = Detection(detector, detector_options or {}, people)
+    how = Detection(detector, detector_options or {}, people, start_s, end_s)
     return keypoints_in(input, output, how, chosen, reading, csv_safe=csv_safe)
 
 

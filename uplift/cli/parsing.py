@@ -49,7 +49,8 @@ class Keys(dict[str, str]):
     def detection(self) -> dict[str, Any]:
         """Return the arguments of `uplift.detect` that the words of `DETECTOR_KEYS` give."""
         options = self.options("detector.options")
-        return {"detector": self.value("detector"), "detector_options": options, "people": self.value("people")}
+        found = {"detector": self.value("detector"), "detector_options": options, "people": self.value("people")}
+        return found | {name: self.value(f"video.{name}") for name in ("start_s", "end_s")}
 
     def reading(self) -> ReadOptions:
         """Return the `uplift.data.formats.base.ReadOptions` of those `READ_KEYS` that are given."""

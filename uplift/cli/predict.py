@@ -14,7 +14,7 @@ from uplift.cli.kinds import KINDS
 from uplift.cli.parsing import Keys, keyed, known_camera
 from uplift.cli.together import TOGETHER_KEYS, check_together, lift_views, views_of, write_found
 from uplift.cli.verbs import REFINE, SHAPE_KEYS
-from uplift.config.files import refuse_output
+from uplift.config.files import files_of, refuse_output
 from uplift.config.loading import load_settings
 from uplift.config.progress import say
 from uplift.config.run import Weights, read_weights
@@ -91,6 +91,8 @@ def predict(
     detector: str | Detector | None = None,
     detector_options: Mapping[str, Any] | None = None,
     people: int | None = None,
+    start_s: int | float | None = None,
+    end_s: int | float | None = None,
     keypoints: str | Path | None = None,
     reading: ReadOptions | None = None,
     axes: str | None = None,
@@ -134,7 +136,7 @@ def predict(
         options,
         camera,
         ground,
-        Detection(detector, detector_options or {}, people),
+        Detection(detector, detector_options or {}, people, start_s, end_s),
         keypoints,
     )
     prediction, files = KINDS[weights.lifts].predict(request)
@@ -179,7 +181,7 @@ def keypoint_arguments(keys: Keys) -> dict[str, Any]:
         **keys.detection(),
         "keypoints": keys.value("keypoints"),
         "reading": keys.reading(),
-        **keys.given("images", "frames", "seed", "csv_safe", "together", *TOGETHER_KEYS),
+        **keys.given("images", "video", "frames", "seed", "csv_safe", "together", *TOGETHER_KEYS),
     }
 
 
@@ -189,6 +191,7 @@ def lift_keypoints(request: Request) -> tuple[Prediction, dict[Path, str]]:
     together = check_together(options, output)
     check_axes(output or "", axes)
     _check_request(request, together, options)
+    options |= _footage(request, together, options)
     model = load_poses(request.weights)
     how = {
         "title": request.title,
@@ -231,9 +234,9 @@ def _check_request(request: Request, together: Mapping[str, Any], options: Mappi
     for key in options:
         if key == "csv_safe" and Path(output).suffix.lower() != ".csv":
             raise UserError(f"csv_safe= goes with output=FILE.csv, not with {output}.")
-        if key != "csv_safe" and page != "gallery":
+        if key not in ("csv_safe", "video") and page != "gallery":
             raise UserError(f"{key}= goes with page=gallery.")
-    if page == "gallery":
+    if page == "gallery" and "video" not in options:
         check_options(**options)
     if options.get("images") is not None and request.reading is not None:
         for key in {"flip_x", "flip_y", "rotate"} & set(request.reading.set_names()):
@@ -243,13 +246,41 @@ def _check_request(request: Request, together: Mapping[str, Any], options: Mappi
     refuse_output(Path(output))
 
 
+_SHOWS_VIDEO = (".html", ".mp4", ".gif")
+
+
+def _footage(request: Request, together: Mapping[str, Any], options: Mapping[str, Any]) -> dict[str, str]:
+    """Return the option of the video that a page or a film shows: what was asked for, else the input that is one."""
+    ending, turned = Path(request.output or "").suffix.lower(), request.reading and request.reading.set_names()
+    turned = sorted({"flip_x", "flip_y", "rotate"} & set(turned or ()))
+    shown = ending in _SHOWS_VIDEO and request.page != "gallery"
+    if "video" not in options:
+        own = shown and is_frames(request.input) and not (together or turned or _is_camera(request.input))
+        return {"video": str(request.input)} if own else {}
+    if not shown:
+        raise UserError(
+            f"video= goes with a page (output=FILE.html) or a film (.mp4, .gif), not with {request.output}."
+        )
+    if turned or together:
+        why = f"{turned[0]}= turns the keypoints and not the video" if turned else "together=true shows no one video"
+        raise UserError(f"video={options['video']}: {why}: give one of the two.")
+    files_of(options["video"])  # refuses what is not there, before any work
+    return {}
+
+
+def _is_camera(input: str | Path) -> bool:
+    return str(input).startswith("camera:")
+
+
 def _check_frames(request: Request, together: Mapping[str, Any]) -> None:
     """Refuse what goes with videos and pictures alone, and with neither."""
     if not is_frames(request.input):
-        given = [name for name, value in vars(request.detection).items() if value]
+        given = [name for name, value in vars(request.detection).items() if value is not None and value != {}]
         given += ["keypoints"] if request.keypoints is not None else []
         if given:
-            name = "detector.options" if given[0] == "options" else given[0]
+            name = {"options": "detector.options", "start_s": "video.start_s", "end_s": "video.end_s"}.get(
+                given[0], given[0]
+            )
             raise UserError(f"{name}= goes with a video or pictures as input=; {request.input} is none.")
     elif request.keypoints is not None and together:
         raise UserError("keypoints= goes with one video, not with together=true: uplift detect writes those of each.")

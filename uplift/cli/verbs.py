@@ -83,6 +83,8 @@ DETECTOR_KEYS = _table(
          "class of yours, my.py:MyDetector; unset: the built-in that finds the skeleton's joints"),
     _key("detector.options", dict[str, Any], {}, "options of that class"),
     _key("people", Optional[int], None, "at most so many people or animals, the largest and longest in the picture; unset: all", 1, 1000),
+    _key("video.start_s", Optional[float], None, "where to begin in a video, seconds from its beginning", 0, 1e7),
+    _key("video.end_s", Optional[float], None, "where to stop; of a camera, how long it is watched", 1e-3, 1e7),
 )  # fmt: skip
 """How keypoints are found in videos and pictures."""
 
@@ -126,6 +128,8 @@ POSE_KEYS = _table(
     _key("camera_height_mm", Optional[float], None, "height of the camera above the ground, millimetres", 1e-9, 1e9),
     *DETECTOR_KEYS.values(),
     _key("keypoints", Optional[str], None, "with a video or pictures: new .npz or .csv file for the 2D"),
+    _key("video", Optional[str], None, "video or folder of pictures that the keypoints were found in, shown behind them on a page or "
+         "in a film; several with commas, named as the clips; unset: the input, where that is one"),
     *CAMERA_KEYS.values(),
     _key("ground", bool, False, "true: find the ground, and keep standing feet where they are; needs a size"),
     _key("cameras", Optional[str], None, "with together=true: calibrated cameras, .toml of Pose2Sim or Anipose, or .json"),

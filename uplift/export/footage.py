@@ -48,12 +48,12 @@ class Footage:
                 f"{self.image_size[0]} x {self.image_size[1]} px: not the video that they were found in."
             )
 
-    def of(self, clips: Sequence[Clip]) -> list[bool]:
-        """Return which of the clips it shows; raises UserError for none."""
-        found = [self._path_of(clip, alone=len(clips) == 1) is not None for clip in clips]
+    def of(self, clips: Sequence[Clip], of: int) -> list[bool]:
+        """Return which clips, all or some ``of`` so many, it shows; raises UserError for none."""
+        found = [self._path_of(clip, alone=of == 1) is not None for clip in clips]
         if not any(found):
             names = listed((self._sequence(clip) for clip in clips), 3)
-            raise UserError(f"video={self.source}: there are {len(clips)} clips, and none has its name: {names}.")
+            raise UserError(f"video={self.source}: there are {of} clips, and none has its name: {names}.")
         return found
 
     def images(

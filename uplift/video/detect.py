@@ -36,6 +36,9 @@ class Detection:
     """What it is made with."""
     people: int | None = None
     """At most how many people, the largest and longest in the picture; None: all."""
+    start_s: int | float | None = None
+    end_s: int | float | None = None
+    """The part of a video that is looked at, seconds; None: from its beginning, to its end."""
 
 
 def detect_in(source: str | Path, how: Detection, skeleton: Skeleton | None = None) -> PoseData:
@@ -47,8 +50,12 @@ def detect_in(source: str | Path, how: Detection, skeleton: Skeleton | None = No
         UserError: as `uplift.video.frames.open_frames`, `uplift.video.detector.make_detector` and `keypoints_of`.
     """
     parts = []
+    if str(source).startswith("camera:") and how.end_s is None:
+        raise UserError(
+            f"{source} has no end: say how many seconds, video.end_s=10; or lift it as it comes, output=live."
+        )
     for one in _videos(source):
-        with open_frames(one) as frames:
+        with open_frames(one, start_s=how.start_s, end_s=how.end_s) as frames:
             detector = make_detector(how.detector, how.options, skeleton)
             try:
                 parts.append(keypoints_of(frames, detector, how.people))
