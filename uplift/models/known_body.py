@@ -33,7 +33,7 @@ _MOST_HIDDEN = 0.75
 _MOST_RATIO = 20.0
 
 STRANGE, OTHER, _OTHER_IN_FEW, _FEW = 3.7, 4.4, 8.0, 20
-"""Strangeness of what is said, and what is refused, in many frames and in few. Real files of people have 0.4 to 3.9 (336 test clips of
+"""Strangeness of what is said, and what is refused, in many frames and in few. Real files of people have 0.4 to 3.9 (252 test clips of
 motion capture with and without errors of a detector, and 15 files of seven trackers), four-legged animals with the names of
 people's joints 4.6 to 7.0, mixed-up joints 11 to 14; a single frame of a person may reach 8."""
 
