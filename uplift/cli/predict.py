@@ -3,18 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from uplift.cli.detect import check_keypoints_output, keypoints_in
 from uplift.cli.kinds import KINDS
 from uplift.cli.lifters import hint_for
 from uplift.cli.parsing import Keys, keyed, known_camera
 from uplift.cli.together import TOGETHER_KEYS, check_together, lift_views, views_of, write_found
 from uplift.cli.verbs import REFINE, SHAPE_KEYS
-from uplift.config.files import refuse_output
+from uplift.config.files import files_of, refuse_output
 from uplift.config.loading import load_settings
 from uplift.config.progress import say
 from uplift.config.run import Weights, read_weights
@@ -22,9 +23,10 @@ from uplift.config.settings import DataSettings
 from uplift.config.trust import Trust, consents
 from uplift.data.clean import clean
 from uplift.data.datasets import DATA_SETS
+from uplift.data.far import without_far
 from uplift.data.formats import read_masks
 from uplift.data.formats.base import ReadOptions
-from uplift.data.load import format_of_run, load_file, load_split
+from uplift.data.load import format_of_run, in_skeleton, load_file, load_split
 from uplift.data.poses import PoseData
 from uplift.errors import UserError, did_you_mean
 from uplift.export import check_axes, write, writer_for
@@ -40,6 +42,9 @@ from uplift.models.prediction import Prediction, ShapePrediction
 from uplift.models.together import CAMERA_NAME
 from uplift.skeleton import Skeleton
 from uplift.skeleton.match import WrongJoints
+from uplift.video.detect import Detection
+from uplift.video.detector import Detector
+from uplift.video.frames import is_frames
 
 __all__ = [
     "Request", "keypoint_arguments", "lift_keypoints", "lift_masks", "mask_arguments", "pose_summary", "predict",
@@ -65,6 +70,8 @@ class Request:
     options: Mapping[str, Any]
     camera: KnownCamera | None = None
     ground: bool = False
+    detection: Detection = field(default_factory=Detection)
+    keypoints: str | Path | None = None
     check: bool = True
 
     @property
@@ -85,6 +92,12 @@ def predict(
     size: Mapping[str, Any] | None = None,
     camera: KnownCamera | None = None,
     ground: bool = False,
+    detector: str | Detector | None = None,
+    detector_options: Mapping[str, Any] | None = None,
+    people: int | None = None,
+    start_s: int | float | None = None,
+    end_s: int | float | None = None,
+    keypoints: str | Path | None = None,
     reading: ReadOptions | None = None,
     axes: str | None = None,
     page: str | None = None,
@@ -95,7 +108,8 @@ def predict(
 ) -> Prediction | ShapePrediction:
     """Lift the keypoints or masks of ``input`` with the model of ``run`` and write them to ``output``, if given.
 
-    ``input`` is a file or folder in any format that is read, several with commas or a pattern, or ``SET:SPLIT`` of
+    ``input`` is a file or folder in any format that is read, several with commas or a pattern, a video or pictures in which
+    keypoints are found as `uplift.detect` does, and written to ``keypoints`` (.npz or .csv), if given, or ``SET:SPLIT`` of
     a published data set (``file.py:Class:SPLIT`` for a class of yours), whose ``data.root`` and ``data.options.*`` are
     ``overrides`` such as a fit takes; ``reading`` is what the files lack. The frames of a clip are lifted
     together unless ``refine`` is off (or ``"causal"``: as far as a live picture allows). ``hypotheses`` are so many poses of
@@ -128,6 +142,8 @@ def predict(
         options,
         camera,
         ground,
+        Detection(detector, detector_options or {}, people, start_s, end_s),
+        keypoints,
         check,
     )
     prediction, files = KINDS[weights.lifts].predict(request)
@@ -169,9 +185,11 @@ def keypoint_arguments(keys: Keys) -> dict[str, Any]:
         "size": size,
         "camera": known_camera(keys),
         "ground": keys.value("ground"),
+        **keys.detection(),
+        "keypoints": keys.value("keypoints"),
         "check": keys.value("check"),
         "reading": keys.reading(),
-        **keys.given("images", "frames", "seed", "csv_safe", "together", *TOGETHER_KEYS),
+        **keys.given("images", "video", "frames", "seed", "csv_safe", "together", *TOGETHER_KEYS),
     }
 
 
@@ -181,6 +199,7 @@ def lift_keypoints(request: Request) -> tuple[Prediction, dict[Path, str]]:
     together = check_together(options, output)
     check_axes(output or "", axes)
     _check_request(request, together, options)
+    options |= _footage(request, together, options)
     model = load_poses(request.weights)
     how = {
         "title": request.title,
@@ -202,6 +221,8 @@ def lift_keypoints(request: Request) -> tuple[Prediction, dict[Path, str]]:
     odd = odd_size(model.skeleton, request.size)
     prediction = replace(prediction, notes=(*prediction.notes, *([odd] if odd else []), *strange))
     files = {} if output is None else write(prediction, output, page, axes, **options)
+    if request.keypoints is not None:
+        files[Path(request.keypoints)] = "the 2D"
     if "cameras_output" in together:
         write_found(prediction, cameras, together["cameras_output"])
         files[Path(together["cameras_output"])] = f"{len(cameras)} cameras"
@@ -224,6 +245,7 @@ def _check_request(request: Request, together: Mapping[str, Any], options: Mappi
             "together=true does not go with hypotheses=, camera.tilt_deg=, camera.roll_deg=, ground= or refine=causal: these "
             "are for one camera."
         )
+    _check_frames(request, together)
     page, output = request.page, request.output
     if output is None:
         return
@@ -231,9 +253,9 @@ def _check_request(request: Request, together: Mapping[str, Any], options: Mappi
     for key in options:
         if key == "csv_safe" and Path(output).suffix.lower() != ".csv":
             raise UserError(f"csv_safe= goes with output=FILE.csv, not with {output}.")
-        if key != "csv_safe" and page != "gallery":
+        if key not in ("csv_safe", "video") and page != "gallery":
             raise UserError(f"{key}= goes with page=gallery.")
-    if page == "gallery":
+    if page == "gallery" and "video" not in options:
         check_options(**options)
     if options.get("images") is not None and request.reading is not None:
         for key in {"flip_x", "flip_y", "rotate"} & set(request.reading.set_names()):
@@ -241,6 +263,48 @@ def _check_request(request: Request, together: Mapping[str, Any], options: Mappi
     if request.hypotheses and Path(output).suffix.lower() != ".npz":
         raise UserError(f"hypotheses= goes with output=FILE.npz, which can hold several poses, not with {output}.")
     refuse_output(Path(output))
+
+
+_SHOWS_VIDEO = (".html", ".mp4", ".gif")
+
+
+def _footage(request: Request, together: Mapping[str, Any], options: Mapping[str, Any]) -> dict[str, str]:
+    """Return the option of the video that a page or a film shows: what was asked for, else the input that is one."""
+    ending, turned = Path(request.output or "").suffix.lower(), request.reading and request.reading.set_names()
+    turned = sorted({"flip_x", "flip_y", "rotate"} & set(turned or ()))
+    shown = ending in _SHOWS_VIDEO and request.page != "gallery"
+    if "video" not in options:
+        own = shown and is_frames(request.input) and not (together or turned or _is_camera(request.input))
+        return {"video": str(request.input)} if own else {}
+    if not shown:
+        raise UserError(
+            f"video= goes with a page (output=FILE.html) or a film (.mp4, .gif), not with {request.output}."
+        )
+    if turned or together:
+        why = f"{turned[0]}= turns the keypoints and not the video" if turned else "together=true shows no one video"
+        raise UserError(f"video={options['video']}: {why}: give one of the two.")
+    files_of(options["video"])  # refuses what is not there, before any work
+    return {}
+
+
+def _is_camera(input: str | Path) -> bool:
+    return str(input).startswith("camera:")
+
+
+def _check_frames(request: Request, together: Mapping[str, Any]) -> None:
+    """Refuse what goes with videos and pictures alone, and with neither."""
+    if not is_frames(request.input):
+        given = [name for name, value in vars(request.detection).items() if value is not None and value != {}]
+        given += ["keypoints"] if request.keypoints is not None else []
+        if given:
+            name = {"options": "detector.options", "start_s": "video.start_s", "end_s": "video.end_s"}.get(
+                given[0], given[0]
+            )
+            raise UserError(f"{name}= goes with a video or pictures as input=; {request.input} is none.")
+    elif request.keypoints is not None and together:
+        raise UserError("keypoints= goes with one video, not with together=true: uplift detect writes those of each.")
+    elif request.keypoints is not None:
+        check_keypoints_output(request.keypoints, "keypoints")
 
 
 def _read(request: Request, skeleton: Skeleton, *, alone: bool = True) -> PoseData:
@@ -256,6 +320,8 @@ def _read(request: Request, skeleton: Skeleton, *, alone: bool = True) -> PoseDa
 def _keypoints(request: Request, skeleton: Skeleton, *, alone: bool = True) -> PoseData:
     """Return the keypoints of files, or of a split of a data set; a note says where cameras that are lifted ``alone`` show one scene."""
     input, overrides, reading = request.input, request.overrides, request.reading
+    if is_frames(input):
+        return _read_frames(request, skeleton)
     use, colon, split = str(input).rpartition(":")
     if not colon or Path(input).exists():
         if overrides:
@@ -277,6 +343,16 @@ def _keypoints(request: Request, skeleton: Skeleton, *, alone: bool = True) -> P
         raise UserError(f"input={input}: where are its files? Give data.root=FOLDER.")
     settings.data.train = split
     return load_split(settings, "train", skeleton)
+
+
+def _read_frames(request: Request, skeleton: Skeleton) -> PoseData:
+    """Return the keypoints of videos or pictures in the joints of a skeleton, and keep them in a file where that is asked for."""
+    if request.overrides:
+        raise UserError(
+            f"'{request.overrides[0]}' goes with a data set, input=SET:SPLIT; input={request.input} does not."
+        )
+    found = keypoints_in(request.input, request.keypoints, request.detection, skeleton, request.reading)
+    return in_skeleton([without_far(found)], [], skeleton)
 
 
 def _cameras_of_one_scene(data: PoseData) -> list[str]:

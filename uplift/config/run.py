@@ -33,7 +33,7 @@ from uplift.config.safe_weights import ENDING, read_safe
 from uplift.config.settings import Settings
 from uplift.errors import UserError, did_you_mean, nearest
 
-__all__ = ["USUAL_STEPS", "RunFolder", "Weights", "data_id", "idle_prior", "read_weights"]
+__all__ = ["USUAL_STEPS", "RunFolder", "Weights", "data_id", "idle_prior", "lifter_label", "read_weights"]
 
 
 USUAL_STEPS = 10_000
@@ -48,7 +48,7 @@ def idle_prior(name: str, steps: int) -> str:
     return f"priors.{name} had no gradient in any of {steps:,} steps, so no effect: {why}"
 
 
-_KINDS_OF_FACTS = {"task": str, "command": str, "versions": dict, "steps": dict, "idle_priors": dict}
+_KINDS_OF_FACTS = {"task": str, "command": str, "versions": dict, "steps": dict, "idle_priors": dict, "init": dict}
 """Of what is used again; the rest is for readers."""
 
 
@@ -199,6 +199,13 @@ class RunFolder:
             again = "`uplift evaluate run=...` writes it again."
             raise UserError(f"{path} is not an evaluation: no 'data' and no figures in 'overall'. {again}")
         return found
+
+
+def lifter_label(init: str) -> str:
+    """Return a lifter's name for readers, without the folders that it lies in: of a run its task and its time."""
+    path = Path(init)
+    run = path.parent if path.name == "lifter.pt" else path
+    return "/".join(run.parts[-2:]) if (run / "config.yaml").is_file() else path.name
 
 
 def data_id(name: str) -> str:

@@ -48,6 +48,9 @@ WRITERS = {
         ".json": Writer("uplift.export.tables:write_json", "all of it as text, for any language"),
         ".csv": Writer("uplift.export.tables:write_csv", "a table, one row a frame and body"),
         ".trc": Writer("uplift.export.markers:write_trc", "markers, for OpenSim", "opensim", "body"),
+        ".osim": Writer(
+            "uplift.export.opensim:write_opensim", "a scaled model with inverse kinematics, OpenSim", "opensim", "body"
+        ),
         ".c3d": Writer("uplift.export.markers:write_c3d", "points, for biomechanics programs", "opensim", "body"),
         ".bvh": Writer("uplift.export.bvh:write_bvh", "a skeleton that moves, for animation", "opensim", "body"),
         ".glb": Writer("uplift.export.glb:write_glb", "an animated scene, for 3D viewers", "opensim", "clip"),

@@ -241,7 +241,7 @@ def known_points(pose: Float[np.ndarray, "frames joints 3"]) -> Float[np.ndarray
     return pose
 
 
-def held(values: Float[np.ndarray, "frames 3"]) -> Float[np.ndarray, "frames 3"]:
+def held(values: Float[np.ndarray, "frames axes"]) -> Float[np.ndarray, "frames axes"]:
     """Return values with NaN replaced by what was last known, at the start by what is known first, 0 without any."""
     known = np.isfinite(values).all(1)
     if not known.any():
