@@ -20,7 +20,7 @@ from uplift.errors import UserError, listed
 from uplift.models.model import Model, UsualErrors
 from uplift.models.predict import as_measured
 
-__all__ = ["check_body", "hidden_errors", "strangeness", "usual_errors"]
+__all__ = ["OTHER", "STRANGE", "check_body", "hidden_errors", "strangeness", "usual_errors"]
 
 _TRAINING_ROWS, _ROWS = 6400, 1600
 """Frames times joints that training data and files are judged by."""
@@ -32,8 +32,8 @@ _MOST_HIDDEN = 0.75
 """The share of missing joints up to which what is usual is known."""
 _MOST_RATIO = 20.0
 
-_STRANGE, _OTHER, _OTHER_IN_FEW, _FEW = 3.7, 4.4, 8.0, 20
-"""What is said, and what is refused, in many frames and in few. Real files of people have 0.4 to 3.9 (336 test clips of
+STRANGE, OTHER, _OTHER_IN_FEW, _FEW = 3.7, 4.4, 8.0, 20
+"""Strangeness of what is said, and what is refused, in many frames and in few. Real files of people have 0.4 to 3.9 (252 test clips of
 motion capture with and without errors of a detector, and 15 files of seven trackers), four-legged animals with the names of
 people's joints 4.6 to 7.0, mixed-up joints 11 to 14; a single frame of a person may reach 8."""
 
@@ -117,11 +117,11 @@ def check_body(model: Model, data: PoseData, name: str, *, refuse: bool) -> str 
     if model.usual is None:
         return None
     found, frames, by_joint = strangeness(model, data)
-    if not found > _STRANGE:
+    if not found > STRANGE:
         return None
     if model.skeleton.gravity:
         turned = strangeness(model, replace(data, keypoints=-data.keypoints, image_size=None, focal_px=None))
-        if turned[0] < _STRANGE:
+        if turned[0] < STRANGE:
             return None
     skeleton = model.skeleton
     worst = listed(skeleton.joints[place] for place in np.argsort(-np.nan_to_num(by_joint))[:4])
@@ -133,6 +133,6 @@ def check_body(model: Model, data: PoseData, name: str, *, refuse: bool) -> str 
     why = (
         f"another kind of body, or joints with the names of others (uplift skeleton map FILE skeleton={skeleton.name})"
     )
-    if refuse and found > (_OTHER if frames >= _FEW else _OTHER_IN_FEW):
+    if refuse and found > (OTHER if frames >= _FEW else _OTHER_IN_FEW):
         raise UserError(f"{data.source}: {what}. It is {why}. check=false lifts it all the same.".removeprefix(": "))
     return f"WARNING: {what}: {why}, or poses unlike those it was trained on"
