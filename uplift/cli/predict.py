@@ -26,8 +26,9 @@ from uplift.data.formats.base import ReadOptions
 from uplift.data.load import format_of_run, load_file, load_split
 from uplift.data.poses import PoseData
 from uplift.errors import UserError, did_you_mean
-from uplift.export import check_axes, write, writer_for
+from uplift.export import check_axes, ending_of, write, writer_for
 from uplift.export.gallery import check_options
+from uplift.export.nwb import check_nwb
 from uplift.export.scene import in_axes
 from uplift.metrics.pose_metrics import bone_cv, bone_lengths, never_seen_so_long
 from uplift.models.known_camera import KnownCamera
@@ -162,6 +163,7 @@ def keypoint_arguments(keys: Keys) -> dict[str, Any]:
         "camera": known_camera(keys),
         "ground": keys.value("ground"),
         "reading": keys.reading(),
+        **({"nwb": nwb} if (nwb := {key[4:]: value for key, value in keys.items() if key.startswith("nwb.")}) else {}),
         **keys.given("images", "frames", "seed", "csv_safe", "together", *TOGETHER_KEYS),
     }
 
@@ -197,6 +199,9 @@ def lift_keypoints(request: Request) -> tuple[Prediction, dict[Path, str]]:
     return prediction if axes is None else in_axes(prediction, axes), files
 
 
+_OF_ONE_FORMAT = {"csv_safe": ".csv", "nwb": ".nwb"}
+
+
 def _check_request(request: Request, together: Mapping[str, Any], options: Mapping[str, Any]) -> None:
     """Refuse what does not go together, and outputs that cannot be written: before any work."""
     if together and (request.hypotheses or request.camera or request.ground or request.refine == "causal"):
@@ -209,10 +214,12 @@ def _check_request(request: Request, together: Mapping[str, Any], options: Mappi
         return
     writer_for(output, page)
     for key in options:
-        if key == "csv_safe" and Path(output).suffix.lower() != ".csv":
-            raise UserError(f"csv_safe= goes with output=FILE.csv, not with {output}.")
-        if key != "csv_safe" and page != "gallery":
+        only = _OF_ONE_FORMAT.get(key)
+        if only and ending_of(output) != only:
+            raise UserError(f"{key}= goes with output=FILE{only}, not with {output}.")
+        if not only and page != "gallery":
             raise UserError(f"{key}= goes with page=gallery.")
+    check_nwb(options.get("nwb", {}))
     if page == "gallery":
         check_options(**options)
     if options.get("images") is not None and request.reading is not None:
