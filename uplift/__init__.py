@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from uplift.data.module import KeypointData, MaskDataModule
     from uplift.data.poses import PoseData
     from uplift.errors import UserError
+    from uplift.export.netcdf import to_xarray
     from uplift.models.known_camera import KnownCamera
     from uplift.models.model import Model, load
     from uplift.priors.base import Lift, Prior, ShapeLift, ShapePrior
@@ -33,6 +34,7 @@ __all__ = [
     "DataSet", "Detector", "Format", "KeypointData", "KnownCamera", "Lift", "LiftingModule", "MaskData", "MaskDataModule", "MaskFormat", "Model",
     "PoseData", "Prior", "ShapeLift", "ShapeModule", "ShapePrior", "Skeleton", "StudentLoss", "StudentModule", "UserError",
     "Views", "WantedFile", "compare", "detect", "evaluate", "evaluate_poses", "fit", "load", "load_skeleton", "predict", "simulate",
+    "to_xarray",
 ]  # fmt: skip
 __version__ = "0.1.0"
 
@@ -51,6 +53,7 @@ _HOMES = {
     "data.module": ("KeypointData", "MaskDataModule"),
     "data.poses": ("PoseData",),
     "errors": ("UserError",),
+    "export.netcdf": ("to_xarray",),
     "models.known_camera": ("KnownCamera",),
     "models.model": ("Model", "load"),
     "priors.base": ("Lift", "Prior", "ShapeLift", "ShapePrior"),

@@ -108,8 +108,8 @@ _ALL_KEYS = _table(
     _key("run", str, NEEDED, "run folder, a lifter's file (.pt, .safetensors), or a ready lifter (uplift lifters)"),
     _key("input", str, NEEDED, "file or folder of keypoints, a video, pictures, several with commas or *, or SET:SPLIT of a "
          "published set"),
-    _key("output", str, NEEDED, "new file, several with commas; the ending is the format: .html .npz .csv .bvh .glb ...; "
-          "angles.csv, .mot: joint angles, gait.csv: gait"),
+    _key("output", str, NEEDED, "new file, several with commas; the ending is the format: .html .npz .csv .bvh .glb .nwb ...; "
+         "angles.csv, .mot: joint angles, gait.csv: gait"),
     _key("page", Optional[str], None, "kind of an .html; unset: viewer", choices=("viewer", "gallery")),
     _key("axes", Optional[str], None, "axes of the output; unset: the format's usual ones",
          choices=("camera", "level", "opencv", "blender", "opensim", "unity", "own", "gltf", "print")),
@@ -138,6 +138,8 @@ POSE_KEYS = _table(
     _key("cameras_output", Optional[str], None, "with together=true: new .toml file for the cameras that are found"),
     *(one for name, one in READ_KEYS.items() if name != "format"),
     _key("check", bool, True, "false: a ready lifter lifts what does not look like the body that it knows, too"),
+    _key("nwb", dict[str, Any], {}, "what an .nwb says of the session and the subject: nwb.session_start_time=, nwb.species=, "
+         "nwb.subject_id=, ..."),
     _key("frames", int, 40, "frames that page=gallery shows", 1, 500),
     _key("seed", int, 0, "seed of the choice of those frames", *_SEED_LIMITS),
     _CSV_SAFE,
