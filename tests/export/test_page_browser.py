@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 from page_browser import Browser, Page
+from videos import numbered, write_video
 from writers_samples import figure, prediction
 
 from uplift.biomechanics.angles import joint_angles
@@ -288,6 +289,22 @@ def test_a_hostile_title_runs_nothing(show: Open) -> None:
     page = show(prediction(frames=2, title=title))
     assert page.run("window.hacked === undefined") and page.run("document.querySelector('h1').textContent") == title
     assert page.troubles() == []
+
+
+def test_the_video_is_drawn_behind_the_keypoints(browser: Browser, tmp_path: Path) -> None:
+    pytest.importorskip("av")
+    video = write_video(tmp_path / "a.mp4", numbered(30, (640, 480)))
+    sample = prediction(frames=20, identity={"sequence": np.repeat("a", 20), "frame": np.arange(5, 25)})
+    write(sample, tmp_path / "page.html", video=video)
+    page = Page(browser, tmp_path / "page.html")
+    page.until("!document.querySelector('[data-toggle=video]').hidden")
+    page.key(" ")
+    last = page.key("End")["moment"]
+    grey = "(() => { const c = document.getElementById('flat'); const [x, y] = [c.width / 2, c.height * 0.9];"
+    grey += " return Array.from(c.getContext('2d').getImageData(x, y, 1, 1).data); })()"
+    page.until(f"Math.abs({grey}[0] - {8 * (5 + last)}) < 12")
+    page.key("v")
+    assert page.run(grey)[3] == 0 and not page.state()["video"]
 
 
 def test_joint_angles_are_plotted_by_name_and_seek(show: Open) -> None:

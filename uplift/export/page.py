@@ -10,6 +10,7 @@ import numpy as np
 
 from uplift.biomechanics.angles import angles_of, joint_angles
 from uplift.errors import UserError
+from uplift.export.behind import pictures_behind
 from uplift.export.clips import Clip, arrange, frame_rate, photos, titled
 from uplift.export.html import Curve, Section, pack, scripted_page, write_text
 from uplift.export.scene import (
@@ -27,8 +28,8 @@ from uplift.skeleton.core import CENTRE, LEFT, RIGHT
 __all__ = ["choose", "page_text", "write_html"]
 
 _SCRIPTS = (
-    "decode", "colours", "scene", "figures", "floor", "draw3d", "labels", "draw2d", "strip", "angles", "state", "motion",
-    "keys", "pointer", "clips", "controls",
+    "decode", "colours", "scene", "figures", "floor", "draw3d", "labels", "behind", "draw2d", "strip", "angles", "state",
+    "motion", "keys", "pointer", "clips", "controls",
 )  # fmt: skip
 
 
@@ -44,12 +45,14 @@ def page_text(
     sections: Sequence[Section] = (),
     curves: Mapping[str, Curve] | None = None,
     notes: Sequence[str] = (),
+    video: str | Path | None = None,
 ) -> str:
     """Return the page with at most ``frames`` moments of complete clips, tables, curves and notes.
 
-    ``sections`` and ``curves`` (name -> points, a small chart each) are those of `uplift.export.html`.
+    ``sections`` and ``curves`` (name -> points, a small chart each) are those of `uplift.export.html`. ``video``, what
+    `uplift.export.footage.Footage` takes, is shown behind the 2D, in small pictures that are part of the page.
     """
-    data = _page_data(prediction, frames)
+    data = _page_data(prediction, frames, video)
     return scripted_page(
         "viewer.htm",
         title=prediction.title or Path(prediction.source).name or "Poses",
@@ -72,7 +75,7 @@ _STEPS_PER_SIZE = 4096
 _STEP_DEG = 0.25
 
 
-def _page_data(prediction: Prediction, moments: int) -> dict[str, Any]:
+def _page_data(prediction: Prediction, moments: int, video: str | Path | None) -> dict[str, Any]:
     """Return what the page's script reads, and ``facts`` and ``remarks`` for its text.
 
     At most ``moments`` moments and three rows for each, complete clips evenly chosen. Raises UserError
@@ -85,6 +88,7 @@ def _page_data(prediction: Prediction, moments: int) -> dict[str, Any]:
     clips = arrange(prediction.identity, len(prediction))
     chosen = choose(clips, max(1, moments), _ROWS_PER_MOMENT * max(1, moments))
     rows = np.concatenate([clip.rows for clip in chosen])
+    behind, shared = (None, "") if video is None else pictures_behind(prediction, clips, chosen, video)
     arrays, departure = _arrays(prediction, chosen, rows)
     angles = _angles(prediction.select(rows), arrays)
     packed, layout = pack(arrays)
@@ -112,10 +116,11 @@ def _page_data(prediction: Prediction, moments: int) -> dict[str, Any]:
             }
             for clip in chosen
         ],
+        "behind": behind,
         "layout": layout,
         "packed": packed,
         "facts": _facts(prediction, clips),
-        "remarks": _remarks(prediction, clips, chosen, departure),
+        "remarks": [*filter(None, [shared]), *_remarks(prediction, clips, chosen, departure)],
     }
 
 

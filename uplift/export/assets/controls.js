@@ -19,7 +19,7 @@ function show() {
 }
 
 function toggle(name) {
-  if ((NEEDS[name] && !kept.arrays[NEEDS[name]]) || (name === 'tint' && clipNow().individuals.length < 2)) return;
+  if ((name === 'video' && !meta.behind) || (NEEDS[name] && !kept.arrays[NEEDS[name]]) || (name === 'tint' && clipNow().individuals.length < 2)) return;
   state[name] = !state[name];
   if (name === 'level' || name === 'placed') measureClip();
   show();
@@ -53,6 +53,7 @@ function offer(arrays) {
   const { filled, level } = arrays;
   byId('frame-box').hidden = level.codes.every((_, k) => Math.abs(value(level, k) - (k % 9 % 4 ? 0 : 1)) < 1e-3);
   byId('place-box').hidden = !arrays.place;
+  document.querySelector('[data-toggle=video]').hidden = !meta.behind;
   if (!meta.rooted) document.querySelector('[data-placed="1"]').textContent = 'As in the image';
   byId('legend-missing').hidden = filled.codes.every((_, k) => value(filled, k) < 0.5);
   byId('legend-uncertainty').hidden = !arrays.uncertainty || byId('legend-missing').hidden;

@@ -3,7 +3,7 @@ const byId = (id) => document.getElementById(id);
 const calm = matchMedia('(prefers-reduced-motion: reduce)');
 const HOME = { yaw: -0.5, pitch: 0.16, zoom: 1, panX: 0, panY: 0 };
 const VIEWS = { front: [0, 0], side: [Math.PI / 2, 0], top: [0, Math.PI / 2 - 0.001] };
-const state = { clip: 0, moment: 0, playing: false, speed: 1, level: true, placed: true, tint: false, truth: false, uncertainty: false, names: false, spin: false, ...HOME };
+const state = { clip: 0, moment: 0, playing: false, speed: 1, level: true, placed: true, tint: false, truth: false, uncertainty: false, names: false, spin: false, video: true, ...HOME };
 const kept = { arrays: null, clips: [], listed: [], stills: false, hidden: new Set(), slots: null, size: null, bounds: null, trails: null, strip: null,
   figures: [], colours: null, boxes: null, hover: null, due: false, stripDue: true, painted: 0, drawMs: 0,
   boneWidths: new Float64Array(B), jointRadii: new Float64Array(J), flatWidths: new Float64Array(B), flatRadii: new Float64Array(J),
