@@ -6,6 +6,9 @@ python -m benchmarks.angles RUN FILE ...     # FILE below UPLIFT_DATA with pose,
 from __future__ import annotations
 
 import argparse
+import json
+import re
+from pathlib import Path
 
 import numpy as np
 
@@ -25,12 +28,12 @@ from uplift.models.prediction import Prediction
 _DOWN = np.array([0.0, 1.0, 0.0])
 
 
-def measure(model: Model, truth: PoseData) -> dict[str, object]:
+def measure(model: Model, truth: PoseData, roll_deg: float) -> dict[str, object]:
     """Return the errors of every angle, degrees, over all frames, and those of gait over the strides of walks."""
     assert truth.pose is not None
     level = truth.pose
     if truth.tilt_deg is not None:
-        turn = quaternion_matrix(least_turn(gravity_at(truth.tilt_deg), _DOWN))
+        turn = quaternion_matrix(least_turn(gravity_at(truth.tilt_deg, roll_deg), _DOWN))
         level = np.einsum("fij,fkj->fki", turn, truth.pose)
     found = model.predict(truth.without_truth(), size=_size(model, truth))
     angles = joint_angles(found)
@@ -39,6 +42,14 @@ def measure(model: Model, truth: PoseData) -> dict[str, object]:
         "angles": _errors(angles, joint_angles(level, model.skeleton), truth.tilt_deg is not None, model),
         "gait of walks": _gait_errors(found, level, truth),
     }
+
+
+def _roll_of(path: Path) -> float:
+    """Return the roll of the camera of a file, degrees: of one of several whose ``cameras.json`` lies beside it, else 0."""
+    cameras, number = path.with_name("cameras.json"), re.search(r"cam(\d+)$", path.stem)
+    if number is None or not cameras.is_file():
+        return 0.0
+    return float(json.loads(cameras.read_text())["cameras"][int(number[1]) - 1]["roll"])
 
 
 def _size(model: Model, truth: PoseData) -> KnownLength:
@@ -106,7 +117,7 @@ def main() -> None:
     found = {}
     for file in words.files:
         truth, _ = clean(load_file(data_folder() / file, model.skeleton), model.skeleton)
-        found[file] = measure(model, truth.select(truth.in_order()))
+        found[file] = measure(model, truth.select(truth.in_order()), _roll_of(data_folder() / file))
         print(file, *(f"  {name}: {value}" for name, value in found[file].items()), sep="\n", flush=True)
     command = " ".join(["python -m benchmarks.angles RUN", *words.files])
     write_json(ROOT / "benchmarks/results/angles.json", {"command": command, **facts(), "figures": found})
