@@ -127,7 +127,7 @@ def gait_of(
     walk = _walk_of(pose[known], time_s[known], skeleton, feet)
     events = [_events(walk, k) for k in range(len(feet))]
     if contact is not None and contact[known].any():
-        stands = [contact[known][:, foot.contacts].any(1) for foot in feet]
+        stands = [np.asarray(contact[known][:, foot.contacts].any(1)) for foot in feet]
         events = [_edges(one, time_s[known]) if one.any() else found for one, found in zip(stands, events, strict=True)]
     strides = _strides(walk, feet, events)
     why_not = _not_walking(strides, feet)
