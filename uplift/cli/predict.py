@@ -30,7 +30,7 @@ from uplift.data.formats.base import ReadOptions
 from uplift.data.load import format_of_run, in_skeleton, load_file, load_split
 from uplift.data.poses import PoseData
 from uplift.errors import UserError, did_you_mean
-from uplift.export import check_axes, check_measure, write
+from uplift.export import check_axes, check_measure, write, writer_for
 from uplift.export.scene import in_axes
 from uplift.metrics.pose_metrics import bone_cv, bone_lengths, never_seen_so_long
 from uplift.models.known_body import check_body
