@@ -28,6 +28,7 @@ from uplift.data.poses import PoseData
 from uplift.errors import UserError, did_you_mean
 from uplift.export import check_axes, write, writer_for
 from uplift.export.gallery import check_options
+from uplift.export.osim import check_opensim
 from uplift.export.scene import in_axes
 from uplift.metrics.pose_metrics import bone_cv, bone_lengths, never_seen_so_long
 from uplift.models.known_camera import KnownCamera
@@ -163,7 +164,7 @@ def keypoint_arguments(keys: Keys) -> dict[str, Any]:
         "camera": known_camera(keys),
         "ground": keys.value("ground"),
         "reading": keys.reading(),
-        **keys.given("images", "frames", "seed", "csv_safe", "together", *TOGETHER_KEYS),
+        **keys.given("images", "frames", "seed", "csv_safe", "mass_kg", "together", *TOGETHER_KEYS),
     }
 
 
@@ -210,9 +211,10 @@ def _check_request(request: Request, together: Mapping[str, Any], options: Mappi
         return
     writer_for(output, page)
     for key in options:
-        if key == "csv_safe" and Path(output).suffix.lower() != ".csv":
-            raise UserError(f"csv_safe= goes with output=FILE.csv, not with {output}.")
-        if key != "csv_safe" and page != "gallery":
+        ending = {"csv_safe": ".csv", "mass_kg": ".osim"}.get(key)
+        if ending and Path(output).suffix.lower() != ending:
+            raise UserError(f"{key}= goes with output=FILE{ending}, not with {output}.")
+        if not ending and page != "gallery":
             raise UserError(f"{key}= goes with page=gallery.")
     if page == "gallery":
         check_options(**options)
@@ -221,6 +223,8 @@ def _check_request(request: Request, together: Mapping[str, Any], options: Mappi
             raise UserError(f"{key}= turns the keypoints and not the photos of images=: give one of the two.")
     if request.hypotheses and Path(output).suffix.lower() != ".npz":
         raise UserError(f"hypotheses= goes with output=FILE.npz, which can hold several poses, not with {output}.")
+    if Path(output).suffix.lower() == ".osim":
+        check_opensim(output)
     refuse_output(Path(output))
 
 
