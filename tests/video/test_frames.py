@@ -279,5 +279,5 @@ def test_a_camera_that_is_not_there(av):
         open_frames("camera:77")
     with pytest.raises(UserError, match="no camera"):
         open_frames("camera:/dev/null")
-    with pytest.raises(UserError, match="cut a video"):
+    with pytest.raises(UserError, match="goes with a video"):
         open_frames("camera:0", start_s=1)

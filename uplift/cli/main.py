@@ -218,6 +218,8 @@ _RUN: dict[str, Callable[[Sequence[str]], int | None]] = {
     "fit": _fit,
     "evaluate": Later("uplift.cli.evaluate:evaluate_command"),
     "predict": Later("uplift.cli.predict:predict_command"),
+    "detect": Later("uplift.cli.detect:detect_command"),
+    "detectors": Later("uplift.cli.detect:detectors_command"),
     "simulate": Later("uplift.cli.simulate:simulate_command"),
     "compare": Later("uplift.cli.listing:compare_command"),
     "tables": Later("uplift.cli.tables:tables_command"),

@@ -428,6 +428,8 @@ def _from_here(keys: list[str], value: Any) -> Any:
         return value
     if name in ("data.train", "data.test"):
         return absolute(value)
+    if name == "init" and len(Path(value).parts) == 1 and not Path(value).suffix and not Path(value).exists():
+        return value  # the name of a ready lifter
     if (
         name in ("data.root", "data.images", "init")
         or (name == "data.labelled.file" and not re.fullmatch(r"\w+:\w+", value))  # SET:SPLIT is not a path

@@ -87,15 +87,12 @@ class Frames:
         self.close()
 
 
-def need_av(needed_by: str) -> Any:
-    """Return PyAV; raises UserError where it is not installed."""
+def need_av(task: str, otherwise: str = "") -> Any:
+    """Return PyAV; raises UserError where it is not installed. ``task`` begins the message, ``otherwise`` ends it."""
     try:
         import av  # pyright: ignore[reportMissingImports]
     except ImportError:
-        raise UserError(
-            f'{needed_by}: reading videos and cameras needs PyAV: pip install "uplift3d[video]". '
-            "Pictures need nothing more."
-        ) from None
+        raise UserError(f'{task} needs PyAV: pip install "uplift3d[video]".{otherwise}') from None
     return av
 
 

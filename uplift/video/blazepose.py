@@ -9,7 +9,8 @@ from __future__ import annotations
 
 import os
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import ClassVar, NamedTuple
 
@@ -39,6 +40,12 @@ class _Region(NamedTuple):
         across, down = (np.moveaxis(points, -1, 0) - 0.5) * self.side
         return np.stack([self.x + cos * across - sin * down, self.y + sin * across + cos * down], -1)
 
+    def shows(self, image: UInt8[np.ndarray, "height width 3"]) -> bool:
+        """Return whether any of the frame is in the square."""
+        height, width = image.shape[:2]
+        gap = max(-self.x, self.x - width, -self.y, self.y - height)
+        return bool(gap < self.side / 2 and self.side >= 1)  # and no number is NaN
+
     def covers(self, other: _Region) -> bool:
         """Return whether another square shows the same: their middles are near, for their size."""
         gap = np.hypot(self.x - other.x, self.y - other.y)
@@ -50,7 +57,7 @@ _SAME = 0.25
 
 
 def _crop(image: UInt8[np.ndarray, "height width 3"], region: _Region, side: int, *, black: bool = False) -> np.ndarray:
-    """Return (side side 3) float32 0..1: what a square of the frame shows; beyond the frame its edge goes on, or it is ``black``.
+    """Return (side side 3) float32 0..1: what a square that shows some of the frame shows; beyond the frame its edge goes on, or it is ``black``.
 
     A large square is averaged down first: taking every sixth pixel would alias.
     """
@@ -78,10 +85,11 @@ class _Network:
 
     def __init__(self, name: str, weights: str, threads: int, outputs: Sequence[int]):
         """``outputs`` are the sizes that the first of them must have."""
-        content = find_network(name, weights)
+        make, content = _interpreter(), find_network(name, weights)
         try:
-            self._runtime = _interpreter()(model_content=content, num_threads=threads or min(os.cpu_count() or 1, 4))
-            self._runtime.allocate_tensors()
+            with _hushed():
+                self._runtime = make(model_content=content, num_threads=threads or min(os.cpu_count() or 1, 4))
+                self._runtime.allocate_tensors()
             (self._input,), self._outputs = self._runtime.get_input_details(), self._runtime.get_output_details()
         except (ValueError, RuntimeError) as error:
             reason = str(error).splitlines()[0][:100]
@@ -118,6 +126,19 @@ def _interpreter() -> Callable:
 _TOO_NEW = (3, 14)
 
 
+@contextmanager
+def _hushed() -> Iterator[None]:
+    """Keep what LiteRT says of its own from standard error, which its library writes to past Python."""
+    kept, nowhere = os.dup(2), os.open(os.devnull, os.O_WRONLY)
+    try:
+        os.dup2(nowhere, 2)
+        yield
+    finally:
+        os.dup2(kept, 2)
+        os.close(kept)
+        os.close(nowhere)
+
+
 def _sigmoid(values: np.ndarray) -> np.ndarray:
     return 1 / (1 + np.exp(-np.clip(values, -80, 80)))
 
@@ -141,7 +162,7 @@ class _Finder:
         raw, logits = self._network.run(picture * (1 - self._low) + self._low)
         score = _sigmoid(logits[:, 0])
         sure = score > _SURE
-        places = raw[sure].reshape(sure.sum(), -1, 2) / side
+        places = raw[sure].reshape(-1, raw.shape[1] // 2, 2) / side
         middle = self._anchors[sure]
         size, points = places[:, 1] / 2, places[:, 2:] + middle[:, None]
         corners = np.stack([middle + places[:, 0] - size, middle + places[:, 0] + size], 1)
@@ -203,7 +224,7 @@ class _Blaze(Detector):
     """What the detectors of bodies and of hands share."""
 
     names: ClassVar[tuple[str, ...]] = ()
-    ranges: ClassVar[dict[str, tuple[int, int]]] = {"people": (1, 100), "every": (1, 100_000), "threads": (1, 256)}
+    ranges: ClassVar[dict[str, tuple[int, int]]] = {"people": (1, 100), "every": (1, 100_000), "threads": (0, 256)}
 
     def __init__(self, people: int, every: int):
         self._most, self._every = people, every
@@ -230,9 +251,8 @@ class _Blaze(Detector):
         self._regions = []
 
     def _look(self, image: np.ndarray, regions: Sequence[_Region]) -> list[_Seen]:
-        return _distinct(
-            [one for one in (self._landmarks(image, region) for region in regions) if one.presence > _SURE]
-        )
+        found = [self._landmarks(image, region) for region in regions if region.shows(image)]
+        return _distinct([one for one in found if one.presence > _SURE])
 
     def _find(self, image: np.ndarray) -> list[_Region]:
         raise NotImplementedError
@@ -264,8 +284,9 @@ class BlazePose(_Blaze):
     """
 
     names: ClassVar[tuple[str, ...]] = POSE33
+    networks: ClassVar[tuple[str, ...]] = ("pose_detection", "pose_landmark_full")
 
-    def __init__(self, people: int = 5, every: int = 10, model: str = "full", weights: str = "", threads: int = 1):
+    def __init__(self, people: int = 5, every: int = 10, model: str = "full", weights: str = "", threads: int = 0):
         super().__init__(people, every)
         self._finder = _Finder(
             _Network("pose_detection", weights, threads, (2254 * 12, 2254)), (8, 16, 32, 32, 32), -1.0
@@ -311,8 +332,9 @@ class BlazeHand(_Blaze):
     """``detector=mediapipe_hand``: 21 landmarks of hands."""
 
     names: ClassVar[tuple[str, ...]] = HAND21
+    networks: ClassVar[tuple[str, ...]] = ("palm_detection_full", "hand_landmark_full")
 
-    def __init__(self, people: int = 2, every: int = 10, model: str = "full", weights: str = "", threads: int = 1):
+    def __init__(self, people: int = 2, every: int = 10, model: str = "full", weights: str = "", threads: int = 0):
         super().__init__(people, every)
         self._finder = _Finder(
             _Network(f"palm_detection_{model}", weights, threads, (2016 * 18, 2016)), (8, 16, 16, 16), 0.0
@@ -324,7 +346,7 @@ class BlazeHand(_Blaze):
 
     def _landmarks(self, image: np.ndarray, region: _Region) -> _Seen:
         side = self._network.side
-        flat, presence, right, _ = self._network.run(_crop(image, region, side))
+        flat, presence, *_ = self._network.run(_crop(image, region, side))
         points = region.to_frame(flat.reshape(-1, 3)[:, :2] / side)
         return _Seen(points, np.full(len(points), presence[0]), float(presence[0]), _hand(points))
 

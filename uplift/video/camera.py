@@ -22,14 +22,16 @@ class CameraFrames(Frames):
 
     is_video = is_live = True
 
-    def __init__(self, source: str, name: str):
+    def __init__(self, source: str, name: str, end_s: int | float | None = None):
         super().__init__(source)
-        self._av = need_av(source)
+        self._av = need_av(f"{source}: a camera")
         self._container = self._opened(name)
         stream = self._container.streams.video[0]
         rate = float(stream.average_rate or stream.guessed_rate or USUAL_FPS)
         self.fps = rate if 1 <= rate <= 1000 else USUAL_FPS
         self.width, self.height = stream.codec_context.width, stream.codec_context.height
+        self._end_s = math.inf if end_s is None else end_s
+        self.count = None if end_s is None else round(end_s * self.fps)
         self._unit = float(stream.time_base)
         self._newest: Any = None
         self._failed: BaseException | None = None
@@ -82,6 +84,8 @@ class CameraFrames(Frames):
                 return
             now = (frame.pts or 0) * self._unit
             first = now if math.isnan(first) else first
+            if now - first >= self._end_s:
+                return
             last = max(last + 1, round((now - first) * self.fps))
             yield Frame(scaler.reformat(frame, format="rgb24", threads=1).to_ndarray(), last, now - first)
 

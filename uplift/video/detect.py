@@ -15,13 +15,13 @@ from uplift.data.concat import concat_poses
 from uplift.data.formats import checked
 from uplift.data.formats.base import ReadOptions
 from uplift.data.formats.rows import video_name, video_names
-from uplift.data.poses import PoseData
+from uplift.data.poses import PoseData, clips_of
 from uplift.errors import UserError, listed
 from uplift.skeleton import Skeleton
 from uplift.video.base import Frame, Frames
 from uplift.video.detector import Detector, found_in, make_detector
 from uplift.video.frames import VIDEOS, open_frames
-from uplift.video.tracking import Tracker, chosen_tracks, sizes_of
+from uplift.video.tracking import Tracker, chosen_tracks, partners, sizes_of, swapped_sides
 
 __all__ = ["Detection", "detect_in", "keypoints_of"]
 
@@ -36,6 +36,9 @@ class Detection:
     """What it is made with."""
     people: int | None = None
     """At most how many people, the largest and longest in the picture; None: all."""
+    start_s: int | float | None = None
+    end_s: int | float | None = None
+    """The part of a video that is looked at, seconds; None: from its beginning, to its end."""
 
 
 def detect_in(source: str | Path, how: Detection, skeleton: Skeleton | None = None) -> PoseData:
@@ -47,9 +50,13 @@ def detect_in(source: str | Path, how: Detection, skeleton: Skeleton | None = No
         UserError: as `uplift.video.frames.open_frames`, `uplift.video.detector.make_detector` and `keypoints_of`.
     """
     parts = []
+    if str(source).startswith("camera:") and how.end_s is None:
+        raise UserError(
+            f"{source} has no end: say how many seconds, video.end_s=10; or lift it as it comes, output=live."
+        )
     for one in _videos(source):
-        with open_frames(one) as frames:
-            detector = make_detector(how.detector, how.options, skeleton, people=how.people)
+        with open_frames(one, start_s=how.start_s, end_s=how.end_s) as frames:
+            detector = make_detector(how.detector, how.options, skeleton)
             try:
                 parts.append(keypoints_of(frames, detector, how.people))
             finally:
@@ -121,11 +128,27 @@ class _Found:
             left_out = []
         else:
             rows, identity, left_out = self._clips(*video, size, people)
+            left_out += self._unswap(keypoints, confidence, identity, rows)
         if not len(rows):
             raise UserError(f"{where}: nobody is seen for half a second or more in {self.looked:,} frames.")
         identity = {key: values[rows] for key, values in identity.items()}
         found = checked(self._data(keypoints[rows], confidence[rows], identity), ReadOptions())
         return replace(found, notes=(*self.frames.notes, *notes, *found.notes, *left_out))
+
+    def _unswap(
+        self, keypoints: np.ndarray, confidence: np.ndarray, identity: Mapping[str, np.ndarray], rows: np.ndarray
+    ) -> list[str]:
+        """Put left and right back in place, in the arrays, in frames where a detector swaps them; return a note on how many."""
+        clip, swapped = clips_of({key: values[rows] for key, values in identity.items()}), np.zeros(len(rows), bool)
+        for one in np.unique(clip):
+            here = rows[clip == one]
+            swapped[clip == one] = swapped_sides(
+                keypoints[here], confidence[here], identity["frame"][here], self.names, self.frames.fps
+            )
+        there, order = rows[swapped], partners(self.names)
+        keypoints[there], confidence[there] = keypoints[there][:, order], confidence[there][:, order]
+        share = f"{swapped.sum():,} of {len(rows):,} rows"
+        return [f"the detector took left for right in {share}: put right, as in the frames around them"] * swapped.any()
 
     def _data(self, keypoints: np.ndarray, confidence: np.ndarray, identity: dict[str, np.ndarray]) -> PoseData:
         return PoseData(

@@ -10,7 +10,7 @@ from typing import Any, ClassVar
 import numpy as np
 from jaxtyping import Float, Float32, UInt8
 
-from uplift.config.plugins import blame, build, find_class, options_of
+from uplift.config.plugins import blame, build, find_class
 from uplift.data.formats.rows import honest
 from uplift.errors import UserError, listed
 from uplift.skeleton import Skeleton
@@ -54,24 +54,20 @@ class Detector:
 
 
 def make_detector(
-    name: str | Detector | None, options: Mapping[str, Any], skeleton: Skeleton | None = None, **given: Any
+    name: str | Detector | None, options: Mapping[str, Any], skeleton: Skeleton | None = None
 ) -> Detector:
-    """Return the detector that ``name`` says, a built-in or ``file.py:Class``, made with ``options``.
+    """Return the detector that ``name`` says, a built-in or ``file.py:Class``, made with ``options``; one that is made as it is.
 
-    Without a name it is the built-in that finds the joints of ``skeleton``. ``given`` are arguments that it gets where it
-    takes them and the options do not say them.
+    Without a name it is the built-in that finds the joints of ``skeleton``.
 
     Raises:
         UserError: no such detector, code that was not consented to, options that it does not take, no names of joints,
-            or no built-in that finds the joints of the skeleton.
+            or joints that do not fit the skeleton.
     """
     if isinstance(name, Detector):
         return _checked(name, type(name).__name__, skeleton)
     name = name or _fitting(skeleton)
-    found = find_class(name, DETECTORS, "detector")
-    takes = options_of(found) if issubclass(found, Detector) else {}
-    given = {key: value for key, value in given.items() if takes and key in takes and key not in options}
-    made = build(name, DETECTORS, {**given, **options}, "detector", Detector, setting="detector")
+    made = build(name, DETECTORS, options, "detector", Detector, setting="detector")
     return _checked(made, name, skeleton)
 
 

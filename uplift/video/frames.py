@@ -56,7 +56,7 @@ def open_frames(
     Args:
         source: where the frames are. Pictures come in the order of the numbers in their names.
         start_s, end_s: the part of a video that is read, seconds from its beginning; numbers of frames stay those of
-            the whole.
+            the whole. Of a camera, ``end_s`` is how long it is watched; unset, for ever.
         as_stored: number the frames of a video as they are stored, as trackers do, and not by their times; the two
             differ where the frame rate varies.
 
@@ -65,9 +65,9 @@ def open_frames(
             camera; a cut that has nothing in it; the package that reads videos is absent.
     """
     if camera := _CAMERA.fullmatch(str(source)):
-        if start_s is not None or end_s is not None:
-            raise UserError(f"{source}: video.start_s and video.end_s cut a video, a camera has no end.")
-        return CameraFrames(str(source), camera[1])
+        if start_s is not None:
+            raise UserError(f"{source}: video.start_s= goes with a video; a camera begins now.")
+        return CameraFrames(str(source), camera[1], end_s)
     if start_s is not None and end_s is not None and end_s <= start_s:
         raise UserError(f"video.end_s={end_s:g} is not after video.start_s={start_s:g}.")
     paths = files_of(source)

@@ -32,7 +32,7 @@ class VideoFrames(Frames):
 
     def __init__(self, path: Path, start_s: int | float, end_s: int | float | None, as_stored: bool):
         super().__init__(str(path))
-        self._av, self._path = need_av(str(path)), path
+        self._av, self._path = need_av(f"{path}: a video", " Pictures need nothing more."), path
         self._start_s, self._end_s, self._as_stored = start_s, math.inf if end_s is None else end_s, as_stored
         self._lost = self._partly = self._gaps = self._taken = 0
         self._scaler = self._av.video.reformatter.VideoReformatter()  # one for all: to make one costs 20 ms
