@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import subprocess
 import sys
 from dataclasses import replace
@@ -19,6 +20,7 @@ from uplift.export.human_model import human_model
 from uplift.export.osim import beside_model
 from uplift.skeleton import load_skeleton
 
+DOCS = Path(__file__).resolve().parents[2] / "docs"
 FRAMES = 12
 PLACE = np.linspace([300, 900, -3000], [900, 950, -3500], FRAMES)
 
@@ -78,6 +80,9 @@ def test_opensim_opens_the_files_and_runs_the_set_up_again(opensim, tmp_path: Pa
     assert (mass, markers, rows, columns) == (pytest.approx(61.5), 19, FRAMES, 19)
     assert 0.85 < height < 1.1  # near the hips, which are at 0.9 m
     ours, theirs = read_table(tmp_path / "walk_ik.mot"), read_table(tmp_path / "walk_again_ik.mot")
+    page: dict = {}
+    exec(re.findall(r"```python\n(.*?)```", (DOCS / "opensim.md").read_text(), re.S)[0], page)
+    assert page["read_motion"](tmp_path / "walk_ik.mot")["knee_angle_r"].tolist() == ours["knee_angle_r"].tolist()
     for name, values in ours.items():
         np.testing.assert_allclose(
             theirs[name], values, atol=0.5 if name.startswith(("pelvis_t", "time")) else 1, err_msg=name
@@ -89,11 +94,13 @@ def test_blank_frames_and_a_joint_that_is_missing(opensim, tmp_path: Path) -> No
     pose = sample.pose.copy()
     pose[[4, 5]] = np.nan
     pose[8, sample.skeleton.index("rwrist")] = np.nan
-    (remark,) = write(replace(sample, pose=pose, level_pose=pose), tmp_path / "walk.osim").values()
+    identity = {"frame": 1001 + np.arange(FRAMES)}  # the last at 33.7333333 s
+    sample = replace(sample, pose=pose, level_pose=pose, identity=identity)
+    (remark,) = write(sample, tmp_path / "walk.osim").values()
     assert "2 frames without a pose are not in the motion" in remark
     found = read_table(tmp_path / "walk_ik.mot")
     kept = np.delete(np.arange(FRAMES), [4, 5])
-    np.testing.assert_allclose(found["time"], kept / 30, atol=1e-6)
+    np.testing.assert_allclose(found["time"], (1001 + kept) / 30, atol=1e-6)
     np.testing.assert_allclose(found["knee_angle_r"], angles["knee_angle_r"][kept], atol=0.5)
     np.testing.assert_allclose(
         np.delete(found["elbow_flex_r"], 6), np.delete(angles["elbow_flex_r"][kept], 6), atol=0.5

@@ -121,12 +121,13 @@ def _solve(model: HumanModel, files: list[Path], weights: dict[str, float], tria
     # A frame without a pose has no solution; one that lacks a joint starts there as the frame before.
     start = np.concatenate([held(one.start[:, None]) * (1.0 if one.metres else np.pi / 180) for one in coordinates], 1)
     posed = np.flatnonzero(np.isfinite(trial.points).all(2).sum(1))
+    # Times are rounded as in the marker file: OpenSim refuses one that is a fraction of a microsecond after the last.
     job = {
         "model": files[0].name, "markers": files[1].name, "accuracy": _ACCURACY,
         "weights": {marker: weights[marker] for marker in model.markers},
         "still": {one.name: _KEEP_STILL for one in coordinates if not one.name.startswith("pelvis")},
         "coordinates": [one.name for one in coordinates],
-        "start": start[posed].tolist(), "times": ((trial.start + posed) / trial.fps).tolist(),
+        "start": start[posed].tolist(), "times": np.round((trial.start + posed) / trial.fps, 6).tolist(),
     }  # fmt: skip
     _run(job, files[0].parent, path)
     values, errors = (np.load(files[0].with_name(f"{name}.npy")) for name in ("values", "errors"))
@@ -158,7 +159,7 @@ def _solved(output: Iterable[str], said: list[str]) -> Iterator[None]:
     for line in map(str.strip, output):
         if line == "solved":
             yield
-        elif line:
+        elif line.strip("^ "):  # no underlining of a traceback
             said.append(line)
 
 
