@@ -11,11 +11,12 @@ from uplift.errors import UserError
 from uplift.export import MEASURES, check_axes, ending_of, write, writer_for
 from uplift.export.gallery import check_options
 from uplift.export.nwb import check_nwb
+from uplift.export.osim import beside_model, check_opensim
 from uplift.models.prediction import Prediction
 
 __all__ = ["check_outputs", "outputs_of", "shows_video", "write_outputs"]
 
-_OF_FORMATS = {"csv_safe": (".csv",), "nwb": (".nwb",), "video": (".html", ".mp4", ".gif")}
+_OF_FORMATS = {"csv_safe": (".csv",), "mass_kg": (".osim",), "nwb": (".nwb",), "video": (".html", ".mp4", ".gif")}
 """Options of some formats alone, by their endings; all others are those of page=gallery."""
 
 
@@ -53,6 +54,10 @@ def check_outputs(
         if outputs.count(output) > 1:
             raise UserError(f"output={shown}: '{output}' is there twice. Give every file a name of its own.")
         refuse_output(Path(output))
+        if ending_of(output) == ".osim":
+            check_opensim(output)
+            if twice := set(map(str, beside_model(output))) & set(outputs):
+                raise UserError(f"output={shown}: {min(twice)} is written beside {output}: leave it out.")
 
 
 def write_outputs(

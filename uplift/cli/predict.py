@@ -202,7 +202,7 @@ def keypoint_arguments(keys: Keys) -> dict[str, Any]:
         "check": keys.value("check"),
         "reading": keys.reading(),
         **({"nwb": nwb} if (nwb := {key[4:]: value for key, value in keys.items() if key.startswith("nwb.")}) else {}),
-        **keys.given("images", "video", "frames", "seed", "csv_safe", "together", *TOGETHER_KEYS),
+        **keys.given("images", "video", "frames", "seed", "csv_safe", "mass_kg", "together", *TOGETHER_KEYS),
     }
 
 

@@ -143,6 +143,7 @@ POSE_KEYS = _table(
     _key("frames", int, 40, "frames that page=gallery shows", 1, 500),
     _key("seed", int, 0, "seed of the choice of those frames", *_SEED_LIMITS),
     _CSV_SAFE,
+    _key("mass_kg", Optional[float], None, "with output=FILE.osim: mass of each body, kilograms; unset: 70", 1e-9, 1e6),
     *(all_settings()[f"data.{name}"] for name in ("name", "root", "options")),
 )  # fmt: skip
 """What predict takes for keypoints alone."""
