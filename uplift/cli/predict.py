@@ -12,7 +12,7 @@ import numpy as np
 from uplift.cli.kinds import KINDS
 from uplift.cli.parsing import Keys, keyed, known_camera
 from uplift.cli.together import TOGETHER_KEYS, check_together, lift_views, views_of, write_found
-from uplift.cli.verbs import REFINE, SHAPE_KEYS
+from uplift.cli.verbs import NWB_KEYS, REFINE, SHAPE_KEYS
 from uplift.config.files import refuse_output
 from uplift.config.loading import load_settings
 from uplift.config.progress import say
@@ -163,7 +163,11 @@ def keypoint_arguments(keys: Keys) -> dict[str, Any]:
         "camera": known_camera(keys),
         "ground": keys.value("ground"),
         "reading": keys.reading(),
-        **({"nwb": nwb} if (nwb := {key[4:]: value for key, value in keys.items() if key.startswith("nwb.")}) else {}),
+        **(
+            {"nwb": {name.partition(".")[2]: said for name, said in nwb.items()}}
+            if (nwb := keys.given(*NWB_KEYS))
+            else {}
+        ),
         **keys.given("images", "frames", "seed", "csv_safe", "together", *TOGETHER_KEYS),
     }
 
