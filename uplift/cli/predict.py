@@ -15,7 +15,7 @@ from uplift.cli.lifters import hint_for
 from uplift.cli.outputs import check_outputs, outputs_of, shows_video, write_outputs
 from uplift.cli.parsing import Keys, keyed, known_camera
 from uplift.cli.together import TOGETHER_KEYS, check_together, lift_views, views_of, write_found
-from uplift.cli.verbs import REFINE, SHAPE_KEYS
+from uplift.cli.verbs import NWB_KEYS, REFINE, SHAPE_KEYS
 from uplift.config.files import files_of
 from uplift.config.loading import load_settings
 from uplift.config.progress import say
@@ -201,7 +201,11 @@ def keypoint_arguments(keys: Keys) -> dict[str, Any]:
         "keypoints": keys.value("keypoints"),
         "check": keys.value("check"),
         "reading": keys.reading(),
-        **({"nwb": nwb} if (nwb := {key[4:]: value for key, value in keys.items() if key.startswith("nwb.")}) else {}),
+        **(
+            {"nwb": {name.partition(".")[2]: said for name, said in nwb.items()}}
+            if (nwb := keys.given(*NWB_KEYS))
+            else {}
+        ),
         **keys.given("images", "video", "frames", "seed", "csv_safe", "mass_kg", "together", *TOGETHER_KEYS),
     }
 
