@@ -4,7 +4,7 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from uplift.video.tracking import Tracker, chosen_tracks, sizes_of
+from uplift.video.tracking import Tracker, chosen_tracks, sizes_of, swapped_sides
 
 FPS = 30.0
 BODY = np.random.default_rng(0).uniform(-50, 50, (8, 2)) * [0.5, 2]
@@ -62,3 +62,36 @@ def test_those_who_last_are_chosen_the_largest_and_longest_first():
 def test_the_size_of_a_body_is_that_of_what_is_seen():
     keypoints = np.array([[[0, 0], [30, 40], [900, 900], [np.nan, 5]]])
     assert sizes_of(keypoints, np.array([[1, 1, 0, 1.0]])) == [40]
+
+
+# Left and right.
+
+SIDED = ("nose", "left_hand", "right_hand", "left_foot", "right_foot", "left_hip", "right_hip")
+MIRRORED = [0, 2, 1, 4, 3, 6, 5]
+SIDED_BODY = np.array([[0, -60], [40, -20], [-40, -10], [25, 80], [-25, 75], [12, 10], [-12, 10]], float)
+
+
+@settings(max_examples=25, deadline=None)
+@given(seed=st.integers(0, 10_000), share=st.floats(0, 0.45))
+def test_sides_that_are_swapped_for_some_frames_are_found_and_no_others(seed, share):
+    draw = np.random.default_rng(seed)
+    frames = 80
+    angle = np.linspace(0, draw.uniform(-1.1, 1.1), frames)  # turns about the vertical
+    points = SIDED_BODY * np.stack([np.cos(angle), np.ones(frames)], -1)[:, None] + draw.normal(0, 0.8, (frames, 7, 2))
+    points += 300 + 2 * np.arange(frames)[:, None, None]
+    wrong = np.zeros(frames, bool)
+    start = draw.integers(0, 40)
+    wrong[start : start + int(share * frames)] = True
+    given = np.where(wrong[:, None, None], points[:, MIRRORED], points)
+    np.testing.assert_array_equal(swapped_sides(given, np.ones((frames, 7)), np.arange(frames), SIDED, FPS), wrong)
+
+
+def test_after_a_gap_or_without_sides_nothing_is_swapped():
+    points = np.repeat(SIDED_BODY[None] + 300, 40, 0)
+    points[20:] = points[20:, MIRRORED]  # has turned round while nobody looked
+    sure = np.ones((40, 7))
+    frame = np.arange(40) + np.where(np.arange(40) < 20, 0, 15)
+    assert not swapped_sides(points, sure, frame, SIDED, FPS).any()
+    assert swapped_sides(points, sure, np.arange(40), SIDED, FPS).sum() == 20
+    assert not swapped_sides(points, sure, np.arange(40), tuple("abcdefg"), FPS).any()
+    assert not swapped_sides(points, sure, np.arange(40), SIDED, 3.0).any()  # a third of a second between frames

@@ -28,7 +28,7 @@ from uplift.models.prediction import Prediction
 from uplift.skeleton import Skeleton, load_skeleton
 from uplift.skeleton.core import Angle, Way
 
-__all__ = ["Angles", "angles_of", "joint_angles", "wrapped"]
+__all__ = ["Angles", "angles_of", "joint_angles", "no_angles", "wrapped"]
 
 _LEAST_SINE = np.sin(np.radians(10.0))
 """A direction closer to an axis than ten degrees leaves the turn about it to chance."""
@@ -46,7 +46,10 @@ class Angles:
 
 
 def angles_of(skeleton: Skeleton) -> dict[str, Angle]:
-    """Return the angles of a skeleton on both sides; those of the shipped one where a run kept an older copy without any."""
+    """Return the angles of a skeleton on both sides, none where it names none.
+
+    A run that kept an older copy of a shipped skeleton, without angles, has those of the shipped one.
+    """
     if not skeleton.angles and skeleton.name in shipped_names("skeletons"):
         newer = load_skeleton(skeleton.name)
         skeleton = newer if newer.joints == skeleton.joints else skeleton
@@ -73,7 +76,7 @@ def joint_angles(pose: Float[np.ndarray, "frames joints 3"] | Prediction, skelet
         raise ValueError("joint_angles: poses without a skeleton, expected skeleton=")
     wanted = angles_of(body)
     if not wanted:
-        raise UserError(f"skeleton '{body.name}' names no joint angles: write angles: in its YAML (docs/angles.md).")
+        raise no_angles(body)
     joints = pose.joint_names if isinstance(pose, Prediction) else body.joints
     absent = sorted({joint for angle in wanted.values() for joint in _joints(angle)} - set(joints))
     if absent:
@@ -101,6 +104,11 @@ def _of_prediction(wanted: Mapping[str, Angle], prediction: Prediction) -> tuple
 
 def _all_measured(wanted: Mapping[str, Angle], scene: _Scene) -> Float[np.ndarray, "frames angles"]:
     return np.stack([_measured(angle, scene) for angle in wanted.values()], -1).astype(np.float32)
+
+
+def no_angles(skeleton: Skeleton) -> UserError:
+    """Return the error of a skeleton without angles."""
+    return UserError(f"skeleton '{skeleton.name}' names no joint angles: write angles: in its YAML (docs/angles.md).")
 
 
 def wrapped(degrees: Float[np.ndarray, "*any"]) -> Float[np.ndarray, "*any"]:

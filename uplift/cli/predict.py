@@ -29,7 +29,7 @@ from uplift.data.formats.base import ReadOptions
 from uplift.data.load import format_of_run, in_skeleton, load_file, load_split
 from uplift.data.poses import PoseData
 from uplift.errors import UserError, did_you_mean
-from uplift.export import check_axes, write, writer_for
+from uplift.export import MEASURES, check_axes, check_measure, write, writer_for
 from uplift.export.gallery import check_options
 from uplift.export.scene import in_axes
 from uplift.metrics.pose_metrics import bone_cv, bone_lengths, never_seen_so_long
@@ -75,6 +75,11 @@ class Request:
     check: bool = True
 
     @property
+    def outputs(self) -> list[str]:
+        """The files to write: several are between commas."""
+        return [] if self.output is None else [part for part in str(self.output).split(",") if part]
+
+    @property
     def title(self) -> str:
         """The name of the first file."""
         return Path(str(self.input).split(",")[0]).stem
@@ -111,7 +116,8 @@ def predict(
     ``input`` is a file or folder in any format that is read, several with commas or a pattern, a video or pictures in which
     keypoints are found as `uplift.detect` does, and written to ``keypoints`` (.npz or .csv), if given, or ``SET:SPLIT`` of
     a published data set (``file.py:Class:SPLIT`` for a class of yours), whose ``data.root`` and ``data.options.*`` are
-    ``overrides`` such as a fit takes; ``reading`` is what the files lack. The frames of a clip are lifted
+    ``overrides`` such as a fit takes; ``reading`` is what the files lack. ``output`` is a file, or several with commas,
+    each in the format of its ending. The frames of a clip are lifted
     together unless ``refine`` is off (or ``"causal"``: as far as a live picture allows). ``hypotheses`` are so many poses of
     each frame, with their probabilities. ``size`` are arguments of `uplift.models.metric_scale.size_from`. ``camera`` is
     what is known of how the camera stands, and ``ground`` keeps standing feet where they are. ``axes`` are those of `uplift.export.scene`, the format's usual ones by default. ``page`` is the kind of an .html, ``viewer`` or
@@ -164,10 +170,16 @@ def predict_command(words: Sequence[str]) -> None:
     lines = [weights.note] * bool(weights.note)
     lines += kind.predict_summary(predict(weights, keys["input"], keys["output"], *overrides, **arguments))
     lines += [] if weights.folder is None else weights.folder.warnings()
-    lines += [f"wrote {path}" + (f": {remark}" if remark else "") for path, remark in list(files.items())[:5]]
-    lines += [f"and {len(files) - 5} more"] * (len(files) > 5)
+    shown = [path for name in dict.fromkeys(path.suffix for path in files) for path in _first_of(name, files)]
+    lines += [f"wrote {path}" + (f": {files[path]}" if files[path] else "") for path in shown]
+    lines += [f"and {len(files) - len(shown)} more"] * (len(files) > len(shown))
     lines += [f"look: open {path} in a browser" for path in files if path.suffix.lower() == ".html"]
     say("\n".join(lines))
+
+
+def _first_of(ending: str, files: Mapping[Path, str]) -> list[Path]:
+    """Return the first five files with this ending."""
+    return [path for path in files if path.suffix == ending][:5]
 
 
 # Keypoints in, poses out.
@@ -195,12 +207,14 @@ def keypoint_arguments(keys: Keys) -> dict[str, Any]:
 
 def lift_keypoints(request: Request) -> tuple[Prediction, dict[Path, str]]:
     """Lift keypoints and write the poses, if there is an output; return the files with a remark on each."""
-    axes, page, output, options = request.axes, request.page, request.output, dict(request.options)
-    together = check_together(options, output)
-    check_axes(output or "", axes)
+    axes, options = request.axes, dict(request.options)
+    together = check_together(options, request.outputs)
+    check_axes("", axes)
     _check_request(request, together, options)
     options |= _footage(request, together, options)
     model = load_poses(request.weights)
+    for output in request.outputs:
+        check_measure(output, model.skeleton)
     how = {
         "title": request.title,
         "refine": request.refine,
@@ -220,7 +234,7 @@ def lift_keypoints(request: Request) -> tuple[Prediction, dict[Path, str]]:
         prediction = model.predict(data, **how, **more)
     odd = odd_size(model.skeleton, request.size)
     prediction = replace(prediction, notes=(*prediction.notes, *([odd] if odd else []), *strange))
-    files = {} if output is None else write(prediction, output, page, axes, **options)
+    files = _write_all(prediction, request, options)
     if request.keypoints is not None:
         files[Path(request.keypoints)] = "the 2D"
     if "cameras_output" in together:
@@ -246,33 +260,70 @@ def _check_request(request: Request, together: Mapping[str, Any], options: Mappi
             "are for one camera."
         )
     _check_frames(request, together)
-    page, output = request.page, request.output
-    if output is None:
+    page, outputs = request.page, request.outputs
+    if not outputs:
         return
-    writer_for(output, page)
+    pages = [output for output in outputs if _is_page(output)]
+    for output in outputs:
+        writer_for(output, page if output in (pages or outputs) else None)
+    for output in [output for output in outputs if _has_axes(output)] or outputs:
+        check_axes(output, request.axes)
+    shown, endings = ", ".join(outputs), {Path(output).suffix.lower() for output in outputs}
     for key in options:
-        if key == "csv_safe" and Path(output).suffix.lower() != ".csv":
-            raise UserError(f"csv_safe= goes with output=FILE.csv, not with {output}.")
+        if key == "csv_safe" and ".csv" not in endings:
+            raise UserError(f"csv_safe= goes with output=FILE.csv, not with {shown}.")
         if key not in ("csv_safe", "video") and page != "gallery":
             raise UserError(f"{key}= goes with page=gallery.")
     if page == "gallery" and "video" not in options:
-        check_options(**options)
+        check_options(**{key: value for key, value in options.items() if key != "csv_safe"})
     if options.get("images") is not None and request.reading is not None:
         for key in {"flip_x", "flip_y", "rotate"} & set(request.reading.set_names()):
             raise UserError(f"{key}= turns the keypoints and not the photos of images=: give one of the two.")
-    if request.hypotheses and Path(output).suffix.lower() != ".npz":
-        raise UserError(f"hypotheses= goes with output=FILE.npz, which can hold several poses, not with {output}.")
-    refuse_output(Path(output))
+    if request.hypotheses and ".npz" not in endings:
+        raise UserError(f"hypotheses= goes with output=FILE.npz, which can hold several poses, not with {shown}.")
+    _refuse_outputs(outputs)
 
 
-_SHOWS_VIDEO = (".html", ".mp4", ".gif")
+def _refuse_outputs(outputs: Sequence[str]) -> None:
+    for output in outputs:
+        if outputs.count(output) > 1:
+            raise UserError(
+                f"output={','.join(outputs)}: '{output}' is there twice. Give every file a name of its own."
+            )
+        refuse_output(Path(output))
+
+
+def _is_page(output: str) -> bool:
+    return Path(output).suffix.lower() == ".html"
+
+
+def _has_axes(output: str) -> bool:
+    """Return whether a file holds poses in axes: a page turns them, angles and gait have none."""
+    return not _is_page(output) and writer_for(output) not in MEASURES.values()
+
+
+def _write_all(prediction: Prediction, request: Request, options: Mapping[str, Any]) -> dict[Path, str]:
+    """Write every output, each with the options that are about its kind of file."""
+    files: dict[Path, str] = {}
+    for output in request.outputs:
+        page, table = _is_page(output), Path(output).suffix.lower() == ".csv"
+        takes = {"csv_safe": table, "video": _shows_video(output)}
+        mine = {key: value for key, value in options.items() if takes.get(key, page)}
+        files |= write(
+            prediction, output, request.page if page else None, request.axes if _has_axes(output) else None, **mine
+        )
+    return files
+
+
+def _shows_video(output: str) -> bool:
+    return Path(output).suffix.lower() in (".html", ".mp4", ".gif")
 
 
 def _footage(request: Request, together: Mapping[str, Any], options: Mapping[str, Any]) -> dict[str, str]:
     """Return the option of the video that a page or a film shows: what was asked for, else the input that is one."""
-    ending, turned = Path(request.output or "").suffix.lower(), request.reading and request.reading.set_names()
+    turned = request.reading and request.reading.set_names()
     turned = sorted({"flip_x", "flip_y", "rotate"} & set(turned or ()))
-    shown = ending in _SHOWS_VIDEO and request.page != "gallery"
+    shown = request.page != "gallery" and any(map(_shows_video, request.outputs))
     if "video" not in options:
         own = shown and is_frames(request.input) and not (together or turned or _is_camera(request.input))
         return {"video": str(request.input)} if own else {}
@@ -451,8 +502,9 @@ def lift_masks(request: Request) -> tuple[ShapePrediction, dict[Path, str]]:
         raise UserError(f"{request.weights.run} lifts masks: {of_keypoints} go with keypoints.")
     options = {**request.options, **request.size, **({} if request.axes is None else {"axes": request.axes})}
     reading = {key: options.pop(key) for key in _READING if key in options}
-    if request.output is not None:
-        _check_mesh_output(request.output, request.page, options)
+    for output in request.outputs:
+        _check_mesh_output(output, request.page, options)
+    _refuse_outputs(request.outputs)
     model, trained = load_shapes(request.weights), request.weights.settings()
     if trained is not None:
         reading = {"side": trained.data.side, "format": format_of_run(trained, request.input), **reading}
@@ -461,7 +513,9 @@ def lift_masks(request: Request) -> tuple[ShapePrediction, dict[Path, str]]:
     notes = tuple(note for note in data.notes if note not in prediction.notes)
     small = small_size({key: options.get(key) for key in ("height_mm", "length_mm")})
     prediction.notes = (*notes, *prediction.notes, *([small] if small else []))
-    files = {} if request.output is None else write(prediction, request.output, request.page, **options)
+    files: dict[Path, str] = {}
+    for output in request.outputs:
+        files |= write(prediction, output, request.page, **options)
     return prediction, files
 
 
@@ -477,7 +531,6 @@ def _check_mesh_output(output: str | Path, page: str | None, options: Mapping[st
         raise UserError(f"smooth={options['smooth']}: expected rounds of smoothing, 0 or more.")
     if options.get("items", 1) < 1:
         raise UserError(f"items={options['items']}: a page shows at least one shape.")
-    refuse_output(Path(output))
 
 
 def shape_summary(found: ShapePrediction) -> list[str]:

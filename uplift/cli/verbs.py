@@ -108,7 +108,8 @@ _ALL_KEYS = _table(
     _key("run", str, NEEDED, "run folder, a lifter's file (.pt, .safetensors), or a ready lifter (uplift lifters)"),
     _key("input", str, NEEDED, "file or folder of keypoints, a video, pictures, several with commas or *, or SET:SPLIT of a "
          "published set"),
-    _key("output", str, NEEDED, "new file; its ending is the format: .html .npz .csv .bvh .glb ..."),
+    _key("output", str, NEEDED, "new file, several with commas; the ending is the format: .html .npz .csv .bvh .glb ...; "
+          "angles.csv, .mot: joint angles, gait.csv: gait"),
     _key("page", Optional[str], None, "kind of an .html; unset: viewer", choices=("viewer", "gallery")),
     _key("axes", Optional[str], None, "axes of the output; unset: the format's usual ones",
          choices=("camera", "level", "opencv", "blender", "opensim", "unity", "own", "gltf", "print")),

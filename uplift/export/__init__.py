@@ -18,8 +18,11 @@ from uplift.export.clips import MOST_FILES, arrange
 from uplift.export.scene import AXES, in_axes
 from uplift.export.tables import unique
 from uplift.models.prediction import Prediction, ShapePrediction
+from uplift.skeleton import Skeleton
 
-__all__ = ["PAGES", "WRITERS", "Job", "Part", "Writer", "check_axes", "parts_of", "paths_of", "write", "writer_for"]
+__all__ = [
+    "MEASURES", "PAGES", "WRITERS", "Job", "Part", "Writer", "check_axes", "check_measure", "parts_of", "paths_of", "write", "writer_for",
+]  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -66,6 +69,12 @@ WRITERS = {
         ".npz": Writer("uplift.export.meshes:write_npz", "occupancy grids, for Python", "own"),
     },
 }
+MEASURES = {
+    "angles.csv": Writer("uplift.export.measures:write_angles_csv", "joint angles, a row a frame and body"),
+    "gait.csv": Writer("uplift.export.measures:write_gait_csv", "gait, a row a stride, with mean and sd"),
+    ".mot": Writer("uplift.export.measures:write_mot", "joint angles, for OpenSim", holds="body"),
+}
+"""What is measured of poses: by the ending, or by the last word of the name before it, as in ``walk_angles.csv``."""
 PAGES = {
     "poses": {
         "viewer": WRITERS["poses"][".html"],
@@ -88,13 +97,20 @@ def writer_for(path: str | Path, page: str | None = None, of: str = "poses") -> 
         if extension != ".html":
             raise UserError(f"page={page} is an .html, output={path} is not: leave page= out, or name a file .html.")
         return PAGES[of][page]
+    if of == "poses" and (measured := MEASURES.get(_last_word(path) + extension) or MEASURES.get(extension)):
+        return measured
     if extension in writers:
         return writers[extension]
-    valid = ", ".join(sorted(writers))
+    valid = ", ".join([*sorted(writers), *(MEASURES if of == "poses" else ())])
     if not extension:
         raise UserError(f"output '{path}' has no extension: it chooses the format. Valid for {of}: {valid}.")
     hint = nearest(extension, writers)
     raise UserError(f"output '{path}': no writer of {of} for '{Path(path).suffix}'.{hint} Valid: {valid}.")
+
+
+def _last_word(path: str | Path) -> str:
+    """Return the last word of a file's name before its ending."""
+    return re.split(r"[^a-z]+", Path(path).stem.lower())[-1]
 
 
 def write(
@@ -109,6 +125,8 @@ def write(
     ``page`` is the kind of an ``.html``, one of `PAGES`. ``axes`` are those of `uplift.export.scene`, of shapes those
     of `uplift.export.meshes.SHAPE_AXES`; the format's usual ones by default. Options go to the writer. A format that
     holds one clip, body or item gets a file for each, named behind the stem of ``path``. A file is complete or absent.
+
+    Of poses, ``angles.csv`` and ``gait.csv`` (also behind other words: ``walk_angles.csv``) are tables of `MEASURES`.
 
     Of shapes, ``unit`` is ``px`` of the photo, ``crop`` (half the side of a mask's crop), or ``mm`` where ``height_mm``
     or ``length_mm`` gives the size of every object. ``smooth`` rounds of smoothing leave the volume as it is. A
@@ -171,6 +189,8 @@ def check_axes(path: str | Path, axes: str | None) -> None:
     ending = Path(path).suffix.lower()
     if axes is None:
         return
+    if path and axes != "camera" and writer_for(path) in MEASURES.values():
+        raise UserError(f"axes={axes}: angles and gait are the same in all axes: leave axes= out, or write poses.")
     if axes not in AXES:
         raise UserError(f"axes={axes}: no such axes.{did_you_mean(axes, AXES)}")
     if ending == ".html" and axes not in ("camera", "opencv"):
@@ -180,6 +200,15 @@ def check_axes(path: str | Path, axes: str | None) -> None:
             f"axes=unity is left-handed, and a {ending} is right-handed wherever it is read: Unity's importers turn it "
             "themselves. Leave axes= out."
         )
+
+
+def check_measure(path: str | Path, skeleton: Skeleton) -> None:
+    """Raise UserError for an output that measures what this skeleton does not name; nothing where it holds poses."""
+    writer = writer_for(path) if Path(path).suffix.lower() != ".html" else None
+    if writer in MEASURES.values():
+        from uplift.export.measures import check_skeleton  # its imports take time
+
+        check_skeleton(skeleton, path)
 
 
 class Part(NamedTuple):

@@ -74,7 +74,8 @@ class PoseRecipe(Recipe):
 
     def _build_student(self, number: int) -> StudentModule:
         settings, last = self.settings, number == len(self.rounds)
-        warm = settings.student.warm and (number > 1 or bool(settings.init))
+        # The first one goes on from a teacher that started from a trained lifter too.
+        warm = settings.student.warm and (number > 1 or (bool(settings.init) and not self.supervised))
         build = module_class(settings.student.module, "student.module", StudentModule)
         lifter = self._options_that_fit("student", student_settings(settings, last=last))
         plain = {**plain_settings(settings.student), "warm": warm}

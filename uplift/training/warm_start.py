@@ -44,8 +44,9 @@ class WarmStart:
 
         Notes what that changes. Raises UserError where a network is named that is another one.
         """
-        given, usual = self.model.settings, student_settings(settings, last=True)
-        self._refuse_another_network(settings)
+        given = self.model.settings
+        usual = student_settings(settings, last=True) if settings.student.share > 0 else settings.lifter
+        self._refuse_another_network(settings, usual)
         kept = {name: getattr(settings.lifter, name) for name in _OF_THE_FIT}
         lifter = replace(given, **kept)
         if changed := _texts(lifter, usual):
@@ -60,20 +61,19 @@ class WarmStart:
         """The name under which the lifter is found later, when ``last`` is another run; of a ready lifter its own."""
         return str(self.path) if Path(self.name).exists() else self.name
 
-    def _refuse_another_network(self, settings: Settings) -> None:
+    def _refuse_another_network(self, settings: Settings, usual: LifterSettings) -> None:
         """Raise UserError where the user, and not the recipe, names a network that is another one."""
-        given, default, student = self.model.settings, LifterSettings(), settings.student
-        wanted: dict[str, tuple[Any, Any]] = {}
-        if settings.lifter.network != default.network:
-            wanted["lifter.network"] = (settings.lifter.network, given.network)
-        if student.network is not None:
-            wanted["student.network"] = (student.network, given.network)
-        for name, value in settings.lifter.options.items():
-            wanted[f"lifter.options.{name}"] = (value, given.options.get(name, "its default"))
+        given, wanted = self.model.settings, dict[str, tuple[Any, Any]]()
+        if usual.network != LifterSettings().network:
+            name = "lifter.network" if settings.student.network is None else "student.network"
+            wanted[name] = (usual.network, given.network)
+        for name in settings.lifter.options.keys() & usual.options.keys():
+            wanted[f"lifter.options.{name}"] = (usual.options[name], given.options.get(name, "its default"))
         for name, (asked, found) in wanted.items():
             if asked != found:
                 raise UserError(
-                    f"{name}={asked}, but init={self.name} has another network, with {found}: leave it out."
+                    f"{name}={asked}, but the network of init={self.name} has {found}: leave it out, as sizes are those "
+                    "of that network."
                 )
 
     def into(self, module: KeypointModule) -> None:
