@@ -3,6 +3,7 @@
 print(
     """python -m benchmarks.accuracy [TABLE ...]  errors of recipes side by side
 python -m benchmarks.examples [--only X]   the files of docs/examples.md on real data, compared with flat depth
+python -m benchmarks.lifters [NAME ...]    the ready lifters: fit, measure, write weights and model cards
 python -m benchmarks.speed                 training and prediction, relative to the machine's peak
 python -m benchmarks.loading               a data set of Human3.6M's size: loading, memory, training speed
 python -m benchmarks.reading               reading a million bodies in each format, writing predictions in each

@@ -6,6 +6,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from uplift.cli.detect import detect
     from uplift.cli.evaluate import evaluate, evaluate_poses
     from uplift.cli.fit import fit
     from uplift.cli.listing import compare
@@ -18,6 +19,7 @@ if TYPE_CHECKING:
     from uplift.data.module import KeypointData, MaskDataModule
     from uplift.data.poses import PoseData
     from uplift.errors import UserError
+    from uplift.export.netcdf import to_xarray
     from uplift.models.known_camera import KnownCamera
     from uplift.models.model import Model, load
     from uplift.priors.base import Lift, Prior, ShapeLift, ShapePrior
@@ -26,16 +28,19 @@ if TYPE_CHECKING:
     from uplift.training.shapes import ShapeModule
     from uplift.training.student import StudentLoss, StudentModule
     from uplift.training.views import Views
+    from uplift.video.detector import Detector
 
 __all__ = [
-    "DataSet", "Format", "KeypointData", "KnownCamera", "Lift", "LiftingModule", "MaskData", "MaskDataModule", "MaskFormat", "Model",
+    "DataSet", "Detector", "Format", "KeypointData", "KnownCamera", "Lift", "LiftingModule", "MaskData", "MaskDataModule", "MaskFormat", "Model",
     "PoseData", "Prior", "ShapeLift", "ShapeModule", "ShapePrior", "Skeleton", "StudentLoss", "StudentModule", "UserError",
-    "Views", "WantedFile", "compare", "evaluate", "evaluate_poses", "fit", "load", "load_skeleton", "predict", "simulate",
+    "Views", "WantedFile", "compare", "detect", "evaluate", "evaluate_poses", "fit", "load", "load_skeleton", "predict", "simulate",
+    "to_xarray",
 ]  # fmt: skip
 __version__ = "0.1.0"
 
 # Loaded when first used: `import uplift` takes no torch, and `uplift --help` answers at once.
 _HOMES = {
+    "cli.detect": ("detect",),
     "cli.evaluate": ("evaluate", "evaluate_poses"),
     "cli.fit": ("fit",),
     "cli.listing": ("compare",),
@@ -48,6 +53,7 @@ _HOMES = {
     "data.module": ("KeypointData", "MaskDataModule"),
     "data.poses": ("PoseData",),
     "errors": ("UserError",),
+    "export.netcdf": ("to_xarray",),
     "models.known_camera": ("KnownCamera",),
     "models.model": ("Model", "load"),
     "priors.base": ("Lift", "Prior", "ShapeLift", "ShapePrior"),
@@ -56,6 +62,7 @@ _HOMES = {
     "training.shapes": ("ShapeModule",),
     "training.student": ("StudentLoss", "StudentModule"),
     "training.views": ("Views",),
+    "video.detector": ("Detector",),
 }
 
 

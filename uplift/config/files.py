@@ -10,6 +10,7 @@ import re
 import secrets
 import shutil
 import stat
+import tempfile
 import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
@@ -20,15 +21,15 @@ from uplift.errors import UserError
 
 __all__ = [
     "Existing", "absolute", "as_bytes", "building", "clear_parts", "data_root", "files_of", "inside", "names_from", "read_torch",
-    "refuse_existing", "refuse_output", "refuse_special", "replacing", "save_torch", "shipped", "shipped_names",
-    "without_folders",
+    "refuse_existing", "refuse_output", "refuse_special", "replacing", "replacing_by_name", "save_torch", "shipped",
+    "shipped_names", "without_folders",
 ]  # fmt: skip
 
 _PACKAGE = Path(__file__).resolve().parent.parent
 
 
 def shipped(folder: str) -> Path:
-    """Return the folder of shipped ``skeletons`` or ``tasks``.
+    """Return the folder of shipped ``skeletons``, ``tasks`` or ``lifters``.
 
     A wheel carries them inside the package, a checkout beside it. The checkout is looked for
     first when it is one (it has a pyproject.toml): an editable install can leave a stale copy
@@ -40,9 +41,13 @@ def shipped(folder: str) -> Path:
     return _PACKAGE / "shipped" / folder
 
 
+_ENDINGS = {"lifters": ".safetensors"}
+"""Of the shipped files of a folder; elsewhere .yaml."""
+
+
 def shipped_names(folder: str) -> list[str]:
-    """Return the sorted names of the shipped YAML files of ``folder``, without their ending."""
-    return sorted(path.stem for path in shipped(folder).glob("*.yaml"))
+    """Return the sorted names of the shipped files of ``folder``, without their ending."""
+    return sorted(path.stem for path in shipped(folder).glob(f"*{_ENDINGS.get(folder, '.yaml')}"))
 
 
 def data_root(name: str, root: str | None) -> Path:
@@ -199,6 +204,16 @@ def replacing(path: str | Path) -> Iterator[BinaryIO]:
         raise
     finally:
         _NEW.discard(target)
+
+
+@contextmanager
+def replacing_by_name(path: str | Path) -> Iterator[Path]:
+    """Give a new name with the ending of ``path`` to a library that writes files itself, and put what it made at ``path``, as `replacing`."""
+    with replacing(path) as handle, tempfile.TemporaryDirectory() as folder:
+        written = Path(folder) / f"new{Path(path).suffix.lower()}"
+        yield written
+        with written.open("rb") as made:
+            shutil.copyfileobj(made, handle)
 
 
 def _claim(target: Path) -> None:

@@ -9,6 +9,7 @@ from uplift.config.settings import LifterSettings, Settings
 from uplift.data.module import KeypointData
 from uplift.data.sampler import LabelledSampler
 from uplift.errors import UserError
+from uplift.models.known_body import usual_errors
 from uplift.models.lifter import Lifter
 from uplift.models.model import Model
 from uplift.models.networks import fitting_options
@@ -106,7 +107,8 @@ class PoseRecipe(Recipe):
             module = student
             self.stage(run, f"student_{number}", module, self.data, self.settings.student.batch_size)
         model = module.model()
-        return Model(model.lifter.cpu(), model.skeleton, model.settings)
+        model = Model(model.lifter.cpu(), model.skeleton, model.settings)
+        return dataclasses.replace(model, usual=usual_errors(model, self.data.train_samples))
 
 
 def _checked(module):
