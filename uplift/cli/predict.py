@@ -12,7 +12,7 @@ import numpy as np
 from uplift.cli.detect import check_keypoints_output, keypoints_in
 from uplift.cli.kinds import KINDS
 from uplift.cli.lifters import hint_for
-from uplift.cli.outputs import check_outputs, outputs_of, shows_video, write_outputs
+from uplift.cli.outputs import check_outputs, outputs_of, refuse_outputs, shows_video, write_outputs
 from uplift.cli.parsing import Keys, keyed, known_camera
 from uplift.cli.together import TOGETHER_KEYS, check_together, lift_views, views_of, write_found
 from uplift.cli.verbs import NWB_KEYS, REFINE, SHAPE_KEYS
@@ -457,7 +457,7 @@ def lift_masks(request: Request) -> tuple[ShapePrediction, dict[Path, str]]:
     reading = {key: options.pop(key) for key in _READING if key in options}
     for output in request.outputs:
         _check_mesh_output(output, request.page, options)
-    _refuse_outputs(request.outputs)
+    refuse_outputs(request.outputs)
     model, trained = load_shapes(request.weights), request.weights.settings()
     if trained is not None:
         reading = {"side": trained.data.side, "format": format_of_run(trained, request.input), **reading}
