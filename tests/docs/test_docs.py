@@ -161,6 +161,8 @@ def test_commands_parse(page: str, command: str) -> None:
     elif verb == "fit":
         for word in words:
             _check_fit_word(word)
+    elif verb == "lifters":
+        assert set(words) <= set(shipped_names("lifters"))
     else:
         assert verb == "compare" or not words
 
