@@ -6,6 +6,9 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from uplift.biomechanics.angles import joint_angles
+    from uplift.biomechanics.gait import gait_of
+    from uplift.cli.detect import detect
     from uplift.cli.evaluate import evaluate, evaluate_poses
     from uplift.cli.fit import fit
     from uplift.cli.listing import compare
@@ -27,17 +30,21 @@ if TYPE_CHECKING:
     from uplift.training.shapes import ShapeModule
     from uplift.training.student import StudentLoss, StudentModule
     from uplift.training.views import Views
+    from uplift.video.detector import Detector
 
 __all__ = [
-    "DataSet", "Format", "KeypointData", "KnownCamera", "Lift", "LiftingModule", "MaskData", "MaskDataModule", "MaskFormat", "Model",
+    "DataSet", "Detector", "Format", "KeypointData", "KnownCamera", "Lift", "LiftingModule", "MaskData", "MaskDataModule", "MaskFormat", "Model",
     "PoseData", "Prior", "ShapeLift", "ShapeModule", "ShapePrior", "Skeleton", "StudentLoss", "StudentModule", "UserError",
-    "Views", "WantedFile", "compare", "evaluate", "evaluate_poses", "fit", "load", "load_skeleton", "predict", "simulate",
+    "Views", "WantedFile", "compare", "detect", "evaluate", "evaluate_poses", "fit", "gait_of", "joint_angles", "load", "load_skeleton", "predict", "simulate",
     "to_xarray",
 ]  # fmt: skip
 __version__ = "0.1.0"
 
 # Loaded when first used: `import uplift` takes no torch, and `uplift --help` answers at once.
 _HOMES = {
+    "biomechanics.angles": ("joint_angles",),
+    "biomechanics.gait": ("gait_of",),
+    "cli.detect": ("detect",),
     "cli.evaluate": ("evaluate", "evaluate_poses"),
     "cli.fit": ("fit",),
     "cli.listing": ("compare",),
@@ -59,6 +66,7 @@ _HOMES = {
     "training.shapes": ("ShapeModule",),
     "training.student": ("StudentLoss", "StudentModule"),
     "training.views": ("Views",),
+    "video.detector": ("Detector",),
 }
 
 

@@ -71,15 +71,18 @@ def test_a_gif_has_the_frames_and_lasts_as_long(tmp_path: Path) -> None:
 
 
 def test_an_mp4_has_the_frames_and_lasts_as_long(tmp_path: Path) -> None:
-    imageio_ffmpeg = pytest.importorskip("imageio_ffmpeg")
+    av = pytest.importorskip("av")
     sample = prediction(frames=20, tilt=True, fps=12.5)
     write_film(sample, tmp_path / "a.mp4")
-    reader = imageio_ffmpeg.read_frames(str(tmp_path / "a.mp4"))
-    about = next(reader)
-    frames = [np.frombuffer(frame, np.uint8).reshape(HIGH, WIDE, 3) for frame in reader]
-    assert about["source_size"] == (WIDE, HIGH) and about["pix_fmt"].startswith("yuv420p") and len(frames) == 20
-    assert about["fps"] == pytest.approx(12.5) and about["duration"] == pytest.approx(1.6, abs=0.05)
-    assert "h264" in about["codec"]
+    with av.open(str(tmp_path / "a.mp4")) as film:
+        stream = film.streams.video[0]
+        assert (stream.width, stream.height, stream.codec_context.pix_fmt) == (WIDE, HIGH, "yuv420p")
+        assert stream.average_rate == 12.5 and film.duration / 1e6 == pytest.approx(1.6, abs=0.05)
+        assert stream.codec_context.name == "h264"
+        frames = [frame.to_ndarray(format="rgb24", dst_colorspace="ITU709") for frame in film.decode(stream)]
+    assert len(frames) == 20
+    data = (tmp_path / "a.mp4").read_bytes()
+    assert data.index(b"moov") < data.index(b"mdat")  # it plays before all of it has come
     want = np.asarray(FilmDrawing(scene_of(sample, 12.5), 1.0, 12.5, True).picture(9)).astype(int)
     assert np.abs(frames[9] - want).mean() < 3
     assert np.abs(frames[9][120, 60].astype(int) - CARD).max() <= 4  # the colours' matrix is told
@@ -212,22 +215,26 @@ def test_the_palette_holds_the_drawing() -> None:
 
 
 def test_without_the_package_an_mp4_is_one_message(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(sys.modules, "imageio_ffmpeg", None)
-    with pytest.raises(UserError, match=r"needs imageio-ffmpeg: pip install \"uplift3d\[video\]\""):
+    monkeypatch.setitem(sys.modules, "av", None)
+    with pytest.raises(UserError, match=r"an .mp4 needs PyAV: pip install \"uplift3d\[video\]\""):
         write_film(prediction(frames=2), tmp_path / "a.mp4")
     write_film(prediction(frames=2), tmp_path / "a.gif")
     assert [path.name for path in tmp_path.iterdir()] == ["a.gif"]
 
 
-def test_an_ffmpeg_that_fails_leaves_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    folder = tmp_path / "out"
+def test_a_film_that_fails_leaves_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("av")
+    folder, picture = tmp_path / "out", FilmDrawing.picture
     folder.mkdir()
-    fake = tmp_path / "ffmpeg"
-    fake.write_text("#!/bin/sh\necho 'no such encoder' >&2\nexit 1\n")
-    fake.chmod(0o755)
-    monkeypatch.setattr("uplift.export.film._ffmpeg", lambda path: str(fake))
-    with pytest.raises(OSError, match="no such encoder"):
-        write_film(prediction(frames=40), folder / "a.mp4")
+
+    def full(self: FilmDrawing, moment: int, photo: None = None) -> Image.Image:
+        if moment == 5:
+            raise OSError("no space left")
+        return picture(self, moment, photo)
+
+    monkeypatch.setattr(FilmDrawing, "picture", full)
+    with pytest.raises(OSError, match="no space left"):
+        write_film(prediction(frames=8), folder / "a.mp4")
     assert not list(folder.iterdir())
 
 
@@ -254,7 +261,7 @@ def test_other_skeletons_and_one_frame(tmp_path: Path) -> None:
 
 def test_importing_the_writers_loads_no_heavy_package() -> None:
     code = "import sys, uplift.export.film, uplift.export.glb, uplift.export.bvh;"
-    code += "print([name for name in ('torch', 'trimesh', 'imageio_ffmpeg', 'scipy') if name in sys.modules])"
+    code += "print([name for name in ('torch', 'trimesh', 'av', 'scipy') if name in sys.modules])"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "[]"
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import base64
+import io
 import json
 import re
 from pathlib import Path
@@ -11,6 +13,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import array_shapes, arrays
+from PIL import Image
+from videos import numbered, write_video
+from videos import shown as number_of
 from writers_samples import figure, prediction
 
 from uplift.errors import UserError
@@ -300,3 +305,29 @@ def test_a_term_of_the_field_stands_below_plain_words() -> None:
         '<th scope="row" title="a &quot;meaning&quot;">Joint error<small>&lt;mpjpe&gt; · mm</small></th><td>12</td>'
         in text
     )
+
+
+def test_a_page_has_small_pictures_of_its_video(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("av")
+    video = write_video(tmp_path / "a.mp4", numbered(30, (640, 480)))
+    identity = {"sequence": np.repeat("a", 20), "frame": np.arange(5, 25)}
+    sample = prediction(frames=20, identity=identity)
+    write(sample, tmp_path / "page.html", video=video)
+    (behind,) = read_html(tmp_path / "page.html")["behind"]
+    seen = sample.keypoints.reshape(-1, 2)
+    assert (seen.min(0) > [behind["x"], behind["y"]]).all()
+    assert (seen.max(0) < [behind["x"] + behind["wide"], behind["y"] + behind["tall"]]).all()
+    pictures = [Image.open(io.BytesIO(base64.b64decode(text))) for text in behind["jpegs"]]
+    assert len(pictures) == 20 and behind["every"] == 1 and max(picture.width for picture in pictures) <= 480
+    assert [number_of(np.asarray(picture)) for picture in pictures] == list(range(5, 25))
+    whole = numbered(1, (640, 480))[0]
+    left, top = round(behind["x"]), round(behind["y"])
+    corner = whole[top : round(top + behind["tall"]), left : round(left + behind["wide"])]
+    small = np.asarray(pictures[0].resize(corner.shape[1::-1])).astype(int)
+    red = small[..., 0] - small[..., 1] > 120
+    assert (red == (corner[..., 0] == 255)).mean() > 0.97  # at its place in the image
+    monkeypatch.setattr("uplift.export.behind._MOST_BYTES", 2000)
+    write(sample, tmp_path / "small.html", video=video)
+    (behind,) = read_html(tmp_path / "small.html")["behind"]
+    assert behind["every"] > 3 and len(behind["jpegs"]) == -(-20 // behind["every"])
+    assert sum(map(len, behind["jpegs"])) * 3 / 4 < 2 * 2000 and "every" in (tmp_path / "small.html").read_text()

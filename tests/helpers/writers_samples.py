@@ -14,7 +14,7 @@ __all__ = ["NEEDS", "chain", "complete_prediction", "figure", "pair", "places_of
 
 NEEDS = {
     ".nwb": ("pynwb", "ndx_pose"), ".nc": ("xarray", "h5netcdf"), ".dlc.h5": ("tables",), ".sleap.h5": ("h5py",),
-    ".usda": ("pxr",), ".usdc": ("pxr",), ".c3d": ("ezc3d",), ".mp4": ("imageio_ffmpeg",),
+    ".usda": ("pxr",), ".usdc": ("pxr",), ".c3d": ("ezc3d",), ".mp4": ("av",),
 }  # fmt: skip
 """The modules that writers need beside what the package itself does."""
 _REST = {

@@ -17,8 +17,9 @@ from uplift.cli.kinds import KINDS
 from uplift.cli.parsing import keyed, known_camera
 from uplift.cli.verbs import CAMERA_KEYS, REFINE
 from uplift.config.files import Existing, absolute, refuse_existing, replacing, shipped_names
+from uplift.config.loading import load_settings
 from uplift.config.progress import say
-from uplift.config.run import RunFolder, data_id, read_weights
+from uplift.config.run import RunFolder, Weights, data_id, read_weights
 from uplift.config.trust import Trust, consents
 from uplift.data.clean import clean
 from uplift.data.formats.npz import camera_of, joint_names_of, refuse_other_axes, unit_of
@@ -49,7 +50,7 @@ __all__ = [
 
 @consents
 def evaluate(
-    run: str | Path,
+    run: str | Path | Weights,
     test: str | Path | None = None,
     *,
     refine: bool | str | None = None,
@@ -61,7 +62,7 @@ def evaluate(
 ) -> Evaluation | ShapeEvaluation:
     """Evaluate a run on ``test``, or on the test data of its settings, and write evaluation.json into the run.
 
-    The frames of a clip are lifted together unless ``refine`` is off. With ``hypotheses`` so many poses of each
+    A ready lifter, or a file without its run, needs ``test``, and nothing is written. The frames of a clip are lifted together unless ``refine`` is off. With ``hypotheses`` so many poses of each
     frame are judged beside the answer, with their probabilities. Of a run that lifts masks at most ``items`` are
     scored. ``camera`` is what is known of how the cameras stand, in place of estimates. The evaluation is kept in
     the run under ``name``, by default date and time. ``trust`` are
@@ -73,20 +74,27 @@ def evaluate(
     """
     from uplift.models.model import load
 
-    folder = RunFolder.open(run)
+    weights = run if isinstance(run, Weights) else read_weights(run)
+    folder = weights.folder
     if name is not None:
-        _check_name(folder, name)
-    weights = read_weights(folder.path)
+        _check_name(folder, name, weights.run)
+    if folder is None and test is None:
+        raise UserError(f"{weights.run} is a lifter without a run, so without test data: give data.test=FILE.")
     kind = KINDS[weights.lifts]
     given = {"refine": refine, "hypotheses": hypotheses, "items": items, "camera": camera}
     given = {key: value for key, value in given.items() if value is not None}
-    kind.refuse_others("evaluate", given, folder.path)
-    result = kind.evaluate(folder, load(weights), None if test is None else str(test), **given)
-    save_evaluation(result, folder, name)
+    kind.refuse_others("evaluate", given, weights.run)
+    result = kind.evaluate(weights, load(weights), None if test is None else str(test), **given)
+    if folder is not None:
+        save_evaluation(result, folder, name)
     return result
 
 
-def _check_name(folder: RunFolder, name: str) -> None:
+def _check_name(folder: RunFolder | None, name: str, run: str) -> None:
+    if folder is None:
+        raise UserError(
+            f"evaluation={name}: {run} is a lifter without a run, where evaluations are kept. Leave it out."
+        )
     if not re.fullmatch(r"[^\W_][\w.-]{0,99}", name) or name.endswith(".json"):
         raise UserError(f"evaluation={name}: expected a name of letters, digits, '-', '_' and '.', such as stairs.")
     if (folder.evaluations / f"{name}.json").exists():
@@ -117,7 +125,7 @@ def save_evaluation(result: AnyEvaluation, folder: RunFolder, name: str | None =
 
 
 def evaluate_keypoints(
-    folder: RunFolder,
+    weights: Weights,
     model: Model,
     test: str | None,
     refine: bool | str = True,
@@ -125,7 +133,7 @@ def evaluate_keypoints(
     camera: KnownCamera | None = None,
 ) -> Evaluation:
     """Return the protocols of a run on ``test``, or on the test frames of its settings."""
-    settings = folder.settings()
+    settings = weights.settings() or load_settings(None)
     if test is not None:
         settings.data.test = absolute(test)
         settings.data.format = format_of_run(settings, test)  # what is tested on may come from elsewhere
@@ -135,7 +143,7 @@ def evaluate_keypoints(
     else:
         truth = load_data(settings, model.skeleton).test
         if truth is None:
-            raise UserError(f"{folder.path} has no test frames: give data.test=FILE.")
+            raise UserError(f"{weights.run} has no test frames: give data.test=FILE.")
     name = truth.source if test is None else test
     return evaluate_model(model, truth, name, refine=refine, hypotheses=hypotheses, camera=camera)
 
@@ -146,11 +154,11 @@ MOST = 100
 """Test items that are scored by default: each takes most of a second, with its baselines."""
 
 
-def evaluate_masks(folder: RunFolder, model: ShapeModel, test: str | None, items: int = MOST) -> ShapeEvaluation:
+def evaluate_masks(weights: Weights, model: ShapeModel, test: str | None, items: int = MOST) -> ShapeEvaluation:
     """Return the metrics of a run on at most ``items`` masks of ``test``, or of the test masks of its settings."""
     if items < 1:
         raise UserError(f"items={items}: expected how many masks are scored at most, 1 or more.")
-    settings = folder.settings()
+    settings = weights.settings() or load_settings(None)
     if test is not None:
         format = format_of_run(settings, test)
         chosen = replace(settings.data, test=absolute(test), simulate=0, format=format, category=None)
@@ -164,7 +172,7 @@ def evaluate_masks(folder: RunFolder, model: ShapeModel, test: str | None, items
     else:
         loaded = load_masks(settings)
         if loaded.test is None:
-            raise UserError(f"{folder.path} has no test masks: give data.test=FILE.")
+            raise UserError(f"{weights.run} has no test masks: give data.test=FILE.")
         masks, train, why = loaded.test, loaded.train, ""
     *_, found = score_shapes(model, masks, train, most=items)
     return replace(found, notes=[*found.notes, why]) if why else found
@@ -296,7 +304,11 @@ def evaluate_command(words: Sequence[str]) -> None:
     refine = keys.given("refine").get("refine")
     options: dict[str, Any] = keys.given("hypotheses") | keys.given("items") | {"name": keys.get("evaluation")}
     refined, camera = None if refine is None else REFINE[refine], known_camera(keys)
-    say(evaluate(keys["run"], keys.get("data.test"), refine=refined, camera=camera, **options).table())
-    folder = RunFolder.open(keys["run"]).path
+    weights = read_weights(keys["run"])
+    say(evaluate(weights, keys.get("data.test"), refine=refined, camera=camera, **options).table())
+    if weights.folder is None:
+        say(f"\n{weights.note or f'lifter: {weights.path}'}: it has no run in which the figures could be kept")
+        return
+    folder = weights.folder.path
     say(f"\nwrote {folder}/evaluation.json and evaluation.csv (older ones: evaluations/)")
     say(f"next: uplift compare {folder} OTHER_RUN")

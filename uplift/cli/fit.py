@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import shlex
 import sys
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -60,6 +60,10 @@ class Prepared:
     """The data, with `notes`."""
     recipe: Any
     """With `notes`, `spent`, `steps`, `idle_priors` and `train(run)`, which returns a model with `save(path)`."""
+    settings: Settings
+    """Of the fit, its networks as those that it starts from."""
+    facts: dict[str, Any] = field(default_factory=dict)
+    """What run.json is to keep."""
 
 
 def fit_settings(settings: Settings, run: RunFolder | None = None) -> RunFolder:
@@ -71,9 +75,12 @@ def fit_settings(settings: Settings, run: RunFolder | None = None) -> RunFolder:
         torch.set_num_threads(settings.trainer.threads)
     check_trainer(settings.trainer)  # before any data is read
     fit: Prepared = KINDS[settings.lifts].fit(settings, run)
+    settings = fit.settings
     run = _run_of_all_ranks(run, settings)
     try:
         if rank_zero_only.rank == 0:
+            if fit.facts:
+                run.add_facts(**fit.facts)
             first = f"uplift fit: {settings.task or 'own data'}, {fit.about}, seed {settings.seed}"
             say("\n".join([first, *fit.loaded.notes, *fit.recipe.notes, f"run: {run.path}"]))
         model = fit.recipe.train(run)
@@ -95,14 +102,21 @@ def prepare_keypoints(settings: Settings, run: RunFolder | None) -> Prepared:
     from uplift.data.module import KeypointData
     from uplift.skeleton import load_skeleton
     from uplift.training.pose_recipe import PoseRecipe
+    from uplift.training.warm_start import WarmStart
 
     if not settings.skeleton:
         raise UserError("No skeleton: set skeleton=NAME (`uplift skeletons` lists them) or skeleton=FILE.yaml.")
     skeleton = load_skeleton(settings.skeleton)
+    start = None
+    if settings.init and not (run and any(run.checkpoints.glob("*.ckpt"))):  # what is resumed has its weights
+        start = WarmStart.load(settings.init)
+        settings = start.settings(settings)
     loaded = load_data(settings, skeleton)
     data = KeypointData.of(loaded, skeleton, settings)
-    recipe = PoseRecipe(settings, data, run)
-    return Prepared(f"skeleton {skeleton.name}", replace(loaded, train=data.train_samples, notes=data.notes), recipe)
+    recipe = PoseRecipe(settings, data, run, start)
+    init = start.facts() if start else run.facts().get("init", {}) if run else {}
+    loaded = replace(loaded, train=data.train_samples, notes=[*data.notes, *init.get("notes", [])])
+    return Prepared(f"skeleton {skeleton.name}", loaded, recipe, settings, {"init": init} if init else {})
 
 
 def prepare_masks(settings: Settings, run: RunFolder | None) -> Prepared:
@@ -114,7 +128,7 @@ def prepare_masks(settings: Settings, run: RunFolder | None) -> Prepared:
     loaded = load_masks(settings)
     data = MaskDataModule.of(loaded, settings)
     recipe = ShapeRecipe(settings, data)
-    return Prepared("masks", replace(loaded, notes=data.notes), recipe)
+    return Prepared("masks", replace(loaded, notes=data.notes), recipe, settings)
 
 
 def _run_of_all_ranks(run: RunFolder | None, settings: Settings) -> RunFolder:

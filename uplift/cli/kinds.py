@@ -37,7 +37,7 @@ class Kind:
     report: Later
     """(model, settings, loaded data) -> `uplift.cli.report.Findings`."""
     evaluate: Later
-    """(run folder, model, test file or None, options among `evaluate_keys`) -> evaluation."""
+    """(`uplift.config.run.Weights`, model, test file or None, options among `evaluate_keys`) -> evaluation."""
     predict: Later
     """(`uplift.cli.predict.Request`) -> prediction, and the files written with a remark on each."""
     predict_arguments: Later

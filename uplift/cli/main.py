@@ -124,6 +124,8 @@ def _complete(verb: str, prefix: str, **rest: object) -> list[str]:
     name = f"{verb} {action}" if action else verb
     if {"--help", "-h"} & set(typed):
         return topics(name)
+    if verb == "lifters":
+        return _ready()
     key, equals, _ = prefix.partition("=")
     known = {one.name: one for one in VERBS[name].settings.values() if typing.get_origin(one.kind) is not dict}
     if not equals:
@@ -138,7 +140,16 @@ def _values(setting: Setting) -> list[str]:
         from uplift.config.files import shipped_names
 
         return [name for name in shipped_names("tasks" if setting.name == "task" else "skeletons") if name != "default"]
+    if setting.name == "run":
+        return _ready()
     return list(setting.choices) or (["true", "false"] if setting.kind is bool else [])
+
+
+def _ready() -> list[str]:
+    """Return the names of the ready lifters."""
+    from uplift.config.files import shipped_names
+
+    return shipped_names("lifters")
 
 
 def _fit(words: Sequence[str]) -> None:
@@ -207,6 +218,8 @@ _RUN: dict[str, Callable[[Sequence[str]], int | None]] = {
     "fit": _fit,
     "evaluate": Later("uplift.cli.evaluate:evaluate_command"),
     "predict": Later("uplift.cli.predict:predict_command"),
+    "detect": Later("uplift.cli.detect:detect_command"),
+    "detectors": Later("uplift.cli.detect:detectors_command"),
     "simulate": Later("uplift.cli.simulate:simulate_command"),
     "compare": Later("uplift.cli.listing:compare_command"),
     "tables": Later("uplift.cli.tables:tables_command"),
@@ -221,6 +234,7 @@ _RUN: dict[str, Callable[[Sequence[str]], int | None]] = {
     ),
     "tasks": _list("tasks", "uplift.cli.listing:list_tasks"),
     "skeletons": _list("skeletons", "uplift.cli.listing:list_skeletons"),
+    "lifters": Later("uplift.cli.lifters:lifters_command"),
     "skeleton": _by_first_word(
         {"check": "skeleton:check_skeleton_file", "new": "skeleton:new_skeleton_file", "map": "skeleton:map_joints"},
         "skeleton: expected `uplift skeleton check FILE [output=FILE.png]`, `uplift skeleton new FILE "

@@ -38,6 +38,20 @@ class Keys(dict[str, str]):
         """Return the values of those of ``keys`` that are given."""
         return {key: self.value(key) for key in keys if key in self}
 
+    def options(self, group: str) -> dict[str, Any]:
+        """Return the options of a class that words ``group.NAME=VALUE`` give, numbers and true or false as such."""
+        from uplift.config.yaml_file import read_value
+
+        return {
+            key.removeprefix(f"{group}."): read_value(text) for key, text in self.items() if key.startswith(f"{group}.")
+        }
+
+    def detection(self) -> dict[str, Any]:
+        """Return the arguments of `uplift.detect` that the words of `DETECTOR_KEYS` give."""
+        options = self.options("detector.options")
+        found = {"detector": self.value("detector"), "detector_options": options, "people": self.value("people")}
+        return found | {name: self.value(f"video.{name}") for name in ("start_s", "end_s")}
+
     def reading(self) -> ReadOptions:
         """Return the `uplift.data.formats.base.ReadOptions` of those `READ_KEYS` that are given."""
         from uplift.data.formats.base import ReadOptions, size_of

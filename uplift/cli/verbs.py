@@ -10,6 +10,8 @@ from uplift.config.settings import MAX_SIDE, MIN_SIDE, Setting, all_settings
 
 __all__ = [
     "CAMERA_KEYS",
+    "DETECT",
+    "DETECTOR_KEYS",
     "EVALUATE",
     "NEEDED",
     "NWB_KEYS",
@@ -77,6 +79,16 @@ READ_KEYS = _table(
 )
 """What any command that reads keypoints takes."""
 
+DETECTOR_KEYS = _table(
+    _key("detector", Optional[str], None, "what finds keypoints in videos and pictures: mediapipe (bodies), mediapipe_hand, or a "
+         "class of yours, my.py:MyDetector; unset: the built-in that finds the skeleton's joints"),
+    _key("detector.options", dict[str, Any], {}, "options of that class"),
+    _key("people", Optional[int], None, "at most so many people or animals, the largest and longest in the picture; unset: all", 1, 1000),
+    _key("video.start_s", Optional[float], None, "where to begin in a video, seconds from its beginning", 0, 1e7),
+    _key("video.end_s", Optional[float], None, "where to stop; of a camera, how long it is watched", 1e-3, 1e7),
+)  # fmt: skip
+"""How keypoints are found in videos and pictures."""
+
 CAMERA_KEYS = _table(
     _key("camera.tilt_deg", Optional[float], None, "how far the camera looks down, where known; unset: estimated", -90, 90),
     _key("camera.roll_deg", Optional[float], None, "how far up leans to the right in the image, where known; unset: "
@@ -113,9 +125,11 @@ REFINE = {"on": True, "off": False, "causal": "causal"}
 # predict: what goes with every run, with keypoints alone, with masks alone.
 
 _ALL_KEYS = _table(
-    _key("run", str, NEEDED, "run folder, or its lifter.pt"),
-    _key("input", str, NEEDED, "file or folder, several with commas or *, or SET:SPLIT of a published set"),
-    _key("output", str, NEEDED, "new file; its ending is the format: .html .npz .csv .bvh .glb .nwb ..."),
+    _key("run", str, NEEDED, "run folder, a lifter's file (.pt, .safetensors), or a ready lifter (uplift lifters)"),
+    _key("input", str, NEEDED, "file or folder of keypoints, a video, pictures, several with commas or *, or SET:SPLIT of a "
+         "published set"),
+    _key("output", str, NEEDED, "new file, several with commas; the ending is the format: .html .npz .csv .bvh .glb .nwb ...; "
+         "angles.csv, .mot: joint angles, gait.csv: gait"),
     _key("page", Optional[str], None, "kind of an .html; unset: viewer", choices=("viewer", "gallery")),
     _key("axes", Optional[str], None, "axes of the output; unset: the format's usual ones",
          choices=("camera", "level", "opencv", "blender", "opensim", "unity", "own", "gltf", "print")),
@@ -133,16 +147,22 @@ POSE_KEYS = _table(
     _key("bone", list[str], [], "joints along a known length, with bone_mm=: rhip,rknee"),
     _key("bone_mm", Optional[float], None, "that length, millimetres", 1e-9, 1e9),
     _key("camera_height_mm", Optional[float], None, "height of the camera above the ground, millimetres", 1e-9, 1e9),
+    *DETECTOR_KEYS.values(),
+    _key("keypoints", Optional[str], None, "with a video or pictures: new .npz or .csv file for the 2D"),
+    _key("video", Optional[str], None, "video or folder of pictures that the keypoints were found in, shown behind them on a page or "
+         "in a film; several with commas, named as the clips; unset: the input, where that is one"),
     *CAMERA_KEYS.values(),
     _key("ground", bool, False, "true: find the ground, and keep standing feet where they are; needs a size"),
     _key("cameras", Optional[str], None, "with together=true: calibrated cameras, .toml of Pose2Sim or Anipose, or .json"),
     _key("cameras_unit", Optional[str], None, "unit of the places in it; unset: told from the file", choices=("mm", "m")),
     _key("cameras_output", Optional[str], None, "with together=true: new .toml file for the cameras that are found"),
     *(one for name, one in READ_KEYS.items() if name != "format"),
+    _key("check", bool, True, "false: a ready lifter lifts what does not look like the body that it knows, too"),
     *NWB_KEYS.values(),
     _key("frames", int, 40, "frames that page=gallery shows", 1, 500),
     _key("seed", int, 0, "seed of the choice of those frames", *_SEED_LIMITS),
     _CSV_SAFE,
+    _key("mass_kg", Optional[float], None, "with output=FILE.osim: mass of each body, kilograms; unset: 70", 1e-9, 1e6),
     *(all_settings()[f"data.{name}"] for name in ("name", "root", "options")),
 )  # fmt: skip
 """What predict takes for keypoints alone."""
@@ -160,7 +180,7 @@ SHAPE_KEYS = {name: one._replace(only="masks") for name, one in SHAPE_KEYS.items
 PREDICT = _ALL_KEYS | _TRUST | POSE_KEYS | SHAPE_KEYS
 
 EVALUATE = _table(
-    _key("run", Optional[str], None, "run folder to evaluate"),
+    _key("run", Optional[str], None, "run folder to evaluate, or a ready lifter or lifter's file, with data.test="),
     _key("poses", Optional[str], None, "in place of a run: poses from a file, such as predict writes"),
     _key("data.test", Optional[str], None, "file with the truth; unset: the test data of the run"),
     _key("skeleton", Optional[str], None, "skeleton of poses=; unset: the shipped one whose joints those are"),
@@ -196,6 +216,20 @@ SIMULATE = _table(
          choices=("deeplabcut",)),
     _CSV_SAFE,
 )  # fmt: skip
+
+DETECT = _table(
+    _key("input", str, NEEDED, "a video, a picture or a folder of them, several with commas or *"),
+    _key("output", str, NEEDED, "new .npz or .csv file"),
+    *DETECTOR_KEYS.values(),
+    _key(
+        "skeleton",
+        Optional[str],
+        None,
+        "a shipped name, or a YAML file: its joints are looked for; all that the detector finds are written",
+    ),
+    *(READ_KEYS[name] for name in ("fps", "focal_px", "min_confidence")),
+    _CSV_SAFE,
+)
 
 # data cmu, data render.
 
@@ -262,8 +296,18 @@ VERBS = {
     ),
     "predict": Verb(
         "lift keypoints or masks to 3D",
-        ("predict run=RUN input=FILE output=FILE.html|.npz|.csv|.glb|...",),
+        ("predict run=RUN input=FILE|VIDEO output=FILE.html|.npz|.csv|.glb|...",),
         settings=PREDICT,
+    ),
+    "detect": Verb(
+        "keypoints of a video or pictures",
+        ("detect input=VIDEO output=FILE.npz|.csv [detector=NAME|FILE.py:CLASS]",),
+        settings=DETECT,
+    ),
+    "detectors": Verb(
+        "the built-in detectors, and whether their networks are there",
+        ("detectors", "detectors get NAME"),
+        {"get NAME": "fetch the networks of one, once: later commands need no network"},
     ),
     "simulate": Verb(
         "simulated bodies with exact poses",
@@ -309,6 +353,11 @@ VERBS = {
     ),
     "tasks": Verb("the shipped tasks, and whether their data is there", ("tasks",)),
     "skeletons": Verb("the shipped skeletons", ("skeletons",)),
+    "lifters": Verb(
+        "the ready lifters, or the model card of one",
+        ("lifters", "lifters NAME"),
+        {"NAME": "a ready lifter, which run= takes"},
+    ),
     "skeleton check": Verb(
         "check a skeleton and draw it",
         ("skeleton check FILE|NAME [output=FILE.png]",),

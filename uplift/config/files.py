@@ -29,7 +29,7 @@ _PACKAGE = Path(__file__).resolve().parent.parent
 
 
 def shipped(folder: str) -> Path:
-    """Return the folder of shipped ``skeletons`` or ``tasks``.
+    """Return the folder of shipped ``skeletons``, ``tasks`` or ``lifters``.
 
     A wheel carries them inside the package, a checkout beside it. The checkout is looked for
     first when it is one (it has a pyproject.toml): an editable install can leave a stale copy
@@ -41,9 +41,13 @@ def shipped(folder: str) -> Path:
     return _PACKAGE / "shipped" / folder
 
 
+_ENDINGS = {"lifters": ".safetensors"}
+"""Of the shipped files of a folder; elsewhere .yaml."""
+
+
 def shipped_names(folder: str) -> list[str]:
-    """Return the sorted names of the shipped YAML files of ``folder``, without their ending."""
-    return sorted(path.stem for path in shipped(folder).glob("*.yaml"))
+    """Return the sorted names of the shipped files of ``folder``, without their ending."""
+    return sorted(path.stem for path in shipped(folder).glob(f"*{_ENDINGS.get(folder, '.yaml')}"))
 
 
 def data_root(name: str, root: str | None) -> Path:

@@ -14,7 +14,7 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 from importlib import metadata
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn
 
 from uplift.config.files import (
     Existing,
@@ -25,12 +25,15 @@ from uplift.config.files import (
     read_torch,
     refuse_special,
     replacing,
+    shipped,
+    shipped_names,
 )
 from uplift.config.loading import load_settings, save_settings, trust_of
+from uplift.config.safe_weights import ENDING, read_safe
 from uplift.config.settings import Settings
-from uplift.errors import UserError, did_you_mean
+from uplift.errors import UserError, did_you_mean, nearest
 
-__all__ = ["USUAL_STEPS", "RunFolder", "Weights", "data_id", "idle_prior", "read_weights"]
+__all__ = ["USUAL_STEPS", "RunFolder", "Weights", "data_id", "idle_prior", "lifter_label", "read_weights"]
 
 
 USUAL_STEPS = 10_000
@@ -45,7 +48,7 @@ def idle_prior(name: str, steps: int) -> str:
     return f"priors.{name} had no gradient in any of {steps:,} steps, so no effect: {why}"
 
 
-_KINDS_OF_FACTS = {"task": str, "command": str, "versions": dict, "steps": dict, "idle_priors": dict}
+_KINDS_OF_FACTS = {"task": str, "command": str, "versions": dict, "steps": dict, "idle_priors": dict, "init": dict}
 """Of what is used again; the rest is for readers."""
 
 
@@ -129,9 +132,10 @@ class RunFolder:
             return cls((path / "last").resolve())
         if path.exists():
             raise UserError(f"{path} is not a run: it has no config.yaml. `uplift fit` writes runs/<task>/<time>.")
-        found = [str(p) for p in Path("runs").glob("*/*") if (p / "config.yaml").is_file()]
+        if str(path) in shipped_names("lifters"):
+            raise UserError(f"{path} is a ready lifter, expected the folder of a run: one that `uplift fit` made.")
         none = " There are no runs here yet: `uplift fit task=demo`."
-        raise UserError(f"No run {path}.{did_you_mean(str(path), found) or none}")
+        raise UserError(f"No run {path}.{did_you_mean(str(path), _runs_here()) or none}")
 
     def settings(self) -> Settings:
         """Return the settings the run was made with."""
@@ -197,6 +201,13 @@ class RunFolder:
         return found
 
 
+def lifter_label(init: str) -> str:
+    """Return a lifter's name for readers, without the folders that it lies in: of a run its task and its time."""
+    path = Path(init)
+    run = path.parent if path.name == "lifter.pt" else path
+    return "/".join(run.parts[-2:]) if (run / "config.yaml").is_file() else path.name
+
+
 def data_id(name: str) -> str:
     """Return what tells test data apart in evaluation.json, where files have names without folders: a hash of the full path."""
     name = absolute(name) if Path(name.partition(",")[0]).expanduser().exists() else name
@@ -252,36 +263,77 @@ def _git() -> dict[str, Any] | None:
 
 @dataclass(frozen=True)
 class Weights:
-    """A ``lifter.pt`` that has been read."""
+    """A trained lifter's file that has been read."""
 
     run: str
     """The run or file as it was named, for messages."""
     path: Path
     state: dict[str, Any]
+    ready: bool = False
+    """Whether it is a ready lifter of this package."""
+    note: str = ""
+    """Which lifter it is, where the name alone does not say so."""
 
     @property
     def lifts(self) -> str:
         """What the lifter takes: "keypoints" or "masks"."""
         return "masks" if self.state.get("lifts") == "masks" else "keypoints"
 
+    @property
+    def folder(self) -> RunFolder | None:
+        """The run that the file lies in; None where only the file is there."""
+        folder = RunFolder(self.path.parent)
+        return folder if folder.config.is_file() else None
+
     def settings(self) -> Settings | None:
         """Return the settings that the weights were trained with; None where only the file is there."""
-        folder = RunFolder(self.path.parent)
-        return folder.settings() if folder.config.is_file() else None
+        return None if self.folder is None else self.folder.settings()
 
 
 def read_weights(run: str | Path) -> Weights:
-    """Read the ``lifter.pt`` of a run (its folder, or runs/<task>/last), or the file itself.
+    """Read a lifter: of a run (its folder, or runs/<task>/last), a ``lifter.pt`` or ``.safetensors`` file, or a ready one by its name.
 
-    Raises UserError: no such run, one that has no weights yet, or a file that cannot be read.
+    A run in a folder of that name comes before the ready lifter.
+
+    Raises UserError: no such run or lifter, a run that has no weights yet, or a file that cannot be read.
     """
-    path = Path(run)
-    if not path.is_file():
-        folder = RunFolder.open(path)
-        path = folder.weights
-        if not path.is_file():
-            raise UserError(
-                f"{folder.path} has no lifter.pt yet: its fit was ended early. "
-                f"`uplift fit resume={folder.path}{trust_of(folder.settings())}` finishes it."
-            )
-    return Weights(str(run), path, read_torch(path, "lifter"))
+    path, note = Path(run), ""
+    folder = None if path.is_file() else _run_in(path)
+    named = not path.is_file() and str(run) in shipped_names("lifters")
+    ready = named and folder is None
+    if ready:
+        path, note = shipped("lifters") / f"{run}{ENDING}", f"lifter: {run}, ready-made (uplift lifters {run})"
+    elif not path.is_file():
+        note = f"lifter: the run in the folder {run}, not the ready one of that name" if named else ""
+        path = _weights_of(folder or _unknown(run))
+    read = read_safe if path.suffix.lower() == ENDING else read_torch
+    return Weights(str(run), path, read(path, "lifter"), ready, note)
+
+
+def _run_in(path: Path) -> RunFolder | None:
+    """Return the run in a folder, None where there is none."""
+    there = any((one / "config.yaml").is_file() for one in (path, path / "last"))
+    return RunFolder.open(path) if there else None
+
+
+def _weights_of(folder: RunFolder) -> Path:
+    if not folder.weights.is_file():
+        raise UserError(
+            f"{folder.path} has no lifter.pt yet: its fit was ended early. "
+            f"`uplift fit resume={folder.path}{trust_of(folder.settings())}` finishes it."
+        )
+    return folder.weights
+
+
+def _unknown(run: str | Path) -> NoReturn:
+    """Refuse a name that is neither a run nor a lifter's."""
+    path, ready = Path(run), shipped_names("lifters")
+    if path.suffix.lower() in (ENDING, ".pt"):
+        raise UserError(f"No lifter {path} (looked in {path.absolute().parent}).")
+    if path.exists() or nearest(str(run), _runs_here()) or not ready:
+        RunFolder.open(path)
+    raise UserError(f"No run {run}, and no ready lifter of that name.{did_you_mean(str(run), ready)} (uplift lifters)")
+
+
+def _runs_here() -> list[str]:
+    return [str(path) for path in Path("runs").glob("*/*") if (path / "config.yaml").is_file()]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -29,11 +29,11 @@ from uplift.data.select import choice_of, chosen_rows
 from uplift.data.upright import upright_notes
 from uplift.errors import MissingFiles, UserError
 from uplift.skeleton import Skeleton
-from uplift.skeleton.match import build_joints, build_pose
+from uplift.skeleton.match import WrongJoints, build_joints, build_pose
 from uplift.skeleton.propose import TOO_LONG, stretch_of
 
 __all__ = [
-    "Loaded", "find_data", "format_of", "format_of_run", "how_to_get", "in_joints_of", "load_data", "load_file", "load_split",
+    "Loaded", "find_data", "format_of", "format_of_run", "how_to_get", "in_joints_of", "in_skeleton", "load_data", "load_file", "load_split",
     "named_set", "not_simulated", "of_labelled", "read_files", "read_options", "set_of", "with_labels_of", "with_test",
 ]  # fmt: skip
 
@@ -256,10 +256,17 @@ def find_data(settings: Settings, which: str) -> Path:
 def load_file(path: str | Path, skeleton: Skeleton, options: ReadOptions | None = None) -> PoseData:
     """Read keypoint files (one, several with commas, or a pattern) into the joints of ``skeleton``, matched by name.
 
+    Raises UserError: as `in_skeleton`.
+    """
+    return in_skeleton(*read_files(path, options, skeleton), skeleton)
+
+
+def in_skeleton(found: Iterable[PoseData], left_out: Sequence[str], skeleton: Skeleton) -> PoseData:
+    """Return what was read, file by file, as one in the joints of ``skeleton``; notes begin with those on files ``left_out``.
+
     Raises UserError: as `in_joints_of`, or files of fewer keypoints than anything can be lifted from.
     """
     parts = []
-    found, left_out = read_files(path, options, skeleton)
     for data in found:
         if len(data.joint_names) < MIN_VISIBLE:
             raise UserError(
@@ -350,6 +357,8 @@ def in_joints_of(data: PoseData, skeleton: Skeleton) -> PoseData:
             keypoints, confidence, match = build_joints(keypoints, confidence, data.joint_names, skeleton)
             notes = (*notes, str(match)) if match.layout is not None or match.missing else notes
             pose = None if pose is None else build_pose(pose, data.joint_names, skeleton)
+        except WrongJoints as error:
+            raise WrongJoints(f"{data.source}: {error}" if data.source else str(error), error.names) from None
         except UserError as error:
             raise UserError(f"{data.source}: {error}" if data.source else str(error)) from None
     root = data.root

@@ -18,20 +18,12 @@ from uplift.export.clips import MOST_FILES, arrange
 from uplift.export.scene import AXES, in_axes
 from uplift.export.tables import unique
 from uplift.models.prediction import Prediction, ShapePrediction
+from uplift.skeleton import Skeleton
 
 __all__ = [
-    "PAGES",
-    "WRITERS",
-    "Job",
-    "Part",
-    "Writer",
-    "check_axes",
-    "ending_of",
-    "parts_of",
-    "paths_of",
-    "write",
-    "writer_for",
-]
+    "MEASURES", "PAGES", "WRITERS", "Job", "Part", "Writer", "check_axes", "check_measure", "ending_of", "parts_of", "paths_of",
+    "write", "writer_for",
+]  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -60,6 +52,9 @@ WRITERS = {
         ".json": Writer("uplift.export.tables:write_json", "all of it as text, for any language"),
         ".csv": Writer("uplift.export.tables:write_csv", "a table, one row a frame and body"),
         ".trc": Writer("uplift.export.markers:write_trc", "markers, for OpenSim", "opensim", "body"),
+        ".osim": Writer(
+            "uplift.export.osim:write_opensim", "a scaled model with inverse kinematics, OpenSim", "opensim", "body"
+        ),
         ".c3d": Writer("uplift.export.markers:write_c3d", "points, for biomechanics programs", "opensim", "body"),
         ".bvh": Writer("uplift.export.bvh:write_bvh", "a skeleton that moves, for animation", "opensim", "body"),
         ".glb": Writer("uplift.export.glb:write_glb", "an animated scene, for 3D viewers", "opensim", "clip"),
@@ -84,6 +79,12 @@ WRITERS = {
         ".npz": Writer("uplift.export.meshes:write_npz", "occupancy grids, for Python", "own"),
     },
 }
+MEASURES = {
+    "angles.csv": Writer("uplift.export.measures:write_angles_csv", "joint angles, a row a frame and body"),
+    "gait.csv": Writer("uplift.export.measures:write_gait_csv", "gait, a row a stride, with mean and sd"),
+    ".mot": Writer("uplift.export.measures:write_mot", "joint angles, for OpenSim", holds="body"),
+}
+"""What is measured of poses: by the ending, or by the last word of the name before it, as in ``walk_angles.csv``."""
 PAGES = {
     "poses": {
         "viewer": WRITERS["poses"][".html"],
@@ -113,9 +114,11 @@ def writer_for(path: str | Path, page: str | None = None, of: str = "poses") -> 
         if extension != ".html":
             raise UserError(f"page={page} is an .html, output={path} is not: leave page= out, or name a file .html.")
         return PAGES[of][page]
+    if of == "poses" and (measured := MEASURES.get(_last_word(path) + extension) or MEASURES.get(extension)):
+        return measured
     if extension in writers:
         return writers[extension]
-    valid = ", ".join(sorted(writers))
+    valid = ", ".join([*sorted(writers), *(MEASURES if of == "poses" else ())])
     if not extension:
         raise UserError(f"output '{path}' has no extension: it chooses the format. Valid for {of}: {valid}.")
     longer = [ending for ending in writers if ending.endswith(extension)]
@@ -124,6 +127,11 @@ def writer_for(path: str | Path, page: str | None = None, of: str = "poses") -> 
         raise UserError(f"output '{path}': there is more than one kind of '{extension}'. Name it {several}.")
     hint = nearest(extension, writers)
     raise UserError(f"output '{path}': no writer of {of} for '{Path(path).suffix}'.{hint} Valid: {valid}.")
+
+
+def _last_word(path: str | Path) -> str:
+    """Return the last word of a file's name before its ending."""
+    return re.split(r"[^a-z]+", Path(path).stem.lower())[-1]
 
 
 def write(
@@ -138,6 +146,8 @@ def write(
     ``page`` is the kind of an ``.html``, one of `PAGES`. ``axes`` are those of `uplift.export.scene`, of shapes those
     of `uplift.export.meshes.SHAPE_AXES`; the format's usual ones by default. Options go to the writer. A format that
     holds one clip, body or item gets a file for each, named behind the stem of ``path``. A file is complete or absent, and of several there are all or none.
+
+    Of poses, ``angles.csv`` and ``gait.csv`` (also behind other words: ``walk_angles.csv``) are tables of `MEASURES`.
 
     Of shapes, ``unit`` is ``px`` of the photo, ``crop`` (half the side of a mask's crop), or ``mm`` where ``height_mm``
     or ``length_mm`` gives the size of every object. ``smooth`` rounds of smoothing leave the volume as it is. A
@@ -213,15 +223,28 @@ def check_axes(path: str | Path, axes: str | None) -> None:
     ending = ending_of(path)
     if axes is None:
         return
+    if path and axes != "camera" and writer_for(path) in MEASURES.values():
+        raise UserError(f"axes={axes}: angles and gait are the same in all axes: leave axes= out, or write poses.")
     if axes not in AXES:
         raise UserError(f"axes={axes}: no such axes.{did_you_mean(axes, AXES)}")
     if ending == ".html" and axes not in ("camera", "opencv"):
         raise UserError(f"axes={axes}: a page turns poses itself; axes go with the other formats.")
+    if ending == ".osim" and axes != "opensim":
+        raise UserError(f"axes={axes}: a model of OpenSim stands with y up, axes=opensim; leave axes= out.")
     if axes == "unity" and ending in (".glb", ".bvh", ".usda", ".usdc", ".blend.py"):
         raise UserError(
             f"axes=unity is left-handed, and a {ending} is right-handed wherever it is read: Unity's importers turn it "
             "themselves. Leave axes= out."
         )
+
+
+def check_measure(path: str | Path, skeleton: Skeleton) -> None:
+    """Raise UserError for an output that measures what this skeleton does not name; nothing where it holds poses."""
+    writer = writer_for(path) if Path(path).suffix.lower() != ".html" else None
+    if writer in MEASURES.values():
+        from uplift.export.measures import check_skeleton  # its imports take time
+
+        check_skeleton(skeleton, path)
 
 
 class Part(NamedTuple):

@@ -1,26 +1,28 @@
-"""A clip as a film, ``.gif`` or ``.mp4``: keypoints beside the 3D pose, seen by a camera that slowly turns."""
+"""A clip as a film, ``.gif`` or ``.mp4``: keypoints, over the video where it is given, beside the 3D pose that slowly turns."""
 
 from __future__ import annotations
 
 import shutil
-import subprocess
 import tempfile
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from fractions import Fraction
 from pathlib import Path
-from typing import BinaryIO
+from typing import Any, BinaryIO
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float, Int, UInt8
 from PIL import Image, ImageDraw, ImageFont
 
 from uplift.config.files import replacing
 from uplift.config.progress import progress
 from uplift.errors import UserError
 from uplift.export.clips import USUAL_FPS, Clip, frame_rate, one_clip
+from uplift.export.footage import Footage, every_frame
 from uplift.export.gallery import filled_points
 from uplift.export.scene import SIDE_COLOURS, Body, body_of, from_y_down, in_axes, known_points, row_places
 from uplift.models.prediction import Prediction
+from uplift.video.base import need_av
 
 __all__ = [
     "CARD", "HIGH", "SIDES", "WIDE", "FilmDrawing", "FilmScene", "film_palette", "film_scene", "gif_durations_ms",
@@ -35,35 +37,61 @@ _GIF_FRAMES, _GIF_FPS, _GIF_SCALE = 600, 34.0, 0.625
 _MP4_FPS, _MP4_SCALE, _MP4_CRF = 61.0, 1.0, 20
 
 
-def write_film(prediction: Prediction, path: str | Path, fps: int | float | None = None) -> None:
+def write_film(
+    prediction: Prediction, path: str | Path, fps: int | float | None = None, video: str | Path | None = None
+) -> None:
     """Write one clip with all its individuals, 1280 x 640 pixels as ``.mp4`` and 800 x 400 as ``.gif``.
 
     ``fps`` replaces the prediction's; where neither is known it is 30, and no seconds are shown. Every n-th frame
     is drawn, n as small as keeps a gif within 600 frames and 34 a second, an mp4 within 61 a second; the film lasts
-    as long as the clip. Missing frame numbers are skipped. Axes are the camera's, or level ones.
+    as long as the clip. Missing frame numbers are skipped. Axes are the camera's, or level ones. With ``video``, what
+    `uplift.export.footage.Footage` takes, keypoints are drawn over its frames, those without anybody too; the film is
+    then as wide as they ask for, and without sound.
     Raises UserError for several clips, another extension, or where the package for mp4 is not there.
     """
     extension = Path(path).suffix.lower()
     if extension not in (".gif", ".mp4"):
         raise UserError(f"cannot write {path}: a film is a .gif or an .mp4.")
-    program = _ffmpeg(path) if extension == ".mp4" else None
+    av = need_av(f"cannot write {path}: an .mp4", " A .gif needs nothing more.") if extension == ".mp4" else None
     clip = one_clip(prediction, path)
+    footage = None if video is None else Footage(video, prediction)
+    clip = clip if footage is None else every_frame(clip)
     known = frame_rate(prediction, fps)
     rate = known or USUAL_FPS
     scene = film_scene(prediction, clip, rate)
-    scale, most, fastest = (_MP4_SCALE, len(clip.frames), _MP4_FPS) if program else (_GIF_SCALE, _GIF_FRAMES, _GIF_FPS)
+    scale, most, fastest = (_MP4_SCALE, len(clip.frames), _MP4_FPS) if av else (_GIF_SCALE, _GIF_FRAMES, _GIF_FPS)
     moments = thinned(len(clip.frames), rate, most, fastest)
-    drawing = FilmDrawing(scene, scale, rate, timed=known is not None)
-    pictures = (drawing.picture(moment) for moment in progress(moments.tolist(), "drawing frames"))
+    size = None if footage is None else (footage.image_size[0], footage.image_size[1])
+    drawing = FilmDrawing(scene, scale, rate, timed=known is not None, video_size=size)
+    pictures = _pictures(drawing, moments, footage)
     with replacing(path) as handle:
-        if program:
-            _write_mp4(pictures, handle, program, drawing.size, rate * len(moments) / len(clip.frames))
+        if av:
+            _write_mp4(av, pictures, handle, drawing.size, rate * len(moments) / len(clip.frames))
         else:
-            palette = film_palette()
-            small = (picture.quantize(palette=palette, dither=Image.Dither.NONE) for picture in pictures)
-            durations = gif_durations_ms(len(moments), len(clip.frames) / rate)
-            options = {"save_all": True, "duration": durations, "loop": 0, "optimize": False}
-            next(small).save(handle, format="GIF", append_images=small, **options)
+            _write_gif(pictures, handle, gif_durations_ms(len(moments), len(clip.frames) / rate), footage is not None)
+
+
+def _pictures(
+    drawing: FilmDrawing, moments: Int[np.ndarray, " kept"], footage: Footage | None
+) -> Iterator[Image.Image]:
+    """Yield the pictures of the moments; of those that a video has, where there is one."""
+    shown: Iterable[tuple[int, Any]] = ((moment, None) for moment in moments.tolist())
+    if footage is not None:
+        shown = footage.images(drawing.scene.clip, moments.tolist(), alone=True)
+    for moment, image in progress(shown, "drawing frames", len(moments)):
+        yield drawing.picture(moment, image)
+
+
+def _write_gif(pictures: Iterator[Image.Image], handle: BinaryIO, durations_ms: list[int], photos: bool) -> None:
+    palette = None if photos else film_palette()
+    small = (
+        picture.quantize(128, Image.Quantize.FASTOCTREE)
+        if palette is None
+        else picture.quantize(palette=palette, dither=Image.Dither.NONE)
+        for picture in pictures
+    )
+    options = {"save_all": True, "duration": durations_ms, "loop": 0, "optimize": False}
+    next(small).save(handle, format="GIF", append_images=small, **options)
 
 
 def thinned(moments: int, rate: float, most: int, fastest: float) -> Int[np.ndarray, " kept"]:
@@ -77,48 +105,32 @@ def gif_durations_ms(frames: int, seconds: float) -> list[int]:
     return (np.diff(ends) * 10).tolist()
 
 
-def _write_mp4(
-    pictures: Iterator[Image.Image], handle: BinaryIO, program: str, size: tuple[int, int], rate: float
-) -> None:
-    """Pipe the pictures through ffmpeg into a temporary file: an mp4's index is written last, to its beginning."""
-    with tempfile.TemporaryDirectory() as folder, open(Path(folder) / "log", "w+b") as log:
+def _write_mp4(av: Any, pictures: Iterator[Image.Image], handle: BinaryIO, size: tuple[int, int], rate: float) -> None:
+    """Encode the pictures into a temporary file: an mp4's index is written last, to its beginning."""
+    with tempfile.TemporaryDirectory() as folder:
         film = Path(folder) / "film.mp4"
-        command = [program, "-y", "-loglevel", "error", "-f", "rawvideo", "-pix_fmt", "rgb24"]
-        command += ["-s", f"{size[0]}x{size[1]}", "-r", f"{rate:.6f}", "-i", "-", "-an", "-c:v", "libx264"]
-        command += ["-preset", "veryfast", "-crf", str(_MP4_CRF), "-pix_fmt", "yuv420p", "-movflags", "+faststart"]
-        # Without these, players guess the colours' matrix by the size of the picture.
-        command += ["-vf", "scale=out_color_matrix=bt709:out_range=tv", "-color_range", "tv", "-colorspace", "bt709"]
-        command += ["-color_primaries", "bt709", "-color_trc", "bt709"]
-        with subprocess.Popen([*command, str(film)], stdin=subprocess.PIPE, stdout=log, stderr=log) as process:
-            assert process.stdin is not None
-            try:
-                for picture in pictures:
-                    process.stdin.write(picture.tobytes())
-                process.stdin.close()
-            except BrokenPipeError:
-                pass  # why is read below
-            except BaseException:
-                process.kill()
-                raise
-        if process.returncode:
-            log.seek(0)
-            words = log.read().decode("utf-8", "replace").strip().splitlines()
-            raise OSError(f"ffmpeg could not make the film: {words[-1] if words else process.returncode}")
+        with av.open(str(film), "w", options={"movflags": "+faststart"}) as container:
+            stream = container.add_stream("libx264", rate=Fraction(rate).limit_denominator(1_000_000))
+            stream.width, stream.height = size
+            stream.pix_fmt, stream.options = "yuv420p", {"preset": "veryfast", "crf": str(_MP4_CRF)}
+            # Without these, players guess the colours' matrix by the size of the picture.
+            context, colours = stream.codec_context, av.video.reformatter
+            context.color_range, context.colorspace = colours.ColorRange.MPEG, colours.Colorspace.ITU709
+            context.color_primaries, context.color_trc = colours.ColorPrimaries.BT709, colours.ColorTrc.BT709
+            scaler = colours.VideoReformatter()
+            for picture in pictures:
+                frame = scaler.reformat(
+                    av.VideoFrame.from_image(picture),
+                    format="yuv420p",
+                    dst_colorspace=colours.Colorspace.ITU709,
+                    dst_color_range=colours.ColorRange.MPEG,
+                    threads=1,
+                )
+                frame.pts = None  # numbered by the stream
+                container.mux(stream.encode(frame))
+            container.mux(stream.encode())
         with open(film, "rb") as made:
             shutil.copyfileobj(made, handle)
-
-
-def _ffmpeg(path: str | Path) -> str:
-    """Return the ffmpeg of the package imageio-ffmpeg; raises UserError where there is none."""
-    try:
-        from imageio_ffmpeg import get_ffmpeg_exe
-    except ImportError:
-        hint = 'pip install "uplift3d[video]". A .gif needs nothing more.'
-        raise UserError(f"cannot write {path}: an .mp4 needs imageio-ffmpeg: {hint}") from None
-    try:
-        return get_ffmpeg_exe()
-    except RuntimeError as error:
-        raise UserError(f"cannot write {path}: imageio-ffmpeg has no ffmpeg for this machine ({error}).") from None
 
 
 # The scene: keypoints, poses on the floor, and the camera that turns about them, moment by moment.
@@ -252,7 +264,7 @@ def _followed(points: np.ndarray, rate: float) -> Float[np.ndarray, "moments axe
     if not there.any():
         return np.zeros((len(points), points.shape[-1]))
     when = np.arange(len(points))
-    middle = np.stack([np.interp(when, when[there], axis[there]) for axis in ((low + high) / 2).T], 1)
+    middle = np.stack([np.interp(when, when[there], axis) for axis in ((low[there] + high[there]) / 2).T], 1)
     reach = max(1, round(rate * _FOLLOW_S))
     kernel = np.hanning(2 * reach + 3)[1:-1]
     padded = np.pad(middle, ((reach, reach), (0, 0)), mode="edge")
@@ -276,6 +288,8 @@ WIDE, HIGH = 1280, 640
 """The picture's size in drawing units; a film's pixels are these times its scale."""
 _FLAT, _DEEP = (24, 64, 536, 592), (560, 64, 1256, 592)
 """Left, top, right, bottom of the two cards."""
+_VIDEO_WIDE = (240, 1056)
+"""Narrowest and widest the left card is for a video."""
 _NEAREST, _EYE = 0.15, 4.5
 _PITCH_DEG = 11.0
 _PALE = 0.62
@@ -283,35 +297,49 @@ _MAP = 84.0
 
 
 class FilmDrawing:
-    """Draws the moments of a scene at a scale; ``timed``: seconds are shown with the frame."""
+    """Draws the moments of a scene at a scale; ``timed``: seconds are shown with the frame.
 
-    def __init__(self, scene: FilmScene, scale: float, rate: float, timed: bool):
-        self.scene, self.scale, self.rate, self.timed = scene, scale, rate, timed
-        self.size = (round(WIDE * scale), round(HIGH * scale))
+    ``video_size`` is the width and height, in px of the keypoints, of images that they are drawn over: the card on the
+    left has their shape then.
+    """
+
+    def __init__(
+        self, scene: FilmScene, scale: float, rate: float, timed: bool, video_size: tuple[int, int] | None = None
+    ):
+        self.scene, self.scale, self.rate, self.timed, self._video_size = scene, scale, rate, timed, video_size
+        left, top, right, bottom = _FLAT
+        if video_size is not None:
+            right = left + round(np.clip((bottom - top) * video_size[0] / video_size[1], *_VIDEO_WIDE))
+        self._flat_card = left, top, right, bottom
+        self._deep_card = right + _DEEP[0] - _FLAT[2], top, right + _DEEP[2] - _FLAT[2], bottom
+        self._wide = self._deep_card[2] + WIDE - _DEEP[2]
+        self.size = (2 * round(self._wide * scale / 2), round(HIGH * scale))
         self._still = self._shared()
         self._round = {}
-        for card in (_FLAT, _DEEP):
+        for card in (self._flat_card, self._deep_card):
             mask = self._canvas(card, (0, 0, 0))
             mask.box((0, 0, mask.wide, mask.high), 10, (255, 255, 255))
             self._round[card] = mask.finished().convert("L")
 
-    def picture(self, moment: int) -> Image.Image:
-        """Return the picture of a moment in RGB."""
+    def picture(self, moment: int, photo: UInt8[np.ndarray, "height width 3"] | None = None) -> Image.Image:
+        """Return the picture of a moment in RGB, with keypoints over the photo if one is given."""
         image = self._still.copy()
-        for card, drawn in ((_FLAT, self._flat(moment)), (_DEEP, self._deep(moment))):
+        flat = self._flat(moment) if photo is None else self._over(moment, photo)
+        deep = self._deep_card
+        for card, drawn in ((self._flat_card, flat), (deep, self._deep(moment))):
             image.paste(drawn.finished(), self._corner(card), self._round[card])
-        words, bar = (self._canvas((0, 0, _DEEP[2] - _DEEP[0], height), PAPER) for height in (28, 18))
+        words, bar = (self._canvas((0, 0, deep[2] - deep[0], height), PAPER) for height in (28, 18))
         seconds = f"   {moment / self.rate:.1f} s" if self.timed else ""
         words.text((words.wide, 14), f"frame {self.scene.clip.frames[moment]}{seconds}", 18, SOFT, "rm")
         bar.line((0, 9), (bar.wide, 9), 3, FAINT)
         done = moment / max(len(self.scene.clip.frames) - 1, 1)
         bar.line((0, 9), (bar.wide * done, 9), 3, SOFT)
         for top, drawn in ((20, words), (606, bar)):
-            image.paste(drawn.finished(), self._corner((_DEEP[0], top)))
+            image.paste(drawn.finished(), self._corner((deep[0], top)))
         return image
 
     def _shared(self) -> Image.Image:
-        scene, canvas = self.scene, _Canvas(WIDE, HIGH, self.scale, PAPER)
+        scene, canvas = self.scene, _Canvas(self.size[0] / self.scale, HIGH, self.scale, PAPER)
         canvas.text((24, 34), scene.title[:60], 22, INK, "lm")
         at = 24.0
         legend = {"left": SIDES[1], "right": SIDES[2]} if any(scene.body.joint_sides) else {}
@@ -329,7 +357,7 @@ class FilmDrawing:
         return round(card[0] * self.scale), round(card[1] * self.scale)
 
     def _flat(self, moment: int) -> _Canvas:
-        scene, canvas = self.scene, self._canvas(_FLAT, CARD)
+        scene, canvas = self.scene, self._canvas(self._flat_card, CARD)
         scale = min(0.46 * canvas.wide / scene.flat_reach[0], 0.42 * canvas.high / scene.flat_reach[1])
         shift = np.array([canvas.wide / 2, canvas.high / 2 + 8]) - scene.flat_centre[moment] * scale
         if scene.image_size is not None:
@@ -350,6 +378,33 @@ class FilmDrawing:
         canvas.text((16, 20), "keypoints", 15, SOFT, "lm")
         return canvas
 
+    def _over(self, moment: int, photo: UInt8[np.ndarray, "height width 3"]) -> _Canvas:
+        """Draw keypoints over the whole photo, in lines as thick as their body is large."""
+        scene, canvas = self.scene, self._canvas(self._flat_card, CARD)
+        assert self._video_size is not None
+        wide, high = self._video_size
+        scale = min(canvas.wide / wide, canvas.high / high)
+        corner = np.array([(canvas.wide - wide * scale) / 2, (canvas.high - high * scale) / 2])
+        canvas.photo(Image.fromarray(photo), (*corner, *(corner + [wide * scale, high * scale])))
+        for who, points in enumerate(scene.keypoints[moment] * scale + corner):
+            known = points[np.isfinite(points[:, 0])]
+            if not len(known):
+                continue
+            thick = float(np.clip(np.ptp(known, axis=0).max() / 220, 0.3, 1.0))
+            unsure, lines = scene.unsure[moment, who], []
+            for (start, end), side in zip(scene.body.bones, scene.body.bone_sides, strict=True):
+                if np.isfinite(points[[start, end]]).all():
+                    lines.append((start, end, _tone(side, -1.0, bool(unsure[start] or unsure[end]))))
+            for start, end, _ in lines:
+                canvas.line(points[start], points[end], 7 * thick, CARD)
+            for start, end, tone in lines:
+                canvas.line(points[start], points[end], 4.5 * thick, tone)
+            for joint in np.flatnonzero(np.isfinite(points[:, 0])).tolist():
+                tone = _tone(scene.body.joint_sides[joint], -1.0, bool(unsure[joint]))
+                canvas.dot(points[joint], 4.5 * thick, tone, rim=CARD)
+            self._name(canvas, who, points)
+        return canvas
+
     def _map(self, canvas: _Canvas, moment: int) -> None:
         """Draw the full image in a corner, a dot for each individual."""
         size = self.scene.image_size
@@ -366,7 +421,7 @@ class FilmDrawing:
 
     def _deep(self, moment: int) -> _Canvas:
         """Draw floor, shadows, then bones and joints from far to near."""
-        scene, canvas = self.scene, self._canvas(_DEEP, CARD)
+        scene, canvas = self.scene, self._canvas(self._deep_card, CARD)
         if scene.floor:
             self._floor(canvas, moment)
             for points in scene.points[moment]:
@@ -500,6 +555,12 @@ class _Canvas:
             if fill is not None:
                 r = size * self._unit
                 self._draw.ellipse([x - r, y - r, x + r, y + r], fill=fill)
+
+    def photo(self, image: Image.Image, corners: Sequence[Number]) -> None:
+        """Draw a photo between two corners."""
+        left, top, right, bottom = (round(float(part) * self._unit) for part in corners)
+        small = image.resize((max(1, right - left), max(1, bottom - top)), Image.Resampling.BILINEAR, reducing_gap=2)
+        self._image.paste(small, (left, top))
 
     def box(self, corners: Sequence[Number], round_by: Number, fill: Colour | None, edge: Colour | None = None) -> None:
         places = [part * self._unit for part in corners]

@@ -16,7 +16,7 @@ from uplift.export.scene import AXES, known_points
 from uplift.export.tables import filled_in, labels, numbers, unique
 from uplift.models.prediction import Prediction
 
-__all__ = ["marker_names", "write_c3d", "write_trc"]
+__all__ = ["Trial", "marker_names", "trial_of", "write_c3d", "write_trc"]
 
 # A trial: markers of one clip, a row for every moment.
 
@@ -24,7 +24,7 @@ _LONGEST_BYTES = 120  # of a marker's name; C3D has room for 127
 
 
 @dataclass(frozen=True)
-class _Trial:
+class Trial:
     """One body: ``points`` (moments markers 3) in mm, NaN where missing; the first is frame ``start``, from 0."""
 
     names: tuple[str, ...]
@@ -33,7 +33,7 @@ class _Trial:
     fps: float
 
 
-def _trial_of(prediction: Prediction, path: str | Path, individual: str | None, kind: str) -> _Trial:
+def trial_of(prediction: Prediction, path: str | Path, individual: str | None, kind: str) -> Trial:
     """Return the markers of one body of the only clip of ``prediction``, gaps between its frames as blank moments.
 
     Frames are as far apart as the largest step that divides all distances of the clip's numbers: thinned out
@@ -55,7 +55,7 @@ def _trial_of(prediction: Prediction, path: str | Path, individual: str | None, 
     clip, start = evenly(clip, path)
     first, last = int(clip.moment.min()), int(clip.moment.max())
     points = clip.by_moment(known_points(prediction.points))[first : last + 1, 0]
-    return _Trial(marker_names(prediction.joint_names), points, max(start + first, 0), rate)
+    return Trial(marker_names(prediction.joint_names), points, max(start + first, 0), rate)
 
 
 def marker_names(names: Sequence[str]) -> tuple[str, ...]:
@@ -75,7 +75,7 @@ def write_trc(prediction: Prediction, path: str | Path, individual: str | None =
     ``individual`` is which, of several. Joint names lose their white space. Frames that are not there are blank rows.
     Raises UserError for poses without a size in mm or a frame rate, and for more than one clip or body.
     """
-    trial = _trial_of(prediction, path, individual, "TRC")
+    trial = trial_of(prediction, path, individual, "TRC")
     # OpenSim drops an empty cell at the end of a line, so that every line of markers ends in a tab.
     template = "\t".join(["%.5f"] * (3 * len(trial.names))) + "\t\n"
     with replacing(path) as handle:
@@ -85,7 +85,7 @@ def write_trc(prediction: Prediction, path: str | Path, individual: str | None =
                 handle.write(f"{frame + 1}\t{frame / trial.fps:.6f}\t{filled_in(template, row, '')}".encode())
 
 
-def _head(trial: _Trial, name: str) -> str:
+def _head(trial: Trial, name: str) -> str:
     rate, count = f"{trial.fps:.7g}", len(trial.points)
     called = " ".join(name.encode("utf-8", "replace").decode().split())
     facts = {"DataRate": rate, "CameraRate": rate, "NumFrames": count, "NumMarkers": len(trial.names), "Units": "mm"}
@@ -117,7 +117,7 @@ def write_c3d(prediction: Prediction, path: str | Path, individual: str | None =
         import ezc3d
     except ImportError as error:
         raise UserError(f'{path}: writing C3D needs ezc3d: pip install "uplift3d[c3d]".') from error
-    trial = _trial_of(prediction, path, individual, "C3D")
+    trial = trial_of(prediction, path, individual, "C3D")
     count = len(trial.points)
     if count > _MOST_FRAMES:
         raise UserError(f"{path}: C3D holds {_MOST_FRAMES} frames, found {count}. Write .trc, or shorter clips.")
@@ -131,7 +131,7 @@ def write_c3d(prediction: Prediction, path: str | Path, individual: str | None =
             raise OSError(f"{path}: the C3D could not be written completely in {where}: is the disk full?")
 
 
-def _fill(file, trial: _Trial, axes: str) -> None:
+def _fill(file, trial: Trial, axes: str) -> None:
     """Put a trial into an empty ``ezc3d.c3d``."""
     point = file["parameters"]["POINT"]
     point["RATE"]["value"] = [trial.fps]

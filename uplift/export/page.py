@@ -8,7 +8,9 @@ from typing import Any
 
 import numpy as np
 
+from uplift.biomechanics.angles import angles_of, joint_angles
 from uplift.errors import UserError
+from uplift.export.behind import pictures_behind
 from uplift.export.clips import Clip, arrange, frame_rate, photos, titled
 from uplift.export.html import Curve, Section, pack, scripted_page, write_text
 from uplift.export.scene import (
@@ -21,12 +23,13 @@ from uplift.export.scene import (
     standing,
 )
 from uplift.models.prediction import Prediction
+from uplift.skeleton.core import CENTRE, LEFT, RIGHT
 
 __all__ = ["choose", "page_text", "write_html"]
 
 _SCRIPTS = (
-    "decode", "colours", "scene", "figures", "floor", "draw3d", "labels", "draw2d", "strip", "state", "motion", "keys",
-    "pointer", "clips", "controls",
+    "decode", "colours", "scene", "figures", "floor", "draw3d", "labels", "behind", "draw2d", "strip", "angles", "state",
+    "motion", "keys", "pointer", "clips", "controls",
 )  # fmt: skip
 
 
@@ -42,12 +45,14 @@ def page_text(
     sections: Sequence[Section] = (),
     curves: Mapping[str, Curve] | None = None,
     notes: Sequence[str] = (),
+    video: str | Path | None = None,
 ) -> str:
     """Return the page with at most ``frames`` moments of complete clips, tables, curves and notes.
 
-    ``sections`` and ``curves`` (name -> points, a small chart each) are those of `uplift.export.html`.
+    ``sections`` and ``curves`` (name -> points, a small chart each) are those of `uplift.export.html`. ``video``, what
+    `uplift.export.footage.Footage` takes, is shown behind the 2D, in small pictures that are part of the page.
     """
-    data = _page_data(prediction, frames)
+    data = _page_data(prediction, frames, video)
     return scripted_page(
         "viewer.htm",
         title=prediction.title or Path(prediction.source).name or "Poses",
@@ -67,9 +72,10 @@ def page_text(
 
 _ROWS_PER_MOMENT = 3
 _STEPS_PER_SIZE = 4096
+_STEP_DEG = 0.25
 
 
-def _page_data(prediction: Prediction, moments: int) -> dict[str, Any]:
+def _page_data(prediction: Prediction, moments: int, video: str | Path | None) -> dict[str, Any]:
     """Return what the page's script reads, and ``facts`` and ``remarks`` for its text.
 
     At most ``moments`` moments and three rows for each, complete clips evenly chosen. Raises UserError
@@ -82,7 +88,9 @@ def _page_data(prediction: Prediction, moments: int) -> dict[str, Any]:
     clips = arrange(prediction.identity, len(prediction))
     chosen = choose(clips, max(1, moments), _ROWS_PER_MOMENT * max(1, moments))
     rows = np.concatenate([clip.rows for clip in chosen])
+    behind, shared = (None, "") if video is None else pictures_behind(prediction, clips, chosen, video)
     arrays, departure = _arrays(prediction, chosen, rows)
+    angles = _angles(prediction.select(rows), arrays)
     packed, layout = pack(arrays)
     body = body_of(prediction)
     return {
@@ -95,6 +103,7 @@ def _page_data(prediction: Prediction, moments: int) -> dict[str, Any]:
         "boneSides": body.bone_sides,
         "rooted": prediction.root is not None,
         "noun": "photo" if photos(prediction.identity) else "clip",
+        "angles": angles,
         "gravity": bool(prediction.skeleton.gravity),
         "fps": frame_rate(prediction, None),
         "imageSize": [int(side) for side in prediction.image_size] if prediction.image_size is not None else None,
@@ -107,10 +116,11 @@ def _page_data(prediction: Prediction, moments: int) -> dict[str, Any]:
             }
             for clip in chosen
         ],
+        "behind": behind,
         "layout": layout,
         "packed": packed,
         "facts": _facts(prediction, clips),
-        "remarks": _remarks(prediction, clips, chosen, departure),
+        "remarks": [*filter(None, [shared]), *_remarks(prediction, clips, chosen, departure)],
     }
 
 
@@ -169,6 +179,23 @@ def _arrays(
         arrays["truth"] = (shown_truth(prediction, pose, truth), fine)
         arrays["error"] = (scaled_error(pose, truth), _size(truth) / _STEPS_PER_SIZE / 4)
     return arrays, departure
+
+
+def _angles(prediction: Prediction, arrays: dict[str, tuple[np.ndarray, float]]) -> list[dict[str, Any]]:
+    """Add the joint angles to ``arrays``, where the skeleton names some; return their names, both sides together."""
+    if not angles_of(prediction.skeleton):
+        return []
+    found = joint_angles(prediction)
+    arrays["angles"] = (found.values, _STEP_DEG)
+    if found.uncertainty is not None:
+        arrays["angleErrors"] = (found.uncertainty, _STEP_DEG)
+    groups: dict[str, list[dict[str, int]]] = {}
+    for place, name in enumerate(found.names):
+        words = name.split("_")
+        sides = [side for word in words if (side := {"left": LEFT, "right": RIGHT}.get(word.lower()))]
+        plain = " ".join(word for word in words if word.lower() not in ("left", "right"))
+        groups.setdefault(plain, []).append({"place": place, "side": sides[0] if sides else CENTRE})
+    return [{"name": name, "parts": parts} for name, parts in groups.items()]
 
 
 def _size(values: np.ndarray) -> float:

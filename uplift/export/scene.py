@@ -267,7 +267,7 @@ def in_metres(prediction: Prediction) -> tuple[float, float]:
     return scale, body * scale
 
 
-def held(values: Float[np.ndarray, "frames 3"]) -> Float[np.ndarray, "frames 3"]:
+def held(values: Float[np.ndarray, "frames axes"]) -> Float[np.ndarray, "frames axes"]:
     """Return values with NaN replaced by what was last known, at the start by what is known first, 0 without any."""
     known = np.isfinite(values).all(1)
     if not known.any():

@@ -81,11 +81,8 @@ class Lifter(nn.Module):
         self.calibrated = settings.confidence == "calibrated"
         self.any_camera = settings.cameras == "any"
         self.gravity = self.any_camera and self.tilt == "predicted"
-        joints = len(skeleton.joints)
-        inputs = joints * (3 if self.confidence_input else 2) + 2 * self.any_camera
+        inputs, outputs = len(self.input_names()), len(self.output_names())
         if network is None:
-            camera = self.any_camera + (3 if self.gravity else self.tilt == "predicted")
-            outputs = joints * (1 + 2 * self.fill + self.uncertainty) + camera
             network = build_network(settings.network, inputs, outputs, settings.options)
         self.network = network
         self.chains = SignChains(skeleton)
@@ -144,6 +141,28 @@ class Lifter(nn.Module):
         tilt = self._tilt(output) if gravity is None else _tilt_of(gravity)
         pose = self.camera.unproject(keypoints, depth, distance)
         return Lifted(pose, tilt, keypoints, uncertainty, gravity, estimated, signs)
+
+    @property
+    def knows_signs(self) -> bool:
+        """Whether depth signs were learned; weights of a lifter of another skeleton have none (`uplift.models.transfer`)."""
+        return self.signs is not None and bool(self.signs.leave.weight.any())
+
+    def input_names(self) -> list[tuple[str, str]]:
+        """Return what each number is that the network sees, with its joint: "" where it is of the whole pose."""
+        joints = self.skeleton.joints
+        names = [(axis, joint) for joint in joints for axis in "xy"]
+        names += [("confidence", joint) for joint in joints] * self.confidence_input
+        return names + [("distance", ""), ("guessed", "")] * self.any_camera
+
+    def output_names(self) -> list[tuple[str, str]]:
+        """Return what each number is that the network returns, as `input_names` does."""
+        joints = self.skeleton.joints
+        names = [("depth", joint) for joint in joints]
+        names += [(f"filled {axis}", joint) for joint in joints for axis in "xy"] * self.fill
+        names += [("uncertainty", joint) for joint in joints] * self.uncertainty
+        names += [("distance", "")] * self.any_camera
+        camera = [f"gravity {axis}" for axis in "xyz"] if self.gravity else ["tilt"] * (self.tilt == "predicted")
+        return names + [(name, "") for name in camera]
 
     def _features(self, keypoints: Tensor, confidence: Tensor, distance: Tensor, guessed: Tensor) -> Tensor:
         """Return what the network sees."""

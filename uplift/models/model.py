@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -17,6 +17,7 @@ from torch import Tensor, nn
 from uplift.config.files import save_torch
 from uplift.config.progress import progress
 from uplift.config.run import Weights, read_weights
+from uplift.config.safe_weights import ENDING, save_safe
 from uplift.config.settings import LifterSettings, ShapeSettings, settings_of
 from uplift.config.trust import Trust, consents
 from uplift.data.calibration import SceneCamera, match_cameras
@@ -33,6 +34,7 @@ from uplift.models.known_camera import KnownCamera, about_cameras, with_guessed_
 from uplift.models.lifter import Lifter
 from uplift.models.metric_scale import Size, size_of_skeleton
 from uplift.models.mixture import ShapeMixture
+from uplift.models.networks import NETWORKS
 from uplift.models.predict import InferredPoses, infer, mm_per_pixel, to_level, with_constant_bones
 from uplift.models.prediction import Prediction, ShapePrediction
 from uplift.models.shape_lifter import LiftedShapes, lift_masks
@@ -48,7 +50,7 @@ from uplift.models.together import (
 )
 from uplift.skeleton import Skeleton
 
-__all__ = ["Model", "ShapeModel", "load", "load_poses", "load_shapes"]
+__all__ = ["Model", "ShapeModel", "UsualErrors", "load", "load_poses", "load_shapes"]
 
 
 @consents
@@ -111,10 +113,26 @@ class _Saved:
         """Return a model as `_description` describes it, with random weights."""
         raise NotImplementedError
 
-    def save(self, path: Path) -> None:
-        """Write the model to one file of tensors and plain data."""
+    def save(self, path: str | Path, *, half: bool = False, about: Mapping[str, Any] | None = None) -> None:
+        """Write the model to one file of tensors and plain data: a ``.safetensors``, or what torch saves.
+
+        Args:
+            path: of the file; by its ending ``.safetensors`` other programs can read it too.
+            half: float16 matrices, for a ``.safetensors`` of half the size.
+            about: plain data of yours that a ``.safetensors`` carries along, such as where the weights come from.
+
+        Raises:
+            UserError: ``half`` or ``about`` with another ending, or a place where nothing can be written.
+        """
+        path = Path(path)
         weights = {key: value.detach().cpu() for key, value in self.lifter.state_dict().items()}
-        save_torch({"uplift_format": self.formats[-1], **self._description(), "state": weights}, path)
+        state = {"uplift_format": self.formats[-1], **self._description(), "state": weights}
+        if path.suffix.lower() == ENDING:
+            save_safe({**state, "about": dict(about)} if about else state, path, half=half)
+        elif half or about:
+            raise UserError(f"save: half= and about= go with a file that ends in {ENDING}, not with {path}.")
+        else:
+            save_torch(state, path)
 
     @classmethod
     def from_weights(cls: type[SavedT], weights: Weights) -> SavedT:
@@ -147,6 +165,10 @@ class _Saved:
 
 # A lifter of keypoints.
 
+UsualErrors = tuple[tuple[float, ...], tuple[float, ...]]
+"""The median error of each hidden joint in training data, in mean 2D radii: where all others are visible, and where
+about half of them are. 0 for the root, and for a joint that is never visible."""
+
 
 @dataclass
 class Model(_Saved):
@@ -165,6 +187,8 @@ class Model(_Saved):
     lifter: Lifter
     skeleton: Skeleton
     settings: LifterSettings
+    usual: UsualErrors | None = None
+    """By which other bodies are told from those it was trained on (`uplift.models.known_body`); None: they are not."""
 
     def __call__(self, keypoints: Any, confidence: Any = None) -> Any:
         """Return root-relative poses (frames joints 3): camera frame, x right, y down, z away.
@@ -396,14 +420,38 @@ class Model(_Saved):
         return bool(refine) and self.settings.refine.iterations > 0 and bool(clips.max(initial=-1) + 1 < len(clips))
 
     def _description(self) -> dict[str, Any]:
-        return {"skeleton": self.skeleton.to_dict(), "lifter": dataclasses.asdict(self.settings)}
+        described = {"skeleton": self.skeleton.to_dict(), "lifter": dataclasses.asdict(self.settings)}
+        return described if self.usual is None else {**described, "usual": self.usual}
 
     @classmethod
     def _untrained(cls, state: dict[str, Any]) -> Model:
         skeleton = Skeleton.from_dict(state["skeleton"])
         # A lifter from before confidences were calibrated has learned from those of its files.
         settings = settings_of(LifterSettings, "lifter", {"confidence": "given", **state["lifter"]})
-        return cls(Lifter(skeleton, settings), skeleton, settings)
+        if settings.network in NETWORKS:
+            _check_shapes(skeleton, settings, state["state"])
+        usual = _usual_of(state.get("usual"), len(skeleton.joints))
+        return cls(Lifter(skeleton, settings), skeleton, settings, usual)
+
+
+def _usual_of(plain: Any, joints: int) -> UsualErrors | None:
+    """Return what a file says of usual errors; raises ValueError for anything else."""
+    if plain is None:
+        return None
+    found = np.asarray(plain, np.float64)
+    if found.shape != (2, joints) or not (np.isfinite(found).all() and (found >= 0).all()):
+        raise ValueError(f"'usual' has shape {found.shape}, expected (2, {joints}): errors, 0 or more")
+    shown, halved = found.tolist()
+    return tuple(shown), tuple(halved)
+
+
+def _check_shapes(skeleton: Skeleton, settings: LifterSettings, weights: Mapping[str, Tensor]) -> None:
+    """Raise ValueError where weights are not as large as their description says, before memory is taken for these."""
+    with torch.device("meta"):
+        described = Lifter(skeleton, settings).state_dict()
+    for name, found in weights.items():
+        if name in described and found.shape != described[name].shape:
+            raise ValueError(f"{name} is {tuple(found.shape)}, its description says {tuple(described[name].shape)}")
 
 
 def _float_array(values: Any) -> np.ndarray:

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cache, cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -18,9 +18,60 @@ from uplift.errors import UserError, did_you_mean
 from uplift.skeleton.schema import BODY_KEYS
 from uplift.skeleton.validate import check_skeleton, direction_weights, mirror_places
 
-__all__ = ["CENTRE", "LEFT", "RIGHT", "Skeleton", "bone_sides", "joint_sides", "load_skeleton", "mirrored_bones"]
+__all__ = [
+    "CENTRE", "LEFT", "RIGHT", "Angle", "Skeleton", "Way", "bone_sides", "joint_sides", "load_skeleton", "mirrored_bones",
+]  # fmt: skip
 
 Direction = tuple[tuple[str, ...], tuple[str, ...]]
+Way = str | tuple[tuple[str, ...], ...]
+"""A direction: one of the level frame by its name, from one mean of joints to another, or of three the normal of their plane."""
+
+
+class Angle(NamedTuple):
+    """An angle of the body; `uplift.biomechanics.angles` says how it is measured."""
+
+    segment: Way
+    start: Way | None = None
+    """``from`` in the file."""
+    about: Way | None = None
+    towards: Way | None = None
+    zero: float = 0.0
+    """Degrees that are taken off."""
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return plain data in the form of the YAML file."""
+        ways = dict(zip(("segment", "from", "about", "towards"), self[:4], strict=True))
+        plain = {
+            key: way if isinstance(way, str) else list(map(list, way)) for key, way in ways.items() if way is not None
+        }
+        return plain | ({"zero": self.zero} if self.zero else {})
+
+    @classmethod
+    def from_dict(cls, data: Mapping[str, Any]) -> Angle:
+        """Return the angle of checked data."""
+        ways = [data.get(key) for key in ("segment", "from", "about", "towards")]
+        return cls(*(tuple(map(tuple, way)) if isinstance(way, list) else way for way in ways), data["zero"])  # type: ignore[arg-type]
+
+    def mirrored(self, partner: Mapping[str, str]) -> Angle:
+        """Return the angle that has the same value in a mirror, where joints have the names of their ``partner``.
+
+        A mirror turns the sense of rotations round, and with it an axis and a normal.
+        """
+        about = None if self.about is None else _mirrored(self.about, partner, axis=True)
+        others = (None if way is None else _mirrored(way, partner, axis=False) for way in (self.start, self.towards))
+        start, towards = others
+        return Angle(_mirrored(self.segment, partner, axis=False), start, about, towards, self.zero)
+
+
+_REVERSED = {"up": "down", "down": "up", "image_right": "image_left", "image_left": "image_right"}
+
+
+def _mirrored(way: Way, partner: Mapping[str, str], *, axis: bool) -> Way:
+    """Return a direction in a mirror; an ``axis`` is reversed too. A mirror that stands upright leaves up where it is."""
+    if isinstance(way, str):
+        return _REVERSED[way] if axis == (way in ("up", "down")) else way
+    ends = tuple(tuple(partner.get(joint, joint) for joint in end) for end in way)
+    return (ends[0], *ends[:0:-1]) if len(ends) == 3 and not axis else ends[::-1] if len(ends) == 2 and axis else ends
 
 
 @dataclass(frozen=True)
@@ -43,6 +94,8 @@ class Skeleton:
     contacts: tuple[str, ...] = ()
     description: str = ""
     trunk: Direction | tuple[()] = ()
+    angles: dict[str, Angle] = field(default_factory=dict)
+    """As they are written; `both_sides` has the others."""
 
     def __hash__(self) -> int:
         return hash((self.name, self.joints, self.root, self.bones))
@@ -113,6 +166,18 @@ class Skeleton:
         ends = self.trunk or self.facing.get("up")
         return _read_only(direction_weights(ends, self.joints)) if ends else None
 
+    @cached_property
+    def both_sides(self) -> dict[str, Angle]:
+        """All `angles`: one whose name has the word right or left (or r, l) is followed by that of its other side, if unwritten."""
+        partner = dict(self.mirror) | {other: one for one, other in self.mirror}
+        found: dict[str, Angle] = {}
+        for name, angle in self.angles.items():
+            across, image = _across(name), angle.mirrored(partner)
+            found[name] = angle
+            if across and across not in self.angles and image != angle:
+                found[across] = image
+        return found
+
     def to_dict(self) -> dict[str, Any]:
         """Return plain data in the form of the YAML file; `from_dict` turns it back."""
         return {
@@ -121,6 +186,7 @@ class Skeleton:
             "mirror": [list(pair) for pair in self.mirror],
             "facing": {name: [list(start), list(end)] for name, (start, end) in self.facing.items()},
             **({"trunk": [list(end) for end in self.trunk]} if self.trunk else {}),
+            **({"angles": {name: angle.to_dict() for name, angle in self.angles.items()}} if self.angles else {}),
             "gravity": self.gravity, "rigid": self.rigid, "contacts": list(self.contacts), "midpoints": {joint: list(parts) for joint, parts in self.midpoints.items()},
             "from": {name: {joint: list(parts) for joint, parts in of.items()} for name, of in self.sources.items()},
             "size": dict(self.size), **{key: self.body[key] for key in BODY_KEYS if key in self.body},
@@ -189,6 +255,7 @@ def _from_checked(data: dict[str, Any]) -> Skeleton:
         body={key: data[key] for key in BODY_KEYS if key in data},
         midpoints={joint: tuple(parts) for joint, parts in data["midpoints"].items()},
         trunk=tuple(map(tuple, data["trunk"])),  # type: ignore[arg-type]
+        angles={name: Angle.from_dict(angle) for name, angle in data["angles"].items()},
     )
 
 
@@ -227,6 +294,21 @@ def mirrored_bones(skeleton: Skeleton) -> Int[np.ndarray, "pairs 2"]:
     """Return the indices of bones that are each other's mirror image, each pair once."""
     pairs = [(place, other) for place, other in enumerate(skeleton.bone_mirror_permutation.tolist()) if place < other]
     return np.array(pairs, np.int64).reshape(-1, 2)
+
+
+_OTHER_SIDE = {"right": "left", "r": "l"} | {"left": "right", "l": "r"}
+
+
+def _across(name: str) -> str | None:
+    """Return the name of the same on the other side; None for one without the word right or left, or r or l."""
+    words = re.split(r"([^A-Za-z]+)", name)
+    sides = [place for place, word in enumerate(words) if word.casefold() in _OTHER_SIDE]
+    if len(sides) != 1:
+        return None
+    word = words[sides[0]]
+    other = _OTHER_SIDE[word.casefold()]
+    words[sides[0]] = other.upper() if word.isupper() else other.capitalize() if word[0].isupper() else other
+    return "".join(words)
 
 
 def _left_of(pair: tuple[str, str], to_left: set[str]) -> str | None:

@@ -14,11 +14,20 @@ from jaxtyping import Float
 from uplift.errors import UserError, listed, nearest
 from uplift.skeleton.core import Skeleton
 
-__all__ = ["JointMatch", "build_joints", "build_pose", "match_joints"]
+__all__ = ["JointMatch", "WrongJoints", "build_joints", "build_pose", "match_joints", "shared_joints"]
 
 _MOST_LAYOUTS = 3
 
 Find = Callable[[str], int | None]
+
+
+class WrongJoints(UserError):
+    """A file's joints do not fit a skeleton."""
+
+    def __init__(self, message: str, names: Sequence[str]):
+        super().__init__(message)
+        self.names = tuple(names)
+        """Of the file's joints."""
 
 
 @dataclass(frozen=True)
@@ -63,7 +72,7 @@ def match_joints(names: Sequence[str], skeleton: Skeleton) -> JointMatch:
             by_name = fitting[0][0] is None
             layout, places = fitting[0] if by_name else max(fitting, key=lambda fit: len(fit[1]))
             return _describe(names, skeleton, layout, places)
-    raise UserError(_refusal(names, skeleton))
+    raise WrongJoints(_refusal(names, skeleton), names)
 
 
 def build_joints(
@@ -108,6 +117,29 @@ def build_pose(
     for joint, places in _places(match, names, skeleton):
         built[:, joint] = pose[:, places].mean(1)
     return built
+
+
+def shared_joints(skeleton: Skeleton, other: Skeleton) -> dict[str, tuple[str, ...]]:
+    """Return the joints of ``skeleton`` that ``other`` has too, each with those of ``other`` that it is the mean of.
+
+    Matched by name, as `match_joints` finds names, or by a layout in the ``from:`` of either, whichever matches more
+    joints. Joints that ``other`` lacks are absent.
+    """
+    find, find_back = _finders(list(other.joints))[-1], _finders(list(skeleton.joints))[-1]
+    by_name = {joint: (other.joints[place],) for joint in skeleton.joints if (place := find(joint)) is not None}
+    found = [by_name]
+    for layout in skeleton.sources.values():
+        places = {joint: [find(part) for part in parts] for joint, parts in layout.items()}
+        found.append(
+            {j: tuple(other.joints[p] for p in at if p is not None) for j, at in places.items() if None not in at}
+        )
+    for layout in other.sources.values():
+        alone = {parts[0]: joint for joint, parts in layout.items() if len(parts) == 1}
+        found.append(
+            {skeleton.joints[p]: (joint,) for part, joint in alone.items() if (p := find_back(part)) is not None}
+        )
+    most = max(found, key=len)
+    return {joint: most[joint] for joint in skeleton.joints if joint in most}
 
 
 def _finders(names: list[str]) -> list[Find]:

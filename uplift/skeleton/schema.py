@@ -7,9 +7,14 @@ from typing import Any
 
 from uplift.config.schema import DRAFT
 
-__all__ = ["BODY_KEYS", "DEFAULTS", "DIRECTIONS", "KEYS", "MAX_JOINTS", "REQUIRED", "SIZE_KEYS", "skeleton_schema"]
+__all__ = [
+    "ANGLE_KEYS", "BODY_KEYS", "DEFAULTS", "DIRECTIONS", "KEYS", "LEVEL", "MAX_JOINTS", "REQUIRED", "SIZE_KEYS",
+    "skeleton_schema",
+]  # fmt: skip
 
 MAX_JOINTS = 1000
+LEVEL = ("up", "down", "image_right", "image_left")
+"""Directions of the level frame that an angle may be measured from."""
 REQUIRED = ("joints", "root", "bones")
 BODY_KEYS = ("proportions", "rest", "limits")
 
@@ -73,6 +78,23 @@ _LIMITS = {
         "human": {**_PARTS, "description": "point of the simulator's human body, or points (their mean)"},
     },
 }
+_WAY = {"anyOf": [{"enum": list(LEVEL)}, {"type": "array", "items": _PARTS, "minItems": 2, "maxItems": 3}]}
+_ANGLE = {
+    "type": "object",
+    "properties": {
+        "joints": {
+            "type": "array", "items": _PARTS, "minItems": 3, "maxItems": 3,
+            "description": "[a, b, c]: how far b bends; short for segment: [b, c], from: [a, b]",
+        },
+        "segment": {**_WAY, "description": "what is measured: [from, to], an end a joint or a list of joints (their mean)"},
+        "from": {**_WAY, "description": "the direction it is measured from, where the angle is 0"},
+        "about": {**_WAY, "description": "axis of the turn, right-handed; unset: the angle between the two, 0 to 180"},
+        "towards": {**_WAY, "description": "the angle out of the plane across this direction, -90 to 90"},
+        "zero": {"type": "number", "minimum": -360, "maximum": 360, "default": 0, "description": "degrees taken off"},
+    },
+    "additionalProperties": False,
+    "anyOf": [{"required": ["joints"]}, {"required": ["segment", "from"]}, {"required": ["segment", "towards"]}],
+}  # fmt: skip
 _PROPERTIES: dict[str, dict[str, Any]] = {
     "name": {**_NAME, "description": "the file's name if not given"},
     "description": {"type": "string", "default": "", "description": "one line; shown by `uplift skeletons`"},
@@ -91,6 +113,10 @@ _PROPERTIES: dict[str, dict[str, Any]] = {
     "contacts": {
         "type": "array", "items": _NAME, "uniqueItems": True, "default": [],
         "description": "joints that stand on the ground; unset: ends of limbs that are mostly the lowest",
+    },
+    "angles": {
+        "type": "object", "additionalProperties": _ANGLE, "default": {},
+        "description": "joint angles by name; one whose name has the word right or left is measured on both sides",
     },
     "midpoints": _by_joint(_PARTS, "joint: the joints that it is the mean of", default={}),
     "from": _by_joint(
@@ -112,6 +138,7 @@ KEYS = tuple(_PROPERTIES)
 DEFAULTS = {key: one["default"] for key, one in _PROPERTIES.items() if "default" in one}
 DIRECTIONS = tuple(_FACING["properties"])
 SIZE_KEYS = tuple(_SIZE["properties"])
+ANGLE_KEYS = tuple(_ANGLE["properties"])
 
 
 def skeleton_schema() -> dict[str, Any]:

@@ -12,7 +12,17 @@ from jaxtyping import Float, Int
 
 from uplift.config.yaml_file import Where
 from uplift.errors import UserError, did_you_mean
-from uplift.skeleton.schema import BODY_KEYS, DEFAULTS, DIRECTIONS, KEYS, MAX_JOINTS, REQUIRED, SIZE_KEYS
+from uplift.skeleton.schema import (
+    ANGLE_KEYS,
+    BODY_KEYS,
+    DEFAULTS,
+    DIRECTIONS,
+    KEYS,
+    LEVEL,
+    MAX_JOINTS,
+    REQUIRED,
+    SIZE_KEYS,
+)
 
 __all__ = ["check_skeleton", "direction_weights", "mirror_places"]
 
@@ -44,6 +54,7 @@ def check_skeleton(data: object, where: Where) -> dict[str, Any]:
     skeleton["size"] = _check_size(skeleton["size"], joints, check)
     skeleton["facing"] = _check_facing(skeleton, check)
     skeleton["trunk"] = _check_trunk(skeleton, check)
+    skeleton["angles"] = _check_angles(skeleton, check)
     _check_body(skeleton, check)
     return skeleton
 
@@ -241,6 +252,61 @@ def _check_sides(weights: dict[str, np.ndarray], skeleton: dict[str, Any], check
                 f"'{name}' runs from one side of the body to the other, as 'left' should; "
                 "expected joints on the midline, or means of both sides.",
             )
+
+
+# Angles: a segment, and what it is measured from or towards.
+
+_FORMS = "expected joints: [a, b, c], or segment: [from, to] with from: or towards:."
+
+
+def _check_angles(skeleton: dict[str, Any], check: _Checker) -> dict[str, dict[str, Any]]:
+    """Return the angles with every direction the name of a level one, or a list of ends, each a list of joints."""
+    given = check.kind(skeleton["angles"], dict, "a mapping of names to angles", ("angles",))
+    return {name: _check_angle(name, given[name], skeleton, check) for name in given}
+
+
+def _check_angle(name: object, value: object, skeleton: dict[str, Any], check: _Checker) -> dict[str, Any]:
+    part = ("angles", name)
+    check.text(name, part)
+    angle = dict(check.kind(value, dict, "a mapping such as {joints: [hip, knee, ankle]}", part))
+    for key in angle:
+        if key not in ANGLE_KEYS:
+            check.fail((*part, key), f"found the unknown key '{key}' in '{name}'.{did_you_mean(str(key), ANGLE_KEYS)}")
+    if "joints" in angle:
+        ends = check.kind(angle.pop("joints"), list, "three joints, [a, b, c]", (*part, "joints"))
+        if len(ends) != 3:
+            check.fail((*part, "joints"), f"found {len(ends)} joints in '{name}'; expected three, [a, b, c].")
+        if other := [key for key in ("segment", "from", "towards") if key in angle]:
+            check.fail((*part, other[0]), f"found joints and {other[0]} in '{name}'; {_FORMS}")
+        angle |= {"segment": ends[1:], "from": ends[:2]}
+    ways = [key for key in ("segment", "from", "about", "towards") if key in angle]
+    if "segment" not in angle or not {"from", "towards"} & set(angle):
+        check.fail(part, f"found {', '.join(ways) or 'no direction'} in '{name}'; {_FORMS}")
+    if "about" in angle and ("towards" in angle or "from" not in angle):
+        check.fail((*part, "about"), f"found about and towards in '{name}'; about goes with from.")
+    zero = angle.get("zero", 0.0)
+    check.number(zero, (*part, "zero"))
+    return {key: _check_way(angle[key], skeleton, (*part, key), check) for key in ways} | {"zero": float(zero)}
+
+
+def _check_way(value: object, skeleton: dict[str, Any], part: tuple, check: _Checker) -> str | list[list[str]]:
+    """Return a direction of an angle: a name of `LEVEL`, or its two ends, or three of a plane that it is normal to."""
+    if isinstance(value, str):
+        if value not in LEVEL:
+            hint = did_you_mean(value, LEVEL)
+            check.fail(
+                part, f"found the direction '{value}' in '{_path(part)}'; expected [from, to], or a level one.{hint}"
+            )
+        if not skeleton["gravity"]:
+            check.fail(part, f"found '{value}' in '{_path(part)}', but gravity is false: there is no level frame.")
+        return value
+    ends = check.kind(value, list, "[from, to], each a joint or a list of joints", part)
+    if len(ends) not in (2, 3):
+        check.fail(part, f"found {len(ends)} ends in '{_path(part)}'; expected [from, to], or three of a plane.")
+    found = [check.parts(end, (*part, place), skeleton["joints"]) for place, end in enumerate(ends)]
+    if len({tuple(sorted(end)) for end in found}) < len(found):
+        check.fail(part, f"found two ends at the same place in '{_path(part)}'; it has no direction.")
+    return found
 
 
 def _check_body(skeleton: dict[str, Any], check: _Checker) -> None:

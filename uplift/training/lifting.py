@@ -26,8 +26,9 @@ from uplift.geometry.normalise import normalise
 from uplift.metrics.evaluate import evaluate_model
 from uplift.metrics.score_2d import LEAST_FRAMES, score_2d
 from uplift.models.lifter import Lifter
-from uplift.models.model import Model
+from uplift.models.model import Model, load_poses
 from uplift.models.prediction import Prediction
+from uplift.models.transfer import copy_weights
 from uplift.priors import build_priors
 from uplift.priors.base import Lift, Prior
 from uplift.skeleton import Skeleton
@@ -68,6 +69,23 @@ class KeypointModule(TrainingModule[Lifter, Any]):
     def model(self) -> Model:
         """Return a copy of the trained lifter as people use it: call it on pixels, `predict`, `save`."""
         return Model(copy.deepcopy(self.final).eval(), self.skeleton, self.lifter_settings)
+
+    def start_from(self, given: Model | str | Path) -> dict[str, tuple[str, ...]]:
+        """Copy what a trained lifter has learned, joint by joint of the same name, before training.
+
+        Args:
+            given: a `uplift.Model`, or a run or file that `uplift.load` takes.
+
+        Returns the joints that it knows, each with those of its own skeleton that they are made of.
+
+        Raises:
+            UserError: too few joints in common, or a network of another kind or size.
+        """
+        model = given if isinstance(given, Model) else load_poses(given)
+        shared: dict[str, tuple[str, ...]] = {}
+        for lifter in self.lifters():
+            shared = copy_weights(lifter, model.lifter)
+        return shared
 
     def save(self, path: str | Path) -> None:
         """Write `model` to one file, which `uplift.load` and the command line take; raises UserError where it exists."""
@@ -167,6 +185,8 @@ class LiftingModule(KeypointModule):
         lifter: settings ``lifter.NAME`` by name: ``network``, ``options``, ``camera``, ``tilt``, ...
         views: settings ``views.NAME`` by name.
         seed: of the weights and of all random numbers.
+        like_student: the lifter also has the outputs that only students learn, so that it can start from one
+            (`start_from`) and one can go on from it.
         training: settings ``teacher.NAME`` by name: ``learning_rate``, ``decay_from``, ``average``, ...
 
     Raises:
@@ -185,6 +205,7 @@ class LiftingModule(KeypointModule):
         lifter: Mapping[str, Any] | None = None,
         views: Mapping[str, Any] | None = None,
         seed: int = 0,
+        like_student: bool = False,
         **training: Any,
     ):
         super().__init__()
@@ -192,11 +213,11 @@ class LiftingModule(KeypointModule):
         specs, self._given_priors = prior_specs(priors)
         chosen = stage_settings("teacher", training, priors=specs, lifter=lifter, views=views, seed=seed)
         # Only students learn to predict the uncertainty and depth signs, to correct visible joints, and to estimate any camera.
-        unused = {"uncertainty": False, "signs": 0, "denoise": False, "cameras": "own"}
-        self.lifter_settings = dataclasses.replace(chosen.lifter, **unused)
+        unused = {} if like_student else {"uncertainty": False, "signs": 0, "cameras": "own"}
+        self.lifter_settings = dataclasses.replace(chosen.lifter, denoise=False, **unused)
         self.view_settings, self.prior_specs = chosen.views, chosen.priors
         self.azimuth_deg, self.prior_rate = chosen.views.azimuth_deg, chosen.teacher.prior_learning_rate
-        self._keep_hyperparameters(chosen)
+        self._keep_hyperparameters(chosen, like_student)
         self.notes: list[str] = []
         """What was left out of the priors, one sentence each."""
         with seeded(seed):
@@ -208,7 +229,7 @@ class LiftingModule(KeypointModule):
         self.maker: ViewMaker | None = None
         self.set_up(lifter_module, chosen.teacher, seed, terms)
 
-    def _keep_hyperparameters(self, chosen: Settings) -> None:
+    def _keep_hyperparameters(self, chosen: Settings, like_student: bool) -> None:
         """Save the arguments as plain data: a checkpoint holds nothing that can run."""
         views = {key: value for key, value in dataclasses.asdict(chosen.views).items() if key != "count_root"}
         self.save_hyperparameters(
@@ -218,6 +239,7 @@ class LiftingModule(KeypointModule):
                 "lifter": dataclasses.asdict(self.lifter_settings),
                 "views": views,
                 "seed": chosen.seed,
+                **({"like_student": True} if like_student else {}),
                 **plain_settings(chosen.teacher),
             }
         )

@@ -9,13 +9,15 @@ from uplift.config.settings import LifterSettings, Settings
 from uplift.data.module import KeypointData
 from uplift.data.sampler import LabelledSampler
 from uplift.errors import UserError
+from uplift.models.known_body import usual_errors
 from uplift.models.lifter import Lifter
-from uplift.models.model import Model, load_poses
+from uplift.models.model import Model
 from uplift.models.networks import fitting_options
 from uplift.training.base import plain_settings
 from uplift.training.lifting import KeypointModule, LiftingModule
 from uplift.training.stages import Recipe, module_class
 from uplift.training.student import StudentModule, student_settings
+from uplift.training.warm_start import WarmStart
 
 __all__ = ["PoseRecipe"]
 
@@ -26,7 +28,7 @@ class PoseRecipe(Recipe):
     All of them are built before any is trained, so that a setting that one of them refuses costs no training.
     """
 
-    def __init__(self, settings: Settings, data: KeypointData, run: RunFolder | None):
+    def __init__(self, settings: Settings, data: KeypointData, run: RunFolder | None, start: WarmStart | None = None):
         super().__init__(settings)
         self.data, self.skeleton = data, data.skeleton
         labelled = data.frames(settings.lifter).labelled
@@ -36,10 +38,8 @@ class PoseRecipe(Recipe):
         self.teacher = self._build_teacher(bool(labelled.any()))
         self.students = [self._build_student(number) for number in range(1, len(self.rounds) + 1)]
         self._add_notes()
-        first = self.students[0] if self.supervised else self.teacher
-        name = "student_1" if self.supervised else "teacher"
-        if settings.init and not (run and (run.checkpoints / f"{name}.ckpt").is_file()):
-            _start_from(first, settings.init)
+        if start is not None:
+            start.into(self.students[0] if self.supervised else self.teacher)
 
     def _shares(self, labelled: float) -> dict[str, float]:
         """Return each stage's share of the fit, where a share of ``labelled`` frames is in a batch."""
@@ -58,12 +58,15 @@ class PoseRecipe(Recipe):
             priors = {name: spec for name, spec in priors.items() if name != "labelled"}
         views = {key: value for key, value in dataclasses.asdict(settings.views).items() if key != "count_root"}
         build = module_class(settings.module, "module", LiftingModule)
+        # A fit that starts from a trained lifter has networks like it in all stages.
+        lifter = student_settings(settings, last=True) if settings.init else settings.lifter
         module = build(
             self.skeleton,
             priors=priors,
-            lifter=self._options_that_fit("lifter", settings.lifter),
+            lifter=self._options_that_fit("lifter", lifter),
             views=views,
             seed=settings.seed,
+            **({"like_student": True} if settings.init else {}),
             **plain_settings(settings.teacher),
         )
         self.notes += module.notes
@@ -71,7 +74,8 @@ class PoseRecipe(Recipe):
 
     def _build_student(self, number: int) -> StudentModule:
         settings, last = self.settings, number == len(self.rounds)
-        warm = settings.student.warm and number > 1
+        # The first one goes on from a teacher that started from a trained lifter too.
+        warm = settings.student.warm and (number > 1 or (bool(settings.init) and not self.supervised))
         build = module_class(settings.student.module, "student.module", StudentModule)
         lifter = self._options_that_fit("student", student_settings(settings, last=last))
         plain = {**plain_settings(settings.student), "warm": warm}
@@ -103,7 +107,8 @@ class PoseRecipe(Recipe):
             module = student
             self.stage(run, f"student_{number}", module, self.data, self.settings.student.batch_size)
         model = module.model()
-        return Model(model.lifter.cpu(), model.skeleton, model.settings)
+        model = Model(model.lifter.cpu(), model.skeleton, model.settings)
+        return dataclasses.replace(model, usual=usual_errors(model, self.data.train_samples))
 
 
 def _checked(module):
@@ -116,18 +121,3 @@ def _checked(module):
             "name, so a file with its weights could not be read again. Name the network as lifter.network=file.py:Class."
         )
     return module
-
-
-def _start_from(module: KeypointModule, run: str) -> None:
-    """Load the weights of another run's lifter, but keep the body size from the labels of this fit."""
-    other, skeleton = load_poses(run), module.skeleton
-    if other.skeleton.joints != skeleton.joints:
-        raise UserError(
-            f"init={run} was trained on skeleton '{other.skeleton.name}' ({len(other.skeleton.joints)} joints), "
-            f"this fit is for '{skeleton.name}' ({len(skeleton.joints)} joints)."
-        )
-    try:
-        for lifter in module.lifters():
-            lifter.load_state_dict(other.lifter.state_dict())
-    except RuntimeError as error:
-        raise UserError(f"init={run} has another network: {str(error).splitlines()[0]}") from error

@@ -18,7 +18,7 @@ from uplift.skeleton.propose import TOO_LONG
 
 __all__ = [
     "ALPHAPOSE", "COCO", "COCO_JOINTS", "H36M_JOINTS", "HAND21", "HANDS", "HOURGLASS_JOINTS", "KINETICS", "MMPOSE",
-    "MPII16", "OPENPOSE", "OPENPOSE_FACE70", "WHOLEBODY133", "Layouts", "is_nameless", "likely_layout", "names_for",
+    "MPII16", "OPENPOSE", "OPENPOSE_FACE70", "POSE33", "WHOLEBODY133", "Layouts", "is_nameless", "likely_layout", "names_for",
     "pairs_by_name", "swapped_names", "with_layout",
 ]  # fmt: skip
 
@@ -54,6 +54,14 @@ HAND21 = (
     "middle_mcp", "middle_pip", "middle_dip", "middle_tip", "ring_mcp", "ring_pip", "ring_dip", "ring_tip",
     "little_mcp", "little_pip", "little_dip", "little_tip",
 )  # fmt: skip
+POSE33 = (
+    "nose", "left_eye_inner", "left_eye", "left_eye_outer", "right_eye_inner", "right_eye", "right_eye_outer",
+    "left_ear", "right_ear", "mouth_left", "mouth_right", "left_shoulder", "right_shoulder", "left_elbow",
+    "right_elbow", "left_wrist", "right_wrist", "left_pinky", "right_pinky", "left_index", "right_index",
+    "left_thumb", "right_thumb", "left_hip", "right_hip", "left_knee", "right_knee", "left_ankle", "right_ankle",
+    "left_heel", "right_heel", "left_foot_index", "right_foot_index",
+)  # fmt: skip
+"""MediaPipe's landmarks of a body, in its order."""
 WHOLEBODY133 = (*COCO_JOINTS, *FEET6, *_FACE68, *HANDS["left"], *HANDS["right"])
 HALPE136 = (*HALPE26, *_FACE68, *HANDS["left"], *HANDS["right"])
 HALPE68 = (*HALPE26, *HANDS["left"], *HANDS["right"])

@@ -13,7 +13,7 @@ import numpy as np
 
 from uplift.data.formats.base import FileFormat, Peek, ReadOptions
 from uplift.data.formats.csv import Identity, bodies_of, columns_in, read_columns
-from uplift.data.formats.layouts import HAND21, Layouts, is_nameless, names_for
+from uplift.data.formats.layouts import HAND21, POSE33, Layouts, is_nameless, names_for
 from uplift.data.formats.rows import confidence_of, frame_numbers
 from uplift.data.formats.scales import SHARES_NOTE
 from uplift.data.parsers.json import JsonText, items
@@ -25,13 +25,6 @@ __all__ = ["FORMAT"]
 
 # What the files of MediaPipe have in common: the landmarks' names, and coordinates that are shares of the image.
 
-_POSE33 = (
-    "nose", "left_eye_inner", "left_eye", "left_eye_outer", "right_eye_inner", "right_eye", "right_eye_outer",
-    "left_ear", "right_ear", "mouth_left", "mouth_right", "left_shoulder", "right_shoulder", "left_elbow",
-    "right_elbow", "left_wrist", "right_wrist", "left_pinky", "right_pinky", "left_index", "right_index",
-    "left_thumb", "right_thumb", "left_hip", "right_hip", "left_knee", "right_knee", "left_ankle", "right_ankle",
-    "left_heel", "right_heel", "left_foot_index", "right_foot_index",
-)  # fmt: skip
 _NO_DEPTH = "z of MediaPipe is left out: it is an estimate of the same network, not a measurement"
 _TELLING = {"lefteyeinner", "mouthleft", "leftfootindex", "leftpinky", "indexfingermcp", "ringfingerpip"}
 _WORLD_NOTE = (
@@ -47,13 +40,13 @@ _FACE = tuple(f"face_{number}" for number in range(478))
 _HANDS = tuple(f"{side}_hand_{name}" for side in ("left", "right") for name in HAND21)
 _BODY = "MediaPipe's pose"
 _COUNTS: Layouts = {
-    33: (_BODY, _POSE33),
+    33: (_BODY, POSE33),
     21: ("a hand", HAND21),
     468: ("MediaPipe's face", _FACE[:468]),
     478: ("MediaPipe's face", _FACE),
-    75: (f"{_BODY} and both hands", (*_POSE33, *_HANDS)),
-    501: (f"{_BODY} and face", (*_POSE33, *_FACE[:468])),
-    543: (f"{_BODY}, face and both hands", (*_POSE33, *_FACE[:468], *_HANDS)),
+    75: (f"{_BODY} and both hands", (*POSE33, *_HANDS)),
+    501: (f"{_BODY} and face", (*POSE33, *_FACE[:468])),
+    543: (f"{_BODY}, face and both hands", (*POSE33, *_FACE[:468], *_HANDS)),
 }
 
 
@@ -67,9 +60,9 @@ def _landmark_names(path: Path, names: Sequence[str], options: ReadOptions) -> t
     if not is_nameless(names):
         return tuple(name.split(".")[-1] for name in names), ()  # PoseLandmark.NOSE, as Python prints it
     numbers = [int(re.sub(r"\D", "", name)) for name in names]
-    if len(names) not in _COUNTS and options.layout is None and max(numbers, default=99) < len(_POSE33):
+    if len(names) not in _COUNTS and options.layout is None and max(numbers, default=99) < len(POSE33):
         note = f"landmarks have no names in the file: numbers are taken as {_BODY}'s"
-        return tuple(_POSE33[number] for number in numbers), (note,)
+        return tuple(POSE33[number] for number in numbers), (note,)
     return names_for(path, len(names), _COUNTS, options)
 
 

@@ -13,12 +13,13 @@ function show() {
   byId('people').classList.toggle('tinted', state.tint);
   byId('legend-truth').hidden = !state.truth;
   byId('legend-bars').hidden = !state.uncertainty;
+  plot.due = true;
   tellPeople();
   paint();
 }
 
 function toggle(name) {
-  if ((NEEDS[name] && !kept.arrays[NEEDS[name]]) || (name === 'tint' && clipNow().individuals.length < 2)) return;
+  if ((name === 'video' && !meta.behind) || (NEEDS[name] && !kept.arrays[NEEDS[name]]) || (name === 'tint' && clipNow().individuals.length < 2)) return;
   state[name] = !state[name];
   if (name === 'level' || name === 'placed') measureClip();
   show();
@@ -28,7 +29,7 @@ function toggle(name) {
 function theme(name) {
   document.documentElement.dataset.theme = name;
   kept.colours = palette();
-  kept.stripDue = true;
+  kept.stripDue = plot.due = true;
   paint();
 }
 
@@ -44,7 +45,7 @@ function wireButtons() {
   }
   addEventListener('resize', fit);
   const watcher = new ResizeObserver(fit);
-  for (const id of ['deep', 'flat', 'strip']) watcher.observe(byId(id));
+  for (const id of ['deep', 'flat', 'strip', 'plot']) watcher.observe(byId(id));
 }
 
 // Hides what this data has no use for.
@@ -52,6 +53,7 @@ function offer(arrays) {
   const { filled, level } = arrays;
   byId('frame-box').hidden = level.codes.every((_, k) => Math.abs(value(level, k) - (k % 9 % 4 ? 0 : 1)) < 1e-3);
   byId('place-box').hidden = !arrays.place;
+  document.querySelector('[data-toggle=video]').hidden = !meta.behind;
   if (!meta.rooted) document.querySelector('[data-placed="1"]').textContent = 'As in the image';
   byId('legend-missing').hidden = filled.codes.every((_, k) => value(filled, k) < 0.5);
   byId('legend-uncertainty').hidden = !arrays.uncertainty || byId('legend-missing').hidden;
@@ -72,6 +74,7 @@ async function start() {
   wireClips();
   wireButtons();
   wirePointer(byId('deep'));
+  wireAngles();
   openClip(0);
   fit();
   play(!calm.matches);

@@ -50,8 +50,16 @@ function drawImageFrame(ctx, see, colours) {
 // One of TONES strengths, so that little changes from stroke to stroke.
 function tone(sure) { return 0.3 + (0.7 * Math.round(sure * TONES)) / TONES; }
 
-function drawFlat(ctx, figure) {
+function drawFlat(ctx, figure, rimmed) {
   const { flat } = figure, { flatWidths, flatRadii } = kept;
+  if (rimmed) { // parts the lines from the picture behind them
+    ctx.globalAlpha = 0.75; ctx.strokeStyle = kept.colours.paper;
+    for (let n = 0; n < B; n++) {
+      const [a, b] = meta.bones[n];
+      ctx.lineWidth = flatWidths[n] + 2;
+      if (!Number.isNaN(flat[2 * a] + flat[2 * b])) line(ctx, flat[2 * a], flat[2 * a + 1], flat[2 * b], flat[2 * b + 1]);
+    }
+  }
   for (let n = 0; n < B; n++) {
     const [a, b] = meta.bones[n];
     if (Number.isNaN(flat[2 * a] + flat[2 * b])) continue;
@@ -72,8 +80,9 @@ function drawFlat(ctx, figure) {
 function draw2d(ctx, width, height, see) {
   ctx.clearRect(0, 0, width, height);
   ctx.lineCap = 'butt';
+  const rimmed = drawBehind(ctx, see);
   drawImageFrame(ctx, see, kept.colours);
   thickness(kept.bounds.lengths, see.scale, 3.5, kept.flatWidths, kept.flatRadii);
-  for (const figure of kept.figures) drawFlat(ctx, figure);
+  for (const figure of kept.figures) drawFlat(ctx, figure, rimmed);
   drawTitles(ctx, kept.figures, 'flat', 2, 16, kept.colours);
 }

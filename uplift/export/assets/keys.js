@@ -5,7 +5,7 @@ const KEYS = {
   '+': () => zoomBy(1.2), '=': () => zoomBy(1.2), '-': () => zoomBy(1 / 1.2), 0: () => glideTo(HOME),
   1: () => seeFrom('front'), 2: () => seeFrom('side'), 3: () => seeFrom('top'),
   a: () => turnBy(0.12, 0), d: () => turnBy(-0.12, 0), w: () => turnBy(0, 0.08), s: () => turnBy(0, -0.08),
-  l: () => toggle('level'), p: () => toggle('placed'), c: () => toggle('tint'), t: () => toggle('truth'), u: () => toggle('uncertainty'), n: () => toggle('names'), r: () => toggle('spin'),
+  l: () => toggle('level'), p: () => toggle('placed'), c: () => toggle('tint'), t: () => toggle('truth'), u: () => toggle('uncertainty'), n: () => toggle('names'), r: () => toggle('spin'), v: () => toggle('video'),
 };
 
 // Photos are stepped over like the frames of a film.

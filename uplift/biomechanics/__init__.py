@@ -1,0 +1,1 @@
+"""Measures of a moving body: joint angles and gait."""
