@@ -156,11 +156,13 @@ def test_commands_parse(page: str, command: str) -> None:
             _check_fit_word(word)
     elif verb == "schema":
         assert words[0] in sub_verbs("schema")
-    elif verb in ("evaluate", "predict", "simulate"):
+    elif verb in ("detect", "evaluate", "predict", "simulate"):
         assert {word.partition("=")[0] for word in words} <= set(VERBS[verb].settings)
     elif verb == "fit":
         for word in words:
             _check_fit_word(word)
+    elif verb == "detectors":
+        assert words in ([], ["get", "mediapipe"])
     elif verb == "lifters":
         assert set(words) <= set(shipped_names("lifters"))
     else:

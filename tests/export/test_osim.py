@@ -121,6 +121,8 @@ def test_the_model_has_the_lengths_of_the_body_the_same_on_both_sides() -> None:
     np.testing.assert_allclose(at["femur_r"] - at["femur_l"], [0, 0, 1.5 * 0.1], atol=1e-3)
     assert sum(segment.mass for segment in model.segments) == pytest.approx(50)
     assert set(model.markers) == set(sample.joint_names)
+    forearm = next(segment for segment in model.segments if segment.name == "forearm_l")
+    np.testing.assert_allclose(2 * forearm.middle, [0, -1.5 * 0.154, 0], atol=1e-3)  # drawn from elbow to wrist
 
 
 @pytest.mark.parametrize(

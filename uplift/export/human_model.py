@@ -354,11 +354,12 @@ def human_model(
 
 
 def _held(seen: _Seen, part: _Part, kept: dict[str, tuple[_Part, float]]) -> tuple[list[str], list[str]]:
-    """Return the joints on a part, and the keys of its shape: its centre, these joints, the centres of its children."""
+    """Return the joints on a part, and the keys of its shape: its centre, these joints, its end, the centres of its children."""
     there = {part.centre, *part.holds} | ({seen.trunk} if "trunk" in part.centre or part.end[0] == "trunk" else set())
     held = [joint for joint in seen.joints if seen.made_of(joint) and set(seen.made_of(joint)) <= there]
     children = [f"@{child.centre}" for child, _ in kept.values() if child.parent == part.body]
-    return held, list(dict.fromkeys([f"@{part.centre}", *held, *children]))
+    end = [f"@{part.end[0]}"] if part.end[0] in part.holds and seen.has(part.end[0]) else []
+    return held, list(dict.fromkeys([f"@{part.centre}", *held, *end, *children]))
 
 
 def _masses(parts: Sequence[tuple[_Part, float]], kept: dict[str, tuple[_Part, float]]) -> dict[str, float]:

@@ -17,7 +17,7 @@ from uplift.export.tables import labels
 from uplift.models.prediction import Prediction
 
 if TYPE_CHECKING:
-    import xarray
+    import xarray  # type: ignore
 
 __all__ = ["to_xarray", "write_netcdf"]
 
@@ -33,7 +33,7 @@ def to_xarray(prediction: Prediction, name: str | Path = "to_xarray") -> xarray.
     several clips, and for an individual that is in a frame twice.
     """
     try:
-        import xarray
+        import xarray  # type: ignore
     except ImportError as error:
         raise UserError(f"{name}: {_NEEDS}") from error
     clip, start = evenly(one_clip(prediction, name), name)
@@ -77,7 +77,7 @@ def write_netcdf(prediction: Prediction, path: str | Path) -> None:
     """Write one clip as netCDF 4, the data set of `to_xarray`; raises UserError as that, and without h5netcdf."""
     found = to_xarray(prediction, path)
     try:
-        import h5netcdf  # noqa: F401
+        import h5netcdf  # noqa: F401  # type: ignore
         import h5py  # noqa: F401
     except ImportError as error:
         raise UserError(f"{path}: {_NEEDS}") from error

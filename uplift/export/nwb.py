@@ -79,8 +79,8 @@ def write_nwb(prediction: Prediction, path: str | Path, nwb: Mapping[str, str] |
     ):
         shared |= {"name": title, "description": _about(prediction, clip, who)}
         module.add(PoseEstimation(pose_estimation_series=series, skeleton=skeleton, **shared))
-    with replacing_by_name(path) as written, pynwb.NWBHDF5IO(str(written), "w") as io:
-        io.write(file)
+    with replacing_by_name(path) as written, pynwb.NWBHDF5IO(path=str(written), mode="w") as io:
+        io.write(container=file)
     unknown = [key for key in ("session_start_time", "species", "sex", "age") if key not in nwb]
     stands = f" ({_UNKNOWN[:10]} stands for the time)" if unknown[:1] == ["session_start_time"] else ""
     return f"not known{stands}: {', '.join(unknown)}; say it by nwb.{unknown[0]}=" if unknown else ""
@@ -131,7 +131,7 @@ def _file(prediction: Prediction, clip: Clip, nwb: Mapping[str, str]) -> Any:
     """Return an NWBFile with what is known of the session."""
     import pynwb
 
-    digest = hashlib.sha256(np.ascontiguousarray(prediction.pose)).hexdigest()[:12]
+    digest = hashlib.sha256(prediction.pose.tobytes()).hexdigest()[:12]
     name = labels([prediction.title or clip.name])[0]
     when = datetime.fromisoformat(nwb.get("session_start_time", _UNKNOWN))
     about = "Video of which the poses are known; nothing else was said of the session."
