@@ -8,6 +8,7 @@ from scipy.spatial.transform import Rotation
 from walks import FEET, FPS, HIP, SKELETON, STRIDE, TILT, walk
 
 from uplift.biomechanics.gait import Gait, feet_of, gait_of
+from uplift.data.synthetic.simulate import simulate
 from uplift.errors import UserError
 from uplift.skeleton import load_skeleton
 
@@ -36,6 +37,25 @@ def test_a_walk_has_its_cadence_length_and_speed(heading: float) -> None:
     assert np.all((measured(gait, "stance_percent") > 60) & (measured(gait, "stance_percent") < 68))
     assert np.allclose(measured(gait, "stance_percent") + measured(gait, "swing_percent"), 100)
     assert max(next(iter(gait.asymmetry.values())).values()) < 1
+
+
+@pytest.mark.parametrize(("name", "gaits"), [("openpose25", ["walk", "run"]), ("quadruped28", ["walk", "trot"])])
+def test_simulated_walkers_have_their_cadence(name: str, gaits: list[str]) -> None:
+    skeleton = load_skeleton(name)
+    data = simulate(skeleton, 1200, seed=1, clip_seconds=4.0, fps=50.0, mode=gaits)
+    assert data.pose is not None and data.tilt_deg is not None
+    level = np.einsum("fij,fkj->fki", Rotation.from_rotvec(np.radians(data.tilt_deg)[:, None] * [-1.0, 0.0, 0.0]).as_matrix(), data.pose)
+    for clip in np.unique(data.clips()):
+        pose = level[data.clips() == clip]
+        found = gait_of(pose, np.arange(len(pose)) / 50, skeleton)
+        # How far apart two feet of a pair are goes up and down twice a stride.
+        one, other = (pose[:, skeleton.index(joint)] for joint in skeleton.contacts[:2])
+        apart = np.linalg.norm(one - other, axis=-1)
+        same = np.correlate(apart - apart.mean(), apart - apart.mean(), "full")[len(apart) - 1 :]
+        peaks = 1 + np.flatnonzero((same[1:-1] > same[:-2]) & (same[1:-1] > same[2:]))
+        assert np.median(measured(found, "stride_time_s")) == pytest.approx(peaks[1] / 50, rel=0.04)
+        assert len({stride.foot for stride in found.strides}) == len(found.feet)
+        assert 40 < np.median(measured(found, "stance_percent")) < 70
 
 
 def test_contacts_that_are_known_are_the_events() -> None:
