@@ -134,8 +134,8 @@ def _takes(model: Model) -> str:
 
 
 def _headline(found: Figures, task: str) -> Mapping[str, str]:
-    unit = "" if found.unit == "relative" else f" {found.unit}"
-    return {"p_mpjpe": f"{found.headline['p_mpjpe']:.1f}{unit} on {task}/test ({found.frames:,} frames)"}
+    unit = "thousandths of body size" if found.unit == "relative" else found.unit
+    return {"p_mpjpe": f"{found.headline['p_mpjpe']:.1f} {unit} on {task}/test ({found.frames:,} frames)"}
 
 
 if __name__ == "__main__":
