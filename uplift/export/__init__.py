@@ -53,7 +53,7 @@ WRITERS = {
         ".csv": Writer("uplift.export.tables:write_csv", "a table, one row a frame and body"),
         ".trc": Writer("uplift.export.markers:write_trc", "markers, for OpenSim", "opensim", "body"),
         ".osim": Writer(
-            "uplift.export.opensim:write_opensim", "a scaled model with inverse kinematics, OpenSim", "opensim", "body"
+            "uplift.export.osim:write_opensim", "a scaled model with inverse kinematics, OpenSim", "opensim", "body"
         ),
         ".c3d": Writer("uplift.export.markers:write_c3d", "points, for biomechanics programs", "opensim", "body"),
         ".bvh": Writer("uplift.export.bvh:write_bvh", "a skeleton that moves, for animation", "opensim", "body"),
@@ -229,6 +229,8 @@ def check_axes(path: str | Path, axes: str | None) -> None:
         raise UserError(f"axes={axes}: no such axes.{did_you_mean(axes, AXES)}")
     if ending == ".html" and axes not in ("camera", "opencv"):
         raise UserError(f"axes={axes}: a page turns poses itself; axes go with the other formats.")
+    if ending == ".osim" and axes != "opensim":
+        raise UserError(f"axes={axes}: a model of OpenSim stands with y up, axes=opensim; leave axes= out.")
     if axes == "unity" and ending in (".glb", ".bvh", ".usda", ".usdc", ".blend.py"):
         raise UserError(
             f"axes=unity is left-handed, and a {ending} is right-handed wherever it is read: Unity's importers turn it "
