@@ -15,7 +15,7 @@ from uplift.errors import UserError
 from uplift.export import WRITERS, write
 from uplift.models.prediction import Prediction
 
-ENDINGS = [ending for ending in WRITERS["poses"] if ending not in (".gif", ".mp4")]  # films have tests of their own
+ENDINGS = [ending for ending in WRITERS["poses"] if ending not in (".gif", ".mp4", ".osim")]  # have tests of their own
 OF_ONE = [ending for ending in ENDINGS if WRITERS["poses"][ending].holds == "body"]
 NAMES = st.one_of(
     st.sampled_from(
