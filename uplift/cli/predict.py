@@ -11,6 +11,7 @@ import numpy as np
 
 from uplift.cli.detect import check_keypoints_output, keypoints_in
 from uplift.cli.kinds import KINDS
+from uplift.cli.live import LIVE, live_command
 from uplift.cli.parsing import Keys, keyed, known_camera
 from uplift.cli.together import TOGETHER_KEYS, check_together, lift_views, views_of, write_found
 from uplift.cli.verbs import REFINE, SHAPE_KEYS
@@ -151,6 +152,11 @@ def predict_command(words: Sequence[str]) -> None:
     weights = read_weights(keys["run"])
     kind = KINDS[weights.lifts]
     kind.refuse_others("predict", keys, keys["run"])
+    if keys["output"] == LIVE and weights.lifts == "keypoints":
+        live_command(keys, weights)
+        return
+    if "port" in keys:
+        raise UserError("port= goes with output=live.")
     overrides = [f"{key}={value}" for key, value in keys.items() if key.startswith("data.")]
     files: dict[Path, str] = {}
     arguments = kind.predict_arguments(keys) | {"axes": keys.get("axes"), "page": keys.get("page"), "written": files}
