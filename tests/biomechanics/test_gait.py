@@ -44,7 +44,11 @@ def test_simulated_walkers_have_their_cadence(name: str, gaits: list[str]) -> No
     skeleton = load_skeleton(name)
     data = simulate(skeleton, 1200, seed=1, clip_seconds=4.0, fps=50.0, mode=gaits)
     assert data.pose is not None and data.tilt_deg is not None
-    level = np.einsum("fij,fkj->fki", Rotation.from_rotvec(np.radians(data.tilt_deg)[:, None] * [-1.0, 0.0, 0.0]).as_matrix(), data.pose)
+    level = np.einsum(
+        "fij,fkj->fki",
+        Rotation.from_rotvec(np.radians(data.tilt_deg)[:, None] * [-1.0, 0.0, 0.0]).as_matrix(),
+        data.pose,
+    )
     for clip in np.unique(data.clips()):
         pose = level[data.clips() == clip]
         found = gait_of(pose, np.arange(len(pose)) / 50, skeleton)
