@@ -298,7 +298,7 @@ VERBS = {
     ),
     "predict": Verb(
         "lift keypoints or masks to 3D",
-        ("predict run=RUN input=FILE|VIDEO output=FILE.html|.csv|.glb|...",),
+        ("predict run=RUN input=FILE output=FILE.html|.npz|.csv|.glb|...", "predict run=RUN input=VIDEO output=..."),
         settings=PREDICT,
     ),
     "detect": Verb(
@@ -309,7 +309,7 @@ VERBS = {
     "detectors": Verb(
         "the built-in detectors, and whether their networks are there",
         ("detectors", "detectors get NAME"),
-        {"get": "fetch the networks of one, once: later commands need no network"},
+        {"NAME": "a built-in whose networks are fetched, once: later commands need no network"},
     ),
     "simulate": Verb(
         "simulated bodies with exact poses",
