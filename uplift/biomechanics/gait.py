@@ -145,7 +145,7 @@ def gait_of(
 # The way of every foot along the heading.
 
 _LEAST_FRAMES = 12
-_LEAST_STRIDES = 3
+_LEAST_STRIDES = 2
 
 
 @dataclass(frozen=True)
