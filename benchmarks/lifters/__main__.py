@@ -25,6 +25,7 @@ from uplift.data.load import load_file
 from uplift.errors import UserError
 from uplift.models.known_body import usual_errors
 from uplift.models.model import Model, load_poses
+from uplift.skeleton import load_skeleton
 
 LIFTERS: dict[str, dict[str, Any]] = yaml.safe_load((Path(__file__).parent / "lifters.yaml").read_text())
 
@@ -61,7 +62,7 @@ def make(name: str, work: Path, output: Path, steps: int | None = None) -> None:
     print(f"{name}: measure", flush=True)
     model = _complete(load_poses(run.weights), data_folder() / task / "train.npz")
     model.save(path, half=True)  # what is measured is what is shipped
-    found = measure(load_poses(path), wanted, task, data_folder())
+    found = measure(load_poses(path), wanted, task, data_folder(), run.settings().data.unit)
     facts = _facts(name, words, run, path)
     about = {
         "title": wanted["title"],
@@ -94,7 +95,17 @@ def _is_of(words: Sequence[str], run: Path) -> bool:
 
 
 def _complete(model: Model, train: Path) -> Model:
-    """Return the model with what tells other bodies, for a fit from before that was kept."""
+    """Return the model with the skeleton as it is included now, and with what tells other bodies where the fit did not keep that."""
+    skeleton = load_skeleton(model.skeleton.name)
+    if (skeleton.joints, skeleton.bones, skeleton.root) != (
+        model.skeleton.joints,
+        model.skeleton.bones,
+        model.skeleton.root,
+    ):
+        raise BenchmarkError(
+            f"the fit is of another skeleton '{skeleton.name}' than the one that is included now: fit again"
+        )
+    model = replace(model, skeleton=skeleton)  # other layouts may have come to it since
     return model if model.usual else replace(model, usual=usual_errors(model, load_file(train, model.skeleton)))
 
 

@@ -9,14 +9,14 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from writers_samples import NEEDS, pair, prediction
+from writers_samples import ENDINGS, needed, pair, prediction
 
 from uplift.errors import UserError
 from uplift.export import WRITERS, write
 from uplift.models.prediction import Prediction
 
-ENDINGS = [ending for ending in WRITERS["poses"] if ending not in (".gif", ".mp4")]  # films have tests of their own
-OF_ONE = [ending for ending in ENDINGS if WRITERS["poses"][ending].holds == "body"]
+OF_ALL = [ending for ending in ENDINGS if ending not in (".gif", ".mp4")]  # films have tests of their own
+OF_ONE = [ending for ending in OF_ALL if WRITERS["poses"][ending].holds == "body"]
 NAMES = st.one_of(
     st.sampled_from(
         ["../x", "/etc/x", "a:b", "a/b", "🐭", "CON", ".", "", "  ", "Skeletons", "\ud800", "a\x00b", "日" * 90]
@@ -27,11 +27,9 @@ NAMES = st.one_of(
 SAMPLES = prediction(36), prediction(36, rooted=True)
 
 
-@pytest.fixture(params=ENDINGS)
+@pytest.fixture(params=OF_ALL)
 def ending(request: pytest.FixtureRequest) -> str:
-    for module in NEEDS.get(request.param, ()):
-        pytest.importorskip(module)
-    return request.param
+    return needed(request.param)
 
 
 @st.composite

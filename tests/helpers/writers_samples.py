@@ -6,21 +6,32 @@ from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
+import pytest
 
+from uplift.export import WRITERS
 from uplift.models.prediction import Prediction
 from uplift.skeleton import Skeleton
 
-__all__ = ["NEEDS", "chain", "complete_prediction", "figure", "pair", "places_of", "prediction", "tilted"]
+__all__ = ["ENDINGS", "chain", "complete_prediction", "figure", "needed", "pair", "places_of", "prediction", "tilted"]
 
-NEEDS = {
+ENDINGS = tuple(ending for ending in WRITERS["poses"] if ending != ".osim")
+"""Of the formats that any skeleton is written in; OpenSim's is for people, and has tests of its own."""
+_NEEDS = {
     ".nwb": ("pynwb", "ndx_pose"), ".nc": ("xarray", "h5netcdf"), ".dlc.h5": ("tables",), ".sleap.h5": ("h5py",),
-    ".usda": ("pxr",), ".usdc": ("pxr",), ".c3d": ("ezc3d",), ".mp4": ("imageio_ffmpeg",),
+    ".usda": ("pxr",), ".usdc": ("pxr",), ".c3d": ("ezc3d",), ".mp4": ("av",),
 }  # fmt: skip
 """The modules that writers need beside what the package itself does."""
 _REST = {
     "hip": (0, 0, 0), "neck": (0, -500, 0), "head": (0, -700, -40),
     "lhand": (350, -250, -60), "rhand": (-350, -250, 60), "lfoot": (120, 850, 0), "rfoot": (-120, 850, 0),
 }  # fmt: skip
+
+
+def needed(ending: str) -> str:
+    """Return ``ending``; skips the test where a library that its writer needs is absent."""
+    for module in _NEEDS.get(ending, ()):
+        pytest.importorskip(module)
+    return ending
 
 
 def figure() -> Skeleton:

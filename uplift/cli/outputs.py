@@ -14,7 +14,7 @@ from uplift.export.nwb import check_nwb
 from uplift.export.osim import beside_model, check_opensim
 from uplift.models.prediction import Prediction
 
-__all__ = ["check_outputs", "outputs_of", "shows_video", "write_outputs"]
+__all__ = ["check_outputs", "outputs_of", "refuse_outputs", "shows_video", "write_outputs"]
 
 _OF_FORMATS = {"csv_safe": (".csv",), "mass_kg": (".osim",), "nwb": (".nwb",), "video": (".html", ".mp4", ".gif")}
 """Options of some formats alone, by their endings; all others are those of page=gallery."""
@@ -50,9 +50,16 @@ def check_outputs(
         check_options(**{key: value for key, value in options.items() if key not in _OF_FORMATS})
     if hypotheses and not any(ending_of(output) == ".npz" for output in outputs):
         raise UserError(f"hypotheses= goes with output=FILE.npz, which can hold several poses, not with {shown}.")
+    refuse_outputs(outputs)
+
+
+def refuse_outputs(outputs: Sequence[str]) -> None:
+    """Raise UserError for a file that exists, cannot be made, or is there twice."""
     for output in outputs:
         if outputs.count(output) > 1:
-            raise UserError(f"output={shown}: '{output}' is there twice. Give every file a name of its own.")
+            raise UserError(
+                f"output={','.join(outputs)}: '{output}' is there twice. Give every file a name of its own."
+            )
         refuse_output(Path(output))
         if ending_of(output) == ".osim":
             check_opensim(output)

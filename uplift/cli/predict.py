@@ -12,10 +12,10 @@ import numpy as np
 from uplift.cli.detect import check_keypoints_output, keypoints_in
 from uplift.cli.kinds import KINDS
 from uplift.cli.lifters import hint_for
-from uplift.cli.outputs import check_outputs, outputs_of, shows_video, write_outputs
+from uplift.cli.outputs import check_outputs, outputs_of, refuse_outputs, shows_video, write_outputs
 from uplift.cli.parsing import Keys, keyed, known_camera
 from uplift.cli.together import TOGETHER_KEYS, check_together, lift_views, views_of, write_found
-from uplift.cli.verbs import REFINE, SHAPE_KEYS
+from uplift.cli.verbs import NWB_KEYS, REFINE, SHAPE_KEYS
 from uplift.config.files import files_of
 from uplift.config.loading import load_settings
 from uplift.config.progress import say
@@ -30,7 +30,7 @@ from uplift.data.formats.base import ReadOptions
 from uplift.data.load import format_of_run, in_skeleton, load_file, load_split
 from uplift.data.poses import PoseData
 from uplift.errors import UserError, did_you_mean
-from uplift.export import check_axes, check_measure, write
+from uplift.export import check_axes, check_measure, write, writer_for
 from uplift.export.scene import in_axes
 from uplift.metrics.pose_metrics import bone_cv, bone_lengths, never_seen_so_long
 from uplift.models.known_body import check_body
@@ -201,7 +201,11 @@ def keypoint_arguments(keys: Keys) -> dict[str, Any]:
         "keypoints": keys.value("keypoints"),
         "check": keys.value("check"),
         "reading": keys.reading(),
-        **({"nwb": nwb} if (nwb := {key[4:]: value for key, value in keys.items() if key.startswith("nwb.")}) else {}),
+        **(
+            {"nwb": {name.partition(".")[2]: said for name, said in nwb.items()}}
+            if (nwb := keys.given(*NWB_KEYS))
+            else {}
+        ),
         **keys.given("images", "video", "frames", "seed", "csv_safe", "mass_kg", "together", *TOGETHER_KEYS),
     }
 
@@ -453,7 +457,7 @@ def lift_masks(request: Request) -> tuple[ShapePrediction, dict[Path, str]]:
     reading = {key: options.pop(key) for key in _READING if key in options}
     for output in request.outputs:
         _check_mesh_output(output, request.page, options)
-    _refuse_outputs(request.outputs)
+    refuse_outputs(request.outputs)
     model, trained = load_shapes(request.weights), request.weights.settings()
     if trained is not None:
         reading = {"side": trained.data.side, "format": format_of_run(trained, request.input), **reading}

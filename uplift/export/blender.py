@@ -6,8 +6,6 @@ import base64
 import json
 from pathlib import Path
 
-import numpy as np
-
 from uplift.config.files import replacing
 from uplift.export.clips import USUAL_FPS, evenly, frame_rate, one_clip
 from uplift.export.scene import in_metres, known_points, row_places
@@ -42,7 +40,7 @@ def write_blender(prediction: Prediction, path: str | Path) -> str:
         "joints": _short(prediction.joint_names),
         "bones": prediction.bone_indices.tolist(),
         "bodies": [
-            {"name": name, "places": base64.b64encode(np.ascontiguousarray(places[:, who])).decode()}
+            {"name": name, "places": base64.b64encode(places[:, who].tobytes()).decode()}
             for who, name in enumerate(bodies)
         ],
     }

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float
 
 import uplift
 from uplift.config.files import replacing_by_name
@@ -57,7 +56,7 @@ def write_nwb(prediction: Prediction, path: str | Path, nwb: Mapping[str, str] |
     """
     try:
         import pynwb
-        from ndx_pose import PoseEstimation, PoseEstimationSeries, Skeleton, Skeletons
+        from ndx_pose import PoseEstimation, Skeleton, Skeletons
     except ImportError as error:
         raise UserError(f'{path}: writing NWB needs pynwb and ndx-pose: pip install "uplift3d[nwb]".') from error
     nwb = nwb or {}
@@ -74,39 +73,39 @@ def write_nwb(prediction: Prediction, path: str | Path, nwb: Mapping[str, str] |
     )
     module = file.create_processing_module("behavior", "Poses in 3D, lifted from 2D keypoints of one camera")
     module.add(Skeletons(skeletons=[skeleton]))
-    points, seen = _by_individual(prediction, clip)
-    unit, scale = _UNITS[prediction.unit]
-    shared = {"reference_frame": _frame_of(prediction), "unit": unit, "rate": rate, "starting_time": start / rate}
-    shared |= {"confidence_definition": _CONFIDENCE}
-    for who, title in enumerate(_titles(clip)):
-        series = [
-            PoseEstimationSeries(
-                name=name,
-                description=f"Where {name} is",
-                data=points[:, who, at] * scale,
-                confidence=seen[:, who, at],
-                **shared,
-            )
-            for at, name in enumerate(names)
-        ]
-        module.add(PoseEstimation(
-            name=title, pose_estimation_series=series, skeleton=skeleton, scorer="uplift", source_software="uplift",
-            source_software_version=uplift.__version__, description=_about(prediction, clip, who),
-        ))  # fmt: skip
-    with replacing_by_name(path) as written, pynwb.NWBHDF5IO(str(written), "w") as io:
-        io.write(file)
+    shared = {"scorer": "uplift", "source_software": "uplift", "source_software_version": uplift.__version__}
+    for who, (title, series) in enumerate(
+        zip(_titles(clip), _series(prediction, clip, names, start, rate), strict=True)
+    ):
+        shared |= {"name": title, "description": _about(prediction, clip, who)}
+        module.add(PoseEstimation(pose_estimation_series=series, skeleton=skeleton, **shared))
+    with replacing_by_name(path) as written, pynwb.NWBHDF5IO(path=str(written), mode="w") as io:
+        io.write(container=file)
     unknown = [key for key in ("session_start_time", "species", "sex", "age") if key not in nwb]
     stands = f" ({_UNKNOWN[:10]} stands for the time)" if unknown[:1] == ["session_start_time"] else ""
     return f"not known{stands}: {', '.join(unknown)}; say it by nwb.{unknown[0]}=" if unknown else ""
 
 
-def _by_individual(
-    prediction: Prediction, clip: Clip
-) -> tuple[Float[np.ndarray, "frames individuals joints 3"], Float[np.ndarray, "frames individuals joints"]]:
-    """Return places, NaN where missing, and confidences, 0 there."""
-    points = clip.by_moment(known_points(prediction.points)).astype(np.float32)
-    seen = np.clip(np.nan_to_num(clip.by_moment(np.asarray(prediction.confidence, float))), 0, 1)
-    return points, seen.astype(np.float32)
+def _series(prediction: Prediction, clip: Clip, names: list[str], start: int, rate: float) -> Iterator[list[Any]]:
+    """Yield each individual's series of joints: places, NaN where missing, and confidences, 0 there."""
+    from ndx_pose import PoseEstimationSeries
+
+    unit, scale = _UNITS[prediction.unit]
+    points = clip.by_moment(known_points(prediction.points) * scale).astype(np.float32)
+    seen = np.nan_to_num(clip.by_moment(np.asarray(prediction.confidence, float))).clip(0, 1).astype(np.float32)
+    shared = {"reference_frame": _frame_of(prediction), "unit": unit, "rate": rate, "starting_time": start / rate}
+    shared |= {"confidence_definition": _CONFIDENCE}
+    for who in range(len(clip.individual_names)):
+        yield [
+            PoseEstimationSeries(
+                name=name,
+                description=f"Where {name} is",
+                data=points[:, who, at],
+                confidence=seen[:, who, at],
+                **shared,
+            )
+            for at, name in enumerate(names)
+        ]
 
 
 def _titles(clip: Clip) -> list[str]:
@@ -132,7 +131,7 @@ def _file(prediction: Prediction, clip: Clip, nwb: Mapping[str, str]) -> Any:
     """Return an NWBFile with what is known of the session."""
     import pynwb
 
-    digest = hashlib.sha256(np.ascontiguousarray(prediction.pose)).hexdigest()[:12]
+    digest = hashlib.sha256(prediction.pose.tobytes()).hexdigest()[:12]
     name = labels([prediction.title or clip.name])[0]
     when = datetime.fromisoformat(nwb.get("session_start_time", _UNKNOWN))
     about = "Video of which the poses are known; nothing else was said of the session."

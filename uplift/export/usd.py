@@ -31,7 +31,7 @@ def write_usd(prediction: Prediction, path: str | Path) -> str:
     Raises UserError without pxr, for several clips, and for an individual that is in a frame twice.
     """
     try:
-        from pxr import Usd, UsdGeom
+        from pxr import Usd, UsdGeom  # type: ignore
     except ImportError as error:
         raise UserError(f'{path}: writing USD needs usd-core: pip install "uplift3d[usd]".') from error
     clip, start = evenly(one_clip(prediction, path), path)
@@ -57,7 +57,7 @@ def write_usd(prediction: Prediction, path: str | Path) -> str:
 
 def _set_up(stage: Any, prediction: Prediction, rate: float, frames: tuple[int, int]) -> None:
     """Say which axis is up, how long a unit is, and how fast time goes."""
-    from pxr import UsdGeom
+    from pxr import UsdGeom  # type: ignore
 
     UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.z if prediction.axes == "blender" else UsdGeom.Tokens.y)
     UsdGeom.SetStageMetersPerUnit(stage, 1.0)
@@ -89,21 +89,21 @@ class _Individual:
             _show(self._line(prims[at], bone, colours[side]), names[at])
 
     def _ball(self, prim: str, joint: int, colour: tuple[float, ...]) -> Any:
-        from pxr import Gf, UsdGeom
+        from pxr import Gf, UsdGeom  # type: ignore
 
         ball = UsdGeom.Sphere.Define(self.stage, f"{self.top}/{prim}")
         radius = _JOINT_SHARE * self.size
         ball.CreateRadiusAttr(radius)
         ball.CreateExtentAttr([(-radius,) * 3, (radius,) * 3])
         ball.CreateDisplayColorAttr([colour])
-        move, known = ball.AddTranslateOp(), np.isfinite(self.places[:, joint]).all(-1)
+        move, known = ball.AddTranslateOp(), np.asarray(np.isfinite(self.places[:, joint]).all(-1))
         for frame in np.flatnonzero(known).tolist():
             move.Set(Gf.Vec3d(*self.places[frame, joint].tolist()), self.start + frame)
         _hide(ball, known, self.start)
         return ball
 
     def _line(self, prim: str, bone: Int[np.ndarray, "2"], colour: tuple[float, ...]) -> Any:
-        from pxr import UsdGeom, Vt
+        from pxr import UsdGeom, Vt  # type: ignore
 
         line = UsdGeom.BasisCurves.Define(self.stage, f"{self.top}/{prim}")
         line.CreateTypeAttr(UsdGeom.Tokens.linear)
@@ -112,7 +112,7 @@ class _Individual:
         line.SetWidthsInterpolation(UsdGeom.Tokens.constant)
         line.CreateDisplayColorAttr([colour])
         points, extent = line.CreatePointsAttr(), line.CreateExtentAttr()
-        known = np.isfinite(self.places[:, bone]).all((1, 2))
+        known = np.asarray(np.isfinite(self.places[:, bone]).all((1, 2)))
         for frame in np.flatnonzero(known).tolist():
             ends = Vt.Vec3fArray.FromNumpy(np.ascontiguousarray(self.places[frame, bone], np.float32))
             points.Set(ends, self.start + frame)
@@ -123,7 +123,7 @@ class _Individual:
 
 def _hide(shape: Any, known: Bool[np.ndarray, " frames"], start: int) -> None:
     """Hide a shape where it is not known; a visibility holds until the next."""
-    from pxr import UsdGeom
+    from pxr import UsdGeom  # type: ignore
 
     changes = np.flatnonzero(np.diff(known, prepend=True))
     if known.all():
@@ -136,7 +136,7 @@ def _hide(shape: Any, known: Bool[np.ndarray, " frames"], start: int) -> None:
 
 def _identifiers(names: Iterable[str]) -> list[str]:
     """Return names that prims may have."""
-    from pxr import Tf
+    from pxr import Tf  # type: ignore
 
     return unique(Tf.MakeValidIdentifier(name) for name in labels(names))
 
