@@ -12,6 +12,8 @@ python -m benchmarks.shapes COMMAND ...    shapes from masks: demo, families, tw
 python -m benchmarks.mutation [MODULES]    which share of small bugs the tests notice, module by module
 python -m benchmarks.settings_tables       the tables of settings in the documentation, from the code (make docs)
 python -m benchmarks.ground RUN FILE ...  what ground=true changes: sliding feet, the path of the root, poses
+python -m benchmarks.opensim RUN           inverse kinematics of lifted people: errors of markers, knees and elbows
+python -m benchmarks.transfer [--only X]   fits of new data from scratch and from a ready lifter (init=)
 python -m benchmarks.score_2d [FAMILY ...] how well figures without truth order lifters as their errors do
 
 Real data is read from UPLIFT_DATA. Results are stored in benchmarks/results/; stored results are not computed again."""

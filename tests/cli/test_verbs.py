@@ -6,6 +6,7 @@ import inspect
 import math
 import typing
 from dataclasses import MISSING, fields, is_dataclass
+from typing import Any
 
 import pytest
 
@@ -56,8 +57,9 @@ def valid_text(setting: Setting) -> str:
 
 @pytest.mark.parametrize(("verb", "setting"), EVERY, ids=IDS)
 def test_every_listed_setting_is_accepted_in_its_range(verb: str, setting: Setting) -> None:
-    if setting.name == "data.options":
-        assert keyed(verb, words_for(verb, "data.options.fps", "25"))["data.options.fps"] == "25"
+    if setting.kind == dict[str, Any]:
+        name = f"{setting.name}.fps"
+        assert keyed(verb, words_for(verb, name, "25"))[name] == "25"
         return
     text = valid_text(setting)
     keys = keyed(verb, words_for(verb, setting.name, text))

@@ -133,7 +133,7 @@ class _Scene(NamedTuple):
 def _scene(pose: np.ndarray, joints: Sequence[str], level: Float[np.ndarray, "frames_or_1 3 3"]) -> _Scene:
     """Return the scene of poses; ``level`` are rotations from their axes to the level frame."""
     pose = np.ascontiguousarray(np.asarray(pose, np.float64).transpose(1, 2, 0))
-    pose[~np.isfinite(pose).all(1)[:, None].repeat(3, 1)] = np.nan
+    pose = np.where(np.isfinite(pose).all(1, keepdims=True), pose, np.nan)
     # The rows of a rotation to the level frame are its axes.
     right, down = (np.broadcast_to(level[:, row].T, pose.shape[1:]) for row in (0, 1))
     names = {"up": -down, "down": down, "image_right": right, "image_left": -right}
@@ -158,10 +158,10 @@ def _joints(angle: Angle) -> set[str]:
 def _measured(angle: Angle, scene: _Scene) -> _Numbers:
     """Return an angle in degrees, in (-180, 180]."""
     segment = _along(angle.segment, scene)
-    start = None if angle.start is None else _along(angle.start, scene)
+    start = np.zeros(3) if angle.start is None else _along(angle.start, scene)
     if angle.towards is not None:
         towards = _along(angle.towards, scene)
-        towards = towards if start is None else _unit(towards - _dot(towards, start) * start)
+        towards = towards if angle.start is None else _unit(towards - _dot(towards, start) * start)
         found = np.pi / 2 - _between(segment, towards)
     elif angle.about is None:
         found = _between(segment, start)
@@ -176,7 +176,7 @@ def _along(way: Way, scene: _Scene) -> np.ndarray:
     """Return a direction as unit vectors, NaN where it has no length."""
     if isinstance(way, str):
         return scene.level[way]
-    start, *ends = (sum(scene.points[joint] for joint in end) / len(end) for end in way)
+    start, *ends = (np.add.reduce([scene.points[joint] for joint in end]) / len(end) for end in way)
     return _unit(ends[0] - start if len(ends) == 1 else _cross(ends[0] - start, ends[1] - start))
 
 

@@ -7,8 +7,9 @@ That needs no place of the body in the room, so that one camera, a treadmill, an
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
 
 import numpy as np
@@ -23,6 +24,10 @@ _LEAST_REACH = 0.2
 """A foot that walks goes at least so far from behind to ahead, in lengths of its leg."""
 _LOW = 0.3
 """A foot strikes less than so many leg lengths above its lowest place: a kick ends high."""
+_STEADY_S = 1.0
+"""Time over which a body keeps its heading."""
+_ALIKE = (0.6, 1.6)
+"""Of the median stride: one much shorter or longer is none of the walk."""
 _FLAT = (0.1, 0.5)
 """Shares of a stance between which the foot is flat: before it the heel comes down, after it the heel rises."""
 _CUT_HZ = 6.0
@@ -127,7 +132,7 @@ def gait_of(
     walk = _walk_of(pose[known], time_s[known], skeleton, feet)
     events = [_events(walk, k) for k in range(len(feet))]
     if contact is not None and contact[known].any():
-        stands = [contact[known][:, foot.contacts].any(1) for foot in feet]
+        stands = [np.asarray(contact[known][:, foot.contacts].any(1)) for foot in feet]
         events = [_edges(one, time_s[known]) if one.any() else found for one, found in zip(stands, events, strict=True)]
     strides = _strides(walk, feet, events)
     why_not = _not_walking(strides, feet)
@@ -160,7 +165,7 @@ class _Walk:
 
 def _walk_of(pose: np.ndarray, time: np.ndarray, skeleton: Skeleton, feet: list[Foot]) -> _Walk:
     evenly, pose = _filtered(pose.astype(np.float64), time)
-    ahead = _heading(pose, skeleton)
+    ahead = _heading(pose, evenly, skeleton)
     heel, toe, height, leg = [], [], [], []
     for foot in feet:
         tops = pose[:, [foot.limb[0], feet[foot.partner].limb[0]]].mean(1)
@@ -191,15 +196,19 @@ def _filtered(pose: np.ndarray, time: np.ndarray) -> tuple[np.ndarray, np.ndarra
     return fine, CubicSpline(time, pose)(fine)
 
 
-def _heading(pose: np.ndarray, skeleton: Skeleton) -> Float[np.ndarray, "frames 3"]:
+def _heading(pose: np.ndarray, time: np.ndarray, skeleton: Skeleton) -> Float[np.ndarray, "frames 3"]:
     """Return where the body heads, level unit vectors: square to its ``left``, or along its ``front`` where that is longer.
 
-    A person's hips say it better than the knees, a long back better than the shoulders.
+    A person's hips say it better than the knees, a long back better than the shoulders. Directions are summed over the
+    second around each moment, so that one which is short there, and may point anywhere, counts little.
     """
+    from scipy.ndimage import uniform_filter1d
+
     left, front = (skeleton.facing_matrix(name) @ pose * [1.0, 0.0, 1.0] for name in ("left", "front"))
     square = np.stack([left[:, 2], left[:, 1], -left[:, 0]], -1)  # a quarter turn about the vertical
     longer = np.median(np.linalg.norm(front, axis=-1)) > np.median(np.linalg.norm(left, axis=-1))
-    ahead = front if longer else square
+    around = max(1, round(_STEADY_S / (time[1] - time[0])))
+    ahead = uniform_filter1d(front if longer else square, around, axis=0, mode="nearest")
     return ahead / np.maximum(np.linalg.norm(ahead, axis=-1, keepdims=True), 1e-9)
 
 
@@ -226,19 +235,22 @@ def _edges(stands: Bool[np.ndarray, " frames"], time: Float[np.ndarray, " frames
 
 
 def _strides(walk: _Walk, feet: list[Foot], events: list[_Events]) -> list[Stride]:
-    """Return every stride that has one toe-off between its two strikes."""
-    found, speeds = [], _speeds(walk, events)
+    """Return every stride that has one toe-off between its two strikes and is about as long as the others."""
+    found: list[Stride] = []
+    speeds = _speeds(walk, events)
     for place, (foot, (strikes, offs)) in enumerate(zip(feet, events, strict=True)):
-        number = 0
-        for strike, end in pairwise(strikes):
-            inside = offs[(offs > strike) & (offs < end)]
-            if len(inside) != 1:
-                continue
-            number += 1
-            off = float(inside[0])
-            measures = _measure(walk, speeds, place, foot.partner, events, (float(strike), off, float(end)))
-            found.append(Stride(foot.name, number, float(strike), off, float(end), measures))
-    return found
+        for strike, end in pairwise(strikes.tolist()):
+            inside = offs[(offs > strike) & (offs < end)].tolist()
+            if len(inside) == 1:
+                measures = _measure(walk, speeds, place, foot.partner, events, (strike, inside[0], end))
+                found.append(Stride(foot.name, 0, strike, inside[0], end, measures))
+    usual = np.median([one.end_s - one.strike_s for one in found]) if found else 0.0
+    kept = [one for one in found if _ALIKE[0] * usual < one.end_s - one.strike_s < _ALIKE[1] * usual]
+    count = Counter[str]()
+    for place, one in enumerate(kept):
+        count[one.foot] += 1
+        kept[place] = replace(one, number=count[one.foot])
+    return kept
 
 
 def _measure(

@@ -12,10 +12,11 @@ import numpy as np
 from uplift.cli.detect import check_keypoints_output, keypoints_in
 from uplift.cli.kinds import KINDS
 from uplift.cli.lifters import hint_for
+from uplift.cli.outputs import check_outputs, outputs_of, refuse_outputs, shows_video, write_outputs
 from uplift.cli.parsing import Keys, keyed, known_camera
 from uplift.cli.together import TOGETHER_KEYS, check_together, lift_views, views_of, write_found
-from uplift.cli.verbs import REFINE, SHAPE_KEYS
-from uplift.config.files import files_of, refuse_output
+from uplift.cli.verbs import NWB_KEYS, REFINE, SHAPE_KEYS
+from uplift.config.files import files_of
 from uplift.config.loading import load_settings
 from uplift.config.progress import say
 from uplift.config.run import Weights, read_weights
@@ -29,8 +30,7 @@ from uplift.data.formats.base import ReadOptions
 from uplift.data.load import format_of_run, in_skeleton, load_file, load_split
 from uplift.data.poses import PoseData
 from uplift.errors import UserError, did_you_mean
-from uplift.export import MEASURES, check_axes, check_measure, write, writer_for
-from uplift.export.gallery import check_options
+from uplift.export import check_axes, check_measure, write, writer_for
 from uplift.export.scene import in_axes
 from uplift.metrics.pose_metrics import bone_cv, bone_lengths, never_seen_so_long
 from uplift.models.known_body import check_body
@@ -76,8 +76,8 @@ class Request:
 
     @property
     def outputs(self) -> list[str]:
-        """The files to write: several are between commas."""
-        return [] if self.output is None else [part for part in str(self.output).split(",") if part]
+        """The files to write."""
+        return outputs_of(self.output)
 
     @property
     def title(self) -> str:
@@ -201,7 +201,12 @@ def keypoint_arguments(keys: Keys) -> dict[str, Any]:
         "keypoints": keys.value("keypoints"),
         "check": keys.value("check"),
         "reading": keys.reading(),
-        **keys.given("images", "video", "frames", "seed", "csv_safe", "together", *TOGETHER_KEYS),
+        **(
+            {"nwb": {name.partition(".")[2]: said for name, said in nwb.items()}}
+            if (nwb := keys.given(*NWB_KEYS))
+            else {}
+        ),
+        **keys.given("images", "video", "frames", "seed", "csv_safe", "mass_kg", "together", *TOGETHER_KEYS),
     }
 
 
@@ -234,7 +239,7 @@ def lift_keypoints(request: Request) -> tuple[Prediction, dict[Path, str]]:
         prediction = model.predict(data, **how, **more)
     odd = odd_size(model.skeleton, request.size)
     prediction = replace(prediction, notes=(*prediction.notes, *([odd] if odd else []), *strange))
-    files = _write_all(prediction, request, options)
+    files = write_outputs(prediction, request.outputs, request.page, axes, options)
     if request.keypoints is not None:
         files[Path(request.keypoints)] = "the 2D"
     if "cameras_output" in together:
@@ -260,70 +265,18 @@ def _check_request(request: Request, together: Mapping[str, Any], options: Mappi
             "are for one camera."
         )
     _check_frames(request, together)
-    page, outputs = request.page, request.outputs
-    if not outputs:
-        return
-    pages = [output for output in outputs if _is_page(output)]
-    for output in outputs:
-        writer_for(output, page if output in (pages or outputs) else None)
-    for output in [output for output in outputs if _has_axes(output)] or outputs:
-        check_axes(output, request.axes)
-    shown, endings = ", ".join(outputs), {Path(output).suffix.lower() for output in outputs}
-    for key in options:
-        if key == "csv_safe" and ".csv" not in endings:
-            raise UserError(f"csv_safe= goes with output=FILE.csv, not with {shown}.")
-        if key not in ("csv_safe", "video") and page != "gallery":
-            raise UserError(f"{key}= goes with page=gallery.")
-    if page == "gallery" and "video" not in options:
-        check_options(**{key: value for key, value in options.items() if key != "csv_safe"})
     if options.get("images") is not None and request.reading is not None:
         for key in {"flip_x", "flip_y", "rotate"} & set(request.reading.set_names()):
             raise UserError(f"{key}= turns the keypoints and not the photos of images=: give one of the two.")
-    if request.hypotheses and ".npz" not in endings:
-        raise UserError(f"hypotheses= goes with output=FILE.npz, which can hold several poses, not with {shown}.")
-    _refuse_outputs(outputs)
-
-
-def _refuse_outputs(outputs: Sequence[str]) -> None:
-    for output in outputs:
-        if outputs.count(output) > 1:
-            raise UserError(
-                f"output={','.join(outputs)}: '{output}' is there twice. Give every file a name of its own."
-            )
-        refuse_output(Path(output))
-
-
-def _is_page(output: str) -> bool:
-    return Path(output).suffix.lower() == ".html"
-
-
-def _has_axes(output: str) -> bool:
-    """Return whether a file holds poses in axes: a page turns them, angles and gait have none."""
-    return not _is_page(output) and writer_for(output) not in MEASURES.values()
-
-
-def _write_all(prediction: Prediction, request: Request, options: Mapping[str, Any]) -> dict[Path, str]:
-    """Write every output, each with the options that are about its kind of file."""
-    files: dict[Path, str] = {}
-    for output in request.outputs:
-        page, table = _is_page(output), Path(output).suffix.lower() == ".csv"
-        takes = {"csv_safe": table, "video": _shows_video(output)}
-        mine = {key: value for key, value in options.items() if takes.get(key, page)}
-        files |= write(
-            prediction, output, request.page if page else None, request.axes if _has_axes(output) else None, **mine
-        )
-    return files
-
-
-def _shows_video(output: str) -> bool:
-    return Path(output).suffix.lower() in (".html", ".mp4", ".gif")
+    if request.outputs:
+        check_outputs(request.outputs, request.page, request.axes, options, request.hypotheses)
 
 
 def _footage(request: Request, together: Mapping[str, Any], options: Mapping[str, Any]) -> dict[str, str]:
     """Return the option of the video that a page or a film shows: what was asked for, else the input that is one."""
     turned = request.reading and request.reading.set_names()
     turned = sorted({"flip_x", "flip_y", "rotate"} & set(turned or ()))
-    shown = request.page != "gallery" and any(map(_shows_video, request.outputs))
+    shown = request.page != "gallery" and any(map(shows_video, request.outputs))
     if "video" not in options:
         own = shown and is_frames(request.input) and not (together or turned or _is_camera(request.input))
         return {"video": str(request.input)} if own else {}
@@ -504,7 +457,7 @@ def lift_masks(request: Request) -> tuple[ShapePrediction, dict[Path, str]]:
     reading = {key: options.pop(key) for key in _READING if key in options}
     for output in request.outputs:
         _check_mesh_output(output, request.page, options)
-    _refuse_outputs(request.outputs)
+    refuse_outputs(request.outputs)
     model, trained = load_shapes(request.weights), request.weights.settings()
     if trained is not None:
         reading = {"side": trained.data.side, "format": format_of_run(trained, request.input), **reading}

@@ -161,11 +161,12 @@ class _Seen:
         made = {"pelvis": ("@left_hip", "@right_hip"), "thorax": ("@left_shoulder", "@right_shoulder")}
         if key != "@trunk":
             return np.mean([self.track(one) for one in made[key[1:]]], 0)
-        share = self.place("@trunk")[1] / self.place("@thorax")[1]
-        return (1 - share) * self.track("@pelvis") + share * self.track("@thorax")
+        return (1 - self._loins) * self.track("@pelvis") + self._loins * self.track("@thorax")
 
     def place(self, key: str) -> Float[np.ndarray, " 3"]:
         """Return where a joint or point is on the neutral body."""
+        if key == "@trunk" and not self.has(self.trunk):  # where `track` has it
+            return (1 - self._loins) * self.place("@pelvis") + self._loins * self.place("@thorax")
         row = self._row(key[1:]) if key.startswith("@") else self.weights[self.joints.index(key)]
         return row @ self.rest
 
@@ -173,6 +174,11 @@ class _Seen:
     def trunk(self) -> str:
         """The point that pelvis and trunk turn about: where there is no joint between them, at the loins."""
         return "spine" if self.has("spine") and not self.has("lumbar") else "lumbar"
+
+    @property
+    def _loins(self) -> float:
+        """How far up the line from the hips to the shoulders the trunk bends."""
+        return self.rest[self.names.index("lumbar"), 1] / self.rest[self.names.index("thorax"), 1]
 
     def _row(self, point: str) -> Float[np.ndarray, " points"]:
         return np.eye(len(self.names))[self.names.index(self.trunk if point == "trunk" else point)]
@@ -182,7 +188,7 @@ class _Seen:
         rows = [row]
         for middle, pair in (("pelvis", "hip"), ("thorax", "shoulder")):
             if row[self.names.index(middle)] == 1:
-                rows.append(sum(np.eye(len(row))[self.names.index(f"{side}_{pair}")] / 2 for side in ("left", "right")))
+                rows.append((self._row(f"left_{pair}") + self._row(f"right_{pair}")) / 2)
         found = [place for one in rows for place in np.flatnonzero((self.weights == one).all(1))]
         return int(found[0]) if found else None
 
@@ -198,8 +204,8 @@ def _seen(skeleton: Skeleton, joints: Sequence[str], points_mm: Float[np.ndarray
     missing = [point for point in _NEEDED if not seen.has(point)]
     if missing:
         raise UserError(
-            f"OpenSim: skeleton '{skeleton.name}' has no {listed(missing, 3)}; the body that is built needs both hips, knees and "
-            "shoulders. Say which joints they are by limits: {JOINT: {human: POINT}} in its YAML (docs/opensim.md)."
+            f"OpenSim's model is of a person, and skeleton '{skeleton.name}' has no {listed(missing, 3)}. For a person with "
+            "joints of other names, say in its YAML which they are: limits: {JOINT: {human: POINT}} (docs/opensim.md)."
         )
     return seen
 
@@ -348,11 +354,12 @@ def human_model(
 
 
 def _held(seen: _Seen, part: _Part, kept: dict[str, tuple[_Part, float]]) -> tuple[list[str], list[str]]:
-    """Return the joints on a part, and the keys of its shape: its centre, these joints, the centres of its children."""
+    """Return the joints on a part, and the keys of its shape: its centre, these joints, its end, the centres of its children."""
     there = {part.centre, *part.holds} | ({seen.trunk} if "trunk" in part.centre or part.end[0] == "trunk" else set())
     held = [joint for joint in seen.joints if seen.made_of(joint) and set(seen.made_of(joint)) <= there]
     children = [f"@{child.centre}" for child, _ in kept.values() if child.parent == part.body]
-    return held, list(dict.fromkeys([f"@{part.centre}", *held, *children]))
+    end = [f"@{part.end[0]}"] if part.end[0] in part.holds and seen.has(part.end[0]) else []
+    return held, list(dict.fromkeys([f"@{part.centre}", *held, *end, *children]))
 
 
 def _masses(parts: Sequence[tuple[_Part, float]], kept: dict[str, tuple[_Part, float]]) -> dict[str, float]:
@@ -440,7 +447,7 @@ def _onto(
     tracks: Float[np.ndarray, "frames points 3"], body: Float[np.ndarray, "points 3"]
 ) -> Float[np.ndarray, "frames 3 3"]:
     """Return the rotations of a body's points onto tracks, NaN where one is not known."""
-    known = np.isfinite(tracks).all((1, 2))
+    known = np.asarray(np.isfinite(tracks).all((1, 2)))
     turn, _ = nearest_rotation(np.einsum("fpi,pj->fij", np.where(known[:, None, None], tracks, body), body))
     turn[~known] = np.nan
     return turn
@@ -581,7 +588,7 @@ def _coordinate_xml(coordinates: ET.Element, one: Coordinate, unit: float) -> No
     entry = _add(coordinates, "Coordinate", name=one.name)
     _add(entry, "default_value", f"{one.first * unit:.8g}")
     _add(entry, "range", _text([one.low * unit, one.high * unit]))
-    # Within bounds OpenSim optimises by another method, which stops up to 2 degrees early. See `uplift.export.opensim`.
+    # Within bounds OpenSim optimises by another method, which stops up to 2 degrees early. See `uplift.export.osim`.
     _add(entry, "clamped", "false")
 
 

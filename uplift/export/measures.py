@@ -103,7 +103,7 @@ def write_mot(prediction: Prediction, path: str | Path, individual: str | None =
     found = joint_angles(prediction.select(rows))
     there = np.isfinite(found.values).any(1)
     values, when = found.values[there], time[rows][there]
-    whole = np.isfinite(values).all(0)
+    whole = np.asarray(np.isfinite(values).all(0))
     named = [name for name, known in zip(found.names, whole, strict=True) if known]
     head = [
         Path(path).stem,

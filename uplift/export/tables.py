@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import re
 import zipfile
 from collections.abc import Callable, Iterable, Iterator
 from functools import partial
@@ -18,7 +19,7 @@ from uplift.data.parsers.table import safe_cell
 from uplift.export.scene import AXES
 from uplift.models.prediction import Prediction
 
-__all__ = ["cell", "filled_in", "numbers", "plain", "unique", "write_csv", "write_json", "write_npz"]
+__all__ = ["cell", "filled_in", "labels", "numbers", "plain", "unique", "write_csv", "write_json", "write_npz"]
 
 # What writers of text share: numbers as text, identities as plain values, names, keypoints that were seen.
 
@@ -74,6 +75,12 @@ def unique(names: Iterable[str], same: Callable[[str], str] = str) -> list[str]:
             fresh = f"{name}_{number}"
         found[same(fresh)] = fresh
     return list(found.values())
+
+
+def labels(names: Iterable[str], without: str = "") -> list[str]:
+    """Return names for other programs: ``_`` in place of control characters, of what is no text, and of ``without``, part of a regular expression's set; none is empty, all differ."""
+    wrong = rf"[\x00-\x1f\x7f-\x9f\ud800-\udfff{without}]+"
+    return unique(re.sub(wrong, "_", name) or "_" for name in names)
 
 
 # CSV: one row per frame and individual, for spreadsheets, R and pandas.

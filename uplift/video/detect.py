@@ -148,7 +148,9 @@ class _Found:
         there, order = rows[swapped], partners(self.names)
         keypoints[there], confidence[there] = keypoints[there][:, order], confidence[there][:, order]
         share = f"{swapped.sum():,} of {len(rows):,} rows"
-        return [f"the detector took left for right in {share}: put right, as in the frames around them"] * swapped.any()
+        return [f"the detector took left for right in {share}: put right, as in the frames around them"] * bool(
+            swapped.any()
+        )
 
     def _data(self, keypoints: np.ndarray, confidence: np.ndarray, identity: dict[str, np.ndarray]) -> PoseData:
         return PoseData(

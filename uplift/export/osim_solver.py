@@ -1,6 +1,6 @@
 """A program of its own: OpenSim's inverse kinematics of every frame, each from a start that is given.
 
-python opensim_solver.py JOB.json     # in the folder of the files that it names
+python osim_solver.py JOB.json     # in the folder of the files that it names
 
 Nothing of uplift is imported here, and no torch: their libraries do not go together in one process.
 """

@@ -26,11 +26,11 @@ from uplift.export.markers import Trial, trial_of, write_trc
 from uplift.export.scene import held
 from uplift.models.prediction import Prediction
 
-__all__ = ["beside_model", "write_opensim"]
+__all__ = ["beside_model", "check_opensim", "write_opensim"]
 
 _NOISE_MM = 20.0
 """Of a joint that is seen: joints that are less sure than this weigh less."""
-_KEEP_STILL = 1e-6
+_KEEP_STILL = 1e-7
 """Weight, m2/rad2, that holds angles near 0 where markers do not show them: the turn of a straight limb about itself."""
 _ACCURACY = 1e-6
 
@@ -39,6 +39,14 @@ def beside_model(path: str | Path) -> list[Path]:
     """Return the files that are written beside a model ``path``: markers, motion, errors of the markers, set-up."""
     path = Path(path)
     return [path.with_name(f"{path.stem}{end}") for end in (".trc", "_ik.mot", "_ik_marker_errors.sto", "_ik.xml")]
+
+
+def check_opensim(path: str | Path) -> None:
+    """Raise UserError where opensim is not installed, or a file that goes beside the model ``path`` exists."""
+    if importlib.util.find_spec("opensim") is None:
+        raise UserError(f'{path}: inverse kinematics needs OpenSim: pip install "uplift3d[opensim]".')
+    for file in beside_model(path):
+        refuse_existing(file)
 
 
 def write_opensim(
@@ -54,12 +62,9 @@ def write_opensim(
         UserError: without opensim, as `uplift.export.markers.write_trc` and `human_model`, one of the files exists, or
             OpenSim cannot solve it.
     """
-    if importlib.util.find_spec("opensim") is None:
-        raise UserError(f'{path}: inverse kinematics needs OpenSim: pip install "uplift3d[opensim]".')
+    check_opensim(path)
     trial = trial_of(prediction, path, individual, "OpenSim's model")
     path = Path(path)
-    for file in beside_model(path):
-        refuse_existing(file)
     model = human_model(prediction.skeleton, prediction.joint_names, trial.points, mass_kg or 70.0)
     names = dict(zip(prediction.joint_names, trial.names, strict=True))
     model = replace(model, markers={names[joint]: place for joint, place in model.markers.items()})
@@ -115,13 +120,14 @@ def _solve(model: HumanModel, files: list[Path], weights: dict[str, float], tria
     coordinates = _coordinates(model)
     # A frame without a pose has no solution; one that lacks a joint starts there as the frame before.
     start = np.concatenate([held(one.start[:, None]) * (1.0 if one.metres else np.pi / 180) for one in coordinates], 1)
-    posed = np.flatnonzero(np.isfinite(trial.points).all(-1).any(1))
+    posed = np.flatnonzero(np.isfinite(trial.points).all(2).sum(1))
+    # Times are rounded as in the marker file: OpenSim refuses one that is a fraction of a microsecond after the last.
     job = {
         "model": files[0].name, "markers": files[1].name, "accuracy": _ACCURACY,
         "weights": {marker: weights[marker] for marker in model.markers},
         "still": {one.name: _KEEP_STILL for one in coordinates if not one.name.startswith("pelvis")},
         "coordinates": [one.name for one in coordinates],
-        "start": start[posed].tolist(), "times": ((trial.start + posed) / trial.fps).tolist(),
+        "start": start[posed].tolist(), "times": np.round((trial.start + posed) / trial.fps, 6).tolist(),
     }  # fmt: skip
     _run(job, files[0].parent, path)
     values, errors = (np.load(files[0].with_name(f"{name}.npy")) for name in ("values", "errors"))
@@ -130,13 +136,13 @@ def _solve(model: HumanModel, files: list[Path], weights: dict[str, float], tria
 
 def _run(job: dict[str, Any], folder: Path, path: Path) -> None:
     (folder / "job.json").write_text(json.dumps(job))
-    # -P: the file's folder has an opensim.py too.
-    command = [sys.executable, "-P", str(Path(__file__).with_name("opensim_solver.py")), "job.json"]
+    # -P: its folder has files with the names of other modules, such as html.py.
+    command = [sys.executable, "-P", str(Path(__file__).with_name("osim_solver.py")), "job.json"]
     pipes: dict[str, Any] = {"stdout": subprocess.PIPE, "stderr": subprocess.STDOUT, "text": True, "errors": "replace"}
     said: list[str] = []
     with subprocess.Popen(command, cwd=folder, **pipes) as program:
         try:
-            for _ in progress(_solved(program.stdout, said), "inverse kinematics", len(job["times"])):
+            for _ in progress(_solved(program.stdout or (), said), "inverse kinematics", len(job["times"])):
                 pass
         except BaseException:
             program.kill()
@@ -153,7 +159,7 @@ def _solved(output: Iterable[str], said: list[str]) -> Iterator[None]:
     for line in map(str.strip, output):
         if line == "solved":
             yield
-        elif line:
+        elif line.strip("^ "):  # no underlining of a traceback
             said.append(line)
 
 
