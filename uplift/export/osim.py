@@ -33,6 +33,7 @@ _NOISE_MM = 20.0
 _KEEP_STILL = 1e-7
 """Weight, m2/rad2, that holds angles near 0 where markers do not show them: the turn of a straight limb about itself."""
 _ACCURACY = 1e-6
+_MASS_KG = 70.0
 
 
 def beside_model(path: str | Path) -> list[Path]:
@@ -65,9 +66,7 @@ def write_opensim(
     check_opensim(path)
     trial = trial_of(prediction, path, individual, "OpenSim's model")
     path = Path(path)
-    model = human_model(prediction.skeleton, prediction.joint_names, trial.points, mass_kg or 70.0)
-    names = dict(zip(prediction.joint_names, trial.names, strict=True))
-    model = replace(model, markers={names[joint]: place for joint, place in model.markers.items()})
+    model = _model_of(prediction, trial, path, mass_kg or _MASS_KG)
     weights = _weights(prediction, one_body(prediction, path, individual).rows, trial)
     with tempfile.TemporaryDirectory() as folder:
         files = [Path(folder) / file.name for file in (path, *beside_model(path))]
@@ -82,6 +81,18 @@ def write_opensim(
             for file, target in zip(files, (path, *beside_model(path)), strict=True):
                 stack.enter_context(replacing(target)).write(file.read_bytes())
     return _remark(path, motion, len(trial.points), model)
+
+
+def _model_of(prediction: Prediction, trial: Trial, path: Path, mass_kg: float) -> HumanModel:
+    """Return the model with its markers by the names of the marker file; raises UserError for a name that none can have."""
+    if odd := [name for name in trial.names if set(name) & set("\\*+/")]:
+        raise UserError(
+            f"{path}: the joint {odd[0]!r} cannot be a marker of OpenSim, whose names have no \\ * + or /. Rename it in the "
+            "skeleton's YAML, and add its old name under `from:`."
+        )
+    model = human_model(prediction.skeleton, prediction.joint_names, trial.points, mass_kg)
+    names = dict(zip(prediction.joint_names, trial.names, strict=True))
+    return replace(model, markers={names[joint]: place for joint, place in model.markers.items()})
 
 
 def _weights(prediction: Prediction, rows: np.ndarray, trial: Trial) -> dict[str, float]:
@@ -233,7 +244,7 @@ def _remark(path: Path, motion: _Motion, moments: int, model: HumanModel) -> str
         f"marker errors {np.sqrt(np.nanmean(errors**2)):.0f} mm RMS, {np.nanmax(errors):.0f} mm at most ({worst})",
     ]
     if blank := moments - len(motion.time):
-        parts.append(f"{blank:,} frames without a pose are not in the motion")
+        parts.append(f"frames without a pose, which are not in the motion: {blank:,}")
     if model.unseen:
         names = dict.fromkeys(name.removesuffix("_r").removesuffix("_l") for name in model.unseen)
         parts.append(f"left out, as these joints do not show them: {', '.join(names)}")
