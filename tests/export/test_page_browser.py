@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -14,6 +15,8 @@ from videos import numbered, write_video
 from writers_samples import prediction
 
 from uplift.export import write
+from uplift.export.live import LivePage
+from uplift.models.live import LivePose
 from uplift.models.prediction import Prediction
 
 Open = Callable[..., Page]
@@ -303,3 +306,33 @@ def test_the_video_is_drawn_behind_the_keypoints(browser: Browser, tmp_path: Pat
     page.key("v")
     assert page.run(grey)[3] == 0 and not page.state()["video"]
     assert page.troubles() == []
+
+
+def test_a_live_page_draws_what_comes(browser: Browser) -> None:
+    class Address:
+        def as_uri(self) -> str:
+            return live.address
+
+    sample = prediction(frames=3)
+    image = numbered(1, (640, 480))[0]
+    with LivePage("Sample", sample.skeleton) as live:
+        ended = threading.Event()
+
+        def send() -> None:
+            for frame in range(400):
+                row = frame % 3
+                pose = sample.level_pose[row].astype(float) / 700
+                one = LivePose(0, sample.keypoints[row], sample.confidence[row], pose, 150.0)
+                live.show(frame, image, [one])
+                if ended.wait(0.05):
+                    return
+
+        threading.Thread(target=send, daemon=True).start()
+        page = Page(browser, Address())
+        page.until("uplift.state().people === 1 && uplift.state().frame > 3")
+        page.frames()
+        flat = "(() => { const c = document.getElementById('flat'); const x = c.getContext('2d');"
+        flat += " return Array.from(x.getImageData(c.width / 2 - 40, c.height / 2 - 100, 1, 1).data); })()"
+        assert page.run(flat)[0] > 200  # the red quarter of the picture
+        assert page.ink("deep")[0] > 200
+        ended.set()
