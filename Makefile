@@ -1,8 +1,8 @@
-# What people do every day. `make demo` and `make test` do all the set-up they need.
+# What people do every day. `make demo`, `make video` and `make test` do all the set-up they need.
 PYTHON ?= python3
 BIN := .venv/bin
 
-.PHONY: setup demo test lint format docs bench clean
+.PHONY: setup demo video test lint format docs bench clean
 
 setup: .venv/ready
 
@@ -14,6 +14,23 @@ setup: .venv/ready
 
 demo: setup
 	$(BIN)/uplift fit task=demo
+
+# A real video to poses with the ready lifter, nothing trained; no network once it is set up.
+WALK := build/video/Sports2D/Demo/demo.mp4
+
+video: .venv/video $(WALK)
+	rm -f build/video/poses.html
+	$(BIN)/uplift predict run=person input=$(WALK) output=build/video/poses.html
+
+.venv/video: .venv/ready
+	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable ".[video]"
+	$(BIN)/uplift detectors get mediapipe
+	touch $@
+
+$(WALK):  # Sports2D's demo, BSD-3-Clause
+	$(BIN)/python -m pip download --quiet --no-deps --dest build/video sports2d==0.8.34
+	$(BIN)/python -m zipfile --extract build/video/sports2d-0.8.34-py3-none-any.whl build/video
+	touch $@
 
 test: setup
 	$(BIN)/python -m pytest -n auto --maxprocesses 8 --dist loadfile

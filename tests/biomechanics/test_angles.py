@@ -98,7 +98,10 @@ def test_a_trunk_has_the_angles_it_is_turned_by() -> None:
     draw = np.random.default_rng(1).uniform
     lean, bend, twist = draw(-20, 80, FRAMES), draw(-30, 30, FRAMES), draw(-40, 40, FRAMES)
     upper = [HUMAN.index(name) for name in ("Neck", "Nose", "LEar", "REar", "LShoulder", "RShoulder")]
-    cases = ((-lean, bend, 0 * twist), {"flexion": lean, "lateral_bend": bend}), ((0 * lean, 0 * bend, twist), {"rotation": twist})
+    cases = (
+        ((-lean, bend, 0 * twist), {"flexion": lean, "lateral_bend": bend}),
+        ((0 * lean, 0 * bend, twist), {"rotation": twist}),
+    )
     for turns, expected in cases:
         pose = turned({})
         pose[:, upper] = np.einsum("fij,fkj->fki", isb("ZXY", *turns), pose[:, upper])

@@ -1,15 +1,23 @@
-"""What predict says of its input: several cameras of one scene."""
+"""What predict says of its input: several cameras of one scene, videos and pictures."""
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from PIL import Image
 
-from uplift.cli.predict import Request, _read
+from uplift.cli.main import main
+from uplift.cli.predict import Request, _check_request, _read
 from uplift.config.run import Weights
+from uplift.config.trust import consent_of, granted
+from uplift.data.formats import read
+from uplift.data.formats.base import ReadOptions
+from uplift.errors import UserError
 from uplift.skeleton import Skeleton
+from uplift.video.detect import Detection
 
 SKELETON = Skeleton("arm", ("shoulder", "elbow", "wrist", "hand"), "shoulder", (("shoulder", "elbow"), ("elbow", "wrist"), ("wrist", "hand")))  # fmt: skip
 
@@ -62,3 +70,90 @@ def test_cameras_that_one_video_names_are_a_scene(tmp_path: Path):
         (tmp_path / "a/walk.csv").read_text() + (tmp_path / "b/walk.csv").read_text().split("\n", 1)[1]
     )
     assert "2 cameras of one scene (left, right)" in notes_of(str(tmp_path / "walk.csv"))
+
+
+# Videos and pictures.
+
+DOTS = """
+import numpy as np
+import uplift
+
+class Dots(uplift.Detector):
+    names = ("hand", "wrist", "elbow", "shoulder")
+
+    def detect(self, image):
+        return np.array([[(10.5, 20), (30, 25), (50, 40), (20, 60)]]), np.full((1, 4), 0.9)
+"""
+
+
+@pytest.fixture
+def film(tmp_path: Path) -> tuple[Path, str]:
+    """A folder of pictures that are a film, and a detector for it."""
+    (tmp_path / "film").mkdir()
+    for number in range(8):
+        Image.fromarray(np.zeros((80, 100, 3), np.uint8)).save(tmp_path / f"film/f_{number:02}.png")
+    (tmp_path / "dots.py").write_text(DOTS)
+    return tmp_path / "film", f"{tmp_path / 'dots.py'}:Dots"
+
+
+def request_of(input: Path, detector: str | None = None, **changed) -> Request:
+    weights = Weights("run", Path("nowhere/lifter.pt"), {})
+    request = Request(weights, input, None, (), True, 0, False, {}, None, None, None, {})
+    return replace(request, detection=Detection(detector), **changed)
+
+
+def test_pictures_are_read_by_a_detector_and_their_keypoints_kept_read_the_same(film, tmp_path: Path):
+    folder, detector = film
+    kept = tmp_path / "kept.npz"
+    with granted(consent_of([detector])):
+        data = _read(request_of(folder, detector, keypoints=kept, reading=ReadOptions(fps=25.0)), SKELETON)
+    assert data.joint_names == SKELETON.joints and data.fps == 25 and len(np.unique(data.clips())) == 1
+    np.testing.assert_allclose(data.keypoints[0], [(20, 60), (50, 40), (30, 25), (10.5, 20)])
+    again = _read(request_of(kept), SKELETON)
+    np.testing.assert_array_equal(again.keypoints, data.keypoints)
+    assert again.fps == 25 and again.image_size == data.image_size == (100, 80)
+
+
+def test_what_does_not_go_with_pictures_or_with_files_is_refused(film, tmp_path: Path):
+    folder, detector = film
+    write_csv(tmp_path / "file.csv")
+    wrong = [
+        (request_of(tmp_path / "file.csv", detector), "detector= goes with a video or pictures"),
+        (request_of(tmp_path / "file.csv", keypoints="x.npz"), "keypoints= goes with a video or pictures"),
+        (request_of(folder, detector, keypoints=tmp_path / "x.txt"), "keypoints=.*written as .npz or .csv"),
+        (request_of(folder, detector, keypoints=tmp_path / "file.csv"), "exists already and is not overwritten"),
+        (request_of(folder, detector, keypoints=tmp_path / "none/x.csv"), "keypoints=.*no folder"),
+    ]
+    for request, said in wrong:
+        with pytest.raises(UserError, match=said):
+            _check_request(request, {}, {})
+    for reading, said in (
+        (ReadOptions(format="coco"), "format= goes with files"),
+        (ReadOptions(image_size=(5, 5)), "image_size= goes"),
+    ):
+        with pytest.raises(UserError, match=said):
+            _read(request_of(folder, detector, reading=reading), SKELETON)
+    with pytest.raises(UserError, match="no built-in detector finds the joints of arm"):
+        _read(request_of(folder), SKELETON)
+
+
+def test_the_words_of_the_command_reach_the_detector(film, tmp_path: Path, capsys: pytest.CaptureFixture):
+    folder, detector = film
+    words = [
+        "detect",
+        f"input={folder}",
+        f"output={tmp_path / 'out.csv'}",
+        f"detector={detector}",
+        "people=1",
+        "fps=25",
+    ]
+    assert main(words) == 0
+    assert "found 1 clip, 8 rows, 4 joints, mean confidence 0.90" in capsys.readouterr().out
+    assert read(tmp_path / "out.csv").fps == 25
+    assert main(words) == 2 and "exists already" in capsys.readouterr().err
+    assert main([*words[:2], f"output={tmp_path / 'b.npz'}", words[3], "detector.options.x=1"]) == 2
+    assert "takes no such option" in capsys.readouterr().err
+    assert main(["detect", f"input={tmp_path / 'out.csv'}", f"output={tmp_path / 'b.npz'}"]) == 2
+    assert "expected a video, a picture" in capsys.readouterr().err
+    assert main(["detectors"]) == 0 and "mediapipe_hand" in capsys.readouterr().out
+    assert main(["detectors", "get", "mediapip"]) == 2 and "Did you mean 'mediapipe'" in capsys.readouterr().err

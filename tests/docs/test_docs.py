@@ -156,13 +156,14 @@ def test_commands_parse(page: str, command: str) -> None:
             _check_fit_word(word)
     elif verb == "schema":
         assert words[0] in sub_verbs("schema")
-    elif verb in ("evaluate", "predict", "simulate"):
-        assert {word.partition("=")[0] for word in words} <= set(VERBS[verb].settings)
+    elif verb in ("evaluate", "predict", "simulate", "detect"):
+        names = {re.sub(r"(\.options)\.\w+$", r"\1", word.partition("=")[0]) for word in words}
+        assert names <= set(VERBS[verb].settings)
     elif verb == "fit":
         for word in words:
             _check_fit_word(word)
     else:
-        assert verb == "compare" or not words
+        assert verb in ("compare", "detectors") or not words
 
 
 def _check_fit_word(word: str) -> None:

@@ -121,10 +121,11 @@ def detect_command(words: Sequence[str]) -> None:
 
 def _summary(data: PoseData) -> str:
     """Return how many frames show how many, and how sure the detector is."""
-    bodies = len(np.unique(data.clips())) if not data.stills else len(data)
-    seen = data.confidence[data.confidence > 0]
-    what = f"{bodies:,} {'bodies' if data.stills else 'clips'}, {len(data):,} rows, {len(data.joint_names)} joints"
-    return f"found {what}, mean confidence {seen.mean():.2f}" if len(seen) else f"found {what}"
+    count = len(data) if data.stills else len(np.unique(data.clips()))
+    what = "body" if data.stills else "clip"
+    several = "bodies" if data.stills else "clips"
+    rows = f"{count:,} {what if count == 1 else several}, {len(data):,} rows, {len(data.joint_names)} joints"
+    return f"found {rows}, mean confidence {data.confidence[data.confidence > 0].mean():.2f}"
 
 
 # detectors: what is built in, and its networks.

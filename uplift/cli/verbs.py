@@ -274,18 +274,18 @@ VERBS = {
     ),
     "predict": Verb(
         "lift keypoints or masks to 3D",
-        ("predict run=RUN input=FILE|VIDEO output=FILE.html|.npz|.csv|.glb|...",),
+        ("predict run=RUN input=FILE output=FILE.html|.npz|.csv|.glb|...", "predict run=RUN input=VIDEO output=..."),
         settings=PREDICT,
     ),
     "detect": Verb(
         "keypoints of a video or pictures",
-        ("detect input=VIDEO output=FILE.npz|.csv [detector=NAME|FILE.py:CLASS]",),
+        ("detect input=VIDEO output=FILE.npz|.csv [detector=NAME]",),
         settings=DETECT,
     ),
     "detectors": Verb(
         "the built-in detectors, and whether their networks are there",
         ("detectors", "detectors get NAME"),
-        {"get NAME": "fetch the networks of one, once: later commands need no network"},
+        {"NAME": "a built-in whose networks are fetched, once: later commands need no network"},
     ),
     "simulate": Verb(
         "simulated bodies with exact poses",

@@ -41,7 +41,9 @@ class Angle(NamedTuple):
     def to_dict(self) -> dict[str, Any]:
         """Return plain data in the form of the YAML file."""
         ways = dict(zip(("segment", "from", "about", "towards"), self[:4], strict=True))
-        plain = {key: way if isinstance(way, str) else list(map(list, way)) for key, way in ways.items() if way is not None}
+        plain = {
+            key: way if isinstance(way, str) else list(map(list, way)) for key, way in ways.items() if way is not None
+        }
         return plain | ({"zero": self.zero} if self.zero else {})
 
     @classmethod

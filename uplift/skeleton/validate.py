@@ -294,7 +294,9 @@ def _check_way(value: object, skeleton: dict[str, Any], part: tuple, check: _Che
     if isinstance(value, str):
         if value not in LEVEL:
             hint = did_you_mean(value, LEVEL)
-            check.fail(part, f"found the direction '{value}' in '{_path(part)}'; expected [from, to], or a level one.{hint}")
+            check.fail(
+                part, f"found the direction '{value}' in '{_path(part)}'; expected [from, to], or a level one.{hint}"
+            )
         if not skeleton["gravity"]:
             check.fail(part, f"found '{value}' in '{_path(part)}', but gravity is false: there is no level frame.")
         return value

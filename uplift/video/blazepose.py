@@ -40,6 +40,12 @@ class _Region(NamedTuple):
         across, down = (np.moveaxis(points, -1, 0) - 0.5) * self.side
         return np.stack([self.x + cos * across - sin * down, self.y + sin * across + cos * down], -1)
 
+    def shows(self, image: UInt8[np.ndarray, "height width 3"]) -> bool:
+        """Return whether any of the frame is in the square."""
+        height, width = image.shape[:2]
+        gap = max(-self.x, self.x - width, -self.y, self.y - height)
+        return bool(gap < self.side / 2 and self.side >= 1)  # and no number is NaN
+
     def covers(self, other: _Region) -> bool:
         """Return whether another square shows the same: their middles are near, for their size."""
         gap = np.hypot(self.x - other.x, self.y - other.y)
@@ -51,7 +57,7 @@ _SAME = 0.25
 
 
 def _crop(image: UInt8[np.ndarray, "height width 3"], region: _Region, side: int, *, black: bool = False) -> np.ndarray:
-    """Return (side side 3) float32 0..1: what a square of the frame shows; beyond the frame its edge goes on, or it is ``black``.
+    """Return (side side 3) float32 0..1: what a square that shows some of the frame shows; beyond the frame its edge goes on, or it is ``black``.
 
     A large square is averaged down first: taking every sixth pixel would alias.
     """
@@ -156,7 +162,7 @@ class _Finder:
         raw, logits = self._network.run(picture * (1 - self._low) + self._low)
         score = _sigmoid(logits[:, 0])
         sure = score > _SURE
-        places = raw[sure].reshape(sure.sum(), -1, 2) / side
+        places = raw[sure].reshape(-1, raw.shape[1] // 2, 2) / side
         middle = self._anchors[sure]
         size, points = places[:, 1] / 2, places[:, 2:] + middle[:, None]
         corners = np.stack([middle + places[:, 0] - size, middle + places[:, 0] + size], 1)
@@ -245,9 +251,8 @@ class _Blaze(Detector):
         self._regions = []
 
     def _look(self, image: np.ndarray, regions: Sequence[_Region]) -> list[_Seen]:
-        return _distinct(
-            [one for one in (self._landmarks(image, region) for region in regions) if one.presence > _SURE]
-        )
+        found = [self._landmarks(image, region) for region in regions if region.shows(image)]
+        return _distinct([one for one in found if one.presence > _SURE])
 
     def _find(self, image: np.ndarray) -> list[_Region]:
         raise NotImplementedError

@@ -15,13 +15,13 @@ from uplift.data.concat import concat_poses
 from uplift.data.formats import checked
 from uplift.data.formats.base import ReadOptions
 from uplift.data.formats.rows import video_name, video_names
-from uplift.data.poses import PoseData
+from uplift.data.poses import PoseData, clips_of
 from uplift.errors import UserError, listed
 from uplift.skeleton import Skeleton
 from uplift.video.base import Frame, Frames
 from uplift.video.detector import Detector, found_in, make_detector
 from uplift.video.frames import VIDEOS, open_frames
-from uplift.video.tracking import Tracker, chosen_tracks, sizes_of
+from uplift.video.tracking import Tracker, chosen_tracks, partners, sizes_of, swapped_sides
 
 __all__ = ["Detection", "detect_in", "keypoints_of"]
 
@@ -128,11 +128,29 @@ class _Found:
             left_out = []
         else:
             rows, identity, left_out = self._clips(*video, size, people)
+            left_out += self._unswap(keypoints, confidence, identity, rows)
         if not len(rows):
             raise UserError(f"{where}: nobody is seen for half a second or more in {self.looked:,} frames.")
         identity = {key: values[rows] for key, values in identity.items()}
         found = checked(self._data(keypoints[rows], confidence[rows], identity), ReadOptions())
         return replace(found, notes=(*self.frames.notes, *notes, *found.notes, *left_out))
+
+    def _unswap(
+        self, keypoints: np.ndarray, confidence: np.ndarray, identity: Mapping[str, np.ndarray], rows: np.ndarray
+    ) -> list[str]:
+        """Put left and right back in place, in the arrays, in frames where a detector swaps them; return a note on how many."""
+        clip, swapped = clips_of({key: values[rows] for key, values in identity.items()}), np.zeros(len(rows), bool)
+        for one in np.unique(clip):
+            here = rows[clip == one]
+            swapped[clip == one] = swapped_sides(
+                keypoints[here], confidence[here], identity["frame"][here], self.names, self.frames.fps
+            )
+        there, order = rows[swapped], partners(self.names)
+        keypoints[there], confidence[there] = keypoints[there][:, order], confidence[there][:, order]
+        share = f"{swapped.sum():,} of {len(rows):,} rows"
+        return [f"the detector took left for right in {share}: put right, as in the frames around them"] * bool(
+            swapped.any()
+        )
 
     def _data(self, keypoints: np.ndarray, confidence: np.ndarray, identity: dict[str, np.ndarray]) -> PoseData:
         return PoseData(

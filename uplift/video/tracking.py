@@ -1,15 +1,16 @@
-"""People followed from frame to frame: who is who, and who is there long enough to be somebody."""
+"""People followed from frame to frame: who is who, who is there long enough to be somebody, and which side is left."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
-from uplift.skeleton.propose import seen_in
+from uplift.skeleton.propose import mirror_pairs, seen_in
 
-__all__ = ["Tracker", "chosen_tracks", "sizes_of"]
+__all__ = ["Tracker", "chosen_tracks", "partners", "sizes_of", "swapped_sides"]
 
 _LOST_S = 1.0
 """Someone who was not seen for longer is someone new."""
@@ -127,3 +128,60 @@ def chosen_tracks(
     weight = np.where(lasting, np.bincount(row, size), -1)
     order = np.argsort(-weight, kind="stable")
     return [int(numbers[one]) for one in order if weight[one] >= 0][:people]
+
+
+# Left and right, which detectors take for each other in some frames.
+
+_SWAPPED = 0.5
+"""Sides are swapped where that brings the joints this much nearer to where they were."""
+_MOVED = 0.03
+"""Distances below this share of the body's size tell nothing: seen from the side left and right are in one place."""
+_NEXT_S = 0.2
+"""After a longer gap someone may have turned round."""
+
+
+def swapped_sides(
+    keypoints: Float[np.ndarray, "frames joints 2"],
+    confidence: Float[np.ndarray, "frames joints"],
+    frame: Int[np.ndarray, " frames"],
+    names: Sequence[str],
+    fps: float | None = None,
+) -> Bool[np.ndarray, " frames"]:
+    """Return the frames of one track in which left and right of the whole body are taken for each other.
+
+    Nobody turns round from one frame to the next: where all joints that have a partner are far nearer to their partners of
+    the frame before, the sides are swapped from there on, until they are again. Of the two ways to name the sides
+    of such a stretch, the one that most of its frames have (by confidence) is right.
+    """
+    found = np.zeros(len(frame), bool)
+    partner = partners(names)
+    sided = partner != np.arange(len(names))
+    nearest = _NEXT_S * (fps or 30.0)
+    if not sided.any() or nearest < 1:
+        return found
+    points, others = keypoints[:, sided], keypoints[:, partner][:, sided]
+    seen = seen_in(keypoints, confidence)
+    seen = seen[:, sided] & seen[:, partner][:, sided]
+    both = seen[1:] & seen[:-1]
+    stayed, changed = (_mean_way(points[:-1], after[1:], both) for after in (points, others))
+    turns = (changed < _SWAPPED * stayed) & (stayed > _MOVED * sizes_of(keypoints, confidence)[1:])
+    found[1:] = np.cumsum(turns) % 2 == 1
+    starts = np.flatnonzero(np.diff(frame, prepend=frame[:1] - 2 * round(nearest + 1)) > nearest)
+    for start, end in zip(starts, [*starts[1:], len(frame)], strict=True):
+        weight = confidence[start:end].sum(1)
+        found[start:end] ^= weight[found[start:end]].sum() > weight.sum() / 2
+    return found
+
+
+def partners(names: Sequence[str]) -> Int[np.ndarray, " joints"]:
+    """Return the place of each joint's partner on the other side, by its name; its own where it has none."""
+    places, found = {name: place for place, name in enumerate(names)}, np.arange(len(names))
+    for right, left in mirror_pairs(names):
+        found[places[right]], found[places[left]] = places[left], places[right]
+    return found
+
+
+def _mean_way(before: np.ndarray, after: np.ndarray, seen: np.ndarray) -> np.ndarray:
+    """Return (frames,) mean distances of the joints that are seen in both; 0 without any."""
+    way = np.linalg.norm(np.where(seen[..., None], after - before, 0), axis=-1)
+    return way.sum(1) / np.maximum(seen.sum(1), 1)
