@@ -1,7 +1,7 @@
 """The tables of settings in the documentation: ``python -m benchmarks.settings_tables`` writes them anew.
 
 A table lies between ``<!-- settings: WHAT -->`` and ``<!-- end -->``. WHAT is a verb, with names of settings or groups
-where it is not to be all; ``verbs``, a line for each verb; or ``networks``, their options.
+where it is not to be all; ``verbs``, a line for each verb; ``networks``, their options; or ``lifters``, the ready ones.
 """
 
 from __future__ import annotations
@@ -39,6 +39,8 @@ def table(what: Sequence[str]) -> str:
             for name, one in VERBS.items()
         ]
         return _table(("verb", "what", "forms"), rows)
+    if what[0] == "lifters":
+        return _table(("name", "what", "joints", "error", "size", "licence"), _lifters())
     if what[0] == "networks":
         return _table(("network", "option", "default", "meaning"), _networks())
     verb = " ".join(what[:2]) if " ".join(what[:2]) in VERBS else what[0]
@@ -74,6 +76,23 @@ def default_text(value: Any) -> str:
     if isinstance(value, (list, tuple)):
         return f"[{', '.join(map(default_text, value))}]"
     return str(value) if value != "" else "''"
+
+
+def _lifters() -> list[tuple[str, ...]]:
+    from uplift.config.files import shipped, shipped_names
+    from uplift.config.safe_weights import ENDING, describe_safe
+
+    rows = []
+    for name in shipped_names("lifters"):
+        path = shipped("lifters") / f"{name}{ENDING}"
+        found = describe_safe(path)
+        skeleton, about = found["skeleton"], found["about"]
+        figures = ", ".join(f"`{metric}` {value}" for metric, value in about["figures"].items())
+        joints = f"{len(skeleton['joints'])} (`{skeleton['name']}`)"
+        rows.append(
+            (f"`{name}`", about["title"], joints, figures, f"{path.stat().st_size / 1e6:.1f} MB", about["licence"])
+        )
+    return rows
 
 
 def _networks() -> list[tuple[str, ...]]:

@@ -6,6 +6,8 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from uplift.biomechanics.angles import joint_angles
+    from uplift.biomechanics.gait import gait_of
     from uplift.cli.detect import detect
     from uplift.cli.evaluate import evaluate, evaluate_poses
     from uplift.cli.fit import fit
@@ -19,6 +21,7 @@ if TYPE_CHECKING:
     from uplift.data.module import KeypointData, MaskDataModule
     from uplift.data.poses import PoseData
     from uplift.errors import UserError
+    from uplift.export.netcdf import to_xarray
     from uplift.models.known_camera import KnownCamera
     from uplift.models.model import Model, load
     from uplift.priors.base import Lift, Prior, ShapeLift, ShapePrior
@@ -32,12 +35,15 @@ if TYPE_CHECKING:
 __all__ = [
     "DataSet", "Detector", "Format", "KeypointData", "KnownCamera", "Lift", "LiftingModule", "MaskData", "MaskDataModule", "MaskFormat", "Model",
     "PoseData", "Prior", "ShapeLift", "ShapeModule", "ShapePrior", "Skeleton", "StudentLoss", "StudentModule", "UserError",
-    "Views", "WantedFile", "compare", "detect", "evaluate", "evaluate_poses", "fit", "load", "load_skeleton", "predict", "simulate",
+    "Views", "WantedFile", "compare", "detect", "evaluate", "evaluate_poses", "fit", "gait_of", "joint_angles", "load", "load_skeleton", "predict", "simulate",
+    "to_xarray",
 ]  # fmt: skip
 __version__ = "0.1.0"
 
 # Loaded when first used: `import uplift` takes no torch, and `uplift --help` answers at once.
 _HOMES = {
+    "biomechanics.angles": ("joint_angles",),
+    "biomechanics.gait": ("gait_of",),
     "cli.detect": ("detect",),
     "cli.evaluate": ("evaluate", "evaluate_poses"),
     "cli.fit": ("fit",),
@@ -51,6 +57,7 @@ _HOMES = {
     "data.module": ("KeypointData", "MaskDataModule"),
     "data.poses": ("PoseData",),
     "errors": ("UserError",),
+    "export.netcdf": ("to_xarray",),
     "models.known_camera": ("KnownCamera",),
     "models.model": ("Model", "load"),
     "priors.base": ("Lift", "Prior", "ShapeLift", "ShapePrior"),

@@ -7,46 +7,24 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import torch
 from bodies import refusal
-from walks import FEET, GRAVITY, SKELETON, walk
+from flat_runs import across_the_image, flat_run
+from walks import FEET, GRAVITY
 
 from uplift.cli.main import main
-from uplift.config.settings import LifterSettings
 from uplift.data.poses import PoseData
 from uplift.errors import UserError
 from uplift.export.html import read_html
 from uplift.models.known_camera import KnownCamera, about_cameras
-from uplift.models.lifter import Lifter
-from uplift.models.model import Model
-from uplift.skeleton import Skeleton, load_skeleton
+from uplift.skeleton import load_skeleton
 
 SIZE = ["bone=rhip,rknee,rankle", "bone_mm=860"]
-
-
-def flat_run(folder: Path, skeleton: Skeleton = SKELETON, cameras: str = "own") -> Path:
-    """Save a lifter that says that all joints are as far away as the root, and that the camera is level."""
-    settings = LifterSettings(options={"units": 16, "blocks": 1}, cameras=cameras)
-    lifter = Lifter(skeleton, settings).eval()
-    with torch.no_grad():
-        for weight in lifter.parameters():
-            weight.zero_()
-    Model(lifter, skeleton, settings).save(folder / "lifter.pt")
-    return folder / "lifter.pt"
 
 
 @pytest.fixture
 def words(here: Path) -> list[str]:
     """The words that lift the walk; it goes across the image, so that a flat lifter is not far off."""
-    points = walk(80, heading_deg=90.0).points + [1000, 0, 0]
-    arrays = {
-        "keypoints": (points[..., :2] / points[..., 2:] * 1145 + 500).astype(np.float32),
-        "joint_names": np.array(SKELETON.joints),
-        "sequence": np.full(80, "walk"),
-        "frame": np.arange(80),
-        "fps": np.array(25.0),
-        "image_size": np.array([1000, 1000]),
-    }
+    arrays = across_the_image()
     np.savez(here / "walk.npz", **arrays, focal_px=np.array(1145.0))
     np.savez(here / "unknown.npz", **arrays)
     np.savez(here / "nothing.npz", **{key: value for key, value in arrays.items() if key != "image_size"})

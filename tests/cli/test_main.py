@@ -97,6 +97,14 @@ def test_an_unknown_verb_or_flag_ends_with_status_2(words: list[str], says: str,
         (["predict", "run=RUN", "input=a.npz", "output=a"], "has no extension"),
         (["predict", "run=RUN", "input=a.npz", "output=a.htm"], "Did you mean '.html'?"),
         (["predict", "run=RUN", "input=a.npz", "output=none/a.npz"], "no folder"),
+        (["predict", "run=RUN", "input=a.npz", "output=a.h5"], "Name it a.dlc.h5 or a.sleap.h5"),
+        (["predict", "run=RUN", "input=a.npz", "output=a.csv", "nwb.sex=F"], "nwb= goes with output=FILE.nwb"),
+        (
+            ["predict", "run=RUN", "input=a.npz", "output=a.dlc.csv", "csv_safe=true"],
+            "csv_safe= goes with output=FILE.csv",
+        ),
+        (["predict", "run=RUN", "input=a.npz", "output=a.nwb", "nwb.sex=female"], "nwb.sex=female: expected M, F"),
+        (["predict", "run=RUN", "input=a.npz", "output=a.nwb", "nwb.specie=mouse"], "Did you mean 'nwb.species'?"),
         (["predict", "run=none", "input=a.npz", "output=b.npz"], "No run none"),
         (["simulate", "skeleton=h36m17"], "simulate needs output="),
         (["simulate", "skeleton=h36m17", "output=a.txt"], "written as .npz or .csv"),
@@ -226,6 +234,17 @@ def test_evaluate_of_predicted_poses_is_that_of_the_run(fitted: Path, here: Path
     figure = re.search(r"p_mpjpe\s+([\d.]+)", capsys.readouterr().out).group(1)
     assert f'"p_mpjpe": {figure[:-1]}' in (run / "evaluation.json").read_text()
     assert not list(here.glob("runs"))
+
+
+def test_an_nwb_says_what_the_command_said(fitted: Path, here: Path, capsys) -> None:
+    h5py, _ = pytest.importorskip("h5py"), pytest.importorskip("ndx_pose")
+    words = ["predict", f"run={the_runs(fitted)[1]}", f"input={fitted / 'b.npz'}", "output=poses.nwb", "fps=10"]
+    assert main([*words, "nwb.species=Homo sapiens", "nwb.session_start_time=2026-05-01T10:30"]) == 0
+    assert "not known: sex, age; say it by nwb.sex=" in capsys.readouterr().out
+    for file in here.glob("poses*.nwb"):
+        with h5py.File(file) as found:
+            assert found["general/subject/species"].asstr()[()] == "Homo sapiens"
+            assert found["session_start_time"].asstr()[()].startswith("2026-05-01T10:30")
 
 
 @pytest.mark.parametrize("name", ["poses.npz", "poses.html"])

@@ -156,14 +156,18 @@ def test_commands_parse(page: str, command: str) -> None:
             _check_fit_word(word)
     elif verb == "schema":
         assert words[0] in sub_verbs("schema")
-    elif verb in ("evaluate", "predict", "simulate", "detect"):
-        names = {re.sub(r"(\.options)\.\w+$", r"\1", word.partition("=")[0]) for word in words}
-        assert names <= set(VERBS[verb].settings)
+    elif verb in ("detect", "evaluate", "predict", "simulate"):
+        keys = {re.sub(r"(\.options)\..*", r"\1", word.partition("=")[0]) for word in words}
+        assert keys <= set(VERBS[verb].settings)
     elif verb == "fit":
         for word in words:
             _check_fit_word(word)
+    elif verb == "detectors":
+        assert words in ([], ["get", "mediapipe"])
+    elif verb == "lifters":
+        assert set(words) <= set(shipped_names("lifters"))
     else:
-        assert verb in ("compare", "detectors") or not words
+        assert verb == "compare" or not words
 
 
 def _check_fit_word(word: str) -> None:
@@ -221,6 +225,16 @@ def test_every_key_of_a_skeleton_is_documented() -> None:
     page = (ROOT / "docs/skeletons.md").read_text()
     for key in load_skeleton("h36m17").to_dict():
         assert f"| `{key}`" in page or f"`{key}`, " in page or f", `{key}`" in page
+
+
+def test_every_joint_angle_is_documented() -> None:
+    page = (ROOT / "docs/angles.md").read_text()
+    of_skeletons = {name: load_skeleton(name).angles for name in shipped_names("skeletons")}
+    plain = {re.sub(r"^(right|left)_", "", angle): name for name, angles in of_skeletons.items() for angle in angles}
+    assert [f"{name}: {angle}" for angle, name in plain.items() if f"`{angle}`" not in page] == []
+    listed = re.findall(r"^\| ((?:`[a-z_]+`(?:, )?)+) \| ", page.split("## For your skeleton")[0], re.M)
+    named = {angle for row in listed for angle in re.findall("`([a-z_]+)`", row)}
+    assert {angle for angle in named if not any(angle == known or known.endswith(angle) for known in plain)} == set()
 
 
 def test_the_arrays_of_the_data_page(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

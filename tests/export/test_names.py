@@ -7,16 +7,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 from shape_samples import shapes
-from writers_samples import prediction
+from writers_samples import ENDINGS, needed, prediction
 
 from uplift.export import WRITERS, write
 
 ODD = ("clip\udce9", "\ud800", "a\nb\t\x00", "=1+1", "\u202eabc", "日本")
-TEXT = (".html", ".csv", ".json", ".bvh", ".trc", ".obj")
+TEXT = (".html", ".csv", ".json", ".bvh", ".trc", ".obj", ".dlc.csv", ".anipose.csv", ".blend.py", ".usda")
 
 
-@pytest.mark.parametrize("ending", [ending for ending in WRITERS["poses"] if ending != ".mp4"])
+@pytest.mark.parametrize("ending", [ending for ending in ENDINGS if ending != ".mp4"])
 def test_every_writer_of_poses_takes_any_name(ending: str, tmp_path: Path) -> None:
+    needed(ending)
     frames = 3 * len(ODD)
     who = {"sequence": np.repeat(ODD, 3), "frame": np.tile(np.arange(3), len(ODD)), "subject": np.repeat(ODD[::-1], 3)}
     sample = prediction(frames, rooted=True, identity=who, title=ODD[0], source="".join(ODD[:2]), notes=ODD)

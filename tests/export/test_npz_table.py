@@ -10,7 +10,7 @@ from pathlib import Path
 import jaxtyping
 import numpy as np
 import pytest
-from writers_samples import figure, prediction
+from writers_samples import ENDINGS, figure, needed, prediction
 
 from uplift.config.files import replacing
 from uplift.data.formats.npz import read_npz, write_keypoints
@@ -105,8 +105,9 @@ def test_near_extension_is_suggested(sample: Prediction, tmp_path: Path) -> None
         write(sample, tmp_path / "page.htm")
 
 
-@pytest.mark.parametrize("extension", sorted(WRITERS["poses"]))
+@pytest.mark.parametrize("extension", sorted(ENDINGS))
 def test_missing_folder_and_folder_in_the_way(sample: Prediction, tmp_path: Path, extension: str) -> None:
+    needed(extension)
     with pytest.raises(UserError, match="does not exist"):
         write(sample, tmp_path / "nowhere" / f"poses{extension}")
     (tmp_path / f"poses{extension}").mkdir()
@@ -117,11 +118,11 @@ def test_missing_folder_and_folder_in_the_way(sample: Prediction, tmp_path: Path
         write(sample, tmp_path / f"poses{extension}")
 
 
-@pytest.mark.parametrize("extension", sorted(WRITERS["poses"]))
+@pytest.mark.parametrize("extension", sorted(ENDINGS))
 def test_full_disk_leaves_the_old_file(
     sample: Prediction, tmp_path: Path, extension: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    target = tmp_path / f"poses{extension}"
+    target = tmp_path / f"poses{needed(extension)}"
     target.write_bytes(b"what was there")
 
     def full(_: int) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -12,12 +13,14 @@ import numpy as np
 import pytest
 from page_browser import Browser, Page
 from videos import numbered, write_video
-from writers_samples import prediction
+from writers_samples import figure, prediction
 
+from uplift.biomechanics.angles import joint_angles
 from uplift.export import write
 from uplift.export.live import LivePage
 from uplift.models.live import LivePose
 from uplift.models.prediction import Prediction
+from uplift.skeleton.core import Angle
 
 Open = Callable[..., Page]
 
@@ -305,6 +308,42 @@ def test_the_video_is_drawn_behind_the_keypoints(browser: Browser, tmp_path: Pat
     page.until(f"Math.abs({grey}[0] - {8 * (5 + last)}) < 12")
     page.key("v")
     assert page.run(grey)[3] == 0 and not page.state()["video"]
+
+
+def test_joint_angles_are_plotted_by_name_and_seek(show: Open) -> None:
+    skeleton = replace(
+        figure(),
+        angles={
+            "right_arm": Angle((("neck",), ("rhand",)), (("neck",), ("hip",))),
+            "trunk_lean": Angle((("hip",), ("neck",)), "up"),
+        },
+    )
+    sample = replace(prediction(frames=60, uncertainty=True), skeleton=skeleton)
+    page = show(sample)
+    page.key(" ")
+    assert page.run("[...document.getElementById('angle').options].map((one) => one.text).join()") == "arm,trunk lean"
+    first = page.ink("plot")
+    assert first[0] > 500
+    page.run(
+        "{ const c = document.getElementById('angle'); c.selectedIndex = 1 - c.selectedIndex; c.dispatchEvent(new Event('change')); }"
+    )
+    page.key("Home")
+    assert page.ink("plot")[1] != first[1]
+    x, y = page.middle("plot")
+    for kind in ("mousePressed", "mouseReleased"):
+        page.mouse(kind, x, y, button="left", clickCount=1)
+    assert abs(page.state()["moment"] - 29) <= 3
+    page.run("{ const c = document.getElementById('angle'); c.value = 0; c.dispatchEvent(new Event('change')); }")
+    page.key("ArrowRight")
+    told, found = page.run("document.getElementById('angle-note').textContent"), joint_angles(sample)
+    right, left = found.values[page.state()["moment"], :2]
+    assert told.startswith(f"right {right:.0f}° ± ") and f"left {left:.0f}° ± " in told
+    assert page.troubles() == []
+
+
+def test_a_skeleton_without_angles_shows_no_plot(show: Open) -> None:
+    page = show(prediction(frames=20))
+    assert page.run("document.getElementById('angles').hidden") is True
     assert page.troubles() == []
 
 

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from shape_samples import shapes
-from writers_samples import prediction
+from writers_samples import ENDINGS, needed, prediction
 
 from uplift.config.files import without_folders
 from uplift.data.formats.csv import write_keypoints_csv
@@ -48,11 +48,12 @@ def held(path: Path) -> str:
 
 
 @pytest.mark.parametrize(
-    ("ending", "page"), [*((ending, None) for ending in WRITERS["poses"] if ending != ".mp4"), (".html", "gallery")]
+    ("ending", "page"), [*((ending, None) for ending in ENDINGS if ending != ".mp4"), (".html", "gallery")]
 )
 def test_no_output_of_poses_names_a_folder_of_this_machine(
     ending: str, page: str | None, marked: Path, tmp_path: Path
 ) -> None:
+    needed(ending)
     film = np.array([str(marked / f"S{n % 2}" / "film.mp4") for n in range(12)])
     clips = (
         {} if ending in (".csv", ".json", ".npz") else {"sequence": film}

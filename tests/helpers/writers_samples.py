@@ -6,16 +6,32 @@ from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
+import pytest
 
+from uplift.export import WRITERS
 from uplift.models.prediction import Prediction
 from uplift.skeleton import Skeleton
 
-__all__ = ["chain", "complete_prediction", "figure", "prediction", "tilted"]
+__all__ = ["ENDINGS", "chain", "complete_prediction", "figure", "needed", "pair", "places_of", "prediction", "tilted"]
 
+ENDINGS = tuple(ending for ending in WRITERS["poses"] if ending != ".osim")
+"""Of the formats that any skeleton is written in; OpenSim's is for people, and has tests of its own."""
+_NEEDS = {
+    ".nwb": ("pynwb", "ndx_pose"), ".nc": ("xarray", "h5netcdf"), ".dlc.h5": ("tables",), ".sleap.h5": ("h5py",),
+    ".usda": ("pxr",), ".usdc": ("pxr",), ".c3d": ("ezc3d",), ".mp4": ("av",),
+}  # fmt: skip
+"""The modules that writers need beside what the package itself does."""
 _REST = {
     "hip": (0, 0, 0), "neck": (0, -500, 0), "head": (0, -700, -40),
     "lhand": (350, -250, -60), "rhand": (-350, -250, 60), "lfoot": (120, 850, 0), "rfoot": (-120, 850, 0),
 }  # fmt: skip
+
+
+def needed(ending: str) -> str:
+    """Return ``ending``; skips the test where a library that its writer needs is absent."""
+    for module in _NEEDS.get(ending, ()):
+        pytest.importorskip(module)
+    return ending
 
 
 def figure() -> Skeleton:
@@ -86,3 +102,20 @@ def complete_prediction(frames: int) -> Prediction:
     rows, joints = sample.pose.shape[:2]
     root = np.random.default_rng(0).normal(size=(rows, 3)) * 1000 + [0, 0, 12345.678]
     return replace(sample, root=root, filled=np.arange(rows * joints).reshape(rows, joints) % 3 == 0)
+
+
+def pair() -> Prediction:
+    """Return Anna in frames 100 to 119 of a film but for 103 and 104, and Ben from 105 on; his head is missing in 110."""
+    sample = prediction(20, individuals=2, rooted=True, uncertainty=True)
+    frame, who = np.tile(np.arange(100, 120), 2), np.repeat(["Anna", "Ben"], 20)
+    identity = {"sequence": np.full(40, "walk"), "frame": frame, "instance": who}
+    sample = replace(sample, fps=25.0, identity=identity, filled=np.arange(280).reshape(40, 7) % 9 == 0)
+    sample.pose[(who == "Ben") & (frame == 110), 2] = np.nan
+    sample.confidence[:] = np.linspace(0.1, 1, 280).reshape(40, 7)
+    return sample.select(np.where(who == "Anna", (frame != 103) & (frame != 104), frame >= 105))
+
+
+def places_of(sample: Prediction, who: str, frame: int) -> np.ndarray:
+    """Return the joints (joints 3) of one of a pair, NaN where that one is not there."""
+    rows = np.flatnonzero((sample.identity["instance"] == who) & (sample.identity["frame"] == frame))
+    return sample.points[rows[0]] if len(rows) else np.full(sample.pose.shape[1:], np.nan)

@@ -190,7 +190,7 @@ def test_init_starts_from_another_runs_weights(
     assert status_of(*words, f"init={whole}", "teacher.average=null") == 0
     first, second = weights(the_run(tmp_path)), weights(whole)
     assert all(torch.allclose(first[key], second[key], atol=1e-9) for key in first)
-    assert "has another network" in refusal(capsys, *words, f"init={whole}", "lifter.options.units=24")
+    assert "the network of init=" in refusal(capsys, *words, f"init={whole}", "lifter.options.units=24")
     hands = write_body(tmp_path / "hand.npz", skeleton="hand21")
     message = refusal(capsys, *words, f"init={whole}", "skeleton=hand21", f"data.train={hands}")
-    assert "was trained on skeleton 'h36m17' (17 joints)" in message
+    assert "was trained on skeleton 'h36m17' (17 joints: hip, rhip" in message

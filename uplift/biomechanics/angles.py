@@ -28,7 +28,7 @@ from uplift.models.prediction import Prediction
 from uplift.skeleton import Skeleton, load_skeleton
 from uplift.skeleton.core import Angle, Way
 
-__all__ = ["Angles", "angles_of", "joint_angles", "wrapped"]
+__all__ = ["Angles", "angles_of", "joint_angles", "no_angles", "wrapped"]
 
 _LEAST_SINE = np.sin(np.radians(10.0))
 """A direction closer to an axis than ten degrees leaves the turn about it to chance."""
@@ -46,7 +46,10 @@ class Angles:
 
 
 def angles_of(skeleton: Skeleton) -> dict[str, Angle]:
-    """Return the angles of a skeleton on both sides; those of the shipped one where a run kept an older copy without any."""
+    """Return the angles of a skeleton on both sides, none where it names none.
+
+    A run that kept an older copy of a shipped skeleton, without angles, has those of the shipped one.
+    """
     if not skeleton.angles and skeleton.name in shipped_names("skeletons"):
         newer = load_skeleton(skeleton.name)
         skeleton = newer if newer.joints == skeleton.joints else skeleton
@@ -73,7 +76,7 @@ def joint_angles(pose: Float[np.ndarray, "frames joints 3"] | Prediction, skelet
         raise ValueError("joint_angles: poses without a skeleton, expected skeleton=")
     wanted = angles_of(body)
     if not wanted:
-        raise UserError(f"skeleton '{body.name}' names no joint angles: write angles: in its YAML (docs/angles.md).")
+        raise no_angles(body)
     joints = pose.joint_names if isinstance(pose, Prediction) else body.joints
     absent = sorted({joint for angle in wanted.values() for joint in _joints(angle)} - set(joints))
     if absent:
@@ -103,6 +106,11 @@ def _all_measured(wanted: Mapping[str, Angle], scene: _Scene) -> Float[np.ndarra
     return np.stack([_measured(angle, scene) for angle in wanted.values()], -1).astype(np.float32)
 
 
+def no_angles(skeleton: Skeleton) -> UserError:
+    """Return the error of a skeleton without angles."""
+    return UserError(f"skeleton '{skeleton.name}' names no joint angles: write angles: in its YAML (docs/angles.md).")
+
+
 def wrapped(degrees: Float[np.ndarray, "*any"]) -> Float[np.ndarray, "*any"]:
     """Return the same angles in (-180, 180]."""
     return 180.0 - (180.0 - degrees) % 360.0
@@ -125,7 +133,7 @@ class _Scene(NamedTuple):
 def _scene(pose: np.ndarray, joints: Sequence[str], level: Float[np.ndarray, "frames_or_1 3 3"]) -> _Scene:
     """Return the scene of poses; ``level`` are rotations from their axes to the level frame."""
     pose = np.ascontiguousarray(np.asarray(pose, np.float64).transpose(1, 2, 0))
-    pose[~np.isfinite(pose).all(1)[:, None].repeat(3, 1)] = np.nan
+    pose = np.where(np.isfinite(pose).all(1, keepdims=True), pose, np.nan)
     # The rows of a rotation to the level frame are its axes.
     right, down = (np.broadcast_to(level[:, row].T, pose.shape[1:]) for row in (0, 1))
     names = {"up": -down, "down": down, "image_right": right, "image_left": -right}
@@ -150,10 +158,10 @@ def _joints(angle: Angle) -> set[str]:
 def _measured(angle: Angle, scene: _Scene) -> _Numbers:
     """Return an angle in degrees, in (-180, 180]."""
     segment = _along(angle.segment, scene)
-    start = None if angle.start is None else _along(angle.start, scene)
+    start = np.zeros(3) if angle.start is None else _along(angle.start, scene)
     if angle.towards is not None:
         towards = _along(angle.towards, scene)
-        towards = towards if start is None else _unit(towards - _dot(towards, start) * start)
+        towards = towards if angle.start is None else _unit(towards - _dot(towards, start) * start)
         found = np.pi / 2 - _between(segment, towards)
     elif angle.about is None:
         found = _between(segment, start)
@@ -168,7 +176,7 @@ def _along(way: Way, scene: _Scene) -> np.ndarray:
     """Return a direction as unit vectors, NaN where it has no length."""
     if isinstance(way, str):
         return scene.level[way]
-    start, *ends = (sum(scene.points[joint] for joint in end) / len(end) for end in way)
+    start, *ends = (np.add.reduce([scene.points[joint] for joint in end]) / len(end) for end in way)
     return _unit(ends[0] - start if len(ends) == 1 else _cross(ends[0] - start, ends[1] - start))
 
 

@@ -1,16 +1,19 @@
-"""The verb lifters: the ready-made ones in a table, or the model card of one."""
+"""The verb lifters: the ready ones in a list, or the model card of one; and which of them takes given joints."""
 
 from __future__ import annotations
 
 import textwrap
 from collections.abc import Sequence
+from contextlib import suppress
 from typing import Any
 
 from uplift.config.files import shipped, shipped_names
 from uplift.config.safe_weights import ENDING, describe_safe
 from uplift.errors import UserError, did_you_mean
+from uplift.skeleton import Skeleton, load_skeleton
+from uplift.skeleton.match import match_joints
 
-__all__ = ["lifter_card", "lifters_command", "list_lifters"]
+__all__ = ["hint_for", "layouts_of", "lifter_card", "lifters_command", "list_lifters"]
 
 _WIDTH = 110
 
@@ -40,7 +43,7 @@ def _lines(name: str, found: dict[str, Any], megabytes: float) -> list[str]:
     skeleton, about = found["skeleton"], found.get("about", {})
     figures = ", ".join(f"{key} {value}" for key, value in about.get("figures", {}).items())
     facts = f"{skeleton['name']}, {len(skeleton['joints'])} joints, {megabytes:.1f} MB"
-    takes = [skeleton["name"], *(layout for layout in skeleton.get("from", {}) if layout != skeleton["name"])]
+    takes = layouts_of(Skeleton.from_dict(skeleton))
     rows = {
         "": about.get("title", ""),
         "takes": ", ".join(takes),
@@ -62,3 +65,34 @@ def lifter_card(name: str) -> str:
     if name not in names:
         raise UserError(f"lifters: there is no ready lifter '{name}'.{did_you_mean(name, names)}")
     return (shipped("lifters") / f"{name}.md").read_text().rstrip()
+
+
+def layouts_of(skeleton: Skeleton) -> list[str]:
+    """Return the layouts whose files make the skeleton's joints: its own, those of its ``from:``, and included ones that hold their names."""
+    found = [skeleton.name, *skeleton.sources]
+    for name in shipped_names("skeletons"):
+        other = load_skeleton(name)
+        with suppress(UserError):
+            match_joints([joint for joint in other.joints if joint not in other.midpoints], skeleton)
+            found.append(name)
+    return list(dict.fromkeys(found))
+
+
+def hint_for(names: Sequence[str], other_than: str) -> str:
+    """Return whose joints ``names`` are, and which ready lifter takes them; nothing where nobody knows them."""
+    layout = next((name for name in shipped_names("skeletons") if _holds(load_skeleton(name), names)), None)
+    whose = f"the file's joints are those of {layout}" if layout else "the file has other joints"
+    for ready in shipped_names("lifters"):
+        skeleton = Skeleton.from_dict(describe_safe(shipped("lifters") / f"{ready}{ENDING}")["skeleton"])
+        with suppress(UserError):
+            match_joints(names, skeleton)
+            if ready != other_than:
+                return f"{whose}: run={ready} lifts them."
+    if layout is None:
+        return ""
+    return f"{whose}, which no ready lifter takes: `uplift fit skeleton={layout} data.train=FILE` trains one."
+
+
+def _holds(skeleton: Skeleton, names: Sequence[str]) -> bool:
+    """Return whether a file of the skeleton's joints has these names; midpoints may be left out."""
+    return set(skeleton.joints) - set(skeleton.midpoints) <= set(names) <= set(skeleton.joints)

@@ -11,11 +11,13 @@ import numpy as np
 
 from uplift.cli.detect import check_keypoints_output, keypoints_in
 from uplift.cli.kinds import KINDS
+from uplift.cli.lifters import hint_for
 from uplift.cli.live import LIVE, live_command
+from uplift.cli.outputs import check_outputs, outputs_of, refuse_outputs, shows_video, write_outputs
 from uplift.cli.parsing import Keys, keyed, known_camera
 from uplift.cli.together import TOGETHER_KEYS, check_together, lift_views, views_of, write_found
-from uplift.cli.verbs import REFINE, SHAPE_KEYS
-from uplift.config.files import files_of, refuse_output
+from uplift.cli.verbs import NWB_KEYS, REFINE, SHAPE_KEYS
+from uplift.config.files import files_of
 from uplift.config.loading import load_settings
 from uplift.config.progress import say
 from uplift.config.run import Weights, read_weights
@@ -29,17 +31,18 @@ from uplift.data.formats.base import ReadOptions
 from uplift.data.load import format_of_run, in_skeleton, load_file, load_split
 from uplift.data.poses import PoseData
 from uplift.errors import UserError, did_you_mean
-from uplift.export import check_axes, write, writer_for
-from uplift.export.gallery import check_options
+from uplift.export import check_axes, check_measure, write, writer_for
 from uplift.export.scene import in_axes
 from uplift.metrics.pose_metrics import bone_cv, bone_lengths, never_seen_so_long
+from uplift.models.known_body import check_body
 from uplift.models.known_camera import KnownCamera
 from uplift.models.likely_size import odd_size, small_size
 from uplift.models.metric_scale import size_from
-from uplift.models.model import load_poses, load_shapes
+from uplift.models.model import Model, load_poses, load_shapes
 from uplift.models.prediction import Prediction, ShapePrediction
 from uplift.models.together import CAMERA_NAME
 from uplift.skeleton import Skeleton
+from uplift.skeleton.match import WrongJoints
 from uplift.video.detect import Detection
 from uplift.video.detector import Detector
 from uplift.video.frames import is_frames
@@ -70,6 +73,12 @@ class Request:
     ground: bool = False
     detection: Detection = field(default_factory=Detection)
     keypoints: str | Path | None = None
+    check: bool = True
+
+    @property
+    def outputs(self) -> list[str]:
+        """The files to write."""
+        return outputs_of(self.output)
 
     @property
     def title(self) -> str:
@@ -98,6 +107,7 @@ def predict(
     reading: ReadOptions | None = None,
     axes: str | None = None,
     page: str | None = None,
+    check: bool = True,
     written: dict[Path, str] | None = None,
     trust: Trust = None,
     **options: Any,
@@ -107,18 +117,20 @@ def predict(
     ``input`` is a file or folder in any format that is read, several with commas or a pattern, a video or pictures in which
     keypoints are found as `uplift.detect` does, and written to ``keypoints`` (.npz or .csv), if given, or ``SET:SPLIT`` of
     a published data set (``file.py:Class:SPLIT`` for a class of yours), whose ``data.root`` and ``data.options.*`` are
-    ``overrides`` such as a fit takes; ``reading`` is what the files lack. The frames of a clip are lifted
+    ``overrides`` such as a fit takes; ``reading`` is what the files lack. ``output`` is a file, or several with commas,
+    each in the format of its ending. The frames of a clip are lifted
     together unless ``refine`` is off (or ``"causal"``: as far as a live picture allows). ``hypotheses`` are so many poses of
     each frame, with their probabilities. ``size`` are arguments of `uplift.models.metric_scale.size_from`. ``camera`` is
     what is known of how the camera stands, and ``ground`` keeps standing feet where they are. ``axes`` are those of `uplift.export.scene`, the format's usual ones by default. ``page`` is the kind of an .html, ``viewer`` or
-    ``gallery``, and ``options`` are those of its writer. The files written, with a remark on each, are added to ``written``. ``trust`` are files and modules of
+    ``gallery``, and ``options`` are those of its writer. Without ``check`` a ready lifter lifts what does not look like the
+    body that it knows (`uplift.models.known_body`), too. The files written, with a remark on each, are added to ``written``. ``trust`` are files and modules of
     code that may run where the run names it, such as ``"my_nets.py"``.
 
     With a run that lifts masks, ``options`` (and ``size`` among them) are those of `uplift.export.write` for shapes and
     of `uplift.data.formats.read_masks`; what goes with keypoints is refused.
 
     Raises:
-        UserError: no such run or input, joints that do not fit the model's skeleton, no mask that can be used, an
+        UserError: no such run or input, joints that do not fit the model's skeleton, another body than a ready lifter's, no mask that can be used, an
             output that exists already or cannot be written.
     """
     weights = run if isinstance(run, Weights) else read_weights(run)
@@ -139,6 +151,7 @@ def predict(
         ground,
         Detection(detector, detector_options or {}, people, start_s, end_s),
         keypoints,
+        check,
     )
     prediction, files = KINDS[weights.lifts].predict(request)
     if written is not None:
@@ -163,10 +176,16 @@ def predict_command(words: Sequence[str]) -> None:
     lines = [weights.note] * bool(weights.note)
     lines += kind.predict_summary(predict(weights, keys["input"], keys["output"], *overrides, **arguments))
     lines += [] if weights.folder is None else weights.folder.warnings()
-    lines += [f"wrote {path}" + (f": {remark}" if remark else "") for path, remark in list(files.items())[:5]]
-    lines += [f"and {len(files) - 5} more"] * (len(files) > 5)
+    shown = [path for name in dict.fromkeys(path.suffix for path in files) for path in _first_of(name, files)]
+    lines += [f"wrote {path}" + (f": {files[path]}" if files[path] else "") for path in shown]
+    lines += [f"and {len(files) - len(shown)} more"] * (len(files) > len(shown))
     lines += [f"look: open {path} in a browser" for path in files if path.suffix.lower() == ".html"]
     say("\n".join(lines))
+
+
+def _first_of(ending: str, files: Mapping[Path, str]) -> list[Path]:
+    """Return the first five files with this ending."""
+    return [path for path in files if path.suffix == ending][:5]
 
 
 # Keypoints in, poses out.
@@ -186,19 +205,27 @@ def keypoint_arguments(keys: Keys) -> dict[str, Any]:
         "ground": keys.value("ground"),
         **keys.detection(),
         "keypoints": keys.value("keypoints"),
+        "check": keys.value("check"),
         "reading": keys.reading(),
-        **keys.given("images", "video", "frames", "seed", "csv_safe", "together", *TOGETHER_KEYS),
+        **(
+            {"nwb": {name.partition(".")[2]: said for name, said in nwb.items()}}
+            if (nwb := keys.given(*NWB_KEYS))
+            else {}
+        ),
+        **keys.given("images", "video", "frames", "seed", "csv_safe", "mass_kg", "together", *TOGETHER_KEYS),
     }
 
 
 def lift_keypoints(request: Request) -> tuple[Prediction, dict[Path, str]]:
     """Lift keypoints and write the poses, if there is an output; return the files with a remark on each."""
-    axes, page, output, options = request.axes, request.page, request.output, dict(request.options)
-    together = check_together(options, output)
-    check_axes(output or "", axes)
+    axes, options = request.axes, dict(request.options)
+    together = check_together(options, request.outputs)
+    check_axes("", axes)
     _check_request(request, together, options)
     options |= _footage(request, together, options)
     model = load_poses(request.weights)
+    for output in request.outputs:
+        check_measure(output, model.skeleton)
     how = {
         "title": request.title,
         "refine": request.refine,
@@ -208,21 +235,32 @@ def lift_keypoints(request: Request) -> tuple[Prediction, dict[Path, str]]:
     cameras = []
     if together:
         views = views_of(request.input, lambda path: _read(replace(request, input=path), model.skeleton, alone=False))
+        strange = _check(request, model, views)
         prediction, cameras = lift_views(model, views, together, **how)
     else:
         data = _read(request, model.skeleton)
         clean(data, model.skeleton)  # refuses a file with nothing to lift, before any work
+        strange = _check(request, model, [data])
         more = {"hypotheses": request.hypotheses, "camera": request.camera, "ground": request.ground}
         prediction = model.predict(data, **how, **more)
-    if odd := odd_size(model.skeleton, request.size):
-        prediction = replace(prediction, notes=(*prediction.notes, odd))
-    files = {} if output is None else write(prediction, output, page, axes, **options)
+    odd = odd_size(model.skeleton, request.size)
+    prediction = replace(prediction, notes=(*prediction.notes, *([odd] if odd else []), *strange))
+    files = write_outputs(prediction, request.outputs, request.page, axes, options)
     if request.keypoints is not None:
         files[Path(request.keypoints)] = "the 2D"
     if "cameras_output" in together:
         write_found(prediction, cameras, together["cameras_output"])
         files[Path(together["cameras_output"])] = f"{len(cameras)} cameras"
     return prediction if axes is None else in_axes(prediction, axes), files
+
+
+def _check(request: Request, model: Model, views: Sequence[PoseData]) -> list[str]:
+    """Return warnings about views that hardly show the body that the lifter knows; a ready one refuses other bodies."""
+    if not request.check:
+        return []
+    weights = request.weights
+    found = [check_body(model, view, weights.run, refuse=weights.ready) for view in views]
+    return list(dict.fromkeys(filter(None, found)))
 
 
 def _check_request(request: Request, together: Mapping[str, Any], options: Mapping[str, Any]) -> None:
@@ -233,33 +271,18 @@ def _check_request(request: Request, together: Mapping[str, Any], options: Mappi
             "are for one camera."
         )
     _check_frames(request, together)
-    page, output = request.page, request.output
-    if output is None:
-        return
-    writer_for(output, page)
-    for key in options:
-        if key == "csv_safe" and Path(output).suffix.lower() != ".csv":
-            raise UserError(f"csv_safe= goes with output=FILE.csv, not with {output}.")
-        if key not in ("csv_safe", "video") and page != "gallery":
-            raise UserError(f"{key}= goes with page=gallery.")
-    if page == "gallery" and "video" not in options:
-        check_options(**options)
     if options.get("images") is not None and request.reading is not None:
         for key in {"flip_x", "flip_y", "rotate"} & set(request.reading.set_names()):
             raise UserError(f"{key}= turns the keypoints and not the photos of images=: give one of the two.")
-    if request.hypotheses and Path(output).suffix.lower() != ".npz":
-        raise UserError(f"hypotheses= goes with output=FILE.npz, which can hold several poses, not with {output}.")
-    refuse_output(Path(output))
-
-
-_SHOWS_VIDEO = (".html", ".mp4", ".gif")
+    if request.outputs:
+        check_outputs(request.outputs, request.page, request.axes, options, request.hypotheses)
 
 
 def _footage(request: Request, together: Mapping[str, Any], options: Mapping[str, Any]) -> dict[str, str]:
     """Return the option of the video that a page or a film shows: what was asked for, else the input that is one."""
-    ending, turned = Path(request.output or "").suffix.lower(), request.reading and request.reading.set_names()
+    turned = request.reading and request.reading.set_names()
     turned = sorted({"flip_x", "flip_y", "rotate"} & set(turned or ()))
-    shown = ending in _SHOWS_VIDEO and request.page != "gallery"
+    shown = request.page != "gallery" and any(map(shows_video, request.outputs))
     if "video" not in options:
         own = shown and is_frames(request.input) and not (together or turned or _is_camera(request.input))
         return {"video": str(request.input)} if own else {}
@@ -295,6 +318,16 @@ def _check_frames(request: Request, together: Mapping[str, Any]) -> None:
 
 
 def _read(request: Request, skeleton: Skeleton, *, alone: bool = True) -> PoseData:
+    """Return the keypoints of the input; raises UserError that names a lifter that fits, where another body's joints are in it."""
+    try:
+        return _keypoints(request, skeleton, alone=alone)
+    except WrongJoints as error:
+        hint = hint_for(error.names, request.weights.run)
+        known = f"{request.input}: {request.weights.run} knows {skeleton.name} ({skeleton.description})"
+        raise UserError(f"{known}; {hint}" if request.weights.ready and hint else f"{error} {hint}".strip()) from None
+
+
+def _keypoints(request: Request, skeleton: Skeleton, *, alone: bool = True) -> PoseData:
     """Return the keypoints of files, or of a split of a data set; a note says where cameras that are lifted ``alone`` show one scene."""
     input, overrides, reading = request.input, request.overrides, request.reading
     if is_frames(input):
@@ -428,8 +461,9 @@ def lift_masks(request: Request) -> tuple[ShapePrediction, dict[Path, str]]:
         raise UserError(f"{request.weights.run} lifts masks: {of_keypoints} go with keypoints.")
     options = {**request.options, **request.size, **({} if request.axes is None else {"axes": request.axes})}
     reading = {key: options.pop(key) for key in _READING if key in options}
-    if request.output is not None:
-        _check_mesh_output(request.output, request.page, options)
+    for output in request.outputs:
+        _check_mesh_output(output, request.page, options)
+    refuse_outputs(request.outputs)
     model, trained = load_shapes(request.weights), request.weights.settings()
     if trained is not None:
         reading = {"side": trained.data.side, "format": format_of_run(trained, request.input), **reading}
@@ -438,7 +472,9 @@ def lift_masks(request: Request) -> tuple[ShapePrediction, dict[Path, str]]:
     notes = tuple(note for note in data.notes if note not in prediction.notes)
     small = small_size({key: options.get(key) for key in ("height_mm", "length_mm")})
     prediction.notes = (*notes, *prediction.notes, *([small] if small else []))
-    files = {} if request.output is None else write(prediction, request.output, request.page, **options)
+    files: dict[Path, str] = {}
+    for output in request.outputs:
+        files |= write(prediction, output, request.page, **options)
     return prediction, files
 
 
@@ -454,7 +490,6 @@ def _check_mesh_output(output: str | Path, page: str | None, options: Mapping[st
         raise UserError(f"smooth={options['smooth']}: expected rounds of smoothing, 0 or more.")
     if options.get("items", 1) < 1:
         raise UserError(f"items={options['items']}: a page shows at least one shape.")
-    refuse_output(Path(output))
 
 
 def shape_summary(found: ShapePrediction) -> list[str]:

@@ -14,7 +14,7 @@ from uplift.cli.evaluate import MOST, save_evaluation, score_shapes
 from uplift.cli.kinds import KINDS
 from uplift.config.files import as_bytes, replacing, without_folders
 from uplift.config.progress import say
-from uplift.config.run import RunFolder
+from uplift.config.run import RunFolder, lifter_label
 from uplift.config.settings import Settings
 from uplift.data.tensors import intrinsics_of, undistorted
 from uplift.export.html import Section, Term
@@ -216,7 +216,10 @@ def _end_lines(run: RunFolder, found: Findings, rows: list[list[object]], traini
     ]
 
 
-_STARTED = "Started from the weights of {}; see that run for what it learned from."
+def _started(settings: Settings) -> list[str]:
+    if not settings.init:
+        return []
+    return [f"Started from the weights of {lifter_label(settings.init)}; see there for what it learned from."]
 
 
 def _prior_lines(settings: Settings, labelled: bool) -> list[str]:
@@ -283,7 +286,7 @@ def _given_to_poses(settings: Settings, loaded: Loaded) -> list[str]:
             f"Learned from the true poses, root positions and camera tilts of {count:,} labelled frames of {total:,}; "
             "of the others from 2D keypoints alone."
         )
-    lines = [_STARTED.format(settings.init) if settings.init else first]
+    lines = [*_started(settings), first]
     if settings.data.simulate:
         origin = "bodies and motions from published anthropometry and ranges of motion"
         lines.append(f"The keypoints are simulated: {origin}.")
@@ -370,7 +373,7 @@ def _given_to_shapes(settings: Settings, loaded: LoadedMasks) -> list[str]:
             f"Learned from the true shapes and views of {int(labelled.sum()):,} labelled masks of {len(labelled):,}; "
             "of the others from masks alone. No category was looked at."
         )
-    lines = [_STARTED.format(settings.init) if settings.init else first]
+    lines = [*_started(settings), first]
     if data.category or data.select.categories or data.hold_out.categories:
         lines.append("Which masks are used was chosen by their categories.")
     if data.simulate:

@@ -49,11 +49,16 @@ def check_skeleton_file(words: list[str]) -> list[str]:
     return [
         f"{skeleton.name}: {len(skeleton.joints)} joints, {len(skeleton.bones)} bones, root {skeleton.root}",
         f"mirror pairs: {len(skeleton.mirror)}; facing: {facing}; gravity: {'yes' if skeleton.gravity else 'no'}",
+        f"joint angles: {', '.join(dict.fromkeys(map(_without_side, skeleton.angles))) or 'none'}",
         f"other layouts it can be built from: {', '.join(skeleton.sources) or 'none'}",
         f"simulator: {'ready' if skeleton.body else 'no proportions given'}",
         f"wrote {output}",
         f"next: uplift fit skeleton={keys.plain[0]} data.train=KEYPOINTS",
     ]
+
+
+def _without_side(name: str) -> str:
+    return "_".join(word for word in name.split("_") if word not in ("right", "left"))
 
 
 def new_skeleton_file(words: list[str]) -> list[str]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -24,7 +24,7 @@ TOGETHER_KEYS = ("cameras", "cameras_unit", "cameras_output")
 """Words of predict that go with together=true alone."""
 
 
-def check_together(options: dict[str, Any], output: str | Path | None) -> dict[str, Any]:
+def check_together(options: dict[str, Any], outputs: Sequence[str]) -> dict[str, Any]:
     """Take what is about several cameras out of ``options`` and return it; empty where nothing is solved together.
 
     Raises UserError: words that need together=true, or a file of cameras that cannot be written.
@@ -37,7 +37,7 @@ def check_together(options: dict[str, Any], output: str | Path | None) -> dict[s
         raise UserError("cameras_unit= is the unit of the places in cameras=FILE, which is not given.")
     if "cameras_output" in found:
         path = Path(str(found["cameras_output"]))
-        if path.suffix.lower() != ".toml" or str(path) == str(output):
+        if path.suffix.lower() != ".toml" or str(path) in outputs:
             raise UserError(
                 f"cameras_output={path}: cameras are written as .toml, expected a name of its own that ends so."
             )

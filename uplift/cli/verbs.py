@@ -14,6 +14,7 @@ __all__ = [
     "DETECTOR_KEYS",
     "EVALUATE",
     "NEEDED",
+    "NWB_KEYS",
     "POSE_KEYS",
     "PREDICT",
     "READ_KEYS",
@@ -95,6 +96,25 @@ CAMERA_KEYS = _table(
 )  # fmt: skip
 """How the camera stands, in place of estimates."""
 
+NWB_KEYS = _table(
+    *(
+        _key(f"nwb.{name}", Optional[str], None, f"of an .nwb: {help}")
+        for name, help in {
+            "session_start_time": "when filming began, 2026-05-01T10:30:00+02:00",
+            "session_description": "what was done",
+            "identifier": "name of the file among all others; unset: the input's, with a digest of the poses",
+            "experimenter": "who filmed, Curie, Marie",
+            "institution": "where",
+            "lab": "in which laboratory",
+            "subject_id": "who is filmed; unset: the track's name",
+            "species": "its Latin name, Mus musculus",
+            "sex": "M, F, U (unknown) or O (other); unset: U",
+            "age": "ISO 8601, P90D are 90 days",
+        }.items()
+    )
+)
+"""What is known of the session and the subject of an .nwb."""
+
 _CSV_SAFE = _key(
     "csv_safe", bool, False, "put an apostrophe before names in a .csv that a spreadsheet would run as formulas"
 )
@@ -108,8 +128,9 @@ _ALL_KEYS = _table(
     _key("run", str, NEEDED, "run folder, a lifter's file (.pt, .safetensors), or a ready lifter (uplift lifters)"),
     _key("input", str, NEEDED, "file or folder of keypoints, a video, pictures, several with commas or *, or SET:SPLIT of a "
          "published set"),
-    _key("output", str, NEEDED, "new file; its ending is the format: .html .npz .csv .bvh .glb ...; or live: a page of this "
-         "machine that shows a camera's poses as they come"),
+    _key("output", str, NEEDED, "new file, several with commas; the ending is the format: .html .npz .csv .bvh .glb .nwb ...; "
+         "angles.csv, .mot: joint angles, gait.csv: gait; or live: a page of this machine that shows a camera's poses as they "
+         "come"),
     _key("page", Optional[str], None, "kind of an .html; unset: viewer", choices=("viewer", "gallery")),
     _key("axes", Optional[str], None, "axes of the output; unset: the format's usual ones",
          choices=("camera", "level", "opencv", "blender", "opensim", "unity", "own", "gltf", "print")),
@@ -138,9 +159,12 @@ POSE_KEYS = _table(
     _key("cameras_unit", Optional[str], None, "unit of the places in it; unset: told from the file", choices=("mm", "m")),
     _key("cameras_output", Optional[str], None, "with together=true: new .toml file for the cameras that are found"),
     *(one for name, one in READ_KEYS.items() if name != "format"),
+    _key("check", bool, True, "false: a ready lifter lifts what does not look like the body that it knows, too"),
+    *NWB_KEYS.values(),
     _key("frames", int, 40, "frames that page=gallery shows", 1, 500),
     _key("seed", int, 0, "seed of the choice of those frames", *_SEED_LIMITS),
     _CSV_SAFE,
+    _key("mass_kg", Optional[float], None, "with output=FILE.osim: mass of each body, kilograms; unset: 70", 1e-9, 1e6),
     *(all_settings()[f"data.{name}"] for name in ("name", "root", "options")),
 )  # fmt: skip
 """What predict takes for keypoints alone."""

@@ -10,6 +10,7 @@ import re
 import secrets
 import shutil
 import stat
+import tempfile
 import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
@@ -20,8 +21,8 @@ from uplift.errors import UserError
 
 __all__ = [
     "Existing", "absolute", "as_bytes", "building", "clear_parts", "data_root", "files_of", "inside", "names_from", "read_torch",
-    "refuse_existing", "refuse_output", "refuse_special", "replacing", "save_torch", "shipped", "shipped_names",
-    "without_folders",
+    "refuse_existing", "refuse_output", "refuse_special", "replacing", "replacing_by_name", "save_torch", "shipped",
+    "shipped_names", "without_folders",
 ]  # fmt: skip
 
 _PACKAGE = Path(__file__).resolve().parent.parent
@@ -203,6 +204,16 @@ def replacing(path: str | Path) -> Iterator[BinaryIO]:
         raise
     finally:
         _NEW.discard(target)
+
+
+@contextmanager
+def replacing_by_name(path: str | Path) -> Iterator[Path]:
+    """Give a new name with the ending of ``path`` to a library that writes files itself, and put what it made at ``path``, as `replacing`."""
+    with replacing(path) as handle, tempfile.TemporaryDirectory() as folder:
+        written = Path(folder) / f"new{Path(path).suffix.lower()}"
+        yield written
+        with written.open("rb") as made:
+            shutil.copyfileobj(made, handle)
 
 
 def _claim(target: Path) -> None:

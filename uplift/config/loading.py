@@ -421,6 +421,14 @@ def _value(hint: Any, text: str, override: str) -> Any:
     return [part.strip().strip("'\"") for part in inner.strip("[]").split(",") if part.strip()]
 
 
+def _is_ready(init: str) -> bool:
+    """Return whether a word is the name of a ready lifter, or one that may be, and not a run or a file here."""
+    path = Path(init)
+    if init in shipped_names("lifters"):
+        return not path.is_file() and not any((one / "config.yaml").is_file() for one in (path, path / "last"))
+    return len(path.parts) == 1 and not path.suffix and not path.exists()
+
+
 def _from_here(keys: list[str], value: Any) -> Any:
     """Return a path of the command line, relative to the current folder, as absolute."""
     name = ".".join(keys)
@@ -428,6 +436,8 @@ def _from_here(keys: list[str], value: Any) -> Any:
         return value
     if name in ("data.train", "data.test"):
         return absolute(value)
+    if name == "init" and _is_ready(value):
+        return value
     if (
         name in ("data.root", "data.images", "init")
         or (name == "data.labelled.file" and not re.fullmatch(r"\w+:\w+", value))  # SET:SPLIT is not a path

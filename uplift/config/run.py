@@ -33,7 +33,7 @@ from uplift.config.safe_weights import ENDING, read_safe
 from uplift.config.settings import Settings
 from uplift.errors import UserError, did_you_mean, nearest
 
-__all__ = ["USUAL_STEPS", "RunFolder", "Weights", "data_id", "idle_prior", "read_weights"]
+__all__ = ["USUAL_STEPS", "RunFolder", "Weights", "data_id", "idle_prior", "lifter_label", "read_weights", "version_of"]
 
 
 USUAL_STEPS = 10_000
@@ -201,6 +201,13 @@ class RunFolder:
         return found
 
 
+def lifter_label(init: str) -> str:
+    """Return a lifter's name for readers, without the folders that it lies in: of a run its task and its time."""
+    path = Path(init)
+    run = path.parent if path.name == "lifter.pt" else path
+    return "/".join(run.parts[-2:]) if (run / "config.yaml").is_file() else path.name
+
+
 def data_id(name: str) -> str:
     """Return what tells test data apart in evaluation.json, where files have names without folders: a hash of the full path."""
     name = absolute(name) if Path(name.partition(",")[0]).expanduser().exists() else name
@@ -225,7 +232,7 @@ def _facts(settings: Settings, command: str) -> dict[str, Any]:
         "command": command,
         "seed": settings.seed,
         "started": datetime.datetime.now().astimezone().isoformat(timespec="seconds"),
-        "versions": {name: _version(name) for name in packages},
+        "versions": {name: version_of(name) for name in packages},
         "python": sys.version.split()[0],
         "platform": platform.platform(),
         "cores": os.cpu_count(),
@@ -233,7 +240,8 @@ def _facts(settings: Settings, command: str) -> dict[str, Any]:
     }
 
 
-def _version(name: str) -> str | None:
+def version_of(name: str) -> str | None:
+    """Return the version of an installed package; None where it is not installed."""
     try:
         return metadata.version(name)
     except metadata.PackageNotFoundError:
@@ -262,6 +270,8 @@ class Weights:
     """The run or file as it was named, for messages."""
     path: Path
     state: dict[str, Any]
+    ready: bool = False
+    """Whether it is a ready lifter of this package."""
     note: str = ""
     """Which lifter it is, where the name alone does not say so."""
 
@@ -289,15 +299,16 @@ def read_weights(run: str | Path) -> Weights:
     Raises UserError: no such run or lifter, a run that has no weights yet, or a file that cannot be read.
     """
     path, note = Path(run), ""
-    if not path.is_file():
-        ready, folder = str(run) in shipped_names("lifters"), _run_in(path)
-        if ready and folder is None:
-            path, note = shipped("lifters") / f"{run}{ENDING}", f"lifter: {run}, ready-made (uplift lifters {run})"
-        else:
-            note = f"lifter: the run in the folder {run}, not the ready one of that name" if ready else ""
-            path = _weights_of(folder or _unknown(run))
+    folder = None if path.is_file() else _run_in(path)
+    named = not path.is_file() and str(run) in shipped_names("lifters")
+    ready = named and folder is None
+    if ready:
+        path, note = shipped("lifters") / f"{run}{ENDING}", f"lifter: {run}, ready-made (uplift lifters {run})"
+    elif not path.is_file():
+        note = f"lifter: the run in the folder {run}, not the ready one of that name" if named else ""
+        path = _weights_of(folder or _unknown(run))
     read = read_safe if path.suffix.lower() == ENDING else read_torch
-    return Weights(str(run), path, read(path, "lifter"), note)
+    return Weights(str(run), path, read(path, "lifter"), ready, note)
 
 
 def _run_in(path: Path) -> RunFolder | None:

@@ -29,7 +29,7 @@ from uplift.data.select import choice_of, chosen_rows
 from uplift.data.upright import upright_notes
 from uplift.errors import MissingFiles, UserError
 from uplift.skeleton import Skeleton
-from uplift.skeleton.match import build_joints, build_pose
+from uplift.skeleton.match import WrongJoints, build_joints, build_pose
 from uplift.skeleton.propose import TOO_LONG, stretch_of
 
 __all__ = [
@@ -357,6 +357,8 @@ def in_joints_of(data: PoseData, skeleton: Skeleton) -> PoseData:
             keypoints, confidence, match = build_joints(keypoints, confidence, data.joint_names, skeleton)
             notes = (*notes, str(match)) if match.layout is not None or match.missing else notes
             pose = None if pose is None else build_pose(pose, data.joint_names, skeleton)
+        except WrongJoints as error:
+            raise WrongJoints(f"{data.source}: {error}" if data.source else str(error), error.names) from None
         except UserError as error:
             raise UserError(f"{data.source}: {error}" if data.source else str(error)) from None
     root = data.root

@@ -18,8 +18,12 @@ from uplift.export.clips import MOST_FILES, arrange
 from uplift.export.scene import AXES, in_axes
 from uplift.export.tables import unique
 from uplift.models.prediction import Prediction, ShapePrediction
+from uplift.skeleton import Skeleton
 
-__all__ = ["PAGES", "WRITERS", "Job", "Part", "Writer", "check_axes", "parts_of", "paths_of", "write", "writer_for"]
+__all__ = [
+    "MEASURES", "PAGES", "WRITERS", "Job", "Part", "Writer", "check_axes", "check_measure", "ending_of", "parts_of", "paths_of",
+    "write", "writer_for",
+]  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -49,13 +53,22 @@ WRITERS = {
         ".csv": Writer("uplift.export.tables:write_csv", "a table, one row a frame and body"),
         ".trc": Writer("uplift.export.markers:write_trc", "markers, for OpenSim", "opensim", "body"),
         ".osim": Writer(
-            "uplift.export.opensim:write_opensim", "a scaled model with inverse kinematics, OpenSim", "opensim", "body"
+            "uplift.export.osim:write_opensim", "a scaled model with inverse kinematics, OpenSim", "opensim", "body"
         ),
         ".c3d": Writer("uplift.export.markers:write_c3d", "points, for biomechanics programs", "opensim", "body"),
         ".bvh": Writer("uplift.export.bvh:write_bvh", "a skeleton that moves, for animation", "opensim", "body"),
         ".glb": Writer("uplift.export.glb:write_glb", "an animated scene, for 3D viewers", "opensim", "clip"),
         ".gif": Writer("uplift.export.film:write_film", "a short film", "camera", "clip"),
         ".mp4": Writer("uplift.export.film:write_film", "a film", "camera", "clip"),
+        ".nwb": Writer("uplift.export.nwb:write_nwb", "Neurodata Without Borders, with ndx-pose", "camera", "clip"),
+        ".nc": Writer("uplift.export.netcdf:write_netcdf", "netCDF, for xarray and movement", "camera", "clip"),
+        ".dlc.csv": Writer("uplift.export.trackers:write_dlc_csv", "3D of DeepLabCut", "camera", "clip"),
+        ".dlc.h5": Writer("uplift.export.trackers:write_dlc_h5", "3D of DeepLabCut", "camera", "clip"),
+        ".sleap.h5": Writer("uplift.export.trackers:write_sleap", "3D of sleap-anipose", "camera", "clip"),
+        ".anipose.csv": Writer("uplift.export.trackers:write_anipose", "3D of Anipose", "camera", "body"),
+        ".blend.py": Writer("uplift.export.blender:write_blender", "a script that Blender runs", "blender", "clip"),
+        ".usda": Writer("uplift.export.usd:write_usd", "USD as text, for film and simulation", "opensim", "clip"),
+        ".usdc": Writer("uplift.export.usd:write_usd", "USD", "opensim", "clip"),
     },
     "shapes": {
         ".html": Writer("uplift.export.shape_page:write_shape_page", "a page to look at", "own"),
@@ -66,6 +79,12 @@ WRITERS = {
         ".npz": Writer("uplift.export.meshes:write_npz", "occupancy grids, for Python", "own"),
     },
 }
+MEASURES = {
+    "angles.csv": Writer("uplift.export.measures:write_angles_csv", "joint angles, a row a frame and body"),
+    "gait.csv": Writer("uplift.export.measures:write_gait_csv", "gait, a row a stride, with mean and sd"),
+    ".mot": Writer("uplift.export.measures:write_mot", "joint angles, for OpenSim", holds="body"),
+}
+"""What is measured of poses: by the ending, or by the last word of the name before it, as in ``walk_angles.csv``."""
 PAGES = {
     "poses": {
         "viewer": WRITERS["poses"][".html"],
@@ -79,22 +98,40 @@ PAGES = {
 """Kinds of ``.html``; the first is the default."""
 
 
+def ending_of(path: str | Path, of: str = "poses") -> str:
+    """Return the ending of ``path`` that chooses the format, in small letters: the longest that there is a writer for, else the last part."""
+    name = Path(path).name.lower()
+    found = [ending for ending in WRITERS[of] if name.endswith(ending) and name != ending]
+    return max(found, key=len, default=Path(name).suffix)
+
+
 def writer_for(path: str | Path, page: str | None = None, of: str = "poses") -> Writer:
     """Return the writer for the extension of ``path`` or the kind of ``page``; raises UserError for an unknown one."""
-    extension, writers = Path(path).suffix.lower(), WRITERS[of]
+    extension, writers = ending_of(path, of), WRITERS[of]
     if page is not None:
         if page not in PAGES[of]:
             raise UserError(f"page={page}: no such page.{did_you_mean(page, PAGES[of])}")
         if extension != ".html":
             raise UserError(f"page={page} is an .html, output={path} is not: leave page= out, or name a file .html.")
         return PAGES[of][page]
+    if of == "poses" and (measured := MEASURES.get(_last_word(path) + extension) or MEASURES.get(extension)):
+        return measured
     if extension in writers:
         return writers[extension]
-    valid = ", ".join(sorted(writers))
+    valid = ", ".join([*sorted(writers), *(MEASURES if of == "poses" else ())])
     if not extension:
         raise UserError(f"output '{path}' has no extension: it chooses the format. Valid for {of}: {valid}.")
+    longer = [ending for ending in writers if ending.endswith(extension)]
+    if longer:
+        several = " or ".join(f"{Path(path).stem}{ending}" for ending in longer)
+        raise UserError(f"output '{path}': there is more than one kind of '{extension}'. Name it {several}.")
     hint = nearest(extension, writers)
     raise UserError(f"output '{path}': no writer of {of} for '{Path(path).suffix}'.{hint} Valid: {valid}.")
+
+
+def _last_word(path: str | Path) -> str:
+    """Return the last word of a file's name before its ending."""
+    return re.split(r"[^a-z]+", Path(path).stem.lower())[-1]
 
 
 def write(
@@ -108,7 +145,9 @@ def write(
 
     ``page`` is the kind of an ``.html``, one of `PAGES`. ``axes`` are those of `uplift.export.scene`, of shapes those
     of `uplift.export.meshes.SHAPE_AXES`; the format's usual ones by default. Options go to the writer. A format that
-    holds one clip, body or item gets a file for each, named behind the stem of ``path``. A file is complete or absent.
+    holds one clip, body or item gets a file for each, named behind the stem of ``path``. A file is complete or absent, and of several there are all or none.
+
+    Of poses, ``angles.csv`` and ``gait.csv`` (also behind other words: ``walk_angles.csv``) are tables of `MEASURES`.
 
     Of shapes, ``unit`` is ``px`` of the photo, ``crop`` (half the side of a mask's crop), or ``mm`` where ``height_mm``
     or ``length_mm`` gives the size of every object. ``smooth`` rounds of smoothing leave the volume as it is. A
@@ -126,7 +165,15 @@ def write(
 
         jobs = shape_jobs(prediction, writer_for(path, page, "shapes"), path, axes, **options)
     paths = paths_of(path, [name for name, _ in jobs])
-    return {file: job(file) for file, (_, job) in zip(paths, jobs, strict=True)}
+    files: dict[Path, str] = {}
+    try:
+        for file, (_, job) in zip(paths, jobs, strict=True):
+            files[file] = job(file)
+    except BaseException:  # all of them or none
+        for file in files:
+            file.unlink(missing_ok=True)
+        raise
+    return files
 
 
 Job = tuple[str, Callable[[Path], str]]
@@ -138,9 +185,12 @@ def paths_of(path: str | Path, names: Sequence[str]) -> list[Path]:
     path = Path(path)
     if len(names) == 1:
         return [path]
-    slugs = [re.sub(r"[^\w.-]+", "-", name).strip("-.")[:80] or "part" for name in names]
+    slugs = [
+        re.sub(r"[^\w.-]+", "-", name).encode()[:80].decode(errors="ignore").strip("-.") or "part" for name in names
+    ]
+    stem = path.name[: len(path.name) - len(ending_of(path))]
     # Some file systems do not tell capitals apart.
-    paths = [path.with_name(f"{path.stem}_{slug}{path.suffix}") for slug in unique(slugs, str.lower)]
+    paths = [path.with_name(f"{stem}_{slug}{path.name[len(stem) :]}") for slug in unique(slugs, str.lower)]
     for one in paths:
         refuse_existing(one)
     return paths
@@ -152,6 +202,8 @@ def paths_of(path: str | Path, names: Sequence[str]) -> list[Path]:
 def _pose_jobs(prediction: Prediction, writer: Writer, path: str | Path, axes: str | None, **options: Any) -> list[Job]:
     axes = axes or writer.axes
     check_axes(path, axes)
+    if writer.holds != "all" and not len(prediction):
+        raise UserError(f"cannot write {path}: the prediction is empty. Check the input file.")
     turned = in_axes(prediction, axes) if axes != prediction.axes else prediction
 
     parts, ghosts = parts_of(turned, writer.holds)
@@ -168,18 +220,31 @@ def _pose_jobs(prediction: Prediction, writer: Writer, path: str | Path, axes: s
 
 def check_axes(path: str | Path, axes: str | None) -> None:
     """Raise UserError for axes that a format of poses cannot be written in."""
-    ending = Path(path).suffix.lower()
+    ending = ending_of(path)
     if axes is None:
         return
+    if path and axes != "camera" and writer_for(path) in MEASURES.values():
+        raise UserError(f"axes={axes}: angles and gait are the same in all axes: leave axes= out, or write poses.")
     if axes not in AXES:
         raise UserError(f"axes={axes}: no such axes.{did_you_mean(axes, AXES)}")
     if ending == ".html" and axes not in ("camera", "opencv"):
         raise UserError(f"axes={axes}: a page turns poses itself; axes go with the other formats.")
-    if axes == "unity" and ending in (".glb", ".bvh"):
+    if ending == ".osim" and axes != "opensim":
+        raise UserError(f"axes={axes}: a model of OpenSim stands with y up, axes=opensim; leave axes= out.")
+    if axes == "unity" and ending in (".glb", ".bvh", ".usda", ".usdc", ".blend.py"):
         raise UserError(
             f"axes=unity is left-handed, and a {ending} is right-handed wherever it is read: Unity's importers turn it "
             "themselves. Leave axes= out."
         )
+
+
+def check_measure(path: str | Path, skeleton: Skeleton) -> None:
+    """Raise UserError for an output that measures what this skeleton does not name; nothing where it holds poses."""
+    writer = writer_for(path) if Path(path).suffix.lower() != ".html" else None
+    if writer in MEASURES.values():
+        from uplift.export.measures import check_skeleton  # its imports take time
+
+        check_skeleton(skeleton, path)
 
 
 class Part(NamedTuple):

@@ -14,7 +14,8 @@ from uplift.errors import UserError, listed
 from uplift.models.prediction import Prediction
 
 __all__ = [
-    "MOST_FILES", "USUAL_FPS", "Clip", "arrange", "frame_rate", "one_body", "one_clip", "photos", "seen_at", "steps", "titled",
+    "MOST_FILES", "USUAL_FPS", "Clip", "arrange", "evenly", "frame_rate", "one_body", "one_clip", "photos", "seen_at", "steps",
+    "titled",
 ]  # fmt: skip
 
 MOST_FILES = 500
@@ -163,6 +164,45 @@ def one_body(prediction: Prediction, path: str | Path, individual: str | None = 
             f"cannot write {path}: a {Path(path).suffix} {wanted}, found {len(names)}: {listed(names, 5)}. Write one file for each."
         )
     return clip.only(str(individual))
+
+
+_MOST_BLANK = 1_000_000
+
+
+def evenly(clip: Clip, path: str | Path) -> tuple[Clip, int]:
+    """Return the clip with a moment for every frame between its first and last, and how many frames are before the first.
+
+    Frames are as far apart as the largest step that divides all distances of their numbers: thinned out films get no
+    blank moments, and what is before the first counts in those steps, too. Raises UserError for an individual that is
+    in a frame twice, and for numbers that leave nearly all moments blank.
+    """
+    numbers = np.asarray(clip.frames, np.int64)
+    step = int(np.gcd.reduce(np.diff(numbers))) or 1
+    place = (numbers - numbers[0]) // step
+    moments = int(place[-1]) + 1
+    if moments > _MOST_BLANK and moments > 100 * len(clip.rows):
+        raise UserError(
+            f"{path}: {len(clip.rows)} frames are numbered {numbers[0]} to {numbers[-1]}, which would make {moments} "
+            "rows, nearly all blank. Expected 'frame' to count frames; write .csv to keep such numbers."
+        )
+    moment = place[clip.moment]
+    _refuse_doubles(clip, moment, path)
+    return replace(clip, moment=moment, frames=tuple(range(numbers[0], numbers[-1] + 1, step))), int(numbers[0]) // step
+
+
+def _refuse_doubles(clip: Clip, moment: np.ndarray, path: str | Path) -> None:
+    """Refuse several rows of an individual in one frame."""
+    _, first, count = np.unique(
+        moment * len(clip.individual_names) + clip.individual, return_index=True, return_counts=True
+    )
+    if len(first) == len(moment):
+        return
+    row = first[count.argmax()]
+    name, frame = clip.individual_names[clip.individual[row]], clip.frames[clip.moment[row]]
+    raise UserError(
+        f"{path}: {count.max()} rows are frame {frame}{f' of {name!r}' if name else ''}. Expected one: name what tells "
+        "them apart ('instance', 'camera' or 'sequence'), or write .csv."
+    )
 
 
 def frame_rate(prediction: Prediction, fps: int | float | None) -> float | None:

@@ -12,13 +12,12 @@ from jaxtyping import Float
 
 from uplift.config.files import replacing
 from uplift.export.clips import USUAL_FPS, frame_rate, one_clip, steps
-from uplift.export.scene import SIDE_COLOURS, body_of, held, known_points, row_places
+from uplift.export.scene import SIDE_COLOURS, body_of, held, in_metres, known_points, linear, row_places
 from uplift.geometry.rigid import least_turn, quaternion_matrix, quaternion_product
 from uplift.models.prediction import Prediction
 
 __all__ = ["bone_rotations", "write_glb"]
 
-_PERSON_M = 1.7
 _JOINT_SHARE, _BONE_SHARE = 0.016, 0.008  # radii, as shares of the body
 
 
@@ -33,8 +32,7 @@ def write_glb(prediction: Prediction, path: str | Path, fps: int | float | None 
     clip = one_clip(prediction, path)
     rate = frame_rate(prediction, fps)
     points = known_points(prediction.pose) + row_places(prediction, clip)[:, None]
-    body = _body_size(known_points(prediction.pose))
-    scale = 0.001 if prediction.unit == "mm" else _PERSON_M / body
+    scale, body = in_metres(prediction)
     about = {
         "title": prediction.title or clip.name,
         "skeleton": prediction.skeleton.name,
@@ -45,7 +43,7 @@ def write_glb(prediction: Prediction, path: str | Path, fps: int | float | None 
         "fps_assumed": rate is None,
     }
     file = _Gltf(clip.name, about)
-    meshes = _meshes(file, body * scale)
+    meshes = _meshes(file, body)
     times = steps(clip) / (rate or USUAL_FPS)
     moments = clip.by_moment(points * scale)
     for number, name in enumerate(clip.individual_names):
@@ -68,15 +66,6 @@ def bone_rotations(directions: Float[np.ndarray, "frames bones 3"]) -> Float[np.
         now /= np.linalg.norm(now, axis=-1, keepdims=True)
         turned[frame] = now
     return turned
-
-
-def _body_size(pose: Float[np.ndarray, "frames joints 3"]) -> float:
-    """Return the median over frames of the largest side of a pose's box; 1 where there is none."""
-    known = np.isfinite(pose)
-    sides = np.where(known, pose, -np.inf).max(1) - np.where(known, pose, np.inf).min(1)
-    largest = sides.max(-1)
-    usable = largest[np.isfinite(largest) & (largest > 0)]
-    return float(np.median(usable)) if len(usable) else 1.0
 
 
 def _meshes(file: _Gltf, size: float) -> tuple[list[int], list[int]]:
@@ -155,9 +144,7 @@ class _Gltf:
 
     def material(self, name: str, rgb: tuple[int, int, int]) -> int:
         """Return a matt material of an sRGB colour, 0 to 255."""
-        colour = np.asarray(rgb) / 255
-        linear = np.where(colour <= 0.04045, colour / 12.92, ((colour + 0.055) / 1.055) ** 2.4)
-        look = {"baseColorFactor": [*_short(linear), 1.0], "metallicFactor": 0.0, "roughnessFactor": 0.6}
+        look = {"baseColorFactor": [*_short(linear(rgb)), 1.0], "metallicFactor": 0.0, "roughnessFactor": 0.6}
         return self._add("materials", {"name": name, "pbrMetallicRoughness": look})
 
     def mesh(self, name: str, shape: dict[str, Any], material: int) -> int:

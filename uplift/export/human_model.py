@@ -9,15 +9,15 @@ from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from uplift.config.files import shipped_names
 from uplift.data.synthetic.body import human_body, is_human, rest_positions
 from uplift.errors import UserError, listed
-from uplift.geometry.rigid import nearest_rotation
+from uplift.geometry.rigid import nearest_rotation, rotation_about
 from uplift.skeleton import Skeleton, load_skeleton
 
-__all__ = ["HumanModel", "human_model", "model_xml"]
+__all__ = ["Coordinate", "HumanModel", "human_model", "model_xml"]
 
 # What the model is made of. Points are those of the simulator's human body, which skeleton files name.
 
@@ -161,11 +161,12 @@ class _Seen:
         made = {"pelvis": ("@left_hip", "@right_hip"), "thorax": ("@left_shoulder", "@right_shoulder")}
         if key != "@trunk":
             return np.mean([self.track(one) for one in made[key[1:]]], 0)
-        share = self.place("@trunk")[1] / self.place("@thorax")[1]
-        return (1 - share) * self.track("@pelvis") + share * self.track("@thorax")
+        return (1 - self._loins) * self.track("@pelvis") + self._loins * self.track("@thorax")
 
     def place(self, key: str) -> Float[np.ndarray, " 3"]:
         """Return where a joint or point is on the neutral body."""
+        if key == "@trunk" and not self.has(self.trunk):  # where `track` has it
+            return (1 - self._loins) * self.place("@pelvis") + self._loins * self.place("@thorax")
         row = self._row(key[1:]) if key.startswith("@") else self.weights[self.joints.index(key)]
         return row @ self.rest
 
@@ -173,6 +174,11 @@ class _Seen:
     def trunk(self) -> str:
         """The point that pelvis and trunk turn about: where there is no joint between them, at the loins."""
         return "spine" if self.has("spine") and not self.has("lumbar") else "lumbar"
+
+    @property
+    def _loins(self) -> float:
+        """How far up the line from the hips to the shoulders the trunk bends."""
+        return self.rest[self.names.index("lumbar"), 1] / self.rest[self.names.index("thorax"), 1]
 
     def _row(self, point: str) -> Float[np.ndarray, " points"]:
         return np.eye(len(self.names))[self.names.index(self.trunk if point == "trunk" else point)]
@@ -182,7 +188,7 @@ class _Seen:
         rows = [row]
         for middle, pair in (("pelvis", "hip"), ("thorax", "shoulder")):
             if row[self.names.index(middle)] == 1:
-                rows.append(sum(np.eye(len(row))[self.names.index(f"{side}_{pair}")] / 2 for side in ("left", "right")))
+                rows.append((self._row(f"left_{pair}") + self._row(f"right_{pair}")) / 2)
         found = [place for one in rows for place in np.flatnonzero((self.weights == one).all(1))]
         return int(found[0]) if found else None
 
@@ -198,8 +204,8 @@ def _seen(skeleton: Skeleton, joints: Sequence[str], points_mm: Float[np.ndarray
     missing = [point for point in _NEEDED if not seen.has(point)]
     if missing:
         raise UserError(
-            f"OpenSim: skeleton '{skeleton.name}' has no {listed(missing, 3)}; the body that is built needs both hips, knees and "
-            "shoulders. Say which joints they are by limits: {JOINT: {human: POINT}} in its YAML (docs/opensim.md)."
+            f"OpenSim's model is of a person, and skeleton '{skeleton.name}' has no {listed(missing, 3)}. For a person with "
+            "joints of other names, say in its YAML which they are: limits: {JOINT: {human: POINT}} (docs/opensim.md)."
         )
     return seen
 
@@ -258,8 +264,19 @@ class Coordinate(NamedTuple):
     axis: tuple[float, float, float]
     low: float
     high: float
-    start: float = 0.0
-    """Its value in the first frame of the pelvis's, which IK starts from, else 0."""
+    start: Float[np.ndarray, " frames"]
+    """What the directions of the segments say it is, NaN where they are not known: where to look for the solution."""
+
+    @property
+    def metres(self) -> bool:
+        """Whether it moves the body, rather than turns it."""
+        return self.name.startswith(("pelvis_tx", "pelvis_ty", "pelvis_tz"))
+
+    @property
+    def first(self) -> float:
+        """The first known of ``start``, which the model stands in; 0 without any."""
+        known = self.start[np.isfinite(self.start)]
+        return float(known[0]) if len(known) else 0.0
 
 
 class Segment(NamedTuple):
@@ -317,28 +334,32 @@ def human_model(
         if part.parent in ("", *kept) and all(seen.has(*group) for group in part.needs):
             kept[part.body] = (part, sign)
     masses, stature = _masses(parts, kept), _stature(seen)
-    segments, markers, unseen, places = [], {}, [], {}
+    segments, markers, places = [], {}, {}
+    turned = {"": np.broadcast_to(np.eye(3), (len(points), 3, 3))}
     for name, (part, sign) in kept.items():
         held, keys = _held(seen, part, kept)
         shape = dict(zip(keys, _shape(seen, keys), strict=True))
         places |= {(name, key): place for key, place in shape.items()}
         markers |= {joint: (name, shape[joint]) for joint in held if joint not in markers}
         at = places.get((part.parent, f"@{part.centre}"), np.zeros(3))
-        turns = [_coordinate(turn, sign) if not turn.needs or seen.has(*turn.needs) else None for turn in part.turns]
-        unseen += [turn.name for turn, found in zip(part.turns, turns, strict=True) if found is None]
-        if not part.parent:
-            turns, shifts = _start(seen, shape, turns)
+        turns, turned[name] = _turns(seen, part, sign, shape, turned[part.parent])
         segments.append(_segment(part, at, turns, shape, mass_kg * masses[name], stature, seen))
-    unseen += [turn.name for part, _ in parts if part.body not in kept for turn in part.turns]
+    shifts = [
+        Coordinate(f"pelvis_t{letter}", axis, -1000.0, 1000.0, place)
+        for letter, axis, place in zip("xyz", (_X, _Y, _Z), seen.track("@pelvis").T, strict=True)
+    ]
+    there = {turn.name for segment in segments for turn in segment.turns if turn}
+    unseen = [turn.name for part, _ in parts for turn in part.turns if turn.name not in there]
     return HumanModel(tuple(segments), tuple(shifts), markers, tuple(unseen))
 
 
 def _held(seen: _Seen, part: _Part, kept: dict[str, tuple[_Part, float]]) -> tuple[list[str], list[str]]:
-    """Return the joints on a part, and the keys of its shape: its centre, these joints, the centres of its children."""
+    """Return the joints on a part, and the keys of its shape: its centre, these joints, its end, the centres of its children."""
     there = {part.centre, *part.holds} | ({seen.trunk} if "trunk" in part.centre or part.end[0] == "trunk" else set())
     held = [joint for joint in seen.joints if seen.made_of(joint) and set(seen.made_of(joint)) <= there]
     children = [f"@{child.centre}" for child, _ in kept.values() if child.parent == part.body]
-    return held, list(dict.fromkeys([f"@{part.centre}", *held, *children]))
+    end = [f"@{part.end[0]}"] if part.end[0] in part.holds and seen.has(part.end[0]) else []
+    return held, list(dict.fromkeys([f"@{part.centre}", *held, *end, *children]))
 
 
 def _masses(parts: Sequence[tuple[_Part, float]], kept: dict[str, tuple[_Part, float]]) -> dict[str, float]:
@@ -358,32 +379,6 @@ def _stature(seen: _Seen) -> float:
     return float(np.linalg.norm(_shape(seen, keys)[1]) / rest)
 
 
-def _coordinate(turn: _Turn, sign: float) -> Coordinate:
-    """Return the coordinate on its side: to the left, what is not in the sagittal plane is mirrored."""
-    x, y, z = turn.axis
-    return Coordinate(turn.name, (sign * x, sign * y, z), turn.low, turn.high)
-
-
-def _start(seen: _Seen, shape: dict[str, np.ndarray], turns: Sequence[Coordinate | None]) -> tuple[list, list]:
-    """Return the coordinates of the pelvis with where it is in the first frame that has it."""
-    keys = list(shape)
-    tracks = np.stack([seen.track(key) for key in keys], 1)
-    now = tracks[np.isfinite(tracks).all((1, 2)).argmax()]
-    body = np.stack([shape[key] for key in keys])
-    turn, _ = nearest_rotation((now - now[0]).T @ body)
-    angles = [
-        np.arctan2(turn[0, 2], turn[2, 2]),
-        -np.arcsin(np.clip(turn[1, 2], -1, 1)),
-        np.arctan2(turn[1, 0], turn[1, 1]),
-    ]
-    turned = [one and one._replace(start=float(np.degrees(angle))) for one, angle in zip(turns, angles, strict=True)]
-    shifts = [
-        Coordinate(f"pelvis_t{letter}", axis, -1000.0, 1000.0, float(place))
-        for letter, axis, place in zip("xyz", (_X, _Y, _Z), now[0], strict=True)
-    ]
-    return turned, shifts
-
-
 def _segment(
     part: _Part, at: np.ndarray, turns: Sequence, shape: dict, mass: float, stature: float, seen: _Seen
 ) -> Segment:
@@ -394,6 +389,114 @@ def _segment(
     front, side = (stature * radius for radius in part.radii)
     radii = np.array([front, max(float(np.linalg.norm(end)) / 2, 0.02), side])
     return Segment(part.body, part.parent, part.joint, at, tuple(turns), mass, part.end[1] * end, end / 2, radii)
+
+
+# How the segments are turned, by the directions of what is on them.
+
+_STRAIGHT = 0.1  # sine below which the bend of a limb says less of its turn about itself than its neutral position
+
+
+def _turns(
+    seen: _Seen, part: _Part, sign: float, shape: dict[str, np.ndarray], parent: Float[np.ndarray, "frames 3 3"]
+) -> tuple[list[Coordinate | None], Float[np.ndarray, "frames 3 3"]]:
+    """Return the coordinates of a part, and how it is turned in each frame, NaN where that is not known."""
+    shown = [not turn.needs or seen.has(*turn.needs) for turn in part.turns]
+    # To the left, what is not in the sagittal plane is mirrored.
+    axes = [(sign * turn.axis[0], sign * turn.axis[1], turn.axis[2]) for turn in part.turns]
+    relative = parent.transpose(0, 2, 1) @ _turned(seen, part, shape, parent, shown)
+    if len(part.turns) == 3:
+        angles = _angles(relative, np.array(axes))
+        if not part.parent:  # a body turns on and on
+            angles = [_unwrapped(angle) for angle in angles]
+    else:
+        angles = [np.degrees(np.arctan2(relative[:, 1, 0], relative[:, 0, 0])) * axes[0][2], np.zeros(len(parent))]
+        if len(part.turns) == 1:
+            relative = rotation_about(_Z, np.radians(angles[0] * axes[0][2]))
+    found = [
+        Coordinate(turn.name, axis, turn.low, turn.high, angle) if show else None
+        for turn, axis, angle, show in zip(part.turns, axes, angles, shown, strict=False)
+    ]
+    return found, parent @ relative
+
+
+def _turned(
+    seen: _Seen, part: _Part, shape: dict[str, np.ndarray], parent: np.ndarray, shown: Sequence[bool]
+) -> Float[np.ndarray, "frames 3 3"]:
+    """Return how a part is turned: onto all that is on it, or along its limb with the plane in which that bends."""
+    tracks = np.stack([seen.track(key) for key in shape], 1)
+    tracks = tracks - tracks[:, :1]
+    body = np.stack(list(shape.values()))
+    limb = f"@{part.end[0]}"
+    if np.linalg.svd(body)[1][1] > 0.1 * np.linalg.norm(body) and all(shown[2:]):
+        return _onto(tracks, body)
+    tip = seen.track(limb) - seen.track(f"@{part.centre}") if limb in shape else tracks[:, -1]
+    side = parent[:, :, 2]
+    beyond = part.turns[-1].needs if len(part.turns) == 3 and shown[2] and limb in shape else ()
+    if beyond:
+        lower = _unit(seen.track(f"@{beyond[0]}") - seen.track(limb))
+        bend = np.cross(_unit(tip), lower) * (-1.0 if "hip" in part.joint else 1.0)
+        side = bend + _STRAIGHT * side
+    # The limb lies along its own direction, and its side as near that of the bend as that allows.
+    farthest = body[np.linalg.norm(body, axis=1).argmax()]
+    return _onto(
+        np.stack([_unit(tip), 0.01 * _unit(side)], 1), np.stack([farthest / np.linalg.norm(farthest), [0, 0, 0.01]])
+    )
+
+
+def _onto(
+    tracks: Float[np.ndarray, "frames points 3"], body: Float[np.ndarray, "points 3"]
+) -> Float[np.ndarray, "frames 3 3"]:
+    """Return the rotations of a body's points onto tracks, NaN where one is not known."""
+    known = np.asarray(np.isfinite(tracks).all((1, 2)))
+    turn, _ = nearest_rotation(np.einsum("fpi,pj->fij", np.where(known[:, None, None], tracks, body), body))
+    turn[~known] = np.nan
+    return turn
+
+
+def _unwrapped(degrees: Float[np.ndarray, " frames"]) -> Float[np.ndarray, " frames"]:
+    found, known = degrees.copy(), np.isfinite(degrees)
+    found[known] = np.unwrap(degrees[known], period=360)
+    return found
+
+
+def _unit(vectors: Float[np.ndarray, "frames 3"]) -> Float[np.ndarray, "frames 3"]:
+    return vectors / np.maximum(np.linalg.norm(vectors, axis=-1, keepdims=True), 1e-9)
+
+
+def _angles(turn: Float[np.ndarray, "frames 3 3"], axes: Float[np.ndarray, "3 3"]) -> Float[np.ndarray, "3 frames"]:
+    """Return degrees about three axes, one after another, each about the axes turned before it.
+
+    Of the two triples for a rotation, those that change little over time, and otherwise the nearer to the neutral
+    position: an arm that is raised sideways goes on being raised beyond the horizontal.
+    """
+    second = axes[1] * np.linalg.det(np.stack([axes[1], axes[2], axes[0]]))
+    base = np.stack([second, axes[2], axes[0]])
+    turn = base @ turn @ base.T  # about z, then x, then y
+    z, y = np.arctan2(-turn[:, 0, 1], turn[:, 1, 1]), np.arctan2(-turn[:, 2, 0], turn[:, 2, 2])
+    x = np.arcsin(np.clip(turn[:, 2, 1], -1, 1))
+    triples = np.degrees(np.array([[z, x, y], [z + np.pi, np.pi - x, y + np.pi]]))
+    triples -= 360 * np.round(triples / 360)
+    chosen = _steadiest(np.nan_to_num(triples))
+    return np.where(chosen == 0, *triples) * np.array([1.0, second @ axes[1], 1.0])[:, None]
+
+
+_NEUTRAL = 0.02  # what it costs to be far from the neutral position in a frame, against a jump as far
+
+
+def _steadiest(triples: Float[np.ndarray, "2 3 frames"]) -> Int[np.ndarray, " frames"]:
+    """Return which of two triples to take in each frame, so that jumps and distances from 0 cost least (Viterbi)."""
+    far = _NEUTRAL * np.square(triples).sum(1)
+    gap = triples[:, None, :, 1:] - triples[None, :, :, :-1]
+    jumps = np.square(gap - 360 * np.round(gap / 360)).sum(2)
+    cost, back = far[:, 0], []
+    for frame in range(jumps.shape[-1]):
+        total = cost + jumps[:, :, frame]
+        back.append(total.argmin(1))
+        cost = total.min(1) + far[:, frame + 1]
+    chosen = [int(cost.argmin())]
+    for step in reversed(back):
+        chosen.append(int(step[chosen[-1]]))
+    return np.array(chosen[::-1])
 
 
 # The model's file: OpenSim's XML, version 4.
@@ -465,8 +568,10 @@ def _joint_xml(joints: ET.Element, segment: Segment, shifts: Sequence[Coordinate
         _add(entry, f"socket_{socket}_frame", frame)
     turns = [turn for turn in segment.turns if turn is not None]
     coordinates = _add(entry, "coordinates")
-    for one in (*turns, *shifts):
-        _coordinate_xml(coordinates, one, 1.0 if one in shifts else np.pi / 180)
+    for one in turns:
+        _coordinate_xml(coordinates, one, np.pi / 180)
+    for one in shifts:
+        _coordinate_xml(coordinates, one, 1.0)
     frames = _add(entry, "frames")
     for (frame, place), body in zip(ends.items(), (parent, segment.name), strict=True):
         offset = _add(frames, "PhysicalOffsetFrame", name=frame)
@@ -481,9 +586,9 @@ def _joint_xml(joints: ET.Element, segment: Segment, shifts: Sequence[Coordinate
 
 def _coordinate_xml(coordinates: ET.Element, one: Coordinate, unit: float) -> None:
     entry = _add(coordinates, "Coordinate", name=one.name)
-    _add(entry, "default_value", f"{one.start * unit:.8g}")
+    _add(entry, "default_value", f"{one.first * unit:.8g}")
     _add(entry, "range", _text([one.low * unit, one.high * unit]))
-    # Within bounds OpenSim optimises by another method, which stops up to 2 degrees early. See `uplift.export.opensim`.
+    # Within bounds OpenSim optimises by another method, which stops up to 2 degrees early. See `uplift.export.osim`.
     _add(entry, "clamped", "false")
 
 

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import re
-import shutil
 import tempfile
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -11,11 +9,11 @@ from pathlib import Path
 
 import numpy as np
 
-from uplift.config.files import replacing
+from uplift.config.files import replacing, replacing_by_name
 from uplift.errors import UserError
-from uplift.export.clips import Clip, frame_rate, one_body
-from uplift.export.scene import AXES
-from uplift.export.tables import filled_in, numbers, unique
+from uplift.export.clips import evenly, frame_rate, one_body
+from uplift.export.scene import AXES, known_points
+from uplift.export.tables import filled_in, labels, numbers, unique
 from uplift.models.prediction import Prediction
 
 __all__ = ["Trial", "marker_names", "trial_of", "write_c3d", "write_trc"]
@@ -23,7 +21,6 @@ __all__ = ["Trial", "marker_names", "trial_of", "write_c3d", "write_trc"]
 # A trial: markers of one clip, a row for every moment.
 
 _LONGEST_BYTES = 120  # of a marker's name; C3D has room for 127
-_MOST_BLANK = 1_000_000
 
 
 @dataclass(frozen=True)
@@ -55,38 +52,16 @@ def trial_of(prediction: Prediction, path: str | Path, individual: str | None, k
         found = "is not known" if prediction.fps is None else f"is {prediction.fps}"
         raise UserError(f"{path}: {kind} needs the frame rate, which {found}. Give it: fps=30.")
     clip = one_body(prediction, path, individual)
-    numbers = np.asarray(clip.frames, np.int64)
-    step = int(np.gcd.reduce(np.diff(numbers))) or 1
-    place = ((numbers - numbers[0]) // step)[clip.moment]
-    first, moments = int(place.min()), int(np.ptp(place)) + 1
-    if moments > _MOST_BLANK and moments > 100 * len(clip.rows):
-        raise UserError(
-            f"{path}: {len(clip.rows)} frames are numbered {numbers[0]} to {numbers[-1]}, which would make {moments} "
-            "rows, nearly all blank. Expected 'frame' to count frames; write .csv to keep such numbers."
-        )
-    _refuse_doubles(clip, place, path)
-    points = np.full((moments, *prediction.pose.shape[1:]), np.nan, np.result_type(prediction.points, np.float32))
-    points[place - first] = prediction.points[clip.rows]
-    points[~np.isfinite(points).all(-1)] = np.nan
-    return Trial(marker_names(prediction.joint_names), points, max(int(numbers[0]) // step + first, 0), rate)
-
-
-def _refuse_doubles(clip: Clip, place: np.ndarray, path: str | Path) -> None:
-    """Refuse several rows of the individual in one frame, at one ``place``."""
-    _, first, count = np.unique(place, return_index=True, return_counts=True)
-    if len(first) == len(place):
-        return
-    name, frame = clip.individual_names[0], clip.frames[clip.moment[first[count.argmax()]]]
-    raise UserError(
-        f"{path}: {count.max()} rows are frame {frame}{f' of {name!r}' if name else ''}. Expected one: name what tells "
-        "them apart ('instance', 'camera' or 'sequence'), or write .csv."
-    )
+    clip, start = evenly(clip, path)
+    first, last = int(clip.moment.min()), int(clip.moment.max())
+    points = clip.by_moment(known_points(prediction.points))[first : last + 1, 0]
+    return Trial(marker_names(prediction.joint_names), points, max(start + first, 0), rate)
 
 
 def marker_names(names: Sequence[str]) -> tuple[str, ...]:
     """Return names that motion capture programs can read: no white space or control characters, not long, all different."""
-    plain = (re.sub(r"[\s\x00-\x1f\x7f-\x9f\ud800-\udfff]+", "_", name).encode()[:_LONGEST_BYTES] for name in names)
-    return tuple(unique([name.decode(errors="ignore") or "_" for name in plain]))
+    plain = (name.encode()[:_LONGEST_BYTES].decode(errors="ignore") for name in labels(names, r"\s"))
+    return tuple(unique(plain))
 
 
 # TRC, the marker file of OpenSim: one body, tabs, blank cells for what is missing.
@@ -148,15 +123,12 @@ def write_c3d(prediction: Prediction, path: str | Path, individual: str | None =
         raise UserError(f"{path}: C3D holds {_MOST_FRAMES} frames, found {count}. Write .trc, or shorter clips.")
     file = ezc3d.c3d()
     _fill(file, trial, prediction.axes)
-    with replacing(path) as handle, tempfile.TemporaryDirectory() as folder:
-        written = Path(folder) / "trial.c3d"
+    with replacing_by_name(path) as written:
         file.write(str(written))
         # ezc3d does not report a full disk.
         if not written.is_file() or written.stat().st_size < 16 * count * len(trial.names):
             where = tempfile.gettempdir()
             raise OSError(f"{path}: the C3D could not be written completely in {where}: is the disk full?")
-        with written.open("rb") as trial_file:
-            shutil.copyfileobj(trial_file, handle)
 
 
 def _fill(file, trial: Trial, axes: str) -> None:

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from uplift.biomechanics.angles import angles_of, joint_angles
 from uplift.errors import UserError
 from uplift.export.behind import pictures_behind
 from uplift.export.clips import Clip, arrange, frame_rate, photos, titled
@@ -22,12 +23,13 @@ from uplift.export.scene import (
     standing,
 )
 from uplift.models.prediction import Prediction
+from uplift.skeleton.core import CENTRE, LEFT, RIGHT
 
 __all__ = ["choose", "page_text", "write_html"]
 
 _SCRIPTS = (
-    "decode", "colours", "scene", "figures", "floor", "draw3d", "labels", "behind", "draw2d", "strip", "state", "motion", "keys",
-    "pointer", "clips", "controls",
+    "decode", "colours", "scene", "figures", "floor", "draw3d", "labels", "behind", "draw2d", "strip", "angles", "state",
+    "motion", "keys", "pointer", "clips", "controls",
 )  # fmt: skip
 
 
@@ -70,6 +72,7 @@ def page_text(
 
 _ROWS_PER_MOMENT = 3
 _STEPS_PER_SIZE = 4096
+_STEP_DEG = 0.25
 
 
 def _page_data(prediction: Prediction, moments: int, video: str | Path | None) -> dict[str, Any]:
@@ -87,6 +90,7 @@ def _page_data(prediction: Prediction, moments: int, video: str | Path | None) -
     rows = np.concatenate([clip.rows for clip in chosen])
     behind, shared = (None, "") if video is None else pictures_behind(prediction, clips, chosen, video)
     arrays, departure = _arrays(prediction, chosen, rows)
+    angles = _angles(prediction.select(rows), arrays)
     packed, layout = pack(arrays)
     body = body_of(prediction)
     return {
@@ -99,6 +103,7 @@ def _page_data(prediction: Prediction, moments: int, video: str | Path | None) -
         "boneSides": body.bone_sides,
         "rooted": prediction.root is not None,
         "noun": "photo" if photos(prediction.identity) else "clip",
+        "angles": angles,
         "gravity": bool(prediction.skeleton.gravity),
         "fps": frame_rate(prediction, None),
         "imageSize": [int(side) for side in prediction.image_size] if prediction.image_size is not None else None,
@@ -174,6 +179,23 @@ def _arrays(
         arrays["truth"] = (shown_truth(prediction, pose, truth), fine)
         arrays["error"] = (scaled_error(pose, truth), _size(truth) / _STEPS_PER_SIZE / 4)
     return arrays, departure
+
+
+def _angles(prediction: Prediction, arrays: dict[str, tuple[np.ndarray, float]]) -> list[dict[str, Any]]:
+    """Add the joint angles to ``arrays``, where the skeleton names some; return their names, both sides together."""
+    if not angles_of(prediction.skeleton):
+        return []
+    found = joint_angles(prediction)
+    arrays["angles"] = (found.values, _STEP_DEG)
+    if found.uncertainty is not None:
+        arrays["angleErrors"] = (found.uncertainty, _STEP_DEG)
+    groups: dict[str, list[dict[str, int]]] = {}
+    for place, name in enumerate(found.names):
+        words = name.split("_")
+        sides = [side for word in words if (side := {"left": LEFT, "right": RIGHT}.get(word.lower()))]
+        plain = " ".join(word for word in words if word.lower() not in ("left", "right"))
+        groups.setdefault(plain, []).append({"place": place, "side": sides[0] if sides else CENTRE})
+    return [{"name": name, "parts": parts} for name, parts in groups.items()]
 
 
 def _size(values: np.ndarray) -> float:

@@ -25,8 +25,10 @@ __all__ = [
     "from_y_down",
     "held",
     "in_axes",
+    "in_metres",
     "known_points",
     "level_rotations",
+    "linear",
     "rotations_to",
     "row_places",
     "scaled_error",
@@ -36,6 +38,12 @@ __all__ = [
 
 SIDE_COLOURS = {"centre": (0x4A, 0x50, 0x58), "left": (0x1F, 0x77, 0xB8), "right": (0xD9, 0x63, 0x0F)}
 """sRGB, 0 to 255, in the order of `uplift.skeleton.core.joint_sides`."""
+
+
+def linear(rgb: tuple[int, int, int]) -> Float[np.ndarray, "3"]:
+    """Return an sRGB colour, 0 to 255, in linear light, 0 to 1, as 3D files have it."""
+    colour = np.asarray(rgb) / 255
+    return np.where(colour <= 0.04045, colour / 12.92, ((colour + 0.055) / 1.055) ** 2.4)
 
 
 class Body(NamedTuple):
@@ -241,7 +249,25 @@ def known_points(pose: Float[np.ndarray, "frames joints 3"]) -> Float[np.ndarray
     return pose
 
 
-def held(values: Float[np.ndarray, "frames 3"]) -> Float[np.ndarray, "frames 3"]:
+_PERSON_M = 1.7
+
+
+def in_metres(prediction: Prediction) -> tuple[float, float]:
+    """Return what takes the prediction's unit to metres, and how large a body is in them: without a known size, about 1.7.
+
+    The size of a body is the median over frames of the largest side of its box, 1 of the unit where there is none.
+    """
+    pose = known_points(prediction.pose)
+    known = np.isfinite(pose)
+    sides = np.where(known, pose, -np.inf).max(1) - np.where(known, pose, np.inf).min(1)
+    largest = sides.max(-1)
+    usable = largest[np.isfinite(largest) & (largest > 0)]
+    body = float(np.median(usable)) if len(usable) else 1.0
+    scale = 0.001 if prediction.unit == "mm" else _PERSON_M / body
+    return scale, body * scale
+
+
+def held(values: Float[np.ndarray, "frames axes"]) -> Float[np.ndarray, "frames axes"]:
     """Return values with NaN replaced by what was last known, at the start by what is known first, 0 without any."""
     known = np.isfinite(values).all(1)
     if not known.any():

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import re
 import zipfile
 from collections.abc import Callable, Iterable, Iterator
 from functools import partial
@@ -18,7 +19,7 @@ from uplift.data.parsers.table import safe_cell
 from uplift.export.scene import AXES
 from uplift.models.prediction import Prediction
 
-__all__ = ["filled_in", "numbers", "unique", "write_csv", "write_json", "write_npz"]
+__all__ = ["cell", "filled_in", "labels", "numbers", "plain", "unique", "write_csv", "write_json", "write_npz"]
 
 # What writers of text share: numbers as text, identities as plain values, names, keypoints that were seen.
 
@@ -76,6 +77,12 @@ def unique(names: Iterable[str], same: Callable[[str], str] = str) -> list[str]:
     return list(found.values())
 
 
+def labels(names: Iterable[str], without: str = "") -> list[str]:
+    """Return names for other programs: ``_`` in place of control characters, of what is no text, and of ``without``, part of a regular expression's set; none is empty, all differ."""
+    wrong = rf"[\x00-\x1f\x7f-\x9f\ud800-\udfff{without}]+"
+    return unique(re.sub(wrong, "_", name) or "_" for name in names)
+
+
 # CSV: one row per frame and individual, for spreadsheets, R and pandas.
 
 
@@ -88,7 +95,7 @@ def write_csv(prediction: Prediction, path: str | Path, *, csv_safe: bool = Fals
     known. What is missing is an empty cell. With ``csv_safe`` names that a spreadsheet would run as a formula
     begin with an apostrophe. Raises ValueError where two columns would have one name.
     """
-    cell = partial(_cell, safe=csv_safe)
+    written = partial(cell, safe=csv_safe)
     facts = {
         "unit": prediction.unit,
         "axes": prediction.axes,
@@ -102,11 +109,11 @@ def write_csv(prediction: Prediction, path: str | Path, *, csv_safe: bool = Fals
         twice = sorted({name for name in names if names.count(name) > 1})
         raise ValueError(f"prediction: several columns would be called {', '.join(twice)}")
     template = ",".join(style for _, style in columns) + "\n"
-    known = ",".join(map(cell, facts.values())) + ","
+    known = ",".join(map(written, facts.values())) + ","
     with replacing(path) as handle:
-        handle.write(as_bytes(",".join(map(cell, names)) + "\n"))
+        handle.write(as_bytes(",".join(map(written, names)) + "\n"))
         for part in _parts(prediction):
-            keys = [[cell(value) for value in plain(values)] for values in part.identity.values()]
+            keys = [[written(value) for value in plain(values)] for values in part.identity.values()]
             labels = zip(*keys, strict=True) if keys else ((),) * len(part)
             for label, row in zip(labels, numbers(*_csv_arrays(part)), strict=True):
                 handle.write(as_bytes(",".join((*label, known)) + filled_in(template, row, "")))
@@ -135,7 +142,7 @@ def _camera_angles(prediction: Prediction) -> dict[str, np.ndarray]:
     return {name: values for name, values in angles.items() if values is not None}
 
 
-def _cell(value: object, safe: bool = False) -> str:
+def cell(value: object, safe: bool = False) -> str:
     """Return a value as the text of one cell, in quotes where it would not be one cell without."""
     text = "" if value is None else str(value)
     text = safe_cell(text) if safe and isinstance(value, str) else text

@@ -142,6 +142,11 @@ class Lifter(nn.Module):
         pose = self.camera.unproject(keypoints, depth, distance)
         return Lifted(pose, tilt, keypoints, uncertainty, gravity, estimated, signs)
 
+    @property
+    def knows_signs(self) -> bool:
+        """Whether depth signs were learned; weights of a lifter of another skeleton have none (`uplift.models.transfer`)."""
+        return self.signs is not None and bool(self.signs.leave.weight.any())
+
     def input_names(self) -> list[tuple[str, str]]:
         """Return what each number is that the network sees, with its joint: "" where it is of the whole pose."""
         joints = self.skeleton.joints

@@ -50,7 +50,7 @@ from uplift.models.together import (
 )
 from uplift.skeleton import Skeleton
 
-__all__ = ["Model", "ShapeModel", "load", "load_poses", "load_shapes"]
+__all__ = ["Model", "ShapeModel", "UsualErrors", "load", "load_poses", "load_shapes"]
 
 
 @consents
@@ -165,6 +165,10 @@ class _Saved:
 
 # A lifter of keypoints.
 
+UsualErrors = tuple[tuple[float, ...], tuple[float, ...]]
+"""The median error of each hidden joint in training data, in mean 2D radii: where all others are visible, and where
+about half of them are. 0 for the root, and for a joint that is never visible."""
+
 
 @dataclass
 class Model(_Saved):
@@ -183,6 +187,8 @@ class Model(_Saved):
     lifter: Lifter
     skeleton: Skeleton
     settings: LifterSettings
+    usual: UsualErrors | None = None
+    """By which other bodies are told from those it was trained on (`uplift.models.known_body`); None: they are not."""
 
     def __call__(self, keypoints: Any, confidence: Any = None) -> Any:
         """Return root-relative poses (frames joints 3): camera frame, x right, y down, z away.
@@ -414,7 +420,8 @@ class Model(_Saved):
         return bool(refine) and self.settings.refine.iterations > 0 and bool(clips.max(initial=-1) + 1 < len(clips))
 
     def _description(self) -> dict[str, Any]:
-        return {"skeleton": self.skeleton.to_dict(), "lifter": dataclasses.asdict(self.settings)}
+        described = {"skeleton": self.skeleton.to_dict(), "lifter": dataclasses.asdict(self.settings)}
+        return described if self.usual is None else {**described, "usual": self.usual}
 
     @classmethod
     def _untrained(cls, state: dict[str, Any]) -> Model:
@@ -423,7 +430,19 @@ class Model(_Saved):
         settings = settings_of(LifterSettings, "lifter", {"confidence": "given", **state["lifter"]})
         if settings.network in NETWORKS:
             _check_shapes(skeleton, settings, state["state"])
-        return cls(Lifter(skeleton, settings), skeleton, settings)
+        usual = _usual_of(state.get("usual"), len(skeleton.joints))
+        return cls(Lifter(skeleton, settings), skeleton, settings, usual)
+
+
+def _usual_of(plain: Any, joints: int) -> UsualErrors | None:
+    """Return what a file says of usual errors; raises ValueError for anything else."""
+    if plain is None:
+        return None
+    found = np.asarray(plain, np.float64)
+    if found.shape != (2, joints) or not (np.isfinite(found).all() and (found >= 0).all()):
+        raise ValueError(f"'usual' has shape {found.shape}, expected (2, {joints}): errors, 0 or more")
+    shown, halved = found.tolist()
+    return tuple(shown), tuple(halved)
 
 
 def _check_shapes(skeleton: Skeleton, settings: LifterSettings, weights: Mapping[str, Tensor]) -> None:

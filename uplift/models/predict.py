@@ -160,7 +160,8 @@ def lift_frames(lifter: Lifter, frames: TrainingSet, *, both_ways: bool = True) 
     if frames.guessed is not None:
         given.append(frames.guessed)
     chunks = zip(*(part.split(_CHUNK) for part in given), strict=True)
-    return Lifted.concat([lift(*chunk) for chunk in chunks])
+    lifted = Lifted.concat([lift(*chunk) for chunk in chunks])
+    return lifted if lifter.knows_signs else replace(lifted, signs=None)
 
 
 def as_measured(frames: TrainingSet, keypoints: Float[Tensor, "frames joints 2"]) -> Float[Tensor, "frames joints 2"]:

@@ -30,26 +30,36 @@ def copy_weights(into: Lifter, given: Lifter) -> Shared:
 
     Lifters with the same joints, inputs and outputs lift alike from then on. Otherwise the layers between stay as they
     are and the ends are matched by what each number is: inputs of joints that ``given`` does not know count for nothing
-    at first, and outputs that it does not have keep the weights that they have.
+    at first, and outputs that it does not have keep the weights that they have. Depth signs are known where all chains
+    of bones are the same (`Lifter.knows_signs`).
 
     Raises:
         UserError: skeletons with too few joints in common, networks of other kinds or sizes.
     """
     shared = _checked(shared_joints(into.skeleton, given.skeleton), into.skeleton, given.skeleton)
-    weights = {key: value.shape for key, value in given.state_dict().items()}
-    if into.skeleton.joints == given.skeleton.joints and _shapes(into) == weights:
-        into.load_state_dict(given.state_dict())
-        return shared
+    if _body(into.skeleton) == _body(given.skeleton):
+        if _shapes(into) == _shapes(given):
+            into.load_state_dict(given.state_dict())
+            return shared
+        into.bone_mm.copy_(given.bone_mm)
     back = _as_inputs(given.skeleton, shared)
     inputs = _input_matrix(into.input_names(), given.input_names(), back, into.skeleton, given.skeleton)
     outputs = _output_matrix(into.output_names(), given.output_names(), shared)
     _copy_network(into.network, given.network, inputs, outputs)
     if into.signs is not None and given.signs is not None:
         inputs = torch.block_diag(inputs, torch.ones(1, 1))  # after the others, the inverse distance
-        _copy_network(into.signs, given.signs, inputs, _sign_matrix(into, given, shared))
+        outputs = _sign_matrix(into, given, shared)
+        _copy_network(into.signs, given.signs, inputs, outputs)
+        if not outputs.any(1).all():  # weights that nobody has trained would decide poses
+            into.signs.leave.weight.zero_()
+            into.signs.leave.bias.zero_()
     if into.tilt == given.tilt == "learned":
         into.common_tilt.copy_(given.common_tilt)
     return shared
+
+
+def _body(skeleton: Skeleton) -> tuple[object, ...]:
+    return skeleton.joints, skeleton.root, skeleton.bones
 
 
 def _shapes(lifter: nn.Module) -> dict[str, torch.Size]:
@@ -86,13 +96,18 @@ def _copy_network(
         names = [f"{type(network).__name__} of {_weights(network):,} weights" for network in (given, into)]
         raise UserError(f"it has another network: {names[0]}, this fit {names[1]}.")
     into.load_state_dict(inner[1], strict=False)
-    first, last = into.get_submodule(ends[0]), into.get_submodule(ends[1])
-    their_first, their_last = given.get_submodule(ends[0]), given.get_submodule(ends[1])
+    (first, last), (their_first, their_last) = ([_linear(one, end) for end in ends] for one in (into, given))
     first.weight.copy_(their_first.weight @ inputs)
     first.bias.copy_(their_first.bias)
     known = outputs.abs().sum(1) > 0
     last.weight[known] = outputs[known] @ their_last.weight
     last.bias[known] = outputs[known] @ their_last.bias
+
+
+def _linear(network: nn.Module, name: str) -> nn.Linear:
+    layer = network.get_submodule(name)
+    assert isinstance(layer, nn.Linear)
+    return layer
 
 
 def _weights(network: nn.Module) -> int:

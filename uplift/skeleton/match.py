@@ -14,11 +14,20 @@ from jaxtyping import Float
 from uplift.errors import UserError, listed, nearest
 from uplift.skeleton.core import Skeleton
 
-__all__ = ["JointMatch", "build_joints", "build_pose", "match_joints", "shared_joints"]
+__all__ = ["JointMatch", "WrongJoints", "build_joints", "build_pose", "match_joints", "shared_joints"]
 
 _MOST_LAYOUTS = 3
 
 Find = Callable[[str], int | None]
+
+
+class WrongJoints(UserError):
+    """A file's joints do not fit a skeleton."""
+
+    def __init__(self, message: str, names: Sequence[str]):
+        super().__init__(message)
+        self.names = tuple(names)
+        """Of the file's joints."""
 
 
 @dataclass(frozen=True)
@@ -63,7 +72,7 @@ def match_joints(names: Sequence[str], skeleton: Skeleton) -> JointMatch:
             by_name = fitting[0][0] is None
             layout, places = fitting[0] if by_name else max(fitting, key=lambda fit: len(fit[1]))
             return _describe(names, skeleton, layout, places)
-    raise UserError(_refusal(names, skeleton))
+    raise WrongJoints(_refusal(names, skeleton), names)
 
 
 def build_joints(
@@ -117,8 +126,9 @@ def shared_joints(skeleton: Skeleton, other: Skeleton) -> dict[str, tuple[str, .
     joints. Joints that ``other`` lacks are absent.
     """
     find, find_back = _finders(list(other.joints))[-1], _finders(list(skeleton.joints))[-1]
-    by_name = {joint: (other.joints[place],) for joint in skeleton.joints if (place := find(joint)) is not None}
-    found = [by_name]
+    found: list[dict[str, tuple[str, ...]]] = [
+        {joint: (other.joints[place],) for joint in skeleton.joints if (place := find(joint)) is not None}
+    ]
     for layout in skeleton.sources.values():
         places = {joint: [find(part) for part in parts] for joint, parts in layout.items()}
         found.append(

@@ -9,6 +9,7 @@ from uplift.config.settings import LifterSettings, Settings
 from uplift.data.module import KeypointData
 from uplift.data.sampler import LabelledSampler
 from uplift.errors import UserError
+from uplift.models.known_body import usual_errors
 from uplift.models.lifter import Lifter
 from uplift.models.model import Model
 from uplift.models.networks import fitting_options
@@ -73,7 +74,8 @@ class PoseRecipe(Recipe):
 
     def _build_student(self, number: int) -> StudentModule:
         settings, last = self.settings, number == len(self.rounds)
-        warm = settings.student.warm and (number > 1 or bool(settings.init))
+        # The first one goes on from a teacher that started from a trained lifter too.
+        warm = settings.student.warm and (number > 1 or (bool(settings.init) and not self.supervised))
         build = module_class(settings.student.module, "student.module", StudentModule)
         lifter = self._options_that_fit("student", student_settings(settings, last=last))
         plain = {**plain_settings(settings.student), "warm": warm}
@@ -105,7 +107,8 @@ class PoseRecipe(Recipe):
             module = student
             self.stage(run, f"student_{number}", module, self.data, self.settings.student.batch_size)
         model = module.model()
-        return Model(model.lifter.cpu(), model.skeleton, model.settings)
+        model = Model(model.lifter.cpu(), model.skeleton, model.settings)
+        return dataclasses.replace(model, usual=usual_errors(model, self.data.train_samples))
 
 
 def _checked(module):

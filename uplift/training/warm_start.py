@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-from uplift.config.run import read_weights
+from uplift.config.run import lifter_label, read_weights
 from uplift.config.settings import LifterSettings, Settings
 from uplift.errors import UserError, listed
 from uplift.models.model import Model, load_poses
@@ -44,35 +44,36 @@ class WarmStart:
 
         Notes what that changes. Raises UserError where a network is named that is another one.
         """
-        given, usual = self.model.settings, student_settings(settings, last=True)
-        self._refuse_another_network(settings)
+        given = self.model.settings
+        usual = student_settings(settings, last=True) if settings.student.share > 0 else settings.lifter
+        self._refuse_another_network(settings, usual)
         kept = {name: getattr(settings.lifter, name) for name in _OF_THE_FIT}
         lifter = replace(given, **kept)
-        changed = [one for one in _texts(lifter, usual) if not one.startswith(tuple(_OF_THE_FIT))]
-        if changed:
-            self.notes.append(
-                f"init: networks are as the one there, in place of this fit's settings: {listed(changed)}"
-            )
+        if changed := _texts(lifter, usual):
+            self.notes.append(f"init: the network is the one there: {listed(changed)}")
         student = replace(settings.student, network=None, options={}, last_options={}, warm=True, cameras=given.cameras)
         teacher = replace(settings.teacher, warm_up=max(settings.teacher.warm_up, _WARM_UP))
         views = replace(settings.views, count_root=lifter.radius == "all")
-        init = str(self.path) if Path(self.name).expanduser().exists() else self.name  # `last` will be another run
-        return replace(settings, lifter=lifter, teacher=teacher, student=student, views=views, init=init)
+        return replace(settings, lifter=lifter, teacher=teacher, student=student, views=views, init=self.init)
 
-    def _refuse_another_network(self, settings: Settings) -> None:
+    @property
+    def init(self) -> str:
+        """The name under which the lifter is found later, when ``last`` is another run; of a ready lifter its own."""
+        return str(self.path) if Path(self.name).exists() else self.name
+
+    def _refuse_another_network(self, settings: Settings, usual: LifterSettings) -> None:
         """Raise UserError where the user, and not the recipe, names a network that is another one."""
-        given, default, student = self.model.settings, LifterSettings(), settings.student
-        wanted: dict[str, tuple[Any, Any]] = {}
-        if settings.lifter.network != default.network:
-            wanted["lifter.network"] = (settings.lifter.network, given.network)
-        if student.network is not None:
-            wanted["student.network"] = (student.network, given.network)
-        for name, value in settings.lifter.options.items():
-            wanted[f"lifter.options.{name}"] = (value, given.options.get(name, "its default"))
+        given, wanted = self.model.settings, dict[str, tuple[Any, Any]]()
+        if usual.network != LifterSettings().network:
+            name = "lifter.network" if settings.student.network is None else "student.network"
+            wanted[name] = (usual.network, given.network)
+        for name in settings.lifter.options.keys() & usual.options.keys():
+            wanted[f"lifter.options.{name}"] = (usual.options[name], given.options.get(name, "its default"))
         for name, (asked, found) in wanted.items():
             if asked != found:
                 raise UserError(
-                    f"{name}={asked}, but init={self.name} has another network, with {found}: leave it out."
+                    f"{name}={asked}, but the network of init={self.name} has {found}: leave it out, as sizes are those "
+                    "of that network."
                 )
 
     def into(self, module: KeypointModule) -> None:
@@ -82,7 +83,7 @@ class WarmStart:
         except UserError as error:
             raise UserError(f"init={self.name}: {error}") from error
         joints, there = module.skeleton.joints, self.model.skeleton
-        note = f"init: the weights of {self.name}, trained on skeleton '{there.name}'"
+        note = f"init: the weights of {lifter_label(self.init)}, trained on skeleton '{there.name}'"
         if joints != there.joints:
             fresh = [joint for joint in joints if joint not in shared]
             note += f", which has {len(shared)} of the {len(joints)} joints"
@@ -99,9 +100,9 @@ class WarmStart:
 
 
 def _texts(settings: LifterSettings, usual: LifterSettings) -> list[str]:
-    """Return the settings that differ, as ``name=value (usual value)``."""
+    """Return the settings that differ, each with what it would have been."""
     pairs = [(name, value, getattr(usual, name)) for name, value in vars(settings).items()]
-    return [f"{name}={_text(value)} ({_text(other)})" for name, value, other in pairs if value != other]
+    return [f"{name} {_text(value)}, not {_text(other)}" for name, value, other in pairs if value != other]
 
 
 def _text(value: Any) -> str:

@@ -311,6 +311,9 @@ def _read(peek: Peek, options: ReadOptions) -> PoseData:
             raise UserError(f"{path}: an NWB file without pose estimates, expected a PoseEstimation (ndx-pose).")
         containers, notes = [], []
         for place in places["PoseEstimation"]:
+            if file.text(f"{place}/source_software") == "uplift":
+                notes.append(f"'{place}' holds 3D poses, which cannot be lifted: it is left out")
+                continue
             series, more = _series_of(file, place)
             notes += more
             if series:
@@ -319,6 +322,8 @@ def _read(peek: Peek, options: ReadOptions) -> PoseData:
                 containers.append(_Container(module, name, series, nodes, bones, *_video_of(file, place)))
         if places["PoseTraining"]:
             notes.append("hand labels for training (PoseTraining) are left out beside the pose estimates")
+    if not containers and notes and "3D poses" in notes[0]:
+        raise UserError(f"{path} holds 3D poses that uplift wrote, which cannot be lifted; expected 2D keypoints.")
     if not containers:
         raise UserError(f"{path}: the pose estimates are empty: no series with samples.")
     return _data(path, containers, notes)

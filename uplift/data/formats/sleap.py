@@ -350,6 +350,8 @@ def _read_analysis(peek: Peek, options: ReadOptions) -> PoseData:
         if not names or len(set(names)) != len(names):
             raise UserError(f"{path}: 'node_names' holds {names!r}, expected the names of the nodes, each once.")
         stored = file.array("tracks")
+        if file.has("frames") and stored.shape[2:] == (len(names), 3):
+            raise UserError(f"{path} holds 3D points (sleap-anipose), which cannot be lifted; expected 2D keypoints.")
         order = _axes_of(file, stored.shape, len(names))
         points = as_float32(stored).transpose([order.index(axis) for axis in _AXES])
         score, notes = _scores(file, order, points)

@@ -13,6 +13,7 @@ function show() {
   byId('people').classList.toggle('tinted', state.tint);
   byId('legend-truth').hidden = !state.truth;
   byId('legend-bars').hidden = !state.uncertainty;
+  plot.due = true;
   tellPeople();
   paint();
 }
@@ -28,7 +29,7 @@ function toggle(name) {
 function theme(name) {
   document.documentElement.dataset.theme = name;
   kept.colours = palette();
-  kept.stripDue = true;
+  kept.stripDue = plot.due = true;
   paint();
 }
 
@@ -44,7 +45,7 @@ function wireButtons() {
   }
   addEventListener('resize', fit);
   const watcher = new ResizeObserver(fit);
-  for (const id of ['deep', 'flat', 'strip']) watcher.observe(byId(id));
+  for (const id of ['deep', 'flat', 'strip', 'plot']) watcher.observe(byId(id));
 }
 
 // Hides what this data has no use for.
@@ -73,6 +74,7 @@ async function start() {
   wireClips();
   wireButtons();
   wirePointer(byId('deep'));
+  wireAngles();
   openClip(0);
   fit();
   play(!calm.matches);

@@ -16,19 +16,19 @@ const tidy = (v) => (meta.unit !== 'relative' ? Number(v.toFixed(Math.abs(v) < 1
 // Sizes of the canvases are read when they change, not at every drawing.
 function fit() {
   const ratio = window.devicePixelRatio || 1;
-  kept.boxes = ['deep', 'flat', 'strip'].map((id) => {
+  kept.boxes = ['deep', 'flat', 'strip', 'plot'].map((id) => {
     const canvas = byId(id), box = canvas.getBoundingClientRect();
     canvas.width = Math.round(box.width * ratio); canvas.height = Math.round(box.height * ratio);
     const ctx = canvas.getContext('2d');
     ctx.setTransform(ratio, 0, 0, ratio, 0, 0);
     return { ctx, width: box.width, height: box.height };
   });
-  kept.stripDue = true;
+  kept.stripDue = plot.due = true;
   if (kept.size) draw();
 }
 
 function draw() {
-  const start = performance.now(), [deep, flat, strip] = kept.boxes;
+  const start = performance.now(), [deep, flat, strip, angles] = kept.boxes;
   kept.due = false;
   const look = eye(kept.size, state, deep.width, deep.height), see = flatEye(kept.bounds, flat.width, flat.height);
   fillFigures(look, see);
@@ -36,6 +36,7 @@ function draw() {
   draw2d(flat.ctx, flat.width, flat.height, see);
   if (kept.stripDue) { drawStrip(strip.ctx, strip.width, strip.height, kept.strip, kept.colours); kept.stripDue = false; }
   moveMark(kept.strip, strip.width);
+  showAngles([angles.ctx, angles.width, angles.height]);
   if (kept.hover) drawHover(deep.ctx, flat.ctx);
   tell();
   kept.painted++;
@@ -93,6 +94,8 @@ function openClip(index) {
   kept.stripDue = true;
   byId('transport').classList.toggle('bare', !kept.strip);
   measureClip();
+  openAngles();
+  byId('plot').parentElement.hidden = clipNow().frames.length < 2;
   byId('scrub').max = (kept.stills ? kept.clips.length : clipNow().frames.length) - 1;
   byId('scrub').disabled = byId('play').disabled = byId('scrub').max < 1;
   byId('clip').value = index;

@@ -1,0 +1,92 @@
+"""The outputs of predict: files of several formats of one prediction, each with the options that are about its format."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from uplift.config.files import refuse_output
+from uplift.errors import UserError
+from uplift.export import MEASURES, check_axes, ending_of, write, writer_for
+from uplift.export.gallery import check_options
+from uplift.export.nwb import check_nwb
+from uplift.export.osim import beside_model, check_opensim
+from uplift.models.prediction import Prediction
+
+__all__ = ["check_outputs", "outputs_of", "refuse_outputs", "shows_video", "write_outputs"]
+
+_OF_FORMATS = {"csv_safe": (".csv",), "mass_kg": (".osim",), "nwb": (".nwb",), "video": (".html", ".mp4", ".gif")}
+"""Options of some formats alone, by their endings; all others are those of page=gallery."""
+
+
+def outputs_of(output: str | Path | None) -> list[str]:
+    """Return the files to write: several are between commas."""
+    return [] if output is None else [part for part in str(output).split(",") if part]
+
+
+def shows_video(output: str) -> bool:
+    """Return whether a video can be shown in a file."""
+    return _takes(output, "video")
+
+
+def check_outputs(
+    outputs: Sequence[str], page: str | None, axes: str | None, options: Mapping[str, Any], hypotheses: int
+) -> None:
+    """Raise UserError for files that cannot be written, or exist, and for options that are not about any of them."""
+    pages = [output for output in outputs if _is_page(output)]
+    for output in outputs:
+        writer_for(output, page if output in (pages or outputs) else None)
+    for output in [output for output in outputs if _has_axes(output)] or outputs:
+        check_axes(output, axes)
+    shown = ", ".join(outputs)
+    for key in options:
+        if key not in _OF_FORMATS and page != "gallery":
+            raise UserError(f"{key}= goes with page=gallery.")
+        if not any(_takes(output, key) for output in outputs):
+            raise UserError(f"{key}= goes with output=FILE{' or '.join(_OF_FORMATS[key])}, not with {shown}.")
+    check_nwb(options.get("nwb", {}))
+    if page == "gallery":
+        check_options(**{key: value for key, value in options.items() if key not in _OF_FORMATS})
+    if hypotheses and not any(ending_of(output) == ".npz" for output in outputs):
+        raise UserError(f"hypotheses= goes with output=FILE.npz, which can hold several poses, not with {shown}.")
+    refuse_outputs(outputs)
+
+
+def refuse_outputs(outputs: Sequence[str]) -> None:
+    """Raise UserError for a file that exists, cannot be made, or is there twice."""
+    for output in outputs:
+        if outputs.count(output) > 1:
+            raise UserError(
+                f"output={','.join(outputs)}: '{output}' is there twice. Give every file a name of its own."
+            )
+        refuse_output(Path(output))
+        if ending_of(output) == ".osim":
+            check_opensim(output)
+            if twice := set(map(str, beside_model(output))) & set(outputs):
+                raise UserError(f"output={','.join(outputs)}: {min(twice)} is written beside {output}: leave it out.")
+
+
+def write_outputs(
+    prediction: Prediction, outputs: Sequence[str], page: str | None, axes: str | None, options: Mapping[str, Any]
+) -> dict[Path, str]:
+    """Write every output, each with the options that are about its format; return the files with a remark on each."""
+    files: dict[Path, str] = {}
+    for output in outputs:
+        mine = {key: value for key, value in options.items() if _takes(output, key)}
+        of_page = page if _is_page(output) else None
+        files |= write(prediction, output, of_page, axes if _has_axes(output) else None, **mine)
+    return files
+
+
+def _takes(output: str, option: str) -> bool:
+    return ending_of(output) in _OF_FORMATS.get(option, (".html",))
+
+
+def _is_page(output: str) -> bool:
+    return ending_of(output) == ".html"
+
+
+def _has_axes(output: str) -> bool:
+    """Return whether a file holds poses in axes: a page turns them, angles and gait have none."""
+    return not _is_page(output) and writer_for(output) not in MEASURES.values()

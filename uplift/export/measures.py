@@ -1,0 +1,207 @@
+"""What is measured of moving bodies, as tables: joint angles (CSV, OpenSim's MOT) and gait (CSV)."""
+
+from __future__ import annotations
+
+import math
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+
+from uplift.biomechanics.angles import Angles, angles_of, joint_angles, no_angles
+from uplift.biomechanics.gait import MEASURES, Gait, feet_of, gait_of, mean_of
+from uplift.config.files import as_bytes, replacing
+from uplift.errors import UserError, listed
+from uplift.export.clips import Clip, arrange, frame_rate, one_body, steps
+from uplift.export.markers import marker_names
+from uplift.export.tables import cell, filled_in, numbers, plain
+from uplift.models.prediction import Prediction
+from uplift.skeleton import Skeleton
+
+__all__ = ["check_skeleton", "write_angles_csv", "write_gait_csv", "write_mot"]
+
+_DEGREES = "%.6g"
+
+
+def seconds(prediction: Prediction) -> np.ndarray | None:
+    """Return the time of every row, where the frame rate is known; frame 0 of a video is at 0 s, as in .trc."""
+    rate = frame_rate(prediction, None)
+    if rate is None:
+        return None
+    found = np.zeros(len(prediction))
+    for clip in arrange(prediction.identity, len(prediction)):
+        since, span = steps(clip), clip.frames[-1] - clip.frames[0]
+        apart = span / since[-1] if span > 0 else 1.0  # numbers from one frame to the next
+        found[clip.rows] = (clip.frames[0] / apart + since)[clip.moment] / rate
+    return found
+
+
+def _known_seconds(prediction: Prediction, path: str | Path, kind: str) -> np.ndarray:
+    time = seconds(prediction)
+    if time is None:
+        found = "is not known" if prediction.fps is None or math.isnan(prediction.fps) else f"is {prediction.fps}"
+        raise UserError(f"{path}: {kind} needs the frame rate, which {found}. Give it: fps=30.")
+    return time
+
+
+def check_skeleton(skeleton: Skeleton, path: str | Path) -> None:
+    """Raise UserError where a skeleton cannot have what ``path`` is to hold: angles, or gait."""
+    if Path(path).suffix.lower() == ".csv" and Path(path).stem.lower().endswith("gait"):
+        feet_of(skeleton)
+    elif not angles_of(skeleton):
+        raise no_angles(skeleton)
+
+
+# Joint angles.
+
+
+def write_angles_csv(prediction: Prediction, path: str | Path, *, csv_safe: bool = False) -> str:
+    """Write a row for each frame and body: identity, time_s, every angle, then the error to expect of each; UTF-8, commas.
+
+    ``NAME_deg`` are the angles of `uplift.biomechanics.angles.joint_angles`, ``NAME_uncertainty_deg`` are there where
+    uncertainty is known. What cannot be measured is an empty cell. Raises UserError for a skeleton without angles.
+    """
+    found, time = joint_angles(prediction), seconds(prediction)
+    arrays = [found.values] + ([] if found.uncertainty is None else [found.uncertainty])
+    head = [f"{name}_deg" for name in found.names]
+    head += [f"{name}_uncertainty_deg" for name in found.names] if found.uncertainty is not None else []
+    known = {} if time is None else {"time_s": np.char.mod("%.7g", time)}
+    written = partial(cell, safe=csv_safe)
+    labels = [
+        [written(value) for value in plain(values)] for values in (*prediction.identity.values(), *known.values())
+    ]
+    template = ",".join([_DEGREES] * len(head)) + "\n"
+    with replacing(path) as handle:
+        handle.write(as_bytes(",".join(map(written, [*prediction.identity, *known, *head])) + "\n"))
+        for *label, row in zip(*labels, numbers(*arrays), strict=True):
+            handle.write(as_bytes("".join(f"{text}," for text in label) + filled_in(template, row, "")))
+    return f"{len(found.names)} joint angles, degrees{_blank(found)}"
+
+
+def _blank(found: Angles) -> str:
+    """Return a remark on angles that no frame has."""
+    never = [name for name, values in zip(found.names, found.values.T, strict=True) if np.isnan(values).all()]
+    return (
+        f"; {', '.join(never[:4])}{', ...' if len(never) > 4 else ''} cannot be measured in any frame" if never else ""
+    )
+
+
+def write_mot(prediction: Prediction, path: str | Path, individual: str | None = None) -> str:
+    """Write the joint angles of one body of one clip as a motion file of OpenSim: a row for each frame, time and degrees.
+
+    The columns have the names of the skeleton's angles, not those of a model's coordinates: OpenSim reads it as a table
+    of motion. It stops at a number that is not there: frames that are not lifted have no row, and angles that other
+    frames lack have no column. Raises UserError without a frame rate, and for more than one clip or body.
+    """
+    time = _known_seconds(prediction, path, "MOT")
+    clip = one_body(prediction, path, individual)
+    rows = clip.rows[np.argsort(time[clip.rows], kind="stable")]
+    if (np.diff(time[rows]) <= 0).any():
+        raise UserError(
+            f"{path}: a body is in one frame twice. Name what tells its rows apart ('instance' or 'sequence')."
+        )
+    found = joint_angles(prediction.select(rows))
+    there = np.isfinite(found.values).any(1)
+    values, when = found.values[there], time[rows][there]
+    whole = np.asarray(np.isfinite(values).all(0))
+    named = [name for name, known in zip(found.names, whole, strict=True) if known]
+    head = [
+        Path(path).stem,
+        "version=1",
+        f"nRows={len(when)}",
+        f"nColumns={len(named) + 1}",
+        "inDegrees=yes",
+        "endheader",
+    ]
+    names = "\t".join(["time", *marker_names(named)])
+    template = "\t".join(["%.6f", *[_DEGREES] * len(named)]) + "\n"
+    with replacing(path) as handle:
+        handle.write(("\n".join([*head, names]) + "\n").encode())
+        for row in numbers(when, values[:, whole]):
+            handle.write((template % row).encode())
+    lacking = [name for name in found.names if name not in named]
+    return f"{len(named)} joint angles, degrees" + (
+        f"; without {listed(lacking, 4)}, which some frames lack" if lacking else ""
+    )
+
+
+# Gait.
+
+_EVENTS = ("strike_s", "toe_off_s", "end_s")
+_OF_LENGTH = {"step_length": "step_length_mm", "stride_length": "stride_length_mm", "speed_per_s": "speed_m_per_s"}
+
+
+def write_gait_csv(prediction: Prediction, path: str | Path, *, csv_safe: bool = False) -> str:
+    """Write a row for each stride of each foot, then mean and sd of each foot and of ``all``, and the asymmetry of pairs.
+
+    Columns are clip, individual, foot, stride (a number, ``mean``, ``sd`` or ``asymmetry_percent``), the times of the
+    foot's strike, its toe-off and its next strike, and the measures of `uplift.biomechanics.gait`; lengths and speed are
+    there for poses in mm alone. A file without walking has a header and no rows. Raises UserError without a frame rate,
+    and for a skeleton without contacts, gravity or facing.
+    """
+    time = _known_seconds(prediction, path, "gait")
+    feet_of(prediction.skeleton)
+    metric = prediction.unit == "mm"
+    measures = [name for name in MEASURES if metric or name not in _OF_LENGTH]
+    written = partial(cell, safe=csv_safe)
+    head = ["clip", "individual", "foot", "stride", *_EVENTS, *(_OF_LENGTH.get(name, name) for name in measures)]
+    lines, walkers, reasons = [head], 0, []
+    for clip in arrange(prediction.identity, len(prediction)):
+        for who in clip.individual_names:
+            gait = _gait_of_body(prediction, clip.only(who), time)
+            walkers += bool(gait.strides)
+            reasons += [gait.why_not] if gait.why_not else []
+            lines += [[clip.name, who, *row] for row in _gait_rows(gait, measures)]
+    with replacing(path) as handle:
+        handle.write(as_bytes("".join(",".join(map(written, line)) + "\n" for line in lines)))
+    return _gait_remark(walkers, reasons, metric)
+
+
+def _gait_remark(walkers: int, reasons: list[str], metric: bool) -> str:
+    if not walkers:
+        return f"no rows: {max(reasons, key=reasons.count)}" if reasons else "no rows: no body"
+    others = f"; {len(reasons)} others: {max(reasons, key=reasons.count)}" if reasons else ""
+    scale = "" if metric else "; for lengths and speed give a size in millimetres (docs/output.md)"
+    return f"gait of {walkers} bodies{others}{scale}" if walkers > 1 else f"gait of a body{others}{scale}"
+
+
+def _gait_of_body(prediction: Prediction, clip: Clip, time: np.ndarray) -> Gait:
+    rows = clip.rows[np.argsort(time[clip.rows], kind="stable")]
+    rows = rows[np.append(True, np.diff(time[rows]) > 0)]
+    contact = prediction.contact
+    return gait_of(
+        prediction.level_pose[rows], time[rows], prediction.skeleton, None if contact is None else contact[rows]
+    )
+
+
+def _gait_rows(gait: Gait, measures: list[str]) -> list[list[str]]:
+    """Return foot, stride, events and measures of every row, as text."""
+
+    def numbers_of(values: dict[str, float]) -> list[str]:
+        scaled = {**values, "speed_per_s": values.get("speed_per_s", math.nan) / 1000}
+        return [f"{scaled[name]:.5g}" if math.isfinite(scaled.get(name, math.nan)) else "" for name in measures]
+
+    rows = [
+        [
+            one.foot,
+            str(one.number),
+            *(f"{at:.4f}" for at in (one.strike_s, one.toe_off_s, one.end_s)),
+            *numbers_of(one.measures),
+        ]
+        for one in gait.strides
+    ]
+    for foot in [*gait.feet, "all"] if gait.strides else []:
+        mine = [one.measures for one in gait.strides if foot in (one.foot, "all")]
+        columns = {name: np.array([one[name] for one in mine]) for name in measures}
+        spread = {name: _deviation(values) for name, values in columns.items()}
+        for label, found in (("mean", {name: mean_of(values) for name, values in columns.items()}), ("sd", spread)):
+            rows.append([foot, label, "", "", "", *numbers_of(found)])
+    for pair, found in gait.asymmetry.items():
+        rows.append([pair, "asymmetry_percent", "", "", "", *numbers_of(found)])
+    return rows
+
+
+def _deviation(values: np.ndarray) -> float:
+    """Return the standard deviation of a sample; NaN for fewer than two values."""
+    known = values[np.isfinite(values)]
+    return float(known.std(ddof=1)) if len(known) > 1 else math.nan

@@ -1,0 +1,133 @@
+"""Poses as trackers with several cameras write theirs: 3D of DeepLabCut, Anipose and sleap-anipose."""
+
+from __future__ import annotations
+
+import json
+import warnings
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from jaxtyping import Float
+
+from uplift.config.files import as_bytes, replacing, replacing_by_name
+from uplift.errors import UserError
+from uplift.export.clips import Clip, evenly, one_body, one_clip
+from uplift.export.scene import known_points
+from uplift.export.tables import labels
+from uplift.models.prediction import Prediction
+
+if TYPE_CHECKING:
+    import pandas
+
+__all__ = ["write_anipose", "write_dlc_csv", "write_dlc_h5", "write_sleap"]
+
+_NUMBER = "%.7g"
+_SCORER = "uplift"
+
+
+def _places(prediction: Prediction, clip: Clip) -> Float[np.ndarray, "frames individuals joints 3"]:
+    return clip.by_moment(known_points(prediction.points))
+
+
+def _remark(prediction: Prediction) -> str:
+    """Return what these formats have no place for."""
+    zero = "its root joint" if prediction.root is None else "the camera"
+    return f"the format does not say that lengths are in {prediction.unit}, from {zero}, in axes {prediction.axes}"
+
+
+# DeepLabCut, as its triangulation writes: a column for each of scorer, individual where there are several, body part, coordinate.
+
+
+def _dlc_table(prediction: Prediction, path: str | Path) -> pandas.DataFrame:
+    import pandas
+
+    clip, _ = evenly(one_clip(prediction, path), path)
+    bodies, parts = labels(clip.individual_names), labels(prediction.joint_names)
+    levels = {"scorer": [_SCORER], "individuals": bodies, "bodyparts": parts, "coords": ["x", "y", "z"]}
+    if len(bodies) == 1:
+        del levels["individuals"]
+    columns = pandas.MultiIndex.from_product(list(levels.values()), names=list(levels))
+    places = _places(prediction, clip)
+    return pandas.DataFrame(places.reshape(len(places), -1), index=clip.frames, columns=columns)
+
+
+def write_dlc_csv(prediction: Prediction, path: str | Path) -> str:
+    """Write one clip with all its individuals; a row for each frame, empty cells where a joint is missing.
+
+    Raises UserError for several clips, and for an individual that is in a frame twice.
+    """
+    table = _dlc_table(prediction, path)
+    with replacing(path) as handle:
+        handle.write(as_bytes(table.to_csv(float_format=_NUMBER, lineterminator="\n")))
+    return _remark(prediction)
+
+
+def write_dlc_h5(prediction: Prediction, path: str | Path) -> str:
+    """Write the same table as `write_dlc_csv` for ``pandas.read_hdf``; raises UserError as that, and without PyTables."""
+    table = _dlc_table(prediction, path)
+    try:
+        import tables  # noqa: F401 (what pandas writes HDF5 by)
+    except ImportError as error:
+        raise UserError(
+            f'{path}: writing .dlc.h5 needs PyTables: pip install "uplift3d[dlc]". Or write .dlc.csv.'
+        ) from error
+    with replacing_by_name(path) as written, warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # names that are no names of Python's
+        # Its own kind, "table", keeps the names of columns in 64 KB: too little for a crowd of whole bodies.
+        table.to_hdf(written, key="df_with_missing", format="fixed", mode="w")
+    return _remark(prediction)
+
+
+# SLEAP has no 3D of its own: this is the points3d.h5 of sleap-anipose.
+
+
+def write_sleap(prediction: Prediction, path: str | Path) -> str:
+    """Write one clip: ``tracks`` (frames tracks nodes 3), NaN where missing, and ``frames``, the first and the one after the last.
+
+    ``node_names``, ``track_names`` and ``edges`` stand beside them. Raises UserError as `write_dlc_csv`, and without h5py.
+    """
+    try:
+        import h5py
+    except ImportError as error:
+        raise UserError(f'{path}: writing .sleap.h5 needs h5py: pip install "uplift3d[trackers]".') from error
+    clip, start = evenly(one_clip(prediction, path), path)
+    places = _places(prediction, clip)
+    with replacing_by_name(path) as written, h5py.File(written, "w") as file:
+        file.create_dataset("tracks", data=places, chunks=True, compression="gzip", compression_opts=1)
+        file["tracks"].attrs["Description"] = "Shape: (n_frames, n_tracks, n_nodes, 3)."
+        file["frames"] = np.array([start, start + len(places)])
+        file["frames"].attrs["Description"] = "Range, inclusive to exclusive, of frames."
+        file["node_names"] = labels(prediction.joint_names)
+        file["track_names"] = labels(clip.individual_names)
+        file["edges"] = prediction.bone_indices
+        file.attrs["uplift"] = json.dumps({"unit": prediction.unit, "axes": prediction.axes, "fps": prediction.fps})
+    return ""
+
+
+# Anipose: a table of one body, as its triangulation writes, which turns points by M and center into those of its cameras.
+
+
+def write_anipose(prediction: Prediction, path: str | Path, individual: str | None = None) -> str:
+    """Write one body of one clip, ``individual`` of several: x, y, z, score and cameras of each joint, and the frame.
+
+    A row for each frame of the clip, of others' too, so that all bodies keep one time. ``NAME_error`` is that of a
+    reprojection into several cameras, which there is none of: empty. ``NAME_ncams`` is 1 where the joint was seen. Raises
+    UserError for several clips or bodies.
+    """
+    import pandas
+
+    clip, _ = evenly(one_body(prediction, path, individual), path)
+    places = _places(prediction, clip)[:, 0]
+    score = np.nan_to_num(clip.by_moment(np.asarray(prediction.confidence, float))[:, 0])
+    columns: dict[str, np.ndarray | float] = {}
+    for joint, name in enumerate(labels(prediction.joint_names)):
+        columns |= {f"{name}_{axis}": places[:, joint, at] for at, axis in enumerate("xyz")}
+        columns |= {f"{name}_error": np.full(len(places), np.nan), f"{name}_ncams": (score[:, joint] > 0).astype(float)}
+        columns[f"{name}_score"] = score[:, joint]
+    columns |= {f"M_{row}{column}": float(row == column) for row in range(3) for column in range(3)}
+    columns |= {f"center_{axis}": 0.0 for axis in range(3)} | {"fnum": np.array(clip.frames)}
+    table = pandas.DataFrame(columns)
+    with replacing(path) as handle:
+        handle.write(as_bytes(table.to_csv(index=False, float_format=_NUMBER, lineterminator="\n")))
+    return _remark(prediction)
