@@ -9,9 +9,9 @@ import urllib.request
 
 import numpy as np
 import pytest
+import torch
 from videos import numbered, write_video
 
-from tests.helpers.lifts import small_lifter
 from uplift.cli.live import lift_live
 from uplift.cli.main import main
 from uplift.cli.predict import predict
@@ -20,6 +20,7 @@ from uplift.config.settings import LifterSettings
 from uplift.data.formats.base import ReadOptions
 from uplift.data.synthetic.simulate import simulate
 from uplift.export.html import read_html
+from uplift.models.lifter import Lifter
 from uplift.models.model import Model
 from uplift.skeleton import load_skeleton
 from uplift.video.detector import Detector
@@ -34,7 +35,9 @@ def scene(tmp_path_factory):
     """A lifter, a video, and keypoints of the bodies in it."""
     pytest.importorskip("av")
     folder = tmp_path_factory.mktemp("scene")
-    Model(small_lifter(), H36M, LifterSettings()).save(folder / "lifter.pt")
+    settings = LifterSettings()
+    torch.manual_seed(0)
+    Model(Lifter(H36M, settings).eval(), H36M, settings).save(folder / "lifter.pt")
     data = simulate(H36M, FRAMES, seed=0, clip_seconds=FRAMES / 10)
     points = (data.keypoints - data.keypoints.reshape(-1, 2).min(0)) / np.ptp(data.keypoints) * 300 + 40
     write_video(folder / "walk.mp4", numbered(FRAMES, (400, 400)), fps=10, codec="libx264")
