@@ -12,8 +12,13 @@ setup: .venv/ready
 	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable ".[test,lint]"
 	touch $@
 
+# A lifter trained on simulated people, and beside it the ready one on others that neither has seen.
 demo: setup
 	$(BIN)/uplift fit task=demo
+	rm -rf build/demo && mkdir -p build/demo
+	$(BIN)/uplift simulate skeleton=h36m17 output=build/demo/others.npz frames=600 seed=1
+	$(BIN)/uplift predict run=runs/demo/last input=build/demo/others.npz output=build/demo/trained.html
+	$(BIN)/uplift predict run=person input=build/demo/others.npz output=build/demo/ready.html
 
 # A real video to poses with the ready lifter, nothing trained; no network once it is set up.
 WALK := build/video/Sports2D/Demo/demo.mp4

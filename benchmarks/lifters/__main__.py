@@ -19,6 +19,7 @@ import yaml
 from benchmarks.common import ROOT, BenchmarkError, data_folder, run_python
 from benchmarks.lifters.card import card
 from benchmarks.lifters.measure import Figures, measure
+from uplift.cli.lifters import layouts_of
 from uplift.config.files import replacing
 from uplift.config.run import RunFolder
 from uplift.data.load import load_file
@@ -129,13 +130,12 @@ def _weights_in(path: Path) -> bytes:
 
 
 def _takes(model: Model) -> str:
-    layouts = [layout for layout in model.skeleton.sources if layout != model.skeleton.name]
-    return ", ".join(f"`{one}`" for one in (model.skeleton.name, *layouts))
+    return ", ".join(f"`{one}`" for one in layouts_of(model.skeleton))
 
 
 def _headline(found: Figures, task: str) -> Mapping[str, str]:
-    unit = "" if found.unit == "relative" else f" {found.unit}"
-    return {"p_mpjpe": f"{found.headline['p_mpjpe']:.1f}{unit} on {task}/test ({found.frames:,} frames)"}
+    unit = "thousandths of body size" if found.unit == "relative" else found.unit
+    return {"p_mpjpe": f"{found.headline['p_mpjpe']:.1f} {unit} on {task}/test ({found.frames:,} frames)"}
 
 
 if __name__ == "__main__":

@@ -190,7 +190,7 @@ def _refusals(model: Model, truth: PoseData) -> list[list[str]]:
     rows = [["input", "median", "largest", f"warned (over {STRANGE:g})", f"refused (over {OTHER:g})"]]
     mixed_up = np.array([strangeness(model, mixed)[0]])
     for name, found in (
-        (f"the test split, {len(own)} {what}, each a file", np.array(own)),
+        ("the test split" + (f", {len(own)} {what}, each a file" if len(own) > 1 else ""), np.array(own)),
         ("its joints in random order", mixed_up),
     ):
         shares = [f"{(found > limit).mean():.1%}" for limit in (STRANGE, OTHER)]

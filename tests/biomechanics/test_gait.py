@@ -8,6 +8,7 @@ from scipy.spatial.transform import Rotation
 from walks import FEET, FPS, HIP, SKELETON, STRIDE, TILT, walk
 
 from uplift.biomechanics.gait import Gait, feet_of, gait_of
+from uplift.data.synthetic.simulate import simulate
 from uplift.errors import UserError
 from uplift.skeleton import load_skeleton
 
@@ -38,6 +39,31 @@ def test_a_walk_has_its_cadence_length_and_speed(heading: float) -> None:
     assert max(next(iter(gait.asymmetry.values())).values()) < 1
 
 
+@pytest.mark.parametrize(("name", "gaits"), [("openpose25", ["walk", "run"]), ("quadruped28", ["walk", "trot"])])
+def test_simulated_walkers_have_their_cadence(name: str, gaits: list[str]) -> None:
+    skeleton = load_skeleton(name)
+    data = simulate(skeleton, 1200, seed=1, clip_seconds=4.0, fps=50.0, mode=gaits)
+    assert data.pose is not None and data.tilt_deg is not None
+    level = np.einsum(
+        "fij,fkj->fki",
+        Rotation.from_rotvec(np.radians(data.tilt_deg)[:, None] * [-1.0, 0.0, 0.0]).as_matrix(),
+        data.pose,
+    )
+    for clip in np.unique(data.clips()):
+        pose = level[data.clips() == clip]
+        found = gait_of(pose, np.arange(len(pose)) / 50, skeleton)
+        # How far apart two feet of a pair are goes up and down twice a stride.
+        one, other = (pose[:, skeleton.index(joint)] for joint in skeleton.contacts[:2])
+        apart = np.linalg.norm(one - other, axis=-1)
+        same = np.correlate(apart - apart.mean(), apart - apart.mean(), "full")[len(apart) - 1 :]
+        peaks = 1 + np.flatnonzero((same[1:-1] > same[:-2]) & (same[1:-1] > same[2:]))
+        assert np.median(measured(found, "stride_time_s")) == pytest.approx(
+            peaks[1] / 50, rel=0.06
+        )  # a short clip tells it less exactly than it is
+        assert len({stride.foot for stride in found.strides}) == len(found.feet)
+        assert 40 < np.median(measured(found, "stance_percent")) < 70
+
+
 def test_contacts_that_are_known_are_the_events() -> None:
     walked = walk(150)
     contact = np.zeros(walked.points.shape[:2], bool)
@@ -55,11 +81,19 @@ def test_a_body_that_stands_or_sways_does_not_walk() -> None:
     assert "fewer than" in gait_of(still[:5], np.arange(5) / FPS, SKELETON).why_not
 
 
-def test_frames_that_are_missing_do_not_stop_it() -> None:
+def test_frames_and_joints_that_are_missing_do_not_stop_it() -> None:
     pose = level_walk()
     pose[[20, 21, 70]] = np.nan
-    found = gait_of(pose, np.arange(150) / FPS, SKELETON)
+    pose[:, SKELETON.index("nose")] = np.nan
+    time = np.arange(150) / FPS
+    found = gait_of(pose, time, SKELETON)
     assert np.abs(measured(found, "stride_time_s") - 1.2).max() < 0.05
+    time[75:] += 60  # it left the picture for a minute
+    apart = gait_of(pose, time, SKELETON)
+    assert np.abs(measured(apart, "stride_time_s") - 1.2).max() < 0.05 and len(apart.strides) >= 4
+    assert sorted(one.number for one in apart.strides if one.foot == "rankle") == list(
+        range(1, 1 + sum(one.foot == "rankle" for one in apart.strides))
+    )
 
 
 def test_feet_are_the_limbs_that_stand() -> None:

@@ -10,8 +10,9 @@ from videos import numbered, shown, write_video
 from writers_samples import prediction
 
 from uplift.errors import UserError
+from uplift.export import write
 from uplift.export.clips import arrange, one_clip
-from uplift.export.film import write_film
+from uplift.export.film import HIGH, WIDE, write_film
 from uplift.export.footage import Footage, every_frame
 
 _SIZE = (64, 48)
@@ -101,6 +102,10 @@ def test_an_overlay_shows_the_video_under_its_keypoints(tmp_path):
     np.testing.assert_allclose(greys, 8 * np.arange(9), atol=3)
     hip = (sample.keypoints[0, 0] / 640 * wide).round().astype(int)
     assert np.abs(card[0, hip[1], hip[0]] - card[0, 300, wide - 20]).max() > 40  # a joint is drawn where it is
+    two = replace(sample, identity={**sample.identity, "sequence": np.repeat(["a", "other"], 3)})
+    write(two, tmp_path / "two.gif", video=video)
+    sizes = [Image.open(tmp_path / f"two_{name}.gif").size for name in ("a", "other")]
+    assert sizes[1] == (WIDE * 5 // 8, HIGH * 5 // 8) != sizes[0]  # a video goes with the clip of its name alone
     write_film(sample, Path(tmp_path / "overlay.gif"), video=video)
     with Image.open(tmp_path / "overlay.gif") as film:
         assert film.n_frames == 9

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 import time
 from collections.abc import Callable
 from dataclasses import replace
@@ -16,6 +17,8 @@ from writers_samples import figure, prediction
 
 from uplift.biomechanics.angles import joint_angles
 from uplift.export import write
+from uplift.export.live import LivePage
+from uplift.models.live import LivePose
 from uplift.models.prediction import Prediction
 from uplift.skeleton.core import Angle
 
@@ -342,3 +345,33 @@ def test_a_skeleton_without_angles_shows_no_plot(show: Open) -> None:
     page = show(prediction(frames=20))
     assert page.run("document.getElementById('angles').hidden") is True
     assert page.troubles() == []
+
+
+def test_a_live_page_draws_what_comes(browser: Browser) -> None:
+    class Address:
+        def as_uri(self) -> str:
+            return live.address
+
+    sample = prediction(frames=3)
+    image = numbered(1, (640, 480))[0]
+    with LivePage("Sample", sample.skeleton) as live:
+        ended = threading.Event()
+
+        def send() -> None:
+            for frame in range(400):
+                row = frame % 3
+                pose = sample.level_pose[row].astype(float) / 700
+                one = LivePose(0, sample.keypoints[row], sample.confidence[row], pose, 150.0)
+                live.show(frame, image, [one])
+                if ended.wait(0.05):
+                    return
+
+        threading.Thread(target=send, daemon=True).start()
+        page = Page(browser, Address())
+        page.until("uplift.state().people === 1 && uplift.state().frame > 3")
+        page.frames()
+        flat = "(() => { const c = document.getElementById('flat'); const x = c.getContext('2d');"
+        flat += " return Array.from(x.getImageData(c.width / 2 - 40, c.height / 2 - 100, 1, 1).data); })()"
+        assert page.run(flat)[0] > 200  # the red quarter of the picture
+        assert page.ink("deep")[0] > 200
+        ended.set()

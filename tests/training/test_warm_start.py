@@ -13,6 +13,7 @@ import yaml
 from bodies import QUICK, body_arrays, refusal, status_of, write_body
 
 import uplift
+from uplift.config.loading import load_settings
 from uplift.config.settings import LifterSettings
 from uplift.models.lifter import Lifter
 from uplift.models.transfer import copy_weights
@@ -110,6 +111,8 @@ def test_missing_joints_and_another_root_are_as_joints_that_are_not_seen() -> No
     depth = expected.pose[:, places, 2]
     depth = depth - depth[:, [other.root_index]]
     assert torch.allclose(found.pose[..., 2], depth, atol=1e-4)
+    assert given.knows_signs
+    assert not into.knows_signs  # its limbs are other chains of bones: no signs rather than wrong ones
     uncertainty = expected.uncertainty[:, places]
     of_both = (uncertainty > 0) & (found.uncertainty > 0)  # the root has none
     assert torch.allclose(found.uncertainty[of_both], uncertainty[of_both], rtol=1e-4)
@@ -161,6 +164,12 @@ def test_joints_in_common_are_found_by_name_and_by_layout() -> None:
     hip = shared_joints(load_skeleton("h36m17"), load_skeleton("coco17"))["hip"]
     assert set(hip) == {"left_hip", "right_hip"}
     assert shared_joints(load_skeleton("hand21"), quadruped) == {}
+
+
+@pytest.mark.parametrize(("written", "meant"), [("person", "person"), ("runs/x", "{}/runs/x"), ("x.pt", "{}/x.pt")])
+def test_a_name_is_that_of_a_ready_lifter(written: str, meant: str, here: Path) -> None:
+    settings = load_settings(None, ["skeleton=h36m17", "data.train=a.npz", f"init={written}"])
+    assert settings.init == meant.format(here)
 
 
 def the_run(folder: Path, name: str = "h36m17") -> Path:

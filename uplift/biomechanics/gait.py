@@ -126,26 +126,49 @@ def gait_of(
     """
     feet = feet_of(skeleton)
     names = tuple(foot.name for foot in feet)
-    known = np.flatnonzero(np.isfinite(pose).all((1, 2)))
-    if len(known) < _LEAST_FRAMES:
-        return Gait((), names, why_not=f"fewer than {_LEAST_FRAMES} frames")
-    walk = _walk_of(pose[known], time_s[known], skeleton, feet)
-    events = [_events(walk, k) for k in range(len(feet))]
-    if contact is not None and contact[known].any():
-        stands = [np.asarray(contact[known][:, foot.contacts].any(1)) for foot in feet]
-        events = [_edges(one, time_s[known]) if one.any() else found for one, found in zip(stands, events, strict=True)]
-    strides = _strides(walk, feet, events)
-    why_not = _not_walking(strides, feet)
+    known = np.flatnonzero(np.isfinite(pose[:, _used(skeleton, feet)]).all((1, 2)))
+    pieces = np.split(known, np.flatnonzero(np.diff(time_s[known]) > _GAP_S) + 1)
+    strides = [
+        one
+        for rows in pieces
+        if len(rows) >= _LEAST_FRAMES
+        for one in _strides_of(pose[rows], time_s[rows], skeleton, feet, None if contact is None else contact[rows])
+    ]
+    why_not = _not_walking(strides, feet) if len(known) >= _LEAST_FRAMES else f"fewer than {_LEAST_FRAMES} frames"
     if why_not:
         return Gait((), names, why_not=why_not)
     strides.sort(key=lambda one: (one.strike_s, one.foot))
+    count = Counter[str]()
+    for place, one in enumerate(strides):
+        count[one.foot] += 1
+        strides[place] = replace(one, number=count[one.foot])
     return Gait(tuple(strides), names, _asymmetry(strides, feet))
+
+
+def _used(skeleton: Skeleton, feet: list[Foot]) -> list[int]:
+    """Return the joints that gait is told from."""
+    facing = {skeleton.index(joint) for way in ("left", "front") for end in skeleton.facing[way] for joint in end}
+    return sorted(facing.union(*(foot.contacts + foot.limb for foot in feet)))
+
+
+def _strides_of(
+    pose: np.ndarray, time: np.ndarray, skeleton: Skeleton, feet: list[Foot], contact: np.ndarray | None
+) -> list[Stride]:
+    """Return the strides of frames without a gap."""
+    walk = _walk_of(pose, time, skeleton, feet)
+    events = [_events(walk, k) for k in range(len(feet))]
+    if contact is not None and contact.any():
+        stands = [np.asarray(contact[:, foot.contacts].any(1)) for foot in feet]
+        events = [_edges(one, time) if one.any() else found for one, found in zip(stands, events, strict=True)]
+    return _strides(walk, feet, events)
 
 
 # The way of every foot along the heading.
 
+_GAP_S = 0.3
+"""A longer gap between frames is not filled."""
 _LEAST_FRAMES = 12
-_LEAST_STRIDES = 3
+_LEAST_STRIDES = 2
 
 
 @dataclass(frozen=True)
@@ -164,19 +187,23 @@ class _Walk:
 
 
 def _walk_of(pose: np.ndarray, time: np.ndarray, skeleton: Skeleton, feet: list[Foot]) -> _Walk:
-    evenly, pose = _filtered(pose.astype(np.float64), time)
-    ahead = _heading(pose, evenly, skeleton)
+    used = _used(skeleton, feet)
+    at = {joint: place for place, joint in enumerate(used)}
+    evenly, pose = _filtered(pose[:, used].astype(np.float64), time)
+    ahead = _heading(pose, evenly, skeleton, used)
     heel, toe, height, leg = [], [], [], []
     for foot in feet:
-        tops = pose[:, [foot.limb[0], feet[foot.partner].limb[0]]].mean(1)
-        along = np.einsum("fjc,fc->jf", pose[:, foot.contacts] - tops[:, None], ahead)
+        tops = pose[:, [at[foot.limb[0]], at[feet[foot.partner].limb[0]]]].mean(1)
+        contacts = pose[:, [at[joint] for joint in foot.contacts]]
+        along = np.einsum("fjc,fc->jf", contacts - tops[:, None], ahead)
         order = np.argsort(np.median(along, 1))
         heel.append(along[order[0]])
         toe.append(along[order[-1]])
-        up = -pose[:, foot.contacts, 1].max(1) + tops[:, 1]
+        up = tops[:, 1] - contacts[..., 1].max(1)
         height.append(up - np.percentile(up, 2))
-        chain = pose[:, [*foot.limb, *([] if foot.limb[-1] in foot.contacts else [foot.contacts[0]])]]
-        leg.append(np.median(np.linalg.norm(np.diff(chain, axis=1), axis=-1).sum(1)))
+        chain = [*foot.limb, *([] if foot.limb[-1] in foot.contacts else foot.contacts[:1])]
+        bones = np.diff(pose[:, [at[joint] for joint in chain]], axis=1)
+        leg.append(np.median(np.linalg.norm(bones, axis=-1).sum(1)))
     return _Walk(evenly, np.array(heel), np.array(toe), np.array(height), np.array(leg))
 
 
@@ -196,7 +223,9 @@ def _filtered(pose: np.ndarray, time: np.ndarray) -> tuple[np.ndarray, np.ndarra
     return fine, CubicSpline(time, pose)(fine)
 
 
-def _heading(pose: np.ndarray, time: np.ndarray, skeleton: Skeleton) -> Float[np.ndarray, "frames 3"]:
+def _heading(
+    pose: np.ndarray, time: np.ndarray, skeleton: Skeleton, joints: list[int]
+) -> Float[np.ndarray, "frames 3"]:
     """Return where the body heads, level unit vectors: square to its ``left``, or along its ``front`` where that is longer.
 
     A person's hips say it better than the knees, a long back better than the shoulders. Directions are summed over the
@@ -204,7 +233,7 @@ def _heading(pose: np.ndarray, time: np.ndarray, skeleton: Skeleton) -> Float[np
     """
     from scipy.ndimage import uniform_filter1d
 
-    left, front = (skeleton.facing_matrix(name) @ pose * [1.0, 0.0, 1.0] for name in ("left", "front"))
+    left, front = (skeleton.facing_matrix(name)[joints] @ pose * [1.0, 0.0, 1.0] for name in ("left", "front"))
     square = np.stack([left[:, 2], left[:, 1], -left[:, 0]], -1)  # a quarter turn about the vertical
     longer = np.median(np.linalg.norm(front, axis=-1)) > np.median(np.linalg.norm(left, axis=-1))
     around = max(1, round(_STEADY_S / (time[1] - time[0])))
@@ -245,12 +274,7 @@ def _strides(walk: _Walk, feet: list[Foot], events: list[_Events]) -> list[Strid
                 measures = _measure(walk, speeds, place, foot.partner, events, (strike, inside[0], end))
                 found.append(Stride(foot.name, 0, strike, inside[0], end, measures))
     usual = np.median([one.end_s - one.strike_s for one in found]) if found else 0.0
-    kept = [one for one in found if _ALIKE[0] * usual < one.end_s - one.strike_s < _ALIKE[1] * usual]
-    count = Counter[str]()
-    for place, one in enumerate(kept):
-        count[one.foot] += 1
-        kept[place] = replace(one, number=count[one.foot])
-    return kept
+    return [one for one in found if _ALIKE[0] * usual < one.end_s - one.strike_s < _ALIKE[1] * usual]
 
 
 def _measure(

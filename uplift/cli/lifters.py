@@ -13,7 +13,7 @@ from uplift.errors import UserError, did_you_mean
 from uplift.skeleton import Skeleton, load_skeleton
 from uplift.skeleton.match import match_joints
 
-__all__ = ["hint_for", "lifter_card", "lifters_command", "list_lifters"]
+__all__ = ["hint_for", "layouts_of", "lifter_card", "lifters_command", "list_lifters"]
 
 _WIDTH = 110
 
@@ -43,7 +43,7 @@ def _lines(name: str, found: dict[str, Any], megabytes: float) -> list[str]:
     skeleton, about = found["skeleton"], found.get("about", {})
     figures = ", ".join(f"{key} {value}" for key, value in about.get("figures", {}).items())
     facts = f"{skeleton['name']}, {len(skeleton['joints'])} joints, {megabytes:.1f} MB"
-    takes = [skeleton["name"], *(layout for layout in skeleton.get("from", {}) if layout != skeleton["name"])]
+    takes = layouts_of(Skeleton.from_dict(skeleton))
     rows = {
         "": about.get("title", ""),
         "takes": ", ".join(takes),
@@ -65,6 +65,17 @@ def lifter_card(name: str) -> str:
     if name not in names:
         raise UserError(f"lifters: there is no ready lifter '{name}'.{did_you_mean(name, names)}")
     return (shipped("lifters") / f"{name}.md").read_text().rstrip()
+
+
+def layouts_of(skeleton: Skeleton) -> list[str]:
+    """Return the layouts whose files make the skeleton's joints: its own, those of its ``from:``, and included ones that hold their names."""
+    found = [skeleton.name, *skeleton.sources]
+    for name in shipped_names("skeletons"):
+        other = load_skeleton(name)
+        with suppress(UserError):
+            match_joints([joint for joint in other.joints if joint not in other.midpoints], skeleton)
+            found.append(name)
+    return list(dict.fromkeys(found))
 
 
 def hint_for(names: Sequence[str], other_than: str) -> str:

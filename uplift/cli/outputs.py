@@ -64,7 +64,7 @@ def refuse_outputs(outputs: Sequence[str]) -> None:
         if ending_of(output) == ".osim":
             check_opensim(output)
             if twice := set(map(str, beside_model(output))) & set(outputs):
-                raise UserError(f"output={shown}: {min(twice)} is written beside {output}: leave it out.")
+                raise UserError(f"output={','.join(outputs)}: {min(twice)} is written beside {output}: leave it out.")
 
 
 def write_outputs(

@@ -12,6 +12,7 @@ import numpy as np
 from uplift.cli.detect import check_keypoints_output, keypoints_in
 from uplift.cli.kinds import KINDS
 from uplift.cli.lifters import hint_for
+from uplift.cli.live import LIVE, live_command
 from uplift.cli.outputs import check_outputs, outputs_of, refuse_outputs, shows_video, write_outputs
 from uplift.cli.parsing import Keys, keyed, known_camera
 from uplift.cli.together import TOGETHER_KEYS, check_together, lift_views, views_of, write_found
@@ -164,6 +165,11 @@ def predict_command(words: Sequence[str]) -> None:
     weights = read_weights(keys["run"])
     kind = KINDS[weights.lifts]
     kind.refuse_others("predict", keys, keys["run"])
+    if keys["output"] == LIVE and weights.lifts == "keypoints":
+        live_command(keys, weights)
+        return
+    if "port" in keys:
+        raise UserError("port= goes with output=live.")
     overrides = [f"{key}={value}" for key, value in keys.items() if key.startswith("data.")]
     files: dict[Path, str] = {}
     arguments = kind.predict_arguments(keys) | {"axes": keys.get("axes"), "page": keys.get("page"), "written": files}

@@ -129,7 +129,8 @@ _ALL_KEYS = _table(
     _key("input", str, NEEDED, "file or folder of keypoints, a video, pictures, several with commas or *, or SET:SPLIT of a "
          "published set"),
     _key("output", str, NEEDED, "new file, several with commas; the ending is the format: .html .npz .csv .bvh .glb .nwb ...; "
-         "angles.csv, .mot: joint angles, gait.csv: gait"),
+         "angles.csv, .mot: joint angles, gait.csv: gait; or live: a page of this machine that shows a camera's poses as they "
+         "come"),
     _key("page", Optional[str], None, "kind of an .html; unset: viewer", choices=("viewer", "gallery")),
     _key("axes", Optional[str], None, "axes of the output; unset: the format's usual ones",
          choices=("camera", "level", "opencv", "blender", "opensim", "unity", "own", "gltf", "print")),
@@ -151,6 +152,7 @@ POSE_KEYS = _table(
     _key("keypoints", Optional[str], None, "with a video or pictures: new .npz or .csv file for the 2D"),
     _key("video", Optional[str], None, "video or folder of pictures that the keypoints were found in, shown behind them on a page or "
          "in a film; several with commas, named as the clips; unset: the input, where that is one"),
+    _key("port", int, 0, "with output=live: port of its page; 0: any that is free", 0, 65535),
     *CAMERA_KEYS.values(),
     _key("ground", bool, False, "true: find the ground, and keep standing feet where they are; needs a size"),
     _key("cameras", Optional[str], None, "with together=true: calibrated cameras, .toml of Pose2Sim or Anipose, or .json"),
@@ -296,7 +298,7 @@ VERBS = {
     ),
     "predict": Verb(
         "lift keypoints or masks to 3D",
-        ("predict run=RUN input=FILE|VIDEO output=FILE.html|.csv|.glb|...",),
+        ("predict run=RUN input=FILE output=FILE.html|.npz|.csv|.glb|...", "predict run=RUN input=VIDEO output=..."),
         settings=PREDICT,
     ),
     "detect": Verb(
@@ -307,7 +309,7 @@ VERBS = {
     "detectors": Verb(
         "the built-in detectors, and whether their networks are there",
         ("detectors", "detectors get NAME"),
-        {"get": "fetch the networks of one, once: later commands need no network"},
+        {"NAME": "a built-in whose networks are fetched, once: later commands need no network"},
     ),
     "simulate": Verb(
         "simulated bodies with exact poses",

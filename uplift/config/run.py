@@ -33,7 +33,7 @@ from uplift.config.safe_weights import ENDING, read_safe
 from uplift.config.settings import Settings
 from uplift.errors import UserError, did_you_mean, nearest
 
-__all__ = ["USUAL_STEPS", "RunFolder", "Weights", "data_id", "idle_prior", "lifter_label", "read_weights"]
+__all__ = ["USUAL_STEPS", "RunFolder", "Weights", "data_id", "idle_prior", "lifter_label", "read_weights", "version_of"]
 
 
 USUAL_STEPS = 10_000
@@ -232,7 +232,7 @@ def _facts(settings: Settings, command: str) -> dict[str, Any]:
         "command": command,
         "seed": settings.seed,
         "started": datetime.datetime.now().astimezone().isoformat(timespec="seconds"),
-        "versions": {name: _version(name) for name in packages},
+        "versions": {name: version_of(name) for name in packages},
         "python": sys.version.split()[0],
         "platform": platform.platform(),
         "cores": os.cpu_count(),
@@ -240,7 +240,8 @@ def _facts(settings: Settings, command: str) -> dict[str, Any]:
     }
 
 
-def _version(name: str) -> str | None:
+def version_of(name: str) -> str | None:
+    """Return the version of an installed package; None where it is not installed."""
     try:
         return metadata.version(name)
     except metadata.PackageNotFoundError:

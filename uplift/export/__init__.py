@@ -207,6 +207,8 @@ def _pose_jobs(prediction: Prediction, writer: Writer, path: str | Path, axes: s
     turned = in_axes(prediction, axes) if axes != prediction.axes else prediction
 
     parts, ghosts = parts_of(turned, writer.holds)
+    if "video" in options and len(parts) > 1:
+        options["alone"] = False
     gone = f"{', '.join(ghosts[:3])}{', ...' if len(ghosts) > 3 else ''}"
     left_out = f"no file for {len(ghosts)} bodies that are in one frame of a clip alone ({gone})" if ghosts else ""
 

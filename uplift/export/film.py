@@ -38,7 +38,11 @@ _MP4_FPS, _MP4_SCALE, _MP4_CRF = 61.0, 1.0, 20
 
 
 def write_film(
-    prediction: Prediction, path: str | Path, fps: int | float | None = None, video: str | Path | None = None
+    prediction: Prediction,
+    path: str | Path,
+    fps: int | float | None = None,
+    video: str | Path | None = None,
+    alone: bool = True,
 ) -> None:
     """Write one clip with all its individuals, 1280 x 640 pixels as ``.mp4`` and 800 x 400 as ``.gif``.
 
@@ -46,7 +50,7 @@ def write_film(
     is drawn, n as small as keeps a gif within 600 frames and 34 a second, an mp4 within 61 a second; the film lasts
     as long as the clip. Missing frame numbers are skipped. Axes are the camera's, or level ones. With ``video``, what
     `uplift.export.footage.Footage` takes, keypoints are drawn over its frames, those without anybody too; the film is
-    then as wide as they ask for, and without sound.
+    then as wide as they ask for, and without sound. Unless the clip is ``alone``, a video must have its name to be shown.
     Raises UserError for several clips, another extension, or where the package for mp4 is not there.
     """
     extension = Path(path).suffix.lower()
@@ -55,6 +59,7 @@ def write_film(
     av = need_av(f"cannot write {path}: an .mp4", " A .gif needs nothing more.") if extension == ".mp4" else None
     clip = one_clip(prediction, path)
     footage = None if video is None else Footage(video, prediction)
+    footage = footage if footage is not None and footage.shows(clip, alone=alone) else None
     clip = clip if footage is None else every_frame(clip)
     known = frame_rate(prediction, fps)
     rate = known or USUAL_FPS
@@ -63,7 +68,7 @@ def write_film(
     moments = thinned(len(clip.frames), rate, most, fastest)
     size = None if footage is None else (footage.image_size[0], footage.image_size[1])
     drawing = FilmDrawing(scene, scale, rate, timed=known is not None, video_size=size)
-    pictures = _pictures(drawing, moments, footage)
+    pictures = _pictures(drawing, moments, footage, alone)
     with replacing(path) as handle:
         if av:
             _write_mp4(av, pictures, handle, drawing.size, rate * len(moments) / len(clip.frames))
@@ -72,12 +77,12 @@ def write_film(
 
 
 def _pictures(
-    drawing: FilmDrawing, moments: Int[np.ndarray, " kept"], footage: Footage | None
+    drawing: FilmDrawing, moments: Int[np.ndarray, " kept"], footage: Footage | None, alone: bool = True
 ) -> Iterator[Image.Image]:
     """Yield the pictures of the moments; of those that a video has, where there is one."""
     shown: Iterable[tuple[int, Any]] = ((moment, None) for moment in moments.tolist())
     if footage is not None:
-        shown = footage.images(drawing.scene.clip, moments.tolist(), alone=True)
+        shown = footage.images(drawing.scene.clip, moments.tolist(), alone=alone)
     for moment, image in progress(shown, "drawing frames", len(moments)):
         yield drawing.picture(moment, image)
 

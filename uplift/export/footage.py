@@ -50,11 +50,15 @@ class Footage:
 
     def of(self, clips: Sequence[Clip], of: int) -> list[bool]:
         """Return which clips, all or some ``of`` so many, it shows; raises UserError for none."""
-        found = [self._path_of(clip, alone=of == 1) is not None for clip in clips]
+        found = [self.shows(clip, alone=of == 1) for clip in clips]
         if not any(found):
             names = listed((self._sequence(clip) for clip in clips), 3)
             raise UserError(f"video={self.source}: there are {of} clips, and none has its name: {names}.")
         return found
+
+    def shows(self, clip: Clip, *, alone: bool) -> bool:
+        """Return whether a clip is shown; ``alone``: there is no other."""
+        return self._path_of(clip, alone) is not None
 
     def images(
         self, clip: Clip, moments: Iterable[int], *, alone: bool

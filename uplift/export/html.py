@@ -59,17 +59,19 @@ def fill_page(
     attributes: str = "",
     end: str = "",
     script: str | None = None,
+    connect: str = "",
     **parts: str,
 ) -> str:
     """Return a page: the shell around the asset ``main``, whose placeholders ``parts`` fill.
 
-    ``beside`` goes beside the title and ``end`` behind the main part; the page's policy allows ``script`` alone. A page is
+    ``beside`` goes beside the title and ``end`` behind the main part; the page's policy allows ``script`` alone, and
+    ``connect``, a part of it. A page is
     passed on: title, facts and notes name files without their folders.
     """
     style = "".join(map(_asset, styles))
     allowed = "" if script is None else f"script-src {_policy_hash(script)}; "
     parts |= {
-        "policy": f"default-src 'none'; {allowed}style-src {_policy_hash(style)}; img-src data:",
+        "policy": f"default-src 'none'; {allowed}{connect}style-src {_policy_hash(style)}; img-src data:",
         "title": escape(without_folders(title)),
         "facts": " · ".join(f"<span>{escape(without_folders(fact))}</span>" for fact in facts),
         "style": style,

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-import uplift
 from uplift.config.files import replacing_by_name
+from uplift.config.run import version_of
 from uplift.errors import UserError
 from uplift.export.clips import Clip, evenly, frame_rate, one_clip
 from uplift.export.scene import AXES, known_points
@@ -45,7 +45,11 @@ def to_xarray(prediction: Prediction, name: str | Path = "to_xarray") -> xarray.
         "keypoints": labels(prediction.joint_names),
         "individuals": labels(who or "id_0" for who in clip.individual_names),
     }
-    known = {"ds_type": "poses", "source_software": "uplift", "source_software_version": uplift.__version__}
+    known = {
+        "ds_type": "poses",
+        "source_software": "uplift",
+        "source_software_version": version_of("uplift3d") or "unknown",
+    }
     known |= {"time_unit": "frames"} if rate is None else {"time_unit": "seconds", "fps": rate}
     known |= {"skeleton": _text(prediction.skeleton.name), "bones": json.dumps(prediction.skeleton.bones)}
     known |= {"title": _text(prediction.title or clip.name)}

@@ -10,8 +10,8 @@ from typing import Any
 
 import numpy as np
 
-import uplift
 from uplift.config.files import replacing_by_name
+from uplift.config.run import version_of
 from uplift.errors import UserError, did_you_mean
 from uplift.export.clips import Clip, evenly, frame_rate, one_clip
 from uplift.export.scene import AXES, known_points
@@ -73,7 +73,11 @@ def write_nwb(prediction: Prediction, path: str | Path, nwb: Mapping[str, str] |
     )
     module = file.create_processing_module("behavior", "Poses in 3D, lifted from 2D keypoints of one camera")
     module.add(Skeletons(skeletons=[skeleton]))
-    shared = {"scorer": "uplift", "source_software": "uplift", "source_software_version": uplift.__version__}
+    shared = {
+        "scorer": "uplift",
+        "source_software": "uplift",
+        "source_software_version": version_of("uplift3d") or "unknown",
+    }
     for who, (title, series) in enumerate(
         zip(_titles(clip), _series(prediction, clip, names, start, rate), strict=True)
     ):

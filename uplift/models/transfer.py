@@ -96,13 +96,18 @@ def _copy_network(
         names = [f"{type(network).__name__} of {_weights(network):,} weights" for network in (given, into)]
         raise UserError(f"it has another network: {names[0]}, this fit {names[1]}.")
     into.load_state_dict(inner[1], strict=False)
-    first, last = into.get_submodule(ends[0]), into.get_submodule(ends[1])
-    their_first, their_last = given.get_submodule(ends[0]), given.get_submodule(ends[1])
+    (first, last), (their_first, their_last) = ([_linear(one, end) for end in ends] for one in (into, given))
     first.weight.copy_(their_first.weight @ inputs)
     first.bias.copy_(their_first.bias)
     known = outputs.abs().sum(1) > 0
     last.weight[known] = outputs[known] @ their_last.weight
     last.bias[known] = outputs[known] @ their_last.bias
+
+
+def _linear(network: nn.Module, name: str) -> nn.Linear:
+    layer = network.get_submodule(name)
+    assert isinstance(layer, nn.Linear)
+    return layer
 
 
 def _weights(network: nn.Module) -> int:

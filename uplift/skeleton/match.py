@@ -126,8 +126,9 @@ def shared_joints(skeleton: Skeleton, other: Skeleton) -> dict[str, tuple[str, .
     joints. Joints that ``other`` lacks are absent.
     """
     find, find_back = _finders(list(other.joints))[-1], _finders(list(skeleton.joints))[-1]
-    by_name = {joint: (other.joints[place],) for joint in skeleton.joints if (place := find(joint)) is not None}
-    found = [by_name]
+    found: list[dict[str, tuple[str, ...]]] = [
+        {joint: (other.joints[place],) for joint in skeleton.joints if (place := find(joint)) is not None}
+    ]
     for layout in skeleton.sources.values():
         places = {joint: [find(part) for part in parts] for joint, parts in layout.items()}
         found.append(
