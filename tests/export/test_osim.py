@@ -14,6 +14,7 @@ import pytest
 from posed_people import angles_of, person, read_table
 from writers_samples import prediction
 
+from uplift.cli.outputs import check_outputs
 from uplift.errors import UserError
 from uplift.export import write
 from uplift.export.human_model import human_model
@@ -156,6 +157,15 @@ def test_what_is_no_person_has_no_size_or_is_there_already(opensim, tmp_path: Pa
     with pytest.raises(UserError, match=r"a_ik.mot exists already"):
         write(sample, tmp_path / "a.osim")
     assert [file.name for file in tmp_path.iterdir()] == ["a_ik.mot"]
+
+
+def test_what_the_command_refuses_before_any_work(opensim, tmp_path: Path) -> None:
+    model, markers = str(tmp_path / "a.osim"), str(tmp_path / "a.trc")
+    check_outputs([model, str(tmp_path / "a.csv")], None, None, {"mass_kg": 60.0}, 0)
+    with pytest.raises(UserError, match=r"a\.trc is written beside .*a\.osim: leave it out"):
+        check_outputs([model, markers], None, None, {}, 0)
+    with pytest.raises(UserError, match=r"mass_kg= goes with output=FILE\.osim"):
+        check_outputs([markers], None, None, {"mass_kg": 60.0}, 0)
 
 
 def test_without_opensim_the_error_names_the_extra(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
