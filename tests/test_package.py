@@ -17,7 +17,7 @@ ROOT = Path(uplift.__file__).parent
 MODULES = [
     ".".join(("uplift", *path.relative_to(ROOT).with_suffix("").parts)).removesuffix(".__init__")
     for path in sorted(ROOT.rglob("*.py"))
-    if path.stem != "__main__"
+    if path.stem != "__main__" and path.parent.name != "assets"  # programs for the Python of others
 ]
 
 

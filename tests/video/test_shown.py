@@ -74,7 +74,11 @@ def test_video_goes_with_what_shows_it(scene, tmp_path, capsys):
     csv, run = tmp_path / "walk.csv", f"run={folder / 'lifter.pt'}"
     csv.write_text("x\n")
     for words, says in {
-        (f"input={csv}", f"video={folder / 'walk.mp4'}", f"output={tmp_path}/a.npz"): "goes with a page",
+        (
+            f"input={csv}",
+            f"video={folder / 'walk.mp4'}",
+            f"output={tmp_path}/a.npz",
+        ): "goes with output=FILE.html or .mp4 or .gif",
         (f"input={csv}", f"video={folder / 'none.mp4'}", f"output={tmp_path}/a.html"): "No file",
         (
             f"input={csv}",

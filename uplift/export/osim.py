@@ -148,7 +148,7 @@ def _solve(model: HumanModel, files: list[Path], weights: dict[str, float], tria
 def _run(job: dict[str, Any], folder: Path, path: Path) -> None:
     (folder / "job.json").write_text(json.dumps(job))
     # -P: its folder has files with the names of other modules, such as html.py.
-    command = [sys.executable, "-P", str(Path(__file__).with_name("osim_solver.py")), "job.json"]
+    command = [sys.executable, "-P", str(Path(__file__).parent / "assets" / "osim_solver.py"), "job.json"]
     pipes: dict[str, Any] = {"stdout": subprocess.PIPE, "stderr": subprocess.STDOUT, "text": True, "errors": "replace"}
     said: list[str] = []
     with subprocess.Popen(command, cwd=folder, **pipes) as program:
