@@ -69,7 +69,7 @@ _EXAMPLES = """examples:
   uplift fit task=masks_demo                            shapes, no data needed
   uplift data check task=cmu                            what data is there
   uplift evaluate run=runs/cmu/last
-  uplift predict run=runs/cmu/last input=keypoints.npz output=poses.html
+  uplift predict run=person input=walk.mp4 output=poses.html
 """
 
 
