@@ -7,7 +7,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 from walks import FEET, FPS, HIP, SKELETON, STRIDE, TILT, walk
 
-from uplift.biomechanics.gait import Gait, feet_of, gait_of
+from uplift.biomechanics.gait import Gait, _measure, _Walk, feet_of, gait_of
 from uplift.data.synthetic.simulate import simulate
 from uplift.errors import UserError
 from uplift.skeleton import load_skeleton
@@ -106,3 +106,14 @@ def test_feet_are_the_limbs_that_stand() -> None:
     ]
     with pytest.raises(UserError, match="'hand21' has none: gravity is false"):
         feet_of(load_skeleton("hand21"))
+
+
+def test_feet_that_strike_as_one_take_no_step() -> None:
+    time = np.arange(0, 3, 0.01)
+    still = np.zeros((2, len(time)))
+    walk = _Walk(time, still, still, still, np.ones(2))
+    for lag, step in ((0.01, None), (0.5, 0.5), (0.99, None)):
+        events = [(np.array([1.0, 2.0]), np.array([1.6])), (np.array([2.0 - lag]), np.array([1.3]))]
+        found = _measure(walk, still, 0, 1, events, (1.0, 1.6, 2.0))
+        for name in ("step_time_s", "cadence_steps_per_min", "step_length"):
+            assert np.isnan(found[name]) == (step is None), (lag, name)

@@ -243,6 +243,9 @@ def _heading(
 
 # Strikes and toe-offs.
 
+_LEAST_STEP = 0.1
+"""Of the stride's time, that a step takes."""
+
 _Events = tuple[np.ndarray, np.ndarray]
 """Times of strikes, and of toe-offs, seconds."""
 
@@ -286,8 +289,10 @@ def _measure(
         events[other][0][(events[other][0] < end) & (events[other][0] > end - stride)] if other != foot else np.empty(0)
     )
     step = float(end - before[-1]) if len(before) else np.nan
+    # Feet that strike as one, in a leap or where someone turns round, take no step.
+    step = step if _LEAST_STEP * stride < step < (1 - _LEAST_STEP) * stride else np.nan
     at = min(int(np.searchsorted(walk.time, end)), len(walk.time) - 1)
-    apart = float(walk.heel[foot, at] - walk.heel[other, at]) if len(before) else np.nan
+    apart = float(walk.heel[foot, at] - walk.heel[other, at]) if np.isfinite(step) else np.nan
     over = speeds[:, (walk.time >= strike) & (walk.time <= end)]
     speed = float(np.mean(over[np.isfinite(over)])) if np.isfinite(over).any() else np.nan
     return {
