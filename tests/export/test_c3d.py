@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import struct
-import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -146,9 +145,3 @@ def test_a_full_disk_is_not_taken_for_success(ezc3d, tmp_path: Path, monkeypatch
     with pytest.raises(OSError, match="written completely"):
         write_c3d(walking(5), tmp_path / "walk.c3d")
     assert not list(tmp_path.iterdir())
-
-
-def test_without_ezc3d_the_extra_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(sys.modules, "ezc3d", None)
-    with pytest.raises(UserError, match=r"uplift3d\[c3d\]"):
-        write_c3d(prediction(frames=3), tmp_path / "walk.c3d")

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import sys
+import tomllib
 from dataclasses import replace
 from pathlib import Path
 
@@ -11,10 +13,12 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from writers_samples import ENDINGS, needed, pair, prediction
 
+from uplift.cli.outputs import check_outputs
 from uplift.errors import UserError
 from uplift.export import WRITERS, write
 from uplift.models.prediction import Prediction
 
+ROOT = Path(__file__).resolve().parents[2]
 OF_ALL = [ending for ending in ENDINGS if ending not in (".gif", ".mp4")]  # films have tests of their own
 OF_ONE = [ending for ending in OF_ALL if WRITERS["poses"][ending].holds == "body"]
 NAMES = st.one_of(
@@ -85,3 +89,18 @@ def test_what_exists_is_not_overwritten_by_files_of_bodies(tmp_path: Path) -> No
     with pytest.raises(UserError, match="exists already"):
         write(pair(), tmp_path / "out.anipose.csv")
     assert list(tmp_path.iterdir()) == [kept] and kept.read_text() == "mine"
+
+
+@pytest.mark.parametrize("ending", [ending for ending, writer in WRITERS["poses"].items() if writer.needs])
+def test_a_library_that_is_not_there_is_named_before_any_work(
+    ending: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    writer, extras = WRITERS["poses"][ending], tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    assert writer.extra in extras["optional-dependencies"]
+    monkeypatch.setitem(sys.modules, writer.needs[-1], None)
+    says = rf'needs .*{writer.needs[-1]}: pip install "uplift3d\[{writer.extra}\]"'
+    with pytest.raises(UserError, match=says):
+        write(SAMPLES[1], tmp_path / f"a{ending}")
+    with pytest.raises(UserError, match=says):
+        check_outputs([f"{tmp_path}/a.csv", f"{tmp_path}/a{ending}"], None, None, {}, 0)
+    assert not list(tmp_path.iterdir())

@@ -16,6 +16,7 @@ from PIL import Image
 from writers_samples import chain, prediction
 
 from uplift.errors import UserError
+from uplift.export import write
 from uplift.export.clips import one_clip
 from uplift.export.film import (
     CARD,
@@ -216,8 +217,10 @@ def test_the_palette_holds_the_drawing() -> None:
 
 def test_without_the_package_an_mp4_is_one_message(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "av", None)
-    with pytest.raises(UserError, match=r"an .mp4 needs PyAV: pip install \"uplift3d\[video\]\""):
-        write_film(prediction(frames=2), tmp_path / "a.mp4")
+    with pytest.raises(
+        UserError, match=r"writing .mp4 needs av: pip install \"uplift3d\[video\]\". A .gif needs nothing more"
+    ):
+        write(prediction(frames=2), tmp_path / "a.mp4")
     write_film(prediction(frames=2), tmp_path / "a.gif")
     assert [path.name for path in tmp_path.iterdir()] == ["a.gif"]
 

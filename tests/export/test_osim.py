@@ -166,9 +166,3 @@ def test_what_the_command_refuses_before_any_work(opensim, tmp_path: Path) -> No
         check_outputs([model, markers], None, None, {}, 0)
     with pytest.raises(UserError, match=r"mass_kg= goes with output=FILE\.osim"):
         check_outputs([markers], None, None, {"mass_kg": 60.0}, 0)
-
-
-def test_without_opensim_the_error_names_the_extra(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
-    with pytest.raises(UserError, match=r'needs OpenSim: pip install "uplift3d\[opensim\]"'):
-        write(known("coco17", seed=2)[0], tmp_path / "a.osim")

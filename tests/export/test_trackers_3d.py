@@ -42,7 +42,7 @@ def test_deeplabcuts_table_of_two(ending: str, tmp_path: Path) -> None:
 
 def test_deeplabcuts_table_of_one_has_no_individuals(tmp_path: Path) -> None:
     remark = write(replace(prediction(3), unit="px"), tmp_path / "a.dlc.csv")[tmp_path / "a.dlc.csv"]
-    assert "does not say that lengths are in px, from its root joint, in axes camera" in remark
+    assert "lengths are in px from the root joint, axes camera" in remark
     found = pandas.read_csv(tmp_path / "a.dlc.csv", header=[0, 1, 2], index_col=0)
     assert found.columns.names == ["scorer", "bodyparts", "coords"]
     np.testing.assert_allclose(found.to_numpy().reshape(3, 7, 3), prediction(3).pose, rtol=1e-6, atol=1e-3)

@@ -106,7 +106,7 @@ def test_cuts_keep_numbers_and_times(av, tmp_path):
     frames, found = _all(path, start_s=0.7, end_s=1.5)
     assert [frame.index for frame in found] == [shown(frame.image) for frame in found] == list(range(7, 15))
     assert frames.count == 8 and found[0].time_s == pytest.approx(0.7)
-    with pytest.raises(UserError, match=r"start_s=9 is behind the end of .*lasts 3.0 s"):
+    with pytest.raises(UserError, match=r"start_s=9 is after the end of .*lasts 3.0 s"):
         open_frames(path, start_s=9)
     with pytest.raises(UserError, match="not after"):
         open_frames(path, start_s=2, end_s=1)

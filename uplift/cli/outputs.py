@@ -8,10 +8,10 @@ from typing import Any
 
 from uplift.config.files import refuse_output
 from uplift.errors import UserError
-from uplift.export import MEASURES, check_axes, ending_of, write, writer_for
+from uplift.export import MEASURES, check_axes, check_library, ending_of, write, writer_for
 from uplift.export.gallery import check_options
 from uplift.export.nwb import check_nwb
-from uplift.export.osim import beside_model, check_opensim
+from uplift.export.osim import beside_model, check_beside
 from uplift.models.prediction import Prediction
 
 __all__ = ["check_outputs", "outputs_of", "refuse_outputs", "shows_video", "write_outputs"]
@@ -36,7 +36,7 @@ def check_outputs(
     """Raise UserError for files that cannot be written, or exist, and for options that are not about any of them."""
     pages = [output for output in outputs if _is_page(output)]
     for output in outputs:
-        writer_for(output, page if output in (pages or outputs) else None)
+        check_library(output, page if output in (pages or outputs) else None)
     for output in [output for output in outputs if _has_axes(output)] or outputs:
         check_axes(output, axes)
     shown = ", ".join(outputs)
@@ -51,6 +51,7 @@ def check_outputs(
     if hypotheses and not any(ending_of(output) == ".npz" for output in outputs):
         raise UserError(f"hypotheses= goes with output=FILE.npz, which can hold several poses, not with {shown}.")
     refuse_outputs(outputs)
+    _refuse_beside(outputs)
 
 
 def refuse_outputs(outputs: Sequence[str]) -> None:
@@ -61,8 +62,13 @@ def refuse_outputs(outputs: Sequence[str]) -> None:
                 f"output={','.join(outputs)}: '{output}' is there twice. Give every file a name of its own."
             )
         refuse_output(Path(output))
+
+
+def _refuse_beside(outputs: Sequence[str]) -> None:
+    """Raise UserError for what OpenSim's model brings along, where that exists, or is written by another output."""
+    for output in outputs:
         if ending_of(output) == ".osim":
-            check_opensim(output)
+            check_beside(output)
             if twice := set(map(str, beside_model(output))) & set(outputs):
                 raise UserError(f"output={','.join(outputs)}: {min(twice)} is written beside {output}: leave it out.")
 

@@ -114,24 +114,28 @@ def predict(
 ) -> Prediction | ShapePrediction:
     """Lift the keypoints or masks of ``input`` with the model of ``run`` and write them to ``output``, if given.
 
-    ``input`` is a file or folder in any format that is read, several with commas or a pattern, a video or pictures in which
-    keypoints are found as `uplift.detect` does, and written to ``keypoints`` (.npz or .csv), if given, or ``SET:SPLIT`` of
-    a published data set (``file.py:Class:SPLIT`` for a class of yours), whose ``data.root`` and ``data.options.*`` are
-    ``overrides`` such as a fit takes; ``reading`` is what the files lack. ``output`` is a file, or several with commas,
-    each in the format of its ending. The frames of a clip are lifted
-    together unless ``refine`` is off (or ``"causal"``: as far as a live picture allows). ``hypotheses`` are so many poses of
-    each frame, with their probabilities. ``size`` are arguments of `uplift.models.metric_scale.size_from`. ``camera`` is
-    what is known of how the camera stands, and ``ground`` keeps standing feet where they are. ``axes`` are those of `uplift.export.scene`, the format's usual ones by default. ``page`` is the kind of an .html, ``viewer`` or
-    ``gallery``, and ``options`` are those of its writer. Without ``check`` a ready lifter lifts what does not look like the
-    body that it knows (`uplift.models.known_body`), too. The files written, with a remark on each, are added to ``written``. ``trust`` are files and modules of
-    code that may run where the run names it, such as ``"my_nets.py"``.
+    ``input`` is a file or folder in any format that is read, several with commas or a pattern; a video or pictures, in which
+    keypoints are found as `uplift.detect` does, and written to ``keypoints`` (.npz or .csv), if given; or ``SET:SPLIT`` of a
+    published data set (``file.py:Class:SPLIT`` for a class of yours), whose ``data.root`` and ``data.options.*`` are
+    ``overrides`` such as a fit takes. ``reading`` is what the files lack. ``output`` is a file, or several with commas, each in
+    the format of its ending.
+
+    The frames of a clip are lifted together unless ``refine`` is off (or ``"causal"``: as far as a live picture allows).
+    ``hypotheses`` are so many poses of each frame, with their probabilities. ``size`` are arguments of
+    `uplift.models.metric_scale.size_from`. ``camera`` is what is known of how the camera stands, and ``ground`` keeps
+    standing feet where they are. Without ``check`` a ready lifter lifts what does not look like the body that it knows
+    (`uplift.models.known_body`), too.
+
+    ``axes`` are those of `uplift.export.scene`, the format's usual ones by default. ``page`` is the kind of an .html,
+    ``viewer`` or ``gallery``, and ``options`` are those of the writers. The files written, with a remark on each, are added
+    to ``written``. ``trust`` are files and modules of code that may run where the run names it, such as ``"my_nets.py"``.
 
     With a run that lifts masks, ``options`` (and ``size`` among them) are those of `uplift.export.write` for shapes and
     of `uplift.data.formats.read_masks`; what goes with keypoints is refused.
 
     Raises:
-        UserError: no such run or input, joints that do not fit the model's skeleton, another body than a ready lifter's, no mask that can be used, an
-            output that exists already or cannot be written.
+        UserError: no such run or input, joints that do not fit the model's skeleton, another body than a ready lifter's, no
+            mask that can be used, an output that exists already or cannot be written.
     """
     weights = run if isinstance(run, Weights) else read_weights(run)
     request = Request(
@@ -196,6 +200,7 @@ def keypoint_arguments(keys: Keys) -> dict[str, Any]:
     size = keys.given("height_mm", "bone_mm", "camera_height_mm")
     if "bone" in keys:
         size["bone"] = tuple(keys.value("bone"))
+    nwb = {name.removeprefix("nwb."): said for name, said in keys.given(*NWB_KEYS).items()}
     return {
         "refine": REFINE[keys.value("refine")],
         "hypotheses": keys.value("hypotheses"),
@@ -207,11 +212,7 @@ def keypoint_arguments(keys: Keys) -> dict[str, Any]:
         "keypoints": keys.value("keypoints"),
         "check": keys.value("check"),
         "reading": keys.reading(),
-        **(
-            {"nwb": {name.partition(".")[2]: said for name, said in nwb.items()}}
-            if (nwb := keys.given(*NWB_KEYS))
-            else {}
-        ),
+        **({"nwb": nwb} if nwb else {}),
         **keys.given("images", "video", "frames", "seed", "csv_safe", "mass_kg", "together", *TOGETHER_KEYS),
     }
 
@@ -455,9 +456,14 @@ def lift_masks(request: Request) -> tuple[ShapePrediction, dict[Path, str]]:
         request.reading,
         request.camera,
         request.ground,
+        request.detection != Detection(),
+        request.keypoints,
+        not request.check,
     )
     if any(others):
-        of_keypoints = "overrides, refine, hypotheses, constant_bones, reading, camera and ground"
+        of_keypoints = (
+            "overrides, refine, hypotheses, constant_bones, reading, camera, ground, check, keypoints and detectors"
+        )
         raise UserError(f"{request.weights.run} lifts masks: {of_keypoints} go with keypoints.")
     options = {**request.options, **request.size, **({} if request.axes is None else {"axes": request.axes})}
     reading = {key: options.pop(key) for key in _READING if key in options}

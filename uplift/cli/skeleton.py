@@ -20,6 +20,7 @@ from uplift.data.poses import PoseData
 from uplift.data.upright import upright_notes
 from uplift.errors import UserError, listed
 from uplift.skeleton import Skeleton, load_skeleton, propose
+from uplift.skeleton.core import without_side
 from uplift.skeleton.match import JointMatch, match_joints
 
 __all__ = ["check_skeleton_file", "map_joints", "new_skeleton_file"]
@@ -49,16 +50,12 @@ def check_skeleton_file(words: list[str]) -> list[str]:
     return [
         f"{skeleton.name}: {len(skeleton.joints)} joints, {len(skeleton.bones)} bones, root {skeleton.root}",
         f"mirror pairs: {len(skeleton.mirror)}; facing: {facing}; gravity: {'yes' if skeleton.gravity else 'no'}",
-        f"joint angles: {', '.join(dict.fromkeys(map(_without_side, skeleton.angles))) or 'none'}",
+        f"joint angles: {', '.join(dict.fromkeys(without_side(name)[0] for name in skeleton.angles)) or 'none'}",
         f"other layouts it can be built from: {', '.join(skeleton.sources) or 'none'}",
         f"simulator: {'ready' if skeleton.body else 'no proportions given'}",
         f"wrote {output}",
         f"next: uplift fit skeleton={keys.plain[0]} data.train=KEYPOINTS",
     ]
-
-
-def _without_side(name: str) -> str:
-    return "_".join(word for word in name.split("_") if word not in ("right", "left"))
 
 
 def new_skeleton_file(words: list[str]) -> list[str]:

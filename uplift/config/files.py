@@ -20,7 +20,7 @@ from typing import Any, BinaryIO
 from uplift.errors import UserError
 
 __all__ = [
-    "Existing", "absolute", "as_bytes", "building", "clear_parts", "data_root", "files_of", "inside", "names_from", "read_torch",
+    "Existing", "absolute", "as_bytes", "building", "clear_parts", "data_root", "files_of", "holds_run", "inside", "names_from", "read_torch",
     "refuse_existing", "refuse_output", "refuse_special", "replacing", "replacing_by_name", "save_torch", "shipped",
     "shipped_names", "without_folders",
 ]  # fmt: skip
@@ -48,6 +48,11 @@ _ENDINGS = {"lifters": ".safetensors"}
 def shipped_names(folder: str) -> list[str]:
     """Return the sorted names of the shipped files of ``folder``, without their ending."""
     return sorted(path.stem for path in shipped(folder).glob(f"*{_ENDINGS.get(folder, '.yaml')}"))
+
+
+def holds_run(path: Path) -> bool:
+    """Return whether a folder is a run, or that of a task with its ``last``."""
+    return any((one / "config.yaml").is_file() for one in (path, path / "last"))
 
 
 def data_root(name: str, root: str | None) -> Path:

@@ -12,7 +12,7 @@ from typing import Any
 
 import yaml
 
-from uplift.config.files import absolute, shipped, shipped_names
+from uplift.config.files import absolute, holds_run, shipped, shipped_names
 from uplift.config.settings import (
     RENAMED,
     TRAINER_FLAGS,
@@ -425,7 +425,7 @@ def _is_ready(init: str) -> bool:
     """Return whether a word is the name of a ready lifter, or one that may be, and not a run or a file here."""
     path = Path(init)
     if init in shipped_names("lifters"):
-        return not path.is_file() and not any((one / "config.yaml").is_file() for one in (path, path / "last"))
+        return not path.is_file() and not holds_run(path)
     return len(path.parts) == 1 and not path.suffix and not path.exists()
 
 

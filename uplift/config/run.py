@@ -22,6 +22,7 @@ from uplift.config.files import (
     building,
     clear_parts,
     data_root,
+    holds_run,
     read_torch,
     refuse_special,
     replacing,
@@ -299,7 +300,7 @@ def read_weights(run: str | Path) -> Weights:
     Raises UserError: no such run or lifter, a run that has no weights yet, or a file that cannot be read.
     """
     path, note = Path(run), ""
-    folder = None if path.is_file() else _run_in(path)
+    folder = RunFolder.open(path) if holds_run(path) else None
     named = not path.is_file() and str(run) in shipped_names("lifters")
     ready = named and folder is None
     if ready:
@@ -309,12 +310,6 @@ def read_weights(run: str | Path) -> Weights:
         path = _weights_of(folder or _unknown(run))
     read = read_safe if path.suffix.lower() == ENDING else read_torch
     return Weights(str(run), path, read(path, "lifter"), ready, note)
-
-
-def _run_in(path: Path) -> RunFolder | None:
-    """Return the run in a folder, None where there is none."""
-    there = any((one / "config.yaml").is_file() for one in (path, path / "last"))
-    return RunFolder.open(path) if there else None
 
 
 def _weights_of(folder: RunFolder) -> Path:

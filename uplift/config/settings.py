@@ -383,7 +383,8 @@ class Settings:
     skeleton: str = _setting("", "a shipped name, or a YAML file", only="keypoints")
     seed: int = _setting(0, "seed of everything random", low=0, high=2**31 - 1)
     init: Optional[str] = _setting(
-        None, "run or lifter.pt that the fit starts from: with its network, and its weights by the names of joints"
+        None,
+        "run, lifter's file or ready lifter that the fit starts from: with its network, and its weights by the names of joints",
     )
     module: Optional[str] = _setting(
         None, "module of your own, a subclass of uplift.LiftingModule or uplift.ShapeModule: file.py:Class"

@@ -16,9 +16,21 @@ from uplift.geometry.lens import Lens
 if TYPE_CHECKING:
     from uplift.geometry.normalise import Intrinsics
 
-__all__ = ["IDENTITY_KEYS", "UNITS", "PoseData", "clips_of", "codes_of", "mask_maps", "masks_of", "previous_frames"]
+__all__ = [
+    "IDENTITY_KEYS",
+    "UNITS",
+    "USUAL_FPS",
+    "PoseData",
+    "clips_of",
+    "codes_of",
+    "mask_maps",
+    "masks_of",
+    "previous_frames",
+]
 
 UNITS = ("mm", "px", "relative")
+USUAL_FPS = 30.0
+"""Frames a second where the rate is not known."""
 
 IDENTITY_KEYS = ("subject", "action", "sequence", "camera", "frame", "instance", "image", "category")
 

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import re
+import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from importlib import import_module
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -21,7 +23,7 @@ from uplift.models.prediction import Prediction, ShapePrediction
 from uplift.skeleton import Skeleton
 
 __all__ = [
-    "MEASURES", "PAGES", "WRITERS", "Job", "Part", "Writer", "check_axes", "check_measure", "ending_of", "parts_of", "paths_of",
+    "MEASURES", "PAGES", "WRITERS", "Job", "Part", "Writer", "check_axes", "check_library", "check_measure", "ending_of", "parts_of", "paths_of",
     "write", "writer_for",
 ]  # fmt: skip
 
@@ -38,6 +40,10 @@ class Writer:
     """The axes it is written in by default."""
     holds: str = "all"
     """What one file holds: ``all``; of poses one ``clip``, or one ``body`` of one; of shapes an ``item`` or a ``scene`` of a few."""
+    extra: str = ""
+    """What brings the libraries that it needs beside the package's own: ``pip install "uplift3d[EXTRA]"``."""
+    needs: tuple[str, ...] = ()
+    """The modules of those."""
 
     def __call__(self, *arguments: Any, **options: Any) -> Any:
         """Write one file and return a remark on it, if any; the formats of meshes return the file's bytes."""
@@ -53,22 +59,49 @@ WRITERS = {
         ".csv": Writer("uplift.export.tables:write_csv", "a table, one row a frame and body"),
         ".trc": Writer("uplift.export.markers:write_trc", "markers, for OpenSim", "opensim", "body"),
         ".osim": Writer(
-            "uplift.export.osim:write_opensim", "a scaled model with inverse kinematics, OpenSim", "opensim", "body"
+            "uplift.export.osim:write_opensim",
+            "a scaled model with inverse kinematics, OpenSim",
+            "opensim",
+            "body",
+            "opensim",
+            ("opensim",),
         ),
-        ".c3d": Writer("uplift.export.markers:write_c3d", "points, for biomechanics programs", "opensim", "body"),
+        ".c3d": Writer(
+            "uplift.export.markers:write_c3d", "points, for biomechanics programs", "opensim", "body", "c3d", ("ezc3d",)
+        ),
         ".bvh": Writer("uplift.export.bvh:write_bvh", "a skeleton that moves, for animation", "opensim", "body"),
         ".glb": Writer("uplift.export.glb:write_glb", "an animated scene, for 3D viewers", "opensim", "clip"),
         ".gif": Writer("uplift.export.film:write_film", "a short film", "camera", "clip"),
-        ".mp4": Writer("uplift.export.film:write_film", "a film", "camera", "clip"),
-        ".nwb": Writer("uplift.export.nwb:write_nwb", "Neurodata Without Borders, with ndx-pose", "camera", "clip"),
-        ".nc": Writer("uplift.export.netcdf:write_netcdf", "netCDF, for xarray and movement", "camera", "clip"),
+        ".mp4": Writer("uplift.export.film:write_film", "a film", "camera", "clip", "video", ("av",)),
+        ".nwb": Writer(
+            "uplift.export.nwb:write_nwb",
+            "Neurodata Without Borders, with ndx-pose",
+            "camera",
+            "clip",
+            "nwb",
+            ("pynwb", "ndx_pose"),
+        ),
+        ".nc": Writer(
+            "uplift.export.netcdf:write_netcdf",
+            "netCDF, for xarray and movement",
+            "camera",
+            "clip",
+            "xarray",
+            ("xarray", "h5netcdf", "h5py"),
+        ),
         ".dlc.csv": Writer("uplift.export.trackers:write_dlc_csv", "3D of DeepLabCut", "camera", "clip"),
-        ".dlc.h5": Writer("uplift.export.trackers:write_dlc_h5", "3D of DeepLabCut", "camera", "clip"),
-        ".sleap.h5": Writer("uplift.export.trackers:write_sleap", "3D of sleap-anipose", "camera", "clip"),
+        ".dlc.h5": Writer(
+            "uplift.export.trackers:write_dlc_h5", "3D of DeepLabCut", "camera", "clip", "dlc", ("tables",)
+        ),
+        ".sleap.h5": Writer(
+            "uplift.export.trackers:write_sleap", "3D of sleap-anipose", "camera", "clip", "trackers", ("h5py",)
+        ),
         ".anipose.csv": Writer("uplift.export.trackers:write_anipose", "3D of Anipose", "camera", "body"),
         ".blend.py": Writer("uplift.export.blender:write_blender", "a script that Blender runs", "blender", "clip"),
-        ".usda": Writer("uplift.export.usd:write_usd", "USD as text, for film and simulation", "opensim", "clip"),
-        ".usdc": Writer("uplift.export.usd:write_usd", "USD", "opensim", "clip"),
+        ".usda": Writer(
+            "uplift.export.usd:write_usd", "USD as text, for film and simulation", "opensim", "clip", "usd", ("pxr",)
+        ),
+        ".usdc": Writer("uplift.export.usd:write_usd", "USD", "opensim", "clip", "usd", ("pxr",)),
     },
     "shapes": {
         ".html": Writer("uplift.export.shape_page:write_shape_page", "a page to look at", "own"),
@@ -145,7 +178,8 @@ def write(
 
     ``page`` is the kind of an ``.html``, one of `PAGES`. ``axes`` are those of `uplift.export.scene`, of shapes those
     of `uplift.export.meshes.SHAPE_AXES`; the format's usual ones by default. Options go to the writer. A format that
-    holds one clip, body or item gets a file for each, named behind the stem of ``path``. A file is complete or absent, and of several there are all or none.
+    holds one clip, body or item gets a file for each, named behind the stem of ``path``. A file is
+    complete or absent, and of several there are all or none.
 
     Of poses, ``angles.csv`` and ``gait.csv`` (also behind other words: ``walk_angles.csv``) are tables of `MEASURES`.
 
@@ -154,11 +188,12 @@ def write(
     ``.glb`` shows up to 16 side by side, or as ``together`` says.
 
     Raises:
-        UserError: an unknown extension, page, axes or unit, an invalid size, no surface to write, too many files, a
+        UserError: an unknown extension, page, axes or unit, a library of the format that is not installed, an invalid size, no surface to write, too many files, a
             folder that does not exist, or a file that exists, of shapes or one of several.
         OSError: a full disk, for example; the unfinished file is removed.
     """
     if isinstance(prediction, Prediction):
+        check_library(path, page)
         jobs = _pose_jobs(prediction, writer_for(path, page), path, axes, **options)
     else:
         from uplift.export.meshes import shape_jobs  # what it imports is slow, and poses do not need it
@@ -238,6 +273,24 @@ def check_axes(path: str | Path, axes: str | None) -> None:
             f"axes=unity is left-handed, and a {ending} is right-handed wherever it is read: Unity's importers turn it "
             "themselves. Leave axes= out."
         )
+
+
+def check_library(path: str | Path, page: str | None = None) -> None:
+    """Raise UserError where a library that writes ``path`` is not installed; nothing is imported."""
+    writer = writer_for(path, page)
+    absent = [module for module in writer.needs if not _is_there(module)]
+    if absent:
+        instead = " A .gif needs nothing more." if ending_of(path) == ".mp4" else ""
+        raise UserError(
+            f'{path}: writing {ending_of(path)} needs {" and ".join(absent)}: pip install "uplift3d[{writer.extra}]".{instead}'
+        )
+
+
+def _is_there(module: str) -> bool:
+    try:
+        return find_spec(module) is not None
+    except ValueError:  # a module that was put in place by hand
+        return sys.modules.get(module) is not None
 
 
 def check_measure(path: str | Path, skeleton: Skeleton) -> None:

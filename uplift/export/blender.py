@@ -7,7 +7,8 @@ import json
 from pathlib import Path
 
 from uplift.config.files import replacing
-from uplift.export.clips import USUAL_FPS, evenly, frame_rate, one_clip
+from uplift.data.poses import USUAL_FPS
+from uplift.export.clips import evenly, frame_rate, one_clip
 from uplift.export.scene import in_metres, known_points, row_places
 from uplift.export.tables import labels
 from uplift.models.prediction import Prediction

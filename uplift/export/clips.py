@@ -14,14 +14,12 @@ from uplift.errors import UserError, listed
 from uplift.models.prediction import Prediction
 
 __all__ = [
-    "MOST_FILES", "USUAL_FPS", "Clip", "arrange", "evenly", "frame_rate", "one_body", "one_clip", "photos", "seen_at", "steps",
+    "MOST_FILES", "Clip", "arrange", "evenly", "frame_rate", "one_body", "one_clip", "photos", "seen_at", "steps",
     "titled",
 ]  # fmt: skip
 
 MOST_FILES = 500
 """That one prediction is written to."""
-USUAL_FPS = 30.0
-"""Frames a second where the rate is not known."""
 _CLIP_KEYS = ("subject", "action", "sequence", "camera")
 _INSTANCE_KEYS = ("instance", "individual", "track")
 

@@ -16,8 +16,9 @@ from PIL import Image, ImageDraw, ImageFont
 
 from uplift.config.files import replacing
 from uplift.config.progress import progress
+from uplift.data.poses import USUAL_FPS
 from uplift.errors import UserError
-from uplift.export.clips import USUAL_FPS, Clip, frame_rate, one_clip
+from uplift.export.clips import Clip, frame_rate, one_clip
 from uplift.export.footage import Footage, every_frame
 from uplift.export.gallery import filled_points
 from uplift.export.scene import SIDE_COLOURS, Body, body_of, from_y_down, in_axes, known_points, row_places
@@ -56,7 +57,7 @@ def write_film(
     extension = Path(path).suffix.lower()
     if extension not in (".gif", ".mp4"):
         raise UserError(f"cannot write {path}: a film is a .gif or an .mp4.")
-    av = need_av(f"cannot write {path}: an .mp4", " A .gif needs nothing more.") if extension == ".mp4" else None
+    av = need_av(f"{path}: an .mp4") if extension == ".mp4" else None
     clip = one_clip(prediction, path)
     footage = None if video is None else Footage(video, prediction)
     footage = footage if footage is not None and footage.shows(clip, alone=alone) else None

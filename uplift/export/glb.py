@@ -11,7 +11,8 @@ import numpy as np
 from jaxtyping import Float
 
 from uplift.config.files import replacing
-from uplift.export.clips import USUAL_FPS, frame_rate, one_clip, steps
+from uplift.data.poses import USUAL_FPS
+from uplift.export.clips import frame_rate, one_clip, steps
 from uplift.export.scene import SIDE_COLOURS, body_of, held, in_metres, known_points, linear, row_places
 from uplift.geometry.rigid import least_turn, quaternion_matrix, quaternion_product
 from uplift.models.prediction import Prediction

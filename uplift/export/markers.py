@@ -110,13 +110,11 @@ def write_c3d(prediction: Prediction, path: str | Path, individual: str | None =
     """Write one body of one clip in mm, in the axes the prediction is in; a missing point has residual -1.
 
     ``individual`` is which, of several. Numbers are 32-bit. ``UPLIFT:AXES`` names the axes. Frames count from 1 as in the video, or from the
-    first of the clip where their numbers do not fit the format's 16 bits. Raises UserError without
-    ezc3d, for poses without a size in mm or a frame rate, more than one clip or body, or 65,536 frames.
+    first of the clip where their numbers do not fit the format's 16 bits. Raises UserError
+    for poses without a size in mm or a frame rate, more than one clip or body, or 65,536 frames.
     """
-    try:
-        import ezc3d
-    except ImportError as error:
-        raise UserError(f'{path}: writing C3D needs ezc3d: pip install "uplift3d[c3d]".') from error
+    import ezc3d
+
     trial = trial_of(prediction, path, individual, "C3D")
     count = len(trial.points)
     if count > _MOST_FRAMES:

@@ -21,8 +21,6 @@ if TYPE_CHECKING:
 
 __all__ = ["to_xarray", "write_netcdf"]
 
-_NEEDS = 'needs xarray and h5netcdf: pip install "uplift3d[xarray]".'
-
 
 def to_xarray(prediction: Prediction, name: str | Path = "to_xarray") -> xarray.Dataset:
     """Return one clip as a data set of poses as movement has them; ``name`` is what errors call it.
@@ -35,7 +33,7 @@ def to_xarray(prediction: Prediction, name: str | Path = "to_xarray") -> xarray.
     try:
         import xarray  # type: ignore
     except ImportError as error:
-        raise UserError(f"{name}: {_NEEDS}") from error
+        raise UserError(f'{name} needs xarray: pip install "uplift3d[xarray]".') from error
     clip, start = evenly(one_clip(prediction, name), name)
     rate = frame_rate(prediction, None)
     frames = np.arange(start, start + len(clip.frames))
@@ -78,13 +76,8 @@ def _variables(prediction: Prediction, clip: Clip) -> dict[str, tuple]:
 
 
 def write_netcdf(prediction: Prediction, path: str | Path) -> None:
-    """Write one clip as netCDF 4, the data set of `to_xarray`; raises UserError as that, and without h5netcdf."""
+    """Write one clip as netCDF 4, the data set of `to_xarray`; raises UserError as that."""
     found = to_xarray(prediction, path)
-    try:
-        import h5netcdf  # noqa: F401  # type: ignore
-        import h5py  # noqa: F401
-    except ImportError as error:
-        raise UserError(f"{path}: {_NEEDS}") from error
     with replacing_by_name(path) as written:
         found.to_netcdf(written, engine="h5netcdf")
 

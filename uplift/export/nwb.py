@@ -52,13 +52,11 @@ def write_nwb(prediction: Prediction, path: str | Path, nwb: Mapping[str, str] |
     The only individual's is called PoseEstimation, as other programs expect; several are called as they are. Each joint
     is a series (frames, 3) of metres, or of pixels where there is no size, with its confidence, at an even rate; what
     is missing is NaN. ``nwb`` has words of `SESSION` and `SUBJECT`. Returns what was not known and had to be made up.
-    Raises UserError without pynwb and ndx-pose, without a frame rate, for several clips, and as `check_nwb`.
+    Raises UserError without a frame rate, for several clips, and as `check_nwb`.
     """
-    try:
-        import pynwb
-        from ndx_pose import PoseEstimation, Skeleton, Skeletons
-    except ImportError as error:
-        raise UserError(f'{path}: writing NWB needs pynwb and ndx-pose: pip install "uplift3d[nwb]".') from error
+    import pynwb
+    from ndx_pose import PoseEstimation, Skeleton, Skeletons
+
     nwb = nwb or {}
     check_nwb(nwb)
     clip, start = evenly(one_clip(prediction, path), path)

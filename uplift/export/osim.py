@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.util
 import json
 import subprocess
 import sys
@@ -26,7 +25,7 @@ from uplift.export.markers import Trial, trial_of, write_trc
 from uplift.export.scene import held
 from uplift.models.prediction import Prediction
 
-__all__ = ["beside_model", "check_opensim", "write_opensim"]
+__all__ = ["beside_model", "check_beside", "write_opensim"]
 
 _NOISE_MM = 20.0
 """Of a joint that is seen: joints that are less sure than this weigh less."""
@@ -42,10 +41,8 @@ def beside_model(path: str | Path) -> list[Path]:
     return [path.with_name(f"{path.stem}{end}") for end in (".trc", "_ik.mot", "_ik_marker_errors.sto", "_ik.xml")]
 
 
-def check_opensim(path: str | Path) -> None:
-    """Raise UserError where opensim is not installed, or a file that goes beside the model ``path`` exists."""
-    if importlib.util.find_spec("opensim") is None:
-        raise UserError(f'{path}: inverse kinematics needs OpenSim: pip install "uplift3d[opensim]".')
+def check_beside(path: str | Path) -> None:
+    """Raise UserError where a file that goes beside the model ``path`` exists."""
     for file in beside_model(path):
         refuse_existing(file)
 
@@ -60,10 +57,10 @@ def write_opensim(
     without a pose are blank in the markers and left out of the motion. Angles are in degrees, places in metres.
 
     Raises:
-        UserError: without opensim, as `uplift.export.markers.write_trc` and `human_model`, one of the files exists, or
+        UserError: as `uplift.export.markers.write_trc` and `human_model`, one of the files exists, or
             OpenSim cannot solve it.
     """
-    check_opensim(path)
+    check_beside(path)
     trial = trial_of(prediction, path, individual, "OpenSim's model")
     path = Path(path)
     model = _model_of(prediction, trial, path, mass_kg or _MASS_KG)

@@ -23,7 +23,7 @@ from uplift.export.scene import (
     standing,
 )
 from uplift.models.prediction import Prediction
-from uplift.skeleton.core import CENTRE, LEFT, RIGHT
+from uplift.skeleton.core import CENTRE, LEFT, RIGHT, without_side
 
 __all__ = ["choose", "page_text", "write_html"]
 
@@ -191,10 +191,9 @@ def _angles(prediction: Prediction, arrays: dict[str, tuple[np.ndarray, float]])
         arrays["angleErrors"] = (found.uncertainty, _STEP_DEG)
     groups: dict[str, list[dict[str, int]]] = {}
     for place, name in enumerate(found.names):
-        words = name.split("_")
-        sides = [side for word in words if (side := {"left": LEFT, "right": RIGHT}.get(word.lower()))]
-        plain = " ".join(word for word in words if word.lower() not in ("left", "right"))
-        groups.setdefault(plain, []).append({"place": place, "side": sides[0] if sides else CENTRE})
+        plain, side = without_side(name)
+        shown = {"left": LEFT, "right": RIGHT, "": CENTRE}[side]
+        groups.setdefault(plain.replace("_", " "), []).append({"place": place, "side": shown})
     return [{"name": name, "parts": parts} for name, parts in groups.items()]
 
 

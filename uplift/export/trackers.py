@@ -11,7 +11,6 @@ import numpy as np
 from jaxtyping import Float
 
 from uplift.config.files import as_bytes, replacing, replacing_by_name
-from uplift.errors import UserError
 from uplift.export.clips import Clip, evenly, one_body, one_clip
 from uplift.export.scene import known_points
 from uplift.export.tables import labels
@@ -32,8 +31,8 @@ def _places(prediction: Prediction, clip: Clip) -> Float[np.ndarray, "frames ind
 
 def _remark(prediction: Prediction) -> str:
     """Return what these formats have no place for."""
-    zero = "its root joint" if prediction.root is None else "the camera"
-    return f"the format does not say that lengths are in {prediction.unit}, from {zero}, in axes {prediction.axes}"
+    zero = "the root joint" if prediction.root is None else "the camera"
+    return f"lengths are in {prediction.unit} from {zero}, axes {prediction.axes}: the format itself does not say so"
 
 
 # DeepLabCut, as its triangulation writes: a column for each of scorer, individual where there are several, body part, coordinate.
@@ -64,14 +63,8 @@ def write_dlc_csv(prediction: Prediction, path: str | Path) -> str:
 
 
 def write_dlc_h5(prediction: Prediction, path: str | Path) -> str:
-    """Write the same table as `write_dlc_csv` for ``pandas.read_hdf``; raises UserError as that, and without PyTables."""
+    """Write the same table as `write_dlc_csv` for ``pandas.read_hdf``; raises UserError as that."""
     table = _dlc_table(prediction, path)
-    try:
-        import tables  # noqa: F401 (what pandas writes HDF5 by)
-    except ImportError as error:
-        raise UserError(
-            f'{path}: writing .dlc.h5 needs PyTables: pip install "uplift3d[dlc]". Or write .dlc.csv.'
-        ) from error
     with replacing_by_name(path) as written, warnings.catch_warnings():
         warnings.simplefilter("ignore")  # names that are no names of Python's
         # Its own kind, "table", keeps the names of columns in 64 KB: too little for a crowd of whole bodies.
@@ -85,12 +78,10 @@ def write_dlc_h5(prediction: Prediction, path: str | Path) -> str:
 def write_sleap(prediction: Prediction, path: str | Path) -> str:
     """Write one clip: ``tracks`` (frames tracks nodes 3), NaN where missing, and ``frames``, the first and the one after the last.
 
-    ``node_names``, ``track_names`` and ``edges`` stand beside them. Raises UserError as `write_dlc_csv`, and without h5py.
+    ``node_names``, ``track_names`` and ``edges`` stand beside them. Raises UserError as `write_dlc_csv`.
     """
-    try:
-        import h5py
-    except ImportError as error:
-        raise UserError(f'{path}: writing .sleap.h5 needs h5py: pip install "uplift3d[trackers]".') from error
+    import h5py
+
     clip, start = evenly(one_clip(prediction, path), path)
     places = _places(prediction, clip)
     with replacing_by_name(path) as written, h5py.File(written, "w") as file:

@@ -11,8 +11,8 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from uplift.config.files import replacing_by_name
-from uplift.errors import UserError
-from uplift.export.clips import USUAL_FPS, evenly, frame_rate, one_clip
+from uplift.data.poses import USUAL_FPS
+from uplift.export.clips import evenly, frame_rate, one_clip
 from uplift.export.scene import SIDE_COLOURS, body_of, in_metres, known_points, linear, row_places
 from uplift.export.tables import labels, unique
 from uplift.models.prediction import Prediction
@@ -28,12 +28,10 @@ def write_usd(prediction: Prediction, path: str | Path) -> str:
     Metres where the prediction is in mm, else a body is about 1.7 large. Time codes are frames of the video at its rate (30 a second
     where none is known). Names are kept as display names where they are no identifiers. What is missing is invisible. USD
     has y or z up: z in the axes ``blender``, else y. Without a known place individuals stand side by side as in the image.
-    Raises UserError without pxr, for several clips, and for an individual that is in a frame twice.
+    Raises UserError for several clips, and for an individual that is in a frame twice.
     """
-    try:
-        from pxr import Usd, UsdGeom  # type: ignore
-    except ImportError as error:
-        raise UserError(f'{path}: writing USD needs usd-core: pip install "uplift3d[usd]".') from error
+    from pxr import Usd, UsdGeom  # type: ignore
+
     clip, start = evenly(one_clip(prediction, path), path)
     rate = frame_rate(prediction, None)
     scale, size = in_metres(prediction)

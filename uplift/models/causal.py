@@ -8,8 +8,7 @@ from itertools import pairwise
 import numpy as np
 from jaxtyping import Int
 
-from uplift.data.poses import PoseData, previous_frames
-from uplift.models.signs import USUAL_FPS
+from uplift.data.poses import USUAL_FPS, PoseData, previous_frames
 
 __all__ = ["LAG_SECONDS", "causal_windows"]
 

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from uplift.data.poses import USUAL_FPS
 from uplift.data.samples import Samples
 
 if TYPE_CHECKING:
@@ -47,8 +48,6 @@ class Grounded(NamedTuple):
 
 
 _GRAVITY = 9810.0  # mm/s²
-_USUAL_FPS = 30.0
-"""Taken where no frame rate is known."""
 
 
 def put_on_ground(
@@ -205,7 +204,7 @@ def _motions(
     order = np.argsort(clips, kind="stable")
     for rows in np.split(order, np.flatnonzero(np.diff(clips[order])) + 1):
         down = _unit(np.median(gravity[rows], axis=0).astype(np.float64))
-        seconds = 1 / (data.fps or _USUAL_FPS)
+        seconds = 1 / (data.fps or USUAL_FPS)
         clip_follows = follows[rows] & (np.arange(len(rows)) > 0)
         yield _Motion(points[rows], sights[rows], confidence[rows], clip_follows, down, seconds, noise), rows
 
@@ -593,7 +592,7 @@ def _notes(found: Sequence[_Standing | str], data: PoseData) -> tuple[str, ...]:
             f"{share:.0%} of the frames; sliding {before:.0f} -> {after:.0f} mm a frame"
         )
         if data.fps is None:
-            notes.append(f"ground: the frame rate is not known, {_USUAL_FPS:g} a second are taken (fps=)")
+            notes.append(f"ground: the frame rate is not known, {USUAL_FPS:g} a second are taken (fps=)")
     reasons = Counter(one for one in found if isinstance(one, str))
     for reason, count in reasons.items():
         which = f"{count:,} of {len(found):,} clips are" if len(found) > 1 else "the clip is"

@@ -18,13 +18,14 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 from torch.nn.functional import cross_entropy, log_softmax, normalize, pad
 
+from uplift.data.poses import USUAL_FPS
 from uplift.data.tensors import TrainingSet
 from uplift.geometry.camera import Camera, Orthographic
 from uplift.geometry.normalise import bone_lengths
 from uplift.geometry.rotation import turn
 from uplift.skeleton import Skeleton
 
-__all__ = ["USUAL_FPS", "Hypotheses", "SignChains", "Solution", "solve_signs", "spread_hypotheses"]
+__all__ = ["Hypotheses", "SignChains", "Solution", "solve_signs", "spread_hypotheses"]
 
 # The chains of a skeleton, and the states of their bones.
 
@@ -231,8 +232,6 @@ def _body_lengths(
 
 _RATE = 10.0
 """Frames per second at which frames are compared; clips of more are taken apart into some of about this rate."""
-USUAL_FPS = 30.0
-"""Of clips that do not say."""
 _ACCELERATION = 0.2
 """Of a joint, in units of the scene per frame squared at `_RATE`, from which it counts: 20 m/s^2 of a human."""
 _SPEED = 0.6

@@ -20,6 +20,7 @@ from uplift.skeleton.validate import check_skeleton, direction_weights, mirror_p
 
 __all__ = [
     "CENTRE", "LEFT", "RIGHT", "Angle", "Skeleton", "Way", "bone_sides", "joint_sides", "load_skeleton", "mirrored_bones",
+    "without_side",
 ]  # fmt: skip
 
 Direction = tuple[tuple[str, ...], tuple[str, ...]]
@@ -299,15 +300,31 @@ def mirrored_bones(skeleton: Skeleton) -> Int[np.ndarray, "pairs 2"]:
 _OTHER_SIDE = {"right": "left", "r": "l"} | {"left": "right", "l": "r"}
 
 
-def _across(name: str) -> str | None:
-    """Return the name of the same on the other side; None for one without the word right or left, or r or l."""
+def without_side(name: str) -> tuple[str, str]:
+    """Return the words of a name but for the one that says its side, and "left", "right", or "" where none does."""
+    words, place = _words(name)
+    if place is None:
+        return name, ""
+    side = "left" if words[place].casefold() in ("left", "l") else "right"
+    rest = "".join(words[:place] + words[place + 1 :])
+    return re.sub(r"([^A-Za-z0-9])[^A-Za-z0-9]+", r"\1", rest).strip("_- "), side
+
+
+def _words(name: str) -> tuple[list[str], int | None]:
+    """Return a name's words and what is between them, and the place of the only one that says a side."""
     words = re.split(r"([^A-Za-z]+)", name)
     sides = [place for place, word in enumerate(words) if word.casefold() in _OTHER_SIDE]
-    if len(sides) != 1:
+    return words, sides[0] if len(sides) == 1 else None
+
+
+def _across(name: str) -> str | None:
+    """Return the name of the same on the other side; None for one without the word right or left, or r or l."""
+    words, place = _words(name)
+    if place is None:
         return None
-    word = words[sides[0]]
+    word = words[place]
     other = _OTHER_SIDE[word.casefold()]
-    words[sides[0]] = other.upper() if word.isupper() else other.capitalize() if word[0].isupper() else other
+    words[place] = other.upper() if word.isupper() else other.capitalize() if word[0].isupper() else other
     return "".join(words)
 
 

@@ -12,12 +12,10 @@ from jaxtyping import UInt8
 
 from uplift.errors import UserError
 
-__all__ = ["MAX_PIXELS", "USUAL_FPS", "Frame", "Frames", "need_av", "reason_of"]
+__all__ = ["MAX_PIXELS", "Frame", "Frames", "need_av", "reason_of"]
 
 MAX_PIXELS = 100_000_000
 """Of one frame: 300 MB in RGB, three times what 8K is."""
-USUAL_FPS = 30.0
-"""Frames a second of what does not say it."""
 
 
 @dataclass(frozen=True)

@@ -11,8 +11,9 @@ from pathlib import Path
 from typing import Any
 
 from uplift.data.parsers.json import in_order
+from uplift.data.poses import USUAL_FPS
 from uplift.errors import UserError, listed
-from uplift.video.base import USUAL_FPS, Frame, Frames, need_av, reason_of
+from uplift.video.base import Frame, Frames, need_av, reason_of
 
 __all__ = ["CameraFrames"]
 

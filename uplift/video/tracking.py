@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from uplift.data.poses import USUAL_FPS
 from uplift.skeleton.propose import mirror_pairs, seen_in
 
 __all__ = ["Tracker", "chosen_tracks", "partners", "sizes_of", "swapped_sides"]
@@ -44,7 +45,7 @@ class Tracker:
     """
 
     def __init__(self, fps: float | None = None):
-        self._patience = round(_LOST_S * (fps or 30.0))
+        self._patience = round(_LOST_S * (fps or USUAL_FPS))
         self._tracks: list[_Track] = []
         self._count = 0
 
@@ -124,7 +125,7 @@ def chosen_tracks(
     A track lasts where it has half a second of frames, or half of all ``frames`` of a video that is shorter.
     """
     numbers, row = np.unique(track, return_inverse=True)
-    lasting = np.bincount(row) >= min(_SHORTEST_S * (fps or 30.0), frames / 2)
+    lasting = np.bincount(row) >= min(_SHORTEST_S * (fps or USUAL_FPS), frames / 2)
     weight = np.where(lasting, np.bincount(row, size), -1)
     order = np.argsort(-weight, kind="stable")
     return [int(numbers[one]) for one in order if weight[one] >= 0][:people]
@@ -156,7 +157,7 @@ def swapped_sides(
     found = np.zeros(len(frame), bool)
     partner = partners(names)
     sided = partner != np.arange(len(names))
-    nearest = _NEXT_S * (fps or 30.0)
+    nearest = _NEXT_S * (fps or USUAL_FPS)
     if not sided.any() or nearest < 1:
         return found
     points, others = keypoints[:, sided], keypoints[:, partner][:, sided]

@@ -12,8 +12,9 @@ from typing import Any
 import numpy as np
 from jaxtyping import Shaped, UInt8
 
+from uplift.data.poses import USUAL_FPS
 from uplift.errors import UserError
-from uplift.video.base import MAX_PIXELS, USUAL_FPS, Frame, Frames, need_av, reason_of
+from uplift.video.base import MAX_PIXELS, Frame, Frames, need_av, reason_of
 
 __all__ = ["VideoFrames"]
 
@@ -136,7 +137,7 @@ class VideoFrames(Frames):
         self._lasts_s = lasts
         if lasts and self._start_s >= lasts:
             raise UserError(
-                f"video.start_s={self._start_s:g} is behind the end of {self._path}: it lasts {lasts:.1f} s."
+                f"video.start_s={self._start_s:g} is after the end of {self._path}: it lasts {lasts:.1f} s."
             )
         whole = not self._start_s and self._end_s >= (lasts or math.inf)
         seconds = min(lasts, self._end_s) - self._start_s
