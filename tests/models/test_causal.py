@@ -11,8 +11,8 @@ from tests.helpers.lifts import small_lifter
 from uplift.config.settings import LifterSettings
 from uplift.data.synthetic.simulate import simulate
 from uplift.errors import UserError
-from uplift.models.causal import causal_windows
 from uplift.models.model import Model
+from uplift.models.predict import causal_windows
 from uplift.skeleton import load_skeleton
 
 H36M = load_skeleton("h36m17")

@@ -28,14 +28,21 @@ from uplift.data.masks import MaskData
 from uplift.data.poses import PoseData
 from uplift.errors import UserError
 from uplift.geometry.lens import place_roots
-from uplift.models.causal import LAG_SECONDS, causal_windows
 from uplift.models.ground import put_on_ground
 from uplift.models.known_camera import KnownCamera, about_cameras, with_guessed_focal
 from uplift.models.lifter import Lifter
 from uplift.models.metric_scale import Size, size_of_skeleton
 from uplift.models.mixture import ShapeMixture
 from uplift.models.networks import NETWORKS
-from uplift.models.predict import InferredPoses, infer, mm_per_pixel, to_level, with_constant_bones
+from uplift.models.predict import (
+    LAG_SECONDS,
+    InferredPoses,
+    causal_windows,
+    infer,
+    mm_per_pixel,
+    to_level,
+    with_constant_bones,
+)
 from uplift.models.prediction import Prediction, ShapePrediction
 from uplift.models.shape_lifter import LiftedShapes, lift_masks
 from uplift.models.together import (
@@ -240,7 +247,7 @@ class Model(_Saved):
             title: of the prediction.
             refine: whether frames of one clip are lifted together (`uplift.models.refine`): one body, one camera
                 tilt, smooth motion, depth signs, and short gaps interpolated; ``"causal"``: by what was seen up to half a
-                second after each frame (`uplift.models.causal`).
+                second after each frame (`uplift.models.predict.causal_windows`).
             size: the body's known size.
             constant_bones: whether each body gets one length for every bone.
             hypotheses: how many poses to return for each frame, with their probabilities; 0 for none beside ``pose``.

@@ -1,8 +1,9 @@
-"""The steps of inference: lift, refine by clip, interpolate gaps, depth signs, constant bones, metric scale, level frame."""
+"""The steps of inference: lift, refine by clip, interpolate gaps, depth signs, constant bones, metric scale, level frame, windows of live use."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 import torch
@@ -11,7 +12,7 @@ from torch import Tensor
 
 from uplift.config.settings import LifterSettings, RefineSettings
 from uplift.data.confidence import calibrated
-from uplift.data.poses import PoseData
+from uplift.data.poses import USUAL_FPS, PoseData, previous_frames
 from uplift.data.tensors import TrainingSet, intrinsics_of, to_training_set, undistorted
 from uplift.errors import UserError
 from uplift.geometry.camera import Camera
@@ -33,8 +34,10 @@ from uplift.models.signs import Hypotheses, Solution, solve_signs, spread_hypoth
 from uplift.skeleton import Skeleton
 
 __all__ = [
+    "LAG_SECONDS",
     "InferredPoses",
     "as_measured",
+    "causal_windows",
     "clip_gravity",
     "gap_joints",
     "infer",
@@ -342,3 +345,41 @@ def to_level(
     """Return poses rotated the least way that brings ``gravity`` to y; this undoes roll as well as tilt."""
     rotation = least_rotation(gravity, gravity.new_tensor([0.0, 1.0, 0.0])).cpu()
     return turn(torch.from_numpy(pose), rotation).numpy()
+
+
+# Live use: no frame knows of others that come more than a fixed lag after it.
+
+LAG_SECONDS = 0.5
+"""How much later than a frame the last one is that may change its pose."""
+_PAST_SECONDS = 3.0
+"""Of a clip that is lifted together: bodies are learned from it, and a longer one changes little."""
+
+
+def causal_windows(data: PoseData) -> tuple[PoseData, Int[np.ndarray, " frames"]]:
+    """Return short clips of ``data``, and the row among theirs of each frame of ``data``.
+
+    Each clip ends with at most `LAG_SECONDS` of frames behind the last one that is taken from it. Frames are taken from a clip
+    several at a time, those that one step of half the lag brings, so the lag is between half and all of `LAG_SECONDS`.
+    A clip is a body of its own; what is known of all clips together (their mean body, what confidences are worth) is
+    that of the whole file. ``data`` are in the order of `PoseData.in_order`.
+    """
+    fps = data.fps or USUAL_FPS
+    hop = max(1, round(LAG_SECONDS * fps / 2))
+    past = max(hop, round(_PAST_SECONDS * fps))
+    follows = previous_frames(data.clips(), data.identity.get("frame")) >= 0
+    starts = np.append(np.flatnonzero(~follows), len(data))
+    rows, windows, taken = [], [], np.zeros(len(data), np.int64)
+    total = 0
+    for first, stop in pairwise(starts.tolist()):
+        for start in range(first, stop, hop):
+            low, high = max(first, start + hop - past), min(stop, start + 2 * hop)
+            end = min(stop, start + hop)
+            taken[start:end] = total + np.arange(start, end) - low
+            rows.append(np.arange(low, high))
+            windows.append(np.full(high - low, len(windows)))
+            total += high - low
+    every = np.concatenate(rows) if rows else np.zeros(0, np.int64)
+    found = data.select(every)
+    identity = {key: found.identity[key] for key in ("camera", "frame", "instance") if key in found.identity}
+    names = np.concatenate(windows).astype(str) if windows else np.zeros(0, "U1")
+    return replace(found, identity={**identity, "sequence": names}), taken
