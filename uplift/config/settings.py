@@ -16,6 +16,7 @@ from dataclasses import dataclass, field, fields, is_dataclass
 from datetime import timedelta
 from typing import Any, NamedTuple, Optional, TypeVar
 
+from uplift.config.device import PRODUCTS
 from uplift.errors import UserError, nearest
 
 __all__ = [
@@ -364,6 +365,11 @@ class TrainerSettings:
         "32-true",
         "precision of Lightning's Trainer: 16 and bf16 are mixed, as geometry needs all digits",
         choices=("32-true", "16-mixed", "bf16-mixed", "32", "16", "bf16"),
+    )
+    products: str = _setting(
+        "auto",
+        "float32 matrix products, as torch.set_float32_matmul_precision; auto: the fastest that is exact, TF32 on CUDA",
+        choices=PRODUCTS,
     )
     logger: Optional[str] = _setting(None, "loggers beside metrics.csv, several with commas: tensorboard, wandb, csv")
     flags: dict[str, Any] = _setting({}, "any other flag of Lightning's Trainer, given as trainer.NAME")

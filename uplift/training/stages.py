@@ -21,6 +21,7 @@ from lightning.fabric.utilities.exceptions import MisconfigurationException
 from lightning.pytorch import callbacks as lightning_callbacks
 from lightning.pytorch.loggers import Logger
 
+from uplift.config.device import fast_products
 from uplift.config.plugins import build, find_class, users_line
 from uplift.config.progress import is_quiet
 from uplift.config.run import RunFolder
@@ -183,7 +184,7 @@ def run_stage(
         "plugins": AtomicCheckpointIO(on_save),
         "default_root_dir": folder,
     }
-    with clock, _quiet("profiler" in settings.flags):
+    with clock, fast_products(settings.products, training=True), _quiet("profiler" in settings.flags):
         trainer = _trainer(settings, flags, **ours)
         with _users_errors():
             trainer.fit(module, datamodule=data, ckpt_path=str(path) if resume else None, weights_only=True)
