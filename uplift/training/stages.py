@@ -79,6 +79,10 @@ class Recipe:
 
     def stage(self, run: RunFolder, name: str, module: TrainingModule, data: Any, batch_size: int) -> None:
         """Train ``module`` for the budget of the stage ``name``; preparing it counts for that."""
+        with fast_products(self.settings.trainer.products, training=True):
+            self._stage(run, name, module, data, batch_size)
+
+    def _stage(self, run: RunFolder, name: str, module: TrainingModule, data: Any, batch_size: int) -> None:
         start = time.monotonic()
         if self._loggers is None:  # one of each for all stages
             self._loggers = build_loggers(self.settings, run.path)
@@ -184,7 +188,7 @@ def run_stage(
         "plugins": AtomicCheckpointIO(on_save),
         "default_root_dir": folder,
     }
-    with clock, fast_products(settings.products, training=True), _quiet("profiler" in settings.flags):
+    with clock, _quiet("profiler" in settings.flags):
         trainer = _trainer(settings, flags, **ours)
         with _users_errors():
             trainer.fit(module, datamodule=data, ckpt_path=str(path) if resume else None, weights_only=True)
