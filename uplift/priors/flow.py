@@ -162,5 +162,5 @@ class Flow(Prior):
 def _digest(tensors: Iterable[Tensor], *options: object) -> str:
     found = hashlib.sha256(repr(options).encode())
     for tensor in tensors:
-        found.update(tensor.detach().cpu().contiguous().numpy())
+        found.update(tensor.detach().cpu().contiguous().numpy().tobytes())
     return found.hexdigest()[:32]

@@ -8,7 +8,7 @@ import weakref
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, Generic, TypeVar, cast
+from typing import Any, ClassVar, Generic, TypeVar, cast
 
 import lightning as L
 import torch
@@ -104,6 +104,8 @@ class TrainingModule(L.LightningModule, Generic[LifterT, DataT]):
     """Terms are logged as ``train/NAME``."""
     first_step: int = 0
     """Steps of earlier stages, which loggers count on from."""
+    prepares_anywhere: ClassVar[bool] = False
+    """Whether `prepare` works on the module's device, whatever that is."""
     prior_rate: float | None = None
     """The learning rate of the priors' own parameters; the lifter's where it is None."""
     _total_steps: float = math.inf
@@ -156,7 +158,13 @@ class TrainingModule(L.LightningModule, Generic[LifterT, DataT]):
         data = self.trainer.datamodule  # type: ignore[attr-defined]
         other = self.prepared_with is not None and data is not None and data is not self.prepared_with()
         if stage == "fit" and (self.frames is None or other):
-            self.prepare(data)
+            self.prepare_on(self.trainer.strategy.root_device, data)
+
+    def prepare_on(self, device: torch.device, data: Any) -> None:
+        """Call `prepare` where the module is then trained, if it can: fitting priors and lifting poses take long."""
+        if self.prepares_anywhere:
+            self.to(device)
+        self.prepare(data)
 
     def on_fit_start(self) -> None:
         """Move the training data to the module's device."""

@@ -8,7 +8,7 @@ import warnings
 import weakref
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import torch
 from jaxtyping import Float
@@ -52,6 +52,7 @@ __all__ = ["KeypointModule", "LiftingModule", "make_lift"]
 class KeypointModule(TrainingModule[Lifter, Any]):
     """What modules that train a lifter of keypoints share: the lifter's settings, inference, and figures."""
 
+    prepares_anywhere: ClassVar[bool] = True
     skeleton: Skeleton
     lifter_settings: LifterSettings
     _sized: bool = False
@@ -267,7 +268,7 @@ class LiftingModule(KeypointModule):
         data = self._checked(data)
         self._take_sizes(data)
         self.truth = self.maker = None
-        frames = self.frames = data.frames(self.lifter_settings)
+        frames = self.frames = data.frames(self.lifter_settings).to(self.device)
         self.labelled_share = data.labelled_share
         self.sampler = LabelledSampler(frames.labelled, self.labelled_share)
         labelled = bool(frames.labelled.any())

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import dataclasses
 from collections.abc import Mapping
 from dataclasses import replace
@@ -199,6 +200,7 @@ class StudentModule(KeypointModule):
         teacher = None if given is None else _lifter_of(given)
         any_camera = teacher is not None and teacher.any_camera
         frames = data.frames(dataclasses.replace(self.lifter_settings, cameras="any" if any_camera else "own"))
+        frames = frames.to(self.device)
         if bool(frames.labelled.all()):
             poses = true_poses(frames, self.lifter.camera, tilted=self.lifter.tilt != "level")
         elif teacher is None:
@@ -206,6 +208,8 @@ class StudentModule(KeypointModule):
                 "StudentModule needs teacher=... (a trained module, a model or a run), or labels of every frame."
             )
         else:
+            if self.device.type != "cpu":
+                teacher = copy.deepcopy(teacher).to(self.device)
             poses = lift_all(teacher, frames.some(self.settings.frames, self.seed), self.settings.refine)
         if teacher is not None and self.settings.warm:
             self._start_from(teacher)
