@@ -87,6 +87,7 @@ class ResidualNetwork(nn.Module):
     def forward(self, features: Float[Tensor, "batch inputs"]) -> Float[Tensor, "batch outputs"]:
         """Return the last layer's values, without activation."""
         hidden = leaky_relu(self.enter(features), self.slope)
+        hidden = hidden.to(features.dtype)  # under autocast, what blocks add to is in full precision
         for norm, (first, second) in zip(self.norms, self.blocks, strict=True):  # type: ignore[misc]
             inner = leaky_relu(first(norm(hidden)), self.slope)
             hidden = hidden + leaky_relu(second(inner), self.slope)
