@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -53,7 +54,7 @@ def pieces(parts: Iterable[PoseData], frames: int, *, cut: bool = True) -> Itera
             continue
         edges = np.linspace(0, len(part), max(2, round(len(part) / frames)) + 1).round().astype(int).tolist()
         beside = min(_rows_beside(part), frames)
-        for start, end in zip(edges[:-1], edges[1:], strict=True):
+        for start, end in pairwise(edges):
             low, high = max(0, start - beside), min(len(part), end + beside)
             yield Piece(part.select(slice(low, high)), slice(start - low, end - low))
 
