@@ -187,6 +187,11 @@ class Lifter(nn.Module):
             return self._signs(features, distance)
 
     @property
+    def halves(self) -> bool:
+        """Whether the network is one that can multiply in bfloat16 without harm."""
+        return bool(getattr(self.network, "exact_ends", False))
+
+    @property
     def knows_signs(self) -> bool:
         """Whether depth signs were learned; weights of a lifter of another skeleton have none (`uplift.models.transfer`)."""
         return self.signs is not None and bool(self.signs.leave.weight.any())

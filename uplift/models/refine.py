@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
+import numpy as np
 import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 from torch.nn.functional import pad
 
-from uplift.config.progress import progress
 from uplift.config.settings import RefineSettings
+from uplift.config.threads import in_threads
 from uplift.data.tensors import TrainingSet
 from uplift.geometry.camera import NEAREST, Camera, Orthographic
 from uplift.geometry.normalise import bone_lengths
@@ -19,7 +20,7 @@ __all__ = ["has_clips", "refine_clips"]
 
 _BLOCK_FRAMES = 4000
 """Frames solved for together: few enough to stay in the processor's cache."""
-_BLOCK_FRAMES_ELSEWHERE = 50_000
+_BLOCK_FRAMES_ELSEWHERE = 200_000
 """On other devices: enough to keep them busy."""
 _EXACT = 0.999
 """Confidence from which a keypoint is taken as exact and does not move."""
@@ -63,6 +64,7 @@ def refine_clips(
     depth: Float[Tensor, "frames joints"],
     camera: Camera,
     settings: RefineSettings,
+    only: Bool[Tensor, " frames"] | None = None,
 ) -> Float[Tensor, "frames joints 3"]:
     """Return root-relative poses, near the lifted ones, of which each clip has one body and moves smoothly.
 
@@ -77,6 +79,7 @@ def refine_clips(
         keypoints: those of ``data``, with missing joints filled in by the lifter, mean 2D radius 1.
         depth: as lifted, in the same unit.
         camera, settings: the lifter's projection; weights and number of iterations.
+        only: frames of the clips to refine; those of others are returned unchanged, and only say how bodies are. None: all.
     """
     refined = camera.unproject(keypoints, depth, data.distance)
     if settings.iterations == 0 or not has_clips(data):
@@ -84,23 +87,25 @@ def refine_clips(
     rows = torch.argsort(data.clip, stable=True)
     rows = rows[torch.bincount(data.clip)[data.clip[rows]] > 1]
     whole = _Bodies.of(data, rows, refined[rows])
+    if only is not None:
+        kept = only[rows]
+        rows, whole = rows[kept], whole.some(kept)
     most = _BLOCK_FRAMES if depth.device.type == "cpu" else _BLOCK_FRAMES_ELSEWHERE
-    blocks = _blocks(torch.bincount(whole.clip), most)
-    for frames, clips in progress(blocks, "refining clips") if len(blocks) > 1 else blocks:
-        part = rows[frames]
-        bodies = whole.part(frames, clips)
-        problem = _Problem(data, part, keypoints[part], depth[part], camera, settings, bodies)
-        refined[part] = _solve(problem, settings)
+
+    def solve(block: tuple[slice, slice]) -> None:
+        part, bodies = rows[block[0]], whole.part(*block)
+        refined[part] = _solve(_Problem(data, part, keypoints[part], depth[part], camera, settings, bodies), settings)
+
+    in_threads(solve, _blocks(torch.bincount(whole.clip), most), depth.device, "refining clips")
     return refined
 
 
 def _blocks(frames_of: Int[Tensor, " clips"], most: int) -> list[tuple[slice, slice]]:
     """Return blocks of whole clips, of ``most`` frames or one clip, that are solved together: their frames and clips."""
-    edges = pad(frames_of.cumsum(0), (1, 0))
-    start, clips, blocks = 0, len(frames_of), []
-    while start < clips:
-        stop = int(torch.searchsorted(edges, edges[start] + most, right=True)) - 1
-        stop = max(start + 1, stop)
+    edges = np.concatenate([[0], frames_of.cpu().numpy().cumsum()])
+    start, blocks = 0, []
+    while start < len(frames_of):
+        stop = max(start + 1, int(np.searchsorted(edges, edges[start] + most, side="right")) - 1)
         blocks.append((slice(int(edges[start]), int(edges[stop])), slice(start, stop)))
         start = stop
     return blocks
@@ -144,6 +149,12 @@ class _Bodies:
         middle = follows & pad(follows[1:], (0, 1))
         per_middle = len(rows) / max(int(middle.sum()), 1)
         return cls(clip, middle, size, shape.T, common.T, variance.T, len(rows) / clips, per_middle)
+
+    def some(self, frames: Bool[Tensor, " frames"]) -> _Bodies:
+        """Return the bodies of the complete clips of ``frames``."""
+        chosen = {name: getattr(self, name)[frames] for name in ("clip", "middle", "size")}
+        clips, chosen["clip"] = torch.unique(chosen["clip"], return_inverse=True)
+        return replace(self, **chosen, shape=self.shape[:, clips])
 
     def part(self, frames: slice, clips: slice) -> _Bodies:
         """Return the bodies of some complete clips."""
