@@ -14,7 +14,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from uplift.config.device import fast_products, half_is_fast
+from uplift.config.device import device_of, fast_products, half_is_fast
 from uplift.config.files import save_torch
 from uplift.config.progress import progress
 from uplift.config.run import Weights, read_weights
@@ -239,6 +239,15 @@ class Model(_Saved):
         """Move the lifter to a device, on which `predict` then computes; returns the model itself."""
         self.lifter.to(device)
         return self
+
+    def on(self, accelerator: str) -> Model:
+        """Move the lifter to the device of an accelerator's name; "auto" is a CUDA device where there is one, else the processor.
+
+        Raises UserError: an unknown name, or a device that this machine lacks.
+        """
+        device = device_of(accelerator)
+        # Apple's GPUs are for those who ask: poses are small beside the copies.
+        return self.to("cpu" if accelerator == "auto" and device.type == "mps" else device)
 
     def predict(
         self,

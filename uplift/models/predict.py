@@ -150,7 +150,7 @@ def _focal_px(
 
 # Lift many frames, and refine those of each clip together.
 
-_CHUNK, _CHUNK_ELSEWHERE = 2048, 131_072
+_CHUNK, _CHUNK_ELSEWHERE = 512, 131_072
 """Frames lifted at a time: on the processor those that stay in its cache, on other devices enough to keep them busy."""
 
 
@@ -265,13 +265,16 @@ def _without_gaps(
     if not len(rows):
         return frames, alone
     placed = with_estimated_distance(frames, alone)
-    clips = torch.zeros_like(frames.follows).index_fill_(0, frames.clip[rows], True)  # as many as frames at most
+    clips = torch.zeros_like(frames.follows)  # there are as many as frames at most
+    clips[frames.clip[rows]] = True
     measured, depth = as_measured(placed, alone.keypoints), alone.pose[..., 2]
     pose = refine_clips(placed, measured, depth, camera, settings.refine, clips[frames.clip])
     keypoints = camera.project(pose, placed.distance)
     intrinsics = intrinsics_of(data, settings)
     pixels = torch.from_numpy(data.keypoints).to(keypoints.device)
-    frames = _measured_again(frames, rows, *interpolate_gaps(frames, pixels, keypoints, intrinsics), settings, intrinsics)
+    frames = _measured_again(
+        frames, rows, *interpolate_gaps(frames, pixels, keypoints, intrinsics), settings, intrinsics
+    )
     # With fewer gaps, the visible joints are lifted better too.
     return frames, replace(alone, **_with_rows(alone, rows, vars(lift(frames.select(rows)))))
 
@@ -322,8 +325,7 @@ def _measured_again(
 
 def _with_rows(whole: Any, rows: Int[Tensor, " some"], new: dict[str, Any]) -> dict[str, Tensor]:
     """Return fields of ``whole``, by name, with ``new`` values in some rows."""
-    known = {name: value for name, value in new.items() if value is not None}
-    return {name: getattr(whole, name).index_copy(0, rows, value) for name, value in known.items()}
+    return {name: getattr(whole, name).index_put((rows,), value) for name, value in new.items() if value is not None}
 
 
 def _pixels_of(

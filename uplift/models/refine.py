@@ -271,7 +271,9 @@ class _Problem:
         self._add_bones(by_shape)
         by_scale = _dotted(self.by_point, self.point if self.parallel else base, self.by_scale)
         # Terms know sizes and depths by the points alone, which are as large as the scale.
-        by_size = self._by_size().add_((by_scale if self.parallel else self.off.copy_(by_scale).mul_(self.scale)).sum(0))
+        by_size = self._by_size().add_(
+            (by_scale if self.parallel else self.off.copy_(by_scale).mul_(self.scale)).sum(0)
+        )
         if self.parallel:
             self._along(2, by_scale).mul_(size)
         else:
@@ -333,7 +335,9 @@ class _Problem:
         torch.index_select(self.variables["shape"], 1, self.bodies.clip, out=self.of_clip)
         short = torch.sub(self.of_clip, torch.log(squared, out=self.stretch), alpha=0.5, out=self.stretch)
         pull = short.mul_(self.bone_weight).clamp_(-_BONE_DELTA, _BONE_DELTA).mul_(self.pull_weight)
-        upto = torch.cumsum(pull, 1, dtype=self.total.dtype, out=self.total)[:, self.last]  # far quicker than to add up by clip
+        upto = torch.cumsum(pull, 1, dtype=self.total.dtype, out=self.total)[
+            :, self.last
+        ]  # far quicker than to add up by clip
         by_shape.add_(upto.diff(dim=1, prepend=upto.new_zeros(len(upto), 1)))
         bone.mul_(pull.div_(squared))
         self.by_point.index_add_(1, self.child, bone, alpha=-1).index_add_(1, self.parent, bone)

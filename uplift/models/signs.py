@@ -218,15 +218,24 @@ def _body_lengths(
     A lifter shortens limbs that it is unsure of. ``reach`` is what a bone must at least measure in a frame. The sum of
     all is that of the medians.
     """
-    result = torch.empty_like(length)
-    order = torch.argsort(body, stable=True)
-    for rows in order.split(torch.bincount(body).tolist()):
-        if len(rows):
-            usual = length[rows].median(0).values
-            long = reach[rows].kthvalue(max(1, round(_LONG * len(rows))), 0).values
-            least = torch.where(limbs.to(usual.device), torch.maximum(usual, long), usual)
-            result[rows] = least * (usual.sum() / least.sum())
-    return result
+    counts = torch.bincount(body)
+    first = counts.cumsum(0) - counts
+    lengths, reaches = (_sorted_by_body(value, body, counts) for value in (length, reach))
+    usual = lengths[first + (counts - 1).clamp_min(0) // 2]
+    rank = (_LONG * counts).round().long().clamp_min(1) - 1
+    least = torch.where(limbs.to(usual.device), torch.maximum(usual, reaches[first + rank]), usual)
+    return (least * (usual.sum(1) / least.sum(1))[:, None])[body]
+
+
+def _sorted_by_body(
+    value: Float[Tensor, "frames bones"], body: Int[Tensor, " frames"], counts: Int[Tensor, " bodies"]
+) -> Float[Tensor, "frames bones"]:
+    """Return the values of each bone with those of each body together, and there from small to large."""
+    if value.device.type == "cpu":  # by what takes less time
+        rows = torch.argsort(body, stable=True).split(counts.tolist())
+        return torch.cat([value[part].sort(0).values for part in rows])
+    value, order = value.sort(0)
+    return value.gather(0, torch.argsort(body[order], dim=0, stable=True))
 
 
 # Messages along a clip: how likely each state is, given all frames.
@@ -281,7 +290,10 @@ class _Windows:
         most = _WINDOWS if device.type == "cpu" else _WINDOWS_ELSEWHERE
         kinds = np.split(table, np.searchsorted(table[1], [2, 3]), axis=1)  # of one, of two, and of more frames
         blocks = [kind[:, at : at + most] for kind in kinds for at in range(0, kind.shape[1], most)]
-        return [cls._block(torch.from_numpy(block).to(device), int(block[1].min()), int(block[1].max()), stride) for block in blocks]
+        return [
+            cls._block(torch.from_numpy(block).to(device), int(block[1].min()), int(block[1].max()), stride)
+            for block in blocks
+        ]
 
     @classmethod
     def _block(cls, table: Int[Tensor, "4 windows"], shortest: int, longest: int, stride: int) -> _Windows:
@@ -322,7 +334,7 @@ def _marginals(
         else:
             found = _by_acceleration([block.take(end) / (_ACCELERATION * pace**2) for end in ends], seen, block)
         core = block.core.flatten().nonzero()[:, 0]
-        result.index_copy_(1, block.rows.flatten()[core], found.flatten(1)[:, core])
+        result[:, block.rows.flatten()[core]] = found.flatten(1)[:, core]
 
     in_threads(solve, windows, likely.device, "deciding depth signs")
     return result
@@ -359,7 +371,10 @@ def _by_acceleration(
     parts = []
     for points in place:
         square = points.square().sum(1)
-        near, far = _products(points[..., :-1, :], points[..., 1:, :]), _products(points[..., :-2, :], points[..., 2:, :])
+        near, far = (
+            _products(points[..., :-1, :], points[..., 1:, :]),
+            _products(points[..., :-2, :], points[..., 2:, :]),
+        )
         start = (square[:, None, :-2] + 1).sub(near[:, :, :-1], alpha=4).add_(square[None, :, 1:-1], alpha=4)
         parts.append((start, square[None, :, 2:].sub(near[:, :, 1:], alpha=4), far.mul_(2)))
     states, frames, windows = seen.shape
