@@ -357,7 +357,7 @@ def parts_of(prediction: Prediction, holds: str) -> tuple[list[Part], list[str]]
     parts: list[Part] = []
     ghosts: list[str] = []
     for clip in arrange(prediction.identity, len(prediction)):
-        rows, names = np.sort(clip.rows), clip.individual_names
+        rows, names = np.sort(clip.rows) if len(clip.rows) < len(prediction) else None, clip.individual_names
         if holds == "clip" or len(names) == 1:
             parts.append(Part(clip.name if holds == "clip" else f"{clip.name} {names[0]}".strip(), rows))
             continue

@@ -80,6 +80,7 @@ FROM_LEVEL = {
     "unity": [[1, 0, 0], [0, -1, 0], [0, 0, 1]],
 }
 """From the level frame to the axes of other programs: rotations, and a mirror image for left-handed ones."""
+_BLOCK = 1 << 14
 _AGREES = 1e-3  # share of a body's size by which its level pose may differ from what the tilt says
 
 
@@ -122,7 +123,8 @@ def rotations_to(prediction: Prediction, name: str) -> Float[np.ndarray, "frames
     if name in _AS_SEEN or not prediction.skeleton.gravity:
         level = np.broadcast_to(np.eye(3), (len(prediction), 3, 3))
     else:
-        gravity = _steady(_gravities(prediction), prediction)
+        parts = (slice(start, start + _BLOCK) for start in range(0, max(len(prediction), 1), _BLOCK))
+        gravity = _steady(np.concatenate([_gravities(prediction.select(part)) for part in parts]), prediction)
         level = quaternion_matrix(least_turn(gravity, np.array([0.0, 1.0, 0.0])))
         level[gravity[:, 1] < -1 + 1e-12] = np.diag([-1.0, -1.0, 1.0])  # a camera upside down: a half turn in the image
     return np.array(FROM_LEVEL.get(name, FROM_LEVEL["level"]), float) @ level

@@ -356,7 +356,7 @@ class _Column:
 
 
 def _raw(values: np.ndarray) -> memoryview:
-    return memoryview(np.ascontiguousarray(values).reshape(-1).view(np.uint8))
+    return np.ascontiguousarray(values).reshape(-1).view(np.uint8).data
 
 
 _OF_ALL = {"joint_names", "unit", "bones", "skeleton", "axes", "fps", "image_size"}
