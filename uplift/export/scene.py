@@ -259,10 +259,12 @@ def in_metres(prediction: Prediction) -> tuple[float, float]:
 
     The size of a body is the median over frames of the largest side of its box, 1 of the unit where there is none.
     """
-    pose = known_points(prediction.pose)
-    known = np.isfinite(pose)
-    sides = np.where(known, pose, -np.inf).max(1) - np.where(known, pose, np.inf).min(1)
-    largest = sides.max(-1)
+    largest = np.empty(len(prediction))
+    for start in range(0, len(prediction), _BLOCK):
+        pose = known_points(prediction.pose[start : start + _BLOCK])
+        known = np.isfinite(pose)
+        sides = np.where(known, pose, -np.inf).max(1) - np.where(known, pose, np.inf).min(1)
+        largest[start : start + _BLOCK] = sides.max(-1)
     usable = largest[np.isfinite(largest) & (largest > 0)]
     body = float(np.median(usable)) if len(usable) else 1.0
     scale = 0.001 if prediction.unit == "mm" else _PERSON_M / body

@@ -7,7 +7,6 @@ import math
 import re
 import zipfile
 from collections.abc import Callable, Iterable, Iterator
-from contextlib import ExitStack
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -15,7 +14,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from uplift.config.files import as_bytes, beside, replacing
+from uplift.config.files import as_bytes, replacing, scratch
 from uplift.data.parsers.table import safe_cell
 from uplift.export.scene import AXES
 from uplift.export.stream import Stream
@@ -264,8 +263,6 @@ def _shaped(shape: tuple[int, ...], style: str) -> str:
 # npz in the layout of the data files, readable without pickle.
 
 _OLDEST = (1980, 1, 1, 0, 0, 0)
-
-
 _BLOCK = 1 << 20
 """Bytes that are moved at once. All blocks are as large but the last: what Deflate makes of text may depend on them."""
 
@@ -283,19 +280,18 @@ def write_npz(prediction: Prediction, path: str | Path) -> None:
 
 
 class NpzStream(Stream):
-    """The arrays of `write_npz`, part by part: each grows in a file beside ``path`` until they are packed at the end."""
+    """The arrays of `write_npz`, part by part: each grows in a nameless file until they are packed at the end."""
 
     alike = (*Stream.alike, "image_size")
 
     def __init__(self, path: str | Path, axes: str | None = None):
         super().__init__(path, axes)
-        self._folder = self._stack.enter_context(beside(path))
         self._columns: dict[str, _Column] = {}
 
     def write_part(self, prediction: Prediction, first: bool) -> None:
         for name, array in _npz_arrays(prediction).items():
             if first:
-                self._columns[name] = _Column(array, self._folder / str(len(self._columns)))
+                self._columns[name] = _Column(array, lambda: self._stack.enter_context(scratch(self.path)))
             elif name not in _OF_ALL:
                 self._columns[name].append(array)
 
@@ -313,8 +309,9 @@ class NpzStream(Stream):
 class _Column:
     """An array that grows by rows, in a file as soon as there is a second part: a lone one is written from memory."""
 
-    def __init__(self, first: np.ndarray, path: Path):
-        self._path, self._waiting, self._parts = path, first, [(first.dtype, first.shape)]
+    def __init__(self, first: np.ndarray, scratch: Callable[[], Any]):
+        self._waiting, self._parts = first, [(first.dtype, first.shape)]
+        self._scratch, self._file = scratch, None
 
     @property
     def kind(self) -> np.dtype:
@@ -322,18 +319,17 @@ class _Column:
         return np.result_type(*{kind for kind, _ in self._parts})
 
     def append(self, rows: np.ndarray) -> None:
-        with self._path.open("ab") as file:
-            if len(self._parts) == 1:
-                file.write(_raw(self._waiting))
-                self._waiting = rows[:0]
-            file.write(_raw(rows))
+        if self._file is None:
+            self._file = self._scratch()
+            self._file.write(_raw(self._waiting))
+            self._waiting = rows[:0]
+        self._file.write(_raw(rows))
         self._parts.append((rows.dtype, rows.shape))
 
     def write(self, member: Any) -> None:
         """Write the header and the rows of an .npy."""
         shape = self._parts[0][1]
-        if len(self._parts) > 1:
-            shape = (sum(shape[0] for _, shape in self._parts), *shape[1:])
+        shape = (sum(shape[0] for _, shape in self._parts), *shape[1:]) if self._file else shape
         facts = {"descr": np.lib.format.dtype_to_descr(self.kind), "fortran_order": False, "shape": shape}
         np.lib.format.write_array_header_1_0(member, facts)
         waiting = bytearray()
@@ -346,13 +342,16 @@ class _Column:
 
     def _pieces(self) -> Iterator[np.ndarray]:
         """Yield the values of all rows in order, few at a time."""
-        with ExitStack() as stack:
-            file = stack.enter_context(self._path.open("rb")) if len(self._parts) > 1 else None
-            for kind, shape in self._parts:
-                count, most = math.prod(shape), max(_BLOCK // max(kind.itemsize, 1), 1)
-                for start in range(0, count, most):
-                    end = min(start + most, count)
-                    yield np.fromfile(file, kind, end - start) if file else self._waiting.reshape(-1)[start:end]
+        if self._file is not None:
+            self._file.seek(0)
+        for kind, shape in self._parts:
+            count, most = math.prod(shape), max(_BLOCK // max(kind.itemsize, 1), 1)
+            for start in range(0, count, most):
+                end = min(start + most, count)
+                if self._file is None:
+                    yield self._waiting.reshape(-1)[start:end]
+                else:
+                    yield np.frombuffer(self._file.read((end - start) * kind.itemsize), kind)
 
 
 def _raw(values: np.ndarray) -> memoryview:

@@ -56,8 +56,8 @@ def quaternion_entries(x: Any, y: Any, z: Any, w: Any) -> list[Any]:
 
 
 def quaternion_product(
-    second: Float[np.ndarray, "*any 4"], first: Float[np.ndarray, "*any 4"]
-) -> Float[np.ndarray, "*any 4"]:
+    second: Float[np.ndarray, "*#any 4"], first: Float[np.ndarray, "*#any 4"]
+) -> Float[np.ndarray, "*#any 4"]:
     """Return the quaternions that turn by ``first``, then by ``second``."""
     a, b = second[..., :3], first[..., :3]
     vector = second[..., 3:] * b + first[..., 3:] * a + _cross(a, b)
