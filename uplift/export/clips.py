@@ -14,7 +14,7 @@ from uplift.errors import UserError, listed
 from uplift.models.prediction import Prediction
 
 __all__ = [
-    "MOST_FILES", "Clip", "arrange", "evenly", "frame_rate", "one_body", "one_clip", "photos", "seen_at", "steps",
+    "MOST_FILES", "Clip", "arrange", "clip_names", "evenly", "frame_rate", "one_body", "one_clip", "photos", "seen_at", "steps",
     "titled",
 ]  # fmt: skip
 
@@ -76,6 +76,16 @@ def arrange(identity: dict[str, np.ndarray], rows: int) -> list[Clip]:
     who = np.asarray(identity[instance]).astype(str) if instance else None
     clips = [_clip(name, group, identity.get("frame"), who) for name, group in zip(names, groups, strict=True)]
     return [replace(clip, title=title) for clip, title in zip(clips, titles, strict=True)]
+
+
+def clip_names(firsts: Sequence[dict[str, np.ndarray]]) -> list[str]:
+    """Return the names that `arrange` gives clips which are together, of the identity of a row (1,) of each."""
+    names = [""] * len(firsts)
+    identity = {key: np.concatenate([one[key] for one in firsts]) for key in firsts[0]} if firsts else {}
+    for clip in arrange(identity, len(firsts)):
+        for row in clip.rows.tolist():
+            names[row] = clip.name
+    return names
 
 
 _WORDS = {"sequence": "clip", "instance": "individual"}

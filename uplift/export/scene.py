@@ -16,6 +16,7 @@ from uplift.models.prediction import Prediction
 from uplift.skeleton.core import bone_sides, joint_sides
 
 __all__ = [
+    "AS_SEEN",
     "AXES",
     "FROM_LEVEL",
     "SIDE_COLOURS",
@@ -72,7 +73,8 @@ AXES = {
 }
 """The names `in_axes` knows and what they mean; all but unity are right-handed. Left stays left, in Unity too."""
 
-_AS_SEEN = ("camera", "opencv")
+AS_SEEN = ("camera", "opencv")
+"""Axes of the camera itself."""
 FROM_LEVEL = {
     "level": [[1, 0, 0], [0, 1, 0], [0, 0, 1]],
     "blender": [[1, 0, 0], [0, 0, 1], [0, -1, 0]],
@@ -92,7 +94,7 @@ def in_axes(prediction: Prediction, name: str) -> Prediction:
     for a prediction that is not in the camera's axes any more.
     """
     rotation = rotations_to(prediction, name)
-    if name in _AS_SEEN:
+    if name in AS_SEEN:
         return replace(prediction, axes=name)
     rotation = rotation.astype(np.result_type(prediction.pose, np.float32))
     pose, hypotheses = prediction.pose @ rotation.transpose(0, 2, 1), prediction.hypotheses
@@ -118,9 +120,9 @@ def rotations_to(prediction: Prediction, name: str) -> Float[np.ndarray, "frames
     """
     if name not in AXES:
         raise UserError(f"axes={name}: no such axes.{did_you_mean(name, AXES)}")
-    if prediction.axes not in _AS_SEEN:
+    if prediction.axes not in AS_SEEN:
         raise ValueError(f"prediction: in the axes '{prediction.axes}', expected the camera's: turn to axes only once")
-    if name in _AS_SEEN or not prediction.skeleton.gravity:
+    if name in AS_SEEN or not prediction.skeleton.gravity:
         level = np.broadcast_to(np.eye(3), (len(prediction), 3, 3))
     else:
         parts = (slice(start, start + _BLOCK) for start in range(0, max(len(prediction), 1), _BLOCK))

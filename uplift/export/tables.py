@@ -8,20 +8,21 @@ import re
 import zipfile
 from collections.abc import Callable, Iterable, Iterator
 from functools import partial
+from itertools import chain, repeat
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from jaxtyping import Float
 
-from uplift.config.files import as_bytes, replacing, scratch
+from uplift.config.files import as_bytes, scratch
 from uplift.data.parsers.table import safe_cell
 from uplift.export.scene import AXES
 from uplift.export.stream import Stream
 from uplift.models.prediction import Prediction
 
 __all__ = [
-    "CsvStream", "NpzStream", "cell", "filled_in", "labels", "numbers", "plain", "unique", "write_csv", "write_json",
+    "CsvStream", "JsonStream", "NpzStream", "cell", "in_parts", "labels", "lines_of", "plain", "unique", "write_csv", "write_json",
     "write_npz",
 ]  # fmt: skip
 
@@ -50,23 +51,21 @@ def _seen_keypoints(prediction: Prediction) -> Float[np.ndarray, "frames joints 
     return np.where(seen[..., None], prediction.keypoints, np.nan)
 
 
-def _parts(prediction: Prediction) -> Iterator[Prediction]:
+def in_parts(prediction: Prediction, rows: int = _ROWS) -> Iterator[Prediction]:
     """Yield the frames in parts small enough to be held as text."""
-    for start in range(0, len(prediction), _ROWS):
-        yield prediction.select(np.arange(start, min(start + _ROWS, len(prediction))))
+    for start in range(0, len(prediction), rows):
+        yield prediction.select(slice(start, start + rows))
 
 
-def numbers(*columns: np.ndarray) -> list[tuple[float, ...]]:
-    """Return the numbers of each frame out of arrays (frames ...), in their order; what is not finite is NaN."""
+def lines_of(template: str, *columns: np.ndarray, missing: str = "") -> list[str]:
+    """Return ``template`` with the numbers of each frame in their places, out of arrays (frames ...) in their order.
+
+    ``missing`` stands for what is not finite. The template has no line ends.
+    """
     rows = np.concatenate([column.reshape(len(column), -1).astype(np.float64) for column in columns], 1)
     rows = np.where(np.isfinite(rows), rows, np.nan) + 0.0  # + 0.0: -0 is written 0
-    return list(map(tuple, rows.tolist()))
-
-
-def filled_in(template: str, row: tuple[float, ...], missing: str) -> str:
-    """Return ``template`` with the numbers of ``row`` in their places, ``missing`` where one is NaN."""
-    text = template % row
-    return text.replace("nan", missing) if "nan" in text else text
+    text = (template + "\n") * len(rows) % tuple(rows.ravel().tolist())
+    return (text.replace("nan", missing) if "nan" in text else text).split("\n")[:-1]
 
 
 def unique(names: Iterable[str], same: Callable[[str], str] = str) -> list[str]:
@@ -112,13 +111,12 @@ class CsvStream(Stream):
                 twice = sorted({name for name in names if names.count(name) > 1})
                 raise ValueError(f"prediction: several columns would be called {', '.join(twice)}")
             self._handle.write(as_bytes(",".join(map(written, names)) + "\n"))
-        template = ",".join(style for _, style in columns) + "\n"
+        template = ",".join(style for _, style in columns)
         known = ",".join(map(written, facts.values())) + ","
-        for part in _parts(prediction):
-            keys = [[written(value) for value in plain(values)] for values in part.identity.values()]
-            labels = zip(*keys, strict=True) if keys else ((),) * len(part)
-            for label, row in zip(labels, numbers(*_csv_arrays(part)), strict=True):
-                self._handle.write(as_bytes(",".join((*label, known)) + filled_in(template, row, "")))
+        for part in in_parts(prediction):
+            keys = [[f"{written(value)}," for value in plain(values)] for values in part.identity.values()]
+            rows = zip(*keys, repeat(known), lines_of(template, *_csv_arrays(part)), repeat("\n"), strict=False)
+            self._handle.write(as_bytes("".join(chain.from_iterable(rows))))
 
 
 def write_csv(prediction: Prediction, path: str | Path, *, csv_safe: bool = False) -> None:
@@ -187,21 +185,33 @@ _MEANING = {
 }
 
 
+class JsonStream(Stream):
+    """The object of `write_json`, part by part."""
+
+    alike = (*Stream.alike, "image_size")
+
+    def write_part(self, prediction: Prediction, first: bool) -> None:
+        if first:
+            facts = _head(prediction).items()
+            head = [f" {json.dumps(key)}: {json.dumps(value, allow_nan=False)},\n" for key, value in facts]
+            self._handle.write(("{\n" + "".join(head) + ' "frames": [').encode())
+            self._before = "\n  "
+        for part in in_parts(prediction):
+            self._handle.write((self._before + ",\n  ".join(_frames(part))).encode())
+            self._before = ",\n  "
+
+    def finish(self) -> str:
+        self._handle.write(b"\n ]\n}\n")
+        return ""
+
+
 def write_json(prediction: Prediction, path: str | Path) -> None:
     """Write names, bones, unit and axes, then every frame; what is missing is null.
 
     Coordinates are rounded to seven significant digits. The text is written part by part and never in memory at once.
     """
-    with replacing(path) as handle:
-        head = [
-            f" {json.dumps(key)}: {json.dumps(value, allow_nan=False)},\n" for key, value in _head(prediction).items()
-        ]
-        handle.write(("{\n" + "".join(head) + ' "frames": [').encode())
-        before = "\n  "
-        for part in _parts(prediction):
-            handle.write((before + ",\n  ".join(_frames(part))).encode())
-            before = ",\n  "
-        handle.write(b"\n ]\n}\n")
+    with JsonStream(path) as stream:
+        stream.append(prediction)
 
 
 def _head(prediction: Prediction) -> dict[str, Any]:
@@ -246,13 +256,13 @@ def _frames(prediction: Prediction) -> Iterator[str]:
     keys = [json.dumps(key) for key in prediction.identity]
     columns = [plain(values) for values in prediction.identity.values()]
     labels = zip(*columns, strict=True) if columns else ((),) * len(prediction)
-    rows = numbers(*(values for values, _ in blocks.values()))
+    rows = lines_of(template, *(values for values, _ in blocks.values()), missing="null")
     for index, (label, row) in enumerate(zip(labels, rows, strict=True)):
         known = ", ".join(f"{key}: {json.dumps(value)}" for key, value in zip(keys, label, strict=True))
         flags = "".join(
             f', "{name}": {json.dumps(values[index].tolist(), separators=(",", ":"))}' for name, values in marks.items()
         )
-        yield f'{{"identity": {{{known}}}{filled_in(template, row, "null")}{flags}}}'
+        yield f'{{"identity": {{{known}}}{row}{flags}}}'
 
 
 def _shaped(shape: tuple[int, ...], style: str) -> str:
