@@ -38,8 +38,9 @@ class Clip:
     """The name for people: where a part of it is a number alone, it says of what."""
 
     def by_moment(self, values: np.ndarray) -> np.ndarray:
-        """Return values of all rows (rows ...) as (moments individuals ...), NaN where an individual is not there."""
-        found = np.full((len(self.frames), len(self.individual_names), *values.shape[1:]), np.nan)
+        """Return values of all rows (rows ...) as (moments individuals ...) floats, NaN where an individual is not there."""
+        shape = len(self.frames), len(self.individual_names), *values.shape[1:]
+        found = np.full(shape, np.nan, np.result_type(values, np.float32))
         found[self.moment, self.individual] = values[self.rows]
         return found
 

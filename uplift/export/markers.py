@@ -54,7 +54,7 @@ def trial_of(prediction: Prediction, path: str | Path, individual: str | None, k
     clip = one_body(prediction, path, individual)
     clip, start = evenly(clip, path)
     first, last = int(clip.moment.min()), int(clip.moment.max())
-    points = clip.by_moment(known_points(prediction.points))[first : last + 1, 0]
+    points = clip.by_moment(known_points(prediction.points, None))[first : last + 1, 0]
     return Trial(marker_names(prediction.joint_names), points, max(start + first, 0), rate)
 
 

@@ -123,11 +123,16 @@ def write_mot(prediction: Prediction, path: str | Path, individual: str | None =
         raise UserError(
             f"{path}: a body is in one frame twice. Name what tells its rows apart ('instance' or 'sequence')."
         )
-    found = joint_angles(replace(prediction, uncertainty=None).select(rows))  # which it has no place for
-    there = np.isfinite(found.values).any(1)
-    values, when = found.values[there], time[rows][there]
+    bare, names = (
+        replace(prediction, uncertainty=None),
+        list(angles_of(prediction.skeleton)),
+    )  # which it has no place for
+    parts = [rows[start : start + _ROWS] for start in range(0, len(rows), _ROWS)]
+    values = np.concatenate([joint_angles(bare.select(part)).values for part in parts])
+    there = np.isfinite(values).any(1)
+    values, when = values[there], time[rows][there]
     whole = np.asarray(np.isfinite(values).all(0))
-    named = [name for name, known in zip(found.names, whole, strict=True) if known]
+    named = [name for name, known in zip(names, whole, strict=True) if known]
     head = [
         Path(path).stem,
         "version=1",
@@ -136,14 +141,14 @@ def write_mot(prediction: Prediction, path: str | Path, individual: str | None =
         "inDegrees=yes",
         "endheader",
     ]
-    names = "\t".join(["time", *marker_names(named)])
+    columns = "\t".join(["time", *marker_names(named)])
     template = "\t".join(["%.6f", *[_DEGREES] * len(named)])
     with replacing(path) as handle:
-        handle.write(("\n".join([*head, names]) + "\n").encode())
+        handle.write(("\n".join([*head, columns]) + "\n").encode())
         for start in range(0, len(when), _ROWS):
             rows = lines_of(template, when[start : start + _ROWS], values[start : start + _ROWS, whole])
             handle.write(("\n".join(rows) + "\n").encode())
-    lacking = [name for name in found.names if name not in named]
+    lacking = [name for name in names if name not in named]
     return f"{len(named)} joint angles, degrees" + (
         f"; without {listed(lacking, 4)}, which some frames lack" if lacking else ""
     )

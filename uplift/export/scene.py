@@ -246,9 +246,11 @@ def beside(
     return place, place * [1.0, 0.0, 0.0]
 
 
-def known_points(pose: Float[np.ndarray, "frames joints 3"]) -> Float[np.ndarray, "frames joints 3"]:
-    """Return the pose in float64 with all coordinates of a joint NaN where one is not finite."""
-    pose = np.array(pose, np.float64)
+def known_points(
+    pose: Float[np.ndarray, "frames joints 3"], kind: type | None = np.float64
+) -> Float[np.ndarray, "frames joints 3"]:
+    """Return the pose as ``kind`` (None: as it is) with all coordinates of a joint NaN where one is not finite."""
+    pose = np.array(pose, kind)
     pose[~np.isfinite(pose).all(-1)] = np.nan
     return pose
 
