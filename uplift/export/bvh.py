@@ -6,11 +6,12 @@ import re
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from typing import IO
 
 import numpy as np
 from jaxtyping import Float, Int
 
-from uplift.config.files import as_bytes, replacing
+from uplift.config.files import as_bytes, replacing, scratch
 from uplift.data.parsers.mocap import Tree
 from uplift.errors import UserError
 from uplift.export.clips import frame_rate, one_body, seen_at, steps
@@ -74,8 +75,8 @@ def write_bvh(
     place = (
         np.zeros((count, 3)) if prediction.root is None else held(known_points(prediction.root[rows][:, None])[:, 0])
     )
-    rig = _Rig(_Body(prediction, rows))
-    with replacing(path) as handle:
+    with replacing(path) as handle, scratch(path) as turns:
+        rig = _Rig(_Body(prediction, rows), turns)
         for text in _text(rig, place, 0.1 if prediction.unit == "mm" else 1.0, rate):
             handle.write(as_bytes(text))
     added = tuple(name for name in rig.tree.names if name not in prediction.joint_names)
@@ -129,7 +130,7 @@ def _text(rig: _Rig, place: np.ndarray, scale: float, rate: float) -> Iterator[s
     template = " ".join(["%.5f"] * (3 + 3 * len(names))) + "\n"
     for start in range(0, len(place), _ROWS):
         part = slice(start, start + _ROWS)
-        values = np.concatenate([place[part] * scale, *(turns[part] for turns in rig.degrees)], 1) + 0.0
+        values = np.concatenate([place[part] * scale, *rig.degrees(part)], 1) + 0.0
         yield template * len(values) % tuple(values.ravel().tolist())
 
 
@@ -168,9 +169,9 @@ class _Rig:
     where a joint is nowhere known.
     """
 
-    def __init__(self, body: _Body):
+    def __init__(self, body: _Body, turns: IO[bytes]):
         prediction = body.prediction
-        self._body = body
+        self._body, self._turns, self._places = body, turns, []
         self._rest = _rest_directions(body)
         self._settles = rest_pose(prediction.skeleton) is None
         parents = prediction.skeleton.parents
@@ -178,13 +179,21 @@ class _Rig:
         for joint in (name for name in prediction.joint_names if parents.get(name) is not None):
             self._children[str(parents[joint])].append(joint)
         self._joints: list[tuple[str, int, np.ndarray, np.ndarray]] = []
-        self.degrees: list[Float[np.ndarray, "frames 3"]] = []
-        """Of each joint in its parent's frame, about z, x, y."""
         self.largest_error, self.sum_of_errors, self.errors = 0.0, 0.0, 0
         start = np.broadcast_to(np.eye(3), (len(body), 3, 3))
         self._add(prediction.skeleton.root, -1, np.zeros(3), start, np.zeros((len(body), 3)))
         names, above, offsets, tips = zip(*self._joints, strict=True)
         self.tree = Tree(names, above, np.array(offsets), np.array(tips))
+
+    def degrees(self, frames: slice) -> Iterator[Float[np.ndarray, "frames 3"]]:
+        """Yield how each joint is turned in its parent's frame, about z, x, y: those of a long clip wait in a file."""
+        start, end, _ = frames.indices(len(self._body))
+        for place in self._places:
+            if place is None:
+                yield np.zeros((end - start, 3))
+            else:
+                self._turns.seek(place + 24 * start)
+                yield np.frombuffer(self._turns.read(24 * (end - start))).reshape(-1, 3)
 
     def _add(self, joint: str, parent: int, offset: np.ndarray, frame: np.ndarray, at: np.ndarray) -> None:
         """Add a joint ``at`` a place from the root in its parent's ``frame``, and what is below it."""
@@ -216,7 +225,9 @@ class _Rig:
         """Add one joint of the file, which sits on the joint ``source`` of the body."""
         self._joints.append(joint)
         still = turned is frame  # at the end of a limb
-        self.degrees.append(np.broadcast_to(0.0, at.shape) if still else euler_zxy(frame.transpose(0, 2, 1) @ turned))
+        self._places.append(None if still else self._turns.tell())
+        if not still:
+            self._turns.write(euler_zxy(frame.transpose(0, 2, 1) @ turned).data)
         gap = _norm(at - self._body.points(source))
         gap = gap[np.isfinite(gap)]
         self.largest_error = max(self.largest_error, float(gap.max(initial=0)))
