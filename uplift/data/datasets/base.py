@@ -16,7 +16,8 @@ from typing import Any, ClassVar
 import numpy as np
 
 from uplift.config.files import building, clear_parts, replacing
-from uplift.data.poses import PoseData, codes_of
+from uplift.data.names import codes_of
+from uplift.data.poses import PoseData
 from uplift.errors import UserError, did_you_mean
 from uplift.geometry.lens import Lens
 

@@ -12,8 +12,9 @@ from typing import Any, TypeVar
 import numpy as np
 from jaxtyping import Float, Float32, Num
 
+from uplift.data.names import codes_of
 from uplift.data.parsers.json import is_text, shown, texts
-from uplift.data.poses import PoseData, codes_of
+from uplift.data.poses import PoseData
 from uplift.errors import UserError
 
 __all__ = [

@@ -13,10 +13,11 @@ import numpy as np
 from uplift.config.files import replacing
 from uplift.data.concat import joined_columns
 from uplift.data.formats.base import FileFormat, ReadOptions
+from uplift.data.names import Names, codes_of
 from uplift.data.parsers.files import bytes_of, check_claim, damage_as_error, read_bytes, refuse_more_than_memory
 from uplift.data.parsers.npz import read_header, sound
 from uplift.data.pieces import pieces_of
-from uplift.data.poses import IDENTITY_KEYS, UNITS, PoseData, codes_of
+from uplift.data.poses import IDENTITY_KEYS, UNITS, PoseData
 from uplift.errors import UserError
 from uplift.geometry.lens import Lens
 
@@ -150,7 +151,7 @@ class _Writer:
                 f"{where}masks of {sides[1]} px a side, those of {first.source} of {sides[0]}: make them alike."
             )
 
-    def _identity(self, part: PoseData) -> dict[str, np.ndarray]:
+    def _identity(self, part: PoseData) -> dict[str, Any]:
         """Return what the frames are of, with sequences that no other source has."""
         identity, source = dict(part.identity), part.source
         if not self.several or ("image" in identity and "sequence" not in identity):
@@ -160,11 +161,11 @@ class _Writer:
         if "sequence" not in identity:
             identity["sequence"] = np.full(len(part), Path(source).stem)
             identity.setdefault("frame", np.arange(before, before + len(part)))
-        names, code = codes_of(identity["sequence"].astype(str))
+        names, code = codes_of(Names.of(identity["sequence"]))
         apart = [
             name if self.names.setdefault(name, source) == source else f"{source}: {name}" for name in names.tolist()
         ]
-        return identity | {"sequence": np.array(apart)[code]}
+        return identity | {"sequence": Names(code, np.array(apart))}
 
     def facts(self) -> dict[str, Any]:
         """Return what holds for all frames."""
@@ -216,24 +217,24 @@ def _write_shard(group: Sequence[PoseData], place: Path, dtype: str) -> dict[str
 
 
 def _in_float16(keypoints: np.ndarray, confidence: np.ndarray) -> dict[str, np.ndarray]:
-    seen = np.asarray((confidence > 0) & np.isfinite(keypoints).all(-1))
-    low, high = (np.where(seen[..., None], keypoints, far) for far in (np.float32(np.inf), np.float32(-np.inf)))
+    seen = np.asarray(confidence > 0) & np.isfinite(keypoints).all(-1)
+    low, high = (np.where(seen[:, :, None], keypoints, far) for far in (np.float32(np.inf), np.float32(-np.inf)))
     origin = np.where(seen.any(1)[:, None], (low.min(1) + high.max(1)) / 2, 0).astype(np.float32)
     with np.errstate(over="ignore", invalid="ignore"):  # what is too far away for float16 is missing
-        offsets = np.where(seen[..., None], keypoints - origin[:, None], np.nan).astype(np.float16)
+        offsets = np.where(seen[:, :, None], keypoints - origin[:, None], np.nan).astype(np.float16)
         small = np.where(seen, np.fmax(confidence, np.finfo(np.float16).smallest_subnormal), 0).astype(np.float16)
     return {"keypoints": offsets, "origin": origin, "confidence": small}
 
 
-def _coded(key: str, values: np.ndarray) -> dict[str, np.ndarray]:
+def _coded(key: str, values: Any) -> dict[str, np.ndarray]:
     """Return a column of identity as small numbers, text as the numbers of its names."""
     if values.dtype.kind in "iu":
         least = np.result_type(*(np.min_scalar_type(int(end)) for end in (values.min(), values.max())))
         return {key: values.astype(least)}
     if values.dtype.kind in "fb":
         return {key: values}
-    names, code = codes_of(values.astype(str))
-    return {key: code.astype(np.min_scalar_type(len(names))), f"{key}.names": names}
+    names, code = codes_of(Names.of(values))  # those of these frames alone
+    return {key: code.astype(np.min_scalar_type(max(0, len(names) - 1))), f"{key}.names": names}
 
 
 # Read.
@@ -364,7 +365,7 @@ class _Shard:
             )
         return array
 
-    def column(self, key: str, rows: slice) -> np.ndarray:
+    def column(self, key: str, rows: slice) -> np.ndarray | Names:
         """Return what the frames ``rows`` are of; raises UserError for numbers without a name, or another shape."""
         values = self._mapped(key)
         if values.shape != (self.frames,) or values.dtype.kind not in "iufb":
@@ -378,7 +379,7 @@ class _Shard:
             or (len(codes) and not 0 <= codes.min() <= codes.max() < len(names))
         ):
             raise UserError(f"{self.folder / key}.names.npy has no name for some frames: damaged.")
-        return sound(key, names)[codes]
+        return Names(np.array(codes), sound(key, np.array(names)))
 
     def _mapped(self, name: str) -> np.ndarray:
         """Return a mapped array, whose changes stay in memory, after its header was compared with the bytes that are there."""
