@@ -1,0 +1,81 @@
+"""What computes: the device of an accelerator's name, and the fast way of float32 matrix products where it is exact."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from functools import cache
+from typing import TYPE_CHECKING
+
+from uplift.errors import UserError, did_you_mean
+
+if TYPE_CHECKING:
+    import torch
+
+__all__ = ["ACCELERATORS", "PRODUCTS", "device_of", "fast_products"]
+
+ACCELERATORS = ("auto", "cpu", "cuda", "mps")
+"""Devices by name; Lightning's "gpu" is taken too."""
+PRODUCTS = ("auto", "highest", "high", "medium")
+"""How float32 matrices are multiplied, as in `torch.set_float32_matmul_precision`; "auto" decides by the machine."""
+_EXACT = 4e-6
+"""Relative error of a product of random matrices that counts as that of float32, which has up to 6e-7; TF32 has 3e-4."""
+_SIDE = 256
+
+
+def device_of(accelerator: str) -> torch.device:
+    """Return the device of an accelerator; "auto" is a CUDA device, else Apple's, else the processor.
+
+    Raises UserError: an unknown name, or a device that this machine lacks.
+    """
+    import torch
+
+    name = "cuda" if accelerator == "gpu" else accelerator
+    there = {"cuda": torch.cuda.is_available(), "mps": torch.backends.mps.is_available(), "cpu": True}
+    if name == "auto":
+        return torch.device(next(kind for kind, found in there.items() if found))
+    if name.partition(":")[0] not in there:
+        raise UserError(f"accelerator={accelerator}.{did_you_mean(accelerator, ACCELERATORS)}")
+    if not there[name.partition(":")[0]]:
+        found = ", ".join(kind for kind, usable in there.items() if usable)
+        raise UserError(
+            f"accelerator={accelerator}: PyTorch finds no such device here, expected one of: auto, {found}."
+        )
+    return torch.device(name)
+
+
+@contextmanager
+def fast_products(way: str = "auto", *, training: bool = False) -> Iterator[None]:
+    """Multiply float32 matrices inside as ``way``, one of `PRODUCTS`, says; afterwards as before.
+
+    "auto" is "medium" on processors where a product that way has the error of float32: some multiply up to twice as fast
+    then, others round to bfloat16 and are left alone. On CUDA it is "high" (TF32) in ``training``, whose steps are noisy
+    anyway, and leaves all else alone.
+    """
+    import torch
+
+    before = torch.get_float32_matmul_precision()
+    if way == "auto":
+        # One setting holds for all devices, and TF32 is for training alone.
+        way = ("high" if training else before) if torch.cuda.is_available() else _fastest_exact(before)
+    torch.set_float32_matmul_precision(way)
+    try:
+        yield
+    finally:
+        torch.set_float32_matmul_precision(before)
+
+
+@cache
+def _fastest_exact(before: str) -> str:
+    """Return "medium" where its products are exact on this processor, else ``before``."""
+    import torch
+
+    generator = torch.Generator().manual_seed(0)
+    left, right = (torch.randn(_SIDE, _SIDE, generator=generator) for _ in range(2))
+    exact = left.double() @ right.double()
+    torch.set_float32_matmul_precision("medium")
+    try:
+        error = float((left @ right - exact).norm() / exact.norm())
+    finally:
+        torch.set_float32_matmul_precision(before)
+    return "medium" if error < _EXACT else before
