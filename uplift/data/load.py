@@ -31,7 +31,7 @@ from uplift.skeleton import Skeleton
 from uplift.skeleton.propose import TOO_LONG, stretch_of
 
 __all__ = [
-    "Loaded", "find_data", "format_of", "format_of_run", "how_to_get", "in_joints_of", "in_skeleton", "load_data", "load_file", "load_split",
+    "Loaded", "cleaned", "find_data", "format_of", "format_of_run", "how_to_get", "in_joints_of", "in_skeleton", "load_data", "load_file", "load_split",
     "named_set", "not_simulated", "of_labelled", "read_files", "read_options", "set_of", "with_labels_of", "with_test",
 ]  # fmt: skip
 
@@ -67,11 +67,11 @@ def load_data(settings: Settings, skeleton: Skeleton, load: Load[PoseData] | Non
     train, test = with_test(settings, load)
     train, more = with_labels_of(settings, train, load)
     notes = not_simulated(settings)
-    train = _cleaned("train", train, skeleton, notes)
+    train = cleaned("train", train, skeleton, notes)
     if train.labelled is not None:
         notes.append(f"labelled: {int(train.labelled.sum()):,} of these frames, in 3D")
-    more = None if more is None else _cleaned("labelled", more, skeleton, notes)
-    test = None if test is None else _cleaned("test", test, skeleton, notes)
+    more = None if more is None else cleaned("labelled", more, skeleton, notes)
+    test = None if test is None else cleaned("test", test, skeleton, notes)
     return Loaded(train, test, notes, more)
 
 
@@ -93,7 +93,8 @@ def _simulated(settings: Settings, which: str, skeleton: Skeleton) -> PoseData:
     return replace(simulate(skeleton, frames, seed=seed), source=source)
 
 
-def _cleaned(which: str, data: PoseData, skeleton: Skeleton, notes: list[str]) -> PoseData:
+def cleaned(which: str, data: PoseData, skeleton: Skeleton, notes: list[str]) -> PoseData:
+    """Return the cleaned ``train``, ``test`` or ``labelled`` frames, and add to the notes what was found."""
     data, report = clean(data, skeleton)
     notes += [f"{which}: {len(data):,} frames from {data.source}", *(f"{which}: {note}" for note in data.notes)]
     notes += report.lines()

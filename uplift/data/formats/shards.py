@@ -5,10 +5,12 @@ from __future__ import annotations
 import json
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import asdict, dataclass, field, replace
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from jaxtyping import Int
 
 from uplift.config.files import replacing
 from uplift.data.concat import joined_columns
@@ -21,7 +23,7 @@ from uplift.data.poses import IDENTITY_KEYS, UNITS, PoseData
 from uplift.errors import UserError
 from uplift.geometry.lens import Lens
 
-__all__ = ["DTYPES", "FORMAT", "INDEX", "SHARD_FRAMES", "Shards", "write_shards"]
+__all__ = ["DTYPES", "FORMAT", "INDEX", "SHARD_FRAMES", "Outline", "Shards", "write_shards"]
 
 DTYPES = ("float32", "float16")
 """What keypoints and confidences are stored as.
@@ -219,7 +221,7 @@ def _write_shard(group: Sequence[PoseData], place: Path, dtype: str) -> dict[str
 def _in_float16(keypoints: np.ndarray, confidence: np.ndarray) -> dict[str, np.ndarray]:
     seen = np.asarray(confidence > 0) & np.isfinite(keypoints).all(-1)
     low, high = (np.where(seen[:, :, None], keypoints, far) for far in (np.float32(np.inf), np.float32(-np.inf)))
-    origin = np.where(seen.any(1)[:, None], (low.min(1) + high.max(1)) / 2, 0).astype(np.float32)
+    origin = np.where(seen.any(1, keepdims=True), (low.min(1) + high.max(1)) / 2, 0).astype(np.float32)
     with np.errstate(over="ignore", invalid="ignore"):  # what is too far away for float16 is missing
         offsets = np.where(seen[:, :, None], keypoints - origin[:, None], np.nan).astype(np.float16)
         small = np.where(seen, np.fmax(confidence, np.finfo(np.float16).smallest_subnormal), 0).astype(np.float16)
@@ -238,6 +240,16 @@ def _coded(key: str, values: Any) -> dict[str, np.ndarray]:
 
 
 # Read.
+
+_INSTEAD = "Train on the folder alone (data.train=FOLDER), which reads it bit by bit, or predict in parts"
+
+
+@dataclass
+class Outline(PoseData):
+    """Frames without their keypoints."""
+
+    rows: Int[np.ndarray, " frames"] = field(default_factory=lambda: np.zeros(0, np.int64))
+    """Which frames of the shards they are."""
 
 
 class Shards:
@@ -273,6 +285,11 @@ class Shards:
         return len(self.facts["joint_names"])
 
     @property
+    def has_pose(self) -> bool:
+        """Whether any frame has a true pose."""
+        return any("pose" in shard.arrays for shard in self.shards)
+
+    @property
     def size(self) -> int:
         """The bytes that all frames take in memory, about."""
         files = (shard.folder / f"{name}.npy" for shard in self.shards for name in shard.arrays)
@@ -291,6 +308,48 @@ class Shards:
         identity = {key: shard.column(key, rows) for key in IDENTITY_KEYS if key in shard.arrays}
         return PoseData(**arrays, **self.facts, identity=identity, lens=lens if known else None, source=str(self.path))
 
+    def take(self, rows: np.ndarray) -> PoseData:
+        """Return the frames of rows in rising order; raises UserError where they are more than half of the memory."""
+        refuse_more_than_memory(
+            f"{self.path}: {len(rows):,} of its frames", self.size * len(rows) // len(self), _INSTEAD
+        )
+        ends = np.searchsorted(rows, self.starts)
+        parts = [
+            self.shard(number).select(rows[start:end] - self.starts[number])
+            for number, (start, end) in enumerate(pairwise(ends))
+            if start < end
+        ]
+        return self._joined(parts)
+
+    def outline(self) -> Outline:
+        """Return all frames with what they are of, without a joint: what frames are chosen by."""
+        keys = [key for key in IDENTITY_KEYS if all(key in shard.arrays for shard in self.shards)]
+        columns = {key: [shard.column(key, slice(None)) for shard in self.shards] for key in keys}
+        frames = len(self)
+        return Outline(
+            np.zeros((frames, 0, 2), np.float32),
+            np.zeros((frames, 0), np.float32),
+            pose=np.zeros((frames, 0, 3), np.float32) if self.has_pose else None,
+            **{**self.facts, "lenses": (), "joint_names": ()},
+            identity={key: joined_columns(values) for key, values in columns.items()},
+            source=str(self.path),
+            rows=np.arange(frames),
+        )
+
+    def clip_starts(self, number: int) -> np.ndarray:
+        """Return the rows of a shard at which clips begin; all where frames are no clips."""
+        shard = self.shards[number]
+        rows = np.arange(shard.frames)
+        if "sequence" not in shard.arrays or self.facts["stills"]:
+            return rows
+        changed = np.zeros(shard.frames, bool)
+        for key in ("subject", "sequence", "camera", "instance"):
+            if key in shard.arrays:
+                values = shard.numbers(key)
+                changed[1:] |= values[1:] != values[:-1]
+        changed[0] = True
+        return rows[changed]
+
     def parts(self, frames: int) -> Iterator[PoseData]:
         """Yield all frames in order, in parts of whole clips of ``frames`` at most, or one longer clip."""
         pieces = (piece for number in range(len(self.shards)) for piece in pieces_of(self.shard(number), frames))
@@ -307,8 +366,7 @@ class Shards:
 
     def read(self) -> PoseData:
         """Return all frames; raises UserError where they are more than half of the memory."""
-        instead = "Train on them as they are (data.train=FOLDER), or predict in parts"
-        refuse_more_than_memory(f"{self.path}: all of its frames", self.size, instead)
+        refuse_more_than_memory(f"{self.path}: all of its frames", self.size, _INSTEAD)
         return self._joined([self.shard(number) for number in range(len(self.shards))])
 
 
@@ -367,9 +425,7 @@ class _Shard:
 
     def column(self, key: str, rows: slice) -> np.ndarray | Names:
         """Return what the frames ``rows`` are of; raises UserError for numbers without a name, or another shape."""
-        values = self._mapped(key)
-        if values.shape != (self.frames,) or values.dtype.kind not in "iufb":
-            raise UserError(f"{self.folder / key}.npy is {values.dtype} of shape {values.shape}: damaged.")
+        values = self.numbers(key)
         if f"{key}.names" not in self.arrays:
             return np.array(values[rows])
         names, codes = self._mapped(f"{key}.names"), values[rows]
@@ -380,6 +436,13 @@ class _Shard:
         ):
             raise UserError(f"{self.folder / key}.names.npy has no name for some frames: damaged.")
         return Names(np.array(codes), sound(key, np.array(names)))
+
+    def numbers(self, key: str) -> np.ndarray:
+        """Return what the frames are of as it is stored; raises UserError for another type or shape."""
+        values = self._mapped(key)
+        if values.shape != (self.frames,) or values.dtype.kind not in "iufb":
+            raise UserError(f"{self.folder / key}.npy is {values.dtype} of shape {values.shape}: damaged.")
+        return values
 
     def _mapped(self, name: str) -> np.ndarray:
         """Return a mapped array, whose changes stay in memory, after its header was compared with the bytes that are there."""
