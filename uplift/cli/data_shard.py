@@ -5,6 +5,7 @@ from __future__ import annotations
 import shlex
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from itertools import groupby
 from pathlib import Path
 
 from uplift.cli.parsing import Keys, keyed
@@ -12,12 +13,16 @@ from uplift.config.files import building, files_of, refuse_output
 from uplift.config.loading import load_settings
 from uplift.config.progress import progress
 from uplift.data.datasets import DATA_SETS
+from uplift.data.far import without_far
 from uplift.data.formats.deeplabcut_files import keypoint_files
 from uplift.data.formats.shards import write_shards
+from uplift.data.individuals import by_individuals
+from uplift.data.joints import in_joints_of
 from uplift.data.load import load_split
-from uplift.data.parts import iterate_parts
+from uplift.data.parts import frames_of, iterate_parts
 from uplift.data.pieces import pieces_of
 from uplift.data.poses import PoseData
+from uplift.data.reading import read_each
 from uplift.errors import UserError
 from uplift.skeleton import Skeleton, load_skeleton
 
@@ -67,8 +72,14 @@ def _refuse_words(keys: Keys, sets: Sequence[str], skeleton: Skeleton | None) ->
 
 def _parts(keys: Keys, files: list[Path], sets: Sequence[str], skeleton: Skeleton | None) -> Iterator[PoseData]:
     options = keys.reading()
-    for file in files:
-        yield from iterate_parts(file, _PART, options, skeleton)
+    for alone, some in groupby(files, lambda file: (frames_of(file, options) or 0) > _PART):
+        if alone:
+            for file in some:
+                yield from iterate_parts(file, _PART, options, skeleton)
+        else:
+            for found in read_each(list(some), options, keys.value("workers")):
+                part = without_far(by_individuals(found, skeleton))
+                yield from pieces_of(part if skeleton is None else in_joints_of(part, skeleton), _PART)
     for word in sets:
         assert skeleton is not None
         use, _, split = word.rpartition(":")

@@ -287,6 +287,7 @@ _SHARD = _table(
     _key("frames", int, 250_000, "frames of a shard at most, where no clip is longer", 1, _MOST_ITEMS),
     _key("skeleton", Optional[str], None, "a shipped name, or a YAML file, whose joints are kept; unset: those of the files, "
          "which must be the same"),
+    _key("workers", Optional[int], None, "processes that read files; unset: one for each core, where files are many", 1, 1024),
     *READ_KEYS.values(),
     *(all_settings()[f"data.{name}"] for name in ("name", "root", "options")),
     *_TRUST.values(),
@@ -330,7 +331,7 @@ VERBS = {
     ),
     "simulate": Verb(
         "simulated bodies with exact poses",
-        ("simulate skeleton=NAME output=FILE.npz|.csv",),
+        ("simulate skeleton=NAME output=FILE.npz|.csv|FOLDER",),
         settings=SIMULATE,
     ),
     "compare": Verb(

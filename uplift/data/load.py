@@ -11,19 +11,19 @@ from typing import TypeVar
 
 from uplift.config.files import data_root, files_of, shipped_names
 from uplift.config.loading import read_task, task_path
-from uplift.config.progress import progress
 from uplift.config.settings import DataSettings, Settings
 from uplift.data.clean import MIN_VISIBLE, clean
 from uplift.data.concat import concat_poses
 from uplift.data.datasets import DATA_SETS, DataSet, WantedFile, data_set, read_cached
 from uplift.data.far import without_far
-from uplift.data.formats import KEYPOINT_FORMATS, MASK_FORMATS, read, with_options
+from uplift.data.formats import KEYPOINT_FORMATS, MASK_FORMATS, with_options
 from uplift.data.formats.base import ReadOptions, size_of
 from uplift.data.formats.deeplabcut_files import keypoint_files
 from uplift.data.individuals import by_individuals
 from uplift.data.joints import in_joints_of
 from uplift.data.masks import MaskData
 from uplift.data.poses import PoseData
+from uplift.data.reading import read_each
 from uplift.data.select import choice_of, chosen_rows
 from uplift.data.upright import upright_notes
 from uplift.errors import MissingFiles, UserError
@@ -298,8 +298,7 @@ def read_files(
     """
     words = [paths] if isinstance(paths, str | Path) else paths
     files, left_out = keypoint_files(list(dict.fromkeys(one for word in words for one in files_of(word))))
-    parts = (read(one, options) for one in progress(files, "reading files"))
-    return (without_far(by_individuals(part, skeleton)) for part in parts), left_out
+    return (without_far(by_individuals(part, skeleton)) for part in read_each(files, options)), left_out
 
 
 def format_of(data: DataSettings, path: str | Path) -> str | None:

@@ -64,7 +64,7 @@ class PoseData(Samples):
     """The root joint in the camera frame, in `unit`."""
     unit: str = "mm"
     identity: dict[str, Any] = field(default_factory=dict)
-    """Any of `IDENTITY_KEYS`, as arrays (frames,) or `Names`; one sequence seen by one camera is a clip."""
+    """Any of `IDENTITY_KEYS`: arrays (frames,) of numbers, and text as `Names`; one sequence seen by one camera is a clip."""
     fps: float | None = None
     image_size: tuple[int, int] | None = None
     focal_px: float | None = None
@@ -101,6 +101,8 @@ class PoseData(Samples):
         self.confidence = _numbers(where, "confidence", self.confidence)
         if not all(isinstance(values, (np.ndarray, Names)) for values in self.identity.values()):
             self.identity = {key: _column(values, len(self.keypoints)) for key, values in self.identity.items()}
+        text = {key: Names.of(values) for key, values in self.identity.items() if values.dtype.kind == "U"}
+        self.identity = self.identity | text if text else self.identity
         _check_masks(self.source or "the data", self.masks, self.mask_box, len(self))
         wrong = self.misfit()
         if not wrong and len(self.joint_names) != self.keypoints.shape[1]:
@@ -227,7 +229,7 @@ def clips_of(
 
 
 def previous_frames(
-    clip: Int[np.ndarray, " frames"], frame: Shaped[np.ndarray, " frames"] | None = None
+    clip: Int[np.ndarray, " frames"], frame: Shaped[np.ndarray, " frames"] | Names | None = None
 ) -> Int[np.ndarray, " frames"]:
     """Return the row of the frame before each in its clip, -1 without one.
 

@@ -40,6 +40,7 @@ from uplift.data.load import (
 )
 from uplift.data.pieces import cuts
 from uplift.data.poses import PoseData
+from uplift.data.select import choice_of
 from uplift.data.tensors import Batch, TrainingSet
 from uplift.errors import UserError
 from uplift.skeleton import Skeleton
@@ -298,7 +299,8 @@ class _Choice:
     def loaded(self) -> Loaded:
         """Return the frames, all of them or as a stream."""
         settings, notes = self.settings, not_simulated(self.settings)
-        outline = self.shards.outline()
+        data = settings.data
+        outline = self.shards.outline(named=any(map(choice_of, (data.select, data.hold_out, data.labelled))))
 
         def load(asked: Settings, which: str) -> PoseData:
             own = which == "train" and asked.data.train == settings.data.train

@@ -321,9 +321,9 @@ class Shards:
         ]
         return self._joined(parts)
 
-    def outline(self) -> Outline:
-        """Return all frames with what they are of, without a joint: what frames are chosen by."""
-        keys = [key for key in IDENTITY_KEYS if all(key in shard.arrays for shard in self.shards)]
+    def outline(self, *, named: bool = True) -> Outline:
+        """Return all frames without a joint; ``named``, with what they are of, which they are chosen by."""
+        keys = [key for key in IDENTITY_KEYS if named and all(key in shard.arrays for shard in self.shards)]
         columns = {key: [shard.column(key, slice(None)) for shard in self.shards] for key in keys}
         frames = len(self)
         return Outline(
