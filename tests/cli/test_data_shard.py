@@ -26,7 +26,7 @@ def files(here: Path) -> Path:
 def test_files_become_shards_and_shards_become_others(files: Path, capsys: pytest.CaptureFixture[str]):
     assert main(["data", "shard", "?.npz", "b.csv", "output=all", "frames=300", *BEETLE]) == 0
     printed = capsys.readouterr().out
-    assert "wrote all: 800 frames in 40 clips, 4 shards" in printed
+    assert "wrote all: 800 frames in 40 clips, 3 shards" in printed
     assert "next: uplift fit skeleton=rat23 data.train=all" in printed
     whole = read("all")
     parts = [read_npz("a.npz"), read_npz("b.npz"), read("b.csv")]

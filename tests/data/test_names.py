@@ -36,8 +36,11 @@ def test_it_does_what_an_array_does(texts: list[str], data: st.DataObject):
         np.testing.assert_array_equal(function(names), function(array))
     for one, other in zip(codes_of(names), np.unique(array, return_inverse=True), strict=True):
         np.testing.assert_array_equal(one, other)
-    assert pickle.loads(pickle.dumps(names)).tolist() == texts
-    assert names.astype(str).tolist() == names.astype(object).tolist() == texts
+    names[rows], wide = "a longer one", array.astype(object)
+    wide[rows] = "a longer one"
+    assert names.tolist() == wide.tolist()
+    assert pickle.loads(pickle.dumps(names)).tolist() == names.tolist()
+    assert names.astype(str).tolist() == names.astype(object).tolist() == wide.tolist()
 
 
 @given(st.lists(TEXTS, min_size=1, max_size=4))

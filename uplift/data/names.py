@@ -77,6 +77,12 @@ class Names:
         picked = self.codes[rows]
         return Names(picked, self.names) if isinstance(picked, np.ndarray) and picked.ndim == 1 else self.names[picked]
 
+    def __setitem__(self, rows: Any, values: Any) -> None:
+        text = np.asarray(self).astype(object)  # which longer names fit into
+        text[rows] = values
+        changed = Names.of(text.astype(str))
+        self.codes, self.names = changed.codes, changed.names
+
     def __array__(self, dtype: Any = None, copy: bool | None = None) -> np.ndarray:
         if not len(self.names):
             return np.empty(0, self.names.dtype if dtype is None else dtype)

@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import suppress
 from dataclasses import dataclass, fields, replace
 from functools import lru_cache
 from itertools import pairwise
@@ -117,15 +118,12 @@ class Stream:
 
     def usable(self, place: int) -> PoseData:
         """Return the ``place``-th block, cleaned; one after it where none of its frames can be lifted."""
-        number = self.number(place)
-        for more in range(len(self.blocks)):
-            try:
-                found = replace(self.read((number + more) % len(self.blocks)), stills=self.stills)
-                return clean(found, self.skeleton)[0]
-            except UserError:
-                if more == len(self.blocks) - 1:
-                    raise
-        raise AssertionError
+        number, count = self.number(place), len(self.blocks)
+        for other in range(number, number + count - 1):
+            found = self.read(other % count)
+            with suppress(UserError):  # no frame of it can be lifted
+                return clean(replace(found, stills=self.stills), self.skeleton)[0]
+        return clean(replace(self.read((number - 1) % count), stills=self.stills), self.skeleton)[0]
 
     def held_out(self, share: float) -> tuple[Stream, PoseData]:
         """Return the stream without some blocks, and their frames in the skeleton's joints: a ``share`` of all, but not too many."""
@@ -206,8 +204,7 @@ class Resident:
         newest = count - 1 + self.replaced
         first = newest - (newest - np.arange(count)) % count
         parts = [self.block(int(place)) for place in first]
-        parts = parts if more is None else [*parts, more.to(device)]
-        whole = TrainingSet.concat(parts)
+        whole = TrainingSet.concat(parts if more is None else [*parts, more]).to(device)
         self.frames: TrainingSet = _Drawn(**{one.name: getattr(whole, one.name) for one in fields(whole)})
         self._ask()
 

@@ -492,7 +492,7 @@ def rows_of(
     )
 
 
-def by_appearance(parts: Sequence[np.ndarray], rows: int) -> tuple[np.ndarray, np.ndarray]:
+def by_appearance(parts: Sequence[Any], rows: int) -> tuple[np.ndarray, np.ndarray]:
     """Return (rows,) numbers, equal where all of ``parts`` are, by first appearance, and the row of each of those."""
     code = np.zeros(rows, np.int64)
     for part in parts:
