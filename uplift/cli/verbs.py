@@ -289,7 +289,7 @@ _SHARD = _table(
          "which must be the same"),
     _key("workers", Optional[int], None, "processes that read files; unset: one for each core, where files are many", 1, 1024),
     *READ_KEYS.values(),
-    *(all_settings()[f"data.{name}"] for name in ("name", "root", "options")),
+    *(all_settings()[f"data.{name}"]._replace(only=None) for name in ("name", "root", "options")),
     *_TRUST.values(),
 )  # fmt: skip
 
@@ -372,7 +372,7 @@ VERBS = {
         _RENDER,
     ),
     "data shard": Verb(
-        "keypoints of any number of files as one folder that fit and predict read bit by bit",
+        "keypoints of many files as one folder, read bit by bit",
         ("data shard FILES ... output=FOLDER",),
         {"FILES": "files or folders of keypoints in any format, patterns with *, splits of published sets as SET:SPLIT, or shards"},
         _SHARD,

@@ -100,9 +100,9 @@ class Names:
     def __repr__(self) -> str:
         return f"Names({len(self):,} rows, {len(self.names):,} names)"
 
-    def astype(self, dtype: Any, copy: bool = True) -> Any:
-        """Return the same text as such an array, or itself where that is text."""
-        return self if np.dtype(dtype).kind == "U" else np.asarray(self).astype(dtype)
+    def astype(self, dtype: Any, copy: bool = True) -> np.ndarray:
+        """Return the text as an array of that type."""
+        return np.asarray(self).astype(dtype, copy=False)
 
     def tolist(self) -> list[str]:
         """Return the text of each row."""
