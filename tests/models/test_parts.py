@@ -35,9 +35,7 @@ def clips(lengths: list[int], turns: int = 1) -> PoseData:
     return PoseData(keypoints, np.ones((rows, 17), np.float32), H36M.joints, identity=identity, fps=FPS)
 
 
-@given(
-    st.lists(st.integers(1, 400), min_size=1, max_size=8), st.integers(1, 3), st.integers(30, 300), st.booleans()
-)
+@given(st.lists(st.integers(1, 400), min_size=1, max_size=8), st.integers(1, 3), st.integers(30, 300), st.booleans())
 def test_every_row_is_lifted_once_in_order(lengths: list[int], turns: int, frames: int, cut: bool):
     data = clips(lengths, turns)
     found = list(pieces(pieces_of(data, frames), frames, cut=cut))

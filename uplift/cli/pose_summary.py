@@ -15,7 +15,7 @@ from uplift.skeleton import Skeleton
 
 __all__ = ["Summary", "pose_summary"]
 
-Mean = tuple[float, float]
+Mean = tuple[float, int]
 """A mean, and the weight behind it; the weight 0 where nothing is known."""
 
 
