@@ -97,6 +97,10 @@ _LARGEST = 2.0
 """Bound of a block's log scale, so that no block can diverge."""
 
 
+def _bounded(log_scale: Tensor) -> Tensor:
+    return _LARGEST * torch.tanh(log_scale / _LARGEST)
+
+
 class CouplingFlow(nn.Module):
     """Affine coupling blocks, a fixed rotation after each (Dinh et al. 2017; Kingma and Dhariwal 2018)."""
 
@@ -104,7 +108,7 @@ class CouplingFlow(nn.Module):
 
     def __init__(self, size: int, *, blocks: int = 8, units: int = 64, seed: int = 0):
         super().__init__()
-        self.kept = size // 2
+        self.size, self.kept = size, size // 2
         changed = size - self.kept
         self.nets = nn.ModuleList(
             nn.Sequential(nn.Linear(self.kept, units), nn.ReLU(), nn.Linear(units, 2 * changed)) for _ in range(blocks)
@@ -115,29 +119,40 @@ class CouplingFlow(nn.Module):
         random = torch.randn(blocks, size, size, generator=torch.Generator().manual_seed(seed))
         self.register_buffer("rotations", torch.linalg.qr(random).Q)
 
-    def _affine(self, net: nn.Module, kept: Tensor) -> tuple[Tensor, Tensor]:
-        log_scale, shift = net(kept).chunk(2, 1)
-        return _LARGEST * torch.tanh(log_scale / _LARGEST), shift
+    def _products(self) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+        """Return what the blocks multiply and add.
+
+        (blocks, size, size + units): the rotation before each block, and with it the first layer, to which only what is
+        kept leads. (blocks, 1, size + units): 0, and that layer's bias. (blocks, units, 2 size) and (blocks, 1, 2 size):
+        the second layer, with 0 for the log scale and shift of what is kept.
+        """
+        weights = [torch.stack(parts) for parts in zip(*([*net.parameters()] for net in self.nets), strict=True)]
+        enter, enter_bias, leave, leave_bias = weights
+        before = torch.cat([torch.eye(self.size, dtype=self.rotations.dtype, device=self.rotations.device)[None], self.rotations[:-1]])
+        enter = torch.cat([before, before[..., : self.kept] @ enter.mT], -1)
+        enter_bias = nn.functional.pad(enter_bias, (self.size, 0)).unsqueeze(1)
+        changed = leave.unflatten(1, (2, -1)), leave_bias.unflatten(1, (2, -1))
+        leave = nn.functional.pad(changed[0], (0, 0, self.kept, 0)).flatten(1, 2).mT
+        return enter, enter_bias, leave, nn.functional.pad(changed[1], (self.kept, 0)).flatten(1).unsqueeze(1)
 
     def forward(
         self, vector: Float[Tensor, "batch size"]
     ) -> tuple[Float[Tensor, "batch size"], Float[Tensor, " batch"]]:
         """Return the latent vectors and the log-determinants of the Jacobian."""
-        volume = vector.new_zeros(len(vector))
-        for net, rotation in zip(self.nets, self.rotations, strict=True):
-            kept, changed = vector[:, : self.kept], vector[:, self.kept :]
-            log_scale, shift = self._affine(net, kept)
-            volume = volume + log_scale.sum(1)
-            vector = torch.cat([kept, changed * log_scale.exp() + shift], 1) @ rotation
-        return vector, volume
+        scales = []
+        for enter, enter_bias, leave, leave_bias in zip(*(part.unbind() for part in self._products()), strict=True):
+            vector, hidden = torch.addmm(enter_bias, vector, enter).split([self.size, enter.shape[1] - self.size], 1)
+            scale, shift = torch.addmm(leave_bias, hidden.relu(), leave).chunk(2, 1)
+            scales.append(_bounded(scale))
+            vector = torch.addcmul(shift, vector, scales[-1].exp())
+        return vector @ self.rotations[-1], torch.stack(scales).sum((0, 2))
 
     def inverse(self, latent: Float[Tensor, "batch size"]) -> Float[Tensor, "batch size"]:
         """Return the vectors that `forward` takes to ``latent``."""
-        for place in reversed(range(len(self.nets))):
-            latent = latent @ self.rotations[place].mT
-            kept, changed = latent[:, : self.kept], latent[:, self.kept :]
-            log_scale, shift = self._affine(self.nets[place], kept)
-            latent = torch.cat([kept, (changed - shift) * (-log_scale).exp()], 1)
+        for net, rotation in zip(reversed(self.nets), reversed(self.rotations), strict=True):
+            kept, changed = (latent @ rotation.mT).split([self.kept, self.size - self.kept], 1)
+            scale, shift = net(kept).chunk(2, 1)
+            latent = torch.cat([kept, (changed - shift) * (-_bounded(scale)).exp()], 1)
         return latent
 
     def surprise(self, vector: Float[Tensor, "batch size"]) -> Float[Tensor, " batch"]:
