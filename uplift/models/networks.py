@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from itertools import chain
 from typing import Any, ClassVar
 
 import torch
@@ -10,6 +11,7 @@ from jaxtyping import Float
 from torch import Tensor, nn
 from torch.nn.functional import leaky_relu
 
+from uplift.config.device import fast_products
 from uplift.config.plugins import build, find_class, options_of
 from uplift.errors import UserError, did_you_mean
 
@@ -119,33 +121,33 @@ class CouplingFlow(nn.Module):
         random = torch.randn(blocks, size, size, generator=torch.Generator().manual_seed(seed))
         self.register_buffer("rotations", torch.linalg.qr(random).Q)
 
-    def _products(self) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-        """Return what the blocks multiply and add.
+    def _products(self) -> list[tuple[Tensor, ...]]:
+        """Return for each block what it multiplies with and adds.
 
-        (blocks, size, size + units): the rotation before each block, and with it the first layer, to which only what is
-        kept leads. (blocks, 1, size + units): 0, and that layer's bias. (blocks, units, 2 size) and (blocks, 1, 2 size):
-        the second layer, with 0 for the log scale and shift of what is kept.
+        (size, size + units): the rotation before it, and with it the first layer, to which only what is kept leads.
+        (size + units,): 0, and that layer's bias. (units, 2 changed) and (2 changed,): the second layer, with the log
+        scale divided by its bound.
         """
         weights = [torch.stack(parts) for parts in zip(*([*net.parameters()] for net in self.nets), strict=True)]
         enter, enter_bias, leave, leave_bias = weights
-        before = torch.cat([torch.eye(self.size, dtype=self.rotations.dtype, device=self.rotations.device)[None], self.rotations[:-1]])
+        like = {"dtype": enter.dtype, "device": enter.device}
+        before = torch.cat([torch.eye(self.size, **like)[None], self.rotations[:-1]])
         enter = torch.cat([before, before[..., : self.kept] @ enter.mT], -1)
-        enter_bias = nn.functional.pad(enter_bias, (self.size, 0)).unsqueeze(1)
-        changed = leave.unflatten(1, (2, -1)), leave_bias.unflatten(1, (2, -1))
-        leave = nn.functional.pad(changed[0], (0, 0, self.kept, 0)).flatten(1, 2).mT
-        return enter, enter_bias, leave, nn.functional.pad(changed[1], (self.kept, 0)).flatten(1).unsqueeze(1)
+        bounds = torch.ones(leave.shape[1], **like)
+        bounds[: self.size - self.kept] = 1 / _LARGEST
+        enter_bias, leave = nn.functional.pad(enter_bias, (self.size, 0)), leave.mT * bounds
+        return [*zip(enter, enter_bias, leave, leave_bias * bounds, strict=True)]
 
     def forward(
         self, vector: Float[Tensor, "batch size"]
     ) -> tuple[Float[Tensor, "batch size"], Float[Tensor, " batch"]]:
         """Return the latent vectors and the log-determinants of the Jacobian."""
-        scales = []
-        for enter, enter_bias, leave, leave_bias in zip(*(part.unbind() for part in self._products()), strict=True):
-            vector, hidden = torch.addmm(enter_bias, vector, enter).split([self.size, enter.shape[1] - self.size], 1)
-            scale, shift = torch.addmm(leave_bias, hidden.relu(), leave).chunk(2, 1)
-            scales.append(_bounded(scale))
-            vector = torch.addcmul(shift, vector, scales[-1].exp())
-        return vector @ self.rotations[-1], torch.stack(scales).sum((0, 2))
+        squashed = []
+        for products in self._products():
+            kept, changed, _, scale, factor, shift = _coupling(vector, self.kept, products)
+            squashed.append(scale)
+            vector = torch.cat([kept, torch.addcmul(shift, changed, factor)], 1)
+        return vector @ self.rotations[-1], _LARGEST * torch.stack(squashed).sum((0, 2))
 
     def inverse(self, latent: Float[Tensor, "batch size"]) -> Float[Tensor, "batch size"]:
         """Return the vectors that `forward` takes to ``latent``."""
@@ -157,8 +159,58 @@ class CouplingFlow(nn.Module):
 
     def surprise(self, vector: Float[Tensor, "batch size"]) -> Float[Tensor, " batch"]:
         """Return the negative log-likelihood in nats, without its constant."""
-        latent, volume = self(vector)
-        return 0.5 * latent.square().sum(1) - volume
+        if any(parameter.requires_grad for parameter in self.parameters()):
+            latent, volume = self(vector)
+            return 0.5 * latent.square().sum(1) - volume
+        products = chain.from_iterable(self._products())
+        with fast_products("highest"):  # the fast way is for large products
+            return _FrozenSurprise.apply(vector, self.rotations[-1], self.kept, *products)[0]  # type: ignore[index]
+
+
+def _coupling(vector: Tensor, kept: int, products: tuple[Tensor, ...]) -> tuple[Tensor, ...]:
+    """Return a block's numbers: what it keeps and changes, its hidden layer, the log scale over its bound, scale and shift."""
+    enter, enter_bias, leave, leave_bias = products
+    sizes = [kept, len(enter) - kept, len(enter_bias) - len(enter)]
+    same, changed, hidden = torch.addmm(enter_bias, vector, enter).split(sizes, 1)
+    hidden = hidden.relu()
+    scale, shift = torch.addmm(leave_bias, hidden, leave).chunk(2, 1)
+    scale = scale.contiguous().tanh()  # twice as fast as on columns
+    return same, changed, hidden, scale, (_LARGEST * scale).exp(), shift
+
+
+class _FrozenSurprise(torch.autograd.Function):
+    """`CouplingFlow.surprise` of a flow that is not trained: its gradient takes half the time of autograd's."""
+
+    generate_vmap_rule = True
+
+    @staticmethod
+    def forward(vector: Tensor, rotation: Tensor, kept: int, *products: Tensor) -> tuple[Tensor, Tensor]:
+        blocks = [products[place : place + 4] for place in range(0, len(products), 4)]
+        steps, one = [], torch.ones_like(rotation[0, 0])
+        for block in blocks:
+            step = _coupling(vector, kept, block)
+            steps.append(step)
+            vector = torch.cat([step[0], torch.addcmul(step[5], step[1], step[4])], 1)
+        latent = vector @ rotation
+        surprise = 0.5 * latent.square().sum(1) - _LARGEST * torch.stack([step[3] for step in steps]).sum((0, 2))
+        slope = latent @ rotation.mT
+        for (_, changed, hidden, scale, factor, _), (enter, _, leave, _) in zip(reversed(steps), reversed(blocks), strict=True):
+            of_kept, of_changed = slope.split([kept, len(rotation) - kept], 1)
+            scaled = of_changed * factor
+            of_scale = torch.addcmul(-one, scaled, changed) * torch.addcmul(one, scale, scale, value=-1) * _LARGEST
+            of_hidden = (torch.cat([of_scale, of_changed], 1) @ leave.mT) * hidden.sign()
+            slope = torch.cat([of_kept, scaled, of_hidden], 1) @ enter.mT
+        return surprise, slope
+
+    @staticmethod
+    def setup_context(ctx: Any, inputs: Any, output: tuple[Tensor, Tensor]) -> None:
+        ctx.save_for_backward(output[1])
+        ctx.mark_non_differentiable(output[1])
+        ctx.count = len(inputs)
+
+    @staticmethod
+    def backward(ctx: Any, *gradients: Tensor) -> tuple[Tensor | None, ...]:
+        return (gradients[0].unsqueeze(1) * ctx.saved_tensors[0], *[None] * (ctx.count - 1))
 
 
 _SIZES = ("inputs", "outputs")

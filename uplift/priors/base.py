@@ -25,7 +25,7 @@ __all__ = ["Lift", "Prior", "ShapeLift", "ShapePrior", "joint_distance"]
 
 
 def joint_distance(
-    first: Float[Tensor, "batch joints axes"], second: Float[Tensor, "batch joints axes"]
+    first: Float[Tensor, "batch joints axes"], second: Float[Tensor, "batch #joints axes"]
 ) -> Float[Tensor, "batch joints"]:
     """Return the distance of each joint, with a finite gradient at 0."""
     return ((first - second).square().sum(-1) + 1e-12).sqrt()
