@@ -24,4 +24,5 @@ class Pairwise(Prior):
         difference = one - other
         difference = difference - difference[:, self.skeleton.root_index, None]
         seen = lift.visible[:pairs].unflatten(0, (-1, 2)).prod(1).unsqueeze(-1)
-        return ((difference.square() * seen).sum((1, 2)) + 1e-12).sqrt().mean()
+        off = ((difference.square() * seen).sum((1, 2)) + 1e-12).sqrt()
+        return Lift.mean(off, off.new_ones(()))
