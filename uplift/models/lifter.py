@@ -60,9 +60,9 @@ _MIXED: ContextVar[torch.dtype | None] = ContextVar("mixed", default=None)
 
 
 @contextmanager
-def mixed_networks(precision: torch.dtype | None) -> Iterator[None]:
-    """Compute the networks of lifters inside in mixed ``precision``, and not their geometry; None changes nothing."""
-    before = _MIXED.set(precision or _MIXED.get())
+def mixed_networks(precision: torch.dtype) -> Iterator[None]:
+    """Compute the networks of lifters inside in mixed ``precision``, and not their geometry."""
+    before = _MIXED.set(precision)
     try:
         yield
     finally:

@@ -194,7 +194,9 @@ class _FrozenSurprise(torch.autograd.Function):
         latent = vector @ rotation
         surprise = 0.5 * latent.square().sum(1) - _LARGEST * torch.stack([step[3] for step in steps]).sum((0, 2))
         slope = latent @ rotation.mT
-        for (_, changed, hidden, scale, factor, _), (enter, _, leave, _) in zip(reversed(steps), reversed(blocks), strict=True):
+        for (_, changed, hidden, scale, factor, _), (enter, _, leave, _) in zip(
+            reversed(steps), reversed(blocks), strict=True
+        ):
             of_kept, of_changed = slope.split([kept, len(rotation) - kept], 1)
             scaled = of_changed * factor
             of_scale = torch.addcmul(-one, scaled, changed) * torch.addcmul(one, scale, scale, value=-1) * _LARGEST

@@ -88,7 +88,9 @@ class Handedness(Prior):
             )
         self.planar, self.frame, self.margin, self.labels = planar, frame, margin, labels
         self.register_buffer("sign", torch.ones(()))
-        ends = [[[float(joint in end) for joint in skeleton.joints] for end in ends] for ends in self.directions.values()]
+        ends = [
+            [[float(joint in end) for joint in skeleton.joints] for end in ends] for ends in self.directions.values()
+        ]
         self.register_buffer("ends", torch.tensor(ends), persistent=False)
         self.register_buffer("upward", torch.tensor([0.0, -1.0, 0.0]), persistent=False)
 
@@ -111,7 +113,10 @@ class Handedness(Prior):
             )
 
     def value(
-        self, pose: Float[Tensor, "batch joints 3"], tilt: Float[Tensor, " batch"], visible: Float[Tensor, "batch joints"]
+        self,
+        pose: Float[Tensor, "batch joints 3"],
+        tilt: Float[Tensor, " batch"],
+        visible: Float[Tensor, "batch joints"],
     ) -> tuple[Float[Tensor, " batch"], Float[Tensor, " batch"]]:
         """Return each frame's handedness and whether all its ends have a visible joint (0 or 1)."""
         weight = visible[:, None, None] * self.ends
