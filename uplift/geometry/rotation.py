@@ -33,14 +33,12 @@ def about_z(angle: Float[Tensor, " batch"]) -> Float[Tensor, "batch 3 3"]:
 
 
 def _plane_rotation(angle: Tensor, first: int, second: int) -> Tensor:
-    cos, sin = angle.cos(), angle.sin()
-    rotation = torch.zeros(*angle.shape, 3, 3, dtype=angle.dtype, device=angle.device)
-    rotation[..., 3 - first - second, 3 - first - second] = 1
-    rotation[..., first, first] = cos
-    rotation[..., second, second] = cos
-    rotation[..., second, first] = sin
-    rotation[..., first, second] = -sin
-    return rotation
+    cos, sin, zero = angle.cos(), angle.sin(), torch.zeros_like(angle)
+    entries = [zero] * 9
+    entries[4 * (3 - first - second)] = torch.ones_like(angle)
+    entries[4 * first] = entries[4 * second] = cos
+    entries[3 * second + first], entries[3 * first + second] = sin, -sin
+    return torch.stack(entries, -1).unflatten(-1, (3, 3))
 
 
 def level(tilt: Float[Tensor, " batch"]) -> Float[Tensor, "batch 3 3"]:

@@ -15,7 +15,7 @@ from itertools import pairwise
 import numpy as np
 import torch
 from jaxtyping import Bool, Float, Int
-from torch import Tensor
+from torch import Tensor, nn
 from torch.nn.functional import cross_entropy, log_softmax, normalize, pad
 
 from uplift.config.threads import in_threads
@@ -37,7 +37,7 @@ _MOST_BONES = 4
 """Of a chain, which has 2 to the power of that many states."""
 
 
-class SignChains:
+class SignChains(nn.Module):
     """The tree of a skeleton's bones, cut into chains whose signs are decided together.
 
     A chain goes on to the only child of a joint, or the only one that is its own mirror image (from the hips up the
@@ -45,10 +45,20 @@ class SignChains:
     of a chain is a binary number with one digit for each bone, the first bone's first: 1 where it points away.
     """
 
+    bones: Tensor
+    """(bones 2) parent and child, chain after chain."""
+    members: Tensor
+    """(joints chains), 1 where a joint is one of a chain."""
+
     def __init__(self, skeleton: Skeleton):
+        super().__init__()
         self.chains = _chains(skeleton)
-        self.bones = torch.tensor([bone for chain in self.chains for bone in chain])
-        """(bones 2) parent and child, chain after chain."""
+        members = [
+            [float(any(joint in bone for bone in chain)) for chain in self.chains]
+            for joint in range(len(skeleton.joints))
+        ]
+        self.register_buffer("bones", torch.tensor([bone for chain in self.chains for bone in chain]), persistent=False)
+        self.register_buffer("members", torch.tensor(members), persistent=False)
         self.counts = [2 ** len(chain) for chain in self.chains]
         self.starts = np.cumsum([0, *map(len, self.chains)]).tolist()
         """The place of each chain's first bone among all."""
@@ -78,7 +88,7 @@ class SignChains:
     ) -> Int[Tensor, "frames chains"]:
         """Return the state of each chain in poses seen from ``distance``."""
         ray = torch.cat([pose[..., :2], pose[..., 2:] + distance[:, None, None]], -1)
-        parent, child = self.bones.to(pose.device).T
+        parent, child = self.bones.T
         away = ((pose[:, child] - pose[:, parent]) * ray[:, child]).sum(-1) > 0
         digits = [away[:, start:stop].long() for start, stop in pairwise(self.starts)]
         return torch.stack([reduce(lambda state, bit: 2 * state + bit, part.T) for part in digits], 1)
@@ -90,12 +100,10 @@ class SignChains:
         weight: Float[Tensor, "frames joints"],
     ) -> Float[Tensor, ""]:
         """Return the mean cross-entropy of a frame, over chains all of whose joints have a ``weight``."""
-        total = logits.new_zeros(())
-        for place, (part, chain) in enumerate(zip(logits.split(self.counts, 1), self.chains, strict=True)):
-            joints = sorted({joint for bone in chain for joint in bone})
-            known = (weight[:, joints] > 0).all(1).to(logits.dtype)
-            total = total + (cross_entropy(part, states[:, place], reduction="none") * known).mean()
-        return total
+        known = ((weight <= 0).to(self.members.dtype) @ self.members == 0).to(logits.dtype)
+        parts = zip(logits.split(self.counts, 1), states.unbind(1), strict=True)
+        each = torch.stack([cross_entropy(part, state, reduction="none") for part, state in parts], 1)
+        return (each * known).mean(0).sum()
 
 
 def _chains(skeleton: Skeleton) -> list[Chain]:
