@@ -17,6 +17,7 @@ from uplift.data.clean import clean
 from uplift.data.poses import PoseData
 from uplift.data.tensors import to_training_set
 from uplift.errors import UserError, listed
+from uplift.models.lifter import without_signs
 from uplift.models.model import Model, UsualErrors
 from uplift.models.predict import as_measured
 
@@ -79,7 +80,8 @@ def hidden_errors(model: Model, data: PoseData) -> Float[np.ndarray, "frames joi
         hidden = frames.confidence.clone()
         hidden[:, joint] = 0
         without = replace(frames, confidence=hidden)
-        lifted = model.lifter(frames.keypoints, hidden, frames.distance, *guessed, with_signs=False)
+        with without_signs():
+            lifted = model.lifter(frames.keypoints, hidden, frames.distance, *guessed)
         off = as_measured(without, lifted.keypoints)[:, joint] - frames.keypoints[:, joint]
         errors[:, joint] = torch.where(judged[:, joint], off.norm(dim=-1), torch.nan)
     return errors.cpu().numpy()

@@ -21,7 +21,7 @@ from uplift.models.networks import ResidualNetwork, build_network
 from uplift.models.signs import SignChains
 from uplift.skeleton import Skeleton
 
-__all__ = ["Lifted", "Lifter", "mixed_networks"]
+__all__ = ["Lifted", "Lifter", "mixed_networks", "without_signs"]
 
 _LOG_UNCERTAINTY = (-5.0, 2.0)
 _USUAL_DISTANCE = 10.0
@@ -67,6 +67,19 @@ def mixed_networks(precision: torch.dtype) -> Iterator[None]:
         yield
     finally:
         _MIXED.reset(before)
+
+
+_SIGNS: ContextVar[bool] = ContextVar("signs", default=True)
+
+
+@contextmanager
+def without_signs(on: bool = True) -> Iterator[None]:
+    """Lift without depth signs inside, a second network's; `Lifter.sign_logits` are those alone."""
+    before = _SIGNS.set(not on)
+    try:
+        yield
+    finally:
+        _SIGNS.reset(before)
 
 
 def _networks_precision(device: torch.device) -> AbstractContextManager[object]:
@@ -126,8 +139,6 @@ class Lifter(nn.Module):
         confidence: Float[Tensor, "batch joints"],
         distance: Float[Tensor, " batch"],
         guessed: Bool[Tensor, " batch"] | None = None,
-        *,
-        with_signs: bool = True,
     ) -> Lifted:
         """Lift normalised keypoints; a joint of confidence 0 is ignored wherever it is.
 
@@ -136,12 +147,11 @@ class Lifter(nn.Module):
             confidence: 0..1; 0 is missing.
             distance: of the camera to the root, in units.
             guessed: where the distance is a guess, which a lifter for any camera corrects; None: nowhere.
-            with_signs: whether to predict depth signs, too, where the lifter does; `sign_logits` are those alone.
         """
         features, keypoints, visible, guessed = self._seen(keypoints, confidence, distance, guessed)
         with _networks_precision(features.device):
             output = self.network(features)
-            signs = self._signs(features, distance) if with_signs else None
+            signs = self._signs(features, distance) if _SIGNS.get() else None
         output = output.to(features.dtype)  # geometry is in full precision
         root = self.skeleton.root_index
         depth, filled, spread, far, camera = output.split(self._sizes, 1)
@@ -250,14 +260,13 @@ class Lifter(nn.Module):
         confidence: Float[Tensor, "batch joints"],
         distance: Float[Tensor, " batch"],
         guessed: Bool[Tensor, " batch"] | None = None,
-        *,
-        with_signs: bool = True,
     ) -> Lifted:
         """Return the mean of the lifted keypoints and their lifted mirror image, if any (after Pavllo et al. 2019)."""
         if not self.skeleton.has_mirror_image:
-            return self(keypoints, confidence, distance, guessed, with_signs=with_signs)
+            given = [] if guessed is None else [guessed]
+            return self(keypoints, confidence, distance, *given)
         swap, count = self.mirror_permutation, len(keypoints)
-        both = self(*self._both_ways(keypoints, confidence, distance, guessed), with_signs=with_signs)
+        both = self(*self._both_ways(keypoints, confidence, distance, guessed))
         straight, mirrored = both.select(slice(None, count)), both.select(slice(count, None))
         depth = (straight.pose[..., 2] + mirrored.pose[:, swap, 2]) / 2
         filled = (straight.keypoints + mirror(mirrored.keypoints, swap)) / 2
@@ -291,12 +300,11 @@ class Lifter(nn.Module):
 
     def _both_ways(
         self, keypoints: Tensor, confidence: Tensor, distance: Tensor, guessed: Tensor | None
-    ) -> tuple[Tensor, Tensor, Tensor, Tensor | None]:
-        """Return keypoints and their mirror images as one batch."""
+    ) -> list[Tensor]:
+        """Return keypoints and their mirror images as one batch: what `forward` takes."""
         swap = self.mirror_permutation
-        keypoints = torch.cat([keypoints, mirror(keypoints, swap)])
-        confidence = torch.cat([confidence, confidence[:, swap]])
-        return keypoints, confidence, distance.repeat(2), None if guessed is None else guessed.repeat(2)
+        both = [torch.cat([keypoints, mirror(keypoints, swap)]), torch.cat([confidence, confidence[:, swap]])]
+        return [*both, distance.repeat(2)] + ([] if guessed is None else [guessed.repeat(2)])
 
     def _mean_signs(self, straight: Tensor | None, mirrored: Tensor | None) -> Tensor | None:
         if straight is None or mirrored is None or self.chains.mirrored is None:

@@ -24,7 +24,7 @@ from uplift.geometry.camera import Camera
 from uplift.geometry.lens import place_roots
 from uplift.geometry.normalise import Intrinsics, normalise
 from uplift.geometry.rotation import clip_direction, clip_median, gravity_of, least_rotation, real_tilt, turn
-from uplift.models.lifter import Lifted, Lifter, mixed_networks
+from uplift.models.lifter import Lifted, Lifter, mixed_networks, without_signs
 from uplift.models.metric_scale import (
     CameraHeight,
     Size,
@@ -164,8 +164,8 @@ def lift_frames(
     lifter does not know there are none.
     """
     one_way = lifter.lift_both_ways if both_ways else lifter
-    lift = partial(one_way, with_signs=with_signs and lifter.knows_signs)
-    return Lifted.concat(_by_chunks(lift, frames, half, "lifting frames"))
+    with without_signs(not (with_signs and lifter.knows_signs)):
+        return Lifted.concat(_by_chunks(one_way, frames, half, "lifting frames"))
 
 
 def sign_logits(
