@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 import torch
@@ -142,7 +143,7 @@ def test_a_flow_that_was_fitted_before_is_the_same_one(tmp_path: Path, monkeypat
     fit = Flow._fit
     monkeypatch.setattr(Flow, "_fit", lambda self, real: (fits.append(len(real)), fit(self, real)))
 
-    def fitted(frames: int = 60, **options: float) -> tuple[dict[str, torch.Tensor], torch.Tensor]:
+    def fitted(frames: int = 60, **options: Any) -> tuple[dict[str, torch.Tensor], torch.Tensor]:
         data = training_set(frames)
         torch.manual_seed(7)
         prior = Flow(H36M, axes=10, units=8, batch_size=32, **{"steps": 5, **options})

@@ -67,8 +67,10 @@ class Prepared:
     """What run.json is to keep."""
 
 
-def fit_settings(settings: Settings, run: RunFolder | None = None) -> RunFolder:
-    """Train as ``settings`` say, in a new run folder or going on in ``run``."""
+def fit_settings(
+    settings: Settings, run: RunFolder | None = None, *, place: Path | None = None, command: str | None = None
+) -> RunFolder:
+    """Train as ``settings`` say, going on in ``run`` or in a new run folder, at ``place`` if given, by ``command``."""
     # What a task file names is asked for together, before any work; the built-in ones are not.
     builtin = {*PRIORS.values(), *NETWORKS.values(), *DATA_SETS.values(), *CALLBACKS.values(), *LOGGERS.values()}
     require({name: use for name, use in classes_of(asdict(settings)).items() if use not in builtin})
@@ -78,13 +80,13 @@ def fit_settings(settings: Settings, run: RunFolder | None = None) -> RunFolder:
         launch.join(settings.trainer)
         launch.start(check_trainer(settings.trainer), settings.trainer)  # before any data is read
     with launch.as_one():
-        return _fit(settings, run)
+        return _fit(settings, run, place, command)
 
 
-def _fit(settings: Settings, run: RunFolder | None) -> RunFolder:
+def _fit(settings: Settings, run: RunFolder | None, place: Path | None, command: str | None) -> RunFolder:
     fit: Prepared = KINDS[settings.lifts].fit(settings, run)
     settings = fit.settings
-    run = _run_of_all_ranks(run, settings)
+    run = _run_of_all_ranks(run, settings, place, command)
     try:
         if rank_zero_only.rank == 0:
             if fit.facts:
@@ -139,7 +141,7 @@ def prepare_masks(settings: Settings, run: RunFolder | None) -> Prepared:
     return Prepared("masks", replace(loaded, notes=data.notes), recipe, settings)
 
 
-def _run_of_all_ranks(run: RunFolder | None, settings: Settings) -> RunFolder:
+def _run_of_all_ranks(run: RunFolder | None, settings: Settings, place: Path | None, command: str | None) -> RunFolder:
     """Return one folder for all processes: rank 0 makes it."""
     if rank_zero_only.rank != 0:
         path = Path(launch.from_rank_0(""))
@@ -152,6 +154,6 @@ def _run_of_all_ranks(run: RunFolder | None, settings: Settings) -> RunFolder:
         started = Path(sys.argv[0])
         ours = started.stem == "uplift" or started.parts[-2:] == ("cli", "main.py")
         words = sys.argv[1:] if ours else [f"({started.name})"]
-        run = RunFolder.create(settings, shlex.join(["uplift", *words]))
+        run = RunFolder.create(settings, command or shlex.join(["uplift", *words]), place)
     os.environ[RUN_VARIABLE] = launch.from_rank_0(str(run.path.absolute()))
     return run

@@ -82,12 +82,7 @@ class Flow(Prior):
 
     def prepare(self, data: TrainingSet) -> None:
         """Fit the flow to the training keypoints, mirrored ones beside them, and freeze it."""
-        real = impute_gaussian(data.keypoints, data.confidence)
-        if self.skeleton.has_mirror_image:
-            swap = torch.as_tensor(self.skeleton.mirror_permutation.copy(), device=real.device)
-            real = torch.cat([real, mirror(real, swap)])
-        real = real[:, self.places].flatten(1)
-        kept = cache_folder("flows") / f"{self._key(real)}{ENDING}"
+        kept = cache_folder("flows") / f"{self._key(data)}{ENDING}"
         with contextlib.suppress(UserError, RuntimeError, KeyError):  # not there, or damaged: it is only a cache
             found = read_safe(kept, "flow")
             if _digest(found["state"][name] for name in sorted(found["state"])) == found["digest"]:
@@ -97,19 +92,27 @@ class Flow(Prior):
                 self.load_state_dict(found["state"])
                 kept.touch()
                 return
+        real = impute_gaussian(data.keypoints, data.confidence)
+        if self.skeleton.has_mirror_image:
+            swap = torch.as_tensor(self.skeleton.mirror_permutation.copy(), device=real.device)
+            real = torch.cat([real, mirror(real, swap)])
+        real = real[:, self.places].flatten(1)
         self._whiten(real)
         self._fit(real)
         self._keep(kept)
 
-    def _key(self, real: Tensor) -> str:
+    def _key(self, data: TrainingSet) -> str:
         """Return a name for all that the fitted flow depends on: keypoints, options, first weights, random numbers."""
-        options = (_FORMAT, torch.__version__, str(real.device), tuple(self.whiten.shape), self.noise, self.steps)
-        return _digest(
-            [torch.get_rng_state(), *self.flow.state_dict().values(), real],
-            *options,
-            self.batch_size,
-            self.learning_rate,
-        )
+        tensors = [
+            torch.get_rng_state(),
+            *self.flow.state_dict().values(),
+            self.places,
+            data.keypoints,
+            data.confidence,
+        ]
+        swap = tuple(self.skeleton.mirror_permutation) if self.skeleton.has_mirror_image else ()
+        options = (self.noise, self.steps, self.batch_size, self.learning_rate)
+        return _digest(tensors, _FORMAT, torch.__version__, data.keypoints.device, swap, options)
 
     def _keep(self, path: Path) -> None:
         """Keep the fitted flow in the cache, and of all flows there those that were used last."""
@@ -162,5 +165,5 @@ class Flow(Prior):
 def _digest(tensors: Iterable[Tensor], *options: object) -> str:
     found = hashlib.sha256(repr(options).encode())
     for tensor in tensors:
-        found.update(tensor.detach().cpu().contiguous().numpy())
+        found.update(tensor.detach().cpu().contiguous().numpy().tobytes())
     return found.hexdigest()[:32]

@@ -8,7 +8,7 @@ import weakref
 from collections.abc import Iterator, Mapping
 from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
-from typing import Any, Generic, TypeVar, cast
+from typing import Any, ClassVar, Generic, TypeVar, cast
 
 import lightning as L
 import torch
@@ -23,6 +23,7 @@ from uplift.config.settings import Settings, StageSettings
 from uplift.config.trust import Trust, consents
 from uplift.data.samples import Samples
 from uplift.errors import UserError, did_you_mean
+from uplift.models.lifter import mixed_networks
 from uplift.priors.base import Lift, Prior, ShapeLift
 from uplift.training.objective import Logged, Objective
 
@@ -105,6 +106,8 @@ class TrainingModule(L.LightningModule, Generic[LifterT, DataT]):
     """Terms are logged as ``train/NAME``."""
     first_step: int = 0
     """Steps of earlier stages, which loggers count on from."""
+    prepares_anywhere: ClassVar[bool] = False
+    """Whether `prepare` works on the module's device, whatever that is."""
     prior_rate: float | None = None
     """The learning rate of the priors' own parameters; the lifter's where it is None."""
     _total_steps: float = math.inf
@@ -158,7 +161,13 @@ class TrainingModule(L.LightningModule, Generic[LifterT, DataT]):
         data = self.trainer.datamodule  # type: ignore[attr-defined]
         other = self.prepared_with is not None and data is not None and data is not self.prepared_with()
         if stage == "fit" and (self.frames is None or other):
-            self.prepare(data)
+            self.prepare_on(self.trainer.strategy.root_device, data)
+
+    def prepare_on(self, device: torch.device, data: Any) -> None:
+        """Call `prepare` where the module is then trained, if it can: fitting priors and lifting poses take long."""
+        if self.prepares_anywhere:
+            self.to(device)
+        self.prepare(data)
 
     def on_fit_start(self) -> None:
         """Move the training data to the module's device."""
@@ -210,7 +219,8 @@ class TrainingModule(L.LightningModule, Generic[LifterT, DataT]):
         self._micro_batch = batch_idx % self._accumulated
         torch.manual_seed(stream_seed(self.seed, self.stream_step))
         with self.sharing(batch):
-            loss, self.logged = self.objective(batch)
+            with self.mixed_networks():
+                loss, self.logged = self.objective(batch)
             if self._log_every and ((self.global_step + 1) % self._log_every == 0 or self.trainer.is_last_batch):
                 self._log_terms(loss)
         return loss
@@ -263,6 +273,14 @@ class TrainingModule(L.LightningModule, Generic[LifterT, DataT]):
     def inference(self) -> Iterator[None]:
         """Compute as ``uplift evaluate`` and ``uplift predict`` do: in full precision, whatever mode the trainer is in."""
         with torch.inference_mode(False), torch.no_grad(), self.full_precision():
+            yield
+
+    @contextmanager
+    def mixed_networks(self) -> Iterator[None]:
+        """Compute the lifter's networks in the trainer's mixed precision, if it has one, and nothing else."""
+        kind = self.device.type
+        given = torch.get_autocast_dtype(kind) if torch.is_autocast_enabled(kind) else None
+        with self.full_precision(), mixed_networks(given):
             yield
 
     def full_precision(self) -> Any:

@@ -317,7 +317,7 @@ class Budget(Timer):
     def time_elapsed(self, stage: RunningStage = RunningStage.TRAINING) -> float:
         """Return the seconds so far, those of the slowest rank when ranks last agreed."""
         training = stage == RunningStage.TRAINING
-        return super().time_elapsed(stage) if self._agreed is None or not training else self._agreed
+        return float(super().time_elapsed(stage)) if self._agreed is None or not training else self._agreed
 
     def on_train_end(self, *rest: Any) -> None:
         """Leave the time as the last step's end set it."""

@@ -9,7 +9,7 @@ import weakref
 from collections.abc import Mapping
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import torch
 from jaxtyping import Float
@@ -54,6 +54,7 @@ __all__ = ["KeypointModule", "LiftingModule", "make_lift"]
 class KeypointModule(TrainingModule[Lifter, Any]):
     """What modules that train a lifter of keypoints share: the lifter's settings, inference, and figures."""
 
+    prepares_anywhere: ClassVar[bool] = True
     skeleton: Skeleton
     lifter_settings: LifterSettings
     _sized: bool = False
@@ -103,6 +104,7 @@ class KeypointModule(TrainingModule[Lifter, Any]):
             keypoints: joints as in ``self.skeleton.joints``.
             confidence: 0..1, 0 is missing; all 1 if None.
         """
+        keypoints = keypoints.to(self.lifter.bone_mm.dtype)  # a network that finds them may be in mixed precision
         if confidence is None:
             confidence = torch.ones_like(keypoints[..., 0])
         known = keypoints.isfinite().all(-1)
@@ -269,7 +271,7 @@ class LiftingModule(KeypointModule):
         data = self._checked(data)
         self._take_sizes(data)
         self.truth = self.maker = None
-        frames = self.frames = data.frames(self.lifter_settings)
+        frames = self.frames = data.frames(self.lifter_settings).to(self.device)
         self.labelled_share = data.labelled_share
         self.sampler = LabelledSampler(frames.labelled, self.labelled_share)
         labelled = bool(frames.labelled.any())
@@ -291,9 +293,9 @@ class LiftingModule(KeypointModule):
             batch: how many of `frames` to draw; or a `Batch`; or keypoints (batch joints 2) in pixels, alone, as
                 (keypoints, confidence), or as a mapping with those names.
         """
-        drawn = self._mirrored(self._batch(batch))
-        lift = self.last_lift = self.lift(drawn)
-        with self.full_precision():
+        with self.mixed_networks():
+            drawn = self._mirrored(self._batch(batch))
+            lift = self.last_lift = self.lift(drawn)
             judged, losses = self.terms.judge(lift, self.global_step)
             again = isinstance(batch, int) and not self.settings.same_real
             real = self._mirrored(self._batch(batch)) if again else drawn
@@ -366,8 +368,7 @@ def make_lift(lifter: Lifter, batch: Batch, views: ViewFunction, settings: ViewS
         hidden = (chance < hide) & (batch.confidence > 0)
         hidden[:, lifter.skeleton.root_index] = False
     lifted = lifter(batch.keypoints, batch.confidence.masked_fill(hidden, 0), batch.distance)
-    with torch.autocast(lifted.pose.device.type, enabled=False):
-        view = checked_view(views, lifted)
+    view = checked_view(views, lifted)
     return Lift(
         skeleton=lifter.skeleton,
         keypoints=batch.keypoints,

@@ -21,7 +21,7 @@ from lightning.fabric.utilities.exceptions import MisconfigurationException
 from lightning.pytorch import callbacks as lightning_callbacks
 from lightning.pytorch.loggers import Logger
 
-from uplift.config.device import fast_products
+from uplift.config.device import ACCELERATORS, device_of, fast_products
 from uplift.config.plugins import build, find_class, users_line
 from uplift.config.progress import is_quiet
 from uplift.config.run import RunFolder
@@ -87,7 +87,7 @@ class Recipe:
         start = time.monotonic()
         if self._loggers is None:  # one of each for all stages
             self._loggers = build_loggers(self.settings, run.path)
-        module.prepare(data)
+        module.prepare_on(_first_device(self.settings.trainer), data)
         data.batch_size = batch_size
         module.log_prefix, module.first_step = name, sum(self.steps.values())
         record = run_stage(
@@ -257,6 +257,14 @@ def _trainer_flags(settings: TrainerSettings, budget: StageBudget, *, has_val: b
         **_flags_of_ranks(settings),
         **({"enable_progress_bar": False} if is_quiet() else {}),
     }
+
+
+def _first_device(settings: TrainerSettings) -> torch.device:
+    """Return the device that this process trains on, or the processor where Lightning names another kind."""
+    if settings.accelerator not in ("gpu", *ACCELERATORS):
+        return torch.device("cpu")
+    device = device_of(settings.accelerator)
+    return torch.device("cuda", int(os.environ.get("LOCAL_RANK", 0))) if device.type == "cuda" else device
 
 
 _MOST_PROCESSES = 4

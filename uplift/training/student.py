@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import dataclasses
 from collections.abc import Mapping
 from dataclasses import replace
@@ -203,6 +204,7 @@ class StudentModule(KeypointModule):
         teacher = None if given is None else _lifter_of(given)
         any_camera = teacher is not None and teacher.any_camera
         frames = data.frames(dataclasses.replace(self.lifter_settings, cameras="any" if any_camera else "own"))
+        frames = frames.to(self.device)
         if bool(frames.labelled.all()):
             poses = true_poses(frames, self.lifter.camera, tilted=self.lifter.tilt != "level")
         elif teacher is None:
@@ -210,6 +212,8 @@ class StudentModule(KeypointModule):
                 "StudentModule needs teacher=... (a trained module, a model or a run), or labels of every frame."
             )
         else:
+            if self.device.type != "cpu":
+                teacher = copy.deepcopy(teacher).to(self.device)
             poses = lift_all(teacher, frames.some(self.settings.frames, self.seed), self.settings.refine)
         if teacher is not None and self.settings.warm:
             self._start_from(teacher)
@@ -253,10 +257,11 @@ class StudentModule(KeypointModule):
         Args:
             batch: how many views of the teacher's poses to make, or views.
         """
-        views = batch if isinstance(batch, ShownViews) else self._views(batch)
-        lifted = self.lifter(views.input, views.confidence, views.told, views.guessed)
-        with blame("student.loss: forward", type(self.loss)):
-            found = self.loss(lifted, views, self.lifter)
+        with self.mixed_networks():
+            views = batch if isinstance(batch, ShownViews) else self._views(batch)
+            lifted = self.lifter(views.input, views.confidence, views.told, views.guessed)
+            with blame("student.loss: forward", type(self.loss)):
+                found = self.loss(lifted, views, self.lifter)
         loss, logged = found if isinstance(found, tuple) else (found, {})
         (loss,) = ranks.mean(loss) if isinstance(loss, Tensor) else (loss,)
         if not isinstance(loss, Tensor) or loss.shape != () or not loss.requires_grad:
@@ -281,7 +286,7 @@ class StudentModule(KeypointModule):
         if self._made is None or self._made[:2] != (chunk, size):
             # Each chunk has its own random stream, so that a resumed fit makes the same one again.
             torch.manual_seed(stream_seed(self.seed + 1, chunk))
-            with torch.no_grad(), self.full_precision(), ranks.alone():
+            with torch.no_grad(), ranks.alone():
                 self._made = (chunk, size, self.maker(size * _BATCHES_AT_ONCE))
             torch.manual_seed(stream_seed(self.seed, self.stream_step))
         start, stop, _ = ranks.my_rows().indices(size)
