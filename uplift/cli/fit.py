@@ -15,6 +15,7 @@ from lightning.pytorch.utilities.rank_zero import rank_zero_only
 from uplift.cli.failures import RUN_VARIABLE
 from uplift.cli.kinds import KINDS
 from uplift.cli.report import Training, report
+from uplift.config import ranks
 from uplift.config.loading import classes_of, load_settings
 from uplift.config.progress import say
 from uplift.config.run import RunFolder
@@ -102,7 +103,11 @@ def _fit(settings: Settings, run: RunFolder | None, place: Path | None, command:
     if rank_zero_only.rank == 0:
         model.save(run.weights)
         run.link_last()
-        report(run, model, settings, fit.loaded, Training(fit.recipe.spent, fit.recipe.steps, fit.recipe.idle_priors))
+    with ranks.work_shared():  # all ranks evaluate the same clips together
+        found = KINDS[settings.lifts].report(model, settings, fit.loaded)
+    if rank_zero_only.rank == 0:
+        trained = Training(fit.recipe.spent, fit.recipe.steps, fit.recipe.idle_priors)
+        report(run, found, settings, fit.loaded, trained)
     return run
 
 

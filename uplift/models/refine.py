@@ -11,6 +11,7 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 from torch.nn.functional import pad
 
+from uplift.config import ranks
 from uplift.config.progress import progress
 from uplift.config.settings import RefineSettings
 from uplift.data.tensors import TrainingSet
@@ -88,12 +89,13 @@ def refine_clips(
     whole = _Bodies.of(data, rows, refined[rows])
     most = _BLOCK_FRAMES if depth.device.type == "cpu" else _BLOCK_FRAMES_ELSEWHERE
     blocks = _blocks(torch.bincount(whole.clip), most)
-    for frames, clips in progress(blocks, "refining clips") if len(blocks) > 1 else blocks:
+    mine = ranks.my_parts(blocks)
+    for frames, clips in progress(mine, "refining clips") if len(mine) > 1 else mine:
         part = rows[frames]
         bodies = whole.part(frames, clips)
         problem = _Problem(data, part, keypoints[part], depth[part], camera, settings, bodies)
         refined[part] = _solve(problem, settings)
-    return refined
+    return ranks.filled(refined, [rows[frames] for frames, _ in blocks])
 
 
 def _blocks(frames_of: Int[Tensor, " clips"], most: int) -> list[tuple[slice, slice]]:

@@ -18,6 +18,7 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 from torch.nn.functional import cross_entropy, log_softmax, normalize, pad
 
+from uplift.config import ranks
 from uplift.data.poses import USUAL_FPS
 from uplift.data.tensors import TrainingSet
 from uplift.geometry.camera import Camera, Orthographic
@@ -291,8 +292,8 @@ def _marginals(
     """
     if not windows:
         return likely / likely.sum(1, keepdim=True)
-    result = torch.empty_like(likely)
-    for block in _blocks(windows):
+    result, blocks = torch.empty_like(likely), list(_blocks(windows))
+    for block in ranks.my_parts(blocks):
         longest = max(len(window.rows) for window in block)
         rows = torch.stack([pad(one.rows, (0, longest - len(one.rows)), value=int(one.rows[-1])) for one in block])
         valid = torch.stack([torch.arange(longest, device=rows.device) < len(one.rows) for one in block])
@@ -305,7 +306,7 @@ def _marginals(
             found = _by_acceleration(place[rows], seen, valid, _ACCELERATION * pace**2)
         for window, one in zip(block, found, strict=True):
             result[window.rows[window.core]] = one[window.core]
-    return result
+    return ranks.filled(result, [torch.cat([window.rows[window.core] for window in block]) for block in blocks])
 
 
 def _products(one: Tensor, other: Tensor) -> Float[Tensor, "clips frames bones states states"]:
