@@ -191,7 +191,7 @@ def _scores(run: Path) -> dict[tuple[str, ...], float]:
 
 
 def test_a_fit_on_two_devices_is_one_run(here: Path) -> None:
-    """One folder, one report, said once; losses as of one process. It was stopped on one, and goes on on two."""
+    """One folder, one report, said once; losses as of one process, which goes on where two stopped."""
     words = [*own_data(here / "a.npz"), "trainer.accelerator=cpu", "data.val=0.2"]
     assert status_of("fit", *words) == 0
     alone = RunFolder.open("runs/h36m17").path
@@ -205,6 +205,11 @@ def test_a_fit_on_two_devices_is_one_run(here: Path) -> None:
     first, second = _scores(alone), _scores(together)
     assert first.keys() == second.keys()
     assert all(second[key] == pytest.approx(value, rel=1e-3, abs=1e-4) for key, value in first.items())
+    (together / "checkpoints" / "student_1.ckpt").unlink()
+    before = torch.load(together / "lifter.pt", weights_only=True)["state"]
+    assert status_of("fit", f"resume={together}", "trainer.devices=1") == 0
+    after = torch.load(together / "lifter.pt", weights_only=True)["state"]
+    assert all(torch.allclose(before[key], value, atol=1e-3) for key, value in after.items())
 
 
 ENVIRONMENTS = [

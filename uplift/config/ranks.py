@@ -32,6 +32,7 @@ __all__ = [
     "my_rows",
     "own_numbers",
     "rank",
+    "rank_0_first",
     "shared",
     "sharing",
     "sum_of_parts",
@@ -65,6 +66,18 @@ def largest(values: Sequence[float]) -> list[float]:
 def _device() -> torch.device:
     """Return the device of numbers that ranks exchange: the processor, unless they have no connection but that of GPUs."""
     return torch.device("cuda" if distributed.get_backend() == "nccl" else "cpu")
+
+
+@contextmanager
+def rank_0_first() -> Iterator[None]:
+    """Let others do what is within after rank 0, as what it keeps in a cache serves them too."""
+    if rank() > 0:
+        distributed.barrier()
+    try:
+        yield
+    finally:
+        if world() > 1 and rank() == 0:
+            distributed.barrier()
 
 
 # One batch.
