@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import socket
 import subprocess
 import sys
@@ -133,7 +134,7 @@ def results(tmp_path_factory: pytest.TempPathFactory):
     both = [subprocess.Popen([*words, str(rank), str(folder)], stderr=subprocess.PIPE, text=True) for rank in (0, 1)]
     with pytest.MonkeyPatch.context() as patch:
         patch.syspath_prepend(str(folder))
-        import together
+        together = importlib.import_module("together")
 
         patch.setattr("uplift.models.refine._BLOCK_FRAMES", 4000)
         patch.setattr("uplift.models.signs._BLOCK_FRAMES", 4000)
