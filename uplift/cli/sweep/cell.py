@@ -7,7 +7,6 @@ import functools
 import io
 import os
 import shlex
-import sys
 from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, TextIO
@@ -57,7 +56,9 @@ def run_cell_apart(folder: Path, name: str, consent: Consent) -> Outcome | None:
     cell = next(one for one in sweep.cells if one.name == name)
     log = open(sweep.log_of(cell), "a", encoding="utf-8", errors="backslashreplace")  # noqa: SIM115 (closed below)
     with log, _output_to(log), clear_output(), granted(consent):
-        return run_cell(sweep, cell)
+        outcome = run_cell(sweep, cell)
+        print(outcome.error if outcome else "interrupted", file=log)
+        return outcome
 
 
 @contextlib.contextmanager
@@ -79,11 +80,10 @@ def _output_to(log: TextIO) -> Iterator[None]:
 
 
 def _one_line(error: BaseException, command: str) -> str:
-    """Return what the command line says of an error, which is printed too."""
+    """Return what the command line says of an error."""
     said = io.StringIO()
     with contextlib.redirect_stderr(said):
         status_of(error, shlex.split(command)[1:])
-    print(said.getvalue(), end="", file=sys.stderr)
     return said.getvalue().strip().removeprefix("uplift: ").splitlines()[0]
 
 

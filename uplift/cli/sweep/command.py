@@ -13,10 +13,11 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from uplift.cli.kinds import Later
-from uplift.cli.sweep.folder import Outcome, Sweep, checked
+from uplift.cli.sweep.folder import Outcome, Sweep, check_values
 from uplift.cli.sweep.processes import gpus, workers_of
 from uplift.cli.sweep.table import best_of, lines_of, words_of, write_tables
 from uplift.config.grid import Cell, split_grid
+from uplift.config.loading import load_settings
 from uplift.config.progress import say
 from uplift.config.run import link
 from uplift.config.settings import Settings, seconds_of
@@ -61,8 +62,9 @@ def start_sweep(task: str | None, overrides: Sequence[str], command: str) -> Swe
         " x ".join(f"{one.key} ({len(one.values):,})" for one in axes),
     )
     with granted(consent_of(f"{axis.key}={value}" for axis in axes for value in axis.values)):
-        first = checked(task, words, axes)
+        first = load_settings(task, [*words, *(f"{axis.key}={axis.values[0]}" for axis in axes)])
         _check(first, fits, grid)
+        check_values(task, words, axes)
         if first.trainer.threads is None and _how(first, fits)[0] != "here" and not gpus(first):
             words.append("trainer.threads=1")  # fits at the same time share the cores
         made = Sweep.create(first, task, words, axes, command)
@@ -181,7 +183,7 @@ def _run(made: Sweep, left: Sequence[Cell], ending: Iterator[Cell], workers: int
             outcome, rest = made.outcome(cell), len(left) - done
             time_left = (time.monotonic() - start) / done * rest
             more = f", about {_clock(time_left)} left" if rest and done >= workers else ""
-            say(f"[{fits - rest}/{fits}] {_ended(cell, outcome or Outcome())}{more}")
+            say(f"[{fits - rest} of {fits}{more}] {_ended(cell, outcome or Outcome())}")
 
 
 def _ended(cell: Cell, outcome: Outcome) -> str:
