@@ -6,6 +6,9 @@ import dataclasses
 import time
 from collections.abc import Callable
 
+import torch
+
+from uplift.config.device import fast_products
 from uplift.config.settings import Settings
 from uplift.data.sampler import LabelledSampler
 from uplift.data.tensors import TrainingSet
@@ -43,34 +46,41 @@ def untrained_poses(settings: Settings, frames: TrainingSet) -> PseudoPoses:
     return lift_all(lifter, frames.some(settings.student.frames, 1), settings.student.refine)
 
 
-def student(settings: Settings, poses: PseudoPoses) -> StudentModule:
-    """Return the training of the last student on ``poses``."""
-    chosen = dataclasses.replace(student_settings(settings, last=True), denoise=False)
+def student(settings: Settings, poses: PseudoPoses, *, last: bool = True) -> StudentModule:
+    """Return the training of the last student on ``poses``, or of one before it."""
+    chosen = dataclasses.replace(student_settings(settings, last=last), denoise=False)
     plain = plain_settings(settings.student)
     module = StudentModule(poses.skeleton, lifter=dataclasses.asdict(chosen), seed=1, **plain)
     module.frames, module.labelled_share = poses, None
     return module
 
 
-def stepper(module: TrainingModule, batch_size: int) -> Callable[[int], float]:
-    """Return a function that runs a number of training steps without a trainer and returns the seconds they took."""
+def stepper(module: TrainingModule, batch_size: int, precision: str = "32-true") -> Callable[[int], float]:
+    """Return a function that runs a number of training steps without a trainer and returns the seconds they took.
+
+    The loss of the last step is kept as ``module.last_loss``.
+    """
     kind = type(module)
     module.__class__ = type(kind.__name__, (kind,), {"global_step": property(lambda self: self.__dict__["steps"])})
     module.__dict__["steps"] = 0
     module.on_fit_start()
     optimizer = module.configure_optimizers()
+    mixed = torch.autocast(module.device.type, torch.bfloat16, enabled=precision == "bf16-mixed")
 
     def run(count: int) -> float:
         start = time.perf_counter()
-        for step in range(module.global_step, module.global_step + count):
-            loss = module.training_step(batch_size, step)
-            optimizer.zero_grad()
-            loss.backward()
-            module.on_before_optimizer_step(optimizer)
-            optimizer.step()
-            if module.averaged is not None:
-                module.averaged.update_parameters(module.lifter)
-            module.__dict__["steps"] += 1
+        with fast_products(training=True):
+            for step in range(module.global_step, module.global_step + count):
+                with mixed:
+                    loss = module.training_step(batch_size, step)
+                optimizer.zero_grad()
+                loss.backward()
+                module.on_before_optimizer_step(optimizer)
+                optimizer.step()
+                if module.averaged is not None:
+                    module.averaged.update_parameters(module.lifter)
+                module.__dict__["steps"] += 1
+                module.__dict__["last_loss"] = loss.detach()
         return time.perf_counter() - start
 
     return run

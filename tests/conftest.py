@@ -11,12 +11,25 @@ import pytest
 from hypothesis import settings
 from page_browser import BROWSER, Browser
 
+from uplift.config.files import cache_folder
+
 if "PYTEST_XDIST_WORKER" in os.environ:
     os.environ.setdefault("OMP_NUM_THREADS", "1")  # one thread per process: more would only compete for the cores
 
 # Deterministic examples: a failure can be reproduced.
 settings.register_profile("steady", derandomize=True, deadline=None)
 settings.load_profile("steady")
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _own_cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
+    """Keep what tests make again and again in a cache of their own: the user's may hold anything, but has the networks."""
+    cache, networks = tmp_path_factory.mktemp("cache"), cache_folder("mediapipe")
+    if networks.is_dir():
+        (cache / "mediapipe").symlink_to(networks, target_is_directory=True)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("UPLIFT_CACHE", str(cache))
+        yield
 
 
 def pytest_collection_finish() -> None:

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
+from typing import Any
 
 import pytest
 import torch
@@ -132,3 +134,32 @@ def test_a_flow_is_fitted_to_frames_with_gaps():
     prior = Flow(H36M, axes=10, units=8, steps=5, batch_size=32)
     prior.prepare(data)
     assert prior.loss(lift_of(small_lifter(), data)).isfinite().all()
+
+
+def test_a_flow_that_was_fitted_before_is_the_same_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Bit by bit, and so are the random numbers that come next; other data, options or damage make it fit anew."""
+    monkeypatch.setenv("UPLIFT_CACHE", str(tmp_path))
+    fits: list[int] = []
+    fit = Flow._fit
+    monkeypatch.setattr(Flow, "_fit", lambda self, real: (fits.append(len(real)), fit(self, real)))
+
+    def fitted(frames: int = 60, **options: Any) -> tuple[dict[str, torch.Tensor], torch.Tensor]:
+        data = training_set(frames)
+        torch.manual_seed(7)
+        prior = Flow(H36M, axes=10, units=8, batch_size=32, **{"steps": 5, **options})
+        prior.prepare(data)
+        assert not any(parameter.requires_grad for parameter in prior.parameters())
+        return dict(prior.state_dict()), torch.rand(3)
+
+    first, again = fitted(), fitted()
+    assert len(fits) == 1
+    torch.testing.assert_close(first, again, rtol=0, atol=0)
+    for other in ({"frames": 61}, {"noise": 0.06}, {"steps": 6}):
+        fitted(**other)
+    assert len(fits) == 4
+    for kept in (tmp_path / "flows").iterdir():
+        content = bytearray(kept.read_bytes())
+        content[-100] ^= 1
+        kept.write_bytes(content)
+    torch.testing.assert_close(fitted(), first, rtol=0, atol=0)
+    assert len(fits) == 5

@@ -24,6 +24,7 @@ from uplift.data.datasets import DATA_SETS
 from uplift.errors import UserError
 from uplift.models.networks import NETWORKS
 from uplift.priors import PRIORS
+from uplift.training import launch
 from uplift.training.callbacks import Interrupted
 from uplift.training.stages import CALLBACKS, LOGGERS, check_trainer
 
@@ -75,7 +76,14 @@ def fit_settings(
     require({name: use for name, use in classes_of(asdict(settings)).items() if use not in builtin})
     if settings.trainer.threads:
         torch.set_num_threads(settings.trainer.threads)
-    check_trainer(settings.trainer)  # before any data is read
+    with launch.as_one():
+        launch.join(settings.trainer)
+        launch.start(check_trainer(settings.trainer), settings.trainer)  # before any data is read
+    with launch.as_one():
+        return _fit(settings, run, place, command)
+
+
+def _fit(settings: Settings, run: RunFolder | None, place: Path | None, command: str | None) -> RunFolder:
     fit: Prepared = KINDS[settings.lifts].fit(settings, run)
     settings = fit.settings
     run = _run_of_all_ranks(run, settings, place, command)
@@ -134,13 +142,18 @@ def prepare_masks(settings: Settings, run: RunFolder | None) -> Prepared:
 
 
 def _run_of_all_ranks(run: RunFolder | None, settings: Settings, place: Path | None, command: str | None) -> RunFolder:
-    """Return one folder for all processes: Lightning starts this command again for every further rank."""
-    if rank_zero_only.rank != 0 and RUN_VARIABLE in os.environ:
-        return RunFolder.open(os.environ[RUN_VARIABLE])
+    """Return one folder for all processes: rank 0 makes it."""
+    if rank_zero_only.rank != 0:
+        path = Path(launch.from_rank_0(""))
+        if not path.is_dir():
+            raise UserError(
+                f"process {rank_zero_only.rank} does not see the run {path}: computers need one file system."
+            )
+        return RunFolder.open(path)
     if run is None:
         started = Path(sys.argv[0])
         ours = started.stem == "uplift" or started.parts[-2:] == ("cli", "main.py")
         words = sys.argv[1:] if ours else [f"({started.name})"]
         run = RunFolder.create(settings, command or shlex.join(["uplift", *words]), place)
-    os.environ[RUN_VARIABLE] = str(run.path.absolute())
+    os.environ[RUN_VARIABLE] = launch.from_rank_0(str(run.path.absolute()))
     return run

@@ -226,7 +226,7 @@ def _by_first_word(functions: dict[str, str], expected: str) -> Callable[[Sequen
 _RUN: dict[str, Callable[[Sequence[str]], int | None]] = {
     "fit": _fit,
     "evaluate": Later("uplift.cli.evaluate:evaluate_command"),
-    "predict": Later("uplift.cli.predict:predict_command"),
+    "predict": Later("uplift.cli.predict_files:predict_command"),
     "detect": Later("uplift.cli.detect:detect_command"),
     "detectors": Later("uplift.cli.detect:detectors_command"),
     "simulate": Later("uplift.cli.simulate:simulate_command"),

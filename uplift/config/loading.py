@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 import re
 import typing
 from collections.abc import Collection, Iterable, Mapping, Sequence
@@ -312,7 +313,7 @@ def _typed(merged: dict[str, Any]) -> Settings:
 
     _check_tuples(merged)
     try:
-        config = OmegaConf.merge(OmegaConf.structured(Settings), OmegaConf.create(_escape(merged)))
+        config = OmegaConf.merge(_structure(), OmegaConf.create(_escape(merged)))
         settings = OmegaConf.to_object(config)
     except OmegaConfBaseException as error:
         key = getattr(error, "full_key", None)
@@ -325,6 +326,14 @@ def _typed(merged: dict[str, Any]) -> Settings:
                 what = "use, weight and options of the prior" if group == "priors" else "use, and options of the class"
                 raise UserError(f"{group}.{name} is {spec!r}, expected settings: {what}.")
     return settings
+
+
+@functools.cache
+def _structure() -> Any:
+    """Return the types and defaults of all settings, which `OmegaConf.merge` copies."""
+    from omegaconf import OmegaConf
+
+    return OmegaConf.structured(Settings)
 
 
 def _check_tuples(data: dict[str, Any]) -> None:

@@ -361,6 +361,9 @@ class TrainerSettings:
     )
     accelerator: str = _setting("auto", "accelerator of Lightning's Trainer")
     devices: str = _setting("auto", "devices of Lightning's Trainer")
+    wait: float = _setting(
+        1800.0, "seconds that the processes of a fit wait for one another before it ends with an error", low=1, high=1e6
+    )
     precision: str = _setting(
         "32-true",
         "precision of Lightning's Trainer: 16 and bf16 are mixed, as geometry needs all digits",

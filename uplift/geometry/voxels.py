@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import trimesh
 from jaxtyping import Bool, Float, Int
 from scipy import ndimage
 from scipy.sparse import coo_matrix
@@ -115,6 +114,8 @@ def _close(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, _Parts,
 
 def _turned_alike(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray, _Edges, np.ndarray]:
     """Return the faces, with those turned over that disagree with their neighbours; their parts, edges, and which agree."""
+    import trimesh  # keypoints need no meshes
+
     for repaired in (False, True):
         part, edges = _parts_of(faces, len(vertices))
         # Two triangles that go along their edge the same way disagree: one of them is inside out.

@@ -2,14 +2,20 @@
 
 from __future__ import annotations
 
+import contextlib
+import hashlib
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
+from pathlib import Path
 from typing import ClassVar
 
 import torch
 from torch import Tensor, nn
 
+from uplift.config.files import cache_folder
+from uplift.config.safe_weights import ENDING, read_safe, save_safe
 from uplift.data.tensors import TrainingSet
+from uplift.errors import UserError
 from uplift.geometry.normalise import mirror
 from uplift.models.networks import CouplingFlow
 from uplift.priors.base import Lift, Prior
@@ -18,12 +24,18 @@ from uplift.skeleton import Skeleton
 
 __all__ = ["Flow"]
 
+_FORMAT = 1
+"""Of the flows in the cache: one more wherever the fit changes."""
+_MOST_KEPT = 200
+"""Flows in the cache, of about 0.1 MB each."""
+
 
 class Flow(Prior):
     """Negative log-likelihood of the rotated view, in nats, under a frozen flow (ElePose, Wandt et al. 2022, 3.2).
 
-    Before the first step the flow is fitted to the real keypoints with Adam. As normalised keypoints lie on a surface (their mean radius is 1), on which a density is
-    unbounded, noise is added to them. Missing joints are imputed.
+    Before the first step the flow is fitted to the real keypoints with Adam. As normalised keypoints lie on a surface
+    (their mean radius is 1), on which a density is unbounded, noise is added to them. Missing joints are imputed. A fitted
+    flow is kept in the user's cache, for the next fit with the same keypoints, options and seed.
 
     Args:
         skeleton: of the poses.
@@ -70,22 +82,60 @@ class Flow(Prior):
 
     def prepare(self, data: TrainingSet) -> None:
         """Fit the flow to the training keypoints, mirrored ones beside them, and freeze it."""
+        kept = cache_folder("flows") / f"{self._key(data)}{ENDING}"
+        with contextlib.suppress(UserError, RuntimeError, KeyError):  # not there, or damaged: it is only a cache
+            found = read_safe(kept, "flow")
+            if _digest(found["state"][name] for name in sorted(found["state"])) == found["digest"]:
+                torch.set_rng_state(
+                    found["state"].pop("random")
+                )  # what comes next draws the numbers it drew after the fit
+                self.load_state_dict(found["state"])
+                kept.touch()
+                return
         real = impute_gaussian(data.keypoints, data.confidence)
         if self.skeleton.has_mirror_image:
             swap = torch.as_tensor(self.skeleton.mirror_permutation.copy(), device=real.device)
             real = torch.cat([real, mirror(real, swap)])
         real = real[:, self.places].flatten(1)
+        self._whiten(real)
+        self._fit(real)
+        self._keep(kept)
+
+    def _key(self, data: TrainingSet) -> str:
+        """Return a name for all that the fitted flow depends on: keypoints, options, first weights, random numbers."""
+        tensors = [
+            torch.get_rng_state(),
+            *self.flow.state_dict().values(),
+            self.places,
+            data.keypoints,
+            data.confidence,
+        ]
+        swap = tuple(self.skeleton.mirror_permutation) if self.skeleton.has_mirror_image else ()
+        options = (self.noise, self.steps, self.batch_size, self.learning_rate)
+        return _digest(tensors, _FORMAT, torch.__version__, data.keypoints.device, swap, options)
+
+    def _keep(self, path: Path) -> None:
+        """Keep the fitted flow in the cache, and of all flows there those that were used last."""
+        state = {name: tensor.detach().cpu() for name, tensor in self.state_dict().items()}
+        state["random"] = torch.get_rng_state()
+        with contextlib.suppress(OSError, UserError):  # no space, no permission
+            path.parent.mkdir(parents=True, exist_ok=True)
+            save_safe({"state": state, "digest": _digest(state[name] for name in sorted(state))}, path)
+            by_use = sorted(path.parent.glob(f"*{ENDING}"), key=lambda one: one.stat().st_mtime)
+            for stale in by_use[:-_MOST_KEPT]:
+                stale.unlink(missing_ok=True)
+
+    def _whiten(self, real: Tensor) -> None:
         self.mean.copy_(real.mean(0))
         offset = real - self.mean
         variance, axes = torch.linalg.eigh(offset.mT @ offset / len(offset))
         size = self.whiten.shape[1]
         self.whiten.copy_(axes[:, -size:] / (variance[-size:].clamp_min(0) + self.noise**2).sqrt())
-        self._fit(real)
 
     @torch.enable_grad()
     def _fit(self, real: Tensor) -> None:
         self.flow.requires_grad_(True)
-        adam = torch.optim.Adam(self.flow.parameters(), lr=self.learning_rate)
+        adam = torch.optim.Adam(self.flow.parameters(), lr=self.learning_rate, fused=True)
         for step in range(self.steps):
             for group in adam.param_groups:
                 group["lr"] = self.learning_rate * (0.02 + 0.49 * (1 + math.cos(math.pi * step / self.steps)))
@@ -110,3 +160,10 @@ class Flow(Prior):
         # A flow is arbitrary and steep far from its data: no view may outweigh the rest.
         width = float(self.whiten.shape[1])
         return torch.where(surprise > 0, width * torch.log1p(surprise.clamp_min(0) / width), surprise)
+
+
+def _digest(tensors: Iterable[Tensor], *options: object) -> str:
+    found = hashlib.sha256(repr(options).encode())
+    for tensor in tensors:
+        found.update(tensor.detach().cpu().contiguous().numpy().tobytes())
+    return found.hexdigest()[:32]

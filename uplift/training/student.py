@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import dataclasses
 from collections.abc import Mapping
 from dataclasses import replace
@@ -11,6 +12,7 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
+from uplift.config import ranks
 from uplift.config.plugins import blame, build
 from uplift.config.settings import LifterSettings, Settings, StudentSettings
 from uplift.config.trust import consents
@@ -66,7 +68,7 @@ class StudentLoss(nn.Module):
             lifter: says what it predicts: ``fill``, ``denoise``, ``uncertainty``, ``tilt``.
         """
         turned, views = views, views.only_upright()
-        known = views.weight.sum().clamp_min(1)
+        known = ranks.total(views.weight.sum())[0].clamp_min(1)
         loss = depth_error(lifted, views)
         logged: Logged = {"depth": loss.detach()}
         hidden = views.confidence == 0
@@ -75,13 +77,16 @@ class StudentLoss(nn.Module):
             moved = hidden | hidden[:, self.skeleton.root_index, None]
             weight = views.weight if lifter.denoise else views.weight * moved
             error = ((lifted.keypoints - views.keypoints).abs().sum(-1) * weight).sum()
+            error, moving = ranks.total(error, weight.sum())
             loss = loss + error / known
-            logged["fill"] = error.detach() / weight.sum().clamp_min(1)
+            logged["fill"] = (error / moving.clamp_min(1)).detach()
         if lifted.uncertainty is not None:
-            loss = loss + _UNCERTAINTY_WEIGHT * _uncertainty_loss(lifted, views, lifted.uncertainty) / known
-            logged["uncertainty"] = lifted.uncertainty.detach().mean()
+            (surprise,) = ranks.total(_uncertainty_loss(lifted, views, lifted.uncertainty))
+            loss = loss + _UNCERTAINTY_WEIGHT * surprise / known
+            (logged["uncertainty"],) = ranks.mean(lifted.uncertainty.detach().mean())
         if lifted.signs is not None:
-            signs = lifter.chains.loss(lifted.signs, lifter.chains.states(turned.pose, turned.distance), turned.weight)
+            states = lifter.chains.states(turned.pose, turned.distance)
+            (signs,) = ranks.mean(lifter.chains.loss(lifted.signs, states, turned.weight))
             loss = loss + _SIGN_WEIGHT * signs
             logged["signs"] = signs.detach()
         if lifted.gravity is not None:
@@ -199,6 +204,7 @@ class StudentModule(KeypointModule):
         teacher = None if given is None else _lifter_of(given)
         any_camera = teacher is not None and teacher.any_camera
         frames = data.frames(dataclasses.replace(self.lifter_settings, cameras="any" if any_camera else "own"))
+        frames = frames.to(self.device)
         if bool(frames.labelled.all()):
             poses = true_poses(frames, self.lifter.camera, tilted=self.lifter.tilt != "level")
         elif teacher is None:
@@ -206,6 +212,8 @@ class StudentModule(KeypointModule):
                 "StudentModule needs teacher=... (a trained module, a model or a run), or labels of every frame."
             )
         else:
+            if self.device.type != "cpu":
+                teacher = copy.deepcopy(teacher).to(self.device)
             poses = lift_all(teacher, frames.some(self.settings.frames, self.seed), self.settings.refine)
         if teacher is not None and self.settings.warm:
             self._start_from(teacher)
@@ -249,11 +257,13 @@ class StudentModule(KeypointModule):
         Args:
             batch: how many views of the teacher's poses to make, or views.
         """
-        views = batch if isinstance(batch, ShownViews) else self._views(batch)
-        lifted = self.lifter(views.input, views.confidence, views.told, views.guessed)
-        with blame("student.loss: forward", type(self.loss)):
-            found = self.loss(lifted, views, self.lifter)
+        with self.mixed_networks():
+            views = batch if isinstance(batch, ShownViews) else self._views(batch)
+            lifted = self.lifter(views.input, views.confidence, views.told, views.guessed)
+            with blame("student.loss: forward", type(self.loss)):
+                found = self.loss(lifted, views, self.lifter)
         loss, logged = found if isinstance(found, tuple) else (found, {})
+        (loss,) = ranks.mean(loss) if isinstance(loss, Tensor) else (loss,)
         if not isinstance(loss, Tensor) or loss.shape != () or not loss.requires_grad:
             raise UserError(
                 "student.loss must return one number (a tensor of shape ()) that depends on what was lifted."
@@ -275,11 +285,16 @@ class StudentModule(KeypointModule):
         chunk, place = divmod(self.stream_step, _BATCHES_AT_ONCE)
         if self._made is None or self._made[:2] != (chunk, size):
             # Each chunk has its own random stream, so that a resumed fit makes the same one again.
-            torch.manual_seed(stream_seed(self.seed + 1, self.global_rank, chunk))
-            with torch.no_grad(), self.full_precision():
+            torch.manual_seed(stream_seed(self.seed + 1, chunk))
+            with torch.no_grad(), ranks.alone():
                 self._made = (chunk, size, self.maker(size * _BATCHES_AT_ONCE))
-            torch.manual_seed(stream_seed(self.seed, self.global_rank, self.stream_step))
-        return self._made[2].select(slice(place * size, (place + 1) * size))
+            torch.manual_seed(stream_seed(self.seed, self.stream_step))
+        start, stop, _ = ranks.my_rows().indices(size)
+        return self._made[2].select(slice(place * size + start, place * size + stop))
+
+    def rows_of(self, batch: int | ShownViews) -> int:
+        """Return how many views are in a batch."""
+        return batch if isinstance(batch, int) else len(batch)
 
 
 def _lifter_of(teacher: Any) -> Lifter:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import importlib.util
-import os
 import subprocess
 import sys
 import tempfile
@@ -12,10 +11,10 @@ import zipfile
 from collections.abc import Iterable
 from pathlib import Path
 
-from uplift.config.files import replacing
+from uplift.config.files import cache_folder, replacing
 from uplift.errors import UserError
 
-__all__ = ["FETCHED", "cache_folder", "fetch_networks", "find_network", "has_networks"]
+__all__ = ["FETCHED", "fetch_networks", "find_network", "has_networks"]
 
 FETCHED = {
     "pose_detection": "9ba9dd3d42efaaba86b4ff0122b06f29c4122e756b329d89dca1e297fd8f866c",
@@ -36,12 +35,6 @@ _IN_TASKS = {
 }
 """Networks by the names that they have in .task files."""
 _LARGEST = 200 * 2**20
-
-
-def cache_folder() -> Path:
-    """Return the folder of this user that fetched networks are kept in; it need not exist."""
-    base = os.environ.get("XDG_CACHE_HOME")
-    return (Path(base) if base else Path.home() / ".cache") / "uplift" / "mediapipe"
 
 
 def find_network(name: str, weights: str | None = None) -> bytes:
@@ -74,7 +67,7 @@ def _folders() -> list[Path]:
     """Return the folders to look in: the modules of an installed MediaPipe, which is not imported, and the cache."""
     found = importlib.util.find_spec("mediapipe")
     places = list(found.submodule_search_locations or []) if found else []
-    return [*(Path(place) / "modules" for place in places), cache_folder()]
+    return [*(Path(place) / "modules" for place in places), cache_folder("mediapipe")]
 
 
 def _given(name: str, path: Path) -> bytes | None:
@@ -107,7 +100,7 @@ def fetch_networks() -> Path:
     Raises:
         UserError: pip fails, such as without a network, or a file is not the one that is expected.
     """
-    folder = cache_folder()
+    folder = cache_folder("mediapipe")
     if all(_digest(folder / f"{name}.tflite") == digest for name, digest in FETCHED.items()):
         return folder
     package, python, platform = _WHEEL

@@ -15,7 +15,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from uplift.config.files import building, clear_parts, replacing
+from uplift.config.files import building, cache_folder, clear_parts, replacing
 from uplift.data.poses import PoseData, codes_of
 from uplift.errors import UserError, did_you_mean
 from uplift.geometry.lens import Lens
@@ -139,15 +139,6 @@ _ARRAYS = ("keypoints", "confidence", "pose", "root", "tilt_deg", "lens")
 _FACTS = ("joint_names", "unit", "fps", "image_size", "focal_px", "source")
 
 
-def _cache_folder() -> Path:
-    """Return where arrays are kept: ``$UPLIFT_CACHE``, else ``uplift`` in the user's cache folder."""
-    named = os.environ.get("UPLIFT_CACHE")
-    if named:
-        return Path(named).expanduser() / "data"
-    base = os.environ.get("XDG_CACHE_HOME")
-    return (Path(base) if base else Path.home() / ".cache") / "uplift" / "data"
-
-
 def read_cached(source: DataSet, split: str) -> PoseData:
     """Return ``source.read(split)``, from the cache where the files are those that were read before.
 
@@ -186,7 +177,7 @@ def _place(source: DataSet, split: str) -> Path:
     options = {key: value for key, value in vars(source).items() if isinstance(value, (str, int, float, list, tuple))}
     name = type(source).__name__
     choices = _hash([type(source).__module__, name, split, options, str(source.folder.absolute())])
-    return _cache_folder() / f"{name.lower()}-{split}-{choices}-{_hash([_FORMAT, source.version, files])}"
+    return cache_folder("data") / f"{name.lower()}-{split}-{choices}-{_hash([_FORMAT, source.version, files])}"
 
 
 def _hash(value: Any) -> str:
