@@ -182,7 +182,8 @@ def test_what_would_go_wrong_in_every_fit_is_refused_before_there_is_a_folder(
 def test_an_error_of_all_fits_is_the_error_of_the_sweep(here: Path, capsys: pytest.CaptureFixture) -> None:
     words = [*own_data(here / "a.npz"), "student.options.unit=3", "sweep.workers=1", "seed=0,1"]
     message = refusal(capsys, "fit", *words)
-    assert "failed: " in message
+    assert "all fits failed: " in message
+    assert not list(here.glob("runs/*/sweep_*"))
     assert "unit" in message
 
 

@@ -55,7 +55,7 @@ def test_what_has_several_values(word: str, values: list[str]) -> None:
         "seed=3", "views.azimuth_deg=-30,30", "views.azimuth_deg=[-30,30]", "student.rounds=0.35,0.65", "data.train=a.npz,b.npz",
         "data.focal_px=left:1145,right:1200", "trainer.logger=csv,tensorboard", "priors.mine.joints=[hip, nose]",
         'loggers.wandb.tags="a,b"', "description=first, second", "priors={flow: 1, bones: 2}", "sweep.options.x=1,2", "task=a,b",
-        "data.select.subjects=S1,S7", "skeleton=../a.yaml", "trainer.max_time={minutes: 1, seconds: 30}",
+        "data.select.subjects=S1,S7", "priors.mine.x=!<tag:yaml.org,2002:int> 3", "skeleton=../a.yaml", "trainer.max_time={minutes: 1, seconds: 30}",
     ],
 )  # fmt: skip
 def test_what_has_one_value_stays_as_it_is(word: str) -> None:

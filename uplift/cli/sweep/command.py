@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import math
 import os
+import shutil
 import signal
 import sys
 import threading
@@ -143,8 +144,10 @@ def _go_on(made: Sweep) -> Sweep:
         raise
     files = write_tables(made)
     errors = {outcome.error for _, outcome in made.failed()}
-    if len(errors) == 1 and not made.finished():
-        raise UserError(f"all fits of {os.path.relpath(made.path)} failed: {errors.pop()}")
+    if len(errors) == 1 and len(made.failed()) == len(made.cells):
+        if not any(made.run_of(cell) for cell in made.cells):  # nothing to go on with
+            shutil.rmtree(made.path)
+        raise UserError(f"all fits failed: {errors.pop()}")
     _link(made)
     say("\n".join([*lines_of(made), "", *(f"wrote {os.path.relpath(file)}" for file in files)]))
     return made
