@@ -14,10 +14,12 @@ from bodies import body_arrays, write_body
 from lightning.pytorch.callbacks import LearningRateMonitor, ModelCheckpoint, Timer
 from lightning.pytorch.loggers import CSVLogger
 from torch import nn
+from torch.utils._python_dispatch import TorchDispatchMode
 
 import uplift
 from uplift.metrics.evaluate_shapes import evaluate_shapes
 from uplift.models.lifter import Lifter
+from uplift.training.base import seeded
 
 SMALL: dict[str, Any] = {"options": {"units": 16, "blocks": 1}}
 PRIORS: dict[str, Any] = {
@@ -136,7 +138,6 @@ def test_global_random_numbers_change_nothing_and_are_left_alone(here: Path) -> 
     "flags",
     [
         {"fast_dev_run": True},
-        {"precision": "bf16-mixed", "max_steps": 3},
         {"accumulate_grad_batches": 2, "max_steps": 3, "gradient_clip_val": 1.0},
         {"overfit_batches": 1, "max_epochs": 2},
         {"max_time": {"seconds": 1}, "max_epochs": -1},
@@ -581,17 +582,60 @@ def test_missing_joints_are_ignored_whatever_they_hold(here: Path) -> None:
     assert module.objective((other, confidence))[0].isfinite()
 
 
-def test_mixed_precision_takes_every_prior_and_clips(here: Path) -> None:
-    priors = {
-        name: {"weight": 1.0} for name in ("bones", "pairwise", "handedness", "consistency", "symmetry", "critic")
-    }
-    priors["flow"] = {"weight": 1.0, "steps": 3}
-    module = module_of(priors=priors)
-    before = weights(module)["lifter.network.enter.weight"]
-    fit(module, data_of(here), precision="bf16-mixed", gradient_clip_val=1.0, max_steps=3)
-    after = weights(module)["lifter.network.enter.weight"]
-    assert after.isfinite().all() and not torch.equal(before, after)
-    assert module.logged.keys() >= set(priors) and all(torch.as_tensor(v).isfinite() for v in module.logged.values())
+class _Half(TorchDispatchMode):
+    """Notes the operations on numbers of half precision, forwards and backwards."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.seen: set[str] = set()
+
+    def __torch_dispatch__(self, func: Any, types: Any, args: Any = (), kwargs: Any = None) -> Any:
+        if any(isinstance(one, torch.Tensor) and one.dtype == torch.bfloat16 for one in args):
+            self.seen.add(func.overloadpacket.__name__)
+        return func(*args, **(kwargs or {}))
+
+
+OF_NETWORKS = {
+    "_to_copy", "add", "addmm", "alias", "detach", "leaky_relu", "leaky_relu_backward", "mm", "mul", "native_layer_norm",
+    "native_layer_norm_backward", "sum", "t", "view",
+}  # fmt: skip
+
+
+def test_mixed_precision_is_for_networks_alone(here: Path) -> None:
+    """Every prior, hidden and labelled joints, a student of any camera: the losses are those of full precision."""
+    names = ("bones", "pairwise", "handedness", "consistency", "symmetry", "critic", "labelled", "fill")
+    priors = {**dict.fromkeys(names, 1.0), "flow": {"weight": 1.0, "steps": 3}}
+    data = data_of(here, labelled=0.5)
+    teacher = module_of(priors=priors, hide=0.2)
+    student = uplift.StudentModule("h36m17", teacher=teacher, refine={"iterations": 2}, cameras="any")
+    for module, clip in ((teacher, 1.0), (student, None)):
+        before = weights(module)
+        fit(module, data, precision="bf16-mixed", gradient_clip_val=clip, max_steps=3)
+        after = weights(module)
+        assert all(value.dtype == before[name].dtype and value.isfinite().all() for name, value in after.items())
+        assert not same(before, after)
+        with seeded(0):
+            expected = module.objective(16)[1]
+        with seeded(0), _Half() as half:
+            with torch.autocast("cpu", torch.bfloat16):
+                loss, found = module.objective(16)
+            loss.backward()
+        assert half.seen <= OF_NETWORKS and {"addmm", "mm"} <= half.seen
+        for name, value in expected.items():
+            assert float(found[name]) == pytest.approx(float(value), rel=0.05, abs=0.02), name
+
+
+def test_mixed_precision_around_a_lifter_in_a_larger_module_and_of_masks(here: Path) -> None:
+    module = Detector()
+    module.lifting.prepare(data_of(here))
+    loader = torch.utils.data.DataLoader(torch.randn(16, 10, generator=torch.Generator().manual_seed(0)), batch_size=8)
+    L.Trainer(**QUIET, max_epochs=1, precision="bf16-mixed").fit(module, loader)
+    shapes = uplift.ShapeModule(shape=SHAPE, priors={"smoothness": 1.0})
+    L.Trainer(**QUIET, max_steps=2, precision="bf16-mixed").fit(
+        shapes, uplift.MaskDataModule(20, family="chairs", side=32, batch_size=8, shape=SHAPE)
+    )
+    for part in (module.detector, shapes):
+        assert all(value.isfinite().all() and value.dtype == torch.float32 for value in part.parameters())
 
 
 def test_numbers_of_numpy_and_priors_with_weights(here: Path) -> None:

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import AbstractContextManager, contextmanager, nullcontext
+from contextvars import ContextVar
 from dataclasses import dataclass
 
 import torch
@@ -18,7 +21,7 @@ from uplift.models.networks import ResidualNetwork, build_network
 from uplift.models.signs import SignChains
 from uplift.skeleton import Skeleton
 
-__all__ = ["Lifted", "Lifter"]
+__all__ = ["Lifted", "Lifter", "mixed_networks"]
 
 _LOG_UNCERTAINTY = (-5.0, 2.0)
 _USUAL_DISTANCE = 10.0
@@ -51,6 +54,24 @@ class Lifted(Samples):
         if self.gravity is None:
             return level(self.tilt)
         return least_rotation(self.gravity, self.gravity.new_tensor([0.0, 1.0, 0.0]))
+
+
+_MIXED: ContextVar[torch.dtype | None] = ContextVar("mixed", default=None)
+
+
+@contextmanager
+def mixed_networks(precision: torch.dtype | None) -> Iterator[None]:
+    """Compute the networks of lifters inside in mixed ``precision``, and not their geometry; None changes nothing."""
+    before = _MIXED.set(precision or _MIXED.get())
+    try:
+        yield
+    finally:
+        _MIXED.reset(before)
+
+
+def _networks_precision(device: torch.device) -> AbstractContextManager[object]:
+    precision = _MIXED.get()
+    return nullcontext() if precision is None else torch.autocast(device.type, precision)
 
 
 class Lifter(nn.Module):
@@ -118,7 +139,10 @@ class Lifter(nn.Module):
             confidence = visible.squeeze(-1).to(confidence.dtype)
         guessed = torch.zeros_like(distance, dtype=torch.bool) if guessed is None else guessed
         features = self._features(keypoints, confidence, distance, guessed)
-        output = self.network(features).to(features.dtype)  # geometry is in full precision
+        with _networks_precision(features.device):
+            output = self.network(features)
+            signs = self._signs(features, distance)
+        output = output.to(features.dtype)  # geometry is in full precision
         depth = output[:, :joints]
         if not self.root_free:
             depth = depth - depth[:, self.skeleton.root_index, None]
@@ -133,7 +157,6 @@ class Lifter(nn.Module):
             uncertainty = output[:, first : first + joints].clamp(*_LOG_UNCERTAINTY).exp()
             uncertainty = uncertainty.index_fill(1, self.root_place, 0.0)
         gravity = estimated = None
-        signs = self._signs(features, distance)
         if self.any_camera:
             first = joints * (1 + 2 * self.fill + self.uncertainty)
             distance = estimated = distance * (output[:, first] * guessed).clamp(-2, 2).exp()

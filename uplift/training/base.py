@@ -22,6 +22,7 @@ from uplift.config.settings import Settings, StageSettings
 from uplift.config.trust import Trust, consents
 from uplift.data.samples import Samples
 from uplift.errors import UserError, did_you_mean
+from uplift.models.lifter import mixed_networks
 from uplift.priors.base import Lift, Prior, ShapeLift
 from uplift.training.objective import Logged, Objective
 
@@ -215,7 +216,8 @@ class TrainingModule(L.LightningModule, Generic[LifterT, DataT]):
         self._accumulated = self.trainer.accumulate_grad_batches if self._log_every else 1
         self._micro_batch = batch_idx % self._accumulated
         torch.manual_seed(stream_seed(self.seed, self.global_rank, self.stream_step))
-        loss, self.logged = self.objective(batch)
+        with self.mixed_networks():
+            loss, self.logged = self.objective(batch)
         if self._log_every and ((self.global_step + 1) % self._log_every == 0 or self.trainer.is_last_batch):
             self._log_terms(loss)
         return loss
@@ -256,6 +258,14 @@ class TrainingModule(L.LightningModule, Generic[LifterT, DataT]):
     def inference(self) -> Iterator[None]:
         """Compute as ``uplift evaluate`` and ``uplift predict`` do: in full precision, whatever mode the trainer is in."""
         with torch.inference_mode(False), torch.no_grad(), self.full_precision():
+            yield
+
+    @contextmanager
+    def mixed_networks(self) -> Iterator[None]:
+        """Compute the lifter's networks in the trainer's mixed precision, if it has one, and nothing else."""
+        kind = self.device.type
+        given = torch.get_autocast_dtype(kind) if torch.is_autocast_enabled(kind) else None
+        with self.full_precision(), mixed_networks(given):
             yield
 
     def full_precision(self) -> Any:

@@ -102,6 +102,7 @@ class KeypointModule(TrainingModule[Lifter, Any]):
             keypoints: joints as in ``self.skeleton.joints``.
             confidence: 0..1, 0 is missing; all 1 if None.
         """
+        keypoints = keypoints.to(self.lifter.bone_mm.dtype)  # a network that finds them may be in mixed precision
         if confidence is None:
             confidence = torch.ones_like(keypoints[..., 0])
         known = keypoints.isfinite().all(-1)
@@ -290,9 +291,9 @@ class LiftingModule(KeypointModule):
             batch: how many of `frames` to draw; or a `Batch`; or keypoints (batch joints 2) in pixels, alone, as
                 (keypoints, confidence), or as a mapping with those names.
         """
-        drawn = self._mirrored(self._batch(batch))
-        lift = self.last_lift = self.lift(drawn)
-        with self.full_precision():
+        with self.mixed_networks():
+            drawn = self._mirrored(self._batch(batch))
+            lift = self.last_lift = self.lift(drawn)
             judged, losses = self.terms.judge(lift, self.global_step)
             again = isinstance(batch, int) and not self.settings.same_real
             real = self._mirrored(self._batch(batch)) if again else drawn
@@ -355,8 +356,7 @@ def make_lift(lifter: Lifter, batch: Batch, views: ViewFunction, settings: ViewS
         hidden = (torch.rand_like(batch.confidence) < hide) & (batch.confidence > 0)
         hidden[:, lifter.skeleton.root_index] = False
     lifted = lifter(batch.keypoints, batch.confidence.masked_fill(hidden, 0), batch.distance)
-    with torch.autocast(lifted.pose.device.type, enabled=False):
-        view = checked_view(views, lifted)
+    view = checked_view(views, lifted)
     return Lift(
         skeleton=lifter.skeleton,
         keypoints=batch.keypoints,

@@ -253,10 +253,11 @@ class StudentModule(KeypointModule):
         Args:
             batch: how many views of the teacher's poses to make, or views.
         """
-        views = batch if isinstance(batch, ShownViews) else self._views(batch)
-        lifted = self.lifter(views.input, views.confidence, views.told, views.guessed)
-        with blame("student.loss: forward", type(self.loss)):
-            found = self.loss(lifted, views, self.lifter)
+        with self.mixed_networks():
+            views = batch if isinstance(batch, ShownViews) else self._views(batch)
+            lifted = self.lifter(views.input, views.confidence, views.told, views.guessed)
+            with blame("student.loss: forward", type(self.loss)):
+                found = self.loss(lifted, views, self.lifter)
         loss, logged = found if isinstance(found, tuple) else (found, {})
         if not isinstance(loss, Tensor) or loss.shape != () or not loss.requires_grad:
             raise UserError(
@@ -280,7 +281,7 @@ class StudentModule(KeypointModule):
         if self._made is None or self._made[:2] != (chunk, size):
             # Each chunk has its own random stream, so that a resumed fit makes the same one again.
             torch.manual_seed(stream_seed(self.seed + 1, self.global_rank, chunk))
-            with torch.no_grad(), self.full_precision():
+            with torch.no_grad():
                 self._made = (chunk, size, self.maker(size * _BATCHES_AT_ONCE))
             torch.manual_seed(stream_seed(self.seed, self.global_rank, self.stream_step))
         return self._made[2].select(slice(place * size, (place + 1) * size))
