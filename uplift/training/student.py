@@ -34,9 +34,9 @@ from uplift.training.lifting import KeypointModule
 from uplift.training.objective import Logged
 from uplift.training.pseudo_labels import PseudoPoses, lift_all, true_poses
 
-__all__ = ["StudentLoss", "StudentModule", "student_settings"]
+__all__ = ["BATCHES_AT_ONCE", "StudentLoss", "StudentModule", "student_settings"]
 
-_BATCHES_AT_ONCE = 16
+BATCHES_AT_ONCE = 16
 """Batches of views that are made together: a single one is mostly overhead."""
 _UNCERTAINTY_WEIGHT = 0.05
 _SIGN_WEIGHT = 0.05
@@ -253,12 +253,7 @@ class StudentModule(KeypointModule):
         Args:
             batch: how many views of the teacher's poses to make, or views.
         """
-        with self.mixed_networks():
-            views = batch if isinstance(batch, ShownViews) else self._views(batch)
-            lifted = self.lifter(views.input, views.confidence, views.told, views.guessed)
-            with blame("student.loss: forward", type(self.loss)):
-                found = self.loss(lifted, views, self.lifter)
-        loss, logged = found if isinstance(found, tuple) else (found, {})
+        loss, logged = self.judge(batch if isinstance(batch, ShownViews) else self._views(batch))
         if not isinstance(loss, Tensor) or loss.shape != () or not loss.requires_grad:
             raise UserError(
                 "student.loss must return one number (a tensor of shape ()) that depends on what was lifted."
@@ -269,6 +264,14 @@ class StudentModule(KeypointModule):
             )
         return loss, logged
 
+    def judge(self, views: ShownViews) -> tuple[Tensor, Logged]:
+        """Return the loss of ``views`` and its terms, unchecked."""
+        with self.mixed_networks():
+            lifted = self.lifter(views.input, views.confidence, views.told, views.guessed)
+            with blame("student.loss: forward", type(self.loss)):
+                found = self.loss(lifted, views, self.lifter)
+        return found if isinstance(found, tuple) else (found, {})
+
     def parameter_groups(self) -> list[dict[str, Any]]:
         """Return the optimiser's groups: the lifter's, and the loss's where it has parameters."""
         of_loss = list(self.loss.parameters())
@@ -277,14 +280,20 @@ class StudentModule(KeypointModule):
 
     def _views(self, size: int) -> ShownViews:
         """Return this step's views."""
-        chunk, place = divmod(self.stream_step, _BATCHES_AT_ONCE)
+        chunk, place = divmod(self.stream_step, BATCHES_AT_ONCE)
         if self._made is None or self._made[:2] != (chunk, size):
-            # Each chunk has its own random stream, so that a resumed fit makes the same one again.
-            torch.manual_seed(stream_seed(self.seed + 1, self.global_rank, chunk))
-            with torch.no_grad():
-                self._made = (chunk, size, self.maker(size * _BATCHES_AT_ONCE))
-            torch.manual_seed(stream_seed(self.seed, self.global_rank, self.stream_step))
+            self._made = (chunk, size, self.make_views(chunk, size))
+            torch.manual_seed(self.step_seed)
         return self._made[2].select(slice(place * size, (place + 1) * size))
+
+    def make_views(self, chunk: int, size: int) -> ShownViews:
+        """Return the views of `BATCHES_AT_ONCE` steps in a row, the ``chunk``-th so many, of ``size`` views each.
+
+        Each chunk has its own random stream, so that a resumed fit makes the same one again.
+        """
+        torch.manual_seed(stream_seed(self.seed + 1, self.global_rank, chunk))
+        with torch.no_grad():
+            return self.maker(size * BATCHES_AT_ONCE)
 
 
 def _lifter_of(teacher: Any) -> Lifter:
