@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from uplift.cli.listing import compare
     from uplift.cli.predict import predict
     from uplift.cli.simulate import simulate
+    from uplift.cli.sweep.command import sweep
     from uplift.data.datasets.base import DataSet, WantedFile
     from uplift.data.formats.masks_own import MaskFormat
     from uplift.data.formats.own import Format
@@ -36,7 +37,7 @@ __all__ = [
     "DataSet", "Detector", "Format", "KeypointData", "KnownCamera", "Lift", "LiftingModule", "MaskData", "MaskDataModule", "MaskFormat", "Model",
     "PoseData", "Prior", "ShapeLift", "ShapeModule", "ShapePrior", "Skeleton", "StudentLoss", "StudentModule", "UserError",
     "Views", "WantedFile", "compare", "detect", "evaluate", "evaluate_poses", "fit", "gait_of", "joint_angles", "load", "load_skeleton", "predict", "simulate",
-    "to_xarray",
+    "sweep",    "to_xarray",
 ]  # fmt: skip
 __version__ = "0.1.0"
 
@@ -50,6 +51,7 @@ _HOMES = {
     "cli.listing": ("compare",),
     "cli.predict": ("predict",),
     "cli.simulate": ("simulate",),
+    "cli.sweep.command": ("sweep",),
     "data.datasets.base": ("DataSet", "WantedFile"),
     "data.formats.masks_own": ("MaskFormat",),
     "data.formats.own": ("Format",),

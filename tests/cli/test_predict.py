@@ -9,8 +9,10 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from uplift.cli.inputs import read_input
 from uplift.cli.main import main
-from uplift.cli.predict import Request, _check_request, _read
+from uplift.cli.predict import _check_request
+from uplift.cli.request import Request
 from uplift.config.run import Weights
 from uplift.config.trust import consent_of, granted
 from uplift.data.formats import read
@@ -34,7 +36,7 @@ def write_csv(file: Path, first: int = 0, camera: str = "") -> None:
 def notes_of(pattern: str) -> str:
     weights = Weights("run", Path("nowhere/lifter.pt"), {})
     request = Request(weights, pattern, None, (), True, 0, False, {}, None, None, None, {})
-    return "; ".join(note for note in _read(request, SKELETON).notes if "cameras of one scene" in note)
+    return "; ".join(note for note in read_input(request, SKELETON).notes if "cameras of one scene" in note)
 
 
 @pytest.mark.parametrize(
@@ -106,10 +108,10 @@ def test_pictures_are_read_by_a_detector_and_their_keypoints_kept_read_the_same(
     folder, detector = film
     kept = tmp_path / "kept.npz"
     with granted(consent_of([detector])):
-        data = _read(request_of(folder, detector, keypoints=kept, reading=ReadOptions(fps=25.0)), SKELETON)
+        data = read_input(request_of(folder, detector, keypoints=kept, reading=ReadOptions(fps=25.0)), SKELETON)
     assert data.joint_names == SKELETON.joints and data.fps == 25 and len(np.unique(data.clips())) == 1
     np.testing.assert_allclose(data.keypoints[0], [(20, 60), (50, 40), (30, 25), (10.5, 20)])
-    again = _read(request_of(kept), SKELETON)
+    again = read_input(request_of(kept), SKELETON)
     np.testing.assert_array_equal(again.keypoints, data.keypoints)
     assert again.fps == 25 and again.image_size == data.image_size == (100, 80)
 
@@ -132,9 +134,9 @@ def test_what_does_not_go_with_pictures_or_with_files_is_refused(film, tmp_path:
         (ReadOptions(image_size=(5, 5)), "image_size= goes"),
     ):
         with pytest.raises(UserError, match=said):
-            _read(request_of(folder, detector, reading=reading), SKELETON)
+            read_input(request_of(folder, detector, reading=reading), SKELETON)
     with pytest.raises(UserError, match="no built-in detector finds the joints of arm"):
-        _read(request_of(folder), SKELETON)
+        read_input(request_of(folder), SKELETON)
 
 
 def test_the_words_of_the_command_reach_the_detector(film, tmp_path: Path, capsys: pytest.CaptureFixture):

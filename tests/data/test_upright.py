@@ -10,7 +10,7 @@ import pytest
 from lifts import seen_bodies
 
 from uplift.cli.data_check import check_data
-from uplift.cli.predict import _with_turns
+from uplift.cli.inputs import _with_turns
 from uplift.cli.skeleton import map_joints
 from uplift.config.loading import load_settings
 from uplift.data.formats import read

@@ -23,18 +23,17 @@ from uplift.training.lifting import LiftingModule
 NUMBERS = st.integers(0, 2**31 - 1)
 
 
-@given(seed=NUMBERS, rank=st.integers(0, 4096), step=NUMBERS)
+@given(seed=NUMBERS, step=NUMBERS)
 @settings(max_examples=50, deadline=None)
-def test_a_stream_is_a_function_of_seed_rank_and_step(seed, rank, step):
-    found = stream_seed(seed, rank, step)
-    assert found == stream_seed(seed, rank, step) and 0 <= found < 2**63
+def test_a_stream_is_a_function_of_seed_and_step(seed, step):
+    found = stream_seed(seed, step)
+    assert found == stream_seed(seed, step) and 0 <= found < 2**63
     torch.manual_seed(found)
-    others = {stream_seed(seed + 1, rank, step), stream_seed(seed, rank + 1, step), stream_seed(seed, rank, step + 1)}
-    assert len(others | {found}) == 4
+    assert len({stream_seed(seed + 1, step), stream_seed(seed, step + 1), found}) == 3
 
 
 def test_no_two_streams_are_the_same():
-    seeds = [stream_seed(*key) for key in itertools.product(range(20), range(16), range(200))]
+    seeds = [stream_seed(*key) for key in itertools.product(range(20), range(3200))]
     assert len(set(seeds)) == len(seeds)
     first = []
     for seed in seeds[:300]:
@@ -100,16 +99,6 @@ def test_the_same_seed_draws_the_same_and_a_fit_does_not_depend_on_what_was_draw
     assert _same(runs[0].states[-1]["lifter"], runs[1].states[-1]["lifter"])
     assert not torch.equal(runs[0].keypoints[0], runs[0].keypoints[1])
     assert not torch.equal(runs[0].views[0], runs[0].views[1])
-
-
-def test_ranks_draw_different_frames(monkeypatch):
-    drawn = []
-    for rank in (0, 1):
-        module = _module()
-        monkeypatch.setattr(LiftingModule, "global_rank", rank, raising=False)
-        module.training_step(8, 0)
-        drawn.append(module.last_lift.keypoints)
-    assert not torch.equal(*drawn)
 
 
 @given(done=st.floats(0, 1), start=st.floats(0, 0.95), warm=st.floats(0.01, 0.5))

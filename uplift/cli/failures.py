@@ -17,7 +17,7 @@ from pathlib import Path
 
 from uplift.errors import MissingFiles, UserError
 
-__all__ = ["RUN_VARIABLE", "clear_output", "status_of"]
+__all__ = ["RUN_VARIABLE", "clear_output", "one_line", "status_of", "told"]
 
 DEBUG = "UPLIFT_DEBUG"
 """Environment variable that shows the traceback of an unexpected error in place of the file that has it."""
@@ -51,32 +51,36 @@ def status_of(error: BaseException, words: Sequence[str]) -> int:
 
     That is 2 for what the user can mend, 130 for Ctrl-C, and 1 for all else.
     """
-    if isinstance(error, MissingFiles):
-        return _say(str(error), 2, several=True)
-    if isinstance(error, UserError):
-        return _say(str(error), 2)
     if isinstance(error, KeyboardInterrupt):
         print("\nuplift: interrupted", file=sys.stderr)
         return 130
     if isinstance(error, BrokenPipeError):
         return 1
+    message, status = told(error, words)
+    lines = message.splitlines() if isinstance(error, MissingFiles) else [message]
+    print("uplift: " + "\n".join(map(one_line, lines)), file=sys.stderr)
+    return status
+
+
+def told(error: BaseException, words: Sequence[str]) -> tuple[str, int]:
+    """Return what is said of an exception that ended the work of these words, and its exit status."""
+    if isinstance(error, UserError):
+        return str(error), 2
     if _is_out_of_memory(error):
-        return _say("out of memory. Use fewer frames or masks (data.select.fraction) or smaller batches.", 1)
+        return "out of memory. Use fewer frames or masks (data.select.fraction) or smaller batches.", 1
     if isinstance(error, RecursionError):
-        return _say(f"something in the input is nested too deeply to be read{_command(words)}.", 2)
+        return f"something in the input is nested too deeply to be read{_command(words)}.", 2
     if isinstance(error, OSError):
         where = f" ({error.filename})" if error.filename else ""
         fixable = error.errno in _FIXABLE
         rest = "" if fixable else " What was saved before is complete."
-        return _say(f"{error.strerror or error}{where}.{rest}", 2 if fixable else 1)
-    return _unexpected(error, words)
+        return f"{error.strerror or error}{where}.{rest}", 2 if fixable else 1
+    return _unexpected(error, words), 1
 
 
-def _say(message: str, status: int, several: bool = False) -> int:
-    """Print a message on one line, whatever control characters the names in it have; ``several``: it has lines."""
-    lines = message.splitlines() if several else [message]
-    print("uplift: " + "\n".join(_CONTROL.sub(_escaped, line) for line in lines), file=sys.stderr)
-    return status
+def one_line(text: str) -> str:
+    """Return a text without the control characters of names in it."""
+    return _CONTROL.sub(_escaped, text)
 
 
 def _escaped(found: re.Match[str]) -> str:
@@ -89,16 +93,15 @@ def _is_out_of_memory(error: BaseException) -> bool:
     return known or (isinstance(error, RuntimeError) and "can't allocate memory" in str(error))
 
 
-def _unexpected(error: BaseException, words: Sequence[str]) -> int:
-    """Say what failed where, and in which file the traceback is."""
+def _unexpected(error: BaseException, words: Sequence[str]) -> str:
+    """Return what failed where, and in which file the traceback is; it is printed where that is asked for."""
     if os.environ.get(DEBUG):
         traceback.print_exception(error)
-        return 1
     kind, *detail = traceback.format_exception_only(error)[-1].strip().split(":", 1)
     frames = [frame for frame in traceback.extract_tb(error.__traceback__) if _PACKAGE in Path(frame.filename).parents]
     place = f" ({Path(frames[-1].filename).relative_to(_PACKAGE)}, line {frames[-1].lineno})" if frames else ""
     what = " ".join(f"{kind}:{detail[0]}".split() if detail else [kind])[:200]
-    return _say(f"unexpected error{place}{_command(words)}: {what}. {_saved(error)}", 1)
+    return f"unexpected error{place}{_command(words)}: {what}. {_saved(error)}"
 
 
 def _command(words: Sequence[str]) -> str:

@@ -25,6 +25,7 @@ from uplift.data.datasets import DATA_SETS
 from uplift.errors import UserError
 from uplift.models.networks import NETWORKS
 from uplift.priors import PRIORS
+from uplift.training import launch
 from uplift.training.callbacks import Interrupted
 from uplift.training.stages import CALLBACKS, LOGGERS, check_trainer
 
@@ -70,12 +71,22 @@ class Prepared:
     """What run.json is to keep."""
 
 
-def fit_settings(settings: Settings, run: RunFolder | None = None) -> RunFolder:
-    """Train as ``settings`` say, in a new run folder or going on in ``run``."""
-    _check(settings)
+def fit_settings(
+    settings: Settings, run: RunFolder | None = None, *, place: Path | None = None, command: str | None = None
+) -> RunFolder:
+    """Train as ``settings`` say, going on in ``run`` or in a new run folder, at ``place`` if given, by ``command``."""
+    _require(settings)
+    with launch.as_one():
+        launch.join(settings.trainer)
+        launch.start(check_trainer(settings.trainer), settings.trainer)  # before any data is read
+    with launch.as_one():
+        return _fit(settings, run, place, command)
+
+
+def _fit(settings: Settings, run: RunFolder | None, place: Path | None, command: str | None) -> RunFolder:
     fit: Prepared = KINDS[settings.lifts].fit(settings, run)
     settings = fit.settings
-    run = _run_of_all_ranks(run, settings)
+    run = _run_of_all_ranks(run, settings, place, command)
     try:
         if rank_zero_only.rank == 0:
             if fit.facts:
@@ -112,7 +123,8 @@ def fit_stack(settings: Sequence[Settings], runs: Sequence[RunFolder], folder: P
     if reason is not None:
         raise NotStackable(reason)
     for one in settings:
-        _check(one)
+        _require(one)
+    check_trainer(settings[0].trainer)
     fits: list[Prepared] = []
     for one, run in zip(settings, runs, strict=True):
         data = None if depends_on_seed(settings[0]) or not fits else fits[0].recipe.data
@@ -129,14 +141,13 @@ def fit_stack(settings: Sequence[Settings], runs: Sequence[RunFolder], folder: P
         yield model if isinstance(model, UserError) else None
 
 
-def _check(settings: Settings) -> None:
-    """Raise UserError for what no data is needed to find out, and use as many threads as are set."""
+def _require(settings: Settings) -> None:
+    """Raise UserError for code that the user did not consent to; use as many threads as are set."""
     # What a task file names is asked for together, before any work; the built-in ones are not.
     builtin = {*PRIORS.values(), *NETWORKS.values(), *DATA_SETS.values(), *CALLBACKS.values(), *LOGGERS.values()}
     require({name: use for name, use in classes_of(asdict(settings)).items() if use not in builtin})
     if settings.trainer.threads:
         torch.set_num_threads(settings.trainer.threads)
-    check_trainer(settings.trainer)
 
 
 def _keep(run: RunFolder, model: Any, fit: Prepared) -> None:
@@ -182,14 +193,19 @@ def prepare_masks(settings: Settings, run: RunFolder | None) -> Prepared:
     return Prepared("masks", replace(loaded, notes=data.notes), recipe, settings)
 
 
-def _run_of_all_ranks(run: RunFolder | None, settings: Settings) -> RunFolder:
-    """Return one folder for all processes: Lightning starts this command again for every further rank."""
-    if rank_zero_only.rank != 0 and RUN_VARIABLE in os.environ:
-        return RunFolder.open(os.environ[RUN_VARIABLE])
+def _run_of_all_ranks(run: RunFolder | None, settings: Settings, place: Path | None, command: str | None) -> RunFolder:
+    """Return one folder for all processes: rank 0 makes it."""
+    if rank_zero_only.rank != 0:
+        path = Path(launch.from_rank_0(""))
+        if not path.is_dir():
+            raise UserError(
+                f"process {rank_zero_only.rank} does not see the run {path}: computers need one file system."
+            )
+        return RunFolder.open(path)
     if run is None:
         started = Path(sys.argv[0])
         ours = started.stem == "uplift" or started.parts[-2:] == ("cli", "main.py")
         words = sys.argv[1:] if ours else [f"({started.name})"]
-        run = RunFolder.create(settings, shlex.join(["uplift", *words]))
-    os.environ[RUN_VARIABLE] = str(run.path.absolute())
+        run = RunFolder.create(settings, command or shlex.join(["uplift", *words]), place)
+    os.environ[RUN_VARIABLE] = launch.from_rank_0(str(run.path.absolute()))
     return run

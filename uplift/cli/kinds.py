@@ -39,7 +39,7 @@ class Kind:
     evaluate: Later
     """(`uplift.config.run.Weights`, model, test file or None, options among `evaluate_keys`) -> evaluation."""
     predict: Later
-    """(`uplift.cli.predict.Request`) -> prediction, and the files written with a remark on each."""
+    """(`uplift.cli.request.Request`) -> prediction, and the files written with a remark on each."""
     predict_arguments: Later
     """(keys of the command line) -> arguments of `uplift.cli.predict.predict`."""
     predict_summary: Later
@@ -77,7 +77,7 @@ KINDS = {
         evaluate=Later("uplift.cli.evaluate:evaluate_keypoints"),
         predict=Later("uplift.cli.predict:lift_keypoints"),
         predict_arguments=Later("uplift.cli.predict:keypoint_arguments"),
-        predict_summary=Later("uplift.cli.predict:pose_summary"),
+        predict_summary=Later("uplift.cli.pose_summary:pose_summary"),
         check_simulated=Later("uplift.cli.data_check:simulated_keypoints"),
         check_file=Later("uplift.cli.data_check:keypoint_file"),
         predict_keys=tuple(POSE_KEYS),
@@ -92,9 +92,9 @@ KINDS = {
         fit=Later("uplift.cli.fit:prepare_masks"),
         report=Later("uplift.cli.report:shape_findings"),
         evaluate=Later("uplift.cli.evaluate:evaluate_masks"),
-        predict=Later("uplift.cli.predict:lift_masks"),
-        predict_arguments=Later("uplift.cli.predict:mask_arguments"),
-        predict_summary=Later("uplift.cli.predict:shape_summary"),
+        predict=Later("uplift.cli.predict_masks:lift_masks"),
+        predict_arguments=Later("uplift.cli.predict_masks:mask_arguments"),
+        predict_summary=Later("uplift.cli.predict_masks:shape_summary"),
         check_simulated=Later("uplift.cli.data_check:simulated_masks"),
         check_file=Later("uplift.cli.data_check:mask_file"),
         predict_keys=tuple(SHAPE_KEYS),

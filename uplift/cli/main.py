@@ -6,6 +6,7 @@ from __future__ import annotations
 import argparse
 import functools
 import os
+import shlex
 import sys
 import typing
 from collections.abc import Callable, Sequence
@@ -152,37 +153,45 @@ def _ready() -> list[str]:
     return shipped_names("lifters")
 
 
-def _fit(words: Sequence[str]) -> None:
+def _fit(words: Sequence[str]) -> int:
+    from uplift.config.grid import split_grid
     from uplift.config.loading import load_settings, split_words, trust_of
+    from uplift.config.run import RunFolder, is_sweep
 
     plain, given = split_words(words)
     for key, expected in (("task", "TASK"), ("resume", "RUN")):
         if key in plain or given.get(key) == "":
             raise UserError(f"fit: '{key}=' has no value. Expected {key}={expected}.")
     task, resume = given.get("task"), given.get("resume")
-    several = "," in given.get("seed", "")
-    seeds = [[f"seed={seed.strip()}"] for seed in given["seed"].split(",")] if several else [[]]
-    apart = ("task", "resume", *(["seed"] if several else []))
-    overrides = [word for word in words if word.partition("=")[0] not in apart]
-    # A typo answers before torch is imported, and before the first of several fits.
-    wanted = [] if resume else [load_settings(task, [*overrides, *seed]) for seed in seeds]
+    overrides = [word for word in words if word.partition("=")[0] not in ("task", "resume")]
+    # A typo answers before torch is imported.
+    plain, several = ([], []) if resume else split_grid(overrides)
+    if several or (resume and is_sweep(resume)):
+        return _sweep(task, resume, overrides, words)
+    wanted = None if resume else load_settings(task, plain)
     from uplift.cli.fit import fit, fit_settings
-    from uplift.cli.listing import spread
-    from uplift.config.run import RunFolder
     from uplift.training.callbacks import Interrupted
 
-    runs = []
     try:
-        if resume:
-            fit(task, *overrides, *seeds[0], resume=resume)
-        for settings in wanted:
-            runs.append(fit_settings(settings))
+        if wanted is None:
+            fit(task, *overrides, resume=resume)
+        else:
+            fit_settings(wanted)
     except Interrupted as stopped:
-        words = f"resume={stopped}{trust_of(RunFolder.open(str(stopped)).settings())}"
-        print(f"\nstopped and saved. Go on with: uplift fit {words}", file=sys.stderr)
+        more = f"resume={stopped}{trust_of(RunFolder.open(str(stopped)).settings())}"
+        print(f"\nstopped and saved. Go on with: uplift fit {more}", file=sys.stderr)
         raise KeyboardInterrupt from stopped
-    if len(runs) > 1:
-        print(f"\n{spread(runs)}")
+    return 0
+
+
+def _sweep(task: str | None, resume: str | None, overrides: Sequence[str], words: Sequence[str]) -> int:
+    from uplift.cli.sweep.command import resume_sweep, start_sweep
+
+    if resume:
+        found = resume_sweep(resume, [f"task={task}", *overrides] if task else overrides)
+    else:
+        found = start_sweep(task, overrides, shlex.join(["uplift", "fit", *words]))
+    return 1 if found.failed() else 0
 
 
 def _list(verb: str, function: str) -> Callable[[Sequence[str]], None]:
@@ -217,7 +226,7 @@ def _by_first_word(functions: dict[str, str], expected: str) -> Callable[[Sequen
 _RUN: dict[str, Callable[[Sequence[str]], int | None]] = {
     "fit": _fit,
     "evaluate": Later("uplift.cli.evaluate:evaluate_command"),
-    "predict": Later("uplift.cli.predict:predict_command"),
+    "predict": Later("uplift.cli.predict_files:predict_command"),
     "detect": Later("uplift.cli.detect:detect_command"),
     "detectors": Later("uplift.cli.detect:detectors_command"),
     "simulate": Later("uplift.cli.simulate:simulate_command"),

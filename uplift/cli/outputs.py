@@ -8,21 +8,32 @@ from typing import Any
 
 from uplift.config.files import refuse_output
 from uplift.errors import UserError
-from uplift.export import MEASURES, check_axes, check_library, ending_of, write, writer_for
+from uplift.export import MEASURES, check_axes, check_library, ending_of, open_stream, write, writer_for
 from uplift.export.gallery import check_options
 from uplift.export.nwb import check_nwb
 from uplift.export.osim import beside_model, check_beside
+from uplift.export.stream import Stream
 from uplift.models.prediction import Prediction
 
-__all__ = ["check_outputs", "outputs_of", "refuse_outputs", "shows_video", "write_outputs"]
+__all__ = [
+    "can_grow",
+    "check_outputs",
+    "open_output",
+    "outputs_of",
+    "refuse_outputs",
+    "shows_video",
+    "write_outputs",
+]
 
 _OF_FORMATS = {"csv_safe": (".csv",), "mass_kg": (".osim",), "nwb": (".nwb",), "video": (".html", ".mp4", ".gif")}
 """Options of some formats alone, by their endings; all others are those of page=gallery."""
 
 
-def outputs_of(output: str | Path | None) -> list[str]:
-    """Return the files to write: several are between commas."""
-    return [] if output is None else [part for part in str(output).split(",") if part]
+def outputs_of(output: str | Path | Sequence[str] | None) -> list[str]:
+    """Return the files to write: a list as it is, several in a text between commas."""
+    if output is None or isinstance(output, list | tuple):
+        return list(output or ())
+    return [part for part in str(output).split(",") if part]
 
 
 def shows_video(output: str) -> bool:
@@ -79,10 +90,24 @@ def write_outputs(
     """Write every output, each with the options that are about its format; return the files with a remark on each."""
     files: dict[Path, str] = {}
     for output in outputs:
-        mine = {key: value for key, value in options.items() if _takes(output, key)}
         of_page = page if _is_page(output) else None
-        files |= write(prediction, output, of_page, axes if _has_axes(output) else None, **mine)
+        files |= write(prediction, output, of_page, axes if _has_axes(output) else None, **_mine(output, options))
     return files
+
+
+def can_grow(output: str, page: str | None) -> bool:
+    """Return whether a file can be written part by part."""
+    return bool(writer_for(output, page if _is_page(output) else None).stream)
+
+
+def open_output(output: str, page: str | None, axes: str | None, options: Mapping[str, Any]) -> Stream:
+    """Open a file that `can_grow`, with the options that are about its format."""
+    of_page = page if _is_page(output) else None
+    return open_stream(output, of_page, axes if _has_axes(output) else None, **_mine(output, options))
+
+
+def _mine(output: str, options: Mapping[str, Any]) -> dict[str, Any]:
+    return {key: value for key, value in options.items() if _takes(output, key)}
 
 
 def _takes(output: str, option: str) -> bool:

@@ -129,8 +129,8 @@ _ALL_KEYS = _table(
     _key("input", str, NEEDED, "file or folder of keypoints, a video, pictures, several with commas or *, or SET:SPLIT of a "
          "published set"),
     _key("output", str, NEEDED, "new file, several with commas; the ending is the format: .html .npz .csv .bvh .glb .nwb ...; "
-         "angles.csv, .mot: joint angles, gait.csv: gait; or live: a page of this machine that shows a camera's poses as they "
-         "come"),
+         "angles.csv, .mot: joint angles, gait.csv: gait; FOLDER/ or FOLDER/*.csv: one for each input; or live: a page of this "
+         "machine that shows a camera's poses as they come"),
     _key("page", Optional[str], None, "kind of an .html; unset: viewer", choices=("viewer", "gallery")),
     _key("axes", Optional[str], None, "axes of the output; unset: the format's usual ones",
          choices=("camera", "level", "opencv", "blender", "opensim", "unity", "own", "gltf", "print")),
@@ -139,6 +139,8 @@ _ALL_KEYS = _table(
     _key("together", Optional[str], None, "keypoints: true solves the files, or the cameras of a file, as views of one "
          "scene; masks: true puts all shapes side by side in one .glb, unset: up to 16", choices=("true", "false")),
     _of_fit("format"),
+    _key("workers", Optional[int], None, "with output=FOLDER/: inputs that are lifted at a time, each in a process; unset: as many as "
+         "cores", 1, 1000),
 )  # fmt: skip
 POSE_KEYS = _table(
     _key("refine", str, "on", "lift the frames of a clip together; off: each on its own; causal: with those up to half a "
@@ -159,6 +161,8 @@ POSE_KEYS = _table(
     _key("cameras_unit", Optional[str], None, "unit of the places in it; unset: told from the file", choices=("mm", "m")),
     _key("cameras_output", Optional[str], None, "with together=true: new .toml file for the cameras that are found"),
     *(one for name, one in READ_KEYS.items() if name != "format"),
+    _key("part_frames", Optional[int], None, "frames that are lifted at a time, where there are more; 0: all at once; unset: inputs of "
+         "more than 200,000 frames in parts of 50,000", 0, 10**9),
     _key("check", bool, True, "false: a ready lifter lifts what does not look like the body that it knows, too"),
     *NWB_KEYS.values(),
     _key("frames", int, 40, "frames that page=gallery shows", 1, 500),

@@ -20,7 +20,7 @@ from typing import Any, BinaryIO
 from uplift.errors import UserError
 
 __all__ = [
-    "Existing", "absolute", "as_bytes", "building", "cache_folder", "clear_parts", "data_root", "files_of", "holds_run", "inside", "names_from", "read_torch",
+    "Existing", "absolute", "as_bytes", "beside", "building", "cache_folder", "clear_parts", "data_root", "files_of", "holds_run", "inside", "names_from", "read_torch",
     "refuse_existing", "refuse_output", "refuse_special", "replacing", "replacing_by_name", "save_torch", "shipped",
     "shipped_names", "without_folders",
 ]  # fmt: skip
@@ -263,6 +263,17 @@ def building(path: str | Path) -> Iterator[Path]:
     except BaseException:
         shutil.rmtree(temporary, ignore_errors=True)
         raise
+
+
+@contextmanager
+def beside(path: str | Path) -> Iterator[Path]:
+    """Make a temporary folder beside ``path``, for what memory cannot hold while ``path`` is made, and remove it at the end."""
+    temporary = _part_of(_real(path))
+    temporary.mkdir()
+    try:
+        yield temporary
+    finally:
+        shutil.rmtree(temporary, ignore_errors=True)
 
 
 def _real(path: str | Path) -> Path:

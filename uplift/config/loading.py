@@ -31,6 +31,7 @@ from uplift.errors import UserError, did_you_mean
 __all__ = [
     "classes_of",
     "load_settings",
+    "plain_task",
     "put_override",
     "read_task",
     "save_settings",
@@ -39,6 +40,7 @@ __all__ = [
     "split_words",
     "task_path",
     "trust_of",
+    "type_of",
 ]
 
 _MAX_EXTENDS = 10
@@ -54,6 +56,16 @@ def load_settings(task: str | None = None, overrides: Sequence[str] = (), defaul
     Raises UserError: an unknown task or key, a value of the wrong type, settings that contradict.
     """
     path = task_path(task or default)
+    settings = _typed(plain_task(task, overrides, default))
+    if task and not settings.data.name and settings.data.root is None:
+        settings.data.root = str(path.parent.absolute())  # a user's task file names files beside it
+    check_settings(settings)
+    return settings
+
+
+def plain_task(task: str | None = None, overrides: Sequence[str] = (), default: str = "default") -> dict[str, Any]:
+    """Return the settings of `load_settings` as plain data, of what the task and ``overrides`` set, types not checked."""
+    path = task_path(task or default)
     merged = read_task(path)
     merged["task"] = path.stem if task else ""
     words = split_words(overrides)[1]  # refuses a key given twice
@@ -63,11 +75,7 @@ def load_settings(task: str | None = None, overrides: Sequence[str] = (), defaul
     _choose_source(merged, given)
     for override in overrides:
         put_override(merged, override)
-    settings = _typed(merged)
-    if task and not settings.data.name and settings.data.root is None:
-        settings.data.root = str(path.parent.absolute())  # a user's task file names files beside it
-    check_settings(settings)
-    return settings
+    return merged
 
 
 def settings_from(plain: Mapping[str, Any], task: str = "default") -> Settings:
@@ -384,13 +392,12 @@ def put_override(data: dict[str, Any], override: str) -> None:
     Raises UserError: not ``key=value``, an unknown key, a group given a value.
     """
     key, equals, text = override.partition("=")
-    if key.startswith("trainer.") and key.removeprefix("trainer.") in TRAINER_FLAGS:
-        key = f"trainer.flags.{key.removeprefix('trainer.')}"
+    key = _in_full(key)
     if not equals or not key:
         near = f" Did you mean task={override}?" if override in shipped_names("tasks") else ""
         raise UserError(f"'{override}': expected key=value, such as trainer.max_time=00:10:00.{near}")
     keys = key.split(".")
-    value = _from_here(keys, _value(_type_of(key, override), text, override))
+    value = _from_here(keys, _value(type_of(key, override), text, override))
     for above in keys[:-1]:
         data = data.setdefault(above, {})
         if not isinstance(data, dict):
@@ -400,7 +407,15 @@ def put_override(data: dict[str, Any], override: str) -> None:
         _put_texts({"trainer": data})
 
 
-def _type_of(name: str, override: str) -> Any:
+def _in_full(name: str) -> str:
+    """Return the name of a setting; a flag of Lightning's Trainer stands among plain ``trainer`` settings."""
+    group, _, flag = name.partition(".")
+    return f"trainer.flags.{flag}" if group == "trainer" and flag in TRAINER_FLAGS else name
+
+
+def type_of(name: str, override: str) -> Any:
+    """Return the type of the setting ``name``, Any for an option; raises UserError for none, as in the word ``override``."""
+    name = _in_full(name)
     if name in all_settings():
         return all_settings()[name].type
     below = setting_names(f"{name}.")

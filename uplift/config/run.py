@@ -34,7 +34,11 @@ from uplift.config.safe_weights import ENDING, read_safe
 from uplift.config.settings import Settings
 from uplift.errors import UserError, did_you_mean, nearest
 
-__all__ = ["USUAL_STEPS", "RunFolder", "Weights", "data_id", "idle_prior", "lifter_label", "read_weights", "version_of"]
+__all__ = [
+    "SWEEP", "USUAL_STEPS", "RunFolder", "Weights", "data_id", "idle_prior", "is_sweep", "lifter_label", "link", "new_name",
+    "read_weights",
+    "runs_of", "version_of",
+]  # fmt: skip
 
 
 USUAL_STEPS = 10_000
@@ -70,14 +74,10 @@ class RunFolder:
         """Whether this process made the folder."""
 
     @classmethod
-    def create(cls, settings: Settings, command: str) -> RunFolder:
-        """Make ``runs/<task>/<time>/`` in the current folder."""
-        base = Path("runs") / (settings.task or Path(settings.skeleton).stem or "own")
-        stamp = datetime.datetime.now().strftime("%Y-%m-%d_%H-%M-%S")
-        try:
-            base.mkdir(parents=True, exist_ok=True)
-        except (FileExistsError, NotADirectoryError) as error:
-            raise UserError(f"Cannot make the folder {base.absolute()}: something else is in its place.") from error
+    def create(cls, settings: Settings, command: str, place: Path | None = None) -> RunFolder:
+        """Make ``runs/<task>/<time>/`` in the current folder, or the folder ``place``."""
+        base = runs_of(settings.task, settings.skeleton) if place is None else place.parent
+        stamp = new_name() if place is None else place.name
         if settings.data.train and not settings.data.root:
             # The run finds its data again from any folder, whatever UPLIFT_DATA is then.
             root = str(data_root(settings.data.name, None).absolute())
@@ -98,15 +98,8 @@ class RunFolder:
 
     def link_last(self) -> None:
         """Point the task's ``last`` to this run, which can now be resumed; what else has that name is left alone."""
-        last = self.path.with_name("last")
-        if last.exists() and not last.is_symlink():
-            return
-        temporary = self.path.with_name(f".last.{os.getpid()}")
-        try:
-            temporary.symlink_to(self.path.name, target_is_directory=True)
-            os.replace(temporary, last)
-        except OSError:  # a file system without links, where `run=.../last` cannot work
-            temporary.unlink(missing_ok=True)
+        if not is_sweep(self.path.parent):  # a sweep has many, and says which is its task's last
+            link(self.path.with_name("last"), self.path.name)
 
     def discard_if_empty(self) -> None:
         """Remove a run that this process made, and that ended before anything else came into its folder."""
@@ -131,6 +124,10 @@ class RunFolder:
             return run
         if (path / "last" / "config.yaml").is_file():
             return cls((path / "last").resolve())
+        if is_sweep(path):
+            raise UserError(
+                f"{path} is a sweep, expected one of its runs: run={path}/best, or one of the folders in it."
+            )
         if path.exists():
             raise UserError(f"{path} is not a run: it has no config.yaml. `uplift fit` writes runs/<task>/<time>.")
         if str(path) in shipped_names("lifters"):
@@ -200,6 +197,42 @@ class RunFolder:
             again = "`uplift evaluate run=...` writes it again."
             raise UserError(f"{path} is not an evaluation: no 'data' and no figures in 'overall'. {again}")
         return found
+
+
+SWEEP = "sweep.yaml"
+"""The file that makes a folder of runs a sweep."""
+
+
+def is_sweep(path: str | Path) -> bool:
+    """Return whether a path is the folder of a sweep."""
+    return (Path(path) / SWEEP).is_file()
+
+
+def runs_of(task: str, skeleton: str) -> Path:
+    """Return the folder ``runs/<task>`` in the current folder, made if needed."""
+    base = Path("runs") / (task or Path(skeleton).stem or "own")
+    try:
+        base.mkdir(parents=True, exist_ok=True)
+    except (FileExistsError, NotADirectoryError) as error:
+        raise UserError(f"Cannot make the folder {base.absolute()}: something else is in its place.") from error
+    return base
+
+
+def new_name() -> str:
+    """Return the name of a run that starts now."""
+    return datetime.datetime.now().strftime("%Y-%m-%d_%H-%M-%S")
+
+
+def link(name: Path, target: str) -> None:
+    """Make ``name`` point to ``target`` beside it; what else has that name is left alone."""
+    if name.exists() and not name.is_symlink():
+        return
+    temporary = name.with_name(f".{name.name}.{os.getpid()}")
+    try:
+        temporary.symlink_to(target, target_is_directory=True)
+        os.replace(temporary, name)
+    except OSError:  # a file system without links, where `run=.../last` cannot work
+        temporary.unlink(missing_ok=True)
 
 
 def lifter_label(init: str) -> str:
@@ -332,4 +365,5 @@ def _unknown(run: str | Path) -> NoReturn:
 
 
 def _runs_here() -> list[str]:
-    return [str(path) for path in Path("runs").glob("*/*") if (path / "config.yaml").is_file()]
+    found = itertools.chain(Path("runs").glob("*/*"), Path("runs").glob("*/sweep_*/*"))
+    return [str(path) for path in found if (path / "config.yaml").is_file()]

@@ -21,7 +21,7 @@ from uplift.errors import UserError, nearest
 
 __all__ = [
     "MAX_SIDE", "MIN_SIDE", "PRIOR_SETTINGS", "RENAMED", "TRAINER_FLAGS", "TRAINER_FLAGS_OF_FIT", "ChoiceSettings", "DataSettings", "LifterSettings",
-    "RefineSettings", "Setting", "Settings", "ShapeSettings", "StageSettings", "StudentSettings", "TeacherSettings",
+    "RefineSettings", "Setting", "Settings", "ShapeSettings", "StageSettings", "StudentSettings", "SweepSettings", "TeacherSettings",
     "TrainerSettings", "ViewSettings", "all_groups", "all_settings", "check_settings", "range_text", "rename_old",
     "seconds_of", "settings_of",
 ]  # fmt: skip
@@ -361,6 +361,9 @@ class TrainerSettings:
     )
     accelerator: str = _setting("auto", "accelerator of Lightning's Trainer")
     devices: str = _setting("auto", "devices of Lightning's Trainer")
+    wait: float = _setting(
+        1800.0, "seconds that the processes of a fit wait for one another before it ends with an error", low=1, high=1e6
+    )
     precision: str = _setting(
         "32-true",
         "precision of Lightning's Trainer: 16 and bf16 are mixed, as geometry needs all digits",
@@ -373,6 +376,30 @@ class TrainerSettings:
     )
     logger: Optional[str] = _setting(None, "loggers beside metrics.csv, several with commas: tensorboard, wandb, csv")
     flags: dict[str, Any] = _setting({}, "any other flag of Lightning's Trainer, given as trainer.NAME")
+
+
+@dataclass
+class SweepSettings:
+    """A sweep: a setting with several values, as in seed=0..7, is a fit for each value."""
+
+    how: str = _setting(
+        "auto",
+        "where its fits run: processes of this machine, jobs of a SLURM cluster, or tasks of a Ray cluster; auto: processes",
+        choices=("auto", "processes", "slurm", "ray"),
+    )
+    workers: Optional[int] = _setting(
+        None,
+        "fits at a time; unset: one for each core that trainer.threads leaves, or for each GPU; on a cluster as many as it "
+        "runs",
+        low=1,
+        high=100_000,
+    )
+    most: int = _setting(1000, "fits at most: a larger grid is refused before it starts", low=1, high=10**6)
+    options: dict[str, Any] = _setting(
+        {},
+        "of a cluster: parameters of a SLURM job as submitit has them, such as timeout_min or slurm_partition, or options "
+        "of a Ray task, such as num_cpus",
+    )
 
 
 @dataclass
@@ -403,6 +430,7 @@ class Settings:
     teacher: TeacherSettings = _group(TeacherSettings)
     student: StudentSettings = _group(StudentSettings)
     trainer: TrainerSettings = _group(TrainerSettings)
+    sweep: SweepSettings = _group(SweepSettings)
     callbacks: dict[str, Any] = _setting({}, "name: {use, the callback's own options}; Lightning's own by their names")
     loggers: dict[str, Any] = _setting({}, "name: {use, the logger's own options}; see trainer.logger")
 

@@ -16,7 +16,7 @@ from uplift.data.poses import IDENTITY_KEYS, PoseData
 from uplift.errors import UserError
 from uplift.geometry.lens import Lens
 
-__all__ = ["concat_masks", "concat_poses", "resized"]
+__all__ = ["concat_masks", "concat_poses", "joined_columns", "resized"]
 
 
 def concat_poses(parts: Sequence[PoseData]) -> PoseData:
@@ -93,7 +93,7 @@ def _identity(parts: Sequence[PoseData]) -> dict[str, np.ndarray]:
     columns = {key: [_column(part, key) for part in parts] for key in keys}
     if "sequence" in columns:
         columns["sequence"] = _distinct(columns["sequence"], parts)
-    return {key: np.concatenate(_alike(values)) for key, values in columns.items()}
+    return {key: joined_columns(values) for key, values in columns.items()}
 
 
 def _column(part: PoseData, key: str) -> np.ndarray:
@@ -114,11 +114,11 @@ def _distinct(names: list[np.ndarray], parts: Sequence[PoseData]) -> list[np.nda
     return [np.where(np.isin(t, list(shared)), np.char.add(f"{source}: ", t), t) for source, t in texts]
 
 
-def _alike(values: list[np.ndarray]) -> list[np.ndarray]:
-    """Return columns of one kind: text where any is text."""
+def joined_columns(values: Sequence[np.ndarray]) -> np.ndarray:
+    """Return what frames are of, of several parts, as one column: text where any is text."""
     if any(value.dtype.kind not in "iuf" for value in values):
-        return [value.astype(str) for value in values]
-    return values
+        values = [value.astype(str) for value in values]
+    return np.concatenate(values)
 
 
 def concat_masks(parts: Sequence[MaskData]) -> MaskData:

@@ -9,8 +9,6 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TypeVar
 
-import numpy as np
-
 from uplift.config.files import data_root, files_of, shipped_names
 from uplift.config.loading import read_task, task_path
 from uplift.config.progress import progress
@@ -23,13 +21,13 @@ from uplift.data.formats import KEYPOINT_FORMATS, MASK_FORMATS, read, with_optio
 from uplift.data.formats.base import ReadOptions, size_of
 from uplift.data.formats.deeplabcut_files import keypoint_files
 from uplift.data.individuals import by_individuals
+from uplift.data.joints import in_joints_of
 from uplift.data.masks import MaskData
 from uplift.data.poses import PoseData
 from uplift.data.select import choice_of, chosen_rows
 from uplift.data.upright import upright_notes
 from uplift.errors import MissingFiles, UserError
 from uplift.skeleton import Skeleton
-from uplift.skeleton.match import WrongJoints, build_joints, build_pose
 from uplift.skeleton.propose import TOO_LONG, stretch_of
 
 __all__ = [
@@ -343,36 +341,6 @@ def read_options(data: DataSettings, path: str | Path | None = None) -> ReadOpti
         format=format, layout=data.layout, image_size=size, fps=data.fps, focal_px=data.focal_px,
         min_confidence=data.min_confidence, flip_x=data.flip_x, flip_y=data.flip_y, rotate=data.rotate,
     )  # fmt: skip
-
-
-def in_joints_of(data: PoseData, skeleton: Skeleton) -> PoseData:
-    """Return ``data`` with the skeleton's joints in its order, poses relative to its root.
-
-    Raises UserError: the joints do not fit the skeleton.
-    """
-    keypoints, confidence, pose, notes = data.keypoints, data.confidence, data.pose, data.notes
-    complete = (confidence > 0).all() and np.isfinite(keypoints).all()
-    if data.joint_names != skeleton.joints or not complete:  # a full-size data set is not copied for nothing
-        try:
-            keypoints, confidence, match = build_joints(keypoints, confidence, data.joint_names, skeleton)
-            notes = (*notes, str(match)) if match.layout is not None or match.missing else notes
-            pose = None if pose is None else build_pose(pose, data.joint_names, skeleton)
-        except WrongJoints as error:
-            raise WrongJoints(f"{data.source}: {error}" if data.source else str(error), error.names) from None
-        except UserError as error:
-            raise UserError(f"{data.source}: {error}" if data.source else str(error)) from None
-    root = data.root
-    if pose is not None and pose[:, skeleton.root_index].any():
-        shift = pose[:, skeleton.root_index]
-        root = None if root is None else (root + np.nan_to_num(shift)).astype(np.float32)
-        pose = pose - shift[:, None]
-    return replace(
-        data,
-        keypoints=keypoints.astype(np.float32, copy=False),
-        confidence=confidence.astype(np.float32, copy=False),
-        pose=None if pose is None else pose.astype(np.float32, copy=False),
-        **{"joint_names": skeleton.joints, "root": root, "bones": (), "mirror": (), "notes": notes},
-    )
 
 
 # Messages for missing files: what is missing, how to get it, where to put it, what runs without.

@@ -120,9 +120,13 @@ class PoseData(Samples):
         """The middle of the image, taken as the pixel of the optical axis; None without an image size."""
         return None if self.image_size is None else (self.image_size[0] / 2, self.image_size[1] / 2)
 
-    def with_focal_px(self, focal_px: Float[np.ndarray, " frames"]) -> PoseData:
-        """Return the frames with the focal length of each, in pixels; where they differ the image size must be known."""
-        values, lens = np.unique(focal_px, return_inverse=True)
+    def with_focal_px(self, focal_px: Float[np.ndarray, " frames"], among: np.ndarray | None = None) -> PoseData:
+        """Return the frames with the focal length of each, in pixels; where they differ the image size must be known.
+
+        ``among`` are those of all frames, where these are a part of them.
+        """
+        values = np.unique(focal_px if among is None else among)
+        lens = np.searchsorted(values, focal_px)
         if len(values) == 1:
             return replace(self, focal_px=float(values[0]), lenses=(), lens=None)
         if self.image_size is None:

@@ -18,12 +18,13 @@ from uplift.config.files import refuse_existing
 from uplift.errors import UserError, did_you_mean, nearest
 from uplift.export.clips import MOST_FILES, arrange
 from uplift.export.scene import AXES, in_axes
+from uplift.export.stream import Stream
 from uplift.export.tables import unique
 from uplift.models.prediction import Prediction, ShapePrediction
 from uplift.skeleton import Skeleton
 
 __all__ = [
-    "MEASURES", "PAGES", "WRITERS", "Job", "Part", "Writer", "check_axes", "check_library", "check_measure", "ending_of", "parts_of", "paths_of",
+    "MEASURES", "PAGES", "WRITERS", "Job", "Part", "Writer", "check_axes", "check_library", "check_measure", "ending_of", "open_stream", "parts_of", "paths_of",
     "write", "writer_for",
 ]  # fmt: skip
 
@@ -44,19 +45,30 @@ class Writer:
     """What brings the libraries that it needs beside the package's own: ``pip install "uplift3d[EXTRA]"``."""
     needs: tuple[str, ...] = ()
     """The modules of those."""
+    stream: str = ""
+    """module:class of the `uplift.export.stream.Stream` that writes it part by part, where it can grow."""
 
     def __call__(self, *arguments: Any, **options: Any) -> Any:
         """Write one file and return a remark on it, if any; the formats of meshes return the file's bytes."""
-        module, _, name = self.where.partition(":")
-        return getattr(import_module(module), name)(*arguments, **options)
+        return _named(self.where)(*arguments, **options)
+
+
+def _named(where: str) -> Any:
+    """Return the function or class called module:name."""
+    module, _, name = where.partition(":")
+    return getattr(import_module(module), name)
 
 
 WRITERS = {
     "poses": {
         ".html": Writer("uplift.export.page:write_html", "a page to look at"),
-        ".npz": Writer("uplift.export.tables:write_npz", "arrays, for Python"),
+        ".npz": Writer("uplift.export.tables:write_npz", "arrays, for Python", stream="uplift.export.tables:NpzStream"),
         ".json": Writer("uplift.export.tables:write_json", "all of it as text, for any language"),
-        ".csv": Writer("uplift.export.tables:write_csv", "a table, one row a frame and body"),
+        ".csv": Writer(
+            "uplift.export.tables:write_csv",
+            "a table, one row a frame and body",
+            stream="uplift.export.tables:CsvStream",
+        ),
         ".trc": Writer("uplift.export.markers:write_trc", "markers, for OpenSim", "opensim", "body"),
         ".osim": Writer(
             "uplift.export.osim:write_opensim",
@@ -209,6 +221,28 @@ def write(
             file.unlink(missing_ok=True)
         raise
     return files
+
+
+def open_stream(path: str | Path, page: str | None = None, axes: str | None = None, **options: Any) -> Stream:
+    """Return a file of poses that grows part by part: ``append`` a `Prediction` of whole clips to it, and ``close`` it.
+
+    It is a context manager, and the file appears at its end, the one that `write` makes of all parts at once; an error
+    inside leaves no file (`uplift.export.stream.Stream`). ``page``, ``axes`` and the options are those of `write`.
+
+    Raises:
+        UserError: a format that is written as a whole, and as `write`.
+    """
+    check_library(path, page)
+    writer = writer_for(path, page)
+    if not writer.stream:
+        growing = [name for name, one in (WRITERS["poses"] | MEASURES).items() if one.stream]
+        raise UserError(
+            f"output={path}: a {ending_of(path)} is written as a whole, and cannot grow part by part. Formats that can: "
+            f"{', '.join(growing)}."
+        )
+    axes = axes or writer.axes
+    check_axes(path, axes)
+    return _named(writer.stream)(path, axes, **options)
 
 
 Job = tuple[str, Callable[[Path], str]]

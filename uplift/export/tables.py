@@ -7,6 +7,7 @@ import math
 import re
 import zipfile
 from collections.abc import Callable, Iterable, Iterator
+from contextlib import ExitStack
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -14,12 +15,16 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from uplift.config.files import as_bytes, replacing
+from uplift.config.files import as_bytes, beside, replacing
 from uplift.data.parsers.table import safe_cell
 from uplift.export.scene import AXES
+from uplift.export.stream import Stream
 from uplift.models.prediction import Prediction
 
-__all__ = ["cell", "filled_in", "labels", "numbers", "plain", "unique", "write_csv", "write_json", "write_npz"]
+__all__ = [
+    "CsvStream", "NpzStream", "cell", "filled_in", "labels", "numbers", "plain", "unique", "write_csv", "write_json",
+    "write_npz",
+]  # fmt: skip
 
 # What writers of text share: numbers as text, identities as plain values, names, keypoints that were seen.
 
@@ -86,6 +91,37 @@ def labels(names: Iterable[str], without: str = "") -> list[str]:
 # CSV: one row per frame and individual, for spreadsheets, R and pandas.
 
 
+class CsvStream(Stream):
+    """The table of `write_csv`, part by part."""
+
+    def __init__(self, path: str | Path, axes: str | None = None, *, csv_safe: bool = False):
+        super().__init__(path, axes)
+        self._written = partial(cell, safe=csv_safe)
+
+    def write_part(self, prediction: Prediction, first: bool) -> None:
+        facts = {
+            "unit": prediction.unit,
+            "axes": prediction.axes,
+            "origin": "root" if prediction.root is None else "camera",
+        }
+        if prediction.fps is not None and math.isfinite(prediction.fps):
+            facts["fps"] = f"{prediction.fps:.7g}"
+        columns, written = _columns(prediction), self._written
+        if first:
+            names = [*prediction.identity, *facts, *(name for name, _ in columns)]
+            if len(set(names)) < len(names):
+                twice = sorted({name for name in names if names.count(name) > 1})
+                raise ValueError(f"prediction: several columns would be called {', '.join(twice)}")
+            self._handle.write(as_bytes(",".join(map(written, names)) + "\n"))
+        template = ",".join(style for _, style in columns) + "\n"
+        known = ",".join(map(written, facts.values())) + ","
+        for part in _parts(prediction):
+            keys = [[written(value) for value in plain(values)] for values in part.identity.values()]
+            labels = zip(*keys, strict=True) if keys else ((),) * len(part)
+            for label, row in zip(labels, numbers(*_csv_arrays(part)), strict=True):
+                self._handle.write(as_bytes(",".join((*label, known)) + filled_in(template, row, "")))
+
+
 def write_csv(prediction: Prediction, path: str | Path, *, csv_safe: bool = False) -> None:
     """Write identity, unit and axes, then of every joint its place, keypoint and confidence; UTF-8, commas.
 
@@ -95,28 +131,8 @@ def write_csv(prediction: Prediction, path: str | Path, *, csv_safe: bool = Fals
     known. What is missing is an empty cell. With ``csv_safe`` names that a spreadsheet would run as a formula
     begin with an apostrophe. Raises ValueError where two columns would have one name.
     """
-    written = partial(cell, safe=csv_safe)
-    facts = {
-        "unit": prediction.unit,
-        "axes": prediction.axes,
-        "origin": "root" if prediction.root is None else "camera",
-    }
-    if prediction.fps is not None and math.isfinite(prediction.fps):
-        facts["fps"] = f"{prediction.fps:.7g}"
-    columns = _columns(prediction)
-    names = [*prediction.identity, *facts, *(name for name, _ in columns)]
-    if len(set(names)) < len(names):
-        twice = sorted({name for name in names if names.count(name) > 1})
-        raise ValueError(f"prediction: several columns would be called {', '.join(twice)}")
-    template = ",".join(style for _, style in columns) + "\n"
-    known = ",".join(map(written, facts.values())) + ","
-    with replacing(path) as handle:
-        handle.write(as_bytes(",".join(map(written, names)) + "\n"))
-        for part in _parts(prediction):
-            keys = [[written(value) for value in plain(values)] for values in part.identity.values()]
-            labels = zip(*keys, strict=True) if keys else ((),) * len(part)
-            for label, row in zip(labels, numbers(*_csv_arrays(part)), strict=True):
-                handle.write(as_bytes(",".join((*label, known)) + filled_in(template, row, "")))
+    with CsvStream(path, csv_safe=csv_safe) as stream:
+        stream.append(prediction)
 
 
 def _columns(prediction: Prediction) -> list[tuple[str, str]]:
@@ -250,6 +266,10 @@ def _shaped(shape: tuple[int, ...], style: str) -> str:
 _OLDEST = (1980, 1, 1, 0, 0, 0)
 
 
+_BLOCK = 1 << 20
+"""Bytes that are moved at once. All blocks are as large but the last: what Deflate makes of text may depend on them."""
+
+
 def write_npz(prediction: Prediction, path: str | Path) -> None:
     """Write keypoints, poses, unit, gravity, names, bones and identity; the same poses give the same bytes.
 
@@ -258,14 +278,89 @@ def write_npz(prediction: Prediction, path: str | Path) -> None:
     (frames hypotheses joints 3) and their ``weights`` (frames hypotheses), ``ground_point``, ``ground_normal``
     (frames 3) and ``contact`` (frames joints) are there where they were asked for. The truth is not written: ``pose`` is the prediction.
     """
-    arrays = _npz_arrays(prediction)
-    with replacing(path) as handle, zipfile.ZipFile(handle, "w") as archive:
-        for name, array in arrays.items():
-            entry = zipfile.ZipInfo(f"{name}.npy", date_time=_OLDEST)
-            # Names repeat and shrink a hundredfold; floats hardly shrink and would make writing slow.
-            entry.compress_type = zipfile.ZIP_DEFLATED if array.dtype.kind in "US" else zipfile.ZIP_STORED
-            with archive.open(entry, "w", force_zip64=True) as stream:
-                np.lib.format.write_array(stream, array, allow_pickle=False)
+    with NpzStream(path) as stream:
+        stream.append(prediction)
+
+
+class NpzStream(Stream):
+    """The arrays of `write_npz`, part by part: each grows in a file beside ``path`` until they are packed at the end."""
+
+    alike = (*Stream.alike, "image_size")
+
+    def __init__(self, path: str | Path, axes: str | None = None):
+        super().__init__(path, axes)
+        self._folder = self._stack.enter_context(beside(path))
+        self._columns: dict[str, _Column] = {}
+
+    def write_part(self, prediction: Prediction, first: bool) -> None:
+        for name, array in _npz_arrays(prediction).items():
+            if first:
+                self._columns[name] = _Column(array, self._folder / str(len(self._columns)))
+            elif name not in _OF_ALL:
+                self._columns[name].append(array)
+
+    def finish(self) -> str:
+        with zipfile.ZipFile(self._handle, "w") as archive:
+            for name, column in self._columns.items():
+                entry = zipfile.ZipInfo(f"{name}.npy", date_time=_OLDEST)
+                # Names repeat and shrink a hundredfold; floats hardly shrink and would make writing slow.
+                entry.compress_type = zipfile.ZIP_DEFLATED if column.kind.kind in "US" else zipfile.ZIP_STORED
+                with archive.open(entry, "w", force_zip64=True) as member:
+                    column.write(member)
+        return ""
+
+
+class _Column:
+    """An array that grows by rows, in a file as soon as there is a second part: a lone one is written from memory."""
+
+    def __init__(self, first: np.ndarray, path: Path):
+        self._path, self._waiting, self._parts = path, first, [(first.dtype, first.shape)]
+
+    @property
+    def kind(self) -> np.dtype:
+        """Of all rows: text is as long as the longest."""
+        return np.result_type(*{kind for kind, _ in self._parts})
+
+    def append(self, rows: np.ndarray) -> None:
+        with self._path.open("ab") as file:
+            if len(self._parts) == 1:
+                file.write(_raw(self._waiting))
+                self._waiting = rows[:0]
+            file.write(_raw(rows))
+        self._parts.append((rows.dtype, rows.shape))
+
+    def write(self, member: Any) -> None:
+        """Write the header and the rows of an .npy."""
+        shape = self._parts[0][1]
+        if len(self._parts) > 1:
+            shape = (sum(shape[0] for _, shape in self._parts), *shape[1:])
+        facts = {"descr": np.lib.format.dtype_to_descr(self.kind), "fortran_order": False, "shape": shape}
+        np.lib.format.write_array_header_1_0(member, facts)
+        waiting = bytearray()
+        for piece in self._pieces():
+            waiting += _raw(piece.astype(self.kind, copy=False))
+            while len(waiting) >= _BLOCK:
+                member.write(waiting[:_BLOCK])
+                del waiting[:_BLOCK]
+        member.write(waiting)
+
+    def _pieces(self) -> Iterator[np.ndarray]:
+        """Yield the values of all rows in order, few at a time."""
+        with ExitStack() as stack:
+            file = stack.enter_context(self._path.open("rb")) if len(self._parts) > 1 else None
+            for kind, shape in self._parts:
+                count, most = math.prod(shape), max(_BLOCK // max(kind.itemsize, 1), 1)
+                for start in range(0, count, most):
+                    end = min(start + most, count)
+                    yield np.fromfile(file, kind, end - start) if file else self._waiting.reshape(-1)[start:end]
+
+
+def _raw(values: np.ndarray) -> memoryview:
+    return memoryview(np.ascontiguousarray(values).reshape(-1).view(np.uint8))
+
+
+_OF_ALL = {"joint_names", "unit", "bones", "skeleton", "axes", "fps", "image_size"}
+"""Arrays that are not of frames."""
 
 
 def _npz_arrays(prediction: Prediction) -> dict[str, np.ndarray]:

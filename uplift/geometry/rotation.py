@@ -8,6 +8,7 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
+from uplift.config.ranks import drawn
 from uplift.geometry.rigid import quaternion_entries
 
 __all__ = [
@@ -76,7 +77,7 @@ def views_about_gravity(
 
 def random_rotations(count: int, device: torch.device | str = "cpu") -> Float[Tensor, "count 3 3"]:
     """Return rotations uniform on SO(3), from uniform unit quaternions (Shoemake 1992)."""
-    u, v, w = torch.rand(3, count, device=device)
+    u, v, w = drawn(count, lambda rows: torch.rand(3, rows, device=device), dim=1)
     v, w = 2 * math.pi * v, 2 * math.pi * w
     a, b = (1 - u).sqrt(), u.sqrt()
     entries = quaternion_entries(a * v.sin(), a * v.cos(), b * w.sin(), b * w.cos())

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -34,6 +34,7 @@ from uplift.models.lifter import Lifter
 from uplift.models.metric_scale import Size, size_of_skeleton
 from uplift.models.mixture import ShapeMixture
 from uplift.models.networks import NETWORKS
+from uplift.models.parts import PART_FRAMES, lift_piece, pieces
 from uplift.models.predict import (
     LAG_SECONDS,
     InferredPoses,
@@ -294,6 +295,26 @@ class Model(_Saved):
         mm_per_px = mm_per_pixel(inferred, pose, data, self.skeleton, body, size)
         prediction = self._prediction(data, inferred, pose, mm_per_px, title)
         return self._on_ground(prediction, data) if ground else prediction
+
+    def predict_parts(
+        self, parts: Iterable[PoseData], title: str = "", *, frames: int = PART_FRAMES, **how: Any
+    ) -> Iterator[Prediction]:
+        """Yield the poses of an input of any length, part by part, in memory that does not depend on how many there are.
+
+        What `predict` learns from all clips of its input (what confidences are worth, the mean body) is that of each part,
+        and a clip that is longer than a part is cut, and lifted with the frames beside each cut (`uplift.models.parts`).
+
+        Args:
+            parts: frames in order, in parts of whole clips, as `uplift.data.parts.iterate_parts` reads them.
+            title: of the predictions.
+            frames: how many are lifted at a time.
+            how: as `predict` takes it. With ``ground`` no clip is cut.
+
+        Raises:
+            UserError: as `predict`, but for frames that nobody is in, which are NaN.
+        """
+        for piece in pieces(parts, frames, cut=not how.get("ground")):
+            yield lift_piece(partial(self.predict, title=title, **how), piece, self.skeleton)
 
     def _may_stand(self, size: Size | None) -> bool:
         """Return True; raises UserError where nothing tells lengths in millimetres, without which there is no ground."""

@@ -10,6 +10,7 @@ import torch
 from jaxtyping import Bool, Float, Int, UInt8
 from torch import Tensor, nn
 
+from uplift.config import ranks
 from uplift.geometry.normalise import renormalise
 from uplift.geometry.rotation import level, turn
 from uplift.models.lifter import Lifted, Lifter
@@ -145,9 +146,15 @@ class Lift:
 
     @staticmethod
     def mean(value: Tensor, weight: Tensor) -> Tensor:
-        """Return the weighted mean of ``value`` over all its axes; 0 where all weights are 0."""
+        """Return the weighted mean of ``value`` over all its axes and all ranks; 0 where all weights are 0."""
         weight = weight.expand_as(value)
-        return (value * weight).sum() / weight.sum().clamp_min(torch.finfo(value.dtype).tiny)
+        weighted, weights = ranks.total((value * weight).sum(), weight.sum())
+        return weighted / weights.clamp_min(torch.finfo(value.dtype).tiny)
+
+    @staticmethod
+    def sums(*values: Float[Tensor, "batch *rest"]) -> tuple[Tensor, ...]:
+        """Return the sum of each value over the batch, on several ranks that of all of them."""
+        return ranks.total(*(value.sum(0) for value in values))
 
 
 @dataclass(frozen=True)

@@ -50,13 +50,14 @@ class Bones(Prior):
         """Return the mean over bones of the variance of each bone's share."""
         lengths = bone_lengths(lift.pose, self.bones)
         weight = lift.visible[:, self.bones[:, 0]] * lift.visible[:, self.bones[:, 1]]
-        count = weight.sum(0).clamp_min(1)
-        usual = (lengths.detach() * weight).sum(0) / count
+        count, usual = Lift.sums(weight, lengths.detach() * weight)
+        count = count.clamp_min(1)
+        usual = usual / count
         # Relative to the visible bones: a frame that shows only long bones is not larger.
         size = (lengths * weight).sum(1) / (usual * weight).sum(1).clamp_min(1e-6)
         share = lengths / (size * usual.mean()).clamp_min(1e-6).unsqueeze(1)
-        mean = (share * weight).sum(0) / count
-        variance = ((share - mean).square() * weight).sum(0) / count
+        mean = Lift.sums(share * weight)[0] / count
+        variance = Lift.sums((share - mean).square() * weight)[0] / count
         if self.slack:
             variance = (variance - (self.slack * mean).square()).clamp_min(0)
         if self.true_share is None:

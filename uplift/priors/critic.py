@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from typing import Any, ClassVar
 
-import torch
 from torch import Tensor
 from torch.nn.functional import softplus
 
+from uplift.config import ranks
 from uplift.errors import UserError, did_you_mean
 from uplift.models.networks import build_network
 from uplift.priors.base import Lift, Prior
@@ -65,10 +65,8 @@ class Critic(Prior):
         """Return the cross-entropy of classifying ``real`` and ``reprojected``."""
         on_real, on_reprojected = self.judge(real), self.judge(reprojected)
         share = ((on_real > 0).sum() + (on_reprojected < 0).sum()) / (2 * len(on_real))
-        if torch.distributed.is_available() and torch.distributed.is_initialized():
-            # All ranks open and close the gates together, or their weights would drift apart.
-            torch.distributed.all_reduce(share)
-            share = share / torch.distributed.get_world_size()
+        # All ranks open and close the gates together, or their weights would drift apart.
+        (share,) = ranks.mean(share)
         self.accuracy.copy_(share)
         if self.gate is not None:  # only gates need the number at once
             accuracy = float(share)

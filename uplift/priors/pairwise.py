@@ -25,4 +25,4 @@ class Pairwise(Prior):
         pairs = len(change) // 2 * 2
         seen = lift.visible[0:pairs:2] * lift.visible[1:pairs:2]
         off = (change[0:pairs:2] - change[1:pairs:2]).square().sum(-1) * seen
-        return (off.sum(1) + 1e-12).sqrt().mean()
+        return Lift.mean((off.sum(1) + 1e-12).sqrt(), off.new_ones(()))

@@ -11,6 +11,7 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 from torch.nn.functional import normalize
 
+from uplift.config.ranks import mean, total
 from uplift.config.settings import StudentSettings
 from uplift.data.clean import MIN_VISIBLE, joint_neighbours
 from uplift.data.sampler import LabelledSampler
@@ -202,25 +203,27 @@ class ShownViews(Samples):
 def depth_error(lifted: Lifted, views: ShownViews) -> Float[Tensor, ""]:
     """Return the weighted mean absolute error of the depths."""
     error = (lifted.pose[..., 2] - views.pose[..., 2]).abs()
-    return (error * views.weight).sum() / views.weight.sum().clamp_min(1)
+    off, known = total((error * views.weight).sum(), views.weight.sum())
+    return off / known.clamp_min(1)
 
 
 def tilt_error(lifted: Lifted, views: ShownViews) -> Float[Tensor, ""]:
     """Return the mean absolute error of the tilts, in radians."""
-    return ((lifted.tilt - views.tilt).abs() * views.upright).mean()
+    return mean(((lifted.tilt - views.tilt).abs() * views.upright).mean())[0]
 
 
 def gravity_error(lifted: Lifted, views: ShownViews) -> Float[Tensor, ""]:
     """Return the mean distance of gravity from its true unit vector."""
     assert lifted.gravity is not None
-    return ((lifted.gravity - views.gravity).norm(dim=-1) * views.upright).mean()
+    return mean(((lifted.gravity - views.gravity).norm(dim=-1) * views.upright).mean())[0]
 
 
 def distance_error(lifted: Lifted, views: ShownViews) -> Float[Tensor, ""]:
     """Return the mean absolute error of the logarithm of the guessed distances."""
     assert lifted.distance is not None
     error = (lifted.distance / views.distance).log().abs() * views.guessed
-    return error.sum() / views.guessed.sum().clamp_min(1)
+    off, guessed = total(error.sum(), views.guessed.sum().to(error.dtype))
+    return off / guessed.clamp_min(1)
 
 
 _FOCAL_SPREAD = 0.35

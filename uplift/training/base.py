@@ -6,7 +6,7 @@ import dataclasses
 import math
 import weakref
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
 from typing import Any, ClassVar, Generic, TypeVar, cast
 
@@ -16,6 +16,7 @@ from lightning.pytorch.callbacks import Timer
 from torch import Tensor, nn
 from torch.optim.swa_utils import AveragedModel
 
+from uplift.config import ranks
 from uplift.config.files import read_torch
 from uplift.config.loading import settings_from
 from uplift.config.settings import Settings, StageSettings
@@ -38,13 +39,13 @@ __all__ = [
 ]
 
 
-def stream_seed(seed: int, rank: int, step: int) -> int:
-    """Return the seed of the random stream of one step, different for every seed, rank and step.
+def stream_seed(seed: int, step: int) -> int:
+    """Return the seed of the random stream of one step, different for every seed and step; all ranks have the same.
 
     It needs no saved state: a resumed fit draws the same numbers as an uninterrupted one.
     """
     mixed = 0x9E3779B97F4A7C15
-    for part in (seed, rank, step):
+    for part in (seed, 0, step):
         mixed = (mixed ^ (part & 0xFFFFFFFFFFFFFFFF)) * 0xBF58476D1CE4E5B9 & 0xFFFFFFFFFFFFFFFF
         mixed ^= mixed >> 29
     return mixed >> 1
@@ -111,6 +112,7 @@ class TrainingModule(L.LightningModule, Generic[LifterT, DataT]):
     """The learning rate of the priors' own parameters; the lifter's where it is None."""
     _total_steps: float = math.inf
     _timers: tuple[Timer, ...] = ()
+    _clocks_agree: bool = False
     _accumulated: int = 1
     _micro_batch: int = 0
     _clips_in_mixed_precision: bool = False
@@ -178,6 +180,7 @@ class TrainingModule(L.LightningModule, Generic[LifterT, DataT]):
         self._total_steps = steps if steps > 0 else math.inf  # not known: a loader without a length
         callbacks: list[L.Callback] = self.trainer.callbacks  # type: ignore[attr-defined]
         self._timers = tuple(c for c in callbacks if isinstance(c, Timer) and c.time_remaining() is not None)
+        self._clocks_agree = all(getattr(timer, "agrees", False) for timer in self._timers)
         self._random = torch.get_rng_state()
         self._log_every = max(1, self.trainer.log_every_n_steps)  # type: ignore[attr-defined]
         self._set_rates()
@@ -206,21 +209,33 @@ class TrainingModule(L.LightningModule, Generic[LifterT, DataT]):
         for timer in self._timers:
             spent = timer.time_elapsed()
             shares.append(spent / (spent + (timer.time_remaining() or 0.0)))
-        done = min(1.0, max(shares))
-        if self._timers and self.trainer.world_size > 1:  # ranks must agree on the learning rate
-            done = float(self.trainer.strategy.broadcast(done))
-        self.done = done
+        self.done = min(1.0, max(shares))
+        if self._timers and not self._clocks_agree:  # ranks must agree on the learning rate
+            (self.done,) = ranks.largest([self.done])
 
     def training_step(self, batch: Any, batch_idx: int) -> Tensor:
         """Seed this step's random stream and return the loss of ``batch``, or of a batch drawn from the stream."""
         self._accumulated = self.trainer.accumulate_grad_batches if self._log_every else 1
         self._micro_batch = batch_idx % self._accumulated
         torch.manual_seed(self.step_seed)
-        with self.mixed_networks():
-            loss, self.logged = self.objective(batch)
-        if self._log_every and ((self.global_step + 1) % self._log_every == 0 or self.trainer.is_last_batch):
-            self._log_terms(loss)
+        with self.sharing(batch):
+            with self.mixed_networks():
+                loss, self.logged = self.objective(batch)
+            if self._log_every and ((self.global_step + 1) % self._log_every == 0 or self.trainer.is_last_batch):
+                self._log_terms(loss)
         return loss
+
+    def sharing(self, batch: Any) -> AbstractContextManager[None]:
+        """Return a context in which `objective` computes this rank's part of ``batch``, a number of samples or data."""
+        count = self.rows_of(batch) if ranks.world() > 1 else None
+        if count is None:
+            return ranks.alone()
+        share = ranks.Share.of if isinstance(batch, int) else ranks.Share.of_given
+        return ranks.sharing(share(count, ranks.rank(), ranks.world()))
+
+    def rows_of(self, batch: Any) -> int | None:
+        """Return how many samples are in a batch; None where every rank computes the whole of it."""
+        return None
 
     @property
     def stream_step(self) -> int:
@@ -230,7 +245,7 @@ class TrainingModule(L.LightningModule, Generic[LifterT, DataT]):
     @property
     def step_seed(self) -> int:
         """The seed of this step's random stream."""
-        return stream_seed(self.seed, self.global_rank, self.stream_step)
+        return stream_seed(self.seed, self.stream_step)
 
     def _log_terms(self, loss: Tensor) -> None:
         """Log every term, what the priors measure, and the loss."""
@@ -252,7 +267,7 @@ class TrainingModule(L.LightningModule, Generic[LifterT, DataT]):
         self._log_figures("test", batch)
 
     def _log_figures(self, prefix: str, batch: Any) -> None:
-        with self.inference():  # every rank computes the same
+        with self.inference(), ranks.work_shared():  # every rank computes the same
             found = self.figures(batch)
         values = {f"{prefix}/{name}": float(value) for name, value in found.items()}
         if self.first_step and self.trainer.state.fn == "fit":

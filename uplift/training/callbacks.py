@@ -18,7 +18,9 @@ import torch
 from lightning.pytorch.callbacks import ModelCheckpoint, Timer, TQDMProgressBar
 from lightning.pytorch.callbacks.progress.tqdm_progress import Tqdm
 from lightning.pytorch.plugins.io import TorchCheckpointIO
+from lightning.pytorch.trainer.states import RunningStage
 
+from uplift.config import ranks
 from uplift.config.files import read_torch, save_torch
 from uplift.errors import UserError
 from uplift.training.base import TrainingModule
@@ -114,12 +116,12 @@ class Checkpoints(ModelCheckpoint):
     The trainer must have the plugin `AtomicCheckpointIO`.
     """
 
-    def __init__(self, path: Path, *, seconds: float, steps: int | None):
+    def __init__(self, path: Path, clock: Budget, *, seconds: float, steps: int | None):
         when: dict[str, Any] = {"train_time_interval": timedelta(seconds=seconds)}
         if steps:
             when = {"every_n_train_steps": steps}
         super().__init__(path.parent, path.stem, save_on_train_epoch_end=False, enable_version_counter=False, **when)
-        self.path = path
+        self.path, self.clock, self.steps = path, clock, steps
 
     def on_train_batch_end(self, trainer: L.Trainer, module: TrainingModule, *rest: Any) -> None:  # type: ignore[override]
         """Save when it is due, and when the stage is over."""
@@ -127,7 +129,7 @@ class Checkpoints(ModelCheckpoint):
             return
         if (module.done >= 1 or trainer.should_stop) and not trainer.fast_dev_run:  # type: ignore[attr-defined]
             trainer.save_checkpoint(self.path)
-        else:
+        elif self.steps or self.clock.just_agreed:  # others would ask all ranks for the time at every step
             super().on_train_batch_end(trainer, module, *rest)
 
 
@@ -231,12 +233,15 @@ class MetricsFile(L.Callback):
 
     def on_train_batch_end(self, trainer: L.Trainer, module: TrainingModule, *rest: Any) -> None:  # type: ignore[override]
         """Append rows when it is time to."""
-        if not trainer.is_global_zero or trainer.global_step % self.every or trainer.global_step == self._last:
+        if trainer.global_step % self.every or trainer.global_step == self._last:
             return
         self._last = trainer.global_step
         step, values = trainer.global_step, {name: float(value) for name, value in module.logged.items()}
         if module.last_lift is not None:
-            values |= module.terms.metrics(module.last_lift)
+            with module.sharing(rest[-2]):
+                values |= module.terms.metrics(module.last_lift)
+        if not trainer.is_global_zero:
+            return
         with open(self.path, "a", newline="", encoding="utf-8", errors="backslashreplace") as file:
             csv.writer(file).writerows([self.stage, step, name, f"{value:.6g}"] for name, value in values.items())
 
@@ -256,29 +261,63 @@ class Interrupted(Exception):
     """The user pressed Ctrl-C; the training state has been saved."""
 
 
+_AGREE_S = 1.0
+_MOST_APART = 1000
+"""Seconds, and most steps, between times that ranks agree on."""
+
+
 class Budget(Timer):
     """Stops a stage after ``seconds``, which go on where an interrupted fit stopped them; None for no limit of time.
 
     Ctrl-C or SIGTERM ends the stage after the current step; a second one ends it at once.
     """
 
+    agrees = True
+    """Whether ranks have the same time."""
+
     def __init__(self, seconds: float | None, spent: float = 0.0):
         super().__init__(None if seconds is None else timedelta(seconds=seconds), verbose=False)
         self.load_state_dict({"spent": spent})
         self.interrupted = False
+        self.just_agreed = True
+        """Whether all ranks have the same time and know of interruptions at this step: always, where there is but one."""
+        self._agreed: float | None = None
+        self._next, self._last = 0, (0, 0.0)
 
     def on_train_start(self, trainer: L.Trainer, module: Any) -> None:
         """Start the clock."""
         self._catch(signal.SIGTERM)  # here, as Lightning has just installed its handler
         super().on_train_start(trainer, module)
+        self._last = (trainer.global_step, time.monotonic())
+        self._agree(trainer.global_step)
+        self._next = trainer.global_step + 1  # the pace is not known yet
 
     def on_train_batch_end(self, trainer: L.Trainer, module: TrainingModule, *rest: Any) -> None:  # type: ignore[override]
         """Stop when the time is over or the user interrupted."""
         super().on_train_end(trainer, module)  # time counts to the end of the last step, and checkpoints have the same
-        super().on_train_batch_end(trainer, module, *rest)
+        between = _between_steps(trainer, rest)
+        self.just_agreed = between and trainer.global_step >= self._next
+        if self.just_agreed:
+            self._agree(trainer.global_step)
+            trainer.should_stop = trainer.should_stop or self.interrupted
+        if self._duration is not None and self.time_elapsed() >= self._duration:
+            trainer.should_stop = True
         module.update_done()
-        if _between_steps(trainer, rest) and trainer.strategy.reduce_boolean_decision(self.interrupted, all=False):
-            self.interrupted = trainer.should_stop = True
+
+    def _agree(self, step: int) -> None:
+        """Let ranks agree on the time and on interruptions, about once a second: in between none waits for another."""
+        if ranks.world() == 1:
+            return
+        (before, then), now = self._last, time.monotonic()
+        values = (super().time_elapsed(), float(self.interrupted), (now - then) / max(1, step - before))
+        self._agreed, stop, pace = ranks.largest(values)
+        self.interrupted, self._last = bool(stop), (step, now)
+        self._next = step + max(1, min(_MOST_APART, round(_AGREE_S / max(pace, 1e-6))))
+
+    def time_elapsed(self, stage: RunningStage = RunningStage.TRAINING) -> float:
+        """Return the seconds so far, those of the slowest rank when ranks last agreed."""
+        training = stage == RunningStage.TRAINING
+        return float(super().time_elapsed(stage)) if self._agreed is None or not training else self._agreed
 
     def on_train_end(self, *rest: Any) -> None:
         """Leave the time as the last step's end set it."""

@@ -7,6 +7,7 @@ import dataclasses
 import warnings
 import weakref
 from collections.abc import Mapping
+from functools import partial
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -14,6 +15,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from uplift.config import ranks
 from uplift.config.files import refuse_existing
 from uplift.config.settings import LifterSettings, Settings, StudentSettings, TeacherSettings, ViewSettings
 from uplift.config.trust import consents
@@ -178,7 +180,7 @@ class LiftingModule(KeypointModule):
         module = uplift.LiftingModule(data.skeleton, priors={"flow": 1.0, "bones": {"weight": 10.0}})
 
     Hooks for subclasses: `configure_lifter`, `configure_priors`, `configure_views`, `objective`, and those of
-    Lightning. Random numbers of a step depend on ``seed``, the rank and the step alone.
+    Lightning. Random numbers of a step depend on ``seed`` and the step alone: several ranks share out one batch.
 
     Args:
         skeleton: a `uplift.Skeleton`, a shipped name, or a YAML file.
@@ -307,6 +309,13 @@ class LiftingModule(KeypointModule):
                 logged["labelled_views"] = term.detach()
         return total, logged
 
+    def rows_of(self, batch: Any) -> int:
+        """Return how many frames are in a batch of any of the kinds that `objective` takes."""
+        if isinstance(batch, (int, Batch)):
+            return batch if isinstance(batch, int) else len(batch)
+        first = batch["keypoints"] if isinstance(batch, Mapping) else batch
+        return len(first[0] if isinstance(first, (tuple, list)) else first)
+
     def lift(self, batch: Batch) -> Lift:
         """Return the lifted batch with one new view of each pose."""
         return make_lift(self.lifter, batch, self.draw_views, self.view_settings, self.settings.hide)
@@ -317,8 +326,9 @@ class LiftingModule(KeypointModule):
             assert self.truth is not None
             truth, count_root = self.truth.to(self.device), self.view_settings.count_root
             self.maker = ViewMaker(truth, self.lifter.camera, StudentSettings(), count_root=count_root)
-        with torch.no_grad():
+        with torch.no_grad(), ranks.alone():
             views = self.maker(count)
+        views = views.select(ranks.my_rows())
         lifted = self.lifter(views.input, views.confidence, views.distance)
         loss = depth_error(lifted, views)
         if self.lifter.tilt == "predicted":
@@ -336,7 +346,7 @@ class LiftingModule(KeypointModule):
                 self.frames = self.frames.to(self.device)
             if self.sampler.device != self.frames.keypoints.device:
                 self.sampler = LabelledSampler(self.frames.labelled, self.labelled_share)
-            return self.frames.draw(self.sampler(given))
+            return self.frames.draw(self.sampler(given)[ranks.my_rows()])
         if isinstance(given, Mapping):
             return self.to_batch(given["keypoints"], given.get("confidence"))
         return self.to_batch(*given) if isinstance(given, (tuple, list)) else self.to_batch(given)
@@ -345,7 +355,7 @@ class LiftingModule(KeypointModule):
         """Return the batch, half of it mirrored if the skeleton has a mirror image."""
         if not (self.settings.mirror and self.skeleton.has_mirror_image):
             return batch
-        which = torch.rand(len(batch), device=batch.keypoints.device) < 0.5
+        which = ranks.drawn(len(batch), partial(torch.rand, device=batch.keypoints.device)) < 0.5
         return batch.mirrored(which, self.lifter.mirror_permutation)
 
 
@@ -353,7 +363,9 @@ def make_lift(lifter: Lifter, batch: Batch, views: ViewFunction, settings: ViewS
     """Return the lifted batch with one view of ``views`` each; a share ``hide`` of joints is hidden from the lifter."""
     hidden = torch.zeros_like(batch.confidence, dtype=torch.bool)
     if hide:
-        hidden = (torch.rand_like(batch.confidence) < hide) & (batch.confidence > 0)
+        joints, device = batch.confidence.shape[1], batch.confidence.device
+        chance = ranks.drawn(len(batch), lambda rows: torch.rand(rows, joints, device=device))
+        hidden = (chance < hide) & (batch.confidence > 0)
         hidden[:, lifter.skeleton.root_index] = False
     lifted = lifter(batch.keypoints, batch.confidence.masked_fill(hidden, 0), batch.distance)
     view = checked_view(views, lifted)

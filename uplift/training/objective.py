@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from typing import Any
 
 import torch
 from torch import Tensor, nn
 
+from uplift.config import ranks
 from uplift.config.plugins import blame
 from uplift.config.run import idle_prior
 from uplift.errors import UserError
@@ -61,8 +62,8 @@ class Objective:
         """Return the weighted sum of the priors' losses, which trains the lifter, and each loss by name."""
         total, losses = torch.zeros(()), Logged()
         with _frozen(self.priors[name] for name in self.adversarial):
-            for name in self.priors:
-                loss = self.loss(name, lift, step)
+            found = [self.loss(name, lift, step) for name in self.priors]
+            for name, loss in zip(self.priors, ranks.mean(*found), strict=True):
                 if name in self.idle:
                     trained = (*_lifted(lift), *self.priors[name].parameters())
                     self.watch(
@@ -74,7 +75,7 @@ class Objective:
 
     def loss(self, name: str, lift: Lift | ShapeLift, step: int) -> Tensor:
         """Return one prior's loss as one number; raises UserError if it fails or does not pass the checks."""
-        with blame(f"priors.{name}: loss", type(self.priors[name])):
+        with blame(f"priors.{name}: loss", type(self.priors[name])), _numbers_of(self.priors[name]):
             value = self.priors[name].loss(lift)
         if not isinstance(value, Tensor) or value.shape not in lift.loss_shapes:
             found = f"shape {tuple(value.shape)}" if isinstance(value, Tensor) else type(value).__name__
@@ -121,7 +122,7 @@ class Objective:
         """
         total, losses = real.new_zeros(()), Logged()
         for name in self.adversarial:
-            with blame(f"priors.{name}: critic_loss", type(self.priors[name])):
+            with blame(f"priors.{name}: critic_loss", type(self.priors[name])), _numbers_of(self.priors[name]):
                 own = self.priors[name].critic_loss(real, reprojected)
             if own is None:
                 continue
@@ -130,6 +131,7 @@ class Objective:
                     f"priors.{name}: critic_loss(real, reprojected) must return one number (a tensor of shape ()) that depends "
                     "on the prior's own parameters."
                 )
+            (own,) = ranks.mean(own)
             total = total + own
             losses[f"{name}_own"] = own.detach()
         return total, losses
@@ -157,6 +159,11 @@ class Objective:
                 yield from lifter.parameters()
 
 
+def _numbers_of(prior: Prior) -> AbstractContextManager[None]:
+    """Return a context for a prior's loss: one of a user's draws random numbers of its own on every rank."""
+    return nullcontext() if type(prior).__module__.startswith("uplift.") else ranks.own_numbers()
+
+
 def _lifted(lift: Lift | ShapeLift) -> Iterator[Tensor]:
     """Return the tensors of ``lift`` that a loss can be computed from."""
     for value in vars(lift).values():
@@ -166,7 +173,8 @@ def _lifted(lift: Lift | ShapeLift) -> Iterator[Tensor]:
 def _any_gradient(loss: Tensor, of: Iterable[Tensor]) -> bool:
     trained = [part for part in of if part.requires_grad]
     gradients = torch.autograd.grad(loss, trained, retain_graph=True, allow_unused=True)
-    return any(bool(part.any()) for part in gradients if part is not None)
+    found = any(bool(part.any()) for part in gradients if part is not None)
+    return bool(ranks.largest([found])[0]) if ranks.shared() else found
 
 
 @contextmanager

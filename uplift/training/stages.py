@@ -27,6 +27,7 @@ from uplift.config.progress import is_quiet
 from uplift.config.run import RunFolder
 from uplift.config.settings import Settings, TrainerSettings, seconds_of
 from uplift.errors import UserError
+from uplift.training import launch
 from uplift.training.base import TrainingModule
 from uplift.training.callbacks import (
     AtomicCheckpointIO,
@@ -188,7 +189,7 @@ def run_stage(
     ours = {
         "callbacks": _stage_callbacks(path, clock, settings, budget, [*callbacks, metrics or _metrics(path, settings)]),
         "logger": list(loggers) or False,
-        "plugins": AtomicCheckpointIO(on_save),
+        "plugins": [AtomicCheckpointIO(on_save), *launch.plugins()],
         "default_root_dir": folder,
     }
     with clock, _quiet("profiler" in settings.flags):
@@ -214,7 +215,7 @@ def _users_errors() -> Iterator[None]:
         raise
     except Exception as error:
         where = users_line(error)
-        if where is None:
+        if where is None or launch.is_lost(error):
             raise
         raise UserError(f"{where}: {type(error).__name__}: {error}") from error
 
@@ -232,7 +233,7 @@ def _stage_callbacks(
         callbacks.append(Progress(path.stem, clock))
     if settings.threads is None and budget.steps is None:
         callbacks.append(Threads())
-    return [*callbacks, Checkpoints(path, seconds=settings.checkpoint_every, steps=settings.checkpoint_steps)]
+    return [*callbacks, Checkpoints(path, clock, seconds=settings.checkpoint_every, steps=settings.checkpoint_steps)]
 
 
 # The trainer.
@@ -249,7 +250,7 @@ def _trainer_flags(settings: TrainerSettings, budget: StageBudget, *, has_val: b
     validation = {"val_check_interval": every, "check_val_every_n_epoch": None} if has_val else {"limit_val_batches": 0}
     return {
         "accelerator": settings.accelerator,
-        "devices": _devices_of(settings),
+        **({} if launch.trainer_flags() else {"devices": _devices_of(settings)}),
         "precision": settings.precision,
         "max_epochs": -1,
         "max_steps": budget.steps or -1,
@@ -259,6 +260,7 @@ def _trainer_flags(settings: TrainerSettings, budget: StageBudget, *, has_val: b
         "use_distributed_sampler": False,
         **validation,
         **settings.flags,
+        **_flags_of_ranks(settings),
         **({"enable_progress_bar": False} if is_quiet() else {}),
     }
 
@@ -277,11 +279,12 @@ _MOST_PROCESSES = 4
 
 def _devices_of(settings: TrainerSettings) -> int | str:
     """Return Lightning's ``devices``; raises UserError for more processes than there are cores, or computers that nothing starts."""
-    nodes = settings.flags.get("num_nodes", 1)
-    if nodes != 1 and not {"MASTER_ADDR", "SLURM_JOB_ID", "LSB_JOBID"} & set(os.environ):
+    nodes, by_hand = settings.flags.get("num_nodes", 1), ("MASTER_ADDR", "MASTER_PORT", "NODE_RANK")
+    missing = [name for name in by_hand if name not in os.environ]
+    if nodes != 1 and missing:
         raise UserError(
-            f"trainer.num_nodes={nodes}: the fit would wait for other computers, and no cluster has started this one "
-            "(MASTER_ADDR is not set)."
+            f"trainer.num_nodes={nodes}: the fit would wait for other computers, and neither torchrun nor srun has started "
+            f"this one. To start each by hand, set {', '.join(missing)} too."
         )
     if not settings.devices.lstrip("-").isdigit():
         return settings.devices
@@ -292,8 +295,19 @@ def _devices_of(settings: TrainerSettings) -> int | str:
     return count
 
 
-def check_trainer(settings: TrainerSettings) -> None:
-    """Raise UserError where Lightning refuses a flag, or this machine lacks the accelerator or devices: before any data is read."""
+def _flags_of_ranks(settings: TrainerSettings) -> dict[str, Any]:
+    """Return the flags of one of several processes; a user's strategy stays, unless it is the usual one."""
+    flags = launch.trainer_flags()
+    if settings.flags.get("strategy", "auto") not in ("auto", "ddp"):
+        flags.pop("strategy", None)
+    return flags
+
+
+def check_trainer(settings: TrainerSettings) -> L.Trainer:
+    """Return a trainer for nothing, before any data is read.
+
+    Raises UserError: Lightning refuses a flag, or this machine lacks the accelerator or devices.
+    """
     hints = typing.get_type_hints(L.Trainer.__init__)
     for name, value in settings.flags.items():
         kinds = tuple(_kinds(hints[name]))
@@ -302,7 +316,7 @@ def check_trainer(settings: TrainerSettings) -> None:
             raise UserError(f"trainer.{name}={value!r}: expected {expected}.")
     flags = _trainer_flags(settings, StageBudget(1, None), has_val=False)
     with _quiet(profiled=False):
-        _trainer(settings, flags, logger=False, enable_checkpointing=False)
+        return _trainer(settings, flags, logger=False, enable_checkpointing=False, plugins=launch.plugins())
 
 
 _KINDS = {bool: "true or false", int: "a whole number", float: "a number", str: "text", dict: "a mapping"}

@@ -12,6 +12,7 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
+from uplift.config import ranks
 from uplift.config.plugins import blame, build
 from uplift.config.settings import LifterSettings, Settings, StudentSettings
 from uplift.config.trust import consents
@@ -67,7 +68,7 @@ class StudentLoss(nn.Module):
             lifter: says what it predicts: ``fill``, ``denoise``, ``uncertainty``, ``tilt``.
         """
         turned, views = views, views.only_upright()
-        known = views.weight.sum().clamp_min(1)
+        known = ranks.total(views.weight.sum())[0].clamp_min(1)
         loss = depth_error(lifted, views)
         logged: Logged = {"depth": loss.detach()}
         hidden = views.confidence == 0
@@ -76,13 +77,16 @@ class StudentLoss(nn.Module):
             moved = hidden | hidden[:, self.skeleton.root_index, None]
             weight = views.weight if lifter.denoise else views.weight * moved
             error = ((lifted.keypoints - views.keypoints).abs().sum(-1) * weight).sum()
+            error, moving = ranks.total(error, weight.sum())
             loss = loss + error / known
-            logged["fill"] = error.detach() / weight.sum().clamp_min(1)
+            logged["fill"] = (error / moving.clamp_min(1)).detach()
         if lifted.uncertainty is not None:
-            loss = loss + _UNCERTAINTY_WEIGHT * _uncertainty_loss(lifted, views, lifted.uncertainty) / known
-            logged["uncertainty"] = lifted.uncertainty.detach().mean()
+            (surprise,) = ranks.total(_uncertainty_loss(lifted, views, lifted.uncertainty))
+            loss = loss + _UNCERTAINTY_WEIGHT * surprise / known
+            (logged["uncertainty"],) = ranks.mean(lifted.uncertainty.detach().mean())
         if lifted.signs is not None:
-            signs = lifter.chains.loss(lifted.signs, lifter.chains.states(turned.pose, turned.distance), turned.weight)
+            states = lifter.chains.states(turned.pose, turned.distance)
+            (signs,) = ranks.mean(lifter.chains.loss(lifted.signs, states, turned.weight))
             loss = loss + _SIGN_WEIGHT * signs
             logged["signs"] = signs.detach()
         if lifted.gravity is not None:
@@ -254,6 +258,7 @@ class StudentModule(KeypointModule):
             batch: how many views of the teacher's poses to make, or views.
         """
         loss, logged = self.judge(batch if isinstance(batch, ShownViews) else self._views(batch))
+        (loss,) = ranks.mean(loss) if isinstance(loss, Tensor) else (loss,)
         if not isinstance(loss, Tensor) or loss.shape != () or not loss.requires_grad:
             raise UserError(
                 "student.loss must return one number (a tensor of shape ()) that depends on what was lifted."
@@ -284,15 +289,20 @@ class StudentModule(KeypointModule):
         if self._made is None or self._made[:2] != (chunk, size):
             self._made = (chunk, size, self.make_views(chunk, size))
             torch.manual_seed(self.step_seed)
-        return self._made[2].select(slice(place * size, (place + 1) * size))
+        start, stop, _ = ranks.my_rows().indices(size)
+        return self._made[2].select(slice(place * size + start, place * size + stop))
+
+    def rows_of(self, batch: int | ShownViews) -> int:
+        """Return how many views are in a batch."""
+        return batch if isinstance(batch, int) else len(batch)
 
     def make_views(self, chunk: int, size: int) -> ShownViews:
         """Return the views of `BATCHES_AT_ONCE` steps in a row, the ``chunk``-th so many, of ``size`` views each.
 
         Each chunk has its own random stream, so that a resumed fit makes the same one again.
         """
-        torch.manual_seed(stream_seed(self.seed + 1, self.global_rank, chunk))
-        with torch.no_grad():
+        torch.manual_seed(stream_seed(self.seed + 1, chunk))
+        with torch.no_grad(), ranks.alone():
             return self.maker(size * BATCHES_AT_ONCE)
 
 

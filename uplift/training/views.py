@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from functools import partial
 
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
 from uplift.config.plugins import blame, build
+from uplift.config.ranks import drawn, gathered, own_numbers
 from uplift.config.settings import ViewSettings
 from uplift.errors import UserError
 from uplift.geometry.rotation import random_rotations, views_about_gravity
@@ -56,13 +58,14 @@ class RandomViews(Views):
         if not self.skeleton.gravity:
             return random_rotations(count, device)
         low, high = (torch.pi / 180 * angle for angle in self.settings.azimuth_deg)
-        azimuth = low + (high - low) * torch.rand(count, device=device)
+        azimuth = low + (high - low) * drawn(count, partial(torch.rand, device=device))
         new_tilt = lifted.tilt
         if self.settings.elevation == "batch":
             # the tilts of the batch (ElePose, Wandt et al. 2022), with gradients to both
-            new_tilt = lifted.tilt[torch.randperm(count, device=device)]
-        elif self.settings.elevation == "normal":  # statistics of this rank's batch
-            new_tilt = lifted.tilt.mean() + lifted.tilt.std() * torch.randn(count, device=device)
+            new_tilt = gathered(lifted.tilt)[drawn(count, partial(torch.randperm, device=device))]
+        elif self.settings.elevation == "normal":
+            tilts = gathered(lifted.tilt)
+            new_tilt = tilts.mean() + tilts.std() * drawn(count, partial(torch.randn, device=device))
         return views_about_gravity(lifted.tilt, azimuth, new_tilt)
 
 
@@ -79,7 +82,7 @@ def checked_view(views: ViewFunction, lifted: Lifted) -> Float[Tensor, "batch 3 
     """Return the views of a batch; raises UserError where a user's function fails or gives no rotations."""
     if isinstance(views, RandomViews):
         return views(lifted)
-    with blame("views: __call__", type(views)):
+    with blame("views: __call__", type(views)), own_numbers():
         found = views(lifted)
     expected = (len(lifted.tilt), 3, 3)
     if not isinstance(found, Tensor) or found.shape != expected:

@@ -23,11 +23,12 @@ if TYPE_CHECKING:
     from uplift.data.clean_masks import MaskOptions
     from uplift.data.masks import MaskData
 
-__all__ = ["KEYPOINT_FORMATS", "MASK_FORMATS", "checked", "read", "read_masks", "with_options"]
+__all__ = ["KEYPOINT_FORMATS", "MASK_FORMATS", "as_read", "checked", "read", "read_masks", "with_options"]
 
 KEYPOINT_FORMATS: Formats[ReadOptions, PoseData] = Formats(
     "keypoints",
     {
+        "shards": "uplift.data.formats.shards:FORMAT",
         # JSON, folders of it, and labels in text files
         "coco": "uplift.data.formats.coco:ANNOTATIONS",
         "openpose": "uplift.data.formats.openpose:FORMAT",
@@ -75,9 +76,12 @@ def read(path: str | Path, options: ReadOptions | None = None) -> PoseData:
     """
     options, peek = options or ReadOptions(), Peek(path)
     found = KEYPOINT_FORMATS.chosen(peek, options)
-    data = KEYPOINT_FORMATS.read(peek, options, found)
-    data = with_layout(replace(data, source=data.source or str(path)), options)
-    return checked(data, options, found.coordinates)
+    return as_read(path, KEYPOINT_FORMATS.read(peek, options, found), options, found.coordinates)
+
+
+def as_read(path: str | Path, data: PoseData, options: ReadOptions, coordinates: str = "px") -> PoseData:
+    """Return what a reader made of the file at ``path`` as `read` returns it; raises UserError as `checked`."""
+    return checked(with_layout(replace(data, source=data.source or str(path)), options), options, coordinates)
 
 
 def checked(data: PoseData, options: ReadOptions, coordinates: str = "px") -> PoseData:

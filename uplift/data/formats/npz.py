@@ -19,6 +19,7 @@ from uplift.geometry.gravity import angle_deg, gravity_at, roll_of, tilt_of
 
 __all__ = [
     "FORMAT",
+    "KNOWN",
     "camera_of",
     "contents_of",
     "joint_names_of",
@@ -32,7 +33,7 @@ __all__ = [
 
 # Read the npz layout of "your own data": keypoints, joint names, and whatever else is known.
 
-_KNOWN = {
+KNOWN = {
     "keypoints", "confidence", "joint_names", "pose", "root", "unit", "fps", "image_size", "focal_px",
     "bones", "tilt_deg", "roll_deg", "gravity", "level_pose", "uncertainty", "spread", "filled", "hypotheses", "weights",
     "ground_point", "ground_normal", "contact",
@@ -47,7 +48,7 @@ def read_npz(path: str | Path, image_size: tuple[int, int] | None = None) -> Pos
     Raises:
         UserError: missing or unknown arrays, wrong types or shapes, arrays of different lengths.
     """
-    return poses_of(str(path), read_arrays(path, _KNOWN, others=False), image_size)
+    return poses_of(str(path), read_arrays(path, KNOWN, others=False), image_size)
 
 
 def poses_of(where: str, arrays: dict[str, np.ndarray], image_size: tuple[int, int] | None = None) -> PoseData:

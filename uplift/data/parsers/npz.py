@@ -6,8 +6,8 @@ import io
 import sys
 import warnings
 import zipfile
-from collections.abc import Collection, Iterator
-from contextlib import contextmanager
+from collections.abc import Collection, Iterable, Iterator
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +16,16 @@ import numpy as np
 from uplift.data.parsers.files import bytes_of, check_claim, check_memory, damage_as_error, existing_file
 from uplift.errors import UserError, did_you_mean
 
-__all__ = ["CheckedArrays", "array_headers", "first_rows", "read_arrays", "read_header"]
+__all__ = [
+    "CheckedArrays",
+    "array_headers",
+    "first_rows",
+    "iterate_rows",
+    "read_arrays",
+    "read_header",
+    "refuse_unknown",
+    "sound",
+]
 
 _MAX_HEADER_BYTES = 10_000
 _Header = tuple[tuple[int, ...], np.dtype]
@@ -37,13 +46,58 @@ def read_arrays(
     """
     path = Path(path)
     headers = array_headers(path)
-    unknown = next((name for name in headers if names is not None and not others and name not in names), None)
-    if unknown is not None and names is not None:
-        raise UserError(f"{path}: unknown array '{unknown}'.{did_you_mean(unknown, sorted(names))}")
+    if names is not None and not others:
+        refuse_unknown(path, headers, names)
     wanted = [name for name in headers if names is None or name in names]
     check_memory(path, "it", sum(bytes_of(*headers[name]) for name in wanted), path.stat().st_size)
     with damage_as_error(path, "an .npz file"), _no_warnings(), np.load(path, allow_pickle=False) as file:
-        return {name: _sound(name, file[name]) for name in wanted}
+        return {name: sound(name, file[name]) for name in wanted}
+
+
+def refuse_unknown(path: Path, found: Collection[str], names: Collection[str]) -> None:
+    """Raise UserError for the first array that is ``found`` in a file and not one of ``names``."""
+    unknown = next((name for name in found if name not in names), None)
+    if unknown is not None:
+        raise UserError(f"{path}: unknown array '{unknown}'.{did_you_mean(unknown, sorted(names))}")
+
+
+_READ_AT_ONCE = 1 << 22
+
+
+def iterate_rows(path: Path, names: Collection[str], counts: Iterable[int]) -> Iterator[dict[str, np.ndarray]]:
+    """Yield the rows of arrays that `array_headers` has found, in order, so many at a time; nothing else is in memory.
+
+    Packed arrays are unpacked as they are read. Those whose columns come first, which have no rows in a row, are
+    read as a whole.
+
+    Raises:
+        UserError: damaged.
+    """
+    with damage_as_error(path, "an .npz file"), zipfile.ZipFile(path) as archive, ExitStack() as opened:
+        sources = {name: _Rows(path, name, opened.enter_context(archive.open(f"{name}.npy"))) for name in names}
+        for count in counts:
+            yield {name: sound(name, source.take(count)) for name, source in sources.items()}
+
+
+class _Rows:
+    """The rows of one array of an npz file, from the first on."""
+
+    def __init__(self, path: Path, name: str, file: Any) -> None:
+        self.shape, by_columns, self.dtype = read_header(file)
+        self.file, self.at = file, 0
+        self.whole = read_arrays(path, (name,))[name] if by_columns and len(self.shape) > 1 else None
+
+    def take(self, count: int) -> np.ndarray:
+        """Return the next ``count`` rows."""
+        self.at += count
+        if self.whole is not None:
+            return np.ascontiguousarray(self.whole[self.at - count : self.at])
+        shape = (count, *self.shape[1:])
+        rows = np.empty(bytes_of(shape, self.dtype), np.uint8)
+        for start in range(0, len(rows), _READ_AT_ONCE):
+            piece = self.file.read(min(_READ_AT_ONCE, len(rows) - start))
+            rows[start : start + len(piece)] = np.frombuffer(piece, np.uint8)
+        return rows.view(self.dtype).reshape(shape)
 
 
 @contextmanager
@@ -54,7 +108,7 @@ def _no_warnings() -> Iterator[None]:
         yield
 
 
-def _sound(name: str, array: np.ndarray) -> np.ndarray:
+def sound(name: str, array: np.ndarray) -> np.ndarray:
     """Return an array, if its text is of characters; raises ValueError for numbers that are none, which break later."""
     if array.dtype.kind == "U" and array.dtype.itemsize and array.size:
         codes = np.ascontiguousarray(array).reshape(-1).view(array.dtype.byteorder.replace("|", "=") + "u4")
