@@ -33,14 +33,12 @@ def about_z(angle: Float[Tensor, " batch"]) -> Float[Tensor, "batch 3 3"]:
 
 
 def _plane_rotation(angle: Tensor, first: int, second: int) -> Tensor:
-    cos, sin = angle.cos(), angle.sin()
-    rotation = torch.zeros(*angle.shape, 3, 3, dtype=angle.dtype, device=angle.device)
-    rotation[..., 3 - first - second, 3 - first - second] = 1
-    rotation[..., first, first] = cos
-    rotation[..., second, second] = cos
-    rotation[..., second, first] = sin
-    rotation[..., first, second] = -sin
-    return rotation
+    cos, sin, zero = angle.cos(), angle.sin(), torch.zeros_like(angle)
+    third = 3 - first - second
+    entries = {(third, third): zero + 1, (first, first): cos, (second, second): cos, (second, first): sin}
+    entries[first, second] = -sin
+    rows = [torch.stack([entries.get((row, column), zero) for column in range(3)], -1) for row in range(3)]
+    return torch.stack(rows, -2)
 
 
 def level(tilt: Float[Tensor, " batch"]) -> Float[Tensor, "batch 3 3"]:
