@@ -210,13 +210,25 @@ def test_fits_that_differ_in_their_skeleton_have_no_best(tmp_path: Path) -> None
     assert best_of(made) is None
 
 
-def test_a_sweep_as_jobs_of_a_cluster(here: Path) -> None:
-    pytest.importorskip("submitit")
-    words = [*own_data(here / "a.npz"), "seed=0,1", "sweep.how=slurm", "sweep.options.cluster=local", *_LOCAL]
-    assert status_of("fit", *words) == 0
+def test_a_stack_leaves_what_lone_fits_leave(swept: Path, here: Path, capsys: pytest.CaptureFixture) -> None:
+    assert main(["fit", *fit_words(here), "seed=0,1", "teacher.mirror=true,false", "sweep.how=stack"]) == 0
+    (folder,) = here.glob("runs/h36m17/sweep_*")
+    assert "not in one stack: " in capsys.readouterr().out
+    for seed in (0, 1):
+        found, lone = (
+            weights(folder / f"{2 * seed}_seed={seed}_mirror=true"),
+            weights(swept / f"{seed}_die=false_seed={seed}"),
+        )
+        assert all(torch.allclose(found[name], lone[name], rtol=1e-3, atol=1e-4) for name in lone)
+    assert {row["state"] for row in rows_of(folder / "sweep.csv")} == {"finished"}
+
+
+@pytest.mark.parametrize(
+    ("how", "package"), [(("slurm", "sweep.options.cluster=local"), "submitit"), (("ray", "sweep.workers=1"), "ray")]
+)
+def test_a_sweep_on_a_cluster(here: Path, how: tuple[str, str], package: str) -> None:
+    pytest.importorskip(package)
+    assert status_of("fit", *own_data(here / "a.npz"), "seed=0,1", f"sweep.how={how[0]}", how[1]) == 0
     (folder,) = here.glob("runs/h36m17/sweep_*")
     assert [row["state"] for row in rows_of(folder / "sweep.csv")] == ["finished", "finished"]
     assert yaml.safe_load((folder / "1_seed=1/config.yaml").read_text())["trainer"]["threads"] == 1
-
-
-_LOCAL = ("sweep.options.timeout_min=5",)

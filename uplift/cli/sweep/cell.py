@@ -11,16 +11,17 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, TextIO
 
-from uplift.cli.failures import clear_output, status_of
+from uplift.cli.failures import RUN_VARIABLE, clear_output, status_of
 from uplift.cli.sweep.folder import Outcome, Sweep
 from uplift.config.grid import Cell
+from uplift.config.run import RunFolder
 from uplift.config.trust import Consent, granted
 from uplift.errors import UserError
 
 if TYPE_CHECKING:
     from uplift.data.poses import PoseData
 
-__all__ = ["OWN_FRAMES", "run_cell", "run_cell_apart"]
+__all__ = ["OWN_FRAMES", "outcome_of", "run_cell", "run_cell_apart"]
 
 OWN_FRAMES = ("skeleton", "lifter.radius", "data.layout", "data.flip_x", "data.flip_y", "data.rotate")
 """Settings that change what a keypoint or the unit of a score is: fits that differ in them have no score in common."""
@@ -34,20 +35,25 @@ def run_cell(sweep: Sweep, cell: Cell) -> Outcome | None:
     from uplift.cli.fit import fit_settings
     from uplift.training.callbacks import Interrupted
 
-    run = sweep.run_of(cell)
-    command = sweep.command_of(cell)
+    run, command = sweep.run_of(cell), sweep.command_of(cell)
+    os.environ.pop(RUN_VARIABLE, None)  # of the fit before
     try:
         settings = sweep.settings_of(cell) if run is None else run.settings()
         run = fit_settings(settings, run, place=sweep.path / cell.name, command=command)
-        facts = run.facts()
-        scores, scored_on = _score(sweep, cell)
-        outcome = Outcome("", sum(facts["steps"].values()), sum(facts["seconds"].values()), scores, scored_on)
+        outcome = outcome_of(sweep, cell, run)
     except (Interrupted, KeyboardInterrupt):
         return None
     except Exception as error:
         outcome = Outcome(error=_one_line(error, command))
     sweep.put_outcome(cell, outcome)
     return outcome
+
+
+def outcome_of(sweep: Sweep, cell: Cell, run: RunFolder) -> Outcome:
+    """Return what became of a fit that is finished, with its score."""
+    facts = run.facts()
+    scores, scored_on = _score(sweep, cell)
+    return Outcome("", sum(facts["steps"].values()), sum(facts["seconds"].values()), scores, scored_on)
 
 
 def run_cell_apart(folder: Path, name: str, consent: Consent) -> Outcome | None:

@@ -66,7 +66,7 @@ def start_sweep(task: str | None, overrides: Sequence[str], command: str) -> Swe
         first = load_settings(task, [*words, *(f"{axis.key}={axis.values[0]}" for axis in axes)])
         _check(first, fits, grid)
         check_values(task, words, axes)
-        if first.trainer.threads is None and _how(first, fits)[0] != "here" and not gpus(first):
+        if first.trainer.threads is None and _how(first, fits)[0] in ("processes", "slurm", "ray") and not gpus(first):
             words.append("trainer.threads=1")  # fits at the same time share the cores
         made = Sweep.create(first, task, words, axes, command)
         say(f"uplift fit: {made.task or 'own data'}, a sweep of {fits:,} fits: {grid}")
@@ -99,7 +99,7 @@ def _check(first: Settings, fits: int, grid: str) -> None:
             "a fit of a sweep is one process on one device: leave out trainer.devices and trainer.num_nodes. sweep.workers is how "
             "many fits run at a time."
         )
-    if int(os.environ.get("WORLD_SIZE", "1")) > 1:
+    if any(os.environ.get(name, "1") != "1" for name in ("WORLD_SIZE", "SLURM_STEP_NUM_TASKS")):
         raise UserError(
             "a sweep starts its own processes, and this is one of several: run it without torchrun or srun."
         )
@@ -113,6 +113,7 @@ def _check(first: Settings, fits: int, grid: str) -> None:
 _HOW = {
     "here": Later("uplift.cli.sweep.processes:here"),
     "processes": Later("uplift.cli.sweep.processes:processes"),
+    "stack": Later("uplift.cli.sweep.stacked:stacks"),
     "slurm": Later("uplift.cli.sweep.clusters:slurm_jobs"),
     "ray": Later("uplift.cli.sweep.clusters:ray_tasks"),
 }
@@ -120,8 +121,10 @@ _HOW = {
 
 def _how(settings: Settings, fits: int) -> tuple[str, int]:
     """Return where so many fits run, one of `_HOW`, and how many at a time; 0 for as many as a cluster takes."""
-    if settings.sweep.how in ("slurm", "ray"):
+    if settings.sweep.how in ("slurm", "ray", "stack"):
         return settings.sweep.how, settings.sweep.workers or 0
+    if settings.sweep.how == "auto" and fits > 1 and gpus(settings):
+        return "stack", settings.sweep.workers or 0
     workers = workers_of(settings, fits)
     return ("here" if workers == 1 and settings.sweep.how == "auto" else "processes"), workers
 
@@ -159,6 +162,7 @@ def _plan(made: Sweep, settings: Settings, how: str, workers: int) -> list[str]:
     ways = {
         "here": "one after another",
         "processes": f"{workers:,} at a time",
+        "stack": "as stacked networks",
         "slurm": "jobs of a SLURM array",
         "ray": "tasks of Ray",
     }
