@@ -5,20 +5,21 @@ from __future__ import annotations
 import copy
 import csv
 import dataclasses
-import json
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import pytest
 import torch
-from bodies import QUICK, last_words, status_of, write_body
+from bodies import QUICK, last_words, write_body
 
 from uplift.cli.fit import fit_settings, fit_stack
 from uplift.config.loading import load_settings
 from uplift.config.run import RunFolder
+from uplift.config.trust import consent_of, granted
 from uplift.data.module import KeypointData
-from uplift.training.callbacks import Checkpoints, Interrupted
+from uplift.training.callbacks import Checkpoints
 from uplift.training.lifting import LiftingModule
 from uplift.training.stack import NotStackable, StackedStudents, StackedTeachers, stackable
 from uplift.training.student import StudentModule
@@ -28,12 +29,12 @@ FLOW = {"weight": 0.1, "steps": 3, "units": 8}
 
 
 @pytest.fixture(autouse=True)
-def body(here: Path) -> None:
-    write_body(here / "body.npz")
+def in_its_own_folder(here: Path) -> None:
+    """Write files where no other test does."""
 
 
-def data(val: float = 0.0, seed: int = 0, **changes: Any) -> KeypointData:
-    return KeypointData(str(Path("body.npz").absolute()), "h36m17", val=val, seed=seed, **changes)
+def data(frames: int = 60) -> KeypointData:
+    return KeypointData(str(write_body(Path(f"body{frames}.npz").absolute(), frames)), "h36m17", val=0)
 
 
 def in_double(module: Any) -> Any:
@@ -46,8 +47,8 @@ def in_double(module: Any) -> Any:
     return module
 
 
-def teachers(seeds: Sequence[int], val: float = 0.0, **changes: Any) -> list[LiftingModule]:
-    """Return prepared teachers that differ in seed, weights, learning rates and, where some are held out, frames."""
+def teachers(seeds: Sequence[int]) -> list[LiftingModule]:
+    """Return prepared teachers that differ in seed, weights, learning rates and frames, of which some have more."""
     made = []
     for place, seed in enumerate(seeds):
         priors = {
@@ -59,16 +60,9 @@ def teachers(seeds: Sequence[int], val: float = 0.0, **changes: Any) -> list[Lif
             "critic": {"units": 8},
         }
         module = LiftingModule(
-            "h36m17",
-            priors=priors,
-            lifter=SMALL,
-            seed=seed,
-            learning_rate=1e-3 * (1 + place),
-            hide=0.2,
-            average=0.9,
-            **changes,
+            "h36m17", priors=priors, lifter=SMALL, seed=seed, learning_rate=1e-3 * (1 + place), hide=0.2, average=0.9
         )
-        module.prepare(data(val, seed))
+        module.prepare(data(60 + 7 * place))
         made.append(in_double(module))
     return made
 
@@ -84,17 +78,19 @@ def students(seeds: Sequence[int]) -> list[StudentModule]:
     return made
 
 
-@pytest.fixture
-def double() -> Iterator[None]:
-    """Draw random numbers in double precision too."""
+@contextmanager
+def drawing_in_double() -> Iterator[None]:
     before = torch.get_default_dtype()
-    yield
-    torch.set_default_dtype(before)
+    torch.set_default_dtype(torch.float64)
+    try:
+        yield
+    finally:
+        torch.set_default_dtype(before)
 
 
+@drawing_in_double()
 def train(module: Any, steps: int, batch: int = 12) -> list[float]:
     """Train without a trainer; every step draws the same numbers."""
-    torch.set_default_dtype(torch.float64)
     optimizer, losses = module.configure_optimizers(), []
     for _ in range(steps):
         torch.manual_seed(module.step_seed)
@@ -102,15 +98,14 @@ def train(module: Any, steps: int, batch: int = 12) -> list[float]:
         optimizer.zero_grad()
         loss.backward()
         optimizer.step()
-        if module.averaged is not None:
-            module.averaged.update_parameters(module.lifter)
+        module.averaged.update_parameters(module.lifter)
         losses.append(float(loss))
     return losses
 
 
-@pytest.mark.parametrize("make", [lambda seeds: teachers(seeds, val=0.2), students], ids=["teacher", "student"])
+@pytest.mark.parametrize("make", [teachers, students])
 def test_networks_of_a_stack_are_trained_as_they_are_alone(
-    make: Callable[[Sequence[int]], list[Any]], double: None
+    make: Callable[[Sequence[int]], list[Any]],
 ) -> None:
     alone = make([3, 4, 5])
     together = copy.deepcopy(alone)
@@ -129,7 +124,7 @@ def test_networks_of_a_stack_are_trained_as_they_are_alone(
             assert other.terms.metrics(other.last_lift) == pytest.approx(one.terms.metrics(one.last_lift))
 
 
-def test_no_network_of_a_stack_knows_of_another(double: None) -> None:
+def test_no_network_of_a_stack_knows_of_another() -> None:
     found = []
     for last in (5, 6):
         stacked = teachers([3, 4, last])
@@ -145,18 +140,17 @@ def test_no_network_of_a_stack_knows_of_another(double: None) -> None:
             torch.testing.assert_close(found[1][number][name], value, rtol=1e-12, atol=1e-12)
 
 
-def test_one_stream_for_all_gives_every_network_its_own_numbers(double: None) -> None:
+def test_one_stream_for_all_gives_every_network_its_own_numbers() -> None:
     """As on a GPU, where each network's own stream would be a kernel each."""
     same = [teachers([3])[0] for _ in range(3)]
-    stack = StackedTeachers(same, exact=False)
-    torch.set_default_dtype(torch.float64)
-    torch.manual_seed(0)
-    stack.objective(12)
-    first = stack.last_step["loss"].clone()
-    assert len(set(first.tolist())) == 3
-    torch.manual_seed(0)
-    stack.objective(12)
-    torch.testing.assert_close(stack.last_step["loss"], first)
+    stack, found = StackedTeachers(same, exact=False), []
+    with drawing_in_double():
+        for _ in range(2):
+            torch.manual_seed(0)
+            stack.objective(12)
+            found.append(stack.last_step["loss"].tolist())
+    assert len(set(found[0])) == 3
+    assert found[1] == pytest.approx(found[0])
 
 
 # From settings to run folders.
@@ -164,7 +158,8 @@ def test_one_stream_for_all_gives_every_network_its_own_numbers(double: None) ->
 SWEEP = ("trainer.max_steps=12", "trainer.log_every=1", "student.rounds=1,2", "trainer.checkpoint_steps=2")
 
 
-def settings(*words: str, seeds: int = 3) -> list[Any]:
+def settings(*words: str, seeds: int = 2) -> list[Any]:
+    write_body(Path("body.npz"))
     base = ["skeleton=h36m17", "data.train=body.npz", "data.root=.", *QUICK, *SWEEP]
     return [load_settings(None, last_words(*base, f"seed={seed}", *words)) for seed in range(seeds)]
 
@@ -187,41 +182,46 @@ def weights(run: RunFolder) -> dict[str, torch.Tensor]:
     return torch.load(run.weights, weights_only=True)["state"]
 
 
+class Killed(Exception):
+    """Stands for what ends a process."""
+
+
 def test_fits_of_a_stack_are_ordinary_runs(here: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     every = settings()
     assert stackable(every) is None
     alone, together, killed = (folders(every, name) for name in ("alone", "together", "killed"))
+    monkeypatch.setattr(
+        "uplift.cli.fit.report", lambda run, *rest: (run.path / "report.md").touch()
+    )  # tested elsewhere
     for one, run in zip(every, alone, strict=True):
         fit_settings(one, run)
-    assert list(fit_stack(every, together, here / "stack")) == [None] * 3
+    assert list(fit_stack(every, together, here / "stack")) == [None] * len(every)
     for one, other in zip(alone, together, strict=True):
         assert metrics(other) == pytest.approx(metrics(one), rel=0.01, abs=1e-3)
         assert {path.name for path in one.path.rglob("*")} == {path.name for path in other.path.rglob("*")}
-        assert other.facts()["steps"] == one.facts()["steps"]
-    # Killed in the second stage, and gone on with.
-    saves: list[Path] = []
+
     real = Checkpoints.on_train_batch_end
 
     def kill(self: Checkpoints, trainer: Any, module: Any, *rest: Any) -> None:
         real(self, trainer, module, *rest)
-        saves.append(self.path)
-        if self.path.stem == "student_1" and trainer.global_step == 3:
-            raise KeyboardInterrupt
+        if self.path.stem == "student_2" and trainer.global_step == 3:
+            raise Killed
 
-    monkeypatch.setattr(Checkpoints, "on_train_batch_end", kill)
-    with pytest.raises((Interrupted, KeyboardInterrupt, SystemExit)):
-        list(fit_stack(every, killed, here / "killed_stack"))
-    monkeypatch.undo()
-    monkeypatch.chdir(here)
+    with monkeypatch.context() as patch:
+        patch.setattr(Checkpoints, "on_train_batch_end", kill)
+        with pytest.raises(Killed):
+            list(fit_stack(every, killed, here / "killed_stack"))
     list(fit_stack(every, killed, here / "killed_stack"))
     for one, other in zip(together, killed, strict=True):
         assert metrics(one) == metrics(other)
         assert all(torch.equal(value, weights(other)[name]) for name, value in weights(one).items())
-    # A run alone goes on from what the stack left: here there is nothing left to train.
+
+    # A run alone goes on where the stack left it, with Adam's state: here from the end of the first two stages.
+    (together[1].checkpoints / "student_2.ckpt").unlink()
     before = weights(together[1])
-    assert status_of("fit", f"resume={together[1].path}") == 0
-    assert all(torch.equal(value, before[name]) for name, value in weights(together[1]).items())
-    assert json.loads((together[1].path / "evaluation.json").read_text() if every[0].data.test else "{}") == {}
+    fit_settings(every[1], together[1])
+    for name, value in weights(together[1]).items():
+        torch.testing.assert_close(value, before[name], rtol=0.05, atol=0.05)
 
 
 @pytest.mark.parametrize(
@@ -250,7 +250,10 @@ class Counting(uplift.Prior):
 @pytest.mark.parametrize(
     ("loss", "words"),
     [
-        ("return lift.pose.square().mean() * float(lift.pose.mean() > 0)", "Counting"),
+        (
+            "return lift.pose.square().mean() * float(lift.pose.mean() > 0)",
+            "my.py, line 5: RuntimeError: vmap: It looks like you're calling .item() on a Tensor",
+        ),
         (
             "self.calls = getattr(self, 'calls', 0) + 1; return lift.pose.square().mean() * self.calls",
             "keeps something of its own",
@@ -258,15 +261,11 @@ class Counting(uplift.Prior):
         ("return (lift.pose * lift.pose.new_empty(3).normal_()).square().mean()", "random"),
     ],
 )
-def test_a_prior_that_cannot_be_stacked_is_one_clear_line_and_its_fits_run_alone(
-    loss: str, words: str, here: Path
-) -> None:
+def test_a_prior_that_cannot_be_stacked_is_one_clear_line(loss: str, words: str, here: Path) -> None:
     (here / "my.py").write_text(PRIOR.format(loss=loss))
     every = settings("priors.mine.use=my.py:Counting", "student.share=0", seeds=2)
     runs = folders(every, "runs_of")
-    with pytest.raises(NotStackable) as found:
+    with granted(consent_of(["my.py:Counting"])), pytest.raises(NotStackable) as found:
         list(fit_stack(every, runs, here / "stack"))
     assert "\n" not in str(found.value)
     assert words in str(found.value)
-    fit_settings(every[0], runs[0])
-    assert runs[0].weights.is_file()

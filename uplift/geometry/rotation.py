@@ -34,11 +34,11 @@ def about_z(angle: Float[Tensor, " batch"]) -> Float[Tensor, "batch 3 3"]:
 
 def _plane_rotation(angle: Tensor, first: int, second: int) -> Tensor:
     cos, sin, zero = angle.cos(), angle.sin(), torch.zeros_like(angle)
-    third = 3 - first - second
-    entries = {(third, third): zero + 1, (first, first): cos, (second, second): cos, (second, first): sin}
-    entries[first, second] = -sin
-    rows = [torch.stack([entries.get((row, column), zero) for column in range(3)], -1) for row in range(3)]
-    return torch.stack(rows, -2)
+    entries = [zero] * 9
+    entries[4 * (3 - first - second)] = torch.ones_like(angle)
+    entries[4 * first] = entries[4 * second] = cos
+    entries[3 * second + first], entries[3 * first + second] = sin, -sin
+    return torch.stack(entries, -1).unflatten(-1, (3, 3))
 
 
 def level(tilt: Float[Tensor, " batch"]) -> Float[Tensor, "batch 3 3"]:

@@ -114,8 +114,10 @@ def _may_differ(key: str, values: Sequence[Any]) -> bool:
     group, *rest = key.split(".")
     if group in ("teacher", "student") and rest[0] in _NUMBERS + _OF_VIEWS * (group == "student"):
         return True
-    numbers = all(isinstance(value, (int, float)) and not isinstance(value, bool) for value in values)
-    # Whole numbers are sizes and steps, unless some are not whole.
+    # Whole numbers are sizes and steps, unless some are not whole; None is not set.
+    numbers = all(
+        value is None or (isinstance(value, (int, float)) and not isinstance(value, bool)) for value in values
+    )
     return group == "priors" and numbers and (rest[-1] == "weight" or any(isinstance(value, float) for value in values))
 
 
@@ -517,8 +519,8 @@ class StackedModule(TrainingModule[Any, Any]):
             try:
                 found = self._all_at_once(batch)
             except Exception as error:  # of any kind: what a user's prior does is not for us to know
-                why = str(error).strip().splitlines() or [type(error).__name__]
-                raise NotStackable(f"a step cannot be computed for all fits at once: {why[0]}") from error
+                why = " ".join(str(error).split()).partition(". ")[0] or type(error).__name__
+                raise NotStackable(f"a step cannot be computed for all fits at once: {why}.") from error
             finally:
                 self.exact = exact
             if not torch.equal(before, torch.get_rng_state()):
