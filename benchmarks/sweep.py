@@ -1,13 +1,16 @@
 """A sweep beside its fits one after another: seconds by the clock, on the same cores, with the same weights at the end.
 
-``python -m benchmarks.sweep`` trains seeds of the task demo for a set number of steps, as one command with a process on
-each core and as commands of one fit each, one core at a time, in turns, and compares the medians. Fits on a machine that
-does other things take whatever is left: run it on a quiet one.
+``python -m benchmarks.sweep`` trains seeds of the task demo for a set number of steps in turns: as a sweep with a process on
+each core, as the same command with its fits one after another in one process on one core, and as commands of one fit each.
+Medians are compared, the sweep with the second, which has the same start. Fits on a machine that does other things take
+whatever is left: run it on a quiet one.
 """
 
 from __future__ import annotations
 
 import argparse
+import hashlib
+import json
 import os
 import shutil
 import statistics
@@ -17,6 +20,8 @@ import time
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
+
+import torch
 
 from benchmarks.common import ROOT, BenchmarkError, Sheet, facts, run_python, text, write_json
 
@@ -40,8 +45,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     found = measure(given.fits, given.steps, given.cores, given.repeats, given.how)
     command = " ".join(["python -m benchmarks.sweep", *(arguments if arguments is not None else sys.argv[1:])])
     write_json(given.out, {"command": command, **facts(), **found})
-    rows = [[name, f"{found[f'{name}_s']:.1f}", f"{found[f'{name}_cpu_s']:.1f}"] for name in ("alone", "sweep")]
-    title = f"{given.fits} fits of {given.steps} steps: {found['times_as_fast']:.2f} times as fast as a sweep"
+    rows = [[name, f"{found[f'{name}_s']:.1f}", f"{found[f'{name}_cpu_s']:.1f}"] for name in _WAYS]
+    title = f"{given.fits} fits of {given.steps} steps: {found['times_as_fast']:.2f} times as fast as one after another"
     print(text(Sheet(title, ["", "seconds", "CPU seconds"], rows)))
     print(f"weights of the sweep and of the lone fits: {'the same' if found['same_weights'] else 'different'}")
     print(f"wrote {given.out}")
@@ -49,9 +54,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
     return 0 if fast and (found["same_weights"] or given.how == "stack") else 1
 
 
+_WAYS = ("commands", "in a row", "sweep")
+
+
 def measure(fits: int, steps: int, cores: int, repeats: int, how: str) -> dict[str, Any]:
     """Train both ways in turns, each in an empty folder; return the medians and whether the weights are the same."""
-    taken: dict[str, list[tuple[float, float]]] = {"alone": [], "sweep": []}
+    taken: dict[str, list[tuple[float, float]]] = {way: [] for way in _WAYS}
     allowed = set(sorted(os.sched_getaffinity(0))[:cores])
     if len(allowed) < cores:
         raise BenchmarkError(f"this process may use {len(allowed)} cores, expected {cores}")
@@ -61,15 +69,24 @@ def measure(fits: int, steps: int, cores: int, repeats: int, how: str) -> dict[s
             folder = Path(name)
             common = ["task=demo", "trainer.max_time=null", f"trainer.max_steps={steps}"]
             seeds = [f"seed={seed}" for seed in range(fits)]
+            all_seeds = ["fit", *common, f"seed=0..{fits - 1}"]
             alone = [["fit", *common, "trainer.threads=1", seed] for seed in seeds]
-            together = [["fit", *common, f"seed=0..{fits - 1}", f"sweep.how={how}", *_workers(how, cores)]]
-            taken["alone"].append(_seconds(alone, folder / "alone", set(sorted(allowed)[:1])))
+            row = [[*all_seeds, "trainer.threads=1", "sweep.workers=1"]]
+            together = [[*all_seeds, f"sweep.how={how}", *_workers(how, cores)]]
+            one = set(sorted(allowed)[:1])
+            taken["commands"].append(_seconds(alone, folder / "commands", one))
+            taken["in a row"].append(_seconds(row, folder / "row", one))
             taken["sweep"].append(_seconds(together, folder / "sweep", allowed))
-            same &= _weights(folder / "alone", "20*") == _weights(folder / "sweep", "sweep_*/*_seed=*")
+            found = [_weights(folder / way, runs) for way, runs in _RUNS.items()]
+            same &= all(len(one) == fits and one == found[0] for one in found)
     result = {"fits": fits, "steps": steps, "cores": cores, "how": how, "same_weights": same}
     for way, times in taken.items():
         result[f"{way}_s"], result[f"{way}_cpu_s"] = (statistics.median(column) for column in zip(*times, strict=True))
-    return {**result, "times_as_fast": result["alone_s"] / result["sweep_s"]}
+    return {**result, "times_as_fast": result["in a row_s"] / result["sweep_s"]}
+
+
+_RUNS = {"commands": "20*", "row": "sweep_*/*_seed=*", "sweep": "sweep_*/*_seed=*"}
+"""Where runs are below the folder of each way."""
 
 
 def _workers(how: str, cores: int) -> list[str]:
@@ -90,10 +107,6 @@ def _seconds(commands: Sequence[Sequence[str]], folder: Path, cores: set[int]) -
 
 def _weights(folder: Path, runs: str) -> list[str]:
     """Return a digest of the weights of each run, in order of their seeds."""
-    import hashlib
-
-    import torch
-
     found = {}
     for run in folder.glob(f"runs/demo/{runs}"):
         path = run / "lifter.pt"
@@ -105,8 +118,6 @@ def _weights(folder: Path, runs: str) -> list[str]:
 
 
 def _seed_of(run: Path) -> int:
-    import json
-
     return int(json.loads((run / "run.json").read_text())["seed"])
 
 
