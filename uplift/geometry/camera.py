@@ -40,7 +40,8 @@ class Camera:
         self, pose: Float[Tensor, "frames joints 3"], distance: Float[Tensor, " frames"]
     ) -> Float[Tensor, "frames joints 2"]:
         """Return the 2D keypoints of ``pose``."""
-        return pose[..., :2] / self.ratio(pose[..., 2:], distance)
+        across, z = pose.split([2, 1], -1)
+        return across / self.ratio(z, distance)
 
 
 @dataclass(frozen=True)

@@ -103,6 +103,9 @@ class Lifter(nn.Module):
         self.any_camera = settings.cameras == "any"
         self.gravity = self.any_camera and self.tilt == "predicted"
         inputs, outputs = len(self.input_names()), len(self.output_names())
+        joints = len(skeleton.joints)
+        sizes = [joints, 2 * joints * self.fill, joints * self.uncertainty, int(self.any_camera)]
+        self._sizes = [*sizes, outputs - sum(sizes)]
         if network is None:
             network = build_network(settings.network, inputs, outputs, settings.options)
         self.network = network
@@ -132,7 +135,6 @@ class Lifter(nn.Module):
             distance: of the camera to the root, in units.
             guessed: where the distance is a guess, which a lifter for any camera corrects; None: nowhere.
         """
-        joints = len(self.skeleton.joints)
         visible = (confidence > 0).unsqueeze(-1)
         keypoints = keypoints * visible
         if self.calibrated:  # a network that is shown errors learns the rest of its poses more slowly
@@ -143,25 +145,24 @@ class Lifter(nn.Module):
             output = self.network(features)
             signs = self._signs(features, distance)
         output = output.to(features.dtype)  # geometry is in full precision
-        depth = output[:, :joints]
+        root = self.skeleton.root_index
+        depth, filled, spread, far, camera = output.split(self._sizes, 1)
         if not self.root_free:
-            depth = depth - depth[:, self.skeleton.root_index, None]
+            depth = depth - depth[:, root, None]
         if self.fill:
-            filled = output[:, joints : 3 * joints].reshape(-1, joints, 2)
+            filled = filled.view_as(keypoints)
             keypoints = keypoints + filled if self.denoise else torch.where(visible, keypoints, filled)
             # A missing root had its neighbours as a stand-in; from here on the origin is the predicted root.
-            keypoints = keypoints - keypoints[:, self.skeleton.root_index, None]
+            keypoints = keypoints - keypoints[:, root, None]
         uncertainty = None
         if self.uncertainty:
-            first = joints * (1 + 2 * self.fill)
-            uncertainty = output[:, first : first + joints].clamp(*_LOG_UNCERTAINTY).exp()
+            uncertainty = spread.clamp(*_LOG_UNCERTAINTY).exp()
             uncertainty = uncertainty.index_fill(1, self.root_place, 0.0)
         gravity = estimated = None
         if self.any_camera:
-            first = joints * (1 + 2 * self.fill + self.uncertainty)
-            distance = estimated = distance * (output[:, first] * guessed).clamp(-2, 2).exp()
-            gravity = _upright(output[:, first + 1 :]) if self.gravity else None
-        tilt = self._tilt(output) if gravity is None else _tilt_of(gravity)
+            distance = estimated = distance * (far[:, 0] * guessed).clamp(-2, 2).exp()
+            gravity = _upright(camera) if self.gravity else None
+        tilt = self._tilt(camera) if gravity is None else _tilt_of(gravity)
         pose = self.camera.unproject(keypoints, depth, distance)
         return Lifted(pose, tilt, keypoints, uncertainty, gravity, estimated, signs)
 
@@ -201,13 +202,13 @@ class Lifter(nn.Module):
             return None
         return self.signs(torch.cat([features, _USUAL_DISTANCE / distance[:, None]], 1)).to(features.dtype)
 
-    def _tilt(self, output: Tensor) -> Tensor:
+    def _tilt(self, camera: Tensor) -> Tensor:
         if self.tilt == "predicted":
             # Learns more slowly than the depths: the camera's tilt should not explain what a pose can.
-            return 0.3 * output[:, -1]
+            return 0.3 * camera[:, 0]
         if self.tilt == "learned":
-            return self.common_tilt.expand(len(output))
-        return output.new_zeros(len(output))
+            return self.common_tilt.expand(len(camera))
+        return camera.new_zeros(len(camera))
 
     def unit_mm(self, pose: Float[Tensor, "batch joints 3"]) -> Float[Tensor, " batch"] | None:
         """Return mm per unit of each pose, for a body as large as the labelled ones; None without any."""
@@ -253,7 +254,7 @@ class Lifter(nn.Module):
 
 def _upright(output: Tensor) -> Tensor:
     """Return gravity as the network says it, relative to that of a level camera."""
-    return output + output.new_tensor([0.0, 1.0, 0.0])
+    return output + torch.eye(3, dtype=output.dtype, device=output.device)[1]
 
 
 def _tilt_of(gravity: Tensor) -> Tensor:
