@@ -160,8 +160,8 @@ def _keep(run: RunFolder, model: Any, fit: Prepared) -> None:
 
 def prepare_keypoints(settings: Settings, run: RunFolder | None, data: KeypointData | None = None) -> Prepared:
     """Load keypoints, unless ``data`` has them, and their recipe, which goes on from the checkpoints of ``run``."""
-    from uplift.data.load import load_data
     from uplift.data.module import KeypointData
+    from uplift.data.stream import load_training
     from uplift.skeleton import load_skeleton
     from uplift.training.pose_recipe import PoseRecipe
     from uplift.training.warm_start import WarmStart
@@ -173,7 +173,7 @@ def prepare_keypoints(settings: Settings, run: RunFolder | None, data: KeypointD
     if settings.init and not (run and any(run.checkpoints.glob("*.ckpt"))):  # what is resumed has its weights
         start = WarmStart.load(settings.init)
         settings = start.settings(settings)
-    data = data or KeypointData.of(load_data(settings, skeleton), skeleton, settings)
+    data = data or KeypointData.of(load_training(settings, skeleton), skeleton, settings)
     loaded = data.given["train"]
     recipe = PoseRecipe(settings, data, run, start)
     init = start.facts() if start else run.facts().get("init", {}) if run else {}

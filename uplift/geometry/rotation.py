@@ -169,7 +169,8 @@ def clip_median(
     order = order[torch.argsort(clip[order], stable=True)]
     counts = torch.bincount(clip)
     ends = counts.cumsum(0)
-    total = weight[order].double().cumsum(0)
+    digits = torch.float32 if weight.device.type == "mps" else torch.float64  # Apple's GPUs have no other
+    total = weight[order].cumsum(0, dtype=digits)
     before = torch.cat([total.new_zeros(1), total])[ends - counts]
     half = before + (total[ends - 1] - before) / 2
     place = torch.clamp(torch.searchsorted(total, half), ends - counts, ends - 1)  # without weight, its first

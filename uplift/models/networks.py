@@ -23,6 +23,9 @@ _MOST_WEIGHTS = 200_000_000
 """Of a built-in network, 3 GB with their optimiser: a hundred times those of the largest recipe."""
 
 
+# A network of `exact_ends` keeps its first and last layer in full precision under autocast, and with them what poses need.
+
+
 class KudoNetwork(nn.Module):
     """Four linear layers with one skip connection, no normalisation (Kudo et al. 2018, 3.2).
 
@@ -38,6 +41,7 @@ class KudoNetwork(nn.Module):
     """
 
     ranges: ClassVar = {"units": (1, _MOST_UNITS)}
+    exact_ends: ClassVar = True
 
     def __init__(self, inputs: int, outputs: int, *, units: int = 1024, slope: float = 0.2, std: float = 0.02):
         super().__init__()
@@ -50,10 +54,10 @@ class KudoNetwork(nn.Module):
 
     def forward(self, features: Float[Tensor, "batch inputs"]) -> Float[Tensor, "batch outputs"]:
         """Return the last layer's values, without activation."""
-        first = leaky_relu(self.layers[0](features), self.slope)
+        first = leaky_relu(_exact(self.layers[0], features), self.slope)
         second = leaky_relu(self.layers[1](first), self.slope)
         third = leaky_relu(self.layers[2](second) + first, self.slope)
-        return self.layers[3](third)
+        return _exact(self.layers[3], third)
 
 
 class ResidualNetwork(nn.Module):
@@ -71,6 +75,7 @@ class ResidualNetwork(nn.Module):
     """
 
     ranges: ClassVar = {"units": (1, _MOST_UNITS), "blocks": (1, _MOST_BLOCKS)}
+    exact_ends: ClassVar = True
 
     def __init__(
         self, inputs: int, outputs: int, *, units: int = 256, blocks: int = 2, slope: float = 0.2, norm: bool = False
@@ -88,11 +93,20 @@ class ResidualNetwork(nn.Module):
 
     def forward(self, features: Float[Tensor, "batch inputs"]) -> Float[Tensor, "batch outputs"]:
         """Return the last layer's values, without activation."""
-        hidden = leaky_relu(self.enter(features), self.slope)
+        hidden = leaky_relu(_exact(self.enter, features), self.slope)
         for norm, (first, second) in zip(self.norms, self.blocks, strict=True):  # type: ignore[misc]
             inner = leaky_relu(first(norm(hidden)), self.slope)
             hidden = hidden + leaky_relu(second(inner), self.slope)
-        return self.leave(hidden)
+        return _exact(self.leave, hidden)
+
+
+def _exact(layer: nn.Module, value: Tensor) -> Tensor:
+    """Return what ``layer`` makes of ``value``, in full precision under autocast too: rounded coordinates cost five times as much
+    as rounded products between them."""
+    if not torch.is_autocast_enabled(value.device.type):
+        return layer(value)
+    with torch.autocast(value.device.type, enabled=False):
+        return layer(value.float())
 
 
 _LARGEST = 2.0
