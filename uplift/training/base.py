@@ -233,8 +233,8 @@ class TrainingModule(L.LightningModule, Generic[LifterT, DataT]):
         with self.sharing(batch):
             with self.mixed_networks():
                 loss, self.logged = self.objective(batch)
-            if self._log_every and ((self.global_step + 1) % self._log_every == 0 or self.trainer.is_last_batch):
-                self._log_terms(loss)
+                if self._log_every and ((self.global_step + 1) % self._log_every == 0 or self.trainer.is_last_batch):
+                    self._log_terms(loss)
         return loss
 
     def sharing(self, batch: Any) -> AbstractContextManager[None]:
