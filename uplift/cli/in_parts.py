@@ -102,6 +102,7 @@ class _Work:
             if written is not None:
                 written.result()
         if not self._checked:
+            self.store.clear()
             raise UserError(
                 f"none of {self.source.frames:,} frames can be lifted: all have fewer than 3 visible joints, or these in "
                 "one point."

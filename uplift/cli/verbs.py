@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from types import MappingProxyType
 from typing import Any, NamedTuple, Optional
 
+from uplift.config.device import ACCELERATORS
 from uplift.config.settings import MAX_SIDE, MIN_SIDE, Setting, all_settings
 
 __all__ = [
@@ -145,6 +146,8 @@ _ALL_KEYS = _table(
 POSE_KEYS = _table(
     _key("refine", str, "on", "lift the frames of a clip together; off: each on its own; causal: with those up to half a "
          "second later, as live use can", choices=tuple(REFINE)),
+    _key("accelerator", str, "auto", "what computes; auto: a CUDA device where there is one, else the processor",
+         choices=ACCELERATORS),
     _key("hypotheses", int, 0, "poses of each frame that are likely, with their probabilities, into an .npz", 0, 64),
     _key("bones", str, "free", "constant: bones of one length over a clip", choices=("free", "constant")),
     _key("bone", list[str], [], "joints along a known length, with bone_mm=: rhip,rknee"),
@@ -191,6 +194,7 @@ EVALUATE = _table(
     _key("data.test", Optional[str], None, "file with the truth; unset: the test data of the run"),
     _key("skeleton", Optional[str], None, "skeleton of poses=; unset: the shipped one whose joints those are"),
     POSE_KEYS["refine"],
+    POSE_KEYS["accelerator"],
     _key(
         "hypotheses",
         int,
@@ -212,8 +216,9 @@ _COMPARE = _table(
 )
 SIMULATE = _table(
     _key("skeleton", str, NEEDED, "a shipped name, or a YAML file; it must say how the body is built"),
-    _key("output", str, NEEDED, "new file: .npz with the true poses, .csv with the 2D alone"),
-    _key("frames", int, 20000, "frames", 1, 10**7),
+    _key("output", str, NEEDED, "new file: .npz with the true poses, .csv with the 2D alone; or new folder: shards with the true "
+         "poses, for any number of frames"),
+    _key("frames", int, 20000, "frames", 1, 10**10),
     _key("seed", int, 0, "seed of everything random", *_SEED_LIMITS),
     _key("clip_seconds", float, 3.0, "length of a clip, seconds", 1e-9, 1e9),
     _key("noise_px", float, 0.0, "noise of the keypoints, standard deviation in pixels", 0, 1e9),
@@ -279,11 +284,29 @@ _RENDER = _table(
          choices=("x", "y", "z", "-x", "-y", "-z")),
 )  # fmt: skip
 
+_SHARD = _table(
+    _key("output", str, NEEDED, "new folder"),
+    _key("dtype", str, "float32", "float16 halves the folder; joints are off by a 2048th of the body's size at most",
+         choices=("float32", "float16")),
+    _key("frames", int, 250_000, "frames of a shard at most, where no clip is longer", 1, _MOST_ITEMS),
+    _key("skeleton", Optional[str], None, "a shipped name, or a YAML file, whose joints are kept; unset: those of the files, "
+         "which must be the same"),
+    _key("workers", Optional[int], None, "processes that read files; unset: one for each core, where files are many", 1, 1024),
+    *READ_KEYS.values(),
+    *(all_settings()[f"data.{name}"]._replace(only=None) for name in ("name", "root", "options")),
+    *_TRUST.values(),
+)  # fmt: skip
+
 # fit, and the verbs themselves.
 
 _FIT_WORDS = _table(
     all_settings()["task"]._replace(help="a shipped task or a YAML file; uplift tasks lists them"),
-    _key("resume", Optional[str], None, "run folder of a fit that was stopped: it goes on; takes no other settings"),
+    _key(
+        "resume",
+        Optional[str],
+        None,
+        "folder of a fit or a sweep that was stopped: it goes on; takes no other settings",
+    ),
     *_TRUST.values(),
 )
 _FIT = _FIT_WORDS | {name: one for name, one in all_settings().items() if name != "task"}
@@ -292,7 +315,7 @@ VERBS = {
     "fit": Verb(
         "train a lifter of keypoints or masks",
         ("fit task=NAME [key=value ...]", "fit skeleton=NAME data.train=FILE", "fit task=masks data.train=FOLDER",
-         "fit resume=RUN"),
+         "fit task=NAME seed=0..15 SETTING=a,b,c", "fit resume=RUN"),
         settings=_FIT,
     ),
     "evaluate": Verb(
@@ -317,7 +340,7 @@ VERBS = {
     ),
     "simulate": Verb(
         "simulated bodies with exact poses",
-        ("simulate skeleton=NAME output=FILE.npz|.csv",),
+        ("simulate skeleton=NAME output=FILE.npz|.csv|FOLDER",),
         settings=SIMULATE,
     ),
     "compare": Verb(
@@ -356,6 +379,12 @@ VERBS = {
         ("data render MESHES ... output=FILE.npz|FOLDER",),
         {"MESHES": "files of meshes, folders of them, or one family of simulated shapes such as chairs"},
         _RENDER,
+    ),
+    "data shard": Verb(
+        "keypoints of many files as one folder, read bit by bit",
+        ("data shard FILES ... output=FOLDER",),
+        {"FILES": "files or folders of keypoints in any format, patterns with *, splits of published sets as SET:SPLIT, or shards"},
+        _SHARD,
     ),
     "tasks": Verb("the shipped tasks, and whether their data is there", ("tasks",)),
     "skeletons": Verb("the shipped skeletons", ("skeletons",)),

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -58,7 +58,7 @@ class Clip:
         return Clip(self.name, *parts, self.individual_names, self.frames[:moments], self.title)
 
 
-def arrange(identity: dict[str, np.ndarray], rows: int) -> list[Clip]:
+def arrange(identity: Mapping[str, Any], rows: int) -> list[Clip]:
     """Return the clips in the order of their first row, each sorted by individual, then time.
 
     Rows of one frame are drawn together only where an ``instance`` (``individual``, ``track``) tells
@@ -98,7 +98,7 @@ def titled(key: str, value: object) -> str:
     return f"{_WORDS.get(key, key)} {text}" if text.isdecimal() else text
 
 
-def photos(identity: dict[str, np.ndarray]) -> bool:
+def photos(identity: Mapping[str, Any]) -> bool:
     """Return whether the rows are seen in photos, not in the frames of a film."""
     return "image" in identity and not {"sequence", "frame"} & set(identity)
 

@@ -33,7 +33,7 @@ _NUMBER = {"place": "%.7g", "px": "%.6g", "share": "%.4g"}
 _ROWS = 256
 
 
-def plain(values: np.ndarray) -> list[Any]:
+def plain(values: Any) -> list[Any]:
     """Return numbers and texts as Python has them, None for what is not finite; anything else as its text."""
     found = []
     for value in np.asarray(values).tolist():

@@ -34,7 +34,7 @@ class PoseRecipe(Recipe):
         labelled = data.frames(settings.lifter).labelled
         self.supervised = bool(labelled.all())
         shares = self._shares(LabelledSampler(labelled, settings.data.labelled.share).share)
-        self.share_budget(shares, len(labelled))
+        self.share_budget(shares, data.sample_count)
         self.teacher = self._build_teacher(bool(labelled.any()))
         self.students = [self._build_student(number) for number in range(1, len(self.rounds) + 1)]
         self._add_notes()
@@ -106,6 +106,10 @@ class PoseRecipe(Recipe):
             student.learn_from(module)
             module = student
             self.stage(run, f"student_{number}", module, self.data, self.settings.student.batch_size)
+        return self.finished(module)
+
+    def finished(self, module: KeypointModule) -> Model:
+        """Return the model of the last stage's ``module``."""
         model = module.model()
         model = Model(model.lifter.cpu(), model.skeleton, model.settings)
         return dataclasses.replace(model, usual=usual_errors(model, self.data.train_samples))
