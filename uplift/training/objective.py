@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import warnings
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import AbstractContextManager, contextmanager, nullcontext
@@ -60,15 +61,15 @@ class Objective:
 
     def judge(self, lift: Lift | ShapeLift, step: int) -> tuple[Tensor, Logged]:
         """Return the weighted sum of the priors' losses, which trains the lifter, and each loss by name."""
-        total, losses = torch.zeros(()), Logged()
+        losses, weighted = Logged(), []
         with _frozen(self.priors[name] for name in self.adversarial):
             found = [self.loss(name, lift, step) for name in self.priors]
             for name, loss in zip(self.priors, ranks.mean(*found), strict=True):
                 if name in self.idle:
                     self._watch(name, loss, lift)
-                total = total + self.weights[name] * loss
+                weighted.append(self.weights[name] * loss)
                 losses[name] = loss.detach()
-        return total, losses
+        return torch.stack(weighted).sum() if weighted else torch.zeros(()), losses
 
     def loss(self, name: str, lift: Lift | ShapeLift, step: int) -> Tensor:
         """Return one prior's loss as one number; raises UserError if it fails or does not pass the checks."""
@@ -80,8 +81,9 @@ class Objective:
             raise UserError(f"priors.{name}: loss(lift) returned {found}, expected one number (shape ()){per_frame}.")
         if value.is_complex():
             raise UserError(f"priors.{name}: loss(lift) returned {value.dtype}, expected real numbers.")
-        value = value.mean() if value.is_floating_point() else value.float().mean()
-        if (value.device.type == "cpu" or step % _SYNC_EVERY == 0) and not bool(torch.isfinite(value)):
+        value = value if value.is_floating_point() else value.float()
+        value = value.mean() if value.ndim else value
+        if (value.device.type == "cpu" or step % _SYNC_EVERY == 0) and not math.isfinite(value.item()):
             raise UserError(
                 f"priors.{name}: loss is {value.item()} at step {step}. Look for a division by 0, a square root or "
                 "a norm of 0 (add a small number), or a learning rate that is too high."
