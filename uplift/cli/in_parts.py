@@ -154,7 +154,7 @@ def _ahead(items: Iterable[T]) -> Iterator[T]:
             yield item
 
 
-_NO_MATTER = ("weights", "input", "output", "axes", "page", "options", "check", "keypoints")
+_NO_MATTER = ("weights", "input", "output", "axes", "page", "options", "check", "keypoints", "accelerator")
 """Of a request: what parts do not depend on, beside what is told of the input and the lifter by themselves."""
 
 
