@@ -16,6 +16,7 @@ from lightning.pytorch.utilities.rank_zero import rank_zero_only
 from uplift.cli.failures import RUN_VARIABLE
 from uplift.cli.kinds import KINDS
 from uplift.cli.report import Training, report
+from uplift.config import ranks
 from uplift.config.loading import classes_of, load_settings
 from uplift.config.progress import say
 from uplift.config.run import RunFolder
@@ -35,12 +36,16 @@ if TYPE_CHECKING:
 __all__ = ["Prepared", "fit", "fit_settings", "fit_stack", "prepare_keypoints", "prepare_masks"]
 
 
+_OF_THE_MACHINE = ("accelerator", "devices", "num_nodes", "threads", "wait")
+"""Settings of a trainer that another machine may need changed."""
+
+
 @consents
 def fit(task: str | None = None, *overrides: str, resume: str | Path | None = None, trust: Trust = None) -> RunFolder:
     """Train a lifter and return its run folder, as ``uplift fit`` does.
 
-    ``overrides`` are ``key=value`` texts. With ``resume`` an interrupted run goes on with the
-    settings it was started with. ``trust`` are files and modules of code that may run where a task file or a run
+    ``overrides`` are ``key=value`` texts. With ``resume`` an interrupted run goes on with the settings it was started
+    with, but those of the machine: any number of devices, computers and threads may go on with it. ``trust`` are files and modules of code that may run where a task file or a run
     names it, such as ``"my_priors.py"``.
 
     Raises:
@@ -48,10 +53,14 @@ def fit(task: str | None = None, *overrides: str, resume: str | Path | None = No
         uplift.training.callbacks.Interrupted: Ctrl-C; the run can be resumed.
     """
     if resume is not None:
-        if task or overrides:
-            raise UserError("resume=RUN goes on with the run's settings: give it no others, or start from init=RUN.")
+        other = [word for word in overrides if word.partition("=")[0].removeprefix("trainer.") not in _OF_THE_MACHINE]
+        if task or other:
+            raise UserError(
+                "resume=RUN goes on with the run's settings: give it no others but those of the machine "
+                f"(trainer.{', trainer.'.join(_OF_THE_MACHINE)}), or start from init=RUN."
+            )
         run = RunFolder.open(resume)
-        return fit_settings(run.settings(), run)
+        return fit_settings(run.settings(*overrides), run)
     return fit_settings(load_settings(task, overrides))
 
 
@@ -99,8 +108,7 @@ def _fit(settings: Settings, run: RunFolder | None, place: Path | None, command:
     except BaseException:
         run.discard_if_empty()
         raise
-    if rank_zero_only.rank == 0:
-        _keep(run, model, fit)
+    _keep(run, model, fit)
     return run
 
 
@@ -151,11 +159,16 @@ def _require(settings: Settings) -> None:
 
 
 def _keep(run: RunFolder, model: Any, fit: Prepared) -> None:
-    """Write the trained model and the report of a fit into its run."""
-    model.save(run.weights)
-    run.link_last()
-    took = Training(fit.recipe.spent, fit.recipe.steps, fit.recipe.idle_priors)
-    report(run, model, fit.settings, fit.loaded, took)
+    """Write the trained model and the report of a fit into its run; all ranks evaluate the same clips together."""
+    first = rank_zero_only.rank == 0
+    if first:
+        model.save(run.weights)
+        run.link_last()
+    with ranks.work_shared():
+        found = KINDS[fit.settings.lifts].report(model, fit.settings, fit.loaded)
+    if first:
+        took = Training(fit.recipe.spent, fit.recipe.steps, fit.recipe.idle_priors)
+        report(run, found, fit.settings, fit.loaded, took)
 
 
 def prepare_keypoints(settings: Settings, run: RunFolder | None, data: KeypointData | None = None) -> Prepared:

@@ -204,8 +204,7 @@ class _Data(L.LightningDataModule, Generic[SamplesT, LoadedT]):
         """Return a loader of as many steps as an epoch has batches, each the number of samples to draw."""
         if self.endless:
             return repeat(self.batch_size)
-        ranks = self.trainer.world_size if self.trainer is not None else 1
-        return _Steps(self.batch_size, max(1, -(-self.sample_count // (self.batch_size * ranks))))
+        return _Steps(self.batch_size, max(1, -(-self.sample_count // self.batch_size)))
 
     def val_dataloader(self) -> Iterable[SamplesT]:
         """Return the validation samples as one batch, as figures need complete clips; nothing without any."""
@@ -308,8 +307,9 @@ class KeypointData(_Data[PoseData, Loaded]):
             that needs none where it does not.
         test: files, data or arrays to test on, with true poses.
         predict: files, data or arrays to lift; those of ``test`` by default.
-        batch_size: frames that a step draws at random. An epoch has as many draws as there are frames.
-            Of shards (``uplift data shard``) with more frames than ``buffer``, so many are in memory at a time.
+        batch_size: frames that a step draws at random, on several ranks all of them together. An epoch has as many draws
+            as there are frames. Of shards (``uplift data shard``) with more frames than ``buffer``, so many are in memory
+            at a time.
         labelled: share of the training frames whose true poses may be learned from, or the settings
             ``data.labelled`` by name; None: training from 2D alone.
         seed: of the splits and the simulator.

@@ -67,10 +67,12 @@ class Critic(Prior):
         on_real, on_reprojected = self.judge(real), self.judge(reprojected)
         share = ((on_real > 0).sum() + (on_reprojected < 0).sum()) / (2 * len(on_real))
         # All ranks open and close the gates together, or their weights would drift apart.
-        self.accuracy.copy_(ranks.mean(share.detach())[0])
+        (share,) = ranks.mean(share.detach())
+        self.accuracy.copy_(share)
         if self.gate is not None:  # with it a GPU waits in each step, as what is updated depends on the number
-            self.gate_lifter = float(self.accuracy) < self.gate[0]
-            self.gate_itself = float(self.accuracy) > self.gate[1]
+            accuracy = float(share)
+            self.gate_lifter = accuracy < self.gate[0]
+            self.gate_itself = accuracy > self.gate[1]
         return softplus(-on_real).mean() + softplus(on_reprojected).mean()
 
     def metrics(self, lift: Lift) -> dict[str, float]:

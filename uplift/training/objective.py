@@ -31,9 +31,10 @@ _SYNC_EVERY = 50
 
 def prepare_priors(priors: Mapping[str, Prior], data: Any) -> None:
     """Show every prior the training data."""
-    for name, prior in priors.items():
-        with blame(f"priors.{name}: prepare", type(prior)):
-            prior.prepare(data)
+    with ranks.rank_0_first():
+        for name, prior in priors.items():
+            with blame(f"priors.{name}: prepare", type(prior)):
+                prior.prepare(data)
 
 
 class Objective:

@@ -214,7 +214,8 @@ class StudentModule(KeypointModule):
         else:
             if self.device.type != "cpu":
                 teacher = copy.deepcopy(teacher).to(self.device)
-            poses = lift_all(teacher, frames.some(self.settings.frames, self.seed), self.settings.refine)
+            with ranks.work_shared():
+                poses = lift_all(teacher, frames.some(self.settings.frames, self.seed), self.settings.refine)
         if teacher is not None and self.settings.warm:
             self._start_from(teacher)
         self._set_denoise(noisy=poses.noise is not None and self.settings.noise)
