@@ -348,4 +348,4 @@ def test_two_processes_draw_different_frames_and_keep_the_same_weights(here: Pat
     found: list[list[Any]] = [json.loads((here / f"rank{rank}.json").read_text()) for rank in (0, 1)]
     assert found[0][0] != found[1][0]
     assert found[0][1] == found[1][1]
-    assert found[0][2:] == found[1][2:] == [2, 2 * 4]
+    assert found[0][2:] == found[1][2:] == [2, 2 * 8]

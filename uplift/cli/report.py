@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from uplift.cli.evaluate import MOST, save_evaluation, score_shapes
-from uplift.cli.kinds import KINDS
 from uplift.config.files import as_bytes, replacing, without_folders
 from uplift.config.progress import say
 from uplift.config.run import RunFolder, lifter_label
@@ -136,9 +135,8 @@ class Training:
         ]
 
 
-def report(run: RunFolder, model: Any, settings: Settings, loaded: Any, training: Training) -> None:
-    """Evaluate where there is a truth, write report.md and page.html, and print what comes next."""
-    found: Findings = KINDS[settings.lifts].report(model, settings, loaded)
+def report(run: RunFolder, found: Findings, settings: Settings, loaded: Any, training: Training) -> None:
+    """Write report.md and page.html, the evaluation where there is a truth, and print what comes next."""
     if found.evaluation is not None:
         save_evaluation(found.evaluation, run)
     run.add_facts(steps=dict(training.steps), seconds=dict(training.spent), idle_priors=dict(training.idle_priors))

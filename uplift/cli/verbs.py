@@ -301,7 +301,12 @@ _SHARD = _table(
 
 _FIT_WORDS = _table(
     all_settings()["task"]._replace(help="a shipped task or a YAML file; uplift tasks lists them"),
-    _key("resume", Optional[str], None, "run folder of a fit that was stopped: it goes on; takes no other settings"),
+    _key(
+        "resume",
+        Optional[str],
+        None,
+        "folder of a fit or a sweep that was stopped: it goes on; takes no other settings",
+    ),
     *_TRUST.values(),
 )
 _FIT = _FIT_WORDS | {name: one for name, one in all_settings().items() if name != "task"}
@@ -310,7 +315,7 @@ VERBS = {
     "fit": Verb(
         "train a lifter of keypoints or masks",
         ("fit task=NAME [key=value ...]", "fit skeleton=NAME data.train=FILE", "fit task=masks data.train=FOLDER",
-         "fit resume=RUN"),
+         "fit task=NAME seed=0..15 SETTING=a,b,c", "fit resume=RUN"),
         settings=_FIT,
     ),
     "evaluate": Verb(

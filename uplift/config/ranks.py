@@ -24,16 +24,18 @@ __all__ = [
     "Share",
     "alone",
     "drawn",
+    "filled",
     "gathered",
     "largest",
     "mean",
     "my_parts",
     "my_rows",
     "own_numbers",
-    "put_together",
     "rank",
+    "rank_0_first",
     "shared",
     "sharing",
+    "sum_of_parts",
     "total",
     "work_shared",
     "world",
@@ -64,6 +66,18 @@ def largest(values: Sequence[float]) -> list[float]:
 def _device() -> torch.device:
     """Return the device of numbers that ranks exchange: the processor, unless they have no connection but that of GPUs."""
     return torch.device("cuda" if distributed.get_backend() == "nccl" else "cpu")
+
+
+@contextmanager
+def rank_0_first() -> Iterator[None]:
+    """Let others do what is within after rank 0, as what it keeps in a cache serves them too."""
+    if rank() > 0:
+        distributed.barrier()
+    try:
+        yield
+    finally:
+        if world() > 1 and rank() == 0:
+            distributed.barrier()
 
 
 # One batch.
@@ -223,9 +237,20 @@ def my_parts(parts: Sequence[T]) -> Sequence[T]:
     return parts[rank() :: world()] if _WORK.get() else parts
 
 
-def put_together(*results: Tensor) -> tuple[Tensor, ...]:
-    """Return results of the same sizes on all ranks, each 0 where another rank worked on it."""
+def filled(values: Float[Tensor, "rows *rest"], parts: Sequence[Tensor]) -> Float[Tensor, "rows *rest"]:
+    """Return ``values`` with the rows of each of ``parts`` as the rank left them that had it of `my_parts`, in place."""
+    if _WORK.get() and parts:
+        for other in range(world()):
+            for rows in parts[other :: world()] if other != rank() else ():
+                values[rows] = 0
+        rows = torch.cat(list(parts))
+        values[rows] = sum_of_parts(values[rows])[0]
+    return values
+
+
+def sum_of_parts(*sums: Tensor) -> tuple[Tensor, ...]:
+    """Return sums over the parts of all ranks, in place, from those over `my_parts`."""
     if _WORK.get():
-        for result in results:
-            distributed.all_reduce(result)
-    return results
+        for one in sums:
+            distributed.all_reduce(one)
+    return sums

@@ -135,9 +135,9 @@ class RunFolder:
         none = " There are no runs here yet: `uplift fit task=demo`."
         raise UserError(f"No run {path}.{did_you_mean(str(path), _runs_here()) or none}")
 
-    def settings(self) -> Settings:
-        """Return the settings the run was made with."""
-        settings = load_settings(str(self.config))
+    def settings(self, *changed: str) -> Settings:
+        """Return the settings the run was made with, but those in the words ``changed``."""
+        settings = load_settings(str(self.config), changed)
         settings.task = self.facts().get("task", "")
         return settings
 

@@ -261,7 +261,7 @@ class StageSettings:
     """One stage of training and its optimiser."""
 
     share: float = _setting(1.0, "share of the fit's budget; 0 leaves the stage out", low=0, high=1e6)
-    batch_size: int = _setting(512, "frames per step", low=2, high=1 << 17)
+    batch_size: int = _setting(512, "frames per step, of all processes together", low=2, high=1 << 17)
     learning_rate: float = _setting(5e-4, "Adam's learning rate", low=1e-12, high=10)
     beta1: float = _setting(0.5, "Adam's beta 1", low=0, high=0.99999)
     beta2: float = _setting(0.99, "Adam's beta 2", low=0, high=0.9999999)
@@ -374,8 +374,8 @@ class TrainerSettings:
     )
     precision: str = _setting(
         "32-true",
-        "precision of Lightning's Trainer: 16 and bf16 are mixed, as geometry needs all digits",
-        choices=("32-true", "16-mixed", "bf16-mixed", "32", "16", "bf16"),
+        "precision of Lightning's Trainer: 16 and bf16 are of networks alone; auto: bf16 on processors made for it",
+        choices=("auto", "32-true", "16-mixed", "bf16-mixed", "32", "16", "bf16"),
     )
     products: str = _setting(
         "auto",
@@ -392,13 +392,14 @@ class SweepSettings:
 
     how: str = _setting(
         "auto",
-        "where its fits run: processes of this machine, jobs of a SLURM cluster, or tasks of a Ray cluster; auto: processes",
-        choices=("auto", "processes", "slurm", "ray"),
+        "how its fits run: as processes of this machine, as one stacked network that trains them together, as jobs of a SLURM "
+        "cluster, as tasks of a Ray cluster; auto: a stack on a GPU, else processes",
+        choices=("auto", "processes", "stack", "slurm", "ray"),
     )
     workers: Optional[int] = _setting(
         None,
-        "fits at a time; unset: one for each core that trainer.threads leaves, or for each GPU; on a cluster as many as it "
-        "runs",
+        "fits at a time; unset: one for each core that trainer.threads leaves, or for each GPU; 64 in a stack; on a cluster as "
+        "many as it runs",
         low=1,
         high=100_000,
     )

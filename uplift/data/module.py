@@ -30,12 +30,13 @@ from uplift.data.mask_tensors import MaskSet, to_mask_set
 from uplift.data.masks import MaskData
 from uplift.data.poses import PoseData
 from uplift.data.samples import Samples
+from uplift.data.select import choice_of
 from uplift.data.stream import Resident, Streamed, load_training
 from uplift.data.tensors import TrainingSet, mean_bones, to_training_set, with_labels
 from uplift.errors import UserError, did_you_mean
 from uplift.skeleton import Skeleton, load_skeleton
 
-__all__ = ["KeypointData", "MaskDataModule", "skeleton_of"]
+__all__ = ["KeypointData", "MaskDataModule", "depends_on_seed", "skeleton_of"]
 
 SamplesT = TypeVar("SamplesT", bound=Samples)
 LoadedT = TypeVar("LoadedT", Loaded, LoadedMasks)
@@ -203,8 +204,7 @@ class _Data(L.LightningDataModule, Generic[SamplesT, LoadedT]):
         """Return a loader of as many steps as an epoch has batches, each the number of samples to draw."""
         if self.endless:
             return repeat(self.batch_size)
-        ranks = self.trainer.world_size if self.trainer is not None else 1
-        return _Steps(self.batch_size, max(1, -(-self.sample_count // (self.batch_size * ranks))))
+        return _Steps(self.batch_size, max(1, -(-self.sample_count // self.batch_size)))
 
     def val_dataloader(self) -> Iterable[SamplesT]:
         """Return the validation samples as one batch, as figures need complete clips; nothing without any."""
@@ -270,6 +270,13 @@ def share_or_files(val: str | None) -> float | str | None:
         return val
 
 
+def depends_on_seed(settings: Settings) -> bool:
+    """Return whether another seed means other training samples: simulated ones, or a random share of some."""
+    data, val = settings.data, share_or_files(settings.data.val)
+    shares = [choice_of(choice).get("fraction", 1) for choice in (data.select, data.hold_out, data.labelled)]
+    return bool(data.simulate) or (isinstance(val, float) and val > 0) or any(share != 1 for share in shares)
+
+
 # Keypoints.
 
 
@@ -300,8 +307,9 @@ class KeypointData(_Data[PoseData, Loaded]):
             that needs none where it does not.
         test: files, data or arrays to test on, with true poses.
         predict: files, data or arrays to lift; those of ``test`` by default.
-        batch_size: frames that a step draws at random. An epoch has as many draws as there are frames.
-            Of shards (``uplift data shard``) with more frames than ``buffer``, so many are in memory at a time.
+        batch_size: frames that a step draws at random, on several ranks all of them together. An epoch has as many draws
+            as there are frames. Of shards (``uplift data shard``) with more frames than ``buffer``, so many are in memory
+            at a time.
         labelled: share of the training frames whose true poses may be learned from, or the settings
             ``data.labelled`` by name; None: training from 2D alone.
         seed: of the splits and the simulator.

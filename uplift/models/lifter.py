@@ -60,8 +60,8 @@ _MIXED: ContextVar[torch.dtype | None] = ContextVar("mixed", default=None)
 
 
 @contextmanager
-def mixed_networks(precision: torch.dtype) -> Iterator[None]:
-    """Compute the networks of lifters inside in mixed ``precision``, and not their geometry."""
+def mixed_networks(precision: torch.dtype | None) -> Iterator[None]:
+    """Compute the networks of lifters inside in mixed ``precision``, if any, and not their geometry."""
     before = _MIXED.set(precision)
     try:
         yield

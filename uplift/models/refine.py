@@ -10,6 +10,7 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 from torch.nn.functional import pad
 
+from uplift.config import ranks
 from uplift.config.settings import RefineSettings
 from uplift.config.threads import in_threads
 from uplift.data.tensors import TrainingSet
@@ -96,8 +97,9 @@ def refine_clips(
         part, bodies = rows[block[0]], whole.part(*block)
         refined[part] = _solve(_Problem(data, part, keypoints[part], depth[part], camera, settings, bodies), settings)
 
-    in_threads(solve, _blocks(torch.bincount(whole.clip), most), depth.device, "refining clips")
-    return refined
+    blocks = _blocks(torch.bincount(whole.clip), most)
+    in_threads(solve, ranks.my_parts(blocks), depth.device, "refining clips")
+    return ranks.filled(refined, [rows[frames] for frames, _ in blocks])
 
 
 def _blocks(frames_of: Int[Tensor, " clips"], most: int) -> list[tuple[slice, slice]]:

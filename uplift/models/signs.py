@@ -18,6 +18,7 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor, nn
 from torch.nn.functional import cross_entropy, log_softmax, normalize, pad
 
+from uplift.config import ranks
 from uplift.config.threads import in_threads
 from uplift.data.poses import USUAL_FPS
 from uplift.data.tensors import TrainingSet
@@ -348,7 +349,9 @@ def _marginals(
         core = block.core.flatten().nonzero()[:, 0]
         result[:, block.rows.flatten()[core]] = found.flatten(1)[:, core]
 
-    in_threads(solve, windows, likely.device, "deciding depth signs")
+    in_threads(solve, ranks.my_parts(windows), likely.device, "deciding depth signs")
+    if ranks.world() > 1:
+        ranks.filled(result.T, [block.rows.flatten()[block.core.flatten()] for block in windows])
     return result
 
 

@@ -229,10 +229,9 @@ class TrainingModule(L.LightningModule, Generic[LifterT, DataT]):
         """Seed this step's random stream and return the loss of ``batch``, or of a batch drawn from the stream."""
         self._accumulated = self.trainer.accumulate_grad_batches if self._log_every else 1
         self._micro_batch = batch_idx % self._accumulated
-        torch.manual_seed(stream_seed(self.seed, self.stream_step))
-        with self.sharing(batch):
-            with self.mixed_networks():
-                loss, self.logged = self.objective(batch)
+        torch.manual_seed(self.step_seed)
+        with self.sharing(batch), self.mixed_networks():
+            loss, self.logged = self.objective(batch)
             if self._log_every and ((self.global_step + 1) % self._log_every == 0 or self.trainer.is_last_batch):
                 self._log_terms(loss)
         return loss
@@ -253,6 +252,11 @@ class TrainingModule(L.LightningModule, Generic[LifterT, DataT]):
     def stream_step(self) -> int:
         """The number of this step's random stream: of the optimiser's step and of the batch within it."""
         return self.global_step * self._accumulated + self._micro_batch
+
+    @property
+    def step_seed(self) -> int:
+        """The seed of this step's random stream."""
+        return stream_seed(self.seed, self.stream_step)
 
     def _log_terms(self, loss: Tensor) -> None:
         """Log every term, what the priors measure, and the loss."""

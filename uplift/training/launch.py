@@ -11,6 +11,7 @@ import signal
 import socket
 import subprocess
 import sys
+import threading
 import time
 import warnings
 from collections.abc import Iterator, Mapping
@@ -129,7 +130,7 @@ def _found(environ: Mapping[str, str]) -> Layout | None:
         missing = [name for name in _TORCHRUN if name not in environ]
         if missing:
             raise UserError(
-                f"{', '.join(name for name in _TORCHRUN if name in environ)} are set, as torchrun does, but not "
+                f"the environment has {', '.join(name for name in _TORCHRUN if name in environ)}, as torchrun sets, but not "
                 f"{', '.join(missing)}: set them all, or none."
             )
         rank, ranks, local = _numbers(environ, "RANK", "WORLD_SIZE", "LOCAL_RANK")
@@ -226,10 +227,8 @@ def _store(layout: Layout, wait: float) -> distributed.Store:
     where = f"MASTER_ADDR={layout.host}, MASTER_PORT={layout.port}"
     try:
         _try_port(layout, wait, keeps)
-        store = distributed.TCPStore(
-            layout.host, layout.port, None, keeps, timedelta(seconds=wait), wait_for_workers=False
-        )
-    except (OSError, distributed.DistError, RuntimeError) as error:
+        store = _opened(layout, wait, keeps)
+    except (OSError, RuntimeError) as error:
         if keeps:
             raise UserError(f"{where}: another program uses this port, or it cannot be opened: set another.") from error
         raise UserError(
@@ -237,6 +236,30 @@ def _store(layout: Layout, wait: float) -> distributed.Store:
             "can this computer reach it?"
         ) from error
     return distributed.PrefixStore(f"uplift{os.environ.get('TORCHELASTIC_RESTART_COUNT', '')}", store)
+
+
+def _opened(layout: Layout, wait: float, keeps: bool) -> distributed.Store:
+    """Return the store; raises OSError where another program answers, for whose reply the library would wait for ever."""
+    found: list[distributed.Store | RuntimeError] = []
+
+    def open_it() -> None:
+        try:
+            one = distributed.TCPStore(
+                layout.host, layout.port, None, keeps, timedelta(seconds=wait), wait_for_workers=False
+            )
+            one.add("answers", 1)
+            found.append(one)
+        except RuntimeError as error:
+            found.append(error)
+
+    thread = threading.Thread(target=open_it, daemon=True)
+    thread.start()
+    thread.join(wait)
+    if not found:
+        raise TimeoutError
+    if isinstance(found[0], RuntimeError):
+        raise found[0]
+    return found[0]
 
 
 def _try_port(layout: Layout, wait: float, keeps: bool) -> None:

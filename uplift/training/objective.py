@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import warnings
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import AbstractContextManager, contextmanager, nullcontext
 from typing import Any
 
@@ -31,9 +31,10 @@ _SYNC_EVERY = 50
 
 def prepare_priors(priors: Mapping[str, Prior], data: Any) -> None:
     """Show every prior the training data."""
-    for name, prior in priors.items():
-        with blame(f"priors.{name}: prepare", type(prior)):
-            prior.prepare(data)
+    with ranks.rank_0_first():
+        for name, prior in priors.items():
+            with blame(f"priors.{name}: prepare", type(prior)):
+                prior.prepare(data)
 
 
 class Objective:
@@ -66,7 +67,10 @@ class Objective:
             found = [self.loss(name, lift, step) for name in self.priors]
             for name, loss in zip(self.priors, ranks.mean(*found), strict=True):
                 if name in self.idle:
-                    self._watch(name, loss, lift)
+                    trained = (*_lifted(lift), *self.priors[name].parameters())
+                    self.watch(
+                        name, lambda loss=loss, trained=trained: loss.requires_grad and _any_gradient(loss, trained)
+                    )
                 weighted.append(self.weights[name] * loss)
                 losses[name] = loss.detach()
         return torch.stack(weighted).sum() if weighted else torch.zeros(()), losses
@@ -104,11 +108,11 @@ class Objective:
                 ".numpy() or comparisons in place of differences."
             )
 
-    def _watch(self, name: str, loss: Tensor, lift: Lift | ShapeLift) -> None:
-        """Look whether ``loss`` moves anything that is trained, until it has done so once."""
+    def watch(self, name: str, moves: Callable[[], bool]) -> None:
+        """Look whether the loss of an idle prior ``moves`` anything that is trained, until it has done so once."""
         steps = self.idle[name] = self.idle[name] + 1
         due = steps <= _WATCHED or steps % _WATCHED == 0
-        if due and loss.requires_grad and _any_gradient(loss, [*_lifted(lift), *self.priors[name].parameters()]):
+        if due and moves():
             del self.idle[name]
         elif steps == _WATCHED:
             warnings.warn(idle_prior(name, _WATCHED), stacklevel=2)

@@ -14,6 +14,7 @@ import torch
 from jaxtyping import Float, UInt8
 from torch import Tensor, nn
 
+from uplift.config import ranks
 from uplift.config.files import refuse_existing
 from uplift.config.settings import TeacherSettings
 from uplift.config.trust import consents
@@ -93,8 +94,10 @@ class EStepStatistics(nn.Module):
             temperature *= _POOLED
         for part in self.buffers():
             part.zero_()
-        for start in range(0, len(data), _CHUNK):
-            self._add(mixture, data.select(slice(start, start + _CHUNK)), drawn, temperature)
+        with ranks.work_shared():
+            for start in ranks.my_parts(range(0, len(data), _CHUNK)):
+                self._add(mixture, data.select(slice(start, start + _CHUNK)), drawn, temperature)
+            ranks.sum_of_parts(*self.buffers())
         self.mask /= self.weight.clamp_min(1e-9)[..., None, None]
         self.ratio /= self.weight.clamp_min(1e-9)
         self.truth /= self.labelled.clamp_min(1e-9)[:, None, None, None]
