@@ -374,8 +374,8 @@ class TrainerSettings:
     )
     precision: str = _setting(
         "32-true",
-        "precision of Lightning's Trainer: 16 and bf16 are mixed, as geometry needs all digits",
-        choices=("32-true", "16-mixed", "bf16-mixed", "32", "16", "bf16"),
+        "precision of Lightning's Trainer: 16 and bf16 are of networks alone; auto: bf16 on processors made for it",
+        choices=("auto", "32-true", "16-mixed", "bf16-mixed", "32", "16", "bf16"),
     )
     products: str = _setting(
         "auto",

@@ -21,7 +21,7 @@ from lightning.fabric.utilities.exceptions import MisconfigurationException
 from lightning.pytorch import callbacks as lightning_callbacks
 from lightning.pytorch.loggers import Logger
 
-from uplift.config.device import ACCELERATORS, device_of, fast_products
+from uplift.config.device import ACCELERATORS, device_of, fast_products, precision_of
 from uplift.config.plugins import build, find_class, users_line
 from uplift.config.progress import is_quiet
 from uplift.config.run import RunFolder
@@ -251,7 +251,7 @@ def _trainer_flags(settings: TrainerSettings, budget: StageBudget, *, has_val: b
     return {
         "accelerator": settings.accelerator,
         **({} if launch.trainer_flags() else {"devices": _devices_of(settings)}),
-        "precision": settings.precision,
+        "precision": precision_of(settings.precision, settings.accelerator),
         "max_epochs": -1,
         "max_steps": budget.steps or -1,
         "log_every_n_steps": settings.log_every,
