@@ -28,7 +28,7 @@ from lightning.pytorch.strategies.launchers import _SubprocessScriptLauncher
 from lightning.pytorch.utilities.rank_zero import rank_zero_only
 from torch import distributed
 
-from uplift.config.progress import quiet
+from uplift.config.progress import is_quiet, quiet
 from uplift.config.settings import TrainerSettings
 from uplift.errors import UserError
 
@@ -332,7 +332,7 @@ def from_rank_0(text: str) -> str:
 def as_one(resume: str = "the fit") -> Iterator[None]:
     """Let rank 0 speak for all: others say nothing, an error that several have is said once, and a lost process is named."""
     try:
-        with quiet(rank_zero_only.rank != 0), warnings.catch_warnings():
+        with quiet(is_quiet() or rank_zero_only.rank != 0), warnings.catch_warnings():
             if rank_zero_only.rank:
                 warnings.simplefilter("ignore")
             yield
