@@ -256,7 +256,7 @@ def test_completion(monkeypatch: pytest.MonkeyPatch) -> None:
     assert "skeleton=h36m17" in _complete("simulate", "skeleton=h")
     assert _complete("fit", "trainer.max_time=") == []
     monkeypatch.setenv("COMP_LINE", "uplift data ")
-    assert _complete("data", "") == ["check", "cmu", "render"]
+    assert _complete("data", "") == ["check", "cmu", "render", "shard"]
     monkeypatch.setenv("COMP_LINE", "uplift data render --help ")
     assert "views" in _complete("data", "")
     monkeypatch.setenv("COMP_LINE", "uplift fit --help ")

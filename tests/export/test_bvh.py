@@ -198,6 +198,76 @@ def test_angles_are_continuous_and_the_same_rotation(seed: int, pitch: float) ->
     assert change[level[1:] & level[:-1]].max(initial=0) < 40
 
 
+# Frame by frame, as the definitions say it: what the package does for all frames at once.
+
+
+def angles_by_frame(rotation: np.ndarray) -> np.ndarray:
+    """Return degrees about z, x, y of each rotation, the nearest to those before."""
+    x = np.arcsin(np.clip(rotation[:, 2, 1], -1, 1))
+    z = np.arctan2(-rotation[:, 0, 1], rotation[:, 1, 1])
+    y = np.arctan2(-rotation[:, 2, 0], rotation[:, 2, 2])
+    angles = np.stack([z, x, y], 1)
+    locked = np.hypot(rotation[:, 0, 1], rotation[:, 1, 1]) < 1e-6
+    sum_or_gap = np.arctan2(rotation[:, 1, 0], rotation[:, 0, 0])
+    for now in range(len(angles)):
+        if locked[now]:
+            angles[now, 0] = angles[now - 1, 0] if now else 0.0
+            angles[now, 2] = np.sign(angles[now, 1]) * (sum_or_gap[now] - angles[now, 0])
+        if now:
+            z, x, y = angles[now]
+            triples = np.array([[z, x, y], [z + np.pi, np.pi - x, y + np.pi]])
+            triples += 2 * np.pi * np.round((angles[now - 1] - triples) / (2 * np.pi))
+            angles[now] = triples[np.abs(triples - angles[now - 1]).sum(1).argmin()]
+    return np.degrees(angles)
+
+
+def turned_by_frame(rest: np.ndarray, directions: np.ndarray, frame: np.ndarray) -> np.ndarray:
+    """Return rotations onto directions by singular values, each frame that is not trusted after the one before it."""
+
+    def nearest(matrix: np.ndarray) -> np.ndarray:
+        u, _, v = np.linalg.svd(matrix)
+        u[..., 2] *= np.sign(np.linalg.det(u @ v))[..., None]
+        return u @ v
+
+    known = np.isfinite(directions.sum(-1))
+    wanted = np.einsum("fki,kj->fij", np.where(known[..., None], directions, 0), rest)
+    trust = known.all(1).astype(float)
+    if len(rest) == 1:
+        unfolded = np.einsum("fi,fij,j->f", np.nan_to_num(directions[:, 0]), frame, rest[0])
+        trust *= np.clip((1 + unfolded) / 0.5, 0, 1)
+    turned = nearest(wanted + 1e-5 * frame)
+    trusted = np.flatnonzero(trust == 1)
+    before = frame[trusted[0]].T @ turned[trusted[0]] if len(trusted) else np.eye(3)
+    for now in np.flatnonzero(trust < 1):
+        before = frame[now - 1].T @ turned[now - 1] if now else before
+        leave = frame[now] @ (trust[now] * np.eye(3) + (1 - trust[now]) * before)
+        turned[now] = nearest(wanted[now] + 1e-5 * leave)
+    return turned
+
+
+@settings(max_examples=40)
+@given(seed=st.integers(0, 10_000), locks=st.sampled_from([0, 0.1, 1]), speed=st.sampled_from([0.02, 0.3, 3]))
+def test_angles_are_those_frame_by_frame(seed: int, locks: float, speed: float) -> None:
+    random = np.random.default_rng(seed)
+    angles = np.cumsum(random.normal(size=(200, 3)) * speed, 0)
+    angles[random.random(200) < locks, 1] = random.choice([-np.pi / 2, np.pi / 2])
+    rotation = Rotation.from_euler("ZXY", angles).as_matrix()
+    np.testing.assert_allclose(euler_zxy(rotation), angles_by_frame(rotation), atol=1e-6)
+
+
+@settings(max_examples=40)
+@given(seed=st.integers(0, 10_000), children=st.integers(1, 3), missing=st.sampled_from([0, 0.05, 0.6, 1]))
+def test_joints_turn_as_they_do_frame_by_frame(seed: int, children: int, missing: float) -> None:
+    random = np.random.default_rng(seed)
+    frame = Rotation.from_rotvec(np.cumsum(random.normal(size=(120, 3)) * 0.2, 0)).as_matrix()
+    ways = random.normal(size=(children, 3)) + np.cumsum(random.normal(size=(120, children, 3)), 0) * 0.4
+    ways /= np.linalg.norm(ways, axis=-1, keepdims=True)
+    ways[random.random((120, children)) < missing] = np.nan
+    rest = random.normal(size=(children, 3))
+    rest /= np.linalg.norm(rest, axis=-1, keepdims=True)
+    np.testing.assert_allclose(turn_onto(rest, ways, frame), turned_by_frame(rest, ways, frame), atol=1e-7)
+
+
 def test_locked_angles_are_the_same_rotation() -> None:
     angles = np.stack([np.linspace(0, 300, 20), np.full(20, 90.0), np.linspace(0, 40, 20)], 1)
     rotation = Rotation.from_euler("ZXY", np.concatenate([angles, angles * [1, -1, 1]]), degrees=True)

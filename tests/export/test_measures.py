@@ -14,7 +14,7 @@ from writers_samples import prediction
 
 from uplift.biomechanics.angles import joint_angles
 from uplift.errors import UserError
-from uplift.export import check_measure, write, writer_for
+from uplift.export import check_measure, open_stream, write, writer_for
 from uplift.models.prediction import Prediction
 
 
@@ -87,6 +87,24 @@ def test_gait_has_strides_means_and_deviations(tmp_path: Path) -> None:
     assert (table["stride"] == "asymmetry_percent").sum() == 1
     write(replace(walker(150), unit="px"), tmp_path / "px_gait.csv")
     assert not {"step_length_mm", "speed_m_per_s"} & set(pd.read_csv(tmp_path / "px_gait.csv").columns)
+
+
+def test_walks_that_come_one_after_another_are_the_table_of_both(tmp_path: Path) -> None:
+    """What clips are called depends on all of them."""
+    sample = walker(150)
+    two = [replace(sample, identity=_of(sample, "walk", take)) for take in ("1", "2")]
+    write(Prediction.concat(two), tmp_path / "whole_gait.csv")
+    with open_stream(tmp_path / "parts_gait.csv") as stream:
+        for part in two:
+            stream.append(part)
+    assert (tmp_path / "parts_gait.csv").read_bytes() == (tmp_path / "whole_gait.csv").read_bytes()
+    table = pd.read_csv(tmp_path / "parts_gait.csv")
+    assert set(table["clip"]) == {1, 2} and len(table) > 8 and stream.remark.startswith("gait of 2 bodies")
+
+
+def _of(sample: Prediction, action: str, take: str) -> dict[str, np.ndarray]:
+    names = {"action": np.full(len(sample), action), "sequence": np.full(len(sample), take)}
+    return {**names, "frame": np.arange(len(sample))}
 
 
 def test_a_body_that_stands_has_no_gait(tmp_path: Path) -> None:

@@ -12,6 +12,7 @@ from uplift.geometry import rotation
 from uplift.geometry.rigid import (
     least_turn,
     nearest_rotation,
+    nearest_rotations,
     quaternion_matrix,
     quaternion_product,
     rotation_about,
@@ -77,3 +78,19 @@ def test_the_nearest_rotation(reflect: bool) -> None:
     if not reflect:
         assert np.allclose(rotation.nearest_rotation(torch.as_tensor(matrix)).numpy(), expected, atol=1e-12)
         assert np.allclose(np.linalg.det(found), 1)
+
+
+def test_many_nearest_rotations() -> None:
+    """Known by construction: R stretched along any axes by amounts of which only the least may be negative."""
+    turn, along = (Rotation.random(400, rng=RNG).as_matrix() for _ in range(2))
+    stretch = np.sort(10 ** RNG.uniform(-5, 3, (400, 3)))[:, ::-1].copy()
+    stretch[::3, 2] *= -0.9
+    stretch[1::3, 2] = 0  # two directions
+    stretch[2::30, 1:] = 1e-5 * stretch[2::30, :1]  # nearly one
+    matrices = turn @ along @ (stretch[..., None] * along.transpose(0, 2, 1))
+    clear = (stretch[:, 1] + stretch[:, 2]) / stretch[:, 0]
+    error = Rotation.from_matrix(nearest_rotations(matrices)).inv() * Rotation.from_matrix(turn)
+    assert (error.magnitude() < 1e-11 / np.minimum(clear, 1)).all()
+    assert nearest_rotations(matrices[:0]).shape == (0, 3, 3)
+    blank = nearest_rotations(np.zeros((2, 3, 3)))
+    assert np.allclose(blank @ blank.transpose(0, 2, 1), np.eye(3))

@@ -23,7 +23,7 @@ from uplift.config.run import RunFolder, Weights, data_id, read_weights
 from uplift.config.trust import Trust, consents
 from uplift.data.clean import clean
 from uplift.data.formats.npz import camera_of, joint_names_of, refuse_other_axes, unit_of
-from uplift.data.load import format_of_run, load_data, load_file, load_split
+from uplift.data.load import format_of_run, load_file, load_split
 from uplift.data.load_masks import known_shapes, load_mask_split, load_masks
 from uplift.data.masks import MaskData
 from uplift.data.parsers.npz import CheckedArrays, read_arrays
@@ -141,7 +141,7 @@ def evaluate_keypoints(
     if test is not None or (settings.data.test and not settings.data.simulate):
         truth, _ = clean(load_split(settings, "test", model.skeleton), model.skeleton)
     else:
-        truth = load_data(settings, model.skeleton).test
+        truth = load_training(settings, model.skeleton).test
         if truth is None:
             raise UserError(f"{weights.run} has no test frames: give data.test=FILE.")
     name = truth.source if test is None else test

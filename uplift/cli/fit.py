@@ -121,8 +121,8 @@ def _fit(settings: Settings, run: RunFolder | None, place: Path | None, command:
 
 def prepare_keypoints(settings: Settings, run: RunFolder | None) -> Prepared:
     """Load keypoints and their recipe, which goes on from the checkpoints of ``run``."""
-    from uplift.data.load import load_data
     from uplift.data.module import KeypointData
+    from uplift.data.stream import load_training
     from uplift.skeleton import load_skeleton
     from uplift.training.pose_recipe import PoseRecipe
     from uplift.training.warm_start import WarmStart
@@ -134,7 +134,7 @@ def prepare_keypoints(settings: Settings, run: RunFolder | None) -> Prepared:
     if settings.init and not (run and any(run.checkpoints.glob("*.ckpt"))):  # what is resumed has its weights
         start = WarmStart.load(settings.init)
         settings = start.settings(settings)
-    loaded = load_data(settings, skeleton)
+    loaded = load_training(settings, skeleton)
     data = KeypointData.of(loaded, skeleton, settings)
     recipe = PoseRecipe(settings, data, run, start)
     init = start.facts() if start else run.facts().get("init", {}) if run else {}

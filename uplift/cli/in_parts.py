@@ -86,7 +86,7 @@ class _Work:
 
     def do(self) -> None:
         """Read, lift and write all parts; raises UserError where none has a frame that can be lifted."""
-        cut = not self.how.get("ground")
+        cut = not self.how.get("ground") and not any(stream.of_clips for stream in self.streams)
         read = _ahead(pieces(self.source.parts, self.source.at_a_time, cut=cut))
         about = -(-self.source.frames // self.source.at_a_time)
         written: Future[None] | None = None
@@ -102,6 +102,7 @@ class _Work:
             if written is not None:
                 written.result()
         if not self._checked:
+            self.store.clear()
             raise UserError(
                 f"none of {self.source.frames:,} frames can be lifted: all have fewer than 3 visible joints, or these in "
                 "one point."

@@ -237,9 +237,10 @@ _RUN: dict[str, Callable[[Sequence[str]], int | None]] = {
             "check": "data_check:check_data",
             "cmu": "data_cmu:make_cmu_files",
             "render": "data_render:render_masks_command",
+            "shard": "data_shard:shard_command",
         },
-        "data: expected `uplift data check task=NAME`, `uplift data cmu FOLDER` or "
-        "`uplift data render MESHES output=FILE.npz`.",
+        "data: expected `uplift data check task=NAME`, `uplift data cmu FOLDER`, "
+        "`uplift data render MESHES output=FILE.npz` or `uplift data shard FILES output=FOLDER`.",
     ),
     "tasks": _list("tasks", "uplift.cli.listing:list_tasks"),
     "skeletons": _list("skeletons", "uplift.cli.listing:list_skeletons"),

@@ -58,10 +58,10 @@ class PartStore:
             return self
         if kept:
             was = before if isinstance(before, dict) else {}
-            changed = " and ".join(name for name, value in self._made_of.items() if was.get(name) != value)
-            say(f"beginning anew: another {changed or 'input'} than that of the parts in {self.folder}")
-        for part in self._files():
-            part.unlink()
+            changed = [name for name, value in self._made_of.items() if was.get(name) != value]
+            other = "other options" if changed == ["options"] else f"another {' and '.join(changed) or 'input'}"
+            say(f"beginning anew: {other} than the parts in {self.folder} were made with")
+        self.clear()
         with replacing(manifest) as file:
             file.write(json.dumps(self._made_of, indent=1).encode())
         return self
@@ -88,6 +88,11 @@ class PartStore:
 
     def _path(self, number: int) -> Path:
         return self.folder / f"{number:06}.npz"
+
+    def clear(self) -> None:
+        """Remove all parts."""
+        for part in self._files():
+            part.unlink()
 
     def save(self, number: int, part: Prediction) -> None:
         """Keep a part; raises OSError for a full disk."""

@@ -15,7 +15,7 @@ from uplift.skeleton import Skeleton
 
 __all__ = ["Summary", "pose_summary"]
 
-Mean = tuple[float, float]
+Mean = tuple[float, int]
 """A mean, and the weight behind it; the weight 0 where nothing is known."""
 
 
@@ -107,7 +107,7 @@ def _alike(parts: Sequence[Sequence[str]]) -> list[str]:
         for kind, note in {re.sub(r"-?\d[\d,. ]*", "#", note): note for note in notes}.items():
             found.setdefault(kind, []).append(note)
     return [
-        notes[0] if len(set(notes)) == 1 else f"{notes[0]} (the like in {len(notes)} of {len(parts)} parts)"
+        notes[0] if len(set(notes)) == 1 else f"{notes[0]} (the first of {len(notes)} parts with the like)"
         for notes in found.values()
     ]
 

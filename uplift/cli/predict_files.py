@@ -11,7 +11,7 @@ from collections.abc import Iterator, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import ExitStack
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -29,7 +29,7 @@ from uplift.config.progress import is_quiet, quiet, say
 from uplift.config.run import Weights, read_weights
 from uplift.config.trust import Consent, granted
 from uplift.data.formats.deeplabcut_files import keypoint_files
-from uplift.errors import UserError
+from uplift.errors import UserError, listed
 from uplift.export import writer_for
 
 __all__ = ["predict_command"]
@@ -52,6 +52,8 @@ def predict_command(words: Sequence[str]) -> None:
 # One output of each input. Which they are:
 
 _USUAL = "*.npz"
+_WRITTEN = {"keypoints": "poses", "masks": "shapes"}
+_ITEMS = {"keypoints": "frames", "masks": "masks"}
 _MANIFEST = "predict.json"
 _MOST_NAMED = 3
 
@@ -86,7 +88,7 @@ def _patterns(keys: Keys, lifts: str) -> list[Path]:
         path = Path(output) if "*" in output else Path(output) / _USUAL
         if path.name.count("*") != 1 or "*" in str(path.parent):
             raise UserError(f"output={output}: expected one * in the name of the file, for the name of the input.")
-        writer_for(path.name.replace("*", "x"), keys.get("page") if path.suffix == ".html" else None, lifts)
+        writer_for(path.name.replace("*", "x"), keys.get("page") if path.suffix == ".html" else None, _WRITTEN[lifts])
         found.append(path)
     return found
 
@@ -137,6 +139,9 @@ def _stamp(file: Path) -> tuple[int, int]:
 
 # What was done, in ``predict.json``.
 
+_APART = ("run", "input", "output", "workers", "keypoints", "page")
+"""Words that poses do not depend on, or that are told by themselves."""
+
 
 class _Manifest:
     """What was made of which input, in the folder of the outputs; raises UserError where that was by other means."""
@@ -144,12 +149,11 @@ class _Manifest:
     def __init__(self, folder: Path, keys: Keys, weights: Weights):
         self.path = folder / _MANIFEST
         self._last, self._took = 0.0, 0.0
-        apart = ("run", "input", "output", "workers", "keypoints")
         self._facts = {
             "run": weights.run,
             "lifter": digest_of(weights.path),
-            "uplift": __version__,
-            "settings": {key: value for key, value in keys.items() if key not in apart},
+            "version": __version__,
+            "settings": {key: value for key, value in keys.items() if key not in _APART},
         }
         self.files: dict[str, dict[str, Any]] = {}
         if self.path.exists():
@@ -159,54 +163,71 @@ class _Manifest:
         try:
             before = json.loads(self.path.read_bytes())
             self.files = {entry["input"]: entry for entry in before["files"]}
-            facts = {name: before[name] for name in self._facts}
+            then = {name: before[name] for name in self._facts}
         except (ValueError, KeyError, TypeError):
             raise UserError(f"{self.path} is not what predict writes: remove it, or choose another folder.") from None
-        changed = [name for name, value in self._facts.items() if facts[name] != value and name != "run"]
-        if changed:
-            now, then = (self._shown(one[changed[0]]) for one in (self._facts, facts))
-            raise UserError(
-                f"{self.path.parent} holds what another command made: its {changed[0]} was {then}, and is {now} now. Choose "
-                "another folder, or remove this one."
-            )
+        for name, now in self._facts.items():
+            if now != then[name] and name != "run":
+                raise UserError(
+                    f"{self.path.parent}: the poses in it were made with another value of '{name}': {_shown(then[name])} "
+                    f"then, {_shown(now)} now. Choose another folder, or remove this one."
+                )
 
-    @staticmethod
-    def _shown(value: Any) -> str:
-        words = [f"{key}={text}" for key, text in value.items()] if isinstance(value, dict) else [str(value)[:12]]
-        return " ".join(words) or "the usual"
-
-    def has(self, job: _Job) -> bool:
-        """Return whether all outputs of a job are there; raises UserError where its input has changed since."""
-        entry = self.files.get(job.name, {"error": "none"})
-        made = [self.path.parent / name for name in entry.get("outputs", ())]
-        if (
-            entry["error"] is not None
-            or entry["asked"] != self._names(job.outputs)
-            or not all(one.exists() for one in made)
-        ):
-            return False
+    def missing(self, job: _Job) -> _Job | None:
+        """Return what is left to do of a job, None where all is there; raises UserError where its input has changed since."""
+        entry = self.files.get(job.name)
+        if entry is None or entry["error"] is not None:
+            return job
+        folder = self.path.parent
+        made = {
+            asked: files for asked, files in entry["outputs"].items() if all((folder / one).exists() for one in files)
+        }
+        left = tuple(one for one in job.outputs if self._name(one) not in made)
+        if left and len(left) == len(job.outputs):
+            return job
         if tuple(entry["stamp"]) != job.stamp:
-            raise UserError(f"{job.input} has changed since {made[0]} was made of it: remove that to make it anew.")
-        return True
+            raise UserError(
+                f"{job.input} has changed since {folder / next(iter(made))} was made of it: remove that first."
+            )
+        return replace(job, outputs=left) if left else None
 
     def add(self, job: _Job, entry: dict[str, Any]) -> None:
         """Note what came of a job, and write it down unless that takes longer than the work."""
-        entry["outputs"] = self._names(entry["outputs"])
-        self.files[job.name] = {"input": job.name, "asked": self._names(job.outputs), "stamp": job.stamp, **entry}
+        before = self.files.get(job.name, {}).get("outputs", {})
+        made = {self._name(one): [self._name(file) for file in files] for one, files in entry["outputs"].items()}
+        self.files[job.name] = {"input": job.name, "stamp": job.stamp, **entry, "outputs": before | made}
         if time.monotonic() - self._last > 20 * self._took:
             self.write()
 
-    def _names(self, paths: Sequence[str]) -> list[str]:
-        return [Path(os.path.relpath(path, self.path.parent)).as_posix() for path in paths]
+    def _name(self, path: str) -> str:
+        return Path(os.path.relpath(path, self.path.parent)).as_posix()
 
     def write(self) -> None:
         """Write all that is known."""
         start = time.monotonic()
         files = [self.files[name] for name in sorted(self.files)]
         with replacing(self.path) as file:
-            file.write(json.dumps({**self._facts, "files": files}, indent=1).encode("utf-8", "backslashreplace"))
+            file.write(json.dumps({**self._facts, "files": files}, indent=1).encode())
         self._last = time.monotonic()
         self._took = self._last - start
+
+
+def _shown(value: Any) -> str:
+    """Return a fact of a command for a message."""
+    words = [f"{key}={text}" for key, text in value.items()] if isinstance(value, dict) else [str(value)[:12]]
+    return " ".join(words) or "the usual"
+
+
+def _made_for(output: str, files: Sequence[Path]) -> list[str]:
+    """Return those of the files that were written for an output: itself, or one for each clip, body or item."""
+    path = Path(output)
+    ending = "".join(path.suffixes)
+    stem = path.name.removesuffix(ending) + "_"
+    return [
+        str(one)
+        for one in files
+        if one == path or (one.parent == path.parent and one.name.startswith(stem) and one.name.endswith(path.suffix))
+    ]
 
 
 # One after the other, or several at a time.
@@ -247,8 +268,7 @@ def _do(jobs: list[_Job], manifest: _Manifest, keys: Keys, weights: Weights) -> 
     failed, todo = {}, []
     for job in jobs:
         try:
-            if not manifest.has(job):
-                todo.append(job)
+            todo += filter(None, [manifest.missing(job)])
         except UserError as error:
             failed[job.name] = str(error)
     if len(todo) + len(failed) < len(jobs):
@@ -258,7 +278,7 @@ def _do(jobs: list[_Job], manifest: _Manifest, keys: Keys, weights: Weights) -> 
         for job, entry in _results(todo, keys, weights):
             manifest.add(job, entry)
             done += 1
-            say("\n".join(_told(f"{done}/{len(todo)} {job.name}", entry)))
+            say("\n".join(_told(f"{done}/{len(todo)} {job.name}", entry, _ITEMS[weights.lifts])))
             if entry["error"] is not None:
                 failed[job.name] = entry["error"]
     finally:
@@ -266,21 +286,18 @@ def _do(jobs: list[_Job], manifest: _Manifest, keys: Keys, weights: Weights) -> 
     return failed
 
 
-def _told(which: str, entry: dict[str, Any]) -> list[str]:
+def _told(which: str, entry: dict[str, Any], items: str) -> list[str]:
     """Return what is printed of an input."""
     if entry["error"] is not None:
         return [f"{which}: FAILED: {one_line(entry['error'])}"]
-    outputs = entry["outputs"]
-    files = ", ".join(outputs[:_MOST_NAMED]) + (
-        f" and {len(outputs) - _MOST_NAMED} more" if len(outputs) > _MOST_NAMED else ""
-    )
     warnings = [f"{which}: {note}" for note in entry["notes"] if "WARNING" in note]
-    return [f"{which}: {entry['frames']:,} frames, {entry['seconds']:.1f} s -> {files}", *warnings]
+    files = listed([file for made in entry["outputs"].values() for file in made], _MOST_NAMED)
+    return [f"{which}: {entry['frames']:,} {items}, {entry['seconds']:.1f} s -> {files}", *warnings]
 
 
 def _results(jobs: list[_Job], keys: Keys, weights: Weights) -> Iterator[tuple[_Job, dict[str, Any]]]:
     """Yield each job with what came of it, as they are done."""
-    workers = min(keys.value("workers") or _cores(), len(jobs))
+    workers = min(keys.value("workers") or _usual_workers(), len(jobs))
     if workers < 2:
         yield from ((job, _lift(keys, job, weights)) for job in jobs)
         return
@@ -299,9 +316,15 @@ def _results(jobs: list[_Job], keys: Keys, weights: Weights) -> Iterator[tuple[_
             raise
 
 
-def _cores() -> int:
-    """Return how many cores this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+_WORKER_BYTES = 2e9
+"""Memory of a worker at most, about."""
+
+
+def _usual_workers() -> int:
+    """Return how many cores this process may use, or fewer where there is little memory."""
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    memory = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
+    return max(1, min(cores, int(memory // _WORKER_BYTES)))
 
 
 _STACK = ExitStack()
@@ -322,11 +345,12 @@ def _lift(keys: Keys, job: _Job, weights: Weights | None = None) -> dict[str, An
     """Lift one input and return what came of it, as plain data; no error goes further."""
     start = time.monotonic()
     words = {**keys, "input": job.input, **({} if job.keypoints is None else {"keypoints": job.keypoints})}
-    entry: dict[str, Any] = {"outputs": [], "frames": 0, "notes": [], "error": None}
+    entry: dict[str, Any] = {"outputs": {}, "frames": 0, "notes": [], "error": None}
     try:
         alone = Keys("predict", {key: value for key, value in words.items() if key != "workers"})
         done = predict_keys(alone, weights or read_weights(keys["run"]), job.outputs)
-        entry |= {"outputs": list(map(str, done.files)), "frames": done.frames, "notes": done.notes}
+        made = {output: _made_for(output, list(done.files)) for output in job.outputs}
+        entry |= {"outputs": made, "frames": done.frames, "notes": done.notes}
     except Exception as error:
         entry["error"] = told(error, [f"{key}={value}" for key, value in words.items()])[0]
     return {**entry, "seconds": round(time.monotonic() - start, 2)}
@@ -337,4 +361,4 @@ def _result(future: Future[dict[str, Any]]) -> dict[str, Any]:
         return future.result()
     except BrokenProcessPool:
         why = "its process was ended from outside, perhaps as memory ran out: workers=1 takes the least"
-        return {"outputs": [], "frames": 0, "notes": [], "error": why, "seconds": 0.0}
+        return {"outputs": {}, "frames": 0, "notes": [], "error": why, "seconds": 0.0}

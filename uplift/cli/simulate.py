@@ -8,14 +8,15 @@ from typing import Any
 
 import numpy as np
 
-from uplift.cli.parsing import keyed
-from uplift.config.files import refuse_output
-from uplift.config.progress import say
+from uplift.cli.parsing import Keys, keyed
+from uplift.cli.verbs import VERBS
+from uplift.config.files import building, refuse_output
+from uplift.config.progress import progress, say
 from uplift.data.poses import PoseData
 from uplift.errors import UserError, nearest
 from uplift.skeleton import Skeleton, load_skeleton
 
-__all__ = ["simulate", "simulate_command"]
+__all__ = ["simulate", "simulate_command", "simulate_shards"]
 
 _ENDINGS = (".npz", ".csv")
 _TRACKERS = ("deeplabcut",)
@@ -62,10 +63,34 @@ def simulate(
     return data
 
 
+def simulate_shards(
+    skeleton: str | Path | Skeleton, output: str | Path, *, frames: int, seed: int = 0, **options: Any
+) -> int:
+    """Simulate any number of frames part by part, write them with the exact poses as shards, and return how many these are.
+
+    ``options`` are those of `uplift.data.synthetic.simulate`. The frames are others than `simulate` makes of the seed.
+
+    Raises:
+        UserError: a skeleton without proportions, an output that exists.
+    """
+    from uplift.data.formats.shards import write_shards
+    from uplift.data.synthetic.simulate import simulate_parts
+
+    output = Path(output)
+    refuse_output(output)
+    chosen = skeleton if isinstance(skeleton, Skeleton) else load_skeleton(skeleton)
+    with building(output) as folder:
+        parts = progress(simulate_parts(chosen, frames, seed, **options), "parts simulated")
+        return len(write_shards(parts, folder)["shards"])
+
+
 def simulate_command(words: Sequence[str]) -> None:
     """Simulate, write, and print what was done."""
     keys = keyed("simulate", words)
     given = keys.given("frames", "seed", "clip_seconds", "noise_px", "missing", "tracker", "csv_safe")
+    if not Path(keys["output"]).suffix:
+        _shards_command(keys, given)
+        return
     written: list[Path] = []
     data = simulate(keys["skeleton"], keys["output"], written=written, **given)
     output = Path(keys["output"])
@@ -76,10 +101,23 @@ def simulate_command(words: Sequence[str]) -> None:
     say(f"next: uplift fit skeleton={keys['skeleton']} data.train={train}")
 
 
+def _shards_command(keys: Keys, given: dict[str, Any]) -> None:
+    for key in ("tracker", "csv_safe"):
+        if given.pop(key, None):
+            raise UserError(f"output={keys['output']} is a folder of shards; {key}= goes with output=FILE.csv.")
+    frames = given.pop("frames", VERBS["simulate"].settings["frames"].default)
+    shards = simulate_shards(keys["skeleton"], keys["output"], frames=frames, **given)
+    count = f"{shards:,} shard{'s' * (shards > 1)}"
+    say(f"simulated {frames:,} frames of {keys['skeleton']}\nwrote {keys['output']}: {count}")
+    say(f"next: uplift fit skeleton={keys['skeleton']} data.train={keys['output']}")
+
+
 def _checked(output: Path, tracker: str | None) -> Path:
     ending = output.suffix.lower()
     if ending not in _ENDINGS:
-        raise UserError(f"output={output}: simulated data is written as {' or '.join(_ENDINGS)}.")
+        raise UserError(
+            f"output={output}: simulated data is written as {' or '.join(_ENDINGS)}, or as a folder of shards (no ending)."
+        )
     if tracker is not None and tracker not in _TRACKERS:
         raise UserError(f"tracker={tracker}: expected {' or '.join(_TRACKERS)}.{nearest(tracker, _TRACKERS)}")
     if tracker is not None and ending != ".csv":

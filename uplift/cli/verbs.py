@@ -212,8 +212,9 @@ _COMPARE = _table(
 )
 SIMULATE = _table(
     _key("skeleton", str, NEEDED, "a shipped name, or a YAML file; it must say how the body is built"),
-    _key("output", str, NEEDED, "new file: .npz with the true poses, .csv with the 2D alone"),
-    _key("frames", int, 20000, "frames", 1, 10**7),
+    _key("output", str, NEEDED, "new file: .npz with the true poses, .csv with the 2D alone; or new folder: shards with the true "
+         "poses, for any number of frames"),
+    _key("frames", int, 20000, "frames", 1, 10**10),
     _key("seed", int, 0, "seed of everything random", *_SEED_LIMITS),
     _key("clip_seconds", float, 3.0, "length of a clip, seconds", 1e-9, 1e9),
     _key("noise_px", float, 0.0, "noise of the keypoints, standard deviation in pixels", 0, 1e9),
@@ -279,6 +280,19 @@ _RENDER = _table(
          choices=("x", "y", "z", "-x", "-y", "-z")),
 )  # fmt: skip
 
+_SHARD = _table(
+    _key("output", str, NEEDED, "new folder"),
+    _key("dtype", str, "float32", "float16 halves the folder; joints are off by a 2048th of the body's size at most",
+         choices=("float32", "float16")),
+    _key("frames", int, 250_000, "frames of a shard at most, where no clip is longer", 1, _MOST_ITEMS),
+    _key("skeleton", Optional[str], None, "a shipped name, or a YAML file, whose joints are kept; unset: those of the files, "
+         "which must be the same"),
+    _key("workers", Optional[int], None, "processes that read files; unset: one for each core, where files are many", 1, 1024),
+    *READ_KEYS.values(),
+    *(all_settings()[f"data.{name}"]._replace(only=None) for name in ("name", "root", "options")),
+    *_TRUST.values(),
+)  # fmt: skip
+
 # fit, and the verbs themselves.
 
 _FIT_WORDS = _table(
@@ -317,7 +331,7 @@ VERBS = {
     ),
     "simulate": Verb(
         "simulated bodies with exact poses",
-        ("simulate skeleton=NAME output=FILE.npz|.csv",),
+        ("simulate skeleton=NAME output=FILE.npz|.csv|FOLDER",),
         settings=SIMULATE,
     ),
     "compare": Verb(
@@ -356,6 +370,12 @@ VERBS = {
         ("data render MESHES ... output=FILE.npz|FOLDER",),
         {"MESHES": "files of meshes, folders of them, or one family of simulated shapes such as chairs"},
         _RENDER,
+    ),
+    "data shard": Verb(
+        "keypoints of many files as one folder, read bit by bit",
+        ("data shard FILES ... output=FOLDER",),
+        {"FILES": "files or folders of keypoints in any format, patterns with *, splits of published sets as SET:SPLIT, or shards"},
+        _SHARD,
     ),
     "tasks": Verb("the shipped tasks, and whether their data is there", ("tasks",)),
     "skeletons": Verb("the shipped skeletons", ("skeletons",)),

@@ -15,13 +15,13 @@ import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import IO, Any, BinaryIO
 
 from uplift.errors import UserError
 
 __all__ = [
-    "Existing", "absolute", "as_bytes", "beside", "building", "cache_folder", "clear_parts", "data_root", "files_of", "holds_run", "inside", "names_from", "read_torch",
-    "refuse_existing", "refuse_output", "refuse_special", "replacing", "replacing_by_name", "save_torch", "shipped",
+    "Existing", "absolute", "as_bytes", "building", "cache_folder", "clear_parts", "data_root", "files_of", "holds_run", "inside", "names_from", "read_torch",
+    "refuse_existing", "refuse_output", "refuse_special", "replacing", "replacing_by_name", "save_torch", "scratch", "shipped",
     "shipped_names", "without_folders",
 ]  # fmt: skip
 
@@ -265,15 +265,9 @@ def building(path: str | Path) -> Iterator[Path]:
         raise
 
 
-@contextmanager
-def beside(path: str | Path) -> Iterator[Path]:
-    """Make a temporary folder beside ``path``, for what memory cannot hold while ``path`` is made, and remove it at the end."""
-    temporary = _part_of(_real(path))
-    temporary.mkdir()
-    try:
-        yield temporary
-    finally:
-        shutil.rmtree(temporary, ignore_errors=True)
+def scratch(path: str | Path) -> IO[bytes]:
+    """Open a nameless file in the folder of ``path``, for what memory cannot hold while ``path`` is made; closed, it is gone."""
+    return tempfile.TemporaryFile(dir=_real(path).parent)
 
 
 def _real(path: str | Path) -> Path:

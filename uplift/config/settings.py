@@ -118,6 +118,14 @@ class DataSettings:
     rotate: int = _setting(
         0, "degrees clockwise that put turned images upright: 0, 90, 180 or 270", low=0, high=270, only="keypoints"
     )
+    buffer: int = _setting(
+        500_000,
+        "frames of shards (uplift data shard) that are in memory at a time, where there are more; others take their "
+        "place as training goes on",
+        low=64,
+        high=10**9,
+        only="keypoints",
+    )
     simulate: int = _setting(0, "frames, or masks, to simulate instead of reading a file", low=0, high=10**7)
     family: str = _setting("chairs", "family of synthetic shapes whose masks are simulated", only="masks")
     side: int = _setting(64, "pixels along a mask's crop", low=MIN_SIDE, high=MAX_SIDE, only="masks")

@@ -12,6 +12,7 @@ import numpy as np
 
 from uplift.data.clean_masks import resample
 from uplift.data.masks import MaskData
+from uplift.data.names import Names
 from uplift.data.poses import IDENTITY_KEYS, PoseData
 from uplift.errors import UserError
 from uplift.geometry.lens import Lens
@@ -85,7 +86,7 @@ def _files(parts: Sequence[PoseData]) -> str:
     return f"{len(parts)} files, {Path(parts[0].source).name} to {Path(parts[-1].source).name}"
 
 
-def _identity(parts: Sequence[PoseData]) -> dict[str, np.ndarray]:
+def _identity(parts: Sequence[PoseData]) -> dict[str, Any]:
     keys = [key for key in IDENTITY_KEYS if any(key in part.identity for part in parts)]
     stills = all("image" in part.identity and "sequence" not in part.identity for part in parts)
     if not stills and "sequence" not in keys:
@@ -96,7 +97,7 @@ def _identity(parts: Sequence[PoseData]) -> dict[str, np.ndarray]:
     return {key: joined_columns(values) for key, values in columns.items()}
 
 
-def _column(part: PoseData, key: str) -> np.ndarray:
+def _column(part: PoseData, key: str) -> Any:
     if key in part.identity:
         return part.identity[key]
     if key == "frame":
@@ -104,21 +105,23 @@ def _column(part: PoseData, key: str) -> np.ndarray:
     return np.full(len(part), Path(part.source).stem if key == "sequence" and "image" not in part.identity else "")
 
 
-def _distinct(names: list[np.ndarray], parts: Sequence[PoseData]) -> list[np.ndarray]:
+def _distinct(names: list[Any], parts: Sequence[PoseData]) -> list[Any]:
     """Return the names of sequences with the file's before those that another file has too."""
     found = [set(map(str, np.unique(values))) - {""} for values in names]
     shared = {name for one, own in enumerate(found) for name in own if any(name in o for o in found[:one])}
     if not shared:
         return names
-    texts = [(part.source, values.astype(str)) for values, part in zip(names, parts, strict=True)]
-    return [np.where(np.isin(t, list(shared)), np.char.add(f"{source}: ", t), t) for source, t in texts]
+    apart = []
+    for part, values in zip(parts, map(Names.of, names), strict=True):
+        longer = np.char.add(f"{part.source}: ", values.names)
+        apart.append(Names(values.codes, np.where(np.isin(values.names, list(shared)), longer, values.names)))
+    return apart
 
 
-def joined_columns(values: Sequence[np.ndarray]) -> np.ndarray:
+def joined_columns(values: Sequence[Any]) -> np.ndarray | Names:
     """Return what frames are of, of several parts, as one column: text where any is text."""
-    if any(value.dtype.kind not in "iuf" for value in values):
-        values = [value.astype(str) for value in values]
-    return np.concatenate(values)
+    text = any(value.dtype.kind not in "iuf" for value in values)
+    return Names.concat(values) if text else np.concatenate(values)
 
 
 def concat_masks(parts: Sequence[MaskData]) -> MaskData:

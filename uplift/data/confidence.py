@@ -12,7 +12,7 @@ from uplift.data.clean import MIN_VISIBLE, fill_root
 from uplift.data.poses import PoseData
 from uplift.skeleton import Skeleton
 
-__all__ = ["calibrated"]
+__all__ = ["Calibration", "calibrated"]
 
 _HALF_ERROR = 0.05
 """Expected error, in mean 2D radii, of a keypoint of confidence 0.5."""
@@ -37,18 +37,21 @@ _MEAN_OVER_RMS = np.sqrt(np.pi) / 2
 """Of the length of a Gaussian error in the plane."""
 
 
-def calibrated(data: PoseData, skeleton: Skeleton, settings: LifterSettings) -> PoseData:
+def calibrated(
+    data: PoseData, skeleton: Skeleton, settings: LifterSettings, calibration: Calibration | None = None
+) -> PoseData:
     """Return cleaned ``data`` with confidences on a scale of its own errors, unless ``settings`` take those of the file.
 
     1 is exact, 0.5 off by 5 % of the body (`_HALF_ERROR`). Only the order of the confidences counts, so every strictly
     increasing rescaling of them gives the same. Keypoints with an expected error of more than `_HIDDEN`, and those that
-    jump by more and back, are missing where enough others are seen: a lifter fills them in better.
+    jump by more and back, are missing where enough others are seen: a lifter fills them in better. ``calibration`` is
+    that of other frames, of which these are more.
     """
     if settings.confidence == "given":
         return data
     seen = data.confidence > 0
     found = _Accelerations.of(data, seen)
-    confidence = _confidence(data.confidence, seen, found)
+    confidence = (calibration or _calibration(data, seen, found))(data.confidence, seen)
     sure = (confidence >= _HALF_ERROR / (_HALF_ERROR + _HIDDEN)) & ~found.jumps()
     hidden = seen & ~sure & (sure.sum(1, keepdims=True) >= MIN_VISIBLE)
     if not hidden.any():
@@ -58,10 +61,38 @@ def calibrated(data: PoseData, skeleton: Skeleton, settings: LifterSettings) -> 
     return replace(data, keypoints=keypoints, confidence=confidence, root_filled=filled)
 
 
-def _confidence(
-    confidence: Float[np.ndarray, "frames joints"], seen: Bool[np.ndarray, "frames joints"], found: _Accelerations
-) -> Float[np.ndarray, "frames joints"]:
-    """Return the confidence by each rank's expected error, from how far keypoints jump in time.
+@dataclass(frozen=True)
+class Calibration:
+    """What each rank of the confidences of some frames is worth."""
+
+    values: Float[np.ndarray, " keypoints"]
+    """The confidences of all seen keypoints, sorted."""
+    ranks: Float[np.ndarray, " bins"]
+    errors: Float[np.ndarray, " bins"]
+    """Expected error at each of the ranks, in mean 2D radii; none where confidences say nothing."""
+
+    @classmethod
+    def of(cls, data: PoseData) -> Calibration:
+        """Return that of cleaned ``data``."""
+        seen = data.confidence > 0
+        return _calibration(data, seen, _Accelerations.of(data, seen))
+
+    def __call__(
+        self, confidence: Float[np.ndarray, "frames joints"], seen: Bool[np.ndarray, "frames joints"]
+    ) -> Float[np.ndarray, "frames joints"]:
+        """Return confidences by the expected error of their rank."""
+        if not len(self.errors):
+            return seen.astype(np.float32)
+        error = np.interp(_rank(confidence, self.values), self.ranks, self.errors)
+        return np.where(seen, _HALF_ERROR / (_HALF_ERROR + error), 0).astype(np.float32)
+
+
+def _rank(confidence: Float[np.ndarray, "*shape"], values: Float[np.ndarray, " keypoints"]) -> np.ndarray:
+    return (np.searchsorted(values, confidence, side="right") + _PRIOR_VALUES) / (len(values) + _PRIOR_VALUES)
+
+
+def _calibration(data: PoseData, seen: Bool[np.ndarray, "frames joints"], found: _Accelerations) -> Calibration:
+    """Return what confidences are worth, from how far keypoints jump in time.
 
     The errors are the maximum of the likelihood of all second differences in time, if keypoints have Gaussian errors of a
     variance by rank, and joints Gaussian accelerations of a variance by joint: variance components of exponential variables
@@ -71,17 +102,15 @@ def _confidence(
     are in a typical detector. Equal confidences, and those of a few frames, say nothing: keypoints then are exact (1) or
     missing (0).
     """
-    values = np.sort(confidence[seen])
-    rank = (np.searchsorted(values, confidence, side="right") + _PRIOR_VALUES) / (len(values) + _PRIOR_VALUES)
-    centres, bin_of = _bins(rank, seen)
+    values = np.sort(data.confidence[seen])
+    centres, bin_of = _bins(_rank(data.confidence, values), seen)
     if len(centres) == 1:
-        return seen.astype(np.float32)
+        return Calibration(values, np.zeros(0), np.zeros(0))
     prior = np.minimum(_PRIOR_ERROR * (1 / centres - 1), _MOST_ERROR) / _MEAN_OVER_RMS
     variance = _variances(_Observed.of(found, bin_of), seen.shape[1], np.maximum(prior, 1e-6) ** 2)
     counts = np.bincount(bin_of[seen], minlength=len(centres))
     error = _MEAN_OVER_RMS * np.sqrt(_not_increasing(variance, counts))
-    error = np.interp(rank, centres, np.minimum(error, _MOST_ERROR))
-    return np.where(seen, _HALF_ERROR / (_HALF_ERROR + error), 0).astype(np.float32)
+    return Calibration(values, centres, np.minimum(error, _MOST_ERROR))
 
 
 def _bins(

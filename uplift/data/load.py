@@ -11,19 +11,19 @@ from typing import TypeVar
 
 from uplift.config.files import data_root, files_of, shipped_names
 from uplift.config.loading import read_task, task_path
-from uplift.config.progress import progress
 from uplift.config.settings import DataSettings, Settings
 from uplift.data.clean import MIN_VISIBLE, clean
 from uplift.data.concat import concat_poses
 from uplift.data.datasets import DATA_SETS, DataSet, WantedFile, data_set, read_cached
 from uplift.data.far import without_far
-from uplift.data.formats import KEYPOINT_FORMATS, MASK_FORMATS, read, with_options
+from uplift.data.formats import KEYPOINT_FORMATS, MASK_FORMATS, with_options
 from uplift.data.formats.base import ReadOptions, size_of
 from uplift.data.formats.deeplabcut_files import keypoint_files
 from uplift.data.individuals import by_individuals
 from uplift.data.joints import in_joints_of
 from uplift.data.masks import MaskData
 from uplift.data.poses import PoseData
+from uplift.data.reading import read_each
 from uplift.data.select import choice_of, chosen_rows
 from uplift.data.upright import upright_notes
 from uplift.errors import MissingFiles, UserError
@@ -31,7 +31,7 @@ from uplift.skeleton import Skeleton
 from uplift.skeleton.propose import TOO_LONG, stretch_of
 
 __all__ = [
-    "Loaded", "find_data", "format_of", "format_of_run", "how_to_get", "in_joints_of", "in_skeleton", "load_data", "load_file", "load_split",
+    "Loaded", "cleaned", "find_data", "format_of", "format_of_run", "how_to_get", "in_joints_of", "in_skeleton", "load_data", "load_file", "load_split",
     "named_set", "not_simulated", "of_labelled", "read_files", "read_options", "set_of", "with_labels_of", "with_test",
 ]  # fmt: skip
 
@@ -67,11 +67,11 @@ def load_data(settings: Settings, skeleton: Skeleton, load: Load[PoseData] | Non
     train, test = with_test(settings, load)
     train, more = with_labels_of(settings, train, load)
     notes = not_simulated(settings)
-    train = _cleaned("train", train, skeleton, notes)
+    train = cleaned("train", train, skeleton, notes)
     if train.labelled is not None:
         notes.append(f"labelled: {int(train.labelled.sum()):,} of these frames, in 3D")
-    more = None if more is None else _cleaned("labelled", more, skeleton, notes)
-    test = None if test is None else _cleaned("test", test, skeleton, notes)
+    more = None if more is None else cleaned("labelled", more, skeleton, notes)
+    test = None if test is None else cleaned("test", test, skeleton, notes)
     return Loaded(train, test, notes, more)
 
 
@@ -93,7 +93,8 @@ def _simulated(settings: Settings, which: str, skeleton: Skeleton) -> PoseData:
     return replace(simulate(skeleton, frames, seed=seed), source=source)
 
 
-def _cleaned(which: str, data: PoseData, skeleton: Skeleton, notes: list[str]) -> PoseData:
+def cleaned(which: str, data: PoseData, skeleton: Skeleton, notes: list[str]) -> PoseData:
+    """Return the cleaned ``train``, ``test`` or ``labelled`` frames, and add to the notes what was found."""
     data, report = clean(data, skeleton)
     notes += [f"{which}: {len(data):,} frames from {data.source}", *(f"{which}: {note}" for note in data.notes)]
     notes += report.lines()
@@ -297,8 +298,7 @@ def read_files(
     """
     words = [paths] if isinstance(paths, str | Path) else paths
     files, left_out = keypoint_files(list(dict.fromkeys(one for word in words for one in files_of(word))))
-    parts = (read(one, options) for one in progress(files, "reading files"))
-    return (without_far(by_individuals(part, skeleton)) for part in parts), left_out
+    return (without_far(by_individuals(part, skeleton)) for part in read_each(files, options)), left_out
 
 
 def format_of(data: DataSettings, path: str | Path) -> str | None:

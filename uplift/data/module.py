@@ -5,19 +5,21 @@ from __future__ import annotations
 from abc import abstractmethod
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import fields, replace
+from functools import partial
 from itertools import repeat
 from pathlib import Path
 from typing import Any, Generic, TypeVar
 
 import lightning as L
 import numpy as np
+import torch
 
 from uplift.config.files import absolute
 from uplift.config.loading import settings_from
 from uplift.config.settings import DataSettings, LifterSettings, Settings, ShapeSettings
 from uplift.config.trust import consents, granted
 from uplift.data.clean import clean
-from uplift.data.confidence import calibrated
+from uplift.data.confidence import Calibration, calibrated
 from uplift.data.datasets import DATA_SETS
 from uplift.data.far import without_far
 from uplift.data.formats import checked
@@ -28,6 +30,7 @@ from uplift.data.mask_tensors import MaskSet, to_mask_set
 from uplift.data.masks import MaskData
 from uplift.data.poses import PoseData
 from uplift.data.samples import Samples
+from uplift.data.stream import Resident, Streamed, load_training
 from uplift.data.tensors import TrainingSet, mean_bones, to_training_set, with_labels
 from uplift.errors import UserError, did_you_mean
 from uplift.skeleton import Skeleton, load_skeleton
@@ -143,14 +146,20 @@ class _Data(L.LightningDataModule, Generic[SamplesT, LoadedT]):
             samples: Any = loaded.train
             if len(samples) < 2:
                 raise UserError(f"val={share}: there is one sample to train on, and none to hold out.")
-            rows = self._split(samples, float(share))
-            note = f"val: {int(rows.sum()):,} of the training samples are held out"
-            loaded = replace(loaded, train=samples.select(~rows), notes=[*loaded.notes, note])  # type: ignore[type-var]
-            self._val = samples.select(rows)
+            loaded, held = self._hold_out(loaded, float(share))  # type: ignore[arg-type]
+            note = f"val: {len(held):,} of the training samples are held out"
+            loaded = replace(loaded, notes=[*loaded.notes, note])  # type: ignore[type-var]
+            self._val = held
         elif share is not None and not isinstance(share, (int, float)):
             self._val = self._read(share, "val")
             loaded = replace(loaded, notes=[*loaded.notes, f"val: {len(self._val):,} from {self._val.source}"])  # type: ignore[type-var, attr-defined]
         return self._for_training(loaded)  # type: ignore[arg-type]
+
+    def _hold_out(self, loaded: LoadedT, share: float) -> tuple[LoadedT, SamplesT]:
+        """Return what is left to train on without a ``share`` of the samples, and these."""
+        samples: Any = loaded.train
+        rows = self._split(samples, share)
+        return replace(loaded, train=samples.select(~rows)), samples.select(rows)  # type: ignore[type-var]
 
     def _read_given(self, which: str) -> SamplesT:
         with granted(self._consent):
@@ -160,6 +169,11 @@ class _Data(L.LightningDataModule, Generic[SamplesT, LoadedT]):
     def train_samples(self) -> SamplesT:
         """What is trained on."""
         return self._load_once().train  # type: ignore[return-value]
+
+    @property
+    def sample_count(self) -> int:
+        """How many samples there are to train on, in memory or not: an epoch."""
+        return len(self.train_samples)
 
     @property
     def val_samples(self) -> SamplesT | None:
@@ -189,7 +203,7 @@ class _Data(L.LightningDataModule, Generic[SamplesT, LoadedT]):
         """Return a loader of as many steps as an epoch has batches, each the number of samples to draw."""
         if self.endless:
             return repeat(self.batch_size)
-        return _Steps(self.batch_size, max(1, -(-len(self.train_samples) // self.batch_size)))
+        return _Steps(self.batch_size, max(1, -(-self.sample_count // self.batch_size)))
 
     def val_dataloader(self) -> Iterable[SamplesT]:
         """Return the validation samples as one batch, as figures need complete clips; nothing without any."""
@@ -285,8 +299,7 @@ class KeypointData(_Data[PoseData, Loaded]):
             that needs none where it does not.
         test: files, data or arrays to test on, with true poses.
         predict: files, data or arrays to lift; those of ``test`` by default.
-        batch_size: frames that a step draws at random, on several ranks all of them together. An epoch has as many draws
-            as there are frames.
+        return _Steps(self.batch_size, max(1, -(-self.sample_count // self.batch_size)))
         labelled: share of the training frames whose true poses may be learned from, or the settings
             ``data.labelled`` by name; None: training from 2D alone.
         seed: of the splits and the simulator.
@@ -339,11 +352,43 @@ class KeypointData(_Data[PoseData, Loaded]):
         key = (*(getattr(settings, name) for name in used), settings.confidence == "given")
         if key not in self._frames:
             loaded = self._load_once()
-            files = [part for part in (loaded.train, loaded.more) if part is not None]
-            files = [calibrated(part, self.skeleton, settings) for part in files]
-            parts = [with_labels(to_training_set(part, self.skeleton, settings), part) for part in files]
+            parts = [self._converted(part, settings) for part in (loaded.train, loaded.more) if part is not None]
             self._frames[key] = parts[0] if len(parts) == 1 else TrainingSet.concat(parts)
         return self._frames[key]
+
+    def _converted(
+        self, part: PoseData, settings: LifterSettings, calibration: Calibration | None = None
+    ) -> TrainingSet:
+        part = calibrated(part, self.skeleton, settings, calibration)
+        return with_labels(to_training_set(part, self.skeleton, settings), part)
+
+    def resident(self, settings: LifterSettings, device: torch.device, *, batch: int, step: int) -> Resident | None:
+        """Return the frames that training draws from where these change as it goes on (shards larger than memory).
+
+        Args:
+            settings: units and camera of the frames.
+            device: where they are.
+            batch: frames that a step draws.
+            step: the first step; the frames are those that an uninterrupted training has then.
+
+        None where all frames are in memory.
+        """
+        loaded = self._load_once()
+        if not isinstance(loaded, Streamed) or loaded.stream is None:
+            return None
+        calibration = None if settings.confidence == "given" else Calibration.of(loaded.train)
+        more = None if loaded.more is None else self._converted(loaded.more, settings)
+        convert = partial(self._converted, settings=settings, calibration=calibration)
+        return Resident(loaded.stream, convert, more=more, device=device, batch=batch, step=step)
+
+    @property
+    def sample_count(self) -> int:
+        """How many frames there are to train on, in memory or not."""
+        loaded = self._load_once()
+        return loaded.stream.frames if isinstance(loaded, Streamed) and loaded.stream else len(loaded.train)
+
+    def _hold_out(self, loaded: Loaded, share: float) -> tuple[Loaded, PoseData]:
+        return loaded.with_held_out(share) if isinstance(loaded, Streamed) else super()._hold_out(loaded, share)
 
     def bone_mm(self, settings: LifterSettings):
         """Return the mean length of each bone of the labelled bodies (bones,), mm; None where it is not known."""
@@ -352,7 +397,7 @@ class KeypointData(_Data[PoseData, Loaded]):
     def _load(self) -> Loaded:
         train = self.given["train"]
         if isinstance(train, (str, Path, int)):
-            return load_data(self.settings, self.skeleton)
+            return load_training(self.settings, self.skeleton)
         poses = self._in_joints(train)
 
         def load(settings: Settings, which: str) -> PoseData:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from jaxtyping import Bool, Float, Int, Shaped, UInt8
 
+from uplift.data.names import Names, codes_of
 from uplift.data.samples import TRUTH, Samples
 from uplift.errors import UserError
 from uplift.geometry.lens import Lens
@@ -22,7 +23,6 @@ __all__ = [
     "USUAL_FPS",
     "PoseData",
     "clips_of",
-    "codes_of",
     "mask_maps",
     "masks_of",
     "previous_frames",
@@ -33,13 +33,6 @@ USUAL_FPS = 30.0
 """Frames a second where the rate is not known."""
 
 IDENTITY_KEYS = ("subject", "action", "sequence", "camera", "frame", "instance", "image", "category")
-
-
-def codes_of(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return what ``np.unique(values, return_inverse=True)`` does, quickly where equal values stand together."""
-    starts = np.flatnonzero(np.concatenate([[True], values[1:] != values[:-1]])) if len(values) else np.zeros(0, int)
-    names, code = np.unique(values[starts], return_inverse=True)
-    return names, np.repeat(code, np.diff(np.append(starts, len(values))))
 
 
 def _runs_of(codes: np.ndarray) -> Iterator[tuple[int, slice | np.ndarray]]:
@@ -70,8 +63,8 @@ class PoseData(Samples):
     root: Float[np.ndarray, "frames 3"] | None = field(default=None, metadata=TRUTH)
     """The root joint in the camera frame, in `unit`."""
     unit: str = "mm"
-    identity: dict[str, Shaped[np.ndarray, " frames"]] = field(default_factory=dict)
-    """Any of `IDENTITY_KEYS`; one sequence seen by one camera is a clip."""
+    identity: dict[str, Any] = field(default_factory=dict)
+    """Any of `IDENTITY_KEYS`: arrays (frames,) of numbers, and text as `Names`; one sequence seen by one camera is a clip."""
     fps: float | None = None
     image_size: tuple[int, int] | None = None
     focal_px: float | None = None
@@ -106,8 +99,10 @@ class PoseData(Samples):
         where = f"{self.source}: " if self.source else ""
         self.keypoints = _numbers(where, "keypoints", self.keypoints)
         self.confidence = _numbers(where, "confidence", self.confidence)
-        if not all(isinstance(values, np.ndarray) for values in self.identity.values()):
+        if not all(isinstance(values, (np.ndarray, Names)) for values in self.identity.values()):
             self.identity = {key: _column(values, len(self.keypoints)) for key, values in self.identity.items()}
+        text = {key: Names.of(values) for key, values in self.identity.items() if values.dtype.kind == "U"}
+        self.identity = self.identity | text if text else self.identity
         _check_masks(self.source or "the data", self.masks, self.mask_box, len(self))
         wrong = self.misfit()
         if not wrong and len(self.joint_names) != self.keypoints.shape[1]:
@@ -215,14 +210,14 @@ def _numbers(where: str, name: str, values: Any) -> np.ndarray:
     return array.astype(np.float32)
 
 
-def _column(values: Any, frames: int) -> np.ndarray:
+def _column(values: Any, frames: int) -> Any:
     """Return values of frames as an array; one value holds for all of them."""
-    array = np.asarray(values)
+    array = values if isinstance(values, Names) else np.asarray(values)
     return np.repeat(array, frames) if array.ndim == 0 else array
 
 
 def clips_of(
-    identity: Mapping[str, np.ndarray], by: Sequence[str] = ("subject", "sequence", "camera", "instance")
+    identity: Mapping[str, Any], by: Sequence[str] = ("subject", "sequence", "camera", "instance")
 ) -> Int[np.ndarray, " frames"]:
     """Return clip numbers from 0 without gaps: one for all frames that are alike in what ``by`` names."""
     keys = [identity[key] for key in by if key in identity]
@@ -234,7 +229,7 @@ def clips_of(
 
 
 def previous_frames(
-    clip: Int[np.ndarray, " frames"], frame: Shaped[np.ndarray, " frames"] | None = None
+    clip: Int[np.ndarray, " frames"], frame: Shaped[np.ndarray, " frames"] | Names | None = None
 ) -> Int[np.ndarray, " frames"]:
     """Return the row of the frame before each in its clip, -1 without one.
 

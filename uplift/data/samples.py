@@ -9,6 +9,8 @@ from typing import Any, ClassVar, TypeVar
 
 import numpy as np
 
+from uplift.data.names import Names
+
 __all__ = ["SHARED", "TRUTH", "Samples"]
 
 SHARED = {"shared": True}
@@ -115,6 +117,10 @@ def _concat(values: list[Any], lengths: list[int]) -> Any:
         return [row for value in values for row in value]
     if isinstance(known, Samples):
         return known.concat(values)
+    if any(isinstance(value, Names) for value in values):
+        return Names.concat(
+            [np.full(rows, "") if value is None else value for value, rows in zip(values, lengths, strict=True)]
+        )
     values = [_blank(known, rows) if value is None else value for value, rows in zip(values, lengths, strict=True)]
     if isinstance(known, np.ndarray):
         return np.concatenate(values)

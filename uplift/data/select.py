@@ -10,7 +10,8 @@ from jaxtyping import Bool, Int, Shaped
 
 from uplift.config.settings import ChoiceSettings
 from uplift.data.masks import MaskData
-from uplift.data.poses import PoseData, codes_of
+from uplift.data.names import codes_of
+from uplift.data.poses import PoseData
 from uplift.errors import UserError, did_you_mean
 
 __all__ = ["choice_of", "chosen_clips", "chosen_rows", "chosen_shapes", "chosen_windows"]

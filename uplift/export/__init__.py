@@ -63,7 +63,11 @@ WRITERS = {
     "poses": {
         ".html": Writer("uplift.export.page:write_html", "a page to look at"),
         ".npz": Writer("uplift.export.tables:write_npz", "arrays, for Python", stream="uplift.export.tables:NpzStream"),
-        ".json": Writer("uplift.export.tables:write_json", "all of it as text, for any language"),
+        ".json": Writer(
+            "uplift.export.tables:write_json",
+            "all of it as text, for any language",
+            stream="uplift.export.tables:JsonStream",
+        ),
         ".csv": Writer(
             "uplift.export.tables:write_csv",
             "a table, one row a frame and body",
@@ -125,8 +129,16 @@ WRITERS = {
     },
 }
 MEASURES = {
-    "angles.csv": Writer("uplift.export.measures:write_angles_csv", "joint angles, a row a frame and body"),
-    "gait.csv": Writer("uplift.export.measures:write_gait_csv", "gait, a row a stride, with mean and sd"),
+    "angles.csv": Writer(
+        "uplift.export.measures:write_angles_csv",
+        "joint angles, a row a frame and body",
+        stream="uplift.export.measures:AnglesStream",
+    ),
+    "gait.csv": Writer(
+        "uplift.export.measures:write_gait_csv",
+        "gait, a row a stride, with mean and sd",
+        stream="uplift.export.measures:GaitStream",
+    ),
     ".mot": Writer("uplift.export.measures:write_mot", "joint angles, for OpenSim", holds="body"),
 }
 """What is measured of poses: by the ending, or by the last word of the name before it, as in ``walk_angles.csv``."""
@@ -357,7 +369,7 @@ def parts_of(prediction: Prediction, holds: str) -> tuple[list[Part], list[str]]
     parts: list[Part] = []
     ghosts: list[str] = []
     for clip in arrange(prediction.identity, len(prediction)):
-        rows, names = np.sort(clip.rows), clip.individual_names
+        rows, names = np.sort(clip.rows) if len(clip.rows) < len(prediction) else None, clip.individual_names
         if holds == "clip" or len(names) == 1:
             parts.append(Part(clip.name if holds == "clip" else f"{clip.name} {names[0]}".strip(), rows))
             continue

@@ -3,19 +3,21 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from typing import IO
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
-from uplift.config.files import as_bytes, replacing
-from uplift.data.parsers.mocap import Figure, Tree
+from uplift.config.files import as_bytes, replacing, scratch
+from uplift.data.parsers.mocap import Tree
 from uplift.errors import UserError
 from uplift.export.clips import frame_rate, one_body, seen_at, steps
 from uplift.export.scene import from_y_down, held, known_points
 from uplift.export.tables import unique
-from uplift.geometry.rigid import nearest_rotation
+from uplift.geometry.rigid import least_turn, nearest_rotation, nearest_rotations, quaternion_matrix
 from uplift.models.prediction import Prediction
 from uplift.skeleton import Skeleton
 from uplift.skeleton.draw import rest_pose
@@ -70,39 +72,51 @@ def write_bvh(
             f"{len(when):,} poses. Write each stretch of frames on its own, or a .glb."
         )
     rows = clip.rows[seen_at(when, np.arange(count, dtype=float))]
-    pose = known_points(prediction.pose[rows])
-    root = np.zeros((count, 1, 3)) if prediction.root is None else known_points(prediction.root[rows][:, None])
-    place = held(root[:, 0])
-    rig = _Rig(prediction, pose)
-    with replacing(path) as handle:
-        handle.write(as_bytes(_text(rig, place, 0.1 if prediction.unit == "mm" else 1.0, rate)))
-    gap = np.linalg.norm(rig.positions(place) - (pose + place[:, None])[:, rig.sources].transpose(1, 0, 2), axis=-1)
-    gap = gap[np.isfinite(gap)]
+    place = (
+        np.zeros((count, 3)) if prediction.root is None else held(known_points(prediction.root[rows][:, None])[:, 0])
+    )
+    with replacing(path) as handle, scratch(path) as turns:
+        rig = _Rig(_Body(prediction, rows), turns)
+        for text in _text(rig, place, 0.1 if prediction.unit == "mm" else 1.0, rate):
+            handle.write(as_bytes(text))
     added = tuple(name for name in rig.tree.names if name not in prediction.joint_names)
-    return _BvhFit(float(gap.max()), float(gap.mean()), prediction.unit, count, added)
+    return _BvhFit(rig.largest_error, rig.sum_of_errors / rig.errors, prediction.unit, count, added)
 
 
 def euler_zxy(rotation: Float[np.ndarray, "frames 3 3"]) -> Float[np.ndarray, "frames 3"]:
-    """Return degrees about z, x, y (each about the axes turned before it) that change little from frame to frame."""
+    """Return degrees about z, x, y (each about the axes turned before it) that change little from frame to frame.
+
+    A rotation has two triples of angles, and full turns more or less: of these the nearest to the frame before. Whether
+    it stays in the first or second kind of triple does not depend on which that was, so that kinds and full turns are sums
+    over the frames before.
+    """
     x = np.arcsin(np.clip(rotation[:, 2, 1], -1, 1))
     z = np.arctan2(-rotation[:, 0, 1], rotation[:, 1, 1])
     y = np.arctan2(-rotation[:, 2, 0], rotation[:, 2, 2])
-    angles = np.stack([z, x, y], 1)
     locked = np.hypot(rotation[:, 0, 1], rotation[:, 1, 1]) < 1e-6
-    sum_or_gap = np.arctan2(rotation[:, 1, 0], rotation[:, 0, 0])
-    for now in range(len(angles)):
-        if locked[now]:  # z and y turn about one axis: z stays
-            angles[now, 0] = angles[now - 1, 0] if now else 0.0
-            angles[now, 2] = np.sign(angles[now, 1]) * (sum_or_gap[now] - angles[now, 0])
-        if now:  # of the two triples for this rotation, and full turns more or less, the nearest to the frame before
-            z, x, y = angles[now]
-            triples = np.array([[z, x, y], [z + np.pi, np.pi - x, y + np.pi]])
-            triples += 2 * np.pi * np.round((angles[now - 1] - triples) / (2 * np.pi))
-            angles[now] = triples[np.abs(triples - angles[now - 1]).sum(1).argmin()]
+    if locked.any():  # z and y turn about one axis: z stays
+        last = np.maximum.accumulate(np.where(locked, -1, np.arange(len(z))))
+        z = np.where(last < 0, 0.0, z[last])
+        y = np.where(locked, np.sign(x) * (np.arctan2(rotation[:, 1, 0], rotation[:, 0, 0]) - z), y)
+    angles = np.stack([z, x, y], 1)
+    other = np.stack([z + np.pi, np.where(locked, x, np.pi - x), y + np.pi], 1)
+    near, far = (np.abs(_wrapped(kind[1:] - angles[:-1])).sum(1) for kind in (angles, other))
+    changes = np.cumsum((far < near) & ~locked[1:]) % 2 == 1
+    angles[1:][changes] = other[1:][changes]
+    angles[1:] += 2 * np.pi * np.cumsum(np.round((angles[:-1] - angles[1:]) / (2 * np.pi)), 0)
     return np.degrees(angles)
 
 
-def _text(rig: _Rig, place: np.ndarray, scale: float, rate: float) -> str:
+def _wrapped(angle: np.ndarray) -> np.ndarray:
+    """Return angles less the full turns in them."""
+    return angle - 2 * np.pi * np.round(angle / (2 * np.pi))
+
+
+_ROWS = 512
+
+
+def _text(rig: _Rig, place: np.ndarray, scale: float, rate: float) -> Iterator[str]:
+    """Yield the text of the file: the tree, then some frames at a time."""
     # White space and braces divide the words of the file.
     names = unique(re.sub(r"[\s{}]+", "_", name) or "_" for name in rig.tree.names)
     lines, depths = ["HIERARCHY"], [-1]
@@ -112,10 +126,12 @@ def _text(rig: _Rig, place: np.ndarray, scale: float, rate: float) -> str:
         lines += _joint_lines(rig, joint, names[joint], "  " * depth, scale)
         depths.append(depth)
     lines += [f"{'  ' * level}}}" for level in range(depths[-1], -1, -1)]
-    lines += ["MOTION", f"Frames: {len(place)}", f"Frame Time: {1 / rate:.8f}"]
-    values = np.concatenate([place * scale, *map(euler_zxy, rig.turned)], 1)
-    lines += [" ".join(f"{value:.5f}" for value in row) for row in values + 0.0]
-    return "\n".join([*lines, ""])
+    yield "\n".join([*lines, "MOTION", f"Frames: {len(place)}", f"Frame Time: {1 / rate:.8f}", ""])
+    template = " ".join(["%.5f"] * (3 + 3 * len(names))) + "\n"
+    for start in range(0, len(place), _ROWS):
+        part = slice(start, start + _ROWS)
+        values = np.concatenate([place[part] * scale, *rig.degrees(part)], 1) + 0.0
+        yield template * len(values) % tuple(values.ravel().tolist())
 
 
 def _joint_lines(rig: _Rig, joint: int, name: str, pad: str, scale: float) -> list[str]:
@@ -139,10 +155,11 @@ _FOLDED = 0.5
 """1 + cosine of the angle to the rest direction (120 degrees) below which the previous frame counts."""
 _TIP = 0.1
 _SETTLE = 8
+_BLOCK = 1 << 14
 
 
 class _Rig:
-    """The rig of a pose (relative to the root, NaN where not known): a tree in the prediction's unit, and its motion.
+    """The rig of a body: a tree in the prediction's unit, its motion, and how far its joints are from the body's.
 
     Bones have their median length. A joint with one child turns the least way from its parent's frame, as the
     twist about a bone cannot be seen; where the bone folds back on its rest direction, and the least way is
@@ -152,55 +169,69 @@ class _Rig:
     where a joint is nowhere known.
     """
 
-    def __init__(self, prediction: Prediction, pose: Float[np.ndarray, "frames joints 3"]):
-        self._directions, self._lengths = _bones(prediction, pose)
-        self._rest = _rest_directions(prediction, self._directions, self._lengths)
+    def __init__(self, body: _Body, turns: IO[bytes]):
+        prediction = body.prediction
+        self._body, self._turns, self._places = body, turns, []
+        self._rest = _rest_directions(body)
         self._settles = rest_pose(prediction.skeleton) is None
-        self._where = {name: place for place, name in enumerate(prediction.joint_names)}
         parents = prediction.skeleton.parents
         self._children: dict[str, list[str]] = {joint: [] for joint in parents}
         for joint in (name for name in prediction.joint_names if parents.get(name) is not None):
             self._children[str(parents[joint])].append(joint)
         self._joints: list[tuple[str, int, np.ndarray, np.ndarray]] = []
-        self.sources: list[int] = []
-        """The joint of the prediction that each joint of the rig sits on."""
-        self.turned: list[Float[np.ndarray, "frames 3 3"]] = []
-        """Of each joint in its parent's frame."""
-        self._add(prediction.skeleton.root, -1, np.zeros(3), np.tile(np.eye(3), (len(pose), 1, 1)))
+        self.largest_error, self.sum_of_errors, self.errors = 0.0, 0.0, 0
+        start = np.broadcast_to(np.eye(3), (len(body), 3, 3))
+        self._add(prediction.skeleton.root, -1, np.zeros(3), start, np.zeros((len(body), 3)))
         names, above, offsets, tips = zip(*self._joints, strict=True)
         self.tree = Tree(names, above, np.array(offsets), np.array(tips))
 
-    def positions(self, root: Float[np.ndarray, "frames 3"]) -> Float[np.ndarray, "joints frames 3"]:
-        return Figure.posed(self.tree, root, self.turned).positions
+    def degrees(self, frames: slice) -> Iterator[Float[np.ndarray, "frames 3"]]:
+        """Yield how each joint is turned in its parent's frame, about z, x, y: those of a long clip wait in a file."""
+        start, end, _ = frames.indices(len(self._body))
+        for place in self._places:
+            if place is None:
+                yield np.zeros((end - start, 3))
+            else:
+                self._turns.seek(place + 24 * start)
+                yield np.frombuffer(self._turns.read(24 * (end - start))).reshape(-1, 3)
 
-    def _add(self, joint: str, parent: int, offset: np.ndarray, frame: np.ndarray) -> None:
-        children, source = self._children[joint], self._where[joint]
+    def _add(self, joint: str, parent: int, offset: np.ndarray, frame: np.ndarray, at: np.ndarray) -> None:
+        """Add a joint ``at`` a place from the root in its parent's ``frame``, and what is below it."""
+        children = self._children[joint]
         turned = self._turned(children, frame) if children else frame
         tip = np.full(3, np.nan) if children else offset * _TIP
-        place = self._append((joint, parent, offset, tip), source, frame, turned)
+        place = self._append((joint, parent, offset, tip), joint, frame, turned, at)
         for child in children:
-            rest, directions, below, basis = self._rest[child], self._directions[child], place, turned
-            if np.nanmax(np.linalg.norm(turned @ rest - directions, axis=-1)) > _OWN_JOINT:
-                basis = turn_onto(rest[None], directions[:, None], turned)
+            rest, below, basis = self._rest[child], place, turned
+            if np.nanmax(_norm(turned @ rest - self._body.directions([child])[:, 0])) > _OWN_JOINT:
+                basis = turn_onto(rest[None], self._body.directions([child]), turned)
                 bare = f"{joint}_to_{child}", place, np.zeros(3), np.full(3, np.nan)
-                below = self._append(bare, source, turned, basis)
-            self._add(child, below, rest * self._lengths[child], basis)
+                below = self._append(bare, joint, turned, basis, at)
+            step = rest * self._body.lengths[child]
+            self._add(child, below, step, basis, at + basis @ step)
 
     def _turned(self, children: list[str], frame: np.ndarray) -> np.ndarray:
         """Turn a joint onto its children; without a rest pose these first settle at their mean in its frame."""
-        directions = np.stack([self._directions[child] for child in children], 1)
+        directions = self._body.directions(children)
         for _ in range(_SETTLE if self._settles and len(children) > 1 else 0):
             turned = turn_onto(np.stack([self._rest[child] for child in children]), directions, frame)
             for place, child in enumerate(children):
-                mean = np.nanmean(np.einsum("fji,fj->fi", turned, directions[:, place]), 0)
-                if (size := np.linalg.norm(mean)) > 0:
-                    self._rest[child] = mean / size
+                along = np.einsum("fji,fj->i", turned, np.nan_to_num(directions[:, place]))
+                if (size := np.linalg.norm(along)) > 0:
+                    self._rest[child] = along / size
         return turn_onto(np.stack([self._rest[child] for child in children]), directions, frame)
 
-    def _append(self, joint: tuple, source: int, frame: np.ndarray, turned: np.ndarray) -> int:
+    def _append(self, joint: tuple, source: str, frame: np.ndarray, turned: np.ndarray, at: np.ndarray) -> int:
+        """Add one joint of the file, which sits on the joint ``source`` of the body."""
         self._joints.append(joint)
-        self.sources.append(source)
-        self.turned.append(np.einsum("fji,fjk->fik", frame, turned))
+        still = turned is frame  # at the end of a limb
+        self._places.append(None if still else self._turns.tell())
+        if not still:
+            self._turns.write(euler_zxy(frame.transpose(0, 2, 1) @ turned).data)
+        gap = _norm(at - self._body.points(source))
+        gap = gap[np.isfinite(gap)]
+        self.largest_error = max(self.largest_error, float(gap.max(initial=0)))
+        self.sum_of_errors, self.errors = self.sum_of_errors + float(gap.sum()), self.errors + len(gap)
         return len(self._joints) - 1
 
 
@@ -210,40 +241,109 @@ def turn_onto(
     frame: Float[np.ndarray, "frames 3 3"],
 ) -> Float[np.ndarray, "frames 3 3"]:
     """Return rotations that bring ``rest`` onto ``directions``, what these leave open as ``frame`` has it."""
-    known = np.isfinite(np.sum(directions, axis=-1))
-    wanted = np.einsum("fki,kj->fij", np.where(known[..., None], directions, 0), rest)
-    trust = known.all(1).astype(float)
-    if len(rest) == 1:
-        unfolded = np.einsum("fi,fij,j->f", np.nan_to_num(directions[:, 0]), frame, rest[0])
-        trust *= np.clip((1 + unfolded) / _FOLDED, 0, 1)
-    turned, _ = nearest_rotation(wanted + _WEAK * frame)
-    trusted = np.flatnonzero(trust == 1)
-    before = frame[trusted[0]].T @ turned[trusted[0]] if len(trusted) else np.eye(3)
-    for now in np.flatnonzero(trust < 1):
-        before = frame[now - 1].T @ turned[now - 1] if now else before
-        leave = frame[now] @ (trust[now] * np.eye(3) + (1 - trust[now]) * before)
-        turned[now], _ = nearest_rotation(wanted[now] + _WEAK * leave)
+    turned, trust = np.empty(frame.shape), np.empty(len(frame))
+    for start in range(0, len(frame), _BLOCK):
+        part = slice(start, start + _BLOCK)
+        turned[part], trust[part] = _turned_onto(rest, directions[part], frame[part])
+    if (trust < 1).any():
+        _follow(turned, trust, rest, directions, frame)
     return turned
 
 
-def _bones(prediction: Prediction, pose: np.ndarray) -> tuple[dict[str, np.ndarray], dict[str, float]]:
-    """Return of every joint but the root the direction from its parent (frames 3), and the length."""
-    where = {name: place for place, name in enumerate(prediction.joint_names)}
-    directions, lengths = {}, {}
-    for joint, parent in prediction.skeleton.parents.items():
-        if parent is None:
-            continue
-        step = pose[:, where[joint]] - pose[:, where[parent]]
-        length = np.linalg.norm(step, axis=-1)
-        known = np.isfinite(length) & (length > 0)
+def _turned_onto(
+    rest: Float[np.ndarray, "children 3"],
+    directions: Float[np.ndarray, "frames children 3"],
+    frame: Float[np.ndarray, "frames 3 3"],
+) -> tuple[Float[np.ndarray, "frames 3 3"], Float[np.ndarray, " frames"]]:
+    """Return the rotations, each for itself, and how much each is trusted, from 0 to 1."""
+    known = np.isfinite(directions[..., 0])
+    directions = np.where(known[..., None], directions, 0)
+    trust = known.all(1).astype(float)
+    if len(rest) > 1:
+        return nearest_rotations(directions.transpose(0, 2, 1) @ rest + _WEAK * frame), trust
+    now, wanted = frame @ rest[0], directions[:, 0]
+    trust *= np.clip((1 + np.einsum("fi,fi->f", now, wanted)) / _FOLDED, 0, 1)
+    # What is nearest to wanted rest^T + _WEAK frame, nearly of rank 1, is a turn about the line across both directions.
+    wanted = wanted + 2 * _WEAK * now
+    return quaternion_matrix(least_turn(now, wanted / _norm(wanted)[:, None])) @ frame, trust
+
+
+def _follow(
+    turned: Float[np.ndarray, "frames 3 3"],
+    trust: Float[np.ndarray, " frames"],
+    rest: Float[np.ndarray, "children 3"],
+    directions: Float[np.ndarray, "frames children 3"],
+    frame: Float[np.ndarray, "frames 3 3"],
+) -> None:
+    """Turn frames that are trusted less than 1 as the one before leaves it open, and hold the last turn where nothing is seen.
+
+    Stretches of such frames depend on one frame before them each, and go side by side.
+    """
+    seen = np.isfinite(directions[..., 0]).any(1)
+    trusted = np.flatnonzero(trust == 1)
+    first = frame[trusted[0]].T @ turned[trusted[0]] if len(trusted) else np.eye(3)
+
+    def before(last: Int[np.ndarray, " some"]) -> Float[np.ndarray, "some 3 3"]:
+        return np.where((last < 0)[:, None, None], first, frame[last].transpose(0, 2, 1) @ turned[last])
+
+    rows = np.flatnonzero(seen)
+    sure = trust[rows] == 1
+    place = np.arange(len(rows))
+    since = place - np.maximum.accumulate(np.where(sure, place, -1))  # frames since the last sure one
+    order = np.argsort(since, kind="stable")[np.count_nonzero(sure) :]
+    for together in np.split(order, np.flatnonzero(np.diff(since[order])) + 1):
+        now, share = rows[together], trust[rows[together]][:, None, None]
+        leave = share * np.eye(3) + (1 - share) * before(np.where(together > 0, rows[together - 1], -1))
+        wanted = np.nan_to_num(directions[now]).transpose(0, 2, 1) @ rest
+        turned[now], _ = nearest_rotation(wanted + _WEAK * (frame[now] @ leave))
+    last = np.maximum.accumulate(np.where(seen, np.arange(len(seen)), -1))
+    turned[~seen] = frame[~seen] @ before(last[~seen])
+
+
+class _Body:
+    """The poses of some rows; directions are taken bone by bone, as those of a long clip are large."""
+
+    def __init__(self, prediction: Prediction, rows: Int[np.ndarray, " frames"]):
+        self.prediction = prediction
+        self._pose = prediction.pose if np.array_equal(rows, np.arange(len(prediction))) else prediction.pose[rows]
+        self._where = {name: place for place, name in enumerate(prediction.joint_names)}
+        self.parents = {joint: parent for joint, parent in prediction.skeleton.parents.items() if parent is not None}
+        self.lengths = {joint: self._length(joint) for joint in self.parents}
+        """Of the bone to every joint but the root."""
+
+    def __len__(self) -> int:
+        return len(self._pose)
+
+    def points(self, joint: str) -> Float[np.ndarray, "frames 3"]:
+        """Return where a joint is from the root, not finite where that is not known."""
+        return self._pose[:, self._where[joint]].astype(np.float64)
+
+    def directions(self, joints: Iterable[str], frames: slice = slice(None)) -> Float[np.ndarray, "frames joints 3"]:
+        """Return unit vectors to joints from their parents, NaN where one is not known."""
+        step, length = self._steps(joints, frames)
+        return step / length[..., None]
+
+    def _steps(self, joints: Iterable[str], frames: slice = slice(None)) -> tuple[np.ndarray, np.ndarray]:
+        """Return vectors to joints from their parents, and how long they are, NaN where that is not known or 0."""
+        pairs = [(self._where[joint], self._where[self.parents[joint]]) for joint in joints]
+        to, start = (self._pose[frames, list(places)].astype(np.float64) for places in zip(*pairs, strict=True))
+        to -= start
+        length = _norm(to)
+        return to, np.where((length > 0) & (length < np.inf), length, np.nan)
+
+    def _length(self, joint: str) -> float:
+        length = self._steps([joint])[1]
+        known = np.isfinite(length)
         if not known.any():
             raise UserError(
-                f"a .bvh holds complete bodies, but the bone from '{parent}' to '{joint}' is in no frame of this clip. "
-                "Leave the joint out of the skeleton, or write another format."
+                f"a .bvh holds complete bodies, but the bone from '{self.parents[joint]}' to '{joint}' is in no frame of "
+                "this clip. Leave the joint out of the skeleton, or write another format."
             )
-        lengths[joint] = float(np.median(length[known]))
-        directions[joint] = np.where(known[:, None], step / np.where(known, length, 1)[:, None], np.nan)
-    return directions, lengths
+        return float(np.median(length[known]))
+
+
+def _norm(vectors: Float[np.ndarray, "*any 3"]) -> Float[np.ndarray, "*any"]:
+    return np.sqrt(np.einsum("...i,...i->...", vectors, vectors))
 
 
 # The rest directions of a rig: the skeleton's rest pose, or the mean shape of the clip.
@@ -252,41 +352,46 @@ _ROUNDS = 3
 _SCATTERED = 0.3
 
 
-def _rest_directions(
-    prediction: Prediction, directions: dict[str, Float[np.ndarray, "frames 3"]], lengths: dict[str, float]
-) -> dict[str, Float[np.ndarray, "3"]]:
+def _rest_directions(body: _Body) -> dict[str, Float[np.ndarray, "3"]]:
     """Return the direction of every bone (by its child) in the rest pose, for a body that faces the viewer.
 
     Where the skeleton gives no rest pose it is the mean of the clip's frames, each turned onto the first.
     """
-    skeleton = prediction.skeleton
-    axes = from_y_down(prediction.axes)
+    skeleton = body.prediction.skeleton
+    axes = from_y_down(body.prediction.axes)
     pose = rest_pose(skeleton)
     if pose is None:
-        return _facing(skeleton, _mean_shape(directions), lengths, axes)
-    steps = {
-        joint: pose[skeleton.index(joint)] - pose[skeleton.index(parent)]
-        for joint, parent in skeleton.parents.items()
-        if parent is not None
-    }
+        return _facing(skeleton, _mean_shape(body), body.lengths, axes)
+    steps = {joint: pose[skeleton.index(joint)] - pose[skeleton.index(up)] for joint, up in body.parents.items()}
     return {joint: axes @ step / np.linalg.norm(step) for joint, step in steps.items()}
 
 
-def _mean_shape(directions: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+def _mean_shape(body: _Body) -> dict[str, np.ndarray]:
     """Return mean directions; those of the fullest frame for a bone that points everywhere."""
-    stacked = np.stack(list(directions.values()), 1)
-    known = np.isfinite(stacked.sum(-1))
-    first = int(np.argmax(known.sum(1)))
-    shape = np.where(known[first][:, None], stacked[first], 0)
-    filled, count = np.nan_to_num(stacked), np.maximum(known.sum(0), 1)[:, None]
+
+    def blocks() -> Iterator[np.ndarray]:
+        for start in range(0, len(body), _BLOCK):
+            yield body.directions(body.parents, slice(start, start + _BLOCK))
+
+    count, fullest = np.zeros(len(body.parents)), np.full((len(body.parents), 3), np.nan)
+    for block in blocks():
+        known = np.isfinite(block[..., 0])
+        best = int(np.argmax(known.sum(1)))
+        fullest = block[best] if known[best].sum() > np.isfinite(fullest).all(-1).sum() else fullest
+        count += known.sum(0)
+    full = np.isfinite(fullest).all(-1)
+    shape = np.where(full[:, None], fullest, 0)
     for _ in range(_ROUNDS):
-        turn, _ = nearest_rotation(np.einsum("bi,fbj->fij", shape, filled) + 1e-9 * np.eye(3))
-        mean = np.einsum("fij,fbj->bi", turn, filled) / count
-        scattered = np.linalg.norm(mean, axis=-1) < _SCATTERED
-        mean[scattered & known[first]] = stacked[first][scattered & known[first]]
+        mean = np.zeros(shape.shape)
+        for block in map(np.nan_to_num, blocks()):
+            turn = nearest_rotations(np.einsum("bi,fbj->fij", shape, block) + 1e-9 * np.eye(3))
+            mean += np.einsum("fij,fbj->bi", turn, block)
+        mean /= np.maximum(count, 1)[:, None]
+        scattered = (np.linalg.norm(mean, axis=-1) < _SCATTERED) & full
+        mean[scattered] = fullest[scattered]
         size = np.linalg.norm(mean, axis=-1, keepdims=True)
         shape = np.where(size > 1e-6, mean / np.maximum(size, 1e-6), [0.0, 1.0, 0.0])
-    return dict(zip(directions, shape, strict=True))
+    return dict(zip(body.parents, shape, strict=True))
 
 
 def _facing(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -14,7 +14,7 @@ from uplift.errors import UserError, listed
 from uplift.models.prediction import Prediction
 
 __all__ = [
-    "MOST_FILES", "Clip", "arrange", "evenly", "frame_rate", "one_body", "one_clip", "photos", "seen_at", "steps",
+    "MOST_FILES", "Clip", "arrange", "clip_names", "evenly", "frame_rate", "one_body", "one_clip", "photos", "seen_at", "steps",
     "titled",
 ]  # fmt: skip
 
@@ -38,8 +38,9 @@ class Clip:
     """The name for people: where a part of it is a number alone, it says of what."""
 
     def by_moment(self, values: np.ndarray) -> np.ndarray:
-        """Return values of all rows (rows ...) as (moments individuals ...), NaN where an individual is not there."""
-        found = np.full((len(self.frames), len(self.individual_names), *values.shape[1:]), np.nan)
+        """Return values of all rows (rows ...) as (moments individuals ...) floats, NaN where an individual is not there."""
+        shape = len(self.frames), len(self.individual_names), *values.shape[1:]
+        found = np.full(shape, np.nan, np.result_type(values, np.float32))
         found[self.moment, self.individual] = values[self.rows]
         return found
 
@@ -57,7 +58,7 @@ class Clip:
         return Clip(self.name, *parts, self.individual_names, self.frames[:moments], self.title)
 
 
-def arrange(identity: dict[str, np.ndarray], rows: int) -> list[Clip]:
+def arrange(identity: Mapping[str, Any], rows: int) -> list[Clip]:
     """Return the clips in the order of their first row, each sorted by individual, then time.
 
     Rows of one frame are drawn together only where an ``instance`` (``individual``, ``track``) tells
@@ -78,6 +79,16 @@ def arrange(identity: dict[str, np.ndarray], rows: int) -> list[Clip]:
     return [replace(clip, title=title) for clip, title in zip(clips, titles, strict=True)]
 
 
+def clip_names(firsts: Sequence[dict[str, np.ndarray]]) -> list[str]:
+    """Return the names that `arrange` gives clips which are together, of the identity of a row (1,) of each."""
+    names = [""] * len(firsts)
+    identity = {key: np.concatenate([one[key] for one in firsts]) for key in firsts[0]} if firsts else {}
+    for clip in arrange(identity, len(firsts)):
+        for row in clip.rows.tolist():
+            names[row] = clip.name
+    return names
+
+
 _WORDS = {"sequence": "clip", "instance": "individual"}
 
 
@@ -87,7 +98,7 @@ def titled(key: str, value: object) -> str:
     return f"{_WORDS.get(key, key)} {text}" if text.isdecimal() else text
 
 
-def photos(identity: dict[str, np.ndarray]) -> bool:
+def photos(identity: Mapping[str, Any]) -> bool:
     """Return whether the rows are seen in photos, not in the frames of a film."""
     return "image" in identity and not {"sequence", "frame"} & set(identity)
 

@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 import json
+import shutil
 import struct
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
-from uplift.config.files import replacing
+from uplift.config.files import replacing, scratch
 from uplift.data.poses import USUAL_FPS
-from uplift.export.clips import frame_rate, one_clip, steps
+from uplift.errors import UserError
+from uplift.export.clips import Clip, frame_rate, one_clip, steps
 from uplift.export.scene import SIDE_COLOURS, body_of, held, in_metres, known_points, linear, row_places
 from uplift.geometry.rigid import least_turn, quaternion_matrix, quaternion_product
 from uplift.models.prediction import Prediction
@@ -20,6 +23,8 @@ from uplift.models.prediction import Prediction
 __all__ = ["bone_rotations", "write_glb"]
 
 _JOINT_SHARE, _BONE_SHARE = 0.016, 0.008  # radii, as shares of the body
+_AT_ONCE = 1 << 18
+"""Turns of bones that are computed at once: many bones of a short clip, few of a long one."""
 
 
 def write_glb(prediction: Prediction, path: str | Path, fps: int | float | None = None) -> None:
@@ -32,7 +37,6 @@ def write_glb(prediction: Prediction, path: str | Path, fps: int | float | None 
     """
     clip = one_clip(prediction, path)
     rate = frame_rate(prediction, fps)
-    points = known_points(prediction.pose) + row_places(prediction, clip)[:, None]
     scale, body = in_metres(prediction)
     about = {
         "title": prediction.title or clip.name,
@@ -43,14 +47,34 @@ def write_glb(prediction: Prediction, path: str | Path, fps: int | float | None 
         "fps": rate or USUAL_FPS,
         "fps_assumed": rate is None,
     }
-    file = _Gltf(clip.name, about)
-    meshes = _meshes(file, body)
-    times = steps(clip) / (rate or USUAL_FPS)
-    moments = clip.by_moment(points * scale)
-    for number, name in enumerate(clip.individual_names):
-        _individual(file, prediction, name, moments[:, number], times, meshes)
-    with replacing(path) as handle:
-        handle.write(file.to_bytes())
+    roots = row_places(prediction, clip)
+    with replacing(path) as handle, scratch(path) as binary:
+        file = _Gltf(clip.name, about, binary)
+        meshes = _meshes(file, body)
+        times = steps(clip) / (rate or USUAL_FPS)
+        for name in clip.individual_names:
+            _individual(file, prediction, _Places(prediction.pose, roots, clip.only(name), scale), times, meshes)
+        if file.size >= _MOST:
+            raise UserError(
+                f"cannot write {path}: a .glb holds {_MOST / 2**30:.0f} GB, and these {len(clip.rows):,} poses take "
+                f"{file.size / 2**30:.1f}. Write shorter clips."
+            )
+        file.write(handle)
+
+
+@dataclass(frozen=True)
+class _Places:
+    """Where the joints of one individual are, taken joint by joint: those of a long clip are large."""
+
+    pose: Float[np.ndarray, "rows joints 3"]
+    roots: Float[np.ndarray, "rows 3"]
+    clip: Clip
+    scale: float
+
+    def at(self, joint: int) -> Float[np.ndarray, "moments 3"]:
+        """Return the places of a joint in metres, NaN where they are not known."""
+        points = known_points(self.pose[:, joint][:, None])[:, 0] + self.roots
+        return self.clip.by_moment(points * self.scale)[:, 0]
 
 
 def bone_rotations(directions: Float[np.ndarray, "frames bones 3"]) -> Float[np.ndarray, "frames bones 4"]:
@@ -58,15 +82,32 @@ def bone_rotations(directions: Float[np.ndarray, "frames bones 3"]) -> Float[np.
 
     So neighbours never change sign, and interpolation between two keys takes the shortest path. NaN stays as it was.
     """
-    turned = np.empty((*directions.shape[:2], 4))
-    now = np.tile([0.0, 0.0, 0.0, 1.0], (directions.shape[1], 1))
-    for frame, direction in enumerate(directions):
-        at = quaternion_matrix(now)[..., 1]
-        known = np.isfinite(np.sum(direction, axis=-1, keepdims=True))
-        now = quaternion_product(least_turn(at, np.where(known, direction, at)), now)
-        now /= np.linalg.norm(now, axis=-1, keepdims=True)
-        turned[frame] = now
-    return turned
+    known = np.isfinite(directions[..., 0] + directions[..., 1] + directions[..., 2])
+    last = np.maximum.accumulate(np.where(known, np.arange(len(known))[:, None], -1))
+    found = np.take_along_axis(directions, np.maximum(last, 0)[..., None], 0)
+    found[last < 0] = (0, 1, 0)
+    turned = _one_after_another(
+        least_turn(np.concatenate([np.broadcast_to([[[0.0, 1, 0]]], found[:1].shape), found[:-1]]), found)
+    )
+    # What was rounded in many products is made good.
+    turned = quaternion_product(least_turn(quaternion_matrix(turned)[..., 1], found), turned)
+    return turned / np.linalg.norm(turned, axis=-1, keepdims=True)
+
+
+def _one_after_another(turns: Float[np.ndarray, "frames bones 4"]) -> Float[np.ndarray, "frames bones 4"]:
+    """Return the product of each turn and all before it: within stretches side by side, then of whole stretches."""
+    frames = len(turns)
+    length = int(np.ceil(np.sqrt(frames)))
+    rest = np.broadcast_to([0.0, 0.0, 0.0, 1.0], (-frames % length, *turns.shape[1:]))
+    found = np.concatenate([turns, rest]).reshape(-1, length, *turns.shape[1:])
+    for place in range(1, length):
+        found[:, place] = quaternion_product(found[:, place], found[:, place - 1])
+    before = found[:, -1].copy()
+    for stretch in range(1, len(found)):
+        before[stretch] = quaternion_product(before[stretch], before[stretch - 1])
+    found[1:] = quaternion_product(found[1:], before[:-1, None])
+    found = found.reshape(-1, *turns.shape[1:])[:frames]
+    return found / np.linalg.norm(found, axis=-1, keepdims=True)
 
 
 def _meshes(file: _Gltf, size: float) -> tuple[list[int], list[int]]:
@@ -84,46 +125,54 @@ def _meshes(file: _Gltf, size: float) -> tuple[list[int], list[int]]:
     return joints, bones
 
 
-def _individual(
-    file: _Gltf, prediction: Prediction, name: str, points: np.ndarray, times: np.ndarray, meshes: tuple
-) -> None:
+def _individual(file: _Gltf, prediction: Prediction, places: _Places, times: np.ndarray, meshes: tuple) -> None:
     """Add an individual: joints below it, and each bone below the joint that it starts at."""
-    top = file.node(name or prediction.skeleton.name)
-    mark, (joint_meshes, bone_meshes) = f"{name}:" if name else "", meshes
+    name, (joint_meshes, bone_meshes) = places.clip.individual_names[0], meshes
+    top, mark = file.node(name or prediction.skeleton.name), f"{name}:" if name else ""
     bones, sides, bone_sides = body_of(prediction)
-    known = np.isfinite(np.sum(points, axis=-1))
     nodes = []
     for joint, label in enumerate(prediction.joint_names):
+        points = places.at(joint)
         nodes.append(file.node(mark + label, top, mesh=joint_meshes[sides[joint]]))
-        file.animate(nodes[-1], "translation", times, held(points[:, joint]))
-        if not known[:, joint].all():
-            shown = np.repeat(known[:, joint, None], 3, 1).astype(float)
-            file.animate(nodes[-1], "scale", times, shown, jumps=True)
-    step = points[:, bones[:, 1]] - points[:, bones[:, 0]]
+        file.animate(nodes[-1], "translation", times, held(points))
+        known = np.isfinite(points[:, 0])
+        if not known.all():
+            file.animate(nodes[-1], "scale", times, np.repeat(known[:, None], 3, 1), jumps=True)
+    together = max(1, _AT_ONCE // len(times))
+    for first in range(0, len(bones), together):
+        some = slice(first, first + together)
+        turned, length = _moved(places, bones[some])
+        for at, (bone, side) in enumerate(zip(bones[some].tolist(), bone_sides[some], strict=True)):
+            start, end = (prediction.joint_names[place] for place in bone)
+            node = file.node(f"{mark}{start}-{end}", nodes[bone[0]], mesh=bone_meshes[side])
+            file.animate(node, "rotation", times, turned[:, at])
+            there = (length[:, at] > 0)[:, None]
+            size = np.where(there, np.stack([np.ones(len(times)), length[:, at], np.ones(len(times))], 1), 0.0)
+            file.animate(node, "scale", times, size)
+
+
+def _moved(places: _Places, bones: Int[np.ndarray, "bones 2"]) -> tuple[np.ndarray, np.ndarray]:
+    """Return how bones are turned (frames bones 4), and how long they are (frames bones), NaN where that is not known."""
+    points = {joint: places.at(joint) for joint in set(bones.ravel().tolist())}
+    step = np.stack([points[end] - points[start] for start, end in bones.tolist()], 1)
     length = np.linalg.norm(step, axis=-1)
-    there = np.isfinite(length) & (length > 0)
-    turned = bone_rotations(np.where(there[..., None], step / np.where(there, length, 1)[..., None], np.nan))
-    for bone, side in enumerate(bone_sides):
-        start, end = (prediction.joint_names[place] for place in bones[bone])
-        node = file.node(f"{mark}{start}-{end}", nodes[bones[bone, 0]], mesh=bone_meshes[side])
-        file.animate(node, "rotation", times, turned[:, bone])
-        size = np.stack([np.ones(len(times)), length[:, bone], np.ones(len(times))], 1)
-        file.animate(node, "scale", times, np.where(there[:, bone, None], size, 0.0))
+    return bone_rotations(step / np.where(length > 0, length, np.nan)[..., None]), length
 
 
 # A binary glTF 2.0 file (``.glb``), built piece by piece: meshes, nodes and one animation.
 
+_MOST = 1 << 32
+"""Bytes of a file, whose length is a number of 32 bits."""
 _FLOAT, _USHORT, _UINT = 5126, 5123, 5125
 _VERTICES, _INDICES = 34962, 34963
 _KINDS = {1: "SCALAR", 3: "VEC3", 4: "VEC4"}
 
 
 class _Gltf:
-    """A glTF asset with one scene and one buffer, while it grows."""
+    """A glTF asset with one scene and one buffer, while it grows; the buffer does so in a file of its own."""
 
-    def __init__(self, name: str, about: dict[str, Any]):
-        self._parts: list[bytes] = []
-        self._size = 0
+    def __init__(self, name: str, about: dict[str, Any], binary: IO[bytes]):
+        self._binary, self.size = binary, 0
         kinds = ("nodes", "meshes", "materials", "samplers", "channels", "accessors", "bufferViews")
         self._lists: dict[str, list[dict[str, Any]]] = {kind: [] for kind in kinds}
         self._times: dict[bytes, int] = {}
@@ -175,7 +224,8 @@ class _Gltf:
         sampler = self._add("samplers", {**keys, "interpolation": "STEP" if jumps else "LINEAR"})
         self._add("channels", {"sampler": sampler, "target": {"node": node, "path": path}})
 
-    def to_bytes(self) -> bytes:
+    def write(self, handle: IO[bytes]) -> None:
+        """Write the file."""
         nodes = self._lists["nodes"]
         below = {child for node in nodes for child in node.get("children", [])}
         motion = {kind: self._lists[kind] for kind in ("samplers", "channels")}
@@ -186,23 +236,22 @@ class _Gltf:
             **{kind: self._lists[kind] for kind in ("nodes", "meshes", "materials")},
             "animations": [{"name": self._name, **motion}],
             **{kind: self._lists[kind] for kind in ("accessors", "bufferViews")},
-            "buffers": [{"byteLength": self._size}],
+            "buffers": [{"byteLength": self.size}],
         }
         text = json.dumps(asset, separators=(",", ":"), ensure_ascii=False).encode("utf-8", "replace")
         text += b" " * (-len(text) % 4)
-        binary = b"".join(self._parts)
-        head = struct.pack("<4sII", b"glTF", 2, 12 + 8 + len(text) + 8 + len(binary))
-        chunks = ((b"JSON", text), (b"BIN\0", binary))
-        return head + b"".join(struct.pack("<I4s", len(data), kind) + data for kind, data in chunks)
+        handle.write(struct.pack("<4sII", b"glTF", 2, 12 + 8 + len(text) + 8 + self.size))
+        handle.write(struct.pack("<I4s", len(text), b"JSON") + text + struct.pack("<I4s", self.size, b"BIN\0"))
+        self._binary.seek(0)
+        shutil.copyfileobj(self._binary, handle, 1 << 20)
 
     def _accessor(self, values: np.ndarray, code: int, target: int | None = None, bounds: bool = False) -> int:
         """Store rows of values in a view of their own, begun at a multiple of four bytes."""
-        data = np.ascontiguousarray(values).tobytes()
-        view = {"buffer": 0, "byteOffset": self._size, "byteLength": len(data)}
+        data = np.ascontiguousarray(values)
+        view = {"buffer": 0, "byteOffset": self.size, "byteLength": data.nbytes}
         place = self._add("bufferViews", view if target is None else {**view, "target": target})
-        padded = data + b"\0" * (-len(data) % 4)
-        self._parts.append(padded)
-        self._size += len(padded)
+        self._binary.write(data.data)
+        self.size += data.nbytes + self._binary.write(b"\0" * (-data.nbytes % 4))
         kind = {"componentType": code, "count": len(values), "type": _KINDS[values.shape[1]]}
         limits = {"min": values.min(0).tolist(), "max": values.max(0).tolist()} if bounds else {}
         return self._add("accessors", {"bufferView": place, **kind, **limits})

@@ -13,7 +13,7 @@ from uplift.config.files import replacing, replacing_by_name
 from uplift.errors import UserError
 from uplift.export.clips import evenly, frame_rate, one_body
 from uplift.export.scene import AXES, known_points
-from uplift.export.tables import filled_in, labels, numbers, unique
+from uplift.export.tables import labels, lines_of, unique
 from uplift.models.prediction import Prediction
 
 __all__ = ["Trial", "marker_names", "trial_of", "write_c3d", "write_trc"]
@@ -54,7 +54,7 @@ def trial_of(prediction: Prediction, path: str | Path, individual: str | None, k
     clip = one_body(prediction, path, individual)
     clip, start = evenly(clip, path)
     first, last = int(clip.moment.min()), int(clip.moment.max())
-    points = clip.by_moment(known_points(prediction.points))[first : last + 1, 0]
+    points = clip.by_moment(known_points(prediction.points, None))[first : last + 1, 0]
     return Trial(marker_names(prediction.joint_names), points, max(start + first, 0), rate)
 
 
@@ -77,12 +77,14 @@ def write_trc(prediction: Prediction, path: str | Path, individual: str | None =
     """
     trial = trial_of(prediction, path, individual, "TRC")
     # OpenSim drops an empty cell at the end of a line, so that every line of markers ends in a tab.
-    template = "\t".join(["%.5f"] * (3 * len(trial.names))) + "\t\n"
+    template = "\t".join(["%.0f", "%.6f", *["%.5f"] * (3 * len(trial.names))]) + "\t"
+    frames = trial.start + np.arange(len(trial.points))
     with replacing(path) as handle:
         handle.write(_head(trial, Path(path).name).encode())
         for start in range(0, len(trial.points), _ROWS):
-            for frame, row in enumerate(numbers(trial.points[start : start + _ROWS]), trial.start + start):
-                handle.write(f"{frame + 1}\t{frame / trial.fps:.6f}\t{filled_in(template, row, '')}".encode())
+            some = slice(start, start + _ROWS)
+            rows = lines_of(template, frames[some] + 1, frames[some] / trial.fps, trial.points[some])
+            handle.write(("\n".join(rows) + "\n").encode())
 
 
 def _head(trial: Trial, name: str) -> str:

@@ -3,24 +3,28 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from functools import partial
+from itertools import chain, repeat
 from pathlib import Path
 
 import numpy as np
 
-from uplift.biomechanics.angles import Angles, angles_of, joint_angles, no_angles
+from uplift.biomechanics.angles import angles_of, joint_angles, no_angles
 from uplift.biomechanics.gait import MEASURES, Gait, feet_of, gait_of, mean_of
 from uplift.config.files import as_bytes, replacing
 from uplift.errors import UserError, listed
-from uplift.export.clips import Clip, arrange, frame_rate, one_body, steps
+from uplift.export.clips import Clip, arrange, clip_names, frame_rate, one_body, steps
 from uplift.export.markers import marker_names
-from uplift.export.tables import cell, filled_in, numbers, plain
+from uplift.export.stream import Stream
+from uplift.export.tables import cell, lines_of, plain
 from uplift.models.prediction import Prediction
 from uplift.skeleton import Skeleton
 
-__all__ = ["check_skeleton", "write_angles_csv", "write_gait_csv", "write_mot"]
+__all__ = ["AnglesStream", "GaitStream", "check_skeleton", "write_angles_csv", "write_gait_csv", "write_mot"]
 
 _DEGREES = "%.6g"
+_ROWS = 2048
 
 
 def seconds(prediction: Prediction) -> np.ndarray | None:
@@ -55,35 +59,54 @@ def check_skeleton(skeleton: Skeleton, path: str | Path) -> None:
 # Joint angles.
 
 
+class AnglesStream(Stream):
+    """The table of `write_angles_csv`, part by part."""
+
+    of_clips = True
+
+    def __init__(self, path: str | Path, axes: str | None = None, *, csv_safe: bool = False):
+        super().__init__(path, axes)
+        self._written = partial(cell, safe=csv_safe)
+        self._measured: dict[str, bool] = {}
+
+    def write_part(self, prediction: Prediction, first: bool) -> None:
+        names, time = tuple(angles_of(prediction.skeleton)), seconds(prediction)
+        kinds = ["_deg"] if prediction.uncertainty is None else ["_deg", "_uncertainty_deg"]
+        columns = [f"{name}{kind}" for kind in kinds for name in names]
+        if first:
+            self._measured = dict.fromkeys(names, False)
+            head = [*prediction.identity, *([] if time is None else ["time_s"]), *columns]
+            self._handle.write(as_bytes(",".join(map(self._written, head)) + "\n"))
+        template = ",".join([_DEGREES] * len(columns))
+        for start in range(0, len(prediction), _ROWS):
+            some = slice(start, start + _ROWS)
+            self._write_rows(prediction.select(some), None if time is None else time[some], template)
+
+    def _write_rows(self, part: Prediction, time: np.ndarray | None, template: str) -> None:
+        found = joint_angles(part)
+        for name, known in zip(found.names, np.isfinite(found.values).any(0).tolist(), strict=True):
+            self._measured[name] |= known
+        arrays = [found.values] + ([] if found.uncertainty is None else [found.uncertainty])
+        keys = [[f"{self._written(value)}," for value in plain(values)] for values in part.identity.values()]
+        keys += [] if time is None else [[f"{at:.7g}," for at in time.tolist()]]
+        rows = zip(*keys, lines_of(template, *arrays), repeat("\n"), strict=False)
+        self._handle.write(as_bytes("".join(chain.from_iterable(rows))))
+
+    def finish(self) -> str:
+        never = [name for name, known in self._measured.items() if not known]
+        blank = f"; {listed(never, 4)} cannot be measured in any frame" if never else ""
+        return f"{len(self._measured)} joint angles, degrees{blank}"
+
+
 def write_angles_csv(prediction: Prediction, path: str | Path, *, csv_safe: bool = False) -> str:
     """Write a row for each frame and body: identity, time_s, every angle, then the error to expect of each; UTF-8, commas.
 
     ``NAME_deg`` are the angles of `uplift.biomechanics.angles.joint_angles`, ``NAME_uncertainty_deg`` are there where
     uncertainty is known. What cannot be measured is an empty cell. Raises UserError for a skeleton without angles.
     """
-    found, time = joint_angles(prediction), seconds(prediction)
-    arrays = [found.values] + ([] if found.uncertainty is None else [found.uncertainty])
-    head = [f"{name}_deg" for name in found.names]
-    head += [f"{name}_uncertainty_deg" for name in found.names] if found.uncertainty is not None else []
-    known = {} if time is None else {"time_s": np.char.mod("%.7g", time)}
-    written = partial(cell, safe=csv_safe)
-    labels = [
-        [written(value) for value in plain(values)] for values in (*prediction.identity.values(), *known.values())
-    ]
-    template = ",".join([_DEGREES] * len(head)) + "\n"
-    with replacing(path) as handle:
-        handle.write(as_bytes(",".join(map(written, [*prediction.identity, *known, *head])) + "\n"))
-        for *label, row in zip(*labels, numbers(*arrays), strict=True):
-            handle.write(as_bytes("".join(f"{text}," for text in label) + filled_in(template, row, "")))
-    return f"{len(found.names)} joint angles, degrees{_blank(found)}"
-
-
-def _blank(found: Angles) -> str:
-    """Return a remark on angles that no frame has."""
-    never = [name for name, values in zip(found.names, found.values.T, strict=True) if np.isnan(values).all()]
-    return (
-        f"; {', '.join(never[:4])}{', ...' if len(never) > 4 else ''} cannot be measured in any frame" if never else ""
-    )
+    with AnglesStream(path, csv_safe=csv_safe) as stream:
+        stream.append(prediction)
+    return stream.remark
 
 
 def write_mot(prediction: Prediction, path: str | Path, individual: str | None = None) -> str:
@@ -100,11 +123,16 @@ def write_mot(prediction: Prediction, path: str | Path, individual: str | None =
         raise UserError(
             f"{path}: a body is in one frame twice. Name what tells its rows apart ('instance' or 'sequence')."
         )
-    found = joint_angles(prediction.select(rows))
-    there = np.isfinite(found.values).any(1)
-    values, when = found.values[there], time[rows][there]
+    bare, names = (
+        replace(prediction, uncertainty=None),
+        list(angles_of(prediction.skeleton)),
+    )  # which it has no place for
+    parts = [rows[start : start + _ROWS] for start in range(0, len(rows), _ROWS)]
+    values = np.concatenate([joint_angles(bare.select(part)).values for part in parts])
+    there = np.isfinite(values).any(1)
+    values, when = values[there], time[rows][there]
     whole = np.asarray(np.isfinite(values).all(0))
-    named = [name for name, known in zip(found.names, whole, strict=True) if known]
+    named = [name for name, known in zip(names, whole, strict=True) if known]
     head = [
         Path(path).stem,
         "version=1",
@@ -113,13 +141,14 @@ def write_mot(prediction: Prediction, path: str | Path, individual: str | None =
         "inDegrees=yes",
         "endheader",
     ]
-    names = "\t".join(["time", *marker_names(named)])
-    template = "\t".join(["%.6f", *[_DEGREES] * len(named)]) + "\n"
+    columns = "\t".join(["time", *marker_names(named)])
+    template = "\t".join(["%.6f", *[_DEGREES] * len(named)])
     with replacing(path) as handle:
-        handle.write(("\n".join([*head, names]) + "\n").encode())
-        for row in numbers(when, values[:, whole]):
-            handle.write((template % row).encode())
-    lacking = [name for name in found.names if name not in named]
+        handle.write(("\n".join([*head, columns]) + "\n").encode())
+        for start in range(0, len(when), _ROWS):
+            rows = lines_of(template, when[start : start + _ROWS], values[start : start + _ROWS, whole])
+            handle.write(("\n".join(rows) + "\n").encode())
+    lacking = [name for name in names if name not in named]
     return f"{len(named)} joint angles, degrees" + (
         f"; without {listed(lacking, 4)}, which some frames lack" if lacking else ""
     )
@@ -131,6 +160,44 @@ _EVENTS = ("strike_s", "toe_off_s", "end_s")
 _OF_LENGTH = {"step_length": "step_length_mm", "stride_length": "stride_length_mm", "speed_per_s": "speed_m_per_s"}
 
 
+class GaitStream(Stream):
+    """The table of `write_gait_csv`, part by part: what clips are called is known at the end, when all are there."""
+
+    of_clips = True
+
+    def __init__(self, path: str | Path, axes: str | None = None, *, csv_safe: bool = False):
+        super().__init__(path, axes)
+        self._written = partial(cell, safe=csv_safe)
+        self._head, self._metric, self._walkers, self._reasons = "", False, 0, []
+        self._clips: list[tuple[dict[str, np.ndarray], str]] = []
+        """The identity of each clip's first row, and the lines of its bodies."""
+
+    def write_part(self, prediction: Prediction, first: bool) -> None:
+        time = _known_seconds(prediction, self.path, "gait")
+        feet_of(prediction.skeleton)
+        self._metric = prediction.unit == "mm"
+        measures = [name for name in MEASURES if self._metric or name not in _OF_LENGTH]
+        columns = [*_EVENTS, *(_OF_LENGTH.get(name, name) for name in measures)]
+        self._head = ",".join(["clip", "individual", "foot", "stride", *columns])
+        for clip in arrange(prediction.identity, len(prediction)):
+            lines = []
+            for who in clip.individual_names:
+                gait = _gait_of_body(prediction, clip.only(who), time)
+                self._walkers += bool(gait.strides)
+                self._reasons += [gait.why_not] if gait.why_not else []
+                lines += [",".join(map(self._written, [who, *row])) for row in _gait_rows(gait, measures)]
+            of = {key: values[[clip.rows.min()]] for key, values in prediction.identity.items()}
+            self._clips.append((of, "\n".join(lines)))
+
+    def finish(self) -> str:
+        self._handle.write(as_bytes(f"{self._head}\n"))
+        names = clip_names([of for of, _ in self._clips])
+        for name, (_, lines) in zip(names, self._clips, strict=True):
+            start = f"{self._written(name)},"
+            self._handle.write(as_bytes("".join(f"{start}{line}\n" for line in lines.split("\n") if line)))
+        return _gait_remark(self._walkers, self._reasons, self._metric)
+
+
 def write_gait_csv(prediction: Prediction, path: str | Path, *, csv_safe: bool = False) -> str:
     """Write a row for each stride of each foot, then mean and sd of each foot and of ``all``, and the asymmetry of pairs.
 
@@ -139,22 +206,9 @@ def write_gait_csv(prediction: Prediction, path: str | Path, *, csv_safe: bool =
     there for poses in mm alone. A file without walking has a header and no rows. Raises UserError without a frame rate,
     and for a skeleton without contacts, gravity or facing.
     """
-    time = _known_seconds(prediction, path, "gait")
-    feet_of(prediction.skeleton)
-    metric = prediction.unit == "mm"
-    measures = [name for name in MEASURES if metric or name not in _OF_LENGTH]
-    written = partial(cell, safe=csv_safe)
-    head = ["clip", "individual", "foot", "stride", *_EVENTS, *(_OF_LENGTH.get(name, name) for name in measures)]
-    lines, walkers, reasons = [head], 0, []
-    for clip in arrange(prediction.identity, len(prediction)):
-        for who in clip.individual_names:
-            gait = _gait_of_body(prediction, clip.only(who), time)
-            walkers += bool(gait.strides)
-            reasons += [gait.why_not] if gait.why_not else []
-            lines += [[clip.name, who, *row] for row in _gait_rows(gait, measures)]
-    with replacing(path) as handle:
-        handle.write(as_bytes("".join(",".join(map(written, line)) + "\n" for line in lines)))
-    return _gait_remark(walkers, reasons, metric)
+    with GaitStream(path, csv_safe=csv_safe) as stream:
+        stream.append(prediction)
+    return stream.remark
 
 
 def _gait_remark(walkers: int, reasons: list[str], metric: bool) -> str:

@@ -126,7 +126,7 @@ def _page_data(prediction: Prediction, moments: int, video: str | Path | None) -
 
 def choose(clips: Sequence[Clip], moments: int, rows: int) -> list[Clip]:
     """Return complete clips, evenly chosen, with at most so many moments and rows; a lone long clip is cut."""
-    for count in range(len(clips), 0, -1):
+    for count in range(min(len(clips), moments, rows), 0, -1):  # a clip has a frame at least
         picked = [clips[index] for index in np.linspace(0, len(clips) - 1, count).round().astype(int)]
         if sum(len(clip.frames) for clip in picked) <= moments and sum(len(clip.rows) for clip in picked) <= rows:
             return picked

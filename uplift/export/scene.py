@@ -16,6 +16,7 @@ from uplift.models.prediction import Prediction
 from uplift.skeleton.core import bone_sides, joint_sides
 
 __all__ = [
+    "AS_SEEN",
     "AXES",
     "FROM_LEVEL",
     "SIDE_COLOURS",
@@ -72,7 +73,8 @@ AXES = {
 }
 """The names `in_axes` knows and what they mean; all but unity are right-handed. Left stays left, in Unity too."""
 
-_AS_SEEN = ("camera", "opencv")
+AS_SEEN = ("camera", "opencv")
+"""Axes of the camera itself."""
 FROM_LEVEL = {
     "level": [[1, 0, 0], [0, 1, 0], [0, 0, 1]],
     "blender": [[1, 0, 0], [0, 0, 1], [0, -1, 0]],
@@ -80,6 +82,7 @@ FROM_LEVEL = {
     "unity": [[1, 0, 0], [0, -1, 0], [0, 0, 1]],
 }
 """From the level frame to the axes of other programs: rotations, and a mirror image for left-handed ones."""
+_BLOCK = 1 << 14
 _AGREES = 1e-3  # share of a body's size by which its level pose may differ from what the tilt says
 
 
@@ -91,7 +94,7 @@ def in_axes(prediction: Prediction, name: str) -> Prediction:
     for a prediction that is not in the camera's axes any more.
     """
     rotation = rotations_to(prediction, name)
-    if name in _AS_SEEN:
+    if name in AS_SEEN:
         return replace(prediction, axes=name)
     rotation = rotation.astype(np.result_type(prediction.pose, np.float32))
     pose, hypotheses = prediction.pose @ rotation.transpose(0, 2, 1), prediction.hypotheses
@@ -117,12 +120,13 @@ def rotations_to(prediction: Prediction, name: str) -> Float[np.ndarray, "frames
     """
     if name not in AXES:
         raise UserError(f"axes={name}: no such axes.{did_you_mean(name, AXES)}")
-    if prediction.axes not in _AS_SEEN:
+    if prediction.axes not in AS_SEEN:
         raise ValueError(f"prediction: in the axes '{prediction.axes}', expected the camera's: turn to axes only once")
-    if name in _AS_SEEN or not prediction.skeleton.gravity:
+    if name in AS_SEEN or not prediction.skeleton.gravity:
         level = np.broadcast_to(np.eye(3), (len(prediction), 3, 3))
     else:
-        gravity = _steady(_gravities(prediction), prediction)
+        parts = (slice(start, start + _BLOCK) for start in range(0, max(len(prediction), 1), _BLOCK))
+        gravity = _steady(np.concatenate([_gravities(prediction.select(part)) for part in parts]), prediction)
         level = quaternion_matrix(least_turn(gravity, np.array([0.0, 1.0, 0.0])))
         level[gravity[:, 1] < -1 + 1e-12] = np.diag([-1.0, -1.0, 1.0])  # a camera upside down: a half turn in the image
     return np.array(FROM_LEVEL.get(name, FROM_LEVEL["level"]), float) @ level
@@ -242,9 +246,11 @@ def beside(
     return place, place * [1.0, 0.0, 0.0]
 
 
-def known_points(pose: Float[np.ndarray, "frames joints 3"]) -> Float[np.ndarray, "frames joints 3"]:
-    """Return the pose in float64 with all coordinates of a joint NaN where one is not finite."""
-    pose = np.array(pose, np.float64)
+def known_points(
+    pose: Float[np.ndarray, "frames joints 3"], kind: type | None = np.float64
+) -> Float[np.ndarray, "frames joints 3"]:
+    """Return the pose as ``kind`` (None: as it is) with all coordinates of a joint NaN where one is not finite."""
+    pose = np.array(pose, kind)
     pose[~np.isfinite(pose).all(-1)] = np.nan
     return pose
 
@@ -257,10 +263,12 @@ def in_metres(prediction: Prediction) -> tuple[float, float]:
 
     The size of a body is the median over frames of the largest side of its box, 1 of the unit where there is none.
     """
-    pose = known_points(prediction.pose)
-    known = np.isfinite(pose)
-    sides = np.where(known, pose, -np.inf).max(1) - np.where(known, pose, np.inf).min(1)
-    largest = sides.max(-1)
+    largest = np.empty(len(prediction))
+    for start in range(0, len(prediction), _BLOCK):
+        pose = known_points(prediction.pose[start : start + _BLOCK])
+        known = np.isfinite(pose)
+        sides = np.where(known, pose, -np.inf).max(1) - np.where(known, pose, np.inf).min(1)
+        largest[start : start + _BLOCK] = sides.max(-1)
     usable = largest[np.isfinite(largest) & (largest > 0)]
     body = float(np.median(usable)) if len(usable) else 1.0
     scale = 0.001 if prediction.unit == "mm" else _PERSON_M / body

@@ -14,7 +14,7 @@ import numpy as np
 from uplift.config.files import replacing
 from uplift.data.samples import Samples
 from uplift.errors import UserError, listed
-from uplift.export.scene import in_axes
+from uplift.export.scene import AS_SEEN, in_axes
 from uplift.models.prediction import Prediction
 
 __all__ = ["Stream"]
@@ -24,17 +24,21 @@ class Stream(ABC):
     """Base of the formats that can append: predictions go in one after the other, and the file appears with `close`.
 
     A context manager that closes at the end. Whatever goes wrong before (in `append`, too) removes what was written and
-    leaves what was at ``path`` untouched. Parts are whole clips, all with the same joints, unit, axes and frame rate; an
-    array that a prediction may have is in all parts or in none. The file is the one that `uplift.export.write` makes of
-    one prediction with the rows of all parts. ``axes`` are what every part is turned to; unset, a part stays as it is.
+    leaves what was at ``path`` untouched. All parts have the same joints, unit, axes and frame rate, and whole clips where
+    `of_clips` says so; an array that a prediction may have is in all parts or in none. The file is the one that
+    `uplift.export.write` makes of one prediction with the rows of all parts. ``axes`` are what every part is turned to
+    (a clip as a whole, by its gravity); unset, a part stays as it is.
     """
 
     alike: ClassVar[tuple[str, ...]] = ("joint_names", "unit", "axes", "fps")
     """What is the same in all parts."""
+    of_clips: bool = False
+    """Whether what is written of a frame depends on its whole clip: then no clip may be cut into several parts."""
 
     def __init__(self, path: str | Path, axes: str | None = None):
         self.path, self.remark = path, ""
         self._axes = axes
+        self.of_clips |= axes not in (None, *AS_SEEN)
         self._parts, self._complete = 0, False
         self._expected: dict[str, object] = {}
         self._stack = ExitStack()

@@ -7,22 +7,22 @@ import math
 import re
 import zipfile
 from collections.abc import Callable, Iterable, Iterator
-from contextlib import ExitStack
 from functools import partial
+from itertools import chain, repeat
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from jaxtyping import Float
 
-from uplift.config.files import as_bytes, beside, replacing
+from uplift.config.files import as_bytes, scratch
 from uplift.data.parsers.table import safe_cell
 from uplift.export.scene import AXES
 from uplift.export.stream import Stream
 from uplift.models.prediction import Prediction
 
 __all__ = [
-    "CsvStream", "NpzStream", "cell", "filled_in", "labels", "numbers", "plain", "unique", "write_csv", "write_json",
+    "CsvStream", "JsonStream", "NpzStream", "cell", "in_parts", "labels", "lines_of", "plain", "unique", "write_csv", "write_json",
     "write_npz",
 ]  # fmt: skip
 
@@ -33,7 +33,7 @@ _NUMBER = {"place": "%.7g", "px": "%.6g", "share": "%.4g"}
 _ROWS = 256
 
 
-def plain(values: np.ndarray) -> list[Any]:
+def plain(values: Any) -> list[Any]:
     """Return numbers and texts as Python has them, None for what is not finite; anything else as its text."""
     found = []
     for value in np.asarray(values).tolist():
@@ -51,23 +51,21 @@ def _seen_keypoints(prediction: Prediction) -> Float[np.ndarray, "frames joints 
     return np.where(seen[..., None], prediction.keypoints, np.nan)
 
 
-def _parts(prediction: Prediction) -> Iterator[Prediction]:
+def in_parts(prediction: Prediction, rows: int = _ROWS) -> Iterator[Prediction]:
     """Yield the frames in parts small enough to be held as text."""
-    for start in range(0, len(prediction), _ROWS):
-        yield prediction.select(np.arange(start, min(start + _ROWS, len(prediction))))
+    for start in range(0, len(prediction), rows):
+        yield prediction.select(slice(start, start + rows))
 
 
-def numbers(*columns: np.ndarray) -> list[tuple[float, ...]]:
-    """Return the numbers of each frame out of arrays (frames ...), in their order; what is not finite is NaN."""
+def lines_of(template: str, *columns: np.ndarray, missing: str = "") -> list[str]:
+    """Return ``template`` with the numbers of each frame in their places, out of arrays (frames ...) in their order.
+
+    ``missing`` stands for what is not finite. The template has no line ends.
+    """
     rows = np.concatenate([column.reshape(len(column), -1).astype(np.float64) for column in columns], 1)
     rows = np.where(np.isfinite(rows), rows, np.nan) + 0.0  # + 0.0: -0 is written 0
-    return list(map(tuple, rows.tolist()))
-
-
-def filled_in(template: str, row: tuple[float, ...], missing: str) -> str:
-    """Return ``template`` with the numbers of ``row`` in their places, ``missing`` where one is NaN."""
-    text = template % row
-    return text.replace("nan", missing) if "nan" in text else text
+    text = (template + "\n") * len(rows) % tuple(rows.ravel().tolist())
+    return (text.replace("nan", missing) if "nan" in text else text).split("\n")[:-1]
 
 
 def unique(names: Iterable[str], same: Callable[[str], str] = str) -> list[str]:
@@ -113,13 +111,12 @@ class CsvStream(Stream):
                 twice = sorted({name for name in names if names.count(name) > 1})
                 raise ValueError(f"prediction: several columns would be called {', '.join(twice)}")
             self._handle.write(as_bytes(",".join(map(written, names)) + "\n"))
-        template = ",".join(style for _, style in columns) + "\n"
+        template = ",".join(style for _, style in columns)
         known = ",".join(map(written, facts.values())) + ","
-        for part in _parts(prediction):
-            keys = [[written(value) for value in plain(values)] for values in part.identity.values()]
-            labels = zip(*keys, strict=True) if keys else ((),) * len(part)
-            for label, row in zip(labels, numbers(*_csv_arrays(part)), strict=True):
-                self._handle.write(as_bytes(",".join((*label, known)) + filled_in(template, row, "")))
+        for part in in_parts(prediction):
+            keys = [[f"{written(value)}," for value in plain(values)] for values in part.identity.values()]
+            rows = zip(*keys, repeat(known), lines_of(template, *_csv_arrays(part)), repeat("\n"), strict=False)
+            self._handle.write(as_bytes("".join(chain.from_iterable(rows))))
 
 
 def write_csv(prediction: Prediction, path: str | Path, *, csv_safe: bool = False) -> None:
@@ -188,21 +185,33 @@ _MEANING = {
 }
 
 
+class JsonStream(Stream):
+    """The object of `write_json`, part by part."""
+
+    alike = (*Stream.alike, "image_size")
+
+    def write_part(self, prediction: Prediction, first: bool) -> None:
+        if first:
+            facts = _head(prediction).items()
+            head = [f" {json.dumps(key)}: {json.dumps(value, allow_nan=False)},\n" for key, value in facts]
+            self._handle.write(("{\n" + "".join(head) + ' "frames": [').encode())
+            self._before = "\n  "
+        for part in in_parts(prediction):
+            self._handle.write((self._before + ",\n  ".join(_frames(part))).encode())
+            self._before = ",\n  "
+
+    def finish(self) -> str:
+        self._handle.write(b"\n ]\n}\n")
+        return ""
+
+
 def write_json(prediction: Prediction, path: str | Path) -> None:
     """Write names, bones, unit and axes, then every frame; what is missing is null.
 
     Coordinates are rounded to seven significant digits. The text is written part by part and never in memory at once.
     """
-    with replacing(path) as handle:
-        head = [
-            f" {json.dumps(key)}: {json.dumps(value, allow_nan=False)},\n" for key, value in _head(prediction).items()
-        ]
-        handle.write(("{\n" + "".join(head) + ' "frames": [').encode())
-        before = "\n  "
-        for part in _parts(prediction):
-            handle.write((before + ",\n  ".join(_frames(part))).encode())
-            before = ",\n  "
-        handle.write(b"\n ]\n}\n")
+    with JsonStream(path) as stream:
+        stream.append(prediction)
 
 
 def _head(prediction: Prediction) -> dict[str, Any]:
@@ -247,13 +256,13 @@ def _frames(prediction: Prediction) -> Iterator[str]:
     keys = [json.dumps(key) for key in prediction.identity]
     columns = [plain(values) for values in prediction.identity.values()]
     labels = zip(*columns, strict=True) if columns else ((),) * len(prediction)
-    rows = numbers(*(values for values, _ in blocks.values()))
+    rows = lines_of(template, *(values for values, _ in blocks.values()), missing="null")
     for index, (label, row) in enumerate(zip(labels, rows, strict=True)):
         known = ", ".join(f"{key}: {json.dumps(value)}" for key, value in zip(keys, label, strict=True))
         flags = "".join(
             f', "{name}": {json.dumps(values[index].tolist(), separators=(",", ":"))}' for name, values in marks.items()
         )
-        yield f'{{"identity": {{{known}}}{filled_in(template, row, "null")}{flags}}}'
+        yield f'{{"identity": {{{known}}}{row}{flags}}}'
 
 
 def _shaped(shape: tuple[int, ...], style: str) -> str:
@@ -264,8 +273,6 @@ def _shaped(shape: tuple[int, ...], style: str) -> str:
 # npz in the layout of the data files, readable without pickle.
 
 _OLDEST = (1980, 1, 1, 0, 0, 0)
-
-
 _BLOCK = 1 << 20
 """Bytes that are moved at once. All blocks are as large but the last: what Deflate makes of text may depend on them."""
 
@@ -283,19 +290,18 @@ def write_npz(prediction: Prediction, path: str | Path) -> None:
 
 
 class NpzStream(Stream):
-    """The arrays of `write_npz`, part by part: each grows in a file beside ``path`` until they are packed at the end."""
+    """The arrays of `write_npz`, part by part: each grows in a nameless file until they are packed at the end."""
 
     alike = (*Stream.alike, "image_size")
 
     def __init__(self, path: str | Path, axes: str | None = None):
         super().__init__(path, axes)
-        self._folder = self._stack.enter_context(beside(path))
         self._columns: dict[str, _Column] = {}
 
     def write_part(self, prediction: Prediction, first: bool) -> None:
         for name, array in _npz_arrays(prediction).items():
             if first:
-                self._columns[name] = _Column(array, self._folder / str(len(self._columns)))
+                self._columns[name] = _Column(array, lambda: self._stack.enter_context(scratch(self.path)))
             elif name not in _OF_ALL:
                 self._columns[name].append(array)
 
@@ -313,8 +319,9 @@ class NpzStream(Stream):
 class _Column:
     """An array that grows by rows, in a file as soon as there is a second part: a lone one is written from memory."""
 
-    def __init__(self, first: np.ndarray, path: Path):
-        self._path, self._waiting, self._parts = path, first, [(first.dtype, first.shape)]
+    def __init__(self, first: np.ndarray, scratch: Callable[[], Any]):
+        self._waiting, self._parts = first, [(first.dtype, first.shape)]
+        self._scratch, self._file = scratch, None
 
     @property
     def kind(self) -> np.dtype:
@@ -322,18 +329,17 @@ class _Column:
         return np.result_type(*{kind for kind, _ in self._parts})
 
     def append(self, rows: np.ndarray) -> None:
-        with self._path.open("ab") as file:
-            if len(self._parts) == 1:
-                file.write(_raw(self._waiting))
-                self._waiting = rows[:0]
-            file.write(_raw(rows))
+        if self._file is None:
+            self._file = self._scratch()
+            self._file.write(_raw(self._waiting))
+            self._waiting = rows[:0]
+        self._file.write(_raw(rows))
         self._parts.append((rows.dtype, rows.shape))
 
     def write(self, member: Any) -> None:
         """Write the header and the rows of an .npy."""
         shape = self._parts[0][1]
-        if len(self._parts) > 1:
-            shape = (sum(shape[0] for _, shape in self._parts), *shape[1:])
+        shape = (sum(shape[0] for _, shape in self._parts), *shape[1:]) if self._file else shape
         facts = {"descr": np.lib.format.dtype_to_descr(self.kind), "fortran_order": False, "shape": shape}
         np.lib.format.write_array_header_1_0(member, facts)
         waiting = bytearray()
@@ -346,17 +352,20 @@ class _Column:
 
     def _pieces(self) -> Iterator[np.ndarray]:
         """Yield the values of all rows in order, few at a time."""
-        with ExitStack() as stack:
-            file = stack.enter_context(self._path.open("rb")) if len(self._parts) > 1 else None
-            for kind, shape in self._parts:
-                count, most = math.prod(shape), max(_BLOCK // max(kind.itemsize, 1), 1)
-                for start in range(0, count, most):
-                    end = min(start + most, count)
-                    yield np.fromfile(file, kind, end - start) if file else self._waiting.reshape(-1)[start:end]
+        if self._file is not None:
+            self._file.seek(0)
+        for kind, shape in self._parts:
+            count, most = math.prod(shape), max(_BLOCK // max(kind.itemsize, 1), 1)
+            for start in range(0, count, most):
+                end = min(start + most, count)
+                if self._file is None:
+                    yield self._waiting.reshape(-1)[start:end]
+                else:
+                    yield np.frombuffer(self._file.read((end - start) * kind.itemsize), kind)
 
 
 def _raw(values: np.ndarray) -> memoryview:
-    return memoryview(np.ascontiguousarray(values).reshape(-1).view(np.uint8))
+    return np.ascontiguousarray(values).reshape(-1).view(np.uint8).data
 
 
 _OF_ALL = {"joint_names", "unit", "bones", "skeleton", "axes", "fps", "image_size"}

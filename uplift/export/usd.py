@@ -87,7 +87,7 @@ class _Individual:
             _show(self._line(prims[at], bone, colours[side]), names[at])
 
     def _ball(self, prim: str, joint: int, colour: tuple[float, ...]) -> Any:
-        from pxr import Gf, UsdGeom  # type: ignore
+        from pxr import UsdGeom, Vt  # type: ignore
 
         ball = UsdGeom.Sphere.Define(self.stage, f"{self.top}/{prim}")
         radius = _JOINT_SHARE * self.size
@@ -95,8 +95,7 @@ class _Individual:
         ball.CreateExtentAttr([(-radius,) * 3, (radius,) * 3])
         ball.CreateDisplayColorAttr([colour])
         move, known = ball.AddTranslateOp(), np.asarray(np.isfinite(self.places[:, joint]).all(-1))
-        for frame in np.flatnonzero(known).tolist():
-            move.Set(Gf.Vec3d(*self.places[frame, joint].tolist()), self.start + frame)
+        self._keep(move.GetAttr(), known, Vt.Vec3dArray.FromNumpy(self.places[known, joint]))
         _hide(ball, known, self.start)
         return ball
 
@@ -111,12 +110,20 @@ class _Individual:
         line.CreateDisplayColorAttr([colour])
         points, extent = line.CreatePointsAttr(), line.CreateExtentAttr()
         known = np.asarray(np.isfinite(self.places[:, bone]).all((1, 2)))
-        for frame in np.flatnonzero(known).tolist():
-            ends = Vt.Vec3fArray.FromNumpy(np.ascontiguousarray(self.places[frame, bone], np.float32))
-            points.Set(ends, self.start + frame)
-            extent.Set(UsdGeom.PointBased.ComputeExtent(ends), self.start + frame)
+        ends = self.places[:, bone][known].astype(np.float32)
+        self._keep(points, known, map(Vt.Vec3fArray.FromNumpy, ends))
+        self._keep(extent, known, map(Vt.Vec3fArray.FromNumpy, np.stack([ends.min(1), ends.max(1)], 1)))
         _hide(line, known, self.start)
         return line
+
+    def _keep(self, attribute: Any, known: Bool[np.ndarray, " frames"], values: Iterable[Any]) -> None:
+        """Give an attribute its values of the frames that are known, in the layer itself: a stage looks at each again."""
+        from pxr import Sdf  # type: ignore
+
+        layer, path = self.stage.GetRootLayer(), attribute.GetPath()
+        with Sdf.ChangeBlock():
+            for time, value in zip((self.start + np.flatnonzero(known)).tolist(), values, strict=True):
+                layer.SetTimeSample(path, float(time), value)
 
 
 def _hide(shape: Any, known: Bool[np.ndarray, " frames"], start: int) -> None:

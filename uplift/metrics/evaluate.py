@@ -112,7 +112,7 @@ def _uncertainty_of(prediction: GivenPoses | Prediction, skeleton: Skeleton) -> 
     return uncertainty[:, [names.index(joint) for joint in skeleton.joints]]
 
 
-def _groups(identity: Mapping[str, np.ndarray], key: str, kept: np.ndarray) -> tuple[list[str], np.ndarray]:
+def _groups(identity: Mapping[str, Any], key: str, kept: np.ndarray) -> tuple[list[str], np.ndarray]:
     """Return the names of the groups and each kept frame's group; no names and one group without the key."""
     if key not in identity:
         return [], np.zeros(int(kept.sum()), np.int64)

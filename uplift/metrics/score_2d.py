@@ -29,7 +29,8 @@ from torch import Tensor
 
 from uplift.data.clean import clean
 from uplift.data.confidence import calibrated
-from uplift.data.poses import PoseData, codes_of
+from uplift.data.names import codes_of
+from uplift.data.poses import PoseData
 from uplift.data.tensors import TrainingSet, to_training_set
 from uplift.errors import UserError
 from uplift.geometry.normalise import bone_lengths, renormalise

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -169,7 +169,7 @@ def _velocity_error(matched: Matched, rows: np.ndarray) -> np.ndarray:
     return values
 
 
-def previous_rows(identity: Mapping[str, np.ndarray]) -> Int[np.ndarray, " frames"] | None:
+def previous_rows(identity: Mapping[str, Any]) -> Int[np.ndarray, " frames"] | None:
     """Return the row of the frame before each in its clip, -1 without one; None where clips are not known.
 
     None without ``sequence`` or ``frame``, where a frame number occurs twice in a clip (then something that
@@ -204,7 +204,7 @@ class GivenPoses:
     """``mm`` (or whatever the truth's is) for a metric pose; ``px`` or ``relative`` for one without scale."""
     tilt_deg: Float[np.ndarray, " frames"] | None = None
     """The camera's estimated down-tilt."""
-    identity: Mapping[str, np.ndarray] = field(default_factory=dict)
+    identity: Mapping[str, Any] = field(default_factory=dict)
     """Checked against the truth's where both have a key."""
     source: str = ""
     uncertainty: np.ndarray | None = None

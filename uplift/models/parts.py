@@ -52,7 +52,7 @@ def pieces(parts: Iterable[PoseData], frames: int, *, cut: bool = True) -> Itera
         if not cut or len(part) <= (1 + _SCRAP) * frames or not _in_time(part):
             yield Piece(part, slice(0, len(part)))
             continue
-        edges = np.linspace(0, len(part), max(2, round(len(part) / frames)) + 1).round().astype(int).tolist()
+        edges = np.linspace(0, len(part), -(-len(part) // frames) + 1).round().astype(int).tolist()
         beside = min(_rows_beside(part), frames)
         for start, end in pairwise(edges):
             low, high = max(0, start - beside), min(len(part), end + beside)

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from jaxtyping import Bool, Float, Int, Shaped, UInt8
+from jaxtyping import Bool, Float, Int, UInt8
 
 from uplift.config.files import without_folders
 from uplift.data.poses import UNITS
@@ -42,7 +42,7 @@ class Prediction(Samples):
     joint_names: tuple[str, ...]
     skeleton: Skeleton
     tilt_deg: Float[np.ndarray, " frames"] | None = None
-    identity: dict[str, Shaped[np.ndarray, " frames"]] = field(default_factory=dict)
+    identity: dict[str, Any] = field(default_factory=dict)
     fps: float | None = None
     image_size: tuple[int, int] | None = None
     truth: Float[np.ndarray, "frames joints 3"] | None = None

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 import torch
@@ -128,7 +129,7 @@ def _sequences(view: PoseData) -> np.ndarray:
     return np.array([CAMERA_NAME.sub("", name) for name in names])[code]
 
 
-def _frames(views: Sequence[PoseData], sequences: Sequence[np.ndarray]) -> list[np.ndarray]:
+def _frames(views: Sequence[PoseData], sequences: Sequence[np.ndarray]) -> list[Any]:
     """Return frame numbers, or numbers of rows within a sequence where a view has none."""
     if all("frame" in view.identity for view in views):
         return [view.identity["frame"] for view in views]

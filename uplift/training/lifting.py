@@ -22,6 +22,7 @@ from uplift.config.trust import consents
 from uplift.data.module import KeypointData, skeleton_of
 from uplift.data.poses import PoseData
 from uplift.data.sampler import LabelledSampler
+from uplift.data.stream import Resident
 from uplift.data.tensors import Batch, TrainingSet
 from uplift.errors import UserError
 from uplift.geometry.normalise import normalise
@@ -199,6 +200,8 @@ class LiftingModule(KeypointModule):
 
     settings: TeacherSettings
     frames: TrainingSet | None = None
+    resident: Resident | None = None
+    """What changes `frames` in training on more than memory holds."""
 
     @consents
     def __init__(
@@ -285,6 +288,29 @@ class LiftingModule(KeypointModule):
         if labelled and "labelled" in self.terms.priors:
             truth = frames.select(frames.labelled)
             self.truth = true_poses(truth, self.lifter.camera, tilted=self.lifter.tilt != "level")
+
+    def on_train_start(self) -> None:
+        """Draw from what is resident in the first step, where the data are more than memory holds."""
+        super().on_train_start()
+        data: KeypointData | None = self.prepared_with() if self.prepared_with else None
+        if data is None:
+            return
+        batch = data.batch_size * self.trainer.accumulate_grad_batches
+        self.resident = data.resident(self.lifter_settings, self.device, batch=batch, step=self.global_step)
+        if self.resident is not None:
+            self.frames = self.resident.frames
+            self.sampler = LabelledSampler(self.frames.labelled, self.labelled_share)
+
+    def on_train_batch_start(self, *rest: Any) -> None:
+        """Put other frames in the place of those that have been drawn from long enough."""
+        if self.resident is not None:
+            self.resident.advance(self.global_step)
+
+    def on_train_end(self) -> None:
+        """Read no more frames."""
+        super().on_train_end()
+        if self.resident is not None:
+            self.resident.close()
 
     def objective(self, batch: Any) -> tuple[Tensor, Logged]:
         """Return the weighted sum of all terms, and each term; `last_lift` is what was judged.

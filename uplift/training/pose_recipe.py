@@ -34,7 +34,7 @@ class PoseRecipe(Recipe):
         labelled = data.frames(settings.lifter).labelled
         self.supervised = bool(labelled.all())
         shares = self._shares(LabelledSampler(labelled, settings.data.labelled.share).share)
-        self.share_budget(shares, len(labelled))
+        self.share_budget(shares, data.sample_count)
         self.teacher = self._build_teacher(bool(labelled.any()))
         self.students = [self._build_student(number) for number in range(1, len(self.rounds) + 1)]
         self._add_notes()

@@ -114,15 +114,15 @@ def _frames(folder: Path, name: str) -> tuple[PoseData, str]:
 
     These are frames that no fit trains on, where there are any: those of ``data.val``, else the 2D of the test.
     """
-    from uplift.data.load import load_data
     from uplift.data.module import KeypointData, share_or_files
+    from uplift.data.stream import load_training
     from uplift.metrics.score_2d import LEAST_FRAMES
     from uplift.skeleton import load_skeleton
 
     sweep = Sweep.open(folder)
     settings = sweep.settings_of(next(cell for cell in sweep.cells if cell.name == name))
     skeleton = load_skeleton(settings.skeleton)
-    loaded = load_data(settings, skeleton)
+    loaded = load_training(settings, skeleton)
     data = KeypointData.of(loaded, skeleton, settings)
     val = (data.val_samples, "held-out frames of data.val")
     found = [val, (loaded.test, "test frames, their 2D alone"), (data.train_samples, "training frames")]

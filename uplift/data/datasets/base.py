@@ -16,7 +16,8 @@ from typing import Any, ClassVar
 import numpy as np
 
 from uplift.config.files import building, cache_folder, clear_parts, replacing
-from uplift.data.poses import PoseData, codes_of
+from uplift.data.names import Names, codes_of
+from uplift.data.poses import PoseData
 from uplift.errors import UserError, did_you_mean
 from uplift.geometry.lens import Lens
 
@@ -122,14 +123,15 @@ class Rows:
             pose=pose,
             root=root,
             tilt_deg=self.tilt_deg[here],
-            identity={
-                key: np.concatenate([np.broadcast_to(part[key], count) for count, part in self.parts])
-                for key in self.parts[0][1]
-            },
+            identity={key: self._column(key) for key in self.parts[0][1]},
             lenses=tuple(self.lenses),
             lens=self.lens[here] if self.lenses else None,
             **facts,
         )
+
+    def _column(self, key: str) -> Any:
+        values = [np.broadcast_to(part[key], count) for count, part in self.parts]
+        return Names.concat(values) if values[0].dtype.kind == "U" else np.concatenate(values)
 
 
 # What was read from a data set's files, kept as plain arrays that load in seconds.
@@ -230,7 +232,7 @@ def _facts(place: Path) -> dict[str, Any]:
     return json.loads(text)
 
 
-def _save_runs(folder: Path, key: str, values: np.ndarray) -> None:
+def _save_runs(folder: Path, key: str, values: Any) -> None:
     """Save an identity array, text as names and the lengths of their runs."""
     if values.dtype.kind not in "US":
         np.save(folder / f"identity_{key}.npy", values)
@@ -257,7 +259,7 @@ def _load(place: Path) -> PoseData:
             identity[key] = _mapped(plain)
             continue
         with np.load(place / f"identity_{key}.npz") as runs:
-            identity[key] = np.repeat(runs["names"][runs["code"]], runs["count"])
+            identity[key] = Names(np.repeat(runs["code"], runs["count"]), runs["names"])
     return PoseData(
         **arrays,  # type: ignore[arg-type]
         **{name: _as_tuple(facts[name]) for name in _FACTS},

@@ -10,6 +10,7 @@ import numpy as np
 from uplift.config.files import replacing
 from uplift.data.formats import KEYPOINT_FORMATS, checked, read
 from uplift.data.formats.base import FileFormat, ReadOptions
+from uplift.data.formats.shards import Shards
 from uplift.data.parsers.files import bytes_of
 from uplift.data.parsers.npz import CheckedArrays, array_headers, first_rows, read_arrays
 from uplift.data.parsers.pictures import PHOTO_ENDINGS
@@ -285,7 +286,13 @@ def contents_of(path: Path, options: ReadOptions | None = None) -> _Contents:
         UserError: it is damaged, or of no known format.
     """
     options = options or ReadOptions()
-    if (options.format or KEYPOINT_FORMATS.guess(path).name) != "npz":
+    format = options.format or KEYPOINT_FORMATS.guess(path).name
+    if format == "shards":
+        shards = Shards(path)
+        return _Contents(
+            len(shards), shards.facts["joint_names"], shards.has_pose, shards.size, "read as uplift's shards"
+        )
+    if format != "npz":
         data = read(path, options)
         arrays = {name for name in ("pose", "root", "tilt_deg", "gravity") if getattr(data, name) is not None}
         memory = memory_of(arrays, len(data), len(data.joint_names))

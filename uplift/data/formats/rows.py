@@ -12,8 +12,9 @@ from typing import Any, TypeVar
 import numpy as np
 from jaxtyping import Float, Float32, Num
 
+from uplift.data.names import codes_of
 from uplift.data.parsers.json import is_text, shown, texts
-from uplift.data.poses import PoseData, codes_of
+from uplift.data.poses import PoseData
 from uplift.errors import UserError
 
 __all__ = [
@@ -491,7 +492,7 @@ def rows_of(
     )
 
 
-def by_appearance(parts: Sequence[np.ndarray], rows: int) -> tuple[np.ndarray, np.ndarray]:
+def by_appearance(parts: Sequence[Any], rows: int) -> tuple[np.ndarray, np.ndarray]:
     """Return (rows,) numbers, equal where all of ``parts`` are, by first appearance, and the row of each of those."""
     code = np.zeros(rows, np.int64)
     for part in parts:

@@ -5,22 +5,25 @@ from __future__ import annotations
 import json
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import asdict, dataclass, field, replace
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from jaxtyping import Int
 
 from uplift.config.files import replacing
 from uplift.data.concat import joined_columns
 from uplift.data.formats.base import FileFormat, ReadOptions
+from uplift.data.names import Names, codes_of
 from uplift.data.parsers.files import bytes_of, check_claim, damage_as_error, read_bytes, refuse_more_than_memory
 from uplift.data.parsers.npz import read_header, sound
 from uplift.data.pieces import pieces_of
-from uplift.data.poses import IDENTITY_KEYS, UNITS, PoseData, codes_of
+from uplift.data.poses import IDENTITY_KEYS, UNITS, PoseData
 from uplift.errors import UserError
 from uplift.geometry.lens import Lens
 
-__all__ = ["DTYPES", "FORMAT", "INDEX", "SHARD_FRAMES", "Shards", "write_shards"]
+__all__ = ["DTYPES", "FORMAT", "INDEX", "SHARD_FRAMES", "Outline", "Shards", "write_shards"]
 
 DTYPES = ("float32", "float16")
 """What keypoints and confidences are stored as.
@@ -150,7 +153,7 @@ class _Writer:
                 f"{where}masks of {sides[1]} px a side, those of {first.source} of {sides[0]}: make them alike."
             )
 
-    def _identity(self, part: PoseData) -> dict[str, np.ndarray]:
+    def _identity(self, part: PoseData) -> dict[str, Any]:
         """Return what the frames are of, with sequences that no other source has."""
         identity, source = dict(part.identity), part.source
         if not self.several or ("image" in identity and "sequence" not in identity):
@@ -160,11 +163,11 @@ class _Writer:
         if "sequence" not in identity:
             identity["sequence"] = np.full(len(part), Path(source).stem)
             identity.setdefault("frame", np.arange(before, before + len(part)))
-        names, code = codes_of(identity["sequence"].astype(str))
+        names, code = codes_of(Names.of(identity["sequence"]))
         apart = [
             name if self.names.setdefault(name, source) == source else f"{source}: {name}" for name in names.tolist()
         ]
-        return identity | {"sequence": np.array(apart)[code]}
+        return identity | {"sequence": Names(code, np.array(apart))}
 
     def facts(self) -> dict[str, Any]:
         """Return what holds for all frames."""
@@ -216,27 +219,37 @@ def _write_shard(group: Sequence[PoseData], place: Path, dtype: str) -> dict[str
 
 
 def _in_float16(keypoints: np.ndarray, confidence: np.ndarray) -> dict[str, np.ndarray]:
-    seen = np.asarray((confidence > 0) & np.isfinite(keypoints).all(-1))
-    low, high = (np.where(seen[..., None], keypoints, far) for far in (np.float32(np.inf), np.float32(-np.inf)))
-    origin = np.where(seen.any(1)[:, None], (low.min(1) + high.max(1)) / 2, 0).astype(np.float32)
+    seen = np.asarray(confidence > 0) & np.isfinite(keypoints).all(-1)
+    low, high = (np.where(seen[:, :, None], keypoints, far) for far in (np.float32(np.inf), np.float32(-np.inf)))
+    origin = np.where(seen.any(1, keepdims=True), (low.min(1) + high.max(1)) / 2, 0).astype(np.float32)
     with np.errstate(over="ignore", invalid="ignore"):  # what is too far away for float16 is missing
-        offsets = np.where(seen[..., None], keypoints - origin[:, None], np.nan).astype(np.float16)
+        offsets = np.where(seen[:, :, None], keypoints - origin[:, None], np.nan).astype(np.float16)
         small = np.where(seen, np.fmax(confidence, np.finfo(np.float16).smallest_subnormal), 0).astype(np.float16)
     return {"keypoints": offsets, "origin": origin, "confidence": small}
 
 
-def _coded(key: str, values: np.ndarray) -> dict[str, np.ndarray]:
+def _coded(key: str, values: Any) -> dict[str, np.ndarray]:
     """Return a column of identity as small numbers, text as the numbers of its names."""
     if values.dtype.kind in "iu":
         least = np.result_type(*(np.min_scalar_type(int(end)) for end in (values.min(), values.max())))
         return {key: values.astype(least)}
     if values.dtype.kind in "fb":
         return {key: values}
-    names, code = codes_of(values.astype(str))
-    return {key: code.astype(np.min_scalar_type(len(names))), f"{key}.names": names}
+    names, code = codes_of(Names.of(values))  # those of these frames alone
+    return {key: code.astype(np.min_scalar_type(max(0, len(names) - 1))), f"{key}.names": names}
 
 
 # Read.
+
+_INSTEAD = "Train on the folder alone (data.train=FOLDER), which reads it bit by bit, or predict in parts"
+
+
+@dataclass
+class Outline(PoseData):
+    """Frames without their keypoints."""
+
+    rows: Int[np.ndarray, " frames"] = field(default_factory=lambda: np.zeros(0, np.int64))
+    """Which frames of the shards they are."""
 
 
 class Shards:
@@ -272,6 +285,11 @@ class Shards:
         return len(self.facts["joint_names"])
 
     @property
+    def has_pose(self) -> bool:
+        """Whether any frame has a true pose."""
+        return any("pose" in shard.arrays for shard in self.shards)
+
+    @property
     def size(self) -> int:
         """The bytes that all frames take in memory, about."""
         files = (shard.folder / f"{name}.npy" for shard in self.shards for name in shard.arrays)
@@ -290,6 +308,48 @@ class Shards:
         identity = {key: shard.column(key, rows) for key in IDENTITY_KEYS if key in shard.arrays}
         return PoseData(**arrays, **self.facts, identity=identity, lens=lens if known else None, source=str(self.path))
 
+    def take(self, rows: np.ndarray) -> PoseData:
+        """Return the frames of rows in rising order; raises UserError where they are more than half of the memory."""
+        refuse_more_than_memory(
+            f"{self.path}: {len(rows):,} of its frames", self.size * len(rows) // len(self), _INSTEAD
+        )
+        ends = np.searchsorted(rows, self.starts)
+        parts = [
+            self.shard(number).select(rows[start:end] - self.starts[number])
+            for number, (start, end) in enumerate(pairwise(ends))
+            if start < end
+        ]
+        return self._joined(parts)
+
+    def outline(self, *, named: bool = True) -> Outline:
+        """Return all frames without a joint; ``named``, with what they are of, which they are chosen by."""
+        keys = [key for key in IDENTITY_KEYS if named and all(key in shard.arrays for shard in self.shards)]
+        columns = {key: [shard.column(key, slice(None)) for shard in self.shards] for key in keys}
+        frames = len(self)
+        return Outline(
+            np.zeros((frames, 0, 2), np.float32),
+            np.zeros((frames, 0), np.float32),
+            pose=np.zeros((frames, 0, 3), np.float32) if self.has_pose else None,
+            **{**self.facts, "lenses": (), "joint_names": ()},
+            identity={key: joined_columns(values) for key, values in columns.items()},
+            source=str(self.path),
+            rows=np.arange(frames),
+        )
+
+    def clip_starts(self, number: int) -> np.ndarray:
+        """Return the rows of a shard at which clips begin; all where frames are no clips."""
+        shard = self.shards[number]
+        rows = np.arange(shard.frames)
+        if "sequence" not in shard.arrays or self.facts["stills"]:
+            return rows
+        changed = np.zeros(shard.frames, bool)
+        for key in ("subject", "sequence", "camera", "instance"):
+            if key in shard.arrays:
+                values = shard.numbers(key)
+                changed[1:] |= values[1:] != values[:-1]
+        changed[0] = True
+        return rows[changed]
+
     def parts(self, frames: int) -> Iterator[PoseData]:
         """Yield all frames in order, in parts of whole clips of ``frames`` at most, or one longer clip."""
         pieces = (piece for number in range(len(self.shards)) for piece in pieces_of(self.shard(number), frames))
@@ -306,8 +366,7 @@ class Shards:
 
     def read(self) -> PoseData:
         """Return all frames; raises UserError where they are more than half of the memory."""
-        instead = "Train on them as they are (data.train=FOLDER), or predict in parts"
-        refuse_more_than_memory(f"{self.path}: all of its frames", self.size, instead)
+        refuse_more_than_memory(f"{self.path}: all of its frames", self.size, _INSTEAD)
         return self._joined([self.shard(number) for number in range(len(self.shards))])
 
 
@@ -364,11 +423,9 @@ class _Shard:
             )
         return array
 
-    def column(self, key: str, rows: slice) -> np.ndarray:
+    def column(self, key: str, rows: slice) -> np.ndarray | Names:
         """Return what the frames ``rows`` are of; raises UserError for numbers without a name, or another shape."""
-        values = self._mapped(key)
-        if values.shape != (self.frames,) or values.dtype.kind not in "iufb":
-            raise UserError(f"{self.folder / key}.npy is {values.dtype} of shape {values.shape}: damaged.")
+        values = self.numbers(key)
         if f"{key}.names" not in self.arrays:
             return np.array(values[rows])
         names, codes = self._mapped(f"{key}.names"), values[rows]
@@ -378,7 +435,14 @@ class _Shard:
             or (len(codes) and not 0 <= codes.min() <= codes.max() < len(names))
         ):
             raise UserError(f"{self.folder / key}.names.npy has no name for some frames: damaged.")
-        return sound(key, names)[codes]
+        return Names(np.array(codes), sound(key, np.array(names)))
+
+    def numbers(self, key: str) -> np.ndarray:
+        """Return what the frames are of as it is stored; raises UserError for another type or shape."""
+        values = self._mapped(key)
+        if values.shape != (self.frames,) or values.dtype.kind not in "iufb":
+            raise UserError(f"{self.folder / key}.npy is {values.dtype} of shape {values.shape}: damaged.")
+        return values
 
     def _mapped(self, name: str) -> np.ndarray:
         """Return a mapped array, whose changes stay in memory, after its header was compared with the bytes that are there."""

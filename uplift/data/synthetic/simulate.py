@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
@@ -17,7 +19,7 @@ from uplift.errors import UserError
 from uplift.geometry.rigid import quaternion_matrix, rotation_about
 from uplift.skeleton import Skeleton
 
-__all__ = ["as_tracked", "build_body", "level_feet", "rest_pose", "simulate"]
+__all__ = ["as_tracked", "build_body", "level_feet", "rest_pose", "simulate", "simulate_parts"]
 
 _FOCAL_PX = 1145.0
 _CENTRE_PX = 500.0
@@ -145,6 +147,32 @@ def simulate(
     joints = np.einsum("jp,ctpk->ctjk", body.joints, points)
     seen = _into_camera(joints, cameras) * height[subject, None, None, None]
     return _pack(rng, skeleton, body, seen, cameras, motion, subject, frames, fps, noise_px, missing)
+
+
+_PART = 30_000
+"""Frames that are simulated together."""
+
+
+def simulate_parts(skeleton: Skeleton, frames: int, seed: int = 0, **options: Any) -> Iterator[PoseData]:
+    """Yield ``frames`` frames in parts of whole clips, each of other bodies, motions and cameras than the ones before.
+
+    ``options`` are those of `simulate`, which also says what it raises. What a part has depends on ``seed`` and its
+    number alone.
+    """
+    length = max(1, round(options.get("clip_seconds", 3.0) * options.get("fps", 10.0)))
+    step = max(1, _PART // length) * length
+    clips = subjects = 0
+    for number, start in enumerate(range(0, frames, step)):
+        own = int(np.random.SeedSequence([seed, number]).generate_state(1, np.uint64)[0])
+        part = simulate(skeleton, min(step, frames - start), own, **options)
+        subject = np.char.lstrip(part.identity["subject"], "S").astype(int)
+        clip = part.identity["sequence"].astype(int)
+        names = {
+            "subject": np.char.add("S", (subject + subjects).astype(str)),
+            "sequence": np.char.zfill((clip + clips).astype(str), 6),
+        }
+        yield replace(part, identity=part.identity | names)
+        subjects, clips = subjects + int(subject.max()), clips + int(clip.max()) + 1
 
 
 def build_body(skeleton: Skeleton) -> Body:
