@@ -52,7 +52,7 @@ def load(folder: str | Path) -> dict[str, Any]:
 
 def _bytes(data: PoseData) -> int:
     arrays = [getattr(data, name) for name in _ARRAYS]
-    return sum(array.nbytes for array in (*arrays, *data.identity.values()) if isinstance(array, np.ndarray))
+    return sum(array.nbytes for array in (*arrays, *data.identity.values()) if hasattr(array, "nbytes"))
 
 
 def _peak_gb() -> float:

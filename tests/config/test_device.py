@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 import torch
 
-from uplift.config.device import ACCELERATORS, device_of, fast_products
+from uplift.config.device import ACCELERATORS, device_of, fast_products, precision_of
 from uplift.errors import UserError
 
 
@@ -46,3 +46,11 @@ def test_devices_by_name() -> None:
             UserError, match=r"accelerator=gpu: PyTorch finds no such device here, expected one of: auto"
         ):
             device_of("gpu")
+
+
+def test_automatic_precision_follows_the_processor(monkeypatch: pytest.MonkeyPatch) -> None:
+    for found in ("avx512_bf16", "amx_tile", ""):
+        for name in ("avx512_bf16", "amx_tile"):
+            monkeypatch.setattr(torch.cpu, f"_is_{name}_supported", lambda is_it=name == found: is_it, raising=False)
+        assert precision_of("auto", "cpu") == ("bf16-mixed" if found else "32-true")
+        assert precision_of("auto", "gpu") == precision_of("32-true", "cpu") == "32-true"

@@ -330,8 +330,8 @@ def test_lightnings_refusals_are_ours(here: Path, capsys: pytest.CaptureFixture)
     [
         ("accelerator=tpu", "trainer.accelerator=tpu"),
         ("accelerator=abacus", "trainer.accelerator=abacus"),
-        ("precision=7", "trainer.precision='7': expected one of 32-true"),
-        ("precision=64-true", "trainer.precision='64-true': expected one of 32-true"),
+        ("precision=7", "trainer.precision='7': expected one of auto, 32-true"),
+        ("precision=64-true", "trainer.precision='64-true': expected one of auto, 32-true"),
         ("strategy=none", "trainer.strategy=none"),
         ("profiler=[a]", "trainer.profiler=['a']: expected text"),
         ("detect_anomaly=x", "trainer.detect_anomaly='x': expected true or false"),

@@ -107,7 +107,7 @@ def test_gaps_are_what_a_neighbour_in_time_shows() -> None:
     seen = np.random.default_rng(0).random((40, 17)) > 0.5
     seen[7] = False
     data = replace(data, confidence=seen.astype(np.float32))
-    found = gap_joints(data)
+    found = gap_joints(to_training_set(data, H36M, SETTINGS)).numpy()
     for row in range(40):
         near = [other for other in (row - 1, row + 1) if 0 <= other < 40 and (other < 20) == (row < 20)]
         expected = ~seen[row] & np.any([seen[other] for other in near], 0) & seen[row].any()
@@ -123,9 +123,9 @@ def test_a_gap_is_filled_where_the_lifted_joint_is_in_the_image_with_the_usual_c
     data = replace(data, confidence=confidence)
     frames, camera = to_training_set(data, H36M, settings), intrinsics_of(data, settings)
     lifted = lift_frames(small_lifter(), frames)
-    found = interpolate_gaps(data, frames, lifted, camera)
-    assert found is not None
-    gaps = np.argwhere((found.keypoints != data.keypoints).any(-1) | (found.confidence != confidence)).tolist()
+    pixels = torch.from_numpy(data.keypoints)
+    found, trust = (part.numpy() for part in interpolate_gaps(frames, pixels, lifted.keypoints, camera))
+    gaps = np.argwhere((found != data.keypoints).any(-1) | (trust != confidence)).tolist()
     assert gaps == [[5, 3], [29, 2], [30, 13], [31, 2]]
     for row, joint in ([5, 3], [30, 13]):
         point = lifted.keypoints[row, joint].double().numpy()
@@ -134,9 +134,8 @@ def test_a_gap_is_filled_where_the_lifted_joint_is_in_the_image_with_the_usual_c
             expected = ray[:2] / ray[2] * 1145 + 500
         else:
             expected = data.keypoints[row, H36M.root_index] + point * float(frames.scale[row])
-        np.testing.assert_allclose(found.keypoints[row, joint], expected, atol=0.01)
-        assert found.confidence[row, joint] == np.float32(0.3)
-    assert interpolate_gaps(film(), frames, lifted, camera) is None
+        np.testing.assert_allclose(found[row, joint], expected, atol=0.01)
+        assert trust[row, joint] == np.float32(0.3)
 
 
 def test_bones_become_their_medians_and_keep_their_sum_and_steady_bodies_stay() -> None:

@@ -95,7 +95,9 @@ def costs(
     confidence, weight, far = frames.confidence, seen(frames), frames.distance
     moved = shift * (confidence < 0.999)[..., None]
     pose = pose_of(frames, frames.keypoints + moved, depth * (torch.arange(17) != ROOT), camera)
-    bones = (logs(pose) + size[:, None] - shape[frames.clip]) * weight[:, BONES].prod(-1)
+    if camera == "perspective":  # what is at or behind the pinhole is held before it
+        pose = torch.cat([pose[..., :2], pose[..., 2:].clamp_min(-0.9 * far.min())], -1)
+    bones = (logs(pose * size.exp()[:, None, None]) - shape[frames.clip]) * weight[:, BONES].prod(-1)
     held = torch.where(confidence > 0, confidence**2, settings.near / settings.seen)
     place = torch.cat([pose[..., :2], pose[..., 2:] + far[:, None, None]], -1) * size.exp()[:, None, None]
     if frames.rotation is not None:

@@ -128,13 +128,18 @@ def test_messages_agree_with_the_sum_over_all_sequences(order: int, monkeypatch:
     monkeypatch.setattr(signs, "_SECOND_ORDER", 8 if order == 2 else 0)
     torch.manual_seed(0)
     length, states, width = 5, 4, {1: signs._SPEED, 2: signs._ACCELERATION}[order]
-    place, likely = 0.2 * torch.randn(length, states, 2, 3), torch.rand(length, states)
-    window = signs._Window(torch.arange(length), slice(0, length))
-    found = signs._marginals(place, likely, [window], 1.0)
+    ends, likely = [0.2 * torch.randn(count, 3, 2 * length) for count in (2, states)], torch.rand(states, 2 * length)
+    one = torch.zeros(2 * length, dtype=torch.long)
+    frames = one_body(torch.randn(2 * length, 17, 3), CAMERA, follows=True)
+    follows = frames.follows.clone()
+    follows[length + 1 :: length] = follows[length - 1] = False  # runs of other lengths beside the first
+    windows = signs._Windows.of(replace(frames, follows=follows, clip=one), 1)
+    found = signs._marginals(ends, likely, windows, 1.0).T[: length - 1]
+    length -= 1
     expected = torch.zeros(length, states, dtype=torch.float64)
     for path in itertools.product(range(states), repeat=length):
-        at = torch.stack([place[t, s] for t, s in enumerate(path)]).double()
-        chance = torch.stack([likely[t, s] for t, s in enumerate(path)]).double().prod()
+        at = torch.stack([torch.stack([ends[0][s // 2, :, t], ends[1][s, :, t]]) for t, s in enumerate(path)]).double()
+        chance = torch.stack([likely[s, t] for t, s in enumerate(path)]).double().prod()
         for _ in range(order):
             at = at[1:] - at[:-1]
         chance = chance / (1 + at.square().sum(-1) / width**2).prod()

@@ -98,7 +98,7 @@ def test_coincident_joints_have_a_small_finite_gradient(planar):
 def test_margin_and_metrics():
     body = torch.cat([_body(40), _body(40) * FLIP])
     prior = Handedness(H36M, margin=0.5)
-    value, known = prior.value(body, body, torch.ones(2, 17))
+    value, known = prior.value(body, torch.zeros(2), torch.ones(2, 17))
     assert known.all()
     torch.testing.assert_close(prior.loss(lift_of_pose(body)), (0.5 - value).clamp_min(0).mean())
     assert prior.metrics(lift_of_pose(body)) == {"facing_sign": 0.5}
@@ -113,10 +113,10 @@ def test_level_frame_uses_the_tilt():
     lift = replace(lift_of_pose(body), tilt=tilt)
     torch.testing.assert_close(lift.level_pose, leaning)
     values = {
-        frame: float(Handedness(H36M, frame=frame, planar=False).value(body, lift.level_pose, torch.ones(1, 17))[0])
+        frame: float(Handedness(H36M, frame=frame, planar=False).value(body, tilt, torch.ones(1, 17))[0])
         for frame in ("level", "camera")
     }
-    upright = Handedness(H36M, frame="camera", planar=False).value(leaning, leaning, torch.ones(1, 17))[0]
+    upright = Handedness(H36M, frame="camera", planar=False).value(leaning, tilt, torch.ones(1, 17))[0]
     assert values["level"] == pytest.approx(float(upright))
     assert abs(values["level"] - values["camera"]) > 0.1
 

@@ -12,7 +12,13 @@ import pytest
 from bodies import QUICK, status_of, write_body
 
 GOLDEN = Path(__file__).with_name("golden.json")
-STEPS = ("trainer.max_time=null", "trainer.log_every=1", "trainer.threads=1", "trainer.accelerator=cpu")
+STEPS = (
+    "trainer.max_time=null",
+    "trainer.log_every=1",
+    "trainer.threads=1",
+    "trainer.accelerator=cpu",
+    "trainer.precision=32-true",
+)
 BODY = ("data.train=body.npz", "data.test=body.npz", "data.root=.")
 MASKS = ("data.simulate=60", "shape.detail=8", "shape.crop=12", "shape.resolution=8", "shape.splits=[2]")
 FITS = {

@@ -57,6 +57,7 @@ def evaluate(
     hypotheses: int | None = None,
     items: int | None = None,
     camera: KnownCamera | None = None,
+    accelerator: str | None = None,
     name: str | None = None,
     trust: Trust = None,
 ) -> Evaluation | ShapeEvaluation:
@@ -64,7 +65,7 @@ def evaluate(
 
     A ready lifter, or a file without its run, needs ``test``, and nothing is written. The frames of a clip are lifted together unless ``refine`` is off. With ``hypotheses`` so many poses of each
     frame are judged beside the answer, with their probabilities. Of a run that lifts masks at most ``items`` are
-    scored. ``camera`` is what is known of how the cameras stand, in place of estimates. The evaluation is kept in
+    scored. ``camera`` is what is known of how the cameras stand, in place of estimates. ``accelerator`` is what computes, as for `predict`. The evaluation is kept in
     the run under ``name``, by default date and time. ``trust`` are
     files and modules of code that may run where the run names it.
 
@@ -82,6 +83,7 @@ def evaluate(
         raise UserError(f"{weights.run} is a lifter without a run, so without test data: give data.test=FILE.")
     kind = KINDS[weights.lifts]
     given = {"refine": refine, "hypotheses": hypotheses, "items": items, "camera": camera}
+    given["accelerator"] = accelerator
     given = {key: value for key, value in given.items() if value is not None}
     kind.refuse_others("evaluate", given, weights.run)
     result = kind.evaluate(weights, load(weights), None if test is None else str(test), **given)
@@ -131,6 +133,7 @@ def evaluate_keypoints(
     refine: bool | str = True,
     hypotheses: int = 0,
     camera: KnownCamera | None = None,
+    accelerator: str = "auto",
 ) -> Evaluation:
     """Return the protocols of a run on ``test``, or on the test frames of its settings."""
     settings = weights.settings() or load_settings(None)
@@ -145,7 +148,7 @@ def evaluate_keypoints(
         if truth is None:
             raise UserError(f"{weights.run} has no test frames: give data.test=FILE.")
     name = truth.source if test is None else test
-    return evaluate_model(model, truth, name, refine=refine, hypotheses=hypotheses, camera=camera)
+    return evaluate_model(model.on(accelerator), truth, name, refine=refine, hypotheses=hypotheses, camera=camera)
 
 
 # A run that lifts masks: every metric of shapes, beside baselines where training shapes are known.
@@ -293,7 +296,9 @@ def evaluate_command(words: Sequence[str]) -> None:
     if ("run" in keys) == ("poses" in keys):
         raise UserError("evaluate takes run=RUN or poses=FILE. (uplift evaluate --help)")
     if "poses" in keys:
-        for key in [key for key in ("refine", "hypotheses", "items", "evaluation", *CAMERA_KEYS) if key in keys]:
+        for key in [
+            key for key in ("refine", "accelerator", "hypotheses", "items", "evaluation", *CAMERA_KEYS) if key in keys
+        ]:
             raise UserError(f"evaluate poses=FILE takes the poses as they are: {key}= goes with run=.")
         if "data.test" not in keys:
             raise UserError("evaluate poses=FILE needs data.test=FILE with the true poses.")
@@ -302,7 +307,7 @@ def evaluate_command(words: Sequence[str]) -> None:
     if "skeleton" in keys:
         raise UserError("evaluate run=...: the run knows its skeleton; skeleton= goes with poses=.")
     refine = keys.given("refine").get("refine")
-    options: dict[str, Any] = keys.given("hypotheses") | keys.given("items") | {"name": keys.get("evaluation")}
+    options: dict[str, Any] = keys.given("accelerator", "hypotheses", "items") | {"name": keys.get("evaluation")}
     refined, camera = None if refine is None else REFINE[refine], known_camera(keys)
     weights = read_weights(keys["run"])
     say(evaluate(weights, keys.get("data.test"), refine=refined, camera=camera, **options).table())

@@ -5,9 +5,10 @@ from __future__ import annotations
 import os
 import shlex
 import sys
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import torch
 from lightning.pytorch.utilities.rank_zero import rank_zero_only
@@ -29,7 +30,10 @@ from uplift.training import launch
 from uplift.training.callbacks import Interrupted
 from uplift.training.stages import CALLBACKS, LOGGERS, check_trainer
 
-__all__ = ["Prepared", "fit", "fit_settings", "prepare_keypoints", "prepare_masks"]
+if TYPE_CHECKING:
+    from uplift.data.module import KeypointData
+
+__all__ = ["Prepared", "fit", "fit_settings", "fit_stack", "prepare_keypoints", "prepare_masks"]
 
 
 _OF_THE_MACHINE = ("accelerator", "devices", "num_nodes", "threads", "wait")
@@ -80,11 +84,7 @@ def fit_settings(
     settings: Settings, run: RunFolder | None = None, *, place: Path | None = None, command: str | None = None
 ) -> RunFolder:
     """Train as ``settings`` say, going on in ``run`` or in a new run folder, at ``place`` if given, by ``command``."""
-    # What a task file names is asked for together, before any work; the built-in ones are not.
-    builtin = {*PRIORS.values(), *NETWORKS.values(), *DATA_SETS.values(), *CALLBACKS.values(), *LOGGERS.values()}
-    require({name: use for name, use in classes_of(asdict(settings)).items() if use not in builtin})
-    if settings.trainer.threads:
-        torch.set_num_threads(settings.trainer.threads)
+    _require(settings)
     with launch.as_one():
         launch.join(settings.trainer)
         launch.start(check_trainer(settings.trainer), settings.trainer)  # before any data is read
@@ -108,19 +108,71 @@ def _fit(settings: Settings, run: RunFolder | None, place: Path | None, command:
     except BaseException:
         run.discard_if_empty()
         raise
-    if rank_zero_only.rank == 0:
-        model.save(run.weights)
-        run.link_last()
-    with ranks.work_shared():  # all ranks evaluate the same clips together
-        found = KINDS[settings.lifts].report(model, settings, fit.loaded)
-    if rank_zero_only.rank == 0:
-        trained = Training(fit.recipe.spent, fit.recipe.steps, fit.recipe.idle_priors)
-        report(run, found, settings, fit.loaded, trained)
+    _keep(run, model, fit)
     return run
 
 
-def prepare_keypoints(settings: Settings, run: RunFolder | None) -> Prepared:
-    """Load keypoints and their recipe, which goes on from the checkpoints of ``run``."""
+def fit_stack(settings: Sequence[Settings], runs: Sequence[RunFolder], folder: Path) -> Iterator[UserError | None]:
+    """Train fits together as one stacked network, each in its run folder; yield what went wrong in each, None for nothing.
+
+    Args:
+        settings: of the fits, which must be `stackable`.
+        runs: their folders, new, or those of a stack that was interrupted.
+        folder: of the stack's own checkpoints, from which it goes on; not needed when all fits have ended.
+
+    Raises:
+        uplift.training.stack.NotStackable: fits that cannot be trained together. Train each alone, going on in its run.
+        uplift.training.callbacks.Interrupted: Ctrl-C; the same call goes on.
+    """
+    from uplift.data.module import depends_on_seed
+    from uplift.training.stack import NotStackable, stackable, train_stack
+
+    reason = stackable(settings)
+    if reason is not None:
+        raise NotStackable(reason)
+    for one in settings:
+        _require(one)
+    check_trainer(settings[0].trainer)
+    fits: list[Prepared] = []
+    for one, run in zip(settings, runs, strict=True):
+        data = None if depends_on_seed(settings[0]) or not fits else fits[0].recipe.data
+        fits.append(prepare_keypoints(one, run, data))
+        if fits[-1].facts:
+            run.add_facts(**fits[-1].facts)
+    try:
+        models = train_stack([fit.recipe for fit in fits], runs, folder)
+    except KeyboardInterrupt:  # between stages
+        raise Interrupted(folder) from None
+    for run, model, fit in zip(runs, models, fits, strict=True):
+        if not isinstance(model, UserError):
+            _keep(run, model, fit)
+        yield model if isinstance(model, UserError) else None
+
+
+def _require(settings: Settings) -> None:
+    """Raise UserError for code that the user did not consent to; use as many threads as are set."""
+    # What a task file names is asked for together, before any work; the built-in ones are not.
+    builtin = {*PRIORS.values(), *NETWORKS.values(), *DATA_SETS.values(), *CALLBACKS.values(), *LOGGERS.values()}
+    require({name: use for name, use in classes_of(asdict(settings)).items() if use not in builtin})
+    if settings.trainer.threads:
+        torch.set_num_threads(settings.trainer.threads)
+
+
+def _keep(run: RunFolder, model: Any, fit: Prepared) -> None:
+    """Write the trained model and the report of a fit into its run; all ranks evaluate the same clips together."""
+    first = rank_zero_only.rank == 0
+    if first:
+        model.save(run.weights)
+        run.link_last()
+    with ranks.work_shared():
+        found = KINDS[fit.settings.lifts].report(model, fit.settings, fit.loaded)
+    if first:
+        took = Training(fit.recipe.spent, fit.recipe.steps, fit.recipe.idle_priors)
+        report(run, found, fit.settings, fit.loaded, took)
+
+
+def prepare_keypoints(settings: Settings, run: RunFolder | None, data: KeypointData | None = None) -> Prepared:
+    """Load keypoints, unless ``data`` has them, and their recipe, which goes on from the checkpoints of ``run``."""
     from uplift.data.module import KeypointData
     from uplift.data.stream import load_training
     from uplift.skeleton import load_skeleton
@@ -134,8 +186,8 @@ def prepare_keypoints(settings: Settings, run: RunFolder | None) -> Prepared:
     if settings.init and not (run and any(run.checkpoints.glob("*.ckpt"))):  # what is resumed has its weights
         start = WarmStart.load(settings.init)
         settings = start.settings(settings)
-    loaded = load_training(settings, skeleton)
-    data = KeypointData.of(loaded, skeleton, settings)
+    data = data or KeypointData.of(load_training(settings, skeleton), skeleton, settings)
+    loaded = data.given["train"]
     recipe = PoseRecipe(settings, data, run, start)
     init = start.facts() if start else run.facts().get("init", {}) if run else {}
     loaded = replace(loaded, train=data.train_samples, notes=[*data.notes, *init.get("notes", [])])

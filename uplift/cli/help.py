@@ -219,7 +219,8 @@ def _fit_whole(verb: str, table: Mapping[str, Setting], given: Sequence[str]) ->
         "without a task starts from"
     )
     intro = (
-        "Settings are key=value words; a list is a,b, nothing is null. A typo is answered with the nearest name. "
+        "Settings are key=value words; a list is a,b, nothing is null. Several values of what takes "
+        "one, as seed=0..15 or lifter.options.units=128,256, are a sweep: a fit for each. A typo is answered with the nearest name. "
         f"Defaults are those of {' '.join(given) or of_task}."
     )
     yield from ["", *textwrap.wrap(intro, _width())]

@@ -60,6 +60,7 @@ def predict(
     axes: str | None = None,
     page: str | None = None,
     check: bool = True,
+    accelerator: str = "auto",
     written: dict[Path, str] | None = None,
     trust: Trust = None,
     **options: Any,
@@ -76,7 +77,7 @@ def predict(
     ``hypotheses`` are so many poses of each frame, with their probabilities. ``size`` are arguments of
     `uplift.models.metric_scale.size_from`. ``camera`` is what is known of how the camera stands, and ``ground`` keeps
     standing feet where they are. Without ``check`` a ready lifter lifts what does not look like the body that it knows
-    (`uplift.models.known_body`), too.
+    (`uplift.models.known_body`), too. ``accelerator`` is what computes: ``"auto"``, ``"cpu"``, ``"cuda"`` or ``"mps"``.
 
     ``axes`` are those of `uplift.export.scene`, the format's usual ones by default. ``page`` is the kind of an .html,
     ``viewer`` or ``gallery``, and ``options`` are those of the writers. The files written, with a remark on each, are added
@@ -107,6 +108,7 @@ def predict(
         "axes": axes,
         "page": page,
         "check": check,
+        "accelerator": accelerator,
     }
     request = request_of(weights, input, output, overrides, given | options)
     prediction, files = KINDS[weights.lifts].predict(request)
@@ -172,6 +174,7 @@ def keypoint_arguments(keys: Keys) -> dict[str, Any]:
         **keys.detection(),
         "keypoints": keys.value("keypoints"),
         "check": keys.value("check"),
+        "accelerator": keys.value("accelerator"),
         "part_frames": keys.value("part_frames"),
         "reading": keys.reading(),
         **({"nwb": nwb} if nwb else {}),
@@ -189,7 +192,7 @@ def lift_keypoints(request: Request) -> tuple[Prediction | Summary, dict[Path, s
     check_axes("", axes)
     _check_request(request, together, options)
     options |= _footage(request, together, options)
-    model = load_poses(request.weights)
+    model = load_poses(request.weights).on(request.accelerator)
     for output in request.outputs:
         check_measure(output, model.skeleton)
     how = {

@@ -38,6 +38,7 @@ class Request:
     detection: Detection = field(default_factory=Detection)
     keypoints: str | Path | None = None
     check: bool = True
+    accelerator: str = "auto"
     part_frames: int | None = 0
     """Frames that are lifted at a time where there are more; 0: all at once; None: long inputs in parts (`uplift.models.parts`)."""
 

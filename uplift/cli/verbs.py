@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from types import MappingProxyType
 from typing import Any, NamedTuple, Optional
 
+from uplift.config.device import ACCELERATORS
 from uplift.config.settings import MAX_SIDE, MIN_SIDE, Setting, all_settings
 
 __all__ = [
@@ -145,6 +146,8 @@ _ALL_KEYS = _table(
 POSE_KEYS = _table(
     _key("refine", str, "on", "lift the frames of a clip together; off: each on its own; causal: with those up to half a "
          "second later, as live use can", choices=tuple(REFINE)),
+    _key("accelerator", str, "auto", "what computes; auto: a CUDA device where there is one, else the processor",
+         choices=ACCELERATORS),
     _key("hypotheses", int, 0, "poses of each frame that are likely, with their probabilities, into an .npz", 0, 64),
     _key("bones", str, "free", "constant: bones of one length over a clip", choices=("free", "constant")),
     _key("bone", list[str], [], "joints along a known length, with bone_mm=: rhip,rknee"),
@@ -191,6 +194,7 @@ EVALUATE = _table(
     _key("data.test", Optional[str], None, "file with the truth; unset: the test data of the run"),
     _key("skeleton", Optional[str], None, "skeleton of poses=; unset: the shipped one whose joints those are"),
     POSE_KEYS["refine"],
+    POSE_KEYS["accelerator"],
     _key(
         "hypotheses",
         int,
@@ -297,7 +301,12 @@ _SHARD = _table(
 
 _FIT_WORDS = _table(
     all_settings()["task"]._replace(help="a shipped task or a YAML file; uplift tasks lists them"),
-    _key("resume", Optional[str], None, "run folder of a fit that was stopped: it goes on; takes no other settings"),
+    _key(
+        "resume",
+        Optional[str],
+        None,
+        "folder of a fit or a sweep that was stopped: it goes on; takes no other settings",
+    ),
     *_TRUST.values(),
 )
 _FIT = _FIT_WORDS | {name: one for name, one in all_settings().items() if name != "task"}
@@ -306,7 +315,7 @@ VERBS = {
     "fit": Verb(
         "train a lifter of keypoints or masks",
         ("fit task=NAME [key=value ...]", "fit skeleton=NAME data.train=FILE", "fit task=masks data.train=FOLDER",
-         "fit resume=RUN"),
+         "fit task=NAME seed=0..15 SETTING=a,b,c", "fit resume=RUN"),
         settings=_FIT,
     ),
     "evaluate": Verb(

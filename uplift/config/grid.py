@@ -108,7 +108,8 @@ def _values(key: str, text: str, word: str) -> list[str]:
         return [text]
     if typing.get_origin(kind) in (list, tuple) or key in _TAKE_COMMAS:
         return _bracketed(key, text, parts, word)
-    if kind is str and Path(text).exists():  # a file with a comma in its name
+    # A file with a comma in its name, or what YAML does not read as a plain value.
+    if (kind is str and Path(text).exists()) or text.startswith(("!", "&", "*")):
         return [text]
     if len(parts) > 1 and not all(parts):
         raise UserError(f"'{word}': there is an empty value between its commas.")

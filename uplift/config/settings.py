@@ -374,8 +374,8 @@ class TrainerSettings:
     )
     precision: str = _setting(
         "32-true",
-        "precision of Lightning's Trainer: 16 and bf16 are mixed, as geometry needs all digits",
-        choices=("32-true", "16-mixed", "bf16-mixed", "32", "16", "bf16"),
+        "precision of Lightning's Trainer: 16 and bf16 are of networks alone; auto: bf16 on processors made for it",
+        choices=("auto", "32-true", "16-mixed", "bf16-mixed", "32", "16", "bf16"),
     )
     products: str = _setting(
         "auto",
@@ -392,13 +392,14 @@ class SweepSettings:
 
     how: str = _setting(
         "auto",
-        "where its fits run: processes of this machine, jobs of a SLURM cluster, or tasks of a Ray cluster; auto: processes",
-        choices=("auto", "processes", "slurm", "ray"),
+        "how its fits run: as processes of this machine, as one stacked network that trains them together, as jobs of a SLURM "
+        "cluster, as tasks of a Ray cluster; auto: a stack on a GPU, else processes",
+        choices=("auto", "processes", "stack", "slurm", "ray"),
     )
     workers: Optional[int] = _setting(
         None,
-        "fits at a time; unset: one for each core that trainer.threads leaves, or for each GPU; on a cluster as many as it "
-        "runs",
+        "fits at a time; unset: one for each core that trainer.threads leaves, or for each GPU; 64 in a stack; on a cluster as "
+        "many as it runs",
         low=1,
         high=100_000,
     )

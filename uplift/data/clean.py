@@ -78,14 +78,16 @@ class _CleanReport:
         return [text for text, holds in found.items() if holds]
 
 
-def clean(data: PoseData, skeleton: Skeleton, *, drop: bool = True) -> tuple[PoseData, _CleanReport]:
+def clean(
+    data: PoseData, skeleton: Skeleton, *, drop: bool = True, jumps: bool = True
+) -> tuple[PoseData, _CleanReport]:
     """Return ``data`` with finite keypoints, confidence 0 where missing, and a root in every frame.
 
     ``data`` has the skeleton's joints in the skeleton's order. NaN, infinite and confidence 0 mean
     missing. A missing root is put at the mean of its nearest visible neighbours over the bones, for
     the others to be measured from, and flagged in `PoseData.root_filled`; its confidence stays 0, and
     the lifter says where it really is. Sequences whose frames jump are `PoseData.stills`. With ``drop`` off, frames that cannot be lifted stay, with
-    every confidence 0, so that an output keeps its rows.
+    every confidence 0, so that an output keeps its rows. With ``jumps`` off, sequences are what ``data`` says of them.
 
     Raises UserError: no frame is left, or no keypoint in the whole file is visible.
     """
@@ -109,7 +111,7 @@ def clean(data: PoseData, skeleton: Skeleton, *, drop: bool = True) -> tuple[Pos
     keypoints[bad] = 0
     keypoints, filled = fill_root(keypoints, confidence, skeleton)
     data = replace(data, keypoints=keypoints, confidence=confidence, root_filled=filled)
-    jump = 0.0 if "sequence" not in data.identity or data.stills else jump_of(data)
+    jump = jump_of(data) if jumps and "sequence" in data.identity and not data.stills else 0.0
     data = replace(data, stills=data.stills or jump > JUMP)
     if drop and bad.any():
         data = data.select(~bad)

@@ -30,12 +30,13 @@ from uplift.data.mask_tensors import MaskSet, to_mask_set
 from uplift.data.masks import MaskData
 from uplift.data.poses import PoseData
 from uplift.data.samples import Samples
+from uplift.data.select import choice_of
 from uplift.data.stream import Resident, Streamed, load_training
 from uplift.data.tensors import TrainingSet, mean_bones, to_training_set, with_labels
 from uplift.errors import UserError, did_you_mean
 from uplift.skeleton import Skeleton, load_skeleton
 
-__all__ = ["KeypointData", "MaskDataModule", "skeleton_of"]
+__all__ = ["KeypointData", "MaskDataModule", "depends_on_seed", "skeleton_of"]
 
 SamplesT = TypeVar("SamplesT", bound=Samples)
 LoadedT = TypeVar("LoadedT", Loaded, LoadedMasks)
@@ -267,6 +268,13 @@ def share_or_files(val: str | None) -> float | str | None:
         return None if val is None else float(val)
     except ValueError:
         return val
+
+
+def depends_on_seed(settings: Settings) -> bool:
+    """Return whether another seed means other training samples: simulated ones, or a random share of some."""
+    data, val = settings.data, share_or_files(settings.data.val)
+    shares = [choice_of(choice).get("fraction", 1) for choice in (data.select, data.hold_out, data.labelled)]
+    return bool(data.simulate) or (isinstance(val, float) and val > 0) or any(share != 1 for share in shares)
 
 
 # Keypoints.

@@ -21,7 +21,6 @@ from torch import Tensor
 
 from uplift.config.settings import Settings
 from uplift.data.clean import clean
-from uplift.data.far import without_far
 from uplift.data.formats import KEYPOINT_FORMATS, with_options
 from uplift.data.formats.base import Peek, ReadOptions
 from uplift.data.formats.shards import Outline, Shards
@@ -122,8 +121,11 @@ class Stream:
         for other in range(number, number + count - 1):
             found = self.read(other % count)
             with suppress(UserError):  # no frame of it can be lifted
-                return clean(replace(found, stills=self.stills), self.skeleton)[0]
-        return clean(replace(self.read((number - 1) % count), stills=self.stills), self.skeleton)[0]
+                return self._cleaned(found)
+        return self._cleaned(self.read((number - 1) % count))
+
+    def _cleaned(self, found: PoseData) -> PoseData:
+        return clean(replace(found, stills=self.stills), self.skeleton, jumps=False)[0]
 
     def held_out(self, share: float) -> tuple[Stream, PoseData]:
         """Return the stream without some blocks, and their frames in the skeleton's joints: a ``share`` of all, but not too many."""
@@ -136,8 +138,8 @@ class Stream:
 
 
 def _in_joints(found: PoseData, skeleton: Skeleton, options: ReadOptions) -> PoseData:
-    """Return frames of shards in the skeleton's joints, as those of other files are read."""
-    return in_joints_of(without_far(by_individuals(with_options(found, options), skeleton)), skeleton)
+    """Return frames of shards in the skeleton's joints; keypoints that are far outside were left out of the shards."""
+    return in_joints_of(by_individuals(with_options(found, options), skeleton), skeleton)
 
 
 def _blocks(shards: Shards, size: int, chosen: np.ndarray | None) -> Iterator[tuple[int, Rows]]:

@@ -192,7 +192,8 @@ class Batch(Samples):
         labels = None if self.labels is None else swap(self.labels)
         mask_map = self.mask_map
         if mask_map is not None:
-            mask_map = torch.where(which[:, None, None], mask_map * mask_map.new_tensor([-1.0, 1.0, 1.0]), mask_map)
+            across = torch.where(which[:, None, None], -mask_map[..., :1], mask_map[..., :1])
+            mask_map = torch.cat([across, mask_map[..., 1:]], -1)
         return replace(
             self, keypoints=swap(self.keypoints), confidence=swap(self.confidence), labels=labels, mask_map=mask_map
         )

@@ -10,9 +10,9 @@ from torch import Tensor
 
 from uplift.errors import UserError, did_you_mean
 
-__all__ = ["Camera", "Orthographic", "Perspective", "build_camera"]
+__all__ = ["NEAREST", "Camera", "Orthographic", "Perspective", "build_camera"]
 
-_NEAREST = 0.1
+NEAREST = 0.1
 """Share of the distance at which a point at or behind the pinhole is held: it has no image."""
 
 
@@ -20,10 +20,6 @@ class Camera:
     """What both cameras share: ``ratio`` is how much smaller a point at depth z is seen than one at the root's depth."""
 
     def ratio(self, z: Tensor, distance: Tensor) -> Tensor | float:
-        raise NotImplementedError
-
-    def slope(self, z: Tensor, distance: Tensor) -> Tensor | float:
-        """Return the derivative of `ratio` by z."""
         raise NotImplementedError
 
     def unproject(
@@ -40,7 +36,8 @@ class Camera:
         self, pose: Float[Tensor, "frames joints 3"], distance: Float[Tensor, " frames"]
     ) -> Float[Tensor, "frames joints 2"]:
         """Return the 2D keypoints of ``pose``."""
-        return pose[..., :2] / self.ratio(pose[..., 2:], distance)
+        across, z = pose.split([2, 1], -1)
+        return across / self.ratio(z, distance)
 
 
 @dataclass(frozen=True)
@@ -49,9 +46,6 @@ class Orthographic(Camera):
 
     def ratio(self, z: Tensor, distance: Tensor) -> float:
         return 1.0
-
-    def slope(self, z: Tensor, distance: Tensor) -> float:
-        return 0.0
 
 
 @dataclass(frozen=True)
@@ -64,10 +58,7 @@ class Perspective(Camera):
     """
 
     def ratio(self, z: Tensor, distance: Tensor) -> Tensor:
-        return (1 + z / distance[:, None, None]).clamp_min(_NEAREST)
-
-    def slope(self, z: Tensor, distance: Tensor) -> Tensor:
-        return (self.ratio(z, distance) > _NEAREST).to(z.dtype) / distance[:, None, None]
+        return (1 + z / distance[:, None, None]).clamp_min(NEAREST)
 
 
 def build_camera(name: str) -> Camera:

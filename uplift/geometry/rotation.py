@@ -33,14 +33,12 @@ def about_z(angle: Float[Tensor, " batch"]) -> Float[Tensor, "batch 3 3"]:
 
 
 def _plane_rotation(angle: Tensor, first: int, second: int) -> Tensor:
-    cos, sin = angle.cos(), angle.sin()
-    rotation = torch.zeros(*angle.shape, 3, 3, dtype=angle.dtype, device=angle.device)
-    rotation[..., 3 - first - second, 3 - first - second] = 1
-    rotation[..., first, first] = cos
-    rotation[..., second, second] = cos
-    rotation[..., second, first] = sin
-    rotation[..., first, second] = -sin
-    return rotation
+    cos, sin, zero = angle.cos(), angle.sin(), torch.zeros_like(angle)
+    entries = [zero] * 9
+    entries[4 * (3 - first - second)] = torch.ones_like(angle)
+    entries[4 * first] = entries[4 * second] = cos
+    entries[3 * second + first], entries[3 * first + second] = sin, -sin
+    return torch.stack(entries, -1).unflatten(-1, (3, 3))
 
 
 def level(tilt: Float[Tensor, " batch"]) -> Float[Tensor, "batch 3 3"]:
@@ -171,7 +169,8 @@ def clip_median(
     order = order[torch.argsort(clip[order], stable=True)]
     counts = torch.bincount(clip)
     ends = counts.cumsum(0)
-    total = weight[order].double().cumsum(0)
+    digits = torch.float32 if weight.device.type == "mps" else torch.float64  # Apple's GPUs have no other
+    total = weight[order].cumsum(0, dtype=digits)
     before = torch.cat([total.new_zeros(1), total])[ends - counts]
     half = before + (total[ends - 1] - before) / 2
     place = torch.clamp(torch.searchsorted(total, half), ends - counts, ends - 1)  # without weight, its first

@@ -79,7 +79,7 @@ def hidden_errors(model: Model, data: PoseData) -> Float[np.ndarray, "frames joi
         hidden = frames.confidence.clone()
         hidden[:, joint] = 0
         without = replace(frames, confidence=hidden)
-        lifted = model.lifter(frames.keypoints, hidden, frames.distance, *guessed)
+        lifted = model.lifter(frames.keypoints, hidden, frames.distance, *guessed, with_signs=False)
         off = as_measured(without, lifted.keypoints)[:, joint] - frames.keypoints[:, joint]
         errors[:, joint] = torch.where(judged[:, joint], off.norm(dim=-1), torch.nan)
     return errors.cpu().numpy()

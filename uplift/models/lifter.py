@@ -61,8 +61,8 @@ _MIXED: ContextVar[torch.dtype | None] = ContextVar("mixed", default=None)
 
 @contextmanager
 def mixed_networks(precision: torch.dtype | None) -> Iterator[None]:
-    """Compute the networks of lifters inside in mixed ``precision``, and not their geometry; None changes nothing."""
-    before = _MIXED.set(precision or _MIXED.get())
+    """Compute the networks of lifters inside in mixed ``precision``, if any, and not their geometry."""
+    before = _MIXED.set(precision)
     try:
         yield
     finally:
@@ -103,6 +103,9 @@ class Lifter(nn.Module):
         self.any_camera = settings.cameras == "any"
         self.gravity = self.any_camera and self.tilt == "predicted"
         inputs, outputs = len(self.input_names()), len(self.output_names())
+        joints = len(skeleton.joints)
+        sizes = [joints, 2 * joints * self.fill, joints * self.uncertainty, int(self.any_camera)]
+        self._sizes = [*sizes, outputs - sum(sizes)]
         if network is None:
             network = build_network(settings.network, inputs, outputs, settings.options)
         self.network = network
@@ -123,6 +126,8 @@ class Lifter(nn.Module):
         confidence: Float[Tensor, "batch joints"],
         distance: Float[Tensor, " batch"],
         guessed: Bool[Tensor, " batch"] | None = None,
+        *,
+        with_signs: bool = True,
     ) -> Lifted:
         """Lift normalised keypoints; a joint of confidence 0 is ignored wherever it is.
 
@@ -131,39 +136,61 @@ class Lifter(nn.Module):
             confidence: 0..1; 0 is missing.
             distance: of the camera to the root, in units.
             guessed: where the distance is a guess, which a lifter for any camera corrects; None: nowhere.
+            with_signs: whether to predict depth signs, too, where the lifter does; `sign_logits` are those alone.
         """
-        joints = len(self.skeleton.joints)
+        features, keypoints, visible, guessed = self._seen(keypoints, confidence, distance, guessed)
+        with _networks_precision(features.device):
+            output = self.network(features)
+            signs = self._signs(features, distance) if with_signs else None
+        output = output.to(features.dtype)  # geometry is in full precision
+        root = self.skeleton.root_index
+        depth, filled, spread, far, camera = output.split(self._sizes, 1)
+        if not self.root_free:
+            depth = depth - depth[:, root, None]
+        if self.fill:
+            filled = filled.view_as(keypoints)
+            keypoints = keypoints + filled if self.denoise else torch.where(visible, keypoints, filled)
+            # A missing root had its neighbours as a stand-in; from here on the origin is the predicted root.
+            keypoints = keypoints - keypoints[:, root, None]
+        uncertainty = None
+        if self.uncertainty:
+            uncertainty = spread.clamp(*_LOG_UNCERTAINTY).exp()
+            uncertainty = uncertainty.index_fill(1, self.root_place, 0.0)
+        gravity = estimated = None
+        if self.any_camera:
+            distance = estimated = distance * (far[:, 0] * guessed).clamp(-2, 2).exp()
+            gravity = _upright(camera) if self.gravity else None
+        tilt = self._tilt(camera) if gravity is None else _tilt_of(gravity)
+        pose = self.camera.unproject(keypoints, depth, distance)
+        return Lifted(pose, tilt, keypoints, uncertainty, gravity, estimated, signs)
+
+    def _seen(
+        self, keypoints: Tensor, confidence: Tensor, distance: Tensor, guessed: Tensor | None
+    ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+        """Return what the networks see, visible keypoints, which those are (batch joints 1), and where distances are guesses."""
         visible = (confidence > 0).unsqueeze(-1)
         keypoints = keypoints * visible
         if self.calibrated:  # a network that is shown errors learns the rest of its poses more slowly
             confidence = visible.squeeze(-1).to(confidence.dtype)
         guessed = torch.zeros_like(distance, dtype=torch.bool) if guessed is None else guessed
-        features = self._features(keypoints, confidence, distance, guessed)
+        return self._features(keypoints, confidence, distance, guessed), keypoints, visible, guessed
+
+    def sign_logits(
+        self,
+        keypoints: Float[Tensor, "batch joints 2"],
+        confidence: Float[Tensor, "batch joints"],
+        distance: Float[Tensor, " batch"],
+        guessed: Bool[Tensor, " batch"] | None = None,
+    ) -> Float[Tensor, "batch states"] | None:
+        """Return `Lifted.signs` of the same keypoints as `forward` takes, without lifting them."""
+        features = self._seen(keypoints, confidence, distance, guessed)[0]
         with _networks_precision(features.device):
-            output = self.network(features)
-            signs = self._signs(features, distance)
-        output = output.to(features.dtype)  # geometry is in full precision
-        depth = output[:, :joints]
-        if not self.root_free:
-            depth = depth - depth[:, self.skeleton.root_index, None]
-        if self.fill:
-            filled = output[:, joints : 3 * joints].reshape(-1, joints, 2)
-            keypoints = keypoints + filled if self.denoise else torch.where(visible, keypoints, filled)
-            # A missing root had its neighbours as a stand-in; from here on the origin is the predicted root.
-            keypoints = keypoints - keypoints[:, self.skeleton.root_index, None]
-        uncertainty = None
-        if self.uncertainty:
-            first = joints * (1 + 2 * self.fill)
-            uncertainty = output[:, first : first + joints].clamp(*_LOG_UNCERTAINTY).exp()
-            uncertainty = uncertainty.index_fill(1, self.root_place, 0.0)
-        gravity = estimated = None
-        if self.any_camera:
-            first = joints * (1 + 2 * self.fill + self.uncertainty)
-            distance = estimated = distance * (output[:, first] * guessed).clamp(-2, 2).exp()
-            gravity = _upright(output[:, first + 1 :]) if self.gravity else None
-        tilt = self._tilt(output) if gravity is None else _tilt_of(gravity)
-        pose = self.camera.unproject(keypoints, depth, distance)
-        return Lifted(pose, tilt, keypoints, uncertainty, gravity, estimated, signs)
+            return self._signs(features, distance)
+
+    @property
+    def halves(self) -> bool:
+        """Whether the network is one that can multiply in bfloat16 without harm."""
+        return bool(getattr(self.network, "exact_ends", False))
 
     @property
     def knows_signs(self) -> bool:
@@ -201,13 +228,13 @@ class Lifter(nn.Module):
             return None
         return self.signs(torch.cat([features, _USUAL_DISTANCE / distance[:, None]], 1)).to(features.dtype)
 
-    def _tilt(self, output: Tensor) -> Tensor:
+    def _tilt(self, camera: Tensor) -> Tensor:
         if self.tilt == "predicted":
             # Learns more slowly than the depths: the camera's tilt should not explain what a pose can.
-            return 0.3 * output[:, -1]
+            return 0.3 * camera[:, 0]
         if self.tilt == "learned":
-            return self.common_tilt.expand(len(output))
-        return output.new_zeros(len(output))
+            return self.common_tilt.expand(len(camera))
+        return camera.new_zeros(len(camera))
 
     def unit_mm(self, pose: Float[Tensor, "batch joints 3"]) -> Float[Tensor, " batch"] | None:
         """Return mm per unit of each pose, for a body as large as the labelled ones; None without any."""
@@ -223,13 +250,15 @@ class Lifter(nn.Module):
         confidence: Float[Tensor, "batch joints"],
         distance: Float[Tensor, " batch"],
         guessed: Bool[Tensor, " batch"] | None = None,
+        *,
+        with_signs: bool = True,
     ) -> Lifted:
         """Return the mean of the lifted keypoints and their lifted mirror image, if any (after Pavllo et al. 2019)."""
-        straight = self(keypoints, confidence, distance, guessed)
         if not self.skeleton.has_mirror_image:
-            return straight
-        swap = self.mirror_permutation
-        mirrored = self(mirror(keypoints, swap), confidence[:, swap], distance, guessed)
+            return self(keypoints, confidence, distance, guessed, with_signs=with_signs)
+        swap, count = self.mirror_permutation, len(keypoints)
+        both = self(*self._both_ways(keypoints, confidence, distance, guessed), with_signs=with_signs)
+        straight, mirrored = both.select(slice(None, count)), both.select(slice(count, None))
         depth = (straight.pose[..., 2] + mirrored.pose[:, swap, 2]) / 2
         filled = (straight.keypoints + mirror(mirrored.keypoints, swap)) / 2
         uncertainty = None
@@ -244,16 +273,40 @@ class Lifter(nn.Module):
         else:
             estimated = None
         pose = self.camera.unproject(filled, depth, distance)
-        signs = None
-        if straight.signs is not None and mirrored.signs is not None:
-            both = self.chains.mirrored is not None
-            signs = self.chains.mean(straight.signs, mirrored.signs) if both else straight.signs
+        signs = self._mean_signs(straight.signs, mirrored.signs)
         return Lifted(pose, tilt, filled, uncertainty, gravity, estimated, signs)
+
+    def signs_both_ways(
+        self,
+        keypoints: Float[Tensor, "batch joints 2"],
+        confidence: Float[Tensor, "batch joints"],
+        distance: Float[Tensor, " batch"],
+        guessed: Bool[Tensor, " batch"] | None = None,
+    ) -> Float[Tensor, "batch states"] | None:
+        """Return `Lifted.signs` of `lift_both_ways`, without lifting."""
+        if not self.skeleton.has_mirror_image:
+            return self.sign_logits(keypoints, confidence, distance, guessed)
+        both = self.sign_logits(*self._both_ways(keypoints, confidence, distance, guessed))
+        return None if both is None else self._mean_signs(*both.split(len(keypoints)))
+
+    def _both_ways(
+        self, keypoints: Tensor, confidence: Tensor, distance: Tensor, guessed: Tensor | None
+    ) -> tuple[Tensor, Tensor, Tensor, Tensor | None]:
+        """Return keypoints and their mirror images as one batch."""
+        swap = self.mirror_permutation
+        keypoints = torch.cat([keypoints, mirror(keypoints, swap)])
+        confidence = torch.cat([confidence, confidence[:, swap]])
+        return keypoints, confidence, distance.repeat(2), None if guessed is None else guessed.repeat(2)
+
+    def _mean_signs(self, straight: Tensor | None, mirrored: Tensor | None) -> Tensor | None:
+        if straight is None or mirrored is None or self.chains.mirrored is None:
+            return straight
+        return self.chains.mean(straight, mirrored)
 
 
 def _upright(output: Tensor) -> Tensor:
     """Return gravity as the network says it, relative to that of a level camera."""
-    return output + output.new_tensor([0.0, 1.0, 0.0])
+    return output + torch.eye(3, dtype=output.dtype, device=output.device)[1]
 
 
 def _tilt_of(gravity: Tensor) -> Tensor:

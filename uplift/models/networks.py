@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from itertools import chain
 from typing import Any, ClassVar
 
 import torch
@@ -10,6 +11,7 @@ from jaxtyping import Float
 from torch import Tensor, nn
 from torch.nn.functional import leaky_relu
 
+from uplift.config.device import fast_products
 from uplift.config.plugins import build, find_class, options_of
 from uplift.errors import UserError, did_you_mean
 
@@ -19,6 +21,9 @@ __all__ = ["CouplingFlow", "KudoNetwork", "ResidualNetwork", "build_network", "f
 _MOST_UNITS, _MOST_BLOCKS = 16_384, 256
 _MOST_WEIGHTS = 200_000_000
 """Of a built-in network, 3 GB with their optimiser: a hundred times those of the largest recipe."""
+
+
+# A network of `exact_ends` keeps its first and last layer in full precision under autocast, and with them what poses need.
 
 
 class KudoNetwork(nn.Module):
@@ -36,6 +41,7 @@ class KudoNetwork(nn.Module):
     """
 
     ranges: ClassVar = {"units": (1, _MOST_UNITS)}
+    exact_ends: ClassVar = True
 
     def __init__(self, inputs: int, outputs: int, *, units: int = 1024, slope: float = 0.2, std: float = 0.02):
         super().__init__()
@@ -48,10 +54,10 @@ class KudoNetwork(nn.Module):
 
     def forward(self, features: Float[Tensor, "batch inputs"]) -> Float[Tensor, "batch outputs"]:
         """Return the last layer's values, without activation."""
-        first = leaky_relu(self.layers[0](features), self.slope)
+        first = leaky_relu(_exact(self.layers[0], features), self.slope)
         second = leaky_relu(self.layers[1](first), self.slope)
         third = leaky_relu(self.layers[2](second) + first, self.slope)
-        return self.layers[3](third)
+        return _exact(self.layers[3], third)
 
 
 class ResidualNetwork(nn.Module):
@@ -69,6 +75,7 @@ class ResidualNetwork(nn.Module):
     """
 
     ranges: ClassVar = {"units": (1, _MOST_UNITS), "blocks": (1, _MOST_BLOCKS)}
+    exact_ends: ClassVar = True
 
     def __init__(
         self, inputs: int, outputs: int, *, units: int = 256, blocks: int = 2, slope: float = 0.2, norm: bool = False
@@ -86,15 +93,28 @@ class ResidualNetwork(nn.Module):
 
     def forward(self, features: Float[Tensor, "batch inputs"]) -> Float[Tensor, "batch outputs"]:
         """Return the last layer's values, without activation."""
-        hidden = leaky_relu(self.enter(features), self.slope)
+        hidden = leaky_relu(_exact(self.enter, features), self.slope)
         for norm, (first, second) in zip(self.norms, self.blocks, strict=True):  # type: ignore[misc]
             inner = leaky_relu(first(norm(hidden)), self.slope)
             hidden = hidden + leaky_relu(second(inner), self.slope)
-        return self.leave(hidden)
+        return _exact(self.leave, hidden)
+
+
+def _exact(layer: nn.Module, value: Tensor) -> Tensor:
+    """Return what ``layer`` makes of ``value``, in full precision under autocast too: rounded coordinates cost five times as much
+    as rounded products between them."""
+    if not torch.is_autocast_enabled(value.device.type):
+        return layer(value)
+    with torch.autocast(value.device.type, enabled=False):
+        return layer(value.float())
 
 
 _LARGEST = 2.0
 """Bound of a block's log scale, so that no block can diverge."""
+
+
+def _bounded(log_scale: Tensor) -> Tensor:
+    return _LARGEST * torch.tanh(log_scale / _LARGEST)
 
 
 class CouplingFlow(nn.Module):
@@ -104,7 +124,7 @@ class CouplingFlow(nn.Module):
 
     def __init__(self, size: int, *, blocks: int = 8, units: int = 64, seed: int = 0):
         super().__init__()
-        self.kept = size // 2
+        self.size, self.kept = size, size // 2
         changed = size - self.kept
         self.nets = nn.ModuleList(
             nn.Sequential(nn.Linear(self.kept, units), nn.ReLU(), nn.Linear(units, 2 * changed)) for _ in range(blocks)
@@ -115,35 +135,98 @@ class CouplingFlow(nn.Module):
         random = torch.randn(blocks, size, size, generator=torch.Generator().manual_seed(seed))
         self.register_buffer("rotations", torch.linalg.qr(random).Q)
 
-    def _affine(self, net: nn.Module, kept: Tensor) -> tuple[Tensor, Tensor]:
-        log_scale, shift = net(kept).chunk(2, 1)
-        return _LARGEST * torch.tanh(log_scale / _LARGEST), shift
+    def _products(self) -> list[tuple[Tensor, ...]]:
+        """Return for each block what it multiplies with and adds.
+
+        (size, size + units): the rotation before it, and with it the first layer, to which only what is kept leads.
+        (size + units,): 0, and that layer's bias. (units, 2 changed) and (2 changed,): the second layer, with the log
+        scale divided by its bound.
+        """
+        weights = [torch.stack(parts) for parts in zip(*([*net.parameters()] for net in self.nets), strict=True)]
+        enter, enter_bias, leave, leave_bias = weights
+        like = {"dtype": enter.dtype, "device": enter.device}
+        before = torch.cat([torch.eye(self.size, **like)[None], self.rotations[:-1]])
+        enter = torch.cat([before, before[..., : self.kept] @ enter.mT], -1)
+        bounds = torch.ones(leave.shape[1], **like)
+        bounds[: self.size - self.kept] = 1 / _LARGEST
+        enter_bias, leave = nn.functional.pad(enter_bias, (self.size, 0)), leave.mT * bounds
+        return [*zip(enter, enter_bias, leave, leave_bias * bounds, strict=True)]
 
     def forward(
         self, vector: Float[Tensor, "batch size"]
     ) -> tuple[Float[Tensor, "batch size"], Float[Tensor, " batch"]]:
         """Return the latent vectors and the log-determinants of the Jacobian."""
-        volume = vector.new_zeros(len(vector))
-        for net, rotation in zip(self.nets, self.rotations, strict=True):
-            kept, changed = vector[:, : self.kept], vector[:, self.kept :]
-            log_scale, shift = self._affine(net, kept)
-            volume = volume + log_scale.sum(1)
-            vector = torch.cat([kept, changed * log_scale.exp() + shift], 1) @ rotation
-        return vector, volume
+        squashed = []
+        for products in self._products():
+            kept, changed, _, scale, factor, shift = _coupling(vector, self.kept, products)
+            squashed.append(scale)
+            vector = torch.cat([kept, torch.addcmul(shift, changed, factor)], 1)
+        return vector @ self.rotations[-1], _LARGEST * torch.stack(squashed).sum((0, 2))
 
     def inverse(self, latent: Float[Tensor, "batch size"]) -> Float[Tensor, "batch size"]:
         """Return the vectors that `forward` takes to ``latent``."""
-        for place in reversed(range(len(self.nets))):
-            latent = latent @ self.rotations[place].mT
-            kept, changed = latent[:, : self.kept], latent[:, self.kept :]
-            log_scale, shift = self._affine(self.nets[place], kept)
-            latent = torch.cat([kept, (changed - shift) * (-log_scale).exp()], 1)
+        for net, rotation in zip(reversed(self.nets), reversed(self.rotations), strict=True):
+            kept, changed = (latent @ rotation.mT).split([self.kept, self.size - self.kept], 1)
+            scale, shift = net(kept).chunk(2, 1)
+            latent = torch.cat([kept, (changed - shift) * (-_bounded(scale)).exp()], 1)
         return latent
 
     def surprise(self, vector: Float[Tensor, "batch size"]) -> Float[Tensor, " batch"]:
         """Return the negative log-likelihood in nats, without its constant."""
-        latent, volume = self(vector)
-        return 0.5 * latent.square().sum(1) - volume
+        if any(parameter.requires_grad for parameter in self.parameters()):
+            latent, volume = self(vector)
+            return 0.5 * latent.square().sum(1) - volume
+        products = chain.from_iterable(self._products())
+        with fast_products("highest"):  # the fast way is for large products
+            return _FrozenSurprise.apply(vector, self.rotations[-1], self.kept, *products)[0]  # type: ignore[index]
+
+
+def _coupling(vector: Tensor, kept: int, products: tuple[Tensor, ...]) -> tuple[Tensor, ...]:
+    """Return a block's numbers: what it keeps and changes, its hidden layer, the log scale over its bound, scale and shift."""
+    enter, enter_bias, leave, leave_bias = products
+    sizes = [kept, len(enter) - kept, len(enter_bias) - len(enter)]
+    same, changed, hidden = torch.addmm(enter_bias, vector, enter).split(sizes, 1)
+    hidden = hidden.relu()
+    scale, shift = torch.addmm(leave_bias, hidden, leave).chunk(2, 1)
+    scale = scale.contiguous().tanh()  # twice as fast as on columns
+    return same, changed, hidden, scale, (_LARGEST * scale).exp(), shift
+
+
+class _FrozenSurprise(torch.autograd.Function):
+    """`CouplingFlow.surprise` of a flow that is not trained: its gradient takes half the time of autograd's."""
+
+    generate_vmap_rule = True
+
+    @staticmethod
+    def forward(vector: Tensor, rotation: Tensor, kept: int, *products: Tensor) -> tuple[Tensor, Tensor]:
+        blocks = [products[place : place + 4] for place in range(0, len(products), 4)]
+        steps, one = [], torch.ones_like(rotation[0, 0])
+        for block in blocks:
+            step = _coupling(vector, kept, block)
+            steps.append(step)
+            vector = torch.cat([step[0], torch.addcmul(step[5], step[1], step[4])], 1)
+        latent = vector @ rotation
+        surprise = 0.5 * latent.square().sum(1) - _LARGEST * torch.stack([step[3] for step in steps]).sum((0, 2))
+        slope = latent @ rotation.mT
+        for (_, changed, hidden, scale, factor, _), (enter, _, leave, _) in zip(
+            reversed(steps), reversed(blocks), strict=True
+        ):
+            of_kept, of_changed = slope.split([kept, len(rotation) - kept], 1)
+            scaled = of_changed * factor
+            of_scale = torch.addcmul(-one, scaled, changed) * torch.addcmul(one, scale, scale, value=-1) * _LARGEST
+            of_hidden = (torch.cat([of_scale, of_changed], 1) @ leave.mT) * hidden.sign()
+            slope = torch.cat([of_kept, scaled, of_hidden], 1) @ enter.mT
+        return surprise, slope
+
+    @staticmethod
+    def setup_context(ctx: Any, inputs: Any, output: tuple[Tensor, Tensor]) -> None:
+        ctx.save_for_backward(output[1])
+        ctx.mark_non_differentiable(output[1])
+        ctx.count = len(inputs)
+
+    @staticmethod
+    def backward(ctx: Any, *gradients: Tensor) -> tuple[Tensor | None, ...]:
+        return (gradients[0].unsqueeze(1) * ctx.saved_tensors[0], *[None] * (ctx.count - 1))
 
 
 _SIZES = ("inputs", "outputs")

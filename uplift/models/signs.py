@@ -7,7 +7,7 @@ the two where they are unsure; here the states have probabilities.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import reduce
 from itertools import pairwise
@@ -15,10 +15,11 @@ from itertools import pairwise
 import numpy as np
 import torch
 from jaxtyping import Bool, Float, Int
-from torch import Tensor
+from torch import Tensor, nn
 from torch.nn.functional import cross_entropy, log_softmax, normalize, pad
 
 from uplift.config import ranks
+from uplift.config.threads import in_threads
 from uplift.data.poses import USUAL_FPS
 from uplift.data.tensors import TrainingSet
 from uplift.geometry.camera import Camera, Orthographic
@@ -37,7 +38,7 @@ _MOST_BONES = 4
 """Of a chain, which has 2 to the power of that many states."""
 
 
-class SignChains:
+class SignChains(nn.Module):
     """The tree of a skeleton's bones, cut into chains whose signs are decided together.
 
     A chain goes on to the only child of a joint, or the only one that is its own mirror image (from the hips up the
@@ -45,10 +46,20 @@ class SignChains:
     of a chain is a binary number with one digit for each bone, the first bone's first: 1 where it points away.
     """
 
+    bones: Tensor
+    """(bones 2) parent and child, chain after chain."""
+    members: Tensor
+    """(joints chains), 1 where a joint is one of a chain."""
+
     def __init__(self, skeleton: Skeleton):
+        super().__init__()
         self.chains = _chains(skeleton)
-        self.bones = torch.tensor([bone for chain in self.chains for bone in chain])
-        """(bones 2) parent and child, chain after chain."""
+        members = [
+            [float(any(joint in bone for bone in chain)) for chain in self.chains]
+            for joint in range(len(skeleton.joints))
+        ]
+        self.register_buffer("bones", torch.tensor([bone for chain in self.chains for bone in chain]), persistent=False)
+        self.register_buffer("members", torch.tensor(members), persistent=False)
         self.counts = [2 ** len(chain) for chain in self.chains]
         self.starts = np.cumsum([0, *map(len, self.chains)]).tolist()
         """The place of each chain's first bone among all."""
@@ -78,7 +89,7 @@ class SignChains:
     ) -> Int[Tensor, "frames chains"]:
         """Return the state of each chain in poses seen from ``distance``."""
         ray = torch.cat([pose[..., :2], pose[..., 2:] + distance[:, None, None]], -1)
-        parent, child = self.bones.to(pose.device).T
+        parent, child = self.bones.T
         away = ((pose[:, child] - pose[:, parent]) * ray[:, child]).sum(-1) > 0
         digits = [away[:, start:stop].long() for start, stop in pairwise(self.starts)]
         return torch.stack([reduce(lambda state, bit: 2 * state + bit, part.T) for part in digits], 1)
@@ -90,12 +101,10 @@ class SignChains:
         weight: Float[Tensor, "frames joints"],
     ) -> Float[Tensor, ""]:
         """Return the mean cross-entropy of a frame, over chains all of whose joints have a ``weight``."""
-        total = logits.new_zeros(())
-        for place, (part, chain) in enumerate(zip(logits.split(self.counts, 1), self.chains, strict=True)):
-            joints = sorted({joint for bone in chain for joint in bone})
-            known = (weight[:, joints] > 0).all(1).to(logits.dtype)
-            total = total + (cross_entropy(part, states[:, place], reduction="none") * known).mean()
-        return total
+        known = ((weight <= 0).to(self.members.dtype) @ self.members == 0).to(logits.dtype)
+        parts = zip(logits.split(self.counts, 1), states.unbind(1), strict=True)
+        each = torch.stack([cross_entropy(part, state, reduction="none") for part, state in parts], 1)
+        return (each * known).mean(0).sum()
 
 
 def _chains(skeleton: Skeleton) -> list[Chain]:
@@ -144,20 +153,20 @@ class _Scene:
     length: Float[Tensor, "frames bones"]
     """As in `SignChains.bones`."""
 
-    def ends(self, place: int, start: Float[Tensor, "frames 3"]) -> Float[Tensor, "frames states bones 3"]:
-        """Return the far ends of a chain's bones in all of its states.
+    def ends(self, place: int, start: Float[Tensor, "3 frames"]) -> list[Tensor]:
+        """Return, for each bone of a chain, where it may end (states 3 frames), by the digits of the bones up to it.
 
         Where a bone cannot reach the line of sight, both states are the point of the line nearest to its start.
         """
-        at, columns = start[:, None], []
+        at, found = start[None], []
         for number, (_, child) in enumerate(self.chains.chains[place]):
-            point, ray = self.point[:, child, None], self.ray[:, child, None]
-            length = self.length[:, self.chains.starts[place] + number, None]
-            along, half = _meets(at - point, ray, length)
-            both = torch.stack([along - half, along + half], -1)
-            at = (point[:, :, None] + ray[:, :, None] * both[..., None]).flatten(1, 2)
-            columns = [*(column.repeat_interleave(2, 1) for column in columns), at]
-        return torch.stack(columns, 2)
+            point, ray = self.point[:, child].T.contiguous(), self.ray[:, child].T.contiguous()
+            length = self.length[:, self.chains.starts[place] + number]
+            along, half = _meets(at - point, ray, length, 1)
+            both = torch.stack([along - half, along + half], 1).flatten(0, 1)
+            at = torch.addcmul(point, ray, both[:, None])
+            found.append(at)
+        return found
 
     def placed(
         self, rows: Int[Tensor, " frames"], states: Int[Tensor, "frames poses chains"]
@@ -169,15 +178,15 @@ class _Scene:
                 sign = 2 * (states[..., place] >> (len(chain) - 1 - number) & 1) - 1
                 point, ray = self.point[rows, None, child], self.ray[rows, None, child]
                 length = self.length[rows, None, self.chains.starts[place] + number]
-                along, half = _meets(result[:, :, parent] - point, ray, length)
+                along, half = _meets(result[:, :, parent] - point, ray, length, -1)
                 result[:, :, child] = point + ray * (along + sign * half)[..., None]
         return result
 
 
-def _meets(off: Tensor, ray: Tensor, length: Tensor) -> tuple[Tensor, Tensor]:
+def _meets(off: Tensor, ray: Tensor, length: Tensor, axis: int) -> tuple[Tensor, Tensor]:
     """Return how far along rays the nearest points to ``off`` are, and from there the points ``length`` away from it."""
-    along = (off * ray).sum(-1)
-    return along, (length.square() - off.square().sum(-1) + along.square()).clamp_min(0).sqrt()
+    along = (off * ray).sum(axis)
+    return along, (length.square() - off.square().sum(axis) + along.square()).clamp_min(0).sqrt()
 
 
 def _scene_of(frames: TrainingSet, pose: Tensor, camera: Camera, chains: SignChains) -> tuple[_Scene, Tensor]:
@@ -218,15 +227,24 @@ def _body_lengths(
     A lifter shortens limbs that it is unsure of. ``reach`` is what a bone must at least measure in a frame. The sum of
     all is that of the medians.
     """
-    result = torch.empty_like(length)
-    order = torch.argsort(body, stable=True)
-    for rows in order.split(torch.bincount(body).tolist()):
-        if len(rows):
-            usual = length[rows].median(0).values
-            long = reach[rows].kthvalue(max(1, round(_LONG * len(rows))), 0).values
-            least = torch.where(limbs.to(usual.device), torch.maximum(usual, long), usual)
-            result[rows] = least * (usual.sum() / least.sum())
-    return result
+    counts = torch.bincount(body)
+    first = counts.cumsum(0) - counts
+    lengths, reaches = (_sorted_by_body(value, body, counts) for value in (length, reach))
+    usual = lengths[first + (counts - 1).clamp_min(0) // 2]
+    rank = (_LONG * counts).round().long().clamp_min(1) - 1
+    least = torch.where(limbs.to(usual.device), torch.maximum(usual, reaches[first + rank]), usual)
+    return (least * (usual.sum(1) / least.sum(1))[:, None])[body]
+
+
+def _sorted_by_body(
+    value: Float[Tensor, "frames bones"], body: Int[Tensor, " frames"], counts: Int[Tensor, " bodies"]
+) -> Float[Tensor, "frames bones"]:
+    """Return the values of each bone with those of each body together, and there from small to large."""
+    if value.device.type == "cpu":  # by what takes less time
+        rows = torch.argsort(body, stable=True).split(counts.tolist())
+        return torch.cat([value[part].sort(0).values for part in rows])
+    value, order = value.sort(0)
+    return value.gather(0, torch.argsort(body[order], dim=0, stable=True))
 
 
 # Messages along a clip: how likely each state is, given all frames.
@@ -245,129 +263,183 @@ _SECOND_ORDER = 8
 """States of a chain up to which accelerations count: more take too long, and their speeds count."""
 _CORE, _CONTEXT = 64, 6
 """Frames of a window, and on either side those that it shares with its neighbours."""
-_BLOCK_FRAMES = 4000
+_WINDOWS, _WINDOWS_ELSEWHERE = 128, 8192
+"""Windows solved at once: on the processor those whose steps stay in its cache, on other devices enough to keep them busy."""
 
 
 @dataclass(frozen=True)
-class _Window:
-    rows: Int[Tensor, " frames"]
-    core: slice
-    """Frames that the window is asked for."""
+class _Windows:
+    """Frames in time that follow each other without a gap, several windows of about one length side by side."""
+
+    rows: Int[Tensor, "longest windows"]
+    """After the end of a window its last frame, again and again."""
+    length: Int[Tensor, " windows"]
+    core: Bool[Tensor, "longest windows"]
+    """Frames that the windows are asked for."""
+    shortest: int
+
+    @classmethod
+    def of(cls, frames: TrainingSet, stride: int) -> list[_Windows]:
+        """Return windows of frames that are ``stride`` apart; none where no frame follows another."""
+        device = frames.clip.device
+        follows = frames.follows.cpu().numpy()
+        if not follows.any():
+            return []
+        first = np.flatnonzero(~follows)
+        runs = np.append(first, len(follows))[1:] - first
+        phases = np.minimum(stride, runs)
+        first = np.repeat(first, phases) + _counted(phases)
+        count = -(-(np.repeat(runs, phases) - _counted(phases)) // stride)  # frames of each run and phase
+        parts = -(-count // _CORE)
+        first, count, start = np.repeat(first, parts), np.repeat(count, parts), _CORE * _counted(parts)
+        low, end = np.maximum(0, start - _CONTEXT), np.minimum(count, start + _CORE)
+        length = np.minimum(count, end + _CONTEXT) - low
+        table = np.stack([first + stride * low, length, start - low, end - low])
+        table = table[:, np.argsort(length, kind="stable")]
+        most = _WINDOWS if device.type == "cpu" else _WINDOWS_ELSEWHERE
+        kinds = np.split(table, np.searchsorted(table[1], [2, 3]), axis=1)  # of one, of two, and of more frames
+        blocks = [kind[:, at : at + most] for kind in kinds for at in range(0, kind.shape[1], most)]
+        return [
+            cls._block(torch.from_numpy(block).to(device), int(block[1].min()), int(block[1].max()), stride)
+            for block in blocks
+        ]
+
+    @classmethod
+    def _block(cls, table: Int[Tensor, "4 windows"], shortest: int, longest: int, stride: int) -> _Windows:
+        first, length, start, end = table
+        at = torch.arange(longest, device=table.device)[:, None]
+        rows = first + stride * torch.minimum(at, length - 1)
+        return cls(rows, length, (at >= start) & (at < end), shortest)
+
+    def take(self, value: Float[Tensor, "*any frames"]) -> Float[Tensor, "*any longest windows"]:
+        """Return what belongs to the windows' frames."""
+        return value.index_select(-1, self.rows.flatten()).unflatten(-1, self.rows.shape)
 
 
-def _windows(frames: TrainingSet, stride: int) -> Iterator[_Window]:
-    """Yield windows of frames in time, ``stride`` apart, that follow each other without a gap."""
-    starts = torch.cat([(~frames.follows).nonzero()[:, 0], frames.clip.new_tensor([len(frames)])]).tolist()
-    every = torch.arange(len(frames), device=frames.clip.device)
-    for first, stop in pairwise(starts):
-        for phase in range(first, min(first + stride, stop)):
-            rows = every[phase:stop:stride]
-            for start in range(0, len(rows), _CORE):
-                low, end = max(0, start - _CONTEXT), min(len(rows), start + _CORE)
-                yield _Window(rows[low : end + _CONTEXT], slice(start - low, end - low))
-
-
-def _blocks(windows: Sequence[_Window]) -> Iterator[list[_Window]]:
-    """Yield windows of about one length that are solved at once."""
-    block: list[_Window] = []
-    for window in sorted(windows, key=lambda one: len(one.rows)):
-        if block and len(window.rows) * (len(block) + 1) > _BLOCK_FRAMES:
-            yield block
-            block = []
-        block.append(window)
-    if block:
-        yield block
+def _counted(counts: Int[np.ndarray, " groups"]) -> Int[np.ndarray, " all"]:
+    """Return 0, 1, 2, ... for each of the groups, of so many, one group after the other."""
+    return np.arange(counts.sum()) - np.repeat(counts.cumsum() - counts, counts)
 
 
 def _marginals(
-    place: Float[Tensor, "frames states bones 3"],
-    likely: Float[Tensor, "frames states"],
-    windows: Sequence[_Window],
+    ends: Sequence[Float[Tensor, "_ 3 frames"]],
+    likely: Float[Tensor, "states frames"],
+    windows: Sequence[_Windows],
     pace: float,
-) -> Float[Tensor, "frames states"]:
+) -> Float[Tensor, "states frames"]:
     """Return the probability of each state given all frames of its window (forward-backward, Rabiner 1989).
 
-    Joints move as little as Cauchy-distributed accelerations, or speeds, allow. ``pace`` is the time between frames
-    over that of `_RATE`.
+    Joints move as little as Cauchy-distributed accelerations, or speeds, allow. ``ends`` are those of `_Scene`, ``pace`` is
+    the time between frames over that of `_RATE`.
     """
-    if not windows:
-        return likely / likely.sum(1, keepdim=True)
-    result, blocks = torch.empty_like(likely), list(_blocks(windows))
-    for block in ranks.my_parts(blocks):
-        longest = max(len(window.rows) for window in block)
-        rows = torch.stack([pad(one.rows, (0, longest - len(one.rows)), value=int(one.rows[-1])) for one in block])
-        valid = torch.stack([torch.arange(longest, device=rows.device) < len(one.rows) for one in block])
-        seen = likely[rows].where(valid[..., None], 1.0)
+    result = likely / likely.sum(0)
+
+    def solve(block: _Windows) -> None:
+        seen, longest = block.take(likely), len(block.rows)
         if longest == 1:
-            found = seen / seen.sum(-1, keepdim=True)
-        elif longest == 2 or likely.shape[1] > _SECOND_ORDER:
-            found = _by_speed(place[rows], seen, valid, _SPEED * pace)
+            return
+        if longest == 2 or len(likely) > _SECOND_ORDER:
+            found = _by_speed([block.take(end) / (_SPEED * pace) for end in ends], seen, block)
         else:
-            found = _by_acceleration(place[rows], seen, valid, _ACCELERATION * pace**2)
-        for window, one in zip(block, found, strict=True):
-            result[window.rows[window.core]] = one[window.core]
-    return ranks.filled(result, [torch.cat([window.rows[window.core] for window in block]) for block in blocks])
+            found = _by_acceleration([block.take(end) / (_ACCELERATION * pace**2) for end in ends], seen, block)
+        core = block.core.flatten().nonzero()[:, 0]
+        result[:, block.rows.flatten()[core]] = found.flatten(1)[:, core]
+
+    in_threads(solve, ranks.my_parts(windows), likely.device, "deciding depth signs")
+    if ranks.world() > 1:
+        ranks.filled(result.T, [block.rows.flatten()[block.core.flatten()] for block in windows])
+    return result
 
 
-def _products(one: Tensor, other: Tensor) -> Float[Tensor, "clips frames bones states states"]:
-    return torch.einsum("ctajx,ctbjx->ctjab", one, other)
+def _products(one: Tensor, other: Tensor) -> Float[Tensor, "states states frames windows"]:
+    """Return the scalar products of points (states 3 frames windows) of two frames."""
+    products = one[:, None, 0] * other[None, :, 0]
+    for axis in (1, 2):
+        products.addcmul_(one[:, None, axis], other[None, :, axis])
+    return products
+
+
+def _grown(one: Tensor, before: Tensor | None, axes: int) -> Tensor:
+    """Return ``one``, of a bone's states in so many frames, times that of the bones before it, whose states are half as many each."""
+    if before is None:
+        return one
+    for axis in range(axes):
+        one, before = one.unflatten(2 * axis, (-1, 2)), before.unsqueeze(2 * axis + 1)
+    one.mul_(before)
+    for axis in range(axes):
+        one = one.flatten(axis, axis + 1)
+    return one
 
 
 def _by_acceleration(
-    place: Float[Tensor, "clips frames states bones 3"],
-    seen: Float[Tensor, "clips frames states"],
-    valid: Bool[Tensor, "clips frames"],
-    width: float,
-) -> Float[Tensor, "clips frames states"]:
-    """Return the marginals of a chain of second order: a state depends on the two before it."""
-    square = place.square().sum(-1).movedim(-1, 2)
-    near, far = _products(place[:, :-1], place[:, 1:]), 2 * _products(place[:, :-2], place[:, 2:])
-    # |a - 2b + c|^2, for the states a, b and c of three frames
-    start = square[:, :-2, :, :, None] + 4 * square[:, 1:-1, :, None, :] - 4 * near[:, :-1]
-    end = square[:, 2:, :, None, :] - 4 * near[:, 1:]
-    step = place.new_ones(())
-    for bone in range(place.shape[3]):
-        away = start[:, :, bone, :, :, None] + end[:, :, bone, None] + far[:, :, bone, :, None]
-        step = step * away.clamp_min_(0).mul_(1 / width**2).add_(1)
-    step = step.reciprocal().where(valid[:, 2:, None, None, None], 1.0)
-    forward = [seen[:, 0, :, None] * seen[:, 1, None]]
-    for at in range(2, seen.shape[1]):
-        message = (forward[-1][..., None] * step[:, at - 2]).sum(1) * seen[:, at, None]
-        forward.append(message / message.sum((1, 2), keepdim=True))
-    backward, found = torch.ones_like(forward[0]), []
-    for at in range(seen.shape[1] - 1, 0, -1):
+    place: Sequence[Float[Tensor, "_ 3 frames windows"]], seen: Float[Tensor, "states frames windows"], block: _Windows
+) -> Float[Tensor, "states frames windows"]:
+    """Return the marginals of a chain of second order: a state depends on the two before it.
+
+    ``place`` in the width of the distribution of accelerations. How far a step is from likely, of the states a, b and c of
+    three frames, is a product over bones of 1 + |a - 2b + c|^2.
+    """
+    parts = []
+    for points in place:
+        square = points.square().sum(1)
+        near, far = (
+            _products(points[..., :-1, :], points[..., 1:, :]),
+            _products(points[..., :-2, :], points[..., 2:, :]),
+        )
+        start = (square[:, None, :-2] + 1).sub(near[:, :, :-1], alpha=4).add_(square[None, :, 1:-1], alpha=4)
+        parts.append((start, square[None, :, 2:].sub(near[:, :, 1:], alpha=4), far.mul_(2)))
+    states, frames, windows = seen.shape
+    step = seen.new_empty(frames - 2, states, states, states, windows)
+    room = [seen.new_empty(*[len(points)] * 3, windows) for points in place[:-1]]
+    forward, work = [seen[:, None, 0] * seen[None, :, 1]], torch.empty_like(step[0])
+    for at in range(frames - 2):
+        one = None
+        for (start, end, far), out in zip(parts, [*room, step[at]], strict=True):
+            both = torch.add(start[:, :, None, at], end[None, :, :, at], out=out)
+            one = _grown(both.add_(far[:, None, :, at]), one, 3)
+        message = torch.div(forward[-1][:, :, None], step[at], out=work).sum(0).mul_(seen[:, at + 2])
+        forward.append(message.div_(message.sum((0, 1))))
+    backward, found = torch.ones_like(forward[0]), torch.empty_like(seen)
+    for at in range(frames - 1, 0, -1):
         pair = forward[at - 1] * backward
-        found.append(pair.sum(1))
-        if at == 1:
-            found.append(pair.sum(2))
+        torch.sum(pair, 0, out=found[:, at])
+        if at > 1:
+            backward = torch.div(backward * seen[:, at], step[at - 2], out=work).sum(2)
+            backward = _after_end(backward.div_(backward.amax((0, 1))), at, block)
         else:
-            backward = (step[:, at - 2] * (seen[:, at, None] * backward)[:, None]).sum(-1)
-            backward = backward / backward.amax((1, 2), keepdim=True)
-    result = torch.stack(found[::-1], 1)
-    return result / result.sum(-1, keepdim=True)
+            torch.sum(pair, 1, out=found[:, 0])
+    return found.div_(found.sum(0))
+
+
+def _after_end(backward: Tensor, at: int, block: _Windows) -> Tensor:
+    """Return the message to a frame; one that comes from behind a window's end says nothing."""
+    return backward if at < block.shortest else backward.where(at < block.length, 1.0)
 
 
 def _by_speed(
-    place: Float[Tensor, "clips frames states bones 3"],
-    seen: Float[Tensor, "clips frames states"],
-    valid: Bool[Tensor, "clips frames"],
-    width: float,
-) -> Float[Tensor, "clips frames states"]:
-    """Return the marginals of a chain of first order: a state depends on the one before it."""
-    square = place.square().sum(-1).movedim(-1, 2)
-    away = square[:, :-1, :, :, None] + square[:, 1:, :, None] - 2 * _products(place[:, :-1], place[:, 1:])
-    step = (away.clamp_min(0) / width**2 + 1).prod(2).reciprocal().where(valid[:, 1:, None, None], 1.0)
-    forward = [seen[:, 0]]
-    for at in range(1, seen.shape[1]):
-        message = (forward[-1][..., None] * step[:, at - 1]).sum(1) * seen[:, at]
-        forward.append(message / message.sum(1, keepdim=True))
+    place: Sequence[Float[Tensor, "_ 3 frames windows"]], seen: Float[Tensor, "states frames windows"], block: _Windows
+) -> Float[Tensor, "states frames windows"]:
+    """Return the marginals of a chain of first order: a state depends on the one before it.
+
+    ``place`` in the width of the distribution of speeds.
+    """
+    step = None
+    for points in place:
+        square, near = points.square().sum(1), _products(points[..., :-1, :], points[..., 1:, :])
+        away = near.mul_(-2).add_(square[:, None, :-1]).add_(square[None, :, 1:]).clamp_min_(0).add_(1)
+        step = _grown(away, step, 2)
+    assert step is not None
+    forward, frames = [seen[:, 0]], seen.shape[1]
+    for at in range(1, frames):
+        message = (forward[-1][:, None] / step[:, :, at - 1]).sum(0).mul_(seen[:, at])
+        forward.append(message.div_(message.sum(0)))
     backward, found = torch.ones_like(forward[0]), [forward[-1]]
-    for at in range(seen.shape[1] - 1, 0, -1):
-        backward = (step[:, at - 1] * (seen[:, at] * backward)[:, None]).sum(-1)
-        backward = backward / backward.amax(1, keepdim=True)
+    for at in range(frames - 1, 0, -1):
+        backward = ((seen[:, at] * backward) / step[:, :, at - 1]).sum(1)
+        backward = _after_end(backward.div_(backward.amax(0)), at, block)
         found.append(forward[at - 1] * backward)
     result = torch.stack(found[::-1], 1)
-    return result / result.sum(-1, keepdim=True)
+    return result.div_(result.sum(0))
 
 
 # The answer: the mean over all states, and whole poses that are likely.
@@ -423,24 +495,26 @@ def solve_signs(
     scene, size = _scene_of(frames, pose, camera, chains)
     fps = frames.fps or USUAL_FPS
     stride = max(1, round(fps / _RATE))
-    windows = list(_windows(frames, stride)) if bool(frames.follows.any()) else []
+    windows, clips = _Windows.of(frames, stride), (~frames.follows).cumsum(0)
     follows = frames.follows | pad(frames.follows[1:], (0, 1))
     evidence = torch.where(follows, _EVIDENCE, 1.0)[:, None]
-    found, deviation, likely = torch.zeros_like(pose), torch.zeros_like(pose[..., 0]), []
+    found = pose.new_zeros(pose.shape[1], 3, len(pose))
+    spread, likely = torch.zeros_like(found[:, 0]), []
     for place, (chain, part) in enumerate(zip(chains.chains, chains.split(logits), strict=True)):
-        start = chain[0][0]
-        ends = scene.ends(place, found[:, start])
-        seen = (evidence * part.clamp_min(_LEAST)).softmax(1)
-        state = _smooth(_marginals(ends, seen, windows, stride * _RATE / fps), frames, stride)
-        mean = torch.einsum("fs,fsbx->fbx", state, ends)
-        spread = torch.einsum("fs,fsb->fb", state, (ends - mean[:, None]).square().sum(-1))
-        children = [child for _, child in chain]
-        found[:, children] = mean
-        deviation[:, children] = (spread + deviation[:, [start]].square()).sqrt()
-        likely.append(state)
-    solution = Solution(pose, deviation / size[:, None], likely, scene, size, frames.rotation)
-    weight = torch.where(follows[:, None], 1.0, _weight_alone(solution.deviation, uncertainty))
-    return replace(solution, pose=torch.lerp(pose, solution.in_units(found), weight[..., None]))
+        start, children = chain[0][0], [child for _, child in chain]
+        ends = scene.ends(place, found[start])
+        seen = (evidence * part.clamp_min(_LEAST)).softmax(1).T.contiguous()
+        state = _smooth(_marginals(ends, seen, windows, stride * _RATE / fps), clips, stride)
+        for child, end in zip(children, ends, strict=True):
+            chance = state.unflatten(0, (len(end), -1)).sum(1)
+            mean = (chance[:, None] * end).sum(0)
+            found[child] = mean
+            spread[child] = (chance * (end - mean).square().sum(1)).sum(0) + spread[start]
+        likely.append(state.T)
+    deviation = spread.sqrt().T / size[:, None]
+    solution = Solution(pose, deviation, likely, scene, size, frames.rotation)
+    weight = torch.where(follows[:, None], 1.0, _weight_alone(deviation, uncertainty))
+    return replace(solution, pose=torch.lerp(pose, solution.in_units(found.permute(2, 0, 1)), weight[..., None]))
 
 
 def _weight_alone(deviation: Tensor, uncertainty: Tensor | None) -> Float[Tensor, "frames joints"]:
@@ -453,23 +527,23 @@ def _weight_alone(deviation: Tensor, uncertainty: Tensor | None) -> Float[Tensor
     return deviation / (deviation + uncertainty).clamp_min(1e-9)
 
 
-def _smooth(state: Float[Tensor, "frames states"], frames: TrainingSet, stride: int) -> Float[Tensor, "frames states"]:
+def _smooth(
+    state: Float[Tensor, "states frames"], clip: Int[Tensor, " frames"], stride: int
+) -> Float[Tensor, "states frames"]:
     """Return the mean over ``stride`` neighbours in time, each of which was solved with others."""
-    if stride == 1:
-        return state
-    run = (~frames.follows).cumsum(0)
-    total, count = torch.zeros_like(state), torch.zeros_like(state[:, :1])
+    total, count = torch.zeros_like(state), torch.zeros_like(state[0])
     for shift in range(-(stride // 2), (stride + 1) // 2):
-        rows = torch.arange(len(state), device=state.device) + shift
-        inside = (rows >= 0) & (rows < len(state))
-        rows = rows.clamp(0, len(state) - 1)
-        same = (inside & (run[rows] == run)).to(state.dtype)[:, None]
-        total, count = total + state[rows] * same, count + same
+        here = slice(max(0, -shift), max(0, state.shape[1] - max(0, shift)))
+        there = slice(max(0, shift), max(0, state.shape[1] - max(0, -shift)))
+        same = (clip[there] == clip[here]).to(state.dtype)
+        total[:, here].addcmul_(state[:, there], same)
+        count[here] += same
     return total / count
 
 
 # Several hypotheses: clusters of the poses that the states of all chains describe.
 
+_BLOCK_FRAMES = 2000
 _CANDIDATES = 64
 _APART = 0.05
 """Mean distance of joints, in units of the scene, between the poses that clusters start from."""
@@ -491,7 +565,7 @@ class Hypotheses:
 def spread_hypotheses(solution: Solution, count: int) -> Hypotheses:
     """Return ``count`` poses for each frame: means of clusters of likely poses, with the probability of each cluster."""
     poses, weights = [], []
-    for rows in torch.arange(len(solution.pose), device=solution.pose.device).split(_BLOCK_FRAMES // 2):
+    for rows in torch.arange(len(solution.pose), device=solution.pose.device).split(_BLOCK_FRAMES):
         states, chance = _likeliest(solution, rows)
         candidates = solution.scene.placed(rows, states)
         centre = _apart(candidates, chance, count)

@@ -11,7 +11,7 @@ from jaxtyping import Bool, Float, Int, UInt8
 from torch import Tensor, nn
 
 from uplift.config import ranks
-from uplift.geometry.normalise import renormalise
+from uplift.geometry.normalise import bone_lengths, renormalise
 from uplift.geometry.rotation import level, turn
 from uplift.models.lifter import Lifted, Lifter
 from uplift.skeleton import Skeleton
@@ -26,7 +26,7 @@ __all__ = ["Lift", "Prior", "ShapeLift", "ShapePrior", "joint_distance"]
 
 
 def joint_distance(
-    first: Float[Tensor, "batch joints axes"], second: Float[Tensor, "batch joints axes"]
+    first: Float[Tensor, "batch joints axes"], second: Float[Tensor, "batch #joints axes"]
 ) -> Float[Tensor, "batch joints"]:
     """Return the distance of each joint, with a finite gradient at 0."""
     return ((first - second).square().sum(-1) + 1e-12).sqrt()
@@ -143,6 +143,22 @@ class Lift:
         """The view `reprojected`, lifted again by the same lifter with the same joints missing."""
         keypoints = self.reprojected * self.visible.unsqueeze(-1)
         return self.lifter(keypoints, self.confidence, self.distance / self.reprojected_scale)
+
+    @cached_property
+    def returned(self) -> Float[Tensor, "batch joints 3"]:
+        """The pose of `relifted` in the units of `pose`, turned back to its frame."""
+        return turn(self.relifted.pose * self.reprojected_scale[:, None, None], self.view.mT)
+
+    @cached_property
+    def bone_lengths(self) -> Float[Tensor, "batch bones"]:
+        """Lengths of the bones of `pose`."""
+        return bone_lengths(self.pose, self.lifter.bones)
+
+    @cached_property
+    def visible_bones(self) -> Float[Tensor, "batch bones"]:
+        """1 where both ends of a bone are in the data, else 0."""
+        start, end = self.lifter.bones.mT
+        return self.visible.index_select(1, start) * self.visible.index_select(1, end)
 
     @staticmethod
     def mean(value: Tensor, weight: Tensor) -> Tensor:

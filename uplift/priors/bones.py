@@ -48,8 +48,7 @@ class Bones(Prior):
 
     def loss(self, lift: Lift) -> Tensor:
         """Return the mean over bones of the variance of each bone's share."""
-        lengths = bone_lengths(lift.pose, self.bones)
-        weight = lift.visible[:, self.bones[:, 0]] * lift.visible[:, self.bones[:, 1]]
+        lengths, weight = lift.bone_lengths, lift.visible_bones
         count, usual = Lift.sums(weight, lengths.detach() * weight)
         count = count.clamp_min(1)
         usual = usual / count

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from torch import Tensor
 
-from uplift.geometry.rotation import turn
 from uplift.priors.base import Lift, Prior, joint_distance
 from uplift.skeleton import Skeleton
 
@@ -28,16 +27,12 @@ class Consistency(Prior):
 
     def loss(self, lift: Lift) -> Tensor:
         """Return the mean joint error in 3D plus ``back`` times that of the keypoints after the inverse rotation."""
-        scale = lift.reprojected_scale[:, None, None]
-        target = (lift.rotated / scale).detach() if self.detach else lift.rotated / scale
-        again = lift.relifted.pose
         root = self.skeleton.root_index
-        error = joint_distance(again - again[:, root, None], target - target[:, root, None])
-        total = Lift.mean(error, lift.visible)
+        target = lift.rotated / lift.reprojected_scale[:, None, None]
+        change = lift.relifted.pose - (target.detach() if self.detach else target)
+        total = Lift.mean(joint_distance(change, change[:, root, None]), lift.visible)
         if self.back:
-            # In units of the first lift, so that the inverse rotation leads back to the first pose.
-            returned = turn(again * scale, lift.view.mT)
-            projected = lift.lifter.camera.project(returned, lift.distance)
+            projected = lift.lifter.camera.project(lift.returned, lift.distance)
             projected = projected - projected[:, root, None]
             total = total + self.back * Lift.mean(joint_distance(projected, lift.keypoints), lift.visible)
         return total

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any, ClassVar
 
+import torch
 from torch import Tensor
 from torch.nn.functional import softplus
 
@@ -30,6 +31,8 @@ class Critic(Prior):
     """
 
     ranges: ClassVar = {"units": (1, 16_384)}
+    accuracy: Tensor
+    """Of the last batch."""
 
     def __init__(
         self,
@@ -47,7 +50,7 @@ class Critic(Prior):
             raise UserError(f"priors.critic.objective={objective!r}.{did_you_mean(objective, objectives)}")
         self.objective = objective
         self.gate = None if gate is None else _accuracies(gate)
-        self.accuracy = 0.5
+        self.register_buffer("accuracy", torch.tensor(0.5), persistent=False)
         self.network = build_network(network, 2 * len(skeleton.joints), 1, {"units": units, **options}, "priors.critic")
 
     def judge(self, keypoints: Tensor) -> Tensor:
@@ -64,15 +67,17 @@ class Critic(Prior):
         on_real, on_reprojected = self.judge(real), self.judge(reprojected)
         share = ((on_real > 0).sum() + (on_reprojected < 0).sum()) / (2 * len(on_real))
         # All ranks open and close the gates together, or their weights would drift apart.
-        self.accuracy = float(ranks.mean(share)[0])
-        if self.gate is not None:
-            self.gate_lifter = self.accuracy < self.gate[0]
-            self.gate_itself = self.accuracy > self.gate[1]
+        (share,) = ranks.mean(share.detach())
+        self.accuracy.copy_(share)
+        if self.gate is not None:  # with it a GPU waits in each step, as what is updated depends on the number
+            accuracy = float(share)
+            self.gate_lifter = accuracy < self.gate[0]
+            self.gate_itself = accuracy > self.gate[1]
         return softplus(-on_real).mean() + softplus(on_reprojected).mean()
 
     def metrics(self, lift: Lift) -> dict[str, float]:
         """Return the accuracy on the batch: 0.5 if the two are indistinguishable."""
-        return {"accuracy": self.accuracy}
+        return {"accuracy": float(self.accuracy)}
 
 
 def _accuracies(gate: Any) -> tuple[float, float]:

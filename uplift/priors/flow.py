@@ -156,10 +156,10 @@ class Flow(Prior):
 
     def loss(self, lift: Lift) -> Tensor:
         """Return each view's negative log-likelihood minus the median of real keypoints, as a logarithm above 0."""
-        surprise = self._surprise(lift.reprojected[:, self.places].flatten(1)) - self.usual
+        surprise = self._surprise(lift.reprojected.index_select(1, self.places).flatten(1)) - self.usual
         # A flow is arbitrary and steep far from its data: no view may outweigh the rest.
-        width = float(self.whiten.shape[1])
-        return torch.where(surprise > 0, width * torch.log1p(surprise.clamp_min(0) / width), surprise)
+        width, above = float(self.whiten.shape[1]), surprise.relu()
+        return surprise - above + width * torch.log1p(above / width)
 
 
 def _digest(tensors: Iterable[Tensor], *options: object) -> str:

@@ -31,10 +31,10 @@ def handedness(
     their code does; otherwise by the full lengths, as printed. Coincident joints give 0, with a gradient of at
     most a thousand.
     """
-    triple = (torch.cross(up, front, dim=-1) * left).sum(-1)
-    if planar:
-        front, left = _normal_part(front, up), _normal_part(left, up)
-    return triple / (_length(up) * _length(front) * _length(left))
+    triple = (torch.linalg.cross(up, front) * left).sum(-1)
+    sides = torch.stack([front, left])
+    of_front, of_left = _length(_normal_part(sides, up) if planar else sides)
+    return triple / (_length(up) * of_front * of_left)
 
 
 def _normal_part(vector: Tensor, up: Tensor) -> Tensor:
@@ -59,6 +59,9 @@ class Handedness(Prior):
     """
 
     sign: Tensor
+    ends: Tensor
+    """(directions, 2, joints), 1 for the joints that a direction is from, and for those that it is to."""
+    upward: Tensor
 
     def __init__(
         self,
@@ -85,11 +88,11 @@ class Handedness(Prior):
             )
         self.planar, self.frame, self.margin, self.labels = planar, frame, margin, labels
         self.register_buffer("sign", torch.ones(()))
-        for name, (start, end) in self.directions.items():
-            for side, joints in (("from", start), ("to", end)):
-                row = torch.zeros(len(skeleton.joints))
-                row[[skeleton.index(joint) for joint in joints]] = 1
-                self.register_buffer(f"{name}_{side}", row, persistent=False)
+        ends = [
+            [[float(joint in end) for joint in skeleton.joints] for end in ends] for ends in self.directions.values()
+        ]
+        self.register_buffer("ends", torch.tensor(ends), persistent=False)
+        self.register_buffer("upward", torch.tensor([0.0, -1.0, 0.0]), persistent=False)
 
     def prepare(self, data: TrainingSet) -> None:
         """Compare the directions with the labelled poses, if there are any."""
@@ -97,10 +100,10 @@ class Handedness(Prior):
             return
         pose = data.labels[data.labelled]
         known = pose.isfinite().all(-1).to(pose.dtype)
-        level_pose = pose = pose.nan_to_num()
-        if self.skeleton.gravity and data.label_tilt is not None:
-            level_pose = turn(pose, level(data.label_tilt[data.labelled].nan_to_num()))
-        value, shown = self.value(pose, level_pose, known)
+        tilt = torch.zeros_like(pose[:, 0, 0])
+        if data.label_tilt is not None:
+            tilt = data.label_tilt[data.labelled].nan_to_num()
+        value, shown = self.value(pose.nan_to_num(), tilt, known)
         if shown.any() and float(Lift.mean((value > 0).float(), shown)) < 0.5:
             self.sign.neg_()
             warnings.warn(
@@ -109,30 +112,32 @@ class Handedness(Prior):
                 stacklevel=2,
             )
 
-    def value(self, pose: Tensor, level_pose: Tensor, visible: Tensor) -> tuple[Tensor, Tensor]:
+    def value(
+        self,
+        pose: Float[Tensor, "batch joints 3"],
+        tilt: Float[Tensor, " batch"],
+        visible: Float[Tensor, "batch joints"],
+    ) -> tuple[Float[Tensor, " batch"], Float[Tensor, " batch"]]:
         """Return each frame's handedness and whether all its ends have a visible joint (0 or 1)."""
-        body = level_pose if self.frame == "level" else pose
-        known = torch.ones_like(visible[:, 0])
-        found = {}
-        for name in self.directions:
-            ends = []
-            for side in ("from", "to"):
-                weight = visible * getattr(self, f"{name}_{side}")
-                total = weight.sum(1, keepdim=True)
-                known = known * (total[:, 0] > 0)
-                ends.append((body * weight.unsqueeze(-1)).sum(1) / total.clamp_min(1))
-            found[name] = ends[1] - ends[0]
-        up = found.get("up", body.new_tensor([0.0, -1.0, 0.0]).expand(len(body), 3))
-        return self.sign * handedness(up, found["front"], found["left"], planar=self.planar), known
+        weight = visible[:, None, None] * self.ends
+        total = weight.sum(-1, keepdim=True)
+        share = weight / total.clamp_min(1)
+        directions = (share[:, :, 1] - share[:, :, 0]) @ pose
+        if self.frame == "level" and self.skeleton.gravity:
+            directions = turn(directions, level(tilt))
+        found = dict(zip(self.directions, directions.unbind(1), strict=True))
+        up = found.get("up", self.upward.expand(len(pose), 3))
+        value = self.sign * handedness(up, found["front"], found["left"], planar=self.planar)
+        return value, (total.amin((1, 2, 3)) > 0).to(pose.dtype)
 
     def loss(self, lift: Lift) -> Tensor:
         """Return max(0, margin - handedness) averaged over the frames that show it."""
-        value, known = self.value(lift.pose, lift.level_pose, lift.visible)
+        value, known = self.value(lift.pose, lift.tilt, lift.visible)
         return Lift.mean((self.margin - value).clamp_min(0), known)
 
     def metrics(self, lift: Lift) -> dict[str, float]:
         """Return the share of frames whose handedness is right."""
-        value, known = self.value(lift.pose.detach(), lift.level_pose.detach(), lift.visible)
+        value, known = self.value(lift.pose.detach(), lift.tilt.detach(), lift.visible)
         return {"facing_sign": float(Lift.mean((value > 0).float(), known))}
 
 

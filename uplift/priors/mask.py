@@ -277,7 +277,7 @@ def _known(maps: Tensor) -> tuple[Tensor, Tensor]:
 
 
 def _out_of_crop(points: Tensor, maps: Tensor) -> Tensor:
-    return into_crop(points, torch.linalg.inv(maps))
+    return into_crop(points, torch.linalg.inv_ex(maps).inverse)
 
 
 def _picked(inside: Tensor, count: int) -> Tensor:

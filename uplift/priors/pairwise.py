@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from torch import Tensor
 
-from uplift.geometry.rotation import turn
 from uplift.priors.base import Lift, Prior
 
 __all__ = ["Pairwise"]
@@ -19,10 +18,11 @@ class Pairwise(Prior):
 
     def loss(self, lift: Lift) -> Tensor:
         """Return the mean over pairs of the norm of the change over all joints."""
-        again = turn(lift.relifted.pose * lift.reprojected_scale[:, None, None], lift.view.mT)
-        root = self.skeleton.root_index
-        change = (lift.pose - lift.pose[:, root, None]) - (again - again[:, root, None])
+        change = lift.pose - lift.returned
         pairs = len(change) // 2 * 2
-        seen = lift.visible[0:pairs:2] * lift.visible[1:pairs:2]
-        off = (change[0:pairs:2] - change[1:pairs:2]).square().sum(-1) * seen
-        return Lift.mean((off.sum(1) + 1e-12).sqrt(), off.new_ones(()))
+        one, other = change[:pairs].unflatten(0, (-1, 2)).unbind(1)
+        difference = one - other
+        difference = difference - difference[:, self.skeleton.root_index, None]
+        seen = lift.visible[:pairs].unflatten(0, (-1, 2)).prod(1).unsqueeze(-1)
+        off = ((difference.square() * seen).sum((1, 2)) + 1e-12).sqrt()
+        return Lift.mean(off, off.new_ones(()))

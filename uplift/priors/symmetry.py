@@ -6,7 +6,6 @@ import torch
 from torch import Tensor
 
 from uplift.errors import NotForThisSkeleton
-from uplift.geometry.normalise import bone_lengths
 from uplift.priors.base import Lift, Prior
 from uplift.skeleton import Skeleton
 from uplift.skeleton.core import mirrored_bones
@@ -31,12 +30,12 @@ class Symmetry(Prior):
                 f"skeleton '{skeleton.name}' has no mirrored bones (give it `mirror:` pairs, or set "
                 "priors.symmetry.weight=0)."
             )
-        for name, bones in zip(("left", "right"), skeleton.bone_indices[pairs.T], strict=True):
-            self.register_buffer(name, torch.tensor(bones), persistent=False)
+        for name, bones in zip(("left", "right"), pairs.T, strict=True):
+            self.register_buffer(name, torch.tensor(bones.copy()), persistent=False)
 
     def loss(self, lift: Lift) -> Tensor:
         """Return the weighted mean over pairs and frames."""
-        left, right = bone_lengths(lift.pose, self.left), bone_lengths(lift.pose, self.right)
-        seen = lift.visible[:, self.left].prod(-1) * lift.visible[:, self.right].prod(-1)
+        left, right = (lift.bone_lengths.index_select(1, bones) for bones in (self.left, self.right))
+        seen = lift.visible_bones.index_select(1, self.left) * lift.visible_bones.index_select(1, self.right)
         size = ((left + right) / 2 * seen).sum(1, keepdim=True) / seen.sum(1, keepdim=True).clamp_min(1)
         return Lift.mean((left - right).abs() / size.clamp_min(1e-6), seen)

@@ -112,15 +112,15 @@ class LimbMixer:
     ) -> tuple[Float[Tensor, "batch joints 3"], Float[Tensor, "batch joints"]]:
         """Return the poses of ``rows`` with limbs of others in the batch, and each joint's confidence.
 
-        A ``share`` of the poses takes part, and each of their limbs is swapped with probability ``limb``. The log of each
+        A ``share`` of the poses takes part, and each limb is swapped in a share ``limb`` of those. The log of each
         bone's length varies by ``stretch``, by more for short bones and as much on the left as on the right: so do
         bodies, and where trackers think that joints are.
         """
         bones, frames, mixed = self._bones[rows], self._frames[rows], confidence[rows]
         count = len(rows)
-        taking = torch.rand(count, device=rows.device) < share
+        taking = torch.randperm(count, device=rows.device)[: round(share * count)]
         for part in self._limbs:
-            takers = (taking & (torch.rand(count, device=rows.device) < limb)).nonzero()[:, 0]
+            takers = taking[torch.randperm(len(taking), device=rows.device)[: round(limb * len(taking))]]
             givers = rows[torch.randint(count, (len(takers),), device=rows.device)]
             at = takers[:, None]
             rotation = frames[takers, part.branch] @ self._frames[givers, part.branch].mT
@@ -273,7 +273,9 @@ class ViewMaker:
         skeleton, device = poses.skeleton, poses.pose.device
         self.mirrors = settings.mirror and skeleton.has_mirror_image
         self.swap = torch.tensor(skeleton.mirror_permutation, device=device)
-        self.rings = [list(ring) for ring in joint_neighbours(skeleton)]
+        self.rings = [torch.tensor(ring, device=device) for ring in joint_neighbours(skeleton)]
+        self.axes = torch.eye(3, dtype=poses.pose.dtype, device=device)
+        self._own: dict[int, tuple[Tensor, Tensor, Tensor]] = {}
         self.limbs = _limbs(skeleton).to(device)
         mixes = (settings.mix or settings.stretch) and not skeleton.rigid
         self.mixer = LimbMixer(poses.pose, skeleton) if mixes else None
@@ -336,11 +338,22 @@ class ViewMaker:
         """Return the level poses of ``rows`` as cameras see them."""
         if self.usual_distance is None:
             return self._by_own_cameras(level, rows)
-        own = torch.rand(len(rows), device=rows.device) < self.settings.own_share
-        first, second = own.nonzero()[:, 0], (~own).nonzero()[:, 0]
+        first, second, order = self._own_and_any(len(rows))
         parts = [self._by_own_cameras(level[first], rows[first]), self._by_any_camera(level[second])]
-        order = torch.cat([first, second]).argsort()
         return _Shown(*(torch.cat(both)[order] for both in zip(*parts, strict=True)))
+
+    def _own_and_any(self, count: int) -> tuple[Tensor, Tensor, Tensor]:
+        """Return which of ``count`` views are by cameras of their own, which by any, and the order of both together.
+
+        They are evenly spread and always the same, as rows are random and a choice would make a GPU wait.
+        """
+        if count not in self._own:
+            whole = (torch.arange(count + 1, dtype=torch.float64) * self.settings.own_share).floor()
+            own = whole.diff() > 0
+            parts = own.nonzero()[:, 0], (~own).nonzero()[:, 0]
+            first, second, order = (part.to(self.axes.device) for part in (*parts, torch.cat(parts).argsort()))
+            self._own = {count: (first, second, order)}
+        return self._own[count]
 
     def _by_own_cameras(self, level: Tensor, rows: Tensor) -> _Shown:
         """Return the level poses of ``rows`` as cameras like their own see them."""
@@ -370,8 +383,8 @@ class ViewMaker:
         rays = place[..., :2] / torch.maximum(place[..., 2:], _NEAREST * distance[:, None, None]) / wrong[:, None, None]
         rays = torch.cat([rays, torch.ones_like(rays[..., :1])], -1)
         root = self.poses.skeleton.root_index
-        look = least_rotation(rays[:, root], rays.new_tensor([0.0, 0.0, 1.0]))
-        look = torch.where(straight[:, None, None], torch.eye(3, device=device), look)
+        look = least_rotation(rays[:, root], self.axes[2])
+        look = torch.where(straight[:, None, None], self.axes, look)
         rays = turn(rays, look)
         told = distance * wrong
         keypoints = rays[..., :2] / rays[..., 2:].clamp_min(_NEAREST) * told[:, None, None]
@@ -392,7 +405,7 @@ class ViewMaker:
     def _rotated(self, pose: Tensor, rows: Tensor) -> tuple[Tensor, Tensor]:
         """Return the level poses of ``rows`` in the frames of random cameras (or the real ones), and gravity there."""
         count, device = len(pose), pose.device
-        down = pose.new_tensor([0.0, 1.0, 0.0])
+        down = self.axes[1]
         if not self.settings.turn:
             gravity = self.poses.gravity[rows]
             return (turn(pose, least_rotation(gravity, down).mT) if self.poses.skeleton.gravity else pose), gravity
@@ -416,12 +429,12 @@ class ViewMaker:
         return confidence.masked_fill(hidden, 0)
 
 
-def _stand_in(keypoints: Tensor, confidence: Tensor, root: int, rings: list[list[int]]) -> Tensor:
+def _stand_in(keypoints: Tensor, confidence: Tensor, root: int, rings: list[Tensor]) -> Tensor:
     """Return the root, or where it is missing the mean of its nearest visible neighbours, as `clean` does."""
     origin, missing = keypoints[:, root], confidence[:, root] == 0
     for ring in rings:
-        weight = (confidence[:, ring] > 0).to(keypoints.dtype).unsqueeze(-1)
-        mean = (keypoints[:, ring] * weight).sum(1) / weight.sum(1).clamp_min(1)
+        weight = (confidence.index_select(1, ring) > 0).to(keypoints.dtype).unsqueeze(-1)
+        mean = (keypoints.index_select(1, ring) * weight).sum(1) / weight.sum(1).clamp_min(1)
         use = missing & (weight.sum((1, 2)) > 0)
         origin = torch.where(use[:, None], mean, origin)
         missing = missing & ~use

@@ -62,16 +62,28 @@ def seeded(seed: int) -> Iterator[None]:
         torch.set_rng_state(before)
 
 
-@dataclasses.dataclass(frozen=True)
-class _Average:
-    """The rule of an exponential moving average, with a shorter memory over the first steps."""
+class _Average(AveragedModel):
+    """An exponential moving average, with a shorter memory over the first steps; it counts them where no GPU has to wait."""
 
-    decay: float
+    def __init__(self, model: nn.Module, decay: float):
+        super().__init__(model)
+        self.decay, self._updates = decay, -1
 
     @torch.no_grad()
-    def __call__(self, averaged: Any, current: Any, updates: Tensor | int) -> None:
-        so_far = float(updates)
-        torch._foreach_lerp_(averaged, current, 1 - min(self.decay, (1 + so_far) / (10 + so_far)))
+    def update_parameters(self, model: nn.Module) -> None:
+        """Take the parameters of ``model`` into the average."""
+        if self._updates < 0:  # new, or loaded
+            self._updates = int(self.n_averaged)
+        share = 1.0
+        if self._updates:
+            share = 1 - min(self.decay, (1 + self._updates) / (10 + self._updates))
+        torch._foreach_lerp_([*self.module.parameters()], [*model.parameters()], share)
+        self._updates += 1
+        self.n_averaged += 1
+
+    def _load_from_state_dict(self, *state: Any) -> None:
+        self._updates = -1
+        super()._load_from_state_dict(*state)
 
 
 LifterT = TypeVar("LifterT", bound=nn.Module)
@@ -123,7 +135,7 @@ class TrainingModule(L.LightningModule, Generic[LifterT, DataT]):
         self.lifter, self.settings, self.seed, self.logged = lifter, settings, seed, {}
         self.averaged = None
         if settings.average:
-            self.averaged = AveragedModel(lifter, multi_avg_fn=_Average(settings.average))
+            self.averaged = _Average(lifter, settings.average)
             # Nothing trains them, and ranks must not wait for their gradients.
             self.averaged.requires_grad_(False)
         self.terms = terms or Objective({}, {})
@@ -217,7 +229,7 @@ class TrainingModule(L.LightningModule, Generic[LifterT, DataT]):
         """Seed this step's random stream and return the loss of ``batch``, or of a batch drawn from the stream."""
         self._accumulated = self.trainer.accumulate_grad_batches if self._log_every else 1
         self._micro_batch = batch_idx % self._accumulated
-        torch.manual_seed(stream_seed(self.seed, self.stream_step))
+        torch.manual_seed(self.step_seed)
         with self.sharing(batch):
             with self.mixed_networks():
                 loss, self.logged = self.objective(batch)
@@ -241,6 +253,11 @@ class TrainingModule(L.LightningModule, Generic[LifterT, DataT]):
     def stream_step(self) -> int:
         """The number of this step's random stream: of the optimiser's step and of the batch within it."""
         return self.global_step * self._accumulated + self._micro_batch
+
+    @property
+    def step_seed(self) -> int:
+        """The seed of this step's random stream."""
+        return stream_seed(self.seed, self.stream_step)
 
     def _log_terms(self, loss: Tensor) -> None:
         """Log every term, what the priors measure, and the loss."""
@@ -279,8 +296,10 @@ class TrainingModule(L.LightningModule, Generic[LifterT, DataT]):
     def mixed_networks(self) -> Iterator[None]:
         """Compute the lifter's networks in the trainer's mixed precision, if it has one, and nothing else."""
         kind = self.device.type
-        given = torch.get_autocast_dtype(kind) if torch.is_autocast_enabled(kind) else None
-        with self.full_precision(), mixed_networks(given):
+        if not (torch.amp.is_autocast_available(kind) and torch.is_autocast_enabled(kind)):
+            yield
+            return
+        with self.full_precision(), mixed_networks(torch.get_autocast_dtype(kind)):
             yield
 
     def full_precision(self) -> Any:

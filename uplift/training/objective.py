@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import math
 import warnings
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import AbstractContextManager, contextmanager, nullcontext
 from typing import Any
 
@@ -61,15 +62,18 @@ class Objective:
 
     def judge(self, lift: Lift | ShapeLift, step: int) -> tuple[Tensor, Logged]:
         """Return the weighted sum of the priors' losses, which trains the lifter, and each loss by name."""
-        total, losses = torch.zeros(()), Logged()
+        losses, weighted = Logged(), []
         with _frozen(self.priors[name] for name in self.adversarial):
             found = [self.loss(name, lift, step) for name in self.priors]
             for name, loss in zip(self.priors, ranks.mean(*found), strict=True):
                 if name in self.idle:
-                    self._watch(name, loss, lift)
-                total = total + self.weights[name] * loss
+                    trained = (*_lifted(lift), *self.priors[name].parameters())
+                    self.watch(
+                        name, lambda loss=loss, trained=trained: loss.requires_grad and _any_gradient(loss, trained)
+                    )
+                weighted.append(self.weights[name] * loss)
                 losses[name] = loss.detach()
-        return total, losses
+        return torch.stack(weighted).sum() if weighted else torch.zeros(()), losses
 
     def loss(self, name: str, lift: Lift | ShapeLift, step: int) -> Tensor:
         """Return one prior's loss as one number; raises UserError if it fails or does not pass the checks."""
@@ -81,8 +85,9 @@ class Objective:
             raise UserError(f"priors.{name}: loss(lift) returned {found}, expected one number (shape ()){per_frame}.")
         if value.is_complex():
             raise UserError(f"priors.{name}: loss(lift) returned {value.dtype}, expected real numbers.")
-        value = value.mean() if value.is_floating_point() else value.float().mean()
-        if (value.device.type == "cpu" or step % _SYNC_EVERY == 0) and not bool(torch.isfinite(value)):
+        value = value if value.is_floating_point() else value.float()
+        value = value.mean() if value.ndim else value
+        if (value.device.type == "cpu" or step % _SYNC_EVERY == 0) and not math.isfinite(value.item()):
             raise UserError(
                 f"priors.{name}: loss is {value.item()} at step {step}. Look for a division by 0, a square root or "
                 "a norm of 0 (add a small number), or a learning rate that is too high."
@@ -103,11 +108,11 @@ class Objective:
                 ".numpy() or comparisons in place of differences."
             )
 
-    def _watch(self, name: str, loss: Tensor, lift: Lift | ShapeLift) -> None:
-        """Look whether ``loss`` moves anything that is trained, until it has done so once."""
+    def watch(self, name: str, moves: Callable[[], bool]) -> None:
+        """Look whether the loss of an idle prior ``moves`` anything that is trained, until it has done so once."""
         steps = self.idle[name] = self.idle[name] + 1
         due = steps <= _WATCHED or steps % _WATCHED == 0
-        if due and loss.requires_grad and _any_gradient(loss, [*_lifted(lift), *self.priors[name].parameters()]):
+        if due and moves():
             del self.idle[name]
         elif steps == _WATCHED:
             warnings.warn(idle_prior(name, _WATCHED), stacklevel=2)

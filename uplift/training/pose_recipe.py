@@ -106,6 +106,10 @@ class PoseRecipe(Recipe):
             student.learn_from(module)
             module = student
             self.stage(run, f"student_{number}", module, self.data, self.settings.student.batch_size)
+        return self.finished(module)
+
+    def finished(self, module: KeypointModule) -> Model:
+        """Return the model of the last stage's ``module``."""
         model = module.model()
         model = Model(model.lifter.cpu(), model.skeleton, model.settings)
         return dataclasses.replace(model, usual=usual_errors(model, self.data.train_samples))

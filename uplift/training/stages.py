@@ -21,7 +21,7 @@ from lightning.fabric.utilities.exceptions import MisconfigurationException
 from lightning.pytorch import callbacks as lightning_callbacks
 from lightning.pytorch.loggers import Logger
 
-from uplift.config.device import ACCELERATORS, device_of, fast_products
+from uplift.config.device import ACCELERATORS, device_of, fast_products, precision_of
 from uplift.config.plugins import build, find_class, users_line
 from uplift.config.progress import is_quiet
 from uplift.config.run import RunFolder
@@ -47,6 +47,7 @@ __all__ = [
     "build_callbacks",
     "build_loggers",
     "check_trainer",
+    "first_device",
     "module_class",
     "run_stage",
     "stage_budgets",
@@ -87,7 +88,7 @@ class Recipe:
         start = time.monotonic()
         if self._loggers is None:  # one of each for all stages
             self._loggers = build_loggers(self.settings, run.path)
-        module.prepare_on(_first_device(self.settings.trainer), data)
+        module.prepare_on(first_device(self.settings.trainer), data)
         data.batch_size = batch_size
         module.log_prefix, module.first_step = name, sum(self.steps.values())
         record = run_stage(
@@ -163,10 +164,12 @@ def run_stage(
     on_save: Callable[[], None] | None = None,
     callbacks: Sequence[L.Callback] = (),
     loggers: Sequence[Logger] = (),
+    metrics: L.Callback | None = None,
 ) -> StageRecord:
     """Train ``module`` for its budget, or for the rest of it if the run's ``folder`` has a checkpoint of this stage.
 
-    ``before`` are seconds of the budget that are already spent; ``on_save`` is called after each checkpoint.
+    ``before`` are seconds of the budget that are already spent; ``on_save`` is called after each checkpoint; ``metrics``
+    writes what is measured, to the run's metrics.csv if None.
 
     Raises:
         Interrupted: after Ctrl-C, with everything saved.
@@ -184,7 +187,7 @@ def run_stage(
         return StageRecord(clock.time_elapsed(), state["global_step"])
     flags = _trainer_flags(settings, budget, has_val=data.val is not None)  # type: ignore[attr-defined]
     ours = {
-        "callbacks": _stage_callbacks(path, clock, settings, budget, callbacks),
+        "callbacks": _stage_callbacks(path, clock, settings, budget, [*callbacks, metrics or _metrics(path, settings)]),
         "logger": list(loggers) or False,
         "plugins": [AtomicCheckpointIO(on_save), *launch.plugins()],
         "default_root_dir": folder,
@@ -217,12 +220,15 @@ def _users_errors() -> Iterator[None]:
         raise UserError(f"{where}: {type(error).__name__}: {error}") from error
 
 
+def _metrics(path: Path, settings: TrainerSettings) -> MetricsFile:
+    return MetricsFile(path.parent.parent / "metrics.csv", path.stem, settings.log_every)
+
+
 def _stage_callbacks(
     path: Path, clock: Budget, settings: TrainerSettings, budget: StageBudget, given: Sequence[L.Callback]
 ) -> list[L.Callback]:
-    """Return the callbacks of the stage whose checkpoint is ``path``: ours, and those ``given`` by the user."""
-    metrics = MetricsFile(path.parent.parent / "metrics.csv", path.stem, settings.log_every)
-    callbacks: list[L.Callback] = [clock, *given, metrics]
+    """Return the callbacks of the stage whose checkpoint is ``path``: ours, and those ``given``."""
+    callbacks: list[L.Callback] = [clock, *given]
     if settings.flags.get("enable_progress_bar", True) and not is_quiet():
         callbacks.append(Progress(path.stem, clock))
     if settings.threads is None and budget.steps is None:
@@ -245,7 +251,7 @@ def _trainer_flags(settings: TrainerSettings, budget: StageBudget, *, has_val: b
     return {
         "accelerator": settings.accelerator,
         **({} if launch.trainer_flags() else {"devices": _devices_of(settings)}),
-        "precision": settings.precision,
+        "precision": precision_of(settings.precision, settings.accelerator),
         "max_epochs": -1,
         "max_steps": budget.steps or -1,
         "log_every_n_steps": settings.log_every,
@@ -259,7 +265,7 @@ def _trainer_flags(settings: TrainerSettings, budget: StageBudget, *, has_val: b
     }
 
 
-def _first_device(settings: TrainerSettings) -> torch.device:
+def first_device(settings: TrainerSettings) -> torch.device:
     """Return the device that this process trains on, or the processor where Lightning names another kind."""
     if settings.accelerator not in ("gpu", *ACCELERATORS):
         return torch.device("cpu")

@@ -35,9 +35,9 @@ from uplift.training.lifting import KeypointModule
 from uplift.training.objective import Logged
 from uplift.training.pseudo_labels import PseudoPoses, lift_all, true_poses
 
-__all__ = ["StudentLoss", "StudentModule", "student_settings"]
+__all__ = ["BATCHES_AT_ONCE", "StudentLoss", "StudentModule", "student_settings"]
 
-_BATCHES_AT_ONCE = 16
+BATCHES_AT_ONCE = 16
 """Batches of views that are made together: a single one is mostly overhead."""
 _UNCERTAINTY_WEIGHT = 0.05
 _SIGN_WEIGHT = 0.05
@@ -258,12 +258,7 @@ class StudentModule(KeypointModule):
         Args:
             batch: how many views of the teacher's poses to make, or views.
         """
-        with self.mixed_networks():
-            views = batch if isinstance(batch, ShownViews) else self._views(batch)
-            lifted = self.lifter(views.input, views.confidence, views.told, views.guessed)
-            with blame("student.loss: forward", type(self.loss)):
-                found = self.loss(lifted, views, self.lifter)
-        loss, logged = found if isinstance(found, tuple) else (found, {})
+        loss, logged = self.judge(batch if isinstance(batch, ShownViews) else self._views(batch))
         (loss,) = ranks.mean(loss) if isinstance(loss, Tensor) else (loss,)
         if not isinstance(loss, Tensor) or loss.shape != () or not loss.requires_grad:
             raise UserError(
@@ -275,6 +270,14 @@ class StudentModule(KeypointModule):
             )
         return loss, logged
 
+    def judge(self, views: ShownViews) -> tuple[Tensor, Logged]:
+        """Return the loss of ``views`` and its terms, unchecked."""
+        with self.mixed_networks():
+            lifted = self.lifter(views.input, views.confidence, views.told, views.guessed)
+            with blame("student.loss: forward", type(self.loss)):
+                found = self.loss(lifted, views, self.lifter)
+        return found if isinstance(found, tuple) else (found, {})
+
     def parameter_groups(self) -> list[dict[str, Any]]:
         """Return the optimiser's groups: the lifter's, and the loss's where it has parameters."""
         of_loss = list(self.loss.parameters())
@@ -283,19 +286,25 @@ class StudentModule(KeypointModule):
 
     def _views(self, size: int) -> ShownViews:
         """Return this step's views."""
-        chunk, place = divmod(self.stream_step, _BATCHES_AT_ONCE)
+        chunk, place = divmod(self.stream_step, BATCHES_AT_ONCE)
         if self._made is None or self._made[:2] != (chunk, size):
-            # Each chunk has its own random stream, so that a resumed fit makes the same one again.
-            torch.manual_seed(stream_seed(self.seed + 1, chunk))
-            with torch.no_grad(), ranks.alone():
-                self._made = (chunk, size, self.maker(size * _BATCHES_AT_ONCE))
-            torch.manual_seed(stream_seed(self.seed, self.stream_step))
+            self._made = (chunk, size, self.make_views(chunk, size))
+            torch.manual_seed(self.step_seed)
         start, stop, _ = ranks.my_rows().indices(size)
         return self._made[2].select(slice(place * size + start, place * size + stop))
 
     def rows_of(self, batch: int | ShownViews) -> int:
         """Return how many views are in a batch."""
         return batch if isinstance(batch, int) else len(batch)
+
+    def make_views(self, chunk: int, size: int) -> ShownViews:
+        """Return the views of `BATCHES_AT_ONCE` steps in a row, the ``chunk``-th so many, of ``size`` views each.
+
+        Each chunk has its own random stream, so that a resumed fit makes the same one again.
+        """
+        torch.manual_seed(stream_seed(self.seed + 1, chunk))
+        with torch.no_grad(), ranks.alone():
+            return self.maker(size * BATCHES_AT_ONCE)
 
 
 def _lifter_of(teacher: Any) -> Lifter:

@@ -7,21 +7,21 @@ import functools
 import io
 import os
 import shlex
-import sys
 from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, TextIO
 
-from uplift.cli.failures import clear_output, status_of
+from uplift.cli.failures import RUN_VARIABLE, clear_output, status_of
 from uplift.cli.sweep.folder import Outcome, Sweep
 from uplift.config.grid import Cell
+from uplift.config.run import RunFolder
 from uplift.config.trust import Consent, granted
 from uplift.errors import UserError
 
 if TYPE_CHECKING:
     from uplift.data.poses import PoseData
 
-__all__ = ["OWN_FRAMES", "run_cell", "run_cell_apart"]
+__all__ = ["OWN_FRAMES", "outcome_of", "run_cell", "run_cell_apart"]
 
 OWN_FRAMES = ("skeleton", "lifter.radius", "data.layout", "data.flip_x", "data.flip_y", "data.rotate")
 """Settings that change what a keypoint or the unit of a score is: fits that differ in them have no score in common."""
@@ -35,14 +35,12 @@ def run_cell(sweep: Sweep, cell: Cell) -> Outcome | None:
     from uplift.cli.fit import fit_settings
     from uplift.training.callbacks import Interrupted
 
-    run = sweep.run_of(cell)
-    command = sweep.command_of(cell)
+    run, command = sweep.run_of(cell), sweep.command_of(cell)
+    os.environ.pop(RUN_VARIABLE, None)  # of the fit before
     try:
         settings = sweep.settings_of(cell) if run is None else run.settings()
         run = fit_settings(settings, run, place=sweep.path / cell.name, command=command)
-        facts = run.facts()
-        scores, scored_on = _score(sweep, cell)
-        outcome = Outcome("", sum(facts["steps"].values()), sum(facts["seconds"].values()), scores, scored_on)
+        outcome = outcome_of(sweep, cell, run)
     except (Interrupted, KeyboardInterrupt):
         return None
     except Exception as error:
@@ -51,13 +49,22 @@ def run_cell(sweep: Sweep, cell: Cell) -> Outcome | None:
     return outcome
 
 
+def outcome_of(sweep: Sweep, cell: Cell, run: RunFolder) -> Outcome:
+    """Return what became of a fit that is finished, with its score."""
+    facts = run.facts()
+    scores, scored_on = _score(sweep, cell)
+    return Outcome("", sum(facts["steps"].values()), sum(facts["seconds"].values()), scores, scored_on)
+
+
 def run_cell_apart(folder: Path, name: str, consent: Consent) -> Outcome | None:
     """Do as `run_cell` in a process for it, whose output goes into the log of the fit."""
     sweep = Sweep.open(folder)
     cell = next(one for one in sweep.cells if one.name == name)
     log = open(sweep.log_of(cell), "a", encoding="utf-8", errors="backslashreplace")  # noqa: SIM115 (closed below)
     with log, _output_to(log), clear_output(), granted(consent):
-        return run_cell(sweep, cell)
+        outcome = run_cell(sweep, cell)
+        print(outcome.error if outcome else "interrupted", file=log)
+        return outcome
 
 
 @contextlib.contextmanager
@@ -79,11 +86,10 @@ def _output_to(log: TextIO) -> Iterator[None]:
 
 
 def _one_line(error: BaseException, command: str) -> str:
-    """Return what the command line says of an error, which is printed too."""
+    """Return what the command line says of an error."""
     said = io.StringIO()
     with contextlib.redirect_stderr(said):
         status_of(error, shlex.split(command)[1:])
-    print(said.getvalue(), end="", file=sys.stderr)
     return said.getvalue().strip().removeprefix("uplift: ").splitlines()[0]
 
 

@@ -33,7 +33,7 @@ class _Job:
 
     def checkpoint(self, *given: Any) -> Any:
         """Return what to submit again where the time of the job is over, or it must make room."""
-        from submitit.helpers import DelayedSubmission
+        from submitit.helpers import DelayedSubmission  # pyright: ignore[reportMissingImports]
 
         return DelayedSubmission(self, *given)
 
@@ -46,7 +46,7 @@ def slurm_jobs(sweep: Sweep, cells: Sequence[Cell], consent: Consent, workers: i
     Raises UserError: submitit is not installed, a parameter that it does not have, no SLURM on this machine.
     """
     try:
-        import submitit
+        import submitit  # pyright: ignore[reportMissingImports]
     except ImportError:
         raise UserError("sweep.how=slurm needs submitit: pip install 'uplift3d[cluster]'.") from None
     names = sweep.path / "cells" / "jobs.txt"
@@ -72,7 +72,7 @@ def slurm_jobs(sweep: Sweep, cells: Sequence[Cell], consent: Consent, workers: i
 
 def _executor(sweep: Sweep, workers: int) -> Any:
     """Return submitit's executor with the parameters of ``sweep.options``; raises UserError for what it refuses."""
-    from submitit import AutoExecutor
+    from submitit import AutoExecutor  # pyright: ignore[reportMissingImports]
 
     settings = sweep.settings_of(sweep.cells[0])
     given = dict(settings.sweep.options)
@@ -137,7 +137,7 @@ def ray_tasks(sweep: Sweep, cells: Sequence[Cell], consent: Consent, workers: in
     Raises UserError: Ray is not installed, or an option of a task that it does not have.
     """
     try:
-        import ray
+        import ray  # pyright: ignore[reportMissingImports]
     except ImportError:
         raise UserError("sweep.how=ray needs Ray: pip install ray.") from None
     settings = sweep.settings_of(sweep.cells[0])

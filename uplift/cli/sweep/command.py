@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import math
 import os
+import shutil
 import signal
 import sys
 import threading
@@ -13,10 +14,11 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from uplift.cli.kinds import Later
-from uplift.cli.sweep.folder import Outcome, Sweep, checked
+from uplift.cli.sweep.folder import Outcome, Sweep, check_values
 from uplift.cli.sweep.processes import gpus, workers_of
 from uplift.cli.sweep.table import best_of, lines_of, words_of, write_tables
 from uplift.config.grid import Cell, split_grid
+from uplift.config.loading import load_settings
 from uplift.config.progress import say
 from uplift.config.run import link
 from uplift.config.settings import Settings, seconds_of
@@ -61,9 +63,10 @@ def start_sweep(task: str | None, overrides: Sequence[str], command: str) -> Swe
         " x ".join(f"{one.key} ({len(one.values):,})" for one in axes),
     )
     with granted(consent_of(f"{axis.key}={value}" for axis in axes for value in axis.values)):
-        first = checked(task, words, axes)
+        first = load_settings(task, [*words, *(f"{axis.key}={axis.values[0]}" for axis in axes)])
         _check(first, fits, grid)
-        if first.trainer.threads is None and _how(first, fits)[0] != "here" and not gpus(first):
+        check_values(task, words, axes)
+        if first.trainer.threads is None and _how(first, fits)[0] in ("processes", "slurm", "ray") and not gpus(first):
             words.append("trainer.threads=1")  # fits at the same time share the cores
         made = Sweep.create(first, task, words, axes, command)
         say(f"uplift fit: {made.task or 'own data'}, a sweep of {fits:,} fits: {grid}")
@@ -96,7 +99,7 @@ def _check(first: Settings, fits: int, grid: str) -> None:
             "a fit of a sweep is one process on one device: leave out trainer.devices and trainer.num_nodes. sweep.workers is how "
             "many fits run at a time."
         )
-    if int(os.environ.get("WORLD_SIZE", "1")) > 1:
+    if any(os.environ.get(name, "1") != "1" for name in ("WORLD_SIZE", "SLURM_STEP_NUM_TASKS")):
         raise UserError(
             "a sweep starts its own processes, and this is one of several: run it without torchrun or srun."
         )
@@ -110,6 +113,7 @@ def _check(first: Settings, fits: int, grid: str) -> None:
 _HOW = {
     "here": Later("uplift.cli.sweep.processes:here"),
     "processes": Later("uplift.cli.sweep.processes:processes"),
+    "stack": Later("uplift.cli.sweep.stacked:stacks"),
     "slurm": Later("uplift.cli.sweep.clusters:slurm_jobs"),
     "ray": Later("uplift.cli.sweep.clusters:ray_tasks"),
 }
@@ -117,8 +121,10 @@ _HOW = {
 
 def _how(settings: Settings, fits: int) -> tuple[str, int]:
     """Return where so many fits run, one of `_HOW`, and how many at a time; 0 for as many as a cluster takes."""
-    if settings.sweep.how in ("slurm", "ray"):
+    if settings.sweep.how in ("slurm", "ray", "stack"):
         return settings.sweep.how, settings.sweep.workers or 0
+    if settings.sweep.how == "auto" and fits > 1 and gpus(settings):
+        return "stack", settings.sweep.workers or 0
     workers = workers_of(settings, fits)
     return ("here" if workers == 1 and settings.sweep.how == "auto" else "processes"), workers
 
@@ -141,8 +147,10 @@ def _go_on(made: Sweep) -> Sweep:
         raise
     files = write_tables(made)
     errors = {outcome.error for _, outcome in made.failed()}
-    if len(errors) == 1 and not made.finished():
-        raise UserError(f"all fits of {os.path.relpath(made.path)} failed: {errors.pop()}")
+    if len(errors) == 1 and len(made.failed()) == len(made.cells):
+        if not any(made.run_of(cell) for cell in made.cells):  # nothing to go on with
+            shutil.rmtree(made.path)
+        raise UserError(f"all fits failed: {errors.pop()}")
     _link(made)
     say("\n".join([*lines_of(made), "", *(f"wrote {os.path.relpath(file)}" for file in files)]))
     return made
@@ -154,6 +162,7 @@ def _plan(made: Sweep, settings: Settings, how: str, workers: int) -> list[str]:
     ways = {
         "here": "one after another",
         "processes": f"{workers:,} at a time",
+        "stack": "as stacked networks",
         "slurm": "jobs of a SLURM array",
         "ray": "tasks of Ray",
     }
@@ -181,7 +190,7 @@ def _run(made: Sweep, left: Sequence[Cell], ending: Iterator[Cell], workers: int
             outcome, rest = made.outcome(cell), len(left) - done
             time_left = (time.monotonic() - start) / done * rest
             more = f", about {_clock(time_left)} left" if rest and done >= workers else ""
-            say(f"[{fits - rest}/{fits}] {_ended(cell, outcome or Outcome())}{more}")
+            say(f"[{fits - rest} of {fits}{more}] {_ended(cell, outcome or Outcome())}")
 
 
 def _ended(cell: Cell, outcome: Outcome) -> str:

@@ -21,7 +21,7 @@ from uplift.config.trust import trust_words
 from uplift.config.yaml_file import read_yaml
 from uplift.errors import UserError
 
-__all__ = ["Outcome", "Sweep", "checked"]
+__all__ = ["Outcome", "Sweep", "check_values"]
 
 
 @dataclass(frozen=True)
@@ -56,7 +56,7 @@ class Sweep:
     def create(
         cls, first: Settings, task: str | None, words: Sequence[str], axes: Sequence[Axis], command: str
     ) -> Sweep:
-        """Make ``runs/<task>/sweep_<time>/`` in the current folder for the grid, whose ``first`` settings are `checked`."""
+        """Make ``runs/<task>/sweep_<time>/`` in the current folder for the grid, whose ``first`` settings are given."""
         shared = _shared(task, words)
         base, stamp, number = runs_of(first.task, first.skeleton), f"sweep_{new_name()}", 1
         grid = {axis.key: [_absolute(axis.key, value) for value in axis.values] for axis in axes}
@@ -152,20 +152,13 @@ class Sweep:
         return f" {words}" if words else ""
 
 
-def checked(task: str | None, words: Sequence[str], axes: Sequence[Axis]) -> Settings:
-    """Return the settings of the first fit; raises UserError for any value that a fit would refuse."""
+def check_values(task: str | None, words: Sequence[str], axes: Sequence[Axis]) -> None:
+    """Raise UserError for a value of the grid that a fit would refuse; each is tried with the first of the others."""
     first = {axis.key: axis.values[0] for axis in axes}
-
-    def with_value(key: str, value: str) -> Settings:
-        return load_settings(task, [*words, *(f"{name}={one}" for name, one in (first | {key: value}).items())])
-
-    settings = with_value(axes[0].key, axes[0].values[0])
     for axis in axes:
         # Of many numbers the ends are checked, which is where a range ends.
-        many = axis.values if len(axis.values) <= _CHECKED else _ends(axis.values)
-        for value in many:
-            with_value(axis.key, value)
-    return settings
+        for value in axis.values[1:] if len(axis.values) <= _CHECKED else _ends(axis.values):
+            load_settings(task, [*words, *(f"{key}={one}" for key, one in (first | {axis.key: value}).items())])
 
 
 _CHECKED = 16

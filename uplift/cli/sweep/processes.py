@@ -88,6 +88,13 @@ def processes(sweep: Sweep, cells: Sequence[Cell], consent: Consent, workers: in
         _stop(pool)
 
 
+_OF_RANKS = (
+    "RANK", "WORLD_SIZE", "LOCAL_RANK", "LOCAL_WORLD_SIZE", "GROUP_RANK", "MASTER_ADDR", "MASTER_PORT",
+    "SLURM_NTASKS", "SLURM_NPROCS", "SLURM_PROCID", "SLURM_LOCALID", "SLURM_NTASKS_PER_NODE",
+)  # fmt: skip
+"""Variables by which torchrun and srun tell processes of one fit apart."""
+
+
 @dataclass
 class _Worker:
     """A process of `uplift.cli.sweep.worker`."""
@@ -101,7 +108,9 @@ class _Worker:
 
     def __post_init__(self) -> None:
         path = os.pathsep.join(part or os.getcwd() for part in sys.path)
-        environment = {**os.environ, "PYTHONPATH": path}
+        # A fit is one process, whatever the job is that its sweep runs in.
+        environment = {name: value for name, value in os.environ.items() if name not in _OF_RANKS}
+        environment["PYTHONPATH"] = path
         if self.device is not None:
             environment["CUDA_VISIBLE_DEVICES"] = self.device
         else:  # before any library starts threads; a fit sets its own number

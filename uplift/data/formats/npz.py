@@ -262,6 +262,8 @@ def write_keypoints(data: PoseData, path: str | Path) -> None:
 
 _PER_JOINT = {"keypoints": 2, "pose": 3}  # numbers of four bytes, whatever the file has
 _PER_FRAME = {"root": 3, "tilt_deg": 1, "gravity": 3}
+_NUMBER = 2
+"""Bytes a frame of a column of text, which becomes numbers of names."""
 _FIRST = 2000
 """Frames that are looked at for the scale of their numbers."""
 
@@ -308,7 +310,8 @@ def contents_of(path: Path, options: ReadOptions | None = None) -> _Contents:
     if len(names) != joints:
         raise UserError(f"{path}: {len(names)} joint names for {joints} joints in 'keypoints'.")
     _check_scales(path, small, set(headers), options)
-    identity = sum(bytes_of(*headers[key]) for key in IDENTITY_KEYS if key in headers)
+    columns = (headers[key] for key in IDENTITY_KEYS if key in headers)
+    identity = sum(_NUMBER * frames if dtype.kind == "U" else bytes_of(shape, dtype) for shape, dtype in columns)
     return _Contents(frames, names, "pose" in headers, memory_of(set(headers), frames, joints) + identity)
 
 
