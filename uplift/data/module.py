@@ -307,7 +307,9 @@ class KeypointData(_Data[PoseData, Loaded]):
             that needs none where it does not.
         test: files, data or arrays to test on, with true poses.
         predict: files, data or arrays to lift; those of ``test`` by default.
-        return _Steps(self.batch_size, max(1, -(-self.sample_count // self.batch_size)))
+        batch_size: frames that a step draws at random, on several ranks all of them together. An epoch has as many draws
+            as there are frames. Of shards (``uplift data shard``) with more frames than ``buffer``, so many are in memory
+            at a time.
         labelled: share of the training frames whose true poses may be learned from, or the settings
             ``data.labelled`` by name; None: training from 2D alone.
         seed: of the splits and the simulator.
