@@ -34,7 +34,7 @@ def predict(here: Path) -> Callable[..., int]:
     Path("in/b/damaged.npz").write_text("nothing of the kind")
 
     def run(output: str, *words: str, workers: int = 1) -> int:
-        given = ["predict", "run=lifter.pt", "input=in/*/*.npz", f"output={output}", f"workers={workers}"]
+        given = ["predict", "run=lifter.pt", "input=in/**/*.npz", f"output={output}", f"workers={workers}"]
         return main([*given, *words])
 
     return run

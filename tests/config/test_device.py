@@ -5,6 +5,7 @@ from __future__ import annotations
 import pytest
 import torch
 
+from uplift.config import device
 from uplift.config.device import ACCELERATORS, device_of, fast_products, precision_of
 from uplift.errors import UserError
 
@@ -27,8 +28,6 @@ def test_automatic_products_have_the_error_of_float32_and_the_former_way_comes_b
 
 
 def test_a_processor_whose_fast_products_are_rounded_is_left_alone(monkeypatch: pytest.MonkeyPatch) -> None:
-    from uplift.config import device
-
     device._fastest_exact.cache_clear()
     monkeypatch.setattr(device, "_EXACT", 0.0)
     with fast_products("auto"):
@@ -52,5 +51,7 @@ def test_automatic_precision_follows_the_processor(monkeypatch: pytest.MonkeyPat
     for found in ("avx512_bf16", "amx_tile", ""):
         for name in ("avx512_bf16", "amx_tile"):
             monkeypatch.setattr(torch.cpu, f"_is_{name}_supported", lambda is_it=name == found: is_it, raising=False)
+        device._half_on_cpu.cache_clear()
         assert precision_of("auto", "cpu") == ("bf16-mixed" if found else "32-true")
         assert precision_of("auto", "gpu") == precision_of("32-true", "cpu") == "32-true"
+    device._half_on_cpu.cache_clear()

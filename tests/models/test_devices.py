@@ -9,14 +9,18 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-from lifts import H36M, seen_bodies, small_lifter
+from lifts import H36M, small_lifter
 from torch import Tensor
 from torch.utils._python_dispatch import TorchDispatchMode
 
 from uplift.config.device import half_is_fast
 from uplift.config.settings import LifterSettings
 from uplift.config.threads import in_threads
+from uplift.data.clean import clean
+from uplift.data.confidence import calibrated
 from uplift.data.poses import PoseData
+from uplift.data.synthetic.simulate import simulate
+from uplift.data.tensors import to_training_set
 from uplift.errors import UserError
 from uplift.models import predict, refine, signs
 from uplift.models.lifter import Lifter
@@ -37,13 +41,12 @@ def lifter() -> Lifter:
 SETTINGS = LifterSettings(cameras="any")
 
 
-def film(frames: int = 60) -> PoseData:
-    """Return three clips with gaps, the camera's focal length unknown."""
-    data = seen_bodies(frames)
-    confidence = np.ones((frames, 17), np.float32)
+def film() -> PoseData:
+    """Return four simulated clips with gaps, seen by a camera of unknown focal length."""
+    data = simulate(H36M, 120, seed=3, clip_seconds=3.0)
+    confidence = np.ones((120, 17), np.float32)
     confidence[7::11, 5] = 0
-    names, numbers = np.repeat(list("abc"), frames // 3), np.tile(np.arange(frames // 3), 3)
-    return replace(data, focal_px=None, confidence=confidence, identity={"sequence": names, "frame": numbers}, fps=10.0)
+    return clean(replace(data, focal_px=None, confidence=confidence), H36M, drop=False)[0]
 
 
 @contextmanager
@@ -71,6 +74,10 @@ def test_everything_from_the_training_set_to_the_pose_is_computed_on_the_device(
     lifter: Lifter, refined: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     usual = infer(lifter, film(), SETTINGS, refine=refined, hypotheses=2)
+    frames = to_training_set(
+        calibrated(film(), H36M, SETTINGS), H36M, SETTINGS
+    )  # on the processor, from NumPy's arrays
+    monkeypatch.setattr(predict, "to_training_set", lambda *_: frames)
     with kept_on_the_device(monkeypatch):
         found = infer(lifter, film(), SETTINGS, refine=refined, hypotheses=2)
     assert torch.equal(found.pose, usual.pose) and torch.equal(found.hypotheses.pose, usual.hypotheses.pose)

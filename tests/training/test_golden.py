@@ -21,6 +21,8 @@ STEPS = (
 )
 BODY = ("data.train=body.npz", "data.test=body.npz", "data.root=.")
 MASKS = ("data.simulate=60", "shape.detail=8", "shape.crop=12", "shape.resolution=8", "shape.splits=[2]")
+_ROUNDED = {"overall/facing": 0.02, "overall/facing_sign": 0.02}
+"""Shares of 120 frames, of which some lie at the limit."""
 FITS = {
     "demo": ("task=demo", "data.simulate=200", *QUICK, *STEPS),
     "supervised_cmu": ("task=supervised_cmu", *BODY, *QUICK, *STEPS),
@@ -51,5 +53,6 @@ def test_a_fit_gives_what_it_gave(name: str, here: Path) -> None:
     expected = json.loads(GOLDEN.read_text())[name]
     # Other processors round otherwise, and steps amplify it: what is moved or joined wrongly shows far above that.
     # A metric that is newer than the record is not in it.
-    assert {name: found.get(name) for name in expected} == pytest.approx(expected, rel=0.01, abs=1e-4)
+    close = {name: pytest.approx(value, rel=0.01, abs=_ROUNDED.get(name, 1e-4)) for name, value in expected.items()}
+    assert {name: found.get(name) for name in expected} == close
     assert len(found) > 20

@@ -56,6 +56,9 @@ def status_of(error: BaseException, words: Sequence[str]) -> int:
         return 130
     if isinstance(error, BrokenPipeError):
         return 1
+    if os.environ.get(DEBUG) and not _is_known(error):
+        traceback.print_exception(error)
+        return 1
     message, status = told(error, words)
     lines = message.splitlines() if isinstance(error, MissingFiles) else [message]
     print("uplift: " + "\n".join(map(one_line, lines)), file=sys.stderr)
@@ -87,6 +90,11 @@ def _escaped(found: re.Match[str]) -> str:
     return found[0].encode("unicode_escape").decode()
 
 
+def _is_known(error: BaseException) -> bool:
+    """Return whether `told` says it without a traceback."""
+    return isinstance(error, UserError | RecursionError | OSError) or _is_out_of_memory(error)
+
+
 def _is_out_of_memory(error: BaseException) -> bool:
     """Return whether memory ran out, of the machine or of an accelerator."""
     known = isinstance(error, MemoryError) or type(error).__name__ == "OutOfMemoryError"
@@ -94,9 +102,7 @@ def _is_out_of_memory(error: BaseException) -> bool:
 
 
 def _unexpected(error: BaseException, words: Sequence[str]) -> str:
-    """Return what failed where, and in which file the traceback is; it is printed where that is asked for."""
-    if os.environ.get(DEBUG):
-        traceback.print_exception(error)
+    """Return what failed where, and in which file the traceback is."""
     kind, *detail = traceback.format_exception_only(error)[-1].strip().split(":", 1)
     frames = [frame for frame in traceback.extract_tb(error.__traceback__) if _PACKAGE in Path(frame.filename).parents]
     place = f" ({Path(frames[-1].filename).relative_to(_PACKAGE)}, line {frames[-1].lineno})" if frames else ""

@@ -54,12 +54,14 @@ def lift_in_parts(
     growing = [output for output in request.outputs if can_grow(output, request.page)]
     others = [output for output in request.outputs if output not in growing]
     files: dict[Path, str] = {}
-    store = PartStore(request.outputs[0], _made_of(request, bool(others)), model.skeleton)
-    with store, ExitStack() as stack:
+    with ExitStack() as stack:
         streams = {
             one: stack.enter_context(open_output(one, request.page, request.axes, request.options)) for one in growing
         }
-        work = _Work(model, source, store, list(streams.values()), check, how, keep_truth=bool(others))
+        cut = not request.ground and not any(stream.of_clips for stream in streams.values())
+        made_of = _made_of(request, {"cut": cut, "truth": bool(others)})
+        store = stack.enter_context(PartStore(request.outputs[0], made_of, model.skeleton))
+        work = _Work(model, source, store, list(streams.values()), check, how, cut, keep_truth=bool(others))
         work.do()
         files |= {Path(output): stream.close() for output, stream in streams.items()}
         if others:
@@ -79,7 +81,10 @@ class _Work:
     streams: list[Stream]
     check: Callable[[PoseData], list[str]]
     how: Mapping[str, Any]
+    cut: bool
+    """Whether long clips may be: grounds, angles and level axes are those of whole clips."""
     keep_truth: bool
+    """Whether an output shows it."""
     summaries: list[Summary] = field(default_factory=list)
     warnings: list[str] = field(default_factory=list)
     _checked: bool = False
@@ -149,11 +154,11 @@ def _ahead(items: Iterable[T]) -> Iterator[T]:
             yield item
 
 
-_NO_MATTER = ("weights", "input", "output", "axes", "page", "options", "check", "keypoints")
+_NO_MATTER = ("weights", "input", "output", "axes", "page", "options", "check", "keypoints", "accelerator")
 """Of a request: what parts do not depend on, beside what is told of the input and the lifter by themselves."""
 
 
-def _made_of(request: Request, truth: bool) -> dict[str, Any]:
+def _made_of(request: Request, more: Mapping[str, Any]) -> dict[str, Any]:
     """Return what the parts of a request are made of, by the names of a message."""
     how = {name: repr(value) for name, value in vars(request).items() if name not in _NO_MATTER}
     paths = files_of(request.input) if _is_there(request.input) else []
@@ -161,7 +166,7 @@ def _made_of(request: Request, truth: bool) -> dict[str, Any]:
         "input": [str(request.input), stamps_of(paths)],
         "lifter": digest_of(request.weights.path),
         "version of uplift": __version__,
-        "options": how | {"truth": truth},
+        "options": how | dict(more),
     }
 
 

@@ -19,6 +19,7 @@ import numpy as np
 from uplift.config.files import replacing
 from uplift.config.lock import only_one
 from uplift.config.progress import say
+from uplift.data.names import Names
 from uplift.models.ground import Ground
 from uplift.models.prediction import Prediction
 from uplift.skeleton import Skeleton
@@ -107,10 +108,12 @@ class PartStore:
             arrays: dict[str, Any] = {name: file[name] for name in file.files}
         facts = json.loads(str(arrays.pop("facts")))
         facts |= {name: tuple(facts[name]) for name in ("image_size", "notes") if facts[name] is not None}
-        groups: dict[str, dict[str, Any]] = {"identity": {}, "ground": {}}
+        groups: dict[str, dict[str, Any]] = {"identity": {}, "names": {}, "ground": {}}
         for name in [name for name in arrays if "." in name]:
             group, _, key = name.partition(".")
             groups[group][key] = arrays.pop(name)
+        for key, names in groups["names"].items():
+            groups["identity"][key] = Names(groups["identity"][key], names)
         ground = Ground(**groups["ground"]) if groups["ground"] else None
         names = tuple(self._skeleton.joints)
         return Prediction(
@@ -126,7 +129,10 @@ def _arrays(part: Prediction) -> dict[str, np.ndarray]:
         if isinstance(value, np.ndarray):
             found[field.name] = value
         elif field.name == "identity":
-            found |= {f"identity.{key}": np.asarray(column) for key, column in value.items()}
+            for key, column in value.items():
+                named = isinstance(column, Names)
+                found |= {f"identity.{key}": column.codes if named else np.asarray(column)}
+                found |= {f"names.{key}": column.names} if named else {}
         elif field.name == "ground" and value is not None:
             found |= {f"ground.{key}": np.asarray(column) for key, column in vars(value).items()}
     return {name: array.astype(str) if array.dtype.kind == "O" else array for name, array in found.items()}

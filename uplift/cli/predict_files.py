@@ -23,6 +23,7 @@ from uplift.cli.outputs import outputs_of
 from uplift.cli.parsing import Keys, keyed
 from uplift.cli.part_store import digest_of, stamps_of
 from uplift.cli.predict import predict_keys
+from uplift.config.device import device_of
 from uplift.config.files import files_of, replacing
 from uplift.config.lock import only_one
 from uplift.config.progress import is_quiet, quiet, say
@@ -139,7 +140,7 @@ def _stamp(file: Path) -> tuple[int, int]:
 
 # What was done, in ``predict.json``.
 
-_APART = ("run", "input", "output", "workers", "keypoints", "page")
+_APART = ("run", "input", "output", "workers", "accelerator", "keypoints", "page")
 """Words that poses do not depend on, or that are told by themselves."""
 
 
@@ -297,7 +298,7 @@ def _told(which: str, entry: dict[str, Any], items: str) -> list[str]:
 
 def _results(jobs: list[_Job], keys: Keys, weights: Weights) -> Iterator[tuple[_Job, dict[str, Any]]]:
     """Yield each job with what came of it, as they are done."""
-    workers = min(keys.value("workers") or _usual_workers(), len(jobs))
+    workers = min(keys.value("workers") or _usual_workers(keys.value("accelerator")), len(jobs))
     if workers < 2:
         yield from ((job, _lift(keys, job, weights)) for job in jobs)
         return
@@ -320,8 +321,10 @@ _WORKER_BYTES = 2e9
 """Memory of a worker at most, about."""
 
 
-def _usual_workers() -> int:
-    """Return how many cores this process may use, or fewer where there is little memory."""
+def _usual_workers(accelerator: str) -> int:
+    """Return how many cores this process may use, or fewer where there is little memory; one where another device computes."""
+    if device_of(accelerator).type != "cpu":
+        return 1
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     memory = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
     return max(1, min(cores, int(memory // _WORKER_BYTES)))

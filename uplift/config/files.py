@@ -79,7 +79,7 @@ def data_root(name: str, root: str | None) -> Path:
 
 
 def files_of(path: str | Path) -> list[Path]:
-    """Return the files or folders that ``path`` names: itself where it exists, else those between commas or that match ``*``, ``?`` or ``[``.
+    """Return the files or folders that ``path`` names: itself where it exists, else those between commas or that match ``*``, ``**`` (folders), ``?`` or ``[``.
 
     Raises UserError: a file that does not exist, a pattern without a match, a pipe or a device.
     """
@@ -89,7 +89,7 @@ def files_of(path: str | Path) -> list[Path]:
     found: list[Path] = []
     for part in str(path).split(","):
         if any(sign in part for sign in "*?["):
-            matching = sorted(Path(name) for name in glob.glob(part))
+            matching = sorted(Path(name) for name in glob.glob(part, recursive=True))
             if not matching:
                 raise UserError(f"No file matches {part} (looked in {Path(part).absolute().parent}).")
             found += matching

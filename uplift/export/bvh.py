@@ -256,7 +256,7 @@ def _turned_onto(
     frame: Float[np.ndarray, "frames 3 3"],
 ) -> tuple[Float[np.ndarray, "frames 3 3"], Float[np.ndarray, " frames"]]:
     """Return the rotations, each for itself, and how much each is trusted, from 0 to 1."""
-    known = np.isfinite(directions[..., 0])
+    known = np.asarray(np.isfinite(directions[..., 0]))
     directions = np.where(known[..., None], directions, 0)
     trust = known.all(1).astype(float)
     if len(rest) > 1:
@@ -279,7 +279,7 @@ def _follow(
 
     Stretches of such frames depend on one frame before them each, and go side by side.
     """
-    seen = np.isfinite(directions[..., 0]).any(1)
+    seen = np.asarray(np.isfinite(directions[..., 0]).any(1))
     trusted = np.flatnonzero(trust == 1)
     first = frame[trusted[0]].T @ turned[trusted[0]] if len(trusted) else np.eye(3)
 
@@ -379,7 +379,7 @@ def _mean_shape(body: _Body) -> dict[str, np.ndarray]:
         best = int(np.argmax(known.sum(1)))
         fullest = block[best] if known[best].sum() > np.isfinite(fullest).all(-1).sum() else fullest
         count += known.sum(0)
-    full = np.isfinite(fullest).all(-1)
+    full = np.asarray(np.isfinite(fullest).all(-1))
     shape = np.where(full[:, None], fullest, 0)
     for _ in range(_ROUNDS):
         mean = np.zeros(shape.shape)

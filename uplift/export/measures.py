@@ -84,7 +84,7 @@ class AnglesStream(Stream):
 
     def _write_rows(self, part: Prediction, time: np.ndarray | None, template: str) -> None:
         found = joint_angles(part)
-        for name, known in zip(found.names, np.isfinite(found.values).any(0).tolist(), strict=True):
+        for name, known in zip(found.names, np.asarray(np.isfinite(found.values).any(0)).tolist(), strict=True):
             self._measured[name] |= known
         arrays = [found.values] + ([] if found.uncertainty is None else [found.uncertainty])
         keys = [[f"{self._written(value)}," for value in plain(values)] for values in part.identity.values()]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import pairwise
@@ -182,7 +183,7 @@ def _by_chunks(function: Callable[..., Any], frames: TrainingSet, half: bool, wh
     device = frames.keypoints.device
     size = _CHUNK if device.type == "cpu" else _CHUNK_ELSEWHERE
     chunks = list(zip(*(part.split(size) for part in given), strict=True))
-    with mixed_networks(torch.bfloat16 if half else None):
+    with mixed_networks(torch.bfloat16) if half else nullcontext():
         return in_threads(lambda chunk: function(*chunk), chunks, device, what)
 
 

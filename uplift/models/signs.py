@@ -204,16 +204,20 @@ def _scene_of(frames: TrainingSet, pose: Tensor, camera: Camera, chains: SignCha
     parent, child = bones.T
     off = pose[:, parent] - point[:, child]
     reach = (off - (off * ray[:, child]).sum(-1, keepdim=True) * ray[:, child]).norm(dim=-1)
-    length = _body_lengths(lengths * size[:, None], reach, frames.body, _limb_bones(frames.skeleton, chains))
+    length = _body_lengths(
+        lengths * size[:, None], reach, frames.body, _limb_bones(frames.skeleton, chains, pose.device)
+    )
     return _Scene(chains, point, ray, length), size
 
 
-def _limb_bones(skeleton: Skeleton, chains: SignChains) -> Bool[Tensor, " bones"]:
+def _limb_bones(skeleton: Skeleton, chains: SignChains, device: torch.device) -> Bool[Tensor, " bones"]:
     """Return which bones belong to limbs: both ends have mirror images; all without any, but those at the root."""
     swap = skeleton.mirror_permutation
     if skeleton.mirror:
-        return torch.tensor([bool(swap[one] != one and swap[other] != other) for one, other in chains.bones.tolist()])
-    return chains.bones[:, 0] != skeleton.root_index
+        found = [bool(swap[one] != one and swap[other] != other) for one, other in chains.bones.tolist()]
+    else:
+        found = (chains.bones[:, 0] != skeleton.root_index).tolist()
+    return torch.tensor(found, device=device)
 
 
 def _body_lengths(
@@ -232,7 +236,7 @@ def _body_lengths(
     lengths, reaches = (_sorted_by_body(value, body, counts) for value in (length, reach))
     usual = lengths[first + (counts - 1).clamp_min(0) // 2]
     rank = (_LONG * counts).round().long().clamp_min(1) - 1
-    least = torch.where(limbs.to(usual.device), torch.maximum(usual, reaches[first + rank]), usual)
+    least = torch.where(limbs, torch.maximum(usual, reaches[first + rank]), usual)
     return (least * (usual.sum(1) / least.sum(1))[:, None])[body]
 
 

@@ -230,9 +230,8 @@ class TrainingModule(L.LightningModule, Generic[LifterT, DataT]):
         self._accumulated = self.trainer.accumulate_grad_batches if self._log_every else 1
         self._micro_batch = batch_idx % self._accumulated
         torch.manual_seed(self.step_seed)
-        with self.sharing(batch):
-            with self.mixed_networks():
-                loss, self.logged = self.objective(batch)
+        with self.sharing(batch), self.mixed_networks():
+            loss, self.logged = self.objective(batch)
             if self._log_every and ((self.global_step + 1) % self._log_every == 0 or self.trainer.is_last_batch):
                 self._log_terms(loss)
         return loss

@@ -30,6 +30,7 @@ from uplift.config.files import read_torch, save_torch
 from uplift.config.plugins import blame
 from uplift.config.run import RunFolder
 from uplift.config.settings import Settings, TrainerSettings
+from uplift.data.stream import Streamed
 from uplift.data.tensors import TrainingSet
 from uplift.errors import UserError
 from uplift.models.model import Model
@@ -740,6 +741,9 @@ def train_stack(recipes: Sequence[PoseRecipe], runs: Sequence[RunFolder], folder
     reason = stackable([recipe.settings for recipe in recipes])
     if reason is not None:
         raise NotStackable(reason)
+    loaded = [recipe.data.given["train"] for recipe in recipes]
+    if any(isinstance(one, Streamed) and one.stream is not None for one in loaded):
+        raise NotStackable("the training frames are more than memory holds, and each fit reads its own.")
     if any(recipe.budgets != recipes[0].budgets for recipe in recipes):
         raise NotStackable("the fits have different numbers of steps: set trainer.max_steps, or the same data for all.")
     (folder / "checkpoints").mkdir(parents=True, exist_ok=True)
