@@ -26,7 +26,7 @@ def folder(tmp_path_factory):
 
 
 def test_every_format_has_a_cell():
-    assert {cell.format for cell in CELLS} == set(KEYPOINT_FORMATS)
+    assert {cell.format for cell in CELLS} == set(KEYPOINT_FORMATS) - {"shards"}  # a folder, made of any of the others
     assert len({cell.name for cell in CELLS}) == len({cell.file for cell in CELLS}) == len(CELLS)
 
 

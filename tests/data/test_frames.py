@@ -79,9 +79,9 @@ def test_metrics_refinement_and_interpolation_go_by_the_same_rule():
     assert np.array_equal(previous, previous_frames(clips_of(data.identity), data.identity["frame"]))
     frames = TrainingSet.of(data, SKELETON)
     assert has_clips(frames) and frames.follows.tolist() == (previous >= 0).tolist()
-    confidence = data.confidence.copy()
+    confidence = frames.confidence.clone()
     confidence[[2, 10], 4] = 0  # one joint of each clip is hidden for a frame
-    assert np.argwhere(gap_joints(replace(data, confidence=confidence))).tolist() == [[2, 4], [10, 4]]
+    assert np.argwhere(gap_joints(replace(frames, confidence=confidence)).numpy()).tolist() == [[2, 4], [10, 4]]
 
 
 def test_columns_may_be_lists_or_one_value_for_all_frames() -> None:

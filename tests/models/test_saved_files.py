@@ -31,6 +31,7 @@ def test_an_old_file_of_keypoints(version: int, tmp_path: Path) -> None:
     assert isinstance(model, Model)
     assert not model.lifter.training
     assert not model.lifter.bone_mm.any()
+    model.products = "highest"  # the record has no rounded products
     torch.testing.assert_close(model(EXPECTED["keypoints"]), EXPECTED["pose"], rtol=1e-4, atol=1e-3)
 
 

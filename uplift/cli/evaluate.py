@@ -27,6 +27,7 @@ from uplift.data.load import format_of_run, load_file, load_split
 from uplift.data.load_masks import known_shapes, load_mask_split, load_masks
 from uplift.data.masks import MaskData
 from uplift.data.parsers.npz import CheckedArrays, read_arrays
+from uplift.data.stream import load_training
 from uplift.errors import UserError, listed
 from uplift.metrics.baselines import score_with_baselines
 from uplift.metrics.evaluate import evaluate as score

@@ -103,9 +103,10 @@ class ResidualNetwork(nn.Module):
 def _exact(layer: nn.Module, value: Tensor) -> Tensor:
     """Return what ``layer`` makes of ``value``, in full precision under autocast too: rounded coordinates cost five times as much
     as rounded products between them."""
-    if not torch.is_autocast_enabled(value.device.type):
+    kind = value.device.type
+    if not (torch.amp.is_autocast_available(kind) and torch.is_autocast_enabled(kind)):
         return layer(value)
-    with torch.autocast(value.device.type, enabled=False):
+    with torch.autocast(kind, enabled=False):
         return layer(value.float())
 
 

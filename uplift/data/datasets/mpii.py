@@ -11,6 +11,7 @@ import numpy as np
 
 from uplift.data.datasets.base import DataSet, WantedFile, first_file
 from uplift.data.formats.npz import read_npz
+from uplift.data.names import Names
 from uplift.data.parsers.files import read_bytes
 from uplift.data.parsers.json import JsonText, objects
 from uplift.data.parsers.matlab import load_mat5
@@ -34,7 +35,7 @@ AUTHORS_JOINTS = (
 _JOINTS = len(MPII_JOINTS)
 
 
-def person_in_image(image: np.ndarray) -> np.ndarray:
+def person_in_image(image: np.ndarray | Names) -> np.ndarray:
     """Return (frames,) numbers that count the people of each image from 0, in the order of the file."""
     _, code = np.unique(image, return_inverse=True)
     order = np.argsort(code, kind="stable")
