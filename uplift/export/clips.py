@@ -79,7 +79,7 @@ def arrange(identity: Mapping[str, Any], rows: int) -> list[Clip]:
     return [replace(clip, title=title) for clip, title in zip(clips, titles, strict=True)]
 
 
-def clip_names(firsts: Sequence[dict[str, np.ndarray]]) -> list[str]:
+def clip_names(firsts: Sequence[Mapping[str, Any]]) -> list[str]:
     """Return the names that `arrange` gives clips which are together, of the identity of a row (1,) of each."""
     names = [""] * len(firsts)
     identity = {key: np.concatenate([one[key] for one in firsts]) for key in firsts[0]} if firsts else {}

@@ -169,7 +169,7 @@ class GaitStream(Stream):
         super().__init__(path, axes)
         self._written = partial(cell, safe=csv_safe)
         self._head, self._metric, self._walkers, self._reasons = "", False, 0, []
-        self._clips: list[tuple[dict[str, np.ndarray], str]] = []
+        self._clips: list[tuple[dict[str, Any], str]] = []
         """The identity of each clip's first row, and the lines of its bodies."""
 
     def write_part(self, prediction: Prediction, first: bool) -> None:
