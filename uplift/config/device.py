@@ -12,7 +12,7 @@ from uplift.errors import UserError, did_you_mean
 if TYPE_CHECKING:
     import torch
 
-__all__ = ["ACCELERATORS", "PRODUCTS", "device_of", "fast_products", "half_is_fast", "precision_of"]
+__all__ = ["ACCELERATORS", "PRODUCTS", "device_of", "fast_products", "half_is_fast", "mixed_precision", "precision_of"]
 
 ACCELERATORS = ("auto", "cpu", "cuda", "mps")
 """Devices by name; Lightning's "gpu" is taken too."""
@@ -42,6 +42,15 @@ def device_of(accelerator: str) -> torch.device:
             f"accelerator={accelerator}: PyTorch finds no such device here, expected one of: auto, {found}."
         )
     return torch.device(name)
+
+
+def mixed_precision(device: torch.device) -> torch.dtype | None:
+    """Return the data type of autocast on a device where it is on, else None."""
+    import torch
+
+    if not (torch.amp.is_autocast_available(device.type) and torch.is_autocast_enabled(device.type)):
+        return None
+    return torch.get_autocast_dtype(device.type)
 
 
 def precision_of(precision: str, accelerator: str) -> str:

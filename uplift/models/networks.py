@@ -11,7 +11,7 @@ from jaxtyping import Float
 from torch import Tensor, nn
 from torch.nn.functional import leaky_relu
 
-from uplift.config.device import fast_products
+from uplift.config.device import fast_products, mixed_precision
 from uplift.config.plugins import build, find_class, options_of
 from uplift.errors import UserError, did_you_mean
 
@@ -103,10 +103,9 @@ class ResidualNetwork(nn.Module):
 def _exact(layer: nn.Module, value: Tensor) -> Tensor:
     """Return what ``layer`` makes of ``value``, in full precision under autocast too: rounded coordinates cost five times as much
     as rounded products between them."""
-    kind = value.device.type
-    if not (torch.amp.is_autocast_available(kind) and torch.is_autocast_enabled(kind)):
+    if mixed_precision(value.device) is None:
         return layer(value)
-    with torch.autocast(kind, enabled=False):
+    with torch.autocast(value.device.type, enabled=False):
         return layer(value.float())
 
 

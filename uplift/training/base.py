@@ -17,6 +17,7 @@ from torch import Tensor, nn
 from torch.optim.swa_utils import AveragedModel
 
 from uplift.config import ranks
+from uplift.config.device import mixed_precision
 from uplift.config.files import read_torch
 from uplift.config.loading import settings_from
 from uplift.config.settings import Settings, StageSettings
@@ -294,11 +295,11 @@ class TrainingModule(L.LightningModule, Generic[LifterT, DataT]):
     @contextmanager
     def mixed_networks(self) -> Iterator[None]:
         """Compute the lifter's networks in the trainer's mixed precision, if it has one, and nothing else."""
-        kind = self.device.type
-        if not (torch.amp.is_autocast_available(kind) and torch.is_autocast_enabled(kind)):
+        given = mixed_precision(self.device)
+        if given is None:
             yield
             return
-        with self.full_precision(), mixed_networks(torch.get_autocast_dtype(kind)):
+        with self.full_precision(), mixed_networks(given):
             yield
 
     def full_precision(self) -> Any:
