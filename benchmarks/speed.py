@@ -265,8 +265,7 @@ def _model(run: str = "person") -> Model:
 
 def prediction(refine: bool, frames: int = 30_000, device: str = "cpu") -> dict[str, float]:
     """Return poses per second of `Model.predict`, and the rate of its matrix products relative to the peak."""
-    model, data = _model(), _data(frames).without_truth()
-    model.lifter.to(device)
+    model, data = _model().to(device), _data(frames).without_truth()
     with FlopCounterMode(display=False) as counter:
         model.predict(data.select(np.arange(1000)), refine=False)
     flops = counter.get_total_flops() / 1000
