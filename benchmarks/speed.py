@@ -67,7 +67,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         name: partial(measure_apart, "benchmarks.speed", "--row", name) for name in ROWS
     }
     wanted = table if given.device == "cpu" else _rows_of_device(given.device)
-    rows = json.loads(path.read_text())["rows"] if given.only and path.is_file() else {}
+    kept = json.loads(path.read_text())["rows"] if given.only and path.is_file() else {}
+    rows = {name: row for name, row in kept.items() if name in wanted}
     for name, measure in wanted.items():
         if not given.only or any(part in name for part in given.only):
             rows[name] = measure()
