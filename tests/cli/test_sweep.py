@@ -124,7 +124,10 @@ def test_stopped_by_ctrl_c_and_resumed_it_is_the_unbroken_one(swept: Path, here:
     words = [*fit_words(here), "seed=0,1", "sweep.workers=1"]
     command = [sys.executable, "-m", "uplift.cli.main", "fit", *words, "sweep.how=processes"]
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
-    process = subprocess.Popen(command, env=environment, stderr=subprocess.PIPE, text=True, stdout=subprocess.DEVNULL)
+    process = subprocess.Popen(
+        command, env=environment, stderr=subprocess.PIPE, text=True, stdout=subprocess.DEVNULL,
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),  # tests in the background inherit that it is ignored
+    )  # fmt: skip
     while not list(here.glob("runs/h36m17/sweep_*/0_*/checkpoints/*.ckpt")) and process.poll() is None:
         time.sleep(0.05)
     process.send_signal(signal.SIGINT)

@@ -193,7 +193,7 @@ def _scores(run: Path) -> dict[tuple[str, ...], float]:
 
 def test_a_fit_on_two_devices_is_one_run(here: Path) -> None:
     """One folder, one report, said once; losses as of one process, which goes on where two stopped."""
-    words = [*own_data(here / "a.npz"), "trainer.accelerator=cpu", "data.val=0.2"]
+    words = [*own_data(here / "a.npz"), "trainer.accelerator=cpu", "trainer.precision=32-true", "data.val=0.2"]
     assert status_of("fit", *words) == 0
     alone = RunFolder.open("runs/h36m17").path
     command = [sys.executable, "-m", "uplift.cli.main", "fit", *words, "trainer.devices=2"]
