@@ -339,8 +339,8 @@ def _write_npz(path: Path, frames: int) -> None:
         path,
         keypoints=data.keypoints[rows % len(data)],
         confidence=data.confidence[rows % len(data)],
-        joints=np.array(data.joint_names),
-        sequence=(rows // 300).astype("S8"),
+        joint_names=np.array(data.joint_names),
+        sequence=(rows // 300).astype("U8"),
         frame=rows % 300,
     )
 
